@@ -1,7 +1,7 @@
 """Task-driven simulation adaptation (AdaptSim) and closing the loop with measured data, in JAX.
 
-`__all__` here and in `adaptsim_jax.diagnosis` is what other programs may rely on; all else may change. A name is imported when it is
-asked for: importing the package loads neither JAX nor NumPy.
+`__all__` here and in `adaptsim_jax.diagnosis` is what other programs may rely on; all else may
+change. A name is imported when it is asked for: importing the package loads neither JAX nor NumPy.
 """
 
 from typing import TYPE_CHECKING
@@ -42,11 +42,37 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 __all__ = [
-    "BadInput", "Candidate", "Channel", "EngineKind", "Gaussian", "Parameter", "Phase1Config", "Phase1Hyper", "Quantity", "Session",
-    "Simulator", "Space", "Stretches", "Task", "TaskKind", "TrainConfig", "Trained", "adapt_run", "compare", "default_comparison",
-    "default_config", "diagnose", "diagnose_simulator", "environment_task", "gaussian",
-    "make_backend", "make_one_shot", "make_phase1", "make_task", "replay_files",
-]  # fmt: skip
+    "BadInput",
+    "Candidate",
+    "Channel",
+    "EngineKind",
+    "Gaussian",
+    "Parameter",
+    "Phase1Config",
+    "Phase1Hyper",
+    "Quantity",
+    "Session",
+    "Simulator",
+    "Space",
+    "Stretches",
+    "Task",
+    "TaskKind",
+    "TrainConfig",
+    "Trained",
+    "adapt_run",
+    "compare",
+    "default_comparison",
+    "default_config",
+    "diagnose",
+    "diagnose_simulator",
+    "environment_task",
+    "gaussian",
+    "make_backend",
+    "make_one_shot",
+    "make_phase1",
+    "make_task",
+    "replay_files",
+]
 
 __getattr__ = lazily(
     __name__,

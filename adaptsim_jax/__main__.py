@@ -1,11 +1,17 @@
-"""The command `adaptsim`, as `python -m adaptsim_jax` too: Ctrl-C ends it without Python's traceback while its modules are loaded."""
+"""The command `adaptsim`, as `python -m adaptsim_jax` too: Ctrl-C ends it without Python's
+traceback while its modules are loaded.
+"""
 
 import signal
 
 
 def run() -> int:
-    """The exit code of the command line; never returns where Ctrl-C comes before `cli.main` can say so, or after it has ended."""
-    heeded = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # else a shell told us to ignore it
+    """The exit code of the command line; never returns where Ctrl-C comes before `cli.main` can say
+    so, or after it has ended.
+    """
+    heeded = (
+        signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    )  # else a shell told us to ignore it
     if heeded:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     from adaptsim_jax.cli import main

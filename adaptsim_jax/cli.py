@@ -1,7 +1,8 @@
-"""The `adaptsim` command: parse, set the compile cache up, run one command, turn errors into one line.
+"""The `adaptsim` command: parse, set the compile cache up, run one command, turn errors into one
+line.
 
-Exit codes: 0, 1 (it failed), 2 (bad input: one line that names it and the mend), 130 (stopped by Ctrl-C).
-Nothing here imports JAX or NumPy, so that `--help` answers at once.
+Exit codes: 0, 1 (it failed), 2 (bad input: one line that names it and the mend), 130 (stopped by
+Ctrl-C). Nothing here imports JAX or NumPy, so that `--help` answers at once.
 """
 
 from __future__ import annotations
@@ -34,7 +35,9 @@ _OUTSIDE = (
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one command line (default: `sys.argv`); returns the exit code and never raises for bad input."""
+    """Run one command line (default: `sys.argv`); returns the exit code and never raises for bad
+    input.
+    """
     argv = sys.argv[1:] if argv is None else list(argv)
     args = None
     try:
@@ -44,17 +47,23 @@ def main(argv: list[str] | None = None) -> int:
         for word in surroundings.computing():
             print(f"adaptsim: {word}", file=sys.stderr)
         _limit_blas_threads()
-        os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # XLA's alarm at slow compiles, where a machine is busy
+        os.environ.setdefault(
+            "TF_CPP_MIN_LOG_LEVEL", "3"
+        )  # XLA's alarm at slow compiles, where a machine is busy
         _set_up_cache(args)
         _set_up_memory()
         return args.run(args) or 0
     except SystemExit as stop:  # argparse's --help and --version
-        return stop.code if isinstance(stop.code, int) else FAILED
+        if isinstance(stop.code, int):
+            return stop.code
+        return FAILED
     except BadInput as error:
         return _say(str(error), BAD_INPUT)
     except KeyboardInterrupt:
         hint = getattr(args, "resume_hint", None)
-        return _say(f"stopped; {hint}" if hint else "stopped; nothing half-written is left", STOPPED)
+        return _say(
+            f"stopped; {hint}" if hint else "stopped; nothing half-written is left", STOPPED
+        )
     except BrokenPipeError:  # the reader of our output went away (`adaptsim effects | head`)
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILED
@@ -64,7 +73,9 @@ def main(argv: list[str] | None = None) -> int:
         if _interrupted(error):  # Ctrl-C while a library was being imported
             return _say("stopped; nothing half-written is left", STOPPED)
         traceback.print_exc()
-        return _say(f"failed: {type(error).__name__}: {error}; this is a fault of the program", FAILED)
+        return _say(
+            f"failed: {type(error).__name__}: {error}; this is a fault of the program", FAILED
+        )
 
 
 def _interrupted(error: BaseException | None) -> bool:
@@ -79,7 +90,9 @@ def parse(argv: list[str]) -> argparse.Namespace:
         parser = _top()
         options, unknown = parser.parse_known_args(argv)  # --help, --version, or an error
         if unknown:
-            raise BadInput(f"'{unknown[0]}' stands before the command; write 'adaptsim COMMAND {unknown[0]}'")
+            raise BadInput(
+                f"'{unknown[0]}' stands before the command; write 'adaptsim COMMAND {unknown[0]}'"
+            )
         options.run = lambda _: parser.print_help()
         return options
     name, *after = argv
@@ -98,7 +111,8 @@ def _top() -> Parser:
     parser = Parser(
         prog="adaptsim",
         usage="adaptsim [-h] [--version] COMMAND ...",
-        description="Find simulation parameters that make a task policy work in a target environment,\n"
+        description="Find simulation parameters that make a task policy work in a target "
+        "environment,\n"
         "and trace what a simulator lacks from measured data.",
         epilog=f"commands:\n{lines}\n\n'adaptsim COMMAND --help' shows its options and examples.",
     )
@@ -109,13 +123,17 @@ def _top() -> Parser:
 def _unknown_argument(parser: Parser, word: str) -> str:
     options = [option for action in parser._actions for option in action.option_strings]
     near = nearest(word.partition("=")[0], options)
-    mend = f"did you mean '{near}'?" if near else f"see '{parser.prog} --help'"
+    if near:
+        mend = f"did you mean '{near}'?"
+    else:
+        mend = f"see '{parser.prog} --help'"
     return f"unknown argument '{word}'; {mend}"
 
 
 def _limit_blas_threads() -> None:
-    # The matrices here are small: OpenBLAS's threads gain nothing on them, and spin while they wait, which takes the
-    # cores away from XLA. NumPy reads these when it is imported, which happens later.
+    # The matrices here are small: OpenBLAS's threads gain nothing on them, and spin while they
+    # wait, which takes the cores away from XLA. NumPy reads these when it is imported, which
+    # happens later.
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
         os.environ.setdefault(name, "1")
 

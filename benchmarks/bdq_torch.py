@@ -1,5 +1,7 @@
-"""Updates of BDQ networks one after another in PyTorch, the peer of `benchmarks/table.py`: the network and the update of
-`phase1_torch.py`, one torch thread. Prints updates per second of wall time."""
+"""Updates of BDQ networks one after another in PyTorch, the peer of `benchmarks/table.py`: the
+network and the update of `phase1_torch.py`, one torch thread. Prints updates per second of wall
+time.
+"""
 
 import argparse
 import time
@@ -24,7 +26,9 @@ def main() -> None:
         torch.randn(args.batch, 28),
         torch.ones(args.batch),
     ]
-    for (online, target), adam in zip(pairs, adams, strict=True):  # the first update makes Adam's buffers
+    for (online, target), adam in zip(
+        pairs, adams, strict=True
+    ):  # the first update makes Adam's buffers
         update(online, target, adam, batch)
     done, begin = 0, time.perf_counter()
     while time.perf_counter() - begin < 2.0:

@@ -1,9 +1,11 @@
-"""Environment steps a second: the bare environment under `lax.scan`, Phase 1's episodes, PPO, and targets in MuJoCo C.
+"""Environment steps a second: the bare environment under `lax.scan`, Phase 1's episodes, PPO, and
+targets in MuJoCo C.
 
     python benchmarks/environments.py                                        our cart-pole
     python benchmarks/environments.py --env playground:CartpoleSwingup --field body:pole_1.mass
 
-Processor time stands beside wall time, because on a busy machine only it can be compared; compilation is not counted.
+Processor time stands beside wall time, because on a busy machine only it can be compared;
+compilation is not counted.
 """
 
 import argparse
@@ -28,7 +30,8 @@ def timed(name: str, function, *args, steps: int) -> None:
     jax.block_until_ready(function(*args))
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     print(
-        f"{name:34} {1e6 * cpu / steps:8.2f} us cpu {1e6 * wall / steps:8.2f} us wall    first call {first:.1f} s",
+        f"{name:34} {1e6 * cpu / steps:8.2f} us cpu {1e6 * wall / steps:8.2f} us wall    first "
+        f"call {first:.1f} s",
         flush=True,
     )
 
@@ -49,9 +52,13 @@ def bare(play: Play, steps: int):
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--env", default="cartpole")
-    parser.add_argument("--field", default="", help="a field, moved by a tenth; default: those of the environment")
+    parser.add_argument(
+        "--field", default="", help="a field, moved by a tenth; default: those of the environment"
+    )
     parser.add_argument("--together", type=int, default=256)
     args = parser.parse_args()
     env = load(args.env)
@@ -68,7 +75,10 @@ def main() -> None:
     timed("episodes as Phase 1 makes them", episodes, keys, u, values, steps=B * T)
     state = setting.trainer.begin(jax.random.key(0), learned)
     rounds = max(1, T // setting.config.training.unroll)
-    train = lambda: setting.trainer.train(jax.random.key(1), state, everywhere(setting), rounds)
+
+    def train():
+        return setting.trainer.train(jax.random.key(1), state, everywhere(setting), rounds)
+
     size = rounds * setting.config.training.parallel * setting.config.training.unroll
     timed("PPO, updates included", train, steps=size)
     play, own = play_in(setting, setting.targets["c"])

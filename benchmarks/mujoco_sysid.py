@@ -1,7 +1,9 @@
-"""MuJoCo's own system identification on a recording of a hinge, the peer of `benchmarks/table.py`: mass and damping fitted from the
-declared model, and nothing judged. Prints fits per minute of wall time, and the two values. Needs `pip install mujoco[sysid]`.
+"""MuJoCo's own system identification on a recording of a hinge, the peer of `benchmarks/table.py`:
+mass and damping fitted from the declared model, and nothing judged. Prints fits per minute of wall
+time, and the two values. Needs `pip install mujoco[sysid]`.
 
-    python benchmarks/mujoco_sysid.py FOLDER      with model.xml, and trial_00.csv ... of time, q1, tau1
+    python benchmarks/mujoco_sysid.py FOLDER      with model.xml, and trial_00.csv ... of time, q1,
+    tau1
 """
 
 import sys
@@ -16,7 +18,10 @@ from mujoco import sysid
 def main(folder: Path) -> None:
     spec = mujoco.MjSpec.from_file(str(folder / "model.xml"))
     spec.add_sensor(
-        name="angle", type=mujoco.mjtSensor.mjSENS_JOINTPOS, objtype=mujoco.mjtObj.mjOBJ_JOINT, objname="hinge"
+        name="angle",
+        type=mujoco.mjtSensor.mjSENS_JOINTPOS,
+        objtype=mujoco.mjtObj.mjOBJ_JOINT,
+        objname="hinge",
     )
     model = spec.compile()
     starts, controls, seen, names = [], [], [], []
@@ -28,8 +33,13 @@ def main(folder: Path) -> None:
         names.append(file.stem)
     begin = time.perf_counter()
     params = sysid.ParameterDict()
-    mass = lambda s, p: setattr(s.body("link"), "mass", p.value[0])
-    damping = lambda s, p: s.joint("hinge").damping.__setitem__(0, p.value[0])
+
+    def mass(s, p):
+        return setattr(s.body("link"), "mass", p.value[0])
+
+    def damping(s, p):
+        return s.joint("hinge").damping.__setitem__(0, p.value[0])
+
     params.add(sysid.Parameter("mass", 1.2, 0.1, 5.0, modifier=mass))
     params.add(sysid.Parameter("damping", 0.01, 0.0, 1.0, modifier=damping))
     sequences = sysid.ModelSequences("hinge", spec, names, starts, controls, seen)
@@ -39,7 +49,10 @@ def main(folder: Path) -> None:
         optimizer="mujoco",
         verbose=False,
     )
-    print(60.0 / (time.perf_counter() - begin), *(float(found[k].value[0]) for k in ("mass", "damping")))
+    print(
+        60.0 / (time.perf_counter() - begin),
+        *(float(found[k].value[0]) for k in ("mass", "damping")),
+    )
 
 
 if __name__ == "__main__":

@@ -1,12 +1,15 @@
-"""`mujoco.sysid` and our fit on one real rig, side by side: the same stretches, start, parameters and held-out data.
+"""`mujoco.sysid` and our fit on one real rig, side by side: the same stretches, start, parameters
+and held-out data.
 
-    PYTHON benchmarks/mujoco_sysid_rig.py [RIG]     rig_c of ../shared/data/measured_double_pendulum, or ADAPTSIM_DATA's
-    PYTHON benchmarks/mujoco_sysid_rig.py leg       the quadruped's front left leg, position commands
+    PYTHON benchmarks/mujoco_sysid_rig.py [RIG]     rig_c of
+    ../shared/data/measured_double_pendulum, or ADAPTSIM_DATA's PYTHON
+    benchmarks/mujoco_sysid_rig.py leg       the quadruped's front left leg, position commands
 
-PYTHON has this package and `mujoco[sysid]`. Fitted: viscous and dry friction at each joint (`damping`, `frictionloss`), of a rig also
-mass, centre and moment of each link, on all trials but the last three (of the leg: on `train.csv`). Scored on these (`validation.csv`)
-by the error of `adaptsim replay` (0.5 s). Prints JSON: seconds (ours once compiled; `compile`: of the first call), median errors (rad)
-declared and fitted.
+PYTHON has this package and `mujoco[sysid]`. Fitted: viscous and dry friction at each joint
+(`damping`, `frictionloss`), of a rig also mass, centre and moment of each link, on all trials but
+the last three (of the leg: on `train.csv`). Scored on these (`validation.csv`) by the error of
+`adaptsim replay` (0.5 s). Prints JSON: seconds (ours once compiled; `compile`: of the first call),
+median errors (rad) declared and fitted.
 """
 
 import json
@@ -40,15 +43,24 @@ LEFT_OUT, HORIZON, STEP = 3, 0.5, 0.002
 
 
 def ours(machine, nuisance: Callable) -> tuple[dict, object]:
-    problem = prepare(machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear, HORIZON)
-    rubbing = [Entry("coulomb", "level", (j,), 0.05, 0.0, 0.0, 2.0, "N m") for j in range(problem.joints)]
+    problem = prepare(
+        machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear, HORIZON
+    )
+    rubbing = [
+        Entry("coulomb", "level", (j,), 0.05, 0.0, 0.0, 2.0, "N m") for j in range(problem.joints)
+    ]
     vector = nuisance(problem).with_entries(rubbing)
     took = []
     for _ in range(2):
         began = time.perf_counter()
         found = fit(problem, vector, rounds=15)
         took.append(time.perf_counter() - began)
-    return {"seconds": took[1], "compile": took[0] - took[1], "rounds": found.rounds, "code": found.code}, found.vector
+    return {
+        "seconds": took[1],
+        "compile": took[0] - took[1],
+        "rounds": found.rounds,
+        "code": found.code,
+    }, found.vector
 
 
 def peers(machine, xml: str, links: bool) -> tuple[dict, str]:
@@ -58,10 +70,18 @@ def peers(machine, xml: str, links: bool) -> tuple[dict, str]:
     joints = machine.tree.joint_names
     n = len(joints)
     for name in joints:
-        spec.add_sensor(name=f"{name}_angle", type=mujoco.mjtSensor.mjSENS_JOINTPOS, objtype=mujoco.mjtObj.mjOBJ_JOINT,
-                        objname=name)  # fmt: skip
+        spec.add_sensor(
+            name=f"{name}_angle",
+            type=mujoco.mjtSensor.mjSENS_JOINTPOS,
+            objtype=mujoco.mjtObj.mjOBJ_JOINT,
+            objname=name,
+        )
     model = spec.compile()
-    s = prepare(machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear, HORIZON).groups[0].stretches
+    s = (
+        prepare(machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear, HORIZON)
+        .groups[0]
+        .stretches
+    )
     starts, controls, seen, names = [], [], [], []
     for k in range(s.count):
         if not s.seen[..., k].any():
@@ -76,24 +96,60 @@ def peers(machine, xml: str, links: bool) -> tuple[dict, str]:
     params = sysid.ParameterDict()
 
     def add(name, nominal, low, high, change):
-        params.add(sysid.Parameter(name, nominal, low, high, modifier=lambda spec, p: change(spec, float(p.value[0]))))
+        params.add(
+            sysid.Parameter(
+                name, nominal, low, high, modifier=lambda spec, p: change(spec, float(p.value[0]))
+            )
+        )
 
     for k in (1, 2) if links else ():
         body = spec.body(f"link{k}")
         centre, moment = float(body.ipos[2]), float(body.inertia[1])
-        add(f"mass{k}", float(body.mass), 0.02, 5.0, lambda s, v, k=k: setattr(s.body(f"link{k}"), "mass", v))
-        add(f"centre{k}", centre, -0.6, 0.6, lambda s, v, k=k: s.body(f"link{k}").ipos.__setitem__(2, v))
-        add(f"moment{k}", moment, 1e-5, 0.1, lambda s, v, k=k: setattr(s.body(f"link{k}"), "inertia", [v, v, v]))
+        add(
+            f"mass{k}",
+            float(body.mass),
+            0.02,
+            5.0,
+            lambda s, v, k=k: setattr(s.body(f"link{k}"), "mass", v),
+        )
+        add(
+            f"centre{k}",
+            centre,
+            -0.6,
+            0.6,
+            lambda s, v, k=k: s.body(f"link{k}").ipos.__setitem__(2, v),
+        )
+        add(
+            f"moment{k}",
+            moment,
+            1e-5,
+            0.1,
+            lambda s, v, k=k: setattr(s.body(f"link{k}"), "inertia", [v, v, v]),
+        )
     for name in joints:
         damping = float(np.ravel(spec.joint(name).damping)[0])
-        add(f"{name} damping", damping, 0.0, 2.0, lambda s, v, j=name: s.joint(j).damping.__setitem__(0, v))
-        add(f"{name} dry", 0.05, 0.0, 2.0, lambda s, v, j=name: setattr(s.joint(j), "frictionloss", v))
+        add(
+            f"{name} damping",
+            damping,
+            0.0,
+            2.0,
+            lambda s, v, j=name: s.joint(j).damping.__setitem__(0, v),
+        )
+        add(
+            f"{name} dry",
+            0.05,
+            0.0,
+            2.0,
+            lambda s, v, j=name: setattr(s.joint(j), "frictionloss", v),
+        )
     began = time.perf_counter()
     sequences = sysid.ModelSequences("rig", spec, names, starts, controls, seen)
     found, result = sysid.optimize(
-        initial_params=params, residual_fn=sysid.build_residual_fn(models_sequences=[sequences]), optimizer="mujoco",
+        initial_params=params,
+        residual_fn=sysid.build_residual_fn(models_sequences=[sequences]),
+        optimizer="mujoco",
         verbose=False,
-    )  # fmt: skip
+    )
     seconds = time.perf_counter() - began
     for p in found.parameters.values():
         p.modifier(spec, p)
@@ -137,22 +193,36 @@ def leg() -> None:
             (at / "meta.toml").write_text('task = "mechanism"\nmodel = "model.xml"\n')
             rows = np.genfromtxt(source / f"{part}.csv", delimiter=",", names=True)
             table = np.stack([rows[name] for name in keep], 1)
-            np.savetxt(at / "log.csv", table, delimiter=",", header=",".join(keep), comments="", fmt="%.9g")
+            np.savetxt(
+                at / "log.csv", table, delimiter=",", header=",".join(keep), comments="", fmt="%.9g"
+            )
             parts.append(load(at))
-        fixed = lambda problem: nuisances(problem, inertia=False)
+
+        def fixed(problem):
+            return nuisances(problem, inertia=False)
+
         compare("leg", *parts, Path(folder) / "train" / "model.xml", fixed, False)
 
 
 def compare(rig: str, machine, test, path: Path, nuisance: Callable, links: bool) -> None:
-    error = lambda machine, vector=None: float(np.median(replay(machine, HORIZON, vector).error))
+    def error(machine, vector=None):
+        return float(np.median(replay(machine, HORIZON, vector).error))
+
     mine, vector = ours(machine, nuisance)
     theirs, xml = peers(machine, path.read_text(), links)
     path.with_name("theirs.xml").write_text(xml)
     mended = joined(read_mechanism(path.with_name("theirs.xml")), test.log)
-    print(json.dumps({
-        "rig": rig, "declared": error(test), "ours": mine | {"error": error(test, vector)},
-        "mujoco_sysid": theirs | {"error": error(mended)},
-    }, indent=1))  # fmt: skip
+    print(
+        json.dumps(
+            {
+                "rig": rig,
+                "declared": error(test),
+                "ours": mine | {"error": error(test, vector)},
+                "mujoco_sysid": theirs | {"error": error(mended)},
+            },
+            indent=1,
+        )
+    )
 
 
 if __name__ == "__main__":

@@ -3,8 +3,9 @@
     python benchmarks/naf.py                                  256 policies of 64 x 64, batches of 64
     python benchmarks/naf.py --policies 64 --width 128 --peer-python /path/to/python
 
-Ours and the peer take turns, `--turns` times, so that other load on the machine meets both; ratios are of medians over turns.
-CPU seconds stand beside wall seconds. The peer needs torch (`pip install -e .[bench]`); without it only ours is timed.
+Ours and the peer take turns, `--turns` times, so that other load on the machine meets both; ratios
+are of medians over turns. CPU seconds stand beside wall seconds. The peer needs torch (`pip install
+-e .[bench]`); without it only ours is timed.
 """
 
 import argparse
@@ -24,7 +25,9 @@ ROUNDS = 100
 
 
 def compiled(policies: int, batch: int, width: int):
-    """`run() -> (updates/s by wall, by CPU)` of `ROUNDS` joint updates; and the seconds that compiling took."""
+    """`run() -> (updates/s by wall, by CPU)` of `ROUNDS` joint updates; and the seconds that
+    compiling took.
+    """
     naf = make_naf(NAFConfig(obs_dim=2, action_dim=2, hidden=(width, width)))
     state = jax.jit(jax.vmap(naf.init))(jax.random.split(jax.random.key(0), policies))
     rng = np.random.default_rng(0)
@@ -54,7 +57,16 @@ def compiled(policies: int, batch: int, width: int):
 
 def peer(args) -> tuple[float, float] | None:
     script = Path(__file__).with_name("naf_torch.py")
-    sizes = ["--policies", args.policies, "--batch", args.batch, "--width", args.width, "--threads", args.threads]
+    sizes = [
+        "--policies",
+        args.policies,
+        "--batch",
+        args.batch,
+        "--width",
+        args.width,
+        "--threads",
+        args.threads,
+    ]
     command = [args.peer_python, str(script), *map(str, sizes)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
@@ -65,13 +77,24 @@ def peer(args) -> tuple[float, float] | None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    for name, default in {"policies": 256, "batch": 64, "width": 64, "turns": 5, "threads": 1}.items():
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    for name, default in {
+        "policies": 256,
+        "batch": 64,
+        "width": 64,
+        "turns": 5,
+        "threads": 1,
+    }.items():
         parser.add_argument(f"--{name}", type=int, default=default)
     parser.add_argument("--peer-python", default=sys.executable, help="a Python that has torch")
     args = parser.parse_args()
     run, took = compiled(args.policies, args.batch, args.width)
-    print(f"{args.policies} policies, {args.width} x {args.width}, batch {args.batch}; compiled in {took:.1f} s")
+    print(
+        f"{args.policies} policies, {args.width} x {args.width}, batch {args.batch}; compiled in "
+        f"{took:.1f} s"
+    )
     ours, theirs = [], []
     for turn in range(args.turns):
         ours.append(run())
@@ -83,7 +106,9 @@ def main() -> None:
     print(f"ours, together: {wall:,.0f} updates/s by wall, {cpu:,.0f} a CPU second")
     if theirs[-1] is not None:
         peer_wall, peer_cpu = np.median(np.asarray(theirs), axis=0)
-        print(f"PyTorch, in a loop: {peer_wall:,.0f} updates/s by wall, {peer_cpu:,.0f} a CPU second")
+        print(
+            f"PyTorch, in a loop: {peer_wall:,.0f} updates/s by wall, {peer_cpu:,.0f} a CPU second"
+        )
         print(f"ratio: {wall / peer_wall:.1f} by wall, {cpu / peer_cpu:.1f} by CPU time")
 
 

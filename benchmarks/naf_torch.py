@@ -1,8 +1,8 @@
 """NAF as one would write it first in PyTorch: an object for each policy, updated in a loop.
 
-The peer of `benchmarks/naf.py`. Same network, full P = L L', loss, clipping and Adam; batches are drawn beforehand on both
-sides. One torch thread unless asked otherwise: at these sizes more threads only cost. Prints updates per second of wall
-time and of CPU time.
+The peer of `benchmarks/naf.py`. Same network, full P = L L', loss, clipping and Adam; batches are
+drawn beforehand on both sides. One torch thread unless asked otherwise: at these sizes more threads
+only cost. Prints updates per second of wall time and of CPU time.
 """
 
 import argparse
@@ -25,7 +25,9 @@ from torch import nn  # noqa: E402
 class NAF(nn.Module):
     def __init__(self, width, obs=2, actions=2):
         super().__init__()
-        self.trunk = nn.Sequential(nn.Linear(obs, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
+        self.trunk = nn.Sequential(
+            nn.Linear(obs, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU()
+        )
         self.heads = nn.Linear(width, 1 + actions + actions * (actions + 1) // 2)
         self.actions = actions
         self.rows, self.columns = torch.tril_indices(actions, actions)

@@ -1,13 +1,14 @@
 """Speed of Phase 1 on the pendulum, side by side in one run; each part alone with its option.
 
-    python benchmarks/phase1.py --speed      10,000 trajectories of 10 steps, compile included, beside NumPy + PyTorch
-    python benchmarks/phase1.py --seeds 20   time per seed: one seed, then all of them by lax.map and by vmap
-    python benchmarks/phase1.py --together 1 64 512     so many seeds in one program by vmap (for a GPU)
-    python benchmarks/phase1.py --replay     the block-written ring beside flashbax's item buffer, 20 seeds at once
+    python benchmarks/phase1.py --speed      10,000 trajectories of 10 steps, compile included,
+    beside NumPy + PyTorch python benchmarks/phase1.py --seeds 20   time per seed: one seed, then
+    all of them by lax.map and by vmap python benchmarks/phase1.py --together 1 64 512     so many
+    seeds in one program by vmap (for a GPU) python benchmarks/phase1.py --replay     the
+    block-written ring beside flashbax's item buffer, 20 seeds at once
 
-CPU seconds stand beside wall seconds, because on a busy machine only they can be compared. `--speed` needs torch for the peer
-(`pip install -e .[bench]`); without it only our side is timed. The persistent compile cache is off, so that compile times
-are those of a first run.
+CPU seconds stand beside wall seconds, because on a busy machine only they can be compared.
+`--speed` needs torch for the peer (`pip install -e .[bench]`); without it only our side is timed.
+The persistent compile cache is off, so that compile times are those of a first run.
 """
 
 import argparse
@@ -50,7 +51,8 @@ def speed(peer_python: str) -> None:
     steps = SIZES.trajectories * SIZES.horizon
     print(f"ours, imports, compile and run: {whole:.1f} s wall, {whole_cpu:.1f} s CPU")
     print(
-        f"ours, run again: {warm:.2f} s wall, {cpu:.2f} s CPU, {steps / warm:,.0f} steps/s, {steps / cpu:,.0f} a CPU second"
+        f"ours, run again: {warm:.2f} s wall, {cpu:.2f} s CPU, {steps / warm:,.0f} steps/s, "
+        f"{steps / cpu:,.0f} a CPU second"
     )
     print(f"  mean reward of the last 10 rounds {float(info.reward[-10:].mean()):.2f}")
     peer = Path(__file__).with_name("phase1_torch.py")
@@ -60,9 +62,13 @@ def speed(peer_python: str) -> None:
         return
     rate, per_cpu = map(float, done.stdout.split())
     print(f"NumPy/SciPy + PyTorch loop: {rate:,.0f} steps/s, {per_cpu:,.0f} a CPU second")
-    print(f"ratio compiled: {steps / warm / rate:.0f} by wall, {steps / cpu / per_cpu:.0f} by CPU time")
     print(
-        f"ratio with imports and compile: {steps / whole / rate:.0f} by wall, {steps / whole_cpu / per_cpu:.0f} by CPU time"
+        f"ratio compiled: {steps / warm / rate:.0f} by wall, {steps / cpu / per_cpu:.0f} by CPU "
+        f"time"
+    )
+    print(
+        f"ratio with imports and compile: {steps / whole / rate:.0f} by wall, "
+        f"{steps / whole_cpu / per_cpu:.0f} by CPU time"
     )
 
 
@@ -82,14 +88,21 @@ def seeds(count: int) -> None:
         program = jax.jit(program).lower(args).compile()
         seconds, cpu, _ = timed(program, args)
         runs = max(args.size, 1)
-        print(f"{name}: {seconds:.2f} s, {seconds / runs:.2f} s a seed; CPU {cpu / runs:.2f} s a seed")
+        print(
+            f"{name}: {seconds:.2f} s, {seconds / runs:.2f} s a seed; CPU {cpu / runs:.2f} s a seed"
+        )
 
 
 def together(counts: list[int]) -> None:
-    """So many seeds in one program: seconds of compilation and a seed, adaptation steps a second, mean reward of the last rounds."""
+    """So many seeds in one program: seconds of compilation and a seed, adaptation steps a second,
+    mean reward of the last rounds.
+    """
     phase1 = make_phase1(make_task("pendulum", PAPER.task), SIZES)
     hyper, rounds = traced(PAPER.hyper), jnp.arange(SIZES.rounds)
-    one = lambda key: phase1.run(phase1.init(key), hyper, rounds)[1].reward[-10:].mean()
+
+    def one(key):
+        return phase1.run(phase1.init(key), hyper, rounds)[1].reward[-10:].mean()
+
     for count in counts:
         keys = jax.random.split(jax.random.key(0), count)
         begin = time.perf_counter()
@@ -99,7 +112,8 @@ def together(counts: list[int]) -> None:
         seconds, _, reward = timed(program, keys)
         rate = count * SIZES.trajectories * SIZES.horizon / seconds
         print(
-            f"{count} seeds on the {jax.default_backend()}: compiled in {compiled:.1f} s, {seconds / count:.4f} s a seed, "
+            f"{count} seeds on the {jax.default_backend()}: compiled in {compiled:.1f} s, "
+            f"{seconds / count:.4f} s a seed, "
             f"{rate:,.0f} steps/s, reward {float(reward.mean()):.3f}",
             flush=True,
         )
@@ -110,7 +124,11 @@ def replays(count: int = 20, rounds: int = 200) -> None:
     import flashbax
 
     block = replay.Transition(
-        jnp.ones((500, 28)), jnp.ones((500, 4), jnp.int32), jnp.ones(500), jnp.ones((500, 28)), jnp.ones(500)
+        jnp.ones((500, 28)),
+        jnp.ones((500, 4), jnp.int32),
+        jnp.ones(500),
+        jnp.ones((500, 28)),
+        jnp.ones(500),
     )
     item = jax.tree.map(lambda x: x[0], block)
     buffer = flashbax.make_item_buffer(10_000, 64, 64, add_batches=True)
@@ -118,7 +136,9 @@ def replays(count: int = 20, rounds: int = 200) -> None:
     def ours(key):
         def one(ring, n):
             ring = replay.write(ring, block, n)
-            drawn = replay.sample(jax.random.fold_in(key, n), ring, jnp.minimum((n + 1) * 500, 10_000), (60, 64))
+            drawn = replay.sample(
+                jax.random.fold_in(key, n), ring, jnp.minimum((n + 1) * 500, 10_000), (60, 64)
+            )
             return ring, drawn.reward.sum()
 
         return jax.lax.scan(one, replay.empty(item, 10_000), jnp.arange(rounds))[1].sum()
@@ -127,7 +147,9 @@ def replays(count: int = 20, rounds: int = 200) -> None:
         def one(state, n):
             state = buffer.add(state, block)
             draw = jax.random.split(jax.random.fold_in(key, n), 60)
-            return state, jax.vmap(lambda k: buffer.sample(state, k).experience.reward.sum())(draw).sum()
+            return state, jax.vmap(lambda k: buffer.sample(state, k).experience.reward.sum())(
+                draw
+            ).sum()
 
         return jax.lax.scan(one, buffer.init(item), jnp.arange(rounds))[1].sum()
 
@@ -136,12 +158,15 @@ def replays(count: int = 20, rounds: int = 200) -> None:
         program = jax.jit(jax.vmap(function)).lower(keys).compile()
         seconds, cpu, total = timed(program, keys)
         print(
-            f"{name}: {seconds:.2f} s wall, {cpu:.2f} s CPU for {rounds} rounds of {count} seeds (check sum {float(total.sum()):.0f})"
+            f"{name}: {seconds:.2f} s wall, {cpu:.2f} s CPU for {rounds} rounds of {count} seeds "
+            f"(check sum {float(total.sum()):.0f})"
         )
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--speed", action="store_true")
     parser.add_argument("--seeds", type=int, metavar="N")
     parser.add_argument("--together", type=int, nargs="+", metavar="N")

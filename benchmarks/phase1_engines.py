@@ -1,10 +1,12 @@
-"""Phase 1 of the push in the MuJoCo scene at a reduced size: natively in processes of its own, and in MJX within the program.
+"""Phase 1 of the push in the MuJoCo scene at a reduced size: natively in processes of its own, and
+in MJX within the program.
 
     python benchmarks/phase1_engines.py                 40 trajectories, both engines, one seed
-    python benchmarks/phase1_engines.py --trials        trials a second of each engine by batch size (GPUs: up to 16,384)
+    python benchmarks/phase1_engines.py --trials        trials a second of each engine by batch size
+    (GPUs: up to 16,384)
 
-Seconds with and without compile, trials and rewards of the last round. The engines step the same scene with the same seed, so that
-rewards differ by float32 and by what chance makes of it.
+Seconds with and without compile, trials and rewards of the last round. The engines step the same
+scene with the same seed, so that rewards differ by float32 and by what chance makes of it.
 """
 
 import argparse
@@ -31,14 +33,23 @@ def phase1(engine: str, trajectories: int = 40, seed: int = 0) -> dict:
     parallel = trajectories // 2
     reuse = replace(config.phase1.reuse, capacity=parallel, together=parallel)
     sizes = replace(
-        config.phase1, trajectories=trajectories, parallel=parallel, updates=100, capacity=2 * parallel * 8,
-        archive=2 * parallel * 8, reuse=reuse,
-    )  # fmt: skip
+        config.phase1,
+        trajectories=trajectories,
+        parallel=parallel,
+        updates=100,
+        capacity=2 * parallel * 8,
+        archive=2 * parallel * 8,
+        reuse=reuse,
+    )
     run = make_phase1(make_task("pushing", options), sizes)
     hyper, key = traced(config.hyper), jax.random.key(seed)
     begin = time.perf_counter()
     init = jax.jit(run.init).lower(key).compile()
-    rounds = jax.jit(run.run).lower(jax.eval_shape(run.init, key), hyper, jnp.arange(sizes.rounds)).compile()
+    rounds = (
+        jax.jit(run.run)
+        .lower(jax.eval_shape(run.init, key), hyper, jnp.arange(sizes.rounds))
+        .compile()
+    )
     compiled = time.perf_counter()
     state = jax.block_until_ready(init(key))
     made = time.perf_counter()
@@ -66,18 +77,28 @@ def rates(engine: str, batches: list[int]) -> list[dict]:
         jax.block_until_ready(push(*args))
         begin = time.perf_counter()
         jax.block_until_ready(push(*args))
-        found.append({"engine": engine, "batch": count, "trials_a_second": count / (time.perf_counter() - begin)})
+        found.append(
+            {
+                "engine": engine,
+                "batch": count,
+                "trials_a_second": count / (time.perf_counter() - begin),
+            }
+        )
     return found
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--trials", action="store_true")
     parser.add_argument("--trajectories", type=int, default=40, metavar="N")
     args = parser.parse_args()
     gpu = jax.default_backend() == "gpu"
     for name in ("native", "mjx"):
         for row in (
-            rates(name, [64, 256] + gpu * [1024, 4096, 16384]) if args.trials else [phase1(name, args.trajectories)]
+            rates(name, [64, 256] + gpu * [1024, 4096, 16384])
+            if args.trials
+            else [phase1(name, args.trajectories)]
         ):
             print(json.dumps(row), flush=True)

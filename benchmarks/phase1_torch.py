@@ -1,8 +1,10 @@
-"""Phase 1 of the pendulum as one would write it first: NumPy, SciPy and PyTorch, one trajectory after another.
+"""Phase 1 of the pendulum as one would write it first: NumPy, SciPy and PyTorch, one trajectory
+after another.
 
-The peer of `benchmarks/phase1.py`. Same algorithm, sizes and ratios: solve_continuous_are and solve_ivp for each
-adaptation step, a replay in NumPy arrays, 12 updates of batch 64 on a 128x128 branching dueling network for every 10
-trajectories. One torch thread: at these sizes more threads only cost.
+The peer of `benchmarks/phase1.py`. Same algorithm, sizes and ratios: solve_continuous_are and
+solve_ivp for each adaptation step, a replay in NumPy arrays, 12 updates of batch 64 on a 128x128
+branching dueling network for every 10 trajectories. One torch thread: at these sizes more threads
+only cost.
 """
 
 import os
@@ -47,7 +49,9 @@ def rollout(params, gain):
 class Network(nn.Module):
     def __init__(self, width=128):
         super().__init__()
-        self.trunk = nn.Sequential(nn.Linear(28, width), nn.ELU(), nn.Linear(width, width), nn.ELU())
+        self.trunk = nn.Sequential(
+            nn.Linear(28, width), nn.ELU(), nn.Linear(width, width), nn.ELU()
+        )
         self.value, self.advantage = nn.Linear(width, 1), nn.Linear(width, 12)
 
     def forward(self, obs):
@@ -70,7 +74,10 @@ class Replay:
 
     def sample(self, rng, size):
         i = rng.integers(min(self.count, len(self.reward)), size=size)
-        return [torch.from_numpy(x[i]) for x in (self.obs, self.action, self.reward, self.after, self.more)]
+        return [
+            torch.from_numpy(x[i])
+            for x in (self.obs, self.action, self.reward, self.after, self.more)
+        ]
 
 
 def update(online, target, adam, batch, discount=0.9, tau=0.01):
@@ -90,7 +97,9 @@ def update(online, target, adam, batch, discount=0.9, tau=0.01):
 
 
 def train(trajectories, seed=0, warmup=10):
-    """Adaptation steps per second of wall time and of CPU time over `trajectories`, after `warmup` more."""
+    """Adaptation steps per second of wall time and of CPU time over `trajectories`, after `warmup`
+    more.
+    """
     torch.set_num_threads(1)
     torch.manual_seed(seed)
     rng = np.random.default_rng(seed)

@@ -2,8 +2,9 @@
 
     python benchmarks/riccati_accuracy.py [count]
 
-Prints the largest relative difference (Frobenius) per family, to which the bar of 1e-8 applies. SciPy solves by an
-ordered Schur form, so what remains is both methods' rounding, which the conditioning of the system scales.
+Prints the largest relative difference (Frobenius) per family, to which the bar of 1e-8 applies.
+SciPy solves by an ordered Schur form, so what remains is both methods' rounding, which the
+conditioning of the system scales.
 """
 
 import sys
@@ -25,8 +26,12 @@ SETTINGS = {
 }
 
 
-def random_systems(rng: np.random.Generator, count: int, n: int, m: int, radius: float | None = None) -> tuple:
-    """Gaussian A, B; `Q = C'C`, C Gaussian; R with eigenvalues from 0.1 up. `radius` scales A's spectrum."""
+def random_systems(
+    rng: np.random.Generator, count: int, n: int, m: int, radius: float | None = None
+) -> tuple:
+    """Gaussian A, B; `Q = C'C`, C Gaussian; R with eigenvalues from 0.1 up. `radius` scales A's
+    spectrum.
+    """
     A, B = rng.normal(size=(count, n, n)), rng.normal(size=(count, n, m))
     if radius is not None:
         A *= radius / np.abs(np.linalg.eigvals(A)).max(axis=1)[:, None, None]
@@ -41,7 +46,9 @@ def pendulum_systems(params: np.ndarray) -> tuple:
 
 
 def families(count: int) -> Iterator[tuple[str, Callable, Callable, tuple]]:
-    """`(name, our solver, SciPy's, systems)`: `count` systems in all, and the paper's five settings."""
+    """`(name, our solver, SciPy's, systems)`: `count` systems in all, and the paper's five
+    settings.
+    """
     rng = np.random.default_rng(0)
     care, dare = (solve_care, sl.solve_continuous_are), (solve_dare, sl.solve_discrete_are)
     share = count // 10
@@ -50,7 +57,11 @@ def families(count: int) -> Iterator[tuple[str, Callable, Callable, tuple]]:
     yield "CARE, pendulum m 0.3..3, b 0..10", *care, pendulum_systems(wide)
     for n, m in ((2, 1), (4, 2), (6, 3)):
         yield f"CARE, random {n} states, {m} inputs", *care, random_systems(rng, share, n, m)
-        yield f"DARE, random {n} states, {m} inputs", *dare, random_systems(rng, share, n, m, radius=1.2)
+        yield (
+            f"DARE, random {n} states, {m} inputs",
+            *dare,
+            random_systems(rng, share, n, m, radius=1.2),
+        )
 
 
 def differences(ours: Callable, theirs: Callable, systems: tuple) -> tuple[np.ndarray, np.ndarray]:
@@ -62,14 +73,20 @@ def differences(ours: Callable, theirs: Callable, systems: tuple) -> tuple[np.nd
 
 
 def main(count: int = 10_000) -> None:
-    print(f"{'family':36s} {'systems':>8s} {'largest':>9s} {'99 %':>9s} {'median':>9s}  codes 0, 1, 2, 3")
+    print(
+        f"{'family':36s} {'systems':>8s} {'largest':>9s} {'99 %':>9s} {'median':>9s}  codes 0, 1, "
+        f"2, 3"
+    )
     worst = 0.0
     with jax.enable_x64(True):
         for name, ours, theirs, systems in families(count):
             gap, code = differences(ours, theirs, systems)
             worst = max(worst, gap.max())
             numbers = f"{gap.max():9.1e} {np.quantile(gap, 0.99):9.1e} {np.median(gap):9.1e}"
-            print(f"{name:36s} {len(gap):8d} {numbers}  {np.bincount(code, minlength=4).tolist()}", flush=True)
+            print(
+                f"{name:36s} {len(gap):8d} {numbers}  {np.bincount(code, minlength=4).tolist()}",
+                flush=True,
+            )
     print(f"largest of all: {worst:.1e}; the bar is 1e-8: {'met' if worst < 1e-8 else 'MISSED'}")
 
 

@@ -1,12 +1,14 @@
-"""One call of `adaptsim sweep` beside as many calls of `adaptsim train`, two at a time, on the same cores; compile included.
+"""One call of `adaptsim sweep` beside as many calls of `adaptsim train`, two at a time, on the same
+cores; compile included.
 
-    python benchmarks/sweep.py                          64 members (4 values x 16 seeds) of 2,000 trajectories
-    python benchmarks/sweep.py --calls 8                time 8 of the calls of `train`, and count the rest as these
-    python benchmarks/sweep.py --trajectories 10000     the members as the paper trains them
+    python benchmarks/sweep.py                          64 members (4 values x 16 seeds) of 2,000
+    trajectories python benchmarks/sweep.py --calls 8                time 8 of the calls of `train`,
+    and count the rest as these python benchmarks/sweep.py --trajectories 10000     the members as
+    the paper trains them
 
-Both start with an empty compile cache. CPU seconds (user and system, of all children) stand beside wall seconds, because on a
-busy machine only they can be compared; two calls at a time keep two cores busy, so that half their CPU seconds is what a quiet
-machine of two cores would take at best.
+Both start with an empty compile cache. CPU seconds (user and system, of all children) stand beside
+wall seconds, because on a busy machine only they can be compared; two calls at a time keep two
+cores busy, so that half their CPU seconds is what a quiet machine of two cores would take at best.
 """
 
 import argparse
@@ -37,22 +39,32 @@ def timed(work) -> dict:
     before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     work()
     wall, after = time.perf_counter() - begin, resource.getrusage(resource.RUSAGE_CHILDREN)
-    return {"wall_s": wall, "cpu_s": after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime}
+    return {
+        "wall_s": wall,
+        "cpu_s": after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime,
+    }
 
 
 def call(words: list[str], cache: Path) -> None:
     environment = os.environ | {"ADAPTSIM_CACHE": str(cache)}
     environment.pop("JAX_COMPILATION_CACHE_DIR", None)
     subprocess.run(
-        [sys.executable, "-m", "adaptsim_jax", *words], env=environment, check=True, stdout=subprocess.DEVNULL
+        [sys.executable, "-m", "adaptsim_jax", *words],
+        env=environment,
+        check=True,
+        stdout=subprocess.DEVNULL,
     )
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seeds", type=int, default=16)
     parser.add_argument("--trajectories", type=int, default=2000)
-    parser.add_argument("--calls", type=int, help="calls of `train` to make (default: as many as members)")
+    parser.add_argument(
+        "--calls", type=int, help="calls of `train` to make (default: as many as members)"
+    )
     args = parser.parse_args()
     members = len(DELTAS) * args.seeds
     calls = min(args.calls or members, members)
@@ -60,10 +72,19 @@ def main() -> None:
     try:
         spec = room / "SPEC.toml"
         spec.write_text(SPEC.format(seeds=args.seeds, trajectories=args.trajectories))
-        sweep = timed(lambda: call(["sweep", str(spec), "--out", str(room / "sweep")], room / "cache_sweep"))
+        sweep = timed(
+            lambda: call(["sweep", str(spec), "--out", str(room / "sweep")], room / "cache_sweep")
+        )
 
         def train(i: int) -> None:
-            words = ["train", "pendulum", "--run", str(room / f"run{i}"), "--preset", "paper-pendulum"]
+            words = [
+                "train",
+                "pendulum",
+                "--run",
+                str(room / f"run{i}"),
+                "--preset",
+                "paper-pendulum",
+            ]
             words += ["--seed", str(i), "--set", f"phase1.trajectories={args.trajectories}"]
             call([*words, "--set", f"hyper.delta={DELTAS[i % len(DELTAS)]}"], room / "cache_train")
 
@@ -71,7 +92,8 @@ def main() -> None:
             with ThreadPoolExecutor(2) as two:
                 list(two.map(train, numbers))
 
-        # the first two compile, the others find the programs in the cache: only the latter are scaled up
+        # the first two compile, the others find the programs in the cache: only the latter are
+        # scaled up
         first = timed(lambda: all_of(range(min(2, calls))))
         rest = timed(lambda: all_of(range(2, calls)))
         scale = (members - 2) / max(calls - 2, 1)

@@ -1,11 +1,13 @@
-"""One table of what the package's speed is beside its peers, at a small size: `make bench`, at most ten minutes.
+"""One table of what the package's speed is beside its peers, at a small size: `make bench`, at most
+ten minutes.
 
     python benchmarks/table.py --out bench             bench/table.json and bench/table.md
     python benchmarks/table.py --only phase1 engines   some of the parts
     python benchmarks/table.py --peer-python PYTHON    a Python that has torch and mujoco[sysid]
 
-Each row is a process of its own, which has a number of XLA's host devices of its own; parts are run in the order below, and what the
-time does not suffice for is said in the table. Rates are without compile, which has a column of its own.
+Each row is a process of its own, which has a number of XLA's host devices of its own; parts are run
+in the order below, and what the time does not suffice for is said in the table. Rates are without
+compile, which has a column of its own.
 """
 
 import argparse
@@ -30,11 +32,18 @@ def rows() -> Iterator[tuple[str, str, dict[str, Any]]]:
     """(part, what is measured, its arguments): what `measure` is told in a process of its own."""
     for learner in ("bdq", "naf"):
         for count in POLICIES:
-            yield "learners", f"{learner} updates, {count} policies at once", {"learner": learner, "policies": count}
+            yield (
+                "learners",
+                f"{learner} updates, {count} policies at once",
+                {"learner": learner, "policies": count},
+            )
     for devices, seeds in ((1, 1), (1, 4), (2, 4), (2, 16)):
         what = f"phase 1 of the pendulum, {seeds} seeds at once on {devices} devices"
         yield "phase1", what, {"devices": devices, "seeds": seeds}
-    for task, engines in {"pushing": ("planar", "native", "mjx"), "scooping": ("hydro", "native")}.items():
+    for task, engines in {
+        "pushing": ("planar", "native", "mjx"),
+        "scooping": ("hydro", "native"),
+    }.items():
         for engine in engines:
             yield "engines", f"{task} in {engine}", {"task": task, "engine": engine}
     yield "diagnose", "effects of a hinge beside a fit of its mass and damping", {}
@@ -45,16 +54,18 @@ def rows() -> Iterator[tuple[str, str, dict[str, Any]]]:
 
 def measure(part: str, given: dict[str, Any], peer_python: str) -> dict[str, Any]:
     """unit, ours, compile_s, and where there is a peer: peer, peer_name, ratio."""
-    found = {"learners": learners, "phase1": phase1, "engines": engines, "diagnose": diagnosis}[part](
-        peer_python=peer_python, **given
-    )
+    found = {"learners": learners, "phase1": phase1, "engines": engines, "diagnose": diagnosis}[
+        part
+    ](peer_python=peer_python, **given)
     if found.get("peer"):
         found["ratio"] = found["ours"] / found["peer"]
     return found
 
 
 def learners(learner: str, policies: int, peer_python: str, batch: int = 64) -> dict[str, Any]:
-    """Updates a second of `policies` networks together (BDQ 128 x 128, NAF 64 x 64), beside PyTorch's in a loop."""
+    """Updates a second of `policies` networks together (BDQ 128 x 128, NAF 64 x 64), beside
+    PyTorch's in a loop.
+    """
     if learner == "naf":
         from naf import compiled
 
@@ -63,12 +74,18 @@ def learners(learner: str, policies: int, peer_python: str, batch: int = 64) -> 
     else:
         run, took = _bdq(policies, batch)
         script = ["bdq_torch.py", "--policies", str(min(policies, 64))]
-    return {"unit": "updates/s", "ours": run()[0], "compile_s": took} | beside("PyTorch, a loop", peer_python, *script)
+    return {"unit": "updates/s", "ours": run()[0], "compile_s": took} | beside(
+        "PyTorch, a loop", peer_python, *script
+    )
 
 
 def beside(name: str, python: str, *script: str) -> dict[str, Any]:
-    """The peer's rate, the first number of the last line that its script prints; or why there is none."""
-    done = subprocess.run([python, str(HERE / script[0]), *script[1:]], capture_output=True, text=True, check=False)
+    """The peer's rate, the first number of the last line that its script prints; or why there is
+    none.
+    """
+    done = subprocess.run(
+        [python, str(HERE / script[0]), *script[1:]], capture_output=True, text=True, check=False
+    )
     if done.returncode:
         return {"note": f"no peer ({name}): {(done.stderr.strip().splitlines() or ['?'])[-1][:80]}"}
     return {"peer": float(done.stdout.strip().splitlines()[-1].split()[0]), "peer_name": name}
@@ -90,7 +107,9 @@ def _bdq(policies: int, batch: int):
     together = jax.vmap(bdq.update, in_axes=(0, 0, None))
 
     def many(state, data, hyper):
-        return jax.lax.scan(lambda s, _: (together(s, data, hyper)[0], None), state, None, length=rounds)[0]
+        return jax.lax.scan(
+            lambda s, _: (together(s, data, hyper)[0], None), state, None, length=rounds
+        )[0]
 
     begin = time.perf_counter()
     program = jax.jit(many).lower(state, data, hyper).compile()
@@ -106,7 +125,9 @@ def _bdq(policies: int, batch: int):
 
 
 def phase1(devices: int, seeds: int, peer_python: str) -> dict[str, Any]:
-    """Adaptation steps a second of 10 rounds as the paper trains the pendulum, by the programs that a sweep runs."""
+    """Adaptation steps a second of 10 rounds as the paper trains the pendulum, by the programs that
+    a sweep runs.
+    """
     import jax
     import numpy as np
 
@@ -119,7 +140,10 @@ def phase1(devices: int, seeds: int, peer_python: str) -> dict[str, Any]:
     member = Member(0, {}, config)
     split = sweep_devices.choose_split(devices, seeds, config.phase1.parallel)
     programs = make_programs(SweepSpec("pendulum"), member, seeds, split)
-    put = lambda x, batched=True: sweep_devices.put(x, programs.mesh, batched)
+
+    def put(x, batched=True):
+        return sweep_devices.put(x, programs.mesh, batched)
+
     hyper = put(jax.tree.map(lambda x: np.full(seeds, x, np.float32), config.hyper))
     begin = time.perf_counter()
     state = programs.init(put(np.arange(seeds, dtype=np.uint32)))
@@ -164,7 +188,9 @@ def engines(task: str, engine: str, peer_python: str) -> dict[str, Any]:
 
 
 def diagnosis(peer_python: str) -> dict[str, Any]:
-    """Diagnoses a minute of 4 trials of 3 s of a hinge with dry friction, beside MuJoCo's fits of its mass and damping."""
+    """Diagnoses a minute of 4 trials of 3 s of a hinge with dry friction, beside MuJoCo's fits of
+    its mass and damping.
+    """
     sys.path.insert(0, str(HERE.parent))
     from adaptsim_jax.attribution.diagnose import diagnose
     from tests.attribution.pendulum import record
@@ -186,10 +212,19 @@ def diagnosis(peer_python: str) -> dict[str, Any]:
 def apart(part: str, given: dict[str, Any], peer_python: str, seconds: float) -> dict[str, Any]:
     """`measure` in a process of its own, at most for so long; what went wrong is the row's note."""
     flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count={given.get('devices', 1)}"
-    command = [sys.executable, __file__, "--row", json.dumps([part, given]), "--peer-python", peer_python]
+    command = [
+        sys.executable,
+        __file__,
+        "--row",
+        json.dumps([part, given]),
+        "--peer-python",
+        peer_python,
+    ]
     environment = os.environ | {"XLA_FLAGS": flags.strip(), "PYTHONPATH": os.pathsep.join(sys.path)}
     try:
-        done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=seconds, check=False)
+        done = subprocess.run(
+            command, capture_output=True, text=True, env=environment, timeout=seconds, check=False
+        )
     except subprocess.TimeoutExpired:
         return OUT_OF_TIME
     if done.returncode:
@@ -198,7 +233,9 @@ def apart(part: str, given: dict[str, Any], peer_python: str, seconds: float) ->
 
 
 def markdown(table: dict[str, Any]) -> str:
-    number = lambda x: "" if x is None else f"{x:,.0f}" if x >= 100 else f"{x:.3g}"
+    def number(x):
+        return "" if x is None else f"{x:,.0f}" if x >= 100 else f"{x:.3g}"
+
     lines = [
         f"{table['machine']}, {table['cores']} cores, {table['date']}; compile apart.",
         "",
@@ -207,18 +244,27 @@ def markdown(table: dict[str, Any]) -> str:
     ]
     for row in table["rows"]:
         ours = f"{number(row['ours'])} {row['unit']}" if "ours" in row else row.get("note", "")
-        peer = f"{number(row['peer'])} ({row['peer_name']})" if "peer" in row else row.get("note", "") * ("ours" in row)
+        peer = (
+            f"{number(row['peer'])} ({row['peer_name']})"
+            if "peer" in row
+            else row.get("note", "") * ("ours" in row)
+        )
         lines.append(
-            f"| {row['what']} | {ours} | {peer} | {number(row.get('ratio'))} | {number(row.get('compile_s'))} |"
+            f"| {row['what']} | {ours} | {peer} | {number(row.get('ratio'))} | "
+            f"{number(row.get('compile_s'))} |"
         )
     return "\n".join(lines) + "\n"
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--out", type=Path, default=Path("bench"))
     parser.add_argument("--only", nargs="+", choices=["learners", "phase1", "engines", "diagnose"])
-    parser.add_argument("--limit", type=float, default=LIMIT, metavar="S", help="seconds in all (600)")
+    parser.add_argument(
+        "--limit", type=float, default=LIMIT, metavar="S", help="seconds in all (600)"
+    )
     parser.add_argument("--peer-python", default=sys.executable)
     parser.add_argument("--row", help=argparse.SUPPRESS)
     args = parser.parse_args()
@@ -232,10 +278,19 @@ def main() -> None:
         if args.only and part not in args.only:
             continue
         left = end - time.monotonic()
-        found = apart(part, given, args.peer_python, min(left, args.limit / 6)) if left > 5 else OUT_OF_TIME
+        found = (
+            apart(part, given, args.peer_python, min(left, args.limit / 6))
+            if left > 5
+            else OUT_OF_TIME
+        )
         made.append({"part": part, "what": what} | found)
         print(json.dumps(made[-1]), flush=True)
-    table = {"machine": platform.platform(), "cores": os.cpu_count(), "date": time.strftime("%Y-%m-%d"), "rows": made}
+    table = {
+        "machine": platform.platform(),
+        "cores": os.cpu_count(),
+        "date": time.strftime("%Y-%m-%d"),
+        "rows": made,
+    }
     (args.out / "table.json").write_text(json.dumps(table, indent=1) + "\n")
     (args.out / "table.md").write_text(markdown(table))
 

@@ -1,7 +1,9 @@
-"""Pages of the site that are made from the code: the command line from its parsers, configuration keys from their dataclasses.
-And what the blocks of a tutorial print, beneath each (`docs/run_blocks.py` keeps it).
+"""Pages of the site that are made from the code: the command line from its parsers, configuration
+keys from their dataclasses. And what the blocks of a tutorial print, beneath each
+(`docs/run_blocks.py` keeps it).
 
-MkDocs calls `on_files` and `on_page_markdown`. `python docs/hooks.py DIR` writes the generated pages into a folder.
+MkDocs calls `on_files` and `on_page_markdown`. `python docs/hooks.py DIR` writes the generated
+pages into a folder.
 """
 
 from __future__ import annotations
@@ -65,17 +67,19 @@ def with_outputs(markdown: str, outputs: Path) -> str:
 def command_line() -> str:
     """A section for each command: options with their help, examples."""
     parts = [
-        "# Command line\n\nMade from the parsers. Exit codes: 0, 1 (it failed), 2 (bad input), 130 (stopped). Every command takes"
+        "# Command line\n\nMade from the parsers. Exit codes: 0, 1 (it failed), 2 (bad input), 130 "
+        "(stopped). Every command takes"
         " `--help`, `--seed N` (default 0) and `--no-cache` (keep no compiled programs on disk)."
     ]
     for name, summary in SUMMARIES.items():
         parser = command_parser(name)
-        rows = [_row(action) for action in parser._actions if SHARED.isdisjoint(action.option_strings)]
+        rows = [
+            _row(action) for action in parser._actions if SHARED.isdisjoint(action.option_strings)
+        ]
         examples = textwrap.dedent((parser.epilog or "").removeprefix("examples:\n")).strip("\n")
         parts.append(
-            f"## adaptsim {name}\n\n{summary[0].upper()}{summary[1:]}.\n\n| argument | meaning |\n| --- | --- |\n"
-            + "\n".join(rows)
-            + f"\n\n```text\n{examples}\n```"
+            f"## adaptsim {name}\n\n{summary[0].upper()}{summary[1:]}.\n\n| argument | meaning "
+            f"|\n| --- | --- |\n" + "\n".join(rows) + f"\n\n```text\n{examples}\n```"
         )
     return "\n\n".join(parts) + "\n"
 
@@ -91,13 +95,17 @@ def _row(action: argparse.Action) -> str:
 
 
 OF = {
-    "mechanism": ("Any mechanism", "At each joint, at all joints, or one value shared; `tilt` is of the base."),
+    "mechanism": (
+        "Any mechanism",
+        "At each joint, at all joints, or one value shared; `tilt` is of the base.",
+    ),
     "pendulum": ("Double pendulum", 'Of recordings with `task = "pendulum"`.'),
     "pushing": ("Pushes", "Measured pushes."),
     "scooping": ("Scoops", "Measured scoops."),
     "toss": (
         "Tossed bodies",
-        "Lengths in m, angles in rad; the others are shares, or s/m and 1/s of a friction and a drag.",
+        "Lengths in m, angles in rad; the others are shares, or s/m and 1/s of a friction and a "
+        "drag.",
     ),
 }
 
@@ -107,8 +115,8 @@ def effects() -> str:
     from adaptsim_jax.commands.effects import LEGEND, listed
 
     parts = [
-        "# Effects\n\nWhat `adaptsim diagnose` can find, from the catalogues; `adaptsim effects TASK` prints the same with bounds. "
-        + " ".join(LEGEND.split())
+        "# Effects\n\nWhat `adaptsim diagnose` can find, from the catalogues; `adaptsim effects "
+        "TASK` prints the same with bounds. " + " ".join(LEGEND.split())
     ]
     for task, (title, text) in OF.items():
         rows = [_effect(effect) for effect in listed(task)]
@@ -119,8 +127,14 @@ def effects() -> str:
 
 def _effect(effect: dict[str, Any]) -> str:
     numbers = effect.get("parameters") or effect["quantities"]
-    named = [f"`{p['name']}`{' [' + p['unit'] + ']' if p.get('unit', '1') not in ('', '1') else ''}" for p in numbers]
-    alike = effect.get("look_alikes") or [*effect.get("absorbed_by", ()), *effect.get("same_as", ())]
+    named = [
+        f"`{p['name']}`{' [' + p['unit'] + ']' if p.get('unit', '1') not in ('', '1') else ''}"
+        for p in numbers
+    ]
+    alike = effect.get("look_alikes") or [
+        *effect.get("absorbed_by", ()),
+        *effect.get("same_as", ()),
+    ]
     formula = f"<br>`{effect['formula']}`" if effect.get("formula") else ""
     cells = (
         f"`{effect['name']}`<br>{effect['place']}",
@@ -138,27 +152,36 @@ def _barred(text: str) -> str:
 
 
 def configuration() -> str:
-    """Every key of a run's configuration, by task and block, with its default; what a class says of its fields beneath."""
+    """Every key of a run's configuration, by task and block, with its default; what a class says of
+    its fields beneath.
+    """
     from adaptsim_jax.adaptation.presets import PRESETS, default_config
     from adaptsim_jax.core.config import dumps, to_table
 
     presets = ", ".join(f"`{name}`" for name in PRESETS)
     text = [
-        "# Configuration keys\n\nMade from the dataclasses. `adaptsim train TASK --set KEY=VALUE` changes one, `--config FILE`"
-        f" starts from a file of them, `--preset` from one of: {presets}. Times are in s, angles in rad,"
+        "# Configuration keys\n\nMade from the dataclasses. `adaptsim train TASK --set KEY=VALUE` "
+        "changes one, `--config FILE`"
+        f" starts from a file of them, `--preset` from one of: {presets}. Times are in s, angles "
+        f"in rad,"
         " lengths in m unless a note says otherwise."
     ]
     for task in TASKS:
         config, options = default_config(task), _options(task)
         table = to_table(config) | {"task": to_table(options)}
         text.append(
-            f"## {task.capitalize()}\n\nDefaults of `adaptsim train {task}`:\n\n```toml\n{dumps(table).strip()}\n```"
+            f"## {task.capitalize()}\n\nDefaults of `adaptsim train "
+            f"{task}`:\n\n```toml\n{dumps(table).strip()}\n```"
         )
     seen: set[type] = set()
     text.append("## What the keys mean")
     for task in TASKS:
         for kind in _classes(task):
-            if kind not in seen and kind.__doc__ and not kind.__doc__.startswith(f"{kind.__name__}("):
+            if (
+                kind not in seen
+                and kind.__doc__
+                and not kind.__doc__.startswith(f"{kind.__name__}(")
+            ):
                 seen.add(kind)
                 text.append(f"### {kind.__name__}\n\n{_prose(kind.__doc__)}")
     return "\n\n".join(text) + "\n"
@@ -171,7 +194,9 @@ def _options(task: str) -> Any:
     from adaptsim_jax.tasks.registry import TASKS as KINDS
 
     entry = KINDS[task]
-    return from_table(getattr(entry, "config", None) or entry[0], dict(default_config(task).task), "preset")
+    return from_table(
+        getattr(entry, "config", None) or entry[0], dict(default_config(task).task), "preset"
+    )
 
 
 def _classes(task: str) -> list[type]:
@@ -180,7 +205,10 @@ def _classes(task: str) -> list[type]:
     def walk(value: Any) -> list[type]:
         if not dataclasses.is_dataclass(value):
             return []
-        return [type(value), *(k for f in dataclasses.fields(value) for k in walk(getattr(value, f.name)))]
+        return [
+            type(value),
+            *(k for f in dataclasses.fields(value) for k in walk(getattr(value, f.name))),
+        ]
 
     return walk(default_config(task)) + walk(_options(task))
 

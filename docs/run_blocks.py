@@ -1,11 +1,13 @@
-"""Runs the blocks of a tutorial in order, in an empty folder, and keeps what they print and draw: `make tutorials`.
+"""Runs the blocks of a tutorial in order, in an empty folder, and keeps what they print and draw:
+`make tutorials`.
 
     python docs/run_blocks.py                                   all of docs/tutorials
     python docs/run_blocks.py docs/tutorials/pendulum.md ...
 
-Blocks of `bash` run one after the other in the folder, blocks of `python` share their names. What block k of `page.md` prints is
-kept in `outputs/page/k.txt` beside the page, where `docs/hooks.py` finds it for the site; pictures that the page shows from
-`outputs/page/` are taken from the folder: `robot-pushes.png` is `robot/pushes.png` there.
+Blocks of `bash` run one after the other in the folder, blocks of `python` share their names. What
+block k of `page.md` prints is kept in `outputs/page/k.txt` beside the page, where `docs/hooks.py`
+finds it for the site; pictures that the page shows from `outputs/page/` are taken from the folder:
+`robot-pushes.png` is `robot/pushes.png` there.
 """
 
 from __future__ import annotations
@@ -45,7 +47,11 @@ def run_page(page: Path, folder: Path) -> list[str]:
 def bash(code: str, folder: Path) -> str:
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     done = subprocess.run(
-        ["bash", "-ec", code], cwd=folder, env=os.environ | {"PATH": path}, capture_output=True, text=True
+        ["bash", "-ec", code],
+        cwd=folder,
+        env=os.environ | {"PATH": path},
+        capture_output=True,
+        text=True,
     )
     if done.returncode:
         raise RuntimeError(f"{code}\n{done.stdout}\n{done.stderr}")
@@ -60,11 +66,15 @@ def python(code: str, names: dict, folder: Path) -> str:
 
 
 def figures_of(page: Path, folder: Path) -> dict[str, Path]:
-    """Pictures that the page shows, by their place under `outputs/`. Raises where the folder has none of that name."""
+    """Pictures that the page shows, by their place under `outputs/`. Raises where the folder has
+    none of that name.
+    """
     made = {"-".join(path.relative_to(folder).parts): path for path in folder.rglob("*.png")}
     shown = FIGURE.findall(page.read_text(encoding="utf-8"))
     if missing := [place for place in shown if Path(place).name not in made]:
-        raise RuntimeError(f"{page}: no block made {missing[0]}; there are {', '.join(sorted(made))}")
+        raise RuntimeError(
+            f"{page}: no block made {missing[0]}; there are {', '.join(sorted(made))}"
+        )
     return {place: made[Path(place).name] for place in shown}
 
 

@@ -1,7 +1,9 @@
-"""Two coupled tanks, which are no machine of ours: which effect does their model lack? `python examples/coupled_tanks.py`
+"""Two coupled tanks, which are no machine of ours: which effect does their model lack? `python
+examples/coupled_tanks.py`
 
-The model: a pump fills tank 1, it drains into tank 2, that drains away, as Torricelli says. The plant, simulated here in place of a
-recording, leaks from tank 1 besides. A simulator of one's own is `predict` and four tables.
+The model: a pump fills tank 1, it drains into tank 2, that drains away, as Torricelli says. The
+plant, simulated here in place of a recording, leaks from tank 1 besides. A simulator of one's own
+is `predict` and four tables.
 """
 
 from dataclasses import dataclass
@@ -20,9 +22,23 @@ QUANTITIES = (  # name, unit, neutral, low, high, a size that matters, width of 
     Quantity("sensor_offset", "mm", 0.0, -50.0, 50.0, 1.0, 100.0),
 )
 CANDIDATES = (
-    Candidate("leak", "tank 1", ("leak",), "water lost in proportion to the level", "high and low levels"),
-    Candidate("dead_voltage", "pump", ("dead_voltage",), "voltage below which the pump gives nothing", "low voltages"),
-    Candidate("sensor_offset", "tank 2", ("sensor_offset",), "a level read too high", "high and low levels"),
+    Candidate(
+        "leak", "tank 1", ("leak",), "water lost in proportion to the level", "high and low levels"
+    ),
+    Candidate(
+        "dead_voltage",
+        "pump",
+        ("dead_voltage",),
+        "voltage below which the pump gives nothing",
+        "low voltages",
+    ),
+    Candidate(
+        "sensor_offset",
+        "tank 2",
+        ("sensor_offset",),
+        "a level read too high",
+        "high and low levels",
+    ),
 )
 
 
@@ -33,7 +49,9 @@ def levels(values, start, volts):
     for k in range(volts.shape[1]):
         out.append(h + np.stack([0.0 * offset, offset], 1))
         out_1, out_2 = drain_1 * np.sqrt(h[:, 0]), drain_2 * np.sqrt(h[:, 1])
-        rate = np.stack([gain * np.maximum(volts[:, k] - dead, 0.0) - out_1 - leak * h[:, 0], out_1 - out_2], 1)
+        rate = np.stack(
+            [gain * np.maximum(volts[:, k] - dead, 0.0) - out_1 - leak * h[:, 0], out_1 - out_2], 1
+        )
         h = np.maximum(h + DT * rate, 0.0)
     return np.stack(out, 1)
 
@@ -58,13 +76,20 @@ def recorded(hidden: dict[str, float], seed: int = 0, trials: int = 6) -> Tanks:
     volts = np.repeat(rng.uniform(0.5, 6.0, (trials, 4 * ROWS // 10)), 10, 1)
     seen = levels(np.repeat(true, trials, 0), rng.uniform(50, 250, (trials, 2)), volts)
     seen = seen + NOISE * rng.standard_normal(seen.shape)
-    cut = lambda z: z.reshape(trials * 4, ROWS, *z.shape[2:])
+
+    def cut(z):
+        return z.reshape(trials * 4, ROWS, *z.shape[2:])
+
     y, time = cut(seen), cut(np.tile(DT * np.arange(4 * ROWS), (trials, 1)))
     names = tuple(f"{k:02d}" for k in range(trials))
     trial, guess = np.repeat(np.arange(trials), 4), y[:, 0]
-    return Tanks(Stretches(trial, names, time, y, np.ones_like(y), guess, np.array([5.0, 5.0])), cut(volts))
+    return Tanks(
+        Stretches(trial, names, time, y, np.ones_like(y), guess, np.array([5.0, 5.0])), cut(volts)
+    )
 
 
 if __name__ == "__main__":
-    report = diagnose_simulator(recorded({"gain": 1.1, "drain_1": 0.33, "leak": 0.004}), name="two coupled tanks")
+    report = diagnose_simulator(
+        recorded({"gain": 1.1, "drain_1": 0.33, "leak": 0.004}), name="two coupled tanks"
+    )
     print(report["message"], *((e["name"], e["parameters"]) for e in report["effects"]), sep="\n")

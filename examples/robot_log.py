@@ -1,11 +1,13 @@
-"""A short synthetic log of a robot, made by MuJoCo, to try a meta.toml on before there is a real one.
+"""A short synthetic log of a robot, made by MuJoCo, to try a meta.toml on before there is a real
+one.
 
     python examples/robot_log.py so101.xml examples/so101 --degrees --friction elbow_flex=0.3
     python examples/robot_log.py go2.xml examples/go2_hung
     python examples/robot_log.py panda.xml examples/panda_hand --friction joint4=3
 
-Four trials of 4 s at 100 Hz into FOLDER/log, and a copy of MODEL beside them; a free base hangs (it is welded). `--friction` adds dry
-friction (N m) to a joint that the model file does not know of: what `adaptsim diagnose FOLDER --out out` should name.
+Four trials of 4 s at 100 Hz into FOLDER/log, and a copy of MODEL beside them; a free base hangs (it
+is welded). `--friction` adds dry friction (N m) to a joint that the model file does not know of:
+what `adaptsim diagnose FOLDER --out out` should name.
 """
 
 import argparse
@@ -31,9 +33,13 @@ def hung(path: Path) -> mujoco.MjModel:
 
 
 def record(model: mujoco.MjModel, seed: int) -> np.ndarray:
-    """Rows [T, 1 + njnt + nu] of time, angles and commands: sums of sines in the middle of what the actuators take."""
+    """Rows [T, 1 + njnt + nu] of time, angles and commands: sums of sines in the middle of what the
+    actuators take.
+    """
     rng, data = np.random.default_rng(seed), mujoco.MjData(model)
-    low, high = np.where(model.actuator_ctrllimited[:, None], model.actuator_ctrlrange, [-0.5, 0.5]).T
+    low, high = np.where(
+        model.actuator_ctrllimited[:, None], model.actuator_ctrlrange, [-0.5, 0.5]
+    ).T
     share = np.where(model.actuator_biasprm[:, 1] < 0, 0.2, 0.1)  # of the range: servos, motors
     speed, phase = rng.uniform(0.2, 1.2, (3, model.nu)), rng.uniform(0, 2 * np.pi, (3, model.nu))
     rows, steps = [], round(1 / RATE / model.opt.timestep)
@@ -49,12 +55,16 @@ def record(model: mujoco.MjModel, seed: int) -> np.ndarray:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("model", type=Path)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--friction", nargs="*", default=[], metavar="JOINT=N_M")
     parser.add_argument(
-        "--degrees", action="store_true", help="write angles, and targets of servos, in degrees, as LeRobot does"
+        "--degrees",
+        action="store_true",
+        help="write angles, and targets of servos, in degrees, as LeRobot does",
     )
     args = parser.parse_args(arguments)
     model = hung(args.model)
@@ -68,14 +78,23 @@ def main(arguments: list[str] | None = None) -> None:
     target = {k: f"target_{model.joint(j).name}" for j, k in servo.items()}
     names = ["time", *(f"q_{model.joint(k).name}" for k in range(model.njnt))]
     names += [target.get(k, f"ctrl_{model.actuator(k).name}") for k in range(model.nu)]
-    angles = [i for i, n in enumerate(names) if n.startswith(("q_", "target_"))] if args.degrees else []
+    angles = (
+        [i for i, n in enumerate(names) if n.startswith(("q_", "target_"))] if args.degrees else []
+    )
     log = args.folder / "log"
     log.mkdir(parents=True, exist_ok=True)
     shutil.copy(args.model, args.folder / "robot.xml")
     for trial in range(TRIALS):
         rows = record(model, trial)
         rows[:, angles] = np.rad2deg(rows[:, angles])
-        np.savetxt(log / f"run_{trial}.csv", rows, delimiter=",", header=",".join(names), comments="", fmt="%.7g")
+        np.savetxt(
+            log / f"run_{trial}.csv",
+            rows,
+            delimiter=",",
+            header=",".join(names),
+            comments="",
+            fmt="%.7g",
+        )
 
 
 if __name__ == "__main__":

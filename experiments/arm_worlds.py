@@ -1,7 +1,9 @@
-"""Own worlds of a real arm's kind (`tests/generators/arm_worlds.py`): which effects the torque witness names, right and wrong.
+"""Own worlds of a real arm's kind (`tests/generators/arm_worlds.py`): which effects the torque
+witness names, right and wrong.
 
     python experiments/arm_worlds.py ../shared/data/robots OUT --first 100 --count 20 --kinds null
-    python experiments/arm_worlds.py ../shared/data/robots OUT --first 200 --count 30 --kinds friction rotor gain offset spring
+    python experiments/arm_worlds.py ../shared/data/robots OUT --first 200 --count 30 --kinds
+    friction rotor gain offset spring
 
 A line a world; `--whole` runs all of `adaptsim diagnose` instead of the witness alone.
 """
@@ -36,13 +38,21 @@ def named_by_witness(folder: Path) -> tuple[set[tuple[str, int]], float]:
     machine = load(folder, None)
     problem, told = prepared(machine)
     null = declared_vector(machine, problem)
-    found = said(problem, told, null, scaled_reach(problem, *own_inertia(problem, null)), Criteria(), False)
-    eta = [abs(z) for e, z in zip(found.final.entries, found.final.values, strict=True) if e.owner == INERTIA]
+    found = said(
+        problem, told, null, scaled_reach(problem, *own_inertia(problem, null)), Criteria(), False
+    )
+    eta = [
+        abs(z)
+        for e, z in zip(found.final.entries, found.final.values, strict=True)
+        if e.owner == INERTIA
+    ]
     return {(n.candidate.effect, j) for n in found.named for j in n.candidate.joints}, max(eta)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("robots", type=Path)
     parser.add_argument("out", type=Path)
     parser.add_argument("--first", type=int, default=100)
@@ -53,8 +63,14 @@ def main() -> None:
     compile_flags.small_steps()
     total = {"right": 0, "wrong": 0, "missed": 0, "hidden": 0}
     for k, seed in enumerate(range(args.first, args.first + args.count)):
-        robot, kind, folder = ROBOTS[seed % len(ROBOTS)], args.kinds[k % len(args.kinds)], args.out / f"{seed}"
-        truth = {tuple(e) for e in write_arm(folder, args.robots / f"{robot}.xml", kind, seed)["effects"]}
+        robot, kind, folder = (
+            ROBOTS[seed % len(ROBOTS)],
+            args.kinds[k % len(args.kinds)],
+            args.out / f"{seed}",
+        )
+        truth = {
+            tuple(e) for e in write_arm(folder, args.robots / f"{robot}.xml", kind, seed)["effects"]
+        }
         began = time.process_time()
         if args.whole:
             rows = diagnose(folder)["effects"]
@@ -70,9 +86,11 @@ def main() -> None:
         ):
             total[key] += len(some)
         print(
-            f"{seed} {robot} {kind}: right {len(names & truth)} of {len(truth)}, wrong {sorted(names - truth)}, missed "
-            f"{sorted(truth - names)}, inertia {far:.2f}, {time.process_time() - began:.0f} s", flush=True,
-        )  # fmt: skip
+            f"{seed} {robot} {kind}: right {len(names & truth)} of {len(truth)}, wrong "
+            f"{sorted(names - truth)}, missed "
+            f"{sorted(truth - names)}, inertia {far:.2f}, {time.process_time() - began:.0f} s",
+            flush=True,
+        )
     print(total)
 
 

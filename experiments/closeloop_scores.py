@@ -31,7 +31,9 @@ def place(text: str) -> str:
 
 
 def parse(entry: str | dict, where: str) -> Named:
-    """An alternative as `name`, `name@joint2`, `name at joint 2` or a table; without a place: the effect's own."""
+    """An alternative as `name`, `name@joint2`, `name at joint 2` or a table; without a place: the
+    effect's own.
+    """
     if isinstance(entry, dict):
         name, spot = entry["name"], entry.get("where", where)
     else:
@@ -41,7 +43,9 @@ def parse(entry: str | dict, where: str) -> Named:
 
 
 def classes(report: dict) -> list[set[Named]]:
-    """Each named effect with the alternatives that the report admits, and what physics makes the same."""
+    """Each named effect with the alternatives that the report admits, and what physics makes the
+    same.
+    """
     out = []
     for e in report.get("effects", []):
         own = parse({"name": e["name"], "where": e.get("where", "")}, "")
@@ -51,19 +55,27 @@ def classes(report: dict) -> list[set[Named]]:
 
 
 def localised(record: dict) -> bool:
-    """Whether what is left is said to sit at the joint where it is hidden; the base acts on both. A gain of one joint's torque is
-    the inverse gain of the other's: where both are told, that is right."""
+    """Whether what is left is said to sit at the joint where it is hidden; the base acts on both. A
+    gain of one joint's torque is the inverse gain of the other's: where both are told, that is
+    right.
+    """
     told = record["leftover"] or []
     scale = (
-        bool(told) and told[0]["variable"] == "command" and any(name == "torque_gain" for name, _ in record["hidden"])
+        bool(told)
+        and told[0]["variable"] == "command"
+        and any(name == "torque_gain" for name, _ in record["hidden"])
     )
     found = [place(at["joint"]) for at in told[: 2 if scale else 1]]
     return any(where == "base" or where in found for _, where in record["hidden"])
 
 
 def matched(hidden: list[Named], found: list[set[Named]]) -> list[bool]:
-    """Whether each hidden effect is in the class of a named one, of its own: one name is not two effects."""
-    fits = np.array([[h in c for c in found] for h in hidden], bool).reshape(len(hidden), len(found))
+    """Whether each hidden effect is in the class of a named one, of its own: one name is not two
+    effects.
+    """
+    fits = np.array([[h in c for c in found] for h in hidden], bool).reshape(
+        len(hidden), len(found)
+    )
     rows, columns = linear_sum_assignment(fits, maximize=True)
     return [bool(h in rows and fits[h, columns[list(rows).index(h)]]) for h in range(len(hidden))]
 
@@ -78,7 +90,8 @@ def score_case(suite: str, case: Case, truth: dict, report: dict) -> dict:
     if suite != "outside":
         quiet = verdict in (*NOTHING, "confounded_with_declared") and not found
         hits = [hit or (absorbed and quiet) for hit, absorbed in zip(hits, confounded, strict=True)]
-    # dry friction's level stands beside its bristles and its rise at creeping speed: it is a part of what was hidden
+    # dry friction's level stands beside its bristles and its rise at creeping speed: it is a part
+    # of what was hidden
     parts = {("coulomb", where) for name, where in hidden if name in LEVELLED}
     found_alone = [c for c in found if not c & parts] if any(hits) else found
     wrong = sum(not any(h in c for h in hidden) for c in found_alone)
@@ -108,13 +121,21 @@ def score_case(suite: str, case: Case, truth: dict, report: dict) -> dict:
 
 
 def declared_errors(truth: dict[str, float], declared: dict) -> dict[str, dict]:
-    """Per identifiable declared parameter: relative error before and after, and whether the 90 % interval holds it."""
+    """Per identifiable declared parameter: relative error before and after, and whether the 90 %
+    interval holds it.
+    """
     out = {}
     for name, true in truth.items():
         before, after = (declared.get(stage, {}).get(name) or {} for stage in ("before", "after"))
-        if before.get("value") is None or after.get("value") is None or after.get("identifiable") is False:
+        if (
+            before.get("value") is None
+            or after.get("value") is None
+            or after.get("identifiable") is False
+        ):
             continue
-        errors = {k: (e["value"] - true) / abs(true) for k, e in (("before", before), ("after", after))}
+        errors = {
+            k: (e["value"] - true) / abs(true) for k, e in (("before", before), ("after", after))
+        }
         if after.get("low") is not None and after.get("high") is not None:
             errors["covered"] = after["low"] <= true <= after["high"]
         out[name] = errors
@@ -142,7 +163,10 @@ def consistent(group: list[dict]) -> float:
     """Share of disguises with the verdict and the names of the plain recording."""
     plain = next(r for r in group if not r["variant"])
     others = [r for r in group if r["variant"]]
-    same = [(r["verdict"], sorted(r["named"])) == (plain["verdict"], sorted(plain["named"])) for r in others]
+    same = [
+        (r["verdict"], sorted(r["named"])) == (plain["verdict"], sorted(plain["named"]))
+        for r in others
+    ]
     return sum(same) / max(len(same), 1)
 
 
@@ -179,7 +203,10 @@ def _suite(name: str, rs: list[dict]) -> dict:
     if name == "power":
         out["right_by_size"] = by(rs, "multiple", lambda r: all(r["hits"]))
     if name == "outside":
-        unattributed = lambda r: r["verdict"] == "structured_unattributed" and not r["named"]
+
+        def unattributed(r):
+            return r["verdict"] == "structured_unattributed" and not r["named"]
+
         out["unattributed"] = share(rs, unattributed)
         out["localised"] = share(rs, lambda r: unattributed(r) and localised(r))
     if name == "two":
@@ -203,7 +230,9 @@ def by(rs: list[dict], key: str, test) -> dict:
 
 
 def confusion(rs: list[dict]) -> dict[str, dict[str, int]]:
-    """Hidden effect -> what was said (the right name if in a class, else the first name or the verdict)."""
+    """Hidden effect -> what was said (the right name if in a class, else the first name or the
+    verdict).
+    """
     out: dict[str, Counter] = defaultdict(Counter)
     for r in rs:
         hidden = "@".join(r["hidden"][0])
@@ -215,7 +244,10 @@ def confusion(rs: list[dict]) -> dict[str, dict[str, int]]:
 def _percent(s: dict) -> str:
     if s["share"] is None:
         return "-"
-    return f"{s['hits']}/{s['of']} = {100 * s['share']:.1f} % ({100 * s['low']:.1f}-{100 * s['high']:.1f})"
+    return (
+        f"{s['hits']}/{s['of']} = {100 * s['share']:.1f} % "
+        f"({100 * s['low']:.1f}-{100 * s['high']:.1f})"
+    )
 
 
 def table(results: dict) -> str:
@@ -234,15 +266,23 @@ def table(results: dict) -> str:
                 lines.append(f"| {key} | {value} |")
         if "confusion" in r:
             lines += ["", "| hidden | said |", "| --- | --- |"]
-            lines += [f"| {h} | {', '.join(f'{k} {v}' for k, v in s.items())} |" for h, s in r["confusion"].items()]
+            lines += [
+                f"| {h} | {', '.join(f'{k} {v}' for k, v in s.items())} |"
+                for h, s in r["confusion"].items()
+            ]
         lines.append("")
     return "\n".join(lines)
 
 
 def row(r: dict) -> dict[str, object]:
-    """One case in a line, for `cases.csv`: what was hidden and said, errors in rad, declared values covered of those told."""
+    """One case in a line, for `cases.csv`: what was hidden and said, errors in rad, declared values
+    covered of those told.
+    """
     error, declared = r["error"] or {}, [e for e in r["declared"].values() if "covered" in e]
-    number = lambda x: "" if x is None else f"{x:.4g}"
+
+    def number(x):
+        return "" if x is None else f"{x:.4g}"
+
     return {
         "case": r["name"],
         "condition": r["condition"],
@@ -255,7 +295,9 @@ def row(r: dict) -> dict[str, object]:
         "said": " + ".join("|".join(c) for c in r["classes"]),
         "right": sum(r["hits"]),
         "wrong": r["wrong"],
-        "left_at": r["leftover"][0]["joint"] if r["leftover"] and r["verdict"] == "structured_unattributed" else "",
+        "left_at": r["leftover"][0]["joint"]
+        if r["leftover"] and r["verdict"] == "structured_unattributed"
+        else "",
         **{k: number(error.get(k)) for k in ("before", "after", "noise_floor")},
         "covered": sum(e["covered"] for e in declared),
         "told": len(declared),

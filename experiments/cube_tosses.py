@@ -2,9 +2,9 @@
 
     python experiments/cube_tosses.py ../shared/data/measured_cube_tosses --out cube
 
-Writes the two halves as folders that `adaptsim diagnose` reads, diagnoses the first (or takes the report that is there already), and
-scores the second by the published body, the declared one as fitted, the mended one, and by frictions that the first half's slides
-alone say.
+Writes the two halves as folders that `adaptsim diagnose` reads, diagnoses the first (or takes the
+report that is there already), and scores the second by the published body, the declared one as
+fitted, the mended one, and by frictions that the first half's slides alone say.
 """
 
 import argparse
@@ -21,7 +21,13 @@ from adaptsim_jax.tasks.toss.read import Tossed, read
 from adaptsim_jax.tasks.toss.windows import LEAST, slide
 
 HALVES = {"fitted": range(30), "scored": range(30, 60)}
-MASS, SIDE, FRICTION, RESTITUTION, INERTIA = 0.37, 0.1048, 0.18, 0.125, 8.1e-4  # as published with the data
+MASS, SIDE, FRICTION, RESTITUTION, INERTIA = (
+    0.37,
+    0.1048,
+    0.18,
+    0.125,
+    8.1e-4,
+)  # as published with the data
 GRID = np.arange(0.16, 0.2401, 0.005)
 STEP, CONTACT_TIME = 0.002, 0.004  # s, ours
 XML = """<mujoco>
@@ -42,7 +48,13 @@ def cube() -> str:
     log = np.log(RESTITUTION)
     damping = -log / np.hypot(np.pi, log)
     return XML.format(
-        step=STEP, mass=MASS, inertia=INERTIA, half=SIDE / 2, friction=FRICTION, time=CONTACT_TIME, damping=damping
+        step=STEP,
+        mass=MASS,
+        inertia=INERTIA,
+        half=SIDE / 2,
+        friction=FRICTION,
+        time=CONTACT_TIME,
+        damping=damping,
     )
 
 
@@ -55,8 +67,13 @@ def written(data: Path, out: Path) -> dict[str, Path]:
         (folders[half] / "meta.toml").write_text('task = "toss"\nmodel = "cube.xml"\n')
         (folders[half] / "cube.xml").write_text(cube())
         for k in numbers:
-            rows = [line.split(",")[:8] for line in (data / f"toss_{k:03d}.csv").read_text().splitlines()]
-            (folders[half] / f"toss_{k:03d}.csv").write_text("\n".join([",".join(row) for row in rows] + [""]))
+            rows = [
+                line.split(",")[:8]
+                for line in (data / f"toss_{k:03d}.csv").read_text().splitlines()
+            ]
+            (folders[half] / f"toss_{k:03d}.csv").write_text(
+                "\n".join([",".join(row) for row in rows] + [""])
+            )
     return folders
 
 
@@ -80,7 +97,9 @@ def models(report: dict) -> dict[str, dict[str, float]]:
 
 
 def slides(tossed: Tossed) -> tuple[list[Span], list[int]]:
-    """The last slide of each toss on a face (`windows.slide`) up to the last row, and the rows that its start is fitted to."""
+    """The last slide of each toss on a face (`windows.slide`) up to the last row, and the rows that
+    its start is fitted to.
+    """
     rows = zip(tossed.time, tossed.place, tossed.turn, strict=True)
     begins = [(t, slide(*z), len(z[0])) for t, z in enumerate(rows)]
     spans = [(t, a, b) for t, a, b in begins if a is not None]
@@ -97,7 +116,9 @@ def slide_ends(tossed: Tossed, values: np.ndarray) -> np.ndarray:
 
 
 def by_slides(fitted, given: dict[str, float]) -> dict[str, float]:
-    """`given` with the friction of a grid by which the slides of the fitted half end nearest to where they did."""
+    """`given` with the friction of a grid by which the slides of the fitted half end nearest to
+    where they did.
+    """
     tried = [given | {"friction": float(f)} for f in GRID]
     return min(tried, key=lambda g: slide_ends(fitted, values_of(fitted, g)).mean())
 
@@ -128,8 +149,10 @@ def main() -> None:
         ends = 1e3 * slide_ends(scored, values)
         whole = 1e3 * whole_tosses(scored, np.tile(values, (len(scored.names), 1)))
         print(
-            f"{name:30s} friction {values[0]:.3f}, slide ends ({len(ends)}): mean {ends.mean():.1f}, median {np.median(ends):.1f} mm; "
-            f"whole tosses ({len(whole)}): mean {whole.mean():.1f}, median {np.median(whole):.1f} mm",
+            f"{name:30s} friction {values[0]:.3f}, slide ends ({len(ends)}): mean "
+            f"{ends.mean():.1f}, median {np.median(ends):.1f} mm; "
+            f"whole tosses ({len(whole)}): mean {whole.mean():.1f}, median {np.median(whole):.1f} "
+            f"mm",
             flush=True,
         )
 

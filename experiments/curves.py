@@ -10,14 +10,20 @@ from adaptsim_jax.report import figures as look
 
 
 def against(
-    rows: Mapping[str, Sequence[Mapping[str, Any]]], ticks: Sequence[str], xlabel: str, bottom: float = -0.4
+    rows: Mapping[str, Sequence[Mapping[str, Any]]],
+    ticks: Sequence[str],
+    xlabel: str,
+    bottom: float = -0.4,
 ) -> Figure:
-    """Best-iteration reward of several methods against a setting of the experiment, as the range figure of the appendix."""
+    """Best-iteration reward of several methods against a setting of the experiment, as the range
+    figure of the appendix.
+    """
     figure, (ax,) = look.new_figure(4.2, 3.0)
     places = np.arange(len(ticks))
     for i, (method, points) in enumerate(rows.items()):
         mean, low, high = (
-            np.array([bottom - 1 if p[key] is None else p[key] for p in points]) for key in ("mean", "low", "high")
+            np.array([bottom - 1 if p[key] is None else p[key] for p in points])
+            for key in ("mean", "low", "high")
         )
         at = places + 0.07 * (i - (len(rows) - 1) / 2)
         ax.vlines(at, low, high, color=look.colour(method), linewidth=2)
@@ -39,8 +45,12 @@ def against(
     return figure
 
 
-def reward_against_trials(panels: Mapping[str, Sequence[Mapping[str, Any]]], bottom: float = 0.0) -> Figure:
-    """A panel a setting: mean over seeds of the best reward so far against target rollouts, a curve for each N."""
+def reward_against_trials(
+    panels: Mapping[str, Sequence[Mapping[str, Any]]], bottom: float = 0.0
+) -> Figure:
+    """A panel a setting: mean over seeds of the best reward so far against target rollouts, a curve
+    for each N.
+    """
     shades = ["#56B4E9", "#0072B2", "#E69F00", "#D55E00"]
     figure, axes = look.new_figure(2.15 * len(panels) + 0.6, 2.9, 1, len(panels), sharey=True)
     for ax, (setting, rows) in zip(axes, panels.items(), strict=True):

@@ -1,11 +1,14 @@
-"""A quadruped that walks on a floor by position commands, with one thing that its model file lacks: what `diagnose` names.
+"""A quadruped that walks on a floor by position commands, with one thing that its model file lacks:
+what `diagnose` names.
 
-    python experiments/floor_worlds.py ROBOTS OUT --robot unitree_go1__go1 --worlds floor_friction null --seeds 100 101
+    python experiments/floor_worlds.py ROBOTS OUT --robot unitree_go1__go1 --worlds floor_friction
+    null --seeds 100 101
 
-ROBOTS: a folder of MJCF files, one of which has legs driven by position servos. Each world: 8 trials of 4 s at 100 Hz of a trot whose
-speed, stride and turn are drawn, made by MuJoCo at the file's own step (or `--fine` s), angles with noise of 2e-4 rad, the base's pose
-with 3e-4 m and 5e-4 rad (with `--imu`: its gyro and accelerometer instead). A line of JSON a world: what was hidden, what was named,
-whether that is right, seconds of wall and of processor.
+ROBOTS: a folder of MJCF files, one of which has legs driven by position servos. Each world: 8
+trials of 4 s at 100 Hz of a trot whose speed, stride and turn are drawn, made by MuJoCo at the
+file's own step (or `--fine` s), angles with noise of 2e-4 rad, the base's pose with 3e-4 m and 5e-4
+rad (with `--imu`: its gyro and accelerometer instead). A line of JSON a world: what was hidden,
+what was named, whether that is right, seconds of wall and of processor.
 """
 
 import argparse
@@ -17,18 +20,32 @@ import mujoco
 import numpy as np
 
 RATE = 100  # Hz
-NOISE = {"q": 2e-4, "place": 3e-4, "turn": 5e-4, "gyro": 5e-3, "accelerometer": 5e-2}  # rad, m, rad, rad/s, m/s^2
+NOISE = {
+    "q": 2e-4,
+    "place": 3e-4,
+    "turn": 5e-4,
+    "gyro": 5e-3,
+    "accelerometer": 5e-2,
+}  # rad, m, rad, rad/s, m/s^2
 WORLDS = ("floor_friction", "payload", "calf_friction", "late", "weak_motor", "tilted", "null")
 NAMES = {
-    "floor_friction": "floor friction", "payload": "payload", "calf_friction": "coulomb", "late": "delay",
-    "weak_motor": "gain", "tilted": "tilted",
-}  # fmt: skip
+    "floor_friction": "floor friction",
+    "payload": "payload",
+    "calf_friction": "coulomb",
+    "late": "delay",
+    "weak_motor": "gain",
+    "tilted": "tilted",
+}
 
 
 def floored(path: Path, folder: Path) -> mujoco.MjSpec:
-    """The robot over a floor, with an IMU at its base, written as `model.xml`; without its meshes."""
+    """The robot over a floor, with an IMU at its base, written as `model.xml`; without its
+    meshes.
+    """
     spec = mujoco.MjSpec.from_file(str(path))
-    spec.option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL  # the file's elliptic cone takes 2.2 times as long a step
+    spec.option.cone = (
+        mujoco.mjtCone.mjCONE_PYRAMIDAL
+    )  # the file's elliptic cone takes 2.2 times as long a step
     spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[20, 20, 0.1])
     base = next(j.parent for j in spec.joints if j.type == mujoco.mjtJoint.mjJNT_FREE)
     base.add_site(name="imu_place", pos=[0.02, 0.0, 0.03])
@@ -44,10 +61,14 @@ def floored(path: Path, folder: Path) -> mujoco.MjSpec:
 
 
 def hidden(model: mujoco.MjModel, world: str, rng: np.random.Generator) -> dict:
-    """Change the model as the world has it; what was changed, with the name and place that are right. A delay [s] is the caller's."""
+    """Change the model as the world has it; what was changed, with the name and place that are
+    right. A delay [s] is the caller's.
+    """
     out = {"world": world, "delay": 0.0, "right": NAMES.get(world, ""), "where": ""}
     driven = [(k, int(model.actuator_trnid[k, 0])) for k in range(model.nu)]
-    calves = [(k, j) for k, j in driven if "calf" in model.joint(j).name or "knee" in model.joint(j).name]
+    calves = [
+        (k, j) for k, j in driven if "calf" in model.joint(j).name or "knee" in model.joint(j).name
+    ]
     if world == "floor_friction":
         out["size"] = float(rng.uniform(0.3, 0.55))
         model.geom_friction[:, 0] *= out["size"]
@@ -104,7 +125,9 @@ def gait(model: mujoco.MjModel, rest: np.ndarray, rng: np.random.Generator):
     return told
 
 
-def record(model: mujoco.MjModel, folder: Path, delay: float, imu: bool, rng: np.random.Generator) -> list[float]:
+def record(
+    model: mujoco.MjModel, folder: Path, delay: float, imu: bool, rng: np.random.Generator
+) -> list[float]:
     """Eight trials into `folder`; by trial how far the base's height went down [m]."""
     data, fine = mujoco.MjData(model), float(model.opt.timestep)
     joints = [k for k in range(model.njnt) if model.jnt_type[k] >= 2]
@@ -116,7 +139,11 @@ def record(model: mujoco.MjModel, folder: Path, delay: float, imu: bool, rng: np
         *(f"ctrl_{model.actuator(k).name}" for k in range(model.nu)),
     ]
     names += sensed if imu else base
-    table = ["[channels]", *(f'{c} = "imu_{c[:-2]}[{"xyz".index(c[-1])}]"' for c in sensed)] if imu else []
+    table = (
+        ["[channels]", *(f'{c} = "imu_{c[:-2]}[{"xyz".index(c[-1])}]"' for c in sensed)]
+        if imu
+        else []
+    )
     (folder / "meta.toml").write_text(
         "\n".join(['task = "mechanism"', 'model = "model.xml"', 'simulator = "mujoco"', *table, ""])
     )
@@ -139,8 +166,19 @@ def record(model: mujoco.MjModel, folder: Path, delay: float, imu: bool, rng: np
             mujoco.mju_quatIntegrate(pose[3:], NOISE["turn"] * rng.standard_normal(3), 1.0)
             sensor += np.repeat([NOISE["gyro"], NOISE["accelerometer"]], 3) * rng.standard_normal(6)
             rows.append([row / RATE, *q, *shown, *(sensor if imu else pose)])
-        low.append(float(min(r[len(joints) + model.nu + 3] for r in rows)) if not imu else float(data.qpos[2]))
-        np.savetxt(folder / f"run_{trial}.csv", rows, delimiter=",", header=",".join(names), comments="", fmt="%.9g")
+        low.append(
+            float(min(r[len(joints) + model.nu + 3] for r in rows))
+            if not imu
+            else float(data.qpos[2])
+        )
+        np.savetxt(
+            folder / f"run_{trial}.csv",
+            rows,
+            delimiter=",",
+            header=",".join(names),
+            comments="",
+            fmt="%.9g",
+        )
     return low
 
 
@@ -154,7 +192,9 @@ def judged(truth: dict, report: dict) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("folder", type=Path)
     parser.add_argument("out", type=Path)
     parser.add_argument("--robot", default="unitree_go1__go1")
@@ -178,15 +218,33 @@ def main() -> None:
             began, busy = time.monotonic(), time.process_time()
             try:
                 report = diagnose(*read_source_and_log(data), out=data / "out")
-                named = [{"name": e["name"], "alternatives": e["alternatives"],
-                          "size": {k: [round(v[z], 4) for z in ("value", "low", "high")] for k, v in e["parameters"].items()}}
-                         for e in report["effects"]]  # fmt: skip
-                told = {"judged": judged(truth, report), "named": named, "verdict": report["verdict"],
-                        "error": [round(report["error"][k], 2) for k in ("before", "after")]}  # fmt: skip
+                named = [
+                    {
+                        "name": e["name"],
+                        "alternatives": e["alternatives"],
+                        "size": {
+                            k: [round(v[z], 4) for z in ("value", "low", "high")]
+                            for k, v in e["parameters"].items()
+                        },
+                    }
+                    for e in report["effects"]
+                ]
+                told = {
+                    "judged": judged(truth, report),
+                    "named": named,
+                    "verdict": report["verdict"],
+                    "error": [round(report["error"][k], 2) for k in ("before", "after")],
+                }
             except BadInput as error:
                 told = {"failed": str(error)}
-            took = {"seconds": round(time.monotonic() - began, 1), "busy": round(time.process_time() - busy, 1)}
-            print(json.dumps({"seed": seed} | truth | told | took | {"lowest": round(min(low), 3)}), flush=True)
+            took = {
+                "seconds": round(time.monotonic() - began, 1),
+                "busy": round(time.process_time() - busy, 1),
+            }
+            print(
+                json.dumps({"seed": seed} | truth | told | took | {"lowest": round(min(low), 3)}),
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

@@ -1,10 +1,13 @@
-"""4,096 environments of Playground's Go1 joystick on one GPU: steps a second, and a policy that knows E, in ten minutes.
+"""4,096 environments of Playground's Go1 joystick on one GPU: steps a second, and a policy that
+knows E, in ten minutes.
 
-    python experiments/go1_on_gpu.py --out runs/go1                                  a GPU; extra [environments]
-    python experiments/go1_on_gpu.py --out runs/try --env cartpole --parallel 16 --minutes 0.2 --unroll 10    anywhere
+    python experiments/go1_on_gpu.py --out runs/go1                                  a GPU; extra
+    [environments] python experiments/go1_on_gpu.py --out runs/try --env cartpole --parallel 16
+    --minutes 0.2 --unroll 10    anywhere
 
-Fields: the floor's friction, a payload on the trunk, kp of all twelve servos, and a delay. Written: `result.json`, anew
-after every few updates, so that a run that is cut off has left what it measured. Playground fetches
+Fields: the floor's friction, a payload on the trunk, kp of all twelve servos, and a delay. Written:
+`result.json`, anew after every few updates, so that a run that is cut off has left what it
+measured. Playground fetches
 Go1's meshes when it is first loaded.
 """
 
@@ -40,22 +43,36 @@ TOLD = 5  # updates between two lines
 def setting_for(args: argparse.Namespace) -> Setting:
     hidden = (512, 256, 128) if args.env == GO1 else (64, 64)
     training = PPOTraining(
-        steps=args.steps, parallel=args.parallel, unroll=args.unroll, hidden=hidden, activation="silu", minibatches=16,
+        steps=args.steps,
+        parallel=args.parallel,
+        unroll=args.unroll,
+        hidden=hidden,
+        activation="silu",
+        minibatches=16,
         hyper=PPOHyper(learning_rate=3e-4, discount=0.97, entropy=1e-2),
-    )  # fmt: skip
+    )
     fields = FIELDS if args.env == GO1 else {}
-    return setting_of(load(args.env), EnvironmentConfig(env=args.env, fields=fields, training=training), where=args.env)
+    return setting_of(
+        load(args.env),
+        EnvironmentConfig(env=args.env, fields=fields, training=training),
+        where=args.env,
+    )
 
 
 def bare(setting: Setting, parallel: int, steps: int) -> float:
-    """Steps a second of the environments alone, random fields, one action; compilation not counted."""
+    """Steps a second of the environments alone, random fields, one action; compilation not
+    counted.
+    """
     play, space = setting.play, setting.space
 
     @jax.jit
     @jax.vmap
     def run(key, values):
         world = play.world(values)
-        step = lambda live, _: (play.step(world, live, jnp.zeros(play.sim.action_dim)), None)
+
+        def step(live, _):
+            return (play.step(world, live, jnp.zeros(play.sim.action_dim)), None)
+
         return jax.lax.scan(step, play.reset(world, key), None, steps)[0].reward
 
     values = space.physical(space.sample(jax.random.key(1), (parallel,)))
@@ -67,7 +84,9 @@ def bare(setting: Setting, parallel: int, steps: int) -> float:
 
 
 def evaluated(setting: Setting, learned: Any, count: int) -> dict[str, float]:
-    """Mean return over Omega of the policy that is told E's mean rightly, and told the middle of Omega."""
+    """Mean return over Omega of the policy that is told E's mean rightly, and told the middle of
+    Omega.
+    """
     acting = acting_of(setting, learned)
     u = jnp.asarray(qmc.Sobol(setting.space.dim, rng=0).random(count), jnp.float32)
 
@@ -82,22 +101,32 @@ def evaluated(setting: Setting, learned: Any, count: int) -> dict[str, float]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--env", default=GO1)
     parser.add_argument("--parallel", type=int, default=4096)
     parser.add_argument("--unroll", type=int, default=20)
     parser.add_argument("--steps", type=int, default=100_000_000, help="of PPO in all")
-    parser.add_argument("--minutes", type=float, default=6.0, help="of PPO, compilation not counted; it ends there")
+    parser.add_argument(
+        "--minutes", type=float, default=6.0, help="of PPO, compilation not counted; it ends there"
+    )
     parser.add_argument("--tests", type=int, default=256, help="episodes that score the policy")
     args = parser.parse_args()
     enable()
     output_folder(args.out)
     setting = setting_for(args)
-    found: dict[str, Any] = {"env": args.env, "device": jax.devices()[0].device_kind, "parallel": args.parallel}
+    found: dict[str, Any] = {
+        "env": args.env,
+        "device": jax.devices()[0].device_kind,
+        "parallel": args.parallel,
+    }
     found["bare_steps_per_second"] = bare(setting, args.parallel, args.unroll)
     print(
-        f"{found['device']}: {found['bare_steps_per_second']:.3g} steps/s of {args.parallel} environments", flush=True
+        f"{found['device']}: {found['bare_steps_per_second']:.3g} steps/s of {args.parallel} "
+        f"environments",
+        flush=True,
     )
     trainer, worlds = setting.trainer, everywhere(setting)
     state = trainer.begin(jax.random.key(1), trainer.init(jax.random.key(0)))
@@ -109,13 +138,21 @@ def main() -> None:
         done += TOLD
         spent, steps = time.perf_counter() - begin, done * args.parallel * args.unroll
         episodes = np.asarray(info.episode)
-        rows.append([steps, spent, float(np.nanmean(episodes)) if np.isfinite(episodes).any() else None])
+        rows.append(
+            [steps, spent, float(np.nanmean(episodes)) if np.isfinite(episodes).any() else None]
+        )
         found |= {"ppo_steps_per_second": steps / spent, "steps_seconds_return": rows}
         write_json(args.out / "result.json", found)
-        print(f"{steps:>12,} steps  {spent:7.1f} s  {steps / spent:.3g} steps/s  return {rows[-1][2]}", flush=True)
+        print(
+            f"{steps:>12,} steps  {spent:7.1f} s  {steps / spent:.3g} steps/s  return {rows[-1][2]}",
+            flush=True,
+        )
     found["return"] = evaluated(setting, trainer.learned(state), args.tests)
     write_json(args.out / "result.json", found)
-    print(f"return over Omega: told E {found['return']['told']:.4g}, not told {found['return']['not_told']:.4g}")
+    print(
+        f"return over Omega: told E {found['return']['told']:.4g}, not told "
+        f"{found['return']['not_told']:.4g}"
+    )
     print(f"written: {args.out / 'result.json'}")
 
 

@@ -1,6 +1,8 @@
-"""N = 1..4 initial distributions in Phase 2 (paper, figure A8, there for pushing): reward against target rollouts.
+"""N = 1..4 initial distributions in Phase 2 (paper, figure A8, there for pushing): reward against
+target rollouts.
 
-One Phase 1 a seed and one Phase 2 with four starts; the first N of them are the result for N, as they never interact.
+One Phase 1 a seed and one Phase 2 with four starts; the first N of them are the result for N, as
+they never interact.
 
 python experiments/initial_distributions.py
 """
@@ -29,10 +31,18 @@ def main() -> None:
     bounds = find_bounds(problem, targets)
     with progress("initial distributions") as report:
         means = adaptsim_means(
-            task, config.phase1, [config.hyper], np.arange(args.seeds), targets, starts=MOST, report=report
+            task,
+            config.phase1,
+            [config.hyper],
+            np.arange(args.seeds),
+            targets,
+            starts=MOST,
+            report=report,
         )
     cost = costs(problem, means[0], targets)
-    panels = {name: rows_of(cost[i], bounds.lower[i], bounds.upper[i]) for i, name in enumerate(names)}
+    panels = {
+        name: rows_of(cost[i], bounds.lower[i], bounds.upper[i]) for i, name in enumerate(names)
+    }
     args.out.mkdir(parents=True, exist_ok=True)
     look.save(reward_against_trials(panels), args.out / "initial_distributions.png")
     parts = [f"{args.seeds} seeds. Curves: mean over seeds of the best reward found so far."]
@@ -49,7 +59,9 @@ def main() -> None:
 
 
 def rows_of(cost: np.ndarray, lower: float, upper: float) -> list[dict]:
-    """A row for each N from costs `[S, 4, I + 1]`, with the best reward so far against target rollouts."""
+    """A row for each N from costs `[S, 4, I + 1]`, with the best reward so far against target
+    rollouts.
+    """
     rows = []
     for n in range(1, MOST + 1):
         found = scored_row(f"N = {n}", cost[:, :n], lower, upper, n * (ITERATIONS + 1))

@@ -38,12 +38,15 @@ def main() -> None:
         bounds = find_bounds(problem, target[None])
         for name in means:
             cost = costs(problem, means[name][i][None], target[None])[0]
-            rows[name].append(scored_row(ticks()[i], cost, bounds.lower[0], bounds.upper[0], TRIALS[name]))
+            rows[name].append(
+                scored_row(ticks()[i], cost, bounds.lower[0], bounds.upper[0], TRIALS[name])
+            )
     args.out.mkdir(parents=True, exist_ok=True)
     figure = against(rows, ticks(), "range of m2 in Ω (kg); target m2 = 0.3 kg")
     look.save(figure, args.out / "m2_range.png")
     parts = [
-        f"{args.seeds} seeds. Each range has its own normalisers: UDR over that Omega is 0, the best policy in it is 1. "
+        f"{args.seeds} seeds. Each range has its own normalisers: UDR over that Omega is 0, the "
+        f"best policy in it is 1. "
         "AdaptSim's Phase 1 is run anew for each range and seed."
     ]
     for name, found in rows.items():

@@ -1,11 +1,13 @@
 """Real recordings: what is named, and the error on data that had no part in it.
 
-    python -m experiments.mechanism_rigs double_pendulum/rig_a --out rig_a.json     every trial held out in turn
-    python -m experiments.mechanism_rigs quadruped_legs --out quadruped.json        fitted on train, scored on validation
+    python -m experiments.mechanism_rigs double_pendulum/rig_a --out rig_a.json     every trial held
+    out in turn python -m experiments.mechanism_rigs quadruped_legs --out quadruped.json
+    fitted on train, scored on validation
 
-`experiments/rigs/rigs.toml` says what each is made of. Of a double pendulum everything (base parameters, effects, which of them) is
-done without the trial that is scored; `declared` is the declared model fitted to the other trials, `file` what is known beforehand.
-Errors are those of `adaptsim replay`.
+`experiments/rigs/rigs.toml` says what each is made of. Of a double pendulum everything (base
+parameters, effects, which of them) is done without the trial that is scored; `declared` is the
+declared model fitted to the other trials, `file` what is known beforehand. Errors are those of
+`adaptsim replay`.
 """
 
 import argparse
@@ -37,14 +39,21 @@ def data() -> Path:
 
 
 def told(found: Replay) -> dict:
-    return {"median": float(np.median(found.error)), "rms": float(np.sqrt(np.mean(found.error**2))),
-            "joints": np.median(found.error, 0).tolist(), "ran_away": found.told()["ran_away"]}  # fmt: skip
+    return {
+        "median": float(np.median(found.error)),
+        "rms": float(np.sqrt(np.mean(found.error**2))),
+        "joints": np.median(found.error, 0).tolist(),
+        "ran_away": found.told()["ran_away"],
+    }
 
 
 def names(report: dict) -> list[str]:
     return [
         f"{e['name']} at {e['where']} "
-        + ", ".join(f"{k} {v['value']:.3g} [{v['low']:.3g}, {v['high']:.3g}]" for k, v in e["parameters"].items())
+        + ", ".join(
+            f"{k} {v['value']:.3g} [{v['low']:.3g}, {v['high']:.3g}]"
+            for k, v in e["parameters"].items()
+        )
         + (f" (or {', '.join(e['alternatives'])})" if e["alternatives"] else "")
         for e in report["effects"]
     ]
@@ -66,10 +75,19 @@ def left_out(rig: str, trial: str) -> dict:
         test = declared_machine(usable(one, audit(one)), theta, Path(folder) / "one.xml")
         scores = {
             key: told(replay(test, HORIZON, vector))
-            for key, vector in (("declared", found.null.fit.vector), ("after", found.final.fit.vector))
+            for key, vector in (
+                ("declared", found.null.fit.vector),
+                ("after", found.final.fit.vector),
+            )
         }
     seconds = time.perf_counter() - began
-    return {"trial": trial, "verdict": report["verdict"], "named": names(report), "seconds": seconds, **scores}
+    return {
+        "trial": trial,
+        "verdict": report["verdict"],
+        "named": names(report),
+        "seconds": seconds,
+        **scores,
+    }
 
 
 def trained(rig: str, horizon: float | None = None) -> dict:
@@ -93,20 +111,37 @@ def trained(rig: str, horizon: float | None = None) -> dict:
         seconds = time.perf_counter() - began
         bare = diagnose(parts["train"], out=Path(folder) / "bare", effects=())
         on = parts["validation"]
-        error = lambda m: told(replay(load(on, m), horizon))
+
+        def error(m):
+            return told(replay(load(on, m), horizon))
+
         scores = {
-            "file": error(on / "model.xml"), "declared": error(Path(folder) / "bare" / "model.toml"),
-            "after": error(Path(folder) / "out" / "model.toml"), "model_xml": error(Path(folder) / "out" / "model.xml"),
-        }  # fmt: skip
+            "file": error(on / "model.xml"),
+            "declared": error(Path(folder) / "bare" / "model.toml"),
+            "after": error(Path(folder) / "out" / "model.toml"),
+            "model_xml": error(Path(folder) / "out" / "model.xml"),
+        }
     held = {k: report["error"][k] for k in ("before", "after")}
-    return {"rig": rig, "verdict": report["verdict"], "named": names(report), "seconds": seconds, "horizon": horizon,
-            "held_out_in_train": held, "bare": bare["verdict"], "validation": scores}  # fmt: skip
+    return {
+        "rig": rig,
+        "verdict": report["verdict"],
+        "named": names(report),
+        "seconds": seconds,
+        "horizon": horizon,
+        "held_out_in_train": held,
+        "bare": bare["verdict"],
+        "validation": scores,
+    }
 
 
 def main() -> None:
-    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     p.add_argument("rig")
-    p.add_argument("--out", type=Path, required=True, help="JSON file; trials that it has are not run again")
+    p.add_argument(
+        "--out", type=Path, required=True, help="JSON file; trials that it has are not run again"
+    )
     a = p.parse_args()
     if not a.rig.startswith("double_pendulum/"):
         result = trained(a.rig)
@@ -130,7 +165,8 @@ def main() -> None:
     ratio = np.array([r["after"]["median"] / r["declared"]["median"] for r in rows])
     pool = {k: np.median([r[k]["median"] for r in rows]) for k in ("declared", "after")}
     print(
-        f"{rig}: median over trials {pool['declared']:.4f} -> {pool['after']:.4f} rad, ratio {pool['after'] / pool['declared']:.2f}"
+        f"{rig}: median over trials {pool['declared']:.4f} -> {pool['after']:.4f} rad, ratio "
+        f"{pool['after'] / pool['declared']:.2f}"
     )
     print(f"better in {(ratio < 1).sum()} of {len(ratio)} trials")
 

@@ -1,10 +1,12 @@
 """Score the diagnosis of mechanisms on worlds made by MuJoCo whose truth is known.
 
-    python -m experiments.mechanism_worlds --kind single --seeds 10000:10040 --jobs 2 --out single.csv
+    python -m experiments.mechanism_worlds --kind single --seeds 10000:10040 --jobs 2 --out
+    single.csv
 
-Kinds: null, single, multi. Seeds 0-999 are for tuning, from 10000 on for scoring. Each world goes through files in a folder of its
-own (`--keep DIR` keeps them and the reports). A row per world is appended as soon as it is done, and worlds that have a row are
-left out, so a stopped run goes on where it was. `--seeds 0:0` prints the summary of what is there. `--machine`, `--mode` and
+Kinds: null, single, multi. Seeds 0-999 are for tuning, from 10000 on for scoring. Each world goes
+through files in a folder of its own (`--keep DIR` keeps them and the reports). A row per world is
+appended as soon as it is done, and worlds that have a row are left out, so a stopped run goes on
+where it was. `--seeds 0:0` prints the summary of what is there. `--machine`, `--mode` and
 `--effect` fix what is drawn otherwise.
 """
 
@@ -24,7 +26,9 @@ from experiments.mechanism_scores import FIELDS, judge, summary
 from tests.generators.mechanism_worlds import SUITES, write_world
 
 DIAGNOSE = "adaptsim_jax.attribution.diagnose:diagnose"
-"""`diagnose(folder, out=None) -> report`: verdict, effects [{name, joints, class}], error {before, after}."""
+"""`diagnose(folder, out=None) -> report`: verdict, effects [{name, joints, class}], error {before,
+after}.
+"""
 
 
 def function(path: str) -> Callable[..., dict]:
@@ -33,8 +37,12 @@ def function(path: str) -> Callable[..., dict]:
     return getattr(importlib.import_module(module), name)
 
 
-def one(kind: str, seed: int, given: dict[str, str], diagnose: str, keep: str | None) -> dict[str, object]:
-    """The row of one world; a diagnosis that crashes has the verdict `crash`, a refusal `refused`."""
+def one(
+    kind: str, seed: int, given: dict[str, str], diagnose: str, keep: str | None
+) -> dict[str, object]:
+    """The row of one world; a diagnosis that crashes has the verdict `crash`, a refusal
+    `refused`.
+    """
     folder = Path(keep) / f"{kind}_{seed}" if keep else Path(tempfile.mkdtemp(prefix="world_"))
     try:
         write_world(folder, kind, seed, **given)
@@ -44,7 +52,11 @@ def one(kind: str, seed: int, given: dict[str, str], diagnose: str, keep: str | 
             report = function(diagnose)(folder / "recording", out=None)
         except Exception as problem:
             verdict = "refused" if type(problem).__name__ == "BadInput" else "crash"
-            report = {"verdict": verdict, "message": f"{problem}", "traceback": traceback.format_exc()}
+            report = {
+                "verdict": verdict,
+                "message": f"{problem}",
+                "traceback": traceback.format_exc(),
+            }
         seconds = time.perf_counter() - start
         if keep:
             (folder / "report.json").write_text(json.dumps(report, indent=1, default=str))
@@ -75,7 +87,9 @@ def append(out: Path, row: dict[str, object]) -> None:
 
 
 def main() -> None:
-    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     p.add_argument("--kind", choices=SUITES, default="single")
     p.add_argument("--seeds", default="0:20", help="first:end, end not among them")
     p.add_argument("--jobs", type=int, default=1)
@@ -92,10 +106,13 @@ def main() -> None:
     given = {k: v for k in ("machine", "mode", "effect") if (v := getattr(a, k))}
     a.out.parent.mkdir(parents=True, exist_ok=True)
     if a.jobs > 1:
-        # a process maps each compiled program into its memory, and the system allows only so many of these; not by
-        # concurrent.futures, whose pool waits for ever where all its processes end their last task together
+        # a process maps each compiled program into its memory, and the system allows only so many
+        # of these; not by concurrent.futures, whose pool waits for ever where all its processes end
+        # their last task together
         with get_context("spawn").Pool(a.jobs, maxtasksperchild=10) as pool:
-            for row in pool.imap_unordered(_one, [(a.kind, s, given, a.diagnose, a.keep) for s in todo]):
+            for row in pool.imap_unordered(
+                _one, [(a.kind, s, given, a.diagnose, a.keep) for s in todo]
+            ):
                 tell(a.out, row)
     else:
         for s in todo:
@@ -105,8 +122,23 @@ def main() -> None:
 
 def tell(out: Path, row: dict[str, object]) -> None:
     append(out, row)
-    print("  ".join(str(row[k]) for k in ("kind", "seed", "machine", "mode", "hidden", "verdict", "named", "outcome", "seconds")),
-          flush=True)  # fmt: skip
+    print(
+        "  ".join(
+            str(row[k])
+            for k in (
+                "kind",
+                "seed",
+                "machine",
+                "mode",
+                "hidden",
+                "verdict",
+                "named",
+                "outcome",
+                "seconds",
+            )
+        ),
+        flush=True,
+    )
 
 
 if __name__ == "__main__":

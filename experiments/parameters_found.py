@@ -1,4 +1,5 @@
-"""Parameters that each method found, a dot a seed, beside the target's and Omega (paper, the figures of pushing).
+"""Parameters that each method found, a dot a seed, beside the target's and Omega (paper, the
+figures of pushing).
 
 Reads what `adaptsim compare` left; run one first.
 
@@ -16,17 +17,24 @@ from adaptsim_jax.report.figures_pushing import axes_of, parameters_found
 
 
 def main() -> None:
-    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("--results", type=Path, required=True, help="results.json of `adaptsim compare`")
+    arguments = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    arguments.add_argument(
+        "--results", type=Path, required=True, help="results.json of `adaptsim compare`"
+    )
     arguments.add_argument("--out", type=Path, required=True, help="folder of parameters_found.png")
     args = arguments.parse_args()
     if not args.results.is_file():
         raise SystemExit(
-            f"{args.results}: no such file; run `adaptsim compare pushing --out DIR`, give DIR/results.json"
+            f"{args.results}: no such file; run `adaptsim compare pushing --out DIR`, give "
+            f"DIR/results.json"
         )
     results = json.loads(args.results.read_text())
     if not any(row.get("best_params") for row in results["rows"]):
-        raise SystemExit(f"{args.results}: no method in it adapts parameters; compare adaptsim or sysid-bayes")
+        raise SystemExit(
+            f"{args.results}: no method in it adapts parameters; compare adaptsim or sysid-bayes"
+        )
     space = make_task(results["task"], {}).space
     figure = parameters_found(results, axes_of(space, results["task"]))
     print(f"written: {look.save(figure, output_folder(args.out) / 'parameters_found.png')}")

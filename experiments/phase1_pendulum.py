@@ -1,9 +1,11 @@
-"""Table 1's AdaptSim row for the pendulum: one Phase 1 for each seed, then Phase 2 in the five settings.
+"""Table 1's AdaptSim row for the pendulum: one Phase 1 for each seed, then Phase 2 in the five
+settings.
 
-    python experiments/phase1_pendulum.py train --out DIR [--first 0] [--seeds 20] [--config recommended|paper-pendulum]
-    python experiments/phase1_pendulum.py score --out DIR
+    python experiments/phase1_pendulum.py train --out DIR [--first 0] [--seeds 20] [--config
+    recommended|paper-pendulum] python experiments/phase1_pendulum.py score --out DIR
 
-`train` can be stopped and run again: finished seeds are kept. `score` prints the tables and writes `scores.json` into DIR.
+`train` can be stopped and run again: finished seeds are kept. `score` prints the tables and writes
+`scores.json` into DIR.
 """
 
 import argparse
@@ -49,7 +51,12 @@ def train(out: Path, name: str, wanted: range) -> None:
             part = train_many(phase1, hyper, seeds[i : i + 1], program=program)
             starts = starts_of(phase1, part, seeds[i : i + 1], STARTS)
             with atomic_file(out / f"seed-{seed}.npz") as file:
-                np.savez(file, weights=part.weights[0], starts=starts.mean[0], reward=part.info.final_reward[0])
+                np.savez(
+                    file,
+                    weights=part.weights[0],
+                    starts=starts.mean[0],
+                    reward=part.info.final_reward[0],
+                )
             report(i + 1, len(seeds), f"reward {float(part.info.final_reward[0, -1]):.2f}")
 
 
@@ -70,15 +77,21 @@ def load(out: Path):
 def with_policies(phase1, means: jax.Array) -> Archive:
     """Starts `[S, N, D]` with blank task policies: the pendulum's are solved anew at each visit."""
     blank = phase1.task.init_policy(jax.random.key(0))
-    return Archive(means, jax.tree.map(lambda x: jnp.broadcast_to(x, (*means.shape[:2], *x.shape)), blank))
+    return Archive(
+        means, jax.tree.map(lambda x: jnp.broadcast_to(x, (*means.shape[:2], *x.shape)), blank)
+    )
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("what", choices=["train", "score"])
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--first", type=int, default=0, help="the first seed, to share the work among processes")
+    parser.add_argument(
+        "--first", type=int, default=0, help="the first seed, to share the work among processes"
+    )
     parser.add_argument("--config", default="recommended", choices=["recommended", *PRESETS])
     args = parser.parse_args()
     if args.what == "train":

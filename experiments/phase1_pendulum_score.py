@@ -1,4 +1,6 @@
-"""Scores of trained seeds (see `phase1_pendulum.py`), recomputed in double precision from the means of E visited."""
+"""Scores of trained seeds (see `phase1_pendulum.py`), recomputed in double precision from the means
+of E visited.
+"""
 
 import json
 from pathlib import Path
@@ -16,7 +18,9 @@ from adaptsim_jax.baselines.udr import udr
 
 
 def tuning_targets(outside: int = 64, inside: int = 32) -> np.ndarray:
-    """Targets that settings were chosen on: one or two parameters out of range as in table A2, none of its five."""
+    """Targets that settings were chosen on: one or two parameters out of range as in table A2, none
+    of its five.
+    """
     rng = np.random.default_rng(7)
 
     def one():
@@ -43,7 +47,9 @@ def score(out: Path) -> None:
     low, high, goals = _bounds(problem, targets, out / "bounds.npz")
 
     def scaled(cost):  # [T, ...]
-        column = lambda x: x[: len(cost)].reshape(-1, *[1] * (cost.ndim - 1))
+        def column(x):
+            return x[: len(cost)].reshape(-1, *[1] * (cost.ndim - 1))
+
         return (column(low) - cost) / (column(low) - column(high))
 
     normal = scaled(costs(problem, means, targets))
@@ -52,10 +58,18 @@ def score(out: Path) -> None:
     result = {
         "config": name,
         "seeds": len(starts.mean),
-        "settings": {setting: _summary(best[i], final[i], grid[i]) for i, setting in enumerate(task.settings)},
+        "settings": {
+            setting: _summary(best[i], final[i], grid[i]) for i, setting in enumerate(task.settings)
+        },
         "tuning": {
-            "outside": {"best": float(best[5:69].mean()), "final_best_start": float(final[5:69].max(-1).mean())},
-            "inside": {"best": float(best[69:].mean()), "final_best_start": float(final[69:].max(-1).mean())},
+            "outside": {
+                "best": float(best[5:69].mean()),
+                "final_best_start": float(final[5:69].max(-1).mean()),
+            },
+            "inside": {
+                "best": float(best[69:].mean()),
+                "final_best_start": float(final[69:].max(-1).mean()),
+            },
         },
         "in_range_from_centre": _from_centre(phase1, trained, problem),
     }
@@ -64,7 +78,8 @@ def score(out: Path) -> None:
 
 
 def _bounds(problem, targets, file: Path):
-    """Costs `[T]` that Table 1 maps to 0 (UDR) and to 1 (the best of Omega in that target), and the best means `[T, D]`.
+    """Costs `[T]` that Table 1 maps to 0 (UDR) and to 1 (the best of Omega in that target), and the
+    best means `[T, D]`.
 
     Minutes of work that no seed changes: kept in `file`.
     """
@@ -74,14 +89,18 @@ def _bounds(problem, targets, file: Path):
             return kept["low"], kept["high"], kept["goals"]
     policy = udr(problem).policy
     with jax.enable_x64(True):
-        low = np.asarray(jax.vmap(lambda t: problem.cost(t, jnp.asarray(policy)))(jnp.asarray(targets)))
+        low = np.asarray(
+            jax.vmap(lambda t: problem.cost(t, jnp.asarray(policy)))(jnp.asarray(targets))
+        )
     best = best_in_omega(problem, targets)
     np.savez(file, targets=targets, low=low, high=best.cost, goals=best.mean)
     return low, best.cost, best.mean
 
 
 def _grid_costs(problem, starts, targets, goals):
-    """The least cost that the step grid reaches from the two starts of each seed: `[T, S, N, D] -> [T, S]`."""
+    """The least cost that the step grid reaches from the two starts of each seed: `[T, S, N, D] ->
+    [T, S]`.
+    """
     return np.array(
         [
             ceiling(problem, s.reshape(-1, s.shape[-1]), t, g, delta=0.1, steps=ITERATIONS)[1]
@@ -110,7 +129,9 @@ def _summary(best, final, grid):
 
 
 def _from_centre(phase1, trained, problem, count: int = 100):
-    """Scaled reward 1 - 10 (J / J* - 1) on random in-range targets from the centre of Omega, one start, for each seed."""
+    """Scaled reward 1 - 10 (J / J* - 1) on random in-range targets from the centre of Omega, one
+    start, for each seed.
+    """
     targets = np.random.default_rng(11).uniform(1, 2, (count, 4))
     starts = with_policies(phase1, jnp.full((len(trained.weights), 1, 4), 0.5))
     history = adapt_many(phase1, trained, starts, targets, iterations=ITERATIONS)

@@ -1,14 +1,18 @@
-"""What a mended push is worth to the task: diagnosed from its tracks, trained on again, adapted in the target that lacks something.
+"""What a mended push is worth to the task: diagnosed from its tracks, trained on again, adapted in
+the target that lacks something.
 
     python -m experiments.pushing_worth --out OUT --seeds 10 --trajectories 1250
-    python -m experiments.pushing_worth --out OUT --seeds 3 --trajectories 1250 --engine drake --effects tilt
+    python -m experiments.pushing_worth --out OUT --seeds 3 --trajectories 1250 --engine drake
+    --effects tilt
 
-For each effect: 18 pushes of `experiments/pushing_worlds.py` at WD's parameters and `adaptsim diagnose` of them; Phase 1 of AdaptSim
-with the declared and with the mended model (`model.toml`), each from scratch for every seed; Phase 2 of both in the same target, the
-slide in steps of 1 ms with the true effect (`nothing`: with none, and the declared model alone). With `--engine drake` target and
-diagnosed pushes are made in Drake, gravity turned by the tilt, and the models are Drake's planar twin. Rewards are printed by pushes
-made in the target; `planned`: what the best actions of each model as fitted to the tracks earn there, without any adaptation. What is
-in OUT is not computed again.
+For each effect: 18 pushes of `experiments/pushing_worlds.py` at WD's parameters and `adaptsim
+diagnose` of them; Phase 1 of AdaptSim with the declared and with the mended model (`model.toml`),
+each from scratch for every seed; Phase 2 of both in the same target, the slide in steps of 1 ms
+with the true effect (`nothing`: with none, and the declared model alone). With `--engine drake`
+target and diagnosed pushes are made in Drake, gravity turned by the tilt, and the models are
+Drake's planar twin. Rewards are printed by pushes made in the target; `planned`: what the best
+actions of each model as fitted to the tracks earn there, without any adaptation. What is in OUT is
+not computed again.
 """
 
 import argparse
@@ -51,9 +55,15 @@ def diagnosed(out: Path, name: str, seed: int, engine: str) -> dict:
         for key, value in (SETTINGS["wd"] | EFFECTS[name][1]).items():
             own[key] = np.full(len(own["speed"]), value)
         folder = out / "measured"
-        tracks = pushing_worlds.simulate(own) if engine == "planar" else pushing_worlds_3d.simulate(engine, own)
+        tracks = (
+            pushing_worlds.simulate(own)
+            if engine == "planar"
+            else pushing_worlds_3d.simulate(engine, own)
+        )
         meta = "" if engine == "planar" else f'coefficients = "{engine}"\n'
-        pushing_worlds.write_world(folder, own, truth, tracks, np.random.default_rng([seed, 7]), meta=meta)
+        pushing_worlds.write_world(
+            folder, own, truth, tracks, np.random.default_rng([seed, 7]), meta=meta
+        )
         report = diagnose(folder, out=out)
         (out / "report.json").write_text(json.dumps(report, default=float))
     return json.loads((out / "report.json").read_text())
@@ -82,7 +92,9 @@ def trained(config, one, seeds: np.ndarray):
 
 
 def told(name: str, model: str, rewards: np.ndarray, spent: np.ndarray) -> str:
-    """Mean over seeds (and both starts) by pushes made before, and of each seed's best; rewards `[S, N, I + 1]`."""
+    """Mean over seeds (and both starts) by pushes made before, and of each seed's best; rewards
+    `[S, N, I + 1]`.
+    """
     made = np.concatenate([[0], spent[:-1]])
     cells = []
     for k in [int(np.flatnonzero(made == n)[0]) for n in (0, 4, 8, 16, 32) if n in made]:
@@ -96,15 +108,25 @@ def cell(values: np.ndarray) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--effects", nargs="+", default=list(EFFECTS), choices=EFFECTS)
     parser.add_argument("--trajectories", type=int, default=5000, help="of Phase 1")
-    parser.add_argument("--planned", action="store_true", help="no more than what is planned in each model as fitted")
+    parser.add_argument(
+        "--planned",
+        action="store_true",
+        help="no more than what is planned in each model as fitted",
+    )
     parser.add_argument("--iterations", type=int, default=8)
-    parser.add_argument("--engine", choices=("planar", "drake"), default="planar", help="of the target")
-    parser.add_argument("--tracks-seed", type=int, default=9203, help="of the pushes that are diagnosed")
+    parser.add_argument(
+        "--engine", choices=("planar", "drake"), default="planar", help="of the target"
+    )
+    parser.add_argument(
+        "--tracks-seed", type=int, default=9203, help="of the pushes that are diagnosed"
+    )
     args = parser.parse_args()
     compile_cache.enable()
     config = replace(default_comparison("pushing"), seeds=args.seeds, iterations=args.iterations)
@@ -119,15 +141,21 @@ def main() -> None:
         report = diagnosed(out, name, args.tracks_seed, args.engine)
         mended = of_model(configs.read(out / "model.toml"), "model.toml")
         mended.pop("left_out")
-        print(f"{name:12s} named: {', '.join('/'.join([e['name'], *e['alternatives']]) for e in report['effects'])}")
+        print(
+            f"{name:12s} named: "
+            f"{', '.join('/'.join([e['name'], *e['alternatives']]) for e in report['effects'])}"
+        )
         before = report["declared"]["before"]
         fitted = {
             "declared": [before[key]["value"] for key in before],
             "mended": mended["fitted"],
         }
-        # in Drake both models are slides in converged steps, so that nothing but the effect tells them apart
+        # in Drake both models are slides in converged steps, so that nothing but the effect tells
+        # them apart
         plain = {} if args.engine == "planar" else {"mended": EFFECTS["nothing"][0]}
-        for model, extra in (("declared", plain), ("mended", mended))[: 1 if name == "nothing" else 2]:
+        for model, extra in (("declared", plain), ("mended", mended))[
+            : 1 if name == "nothing" else 2
+        ]:
             one = make_one_shot("pushing", options | extra)
             target = made_target(one, args.engine, name)
             plan = planned(one, one.world("planar"), np.array(fitted[model]), target)
@@ -143,7 +171,10 @@ def main() -> None:
                     kept[model] = trained(config, one, seeds)
                 learned = time.process_time() - began
                 trip = phase2(
-                    Bout(config, Arena(one, target, WD[None]), seeds), *kept[model], config.starts, args.iterations
+                    Bout(config, Arena(one, target, WD[None]), seeds),
+                    *kept[model],
+                    config.starts,
+                    args.iterations,
                 )
                 cpu = time.process_time() - began
                 with atomic_file(path) as file:
@@ -155,7 +186,9 @@ def main() -> None:
                     )
             found = np.load(path)
             print(told(name, model, found["rewards"], found["spent"]), flush=True)
-            print(f"{'':22s} CPU s of Phase 1 and of both phases: {found['cpu'].round()}", flush=True)
+            print(
+                f"{'':22s} CPU s of Phase 1 and of both phases: {found['cpu'].round()}", flush=True
+            )
 
 
 if __name__ == "__main__":

@@ -1,4 +1,6 @@
-"""The pendulum with Omega moved by a traced offset, so that ranges are swept in one compiled program (paper, figure A7)."""
+"""The pendulum with Omega moved by a traced offset, so that ranges are swept in one compiled
+program (paper, figure A7).
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -17,12 +19,19 @@ from adaptsim_jax.core.progress import silent
 from adaptsim_jax.mechanisms.double_pendulum import linear as model
 from adaptsim_jax.space import Space
 from adaptsim_jax.tasks.base import Task
-from adaptsim_jax.tasks.pendulum.task import PendulumConfig, PendulumPolicy, best_in_space, make_pendulum
+from adaptsim_jax.tasks.pendulum.task import (
+    PendulumConfig,
+    PendulumPolicy,
+    best_in_space,
+    make_pendulum,
+)
 
 
 @dataclass(frozen=True)
 class ShiftedSpace:
-    """`base` with physical values moved by `offset [D]`, which may be traced; unit coordinates stay what they are."""
+    """`base` with physical values moved by `offset [D]`, which may be traced; unit coordinates stay
+    what they are.
+    """
 
     base: Space
     offset: jax.Array
@@ -39,9 +48,11 @@ class ShiftedSpace:
 
 
 def shiftable_pendulum(options: Mapping[str, Any]) -> Callable[[jax.Array], Task]:
-    """`shifted(offset [D]) -> Task`: `make_task("pendulum", options)` with Omega moved, and targets within Omega with it.
+    """`shifted(offset [D]) -> Task`: `make_task("pendulum", options)` with Omega moved, and targets
+    within Omega with it.
 
-    The scaling of observations is that of the unmoved Omega: it is a change of coordinates, the same for all.
+    The scaling of observations is that of the unmoved Omega: it is a change of coordinates, the
+    same for all.
     """
     config = configs.from_table(PendulumConfig, dict(options), "config, [task]")
     base = make_pendulum(config)  # here, since it computes with numbers, not with tracers
@@ -65,8 +76,12 @@ def shiftable_pendulum(options: Mapping[str, Any]) -> Callable[[jax.Array], Task
     return shifted
 
 
-def adaptsim_run(config: TrainConfig, target: np.ndarray, *, starts: int = 2, iterations: int = 10) -> Callable:
-    """`run(offset [D], seed []) -> means [N, iterations + 1, D]`: Phase 1 and Phase 2 on Omega moved by `offset`; pure."""
+def adaptsim_run(
+    config: TrainConfig, target: np.ndarray, *, starts: int = 2, iterations: int = 10
+) -> Callable:
+    """`run(offset [D], seed []) -> means [N, iterations + 1, D]`: Phase 1 and Phase 2 on Omega
+    moved by `offset`; pure.
+    """
     hyper, sizes = traced(config.hyper), config.phase1
     used = min(sizes.archive, sizes.trajectories * sizes.horizon)
     shifted = shiftable_pendulum(config.task)
@@ -77,16 +92,32 @@ def adaptsim_run(config: TrainConfig, target: np.ndarray, *, starts: int = 2, it
         state, _ = phase1.run(phase1.init(key), hyper, jnp.arange(sizes.rounds))
         first = draw_starts(jax.random.fold_in(key, 1), state.archive, used, starts)
         weights, aim = state.learner.target, jnp.asarray(target, jnp.float32)
-        found = adapt(key, phase1.task, phase1.bdq, weights, first, aim, iterations=iterations, delta=hyper.delta)
+        found = adapt(
+            key,
+            phase1.task,
+            phase1.bdq,
+            weights,
+            first,
+            aim,
+            iterations=iterations,
+            delta=hyper.delta,
+        )
         return found.history.mean
 
     return run
 
 
 def adaptsim_over_ranges(
-    config: TrainConfig, offsets: np.ndarray, seeds: np.ndarray, target: np.ndarray, *, report: Callable = silent
+    config: TrainConfig,
+    offsets: np.ndarray,
+    seeds: np.ndarray,
+    target: np.ndarray,
+    *,
+    report: Callable = silent,
 ) -> np.ndarray:
-    """Means visited `[R, S, N, I + 1, D]` (unit coordinates) for `offsets [R, D]` and `seeds [S]`, one program."""
+    """Means visited `[R, S, N, I + 1, D]` (unit coordinates) for `offsets [R, D]` and `seeds [S]`,
+    one program.
+    """
     return _each(jax.jit(adaptsim_run(config, target)), offsets, seeds, report)
 
 
@@ -99,13 +130,17 @@ def sysid_over_ranges(
     *,
     report: Callable = silent,
 ) -> np.ndarray:
-    """The same for a SysID baseline, with the paper's plain observation: `[R, S, 1, iterations + 1, D]`."""
+    """The same for a SysID baseline, with the paper's plain observation: `[R, S, 1, iterations + 1,
+    D]`.
+    """
 
     shifted = shiftable_pendulum({"scaling": "paper", "reference": "optimum"})
 
     @jax.jit
     def run(offset, seed):
-        return make(shifted(offset), config)(jax.random.key(seed), jnp.asarray(target, jnp.float32)).means[None]
+        return make(shifted(offset), config)(
+            jax.random.key(seed), jnp.asarray(target, jnp.float32)
+        ).means[None]
 
     return _each(run, offsets, seeds, report)
 

@@ -1,4 +1,6 @@
-"""The ceiling of AdaptSim's step grid: the best mean that fixed steps reach from a start within the horizon."""
+"""The ceiling of AdaptSim's step grid: the best mean that fixed steps reach from a start within the
+horizon.
+"""
 
 from itertools import combinations
 
@@ -10,26 +12,41 @@ from adaptsim_jax.baselines.problem import Problem
 
 
 def reachable_values(start: float, delta: float, steps: int) -> np.ndarray:
-    """All values in [0, 1] that one parameter reaches from `start` in at most `steps` moves of 0 or +-`delta`, clipped.
+    """All values in [0, 1] that one parameter reaches from `start` in at most `steps` moves of 0 or
+    +-`delta`, clipped.
 
     Clipping at an end shifts the grid, so this is more than `start + k delta`.
     """
     seen, frontier = {round(start, 12)}, {round(start, 12)}
     for _ in range(steps):
-        frontier = {round(min(max(v + d, 0.0), 1.0), 12) for v in frontier for d in (-delta, delta)} - seen
+        frontier = {
+            round(min(max(v + d, 0.0), 1.0), 12) for v in frontier for d in (-delta, delta)
+        } - seen
         seen |= frontier
     return np.array(sorted(seen))
 
 
-def ceiling(problem: Problem, starts: np.ndarray, target: np.ndarray, goal: np.ndarray, *, delta: float, steps: int):
-    """Best reachable `(means [S, D], costs [S])` in `target [D]` from each of `starts [S, D]`, in double precision.
+def ceiling(
+    problem: Problem,
+    starts: np.ndarray,
+    target: np.ndarray,
+    goal: np.ndarray,
+    *,
+    delta: float,
+    steps: int,
+):
+    """Best reachable `(means [S, D], costs [S])` in `target [D]` from each of `starts [S, D]`, in
+    double precision.
 
-    Searches the reachable grid exhaustively over pairs of parameters in turn, from the grid point nearest to `goal [D]`
-    (the best mean of Omega), until no pair improves: a lower bound of the ceiling, and tight where it was checked in full.
+    Searches the reachable grid exhaustively over pairs of parameters in turn, from the grid point
+    nearest to `goal [D]` (the best mean of Omega), until no pair improves: a lower bound of the
+    ceiling, and tight where it was checked in full.
     """
     with jax.enable_x64(True):
         cost = jax.jit(jax.vmap(problem.cost_at, (0, None)))
-        found = [_search(cost, s, target, goal, delta, steps) for s in np.asarray(starts, np.float64)]
+        found = [
+            _search(cost, s, target, goal, delta, steps) for s in np.asarray(starts, np.float64)
+        ]
     return np.array([u for u, _ in found]), np.array([c for _, c in found])
 
 
@@ -47,7 +64,11 @@ def _search(cost, start, target, goal, delta, steps):
 
 def _best_pair(cost, u, best, target, i, j, values):
     a, b = np.meshgrid(values[i], values[j], indexing="ij")
-    size = 32**2  # one shape, so that one compiled program serves all: no parameter reaches more than 32 values
+    size = (
+        32**2
+        # one shape, so that one compiled program serves all: no parameter reaches more than 32
+        # values
+    )
     tried = np.tile(u, (max(size, a.size), 1))
     tried[: a.size, i], tried[: a.size, j] = a.ravel(), b.ravel()
     costs = np.asarray(cost(jnp.asarray(tried), jnp.asarray(target)))

@@ -1,10 +1,12 @@
-"""Robots that people have: a log of each one's own actuators, made by MuJoCo at the file's own step, and how well it is replayed.
+"""Robots that people have: a log of each one's own actuators, made by MuJoCo at the file's own
+step, and how well it is replayed.
 
     python experiments/robot_replays.py ROBOTS OUT
 
-ROBOTS: a folder of MJCF files. Each log: 2 trials of 2 s, a row a step, free bases welded at `home` (a body with nothing but its free
-joint flies, and its pose is logged), contact as the file has it, twelve digits, no noise. A line a file: the simulator chosen and why,
-the median and largest error over stretches of 0.5 s, seconds; then how many are within 1e-6.
+ROBOTS: a folder of MJCF files. Each log: 2 trials of 2 s, a row a step, free bases welded at `home`
+(a body with nothing but its free joint flies, and its pose is logged), contact as the file has it,
+twelve digits, no noise. A line a file: the simulator chosen and why, the median and largest error
+over stretches of 0.5 s, seconds; then how many are within 1e-6.
 """
 
 import argparse
@@ -55,7 +57,9 @@ def record(path: Path, folder: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("folder", type=Path)
     parser.add_argument("out", type=Path)
     args = parser.parse_args()
@@ -71,7 +75,9 @@ def main() -> None:
                 record(path, data)
             choice = choose(data, None, None, 0.5)
             found = replayed(choice.source, choice.log, 0.5)
-            error = found.error if found.base is None else np.concatenate([found.error, found.base], 1)
+            error = (
+                found.error if found.base is None else np.concatenate([found.error, found.base], 1)
+            )
             within += choice.simulator == "mujoco" and float(np.median(error)) < 1e-6
             line = f"{choice.simulator} ({choice.why}) median {np.median(error):.1e} largest {np.max(error):.1e}"
         except BadInput as error:

@@ -2,9 +2,10 @@
 
     python experiments/scooping_ceiling.py --out OUT --target drake --settings ood-4
 
-The oracle of Table 1 is scored on the tests that it is chosen by, and so is the best of a method's visits: where an action wins by
-luck, both are the luckiest of many. Here all actions of the oracle's grid are tried in the table's tests, the leaders in fresh ones,
-and the leaders of both in fresh ones again. `kept` are the wins of the last round, of what led before it.
+The oracle of Table 1 is scored on the tests that it is chosen by, and so is the best of a method's
+visits: where an action wins by luck, both are the luckiest of many. Here all actions of the
+oracle's grid are tried in the table's tests, the leaders in fresh ones, and the leaders of both in
+fresh ones again. `kept` are the wins of the last round, of what led before it.
 """
 
 from __future__ import annotations
@@ -48,7 +49,12 @@ def halved(world: World, params: np.ndarray, actions: np.ndarray) -> list[dict]:
         lead = np.argsort(-share, kind="stable")[:most]
         won = wins(world, params, actions[lead], test_contexts(first + count)[first:]).sum(1)
         rounds.append(
-            {"actions": actions[lead].tolist(), "won": won.tolist(), "of": count, "before": share[lead].tolist()}
+            {
+                "actions": actions[lead].tolist(),
+                "won": won.tolist(),
+                "of": count,
+                "before": share[lead].tolist(),
+            }
         )
         spent[lead] += np.stack([won, np.full(len(lead), count)], 1)
         first += count
@@ -59,8 +65,10 @@ def halved(world: World, params: np.ndarray, actions: np.ndarray) -> list[dict]:
 
 
 def told(rounds: list[dict]) -> dict[str, float | list[float]]:
-    """Shares of wins: of all actions; the most of any, on the table's tests; and on the last round's tests, of the action that led
-    before it with its 95 % interval, of all leaders, and of the best of them."""
+    """Shares of wins: of all actions; the most of any, on the table's tests; and on the last
+    round's tests, of the action that led before it with its 95 % interval, of all leaders, and of
+    the best of them.
+    """
     first, last = rounds[0], rounds[-1]
     lead = int(np.argmax(last["before"]))
     interval = binomtest(int(last["won"][lead]), last["of"]).proportion_ci(method="wilson")
@@ -75,14 +83,18 @@ def told(rounds: list[dict]) -> dict[str, float | list[float]]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--out", required=True)
     parser.add_argument("--target", default="hydro", help="engine; default hydro, ours")
     parser.add_argument("--settings", nargs="+", default=list(SETTINGS), choices=SETTINGS)
     args = parser.parse_args()
     compile_cache.enable()
     out = output_folder(Path(args.out))
-    world = make_one_shot("scooping", dict(default_comparison("scooping").train.task)).world(args.target)
+    world = make_one_shot("scooping", dict(default_comparison("scooping").train.task)).world(
+        args.target
+    )
     actions = action_grid(GRID).astype(np.float32)
     for name in args.settings:
         begin = time.process_time()

@@ -1,13 +1,16 @@
-"""How what is deployed in scooping may be corrected by the target's own scoops, tried on random targets and seeds that no table uses.
+"""How what is deployed in scooping may be corrected by the target's own scoops, tried on random
+targets and seeds that no table uses.
 
-    python experiments/scooping_correction.py --out OUT --visits own 0 1 --doubts 1,0.5,1,3 0,0.5,2,3
+    python experiments/scooping_correction.py --out OUT --visits own 0 1 --doubts 1,0.5,1,3
+    0,0.5,2,3
 
-AdaptSim and SysID-Point adapt in ten of the pieces of `scooping_choices`, once; their visits are kept in OUT. They are taken as they
-were (`own`), or the last scoop of each is replaced by a probe with as much optimism (`tasks/scooping/deployed.py`), E going where
-it went. Each doubt (others,
-reach, spread, most; see `tasks/scooping/corrections.py`) then says what would be deployed at the last visits, scored in the engine in
-12 test contexts. `network` is E's policy as it is, `search` the best action when nothing was seen of the target, `start` the default
-doubt by the bank at the mean that E had first, and not at its own.
+AdaptSim and SysID-Point adapt in ten of the pieces of `scooping_choices`, once; their visits are
+kept in OUT. They are taken as they were (`own`), or the last scoop of each is replaced by a probe
+with as much optimism (`tasks/scooping/deployed.py`), E going where it went. Each doubt (others,
+reach, spread, most; see `tasks/scooping/corrections.py`) then says what would be deployed at the
+last visits, scored in the engine in 12 test contexts. `network` is E's policy as it is, `search`
+the best action when nothing was seen of the target, `start` the default doubt by the bank at the
+mean that E had first, and not at its own.
 """
 
 from __future__ import annotations
@@ -37,7 +40,10 @@ from adaptsim_jax.tasks.scooping.task import ScoopingConfig, ScoopingPolicy
 CONFIG = default_comparison("scooping")
 OPTIONS = dict(CONFIG.train.task) | {"tests": 12, "correct": True}
 PIECES = {"slippery": [0, 2, 3, 5], "cylinders": [6, 7], "boxes": [10, 11], "ellipsoids": [14, 15]}
-METHODS = {"adaptsim": (adaptsim, 2, 1), "sysid_point": (sysid_point, 1, 3)}  # how, starts, label of its lanes
+METHODS = {
+    "adaptsim": (adaptsim, 2, 1),
+    "sysid_point": (sysid_point, 1, 3),
+}  # how, starts, label of its lanes
 LATE = 4  # visits that are scored, the last
 
 
@@ -50,7 +56,9 @@ class Recorder(Arena):
 
     def visit(self, keys, where, policies) -> Seen:
         seen = super().visit(keys, where, policies)
-        self.kept.append((jax.tree.map(np.asarray, policies._replace(told=None, probe=None)), seen.trials))
+        self.kept.append(
+            (jax.tree.map(np.asarray, policies._replace(told=None, probe=None)), seen.trials)
+        )
         return seen
 
     def score(self, where, policies) -> np.ndarray:
@@ -58,15 +66,26 @@ class Recorder(Arena):
 
 
 def targets() -> np.ndarray:
-    """`[17, 4]`: friction, modulus, shape, height of pieces drawn at random: six slippery cylinders, four of Omega, four boxes, three
-    ellipsoids."""
+    """`[17, 4]`: friction, modulus, shape, height of pieces drawn at random: six slippery
+    cylinders, four of Omega, four boxes, three ellipsoids.
+    """
     rng = np.random.default_rng(777)
-    between = lambda low, high: rng.uniform(low, high)
-    softness = lambda low, high: float(np.exp(between(np.log(low), np.log(high))))
-    draw = lambda mu, e, g, h: [between(*mu), softness(*e), g, between(*h)]
+
+    def between(low, high):
+        return rng.uniform(low, high)
+
+    def softness(low, high):
+        return float(np.exp(between(np.log(low), np.log(high))))
+
+    def draw(mu, e, g, h):
+        return [between(*mu), softness(*e), g, between(*h)]
+
     first = [draw((0.15, 0.25), (2e4, 2e5), 1, (0.016, 0.027)) for _ in range(7)]
     first.pop(4)  # the best action there wins but 0.83
-    ellipsoid, box = draw((0.36, 0.5), (8e3, 3e4), 0, (0.013, 0.018)), draw((0.3, 0.48), (5e4, 3e5), 2, (0.016, 0.024))
+    ellipsoid, box = (
+        draw((0.36, 0.5), (8e3, 3e4), 0, (0.013, 0.018)),
+        draw((0.3, 0.48), (5e4, 3e5), 2, (0.016, 0.024)),
+    )
     cylinder = draw((0.26, 0.38), (2e4, 1e5), 1, (0.016, 0.024))
     rng = np.random.default_rng(778)
     for _ in range(12):
@@ -78,28 +97,46 @@ def targets() -> np.ndarray:
 
 
 def visits_of(method: str, out: Path, seeds: np.ndarray, pieces: np.ndarray) -> list[tuple]:
-    """The visits of `method` with scoops of its own alone, from the file where it made them before."""
+    """The visits of `method` with scoops of its own alone, from the file where it made them
+    before.
+    """
     path = out / f"visits-{method}.pkl"
     if not path.exists():
         one = replace(make_one_shot("scooping", OPTIONS), probe=None)
         arena, begin = Recorder(one, one.world(one.engine), pieces), time.process_time()
         METHODS[method][0](Bout(replace(CONFIG, iterations=8), arena, seeds))
         path.write_bytes(pickle.dumps(arena.kept))
-        print(f"{method}: {len(arena.kept)} visits, {time.process_time() - begin:.0f} s of CPU time", flush=True)
+        print(
+            f"{method}: {len(arena.kept)} visits, {time.process_time() - begin:.0f} s of CPU time",
+            flush=True,
+        )
     # without what policies did not hold yet when the file was made
-    return [(ScoopingPolicy(p.weights, p.at), Trials(*t)) for p, t in pickle.loads(path.read_bytes())]
+    return [
+        (ScoopingPolicy(p.weights, p.at), Trials(*t)) for p, t in pickle.loads(path.read_bytes())
+    ]
 
 
 def probed(arena: Arena, batch: Lanes, visits: list[tuple], optimism: float) -> list[tuple]:
     """The same visits with their last scoops replaced by probes; E goes where it went."""
     probe = make_probe(from_table(ScoopingConfig, OPTIONS, "correction"), Doubt(), optimism)
-    memory, found, act = Memory(replace_one(arena, probe), batch, len(visits)), [], jax.jit(jax.vmap(arena.one.act))
+    memory, found, act = (
+        Memory(replace_one(arena, probe), batch, len(visits)),
+        [],
+        jax.jit(jax.vmap(arena.one.act)),
+    )
     for policies, trials in visits:
         tried = memory.visiting(jax.tree.map(jnp.asarray, policies))
         actions = np.asarray(act(tried, jnp.asarray(trials.contexts)))
         last = arena.run(batch.where, trials.contexts[:, -1:], actions[:, -1:])
-        both = lambda old, new: np.concatenate([old[:, :-1], new], 1)
-        now = Trials(trials.contexts, both(trials.actions, actions[:, -1:]), jax.tree.map(both, trials.outcomes, last))
+
+        def both(old, new):
+            return np.concatenate([old[:, :-1], new], 1)
+
+        now = Trials(
+            trials.contexts,
+            both(trials.actions, actions[:, -1:]),
+            jax.tree.map(both, trials.outcomes, last),
+        )
         memory.add(now)
         found.append((policies, now))
     return found
@@ -112,14 +149,20 @@ def replace_one(arena: Arena, probe) -> Arena:
 def deployed(arena: Arena, batch: Lanes, visits: list[tuple], name: str) -> np.ndarray:
     """Actions `[LATE, B, G, d]` in the test contexts at the last visits, by the doubt `name`."""
     doubt = (
-        None if name == "network" else Doubt() if name in ("search", "start") else Doubt(*map(float, name.split(",")))
+        None
+        if name == "network"
+        else Doubt()
+        if name in ("search", "start")
+        else Doubt(*map(float, name.split(",")))
     )
     memory, found = Memory(arena, batch, len(visits)), []
     act = make_choice(from_table(ScoopingConfig, OPTIONS, "correction"), doubt or Doubt())
     act = jax.jit(jax.vmap(act, (0, None)))
     for i, (policies, trials) in enumerate(visits):
         if i >= len(visits) - LATE:
-            told = jax.tree.map(jnp.asarray, policies) if doubt is None else memory.deployed(policies)
+            told = (
+                jax.tree.map(jnp.asarray, policies) if doubt is None else memory.deployed(policies)
+            )
             if name == "search":
                 told = told._replace(told=told.told._replace(used=jnp.zeros_like(told.told.used)))
             if name == "start":
@@ -130,7 +173,9 @@ def deployed(arena: Arena, batch: Lanes, visits: list[tuple], name: str) -> np.n
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--out", required=True)
     parser.add_argument("--seeds", type=int, default=3, help="from 100 on")
     parser.add_argument("--methods", nargs="+", default=list(METHODS), choices=METHODS)
@@ -153,18 +198,26 @@ def main() -> None:
             told = by_group(batch.grid(rewards))
             write_json(out / f"{method}-{way}-{name}.json", told)
             row = "  ".join(f"{n} {v['late']:.3f} {v['best']:.3f}" for n, v in told.items())
-            print(f"{method:12} {way:4} {name:12} late, best: {row}  {time.process_time() - begin:.0f} s", flush=True)
+            print(
+                f"{method:12} {way:4} {name:12} late, best: {row}  "
+                f"{time.process_time() - begin:.0f} s",
+                flush=True,
+            )
 
 
 def by_group(rewards: np.ndarray) -> dict[str, dict[str, float]]:
-    """Of `rewards [T, S, N, LATE]`, by group of pieces: the mean, the mean over seeds of the best, and each piece's mean."""
+    """Of `rewards [T, S, N, LATE]`, by group of pieces: the mean, the mean over seeds of the best,
+    and each piece's mean.
+    """
     found, at = {}, 0
     for name, rows in PIECES.items():
         some = rewards[at : at + len(rows)]
         found[name] = {"late": float(some.mean()), "best": float(some.max((2, 3)).mean())}
         found[name]["each"] = some.mean((1, 2, 3)).round(3).tolist()
         at += len(rows)
-    found["all"] = {key: float(np.mean([g[key] for g in found.values()])) for key in ("late", "best")}
+    found["all"] = {
+        key: float(np.mean([g[key] for g in found.values()])) for key in ("late", "best")
+    }
     return found
 
 

@@ -1,9 +1,11 @@
-"""Our scooping engine against Drake with finer meshes and smaller steps, and with finer points and steps of ours.
+"""Our scooping engine against Drake with finer meshes and smaller steps, and with finer points and
+steps of ours.
 
     python experiments/scooping_mesh.py --out OUT                        low dissipation
     python experiments/scooping_mesh.py --out OUT --relaxation 0.2       the chosen setting's
 
-Outcomes of each engine are kept in OUT, a file each, so that a run that was stopped goes on; `--drake` chooses Drake's settings.
+Outcomes of each engine are kept in OUT, a file each, so that a run that was stopped goes on;
+`--drake` chooses Drake's settings.
 """
 
 from __future__ import annotations
@@ -45,13 +47,17 @@ def drake_engine(text: str, relaxation: float) -> tuple[str, tuple[str, dict]]:
     return f"Drake {mesh} mm" + (f", {step} ms" if step else ""), ("drake", {"contact": contact})
 
 
-def outcomes(out: Path, name: str, made: tuple[str, dict], samples: int) -> tuple[np.ndarray, np.ndarray]:
+def outcomes(
+    out: Path, name: str, made: tuple[str, dict], samples: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Success `[B]` and code `[B]` of the trials of seed 0, simulated or read from `out`."""
     path = out / f"{name.replace(' ', '_').replace(',', '')}-{samples}.npz"
     if not path.exists():
         params, actions = model.draw(0, samples)
         begin = time.process_time()
-        found = backend.make_backend(made[0], **made[1]).simulate(params, actions, np.zeros((samples, 2)))
+        found = backend.make_backend(made[0], **made[1]).simulate(
+            params, actions, np.zeros((samples, 2))
+        )
         cpu = time.process_time() - begin
         np.savez(path, success=interface.outcome(found.state)[0], code=found.code, cpu=cpu)
         print(f"{name}: {cpu:.0f} s of CPU time", flush=True)
@@ -60,21 +66,29 @@ def outcomes(out: Path, name: str, made: tuple[str, dict], samples: int) -> tupl
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--samples", type=int, default=200)
     parser.add_argument("--drake", nargs="*", default=["10", "3", "2", "3@1.25"], metavar="MM[@MS]")
-    parser.add_argument("--relaxation", type=float, default=LOW_RELAXATION, help="s, of all engines")
+    parser.add_argument(
+        "--relaxation", type=float, default=LOW_RELAXATION, help="s, of all engines"
+    )
     parser.add_argument("--out", required=True)
     args = parser.parse_args()
     out = output_folder(Path(args.out))
-    engines = own_engines(args.relaxation) | dict(drake_engine(text, args.relaxation) for text in args.drake)
+    engines = own_engines(args.relaxation) | dict(
+        drake_engine(text, args.relaxation) for text in args.drake
+    )
     found = {name: outcomes(out, name, made, args.samples) for name, made in engines.items()}
     rows = []
     for a, b in itertools.combinations(found, 2):
         good = (found[a][1] == model.FINE) & (found[b][1] == model.FINE)
         alike, count = int((found[a][0] == found[b][0])[good].sum()), int(good.sum())
         low, high = binomtest(alike, count).proportion_ci(method="wilson")
-        rows.append({"pair": [a, b], "alike": alike / count, "low": low, "high": high, "compared": count})
+        rows.append(
+            {"pair": [a, b], "alike": alike / count, "low": low, "high": high, "compared": count}
+        )
         print(f"{a:20} {b:20} {alike / count:.3f} ({low:.3f} - {high:.3f}) of {count}")
     write_json(out / "mesh.json", {"samples": args.samples, "pairs": rows})
 

@@ -1,10 +1,12 @@
-"""Which way success goes with each property of the piece and each part of the action, in the hydroelastic engine or in Drake.
+"""Which way success goes with each property of the piece and each part of the action, in the
+hydroelastic engine or in Drake.
 
     python experiments/scooping_trends.py --samples 256 --out trends.json
     python experiments/scooping_trends.py --samples 48 --backend drake
 
-A trend is a difference of success rates between a high and a low value of one quantity, all others drawn at random over Omega
-and the actions and the same in both (common random numbers). Intervals are 95 %, by bootstrap over the pairs.
+A trend is a difference of success rates between a high and a low value of one quantity, all others
+drawn at random over Omega and the actions and the same in both (common random numbers). Intervals
+are 95 %, by bootstrap over the pairs.
 """
 
 from __future__ import annotations
@@ -43,7 +45,9 @@ Simulate = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def pairs(shape: int, quantity: Quantity, samples: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """`(params [2 N, 4], actions [2 N, 3])`: N random trials at the low value, then the same ones at the high value."""
+    """`(params [2 N, 4], actions [2 N, 3])`: N random trials at the low value, then the same ones
+    at the high value.
+    """
     params, actions = model.draw(seed, samples)
     rows = np.concatenate([params, actions], 1)
     rows[:, 2] = shape
@@ -60,7 +64,9 @@ def bootstrap(gain: np.ndarray, seed: int = 0, draws: int = 4000) -> tuple[float
 
 
 def trend(simulate: Simulate, shape: int, name: str, samples: int, seed: int) -> dict:
-    """Success at both values, their difference, and its interval. `simulate(params, actions) -> success [2 N]`."""
+    """Success at both values, their difference, and its interval. `simulate(params, actions) ->
+    success [2 N]`.
+    """
     won = simulate(*pairs(shape, QUANTITIES[name], samples, seed))
     low, high = won[:samples], won[samples:]
     least, most = bootstrap(high - low, seed)
@@ -90,25 +96,32 @@ def line(row: dict) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--samples", type=int, default=256, help="pairs for each trend (256)")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--backend", default="hydro", choices=backends.BACKENDS)
-    parser.add_argument("--shapes", nargs="+", default=["ellipsoid", "cylinder"], choices=model.SHAPES)
+    parser.add_argument(
+        "--shapes", nargs="+", default=["ellipsoid", "cylinder"], choices=model.SHAPES
+    )
     parser.add_argument("--quantities", nargs="+", default=list(QUANTITIES), choices=QUANTITIES)
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
     compile_cache.enable()
     simulate, rows = engine(args.backend), []
     print(
-        "| shape | quantity | success, low | high | difference | 95 % interval (* excludes 0) |\n|---|---|---|---|---|---|"
+        "| shape | quantity | success, low | high | difference | 95 % interval (* excludes 0) "
+        "|\n|---|---|---|---|---|---|"
     )
     for shape in args.shapes:
         for name in args.quantities:
             rows.append(trend(simulate, model.SHAPES.index(shape), name, args.samples, args.seed))
             print(line(rows[-1]), flush=True)
     if args.out:
-        write_json(args.out, {"schema": 1, "backend": args.backend, "seed": args.seed, "rows": rows})
+        write_json(
+            args.out, {"schema": 1, "backend": args.backend, "seed": args.seed, "rows": rows}
+        )
 
 
 if __name__ == "__main__":

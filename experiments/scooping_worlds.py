@@ -1,10 +1,12 @@
-"""Worlds of scoops: tracks that a camera would record, from the physics of the scoop written anew, with or without an effect.
+"""Worlds of scoops: tracks that a camera would record, from the physics of the scoop written anew,
+with or without an effect.
 
-Shares no code with the package: NumPy, float64, SAP's problem by Newton's method with a bisected line search. Step, points of the
-contact surfaces and regularisation are the declared engine's, which are part of the model. All worlds of a call are simulated side by
-side.
+Shares no code with the package: NumPy, float64, SAP's problem by Newton's method with a bisected
+line search. Step, points of the contact surfaces and regularisation are the declared engine's,
+which are part of the model. All worlds of a call are simulated side by side.
 
-    python experiments/scooping_worlds.py --suite singles --seed 1 --out worlds/         writes a folder for each world
+    python experiments/scooping_worlds.py --suite singles --seed 1 --out worlds/         writes a
+    folder for each world
 """
 
 import argparse
@@ -33,7 +35,10 @@ def spun(a, x, z):
 def blade_motion(p):
     """The tip's x, z m and pitch rad `[B, N + 1]` of all lanes."""
     t = np.arange(round(1.0 / DT) + 1) * DT
-    run = lambda values: CubicSpline(KNOTS, values, bc_type="clamped").antiderivative()(t)
+
+    def run(values):
+        return CubicSpline(KNOTS, values, bc_type="clamped").antiderivative()(t)
+
     forward = run((0.0, 0.6, 0.7, 0.2, 0.0, 0.0))[None] * (1 + p["speed_scale"])[:, None]
     own = run((0.0, 0.0, -0.6, -0.6, 0.0, 0.0))
     added = run((0.0, 1.0, 0.0, 0.0, 0.0, 0.0))
@@ -54,10 +59,17 @@ class Piece:
 
     def __init__(self, g, h, e):
         self.g, self.hz, self.e = g[:, None], h[:, None] / 2, e[:, None]
-        pick = lambda a, b, c: np.select([g == 0, g == 1], [a, b], c)
+
+        def pick(a, b, c):
+            return np.select([g == 0, g == 1], [a, b], c)
+
         hz = h / 2
-        self.mass = DENSITY * pick(4 / 3 * np.pi * R * R * hz, 2 * np.pi * R * R * hz, 8 * R * R * hz)
-        self.inertia = self.mass * pick((R * R + hz * hz) / 5, (3 * R * R + 4 * hz * hz) / 12, (R * R + hz * hz) / 3)
+        self.mass = DENSITY * pick(
+            4 / 3 * np.pi * R * R * hz, 2 * np.pi * R * R * hz, 8 * R * R * hz
+        )
+        self.inertia = self.mass * pick(
+            (R * R + hz * hz) / 5, (3 * R * R + 4 * hz * hz) / 12, (R * R + hz * hz) / 3
+        )
         load, core = self.mass * G / e, np.minimum(R, hz)
         low, high = np.zeros_like(hz), core * 0.9
         for _ in range(60):
@@ -74,8 +86,14 @@ class Piece:
         a, b = (tx / R) ** 2 + (tz / self.hz) ** 2, x * tx / R**2 + z * tz / self.hz**2
         root = np.sqrt(np.maximum(b * b - a * ((x / R) ** 2 + (z / self.hz) ** 2 - 1), 0))
         with np.errstate(divide="ignore", invalid="ignore"):
-            ends = [np.sort(np.stack([(-w - q) / t, (w - q) / t]), 0) for q, t, w in ((x, tx, R), (z, tz, self.hz))]
-        inside = lambda q, w: np.where(np.abs(q) <= w, np.inf, -np.inf)
+            ends = [
+                np.sort(np.stack([(-w - q) / t, (w - q) / t]), 0)
+                for q, t, w in ((x, tx, R), (z, tz, self.hz))
+            ]
+
+        def inside(q, w):
+            return np.where(np.abs(q) <= w, np.inf, -np.inf)
+
         low = np.full(np.broadcast(x, tx).shape, -np.inf)
         high = -low
         for (one, two), q, t, w in zip(ends, (x, z), (tx, tz), (R, self.hz), strict=True):
@@ -83,7 +101,9 @@ class Piece:
             low = np.maximum(low, np.where(along, -inside(q, w), one))
             high = np.minimum(high, np.where(along, inside(q, w), two))
         is_round = self.g == 0
-        return np.where(is_round, (-b - root) / a, low), np.where(is_round, (-b + root) / a, np.maximum(high, low))
+        return np.where(is_round, (-b - root) / a, low), np.where(
+            is_round, (-b + root) / a, np.maximum(high, low)
+        )
 
     def wide(self, x, z):
         """Half the width across over (x, z)."""
@@ -108,29 +128,51 @@ class Piece:
 
 
 def strips(tip, speed, p):
-    """Table, blade, its front and the neck: origin, tangent, half length, velocity at a point's arm, friction; each `[B, 4]`."""
+    """Table, blade, its front and the neck: origin, tangent, half length, velocity at a point's
+    arm, friction; each `[B, 4]`.
+    """
     count = len(tip)
     (cx, cz), (hx, hz) = BLADE
     (nx, nz), (kx, kz), rise = NECK
     x, z, a = tip.T[..., None]
-    ox, oz = spun(a, np.array([cx, cx + hx, nx + kz * np.sin(rise)]), np.array([cz + hz, cz, nz + kz * np.cos(rise)]))
+    ox, oz = spun(
+        a,
+        np.array([cx, cx + hx, nx + kz * np.sin(rise)]),
+        np.array([cz + hz, cz, nz + kz * np.cos(rise)]),
+    )
     tx, tz = spun(a, np.array([1.0, 0.0, np.cos(rise)]), np.array([0.0, -1.0, -np.sin(rise)]))
-    flat = lambda v, rest: np.concatenate([np.full((count, 1), v), rest], 1)
+
+    def flat(v, rest):
+        return np.concatenate([np.full((count, 1), v), rest], 1)
+
     mu = p["mu"][:, None]
     blade = mu * (1 + p["blade_friction"][:, None])
     friction = np.concatenate([mu, blade, blade, 2 * blade * NECK_MU / (blade + NECK_MU)], 1)
     moving = np.array([0.0, 1.0, 1.0, 1.0])
     return {
-        "ox": flat(0.0, x + ox), "oz": flat(0.0, z + oz), "tx": flat(1.0, tx), "tz": flat(0.0, tz),
-        "half": np.tile([9.0, hx, hz, kx], (count, 1)), "mu": friction, "ax": x * moving, "az": z * moving,
-        "vx": speed[:, :1] * moving, "vz": speed[:, 1:2] * moving, "w": speed[:, 2:] * moving,
-    }  # fmt: skip
+        "ox": flat(0.0, x + ox),
+        "oz": flat(0.0, z + oz),
+        "tx": flat(1.0, tx),
+        "tz": flat(0.0, tz),
+        "half": np.tile([9.0, hx, hz, kx], (count, 1)),
+        "mu": friction,
+        "ax": x * moving,
+        "az": z * moving,
+        "vx": speed[:, :1] * moving,
+        "vz": speed[:, 1:2] * moving,
+        "w": speed[:, 2:] * moving,
+    }
 
 
 def contacts(piece, pose, s):
-    """Points `[B, N]`: Jacobian rows normal and tangential (x, z, spin), surface speeds, stiffness and so on."""
+    """Points `[B, N]`: Jacobian rows normal and tangential (x, z, spin), surface speeds, stiffness
+    and so on.
+    """
     px, pz, a = pose.T[..., None]
-    local = lambda x, z: spun(-a, x, z)
+
+    def local(x, z):
+        return spun(-a, x, z)
+
     ox, oz = s["ox"] - px, s["oz"] - pz
     bx, bz = local(ox, oz)
     ux, uz = local(s["tx"], s["tz"])
@@ -142,7 +184,10 @@ def contacts(piece, pose, s):
     middle = np.concatenate([np.repeat(np.arange(c) + 0.5, ACROSS) for c in COLUMNS])
     nodes, weights = np.polynomial.legendre.leggauss(ACROSS)
     node, weight = (np.tile(v, sum(COLUMNS)) for v in ((nodes + 1) / 2, weights / 2))
-    pick = lambda v: v[:, which]
+
+    def pick(v):
+        return v[:, which]
+
     step = pick(length) / columns
     at = pick(low) + step * middle
     tx, tz = pick(s["tx"]), pick(s["tz"])
@@ -158,10 +203,16 @@ def contacts(piece, pose, s):
     stiff = np.where(active, 2 * step * wide * weight * piece.e * growth, 1.0) * DT * (DT + TAU)
     light = 1 / piece.mass[:, None] + (rx**2 + rz**2) / (2 * piece.inertia[:, None])
     return {
-        "n": np.stack([-tz, tx, -tz * rz - tx * rx], -1), "t": np.stack([tx, tz, tx * rz - tz * rx], -1),
-        "lift": vz * tx - vx * tz, "slide": vx * tx + vz * tz, "stiff": stiff, "grip": 1 / (SLIP * light),
-        "press": np.where(active, depth / np.where(active, growth, 1) / (DT + TAU), 0), "mu": pick(s["mu"]), "on": active,
-    }  # fmt: skip
+        "n": np.stack([-tz, tx, -tz * rz - tx * rx], -1),
+        "t": np.stack([tx, tz, tx * rz - tz * rx], -1),
+        "lift": vz * tx - vx * tz,
+        "slide": vx * tx + vz * tz,
+        "stiff": stiff,
+        "grip": 1 / (SLIP * light),
+        "press": np.where(active, depth / np.where(active, growth, 1) / (DT + TAU), 0),
+        "mu": pick(s["mu"]),
+        "on": active,
+    }
 
 
 def law(c, vn, vt):
@@ -190,28 +241,44 @@ def solved(c, mass, free, guess):
     for turn in range(60):
         k = {name: z[todo] for name, z in c.items()}
         m, f, now = mass[todo], free[todo], v[todo]
-        vn, vt = np.einsum("bni,bi->bn", k["n"], now) - k["lift"], np.einsum("bni,bi->bn", k["t"], now) - k["slide"]
+        vn, vt = (
+            np.einsum("bni,bi->bn", k["n"], now) - k["lift"],
+            np.einsum("bni,bi->bn", k["t"], now) - k["slide"],
+        )
         pn, pt, nn, nt, tt = law(k, vn, vt)
         pull = np.einsum("bn,bni->bi", pn, k["n"]) - np.einsum("bn,bni->bi", pt, k["t"])
         gradient = m * (now - f) - pull
-        size = lambda z, m=m: np.sqrt((z * z / m).sum(1))
+
+        def size(z, m=m):
+            return np.sqrt((z * z / m).sum(1))
+
         far = size(gradient) > 1e-9 * (size(m * f) + size(pull) + 1e-9)
         if not far.any():
             break
         todo, k = todo[far], {name: z[far] for name, z in k.items()}
-        m, f, now, gradient, vn, vt, nn, nt, tt = (z[far] for z in (m, f, now, gradient, vn, vt, nn, nt, tt))
+        m, f, now, gradient, vn, vt, nn, nt, tt = (
+            z[far] for z in (m, f, now, gradient, vn, vt, nn, nt, tt)
+        )
         if turn > 9 and turn % 2:  # hold what hardly slides, where the minimum lies on a kink
             held = k["on"] & (nt != 0) & (abs(vt) < 1e-4)
-            nn, nt, tt = np.where(held, k["stiff"], nn), np.where(held, 0, nt), np.where(held, k["grip"], tt)
+            nn, nt, tt = (
+                np.where(held, k["stiff"], nn),
+                np.where(held, 0, nt),
+                np.where(held, k["grip"], tt),
+            )
         mixed = np.einsum("bn,bni,bnj->bij", nt, k["n"], k["t"])
-        bend = np.einsum("bn,bni,bnj->bij", nn, k["n"], k["n"]) + np.einsum("bn,bni,bnj->bij", tt, k["t"], k["t"])
+        bend = np.einsum("bn,bni,bnj->bij", nn, k["n"], k["n"]) + np.einsum(
+            "bn,bni,bnj->bij", tt, k["t"], k["t"]
+        )
         bend = bend + mixed + mixed.transpose(0, 2, 1) + m[:, :, None] * np.eye(3)
         move = -np.linalg.solve(bend, gradient[..., None])[..., 0]
         an, at = np.einsum("bni,bi->bn", k["n"], move), np.einsum("bni,bi->bn", k["t"], move)
 
         def slope(share, k=k, m=m, f=f, now=now, move=move, vn=vn, vt=vt, an=an, at=at):
             pn, pt, *_ = law(k, vn + share[:, None] * an, vt + share[:, None] * at)
-            return (m * (now + share[:, None] * move - f) * move).sum(1) - (pn * an - pt * at).sum(1)
+            return (m * (now + share[:, None] * move - f) * move).sum(1) - (pn * an - pt * at).sum(
+                1
+            )
 
         low, high = np.zeros(len(now)), np.ones(len(now))
         over = slope(high) > 0
@@ -227,7 +294,9 @@ def solved(c, mass, free, guess):
 
 
 def simulate(lanes):
-    """Poses `[B, N + 1, 3]` (x from where the piece lies, z, nose-down angle) of all lanes: dict of arrays `[B]`."""
+    """Poses `[B, N + 1, 3]` (x from where the piece lies, z, nose-down angle) of all lanes: dict of
+    arrays `[B]`.
+    """
     p = {k: np.asarray(v, float) for k, v in lanes.items()}
     piece = Piece(p["g"], p["h"], p["e"])
     tip = np.stack(blade_motion(p), -1)
@@ -240,7 +309,10 @@ def simulate(lanes):
         c = contacts(piece, pose, strips(now, speed, p))
         on_table = np.exp(-np.maximum(pose[:, 1] - piece.rest, 0) / 1e-3)
         ahead, above = spun(-now[:, 2], pose[:, 0] - now[:, 0], pose[:, 1] - now[:, 1])
-        sigmoid = lambda u: 1 / (1 + np.exp(-np.clip(u, -50, 50)))
+
+        def sigmoid(u):
+            return 1 / (1 + np.exp(-np.clip(u, -50, 50)))
+
         over = sigmoid(-ahead / 1e-3) * sigmoid((piece.hz[:, 0] + 3e-3 - above) / 1e-3)
         sx, sz = spun(now[:, 2], np.zeros(count), -p["adhesion"] * over)
         ax = G * np.sin(p["tilt"]) - p["drag"] * on_table * v[:, 0] + sx
@@ -257,19 +329,26 @@ def camera(p, poses, place, rng, fps, noise, side):
     when = (1 + p["clock"]) * t - p["latency"]
     x, z = (np.interp(when, np.arange(len(poses)) * DT, poses[:, i]) for i in range(2))
     x, y = place[0] + p["start_x"] + x, place[1] + p["start_y"] + 0 * x
-    # the ray from a camera 1 / near above (foot_x, foot_y) through the piece meets the table beyond it
+    # the ray from a camera 1 / near above (foot_x, foot_y) through the piece meets the table beyond
+    # it
     far = 1 / (1 - z * p["near"])
     x, y = p["foot_x"] + far * (x - p["foot_x"]), p["foot_y"] + far * (y - p["foot_y"])
     c, s = np.cos(p["turn"]), np.sin(p["turn"])
     more = 1 + p["scale"]
     xyz = np.stack(
-        [more * (c * x - s * y) + p["shift_x"], more * (s * x + c * y) + p["shift_y"], more * z + p["shift_z"]], 1
+        [
+            more * (c * x - s * y) + p["shift_x"],
+            more * (s * x + c * y) + p["shift_y"],
+            more * z + p["shift_z"],
+        ],
+        1,
     )
     xyz = xyz + noise * rng.standard_normal(xyz.shape)
     return np.column_stack([t, xyz if side else xyz[:, :2]])[rng.random(len(t)) > 0.03]
 
 
-sign = lambda rng: rng.choice([-1.0, 1.0])
+def sign(rng):
+    return rng.choice([-1.0, 1.0])
 
 
 def _two(names, low, high):
@@ -287,15 +366,21 @@ def _one(name, low, high):
 SINGLES = {
     "speed_scale": _one("speed_scale", 0.05, 0.15),
     "lift_scale": _one("lift_scale", 0.12, 0.3),
-    "pitch_offset": lambda rng: {"pitch_offset": rng.choice([rng.uniform(0.02, 0.06), -rng.uniform(0.015, 0.03)])},
-    "distance_offset": lambda rng: {"distance_offset": rng.choice([rng.uniform(2e-3, 6e-3), -rng.uniform(2e-3, 4e-3)])},
+    "pitch_offset": lambda rng: {
+        "pitch_offset": rng.choice([rng.uniform(0.02, 0.06), -rng.uniform(0.015, 0.03)])
+    },
+    "distance_offset": lambda rng: {
+        "distance_offset": rng.choice([rng.uniform(2e-3, 6e-3), -rng.uniform(2e-3, 4e-3)])
+    },
     "place_offset": lambda rng: {
         "start_x": rng.choice([rng.uniform(2e-3, 8e-3), -rng.uniform(2e-3, 4e-3)]),
         "start_y": sign(rng) * rng.uniform(2e-3, 8e-3),
     },
     "placement": lambda rng: {"scatter": rng.uniform(1.5e-3, 3e-3)},
     "clearance": lambda rng: {"clearance": rng.uniform(1.5e-4, 6e-4)},
-    "blade_friction": lambda rng: {"blade_friction": rng.choice([rng.uniform(0.4, 1.0), -rng.uniform(0.35, 0.6)])},
+    "blade_friction": lambda rng: {
+        "blade_friction": rng.choice([rng.uniform(0.4, 1.0), -rng.uniform(0.35, 0.6)])
+    },
     "adhesion": lambda rng: {"adhesion": rng.uniform(2.0, 8.0)},
     "tilt": _one("tilt", 0.025, 0.07),
     "drag": lambda rng: {"drag": rng.uniform(1.5, 5.0)},
@@ -318,20 +403,36 @@ ZERO = dict.fromkeys([*OWN, *SEEN], 0.0)
 
 
 def world(kind, seed, scoops=20):
-    """Lanes of one world: dict of arrays `[scoops]`, places `[scoops, 2]`, what is true of it and what is declared."""
+    """Lanes of one world: dict of arrays `[scoops]`, places `[scoops, 2]`, what is true of it and
+    what is declared.
+    """
     rng = np.random.default_rng([seed, sum(map(ord, kind))])
     g = int(rng.integers(0, 2))
-    truth = {"mu": rng.uniform(0.25, 0.4), "e": 10 ** rng.uniform(4, 5.7), "g": g, "h": rng.uniform(0.015, 0.025)}
+    truth = {
+        "mu": rng.uniform(0.25, 0.4),
+        "e": 10 ** rng.uniform(4, 5.7),
+        "g": g,
+        "h": rng.uniform(0.015, 0.025),
+    }
     lanes = {k: np.full(scoops, float(v)) for k, v in (ZERO | truth).items()}
-    spread = lambda low, high: rng.permutation(np.linspace(low, high, scoops))
-    asked = {"pitch": spread(np.radians(2), np.radians(10)), "rate": spread(-0.2, 0.2), "distance": spread(0.005, 0.02)}
+
+    def spread(low, high):
+        return rng.permutation(np.linspace(low, high, scoops))
+
+    asked = {
+        "pitch": spread(np.radians(2), np.radians(10)),
+        "rate": spread(-0.2, 0.2),
+        "distance": spread(0.005, 0.02),
+    }
     place = rng.uniform([-0.04, -0.03], [0.04, 0.03], (scoops, 2))
     given = {} if kind == "null" else (SINGLES | MORE)[kind](rng)
     for k, v in given.items():
         if k in lanes:
             lanes[k] = np.full(scoops, v)
     if kind == "placement":
-        lanes["start_x"], lanes["start_y"] = given["scatter"] * rng.standard_normal((2, scoops)).clip(-2, 2)
+        lanes["start_x"], lanes["start_y"] = given["scatter"] * rng.standard_normal(
+            (2, scoops)
+        ).clip(-2, 2)
     for (k, v), size in zip(asked.items(), REPEATS, strict=True):
         lanes[k] = v + size * rng.standard_normal(scoops)
     declared = {}
@@ -356,7 +457,9 @@ def write(kinds, folder, scoops=20, fps=60.0, noise=5e-4, side=True):
     made = [world(kind, seed, scoops) for kind, seed in kinds]
     lanes = {k: np.concatenate([m[0][k] for m in made]) for k in made[0][0]}
     poses = simulate(lanes)
-    for i, ((kind, seed), (own, asked, place, truth, declared)) in enumerate(zip(kinds, made, strict=True)):
+    for i, ((kind, seed), (own, asked, place, truth, declared)) in enumerate(
+        zip(kinds, made, strict=True)
+    ):
         rng = np.random.default_rng([seed, 7])
         out = Path(folder) / f"{kind}-{seed}"
         out.mkdir(parents=True, exist_ok=True)
@@ -365,7 +468,9 @@ def write(kinds, folder, scoops=20, fps=60.0, noise=5e-4, side=True):
         (out / "truth.json").write_text(json.dumps(truth))
         columns = zip(place[:, 0], place[:, 1], *asked.values(), strict=True)
         rows = [",".join([str(k), *(f"{v:.6f}" for v in row)]) for k, row in enumerate(columns, 1)]
-        (out / "actions.csv").write_text("\n".join(["trial,place_x,place_y,pitch,rate,distance", *rows, ""]))
+        (out / "actions.csv").write_text(
+            "\n".join(["trial,place_x,place_y,pitch,rate,distance", *rows, ""])
+        )
         text = ["trial,time,x,y" + ",z" * side]
         for k in range(scoops):
             scalars = {n: v[k] for n, v in own.items()}

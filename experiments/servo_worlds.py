@@ -1,9 +1,11 @@
-"""Machines with position servos, logged every 10 or 20 ms, with one thing that their file lacks or none: made, diagnosed, told.
+"""Machines with position servos, logged every 10 or 20 ms, with one thing that their file lacks or
+none: made, diagnosed, told.
 
     python experiments/servo_worlds.py --out runs/servos --seed 1
 
-A belt (one slide), an arm of two joints and a hobby arm of four (12-bit encoders, 50 Hz), stepped by MuJoCo at 1 ms: commands are held
-from row to row, so that a row pairs a command with the angle before it acts. Each world is a folder with a log and its report.
+A belt (one slide), an arm of two joints and a hobby arm of four (12-bit encoders, 50 Hz), stepped
+by MuJoCo at 1 ms: commands are held from row to row, so that a row pairs a command with the angle
+before it acts. Each world is a folder with a log and its report.
 """
 
 import argparse
@@ -43,7 +45,9 @@ forcerange="-{limit} {limit}"/><position name="elbow" joint="elbow" kp="{kp}" kv
 
 @dataclass(frozen=True)
 class Kind:
-    """A machine's file, its numbers there, ms between rows, sizes and speeds of its commands, noise of its encoders and their step."""
+    """A machine's file, its numbers there, ms between rows, sizes and speeds of its commands, noise
+    of its encoders and their step.
+    """
 
     mjcf: str
     file: dict[str, float]
@@ -60,14 +64,30 @@ class World:
     name: str
     own: dict[str, float] = field(default_factory=dict)
     late: int = 0  # ms
-    hidden: str = ""  # effect and where, as a report has it; "" for none; "bodies" where fitted bodies take it up
+    # effect and where, as a report has it; "" for none; "bodies" where fitted bodies take it up
+    hidden: str = ""
 
 
 KINDS = {
-    "belt": Kind(BELT, {"rub": 0, "mass": 0.8, "kp": 400, "limit": 1000}, 10, (0.02, 0.08), (1, 12), 2e-5),
-    "arm": Kind(ARM, {"rub": 0, "spring": 0, "load": 1e-9, "kp": 40, "limit": 1000}, 10, (0.2, 0.6), (1, 8), 2e-4),
+    "belt": Kind(
+        BELT, {"rub": 0, "mass": 0.8, "kp": 400, "limit": 1000}, 10, (0.02, 0.08), (1, 12), 2e-5
+    ),
+    "arm": Kind(
+        ARM,
+        {"rub": 0, "spring": 0, "load": 1e-9, "kp": 40, "limit": 1000},
+        10,
+        (0.2, 0.6),
+        (1, 8),
+        2e-4,
+    ),
     "hobby": Kind(
-        HOBBY, {"rub": 0.03, "load": 1e-9, "kp": 20, "limit": 3}, 20, (0.1, 0.45), (0.5, 5), 2e-4, np.pi / 2048
+        HOBBY,
+        {"rub": 0.03, "load": 1e-9, "kp": 20, "limit": 3},
+        20,
+        (0.1, 0.45),
+        (0.5, 5),
+        2e-4,
+        np.pi / 2048,
     ),
 }
 WORLDS = (
@@ -101,14 +121,21 @@ def written(folder: Path, world: World, seed: int, trials: int = 4, seconds: flo
     model.opt.timestep = 0.001
     rng, n = np.random.default_rng(seed), model.njnt
     joints = [model.joint(j).name for j in range(n)]
-    steps = lambda z: z if kind.step == 0.0 else np.round(z / kind.step) * kind.step
+
+    def steps(z):
+        return z if kind.step == 0.0 else np.round(z / kind.step) * kind.step
+
     for trial in range(trials):
         data, rows, sent = mujoco.MjData(model), [], []
         size, speed, phase = (rng.uniform(*z, (n, 3)) for z in (kind.size, kind.speed, (0.0, 6.0)))
         for k in range(round(1000 * seconds)):
             if k % kind.row == 0:
-                target = steps((size * np.sin(speed * data.time + phase)).sum(1) * min(1.0, data.time))
-                rows.append([data.time, *steps(data.qpos + rng.normal(0.0, kind.noise, n)), *target])
+                target = steps(
+                    (size * np.sin(speed * data.time + phase)).sum(1) * min(1.0, data.time)
+                )
+                rows.append(
+                    [data.time, *steps(data.qpos + rng.normal(0.0, kind.noise, n)), *target]
+                )
             sent.append(target)
             data.ctrl[:] = sent[max(0, k - world.late)]
             mujoco.mj_step(model, data)
@@ -136,27 +163,36 @@ def told(report: dict, hidden: str) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--seed", type=int, required=True)
     args = parser.parse_args()
     print(
-        "| world | hidden | | named | left-out error over noise | s |\n| --- | --- | --- | --- | --- | --- |",
+        "| world | hidden | | named | left-out error over noise | s |\n| --- | --- | --- | --- | "
+        "--- | --- |",
         flush=True,
     )
     for i, world in enumerate(WORLDS):
         folder = written(args.out / f"{world.kind}_{world.name}", world, 100 * args.seed + i)
         began = time.monotonic()
         report = diagnose(folder, out=args.out / f"{folder.name}_out")
-        values = lambda e: ", ".join(f"{k} {v['value']:.4g} {v['unit']}" for k, v in e["parameters"].items())
-        named = "; ".join(f"{e['name']} at {e['where']}: {values(e)}" for e in report["effects"]) or report.get(
-            "unlike_file", ""
-        )
+
+        def values(e):
+            return ", ".join(
+                f"{k} {v['value']:.4g} {v['unit']}" for k, v in e["parameters"].items()
+            )
+
+        named = "; ".join(
+            f"{e['name']} at {e['where']}: {values(e)}" for e in report["effects"]
+        ) or report.get("unlike_file", "")
         error = report["error"]
         over = " to ".join(f"{error[k] / error['noise_floor']:.2g}" for k in ("before", "after"))
         took = time.monotonic() - began
         print(
-            f"| {folder.name} | {world.hidden} | {told(report, world.hidden)} | {named} | {over} | {took:.0f} |",
+            f"| {folder.name} | {world.hidden} | {told(report, world.hidden)} | {named} | {over} | "
+            f"{took:.0f} |",
             flush=True,
         )
 

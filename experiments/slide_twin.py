@@ -1,9 +1,11 @@
-"""The slide in converged steps as a twin of Drake: its coefficients fitted to whole tracks of random pushes, the other half judges.
+"""The slide in converged steps as a twin of Drake: its coefficients fitted to whole tracks of
+random pushes, the other half judges.
 
     python -m experiments.slide_twin --samples 160 --seed 8820
 
-Prints the coefficients (`adaptsim_jax.tasks.pushing.slide.DRAKE`) and distances along the push in mm, before and after. Drake makes
-about ten pushes a second on two idle cores, the fit takes a few seconds.
+Prints the coefficients (`adaptsim_jax.tasks.pushing.slide.DRAKE`) and distances along the push in
+mm, before and after. Drake makes about ten pushes a second on two idle cores, the fit takes a few
+seconds.
 """
 
 import argparse
@@ -30,7 +32,9 @@ def along(xy, actions):
 
 
 def flat(c: planar.PlanarCoefficients) -> np.ndarray:
-    return np.array([*c.elasticity.frequency, *c.elasticity.damping, *c.elasticity.speed, c.lift, c.sole])
+    return np.array(
+        [*c.elasticity.frequency, *c.elasticity.damping, *c.elasticity.speed, c.lift, c.sole]
+    )
 
 
 @jax.jit
@@ -44,7 +48,9 @@ def simulated(c, params, action):
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--samples", type=int, default=160)
     parser.add_argument("--seed", type=int, default=8820)
     args = parser.parse_args()
@@ -56,8 +62,13 @@ def main() -> None:
     def run(vectors: np.ndarray, part: slice) -> np.ndarray:
         """`[K, n * rows]` m for coefficients `[K, 10]`."""
         count = len(params[part])
-        rows = (np.repeat(vectors, count, 0), *(np.tile(a[part], (len(vectors), 1)) for a in (params, actions)))
-        return np.asarray(simulated(*(a.astype(np.float32) for a in rows)), float).reshape(len(vectors), -1)
+        rows = (
+            np.repeat(vectors, count, 0),
+            *(np.tile(a[part], (len(vectors), 1)) for a in (params, actions)),
+        )
+        return np.asarray(simulated(*(a.astype(np.float32) for a in rows)), float).reshape(
+            len(vectors), -1
+        )
 
     def residual(c: np.ndarray) -> np.ndarray:
         return (run(c[None], slice(half))[0] - truth[:half].reshape(-1)) / ALLOWED
@@ -67,17 +78,24 @@ def main() -> None:
         return ((moved[: len(c)] - moved[len(c) :]) / (2 * ASIDE[:, None] * ALLOWED)).T
 
     def told(name: str, c: np.ndarray) -> None:
-        apart = 1e3 * np.abs(run(c[None], slice(half, None))[0].reshape(-1, len(ROWS)) - truth[half:])
+        apart = 1e3 * np.abs(
+            run(c[None], slice(half, None))[0].reshape(-1, len(ROWS)) - truth[half:]
+        )
         touching = apart[:, (ROWS >= 28) & (ROWS < 42)]
         print(
-            f"{name:14s} while the plate touches RMS {np.sqrt((touching**2).mean()):.1f} mm; end: median "
+            f"{name:14s} while the plate touches RMS {np.sqrt((touching**2).mean()):.1f} mm; end: "
+            f"median "
             f"{np.median(apart[:, -1]):.1f}, 90 % {np.quantile(apart[:, -1], 0.9):.1f} mm"
         )
 
     jac: Any = columns
     fit = least_squares(residual, flat(planar.DRAKE), jac, loss="soft_l1", max_nfev=25)
     print("frequency, damping, speed, lift, sole:", fit.x.round(3).tolist())
-    for name, c in (("planar.DRAKE", flat(planar.DRAKE)), ("slide.DRAKE", flat(slide.DRAKE)), ("as fitted", fit.x)):
+    for name, c in (
+        ("planar.DRAKE", flat(planar.DRAKE)),
+        ("slide.DRAKE", flat(slide.DRAKE)),
+        ("as fitted", fit.x),
+    ):
         told(name, c)
 
 

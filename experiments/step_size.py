@@ -1,4 +1,5 @@
-"""Adaptation step 0.05, 0.10, 0.15, 0.20 in OOD-1 (paper, figure A9): all seeds and steps in one compiled program.
+"""Adaptation step 0.05, 0.10, 0.15, 0.20 in OOD-1 (paper, figure A9): all seeds and steps in one
+compiled program.
 
 python experiments/step_size.py
 """
@@ -29,10 +30,16 @@ def main() -> None:
     bounds = find_bounds(problem, targets)
     hypers = [replace(config.hyper, delta=delta) for delta in STEPS]
     with progress("step sizes") as report:
-        means = adaptsim_means(task, config.phase1, hypers, np.arange(args.seeds), targets, report=report)
+        means = adaptsim_means(
+            task, config.phase1, hypers, np.arange(args.seeds), targets, report=report
+        )
     rows = [
         scored_row(
-            f"δ = {d:.2f}", costs(problem, m, targets)[0], bounds.lower[0], bounds.upper[0], STARTS * (ITERATIONS + 1)
+            f"δ = {d:.2f}",
+            costs(problem, m, targets)[0],
+            bounds.lower[0],
+            bounds.upper[0],
+            STARTS * (ITERATIONS + 1),
         )
         for d, m in zip(STEPS, means, strict=True)
     ]
@@ -40,10 +47,18 @@ def main() -> None:
     figure = draw.curves_by(rows, [r["method"] for r in rows], "OOD-1, adaptation step δ")
     look.save(figure, args.out / "step_size.png")
     text = (
-        f"{args.seeds} seeds; Phase 1 anew for each step size and seed. Curves: median and quartiles over seeds of the better "
+        f"{args.seeds} seeds; Phase 1 anew for each step size and seed. Curves: median and "
+        f"quartiles over seeds of the better "
         "of two distributions at each iteration."
     )
-    write_page(args.out, "step_size", "Adaptation step size", [text, rows_table(rows, "step")], rows, ["step_size.png"])
+    write_page(
+        args.out,
+        "step_size",
+        "Adaptation step size",
+        [text, rows_table(rows, "step")],
+        rows,
+        ["step_size.png"],
+    )
 
 
 if __name__ == "__main__":

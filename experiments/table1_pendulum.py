@@ -1,7 +1,8 @@
 """Table 1, pendulum columns: every method, five settings, 20 seeds.
 
 python experiments/table1_pendulum.py
-python experiments/table1_pendulum.py --seeds 2 --trajectories 500 --simulations 200 --out /tmp/quick
+python experiments/table1_pendulum.py --seeds 2 --trajectories 500 --simulations 200 --out
+/tmp/quick
 """
 
 import numpy as np
@@ -26,18 +27,23 @@ def main() -> None:
     arguments.add_argument("--methods", default="")
     args = arguments.parse_args()
     methods = tuple(m for m in args.methods.split(",") if m)
-    config = CompareConfig(methods=methods, seeds=args.seeds, train=train_config(args), sysid=sysid_config(args))
+    config = CompareConfig(
+        methods=methods, seeds=args.seeds, train=train_config(args), sysid=sysid_config(args)
+    )
     with progress("Table 1") as report:
         results = compare("pendulum", config, report)
     figures = ["table1_pendulum.png", "table1_pendulum_iterations.png"]
     out = args.out
     out.mkdir(parents=True, exist_ok=True)
     look.save(draw.rewards(results), out / figures[0])
-    main_rows = [m for m in dict.fromkeys(r["method"] for r in results["rows"]) if not m.endswith("_state")]
+    main_rows = [
+        m for m in dict.fromkeys(r["method"] for r in results["rows"]) if not m.endswith("_state")
+    ]
     look.save(draw.reward_over_iterations(results, main_rows), out / figures[1])
     parts = [
         table(results).rsplit("\n\nCommand:", 1)[0],
-        "The paper's values, for comparison (its UDR is not described for this task, so its zero may lie elsewhere):",
+        "The paper's values, for comparison (its UDR is not described for this task, so its zero "
+        "may lie elsewhere):",
         paper_table(),
         failures(results),
     ]
@@ -46,12 +52,19 @@ def main() -> None:
 
 def paper_table() -> str:
     lines = ["| method | WD | OOD-1 | OOD-2 | OOD-3 | OOD-4 |", "| --- |" + " --- |" * 5]
-    lines += [f"| {look.label(m)} | " + " | ".join(f"{v:.2f}" for v in values) + " |" for m, values in PAPER.items()]
+    lines += [
+        f"| {look.label(m)} | " + " | ".join(f"{v:.2f}" for v in values) + " |"
+        for m, values in PAPER.items()
+    ]
     return "\n".join(lines)
 
 
 def failures(results) -> str:
-    bad = [f"{r['method']} in {r['setting']}: {r['failed']}" for r in results["rows"] if r.get("failed")]
+    bad = [
+        f"{r['method']} in {r['setting']}: {r['failed']}"
+        for r in results["rows"]
+        if r.get("failed")
+    ]
     worst = [
         f"{look.label(r['method'])} in {r['setting']}: {np.min(r['per_seed']):.2f}"
         for r in results["rows"]
@@ -59,13 +72,20 @@ def failures(results) -> str:
     ]
     return (
         f"Visits whose cost was not finite: {'; '.join(bad) or 'none'}. "
-        f"Rows with a seed below 0.5 at its best iteration (worst seed): {'; '.join(worst) or 'none'}."
+        f"Rows with a seed below 0.5 at its best iteration (worst seed): "
+        f"{'; '.join(worst) or 'none'}."
     )
 
 
 VISITED = (
-    "adaptsim", "adaptsim_state", "adaptsim_analytic", "sysid_bayes", "sysid_bayes_state", "sysid_point", "sysid_point_state",
-)  # fmt: skip
+    "adaptsim",
+    "adaptsim_state",
+    "adaptsim_analytic",
+    "sysid_bayes",
+    "sysid_bayes_state",
+    "sysid_point",
+    "sysid_point_state",
+)
 
 if __name__ == "__main__":
     main()

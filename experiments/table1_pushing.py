@@ -1,13 +1,17 @@
-"""Table 1 of the paper, pushing or scooping columns, in parts that can be stopped and gone on with: a file for each method and seed.
+"""Table 1 of the paper, pushing or scooping columns, in parts that can be stopped and gone on with:
+a file for each method and seed.
 
-    python experiments/table1_pushing.py --out OUT --seeds 10                       planar as simulator and target
-    python experiments/table1_pushing.py --out OUT --seeds 10 --target drake        deployed in Drake
-    python experiments/table1_pushing.py --out OUT --seeds 10 --simulator native --methods adaptsim      the MuJoCo scene as both
-    python experiments/table1_pushing.py --out OUT --settings wd --target drake --bottle heavy --iterations 12 \\
-        --methods adaptsim learn_in_target udr_target bayesopt                      Table 2: 4 trials an iteration
-    python experiments/table1_pushing.py --task scooping --out OUT --seeds 10       hydroelastic engine, or --target drake
+    python experiments/table1_pushing.py --out OUT --seeds 10                       planar as
+    simulator and target python experiments/table1_pushing.py --out OUT --seeds 10 --target drake
+    deployed in Drake
+    python experiments/table1_pushing.py --out OUT --seeds 10 --simulator native --methods adaptsim
+    the MuJoCo scene as both python experiments/table1_pushing.py --out OUT --settings wd --target
+    drake --bottle heavy --iterations 12 \\ --methods adaptsim learn_in_target udr_target bayesopt
+    Table 2: 4 trials an iteration python experiments/table1_pushing.py --task scooping --out OUT
+    --seeds 10       hydroelastic engine, or --target drake
 
-`adaptsim compare TASK` is the same in one go. What is there is not computed again; `table.md` shows what is there so far.
+`adaptsim compare TASK` is the same in one go. What is there is not computed again; `table.md` shows
+what is there so far.
 """
 
 import argparse
@@ -31,23 +35,44 @@ from adaptsim_jax.core.files import atomic_file, output_folder, without_nan
 from adaptsim_jax.report.comparison import table, write_comparison
 from adaptsim_jax.tasks.pushing.engines.served import served_seconds
 
-METHODS = ("udr", "learn_in_target", "udr_target", "sysid_point", "adaptsim", "sysid_bayes", "bayesopt")
+METHODS = (
+    "udr",
+    "learn_in_target",
+    "udr_target",
+    "sysid_point",
+    "adaptsim",
+    "sysid_bayes",
+    "bayesopt",
+)
 
 
-def run_some(out: Path, method: str, seeds: list[int], config, one, world, targets, cache: dict) -> None:
-    """One method with some seeds together in every target; a file for each seed. `cache` holds what methods share."""
-    clock = lambda: time.process_time() + served_seconds()
+def run_some(
+    out: Path, method: str, seeds: list[int], config, one, world, targets, cache: dict
+) -> None:
+    """One method with some seeds together in every target; a file for each seed. `cache` holds what
+    methods share.
+    """
+
+    def clock():
+        return time.process_time() + served_seconds()
+
     begin, arena = clock(), Arena(one, world, targets)
     trip = travelled(method, Bout(config, arena, np.array(seeds), cache=cache))
     cpu = (clock() - begin) / len(seeds)
     for i, seed in enumerate(seeds):
         some = {"means": trip.means, "fresh": trip.fresh}
         some = {key: value[:, i : i + 1] for key, value in some.items() if value is not None}
-        counts = {"failed": arena.failed * (i == 0), "made": arena.made * (i == 0)}  # of all, told once
+        counts = {
+            "failed": arena.failed * (i == 0),
+            "made": arena.made * (i == 0),
+        }  # of all, told once
         rewards = trip.rewards[:, i : i + 1]
         with atomic_file(path_of(out, method, seed)) as file:
             np.savez(file, rewards=rewards, spent=trip.spent, cpu=cpu, **counts, **some)
-        print(f"{method}, seed {seed}: {rewards.max((2, 3))[:, 0].round(3)}, {cpu:.0f} s of CPU time", flush=True)
+        print(
+            f"{method}, seed {seed}: {rewards.max((2, 3))[:, 0].round(3)}, {cpu:.0f} s of CPU time",
+            flush=True,
+        )
 
 
 def path_of(out: Path, method: str, seed: int) -> Path:
@@ -59,15 +84,30 @@ def rows_of(out: Path, method: str, names: list[str], oracle: np.ndarray, space)
     parts = [np.load(path) for path in sorted(out.glob(f"{method}-seed*.npz"))]
     if not parts:
         return []
-    together = lambda key: np.concatenate([p[key] for p in parts], 1)
-    means, fresh = (together(key) if all(key in part for part in parts) else None for key in ("means", "fresh"))
+
+    def together(key):
+        return np.concatenate([p[key] for p in parts], 1)
+
+    means, fresh = (
+        together(key) if all(key in part for part in parts) else None for key in ("means", "fresh")
+    )
     trip = Trip(together("rewards"), means, parts[0]["spent"], fresh)
-    rows = trip_rows(method, names, trip, oracle, space, sum(p["failed"] for p in parts), sum(p["made"] for p in parts))
+    rows = trip_rows(
+        method,
+        names,
+        trip,
+        oracle,
+        space,
+        sum(p["failed"] for p in parts),
+        sum(p["made"] for p in parts),
+    )
     return [row | {"cpu_seconds": float(sum(p["cpu"] for p in parts))} for row in rows]
 
 
 def oracle_of(out: Path, one, world, targets: np.ndarray, without: bool) -> np.ndarray:
-    """`[T]` rewards of the best actions in each target, computed once; not a number where they are not asked for."""
+    """`[T]` rewards of the best actions in each target, computed once; not a number where they are
+    not asked for.
+    """
     kept = out / "oracle.npy"
     if not kept.exists() and without:
         return np.full(len(targets), np.nan)
@@ -79,24 +119,38 @@ def oracle_of(out: Path, one, world, targets: np.ndarray, without: bool) -> np.n
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--task", default="pushing", choices=("pushing", "scooping"))
     parser.add_argument("--out", required=True)
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument(
-        "--together", type=int, default=5, help="seeds that share a compiled program, and are lost together"
+        "--together",
+        type=int,
+        default=5,
+        help="seeds that share a compiled program, and are lost together",
     )
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--methods", nargs="+", default=METHODS[:-1], choices=METHODS)
     parser.add_argument("--settings", nargs="+", default=["wd", "ood-1", "ood-2", "ood-3", "ood-4"])
-    parser.add_argument("--target", default="", help="an engine; the task's own simulator by default")
     parser.add_argument(
-        "--simulator", default="planar", choices=("planar", "native"), help="of the push: what E is tried in"
+        "--target", default="", help="an engine; the task's own simulator by default"
     )
     parser.add_argument(
-        "--visits", choices=("own", "deployed"), help="of the push: which actions are tried in the target"
+        "--simulator",
+        default="planar",
+        choices=("planar", "native"),
+        help="of the push: what E is tried in",
     )
-    parser.add_argument("--tests", type=int, help="test contexts that rewards are averaged over (the task's)")
+    parser.add_argument(
+        "--visits",
+        choices=("own", "deployed"),
+        help="of the push: which actions are tried in the target",
+    )
+    parser.add_argument(
+        "--tests", type=int, help="test contexts that rewards are averaged over (the task's)"
+    )
     parser.add_argument(
         "--fresh",
         type=int,
@@ -104,16 +158,29 @@ def main() -> None:
         help="of scooping: contexts beyond the tests, in which all policies are scored again",
     )
     parser.add_argument("--bottle", default="paper")
-    parser.add_argument("--no-oracle", action="store_true", help="leave out the best actions, which are dear in Drake")
+    parser.add_argument(
+        "--no-oracle",
+        action="store_true",
+        help="leave out the best actions, which are dear in Drake",
+    )
     parser.add_argument("--iterations", type=int, default=8)
     parser.add_argument(
-        "--sysid-visits", type=int, help="different visits that SysID's simulations share (natively 50, else one each)"
+        "--sysid-visits",
+        type=int,
+        help="different visits that SysID's simulations share (natively 50, else one each)",
     )
-    parser.add_argument("--starts", type=int, default=2, help="distributions that AdaptSim adapts side by side")
+    parser.add_argument(
+        "--starts", type=int, default=2, help="distributions that AdaptSim adapts side by side"
+    )
     args = parser.parse_args()
     compile_cache.enable()
     out = output_folder(Path(args.out))
-    sizes = {"iterations": args.iterations, "starts": args.starts, "seeds": args.seeds, "seed": args.first}
+    sizes = {
+        "iterations": args.iterations,
+        "starts": args.starts,
+        "seeds": args.seeds,
+        "seed": args.first,
+    }
     config = replace(default_comparison(args.task), **sizes)
     if args.simulator == "native":
         config = replace(config, train=pushing_native())
@@ -131,8 +198,12 @@ def main() -> None:
     if args.target == "drake" and args.task == "pushing":
         options["coefficients"] = "drake"  # the planar twin of Drake is what we adapt in
     one = make_one_shot(args.task, options)
-    world = one.world(args.target or one.engine, **({} if args.bottle == "paper" else {"bottle": args.bottle}))
-    targets = np.array([one.task.space.values(one.task.settings[name], name) for name in args.settings])
+    world = one.world(
+        args.target or one.engine, **({} if args.bottle == "paper" else {"bottle": args.bottle})
+    )
+    targets = np.array(
+        [one.task.space.values(one.task.settings[name], name) for name in args.settings]
+    )
     oracle = oracle_of(out, one, world, targets, args.no_oracle)
     for first in range(args.first, args.first + args.seeds, args.together):
         seeds, cache = range(first, min(first + args.together, args.first + args.seeds)), {}
@@ -142,9 +213,17 @@ def main() -> None:
                 cache = cache if len(missing) == len(seeds) else {}
                 run_some(out, method, missing, config, one, world, targets, cache)
                 jax.clear_caches()
-    rows = [row for method in METHODS for row in rows_of(out, method, args.settings, oracle, one.task.space)]
+    rows = [
+        row
+        for method in METHODS
+        for row in rows_of(out, method, args.settings, oracle, one.task.space)
+    ]
     command = shlex.join(["python", "experiments/table1_pushing.py", *sys.argv[1:]])
-    results = stamped(args.task, config, command) | about(one, world, args.settings, targets, oracle) | {"rows": rows}
+    results = (
+        stamped(args.task, config, command)
+        | about(one, world, args.settings, targets, oracle)
+        | {"rows": rows}
+    )
     results = without_nan(results) if args.no_oracle else results
     write_comparison(results, out)
     print(table(results))

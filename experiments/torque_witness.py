@@ -1,9 +1,12 @@
-"""The torque along the measured motion as a witness: what it names on one recording, and what of the torque it misses on others.
+"""The torque along the measured motion as a witness: what it names on one recording, and what of
+the torque it misses on others.
 
-    python experiments/torque_witness.py ../shared/data/measured_panda/rec --judge ../shared/data/measured_panda/val
-    python experiments/torque_witness.py ../shared/data/measured_kr300/rec --leave-out
+    python experiments/torque_witness.py ../shared/data/measured_panda/rec --judge
+    ../shared/data/measured_panda/val python experiments/torque_witness.py
+    ../shared/data/measured_kr300/rec --leave-out
 
---leave-out: each trial in turn takes no part and is the judge. Seconds are of the processor, without reading.
+--leave-out: each trial in turn takes no part and is the judge. Seconds are of the processor,
+without reading.
 """
 
 import argparse
@@ -25,7 +28,14 @@ from adaptsim_jax.diagnosis.criteria import Criteria
 
 
 def prepared(machine: Machine):
-    problem = prepare(machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear, declared=machine.declared)
+    problem = prepare(
+        machine.tree,
+        machine.tracks,
+        MACHINE,
+        machine.actuator,
+        machine.gear,
+        declared=machine.declared,
+    )
     return problem, balances(problem, machine.tracks)
 
 
@@ -37,36 +47,61 @@ def examined(machine: Machine, judge: Machine) -> None:
     reach = scaled_reach(problem, *own_inertia(problem, null))
     commanded = machine.log.input_kind != "torque"
     found = said(problem, told, null, reach, Criteria(), commanded, factor_of(machine.log.meta))
-    print(f"{machine.log.path}: {[t.name for t in machine.tracks]}, {time.process_time() - began:.0f} s")
+    print(
+        f"{machine.log.path}: {[t.name for t in machine.tracks]}, "
+        f"{time.process_time() - began:.0f} s"
+    )
     for n in found.named:
         own = [
-            (e.name, z, s) for e, z, s in zip(found.final.entries, found.final.values, found.errors, strict=True)
+            (e.name, z, s)
+            for e, z, s in zip(found.final.entries, found.final.values, found.errors, strict=True)
             if e.owner == n.candidate.effect and set(e.joints) <= set(n.candidate.joints)
-        ]  # fmt: skip
+        ]
         size = ", ".join(f"{name} {z:.4g} +- {s:.2g}" for name, z, s in own)
         print(
-            f"  {n.candidate.effect} at {place(problem, n.candidate)}: {size}; gain {n.test.gain:.2f}, p {n.test.p:.2g}"
+            f"  {n.candidate.effect} at {place(problem, n.candidate)}: {size}; gain "
+            f"{n.test.gain:.2f}, p {n.test.p:.2g}"
         )
     print(
         "  damping",
-        np.round([z for e, z in zip(found.final.entries, found.final.values, strict=True) if e.owner == "viscous"], 4),
+        np.round(
+            [
+                z
+                for e, z in zip(found.final.entries, found.final.values, strict=True)
+                if e.owner == "viscous"
+            ],
+            4,
+        ),
     )
-    eta = [abs(z) for e, z in zip(found.final.entries, found.final.values, strict=True) if e.owner == INERTIA]
+    eta = [
+        abs(z)
+        for e, z in zip(found.final.entries, found.final.values, strict=True)
+        if e.owner == INERTIA
+    ]
     print(f"  farthest inertial coordinate {max(eta, default=0.0):.2f} (bound 0.55)")
     other, there = prepared(judge)
     shares = []
     for b in there:
-        root = lambda z: np.sqrt(np.mean(np.square(z), 0))
-        shares.append(root(residual(other, b, found.final)) / root(residual(other, b, Vector((), np.zeros(0)))))
+
+        def root(z):
+            return np.sqrt(np.mean(np.square(z), 0))
+
+        shares.append(
+            root(residual(other, b, found.final))
+            / root(residual(other, b, Vector((), np.zeros(0))))
+        )
     share = np.concatenate(shares)
     print(
-        f"  judged on {[t.name for t in judge.tracks]}: missing torque, share of the file's {np.round(share, 3)}, "
+        f"  judged on {[t.name for t in judge.tracks]}: missing torque, share of the file's "
+        f"{np.round(share, 3)}, "
         f"mean {share.mean():.3f}"
     )
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("data")
     parser.add_argument("--model")
     parser.add_argument("--judge")

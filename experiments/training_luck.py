@@ -1,9 +1,12 @@
-"""How far trainings of the same policy lie apart: returns at points of Omega of the policy that is deployed, for each way and seed.
+"""How far trainings of the same policy lie apart: returns at points of Omega of the policy that is
+deployed, for each way and seed.
 
-    python experiments/training_luck.py --task cartpole --seeds 100,101,102 --set hyper.entropy=0.001
+    python experiments/training_luck.py --task cartpole --seeds 100,101,102 --set
+    hyper.entropy=0.001
 
-Ways: `udr` is told nothing, `knows` E from the start, `blind` E from the middle of training on (as `adaptsim train` does), `nominal`
-is trained at the file's own values. Seeds below 10 are the benchmark's, and choose nothing.
+Ways: `udr` is told nothing, `knows` E from the start, `blind` E from the middle of training on (as
+`adaptsim train` does), `nominal` is trained at the file's own values. Seeds below 10 are the
+benchmark's, and choose nothing.
 """
 
 import argparse
@@ -18,7 +21,14 @@ from adaptsim_jax.core import config as configs
 from adaptsim_jax.environments.config import EnvironmentConfig
 from adaptsim_jax.environments.kind import environment_setting
 from adaptsim_jax.environments.rollout import visit
-from adaptsim_jax.environments.task import BLIND, Setting, Tuned, everywhere, network_acting, trained_in
+from adaptsim_jax.environments.task import (
+    BLIND,
+    Setting,
+    Tuned,
+    everywhere,
+    network_acting,
+    trained_in,
+)
 from adaptsim_jax.environments.trainer import Worlds
 from experiments.return_against_trials import options_of
 
@@ -26,7 +36,9 @@ POINTS, NOMINAL = 64, 16
 
 
 def scorer(setting: Setting, own: jax.Array):
-    """`(actor, known) -> [POINTS + NOMINAL]` returns without exploration: at points of Omega, then at `own`, the file's values."""
+    """`(actor, known) -> [POINTS + NOMINAL]` returns without exploration: at points of Omega, then
+    at `own`, the file's values.
+    """
     D, acting = setting.space.dim, network_acting(setting)
     spread = jnp.asarray(qmc.Sobol(D, rng=5).random(POINTS), jnp.float32)
     u = jnp.concatenate([spread, jnp.broadcast_to(own, (NOMINAL, D))])
@@ -40,14 +52,20 @@ def scorer(setting: Setting, own: jax.Array):
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--task", default="cartpole")
     parser.add_argument("--ways", default="udr,knows,blind")
     parser.add_argument("--seeds", default="100,101,102")
-    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="of [training]")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="of [training]"
+    )
     args = parser.parse_args()
     config = configs.from_table(EnvironmentConfig, options_of(args.task, small=True), args.task)
-    setting = environment_setting(configs.with_settings(config, [f"training.{word}" for word in args.set]))
+    setting = environment_setting(
+        configs.with_settings(config, [f"training.{word}" for word in args.set])
+    )
     nominal = jnp.asarray([f.nominal for f in setting.fields[: setting.space.dim]], jnp.float32)
     own = setting.space.unit(nominal)
     score = scorer(setting, own)
@@ -75,7 +93,8 @@ def main() -> None:
             omega, at = np.sort(found[:POINTS]), found[POINTS:]
             spent, lost = time.process_time() - begin, int(np.isnan(omega).sum())
             print(
-                f"{way:8} {seed:4} {np.nanmean(omega):11.1f} {omega[: POINTS // 10].mean():12.1f} {at.mean():21.1f} {spent:13.0f} s"
+                f"{way:8} {seed:4} {np.nanmean(omega):11.1f} {omega[: POINTS // 10].mean():12.1f} "
+                f"{at.mean():21.1f} {spent:13.0f} s"
                 + (f"  ({lost} of {POINTS} worlds blow up)" if lost else ""),
                 flush=True,
             )

@@ -1,7 +1,7 @@
 """Score `adaptsim diagnose` on worlds of pushes, scoops or tosses: a line a world, and the tally.
 
-python experiments/pushing_worlds.py --suite singles --seed 5 --out worlds/      or experiments/scooping_worlds.py
-python experiments/trials_diagnosis.py worlds/
+python experiments/pushing_worlds.py --suite singles --seed 5 --out worlds/      or
+experiments/scooping_worlds.py python experiments/trials_diagnosis.py worlds/
 """
 
 import json
@@ -26,7 +26,9 @@ def main(folder):
         began = time.monotonic()
         report = judge(path)
         names = [e["name"] for e in report["effects"]]
-        classes = [{e["name"], *(a.split("@")[0] for a in e["alternatives"])} for e in report["effects"]]
+        classes = [
+            {e["name"], *(a.split("@")[0] for a in e["alternatives"])} for e in report["effects"]
+        ]
         right = any(truth in c for c in classes)
         wrong = any(truth not in c for c in classes)
         error = report["error"]
@@ -34,20 +36,30 @@ def main(folder):
         rows.append((truth, report["verdict"], right, wrong, ratio, time.monotonic() - began))
         told = ", ".join("/".join([e["name"], *e["alternatives"]]) for e in report["effects"])
         print(
-            f"{path.name:28s} {report['verdict']:24s} {'right' if right else 'WRONG' if wrong else '-':6s} over floor "
-            f"{error['before'] / error['noise_floor']:.2f} -> {ratio:.2f}  {rows[-1][-1]:.0f} s  {told}",
+            f"{path.name:28s} {report['verdict']:24s} "
+            f"{'right' if right else 'WRONG' if wrong else '-':6s} over floor "
+            f"{error['before'] / error['noise_floor']:.2f} -> {ratio:.2f}  {rows[-1][-1]:.0f} s  "
+            f"{told}",
             flush=True,
         )
     count = len(rows)
-    share = lambda pick: f"{sum(map(bool, map(pick, rows)))} of {count}"
+
+    def share(pick):
+        return f"{sum(map(bool, map(pick, rows)))} of {count}"
+
     print(f"named {share(lambda r: r[1] in ('explained', 'explained_class', 'partly_explained'))}")
     print(
-        f"right {share(lambda r: r[2])}, right and nothing else {share(lambda r: r[2] and not r[3])}, wrong {share(lambda r: r[3])}"
+        f"right {share(lambda r: r[2])}, right and nothing else "
+        f"{share(lambda r: r[2] and not r[3])}, wrong {share(lambda r: r[3])}"
     )
-    print(f"unattributed or partly {share(lambda r: r[1] in ('structured_unattributed', 'partly_explained'))}")
+    print(
+        f"unattributed or partly "
+        f"{share(lambda r: r[1] in ('structured_unattributed', 'partly_explained'))}"
+    )
     seconds = [r[5] for r in rows]
     print(
-        f"median over floor {np.median([r[4] for r in rows]):.2f}, seconds {np.median(seconds):.0f}, at most {max(seconds):.0f}"
+        f"median over floor {np.median([r[4] for r in rows]):.2f}, seconds "
+        f"{np.median(seconds):.0f}, at most {max(seconds):.0f}"
     )
 
 

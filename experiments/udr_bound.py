@@ -1,4 +1,5 @@
-"""Which UDR makes a lower bound: mean cost from the task's own start, or over starts (see docs/explanation/differences.md).
+"""Which UDR makes a lower bound: mean cost from the task's own start, or over starts (see
+docs/explanation/differences.md).
 
 python experiments/udr_bound.py
 """
@@ -24,9 +25,13 @@ def main() -> None:
     targets = np.array([problem.space.values(SETTINGS[name]) for name in names])
     best = best_in_omega(problem, targets).cost
     single = replace(problem, mean_cost=problem.cost)
-    found = {"over starts (used)": udr(problem, restarts=RESTARTS), "task's start only": udr(single, restarts=RESTARTS)}
+    found = {
+        "over starts (used)": udr(problem, restarts=RESTARTS),
+        "task's start only": udr(single, restarts=RESTARTS),
+    }
     lines = [
-        "Cost of UDR over the cost of the best policy of Omega, in each setting. Below 1 the bound is above the upper one.",
+        "Cost of UDR over the cost of the best policy of Omega, in each setting. Below 1 the bound "
+        "is above the upper one.",
         "",
         "| mean cost | " + " | ".join(names) + " | restarts, cost over the lowest | largest gain |",
         "| --- |" + " --- |" * (len(names) + 2),

@@ -1,4 +1,6 @@
-"""The files of `examples/`, which the pages show, are taken by their readers (the package there: test_extend_page.py)."""
+"""The files of `examples/`, which the pages show, are taken by their readers (the package there:
+test_extend_page.py).
+"""
 
 import shutil
 from pathlib import Path
@@ -23,8 +25,13 @@ def test_meta_of_a_mechanism(tmp_path):
     (tmp_path / "logs").mkdir()
     for name in ("bags/run.mcap", "logs/robot.xml"):
         (tmp_path / name).touch()
-    meta = read_log_meta(shutil.copy(EXAMPLES / "meta_mechanism.toml", tmp_path / "logs" / "meta.toml"))
-    assert meta.columns["tau_elbow"] == "motor2" and meta.fit == {"inertias": True, "damping": ["elbow"]}
+    meta = read_log_meta(
+        shutil.copy(EXAMPLES / "meta_mechanism.toml", tmp_path / "logs" / "meta.toml")
+    )
+    assert meta.columns["tau_elbow"] == "motor2" and meta.fit == {
+        "inertias": True,
+        "damping": ["elbow"],
+    }
 
 
 def test_meta_of_a_pendulum():
@@ -34,7 +41,9 @@ def test_meta_of_a_pendulum():
 
 @pytest.mark.parametrize("folder", ["so101", "go2_hung", "panda_hand"])
 def test_logs_of_robots(tmp_path, folder):
-    """The script's log is read by the folder's meta.toml, of a hung quadruped of our own with a gripper's name where one is held."""
+    """The script's log is read by the folder's meta.toml, of a hung quadruped of our own with a
+    gripper's name where one is held.
+    """
     from importlib import util
 
     from adaptsim_jax.logs.read import read_source_and_log

@@ -1,4 +1,6 @@
-"""The package that docs/howto/extend.md shows is found once installed, does what the page says, and keeps the protocols."""
+"""The package that docs/howto/extend.md shows is found once installed, does what the page says, and
+keeps the protocols.
+"""
 
 import os
 import re
@@ -16,11 +18,16 @@ PAGE, EXAMPLE = ROOT / "docs" / "howto" / "extend.md", ROOT / "examples" / "my_r
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory):
-    """A folder with the package's files, and the metadata that installing them would write; the environment that finds it."""
+    """A folder with the package's files, and the metadata that installing them would write; the
+    environment that finds it.
+    """
     folder = tmp_path_factory.mktemp("third_party")
     shutil.copytree(EXAMPLE, folder, dirs_exist_ok=True)
     groups = tomllib.loads((folder / "pyproject.toml").read_text())["project"]["entry-points"]
-    lines = [f"[{group}]\n" + "".join(f"{k} = {v}\n" for k, v in points.items()) for group, points in groups.items()]
+    lines = [
+        f"[{group}]\n" + "".join(f"{k} = {v}\n" for k, v in points.items())
+        for group, points in groups.items()
+    ]
     info = folder / "my_robot-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: my_robot\nVersion: 1.0\n")
@@ -39,7 +46,9 @@ def test_the_page_shows_every_file_of_the_package():
 
 def output(installed, *arguments):
     folder, environment = installed
-    done = subprocess.run([sys.executable, *arguments], cwd=folder, env=environment, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, *arguments], cwd=folder, env=environment, capture_output=True, text=True
+    )
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
     return done.stdout
 
@@ -69,7 +78,9 @@ def test_two_things_of_one_name_are_refused(installed, name, task):
 @pytest.mark.slow
 def test_the_page_runs(installed):
     lines = output(installed, "use.py").splitlines()
-    mine = [line for line in lines if not line.startswith("Failed to import")]  # MJX says so of what is not installed
+    mine = [
+        line for line in lines if not line.startswith("Failed to import")
+    ]  # MJX says so of what is not installed
     first, second, third, fourth, fifth = mine
     assert first == "magnet pendulum/inclined" and second.startswith("rewards of puck 0.")
     assert float(third.split()[-1]) < 1e-5  # the same motion, a row later, in single precision
@@ -80,6 +91,15 @@ def test_the_page_runs(installed):
 @pytest.mark.slow
 def test_what_is_installed_keeps_the_protocols(installed):
     names = "puck or inclined or magnet or late or test_baselines"
-    shown = output(installed, "-m", "pytest", "-q", "-rs", str(ROOT / "tests" / "test_protocols.py"), "-k", names)
+    shown = output(
+        installed,
+        "-m",
+        "pytest",
+        "-q",
+        "-rs",
+        str(ROOT / "tests" / "test_protocols.py"),
+        "-k",
+        names,
+    )
     passed = re.search(r"(\d+) passed", shown)
     assert passed and int(passed[1]) >= 9 and "failed" not in shown

@@ -1,9 +1,10 @@
-"""Some recordings and what is said of them: a change of structure, or of a rule elsewhere, leaves names, verdicts and sizes.
+"""Some recordings and what is said of them: a change of structure, or of a rule elsewhere, leaves
+names, verdicts and sizes.
 
 
-A shortcut for robots on a floor (the second candidate left out where it is worse at a glance) once cost three of forty-two pushes
-their names, and nothing told. Where a rule is changed on purpose, `python -m tests.test_golden` writes `golden.json` anew, and its
-difference is reviewed.
+A shortcut for robots on a floor (the second candidate left out where it is worse at a glance) once
+cost three of forty-two pushes their names, and nothing told. Where a rule is changed on purpose,
+`python -m tests.test_golden` writes `golden.json` anew, and its difference is reviewed.
 """
 
 import json
@@ -49,9 +50,16 @@ def said(case: str, into: Path) -> dict[str, Any]:
     """Verdict, names with their sizes, and errors, of which three digits count."""
     judge = diagnose_pushes if case.startswith("pushes") else diagnose
     report = judge(folder_of(case, into))
-    digits = lambda x: float(f"{x:.3g}")
+
+    def digits(x):
+        return float(f"{x:.3g}")
+
     named = [
-        {"name": e["name"], "where": e["where"], "alternatives": sorted(map(str, e["alternatives"]))}
+        {
+            "name": e["name"],
+            "where": e["where"],
+            "alternatives": sorted(map(str, e["alternatives"])),
+        }
         | {"sizes": [digits(p["value"]) for p in e["parameters"].values()]}
         for e in report["effects"]
     ]
@@ -63,7 +71,10 @@ def said(case: str, into: Path) -> dict[str, Any]:
 @pytest.mark.parametrize("case", CASES)
 def test_names_verdicts_and_sizes_are_as_they_were(case, tmp_path):
     expected, now = json.loads(GOLDEN.read_text())[case], said(case, tmp_path)
-    words = lambda e: {k: v for k, v in e.items() if k != "sizes"}
+
+    def words(e):
+        return {k: v for k, v in e.items() if k != "sizes"}
+
     assert now["verdict"] == expected["verdict"]
     assert list(map(words, now["effects"])) == list(map(words, expected["effects"]))
     for one, other in zip(now["effects"], expected["effects"], strict=True):

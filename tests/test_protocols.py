@@ -1,7 +1,9 @@
-"""What every registered task, mechanism, effect, engine, learner and baseline promises, ours and those of installed packages.
+"""What every registered task, mechanism, effect, engine, learner and baseline promises, ours and
+those of installed packages.
 
-Pure functions are traced under `jit` and `vmap` in both precisions and not compiled (`jax.eval_shape`): that is where a shape, a
-dtype or a branch on a value goes wrong. Numbers are the tests' of each room.
+Pure functions are traced under `jit` and `vmap` in both precisions and not compiled
+(`jax.eval_shape`): that is where a shape, a dtype or a branch on a value goes wrong. Numbers are
+the tests' of each room.
 """
 
 import dataclasses
@@ -36,7 +38,16 @@ from adaptsim_jax.tasks.registry import TASKS
 
 ROOT = Path(__file__).parents[1]
 BATCH = 3
-UNIT = ("kg", "m/s", "rad", "N m", " s", " m", "[", "unit")  # a public docstring names units, or shapes
+UNIT = (
+    "kg",
+    "m/s",
+    "rad",
+    "N m",
+    " s",
+    " m",
+    "[",
+    "unit",
+)  # a public docstring names units, or shapes
 LISTS = [adaptsim_jax, adaptsim_jax.diagnosis]
 
 
@@ -48,18 +59,24 @@ def real(request):
 
 
 def batched(function, *args, axes=0):
-    """Shapes of `jit(vmap(function))` over a first axis of `BATCH`, which must be there in every leaf."""
+    """Shapes of `jit(vmap(function))` over a first axis of `BATCH`, which must be there in every
+    leaf.
+    """
     out = jax.eval_shape(jax.jit(jax.vmap(function, axes, axis_size=BATCH)), *args)
     assert all(leaf.shape[0] == BATCH for leaf in jax.tree.leaves(out))
     return out
 
 
 def floats(tree):
-    return {leaf.dtype for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.floating)}
+    return {
+        leaf.dtype for leaf in jax.tree.leaves(tree) if jnp.issubdtype(leaf.dtype, jnp.floating)
+    }
 
 
 def explained(thing, *, shapes=False):
-    """A docstring that is more than a label; of what takes arrays, one that gives units or shapes."""
+    """A docstring that is more than a label; of what takes arrays, one that gives units or
+    shapes.
+    """
     text = inspect.getdoc(thing) or ""
     assert len(text) > 20, thing
     assert not shapes or any(u in text for u in UNIT), f"{thing}: no unit and no shape in {text!r}"
@@ -67,13 +84,18 @@ def explained(thing, *, shapes=False):
 
 @pytest.mark.parametrize("package", LISTS, ids=lambda p: p.__name__)
 def test_the_public_list_loads_and_is_explained(package):
-    assert len(package.__all__) == len(set(package.__all__)) and sorted(package.__all__) == package.__all__
+    assert (
+        len(package.__all__) == len(set(package.__all__))
+        and sorted(package.__all__) == package.__all__
+    )
     for name in package.__all__:
         thing = getattr(package, name)
         explained(thing)
         home = importlib.import_module(thing.__module__)
         assert getattr(home, name) is thing and thing.__module__.startswith("adaptsim_jax.")
-    assert not hasattr(package, "nothing_of_this_name") and set(package.__all__) <= set(dir(package))
+    assert not hasattr(package, "nothing_of_this_name") and set(package.__all__) <= set(
+        dir(package)
+    )
 
 
 def test_there_are_few_public_names():
@@ -81,9 +103,13 @@ def test_there_are_few_public_names():
 
 
 def test_documents_import_what_there_is():
-    """Every `from adaptsim_jax import ...` of a page, from the public list or from a module that has the name."""
+    """Every `from adaptsim_jax import ...` of a page, from the public list or from a module that
+    has the name.
+    """
     for page in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]:
-        for module, names in re.findall(r"^ *from (adaptsim_jax[\w.]*) import ([\w, ]+)", page.read_text(), flags=re.M):
+        for module, names in re.findall(
+            r"^ *from (adaptsim_jax[\w.]*) import ([\w, ]+)", page.read_text(), flags=re.M
+        ):
             for name in (n.split(" as ")[0].strip() for n in names.split(",")):
                 there = importlib.import_module(module)
                 known = there.__all__ if there in LISTS else dir(there)
@@ -95,13 +121,20 @@ def test_documents_import_what_there_is():
 def test_importing_the_package_loads_no_library():
     """Of what is slow to import: `import adaptsim_jax` takes 0.02 s so, and 1 s with JAX."""
     code = "import adaptsim_jax, adaptsim_jax.diagnosis, sys; print([m for m in ('jax', 'numpy', 'scipy') if m in sys.modules])"
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
+    assert (
+        subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True
+        ).stdout
+        == "[]\n"
+    )
 
 
 LONG = ("environment",)  # tasks whose policies take ten seconds and more to compile
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.long) if n in LONG else n for n in TASKS])
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.long) if n in LONG else n for n in TASKS]
+)
 def test_task(name, real):
     kind = TASKS[name]
     explained(kind.config)
@@ -118,7 +151,9 @@ def test_task(name, real):
     dists = jax.vmap(lambda m: gaussian(task.space, m))(means)
     trained = batched(task.train, keys, dists, policies)
     assert jax.tree.structure(trained) == jax.tree.structure(policies)
-    assert [x.shape for x in jax.tree.leaves(trained)] == [x.shape for x in jax.tree.leaves(policies)]
+    assert [x.shape for x in jax.tree.leaves(trained)] == [
+        x.shape for x in jax.tree.leaves(policies)
+    ]
     for rollout in filter(None, (task.rollout, task.rehearse)):
         trajectories = batched(rollout, keys, trained, params)
         assert batched(task.observe, trajectories).shape == (BATCH, task.obs_dim)
@@ -130,21 +165,34 @@ def test_task(name, real):
 @pytest.mark.parametrize("name", MECHANISMS)
 def test_mechanism(name, real):
     explained(MECHANISMS[name], shapes=True)
-    assert list(inspect.signature(MECHANISMS[name]).parameters) == ["angle_zero", "geometry", "known"]
+    assert list(inspect.signature(MECHANISMS[name]).parameters) == [
+        "angle_zero",
+        "geometry",
+        "known",
+    ]
     plant = MECHANISMS[name]("hanging", {"l1": 0.3, "l2": 0.2, "g": 9.81}, {})
     n, p = plant.joint_dim, len(plant.theta_names)
-    assert len(plant.theta_units) == p == len(plant.low) == len(plant.high) and np.all(plant.low <= plant.high)
-    of = lambda *shape: jax.ShapeDtypeStruct((BATCH, *shape), real)
+    assert len(plant.theta_units) == p == len(plant.low) == len(plant.high) and np.all(
+        plant.low <= plant.high
+    )
+
+    def of(*shape):
+        return jax.ShapeDtypeStruct((BATCH, *shape), real)
+
     rates = batched(plant.deriv, of(p), of(2 * n), of(plant.command_dim), of(n), of(n))
     assert rates.shape == (BATCH, 2 * n) and floats(rates) == {jnp.dtype(real)}
     assert batched(plant.mass_matrix, of(p), of(n)).shape == (BATCH, n, n)
     assert batched(plant.gravity_force, of(p), of(n)).shape == (BATCH, n)
-    balance = batched(lambda theta, q, v: plant.momentum_push(plant.constants, theta, q, v), of(p), of(n), of(n))
+    balance = batched(
+        lambda theta, q, v: plant.momentum_push(plant.constants, theta, q, v), of(p), of(n), of(n)
+    )
     assert balance.shape == (BATCH, n)
 
 
 class Moving(NamedTuple):
-    """A `Motion` with the pull of a position controller [N m] besides, which machines with one have."""
+    """A `Motion` with the pull of a position controller [N m] besides, which machines with one
+    have.
+    """
 
     q: jax.Array
     v: jax.Array
@@ -164,7 +212,10 @@ def test_effect(effect, real):
     assert effect.place in PLACES and effect.physics and effect.excitation and effect.formula
     assert all(p.unit in UNITS for p in effect.parameters)
     rows, joints = 7, 2
-    of = lambda *shape: jax.ShapeDtypeStruct((BATCH, *shape), real)
+
+    def of(*shape):
+        return jax.ShapeDtypeStruct((BATCH, *shape), real)
+
     p = {x.name: of(1, 1) for x in effect.parameters}
     motion = {x: of(joints, rows) for x in ("q", "v", "u", "memory")} | {"t": of(1, rows)}
     if effect.place == "model":  # has no function: its parameters are the engine's own
@@ -172,10 +223,15 @@ def test_effect(effect, real):
     elif effect.inertia or effect.place == "drive":
         assert floats(batched(effect.apply, p)) == {jnp.dtype(real)}
     elif effect.place == "force":
-        there = lambda m: Moving(**m, gravity=lambda q: -q, clock=m["t"], pull=m["u"])
+
+        def there(m):
+            return Moving(**m, gravity=lambda q: -q, clock=m["t"], pull=m["u"])
+
         answer = batched(lambda p, m: effect.apply(p, there(m)), p, motion)
         assert isinstance(answer, Relaxation) == effect.memory
-        force = answer.level if isinstance(answer, Dry) else answer.force if effect.memory else answer
+        force = (
+            answer.level if isinstance(answer, Dry) else answer.force if effect.memory else answer
+        )
         assert force.shape == (BATCH, joints, rows) and floats(force) == {jnp.dtype(real)}
     elif effect.place == "command":
         out = batched(effect.apply, p, of(rows, joints), of(rows, joints))
@@ -209,7 +265,9 @@ def test_engine_answers_in_shape(name):
     simulate = adaptsim_jax.make_backend("pendulum", name, 2e-3).simulate
     params = np.array([[1.0, 0.8, 0.4, 0.3, 0.2, 0.15, 0.02, 0.01, 0.1, 0.1]] * 2)
     out = simulate(params, np.zeros((2, 4, 2)), np.array([[0.1, 0.0, 0.0, 0.0]] * 2))
-    assert out.state.shape == (2, 4, 4) and out.code.shape == (2,) and not np.asarray(out.code).any()
+    assert (
+        out.state.shape == (2, 4, 4) and out.code.shape == (2,) and not np.asarray(out.code).any()
+    )
     assert 0 < np.asarray(out.state)[0, -1, 0] < 0.1  # it falls towards hanging
 
 
@@ -227,11 +285,17 @@ def test_learner(name, real):
     learner = make(config)
     keys, obs = jax.random.split(jax.random.key(0), BATCH), jnp.zeros((BATCH, 5, 4), jnp.float32)
     states = batched(learner.init, keys)
-    assert batched(lambda k, s, o: learner.act(k, s.online, o, *noise), keys, states, obs).shape == (BATCH, 5, 2)
+    assert batched(
+        lambda k, s, o: learner.act(k, s.online, o, *noise), keys, states, obs
+    ).shape == (BATCH, 5, 2)
     one = Transition(jnp.zeros((5, 4)), actions(5), jnp.zeros(5), jnp.zeros((5, 4)), jnp.zeros(5))
-    batch = jax.tree.map(lambda x: jnp.stack([x.astype(jnp.float32) if x.dtype == jnp.float64 else x] * BATCH), one)
+    batch = jax.tree.map(
+        lambda x: jnp.stack([x.astype(jnp.float32) if x.dtype == jnp.float64 else x] * BATCH), one
+    )
     after, info = batched(lambda s, b: learner.update(s, b, hyper), states, batch)
-    assert jax.tree.map(lambda x: (x.shape, x.dtype), after) == jax.tree.map(lambda x: (x.shape, x.dtype), states)
+    assert jax.tree.map(lambda x: (x.shape, x.dtype), after) == jax.tree.map(
+        lambda x: (x.shape, x.dtype), states
+    )
     assert info.loss.shape == (BATCH,)
 
 
@@ -257,4 +321,8 @@ def test_problem(name, real):
     for cost in (problem.cost, lambda p, k: problem.mean_cost(p, k)):
         assert batched(cost, params, policy).shape == (BATCH,)
     value, slope = batched(problem.slope, params, params)
-    assert value.shape == (BATCH,) and slope.shape == params.shape and floats((value, slope)) == {jnp.dtype(real)}
+    assert (
+        value.shape == (BATCH,)
+        and slope.shape == params.shape
+        and floats((value, slope)) == {jnp.dtype(real)}
+    )

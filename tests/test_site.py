@@ -1,4 +1,6 @@
-"""The documentation: its generated pages, its tutorials as a reader would run them, and that every page is on the site."""
+"""The documentation: its generated pages, its tutorials as a reader would run them, and that every
+page is on the site.
+"""
 
 import os
 import re
@@ -19,7 +21,9 @@ TUTORIALS = sorted(path.stem for path in (DOCS / "tutorials").glob("*.md"))
 
 
 def test_every_page_is_on_the_site_and_every_entry_is_a_page():
-    named = set(re.findall(r"[\w/-]+\.md", (ROOT / "mkdocs.yml").read_text().partition("\nnav:")[2]))
+    named = set(
+        re.findall(r"[\w/-]+\.md", (ROOT / "mkdocs.yml").read_text().partition("\nnav:")[2])
+    )
     made = {"reference/cli.md", "reference/config.md", "reference/effects.md"}
     assert named - made == {str(path.relative_to(DOCS)) for path in DOCS.rglob("*.md")}
 
@@ -40,7 +44,9 @@ def test_the_reference_holds_every_effect():
     text = runpy.run_path(str(DOCS / "hooks.py"))["effects"]()
     for task in CATALOGUES:
         assert all(f"| `{effect['name']}`" in text for effect in listed(task)), task
-    assert "`-drag v |v|`" in text  # a bar in code is no border, and needs no backslash, which would be seen
+    assert (
+        "`-drag v |v|`" in text
+    )  # a bar in code is no border, and needs no backslash, which would be seen
 
 
 def test_results_are_short():
@@ -54,7 +60,11 @@ def test_the_site_builds_strictly(tmp_path):
     pytest.importorskip("mkdocs")
     command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--site-dir", str(tmp_path)]
     done = subprocess.run(
-        command, cwd=ROOT, env=os.environ | {"NO_MKDOCS_2_WARNING": "1"}, capture_output=True, text=True
+        command,
+        cwd=ROOT,
+        env=os.environ | {"NO_MKDOCS_2_WARNING": "1"},
+        capture_output=True,
+        text=True,
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert "make_phase1" in (tmp_path / "reference" / "api.html").read_text()
@@ -74,17 +84,23 @@ def test_a_tutorial_shows_what_its_blocks_print(name):
     shown = runpy.run_path(str(DOCS / "hooks.py"))["with_outputs"](page.read_text(), out)
     assert shown.count("```{.text .output}") == len(kept)
     pictures = RUN["FIGURE"].findall(page.read_text())
-    assert pictures and {path.name for path in out.glob("*.png")} == {Path(p).name for p in pictures}
+    assert pictures and {path.name for path in out.glob("*.png")} == {
+        Path(p).name for p in pictures
+    }
 
 
 def test_outputs_of_tutorials_are_small():
-    assert sum(path.stat().st_size for path in (DOCS / "tutorials" / "outputs").rglob("*.*")) < 300_000
+    assert (
+        sum(path.stat().st_size for path in (DOCS / "tutorials" / "outputs").rglob("*.*")) < 300_000
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TUTORIALS)
 def test_a_tutorial_runs(name, tmp_path, monkeypatch):
-    """Its blocks run in an empty folder, in order; each that prints has its output in the page, though numbers differ by machine."""
+    """Its blocks run in an empty folder, in order; each that prints has its output in the page,
+    though numbers differ by machine.
+    """
     monkeypatch.setenv("MPLBACKEND", "agg")
     page = DOCS / "tutorials" / f"{name}.md"
     printed = RUN["run_page"](page, tmp_path)

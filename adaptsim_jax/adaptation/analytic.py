@@ -1,9 +1,12 @@
-"""An adaptation policy that is trained by the reward's own gradient through adaptation trajectories in simulation.
+"""An adaptation policy that is trained by the reward's own gradient through adaptation trajectories
+in simulation.
 
-AdaptSim's policy chooses among steps of -delta, 0 and +delta and learns from trials what they earn. Where the task policy and its
-rollout are differentiable, simulation also says how the return in the target changes with the mean of E, so that a network which
-gives steps of any size is trained by analytic policy gradient (as Freeman et al. 2021 and Wiedemann et al. 2023 do for control).
-Phase 2 is AdaptSim's: visits in the target, of which trajectories are seen; the target itself is never differentiated there.
+AdaptSim's policy chooses among steps of -delta, 0 and +delta and learns from trials what they earn.
+Where the task policy and its rollout are differentiable, simulation also says how the return in the
+target changes with the mean of E, so that a network which gives steps of any size is trained by
+analytic policy gradient (as Freeman et al. 2021 and Wiedemann et al. 2023 do for control). Phase 2
+is AdaptSim's: visits in the target, of which trajectories are seen; the target itself is never
+differentiated there.
 """
 
 from collections.abc import Callable
@@ -21,13 +24,17 @@ from adaptsim_jax.learners.flat import flat
 from adaptsim_jax.space import gaussian
 from adaptsim_jax.tasks.base import Task
 
-_STEEPEST = 3.0  # what a slope by a parameter's whole range is held at, so that a target that all but falls does not drown others
+# what a slope by a parameter's whole range is held at, so that a target that all but falls does not
+# drown others
+_STEEPEST = 3.0
 
 
 @dataclass(frozen=True)
 class AnalyticConfig:
-    """Sizes, static under jit. trajectories: of adaptation in all; parallel: in one update; horizon: steps of each; longest: step, a
-    share of a parameter's range; learning_rate: Adam's at the start, it falls to 0 as a cosine; inside: as `Phase1Hyper.inside`."""
+    """Sizes, static under jit. trajectories: of adaptation in all; parallel: in one update;
+    horizon: steps of each; longest: step, a share of a parameter's range; learning_rate: Adam's at
+    the start, it falls to 0 as a cosine; inside: as `Phase1Hyper.inside`.
+    """
 
     trajectories: int = 20_000
     parallel: int = 100
@@ -64,7 +71,9 @@ class State(NamedTuple):
 
 
 class Info(NamedTuple):
-    """Of one update, each `[]`: the loss at the first and at the last visit, means over the finite, and the share that were not."""
+    """Of one update, each `[]`: the loss at the first and at the last visit, means over the finite,
+    and the share that were not.
+    """
 
     first: jax.Array
     last: jax.Array
@@ -80,13 +89,17 @@ class Analytic(NamedTuple):
     adapt: Callable[..., jax.Array]
 
 
-def make_analytic(task: Task, loss: Callable[[Any], jax.Array], config: AnalyticConfig = AnalyticConfig()) -> Analytic:
-    """Training and adaptation as pure functions. `loss(trajectory) -> []` is differentiated by the mean of E through `task.train` and
-    `task.rollout`; lower is better, and best free of the target's own scale (a logarithm).
+def make_analytic(
+    task: Task, loss: Callable[[Any], jax.Array], config: AnalyticConfig = AnalyticConfig()
+) -> Analytic:
+    """Training and adaptation as pure functions. `loss(trajectory) -> []` is differentiated by the
+    mean of E through `task.train` and `task.rollout`; lower is better, and best free of the
+    target's own scale (a logarithm).
 
     * `init(key) -> State`
     * `run(state, numbers [U]) -> (state, info [U])`: updates of these numbers, of `config.updates`
-    * `adapt(weights, starts [N, D], target [D], iterations) -> means [N, iterations + 1, D]` (unit coordinates; target physical)
+    * `adapt(weights, starts [N, D], target [D], iterations) -> means [N, iterations + 1, D]` (unit
+      coordinates; target physical)
     """
     _check(task, config)
     space = task.space
@@ -108,10 +121,12 @@ def make_analytic(task: Task, loss: Callable[[Any], jax.Array], config: Analytic
         return State(key, weights, adam.init(weights))
 
     def trajectory(weights, key, start, target):
-        """A surrogate whose derivative by the weights is that of the summed losses, and the losses `[horizon + 1]`.
+        """A surrogate whose derivative by the weights is that of the summed losses, and the losses
+        `[horizon + 1]`.
 
-        Losses are linearised about each mean, where slopes that are not finite can be left out and steep ones held. What a step
-        changes of later observations is not followed, what it changes of later means is.
+        Losses are linearised about each mean, where slopes that are not finite can be left out and
+        steep ones held. What a step changes of later observations is not followed, what it changes
+        of later means is.
         """
 
         def one(u, _):
@@ -122,7 +137,10 @@ def make_analytic(task: Task, loss: Callable[[Any], jax.Array], config: Analytic
             after = u + (move(weights, at, seen) - at)
             # clipped in value alone, so that a step out of the box is unlearned
             held = after + jax.lax.stop_gradient(jnp.clip(after, 0.0, 1.0) - after)
-            return held, (jnp.sum(jax.lax.stop_gradient(slope) * u), jnp.where(fine, value, jnp.nan))
+            return held, (
+                jnp.sum(jax.lax.stop_gradient(slope) * u),
+                jnp.where(fine, value, jnp.nan),
+            )
 
         _, (surrogate, losses) = jax.lax.scan(one, start, None, length=config.horizon + 1)
         return surrogate.mean(), losses
@@ -143,7 +161,9 @@ def make_analytic(task: Task, loss: Callable[[Any], jax.Array], config: Analytic
         grad, losses = jax.grad(total, has_aux=True)(state.weights)
         rate = config.learning_rate * 0.5 * (1.0 + jnp.cos(jnp.pi * number / config.updates))
         change, opt = cast(tuple[jax.Array, Any], adam.update(grad, state.opt))
-        info = Info(jnp.nanmean(losses[:, 0]), jnp.nanmean(losses[:, -1]), jnp.mean(jnp.isnan(losses)))
+        info = Info(
+            jnp.nanmean(losses[:, 0]), jnp.nanmean(losses[:, -1]), jnp.mean(jnp.isnan(losses))
+        )
         return State(state.key, state.weights - rate * change, opt), info
 
     def run(state, numbers):
@@ -161,10 +181,17 @@ def make_analytic(task: Task, loss: Callable[[Any], jax.Array], config: Analytic
 
 def _check(task: Task, config: AnalyticConfig) -> None:
     if task.space.is_categorical.any():
-        raise BadInput(f"task '{task.name}': a gradient by a category says nothing; leave categories out of Omega")
-    if min(config.trajectories, config.parallel, config.horizon) < 1 or config.trajectories % config.parallel:
         raise BadInput(
-            f"{config.trajectories} trajectories of {config.horizon} steps in updates of {config.parallel}: give positive numbers, "
+            f"task '{task.name}': a gradient by a category says nothing; leave categories out of "
+            f"Omega"
+        )
+    if (
+        min(config.trajectories, config.parallel, config.horizon) < 1
+        or config.trajectories % config.parallel
+    ):
+        raise BadInput(
+            f"{config.trajectories} trajectories of {config.horizon} steps in updates of "
+            f"{config.parallel}: give positive numbers, "
             "the last a divisor of the first"
         )
     if not 0.0 < config.longest <= 1.0 or not config.learning_rate > 0.0:

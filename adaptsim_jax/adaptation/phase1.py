@@ -1,10 +1,11 @@
-"""Phase 1: meta-learn the adaptation policy in simulation (paper, Algorithm 1), as one pure function.
+"""Phase 1: meta-learn the adaptation policy in simulation (paper, Algorithm 1), as one pure
+function.
 
-A *round* runs `parallel` adaptation trajectories of `horizon` steps side by side, writes them to the replay and to the
-set S_E, and then trains. Everything that a sweep varies is a traced leaf of `Phase1Hyper`; sizes are `Phase1Config`.
-The round number is an argument and not part of the state, so that it stays unbatched under `vmap` (see `replay`), and
-each round draws its randomness from `(state.key, round)` alone: however a run is cut into calls, it gives the same
-bits.
+A *round* runs `parallel` adaptation trajectories of `horizon` steps side by side, writes them to
+the replay and to the set S_E, and then trains. Everything that a sweep varies is a traced leaf of
+`Phase1Hyper`; sizes are `Phase1Config`. The round number is an argument and not part of the state,
+so that it stays unbatched under `vmap` (see `replay`), and each round draws its randomness from
+`(state.key, round)` alone: however a run is cut into calls, it gives the same bits.
 """
 
 from collections.abc import Callable
@@ -27,18 +28,23 @@ from adaptsim_jax.learners.replay import Transition
 from adaptsim_jax.space import gaussian
 from adaptsim_jax.tasks.base import Task
 
-_LOST_ALL = 1e4  # gain (1 - r) at which the logarithm reaches 0: with a gain of 10 and 10, a hundredfold cost
+# gain (1 - r) at which the logarithm reaches 0: with a gain of 10 and 10, a hundredfold cost
+_LOST_ALL = 1e4
 
 
 class Archive(NamedTuple):
-    """S_E: simulation parameter distributions used, and their task policies; rings of `[archive, ...]`."""
+    """S_E: simulation parameter distributions used, and their task policies; rings of `[archive,
+    ...]`.
+    """
 
     mean: jax.Array
     policy: Any
 
 
 class Phase1State(NamedTuple):
-    """All that the next round needs, apart from its number. `pool` is None where no task policies are reused."""
+    """All that the next round needs, apart from its number. `pool` is None where no task policies
+    are reused.
+    """
 
     key: jax.Array
     learner: BDQState
@@ -48,9 +54,11 @@ class Phase1State(NamedTuple):
 
 
 class Phase1Info(NamedTuple):
-    """Of one round, each `[]`: means of the task reward over all steps and at the last step, of the shaped reward, and
-    the learner's loss, Q and gradient norm averaged over the updates (0 during warm-up). Where task policies are reused
-    (else None): simulated trials a visit that they were trained with, and the share of visits that reused one."""
+    """Of one round, each `[]`: means of the task reward over all steps and at the last step, of the
+    shaped reward, and the learner's loss, Q and gradient norm averaged over the updates (0 during
+    warm-up). Where task policies are reused (else None): simulated trials a visit that they were
+    trained with, and the share of visits that reused one.
+    """
 
     reward: jax.Array
     final_reward: jax.Array
@@ -75,15 +83,20 @@ class Phase1(NamedTuple):
 
 
 def make_phase1(task: Task, config: Phase1Config, over: Callable = jax.vmap) -> Phase1:
-    """Check the sizes and return Phase 1 as functions that the caller jits and vmaps. over: maps the function of one of the parallel
-    trajectories over all of them, where no policies are reused (`sweep_devices.spread` shares them out among devices).
+    """Check the sizes and return Phase 1 as functions that the caller jits and vmaps. over: maps
+    the function of one of the parallel trajectories over all of them, where no policies are reused
+    (`sweep_devices.spread` shares them out among devices).
 
     * `init(key) -> Phase1State`
     * `round(state, hyper, number []) -> (state, info)`
-    * `run(state, hyper, numbers [R]) -> (state, info [R])`: a scan; leave `numbers` unbatched when vmapping
+    * `run(state, hyper, numbers [R]) -> (state, info [R])`: a scan; leave `numbers` unbatched when
+      vmapping
     """
     check(config, task)
-    stage = task if task.rehearse is None else replace(task, rollout=task.rehearse)
+    if task.rehearse is None:
+        stage = task
+    else:
+        stage = replace(task, rollout=task.rehearse)
     bdq = make_bdq(
         BDQConfig(
             obs_dim=task.space.dim + task.obs_dim,
@@ -97,7 +110,11 @@ def make_phase1(task: Task, config: Phase1Config, over: Callable = jax.vmap) -> 
     def init(key):
         key, net = jax.random.split(key)
         return Phase1State(
-            key, bdq.init(net), _empty_replay(bdq, config), _empty_archive(task, config), _first_pool(net, task, config)
+            key,
+            bdq.init(net),
+            _empty_replay(bdq, config),
+            _empty_archive(task, config),
+            _first_pool(net, task, config),
         )
 
     def one_round(state, hyper, number):
@@ -112,7 +129,12 @@ def make_phase1(task: Task, config: Phase1Config, over: Callable = jax.vmap) -> 
         )
         learner, stats = _learn(learn_key, bdq, config, hyper, state, number)
         info = Phase1Info(
-            episodes.reward.mean(), episodes.reward[:, -1].mean(), shaped.mean(), epsilon, *stats, *reused
+            episodes.reward.mean(),
+            episodes.reward[:, -1].mean(),
+            shaped.mean(),
+            epsilon,
+            *stats,
+            *reused,
         )
         return state._replace(learner=learner), info
 
@@ -123,7 +145,9 @@ def make_phase1(task: Task, config: Phase1Config, over: Callable = jax.vmap) -> 
 
 
 def shape_reward(reward: jax.Array, hyper: Phase1Hyper) -> jax.Array:
-    """The reward that is learned from (paper, eq. A1, with an optional gain): at least 0, and 0 below the threshold."""
+    """The reward that is learned from (paper, eq. A1, with an optional gain): at least 0, and 0
+    below the threshold.
+    """
     line = jnp.maximum(1.0 - hyper.gain * (1.0 - reward), 0.0)
     lost = hyper.gain * jnp.maximum(1.0 - reward, 0.0)
     slow = jnp.maximum(1.0 - jnp.log1p(lost) / np.log1p(_LOST_ALL), 0.0)
@@ -133,18 +157,35 @@ def shape_reward(reward: jax.Array, hyper: Phase1Hyper) -> jax.Array:
 
 
 def _collect(key, task, bdq, config, hyper, state: Phase1State, epsilon, over):
-    """`parallel` exploring trajectories from fresh targets and fresh starts; leading axis `parallel`. Also the pool after
-    them, and what Info says of reuse."""
-    act = lambda k, obs: bdq.act(k, state.learner.online, obs, epsilon, hyper.independent)
+    """`parallel` exploring trajectories from fresh targets and fresh starts; leading axis
+    `parallel`. Also the pool after them, and what Info says of reuse.
+    """
+
+    def act(k, obs):
+        return bdq.act(k, state.learner.online, obs, epsilon, hyper.independent)
+
     keys = jax.random.split(key, config.parallel)
 
     def begin(key):
         target_key, start_key, run_key = jax.random.split(key, 3)
         target = draw_target(target_key, task, hyper.inside)
-        return run_key, gaussian(task.space, task.space.sample(start_key)), task.init_policy(run_key), target
+        return (
+            run_key,
+            gaussian(task.space, task.space.sample(start_key)),
+            task.init_policy(run_key),
+            target,
+        )
 
-    sizes = {"steps": config.horizon, "delta": hyper.delta, "shrink": hyper.shrink, "obs_noise": hyper.obs_noise}
-    sizes["guide"] = Guide(config.guided, task.space) if config.guided else None
+    sizes = {
+        "steps": config.horizon,
+        "delta": hyper.delta,
+        "shrink": hyper.shrink,
+        "obs_noise": hyper.obs_noise,
+    }
+    if config.guided:
+        sizes["guide"] = Guide(config.guided, task.space)
+    else:
+        sizes["guide"] = None
     if state.pool is None:
 
         def one(key):
@@ -157,7 +198,9 @@ def _collect(key, task, bdq, config, hyper, state: Phase1State, epsilon, over):
 
 
 def draw_target(key, task: Task, inside) -> jax.Array:
-    """Physical values `[D]`, each from Omega with probability `inside`, else from the task's box of targets."""
+    """Physical values `[D]`, each from Omega with probability `inside`, else from the task's box of
+    targets.
+    """
     near_key, far_key, coin_key = jax.random.split(key, 3)
     near = task.space.physical(task.space.sample(near_key))
     far = task.targets.physical(task.targets.sample(far_key))
@@ -165,9 +208,14 @@ def draw_target(key, task: Task, inside) -> jax.Array:
 
 
 def _transitions(episodes: Episode, hyper: Phase1Hyper) -> tuple[Transition, jax.Array]:
-    """Flatten visits `[parallel, horizon + 1]` to transitions `[parallel * horizon]`, rewarded by the visit after."""
+    """Flatten visits `[parallel, horizon + 1]` to transitions `[parallel * horizon]`, rewarded by
+    the visit after.
+    """
     shaped = shape_reward(episodes.reward, hyper)
-    flat = lambda x: x.reshape(-1, *x.shape[2:])
+
+    def flat(x):
+        return x.reshape(-1, *x.shape[2:])
+
     last = jnp.zeros_like(shaped[:, 1:]).at[:, -1].set(1.0)
     return Transition(
         flat(episodes.obs[:, :-1]),
@@ -220,10 +268,16 @@ def _first_pool(key, task: Task, config: Phase1Config) -> Pool | None:
     if task.pretrain is not None:
         policy = task.pretrain(jax.random.fold_in(key, 1))
         return reuse.shared_pool(config.reuse, jnp.full(task.space.dim, 0.5), policy)
-    return reuse.empty_pool(config.reuse, task.space.dim, jax.eval_shape(task.init_policy, jax.random.key(0)))
+    return reuse.empty_pool(
+        config.reuse, task.space.dim, jax.eval_shape(task.init_policy, jax.random.key(0))
+    )
 
 
 def _remember(archive: Archive, episodes: Episode, number) -> Archive:
-    """Add every distribution that an action was taken from, with its policy (Algorithm 1, line 10)."""
+    """Add every distribution that an action was taken from, with its policy (Algorithm 1, line
+    10).
+    """
     used = Archive(episodes.mean, episodes.policy)
-    return ring.write(archive, jax.tree.map(lambda x: x[:, :-1].reshape(-1, *x.shape[2:]), used), number)
+    return ring.write(
+        archive, jax.tree.map(lambda x: x[:, :-1].reshape(-1, *x.shape[2:]), used), number
+    )

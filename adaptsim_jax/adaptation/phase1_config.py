@@ -16,10 +16,11 @@ from adaptsim_jax.tasks.base import Task
 class Phase1Config:
     """Sizes, static under jit.
 
-    trajectories: how many adaptation trajectories in all, K / horizon; parallel: how many at once; horizon: adaptation
-    steps of each; updates: gradient steps after each round; batch: transitions in each; capacity: of the replay, in
-    transitions; archive: size of S_E, distributions; warmup: rounds before the first update; reuse: of task policies, for
-    tasks whose training is dear. guided: share of trajectories that are led towards their target (`guided`).
+    trajectories: how many adaptation trajectories in all, K / horizon; parallel: how many at once;
+    horizon: adaptation steps of each; updates: gradient steps after each round; batch: transitions
+    in each; capacity: of the replay, in transitions; archive: size of S_E, distributions; warmup:
+    rounds before the first update; reuse: of task policies, for tasks whose training is dear.
+    guided: share of trajectories that are led towards their target (`guided`).
     """
 
     trajectories: int = 20_000
@@ -46,17 +47,18 @@ class Phase1Config:
 class Phase1Hyper:
     """What one sweep may vary: each leaf a scalar, or `[S]` under vmap.
 
-    delta: adaptation step, a fraction of the range; step i is `delta shrink^i`. threshold: the sparse reward's; rewards
-    below it count as 0.
-    gain: rewards `r` become `1 - gain (1 - r)` first, which sharpens them near the optimum. soft: where 1, a curve
-    instead of the line, informative however bad the policy is: `1 / (1 + gain (1 - r))`, and for a share `far` of it a
-    logarithm, which still tells bad from worse where the hyperbola is flat. epsilon falls linearly from `epsilon_start`
-    to `epsilon_end` over the first `epsilon_share` of the rounds. rate_end: over the last half
-    the learning rate falls linearly to this share of its start. obs_noise: standard deviation of noise on the
-    observation, in training only.
-    independent: 1 lets each branch explore by itself. inside: for each parameter of a target, the probability of being
-    drawn from Omega and not from the task's wider box of targets. terminal: 1 ends the return at the horizon, as the
-    paper's equation 2 does; 0 bootstraps through it.
+    delta: adaptation step, a fraction of the range; step i is `delta shrink^i`. threshold: the
+    sparse reward's; rewards below it count as 0.
+    gain: rewards `r` become `1 - gain (1 - r)` first, which sharpens them near the optimum. soft:
+    where 1, a curve instead of the line, informative however bad the policy is: `1 / (1 + gain (1 -
+    r))`, and for a share `far` of it a logarithm, which still tells bad from worse where the
+    hyperbola is flat. epsilon falls linearly from `epsilon_start` to `epsilon_end` over the first
+    `epsilon_share` of the rounds. rate_end: over the last half
+    the learning rate falls linearly to this share of its start. obs_noise: standard deviation of
+    noise on the observation, in training only.
+    independent: 1 lets each branch explore by itself. inside: for each parameter of a target, the
+    probability of being drawn from Omega and not from the task's wider box of targets. terminal: 1
+    ends the return at the horizon, as the paper's equation 2 does; 0 bootstraps through it.
     """
 
     learner: BDQHyper = field(default_factory=BDQHyper)
@@ -78,12 +80,28 @@ class Phase1Hyper:
 
 SIZES = ("trajectories", "parallel", "horizon", "updates", "batch", "capacity", "archive")
 POSITIVE = (
-    "delta", "shrink", "gain", "epsilon_share", "learner.learning_rate", "learner.tau", "learner.max_grad_norm",
-)  # fmt: skip
+    "delta",
+    "shrink",
+    "gain",
+    "epsilon_share",
+    "learner.learning_rate",
+    "learner.tau",
+    "learner.max_grad_norm",
+)
 SHARES = (
-    "delta", "soft", "far", "epsilon_start", "epsilon_end", "epsilon_share", "rate_end", "independent", "inside",
-    "terminal", "learner.discount", "learner.tau",
-)  # fmt: skip
+    "delta",
+    "soft",
+    "far",
+    "epsilon_start",
+    "epsilon_end",
+    "epsilon_share",
+    "rate_end",
+    "independent",
+    "inside",
+    "terminal",
+    "learner.discount",
+    "learner.tau",
+)
 
 
 def check(config: Phase1Config, task: Task) -> None:
@@ -94,7 +112,10 @@ def check(config: Phase1Config, task: Task) -> None:
     if config.warmup < 0:
         raise BadInput(f"phase1.warmup = {config.warmup}: give a number of rounds, 0 for none")
     if config.reuse.threshold > 0 and task.train_many is None:
-        raise BadInput(f"task '{task.name}' trains each policy anew at no cost; set phase1.reuse.threshold to 0")
+        raise BadInput(
+            f"task '{task.name}' trains each policy anew at no cost; set phase1.reuse.threshold to "
+            f"0"
+        )
     if config.trajectories % config.parallel:
         raise BadInput(
             f"{config.trajectories} trajectories do not divide into rounds of {config.parallel}; "
@@ -109,7 +130,9 @@ def check(config: Phase1Config, task: Task) -> None:
 
 
 def check_hyper(hyper: Phase1Hyper) -> None:
-    """Raises BadInput where a value makes no sense. Values must be concrete: not traced, and no sweep of several."""
+    """Raises BadInput where a value makes no sense. Values must be concrete: not traced, and no
+    sweep of several.
+    """
     for key in (*POSITIVE, *SHARES, "obs_noise"):
         holder = hyper.learner if key.startswith("learner.") else hyper
         value = getattr(holder, key.removeprefix("learner."))

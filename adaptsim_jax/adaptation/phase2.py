@@ -17,9 +17,10 @@ NEAR = 0.6  # of Omega's ranges: how far apart means may be whose returns tell o
 class Phase2Result(NamedTuple):
     """The best policy found, and how it was found.
 
-    policy: the task policy with the highest raw return, or where the task has its doubts of single returns the highest expected one;
-    mean: `[D]`, its distribution (unit coordinates); score, reward: `[]`, its raw return and scaled reward; history: `Episode` with
-    leading axis `[N]`, one for each initial distribution.
+    policy: the task policy with the highest raw return, or where the task has its doubts of single
+        returns the highest expected one;
+    mean: `[D]`, its distribution (unit coordinates); score, reward: `[]`, its raw return and scaled
+        reward; history: `Episode` with leading axis `[N]`, one for each initial distribution.
     """
 
     policy: Any
@@ -47,9 +48,11 @@ def adapt(
     delta: jax.Array | float = 0.1,
     shrink: jax.Array | float = 1.0,
 ) -> Phase2Result:
-    """Adapt each of the `N` starts for `iterations` greedy steps in `target: [D]` (physical values).
+    """Adapt each of the `N` starts for `iterations` greedy steps in `target: [D]` (physical
+    values).
 
-    Pure: vmap over targets, seeds (weights and starts together) or starts. A return that is not finite never wins.
+    Pure: vmap over targets, seeds (weights and starts together) or starts. A return that is not
+    finite never wins.
     """
 
     def one(key, start):
@@ -70,17 +73,21 @@ def adapt(
 
 
 def best_visit(score: Any) -> tuple[jax.Array, jax.Array]:
-    """`(start, visit)`, each `[]`, of the highest finite raw return of `score [N, I + 1]`; the first visit where none is finite."""
+    """`(start, visit)`, each `[]`, of the highest finite raw return of `score [N, I + 1]`; the
+    first visit where none is finite.
+    """
     finite = jnp.where(jnp.isfinite(score), score, -jnp.inf)
     start, visit = jnp.unravel_index(jnp.argmax(finite), finite.shape)
     return start, visit
 
 
 def smoothed(mean: jax.Array, score: jax.Array, doubt: float) -> jax.Array:
-    """Returns `[N]` expected at each visit, of the returns `score [N]` of all of them: a Gaussian process over `mean [N, D]` (unit
-    coordinates) of a fixed length, since visits are too few to fit one.
+    """Returns `[N]` expected at each visit, of the returns `score [N]` of all of them: a Gaussian
+    process over `mean [N, D]` (unit coordinates) of a fixed length, since visits are too few to fit
+    one.
 
-    doubt: variance of a visit's return by luck, over that by E's mean; 0 leaves returns as they are. What is not finite stays so.
+    doubt: variance of a visit's return by luck, over that by E's mean; 0 leaves returns as they
+    are. What is not finite stays so.
     """
     if doubt == 0:
         return score
@@ -88,20 +95,34 @@ def smoothed(mean: jax.Array, score: jax.Array, doubt: float) -> jax.Array:
     on, told = sound.astype(mean.dtype), jnp.where(sound, score, 0.0)
     apart = jnp.sum(jnp.square(mean[:, None] - mean[None]), -1)
     alike = jnp.exp(-0.5 * apart / NEAR**2) * jnp.outer(on, on)
-    weigh = lambda y: jnp.linalg.solve(alike + doubt * jnp.eye(len(score)), y)
+
+    def weigh(y):
+        return jnp.linalg.solve(alike + doubt * jnp.eye(len(score)), y)
+
     level = on @ weigh(told) / jnp.maximum(on @ weigh(on), 1e-9)
     return jnp.where(sound, level + alike @ weigh(told - level * on), score)
 
 
 def chosen_visit(history: Episode, doubt: float = 0.0) -> tuple[jax.Array, jax.Array]:
-    """`(start, visit)`, each `[]`, of what is deployed of `history: [N, I + 1, ...]`: the highest of its smoothed returns."""
+    """`(start, visit)`, each `[]`, of what is deployed of `history: [N, I + 1, ...]`: the highest
+    of its smoothed returns.
+    """
     mean, score = history.mean, history.score
-    return best_visit(smoothed(mean.reshape(-1, mean.shape[-1]), score.reshape(-1), doubt).reshape(score.shape))
+    return best_visit(
+        smoothed(mean.reshape(-1, mean.shape[-1]), score.reshape(-1), doubt).reshape(score.shape)
+    )
 
 
 def best_of(history: Episode, doubt: float = 0.0) -> Phase2Result:
-    """The visit with the highest finite return, smoothed where there is `doubt`, over all of `history: [N, I + 1, ...]`."""
+    """The visit with the highest finite return, smoothed where there is `doubt`, over all of
+    `history: [N, I + 1, ...]`.
+    """
     start, visit = chosen_visit(history, doubt)
-    pick = lambda x: x[start, visit]
+
+    def pick(x):
+        return x[start, visit]
+
     policy = jax.tree.map(pick, history.policy)
-    return Phase2Result(policy, pick(history.mean), pick(history.score), pick(history.reward), history)
+    return Phase2Result(
+        policy, pick(history.mean), pick(history.score), pick(history.reward), history
+    )

@@ -1,4 +1,6 @@
-"""What a task learns once, before Phase 1 (`Task.preparation`): made, kept beside a run or beside compiled programs, and read back."""
+"""What a task learns once, before Phase 1 (`Task.preparation`): made, kept beside a run or beside
+compiled programs, and read back.
+"""
 
 import os
 from pathlib import Path
@@ -26,14 +28,17 @@ def prepared(
 
     Args:
         seed: with the task's own digest it says what was learned.
-        folder: of the run that keeps it; None: it is kept with the compiled programs, for whoever asks for the same.
+        folder: of the run that keeps it; None: it is kept with the compiled programs, for whoever
+                asks for the same.
         make: False where it must be there already.
 
     Returns:
         The task, ready. BadInput where it is not there and may not be made.
     """
     made = task.preparation
-    return task if made is None else made.ready(learned(task, made, seed, folder, report, make))
+    if made is None:
+        return task
+    return made.ready(learned(task, made, seed, folder, report, make))
 
 
 def learned(
@@ -53,7 +58,8 @@ def learned(
         if store.read_manifest(place)["config_hash"] != digest:
             if place == own:
                 raise BadInput(
-                    f"{folder}: the environment was changed since its policy was trained; train in another folder"
+                    f"{folder}: the environment was changed since its policy was trained; train in "
+                    f"another folder"
                 )
             continue
         tree, _ = store.load_checkpoint(place, like, task=task.name)
@@ -61,20 +67,23 @@ def learned(
             _keep(own, tree, task.name, digest)
         return tree
     if not make:
-        raise BadInput(f"{folder}: its policy was not trained yet; run `adaptsim train` with --resume first")
+        raise BadInput(
+            f"{folder}: its policy was not trained yet; run `adaptsim train` with --resume first"
+        )
     tree = made.make(jax.random.key(seed), report)
-    for place in filter(None, (own, shared if os.environ.get("JAX_ENABLE_COMPILATION_CACHE") != "false" else None)):
+    for place in filter(
+        None, (own, shared if os.environ.get("JAX_ENABLE_COMPILATION_CACHE") != "false" else None)
+    ):
         _keep(place, tree, task.name, digest)
     return tree
 
 
 def _keep(place: Path, tree, task: str, digest: str) -> None:
     store.save_checkpoint(place, tree, task=task, step=0, config_hash=digest)
-    others = (
-        sorted(place.parent.glob("*/" + store.MANIFEST), key=lambda p: p.stat().st_mtime)
-        if place.name != FOLDER
-        else []
-    )
+    if place.name != FOLDER:
+        others = sorted(place.parent.glob("*/" + store.MANIFEST), key=lambda p: p.stat().st_mtime)
+    else:
+        others = []
     for old in others[:-KEPT]:
         for part in old.parent.iterdir():
             part.unlink(missing_ok=True)

@@ -1,4 +1,6 @@
-"""Configurations by name. The defaults of the config classes are those recommended for the pendulum; here are the others."""
+"""Configurations by name. The defaults of the config classes are those recommended for the
+pendulum; here are the others.
+"""
 
 from dataclasses import fields, replace
 from typing import Any
@@ -12,11 +14,12 @@ from adaptsim_jax.tasks.registry import TASKS
 
 
 def paper_pendulum() -> TrainConfig:
-    """The pendulum as the paper trains it (tables A1 and A2, section A2) where it says, and as the release does elsewhere.
+    """The pendulum as the paper trains it (tables A1 and A2, section A2) where it says, and as the
+    release does elsewhere.
 
-    Targets within Omega, sparse reward with threshold 0.95, horizon 10, discount 0.9, a return that ends at the horizon,
-    observations as they are; 12 updates of batch 64 for every 10 trajectories, 10,000 trajectories (which is how the
-    release reads K = 1e4), epsilon from 1 to 0.1.
+    Targets within Omega, sparse reward with threshold 0.95, horizon 10, discount 0.9, a return that
+    ends at the horizon, observations as they are; 12 updates of batch 64 for every 10 trajectories,
+    10,000 trajectories (which is how the release reads K = 1e4), epsilon from 1 to 0.1.
     """
     return TrainConfig(
         task={"scaling": "paper", "reference": "optimum", "targets": "omega"},
@@ -36,11 +39,14 @@ def paper_pendulum() -> TrainConfig:
 
 
 def paper_pushing() -> TrainConfig:
-    """The push at the paper's size (tables A1 and A2): 10,000 adaptation steps in trajectories of 8, steps of 0.15.
+    """The push at the paper's size (tables A1 and A2): 10,000 adaptation steps in trajectories of
+    8, steps of 0.15.
 
-    Policies are reused within 0.16, with budgets of 1e4 trials first, 0.9 of that after each training, and no more once they
-    have had 3e4. The paper has no figure for the least; 2e3 is the release's. A training makes 60 updates after every 500 trials: with
-    the task's own 40 after every 100 a policy of 1e4 trials is no better within the noise, and takes more than twice as long.
+    Policies are reused within 0.16, with budgets of 1e4 trials first, 0.9 of that after each
+    training, and no more once they have had 3e4. The paper has no figure for the least; 2e3 is the
+    release's. A training makes 60 updates after every 500 trials: with the task's own 40 after
+    every 100 a policy of 1e4 trials is no better within the noise, and takes more than twice as
+    long.
     """
     return TrainConfig(
         every=1,
@@ -59,11 +65,13 @@ def paper_pushing() -> TrainConfig:
 
 
 def scooping() -> TrainConfig:
-    """Scooping at the paper's size (tables A1 and A2): 10,000 adaptation steps in trajectories of 8, steps of 0.15.
+    """Scooping at the paper's size (tables A1 and A2): 10,000 adaptation steps in trajectories of
+    8, steps of 0.15.
 
-    Policies are reused within 0.16. They are trained once, with 1.2e3 draws of the bank (the paper: up to 4e3 trials in several
-    trainings): its rewards are chances and no coins, and a training keeps its best policy. What is deployed is corrected by the
-    target's own scoops. The reward is a share of pieces already; the paper's sparse threshold of 0.5 would hide which half is left.
+    Policies are reused within 0.16. They are trained once, with 1.2e3 draws of the bank (the paper:
+    up to 4e3 trials in several trainings): its rewards are chances and no coins, and a training
+    keeps its best policy. What is deployed is corrected by the target's own scoops. The reward is a
+    share of pieces already; the paper's sparse threshold of 0.5 would hide which half is left.
     """
     base = paper_pushing()
     reuse = ReuseConfig(threshold=0.16, first=1200, most=1200, least=600, together=2)
@@ -85,15 +93,17 @@ def default_config(task: str) -> TrainConfig:
 
 
 def pushing_sweep() -> TrainConfig:
-    """Phase 1 of the push for many seeds: one task policy for all of Omega is made first and serves every visit, moved to the
-    mean of E; each action is corrected there by 8 simulated pushes (in Phase 1 by 3), in place of a training at E.
+    """Phase 1 of the push for many seeds: one task policy for all of Omega is made first and serves
+    every visit, moved to the mean of E; each action is corrected there by 8 simulated pushes (in
+    Phase 1 by 3), in place of a training at E.
 
-    So steps cost little, and what a visit shows depends on the mean of E alone, and not on which anchor was near. Beside its
-    bottles' places stands how far E's mean puts them from there. What is deployed is corrected by all of these pushes so far, for
-    which an iteration's two goals are drawn anew, one on each side: with the same two each time the adaptation policy does
-    better, and what is deployed worse. Half of the trajectories are led towards their targets, which the others seldom come near.
-    Steps shrink from 0.3 of the range to 0.025: with steps of one size the grid that a start can reach misses WD's parameters
-    by too much (docs/results/pushing.md).
+    So steps cost little, and what a visit shows depends on the mean of E alone, and not on which
+    anchor was near. Beside its bottles' places stands how far E's mean puts them from there. What
+    is deployed is corrected by all of these pushes so far, for which an iteration's two goals are
+    drawn anew, one on each side: with the same two each time the adaptation policy does better, and
+    what is deployed worse. Half of the trajectories are led towards their targets, which the others
+    seldom come near. Steps shrink from 0.3 of the range to 0.025: with steps of one size the grid
+    that a start can reach misses WD's parameters by too much (docs/results/pushing.md).
     """
     base = paper_pushing()
     return replace(
@@ -116,19 +126,28 @@ def pushing_sweep() -> TrainConfig:
             updates=2400,
             capacity=40_000,
             guided=0.5,
-            reuse=ReuseConfig(threshold=9.0, first=2000, most=3000, least=1000, capacity=250, together=250),
+            reuse=ReuseConfig(
+                threshold=9.0, first=2000, most=3000, least=1000, capacity=250, together=250
+            ),
         ),
         hyper=replace(
-            base.hyper, delta=0.3, shrink=0.7, gain=5.0, soft=1.0, learner=replace(base.hyper.learner, discount=0.8)
+            base.hyper,
+            delta=0.3,
+            shrink=0.7,
+            gain=5.0,
+            soft=1.0,
+            learner=replace(base.hyper.learner, discount=0.8),
         ),
     )
 
 
 def pushing_native() -> TrainConfig:
-    """`pushing_sweep` with the MuJoCo scene itself as the simulator, at the paper's 10,000 adaptation steps: 120,000 native pushes.
+    """`pushing_sweep` with the MuJoCo scene itself as the simulator, at the paper's 10,000
+    adaptation steps: 120,000 native pushes.
 
-    The policy for all of Omega is made of 32,000 of them, goals relabelled; Phase 1 scores a visit by four goals, and takes the
-    steps of a refined action in the scene's planar twin. Deployed actions are compared natively, three trials each.
+    The policy for all of Omega is made of 32,000 of them, goals relabelled; Phase 1 scores a visit
+    by four goals, and takes the steps of a refined action in the scene's planar twin. Deployed
+    actions are compared natively, three trials each.
     """
     base = pushing_sweep()
     task = base.task | {
@@ -153,8 +172,9 @@ def pushing_mjx() -> TrainConfig:
 
 
 def scooping_hydro() -> TrainConfig:
-    """`scooping` without the bank: policies are trained and Phase 1 runs in the hydroelastic engine. Nothing is corrected, since
-    corrections are by the bank."""
+    """`scooping` without the bank: policies are trained and Phase 1 runs in the hydroelastic
+    engine. Nothing is corrected, since corrections are by the bank.
+    """
     return replace(scooping(), task={"simulator": "hydro"})
 
 
@@ -164,7 +184,9 @@ def scooping_mjx() -> TrainConfig:
 
 
 def with_defaults(task: str, table: dict[str, Any]) -> dict[str, Any]:
-    """`table` over the task's default config, key by key. A run's own config is whole and stays as it is."""
+    """`table` over the task's default config, key by key. A run's own config is whole and stays as
+    it is.
+    """
     if {f.name for f in fields(TrainConfig)} <= set(table):
         return table
     return configs.over(configs.to_table(default_config(task)), table)

@@ -1,11 +1,14 @@
-"""Reuse of task policies across nearby parameter distributions (paper, appendix A1), as arrays of fixed size.
+"""Reuse of task policies across nearby parameter distributions (paper, appendix A1), as arrays of
+fixed size.
 
-A pool holds task policies, each *anchored* at the mean of the distribution that it was trained for first. A distribution
-within `threshold` of an anchor borrows that policy and trains it further with a shrinking budget, or not at all once the
-policy has had enough; others train one of their own and become anchors. A borrower is never an anchor, so a policy
-does not spread from one borrower to the next. Distances are Euclidean between means in unit coordinates.
+A pool holds task policies, each *anchored* at the mean of the distribution that it was trained for
+first. A distribution within `threshold` of an anchor borrows that policy and trains it further with
+a shrinking budget, or not at all once the policy has had enough; others train one of their own and
+become anchors. A borrower is never an anchor, so a policy does not spread from one borrower to the
+next. Distances are Euclidean between means in unit coordinates.
 
-All of it is for `P` distributions visited at the same time: each of them sees the pool as it was before.
+All of it is for `P` distributions visited at the same time: each of them sees the pool as it was
+before.
 """
 
 from dataclasses import dataclass
@@ -20,9 +23,11 @@ from adaptsim_jax.learners import replay as ring
 
 @dataclass(frozen=True)
 class ReuseConfig:
-    """threshold: D, 0 to reuse nothing and keep no pool. Budgets in trials: first: M; most: M_max, a policy that has had
-    as many is not trained again; least: M_min; decay: alpha, so that a policy's j-th training has
-    `max(least, decay^(j - 1) first)`. capacity: anchors kept, the oldest go; together: policies trained at once.
+    """threshold: D, 0 to reuse nothing and keep no pool. Budgets in trials: first: M; most: M_max,
+    a policy that has had as many is not trained again; least: M_min; decay: alpha, so that a
+    policy's j-th training has
+    `max(least, decay^(j - 1) first)`. capacity: anchors kept, the oldest go; together: policies
+    trained at once.
     """
 
     threshold: float = 0.0
@@ -35,8 +40,10 @@ class ReuseConfig:
 
 
 class Pool(NamedTuple):
-    """Anchors `mean [C, D]` and their `policy [C, ...]`; taught `[C]` int32: j, distributions that the policy was trained
-    with; spent `[C]` int32: trials that it has had in all; count `[]` int32: anchors ever made."""
+    """Anchors `mean [C, D]` and their `policy [C, ...]`; taught `[C]` int32: j, distributions that
+    the policy was trained with; spent `[C]` int32: trials that it has had in all; count `[]` int32:
+    anchors ever made.
+    """
 
     mean: jax.Array
     policy: Any
@@ -46,8 +53,9 @@ class Pool(NamedTuple):
 
 
 class Loan(NamedTuple):
-    """policy `[P, ...]` to go on from; place `[P]` int32 of its anchor in the pool, -1 for one of its own; budget `[P]` int32:
-    trials to train it with now."""
+    """policy `[P, ...]` to go on from; place `[P]` int32 of its anchor in the pool, -1 for one of
+    its own; budget `[P]` int32: trials to train it with now.
+    """
 
     policy: Any
     place: jax.Array
@@ -58,14 +66,23 @@ def empty_pool(config: ReuseConfig, dim: int, policy: Any) -> Pool:
     """No anchors yet, for policies shaped like `policy` (arrays or shapes)."""
     none = jnp.zeros(config.capacity, jnp.int32)
     return Pool(
-        jnp.zeros((config.capacity, dim)), ring.empty(policy, config.capacity), none, none, jnp.zeros((), jnp.int32)
+        jnp.zeros((config.capacity, dim)),
+        ring.empty(policy, config.capacity),
+        none,
+        none,
+        jnp.zeros((), jnp.int32),
     )
 
 
 def shared_pool(config: ReuseConfig, mean: jax.Array, policy: Any) -> Pool:
-    """One anchor at `mean [D]`, whose `policy` has had all the training that it gets here: lent to whatever is near."""
+    """One anchor at `mean [D]`, whose `policy` has had all the training that it gets here: lent to
+    whatever is near.
+    """
     pool = empty_pool(config, mean.shape[0], policy)
-    put = lambda kept, value: kept.at[0].set(value)
+
+    def put(kept, value):
+        return kept.at[0].set(value)
+
     return Pool(
         put(pool.mean, mean),
         jax.tree.map(put, pool.policy, policy),
@@ -76,13 +93,17 @@ def shared_pool(config: ReuseConfig, mean: jax.Array, policy: Any) -> Pool:
 
 
 def lend(pool: Pool, config: ReuseConfig, means: jax.Array, own: Any) -> Loan:
-    """What each of `means [P, D]` goes on from: the nearest anchor's policy if it is near enough, else `own [P, ...]`."""
+    """What each of `means [P, D]` goes on from: the nearest anchor's policy if it is near enough,
+    else `own [P, ...]`.
+    """
     there = jnp.arange(config.capacity) < pool.count
     apart = jnp.linalg.norm(means[:, None] - pool.mean[None], axis=-1)
     apart = jnp.where(there[None], apart, jnp.inf)
     nearest = jnp.argmin(apart, -1).astype(jnp.int32)
     near = jnp.min(apart, -1) < config.threshold
-    again = jnp.maximum(config.least, config.first * config.decay ** pool.taught[nearest].astype(means.dtype))
+    again = jnp.maximum(
+        config.least, config.first * config.decay ** pool.taught[nearest].astype(means.dtype)
+    )
     again = jnp.where(pool.spent[nearest] >= config.most, 0, jnp.round(again).astype(jnp.int32))
     budget = jnp.where(near, again, config.first).astype(jnp.int32)
     policy = jax.tree.map(lambda kept, new: _where(near, kept[nearest], new), pool.policy, own)
@@ -90,9 +111,11 @@ def lend(pool: Pool, config: ReuseConfig, means: jax.Array, own: Any) -> Loan:
 
 
 def settle(pool: Pool, config: ReuseConfig, means: jax.Array, policies: Any, loan: Loan) -> Pool:
-    """The pool after `policies [P, ...]` came out of the training that `loan` asked for at `means [P, D]`.
+    """The pool after `policies [P, ...]` came out of the training that `loan` asked for at `means
+    [P, D]`.
 
-    Where several borrowed from one anchor at once, all their trainings count, and the first one's policy is kept.
+    Where several borrowed from one anchor at once, all their trainings count, and the first one's
+    policy is kept.
     """
     P, C = means.shape[0], config.capacity
     order = jnp.arange(P, dtype=jnp.int32)
@@ -101,13 +124,18 @@ def settle(pool: Pool, config: ReuseConfig, means: jax.Array, policies: Any, loa
     first = jnp.full(C + 1, P, jnp.int32).at[place].min(order)
     keeps = jnp.where(first[place] == order, place, C)
     pool = pool._replace(
-        policy=jax.tree.map(lambda kept, new: kept.at[keeps].set(new, mode="drop"), pool.policy, policies),
+        policy=jax.tree.map(
+            lambda kept, new: kept.at[keeps].set(new, mode="drop"), pool.policy, policies
+        ),
         taught=pool.taught.at[place].add(1, mode="drop"),
         spent=pool.spent.at[place].add(loan.budget, mode="drop"),
     )
     new = loan.place < 0
     row = jnp.where(new, (pool.count + jnp.cumsum(new) - 1) % C, C)
-    put = lambda kept, value: kept.at[row].set(value, mode="drop")
+
+    def put(kept, value):
+        return kept.at[row].set(value, mode="drop")
+
     return Pool(
         put(pool.mean, means),
         jax.tree.map(put, pool.policy, policies),
@@ -118,14 +146,18 @@ def settle(pool: Pool, config: ReuseConfig, means: jax.Array, policies: Any, loa
 
 
 def train_loans(keys: jax.Array, train_many, dists: Any, loan: Loan, together: int) -> Any:
-    """Policies `[P, ...]` after their budgets: `together` at a time, those with like budgets side by side.
+    """Policies `[P, ...]` after their budgets: `together` at a time, those with like budgets side
+    by side.
 
-    `train_many(keys, dists, policies, budgets)` takes as long as its largest budget, so that sorting makes a budget
-    of nothing cost next to nothing inside one compiled program.
+    `train_many(keys, dists, policies, budgets)` takes as long as its largest budget, so that
+    sorting makes a budget of nothing cost next to nothing inside one compiled program.
     """
     P = loan.budget.shape[0]
     order = jnp.argsort(-loan.budget)
-    groups = lambda x: x[order].reshape(P // together, together, *x.shape[1:])
+
+    def groups(x):
+        return x[order].reshape(P // together, together, *x.shape[1:])
+
     work = jax.tree.map(groups, (keys, dists, loan.policy, loan.budget))
     done = jax.lax.map(lambda w: train_many(*w), work)
     back = jnp.argsort(order)
@@ -133,19 +165,25 @@ def train_loans(keys: jax.Array, train_many, dists: Any, loan: Loan, together: i
 
 
 def check(config: ReuseConfig, parallel: int) -> None:
-    """BadInput where the budgets or sizes make no sense for `parallel` distributions visited at once."""
+    """BadInput where the budgets or sizes make no sense for `parallel` distributions visited at
+    once.
+    """
     if config.threshold < 0 or not 0 < config.decay <= 1:
         raise BadInput(f"reuse: threshold must be at least 0 and decay in (0, 1], got {config}")
     if not 0 <= config.least <= config.first <= config.most:
         raise BadInput(
-            f"reuse: budgets least {config.least}, first {config.first}, most {config.most} must not decrease; reorder them"
+            f"reuse: budgets least {config.least}, first {config.first}, most {config.most} must "
+            f"not decrease; reorder them"
         )
     if config.capacity < parallel:
         raise BadInput(
-            f"reuse: capacity {config.capacity} is below the {parallel} visited at once; use at least {parallel}"
+            f"reuse: capacity {config.capacity} is below the {parallel} visited at once; use at "
+            f"least {parallel}"
         )
     if config.together < 1 or parallel % config.together:
-        raise BadInput(f"reuse: together = {config.together} must divide the {parallel} visited at once")
+        raise BadInput(
+            f"reuse: together = {config.together} must divide the {parallel} visited at once"
+        )
 
 
 def _where(mask: jax.Array, x: jax.Array, y: jax.Array) -> jax.Array:

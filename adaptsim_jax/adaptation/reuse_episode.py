@@ -1,7 +1,8 @@
-"""Adaptation trajectories side by side that share task policies through a pool; see `reuse` for the rules.
+"""Adaptation trajectories side by side that share task policies through a pool; see `reuse` for the
+rules.
 
-The same loop as `episode.run_episode`, for `P` trajectories at once: which policy a visit goes on from depends on the
-others, so the trajectories take their steps together.
+The same loop as `episode.run_episode`, for `P` trajectories at once: which policy a visit goes on
+from depends on the others, so the trajectories take their steps together.
 """
 
 from typing import Any, NamedTuple
@@ -18,8 +19,9 @@ from adaptsim_jax.tasks.base import Task
 
 
 class Reusing(NamedTuple):
-    """episodes `[P, ...]`; pool: after all of them; budgets `[P, I + 1]` int32: trials that each visit's policy was trained
-    with; reused `[P, I + 1]` bool: whether it was lent."""
+    """episodes `[P, ...]`; pool: after all of them; budgets `[P, I + 1]` int32: trials that each
+    visit's policy was trained with; reused `[P, I + 1]` bool: whether it was lent.
+    """
 
     episodes: Episode
     pool: Pool
@@ -43,10 +45,11 @@ def run_reusing(
     obs_noise: jax.Array | float = 0.0,
     guide: Guide | None = None,
 ) -> Reusing:
-    """Adapt `starts [P]` to `targets [P, D]` (physical) for `steps` steps with `act(key, obs) -> action [D]`; step i is of
-    `delta shrink^i`.
+    """Adapt `starts [P]` to `targets [P, D]` (physical) for `steps` steps with `act(key, obs) ->
+    action [D]`; step i is of `delta shrink^i`.
 
-    `policies [P, ...]` are untrained: what a visit far from every anchor starts from. `guide` may lead trajectories.
+    `policies [P, ...]` are untrained: what a visit far from every anchor starts from. `guide` may
+    lead trajectories.
     """
     references = jax.vmap(task.reference)(targets)
 
@@ -56,19 +59,27 @@ def run_reusing(
         loan = lend(pool, config, dists.mean, policies)
         trained = train_loans(parts[:, 0], task.train_many, dists, loan, config.together)
         pool = settle(pool, config, dists.mean, trained, loan)
-        see = lambda run, noise, dist, policy, target, best: look(
-            run, noise, task, dist, policy, target, best, obs_noise
-        )
+
+        def see(run, noise, dist, policy, target, best):
+            return look(run, noise, task, dist, policy, target, best, obs_noise)
+
         now = jax.vmap(see)(parts[:, 1], parts[:, 2], dists, trained, targets, references)
         action = jax.vmap(act)(parts[:, 3], now.obs)
         if guide is not None:
             led: Guide = guide
-            lead = lambda k, s, a, m, t: led(k, s, a, m, t, delta * shrink**number)
+
+            def lead(k, s, a, m, t):
+                return led(k, s, a, m, t, delta * shrink**number)
+
             action = jax.vmap(lead)(keys, parts[:, 3], action, dists.mean, targets)
-        after = jax.vmap(lambda d, a: spaces.step(task.space, d, a, delta * shrink**number))(dists, action)
+        after = jax.vmap(lambda d, a: spaces.step(task.space, d, a, delta * shrink**number))(
+            dists, action
+        )
         return (after, pool), (now, action, loan.budget, loan.place >= 0)
 
     (_, pool), found = jax.lax.scan(one, (starts, pool), jnp.arange(steps + 1))
     visits, actions, budgets, reused = jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), found)
-    episode = Episode(visits.mean, visits.policy, visits.obs, visits.score, visits.reward, actions[:, :-1])
+    episode = Episode(
+        visits.mean, visits.policy, visits.obs, visits.score, visits.reward, actions[:, :-1]
+    )
     return Reusing(episode, pool, budgets, reused)

@@ -1,4 +1,6 @@
-"""Phase 2 in Python against whatever a target is: ask which policy to run, tell its return and what was observed."""
+"""Phase 2 in Python against whatever a target is: ask which policy to run, tell its return and what
+was observed.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +21,10 @@ from adaptsim_jax.core.store import RunFolder
 
 
 class Asked(NamedTuple):
-    """What to run now: `params`, E's mean by name in SI units; `policy`, the task's own, a pytree; number of the trial, from 1, of how
-    many; act: `(obs [O]) -> action`, of tasks whose policies are called at each step, else None."""
+    """What to run now: `params`, E's mean by name in SI units; `policy`, the task's own, a pytree;
+    number of the trial, from 1, of how many; act: `(obs [O]) -> action`, of tasks whose policies
+    are called at each step, else None.
+    """
 
     params: dict[str, float]
     policy: Any
@@ -30,7 +34,8 @@ class Asked(NamedTuple):
 
 
 class Session:
-    """Ask and tell with a trained run, so that Isaac Lab, mjlab, MuJoCo or a robot can be the target.
+    """Ask and tell with a trained run, so that Isaac Lab, mjlab, MuJoCo or a robot can be the
+    target.
 
         session = Session("runs/e", starts=1, iterations=5)
         while not session.done:
@@ -40,21 +45,36 @@ class Session:
 
     Args:
         run: the folder of `adaptsim train`, or a `Trained`.
-        starts, iterations: `starts (iterations + 1)` trials in all, each of `task.trials` episodes whose returns are averaged.
+        starts, iterations: `starts (iterations + 1)` trials in all, each of `task.trials` episodes
+                whose returns are averaged.
         seed: of the starts, drawn from the run's own S_E.
     """
 
-    def __init__(self, run: str | os.PathLike | Trained, *, starts: int = 2, iterations: int = 10, seed: int = 0):
-        self.trained = run if isinstance(run, Trained) else load_run(RunFolder.open(run))
+    def __init__(
+        self,
+        run: str | os.PathLike | Trained,
+        *,
+        starts: int = 2,
+        iterations: int = 10,
+        seed: int = 0,
+    ):
+        if isinstance(run, Trained):
+            self.trained = run
+        else:
+            self.trained = load_run(RunFolder.open(run))
         phase1, hyper = self.trained.phase1, self.trained.hyper
         self.task = phase1.task
         told = replace(self.task, score=lambda t: t[0], observe=lambda t: t[1])
         sizes = {name: float(getattr(hyper, name)) for name in ("delta", "shrink")}
         weights = self.trained.state.learner.target
-        self.loop: AskTell = make_ask_tell(told, phase1.bdq, weights, iterations=iterations, **sizes)
+        self.loop: AskTell = make_ask_tell(
+            told, phase1.bdq, weights, iterations=iterations, **sizes
+        )
         start_key, key = jax.random.split(jax.random.key(seed))
         used = archive_size(phase1, self.trained.rounds)
-        self.state: AskState = self.loop.init(key, draw_starts(start_key, self.trained.state.archive, used, starts))
+        self.state: AskState = self.loop.init(
+            key, draw_starts(start_key, self.trained.state.archive, used, starts)
+        )
 
     @property
     def done(self) -> bool:
@@ -63,30 +83,49 @@ class Session:
 
     def ask(self) -> Asked:
         """What to run now; once all is told, the best."""
-        return self.best() if self.done else self._asked(self.state.mean, self.state.policy)
+        if self.done:
+            return self.best()
+        return self._asked(self.state.mean, self.state.policy)
 
     def best(self) -> Asked:
-        """The policy whose trial returned most so far, or where the task has its doubts of single trials the most expected."""
+        """The policy whose trial returned most so far, or where the task has its doubts of single
+        trials the most expected.
+        """
         return self._asked(self.state.best_mean, self.state.best_policy)
 
     def tell(self, score: float, observation: Any) -> bool:
-        """What the trial came to: its return (more is better), and `observation [obs_dim]` as `task.observe` gives it (for an
-        environment, `observed` makes it of an episode's rows). Returns whether it is the best so far."""
+        """What the trial came to: its return (more is better), and `observation [obs_dim]` as
+        `task.observe` gives it (for an environment, `observed` makes it of an episode's rows).
+        Returns whether it is the best so far.
+        """
         if self.done:
-            raise BadInput(f"all {self.loop.trials(self.state)} trials are told; begin another Session")
+            raise BadInput(
+                f"all {self.loop.trials(self.state)} trials are told; begin another Session"
+            )
         seen = jnp.asarray(observation, jnp.float32)
         if seen.shape != (self.task.obs_dim,):
-            raise BadInput(f"tell: the observation has the shape {seen.shape}; ({self.task.obs_dim},) is wanted")
+            raise BadInput(
+                f"tell: the observation has the shape {seen.shape}; ({self.task.obs_dim},) is "
+                f"wanted"
+            )
         if not np.isfinite(np.asarray(seen)).all():
-            raise BadInput("tell: the observation is not finite; for a trial that failed tell its last sound values")
+            raise BadInput(
+                "tell: the observation is not finite; for a trial that failed tell its last sound "
+                "values"
+            )
         self.state, info = self.loop.tell(self.state, (jnp.asarray(score, jnp.float32), seen))
         return bool(info.best)
 
     def observed(self, obs: Any, action: Any, reward: Any) -> tuple[float, np.ndarray]:
-        """`(return, observation)` of an episode of an environment: `obs [T, O]` before each step, `action [T, A]` in [-1, 1], `reward
-        [T]`. A shorter episode than the environment's is one that ended early."""
+        """`(return, observation)` of an episode of an environment: `obs [T, O]` before each step,
+        `action [T, A]` in [-1, 1], `reward [T]`. A shorter episode than the environment's is one
+        that ended early.
+        """
         if self.task.read is None:
-            raise BadInput(f"observed: task '{self.task.name}' is told by its own measurements; see `adaptsim robot`")
+            raise BadInput(
+                f"observed: task '{self.task.name}' is told by its own measurements; see `adaptsim "
+                f"robot`"
+            )
         trajectory = self.task.read(obs, action, reward)
         return float(self.task.score(trajectory)), np.asarray(self.task.observe(trajectory))
 
@@ -95,6 +134,9 @@ class Session:
         act = None
         if self.task.act is not None:
             step = jax.jit(self.task.act)
-            act = lambda obs: np.asarray(step(policy, jnp.asarray(obs, jnp.float32)))
+
+            def act(obs):
+                return np.asarray(step(policy, jnp.asarray(obs, jnp.float32)))
+
         params = dict(zip(names, map(float, values), strict=True))
         return Asked(params, policy, int(self.state.told) + 1, self.loop.trials(self.state), act)

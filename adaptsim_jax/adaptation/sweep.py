@@ -16,7 +16,9 @@ from adaptsim_jax.core.progress import silent
 
 
 class TrainedMany(NamedTuple):
-    """`S` finished runs: hyper `[S]`, target-network weights `[S, n]`, S_E `[S, archive, ...]`, info `[S, rounds]`."""
+    """`S` finished runs: hyper `[S]`, target-network weights `[S, n]`, S_E `[S, archive, ...]`,
+    info `[S, rounds]`.
+    """
 
     hyper: Phase1Hyper
     weights: jax.Array
@@ -39,8 +41,9 @@ def train_many(
 ) -> TrainedMany:
     """Phase 1 for each of `seeds [S]` with the matching leaf of `hypers [S]`.
 
-    One trace and one compiled program, called `S` times: on a CPU as fast as any number at once (`benchmarks/phase1.py --seeds`).
-    program: `train_one` of this Phase 1 as it was compiled before, `(seeds [1], hypers [1])`.
+    One trace and one compiled program, called `S` times: on a CPU as fast as any number at once
+    (`benchmarks/phase1.py --seeds`). program: `train_one` of this Phase 1 as it was compiled
+    before, `(seeds [1], hypers [1])`.
     """
     train = program or jax.jit(partial(train_one, phase1))
     parts = []
@@ -52,7 +55,9 @@ def train_many(
     return jax.tree.map(lambda *x: jnp.concatenate(x), *parts)
 
 
-def train_one(phase1: Phase1, seeds: jax.Array, hypers: Phase1Hyper) -> tuple[jax.Array, Archive, Phase1Info]:
+def train_one(
+    phase1: Phase1, seeds: jax.Array, hypers: Phase1Hyper
+) -> tuple[jax.Array, Archive, Phase1Info]:
     """Target-network weights `[S, n]`, S_E and info of `seeds [S]` side by side; pure."""
     rounds = jnp.arange(phase1.config.rounds)
 
@@ -75,9 +80,16 @@ def starts_of(phase1: Phase1, trained: TrainedMany, seeds: np.ndarray, count: in
 
 
 def adapt_many(
-    phase1: Phase1, trained: TrainedMany, starts: Archive, targets: jax.Array | np.ndarray, *, iterations: int = 10
+    phase1: Phase1,
+    trained: TrainedMany,
+    starts: Archive,
+    targets: jax.Array | np.ndarray,
+    *,
+    iterations: int = 10,
 ) -> Episode:
-    """Phase 2 of every run in each of `targets [T, D]` (physical) from its `starts [S, N, ...]`: `[S, T, N, I + 1, ...]`."""
+    """Phase 2 of every run in each of `targets [T, D]` (physical) from its `starts [S, N, ...]`:
+    `[S, T, N, I + 1, ...]`.
+    """
 
     @jax.jit
     def run(targets, trained, starts):
@@ -87,7 +99,14 @@ def adapt_many(
             def one_target(target):
                 key = jax.random.key(0)
                 return adapt(
-                    key, phase1.task, phase1.bdq, weights, start, target, iterations=iterations, **sizes
+                    key,
+                    phase1.task,
+                    phase1.bdq,
+                    weights,
+                    start,
+                    target,
+                    iterations=iterations,
+                    **sizes,
                 ).history
 
             return jax.vmap(one_target)(targets)

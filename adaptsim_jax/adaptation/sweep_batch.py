@@ -1,4 +1,6 @@
-"""One batch of a sweep: members that share a program, trained and adapted side by side; killed and taken up to the same bits."""
+"""One batch of a sweep: members that share a program, trained and adapted side by side; killed and
+taken up to the same bits.
+"""
 
 import time
 from collections.abc import Callable
@@ -21,10 +23,12 @@ from adaptsim_jax.tasks.registry import make_task
 
 
 class Programs(NamedTuple):
-    """What a group of members is run with, compiled for `width` of them at once. States hold their keys as plain numbers.
+    """What a group of members is run with, compiled for `width` of them at once. States hold their
+    keys as plain numbers.
 
-    `init(seeds) -> state`, `advance(state, hyper, numbers [n]) -> (state, (reward [n], finite [n]))`,
-    `finish(state, hyper, seeds, targets [T, D]) -> Found`; all but `numbers` and `targets` with leading axis `[width]`.
+    `init(seeds) -> state`, `advance(state, hyper, numbers [n]) -> (state, (reward [n], finite
+    [n]))`, `finish(state, hyper, seeds, targets [T, D]) -> Found`; all but `numbers` and `targets`
+    with leading axis `[width]`.
     """
 
     phase1: Phase1
@@ -36,8 +40,9 @@ class Programs(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Of a member: whole `[]`, whether its weights are finite; for each of `T` targets the best visit's reward `[T]` and mean of E
-    `[T, D]` (physical), rewards of all visits `[T, N, I + 1]`."""
+    """Of a member: whole `[]`, whether its weights are finite; for each of `T` targets the best
+    visit's reward `[T]` and mean of E `[T, D]` (physical), rewards of all visits `[T, N, I + 1]`.
+    """
 
     whole: jax.Array
     best: jax.Array
@@ -59,26 +64,42 @@ def make_programs(spec: SweepSpec, member: Member, width: int, split: devices.Sp
         return state._replace(key=jax.random.key_data(state.key))
 
     def advance(state, hyper, numbers):
-        state, info = phase1.run(state._replace(key=jax.random.wrap_key_data(state.key)), hyper, numbers)
-        return state._replace(key=jax.random.key_data(state.key)), (info.final_reward, jnp.isfinite(info.loss))
+        state, info = phase1.run(
+            state._replace(key=jax.random.wrap_key_data(state.key)), hyper, numbers
+        )
+        return state._replace(key=jax.random.key_data(state.key)), (
+            info.final_reward,
+            jnp.isfinite(info.loss),
+        )
 
     def finish(state, hyper, seed, targets):
         weights = state.learner.target
-        start_key, run_key = jax.random.split(jax.random.key(seed))  # as `adaptsim adapt --seed` does
+        start_key, run_key = jax.random.split(
+            jax.random.key(seed)
+        )  # as `adaptsim adapt --seed` does
         starts = draw_starts(start_key, state.archive, used, spec.starts)
 
         def one(target):
             result = adapt(
-                run_key, task, phase1.bdq, weights, starts, target,
-                iterations=spec.iterations, delta=hyper.delta, shrink=hyper.shrink,
-            )  # fmt: skip
+                run_key,
+                task,
+                phase1.bdq,
+                weights,
+                starts,
+                target,
+                iterations=spec.iterations,
+                delta=hyper.delta,
+                shrink=hyper.shrink,
+            )
             best, rewards = judge(result, target)
             return best, task.space.physical(result.mean), rewards
 
         whole = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(weights)]))
         return Found(whole, *jax.lax.map(one, targets))
 
-    over = lambda f, *batched: devices.over_members(f, mesh, batched)
+    def over(f, *batched):
+        return devices.over_members(f, mesh, batched)
+
     return Programs(
         phase1,
         mesh,
@@ -90,8 +111,13 @@ def make_programs(spec: SweepSpec, member: Member, width: int, split: devices.Sp
 
 
 def _judge(task: str, options: dict[str, Any]) -> Callable:
-    """`(Phase2Result, target) -> (best [], rewards [N, I + 1])`: of the push as it is deployed, corrected."""
-    plain = lambda result, target: (result.reward, result.history.reward)
+    """`(Phase2Result, target) -> (best [], rewards [N, I + 1])`: of the push as it is deployed,
+    corrected.
+    """
+
+    def plain(result, target):
+        return (result.reward, result.history.reward)
+
     if task != "pushing":
         return plain
     from adaptsim_jax.core import config
@@ -106,7 +132,9 @@ def _judge(task: str, options: dict[str, Any]) -> Callable:
         policies, every = after.deployed(result.history, target, made)
         flat = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), policies)
         best = jax.tree.map(lambda x: x[None], result.policy._replace(told=every))
-        rewards = after.tested(jax.tree.map(lambda a, b: jnp.concatenate([a, b]), flat, best), target, made)
+        rewards = after.tested(
+            jax.tree.map(lambda a, b: jnp.concatenate([a, b]), flat, best), target, made
+        )
         return rewards[-1], rewards[:-1].reshape(result.history.reward.shape)
 
     return judge
@@ -121,24 +149,32 @@ def run_batch(
     progress: Callable[[int, str], None],
     save_after: float = 30.0,
 ) -> tuple[list[dict[str, Any]], Any]:
-    """`(rows, state)` of at most `width` members, from the checkpoint in `folder` if there is one. A row is plain data:
-    reward: of each round's last steps; faulty: the first round whose loss was not finite, -1 where all were; whole, best, params,
+    """`(rows, state)` of at most `width` members, from the checkpoint in `folder` if there is one.
+        A row is plain data:
+    reward: of each round's last steps; faulty: the first round whose loss was not finite, -1 where
+        all were; whole, best, params,
     rewards: see `Found`. state: host arrays of the last state, leaves `[width, ...]`.
 
-    `progress(rounds done, note)` is called between chunks; a checkpoint is written when the last one is `save_after` s old.
+    `progress(rounds done, note)` is called between chunks; a checkpoint is written when the last
+    one is `save_after` s old.
     """
     width, phase1, mesh = programs.width, programs.phase1, programs.mesh
     padded = [*members, *[members[-1]] * (width - len(members))]
     seeds = devices.put(np.array([m.config.seed for m in padded], np.uint32), mesh)
     hyper = devices.put(_stacked(padded), mesh)
     state, curves, done = programs.init(seeds), _Curves(), 0
-    like = {"state": jax.eval_shape(lambda x: x, state), "curves": _Curves().shapes(width, phase1.config.rounds)}
+    like = {
+        "state": jax.eval_shape(lambda x: x, state),
+        "curves": _Curves().shapes(width, phase1.config.rounds),
+    }
     if (folder / MANIFEST).exists():
         kept, done = load_checkpoint(folder, like, task=spec.task)
         state, curves = devices.put(kept["state"], mesh), _Curves.of(kept["curves"], done)
     total, saved = phase1.config.rounds, time.monotonic()
     every = members[0].config.every
-    size = max(n for n in range(1, max(1, min(every, total)) + 1) if total % n == 0 and done % n == 0)
+    size = max(
+        n for n in range(1, max(1, min(every, total)) + 1) if total % n == 0 and done % n == 0
+    )
     while done < total:
         numbers = devices.put(np.arange(done, done + size), mesh, batched=False)
         state, found = programs.advance(state, hyper, numbers)
@@ -153,7 +189,9 @@ def run_batch(
             saved = time.monotonic()
     targets = devices.put(_targets(phase1, spec), mesh, batched=False)
     last = devices.fetch(programs.finish(state, hyper, seeds, targets))
-    return [_row(curves, last, i) for i in range(len(members))], devices.fetch(state) if spec.keep else None
+    return [_row(curves, last, i) for i in range(len(members))], devices.fetch(
+        state
+    ) if spec.keep else None
 
 
 class _Curves:
@@ -173,7 +211,10 @@ class _Curves:
 
     def arrays(self, rounds: int) -> Any:
         """Whole arrays `[S, rounds]`, what is still to come as zeros."""
-        fill = lambda x: np.pad(x, ((0, 0), (0, rounds - x.shape[1])))
+
+        def fill(x):
+            return np.pad(x, ((0, 0), (0, rounds - x.shape[1])))
+
         return tuple(fill(np.concatenate(x, 1)) for x in (self.reward, self.finite))
 
     @classmethod
@@ -208,8 +249,10 @@ def _targets(phase1: Phase1, spec: SweepSpec) -> np.ndarray:
 def halved(
     members: list[Member], run: Callable[[list[Member]], Any], failed: Callable[[Member, str], Any]
 ) -> list[Any]:
-    """`run` on all members, or on halves where it raises, down to the ones that fail alone: `failed(member, reason)` for these.
-    Bad input and interrupts are no member's fault and are raised."""
+    """`run` on all members, or on halves where it raises, down to the ones that fail alone:
+    `failed(member, reason)` for these. Bad input and interrupts are no member's fault and are
+    raised.
+    """
     try:
         return run(members)
     except (BadInput, KeyboardInterrupt):

@@ -1,8 +1,10 @@
-"""Members of a sweep, and the parallel trajectories of each, shared out among devices of one machine, or of many with one program.
+"""Members of a sweep, and the parallel trajectories of each, shared out among devices of one
+machine, or of many with one program.
 
-The mesh has two axes. Along `members` each device runs members of its own and never waits for another. Where there are fewer members
-than devices, the devices along `trajectories` run trajectories of the same member, exchange what came of them, and then all learn
-from all, so that the numbers are those of one device.
+The mesh has two axes. Along `members` each device runs members of its own and never waits for
+another. Where there are fewer members than devices, the devices along `trajectories` run
+trajectories of the same member, exchange what came of them, and then all learn from all, so that
+the numbers are those of one device.
 """
 
 from collections.abc import Callable
@@ -25,11 +27,15 @@ class Split(NamedTuple):
 
 
 def choose_split(devices: int, members: int, parallel: int) -> Split:
-    """Members first: as many devices along that axis as there are members for, the rest along `trajectories` if `parallel` of them
-    (0: they cannot be shared out) divide evenly. Where they do not, members are padded with copies."""
+    """Members first: as many devices along that axis as there are members for, the rest along
+    `trajectories` if `parallel` of them (0: they cannot be shared out) divide evenly. Where they do
+    not, members are padded with copies.
+    """
     along = max(d for d in range(1, devices + 1) if devices % d == 0 and d <= max(members, 1))
     rest = devices // along
-    return Split(along, rest) if parallel and parallel % rest == 0 else Split(devices, 1)
+    if parallel and parallel % rest == 0:
+        return Split(along, rest)
+    return Split(devices, 1)
 
 
 def make_mesh(split: Split) -> Mesh:
@@ -39,15 +45,22 @@ def make_mesh(split: Split) -> Mesh:
 
 
 def spread(split: Split) -> Callable:
-    """What `make_phase1` maps trajectories with: each device along `trajectories` runs its share, then all have all of them."""
+    """What `make_phase1` maps trajectories with: each device along `trajectories` runs its share,
+    then all have all of them.
+    """
     if split.trajectories == 1:
         return jax.vmap
 
     def over(one):
         def run(keys):
             share = keys.shape[0] // split.trajectories
-            mine = jax.lax.dynamic_slice_in_dim(keys, jax.lax.axis_index(TRAJECTORIES) * share, share)
-            together = lambda x: jax.lax.all_gather(x, TRAJECTORIES, tiled=True)
+            mine = jax.lax.dynamic_slice_in_dim(
+                keys, jax.lax.axis_index(TRAJECTORIES) * share, share
+            )
+
+            def together(x):
+                return jax.lax.all_gather(x, TRAJECTORIES, tiled=True)
+
             return jax.tree.map(together, jax.vmap(one)(mine))
 
         return run
@@ -56,16 +69,22 @@ def spread(split: Split) -> Callable:
 
 
 def over_members(function: Callable, mesh: Mesh, batched: tuple[bool, ...]) -> Callable:
-    """`function` of one member, compiled for all members of a batch: arguments with `batched` have leaves `[S, ...]`, the others are
-    the same for all; `S` is a multiple of the devices along `members`. Results have leaves `[S, ...]`."""
+    """`function` of one member, compiled for all members of a batch: arguments with `batched` have
+    leaves `[S, ...]`, the others are the same for all; `S` is a multiple of the devices along
+    `members`. Results have leaves `[S, ...]`.
+    """
     specs = tuple(P(MEMBERS) if b else P() for b in batched)
     many = jax.vmap(function, in_axes=tuple(0 if b else None for b in batched))
     # what lies along `trajectories` is equal on all of its devices, which the checker cannot know
-    return jax.jit(jax.shard_map(many, mesh=mesh, in_specs=specs, out_specs=P(MEMBERS), check_vma=False))
+    return jax.jit(
+        jax.shard_map(many, mesh=mesh, in_specs=specs, out_specs=P(MEMBERS), check_vma=False)
+    )
 
 
 def put(tree: Any, mesh: Mesh, batched: bool = True) -> Any:
-    """Host arrays onto the mesh, split along the first axis if `batched`. Each program of many must hold the same arrays."""
+    """Host arrays onto the mesh, split along the first axis if `batched`. Each program of many must
+    hold the same arrays.
+    """
     sharding = NamedSharding(mesh, P(MEMBERS) if batched else P())
 
     def one(x):
@@ -76,7 +95,9 @@ def put(tree: Any, mesh: Mesh, batched: bool = True) -> Any:
 
 
 def fetch(tree: Any) -> Any:
-    """Whole host arrays of what lies on devices, of other machines too; all programs must ask at once."""
+    """Whole host arrays of what lies on devices, of other machines too; all programs must ask at
+    once.
+    """
     if jax.process_count() == 1:
         return jax.tree.map(np.asarray, tree)
     from jax.experimental import multihost_utils
@@ -99,6 +120,7 @@ def first() -> bool:
 
 
 def join(coordinator: str | None, processes: int | None, index: int | None) -> None:
-    """Become one of `processes` programs that run a sweep together; without arguments what SLURM (or another launcher that JAX knows)
-    says is taken. To be called before anything is computed."""
+    """Become one of `processes` programs that run a sweep together; without arguments what SLURM
+    (or another launcher that JAX knows) says is taken. To be called before anything is computed.
+    """
     jax.distributed.initialize(coordinator, processes, index)

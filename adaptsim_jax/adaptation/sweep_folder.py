@@ -1,4 +1,6 @@
-"""A sweep on disk: what it is (`sweep.json`), who works on it (`lock`), finished batches (`parts/`), and checkpoints (`work/`)."""
+"""A sweep on disk: what it is (`sweep.json`), who works on it (`lock`), finished batches
+(`parts/`), and checkpoints (`work/`).
+"""
 
 import contextlib
 import json
@@ -23,7 +25,9 @@ HEAD = "sweep.json"
 
 
 class SweepFolder:
-    """The folder of a sweep; made by `create` or `reopen`, read by `load`. head: what `sweep.json` holds."""
+    """The folder of a sweep; made by `create` or `reopen`, read by `load`. head: what `sweep.json`
+    holds.
+    """
 
     def __init__(self, path: Path, head: dict[str, Any]):
         self.path, self.head = path, head
@@ -40,22 +44,31 @@ class SweepFolder:
 
     @classmethod
     def load(cls, path: Path) -> "SweepFolder":
-        """A sweep that is there, to read; BadInput where there is none or it is another version's."""
+        """A sweep that is there, to read; BadInput where there is none or it is another
+        version's.
+        """
         try:
             head = json.loads((path / HEAD).read_bytes())
         except FileNotFoundError:
-            raise BadInput(f"{path}: no sweep here (no {HEAD}); name the --out of `adaptsim sweep`") from None
+            raise BadInput(
+                f"{path}: no sweep here (no {HEAD}); name the --out of `adaptsim sweep`"
+            ) from None
         except (OSError, ValueError) as error:
-            raise BadInput(f"{path / HEAD}: cannot be read ({error}); name another folder") from None
+            raise BadInput(
+                f"{path / HEAD}: cannot be read ({error}); name another folder"
+            ) from None
         if not isinstance(head, dict) or head.get("schema") != SCHEMA or "plan" not in head:
             raise BadInput(
-                f"{path / HEAD}: not a sweep of this version ({__version__}); start it anew in another folder"
+                f"{path / HEAD}: not a sweep of this version ({__version__}); start it anew in "
+                f"another folder"
             )
         return cls(path, head)
 
     @classmethod
     def reopen(cls, path: Path, sweep: Sweep) -> "SweepFolder":
-        """A sweep that is there, to go on with; BadInput names what SPEC.toml says otherwise now."""
+        """A sweep that is there, to go on with; BadInput names what SPEC.toml says otherwise
+        now.
+        """
         folder = cls.load(path)
         want = json.loads(json.dumps(described(sweep)))
         changed = configs.differences(folder.head["spec"], want["spec"])
@@ -63,7 +76,8 @@ class SweepFolder:
             changed = ["members: the defaults of another version"]
         if changed:
             raise BadInput(
-                f"{path}: this sweep was started otherwise ({'; '.join(changed)}); ask for the same, or name another"
+                f"{path}: this sweep was started otherwise ({'; '.join(changed)}); ask for the "
+                f"same, or name another"
             )
         return folder
 
@@ -97,14 +111,20 @@ class SweepFolder:
 
 
 def described(sweep: Sweep) -> dict[str, Any]:
-    """What is run, as plain data: the spec and, for each member, its values and the digest of its whole configuration."""
+    """What is run, as plain data: the spec and, for each member, its values and the digest of its
+    whole configuration.
+    """
     return {
         "schema": SCHEMA,
         "version": __version__,
         "spec": {k: v for k, v in configs.to_table(sweep.spec).items() if v is not None},
         "swept": list(sweep.swept),
         "members": [
-            {"values": m.values, "seed": m.config.seed, "config": configs.digest(configs.to_table(m.config))}
+            {
+                "values": m.values,
+                "seed": m.config.seed,
+                "config": configs.digest(configs.to_table(m.config)),
+            }
             for m in sweep.members
         ],
     }
@@ -112,7 +132,9 @@ def described(sweep: Sweep) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def locked(path: Path) -> Iterator[None]:
-    """Hold the folder; BadInput says who does if another process. The system lets go when a process ends, however it ends."""
+    """Hold the folder; BadInput says who does if another process. The system lets go when a process
+    ends, however it ends.
+    """
     try:
         import fcntl
     except ImportError:  # Windows: one has to see to it oneself
@@ -124,9 +146,14 @@ def locked(path: Path) -> Iterator[None]:
         except BlockingIOError:
             file.seek(0)
             holder = file.read().strip() or "another process"
-            raise BadInput(f"{path}: is held by {holder}; wait for it, or name another folder") from None
+            raise BadInput(
+                f"{path}: is held by {holder}; wait for it, or name another folder"
+            ) from None
         file.seek(0)
         file.truncate()
-        file.write(f"process {os.getpid()} on {socket.gethostname()} since {time.strftime('%Y-%m-%d %H:%M:%S')}\n")
+        file.write(
+            f"process {os.getpid()} on {socket.gethostname()} since "
+            f"{time.strftime('%Y-%m-%d %H:%M:%S')}\n"
+        )
         file.flush()
         yield

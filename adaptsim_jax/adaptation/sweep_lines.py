@@ -1,4 +1,6 @@
-"""On which line of a TOML file a key stands, so that what is wrong with its value can be said where it is."""
+"""On which line of a TOML file a key stands, so that what is wrong with its value can be said where
+it is.
+"""
 
 import re
 import tomllib
@@ -12,16 +14,22 @@ _KEY = re.compile(r"""\s*((?:"[^"]*"|'[^']*'|[\w-]+)(?:\s*\.\s*(?:"[^"]*"|'[^']*
 
 
 class Lines:
-    """Lines, counted from 1, of the keys of a TOML text by their dotted names; entries of `[[name]]` are `name.0`, `name.1`, ..."""
+    """Lines, counted from 1, of the keys of a TOML text by their dotted names; entries of
+    `[[name]]` are `name.0`, `name.1`, ...
+    """
 
     def __init__(self, path: str, text: str):
         self.path, self.at = path, dict(_keys(text))
 
     def where(self, key: str) -> str:
-        """'FILE, line 7' for a dotted key, or for the table it would stand in; 'FILE' where neither is in the text."""
+        """'FILE, line 7' for a dotted key, or for the table it would stand in; 'FILE' where neither
+        is in the text.
+        """
         while key not in self.at and "." in key:
             key = key.rpartition(".")[0]
-        return f"{self.path}, line {self.at[key]}" if key in self.at else self.path
+        if key in self.at:
+            return f"{self.path}, line {self.at[key]}"
+        return self.path
 
     @contextmanager
     def blamed(self, key: str) -> Iterator[None]:
@@ -30,7 +38,9 @@ class Lines:
             yield
         except BadInput as error:
             where = self.where(key)
-            raise BadInput(str(error) if str(error).startswith(where) else f"{where}: {error}") from None
+            raise BadInput(
+                str(error) if str(error).startswith(where) else f"{where}: {error}"
+            ) from None
 
 
 def _keys(text: str) -> Iterator[tuple[str, int]]:

@@ -1,4 +1,6 @@
-"""How a sweep is cut up: groups that share a program, batches of them that fit into memory, devices that a batch is split over."""
+"""How a sweep is cut up: groups that share a program, batches of them that fit into memory, devices
+that a batch is split over.
+"""
 
 import math
 import os
@@ -19,12 +21,17 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.base import Task
 from adaptsim_jax.tasks.registry import make_task
 
-SHARE = 0.5  # of the free memory that a batch may take: the estimate leaves out what the compiler keeps besides
-PER_CORE = 8  # members at once on a core: more gain nothing there, and checkpoints and progress are rarer
+# of the free memory that a batch may take: the estimate leaves out what the compiler keeps besides
+SHARE = 0.5
+PER_CORE = (
+    8  # members at once on a core: more gain nothing there, and checkpoints and progress are rarer
+)
 
 
 class Batch(NamedTuple):
-    """Members `first` to `last` (not included) of group `group`, in the group's order; number: of the batch in the sweep."""
+    """Members `first` to `last` (not included) of group `group`, in the group's order; number: of
+    the batch in the sweep.
+    """
 
     number: int
     group: int
@@ -37,8 +44,9 @@ class Batch(NamedTuple):
 
 
 class Group(NamedTuple):
-    """Members (their indices) that differ in seeds and traced values alone; width: how many at once; member_bytes: of memory that one
-    takes, as estimated; split: of the devices."""
+    """Members (their indices) that differ in seeds and traced values alone; width: how many at
+    once; member_bytes: of memory that one takes, as estimated; split: of the devices.
+    """
 
     members: tuple[int, ...]
     width: int
@@ -60,9 +68,13 @@ def grouped(sweep: Sweep) -> list[list[Member]]:
     return list(groups.values())
 
 
-def make_plan(sweep: Sweep, *, devices: int, at_once: int | None = None, memory: int | None = None) -> Plan:
-    """Batches for `devices` devices of this machine (of all machines together); at_once: members a batch, where given; memory: bytes
-    free on each machine, by default as found. BadInput where not even one member fits."""
+def make_plan(
+    sweep: Sweep, *, devices: int, at_once: int | None = None, memory: int | None = None
+) -> Plan:
+    """Batches for `devices` devices of this machine (of all machines together); at_once: members a
+    batch, where given; memory: bytes free on each machine, by default as found. BadInput where not
+    even one member fits.
+    """
     memory = free_memory() if memory is None else memory
     groups, batches = [], []
     for members in grouped(sweep):
@@ -72,10 +84,14 @@ def make_plan(sweep: Sweep, *, devices: int, at_once: int | None = None, memory:
         fits = int(SHARE * memory // each) * max(1, jax.process_count())
         if fits < 1:
             raise BadInput(
-                f"a member of this sweep takes about {each / 1e9:.1f} GB and {memory / 1e9:.1f} GB are free; give a smaller "
+                f"a member of this sweep takes about {each / 1e9:.1f} GB and {memory / 1e9:.1f} GB "
+                f"are free; give a smaller "
                 "phase1.capacity, phase1.archive or phase1.parallel"
             )
-        apart = 0 if config.phase1.reuse.threshold > 0 else config.phase1.parallel
+        if config.phase1.reuse.threshold > 0:
+            apart = 0
+        else:
+            apart = config.phase1.parallel
         limit = at_once or min(fits, _useful(devices))
         split = choose_split(devices, min(limit, len(members)), apart)
         width = _width(len(members), limit, split.members)
@@ -99,14 +115,20 @@ def _width(count: int, limit: int, along: int) -> int:
 
 
 def member_bytes(task: Task, config: Phase1Config) -> int:
-    """Bytes that a member takes while it is trained, by the shapes of what it holds: its state twice (before and after a round), a
-    round's trajectories, and the batches that a round learns from."""
+    """Bytes that a member takes while it is trained, by the shapes of what it holds: its state
+    twice (before and after a round), a round's trajectories, and the batches that a round learns
+    from.
+    """
     phase1 = make_phase1(task, config)
     state = jax.eval_shape(phase1.init, jax.random.key(0))
     item = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), state.replay)
     policy = jax.eval_shape(task.init_policy, jax.random.key(0))
     visits = config.parallel * (config.horizon + 1)
-    return 2 * _bytes(state) + config.updates * config.batch * _bytes(item) + visits * (_bytes(policy) + _bytes(item))
+    return (
+        2 * _bytes(state)
+        + config.updates * config.batch * _bytes(item)
+        + visits * (_bytes(policy) + _bytes(item))
+    )
 
 
 def _bytes(tree: Any) -> int:
@@ -114,13 +136,22 @@ def _bytes(tree: Any) -> int:
 
 
 def _plain(dtype: Any) -> Any:
-    return jnp.uint64 if jnp.issubdtype(dtype, jax.dtypes.prng_key) else dtype
+    if jnp.issubdtype(dtype, jax.dtypes.prng_key):
+        return jnp.uint64
+    return dtype
 
 
 def free_memory() -> int:
-    """Bytes that a batch could have: of the accelerators that this program drives, else of the machine."""
-    stats = [d.memory_stats() for d in jax.local_devices()] if jax.default_backend() != "cpu" else []
-    limits = [s["bytes_limit"] - s.get("bytes_in_use", 0) for s in stats if s and "bytes_limit" in s]
+    """Bytes that a batch could have: of the accelerators that this program drives, else of the
+    machine.
+    """
+    if jax.default_backend() != "cpu":
+        stats = [d.memory_stats() for d in jax.local_devices()]
+    else:
+        stats = []
+    limits = [
+        s["bytes_limit"] - s.get("bytes_in_use", 0) for s in stats if s and "bytes_limit" in s
+    ]
     if limits:
         return sum(limits)
     found = Path("/proc/meminfo")
@@ -141,7 +172,12 @@ def to_table(plan: Plan) -> dict[str, Any]:
     """The plan as JSON has it."""
     return {
         "groups": [
-            {"members": list(g.members), "width": g.width, "member_bytes": g.member_bytes, "split": list(g.split)}
+            {
+                "members": list(g.members),
+                "width": g.width,
+                "member_bytes": g.member_bytes,
+                "split": list(g.split),
+            }
             for g in plan.groups
         ],
         "batches": [list(b) for b in plan.batches],
@@ -149,7 +185,10 @@ def to_table(plan: Plan) -> dict[str, Any]:
 
 
 def from_table(table: dict[str, Any]) -> Plan:
-    groups = [Group(tuple(g["members"]), g["width"], g["member_bytes"], Split(*g["split"])) for g in table["groups"]]
+    groups = [
+        Group(tuple(g["members"]), g["width"], g["member_bytes"], Split(*g["split"]))
+        for g in table["groups"]
+    ]
     return Plan(tuple(groups), tuple(Batch(*b) for b in table["batches"]))
 
 
@@ -158,8 +197,12 @@ def described(plan: Plan) -> Iterator[str]:
     for i, group in enumerate(plan.groups):
         size = group.member_bytes / 1e6
         batches = sum(b.group == i for b in plan.batches)
-        over = f", over {group.split.members} x {group.split.trajectories} devices" if max(group.split) > 1 else ""
+        if max(group.split) > 1:
+            over = f", over {group.split.members} x {group.split.trajectories} devices"
+        else:
+            over = ""
         yield (
-            f"program {i + 1}: {len(group.members)} members, {batches} batch{'es' * (batches != 1)} of {group.width}{over}; about "
+            f"program {i + 1}: {len(group.members)} members, {batches} "
+            f"batch{'es' * (batches != 1)} of {group.width}{over}; about "
             f"{size:.0f} MB a member, {size * group.width / 1e3:.2f} GB a batch"
         )

@@ -1,4 +1,6 @@
-"""The table of a sweep: `results.csv` and `results.json`, and means with intervals by each swept value."""
+"""The table of a sweep: `results.csv` and `results.json`, and means with intervals by each swept
+value.
+"""
 
 import csv
 import io
@@ -38,26 +40,42 @@ def _csv(found: dict[str, Any]) -> str:
     out, targets = io.StringIO(), found["spec"]["targets"]
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(
-        ["member", "seed", *found["swept"], "status", "reason", "train_reward", *[f"reward_{t}" for t in targets]]
+        [
+            "member",
+            "seed",
+            *found["swept"],
+            "status",
+            "reason",
+            "train_reward",
+            *[f"reward_{t}" for t in targets],
+        ]
     )
     for row in found["rows"]:
         values = [_cell(row["values"].get(key)) for key in found["swept"]]
         rewards = [_cell(row.get("targets", {}).get(t, {}).get("reward")) for t in targets]
         train = _cell(row.get("train_reward"))
-        writer.writerow([row["member"], row["seed"], *values, row["status"], row["reason"], train, *rewards])
+        writer.writerow(
+            [row["member"], row["seed"], *values, row["status"], row["reason"], train, *rewards]
+        )
     return out.getvalue()
 
 
 def _cell(value: Any) -> Any:
     if value is None:
         return ""
-    return json.dumps(value) if isinstance(value, list | dict | bool) else value
+    if isinstance(value, list | dict | bool):
+        return json.dumps(value)
+    return value
 
 
-def summary(rows: list[dict[str, Any]], swept: list[str], targets: list[str]) -> list[dict[str, Any]]:
-    """For each swept key, each of its values and each reward: the mean over the members that are done, with the half width of its
-    95 % interval (Student's) and what it is an interval over: seeds, each averaged over the other swept values first, since members
-    of one seed go alike; members where all are of one seed; half is None where there is but one."""
+def summary(
+    rows: list[dict[str, Any]], swept: list[str], targets: list[str]
+) -> list[dict[str, Any]]:
+    """For each swept key, each of its values and each reward: the mean over the members that are
+    done, with the half width of its 95 % interval (Student's) and what it is an interval over:
+    seeds, each averaged over the other swept values first, since members of one seed go alike;
+    members where all are of one seed; half is None where there is but one.
+    """
     done = [row for row in rows if row["status"] == "done"]
     found = []
     for key in swept or [""]:
@@ -66,7 +84,10 @@ def summary(rows: list[dict[str, Any]], swept: list[str], targets: list[str]) ->
             levels.setdefault(json.dumps(row["values"].get(key)), []).append(row)
         for level, some in levels.items():
             for name in (TRAINING, *targets):
-                found.append({"key": key, "value": json.loads(level), "reward": name} | _over_seeds(some, name))
+                found.append(
+                    {"key": key, "value": json.loads(level), "reward": name}
+                    | _over_seeds(some, name)
+                )
     return found
 
 
@@ -79,12 +100,19 @@ def _over_seeds(rows: list[dict[str, Any]], name: str) -> dict[str, Any]:
     rewards = [r for some in by_seed.values() for r in some]
     if len(by_seed) < 2:
         return interval(rewards) | {"over": "members", "members": len(rewards)}
-    return interval([float(np.mean(some)) for some in by_seed.values()]) | {"over": "seeds", "members": len(rewards)}
+    return interval([float(np.mean(some)) for some in by_seed.values()]) | {
+        "over": "seeds",
+        "members": len(rewards),
+    }
 
 
 def earned(row: Mapping[str, Any], name: str) -> float | None:
-    """What a finished member earned in training or in a target; None where it has no reward there."""
-    return row["train_reward"] if name == TRAINING else row["targets"][name]["reward"]
+    """What a finished member earned in training or in a target; None where it has no reward
+    there.
+    """
+    if name == TRAINING:
+        return row["train_reward"]
+    return row["targets"][name]["reward"]
 
 
 def interval(values: list[float]) -> dict[str, Any]:
@@ -93,5 +121,8 @@ def interval(values: list[float]) -> dict[str, Any]:
 
     count = len(values)
     mean = float(np.mean(values)) if count else None
-    half = float(t.ppf(0.975, count - 1) * np.std(values, ddof=1) / np.sqrt(count)) if count > 1 else None
+    if count > 1:
+        half = float(t.ppf(0.975, count - 1) * np.std(values, ddof=1) / np.sqrt(count))
+    else:
+        half = None
     return {"mean": mean, "half": half, "count": count}

@@ -1,4 +1,6 @@
-"""A whole sweep: batch after batch into its folder, taken up where it was left, failed members kept with their reasons."""
+"""A whole sweep: batch after batch into its folder, taken up where it was left, failed members kept
+with their reasons.
+"""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -19,8 +21,12 @@ from adaptsim_jax.core.progress import silent
 from adaptsim_jax.core.store import CHECKPOINT, RunFolder
 
 
-def run_sweep(sweep: Sweep, folder: SweepFolder, *, progress: Callable = silent, save_after: float = 30.0) -> None:
-    """All batches that are left, one after another in this process (and in all that joined it). The caller holds the folder."""
+def run_sweep(
+    sweep: Sweep, folder: SweepFolder, *, progress: Callable = silent, save_after: float = 30.0
+) -> None:
+    """All batches that are left, one after another in this process (and in all that joined it). The
+    caller holds the folder.
+    """
     total = sum(m.config.phase1.rounds for m in sweep.members)
     held = Held(sweep, folder)
     left = folder.left()
@@ -39,7 +45,9 @@ def run_sweep(sweep: Sweep, folder: SweepFolder, *, progress: Callable = silent,
 
 
 def members_of(sweep: Sweep, folder: SweepFolder, batch: Batch) -> list[Member]:
-    return [sweep.members[i] for i in folder.plan.groups[batch.group].members[batch.first : batch.last]]
+    return [
+        sweep.members[i] for i in folder.plan.groups[batch.group].members[batch.first : batch.last]
+    ]
 
 
 def _rounds(sweep: Sweep, folder: SweepFolder, batch: Batch) -> int:
@@ -63,7 +71,9 @@ class Held:
 
 
 def _split(group: Any) -> devices.Split:
-    """The plan's split of devices, or one for those that are there now: results are then equal but for rounding."""
+    """The plan's split of devices, or one for those that are there now: results are then equal but
+    for rounding.
+    """
     have = len(jax.devices())
     if group.split.members * group.split.trajectories <= have:
         return group.split
@@ -71,18 +81,26 @@ def _split(group: Any) -> devices.Split:
     return devices.Split(along, 1)
 
 
-def rows_of(held: Held, batch: Batch, report: Callable[[int, str], None], save_after: float) -> list[dict[str, Any]]:
-    """A row for each member of the batch, as `results.json` has it; run folders of members are left where `keep` asks for them."""
+def rows_of(
+    held: Held, batch: Batch, report: Callable[[int, str], None], save_after: float
+) -> list[dict[str, Any]]:
+    """A row for each member of the batch, as `results.json` has it; run folders of members are left
+    where `keep` asks for them.
+    """
     sweep, folder = held.sweep, held.folder
     members = members_of(sweep, folder, batch)
 
     def run(some: list[Member]) -> list[dict[str, Any]]:
         programs = held.programs_of(batch)
         work = folder.work(batch, some)
-        found, state = run_batch(programs, sweep.spec, some, work, progress=report, save_after=save_after)
+        found, state = run_batch(
+            programs, sweep.spec, some, work, progress=report, save_after=save_after
+        )
         if sweep.spec.keep and devices.first():
             for i, member in enumerate(some):
-                _leave_run(programs, sweep, folder, member, jax.tree.map(lambda x, i=i: x[i], state))
+                _leave_run(
+                    programs, sweep, folder, member, jax.tree.map(lambda x, i=i: x[i], state)
+                )
         return [_row(sweep, member, each) for member, each in zip(some, found, strict=True)]
 
     return halved(members, run, failed_row)
@@ -100,18 +118,32 @@ def _head(member: Member) -> dict[str, Any]:
 def _row(sweep: Sweep, member: Member, found: dict[str, Any]) -> dict[str, Any]:
     reward = np.array(found["reward"])
     tail = reward[-max(1, len(reward) // 10) :]
-    row = _head(member) | {"status": "done", "reason": "", "train_reward": float(tail.mean()), "curve": found["reward"]}
+    row = _head(member) | {
+        "status": "done",
+        "reason": "",
+        "train_reward": float(tail.mean()),
+        "curve": found["reward"],
+    }
     if not found["whole"] or found["faulty"] >= 0:
         faulty = found["faulty"] + 1 if found["faulty"] >= 0 else len(reward)
-        row |= {"status": "failed", "reason": f"the learner's loss or weights were not finite from round {faulty} on"}
+        row |= {
+            "status": "failed",
+            "reason": f"the learner's loss or weights were not finite from round {faulty} on",
+        }
     row["targets"] = {
-        name: {"reward": found["best"][i], "params": found["params"][i], "rewards": found["rewards"][i]}
+        name: {
+            "reward": found["best"][i],
+            "params": found["params"][i],
+            "rewards": found["rewards"][i],
+        }
         for i, name in enumerate(sweep.spec.targets)
     }
     return without_nan(row)
 
 
-def _leave_run(programs: Programs, sweep: Sweep, folder: SweepFolder, member: Member, state: Any) -> None:
+def _leave_run(
+    programs: Programs, sweep: Sweep, folder: SweepFolder, member: Member, state: Any
+) -> None:
     """The member as a run folder that `adaptsim adapt` reads, unless it is there whole."""
     path = folder.path / "runs" / f"{member.index:05d}"
     if (path / CHECKPOINT / "manifest.json").exists():

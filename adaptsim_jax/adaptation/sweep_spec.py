@@ -1,4 +1,6 @@
-"""What a sweep is to do, read from SPEC.toml: members, each a configuration and a seed; every fault is named with its line."""
+"""What a sweep is to do, read from SPEC.toml: members, each a configuration and a seed; every fault
+is named with its line.
+"""
 
 import itertools
 from dataclasses import dataclass, field, replace
@@ -23,8 +25,9 @@ Entries = list[Any]  # a field of the spec is called `list`, and hides the type 
 
 @dataclass(frozen=True)
 class Draws:
-    """`[random]`: count: how many draws; seed: of them; values: for each key a table, `{low, high}`, with `scale = "log"` or
-    `integer = true` where wanted, or `{choice = [...]}`."""
+    """`[random]`: count: how many draws; seed: of them; values: for each key a table, `{low,
+    high}`, with `scale = "log"` or `integer = true` where wanted, or `{choice = [...]}`.
+    """
 
     count: int = 0
     seed: int = 0
@@ -33,7 +36,9 @@ class Draws:
 
 @dataclass(frozen=True)
 class Range:
-    """What a value is drawn from: between `low` and `high` evenly (or on a logarithmic scale), or one of `choice`."""
+    """What a value is drawn from: between `low` and `high` evenly (or on a logarithmic scale), or
+    one of `choice`.
+    """
 
     low: float | None = None
     high: float | None = None
@@ -46,11 +51,12 @@ class Range:
 class SweepSpec:
     """SPEC.toml as it stands.
 
-    task, or an env.toml from this file's folder; preset or config (a file of `adaptsim train`): where members start from, else the
-    task's default; set: changed in all.
-    Members are grid x random x list x seeds. grid: key = [values]; list: tables of keys that belong together; seeds: how many
-    (0, 1, ...) or which. targets: settings of the task to adapt to (none: Phase 1 alone), from `starts` members of S_E for
-    `iterations` steps. keep: leave each member's run folder, for `adaptsim adapt`.
+    task, or an env.toml from this file's folder; preset or config (a file of `adaptsim train`):
+    where members start from, else the task's default; set: changed in all.
+    Members are grid x random x list x seeds. grid: key = [values]; list: tables of keys that belong
+    together; seeds: how many (0, 1, ...) or which. targets: settings of the task to adapt to (none:
+    Phase 1 alone), from `starts` members of S_E for `iterations` steps. keep: leave each member's
+    run folder, for `adaptsim adapt`.
     """
 
     task: str
@@ -68,7 +74,9 @@ class SweepSpec:
 
 
 class Member(NamedTuple):
-    """One run of the sweep: values: what it differs by, by dotted key; config: all that it is run with, its seed too."""
+    """One run of the sweep: values: what it differs by, by dotted key; config: all that it is run
+    with, its seed too.
+    """
 
     index: int
     values: dict[str, Any]
@@ -76,7 +84,9 @@ class Member(NamedTuple):
 
 
 class Sweep(NamedTuple):
-    """A spec, read and checked, with its members in order; swept: the keys that members differ by."""
+    """A spec, read and checked, with its members in order; swept: the keys that members differ
+    by.
+    """
 
     spec: SweepSpec
     members: tuple[Member, ...]
@@ -84,8 +94,10 @@ class Sweep(NamedTuple):
 
 
 def read_sweep(path: str | Path) -> Sweep:
-    """The sweep in the TOML file `path`. BadInput names the line of an unknown key (with the nearest known one), of a value of the
-    wrong type or outside of its bounds, and of values that do not fit each other, before anything is run."""
+    """The sweep in the TOML file `path`. BadInput names the line of an unknown key (with the
+    nearest known one), of a value of the wrong type or outside of its bounds, and of values that do
+    not fit each other, before anything is run.
+    """
     table = configs.read(path, "no such file; name the SPEC.toml of a sweep")
     lines = Lines(str(path), Path(path).read_bytes().decode("utf-8-sig"))
     env = _environment(table, lines, Path(path).parent)
@@ -125,24 +137,31 @@ def _spec(table: dict[str, Any], lines: Lines, path: str) -> SweepSpec:
             raise BadInput(f"{lines.where(name)}: {name} = {getattr(spec, name)}: give at least 1")
     if spec.random.count < 0 or (spec.random.count == 0) != (not spec.random.values):
         raise BadInput(
-            f"{lines.where('random')}: random needs count, at least 1, and [random.values] with a range for each key"
+            f"{lines.where('random')}: random needs count, at least 1, and [random.values] with a "
+            f"range for each key"
         )
     return spec
 
 
 def seeds_of(spec: SweepSpec, lines: Lines | None = None) -> list[int]:
     """Which seeds each combination is run with."""
-    seeds = list(range(spec.seeds)) if isinstance(spec.seeds, int) else list(spec.seeds)
+    if isinstance(spec.seeds, int):
+        seeds = list(range(spec.seeds))
+    else:
+        seeds = list(spec.seeds)
     where = lines.where("seeds") if lines else "seeds"
     if not seeds or len(set(seeds)) < len(seeds) or not all(0 <= s <= MAX_SEED for s in seeds):
         raise BadInput(
-            f"{where}: seeds = {brief(spec.seeds)}: give a number of at least 1, or a list of different seeds"
+            f"{where}: seeds = {brief(spec.seeds)}: give a number of at least 1, or a list of "
+            f"different seeds"
         )
     return seeds
 
 
 def _base(spec: SweepSpec, lines: Lines, folder: Path, env: dict[str, Any]) -> TrainConfig:
-    """The configuration that members start from; env: the table of an env.toml, empty for other tasks."""
+    """The configuration that members start from; env: the table of an env.toml, empty for other
+    tasks.
+    """
     if spec.preset and spec.config:
         raise BadInput(f"{lines.where('config')}: preset and config are both given; leave one out")
     base = default_config(spec.task)
@@ -156,8 +175,14 @@ def _base(spec: SweepSpec, lines: Lines, folder: Path, env: dict[str, Any]) -> T
         with lines.blamed("config"):
             table = configs.read(folder / spec.config)
             if table.get("task", spec.task) != spec.task and isinstance(table.get("config"), dict):
-                raise BadInput(f"{spec.config}: is of task '{table['task']}', not '{spec.task}'; name another file")
-            table = table["config"] if isinstance(table.get("config"), dict) else table
+                raise BadInput(
+                    f"{spec.config}: is of task '{table['task']}', not '{spec.task}'; name another "
+                    f"file"
+                )
+            if isinstance(table.get("config"), dict):
+                table = table["config"]
+            else:
+                table = table
             base = configs.from_table(TrainConfig, with_defaults(spec.task, table), spec.config)
     for key, value in leaves(spec.set, configs.to_table(base)).items():
         with lines.blamed(f"set.{key}"):
@@ -166,8 +191,9 @@ def _base(spec: SweepSpec, lines: Lines, folder: Path, env: dict[str, Any]) -> T
 
 
 def leaves(table: dict[str, Any], base: dict[str, Any]) -> dict[str, Any]:
-    """Values by dotted key, whether they were written as `"hyper.delta" = 1`, `hyper.delta = 1` or in a nested table; never taken
-    apart further than the configuration `base` is nested."""
+    """Values by dotted key, whether they were written as `"hyper.delta" = 1`, `hyper.delta = 1` or
+    in a nested table; never taken apart further than the configuration `base` is nested.
+    """
     flat = {}
     for name, value in table.items():
         inner = _at(base, name)
@@ -201,7 +227,9 @@ def _nested(key: str, value: Any) -> dict[str, Any]:
 def _check_key(task: str, base: dict[str, Any], key: str, value: Any, where: str) -> None:
     """BadInput, from `where`, if the configuration has no such key, or no such value there."""
     if key == "seed" or key.startswith("seed."):
-        raise BadInput("key 'seed' is not swept; write seeds = 16 or seeds = [3, 5] at the top of the file")
+        raise BadInput(
+            "key 'seed' is not swept; write seeds = 16 or seeds = [3, 5] at the top of the file"
+        )
     head, _, option = key.partition(".")
     table = configs.over(base, _nested(key, value))
     made = configs.from_table(TrainConfig, table, where)
@@ -221,27 +249,36 @@ Axis = list[dict[str, Any]]
 
 def _axes(spec: SweepSpec, lines: Lines) -> list[Axis]:
     grid = [_grid_axis(key, values, lines) for key, values in configs.flatten(spec.grid).items()]
-    alternatives = [] if spec.random.count == 0 else [_random_axis(spec.random, lines)]
+    if spec.random.count == 0:
+        alternatives = []
+    else:
+        alternatives = [_random_axis(spec.random, lines)]
     if spec.list:
         alternatives.append([_list_entry(entry, i, lines) for i, entry in enumerate(spec.list)])
     axes = [*grid, *alternatives]
     keys = [key for axis in axes for key in axis[0] if key]
     for key in keys:
         if keys.count(key) > 1:
-            raise BadInput(f"{lines.where(f'grid.{key}')}: key '{key}' is swept twice; leave it in one place")
+            raise BadInput(
+                f"{lines.where(f'grid.{key}')}: key '{key}' is swept twice; leave it in one place"
+            )
     return axes
 
 
 def _grid_axis(key: str, values: Any, lines: Lines) -> Axis:
     if not isinstance(values, list) or not values:
-        raise BadInput(f"{lines.where(f'grid.{key}')}: key '{key}' is {brief(values)}; a list of values is wanted")
+        raise BadInput(
+            f"{lines.where(f'grid.{key}')}: key '{key}' is {brief(values)}; a list of values is "
+            f"wanted"
+        )
     return [{key: value, "": {key: f"grid.{key}"}} for value in values]
 
 
 def _list_entry(entry: Any, i: int, lines: Lines) -> dict[str, Any]:
     if not isinstance(entry, dict) or not entry:
         raise BadInput(
-            f"{lines.where(f'list.{i}')}: entry {i} of list is {brief(entry)}; write [[list]] and keys below it"
+            f"{lines.where(f'list.{i}')}: entry {i} of list is {brief(entry)}; write [[list]] and "
+            f"keys below it"
         )
     flat = configs.flatten(entry)
     return flat | {"": {key: f"list.{i}.{key}" for key in flat}}
@@ -251,7 +288,9 @@ def _ranges(table: dict[str, Any], prefix: str = "") -> dict[str, dict[str, Any]
     """Range tables by dotted key."""
     flat = {}
     for name, value in table.items():
-        nested = isinstance(value, dict) and value and all(isinstance(v, dict) for v in value.values())
+        nested = (
+            isinstance(value, dict) and value and all(isinstance(v, dict) for v in value.values())
+        )
         flat |= _ranges(value, f"{prefix}{name}.") if nested else {f"{prefix}{name}": value}
     return flat
 
@@ -262,10 +301,18 @@ def _random_axis(draws: Draws, lines: Lines) -> Axis:
         line = f"random.values.{key}"
         with lines.blamed(line):
             if not isinstance(given, dict):
-                raise BadInput(f"key '{key}' is {brief(given)}; write {{low = 0.1, high = 1.0}} or {{choice = [1, 2]}}")
-            columns[key] = _drawn(rng, configs.from_table(Range, given, lines.where(line)), key, draws.count)
+                raise BadInput(
+                    f"key '{key}' is {brief(given)}; write {{low = 0.1, high = 1.0}} or {{choice = "
+                    f"[1, 2]}}"
+                )
+            columns[key] = _drawn(
+                rng, configs.from_table(Range, given, lines.where(line)), key, draws.count
+            )
     names = {key: f"random.values.{key}" for key in columns}
-    return [{key: column[i] for key, column in columns.items()} | {"": names} for i in range(draws.count)]
+    return [
+        {key: column[i] for key, column in columns.items()} | {"": names}
+        for i in range(draws.count)
+    ]
 
 
 def _drawn(rng: np.random.Generator, range_: Range, key: str, count: int) -> list[Any]:
@@ -273,7 +320,9 @@ def _drawn(rng: np.random.Generator, range_: Range, key: str, count: int) -> lis
         return [range_.choice[i] for i in rng.integers(len(range_.choice), size=count)]
     low, high = range_.low, range_.high
     if low is None or high is None or not low < high:
-        raise BadInput(f"key '{key}': low = {low}, high = {high}; give low below high, or choice = [...]")
+        raise BadInput(
+            f"key '{key}': low = {low}, high = {high}; give low below high, or choice = [...]"
+        )
     if range_.integer:
         return [int(v) for v in rng.integers(int(low), int(high) + 1, size=count)]
     if range_.scale == "log":
@@ -296,20 +345,32 @@ def _members(spec: SweepSpec, base: TrainConfig, axes: list[Axis], lines: Lines)
     seeds = seeds_of(spec, lines)
     count = int(np.prod([len(axis) for axis in axes], dtype=np.float64)) * len(seeds)
     if count > MOST:
-        raise BadInput(f"{lines.path}: {count} members; {MOST} at most, so shorten a list of [grid]")
+        raise BadInput(
+            f"{lines.path}: {count} members; {MOST} at most, so shorten a list of [grid]"
+        )
     members, tasks = [], {}
     for combination in itertools.product(*axes):
         values = {key: value for entry in combination for key, value in entry.items() if key}
         names = {key: name for entry in combination for key, name in entry[""].items()}
         config = with_values(base, values, str(lines.path))
         _check_whole(spec, config, names, lines, tasks)
-        members += [Member(len(members) + i, values, replace(config, seed=s)) for i, s in enumerate(seeds)]
+        members += [
+            Member(len(members) + i, values, replace(config, seed=s)) for i, s in enumerate(seeds)
+        ]
     swept = dict.fromkeys(key for axis in axes for entry in axis for key in entry if key)
     return Sweep(spec, tuple(members), tuple(swept))
 
 
-def _check_whole(spec: SweepSpec, config: TrainConfig, names: dict[str, str], lines: Lines, tasks: dict[str, Task]):
-    """BadInput where the values of one member do not fit each other; tasks that are made are kept in `tasks`, by their options."""
+def _check_whole(
+    spec: SweepSpec,
+    config: TrainConfig,
+    names: dict[str, str],
+    lines: Lines,
+    tasks: dict[str, Task],
+):
+    """BadInput where the values of one member do not fit each other; tasks that are made are kept
+    in `tasks`, by their options.
+    """
     try:
         digest = configs.digest(config.task)
         if digest not in tasks:
@@ -323,7 +384,8 @@ def _check_whole(spec: SweepSpec, config: TrainConfig, names: dict[str, str], li
         text = str(error)
         if text.startswith(lines.path):
             raise
-        # the message names what it is about; the key whose last part it holds is to blame, else all that is swept
+        # the message names what it is about; the key whose last part it holds is to blame, else all
+        # that is swept
         named = {**{key: f"set.{key}" for key in configs.flatten(spec.set)}, **names}
         key = max((k for k in named if k.rpartition(".")[2] in text), key=len, default=None)
         line = named[key] if key else next(iter(names.values()), "set")

@@ -1,4 +1,6 @@
-"""Phase 1 into a run folder, in chunks that can be killed and resumed to the same bits, and Phase 2 out of it."""
+"""Phase 1 into a run folder, in chunks that can be killed and resumed to the same bits, and Phase 2
+out of it.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -7,7 +9,13 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from adaptsim_jax.adaptation.phase1 import Phase1, Phase1Config, Phase1Hyper, Phase1State, make_phase1
+from adaptsim_jax.adaptation.phase1 import (
+    Phase1,
+    Phase1Config,
+    Phase1Hyper,
+    Phase1State,
+    make_phase1,
+)
 from adaptsim_jax.adaptation.phase1_config import check_hyper
 from adaptsim_jax.adaptation.phase2 import Phase2Result, adapt, draw_starts
 from adaptsim_jax.adaptation.prepared import prepared
@@ -23,7 +31,8 @@ from adaptsim_jax.tasks.registry import make_task
 class TrainConfig:
     """Everything that a run needs to be run again.
 
-    seed: of the run; every: rounds between checkpoints; task: options of the task, see its config class;
+    seed: of the run; every: rounds between checkpoints; task: options of the task, see its config
+        class;
     phase1: sizes; hyper: rates.
     """
 
@@ -54,18 +63,25 @@ def traced(hyper: Phase1Hyper) -> Phase1Hyper:
 
 
 def train_run(config: TrainConfig, run: RunFolder, progress: Callable[..., None]) -> Trained:
-    """Phase 1 of `run.task`, from the run's checkpoint if it has one; writes metrics and checkpoints as it goes.
+    """Phase 1 of `run.task`, from the run's checkpoint if it has one; writes metrics and
+    checkpoints as it goes.
 
-    `progress(done, total, note)` is called between chunks. A chunk is `every` rounds, or the largest number below that
-    divides the run, so that one compiled program serves all of it.
+    `progress(done, total, note)` is called between chunks. A chunk is `every` rounds, or the
+    largest number below that divides the run, so that one compiled program serves all of it.
     """
     phase1 = _phase1_of(config, run, progress)
     hyper = traced(config.hyper)
     state, done = run.restore(jax.jit(phase1.init)(jax.random.key(config.seed)))
     total = phase1.config.rounds
     if not 0 <= done <= total:
-        raise BadInput(f"{run.path}: the checkpoint is of round {done}, but the run has {total}; train anew")
-    size = max(n for n in range(1, max(1, min(config.every, total)) + 1) if total % n == 0 and done % n == 0)
+        raise BadInput(
+            f"{run.path}: the checkpoint is of round {done}, but the run has {total}; train anew"
+        )
+    size = max(
+        n
+        for n in range(1, max(1, min(config.every, total)) + 1)
+        if total % n == 0 and done % n == 0
+    )
     advance = jax.jit(phase1.run, donate_argnums=0)
     while done < total:
         state, info = advance(state, hyper, jnp.arange(done, done + size))
@@ -83,18 +99,35 @@ def load_run(run: RunFolder) -> Trained:
     phase1 = _phase1_of(config, run)
     state, rounds = run.load(jax.eval_shape(phase1.init, jax.random.key(config.seed)))
     if rounds == 0:
-        raise BadInput(f"{run.path}: nothing was trained yet; run `adaptsim train` with --resume first")
+        raise BadInput(
+            f"{run.path}: nothing was trained yet; run `adaptsim train` with --resume first"
+        )
     return Trained(phase1, traced(config.hyper), state, rounds)
 
 
-def adapt_run(trained: Trained, key: jax.Array, target: Any, *, starts: int = 2, iterations: int = 10) -> Phase2Result:
+def adapt_run(
+    trained: Trained, key: jax.Array, target: Any, *, starts: int = 2, iterations: int = 10
+) -> Phase2Result:
     """Phase 2 in `target: [D]` (physical values) from `starts` members of the run's S_E."""
     phase1 = trained.phase1
     start_key, run_key = jax.random.split(key)
-    chosen = draw_starts(start_key, trained.state.archive, archive_size(phase1, trained.rounds), starts)
-    found = lambda k, w, s, t, h: adapt(
-        k, phase1.task, phase1.bdq, w, s, t, iterations=iterations, delta=h.delta, shrink=h.shrink
+    chosen = draw_starts(
+        start_key, trained.state.archive, archive_size(phase1, trained.rounds), starts
     )
+
+    def found(k, w, s, t, h):
+        return adapt(
+            k,
+            phase1.task,
+            phase1.bdq,
+            w,
+            s,
+            t,
+            iterations=iterations,
+            delta=h.delta,
+            shrink=h.shrink,
+        )
+
     weights = trained.state.learner.target
     return jax.jit(found)(run_key, weights, chosen, jnp.asarray(target, jnp.float32), trained.hyper)
 
@@ -104,7 +137,9 @@ def archive_size(phase1: Phase1, rounds: int) -> int:
     return min(phase1.config.archive, rounds * phase1.config.parallel * phase1.config.horizon)
 
 
-def _phase1_of(config: TrainConfig, run: RunFolder, progress: Callable[..., None] | None = None) -> Phase1:
+def _phase1_of(
+    config: TrainConfig, run: RunFolder, progress: Callable[..., None] | None = None
+) -> Phase1:
     """progress: of what the task learns first; None where that must be there already."""
     task = make_task(run.task, config.task, str(run.path / "config.toml"))
     task = prepared(task, config.seed, run.path, progress or silent, make=progress is not None)
@@ -113,7 +148,11 @@ def _phase1_of(config: TrainConfig, run: RunFolder, progress: Callable[..., None
 
 def _rows(phase1: Phase1, info: Any, done: int) -> list[dict[str, Any]]:
     """One row a round for `metrics.jsonl`; adaptation steps are counted as transitions stored."""
-    columns = {name: jax.device_get(values) for name, values in info._asdict().items() if values is not None}
+    columns = {
+        name: jax.device_get(values)
+        for name, values in info._asdict().items()
+        if values is not None
+    }
     per_round = phase1.config.parallel * phase1.config.horizon
     count = len(columns["reward"])
     return [

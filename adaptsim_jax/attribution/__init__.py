@@ -1,1 +1,3 @@
-"""Attribution: which effects does a simulator lack, judged one by one on trials that chose nothing (docs/attribution.md)."""
+"""Attribution: which effects does a simulator lack, judged one by one on trials that chose nothing
+(docs/attribution.md).
+"""

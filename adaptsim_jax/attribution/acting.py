@@ -1,4 +1,6 @@
-"""What acts on a tree of joints besides its own dynamics: actuators, effects, dry friction; values of a model. Stretches lie last."""
+"""What acts on a tree of joints besides its own dynamics: actuators, effects, dry friction; values
+of a model. Stretches lie last.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,9 +22,10 @@ BENT = 0.05  # s of motion before a stretch, by which bristles are taken to be b
 class Values(NamedTuple):
     """Numbers of a model of n joints; every leaf has a last axis of 1, or of one number a stretch.
 
-    inertial [n, 10, .]; gravity [3, .] m/s^2; actuator [6, n, .]: gain, bias, bias per angle, bias per speed, lowest and highest
-    force, before the gear [n, .]; effects {name: {parameter: [n, .]}}; ties [n, n, .]: gears by which a joint's actuator pulls other
-    joints as well (a tendon), None where none does; read [n, .]: angles that the sensors gave where a stretch begins.
+    inertial [n, 10, .]; gravity [3, .] m/s^2; actuator [6, n, .]: gain, bias, bias per angle, bias
+    per speed, lowest and highest force, before the gear [n, .]; effects {name: {parameter: [n,
+    .]}}; ties [n, n, .]: gears by which a joint's actuator pulls other joints as well (a tendon),
+    None where none does; read [n, .]: angles that the sensors gave where a stretch begins.
     """
 
     inertial: Any
@@ -35,8 +38,10 @@ class Values(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """What a force effect sees, `[n, ...]` each: q, v, the actuator's force u (N m), time [1, ...] s, `pull`: the part of u that
-    follows the command and the angle, `target`: the command, `gravity(q)`: force of gravity."""
+    """What a force effect sees, `[n, ...]` each: q, v, the actuator's force u (N m), time [1, ...]
+    s, `pull`: the part of u that follows the command and the angle, `target`: the command,
+    `gravity(q)`: force of gravity.
+    """
 
     q: Any
     v: Any
@@ -62,12 +67,15 @@ jax.tree_util.register_dataclass(Model, data_fields=["tree"], meta_fields=["effe
 
 def sensed_offset(values: Values):
     """What the encoders add to the angles, which the actuators' controllers see too, [n, .]."""
-    return values.effects["encoder_offset"]["offset"] if "encoder_offset" in values.effects else 0.0
+    if "encoder_offset" in values.effects:
+        return values.effects["encoder_offset"]["offset"]
+    return 0.0
 
 
 def actuated(values: Values, q, v, u):
-    """(force of the actuators, the part of it that follows command and angle), `[n, ...]`, N m or N; q and v are those of their own
-    encoders."""
+    """(force of the actuators, the part of it that follows command and angle), `[n, ...]`, N m or
+    N; q and v are those of their own encoders.
+    """
     gain, bias, per_q, per_v, low, high = values.actuator
     g = values.gear
     q = q + sensed_offset(values)
@@ -91,20 +99,29 @@ def _tied(ties, x):
 
 
 def held_by(values: Values):
-    """Stiffness and damping [n, .] that hold each joint without delay: of controllers, and viscous friction."""
+    """Stiffness and damping [n, .] that hold each joint without delay: of controllers, and viscous
+    friction.
+    """
     square = values.gear**2
-    damping = values.effects["viscous"]["damping"] if "viscous" in values.effects else 0.0
+    if "viscous" in values.effects:
+        damping = values.effects["viscous"]["damping"]
+    else:
+        damping = 0.0
     return -square * values.actuator[2], damping - square * values.actuator[3]
 
 
 def wound(values: Values):
     """Wind-up of the drives under torque, [n, .] rad/(N m)."""
-    return values.effects["drive_compliance"]["compliance"] if "drive_compliance" in values.effects else 0.0
+    if "drive_compliance" in values.effects:
+        return values.effects["drive_compliance"]["compliance"]
+    return 0.0
 
 
 def _played(values: Values, torque):
-    """What a controller on the motor's side gives less, since its encoder turns through the play towards where it pulls: it lies
-    against a side of the play as `drive_play` has it of the torque that is left."""
+    """What a controller on the motor's side gives less, since its encoder turns through the play
+    towards where it pulls: it lies against a side of the play as `drive_play` has it of the torque
+    that is left.
+    """
     if "drive_play" not in values.effects:
         return 0.0
     p = values.effects["drive_play"]
@@ -115,11 +132,15 @@ def _played(values: Values, torque):
 def carried(values: Values, x, u):
     """Torque of the drives [L+1, n, W] at states x [L+1, 2n, W] under commands u [L, n, W]."""
     n = x.shape[1] // 2
-    return jax.vmap(lambda x, u: actuated(values, x[:n], x[n:], u)[0])(x, jnp.concatenate([u, u[-1:]]))
+    return jax.vmap(lambda x, u: actuated(values, x[:n], x[n:], u)[0])(
+        x, jnp.concatenate([u, u[-1:]])
+    )
 
 
 class Forces(NamedTuple):
-    """`[n, ...]`: smooth force (actuator and effects), level of dry friction, added inertia, compliance of bristles."""
+    """`[n, ...]`: smooth force (actuator and effects), level of dry friction, added inertia,
+    compliance of bristles.
+    """
 
     smooth: Any
     level: Any
@@ -128,11 +149,15 @@ class Forces(NamedTuple):
 
 
 def forces(model: Model, values: Values, q, v, u, t, seen=None) -> Forces:
-    """All that acts on the joints besides their own dynamics. seen: angles and speeds as the controllers have them, where they are
-    other than q and v."""
+    """All that acts on the joints besides their own dynamics. seen: angles and speeds as the
+    controllers have them, where they are other than q and v.
+    """
     seen_q, seen_v = seen or (q, v)
     tau, pull = actuated(values, seen_q, seen_v, u)
-    gravity = lambda q: equations.gravity_force(model.tree, values.inertial, q, values.gravity)
+
+    def gravity(q):
+        return equations.gravity_force(model.tree, values.inertial, q, values.gravity)
+
     motion = Motion(q, v, tau, t, jnp.zeros_like(q), gravity, t, pull, u + jnp.zeros_like(q))
     nothing = jnp.zeros(jnp.broadcast_shapes(tau.shape, jnp.shape(values.inertial[:, 0])), q.dtype)
     smooth, level, inertia, yielding = tau + nothing, nothing, nothing, nothing
@@ -145,7 +170,10 @@ def forces(model: Model, values: Values, q, v, u, t, seen=None) -> Forces:
         if effect.inertia:
             inertia = inertia + effect.apply(p)
         elif _dry(effect)[0]:
-            rubs = lambda z, e=effect, p=p: _rubbing(z, e.apply(p, motion))
+
+            def rubs(z, e=effect, p=p):
+                return _rubbing(z, e.apply(p, motion))
+
             smooth, level, yielding = _where_on(effect, p, rubs, (smooth, level, yielding))
         else:
             smooth = _where_on(effect, p, lambda z, e=effect, p=p: z + e.apply(p, motion), smooth)
@@ -158,7 +186,9 @@ def _rubbing(total, dry: Dry):
 
 
 def _where_on(effect: Effect, p, added, total):
-    """added(total) if the effect does anything to any joint of any stretch: what is off costs nothing."""
+    """added(total) if the effect does anything to any joint of any stretch: what is off costs
+    nothing.
+    """
     on = [jnp.any(p[a.name] != a.off) for a in effect.amplitudes if a.name in p]
     return jax.lax.cond(jnp.any(jnp.stack(on)), added, lambda z: z, total)
 
@@ -195,7 +225,9 @@ def _dry(effect: Effect) -> tuple[bool, bool]:
 
 
 def bent_at(model: Model, values: Values, x, u, t):
-    """Deflection [n, W] of bristles at the start of stretches that begin at x [2n or more, W]: bent as by the motion just before."""
+    """Deflection [n, W] of bristles at the start of stretches that begin at x [2n or more, W]: bent
+    as by the motion just before.
+    """
     n = model.tree.n
     q, v = x[:n], x[n : 2 * n]
     act = forces(model, values, q, v, u, t[None])

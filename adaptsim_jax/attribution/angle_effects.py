@@ -1,7 +1,9 @@
-"""Torque and dry friction that depend on the joint's angle in whatever way: linear between nodes over the range of motion.
+"""Torque and dry friction that depend on the joint's angle in whatever way: linear between nodes
+over the range of motion.
 
-What no law of the catalogue describes (a magnet, a cable, a cam, a worn spot) would otherwise be given the name of the law that is
-least unlike it. They are tried once no law holds out any more; a law with fewer parameters has the name wherever it does as well.
+What no law of the catalogue describes (a magnet, a cable, a cam, a worn spot) would otherwise be
+given the name of the law that is least unlike it. They are tried once no law holds out any more; a
+law with fewer parameters has the name wherever it does as well.
 """
 
 import jax.numpy as jnp
@@ -27,10 +29,24 @@ def angle_friction(p, m):
 
 
 def _parameters() -> tuple[Parameter, ...]:
-    """A weak prior, so that a level which is the same everywhere is Coulomb's, and a node that no motion passes has none."""
-    nodes = [Parameter(f"at{k}", "N m", -1.0, 1.0, 0.0, meaning=f"at node {k}", prior=0.3) for k in range(NODES)]
+    """A weak prior, so that a level which is the same everywhere is Coulomb's, and a node that no
+    motion passes has none.
+    """
+    nodes = [
+        Parameter(f"at{k}", "N m", -1.0, 1.0, 0.0, meaning=f"at node {k}", prior=0.3)
+        for k in range(NODES)
+    ]
     ends = [
-        Parameter(name, "rad", -1e9, 1e9, at, None, held=True, meaning=f"angle of the {which} node; not fitted")
+        Parameter(
+            name,
+            "rad",
+            -1e9,
+            1e9,
+            at,
+            None,
+            held=True,
+            meaning=f"angle of the {which} node; not fitted",
+        )
         for name, at, which in (("low", -1.0, "first"), ("high", 1.0, "last"))
     ]
     return (*nodes, *ends)
@@ -42,16 +58,27 @@ def _range(reach, joint):
 
 BY_ANGLE: tuple[Effect, ...] = (
     Effect(
-        "angle_torque", "force", _parameters(), angle_torque,
+        "angle_torque",
+        "force",
+        _parameters(),
+        angle_torque,
         "a torque that depends on the angle in a way of its own (a magnet, a cable, a cam)",
-        "slow and fast passes over the whole range", ("cogging", "spring", "bias", "hard_stop"), grid=_range,
-        describes=True, formula=f"linear in q between {NODES} nodes from low to high, constant beyond",
+        "slow and fast passes over the whole range",
+        ("cogging", "spring", "bias", "hard_stop"),
+        grid=_range,
+        describes=True,
+        formula=f"linear in q between {NODES} nodes from low to high, constant beyond",
     ),
     Effect(
-        "angle_friction", "force", _parameters(), angle_friction,
+        "angle_friction",
+        "force",
+        _parameters(),
+        angle_friction,
         "dry friction whose level depends on the angle (a worn spot, a bent shaft)",
-        "reversals all over the range", ("coulomb", "stribeck", "load_friction", "asymmetric_coulomb"),
-        grid=_range, describes=True,
+        "reversals all over the range",
+        ("coulomb", "stribeck", "load_friction", "asymmetric_coulomb"),
+        grid=_range,
+        describes=True,
         formula="-level(q) sign(v), level linear between nodes, beside what is there anywhere",
     ),
-)  # fmt: skip
+)

@@ -22,7 +22,9 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Step:
-    """What the search did: action (added, refused, dropped, read, replaced, ended), candidate, its test, why."""
+    """What the search did: action (added, refused, dropped, read, replaced, ended), candidate, its
+    test, why.
+    """
 
     action: str
     candidate: Candidate | None
@@ -33,7 +35,9 @@ class Step:
 
 @dataclass(frozen=True)
 class Named:
-    """An effect that holds out. test: beside all others; alternatives: effects that do as well in its place; z: size over scatter."""
+    """An effect that holds out. test: beside all others; alternatives: effects that do as well in
+    its place; z: size over scatter.
+    """
 
     candidate: Candidate
     test: Test
@@ -42,27 +46,42 @@ class Named:
     p: float
 
 
-def scored(problem: Problem, model: Model, reach: Reach, laws: bool, near: Candidate | None = None) -> list[Score]:
-    """Scores of all candidates that are laws, or of those that only describe. near: of those alone that act beside it."""
+def scored(
+    problem: Problem, model: Model, reach: Reach, laws: bool, near: Candidate | None = None
+) -> list[Score]:
+    """Scores of all candidates that are laws, or of those that only describe. near: of those alone
+    that act beside it.
+    """
     every = candidates(problem, model.fit.vector, reach)
     if near is not None:
         every = [c for c in every if beside(c, near)]
-    return table(problem, model.lin, [c for c in every if problem.effect(c.effect).describes is not laws])
+    return table(
+        problem, model.lin, [c for c in every if problem.effect(c.effect).describes is not laws]
+    )
 
 
 def more(large: Model, small: Model) -> int:
     """Fitted parameters that one model has more than another."""
-    fitted = lambda m: sum(e.low < e.high for e in m.fit.vector.entries)
+
+    def fitted(m):
+        return sum(e.low < e.high for e in m.fit.vector.entries)
+
     return fitted(large) - fitted(small)
 
 
 def keys_of(model: Model, c: Candidate) -> list[tuple]:
     """Keys of an effect's entries in a model, shapes too."""
-    return [e.key for e in model.fit.vector.entries if e.owner == c.effect and set(e.joints) <= set(c.joints)]
+    return [
+        e.key
+        for e in model.fit.vector.entries
+        if e.owner == c.effect and set(e.joints) <= set(c.joints)
+    ]
 
 
 def beside(c: Candidate, other: Candidate) -> bool:
-    """Whether two effects act at the same joints or at ones next to each other in number, where one may stand in for the other."""
+    """Whether two effects act at the same joints or at ones next to each other in number, where one
+    may stand in for the other.
+    """
     return any(abs(j - k) < 2 for j in c.joints for k in other.joints)
 
 
@@ -83,10 +102,18 @@ def without(problem: Problem, model: Model, gone: Candidate, criteria: Criteria)
 
 
 def compared(
-    problem: Problem, model: Model, added, like: Model, vector: Vector, starts, joints, criteria: Criteria
+    problem: Problem,
+    model: Model,
+    added,
+    like: Model,
+    vector: Vector,
+    starts,
+    joints,
+    criteria: Criteria,
 ) -> Model:
-    """Another model, refitted under the weights of `model` as far as it takes to compare them: to the end where it might do as
-    well. like: one that is the same but at `joints`."""
+    """Another model, refitted under the weights of `model` as far as it takes to compare them: to
+    the end where it might do as well. like: one that is the same but at `joints`.
+    """
     weights, most = model.fit.weights, criteria.rounds
     fitted = refit(problem, vector, starts, joints, most, weights, 2 * criteria.glance)
     other = modelled(problem, added, fitted, weights, like)
@@ -98,9 +125,13 @@ def compared(
     return modelled(problem, added, fitted, weights, like)
 
 
-def from_afar(problem: Problem, settle: Callable[..., Model], vector: Vector, starts, rounds: int) -> Model:
-    """settle(vector, starts), which fits under given weights; where that is stuck at once, also after a fit by weights of its own:
-    what weighs after a good fit is a narrow valley from afar. Of both the one that leaves less."""
+def from_afar(
+    problem: Problem, settle: Callable[..., Model], vector: Vector, starts, rounds: int
+) -> Model:
+    """settle(vector, starts), which fits under given weights; where that is stuck at once, also
+    after a fit by weights of its own: what weighs after a good fit is a narrow valley from afar. Of
+    both the one that leaves less.
+    """
     found = settle(vector, starts)
     if found.fit.code != "stuck":
         return found
@@ -111,11 +142,15 @@ def from_afar(problem: Problem, settle: Callable[..., Model], vector: Vector, st
 def judged(
     problem, model: Model, reach, criteria: Criteria, trace, say, rivals: bool = True
 ) -> tuple[Model, tuple[Named, ...]]:
-    """Backward: effects that do not hold out beside the others go, the weakest first and with it those that are not beside it; the
-    rest against their look-alikes, of which the simplest has the name (unless rivals are not asked for)."""
+    """Backward: effects that do not hold out beside the others go, the weakest first and with it
+    those that are not beside it; the rest against their look-alikes, of which the simplest has the
+    name (unless rivals are not asked for).
+    """
     model = of_members(problem, model, criteria, trace, say)
     gone: set[tuple] = set()
-    sure: set[tuple] = set()  # effects that were far from going: they are tested again once nothing else goes
+    sure: set[tuple] = (
+        set()
+    )  # effects that were far from going: they are tested again once nothing else goes
     while True:
 
         def tested(c: Candidate, model=model) -> tuple[Candidate, Model, Test, float]:
@@ -136,12 +171,18 @@ def judged(
             continue
         also: list[tuple] = []
         if failing:
-            (_, _, less, _, _), *others = weakest = apart_in_turn(sorted(failing, key=lambda f: f[0]), lambda f: f[1])
+            (_, _, less, _, _), *others = weakest = apart_in_turn(
+                sorted(failing, key=lambda f: f[0]), lambda f: f[1]
+            )
             trace += [Step("dropped", c, None, test, why) for _, c, _, test, why in weakest]
-            less = replace(less, added=tuple(c for c in less.added if all(c is not f[1] for f in others)))
+            less = replace(
+                less, added=tuple(c for c in less.added if all(c is not f[1] for f in others))
+            )
             also = [key for f in others for key in keys_of(model, f[1])]
         else:
-            others_of = partial(look_alikes, problem, model, reach=reach, criteria=criteria, say=say)
+            others_of = partial(
+                look_alikes, problem, model, reach=reach, criteria=criteria, say=say
+            )
             alike = [others_of(less, c) if rivals else [] for c, less, _, _ in tests]
             simpler = [
                 (c, other, test)
@@ -156,7 +197,13 @@ def judged(
             c, less, test = min(simpler, key=lambda s: s[2].gain)
             gone.add(c.key)
             trace.append(
-                Step("replaced", c, None, test, f"{less.added[-1].effect} has fewer parameters and does as well")
+                Step(
+                    "replaced",
+                    c,
+                    None,
+                    test,
+                    f"{less.added[-1].effect} has fewer parameters and does as well",
+                )
             )
         own = fit(problem, less.fit.vector.without(also), less.fit.starts, rounds=criteria.rounds)
         model = modelled(problem, less.added, own)
@@ -167,8 +214,10 @@ def judged(
 
 
 def of_members(problem: Problem, model: Model, criteria: Criteria, trace, say) -> Model:
-    """The model whose effects at many joints are at those that show it: each joint is tested beside all else, as if it were an effect
-    of its own. Those that do not hold out go together; where that predicts worse, the weaker half."""
+    """The model whose effects at many joints are at those that show it: each joint is tested beside
+    all else, as if it were an effect of its own. Those that do not hold out go together; where that
+    predicts worse, the weaker half.
+    """
     many = [c for c in model.added if c.sharing == "all" and len(c.joints) > 1]
     parts = [(c, one) for c in many for one in c.split()]
 
@@ -178,11 +227,18 @@ def of_members(problem: Problem, model: Model, criteria: Criteria, trace, say) -
         alone = replace(model, added=(*(k for k in model.added if k is not c), one))
         less = without(problem, alone, one, criteria)
         test = paired(problem, less.held.loss, model.held.loss)
-        return test.gain, one, test, why_not(problem, model, less, one, test, steadiness(model, one), criteria)
+        return (
+            test.gain,
+            one,
+            test,
+            why_not(problem, model, less, one, test, steadiness(model, one), criteria),
+        )
 
     weak = sorted((t for t in parallel_map(tested, parts) if t[3]), key=lambda t: t[0])
     while weak:
-        less = trimmed(problem, model, [e.key for _, one, *_ in weak for e in one.entries], criteria)
+        less = trimmed(
+            problem, model, [e.key for _, one, *_ in weak for e in one.entries], criteria
+        )
         test = paired(problem, losses(problem, less.held.paths, model.fit.weights), model.held.loss)
         if test.p > criteria.confidence or test.gain < criteria.size * more(model, less):
             trace += [Step("dropped", one, None, test, why) for _, one, test, why in weak]
@@ -204,8 +260,9 @@ def trimmed(problem: Problem, model: Model, keys: Sequence[tuple], criteria: Cri
 
 
 def _weak(problem: Problem, model: Model, tests, criteria: Criteria):
-    """Of tested effects (candidate, model without it, test, steadiness) one that is only how rows are read, with its test, and those
-    that do not stay."""
+    """Of tested effects (candidate, model without it, test, steadiness) one that is only how rows
+    are read, with its test, and those that do not stay.
+    """
     read, failing = None, []
     for c, less, test, steady in tests:
         if between_rows(problem, model, c, criteria) and test.p <= criteria.confidence:
@@ -218,19 +275,23 @@ def _weak(problem: Problem, model: Model, tests, criteria: Criteria):
 def look_alikes(
     problem, model: Model, less: Model, c: Candidate, reach, criteria: Criteria, say
 ) -> list[tuple[Model, Test]]:
-    """Models with effects that do as well as `c` in its place (the last that each has), and the test of the model against them: of
-    those that gain most without it at its joints or those beside them, and of those that it is mistaken for. What describes without
-    a law is no rival of one: it does nearly as well as most."""
+    """Models with effects that do as well as `c` in its place (the last that each has), and the
+    test of the model against them: of those that gain most without it at its joints or those beside
+    them, and of those that it is mistaken for. What describes without a law is no rival of one: it
+    does nearly as well as most.
+    """
     scores = scored(problem, less, reach, True, c)
     if problem.effect(c.effect).describes:
         scores = sorted(scores + scored(problem, less, reach, False, c), key=lambda s: -s.held_out)
     own = next((s.held_out for s in scores if s.candidate.key == c.key), 0.0)
     alike = problem.effect(c.effect).look_alikes
     rivals = [
-        s for s in scores
-        if s.candidate.key != c.key and not (s.candidate.effect == c.effect and set(c.joints) & set(s.candidate.joints))
+        s
+        for s in scores
+        if s.candidate.key != c.key
+        and not (s.candidate.effect == c.effect and set(c.joints) & set(s.candidate.joints))
         and s.held_out > (0.5 if s.candidate.effect in alike else 0.8) * own
-    ]  # fmt: skip
+    ]
     gained = paired(problem, less.held.loss, model.held.loss).gain
     gap = max(criteria.gap, 1.0 - (1.0 - gained) ** criteria.alike)
 
@@ -238,7 +299,10 @@ def look_alikes(
         say(f"{score.candidate.effect} in place of {c.effect}")
         touched = (*c.joints, *score.candidate.joints)
         added = (*less.added, score.candidate)
-        settle = lambda vector, starts: compared(problem, model, added, less, vector, starts, touched, criteria)
+
+        def settle(vector, starts):
+            return compared(problem, model, added, less, vector, starts, touched, criteria)
+
         vector, starts, _ = attempted(problem, less, reach, score)
         other = from_afar(problem, settle, vector, starts, criteria.rounds)
         return other, paired(problem, other.held.loss, model.held.loss)
@@ -251,4 +315,6 @@ def look_alikes(
 
 
 def where(problem: Problem, c: Candidate) -> str:
-    return "base" if c.effect == TILT else ", ".join(problem.joint_names[j] for j in c.joints)
+    if c.effect == TILT:
+        return "base"
+    return ", ".join(problem.joint_names[j] for j in c.joints)

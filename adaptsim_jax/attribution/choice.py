@@ -1,4 +1,6 @@
-"""Which simulator replays a recording: the tree of joints where it can, MuJoCo itself where it must or is asked for."""
+"""Which simulator replays a recording: the tree of joints where it can, MuJoCo itself where it must
+or is asked for.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,14 +17,18 @@ from adaptsim_jax.simulators.mujoco.replay import replayed
 from adaptsim_jax.simulators.mujoco.touching import touching
 
 OWN = 1e-6
-"""rad (m): of MuJoCo's median error over a sample of stretches, below which a recording is the file's own simulation."""
+"""rad (m): of MuJoCo's median error over a sample of stretches, below which a recording is the
+file's own simulation.
+"""
 SAMPLE = 6  # stretches
 MOVED = 1e-3  # m, or of a quaternion's entries: by which a base that moves does
 
 
 @dataclass(frozen=True)
 class Choice:
-    """simulator: tree or mujoco; why, in a sentence ('' where nothing needs to be said); file and log where they were read."""
+    """simulator: tree or mujoco; why, in a sentence ('' where nothing needs to be said); file and
+    log where they were read.
+    """
 
     simulator: str
     why: str
@@ -31,7 +37,8 @@ class Choice:
 
 
 def choose(data: str | Path, model: str | Path | None, asked: str | None, horizon: float) -> Choice:
-    """For a recording and a model file. asked: `tree`, `mujoco`, or None: what meta.toml says, else what the model needs.
+    """For a recording and a model file. asked: `tree`, `mujoco`, or None: what meta.toml says, else
+    what the model needs.
 
     Raises BadInput where the files cannot be read, or MuJoCo is asked for what is no model file.
     """
@@ -41,7 +48,8 @@ def choose(data: str | Path, model: str | Path | None, asked: str | None, horizo
     if own or declared_task(data) == "pendulum":
         if asked == "mujoco":
             raise BadInput(
-                f"{model or data}: simulator mujoco wants a model file (MJCF or URDF); give model.xml beside it"
+                f"{model or data}: simulator mujoco wants a model file (MJCF or URDF); give "
+                f"model.xml beside it"
             )
         return Choice("tree", "")
     source, log = read_source_and_log(data, model)
@@ -53,12 +61,16 @@ def choose(data: str | Path, model: str | Path | None, asked: str | None, horizo
     if why := _needs(source, log):
         return Choice("mujoco", why, source, log)
     if source.kind == "mjcf" and _own(source, log, horizon):
-        return Choice("mujoco", f"the recording is the file's own simulation to {OWN:g} rad", source, log)
+        return Choice(
+            "mujoco", f"the recording is the file's own simulation to {OWN:g} rad", source, log
+        )
     return Choice("tree", "", source, log)
 
 
 def _needs(source: Source, log: Log) -> str:
-    """What a tree of joints cannot do of a file over a recording, in words; '' where it can do all."""
+    """What a tree of joints cannot do of a file over a recording, in words; '' where it can do
+    all.
+    """
     from adaptsim_jax.mechanisms.mjcf import mechanism_of
 
     if base_moves(log):
@@ -67,7 +79,11 @@ def _needs(source: Source, log: Log) -> str:
         return "sensors of the model are compared"
     if not log.joint_names:
         return "it has no joint but its base's"
-    hold = {name: value for name, value in log.held.items() if value is not None or name in log.meta.hold}
+    hold = {
+        name: value
+        for name, value in log.held.items()
+        if value is not None or name in log.meta.hold
+    }
     try:
         mechanism = mechanism_of(source, hold, log.joint_names, log.meta.path)
     except BadInput as error:  # nothing of a tree is left, or too much of it
@@ -78,7 +94,9 @@ def _needs(source: Source, log: Log) -> str:
 
 def base_moves(log: Log) -> bool:
     """Whether a logged base moves in any trial."""
-    return any(t.base is not None and float(np.ptp(t.base, axis=0).max()) > MOVED for t in log.trials)
+    return any(
+        t.base is not None and float(np.ptp(t.base, axis=0).max()) > MOVED for t in log.trials
+    )
 
 
 def _own(source: Source, log: Log, horizon: float) -> bool:

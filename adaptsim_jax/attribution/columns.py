@@ -1,7 +1,9 @@
-"""What each parameter does to the measured outputs along a simulated path: one column a parameter, in place at first order.
+"""What each parameter does to the measured outputs along a simulated path: one column a parameter,
+in place at first order.
 
-Forces enter through the response to a force held over a row, inertial parameters as the force that they would take (the regressor
-of the equations of motion is linear in them), commands as the change of the actuator's force, sensors directly.
+Forces enter through the response to a force held over a row, inertial parameters as the force that
+they would take (the regressor of the equations of motion is linear in them), commands as the change
+of the actuator's force, sensors directly.
 """
 
 from collections.abc import Mapping, Sequence
@@ -46,13 +48,17 @@ def _mean_sign(x, n):
     before, after = v[:, :-1], v[:, 1:]
     change = after - before
     even = jnp.abs(change) < 1e-9
-    return jnp.where(even, jnp.sign(after), (jnp.abs(after) - jnp.abs(before)) / jnp.where(even, 1.0, change))
+    return jnp.where(
+        even, jnp.sign(after), (jnp.abs(after) - jnp.abs(before)) / jnp.where(even, 1.0, change)
+    )
 
 
 def _bent(path: Path, yielding, rub, bristly, n: int):
-    """What bristles of some compliance [n, L, W] change of dry friction `rub` (level, mean direction) along a path: as they bend by
-    the angle and slide at the level. A joint that is held still says nothing of them, unless
-    it has some already (bristly [n, L, W])."""
+    """What bristles of some compliance [n, L, W] change of dry friction `rub` (level, mean
+    direction) along a path: as they bend by the angle and slide at the level. A joint that is held
+    still says nothing of them, unless
+    it has some already (bristly [n, L, W]).
+    """
     level, turned = rub
     most = yielding * level
     q = jnp.moveaxis(path.x[:, :n], 0, 1)
@@ -71,19 +77,28 @@ def _bent(path: Path, yielding, rub, bristly, n: int):
 
 @partial(jax.jit, static_argnames=("effect", "parameter"))
 def _force(group_tree, values, path: Path, time, rub, p, direction, effect: Effect, parameter: str):
-    """Change of the force [n, L, W] per unit of a parameter at every joint, or of a pair's [n, n, L, W], the parameter's joint first;
-    p {name: [n]}, direction: 1, or a jump's size [n]."""
+    """Change of the force [n, L, W] per unit of a parameter at every joint, or of a pair's [n, n,
+    L, W], the parameter's joint first; p {name: [n]}, direction: 1, or a jump's size [n].
+    """
     n = path.x.shape[1] // 2
     dt = jnp.diff(time, axis=0)
     q, v, a = _middle(path, dt)
-    wide = lambda z: z[:, None, :]
+
+    def wide(z):
+        return z[:, None, :]
+
     ties = None if values.ties is None else values.ties[:, :, None]
     lanes = values._replace(actuator=values.actuator[:, :, None], gear=wide(values.gear), ties=ties)
     seen = {k: jax.tree.map(wide, z) for k, z in values.effects.items() if k in SEEN_BY_CONTROLLERS}
     lanes = lanes._replace(effects=seen)
     u = jnp.moveaxis(path.u, 0, 1)
     tau, pull = actuated(lanes, q, v, u)
-    gravity = lambda q: equations.gravity_force(group_tree, values.inertial[:, :, None], q, values.gravity[:, None])
+
+    def gravity(q):
+        return equations.gravity_force(
+            group_tree, values.inertial[:, :, None], q, values.gravity[:, None]
+        )
+
     motion = Motion(q, v, tau, 0.5 * (time[1:] + time[:-1])[None], 0.0 * q, gravity, None, pull, u)
     turned = jnp.where(jnp.abs(rub[0]) > 0, rub[1], _mean_sign(path.x, n))
 
@@ -104,13 +119,20 @@ def _force(group_tree, values, path: Path, time, rub, p, direction, effect: Effe
         return (act(direction) - act(p[parameter])) / jnp.where(
             direction != p[parameter], direction - p[parameter], 1.0
         )[:, None, None]
-    along = lambda way: jax.jvp(act, (p[parameter],), (way,))[1]
-    return jax.vmap(along)(jnp.eye(n)) if effect.pair else along(jnp.ones(n))
+
+    def along(way):
+        return jax.jvp(act, (p[parameter],), (way,))[1]
+
+    if effect.pair:
+        return jax.vmap(along)(jnp.eye(n))
+    return along(jnp.ones(n))
 
 
 @partial(jax.jit, static_argnames=("effect", "parameter"))
 def _spring(model, values, ahead, p, effect: str, parameter: str):
-    """Change of the springs' torque on the links [n, L, W] per unit of a parameter of drives that give."""
+    """Change of the springs' torque on the links [n, L, W] per unit of a parameter of drives that
+    give.
+    """
     middle = jnp.moveaxis(0.5 * (ahead[1:] + ahead[:-1]), 0, 1)
 
     def torque(value):
@@ -134,13 +156,18 @@ def _gravity(tree, inertial, way, path: Path, time):
 
 
 @partial(jax.jit, static_argnames=("past", "effect", "parameter"))
-def _command(model, values, stamp, command, path: Path, p, size, past: int, effect: Effect, parameter: str):
+def _command(
+    model, values, stamp, command, path: Path, p, size, past: int, effect: Effect, parameter: str
+):
     rows = path.u.shape[0]
     changed = dict(values.effects)
     changed[effect.name] = {k: z[:, None] for k, z in p.items()}
     moved = dict(changed)
     moved[effect.name] = changed[effect.name] | {parameter: (p[parameter] + size)[:, None]}
-    run = lambda effects: command_rows(model, values._replace(effects=effects), stamp, command, past, rows)
+
+    def run(effects):
+        return command_rows(model, values._replace(effects=effects), stamp, command, past, rows)
+
     by = (values.gear * values.actuator[0])[None]
     return jnp.moveaxis((run(moved) - run(changed)) * by / size[None, :, None], 0, 1)
 
@@ -150,7 +177,9 @@ _carried = jax.jit(carried)
 
 @partial(jax.jit, static_argnames=("effect", "parameter"))
 def _answered(values, x, u, p, effect: str, parameter: str):
-    """Change of the actuators' forces in the middle of the rows [n, L, W] per unit of a parameter of an effect that they see."""
+    """Change of the actuators' forces in the middle of the rows [n, L, W] per unit of a parameter
+    of an effect that they see.
+    """
     n = x.shape[1] // 2
     between = 0.5 * (x[1:] + x[:-1])
 
@@ -163,18 +192,23 @@ def _answered(values, x, u, p, effect: str, parameter: str):
 
 @partial(jax.jit, static_argnames=("effect", "parameter"))
 def _sensed(time, x, read, torque, p, size, effect: Effect, parameter: str):
-    """Change of the outputs ([L+1, n, W] twice) per unit of a sensor's parameter at every joint; read [n, W]: what it gave first;
-    torque [L+1, n, W] of the drives, for an effect that they matter to."""
+    """Change of the outputs ([L+1, n, W] twice) per unit of a sensor's parameter at every joint;
+    read [n, W]: what it gave first; torque [L+1, n, W] of the drives, for an effect that they
+    matter to.
+    """
     n = x.shape[1] // 2
     also = (torque,) if effect.carried else ()
-    run = lambda value: effect.apply(
-        {k: z[None, :, None] for k, z in (p | {parameter: value}).items()},
-        time[:, None, :],
-        x[:, :n],
-        x[:, n:],
-        read,
-        *also,
-    )
+
+    def run(value):
+        return effect.apply(
+            {k: z[None, :, None] for k, z in (p | {parameter: value}).items()},
+            time[:, None, :],
+            x[:, :n],
+            x[:, n:],
+            read,
+            *also,
+        )
+
     if effect.jump:
         on, off = run(p[parameter] + size), run(p[parameter])
         return tuple((a - b) / size[None, :, None] for a, b in zip(on, off, strict=True))
@@ -182,18 +216,30 @@ def _sensed(time, x, read, torque, p, size, effect: Effect, parameter: str):
 
 
 def _sides(model, values, path: Path) -> tuple[Path, Path]:
-    """The path of the rotors and that of the links: the joints', where none of their drives gives."""
+    """The path of the rotors and that of the links: the joints', where none of their drives
+    gives.
+    """
     if not path.ahead.shape[1]:
         return path, path
     link = np.tile(np.asarray(drives.drive_of(model, values).link), (2, 1))
-    return path._replace(x=path.x - link * path.ahead), path._replace(x=path.x + (1.0 - link) * path.ahead)
+    return path._replace(x=path.x - link * path.ahead), path._replace(
+        x=path.x + (1.0 - link) * path.ahead
+    )
 
 
 class Columns:
-    """Columns of a group at a point: force columns [W, L, n, K] or output columns [W, L+1, 2n, K] on demand, by entry."""
+    """Columns of a group at a point: force columns [W, L, n, K] or output columns [W, L+1, 2n, K]
+    on demand, by entry.
+    """
 
     def __init__(self, problem: Problem, group: Group, vector: Vector, values, path: Path):
-        self.problem, self.group, self.vector, self.values, self.path = problem, group, vector, values, path
+        self.problem, self.group, self.vector, self.values, self.path = (
+            problem,
+            group,
+            vector,
+            values,
+            path,
+        )
         s = group.stretches
         self.time, self.n = jnp.asarray(s.time), len(group.joints)
         self.known = {e.key: float(z) for e, z in zip(vector.entries, vector.values, strict=True)}
@@ -202,22 +248,36 @@ class Columns:
         self.gives = drives.compliant(group.model, values)
         level = np.abs(np.asarray(path.rub)).max()
         moved = np.moveaxis(np.asarray(path.rub), 0, 1)
-        self.rub = self._direction(moved) if level > 0 else (np.zeros_like(moved), np.zeros_like(moved))
+        if level > 0:
+            self.rub = self._direction(moved)
+        else:
+            self.rub = (np.zeros_like(moved), np.zeros_like(moved))
 
     def _direction(self, rub: np.ndarray):
-        """Dry friction as it acted, and the share of its level that it took, of the joints whose level is known to be there."""
+        """Dry friction as it acted, and the share of its level that it took, of the joints whose
+        level is known to be there.
+        """
         level = np.abs(rub).max((1, 2), keepdims=True)
         with_ = level > STILL * level.max()
-        return np.where(with_, level, 0.0) + 0.0 * rub, np.where(with_, -rub / np.where(level > 0, level, 1.0), 0.0)
+        return np.where(with_, level, 0.0) + 0.0 * rub, np.where(
+            with_, -rub / np.where(level > 0, level, 1.0), 0.0
+        )
 
     def at(self, effect: Effect, shape: Shapes | None) -> dict[str, np.ndarray]:
-        """Parameters [n] of an effect as they are, those of `shape` laid over them at joints where it is not in the vector."""
+        """Parameters [n] of an effect as they are, those of `shape` laid over them at joints where
+        it is not in the vector.
+        """
         out = {}
         for p in effect.parameters:
             row = []
             for j in self.group.joints:
                 mine = next(
-                    (z for k, z in self.known.items() if k[0] == effect.name and k[1] == p.name and j in k[2]), None
+                    (
+                        z
+                        for k, z in self.known.items()
+                        if k[0] == effect.name and k[1] == p.name and j in k[2]
+                    ),
+                    None,
                 )
                 base = off_value(self.problem, effect.name, p.name, j)
                 given = (shape or {}).get(p.name) if p.off is None else None
@@ -226,7 +286,9 @@ class Columns:
         return out
 
     def all_joints(self, effect: Effect, parameter: str, shape: Shapes | None):
-        """('force', [n, L, W]) or ('output', [L+1, 2n, W]) with each joint's own column on its row."""
+        """('force', [n, L, W]) or ('output', [L+1, 2n, W]) with each joint's own column on its
+        row.
+        """
         key = (effect.name, parameter, tuple(sorted((shape or {}).items())))
         if key not in self._made:
             self._made[key] = self._make(effect, parameter, shape)
@@ -242,13 +304,34 @@ class Columns:
         with jax.enable_x64(True):
             if effect.place == "force":
                 return "pair" if effect.pair else "force", np.asarray(
-                    _force(g.model.tree, self.values, self.rotor, self.time, self.rub, p, size, effect, parameter)
+                    _force(
+                        g.model.tree,
+                        self.values,
+                        self.rotor,
+                        self.time,
+                        self.rub,
+                        p,
+                        size,
+                        effect,
+                        parameter,
+                    )
                 )
             if effect.place == "command":
                 s = g.stretches
                 step = size - p[parameter]
                 return "force", np.asarray(
-                    _command(g.model, self.values, s.stamp, s.command, self.path, p, step, s.past, effect, parameter)
+                    _command(
+                        g.model,
+                        self.values,
+                        s.stamp,
+                        s.command,
+                        self.path,
+                        p,
+                        step,
+                        s.past,
+                        effect,
+                        parameter,
+                    )
                 )
             torque = self.torque() if effect.carried else None
             x, read = self.path.x, self.values.read
@@ -280,11 +363,15 @@ class Columns:
         if "regressor" not in self._made:
             with jax.enable_x64(True):
                 gravity = jnp.asarray(np.asarray(self.values.gravity))
-                self._made["regressor"] = np.asarray(_regressor(self.group.model.tree, gravity, self.link, self.time))
+                self._made["regressor"] = np.asarray(
+                    _regressor(self.group.model.tree, gravity, self.link, self.time)
+                )
         return self._made["regressor"]
 
     def answered(self, effect: Effect, parameter: str, shape: Shapes | None) -> np.ndarray:
-        """Change of the actuators' forces [n, L, W] per unit of a parameter of what their controllers' encoders see."""
+        """Change of the actuators' forces [n, L, W] per unit of a parameter of what their
+        controllers' encoders see.
+        """
         key = ("answered", effect.name, parameter, tuple(sorted((shape or {}).items())))
         if key not in self._made:
             with jax.enable_x64(True):
@@ -298,7 +385,9 @@ class Columns:
         g = np.asarray(self.group.model.tree.gravity)
         way = np.cross(g, np.eye(3)[TILTS.index(name)])  # d(gravity)/d(angle) of a turned base
         with jax.enable_x64(True):
-            force = _gravity(self.group.model.tree, self.values.inertial, jnp.asarray(way), self.link, self.time)
+            force = _gravity(
+                self.group.model.tree, self.values.inertial, jnp.asarray(way), self.link, self.time
+            )
         return np.asarray(force)
 
     def spring(self, effect: Effect, parameter: str) -> np.ndarray:
@@ -307,20 +396,28 @@ class Columns:
         if key not in self._made:
             with jax.enable_x64(True):
                 torque = _spring(
-                    self.group.model, self.values, self.path.ahead, self.at(effect, None), effect.name, parameter
+                    self.group.model,
+                    self.values,
+                    self.path.ahead,
+                    self.at(effect, None),
+                    effect.name,
+                    parameter,
                 )
             self._made[key] = np.where(self.gives[:, None, None], torque, 0.0)
         return self._made[key]
 
     def alone(self, effect: Effect, parameter: str, shape: Shapes) -> np.ndarray:
-        """What the log would have [3, L+1, 2n, W] of drives that are rigid now, each joint by itself: per unit of a parameter at its
-        size in `shape`, and swinging from two starts."""
+        """What the log would have [3, L+1, 2n, W] of drives that are rigid now, each joint by
+        itself: per unit of a parameter at its size in `shape`, and swinging from two starts.
+        """
         key = ("alone", effect.name, tuple(sorted(shape.items())))
         if key not in self._made:
             p = self.at(effect, shape) | {parameter: np.full(self.n, shape[parameter])}
             local, carries = self._carries()
             with jax.enable_x64(True):
-                seen = np.array(logged_alone(local, p, carries, jnp.diff(self.time, axis=0), effect))
+                seen = np.array(
+                    logged_alone(local, p, carries, jnp.diff(self.time, axis=0), effect)
+                )
             there = ~np.tile(self.gives, 2)[:, None] & (np.abs(seen) < FAR)
             seen = np.where(there, seen, 0.0)
             seen[0] /= shape[parameter]
@@ -334,14 +431,21 @@ class Columns:
             rotor = plain.effects["armature"]["inertia"][:, 0]
             link = np.maximum(group_inertia(plain, self.group)[0] - rotor, drives.LEAST)
             held = (np.asarray(z)[:, 0] + np.zeros(self.n) for z in held_by(plain))
-            local = Local(*(z[:, None, None] for z in (np.maximum(rotor, drives.LEAST), link, *held)))
+            local = Local(
+                *(z[:, None, None] for z in (np.maximum(rotor, drives.LEAST), link, *held))
+            )
             y = self._regressed()
-            self._made["carries"] = local, np.einsum("niLW,i->nLW", y, plain.inertial[..., 0].reshape(-1))
+            self._made["carries"] = (
+                local,
+                np.einsum("niLW,i->nLW", y, plain.inertial[..., 0].reshape(-1)),
+            )
         return self._made["carries"]
 
     def stack(self, entries: Sequence[tuple[Entry, Shapes | None]]):
-        """(force [W, L, F, K], output [W, L+1, 2n, K] or None) of some entries; zero where an entry is of another group. The F forces
-        are on the n joints, and on the links of those whose drives give."""
+        """(force [W, L, F, K], output [W, L+1, 2n, K] or None) of some entries; zero where an entry
+        is of another group. The F forces are on the n joints, and on the links of those whose
+        drives give.
+        """
         width, rows = self.path.x.shape[2], self.path.u.shape[0]
         giving = np.flatnonzero(self.gives)
         force = np.zeros((width, rows, self.n + len(giving), len(entries)))
@@ -371,12 +475,20 @@ class Columns:
                 else:
                     place, z = self.all_joints(effect, e.name, shape)
                     if place != "output":
-                        where = slice(None, self.n) if place == "pair" else at
+                        if place == "pair":
+                            where = slice(None, self.n)
+                        else:
+                            where = at
                         force[:, :, where, k] += np.moveaxis(z[at], -1, 0).swapaxes(1, -1)
                         continue
-                output = np.zeros((width, rows + 1, 2 * self.n, len(entries))) if output is None else output
+                if output is None:
+                    output = np.zeros((width, rows + 1, 2 * self.n, len(entries)))
+                else:
+                    output = output
                 for c in (at, self.n + at):
                     output[:, :, c, k] += z[:, c].T
                 if e.owner in SEEN_BY_CONTROLLERS and np.any(self.values.actuator[2, at]):
-                    force[:, :, at, k] += self.answered(self.problem.effect(e.owner), e.name, shape)[at].T
+                    force[:, :, at, k] += self.answered(
+                        self.problem.effect(e.owner), e.name, shape
+                    )[at].T
         return force, output

@@ -1,5 +1,6 @@
-"""Commands that the motion contradicts (`logs.quality.commands`): exchanged between joints, cut on their way to the drive, or with
-another gain in some trials. Told with what to write; never taken."""
+"""Commands that the motion contradicts (`logs.quality.commands`): exchanged between joints, cut on
+their way to the drive, or with another gain in some trials. Told with what to write; never taken.
+"""
 
 import numpy as np
 
@@ -15,7 +16,9 @@ MOST_TRIALS = 8
 
 
 def check_commands(machine: Machine) -> tuple[Finding, ...]:
-    """What the motion says of the commands of actuators. Raises BadInput where they are another joint's, or were cut on their way."""
+    """What the motion says of the commands of actuators. Raises BadInput where they are another
+    joint's, or were cut on their way.
+    """
     if machine.log.input_kind != "command":
         return ()
     tracks = [Track(t.time, t.q, t.v, t.u) for t in machine.tracks]
@@ -27,7 +30,8 @@ def check_commands(machine: Machine) -> tuple[Finding, ...]:
         stiff, damped = -machine.actuator[2, j], -machine.actuator[3, j]
         if stiff > 0 and (told := cut(tracks, j, max(damped, 0.0) / stiff / machine.gear[j])):
             raise BadInput(
-                f"{machine.log.path}: {_cut(machine.tree.joint_names[j], told, machine.tree.unit(j))}; {AS_DECLARED}"
+                f"{machine.log.path}: "
+                f"{_cut(machine.tree.joint_names[j], told, machine.tree.unit(j))}; {AS_DECLARED}"
             )
         gains = gains_by_trial(tracks, j)
         if gains is not None:
@@ -43,10 +47,13 @@ def _check_units(machine: Machine) -> None:
             continue
         j, k = a.joint, log.input_names.index(a.name)
         slides = machine.tree.kinds[j] == "slide"
-        if told := other_unit([t.q[:, j] for t in log.trials], [t.u[:, k] for t in log.trials], slides):
+        if told := other_unit(
+            [t.q[:, j] for t in log.trials], [t.u[:, k] for t in log.trials], slides
+        ):
             lines = f'q_{names[j]} = "{told[0]}" and target_{names[j]} = "{told[1]}"'
             raise BadInput(
-                f"{log.path}: the targets of {names[j]} look to be in {told[1]} where its angles are in {told[0]}; write {lines} "
+                f"{log.path}: the targets of {names[j]} look to be in {told[1]} where its angles "
+                f"are in {told[0]}; write {lines} "
                 f"under [units] in meta.toml; {AS_DECLARED}"
             )
 
@@ -58,7 +65,15 @@ def _check_order(machine: Machine, tracks: list[Track], driven: list[int]) -> No
     names, log = machine.tree.joint_names, machine.log
     moved = [(j, k) for j, k in zip(driven, told.order, strict=True) if j != k]
     times = float(
-        np.exp(np.mean([np.log(a / max(b, 1e-6)) for a, b in zip(told.left, told.other, strict=True) if a != b]))
+        np.exp(
+            np.mean(
+                [
+                    np.log(a / max(b, 1e-6))
+                    for a, b in zip(told.left, told.other, strict=True)
+                    if a != b
+                ]
+            )
+        )
     )
     says = ", ".join(f"{names[j]} moves as that of {names[k]} says" for j, k in moved)
     columns = {j: _columns(machine, j) for j, _ in moved}
@@ -76,10 +91,13 @@ def _columns(machine: Machine, joint: int) -> tuple[str, str]:
     for k, told in enumerate(log.input_names):
         own = next((a for a in machine.mechanism.actuators if a.name == told), None)
         if (own is not None and own.joint == joint) or told == name:
-            theirs = log.input_columns[k] if k < len(log.input_columns) else f"ctrl{k + 1}"
-            return (f"target_{name}" if theirs.startswith("target") else f"ctrl_{told}"), log.meta.columns.get(
-                theirs, theirs
-            )
+            if k < len(log.input_columns):
+                theirs = log.input_columns[k]
+            else:
+                theirs = f"ctrl{k + 1}"
+            return (
+                f"target_{name}" if theirs.startswith("target") else f"ctrl_{told}"
+            ), log.meta.columns.get(theirs, theirs)
     return f"ctrl_{name}", f"ctrl_{name}"
 
 
@@ -88,10 +106,15 @@ def _cut(joint: str, told: Cut, unit: str) -> str:
     if told.how == "rate":
         says, line = f"by a rate limit of about {size:g} {unit}/s", f"rate = {{{joint} = {size:g}}}"
     else:
-        says, line = f"to within about {size:g} {unit} of the angle", f"within = {{{joint} = {size:g}}}"
+        says, line = (
+            f"to within about {size:g} {unit} of the angle",
+            f"within = {{{joint} = {size:g}}}",
+        )
     return (
-        f"the targets of {joint} are not what acted: it moves as if they were cut {says} on their way (of its acceleration "
-        f"{100 * told.left:.0f} % is unexplained as recorded, {100 * told.other:.2g} % so); log what was sent, or write {line} under "
+        f"the targets of {joint} are not what acted: it moves as if they were cut {says} on their "
+        f"way (of its acceleration "
+        f"{100 * told.left:.0f} % is unexplained as recorded, {100 * told.other:.2g} % so); log "
+        f"what was sent, or write {line} under "
         "[commands] in meta.toml"
     )
 
@@ -101,9 +124,14 @@ def _gains(machine: Machine, joint: int, gains: np.ndarray) -> Finding:
     size = gains / gains[0]
     order = sorted(range(len(size)), key=lambda k: -abs(np.log(size[k])))[:MOST_TRIALS]
     told = ", ".join(f"{machine.tracks[k].name} {size[k]:.2f}" for k in sorted(order))
-    more = "" if len(size) <= MOST_TRIALS else f", and {len(size) - MOST_TRIALS} more"
+    if len(size) <= MOST_TRIALS:
+        more = ""
+    else:
+        more = f", and {len(size) - MOST_TRIALS} more"
     text = (
-        f"what the commands of {name} do differs from trial to trial, its actuator's gain or what it moves: times that of "
-        f"{machine.tracks[0].name}: {told}{more}; diagnose trials of one gain (--without), or give each its own model"
+        f"what the commands of {name} do differs from trial to trial, its actuator's gain or what "
+        f"it moves: times that of "
+        f"{machine.tracks[0].name}: {told}{more}; diagnose trials of one gain (--without), or give "
+        f"each its own model"
     )
     return Finding("gain_by_trial", "warn", "", name, text, float(np.max(gains) / np.min(gains)))

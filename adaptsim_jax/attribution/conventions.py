@@ -1,4 +1,6 @@
-"""Conventions of a mechanism's log told from data, by `logs.quality.contradictions`: the torque by unit of each body's inertia."""
+"""Conventions of a mechanism's log told from data, by `logs.quality.contradictions`: the torque by
+unit of each body's inertia.
+"""
 
 from dataclasses import replace
 from functools import cache
@@ -21,7 +23,16 @@ from adaptsim_jax.logs.quality.contradictions import (
     lateness,
 )
 from adaptsim_jax.logs.quality.findings import Finding
-from adaptsim_jax.logs.quality.hypotheses import LEAST, MOST, Design, Hypothesis, Motion, Track, linear_fit, motion_of
+from adaptsim_jax.logs.quality.hypotheses import (
+    LEAST,
+    MOST,
+    Design,
+    Hypothesis,
+    Motion,
+    Track,
+    linear_fit,
+    motion_of,
+)
 from adaptsim_jax.logs.quality.trial_words import Channels
 from adaptsim_jax.logs.quality.trials_differ import Differ, trials_differ
 from adaptsim_jax.mechanisms.dynamics import compensation
@@ -31,25 +42,40 @@ from adaptsim_jax.mechanisms.tree import Tree
 FACTORS = {1e-3: "millimetres", 1e-2: "centimetres", 1e-1: None, 10.0: None, 1e3: "kilometres"}
 UNITS = {1e-3: "masses in grams, or torques in kN m", 1e3: "masses in tonnes, or torques in mN m"}
 WILD = 30.0
-"""Times that all torques are those of the declared masses from which on that is refused; below `NEAR` not a word is said."""
-ANGLES = ((180.0 / np.pi, "radians, not degrees", "rad"), (np.pi / 180.0, "degrees, not radians", "deg"))
+"""Times that all torques are those of the declared masses from which on that is refused; below
+`NEAR` not a word is said.
+"""
+ANGLES = (
+    (180.0 / np.pi, "radians, not degrees", "rad"),
+    (np.pi / 180.0, "degrees, not radians", "deg"),
+)
 SAME, SLIGHT = 1.5, 0.01
-"""Times the share of the torque's square, and beyond that, that angles in another unit may leave to be told."""
+"""Times the share of the torque's square, and beyond that, that angles in another unit may leave to
+be told.
+"""
 ALIKE = 0.99
 
 
 def of_machine(machine: Machine) -> tuple[list[Track], Design] | None:
-    """Tracks with torques at the joints, and the design of the declared tree; None where a regression of torque cannot judge them."""
+    """Tracks with torques at the joints, and the design of the declared tree; None where a
+    regression of torque cannot judge them.
+    """
     if any(not np.all(np.isfinite(t.q)) for t in machine.tracks):
         return None
-    if machine.log.input_kind == "command" and (np.any(machine.actuator[2:4]) or machine.mechanism.drives_beyond):
-        return None  # a servo's force is of the angles themselves, and that of a muscle is not known
+    if machine.log.input_kind == "command" and (
+        np.any(machine.actuator[2:4]) or machine.mechanism.drives_beyond
+    ):
+        return (
+            None  # a servo's force is of the angles themselves, and that of a muscle is not known
+        )
     tracks = [Track(t.time, t.q, t.v, _force(machine, t.q, t.v, t.u)) for t in machine.tracks]
     return tracks, _design(machine.tree, _program(machine.tree.n))
 
 
 def check_conventions(machine: Machine) -> tuple[Finding, ...]:
-    """What the motion says of the declared columns. Raises BadInput where it contradicts them, with what to write instead."""
+    """What the motion says of the declared columns. Raises BadInput where it contradicts them, with
+    what to write instead.
+    """
     tree, log = machine.tree, machine.log
     told = check_commands(machine)
     found = of_machine(machine)
@@ -61,7 +87,14 @@ def check_conventions(machine: Machine) -> tuple[Finding, ...]:
     for factor, unit in FACTORS.items():
         asked = f" (was it written in {unit}?)" if unit else ""
         says = f"lengths {factor:g} times those of {machine.mechanism.path} fit the motion{asked}"
-        more.append(Hypothesis("length", says, "write it in metres", design=_design(_resized(tree, factor), program)))
+        more.append(
+            Hypothesis(
+                "length",
+                says,
+                "write it in metres",
+                design=_design(_resized(tree, factor), program),
+            )
+        )
     words = _words(tree, log.input_kind)
     zeros = [j for j, turns in enumerate(words.hinges) if turns]
     if other := contradiction(tracks, declared, words, more, _chain(tree), zeros):
@@ -78,9 +111,13 @@ def check_conventions(machine: Machine) -> tuple[Finding, ...]:
 
 
 def _weighed(machine: Machine, tracks: list[Track], declared: Design) -> tuple[Finding, ...]:
-    """A warning where the torques are several times those of the declared masses; BadInput where they are far from them."""
+    """A warning where the torques are several times those of the declared masses; BadInput where
+    they are far from them.
+    """
     motion = motion_of(tracks)
-    if len(motion.q) < LEAST or not np.ptp(motion.tau, axis=0).any():  # a free swing says nothing of the torques' unit
+    if (
+        len(motion.q) < LEAST or not np.ptp(motion.tau, axis=0).any()
+    ):  # a free swing says nothing of the torques' unit
         return ()
     if asked := amperes(machine, tracks, declared):
         return asked
@@ -88,13 +125,18 @@ def _weighed(machine: Machine, tracks: list[Track], declared: Design) -> tuple[F
     if found.left > POOR or 1.0 / NEAR < found.scale < NEAR:
         return ()
     near = min(UNITS, key=lambda u: abs(np.log(found.scale / u)))
-    unit = f" ({UNITS[near]}?)" if 1.0 / NEAR < found.scale / near < NEAR else ""
+    if 1.0 / NEAR < found.scale / near < NEAR:
+        unit = f" ({UNITS[near]}?)"
+    else:
+        unit = ""
     times = f"{float(f'{found.scale:.2g}'):g} times those that the masses of {machine.mechanism.path} need"
     says = f"the torques that make this motion are {times}{unit}"
     mend = f"write masses in kg and torques in N m, or {_torque_unit(machine, found.scale)}"
     if angle := _angle_unit(machine, motion, declared, found.left):
         says = f"{says}; they are of the right size if the angles are in {angle[0]}"
-        keys = [key for key, unit in machine.log.meta.units.items() if unit in ("deg", "rad")] or ["angle"]
+        keys = [key for key, unit in machine.log.meta.units.items() if unit in ("deg", "rad")] or [
+            "angle"
+        ]
         lines = " and ".join(f'{key} = "{angle[1]}"' for key in keys)
         mend = f"write {lines} under [units] in meta.toml; or else {mend}"
     if 1.0 / WILD < found.scale < WILD:
@@ -103,26 +145,41 @@ def _weighed(machine: Machine, tracks: list[Track], declared: Design) -> tuple[F
 
 
 def _torque_unit(machine: Machine, scale: float) -> str:
-    """What to write where logged torques are `scale` times too large, by what they are called in the log."""
+    """What to write where logged torques are `scale` times too large, by what they are called in
+    the log.
+    """
     tree, log = machine.tree, machine.log
-    driven = {tree.kinds[tree.joint_names.index(name)] for name in log.driven if name in tree.joint_names}
-    quantities = [name for kind, name in (("hinge", "torque"), ("slide", "force")) if kind in driven]
-    keys = ["ctrl"] if log.input_kind == "command" else quantities or ["torque"]
+    driven = {
+        tree.kinds[tree.joint_names.index(name)] for name in log.driven if name in tree.joint_names
+    }
+    quantities = [
+        name for kind, name in (("hinge", "torque"), ("slide", "force")) if kind in driven
+    ]
+    if log.input_kind == "command":
+        keys = ["ctrl"]
+    else:
+        keys = quantities or ["torque"]
     number = f"{float(f'{1.0 / scale:.3g}'):g}"
     known = any(key in log.meta.units for key in keys)
     lines = " and ".join(key if known else f"{key} = {number}" for key in keys)
     return f"{'the commands' if keys == ['ctrl'] else 'the torques'}' unit under [units] ({lines})"
 
 
-def _angle_unit(machine: Machine, motion: Motion, declared: Design, left: float) -> tuple[str, str] | None:
-    """In words, and for `[units]`, the unit of all angles of hinges that brings the torques to their size, explaining no less."""
+def _angle_unit(
+    machine: Machine, motion: Motion, declared: Design, left: float
+) -> tuple[str, str] | None:
+    """In words, and for `[units]`, the unit of all angles of hinges that brings the torques to
+    their size, explaining no less.
+    """
     hinges = np.array([kind == "hinge" for kind in machine.tree.kinds])
     if not hinges.any():
         return None
     for factor, words, unit in ANGLES:
         size = np.where(hinges, factor, 1.0)
         other = linear_fit(
-            replace(motion, q=motion.q * size, v=motion.v * size, a=motion.a * size), declared, first=machine.tree.n
+            replace(motion, q=motion.q * size, v=motion.v * size, a=motion.a * size),
+            declared,
+            first=machine.tree.n,
         )
         if other.left <= SAME * left + SLIGHT and 1.0 / NEAR < other.scale < NEAR:
             return words, unit
@@ -130,9 +187,13 @@ def _angle_unit(machine: Machine, motion: Motion, declared: Design, left: float)
 
 
 def mechanism_trials(machine: Machine) -> Differ | None:
-    """See `trials_differ.trials_differ`; of a machine whose input is a torque by now (`diagnose.scaled`)."""
+    """See `trials_differ.trials_differ`; of a machine whose input is a torque by now
+    (`diagnose.scaled`).
+    """
     found = of_machine(machine)
-    return None if found is None else trials_differ([t.name for t in machine.tracks], *found)
+    if found is None:
+        return None
+    return trials_differ([t.name for t in machine.tracks], *found)
 
 
 def channels(machine: Machine) -> Channels:
@@ -143,15 +204,22 @@ def channels(machine: Machine) -> Channels:
 
 def _force(machine: Machine, q: np.ndarray, v: np.ndarray | None, u: np.ndarray) -> np.ndarray:
     """`[T, n]` at the joints, by the declared law of the actuators."""
-    force = drive_force(machine.actuator, machine.gear, machine.ties, q, np.zeros_like(q) if v is None else v, u)
+    force = drive_force(
+        machine.actuator, machine.gear, machine.ties, q, np.zeros_like(q) if v is None else v, u
+    )
     held_up = compensation(machine.tree, q.T)
-    return force if held_up is None else force + np.asarray(held_up).T
+    if held_up is None:
+        return force
+    return force + np.asarray(held_up).T
 
 
 @cache
 def _program(n: int):
     """Compiled once for all hypotheses of `n` joints: rows are filled up to one count."""
-    by_body = lambda tree, q, v, a, g: regressor(tree, q, v, a, g)
+
+    def by_body(tree, q, v, a, g):
+        return regressor(tree, q, v, a, g)
+
     return jax.jit(by_body)
 
 
@@ -160,9 +228,14 @@ def _design(tree: Tree, program) -> Design:
 
     def columns(m: Motion, gravity: bool) -> np.ndarray:
         k, n = m.q.shape
-        fill = lambda x: np.concatenate([x, np.zeros((MOST - k, n))]).T
+
+        def fill(x):
+            return np.concatenate([x, np.zeros((MOST - k, n))]).T
+
         pull = np.asarray(tree.gravity) * (1.0 if gravity else 0.0)
-        table = np.asarray(program(tree, fill(m.q), fill(m.v), fill(m.a), pull))[:, :, :k].reshape(n, n, 10, k)
+        table = np.asarray(program(tree, fill(m.q), fill(m.v), fill(m.a), pull))[:, :, :k].reshape(
+            n, n, 10, k
+        )
         bodies = np.einsum("ibpk,bp->kib", table, np.asarray(tree.inertial))
         return np.concatenate([bodies, m.a[:, :, None] * np.eye(n)], 2)
 
@@ -171,13 +244,18 @@ def _design(tree: Tree, program) -> Design:
 
 def _resized(tree: Tree, factor: float) -> Tree:
     size = np.array([1.0, *[factor] * 3, *[factor**2] * 6])
-    return replace(tree, place=factor * np.asarray(tree.place), inertial=np.asarray(tree.inertial) * size)
+    return replace(
+        tree, place=factor * np.asarray(tree.place), inertial=np.asarray(tree.inertial) * size
+    )
 
 
 def _chain(tree: Tree) -> list[int]:
     """The parent of each hinge whose axis is parallel to its own, else -1."""
     turned = [float(np.asarray(tree.rotation)[j][2, 2]) for j in range(tree.n)]
-    both = lambda j: tree.parent[j] >= 0 and tree.kinds[j] == tree.kinds[tree.parent[j]] == "hinge"
+
+    def both(j):
+        return tree.parent[j] >= 0 and tree.kinds[j] == tree.kinds[tree.parent[j]] == "hinge"
+
     return [tree.parent[j] if both(j) and turned[j] > ALIKE else -1 for j in range(tree.n)]
 
 
@@ -185,7 +263,13 @@ def _words(tree: Tree, kind: str) -> Words:
     names, stem = tree.joint_names, "tau" if kind == "torque" else kind
     return Words(
         reverse=lambda j: f'write reversed = ["{names[j]}"] under [angles] in meta.toml',
-        absolute=lambda j, parent: f'write convention = {{{names[j]} = "absolute"}} under [angles] in meta.toml',
-        joints=names, q=tuple(f"q_{n}" for n in names), v=tuple(f"v_{n}" for n in names), tau=tuple(f"{stem}_{n}" for n in names),
-        hinges=tuple(k == "hinge" for k in tree.kinds), swap="exchange their columns, or their names in the header or under [columns]",
-    )  # fmt: skip
+        absolute=lambda j, parent: (
+            f'write convention = {{{names[j]} = "absolute"}} under [angles] in meta.toml'
+        ),
+        joints=names,
+        q=tuple(f"q_{n}" for n in names),
+        v=tuple(f"v_{n}" for n in names),
+        tau=tuple(f"{stem}_{n}" for n in names),
+        hinges=tuple(k == "hinge" for k in tree.kinds),
+        swap="exchange their columns, or their names in the header or under [columns]",
+    )

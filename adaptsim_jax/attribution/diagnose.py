@@ -1,4 +1,6 @@
-"""Diagnose a recording of any mechanism: which effects its model file lacks, what is left, and a better model file."""
+"""Diagnose a recording of any mechanism: which effects its model file lacks, what is left, and a
+better model file.
+"""
 
 import time
 from collections.abc import Callable, Sequence
@@ -19,7 +21,15 @@ from adaptsim_jax.attribution.examine import Examined, examine, report_of, told_
 from adaptsim_jax.attribution.inertias_told import named_by, otherwise
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.machine import Machine
-from adaptsim_jax.attribution.mend import changes, declared_changes, gains, gains_told, holdable, lost, servos
+from adaptsim_jax.attribution.mend import (
+    changes,
+    declared_changes,
+    gains,
+    gains_told,
+    holdable,
+    lost,
+    servos,
+)
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, Entry, Vector
 from adaptsim_jax.attribution.problem import Problem, held, nuisances, own_inertia, prepare
 from adaptsim_jax.attribution.report import reported
@@ -51,7 +61,9 @@ Progress = Callable[[float, float, str], None]
 HORIZON = 0.5  # s
 LOOK_BACK = 0.012  # s, from a stretch's start: what a late sensor tells there is not compared
 MODEL = "model.xml"
-TOLD_GAIN = 0.1  # prior's standard deviation of a drive's gain about the one that weight and inertia gave
+TOLD_GAIN = (
+    0.1  # prior's standard deviation of a drive's gain about the one that weight and inertia gave
+)
 LEFT = 0.5  # of what a joint weighs, at least, that damping by another speed leaves it
 
 
@@ -70,12 +82,14 @@ def diagnose(
     effects: Sequence[Effect] | None = None,
     yardstick: str | None = None,
 ) -> dict[str, Any]:
-    """Diagnose a recording (a folder with `task = "mechanism"`, or a log file with `model`); returns the report and, with `out`,
-    writes it with `model.xml`. exclude: effects that are not considered; without: trials left out;
-    as_declared: conventions that the motion contradicts are taken all the same; effects: the catalogue, ours where None;
-    yardstick: stretches, whole or torque, where not the one that tells most is to judge.
+    """Diagnose a recording (a folder with `task = "mechanism"`, or a log file with `model`);
+    returns the report and, with `out`, writes it with `model.xml`. exclude: effects that are not
+    considered; without: trials left out; as_declared: conventions that the motion contradicts are
+    taken all the same; effects: the catalogue, ours where None; yardstick: stretches, whole or
+    torque, where not the one that tells most is to judge.
 
-    Raises BadInput where the data or the model cannot be read, or the data contradict what is declared of their columns.
+    Raises BadInput where the data or the model cannot be read, or the data contradict what is
+    declared of their columns.
     """
     began, asked = time.monotonic(), horizon
     if yardstick is not None and yardstick not in NAMES:
@@ -91,15 +105,33 @@ def diagnose(
     declared = machine
     machine, off = calibrated(declared, horizon)
     folder = None if out is None else cleared(output_folder(out))
-    keep = None if folder is None else lambda so_far: write_partial(folder, so_far)
+    if folder is None:
+        keep = None
+    else:
+
+        def keep(so_far):
+            return write_partial(folder, so_far)
+
     while True:
-        span = span_of(machine, off, horizon) if off and yardstick is None else horizon
+        if off and yardstick is None:
+            span = span_of(machine, off, horizon)
+        else:
+            span = horizon
         report, evidence, whole = examined(
-            machine, criteria or Criteria(), span, exclude, say, effects=effects, keep=keep, yardstick=yardstick,
+            machine,
+            criteria or Criteria(),
+            span,
+            exclude,
+            say,
+            effects=effects,
+            keep=keep,
+            yardstick=yardstick,
             narrow=lambda vector, off=off: vector.with_entries(servo_entries(off)),
-            first=(lambda problem, null, off=off: friction_first(problem, null, off)) if off else None,
+            first=(lambda problem, null, off=off: friction_first(problem, null, off))
+            if off
+            else None,
             filed=declared if off else None,
-        )  # fmt: skip
+        )
         stays = still_off(machine, off, whole.found.final.fit.vector)
         if len(stays) == len(off):
             break
@@ -110,27 +142,44 @@ def diagnose(
     unlike = otherwise(report["declared"]["after"])
     report["notes"] += [*unlike, *gains_told(machine), *lost(machine, problem, found)]
     report["notes"] += servo_notes(machine, declared, off)
-    with_rows(report, servo_rows(machine, declared, off, found.final.fit.vector, found.final.spread))
+    with_rows(
+        report, servo_rows(machine, declared, off, found.final.fit.vector, found.final.spread)
+    )
     if unlike and report["verdict"] == "within_noise":
         report["unlike_file"] = unlike[0]
         report["message"] = f"{report['message']} {unlike[0]} {named_by(unlike[0])}"
     report["warnings"] = [f.message for f in warned]
     add_trials(report, evidence, mechanism_trials(machine), channels(machine))
-    evidence["audit"] = [{"severity": f.severity, "where": f.where, "message": f.message} for f in warned] + evidence[
-        "audit"
-    ]
+    evidence["audit"] = [
+        {"severity": f.severity, "where": f.where, "message": f.message} for f in warned
+    ] + evidence["audit"]
     command = command_of(
-        data, out=out, model=model, exclude=exclude, without=without, as_declared=as_declared, yardstick=yardstick,
+        data,
+        out=out,
+        model=model,
+        exclude=exclude,
+        without=without,
+        as_declared=as_declared,
+        yardstick=yardstick,
         horizon=None if asked == HORIZON else asked,
-        simulator="tree" if machine.log.meta.simulator == "mujoco" or machine.log.meta.channels else None,
-    )  # fmt: skip
+        simulator="tree"
+        if machine.log.meta.simulator == "mujoco" or machine.log.meta.channels
+        else None,
+    )
     report["run"] = evidence["run"] = Run(command, began).told()
     if folder is not None:
         told = {k: report[k] for k in ("verdict", "message")} | {"data": str(data)} | report["run"]
-        text = lambda: model_toml.text_of(problem, found.final, told, gains(machine), servos(machine))
-        write_all(folder, report, evidence, page or plain, {
-            model_toml.FILE: text, **mjcf_files(machine, whole, criteria or Criteria())
-        })  # fmt: skip
+
+        def text():
+            return model_toml.text_of(problem, found.final, told, gains(machine), servos(machine))
+
+        write_all(
+            folder,
+            report,
+            evidence,
+            page or plain,
+            {model_toml.FILE: text, **mjcf_files(machine, whole, criteria or Criteria())},
+        )
     return check(report)
 
 
@@ -139,19 +188,32 @@ def with_rows(report: dict[str, Any], rows: Sequence[dict[str, Any]]) -> None:
     if rows:
         report["effects"] = [*rows, *report["effects"]]
         remains = report["verdict"] in ("structured_unattributed", "partly_explained")
-        report["verdict"] = "partly_explained" if remains else report["verdict"]
-        report["verdict"] = "explained" if report["verdict"] == "within_noise" else report["verdict"]
+        if remains:
+            report["verdict"] = "partly_explained"
+        else:
+            report["verdict"] = report["verdict"]
+        if report["verdict"] == "within_noise":
+            report["verdict"] = "explained"
+        else:
+            report["verdict"] = report["verdict"]
         sizes = [(row["where"], row["parameters"]["kp"]) for row in rows]
         where = ", ".join(f"{joint} {kp['value']:.3g} {kp['unit']}" for joint, kp in sizes)
         rest = report["message"].replace("Nothing need be added", "Nothing more need be added")
         report["message"] = f"kp is not the file's: {where}. {rest}"
 
 
-def mjcf_files(machine: Machine, whole: Examined, criteria: Criteria) -> dict[str, Callable[[], str]]:
+def mjcf_files(
+    machine: Machine, whole: Examined, criteria: Criteria
+) -> dict[str, Callable[[], str]]:
     """What makes the text of `declared.xml` and of `model.xml`."""
     problem, found = whole.problem, whole.found
     by_torque = whole.said if whole.judge == TORQUE else None
-    made = lambda: changes(machine, problem, holdable(machine, problem, found, criteria, by_torque), found.final)
+
+    def made():
+        return changes(
+            machine, problem, holdable(machine, problem, found, criteria, by_torque), found.final
+        )
+
     return {
         model_toml.DECLARED: lambda: mended_mjcf(machine.mechanism, declared_changes(machine)),
         MODEL: lambda: mended_mjcf(machine.mechanism, made()),
@@ -172,31 +234,59 @@ def examined(
     first: Callable[[Problem, Vector], Hint] | None = None,
     filed: Machine | None = None,
 ) -> tuple[dict[str, Any], dict[str, Any], Examined]:
-    """Report, evidence for its page, and what was found of a machine. narrow: of the vector that is fitted, what is kept; effects: the
-    catalogue, ours where None (of another, what is always fitted is ours); keep: told of the report so far, as the search goes;
-    yardstick: by which to judge, the one that tells most where None; torques: whether their balance is looked at; first: makes
-    what the search goes on from; filed: the machine by the gains of its file, where `machine` has others: what the declared model
-    leaves is told of it."""
-    fitted = ("viscous", "torque_gain") if machine.gain_unknown else ("viscous",)  # whatever is named
+    """Report, evidence for its page, and what was found of a machine. narrow: of the vector that is
+    fitted, what is kept; effects: the catalogue, ours where None (of another, what is always fitted
+    is ours); keep: told of the report so far, as the search goes; yardstick: by which to judge, the
+    one that tells most where None; torques: whether their balance is looked at; first: makes what
+    the search goes on from; filed: the machine by the gains of its file, where `machine` has
+    others: what the declared model leaves is told of it.
+    """
+    # whatever is named
+    if machine.gain_unknown:
+        fitted = ("viscous", "torque_gain")
+    else:
+        fitted = ("viscous",)
     fitted = (*fitted, "position_gain") if machine.servo_times else fitted
-    known = MACHINE if effects is None else (*(e for e in MACHINE if e.name in fitted), *effects)
+    if effects is None:
+        known = MACHINE
+    else:
+        known = (*(e for e in MACHINE if e.name in fitted), *effects)
     names = {e.name for e in known}
     if strange := sorted(set(exclude) - names):
-        raise BadInput(f"--exclude: {strange[0]!r} is no effect of a mechanism; it has {', '.join(sorted(names))}")
+        raise BadInput(
+            f"--exclude: {strange[0]!r} is no effect of a mechanism; it has "
+            f"{', '.join(sorted(names))}"
+        )
     chosen = tuple(e for e in known if e.name not in exclude or e.name in fitted)
     problem = posed(machine, chosen, horizon)
-    step = lambda note: say(0.0, np.inf, note)  # how many follow, nobody knows
+
+    def step(note):
+        return say(0.0, np.inf, note)  # how many follow, nobody knows
+
     say(0.05, 1.0, "declared model")
-    with np.errstate(over="ignore", invalid="ignore"):  # of stretches that run away, which the search expects
+    with np.errstate(
+        over="ignore", invalid="ignore"
+    ):  # of stretches that run away, which the search expects
         null = narrow(declared_vector(machine, problem))
-        so_far = lambda found: keep(reported(machine, problem, found, criteria, horizon)) if keep else None
+
+        def so_far(found):
+            if keep:
+                return keep(reported(machine, problem, found, criteria, horizon))
+            return None
+
         factor = factor_of(machine.log.meta) if torques else None
         hint = first(problem, null) if first else None
-        found = examine(machine, problem, null, criteria, horizon, step, so_far, yardstick, factor, hint)
+        found = examine(
+            machine, problem, null, criteria, horizon, step, so_far, yardstick, factor, hint
+        )
         if filed is not None:
             before = posed(filed, chosen, horizon)
-            found = told_of(found, fitted_null(before, declared_vector(filed, before), criteria), horizon)
-        elif not found.found.named:  # how rows are read is no mend: the declared model is what it is with it
+            found = told_of(
+                found, fitted_null(before, declared_vector(filed, before), criteria), horizon
+            )
+        elif (
+            not found.found.named
+        ):  # how rows are read is no mend: the declared model is what it is with it
             found = told_of(found, found.found.final, horizon)
         report, evidence = report_of(machine, found, criteria, horizon)
     return report, evidence, found
@@ -205,15 +295,24 @@ def examined(
 def posed(machine: Machine, effects: Sequence[Effect], horizon: float) -> Problem:
     """The problem of a machine in stretches of `horizon` s."""
     problem = prepare(
-        machine.tree, machine.tracks, effects, machine.actuator, machine.gear, horizon, declared=machine.declared,
-        look_back=LOOK_BACK, ties=machine.ties,
-    )  # fmt: skip
+        machine.tree,
+        machine.tracks,
+        effects,
+        machine.actuator,
+        machine.gear,
+        horizon,
+        declared=machine.declared,
+        look_back=LOOK_BACK,
+        ties=machine.ties,
+    )
     names = machine.tree.joint_names
     return replace(problem, unlike=tuple(names.index(j) for j in machine.log.unlike if j in names))
 
 
 def factor_of(meta: Any) -> float:
-    """Within which masses and moments are taken to be those of the model file, along the measured motion. Raises BadInput."""
+    """Within which masses and moments are taken to be those of the model file, along the measured
+    motion. Raises BadInput.
+    """
     factor = meta.fit.get("factor", FACTOR)
     if isinstance(factor, bool) or not isinstance(factor, (int, float)) or not 1.0 < factor <= 1e3:
         raise BadInput(f"{meta.path}: [fit] factor = {factor!r} must be a number above 1, as 3")
@@ -221,13 +320,21 @@ def factor_of(meta: Any) -> float:
 
 
 def scaled(machine: Machine, horizon: float) -> Machine:
-    """With the gain of a voltage or current as the declared model's fit has it, so that effects see a torque in N m."""
+    """With the gain of a voltage or current as the declared model's fit has it, so that effects see
+    a torque in N m.
+    """
     if not machine.gain_unknown:
         return machine
     if (law := by_torque(machine)) is not None:
         return replace(machine, actuator=law, gain_told=True)
     problem = prepare(
-        machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear, horizon, declared=machine.declared
+        machine.tree,
+        machine.tracks,
+        MACHINE,
+        machine.actuator,
+        machine.gear,
+        horizon,
+        declared=machine.declared,
     )
     vector = fit(problem, declared_vector(machine, problem), rounds=15).vector
     law = machine.actuator.copy()
@@ -238,12 +345,20 @@ def scaled(machine: Machine, horizon: float) -> Machine:
 
 
 def by_torque(machine: Machine) -> np.ndarray | None:
-    """The law of the actuators [6, n] with the gains that weight and inertia of the file's bodies give them along the motion;
-    None where these do
-    not tell the gain of every driven joint."""
+    """The law of the actuators [6, n] with the gains that weight and inertia of the file's bodies
+    give them along the motion; None where these do
+    not tell the gain of every driven joint.
+    """
     if machine.tree.linear:
         return None
-    problem = prepare(machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear, declared=machine.declared)
+    problem = prepare(
+        machine.tree,
+        machine.tracks,
+        MACHINE,
+        machine.actuator,
+        machine.gear,
+        declared=machine.declared,
+    )
     law = machine.actuator.copy()
     for b in balances(problem, machine.tracks):
         for joint, gain in drive_gains(problem, b).items():
@@ -254,30 +369,43 @@ def by_torque(machine: Machine) -> np.ndarray | None:
 
 
 def declared_vector(machine: Machine, problem: Problem) -> Vector:
-    """What is fitted whatever is named: inertias and damping unless `[fit]` in meta.toml says otherwise, and the gain of volts."""
+    """What is fitted whatever is named: inertias and damping unless `[fit]` in meta.toml says
+    otherwise, and the gain of volts.
+    """
     meta = machine.log.meta
     for table, key in (("fit", k) for k in meta.fit):
         if key not in ("inertias", "damping", "factor"):
             raise BadInput(
-                f"{meta.path}: [{table}] {key} is unknown; use inertias or damping (true, false, or a list of names), or factor"
+                f"{meta.path}: [{table}] {key} is unknown; use inertias or damping (true, false, "
+                f"or a list of names), or factor"
             )
     factor_of(meta)
     inertia, damping = meta.fit.get("inertias", True), meta.fit.get("damping", True)
     vector = nuisances(problem, inertia=bool(inertia), damping=bool(damping))
     tree = machine.tree
-    for wanted, owner, of in ((inertia, INERTIA, tree.body_names), (damping, "viscous", tree.joint_names)):
+    for wanted, owner, of in (
+        (inertia, INERTIA, tree.body_names),
+        (damping, "viscous", tree.joint_names),
+    ):
         if isinstance(wanted, (list, tuple)):
             if unknown := [n for n in wanted if n not in of]:
                 raise BadInput(
-                    f"{meta.path}: [fit] names {unknown[0]!r}, which {machine.mechanism.path} has not; it has {', '.join(of)}"
+                    f"{meta.path}: [fit] names {unknown[0]!r}, which {machine.mechanism.path} has "
+                    f"not; it has {', '.join(of)}"
                 )
             vector = vector.without(
-                [e.key for e in vector.entries if e.owner == owner and of[e.joints[0]] not in wanted]
+                [
+                    e.key
+                    for e in vector.entries
+                    if e.owner == owner and of[e.joints[0]] not in wanted
+                ]
             )
     if problem.offers(DAMPING_STEP) and np.any(held(machine.actuator)) and not machine.servo_times:
         widest = Criteria.least_shift * problem.reach.dt
         # s, in which damping stops each joint
-        stops = own_inertia(problem, vector)[0] / np.maximum(problem.declared[DAMPING_STEP, "damping"], 1e-12)
+        stops = own_inertia(problem, vector)[0] / np.maximum(
+            problem.declared[DAMPING_STEP, "damping"], 1e-12
+        )
         for g in problem.groups:
             early = min(
                 widest, LEFT * np.min(stops[list(g.joints)])
@@ -285,7 +413,14 @@ def declared_vector(machine: Machine, problem: Problem) -> Vector:
             step = Entry(DAMPING_STEP, "step", g.joints, 0.0, 0.0, -early, widest, "s", widest)
             vector = vector.with_entries([step])
     if machine.gain_unknown:
-        prior = TOLD_GAIN if machine.gain_told else np.inf  # free, gain and inertias shrink together
-        gain = [Entry("torque_gain", "gain", (j,), 0.0, 0.0, -0.95, 20.0, "1", prior) for j in range(problem.joints)]
+        # free, gain and inertias shrink together
+        if machine.gain_told:
+            prior = TOLD_GAIN
+        else:
+            prior = np.inf
+        gain = [
+            Entry("torque_gain", "gain", (j,), 0.0, 0.0, -0.95, 20.0, "1", prior)
+            for j in range(problem.joints)
+        ]
         vector = vector.with_entries(gain)
     return vector

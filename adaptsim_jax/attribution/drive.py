@@ -1,8 +1,10 @@
-"""Drives that give: a spring with play between a joint's rotor and its link, each with its own motion (Spong, 1987).
+"""Drives that give: a spring with play between a joint's rotor and its link, each with its own
+motion (Spong, 1987).
 
-A joint's `armature` is its rotor. Actuators, friction and all else that acts on a joint act on the rotor; the link feels the spring
-alone. States of a stretch are what the log's encoder sees (of the rotor or of the link) and how far the link is ahead of the rotor,
-so that rigid joints have the same equations with nothing ahead.
+A joint's `armature` is its rotor. Actuators, friction and all else that acts on a joint act on the
+rotor; the link feels the spring alone. States of a stretch are what the log's encoder sees (of the
+rotor or of the link) and how far the link is ahead of the rotor, so that rigid joints have the same
+equations with nothing ahead.
 """
 
 from typing import Any, NamedTuple
@@ -18,8 +20,10 @@ LEAST = 1e-9  # kg m^2: of a rotor that a step of a fit made nothing of
 
 
 class Drive(NamedTuple):
-    """[n, .] each. compliance rad/(N m), 0: rigid; damping s, that of a dashpot beside the spring over its stiffness; gap rad; link:
-    1 where the log's encoder is on the link's side, 0 on the rotor's; control: the same of the encoder that the controller has."""
+    """[n, .] each. compliance rad/(N m), 0: rigid; damping s, that of a dashpot beside the spring
+    over its stiffness; gap rad; link: 1 where the log's encoder is on the link's side, 0 on the
+    rotor's; control: the same of the encoder that the controller has.
+    """
 
     compliance: Any
     damping: Any
@@ -29,16 +33,27 @@ class Drive(NamedTuple):
 
 
 def drive_of(model: Model, values: Values) -> Drive:
-    """What the effects of the place `drive` come to: springs and plays in a row, of those that have a compliance."""
-    parts = [e.apply(values.effects[e.name]) for e in model.effects if e.place == "drive" and e.name in values.effects]
-    parts = [jax.tree.map(lambda z, on=part.compliance > 0.0: jnp.where(on, z, 0.0), part) for part in parts]
+    """What the effects of the place `drive` come to: springs and plays in a row, of those that have
+    a compliance.
+    """
+    parts = [
+        e.apply(values.effects[e.name])
+        for e in model.effects
+        if e.place == "drive" and e.name in values.effects
+    ]
+    parts = [
+        jax.tree.map(lambda z, on=part.compliance > 0.0: jnp.where(on, z, 0.0), part)
+        for part in parts
+    ]
     return Drive(*(sum(some) for some in zip(*parts, strict=True)))
 
 
 def compliant(model: Model, values: Values) -> np.ndarray:
     """[n], whether a joint's drive gives."""
     some = [e for e in model.effects if e.place == "drive" and e.name in values.effects]
-    each = [np.any(np.asarray(e.apply(values.effects[e.name]).compliance) > 0.0, axis=1) for e in some]
+    each = [
+        np.any(np.asarray(e.apply(values.effects[e.name]).compliance) > 0.0, axis=1) for e in some
+    ]
     return np.any([np.zeros(model.tree.n, bool), *each], axis=0)
 
 
@@ -48,15 +63,21 @@ def gives(model: Model, values: Values) -> bool:
 
 
 def sprung(drive: Drive, ahead, rate):
-    """Torque of the springs on the links [n, .] where these are so far ahead of the rotors [n, .] rad, at such a rate."""
+    """Torque of the springs on the links [n, .] where these are so far ahead of the rotors [n, .]
+    rad, at such a rate.
+    """
     half = 0.5 * drive.gap
     bent = ahead - jnp.clip(ahead, -half, half)
-    stiffness = jnp.where(drive.compliance > 0.0, 1.0 / jnp.where(drive.compliance > 0.0, drive.compliance, 1.0), 0.0)
+    stiffness = jnp.where(
+        drive.compliance > 0.0, 1.0 / jnp.where(drive.compliance > 0.0, drive.compliance, 1.0), 0.0
+    )
     return -stiffness * (bent + jnp.where(bent != 0.0, drive.damping * rate, 0.0))
 
 
 class Parts(NamedTuple):
-    """Motion of the parts of joints, [n, .] each: of the rotors and of the links, and how far these are ahead."""
+    """Motion of the parts of joints, [n, .] each: of the rotors and of the links, and how far these
+    are ahead.
+    """
 
     q: Any
     v: Any
@@ -67,15 +88,24 @@ class Parts(NamedTuple):
 
 
 def parts_of(drive: Drive, giving, x) -> Parts:
-    """Of states [2n + 2G, .]: logged angles and speeds; of the joints `giving` [G] how far their links are ahead, at which rate."""
+    """Of states [2n + 2G, .]: logged angles and speeds; of the joints `giving` [G] how far their
+    links are ahead, at which rate.
+    """
     n, count = len(drive.compliance), len(giving)
     q, v, some = x[:n], x[n : 2 * n], x[2 * n :]
     ahead, rate = (jnp.zeros_like(q).at[giving].set(z) for z in (some[:count], some[count:]))
-    of = lambda share, z, w: z + share * w
+
+    def of(share, z, w):
+        return z + share * w
+
     return Parts(
-        of(-drive.link, q, ahead), of(-drive.link, v, rate), of(1.0 - drive.link, q, ahead), of(1.0 - drive.link, v, rate), ahead,
+        of(-drive.link, q, ahead),
+        of(-drive.link, v, rate),
+        of(1.0 - drive.link, q, ahead),
+        of(1.0 - drive.link, v, rate),
+        ahead,
         rate,
-    )  # fmt: skip
+    )
 
 
 def acting(model: Model, values: Values, drive: Drive, at: Parts, u, t) -> Forces:
@@ -85,12 +115,20 @@ def acting(model: Model, values: Values, drive: Drive, at: Parts, u, t) -> Force
 
 
 def accelerations(model: Model, values: Values, drive: Drive, at: Parts, force, inertia, more):
-    """(of the rotors, of the links) [n, .] under force [n, .] on the rotors and `more` [n, .] on the links."""
+    """(of the rotors, of the links) [n, .] under force [n, .] on the rotors and `more` [n, .] on
+    the links.
+    """
     give = drive.compliance > 0.0
     spring = sprung(drive, at.ahead, at.rate)
     on_link = jnp.where(give, spring, force) + more
     link = equations.acceleration(
-        model.tree, values.inertial, at.link_q, at.link_v, on_link, jnp.where(give, 0.0, inertia), values.gravity
+        model.tree,
+        values.inertial,
+        at.link_q,
+        at.link_v,
+        on_link,
+        jnp.where(give, 0.0, inertia),
+        values.gravity,
     )
     return jnp.where(give, (force - spring) / jnp.maximum(inertia, LEAST), link), link
 
@@ -98,28 +136,45 @@ def accelerations(model: Model, values: Values, drive: Drive, at: Parts, force, 
 def rates(drive: Drive, giving, at: Parts, rotor, link):
     """Rate of change [2n + 2G, .] of the states at accelerations of rotors and links [n, .]."""
     speed = at.v + drive.link * at.rate
-    return jnp.concatenate([speed, rotor + drive.link * (link - rotor), at.rate[giving], (link - rotor)[giving]])
+    return jnp.concatenate(
+        [speed, rotor + drive.link * (link - rotor), at.rate[giving], (link - rotor)[giving]]
+    )
 
 
 def answers(model: Model, values: Values, drive: Drive, at: Parts, inertia):
-    """Accelerations [n, n, .] of the rotors (of the joints, where these are rigid) under a force of 1 at one: second axis."""
+    """Accelerations [n, n, .] of the rotors (of the joints, where these are rigid) under a force of
+    1 at one: second axis.
+    """
     give = drive.compliance > 0.0
     give = give + jnp.zeros(inertia.shape, bool)
-    whole = equations.inverse_mass(model.tree, values.inertial, at.link_q, jnp.where(give, 0.0, inertia))
+    whole = equations.inverse_mass(
+        model.tree, values.inertial, at.link_q, jnp.where(give, 0.0, inertia)
+    )
     n = len(inertia)
-    own = jnp.eye(n).reshape((n, n) + (1,) * (inertia.ndim - 1)) * (1.0 / jnp.maximum(inertia, LEAST))[None]
+    own = (
+        jnp.eye(n).reshape((n, n) + (1,) * (inertia.ndim - 1))
+        * (1.0 / jnp.maximum(inertia, LEAST))[None]
+    )
     return jnp.where(give[:, None] | give[None], own, whole)
 
 
 def at_rest(model: Model, values: Values, x0, u, t):
-    """Start [4n, W] of stretches that begin at x0 [2n, W] with springs that yield by what they carry there."""
+    """Start [4n, W] of stretches that begin at x0 [2n, W] with springs that yield by what they
+    carry there.
+    """
     q, v = jnp.split(x0, 2)
     drive = drive_of(model, values)
     act = forces(model, values, q, v, u, t[None])
-    a = equations.acceleration(model.tree, values.inertial, q, v, act.smooth, act.inertia, values.gravity)
+    a = equations.acceleration(
+        model.tree, values.inertial, q, v, act.smooth, act.inertia, values.gravity
+    )
     return jnp.concatenate([x0, yielded(drive, act.smooth - act.inertia * a), 0.0 * v])
 
 
 def yielded(drive: Drive, carries):
     """How far links are ahead of rotors whose springs carry so much, N m."""
-    return -jnp.where(drive.compliance > 0.0, drive.compliance * carries + 0.5 * drive.gap * jnp.sign(carries), 0.0)
+    return -jnp.where(
+        drive.compliance > 0.0,
+        drive.compliance * carries + 0.5 * drive.gap * jnp.sign(carries),
+        0.0,
+    )

@@ -1,7 +1,7 @@
 """Output-error estimation: Gauss and Newton's steps, damped, over stretches with a free start each.
 
-Channels are weighted by the size of their own residuals, so that radians, metres and their rates need no common unit; a stretch that
-runs away counts less.
+Channels are weighted by the size of their own residuals, so that radians, metres and their rates
+need no common unit; a stretch that runs away counts less.
 """
 
 from collections.abc import Sequence
@@ -23,11 +23,15 @@ GOING_ON = 0.03  # the same of a fit that is only to be compared
 
 def _as_long(x: np.ndarray, rows: int) -> np.ndarray:
     """The first rows of x [R, W], with rows of zeros where it has fewer."""
-    return x[:rows] if len(x) >= rows else np.concatenate([x, np.zeros((rows - len(x), *x.shape[1:]))])
+    if len(x) >= rows:
+        return x[:rows]
+    return np.concatenate([x, np.zeros((rows - len(x), *x.shape[1:]))])
 
 
 def bounded_step(hess: np.ndarray, slope: np.ndarray, vector: Vector, damping: float) -> np.ndarray:
-    """Step [P] of the damped normal equations with the prior, within the bounds: entries that push against one stay."""
+    """Step [P] of the damped normal equations with the prior, within the bounds: entries that push
+    against one stay.
+    """
     prior = vector.precision
     hess = hess + np.diag(prior)
     slope = slope - prior * (vector.values - vector.start)
@@ -51,18 +55,24 @@ def bounded_step(hess: np.ndarray, slope: np.ndarray, vector: Vector, damping: f
 
 
 def _solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """By Cholesky's factors, or by least squares, many times the work, where rounding left the matrix without: of a parameter of which
-    one fold says all, little but rounding is left without it."""
+    """By Cholesky's factors, or by least squares, many times the work, where rounding left the
+    matrix without: of a parameter of which one fold says all, little but rounding is left without
+    it.
+    """
     try:
         return scipy.linalg.cho_solve(scipy.linalg.cho_factor(matrix), right)
     except np.linalg.LinAlgError:
         return np.linalg.lstsq(matrix, right, rcond=1e-12)[0]
-    except ValueError:  # not finite: a simulation ran away beyond all numbers, and says nothing of where to go
+    except (
+        ValueError
+    ):  # not finite: a simulation ran away beyond all numbers, and says nothing of where to go
         return np.zeros_like(right)
 
 
 def start_steps(problem: Problem, lin: Linear, step: np.ndarray) -> list[np.ndarray]:
-    """Change of the starts [2n, W] that goes with a step of the parameters: [P], or [W, P] for each stretch."""
+    """Change of the starts [2n, W] that goes with a step of the parameters: [P], or [W, P] for each
+    stretch.
+    """
     out = []
     for group, r, x, s in zip(problem.groups, lin.residual, lin.start, lin.shared, strict=True):
         left = r - (s @ (step if step.ndim == 1 else step[:, : s.shape[2], None])).reshape(r.shape)
@@ -71,14 +81,18 @@ def start_steps(problem: Problem, lin: Linear, step: np.ndarray) -> list[np.ndar
 
 
 def usual(problem: Problem, group: Group) -> np.ndarray:
-    """How far a start [2n] may be off as easily as a row by what is left of it: an angle by the range of the motion, a speed by the
-    usual one. A servo forgets at which speed it began before the second row, and any would do."""
+    """How far a start [2n] may be off as easily as a row by what is left of it: an angle by the
+    range of the motion, a speed by the usual one. A servo forgets at which speed it began before
+    the second row, and any would do.
+    """
     r, j = problem.reach, list(group.joints)
     return np.concatenate([(r.q_high - r.q_low)[j] + 1e-3, r.speed[j]])
 
 
 def refitted_start(start: np.ndarray, left: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Least-squares change of the starts [S, W] for residuals [W, R] by their derivatives [W, R, S]; size: as of `usual`."""
+    """Least-squares change of the starts [S, W] for residuals [W, R] by their derivatives [W, R,
+    S]; size: as of `usual`.
+    """
     prior = np.zeros(start.shape[2])
     prior[: len(size)] = size**-2.0
     prior = np.square(left).mean(1)[:, None] * prior
@@ -98,8 +112,10 @@ def settled(
     rows: np.ndarray | None = None,
     refine: int = 1,
 ) -> tuple[tuple[np.ndarray, ...], np.ndarray, list[Path]]:
-    """Starts, loss [W] and paths at given parameters: of the options stretch by stretch the better, refined `refine` times by least
-    squares with the derivatives of `lin`. A stretch that sticks and slips need not follow them: no step is taken on trust."""
+    """Starts, loss [W] and paths at given parameters: of the options stretch by stretch the better,
+    refined `refine` times by least squares with the derivatives of `lin`. A stretch that sticks and
+    slips need not follow them: no step is taken on trust.
+    """
     made = ready(problem, vector, rows)
     best: list = []  # by group: starts, loss, path
 
@@ -107,14 +123,19 @@ def settled(
         starts = widened(made, starts)
         paths = simulated(made, starts)
         new = list(zip(starts, group_losses(problem, paths, lin.fit.weights), paths, strict=True))
-        best[:] = [_better(*both) for both in zip(new, best, strict=True)] if best else new
+        if best:
+            best[:] = [_better(*both) for both in zip(new, best, strict=True)]
+        else:
+            best[:] = new
 
     for starts in (*options, *at_ends(made)):
         offer(starts)
     for _ in range(refine):
         moves = [
             refitted_start(x, mine.flat(residuals(g, p)), usual(problem, g))
-            for g, (_, _, p), x, mine in zip(problem.groups, best, lin.start, lin.counted, strict=True)
+            for g, (_, _, p), x, mine in zip(
+                problem.groups, best, lin.start, lin.counted, strict=True
+            )
         ]
         offer([x + _as_long(d, len(x)) for (x, _, _), d in zip(best, moves, strict=True)])
     starts, loss, paths = zip(*best, strict=True)
@@ -122,10 +143,19 @@ def settled(
 
 
 def _better(new: tuple, old: tuple) -> tuple:
-    """Starts [2n, W], loss [W] and path of two simulations of a group, stretch by stretch those with less loss."""
+    """Starts [2n, W], loss [W] and path of two simulations of a group, stretch by stretch those
+    with less loss.
+    """
     good = new[1] < old[1]
-    pick = lambda a, b: np.where(good, a, b)
-    return pick(new[0], old[0]), pick(new[1], old[1]), Path(*(pick(a, b) for a, b in zip(new[2], old[2], strict=True)))
+
+    def pick(a, b):
+        return np.where(good, a, b)
+
+    return (
+        pick(new[0], old[0]),
+        pick(new[1], old[1]),
+        Path(*(pick(a, b) for a, b in zip(new[2], old[2], strict=True))),
+    )
 
 
 def fit(
@@ -137,9 +167,11 @@ def fit(
     weights: Weights | None = None,
     glance: int | None = None,
 ) -> Fit:
-    """Fit the vector and all starts. weights: fixed ones (made anew along the way where None); glance: rounds after which a fit
-    that is only to be compared ends once a round gains little. Codes: converged, stopped (rounds
-    are used up), stuck (no step lowers the loss), diverged (the start itself runs away)."""
+    """Fit the vector and all starts. weights: fixed ones (made anew along the way where None);
+    glance: rounds after which a fit that is only to be compared ends once a round gains little.
+    Codes: converged, stopped (rounds
+    are used up), stuck (no step lowers the loss), diverged (the start itself runs away).
+    """
     made = ready(problem, vector)
     starts = widened(made, starts_of(problem) if starts is None else starts)
     paths = simulated(made, starts)

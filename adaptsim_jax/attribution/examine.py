@@ -1,5 +1,6 @@
-"""Which yardstick tells, and by it which effects: the balance of torques along the motion, simulation, and each as the other's
-witness."""
+"""Which yardstick tells, and by it which effects: the balance of torques along the motion,
+simulation, and each as the other's witness.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -21,7 +22,13 @@ from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import Problem, held, own_inertia, scaled_reach
 from adaptsim_jax.attribution.report import evidence_of, reported
 from adaptsim_jax.attribution.select import ROUNDS, Hint, Selection, select, select_shorter
-from adaptsim_jax.attribution.torque_report import bound_notes, curves, held_missing, judged_by_torque, quiet_notes
+from adaptsim_jax.attribution.torque_report import (
+    bound_notes,
+    curves,
+    held_missing,
+    judged_by_torque,
+    quiet_notes,
+)
 from adaptsim_jax.attribution.yardsticks import (
     STRETCHES,
     TORQUE,
@@ -34,17 +41,18 @@ from adaptsim_jax.attribution.yardsticks import (
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.base import Reach
 
-NOTHING = (
-    "This model predicts nothing: by no yardstick does it do better than what needs no model, and no effect is named."
+NOTHING = "This model predicts nothing: by no yardstick does it do better than what needs no model, and no effect is named."
+CONTRADICTED = (
+    1.05  # of the torque's missing part: what simulation names must not make more of it missing
 )
-CONTRADICTED = 1.05  # of the torque's missing part: what simulation names must not make more of it missing
 
 
 @dataclass(frozen=True)
 class Examined:
-    """problem, what was found, what the balance of torques says (None where it cannot), yardsticks of the declared model,
-    fitted, and of
-    the final one, which of them judged and why."""
+    """problem, what was found, what the balance of torques says (None where it cannot), yardsticks
+    of the declared model, fitted, and of
+    the final one, which of them judged and why.
+    """
 
     problem: Problem
     found: Selection
@@ -68,26 +76,44 @@ def examine(
     factor: float | None = FACTOR,
     hint: Hint | None = None,
 ) -> Examined:
-    """Judge by the yardstick that tells most of the declared model, before anything is named (command errors also with what they name:
-    a late command hides all else of them). null: what is fitted whatever is named;
-    asked: another yardstick; factor: within which bodies are those of the file along the motion, None: the balance of torques is
-    not looked at; hint: as of `select`, where the balance says nothing."""
-    told = balances(problem, machine.tracks) if factor is not None and tells(machine) else ()
+    """Judge by the yardstick that tells most of the declared model, before anything is named
+    (command errors also with what they name: a late command hides all else of them). null: what is
+    fitted whatever is named;
+    asked: another yardstick; factor: within which bodies are those of the file along the motion,
+    None: the balance of torques is not looked at; hint: as of `select`, where the balance says
+    nothing.
+    """
+    if factor is not None and tells(machine):
+        told = balances(problem, machine.tracks)
+    else:
+        told = ()
     if not told or factor is None:
         found = by_simulation(problem, null, criteria, say, keep, hint)
         before, after = (_simulated(problem, m, horizon) for m in (found.null, found.final))
         commanded = np.any(held(machine.actuator))
-        why = "no torque is known along the motion" if factor is not None else "stretches are this task's yardstick"
-        why = f"it follows commands; over {horizon:g} s a straight line says less" if commanded else why
+        if factor is not None:
+            why = "no torque is known along the motion"
+        else:
+            why = "stretches are this task's yardstick"
+        if commanded:
+            why = f"it follows commands; over {horizon:g} s a straight line says less"
+        else:
+            why = why
         return Examined(problem, found, None, before, after, STRETCHES, why)
     say("balance of torques")
     follows = bool(np.any(held(machine.actuator)))
     reach = scaled_reach(problem, *own_inertia(problem, null))
     try:
         commanded = machine.log.input_kind != "torque"
-        part = lambda b: within(part_of(filed(null) if follows else null, b), factor)
+
+        def part(b):
+            return within(part_of(filed(null) if follows else null, b), factor)
+
         problem, told = rubbing(problem, machine.tree, told, part, reach, criteria, commanded)
-        search = lambda vector: said(problem, told, vector, reach, criteria, commanded, factor)
+
+        def search(vector):
+            return said(problem, told, vector, reach, criteria, commanded, factor)
+
         if follows and len(filed(null)) < len(null):
             words, free, each = searched(problem, search, null, criteria)
         else:
@@ -99,7 +125,13 @@ def examine(
         found = by_simulation(problem, null, criteria, say, keep)
         before, after = (_simulated(problem, m, horizon) for m in (found.null, found.final))
         return Examined(
-            problem, found, None, before, after, STRETCHES, f"the torque along the motion tells nothing ({error})"
+            problem,
+            found,
+            None,
+            before,
+            after,
+            STRETCHES,
+            f"the torque along the motion tells nothing ({error})",
         )
     before = _simulated(problem, declared, horizon) | {
         TORQUE: of_torque(problem, told, words.null, held_missing(words)[0])
@@ -111,10 +143,16 @@ def examine(
     judge, why = headline(before | {TORQUE: usual}, follows, asked)
     many = problem.joints > (criteria.torque.whole if follows else criteria.torque.simulated)
     if follows and many and judge != TORQUE and not asked:
-        judge, why = TORQUE, f"of {problem.joints} joints that follow commands stretches are not searched"
+        judge, why = (
+            TORQUE,
+            f"of {problem.joints} joints that follow commands stretches are not searched",
+        )
     if bare and judge == TORQUE:
         sought = len(free.null) > len(words.null)
-        other = "fitted ones tell left-out torques no better" if sought else "fitted ones were not sought"
+        if sought:
+            other = "fitted ones tell left-out torques no better"
+        else:
+            other = "fitted ones were not sought"
         why = f"{why}; bodies and damping are the file's: {other}"
     by_torque = None
     if judge == TORQUE:
@@ -122,43 +160,67 @@ def examine(
         keep(found)
         if follows and not each:
             words = confirmed(problem, words, found.final, criteria)
-            found = found if words is free else selection(problem, words, declared, reach)
+            if words is free:
+                found = found
+            else:
+                found = selection(problem, words, declared, reach)
         if follows and not many:
             found = _polished(problem, found, reach, criteria, say, bool(asked))
         after = _simulated(problem, found.final, horizon)
         after[TORQUE] = of_torque(problem, told, words.final, held_missing(words)[1])
         by_torque = Examined(problem, found, words, before, after, judge, why, follows)
         good = over_floor(problem, found.final) < (criteria.near if follows else criteria.explained)
-        if asked or good or many:  # of very many joints stretches are not searched: what is left is told
+        if (
+            asked or good or many
+        ):  # of very many joints stretches are not searched: what is left is told
             return by_torque
-        judge, why = STRETCHES, f"what {_SHOWN[follows]} shows leaves far more than noise in simulated stretches"
+        judge, why = (
+            STRETCHES,
+            f"what {_SHOWN[follows]} shows leaves far more than noise in simulated stretches",
+        )
     hint = None
     if words.added and not follows:
         effects = [
-            (e, z) for e, z in zip(words.final.entries, words.final.values, strict=True) if e.key not in null.index()
+            (e, z)
+            for e, z in zip(words.final.entries, words.final.values, strict=True)
+            if e.key not in null.index()
         ]
         start = null.at(_clipped(null, words.final.values[: len(null)]))
         hint = start.with_entries([e for e, _ in effects], [z for _, z in effects]), words.added
     found = by_simulation(problem, null, criteria, say, keep, hint)
-    before = _simulated(problem, found.null, horizon) | {TORQUE: of_torque(problem, told, found.null.fit.vector)}
-    after = _simulated(problem, found.final, horizon) | {TORQUE: of_torque(problem, told, found.final.fit.vector)}
+    before = _simulated(problem, found.null, horizon) | {
+        TORQUE: of_torque(problem, told, found.null.fit.vector)
+    }
+    after = _simulated(problem, found.final, horizon) | {
+        TORQUE: of_torque(problem, told, found.final.fit.vector)
+    }
     if by_torque is not None and not follows and _worth(after) < _worth(by_torque.after):
         return by_torque
     return Examined(problem, found, words, before, after, judge, why)
 
 
 def _polished(
-    problem: Problem, found: Selection, reach: Reach, criteria: Criteria, say: Callable[[str], None], asked: bool
+    problem: Problem,
+    found: Selection,
+    reach: Reach,
+    criteria: Criteria,
+    say: Callable[[str], None],
+    asked: bool,
 ) -> Selection:
-    """With the final values fitted by simulation, since along the motion a time or a gain is only so exact, and each of several names
-    held against the others there. Values of the motion stay where they simulate to within the noise, with all names. Where what is
-    fitted leaves so much that stretches will be searched (unless this yardstick was asked for), nothing more is asked."""
+    """With the final values fitted by simulation, since along the motion a time or a gain is only
+    so exact, and each of several names held against the others there. Values of the motion stay
+    where they simulate to within the noise, with all names. Where what is fitted leaves so much
+    that stretches will be searched (unless this yardstick was asked for), nothing more is asked.
+    """
     several, good = len(found.named) > 1, over_floor(problem, found.final) <= criteria.explained
     if good and not several:
         return found
     say("fit by simulation")
     again = found.final.fit
-    again = again if good else fit(problem, again.vector, again.starts, rounds=ROUNDS)
+    if good:
+        again = again
+    else:
+        again = fit(problem, again.vector, again.starts, rounds=ROUNDS)
     whole = modelled(problem, tuple(n.candidate for n in found.named), again)
     if not several or (not asked and over_floor(problem, whole) >= criteria.near):
         return replace(found, final=whole)
@@ -170,8 +232,9 @@ def _polished(
 
 
 def tells(machine: Machine) -> bool:
-    """Whether the torque along the motion is known, up to a gain: that of a servo by its command error, where its gains are the
-    file's."""
+    """Whether the torque along the motion is known, up to a gain: that of a servo by its command
+    error, where its gains are the file's.
+    """
     return not machine.servo_times
 
 
@@ -179,10 +242,13 @@ def _clipped(vector: Vector, values: np.ndarray) -> np.ndarray:
     return np.clip(values, vector.low, vector.high)
 
 
-def by_simulation(problem: Problem, null: Vector, criteria: Criteria, say, keep, hint=None) -> Selection:
-    """The search by simulated stretches; over their beginnings where the whole names nothing and far more than noise is left.
-    hint: as of
-    `select`."""
+def by_simulation(
+    problem: Problem, null: Vector, criteria: Criteria, say, keep, hint=None
+) -> Selection:
+    """The search by simulated stretches; over their beginnings where the whole names nothing and
+    far more than noise is left. hint: as of
+    `select`.
+    """
     found = select(problem, null, criteria, say, keep, hint)
     if not found.named and over_floor(problem, found.final) > criteria.odd:
         found = select_shorter(problem, null, criteria, found, say)
@@ -214,16 +280,21 @@ def report_of(
         judged_by_torque(report, problem, e.said, e.before[TORQUE], e.after[TORQUE], criteria)
         report["notes"] += [*quiet_notes(problem, e.said), *bound_notes(problem, e.said)]
     report["yardsticks"] = {
-        "judge": e.judge, "why": e.why,
-        **{name: {k: m.told() for k, m in ms.items() if m is not None} for name, ms in (("declared", e.before), ("mended", e.after))},
-    }  # fmt: skip
+        "judge": e.judge,
+        "why": e.why,
+        **{
+            name: {k: m.told() for k, m in ms.items() if m is not None}
+            for name, ms in (("declared", e.before), ("mended", e.after))
+        },
+    }
     report["notes"] += [*_witnesses(e), *friction_notes(problem)]
     if predicts_nothing(e.after):
         report["message"] = f"{NOTHING} {report['message']}"
         report["yardsticks"]["predicts_nothing"] = True
         if report["effects"]:
             report["not_established"] += [
-                f"{row['name'].replace('_', ' ')} at {row['where']}: better than a model that predicts nothing"
+                f"{row['name'].replace('_', ' ')} at {row['where']}: better than a model that "
+                f"predicts nothing"
                 for row in report["effects"]
             ]
             report["effects"], report["verdict"] = [], "structured_unattributed"
@@ -242,7 +313,8 @@ def _witnesses(e: Examined) -> list[str]:
         skills = other[0].skill, other[1].skill
         if skills[1] < skills[0] - 0.05:
             notes.append(
-                f"Simulated stretches disagree: skill against a straight line {skills[0]:.2f} without "
+                f"Simulated stretches disagree: skill against a straight line {skills[0]:.2f} "
+                f"without "
                 f"and {skills[1]:.2f} with what is named; "
                 "they tell little here."
             )
@@ -250,7 +322,8 @@ def _witnesses(e: Examined) -> list[str]:
         shares = [float(np.mean(m.error / np.maximum(m.still, 1e-300))) for m in torque]
         if shares[1] > CONTRADICTED * shares[0]:
             notes.append(
-                f"The torque along the motion disagrees: {100 * shares[0]:.0f} % of it is missing without "
+                f"The torque along the motion disagrees: {100 * shares[0]:.0f} % of it is missing "
+                f"without "
                 f"and {100 * shares[1]:.0f} % with "
                 "what is named."
             )

@@ -1,8 +1,10 @@
-"""How well values of a model simulate the stretches of a recording, from starts fitted to each by plain least squares.
+"""How well values of a model simulate the stretches of a recording, from starts fitted to each by
+plain least squares.
 
-No weighting of an estimator enters: the start of a stretch is the one from which the simulated angles come nearest to the measured
-ones, each radian (or metre) counting alike. Beside it, what a straight line through the stretch leaves, and holding still: a model
-that does no better predicts nothing, whatever it gains over another.
+No weighting of an estimator enters: the start of a stretch is the one from which the simulated
+angles come nearest to the measured ones, each radian (or metre) counting alike. Beside it, what a
+straight line through the stretch leaves, and holding still: a model that does no better predicts
+nothing, whatever it gains over another.
 """
 
 from collections.abc import Sequence
@@ -23,7 +25,9 @@ ROUNDS = 6
 
 @dataclass(frozen=True)
 class Forecast:
-    """error [W, n] root mean square of each stretch, rad or m; measured, simulated, seen [W, L+1, n]; starts and paths by group."""
+    """error [W, n] root mean square of each stretch, rad or m; measured, simulated, seen [W, L+1,
+    n]; starts and paths by group.
+    """
 
     error: np.ndarray
     measured: np.ndarray
@@ -47,9 +51,15 @@ def forecast(problem: Problem, vector: Vector) -> Forecast:
 def observed(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
     """Measured angles of the stretches [W, L+1, n], and where they were read (1) or not (0)."""
     count, rows = len(problem.fold), problem.groups[0].stretches.rows + 1
-    measured, seen = np.zeros((count, rows, problem.joints)), np.zeros((count, rows, problem.joints))
+    measured, seen = (
+        np.zeros((count, rows, problem.joints)),
+        np.zeros((count, rows, problem.joints)),
+    )
     for group in problem.groups:
-        swap = lambda z: z.transpose(2, 0, 1)[:count]
+
+        def swap(z):
+            return z.transpose(2, 0, 1)[:count]
+
         own = list(group.joints)
         measured[..., own], seen[..., own] = swap(group.stretches.q), swap(group.stretches.seen)
     return measured, seen
@@ -61,13 +71,20 @@ def rms(off: np.ndarray, seen: np.ndarray) -> np.ndarray:
 
 
 def without_a_model(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
-    """What a straight line through each stretch leaves of its angles [W, n], and holding still at their mean."""
+    """What a straight line through each stretch leaves of its angles [W, n], and holding still at
+    their mean.
+    """
     measured, seen = observed(problem)
     time = problem.groups[0].stretches.time.T[: len(measured), :, None] + 0.0 * measured
     count = np.maximum(seen.sum(1, keepdims=True), 1)
-    mean = lambda z: (z * seen).sum(1, keepdims=True) / count
+
+    def mean(z):
+        return (z * seen).sum(1, keepdims=True) / count
+
     t, q = time - mean(time), measured - mean(measured)
-    slope = (t * q * seen).sum(1, keepdims=True) / np.maximum((t * t * seen).sum(1, keepdims=True), 1e-300)
+    slope = (t * q * seen).sum(1, keepdims=True) / np.maximum(
+        (t * t * seen).sum(1, keepdims=True), 1e-300
+    )
     return rms(q - slope * t, seen), rms(q, seen)
 
 
@@ -79,9 +96,11 @@ def fitted_starts(
     roughly: bool = False,
     starts: Sequence[np.ndarray] | None = None,
 ) -> tuple[tuple[np.ndarray, ...], Sequence[Path]]:
-    """Starts by plain least squares on the angles, from the smoothed ones or those given, and the paths from there. rows [W, P]:
-    other values for each stretch; roughly: a path is taken to follow its start as one that nothing acts on, which needs no
-    derivatives; no step is taken that does not gain."""
+    """Starts by plain least squares on the angles, from the smoothed ones or those given, and the
+    paths from there. rows [W, P]: other values for each stretch; roughly: a path is taken to follow
+    its start as one that nothing acts on, which needs no derivatives; no step is taken that does
+    not gain.
+    """
     n, width = problem.joints, problem.groups[0].stretches.count
     weights = Weights(np.concatenate([np.ones(n), np.zeros(n)]), np.ones(width))
     made = ready(problem, vector, rows)
@@ -89,7 +108,10 @@ def fitted_starts(
 
     def by_lane(
         starts,
-    ):  # over all rows: of a long stretch a sum over some of them does not see a start that flings a joint away
+        # over all rows: of a long stretch a sum over some of them does not see a start that flings
+        # a
+        # joint away
+    ):
         paths = simulated(made, starts)
         squares = [
             np.square(residuals(g, p)[..., : len(g.joints)]).sum((1, 2))
@@ -100,7 +122,10 @@ def fitted_starts(
     best, paths = by_lane(starts)
     for _ in range(rounds):
         if roughly:
-            moves = [_along_a_line(g, p, len(x)) for g, p, x in zip(problem.groups, paths, starts, strict=True)]
+            moves = [
+                _along_a_line(g, p, len(x))
+                for g, p, x in zip(problem.groups, paths, starts, strict=True)
+            ]
         else:
             lin = linear(problem, Fit(vector, starts, weights, best, "", 0), entries=())
             moves = [
@@ -112,9 +137,15 @@ def fitted_starts(
             trial = tuple(x + length * d for x, d in zip(starts, moves, strict=True))
             loss, there = by_lane(trial)
             good = (loss < best) & ~gained
-            pick = lambda a, b, good=good: np.where(good, a, b)
+
+            def pick(a, b, good=good):
+                return np.where(good, a, b)
+
             starts = tuple(pick(a, b) for a, b in zip(trial, starts, strict=True))
-            paths = [Path(*(pick(a, b) for a, b in zip(p, q, strict=True))) for p, q in zip(there, paths, strict=True)]
+            paths = [
+                Path(*(pick(a, b) for a, b in zip(p, q, strict=True)))
+                for p, q in zip(there, paths, strict=True)
+            ]
             fall = np.where(good, 1.0 - loss / np.maximum(best, 1e-300), fall)
             best = pick(loss, best)
             gained |= good
@@ -132,7 +163,10 @@ def _along_a_line(group: Group, path: Path, rows: int) -> np.ndarray:
     left = residuals(group, path)[..., :n].transpose(1, 2, 0)  # [L+1, n, W]
     seen = group.stretches.seen
     time = (group.stretches.time - group.stretches.time[:1])[:, None, :] + 0.0 * left
-    total = lambda z: (z * seen).sum(0)
+
+    def total(z):
+        return (z * seen).sum(0)
+
     count, first, second = total(1.0 + 0.0 * left), total(time), total(time * time)
     spread = np.maximum(count * second - first**2, 1e-12)
     slope = (count * total(time * left) - first * total(left)) / spread

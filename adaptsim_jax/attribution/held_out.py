@@ -1,7 +1,9 @@
-"""Models as they predict trials left out: parameters of a fold from the others, its prediction, and the test of two models by it.
+"""Models as they predict trials left out: parameters of a fold from the others, its prediction, and
+the test of two models by it.
 
-Parameters of a fold come from the normal equations without it, one step from the whole fit (exact for a linear model; the
-infinitesimal jackknife otherwise), and the prediction is simulated, with starts fitted to the fold's own stretches by least squares.
+Parameters of a fold come from the normal equations without it, one step from the whole fit (exact
+for a linear model; the infinitesimal jackknife otherwise), and the prediction is simulated, with
+starts fitted to the fold's own stretches by least squares.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,7 +14,15 @@ import numpy as np
 
 from adaptsim_jax.attribution.apart import apart, linear_part, part_of, put_back, touched
 from adaptsim_jax.attribution.estimate import bounded_step, fit, settled, start_steps
-from adaptsim_jax.attribution.linear import Linear, Normal, candidate_columns, linear, normal, padded_fold, unchanged
+from adaptsim_jax.attribution.linear import (
+    Linear,
+    Normal,
+    candidate_columns,
+    linear,
+    normal,
+    padded_fold,
+    unchanged,
+)
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.paths import residuals, run
 from adaptsim_jax.attribution.problem import Problem
@@ -29,8 +39,9 @@ ALONE = 1e-3  # of what all say of a parameter: less, without one fold, is nothi
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Prediction of left-out folds: loss [W] under given weights, squared error [W, 2n] (mean over a stretch), parameters [F, P];
-    normal equations by fold; paths by group."""
+    """Prediction of left-out folds: loss [W] under given weights, squared error [W, 2n] (mean over
+    a stretch), parameters [F, P]; normal equations by fold; paths by group.
+    """
 
     loss: np.ndarray
     squared: np.ndarray
@@ -41,8 +52,10 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class Model:
-    """A set of effects fitted, its linearisation and its held-out prediction. hess [P, P]: the curvature, prior and all, of a model
-    that was fitted along the measured motion, and has no linearisation."""
+    """A set of effects fitted, its linearisation and its held-out prediction. hess [P, P]: the
+    curvature, prior and all, of a model that was fitted along the measured motion, and has no
+    linearisation.
+    """
 
     added: tuple[Candidate, ...]
     fit: Fit
@@ -57,42 +70,68 @@ class Model:
         return np.sqrt((len(v) - 1) / len(v) * np.square(v - v.mean(0)).sum(0))
 
 
-def held_out(problem: Problem, lin: Linear, weights: Weights | None = None, like: Model | None = None) -> HeldOut:
-    """Each fold predicted with parameters from the others. like: a model whose predictions are taken for the groups of joints in
-    which it is the same."""
+def held_out(
+    problem: Problem, lin: Linear, weights: Weights | None = None, like: Model | None = None
+) -> HeldOut:
+    """Each fold predicted with parameters from the others. like: a model whose predictions are
+    taken for the groups of joints in which it is the same.
+    """
     now = lin.fit
     weights = now.weights if weights is None else weights
     n = normal(problem, lin.residual, lin.start, lin.shared)
     total, vector = n.hess.sum(0), now.vector
     inside = (vector.values > vector.low) & (vector.values < vector.high)
-    # one step from the fit, which is taken for the best there is (a step that gained nothing, where dry friction bends the loss, no
-    # fold takes either), or for what its slope says of it (a fit that a kink has stopped short): of both the shorter one. The prior
-    # holds at the fit, not at what was declared: where only it decides, a fold has nothing else to say.
+    # one step from the fit, which is taken for the best there is (a step that gained nothing, where
+    # dry friction bends the loss, no fold takes either), or for what its slope says of it (a fit
+    # that a kink has stopped short): of both the shorter one. The prior holds at the fit, not at
+    # what was declared: where only it decides, a fold has nothing else to say.
     prior = vector.precision * (vector.values - vector.start)
     slopes = np.where(inside, 0.0, n.slope.sum(0)) + prior, n.slope.sum(0) + prior
-    without = lambda slope: [
-        bounded_step(total - h, slope - s, vector, 1e-9) for h, s in zip(n.hess, n.slope, strict=True)
-    ]
+
+    def without(slope):
+        return [
+            bounded_step(total - h, slope - s, vector, 1e-9)
+            for h, s in zip(n.hess, n.slope, strict=True)
+        ]
+
     both = np.array([without(slope) for slope in slopes])
-    hess, folds, steps = total + np.diag(vector.precision), np.arange(len(n.hess)), np.zeros_like(both[0])
+    hess, folds, steps = (
+        total + np.diag(vector.precision),
+        np.arange(len(n.hess)),
+        np.zeros_like(both[0]),
+    )
     for at in apart(problem, vector.entries):
         length = np.einsum("mfp,pq,mfq->mf", both[..., at], hess[np.ix_(at, at)], both[..., at])
         steps[:, at] = both[np.argmin(length, 0), folds][:, at]
+
     # of what no other fold has seen (a stop, an angle) nothing is known without it
-    told = lambda h: np.diagonal(h) + vector.precision
+    def told(h):
+        return np.diagonal(h) + vector.precision
+
     alone = np.array([told(total - h) < ALONE * told(total) for h in n.hess])
     steps = np.where(alone, np.array([e.off for e in vector.entries]) - vector.values, steps)
     fold = padded_fold(problem, len(now.loss))
-    rows = np.where(fold[:, None] >= 0, now.vector.values + steps[np.maximum(fold, 0)], now.vector.values)
-    starts = [x + d for x, d in zip(now.starts, start_steps(problem, lin, rows - now.vector.values), strict=True)]
+    rows = np.where(
+        fold[:, None] >= 0, now.vector.values + steps[np.maximum(fold, 0)], now.vector.values
+    )
+    starts = [
+        x + d
+        for x, d in zip(
+            now.starts, start_steps(problem, lin, rows - now.vector.values), strict=True
+        )
+    ]
     groups = range(len(problem.groups))
-    free = len(apart(problem, vector.entries)) == len(groups)  # else a shared value ties the folds' parameters together
+    free = len(apart(problem, vector.entries)) == len(
+        groups
+    )  # else a shared value ties the folds' parameters together
     some = [k for k in groups if not (free and like and unchanged(problem, k, now, like.fit))]
     known = {} if like is None else dict(enumerate(like.held.paths))
     if some:
         part, own, at = part_of(problem, now.vector, some)
         options = [[z[k] for k in some] for z in (starts, now.starts)]
-        paths = settled(part, linear_part(part, lin, own, at, some), own, options, rows[:, at], refine=2)[2]
+        paths = settled(
+            part, linear_part(part, lin, own, at, some), own, options, rows[:, at], refine=2
+        )[2]
         known |= dict(zip(some, paths, strict=True))
     kept = [known[k] for k in groups]
     loss = losses(problem, kept, weights)
@@ -100,22 +139,36 @@ def held_out(problem: Problem, lin: Linear, weights: Weights | None = None, like
     squared = np.zeros((width, 2 * joints))
     for group, path in zip(problem.groups, kept, strict=True):
         r = residuals(group, path)
-        seen = np.concatenate([group.stretches.seen, group.stretches.seen_v], 1).transpose(2, 0, 1).sum(1)
+        seen = (
+            np.concatenate([group.stretches.seen, group.stretches.seen_v], 1)
+            .transpose(2, 0, 1)
+            .sum(1)
+        )
         j = np.array(group.joints)
         squared[:, [*j, *(joints + j)]] = np.square(r).sum(1) / np.maximum(seen, 1)
     return HeldOut(loss, squared, now.vector.values + steps, n, tuple(kept))
 
 
 def paired(problem: Problem, without: np.ndarray, with_: np.ndarray) -> Test:
-    """One model against another by their held-out losses [W] (one-sided: is the second better?): logarithms of each stretch's ratio,
-    averaged over a fold or a block, so that no stretch that runs away decides for its trial. The test takes blocks of consecutive
-    stretches: a few trials alone could not show what is not in each of them."""
+    """One model against another by their held-out losses [W] (one-sided: is the second better?):
+    logarithms of each stretch's ratio, averaged over a fold or a block, so that no stretch that
+    runs away decides for its trial. The test takes blocks of consecutive stretches: a few trials
+    alone could not show what is not in each of them.
+    """
     a, b = without[: len(problem.fold)], with_[: len(problem.fold)]
     usual = 0.1 * np.median(a)  # a unit that hardly moved says little, however much it gained
     ratio = np.log((a + usual) / (b + usual))
-    mean = lambda unit: np.bincount(unit, ratio) / np.bincount(unit)
-    d, parts = mean(problem.fold), mean(blocks_of(problem.groups[0].stretches.trial[: len(ratio)], BLOCKS))
-    return Test(1.0 - float(np.exp(-d.mean())), sign_flip(parts), int((d > 0).sum()), len(d), len(parts))
+
+    def mean(unit):
+        return np.bincount(unit, ratio) / np.bincount(unit)
+
+    d, parts = (
+        mean(problem.fold),
+        mean(blocks_of(problem.groups[0].stretches.trial[: len(ratio)], BLOCKS)),
+    )
+    return Test(
+        1.0 - float(np.exp(-d.mean())), sign_flip(parts), int((d > 0).sum()), len(d), len(parts)
+    )
 
 
 def held_error(problem: Problem, model: Model) -> np.ndarray:
@@ -132,16 +185,25 @@ def _noise(problem: Problem) -> np.ndarray:
     return np.maximum(problem.floor[: problem.joints], 1e-12)
 
 
-def astray(problem: Problem, model: Model, criteria: Criteria, null: Model | None = None) -> np.ndarray:
-    """Stretches [W] of which much more is left than of most; and, where the declared model `null` is given, nearly as much as that
-    leaves there (dry friction that a simulator lets creep, say, leaves more now and then, though it is the right effect)."""
+def astray(
+    problem: Problem, model: Model, criteria: Criteria, null: Model | None = None
+) -> np.ndarray:
+    """Stretches [W] of which much more is left than of most; and, where the declared model `null`
+    is given, nearly as much as that leaves there (dry friction that a simulator lets creep, say,
+    leaves more now and then, though it is the right effect).
+    """
     error = held_error(problem, model)
     far = error > criteria.odd * np.maximum(_noise(problem), np.median(error, 0))
-    return np.any(far if null is None else far & (error > (1.0 - criteria.left) * held_error(problem, null)), 1)
+    return np.any(
+        far if null is None else far & (error > (1.0 - criteria.left) * held_error(problem, null)),
+        1,
+    )
 
 
 def evenly_weighted(problem: Problem, fitted: Fit, some: np.ndarray) -> Fit:
-    """A fit in whose weights some stretches count as any other, up to those that are far off among them."""
+    """A fit in whose weights some stretches count as any other, up to those that are far off among
+    them.
+    """
     plain = replace(fitted.weights, stretch=np.ones_like(fitted.weights.stretch))
     loss = losses(problem, run(problem, fitted.vector, fitted.starts), plain)
     weight = 1.0 / np.maximum(1.0, loss / (WILD**2 * np.median(loss[some])))
@@ -149,10 +211,15 @@ def evenly_weighted(problem: Problem, fitted: Fit, some: np.ndarray) -> Fit:
 
 
 def modelled(
-    problem: Problem, added: Sequence[Candidate], fitted: Fit, weights: Weights | None = None, like: Model | None = None
+    problem: Problem,
+    added: Sequence[Candidate],
+    fitted: Fit,
+    weights: Weights | None = None,
+    like: Model | None = None,
 ) -> Model:
-    """A fit linearised and predicting. like: a model from which it differs in some groups of joints only: of the others its numbers
-    are taken."""
+    """A fit linearised and predicting. like: a model from which it differs in some groups of joints
+    only: of the others its numbers are taken.
+    """
     lin = linear(problem, fitted, like=like and like.lin)
     return Model(tuple(added), fitted, lin, held_out(problem, lin, weights, like))
 
@@ -166,7 +233,9 @@ def refit(
     weights: Weights | None,
     glance: int | None = None,
 ) -> Fit:
-    """A fit after something changed at `joints`: only in the groups of joints that this touches, where no value is shared."""
+    """A fit after something changed at `joints`: only in the groups of joints that this touches,
+    where no value is shared.
+    """
     some = touched(problem, vector.entries, joints)
     if weights is None or len(some) == len(problem.groups):
         return fit(problem, vector, starts, rounds=rounds, weights=weights, glance=glance)
@@ -181,26 +250,34 @@ Begun = tuple[Vector, tuple[np.ndarray, ...], np.ndarray]
 
 
 def attempted(problem: Problem, base: Model, reach: Reach, score: Score) -> Begun:
-    """The base with a candidate added, one step on: vector, starts, and loss [W] of the best of a few lengths of the step."""
+    """The base with a candidate added, one step on: vector, starts, and loss [W] of the best of a
+    few lengths of the step.
+    """
     c = score.candidate
     some = touched(problem, (*base.fit.vector.entries, *c.entries), c.joints)
     if len(some) < len(problem.groups):
         return _attempted_apart(problem, base, reach, score, some)
     columns = candidate_columns(problem, base.lin, [(e, c.shaped()) for e in c.entries])
     wide = replace(
-        base.lin, shared=tuple(np.concatenate([s, k], 2) for s, k in zip(base.lin.shared, columns, strict=True))
+        base.lin,
+        shared=tuple(
+            np.concatenate([s, k], 2) for s, k in zip(base.lin.shared, columns, strict=True)
+        ),
     )
     vector = base.fit.vector.with_entries(c.entries)
     n = normal(problem, wide.residual, wide.start, wide.shared)
     step = bounded_step(n.hess.sum(0), n.slope.sum(0), vector, 1e-6)
     shapes = shape_entries(problem, reach, c)
     own = np.array([e.owner == c.effect for e in vector.entries])
-    # what sets in at a size of its own is nothing at a fifth of it: then the others' step is shortened
+    # what sets in at a size of its own is nothing at a fifth of it: then the others' step is
+    # shortened
     whole = own & problem.effect(c.effect).jump
     tries = [np.where(whole, step, length * step) for length in (1.0, 0.5, 0.2)]
     best = None
     for step in tries:
-        moved = [x + d for x, d in zip(base.fit.starts, start_steps(problem, wide, step), strict=True)]
+        moved = [
+            x + d for x, d in zip(base.fit.starts, start_steps(problem, wide, step), strict=True)
+        ]
         trial = vector.at(vector.values + step).with_entries(shapes)
         starts, by_lane, _ = settled(problem, base.lin, trial, (moved, base.fit.starts))
         if best is None or by_lane.sum() < best[2].sum():
@@ -211,7 +288,9 @@ def attempted(problem: Problem, base: Model, reach: Reach, score: Score) -> Begu
     return best
 
 
-def _attempted_apart(problem: Problem, base: Model, reach: Reach, score: Score, some: Sequence[int]) -> Begun:
+def _attempted_apart(
+    problem: Problem, base: Model, reach: Reach, score: Score, some: Sequence[int]
+) -> Begun:
     """The same in the groups that the candidate touches, the others being as they are."""
     part, own, at = part_of(problem, base.fit.vector, some)
     lin = linear_part(part, base.lin, own, at, some)
@@ -222,14 +301,19 @@ def _attempted_apart(problem: Problem, base: Model, reach: Reach, score: Score, 
     return vector, starts, base.fit.loss - lin.fit.loss + loss
 
 
-def placed(problem: Problem, base: Model, reach: Reach, c: Candidate) -> list[tuple[Candidate, Begun]]:
-    """The base with an effect put in at each of its `starts`, nothing else changed, as `attempted` has it. Where the base is far off,
-    only this shows what an effect does that acts now and then."""
+def placed(
+    problem: Problem, base: Model, reach: Reach, c: Candidate
+) -> list[tuple[Candidate, Begun]]:
+    """The base with an effect put in at each of its `starts`, nothing else changed, as `attempted`
+    has it. Where the base is far off, only this shows what an effect does that acts now and then.
+    """
     effect, joint = problem.effect(c.effect), c.joints[0]
     out = []
     for point in effect.starts(reach, joint) if effect.starts and len(c.joints) == 1 else ():
         at = {p.name: point[p.name] for p in effect.shapes if p.name in point}
-        here = replace(c, shape=tuple(sorted((k, float(z)) for k, z in (at | _on_grid(effect, point)).items())))
+        here = replace(
+            c, shape=tuple(sorted((k, float(z)) for k, z in (at | _on_grid(effect, point)).items()))
+        )
         vector = base.fit.vector.with_entries(c.entries)
         own = {e.key: float(point[e.name]) for e in c.entries}
         values = [own.get(e.key, z) for e, z in zip(vector.entries, vector.values, strict=True)]
@@ -241,4 +325,6 @@ def placed(problem: Problem, base: Model, reach: Reach, c: Candidate) -> list[tu
 
 def _on_grid(effect: Effect, point: Mapping[str, float]) -> dict[str, float]:
     """The amplitude too, of an effect whose grid has it."""
-    return {p.name: point[p.name] for p in effect.amplitudes if p.name in point} if effect.jump else {}
+    if effect.jump:
+        return {p.name: point[p.name] for p in effect.amplitudes if p.name in point}
+    return {}

@@ -1,9 +1,12 @@
-"""Fitted inertias in a person's terms: mass, centre of mass and inertia about it by body, and which combinations the data fix.
+"""Fitted inertias in a person's terms: mass, centre of mass and inertia about it by body, and which
+combinations the data fix.
 
-The fit's own coordinates (`parameters.ETA`) are held near the declared ones by a prior where the data say nothing, so a value by
-itself does not tell whether it was measured. A quantity counts as fixed by the data where they narrow what the prior leaves of it
-to `NARROW`. Motion alone never tells the inertial parameters of a tree one by one, only combinations of them (Gautier and Khalil,
-1990); of these, what each joint carries when all joints are at zero is told: inertia about the axis and first moments across it.
+The fit's own coordinates (`parameters.ETA`) are held near the declared ones by a prior where the
+data say nothing, so a value by itself does not tell whether it was measured. A quantity counts as
+fixed by the data where they narrow what the prior leaves of it to `NARROW`. Motion alone never
+tells the inertial parameters of a tree one by one, only combinations of them (Gautier and Khalil,
+1990); of these, what each joint carries when all joints are at zero is told: inertia about the axis
+and first moments across it.
 """
 
 from dataclasses import dataclass
@@ -17,24 +20,46 @@ from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import ETA, INERTIA
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.effects.base import NINETY
-from adaptsim_jax.mechanisms.inertia_frames import Frame, central, in_frame, inverse, moved, six_of, symmetric_of
+from adaptsim_jax.mechanisms.inertia_frames import (
+    Frame,
+    central,
+    in_frame,
+    inverse,
+    moved,
+    six_of,
+    symmetric_of,
+)
 
 NARROW = 0.1
-"""Share of the prior's spread that may be left of a quantity that counts as fixed: a hundredth of its variance is the prior's."""
-OF_BODY = ("mass", "centre of mass x", "centre of mass y", "centre of mass z",
-           "inertia xx", "inertia yy", "inertia zz", "inertia xy", "inertia xz", "inertia yz")  # fmt: skip
+"""Share of the prior's spread that may be left of a quantity that counts as fixed: a hundredth of
+its variance is the prior's.
+"""
+OF_BODY = (
+    "mass",
+    "centre of mass x",
+    "centre of mass y",
+    "centre of mass z",
+    "inertia xx",
+    "inertia yy",
+    "inertia zz",
+    "inertia xy",
+    "inertia xz",
+    "inertia yz",
+)
 UNITS = ("kg", "m", "m", "m", *["kg m^2"] * 6)
 STEP = 1e-4  # of a coordinate, for differences
 EXACT = 1e-9
 OTHERWISE = 0.05
-"""Share of its value in the model file by which a quantity that the data fix is said to be another; of what is near zero there, of
-the largest one of its unit times itself."""
+"""Share of its value in the model file by which a quantity that the data fix is said to be another;
+of what is near zero there, of the largest one of its unit times itself.
+"""
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A number of all inertial coordinates: name, unit, value [2 + F] (the fit's, of each fold, the model file's), slope [P] by the
-    vector."""
+    """A number of all inertial coordinates: name, unit, value [2 + F] (the fit's, of each fold, the
+    model file's), slope [P] by the vector.
+    """
 
     name: str
     unit: str
@@ -44,7 +69,9 @@ class Quantity:
 
 
 def told(machine: Machine, problem: Problem, model: Model) -> dict[str, dict[str, Any]]:
-    """Rows of `declared` in the report: combinations by joint, then bodies; `identifiable` where the data fix the value."""
+    """Rows of `declared` in the report: combinations by joint, then bodies; `identifiable` where
+    the data fix the value.
+    """
     vector = model.fit.vector
     if not any(e.owner == INERTIA for e in vector.entries):
         return {}
@@ -56,13 +83,19 @@ def told(machine: Machine, problem: Problem, model: Model) -> dict[str, dict[str
             continue
         both = float(np.sqrt(max(q.slope @ left @ q.slope, 0.0)))
         folds = q.values[1:-1]
-        jackknife = float(np.sqrt((len(folds) - 1) / len(folds) * np.square(folds - folds.mean()).sum()))
+        jackknife = float(
+            np.sqrt((len(folds) - 1) / len(folds) * np.square(folds - folds.mean()).sum())
+        )
         width, value = NINETY * max(jackknife, both), float(q.values[0])
         rows[q.name] = {
-            "value": value, "low": value - width, "high": value + width, "unit": q.unit,
-            "identifiable": bool(both < NARROW * alone), "combination": q.combined,
+            "value": value,
+            "low": value - width,
+            "high": value + width,
+            "unit": q.unit,
+            "identifiable": bool(both < NARROW * alone),
+            "combination": q.combined,
             "file": float(q.values[-1]),
-        }  # fmt: skip
+        }
     return rows
 
 
@@ -74,24 +107,43 @@ def sentence(problem: Problem, model: Model, rows: dict[str, dict[str, Any]]) ->
     left, prior = spreads(problem, model)
     share = left[np.ix_(own, own)] / prior[own] / prior[own][:, None]
     count = int(np.sum(np.sqrt(np.maximum(np.linalg.eigvalsh(share), 0.0)) < NARROW))
-    fixed = {name: row["combination"] for name, row in rows.items() if row["identifiable"] and "combination" in row}
+    fixed = {
+        name: row["combination"]
+        for name, row in rows.items()
+        if row["identifiable"] and "combination" in row
+    }
     named = [name for name, joined in fixed.items() if joined]
     bodies = [
-        name for name, joined in fixed.items() if not joined and not rows[name]["low"] <= 0.0 <= rows[name]["high"]
+        name
+        for name, joined in fixed.items()
+        if not joined and not rows[name]["low"] <= 0.0 <= rows[name]["high"]
     ]
-    which = f" ({'among them ' if len(named) < count else ''}{', '.join(named)})" if named else ""
-    alone = ", ".join(bodies) if bodies else "no mass, centre of mass or inertia of a body"
+    if named:
+        which = f" ({'among them ' if len(named) < count else ''}{', '.join(named)})"
+    else:
+        which = ""
+    if bodies:
+        alone = ", ".join(bodies)
+    else:
+        alone = "no mass, centre of mass or inertia of a body"
     return [
-        f"Of {len(own)} inertial parameters these data fix {count} combination{'' if count == 1 else 's'}{which}; by itself "
+        f"Of {len(own)} inertial parameters these data fix {count} "
+        f"combination{'' if count == 1 else 's'}{which}; by itself "
         f"{alone}. What they do not fix stays near what was declared."
     ]
 
 
 def otherwise(rows: dict[str, dict[str, Any]]) -> list[str]:
-    """Which combinations, masses or dampings that the file gives the data fix at another value than it does, the three furthest off:
-    a payload, another part."""
-    damped = lambda name, row: name.startswith("damping of ") and row["file"] > 0.0
-    wanted = lambda name, row: row.get("combination") or name.startswith("mass of ") or damped(name, row)
+    """Which combinations, masses or dampings that the file gives the data fix at another value than
+    it does, the three furthest off: a payload, another part.
+    """
+
+    def damped(name, row):
+        return name.startswith("damping of ") and row["file"] > 0.0
+
+    def wanted(name, row):
+        return row.get("combination") or name.startswith("mass of ") or damped(name, row)
+
     some = {name: row for name, row in rows.items() if wanted(name, row)}
     largest: dict[str, float] = {}
     for row in some.values():
@@ -100,33 +152,42 @@ def otherwise(rows: dict[str, dict[str, Any]]) -> list[str]:
     off = {}
     for name, row in fixed.items():
         size = max(abs(row["file"]), OTHERWISE * largest[row["unit"]], 1e-12)
-        if abs(row["value"] - row["file"]) > OTHERWISE * size and not row["low"] <= row["file"] <= row["high"]:
+        if (
+            abs(row["value"] - row["file"]) > OTHERWISE * size
+            and not row["low"] <= row["file"] <= row["high"]
+        ):
             off[name] = abs(row["value"] - row["file"]) / size
     told = [
         f"{name} {fixed[name]['value']:.3g} {fixed[name]['unit']} (file {fixed[name]['file']:.3g})"
         for name in sorted(off, key=lambda n: -off[n])[:3]
     ]
-    return [f"Unlike the model file, by these data: {', '.join(told)}."] if told else []
+    if told:
+        return [f"Unlike the model file, by these data: {', '.join(told)}."]
+    return []
 
 
 def named_by(unlike: str) -> str:
     """What has it named that fitted bodies or damping take up. unlike: a note of `otherwise`."""
-    key, like = (
-        ("inertias", "a load that the file does not know")
-        if " mass " in unlike or "inertia" in unlike or "moment" in unlike
-        else ("damping", "a bearing or a grease that is not the file's")
-    )
+    if " mass " in unlike or "inertia" in unlike or "moment" in unlike:
+        key, like = ("inertias", "a load that the file does not know")
+    else:
+        key, like = ("damping", "a bearing or a grease that is not the file's")
     return (
-        f"{like[:1].upper()}{like[1:]} looks so: with {key} = false under [fit] in meta.toml it is named as an effect."
+        f"{like[:1].upper()}{like[1:]} looks so: with {key} = false under [fit] in meta.toml it "
+        f"is named as an effect."
     )
 
 
 def spreads(problem: Problem, model: Model) -> tuple[np.ndarray, np.ndarray]:
-    """Covariance [P, P] of the vector by data and prior together, and the prior's standard deviations [P] (0 where it has none)."""
+    """Covariance [P, P] of the vector by data and prior together, and the prior's standard
+    deviations [P] (0 where it has none).
+    """
     lin, vector = model.lin, model.fit.vector
     hess = model.hess
     if hess is None:
-        hess = normal(problem, lin.residual, lin.start, lin.shared).hess.sum(0) + np.diag(vector.precision)
+        hess = normal(problem, lin.residual, lin.start, lin.shared).hess.sum(0) + np.diag(
+            vector.precision
+        )
     size = np.sqrt(np.maximum(np.diagonal(hess), 1e-300))
     scaled = hess / size / size[:, None]
     left = np.linalg.pinv(scaled, rcond=1e-12, hermitian=True) / size / size[:, None]
@@ -152,7 +213,9 @@ def quantities(machine: Machine, problem: Problem, model: Model) -> list[Quantit
                     slope[:, place[j, name]] = by_fit[0][1][k][:, c]
             found[j] = np.stack([value[k] for value, _ in by_fit]), slope
     out = [q for j in range(tree.n) for q in _carried(machine, found, j)]
-    return out + [q for j in range(tree.n) if not tree.massless[j] for q in _body(machine, *found[j], j)]
+    return out + [
+        q for j in range(tree.n) if not tree.massless[j] for q in _body(machine, *found[j], j)
+    ]
 
 
 def _of_group(group, place: dict, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -171,12 +234,18 @@ def _body(machine: Machine, values: np.ndarray, slope: np.ndarray, j: int) -> li
     frame = inverse((frames.place[name], frames.rotation[name]))
     told = np.stack([_central(v, frame) for v in values])
     size = STEP * np.maximum(np.abs(slope).max(1), 1e-12)
-    change = np.stack([
-        (_central(values[0] + h * e, frame) - _central(values[0] - h * e, frame)) / (2 * h)
-        for h, e in zip(size, np.eye(10), strict=True)
-    ], 1)  # fmt: skip
+    change = np.stack(
+        [
+            (_central(values[0] + h * e, frame) - _central(values[0] - h * e, frame)) / (2 * h)
+            for h, e in zip(size, np.eye(10), strict=True)
+        ],
+        1,
+    )
     by = change @ slope
-    return [Quantity(f"{what} of {name}", UNITS[k], told[:, k], by[k], False) for k, what in enumerate(OF_BODY)]
+    return [
+        Quantity(f"{what} of {name}", UNITS[k], told[:, k], by[k], False)
+        for k, what in enumerate(OF_BODY)
+    ]
 
 
 def _central(inertial: np.ndarray, frame: Frame) -> np.ndarray:
@@ -185,7 +254,9 @@ def _central(inertial: np.ndarray, frame: Frame) -> np.ndarray:
 
 
 def _carried(machine: Machine, found: dict, j: int) -> list[Quantity]:
-    """What joint j moves, with every joint at zero, about its own axis: linear in all inertial parameters."""
+    """What joint j moves, with every joint at zero, about its own axis: linear in all inertial
+    parameters.
+    """
     tree, frames = machine.tree, machine.mechanism.frames
     total, slope = 0.0, 0.0
     for i in range(j, tree.n):
@@ -194,11 +265,17 @@ def _carried(machine: Machine, found: dict, j: int) -> list[Quantity]:
             move = np.stack([_moved(e, frame) for e in np.eye(10)], 1)
             total, slope = total + found[i][0] @ move.T, slope + move @ found[i][1]
     name = tree.joint_names[j]
-    make = lambda what, unit, row: Quantity(f"{what} {name}", unit, np.asarray(total) @ row, row @ slope, True)
+
+    def make(what, unit, row):
+        return Quantity(f"{what} {name}", unit, np.asarray(total) @ row, row @ slope, True)
+
     unit = np.eye(10)
     if tree.kinds[j] == "slide":
         return [make("mass on", "kg", unit[0])]
-    axes = frames.rotation[tree.body_names[j]] if tree.body_names[j] in frames.rotation else np.eye(3)
+    if tree.body_names[j] in frames.rotation:
+        axes = frames.rotation[tree.body_names[j]]
+    else:
+        axes = np.eye(3)
     along = np.abs(axes[2])  # of the joint's axis, in the body's own
     across = [k for k in range(3) if k != int(np.argmax(along))]
     rows = [make("inertia about", "kg m^2", unit[9])]
@@ -221,10 +298,16 @@ def _frame(tree, i: int, j: int) -> Frame | None:
 
 
 def _moved(inertial: np.ndarray, frame: Frame) -> np.ndarray:
-    """Inertial parameters [10] given in `frame`, in the frame that it is given in; linear, also where nothing is massive."""
+    """Inertial parameters [10] given in `frame`, in the frame that it is given in; linear, also
+    where nothing is massive.
+    """
     mass, first, about = inertial[0], inertial[1:4], symmetric_of(inertial[4:])
     place, turn = frame
     spread = turn @ (0.5 * np.trace(about) * np.eye(3) - about) @ turn.T  # integral of x x'
     first = turn @ first
-    spread = spread + np.outer(place, first) + np.outer(first, place) + mass * np.outer(place, place)
-    return np.concatenate([[mass], first + mass * place, six_of(np.trace(spread) * np.eye(3) - spread)])
+    spread = (
+        spread + np.outer(place, first) + np.outer(first, place) + mass * np.outer(place, place)
+    )
+    return np.concatenate(
+        [[mass], first + mass * place, six_of(np.trace(spread) * np.eye(3) - spread)]
+    )

@@ -1,4 +1,5 @@
-"""Simulated stretches linearised: how what is logged changes with the starts, with the parameters and with candidates.
+"""Simulated stretches linearised: how what is logged changes with the starts, with the parameters
+and with candidates.
 
 Starts are eliminated stretch by stretch (variable projection; Golub and Pereyra, 1973).
 """
@@ -18,12 +19,16 @@ from adaptsim_jax.attribution.simulate import Path, linearise, respond, responde
 from adaptsim_jax.attribution.weights import Counted, Fit, counted
 
 LOST = 1e30
-"""Derivatives of a stretch from which on it says nothing: far beyond any that a weight and a unit make."""
+"""Derivatives of a stretch from which on it says nothing: far beyond any that a weight and a unit
+make.
+"""
 
 
 @dataclass(frozen=True)
 class Linear:
-    """A fit linearised. By group: residual [W, R], start and parameter columns [W, R, 2n], [W, R, P]; weights in all of them."""
+    """A fit linearised. By group: residual [W, R], start and parameter columns [W, R, 2n], [W, R,
+    P]; weights in all of them.
+    """
 
     fit: Fit
     residual: tuple[np.ndarray, ...]
@@ -42,16 +47,32 @@ def inside(entries: Sequence[Entry], groups: Iterable[Group]) -> list[int]:
 
 def unchanged(problem: Problem, k: int, new: Fit, old: Fit) -> bool:
     """Whether all that a group depends on is the same in two fits."""
-    own = lambda f: {f.vector.entries[i].key: f.vector.values[i] for i in inside(f.vector.entries, [problem.groups[k]])}
-    return new.weights is old.weights and np.array_equal(new.starts[k], old.starts[k]) and own(new) == own(old)
+
+    def own(f):
+        return {
+            f.vector.entries[i].key: f.vector.values[i]
+            for i in inside(f.vector.entries, [problem.groups[k]])
+        }
+
+    return (
+        new.weights is old.weights
+        and np.array_equal(new.starts[k], old.starts[k])
+        and own(new) == own(old)
+    )
 
 
-def linear(problem: Problem, fit: Fit, entries: Sequence[Entry] | None = None, like: "Linear | None" = None) -> Linear:
-    """Linearise a fit, by the starts and by `entries` (those of its vector where None). like: a fit linearised, of which what is the
-    same is taken."""
+def linear(
+    problem: Problem, fit: Fit, entries: Sequence[Entry] | None = None, like: "Linear | None" = None
+) -> Linear:
+    """Linearise a fit, by the starts and by `entries` (those of its vector where None). like: a fit
+    linearised, of which what is the same is taken.
+    """
     entries = fit.vector.entries if entries is None else entries
     residual, start, shared, columns, slopes, sums = [], [], [], [], [], []
-    same = [like is not None and unchanged(problem, k, fit, like.fit) for k in range(len(problem.groups))]
+    same = [
+        like is not None and unchanged(problem, k, fit, like.fit)
+        for k in range(len(problem.groups))
+    ]
     anew = [k for k, known in enumerate(same) if not known]
     with jax.enable_x64(True):
         made = ready(replace(problem, groups=tuple(problem.groups[k] for k in anew)), fit.vector)
@@ -69,7 +90,9 @@ def linear(problem: Problem, fit: Fit, entries: Sequence[Entry] | None = None, l
             s = group.stretches
             path, a, f = linearise(group.model, values, s.time, s.stamp, s.command, x0, how)
             path = Path(*(np.asarray(z) for z in path))
-            by_state, by_force = (np.array(np.asarray(z).transpose(3, 0, 1, 2), order="C") for z in (a, f))
+            by_state, by_force = (
+                np.array(np.asarray(z).transpose(3, 0, 1, 2), order="C") for z in (a, f)
+            )
             slope = (by_state, by_force)
             own = Columns(problem, group, fit.vector, jax.tree.map(jnp.asarray, values), path)
             mine = counted(problem, group, fit.weights)
@@ -77,18 +100,30 @@ def linear(problem: Problem, fit: Fit, entries: Sequence[Entry] | None = None, l
             n, g = len(group.joints), how.giving
             free = np.concatenate([np.arange(2 * n), 2 * n + g, 3 * n + g])
             by_start = np.zeros((*residual[-1].shape, len(x0)))
-            by_start[..., free] = mine.weigh(responded_start(by_state, len(free), mine.rows, mine.channels))
+            by_start[..., free] = mine.weigh(
+                responded_start(by_state, len(free), mine.rows, mine.channels)
+            )
             start.append(by_start)
             columns.append(own)
             slopes.append(slope)
             sums.append(mine)
             shared.append(_output(own, slope, [(e, None) for e in entries], mine))
             _without_lost(residual[-1], start[-1], shared[-1], *slope)
-    return Linear(fit, tuple(residual), tuple(start), tuple(shared), tuple(columns), tuple(slopes), tuple(sums))
+    return Linear(
+        fit,
+        tuple(residual),
+        tuple(start),
+        tuple(shared),
+        tuple(columns),
+        tuple(slopes),
+        tuple(sums),
+    )
 
 
 def _reordered(columns: np.ndarray, known: Sequence[Entry], entries: Sequence[Entry]) -> np.ndarray:
-    """Columns [W, R, K] of other entries than they were made for; zero of those that are new, which act elsewhere."""
+    """Columns [W, R, K] of other entries than they were made for; zero of those that are new, which
+    act elsewhere.
+    """
     at = {e.key: i for i, e in enumerate(known)}
     out = np.zeros((*columns.shape[:2], len(entries)))
     both = [(i, at[e.key]) for i, e in enumerate(entries) if e.key in at]
@@ -97,14 +132,17 @@ def _reordered(columns: np.ndarray, known: Sequence[Entry], entries: Sequence[En
 
 
 def _without_lost(*by_lane: np.ndarray) -> None:
-    """Stretches [W, ...] that ran away say nothing of where to go: their rows become zero, in place. Finite numbers may be too large
-    for their squares, too."""
+    """Stretches [W, ...] that ran away say nothing of where to go: their rows become zero, in
+    place. Finite numbers may be too large for their squares, too.
+    """
     lost = ~np.all([(np.abs(z) < LOST).reshape(len(z), -1).all(1) for z in by_lane], 0)
     for z in by_lane if lost.any() else ():
         z[lost] = 0.0
 
 
-def _output(made: Columns, slope: tuple[np.ndarray, np.ndarray], entries, mine: Counted) -> np.ndarray:
+def _output(
+    made: Columns, slope: tuple[np.ndarray, np.ndarray], entries, mine: Counted
+) -> np.ndarray:
     """Output columns [W, R, K]; zero, at no cost, for entries of other groups."""
     own = inside([e for e, _ in entries], [made.group])
     out = np.zeros((len(mine.weight), mine.weight[0].size, len(entries)))
@@ -114,7 +152,9 @@ def _output(made: Columns, slope: tuple[np.ndarray, np.ndarray], entries, mine: 
         y = respond(*slope, force, mine.rows, mine.channels)
         if output is not None:
             y += mine.pick(output)
-        whole = some == list(range(some[0], some[0] + len(some)))  # neighbours, as with one group all are
+        whole = some == list(
+            range(some[0], some[0] + len(some))
+        )  # neighbours, as with one group all are
         out[..., slice(some[0], some[0] + len(some)) if whole else some] = mine.weigh(y)
     return out
 
@@ -122,8 +162,9 @@ def _output(made: Columns, slope: tuple[np.ndarray, np.ndarray], entries, mine: 
 def candidate_columns(
     problem: Problem, lin: Linear, entries: Sequence[tuple[Entry, Shapes | None]]
 ) -> list[np.ndarray]:
-    """Output columns [W, R, K] of more parameters, by group, weighted as those of `lin`. Those of drives that would give are freed of
-    how these swing from a start that nobody knows."""
+    """Output columns [W, R, K] of more parameters, by group, weighted as those of `lin`. Those of
+    drives that would give are freed of how these swing from a start that nobody knows.
+    """
     out = []
     for group, made, slope, start, mine in zip(
         problem.groups, lin.paths, lin.slopes, lin.start, lin.counted, strict=True
@@ -131,10 +172,17 @@ def candidate_columns(
         columns = _output(made, slope, list(entries), mine)
         for k, (e, shape) in enumerate(entries):
             effect = problem.effect(e.owner)
-            if effect.place == "drive" and shape and e.name in shape and e.joints[0] in group.joints:
+            if (
+                effect.place == "drive"
+                and shape
+                and e.name in shape
+                and e.joints[0] in group.joints
+            ):
                 at = [group.joints.index(e.joints[0]) + n for n in (0, made.n)]
                 swings = np.zeros((len(start), made.path.x.shape[0], 2 * made.n, 2))
-                swings[:, :, at] = made.alone(effect, e.name, shape)[1:, :, at].transpose(3, 1, 2, 0)
+                swings[:, :, at] = made.alone(effect, e.name, shape)[1:, :, at].transpose(
+                    3, 1, 2, 0
+                )
                 both = np.concatenate([start, mine.flat(swings)], 2)
                 columns[..., k : k + 1] = project(both, columns[..., k : k + 1])[0]
         out.append(columns)
@@ -152,7 +200,9 @@ def project(start: np.ndarray, *columns: np.ndarray) -> list[np.ndarray]:
 
 @dataclass(frozen=True)
 class Normal:
-    """Normal equations by fold: hess [F, P, P], slope [F, P]; of the shared parameters with starts eliminated."""
+    """Normal equations by fold: hess [F, P, P], slope [F, P]; of the shared parameters with starts
+    eliminated.
+    """
 
     hess: np.ndarray
     slope: np.ndarray
@@ -179,8 +229,6 @@ def rows(columns: np.ndarray) -> np.ndarray:
 
 
 def padded_fold(problem: Problem, width: int) -> np.ndarray:
-    return (
-        np.concatenate([problem.fold, np.full(width - len(problem.fold), -1)])
-        if width > len(problem.fold)
-        else problem.fold
-    )
+    if width > len(problem.fold):
+        return np.concatenate([problem.fold, np.full(width - len(problem.fold), -1)])
+    return problem.fold

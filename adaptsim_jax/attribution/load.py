@@ -18,7 +18,8 @@ from adaptsim_jax.simulators.mujoco.touching import touching
 
 
 def load(data: str | Path, model: str | Path | None = None) -> Machine:
-    """Read a recording (of a mechanism, or of the double pendulum of `task = "pendulum"`) and its model.
+    """Read a recording (of a mechanism, or of the double pendulum of `task = "pendulum"`) and its
+    model.
 
     Raises BadInput that names file, key and mend.
     """
@@ -31,16 +32,21 @@ def load(data: str | Path, model: str | Path | None = None) -> Machine:
         beside = given.get("model")
         if given.get("task") == "simulator":
             raise BadInput(
-                f"{model}: holds numbers of a simulator, which it does not bring; give the model.xml beside it"
+                f"{model}: holds numbers of a simulator, which it does not bring; give the "
+                f"model.xml beside it"
             )
         if given.get("task") != "mechanism" or not isinstance(beside, str):
             raise BadInput(
-                f"{model}: is no model of a mechanism; give the model.toml that diagnose wrote, or an MJCF or URDF file"
+                f"{model}: is no model of a mechanism; give the model.toml that diagnose wrote, or "
+                f"an MJCF or URDF file"
             )
         made = _joined(data, Path(model).parent / beside)
         return model_toml.applied(given, str(model), made)
     if model is None:
-        raise BadInput(f"{data}: a double pendulum's masses are not declared; give a model.xml or model.toml of it")
+        raise BadInput(
+            f"{data}: a double pendulum's masses are not declared; give a model.xml or model.toml "
+            f"of it"
+        )
     recording = read_recording(data)
     return pendulum_machine(usable(recording, audit(recording)), model)
 
@@ -50,9 +56,15 @@ def _joined(data: str | Path, model: str | Path | None) -> Machine:
     source, log = read_source_and_log(data, model)
     if base_moves(log):
         raise BadInput(
-            f"{log.path}: the base moves, which a tree of joints has not; simulate it by MuJoCo (adaptsim replay, --fit), or ignore "
+            f"{log.path}: the base moves, which a tree of joints has not; simulate it by MuJoCo "
+            f"(adaptsim replay, --fit), or ignore "
             "base_x .. base_qz where it stood still"
         )
     made = machine(*joined(source, log))
-    contact = "" if turns_of_balls(source, log) else touching(stepped(source, log), log)
-    return replace(made, beyond=(*made.beyond, contact)) if contact else made
+    if turns_of_balls(source, log):
+        contact = ""
+    else:
+        contact = touching(stepped(source, log), log)
+    if contact:
+        return replace(made, beyond=(*made.beyond, contact))
+    return made

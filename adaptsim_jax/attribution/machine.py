@@ -16,9 +16,11 @@ from adaptsim_jax.mechanisms.tree import Tree
 
 @dataclass(frozen=True)
 class Machine:
-    """A mechanism with its recording. actuator [6, n]: gain, bias, per angle, per speed, lowest and highest force; gear [n];
-    ties [n, n]: gears by which a joint's actuator pulls others (None: none does); gain_unknown: the input is a voltage or a current,
-    whose torque is to be found; beyond: what of the file a tree of joints has not and the recording may feel, a sentence each."""
+    """A mechanism with its recording. actuator [6, n]: gain, bias, per angle, per speed, lowest and
+    highest force; gear [n]; ties [n, n]: gears by which a joint's actuator pulls others (None: none
+    does); gain_unknown: the input is a voltage or a current, whose torque is to be found; beyond:
+    what of the file a tree of joints has not and the recording may feel, a sentence each.
+    """
 
     mechanism: Mechanism
     log: Log
@@ -35,18 +37,24 @@ class Machine:
     ties: np.ndarray | None = None
     beyond: tuple[str, ...] = ()
     gain_told: bool = False  # whether weight and inertia of the file's bodies gave an unknown gain
-    servo_times: dict[int, float] = field(default_factory=dict)  # of kp in the file, by joint, where it had to be found
+    servo_times: dict[int, float] = field(
+        default_factory=dict
+    )  # of kp in the file, by joint, where it had to be found
     gives: bool = False  # whether dry friction gives as the file has it (`equation/rubbing.py`)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a person should know of how the model was read and of what is left out, a sentence each."""
-        left_out = f"not simulated by the tree of joints: {'; '.join(self.beyond)}" if self.beyond else ""
-        asked = (
-            "diagnosed by a tree of joints: the simulator mujoco replays and fits"
-            if self.log.meta.simulator == "mujoco"
-            else ""
-        )
+        """What a person should know of how the model was read and of what is left out, a sentence
+        each.
+        """
+        if self.beyond:
+            left_out = f"not simulated by the tree of joints: {'; '.join(self.beyond)}"
+        else:
+            left_out = ""
+        if self.log.meta.simulator == "mujoco":
+            asked = "diagnosed by a tree of joints: the simulator mujoco replays and fits"
+        else:
+            asked = ""
         return (*self.mechanism.notes, *(line for line in (left_out, asked) if line))
 
     @property
@@ -58,7 +66,8 @@ class Machine:
         known = [t.name for t in self.tracks]
         if unknown := sorted(set(names) - set(known)):
             raise BadInput(
-                f"{self.log.path}: no trial is named {unknown[0]!r}; --without takes of {', '.join(sorted(known))}"
+                f"{self.log.path}: no trial is named {unknown[0]!r}; --without takes of "
+                f"{', '.join(sorted(known))}"
             )
         if not set(known) - set(names):
             raise BadInput(f"{self.log.path}: --without leaves no trial; leave one out at a time")
@@ -69,13 +78,19 @@ def machine(mechanism: Mechanism, log: Log) -> Machine:
     """The two joined."""
     n = mechanism.tree.n
     commanded = log.input_kind == "command"
-    drives = _drives(mechanism, log) if commanded else _torques(mechanism, log)
+    if commanded:
+        drives = _drives(mechanism, log)
+    else:
+        drives = _torques(mechanism, log)
     tracks = tuple(
-        Track(trial.name, trial.time, trial.q, trial.v, drives.input(trial.u), trial.group) for trial in log.trials
+        Track(trial.name, trial.time, trial.q, trial.v, drives.input(trial.u), trial.group)
+        for trial in log.trials
     )
     law, gear = drives.law, drives.gear
     unknown = log.input_kind in ("voltage", "current")
-    if unknown:  # torque over input is what the file's motors say; a gear of 1 says nothing, so a guess to begin with
+    # torque over input is what the file's motors say; a gear of 1 says nothing, so a guess to begin
+    # with
+    if unknown:
         first = _gain(mechanism.tree, tracks)
         told = {a.joint: a.gear * a.gain for a in mechanism.actuators}
         law[0] = [first if told.get(j, 1.0) == 1.0 else told[j] for j in range(n)]
@@ -85,17 +100,26 @@ def machine(mechanism: Mechanism, log: Log) -> Machine:
     declared = {("delay", "delay"): np.zeros(n), ("actuator_lag", "lag"): np.zeros(n)}
     if commanded:
         for a in mechanism.actuators:
-            declared["delay", "delay"][a.joint], declared["actuator_lag", "lag"][a.joint] = a.delay, a.lag
+            declared["delay", "delay"][a.joint], declared["actuator_lag", "lag"][a.joint] = (
+                a.delay,
+                a.lag,
+            )
     beyond = (
-        mechanism.beyond + (mechanism.drives_beyond if commanded else ()) + drives.beyond + _far(mechanism.tree, tracks)
+        mechanism.beyond
+        + (mechanism.drives_beyond if commanded else ())
+        + drives.beyond
+        + _far(mechanism.tree, tracks)
     )
-    return Machine(mechanism, log, tracks, law, gear, unknown, declared, ties=drives.ties, beyond=beyond)
+    return Machine(
+        mechanism, log, tracks, law, gear, unknown, declared, ties=drives.ties, beyond=beyond
+    )
 
 
 @dataclass(frozen=True)
 class _Drives:
-    """Actuators by joint: law [6, n], gear [n], ties [n, n] or None as of `Machine`; share [m, n] of the log's inputs, within limits
-    [m, 2], in each joint's; beyond: what is not as in the file."""
+    """Actuators by joint: law [6, n], gear [n], ties [n, n] or None as of `Machine`; share [m, n]
+    of the log's inputs, within limits [m, 2], in each joint's; beyond: what is not as in the file.
+    """
 
     law: np.ndarray
     gear: np.ndarray
@@ -124,7 +148,9 @@ def _torques(mechanism: Mechanism, log: Log) -> _Drives:
 
 
 def _drives(mechanism: Mechanism, log: Log) -> _Drives:
-    """What actuators make of commands. Several at a joint add up to one law, whose command is in the units of the first servo's."""
+    """What actuators make of commands. Several at a joint add up to one law, whose command is in
+    the units of the first servo's.
+    """
     n, m = mechanism.tree.n, len(log.input_names)
     law = np.stack([*[np.zeros(n)] * 4, np.full(n, -np.inf), np.full(n, np.inf)])
     gear, ties, share = np.ones(n), np.zeros((n, n)), np.zeros((m, n))
@@ -152,12 +178,25 @@ def _drives(mechanism: Mechanism, log: Log) -> _Drives:
 
 
 def _summed(lead: Actuator, actuators: Sequence[Actuator], parts: np.ndarray) -> np.ndarray:
-    """Law [6] of all actuators of a joint, with the gear of `lead`; parts: the gear of each over it."""
-    of = lambda name: np.array([getattr(a, name) for a in actuators])
-    bounds = [np.sort(p * np.array(_open(a.forcerange))) for p, a in zip(parts, actuators, strict=True)]
-    return np.array([
-        lead.gain, parts @ of("offset"), -(parts**2) @ of("kp"), -(parts**2) @ of("kv"), *np.sum(bounds, 0)
-    ])  # fmt: skip
+    """Law [6] of all actuators of a joint, with the gear of `lead`; parts: the gear of each over
+    it.
+    """
+
+    def of(name):
+        return np.array([getattr(a, name) for a in actuators])
+
+    bounds = [
+        np.sort(p * np.array(_open(a.forcerange))) for p, a in zip(parts, actuators, strict=True)
+    ]
+    return np.array(
+        [
+            lead.gain,
+            parts @ of("offset"),
+            -(parts**2) @ of("kp"),
+            -(parts**2) @ of("kv"),
+            *np.sum(bounds, 0),
+        ]
+    )
 
 
 def _differing(joint: str, actuators: Sequence[Actuator]) -> list[str]:
@@ -190,8 +229,13 @@ def _open(limits: tuple[float, ...]) -> tuple[float, float]:
 def _far(tree: Tree, tracks: Sequence[Track]) -> tuple[str, ...]:
     """Declared ranges that the motion goes far beyond, so that the machine cannot have them."""
     far = beyond_range(tree, tracks)
-    names = [f"{tree.joint_names[j]} (by {far[j]:.2g} {tree.unit(int(j))})" for j in np.flatnonzero(far > BEYOND_STOP)]
-    return (f"the declared range of {', '.join(names)}, which the motion goes beyond",) if names else ()
+    names = [
+        f"{tree.joint_names[j]} (by {far[j]:.2g} {tree.unit(int(j))})"
+        for j in np.flatnonzero(far > BEYOND_STOP)
+    ]
+    if names:
+        return (f"the declared range of {', '.join(names)}, which the motion goes beyond",)
+    return ()
 
 
 def _gain(tree: Tree, tracks) -> float:
@@ -202,6 +246,10 @@ def _gain(tree: Tree, tracks) -> float:
             / np.maximum(np.asarray(tree.inertial)[:, 0], 1e-9)
         )
     )
-    weight = float(np.asarray(tree.inertial)[:, 0].sum() * np.linalg.norm(np.asarray(tree.gravity)) * max(reach, 1e-3))
+    weight = float(
+        np.asarray(tree.inertial)[:, 0].sum()
+        * np.linalg.norm(np.asarray(tree.gravity))
+        * max(reach, 1e-3)
+    )
     u = np.concatenate([np.abs(t.u) for t in tracks])
     return 0.5 * weight / max(float(np.quantile(u, 0.9)), 1e-9)

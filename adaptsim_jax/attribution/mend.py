@@ -35,25 +35,44 @@ DRY = ("asymmetric_coulomb", "stribeck", "load_friction")
 
 
 def holdable(
-    machine: Machine, problem: Problem, found: Selection, criteria: Criteria, by_torque: Said | None = None
+    machine: Machine,
+    problem: Problem,
+    found: Selection,
+    criteria: Criteria,
+    by_torque: Said | None = None,
 ) -> Model:
-    """The final model, refitted without what the model file cannot hold; in its place stands a look-alike from its class, and Coulomb
-    friction for other dry friction. by_torque: refitted to the balance of torques where that has judged."""
+    """The final model, refitted without what the model file cannot hold; in its place stands a
+    look-alike from its class, and Coulomb friction for other dry friction. by_torque: refitted to
+    the balance of torques where that has judged.
+    """
     if by_torque is not None:
         return _held_by_torque(machine, problem, found, by_torque)
     model = found.final
     alike = {n.candidate.key: {a.key for a in n.alternatives} for n in found.named}
     for c in model.added:
         if not _holds(machine, model, c):
-            model = without_simulated(problem, model, c, replace(criteria, apart=1.0))  # fitted to the end in any case
-            level = lambda k, c=c: (
-                c.effect in DRY and k.effect == "coulomb" and set(k.joints) <= set(c.joints) and k.sharing != "common"
-            )
-            rows = [k for k in candidates(problem, model.fit.vector, found.reach)
-                    if k.effect in HELD and (k.key in alike.get(c.key, ()) or level(k))]  # fmt: skip
+            model = without_simulated(
+                problem, model, c, replace(criteria, apart=1.0)
+            )  # fitted to the end in any case
+
+            def level(k, c=c):
+                return (
+                    c.effect in DRY
+                    and k.effect == "coulomb"
+                    and set(k.joints) <= set(c.joints)
+                    and k.sharing != "common"
+                )
+
+            rows = [
+                k
+                for k in candidates(problem, model.fit.vector, found.reach)
+                if k.effect in HELD and (k.key in alike.get(c.key, ()) or level(k))
+            ]
             for row in table(problem, model.lin, rows)[:1]:
                 vector, starts, _ = attempted(problem, model, found.reach, row)
-                fitted = refit(problem, vector, starts, c.joints, criteria.rounds, model.fit.weights)
+                fitted = refit(
+                    problem, vector, starts, c.joints, criteria.rounds, model.fit.weights
+                )
                 model = modelled(problem, (*model.added, row.candidate), fitted, model.fit.weights)
     return model
 
@@ -65,7 +84,11 @@ def _held_by_torque(machine: Machine, problem: Problem, found: Selection, said: 
         return model
     there = {(c.effect, j) for c in model.added for j in c.joints}
     dry = {j for c in gone if c.effect in DRY for j in c.joints if ("coulomb", j) not in there}
-    level = [c for c in candidates(problem, said.null, found.reach) if c.effect == "coulomb" and c.sharing == "joint"]
+    level = [
+        c
+        for c in candidates(problem, said.null, found.reach)
+        if c.effect == "coulomb" and c.sharing == "joint"
+    ]
     rest = without(problem, said, gone, [c for c in level if c.joints[0] in dry])
     fit = replace(model.fit, vector=rest.final)
     return replace(model, added=rest.added, fit=fit)
@@ -74,25 +97,51 @@ def _held_by_torque(machine: Machine, problem: Problem, found: Selection, said: 
 def _holds(machine: Machine, model: Model, c: Candidate) -> bool:
     if c.effect in HELD:
         return True
-    driven = {a.joint for a in machine.mechanism.actuators} if machine.log.input_kind in COMMANDED else set()
+    if machine.log.input_kind in COMMANDED:
+        driven = {a.joint for a in machine.mechanism.actuators}
+    else:
+        driven = set()
     if machine.gain_unknown:  # which gets a motor where it has none
         driven |= {machine.tree.joint_names.index(name) for name in gains(machine)}
-    values = [v for e, v in zip(model.fit.vector.entries, model.fit.vector.values, strict=True)
-              if e.owner == c.effect and set(e.joints) <= set(c.joints)]  # fmt: skip
+    values = [
+        v
+        for e, v in zip(model.fit.vector.entries, model.fit.vector.values, strict=True)
+        if e.owner == c.effect and set(e.joints) <= set(c.joints)
+    ]
     late = c.effect in LATE
-    # gain times torque beside a clipped torque bends where the limit is reached; a limit of MJCF clips both
-    bent = c.effect == "saturation" and any(k.effect in GAINS and set(k.joints) & set(c.joints) for k in model.added)
-    return c.effect in ACTUATED and set(c.joints) <= driven and not bent and not (late and min(values) < 0.0)
+    # gain times torque beside a clipped torque bends where the limit is reached; a limit of MJCF
+    # clips both
+    bent = c.effect == "saturation" and any(
+        k.effect in GAINS and set(k.joints) & set(c.joints) for k in model.added
+    )
+    return (
+        c.effect in ACTUATED
+        and set(c.joints) <= driven
+        and not bent
+        and not (late and min(values) < 0.0)
+    )
 
 
 def lost(machine: Machine, problem: Problem, found: Selection) -> list[str]:
-    """A note on the effects that `model.xml` cannot hold; a shift of commands that is no name is how a log was read."""
+    """A note on the effects that `model.xml` cannot hold; a shift of commands that is no name is
+    how a log was read.
+    """
     model, keys = found.final, {n.candidate.key for n in found.named}
-    gone = [c for c in model.added if not _holds(machine, model, c) and (c.key in keys or c.effect not in LATE)]
-    told = [f"{c.effect.replace('_', ' ')} at {', '.join(problem.joint_names[j] for j in c.joints)}" for c in gone]
-    return (
-        [f"model.xml cannot hold {'; '.join(told)}: only model.toml has the whole of the mended model."] if gone else []
-    )
+    gone = [
+        c
+        for c in model.added
+        if not _holds(machine, model, c) and (c.key in keys or c.effect not in LATE)
+    ]
+    told = [
+        f"{c.effect.replace('_', ' ')} at {', '.join(problem.joint_names[j] for j in c.joints)}"
+        for c in gone
+    ]
+    if gone:
+        return [
+            f"model.xml cannot hold {'; '.join(told)}: only model.toml has the whole of the mended "
+            f"model."
+        ]
+    return []
 
 
 def gains(machine: Machine) -> dict[str, float]:
@@ -113,16 +162,23 @@ def gains_told(machine: Machine) -> list[str]:
         return []
     unit = "V" if machine.log.input_kind == "voltage" else "A"
     each = ", ".join(f"{name} {value:.4g} N m/{unit}" for name, value in found.items())
-    return [f"Torque over input, fitted: {each}. By these data only its ratios to inertias and friction are fixed."]
+    return [
+        f"Torque over input, fitted: {each}. By these data only its ratios to inertias and "
+        f"friction are fixed."
+    ]
 
 
 def changes(machine: Machine, problem: Problem, model: Model, named: Model) -> Changes:
-    """The changes that `model.xml` gets of a `holdable` model, with comments on what is `named` besides."""
+    """The changes that `model.xml` gets of a `holdable` model, with comments on what is `named`
+    besides.
+    """
     vector, tree = model.fit.vector, machine.tree
     n = problem.joints
     inertial = np.array(tree.inertial, float)
     gravity = None
-    table = {k: np.zeros(n) for k in ("damping", "frictionloss", "armature", "stiffness", "preload")}
+    table = {
+        k: np.zeros(n) for k in ("damping", "frictionloss", "armature", "stiffness", "preload")
+    }
     for g in problem.groups:
         values = values_of(problem, g, vector)
         own = list(g.joints)
@@ -130,18 +186,38 @@ def changes(machine: Machine, problem: Problem, model: Model, named: Model) -> C
         if any(e.owner == TILT for e in vector.entries):
             gravity = values.gravity[:, 0]
         for key, (effect, name) in {
-            "damping": ("viscous", "damping"), "frictionloss": ("coulomb", "level"), "armature": ("armature", "inertia"),
-            "stiffness": ("spring", "stiffness"), "preload": ("spring", "preload"),
-        }.items():  # fmt: skip
+            "damping": ("viscous", "damping"),
+            "frictionloss": ("coulomb", "level"),
+            "armature": ("armature", "inertia"),
+            "stiffness": ("spring", "stiffness"),
+            "preload": ("spring", "preload"),
+        }.items():
             if effect in values.effects:
                 table[key][own] = values.effects[effect][name][:, 0]
-    by_joint = lambda z: {name: float(v) for name, v in zip(tree.joint_names, z, strict=True)}
+
+    def by_joint(z):
+        return {name: float(v) for name, v in zip(tree.joint_names, z, strict=True)}
+
     joints = {k: by_joint(table[k]) for k in ("damping", "frictionloss", "armature", "stiffness")}
     stiff = table["stiffness"] != 0.0
-    rest = np.where(stiff, table["preload"] / np.where(stiff, table["stiffness"], 1.0), np.asarray(tree.springref))
+    rest = np.where(
+        stiff,
+        table["preload"] / np.where(stiff, table["stiffness"], 1.0),
+        np.asarray(tree.springref),
+    )
     joints["springref"] = by_joint(rest)
-    comments = [f"written by adaptsim from {machine.mechanism.path.rsplit('/', 1)[-1]}", *_lost(problem, model, named)]
-    return Changes(inertial, joints, gravity, _actuators(machine, problem, model), _motors(machine, model), comments)
+    comments = [
+        f"written by adaptsim from {machine.mechanism.path.rsplit('/', 1)[-1]}",
+        *_lost(problem, model, named),
+    ]
+    return Changes(
+        inertial,
+        joints,
+        gravity,
+        _actuators(machine, problem, model),
+        _motors(machine, model),
+        comments,
+    )
 
 
 def declared_changes(machine: Machine) -> Changes:
@@ -150,10 +226,18 @@ def declared_changes(machine: Machine) -> Changes:
 
 
 def _motors(machine: Machine, model: Model | None = None) -> dict[str, float]:
-    """Motors [N m per V or A] of driven joints for which the file has none, where the gain had to be found."""
+    """Motors [N m per V or A] of driven joints for which the file has none, where the gain had to
+    be found.
+    """
     has = {a.joint for a in machine.mechanism.actuators}
-    out = {name: g for name, g in gains(machine).items() if machine.tree.joint_names.index(name) not in has}
-    for e, value in zip(model.fit.vector.entries, model.fit.vector.values, strict=True) if model else ():
+    out = {
+        name: g
+        for name, g in gains(machine).items()
+        if machine.tree.joint_names.index(name) not in has
+    }
+    for e, value in (
+        zip(model.fit.vector.entries, model.fit.vector.values, strict=True) if model else ()
+    ):
         for j in e.joints if e.owner == "torque_gain" else ():
             name = machine.tree.joint_names[j]
             if name in out:
@@ -165,7 +249,10 @@ def _found_gain(machine: Machine) -> dict[str, float]:
     """Factors on the actuators' gains in the file that make them those of the machine."""
     if not machine.gain_unknown:
         return {}
-    return {a.name: float(machine.actuator[0, a.joint] / (a.gear * a.gain)) for a in machine.mechanism.actuators}
+    return {
+        a.name: float(machine.actuator[0, a.joint] / (a.gear * a.gain))
+        for a in machine.mechanism.actuators
+    }
 
 
 def _actuators(machine: Machine, problem: Problem, model: Model) -> dict[str, dict[str, float]]:
@@ -193,7 +280,9 @@ def _actuators(machine: Machine, problem: Problem, model: Model) -> dict[str, di
                     found = gains.get(name, 1.0) if key == "gain" else 1.0
                     out.setdefault(key, {})[name] = (1.0 + float(value)) * found
                 elif key == "limit" and e.name == "cut":
-                    out.setdefault(key, {})[name] = (1.0 - float(value)) * float(problem.reach.peak[j])
+                    out.setdefault(key, {})[name] = (1.0 - float(value)) * float(
+                        problem.reach.peak[j]
+                    )
                 elif key in ("delay", "lag") and e.name == key and value > 0.0:
                     out.setdefault(key, {})[name] = float(value)
     return out
@@ -205,7 +294,8 @@ def _lost(problem: Problem, model: Model, named: Model) -> list[str]:
     gone = [c for c in named.added if c.key not in kept]
     vector = named.fit.vector
     return [
-        f"not held by this file, see model.toml: {e.owner} at {', '.join(problem.joint_names[j] for j in e.joints)}, "
+        f"not held by this file, see model.toml: {e.owner} at "
+        f"{', '.join(problem.joint_names[j] for j in e.joints)}, "
         f"{e.name} = {value:.6g} {e.unit}"
         for c in gone
         for e, value in zip(vector.entries, vector.values, strict=True)

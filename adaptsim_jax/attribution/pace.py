@@ -1,8 +1,10 @@
-"""Clocks and efforts that gravity contradicts: the declared masses say how fast a motion is, and what torque it needs.
+"""Clocks and efforts that gravity contradicts: the declared masses say how fast a motion is, and
+what torque it needs.
 
-The inverse dynamics of the declared tree are `tau = alpha D(q, v, a) + G(q)`. With a clock that runs slow by a factor s the
-accelerations and squared speeds come out s^2 too small, gravity as it is: alpha is s^2 (Khalil and Dombre 2002, ch. 9, for the
-regression). With efforts that are no torques each joint needs a multiple of its own.
+The inverse dynamics of the declared tree are `tau = alpha D(q, v, a) + G(q)`. With a clock that
+runs slow by a factor s the accelerations and squared speeds come out s^2 too small, gravity as it
+is: alpha is s^2 (Khalil and Dombre 2002, ch. 9, for the regression). With efforts that are no
+torques each joint needs a multiple of its own.
 """
 
 import numpy as np
@@ -13,11 +15,22 @@ from adaptsim_jax.logs.log_units import Affine
 from adaptsim_jax.logs.meta import TIME_UNITS
 from adaptsim_jax.logs.quality.contradictions import AS_DECLARED, NEAR, POOR
 from adaptsim_jax.logs.quality.findings import Finding
-from adaptsim_jax.logs.quality.hypotheses import LEAST, MOST, Design, Motion, Track, blocks, motion_of, rubbing
+from adaptsim_jax.logs.quality.hypotheses import (
+    LEAST,
+    MOST,
+    Design,
+    Motion,
+    Track,
+    blocks,
+    motion_of,
+    rubbing,
+)
 from adaptsim_jax.logs.quality.servo_fit import SMOOTH
 
 GOOD = 0.03
-"""Share of the torque's square that another clock, or efforts of another scale, may leave to be told."""
+"""Share of the torque's square that another clock, or efforts of another scale, may leave to be
+told.
+"""
 TIMES = 10.0
 """A clock is told where it leaves so many times less than a rotor's inertia at every joint does."""
 OFF = 1.2
@@ -40,7 +53,10 @@ def check_pace(machine: Machine, tracks: list[Track], design: Design) -> tuple[F
         return ()
     step = float(np.median(np.concatenate([np.diff(t.time) for t in tracks])))
     even = all(np.max(np.abs(np.diff(t.time) - step)) < NOMINAL * step for t in tracks)
-    counted = f"; its stamps are exactly {1e3 * step:.4g} ms apart, as if counted" if even else ""
+    if even:
+        counted = f"; its stamps are exactly {1e3 * step:.4g} ms apart, as if counted"
+    else:
+        counted = ""
     how = "slow" if factor > 1 else "fast"
     size = max(factor, 1.0 / factor)
     line = f"time = {float(f'{_seconds(machine) / factor:.3g}'):g}"
@@ -59,7 +75,9 @@ def check_pace(machine: Machine, tracks: list[Track], design: Design) -> tuple[F
 
 
 def _paced(motion: Motion, design: Design) -> tuple[float, float, float] | None:
-    """What another clock leaves, how many times slow this one runs by it, and what rotors leave in its place."""
+    """What another clock leaves, how many times slow this one runs by it, and what rotors leave in
+    its place.
+    """
     if len(motion.q) < LEAST or not np.all(np.isfinite(motion.a)):
         return None
     n = motion.q.shape[1]
@@ -68,7 +86,10 @@ def _paced(motion: Motion, design: Design) -> tuple[float, float, float] | None:
     spread = np.maximum(np.std(rest, axis=0), 1e-9)
     if np.max(spread) < 1e-6:
         return None
-    told = lambda columns: (columns / spread[None, :, None]).reshape(len(motion.q) * n, -1)
+
+    def told(columns):
+        return (columns / spread[None, :, None]).reshape(len(motion.q) * n, -1)
+
     y = (rest / spread).reshape(-1)
     rubs = told(rubbing(motion)[:, :, [4 * j + k for j in range(n) for k in (0, 1, 2)]])
     rotors = told(motion.a[:, :, None] * np.eye(n))
@@ -80,7 +101,9 @@ def _paced(motion: Motion, design: Design) -> tuple[float, float, float] | None:
 
 def _seconds(machine: Machine) -> float:
     unit = machine.log.meta.units.get("time", "s")
-    return unit.scale if isinstance(unit, Affine) else TIME_UNITS.get(unit, 1.0)
+    if isinstance(unit, Affine):
+        return unit.scale
+    return TIME_UNITS.get(unit, 1.0)
 
 
 def _parts(motion: Motion, design: Design) -> tuple[np.ndarray, np.ndarray]:
@@ -94,7 +117,9 @@ def _left(y: np.ndarray, columns: np.ndarray) -> tuple[float, np.ndarray]:
     """Share of the square of `y [K]` that the best multiples of `columns` leave, and these."""
     size = np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-12)
     x, *_ = np.linalg.lstsq(columns / size, y, rcond=1e-9)
-    return float(np.sum((y - columns / size @ x) ** 2) / max(float(np.sum((y - y.mean()) ** 2)), 1e-12)), x / size
+    return float(
+        np.sum((y - columns / size @ x) ** 2) / max(float(np.sum((y - y.mean()) ** 2)), 1e-12)
+    ), x / size
 
 
 def _sharp(tracks: list[Track]) -> Motion:
@@ -107,14 +132,17 @@ def _sharp(tracks: list[Track]) -> Motion:
 
 
 def _smoothed(columns: np.ndarray) -> np.ndarray:
-    """Both sides of an equation `[K, P]` over some blocks: the same equation, with less of the sensors' noise."""
+    """Both sides of an equation `[K, P]` over some blocks: the same equation, with less of the
+    sensors' noise.
+    """
     mean = np.ones(SMOOTH) / SMOOTH
     return np.stack([np.convolve(c, mean, "valid") for c in columns.T], 1)
 
 
 def amperes(machine: Machine, tracks: list[Track], design: Design) -> tuple[Finding, ...]:
-    """A question where every driven joint needs several times its logged effort, a multiple of its own: motors' currents are like
-    that."""
+    """A question where every driven joint needs several times its logged effort, a multiple of its
+    own: motors' currents are like that.
+    """
     if machine.log.input_kind != "torque":
         return ()
     motion = _sharp(tracks)
@@ -139,14 +167,20 @@ def amperes(machine: Machine, tracks: list[Track], design: Design) -> tuple[Find
     told = ", ".join(f"{float(f'{x:.2g}'):g} at {names[j]}" for j, x in need.items())
     lines = ", ".join(f'i_{names[j]} = "{_column(machine, j)}"' for j in need)
     text = (
-        f"the masses of {machine.mechanism.path} need {told} times the logged efforts: are these currents (A), not torques? "
-        f'Then write input = "current" and, under [columns], {lines} in meta.toml, or the efforts in N m'
+        f"the masses of {machine.mechanism.path} need {told} times the logged efforts: are these "
+        f"currents (A), not torques? "
+        f'Then write input = "current" and, under [columns], {lines} in meta.toml, or the efforts '
+        f"in N m"
     )
-    return (Finding("currents", "warn", "", "efforts", text, float(np.median(list(need.values())))),)
+    return (
+        Finding("currents", "warn", "", "efforts", text, float(np.median(list(need.values())))),
+    )
 
 
 def held_fast(machine: Machine, tracks: list[Track], design: Design) -> tuple[Finding, ...]:
-    """Joints that move though the file gives them more dry friction than motion and gravity leave of any logged torque."""
+    """Joints that move though the file gives them more dry friction than motion and gravity leave
+    of any logged torque.
+    """
     levels = np.asarray(machine.tree.frictionloss)
     motion = _sharp(tracks) if np.any(levels > 0) else None
     if (
@@ -162,9 +196,13 @@ def held_fast(machine: Machine, tracks: list[Track], design: Design) -> tuple[Fi
         moves = np.abs(motion.v[:, j]) > 0.2 * np.max(np.abs(motion.v[:, j]))
         most = float(np.quantile(rest[moves, j], 0.9))
         if levels[j] > HELD * most:
-            name, unit = machine.tree.joint_names[j], "N m" if machine.tree.kinds[j] == "hinge" else "N"
+            name, unit = (
+                machine.tree.joint_names[j],
+                "N m" if machine.tree.kinds[j] == "hinge" else "N",
+            )
             text = (
-                f"{machine.mechanism.path} declares friction of {levels[j]:g} {unit} at {name}, {levels[j] / most:.2g} times what its "
+                f"{machine.mechanism.path} declares friction of {levels[j]:g} {unit} at {name}, "
+                f"{levels[j] / most:.2g} times what its "
                 "motion leaves for it: a placeholder? Put in a measured friction, or 0"
             )
             out.append(Finding("friction", "warn", "", name, text, float(levels[j])))

@@ -1,8 +1,11 @@
-"""What is fitted, as one flat vector: inertial parameters by body, and parameters of effects by joint.
+"""What is fitted, as one flat vector: inertial parameters by body, and parameters of effects by
+joint.
 
-The inertial parameters of a body are those of its declared ones under a transformation near the identity,
-J = U0 V(eta) V(eta)' U0', of its pseudo-inertia (log-Cholesky: Rucker and Wensing, 2022), so they are admissible at any eta and all
-ten numbers are without unit. A weak prior holds what the data do not fix at what was declared.
+The inertial parameters of a body are those of its declared ones under a transformation near the
+identity,
+J = U0 V(eta) V(eta)' U0', of its pseudo-inertia (log-Cholesky: Rucker and Wensing, 2022), so they
+are admissible at any eta and all ten numbers are without unit. A weak prior holds what the data do
+not fix at what was declared.
 """
 
 from collections.abc import Iterable, Sequence
@@ -35,8 +38,10 @@ PRIOR = 0.3  # standard deviation of eta
 
 @dataclass(frozen=True)
 class Entry:
-    """One number of the vector. `owner` is an effect's name or `inertia`; joints: where it acts (several: one shared value; a body
-    goes by its joint); off: its value where nothing is added; prior: standard deviation about `start`, infinite where none."""
+    """One number of the vector. `owner` is an effect's name or `inertia`; joints: where it acts
+    (several: one shared value; a body goes by its joint); off: its value where nothing is added;
+    prior: standard deviation about `start`, infinite where none.
+    """
 
     owner: str
     name: str
@@ -53,8 +58,13 @@ class Entry:
         return self.owner, self.name, self.joints
 
     def at_bound(self, value: float, share: float) -> bool:
-        """Whether a value lies at an end of the range (within a share of it) that is neither where it is off nor where it began."""
-        near = lambda end: bool(np.isfinite(end)) and abs(value - end) <= share * abs(end)
+        """Whether a value lies at an end of the range (within a share of it) that is neither where
+        it is off nor where it began.
+        """
+
+        def near(end):
+            return bool(np.isfinite(end)) and abs(value - end) <= share * abs(end)
+
         return near(self.high) or (self.low < min(self.off, self.start) and near(self.low))
 
 
@@ -90,7 +100,9 @@ class Vector:
     def at(self, values: np.ndarray) -> "Vector":
         return replace(self, values=np.asarray(values, float))
 
-    def with_entries(self, added: Iterable[Entry], values: Sequence[float] | None = None) -> "Vector":
+    def with_entries(
+        self, added: Iterable[Entry], values: Sequence[float] | None = None
+    ) -> "Vector":
         """With more entries; those there are already keep their values."""
         known = self.index()
         fresh = [e for e in added if e.key not in known]
@@ -105,20 +117,28 @@ class Vector:
 
 
 def pseudo_inertia(inertial):
-    """Pseudo-inertia [4, 4] of (m, m c, Ixx, Ixy, Ixz, Iyy, Iyz, Izz) [10] about the body's origin."""
+    """Pseudo-inertia [4, 4] of (m, m c, Ixx, Ixy, Ixz, Iyy, Iyz, Izz) [10] about the body's
+    origin.
+    """
     m, x, y, z, xx, xy, xz, yy, yz, zz = inertial
     half = 0.5 * (xx + yy + zz)
-    return jnp.array([[half - xx, -xy, -xz, x], [-xy, half - yy, -yz, y], [-xz, -yz, half - zz, z], [x, y, z, m]])
+    return jnp.array(
+        [[half - xx, -xy, -xz, x], [-xy, half - yy, -yz, y], [-xz, -yz, half - zz, z], [x, y, z, m]]
+    )
 
 
 def inertial_of(j):
     """The reverse of `pseudo_inertia`."""
     a, b, c = j[0, 0], j[1, 1], j[2, 2]
-    return jnp.stack([j[3, 3], j[0, 3], j[1, 3], j[2, 3], b + c, -j[0, 1], -j[0, 2], a + c, -j[1, 2], a + b])
+    return jnp.stack(
+        [j[3, 3], j[0, 3], j[1, 3], j[2, 3], b + c, -j[0, 1], -j[0, 2], a + c, -j[1, 2], a + b]
+    )
 
 
 def root(inertial: np.ndarray) -> np.ndarray:
-    """Upper triangular U0 [4, 4] with U0 U0' the pseudo-inertia, of a thin body thickened by a hundredth of its size."""
+    """Upper triangular U0 [4, 4] with U0 U0' the pseudo-inertia, of a thin body thickened by a
+    hundredth of its size.
+    """
     j = np.asarray(pseudo_inertia(np.asarray(inertial, float)))
     com = j[:3, 3] / j[3, 3]
     second = j[:3, :3] - j[3, 3] * np.outer(com, com)
@@ -135,9 +155,14 @@ def moved(u0, eta):
     """Inertial parameters [10] at eta [10] from the root of the declared ones [4, 4]."""
     a, dx, dy, dz, xy, xz, yz, tx, ty, tz = eta
     one, zero = jnp.exp(0.0 * a), 0.0 * a
-    v = jnp.array([
-        [jnp.exp(dx), xy, xz, tx], [zero, jnp.exp(dy), yz, ty], [zero, zero, jnp.exp(dz), tz], [zero, zero, zero, one]
-    ]) * jnp.exp(a)  # fmt: skip
+    v = jnp.array(
+        [
+            [jnp.exp(dx), xy, xz, tx],
+            [zero, jnp.exp(dy), yz, ty],
+            [zero, zero, jnp.exp(dz), tz],
+            [zero, zero, zero, one],
+        ]
+    ) * jnp.exp(a)
     u = u0 @ v
     return inertial_of(u @ u.T)
 
@@ -171,7 +196,9 @@ def inertias(declared: np.ndarray) -> Inertias:
     declared = np.asarray(declared, float)
     massive = declared[:, 0] > 0.0
     with jax.enable_x64(True):
-        roots = np.stack([root(d) if m else np.eye(4) for d, m in zip(declared, massive, strict=True)])
+        roots = np.stack(
+            [root(d) if m else np.eye(4) for d, m in zip(declared, massive, strict=True)]
+        )
     return Inertias(declared, roots, massive)
 
 
@@ -179,5 +206,7 @@ def inertia_entries(massive: np.ndarray) -> tuple[Entry, ...]:
     """Ten entries for each body that has a mass."""
     make = partial(Entry, INERTIA, start=0.0, off=0.0, unit="1", prior=PRIOR)
     return tuple(
-        make(name, (int(b),), low=-wide, high=wide) for b in np.flatnonzero(massive) for name, wide in WIDEST.items()
+        make(name, (int(b),), low=-wide, high=wide)
+        for b in np.flatnonzero(massive)
+        for name, wide in WIDEST.items()
     )

@@ -1,4 +1,6 @@
-"""A problem simulated: how its stretches are stepped, where they begin, and what is left of the measured ones."""
+"""A problem simulated: how its stretches are stepped, where they begin, and what is left of the
+measured ones.
+"""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -24,9 +26,11 @@ def starts_of(problem: Problem) -> tuple[np.ndarray, ...]:
 
 
 def scheme(group: Group, at: Values, some: Values | None = None) -> Scheme:
-    """Steps within a row such that Runge and Kutta's method is stable and good for drag, controllers and drives; where controllers
-    want more than there may be, as much work goes into stiff steps, which have half as many stages. some: other values, for
-    each stretch, of which dry friction may be."""
+    """Steps within a row such that Runge and Kutta's method is stable and good for drag,
+    controllers and drives; where controllers want more than there may be, as much work goes into
+    stiff steps, which have half as many stages. some: other values, for each stretch, of which dry
+    friction may be.
+    """
     some = at if some is None else some
     inertia = group_inertia(at, group)[0]
     stiffness, damping = (np.abs(np.asarray(z)[:, 0]) for z in held_by(at))
@@ -37,7 +41,9 @@ def scheme(group: Group, at: Values, some: Values | None = None) -> Scheme:
         rotor = at.effects["armature"]["inertia"][:, 0]
         drive = Drive(*(np.asarray(z)[:, 0] for z in drive_of(group.model, at)))
         soft = drive.compliance > 0.0
-        both = np.where(soft, 1.0 / np.maximum(rotor, LEAST) + 1.0 / np.maximum(inertia - rotor, LEAST), 0.0)
+        both = np.where(
+            soft, 1.0 / np.maximum(rotor, LEAST) + 1.0 / np.maximum(inertia - rotor, LEAST), 0.0
+        )
         both = both / np.where(soft, drive.compliance, 1.0)
         fastest = max(fastest, float(np.sqrt(both).max()), float((drive.damping * both).max()))
         inertia = np.where(soft, np.maximum(rotor, LEAST), inertia)
@@ -50,12 +56,24 @@ def scheme(group: Group, at: Values, some: Values | None = None) -> Scheme:
     swing = np.sqrt(stiffness / inertia) * 2.0
     need = row * max(float((damping / inertia).max()), float(swing.max()), fastest) / STABLE
     stiff = bool(need > MOST_SUBSTEPS) and not len(giving)
-    steps = 2 * MOST_SUBSTEPS if need > MOST_SUBSTEPS else max(1, int(np.ceil(need)))
-    return Scheme(steps, rough(group.model, some), giving, group.stretches.past, bristles(group.model, some), stiff)
+    if need > MOST_SUBSTEPS:
+        steps = 2 * MOST_SUBSTEPS
+    else:
+        steps = max(1, int(np.ceil(need)))
+    return Scheme(
+        steps,
+        rough(group.model, some),
+        giving,
+        group.stretches.past,
+        bristles(group.model, some),
+        stiff,
+    )
 
 
 class Ready(NamedTuple):
-    """A group ready to be stepped through: its values, those of each stretch where they differ, and how."""
+    """A group ready to be stepped through: its values, those of each stretch where they differ, and
+    how.
+    """
 
     group: Group
     at: Values
@@ -69,7 +87,10 @@ def ready(problem: Problem, vector: Vector, rows: np.ndarray | None = None) -> t
     with jax.enable_x64(True):
         for group in problem.groups:
             at = values_of(problem, group, vector)
-            values = at if rows is None else values_of(problem, group, vector, rows)
+            if rows is None:
+                values = at
+            else:
+                values = values_of(problem, group, vector, rows)
             out.append(Ready(group, at, values, scheme(group, at, values)))
     return tuple(out)
 
@@ -91,7 +112,9 @@ def _start(group: Group, values: Values, x: np.ndarray) -> np.ndarray:
 
 
 def at_ends(made: Sequence[Ready]) -> list[tuple[np.ndarray, ...]]:
-    """Other starts by group: each joint whose sensor has play begins at either end of it (`Effect.slack`)."""
+    """Other starts by group: each joint whose sensor has play begins at either end of it
+    (`Effect.slack`).
+    """
     out = []
     for group, at, *_ in made:
         for effect in group.model.effects:
@@ -102,7 +125,10 @@ def at_ends(made: Sequence[Ready]) -> list[tuple[np.ndarray, ...]]:
                 for end in (0.5, -0.5):
                     shift = np.where(np.arange(2 * len(gap)) == k, end * gap[k], 0.0)
                     out.append((group, shift[:, None]))
-    return [tuple(g.stretches.start + (shift if g is group else 0.0) for g, *_ in made) for group, shift in out]
+    return [
+        tuple(g.stretches.start + (shift if g is group else 0.0) for g, *_ in made)
+        for group, shift in out
+    ]
 
 
 def run(problem: Problem, vector: Vector, starts: Sequence[np.ndarray]) -> list[Path]:
@@ -123,7 +149,9 @@ def simulated(made: Sequence[Ready], starts: Sequence[np.ndarray]) -> list[Path]
 
 
 def residuals(group: Group, path: Path) -> np.ndarray:
-    """Measured less simulated [W, L+1, 2n]; 0 where nothing was measured, and where the simulation ran away a large number."""
+    """Measured less simulated [W, L+1, 2n]; 0 where nothing was measured, and where the simulation
+    ran away a large number.
+    """
     s = group.stretches
     measured = np.concatenate([s.q, s.v], 1)
     seen = np.concatenate([s.seen, s.seen_v], 1)

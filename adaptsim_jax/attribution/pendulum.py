@@ -1,4 +1,6 @@
-"""The double pendulum of `task = "pendulum"` as one mechanism among others, and its `model.toml`."""
+"""The double pendulum of `task = "pendulum"` as one mechanism among others, and its
+`model.toml`.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -24,71 +26,106 @@ from adaptsim_jax.mechanisms.mjcf import read_mechanism
 from adaptsim_jax.mechanisms.model_file import AddedEffect, ModelFile, Value
 
 SAME = {
-    "quadratic_drag": ("drag",), "spring": ("stiffness", "preload"), "bias": ("torque",),
-    "cogging": ("sine", "cosine", "order"), "hard_stop": ("stiffness", "angle", "side", "loss", "damping", "exponent"),
-    "load_friction": ("share",), "torque_gain": ("gain",), "saturation": ("cut", "peak"), "dead_zone": ("width",),
-    "delay": ("delay", "before"), "actuator_lag": ("lag", "before"), "encoder_offset": ("offset",), "sensor_lag": ("lag",),
-    "backlash": ("gap",), "coulomb": ("level",),
-    "periodic_disturbance": ("sine", "cosine", "frequency"), "friction_drift": ("viscous", "dry", "decay"),
-}  # fmt: skip
-"""Effects of the pendulum's catalogue that mechanisms have under the same name, with the parameters that both know."""
+    "quadratic_drag": ("drag",),
+    "spring": ("stiffness", "preload"),
+    "bias": ("torque",),
+    "cogging": ("sine", "cosine", "order"),
+    "hard_stop": ("stiffness", "angle", "side", "loss", "damping", "exponent"),
+    "load_friction": ("share",),
+    "torque_gain": ("gain",),
+    "saturation": ("cut", "peak"),
+    "dead_zone": ("width",),
+    "delay": ("delay", "before"),
+    "actuator_lag": ("lag", "before"),
+    "encoder_offset": ("offset",),
+    "sensor_lag": ("lag",),
+    "backlash": ("gap",),
+    "coulomb": ("level",),
+    "periodic_disturbance": ("sine", "cosine", "frequency"),
+    "friction_drift": ("viscous", "dry", "decay"),
+}
+"""Effects of the pendulum's catalogue that mechanisms have under the same name, with the parameters
+that both know.
+"""
 LINK = ("size", "stretch_y", "shift_y")
 RIGID, LINEAR = "rigid_body", "linearized"
 
 
-def pendulum_machine(recording: Recording, model: str | Path, effects: Sequence[Effect] = ()) -> Machine:
-    """A recording of the double pendulum with a model: an MJCF or URDF file, or a `model.toml`, which may hold `effects` besides ours.
+def pendulum_machine(
+    recording: Recording, model: str | Path, effects: Sequence[Effect] = ()
+) -> Machine:
+    """A recording of the double pendulum with a model: an MJCF or URDF file, or a `model.toml`,
+    which may hold `effects` besides ours.
 
-    Raises BadInput where the model is not of two joints, or has an effect that mechanisms do not know.
+    Raises BadInput where the model is not of two joints, or has an effect that mechanisms do not
+    know.
     """
     if Path(model).suffix.lower() != ".toml":
         mechanism = read_mechanism(model)
         if mechanism.tree.n != 2:
             raise BadInput(
-                f"{model}: has {mechanism.tree.n} joints, but {recording.path} is of a double pendulum; give one of 2"
+                f"{model}: has {mechanism.tree.n} joints, but {recording.path} is of a double "
+                f"pendulum; give one of 2"
             )
         log = log_of(recording)
         names: dict[str, str] = dict(zip(JOINTS, mechanism.tree.joint_names, strict=True))
         told = tuple(names[n] for n in log.driven)
-        return machine(mechanism, replace(log, joint_names=mechanism.tree.joint_names, input_names=told, driven=told))
+        return machine(
+            mechanism,
+            replace(log, joint_names=mechanism.tree.joint_names, input_names=told, driven=told),
+        )
     from adaptsim_jax.mechanisms.model_file import read_model
 
     given = read_model(model, own_catalogue(recording.task, effects))
     with TemporaryDirectory() as folder:
         made = declared_machine(recording, given.theta(given.plant()), Path(folder) / DECLARED)
     notes = (*made.log.notes, *left_out(given))
-    return replace(made, declared=made.declared | _declared_effects(given), log=replace(made.log, notes=notes))
+    return replace(
+        made, declared=made.declared | _declared_effects(given), log=replace(made.log, notes=notes)
+    )
 
 
 def own_catalogue(task: str, effects: Sequence[Effect]) -> tuple[Effect, ...]:
-    """What a `model.toml` may hold: the task's effects, and those of `effects` that have other names."""
+    """What a `model.toml` may hold: the task's effects, and those of `effects` that have other
+    names.
+    """
     known = catalogue(task)
     names = {e.name for e in (*known, *OWN)}
     return (*known, *(e for e in effects if e.name not in names))
 
 
 def left_out(given: ModelFile) -> list[str]:
-    """What of the file's effects a mechanism does not simulate: `diagnose` simulated it, so that its error was less."""
+    """What of the file's effects a mechanism does not simulate: `diagnose` simulated it, so that
+    its error was less.
+    """
     out = []
     for e in given.effects:
         rest = [k for k in e.parameters if k not in SAME.get(e.name, e.parameters)]
         if rest:
-            out.append(f"{e.name} at {e.where} is simulated without its {' and '.join(rest)}, which diagnose has")
+            out.append(
+                f"{e.name} at {e.where} is simulated without its {' and '.join(rest)}, which "
+                f"diagnose has"
+            )
     return out
 
 
 def declared_machine(recording: Recording, theta: np.ndarray, path: Path) -> Machine:
-    """A recording with the declared model at parameters theta (p1, p3, h1, h2, b1, b2 of a rigid body, m1, m2, b1, b2 of a linearized
-    one), which is written to `path` as MJCF."""
+    """A recording with the declared model at parameters theta (p1, p3, h1, h2, b1, b2 of a rigid
+    body, m1, m2, b1, b2 of a linearized one), which is written to `path` as MJCF.
+    """
     linear = recording.model == LINEAR
     base = _of_point_masses(theta) if linear else theta
     write_bytes(path, double_pendulum_mjcf(base, recording.geometry, recording.angle_zero).encode())
     mechanism = read_mechanism(path)
-    return machine(replace(mechanism, tree=replace(mechanism.tree, linear=linear)), log_of(recording))
+    return machine(
+        replace(mechanism, tree=replace(mechanism.tree, linear=linear)), log_of(recording)
+    )
 
 
 def _of_point_masses(theta: np.ndarray) -> np.ndarray:
-    """Base parameters [6] of point masses m1, m2 at the ends of links of 1 m, with dampings b1, b2."""
+    """Base parameters [6] of point masses m1, m2 at the ends of links of 1 m, with dampings b1,
+    b2.
+    """
     m1, m2, b1, b2 = (float(z) for z in theta)
     return np.array([m1 + 2.0 * m2, m2, m1 + m2, m2, b1, b2])
 
@@ -99,7 +136,8 @@ def _declared_effects(given: ModelFile) -> dict[tuple[str, str], np.ndarray]:
     def put(effect: str, parameter: str, where: str, value: float) -> None:
         if where not in JOINTS:
             raise BadInput(
-                f"{given.path}: {effect} at {where} has no counterpart in a mechanism; take it out to replay the rest"
+                f"{given.path}: {effect} at {where} has no counterpart in a mechanism; take it out "
+                f"to replay the rest"
             )
         out.setdefault((effect, parameter), np.zeros(2))[JOINTS.index(where)] = value
 
@@ -121,36 +159,55 @@ def _declared_effects(given: ModelFile) -> dict[tuple[str, str], np.ndarray]:
             for k, value in numbers.items():
                 put(e.name, k, e.where, value)
         else:
-            raise BadInput(f"{given.path}: {e.name} is no effect of a mechanism; take it out to replay the rest")
+            raise BadInput(
+                f"{given.path}: {e.name} is no effect of a mechanism; take it out to replay the "
+                f"rest"
+            )
     return out
 
 
 def in_the_plane(vector: Vector) -> Vector:
-    """The vector without what `p1, p3, h1, h2, b1, b2` do not say: a centre of mass beside the link."""
-    return vector.without([e.key for e in vector.entries if e.owner == INERTIA and e.name not in LINK])
+    """The vector without what `p1, p3, h1, h2, b1, b2` do not say: a centre of mass beside the
+    link.
+    """
+    return vector.without(
+        [e.key for e in vector.entries if e.owner == INERTIA and e.name not in LINK]
+    )
 
 
 def doubted(known: Mapping[str, float], values: Mapping[str, Value]) -> list[str]:
-    """A sentence for each declared parameter that `[known]` gives otherwise than the motion: beyond its interval, by a fiftieth."""
+    """A sentence for each declared parameter that `[known]` gives otherwise than the motion: beyond
+    its interval, by a fiftieth.
+    """
     return [
-        f"[known] {k} = {x:.4g}, but the motion says {v.value:.4g} [{v.low:.4g}, {v.high:.4g}] {v.unit}: mend it or take it out"
+        f"[known] {k} = {x:.4g}, but the motion says {v.value:.4g} [{v.low:.4g}, {v.high:.4g}] "
+        f"{v.unit}: mend it or take it out"
         for k, x in known.items()
-        if (v := values.get(k)) is not None and not v.low <= x <= v.high and abs(v.value - x) > 0.02 * abs(x)
+        if (v := values.get(k)) is not None
+        and not v.low <= x <= v.high
+        and abs(v.value - x) > 0.02 * abs(x)
     ]
 
 
 def base_parameters(inertial: np.ndarray, l1: float, down: float) -> np.ndarray:
-    """p1, p3, h1, h2 of two links' inertial parameters [2, 10] in their joints' frames, whose y axes lie along the links."""
+    """p1, p3, h1, h2 of two links' inertial parameters [2, 10] in their joints' frames, whose y
+    axes lie along the links.
+    """
     (m1y, i1), (m2y, i2), m2 = inertial[0, [2, 9]], inertial[1, [2, 9]], inertial[1, 0]
     return np.array([i1 + m2 * l1**2 + i2, i2, down * m1y + m2 * l1, down * m2y])
 
 
 def declared_values(recording: Recording, problem: Problem, model: Model) -> dict[str, Value]:
-    """Declared parameters of a fitted model under their names in `model.toml`, with 90 % intervals from its folds (jackknife)."""
+    """Declared parameters of a fitted model under their names in `model.toml`, with 90 % intervals
+    from its folds (jackknife).
+    """
     (group,) = problem.groups
     vector, l1 = model.fit.vector, float(recording.geometry["l1"])
     down = -1.0 if recording.angle_zero == "upright" else 1.0
-    base = lambda z: base_parameters(values_of(problem, group, vector.at(z)).inertial[..., 0], l1, down)
+
+    def base(z):
+        return base_parameters(values_of(problem, group, vector.at(z)).inertial[..., 0], l1, down)
+
     names, units, of = ("p1", "p3", "h1", "h2"), ("kg m^2", "kg m^2", "kg m", "kg m"), lambda z: z
     if recording.model == LINEAR:  # gravity has the least to do with how bodies are shaped
         names, units, of = ("m1", "m2"), ("kg", "kg"), lambda z: np.array([z[2] - z[3], z[3]])
@@ -171,13 +228,17 @@ def _number(value: float, spread: float, unit: str) -> Value:
 def _fitted(model: Model) -> dict[tuple[str, str, int], tuple[float, float, str]]:
     """Value, standard deviation and unit of each fitted number by owner, name and joint."""
     rows = zip(model.fit.vector.entries, model.fit.vector.values, model.spread, strict=True)
-    return {(e.owner, e.name, j): (float(v), float(s), e.unit) for e, v, s in rows for j in e.joints}
+    return {
+        (e.owner, e.name, j): (float(v), float(s), e.unit) for e, v, s in rows for j in e.joints
+    }
 
 
 def model_file(
     recording: Recording, problem: Problem, model: Model, told: Mapping[str, object]
 ) -> tuple[ModelFile, list[str]]:
-    """A fitted model as `model.toml` holds it, and a line for each effect that it cannot hold. told: of its provenance."""
+    """A fitted model as `model.toml` holds it, and a line for each effect that it cannot hold.
+    told: of its provenance.
+    """
     declared, by = declared_values(recording, problem, model), _fitted(model)
     effects, lost = [], []
     library = {e.name: e for e in own_catalogue(recording.task, problem.effects)}
@@ -186,7 +247,11 @@ def model_file(
     def put(name: str, where: str, mine: Mapping[str, Value]) -> None:
         parameters = library[name].parameters
         effects.append(
-            AddedEffect(name, where, {p.name: mine.get(p.name, _number(p.default, 0.0, p.unit)) for p in parameters})
+            AddedEffect(
+                name,
+                where,
+                {p.name: mine.get(p.name, _number(p.default, 0.0, p.unit)) for p in parameters},
+            )
         )
 
     for name, k in sorted({(owner, k) for owner, _, k in by if owner not in (INERTIA, "viscous")}):
@@ -195,7 +260,11 @@ def model_file(
         if name == "armature":
             put("rotor_inertia", where, mine)
         elif name == "stribeck":
-            put(name, where, mine | {"level": _number(*by.get(("coulomb", "level", k), (0.0, 0.0, "N m")))})
+            put(
+                name,
+                where,
+                mine | {"level": _number(*by.get(("coulomb", "level", k), (0.0, 0.0, "N m")))},
+            )
         elif name == TILT:
             if k == 0:
                 put("tilt", "base", {"angle": mine["about_y"]})
@@ -203,14 +272,27 @@ def model_file(
             level, compliance = by["coulomb", "level", k], mine["compliance"]
             bent = {x: level[0] * getattr(compliance, x) for x in ("value", "low", "high")}
             put(name, where, {"level": _number(*level), "deflection": Value(**bent, unit="rad")})
-        elif name == "coulomb" and {("stribeck", "excess", k), ("presliding", "compliance", k)} & set(by):
+        elif name == "coulomb" and {
+            ("stribeck", "excess", k),
+            ("presliding", "compliance", k),
+        } & set(by):
             continue  # held by the other
         elif name in SAME or name in own:
             put(name, where, mine)
         else:
-            lost.append(f"model.toml cannot hold {name} at {where}; model.xml says what of it MJCF can hold")
+            lost.append(
+                f"model.toml cannot hold {name} at {where}; model.xml says what of it MJCF can hold"
+            )
     given = {k: float(v) for k, v in recording.geometry.items()}
-    file = ModelFile(recording.task, recording.model, recording.angle_zero, given, declared, tuple(effects),
-                     {k: float(v) for k, v in recording.known.items()}, provenance=dict(told),
-                     library=tuple(library.values()) if own else ())  # fmt: skip
+    file = ModelFile(
+        recording.task,
+        recording.model,
+        recording.angle_zero,
+        given,
+        declared,
+        tuple(effects),
+        {k: float(v) for k, v in recording.known.items()},
+        provenance=dict(told),
+        library=tuple(library.values()) if own else (),
+    )
     return file, lost

@@ -1,4 +1,6 @@
-"""One identification problem: joints in groups that share no moving body, their stretches, and the values of a parameter vector."""
+"""One identification problem: joints in groups that share no moving body, their stretches, and the
+values of a parameter vector.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -31,7 +33,9 @@ LANES = 16  # stretches are padded to a multiple, so that compiled programs repe
 
 @dataclass(frozen=True)
 class Group:
-    """Joints that share no moving body with the others. joints: their numbers in the whole mechanism; folds [W]."""
+    """Joints that share no moving body with the others. joints: their numbers in the whole
+    mechanism; folds [W].
+    """
 
     model: Model
     joints: tuple[int, ...]
@@ -44,7 +48,9 @@ class Group:
 
 @dataclass(frozen=True)
 class Problem:
-    """A recording ready to be fitted. reach: what it covers, by joint; fold [W] of each stretch, the same in all groups."""
+    """A recording ready to be fitted. reach: what it covers, by joint; fold [W] of each stretch,
+    the same in all groups.
+    """
 
     groups: tuple[Group, ...]
     joint_names: tuple[str, ...]
@@ -54,10 +60,14 @@ class Problem:
     fold: np.ndarray
     folds: tuple[str, ...]
     has_speed: bool
-    declared: dict[tuple[str, str], np.ndarray]  # (effect, parameter) -> [n] what the model file says
+    declared: dict[
+        tuple[str, str], np.ndarray
+    ]  # (effect, parameter) -> [n] what the model file says
     floor: np.ndarray  # [2n] noise of angles and speeds
     least: np.ndarray | float = 0.0  # [n] error of angles below which no effect is worth a name
-    unlike: tuple[int, ...] = ()  # joints that are not as the model says in another way, where nothing is named
+    unlike: tuple[
+        int, ...
+    ] = ()  # joints that are not as the model says in another way, where nothing is named
 
     @property
     def joints(self) -> int:
@@ -83,36 +93,62 @@ def prepare(
     look_back: float = 0.0,
     ties: np.ndarray | None = None,
 ) -> Problem:
-    """Cut and grouped. actuator [6, n]: gain, bias, per angle, per speed, lowest and highest force (None: torques); gear [n];
-    look_back: s from each stretch's start whose readings do not count; ties [n, n]: see `acting.Values`."""
+    """Cut and grouped. actuator [6, n]: gain, bias, per angle, per speed, lowest and highest force
+    (None: torques); gear [n]; look_back: s from each stretch's start whose readings do not count;
+    ties [n, n]: see `acting.Values`.
+    """
     n = len(tree.joint_names)
-    tree = replace(within_reach(tree, tracks), rub=np.zeros((n, 2)))  # sharp, as of real joints (`equation/rubbing.py`)
+    tree = replace(
+        within_reach(tree, tracks), rub=np.zeros((n, 2))
+    )  # sharp, as of real joints (`equation/rubbing.py`)
     stretches = without_first_rows(cut(tracks, horizon, most), look_back)
     fold, _, names = folds_of(stretches.trial, stretches.names)
     stretches = _padded(stretches)
     if actuator is None:
-        actuator = np.stack([np.ones(n), *[np.zeros(n)] * 3, np.full(n, -np.inf), np.full(n, np.inf)])
+        actuator = np.stack(
+            [np.ones(n), *[np.zeros(n)] * 3, np.full(n, -np.inf), np.full(n, np.inf)]
+        )
     gear = np.ones(n) if gear is None else np.asarray(gear, float)
     groups = []
     for joints in tied(subtrees(tree), ties):
         part = _nameless(take(tree, joints))
-        part_of = lambda z, j=list(joints): np.asarray(z)[..., j]
+
+        def part_of(z, j=tuple(joints)):
+            return np.asarray(z)[..., list(j)]
+
         own = None if ties is None else ties[np.ix_(joints, joints)]
         groups.append(
-            Group(Model(part, tuple(effects)), tuple(joints), stretches.of(joints), part_of(actuator), part_of(gear),
-                  inertias(np.asarray(part.inertial)), own if own is not None and np.any(own) else None)
-        )  # fmt: skip
+            Group(
+                Model(part, tuple(effects)),
+                tuple(joints),
+                stretches.of(joints),
+                part_of(actuator),
+                part_of(gear),
+                inertias(np.asarray(part.inertial)),
+                own if own is not None and np.any(own) else None,
+            )
+        )
     as_declared = {
-        ("viscous", "damping"): np.asarray(tree.damping), ("coulomb", "level"): np.asarray(tree.frictionloss),
-        ("armature", "inertia"): np.asarray(tree.armature), ("spring", "stiffness"): np.asarray(tree.stiffness),
+        ("viscous", "damping"): np.asarray(tree.damping),
+        ("coulomb", "level"): np.asarray(tree.frictionloss),
+        ("armature", "inertia"): np.asarray(tree.armature),
+        ("spring", "stiffness"): np.asarray(tree.stiffness),
         ("spring", "preload"): np.asarray(tree.stiffness) * np.asarray(tree.springref),
-    }  # fmt: skip
+    }
     as_declared[DAMPING_STEP, "damping"] = np.asarray(tree.damping) - actuator[3] * gear**2
     as_declared |= dict(declared or {})
     return Problem(
-        tuple(groups), tuple(tree.joint_names), tuple(tree.kinds), tuple(effects), _reach(tracks, actuator, gear, ties), fold, names,
-        bool(np.any(stretches.seen_v)), as_declared, noise(tracks),
-    )  # fmt: skip
+        tuple(groups),
+        tuple(tree.joint_names),
+        tuple(tree.kinds),
+        tuple(effects),
+        _reach(tracks, actuator, gear, ties),
+        fold,
+        names,
+        bool(np.any(stretches.seen_v)),
+        as_declared,
+        noise(tracks),
+    )
 
 
 NEAR_STOP = 0.05  # rad (m): from its range, within which a joint's motion may feel it
@@ -120,7 +156,9 @@ BEYOND_STOP = 0.1  # rad (m): beyond its range, where a joint that stops there i
 
 
 def beyond_range(tree: Tree, tracks: Sequence[Track]) -> np.ndarray:
-    """How far [n] the motion goes beyond the declared ranges, at its 99th percentile; -inf for joints without."""
+    """How far [n] the motion goes beyond the declared ranges, at its 99th percentile; -inf for
+    joints without.
+    """
     low, high = np.asarray(tree.range, float).T
     q = np.concatenate([t.q for t in tracks])
     far = np.maximum(np.nanquantile(q, 0.99, axis=0) - high, low - np.nanquantile(q, 0.01, axis=0))
@@ -128,14 +166,19 @@ def beyond_range(tree: Tree, tracks: Sequence[Track]) -> np.ndarray:
 
 
 def within_reach(tree: Tree, tracks: Sequence[Track]) -> Tree:
-    """The same where only those limits count that the motion may feel: not those that it stays away from, nor those that it goes far
-    beyond, which the machine cannot have."""
+    """The same where only those limits count that the motion may feel: not those that it stays away
+    from, nor those that it goes far beyond, which the machine cannot have.
+    """
     far = beyond_range(tree, tracks)
     q = np.concatenate([t.q for t in tracks])
     low, high = np.asarray(tree.range, float).T
     near = np.maximum(np.nanmax(q, axis=0) - high, low - np.nanmin(q, axis=0)) > -NEAR_STOP
     return replace(
-        tree, limited=tuple(bool(a and b and c <= BEYOND_STOP) for a, b, c in zip(tree.limited, near, far, strict=True))
+        tree,
+        limited=tuple(
+            bool(a and b and c <= BEYOND_STOP)
+            for a, b, c in zip(tree.limited, near, far, strict=True)
+        ),
     )
 
 
@@ -165,9 +208,15 @@ def beginnings(problem: Problem, share: float) -> Problem:
 def _nameless(tree: Tree) -> Tree:
     """The same with names that say nothing, so that four like legs share one compiled program."""
     count = range(len(tree.joint_names))
-    whole = None if tree.whole is None else replace(tree.whole, tree=_nameless(tree.whole.tree))
+    if tree.whole is None:
+        whole = None
+    else:
+        whole = replace(tree.whole, tree=_nameless(tree.whole.tree))
     return replace(
-        tree, joint_names=tuple(f"j{k}" for k in count), body_names=tuple(f"b{k}" for k in count), whole=whole
+        tree,
+        joint_names=tuple(f"j{k}" for k in count),
+        body_names=tuple(f"b{k}" for k in count),
+        whole=whole,
     )
 
 
@@ -176,14 +225,18 @@ def _padded(stretches: Stretches) -> Stretches:
     short = -stretches.count % LANES
     if not short:
         return stretches
-    wide = stretches.pick(np.concatenate([np.arange(stretches.count), np.full(short, stretches.count - 1)]))
+    wide = stretches.pick(
+        np.concatenate([np.arange(stretches.count), np.full(short, stretches.count - 1)])
+    )
     wide.seen[..., -short:] = 0
     wide.seen_v[..., -short:] = 0
     return wide
 
 
 def noise(tracks: Sequence[Track]) -> np.ndarray:
-    """Sensor noise [2n] of angles and speeds, from what local cubics leave (a robust standard deviation); 0 where not logged."""
+    """Sensor noise [2n] of angles and speeds, from what local cubics leave (a robust standard
+    deviation); 0 where not logged.
+    """
     n = tracks[0].q.shape[1]
     out = np.zeros(2 * n)
     for k, pick in enumerate((lambda t: t.q, lambda t: t.v)):
@@ -194,7 +247,9 @@ def noise(tracks: Sequence[Track]) -> np.ndarray:
 
 
 def _rough(z: np.ndarray) -> np.ndarray:
-    """Noise of columns [T, n] from their third differences, of which smooth motion has next to none."""
+    """Noise of columns [T, n] from their third differences, of which smooth motion has next to
+    none.
+    """
     d = np.diff(z, 3, axis=0)
     size = np.nanmedian(np.abs(d), axis=0) / 0.6745
     mean = np.sqrt(np.nanmean(d**2, axis=0))
@@ -202,12 +257,16 @@ def _rough(z: np.ndarray) -> np.ndarray:
 
 
 def held(actuator: np.ndarray) -> np.ndarray:
-    """Which joints [n] a controller of their actuators [6, n] holds: told where to be, or how fast to go."""
+    """Which joints [n] a controller of their actuators [6, n] holds: told where to be, or how fast
+    to go.
+    """
     gain, _, per_q, per_v, _, _ = np.asarray(actuator)
     return (per_q != 0.0) | ((per_v != 0.0) & (gain != 0.0))
 
 
-def drive_force(actuator: np.ndarray, gear: np.ndarray, ties: np.ndarray | None, q, v, u) -> np.ndarray:
+def drive_force(
+    actuator: np.ndarray, gear: np.ndarray, ties: np.ndarray | None, q, v, u
+) -> np.ndarray:
     """Forces [T, n] of the declared actuators on the joints, at q, v [T, n] under u [T, n]."""
     gain, bias, per_q, per_v, least, most = actuator
     moment = np.diag(gear) + (0.0 if ties is None else ties)
@@ -215,7 +274,9 @@ def drive_force(actuator: np.ndarray, gear: np.ndarray, ties: np.ndarray | None,
     return force @ moment
 
 
-def _reach(tracks: Sequence[Track], actuator: np.ndarray, gear: np.ndarray, ties: np.ndarray | None = None) -> Reach:
+def _reach(
+    tracks: Sequence[Track], actuator: np.ndarray, gear: np.ndarray, ties: np.ndarray | None = None
+) -> Reach:
     torque, peak, speed, low, high = [], [], [], [], []
     for track in tracks:
         q, v = local_motion(track.time, track.q, track.v)
@@ -229,20 +290,35 @@ def _reach(tracks: Sequence[Track], actuator: np.ndarray, gear: np.ndarray, ties
     longest = max(float(t.time[-1] - t.time[0]) for t in tracks)
     dt = float(np.median(np.diff(tracks[0].time)))
     speed = np.maximum(np.max(speed, 0), 0.02)
-    return Reach(torque, np.max(peak, 0), speed, np.min(low, 0), np.max(high, 0), longest, dt, np.ones(len(torque)))
+    return Reach(
+        torque,
+        np.max(peak, 0),
+        speed,
+        np.min(low, 0),
+        np.max(high, 0),
+        longest,
+        dt,
+        np.ones(len(torque)),
+    )
 
 
 def scaled_reach(problem: Problem, inertia: np.ndarray, gravity: np.ndarray) -> Reach:
-    """The reach with torque scales [n] that are not zero where a joint has no actuator: those of its own motion and weight."""
+    """The reach with torque scales [n] that are not zero where a joint has no actuator: those of
+    its own motion and weight.
+    """
     r = problem.reach
     span = 0.5 * (r.q_high - r.q_low) + 1e-3
     own = np.maximum(gravity, inertia * r.speed**2 / span)
     torque = np.maximum(r.torque, 0.5 * own)
-    return Reach(torque, np.maximum(r.peak, 1e-9), r.speed, r.q_low, r.q_high, r.duration, r.dt, inertia)
+    return Reach(
+        torque, np.maximum(r.peak, 1e-9), r.speed, r.q_low, r.q_high, r.duration, r.dt, inertia
+    )
 
 
 def nuisances(problem: Problem, inertia: bool = True, damping: bool = True) -> Vector:
-    """The vector of the declared model: inertial parameters of all bodies, and viscous friction at every joint."""
+    """The vector of the declared model: inertial parameters of all bodies, and viscous friction at
+    every joint.
+    """
     entries: list[Entry] = []
     if inertia:
         for g in problem.groups:
@@ -276,10 +352,14 @@ def off_value(problem: Problem, effect: str, parameter: str, joint: int) -> floa
     if given is not None:
         return float(given[joint])
     p = next(p for p in problem.effect(effect).parameters if p.name == parameter)
-    return p.default if p.off is None else p.off
+    if p.off is None:
+        return p.default
+    return p.off
 
 
-def values_of(problem: Problem, group: Group, vector: Vector, rows: np.ndarray | None = None) -> Values:
+def values_of(
+    problem: Problem, group: Group, vector: Vector, rows: np.ndarray | None = None
+) -> Values:
     """Values of a group at `vector`; rows [W, P]: other values for each stretch."""
     n, width = len(group.joints), 1 if rows is None else len(rows)
     numbers = vector.values[None] if rows is None else np.asarray(rows)
@@ -287,7 +367,9 @@ def values_of(problem: Problem, group: Group, vector: Vector, rows: np.ndarray |
     eta = np.zeros((width, n, 10))
     effects = {
         e.name: {
-            p.name: np.repeat([[off_value(problem, e.name, p.name, j)] for j in group.joints], width, 1)
+            p.name: np.repeat(
+                [[off_value(problem, e.name, p.name, j)] for j in group.joints], width, 1
+            )
             for p in e.parameters
         }
         for e in problem.effects
@@ -304,11 +386,19 @@ def values_of(problem: Problem, group: Group, vector: Vector, rows: np.ndarray |
                 eta[:, place[j], ETA.index(e.name)] = numbers[:, i]
             else:
                 effects[e.owner][e.name][place[j]] = numbers[:, i]
-    which, lane = np.unique(eta, axis=0, return_inverse=True)  # as many as there are folds, not stretches
+    which, lane = np.unique(
+        eta, axis=0, return_inverse=True
+    )  # as many as there are folds, not stretches
     inertial = np.stack([group.inertias.at(z)[0] for z in which], -1)
-    inertial = inertial if len(which) == 1 else inertial[..., lane.reshape(-1)]
+    if len(which) == 1:
+        inertial = inertial
+    else:
+        inertial = inertial[..., lane.reshape(-1)]
     gravity = np.stack([tilted(np.asarray(group.model.tree.gravity), *z) for z in tilt], -1)
-    wide = lambda z: np.asarray(z, float)[..., None]
+
+    def wide(z):
+        return np.asarray(z, float)[..., None]
+
     ties = None if group.ties is None else wide(group.ties)
     read = group.stretches.start[:n]
     return Values(inertial, gravity, wide(group.actuator), wide(group.gear), effects, ties, read)
@@ -323,10 +413,14 @@ def tilted(gravity: np.ndarray, about_x: float, about_y: float) -> np.ndarray:
 
 
 def own_inertia(problem: Problem, vector: Vector) -> tuple[np.ndarray, np.ndarray]:
-    """What each joint feels of inertia, 1 / diag(M^-1) [n], and the largest force of gravity [n], at middle and start angles."""
+    """What each joint feels of inertia, 1 / diag(M^-1) [n], and the largest force of gravity [n],
+    at middle and start angles.
+    """
     inertia, weight = np.zeros(problem.joints), np.zeros(problem.joints)
     for g in problem.groups:
-        inertia[list(g.joints)], weight[list(g.joints)] = group_inertia(values_of(problem, g, vector), g)
+        inertia[list(g.joints)], weight[list(g.joints)] = group_inertia(
+            values_of(problem, g, vector), g
+        )
     return inertia, weight
 
 
@@ -334,13 +428,20 @@ def group_inertia(values: Values, group: Group) -> tuple[np.ndarray, np.ndarray]
     """`own_inertia` of a group's joints at its values."""
     with jax.enable_x64(True):
         q = group.stretches.start[: len(group.joints)]
-        mass, force = (np.asarray(z) for z in _at_rest(group.model.tree, values.inertial, values.gravity, q))
+        mass, force = (
+            np.asarray(z) for z in _at_rest(group.model.tree, values.inertial, values.gravity, q)
+        )
     mass = np.moveaxis(mass, -1, 0)
-    arm = values.effects["armature"]["inertia"][:, 0] if "armature" in values.effects else np.zeros(len(group.joints))
+    if "armature" in values.effects:
+        arm = values.effects["armature"]["inertia"][:, 0]
+    else:
+        arm = np.zeros(len(group.joints))
     inverse = np.linalg.inv(mass + np.diag(arm))
     return 1.0 / np.median(np.diagonal(inverse, axis1=1, axis2=2), 0), np.abs(force).max(1)
 
 
 @jax.jit
 def _at_rest(tree: Tree, inertial, gravity, q):
-    return equations.mass_matrix(tree, inertial, q), equations.gravity_force(tree, inertial, q, gravity)
+    return equations.mass_matrix(tree, inertial, q), equations.gravity_force(
+        tree, inertial, q, gravity
+    )

@@ -1,5 +1,5 @@
-"""The yardstick: any model over recordings, simulated (`forecast.py`) and in the torque along the measured motion, beside what
-needs no
+"""The yardstick: any model over recordings, simulated (`forecast.py`) and in the torque along the
+measured motion, beside what needs no
 model (`yardsticks.py`). The error is the root mean square over a stretch, joint by joint.
 """
 
@@ -41,9 +41,11 @@ FAR = 1.0  # rad (m): a stretch of which any joint errs more has run away
 
 @dataclass(frozen=True)
 class Replay:
-    """error [W, n] rad or m by stretch and joint; trial [W]; measured and simulated angles [W, L+1, n]; time [W, L+1] s;
-    notes: what the reader says of the recording, and what its motion contradicts of the declared columns; line, still [W, n]: what a
-    straight line and holding still leave; measures: the yardsticks (`yardsticks.py`)."""
+    """error [W, n] rad or m by stretch and joint; trial [W]; measured and simulated angles [W, L+1,
+    n]; time [W, L+1] s; notes: what the reader says of the recording, and what its motion
+    contradicts of the declared columns; line, still [W, n]: what a straight line and holding still
+    leave; measures: the yardsticks (`yardsticks.py`).
+    """
 
     joint_names: tuple[str, ...]
     kinds: tuple[str, ...]
@@ -65,48 +67,78 @@ class Replay:
         hinge = [j for j, k in enumerate(self.kinds) if k == "hinge"]
         main = hinge or list(range(len(self.kinds)))
         pool = self.error[:, main]
-        unit = lambda j: "rad" if self.kinds[j] == "hinge" else "m"
-        some = lambda e: {"median": _median(e), "rms": _rms(e), "ran_away": float(np.mean(e > FAR))}
-        beside = lambda j: {
-            "straight_line": _median(self.line[:, j]), "hold_still": _median(self.still[:, j]),
-            "skill": skill_of(self.error[:, j], self.line[:, j], self.still[:, j]),
-        }  # fmt: skip
+
+        def unit(j):
+            if self.kinds[j] == "hinge":
+                return "rad"
+            return "m"
+
+        def some(e):
+            return {"median": _median(e), "rms": _rms(e), "ran_away": float(np.mean(e > FAR))}
+
+        def beside(j):
+            return {
+                "straight_line": _median(self.line[:, j]),
+                "hold_still": _median(self.still[:, j]),
+                "skill": skill_of(self.error[:, j], self.line[:, j], self.still[:, j]),
+            }
+
         return {
-            **some(pool), "unit": unit(main[0]), **beside(main), "horizon": self.horizon, "stretches": len(self.error),
+            **some(pool),
+            "unit": unit(main[0]),
+            **beside(main),
+            "horizon": self.horizon,
+            "stretches": len(self.error),
             "joints": {
-                name: some(self.error[:, j]) | {"unit": unit(j)} | beside(j) for j, name in enumerate(self.joint_names)
+                name: some(self.error[:, j]) | {"unit": unit(j)} | beside(j)
+                for j, name in enumerate(self.joint_names)
             },
             "yardsticks": {name: m.told() for name, m in self.measures.items() if m is not None},
             "predicts_nothing": predicts_nothing(self.measures),
             "trials": {
                 name: some(self.error[self.trial == k][:, main])
-                for k, name in enumerate(self.trial_names) if np.any(self.trial == k)
+                for k, name in enumerate(self.trial_names)
+                if np.any(self.trial == k)
             },
             "notes": list(self.notes),
-        }  # fmt: skip
+        }
 
 
 def skill_of(error: np.ndarray, line: np.ndarray, still: np.ndarray) -> float | None:
-    """1 - error / the better of a straight line and holding still, of medians; None where nothing moved."""
+    """1 - error / the better of a straight line and holding still, of medians; None where nothing
+    moved.
+    """
     base = min(_median(line), _median(still))
-    return 1.0 - _median(error) / base if base > 0 else None
+    if base > 0:
+        return 1.0 - _median(error) / base
+    return None
 
 
 def _median(e: np.ndarray) -> float:
-    return float(np.median(e)) if e.size else float("nan")
+    if e.size:
+        return float(np.median(e))
+    return float("nan")
 
 
 def _rms(e: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.square(e)))) if e.size else float("nan")
+    if e.size:
+        return float(np.sqrt(np.mean(np.square(e))))
+    return float("nan")
 
 
 def replay(
-    machine: Machine, horizon: float = 0.5, vector: Vector | None = None, asked: Sequence[str] = (STRETCHES,)
+    machine: Machine,
+    horizon: float = 0.5,
+    vector: Vector | None = None,
+    asked: Sequence[str] = (STRETCHES,),
 ) -> Replay:
-    """A machine over its own recording. horizon: s, 0 for each trial in one go. vector: fitted values, or the file's; asked: which
-    yardsticks, beside the simulated stretches."""
+    """A machine over its own recording. horizon: s, 0 for each trial in one go. vector: fitted
+    values, or the file's; asked: which yardsticks, beside the simulated stretches.
+    """
     longest = max(float(t.time[-1] - t.time[0]) for t in machine.tracks)
-    span = min(horizon or 0.98 * min(float(t.time[-1] - t.time[0]) for t in machine.tracks), longest)
+    span = min(
+        horizon or 0.98 * min(float(t.time[-1] - t.time[0]) for t in machine.tracks), longest
+    )
     problem = prepare(
         machine.tree,
         machine.tracks,
@@ -133,7 +165,9 @@ def replay(
 
 def _shorter(horizon: float, span: float) -> tuple[str, ...]:
     """A note where stretches of `span` s are not as long as was asked for."""
-    return (f"no trial is {horizon:g} s long: stretches are of {span:.4g} s",) if horizon > span else ()
+    if horizon > span:
+        return (f"no trial is {horizon:g} s long: stretches are of {span:.4g} s",)
+    return ()
 
 
 def replayed(problem: Problem, vector: Vector, horizon: float) -> Replay:
@@ -142,9 +176,21 @@ def replayed(problem: Problem, vector: Vector, horizon: float) -> Replay:
     s, count = problem.groups[0].stretches, len(problem.fold)
     line, still = without_a_model(problem)
     return Replay(
-        problem.joint_names, problem.kinds, s.names, s.trial[:count], found.error, s.time.T[:count], found.measured,
-        found.simulated, found.seen, horizon, (), line, still, {STRETCHES: of_simulation(problem, found.error, STRETCHES, horizon)},
-    )  # fmt: skip
+        problem.joint_names,
+        problem.kinds,
+        s.names,
+        s.trial[:count],
+        found.error,
+        s.time.T[:count],
+        found.measured,
+        found.simulated,
+        found.seen,
+        horizon,
+        (),
+        line,
+        still,
+        {STRETCHES: of_simulation(problem, found.error, STRETCHES, horizon)},
+    )
 
 
 def replay_files(
@@ -154,8 +200,10 @@ def replay_files(
     asked: Sequence[str] | None = None,
     simulator: str | None = None,
 ) -> Replay:
-    """A model file (MJCF or URDF) over a recording: what `adaptsim replay` runs. asked: yardsticks; where None, whole
-    trials are among them only of a machine that follows commands; simulator: tree or mujoco, None: see `choice`."""
+    """A model file (MJCF or URDF) over a recording: what `adaptsim replay` runs. asked: yardsticks;
+    where None, whole trials are among them only of a machine that follows commands; simulator: tree
+    or mujoco, None: see `choice`.
+    """
     choice = choose(data, model, simulator, horizon)
     if choice.simulator == "mujoco":
         return by_mujoco(choice, horizon)
@@ -163,7 +211,9 @@ def replay_files(
     if asked is None:
         asked = NAMES if follows(machine) else (STRETCHES, TORQUE)
     found = replay(machine, horizon, asked=asked)
-    return dataclasses.replace(found, notes=(*found.notes, *machine.log.notes, *machine.notes, *suspected(machine)))
+    return dataclasses.replace(
+        found, notes=(*found.notes, *machine.log.notes, *machine.notes, *suspected(machine))
+    )
 
 
 def follows(machine: Machine) -> bool:
@@ -172,19 +222,35 @@ def follows(machine: Machine) -> bool:
 
 
 def by_mujoco(choice: Choice, horizon: float) -> Replay:
-    """A model file over a recording by MuJoCo itself; a base that moves is told beside the joints."""
+    """A model file over a recording by MuJoCo itself; a base that moves is told beside the
+    joints.
+    """
     source, log = choice.source, choice.log
     if source is None or log is None:
         raise ValueError("a choice of mujoco has read its files")
     found = mujoco_replayed(source, log, horizon)
-    told = (*_shorter(horizon, found.span), f"simulated by MuJoCo at the file's own step: {choice.why}")
+    told = (
+        *_shorter(horizon, found.span),
+        f"simulated by MuJoCo at the file's own step: {choice.why}",
+    )
     s, model, names = found.stretches, found.made.model, log.joint_names
-    slides = {model.joint(k).name for k in range(model.njnt) if model.jnt_type[k] == int(mujoco.mjtJoint.mjJNT_SLIDE)}
-    kinds, n, error = tuple("slide" if name in slides else "hinge" for name in names), len(names), found.error
+    slides = {
+        model.joint(k).name
+        for k in range(model.njnt)
+        if model.jnt_type[k] == int(mujoco.mjtJoint.mjJNT_SLIDE)
+    }
+    kinds, n, error = (
+        tuple("slide" if name in slides else "hinge" for name in names),
+        len(names),
+        found.error,
+    )
     measured, seen, simulated = s.measured[..., :n], s.seen[..., :n].astype(float), found.simulated
     if found.base is not None:
         base = np.median(found.base, 0)
-        told = (*told, f"the base errs by {base[0]:.3g} m and {base[1]:.3g} rad (medians over stretches)")
+        told = (
+            *told,
+            f"the base errs by {base[0]:.3g} m and {base[1]:.3g} rad (medians over stretches)",
+        )
     if s.count < found.total:
         told = (*told, f"{s.count} of {found.total} stretches, evenly spread")
     if not n and found.base is not None:  # nothing but a body that flies
@@ -192,24 +258,47 @@ def by_mujoco(choice: Choice, horizon: float) -> Replay:
         measured = simulated = seen = np.zeros((*s.time.shape, 2))
     line, still = lines_of(s.time, measured, seen)
     return Replay(
-        names, kinds, s.names, s.trial, error, s.time, measured, simulated, seen, found.span,
-        (*told, *log.notes, *source.notes, *found.made.notes), line, still,
-    )  # fmt: skip
+        names,
+        kinds,
+        s.names,
+        s.trial,
+        error,
+        s.time,
+        measured,
+        simulated,
+        seen,
+        found.span,
+        (*told, *log.notes, *source.notes, *found.made.notes),
+        line,
+        still,
+    )
 
 
-def lines_of(time: np.ndarray, measured: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What a straight line and holding still leave [W, n] of angles [W, L, n] where they were seen, rms."""
+def lines_of(
+    time: np.ndarray, measured: np.ndarray, seen: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """What a straight line and holding still leave [W, n] of angles [W, L, n] where they were seen,
+    rms.
+    """
     count = np.maximum(seen.sum(1), 1)
-    mean = lambda z: (z * seen).sum(1) / count
+
+    def mean(z):
+        return (z * seen).sum(1) / count
+
     off = measured - mean(measured)[:, None]
     t = time[..., None] - mean(np.broadcast_to(time[..., None], measured.shape))[:, None]
     slope = mean(t * off) / np.maximum(mean(t * t), 1e-12)
-    rms = lambda z: np.sqrt(mean(z * z))
+
+    def rms(z):
+        return np.sqrt(mean(z * z))
+
     return rms(off - slope[:, None] * t), rms(off)
 
 
 def suspected(machine: Machine) -> tuple[str, ...]:
-    """What `diagnose` refuses or warns of: columns and units that the motion contradicts. A yardstick only tells."""
+    """What `diagnose` refuses or warns of: columns and units that the motion contradicts. A
+    yardstick only tells.
+    """
     try:
         return tuple(f.message for f in check_conventions(machine))
     except BadInput as error:

@@ -1,8 +1,10 @@
-"""Score tests of every candidate at a fit: what would it gain, at first order and without fitting it?
+"""Score tests of every candidate at a fit: what would it gain, at first order and without fitting
+it?
 
-For each candidate at each of its shapes the columns that it adds are freed of what the stretches' starts and the fitted parameters
-explain; what is left is regressed on the residual. Stretches are clusters: the variance of a score is taken from the scores of the
-stretches themselves (White, 1980; Liang and Zeger, 1986), so that a model that is wrong otherwise gives no small p by itself.
+For each candidate at each of its shapes the columns that it adds are freed of what the stretches'
+starts and the fitted parameters explain; what is left is regressed on the residual. Stretches are
+clusters: the variance of a score is taken from the scores of the stretches themselves (White, 1980;
+Liang and Zeger, 1986), so that a model that is wrong otherwise gives no small p by itself.
 """
 
 from collections.abc import Sequence
@@ -13,20 +15,42 @@ from scipy import stats
 
 from adaptsim_jax.attribution.catalogue import COMMON, EVERYWHERE
 from adaptsim_jax.attribution.linear import Linear, candidate_columns, padded_fold, project, rows
-from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, TILT, TILTS, Entry, Vector, inertia_entries
+from adaptsim_jax.attribution.parameters import (
+    DAMPING_STEP,
+    INERTIA,
+    TILT,
+    TILTS,
+    Entry,
+    Vector,
+    inertia_entries,
+)
 from adaptsim_jax.attribution.problem import Problem, off_value
 from adaptsim_jax.effects.base import Effect, Reach, unit_at
 
-PASSIVE = ("torque_gain", "position_gain", "saturation", "dead_zone", "delay", "actuator_lag", "load_friction",
-           "drive_compliance", "drive_play", "drive_elasticity", "drive_backlash")  # fmt: skip
+PASSIVE = (
+    "torque_gain",
+    "position_gain",
+    "saturation",
+    "dead_zone",
+    "delay",
+    "actuator_lag",
+    "load_friction",
+    "drive_compliance",
+    "drive_play",
+    "drive_elasticity",
+    "drive_backlash",
+)
 """Effects on the torque of an actuator: not of a joint that has none."""
-BEYOND = 1.5  # of the amplitude at which an effect that does not act linearly is scored, up to which the score is good for it
+# of the amplitude at which an effect that does not act linearly is scored, up to which the score is
+# good for it
+BEYOND = 1.5
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """An effect at some joints; sharing: `joint`, `all` (own values at each) or `common` (one value); shape: fixed shapes by joint's
-    number and parameter, where scored."""
+    """An effect at some joints; sharing: `joint`, `all` (own values at each) or `common` (one
+    value); shape: fixed shapes by joint's number and parameter, where scored.
+    """
 
     effect: str
     joints: tuple[int, ...]
@@ -45,7 +69,10 @@ class Candidate:
         """With some of its entries, at their joints alone."""
         joints = tuple(dict.fromkeys(j for e in entries for j in e.joints))
         return replace(
-            self, joints=joints, entries=tuple(entries), sharing="joint" if len(joints) == 1 else self.sharing
+            self,
+            joints=joints,
+            entries=tuple(entries),
+            sharing="joint" if len(joints) == 1 else self.sharing,
         )
 
     def split(self) -> "list[Candidate]":
@@ -57,8 +84,10 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Score:
-    """Of a candidate at its best shape: amplitudes [K], first-order fall of the loss, of the held-out loss, robust p, share of folds
-    in which it gains; scatter: cluster-robust standard error of its only amplitude, 0 where it has several."""
+    """Of a candidate at its best shape: amplitudes [K], first-order fall of the loss, of the
+    held-out loss, robust p, share of folds in which it gains; scatter: cluster-robust standard
+    error of its only amplitude, 0 where it has several.
+    """
 
     candidate: Candidate
     amplitude: np.ndarray
@@ -82,18 +111,28 @@ def entries_of(
             low = 0.0 if p.sign > 0 else low
             prior = p.prior * max(e[1] for e in ends) / p.high
             unit = unit_at(p.unit, problem.kinds[j[0]])
-            out.append(Entry(effect.name, p.name, j, start, start, min(low, start), high + start, unit, prior))
+            out.append(
+                Entry(
+                    effect.name, p.name, j, start, start, min(low, start), high + start, unit, prior
+                )
+            )
     return tuple(out)
 
 
 def shape_entries(problem: Problem, reach: Reach, candidate: Candidate) -> tuple[Entry, ...]:
-    """Entries of the shapes that are fitted once an effect is in the model, at the values it was scored with."""
+    """Entries of the shapes that are fitted once an effect is in the model, at the values it was
+    scored with.
+    """
     effect, given = problem.effect(candidate.effect), candidate.shaped()
     out = []
     for p in effect.shapes:
         if p.held and p.name not in given:
             continue
-        for j in [candidate.joints] if candidate.sharing == "common" else [(j,) for j in candidate.joints]:
+        for j in (
+            [candidate.joints]
+            if candidate.sharing == "common"
+            else [(j,) for j in candidate.joints]
+        ):
             low, high = p.bounds(float(reach.torque[j[0]]), float(reach.speed[j[0]]))
             value = given.get(p.name, p.default)
             if p.held:
@@ -102,17 +141,30 @@ def shape_entries(problem: Problem, reach: Reach, candidate: Candidate) -> tuple
                 span = float(reach.q_high[j[0]] - reach.q_low[j[0]])
                 low, high = value - 0.2 * span, value + 0.2 * span
             else:
-                low, high = max(low, value / 3.0 if value > 0 else low), min(high, value * 3.0 if value > 0 else high)
+                low, high = (
+                    max(low, value / 3.0 if value > 0 else low),
+                    min(high, value * 3.0 if value > 0 else high),
+                )
             out.append(
                 Entry(
-                    effect.name, p.name, j, value, value, low, high, unit_at(p.unit, problem.kinds[j[0]]), prior=np.inf
+                    effect.name,
+                    p.name,
+                    j,
+                    value,
+                    value,
+                    low,
+                    high,
+                    unit_at(p.unit, problem.kinds[j[0]]),
+                    prior=np.inf,
                 )
             )
     return tuple(out)
 
 
 def candidates(problem: Problem, vector: Vector, reach: Reach) -> list[Candidate]:
-    """All that may be added to the vector: each effect at each joint, at all of them, with one value for all; a tilted base."""
+    """All that may be added to the vector: each effect at each joint, at all of them, with one
+    value for all; a tilted base.
+    """
     taken = {(e.owner, j) for e in vector.entries for j in e.joints}
     driven = [j for j in range(problem.joints) if problem.reach.peak[j] > 0.0]
     first = {g.joints[0] for g in problem.groups}
@@ -136,12 +188,21 @@ def candidates(problem: Problem, vector: Vector, reach: Reach) -> list[Candidate
             continue
         grids = [(j, effect.grid_points(reach, j)) for j in free]
         if effect.place == "drive":
-            rotors = [j for j in free if off_value(problem, "armature", "inertia", j) > 0.0 or ("armature", j) in taken]
+            rotors = [
+                j
+                for j in free
+                if off_value(problem, "armature", "inertia", j) > 0.0 or ("armature", j) in taken
+            ]
             # without a position controller it does not matter on which side that one's encoder is
             grids = [
-                (j, [z for z in points if follows or z["link"] == z["control"]]) for j, points in grids if j in rotors
+                (j, [z for z in points if follows or z["link"] == z["control"]])
+                for j, points in grids
+                if j in rotors
             ]
-        make = lambda joints, shared, effect=effect: entries_of(problem, reach, effect, joints, shared)
+
+        def make(joints, shared, effect=effect):
+            return entries_of(problem, reach, effect, joints, shared)
+
         for j, points in grids:
             if j in problem.unlike:
                 continue
@@ -152,18 +213,28 @@ def candidates(problem: Problem, vector: Vector, reach: Reach) -> list[Candidate
         if (
             len(free) > 1
             and effect.name in COMMON
-            and len(free) == len([j for j in driven if j in free] if effect.name in PASSIVE else free)
+            and len(free)
+            == len([j for j in driven if j in free] if effect.name in PASSIVE else free)
         ):
             for point in grids[0][1]:
-                out.append(Candidate(effect.name, tuple(free), "common", make(free, True), _fixed(point)))
+                out.append(
+                    Candidate(effect.name, tuple(free), "common", make(free, True), _fixed(point))
+                )
     return out
 
 
 def _of_model(problem: Problem, name: str, taken: set[tuple[str, int]]) -> list[Candidate]:
-    """What frees parameters of the model itself: the direction of gravity, where there is any; the inertia of a body with a mass."""
+    """What frees parameters of the model itself: the direction of gravity, where there is any; the
+    inertia of a body with a mass.
+    """
     if name == INERTIA:
-        bodies = [j for g in problem.groups for at, j in enumerate(g.joints) if g.inertias.massive[at]]
-        own = lambda j: inertia_entries(np.arange(j + 1) == j)
+        bodies = [
+            j for g in problem.groups for at, j in enumerate(g.joints) if g.inertias.massive[at]
+        ]
+
+        def own(j):
+            return inertia_entries(np.arange(j + 1) == j)
+
         return [
             Candidate(INERTIA, (j,), "joint", own(j))
             for j in bodies
@@ -173,7 +244,9 @@ def _of_model(problem: Problem, name: str, taken: set[tuple[str, int]]) -> list[
     if weightless or (TILT, 0) in taken:
         return []
     everywhere = tuple(range(problem.joints))
-    entries = tuple(Entry(TILT, t, everywhere, 0.0, 0.0, -0.5, 0.5, "rad", prior=1.0) for t in TILTS)
+    entries = tuple(
+        Entry(TILT, t, everywhere, 0.0, 0.0, -0.5, 0.5, "rad", prior=1.0) for t in TILTS
+    )
     return [Candidate(TILT, everywhere, "common", entries)]
 
 
@@ -182,7 +255,9 @@ def _fixed(point) -> tuple[tuple[str, float], ...]:
 
 
 def table(problem: Problem, lin: Linear, many: Sequence[Candidate]) -> list[Score]:
-    """The best shape of each candidate (effect, joints, sharing), sorted by what it gains held out."""
+    """The best shape of each candidate (effect, joints, sharing), sorted by what it gains held
+    out.
+    """
     pairs = [(e, c.shaped()) for c in many for e in c.entries]
     where, at = [], 0
     for c in many:
@@ -200,9 +275,11 @@ def table(problem: Problem, lin: Linear, many: Sequence[Candidate]) -> list[Scor
 
 
 class _Sums:
-    """Scores by stretch [W, K] and curvatures by fold of blocks of columns, freed of starts and fitted parameters.
+    """Scores by stretch [W, K] and curvatures by fold of blocks of columns, freed of starts and
+    fitted parameters.
 
-    Curvatures between columns are kept within a block of neighbours only, which is where a candidate's own columns lie.
+    Curvatures between columns are kept within a block of neighbours only, which is where a
+    candidate's own columns lie.
     """
 
     def __init__(self, problem: Problem, lin: Linear, count: int):
@@ -224,7 +301,11 @@ class _Sums:
         live = (vector.values > vector.low) & (vector.values < vector.high)
         hess = hess + np.diag(vector.precision + np.where(live, 0.0, 1e12))
         size = np.sqrt(np.maximum(np.diagonal(hess), 1e-300))
-        self.inverse = np.linalg.pinv(hess / size / size[:, None], rcond=1e-11, hermitian=True) / size / size[:, None]
+        self.inverse = (
+            np.linalg.pinv(hess / size / size[:, None], rcond=1e-11, hermitian=True)
+            / size
+            / size[:, None]
+        )
         self.columns: list[list[np.ndarray]] = []
 
     def add(self, blocks: Sequence[np.ndarray], first: int) -> None:
@@ -253,13 +334,17 @@ class _Sums:
         for first, curve in self.cross.items():
             mine = np.flatnonzero((cols >= first) & (cols < first + curve.shape[1]))
             if len(mine):
-                out[np.ix_(np.arange(len(out)), mine, mine)] = curve[:, cols[mine] - first][:, :, cols[mine] - first]
+                out[np.ix_(np.arange(len(out)), mine, mine)] = curve[:, cols[mine] - first][
+                    :, :, cols[mine] - first
+                ]
         return out
 
     def _most(self, c: Candidate) -> float:
         """What an amplitude that does not act linearly may be, of that at which it is scored."""
         scored = at_scored(self.problem, c)
-        return np.inf if scored is None else BEYOND * abs(scored - c.entries[0].start)
+        if scored is None:
+            return np.inf
+        return BEYOND * abs(scored - c.entries[0].start)
 
     def score(self, c: Candidate, cols: np.ndarray) -> Score:
         slope, curve = self.slope[:, cols], self._curve(cols)
@@ -274,13 +359,20 @@ class _Sums:
             a = _solved(c, bend - curve[k], total - by_fold[k], most)
             each.append(float(a @ by_fold[k] - 0.5 * a @ curve[k] @ a))
         p = score_p(slope[:, amplitude != 0.0])
-        scatter = float(np.sqrt(np.square(slope).sum()) / max(bend[0, 0], 1e-300)) if len(cols) == 1 else 0.0
-        return Score(c, amplitude, gain, float(np.sum(each)), p, float(np.mean(np.array(each) > 0)), scatter)
+        if len(cols) == 1:
+            scatter = float(np.sqrt(np.square(slope).sum()) / max(bend[0, 0], 1e-300))
+        else:
+            scatter = 0.0
+        return Score(
+            c, amplitude, gain, float(np.sum(each)), p, float(np.mean(np.array(each) > 0)), scatter
+        )
 
 
 def score_p(slope: np.ndarray) -> float:
-    """p that scores [W, K] of stretches have mean zero. Of one direction Student's t; of several the smaller of two, twice: a sum of
-    squares, which sees many directions in few stretches, and Hotelling's T^2, which sees a few that are alike and differ."""
+    """p that scores [W, K] of stretches have mean zero. Of one direction Student's t; of several
+    the smaller of two, twice: a sum of squares, which sees many directions in few stretches, and
+    Hotelling's T^2, which sees a few that are alike and differ.
+    """
     slope = slope[np.any(slope != 0.0, axis=1)]
     count = len(slope)
     if slope.size == 0 or count < 3:
@@ -293,17 +385,25 @@ def score_p(slope: np.ndarray) -> float:
 
 
 def _sum_of_squares(t: np.ndarray, alike: np.ndarray, count: int) -> float:
-    """Student's t [K] as normal deviates, whose correlation `alike` [K, K] makes the sum of their squares a scaled chi square of fewer
-    degrees of freedom (Satterthwaite's approximation; Rao and Scott, 1981)."""
+    """Student's t [K] as normal deviates, whose correlation `alike` [K, K] makes the sum of their
+    squares a scaled chi square of fewer degrees of freedom (Satterthwaite's approximation; Rao and
+    Scott, 1981).
+    """
     z, k = stats.norm.isf(np.maximum(stats.t.sf(np.abs(t), count - 1), 1e-300)), len(t)
     # squares of correlations are too large by chance, by so much (Srivastava, 2005)
-    squares = (float(np.square(alike).sum()) - k**2 / (count - 1)) * (count - 1) ** 2 / ((count - 2) * (count + 1))
+    squares = (
+        (float(np.square(alike).sum()) - k**2 / (count - 1))
+        * (count - 1) ** 2
+        / ((count - 2) * (count + 1))
+    )
     freedom = k**2 / max(squares, k)
     return float(stats.chi2.sf(float(z @ z) * freedom / k, freedom))
 
 
 def _hotelling(t: np.ndarray, alike: np.ndarray, count: int) -> float:
-    """Hotelling's T^2 of Student's t [K], of the directions that are there and, at most, half as many as stretches tell apart."""
+    """Hotelling's T^2 of Student's t [K], of the directions that are there and, at most, half as
+    many as stretches tell apart.
+    """
     value, vector = np.linalg.eigh(alike)
     keep = value > 1e-9 * value[-1]
     keep[: max(0, len(t) - (count - 1) // 2)] = False
@@ -313,13 +413,19 @@ def _hotelling(t: np.ndarray, alike: np.ndarray, count: int) -> float:
 
 
 def at_scored(problem: Problem, c: Candidate) -> float | None:
-    """The amplitude at which a candidate that does not act linearly is scored; None where it acts so."""
+    """The amplitude at which a candidate that does not act linearly is scored; None where it acts
+    so.
+    """
     effect = problem.effect(c.effect)
-    return c.shaped().get(effect.amplitudes[0].name) if effect.jump else None
+    if effect.jump:
+        return c.shaped().get(effect.amplitudes[0].name)
+    return None
 
 
 def _solved(c: Candidate, bend: np.ndarray, total: np.ndarray, most: float) -> np.ndarray:
-    """Amplitudes within their bounds and none above `most`; those that would leave them at once are left out."""
+    """Amplitudes within their bounds and none above `most`; those that would leave them at once are
+    left out.
+    """
     low = np.array([max(e.low - e.start, -most) for e in c.entries])
     high = np.array([min(e.high - e.start, most) for e in c.entries])
     on = np.diagonal(bend) > 1e-12

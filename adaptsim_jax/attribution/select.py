@@ -1,6 +1,8 @@
-"""Which effects: forward selection by left-out trials, each name then tested beside all others and against its look-alikes.
+"""Which effects: forward selection by left-out trials, each name then tested beside all others and
+against its look-alikes.
 
-Every step that chooses looks at folds (trials) that were left out of the parameters with which they are predicted (`held_out.py`).
+Every step that chooses looks at folds (trials) that were left out of the parameters with which they
+are predicted (`held_out.py`).
 """
 
 from collections.abc import Callable
@@ -8,7 +10,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from adaptsim_jax.attribution.backward import Named, Step, from_afar, judged, more, scored, trimmed, where
+from adaptsim_jax.attribution.backward import (
+    Named,
+    Step,
+    from_afar,
+    judged,
+    more,
+    scored,
+    trimmed,
+    where,
+)
 from adaptsim_jax.attribution.estimate import fit, settled
 from adaptsim_jax.attribution.held_out import (
     Model,
@@ -39,8 +50,10 @@ Hint = tuple[Vector, tuple[Candidate, ...]]
 
 @dataclass(frozen=True)
 class Selection:
-    """What a search found. null: the declared model; stages: (model, added) in turn; final; trace; scores at the declared model and
-    at the final one; shorter: over the beginnings of stretches only."""
+    """What a search found. null: the declared model; stages: (model, added) in turn; final; trace;
+    scores at the declared model and at the final one; shorter: over the beginnings of stretches
+    only.
+    """
 
     null: Model
     final: Model
@@ -61,9 +74,11 @@ def select(
     keep: "Callable[[Selection], None]" = lambda found: None,
     hint: Hint | None = None,
 ) -> Selection:
-    """Forward, then each effect beside the others, then against its look-alikes. keep: told of what is found, as it goes; hint:
-    values and
-    effects to go on from (of another witness), if they predict left-out folds better than the declared model."""
+    """Forward, then each effect beside the others, then against its look-alikes. keep: told of what
+    is found, as it goes; hint: values and
+    effects to go on from (of another witness), if they predict left-out folds better than the
+    declared model.
+    """
     base = first = declared(problem, null, criteria, roughly=hint is not None)
     say("candidates")
     reach = scaled_reach(problem, *own_inertia(problem, base.fit.vector))
@@ -76,13 +91,19 @@ def select(
         base = better
         stages.append(base)
         scores = scored(problem, base, reach, True)
-    so_far = lambda: Selection(first, base, (), tuple(stages), tuple(trace), tuple(opening), (), reach)
+
+    def so_far():
+        return Selection(first, base, (), tuple(stages), tuple(trace), tuple(opening), (), reach)
+
     keep(so_far())
     while len(base.added) < criteria.most_effects:
         better = _forward(problem, base, scores, family, reach, criteria, trace, say)
         better = better or _now_and_then(problem, base, reach, criteria, trace, say)
         if better is None:  # no law holds out any more: what only describes
-            forms = forms if base is first else scored(problem, base, reach, False)
+            if base is first:
+                forms = forms
+            else:
+                forms = scored(problem, base, reach, False)
             better = _forward(problem, base, forms, family, reach, criteria, trace, say)
         if better is None:
             break
@@ -96,11 +117,17 @@ def select(
         final.fit.vector.index().keys() == first.fit.vector.index().keys()
     ):  # by way of what went a fit may end elsewhere
         final = first = first if hint is None else declared(problem, null, criteria)
-    return Selection(first, final, named, tuple(stages), tuple(trace), tuple(opening), tuple(scores), reach)
+    return Selection(
+        first, final, named, tuple(stages), tuple(trace), tuple(opening), tuple(scores), reach
+    )
 
 
-def _hinted(problem: Problem, base: Model, hint: Hint, criteria: Criteria, trace: list[Step]) -> Model | None:
-    """What another witness has found, fitted; None where it does not predict better than the base."""
+def _hinted(
+    problem: Problem, base: Model, hint: Hint, criteria: Criteria, trace: list[Step]
+) -> Model | None:
+    """What another witness has found, fitted; None where it does not predict better than the
+    base.
+    """
     vector, added = hint
     model = modelled(problem, added, fit(problem, vector, rounds=ROUNDS))
     test = paired(problem, base.held.loss, losses(problem, model.held.paths, base.fit.weights))
@@ -111,40 +138,58 @@ def _hinted(problem: Problem, base: Model, hint: Hint, criteria: Criteria, trace
 
 
 def _steady(problem: Problem, model: Model, criteria: Criteria) -> Model:
-    """Without the joints at which an effect that was put in at many differs between folds by as much as it is."""
+    """Without the joints at which an effect that was put in at many differs between folds by as
+    much as it is.
+    """
     gone = [
         e.key
-        for c in model.added if c.sharing == "all"
-        for e, steady in zip(c.entries, steady_each(model, c), strict=True) if steady < criteria.steady
-    ]  # fmt: skip
+        for c in model.added
+        if c.sharing == "all"
+        for e, steady in zip(c.entries, steady_each(model, c), strict=True)
+        if steady < criteria.steady
+    ]
     return trimmed(problem, model, gone, criteria)
 
 
 def declared(problem: Problem, null: Vector, criteria: Criteria, roughly: bool = False) -> Model:
-    """The declared model fitted; where that leaves far more than noise, also by way of the stretches' beginnings, over which a fit
-    has fewer minima: of both the one that predicts better. roughly: only as far as another is to be compared with it."""
+    """The declared model fitted; where that leaves far more than noise, also by way of the
+    stretches' beginnings, over which a fit has fewer minima: of both the one that predicts better.
+    roughly: only as far as another is to be compared with it.
+    """
     glance = 2 * criteria.glance if roughly else None
     models = [modelled(problem, (), fit(problem, null, rounds=ROUNDS, glance=glance))]
     if not roughly and criteria.beginning < 1.0 and over_floor(problem, models[0]) > criteria.odd:
         begun = fit(beginnings(problem, criteria.beginning), null, rounds=ROUNDS)
-        models.append(modelled(problem, (), fit(problem, begun.vector, begun.starts, rounds=ROUNDS)))
+        models.append(
+            modelled(problem, (), fit(problem, begun.vector, begun.starts, rounds=ROUNDS))
+        )
     return min(models, key=lambda m: over_floor(problem, m))
 
 
 def select_shorter(
-    problem: Problem, null: Vector, criteria: Criteria, found: Selection, say: Callable[[str], None] = lambda note: None
+    problem: Problem,
+    null: Vector,
+    criteria: Criteria,
+    found: Selection,
+    say: Callable[[str], None] = lambda note: None,
 ) -> Selection:
-    """A search over the beginnings of the stretches, where one over the whole named nothing and far more than noise is left.
+    """A search over the beginnings of the stretches, where one over the whole named nothing and far
+    more than noise is left.
 
-    A joint that friction holds still, or a motion that runs away, has as many minima as it has turns; over a short while it has few
-    (progressive horizons in multiple shooting). What is named there is put into the whole, refitted only if that predicts better.
+    A joint that friction holds still, or a motion that runs away, has as many minima as it has
+    turns; over a short while it has few (progressive horizons in multiple shooting). What is named
+    there is put into the whole, refitted only if that predicts better.
     """
     short = beginnings(problem, criteria.beginning)
-    near = select(short, null, replace(criteria, beginning=1.0), say)  # beginnings have none of their own
+    near = select(
+        short, null, replace(criteria, beginning=1.0), say
+    )  # beginnings have none of their own
     if not near.named:
         return found
     vector = near.final.fit.vector
-    starts, loss, _ = settled(problem, found.null.lin, vector, (near.final.fit.starts, found.null.fit.starts), refine=3)
+    starts, loss, _ = settled(
+        problem, found.null.lin, vector, (near.final.fit.starts, found.null.fit.starts), refine=3
+    )
     kept = replace(found.null.fit, vector=vector, starts=starts, loss=loss, code="stopped")
     refitted = fit(problem, vector, starts, rounds=criteria.rounds)
     models = [modelled(problem, near.final.added, f) for f in (kept, refitted)]
@@ -154,14 +199,25 @@ def select_shorter(
     return replace(near, null=found.null, final=final, stages=(found.null,), shorter=True)
 
 
-def _forward(problem, base: Model, scores, family: int, reach, criteria: Criteria, trace, say) -> Model | None:
-    """The best candidate that gains held out, fitted; None where none does. family: how many candidates there are in all."""
-    hopeful = [s for s in scores if s.p * family < criteria.alpha and s.held_out > 0.5 * criteria.size * base.fit.total]
-    good = lambda model, test: (
-        test.gain > criteria.size * max(1, more(model, base))
-        and test.better > 0.5 * test.folds
-        and test.p <= criteria.confidence
-    )
+def _forward(
+    problem, base: Model, scores, family: int, reach, criteria: Criteria, trace, say
+) -> Model | None:
+    """The best candidate that gains held out, fitted; None where none does. family: how many
+    candidates there are in all.
+    """
+    hopeful = [
+        s
+        for s in scores
+        if s.p * family < criteria.alpha and s.held_out > 0.5 * criteria.size * base.fit.total
+    ]
+
+    def good(model, test):
+        return (
+            test.gain > criteria.size * max(1, more(model, base))
+            and test.better > 0.5 * test.folds
+            and test.p <= criteria.confidence
+        )
+
     begun = _begun(problem, base, reach, hopeful[: 2 * criteria.tried])
     # half by what they gain at first order, half by what a step leaves
     first = criteria.tried // 2
@@ -178,8 +234,15 @@ def _forward(problem, base: Model, scores, family: int, reach, criteria: Criteri
 def _larger(problem: Problem, scores, tried: list[Score]) -> list[Score]:
     """Of what is not tried what has some of it as a special case at the same joints."""
     done = {(s.candidate.effect, s.candidate.joints) for s in tried}
-    holds = lambda c: any((name, c.joints) in done for name in problem.effect(c.effect).contains)
-    return [s for s in scores if s.candidate.key not in {t.candidate.key for t in tried} and holds(s.candidate)]
+
+    def holds(c):
+        return any((name, c.joints) in done for name in problem.effect(c.effect).contains)
+
+    return [
+        s
+        for s in scores
+        if s.candidate.key not in {t.candidate.key for t in tried} and holds(s.candidate)
+    ]
 
 
 def _begun(problem, base: Model, reach, scores) -> list[tuple]:
@@ -188,41 +251,68 @@ def _begun(problem, base: Model, reach, scores) -> list[tuple]:
 
 
 def _now_and_then(problem, base: Model, reach, criteria: Criteria, trace, say) -> Model | None:
-    """The same of effects that act now and then only (a limit that few torques reach, a stop that few motions come to), where all else
-    is explained and a few stretches are far off. Among all stretches these have next to no weight, and a score test sees few."""
+    """The same of effects that act now and then only (a limit that few torques reach, a stop that
+    few motions come to), where all else is explained and a few stretches are far off. Among all
+    stretches these have next to no weight, and a score test sees few.
+    """
     far = astray(problem, base, criteria)
     if far.sum() < criteria.few or over_floor(problem, base) > criteria.explained:
         return None
     plain = modelled(problem, base.added, evenly_weighted(problem, base.fit, np.flatnonzero(far)))
     every = candidates(problem, base.fit.vector, reach)
     scores = {s.candidate.key: s for s in table(problem, plain.lin, every)}
-    left = lambda begun: float(np.median(begun[-1][: len(far)][far]))
-    hopeful = [s for s in scores.values() if s.held_out > criteria.size * plain.fit.total][: criteria.tried]
+
+    def left(begun):
+        return float(np.median(begun[-1][: len(far)][far]))
+
+    hopeful = [s for s in scores.values() if s.held_out > criteria.size * plain.fit.total][
+        : criteria.tried
+    ]
     begun = {b[0].candidate.key: b for b in _begun(problem, plain, reach, hopeful)}
     tries = parallel_map(lambda s: placed(problem, plain, reach, s.candidate), scores.values())
     for key, found in zip(scores, tries, strict=True):
         for c, there in found:
             if key not in begun or left(there) < left(begun[key]):
                 begun[key] = (replace(scores[key], candidate=c), *there)
-    good = lambda model, test: (
-        test.p < criteria.confidence
-        and np.median(held_error(problem, model)[far] / held_error(problem, plain)[far]) < criteria.left
+
+    def good(model, test):
+        return (
+            test.p < criteria.confidence
+            and np.median(held_error(problem, model)[far] / held_error(problem, plain)[far])
+            < criteria.left
+        )
+
+    return _best(
+        problem,
+        plain,
+        sorted(begun.values(), key=left)[: criteria.tried],
+        good,
+        criteria,
+        trace,
+        say,
     )
-    return _best(problem, plain, sorted(begun.values(), key=left)[: criteria.tried], good, criteria, trace, say)
 
 
 def _best(problem, base: Model, begun, good, criteria: Criteria, trace, say) -> Model | None:
-    """Of candidates (score, vector, starts, loss), fitted, the best that is good(model, its test against the base)."""
+    """Of candidates (score, vector, starts, loss), fitted, the best that is good(model, its test
+    against the base).
+    """
     weights = base.fit.weights
 
     def fitted(start) -> Model:
         score, vector, starts, _ = start
         say(f"{score.candidate.effect} at {where(problem, score.candidate)}")
         joints, glance = score.candidate.joints, 2 * criteria.glance
-        settle = lambda vector, starts: modelled(
-            problem, (*base.added, score.candidate),
-            refit(problem, vector, starts, joints, criteria.rounds, weights, glance), weights, base,
-        )  # fmt: skip
+
+        def settle(vector, starts):
+            return modelled(
+                problem,
+                (*base.added, score.candidate),
+                refit(problem, vector, starts, joints, criteria.rounds, weights, glance),
+                weights,
+                base,
+            )
+
         return from_afar(problem, settle, vector, starts, criteria.rounds)
 
     best = None
@@ -245,7 +335,9 @@ def _best(problem, base: Model, begun, good, criteria: Criteria, trace, say) -> 
 
 
 def _acting(vector: Vector, c: Candidate) -> tuple[Candidate, list[tuple]]:
-    """A candidate at the joints where it does anything, and the keys of its entries at the others."""
+    """A candidate at the joints where it does anything, and the keys of its entries at the
+    others.
+    """
     values = {e.key: z for e, z in zip(vector.entries, vector.values, strict=True)}
     if c.sharing != "all" or all(values[e.key] == e.off for e in c.entries):
         return c, []
@@ -254,8 +346,9 @@ def _acting(vector: Vector, c: Candidate) -> tuple[Candidate, list[tuple]]:
 
 
 def _beats(problem: Problem, model: Model, other: Model, criteria: Criteria) -> bool:
-    """Whether a model is to be taken instead of another: the one with fewer parameters, unless the larger holds out better by `size`
-    for each that it has more."""
+    """Whether a model is to be taken instead of another: the one with fewer parameters, unless the
+    larger holds out better by `size` for each that it has more.
+    """
     small, large = sorted((other, model), key=lambda m: len(m.fit.vector))
     test = paired(problem, small.held.loss, large.held.loss)
     least = criteria.size * max(1, more(large, small))

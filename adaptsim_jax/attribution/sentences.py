@@ -1,4 +1,6 @@
-"""What a report on a mechanism says in sentences: its message, its notes, what must not be taken for granted."""
+"""What a report on a mechanism says in sentences: its message, its notes, what must not be taken
+for granted.
+"""
 
 import numpy as np
 
@@ -13,7 +15,9 @@ from adaptsim_jax.diagnosis.criteria import Criteria
 
 SURE = 3.0  # times its standard error, from which on the step is told by which damping acts late
 READ = "Read so; no effect is named for it. model.toml keeps it, for which model.xml has no place."
-SOFT = 5.0  # times the noise floor: what the Coulomb friction of a simulator that lets a held joint creep may leave
+# times the noise floor: what the Coulomb friction of a simulator that lets a held joint creep may
+# leave
+SOFT = 5.0
 
 
 def place(problem: Problem, c: Candidate) -> str:
@@ -35,45 +39,71 @@ def message(
     far: int,
     criteria: Criteria,
 ) -> str:
-    """What was found, in a few sentences. odd: trials of which much is left; far: stretches that are far off."""
+    """What was found, in a few sentences. odd: trials of which much is left; far: stretches that
+    are far off.
+    """
     told = _found(problem, found, before, after, over, bool(odd), criteria.explained)
     if not odd:
         return told
     worst, joint, times = odd[0]
-    few = f"in {far} of {len(problem.fold)} stretches " if far >= criteria.few else ""
+    if far >= criteria.few:
+        few = f"in {far} of {len(problem.fold)} stretches "
+    else:
+        few = ""
     if len(odd) > 0.5 * len(problem.folds):
-        return (
-            f"{told} But {few}up to {times:.0f} times the noise floor is left, at {joint}, most in {worst}."
-            if few
-            else told
-        )
-    names = ", ".join(name for name, _, _ in odd[:4]) + (f" and {len(odd) - 4} more" if len(odd) > 4 else "")
-    more = (
-        f"But {few}of {names} up to {times:.0f} times the noise floor is left, at {joint}: see what is particular to "
+        if few:
+            return (
+                f"{told} But {few}up to {times:.0f} times the noise floor is left, at {joint}, "
+                f"most in {worst}."
+            )
+        return told
+    names = ", ".join(name for name, _, _ in odd[:4]) + (
+        f" and {len(odd) - 4} more" if len(odd) > 4 else ""
     )
+    more = f"But {few}of {names} up to {times:.0f} times the noise floor is left, at {joint}: see what is particular to "
     return f"{told} {more}{'it' if len(odd) == 1 else 'them'}, or run again --without."
 
 
 def _found(
-    problem: Problem, found: Selection, before: np.ndarray, after: np.ndarray, over: float, odd: bool, explained: float
+    problem: Problem,
+    found: Selection,
+    before: np.ndarray,
+    after: np.ndarray,
+    over: float,
+    odd: bool,
+    explained: float,
 ) -> str:
     kinds = set(problem.kinds)
-    unit = "mrad" if kinds == {"hinge"} else "mm" if kinds == {"slide"} else "10^-3 rad or m"
-    size = lambda e: f"{1e3 * np.median(e):.3g}"
+    if kinds == {"hinge"}:
+        unit = "mrad"
+    elif kinds == {"slide"}:
+        unit = "mm"
+    else:
+        unit = "10^-3 rad or m"
+
+    def size(e):
+        return f"{1e3 * np.median(e):.3g}"
+
     median = np.median(after, 0) / np.maximum(problem.floor[: problem.joints], 1e-12)
     worst = int(np.argmax(median))
-    many = f", most of it at {problem.joint_names[worst]}" if over > explained and problem.joints > 1 else ""
+    if over > explained and problem.joints > 1:
+        many = f", most of it at {problem.joint_names[worst]}"
+    else:
+        many = ""
     if not found.named:
         told = f"{_model(problem, found)} simulates left-out stretches to {size(after)} {unit}, {over:.1f} times the noise floor"
         if over <= explained:
-            return f"{told}." if odd else f"{told}. Nothing need be added."
+            if odd:
+                return f"{told}."
+            return f"{told}. Nothing need be added."
         at = f"{many} ({median[worst]:.0f} times)" if many else ""
         return f"{told}{at}. No effect of the catalogue holds out.{_closest(problem, found)}"
     lines = []
     for n in found.named:
         c, t = n.candidate, n.test
         lines.append(
-            f"{c.effect.replace('_', ' ')} at {place(problem, c)} holds out in {t.better} of {t.folds} "
+            f"{c.effect.replace('_', ' ')} at {place(problem, c)} holds out in {t.better} of "
+            f"{t.folds} "
             f"(takes {100 * t.gain:.0f} % off the squared error beside all others, p {t.p:.2g})"
         )
     told = "; ".join(lines)
@@ -86,16 +116,24 @@ def _model(problem: Problem, found: Selection) -> str:
     if any(e.owner in (INERTIA, "viscous") for e in found.final.fit.vector.entries):
         return "The declared model, fitted,"
     read = read_so(problem, found)
-    return "The model file as it is, rows read as the notes say," if read else "The model file as it is"
+    if read:
+        return "The model file as it is, rows read as the notes say,"
+    return "The model file as it is"
 
 
 def _closest(problem: Problem, found: Selection) -> str:
     """The candidates that a score test favours, where none holds out."""
-    near = [s for s in found.first if s.p * len(found.first) < 0.01 and s.held_out > 0.05 * found.stages[0].fit.total][
-        :3
-    ]
-    names = ", ".join(f"{s.candidate.effect.replace('_', ' ')} at {place(problem, s.candidate)}" for s in near)
-    return f" Closest by a linear test, though no fit bears them out: {names}." if near else ""
+    near = [
+        s
+        for s in found.first
+        if s.p * len(found.first) < 0.01 and s.held_out > 0.05 * found.stages[0].fit.total
+    ][:3]
+    names = ", ".join(
+        f"{s.candidate.effect.replace('_', ' ')} at {place(problem, s.candidate)}" for s in near
+    )
+    if near:
+        return f" Closest by a linear test, though no fit bears them out: {names}."
+    return ""
 
 
 def unused(machine: Machine) -> list[str]:
@@ -103,43 +141,69 @@ def unused(machine: Machine) -> list[str]:
     if not machine.log.meta.known:
         return []
     return [
-        "[known] in meta.toml is not used of a mechanism: put the value into its model file, and take the body out of [fit] inertias"
+        "[known] in meta.toml is not used of a mechanism: put the value into its model file, and "
+        "take the body out of [fit] inertias"
     ]
 
 
 def standing(machine: Machine) -> list[str]:
-    """Joints that hardly move while their position servos are told to: a brake, no power, another joint's column."""
+    """Joints that hardly move while their position servos are told to: a brake, no power, another
+    joint's column.
+    """
     kp = -machine.actuator[2] * machine.gear**2
-    of = lambda rows: np.sqrt(np.mean([np.ma.masked_invalid(z).var(0).filled(0.0) for z in rows], 0))
+
+    def of(rows):
+        return np.sqrt(np.mean([np.ma.masked_invalid(z).var(0).filled(0.0) for z in rows], 0))
+
     seen = np.all([np.isfinite(t.q).any(0) for t in machine.tracks], 0)  # in every trial
     moves = of([t.q for t in machine.tracks])
-    asked = of([t.u for t in machine.tracks]) * machine.actuator[0] * machine.gear / np.where(kp > 0, kp, np.inf)
+    asked = (
+        of([t.u for t in machine.tracks])
+        * machine.actuator[0]
+        * machine.gear
+        / np.where(kp > 0, kp, np.inf)
+    )
     names = machine.tree.joint_names
-    told = [f"{names[j]} ({moves[j] / asked[j]:.0%})" for j in np.flatnonzero(seen & (moves < STUCK * asked))]
+    told = [
+        f"{names[j]} ({moves[j] / asked[j]:.0%})"
+        for j in np.flatnonzero(seen & (moves < STUCK * asked))
+    ]
     if not told:
         return []
     return [
-        f"These joints hardly move though they are told to, as a share of what is asked: {', '.join(told)}. Nothing is said of their "
+        f"These joints hardly move though they are told to, as a share of what is asked: "
+        f"{', '.join(told)}. Nothing is said of their "
         "gains. A brake, a servo without power, or the column of another joint looks like that."
     ]
 
 
 def soft_friction(problem: Problem, named: tuple[Named, ...], kind: str, over: float) -> list[str]:
-    """That a simulated log may be the reason why a little more is left, where friction is not simulated as soft as the file has it."""
+    """That a simulated log may be the reason why a little more is left, where friction is not
+    simulated as soft as the file has it.
+    """
     if any(np.any(g.model.tree.rub) for g in problem.groups):
         return []
-    if kind != "partly_explained" or over > SOFT or all(n.candidate.effect != "coulomb" for n in named):
+    if (
+        kind != "partly_explained"
+        or over > SOFT
+        or all(n.candidate.effect != "coulomb" for n in named)
+    ):
         return []
     return [
-        "Where MuJoCo made these logs, its own Coulomb friction, which is a little soft (solreffriction), leaves such a rest."
+        "Where MuJoCo made these logs, its own Coulomb friction, which is a little soft "
+        "(solreffriction), leaves such a rest."
     ]
 
 
 def read_so(problem: Problem, found: Selection) -> list[str]:
     """What was fitted as a way in which rows are read, or steps made."""
-    read = any(s.action == "read" and s.candidate is not None and s.candidate.effect == "armature" for s in found.trace)
+    read = any(
+        s.action == "read" and s.candidate is not None and s.candidate.effect == "armature"
+        for s in found.trace
+    )
     rotors = (
-        "All rotors differ from the file's by what damps them in a small part of a row: as a simulator's or a controller's steps "
+        "All rotors differ from the file's by what damps them in a small part of a row: as a "
+        "simulator's or a controller's steps "
         "make it. Read so; no effect is named for it."
     )
     return [*_early_commands(problem, found), *_implicit(found), *([rotors] if read else [])]
@@ -149,10 +213,13 @@ def _implicit(found: Selection) -> list[str]:
     """That damping acts by the speed at another time in a step."""
     model = found.final
     rows = zip(model.fit.vector.entries, model.fit.vector.values, model.spread, strict=True)
-    steps = [1e3 * z for e, z, spread in rows if e.owner == DAMPING_STEP and abs(z) > SURE * spread > 0.0]
+    steps = [
+        1e3 * z for e, z, spread in rows if e.owner == DAMPING_STEP and abs(z) > SURE * spread > 0.0
+    ]
     steps = sorted(steps, key=abs)[-1:]  # groups of joints that share no body have one each
     return [
-        f"What damps the joints, controllers' kv too, acts by the speed {abs(z):.2g} ms {'later' if z > 0 else 'earlier'}: "
+        f"What damps the joints, controllers' kv too, acts by the speed {abs(z):.2g} ms "
+        f"{'later' if z > 0 else 'earlier'}: "
         f"as the steps of a simulator or of a controller make it. {READ}"
         for z in steps
     ]
@@ -167,15 +234,16 @@ def _early_commands(problem: Problem, found: Selection) -> list[str]:
         return []
     if not named:
         at, apart = 1e3 * min(delays), f"their row (rows are {1e3 * problem.reach.dt:.3g} ms apart)"
-        early = (
-            f"{-at:.2g} ms before {apart}: they changed between rows, by a faster controller, or were logged that late"
-        )
+        early = f"{-at:.2g} ms before {apart}: they changed between rows, by a faster controller, or were logged that late"
         late = f"{at:.2g} ms after {apart}, or angles were logged that late: less than the log resolves"
         return [
-            f"Commands act {early}. {READ}" if at < 0.0 else f"Commands act {late}. Read so; no effect is named for it."
+            f"Commands act {early}. {READ}"
+            if at < 0.0
+            else f"Commands act {late}. Read so; no effect is named for it."
         ]
     return [
-        "a delay below zero is the log's, not the machine's: commands were logged late, or changed between two rows (of a controller "
+        "a delay below zero is the log's, not the machine's: commands were logged late, or changed "
+        "between two rows (of a controller "
         "that runs faster than its log, half of the difference of both intervals)"
     ]
 
@@ -195,6 +263,7 @@ def shorter(found: Selection, criteria: Criteria, horizon: float) -> list[str]:
     if not found.shorter:
         return []
     return [
-        f"Over {horizon:g} s no fit of an effect held out; what is named was found, and tested, over the first "
+        f"Over {horizon:g} s no fit of an effect held out; what is named was found, and tested, "
+        f"over the first "
         f"{criteria.beginning * horizon:.2g} s of each stretch"
     ]

@@ -1,8 +1,10 @@
-"""Position servos whose gains are not those of the model file: found along the measured motion, put into the machine, told.
+"""Position servos whose gains are not those of the model file: found along the measured motion, put
+into the machine, told.
 
-A file's kp of 1,000 N m/rad where the machine has 10 leaves a declared model that no search recovers from: every other effect is
-judged
-about it. So the gains come first, as the torque of a volt does of a drive whose constant nobody wrote down.
+A file's kp of 1,000 N m/rad where the machine has 10 leaves a declared model that no search
+recovers from: every other effect is judged
+about it. So the gains come first, as the torque of a volt does of a drive whose constant nobody
+wrote down.
 """
 
 from collections.abc import Sequence
@@ -13,7 +15,15 @@ import numpy as np
 
 from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.equation.balance import balances
-from adaptsim_jax.attribution.equation.commands import LESS, LEVEL, MISSED, TIMES, TOLD, Servo, servos
+from adaptsim_jax.attribution.equation.commands import (
+    LESS,
+    LEVEL,
+    MISSED,
+    TIMES,
+    TOLD,
+    Servo,
+    servos,
+)
 from adaptsim_jax.attribution.forecast import without_a_model
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import Entry, Vector
@@ -27,21 +37,40 @@ WIDE = 0.5  # prior's standard deviation of what is left of a gain, as a share
 
 
 def calibrated(machine: Machine, horizon: float) -> tuple[Machine, tuple[Servo, ...]]:
-    """With the gains of its position servos as the motion shows them, where they are far from the file's; and these servos."""
+    """With the gains of its position servos as the motion shows them, where they are far from the
+    file's; and these servos.
+    """
     if not np.any(machine.actuator[2] != 0.0) or machine.tree.linear:
         return machine, ()
     problem = prepare(
-        machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear, horizon, declared=machine.declared
+        machine.tree,
+        machine.tracks,
+        MACHINE,
+        machine.actuator,
+        machine.gear,
+        horizon,
+        declared=machine.declared,
     )
-    found = [s for b in balances(problem, machine.tracks, trusted=False) for s in servos(problem, b)]
+    found = [
+        s for b in balances(problem, machine.tracks, trusted=False) for s in servos(problem, b)
+    ]
     file = {s.joint: -machine.actuator[2, s.joint] * machine.gear[s.joint] ** 2 for s in found}
-    far = lambda s: s.apart > TOLD and not _near(s.kp / file[s.joint])
-    off = [s for s in found if s.p < LEVEL and MISSED * s.error < s.file and s.left < LESS * s.file and far(s)]
+
+    def far(s):
+        return s.apart > TOLD and not _near(s.kp / file[s.joint])
+
+    off = [
+        s
+        for s in found
+        if s.p < LEVEL and MISSED * s.error < s.file and s.left < LESS * s.file and far(s)
+    ]
     return with_gains(machine, off), tuple(off)
 
 
 def _near(times: float) -> bool:
-    """Whether a gain is so near to the file's, of which it is `times`, that the search tells it as any other effect."""
+    """Whether a gain is so near to the file's, of which it is `times`, that the search tells it as
+    any other effect.
+    """
     return 1 / TIMES < times < TIMES
 
 
@@ -61,16 +90,22 @@ def with_gains(machine: Machine, off: Sequence[Servo]) -> Machine:
 
 
 def still_off(machine: Machine, off: tuple[Servo, ...], final: Vector) -> tuple[Servo, ...]:
-    """Those of `off` whose gains the whole fit leaves far from the file's. A regression of command errors can be misled (by a payload,
-    for one), and a gain that the fit brings back is the file's."""
-    left = {e.joints[0]: 1.0 + float(z) for e, z in zip(final.entries, final.values, strict=True) if e.owner == GAIN}
+    """Those of `off` whose gains the whole fit leaves far from the file's. A regression of command
+    errors can be misled (by a payload, for one), and a gain that the fit brings back is the file's.
+    """
+    left = {
+        e.joints[0]: 1.0 + float(z)
+        for e, z in zip(final.entries, final.values, strict=True)
+        if e.owner == GAIN
+    }
     return tuple(s for s in off if not _near(machine.servo_times[s.joint] * left.get(s.joint, 1.0)))
 
 
 def span_of(machine: Machine, off: tuple[Servo, ...], horizon: float) -> float:
-    """Length of stretches [s] over which a machine that follows commands is judged: the shortest over which a straight line
-    leaves more than
-    what the regression of its command errors left."""
+    """Length of stretches [s] over which a machine that follows commands is judged: the shortest
+    over which a straight line leaves more than
+    what the regression of its command errors left.
+    """
     left = np.median([s.left for s in off])
     for span in SPANS:
         if span < horizon:
@@ -90,9 +125,13 @@ def servo_entries(off: tuple[Servo, ...]) -> list[Entry]:
     return [Entry(GAIN, "gain", (s.joint,), 0.0, 0.0, -0.9, 9.0, "1", WIDE) for s in off]
 
 
-def friction_first(problem: Problem, null: Vector, off: tuple[Servo, ...]) -> tuple[Vector, tuple[Candidate, ...]]:
-    """Values and effects from which a search goes on where servos have gains of their own: dry friction as the command errors show it,
-    at each of them. Geared servos rub, and without it no gain is right."""
+def friction_first(
+    problem: Problem, null: Vector, off: tuple[Servo, ...]
+) -> tuple[Vector, tuple[Candidate, ...]]:
+    """Values and effects from which a search goes on where servos have gains of their own: dry
+    friction as the command errors show it, at each of them. Geared servos rub, and without it no
+    gain is right.
+    """
     if not problem.offers(RUBS):
         return null, ()
     reach = scaled_reach(problem, *own_inertia(problem, null))
@@ -111,7 +150,10 @@ def servo_rows(
     at = {e.joints[0]: i for i, e in enumerate(final.entries) if e.owner == GAIN}
     for s in off:
         name = machine.tree.joint_names[s.joint]
-        gain, wide = (float(final.values[at[s.joint]]), float(spread[at[s.joint]])) if s.joint in at else (0.0, 0.0)
+        if s.joint in at:
+            gain, wide = (float(final.values[at[s.joint]]), float(spread[at[s.joint]]))
+        else:
+            gain, wide = (0.0, 0.0)
         kp = -machine.actuator[2, s.joint] * machine.gear[s.joint] ** 2
         file = -declared.actuator[2, s.joint] * declared.gear[s.joint] ** 2
         ends = {
@@ -121,18 +163,31 @@ def servo_rows(
         }
         told = f"the position controller's stiffness; the file says {file:.4g}"
         if not s.scale:
-            told += ". Only ratios to it are fixed by these data: no weight or inertia gives the scale at this joint"
-        rows.append({
-            "name": GAIN, "where": name, "joints": [name],
-            "parameters": {"kp": ends | {"unit": _unit(machine, s.joint), "meaning": told}},
-            "physics": "the stiffness of the position controller is not the file's", "alternatives": [],
-            "held_out_gain": 1.0 - (s.left / s.file) ** 2, "p_value": s.p,
-        })  # fmt: skip
+            told += (
+                ". Only ratios to it are fixed by these data: no weight or inertia gives the "
+                "scale at this joint"
+            )
+        rows.append(
+            {
+                "name": GAIN,
+                "where": name,
+                "joints": [name],
+                "parameters": {"kp": ends | {"unit": _unit(machine, s.joint), "meaning": told}},
+                "physics": "the stiffness of the position controller is not the file's",
+                "alternatives": [],
+                "held_out_gain": 1.0 - (s.left / s.file) ** 2,
+                "p_value": s.p,
+            }
+        )
     return rows
 
 
-def damped_by_file(rows: dict[str, dict[str, Any]], declared: Machine, off: Sequence[Servo]) -> None:
-    """Put kv of the file to the damping that rows of fitted ones have beside them: of servos with gains of their own both are one."""
+def damped_by_file(
+    rows: dict[str, dict[str, Any]], declared: Machine, off: Sequence[Servo]
+) -> None:
+    """Put kv of the file to the damping that rows of fitted ones have beside them: of servos with
+    gains of their own both are one.
+    """
     for s in off:
         kv = -declared.actuator[3, s.joint] * declared.gear[s.joint] ** 2
         if row := rows.get(f"damping of {declared.tree.joint_names[s.joint]}"):
@@ -140,19 +195,25 @@ def damped_by_file(rows: dict[str, dict[str, Any]], declared: Machine, off: Sequ
 
 
 def _unit(machine: Machine, joint: int) -> str:
-    return "N/m" if machine.tree.kinds[joint] == "slide" else "N m/rad"
+    if machine.tree.kinds[joint] == "slide":
+        return "N/m"
+    return "N m/rad"
 
 
 def servo_notes(machine: Machine, declared: Machine, off: tuple[Servo, ...]) -> list[str]:
     """A line on gains that are not the file's."""
     if not off:
         return []
-    kp = lambda m, j: -m.actuator[2, j] * m.gear[j] ** 2
+
+    def kp(m, j):
+        return -m.actuator[2, j] * m.gear[j] ** 2
+
     each = ", ".join(
-        f"{machine.tree.joint_names[s.joint]} {kp(machine, s.joint):.3g} {_unit(machine, s.joint)} (file {kp(declared, s.joint):.4g}"
-        + ("" if s.scale else "; only a ratio is told") + ")"
+        f"{machine.tree.joint_names[s.joint]} {kp(machine, s.joint):.3g} {_unit(machine, s.joint)} "
+        f"(file {kp(declared, s.joint):.4g}" + ("" if s.scale else "; only a ratio is told") + ")"
         for s in off
-    )  # fmt: skip
+    )
     return [
-        f"kp by the command error along the motion, before the fit: {each}. kv of the file is in the joints' damping."
+        f"kp by the command error along the motion, before the fit: {each}. kv of the file is in "
+        f"the joints' damping."
     ]

@@ -1,12 +1,15 @@
-"""Simulation of stretches by a tree of joints with effects, and its linearisation along the simulated path. Stretches lie last.
+"""Simulation of stretches by a tree of joints with effects, and its linearisation along the
+simulated path. Stretches lie last.
 
-A step solves for dry friction first (the force that would stop each joint within the step, within its level: Gauss and Seidel's
-sweeps over the joints, as in time-stepping of rigid contact; Stewart and Trinkle, 1996) and then integrates everything else by
-Runge and Kutta's fourth order under that force. So a joint that sticks does not creep. Bristles that yield (presliding) are a spring
-in the same place: a third state of each joint, their deflection, where any model has them; drives that give are two more
-(`drive.py`). Ends of declared ranges (`stops.py`) are in the same sweeps. Where controllers are too fast for that
-(`stiff`: a light joint, rows far apart), a Rosenbrock method of second order stands in, which damps what it cannot follow (ROS2;
-Verwer et al., SIAM J. Sci. Comput. 20, 1999); its Jacobian holds their stiffness and damping only, and adds to the inertia.
+A step solves for dry friction first (the force that would stop each joint within the step, within
+its level: Gauss and Seidel's sweeps over the joints, as in time-stepping of rigid contact; Stewart
+and Trinkle, 1996) and then integrates everything else by Runge and Kutta's fourth order under that
+force. So a joint that sticks does not creep. Bristles that yield (presliding) are a spring in the
+same place: a third state of each joint, their deflection, where any model has them; drives that
+give are two more (`drive.py`). Ends of declared ranges (`stops.py`) are in the same sweeps. Where
+controllers are too fast for that (`stiff`: a light joint, rows far apart), a Rosenbrock method of
+second order stands in, which damps what it cannot follow (ROS2; Verwer et al., SIAM J. Sci. Comput.
+20, 1999); its Jacobian holds their stiffness and damping only, and adds to the inertia.
 """
 
 from dataclasses import dataclass
@@ -36,9 +39,11 @@ IMPLICIT = 1.0 - np.sqrt(0.5)  # gamma of ROS2, with which it is L-stable
 )
 @dataclass(frozen=True)
 class Scheme:
-    """How stretches are stepped through. substeps of a row; rough: whether anything rubs dry; giving [G]: the joints whose drives
-    give; and, static, past: rows of the command before a stretch, bristles: whether these have a state, stiff: whether controllers
-    are faster than the substeps."""
+    """How stretches are stepped through. substeps of a row; rough: whether anything rubs dry;
+    giving [G]: the joints whose drives give; and, static, past: rows of the command before a
+    stretch, bristles: whether these have a state, stiff: whether controllers are faster than the
+    substeps.
+    """
 
     substeps: Any
     rough: Any
@@ -62,14 +67,18 @@ class Rows(NamedTuple):
 
 
 def _implicit(hold, part, v):
-    """Inertia and force [n, W] that stiffness and damping come to over a part [1, W] s of a step, at speeds v."""
+    """Inertia and force [n, W] that stiffness and damping come to over a part [1, W] s of a step,
+    at speeds v.
+    """
     stiffness, damping = hold
     return part * (damping + part * stiffness), -part * stiffness * v
 
 
 class Moving(NamedTuple):
-    """Equations of motion in the coordinates of a scheme: forces(x, t), accelerations(x, force, inertia) of what friction rubs on,
-    rates(x, force, inertia), answers(x, inertia) `[n, n, .]`, speeds(x) of what friction rubs on."""
+    """Equations of motion in the coordinates of a scheme: forces(x, t), accelerations(x, force,
+    inertia) of what friction rubs on, rates(x, force, inertia), answers(x, inertia) `[n, n, .]`,
+    speeds(x) of what friction rubs on.
+    """
 
     forces: Any
     accelerations: Any
@@ -81,10 +90,15 @@ class Moving(NamedTuple):
 def _rigid(model: Model, values: Values, u) -> Moving:
     """Of states [2n, W]."""
     n = model.tree.n
-    accelerate = lambda x, force, inertia: equations.acceleration(
-        model.tree, values.inertial, x[:n], x[n:], force, inertia, values.gravity
-    )
-    speeds = lambda x: x[n:]
+
+    def accelerate(x, force, inertia):
+        return equations.acceleration(
+            model.tree, values.inertial, x[:n], x[n:], force, inertia, values.gravity
+        )
+
+    def speeds(x):
+        return x[n:]
+
     return Moving(
         lambda x, t: forces(model, values, x[:n], x[n:], u, t),
         accelerate,
@@ -95,11 +109,18 @@ def _rigid(model: Model, values: Values, u) -> Moving:
 
 
 def _giving(model: Model, values: Values, u, giving, pushed) -> Moving:
-    """Of states [2n + 2G, W] where the drives of the joints `giving` [G] give, under forces `pushed` [G, W] on their links besides."""
+    """Of states [2n + 2G, W] where the drives of the joints `giving` [G] give, under forces
+    `pushed` [G, W] on their links besides.
+    """
     drive = drives.drive_of(model, values)
     more = jnp.zeros((model.tree.n, pushed.shape[1]), pushed.dtype).at[giving].set(pushed)
-    parts = lambda x: drives.parts_of(drive, giving, x)
-    both = lambda x, force, inertia: drives.accelerations(model, values, drive, parts(x), force, inertia, more)
+
+    def parts(x):
+        return drives.parts_of(drive, giving, x)
+
+    def both(x, force, inertia):
+        return drives.accelerations(model, values, drive, parts(x), force, inertia, more)
+
     return Moving(
         lambda x, t: drives.acting(model, values, drive, parts(x), u, t),
         lambda x, force, inertia: both(x, force, inertia)[0],
@@ -110,8 +131,10 @@ def _giving(model: Model, values: Values, u, giving, pushed) -> Moving:
 
 
 def _held(moving: Moving, model: Model, x, t, extra, bent, h, hold):
-    """Dry friction [n, W] held over a step of h s, the deflection of bristles by its end, from that before, bent [n, W], and the force
-    of the ends of declared ranges [n, W]. hold: stiffness and damping that are stepped implicitly, None where none are."""
+    """Dry friction [n, W] held over a step of h s, the deflection of bristles by its end, from that
+    before, bent [n, W], and the force of the ends of declared ranges [n, W]. hold: stiffness and
+    damping that are stepped implicitly, None where none are.
+    """
     v = moving.speeds(x)
     n = len(v)
     act = moving.forces(x, t)
@@ -133,7 +156,9 @@ def _held(moving: Moving, model: Model, x, t, extra, bent, h, hold):
         after, force, stop = carry
         rise = after[j] - v[j] - safe * own[j] * force[j]
         slide = bent[j] + safe * (braked[j] * v[j] + rise)  # by the end of the step, without it
-        new = jnp.clip(-slide / (act.yielding[j] + safe**2 * (own[j] + soft[j])), -level[j], level[j])
+        new = jnp.clip(
+            -slide / (act.yielding[j] + safe**2 * (own[j] + soft[j])), -level[j], level[j]
+        )
         after = after + h[None] * answer[:, j] * (new - force[j])[None]
         return (after, force.at[j].set(new), stop), None
 
@@ -152,19 +177,29 @@ def _held(moving: Moving, model: Model, x, t, extra, bent, h, hold):
         return (after, force, stop.at[j].set(new)), None
 
     order = jnp.tile(jnp.arange(n), SWEEPS if n > 1 else 1)
-    (_, rub, stop), _ = jax.lax.scan(turn_and_end if len(ends) else turn, (v + h[None] * free, still, still), order)
+    (_, rub, stop), _ = jax.lax.scan(
+        turn_and_end if len(ends) else turn, (v + h[None] * free, still, still), order
+    )
     return rub, -act.yielding * rub, stop
 
 
 def row_step(model: Model, values: Values, x, u, t, dt, extra, scheme: Scheme):
-    """State after a row, [2n, W] (2G more where drives give, then n of the deflection of bristles), and the mean dry friction over it
-    [n, W]. extra [n, W] N m on the joints, and [G, W] on the links whose drives give."""
+    """State after a row, [2n, W] (2G more where drives give, then n of the deflection of bristles),
+    and the mean dry friction over it [n, W]. extra [n, W] N m on the joints, and [G, W] on the
+    links whose drives give.
+    """
     n = model.tree.n
     moves = 2 * (n + len(scheme.giving))
     h = dt / scheme.substeps
     wide = h[None]
-    hold = tuple(jnp.maximum(z, 0.0).astype(x.dtype) for z in held_by(values)) if scheme.stiff else None
-    moving = _giving(model, values, u, scheme.giving, extra[n:]) if scheme.gives else _rigid(model, values, u)
+    if scheme.stiff:
+        hold = tuple(jnp.maximum(z, 0.0).astype(x.dtype) for z in held_by(values))
+    else:
+        hold = None
+    if scheme.gives:
+        moving = _giving(model, values, u, scheme.giving, extra[n:])
+    else:
+        moving = _rigid(model, values, u)
     extra = extra[:n]
 
     def substep(i, carry):
@@ -173,7 +208,10 @@ def row_step(model: Model, values: Values, x, u, t, dt, extra, scheme: Scheme):
         x = whole[:moves]
         still = jnp.zeros_like(extra)
         bent = whole[moves:] if len(whole) > moves else still
-        rubs = lambda: _held(moving, model, x, now, extra, bent, h, hold)
+
+        def rubs():
+            return _held(moving, model, x, now, extra, bent, h, hold)
+
         if any(model.tree.limited):
             rub, yielded, stop = rubs()
         else:
@@ -185,10 +223,14 @@ def row_step(model: Model, values: Values, x, u, t, dt, extra, scheme: Scheme):
             force, inertia = act.smooth + extra + held, act.inertia
             if not hold:
                 return moving.rates(x, force, inertia)
-            # what is solved for is k + less * (k of the stage before), which spares its product with the mass matrix
+            # what is solved for is k + less * (k of the stage before), which spares its product
+            # with the mass matrix
             rate = x[n:] - less * k[:n]
             more, pull = _implicit(hold, IMPLICIT * wide, rate)
-            a = moving.accelerations(x, force + pull + less * more * k[n:], inertia + more) - less * k[n:]
+            a = (
+                moving.accelerations(x, force + pull + less * more * k[n:], inertia + more)
+                - less * k[n:]
+            )
             return jnp.concatenate([rate + IMPLICIT * wide * a, a])
 
         def stage(carry, part):
@@ -208,7 +250,9 @@ def row_step(model: Model, values: Values, x, u, t, dt, extra, scheme: Scheme):
 
 
 def command_rows(model: Model, values: Values, stamp, command, past: int, rows: int):
-    """The command [L, n, W] as it reaches the joints: effects of the place `command` act on a longer piece of it."""
+    """The command [L, n, W] as it reaches the joints: effects of the place `command` act on a
+    longer piece of it.
+    """
     u = command
     for effect in model.effects:
         if effect.place == "command" and effect.name in values.effects:
@@ -218,7 +262,9 @@ def command_rows(model: Model, values: Values, stamp, command, past: int, rows: 
 
 
 def measure(model: Model, values: Values, time, x, u):
-    """What the sensors say [L+1, 2n, W] of states x [L+1, 2n, W] at time [L+1, W] s under commands u [L, n, W]."""
+    """What the sensors say [L+1, 2n, W] of states x [L+1, 2n, W] at time [L+1, W] s under commands
+    u [L, n, W].
+    """
     n = x.shape[1] // 2
     q, v = x[:, :n], x[:, n:]
     for effect in model.effects:
@@ -230,8 +276,10 @@ def measure(model: Model, values: Values, time, x, u):
 
 
 class Path(NamedTuple):
-    """x [L+1, 2n, W]; sensed [L+1, 2n, W]; rub [L, n, W] mean dry friction; u [L, n, W] command as it arrived; ahead [L+1, 2n, W]: of
-    drives that give, how far links are ahead of rotors and at which rate ([L+1, 0, W] where none does)."""
+    """x [L+1, 2n, W]; sensed [L+1, 2n, W]; rub [L, n, W] mean dry friction; u [L, n, W] command as
+    it arrived; ahead [L+1, 2n, W]: of drives that give, how far links are ahead of rotors and at
+    which rate ([L+1, 0, W] where none does).
+    """
 
     x: Any
     sensed: Any
@@ -256,10 +304,11 @@ def simulate(model: Model, values: Values, time, stamp, command, x0, scheme: Sch
 
 @jax.jit
 def linearise(model: Model, values: Values, time, stamp, command, x0, scheme: Scheme):
-    """(Path, derivatives of each row's end by its start [L, S, S, W] and by a force held over the row [L, S, F, W]).
+    """(Path, derivatives of each row's end by its start [L, S, S, W] and by a force held over the
+    row [L, S, F, W]).
 
-    S = 2n states and F = n forces; where G drives give 2G states (how far their links are ahead, and the rates) and G forces (on these
-    links) more, with bristles n states more.
+    S = 2n states and F = n forces; where G drives give 2G states (how far their links are ahead,
+    and the rates) and G forces (on these links) more, with bristles n states more.
     """
     drive, begin = _begin(model, values, time, stamp, command, x0, scheme)
     (states, width), forced = begin.shape, model.tree.n + len(scheme.giving)
@@ -267,7 +316,9 @@ def linearise(model: Model, values: Values, time, stamp, command, x0, scheme: Sc
     ways = jnp.eye(states + forced, dtype=x0.dtype)[:, :, None] * jnp.ones((1, 1, width), x0.dtype)
 
     def row(x, now):
-        end = lambda x, extra: row_step(model, values, x, now.u, now.t, now.dt, extra, scheme)
+        def end(x, extra):
+            return row_step(model, values, x, now.u, now.t, now.dt, extra, scheme)
+
         along = jax.vmap(lambda a, b: jax.jvp(end, (x, zero), (a, b)), out_axes=(None, 0))
         (new, rub), (slopes, _) = along(ways[:, :states], ways[:, states:])
         return new, (x, rub, jnp.swapaxes(slopes, 0, 1))
@@ -303,14 +354,20 @@ def _begin(model: Model, values: Values, time, stamp, command, x0, scheme: Schem
 
 @partial(jax.jit, static_argnames="past")
 def with_drives(model: Model, values: Values, time, stamp, command, x0, past: int):
-    """Starts [4n, W] of stretches that begin at x0 [2n, W] where drives give: at rest in their springs."""
+    """Starts [4n, W] of stretches that begin at x0 [2n, W] where drives give: at rest in their
+    springs.
+    """
     u = command_rows(model, values, stamp, command, past, len(time) - 1)
     return drives.at_rest(model, values, x0, u[0], time[0])
 
 
-def respond(by_state: np.ndarray, by_force: np.ndarray, force: np.ndarray, rows, channels) -> np.ndarray:
-    """Change of what is logged [W, T, C, K] at some rows, in some channels, under force columns [W, L, F, K]; slopes [W, L, S, S] and
-    [W, L, S, F] of S states, of which the first are angles and speeds."""
+def respond(
+    by_state: np.ndarray, by_force: np.ndarray, force: np.ndarray, rows, channels
+) -> np.ndarray:
+    """Change of what is logged [W, T, C, K] at some rows, in some channels, under force columns [W,
+    L, F, K]; slopes [W, L, S, S] and [W, L, S, F] of S states, of which the first are angles and
+    speeds.
+    """
     width, count, _, columns = force.shape
     out = np.zeros((width, len(rows), len(channels), columns))
     place = {int(row): i for i, row in enumerate(rows)}

@@ -1,7 +1,9 @@
-"""Ends of declared ranges, as MuJoCo has them: a soft constraint whose force brings about a reference acceleration.
+"""Ends of declared ranges, as MuJoCo has them: a soft constraint whose force brings about a
+reference acceleration.
 
-MuJoCo's documentation, "Computation", constraint model: of a joint r beyond its range at the speed v the reference acceleration is
--b v - k d(r) r with the impedance d; b, k and d come from `solref` and `solimp`.
+MuJoCo's documentation, "Computation", constraint model: of a joint r beyond its range at the speed
+v the reference acceleration is -b v - k d(r) r with the impedance d; b, k and d come from `solref`
+and `solimp`.
 """
 
 from typing import Any
@@ -18,11 +20,15 @@ def limited(tree: Tree) -> np.ndarray:
 
 
 def rates(stop: Any) -> tuple[Any, Any]:
-    """Stiffness 1/s^2 and damping 1/s of the reference acceleration, of rows `stop [.., 8]` (solref, solimp, inverse weight)."""
+    """Stiffness 1/s^2 and damping 1/s of the reference acceleration, of rows `stop [.., 8]`
+    (solref, solimp, inverse weight).
+    """
     time, ratio, most = stop[..., 0], stop[..., 1], stop[..., 3]
     direct = time <= 0
     safe = jnp.where(direct, 1.0, time)
-    stiffness = jnp.where(direct, -time / most**2, 1.0 / jnp.maximum(most * safe * ratio, 1e-9) ** 2)
+    stiffness = jnp.where(
+        direct, -time / most**2, 1.0 / jnp.maximum(most * safe * ratio, 1e-9) ** 2
+    )
     return stiffness, jnp.where(direct, -ratio / most, 2.0 / (most * safe))
 
 
@@ -36,10 +42,15 @@ def impedance(stop: Any, far: Any) -> Any:
 
 
 def hold_within(tree: Tree, q: Any, v: Any) -> tuple[Any, Any, Any, Any]:
-    """Of the limited joints, at q, v [n, W]: (which side the force goes, +-1; the reference acceleration towards it; what softness
-    adds to the inverse inertia; whether the range is left), [k, W] each."""
+    """Of the limited joints, at q, v [n, W]: (which side the force goes, +-1; the reference
+    acceleration towards it; what softness adds to the inverse inertia; whether the range is left),
+    [k, W] each.
+    """
     at = limited(tree)
-    stop = jnp.asarray(np.asarray(tree.stop))[at] if isinstance(tree.stop, np.ndarray) else tree.stop[at]
+    if isinstance(tree.stop, np.ndarray):
+        stop = jnp.asarray(np.asarray(tree.stop))[at]
+    else:
+        stop = tree.stop[at]
     low, high = tree.range[at, 0][:, None], tree.range[at, 1][:, None]
     q, v, stop = q[at], v[at], stop[:, None, :]
     above, below = q - high, low - q

@@ -1,7 +1,8 @@
 """Recordings cut into short stretches with a free start each (multiple shooting; Bock, 1981).
 
-Stretches lie along the last axis of every array and have equal numbers of rows; a shorter one is padded with rows of no
-duration. A row is one sample of the log, or the mean over several where the log is faster than needed.
+Stretches lie along the last axis of every array and have equal numbers of rows; a shorter one is
+padded with rows of no duration. A row is one sample of the log, or the mean over several where the
+log is faster than needed.
 """
 
 from collections.abc import Sequence
@@ -13,14 +14,19 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.local_motion import local_motion
 
 ROW = 4e-3  # s, of a row: a faster log is merged to about this
-PAST, FUTURE = 0.25, 0.06  # s of command before and after a stretch, for effects that move or filter it
+PAST, FUTURE = (
+    0.25,
+    0.06,
+)  # s of command before and after a stretch, for effects that move or filter it
 LEAST_ROWS = 8
 
 
 @dataclass(frozen=True)
 class Track:
-    """One recorded trial of `n` joints: time [T] s, q [T, n] rad or m (NaN: missing), v [T, n] or None, u [T, n] (torque in
-    N m, or what the joint's actuator was told), group: trials of one kind (a payload, a zero)."""
+    """One recorded trial of `n` joints: time [T] s, q [T, n] rad or m (NaN: missing), v [T, n] or
+    None, u [T, n] (torque in N m, or what the joint's actuator was told), group: trials of one kind
+    (a payload, a zero).
+    """
 
     name: str
     time: np.ndarray
@@ -32,8 +38,10 @@ class Track:
 
 @dataclass(frozen=True)
 class Stretches:
-    """W stretches of L rows. trial [W]; time [L+1, W] s since the trial began; q, v [L+1, n, W] as measured, with `seen`
-    and `seen_v` 1 or 0; start [2n, W] smoothed state; command [H+L+F, n, W] with `stamp` [H+L+F, W] s; past H rows."""
+    """W stretches of L rows. trial [W]; time [L+1, W] s since the trial began; q, v [L+1, n, W] as
+    measured, with `seen` and `seen_v` 1 or 0; start [2n, W] smoothed state; command [H+L+F, n, W]
+    with `stamp` [H+L+F, W] s; past H rows.
+    """
 
     trial: np.ndarray
     time: np.ndarray
@@ -61,8 +69,10 @@ class Stretches:
 
     def pick(self, keep: np.ndarray) -> "Stretches":
         """Those stretches alone."""
-        lanes = {k: getattr(self, k)[..., keep] for k in
-                 ("trial", "time", "q", "v", "seen", "seen_v", "start", "stamp", "command")}  # fmt: skip
+        lanes = {
+            k: getattr(self, k)[..., keep]
+            for k in ("trial", "time", "q", "v", "seen", "seen_v", "start", "stamp", "command")
+        }
         return Stretches(**lanes, past=self.past, names=self.names)
 
     def of(self, joints: Sequence[int]) -> "Stretches":
@@ -70,13 +80,25 @@ class Stretches:
         j = list(joints)
         n = self.joints
         return Stretches(
-            self.trial, self.time, self.q[:, j], self.v[:, j], self.seen[:, j], self.seen_v[:, j],
-            self.start[[*j, *(n + k for k in j)]], self.stamp, self.command[:, j], self.past, self.names,
-        )  # fmt: skip
+            self.trial,
+            self.time,
+            self.q[:, j],
+            self.v[:, j],
+            self.seen[:, j],
+            self.seen_v[:, j],
+            self.start[[*j, *(n + k for k in j)]],
+            self.stamp,
+            self.command[:, j],
+            self.past,
+            self.names,
+        )
 
 
-def cut(tracks: Sequence[Track], horizon: float = 0.5, most: int = 10_000, row: float = ROW) -> Stretches:
-    """Stretches of `horizon` s of all tracks, side by side; none over a gap in time. At most about `most`, evenly spread.
+def cut(
+    tracks: Sequence[Track], horizon: float = 0.5, most: int = 10_000, row: float = ROW
+) -> Stretches:
+    """Stretches of `horizon` s of all tracks, side by side; none over a gap in time. At most about
+    `most`, evenly spread.
 
     Raises BadInput where no trial holds a whole stretch.
     """
@@ -89,24 +111,39 @@ def cut(tracks: Sequence[Track], horizon: float = 0.5, most: int = 10_000, row: 
         pieces.append((k, stride, rows, _whole(track, stride, rows, dt)))
     total = sum(len(begins) for *_, begins in pieces)
     if not total:
-        raise BadInput(f"no trial has an unbroken stretch of {horizon:g} s; give a shorter --horizon or longer trials")
+        raise BadInput(
+            f"no trial has an unbroken stretch of {horizon:g} s; give a shorter --horizon or "
+            f"longer trials"
+        )
     share = min(1.0, most / total)
     fine = min(stride * float(np.median(np.diff(tracks[k].time))) for k, stride, *_ in pieces)
     past, future = int(np.ceil(PAST / fine)), int(np.ceil(FUTURE / fine))
     lanes = []
     for k, stride, rows, begins in pieces:
-        keep = np.unique(np.linspace(0, len(begins) - 1, max(1, round(share * len(begins)))).round().astype(int))
+        keep = np.unique(
+            np.linspace(0, len(begins) - 1, max(1, round(share * len(begins)))).round().astype(int)
+        )
         motion = local_motion(tracks[k].time, tracks[k].q, tracks[k].v)
         integral = _integral(tracks[k].time, tracks[k].u)
         chosen = [begins[i] for i in keep] if len(begins) else []
-        lanes += [_lane(k, tracks[k], motion, integral, b, stride, rows, length, past, future) for b in chosen]
-    stack = lambda key: np.stack([lane[key] for lane in lanes], -1)
+        lanes += [
+            _lane(k, tracks[k], motion, integral, b, stride, rows, length, past, future)
+            for b in chosen
+        ]
+
+    def stack(key):
+        return np.stack([lane[key] for lane in lanes], -1)
+
     keys = ("trial", "time", "q", "v", "seen", "seen_v", "start", "stamp", "command")
-    return Stretches(**{key: stack(key) for key in keys}, past=past, names=tuple(t.name for t in tracks))
+    return Stretches(
+        **{key: stack(key) for key in keys}, past=past, names=tuple(t.name for t in tracks)
+    )
 
 
 def _whole(track: Track, stride: int, rows: int, dt: float) -> list[int]:
-    """First samples of consecutive stretches without a gap in time, in which at least half of the angles were read."""
+    """First samples of consecutive stretches without a gap in time, in which at least half of the
+    angles were read.
+    """
     span = stride * rows
     begins, at = [], 0
     broken = np.flatnonzero(np.diff(track.time) > max(5.0 * dt, 0.05))
@@ -123,8 +160,9 @@ def _whole(track: Track, stride: int, rows: int, dt: float) -> list[int]:
 
 
 def without_first_rows(stretches: Stretches, span: float) -> Stretches:
-    """The same with the readings of the first `span` s unseen, where rows are short enough: a late sensor tells there of what came
-    before the start, which is not simulated."""
+    """The same with the readings of the first `span` s unseen, where rows are short enough: a late
+    sensor tells there of what came before the start, which is not simulated.
+    """
     since = stretches.time - stretches.time[:1]
     dt = np.median(np.diff(stretches.time, axis=0), axis=0)
     seen = ((since > span - 0.5 * dt) | (dt > 0.5 * span))[:, None]
@@ -134,10 +172,23 @@ def without_first_rows(stretches: Stretches, span: float) -> Stretches:
 def _integral(time: np.ndarray, u: np.ndarray) -> np.ndarray:
     """Running integral [T, n] of a command held from its row to the next."""
     u = np.where(np.isfinite(u), u, 0.0)
-    return np.concatenate([np.zeros((1, u.shape[1])), np.cumsum(u[:-1] * np.diff(time)[:, None], 0)])
+    return np.concatenate(
+        [np.zeros((1, u.shape[1])), np.cumsum(u[:-1] * np.diff(time)[:, None], 0)]
+    )
 
 
-def _lane(k, track: Track, motion, integral, begin: int, stride: int, rows: int, length: int, past: int, future: int):
+def _lane(
+    k,
+    track: Track,
+    motion,
+    integral,
+    begin: int,
+    stride: int,
+    rows: int,
+    length: int,
+    past: int,
+    future: int,
+):
     at = begin + stride * np.minimum(np.arange(length + 1), rows)
     time = track.time[at]
     live = (np.arange(length + 1) <= rows)[:, None]
@@ -150,19 +201,31 @@ def _lane(k, track: Track, motion, integral, begin: int, stride: int, rows: int,
     v = np.full_like(q, np.nan) if track.v is None else track.v[at]
     (q0, v0), first = motion, begin
     return {
-        "trial": k, "time": time - track.time[0], "q": np.where(np.isfinite(q), q, 0.0), "v": np.where(np.isfinite(v), v, 0.0),
-        "seen": np.isfinite(q) * live, "seen_v": np.isfinite(v) * live, "start": np.concatenate([q0[first], v0[first]]),
-        "stamp": edges[:-1] - track.time[0], "command": command,
-    }  # fmt: skip
+        "trial": k,
+        "time": time - track.time[0],
+        "q": np.where(np.isfinite(q), q, 0.0),
+        "v": np.where(np.isfinite(v), v, 0.0),
+        "seen": np.isfinite(q) * live,
+        "seen_v": np.isfinite(v) * live,
+        "start": np.concatenate([q0[first], v0[first]]),
+        "stamp": edges[:-1] - track.time[0],
+        "command": command,
+    }
 
 
 def _means(time, u, integral, edges) -> np.ndarray:
-    """Mean command [rows, n] between edges; before the first row and after the last it stays as it was there."""
+    """Mean command [rows, n] between edges; before the first row and after the last it stays as it
+    was there.
+    """
     out = np.empty((len(edges) - 1, u.shape[1]))
     span = np.diff(edges)
     for j in range(u.shape[1]):
         area = np.interp(edges, time, integral[:, j])
-        area = area + np.minimum(edges - time[0], 0.0) * u[0, j] + np.maximum(edges - time[-1], 0.0) * u[-1, j]
+        area = (
+            area
+            + np.minimum(edges - time[0], 0.0) * u[0, j]
+            + np.maximum(edges - time[-1], 0.0) * u[-1, j]
+        )
         row = np.clip(np.searchsorted(time, edges[:-1], side="right") - 1, 0, len(time) - 1)
         out[:, j] = np.where(span > 0, np.diff(area) / np.where(span > 0, span, 1.0), u[row, j])
     return out

@@ -1,4 +1,6 @@
-"""What a report says where the torque along the measured motion is the yardstick: errors, verdict, message, and the page's curves."""
+"""What a report says where the torque along the measured motion is the yardstick: errors, verdict,
+message, and the page's curves.
+"""
 
 from collections.abc import Sequence
 from typing import Any
@@ -15,12 +17,14 @@ from adaptsim_jax.attribution.yardsticks import Measure, needed
 from adaptsim_jax.diagnosis.criteria import Criteria
 
 MOST_ROWS = 1500  # of a curve of the page
-FAR = 3.0  # times, by which a body of a fit may differ from the file's before that is a finding of its own
+# times, by which a body of a fit may differ from the file's before that is a finding of its own
+FAR = 3.0
 
 
 def held_missing(found: Said) -> tuple[dict[int, np.ndarray], dict[int, np.ndarray]]:
-    """What is missing of the torque in windows that were left out [K, n], by balance: of the declared model, fitted, and of the
-    final."""
+    """What is missing of the torque in windows that were left out [K, n], by balance: of the
+    declared model, fitted, and of the final.
+    """
     out: tuple[dict[int, np.ndarray], dict[int, np.ndarray]] = ({}, {})
     for k, w in enumerate(found.witnesses):
         for kept, solved in zip(out, (w.base, w.whole), strict=True):
@@ -29,50 +33,79 @@ def held_missing(found: Said) -> tuple[dict[int, np.ndarray], dict[int, np.ndarr
 
 
 def floor_of(problem: Problem, balances: Sequence[Balance]) -> np.ndarray:
-    """Noise of the torques in a window [n]: of what is told, by third differences; at least a thousandth of it."""
+    """Noise of the torques in a window [n]: of what is told, by third differences; at least a
+    thousandth of it.
+    """
     out = np.zeros(problem.joints)
     for b in balances:
         third = np.concatenate([np.diff(b.u[:, run], 3, axis=1) for run in b.runs], 1)
         noise = np.median(np.abs(third), 1) / 0.6745 / np.sqrt(20.0) / np.sqrt(0.35 * SPAN / GRID)
-        out[list(b.group.joints)] = np.maximum(noise, 1e-3 * np.sqrt(np.mean(np.square(needed(problem, b)), 0)))
+        out[list(b.group.joints)] = np.maximum(
+            noise, 1e-3 * np.sqrt(np.mean(np.square(needed(problem, b)), 0))
+        )
     return out
 
 
 def judged_by_torque(
-    report: dict[str, Any], problem: Problem, found: Said, before: Measure, after: Measure, criteria: Criteria
+    report: dict[str, Any],
+    problem: Problem,
+    found: Said,
+    before: Measure,
+    after: Measure,
+    criteria: Criteria,
 ) -> None:
     """Put errors, verdict, message and remains in terms of torques into a report, in place."""
     balances = [w.balance for w in found.witnesses]
     floor = floor_of(problem, balances)
     over = float(np.median(after.error / np.maximum(floor, 1e-12)))
     some = bool(found.named)
-    worth = np.maximum(floor, criteria.torque.worth * after.still)  # below it nothing would be named
+    worth = np.maximum(
+        floor, criteria.torque.worth * after.still
+    )  # below it nothing would be named
     remains = float(np.median(after.error / np.maximum(worth, 1e-12))) > criteria.explained
-    report["verdict"] = (
-        ("partly_explained" if remains else "explained") if some
-        else "structured_unattributed" if remains else "within_noise"
-    )  # fmt: skip
+    if some:
+        report["verdict"] = "partly_explained" if remains else "explained"
+    elif remains:
+        report["verdict"] = "structured_unattributed"
+    else:
+        report["verdict"] = "within_noise"
     if report["verdict"] == "explained" and any(n.alternatives for n in found.named):
         report["verdict"] = "explained_class"
     report["error"] = _error(problem, found, before, after, floor)
     report["remaining"] = {
-        "error": _pooled(after), "times_floor": over,
-        "joints": {n: {"error": float(after.error[j]), "times_floor": float(after.error[j] / max(floor[j], 1e-12))}
-                   for j, n in enumerate(problem.joint_names)},
-    }  # fmt: skip
+        "error": _pooled(after),
+        "times_floor": over,
+        "joints": {
+            n: {
+                "error": float(after.error[j]),
+                "times_floor": float(after.error[j] / max(floor[j], 1e-12)),
+            }
+            for j, n in enumerate(problem.joint_names)
+        },
+    }
     report["message"] = message(problem, found, before, after)
 
 
 def _pooled(m: Measure) -> float:
     """Mean share of the torque's size that is missing, over joints that have any."""
     base = np.maximum(m.still, 1e-300)
-    return float(np.mean((m.error / base)[m.still > 0])) if np.any(m.still > 0) else 0.0
+    if np.any(m.still > 0):
+        return float(np.mean((m.error / base)[m.still > 0]))
+    return 0.0
 
 
-def _error(problem: Problem, found: Said, before: Measure, after: Measure, floor: np.ndarray) -> dict[str, Any]:
-    pair = lambda a, b: {"before": float(a), "after": float(b) if found.added else None}
+def _error(
+    problem: Problem, found: Said, before: Measure, after: Measure, floor: np.ndarray
+) -> dict[str, Any]:
+    def pair(a, b):
+        return {"before": float(a), "after": float(b) if found.added else None}
+
     channels = {
-        name: {"unit": before.units[j], **pair(before.error[j], after.error[j]), "noise_floor": float(floor[j])}
+        name: {
+            "unit": before.units[j],
+            **pair(before.error[j], after.error[j]),
+            "noise_floor": float(floor[j]),
+        }
         for j, name in enumerate(problem.joint_names)
     }
     base = np.maximum(before.still, 1e-300)
@@ -81,11 +114,17 @@ def _error(problem: Problem, found: Said, before: Measure, after: Measure, floor
         each = [_share(found, w_trial, k, base) for k in (0, 1)]
         trials.append({"trial": name, **pair(*each), "per_channel": {}})
     return {
-        "metric": "torque along the measured motion that is missing in left-out blocks, as a share of the torque, mean over joints",
-        "unit": "1", "stretch_s": SPAN, **pair(_pooled(before), _pooled(after)),
-        "noise_floor": float(np.mean(floor / base)), "ceiling": None, "per_channel": channels, "per_trial": trials,
+        "metric": "torque along the measured motion that is missing in left-out blocks, as a share "
+        "of the torque, mean over joints",
+        "unit": "1",
+        "stretch_s": SPAN,
+        **pair(_pooled(before), _pooled(after)),
+        "noise_floor": float(np.mean(floor / base)),
+        "ceiling": None,
+        "per_channel": channels,
+        "per_trial": trials,
         "noise_floor_source": "third differences of the torques",
-    }  # fmt: skip
+    }
 
 
 def _trials(found: Said) -> list[tuple[int, str]]:
@@ -106,7 +145,10 @@ def _share(found: Said, trial: int, which: int, base: np.ndarray) -> float:
 
 def message(problem: Problem, found: Said, before: Measure, after: Measure) -> str:
     """What was found, in a few sentences."""
-    share = lambda m: f"{100 * _pooled(m):.0f} %"
+
+    def share(m):
+        return f"{100 * _pooled(m):.0f} %"
+
     if not found.named:
         said = f"The declared model, fitted, misses {share(before)} of the torque along the measured motion."
         return f"{said} No effect of the catalogue holds out."
@@ -117,8 +159,10 @@ def message(problem: Problem, found: Said, before: Measure, after: Measure) -> s
     names = names[:1].upper() + names[1:]
     worst = int(np.argmax(after.error / np.maximum(after.still, 1e-300)))
     return (
-        f"{names}: held out by the torque along the measured motion, of which {share(before)} is missing without and "
-        f"{share(after)} with (left-out blocks, mean over joints; most is left at {problem.joint_names[worst]}, "
+        f"{names}: held out by the torque along the measured motion, of which {share(before)} is "
+        f"missing without and "
+        f"{share(after)} with (left-out blocks, mean over joints; most is left at "
+        f"{problem.joint_names[worst]}, "
         f"{after.error[worst]:.3g} of {after.still[worst]:.3g} {after.units[worst]})."
     )
 
@@ -140,31 +184,51 @@ def quiet_notes(problem: Problem, found: Said) -> list[str]:
 
 def bound_notes(problem: Problem, found: Said) -> list[str]:
     """Bodies whose fit ends where a body of the file's kind ends: what would explain it."""
-    at = sorted({
-        problem.joint_names[e.joints[0]]
-        for w in found.witnesses for e, z in zip(w.final.entries, w.final.values, strict=True)
-        if e.owner == INERTIA and abs(z) > 0.98 * e.high
-    })  # fmt: skip
+    at = sorted(
+        {
+            problem.joint_names[e.joints[0]]
+            for w in found.witnesses
+            for e, z in zip(w.final.entries, w.final.values, strict=True)
+            if e.owner == INERTIA and abs(z) > 0.98 * e.high
+        }
+    )
     if not at:
         return []
     return [
-        f"The fit of the bodies moved by {', '.join(at)} ends at {FAR:g} times (or a third of) what the model file says, "
+        f"The fit of the bodies moved by {', '.join(at)} ends at {FAR:g} times (or a third of) "
+        f"what the model file says, "
         "and is held there: "
-        "a rotor, a gain of the torques, a payload or friction that is not in the catalogue would explain it; "
+        "a rotor, a gain of the torques, a payload or friction that is not in the catalogue would "
+        "explain it; "
         "`[fit] factor` in meta.toml widens it."
     ]
 
 
 def curves(problem: Problem, found: Said, final: Vector) -> dict[str, list[dict[str, Any]]]:
-    """Of the page: torque measured and modelled over time by joint, and friction against speed, of a final vector."""
+    """Of the page: torque measured and modelled over time by joint, and friction against speed, of
+    a final vector.
+    """
     over_time, friction = [], []
     for w in found.witnesses:
         b = w.balance
         told = needed(problem, b)
         left = [residual(problem, b, v) for v in (Vector((), np.zeros(0)), final)]
-        rubbing = {"viscous", "coulomb", "asymmetric_coulomb", "stribeck", "quadratic_drag", "load_friction"}
-        bare = final.at(np.array([0.0 if e.owner in rubbing and e.off == 0.0 and e.low <= 0.0 else z
-                                  for e, z in zip(final.entries, final.values, strict=True)]))  # fmt: skip
+        rubbing = {
+            "viscous",
+            "coulomb",
+            "asymmetric_coulomb",
+            "stribeck",
+            "quadratic_drag",
+            "load_friction",
+        }
+        bare = final.at(
+            np.array(
+                [
+                    0.0 if e.owner in rubbing and e.off == 0.0 and e.low <= 0.0 else z
+                    for e, z in zip(final.entries, final.values, strict=True)
+                ]
+            )
+        )
         resists = residual(problem, b, bare)
         speed = b.averaged(b.v)
         some = np.unique(np.linspace(0, len(told) - 1, min(MOST_ROWS, len(told))).astype(int))
@@ -173,12 +237,23 @@ def curves(problem: Problem, found: Said, final: Vector) -> dict[str, list[dict[
         )
         for k, j in enumerate(b.group.joints):
             unit = "N m" if problem.kinds[j] == "hinge" else "N"
-            over_time.append({
-                "joint": problem.joint_names[j], "unit": unit, "time": clock[some], "measured": told[some, k],
-                "file": (told + left[0])[some, k], "fitted": (told + left[1])[some, k],
-            })  # fmt: skip
-            friction.append({
-                "joint": problem.joint_names[j], "unit": unit, "speed": speed[some, k], "missing": -resists[some, k],
-                "modelled": (left[1] - resists)[some, k],
-            })  # fmt: skip
+            over_time.append(
+                {
+                    "joint": problem.joint_names[j],
+                    "unit": unit,
+                    "time": clock[some],
+                    "measured": told[some, k],
+                    "file": (told + left[0])[some, k],
+                    "fitted": (told + left[1])[some, k],
+                }
+            )
+            friction.append(
+                {
+                    "joint": problem.joint_names[j],
+                    "unit": unit,
+                    "speed": speed[some, k],
+                    "missing": -resists[some, k],
+                    "modelled": (left[1] - resists)[some, k],
+                }
+            )
     return {"torque": over_time, "friction": friction}

@@ -1,4 +1,6 @@
-"""What of the stretches enters the sums of a fit, and with which weights: each channel by the size of its own residuals."""
+"""What of the stretches enters the sums of a fit, and with which weights: each channel by the size
+of its own residuals.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,7 +27,9 @@ class Weights:
 
 @dataclass(frozen=True)
 class Fit:
-    """A model fitted: its vector, starts by group [2n, W] (see `simulate`), weights, loss by stretch [W], and how it ended."""
+    """A model fitted: its vector, starts by group [2n, W] (see `simulate`), weights, loss by
+    stretch [W], and how it ended.
+    """
 
     vector: Vector
     starts: tuple[np.ndarray, ...]
@@ -46,7 +50,9 @@ def _own(weights: Weights, group: Group, joints: int) -> np.ndarray:
 
 
 class Counted(NamedTuple):
-    """Of a group's stretches what enters the sums: rows [T], channels [C] of its 2n (those measured at all), weight [W, T, C]."""
+    """Of a group's stretches what enters the sums: rows [T], channels [C] of its 2n (those measured
+    at all), weight [W, T, C].
+    """
 
     rows: np.ndarray
     channels: np.ndarray
@@ -95,7 +101,9 @@ def picked(problem: Problem) -> np.ndarray:
 
 
 def weigh(problem: Problem, paths: Sequence[Path]) -> Weights:
-    """Weights from the residuals themselves, by medians over stretches, so that none that ran away decides."""
+    """Weights from the residuals themselves, by medians over stretches, so that none that ran away
+    decides.
+    """
     n, width = problem.joints, problem.groups[0].stretches.count
     channel, share, over = np.zeros(2 * n), np.zeros((width, 2 * n)), []
     for group, path in zip(problem.groups, paths, strict=True):
@@ -113,7 +121,11 @@ def weigh(problem: Problem, paths: Sequence[Path]) -> Weights:
                 share[:, at] = rms[:, k] * channel[at]
     used = channel > 0
     size = np.sqrt(np.square(share[:, used]).mean(1))
-    usual = max(float(np.median(size[size > 0])), 1e-12) if np.any(size > 0) else 1.0
-    # what a model lacks moves a stretch's residuals together: beside the prior, they count as one where it is most of them
+    if np.any(size > 0):
+        usual = max(float(np.median(size[size > 0])), 1e-12)
+    else:
+        usual = 1.0
+    # what a model lacks moves a stretch's residuals together: beside the prior, they count as one
+    # where it is most of them
     alike = np.clip(np.median(over), 1.0, np.sqrt(SAMPLES)) if over else 1.0
     return Weights(channel / alike, 1.0 / np.square(np.maximum(1.0, size / (WILD * usual))))

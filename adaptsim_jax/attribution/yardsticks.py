@@ -1,11 +1,13 @@
-"""Three yardsticks of a model beside each other, each with a zero: what needs no model at all leaves as much.
+"""Three yardsticks of a model beside each other, each with a zero: what needs no model at all
+leaves as much.
 
-Stretches and whole trials are simulated, and set against a straight line and holding still; the torque along the measured motion
-is set
-against a torque that never changes. Skill = 1 - error / the better of these: 1 is perfect, 0 is worth nothing, below it the
-model is worse
-than none. Which of them tells most depends on the machine: over 0.5 s a slow arm moves along a straight line, whatever its model; a
-joint with much friction and little inertia says all in its torque; what follows commands shows over whole trials.
+Stretches and whole trials are simulated, and set against a straight line and holding still; the
+torque along the measured motion is set
+against a torque that never changes. Skill = 1 - error / the better of these: 1 is perfect, 0 is
+worth nothing, below it the model is worse
+than none. Which of them tells most depends on the machine: over 0.5 s a slow arm moves along a
+straight line, whatever its model; a joint with much friction and little inertia says all in its
+torque; what follows commands shows over whole trials.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,7 +30,9 @@ WORTH = 0.02  # skill up to which a model is worth no more than none
 
 @dataclass(frozen=True)
 class Measure:
-    """One yardstick by joint: error, line, still [n] (rad, m; of torques N m, and the size of the torque), over a span [s]."""
+    """One yardstick by joint: error, line, still [n] (rad, m; of torques N m, and the size of the
+    torque), over a span [s].
+    """
 
     name: str
     span: float
@@ -48,14 +52,23 @@ class Measure:
     def skill(self) -> float:
         """Mean over joints, each at least -1: one that runs away says no more than that it does."""
         some = self.skills[np.isfinite(self.skills)]
-        return float(np.mean(np.maximum(some, -1.0))) if len(some) else float("nan")
+        if len(some):
+            return float(np.mean(np.maximum(some, -1.0)))
+        return float("nan")
 
     def told(self) -> dict[str, Any]:
         """For a report or a program: by joint, and over all of them."""
-        words = ("error", "straight_line", "hold_still") if self.name != TORQUE else ("missing", "constant", "torque")
-        row = lambda e, a, b, s: dict(zip((*words, "skill"), map(float, (e, a, b, s)), strict=True))
+        if self.name != TORQUE:
+            words = ("error", "straight_line", "hold_still")
+        else:
+            words = ("missing", "constant", "torque")
+
+        def row(e, a, b, s):
+            return dict(zip((*words, "skill"), map(float, (e, a, b, s)), strict=True))
+
         by = {
-            name: row(*(z[j] for z in (self.error, self.line, self.still, self.skills))) | {"unit": self.units[j]}
+            name: row(*(z[j] for z in (self.error, self.line, self.still, self.skills)))
+            | {"unit": self.units[j]}
             for j, name in enumerate(self.joints)
         }
         if self.name == TORQUE:
@@ -63,22 +76,37 @@ class Measure:
                 by[name]["share"] = float(self.error[j] / max(self.still[j], 1e-300))
         one = len(set(self.units)) == 1
         pooled = [float(np.median(z)) if one else None for z in (self.error, self.line, self.still)]
-        return {"span_s": self.span, **dict(zip(words, pooled, strict=True)), "skill": self.skill, "joints": by}
+        return {
+            "span_s": self.span,
+            **dict(zip(words, pooled, strict=True)),
+            "skill": self.skill,
+            "joints": by,
+        }
 
 
 def of_simulation(problem: Problem, error: np.ndarray, name: str, span: float) -> Measure:
     """Of simulated stretches or trials, medians over them of error [W, n]."""
     line, still = without_a_model(problem)
-    middle = lambda e: np.median(e, 0)
+
+    def middle(e):
+        return np.median(e, 0)
+
     units = tuple("rad" if k == "hinge" else "m" for k in problem.kinds)
-    return Measure(name, span, middle(error), middle(line), middle(still), problem.joint_names, units)
+    return Measure(
+        name, span, middle(error), middle(line), middle(still), problem.joint_names, units
+    )
 
 
 def of_torque(
-    problem: Problem, balances: Sequence[Balance], vector: Vector, missing: Mapping[int, np.ndarray] | None = None
+    problem: Problem,
+    balances: Sequence[Balance],
+    vector: Vector,
+    missing: Mapping[int, np.ndarray] | None = None,
 ) -> Measure | None:
-    """Of the torque along the measured motion at a vector, over windows that count (not those at stops or limits, where a joint has
-    others); missing {balance's number: [K, n]} where it is known already."""
+    """Of the torque along the measured motion at a vector, over windows that count (not those at
+    stops or limits, where a joint has others); missing {balance's number: [K, n]} where it is known
+    already.
+    """
     if not balances:
         return None
     n = problem.joints
@@ -89,47 +117,69 @@ def of_torque(
         size = needed(problem, b)
         count = b.clear > NOTHING
         count = np.where(np.any(count, 0), count, True)  # [K, n]
-        root = lambda z, n=count: np.sqrt(np.mean(np.square(z), 0, where=n))
-        error[own], still[own], line[own] = root(left), root(size), root(size - size.mean(0, where=count))
+
+        def root(z, n=count):
+            return np.sqrt(np.mean(np.square(z), 0, where=n))
+
+        error[own], still[own], line[own] = (
+            root(left),
+            root(size),
+            root(size - size.mean(0, where=count)),
+        )
     units = tuple("N m" if k == "hinge" else "N" for k in problem.kinds)
     return Measure(TORQUE, SPAN, error, line, still, problem.joint_names, units)
 
 
 def needed(problem: Problem, balance: Balance) -> np.ndarray:
-    """Torque [K, n] that a model has to tell: what actuators were told; of joints without one, what the declared bodies' motion
-    takes."""
+    """Torque [K, n] that a model has to tell: what actuators were told; of joints without one, what
+    the declared bodies' motion takes.
+    """
     values = values_of(problem, balance.group, Vector((), np.zeros(0)))
     told = balance.averaged(actuator_force(balance, values)[0])
     takes = balance.regressor @ values.inertial[..., 0].ravel()
     return np.where(np.any(told != 0.0, 0), told, takes)
 
 
-def headline(measures: Mapping[str, Measure | None], follows: bool, asked: str | None = None) -> tuple[str, str]:
-    """(The yardstick by which effects are judged, why), of those of the declared model, fitted. follows: the machine is told
-    where to be.
+def headline(
+    measures: Mapping[str, Measure | None], follows: bool, asked: str | None = None
+) -> tuple[str, str]:
+    """(The yardstick by which effects are judged, why), of those of the declared model, fitted.
+    follows: the machine is told where to be.
 
-    Chosen before anything is named, but for command errors (`examine`). asked: the one that a person wants.
+    Chosen before anything is named, but for command errors (`examine`). asked: the one that a
+    person wants.
     """
     if asked is not None:
         return asked, "asked for"
     skill = {k: m.skill for k, m in measures.items() if m is not None and np.isfinite(m.skill)}
-    words = lambda k: (
-        f"{100 * skill[k]:.0f} % better than a straight line" if skill[k] > 0 else "no better than a straight line"
-    )
+
+    def words(k):
+        if skill[k] > 0:
+            return f"{100 * skill[k]:.0f} % better than a straight line"
+        return "no better than a straight line"
+
     if follows and min(skill.get(TORQUE, -1.0), skill.get(STRETCHES, -1.0)) >= TELLS:
         return (
             TORQUE,
-            f"it follows commands, and of the torque that its command errors come to the model tells {100 * skill[TORQUE]:.0f} %",
+            f"it follows commands, and of the torque that its command errors come to the model "
+            f"tells {100 * skill[TORQUE]:.0f} %",
         )
     if skill.get(STRETCHES, -1.0) >= TELLS:
         return STRETCHES, f"over stretches the declared model, fitted, is {words(STRETCHES)}"
     if follows and WHOLE in skill:
-        return WHOLE, "the machine follows commands, and over short times a straight line does as well"
+        return (
+            WHOLE,
+            "the machine follows commands, and over short times a straight line does as well",
+        )
     if skill.get(TORQUE, -1.0) > max(skill.get(STRETCHES, -1.0), 0.0):
-        beside = f"; simulated stretches of it are {words(STRETCHES)}" if STRETCHES in skill else ""
+        if STRETCHES in skill:
+            beside = f"; simulated stretches of it are {words(STRETCHES)}"
+        else:
+            beside = ""
         return (
             TORQUE,
-            f"the declared model, fitted, tells {100 * skill[TORQUE]:.0f} % of the torque along the motion{beside}",
+            f"the declared model, fitted, tells {100 * skill[TORQUE]:.0f} % of the torque along "
+            f"the motion{beside}",
         )
     return STRETCHES, "no yardstick tells much"
 

@@ -1,4 +1,6 @@
-"""AdaptSim as a row of the comparison: Phase 1 of all seeds and hyper-parameters in one program, Phase 2 in every target."""
+"""AdaptSim as a row of the comparison: Phase 1 of all seeds and hyper-parameters in one program,
+Phase 2 in every target.
+"""
 
 from collections.abc import Callable, Sequence
 
@@ -21,10 +23,11 @@ def adaptsim_means(
     iterations: int = 10,
     report: Callable = silent,
 ) -> np.ndarray:
-    """Means visited `[H, T, S, N, iterations + 1, D]` for each of `hypers` (H), `targets [T, D]` and `seeds [S]`.
+    """Means visited `[H, T, S, N, iterations + 1, D]` for each of `hypers` (H), `targets [T, D]`
+    and `seeds [S]`.
 
-    One compiled Phase 1 serves all `H x S` runs, and one Phase 2 all targets. The N starts are drawn from a run's own
-    S_E, with its own seed.
+    One compiled Phase 1 serves all `H x S` runs, and one Phase 2 all targets. The N starts are
+    drawn from a run's own S_E, with its own seed.
     """
     phase1 = make_phase1(task, sizes)
     every = np.tile(np.asarray(seeds), len(hypers))
@@ -36,5 +39,7 @@ def adaptsim_means(
 
 
 def best_over(costs: np.ndarray) -> np.ndarray:
-    """Cost of the best of the N distributions at each iteration, `[..., N, I + 1] -> [..., I + 1]`; NaN never wins."""
+    """Cost of the best of the N distributions at each iteration, `[..., N, I + 1] -> [..., I + 1]`;
+    NaN never wins.
+    """
     return np.min(np.where(np.isfinite(costs), costs, np.inf), axis=-2)

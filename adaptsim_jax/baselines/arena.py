@@ -1,8 +1,9 @@
-"""Where the methods of the comparison meet their targets: batches of policies tried, observed and scored, whatever the engine.
+"""Where the methods of the comparison meet their targets: batches of policies tried, observed and
+scored, whatever the engine.
 
-A batch `[B]` holds every seed, target and start at once. Compiled code ends at the target's door, so that a target may be
-Drake as well as a model in JAX. What a method is told of a target is what its own trials showed; the mean reward over the
-test contexts is for the table alone.
+A batch `[B]` holds every seed, target and start at once. Compiled code ends at the target's door,
+so that a target may be Drake as well as a model in JAX. What a method is told of a target is what
+its own trials showed; the mean reward over the test contexts is for the table alone.
 """
 
 from collections.abc import Callable, Hashable
@@ -19,7 +20,9 @@ TOGETHER = 10  # policies trained side by side: more do not fit into a core's ca
 
 
 class Trials(NamedTuple):
-    """`N` trials of each of `B`: contexts `[B, N, g]`, actions `[B, N, d]`, outcomes `[B, N, ...]`."""
+    """`N` trials of each of `B`: contexts `[B, N, g]`, actions `[B, N, d]`, outcomes `[B, N,
+    ...]`.
+    """
 
     contexts: np.ndarray
     actions: np.ndarray
@@ -27,7 +30,9 @@ class Trials(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """What a policy's own trials showed: `obs [B, obs_dim]`, raw return `score [B]`, and the `trials` `[B, N]` themselves."""
+    """What a policy's own trials showed: `obs [B, obs_dim]`, raw return `score [B]`, and the
+    `trials` `[B, N]` themselves.
+    """
 
     obs: np.ndarray
     score: np.ndarray
@@ -35,8 +40,10 @@ class Seen(NamedTuple):
 
 
 class Arena:
-    """`targets [T, D]` (physical) in a `world`. Counts the trials that failed, by target: `failed [T]`, of `made [T]`, and keeps
-    what was earned in the task's `fresh` contexts: a mean `[B]` each time that a batch was scored."""
+    """`targets [T, D]` (physical) in a `world`. Counts the trials that failed, by target: `failed
+    [T]`, of `made [T]`, and keeps what was earned in the task's `fresh` contexts: a mean `[B]` each
+    time that a batch was scored.
+    """
 
     def __init__(self, one: OneShot, world: World, targets: np.ndarray):
         self.one, self.world = one, world
@@ -44,9 +51,13 @@ class Arena:
         self.failed, self.made = np.zeros(len(targets), int), np.zeros(len(targets), int)
         self.fresh: list[np.ndarray] = []
         self._draw = jax.jit(
-            jax.vmap(lambda k, n: jax.vmap(one.draw)(jax.random.split(k, n)), (0, None)), static_argnums=1
+            jax.vmap(lambda k, n: jax.vmap(one.draw)(jax.random.split(k, n)), (0, None)),
+            static_argnums=1,
         )
-        each = lambda key, policy: jax.vmap(one.draw)(jax.random.split(key, one.trials))
+
+        def each(key, policy):
+            return jax.vmap(one.draw)(jax.random.split(key, one.trials))
+
         self._aim = jax.jit(jax.vmap(one.aim or each))
         self._act = jax.jit(jax.vmap(one.act))
         self._act_tests = jax.jit(jax.vmap(one.act, (0, None)))
@@ -57,20 +68,32 @@ class Arena:
 
     def _look(self, policy, contexts, outcomes):
         trajectory = self.one.trajectory(contexts, outcomes)
-        trajectory = trajectory if self.one.expect is None else self.one.expect(trajectory, policy)
+        if self.one.expect is None:
+            trajectory = trajectory
+        else:
+            trajectory = self.one.expect(trajectory, policy)
         return self.one.task.observe(trajectory), self.one.task.score(trajectory)
 
     def train(self, keys, dists, policies):
-        """Task policies `[B, ...]` trained on `dists [B]`, going on from `policies`: one compiled program for every `B`."""
+        """Task policies `[B, ...]` trained on `dists [B]`, going on from `policies`: one compiled
+        program for every `B`.
+        """
         B = len(keys)
-        room = jnp.minimum(jnp.arange(-(-B // TOGETHER) * TOGETHER), B - 1)  # the last group is filled up
+        room = jnp.minimum(
+            jnp.arange(-(-B // TOGETHER) * TOGETHER), B - 1
+        )  # the last group is filled up
         work = jax.tree.map(lambda x: x[room], (keys, dists, policies))
-        groups = [jax.tree.map(lambda x, i=i: x[i : i + TOGETHER], work) for i in range(0, len(room), TOGETHER)]
+        groups = [
+            jax.tree.map(lambda x, i=i: x[i : i + TOGETHER], work)
+            for i in range(0, len(room), TOGETHER)
+        ]
         parts = [self._train(*group) for group in groups]
         return jax.tree.map(lambda *x: jnp.concatenate(x)[:B], *parts)
 
     def program(self, name: Hashable, function: Callable) -> Callable:
-        """`function(task, *args)` of the arena's task, compiled; an arena that knows more of its task keeps it by its name."""
+        """`function(task, *args)` of the arena's task, compiled; an arena that knows more of its
+        task keeps it by its name.
+        """
         del name
         return jax.jit(partial(function, self.one.task))
 
@@ -99,12 +122,16 @@ class Arena:
 
     def score(self, where: np.ndarray, policies) -> np.ndarray:
         """Mean reward `[B]` over the test contexts."""
-        return self.score_actions(where, np.asarray(self._act_tests(policies, jnp.asarray(self.one.scored))))
+        return self.score_actions(
+            where, np.asarray(self._act_tests(policies, jnp.asarray(self.one.scored)))
+        )
 
     def score_actions(self, where: np.ndarray, actions: np.ndarray) -> np.ndarray:
         """The same for `actions [B, G + F, d]`, one for each of the task's `scored` contexts."""
         contexts = np.broadcast_to(self.one.scored, (len(where), *self.one.scored.shape))
-        rewards = np.asarray(self._reward(self.run(where, contexts, actions), jnp.asarray(contexts)))
+        rewards = np.asarray(
+            self._reward(self.run(where, contexts, actions), jnp.asarray(contexts))
+        )
         count = len(self.one.tests)
         if self.one.fresh is not None:
             self.fresh.append(rewards[:, count:].mean(1))
@@ -113,7 +140,10 @@ class Arena:
     def run(self, where: np.ndarray, contexts: np.ndarray, actions: np.ndarray) -> Any:
         """Outcomes `[B, N, ...]` of `actions [B, N, d]` in each one's target."""
         B, N = actions.shape[:2]
-        flat = lambda x: np.ascontiguousarray(x).reshape(B * N, *x.shape[2:])
+
+        def flat(x):
+            return np.ascontiguousarray(x).reshape(B * N, *x.shape[2:])
+
         params = np.repeat(self.targets[where], N, 0)
         outcomes, codes = self.world.run(params, flat(contexts), flat(actions))
         np.add.at(self.failed, np.repeat(where, N), codes != 0)
@@ -122,7 +152,9 @@ class Arena:
 
 
 class Lanes(NamedTuple):
-    """A batch of `T x S x N` (targets, seeds, starts) laid out flat: `where [B]`, `seed [B]`, and a key for each."""
+    """A batch of `T x S x N` (targets, seeds, starts) laid out flat: `where [B]`, `seed [B]`, and a
+    key for each.
+    """
 
     where: np.ndarray
     seed: np.ndarray
@@ -139,8 +171,13 @@ class Lanes(NamedTuple):
 
 
 def lanes(targets: int, seeds: np.ndarray, starts: int, label: int) -> Lanes:
-    """Every target, seed and start. `label` tells methods apart, so that no two of them share randomness."""
-    t, s, n = (x.ravel() for x in np.meshgrid(range(targets), range(len(seeds)), range(starts), indexing="ij"))
+    """Every target, seed and start. `label` tells methods apart, so that no two of them share
+    randomness.
+    """
+    t, s, n = (
+        x.ravel()
+        for x in np.meshgrid(range(targets), range(len(seeds)), range(starts), indexing="ij")
+    )
 
     def key(seed, lane):
         return jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), label), lane)

@@ -1,4 +1,6 @@
-"""BayesOpt: the mean of E chosen by what its policy earned in the target (Muratore et al. 2021; paper, section 6.2)."""
+"""BayesOpt: the mean of E chosen by what its policy earned in the target (Muratore et al. 2021;
+paper, section 6.2).
+"""
 
 from dataclasses import dataclass
 
@@ -17,27 +19,34 @@ from adaptsim_jax.space import gaussian
 
 @dataclass(frozen=True)
 class BayesOptConfig:
-    """initial: points of a Latin hypercube before the first choice; points: in all, 0 for as many visits as AdaptSim makes."""
+    """initial: points of a Latin hypercube before the first choice; points: in all, 0 for as many
+    visits as AdaptSim makes.
+    """
 
     initial: int = 12
     points: int = 0
 
     def __post_init__(self):
         if self.initial < 2 or self.points < 0:
-            raise BadInput(f"BayesOpt: initial = {self.initial}, points = {self.points}; give at least 2 and 0")
+            raise BadInput(
+                f"BayesOpt: initial = {self.initial}, points = {self.points}; give at least 2 and 0"
+            )
 
 
 def bayesopt(bout: Bout) -> Trip:
-    """A task policy trained anew at each point, its return of a visit's trials told to a Gaussian process.
+    """A task policy trained anew at each point, its return of a visit's trials told to a Gaussian
+    process.
 
-    The row's iterations are points; a policy is scored as every other method's, over the test contexts.
+    The row's iterations are points; a policy is scored as every other method's, over the test
+    contexts.
     """
     arena, config = bout.arena, bout.config.bayesopt
     total = config.points or bout.config.starts * (bout.config.iterations + 1)
     batch = lanes(len(arena.targets), bout.seeds, 1, label=7)
     space, D = arena.one.task.space, arena.one.task.space.dim
     rngs = [
-        np.random.default_rng([7, int(bout.seeds[s]), int(t)]) for t, s in zip(batch.where, batch.seed, strict=True)
+        np.random.default_rng([7, int(bout.seeds[s]), int(t)])
+        for t, s in zip(batch.where, batch.seed, strict=True)
     ]
     initial = min(config.initial, total)
     points = np.zeros((len(rngs), total, D))
@@ -50,7 +59,9 @@ def bayesopt(bout: Bout) -> Trip:
                 points[b, i] = gp.propose(gp.fit(points[b, :i], told[b, :i], rng), rng)
         train_keys, visit_keys = two_keys(batch.at(i))
         dists = jax.vmap(lambda m: gaussian(space, m))(jnp.asarray(points[:, i], jnp.float32))
-        policies = arena.train(train_keys, dists, first_policies(bout, batch, arena.untrained(train_keys)))
+        policies = arena.train(
+            train_keys, dists, first_policies(bout, batch, arena.untrained(train_keys))
+        )
         seen = arena.visit(visit_keys, batch.where, memory.visiting(policies))
         rewards[:, i] = arena.score(batch.where, memory.deployed(policies))
         memory.add(seen.trials)

@@ -1,8 +1,10 @@
-"""`adaptsim compare` for policies over many steps: every method in every target, by what it would deploy after so many target trials.
+"""`adaptsim compare` for policies over many steps: every method in every target, by what it would
+deploy after so many target trials.
 
-A method that tries policies deploys the one whose own trials, smoothed over all means that it tried, returned most; SysID and
-fine-tuning the newest; UDR what it has. What is deployed is scored by episodes that chose nothing, and normalised: 0 what UDR earns in
-that target, 1 the oracle or the best in Omega, whichever is more.
+A method that tries policies deploys the one whose own trials, smoothed over all means that it
+tried, returned most; SysID and fine-tuning the newest; UDR what it has. What is deployed is scored
+by episodes that chose nothing, and normalised: 0 what UDR earns in that target, 1 the oracle or the
+best in Omega, whichever is more.
 """
 
 import importlib.util
@@ -31,9 +33,16 @@ from adaptsim_jax.environments.kind import environment_setting
 from adaptsim_jax.environments.task import Setting, task_of
 
 BUDGETS = (0, 2, 5, 10, 20, 40)
-TRIED = ("adaptsim", "bayesopt", "cma_es", "gradient")  # deploy the best of what they tried, by its own trials
+TRIED = (
+    "adaptsim",
+    "bayesopt",
+    "cma_es",
+    "gradient",
+)  # deploy the best of what they tried, by its own trials
 BOUNDS = ("best_in_omega", "oracle")
-ROOM = 0.02  # of the upper bound: where UDR is nearer to it than this, a target tells methods apart by luck alone
+# of the upper bound: where UDR is nearer to it than this, a target tells methods apart by luck
+# alone
+ROOM = 0.02
 
 
 def compare_steps(
@@ -43,11 +52,17 @@ def compare_steps(
     progress: Callable = silent,
     out: str | Path | None = None,
 ) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    """Rows of `config.methods` (all) in the targets `names`, and what else results.json says. A policy is trained for each seed.
-    In `out` each seed's part of each method is kept."""
-    setting = environment_setting(configs.from_table(EnvironmentConfig, dict(options), "compare, [train.task]"))
+    """Rows of `config.methods` (all) in the targets `names`, and what else results.json says. A
+    policy is trained for each seed. In `out` each seed's part of each method is kept.
+    """
+    setting = environment_setting(
+        configs.from_table(EnvironmentConfig, dict(options), "compare, [train.task]")
+    )
     if setting.config.policy == "planned":
-        raise BadInput("compare: methods are compared by trained policies; set train.task.policy to 'knows' or 'tuned'")
+        raise BadInput(
+            "compare: methods are compared by trained policies; set train.task.policy to 'knows' "
+            "or 'tuned'"
+        )
     task = task_of(setting)
     made = task.preparation
     assert made is not None
@@ -58,19 +73,28 @@ def compare_steps(
     programs: dict[Hashable, Any] = {}
     parts = parts_of(out, task.name, replace(config, seeds=1, seed=0), made.digest)
     for i, seed in enumerate(seeds):
-        told = lambda done, of, note="", i=i: progress(i + done / max(of, 1), len(seeds), f"seed {i + 1}: {note}")
+
+        def told(done, of, note="", i=i):
+            return progress(i + done / max(of, 1), len(seeds), f"seed {i + 1}: {note}")
+
         there = {method: parts.get(f"seed-{seed}-{method}") for method in every}
         if left := [method for method in every if there[method] is None]:
             ready = learned(task, made, seed, None, told)
-            for method, deployed in tried(setting, ready, names, left, config, seed, told, programs):
+            for method, deployed in tried(
+                setting, ready, names, left, config, seed, told, programs
+            ):
                 there[method] = parts.put(f"seed-{seed}-{method}", plain(list(deployed)))
         for method, (trials, returns) in there.items():
-            found[method].append(Deployed((np.array(trials), np.array(returns, float))))  # None is not a number
+            found[method].append(
+                Deployed((np.array(trials), np.array(returns, float)))
+            )  # None is not a number
     return rows_of(found, methods, names), _about(setting, names, found) | {"digest": parts.digest}
 
 
 def _wanted(config: CompareConfig, setting: Setting) -> list[str]:
-    """The rows that are asked for; where none is, all that can be run here, and a line for each that cannot."""
+    """The rows that are asked for; where none is, all that can be run here, and a line for each
+    that cannot.
+    """
     named = [configs.pick("method", m.replace("-", "_"), steps_methods()) for m in config.methods]
     out = []
     for method in named or steps_methods():
@@ -89,11 +113,15 @@ def _lack(method: str, setting: Setting) -> str:
         return f"needs the package {package} (pip install {package})"
     if method in ("sbi", "gradient") and setting.config.policy != "knows":
         return 'is for policy = "knows"'
-    return "needs two fields or more" if method == "cma_es" and setting.space.dim == 1 else ""
+    if method == "cma_es" and setting.space.dim == 1:
+        return "needs two fields or more"
+    return ""
 
 
 class Deployed(tuple):
-    """`(trials [n], returns [T, n])` of one seed: what is deployed after so many target trials, and its mean return in each target."""
+    """`(trials [n], returns [T, n])` of one seed: what is deployed after so many target trials, and
+    its mean return in each target.
+    """
 
     @property
     def trials(self) -> np.ndarray:
@@ -104,9 +132,13 @@ class Deployed(tuple):
         return self[1]
 
     def at(self, budget: int) -> np.ndarray:
-        """Returns `[T]` of what is deployed after at most `budget` trials; not a number where the method deploys nothing so early."""
+        """Returns `[T]` of what is deployed after at most `budget` trials; not a number where the
+        method deploys nothing so early.
+        """
         there = np.flatnonzero(self.trials <= budget)
-        return self.returns[:, there[-1]] if len(there) else np.full(len(self.returns), np.nan)
+        if len(there):
+            return self.returns[:, there[-1]]
+        return np.full(len(self.returns), np.nan)
 
 
 def tried(
@@ -119,7 +151,9 @@ def tried(
     report: Callable,
     programs: dict[Hashable, Any] | None = None,
 ):
-    """`(method, Deployed)` one after the other, for one seed with its policy. programs: what other seeds of it compiled."""
+    """`(method, Deployed)` one after the other, for one seed with its policy. programs: what other
+    seeds of it compiled.
+    """
     cache: dict[str, Any] = {}
     arena = StepsArena(setting, ready, names, config.steps.tests, seed, programs)
     for k, method in enumerate(methods):
@@ -140,42 +174,67 @@ def deployed_of(method: str, trip: Trip, arena: StepsArena) -> Deployed:
     trials = arena.one.trials
     if method in TRIED:
         own = np.stack([s.reshape(T, -1) for s in arena.own], -1)  # [T, N, I]
-        order = lambda x: np.moveaxis(x, 1, 2).reshape(T, -1)  # as they were made: all starts of a visit, then the next
+
+        def order(x):
+            return np.moveaxis(x, 1, 2).reshape(
+                T, -1
+            )  # as they were made: all starts of a visit, then the next
+
         told, tests = order(np.where(np.isfinite(own), own, -np.inf)), order(rewards)
-        best = np.array([[np.argmax(x) for x in _expected(told[t], trip, t, arena)] for t in range(T)])
-        return Deployed((trials * np.arange(1, told.shape[1] + 1), np.take_along_axis(tests, best, 1)))
+        best = np.array(
+            [[np.argmax(x) for x in _expected(told[t], trip, t, arena)] for t in range(T)]
+        )
+        return Deployed(
+            (trials * np.arange(1, told.shape[1] + 1), np.take_along_axis(tests, best, 1))
+        )
     if method.startswith("sysid"):
         return Deployed((trials * np.arange(rewards.shape[2]), rewards[:, 0]))
     return Deployed((np.asarray(trip.spent), rewards[:, 0]))
 
 
 def _expected(told: np.ndarray, trip: Trip, t: int, arena: StepsArena) -> Iterator[np.ndarray]:
-    """Of the returns `told [n]` in target t those that are expected after each visit: all so far, smoothed by `phase2.smoothed`."""
+    """Of the returns `told [n]` in target t those that are expected after each visit: all so far,
+    smoothed by `phase2.smoothed`.
+    """
     if trip.means is None:
         yield from (told[: n + 1] for n in range(len(told)))
         return
     means = jnp.asarray(np.moveaxis(trip.means[t, 0], 0, 1).reshape(len(told), -1), jnp.float32)
     for n in range(len(told)):
-        unknown = jnp.where(jnp.arange(len(told)) <= n, jnp.asarray(told), -jnp.inf)  # one program for all
+        unknown = jnp.where(
+            jnp.arange(len(told)) <= n, jnp.asarray(told), -jnp.inf
+        )  # one program for all
         yield np.asarray(smoothed(means, unknown, arena.setting.config.doubt))[: n + 1]
 
 
 def bounds_of(found: dict[str, list[Deployed]]) -> tuple[np.ndarray, np.ndarray]:
-    """`lower [T]`, what UDR earns, and `upper [T]`, means over seeds; apart by at least a small share of the upper."""
-    last = lambda method: np.mean([d.returns[:, -1] for d in found[method]], 0)
+    """`lower [T]`, what UDR earns, and `upper [T]`, means over seeds; apart by at least a small
+    share of the upper.
+    """
+
+    def last(method):
+        return np.mean([d.returns[:, -1] for d in found[method]], 0)
+
     lower = last("udr")
     upper = np.max([last(m) for m in BOUNDS if found.get(m)], 0)
     return lower, np.maximum(upper, lower + ROOM * np.abs(upper) + 1e-6)
 
 
-def rows_of(found: dict[str, list[Deployed]], methods: list[str], names: list[str]) -> list[dict[str, Any]]:
-    """A row for each method and target: normalised returns of what is deployed at last, the curve over trials, and at each budget."""
+def rows_of(
+    found: dict[str, list[Deployed]], methods: list[str], names: list[str]
+) -> list[dict[str, Any]]:
+    """A row for each method and target: normalised returns of what is deployed at last, the curve
+    over trials, and at each budget.
+    """
     lower, upper = bounds_of(found)
     out = []
     for method in methods:
         runs = found[method]
         for t, name in enumerate(names):
-            norm = lambda x, t=t: (np.asarray(x) - lower[t]) / (upper[t] - lower[t])
+
+            def norm(x, t=t):
+                return (np.asarray(x) - lower[t]) / (upper[t] - lower[t])
+
             curves = norm([d.returns[t] for d in runs])
             line = row(
                 method,
@@ -185,9 +244,11 @@ def rows_of(found: dict[str, list[Deployed]], methods: list[str], names: list[st
                 target_trials=None if method in BOUNDS else int(runs[0].trials[-1]),
             )
             line["curve"] = {
-                "median": np.median(curves, 0), "mean": curves.mean(0),
-                "q25": np.percentile(curves, 25, axis=0), "q75": np.percentile(curves, 75, axis=0),
-            }  # fmt: skip
+                "median": np.median(curves, 0),
+                "mean": curves.mean(0),
+                "q25": np.percentile(curves, 25, axis=0),
+                "q75": np.percentile(curves, 75, axis=0),
+            }
             line["trials"] = runs[0].trials
             line["returns"] = [float(d.returns[t, -1]) for d in runs]
             line["at"] = {str(b): _interval(norm([d.at(b)[t] for d in runs])) for b in BUDGETS}
@@ -204,22 +265,34 @@ def _interval(values: np.ndarray) -> dict[str, Any] | None:
 
 def _about(setting: Setting, names: list[str], found: dict[str, list[Deployed]]) -> dict[str, Any]:
     lower, upper = bounds_of(found)
-    if room := [n for n, a, b in zip(names, lower, upper, strict=True) if b - a < 1.5 * ROOM * abs(b) + 1e-6]:
+    if room := [
+        n for n, a, b in zip(names, lower, upper, strict=True) if b - a < 1.5 * ROOM * abs(b) + 1e-6
+    ]:
         print(
-            f"compare: UDR is as good as the oracle in {', '.join(room)}: nothing can be told apart there",
+            f"compare: UDR is as good as the oracle in {', '.join(room)}: nothing can be told "
+            f"apart there",
             file=sys.stderr,
         )
     return {
-        "simulator": f"{setting.sim.name} in MJX" if setting.sim.native is not None else setting.sim.name,
+        "simulator": f"{setting.sim.name} in MJX"
+        if setting.sim.native is not None
+        else setting.sim.name,
         "target_backend": ", ".join(dict.fromkeys(setting.targets[n].engine for n in names)),
         "trials_axis": True,
         "reward": "return of what is deployed: 0 UDR, 1 the oracle or the best in Omega",
         "oracle": "the policy that knows E, trained on in the target",
         "settings": {
             n: {
-                "params": dict(zip([f.name for f in setting.fields], map(float, setting.targets[n].values), strict=True)),
-                "udr_return": float(lower[t]), "best_return": float(upper[t]),
+                "params": dict(
+                    zip(
+                        [f.name for f in setting.fields],
+                        map(float, setting.targets[n].values),
+                        strict=True,
+                    )
+                ),
+                "udr_return": float(lower[t]),
+                "best_return": float(upper[t]),
             }
             for t, n in enumerate(names)
         },
-    }  # fmt: skip
+    }

@@ -19,11 +19,13 @@ from adaptsim_jax.core.errors import BadInput
 class CompareConfig:
     """What `adaptsim compare` runs. `methods`, `settings`: empty means all.
 
-    starts: N, distributions that AdaptSim and the gradient adapt at once; iterations: of every method, after the first
-    visit; train: Phase 1 of AdaptSim; sysid: budgets of the SysID rows (its `iterations` are replaced).
-    For tasks whose policies are learned: target: the engine that targets run in (empty: the task's own simulator), with
-    target_options of its own; direct: budgets of UDR+Target and LearnInTarget; bayesopt: of BayesOpt; steps:
-    where a trial is an episode of many steps. options: what baselines of other packages are given.
+    starts: N, distributions that AdaptSim and the gradient adapt at once; iterations: of every
+    method, after the first visit; train: Phase 1 of AdaptSim; sysid: budgets of the SysID rows (its
+    `iterations` are replaced).
+    For tasks whose policies are learned: target: the engine that targets run in (empty: the task's
+    own simulator), with target_options of its own; direct: budgets of UDR+Target and LearnInTarget;
+    bayesopt: of BayesOpt; steps: where a trial is an episode of many steps. options: what baselines
+    of other packages are given.
     """
 
     methods: tuple[str, ...] = ()
@@ -46,23 +48,34 @@ class CompareConfig:
             if getattr(self, name) < 1:
                 raise BadInput(f"compare: {name} = {getattr(self, name)}; give at least 1")
         for method in self.methods:
-            configs.pick("method", method, dict.fromkeys((*exact_methods(), *learned_methods(), *steps_methods())))
+            configs.pick(
+                "method",
+                method,
+                dict.fromkeys((*exact_methods(), *learned_methods(), *steps_methods())),
+            )
 
 
 def default_comparison(task: str) -> CompareConfig:
-    """What `adaptsim compare TASK` starts from: as many iterations as the task's adaptation trajectories have, and for AdaptSim's row
-    what `adaptsim train` would take. What is deployed in the push and in scooping is corrected by the target's own trials, of SysID
-    and BayesOpt likewise."""
+    """What `adaptsim compare TASK` starts from: as many iterations as the task's adaptation
+    trajectories have, and for AdaptSim's row what `adaptsim train` would take. What is deployed in
+    the push and in scooping is corrected by the target's own trials, of SysID and BayesOpt
+    likewise.
+    """
     train = default_config(task)
     plain = CompareConfig(train=train, iterations=train.phase1.horizon)
     if task == "environment":
         return replace(plain, seeds=3, sysid=STEPS_SYSID, bayesopt=BayesOptConfig(initial=6))
-    return plain if task == "pendulum" else replace(plain, seeds=10, sysid=LEARNED_SYSID)
+    if task == "pendulum":
+        return plain
+    return replace(plain, seeds=10, sysid=LEARNED_SYSID)
 
 
-# SysID where policies are learned: half the simulations and fits of the pendulum's, for a visit there costs a training
+# SysID where policies are learned: half the simulations and fits of the pendulum's, for a visit
+# there costs a training
 LEARNED_SYSID = SysIdConfig(
-    simulations=1000, first_fit=mdn.FitConfig(updates=1000), next_fit=mdn.FitConfig(updates=300, rate=1e-3)
+    simulations=1000,
+    first_fit=mdn.FitConfig(updates=1000),
+    next_fit=mdn.FitConfig(updates=300, rate=1e-3),
 )
 # and where a simulated trajectory is an episode, fewer of them
 STEPS_SYSID = replace(LEARNED_SYSID, simulations=300, hidden=(64, 64))

@@ -1,4 +1,6 @@
-"""The methods that learn the task policy itself from target trials: UDR, UDR+Target, LearnInTarget (paper, section 6)."""
+"""The methods that learn the task policy itself from target trials: UDR, UDR+Target, LearnInTarget
+(paper, section 6).
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,8 +20,10 @@ from adaptsim_jax.tasks.one_shot import OneShot, action_grid
 
 @dataclass(frozen=True)
 class DirectConfig:
-    """budgets: target trials in all after which a policy is scored. LearnInTarget: hidden: width of its one layer; updates
-    with AdamW (rate, decay) on all trials so far; grid: actions a side that its policy chooses among."""
+    """budgets: target trials in all after which a policy is scored. LearnInTarget: hidden: width of
+    its one layer; updates with AdamW (rate, decay) on all trials so far; grid: actions a side that
+    its policy chooses among.
+    """
 
     budgets: tuple[int, ...] = (0, 4, 8, 16, 24, 32, 40, 48)
     hidden: int = 64
@@ -30,7 +34,9 @@ class DirectConfig:
 
     def __post_init__(self):
         if not self.budgets or self.budgets[0] < 0 or any(np.diff(self.budgets) <= 0):
-            raise BadInput(f"budgets {self.budgets} must rise from 0 or more; give such as 0, 4, 8, 16")
+            raise BadInput(
+                f"budgets {self.budgets} must rise from 0 or more; give such as 0, 4, 8, 16"
+            )
         if min(self.hidden, self.updates, self.grid) < 1:
             raise BadInput(f"LearnInTarget sizes must be positive, got {self}")
 
@@ -46,7 +52,9 @@ def udr(bout: Bout) -> Trip:
 def udr_policies(bout: Bout) -> Any:
     """A UDR policy for each seed `[S, ...]`; trained once for all methods that start from it."""
     if "udr" not in bout.cache:
-        keys = jax.vmap(lambda s: jax.random.fold_in(jax.random.key(s), 4))(jnp.asarray(bout.seeds, jnp.uint32))
+        keys = jax.vmap(lambda s: jax.random.fold_in(jax.random.key(s), 4))(
+            jnp.asarray(bout.seeds, jnp.uint32)
+        )
         train = jax.jit(bout.arena.one.train_uniform)
         parts = []
         for i, key in enumerate(keys):
@@ -57,16 +65,22 @@ def udr_policies(bout: Bout) -> Any:
 
 
 def udr_target(bout: Bout) -> Trip:
-    """UDR's policy, tuned on its own trials in the target, all of them so far, at each of the budgets."""
+    """UDR's policy, tuned on its own trials in the target, all of them so far, at each of the
+    budgets.
+    """
     arena, budgets = bout.arena, bout.config.direct.budgets
     batch = lanes(len(arena.targets), bout.seeds, 1, label=5)
     policies = jax.tree.map(lambda x: x[batch.seed], udr_policies(bout))
     tune = jax.jit(lambda *work: jax.lax.map(lambda w: arena.one.tune(*w), work))
     stored, rewards = _room(arena.one, len(batch.where), budgets[-1]), []
     for i, (before, budget) in enumerate(zip((0, *budgets), budgets, strict=False)):
-        explore_keys, tune_keys = (jax.vmap(jax.random.fold_in, (0, None))(batch.at(i), j) for j in range(2))
+        explore_keys, tune_keys = (
+            jax.vmap(jax.random.fold_in, (0, None))(batch.at(i), j) for j in range(2)
+        )
         if budget > before:
-            stored = _keep(stored, arena.explored(explore_keys, batch.where, policies, budget - before), before)
+            stored = _keep(
+                stored, arena.explored(explore_keys, batch.where, policies, budget - before), before
+            )
             used = jnp.full(len(batch.where), budget)
             policies = tune(tune_keys, policies, *map(_device, stored), used)
         rewards.append(arena.score(batch.where, policies))
@@ -75,7 +89,9 @@ def udr_target(bout: Bout) -> Trip:
 
 
 def learn_in_target(bout: Bout) -> Trip:
-    """Random actions in the target, a small network from action to outcome, and the action that it thinks best."""
+    """Random actions in the target, a small network from action to outcome, and the action that it
+    thinks best.
+    """
     arena, config = bout.arena, bout.config.direct
     batch = lanes(len(arena.targets), bout.seeds, 1, label=6)
     most = config.budgets[-1]
@@ -84,7 +100,9 @@ def learn_in_target(bout: Bout) -> Trip:
     shape = (max(most, 1), arena.one.action_dim)
     actions = np.asarray(jax.vmap(lambda k: jax.random.uniform(k, shape, minval=-1.0))(split[:, 1]))
     stored = Trials(contexts, actions, arena.run(batch.where, contexts, actions))
-    choose = jax.jit(lambda *work: jax.lax.map(lambda w: predicted_best(arena.one, config)(*w), work))
+    choose = jax.jit(
+        lambda *work: jax.lax.map(lambda w: predicted_best(arena.one, config)(*w), work)
+    )
     rewards = []
     for i, budget in enumerate(config.budgets):
         chosen = choose(batch.at(i), *map(_device, stored), jnp.full(len(batch.where), budget))
@@ -105,9 +123,11 @@ class Predictor(nn.Module):
 
 
 def predicted_best(one: OneShot, config: DirectConfig) -> Callable:
-    """`choose(key, contexts [N, g], actions [N, d], outcomes [N, ...], used []) -> [G + F, d]`: actions for the `scored` contexts.
+    """`choose(key, contexts [N, g], actions [N, d], outcomes [N, ...], used []) -> [G + F, d]`:
+    actions for the `scored` contexts.
 
-    Trials that failed are left out of the fit. Ties and a network without data fall to the first action.
+    Trials that failed are left out of the fit. Ties and a network without data fall to the first
+    action.
     """
     grid, tests = jnp.asarray(action_grid((config.grid,) * one.action_dim)), jnp.asarray(one.scored)
 
@@ -116,7 +136,9 @@ def predicted_best(one: OneShot, config: DirectConfig) -> Callable:
         told = (jnp.arange(len(x)) < used) & jnp.isfinite(y).all(-1)
         y = jnp.where(told[:, None], y, 0.0)
         network: Any = Predictor(config.hidden, y.shape[-1])
-        rates = optax.adamw(optax.cosine_decay_schedule(config.rate, config.updates), weight_decay=config.decay)
+        rates = optax.adamw(
+            optax.cosine_decay_schedule(config.rate, config.updates), weight_decay=config.decay
+        )
         weights = network.init(key, x[0])
 
         def loss(w):
@@ -128,7 +150,9 @@ def predicted_best(one: OneShot, config: DirectConfig) -> Callable:
             moves, opt = rates.update(jax.grad(loss)(w), opt, w)
             return optax.apply_updates(w, moves), opt
 
-        weights, _ = jax.lax.fori_loop(0, config.updates, one_update, (weights, rates.init(weights)))
+        weights, _ = jax.lax.fori_loop(
+            0, config.updates, one_update, (weights, rates.init(weights))
+        )
 
         def best(context):
             outputs = jax.vmap(lambda a: network.apply(weights, one.inputs(context, a)))(grid)
@@ -144,7 +168,9 @@ def _room(one: OneShot, B: int, most: int) -> Trials:
     most = max(most, 1)
     context = jax.eval_shape(one.draw, jax.random.key(0))
     return Trials(
-        np.zeros((B, most, *context.shape), np.float32), np.zeros((B, most, one.action_dim), np.float32), None
+        np.zeros((B, most, *context.shape), np.float32),
+        np.zeros((B, most, one.action_dim), np.float32),
+        None,
     )
 
 
@@ -156,7 +182,9 @@ def _keep(stored: Trials, new: Trials, at: int) -> Trials:
     if stored.outcomes is None:
         most = stored.actions.shape[1]
         stored = stored._replace(
-            outcomes=jax.tree.map(lambda x: np.zeros((x.shape[0], most, *x.shape[2:]), x.dtype), new.outcomes)
+            outcomes=jax.tree.map(
+                lambda x: np.zeros((x.shape[0], most, *x.shape[2:]), x.dtype), new.outcomes
+            )
         )
     return jax.tree.map(put, stored, new)
 

@@ -1,7 +1,9 @@
-"""A mixture-density network: full-covariance Gaussian mixtures over parameters, given an observation.
+"""A mixture-density network: full-covariance Gaussian mixtures over parameters, given an
+observation.
 
-Bishop, "Mixture density networks" (1994); the inference network of BayesSim (Ramos et al., 2019). Each component is held
-by its mean and the lower Cholesky factor of its *precision*, so that a log density needs no triangular solve.
+Bishop, "Mixture density networks" (1994); the inference network of BayesSim (Ramos et al., 2019).
+Each component is held by its mean and the lower Cholesky factor of its *precision*, so that a log
+density needs no triangular solve.
 """
 
 from collections.abc import Callable
@@ -16,7 +18,9 @@ import optax
 
 
 class Mixture(NamedTuple):
-    """A Gaussian mixture: `log_weights [..., K]`, `means [..., K, D]`, `factors [..., K, D, D]` (precision = L L^T)."""
+    """A Gaussian mixture: `log_weights [..., K]`, `means [..., K, D]`, `factors [..., K, D, D]`
+    (precision = L L^T).
+    """
 
     log_weights: jax.Array
     means: jax.Array
@@ -27,7 +31,8 @@ class Mixture(NamedTuple):
 class FitConfig:
     """How a network is fitted: Adam with a cosine decay on minibatches drawn with replacement.
 
-    The last `held_out` of the data scores the network every `check_every` updates; the best network is kept.
+    The last `held_out` of the data scores the network every `check_every` updates; the best network
+    is kept.
     """
 
     updates: int = 1000
@@ -39,7 +44,9 @@ class FitConfig:
 
 
 class MixtureNetwork(nn.Module):
-    """Observation `[obs]` (standardised) to a `Mixture` with `components` over `dim` parameters, weights floored at 1e-5."""
+    """Observation `[obs]` (standardised) to a `Mixture` with `components` over `dim` parameters,
+    weights floored at 1e-5.
+    """
 
     dim: int
     components: int = 5
@@ -53,8 +60,12 @@ class MixtureNetwork(nn.Module):
         rows, cols = np.tril_indices(D, -1)
         heads = nn.Dense(K * (1 + 2 * D + len(rows)))(x).reshape(K, -1)
         weights = (nn.softmax(heads[:, 0]) + 1e-5) / (1.0 + K * 1e-5)
-        # Means start spread over the unit box, so that no component is born far from the parameters.
-        start = np.linspace(0.2, 0.8, K)[:, None] if K > 1 else np.full((1, 1), 0.5)
+        # Means start spread over the unit box, so that no component is born far from the
+        # parameters.
+        if K > 1:
+            start = np.linspace(0.2, 0.8, K)[:, None]
+        else:
+            start = np.full((1, 1), 0.5)
         means = heads[:, 1 : 1 + D] + jnp.asarray(start, x.dtype)
         diagonal = jnp.exp(jnp.clip(heads[:, 1 + D : 1 + 2 * D] + np.log(4.0), -3.0, 8.0))
         factors = jnp.zeros((K, D, D), x.dtype).at[:, rows, cols].set(heads[:, 1 + 2 * D :])
@@ -67,7 +78,9 @@ def log_prob(mixture: Mixture, theta: jax.Array) -> jax.Array:
     whitened = jnp.einsum("kij,ki->kj", mixture.factors, theta[None] - mixture.means)
     log_det = jnp.sum(jnp.log(jnp.diagonal(mixture.factors, axis1=-2, axis2=-1)), axis=-1)
     constant = 0.5 * theta.shape[-1] * np.log(2 * np.pi)
-    return jax.nn.logsumexp(mixture.log_weights + log_det - 0.5 * jnp.sum(whitened**2, -1) - constant)
+    return jax.nn.logsumexp(
+        mixture.log_weights + log_det - 0.5 * jnp.sum(whitened**2, -1) - constant
+    )
 
 
 def sample(key: jax.Array, mixture: Mixture, n: int) -> jax.Array:
@@ -95,7 +108,9 @@ def moments(mixture: Mixture) -> tuple[jax.Array, jax.Array]:
 
 
 class Fit(NamedTuple):
-    """A fitted network and what a diagnostic needs: losses on the held-out part `[checks]`, and the best of them."""
+    """A fitted network and what a diagnostic needs: losses on the held-out part `[checks]`, and the
+    best of them.
+    """
 
     variables: dict
     held_out_loss: jax.Array
@@ -110,9 +125,11 @@ def fit(
     theta: jax.Array,
     config: FitConfig,
 ) -> Fit:
-    """Fit `variables` to pairs `x [n, obs]`, `theta [n, D]` by minimising the mean of `loss(variables, x_i, theta_i)`.
+    """Fit `variables` to pairs `x [n, obs]`, `theta [n, D]` by minimising the mean of
+    `loss(variables, x_i, theta_i)`.
 
-    Pure, jit- and vmap-able: any network whose loss is per sample will do (mixture or point regression).
+    Pure, jit- and vmap-able: any network whose loss is per sample will do (mixture or point
+    regression).
     """
     kept = x.shape[0] - max(int(config.held_out * x.shape[0]), 1)
     checks = max(config.updates // config.check_every, 1)
@@ -139,11 +156,15 @@ def fit(
 
     start = (variables, optimiser.init(variables))
     first = jnp.asarray(jnp.inf, x.dtype)
-    (_, best, best_loss), losses = jax.lax.scan(check, (start, variables, first), jax.random.split(key, checks))
+    (_, best, best_loss), losses = jax.lax.scan(
+        check, (start, variables, first), jax.random.split(key, checks)
+    )
     return Fit(best, losses, best_loss)
 
 
 def standardise(x: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Shift and scale `[obs]` of data `[n, obs]`; a channel that hardly varies is scaled by a small floor, not by zero."""
+    """Shift and scale `[obs]` of data `[n, obs]`; a channel that hardly varies is scaled by a small
+    floor, not by zero.
+    """
     spread = jnp.std(x, axis=0)
     return jnp.mean(x, axis=0), jnp.maximum(spread, 1e-3 * jnp.max(spread) + 1e-8)

@@ -24,7 +24,9 @@ from adaptsim_jax.tasks.registry import make_task
 
 
 class Run(NamedTuple):
-    """What a method is given: the comparison's config, the targets `[T, D]` (physical), seeds `[S]`, and a report."""
+    """What a method is given: the comparison's config, the targets `[T, D]` (physical), seeds
+    `[S]`, and a report.
+    """
 
     task_name: str
     task_options: dict
@@ -36,15 +38,21 @@ class Run(NamedTuple):
 
 
 class Visits(NamedTuple):
-    """`means [T, S, N, I + 1, D]` in unit coordinates, and target rollouts spent on one target by one seed."""
+    """`means [T, S, N, I + 1, D]` in unit coordinates, and target rollouts spent on one target by
+    one seed.
+    """
 
     means: np.ndarray
     target_trials: int
 
 
 def task_of(run: Run, late: bool) -> Task:
-    """The task as AdaptSim sees it; `late`: 12 points in the last 0.5 s only (the paper's State variants)."""
-    return make_task(run.task_name, {**run.task_options, "observation": "late"} if late else run.task_options)
+    """The task as AdaptSim sees it; `late`: 12 points in the last 0.5 s only (the paper's State
+    variants).
+    """
+    return make_task(
+        run.task_name, {**run.task_options, "observation": "late"} if late else run.task_options
+    )
 
 
 def adaptsim(run: Run, late: bool = False) -> Visits:
@@ -64,15 +72,21 @@ def adaptsim(run: Run, late: bool = False) -> Visits:
 
 
 def adaptsim_analytic(run: Run) -> Visits:
-    """AdaptSim with steps of any size, whose policy is trained by the gradient of the logarithm of the cost through simulated
-    adaptation; as many trajectories of it as Phase 1 has, as many target trials. Starts are drawn from Omega, as those in S_E are."""
+    """AdaptSim with steps of any size, whose policy is trained by the gradient of the logarithm of
+    the cost through simulated adaptation; as many trajectories of it as Phase 1 has, as many target
+    trials. Starts are drawn from Omega, as those in S_E are.
+    """
     config, made = run.config, make_task(run.task_name, run.task_options)
     N, I, sizes = config.starts, config.iterations, config.train.phase1
     analytic = make_analytic(
         made,
         lambda trajectory: jnp.log(trajectory.cost),
         AnalyticConfig(
-            sizes.trajectories, sizes.parallel, sizes.horizon, sizes.hidden, inside=config.train.hyper.inside
+            sizes.trajectories,
+            sizes.parallel,
+            sizes.horizon,
+            sizes.hidden,
+            inside=config.train.hyper.inside,
         ),
     )
     targets = jnp.asarray(run.targets, jnp.float32)
@@ -92,7 +106,9 @@ def adaptsim_analytic(run: Run) -> Visits:
 
 
 def sysid(run: Run, make: Callable, late: bool = False) -> Visits:
-    """One SysID baseline; the observation is the plain one of the paper, standardised by the baseline itself."""
+    """One SysID baseline; the observation is the plain one of the paper, standardised by the
+    baseline itself.
+    """
     options = {k: v for k, v in run.task_options.items() if k in run.problem.space.names}
     plain = {"scaling": "paper", "reference": "optimum", "observation": "late" if late else "full"}
     task = make_task(run.task_name, options | plain)
@@ -107,10 +123,14 @@ def sysid(run: Run, make: Callable, late: bool = False) -> Visits:
 
 
 def descend(run: Run) -> Visits:
-    """Gradient descent from as many random starts as AdaptSim has. Its trials are gradients of the target's cost."""
+    """Gradient descent from as many random starts as AdaptSim has. Its trials are gradients of the
+    target's cost.
+    """
     N, D = run.config.starts, run.problem.space.dim
     with jax.enable_x64(True):
-        starts = jax.vmap(lambda s: jax.random.uniform(jax.random.key(s), (N, D), jnp.float64))(run.seeds)
+        starts = jax.vmap(lambda s: jax.random.uniform(jax.random.key(s), (N, D), jnp.float64))(
+            run.seeds
+        )
 
         def one(u, target):
             return gradient.descend(run.problem.slope, u, target, run.config.iterations).u

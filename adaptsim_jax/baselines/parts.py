@@ -1,4 +1,6 @@
-"""Parts of a comparison, kept as they are done: one that is stopped, or that fails late, goes on where it was."""
+"""Parts of a comparison, kept as they are done: one that is stopped, or that fails late, goes on
+where it was.
+"""
 
 import contextlib
 import json
@@ -18,14 +20,18 @@ FOLDER = "unfinished"
 
 @dataclass(frozen=True)
 class Parts:
-    """Parts by name, of what has this `digest`, as JSON below `out`; where that is None nothing is kept."""
+    """Parts by name, of what has this `digest`, as JSON below `out`; where that is None nothing is
+    kept.
+    """
 
     out: Path | None = None
     digest: str = ""
 
     @property
     def folder(self) -> Path | None:
-        return None if self.out is None else self.out / FOLDER / self.digest[:16]
+        if self.out is None:
+            return None
+        return self.out / FOLDER / self.digest[:16]
 
     def get(self, name: str) -> Any:
         """The part `name` as it was kept, None where it is not there."""
@@ -43,7 +49,9 @@ class Parts:
     def of(self, name: str, make: Callable[[], Any]) -> Any:
         """The part `name` as it was kept, or else what `make()` gives, which is kept."""
         kept = self.get(name)
-        return self.put(name, make()) if kept is None else kept
+        if kept is None:
+            return self.put(name, make())
+        return kept
 
     def drop(self) -> None:
         """Remove them: what they were kept for is written."""
@@ -56,7 +64,8 @@ class Parts:
 
 
 def parts_of(out: str | Path | None, task: str, config: CompareConfig, learned: str = "") -> Parts:
-    """Parts in `out`, those of this configuration alone (its `methods` may be others), and a line where some are there.
+    """Parts in `out`, those of this configuration alone (its `methods` may be others), and a line
+    where some are there.
 
     `learned`: digest of what the task learns once.
     """
@@ -64,10 +73,14 @@ def parts_of(out: str | Path | None, task: str, config: CompareConfig, learned: 
         return Parts()
     out = Path(out)
     about = {"version": __version__, "task": task, "learned": learned}
-    parts = Parts(out, configs.digest({"about": about, "config": configs.to_table(replace(config, methods=()))}))
+    parts = Parts(
+        out,
+        configs.digest({"about": about, "config": configs.to_table(replace(config, methods=()))}),
+    )
     if there := len(list(parts.folder.glob("*.json"))):  # type: ignore[union-attr]
         print(
-            f"compare: {out / FOLDER} holds {there} part{'s' * (there > 1)} of the same comparison, which was stopped; "
+            f"compare: {out / FOLDER} holds {there} part{'s' * (there > 1)} of the same "
+            f"comparison, which was stopped; "
             "going on from there (to begin anew, remove that folder)",
             file=sys.stderr,
         )
@@ -81,5 +94,8 @@ def told_where_kept(out: Path) -> Iterator[None]:
         yield
     except BaseException:
         if (out / FOLDER).exists():
-            print(f"compare: what was done is kept in {out / FOLDER}; the same command goes on there", file=sys.stderr)
+            print(
+                f"compare: what was done is kept in {out / FOLDER}; the same command goes on there",
+                file=sys.stderr,
+            )
         raise

@@ -1,7 +1,9 @@
-"""A task whose policy is solved exactly: what the bounds, the gradient baseline and the scoring need of it.
+"""A task whose policy is solved exactly: what the bounds, the gradient baseline and the scoring
+need of it.
 
-Learners run in single precision; every number of the comparison is recomputed here in double precision from the means
-of E that a method visited, so that all methods are scored by the same code.
+Learners run in single precision; every number of the comparison is recomputed here in double
+precision from the means of E that a method visited, so that all methods are scored by the same
+code.
 """
 
 from collections.abc import Callable
@@ -18,12 +20,14 @@ from adaptsim_jax.space import Space
 
 @dataclass(frozen=True)
 class Problem:
-    """Pure functions on physical parameters `[D]`: `policy(params) -> policy`, `cost(params, policy) -> []`.
+    """Pure functions on physical parameters `[D]`: `policy(params) -> policy`, `cost(params,
+    policy) -> []`.
 
-    `mean_cost` is the cost averaged over starts spread over the state space, which is what makes a policy for many
-    `params` well defined (see `udr`). `points(params, policy) -> [K, Q]` are the observed positions (rad).
-    `cost_at(u, target) -> []` is the cost in `target [D]` (physical) of the policy trained at `u [D]` (unit coordinates),
-    and `slope(u, target)` the same with its gradient by `u`, through the Riccati solve and the rollout.
+    `mean_cost` is the cost averaged over starts spread over the state space, which is what makes a
+    policy for many `params` well defined (see `udr`). `points(params, policy) -> [K, Q]` are the
+    observed positions (rad). `cost_at(u, target) -> []` is the cost in `target [D]` (physical) of
+    the policy trained at `u [D]` (unit coordinates), and `slope(u, target)` the same with its
+    gradient by `u`, through the Riccati solve and the rollout.
     """
 
     space: Space
@@ -36,7 +40,8 @@ class Problem:
 
 
 def pendulum_problem(space: Space) -> Problem:
-    """The linearized double pendulum with LQR policies (paper, section 5.1); parameters m1, m2, b1, b2.
+    """The linearized double pendulum with LQR policies (paper, section 5.1); parameters m1, m2, b1,
+    b2.
 
     `mean_cost` averages over starts at pi along each of the four axes of the state.
     """
@@ -44,7 +49,9 @@ def pendulum_problem(space: Space) -> Problem:
     def mean_cost(params, gain):
         A, B = pendulum.linearized(params)
         starts = jnp.pi * jnp.eye(4, dtype=A.dtype)
-        return jnp.mean(jax.vmap(lambda x: pendulum.linear_rollout(A, B, gain, x, (0,)).cost)(starts))
+        return jnp.mean(
+            jax.vmap(lambda x: pendulum.linear_rollout(A, B, gain, x, (0,)).cost)(starts)
+        )
 
     def cost_at(u, target):
         return pendulum.rollout(target, pendulum.optimal_gain(space.physical(u)).gain).cost
@@ -61,19 +68,26 @@ def pendulum_problem(space: Space) -> Problem:
 
 
 def costs(problem: Problem, means: np.ndarray, targets: np.ndarray) -> np.ndarray:
-    """Costs `[T, ...]` in each of `targets [T, D]` of the policies trained at `means [T, ..., D]`, in double precision."""
+    """Costs `[T, ...]` in each of `targets [T, D]` of the policies trained at `means [T, ..., D]`,
+    in double precision.
+    """
     with jax.enable_x64(True):
-        flat = jnp.asarray(np.asarray(means, np.float64).reshape(len(targets), -1, problem.space.dim))
-        out = jax.jit(jax.vmap(jax.vmap(problem.cost_at, (0, None))))(flat, jnp.asarray(targets, jnp.float64))
+        flat = jnp.asarray(
+            np.asarray(means, np.float64).reshape(len(targets), -1, problem.space.dim)
+        )
+        out = jax.jit(jax.vmap(jax.vmap(problem.cost_at, (0, None))))(
+            flat, jnp.asarray(targets, jnp.float64)
+        )
         return np.asarray(out).reshape(means.shape[:-1])
 
 
 def discrepancy(problem: Problem, means: np.ndarray, targets: np.ndarray) -> np.ndarray:
-    """Dynamics discrepancy `[T, ...]` (rad) of section 5.3, for adapted `means [T, ..., D]` and `targets [T, D]`.
+    """Dynamics discrepancy `[T, ...]` (rad) of section 5.3, for adapted `means [T, ..., D]` and
+    `targets [T, D]`.
 
-    The paper says "total variations between trajectories in the target environment and in the environment with
-    adapted parameters" and no more. Here: the policy trained at the mean runs in both; the absolute differences of
-    both joint angles are summed over the 12 observed points.
+    The paper says "total variations between trajectories in the target environment and in the
+    environment with adapted parameters" and no more. Here: the policy trained at the mean runs in
+    both; the absolute differences of both joint angles are summed over the 12 observed points.
     """
 
     def one(u, target):
@@ -82,6 +96,8 @@ def discrepancy(problem: Problem, means: np.ndarray, targets: np.ndarray) -> np.
         return jnp.sum(jnp.abs(problem.points(target, policy) - problem.points(params, policy)))
 
     with jax.enable_x64(True):
-        flat = jnp.asarray(np.asarray(means, np.float64).reshape(len(targets), -1, problem.space.dim))
+        flat = jnp.asarray(
+            np.asarray(means, np.float64).reshape(len(targets), -1, problem.space.dim)
+        )
         out = jax.jit(jax.vmap(jax.vmap(one, (0, None))))(flat, jnp.asarray(targets, jnp.float64))
         return np.asarray(out).reshape(means.shape[:-1])

@@ -1,8 +1,9 @@
 """Baselines by name. Imports no JAX: commands list the names.
 
-Of a task whose policy is solved exactly, `(Run) -> Visits` (`methods.py`); of one whose policies are learned, `(Bout) -> Trip`
-(`learned.py`), also of one whose trials are episodes of many steps. Another package adds one by an entry point of the group
-`adaptsim.baselines`, called `exact.NAME`, `learned.NAME` or `steps.NAME`.
+Of a task whose policy is solved exactly, `(Run) -> Visits` (`methods.py`); of one whose policies
+are learned, `(Bout) -> Trip` (`learned.py`), also of one whose trials are episodes of many steps.
+Another package adds one by an entry point of the group `adaptsim.baselines`, called `exact.NAME`,
+`learned.NAME` or `steps.NAME`.
 """
 
 from collections.abc import Callable
@@ -60,7 +61,9 @@ STEPS: Registry[Callable[..., Any]] = Registry(
     },
     within="steps",
 )
-PROBLEMS: Registry[Callable[..., Any]] = Registry("problems", {"pendulum": f"{HERE}.problem:pendulum_problem"})
+PROBLEMS: Registry[Callable[..., Any]] = Registry(
+    "problems", {"pendulum": f"{HERE}.problem:pendulum_problem"}
+)
 
 
 def exact_methods() -> tuple[str, ...]:

@@ -1,4 +1,6 @@
-"""The reward that parameters earn in one target, over a plane of Omega and around it (paper, figure 5)."""
+"""The reward that parameters earn in one target, over a plane of Omega and around it (paper, figure
+5).
+"""
 
 from itertools import product
 from typing import NamedTuple
@@ -11,7 +13,8 @@ from adaptsim_jax.baselines.problem import Problem
 
 
 class RewardMap(NamedTuple):
-    """`reward [Y, X]`: the largest normalised reward in the target at `x [X]`, `y [Y]` (physical) over the other parameters.
+    """`reward [Y, X]`: the largest normalised reward in the target at `x [X]`, `y [Y]` (physical)
+    over the other parameters.
 
     `low, high [2]`: the range of Omega of both; the map may reach beyond, where no method may go.
     """
@@ -35,7 +38,8 @@ def reward_map(
     points: int = 31,
     others: int = 5,
 ) -> RewardMap:
-    """Evaluate in double precision; `lower`, `upper` are the costs of UDR and of the best in Omega in `target [D]`.
+    """Evaluate in double precision; `lower`, `upper` are the costs of UDR and of the best in Omega
+    in `target [D]`.
 
     `limits` are physical; the other parameters take `others` values each within Omega.
     """
@@ -46,7 +50,9 @@ def reward_map(
     rest = [i for i in range(space.dim) if i not in axes]
     with jax.enable_x64(True):
         u = np.array(list(product(np.linspace(0, 1, others), repeat=len(rest))))
-        inner = np.asarray(space.physical(jnp.full((len(u), space.dim), 0.5).at[:, np.array(rest, int)].set(u)))
+        inner = np.asarray(
+            space.physical(jnp.full((len(u), space.dim), 0.5).at[:, np.array(rest, int)].set(u))
+        )
         params = np.tile(inner, (points, points, 1, 1))
         params[..., axes[0]], params[..., axes[1]] = x[None, :, None], y[:, None, None]
 

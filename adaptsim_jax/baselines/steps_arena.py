@@ -1,6 +1,8 @@
-"""Where methods meet targets of many steps: the arena of `arena.py` for tasks whose trial is an episode of a policy.
+"""Where methods meet targets of many steps: the arena of `arena.py` for tasks whose trial is an
+episode of a policy.
 
-A visit's own trials and the episodes that score it are rolled out together; what a method is told is its own trials alone.
+A visit's own trials and the episodes that score it are rolled out together; what a method is told
+is its own trials alone.
 """
 
 from collections.abc import Callable, Hashable
@@ -14,11 +16,21 @@ import numpy as np
 from adaptsim_jax.baselines.arena import Seen, Trials
 from adaptsim_jax.environments.rollout import episode as one_episode
 from adaptsim_jax.environments.rollout import look
-from adaptsim_jax.environments.task import Prepared, Setting, Tuned, acting_of, network_acting, play_in, ready
+from adaptsim_jax.environments.task import (
+    Prepared,
+    Setting,
+    Tuned,
+    acting_of,
+    network_acting,
+    play_in,
+    ready,
+)
 
 
 class One(NamedTuple):
-    """What `learned.py` asks of a task: the task itself, episodes of a visit; nothing is mended or probed."""
+    """What `learned.py` asks of a task: the task itself, episodes of a visit; nothing is mended or
+    probed.
+    """
 
     task: Any
     trials: int
@@ -27,7 +39,9 @@ class One(NamedTuple):
 
 
 class Told(NamedTuple):
-    """Of a batch of policies: `obs [B, C]` and return `score [B]` of their own trials, and the mean return of the tests `[B]`."""
+    """Of a batch of policies: `obs [B, C]` and return `score [B]` of their own trials, and the mean
+    return of the tests `[B]`.
+    """
 
     obs: np.ndarray
     score: np.ndarray
@@ -35,11 +49,12 @@ class Told(NamedTuple):
 
 
 class StepsArena:
-    """The named targets of an environment's task, with the policy of one seed. `tests`: episodes that score a policy.
+    """The named targets of an environment's task, with the policy of one seed. `tests`: episodes
+    that score a policy.
 
-    own: of each visit the returns of its own trials `[B]`; scored: of each scoring the means over the tests `[B]`. programs: what
-    was compiled for the same setting, names and sizes with another seed's policy, by name; it serves all of them, because what a seed
-    learned is an argument.
+    own: of each visit the returns of its own trials `[B]`; scored: of each scoring the means over
+    the tests `[B]`. programs: what was compiled for the same setting, names and sizes with another
+    seed's policy, by name; it serves all of them, because what a seed learned is an argument.
     """
 
     def __init__(
@@ -52,15 +67,28 @@ class StepsArena:
         programs: dict[Hashable, Any] | None = None,
     ):
         self._programs = {} if programs is None else programs
-        self.setting, self.prepared, self.names, self.tests, self.seed = setting, prepared, names, tests, seed
+        self.setting, self.prepared, self.names, self.tests, self.seed = (
+            setting,
+            prepared,
+            names,
+            tests,
+            seed,
+        )
         self.one = One(ready(setting, prepared), setting.config.trials)
-        self.targets = np.array([setting.targets[name].values[: setting.space.dim] for name in names], np.float32)
-        self.failed, self.made, self.fresh = np.zeros(len(names), int), np.zeros(len(names), int), []
+        self.targets = np.array(
+            [setting.targets[name].values[: setting.space.dim] for name in names], np.float32
+        )
+        self.failed, self.made, self.fresh = (
+            np.zeros(len(names), int),
+            np.zeros(len(names), int),
+            [],
+        )
         self.own: list[np.ndarray] = []
         self.scored: list[np.ndarray] = []
         self._train = self.program("train", lambda task, *of: jax.vmap(task.train)(*of))
         self.plays = {
-            name: self.kept(("play", name), partial(play_in, setting, setting.targets[name])) for name in names
+            name: self.kept(("play", name), partial(play_in, setting, setting.targets[name]))
+            for name in names
         }
         self._last: tuple[Any, Told] | None = None
 
@@ -73,7 +101,10 @@ class StepsArena:
     def program(self, name: Hashable, function: Callable) -> Callable:
         """`function(task, *args)`, compiled once for all seeds."""
         setting = self.setting
-        made = lambda: jax.jit(lambda prepared, *args: function(ready(setting, prepared), *args))
+
+        def made():
+            return jax.jit(lambda prepared, *args: function(ready(setting, prepared), *args))
+
         return partial(self.kept(name, made), self.prepared)
 
     def train(self, keys, dists, policies):
@@ -106,7 +137,10 @@ class StepsArena:
             rows = np.flatnonzero(where == t)
             some = jax.tree.map(lambda x, rows=rows: jnp.asarray(x)[rows], policies)
             parts[t] = (rows, self._rolled(self.names[t], some))
-        columns = [np.zeros((len(where), *np.shape(part)[1:]), np.float32) for part in next(iter(parts.values()))[1]]
+        columns = [
+            np.zeros((len(where), *np.shape(part)[1:]), np.float32)
+            for part in next(iter(parts.values()))[1]
+        ]
         for rows, part in parts.values():
             for column, values in zip(columns, part, strict=True):
                 column[rows] = values
@@ -128,16 +162,25 @@ class StepsArena:
         fixed = jax.random.split(jax.random.key(20_000), tests)
 
         def run(prepared, keys, policies):
-            acting = network_acting(setting) if own else acting_of(setting, prepared.learned, prepared.starts)
+            if own:
+                acting = network_acting(setting)
+            else:
+                acting = acting_of(setting, prepared.learned, prepared.starts)
             task = ready(setting, prepared)
 
             def one(key, policy):
                 every = jnp.concatenate([jax.random.split(key, trials), fixed])
-                return jax.vmap(lambda k: look(one_episode(k, play, acting, policy, values)[0], acting))(every)
+                return jax.vmap(
+                    lambda k: look(one_episode(k, play, acting, policy, values)[0], acting)
+                )(every)
 
             found = jax.vmap(one)(keys, policies)
             mean = jax.tree.map(lambda x: x[:, :trials].mean(1), found)
-            return jax.vmap(task.observe)(mean), jax.vmap(task.score)(mean), found.score[:, trials:].mean(1)
+            return (
+                jax.vmap(task.observe)(mean),
+                jax.vmap(task.score)(mean),
+                found.score[:, trials:].mean(1),
+            )
 
         return run
 

@@ -7,9 +7,10 @@ from adaptsim_jax.core.errors import BadInput
 
 @dataclass(frozen=True)
 class StepsConfig:
-    """tests: episodes that score a policy. together, epochs, rate: of fine-tuning in the target, episodes of an update, epochs over
-    them, and the learning rate. points: of the search for the best in Omega. share: of the training's rounds that an oracle goes on
-    for. sigma: of CMA-ES at its start, as a share of each range.
+    """tests: episodes that score a policy. together, epochs, rate: of fine-tuning in the target,
+    episodes of an update, epochs over them, and the learning rate. points: of the search for the
+    best in Omega. share: of the training's rounds that an oracle goes on for. sigma: of CMA-ES at
+    its start, as a share of each range.
     """
 
     tests: int = 8

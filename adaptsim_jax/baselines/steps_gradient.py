@@ -1,7 +1,9 @@
-"""Gradient ascent on the return by E's mean, through the policy that knows E and a simulation of the target itself.
+"""Gradient ascent on the return by E's mean, through the policy that knows E and a simulation of
+the target itself.
 
-No method for a robot, for it needs the target's own model: a row that says what slopes are worth where they can be had. Each mean is
-tried in the target, which counts; where it returned less than the best so far, the stride is halved from there.
+No method for a robot, for it needs the target's own model: a row that says what slopes are worth
+where they can be had. Each mean is tried in the target, which counts; where it returned less than
+the best so far, the stride is halved from there.
 """
 
 import sys
@@ -20,7 +22,9 @@ STRIDE = 0.2  # of the range, for the field that moves most; halved where it led
 
 
 def gradient(bout: Bout) -> Trip:
-    """A visit in the target for each mean; its slope from four starts in the simulator with all of the target's values."""
+    """A visit in the target for each mean; its slope from four starts in the simulator with all of
+    the target's values.
+    """
     arena: StepsArena = bout.arena  # type: ignore[assignment]
     setting, T = arena.setting, len(arena.targets)
     every = [setting.targets[name].values for name in arena.names]
@@ -55,6 +59,12 @@ def gradient(bout: Bout) -> Trip:
     if cut:
         shortest = {name: min(w for n, w in cut if n == name) for name, _ in sorted(cut)}
         told = ", ".join(f"{name} {window}" for name, window in shortest.items())
-        print(f"gradient: derivatives explode over {length} steps; truncated to windows of: {told}", file=sys.stderr)
-    shape = lambda x: np.stack(x, 1)[:, None, None]
+        print(
+            f"gradient: derivatives explode over {length} steps; truncated to windows of: {told}",
+            file=sys.stderr,
+        )
+
+    def shape(x):
+        return np.stack(x, 1)[:, None, None]
+
     return Trip(shape(rewards), shape(means), arena.one.trials * np.arange(1, total + 1))

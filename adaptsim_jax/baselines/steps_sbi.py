@@ -1,7 +1,9 @@
-"""The posterior by package `sbi` (Tejero-Cantero et al. 2020): neural posterior estimation with a flow, on our batched simulator.
+"""The posterior by package `sbi` (Tejero-Cantero et al. 2020): neural posterior estimation with a
+flow, on our batched simulator.
 
-One estimator serves all visits of a seed: it is told the observation and the mean that the policy was told, so nothing is trained
-anew between visits. Simulations whose observation is not finite are masked.
+One estimator serves all visits of a seed: it is told the observation and the mean that the policy
+was told, so nothing is trained anew between visits. Simulations whose observation is not finite are
+masked.
 """
 
 import contextlib
@@ -23,28 +25,39 @@ from adaptsim_jax.environments.task import Law
 EPOCHS = 200  # at most; it ends where 20 of them bring nothing on held-out simulations
 
 
-def npe(u: np.ndarray, x: np.ndarray, seed: int, epochs: int = EPOCHS) -> Callable[[np.ndarray, int], np.ndarray]:
+def npe(
+    u: np.ndarray, x: np.ndarray, seed: int, epochs: int = EPOCHS
+) -> Callable[[np.ndarray, int], np.ndarray]:
     """A posterior fitted to parameters and what they showed.
 
     Args:
-        u: `[N, D]`, drawn uniformly from the unit box. x: `[N, K]`; rows that are not finite are masked.
+        u: `[N, D]`, drawn uniformly from the unit box. x: `[N, K]`; rows that are not finite are
+            masked.
 
     Returns:
-        `sample(observation [K], n) -> [n, D]`, not truncated to the box. BadInput where the package is missing.
+        `sample(observation [K], n) -> [n, D]`, not truncated to the box. BadInput where the package
+        is missing.
     """
     try:
         torch: Any = importlib.import_module("torch")
         inference: Any = importlib.import_module("sbi.inference")
         utils: Any = importlib.import_module("sbi.utils")
     except ModuleNotFoundError as error:
-        raise BadInput(f"compare: method 'sbi' needs {error.name}; pip install 'adaptsim_jax[sbi]'") from None
+        raise BadInput(
+            f"compare: method 'sbi' needs {error.name}; pip install 'adaptsim_jax[sbi]'"
+        ) from None
     sound = np.isfinite(x).all(1)
     if sound.sum() < 20:
-        raise BadInput(f"sbi: {sound.sum()} of {len(x)} simulations are finite; at least 20 are wanted")
+        raise BadInput(
+            f"sbi: {sound.sum()} of {len(x)} simulations are finite; at least 20 are wanted"
+        )
     torch.manual_seed(seed)
     prior = utils.BoxUniform(torch.zeros(u.shape[1]), torch.ones(u.shape[1]))
     trainer = inference.NPE(prior=prior, show_progress_bars=False)
-    tensor = lambda rows: torch.as_tensor(np.asarray(rows, np.float32))
+
+    def tensor(rows):
+        return torch.as_tensor(np.asarray(rows, np.float32))
+
     trainer.append_simulations(tensor(u[sound]), tensor(x[sound]))
     with contextlib.redirect_stdout(io.StringIO()):  # it says that it converged
         flow = trainer.train(max_num_epochs=epochs, show_train_summary=False)
@@ -68,12 +81,24 @@ def sbi(bout: Bout) -> Trip:
         rewards.append(arena.score(np.arange(T), policies))
         if i < bout.config.iterations:
             obs = arena.visit(None, np.arange(T), policies).obs
-            draws = [sample(np.concatenate([o, m]), config.draws) for o, m in zip(obs, mean, strict=True)]
-            one = lambda d: within_omega(jnp.asarray(d)[None], jnp.ones(1, bool), config.least_std)[0].mean
+            draws = [
+                sample(np.concatenate([o, m]), config.draws) for o, m in zip(obs, mean, strict=True)
+            ]
+
+            def one(d):
+                return within_omega(jnp.asarray(d)[None], jnp.ones(1, bool), config.least_std)[
+                    0
+                ].mean
+
             mean = np.stack([np.asarray(one(d)) for d in draws])
         bout.report(i + 1, bout.config.iterations + 1)
-    shape = lambda x: np.stack(x, 1)[:, None, None]
-    return Trip(shape(rewards), shape(means), arena.one.trials * np.arange(bout.config.iterations + 1))
+
+    def shape(x):
+        return np.stack(x, 1)[:, None, None]
+
+    return Trip(
+        shape(rewards), shape(means), arena.one.trials * np.arange(bout.config.iterations + 1)
+    )
 
 
 def _posterior(bout: Bout, seed: int) -> Callable[[np.ndarray, int], np.ndarray]:
@@ -83,7 +108,9 @@ def _posterior(bout: Bout, seed: int) -> Callable[[np.ndarray, int], np.ndarray]
     u, mean = np.split(np.random.default_rng(seed).random((count, 2 * D), np.float32), 2, 1)
 
     def show(task, *rows):
-        return jax.vmap(lambda k, m, p: task.observe(task.rollout(k, Law(m), task.space.physical(p))))(*rows)
+        return jax.vmap(
+            lambda k, m, p: task.observe(task.rollout(k, Law(m), task.space.physical(p)))
+        )(*rows)
 
     keys = jax.random.split(jax.random.fold_in(jax.random.key(seed), 400), count)
     seen = arena.program("sbi", show)(keys, jnp.asarray(mean), jnp.asarray(u))

@@ -1,4 +1,6 @@
-"""From costs in the targets to the rows of results.json: normalised as in the paper's Table 1, with intervals."""
+"""From costs in the targets to the rows of results.json: normalised as in the paper's Table 1, with
+intervals.
+"""
 
 from typing import Any
 
@@ -11,17 +13,23 @@ FAILED = 1e30  # stands for an infinitely bad reward, so that quantiles stay def
 
 
 def normalised(costs: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Rewards `[T, ...]` from `costs [T, ...]`: 0 at UDR's cost `lower [T]`, 1 at the best in Omega `upper [T]`.
+    """Rewards `[T, ...]` from `costs [T, ...]`: 0 at UDR's cost `lower [T]`, 1 at the best in Omega
+    `upper [T]`.
 
-    Not clipped: a policy worse than UDR is below 0. A cost that is not finite is the worst reward, minus infinity.
+    Not clipped: a policy worse than UDR is below 0. A cost that is not finite is the worst reward,
+    minus infinity.
     """
     shape = (-1,) + (1,) * (costs.ndim - 1)
     lower, upper = lower.reshape(shape), upper.reshape(shape)
     return np.where(np.isfinite(costs), (lower - costs) / (lower - upper), -np.inf)
 
 
-def bootstrap_interval(values: np.ndarray, *, seed: int = 0, draws: int = 10_000) -> tuple[float, float]:
-    """95 % percentile-bootstrap interval of the mean of `values [S]`; one value has no interval, so both ends are it."""
+def bootstrap_interval(
+    values: np.ndarray, *, seed: int = 0, draws: int = 10_000
+) -> tuple[float, float]:
+    """95 % percentile-bootstrap interval of the mean of `values [S]`; one value has no interval, so
+    both ends are it.
+    """
     values = np.asarray(values, float)
     if len(values) < 2 or not np.all(np.isfinite(values)):
         return float(np.mean(values)), float(np.mean(values))
@@ -31,12 +39,20 @@ def bootstrap_interval(values: np.ndarray, *, seed: int = 0, draws: int = 10_000
 
 
 def row(
-    method: str, setting: str, curves: np.ndarray, *, oracle: float | None, target_trials: int | None, **extras: Any
+    method: str,
+    setting: str,
+    curves: np.ndarray,
+    *,
+    oracle: float | None,
+    target_trials: int | None,
+    **extras: Any,
 ) -> dict[str, Any]:
-    """One row from normalised rewards `curves [S, I + 1]` (the best of the N distributions at each iteration).
+    """One row from normalised rewards `curves [S, I + 1]` (the best of the N distributions at each
+    iteration).
 
-    mean, median, q25, q75, low, high and per_seed are of each seed's best iteration, as Table 1; `final_mean` is of the
-    last iteration; `best_iteration_mean` is the largest over iterations of the mean over seeds.
+    mean, median, q25, q75, low, high and per_seed are of each seed's best iteration, as Table 1;
+    `final_mean` is of the last iteration; `best_iteration_mean` is the largest over iterations of
+    the mean over seeds.
     """
     curves = np.maximum(curves, -FAILED)
     best = curves.max(axis=1)
@@ -82,5 +98,9 @@ def plain(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [plain(item) for item in value]
     if isinstance(value, (float, np.floating)):
-        return float(value) if abs(value) < 1e-6 * FAILED else None
-    return int(value) if isinstance(value, np.integer) else value
+        if abs(value) < 1e-6 * FAILED:
+            return float(value)
+        return None
+    if isinstance(value, np.integer):
+        return int(value)
+    return value

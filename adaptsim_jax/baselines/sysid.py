@@ -1,8 +1,10 @@
-"""The loop that both system-identification baselines share (paper, section 6; BayesSim, Ramos et al. 2019).
+"""The loop that both system-identification baselines share (paper, section 6; BayesSim, Ramos et
+al. 2019).
 
-Each iteration rolls the current policy out once in the target, simulates the same policy at parameters drawn from the
-prior (uniform over Omega), fits a network from observation to parameters, and retrains the policy on what the network
-infers from the target's observation. The inferred E stays within Omega.
+Each iteration rolls the current policy out once in the target, simulates the same policy at
+parameters drawn from the prior (uniform over Omega), fits a network from observation to parameters,
+and retrains the policy on what the network infers from the target's observation. The inferred E
+stays within Omega.
 """
 
 from collections.abc import Callable
@@ -20,12 +22,14 @@ from adaptsim_jax.tasks.base import Task
 
 @dataclass(frozen=True)
 class SysIdConfig:
-    """Budgets of a SysID baseline. Target rollouts: `iterations + 1` (the last one scores the last policy).
+    """Budgets of a SysID baseline. Target rollouts: `iterations + 1` (the last one scores the last
+    policy).
 
-    `simulations`: simulated trajectories drawn at each iteration. `noise`: standard deviation added to standardised
-    simulated observations. `pool`: average what all iterations inferred instead of the newest alone. `visits`: how many different
-    visits (what a rollout draws for itself, such as goals) an iteration's simulations share, 0 for one each: an open-loop action
-    that is searched for in a dear simulator is then searched for once, and tried at many parameters.
+    `simulations`: simulated trajectories drawn at each iteration. `noise`: standard deviation added
+    to standardised simulated observations. `pool`: average what all iterations inferred instead of
+    the newest alone. `visits`: how many different visits (what a rollout draws for itself, such as
+    goals) an iteration's simulations share, 0 for one each: an open-loop action that is searched
+    for in a dear simulator is then searched for once, and tried at many parameters.
     """
 
     iterations: int = 10
@@ -45,13 +49,20 @@ class SysIdConfig:
             if getattr(self, name) < 1:
                 raise BadInput(f"SysID {name} = {getattr(self, name)}: give at least 1")
         if not 0 <= self.visits <= self.simulations:
-            raise BadInput(f"SysID visits = {self.visits}: give 0 to the number of simulations, {self.simulations}")
+            raise BadInput(
+                f"SysID visits = {self.visits}: give 0 to the number of simulations, "
+                f"{self.simulations}"
+            )
         if self.simulations < 20:
-            raise BadInput(f"SysID simulations = {self.simulations}: too few to fit a network; give at least 20")
+            raise BadInput(
+                f"SysID simulations = {self.simulations}: too few to fit a network; give at least "
+                f"20"
+            )
 
 
 class Estimator(NamedTuple):
-    """A network from a standardised observation to parameters: what tells SysID-Bayes and SysID-Point apart.
+    """A network from a standardised observation to parameters: what tells SysID-Bayes and
+    SysID-Point apart.
 
     `init(key, obs_dim) -> variables`, `loss(variables, x [obs], u [D]) -> []`,
     `infer(key, variables, x [obs]) -> draws [n, D]` in unit coordinates, not truncated.
@@ -63,7 +74,9 @@ class Estimator(NamedTuple):
 
 
 class State(NamedTuple):
-    """What the next iteration needs: E, the policy trained on it, the network, the draws kept so far `[I, n, D]`."""
+    """What the next iteration needs: E, the policy trained on it, the network, the draws kept so
+    far `[I, n, D]`.
+    """
 
     dist: Gaussian
     policy: jax.Array
@@ -73,7 +86,9 @@ class State(NamedTuple):
 
 
 class Info(NamedTuple):
-    """For people and tests: E in use `mean, std [D]`, the target's observation, the fit's held-out loss, share inside."""
+    """For people and tests: E in use `mean, std [D]`, the target's observation, the fit's held-out
+    loss, share inside.
+    """
 
     mean: jax.Array
     std: jax.Array
@@ -83,14 +98,18 @@ class Info(NamedTuple):
 
 
 class Identified(NamedTuple):
-    """Means of E visited, `[iterations + 1, D]` (unit coordinates, from the start at the centre), and each step's Info."""
+    """Means of E visited, `[iterations + 1, D]` (unit coordinates, from the start at the centre),
+    and each step's Info.
+    """
 
     means: jax.Array
     info: Info
 
 
 def make_sysid(task: Task, estimator: Estimator, config: SysIdConfig) -> Callable:
-    """`adapt(key, target [D] physical) -> Identified`, pure: jit it, and vmap it over keys and targets."""
+    """`adapt(key, target [D] physical) -> Identified`, pure: jit it, and vmap it over keys and
+    targets.
+    """
 
     def adapt(key: jax.Array, target: jax.Array) -> Identified:
         start_key, first_key, rest_key = jax.random.split(key, 3)
@@ -132,24 +151,42 @@ def _iterate(key, state, target, task, estimator, config, fit_config) -> tuple[S
     return told._replace(policy=task.train(train_key, told.dist, state.policy)), info
 
 
-def infer(keys, state: State, real: jax.Array, task, estimator, config, fit_config) -> tuple[State, Info]:
-    """E after `real [obs]` was observed of `state.policy` in the target, the policy as it was; `keys [3]`."""
+def infer(
+    keys, state: State, real: jax.Array, task, estimator, config, fit_config
+) -> tuple[State, Info]:
+    """E after `real [obs]` was observed of `state.policy` in the target, the policy as it was;
+    `keys [3]`.
+    """
     data_key, fit_key, infer_key = keys
     x, u = simulate(data_key, task, state.policy, config)
     shift, scale = mdn.standardise(x)
     noise = config.noise * jax.random.normal(jax.random.fold_in(data_key, 1), x.shape)
-    fitted = mdn.fit(fit_key, state.variables, estimator.loss, (x - shift[None]) / scale[None] + noise, u, fit_config)
+    fitted = mdn.fit(
+        fit_key,
+        state.variables,
+        estimator.loss,
+        (x - shift[None]) / scale[None] + noise,
+        u,
+        fit_config,
+    )
     draws = estimator.infer(infer_key, fitted.variables, (real - shift) / scale)
     kept = state.kept.at[state.count].set(draws)
     used = kept if config.pool else draws[None]
-    told = (jnp.arange(kept.shape[0]) <= state.count) if config.pool else jnp.ones(1, bool)
+    if config.pool:
+        told = jnp.arange(kept.shape[0]) <= state.count
+    else:
+        told = jnp.ones(1, bool)
     dist, inside = within_omega(used, told, config.least_std)
     info = Info(state.dist.mean, state.dist.std, real, fitted.best_loss, inside)
     return State(dist, state.policy, fitted.variables, kept, state.count + 1), info
 
 
-def simulate(key: jax.Array, task: Task, policy, config: SysIdConfig) -> tuple[jax.Array, jax.Array]:
-    """Observations `[n, obs]` of one policy at parameters `[n, D]` (unit coordinates) drawn uniformly from Omega."""
+def simulate(
+    key: jax.Array, task: Task, policy, config: SysIdConfig
+) -> tuple[jax.Array, jax.Array]:
+    """Observations `[n, obs]` of one policy at parameters `[n, D]` (unit coordinates) drawn
+    uniformly from Omega.
+    """
     prior_key, rollout_key = jax.random.split(key)
     u = task.space.sample(prior_key, (config.simulations,))
 
@@ -161,10 +198,11 @@ def simulate(key: jax.Array, task: Task, policy, config: SysIdConfig) -> tuple[j
 
 
 def within_omega(draws: jax.Array, told: jax.Array, least_std: float) -> tuple[Gaussian, jax.Array]:
-    """Gaussian E from posterior draws `[I, n, D]` of the iterations marked in `told [I]`; also the share inside Omega.
+    """Gaussian E from posterior draws `[I, n, D]` of the iterations marked in `told [I]`; also the
+    share inside Omega.
 
-    Draws outside the box are dropped (the posterior is truncated to Omega). Where hardly any is inside, as with targets
-    far outside of Omega, the mean of all is clipped to the box instead.
+    Draws outside the box are dropped (the posterior is truncated to Omega). Where hardly any is
+    inside, as with targets far outside of Omega, the mean of all is clipped to the box instead.
     """
     flat = draws.reshape(-1, draws.shape[-1])
     used = jnp.repeat(told, draws.shape[1])

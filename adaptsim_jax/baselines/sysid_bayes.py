@@ -1,4 +1,6 @@
-"""SysID-Bayes: BayesSim (Ramos et al., 2019), a mixture-density posterior over simulation parameters."""
+"""SysID-Bayes: BayesSim (Ramos et al., 2019), a mixture-density posterior over simulation
+parameters.
+"""
 
 from collections.abc import Callable
 from typing import Any
@@ -28,5 +30,7 @@ def mixture_estimator(dim: int, config: SysIdConfig) -> Estimator:
 
 
 def make_sysid_bayes(task: Task, config: SysIdConfig = SysIdConfig()) -> Callable:  # noqa: B008
-    """`adapt(key, target [D] physical) -> Identified`; the policy follows the mean of the posterior within Omega."""
+    """`adapt(key, target [D] physical) -> Identified`; the policy follows the mean of the posterior
+    within Omega.
+    """
     return make_sysid(task, mixture_estimator(task.space.dim, config), config)

@@ -13,7 +13,9 @@ from adaptsim_jax.tasks.base import Task
 
 
 class PointNetwork(nn.Module):
-    """Observation `[obs]` (standardised) to unit coordinates `[dim]`, held within the box by a sigmoid."""
+    """Observation `[obs]` (standardised) to unit coordinates `[dim]`, held within the box by a
+    sigmoid.
+    """
 
     dim: int
     hidden: tuple[int, ...] = (128, 128)
@@ -43,5 +45,7 @@ def point_estimator(dim: int, config: SysIdConfig) -> Estimator:
 
 
 def make_sysid_point(task: Task, config: SysIdConfig = SysIdConfig()) -> Callable:  # noqa: B008
-    """`adapt(key, target [D] physical) -> Identified`; the policy is trained at the newest point."""
+    """`adapt(key, target [D] physical) -> Identified`; the policy is trained at the newest
+    point.
+    """
     return make_sysid(task, point_estimator(task.space.dim, config), config)

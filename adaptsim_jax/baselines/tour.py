@@ -1,4 +1,6 @@
-"""Phase 2 in an arena: what AdaptSim visits in every target, for every seed and start, and what it would deploy after each visit."""
+"""Phase 2 in an arena: what AdaptSim visits in every target, for every seed and start, and what it
+would deploy after each visit.
+"""
 
 from typing import Any, NamedTuple
 
@@ -14,9 +16,11 @@ from adaptsim_jax.space import gaussian, step
 
 
 class Tour(NamedTuple):
-    """Of `B` lanes and `I + 1` visits: means `[B, I + 1, D]` (unit coordinates), obs `[B, I + 1, D + obs_dim]` as the adaptation
-    policy saw them, actions `[B, I + 1, D]` that it took then, the last of which is not done; scores and rewards `[B, I + 1]`, raw
-    returns of the visits and rewards of what is deployed; policies as trained, a `[B, ...]` a visit; memory: of all trials."""
+    """Of `B` lanes and `I + 1` visits: means `[B, I + 1, D]` (unit coordinates), obs `[B, I + 1, D
+    + obs_dim]` as the adaptation policy saw them, actions `[B, I + 1, D]` that it took then, the
+    last of which is not done; scores and rewards `[B, I + 1]`, raw returns of the visits and
+    rewards of what is deployed; policies as trained, a `[B, ...]` a visit; memory: of all trials.
+    """
 
     means: np.ndarray
     obs: np.ndarray
@@ -37,7 +41,9 @@ def tour(
     iterations: int,
     report: Progress = silent,
 ) -> Tour:
-    """Greedy steps (paper, Algorithm 2) from `first [B, ...]` with the adaptation policies `weights [B, n]`; `hyper`: leaves `[B]`."""
+    """Greedy steps (paper, Algorithm 2) from `first [B, ...]` with the adaptation policies `weights
+    [B, n]`; `hyper`: leaves `[B]`.
+    """
     space, memory = phase1.task.space, Memory(arena, batch, iterations + 1)
 
     @jax.jit
@@ -45,9 +51,17 @@ def tour(
         seen = jnp.concatenate([2.0 * mean - 1.0, obs], -1)
         action = jax.vmap(phase1.bdq.greedy)(weights, seen)
         size = hyper.delta * hyper.shrink**number
-        return jax.vmap(lambda m, a, d: step(space, gaussian(space, m), a, d).mean)(mean, action, size), seen, action
+        return (
+            jax.vmap(lambda m, a, d: step(space, gaussian(space, m), a, d).mean)(
+                mean, action, size
+            ),
+            seen,
+            action,
+        )
 
-    at = lambda m: gaussian(space, m)
+    def at(m):
+        return gaussian(space, m)
+
     mean, policies, rows = np.asarray(first.mean), first.policy, []
     for i in range(iterations + 1):
         keys = jax.vmap(jax.random.split)(batch.at(i))
@@ -59,5 +73,7 @@ def tour(
         rows.append((mean, obs, action, seen.score, reward, policies))
         mean = after
         report(i + 1, iterations + 1, "Phase 2")
-    means, seen_by, taken, scores, rewards = (np.stack(column, 1) for column in list(zip(*rows, strict=True))[:-1])
+    means, seen_by, taken, scores, rewards = (
+        np.stack(column, 1) for column in list(zip(*rows, strict=True))[:-1]
+    )
     return Tour(means, seen_by, taken, scores, rewards, [row[-1] for row in rows], memory)

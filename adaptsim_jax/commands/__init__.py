@@ -1,4 +1,6 @@
-"""One module a command, with `arguments(parser)` and `run(args) -> exit code`; only `run` loads JAX."""
+"""One module a command, with `arguments(parser)` and `run(args) -> exit code`; only `run` loads
+JAX.
+"""
 
 SUMMARIES = {
     "demo": "the tour: train, adapt, close the loop on sample data; a few minutes on two cores",
@@ -12,7 +14,8 @@ SUMMARIES = {
     "effects": "the catalogue of effects that a model may lack",
     "robot": "ask/tell adaptation with a real robot",
     "parity": "physics backends against each other over random samples",
-    "new": "files to start an effect, a mechanism, a task, an environment, an engine or a baseline from",
+    "new": "files to start an effect, a mechanism, a task, an environment, an engine or a baseline "
+    "from",
     "completion": "completion of commands and options for bash, zsh or fish",
     "doctor": "versions, devices, backends that work here, compile-cache folder",
 }

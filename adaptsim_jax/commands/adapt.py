@@ -22,9 +22,18 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     from adaptsim_jax.commands.common import positive
 
     parser.add_argument("folder", metavar="RUN", help="a run folder of `adaptsim train`")
-    parser.add_argument("--target", required=True, metavar="T", help="wd, ood-1 .. ood-4, a TOML file, or a model.toml")
-    parser.add_argument("--starts", type=positive, default=2, metavar="N", help="initial distributions (2)")
-    parser.add_argument("--iterations", type=positive, default=10, metavar="I", help="adaptation steps (10)")
+    parser.add_argument(
+        "--target",
+        required=True,
+        metavar="T",
+        help="wd, ood-1 .. ood-4, a TOML file, or a model.toml",
+    )
+    parser.add_argument(
+        "--starts", type=positive, default=2, metavar="N", help="initial distributions (2)"
+    )
+    parser.add_argument(
+        "--iterations", type=positive, default=10, metavar="I", help="adaptation steps (10)"
+    )
     parser.add_argument("--out", metavar="DIR", help="default: RUN/adapt-TARGET")
     parser.add_argument("--json", action="store_true", help="print result.json")
     parser.add_argument(
@@ -43,7 +52,9 @@ def run(args: argparse.Namespace) -> int:
     folder = RunFolder.open(args.folder)
     part, options = adapt_part(folder.task), folder.config.get("task", {})
     if args.video and part.show is None:
-        raise BadInput(f"{args.folder}: there is no film of task '{folder.task}'; leave --video out")
+        raise BadInput(
+            f"{args.folder}: there is no film of task '{folder.task}'; leave --video out"
+        )
     import jax
 
     from adaptsim_jax.adaptation.training import load_run
@@ -57,10 +68,15 @@ def run(args: argparse.Namespace) -> int:
         task = world
         trained = trained._replace(phase1=trained.phase1._replace(task=task))
     with output(args.out or Path(args.folder) / f"adapt-{name}") as out:
-        result = part.adapt(trained, options, jax.random.key(args.seed), params, args.starts, args.iterations)
+        result = part.adapt(
+            trained, options, jax.random.key(args.seed), params, args.starts, args.iterations
+        )
         found = describe(result, task, name, params, args)
         write_json(out / "result.json", found)
-    lines = part.show(trained, options, found, result, out, args.video) if part.show is not None else ()
+    if part.show is not None:
+        lines = part.show(trained, options, found, result, out, args.video)
+    else:
+        lines = ()
     if args.json:
         print_file(out / "result.json")
         return 0
@@ -69,17 +85,24 @@ def run(args: argparse.Namespace) -> int:
     for line in lines:
         print(line)
     if folder.task in ROBOT:
-        next_step(f"robot new {shlex.quote(str(args.folder))} --dir robot    the same with a real robot")
-    else:
-        word, which = (
-            ("FILE.toml", ", FILE.toml the one that was trained") if folder.task == "environment" else (folder.task, "")
+        next_step(
+            f"robot new {shlex.quote(str(args.folder))} --dir robot    the same with a real robot"
         )
+    else:
+        if folder.task == "environment":
+            word, which = ("FILE.toml", ", FILE.toml the one that was trained")
+        else:
+            word, which = (folder.task, "")
         next_step(f"compare {word} --out compared    against other methods{which}")
     return 0
 
 
-def describe(result: Any, task: Any, name: str, params: Any, args: argparse.Namespace) -> dict[str, Any]:
-    """What Phase 2 found, as plain data: the best policy, where it came from, and every trial; None for what is not finite."""
+def describe(
+    result: Any, task: Any, name: str, params: Any, args: argparse.Namespace
+) -> dict[str, Any]:
+    """What Phase 2 found, as plain data: the best policy, where it came from, and every trial; None
+    for what is not finite.
+    """
     import numpy as np
 
     from adaptsim_jax.core.files import without_nan
@@ -96,14 +119,19 @@ def describe(result: Any, task: Any, name: str, params: Any, args: argparse.Name
         "best": {
             "reward": number(result.reward),
             "score": number(result.score),
-            "params": dict(zip(names, np.asarray(task.space.physical(result.mean)).tolist(), strict=True)),
+            "params": dict(
+                zip(names, np.asarray(task.space.physical(result.mean)).tolist(), strict=True)
+            ),
             "policy": without_nan(policy_table(result.policy)),
         },
         "final": [number(row[-1]) for row in reward],
         "trials": int(reward.size),
         "history": [
             [
-                {"reward": number(reward[s, i]), "params": dict(zip(names, physical[s, i].tolist(), strict=True))}
+                {
+                    "reward": number(reward[s, i]),
+                    "params": dict(zip(names, physical[s, i].tolist(), strict=True)),
+                }
                 for i in range(reward.shape[1])
             ]
             for s in range(reward.shape[0])
@@ -115,7 +143,9 @@ def number(value: Any) -> float | None:
     """A float for JSON; None where it is not finite."""
     import math
 
-    return float(value) if math.isfinite(float(value)) else None
+    if math.isfinite(float(value)):
+        return float(value)
+    return None
 
 
 def policy_table(policy: Any) -> dict[str, Any]:
@@ -124,19 +154,29 @@ def policy_table(policy: Any) -> dict[str, Any]:
     import numpy as np
 
     leaves = jax.tree_util.tree_flatten_with_path(policy)[0]
-    return {jax.tree_util.keystr(path).strip(".[]'"): np.asarray(leaf).tolist() for path, leaf in leaves}
+    return {
+        jax.tree_util.keystr(path).strip(".[]'"): np.asarray(leaf).tolist() for path, leaf in leaves
+    }
 
 
 def _show(found: dict[str, Any]) -> None:
     best = found["best"]
-    print(f"target {found['target']['name']}: best reward {_digits(best['reward'])} of {found['trials']} trials")
+    print(
+        f"target {found['target']['name']}: best reward {_digits(best['reward'])} of "
+        f"{found['trials']} trials"
+    )
     for start, visits in enumerate(found["history"], 1):
         print(f"  start {start}: reward {' '.join(_digits(visit['reward']) for visit in visits)}")
     if not any(visit["reward"] for visits in found["history"] for visit in visits):
-        print("  no visit earned a reward: it tells no policies apart here; widen Omega, or reward what comes near")
+        print(
+            "  no visit earned a reward: it tells no policies apart here; widen Omega, or reward "
+            "what comes near"
+        )
     for name, value in best["params"].items():
         print(f"  {name} {value:.4g} (target {found['target']['params'][name]:.4g})")
 
 
 def _digits(value: float | None) -> str:
-    return "diverged" if value is None else f"{value:.3f}"
+    if value is None:
+        return "diverged"
+    return f"{value:.3f}"

@@ -1,4 +1,6 @@
-"""What `adaptsim adapt` shows of an environment: returns over iterations, and a film of the first and the best policy."""
+"""What `adaptsim adapt` shows of an environment: returns over iterations, and a film of the first
+and the best policy.
+"""
 
 from __future__ import annotations
 
@@ -11,9 +13,16 @@ NOMINAL = "told the file's own values, mean of 8 episodes"
 
 
 def show(
-    trained: Any, options: dict[str, Any], found: dict[str, Any], result: Any, out: Path, video: bool
+    trained: Any,
+    options: dict[str, Any],
+    found: dict[str, Any],
+    result: Any,
+    out: Path,
+    video: bool,
 ) -> list[str]:
-    """Draw `returns.png` into `out`, and `policies.mp4` where a film is wanted; returns lines for a person, one a file."""
+    """Draw `returns.png` into `out`, and `policies.mp4` where a film is wanted; returns lines for a
+    person, one a file.
+    """
     import numpy as np
     from matplotlib.ticker import MaxNLocator
 
@@ -22,8 +31,21 @@ def show(
     scores = np.asarray(result.history.score)
     figure, (ax,) = look.new_figure(4.6, 2.9)
     for start, row in enumerate(scores, 1):
-        ax.plot(range(len(row)), row, marker="o", markersize=3, linewidth=1.4, label=f"AdaptSim, start {start}")
-    ax.axhline(at_nominal(trained.phase1.task, options), color=look.INK, linestyle="--", linewidth=1.0, label=NOMINAL)
+        ax.plot(
+            range(len(row)),
+            row,
+            marker="o",
+            markersize=3,
+            linewidth=1.4,
+            label=f"AdaptSim, start {start}",
+        )
+    ax.axhline(
+        at_nominal(trained.phase1.task, options),
+        color=look.INK,
+        linestyle="--",
+        linewidth=1.0,
+        label=NOMINAL,
+    )
     look.quiet(ax)
     ax.xaxis.set_major_locator(MaxNLocator(6, integer=True))
     ax.set_xlabel("iteration")
@@ -37,7 +59,9 @@ def show(
 
 
 def at_nominal(task: Any, options: dict[str, Any], episodes: int = 8) -> float:
-    """Mean return of the policy for the file's own values where `task` rolls out, of as many `episodes`."""
+    """Mean return of the policy for the file's own values where `task` rolls out, of as many
+    `episodes`.
+    """
     import jax
     import jax.numpy as jnp
     import numpy as np
@@ -57,8 +81,12 @@ def at_nominal(task: Any, options: dict[str, Any], episodes: int = 8) -> float:
     return float(np.nanmean(score(jax.random.split(key, episodes))))
 
 
-def filmed(options: dict[str, Any], found: dict[str, Any], result: Any, out: Path) -> tuple[Path, str]:
-    """An episode of the first and one of the best policy, from the same start in the same target."""
+def filmed(
+    options: dict[str, Any], found: dict[str, Any], result: Any, out: Path
+) -> tuple[Path, str]:
+    """An episode of the first and one of the best policy, from the same start in the same
+    target.
+    """
     import jax
     import numpy as np
 
@@ -77,7 +105,8 @@ def filmed(options: dict[str, Any], found: dict[str, Any], result: Any, out: Pat
     name, made = found["target"]["name"], task_of(setting).preparation
     if setting.sim.native is None or name not in setting.targets:
         raise BadInput(
-            "--video: films an environment with a MuJoCo model, in a target that env.toml names; leave --video out"
+            "--video: films an environment with a MuJoCo model, in a target that env.toml names; "
+            "leave --video out"
         )
     run = RunFolder.open(found["run"])
     prepared = learned(task_of(setting), made, run.config.get("seed", 0), run.path, make=False)  # type: ignore[arg-type]
@@ -86,7 +115,9 @@ def filmed(options: dict[str, Any], found: dict[str, Any], result: Any, out: Pat
     policies = [jax.tree.map(lambda x, i=i: x[start, i], result.history.policy) for i in (0, best)]
     takes = [filmed_episode(setting, acting, policy, name) for policy in policies]
     means = np.asarray(result.history.score)[start, [0, best]]
-    texts = [f"iteration {i}, return {score:.1f}" for i, score in zip((0, best), means, strict=True)]
+    texts = [
+        f"iteration {i}, return {score:.1f}" for i, score in zip((0, best), means, strict=True)
+    ]
     clips = [clip_of(*take, text=text) for take, text in zip(takes, texts, strict=True)]
     return write_env_video(clips, out)
 

@@ -1,4 +1,6 @@
-"""What `adaptsim adapt` deploys of the push, and shows: table tops over iterations, and a film of the first and the best policy."""
+"""What `adaptsim adapt` deploys of the push, and shows: table tops over iterations, and a film of
+the first and the best policy.
+"""
 
 from __future__ import annotations
 
@@ -13,16 +15,21 @@ COLUMNS = 6
 GOALS = ((0.78, 0.05), (0.93, -0.06))  # m: a near one on the left and a far one on the right
 
 
-def adapt(trained: Any, options: dict[str, Any], key: Any, target: Any, starts: int, iterations: int) -> Any:
+def adapt(
+    trained: Any, options: dict[str, Any], key: Any, target: Any, starts: int, iterations: int
+) -> Any:
     """Phase 2 in `target [D]`, as it is deployed."""
     from adaptsim_jax.adaptation.training import adapt_run
 
-    return deployed(options, adapt_run(trained, key, target, starts=starts, iterations=iterations), target)
+    return deployed(
+        options, adapt_run(trained, key, target, starts=starts, iterations=iterations), target
+    )
 
 
 def deployed(options: dict[str, Any], result: Any, target: Any) -> Any:
-    """`result` with its policies and rewards as they are deployed: corrected by the pushes made before, and the best visit's policy by
-    all that were made, where the task does that (`correct`)."""
+    """`result` with its policies and rewards as they are deployed: corrected by the pushes made
+    before, and the best visit's policy by all that were made, where the task does that (`correct`).
+    """
     import jax
     import jax.numpy as jnp
 
@@ -40,13 +47,22 @@ def deployed(options: dict[str, Any], result: Any, target: Any) -> Any:
     together = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), flat, best)
     rewards = jax.jit(lambda p: after.tested(p, aim, made))(together)
     history = history._replace(policy=policies, reward=rewards[:-1].reshape(history.reward.shape))
-    return result._replace(policy=result.policy._replace(told=every), reward=rewards[-1], history=history)
+    return result._replace(
+        policy=result.policy._replace(told=every), reward=rewards[-1], history=history
+    )
 
 
 def show(
-    trained: Any, options: dict[str, Any], found: dict[str, Any], result: Any, out: Path, video: bool
+    trained: Any,
+    options: dict[str, Any],
+    found: dict[str, Any],
+    result: Any,
+    out: Path,
+    video: bool,
 ) -> list[str]:
-    """Draw the start that holds the best visit into `out`; returns lines for a person, one a file."""
+    """Draw the start that holds the best visit into `out`; returns lines for a person, one a
+    file.
+    """
     from adaptsim_jax.adaptation.phase2 import best_visit
     from adaptsim_jax.core import config
     from adaptsim_jax.report import figures as look
@@ -58,7 +74,10 @@ def show(
     target = np.array(list(found["target"]["params"].values()))
     goals, actions, tracks, rewards = pushes_of(made, visits_of(result, start), target)
     shown = picked(len(tracks), best)
-    panels = [[[draw.Push(goals[g], tracks[i, g], rewards[i, g])] for i in shown] for g in range(len(goals))]
+    panels = [
+        [[draw.Push(goals[g], tracks[i, g], rewards[i, g])] for i in shown]
+        for g in range(len(goals))
+    ]
     params = np.asarray(task.space.physical(result.history.mean[start]))
     figure = draw.pushes_over_iterations(
         panels,
@@ -71,17 +90,27 @@ def show(
     lines = [f"written: {look.save(figure, out / 'pushes.png')}"]
     if result.policy.told is not None:
         made_so_far = int(np.sum(result.policy.told.used))
-        lines.insert(0, f"actions are corrected by the pushes made before, the best policy's by all {made_so_far}")
+        lines.insert(
+            0,
+            f"actions are corrected by the pushes made before, the best policy's by all "
+            f"{made_so_far}",
+        )
     if video:
         visits = [(0, "first"), (best, "best")] if best else [(0, "best")]
-        takes = [(f"iteration {i} ({word})", actions[i, g], goals[g]) for g in range(len(goals)) for i, word in visits]
+        takes = [
+            (f"iteration {i} ({word})", actions[i, g], goals[g])
+            for g in range(len(goals))
+            for i, word in visits
+        ]
         path, how = filmed(made, target, takes, out)
         lines.append(f"written: {path}, {how}")
     return lines
 
 
 def picked(count: int, best: int) -> list[int]:
-    """The first, the last and evenly between them; the best takes the place of the one nearest to it."""
+    """The first, the last and evenly between them; the best takes the place of the one nearest to
+    it.
+    """
     shown = sorted({round(i) for i in np.linspace(0, count - 1, min(COLUMNS, count))})
     if best not in shown:
         last = len(shown) - 1
@@ -97,7 +126,9 @@ def visits_of(result: Any, start: int) -> Any:
 
 
 def pushes_of(made: Any, policies: Any, target: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Goals `[G, 2]`, and for each of `policies [P]`: actions `[P, G, 2]`, tracks `[P, G, T, 2]`, rewards `[P, G]`."""
+    """Goals `[G, 2]`, and for each of `policies [P]`: actions `[P, G, 2]`, tracks `[P, G, T, 2]`,
+    rewards `[P, G]`.
+    """
     import jax
     import jax.numpy as jnp
 
@@ -110,7 +141,10 @@ def pushes_of(made: Any, policies: Any, target: np.ndarray) -> tuple[np.ndarray,
     @jax.jit
     def run(policies):
         actions = jax.vmap(lambda p: act(p, goals))(policies)
-        one = lambda a: simulate(jnp.asarray(target, jnp.float32), a)
+
+        def one(a):
+            return simulate(jnp.asarray(target, jnp.float32), a)
+
         tracks = jax.vmap(jax.vmap(one))(actions)
         return actions, tracks, pushing.push_reward(tracks[..., -1, :], goals[None])
 
@@ -131,7 +165,9 @@ def filmed(
     clips = []
     for (who, action, goal), state in zip(takes, states, strict=True):
         apart = 100 * np.linalg.norm(state[-1, :2] - goal)
-        clips.append(Clip(state, action, goal, float(target[3]), f"{who}: {apart:.0f} cm from the goal"))
+        clips.append(
+            Clip(state, action, goal, float(target[3]), f"{who}: {apart:.0f} cm from the goal")
+        )
     return write_push_video(clips, out)
 
 

@@ -1,4 +1,6 @@
-"""What `adaptsim adapt` shows of scooping: how trials end over iterations, and a film of the first and the best policy."""
+"""What `adaptsim adapt` shows of scooping: how trials end over iterations, and a film of the first
+and the best policy.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +15,13 @@ from adaptsim_jax.commands.task_parts import AdaptPart
 MOMENTS = (0.35, 0.5, 1.0)  # s, that the figure shows of a trial
 
 
-def adapt(trained: Any, options: dict[str, Any], key: Any, target: Any, starts: int, iterations: int) -> Any:
-    """Phase 2 in `target [D]`; where the task corrects what is deployed, with the visits and the corrections of `compare`. The best
-    policy is that of the visit with the highest return, corrected by all scoops that were made."""
+def adapt(
+    trained: Any, options: dict[str, Any], key: Any, target: Any, starts: int, iterations: int
+) -> Any:
+    """Phase 2 in `target [D]`; where the task corrects what is deployed, with the visits and the
+    corrections of `compare`. The best policy is that of the visit with the highest return,
+    corrected by all scoops that were made.
+    """
     from adaptsim_jax.adaptation.training import adapt_run
     from adaptsim_jax.core import config
     from adaptsim_jax.tasks.scooping.task import ScoopingConfig
@@ -35,14 +41,21 @@ def adapt(trained: Any, options: dict[str, Any], key: Any, target: Any, starts: 
     arena = Arena(one, one.world(one.engine), np.asarray(target)[None])
     start_key, run_key = jax.random.split(key)
     batch = lanes(1, np.array([jax.random.bits(run_key)]), starts, label=1)
-    first = draw_starts(start_key, trained.state.archive, archive_size(phase1, trained.rounds), starts)
-    each = lambda x: jnp.broadcast_to(x, (starts, *jnp.shape(x)))
+    first = draw_starts(
+        start_key, trained.state.archive, archive_size(phase1, trained.rounds), starts
+    )
+
+    def each(x):
+        return jnp.broadcast_to(x, (starts, *jnp.shape(x)))
+
     weights, hyper = each(trained.state.learner.target), jax.tree.map(each, trained.hyper)
     return as_deployed(arena, batch, tour(arena, batch, phase1, weights, hyper, first, iterations))
 
 
 def as_deployed(arena: Any, batch: Any, found: Any) -> Any:
-    """A `Phase2Result` of a tour of one target and seed, its policies told of the scoops that they are corrected by."""
+    """A `Phase2Result` of a tour of one target and seed, its policies told of the scoops that they
+    are corrected by.
+    """
     import jax
     import jax.numpy as jnp
 
@@ -51,17 +64,28 @@ def as_deployed(arena: Any, batch: Any, found: Any) -> Any:
 
     told = [found.memory.deployed(policies, i) for i, policies in enumerate(found.policies)]
     policies = jax.tree.map(lambda *x: jnp.stack(x, 1), *told)
-    history = Episode(found.means, policies, found.obs, found.scores, found.rewards, found.actions[:, :-1])
+    history = Episode(
+        found.means, policies, found.obs, found.scores, found.rewards, found.actions[:, :-1]
+    )
     start, visit = map(int, best_visit(found.scores))
     last = jax.tree.map(lambda x: x[start], found.memory.deployed(found.policies[visit]))
     reward = arena.score(batch.where[:1], jax.tree.map(lambda x: x[None], last))[0]
-    return Phase2Result(last, found.means[start, visit], found.scores[start, visit], reward, history)
+    return Phase2Result(
+        last, found.means[start, visit], found.scores[start, visit], reward, history
+    )
 
 
 def show(
-    trained: Any, options: dict[str, Any], found: dict[str, Any], result: Any, out: Path, video: bool
+    trained: Any,
+    options: dict[str, Any],
+    found: dict[str, Any],
+    result: Any,
+    out: Path,
+    video: bool,
 ) -> list[str]:
-    """Draw the start that holds the best visit into `out`; returns lines for a person, one a file."""
+    """Draw the start that holds the best visit into `out`; returns lines for a person, one a
+    file.
+    """
     from adaptsim_jax.adaptation.phase2 import best_visit
     from adaptsim_jax.core import config
     from adaptsim_jax.report import figures as look
@@ -88,7 +112,9 @@ def show(
     lines = [f"written: {look.save(figure, out / 'scoops.png')}"]
     if result.policy.told is not None:
         count = int(np.sum(result.policy.told.used))
-        lines.insert(0, f"scoops are corrected by those made before, the best policy's by all {count}")
+        lines.insert(
+            0, f"scoops are corrected by those made before, the best policy's by all {count}"
+        )
     if video:
         from adaptsim_jax.report.scoop_video import write_scoop_video
 
@@ -99,7 +125,9 @@ def show(
 
 
 def clips_of(made: Any, policies: Any, target: np.ndarray) -> list[Any]:
-    """A clip `ScoopClip` of each of `policies [P]`: what it does in the target, without an error of execution."""
+    """A clip `ScoopClip` of each of `policies [P]`: what it does in the target, without an error of
+    execution.
+    """
     import jax
     import jax.numpy as jnp
 
@@ -113,7 +141,9 @@ def clips_of(made: Any, policies: Any, target: np.ndarray) -> list[Any]:
     @jax.vmap
     def run(one):
         action = act(one, jnp.zeros(2))
-        return action, hydro.rollout(jnp.asarray(target, jnp.float32), action, options, made.numerics)
+        return action, hydro.rollout(
+            jnp.asarray(target, jnp.float32), action, options, made.numerics
+        )
 
     actions, scoops = run(policies)
     clips = []

@@ -20,7 +20,9 @@ def check_task(task: str) -> str:
 
 
 def task_word(args: argparse.Namespace) -> str:
-    """The task that `args.task` names, a task's own name or an env.toml: its table is then `args.env`, else empty."""
+    """The task that `args.task` names, a task's own name or an env.toml: its table is then
+    `args.env`, else empty.
+    """
     args.env = {}
     if args.task.endswith(".toml"):
         from adaptsim_jax.environments.config import read_env
@@ -32,7 +34,9 @@ def task_word(args: argparse.Namespace) -> str:
 
 @contextlib.contextmanager
 def output(path: str | Path) -> Iterator[Path]:
-    """The folder `path` to write into, made if need be; where the work fails before it wrote anything, it is gone again."""
+    """The folder `path` to write into, made if need be; where the work fails before it wrote
+    anything, it is gone again.
+    """
     from adaptsim_jax.core.files import output_folder
 
     new = not Path(path).exists()
@@ -47,11 +51,12 @@ def output(path: str | Path) -> Iterator[Path]:
 
 
 def read_target(text: str, task: Any) -> tuple[str, Any, Any]:
-    """`(name, params [D], world)` of a target: a setting of `task`, or a TOML file that names every parameter.
+    """`(name, params [D], world)` of a target: a setting of `task`, or a TOML file that names every
+    parameter.
 
-    The parameters stand at the top of the file or under `[params]`; all are checked against physical ranges. A
-    `model.toml` is a target with effects of its own: `world` is then `task` with that model to act in, else None; so it is where a
-    setting has more than parameters of Omega.
+    The parameters stand at the top of the file or under `[params]`; all are checked against
+    physical ranges. A `model.toml` is a target with effects of its own: `world` is then `task` with
+    that model to act in, else None; so it is where a setting has more than parameters of Omega.
     """
     if text in task.settings:
         world = None if task.world is None else task.world(text)
@@ -72,7 +77,9 @@ def read_target(text: str, task: Any) -> tuple[str, Any, Any]:
                 raise BadInput(f"{path}: unknown key '{key}' beside [params]; remove it")
         table = table["params"]
         if not isinstance(table, dict):
-            raise BadInput(f"{path}: 'params' is not a table; write [params] and a line for each parameter")
+            raise BadInput(
+                f"{path}: 'params' is not a table; write [params] and a line for each parameter"
+            )
     return path.stem, task.space.values(table, str(path)), None
 
 
@@ -98,7 +105,9 @@ def _whole(text: str, low: int, high: int) -> int:
     except ValueError:
         value = low - 1
     if not low <= value <= high:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from {low} to {high}; try {low}")
+        raise argparse.ArgumentTypeError(
+            f"'{text}' is not a whole number from {low} to {high}; try {low}"
+        )
     return value
 
 

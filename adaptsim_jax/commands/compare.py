@@ -17,9 +17,12 @@ EXAMPLES = """
 A comparison that was stopped, or that failed, goes on with the same command: what was done is kept in DIR/unfinished.
 """
 METHODS = (
-    "pendulum: adaptsim, adaptsim-state, adaptsim-analytic, sysid-bayes, sysid-bayes-state, sysid-point, sysid-point-state, "
-    "gradient, udr, best-in-omega; pushing and scooping: adaptsim, sysid-bayes, sysid-point, bayesopt, udr, udr-target, "
-    "learn-in-target, oracle; an env.toml: adaptsim, sysid-bayes, sysid-point, sbi, bayesopt, cma-es, gradient, fine-tune, "
+    "pendulum: adaptsim, adaptsim-state, adaptsim-analytic, sysid-bayes, sysid-bayes-state, "
+    "sysid-point, sysid-point-state, "
+    "gradient, udr, best-in-omega; pushing and scooping: adaptsim, sysid-bayes, sysid-point, "
+    "bayesopt, udr, udr-target, "
+    "learn-in-target, oracle; an env.toml: adaptsim, sysid-bayes, sysid-point, sbi, bayesopt, "
+    "cma-es, gradient, fine-tune, "
     "nominal, udr, udr-wide, best-in-omega, oracle"
 )
 ENGINES = "pushing: planar, native, mjx or drake; scooping: hydro, native, mjx or drake"
@@ -28,19 +31,31 @@ ENGINES = "pushing: planar, native, mjx or drake; scooping: hydro, native, mjx o
 def arguments(parser: argparse.ArgumentParser) -> None:
     from adaptsim_jax.commands.common import positive, settable
 
-    parser.add_argument("task", metavar="TASK", help="pendulum, pushing, scooping, one of your own, or an env.toml")
     parser.add_argument(
-        "--out", required=True, metavar="DIR", help="folder for results.json, table, figures and report.html"
+        "task", metavar="TASK", help="pendulum, pushing, scooping, one of your own, or an env.toml"
     )
     parser.add_argument(
-        "--seeds", type=positive, metavar="N", help="seeds of each method (pendulum 20, an env.toml 3, else 10)"
+        "--out",
+        required=True,
+        metavar="DIR",
+        help="folder for results.json, table, figures and report.html",
+    )
+    parser.add_argument(
+        "--seeds",
+        type=positive,
+        metavar="N",
+        help="seeds of each method (pendulum 20, an env.toml 3, else 10)",
     )
     parser.add_argument("--methods", metavar="A,B", help=f"default: all. {METHODS}")
     parser.add_argument(
-        "--settings", metavar="A,B", help="default: all, that is wd and ood-1 .. ood-4, or the targets of an env.toml"
+        "--settings",
+        metavar="A,B",
+        help="default: all, that is wd and ood-1 .. ood-4, or the targets of an env.toml",
     )
     parser.add_argument("--target", metavar="ENGINE", help=f"where targets are run. {ENGINES}")
-    parser.add_argument("--config", metavar="FILE", help="a TOML file of the comparison's config to start from")
+    parser.add_argument(
+        "--config", metavar="FILE", help="a TOML file of the comparison's config to start from"
+    )
     parser.add_argument("--json", action="store_true", help="print results.json")
     settable(parser, ", such as iterations=5 or train.phase1.trajectories=2000")
 
@@ -71,7 +86,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def found_figure(results: dict[str, Any], options: dict[str, Any], out: Any) -> list[Any]:
-    """`parameters_found.png` in `out`, where methods adapted the parameters of a task whose policies are learned."""
+    """`parameters_found.png` in `out`, where methods adapted the parameters of a task whose
+    policies are learned.
+    """
     if "simulator" not in results or not any(row.get("best_params") for row in results["rows"]):
         return []
     from pathlib import Path
@@ -80,15 +97,24 @@ def found_figure(results: dict[str, Any], options: dict[str, Any], out: Any) -> 
     from adaptsim_jax.report.figures_pushing import axes_of, parameters_found
     from adaptsim_jax.tasks.registry import make_task
 
-    figure = parameters_found(results, axes_of(make_task(results["task"], options).space, results["task"]))
+    figure = parameters_found(
+        results, axes_of(make_task(results["task"], options).space, results["task"])
+    )
     return [look.save(figure, Path(out) / "parameters_found.png")]
 
 
 def config_of(args: argparse.Namespace) -> Any:
-    """The comparison's config from a file or the defaults, with what the command line changes; all of it checked."""
+    """The comparison's config from a file or the defaults, with what the command line changes; all
+    of it checked.
+    """
     from adaptsim_jax.adaptation.phase1 import make_phase1
     from adaptsim_jax.baselines.config import CompareConfig, default_comparison
-    from adaptsim_jax.baselines.registry import PROBLEMS, exact_methods, learned_methods, steps_methods
+    from adaptsim_jax.baselines.registry import (
+        PROBLEMS,
+        exact_methods,
+        learned_methods,
+        steps_methods,
+    )
     from adaptsim_jax.core import config
     from adaptsim_jax.tasks.registry import make_task
 
@@ -98,12 +124,19 @@ def config_of(args: argparse.Namespace) -> Any:
     start = config.from_table(
         CompareConfig, config.over(defaults, config.read(args.config) if args.config else {}), where
     )
-    given = {"seeds": args.seeds, "seed": args.seed if args.seed_given else None, "target": args.target}
+    given = {
+        "seeds": args.seeds,
+        "seed": args.seed if args.seed_given else None,
+        "target": args.target,
+    }
     settings = [f"{name}={value}" for name, value in given.items() if value is not None]
     if args.methods is not None:
         methods = [word.strip().replace("-", "_") for word in args.methods.split(",")]
         for method in methods:
-            known = exact_methods() if args.task in PROBLEMS else learned_methods()
+            if args.task in PROBLEMS:
+                known = exact_methods()
+            else:
+                known = learned_methods()
             config.pick("method", method, steps_methods() if args.task == "environment" else known)
         settings.append(f"methods={methods}")
     if args.settings is not None:

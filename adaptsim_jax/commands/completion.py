@@ -20,14 +20,18 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the script of one shell; it is made from the parsers, and does not start Python when it completes."""
+    """Print the script of one shell; it is made from the parsers, and does not start Python when it
+    completes.
+    """
     found = {name: options_of(name) for name in SUMMARIES}
     print({"bash": bash, "zsh": zsh, "fish": fish}[args.shell](found), end="")
     return 0
 
 
 def options_of(name: str) -> dict[str, str]:
-    """Options of a command with their help; and the words that its first argument may be, with an empty help."""
+    """Options of a command with their help; and the words that its first argument may be, with an
+    empty help.
+    """
     from adaptsim_jax.commands.parser import command_parser
 
     found: dict[str, str] = {}
@@ -43,7 +47,9 @@ def options_of(name: str) -> dict[str, str]:
 
 def bash(found: dict[str, dict[str, str]]) -> str:
     """A completion function of bash; files where no word fits."""
-    cases = "\n".join(f"    {name}) words='{' '.join(options)}' ;;" for name, options in found.items())
+    cases = "\n".join(
+        f"    {name}) words='{' '.join(options)}' ;;" for name, options in found.items()
+    )
     return f"""# completion of adaptsim for bash
 _adaptsim() {{
   local word=${{COMP_WORDS[COMP_CWORD]}} words
@@ -60,7 +66,10 @@ complete -o filenames -F _adaptsim adaptsim
 
 def zsh(found: dict[str, dict[str, str]]) -> str:
     """A completion function of zsh, to be found in `fpath` as `_adaptsim`."""
-    quoted = lambda text: text.replace(":", "\\:")
+
+    def quoted(text):
+        return text.replace(":", "\\:")
+
     commands = "\n".join(f"    '{name}:{quoted(SUMMARIES[name])}'" for name in found)
     cases = []
     for name, options in found.items():
@@ -91,8 +100,13 @@ def fish(found: dict[str, dict[str, str]]) -> str:
     """Lines of `complete` for fish."""
     lines = ["# completion of adaptsim for fish"]
     for name, options in found.items():
-        lines.append(f"complete -c adaptsim -n __fish_use_subcommand -f -a {name} -d '{SUMMARIES[name]}'")
+        lines.append(
+            f"complete -c adaptsim -n __fish_use_subcommand -f -a {name} -d '{SUMMARIES[name]}'"
+        )
         for option, words in options.items():
-            what = f"-l {option.removeprefix('--')} -d '{words}'" if option.startswith("--") else f"-a {option}"
+            if option.startswith("--"):
+                what = f"-l {option.removeprefix('--')} -d '{words}'"
+            else:
+                what = f"-a {option}"
             lines.append(f"complete -c adaptsim -n '__fish_seen_subcommand_from {name}' {what}")
     return "\n".join(lines) + "\n"

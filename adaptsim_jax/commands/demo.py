@@ -27,7 +27,9 @@ TITLES = {
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", default="demo_out", metavar="DIR", help="default: demo_out")
-    parser.add_argument("--full", action="store_true", help="the long tour: larger sizes, all baselines, films")
+    parser.add_argument(
+        "--full", action="store_true", help="the long tour: larger sizes, all baselines, films"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -40,7 +42,8 @@ def run(args: argparse.Namespace) -> int:
     again = f"adaptsim demo{' --full' * args.full} --out {shlex.quote(args.out)} --seed {args.seed}"
     args.resume_hint = f"continue with: {again}"
     print(
-        "A pendulum, a push and a scoop are adapted to targets that the simulator is wrong about, and a recording is diagnosed: "
+        "A pendulum, a push and a scoop are adapted to targets that the simulator is wrong about, "
+        "and a recording is diagnosed: "
         f"{'a long while' if args.full else 'some minutes'} on two cores.",
         flush=True,
     )
@@ -58,7 +61,8 @@ def run(args: argparse.Namespace) -> int:
 def _set_up_computing() -> None:
     from adaptsim_jax.core import compile_flags
 
-    compile_flags.small_steps()  # the tour is small loops, and most of its time goes into compiling them
+    # the tour is small loops, and most of its time goes into compiling them
+    compile_flags.small_steps()
     # two processes: by default each would take three quarters of a GPU's memory at once
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
 

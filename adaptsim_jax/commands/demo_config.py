@@ -22,8 +22,9 @@ PENDULUM = Path(__file__).parents[1] / "logs" / "sample" / "recording"
 
 @dataclass(frozen=True)
 class ContactConfig:
-    """Sizes of the push or the scoop: the target, Phase 1's trajectories, how many at once and updates a round, starts N and
-    iterations; options: of the task, over its default ones."""
+    """Sizes of the push or the scoop: the target, Phase 1's trajectories, how many at once and
+    updates a round, starts N and iterations; options: of the task, over its default ones.
+    """
 
     target: str
     trajectories: int
@@ -36,16 +37,26 @@ class ContactConfig:
     def train(self, task: str, seed: int) -> TrainConfig:
         """Phase 1 of `task` at these sizes; all else is the task's own default."""
         base = default_config(task)
-        sizes = {"trajectories": self.trajectories, "parallel": self.parallel, "updates": self.updates}
+        sizes = {
+            "trajectories": self.trajectories,
+            "parallel": self.parallel,
+            "updates": self.updates,
+        }
         options = configs.over(base.task, self.options)
-        reuse = replace(base.phase1.reuse, together=math.gcd(base.phase1.reuse.together, self.parallel))
-        return replace(base, seed=seed, task=options, phase1=replace(base.phase1, reuse=reuse, **sizes))
+        reuse = replace(
+            base.phase1.reuse, together=math.gcd(base.phase1.reuse.together, self.parallel)
+        )
+        return replace(
+            base, seed=seed, task=options, phase1=replace(base.phase1, reuse=reuse, **sizes)
+        )
 
 
 @dataclass(frozen=True)
 class DemoConfig:
-    """Sizes of the tour: of the pendulum seeds of every method, N, iterations, Phase 1 and SysID's budgets, and which baselines;
-    of the push and the scoop; whether they are filmed, and whether the double pendulum's sample is diagnosed beside the hinge's."""
+    """Sizes of the tour: of the pendulum seeds of every method, N, iterations, Phase 1 and SysID's
+    budgets, and which baselines; of the push and the scoop; whether they are filmed, and whether
+    the double pendulum's sample is diagnosed beside the hinge's.
+    """
 
     seeds: int = 1
     starts: int = 2
@@ -55,10 +66,17 @@ class DemoConfig:
     baselines: tuple[str, ...] = ("sysid_point", "udr", "best_in_omega")
     push: ContactConfig = field(
         default_factory=lambda: ContactConfig(
-            "ood-2", 500, 250, 1200, iterations=5, options={"shared": {"contexts": 500, "trials": 128, "updates": 2000}}
+            "ood-2",
+            500,
+            250,
+            1200,
+            iterations=5,
+            options={"shared": {"contexts": 500, "trials": 128, "updates": 2000}},
         )
     )
-    scoop: ContactConfig = field(default_factory=lambda: ContactConfig("wd", 50, 50, 240, iterations=4))
+    scoop: ContactConfig = field(
+        default_factory=lambda: ContactConfig("wd", 50, 50, 240, iterations=4)
+    )
     films: bool = False
     double: bool = False
 
@@ -78,26 +96,35 @@ FULL = DemoConfig(
 def commands(out: Path, seed: int, config: DemoConfig) -> dict[str, str]:
     """What a person types for the same, into folders beside the tour's own.
 
-    One difference: `compare` draws other starts from S_E than `adapt`, so its row of AdaptSim is near the tour's and not the same.
+    One difference: `compare` draws other starts from S_E than `adapt`, so its row of AdaptSim is
+    near the tour's and not the same.
     """
-    again = lambda name: shlex.quote(str(out / "again" / name))
+
+    def again(name):
+        return shlex.quote(str(out / "again" / name))
+
     sizes = {"starts": config.starts, "iterations": config.iterations}
     asked = replace(default_comparison(TASK), train=config.train, sysid=config.sysid, **sizes)
     methods = ",".join(name.replace("_", "-") for name in ("adaptsim", *config.baselines))
     told = {
-        "train": f"adaptsim train {TASK} --run {again('run')} --seed {seed}{_changes(config.train, default_config(TASK), 'seed')}",
+        "train": f"adaptsim train {TASK} --run {again('run')} --seed "
+        f"{seed}{_changes(config.train, default_config(TASK), 'seed')}",
         "adapt": f"adaptsim adapt {again('run')} --target {TARGET} --seed {seed} "
         f"--starts {config.starts} --iterations {config.iterations}",
-        "compare": f"adaptsim compare {TASK} --out {again('comparison')} --seed {seed} --seeds {config.seeds} --settings {TARGET} "
+        "compare": f"adaptsim compare {TASK} --out {again('comparison')} --seed {seed} --seeds "
+        f"{config.seeds} --settings {TARGET} "
         f"--methods {methods}{_changes(asked, default_comparison(TASK))}",
-        "diagnose": f"adaptsim diagnose {shlex.quote(str(HINGE))} --out {again('diagnosis')} --seed {seed}",
-        "double": f"adaptsim diagnose {shlex.quote(str(PENDULUM))} --out {again('double')} --seed {seed}",
+        "diagnose": f"adaptsim diagnose {shlex.quote(str(HINGE))} --out {again('diagnosis')} "
+        f"--seed {seed}",
+        "double": f"adaptsim diagnose {shlex.quote(str(PENDULUM))} --out {again('double')} --seed "
+        f"{seed}",
     }
     for task, sized in (("pushing", config.push), ("scooping", config.scoop)):
         changed = _changes(sized.train(task, seed), default_config(task), "seed")
         told[f"train_{task}"] = f"adaptsim train {task} --run {again(task)} --seed {seed}{changed}"
         told[f"adapt_{task}"] = (
-            f"adaptsim adapt {again(task)} --target {sized.target} --seed {seed} --starts {sized.starts} "
+            f"adaptsim adapt {again(task)} --target {sized.target} --seed {seed} --starts "
+            f"{sized.starts} "
             f"--iterations {sized.iterations} --video"
         )
     return told
@@ -107,5 +134,7 @@ def _changes(config: Any, default: Any, *but: str) -> str:
     """` --set key=value` for each key, `but` some, in which `config` is not as `default`."""
     before, after = (configs.flatten(configs.to_table(one)) for one in (default, config))
     changed = [key for key in after if key not in but and after[key] != before.get(key)]
-    texts = [f"{key}={configs.dumps({'v': after[key]}).removeprefix('v = ').strip()}" for key in changed]
+    texts = [
+        f"{key}={configs.dumps({'v': after[key]}).removeprefix('v = ').strip()}" for key in changed
+    ]
     return "".join(f" --set {shlex.quote(text)}" for text in texts)

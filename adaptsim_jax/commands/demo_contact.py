@@ -1,4 +1,6 @@
-"""The tour's push and scoop: a small Phase 1, Phase 2 in a target, and what the first and the last policy do there."""
+"""The tour's push and scoop: a small Phase 1, Phase 2 in a target, and what the first and the last
+policy do there.
+"""
 
 from __future__ import annotations
 
@@ -26,9 +28,12 @@ from adaptsim_jax.tasks.registry import TASKS
 class Before(NamedTuple):
     """What adaptation changed.
 
-    learned: trajectories of Phase 1. found: as `result.json` of `adaptsim adapt` has it. start: the one whose best visit is deployed.
-    trials: made in the target in all. before, after: rewards, by the task's tests, of that start's first and of the deployed policy.
-    shown: of both policies, what is drawn (`Pushes`, or two `ScoopClip`s). film: its path, where there is one.
+    learned: trajectories of Phase 1. found: as `result.json` of `adaptsim adapt` has it. start: the
+        one whose best visit is deployed.
+    trials: made in the target in all. before, after: rewards, by the task's tests, of that start's
+        first and of the deployed policy.
+    shown: of both policies, what is drawn (`Pushes`, or two `ScoopClip`s). film: its path, where
+        there is one.
     """
 
     learned: int
@@ -42,7 +47,9 @@ class Before(NamedTuple):
 
 
 class Pushes(NamedTuple):
-    """goals `[G, 2]` m; of the policy before and after: tracks `[2, G, T, 2]` m and rewards `[2, G]`; patch: its place across, m."""
+    """goals `[G, 2]` m; of the policy before and after: tracks `[2, G, T, 2]` m and rewards `[2,
+    G]`; patch: its place across, m.
+    """
 
     goals: np.ndarray
     tracks: np.ndarray
@@ -81,26 +88,49 @@ def scoop_part(out: Path, seed: int, sizes: ContactConfig, film: bool, report: R
 
 
 def _contact(
-    out: Path, name: str, task_name: str, seed: int, sizes: ContactConfig, show: Callable[..., Any], report: Report
+    out: Path,
+    name: str,
+    task_name: str,
+    seed: int,
+    sizes: ContactConfig,
+    show: Callable[..., Any],
+    report: Report,
 ) -> Before:
-    """Phase 1 into `out/runs/NAME` (or from there), Phase 2, and `show(options, both policies, target)`."""
+    """Phase 1 into `out/runs/NAME` (or from there), Phase 2, and `show(options, both policies,
+    target)`.
+    """
     report(0, 1, "learning in simulation")
     train = sizes.train(task_name, seed)
     folder = run_folder(out / "runs" / name, train, task_name)
-    trained = train_run(train, folder, lambda done, total, note="": report(0.7 * done / total, 1, note))
+    trained = train_run(
+        train, folder, lambda done, total, note="": report(0.7 * done / total, 1, note)
+    )
     task = trained.phase1.task
     target = task.space.values(task.settings[sizes.target], sizes.target)
     report(0.7, 1, "adapting to the target")
     part = adapt_part(task_name)
-    result = part.adapt(trained, folder.config["task"], jax.random.key(seed), target, sizes.starts, sizes.iterations)
+    result = part.adapt(
+        trained, folder.config["task"], jax.random.key(seed), target, sizes.starts, sizes.iterations
+    )
     here = argparse.Namespace(folder=str(folder.path), seed=seed)
     found = describe(result, task, sizes.target, target, here)
     write_json(output_folder(out / name) / "result.json", found)
     report(0.9, 1, "looking at both policies")
     start = int(best_visit(result.history.score)[0])
-    both = jax.tree.map(lambda a, b: jnp.stack([a[start, 0], b]), result.history.policy, result.policy)
+    both = jax.tree.map(
+        lambda a, b: jnp.stack([a[start, 0], b]), result.history.policy, result.policy
+    )
     made = configs.from_table(TASKS[task_name].config, folder.config["task"], str(folder.path))
     shown, film = show(made, both, np.asarray(target))
     before, after = float(result.history.reward[start, 0]), float(result.reward)
     report(1, 1, f"reward {before:.2f} before, {after:.2f} after")
-    return Before(sizes.trajectories, found, start, found["trials"] * made.trajectories, before, after, shown, film)
+    return Before(
+        sizes.trajectories,
+        found,
+        start,
+        found["trials"] * made.trajectories,
+        before,
+        after,
+        shown,
+        film,
+    )

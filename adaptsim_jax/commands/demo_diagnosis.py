@@ -1,4 +1,6 @@
-"""The tour's diagnoses: recordings of a motor with a hanging rod and of a double pendulum, and what the models of them lack."""
+"""The tour's diagnoses: recordings of a motor with a hanging rod and of a double pendulum, and what
+the models of them lack.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,9 @@ from adaptsim_jax.report.diagnosis import write_diagnosis
 
 
 class Diagnosed(NamedTuple):
-    """report: as report.json; held_out: measured and simulated angles of a trial, as the page of a diagnosis is given them."""
+    """report: as report.json; held_out: measured and simulated angles of a trial, as the page of a
+    diagnosis is given them.
+    """
 
     report: dict[str, Any]
     held_out: list[dict[str, Any]]

@@ -1,4 +1,6 @@
-"""The tour's pendulum: Phase 1, Phase 2 in a target beside the baselines, and the map of what could be earned there."""
+"""The tour's pendulum: Phase 1, Phase 2 in a target beside the baselines, and the map of what could
+be earned there.
+"""
 
 from __future__ import annotations
 
@@ -36,32 +38,47 @@ class Adapted(NamedTuple):
 
 
 class Pendulum(NamedTuple):
-    """adapted: a run a seed; results: the comparison, as results.json; reward_map: around the target."""
+    """adapted: a run a seed; results: the comparison, as results.json; reward_map: around the
+    target.
+    """
 
     adapted: list[Adapted]
     results: dict[str, Any]
     reward_map: RewardMap
 
 
-def pendulum_part(out: Path, seed: int, config: DemoConfig, say: Callable[[str], Report]) -> Pendulum:
+def pendulum_part(
+    out: Path, seed: int, config: DemoConfig, say: Callable[[str], Report]
+) -> Pendulum:
     """Everything that the tour shows of the pendulum; runs and the comparison lie in `out`."""
     adapted = [
-        _adapt(out, replace(config.train, seed=seed + i), config, i, say("pendulum")) for i in range(config.seeds)
+        _adapt(out, replace(config.train, seed=seed + i), config, i, say("pendulum"))
+        for i in range(config.seeds)
     ]
     return Pendulum(adapted, *_compare(out, adapted, seed, config, say("baselines")))
 
 
 def run_folder(path: Path, train: TrainConfig, task: str) -> RunFolder:
-    """A new run folder, or the one that is there; a kill may have left a folder and nothing in it."""
-    start = RunFolder.resume if (path / CONFIG).exists() else RunFolder.create
+    """A new run folder, or the one that is there; a kill may have left a folder and nothing in
+    it.
+    """
+    if (path / CONFIG).exists():
+        start = RunFolder.resume
+    else:
+        start = RunFolder.create
     return start(path, configs.to_table(train), task=task)
 
 
-def _adapt(out: Path, train: TrainConfig, config: DemoConfig, index: int, report: Report) -> Adapted:
+def _adapt(
+    out: Path, train: TrainConfig, config: DemoConfig, index: int, report: Report
+) -> Adapted:
     """Phase 1 into a run folder (or from one), and Phase 2 in the target."""
     report(index, config.seeds)
     folder = run_folder(out / "runs" / f"seed-{train.seed}", train, TASK)
-    share = lambda done, total, note="": report(index + 0.9 * done / total, config.seeds, note)
+
+    def share(done, total, note=""):
+        return report(index + 0.9 * done / total, config.seeds, note)
+
     trained = train_run(train, folder, share)
     task = trained.phase1.task
     target = task.space.values(task.settings[TARGET], TARGET)
@@ -72,13 +89,25 @@ def _adapt(out: Path, train: TrainConfig, config: DemoConfig, index: int, report
 
 
 def _compare(out: Path, adapted: list[Adapted], seed: int, config: DemoConfig, report: Report):
-    """AdaptSim's row from the runs, the baselines' rows, and the map of rewards around the target."""
-    sizes = {"seeds": config.seeds, "starts": config.starts, "iterations": config.iterations, "sysid": config.sysid}
+    """AdaptSim's row from the runs, the baselines' rows, and the map of rewards around the
+    target.
+    """
+    sizes = {
+        "seeds": config.seeds,
+        "starts": config.starts,
+        "iterations": config.iterations,
+        "sysid": config.sysid,
+    }
     report(0, 1)
     full = ["--full"] if config == FULL else []
     command = shlex.join(["adaptsim", "demo", *full, "--out", str(out), "--seed", str(seed)])
-    share = lambda done, total, note="": report(0.8 * done / total, 1, note)
-    results = compare(TASK, CompareConfig(config.baselines, (TARGET,), seed=seed, **sizes), share, command)
+
+    def share(done, total, note=""):
+        return report(0.8 * done / total, 1, note)
+
+    results = compare(
+        TASK, CompareConfig(config.baselines, (TARGET,), seed=seed, **sizes), share, command
+    )
     report(0.8, 1, "map of rewards")
     task = adapted[0].trained.phase1.task
     problem = pendulum_problem(task.space)
@@ -86,7 +115,9 @@ def _compare(out: Path, adapted: list[Adapted], seed: int, config: DemoConfig, r
     bounds = find_bounds(problem, targets)
     means = np.stack([np.asarray(one.result.history.mean) for one in adapted])[None]
     visits = Visits(means, config.starts * (config.iterations + 1))
-    results["rows"] = visiting_rows("adaptsim", [TARGET], problem, targets, bounds, visits) + results["rows"]
+    results["rows"] = (
+        visiting_rows("adaptsim", [TARGET], problem, targets, bounds, visits) + results["rows"]
+    )
     write_json(output_folder(out / "comparison") / "results.json", results)
     ends = float(bounds.lower[0]), float(bounds.upper[0])
     chart = reward_map(problem, targets[0], *ends, names=("m1", "m2"), limits=MAP_LIMITS)

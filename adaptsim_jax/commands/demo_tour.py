@@ -1,8 +1,8 @@
-"""The tour of `adaptsim demo`: a pendulum adapted beside baselines, a push and a scoop before and after, a recording diagnosed, one
-page.
+"""The tour of `adaptsim demo`: a pendulum adapted beside baselines, a push and a scoop before and
+after, a recording diagnosed, one page.
 
-Small sizes of the real thing: nothing here computes what the other commands do not. A tour that was stopped is taken up
-again by the same call, from the checkpoints of its runs.
+Small sizes of the real thing: nothing here computes what the other commands do not. A tour that was
+stopped is taken up again by the same call, from the checkpoints of its runs.
 """
 
 from __future__ import annotations
@@ -21,8 +21,10 @@ from adaptsim_jax.core.progress import Parts, Report, silent_parts
 
 
 class Tour(NamedTuple):
-    """What the tour found: adapted pendulum runs, their comparison (as results.json) and reward map, the push, the scoop, the
-    diagnosis, where it was asked for the report on the second sample, and what to type for the same."""
+    """What the tour found: adapted pendulum runs, their comparison (as results.json) and reward
+    map, the push, the scoop, the diagnosis, where it was asked for the report on the second sample,
+    and what to type for the same.
+    """
 
     adapted: list[Adapted]
     results: dict[str, Any]
@@ -35,12 +37,16 @@ class Tour(NamedTuple):
 
 
 def demo(
-    out: str | Path, seed: int = 0, progress: Parts = silent_parts, config: DemoConfig = SHORT, apart: bool = False
+    out: str | Path,
+    seed: int = 0,
+    progress: Parts = silent_parts,
+    config: DemoConfig = SHORT,
+    apart: bool = False,
 ) -> Tour:
     """Run the tour into the folder `out`; returns what it found after writing `out/index.html`.
 
-    apart: the push and the scoop in a process beside this one, for two cores. Raises BadInput where `out` cannot be written or
-    holds runs of other sizes.
+    apart: the push and the scoop in a process beside this one, for two cores. Raises BadInput where
+    `out` cannot be written or holds runs of other sizes.
     """
     from adaptsim_jax.report.demo_page import write_demo
 
@@ -60,15 +66,23 @@ def demo(
     return tour
 
 
-def own_parts(out: Path, seed: int, config: DemoConfig, progress: Parts) -> tuple[Pendulum, Diagnosed, Any]:
+def own_parts(
+    out: Path, seed: int, config: DemoConfig, progress: Parts
+) -> tuple[Pendulum, Diagnosed, Any]:
     """The pendulum and what is diagnosed."""
     say = _named(progress)
     pendulum = pendulum_part(out, seed, config, say)
     hinge = diagnosed(HINGE, out / "diagnosis", say("diagnosis"))
-    return pendulum, hinge, diagnosed(PENDULUM, out / "double", say("double")).report if config.double else None
+    return (
+        pendulum,
+        hinge,
+        diagnosed(PENDULUM, out / "double", say("double")).report if config.double else None,
+    )
 
 
-def contact_parts(out: Path, seed: int, config: DemoConfig, progress: Parts) -> tuple[Before, Before]:
+def contact_parts(
+    out: Path, seed: int, config: DemoConfig, progress: Parts
+) -> tuple[Before, Before]:
     """The push and the scoop."""
     say = _named(progress)
     push = push_part(out, seed, config.push, config.films, say("push"))

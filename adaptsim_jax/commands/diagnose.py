@@ -32,23 +32,35 @@ EXAMPLES = """
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "data", metavar="DATA", help="a folder with meta.toml and one CSV or npz a trial, or a log (CSV, bag, MCAP)"
+        "data",
+        metavar="DATA",
+        help="a folder with meta.toml and one CSV or npz a trial, or a log (CSV, bag, MCAP)",
     )
     parser.add_argument(
-        "--out", required=True, metavar="DIR", help="folder for report.json, report.html, model.toml or model.xml"
+        "--out",
+        required=True,
+        metavar="DIR",
+        help="folder for report.json, report.html, model.toml or model.xml",
     )
     parser.add_argument(
-        "--model", metavar="FILE", help="MJCF or URDF of the mechanism, in place of the one that meta.toml names"
+        "--model",
+        metavar="FILE",
+        help="MJCF or URDF of the mechanism, in place of the one that meta.toml names",
     )
-    parser.add_argument("--without", nargs="+", default=[], metavar="TRIAL", help="trials to leave out, as 03,05")
+    parser.add_argument(
+        "--without", nargs="+", default=[], metavar="TRIAL", help="trials to leave out, as 03,05"
+    )
     parser.add_argument(
         "--simulator",
         choices=("tree", "mujoco"),
-        help="of a mechanism: a tree of joints, or MuJoCo itself (a base that moves, contact, loops; a shorter catalogue); default: "
+        help="of a mechanism: a tree of joints, or MuJoCo itself (a base that moves, contact, "
+        "loops; a shorter catalogue); default: "
         "as meta.toml says, else tree where the base stands still",
     )
     parser.add_argument("--json", action="store_true", help="print report.json")
-    parser.add_argument("--strict", action="store_true", help=argparse.SUPPRESS)  # of earlier versions
+    parser.add_argument(
+        "--strict", action="store_true", help=argparse.SUPPRESS
+    )  # of earlier versions
     parser.add_argument(
         "--as-declared",
         action="store_true",
@@ -57,15 +69,22 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--yardstick",
         choices=("stretches", "whole", "torque"),
-        help="of a mechanism, by which effects are judged (default: the one that tells most of this recording)",
+        help="of a mechanism, by which effects are judged (default: the one that tells most of "
+        "this recording)",
     )
     parser.add_argument(
-        "--horizon", type=stretch, metavar="S", help="of a mechanism, length of simulated stretches (default 0.5)"
+        "--horizon",
+        type=stretch,
+        metavar="S",
+        help="of a mechanism, length of simulated stretches (default 0.5)",
     )
     parser.add_argument(
-        "--exclude", nargs="+", default=[], metavar="EFFECT",
+        "--exclude",
+        nargs="+",
+        default=[],
+        metavar="EFFECT",
         help="effects that are not to be considered; `adaptsim effects TASK` lists them all",
-    )  # fmt: skip
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -81,7 +100,12 @@ def run(args: argparse.Namespace) -> int:
     if "jax" not in sys.modules:  # else a Python program called us, which may have compiled already
         compile_flags.small_steps()
     task = of_trials(data) if args.model is None else None
-    read = trials if task else mechanism if args.model is not None or of_a_mechanism(data) else pendulum
+    if task:
+        read = trials
+    elif args.model is not None or of_a_mechanism(data):
+        read = mechanism
+    else:
+        read = pendulum
     judge = read(args, split_names(args.without))  # refused before anything is written
     with output(args.out) as out, progress("diagnose") as report:
         result = judge(out=out, exclude=tuple(args.exclude), progress=report)
@@ -89,13 +113,16 @@ def run(args: argparse.Namespace) -> int:
 
 
 STRICT = (
-    "--strict: there is one search for all machines now; leave the option out: names that explain all but the noise have the "
+    "--strict: there is one search for all machines now; leave the option out: names that explain "
+    "all but the noise have the "
     "verdict `explained`, others `partly_explained`"
 )
 
 
 def check_apart(data: Path, out: Path) -> None:
-    """BadInput where the report would lie among the recordings, and be taken for one of them the next time."""
+    """BadInput where the report would lie among the recordings, and be taken for one of them the
+    next time.
+    """
     if data.is_dir() and out.exists() and out.resolve() == data.resolve():
         raise BadInput(f"--out {out}: is the folder of the recordings; name another")
 
@@ -109,7 +136,9 @@ def of_a_mechanism(data: Path) -> bool:
     """Whether DATA is a log of a mechanism: a file, or a folder whose meta.toml says so."""
     from adaptsim_jax.logs.meta import declared_task
 
-    return declared_task(data) == "mechanism" if data.is_dir() else data.exists()
+    if data.is_dir():
+        return declared_task(data) == "mechanism"
+    return data.exists()
 
 
 TRIALS = {"pushing": "pushing.diagnosis", "scooping": "scooping.diagnosis", "toss": "toss"}
@@ -117,7 +146,9 @@ TRIALS = {"pushing": "pushing.diagnosis", "scooping": "scooping.diagnosis", "tos
 
 
 def of_trials(data: Path) -> str | None:
-    """Which of `TRIALS` DATA holds, a folder of them or a session of `adaptsim robot`; None where it is something else."""
+    """Which of `TRIALS` DATA holds, a folder of them or a session of `adaptsim robot`; None where
+    it is something else.
+    """
     from adaptsim_jax.logs.meta import declared_task
 
     if (data / "robot.toml").exists():
@@ -125,7 +156,9 @@ def of_trials(data: Path) -> str | None:
 
         return session_task(data, ("pushing", "scooping"))
     task = declared_task(data)
-    return task if task in TRIALS else None
+    if task in TRIALS:
+        return task
+    return None
 
 
 Judge = Callable[..., dict[str, Any]]
@@ -136,11 +169,18 @@ def pendulum(args: argparse.Namespace, without: list[str]) -> Judge:
     """A recording of the double pendulum, refused within a second and before JAX is loaded."""
     from adaptsim_jax.logs.recording import read_recording
 
-    return partial(diagnose, read_recording(args.data, without=without), without=without, as_declared=args.as_declared)
+    return partial(
+        diagnose,
+        read_recording(args.data, without=without),
+        without=without,
+        as_declared=args.as_declared,
+    )
 
 
 def trials(args: argparse.Namespace, without: list[str]) -> Judge:
-    """Measured pushes, scoops or tosses: effects judged one by one, the mended model, and the trials that tell a class apart."""
+    """Measured pushes, scoops or tosses: effects judged one by one, the mended model, and the
+    trials that tell a class apart.
+    """
     from importlib import import_module
 
     data, task = Path(args.data), str(of_trials(Path(args.data)))
@@ -155,7 +195,11 @@ def trials(args: argparse.Namespace, without: list[str]) -> Judge:
 
     asked = {"without": without, "as_declared": args.as_declared}
     return partial(
-        import_module(f"{room}.diagnose").diagnose, recorded, page=write_diagnosis, named=str(data), asked=asked
+        import_module(f"{room}.diagnose").diagnose,
+        recorded,
+        page=write_diagnosis,
+        named=str(data),
+        asked=asked,
     )
 
 
@@ -172,24 +216,45 @@ def mechanism(args: argparse.Namespace, without: list[str]) -> Judge:
     if (args.simulator or log.meta.simulator or needed) == "mujoco":
         from adaptsim_jax.simulators.mujoco.diagnosed import diagnose as by_mujoco
 
-        log = log.pick([t.name for t in log.trials if t.name not in without]) if without else log
+        if without:
+            log = log.pick([t.name for t in log.trials if t.name not in without])
+        else:
+            log = log
         command = partial(
-            command_of, args.data, model=args.model, without=without, simulator=args.simulator, horizon=args.horizon
+            command_of,
+            args.data,
+            model=args.model,
+            without=without,
+            simulator=args.simulator,
+            horizon=args.horizon,
         )
         return lambda out, exclude, progress: by_mujoco(
-            source, log, page=write_diagnosis, out=out, exclude=exclude, progress=progress, horizon=args.horizon,
+            source,
+            log,
+            page=write_diagnosis,
+            out=out,
+            exclude=exclude,
+            progress=progress,
+            horizon=args.horizon,
             command=command(out=out, exclude=exclude),
-        )  # fmt: skip
+        )
     joined(source, log)
     given = {} if args.horizon is None else {"horizon": args.horizon}
     return partial(
-        diagnose, args.data, model=args.model, without=tuple(without), as_declared=args.as_declared, yardstick=args.yardstick,
+        diagnose,
+        args.data,
+        model=args.model,
+        without=tuple(without),
+        as_declared=args.as_declared,
+        yardstick=args.yardstick,
         **given,
-    )  # fmt: skip
+    )
 
 
 def say(args: argparse.Namespace, result: dict[str, Any], out: Path, replays: bool) -> int:
-    """The summary for a person and what to do next, or all of the report as JSON; replays: whether `replay` takes the model."""
+    """The summary for a person and what to do next, or all of the report as JSON; replays: whether
+    `replay` takes the model.
+    """
     from adaptsim_jax.commands.common import next_step, print_file
 
     if args.json:
@@ -200,10 +265,15 @@ def say(args: argparse.Namespace, result: dict[str, Any], out: Path, replays: bo
     from adaptsim_jax.report.diagnosis import print_summary
 
     print_summary(result, Console(), out)
-    model = next((out / name for name in ("model.toml", "model.xml") if (out / name).exists()), None)
+    model = next(
+        (out / name for name in ("model.toml", "model.xml") if (out / name).exists()), None
+    )
     if replays and model is not None and args.model is None:
         which = "mended" if result["effects"] else "fitted"
-        next_step(f"replay {shlex.quote(str(model))} {shlex.quote(args.data)}    the {which} model over a recording")
+        next_step(
+            f"replay {shlex.quote(str(model))} {shlex.quote(args.data)}    the {which} model over "
+            f"a recording"
+        )
     return 0
 
 
@@ -211,18 +281,22 @@ def diagnose(data: str | Path | Recording, **options: Any) -> dict[str, Any]:
     """Which effects recorded trials show that their declared model lacks.
 
     Args:
-        data: a folder with `meta.toml`, one log (with `model=`), or a recording of the double pendulum that was read.
-        options: `out` (folder for report, page and mended models), `model`, `exclude`, `without`, `effects`, `criteria`,
-            `progress`, `as_declared`, as far as the data's task has them (`attribution.diagnose.diagnose`,
-            `attribution.pendulum_diagnosis.diagnose_pendulum`).
+        data: a folder with `meta.toml`, one log (with `model=`), or a recording of the double
+                pendulum that was read.
+        options: `out` (folder for report, page and mended models), `model`, `exclude`, `without`,
+            `effects`, `criteria`, `progress`, `as_declared`, as far as the data's task has them
+            (`attribution.diagnose.diagnose`, `attribution.pendulum_diagnosis.diagnose_pendulum`).
 
     Returns:
-        The report, as `report.json` holds it (`diagnosis.schema`). Raises BadInput where the data or the model cannot be read.
+        The report, as `report.json` holds it (`diagnosis.schema`). Raises BadInput where the data
+        or the model cannot be read.
     """
     from adaptsim_jax.report.diagnosis import write_diagnosis
 
     options.setdefault("page", write_diagnosis)
-    if isinstance(data, (str, Path)) and (options.get("model") is not None or of_a_mechanism(Path(data))):
+    if isinstance(data, (str, Path)) and (
+        options.get("model") is not None or of_a_mechanism(Path(data))
+    ):
         from adaptsim_jax.attribution.diagnose import diagnose as of_mechanism
 
         return of_mechanism(data, **options)

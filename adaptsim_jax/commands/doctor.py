@@ -14,7 +14,9 @@ EXAMPLES = """
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print JSON")
-    parser.add_argument("--costs", action="store_true", help="measure what a trajectory costs in each engine, too")
+    parser.add_argument(
+        "--costs", action="store_true", help="measure what a trajectory costs in each engine, too"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -27,10 +29,14 @@ def run(args: argparse.Namespace) -> int:
     rows = costs() if args.costs else iter(())
     if args.json:
         print(json.dumps(found | ({"costs": list(rows)} if args.costs else {}), indent=1))
-        return 1 if found["faults"] else 0
+        if found["faults"]:
+            return 1
+        return 0
     doctor.show(found)
     for row in rows:
         print(line(row), flush=True)
     if not found["faults"]:
         next_step("demo    the tour, a few minutes")
-    return 1 if found["faults"] else 0
+    if found["faults"]:
+        return 1
+    return 0

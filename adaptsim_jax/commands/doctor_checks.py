@@ -22,7 +22,9 @@ _SCENE = """<mujoco><option timestep="0.002"/><worldbody><body><joint name="hing
 
 
 def examine() -> dict[str, Any]:
-    """Versions, devices, backends, compile cache; `faults` has a line for each thing the core lacks."""
+    """Versions, devices, backends, compile cache; `faults` has a line for each thing the core
+    lacks.
+    """
     versions = {name: _version(name) for name in PACKAGES}
     backends = {name: _try(trial) for name, trial in _TRIALS.items()}
     files, size = compile_cache.size()
@@ -31,7 +33,9 @@ def examine() -> dict[str, Any]:
         "adaptsim_jax": __version__,
         "python": platform.python_version(),
         "platform": platform.platform(),
-        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "cores": len(os.sched_getaffinity(0))
+        if hasattr(os, "sched_getaffinity")
+        else os.cpu_count(),
         "versions": versions,
         "devices": _devices(),
         "backends": backends,
@@ -47,12 +51,19 @@ def show(found: dict[str, Any]) -> None:
     from rich.markup import escape
 
     console = Console(highlight=False, soft_wrap=True)
-    console.print(f"adaptsim_jax {found['adaptsim_jax']}, Python {found['python']}, {found['platform']}")
+    console.print(
+        f"adaptsim_jax {found['adaptsim_jax']}, Python {found['python']}, {found['platform']}"
+    )
     versions = [f"{name} {version}" for name, version in found["versions"].items() if version]
     console.print(f"packages   {', '.join(versions)}")
-    console.print(f"devices    {', '.join(found['devices']) or 'none'}; {found['cores']} cores to use")
+    console.print(
+        f"devices    {', '.join(found['devices']) or 'none'}; {found['cores']} cores to use"
+    )
     for name, backend in found["backends"].items():
-        mark = "[green]works[/green]" if backend["works"] else "[yellow]absent[/yellow]"
+        if backend["works"]:
+            mark = "[green]works[/green]"
+        else:
+            mark = "[yellow]absent[/yellow]"
         console.print(f"  {name:8} {mark}  {escape(backend['note'])}")
     cache = found["compile_cache"]
     console.print(
@@ -100,7 +111,9 @@ def _try_jax() -> str:
     import jax
     import jax.numpy as jnp
 
-    value = float(jax.jit(lambda x: jnp.linalg.solve(x, jnp.ones(2)).sum())(jnp.diag(jnp.array([2.0, 4.0]))))
+    value = float(
+        jax.jit(lambda x: jnp.linalg.solve(x, jnp.ones(2)).sum())(jnp.diag(jnp.array([2.0, 4.0])))
+    )
     if abs(value - 0.75) > 1e-5:
         raise RuntimeError(f"a linear solve gave {value} for 0.75")
     return f"a compiled linear solve is right on {jax.default_backend()}"
@@ -155,7 +168,12 @@ _NEEDED = ("jax", "native", "mjx")
 
 def _faults(found: dict[str, Any]) -> list[str]:
     backends, versions = found["backends"], found["versions"]
-    faults = [f"{name}: {backends[name]['note']}" for name in _NEEDED if not backends[name]["works"]]
+    faults = [
+        f"{name}: {backends[name]['note']}" for name in _NEEDED if not backends[name]["works"]
+    ]
     if versions["mujoco"] != versions["mujoco-mjx"]:
-        faults.append(f"mujoco {versions['mujoco']} with mujoco-mjx {versions['mujoco-mjx']}: install one version")
+        faults.append(
+            f"mujoco {versions['mujoco']} with mujoco-mjx {versions['mujoco-mjx']}: install one "
+            f"version"
+        )
     return faults

@@ -1,4 +1,6 @@
-"""What an adaptation trajectory of Phase 1 costs on this machine in each engine that a task can be simulated in."""
+"""What an adaptation trajectory of Phase 1 costs on this machine in each engine that a task can be
+simulated in.
+"""
 
 from __future__ import annotations
 
@@ -29,15 +31,19 @@ def engines() -> dict[str, dict[str, Callable[[], Any]]]:
 
 
 def costs(wanted: tuple[str, ...] = ()) -> Iterator[dict[str, Any]]:
-    """A row for each task and engine (of the tasks `wanted`, by default all), as it is measured: seconds a trajectory, the visits
-    alone, without what is learned from them and the training of task policies; and seconds to compile a visit."""
+    """A row for each task and engine (of the tasks `wanted`, by default all), as it is measured:
+    seconds a trajectory, the visits alone, without what is learned from them and the training of
+    task policies; and seconds to compile a visit.
+    """
     for task, rows in engines().items():
         for engine, config in rows.items() if not wanted or task in wanted else ():
             yield {"task": task, "engine": engine} | measure(task, config())
 
 
 def measure(task: str, config: Any) -> dict[str, Any]:
-    """`VISITS` visits of Phase 1 as `config` has them, of untrained policies at random means of E in random targets."""
+    """`VISITS` visits of Phase 1 as `config` has them, of untrained policies at random means of E
+    in random targets.
+    """
     import jax
 
     from adaptsim_jax.space import gaussian
@@ -49,7 +55,9 @@ def measure(task: str, config: Any) -> dict[str, Any]:
         policy_key, mean_key, target_key, run_key = jax.random.split(key, 4)
         policy = made.init_policy(policy_key)
         if task == "pendulum":  # whose policies are solved for and not learned
-            policy = made.train(policy_key, gaussian(made.space, made.space.sample(mean_key)), policy)
+            policy = made.train(
+                policy_key, gaussian(made.space, made.space.sample(mean_key)), policy
+            )
         target = made.targets.physical(made.targets.sample(target_key))
         seen = (made.rehearse or made.rollout)(run_key, policy, target)
         return made.observe(seen), made.reward(seen, made.reference(target))
@@ -68,4 +76,7 @@ def measure(task: str, config: Any) -> dict[str, Any]:
 def line(row: dict[str, Any]) -> str:
     """A row for a person."""
     name = f"{row['task']} in {row['engine']}"
-    return f"cost       {name:20} {1e3 * row['s_a_trajectory']:9.2f} ms a trajectory (compiled in {row['compile_s']:.0f} s)"
+    return (
+        f"cost       {name:20} {1e3 * row['s_a_trajectory']:9.2f} ms a trajectory (compiled in "
+        f"{row['compile_s']:.0f} s)"
+    )

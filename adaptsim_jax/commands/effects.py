@@ -63,11 +63,15 @@ def listed(task: str) -> list[dict[str, Any]]:
     effects = catalogue(task)
     if task in ("pendulum", "mechanism"):
         return [describe(effect) for effect in effects]
-    return of_trials(effects, getattr(import_module(ALSO[task].partition(":")[0]), "QUANTITIES", ()))
+    return of_trials(
+        effects, getattr(import_module(ALSO[task].partition(":")[0]), "QUANTITIES", ())
+    )
 
 
 def of_trials(effects: Any, quantities: Any) -> list[dict[str, Any]]:
-    """Effects of short trials as plain data, with the bounds of their quantities where these are known beforehand."""
+    """Effects of short trials as plain data, with the bounds of their quantities where these are
+    known beforehand.
+    """
     known = {q.name: {"unit": q.unit, "low": q.low, "high": q.high} for q in quantities}
     return [
         {
@@ -85,7 +89,10 @@ def of_trials(effects: Any, quantities: Any) -> list[dict[str, Any]]:
 
 def describe(effect: Any) -> dict[str, Any]:
     """An effect of the catalogue as plain data; bounds are for a torque scale of 1 N m."""
-    told = lambda *names: {name: getattr(effect, name) for name in names}
+
+    def told(*names):
+        return {name: getattr(effect, name) for name in names}
+
     parameters = {"parameters": [_parameter(parameter) for parameter in effect.parameters]}
     head = told("name", "place", "scope", "physics", "formula")
     return head | parameters | told("look_alikes", "contains", "excitation", "smooth")
@@ -96,7 +103,9 @@ def _parameter(parameter: Any) -> dict[str, Any]:
     sign = "positive" if parameter.low >= 0 else sign
     role = "shape" if parameter.off is None else "amplitude"
     told = ("unit", "low", "high", "default", "off", "meaning")
-    return {"name": parameter.name, "role": role, "sign": sign} | {name: getattr(parameter, name) for name in told}
+    return {"name": parameter.name, "role": role, "sign": sign} | {
+        name: getattr(parameter, name) for name in told
+    }
 
 
 def _brief(effects: list[dict[str, Any]]) -> None:
@@ -108,7 +117,10 @@ def _brief(effects: list[dict[str, Any]]) -> None:
 def _show(effect: dict[str, Any]) -> None:
     from adaptsim_jax.effects.base import exponents
 
-    where = "at each joint" if effect["scope"] == "joint" else f"at the {effect['scope']}"
+    if effect["scope"] == "joint":
+        where = "at each joint"
+    else:
+        where = f"at the {effect['scope']}"
     print(
         f"{effect['name']}: acts on the {effect['place']} {where}"
         if effect["place"] != "force"
@@ -120,7 +132,10 @@ def _show(effect: dict[str, Any]) -> None:
     for p in effect["parameters"]:
         torques, times = exponents(p["unit"]) or (0, 0)
         scaled = " times the torque scale" if torques else ""
-        slow = ", wider for joints slower than 1 rad/s" if torques and times > 0 else ""
+        if torques and times > 0:
+            slow = ", wider for joints slower than 1 rad/s"
+        else:
+            slow = ""
         bounds = f"{p['low']:g} to {p['high']:g}{scaled}{slow}"
         bounds = bounds if p["high"] < 1e6 else "of the recording"
         meaning = f"; {p['meaning']}" if p["meaning"] else ""
@@ -134,7 +149,9 @@ def _show_trials(effect: dict[str, Any]) -> None:
     print(f"  physics      {effect['physics']}")
     for q in effect["quantities"]:
         print(
-            f"  {q['name']:12} [{q['unit'] or '1'}] {q['low']:g} to {q['high']:g}" if "unit" in q else f"  {q['name']}"
+            f"  {q['name']:12} [{q['unit'] or '1'}] {q['low']:g} to {q['high']:g}"
+            if "unit" in q
+            else f"  {q['name']}"
         )
     if effect["absorbed_by"] or effect["same_as"]:
         print(f"  look-alikes  {', '.join([*effect['absorbed_by'], *effect['same_as']])}")

@@ -11,7 +11,9 @@ LONGEST = 1e4
 def length(text: str) -> float:
     """Seconds, or 0 for whole trials."""
     if not 0.0 <= (value := _seconds(text)) < LONGEST:
-        raise argparse.ArgumentTypeError(f"'{text}' is no length of time; give seconds, or 0 for whole trials")
+        raise argparse.ArgumentTypeError(
+            f"'{text}' is no length of time; give seconds, or 0 for whole trials"
+        )
     return value
 
 
@@ -19,7 +21,8 @@ def stretch(text: str) -> float:
     """Seconds above 0."""
     if not 0.0 < (value := _seconds(text)) < LONGEST:
         raise argparse.ArgumentTypeError(
-            f"'{text}' is no length of a stretch; give seconds above 0 (whole trials: --yardstick whole)"
+            f"'{text}' is no length of a stretch; give seconds above 0 (whole trials: --yardstick "
+            f"whole)"
         )
     return value
 

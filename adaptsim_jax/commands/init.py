@@ -24,11 +24,18 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--model", type=Path, metavar="FILE", help="MJCF or URDF of the mechanism")
     parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="folder for meta.toml (default: DATA, if it is a folder)"
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="folder for meta.toml (default: DATA, if it is a folder)",
     )
-    parser.add_argument("--state-topic", metavar="NAME", help="ROS topic of joint states (default: the largest)")
+    parser.add_argument(
+        "--state-topic", metavar="NAME", help="ROS topic of joint states (default: the largest)"
+    )
     parser.add_argument("--command-topic", metavar="NAME", help="ROS topic of commands")
-    parser.add_argument("--json", action="store_true", help="print what was written and how it reads as JSON")
+    parser.add_argument(
+        "--json", action="store_true", help="print what was written and how it reads as JSON"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -37,21 +44,27 @@ def run(args: argparse.Namespace) -> int:
     from adaptsim_jax.logs.begin import begin
 
     topics = {"state_topic": args.state_topic, "command_topic": args.command_topic}
-    begun = begin(args.data, args.out, args.model, {key: name for key, name in topics.items() if name})
+    begun = begin(
+        args.data, args.out, args.model, {key: name for key, name in topics.items() if name}
+    )
     if args.json:
         print(json.dumps(_told(begun), indent=1))
         return 0
     print(f"wrote {begun.path}")
     print(f"{len(_guesses(begun.text))} guesses in it: check each line marked 'guess'")
     if begun.unused:
-        print(f"columns that are not used: {', '.join(begun.unused)}; name those that matter under [columns]")
+        print(
+            f"columns that are not used: {', '.join(begun.unused)}; name those that matter under "
+            f"[columns]"
+        )
     if begun.log is None:
         print(f"to mend before it reads: {begun.to_mend}")
         return 0
     log = begun.log
     seconds = sum(float(trial.time[-1] - trial.time[0]) for trial in log.trials)
     print(
-        f"reads as {len(log.trials)} trial(s), {seconds:.4g} s, joints {', '.join(log.joint_names)}, input: {log.input_kind}"
+        f"reads as {len(log.trials)} trial(s), {seconds:.4g} s, joints "
+        f"{', '.join(log.joint_names)}, input: {log.input_kind}"
     )
     for note in log.notes:
         print(f"  {note}")
@@ -65,12 +78,20 @@ def _guesses(text: str) -> list[str]:
 
 
 def _told(begun: Any) -> dict[str, Any]:
-    """The file, its lines that are guesses, and the log as it reads (None, and what is to be mended, where it does not)."""
+    """The file, its lines that are guesses, and the log as it reads (None, and what is to be
+    mended, where it does not).
+    """
     log = begun.log
-    reads = None if log is None else {
-        "trials": len(log.trials), "joints": list(log.joint_names), "input": log.input_kind, "notes": list(log.notes),
-        "seconds": sum(float(trial.time[-1] - trial.time[0]) for trial in log.trials),
-    }  # fmt: skip
+    if log is None:
+        reads = None
+    else:
+        reads = {
+            "trials": len(log.trials),
+            "joints": list(log.joint_names),
+            "input": log.input_kind,
+            "notes": list(log.notes),
+            "seconds": sum(float(trial.time[-1] - trial.time[0]) for trial in log.trials),
+        }
     return {
         "written": str(begun.path),
         "guesses": _guesses(begun.text),

@@ -1,4 +1,6 @@
-"""`adaptsim new`: files to start an effect, a mechanism, a task, an environment, an engine or a baseline from."""
+"""`adaptsim new`: files to start an effect, a mechanism, a task, an environment, an engine or a
+baseline from.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +10,13 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 
 KINDS = {  # the files of each
-    "effect": (".py",), "mechanism": (".xml",), "task": (".py",), "engine": (".py",), "baseline": (".py",),
+    "effect": (".py",),
+    "mechanism": (".xml",),
+    "task": (".py",),
+    "engine": (".py",),
+    "baseline": (".py",),
     "environment": (".toml", ".py", ".xml"),
-}  # fmt: skip
+}
 NEXT = {
     "effect": "python {file}    its torque; then fill in the physics (docs/your-own-effect.md)",
     "mechanism": "adaptsim init LOGS --model {file}",
@@ -20,11 +26,35 @@ NEXT = {
     "environment": "adaptsim train {file} --run runs/{name}",
 }
 KNOWN = {  # entry point: group, name, object, where it then stands, and the registry that it is in
-    "effect": ("effects", "{name}", "EFFECT", "`adaptsim effects mechanism`, `adaptsim diagnose`", "effects.registry:EFFECTS"),
-    "task": ("tasks", "{name}", "TASK", "`adaptsim train {name}`, `adaptsim compare {name}`", "tasks.registry:TASKS"),
-    "engine": ("backends", "pendulum.{name}", "ENGINE", "`adaptsim parity pendulum`", "tasks.pendulum.engines.registry:BACKENDS"),
-    "baseline": ("baselines", "exact.{name}", "{name}", "`adaptsim compare pendulum --methods {name}`", "baselines.registry:EXACT"),
-}  # fmt: skip
+    "effect": (
+        "effects",
+        "{name}",
+        "EFFECT",
+        "`adaptsim effects mechanism`, `adaptsim diagnose`",
+        "effects.registry:EFFECTS",
+    ),
+    "task": (
+        "tasks",
+        "{name}",
+        "TASK",
+        "`adaptsim train {name}`, `adaptsim compare {name}`",
+        "tasks.registry:TASKS",
+    ),
+    "engine": (
+        "backends",
+        "pendulum.{name}",
+        "ENGINE",
+        "`adaptsim parity pendulum`",
+        "tasks.pendulum.engines.registry:BACKENDS",
+    ),
+    "baseline": (
+        "baselines",
+        "exact.{name}",
+        "{name}",
+        "`adaptsim compare pendulum --methods {name}`",
+        "baselines.registry:EXACT",
+    ),
+}
 PYPROJECT = """[project]
 name = "{project}"
 version = "0.1"
@@ -45,7 +75,13 @@ EXAMPLES = """
 def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("kind", choices=KINDS, metavar="KIND", help=f"{', '.join(KINDS)}")
     parser.add_argument("name", metavar="NAME", help="in lower case, such as cable_drag")
-    parser.add_argument("--dir", type=Path, default=Path("."), metavar="DIR", help="folder of the file (default: here)")
+    parser.add_argument(
+        "--dir",
+        type=Path,
+        default=Path("."),
+        metavar="DIR",
+        help="folder of the file (default: here)",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -56,10 +92,14 @@ def run(args: argparse.Namespace) -> int:
     from adaptsim_jax.core.files import output_folder, write_bytes
 
     if not (args.name.isidentifier() and args.name.islower()) or keyword.iskeyword(args.name):
-        raise BadInput(f"'{args.name}' is no name for a file of Python; use letters in lower case, digits and _")
+        raise BadInput(
+            f"'{args.name}' is no name for a file of Python; use letters in lower case, digits and "
+            f"_"
+        )
     if args.name in _names(args.kind):
         raise BadInput(
-            f"{args.kind} '{args.name}' is there already, and two of one name are refused; give another NAME"
+            f"{args.kind} '{args.name}' is there already, and two of one name are refused; give "
+            f"another NAME"
         )
     paths = [args.dir / f"{args.name}{suffix}" for suffix in KINDS[args.kind]]
     for path in paths:
@@ -68,7 +108,11 @@ def run(args: argparse.Namespace) -> int:
     output_folder(args.dir)
     for path in paths:
         start = resources.files("adaptsim_jax.commands") / "starts" / f"{args.kind}{path.suffix}.j2"
-        text = start.read_text(encoding="utf-8").replace("{{ name }}", args.name).replace("{{ file }}", path.name)
+        text = (
+            start.read_text(encoding="utf-8")
+            .replace("{{ name }}", args.name)
+            .replace("{{ file }}", path.name)
+        )
         write_bytes(path, text.encode())
         print(f"written: {path}")
     if args.kind in KNOWN:
@@ -79,20 +123,28 @@ def run(args: argparse.Namespace) -> int:
 
 def _names(kind: str) -> tuple[str, ...]:
     """What is known of a kind."""
-    return tuple(EntryPoint(kind, f"adaptsim_jax.{KNOWN[kind][-1]}", "").load().own) if kind in KNOWN else ()
+    if kind in KNOWN:
+        return tuple(EntryPoint(kind, f"adaptsim_jax.{KNOWN[kind][-1]}", "").load().own)
+    return ()
 
 
 def _make_known(kind: str, name: str, folder: Path) -> None:
-    """A pyproject.toml whose entry points make the object one of ours; the lines for it where there is a file already."""
+    """A pyproject.toml whose entry points make the object one of ours; the lines for it where there
+    is a file already.
+    """
     from adaptsim_jax.core.files import write_bytes
 
     group, point, thing, where, _ = KNOWN[kind]
-    lines = f'[project.entry-points."adaptsim.{group}"]\n"{point}" = "{name}:{thing}"\n'.format(name=name)
+    lines = f'[project.entry-points."adaptsim.{group}"]\n"{point}" = "{name}:{thing}"\n'.format(
+        name=name
+    )
     file = folder / "pyproject.toml"
     if file.exists():
         print(f"add to {file}, and '{name}' to its py-modules or packages:\n\n{lines}")
     else:
-        text = PYPROJECT.format(name=name, project=f"my-{name.replace('_', '-').removeprefix('my-')}")
+        text = PYPROJECT.format(
+            name=name, project=f"my-{name.replace('_', '-').removeprefix('my-')}"
+        )
         write_bytes(file, f"{text}\n{lines}".encode())
         print(f"written: {file}")
     print(f"once installed (pip install -e {folder}) it is known to {where.format(name=name)}")

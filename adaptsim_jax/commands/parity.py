@@ -19,7 +19,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     from adaptsim_jax.commands.common import positive
 
     parser.add_argument("task", metavar="TASK", help="pendulum, pushing or scooping")
-    parser.add_argument("--samples", type=positive, default=32, metavar="N", help="random samples (32)")
+    parser.add_argument(
+        "--samples", type=positive, default=32, metavar="N", help="random samples (32)"
+    )
     parser.add_argument("--json", action="store_true", help="print JSON")
 
 
@@ -50,7 +52,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _show_pushing(found: dict[str, Any]) -> None:
     print(
-        f"pushing: {found['samples']} random pushes of {found['seconds']:g} s, friction {found['friction']};\n"
+        f"pushing: {found['samples']} random pushes of {found['seconds']:g} s, friction "
+        f"{found['friction']};\n"
         f"distance between final positions of the bottle, mm\n"
     )
     keys = ("median_mm", "p90_mm", "p99_mm", "max_mm")
@@ -65,30 +68,48 @@ def _show_pushing(found: dict[str, Any]) -> None:
 
 def _show_scooping(found: dict[str, Any]) -> None:
     print(
-        f"scooping: {found['samples']} random trials of {found['seconds']:g} s; share that ended alike, with 95 % intervals\n"
+        f"scooping: {found['samples']} random trials of {found['seconds']:g} s; share that ended "
+        f"alike, with 95 % intervals\n"
     )
-    interval = lambda row: f"{row['alike']:6.3f} {row['low']:6.3f} - {row['high']:5.3f}"
+
+    def interval(row):
+        return f"{row['alike']:6.3f} {row['low']:6.3f} - {row['high']:5.3f}"
+
     _pairs(found, 36, f"{'alike':>6} {'interval':>14}", "trial", interval)
-    print("\ndrake with itself at another mesh or step is the ceiling; low: hardly any dissipation\n")
     print(
-        f"{'engine':18} {'success':>8} {'ellipsoid':>9} {'cylinder':>9} {'trials/s':>9} {'per CPU s':>9} {'first call':>11}"
+        "\ndrake with itself at another mesh or step is the ceiling; low: hardly any dissipation\n"
+    )
+    print(
+        f"{'engine':18} {'success':>8} {'ellipsoid':>9} {'cylinder':>9} {'trials/s':>9} "
+        f"{'per CPU s':>9} {'first call':>11}"
     )
     for row, wrong in _that_ran(found["engines"]):
-        shapes = " ".join(f"{'-' if v is None else f'{v:.3f}':>9}" for v in row["success_by_shape"].values())
+        shapes = " ".join(
+            f"{'-' if v is None else f'{v:.3f}':>9}" for v in row["success_by_shape"].values()
+        )
         speeds = f"{row['trials_per_second']:9.1f} {row['trials_per_cpu_second']:9.1f} {row['first_call_s']:9.1f} s"
         print(f"{row['engine']:18} {row['success']:8.3f} {shapes} {speeds}{wrong}")
 
 
-def _pairs(found: dict[str, Any], wide: int, head: str, noun: str, numbers: Callable[[dict[str, Any]], str]) -> None:
-    """The table of pairs of engines, their names `wide`; noun: what went well in neither where nothing was compared."""
+def _pairs(
+    found: dict[str, Any], wide: int, head: str, noun: str, numbers: Callable[[dict[str, Any]], str]
+) -> None:
+    """The table of pairs of engines, their names `wide`; noun: what went well in neither where
+    nothing was compared.
+    """
     print(f"{'pair':{wide}} {head} {'compared':>9}")
     for row in found["pairs"]:
-        told = f"{numbers(row)} {row['compared']:9}" if row["compared"] else f"no {noun} went well in both"
+        if row["compared"]:
+            told = f"{numbers(row)} {row['compared']:9}"
+        else:
+            told = f"no {noun} went well in both"
         print(f"{' - '.join(row['pair']):{wide}} {told}")
 
 
 def _that_ran(engines: list[dict[str, Any]]) -> Iterator[tuple[dict[str, Any], str]]:
-    """Each engine that ran, with what went wrong in it; those that did not are printed with the reason."""
+    """Each engine that ran, with what went wrong in it; those that did not are printed with the
+    reason.
+    """
     for row in engines:
         if row["ran"]:
             yield row, "".join(f"; {count}: {what}" for what, count in row["went_wrong"].items())
@@ -98,7 +119,8 @@ def _that_ran(engines: list[dict[str, Any]]) -> Iterator[tuple[dict[str, Any], s
 
 def _show(found: dict[str, Any]) -> None:
     print(
-        f"{found['task']}: {found['samples']} random samples of {found['seconds']:g} s, double precision;\n"
+        f"{found['task']}: {found['samples']} random samples of {found['seconds']:g} s, double "
+        f"precision;\n"
         f"differences of the final state from {found['reference']} MuJoCo, median and largest\n"
     )
     print(f"{'backend':12} {'angle [rad]':>19} {'velocity [rad/s]':>19} {'diverged':>9}")
@@ -108,5 +130,7 @@ def _show(found: dict[str, Any]) -> None:
         elif "angle_median" not in row:
             print(f"{row['backend']:12} all {row['diverged']} samples diverged")
         else:
-            pairs = [f"{row[f'{k}_median']:9.1e} {row[f'{k}_max']:9.1e}" for k in ("angle", "velocity")]
+            pairs = [
+                f"{row[f'{k}_median']:9.1e} {row[f'{k}_max']:9.1e}" for k in ("angle", "velocity")
+            ]
             print(f"{row['backend']:12} {pairs[0]} {pairs[1]} {row['diverged']:9}")

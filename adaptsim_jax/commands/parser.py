@@ -11,7 +11,9 @@ from adaptsim_jax.core.errors import BadInput
 
 
 class Parser(argparse.ArgumentParser):
-    """argparse that reports bad input as everything else here does: one line, code 2, the nearest name."""
+    """argparse that reports bad input as everything else here does: one line, code 2, the nearest
+    name.
+    """
 
     def __init__(self, *args, **kwargs):
         kwargs.setdefault("formatter_class", argparse.RawDescriptionHelpFormatter)
@@ -22,7 +24,9 @@ class Parser(argparse.ArgumentParser):
 
 
 def command_parser(name: str) -> Parser:
-    """Of the command `name`, one of `SUMMARIES`; loads its module and nothing else. Its `run` is the module's."""
+    """Of the command `name`, one of `SUMMARIES`; loads its module and nothing else. Its `run` is
+    the module's.
+    """
     module = importlib.import_module(f"adaptsim_jax.commands.{name}")
     parser = Parser(
         prog=f"adaptsim {name}",

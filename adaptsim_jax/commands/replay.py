@@ -21,8 +21,12 @@ EXAMPLES = """
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("model", metavar="MODEL", help="an MJCF or URDF file, or the model.toml of a diagnosis")
-    parser.add_argument("data", metavar="DATA", help="a folder with meta.toml, or one log (CSV, NPZ, bag, MCAP)")
+    parser.add_argument(
+        "model", metavar="MODEL", help="an MJCF or URDF file, or the model.toml of a diagnosis"
+    )
+    parser.add_argument(
+        "data", metavar="DATA", help="a folder with meta.toml, or one log (CSV, NPZ, bag, MCAP)"
+    )
     parser.add_argument(
         "--horizon",
         type=length,
@@ -33,7 +37,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--simulator",
         choices=("tree", "mujoco"),
-        help="tree: joints on a base that stands still; mujoco: whatever MuJoCo compiles, at the file's own step (default: tree "
+        help="tree: joints on a base that stands still; mujoco: whatever MuJoCo compiles, at the "
+        "file's own step (default: tree "
         "where it can, mujoco where it must)",
     )
     parser.add_argument(
@@ -41,13 +46,15 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         metavar="NAME",
         default=[],
-        help="numbers of the model to fit by the simulator mujoco first: joint:NAME.damping, body:NAME.mass, geom:NAME.friction[0], "
+        help="numbers of the model to fit by the simulator mujoco first: joint:NAME.damping, "
+        "body:NAME.mass, geom:NAME.friction[0], "
         "actuator:NAME.kp, option.gravity[0], command.delay; NAME may be a pattern",
     )
     parser.add_argument(
         "--yardstick",
         choices=("stretches", "whole", "torque", "all"),
-        help="which beside the stretches: whole trials, the torque along the motion, or all (default: torque; of a machine that "
+        help="which beside the stretches: whole trials, the torque along the motion, or all "
+        "(default: torque; of a machine that "
         "follows commands, all)",
     )
     parser.add_argument("--json", action="store_true", help="print all of it as JSON")
@@ -55,8 +62,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Simulate a model over recordings, from starts fitted to each stretch by plain least squares; what the motion
-    contradicts of the recording's columns and units is told, not refused."""
+    """Simulate a model over recordings, from starts fitted to each stretch by plain least squares;
+    what the motion contradicts of the recording's columns and units is told, not refused.
+    """
     from adaptsim_jax.attribution.replay import replay_files
     from adaptsim_jax.core import compile_flags
     from adaptsim_jax.core.files import output_folder, write_json
@@ -65,7 +73,9 @@ def run(args: argparse.Namespace) -> int:
         compile_flags.small_steps()
     if args.fit:
         return _fit(args)
-    asked = {None: None, "all": ("stretches", "whole", "torque")}.get(args.yardstick, ("stretches", args.yardstick))
+    asked = {None: None, "all": ("stretches", "whole", "torque")}.get(
+        args.yardstick, ("stretches", args.yardstick)
+    )
     found = replay_files(args.model, args.data, args.horizon, asked, args.simulator)
     told = {"model": args.model, "data": args.data, **found.told()}
     if args.out is not None:
@@ -81,9 +91,14 @@ def run(args: argparse.Namespace) -> int:
 
         _print(told)
         if (Path(args.model).parent / "report.json").exists():  # what `diagnose` wrote
-            next_step(f"replay {shlex.quote(args.model)} OTHER    over a recording that had no part in the diagnosis")
+            next_step(
+                f"replay {shlex.quote(args.model)} OTHER    over a recording that had no part in "
+                f"the diagnosis"
+            )
         else:
-            next_step(f"diagnose {shlex.quote(args.data)} --out out    what does the declared model lack?")
+            next_step(
+                f"diagnose {shlex.quote(args.data)} --out out    what does the declared model lack?"
+            )
     return 0
 
 
@@ -95,7 +110,10 @@ def _fit(args: argparse.Namespace) -> int:
     from adaptsim_jax.simulators.mujoco.fit import fit
 
     if args.simulator == "tree":
-        raise BadInput("--fit fits by the simulator mujoco; leave --simulator tree out, or run adaptsim diagnose")
+        raise BadInput(
+            "--fit fits by the simulator mujoco; leave --simulator tree out, or run adaptsim "
+            "diagnose"
+        )
     source, log = read_source_and_log(args.data, args.model)
     found = fit(source, log, args.fit, args.horizon or 0.5)
     told = {
@@ -112,9 +130,13 @@ def _fit(args: argparse.Namespace) -> int:
         print(json.dumps(told, indent=2))
         return 0
     for name, row in told["fitted"].items():
-        print(f"{name} = {row['value']:.6g} [{row['low']:.6g}, {row['high']:.6g}] (file {row['file']:.6g})")
+        print(
+            f"{name} = {row['value']:.6g} [{row['low']:.6g}, {row['high']:.6g}] (file "
+            f"{row['file']:.6g})"
+        )
     print(
-        f"residuals, weighted: {found.before:.4g} with the file's numbers, {found.after:.4g} with these ({found.code})"
+        f"residuals, weighted: {found.before:.4g} with the file's numbers, {found.after:.4g} with "
+        f"these ({found.code})"
     )
     return 0
 
@@ -128,17 +150,36 @@ def _print(told: dict) -> None:
 
     console = Console()
     title = f"error over {told['horizon']:g} s, {told['stretches']} stretches"
-    box = HEAVY_HEAD if console.is_terminal else None  # a program or a file gets columns without a frame
+    # a program or a file gets columns without a frame
+    if console.is_terminal:
+        box = HEAVY_HEAD
+    else:
+        box = None
     table = Table(
-        "", "median", "rms", "straight line", "still", "skill", "ran away", title=title, box=box, title_justify="left"
+        "",
+        "median",
+        "rms",
+        "straight line",
+        "still",
+        "skill",
+        "ran away",
+        title=title,
+        box=box,
+        title_justify="left",
     )
-    size = lambda row, unit: (
-        quantity(row["median"], unit, 4),
-        quantity(row["rms"], unit, 4, like=row["median"]),
-        *(quantity(row[k], unit, 3) if k in row else "" for k in ("straight_line", "hold_still")),
-        f"{row['skill']:.2f}" if row.get("skill") is not None else "",
-        f"{100 * row['ran_away']:.0f} %",
-    )
+
+    def size(row, unit):
+        return (
+            quantity(row["median"], unit, 4),
+            quantity(row["rms"], unit, 4, like=row["median"]),
+            *(
+                quantity(row[k], unit, 3) if k in row else ""
+                for k in ("straight_line", "hold_still")
+            ),
+            f"{row['skill']:.2f}" if row.get("skill") is not None else "",
+            f"{100 * row['ran_away']:.0f} %",
+        )
+
     table.add_row("all", *size(told, told["unit"]))
     for name, row in told["joints"].items():
         table.add_row(name, *size(row, row["unit"]))
@@ -149,7 +190,10 @@ def _print(told: dict) -> None:
         if name != "stretches":
             console.print(_measured(name, measure, box))
     if told["predicts_nothing"]:
-        print("This model predicts nothing: by no yardstick does it do better than what needs no model.")
+        print(
+            "This model predicts nothing: by no yardstick does it do better than what needs no "
+            "model."
+        )
     for note in told["notes"]:
         print(f"note: {note}")
 
@@ -161,10 +205,28 @@ def _measured(name: str, measure: dict, box):
     from adaptsim_jax.report.diagnosis_format import quantity
 
     torque = name == "torque"
-    keys = ("missing", "torque", "constant") if torque else ("error", "straight_line", "hold_still")
-    words = ("missing", "torque", "about its mean") if torque else ("error", "straight line", "still")
-    what = "torque along the measured motion" if torque else f"whole trials, {measure['span_s']:.3g} s"
-    table = Table("", *words, "skill", title=f"{what}: skill {measure['skill']:.2f}", box=box, title_justify="left")
+    if torque:
+        keys = ("missing", "torque", "constant")
+    else:
+        keys = ("error", "straight_line", "hold_still")
+    if torque:
+        words = ("missing", "torque", "about its mean")
+    else:
+        words = ("error", "straight line", "still")
+    if torque:
+        what = "torque along the measured motion"
+    else:
+        what = f"whole trials, {measure['span_s']:.3g} s"
+    table = Table(
+        "",
+        *words,
+        "skill",
+        title=f"{what}: skill {measure['skill']:.2f}",
+        box=box,
+        title_justify="left",
+    )
     for joint, row in measure["joints"].items():
-        table.add_row(joint, *(quantity(row[k], row["unit"], 3) for k in keys), f"{row['skill']:.2f}")
+        table.add_row(
+            joint, *(quantity(row[k], row["unit"], 3) for k in keys), f"{row['skill']:.2f}"
+        )
     return table

@@ -32,18 +32,34 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     from adaptsim_jax.commands.common import positive
 
     parser.add_argument("step", metavar="new|next|record|undo", help="start, ask, tell, take back")
-    parser.add_argument("what", nargs="?", metavar="RUN|FILE", help="new: a trained run; record: a CSV or npz")
-    parser.add_argument("--dir", required=True, metavar="DIR", help="where the state is kept between calls")
-    parser.add_argument("--failed", action="store_true", help="record: the robot could not finish; no FILE")
+    parser.add_argument(
+        "what", nargs="?", metavar="RUN|FILE", help="new: a trained run; record: a CSV or npz"
+    )
+    parser.add_argument(
+        "--dir", required=True, metavar="DIR", help="where the state is kept between calls"
+    )
+    parser.add_argument(
+        "--failed", action="store_true", help="record: the robot could not finish; no FILE"
+    )
     parser.add_argument(
         "--as-declared",
         action="store_true",
         help="record: take frame and units as declared, though the tracks contradict them",
     )
-    parser.add_argument("--run", dest="moved", metavar="RUN", help="where the session's run is now, if it was moved")
-    parser.add_argument("--json", action="store_true", help="one JSON object on stdout; what is for people on stderr")
-    parser.add_argument("--starts", type=positive, default=2, metavar="N", help="new: initial distributions (2)")
-    parser.add_argument("--iterations", type=positive, default=10, metavar="I", help="new: adaptation steps (10)")
+    parser.add_argument(
+        "--run", dest="moved", metavar="RUN", help="where the session's run is now, if it was moved"
+    )
+    parser.add_argument(
+        "--json",
+        action="store_true",
+        help="one JSON object on stdout; what is for people on stderr",
+    )
+    parser.add_argument(
+        "--starts", type=positive, default=2, metavar="N", help="new: initial distributions (2)"
+    )
+    parser.add_argument(
+        "--iterations", type=positive, default=10, metavar="I", help="new: adaptation steps (10)"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -60,7 +76,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def stepped(args: argparse.Namespace) -> dict[str, Any]:
-    """What `--json` prints of a step: where the session stands and, of new and next, what is to be run now."""
+    """What `--json` prints of a step: where the session stands and, of new and next, what is to be
+    run now.
+    """
     from adaptsim_jax.core.config import pick
     from adaptsim_jax.core.errors import BadInput
     from adaptsim_jax.core.files import output_folder
@@ -68,16 +86,26 @@ def stepped(args: argparse.Namespace) -> dict[str, Any]:
 
     step = pick("step", args.step, STEPS)
     if args.failed and (step != "record" or args.what is not None):
-        raise BadInput("--failed: goes with 'robot record' and no FILE, for a trial that the robot could not finish")
+        raise BadInput(
+            "--failed: goes with 'robot record' and no FILE, for a trial that the robot could not "
+            "finish"
+        )
     wanted = {"new": "RUN", "record": "FILE"}.get(step)
     if wanted and args.what is None and not args.failed:
-        more = " (or --failed, where the robot could not finish)" if step == "record" else ""
+        if step == "record":
+            more = " (or --failed, where the robot could not finish)"
+        else:
+            more = ""
         raise BadInput(f"robot {step}: {wanted} is missing{more}; see 'adaptsim robot --help'")
     if step == "new":
         if args.moved:
-            raise BadInput("--run: of a session that is there; 'robot new RUN' takes the run as it is")
+            raise BadInput(
+                "--run: of a session that is there; 'robot new RUN' takes the run as it is"
+            )
         return new(args)
-    session = sessions.open_session(Path(args.dir), args.moved)._replace(as_declared=args.as_declared)
+    session = sessions.open_session(Path(args.dir), args.moved)._replace(
+        as_declared=args.as_declared
+    )
     with one_writer(output_folder(args.dir)):
         if step == "next":
             return ask(args, session)
@@ -98,12 +126,18 @@ def new(args: argparse.Namespace) -> dict[str, Any]:
 
     folder = Path(args.dir)
     if (folder / SESSION).exists():
-        raise BadInput(f"{folder}: holds a session already; go on with 'adaptsim robot next --dir {folder}'")
+        raise BadInput(
+            f"{folder}: holds a session already; go on with 'adaptsim robot next --dir {folder}'"
+        )
     path = str(Path(args.what).resolve())
     table = {
-        "schema": 1, **sessions.places(path, folder), "seed": args.seed, "starts": args.starts, "iterations": args.iterations,
+        "schema": 1,
+        **sessions.places(path, folder),
+        "seed": args.seed,
+        "starts": args.starts,
+        "iterations": args.iterations,
         "trained": sessions.identity(sessions.run_of(path)),
-    }  # fmt: skip
+    }
     session = sessions.make_session(folder, table)
     trained = session.trained
     files.output_folder(folder)
@@ -139,22 +173,36 @@ def ask(args: argparse.Namespace, session: Session) -> dict[str, Any]:
     task, total = session.trained.phase1.task, session.loop.trials(state)
     done = len(history) >= total
     if done and not math.isfinite(state.best_score):
-        print(f"all {total} {session.part.turn}s are told, and none of them was finished: there is no best policy")
         print(
-            "train where the robot can follow (a softer target, narrower ranges), or take records back: adaptsim robot undo"
+            f"all {total} {session.part.turn}s are told, and none of them was finished: there is "
+            f"no best policy"
+        )
+        print(
+            "train where the robot can follow (a softer target, narrower ranges), or take records "
+            "back: adaptsim robot undo"
         )
         return stands(session) | {"done": True}
-    mean, policy = (state.best_mean, state.best_policy) if done else (state.mean, state.policy)
+    if done:
+        mean, policy = (state.best_mean, state.best_policy)
+    else:
+        mean, policy = (state.mean, state.policy)
     policy = session.part.deployed(session, policy, history)
     params = dict(zip(task.space.names, map(float, task.space.physical(mean)), strict=True))
-    what = "best policy" if done else f"{session.part.turn} {len(history) + 1} of {total}"
-    print(f"{what}: trained at {', '.join(f'{name} {value:.4g}' for name, value in params.items())}")
+    if done:
+        what = "best policy"
+    else:
+        what = f"{session.part.turn} {len(history) + 1} of {total}"
+    print(
+        f"{what}: trained at {', '.join(f'{name} {value:.4g}' for name, value in params.items())}"
+    )
     path = session.folder / ("best.toml" if done else "policy.toml")
     config.write(path, {"what": what, "params": params} | session.part.policy_file(session, policy))
     session.part.show(session, _tried(session, state, history), policy, history, done)
     print(f"written: {path}")
     if done:
-        print(f"all {total} {session.part.turn}s are told; best return {float(state.best_score):.6g}")
+        print(
+            f"all {total} {session.part.turn}s are told; best return {float(state.best_score):.6g}"
+        )
     else:
         print(f"then: adaptsim robot record FILE --dir {args.dir}")
     return stands(session) | {"done": done, "params": params, "policy": str(path)}
@@ -170,7 +218,10 @@ def record(args: argparse.Namespace, session: Session) -> None:
     digest = _digest(path)
     for earlier, trial in enumerate(history, 1):
         if digest is not None and trial.get("sha256") == digest:
-            raise BadInput(f"{path}: was told already, as {turn} {earlier}; name the file of {turn} {len(history) + 1}")
+            raise BadInput(
+                f"{path}: was told already, as {turn} {earlier}; name the file of {turn} "
+                f"{len(history) + 1}"
+            )
     tried = _tried(session, before, history)
     trajectory = session.part.read(session, tried, path)
     state, info = session.loop.tell(before, trajectory)
@@ -178,7 +229,8 @@ def record(args: argparse.Namespace, session: Session) -> None:
     for earlier, trial in enumerate(history, 1):
         if entry["score"] and trial.get("score") == entry["score"]:
             print(
-                f"warning: {turn} {earlier} had the same return to the last digit: the same recording? then: adaptsim robot undo"
+                f"warning: {turn} {earlier} had the same return to the last digit: the same "
+                f"recording? then: adaptsim robot undo"
             )
             break
     after = [*history, entry | session.part.remember(session, tried, trajectory)]
@@ -190,18 +242,32 @@ def record(args: argparse.Namespace, session: Session) -> None:
 
 
 def failed(args: argparse.Namespace, session: Session) -> None:
-    """The robot could not finish: asked again, or without a return and its start given up, as the task says."""
+    """The robot could not finish: asked again, or without a return and its start given up, as the
+    task says.
+    """
     before, history, total = _not_done(session)
     turn = session.part.turn
     if session.part.again:
-        print(f"{turn} {len(history) + 1} of {total} failed: nothing is recorded, and the same {turn} is asked again")
+        print(
+            f"{turn} {len(history) + 1} of {total} failed: nothing is recorded, and the same "
+            f"{turn} is asked again"
+        )
     else:
         state = session.loop.skip(before)
         given_up = int(state.told) - len(history)
-        after = [*history, *({"file": None, "sha256": None, "score": None, "failed": True} for _ in range(given_up))]
+        after = [
+            *history,
+            *(
+                {"file": None, "sha256": None, "score": None, "failed": True}
+                for _ in range(given_up)
+            ),
+        ]
         sessions.keep(session, before, history)
         sessions.save(session, state, after)
-        rest = f"; with it {given_up - 1} more of the same start are given up" if given_up > 1 else ""
+        if given_up > 1:
+            rest = f"; with it {given_up - 1} more of the same start are given up"
+        else:
+            rest = ""
         print(f"{turn} {len(history) + 1} of {total} failed: no return{rest}")
 
 
@@ -212,10 +278,16 @@ def undo(args: argparse.Namespace, session: Session) -> None:
     from adaptsim_jax.core.errors import BadInput
 
     _, history = sessions.load(session)
-    kept = sorted((session.folder / UNDO).glob("*"), key=lambda path: int(path.name) if path.name.isdigit() else -1)
+    kept = sorted(
+        (session.folder / UNDO).glob("*"),
+        key=lambda path: int(path.name) if path.name.isdigit() else -1,
+    )
     kept = [path for path in kept if path.name.isdigit() and int(path.name) < len(history)]
     if not kept:
-        what = "nothing was recorded yet" if not history else "it was recorded by a version that kept no way back"
+        if not history:
+            what = "nothing was recorded yet"
+        else:
+            what = "it was recorded by a version that kept no way back"
         raise BadInput(f"{session.folder}: no record can be taken back: {what}")
     state, earlier = sessions.load(session, kept[-1])
     sessions.save(session, state, earlier)

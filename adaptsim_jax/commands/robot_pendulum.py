@@ -1,4 +1,6 @@
-"""What `adaptsim robot` says and reads for the pendulum: a policy's gain or controller, and one trial a file."""
+"""What `adaptsim robot` says and reads for the pendulum: a policy's gain or controller, and one
+trial a file.
+"""
 
 from __future__ import annotations
 
@@ -34,14 +36,19 @@ def policy_file(session: Session, policy: Any) -> dict[str, Any]:
     return {"policy": policy_table(policy)}
 
 
-def show(session: Session, state: Any, policy: Any, history: list[dict[str, Any]], done: bool) -> None:
-    """Print the policy, and how to run it while trials are left; a mended model's controller needs the model beside it."""
+def show(
+    session: Session, state: Any, policy: Any, history: list[dict[str, Any]], done: bool
+) -> None:
+    """Print the policy, and how to run it while trials are left; a mended model's controller needs
+    the model beside it.
+    """
     from adaptsim_jax.commands.adapt import policy_table
     from adaptsim_jax.core import config
 
     model = session.options.get("model")
     for name, value in policy_table(policy).items():
-        # a solver's code of 0 says nothing; the rest of a mended policy is for its controller, not for people
+        # a solver's code of 0 says nothing; the rest of a mended policy is for its controller, not
+        # for people
         if name == "gain" or (model is None and value != 0):
             print(f"  {name} = {_digits(value)}")
     if done:
@@ -60,18 +67,29 @@ def read(session: Session, state: Any, path: Path) -> Any:
 
     table = read_table(path, measured.COLUMNS)
     found = measured.measured_trajectory(
-        table.columns, str(path), session.options.get("observation", "full"), lines=table.lines, row_word=table.row_word
+        table.columns,
+        str(path),
+        session.options.get("observation", "full"),
+        lines=table.lines,
+        row_word=table.row_word,
     )
     if not session.as_declared:
         measured.check_columns(table.columns, str(path))
-    if session.options.get("model") is None and (told := measured.check_policy(table.columns, state.policy.gain)):
-        print(f"warning: {told}: another gain, late, cut off, or angles that froze? if so: adaptsim robot undo")
+    if session.options.get("model") is None and (
+        told := measured.check_policy(table.columns, state.policy.gain)
+    ):
+        print(
+            f"warning: {told}: another gain, late, cut off, or angles that froze? if so: adaptsim "
+            f"robot undo"
+        )
     return found
 
 
 def _digits(value: Any) -> str:
     """Six digits for the eye; policy.toml has them all."""
-    return f"[{', '.join(map(_digits, value))}]" if isinstance(value, list) else f"{value:.6g}"
+    if isinstance(value, list):
+        return f"[{', '.join(map(_digits, value))}]"
+    return f"{value:.6g}"
 
 
 PART = RobotPart(TURN, opened, policy_file, show, read, again=False)

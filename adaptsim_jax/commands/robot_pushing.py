@@ -1,11 +1,20 @@
-"""What `adaptsim robot` says and reads for the push: speed and angle for each goal, and the bottle's tracks in one file."""
+"""What `adaptsim robot` says and reads for the push: speed and angle for each goal, and the
+bottle's tracks in one file.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from adaptsim_jax.commands.robot_trials import config_of, opened, policy_file, remembered, say_parameters, write_actions
+from adaptsim_jax.commands.robot_trials import (
+    config_of,
+    opened,
+    policy_file,
+    remembered,
+    say_parameters,
+    write_actions,
+)
 from adaptsim_jax.commands.task_parts import RobotPart
 
 if TYPE_CHECKING:
@@ -21,7 +30,9 @@ GRID = 24  # goals in best_actions.csv
 
 
 def deployed(session: Session, policy: Any, history: list[dict[str, Any]]) -> Any:
-    """The policy as it would be deployed now, corrected by the pushes told so far where the task does that."""
+    """The policy as it would be deployed now, corrected by the pushes told so far where the task
+    does that.
+    """
     from adaptsim_jax.tasks.pushing.measured import corrected
 
     pushes = [push for visit in history for push in visit["pushes"]]
@@ -30,12 +41,20 @@ def deployed(session: Session, policy: Any, history: list[dict[str, Any]]) -> An
 
 
 def tried(session: Session, policy: Any, history: list[dict[str, Any]]) -> Any:
-    """The policy as the coming iteration makes its pushes: E's own, or what is deployed now (`task.visits`)."""
-    return deployed(session, policy, history) if config_of(session).visits == "deployed" else policy
+    """The policy as the coming iteration makes its pushes: E's own, or what is deployed now
+    (`task.visits`).
+    """
+    if config_of(session).visits == "deployed":
+        return deployed(session, policy, history)
+    return policy
 
 
-def show(session: Session, state: Any, policy: Any, history: list[dict[str, Any]], done: bool) -> None:
-    """Print the pushes to make and write them to actions.csv; when all is told, the best policy's over the sector of goals."""
+def show(
+    session: Session, state: Any, policy: Any, history: list[dict[str, Any]], done: bool
+) -> None:
+    """Print the pushes to make and write them to actions.csv; when all is told, the best policy's
+    over the sector of goals.
+    """
     if done:
         _best(session, policy)
         print(f"written: {_figure(session, history)}")
@@ -44,7 +63,8 @@ def show(session: Session, state: Any, policy: Any, history: list[dict[str, Any]
     path = session.folder / "actions.csv"
     for number, goal, action in zip(*pushes, strict=True):
         print(
-            f"  trial {number}: speed {action[0]:.4f} m/s, angle {action[1]:+.4f} rad   (goal {goal[0]:.3f}, {goal[1]:+.3f} m)"
+            f"  trial {number}: speed {action[0]:.4f} m/s, angle {action[1]:+.4f} rad   (goal "
+            f"{goal[0]:.3f}, {goal[1]:+.3f} m)"
         )
     write_actions(path, COLUMNS, zip(*pushes, strict=True))
     print(f"written: {path}")
@@ -62,14 +82,21 @@ def read(session: Session, state: Any, path: Path) -> Any:
     from adaptsim_jax.tasks.pushing.task import make_expectation
 
     table = read_table(path, measured.COLUMNS, least=1, lost=("x", "y"))
-    at = lambda i: f"{path}: {table.row_word} {table.lines[i]}"
+
+    def at(i):
+        return f"{path}: {table.row_word} {table.lines[i]}"
+
     config, pushes = config_of(session), _pushes(session, state)
-    found = measured.measured_trajectory(table.columns, at, str(path), pushes, config, session.as_declared)
+    found = measured.measured_trajectory(
+        table.columns, at, str(path), pushes, config, session.as_declared
+    )
     if not session.as_declared:
         ends = np.asarray(found.points[:, -1], float)
         if slight := check_frame(pushes.actions[:, 1], ends - np.array(START), str(path)):
             print(f"warning: {slight}, where the robot does not turn its pushes itself")
-        check_order(pushes.numbers.tolist(), pushes.actions[:, 1], ends - np.array(START), str(path))
+        check_order(
+            pushes.numbers.tolist(), pushes.actions[:, 1], ends - np.array(START), str(path)
+        )
     return make_expectation(config)(found, state.policy)
 
 
@@ -85,15 +112,23 @@ def told(session: Session, before: Any, after: Any, trajectory: Any, done: bool)
 
     ends = np.asarray(trajectory.points[:, -1])
     for number, goal, end, reward in zip(
-        _pushes(session, before).numbers, np.asarray(trajectory.goals), ends, trajectory.rewards, strict=True
+        _pushes(session, before).numbers,
+        np.asarray(trajectory.goals),
+        ends,
+        trajectory.rewards,
+        strict=True,
     ):
         apart = 100 * np.linalg.norm(end - goal)
         print(
-            f"  trial {number}: came to {end[0]:.3f}, {end[1]:+.3f} m, {apart:.1f} cm from its goal: reward {float(reward):.3f}"
+            f"  trial {number}: came to {end[0]:.3f}, {end[1]:+.3f} m, {apart:.1f} cm from its "
+            f"goal: reward {float(reward):.3f}"
         )
     pushes = int(after.told) * config_of(session).trajectories
     if pushes >= ENOUGH:
-        print(f"what the simulator lacks, by the {pushes} pushes: adaptsim diagnose {session.folder} --out OUT")
+        print(
+            f"what the simulator lacks, by the {pushes} pushes: adaptsim diagnose {session.folder} "
+            f"--out OUT"
+        )
     if done:
         return
     say_parameters(session, before, after)
@@ -103,7 +138,9 @@ def _best(session: Session, policy: Any) -> None:
     from adaptsim_jax.tasks.pushing.measured import pushes_over_sector
 
     path = session.folder / "best_actions.csv"
-    write_actions(path, COLUMNS, zip(*pushes_over_sector(policy, config_of(session), GRID), strict=True))
+    write_actions(
+        path, COLUMNS, zip(*pushes_over_sector(policy, config_of(session), GRID), strict=True)
+    )
     if policy.told is not None:
         print(f"its actions are corrected by the {len(policy.told.used)} pushes told")
     print(f"written: {path}: its push for {GRID} goals; for any other:")
@@ -112,7 +149,9 @@ def _best(session: Session, policy: Any) -> None:
 
 
 def _figure(session: Session, history: list[dict[str, Any]]) -> Path:
-    """The pushes as they were measured, a row a start, and the parameters of the start that holds the best."""
+    """The pushes as they were measured, a row a start, and the parameters of the start that holds
+    the best.
+    """
     import numpy as np
 
     from adaptsim_jax.commands.adapt_pushing import picked
@@ -126,7 +165,12 @@ def _figure(session: Session, history: list[dict[str, Any]]) -> Path:
     panels, heads = [], []
     for first, row, start in zip(range(1, len(history) + 1, turns), scores, starts, strict=True):
         shown = picked(turns, int(row.argmax()))
-        panels.append([[draw.Push(p["goal"], p["points"], p["reward"]) for p in start[i]["pushes"]] for i in shown])
+        panels.append(
+            [
+                [draw.Push(p["goal"], p["points"], p["reward"]) for p in start[i]["pushes"]]
+                for i in shown
+            ]
+        )
         heads.append([f"iteration {first + i}" for i in shown])
     params = np.array([list(visit["params"].values()) for visit in starts[best]])
     task = session.trained.phase1.task

@@ -1,11 +1,20 @@
-"""What `adaptsim robot` says and reads for scooping: pitch, pitch rate and distance for each place, and the tracks in one file."""
+"""What `adaptsim robot` says and reads for scooping: pitch, pitch rate and distance for each place,
+and the tracks in one file.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from adaptsim_jax.commands.robot_trials import config_of, opened, policy_file, remembered, say_parameters, write_actions
+from adaptsim_jax.commands.robot_trials import (
+    config_of,
+    opened,
+    policy_file,
+    remembered,
+    say_parameters,
+    write_actions,
+)
 from adaptsim_jax.commands.task_parts import RobotPart
 
 if TYPE_CHECKING:
@@ -20,25 +29,37 @@ with columns trial, time, x, y, on (s since the arm's start; m; 1 where the piec
 
 
 def deployed(session: Session, policy: Any, history: list[dict[str, Any]]) -> Any:
-    """The policy as it would be deployed now, corrected by the scoops told so far where the task does that."""
+    """The policy as it would be deployed now, corrected by the scoops told so far where the task
+    does that.
+    """
     from adaptsim_jax.tasks.scooping.measured import corrected
 
     scoops = [scoop for visit in history for scoop in visit["scoops"]]
-    return corrected(policy, config_of(session), [s["action"] for s in scoops], [s["success"] for s in scoops])
+    return corrected(
+        policy, config_of(session), [s["action"] for s in scoops], [s["success"] for s in scoops]
+    )
 
 
 def tried(session: Session, policy: Any, history: list[dict[str, Any]]) -> Any:
-    """The policy as the coming iteration makes its scoops: where it is corrected, the last of them is a probe."""
+    """The policy as the coming iteration makes its scoops: where it is corrected, the last of them
+    is a probe.
+    """
     import jax
 
     from adaptsim_jax.tasks.scooping.deployed import make_probe
 
     config = config_of(session)
-    return jax.jit(make_probe(config))(deployed(session, policy, history)) if config.correct else policy
+    if config.correct:
+        return jax.jit(make_probe(config))(deployed(session, policy, history))
+    return policy
 
 
-def show(session: Session, state: Any, policy: Any, history: list[dict[str, Any]], done: bool) -> None:
-    """Print the scoops to make and write them to actions.csv; when all is told, how the best policy is used."""
+def show(
+    session: Session, state: Any, policy: Any, history: list[dict[str, Any]], done: bool
+) -> None:
+    """Print the scoops to make and write them to actions.csv; when all is told, how the best policy
+    is used.
+    """
     from adaptsim_jax.tasks.scooping.model import SECONDS
 
     if done:
@@ -49,13 +70,22 @@ def show(session: Session, state: Any, policy: Any, history: list[dict[str, Any]
             print(f"its scoop is corrected by the {len(policy.told.used)} scoops told")
         print(f"its scoop for a piece in the middle: {_said(action)}; for any other place (m):")
         print("  from adaptsim_jax.tasks.scooping.measured import read_policy")
-        print(f"  pitch, rate, distance = read_policy({str(session.folder / 'best.toml')!r})([0.01, 0.02])")
+        print(
+            f"  pitch, rate, distance = read_policy({str(session.folder / 'best.toml')!r})([0.01, "
+            f"0.02])"
+        )
         return
     scoops = _scoops(session, state)
     path = session.folder / "actions.csv"
     for number, place, action in zip(*scoops, strict=True):
-        probe = ", a probe" if state.policy.probe is not None and number == scoops.numbers[-1] else ""
-        print(f"  trial {number}: {_said(action)}   (piece at {place[0]:+.3f}, {place[1]:+.3f} m{probe})")
+        if state.policy.probe is not None and number == scoops.numbers[-1]:
+            probe = ", a probe"
+        else:
+            probe = ""
+        print(
+            f"  trial {number}: {_said(action)}   (piece at {place[0]:+.3f}, {place[1]:+.3f} "
+            f"m{probe})"
+        )
     write_actions(path, COLUMNS, zip(*scoops, strict=True))
     print(f"written: {path}")
     print(HOW.format(seconds=SECONDS))
@@ -69,18 +99,25 @@ def read(session: Session, state: Any, path: Path) -> Any:
     from adaptsim_jax.tasks.scooping import measured
 
     table = read_table(path, measured.COLUMNS, least=1, lost=("x", "y"))
-    at = lambda i: f"{path}: {table.row_word} {table.lines[i]}"
+
+    def at(i):
+        return f"{path}: {table.row_word} {table.lines[i]}"
+
     scoops = _scoops(session, state)
     found = measured.measured_trajectory(table.columns, at, str(path), scoops, session.as_declared)
     if not session.as_declared:
-        measured.check_way(np.asarray(found.points[:, -1], float), str(path), scoops.numbers.tolist())
+        measured.check_way(
+            np.asarray(found.points[:, -1], float), str(path), scoops.numbers.tolist()
+        )
     return found
 
 
 def remember(session: Session, before: Any, trajectory: Any) -> dict[str, Any]:
     """The scoops and what came of them."""
     rows = zip(*_scoops(session, before), trajectory.points, trajectory.success, strict=True)
-    return remembered(session, before.mean, "scoops", ("place", "action", "points", "success"), rows)
+    return remembered(
+        session, before.mean, "scoops", ("place", "action", "points", "success"), rows
+    )
 
 
 def told(session: Session, before: Any, after: Any, trajectory: Any, done: bool) -> None:
@@ -96,7 +133,10 @@ def _said(action: Any) -> str:
     import math
 
     pitch, rate, distance = map(float, action)
-    return f"pitch {math.degrees(pitch):.2f} deg, pitch rate {rate:+.3f} rad/s, distance {1e3 * distance:.1f} mm"
+    return (
+        f"pitch {math.degrees(pitch):.2f} deg, pitch rate {rate:+.3f} rad/s, distance "
+        f"{1e3 * distance:.1f} mm"
+    )
 
 
 def _scoops(session: Session, state: Any) -> Scoops:

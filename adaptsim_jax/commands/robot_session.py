@@ -1,4 +1,6 @@
-"""A session of `adaptsim robot` on disk: which run it goes by, its state and history, and what came before each record."""
+"""A session of `adaptsim robot` on disk: which run it goes by, its state and history, and what came
+before each record.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +17,9 @@ PLACES = ("run", "run_from_here")
 
 
 class Session(NamedTuple):
-    """A session on disk: where it is, how it was started, the learned adaptation policy at work, the task's options, and
-    what speaks for the task (`task_parts.RobotPart`)."""
+    """A session on disk: where it is, how it was started, the learned adaptation policy at work,
+    the task's options, and what speaks for the task (`task_parts.RobotPart`).
+    """
 
     folder: Path
     table: dict[str, Any]
@@ -28,7 +31,9 @@ class Session(NamedTuple):
 
 
 def open_session(folder: Path, moved: str | None = None) -> Session:
-    """The session in `folder`; `moved`: where its run is now, which is written down once that run is known to be the one."""
+    """The session in `folder`; `moved`: where its run is now, which is written down once that run
+    is known to be the one.
+    """
     from adaptsim_jax.core import config
 
     table = located(folder, moved)
@@ -44,11 +49,22 @@ def located(folder: Path, moved: str | None = None) -> dict[str, Any]:
     from adaptsim_jax.core.errors import BadInput
 
     if not (folder / SESSION).exists():
-        raise BadInput(f"{folder}: no session here; start one with 'adaptsim robot new RUN --dir {folder}'")
+        raise BadInput(
+            f"{folder}: no session here; start one with 'adaptsim robot new RUN --dir {folder}'"
+        )
     table = config.read(folder / SESSION)
-    for name, kind in {"schema": int, "run": str, "seed": int, "starts": int, "iterations": int}.items():
+    for name, kind in {
+        "schema": int,
+        "run": str,
+        "seed": int,
+        "starts": int,
+        "iterations": int,
+    }.items():
         if type(table.get(name)) is not kind:
-            raise BadInput(f"{folder / SESSION}: key '{name}' is missing or no {kind.__name__}; restore the file")
+            raise BadInput(
+                f"{folder / SESSION}: key '{name}' is missing or no {kind.__name__}; restore the "
+                f"file"
+            )
     told = table["run"]
     if moved is not None:
         return table | {"was": _was(table)} | places(str(Path(moved).resolve()), folder)
@@ -56,7 +72,8 @@ def located(folder: Path, moved: str | None = None) -> dict[str, Any]:
         near = folder / str(table.get("run_from_here", ""))
         if "run_from_here" not in table or not near.is_dir():
             raise BadInput(
-                f"{told}: no such run folder, which the session in {folder} goes by; if it was moved, say where it is: "
+                f"{told}: no such run folder, which the session in {folder} goes by; if it was "
+                f"moved, say where it is: "
                 f"adaptsim robot next --dir {folder} --run RUN"
             )
         return table | {"run": str(near.resolve())}
@@ -64,7 +81,9 @@ def located(folder: Path, moved: str | None = None) -> dict[str, Any]:
 
 
 def places(run: str, folder: Path) -> dict[str, str]:
-    """Where the run is: the whole path, and from the session's folder, which holds when both are moved together."""
+    """Where the run is: the whole path, and from the session's folder, which holds when both are
+    moved together.
+    """
     import os
 
     return {"run": run, "run_from_here": os.path.relpath(run, folder.resolve())}
@@ -84,8 +103,10 @@ def run_of(path: str) -> RunFolder:
     run = RunFolder.open(path)
     if run.task not in ROBOT:
         raise BadInput(
-            f"{path}: a run of task '{run.task}'; robot takes runs of {', '.join(ROBOT)} in this version. For "
-            f"{run.task} use 'adaptsim adapt', or from Python adaptsim_jax.adaptation.asktell with recorded trajectories"
+            f"{path}: a run of task '{run.task}'; robot takes runs of {', '.join(ROBOT)} in this "
+            f"version. For "
+            f"{run.task} use 'adaptsim adapt', or from Python adaptsim_jax.adaptation.asktell with "
+            f"recorded trajectories"
         )
     return run
 
@@ -99,15 +120,19 @@ def identity(run: RunFolder) -> dict[str, Any]:
 
 
 def _check_same(run: RunFolder, table: dict[str, Any], folder: Path) -> None:
-    """BadInput where the run's checkpoint is not the one that the session began with. Older sessions do not say which it was."""
+    """BadInput where the run's checkpoint is not the one that the session began with. Older
+    sessions do not say which it was.
+    """
     from adaptsim_jax.core.errors import BadInput
 
     began, now = table.get("trained"), identity(run)
     if began is not None and began != now:
         was = began.get("step") if isinstance(began, dict) else began
         raise BadInput(
-            f"{run.path}: was trained on, or anew, since the session in {folder} began (checkpoint of round {was} then, another "
-            f"of round {now['step']} now); put that checkpoint back, or start another session with 'adaptsim robot new'"
+            f"{run.path}: was trained on, or anew, since the session in {folder} began (checkpoint "
+            f"of round {was} then, another "
+            f"of round {now['step']} now); put that checkpoint back, or start another session with "
+            f"'adaptsim robot new'"
         )
 
 
@@ -120,7 +145,10 @@ def make_session(folder: Path, table: dict[str, Any]) -> Session:
     trained = load_run(run)
     _check_same(run, table, folder)  # after the load, so that what was loaded is what is checked
     phase1 = trained.phase1
-    weights, sizes = trained.state.learner.target, {k: float(getattr(trained.hyper, k)) for k in ("delta", "shrink")}
+    weights, sizes = (
+        trained.state.learner.target,
+        {k: float(getattr(trained.hyper, k)) for k in ("delta", "shrink")},
+    )
     loop = make_ask_tell(phase1.task, phase1.bdq, weights, iterations=table["iterations"], **sizes)
     return Session(folder, table, trained, loop, run.config.get("task", {}), ROBOT[run.task])
 
@@ -134,10 +162,14 @@ def _bound(table: dict[str, Any]) -> str:
     """Hash of what a session's checkpoints are bound to: all but where things are."""
     from adaptsim_jax.core import config
 
-    return config.digest({name: value for name, value in table.items() if name not in (*PLACES, "was")})
+    return config.digest(
+        {name: value for name, value in table.items() if name not in (*PLACES, "was")}
+    )
 
 
-def save(session: Session, state: Any, history: list[dict[str, Any]], folder: Path | None = None) -> None:
+def save(
+    session: Session, state: Any, history: list[dict[str, Any]], folder: Path | None = None
+) -> None:
     from adaptsim_jax.core import store
 
     store.save_checkpoint(
@@ -163,13 +195,20 @@ def load(session: Session, folder: Path | None = None) -> tuple[Any, list[dict[s
     folder = folder or session.folder / store.CHECKPOINT
     older = {name: v for name, v in session.table.items() if name not in ("run_from_here", "was")}
     older["run"] = _was(session.table)
-    if store.read_manifest(folder)["config_hash"] not in (_bound(session.table), config.digest(older)):
-        raise BadInput(f"{session.folder / SESSION}: was changed since the session began; restore the file")
+    if store.read_manifest(folder)["config_hash"] not in (
+        _bound(session.table),
+        config.digest(older),
+    ):
+        raise BadInput(
+            f"{session.folder / SESSION}: was changed since the session began; restore the file"
+        )
 
     def like(key):
         count = session.table["starts"]
         policy = jax.vmap(task.init_policy)(jax.random.split(key, count))
         return session.loop.init(key, Archive(jnp.zeros((count, task.space.dim)), policy))
 
-    state, _ = store.load_checkpoint(folder, jax.eval_shape(like, jax.random.key(0)), task=task.name)
+    state, _ = store.load_checkpoint(
+        folder, jax.eval_shape(like, jax.random.key(0)), task=task.name
+    )
     return state, store.read_manifest(folder)["extra"]["history"]

@@ -21,11 +21,15 @@ def config_of(session: Session) -> Any:
 
 def opened(many: str) -> Callable[[Session, int], str]:
     """What says of what a new session consists; many: what an iteration's trials are called."""
-    return lambda session, total: f"session of {total} iterations of {config_of(session).trajectories} {many}"
+    return lambda session, total: (
+        f"session of {total} iterations of {config_of(session).trajectories} {many}"
+    )
 
 
 def policy_file(session: Session, policy: Any) -> dict[str, Any]:
-    """What `policy.toml` holds beside the parameters; `read_policy` of the task's module `measured` reads it."""
+    """What `policy.toml` holds beside the parameters; `read_policy` of the task's module `measured`
+    reads it.
+    """
     from importlib import import_module
 
     measured = import_module(f"adaptsim_jax.tasks.{session.trained.phase1.task.name}.measured")
@@ -35,11 +39,17 @@ def policy_file(session: Session, policy: Any) -> dict[str, Any]:
 def remembered(
     session: Session, mean: Any, many: str, keys: tuple[str, ...], trials: Iterable[tuple]
 ) -> dict[str, Any]:
-    """The parameters and the trials of an iteration, for figures and for people: of each its number and what `keys` call."""
+    """The parameters and the trials of an iteration, for figures and for people: of each its number
+    and what `keys` call.
+    """
     import numpy as np
 
-    plain = lambda x: np.asarray(x, float).round(6).tolist()
-    rows = [{"trial": int(n)} | dict(zip(keys, map(plain, parts), strict=True)) for n, *parts in trials]
+    def plain(x):
+        return np.asarray(x, float).round(6).tolist()
+
+    rows = [
+        {"trial": int(n)} | dict(zip(keys, map(plain, parts), strict=True)) for n, *parts in trials
+    ]
     return {"params": physical(session, mean), many: rows}
 
 
@@ -53,7 +63,10 @@ def say_parameters(session: Session, before: Any, after: Any) -> None:
     """Print which parameters are believed in now, and which of them moved."""
     fresh = int(after.told) % (session.table["iterations"] + 1) == 0
     was, now = physical(session, before.mean), physical(session, after.mean)
-    words = [f"{k} {now[k]:.4g}" + ("" if fresh or now[k] == was[k] else f" (was {was[k]:.4g})") for k in now]
+    words = [
+        f"{k} {now[k]:.4g}" + ("" if fresh or now[k] == was[k] else f" (was {was[k]:.4g})")
+        for k in now
+    ]
     print(f"{'next start' if fresh else 'simulate now with'}: {', '.join(words)}")
 
 
@@ -61,5 +74,7 @@ def write_actions(path: Path, columns: tuple[str, ...], trials: Iterable[tuple])
     """A CSV with a row for each of `trials`: its number, then arrays of numbers."""
     from adaptsim_jax.core.files import write_bytes
 
-    rows = [",".join([str(n), *(f"{x:.6f}" for part in parts for x in part)]) for n, *parts in trials]
+    rows = [
+        ",".join([str(n), *(f"{x:.6f}" for part in parts for x in part)]) for n, *parts in trials
+    ]
     write_bytes(path, "\n".join([",".join(("trial", *columns)), *rows, ""]).encode())

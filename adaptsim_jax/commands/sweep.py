@@ -31,28 +31,50 @@ SPEC.toml, for instance:
 def arguments(parser: argparse.ArgumentParser) -> None:
     from adaptsim_jax.commands.common import positive
 
-    parser.add_argument("words", nargs="+", metavar="SPEC.toml | show DIR", help="what to run, or the sweep to show")
+    parser.add_argument(
+        "words", nargs="+", metavar="SPEC.toml | show DIR", help="what to run, or the sweep to show"
+    )
     parser.add_argument("--out", metavar="DIR", help="the folder to write")
     parser.add_argument("--resume", action="store_true", help="go on with a sweep that was stopped")
-    parser.add_argument("--estimate", action="store_true", help="say what would be run and the memory it takes")
-    parser.add_argument("--at-once", type=positive, metavar="N", help="members side by side (default: what fits)")
+    parser.add_argument(
+        "--estimate", action="store_true", help="say what would be run and the memory it takes"
+    )
+    parser.add_argument(
+        "--at-once", type=positive, metavar="N", help="members side by side (default: what fits)"
+    )
     parser.add_argument(
         "--devices",
         type=positive,
         metavar="N",
         help="devices of this machine; on CPUs N groups of cores (default: a core each)",
     )
-    parser.add_argument("--save-every", type=float, default=30.0, metavar="S", help="seconds between checkpoints (30)")
+    parser.add_argument(
+        "--save-every",
+        type=float,
+        default=30.0,
+        metavar="S",
+        help="seconds between checkpoints (30)",
+    )
     parser.add_argument("--json", action="store_true", help="print results.json")
     many = parser.add_argument_group("many machines (docs/sweeps.md)")
     many.add_argument(
-        "--ray", nargs="?", const="", metavar="ADDRESS", help="share batches out by Ray (extra [cluster])"
+        "--ray",
+        nargs="?",
+        const="",
+        metavar="ADDRESS",
+        help="share batches out by Ray (extra [cluster])",
     )
     many.add_argument(
-        "--hosts", metavar="slurm | HOST:PORT", help="one program over hosts; HOST:PORT is the first one's"
+        "--hosts",
+        metavar="slurm | HOST:PORT",
+        help="one program over hosts; HOST:PORT is the first one's",
     )
-    many.add_argument("--processes", type=positive, metavar="N", help="with HOST:PORT: how many programs")
-    many.add_argument("--process", type=int, metavar="I", help="with HOST:PORT: which of them this is, from 0")
+    many.add_argument(
+        "--processes", type=positive, metavar="N", help="with HOST:PORT: how many programs"
+    )
+    many.add_argument(
+        "--process", type=int, metavar="I", help="with HOST:PORT: which of them this is, from 0"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -66,23 +88,36 @@ def run(args: argparse.Namespace) -> int:
 
         return _finish(SweepFolder.load(Path(args.words[1])), args.json)
     if len(args.words) != 1:
-        raise BadInput(f"'{args.words[1]}': one SPEC.toml at a time; or write `adaptsim sweep show DIR`")
+        raise BadInput(
+            f"'{args.words[1]}': one SPEC.toml at a time; or write `adaptsim sweep show DIR`"
+        )
     if not args.out and not args.estimate:
-        raise BadInput("--out is missing; name the folder to write, or add --estimate to run nothing")
+        raise BadInput(
+            "--out is missing; name the folder to write, or add --estimate to run nothing"
+        )
     _set_up_devices(args)
     return _sweep(args)
 
 
 def _set_up_devices(args: argparse.Namespace) -> None:
-    """Before JAX is there: a device for each core of a CPU, which members of a batch run on without waiting for each other."""
+    """Before JAX is there: a device for each core of a CPU, which members of a batch run on without
+    waiting for each other.
+    """
     from adaptsim_jax.core.errors import BadInput
 
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if hasattr(os, "sched_getaffinity"):
+        cores = len(os.sched_getaffinity(0))
+    else:
+        cores = os.cpu_count() or 1
     flags = os.environ.get("XLA_FLAGS", "")
     if "xla_force_host_platform_device_count" not in flags:
-        os.environ["XLA_FLAGS"] = f"{flags} --xla_force_host_platform_device_count={args.devices or cores}".strip()
+        os.environ["XLA_FLAGS"] = (
+            f"{flags} --xla_force_host_platform_device_count={args.devices or cores}".strip()
+        )
     if args.hosts and args.ray is not None:
-        raise BadInput("--hosts and --ray: one program over hosts, or members shared out; leave one out")
+        raise BadInput(
+            "--hosts and --ray: one program over hosts, or members shared out; leave one out"
+        )
     if args.hosts in (None, "slurm"):
         if args.processes is not None or args.process is not None:
             raise BadInput("--processes, --process: go with --hosts HOST:PORT; add it")
@@ -110,12 +145,17 @@ def _sweep(args: argparse.Namespace) -> int:
         devices, at_once = 1, at_once or sweep_plan.PER_CORE
     plan = sweep_plan.make_plan(sweep, devices=devices, at_once=at_once)
     if first and not args.json:
-        targets = f", each in {', '.join(sweep.spec.targets)}" if sweep.spec.targets else ""
+        if sweep.spec.targets:
+            targets = f", each in {', '.join(sweep.spec.targets)}"
+        else:
+            targets = ""
         print(f"{len(sweep.members)} members of {sweep.spec.task}{targets}")
         print("\n".join(sweep_plan.described(plan)), flush=True)
     if args.estimate:
         return 0
-    args.resume_hint = f"go on with: adaptsim sweep {shlex.quote(spec)} --out {shlex.quote(args.out)} --resume"
+    args.resume_hint = (
+        f"go on with: adaptsim sweep {shlex.quote(spec)} --out {shlex.quote(args.out)} --resume"
+    )
     if not first:
         return _work(args, sweep, plan, Path(args.out))
     with output(args.out) as out, locked(out):
@@ -135,7 +175,9 @@ def _work(args: argparse.Namespace, sweep: Any, plan: Any, out: Path) -> int:
             run_on_ray(sweep, folder, args.ray or None, progress=report, save_after=args.save_every)
         else:
             run_sweep(sweep, folder, progress=report, save_after=args.save_every)
-    return _finish(folder, args.json) if sweep_devices.first() else 0
+    if sweep_devices.first():
+        return _finish(folder, args.json)
+    return 0
 
 
 def _folder(args: argparse.Namespace, sweep: Any, plan: Any, out: Path) -> Any:
@@ -165,8 +207,13 @@ def _finish(folder: Any, as_json: bool) -> int:
         print_file(folder.path / "results.json")
         return 0
     _print(found)
-    print(f"written: {folder.path / 'results.csv'}, results.json, {len(found['swept']) + 1} figures, and {page}")
-    next_step(f"sweep show {shlex.quote(str(folder.path))}    at any time, also beside a sweep that runs")
+    print(
+        f"written: {folder.path / 'results.csv'}, results.json, {len(found['swept']) + 1} figures, "
+        f"and {page}"
+    )
+    next_step(
+        f"sweep show {shlex.quote(str(folder.path))}    at any time, also beside a sweep that runs"
+    )
     return 0
 
 
@@ -177,6 +224,12 @@ def _print(found: dict[str, Any]) -> None:
         print(f"  failed: member {row['member']}, seed {row['seed']}: {row['reason']}")
     for line in found["summary"]:
         if line["mean"] is not None:
-            name = f"{line['key']} = {line['value']}" if line["key"] else "all"
-            half = f" +- {line['half']:.3f}" if line["half"] is not None else ""
+            if line["key"]:
+                name = f"{line['key']} = {line['value']}"
+            else:
+                name = "all"
+            if line["half"] is not None:
+                half = f" +- {line['half']:.3f}"
+            else:
+                half = ""
             print(f"  {name}, {line['reward']}: {line['mean']:.3f}{half} ({line['count']})")

@@ -1,4 +1,6 @@
-"""What `adaptsim adapt` and `adaptsim robot` leave to a task: records of functions. What a task may do without has a default."""
+"""What `adaptsim adapt` and `adaptsim robot` leave to a task: records of functions. What a task may
+do without has a default.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ ROBOT: Registry[RobotPart] = Registry(
 )
 
 
-def _adapted(trained: Any, options: dict[str, Any], key: Any, target: Any, starts: int, iterations: int) -> Any:
+def _adapted(
+    trained: Any, options: dict[str, Any], key: Any, target: Any, starts: int, iterations: int
+) -> Any:
     from adaptsim_jax.adaptation.training import adapt_run
 
     return adapt_run(trained, key, target, starts=starts, iterations=iterations)
@@ -37,8 +41,8 @@ def _adapted(trained: Any, options: dict[str, Any], key: Any, target: Any, start
 class AdaptPart:
     """Of `adapt`. `options`: the run's, of the task.
 
-    show: draws and films the trials; None where they cannot be looked at. adapt: Phase 2, the result's policies and rewards as they
-    are deployed; E's own by default.
+    show: draws and films the trials; None where they cannot be looked at. adapt: Phase 2, the
+    result's policies and rewards as they are deployed; E's own by default.
     """
 
     # (trained, options, found, result, out, video) -> lines
@@ -49,17 +53,23 @@ class AdaptPart:
 
 @dataclass(frozen=True)
 class RobotPart:
-    """Of `robot`. turn: what one ask and tell is called. `history`: of the turns told so far, as `remember` made them.
+    """Of `robot`. turn: what one ask and tell is called. `history`: of the turns told so far, as
+    `remember` made them.
 
-    deployed: the policy as it is deployed now, mended by what was told; tried: as the coming turn makes its trials with it.
-    Both are the policy itself by default. again: a turn that the robot could not finish is asked again; else its start is given up,
-    since the policy asked of it would fail again.
+    deployed: the policy as it is deployed now, mended by what was told; tried: as the coming turn
+    makes its trials with it. Both are the policy itself by default. again: a turn that the robot
+    could not finish is asked again; else its start is given up, since the policy asked of it would
+    fail again.
     """
 
     turn: str
     opened: Callable[[Any, int], str]  # (session, turns) -> what a new session consists of
-    policy_file: Callable[[Any, Any], dict[str, Any]]  # (session, policy as deployed) -> what policy.toml holds of it
-    show: Callable[[Any, Any, Any, list, bool], None]  # (session, state as tried, policy as deployed, history, done)
+    policy_file: Callable[
+        [Any, Any], dict[str, Any]
+    ]  # (session, policy as deployed) -> what policy.toml holds of it
+    show: Callable[
+        [Any, Any, Any, list, bool], None
+    ]  # (session, state as tried, policy as deployed, history, done)
     read: Callable[[Any, Any, Any], Any]  # (session, state as tried, path) -> trajectory
     # (session, state as tried, trajectory) -> entry of the history beside the score
     remember: Callable[[Any, Any, Any], dict[str, Any]] = lambda session, tried, trajectory: {}
@@ -72,4 +82,6 @@ class RobotPart:
 
 def adapt_part(task: str) -> AdaptPart:
     """What `adapt` knows of the task called `task`."""
-    return ADAPT[task] if task in ADAPT else AdaptPart()
+    if task in ADAPT:
+        return ADAPT[task]
+    return AdaptPart()

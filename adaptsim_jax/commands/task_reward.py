@@ -1,4 +1,6 @@
-"""What the mended model is worth for the task: policies trained on the declared and on the mended model, compared."""
+"""What the mended model is worth for the task: policies trained on the declared and on the mended
+model, compared.
+"""
 
 from typing import Any
 
@@ -7,17 +9,25 @@ import jax.numpy as jnp
 
 from adaptsim_jax.mechanisms.closed_loop import Law, run_loop
 from adaptsim_jax.mechanisms.model_file import ModelFile
-from adaptsim_jax.tasks.pendulum.augmented_policy import DT, ROWS, MendedPolicy, World, command, descended, make_world
+from adaptsim_jax.tasks.pendulum.augmented_policy import (
+    DT,
+    ROWS,
+    MendedPolicy,
+    World,
+    command,
+    descended,
+    make_world,
+)
 
 REWARD_GAIN = 10.0  # as the task's: cost a tenth above the best gives 0
 
 
 def task_reward(before: ModelFile, after: ModelFile) -> dict[str, Any] | None:
-    """`{before, after, oracle, cost, in}`: policies of the declared and of the mended model, both run in the mended one, rewards
-    against the better of the two.
+    """`{before, after, oracle, cost, in}`: policies of the declared and of the mended model, both
+    run in the mended one, rewards against the better of the two.
 
-    Only of a linearized pendulum, whose task this is; None else, or where nothing was added. What the real rig would give, only it
-    can say: `oracle` is null.
+    Only of a linearized pendulum, whose task this is; None else, or where nothing was added. What
+    the real rig would give, only it can say: `oracle` is null.
     """
     if after.model != "linearized" or not after.effects:
         return None
@@ -26,7 +36,9 @@ def task_reward(before: ModelFile, after: ModelFile) -> dict[str, Any] | None:
         trained = trained_policy(given)
         costs[stage] = float(cost_in(after, trained.law, trained.world.history))
     best = min(costs.values())
-    rewards = {stage: max(0.0, 1.0 - REWARD_GAIN * (cost / best - 1.0)) for stage, cost in costs.items()}
+    rewards = {
+        stage: max(0.0, 1.0 - REWARD_GAIN * (cost / best - 1.0)) for stage, cost in costs.items()
+    }
     return rewards | {"oracle": None, "cost": costs, "in": "the mended model"}
 
 
@@ -39,7 +51,10 @@ class Trained:
     def law(self, y, past, t) -> jax.Array:
         """Torque `[2]` N m for what the sensors say `[4]` and the own past commands `[H, 2]`."""
         rows = self.world.history
-        past = past[-rows:] if past.shape[0] >= rows else jnp.pad(past, ((rows - past.shape[0], 0), (0, 0)))
+        if past.shape[0] >= rows:
+            past = past[-rows:]
+        else:
+            past = jnp.pad(past, ((rows - past.shape[0], 0), (0, 0)))
         return command(self.world, self.policy, y, past, t)
 
 
@@ -58,7 +73,9 @@ def cost_in(target: ModelFile, law: Law, history: int) -> jax.Array:
     @jax.jit
     def run(theta, eff):
         start = jnp.asarray(world.start, jnp.float32)
-        return world.judged(run_loop(world.model, theta, eff, law, start, ROWS, DT, world.history)).cost
+        return world.judged(
+            run_loop(world.model, theta, eff, law, start, ROWS, DT, world.history)
+        ).cost
 
     return run(theta, eff)
 

@@ -24,13 +24,21 @@ EXAMPLES = """
 def arguments(parser: argparse.ArgumentParser) -> None:
     from adaptsim_jax.commands.common import settable
 
-    parser.add_argument("task", metavar="TASK", help="pendulum, pushing, scooping, one of your own, or an env.toml")
-    parser.add_argument("--run", dest="folder", required=True, metavar="DIR", help="the run folder to write")
+    parser.add_argument(
+        "task", metavar="TASK", help="pendulum, pushing, scooping, one of your own, or an env.toml"
+    )
+    parser.add_argument(
+        "--run", dest="folder", required=True, metavar="DIR", help="the run folder to write"
+    )
     parser.add_argument("--resume", action="store_true", help="continue a run that was stopped")
-    parser.add_argument("--model", metavar="FILE", help="a model.toml of `adaptsim diagnose`: train on that model")
+    parser.add_argument(
+        "--model", metavar="FILE", help="a model.toml of `adaptsim diagnose`: train on that model"
+    )
     start = parser.add_mutually_exclusive_group()
     start.add_argument("--config", metavar="FILE", help="a config.toml to start from")
-    names = "paper-pendulum, paper-pushing, native-pushing, mjx-pushing, hydro-scooping, mjx-scooping"
+    names = (
+        "paper-pendulum, paper-pushing, native-pushing, mjx-pushing, hydro-scooping, mjx-scooping"
+    )
     start.add_argument("--preset", metavar="NAME", help=f"a config by name: {names}")
     settable(parser)
 
@@ -50,7 +58,9 @@ def run(args: argparse.Namespace) -> int:
         trained = train_run(config_of(folder.config, args), folder, report)
     settings = list(trained.phase1.task.settings)
     target = "ood-1" if "ood-1" in settings else settings[0]
-    print(f"trained: {folder.path}; next: adaptsim adapt {shlex.quote(args.folder)} --target {target}")
+    print(
+        f"trained: {folder.path}; next: adaptsim adapt {shlex.quote(args.folder)} --target {target}"
+    )
     return 0
 
 
@@ -60,7 +70,9 @@ def config_of(table: dict[str, Any], args: argparse.Namespace) -> Any:
     from adaptsim_jax.adaptation.training import TrainConfig
     from adaptsim_jax.core import config
 
-    start = config.from_table(TrainConfig, with_defaults(args.task, table), args.config or f"{args.folder}/config.toml")
+    start = config.from_table(
+        TrainConfig, with_defaults(args.task, table), args.config or f"{args.folder}/config.toml"
+    )
     if args.model:
         start = replace(start, task=dict(start.task) | _of_model(args))
     settings = [*args.set, *([f"seed={args.seed}"] if args.seed_given else [])]
@@ -68,19 +80,29 @@ def config_of(table: dict[str, Any], args: argparse.Namespace) -> Any:
 
 
 def _of_model(args: argparse.Namespace) -> dict[str, Any]:
-    """Options of the task by `--model`; they go into the run's config, which is then whole without the file."""
+    """Options of the task by `--model`; they go into the run's config, which is then whole without
+    the file.
+    """
     from adaptsim_jax.core import config
     from adaptsim_jax.core.errors import BadInput
     from adaptsim_jax.tasks.registry import TASKS
 
     table, kind = config.read(args.model), TASKS[args.task]
     if kind.of_model is None:
-        raise BadInput(f"--model: policies of task '{args.task}' are trained on no mended model yet; leave it out")
+        raise BadInput(
+            f"--model: policies of task '{args.task}' are trained on no mended model yet; leave it "
+            f"out"
+        )
     if table.get("task") != args.task:
-        raise BadInput(f"{args.model}: is of task '{table.get('task')}', not '{args.task}'; name another file")
+        raise BadInput(
+            f"{args.model}: is of task '{table.get('task')}', not '{args.task}'; name another file"
+        )
     options = kind.of_model(table, args.model)
     for name in options.pop("left_out", ()):
-        print(f"{args.model}: {name} is of the measurement, not of the simulator; it is left out: mend what measures")
+        print(
+            f"{args.model}: {name} is of the measurement, not of the simulator; it is left out: "
+            f"mend what measures"
+        )
     return options
 
 
@@ -92,11 +114,10 @@ def _folder(args: argparse.Namespace) -> Any:
     if not args.folder.strip():
         raise BadInput("--run: names no folder; give one, such as runs/a")
     if args.resume:
-        table = (
-            _start_table(args)
-            if args.config or args.preset or args.env
-            else RunFolder.open(args.folder, task=args.task).config
-        )
+        if args.config or args.preset or args.env:
+            table = _start_table(args)
+        else:
+            table = RunFolder.open(args.folder, task=args.task).config
     else:
         table = _start_table(args)
     asked = config_of(table, args)
@@ -125,7 +146,9 @@ def _start_table(args: argparse.Namespace) -> dict[str, Any]:
     table = config.read(args.config)
     if isinstance(table.get("config"), dict):
         if table.get("task", args.task) != args.task:
-            raise BadInput(f"{args.config}: is of task '{table['task']}', not '{args.task}'; name another file")
+            raise BadInput(
+                f"{args.config}: is of task '{table['task']}', not '{args.task}'; name another file"
+            )
         return table["config"]
     return table
 

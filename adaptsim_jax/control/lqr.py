@@ -16,6 +16,8 @@ class LqrGain(NamedTuple):
 
 
 def lqr_gain(A: Array, B: Array, Q: Array, R: Array) -> LqrGain:
-    """Gain that minimises the integral of `x'Qx + u'Ru` under `dx/dt = A x + B u`. As in `solve_care`."""
+    """Gain that minimises the integral of `x'Qx + u'Ru` under `dx/dt = A x + B u`. As in
+    `solve_care`.
+    """
     P, _, code = solve_care(A, B, Q, R)
     return LqrGain(solve(R, mm(transpose(B), P)), code)

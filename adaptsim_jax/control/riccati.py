@@ -1,9 +1,9 @@
 """Algebraic Riccati equations, continuous and discrete, by structure-preserving doubling.
 
-Chu, Fan & Lin, "A structure-preserving doubling algorithm for continuous-time algebraic Riccati equations",
-Linear Algebra Appl. 396 (2005); Chu, Fan, Lin & Wang, Int. J. Control 77 (2004), for the discrete one. The solve
-works on a whole batch at once (see `small_matrix`) and differentiates by the implicit function theorem, in
-forward and reverse mode and more than once.
+Chu, Fan & Lin, "A structure-preserving doubling algorithm for continuous-time algebraic Riccati
+equations", Linear Algebra Appl. 396 (2005); Chu, Fan, Lin & Wang, Int. J. Control 77 (2004), for
+the discrete one. The solve works on a whole batch at once (see `small_matrix`) and differentiates
+by the implicit function theorem, in forward and reverse mode and more than once.
 """
 
 from functools import cache
@@ -13,7 +13,16 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from adaptsim_jax.control.small_matrix import batch_last, eye_like, inverse, mm, norm, solve, symmetric, transpose
+from adaptsim_jax.control.small_matrix import (
+    batch_last,
+    eye_like,
+    inverse,
+    mm,
+    norm,
+    solve,
+    symmetric,
+    transpose,
+)
 
 Array = Any
 
@@ -27,8 +36,9 @@ _MESSAGES = {
 
 
 class RiccatiSolution(NamedTuple):
-    """`P: [n, n]` symmetric; `residual: []` relative to the equation's terms; `code: []` int32, 0 is good, see
-    `riccati_message`."""
+    """`P: [n, n]` symmetric; `residual: []` relative to the equation's terms; `code: []` int32, 0
+    is good, see `riccati_message`.
+    """
 
     P: Array
     residual: Array
@@ -43,7 +53,8 @@ def riccati_message(code: int) -> str:
 def solve_care(A: Array, B: Array, Q: Array, R: Array) -> RiccatiSolution:
     """Stabilising `P` of `A'P + PA - P B R^-1 B' P + Q = 0`.
 
-    `A: [n, n]`, `B: [n, m]`, `Q: [n, n]`, `R: [m, m]`; Q and R enter through their symmetric parts. Values never raise: read `code`.
+    `A: [n, n]`, `B: [n, m]`, `Q: [n, n]`, `R: [m, m]`; Q and R enter through their symmetric parts.
+    Values never raise: read `code`.
     """
     return _solution(_care, A, B, Q, R)
 
@@ -54,7 +65,9 @@ def solve_dare(A: Array, B: Array, Q: Array, R: Array) -> RiccatiSolution:
 
 
 def care_residual(A: Array, B: Array, Q: Array, R: Array, P: Array) -> Array:
-    """`A'P + PA - P B R^-1 B' P + Q`, `[n, n]`, all arguments with or without trailing batch axes."""
+    """`A'P + PA - P B R^-1 B' P + Q`, `[n, n]`, all arguments with or without trailing batch
+    axes.
+    """
     PA, PB = mm(P, A), mm(P, B)
     return PA + transpose(PA) - mm(PB, solve(R, transpose(PB))) + Q
 
@@ -76,7 +89,9 @@ def _solution(solver: Any, A: Array, B: Array, Q: Array, R: Array) -> RiccatiSol
 
 
 def _double(A: Array, G: Array, H: Array) -> tuple[Array, Array, Array]:
-    """From A, G, H of k steps to those of 2k steps; H converges to P, and A to zero, quadratically."""
+    """From A, G, H of k steps to those of 2k steps; H converges to P, and A to zero,
+    quadratically.
+    """
     n = A.shape[0]
     W = eye_like(A) + mm(G, H)
     X = solve(W, jnp.concatenate([A, G], axis=1))
@@ -85,12 +100,16 @@ def _double(A: Array, G: Array, H: Array) -> tuple[Array, Array, Array]:
 
 
 def _most_doublings(dtype: Any) -> int:
-    """How slow a mode may be: with more doublings than this, it cannot be told from a marginal one by its digits."""
+    """How slow a mode may be: with more doublings than this, it cannot be told from a marginal one
+    by its digits.
+    """
     return jnp.finfo(dtype).nmant - 5
 
 
 def _doubling(A: Array, G: Array, H: Array) -> tuple[Array, Array]:
-    """Double until H settles. `[n, n, batch]` each -> `P`, and whether each sample settled, `[batch]`."""
+    """Double until H settles. `[n, n, batch]` each -> `P`, and whether each sample settled,
+    `[batch]`.
+    """
     # Quadratic convergence: once a change is below sqrt(eps), the next one would be below eps.
     small = 0.1 * jnp.finfo(A.dtype).eps ** 0.5
 
@@ -100,7 +119,8 @@ def _doubling(A: Array, G: Array, H: Array) -> tuple[Array, Array]:
         frozen = (settled | dead)[None, None]
         change = norm(H2 - H)
         A, G, H = (jnp.where(frozen, old, new) for old, new in ((A, A2), (G, G2), (H, H2)))
-        # A power of the closed loop that is below one proves it stable, also where H does not see it.
+        # A power of the closed loop that is below one proves it stable, also where H does not see
+        # it.
         settled = settled | (~dead & (change <= small * norm(H2)) & (norm(A2) < 0.5))
         return A, G, H, k + 1, settled, dead | ~jnp.isfinite(change)
 
@@ -116,14 +136,19 @@ def _doubling(A: Array, G: Array, H: Array) -> tuple[Array, Array]:
 def _cayley(A: Array, G: Array, Q: Array) -> tuple[Array, Array, Array]:
     """Discrete-time A, G, H whose doubling has the CARE's solution as limit.
 
-    The shifted Hamiltonian `K` has no zero eigenvalue whenever a stabilising solution exists, whatever the
-    shift, so inverting it whole is safe where the textbook form, which inverts `A - gamma`, is not.
+    The shifted Hamiltonian `K` has no zero eigenvalue whenever a stabilising solution exists,
+    whatever the shift, so inverting it whole is safe where the textbook form, which inverts `A -
+    gamma`, is not.
     """
     n = A.shape[0]
     gamma = _shift(A, G, Q)
     shifted = A - gamma * eye_like(A)
     K = jnp.concatenate(
-        [jnp.concatenate([shifted, -G], axis=1), jnp.concatenate([-Q, -transpose(shifted)], axis=1)], axis=0
+        [
+            jnp.concatenate([shifted, -G], axis=1),
+            jnp.concatenate([-Q, -transpose(shifted)], axis=1),
+        ],
+        axis=0,
     )
     T = inverse(K)
     return (
@@ -158,7 +183,9 @@ def _dare_batch(A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array, A
 
 
 def _judged(P: Array, residual: Array, settled: Array) -> tuple[Array, Array, Array]:
-    """Result code by the relative residual; a float here, since it shares a derivative rule with P."""
+    """Result code by the relative residual; a float here, since it shares a derivative rule with
+    P.
+    """
     good = 1e4 * jnp.finfo(P.dtype).eps
     finite = jnp.isfinite(norm(P)) & jnp.isfinite(residual)
     code = jnp.where(residual <= good, CONVERGED, INACCURATE)

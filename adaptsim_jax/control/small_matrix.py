@@ -1,9 +1,10 @@
-"""Small matrices with the batch on the trailing axes, so that sums and products vectorise over the batch.
+"""Small matrices with the batch on the trailing axes, so that sums and products vectorise over the
+batch.
 
-XLA calls LAPACK once per sample for a batched solve and runs a scalar loop for a batched 4x4 product. Written
-out over the few rows and columns, with the batch last, both become a handful of element-wise kernels. Arrays
-here are `[rows, columns, ...batch]`; `batch_last` lets ordinary code (`[rows, columns]` under `vmap`) use
-them.
+XLA calls LAPACK once per sample for a batched solve and runs a scalar loop for a batched 4x4
+product. Written out over the few rows and columns, with the batch last, both become a handful of
+element-wise kernels. Arrays here are `[rows, columns, ...batch]`; `batch_last` lets ordinary code
+(`[rows, columns]` under `vmap`) use them.
 """
 
 from collections.abc import Callable
@@ -44,27 +45,36 @@ def symmetric(a: Array) -> Array:
 
 
 def eye_like(a: Array) -> Array:
-    """Identity as large as `a: [n, m, ...]` has rows, `[n, n, 1, ...]`: it broadcasts over the batch."""
+    """Identity as large as `a: [n, m, ...]` has rows, `[n, n, 1, ...]`: it broadcasts over the
+    batch.
+    """
     return jnp.eye(a.shape[0], dtype=a.dtype).reshape((a.shape[0],) * 2 + (1,) * (a.ndim - 2))
 
 
 def norm(a: Array) -> Array:
-    """Frobenius norm over the two leading axes, `[...batch]`, scaled so that it does not overflow early."""
+    """Frobenius norm over the two leading axes, `[...batch]`, scaled so that it does not overflow
+    early.
+    """
     biggest = jnp.max(jnp.abs(a), axis=(0, 1))
     safe = jnp.where(biggest > 0, biggest, 1.0)
     return safe * jnp.sqrt(jnp.sum((a / safe[None, None]) ** 2, axis=(0, 1)))
 
 
 def solve(a: Array, b: Array) -> Array:
-    """Solve `a x = b` by Gauss-Jordan elimination with row pivoting: `[n, n, ...], [n, m, ...] -> [n, m,
+    """Solve `a x = b` by Gauss-Jordan elimination with row pivoting: `[n, n, ...], [n, m, ...] ->
+    [n, m,
     ...]`.
 
     A singular `a` gives infinities or NaN, which the caller's result code must catch.
     """
-    return _eliminate_unrolled(a, b) if a.shape[0] <= _UNROLLED else _eliminate_looped(a, b)
+    if a.shape[0] <= _UNROLLED:
+        return _eliminate_unrolled(a, b)
+    return _eliminate_looped(a, b)
 
 
-_UNROLLED = 4  # written out, elimination runs twice as fast, but compiles in a time that grows as n^3
+_UNROLLED = (
+    4  # written out, elimination runs twice as fast, but compiles in a time that grows as n^3
+)
 
 
 def _eliminate_unrolled(a: Array, b: Array) -> Array:
@@ -92,7 +102,11 @@ def _eliminate_looped(a: Array, b: Array) -> Array:
         pivot = jnp.sum(jnp.where(chosen[:, None], m, 0.0), axis=0)
         pivot = pivot / lax.dynamic_index_in_dim(pivot, k, 0)
         m = jnp.where(chosen[:, None], pivot[None], m - column[:, None] * pivot[None])
-        return m, free & ~chosen, lax.dynamic_update_index_in_dim(order, chosen.astype(m.dtype), k, 0)
+        return (
+            m,
+            free & ~chosen,
+            lax.dynamic_update_index_in_dim(order, chosen.astype(m.dtype), k, 0),
+        )
 
     carry = jnp.concatenate([a, b], axis=1), jnp.ones((n, *batch), bool), jnp.zeros_like(a)
     m, _, order = lax.fori_loop(0, n, eliminate, carry)
@@ -105,11 +119,12 @@ def inverse(a: Array) -> Array:
 
 
 def batch_last(core: Callable[..., Any]) -> Callable[..., Any]:
-    """Make `core`, written for arguments with one trailing batch axis, a function of unbatched arguments.
+    """Make `core`, written for arguments with one trailing batch axis, a function of unbatched
+    arguments.
 
-    The first argument must be a matrix, `[n, m]`, before batching. Each `vmap` level becomes a trailing axis
-    instead of a leading one, and all of them reach `core` as one flat axis. The result has no derivative
-    rule: wrap it in `custom_jvp`.
+    The first argument must be a matrix, `[n, m]`, before batching. Each `vmap` level becomes a
+    trailing axis instead of a leading one, and all of them reach `core` as one flat axis. The
+    result has no derivative rule: wrap it in `custom_jvp`.
     """
 
     @custom_vmap
@@ -122,7 +137,9 @@ def batch_last(core: Callable[..., Any]) -> Callable[..., Any]:
     @mapped.def_vmap
     def rule(axis_size: int, in_batched: list[bool], *args: Array) -> Any:
         moved = [
-            jnp.moveaxis(x, 0, -1) if batched else jnp.broadcast_to(x[..., None], (*x.shape, axis_size))
+            jnp.moveaxis(x, 0, -1)
+            if batched
+            else jnp.broadcast_to(x[..., None], (*x.shape, axis_size))
             for x, batched in zip(args, in_batched, strict=True)
         ]
         out = mapped(*moved)

@@ -1,6 +1,8 @@
-"""A piece of work in a process of its own, beside this one: what it reports and what it returns come back through a pipe.
+"""A piece of work in a process of its own, beside this one: what it reports and what it returns
+come back through a pipe.
 
-For work whose time goes into Python and compiling, which threads of one process would take turns at.
+For work whose time goes into Python and compiling, which threads of one process would take turns
+at.
 """
 
 from __future__ import annotations
@@ -50,8 +52,9 @@ class Beside:
 def beside(work: Callable[..., Any], *args: Any, told: Callable[..., None]) -> Iterator[Beside]:
     """`work(*args, tell)` in a new process, which ends with the block at the latest.
 
-    `work` is a function of a module and takes and returns what can be pickled; `told` is called here, in a thread of its own, with
-    what the work calls `tell` with. Ctrl-C is for this process alone.
+    `work` is a function of a module and takes and returns what can be pickled; `told` is called
+    here, in a thread of its own, with what the work calls `tell` with. Ctrl-C is for this process
+    alone.
     """
     context = multiprocessing.get_context("spawn")  # a fork of a process that used JAX hangs
     here, there = context.Pipe(duplex=False)

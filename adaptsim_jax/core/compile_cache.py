@@ -1,4 +1,6 @@
-"""The persistent compile cache of the command line: on by default, set up before JAX is imported."""
+"""The persistent compile cache of the command line: on by default, set up before JAX is
+imported.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,9 @@ MIN_COMPILE_S = "0.2"
 
 
 def folder() -> Path:
-    """Where compiled programs are: $ADAPTSIM_CACHE, $JAX_COMPILATION_CACHE_DIR, or the platform's folder."""
+    """Where compiled programs are: $ADAPTSIM_CACHE, $JAX_COMPILATION_CACHE_DIR, or the platform's
+    folder.
+    """
     for name in (VARIABLE, "JAX_COMPILATION_CACHE_DIR"):
         if os.environ.get(name):
             return _expanded(Path(os.environ[name]))
@@ -28,11 +32,15 @@ def _platform_folder() -> Path:
 
 
 def _home() -> Path:
-    """The home folder; where there is none, as in a container whose user has no name, one of the user's own for temporary files."""
+    """The home folder; where there is none, as in a container whose user has no name, one of the
+    user's own for temporary files.
+    """
     try:
         return Path.home()
     except RuntimeError:
-        return Path(tempfile.gettempdir()) / f"home-{os.getuid() if hasattr(os, 'getuid') else 'user'}"
+        return (
+            Path(tempfile.gettempdir()) / f"home-{os.getuid() if hasattr(os, 'getuid') else 'user'}"
+        )
 
 
 def _expanded(path: Path) -> Path:
@@ -44,7 +52,8 @@ def _expanded(path: Path) -> Path:
 
 
 def enable() -> str | None:
-    """Point JAX at the cache folder through the environment; what went wrong in a few words, or None.
+    """Point JAX at the cache folder through the environment; what went wrong in a few words, or
+    None.
 
     Has no effect on a JAX that is imported already: library users set the cache up as they like.
     """
@@ -55,7 +64,10 @@ def enable() -> str | None:
             pass
     except OSError as error:
         disable()
-        return f"no compile cache: {path} cannot be written ({error.strerror}); set {VARIABLE} to another folder"
+        return (
+            f"no compile cache: {path} cannot be written ({error.strerror}); set {VARIABLE} to "
+            f"another folder"
+        )
     os.environ["JAX_COMPILATION_CACHE_DIR"] = str(path)
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", MIN_COMPILE_S)
     return None

@@ -1,4 +1,6 @@
-"""Config files: frozen dataclasses to and from TOML, with every key checked and the nearest name offered."""
+"""Config files: frozen dataclasses to and from TOML, with every key checked and the nearest name
+offered.
+"""
 
 from __future__ import annotations
 
@@ -21,20 +23,26 @@ T = TypeVar("T")
 
 
 def nearest(name: str, known: typing.Iterable[str]) -> str | None:
-    """The known name that `name` is most like, upper and lower case alike, or the one that ends in it; None where none is."""
+    """The known name that `name` is most like, upper and lower case alike, or the one that ends in
+    it; None where none is.
+    """
     by_case = {other.lower(): other for other in known}
     inside = [other for low, other in by_case.items() if low.endswith(f".{name.lower()}")]
     if len(inside) == 1:
         return inside[0]
     near = difflib.get_close_matches(name.lower(), by_case, n=1, cutoff=0.6)
-    return by_case[near[0]] if near else None
+    if near:
+        return by_case[near[0]]
+    return None
 
 
 def suggest(name: str, known: typing.Iterable[str]) -> str:
     """'did you mean ...?' or 'known: ...': the mend for a name that is not known."""
     known = list(known)
     near = nearest(name, known)
-    return f"did you mean '{near}'?" if near else f"known: {', '.join(known) or 'none'}"
+    if near:
+        return f"did you mean '{near}'?"
+    return f"known: {', '.join(known) or 'none'}"
 
 
 def pick(kind: str, name: str, known: typing.Iterable[str]) -> str:
@@ -49,7 +57,9 @@ def pick(kind: str, name: str, known: typing.Iterable[str]) -> str:
 
 
 def read(path: str | Path, missing: str = "no such file; check the name") -> dict[str, Any]:
-    """The table in a TOML file; BadInput with the line where it is not TOML. missing: what is said where there is no file."""
+    """The table in a TOML file; BadInput with the line where it is not TOML. missing: what is said
+    where there is no file.
+    """
     try:
         return tomllib.loads(
             Path(path).read_bytes().decode("utf-8-sig")
@@ -57,14 +67,20 @@ def read(path: str | Path, missing: str = "no such file; check the name") -> dic
     except FileNotFoundError:
         raise BadInput(f"{path}: {missing}") from None
     except OSError as error:
-        raise BadInput(f"{path}: cannot be read ({error.strerror}); name a readable TOML file") from None
+        raise BadInput(
+            f"{path}: cannot be read ({error.strerror}); name a readable TOML file"
+        ) from None
     except UnicodeDecodeError as error:
-        raise BadInput(f"{path}: not text in UTF-8 (byte {error.start}); save it as UTF-8") from None
+        raise BadInput(
+            f"{path}: not text in UTF-8 (byte {error.start}); save it as UTF-8"
+        ) from None
     except (
         ValueError,
         RecursionError,
     ) as error:  # not only TOMLDecodeError: dates and digits fail in Python's own words
-        raise BadInput(f"{path}: not TOML ({' '.join(str(error).split())[:160]}); mend that line") from None
+        raise BadInput(
+            f"{path}: not TOML ({' '.join(str(error).split())[:160]}); mend that line"
+        ) from None
 
 
 def write(path: str | Path, table: dict[str, Any]) -> None:
@@ -91,11 +107,14 @@ def _lines(table: dict[str, Any], path: tuple[str, ...]) -> list[str]:
 
 
 def _key(name: str) -> str:
-    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _string(name)
+    if re.fullmatch(r"[A-Za-z0-9_-]+", name):
+        return name
+    return _string(name)
 
 
 def _string(text: str) -> str:
-    # JSON escapes are TOML escapes, but for DEL and for pairs of surrogates (so: no ASCII-only output)
+    # JSON escapes are TOML escapes, but for DEL and for pairs of surrogates (so: no ASCII-only
+    # output)
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
@@ -105,7 +124,9 @@ def _value(value: Any) -> str:
     if isinstance(value, int):
         return str(value)
     if isinstance(value, float):
-        return repr(value) if math.isfinite(value) else str(value).replace("-nan", "nan")
+        if math.isfinite(value):
+            return repr(value)
+        return str(value).replace("-nan", "nan")
     if isinstance(value, str):
         return _string(value)
     if isinstance(value, Path):
@@ -113,7 +134,11 @@ def _value(value: Any) -> str:
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(_value, value))}]"
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in value.items() if v is not None) + "}"
+        return (
+            "{"
+            + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in value.items() if v is not None)
+            + "}"
+        )
     raise TypeError(f"no TOML for {type(value).__name__}")
 
 
@@ -132,7 +157,9 @@ def to_table(config: Any) -> Any:
 
 
 def _is_record(kind: Any) -> bool:
-    return dataclasses.is_dataclass(kind) or (isinstance(kind, type) and hasattr(kind, "_field_defaults"))
+    return dataclasses.is_dataclass(kind) or (
+        isinstance(kind, type) and hasattr(kind, "_field_defaults")
+    )
 
 
 def _fields(kind: Any) -> dict[str, bool]:
@@ -158,14 +185,18 @@ def _deeper(kind: Any, name: str, prefix: str) -> str | None:
 
 
 def from_table(kind: type[T], table: dict[str, Any], where: str, prefix: str = "") -> T:
-    """A dataclass of type `kind` from a table; BadInput names an unknown, missing or ill-typed key. What a nested table leaves out is
-    as it is in that field's default."""
+    """A dataclass of type `kind` from a table; BadInput names an unknown, missing or ill-typed key.
+    What a nested table leaves out is as it is in that field's default.
+    """
     hints = typing.get_type_hints(kind)
     fields = _fields(kind)
     for name in table:
         if name not in fields:
             deeper = _deeper(kind, name, prefix)
-            mend = f"did you mean '{deeper}'?" if deeper else suggest(name, fields)
+            if deeper:
+                mend = f"did you mean '{deeper}'?"
+            else:
+                mend = suggest(name, fields)
             raise BadInput(f"{where}: unknown key '{prefix}{name}'; {mend}")
     values = {}
     for name, needed in fields.items():
@@ -181,8 +212,13 @@ def from_table(kind: type[T], table: dict[str, Any], where: str, prefix: str = "
 
 def over(base: dict[str, Any], table: dict[str, Any]) -> dict[str, Any]:
     """`table` over `base`, key by key in nested tables."""
-    nested = lambda name: isinstance(base.get(name), dict) and isinstance(table[name], dict)
-    return base | {name: over(base[name], table[name]) if nested(name) else table[name] for name in table}
+
+    def nested(name):
+        return isinstance(base.get(name), dict) and isinstance(table[name], dict)
+
+    return base | {
+        name: over(base[name], table[name]) if nested(name) else table[name] for name in table
+    }
 
 
 def _default(kind: Any, name: str) -> dict[str, Any]:
@@ -190,7 +226,10 @@ def _default(kind: Any, name: str) -> dict[str, Any]:
     if not dataclasses.is_dataclass(kind):
         return to_table(kind._field_defaults[name])
     field = next(f for f in dataclasses.fields(kind) if f.name == name)
-    made = field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
+    if field.default_factory is dataclasses.MISSING:
+        made = field.default
+    else:
+        made = field.default_factory()
     return to_table(made)
 
 
@@ -201,7 +240,10 @@ def _typed(hint: Any, value: Any, where: str, key: str) -> Any:
     if origin is typing.Literal:
         if value in typing.get_args(hint):
             return value
-        raise BadInput(f"{where}: key '{key}' is {brief(value)}; one of {list(typing.get_args(hint))} is wanted")
+        raise BadInput(
+            f"{where}: key '{key}' is {brief(value)}; one of {list(typing.get_args(hint))} is "
+            f"wanted"
+        )
     if origin in (types.UnionType, typing.Union):
         return _first_fit(typing.get_args(hint), value, where, key)
     if origin in (tuple, list) and isinstance(value, list | tuple):
@@ -240,12 +282,19 @@ def _sequence(hint: Any, value: Any, where: str, key: str) -> Any:
         kinds = list(arguments)
     if len(kinds) != len(value):
         raise BadInput(f"{where}: key '{key}' has {len(value)} entries; {len(kinds)} are wanted")
-    items = [_typed(kind, item, where, f"{key}[{i}]") for i, (kind, item) in enumerate(zip(kinds, value, strict=True))]
-    return tuple(items) if typing.get_origin(hint) is tuple else items
+    items = [
+        _typed(kind, item, where, f"{key}[{i}]")
+        for i, (kind, item) in enumerate(zip(kinds, value, strict=True))
+    ]
+    if typing.get_origin(hint) is tuple:
+        return tuple(items)
+    return items
 
 
 def with_settings(config: T, settings: typing.Sequence[str]) -> T:
-    """`config` with `key=value` strings applied (dotted keys reach into nested tables; values are TOML)."""
+    """`config` with `key=value` strings applied (dotted keys reach into nested tables; values are
+    TOML).
+    """
     table = to_table(config)
     for setting in settings:
         key, equals, text = setting.partition("=")
@@ -263,9 +312,12 @@ def _parsed(text: str) -> Any:
         return text  # a bare word is a string
 
 
-def _level(table: dict[str, Any], hint: Any, parents: typing.Sequence[str], where: str) -> dict[str, Any]:
-    """The nested table that `parents` lead to. In a field of any keys (`dict`) it is made where it is missing; whoever reads that
-    field checks the keys."""
+def _level(
+    table: dict[str, Any], hint: Any, parents: typing.Sequence[str], where: str
+) -> dict[str, Any]:
+    """The nested table that `parents` lead to. In a field of any keys (`dict`) it is made where it
+    is missing; whoever reads that field checks the keys.
+    """
     path = ""
     for name in parents:
         path += name
@@ -291,7 +343,10 @@ def flatten(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:
         if isinstance(value, dict):
             flat |= flatten(value, f"{prefix}{name}.")
         elif value is not None:
-            flat[f"{prefix}{name}"] = list(value) if isinstance(value, tuple) else value
+            if isinstance(value, tuple):
+                flat[f"{prefix}{name}"] = list(value)
+            else:
+                flat[f"{prefix}{name}"] = value
     return flat
 
 
@@ -300,7 +355,9 @@ def differences(have: dict[str, Any], want: dict[str, Any]) -> list[str]:
     a, b = flatten(have), flatten(want)
     keys = sorted(a.keys() | b.keys())
     return [
-        f"{key}: {a.get(key, 'unset')} there, {b.get(key, 'unset')} asked" for key in keys if a.get(key) != b.get(key)
+        f"{key}: {a.get(key, 'unset')} there, {b.get(key, 'unset')} asked"
+        for key in keys
+        if a.get(key) != b.get(key)
     ]
 
 

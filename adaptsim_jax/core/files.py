@@ -1,4 +1,6 @@
-"""Files that appear whole or not at all, and one line with the mend where the file system refuses."""
+"""Files that appear whole or not at all, and one line with the mend where the file system
+refuses.
+"""
 
 from __future__ import annotations
 
@@ -18,13 +20,17 @@ from adaptsim_jax.core.errors import BadInput
 
 @contextlib.contextmanager
 def atomic_file(path: str | os.PathLike) -> Iterator[io.BufferedWriter]:
-    """A binary file that appears under `path` whole or not at all: temporary name beside it, fsync, rename.
+    """A binary file that appears under `path` whole or not at all: temporary name beside it, fsync,
+    rename.
 
-    Raises BadInput where the folder cannot be written or the disk is full, and leaves nothing behind then.
+    Raises BadInput where the folder cannot be written or the disk is full, and leaves nothing
+    behind then.
     """
     path = Path(path)
     with output_errors(path):
-        handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
+        handle, temporary = tempfile.mkstemp(
+            prefix=f".{path.name}.", suffix=".tmp", dir=path.parent
+        )
         try:
             with os.fdopen(handle, "wb") as file:
                 yield file
@@ -51,12 +57,16 @@ def write_json(path: str | os.PathLike, value: Any) -> None:
 
 
 def without_nan(value: Any) -> Any:
-    """Plain data (dicts, lists, numbers) with None where a float is not finite, for strict JSON has no such number."""
+    """Plain data (dicts, lists, numbers) with None where a float is not finite, for strict JSON has
+    no such number.
+    """
     if isinstance(value, dict):
         return {name: without_nan(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
         return [without_nan(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
 
 
 @contextlib.contextmanager
@@ -67,15 +77,19 @@ def output_errors(path: str | os.PathLike) -> Iterator[None]:
     except OSError as error:
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             raise BadInput(
-                f"{path}: no space left on the disk; free some, or name another folder, and run again"
+                f"{path}: no space left on the disk; free some, or name another folder, and run "
+                f"again"
             ) from error
         raise BadInput(
-            f"{path}: cannot be written ({error.strerror or error}); name a folder that you may write to"
+            f"{path}: cannot be written ({error.strerror or error}); name a folder that you may "
+            f"write to"
         ) from error
 
 
 def output_folder(path: str | os.PathLike) -> Path:
-    """Make `path` if need be and make sure, before any work is done, that files can be written there."""
+    """Make `path` if need be and make sure, before any work is done, that files can be written
+    there.
+    """
     path = Path(path)
     with output_errors(path):
         path.mkdir(parents=True, exist_ok=True)
@@ -85,7 +99,8 @@ def output_folder(path: str | os.PathLike) -> Path:
 
 
 def _sync_folder(folder: Path) -> None:
-    # A rename is only as lasting as its directory entry; some file systems refuse to sync a directory.
+    # A rename is only as lasting as its directory entry; some file systems refuse to sync a
+    # directory.
     with contextlib.suppress(OSError):
         handle = os.open(folder, os.O_RDONLY)
         try:

@@ -1,4 +1,6 @@
-"""Public names of a package that are imported when they are asked for (PEP 562), so that importing the package stays cheap."""
+"""Public names of a package that are imported when they are asked for (PEP 562), so that importing
+the package stays cheap.
+"""
 
 from collections.abc import Callable, Mapping
 from importlib import import_module
@@ -6,7 +8,9 @@ from typing import Any
 
 
 def lazily(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
-    """`__getattr__` of `package`, whose public names stand in the modules `homes[name]`, as names of `adaptsim_jax`."""
+    """`__getattr__` of `package`, whose public names stand in the modules `homes[name]`, as names
+    of `adaptsim_jax`.
+    """
 
     def getattr_(name: str) -> Any:
         if name not in homes:

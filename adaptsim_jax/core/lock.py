@@ -1,4 +1,6 @@
-"""One writer at a time in a folder: a lock of the operating system, which a process that died does not hold."""
+"""One writer at a time in a folder: a lock of the operating system, which a process that died does
+not hold.
+"""
 
 from __future__ import annotations
 
@@ -15,10 +17,11 @@ LOCK = ".lock"
 
 @contextlib.contextmanager
 def one_writer(folder: str | os.PathLike) -> Iterator[None]:
-    """Hold `folder`, which must exist, against other processes that write there. BadInput at once where one does.
+    """Hold `folder`, which must exist, against other processes that write there. BadInput at once
+    where one does.
 
-    The lock goes with the process, however it ends; the empty file `.lock` stays. File systems (and platforms) without locks
-    are written to without one.
+    The lock goes with the process, however it ends; the empty file `.lock` stays. File systems (and
+    platforms) without locks are written to without one.
     """
     path = Path(folder) / LOCK
     with output_errors(path):

@@ -1,5 +1,5 @@
-"""Progress of long work, told by the caller between chunks: a bar on a terminal, plain lines elsewhere; and of work in parts, some of
-them at once, with a bar or lines for each.
+"""Progress of long work, told by the caller between chunks: a bar on a terminal, plain lines
+elsewhere; and of work in parts, some of them at once, with a bar or lines for each.
 
 Library code takes a `Report`, a function of (done, total, note), and knows nothing of terminals.
 """
@@ -15,11 +15,14 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any, TextIO
 
 Report = Callable[..., None]
-"""`report(done, total, note="")`: `done` of `total` are done, `math.inf` where nobody knows how much follows; `note` is a few words
-such as 'reward 0.93'."""
+"""`report(done, total, note="")`: `done` of `total` are done, `math.inf` where nobody knows how
+much follows; `note` is a few words such as 'reward 0.93'.
+"""
 
 Parts = Callable[..., None]
-"""`report(part, done, total, note="")`: `done` of `total` of the part are done; 0 when it begins, all when it is over."""
+"""`report(part, done, total, note="")`: `done` of `total` of the part are done; 0 when it begins,
+all when it is over.
+"""
 
 SHOW_AFTER = 2.0  # s; shorter work says nothing
 LINE_EVERY = 10.0  # s between plain lines
@@ -35,14 +38,19 @@ def silent_parts(part: str, done: float, total: float, note: str = "") -> None:
 
 
 def progress(label: str, stream: Any = None) -> contextlib.AbstractContextManager[Report]:
-    """A `Report` that shows `label` with the time left, once the work has taken more than two seconds."""
+    """A `Report` that shows `label` with the time left, once the work has taken more than two
+    seconds.
+    """
     stream = stream or sys.stderr
     return _shown(_Bar(label) if stream.isatty() else _Lines(label, stream))
 
 
-def parts_progress(titles: Mapping[str, str], stream: Any = None) -> contextlib.AbstractContextManager[Parts]:
-    """`Parts` that show each of `titles` (by part) when it begins and when it is over, with the time that it took. May be called
-    from several threads."""
+def parts_progress(
+    titles: Mapping[str, str], stream: Any = None
+) -> contextlib.AbstractContextManager[Parts]:
+    """`Parts` that show each of `titles` (by part) when it begins and when it is over, with the
+    time that it took. May be called from several threads.
+    """
     stream = stream or sys.stderr
     return _shown(_PartBars(titles) if stream.isatty() else _PartLines(titles, stream))
 
@@ -86,7 +94,11 @@ class _Lines:
         if math.isinf(total):
             parts = [f"{self.label}: {clock(now - self.start)} so far", note]
         else:
-            parts = [f"{self.label}: {100 * done / max(total, 1e-9):.0f} %", self._left(now, done, total), note]
+            parts = [
+                f"{self.label}: {100 * done / max(total, 1e-9):.0f} %",
+                self._left(now, done, total),
+                note,
+            ]
         print(", ".join(part for part in parts if part), file=self.stream, flush=True)
 
     def _left(self, now: float, done: float, total: float) -> str:
@@ -119,7 +131,9 @@ class _PartLines:
                 self.began[part] = now
             if done >= total and part not in self.over:
                 self.over.add(part)
-                self._say(part, f"done in {clock(now - self.began[part])}" + (f", {note}" if note else ""))
+                self._say(
+                    part, f"done in {clock(now - self.began[part])}" + (f", {note}" if note else "")
+                )
             elif done < total and (first or now >= self.next[part]):
                 known = done > 0 and note and not math.isinf(total)
                 self._say(part, f"{100 * done / total:.0f} %, {note}" if known else note or "begun")
@@ -135,9 +149,11 @@ class _PartLines:
 
 
 class _Bars:
-    """Rich bars, open from the first row on; the library is loaded only when there is something to show.
+    """Rich bars, open from the first row on; the library is loaded only when there is something to
+    show.
 
-    time: the name of rich's column that tells it; width: of a bar."""
+    time: the name of rich's column that tells it; width: of a bar.
+    """
 
     def __init__(self, time: str, width: int = 40):
         self.time, self.width = time, width
@@ -150,7 +166,9 @@ class _Bars:
         if (title, endless) not in self.rows:
             if (title, not endless) in self.rows:
                 self.bars.remove_task(self.rows.pop((title, not endless)))
-            self.rows[title, endless] = self.bars.add_task(title, total=None if endless else total, note="")
+            self.rows[title, endless] = self.bars.add_task(
+                title, total=None if endless else total, note=""
+            )
         known = {} if endless else {"completed": done, "total": total}
         self.bars.update(self.rows[title, endless], note=note, **known)
 
@@ -184,7 +202,10 @@ class _Bar(_Bars):
     def report(self, done: float, total: float, note: str = "") -> None:
         if self.bars is None and (time.monotonic() - self.start < SHOW_AFTER or done >= total):
             return
-        long = f", {clock(time.monotonic() - self.start)} so far" if math.isinf(total) else ""
+        if math.isinf(total):
+            long = f", {clock(time.monotonic() - self.start)} so far"
+        else:
+            long = ""
         self.update(self.label, done, total, note + long)
 
 

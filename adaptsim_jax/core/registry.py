@@ -1,7 +1,9 @@
-"""What one file adds: tasks, mechanisms, effects, engines and baselines by name, ours and those of other packages.
+"""What one file adds: tasks, mechanisms, effects, engines and baselines by name, ours and those of
+other packages.
 
-A registry knows where each thing stands (`"package.module:NAME"`) and loads it when it is asked for, so that listing names
-loads no JAX. Another package adds to it by an entry point of the group `adaptsim.<kind>`, without a line here:
+A registry knows where each thing stands (`"package.module:NAME"`) and loads it when it is asked
+for, so that listing names loads no JAX. Another package adds to it by an entry point of the group
+`adaptsim.<kind>`, without a line here:
 
     [project.entry-points."adaptsim.effects"]
     magnet = "my_package.magnet:MAGNET"
@@ -19,10 +21,11 @@ Thing = TypeVar("Thing")
 
 
 class Registry(Mapping[str, Thing], Generic[Thing]):
-    """Things of one kind by name, in an order that does not change: ours as listed, then those of other packages by name.
+    """Things of one kind by name, in an order that does not change: ours as listed, then those of
+    other packages by name.
 
-    kind: also names the group of entry points; within: a part of it, whose entry points are called `within.name`; type: what each
-    thing is, by the name of its class, where they are all of one.
+    kind: also names the group of entry points; within: a part of it, whose entry points are called
+    `within.name`; type: what each thing is, by the name of its class, where they are all of one.
     """
 
     def __init__(self, kind: str, own: Mapping[str, str], within: str = "", type: str = ""):
@@ -40,7 +43,8 @@ class Registry(Mapping[str, Thing], Generic[Thing]):
                 continue
             if name in self.own or name in found:
                 raise BadInput(
-                    f"entry point {point.name} = {point.value} of {self.group}: there is another of that name; rename it"
+                    f"entry point {point.name} = {point.value} of {self.group}: there is another "
+                    f"of that name; rename it"
                 )
             found[name] = point
         return found
@@ -63,17 +67,21 @@ class Registry(Mapping[str, Thing], Generic[Thing]):
         except Exception as error:
             why = " ".join(f"{error.__class__.__name__}: {error}".split())
             raise BadInput(
-                f"entry point {point.name} = {point.value} of {self.group} does not load: {why}; mend or uninstall it"
+                f"entry point {point.name} = {point.value} of {self.group} does not load: {why}; "
+                f"mend or uninstall it"
             ) from error
         if self.type and self.type not in {c.__name__ for c in thing.__class__.__mro__}:
             raise BadInput(
-                f"entry point {point.name} = {point.value} of {self.group} is a {thing.__class__.__name__}, not a {self.type}; "
+                f"entry point {point.name} = {point.value} of {self.group} is a "
+                f"{thing.__class__.__name__}, not a {self.type}; "
                 f"name the {self.type}"
             )
         return thing
 
     def named(self, name: str, what: str) -> Thing:
-        """The thing called `name`; BadInput with the nearest name where there is none. what: it in words, `task`."""
+        """The thing called `name`; BadInput with the nearest name where there is none. what: it in
+        words, `task`.
+        """
         if name not in self:
             raise BadInput(f"{what} '{name}' is unknown; {suggest(name, self)}")
         return self[name]

@@ -1,8 +1,10 @@
-"""Run folders and checkpoints: written under a temporary name, renamed, checked in full, never executed.
+"""Run folders and checkpoints: written under a temporary name, renamed, checked in full, never
+executed.
 
-A checkpoint folder holds `manifest.json` and the payload (`state-<step>-<hash>.npz`) that it names. The
-payload is written and renamed first, the manifest after it, the old payload removed last: whenever the
-process dies, the manifest on disk names a whole payload. It also records how long `metrics.jsonl` was.
+A checkpoint folder holds `manifest.json` and the payload (`state-<step>-<hash>.npz`) that it names.
+The payload is written and renamed first, the manifest after it, the old payload removed last:
+whenever the process dies, the manifest on disk names a whole payload. It also records how long
+`metrics.jsonl` was.
 """
 
 from __future__ import annotations
@@ -17,7 +19,13 @@ from typing import Any
 from adaptsim_jax import __version__
 from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.core.files import output_errors, output_folder, without_nan, write_bytes, write_json
+from adaptsim_jax.core.files import (
+    output_errors,
+    output_folder,
+    without_nan,
+    write_bytes,
+    write_json,
+)
 
 SCHEMA = 1
 MANIFEST = "manifest.json"
@@ -35,10 +43,12 @@ def save_checkpoint(
     config_hash: str,
     extra: dict[str, Any] | None = None,
 ) -> None:
-    """Replace the checkpoint in `folder` by `tree`, a pytree of arrays, numbers and JAX PRNG keys, at `step`.
+    """Replace the checkpoint in `folder` by `tree`, a pytree of arrays, numbers and JAX PRNG keys,
+    at `step`.
 
-    At every moment one whole checkpoint is there, the old or the new. `extra` (JSON) travels in the manifest.
-    Raises BadInput where the folder cannot be written, TypeError for a leaf that is not an array.
+    At every moment one whole checkpoint is there, the old or the new. `extra` (JSON) travels in the
+    manifest. Raises BadInput where the folder cannot be written, TypeError for a leaf that is not
+    an array.
     """
     from adaptsim_jax.core import tree_store
 
@@ -75,9 +85,11 @@ def _sweep(folder: Path, keep: str) -> None:
 
 
 def load_checkpoint(folder: str | os.PathLike, like: Any, *, task: str) -> tuple[Any, int]:
-    """`(tree, step)` from `folder`; `like` (arrays or ShapeDtypeStructs) has the structure and shapes wanted.
+    """`(tree, step)` from `folder`; `like` (arrays or ShapeDtypeStructs) has the structure and
+    shapes wanted.
 
-    Raises BadInput for a missing, torn or foreign checkpoint, another version, task, structure or shape.
+    Raises BadInput for a missing, torn or foreign checkpoint, another version, task, structure or
+    shape.
     """
     from adaptsim_jax.core import tree_store
 
@@ -93,7 +105,10 @@ def load_checkpoint(folder: str | os.PathLike, like: Any, *, task: str) -> tuple
         payload = path.read_bytes()
     except OSError as error:
         raise BadInput(f"{path}: the checkpoint is torn ({error.strerror}); {_RENEW}") from None
-    if len(payload) != manifest["bytes"] or hashlib.sha256(payload).hexdigest() != manifest["sha256"]:
+    if (
+        len(payload) != manifest["bytes"]
+        or hashlib.sha256(payload).hexdigest() != manifest["sha256"]
+    ):
         raise BadInput(f"{path}: the checkpoint is torn (it does not match its manifest); {_RENEW}")
     return tree_store.unpack(payload, manifest["leaves"], like, where=str(path)), manifest["step"]
 
@@ -113,14 +128,18 @@ _FIELDS = {
 
 
 def read_manifest(folder: str | os.PathLike) -> dict[str, Any]:
-    """The manifest of the checkpoint in `folder`, checked: ours, whole, and of a version read here."""
+    """The manifest of the checkpoint in `folder`, checked: ours, whole, and of a version read
+    here.
+    """
     path = Path(folder) / MANIFEST
     try:
         manifest = json.loads(path.read_bytes())
     except FileNotFoundError:
         raise BadInput(f"{folder}: no checkpoint here; name a run that was trained") from None
     except OSError as error:
-        raise BadInput(f"{path}: cannot be read ({error.strerror}); name a run that was trained") from None
+        raise BadInput(
+            f"{path}: cannot be read ({error.strerror}); name a run that was trained"
+        ) from None
     except (ValueError, RecursionError):
         raise BadInput(f"{path}: the checkpoint is torn (not JSON); {_RENEW}") from None
     if not isinstance(manifest, dict) or manifest.get("package") != "adaptsim_jax":
@@ -128,7 +147,9 @@ def read_manifest(folder: str | os.PathLike) -> dict[str, Any]:
     _check_version(path, manifest)
     whole = all(type(manifest.get(name)) is kind for name, kind in _FIELDS.items())
     if not whole or manifest.get("seal") != _seal(manifest):
-        raise BadInput(f"{path}: the checkpoint is torn (its manifest was changed or cut); {_RENEW}")
+        raise BadInput(
+            f"{path}: the checkpoint is torn (its manifest was changed or cut); {_RENEW}"
+        )
     return manifest
 
 
@@ -139,7 +160,8 @@ def _check_version(path: Path, manifest: dict[str, Any]) -> None:
     if manifest.get("schema") != SCHEMA or not same:
         raise BadInput(
             f"{path}: written by adaptsim_jax {version} (schema {manifest.get('schema')}), "
-            f"this is {__version__} (schema {SCHEMA}); install that version to use it, or train anew"
+            f"this is {__version__} (schema {SCHEMA}); install that version to use it, or train "
+            f"anew"
         )
 
 
@@ -152,7 +174,9 @@ def _seal(manifest: dict[str, Any]) -> str:
 
 
 class RunFolder:
-    """A run on disk: `config.toml`, `metrics.jsonl`, `checkpoint/`. Made by `create`, `open`, `resume`."""
+    """A run on disk: `config.toml`, `metrics.jsonl`, `checkpoint/`. Made by `create`, `open`,
+    `resume`.
+    """
 
     def __init__(self, path: Path, task: str, table: dict[str, Any]):
         self.path = path
@@ -161,7 +185,9 @@ class RunFolder:
 
     @classmethod
     def create(cls, path: str | os.PathLike, table: dict[str, Any], *, task: str) -> RunFolder:
-        """A new run in an empty or new folder; `table` is the config, everything needed to run again."""
+        """A new run in an empty or new folder; `table` is the config, everything needed to run
+        again.
+        """
         path = Path(path)
         with contextlib.suppress(OSError):
             if (path / CONFIG).exists() or (path / CHECKPOINT).exists():
@@ -173,24 +199,34 @@ class RunFolder:
 
     @classmethod
     def open(cls, path: str | os.PathLike, *, task: str | None = None) -> RunFolder:
-        """An existing run, to read; BadInput where it is torn, foreign, of another version or task."""
+        """An existing run, to read; BadInput where it is torn, foreign, of another version or
+        task.
+        """
         path = Path(path)
         if not path.is_dir():
-            raise BadInput(f"{path}: no such run folder; make one with `adaptsim train TASK --run {path}`")
+            raise BadInput(
+                f"{path}: no such run folder; make one with `adaptsim train TASK --run {path}`"
+            )
         where = path / CONFIG
         if not where.exists():
-            raise BadInput(f"{path}: not a run folder (no {CONFIG}); name one that `adaptsim train` made")
+            raise BadInput(
+                f"{path}: not a run folder (no {CONFIG}); name one that `adaptsim train` made"
+            )
         table = config.read(where)
         _check_version(where, table)
         if not isinstance(table.get("config"), dict) or not isinstance(table.get("task"), str):
             raise BadInput(f"{where}: 'task' or [config] is missing; {_RENEW}")
         if task is not None and table["task"] != task:
-            raise BadInput(f"{path}: this run is of task '{table['task']}', not '{task}'; name another")
+            raise BadInput(
+                f"{path}: this run is of task '{table['task']}', not '{task}'; name another"
+            )
         return cls(path, table["task"], table["config"])
 
     @classmethod
     def resume(cls, path: str | os.PathLike, table: dict[str, Any], *, task: str) -> RunFolder:
-        """An existing run, to continue with the same config; BadInput names every key that differs."""
+        """An existing run, to continue with the same config; BadInput names every key that
+        differs.
+        """
         run = cls.open(path, task=task)
         changed = config.differences(run.config, table)
         if changed:
@@ -217,7 +253,9 @@ class RunFolder:
         return (self.checkpoint / MANIFEST).exists()
 
     def append_metrics(self, rows: list[dict[str, Any]]) -> None:
-        """Append one JSON line a row, null for what is not finite, and sync them; call it before `save`, which records the length."""
+        """Append one JSON line a row, null for what is not finite, and sync them; call it before
+        `save`, which records the length.
+        """
         text = "".join(json.dumps(without_nan(row), allow_nan=False) + "\n" for row in rows)
         with output_errors(self.metrics), open(self.metrics, "ab") as file:
             file.write(text.encode())
@@ -228,19 +266,32 @@ class RunFolder:
         """Checkpoint `tree` at `step` together with the length of the metrics written so far."""
         length = self.metrics.stat().st_size if self.metrics.exists() else 0
         extra = {"metrics_bytes": length}
-        save_checkpoint(self.checkpoint, tree, task=self.task, step=step, config_hash=self.config_hash, extra=extra)
+        save_checkpoint(
+            self.checkpoint,
+            tree,
+            task=self.task,
+            step=step,
+            config_hash=self.config_hash,
+            extra=extra,
+        )
 
     def load(self, like: Any) -> tuple[Any, int]:
-        """`(tree, step)` of the checkpoint; BadInput also where it was made under another config."""
+        """`(tree, step)` of the checkpoint; BadInput also where it was made under another
+        config.
+        """
         manifest = read_manifest(self.checkpoint)
         if manifest["config_hash"] != self.config_hash:
-            raise BadInput(f"{self.path}: {CONFIG} was changed since the checkpoint was written; restore it")
+            raise BadInput(
+                f"{self.path}: {CONFIG} was changed since the checkpoint was written; restore it"
+            )
         return load_checkpoint(self.checkpoint, like, task=self.task)
 
     def restore(self, like: Any) -> tuple[Any, int]:
-        """As `load`, to continue: metrics written after the checkpoint are cut off, for they will come again.
+        """As `load`, to continue: metrics written after the checkpoint are cut off, for they will
+        come again.
 
-        Without a checkpoint (killed before the first one) the metrics are emptied and `(like, 0)` comes back.
+        Without a checkpoint (killed before the first one) the metrics are emptied and `(like, 0)`
+        comes back.
         """
         if not self.has_checkpoint():
             self._cut_metrics(0)

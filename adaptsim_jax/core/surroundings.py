@@ -1,4 +1,6 @@
-"""What a process is run in: forks of processes that used JAX, JAX's switches, and pipes that take ASCII alone."""
+"""What a process is run in: forks of processes that used JAX, JAX's switches, and pipes that take
+ASCII alone.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +12,10 @@ from adaptsim_jax.core.errors import BadInput
 _forked_after_use = [False]
 _BRANCHES = "branches that are not taken may hold numbers that do not exist, and what ran away is told by its code"
 PUT_OFF = {
-    "JAX_ENABLE_X64": "adaptsim computes in single precision", "JAX_DEBUG_NANS": _BRANCHES, "JAX_DEBUG_INFS": _BRANCHES,
-}  # fmt: skip
+    "JAX_ENABLE_X64": "adaptsim computes in single precision",
+    "JAX_DEBUG_NANS": _BRANCHES,
+    "JAX_DEBUG_INFS": _BRANCHES,
+}
 """Switches of JAX that are not heeded, with why."""
 _OFF = ("", "0", "false", "off", "no")
 
@@ -27,10 +31,13 @@ if hasattr(os, "register_at_fork"):
 
 
 def check_process() -> None:
-    """BadInput in a forked worker of a process that had used JAX, whose threads are not there and would be waited for."""
+    """BadInput in a forked worker of a process that had used JAX, whose threads are not there and
+    would be waited for.
+    """
     if _forked_after_use[0]:
         raise BadInput(
-            "this worker was forked from a process that had used JAX, and would hang: make workers by "
+            "this worker was forked from a process that had used JAX, and would hang: make workers "
+            "by "
             "multiprocessing.get_context('spawn'), or use JAX in the workers alone"
         )
 
@@ -38,13 +45,17 @@ def check_process() -> None:
 def computing() -> list[str]:
     """Put off what the environment says of how JAX computes and we cannot heed; a line on each.
 
-    BadInput where a program that called us turned double precision on: its arrays would not fit ours.
+    BadInput where a program that called us turned double precision on: its arrays would not fit
+    ours.
     """
     if "jax" in sys.modules:
         import jax
 
         if jax.config.read("jax_enable_x64"):
-            raise BadInput("JAX computes in double precision here (jax_enable_x64), adaptsim in single: turn it off")
+            raise BadInput(
+                "JAX computes in double precision here (jax_enable_x64), adaptsim in single: turn "
+                "it off"
+            )
         return []
     told = []
     for name, why in PUT_OFF.items():

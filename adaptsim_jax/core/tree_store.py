@@ -1,6 +1,7 @@
 """A pytree of arrays to and from the bytes of an npz file, bit for bit and without pickle.
 
-The structure is not stored as code or objects: each leaf is listed by its path, the reader brings the rest.
+The structure is not stored as code or objects: each leaf is listed by its path, the reader brings
+the rest.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ _PLAIN = "biufc"
 
 
 def pack(tree: Any) -> tuple[list[dict[str, Any]], bytes]:
-    """`(leaves, npz bytes)`: leaves list path, kind, dtype and shape in the order of the arrays a0, a1, ...
+    """`(leaves, npz bytes)`: leaves list path, kind, dtype and shape in the order of the arrays a0,
+    a1, ...
 
     Raises TypeError for a leaf that is neither an array, a number nor a PRNG key.
     """
@@ -27,7 +29,9 @@ def pack(tree: Any) -> tuple[list[dict[str, Any]], bytes]:
     for index, (path, leaf) in enumerate(jax.tree_util.tree_flatten_with_path(tree)[0]):
         entry = _describe(leaf)
         if entry is None:
-            raise TypeError(f"leaf {jax.tree_util.keystr(path)} is {type(leaf).__name__}, not an array")
+            raise TypeError(
+                f"leaf {jax.tree_util.keystr(path)} is {type(leaf).__name__}, not an array"
+            )
         leaves.append({"path": jax.tree_util.keystr(path), **entry})
         if entry["kind"] == "key":
             leaves[-1]["impl"] = str(jax.random.key_impl(leaf))
@@ -38,7 +42,9 @@ def pack(tree: Any) -> tuple[list[dict[str, Any]], bytes]:
 
 
 def unpack(payload: bytes, leaves: list[dict[str, Any]], like: Any, *, where: str) -> Any:
-    """The tree with the structure of `like` (arrays or ShapeDtypeStructs); BadInput on any difference."""
+    """The tree with the structure of `like` (arrays or ShapeDtypeStructs); BadInput on any
+    difference.
+    """
     wanted, structure = jax.tree_util.tree_flatten_with_path(like)
     _compare(wanted, leaves, where)
     try:
@@ -47,7 +53,8 @@ def unpack(payload: bytes, leaves: list[dict[str, Any]], like: Any, *, where: st
     except (ValueError, KeyError, OSError, EOFError, zipfile.BadZipFile) as error:
         raise BadInput(f"{where}: not a checkpoint payload ({error}); start the run anew") from None
     restored = [
-        _restore(array, entry, leaf, where) for array, entry, (_, leaf) in zip(raw, leaves, wanted, strict=True)
+        _restore(array, entry, leaf, where)
+        for array, entry, (_, leaf) in zip(raw, leaves, wanted, strict=True)
     ]
     return jax.tree_util.tree_unflatten(structure, restored)
 
@@ -86,8 +93,13 @@ def _compare(wanted: list[tuple[Any, Any]], leaves: list[dict[str, Any]], where:
     except (TypeError, KeyError):
         raise BadInput(f"{where}: the list of arrays is damaged; start the run anew") from None
     if paths != [entry["path"] for entry in leaves]:
-        odd = [path for path in paths if path not in stored] + [path for path in stored if path not in paths]
-        raise BadInput(f"{where}: holds other arrays than are needed (at {odd[:3]}); use the config it was made with")
+        odd = [path for path in paths if path not in stored] + [
+            path for path in stored if path not in paths
+        ]
+        raise BadInput(
+            f"{where}: holds other arrays than are needed (at {odd[:3]}); use the config it was "
+            f"made with"
+        )
     for path, (_, leaf) in zip(paths, wanted, strict=True):
         entry, want = stored[path], _describe(leaf)
         if want is None:
@@ -104,16 +116,23 @@ def _restore(array: np.ndarray, entry: dict[str, Any], like: Any, where: str) ->
     shape = tuple(entry["shape"])
     if entry["kind"] == "key":
         return jax.random.wrap_key_data(jnp.asarray(array), impl=entry["impl"])
-    dtype = np.dtype(entry["dtype"]) if entry["dtype"] in np.sctypeDict else np.dtype(like.dtype)
+    if entry["dtype"] in np.sctypeDict:
+        dtype = np.dtype(entry["dtype"])
+    else:
+        dtype = np.dtype(like.dtype)
     if array.dtype != dtype:
         array = array.view(dtype)
     if array.shape != shape:
-        raise BadInput(f"{where}: {entry['path']} has shape {array.shape}, not {shape}; start the run anew")
+        raise BadInput(
+            f"{where}: {entry['path']} has shape {array.shape}, not {shape}; start the run anew"
+        )
     if entry["kind"] != "array":
         return array.item()
     if isinstance(like, np.ndarray | np.generic):
         return array
     restored = jnp.asarray(array)
     if restored.dtype != dtype:
-        raise BadInput(f"{where}: {entry['path']} is {dtype}; set JAX_ENABLE_X64=1 as when it was written")
+        raise BadInput(
+            f"{where}: {entry['path']} is {dtype}; set JAX_ENABLE_X64=1 as when it was written"
+        )
     return restored

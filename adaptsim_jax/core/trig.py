@@ -1,7 +1,9 @@
-"""Sine and cosine together, vectorised in double precision too, and whose derivative does not compute them again.
+"""Sine and cosine together, vectorised in double precision too, and whose derivative does not
+compute them again.
 
-XLA calls the C library for the sine of each single double, which was a quarter of the time of a pendulum's Jacobian, and, as it
-fuses them into whatever uses them, of a derivative along many directions nine tenths were sines of the same angles (`once.py`).
+XLA calls the C library for the sine of each single double, which was a quarter of the time of a
+pendulum's Jacobian, and, as it fuses them into whatever uses them, of a derivative along many
+directions nine tenths were sines of the same angles (`once.py`).
 """
 
 import math
@@ -22,7 +24,9 @@ QUARTER = (
 
 @jax.custom_jvp
 def sin_cos(x: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """`sin(x), cos(x)` of any shape but an empty one; in double precision to 2e-16 for angles up to a million."""
+    """`sin(x), cos(x)` of any shape but an empty one; in double precision to 2e-16 for angles up to
+    a million.
+    """
     x = jnp.asarray(x)
     return once(_series(x) if x.dtype == jnp.float64 else (jnp.sin(x), jnp.cos(x)), x)
 
@@ -35,9 +39,13 @@ def _turned(primals, tangents):
 
 
 def _series(x: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Both by their Taylor series about the nearest quarter turn (the reduction in two parts is Cody and Waite's, 1980)."""
+    """Both by their Taylor series about the nearest quarter turn (the reduction in two parts is
+    Cody and Waite's, 1980).
+    """
     turns = jnp.round(x * (2.0 / math.pi))
-    rest = jnp.clip((x - turns * QUARTER[0]) - turns * QUARTER[1], -1.0, 1.0)  # beyond a million: wrong, but a sine
+    rest = jnp.clip(
+        (x - turns * QUARTER[0]) - turns * QUARTER[1], -1.0, 1.0
+    )  # beyond a million: wrong, but a sine
     square = rest * rest
     sin, cos = rest * _horner(square, SINE), _horner(square, COSINE)
     odd = turns - 2.0 * jnp.floor(0.5 * turns) == 1.0

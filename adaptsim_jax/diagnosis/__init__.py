@@ -1,6 +1,7 @@
 """What a machine does, from recordings, and what its model lacks.
 
-`__all__` is what other programs may rely on. `adaptsim_jax.diagnose` is the whole of it, with the page and the mended model.
+`__all__` is what other programs may rely on. `adaptsim_jax.diagnose` is the whole of it, with the
+page and the mended model.
 """
 
 from typing import TYPE_CHECKING
@@ -24,9 +25,21 @@ if TYPE_CHECKING:
     from adaptsim_jax.mechanisms.registry import make_plant as make_plant
 
 __all__ = [
-    "Criteria", "Dry", "Effect", "ModelFile", "Parameter", "Plant", "Recording", "Relaxation", "catalogue", "effect_named",
-    "make_plant", "read_model", "read_recording", "write_model",
-]  # fmt: skip
+    "Criteria",
+    "Dry",
+    "Effect",
+    "ModelFile",
+    "Parameter",
+    "Plant",
+    "Recording",
+    "Relaxation",
+    "catalogue",
+    "effect_named",
+    "make_plant",
+    "read_model",
+    "read_recording",
+    "write_model",
+]
 
 __getattr__ = lazily(
     __name__,

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-TELLS = (
-    0.35  # skill against what needs no model, from which on a model tells one thing from another, and is worth using
-)
+# skill against what needs no model, from which on a model tells one thing from another, and is
+# worth using
+TELLS = 0.35
 
 
 @dataclass(frozen=True)
@@ -14,23 +14,30 @@ class TorqueCriteria:
     """Of the search along the measured motion (`attribution/equation`).
 
     tried: candidates of a round that are judged.
-    gain: share of a joint's squared missing torque that each number of an effect must take off where it was left out.
+    gain: share of a joint's squared missing torque that each number of an effect must take off
+        where it was left out.
     level: of the paired test over blocks.
     steady: amplitudes over their standard errors, root mean square.
     slowest: of a joint's usual speed: what sets in below is not told from what holds a joint still.
-    worth: of a joint's torque, root mean square: an effect of less is not worth a name, and as much may be left of what is explained.
-    seen: the same of bodies and encoders of a machine that follows commands: a payload is little of what a shoulder carries, shows
-        at all joints that carry it, and simulation has the last word.
-    share: of a controller's gain: what its damping takes is many times what the joint needs (a Panda's wrist: 400 N m of 0.8), and the
-        speeds that this follows from are true to 0.1 or 0.2 %.
+    worth: of a joint's torque, root mean square: an effect of less is not worth a name, and as much
+        may be left of what is explained.
+    seen: the same of bodies and encoders of a machine that follows commands: a payload is little of
+        what a shoulder carries, shows at all joints that carry it, and simulation has the last
+        word.
+    share: of a controller's gain: what its damping takes is many times what the joint needs (a
+        Panda's wrist: 400 N m of 0.8), and the speeds that this follows from are true to 0.1 or 0.2
+        %.
     discovery: share of false ones among what like drives have (Benjamini and Hochberg, 1995).
-    paired: of the log's sampling interval; measured torques of all joints that are late or early by less are how a logger pairs them
-        with angles (of the cycle before, filtered), not an effect.
-    simulated: joints up to which the search goes on by simulation where what the torque shows simulates to more than the noise (of
-        more it takes minutes); of both results the one with more skill by both yardsticks together is taken.
-    whole: joints up to which a machine that follows commands has its bodies fitted, and is searched by simulation where what its
-        command errors show leaves more than noise; of more either takes a quarter of an hour, and what is left is told.
-    filed: names that a search with the file's bodies may have where one with fitted ones has none, and be taken for it.
+    paired: of the log's sampling interval; measured torques of all joints that are late or early by
+        less are how a logger pairs them with angles (of the cycle before, filtered), not an effect.
+    simulated: joints up to which the search goes on by simulation where what the torque shows
+        simulates to more than the noise (of more it takes minutes); of both results the one with
+        more skill by both yardsticks together is taken.
+    whole: joints up to which a machine that follows commands has its bodies fitted, and is searched
+        by simulation where what its command errors show leaves more than noise; of more either
+        takes a quarter of an hour, and what is left is told.
+    filed: names that a search with the file's bodies may have where one with fitted ones has none,
+        and be taken for it.
     """
 
     tried: int = 6
@@ -53,37 +60,54 @@ class Criteria:
     """Each with its unit and reason (`docs/attribution.md`).
 
     alpha: family-wise level of the score test over all candidates, which lets one be tried.
-    confidence: level of the paired test over left-out blocks by which each effect stays (short trials, such as pushes: Holm over those
-        that are in the model).
-    size: least share of the held-out loss that an effect must take off beside all others; below it nothing is worth naming. Of
-        mechanisms also what each parameter that a model has more must take off.
-    worth: least share of the squared error of some joint's angles (at least of the noise floor's square) that an effect must take off.
-    beside: of the error that the declared model leaves at a joint, the share below which what is left counts as noise for `worth`.
-    described: the same of an effect that is no law but describes one (a torque that depends on the angle in any way).
-    gap: share of the loss by which an alternative may be worse and still be told as doing as well; of mechanisms one with fewer
-        parameters then has the name.
-    alike: share of what an effect gains (in logarithms) by which an alternative may be worse all the same.
+    confidence: level of the paired test over left-out blocks by which each effect stays (short
+        trials, such as pushes: Holm over those that are in the model).
+    size: least share of the held-out loss that an effect must take off beside all others; below it
+        nothing is worth naming. Of mechanisms also what each parameter that a model has more must
+        take off.
+    worth: least share of the squared error of some joint's angles (at least of the noise floor's
+        square) that an effect must take off.
+    beside: of the error that the declared model leaves at a joint, the share below which what is
+        left counts as noise for `worth`.
+    described: the same of an effect that is no law but describes one (a torque that depends on the
+        angle in any way).
+    gap: share of the loss by which an alternative may be worse and still be told as doing as well;
+        of mechanisms one with fewer parameters then has the name.
+    alike: share of what an effect gains (in logarithms) by which an alternative may be worse all
+        the same.
     steady: an effect's size over its scatter between folds, of mechanisms with all else held.
-    bound: share of the end of a value's range within which it lies at it; an effect there is not named: it wants what no machine has.
-    least_shift: of the log's sampling interval; a shift in time below it is how rows are read, not an effect.
-    within_row: of the log's sampling interval; commands that act this much early at most, at all joints, changed between two rows
-        (of a controller faster than its log): read so, not an effect.
-    least_change: share of a value that the model file declares (armature, dry friction) below which it is not worth correcting.
+    bound: share of the end of a value's range within which it lies at it; an effect there is not
+        named: it wants what no machine has.
+    least_shift: of the log's sampling interval; a shift in time below it is how rows are read, not
+        an effect.
+    within_row: of the log's sampling interval; commands that act this much early at most, at all
+        joints, changed between two rows (of a controller faster than its log): read so, not an
+        effect.
+    least_change: share of a value that the model file declares (armature, dry friction) below which
+        it is not worth correcting.
     most_effects: at which the search ends.
     tried, rounds: candidates that are fitted each time, and for how many rounds at most.
-    glance: rounds by which candidates are sorted (of mechanisms twice as many, and on while they gain); the best is fitted whole.
-    behind: share of the loss by which a candidate may be worse at a glance than the best one and still be fitted.
-    matters: of the size that matters of a quantity (its scale); an effect that changes all of its quantities by less is no name.
-    apart: share of the held-out loss by which a model that is only compared must be worse for its fit to end early.
+    glance: rounds by which candidates are sorted (of mechanisms twice as many, and on while they
+        gain); the best is fitted whole.
+    behind: share of the loss by which a candidate may be worse at a glance than the best one and
+        still be fitted.
+    matters: of the size that matters of a quantity (its scale); an effect that changes all of its
+        quantities by less is no name.
+    apart: share of the held-out loss by which a model that is only compared must be worse for its
+        fit to end early.
     explained: held-out error over the noise floor up to which nothing is left to explain.
-    quiet: what a model of short trials leaves over the noise, below which it lacks nothing; 0: always goes on.
-    beyond: where a fit of short trials leaves more than `quiet`, the share that an effect must take off of the squared error
-        beyond the noise (0.9: it is three times what is left); what is smaller may name a part of that. 0: no such rule.
-    near: the same of a machine that follows commands, up to which what its command errors show is enough, and nothing is fitted by
-        simulation.
+    quiet: what a model of short trials leaves over the noise, below which it lacks nothing; 0:
+        always goes on.
+    beyond: where a fit of short trials leaves more than `quiet`, the share that an effect must take
+        off of the squared error beyond the noise (0.9: it is three times what is left); what is
+        smaller may name a part of that. 0: no such rule.
+    near: the same of a machine that follows commands, up to which what its command errors show is
+        enough, and nothing is fitted by simulation.
     odd: the same of one joint in one trial: beyond it something is left, whatever the others say.
-    beginning: share of the stretches over which is fitted, and searched again where nothing was named, if more than `odd` is left.
-    few: stretches beyond `odd` from which on they are looked at by themselves, where all else is explained.
+    beginning: share of the stretches over which is fitted, and searched again where nothing was
+        named, if more than `odd` is left.
+    few: stretches beyond `odd` from which on they are looked at by themselves, where all else is
+        explained.
     torque: of the search along the measured motion.
     left: of the error of these, at most, that an effect which acts now and then may leave.
     """

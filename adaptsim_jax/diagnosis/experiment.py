@@ -16,10 +16,11 @@ TELLING = 3.0  # noises, over a whole stretch, from which on a difference is see
 def telling(
     simulator: Simulator, problem: Problem, found: Selection, proposals: Mapping[str, Simulator]
 ) -> dict[str, Any] | None:
-    """Where a named effect has a look-alike: which of the proposals parts the two most, or which recorded trial does where there are
-    none; None where every name stands alone.
+    """Where a named effect has a look-alike: which of the proposals parts the two most, or which
+    recorded trial does where there are none; None where every name stands alone.
 
-    The distance of a stretch is that of both models' predictions over the noise, less what its own start would take up.
+    The distance of a stretch is that of both models' predictions over the noise, less what its own
+    start would take up.
     """
     for n in found.named:
         for rival, model in n.alternatives:
@@ -30,7 +31,10 @@ def telling(
                 for trial, size in _distances(sim, found.final, model).items()
             }
             (key, trial), size = max(apart.items(), key=lambda item: item[1])
-            where = f"proposal {key}" if key else f"motions like those of trial {trial}"
+            if key:
+                where = f"proposal {key}"
+            else:
+                where = f"motions like those of trial {trial}"
             pair = f"{n.effect.name} and {rival.name}"
             said = f"{pair} differ most in {where}: by {size:.2g} times the noise over a stretch."
             if size < TELLING:
@@ -47,10 +51,15 @@ def telling(
 def _distances(simulator: Simulator, one: Model, other: Model) -> dict[str, float]:
     """By trial the largest distance of a stretch's predictions by two models, over the noise."""
     s, which = simulator.stretches, np.arange(simulator.stretches.count)
-    rows = lambda m: np.tile(m.fit.values, (s.count, 1))
+
+    def rows(m):
+        return np.tile(m.fit.values, (s.count, 1))
+
     noise = np.array([c.noise for c in simulator.channels])
     starts = settle(simulator, rows(one), s.start, 0).starts
-    off = (simulator.predict(rows(one), starts, which) - simulator.predict(rows(other), starts, which)) / noise
+    off = (
+        simulator.predict(rows(one), starts, which) - simulator.predict(rows(other), starts, which)
+    ) / noise
     off = (np.nan_to_num(off) * (s.seen > 0)).reshape(s.count, -1)
     by_start = linearise(simulator, rows(one), starts, which, np.zeros((0, len(one.fit.values))))[0]
     size = np.sqrt(np.square(without(taken_up(by_start), off[..., None])[..., 0]).sum(1))

@@ -1,4 +1,6 @@
-"""Least squares over trials (Levenberg and Marquardt within bounds), and each trial predicted by the others."""
+"""Least squares over trials (Levenberg and Marquardt within bounds), and each trial predicted by
+the others.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,8 +17,10 @@ GROUPS = 4  # of starts that the declared fit may begin from, one after the othe
 
 @dataclass(frozen=True)
 class Fit:
-    """values `[P]`; free: names of what was fitted; residual `[T, R]`; columns `[T, R, K]` in steps of each quantity's scale; loss:
-    sum of squares; held: mean square `[T]` of each trial, predicted by the others; vectors `[T, P]`: with what."""
+    """values `[P]`; free: names of what was fitted; residual `[T, R]`; columns `[T, R, K]` in steps
+    of each quantity's scale; loss: sum of squares; held: mean square `[T]` of each trial, predicted
+    by the others; vectors `[T, P]`: with what.
+    """
 
     values: np.ndarray
     free: tuple[str, ...]
@@ -40,7 +44,9 @@ def jacobian(problem: Problem, values: np.ndarray, names: Sequence[str]) -> np.n
     return problem.columns(values, basis)
 
 
-def fitted(problem: Problem, names: Sequence[str], values: np.ndarray, rounds: int) -> tuple[np.ndarray, float]:
+def fitted(
+    problem: Problem, names: Sequence[str], values: np.ndarray, rounds: int
+) -> tuple[np.ndarray, float]:
     """`names` fitted from `values [P]` for at most so many rounds: values and the loss."""
     values, loss = values.copy(), np.inf
     for _ in range(rounds):
@@ -56,10 +62,14 @@ def fitted(problem: Problem, names: Sequence[str], values: np.ndarray, rounds: i
     return values, loss
 
 
-def settled(problem: Problem, names: Sequence[str], values: np.ndarray, rounds: int) -> tuple[np.ndarray, float]:
-    """As `fitted`; where structure is left, also from beside in each of `problem.again`, the best two of them to the end.
+def settled(
+    problem: Problem, names: Sequence[str], values: np.ndarray, rounds: int
+) -> tuple[np.ndarray, float]:
+    """As `fitted`; where structure is left, also from beside in each of `problem.again`, the best
+    two of them to the end.
 
-    A push that runs along a patch's edge makes minima a few millimetres from each other, and an effect would be judged by its own.
+    A push that runs along a patch's edge makes minima a few millimetres from each other, and an
+    effect would be judged by its own.
     """
     best = fitted(problem, names, values, rounds)
     if best[1] <= LEFT**2 * problem.counts.sum():
@@ -81,7 +91,14 @@ def _stepped(problem, names, values, residual, columns, loss):
     hess = np.einsum("trk,trl->kl", columns, columns)
     slope = np.einsum("trk,tr->k", columns, residual)
     for more in DAMPING:
-        moved = bounded(problem, names, values, hess, slope, more * max(1.0, loss / max(problem.counts.sum(), 1)))
+        moved = bounded(
+            problem,
+            names,
+            values,
+            hess,
+            slope,
+            more * max(1.0, loss / max(problem.counts.sum(), 1)),
+        )
         fresh = problem.residuals(np.tile(moved, (len(problem.trials), 1)))
         now = float(np.square(fresh).sum())
         if now < loss:
@@ -90,7 +107,9 @@ def _stepped(problem, names, values, residual, columns, loss):
 
 
 def bounded(problem: Problem, names, values, hess, slope, more: float = 0.0) -> np.ndarray:
-    """Gauss and Newton's step with priors, what would leave its bounds held at them; `values [P]` after it."""
+    """Gauss and Newton's step with priors, what would leave its bounds held at them; `values [P]`
+    after it.
+    """
     at = problem.at(names)
     q = [problem.quantities[i] for i in at]
     scale = np.array([z.scale for z in q])
@@ -116,7 +135,9 @@ def bounded(problem: Problem, names, values, hess, slope, more: float = 0.0) -> 
 
 
 def completed(problem: Problem, names: Sequence[str], values: np.ndarray) -> Fit:
-    """A fit with its linearisation, and each trial simulated with what the others say (one step from the whole fit)."""
+    """A fit with its linearisation, and each trial simulated with what the others say (one step
+    from the whole fit).
+    """
     count = len(problem.trials)
     residual = problem.residuals(np.tile(values, (count, 1)))
     columns = jacobian(problem, values, names)
@@ -125,8 +146,13 @@ def completed(problem: Problem, names: Sequence[str], values: np.ndarray) -> Fit
     whole = bounded(problem, names, values, hess.sum(0), slope.sum(0))
     fold = np.arange(count) if problem.fold is None else problem.fold
     inside = [fold == k for k in range(fold.max() + 1)]
-    less = lambda z, mine: z.sum(0) - z[mine].sum(0)
-    out = np.array([bounded(problem, names, values, less(hess, mine), less(slope, mine)) for mine in inside])
+
+    def less(z, mine):
+        return z.sum(0) - z[mine].sum(0)
+
+    out = np.array(
+        [bounded(problem, names, values, less(hess, mine), less(slope, mine)) for mine in inside]
+    )
     low, high = (np.array([getattr(q, end) for q in problem.quantities]) for end in ("low", "high"))
     vectors = np.clip(values + out[fold] - whole, low, high)
     held = mean_square(problem, problem.residuals(vectors))
@@ -135,15 +161,19 @@ def completed(problem: Problem, names: Sequence[str], values: np.ndarray) -> Fit
 
 
 def declared_fit(problem: Problem, rounds: int, noise: float = np.inf) -> Fit:
-    """The declared quantities fitted from the best few of `problem.starts`, and from more of them while more than `noise` (mean
-    square) is left: a bad minimum looks like an effect."""
+    """The declared quantities fitted from the best few of `problem.starts`, and from more of them
+    while more than `noise` (mean square) is left: a bad minimum looks like an effect.
+    """
     score = problem.scan or (
-        lambda rows: np.array([np.square(problem.residuals(np.tile(v, (len(problem.trials), 1)))).sum() for v in rows])
+        lambda rows: np.array(
+            [np.square(problem.residuals(np.tile(v, (len(problem.trials), 1)))).sum() for v in rows]
+        )
     )
     order, fits = np.argsort(score(problem.starts)), []
     for first in range(0, GROUPS * problem.begun, problem.begun):
         fits += [
-            fitted(problem, problem.declared, problem.starts[i], rounds) for i in order[first : first + problem.begun]
+            fitted(problem, problem.declared, problem.starts[i], rounds)
+            for i in order[first : first + problem.begun]
         ]
         best, loss = min(fits, key=lambda f: f[1])
         if loss < noise * problem.counts.sum():

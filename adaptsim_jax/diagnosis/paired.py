@@ -9,8 +9,9 @@ EXACT = 14  # parts up to which the sign-flip test takes all patterns of signs
 
 @dataclass(frozen=True)
 class Test:
-    """Of one model against another. gain: the share of the loss that it takes off (geometric mean over folds); p of a sign-flip test
-    over `parts` blocks; better: folds in which it is better."""
+    """Of one model against another. gain: the share of the loss that it takes off (geometric mean
+    over folds); p of a sign-flip test over `parts` blocks; better: folds in which it is better.
+    """
 
     gain: float
     p: float
@@ -20,7 +21,9 @@ class Test:
 
 
 def sign_flip(d: np.ndarray) -> float:
-    """One-sided p of the mean of paired differences [F] under random signs (Fisher's permutation test): all patterns, or 20,000."""
+    """One-sided p of the mean of paired differences [F] under random signs (Fisher's permutation
+    test): all patterns, or 20,000.
+    """
     count = len(d)
     if count <= EXACT:
         signs = 1.0 - 2.0 * ((np.arange(2**count)[:, None] >> np.arange(count)) & 1)

@@ -1,4 +1,6 @@
-"""What a task gives to be diagnosed: parameters, candidates, and the residuals of its trials as a function of the parameters."""
+"""What a task gives to be diagnosed: parameters, candidates, and the residuals of its trials as a
+function of the parameters.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -8,8 +10,10 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Quantity:
-    """One number of the model. neutral: where it does nothing (declared: where a fit begins); scale: a size that matters, in `unit`,
-    the unit of steps; prior: width of a weak normal prior about neutral, which keeps finite what no trial shows."""
+    """One number of the model. neutral: where it does nothing (declared: where a fit begins);
+    scale: a size that matters, in `unit`, the unit of steps; prior: width of a weak normal prior
+    about neutral, which keeps finite what no trial shows.
+    """
 
     name: str
     unit: str
@@ -22,9 +26,11 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A candidate: `quantities` that are freed together. shapes: values of some of them to begin at where nothing acts until another
-    moves (a patch has to lie somewhere). same: other effects that these trials cannot show apart whatever is done, `apart` what
-    does. seen: what excites it. absorbed: declared quantities that may take it up."""
+    """A candidate: `quantities` that are freed together. shapes: values of some of them to begin at
+    where nothing acts until another moves (a patch has to lie somewhere). same: other effects that
+    these trials cannot show apart whatever is done, `apart` what does. seen: what excites it.
+    absorbed: declared quantities that may take it up.
+    """
 
     name: str
     where: str
@@ -41,16 +47,19 @@ class Candidate:
 class Problem:
     """A recording of T trials against a model of P quantities.
 
-    residuals: `values [T, P]` (each trial with its own) -> `[T, R]`, measured minus simulated over the sensor's noise, zero where
-    nothing was measured. columns: `values [P]`, `basis [K, P]` -> derivatives `[T, R, K]` of what is simulated over the noise.
-    counts: measured numbers of each trial `[T]`. channels: coordinates of a row, of which `R` is a multiple. starts: points `[S, P]`
-    from which the declared fit may begin; begun: from how many of them, the best, it does; again: declared quantities beside whose
-    values a fit is begun again where it leaves structure, for there are minima close by. What each trial has of its own (where it
-    started) is the task's: it fits it
-    inside of `residuals`, and takes out of `columns` what it would take up. fold `[T]`: trials that are left out together (each by
-    itself where None); block `[T]`: trials that stand together in a paired test (likewise). anew: told of values `[P]` that a search
-    takes, so that starts which were found by other values are found anew. weight `[T]`: what `residuals` and `columns` are multiplied
-    by (1 where None).
+    residuals: `values [T, P]` (each trial with its own) -> `[T, R]`, measured minus simulated over
+    the sensor's noise, zero where nothing was measured. columns: `values [P]`, `basis [K, P]` ->
+    derivatives `[T, R, K]` of what is simulated over the noise. counts: measured numbers of each
+    trial `[T]`. channels: coordinates of a row, of which `R` is a multiple. starts: points `[S, P]`
+    from which the declared fit may begin; begun: from how many of them, the best, it does; again:
+    declared quantities beside whose values a fit is begun again where it leaves structure, for
+    there are minima close by. What each trial has of its own (where it started) is the task's: it
+    fits it
+    inside of `residuals`, and takes out of `columns` what it would take up. fold `[T]`: trials that
+    are left out together (each by itself where None); block `[T]`: trials that stand together in a
+    paired test (likewise). anew: told of values `[P]` that a search takes, so that starts which
+    were found by other values are found anew. weight `[T]`: what `residuals` and `columns` are
+    multiplied by (1 where None).
     """
 
     quantities: tuple[Quantity, ...]

@@ -1,4 +1,6 @@
-"""What a report says of short trials, whatever the task: verdict, effects, errors by trial, candidates, tracks for its page."""
+"""What a report says of short trials, whatever the task: verdict, effects, errors by trial,
+candidates, tracks for its page.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -28,9 +30,9 @@ APART = 4.0  # times the median error of all trials: those beyond it, where they
 class Seen:
     """What was recorded of T trials of at most R rows, C coordinates each.
 
-    trial, trials: as messages call them. names `[T]`; time, mask `[T, R]`; places `[T, R, C]` m, of the axes `channels`; noise m.
-    judged `[T, R]` or `[T, R, C]`: rows that errors are taken over, where not all are; others: unit and noise of channels that are no
-    lengths.
+    trial, trials: as messages call them. names `[T]`; time, mask `[T, R]`; places `[T, R, C]` m, of
+    the axes `channels`; noise m. judged `[T, R]` or `[T, R, C]`: rows that errors are taken over,
+    where not all are; others: unit and noise of channels that are no lengths.
     """
 
     trial: str
@@ -52,8 +54,12 @@ class Seen:
         return np.broadcast_to(rows if rows.ndim > 2 else rows[..., None], self.places.shape)
 
 
-def stepping(progress: Callable[[float, float, str], None] | None, done: float) -> Callable[[str], None]:
-    """`step(note)` of a search whose length is not known: each takes a twentieth of what is left, from `done` on."""
+def stepping(
+    progress: Callable[[float, float, str], None] | None, done: float
+) -> Callable[[str], None]:
+    """`step(note)` of a search whose length is not known: each takes a twentieth of what is left,
+    from `done` on.
+    """
 
     def step(note: str) -> None:
         nonlocal done
@@ -64,12 +70,16 @@ def stepping(progress: Callable[[float, float, str], None] | None, done: float) 
     return step
 
 
-def check_exclude(exclude: tuple[str, ...], effects: tuple[Candidate, ...], trial: str) -> tuple[Candidate, ...]:
+def check_exclude(
+    exclude: tuple[str, ...], effects: tuple[Candidate, ...], trial: str
+) -> tuple[Candidate, ...]:
     """`effects` without those excluded. Raises BadInput where a name is none of them."""
     known = {e.name for e in effects}
     for name in exclude:
         if name not in known:
-            raise BadInput(f"--exclude: {name!r} is no effect of a {trial}; it has {', '.join(sorted(known))}")
+            raise BadInput(
+                f"--exclude: {name!r} is no effect of a {trial}; it has {', '.join(sorted(known))}"
+            )
     return tuple(e for e in effects if e.name not in exclude)
 
 
@@ -81,8 +91,9 @@ def over_floor(model: Model) -> float:
 def left_by_fit(problem: Problem, model: Model) -> float:
     """What the whole fit leaves over the noise floor, all trials together.
 
-    A trial that alone shows something (where a patch ends) is predicted badly by the others though the model is right; a model that
-    lacks something leaves more than noise where it was fitted, too.
+    A trial that alone shows something (where a patch ends) is predicted badly by the others though
+    the model is right; a model that lacks something leaves more than noise where it was fitted,
+    too.
     """
     return float(np.sqrt(model.fit.loss / problem.counts.sum()))
 
@@ -90,10 +101,14 @@ def left_by_fit(problem: Problem, model: Model) -> float:
 def verdict(named: tuple[Named, ...], over: float, criteria: Criteria) -> str:
     """The kind of the verdict by the larger of both errors over the noise floor."""
     if not named:
-        return "within_noise" if over <= criteria.explained else "structured_unattributed"
+        if over <= criteria.explained:
+            return "within_noise"
+        return "structured_unattributed"
     if over > criteria.explained:
         return "partly_explained"
-    return "explained_class" if any(n.alternatives or n.effect.same for n in named) else "explained"
+    if any(n.alternatives or n.effect.same for n in named):
+        return "explained_class"
+    return "explained"
 
 
 def words(name: str) -> str:
@@ -105,7 +120,8 @@ def told(named: Sequence[Named], what: str) -> str:
     """What is named and how it was tested, one sentence; what: the trials in words."""
     lines = [
         f"{words(n.effect.name)} holds out in {n.test.better} of {n.test.folds} {what} "
-        f"(takes {100 * n.test.gain:.0f} % off the squared error beside all others, p {n.test.p:.2g})"
+        f"(takes {100 * n.test.gain:.0f} % off the squared error beside all others, p "
+        f"{n.test.p:.2g})"
         for n in named
     ]
     text = "; ".join(lines)
@@ -114,7 +130,10 @@ def told(named: Sequence[Named], what: str) -> str:
 
 def message(seen: Seen, found: Selection, over: float, worst: float) -> str:
     """What was found, in a few sentences."""
-    size = lambda m: f"{1e3 * seen.noise * over_floor(m):.3g}"
+
+    def size(m):
+        return f"{1e3 * seen.noise * over_floor(m):.3g}"
+
     if not found.named:
         left = f"{size(found.null)} mm, {over:.1f} times the noise floor"
         said = f"The declared {seen.trial}, fitted, predicts left-out tracks to {left}."
@@ -123,7 +142,10 @@ def message(seen: Seen, found: Selection, over: float, worst: float) -> str:
         return f"{said} No effect of the catalogue holds out.{_standing_out(seen, found.null)}"
     left = f"Left-out error {size(found.null)} to {size(found.final)} mm, {over:.1f} times the noise floor."
     if worst > 1.5 >= over:
-        left += f" Some {seen.trials} are not followed: all together the fit leaves {worst:.1f} times the noise floor."
+        left += (
+            f" Some {seen.trials} are not followed: all together the fit leaves {worst:.1f} "
+            f"times the noise floor."
+        )
     return f"{told(found.named, seen.trials)} {left}{_standing_out(seen, found.final)}"
 
 
@@ -137,7 +159,10 @@ def _standing_out(seen: Seen, model: Model) -> str:
     one = len(odd) == 1
     which = f"{(seen.trial if one else seen.trials).capitalize()} {', '.join(names)} {'stands' if one else 'stand'} out"
     asked = "is its track right?" if one else "are their tracks right?"
-    return f" {which} with up to {times:.0f} times the error of the others: {asked} --without {','.join(names)}"
+    return (
+        f" {which} with up to {times:.0f} times the error of the others: {asked} --without "
+        f"{','.join(names)}"
+    )
 
 
 def interval(problem: Problem, model: Model, name: str) -> tuple[float, float, float]:
@@ -152,7 +177,12 @@ def effect_row(problem: Problem, found: Selection, n: Named, **more: Any) -> dic
     e, numbers = n.effect, {}
     for name in e.quantities:
         value, low, high = interval(problem, found.final, name)
-        numbers[name] = {"value": value, "low": low, "high": high, "unit": problem.quantities[problem.index[name]].unit}
+        numbers[name] = {
+            "value": value,
+            "low": low,
+            "high": high,
+            "unit": problem.quantities[problem.index[name]].unit,
+        }
     return {
         "name": e.name,
         "where": e.where,
@@ -186,10 +216,15 @@ def error_rows(
     size: Mapping[str, np.ndarray],
     channels: Mapping[str, tuple[str, float, Mapping[str, np.ndarray]]],
 ) -> dict[str, Any]:
-    """The table `error`, in m. size: `before`, `after` `[T]` of each left-out trial; channels: unit, floor and the same of each."""
+    """The table `error`, in m. size: `before`, `after` `[T]` of each left-out trial; channels:
+    unit, floor and the same of each.
+    """
     count = len(names)
     draws = np.random.default_rng(0).integers(0, count, (DRAWS, count))
-    whole = lambda e, at=slice(None): float(np.median(e[at]))
+
+    def whole(e, at=slice(None)):
+        return float(np.median(e[at]))
+
     return {
         "metric": metric,
         "unit": "m",
@@ -204,25 +239,34 @@ def error_rows(
             {
                 "trial": name,
                 **{k: float(v[i]) for k, v in size.items()},
-                "per_channel": {c: {k: float(v[i]) for k, v in each.items()} for c, (_, _, each) in channels.items()},
+                "per_channel": {
+                    c: {k: float(v[i]) for k, v in each.items()}
+                    for c, (_, _, each) in channels.items()
+                },
             }
             for i, name in enumerate(names)
         ],
         "noise_floor_source": source,
         "intervals": {
-            k: [float(z) for z in np.quantile([whole(v, d) for d in draws], [0.025, 0.975])] for k, v in size.items()
+            k: [float(z) for z in np.quantile([whole(v, d) for d in draws], [0.025, 0.975])]
+            for k, v in size.items()
         },
     }
 
 
 def error_table(seen: Seen, found: Selection, tracks: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    """Left-out errors before and after, by channel and by trial; tracks: `before` and `after` `[T, R, C]` m, of left-out trials."""
+    """Left-out errors before and after, by channel and by trial; tracks: `before` and `after` `[T,
+    R, C]` m, of left-out trials.
+    """
     held = {"before": found.null.fit.held, "after": found.final.fit.held}
     size = {k: seen.noise * np.sqrt(v) for k, v in held.items()}
-    one = lambda k, c: np.sqrt(
-        (np.square(tracks[k][..., c] - seen.places[..., c]) * seen.rows[..., c]).sum(1)
-        / np.maximum(seen.rows[..., c].sum(1), 1)
-    )
+
+    def one(k, c):
+        return np.sqrt(
+            (np.square(tracks[k][..., c] - seen.places[..., c]) * seen.rows[..., c]).sum(1)
+            / np.maximum(seen.rows[..., c].sum(1), 1)
+        )
+
     units = {n: ("m", seen.noise) for n in seen.channels} | dict(seen.others)
     channels = {n: (*units[n], {k: one(k, c) for k in held}) for c, n in enumerate(seen.channels)}
     metric = f"median over left-out {seen.trials} of the RMS error of a coordinate of the track"
@@ -232,25 +276,32 @@ def error_table(seen: Seen, found: Selection, tracks: Mapping[str, np.ndarray]) 
 
 
 def candidate_rows(found: Selection, alpha: float = Criteria.alpha) -> list[dict[str, Any]]:
-    """Every candidate, what the first score test said of it, and what became of it. alpha: the test's level."""
+    """Every candidate, what the first score test said of it, and what became of it. alpha: the
+    test's level.
+    """
     names = {n.effect.name for n in found.named}
     alike = {a.name for n in found.named for a, _ in n.alternatives}
     rows = []
     for s in found.scores:
         name = s.effect.name
-        status = "accepted" if name in names else "look-alike" if name in alike else "rejected"
+        if name in names:
+            status = "accepted"
+        elif name in alike:
+            status = "look-alike"
+        else:
+            status = "rejected"
         passed = s.p * len(found.scores) < alpha
-        chosen = (
-            "predicts left-out trials less well than what was chosen"
-            if names
-            else "not among the best few that were fitted"
+        if names:
+            chosen = "predicts left-out trials less well than what was chosen"
+        else:
+            chosen = "not among the best few that were fitted"
+        if passed:
+            rest = chosen
+        else:
+            rest = f"does not pass the score test (p {min(1.0, s.p * len(found.scores)):.2g}), and was not fitted"
+        why = {"accepted": "named", "look-alike": "does as well"}.get(status) or found.refused.get(
+            name, rest
         )
-        rest = (
-            chosen
-            if passed
-            else f"does not pass the score test (p {min(1.0, s.p * len(found.scores)):.2g}), and was not fitted"
-        )
-        why = {"accepted": "named", "look-alike": "does as well"}.get(status) or found.refused.get(name, rest)
         rows.append(
             {
                 "name": name,
@@ -265,17 +316,32 @@ def candidate_rows(found: Selection, alpha: float = Criteria.alpha) -> list[dict
     return rows
 
 
-def declared_rows(problem: Problem, model: Model, logs: Mapping[str, tuple[str, str]] = LOGS) -> dict[str, Any]:
-    """Declared quantities as fitted. logs: name and unit of what is fitted as a logarithm to the base of ten."""
+def declared_rows(
+    problem: Problem, model: Model, logs: Mapping[str, tuple[str, str]] = LOGS
+) -> dict[str, Any]:
+    """Declared quantities as fitted. logs: name and unit of what is fitted as a logarithm to the
+    base of ten.
+    """
     out = {}
     for name in problem.declared:
-        q, (value, low, high) = problem.quantities[problem.index[name]], interval(problem, model, name)
+        q, (value, low, high) = (
+            problem.quantities[problem.index[name]],
+            interval(problem, model, name),
+        )
         known = high - low < 0.3 * (q.high - q.low)
         unit, key = q.unit, name
         if name in logs:
-            value, low, high = (10.0 ** float(np.clip(z, q.low, q.high)) for z in (value, low, high))
+            value, low, high = (
+                10.0 ** float(np.clip(z, q.low, q.high)) for z in (value, low, high)
+            )
             key, unit = logs[name]
-        out[key] = {"value": value, "low": low, "high": high, "unit": unit, "identifiable": bool(known)}
+        out[key] = {
+            "value": value,
+            "low": low,
+            "high": high,
+            "unit": unit,
+            "identifiable": bool(known),
+        }
     return out
 
 
@@ -284,7 +350,10 @@ def held_out(seen: Seen, tracks: Mapping[str, np.ndarray], mended: bool) -> list
     out = []
     for i, name in enumerate(seen.names):
         k = seen.mask[i] > 0
-        channels = lambda z, i=i, k=k: {n: z[i][k, c] for c, n in enumerate(seen.channels)}
+
+        def channels(z, i=i, k=k):
+            return {n: z[i][k, c] for c, n in enumerate(seen.channels)}
+
         out.append(
             {
                 "trial": name,
@@ -303,7 +372,10 @@ def plane_tracks(
     seen: Seen, tracks: Mapping[str, np.ndarray], mended: bool, axes: tuple[int, int] = (0, 1)
 ) -> dict[str, Any]:
     """Tracks `[n, 2]` m of all trials in a plane of two coordinates, for the page."""
-    cut = lambda z: [z[i][seen.mask[i] > 0][:, list(axes)] for i in range(len(seen.names))]
+
+    def cut(z):
+        return [z[i][seen.mask[i] > 0][:, list(axes)] for i in range(len(seen.names))]
+
     return {
         "measured": cut(seen.places),
         "before": cut(tracks["before"]),
@@ -312,29 +384,55 @@ def plane_tracks(
 
 
 def keeping(
-    folder: Path | None, task: str, model: str, problem: Problem, logs: Mapping[str, tuple[str, str]] = LOGS
+    folder: Path | None,
+    task: str,
+    model: str,
+    problem: Problem,
+    logs: Mapping[str, tuple[str, str]] = LOGS,
 ) -> Callable[[Selection], None]:
-    """What leaves a readable report on disk as a search goes; nothing without a folder. logs: as of `declared_rows`."""
+    """What leaves a readable report on disk as a search goes; nothing without a folder. logs: as of
+    `declared_rows`.
+    """
     count = len(dict.fromkeys(problem.trials))
     data = {"trials": count, "samples": int(problem.counts.sum()), "held_out_trials": count}
 
     def keep(found: Selection) -> None:
         final = found.final
         values = [
-            f"{words(e.name)} ({', '.join(f'{q} {final.fit.values[problem.index[q]]:.3g}' for q in e.quantities)})"
+            f"{words(e.name)} "
+            f"({', '.join(f'{q} {final.fit.values[problem.index[q]]:.3g}' for q in e.quantities)})"
             for e in final.added
         ]
         held = f"Left-out error {over_floor(found.null):.3g} times the noise as declared"
-        so_far = f", {over_floor(final):.3g} with {', '.join(values)}, not yet judged" if values else ""
+        if values:
+            so_far = f", {over_floor(final):.3g} with {', '.join(values)}, not yet judged"
+        else:
+            so_far = ""
         assert folder is not None
-        write_partial(folder, new_report(
-            task, model, "structured_unattributed", f"{held}{so_far}.", data,
-            error={"metric": "left-out error over the noise", "before": over_floor(found.null), "after": over_floor(final)},
-            candidates=candidate_rows(found),
-            declared={k: declared_rows(problem, m, logs) for k, m in (("before", found.null), ("after", final))},
-        ))  # fmt: skip
+        write_partial(
+            folder,
+            new_report(
+                task,
+                model,
+                "structured_unattributed",
+                f"{held}{so_far}.",
+                data,
+                error={
+                    "metric": "left-out error over the noise",
+                    "before": over_floor(found.null),
+                    "after": over_floor(final),
+                },
+                candidates=candidate_rows(found),
+                declared={
+                    k: declared_rows(problem, m, logs)
+                    for k, m in (("before", found.null), ("after", final))
+                },
+            ),
+        )
 
-    return (lambda found: None) if folder is None else keep
+    if folder is None:
+        return lambda found: None
+    return keep
 
 
 def finished(
@@ -348,8 +446,10 @@ def finished(
     page: Page | None,
     more: Mapping[str, Callable[[], str]] = MappingProxyType({}),
 ) -> dict[str, Any]:
-    """The checked report; where there is a folder, it, its page, `model.toml` and `next_experiment.csv` with `columns` are written,
-    and the files `more` (name -> what makes its text)."""
+    """The checked report; where there is a folder, it, its page, `model.toml` and
+    `next_experiment.csv` with `columns` are written, and the files `more` (name -> what makes its
+    text).
+    """
     if plan is not None:
         report["next_experiment"] = {k: plan[k] for k in ("message", "separates")} | (
             {"csv": NEXT} if plan["rows"] else {}
@@ -359,7 +459,10 @@ def finished(
     if folder is not None:
         files = {MODEL: lambda: config.dumps(model), **more}
         if plan is not None and plan["rows"]:
-            table = [",".join([str(i), *(f"{x:.6f}" for x in row)]) for i, row in enumerate(plan["rows"], 1)]
+            table = [
+                ",".join([str(i), *(f"{x:.6f}" for x in row)])
+                for i, row in enumerate(plan["rows"], 1)
+            ]
             files[NEXT] = lambda: "\n".join([",".join(("trial", *columns)), *table, ""])
         write_all(cleared(folder), report, evidence, page or plain, files)
     return report

@@ -1,4 +1,6 @@
-"""How a diagnosis was run, which every report tells alike: by which command, with which version, for how long."""
+"""How a diagnosis was run, which every report tells alike: by which command, with which version,
+for how long.
+"""
 
 import shlex
 import time
@@ -44,10 +46,21 @@ def command_of(
     horizon: float | None = None,
 ) -> str:
     """The command that gives the same answer; what is None is left to the command."""
-    words = ["adaptsim", "diagnose", str(data), "--out", str(out or "again"), *(["--seed", str(seed)] if seed else [])]
+    words = [
+        "adaptsim",
+        "diagnose",
+        str(data),
+        "--out",
+        str(out or "again"),
+        *(["--seed", str(seed)] if seed else []),
+    ]
     words += ["--model", str(model)] if model is not None else []
     words += ["--as-declared"] if as_declared else []
-    for option, value in (("--simulator", simulator), ("--yardstick", yardstick), ("--horizon", horizon)):
+    for option, value in (
+        ("--simulator", simulator),
+        ("--yardstick", yardstick),
+        ("--horizon", horizon),
+    ):
         words += [option, str(value)] if value is not None else []
     for option, names in (("--exclude", exclude), ("--without", without)):
         words += [option, *names] if names else []

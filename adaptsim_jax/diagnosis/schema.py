@@ -1,25 +1,28 @@
 """The schema of `report.json` (design, section 4): made, checked and read here. Imports no JAX.
 
-Every key of the design must be there; further keys are free. The page shows these extensions where it finds
-them; all but the last two are checked:
+Every key of the design must be there; further keys are free. The page shows these extensions where
+it finds them; all but the last two are checked:
 
     error.intervals       {before: [low, high], after: [low, high]}        over held-out trials
     error.per_channel.c   + unit, noise_floor, ceiling, intervals           for channel c
     error.per_trial[i]    {trial, before, after, per_channel: {c: {before, after}}}
     candidates[i].status  one of `STATUSES`
     not_established       [sentence]
-    warnings, notes       [sentence]                                        of the audit and the reader; the terminal shows them too
-    trials                {differ, leave_out, headline, each: [{trial, error, unexplained_torque, size, odd}]}    `quality.trial_words`
-    task_reward           {before, after, oracle}                           in [0, 1]
+    warnings, notes       [sentence]                                        of the audit and the
+    reader; the terminal shows them too trials                {differ, leave_out, headline, each:
+    [{trial, error, unexplained_torque, size, odd}]}    `quality.trial_words` task_reward
+    {before, after, oracle}                           in [0, 1]
     error.stretch_s            length of the stretches that errors are simulated over
     error.noise_floor_source   a few words: repeats, smoothing residual, declared sensor noise
-    power                 [{name, where, size, unit, power}]                share found of what was injected
+    power                 [{name, where, size, unit, power}]                share found of what was
+    injected
 
-`error.ceiling` is in `error.unit`, as its neighbours are: the held-out error of the declared model with smooth forces
-of any shape added (`sysid.evaluate.flexible`; `error.ceiling_groups` says what they follow). It names nothing and has many
-parameters to learn, so a named effect may do better; one that does much worse has left something out. `candidates[i].held_out_gain` is
-the share of the held-out residual that the candidate removes. A number that does not exist is null. In
-`declared`, a parameter that the data do not fix has `identifiable` false; the page shows no number for it.
+`error.ceiling` is in `error.unit`, as its neighbours are: the held-out error of the declared model
+with smooth forces of any shape added (`sysid.evaluate.flexible`; `error.ceiling_groups` says what
+they follow). It names nothing and has many parameters to learn, so a named effect may do better;
+one that does much worse has left something out. `candidates[i].held_out_gain` is the share of the
+held-out residual that the candidate removes. A number that does not exist is null. In `declared`, a
+parameter that the data do not fix has `identifiable` false; the page shows no number for it.
 """
 
 from __future__ import annotations
@@ -36,7 +39,9 @@ from adaptsim_jax.core.errors import BadInput
 
 SCHEMA = 1
 PARAMETER_LEVEL, ERROR_LEVEL = 0.90, 0.95
-"""Coverage of the intervals of parameters (effects and declared), and of the error over held-out trials."""
+"""Coverage of the intervals of parameters (effects and declared), and of the error over held-out
+trials.
+"""
 
 VERDICTS = (
     "explained",
@@ -52,17 +57,30 @@ NAMELESS = ("within_noise", "underpowered", "data_fault")
 """Verdicts that name no effect: an effect beside one of them would contradict it."""
 
 STATUSES = ("accepted", "rejected", "confounded", "look-alike")
-ERROR_KEYS = ("metric", "unit", "before", "after", "noise_floor", "ceiling", "per_channel", "per_trial")
+ERROR_KEYS = (
+    "metric",
+    "unit",
+    "before",
+    "after",
+    "noise_floor",
+    "ceiling",
+    "per_channel",
+    "per_trial",
+)
 
 
 class ReportError(ValueError):
-    """A report that does not keep the schema: a fault of the program that made it. Lists every problem."""
+    """A report that does not keep the schema: a fault of the program that made it. Lists every
+    problem.
+    """
 
 
 def new_report(
     task: str, model: str, verdict: str, message: str, data: Mapping[str, int], **found: Any
 ) -> dict[str, Any]:
-    """A report with every key and nothing found, then `found` laid over it; `error` may be given in part."""
+    """A report with every key and nothing found, then `found` laid over it; `error` may be given in
+    part.
+    """
     error = {
         "metric": "rmse",
         "unit": "1",
@@ -72,13 +90,21 @@ def new_report(
         "ceiling": None,
     }
     error |= {"per_channel": {}, "per_trial": []} | dict(found.pop("error", None) or {})
-    report = {"schema": SCHEMA, "task": task, "model": model, "data": dict(data), "verdict": verdict}
+    report = {
+        "schema": SCHEMA,
+        "task": task,
+        "model": model,
+        "data": dict(data),
+        "verdict": verdict,
+    }
     report |= {"message": message, "effects": [], "error": error, "candidates": []}
     return report | {"declared": {"before": {}, "after": {}}, "next_experiment": None} | found
 
 
 def jsonable(value: Any) -> Any:
-    """`value` in JSON's own types: arrays to lists, NumPy numbers to Python's, NaN and infinities to null."""
+    """`value` in JSON's own types: arrays to lists, NumPy numbers to Python's, NaN and infinities
+    to null.
+    """
     if isinstance(value, Mapping):
         return {str(key): jsonable(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -88,7 +114,9 @@ def jsonable(value: Any) -> Any:
     if isinstance(value, Path):
         return str(value)
     if isinstance(value, (float, np.floating)):
-        return float(value) if math.isfinite(value) else None
+        if math.isfinite(value):
+            return float(value)
+        return None
     if hasattr(value, "tolist"):
         return jsonable(value.tolist())
     raise TypeError(f"a report holds JSON values, not {type(value).__name__}")
@@ -104,17 +132,25 @@ def check(report: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def read_report(path: str | Path) -> dict[str, Any]:
-    """A checked report from a file, for programs that read reports. Raises BadInput where it is missing, torn or of another schema."""
+    """A checked report from a file, for programs that read reports. Raises BadInput where it is
+    missing, torn or of another schema.
+    """
     try:
         return check(json.loads(Path(path).read_text(encoding="utf-8")))
     except OSError as error:
-        raise BadInput(f"{path}: cannot be read ({error.strerror}); name a report of `adaptsim diagnose`") from error
+        raise BadInput(
+            f"{path}: cannot be read ({error.strerror}); name a report of `adaptsim diagnose`"
+        ) from error
     except (ReportError, ValueError) as error:
-        raise BadInput(f"{path}: not a whole report ({error}); run `adaptsim diagnose` again") from error
+        raise BadInput(
+            f"{path}: not a whole report ({error}); run `adaptsim diagnose` again"
+        ) from error
 
 
 def problems(report: Any) -> list[str]:
-    """What is wrong with a report of JSON types, each `key: why`; empty where it keeps the schema."""
+    """What is wrong with a report of JSON types, each `key: why`; empty where it keeps the
+    schema.
+    """
     if not isinstance(report, Mapping):
         return [f"the report is a {type(report).__name__}, not a table"]
     found = _Problems()
@@ -163,14 +199,18 @@ class _Problems:
             self.add(where + key, "a list of tables is wanted")
         return [row for row in rows if isinstance(row, Mapping)]
 
-    def _typed(self, table: Mapping, key: str, kind: type, name: str, default: Any, where: str) -> Any:
+    def _typed(
+        self, table: Mapping, key: str, kind: type, name: str, default: Any, where: str
+    ) -> Any:
         value = table.get(key)
         if isinstance(value, kind):
             return value
         self.add(where + key, f"{name} is wanted" + ("" if key in table else ", it is missing"))
         return default
 
-    def number(self, table: Mapping, key: str, where: str, low: float = -math.inf, high: float = math.inf) -> None:
+    def number(
+        self, table: Mapping, key: str, where: str, low: float = -math.inf, high: float = math.inf
+    ) -> None:
         value = table.get(key)
         if key not in table:
             self.add(where + key, "missing (null where it does not exist)")
@@ -214,14 +254,22 @@ def _check_effects(found: _Problems, report: Mapping) -> None:
             else:
                 found.add(f"{where}parameters.{name}", "a table is wanted")
         alternatives = effect.get("alternatives")
-        if not isinstance(alternatives, list) or not all(isinstance(name, str) for name in alternatives):
-            found.add(where + "alternatives", "a list of names is wanted (empty where it stands alone)")
+        if not isinstance(alternatives, list) or not all(
+            isinstance(name, str) for name in alternatives
+        ):
+            found.add(
+                where + "alternatives", "a list of names is wanted (empty where it stands alone)"
+            )
     if verdict in NAMELESS and effects:
-        found.add("effects", f"the verdict {verdict} names no effect, yet {len(effects)} are listed")
+        found.add(
+            "effects", f"the verdict {verdict} names no effect, yet {len(effects)} are listed"
+        )
     if verdict in ("explained", "explained_class", "partly_explained") and not effects:
         found.add("effects", f"the verdict {verdict} names an effect, yet none is listed")
     if verdict == "explained_class" and not any(effect.get("alternatives") for effect in effects):
-        found.add("effects", "the verdict explained_class names the alternatives, yet none are listed")
+        found.add(
+            "effects", "the verdict explained_class names the alternatives, yet none are listed"
+        )
 
 
 def _check_error(found: _Problems, error: Mapping) -> None:

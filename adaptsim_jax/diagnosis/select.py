@@ -1,7 +1,9 @@
-"""Which effects trials show: score tests, forward by left-out trials, each name beside all others, look-alikes as a class.
+"""Which effects trials show: score tests, forward by left-out trials, each name beside all others,
+look-alikes as a class.
 
-The rules are those of `attribution.select`; trials are independent and short, so that fits are whole ones. The variance of a score
-is the residual's own, times the length over which residuals within a trial hang together.
+The rules are those of `attribution.select`; trials are independent and short, so that fits are
+whole ones. The variance of a score is the residual's own, times the length over which residuals
+within a trial hang together.
 """
 
 from collections.abc import Callable, Mapping
@@ -29,7 +31,9 @@ CLOSE = 1.5  # of the named model's loss, up to which a look-alike is fitted to 
 
 @dataclass(frozen=True)
 class Score:
-    """gain: share of the loss that one step would take off, shape by shape the best; p: of the F test, not yet corrected."""
+    """gain: share of the loss that one step would take off, shape by shape the best; p: of the F
+    test, not yet corrected.
+    """
 
     effect: Candidate
     shape: dict[str, float]
@@ -47,7 +51,9 @@ class Model:
 
 @dataclass(frozen=True)
 class Named:
-    """An effect that holds out beside all others; alternatives: effects that do as well in its place, and the models with them."""
+    """An effect that holds out beside all others; alternatives: effects that do as well in its
+    place, and the models with them.
+    """
 
     effect: Candidate
     test: Test
@@ -65,17 +71,31 @@ class Selection:
 
 
 def paired(without: np.ndarray, with_: np.ndarray, problem: Problem | None = None) -> Test:
-    """Whether the second model predicts trials better: mean squares `[T]` of each. Logarithms of the ratio are averaged over the
-    problem's folds, and over its blocks for the test; over trials where it has none."""
+    """Whether the second model predicts trials better: mean squares `[T]` of each. Logarithms of
+    the ratio are averaged over the problem's folds, and over its blocks for the test; over trials
+    where it has none.
+    """
     usual = 0.1 * np.median(without)
     ratio = np.log((without + usual) / (with_ + usual))
-    mean = lambda unit: ratio if unit is None else np.bincount(unit, ratio) / np.bincount(unit)
-    d, parts = (mean(None), mean(None)) if problem is None else (mean(problem.fold), mean(problem.block))
-    return Test(1.0 - float(np.exp(-d.mean())), sign_flip(parts), int((d > 0).sum()), len(d), len(parts))
+
+    def mean(unit):
+        if unit is None:
+            return ratio
+        return np.bincount(unit, ratio) / np.bincount(unit)
+
+    if problem is None:
+        d, parts = (mean(None), mean(None))
+    else:
+        d, parts = (mean(problem.fold), mean(problem.block))
+    return Test(
+        1.0 - float(np.exp(-d.mean())), sign_flip(parts), int((d > 0).sum()), len(d), len(parts)
+    )
 
 
 def together(problem: Problem, residual: np.ndarray) -> float:
-    """Rows over which residuals hang together: the sum of their autocorrelation while it is above the noise, at least 1."""
+    """Rows over which residuals hang together: the sum of their autocorrelation while it is above
+    the noise, at least 1.
+    """
     r = residual.reshape(len(residual), -1, problem.channels)
     power = float(np.square(r).sum())
     total = 1.0
@@ -90,7 +110,10 @@ def together(problem: Problem, residual: np.ndarray) -> float:
 def scored(problem: Problem, base: Model) -> list[Score]:
     """Every candidate that is not in the model, the best of its shapes, likeliest first."""
     fit = base.fit
-    flat = lambda c: c.reshape(c.shape[0] * c.shape[1], c.shape[2])
+
+    def flat(c):
+        return c.reshape(c.shape[0] * c.shape[1], c.shape[2])
+
     inner, r = flat(fit.columns), fit.residual.reshape(-1)
     floor = 1e-9 * np.eye(inner.shape[1])
     gram = np.linalg.inv(inner.T @ inner + floor)
@@ -98,8 +121,15 @@ def scored(problem: Problem, base: Model) -> list[Score]:
     tau = together(problem, fit.residual)
     out = []
     open_ = [e for e in problem.effects if e not in base.added]
-    plain = list(dict.fromkeys(q for e in open_ if {} in e.shapes for q in e.quantities if q not in fit.free))
-    column = dict(zip(plain, np.moveaxis(jacobian(problem, fit.values, plain), -1, 0), strict=True)) if plain else {}
+    plain = list(
+        dict.fromkeys(q for e in open_ if {} in e.shapes for q in e.quantities if q not in fit.free)
+    )
+    if plain:
+        column = dict(
+            zip(plain, np.moveaxis(jacobian(problem, fit.values, plain), -1, 0), strict=True)
+        )
+    else:
+        column = {}
     for e in open_:
         best = None
         for shape in e.shapes:
@@ -111,14 +141,19 @@ def scored(problem: Problem, base: Model) -> list[Score]:
             if names and not shape:
                 c = flat(np.stack([column[q] for q in names], -1))
             else:
-                c = flat(jacobian(problem, values, names)) if names else _whole(problem, fit, values)
+                if names:
+                    c = flat(jacobian(problem, values, names))
+                else:
+                    c = _whole(problem, fit, values)
             c = c - inner @ (gram @ (inner.T @ c))
             a = c.T @ c
             u = c.T @ (r - inner @ (gram @ (inner.T @ r)))
             gain = float(u @ np.linalg.solve(a + (1e-6 + 1e-9 * np.trace(a)) * np.eye(len(a)), u))
             k = len(e.quantities)
             rest = max(n / tau - len(fit.free) - k, 2.0)
-            ratio = (gain / k) / (tau * max(fit.loss - gain, 1e-9) / max(n - len(fit.free) - k, 1.0))
+            ratio = (gain / k) / (
+                tau * max(fit.loss - gain, 1e-9) / max(n - len(fit.free) - k, 1.0)
+            )
             p = float(min(1.0, len(e.shapes) * stats.f.sf(ratio, k, rest)))
             if best is None or gain > best.gain * fit.loss:
                 best = Score(e, dict(shape), gain / max(fit.loss, 1e-12), p)
@@ -129,7 +164,9 @@ def scored(problem: Problem, base: Model) -> list[Score]:
 
 def _whole(problem: Problem, fit: Fit, values: np.ndarray) -> np.ndarray:
     """What `values [P]` simulate beside a fit, `[T R, 1]`."""
-    return (fit.residual - problem.residuals(np.tile(values, (len(problem.trials), 1)))).reshape(-1, 1)
+    return (fit.residual - problem.residuals(np.tile(values, (len(problem.trials), 1)))).reshape(
+        -1, 1
+    )
 
 
 def begun_at(problem: Problem, values: np.ndarray, shape: Mapping[str, float]) -> np.ndarray:
@@ -150,7 +187,9 @@ def finished(problem: Problem, effects, values, rounds: int) -> Model:
     names = list(problem.declared)
     for e in effects:
         names += [q for q in e.quantities if q not in names]
-    return Model(tuple(effects), completed(problem, names, settled(problem, names, values, rounds)[0]))
+    return Model(
+        tuple(effects), completed(problem, names, settled(problem, names, values, rounds)[0])
+    )
 
 
 def without(problem: Problem, model: Model, gone: Candidate, rounds: int) -> Model:
@@ -166,14 +205,18 @@ def spread(model: Model) -> np.ndarray:
 
 
 def steadiness(problem: Problem, model: Model, e: Candidate) -> float:
-    """Size over scatter of the effect's steadiest quantity that is not a place, where there is another."""
+    """Size over scatter of the effect's steadiest quantity that is not a place, where there is
+    another.
+    """
     at = problem.at([q for q in e.quantities if all(q not in s for s in e.shapes)] or e.quantities)
     size = np.abs(model.fit.values[at] - problem.neutral[at])
     return float(np.max(size / np.maximum(spread(model)[at], 1e-12)))
 
 
 def at_bound(problem: Problem, model: Model, e: Candidate, criteria: Criteria) -> bool:
-    """Whether a quantity of an effect that is not a place lies at an end of its range that is not where it is neutral."""
+    """Whether a quantity of an effect that is not a place lies at an end of its range that is not
+    where it is neutral.
+    """
     for i in problem.at([q for q in e.quantities if all(q not in s for s in e.shapes)]):
         q, value = problem.quantities[i], model.fit.values[i]
         ends = [z for z in (q.low, q.high) if np.isfinite(z) and z != q.neutral]
@@ -183,10 +226,14 @@ def at_bound(problem: Problem, model: Model, e: Candidate, criteria: Criteria) -
 
 
 def trifling(problem: Problem, model: Model, e: Candidate, criteria: Criteria) -> bool:
-    """Whether all that an effect does is to change numbers of the model by less than what matters of them."""
+    """Whether all that an effect does is to change numbers of the model by less than what matters
+    of them.
+    """
     at = problem.at(e.quantities)
     scale = np.array([problem.quantities[i].scale for i in at])
-    return bool(np.all(np.abs(model.fit.values[at] - problem.neutral[at]) < criteria.matters * scale))
+    return bool(
+        np.all(np.abs(model.fit.values[at] - problem.neutral[at]) < criteria.matters * scale)
+    )
 
 
 def select(
@@ -196,8 +243,9 @@ def select(
     alike: bool = True,
     keep: Callable[[Selection], None] = lambda found: None,
 ) -> Selection:
-    """Forward, then each beside the others, then against its look-alikes (not with `alike` false). keep: told of what is found, as it
-    goes."""
+    """Forward, then each beside the others, then against its look-alikes (not with `alike` false).
+    keep: told of what is found, as it goes.
+    """
     say("declared model")
     base = null = Model((), declared_fit(problem, 3 * criteria.rounds, criteria.quiet**2 or np.inf))
     opening = scores = scored(problem, base)
@@ -228,7 +276,9 @@ def _anew(problem: Problem, model: Model, criteria: Criteria) -> Model:
 
 def _again(problem: Problem, model: Model) -> Model:
     """A model as it is, with starts and weights as they are now."""
-    return model if problem.anew is None else Model(model.added, completed(problem, model.fit.free, model.fit.values))
+    if problem.anew is None:
+        return model
+    return Model(model.added, completed(problem, model.fit.free, model.fit.values))
 
 
 def _forward(problem, base: Model, scores, criteria: Criteria, refused, say) -> Model | None:
@@ -254,13 +304,16 @@ def _forward(problem, base: Model, scores, criteria: Criteria, refused, say) -> 
 
 
 def _level(criteria: Criteria, folds: int, family: int = 1) -> float:
-    """The level of a paired test, one of `family`: at least what so few trials can show, all of them better."""
+    """The level of a paired test, one of `family`: at least what so few trials can show, all of
+    them better.
+    """
     return max(criteria.confidence / family, 1.01 * 2.0**-folds)
 
 
 def beats(problem: Problem, model: Model, other: Model, criteria: Criteria) -> bool:
-    """Whether a model is to be taken instead of another: the one with fewer quantities, unless the larger holds out better; among
-    equals the better."""
+    """Whether a model is to be taken instead of another: the one with fewer quantities, unless the
+    larger holds out better; among equals the better.
+    """
     if len(model.fit.free) == len(other.fit.free):
         return paired(other.fit.held, model.fit.held, problem).gain > 0.0
     small, large = sorted((other, model), key=lambda m: len(m.fit.free))
@@ -274,21 +327,31 @@ def quiet(problem: Problem, model: Model, criteria: Criteria) -> bool:
 
 
 def beyond(problem: Problem, less: Model, model: Model, criteria: Criteria) -> float:
-    """Share that an effect takes off of the squared error beyond the noise that `less`, the model without it, leaves: of the sum or of
-    the median over trials, the larger. 1 where the model leaves next to nothing, and where this is not asked.
+    """Share that an effect takes off of the squared error beyond the noise that `less`, the model
+    without it, leaves: of the sum or of the median over trials, the larger. 1 where the model
+    leaves next to nothing, and where this is not asked.
 
-    A body that moves by other laws than the model's is followed better by any effect that resembles the difference.
+    A body that moves by other laws than the model's is followed better by any effect that resembles
+    the difference.
     """
-    middle = lambda m: float(np.median(mean_square(problem, m.fit.residual)))
+
+    def middle(m):
+        return float(np.median(mean_square(problem, m.fit.residual)))
+
     if not criteria.beyond or middle(model) <= criteria.quiet**2:
         return 1.0
     noise = float(problem.counts.sum())
-    share = lambda before, after, floor: (before - after) / max(before - floor, 1e-9)
+
+    def share(before, after, floor):
+        return (before - after) / max(before - floor, 1e-9)
+
     return max(share(less.fit.loss, model.fit.loss, noise), share(middle(less), middle(model), 1.0))
 
 
 def _judged(problem, model: Model, criteria: Criteria, refused, say, alike: bool):
-    """The model of what holds out, its effects as named, and the declared models that it was compared with."""
+    """The model of what holds out, its effects as named, and the declared models that it was
+    compared with.
+    """
     bare = []
     while True:
         tests = []
@@ -296,7 +359,14 @@ def _judged(problem, model: Model, criteria: Criteria, refused, say, alike: bool
             say(f"without {e.name.replace('_', ' ')}")
             less = without(problem, model, e, 2 * criteria.rounds)
             bare += [less] * (not less.added)
-            tests.append((e, less, paired(less.fit.held, model.fit.held, problem), steadiness(problem, model, e)))
+            tests.append(
+                (
+                    e,
+                    less,
+                    paired(less.fit.held, model.fit.held, problem),
+                    steadiness(problem, model, e),
+                )
+            )
         failing = []
         for rank, (e, less, test, steady) in enumerate(sorted(tests, key=lambda t: t[2].p)):
             if (
@@ -313,23 +383,30 @@ def _judged(problem, model: Model, criteria: Criteria, refused, say, alike: bool
             break
         _, e, less, test, steady = min(failing, key=lambda f: f[0])
         refused[e.name] = (
-            f"dropped: held-out gain {100 * test.gain:.1f} %, p {test.p:.2g}, size over scatter {steady:.1f}, "
+            f"dropped: held-out gain {100 * test.gain:.1f} %, p {test.p:.2g}, size over scatter "
+            f"{steady:.1f}, "
             f"{100 * beyond(problem, less, model, criteria):.0f} % of what is beyond the noise"
             f"{', its value is at its bound: widen the range' * at_bound(problem, model, e, criteria)}"
             f"{', it changes less than what matters' * trifling(problem, model, e, criteria)}"
         )
         model = less
     named = tuple(
-        Named(e, test, steady, _look_alikes(problem, model, less, e, criteria, say) if alike else ())
+        Named(
+            e, test, steady, _look_alikes(problem, model, less, e, criteria, say) if alike else ()
+        )
         for e, less, test, steady in tests
     )
     return model, named, bare
 
 
 def likely(problem: Problem, model: Model, less: Model, e: Candidate) -> list[Score]:
-    """Effects that may do as well as `e`, which `less` lacks: one step in its place takes off a tenth of what it does."""
+    """Effects that may do as well as `e`, which `less` lacks: one step in its place takes off a
+    tenth of what it does.
+    """
     least = 0.1 * (1.0 - model.fit.loss / less.fit.loss)
-    return [s for s in scored(problem, less) if s.effect not in (e, *model.added) and s.gain >= least]
+    return [
+        s for s in scored(problem, less) if s.effect not in (e, *model.added) and s.gain >= least
+    ]
 
 
 def _look_alikes(problem, model: Model, less: Model, e: Candidate, criteria: Criteria, say):

@@ -1,4 +1,6 @@
-"""Diagnose any simulator: what recorded stretches show, what is left, what could have been found, what to run next."""
+"""Diagnose any simulator: what recorded stretches show, what is left, what could have been found,
+what to run next.
+"""
 
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -42,15 +44,18 @@ def diagnose_simulator(
 
     Args:
         simulator: what predicts, and what was measured (`diagnosis.simulator.Simulator`).
-        out: folder for `report.json`, its page, `model.toml` and what the simulator writes of its own; None: nothing is written.
+        out: folder for `report.json`, its page, `model.toml` and what the simulator writes of its
+                own; None: nothing is written.
         criteria: what counts as an effect. exclude: names of candidates that are not considered.
-        progress: told of `(done, total, note)`; page: writes the report and its page, a plain `report.json` where None.
-        proposals: by name, the same simulator over stretches that could be run (what is measured in them does not matter): the report
-            says which tells the look-alikes apart.
+        progress: told of `(done, total, note)`; page: writes the report and its page, a plain
+                `report.json` where None.
+        proposals: by name, the same simulator over stretches that could be run (what is measured in
+            them does not matter): the report says which tells the look-alikes apart.
         name: of the model, in the report; command: what gives the same answer, told there.
 
     Returns:
-        The report (`diagnosis.schema`); errors are over each signal's noise. Raises BadInput where sizes or names do not agree.
+        The report (`diagnosis.schema`); errors are over each signal's noise. Raises BadInput where
+        sizes or names do not agree.
     """
     began = time.monotonic()
     check_simulator(simulator)
@@ -66,9 +71,17 @@ def diagnose_simulator(
     report["run"] = evidence["run"] = Run(command or f"diagnose_simulator({name})", began).told()
     report = check(report)
     if folder is not None:
-        model = lambda: config.dumps(model_table(problem, found, name))
-        values = {q.name: float(z) for q, z in zip(problem.quantities, found.final.fit.values, strict=True)}
-        mended = {file: partial(make, values) for file, make in getattr(simulator, "mended", {}).items()}
+
+        def model():
+            return config.dumps(model_table(problem, found, name))
+
+        values = {
+            q.name: float(z)
+            for q, z in zip(problem.quantities, found.final.fit.values, strict=True)
+        }
+        mended = {
+            file: partial(make, values) for file, make in getattr(simulator, "mended", {}).items()
+        }
         write_all(folder, report, evidence, page or plain, {rows.MODEL: model, **mended})
     return report
 
@@ -110,7 +123,9 @@ def reported(
 
 
 def told_of_nothing(report: dict[str, Any], criteria: Criteria) -> None:
-    """Where no model does better than a straight line or holding still, that is said first, and nothing is named."""
+    """Where no model does better than a straight line or holding still, that is said first, and
+    nothing is named.
+    """
     skills = [z for z in report["error"]["skill"].values() if z is not None]
     if not skills or max(skills) >= 0.0:
         return
@@ -118,8 +133,14 @@ def told_of_nothing(report: dict[str, Any], criteria: Criteria) -> None:
     least = min(e["straight_line"], e["hold_still"])
     said = f"The model predicts nothing: it leaves {e['after']:.3g} times the noise, doing nothing leaves {least:.3g}."
     named = ", ".join(row["name"] for row in report["effects"])
-    report |= {"message": f"{said}{f' Not named for that: {named}.' if named else ''}", "effects": []}
-    report["verdict"] = "structured_unattributed" if e["after"] > criteria.explained else "within_noise"
+    report |= {
+        "message": f"{said}{f' Not named for that: {named}.' if named else ''}",
+        "effects": [],
+    }
+    if e["after"] > criteria.explained:
+        report["verdict"] = "structured_unattributed"
+    else:
+        report["verdict"] = "within_noise"
     for row in report["candidates"]:
         row |= {"accepted": False, "status": "rejected"} if row["accepted"] else {}
 
@@ -131,24 +152,32 @@ def few(problem: Problem) -> list[str]:
     if least <= 0.05:
         return []
     return [
-        f"Only {count} stretches are compared: a paired test over so few shows no more than p = {least:.2g}. Cut more, or record more."
+        f"Only {count} stretches are compared: a paired test over so few shows no more than p = "
+        f"{least:.2g}. Cut more, or record more."
     ]
 
 
 def message(found: Selection, worst: float, criteria: Criteria) -> str:
     """What was found, in a few sentences."""
-    size = lambda m: f"{rows.over_floor(m):.3g}"
+
+    def size(m):
+        return f"{rows.over_floor(m):.3g}"
+
     if not found.named:
         said = f"The declared model, fitted, predicts left-out stretches to {size(found.null)} times the noise."
         return f"{said} {'Nothing need be added.' if worst <= criteria.explained else 'No candidate holds out.'}"
     return (
-        f"{rows.told(found.named, 'folds')} Left-out error {size(found.null)} to {size(found.final)} times the noise."
+        f"{rows.told(found.named, 'folds')} Left-out error {size(found.null)} to "
+        f"{size(found.final)} times the noise."
     )
 
 
 def model_table(problem: Problem, found: Selection, name: str) -> dict[str, Any]:
     """`model.toml`: declared quantities as fitted, and what each named effect adds."""
-    value = lambda q: float(found.final.fit.values[problem.index[q]])
+
+    def value(q):
+        return float(found.final.fit.values[problem.index[q]])
+
     effects = {n.effect.name: {q: value(q) for q in n.effect.quantities} for n in found.named}
     return {
         "schema": 1,
@@ -160,45 +189,83 @@ def model_table(problem: Problem, found: Selection, name: str) -> dict[str, Any]
 
 
 def predictions(simulator: Simulator, problem: Problem, model: Model) -> np.ndarray:
-    """Outputs `[W, R, C]` of stretches that are predicted with what the others say, each from its best start."""
+    """Outputs `[W, R, C]` of stretches that are predicted with what the others say, each from its
+    best start.
+    """
     noise = np.array([c.noise for c in simulator.channels])
     measured = np.nan_to_num(simulator.stretches.measured)
     left = problem.residuals(model.fit.vectors).reshape(measured.shape)
-    return measured - (left if problem.weight is None else left / problem.weight[:, None, None]) * noise
+    return (
+        measured
+        - (left if problem.weight is None else left / problem.weight[:, None, None]) * noise
+    )
 
 
-def _error(simulator: Simulator, both: Mapping[str, Model], tracks: Mapping[str, np.ndarray]) -> dict[str, Any]:
+def _error(
+    simulator: Simulator, both: Mapping[str, Model], tracks: Mapping[str, np.ndarray]
+) -> dict[str, Any]:
     s = simulator.stretches
     trial_of = [np.flatnonzero(s.trial == t) for t in range(len(s.names))]
     some = [k for k, mine in enumerate(trial_of) if len(mine)]
 
     def rms(key: str, c: int) -> np.ndarray:
         off = np.square(tracks[key][..., c] - s.measured[..., c]) * s.seen[..., c]
-        return np.array([np.sqrt(off[trial_of[k]].sum() / max(s.seen[trial_of[k]][..., c].sum(), 1)) for k in some])
+        return np.array(
+            [
+                np.sqrt(off[trial_of[k]].sum() / max(s.seen[trial_of[k]][..., c].sum(), 1))
+                for k in some
+            ]
+        )
 
-    size = {k: np.array([np.sqrt(m.fit.held[trial_of[t]].mean()) for t in some]) for k, m in both.items()}
-    channels = {c.name: (c.unit, c.noise, {k: rms(k, i) for k in both}) for i, c in enumerate(simulator.channels)}
-    table = rows.error_rows(METRIC, 1.0, "declared noise", [s.names[k] for k in some], size, channels)
+    size = {
+        k: np.array([np.sqrt(m.fit.held[trial_of[t]].mean()) for t in some])
+        for k, m in both.items()
+    }
+    channels = {
+        c.name: (c.unit, c.noise, {k: rms(k, i) for k in both})
+        for i, c in enumerate(simulator.channels)
+    }
+    table = rows.error_rows(
+        METRIC, 1.0, "declared noise", [s.names[k] for k in some], size, channels
+    )
     table |= {k: rows.over_floor(m) for k, m in both.items()}
     noise = np.array([c.noise for c in simulator.channels])
-    line, still = (float(np.median(np.sqrt(np.square(z / noise).mean(1)))) for z in doing_nothing(s))
+    line, still = (
+        float(np.median(np.sqrt(np.square(z / noise).mean(1)))) for z in doing_nothing(s)
+    )
     zero = {"straight_line": line, "hold_still": still}
     return table | zero | {"unit": "1", "skill": {k: skill(table[k], line, still) for k in both}}
 
 
-def _held_out(simulator: Simulator, tracks: Mapping[str, np.ndarray], mended: bool) -> list[dict[str, Any]]:
-    """Each trial's stretches one after the other, measured and predicted while left out, for the page."""
+def _held_out(
+    simulator: Simulator, tracks: Mapping[str, np.ndarray], mended: bool
+) -> list[dict[str, Any]]:
+    """Each trial's stretches one after the other, measured and predicted while left out, for the
+    page.
+    """
     s, out = simulator.stretches, []
     for t, name in enumerate(s.names):
         mine = np.flatnonzero(s.trial == t)
         if not len(mine):
             continue
-        seen = lambda z, w, c: np.append(np.where(s.seen[w, :, c] > 0, z[w, :, c], np.nan), np.nan)
-        flat = lambda z, c, mine=mine, seen=seen: np.concatenate([seen(z, w, c) for w in mine])
-        of = lambda z, flat=flat: {ch.name: flat(z, c) for c, ch in enumerate(simulator.channels)}
-        out.append({
-            "trial": name, "units": {ch.name: ch.unit for ch in simulator.channels},
-            "time": np.concatenate([np.append(s.time[w], s.time[w, -1]) for w in mine]),
-            "measured": of(s.measured), "before": of(tracks["before"]), "after": of(tracks["after"]) if mended else None,
-        })  # fmt: skip
+
+        def seen(z, w, c):
+            return np.append(np.where(s.seen[w, :, c] > 0, z[w, :, c], np.nan), np.nan)
+
+        def flat(z, c, mine=mine, seen=seen):
+            return np.concatenate([seen(z, w, c) for w in mine])
+
+        def of(z, flat=flat):
+            return {ch.name: flat(z, c) for c, ch in enumerate(simulator.channels)}
+
+        out.append(
+            {
+                "trial": name,
+                "units": {ch.name: ch.unit for ch in simulator.channels},
+                "time": np.concatenate([np.append(s.time[w], s.time[w, -1]) for w in mine]),
+                "measured": of(s.measured),
+                "before": of(tracks["before"]),
+                "after": of(tracks["after"]) if mended else None,
+            }
+        )
     return out

@@ -1,7 +1,9 @@
-"""The contract of a simulator that is diagnosed: quantities, channels, stretches, candidates, and one function that predicts.
+"""The contract of a simulator that is diagnosed: quantities, channels, stretches, candidates, and
+one function that predicts.
 
-Whatever predicts what was measured is a simulator: MuJoCo, a network, sixty lines of NumPy. The core asks it for nothing but
-`predict`; what it may override, because it knows better, is `linearise`.
+Whatever predicts what was measured is a simulator: MuJoCo, a network, sixty lines of NumPy. The
+core asks it for nothing but `predict`; what it may override, because it knows better, is
+`linearise`.
 """
 
 from collections.abc import Sequence
@@ -29,11 +31,13 @@ class Channel:
 
 @dataclass(frozen=True)
 class Stretches:
-    """What is compared: W stretches of at most R rows of C channels, each with S numbers of its own that are fitted (its start).
+    """What is compared: W stretches of at most R rows of C channels, each with S numbers of its own
+    that are fitted (its start).
 
-    trial `[W]`: which of `names` each is of; time `[W, R]`; measured `[W, R, C]`; seen `[W, R, C]`: 1 where something was measured
-    (a stretch that is shorter ends unseen); start `[W, S]`: a first guess, S 0 where starts are known; scale `[S]`: a size that
-    matters of each; prior `[S]`: how far each may be from its first guess (standard deviation), where readings do not tell.
+    trial `[W]`: which of `names` each is of; time `[W, R]`; measured `[W, R, C]`; seen `[W, R, C]`:
+    1 where something was measured (a stretch that is shorter ends unseen); start `[W, S]`: a first
+    guess, S 0 where starts are known; scale `[S]`: a size that matters of each; prior `[S]`: how
+    far each may be from its first guess (standard deviation), where readings do not tell.
     """
 
     trial: np.ndarray
@@ -56,10 +60,12 @@ class Stretches:
 
 
 class Simulator(Protocol):
-    """What is asked of a simulator. declared: names of quantities that are fitted whatever is found.
+    """What is asked of a simulator. declared: names of quantities that are fitted whatever is
+    found.
 
-    Optional: `linearise` (see that function), and `mended`: {file name: what makes its text of quantities by name}: files of
-    the simulator's own that a diagnosis leaves beside `model.toml`; one that fails is a line of the report, which is written before.
+    Optional: `linearise` (see that function), and `mended`: {file name: what makes its text of
+    quantities by name}: files of the simulator's own that a diagnosis leaves beside `model.toml`;
+    one that fails is a line of the report, which is written before.
     """
 
     @property
@@ -74,16 +80,22 @@ class Simulator(Protocol):
     def candidates(self) -> tuple[Candidate, ...]: ...
 
     def predict(self, values: np.ndarray, starts: np.ndarray, which: np.ndarray) -> np.ndarray:
-        """Outputs `[B, R, C]` of a batch: stretch `which [B]` from starts `[B, S]` with values `[B, P]` of all quantities."""
+        """Outputs `[B, R, C]` of a batch: stretch `which [B]` from starts `[B, S]` with values `[B,
+        P]` of all quantities.
+        """
         ...
 
 
 def check_simulator(simulator: Simulator) -> None:
-    """Raises BadInput where sizes and names of a simulator do not agree, or two predictions of the same differ."""
+    """Raises BadInput where sizes and names of a simulator do not agree, or two predictions of the
+    same differ.
+    """
     s, names = simulator.stretches, [q.name for q in simulator.quantities]
     shape = (s.count, s.time.shape[1], len(simulator.channels))
     if len(set(names)) < len(names):
-        raise BadInput(f"simulator: quantities {', '.join(names)} have a name twice; give each its own")
+        raise BadInput(
+            f"simulator: quantities {', '.join(names)} have a name twice; give each its own"
+        )
     asked = [*simulator.declared, *(q for c in simulator.candidates for q in c.quantities)]
     if unknown := sorted(set(asked) - set(names)):
         raise BadInput(f"simulator: no quantity is named {unknown[0]!r}; it has {', '.join(names)}")
@@ -95,28 +107,41 @@ def check_simulator(simulator: Simulator) -> None:
         if x.shape != wanted:
             raise BadInput(f"simulator: stretches.{what} has shape {x.shape}; {wanted} is wanted")
     if s.count < LEAST:
-        raise BadInput(f"simulator: {s.count} stretches are too few to leave any out; give at least {LEAST}")
+        raise BadInput(
+            f"simulator: {s.count} stretches are too few to leave any out; give at least {LEAST}"
+        )
     if len(gone := np.argwhere((s.seen > 0) & ~np.isfinite(s.measured))):
         w, r, c = gone[0]
         where = f"stretch {w}, row {r}, channel {simulator.channels[c].name}"
         raise BadInput(f"simulator: {where} is not finite though it is seen; write seen = 0 there")
     values = np.tile([q.neutral for q in simulator.quantities], (s.count, 1))
-    one, two = (np.asarray(simulator.predict(values, s.start, np.arange(s.count))) for _ in range(2))
+    one, two = (
+        np.asarray(simulator.predict(values, s.start, np.arange(s.count))) for _ in range(2)
+    )
     if one.shape != shape:
-        raise BadInput(f"simulator: predict gives shape {one.shape}; {shape} is wanted (stretches, rows, channels)")
+        raise BadInput(
+            f"simulator: predict gives shape {one.shape}; {shape} is wanted (stretches, rows, "
+            f"channels)"
+        )
     gone = np.flatnonzero(~np.isfinite(np.where(s.seen > 0, one, 0.0)).all((1, 2)))
     if len(gone) == s.count:
         raise BadInput(
-            "simulator: predict gives no finite numbers of any stretch at neutral values; is a start or a unit wrong?"
+            "simulator: predict gives no finite numbers of any stretch at neutral values; is a "
+            "start or a unit wrong?"
         )
     if not np.array_equal(one, two, equal_nan=True):
         raise BadInput(
-            "simulator: predict gives two answers to one question; fix its seed, or pass its state as a start"
+            "simulator: predict gives two answers to one question; fix its seed, or pass its state "
+            "as a start"
         )
 
 
-def residuals(simulator: Simulator, values: np.ndarray, starts: np.ndarray, which: np.ndarray) -> np.ndarray:
-    """Measured less predicted, over the noise: `[B, R C]`, zero where nothing was seen; what ran away is a thousand noises off."""
+def residuals(
+    simulator: Simulator, values: np.ndarray, starts: np.ndarray, which: np.ndarray
+) -> np.ndarray:
+    """Measured less predicted, over the noise: `[B, R C]`, zero where nothing was seen; what ran
+    away is a thousand noises off.
+    """
     s = simulator.stretches
     noise = np.array([c.noise for c in simulator.channels])
     with np.errstate(over="ignore", invalid="ignore"):
@@ -132,14 +157,18 @@ def differences(
     which: np.ndarray,
     ways: Sequence[tuple[np.ndarray, np.ndarray]],
 ) -> np.ndarray:
-    """Derivatives `[B, R C, K]` of predictions over the noise along K ways, by central differences, on all cores.
+    """Derivatives `[B, R C, K]` of predictions over the noise along K ways, by central differences,
+    on all cores.
 
-    Each way is a pair of `(d values [P], d starts [S])` of the size of a unit step; differences are taken over `STEP` of it.
+    Each way is a pair of `(d values [P], d starts [S])` of the size of a unit step; differences are
+    taken over `STEP` of it.
     """
 
     def along(way: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
         ahead, behind = (
-            residuals(simulator, values + side * STEP * way[0], starts + side * STEP * way[1], which)
+            residuals(
+                simulator, values + side * STEP * way[0], starts + side * STEP * way[1], which
+            )
             for side in (1.0, -1.0)
         )
         return (behind - ahead) / (2.0 * STEP)
@@ -157,9 +186,10 @@ def linearise(
     basis: np.ndarray,
     starts_too: bool = True,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives of predictions over the noise: by starts `[B, R C, S]` (in steps of `Stretches.scale`; S is 0 without `starts_too`),
-    and by values along the rows of `basis [K, P]`, `[B, R C, K]`. A simulator with a `linearise` of its own, of the same arguments,
-    gives its own."""
+    """Derivatives of predictions over the noise: by starts `[B, R C, S]` (in steps of
+    `Stretches.scale`; S is 0 without `starts_too`), and by values along the rows of `basis [K, P]`,
+    `[B, R C, K]`. A simulator with a `linearise` of its own, of the same arguments, gives its own.
+    """
     own = getattr(simulator, "linearise", None)
     if own is not None:
         return own(values, starts, which, basis, starts_too)

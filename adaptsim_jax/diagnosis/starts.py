@@ -1,4 +1,6 @@
-"""A simulator as the search's problem: each stretch's start is fitted wherever it is asked about, and taken out of every column."""
+"""A simulator as the search's problem: each stretch's start is fitted wherever it is asked about,
+and taken out of every column.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -17,7 +19,10 @@ DRAWS, LEFT = 12, 1.3  # of starts where fits are caught: those that leave so ma
 FAR = 1.5, 1  # times the usual error, beyond which a stretch counts less, and by which power
 CAUGHT = 1.25, 4  # the same of a model with names
 KEPT = 6  # points that are remembered with all their columns
-NEAR, NEAR_STARTS = 0.3, 1.0  # of a quantity's scale, within which columns, and slopes by starts, are not taken anew
+NEAR, NEAR_STARTS = (
+    0.3,
+    1.0,
+)  # of a quantity's scale, within which columns, and slopes by starts, are not taken anew
 
 
 @dataclass(frozen=True)
@@ -38,8 +43,10 @@ class Slope:
 
 @dataclass(frozen=True)
 class Point:
-    """Where a problem was linearised: values `[P]`, the starts that belong to them, their slope, what they take up (`taken_up`), the
-    values `[P]` at which that slope was taken; columns: by row of a basis."""
+    """Where a problem was linearised: values `[P]`, the starts that belong to them, their slope,
+    what they take up (`taken_up`), the values `[P]` at which that slope was taken; columns: by row
+    of a basis.
+    """
 
     values: np.ndarray
     starts: np.ndarray
@@ -51,7 +58,9 @@ class Point:
 
 def pull(stretches: Stretches) -> np.ndarray:
     """Weight `[S]` of a step of `scale` against the prior of starts, 0 where they have none."""
-    return np.zeros(len(stretches.scale)) if stretches.prior is None else stretches.scale / stretches.prior
+    if stretches.prior is None:
+        return np.zeros(len(stretches.scale))
+    return stretches.scale / stretches.prior
 
 
 def slope_of(stretches: Stretches, by_start: np.ndarray) -> Slope:
@@ -68,21 +77,31 @@ def settle(
     which: np.ndarray | None = None,
     slope: Slope | None = None,
 ) -> Settled:
-    """Starts fitted by Gauss and Newton's damped steps with values `[B, P]` held, of stretches `which [B]` (all where None); by the
-    derivatives `slope` of a point close by, where one is given, which costs a prediction a step."""
+    """Starts fitted by Gauss and Newton's damped steps with values `[B, P]` held, of stretches
+    `which [B]` (all where None); by the derivatives `slope` of a point close by, where one is
+    given, which costs a prediction a step.
+    """
     s = simulator.stretches
     which = np.arange(s.count) if which is None else which
     starts, r = starts.copy(), residuals(simulator, values, starts, which)
     on = np.arange(len(which)) if starts.shape[1] else np.zeros(0, int)
     weight = pull(s)
-    off = lambda x, lanes: weight * (s.start[which[lanes]] - x) / s.scale
-    cost = lambda left, x, lanes: np.square(left).sum(1) + np.square(off(x, lanes)).sum(1)
+
+    def off(x, lanes):
+        return weight * (s.start[which[lanes]] - x) / s.scale
+
+    def cost(left, x, lanes):
+        return np.square(left).sum(1) + np.square(off(x, lanes)).sum(1)
+
     for _ in range(rounds):
         if not len(on):
             break
         if slope is None:
             here = slope_of(
-                s, linearise(simulator, values[on], starts[on], which[on], np.zeros((0, values.shape[1])))[0]
+                s,
+                linearise(
+                    simulator, values[on], starts[on], which[on], np.zeros((0, values.shape[1]))
+                )[0],
             )
         else:
             here = Slope(slope.by_start[on], slope.inverse[on])
@@ -103,7 +122,9 @@ def settle(
 
 @dataclass(frozen=True)
 class Linearised:
-    """A simulator around the points where it was asked: what was fitted and differentiated there is used again close by."""
+    """A simulator around the points where it was asked: what was fitted and differentiated there is
+    used again close by.
+    """
 
     simulator: Simulator
     points: list[Point]
@@ -115,26 +136,36 @@ class Linearised:
         return self.points[int(np.argmin(away))]
 
     def anew(self, values: np.ndarray) -> None:
-        """Find starts anew at values `[P]` from those of the nearest point: with what a model lacked others were caught at."""
+        """Find starts anew at values `[P]` from those of the nearest point: with what a model
+        lacked others were caught at.
+        """
         if self.simulator.stretches.start.shape[1]:
             self.points.append(anchored(self.simulator, values, self.near(values).starts))
             del self.points[1 : max(1, len(self.points) - KEPT)]
             self.weight[:] = weights(self.simulator, values, self.points[-1].starts, *CAUGHT)
 
     def residual(self, values: np.ndarray) -> np.ndarray:
-        """`[W, R C]` with values `[W, P]`, starts settled by the slope of the nearest point, from the best of its own, those of the
-        last point, and their first guess: else a model is better than another by where its starts were sought."""
+        """`[W, R C]` with values `[W, P]`, starts settled by the slope of the nearest point, from
+        the best of its own, those of the last point, and their first guess: else a model is better
+        than another by where its starts were sought.
+        """
         point, s = self.near(values.mean(0)), self.simulator.stretches
         starts = point.starts.copy()
         if starts.shape[1]:
-            loss = lambda x: np.square(residuals(self.simulator, values, x, np.arange(s.count))).sum(1)
+
+            def loss(x):
+                return np.square(residuals(self.simulator, values, x, np.arange(s.count))).sum(1)
+
             least = loss(starts)
             last = self.points[-1]
             for begun in (s.start, *([] if last is point else [last.starts])):
                 now = loss(begun)
                 other = now < least
                 starts[other], least = begun[other], np.minimum(least, now)
-        return settle(self.simulator, values, starts, ROUNDS, None, point.slope).residual * self.weight[:, None]
+        return (
+            settle(self.simulator, values, starts, ROUNDS, None, point.slope).residual
+            * self.weight[:, None]
+        )
 
     def columns(self, values: np.ndarray, basis: np.ndarray) -> np.ndarray:
         """Derivatives `[W, R C, K]` along the rows of a basis, less what starts would take up."""
@@ -144,15 +175,26 @@ class Linearised:
         point, count = self.near(values), s.count
         anew = bool(np.any(np.abs(point.values - values) > NEAR * self.scale))
         rows = np.tile(values if anew else point.values, (count, 1))
-        starts = settle(self.simulator, rows, point.starts, ROUNDS, None, point.slope).starts if anew else point.starts
+        if anew:
+            starts = settle(self.simulator, rows, point.starts, ROUNDS, None, point.slope).starts
+        else:
+            starts = point.starts
         known = {} if anew else point.columns
         fresh = [row for row in basis if row.tobytes() not in known]
         if anew or fresh:
             asked = np.array(fresh).reshape(-1, basis.shape[1])
             far = anew and bool(np.any(np.abs(point.sloped - values) > NEAR_STARTS * self.scale))
-            by_start, by_value = linearise(self.simulator, rows, starts, np.arange(count), asked, starts_too=far)
+            by_start, by_value = linearise(
+                self.simulator, rows, starts, np.arange(count), asked, starts_too=far
+            )
             if far:
-                point = Point(values.copy(), starts, slope_of(s, by_start), taken_up(by_start, pull(s)), values.copy())
+                point = Point(
+                    values.copy(),
+                    starts,
+                    slope_of(s, by_start),
+                    taken_up(by_start, pull(s)),
+                    values.copy(),
+                )
             elif anew:
                 point = replace(point, values=values.copy(), starts=starts, columns={})
             if anew:
@@ -165,19 +207,24 @@ class Linearised:
 
 
 def problem_of(
-    simulator: Simulator, candidates: Sequence[Candidate] | None = None, begun: np.ndarray | None = None
+    simulator: Simulator,
+    candidates: Sequence[Candidate] | None = None,
+    begun: np.ndarray | None = None,
 ) -> Problem:
-    """The search's problem (`diagnosis.problem`) of a simulator: `residuals` and `columns` as functions of values alone.
+    """The search's problem (`diagnosis.problem`) of a simulator: `residuals` and `columns` as
+    functions of values alone.
 
     Args:
         simulator: see `simulator.Simulator`.
         candidates: those that are considered, the simulator's own where None.
         begun: points `[N, P]` from which the declared fit may begin; the neutral one where None.
 
-    A stretch that is far worse followed than others (its start is caught at another contact) counts less, so that it does not decide.
+    A stretch that is far worse followed than others (its start is caught at another contact) counts
+    less, so that it does not decide.
 
     Returns:
-        A problem whose trials are the stretches; folds are their trials, or blocks of these where there are fewer than five.
+        A problem whose trials are the stretches; folds are their trials, or blocks of these where
+        there are fewer than five.
     """
     s, quantities = simulator.stretches, simulator.quantities
     neutral = np.array([q.neutral for q in quantities])
@@ -189,23 +236,40 @@ def problem_of(
     free = np.maximum((s.seen > 0).sum((1, 2)) - s.start.shape[1], 1)
     wanted = _begun_apart(wanted, quantities, around)
     return Problem(
-        quantities, tuple(simulator.declared), wanted, around.residual, around.columns,
-        free, tuple(s.names[t] for t in s.trial), neutral[None] if begun is None else begun, channels=len(simulator.channels),
-        fold=fold, block=block, anew=around.anew, weight=weight,
-    )  # fmt: skip
+        quantities,
+        tuple(simulator.declared),
+        wanted,
+        around.residual,
+        around.columns,
+        free,
+        tuple(s.names[t] for t in s.trial),
+        neutral[None] if begun is None else begun,
+        channels=len(simulator.channels),
+        fold=fold,
+        block=block,
+        anew=around.anew,
+        weight=weight,
+    )
 
 
-def weights(simulator: Simulator, values: np.ndarray, starts: np.ndarray, far: float, power: float) -> np.ndarray:
-    """Weights `[W]` of stretches by what they leave: less than 1 for those that leave more than `far` times the usual."""
+def weights(
+    simulator: Simulator, values: np.ndarray, starts: np.ndarray, far: float, power: float
+) -> np.ndarray:
+    """Weights `[W]` of stretches by what they leave: less than 1 for those that leave more than
+    `far` times the usual.
+    """
     s = simulator.stretches
-    left = np.square(residuals(simulator, np.tile(values, (s.count, 1)), starts, np.arange(s.count)))
+    left = np.square(
+        residuals(simulator, np.tile(values, (s.count, 1)), starts, np.arange(s.count))
+    )
     size = np.sqrt(left.sum(1) / np.maximum((s.seen > 0).sum((1, 2)), 1))
     return np.maximum(size / max(far * float(np.median(size)), 1.0), 1.0) ** -power
 
 
 def anchored(simulator: Simulator, values: np.ndarray, begun: np.ndarray | None = None) -> Point:
-    """Starts fitted from `begun [W, S]` (their first guesses where None) with values `[P]`: each slope is used for a few steps before
-    it is taken anew."""
+    """Starts fitted from `begun [W, S]` (their first guesses where None) with values `[P]`: each
+    slope is used for a few steps before it is taken anew.
+    """
     s = simulator.stretches
     starts, by_start = (
         (s.start if begun is None else begun).copy(),
@@ -231,18 +295,25 @@ def anchored(simulator: Simulator, values: np.ndarray, begun: np.ndarray | None 
 
 
 def _shaken(simulator, rows, starts, by_start, before, on, draw) -> np.ndarray:
-    """Starts moved, in place, to the best of a few draws about those that leave more than noise: where contact makes minima, the next
-    may be better. Draws are as wide as what is left lets a start be. Returns whether a stretch is to be settled again."""
+    """Starts moved, in place, to the best of a few draws about those that leave more than noise:
+    where contact makes minima, the next may be better. Draws are as wide as what is left lets a
+    start be. Returns whether a stretch is to be settled again.
+    """
     s = simulator.stretches
     count = np.maximum((s.seen[on] > 0).sum((1, 2)), 1)
     bad, again = np.flatnonzero(before > LEFT**2 * count), np.zeros(len(on), bool)
     if not len(bad):
         return again
     lanes, best = on[bad], before[bad].copy()
-    wide = np.linalg.cholesky(slope_of(s, by_start[lanes]).inverse) * np.sqrt(best / count[bad])[:, None, None]
+    wide = (
+        np.linalg.cholesky(slope_of(s, by_start[lanes]).inverse)
+        * np.sqrt(best / count[bad])[:, None, None]
+    )
     middle = starts[lanes].copy()
     for k in range(DRAWS):
-        tried = middle + (1.0, 0.3)[k % 2] * np.einsum("bst,bt->bs", wide, draw(middle.shape)) * s.scale
+        tried = (
+            middle + (1.0, 0.3)[k % 2] * np.einsum("bst,bt->bs", wide, draw(middle.shape)) * s.scale
+        )
         loss = np.square(residuals(simulator, rows[lanes], tried, lanes)).sum(1)
         better = loss < best
         starts[lanes[better]], best[better] = tried[better], loss[better]
@@ -253,12 +324,19 @@ def _shaken(simulator, rows, starts, by_start, before, on, draw) -> np.ndarray:
 def _begun_apart(
     wanted: Sequence[Candidate], quantities: Sequence[Quantity], around: Linearised
 ) -> tuple[Candidate, ...]:
-    """A candidate of which nothing follows to first order where it is neutral (a lag of 0, a friction that only holds) begins at a few
-    sizes instead: shapes of its own are kept."""
+    """A candidate of which nothing follows to first order where it is neutral (a lag of 0, a
+    friction that only holds) begins at a few sizes instead: shapes of its own are kept.
+    """
     index = {q.name: i for i, q in enumerate(quantities)}
     plain = sorted({index[q] for c in wanted if not any(c.shapes) for q in c.quantities})
-    columns = around.columns(np.array([q.neutral for q in quantities]), np.diag([q.scale for q in quantities])[plain])
-    seen = {quantities[i].name for i, shown in zip(plain, np.any(np.abs(columns) > 1e-9, (0, 1)), strict=True) if shown}
+    columns = around.columns(
+        np.array([q.neutral for q in quantities]), np.diag([q.scale for q in quantities])[plain]
+    )
+    seen = {
+        quantities[i].name
+        for i, shown in zip(plain, np.any(np.abs(columns) > 1e-9, (0, 1)), strict=True)
+        if shown
+    }
     out = []
     for c in wanted:
         if any(c.shapes) or seen & set(c.quantities):
@@ -266,17 +344,22 @@ def _begun_apart(
             continue
         own = [quantities[index[name]] for name in c.quantities]
         sizes = [
-            {q.name: float(np.clip(q.neutral + k * q.scale, q.low, q.high)) for q in own} for k in (1.0, 10.0, 100.0)
+            {q.name: float(np.clip(q.neutral + k * q.scale, q.low, q.high)) for q in own}
+            for k in (1.0, 10.0, 100.0)
         ]
         out.append(replace(c, shapes=tuple(sizes)))
     return tuple(out)
 
 
 def taken_up(by_start: np.ndarray, weight: np.ndarray | float = 0.0) -> np.ndarray:
-    """Orthonormal columns `[W, R, S]` that span what a stretch's own start can take up, from its derivatives `[W, R, S]`; with a prior
-    on starts (`pull [S]`) their upper rows, so that it takes up only as much as that lets it."""
+    """Orthonormal columns `[W, R, S]` that span what a stretch's own start can take up, from its
+    derivatives `[W, R, S]`; with a prior on starts (`pull [S]`) their upper rows, so that it takes
+    up only as much as that lets it.
+    """
     if not np.any(weight):
-        return np.linalg.qr(by_start)[0] if by_start.shape[2] else by_start
+        if by_start.shape[2]:
+            return np.linalg.qr(by_start)[0]
+        return by_start
     count, rows, size = by_start.shape
     held = np.broadcast_to(np.diag(weight), (count, size, size))
     return np.linalg.qr(np.concatenate([by_start, held], 1))[0][:, :rows]

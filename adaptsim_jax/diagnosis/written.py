@@ -1,4 +1,6 @@
-"""What a diagnosis leaves on disk: the report before anything that may fail, each other file if it can be written."""
+"""What a diagnosis leaves on disk: the report before anything that may fail, each other file if it
+can be written.
+"""
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -10,7 +12,14 @@ from adaptsim_jax.core.files import write_bytes, write_json
 from adaptsim_jax.diagnosis.run import Page
 from adaptsim_jax.diagnosis.schema import check
 
-OF_OTHERS = ("leading.toml", "next_experiment.csv", "model.xml", "model.toml", "declared.xml", "report.json")
+OF_OTHERS = (
+    "leading.toml",
+    "next_experiment.csv",
+    "model.xml",
+    "model.toml",
+    "declared.xml",
+    "report.json",
+)
 """What an earlier run, perhaps of another kind, may have left in the folder."""
 UNFINISHED = "Not finished: this is what the search had found when it was last written."
 
@@ -23,7 +32,9 @@ def cleared(folder: Path) -> Path:
 
 
 def write_partial(folder: Path, report: Mapping[str, Any]) -> None:
-    """`report.json` of a search that goes on, which says so; where it cannot be written the search goes on without it."""
+    """`report.json` of a search that goes on, which says so; where it cannot be written the search
+    goes on without it.
+    """
     told = {**report, "message": f"{UNFINISHED} {report['message']}", "unfinished": True}
     with suppress(Exception):  # whatever it is, minutes of search must not go with it
         write_json(folder / "report.json", check(told))
@@ -36,9 +47,11 @@ def write_all(
     page: Page,
     files: Mapping[str, Callable[[], str]],
 ) -> None:
-    """Report and page first, then each of the files (name -> what makes its text), then the page again, which links them.
+    """Report and page first, then each of the files (name -> what makes its text), then the page
+    again, which links them.
 
-    A file that cannot be made or written is one line of the report's warnings, and no reason to lose the rest.
+    A file that cannot be made or written is one line of the report's warnings, and no reason to
+    lose the rest.
     """
     _page(folder, report, evidence, page)
     for name, text in files.items():
@@ -69,4 +82,6 @@ def _told(report: dict[str, Any], evidence: dict[str, Any], line: str) -> None:
 
 def _line(error: Exception) -> str:
     text = " ".join(str(error).split()) or type(error).__name__
-    return text if isinstance(error, BadInput) else f"{type(error).__name__}: {text}"
+    if isinstance(error, BadInput):
+        return text
+    return f"{type(error).__name__}: {text}"

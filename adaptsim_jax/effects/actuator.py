@@ -1,7 +1,8 @@
 """Effects between the command that was recorded and the torque that reached the joint.
 
-Commands are held from their row to the next; what an effect returns is each row's mean, so impulses are exact.
-`t: [T, ...]` s and `u: [T, ...]` N m have time first, parameters are `[1, ...]`; the last row lasts no time.
+Commands are held from their row to the next; what an effect returns is each row's mean, so impulses
+are exact. `t: [T, ...]` s and `u: [T, ...]` N m have time first, parameters are `[1, ...]`; the
+last row lasts no time.
 """
 
 import jax
@@ -19,8 +20,9 @@ def torque_gain(p, t, u):
 
 
 def saturation(p, t, u):
-    """The limit is written as a share cut off the largest command, so that no cut changes nothing. With softness the knee is
-    round: `u / (1 + |u / level|^n)^(1/n)`, n = 1 / softness."""
+    """The limit is written as a share cut off the largest command, so that no cut changes nothing.
+    With softness the knee is round: `u / (1 + |u / level|^n)^(1/n)`, n = 1 / softness.
+    """
     level = (1.0 - p["cut"]) * p["peak"]
     sharp = jnp.clip(u, -level, level)
     n = 1.0 / jnp.maximum(p["softness"], 0.02)
@@ -36,7 +38,9 @@ def dead_zone(p, t, u):
 
 
 def delay(p, t, u):
-    """Exact mean of the shifted command over each row, through its running integral (differentiable in the delay)."""
+    """Exact mean of the shifted command over each row, through its running integral (differentiable
+    in the delay).
+    """
     duration = _durations(t)
     integral = jnp.concatenate([jnp.zeros_like(u[:1]), jnp.cumsum(u * duration, 0)[:-1]])
     t, late = jnp.broadcast_arrays(t, t - p["delay"] * jnp.ones_like(u))
@@ -46,7 +50,9 @@ def delay(p, t, u):
 
 
 def _integral_at(t, u, integral, at, before):
-    """Running integral of the held command at times `at`, with a command `before: [1, ...]` ahead of the first row."""
+    """Running integral of the held command at times `at`, with a command `before: [1, ...]` ahead
+    of the first row.
+    """
 
     def one(t, u, integral, at, before):
         row = jnp.clip(
@@ -59,7 +65,9 @@ def _integral_at(t, u, integral, at, before):
 
 
 def actuator_lag(p, t, u):
-    """First-order lag, from a share of the first command on: exact state at each row, exact mean over it."""
+    """First-order lag, from a share of the first command on: exact state at each row, exact mean
+    over it.
+    """
     duration = _durations(t) * jnp.ones_like(u)
     lag = jnp.maximum(p["lag"], 1e-9)
     keep = jnp.exp(-duration / lag)
@@ -90,45 +98,106 @@ def _widths(reach, joint):
 
 
 BEFORE = Parameter(
-    "before", "1", 0.0, 1.0, 0.0, None, optional=True, meaning="torque as a trial begins, over its first command"
+    "before",
+    "1",
+    0.0,
+    1.0,
+    0.0,
+    None,
+    optional=True,
+    meaning="torque as a trial begins, over its first command",
 )
 """No log says what was commanded before it began."""
 
 DELAY = Effect(
-    "delay", "command", (Parameter("delay", "s", 0.0, 0.1, 0.0, sign=1), BEFORE), delay,
-    "commands reach the joint late", "fast changes of command", ("actuator_lag", "sensor_lag"), smooth=False,
-    jump=True, grid=_delays,
+    "delay",
+    "command",
+    (Parameter("delay", "s", 0.0, 0.1, 0.0, sign=1), BEFORE),
+    delay,
+    "commands reach the joint late",
+    "fast changes of command",
+    ("actuator_lag", "sensor_lag"),
+    smooth=False,
+    jump=True,
+    grid=_delays,
     formula="command(t - delay)",
-)  # fmt: skip
+)
 
 SATURATION = Effect(
-    "saturation", "command", (
+    "saturation",
+    "command",
+    (
         Parameter("cut", "1", 0.0, 0.95, 0.0, sign=1, meaning="share cut off the largest command"),
-        Parameter("peak", "N m", 0.0, 1e9, 1e9, None, held=True, meaning="the largest command recorded; not fitted"),
-        Parameter("softness", "1", 0.0, 0.7, 0.0, None, optional=True, meaning="of the knee; 0 is sharp", late=True),
-    ), saturation,
-    "torque cannot exceed a limit: (1 - cut) of the largest command", "commands near and below the limit",
-    ("torque_gain",), smooth=False, jump=True, grid=_cuts,
+        Parameter(
+            "peak",
+            "N m",
+            0.0,
+            1e9,
+            1e9,
+            None,
+            held=True,
+            meaning="the largest command recorded; not fitted",
+        ),
+        Parameter(
+            "softness",
+            "1",
+            0.0,
+            0.7,
+            0.0,
+            None,
+            optional=True,
+            meaning="of the knee; 0 is sharp",
+            late=True,
+        ),
+    ),
+    saturation,
+    "torque cannot exceed a limit: (1 - cut) of the largest command",
+    "commands near and below the limit",
+    ("torque_gain",),
+    smooth=False,
+    jump=True,
+    grid=_cuts,
     formula="command within +-(1 - cut) peak, the knee round where there is softness",
-)  # fmt: skip
+)
 
 DEAD_ZONE = Effect(
-    "dead_zone", "command", (Parameter("width", "N m", 0.0, 0.9, 0.0, sign=1),), dead_zone,
-    "commands below a width move nothing, larger ones lose it", "small and large commands of both signs",
-    ("coulomb", "torque_gain"), smooth=False, jump=True, grid=_widths,
+    "dead_zone",
+    "command",
+    (Parameter("width", "N m", 0.0, 0.9, 0.0, sign=1),),
+    dead_zone,
+    "commands below a width move nothing, larger ones lose it",
+    "small and large commands of both signs",
+    ("coulomb", "torque_gain"),
+    smooth=False,
+    jump=True,
+    grid=_widths,
     formula="command less width, zero within +-width",
-)  # fmt: skip
+)
 
 TORQUE_GAIN = Effect(
-    "torque_gain", "command", (Parameter("gain", "1", -0.9, 2.0, 0.0),), torque_gain,
-    "the torque constant is off by a share", "driven motion beside free swings",
-    ("load_friction", "rotor_inertia", "torque_gain"),  # of another joint: all forces have one common scale
+    "torque_gain",
+    "command",
+    (Parameter("gain", "1", -0.9, 2.0, 0.0),),
+    torque_gain,
+    "the torque constant is off by a share",
+    "driven motion beside free swings",
+    (
+        "load_friction",
+        "rotor_inertia",
+        "torque_gain",
+    ),  # of another joint: all forces have one common scale
     formula="(1 + gain) command",
-)  # fmt: skip
+)
 
 ACTUATOR_LAG = Effect(
-    "actuator_lag", "command", (Parameter("lag", "s", 0.0, 0.2, 0.0, sign=1), BEFORE), actuator_lag,
-    "the torque follows the command as a first-order lag", "fast changes of command", ("delay", "sensor_lag"),
-    jump=True, grid=_lags,
+    "actuator_lag",
+    "command",
+    (Parameter("lag", "s", 0.0, 0.2, 0.0, sign=1), BEFORE),
+    actuator_lag,
+    "the torque follows the command as a first-order lag",
+    "fast changes of command",
+    ("delay", "sensor_lag"),
+    jump=True,
+    grid=_lags,
     formula="lag torque' = command - torque",
-)  # fmt: skip
+)

@@ -1,8 +1,10 @@
-"""What can be added to a model: `Effect`, one entry in one place; `layout.py` has the catalogue of them.
+"""What can be added to a model: `Effect`, one entry in one place; `layout.py` has the catalogue of
+them.
 
-An effect acts at one of three places (design, section 2): on the *command*, as a *force*, or on the *measurement*. Its
-one pure function is written elementwise on arrays, so the same lines serve one joint, all joints, and a batch. A fourth kind
-frees parameters of the *model* itself (which way gravity pulls, a body's inertia) and has no function.
+An effect acts at one of three places (design, section 2): on the *command*, as a *force*, or on the
+*measurement*. Its one pure function is written elementwise on arrays, so the same lines serve one
+joint, all joints, and a batch. A fourth kind frees parameters of the *model* itself (which way
+gravity pulls, a body's inertia) and has no function.
 """
 
 import re
@@ -18,15 +20,37 @@ from adaptsim_jax.core.errors import BadInput
 PLACES = ("command", "force", "drive", "measurement", "model")
 NINETY = 1.6449  # standard errors from the middle of a 90 % interval to its ends
 UNITS = {
-    "1": (0, 0), "1/rad": (0, 0), "1/rad^2": (0, 0), "rad": (0, 0), "rad/s": (0, -1), "s": (0, 1), "Hz": (0, -1),
-    "N m": (1, 0), "N m/rad": (1, 0), "N m s/rad": (1, 1), "N m s^2/rad^2": (1, 2), "kg m^2": (1, 2), "N m s": (1, 1),
+    "1": (0, 0),
+    "1/rad": (0, 0),
+    "1/rad^2": (0, 0),
+    "rad": (0, 0),
+    "rad/s": (0, -1),
+    "s": (0, 1),
+    "Hz": (0, -1),
+    "N m": (1, 0),
+    "N m/rad": (1, 0),
+    "N m s/rad": (1, 1),
+    "N m s^2/rad^2": (1, 2),
+    "kg m^2": (1, 2),
+    "N m s": (1, 1),
     "rad/(N m)": (-1, 0),
-}  # fmt: skip
-"""Exponents (torque, time) of each unit: multiply torques by a and times by b and a value goes up by a^i b^j."""
+}
+"""Exponents (torque, time) of each unit: multiply torques by a and times by b and a value goes up
+by a^i b^j.
+"""
 OF_A_SLIDE = {
-    "rad": "m", "rad/s": "m/s", "1/rad": "1/m", "1/rad^2": "1/m^2", "N m": "N", "N m/rad": "N/m", "N m s/rad": "N s/m",
-    "N m s^2/rad^2": "N s^2/m^2", "kg m^2": "kg", "N m s": "N s", "rad/(N m)": "m/N",
-}  # fmt: skip
+    "rad": "m",
+    "rad/s": "m/s",
+    "1/rad": "1/m",
+    "1/rad^2": "1/m^2",
+    "N m": "N",
+    "N m/rad": "N/m",
+    "N m s/rad": "N s/m",
+    "N m s^2/rad^2": "N s^2/m^2",
+    "kg m^2": "kg",
+    "N m s": "N s",
+    "rad/(N m)": "m/N",
+}
 """The units of a joint that slides, where those of one that turns are written."""
 OF_SPEED = re.compile(r"N m s\^([1-9])/rad\^\1")  # a torque by a power of the speed
 SLOWEST = 0.1  # rad/s: a joint that hardly moves says nothing of what its motion could do
@@ -35,25 +59,34 @@ SLOWEST = 0.1  # rad/s: a joint that hardly moves says nothing of what its motio
 def unit_at(unit: str, kind: str) -> str:
     """A parameter's unit at a joint of that kind, `hinge` or `slide`."""
     if power := OF_SPEED.fullmatch(unit):
-        return f"N s^{power[1]}/m^{power[1]}" if kind == "slide" else unit
-    return OF_A_SLIDE.get(unit, unit) if kind == "slide" else unit
+        if kind == "slide":
+            return f"N s^{power[1]}/m^{power[1]}"
+        return unit
+    if kind == "slide":
+        return OF_A_SLIDE.get(unit, unit)
+    return unit
 
 
 def exponents(unit: str) -> tuple[int, int] | None:
     """Exponents (torque, time) of a unit (`UNITS`); None where it is unknown."""
     power = OF_SPEED.fullmatch(unit)
-    return (1, int(power[1])) if power else UNITS.get(unit)
+    if power:
+        return (1, int(power[1]))
+    return UNITS.get(unit)
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of an effect. `off` is the value without effect (None for a shape: a speed, an order, an angle).
+    """One number of an effect. `off` is the value without effect (None for a shape: a speed, an
+    order, an angle).
 
-    low and high are in `unit`, times the rig's torque scale where the unit holds N m (`UNITS`), so one entry
-    serves a finger and an excavator, and wider for slow joints (`bounds`). `sign` is +1 where only positive values are that
-    effect. A `held` shape is chosen on the grid and not fitted. An `optional` one may be left out of a `model.toml`: it is
-    `default` there. `meaning`: what it is, where its name does not say. A `late` one a mended pendulum keeps at its
-    default unless its file says otherwise. `prior`: standard deviation about none of it, scaled as the bounds are (of mechanisms).
+    low and high are in `unit`, times the rig's torque scale where the unit holds N m (`UNITS`), so
+    one entry serves a finger and an excavator, and wider for slow joints (`bounds`). `sign` is +1
+    where only positive values are that effect. A `held` shape is chosen on the grid and not fitted.
+    An `optional` one may be left out of a `model.toml`: it is `default` there. `meaning`: what it
+    is, where its name does not say. A `late` one a mended pendulum keeps at its default unless its
+    file says otherwise. `prior`: standard deviation about none of it, scaled as the bounds are (of
+    mechanisms).
     """
 
     name: str
@@ -70,17 +103,23 @@ class Parameter:
     prior: float = float("inf")
 
     def bounds(self, torque: float, speed: float = 1.0) -> tuple[float, float]:
-        """Bounds for a rig whose torques are of size `torque` N m. Of a joint slower than 1 rad/s, `speed` rad/s, those of what makes
-        a torque of its motion (a drag) are as much wider as it takes for the same torque."""
+        """Bounds for a rig whose torques are of size `torque` N m. Of a joint slower than 1 rad/s,
+        `speed` rad/s, those of what makes a torque of its motion (a drag) are as much wider as it
+        takes for the same torque.
+        """
         torques, times = exponents(self.unit) or (0, 0)
-        slow = max(1.0, 1.0 / max(speed, SLOWEST)) ** max(times, 0) if torques else 1.0
+        if torques:
+            slow = max(1.0, 1.0 / max(speed, SLOWEST)) ** max(times, 0)
+        else:
+            slow = 1.0
         return self.low * torque**torques * slow, self.high * torque**torques * slow
 
 
 class Motion(NamedTuple):
-    """What a force effect sees: `q, v, u: [n, ...]` (rad, rad/s, N m), `t: [1, ...]` s since the trial began, its own
-    `memory: [n, ...]`, `gravity(q) -> [n, ...]` of the plant, and `clock: [1, ...]` s, the time of what goes on whether a
-    trial runs or not (None: the same as `t`)."""
+    """What a force effect sees: `q, v, u: [n, ...]` (rad, rad/s, N m), `t: [1, ...]` s since the
+    trial began, its own `memory: [n, ...]`, `gravity(q) -> [n, ...]` of the plant, and `clock: [1,
+    ...]` s, the time of what goes on whether a trial runs or not (None: the same as `t`).
+    """
 
     q: jax.Array
     v: jax.Array
@@ -92,11 +131,13 @@ class Motion(NamedTuple):
 
 
 class Dry(NamedTuple):
-    """Dry friction: a `level` [N m] that opposes the motion or holds the joint still, and a smooth `force` beside it.
+    """Dry friction: a `level` [N m] that opposes the motion or holds the joint still, and a smooth
+    `force` beside it.
 
-    The level is a number, not a force, because only the integrator knows which force at rest stops the motion. With a `width`
-    [rad/s] the direction turns as tanh(v / width), and a joint that is held creeps. What holds it is a spring that gives way by
-    `yielding` [rad/(N m)], which only mechanisms other than the double pendulum know.
+    The level is a number, not a force, because only the integrator knows which force at rest stops
+    the motion. With a `width` [rad/s] the direction turns as tanh(v / width), and a joint that is
+    held creeps. What holds it is a spring that gives way by `yielding` [rad/(N m)], which only
+    mechanisms other than the double pendulum know.
     """
 
     level: jax.Array
@@ -107,18 +148,23 @@ class Dry(NamedTuple):
 
 @dataclass(frozen=True)
 class Sharp:
-    """An effect's `apply` with dry friction of no width, whatever its parameters: known when compiled, it is a tenth of the work
-    where environments are batched."""
+    """An effect's `apply` with dry friction of no width, whatever its parameters: known when
+    compiled, it is a tenth of the work where environments are batched.
+    """
 
     apply: Callable
 
     def __call__(self, p, motion: Motion):
         answer = self.apply(p, motion)
-        return answer._replace(width=0.0) if isinstance(answer, Dry) else answer
+        if isinstance(answer, Dry):
+            return answer._replace(width=0.0)
+        return answer
 
 
 class Relaxation(NamedTuple):
-    """A force with memory: `force`, and `d memory / dt = rate (target - memory)`, integrated exactly over a step."""
+    """A force with memory: `force`, and `d memory / dt = rate (target - memory)`, integrated
+    exactly over a step.
+    """
 
     force: jax.Array
     target: jax.Array
@@ -140,7 +186,9 @@ class Reach:
 
 
 def of_the_engine(*_):
-    """`apply` of what frees parameters of the model itself, which the engine has in its equations."""
+    """`apply` of what frees parameters of the model itself, which the engine has in its
+    equations.
+    """
     raise TypeError("this effect has no function of its own: its parameters are the model's")
 
 
@@ -148,25 +196,30 @@ def of_the_engine(*_):
 class Effect:
     """One effect. `apply` is its one function, by place:
 
-    - command: `apply(p, t [T, ...], u [T, ...]) -> u'`: a whole trial's command, each value held to the next row;
-    - force: `apply(p, motion) -> force [n, ...]`, or `Dry` friction, or a `Relaxation` where `memory` is true; where
-      `inertia` is true, `apply(p) -> kg m^2` added to the joint;
-    - drive: `apply(p) -> Drive` (`attribution/drive.py`) between a joint's rotor and its link, of mechanisms only;
-    - measurement: `apply(p, t [T, ...], q [T, ...], v [T, ...], first [...]) -> (q', v')`: what the sensor of one joint
-      says; `first` is the angle that it did say at the first time, for sensors that remember;
+    - command: `apply(p, t [T, ...], u [T, ...]) -> u'`: a whole trial's command, each value held to
+      the next row;
+    - force: `apply(p, motion) -> force [n, ...]`, or `Dry` friction, or a `Relaxation` where
+      `memory` is true; where `inertia` is true, `apply(p) -> kg m^2` added to the joint;
+    - drive: `apply(p) -> Drive` (`attribution/drive.py`) between a joint's rotor and its link, of
+      mechanisms only;
+    - measurement: `apply(p, t [T, ...], q [T, ...], v [T, ...], first [...]) -> (q', v')`: what the
+      sensor of one joint says; `first` is the angle that it did say at the first time, for sensors
+      that remember;
     - model: `of_the_engine`.
 
-    `p` maps parameter names to arrays that broadcast, of the rank of `u` or `q`. `grid(reach, joint) -> [{shape:
-    value}, ...]` lists the fixed shapes at which the effect is scored; with `jump` the amplitude is on the grid too,
-    as it does not act linearly. `starts(reach, joint) -> [{parameter: value}, ...]`: where plain fits of it start as well, if a
-    linear score is a poor guide. `look_alikes`: what it is mistaken for at its joint, or itself, at another. `contains` names
-    effects that this one includes as a special case (of mechanisms it is tried where one of these is).
-    `pair`: its force is on the joint and on the one before it, too. `carried`: a measurement effect that is also given the torque
-    [N m] which the joint's drive carries, `apply(p, t, q, v, first, torque)`.
-    `slack`: of a measurement effect, its parameter within which the reading does not tell the angle: stretches are also begun with
-    the angle at either end of it.
-    `describes`: it is no law but a form that fits many (of mechanisms it must take off `Criteria.described`).
-    `formula`: the physics in a line, for people.
+    `p` maps parameter names to arrays that broadcast, of the rank of `u` or `q`. `grid(reach,
+    joint) -> [{shape: value}, ...]` lists the fixed shapes at which the effect is scored; with
+    `jump` the amplitude is on the grid too, as it does not act linearly. `starts(reach, joint) ->
+    [{parameter: value}, ...]`: where plain fits of it start as well, if a linear score is a poor
+    guide. `look_alikes`: what it is mistaken for at its joint, or itself, at another. `contains`
+    names effects that this one includes as a special case (of mechanisms it is tried where one of
+    these is). `pair`: its force is on the joint and on the one before it, too. `carried`: a
+    measurement effect that is also given the torque [N m] which the joint's drive carries,
+    `apply(p, t, q, v, first, torque)`.
+    `slack`: of a measurement effect, its parameter within which the reading does not tell the
+    angle: stretches are also begun with the angle at either end of it.
+    `describes`: it is no law but a form that fits many (of mechanisms it must take off
+    `Criteria.described`). `formula`: the physics in a line, for people.
     """
 
     name: str
@@ -186,22 +239,33 @@ class Effect:
     slack: str = ""
     describes: bool = False
     contains: tuple[str, ...] = ()
-    grid: Callable[[Reach, int], list[dict[str, float]]] | Sequence[dict[str, float]] | None = field(
-        default=None,
-        hash=False,  # a list of dictionaries has no hash, and effects are static arguments of compiled functions
+    grid: Callable[[Reach, int], list[dict[str, float]]] | Sequence[dict[str, float]] | None = (
+        field(
+            default=None,
+            # a list of dictionaries has no hash, and effects are static arguments of compiled
+            # functions
+            hash=False,
+        )
     )
     starts: Callable[[Reach, int], list[dict[str, float]]] | None = None
     formula: str = ""
 
     def __post_init__(self):
         if self.place not in PLACES:
-            raise BadInput(f"effect {self.name}: place {self.place!r} is unknown; use one of {', '.join(PLACES)}")
+            raise BadInput(
+                f"effect {self.name}: place {self.place!r} is unknown; use one of "
+                f"{', '.join(PLACES)}"
+            )
         if self.scope not in ("joint", "base"):
-            raise BadInput(f"effect {self.name}: scope {self.scope!r} is unknown; use 'joint' or 'base'")
+            raise BadInput(
+                f"effect {self.name}: scope {self.scope!r} is unknown; use 'joint' or 'base'"
+            )
         for p in self.parameters:
             if exponents(p.unit) is None:
                 known = f"{', '.join(UNITS)}, N m s^K/rad^K"
-                raise BadInput(f"effect {self.name}: unit {p.unit!r} is unknown; use one of {known}")
+                raise BadInput(
+                    f"effect {self.name}: unit {p.unit!r} is unknown; use one of {known}"
+                )
         if not any(p.off is not None for p in self.parameters):
             raise BadInput(f"effect {self.name}: no parameter turns it off; give one an off value")
 
@@ -216,5 +280,7 @@ class Effect:
     def grid_points(self, reach: Reach, joint: int) -> list[dict[str, float]]:
         """Fixed shapes to score at; one point of defaults where the effect has no shape."""
         if self.grid is not None:
-            return self.grid(reach, joint) if callable(self.grid) else list(self.grid)
+            if callable(self.grid):
+                return self.grid(reach, joint)
+            return list(self.grid)
         return [{p.name: p.default for p in self.shapes}]

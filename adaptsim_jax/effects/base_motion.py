@@ -1,4 +1,6 @@
-"""Effects of a base that does not stand still or level: they act on all joints at once, through the plant's gravity."""
+"""Effects of a base that does not stand still or level: they act on all joints at once, through the
+plant's gravity.
+"""
 
 import jax.numpy as jnp
 
@@ -24,7 +26,9 @@ def heave(p, m: Motion):
 
 
 def sway(p, m: Motion):
-    """A base that moves to and fro: what is felt as gravity turns by the arctangent of its acceleration over g, and grows."""
+    """A base that moves to and fro: what is felt as gravity turns by the arctangent of its
+    acceleration over g, and grows.
+    """
     share = at_phase(p, m)
     return jnp.sqrt(1.0 + jnp.square(share)) * _turned(m, jnp.arctan(share)) - m.gravity(m.q)
 
@@ -39,22 +43,40 @@ def _shaken() -> tuple[Parameter, ...]:
 
 
 TILT = Effect(
-    "tilt", "force", (Parameter("angle", "rad", -0.8, 0.8, 0.0),), tilt,
-    "the base is not level: gravity pulls along another direction", "wide angles of joint 1, of both signs",
-    ("bias", "encoder_offset"), scope="base",
+    "tilt",
+    "force",
+    (Parameter("angle", "rad", -0.8, 0.8, 0.0),),
+    tilt,
+    "the base is not level: gravity pulls along another direction",
+    "wide angles of joint 1, of both signs",
+    ("bias", "encoder_offset"),
+    scope="base",
     formula="gravity(q1 + angle) - gravity(q1), at both joints",
-)  # fmt: skip
+)
 
 HEAVE = Effect(
-    "heave", "force", _shaken(), heave, "the base moves up and down periodically: a ship, a table on soft feet",
-    "long trials at wide angles, where gravity pulls", ("sway", "periodic_disturbance"), scope="base",
+    "heave",
+    "force",
+    _shaken(),
+    heave,
+    "the base moves up and down periodically: a ship, a table on soft feet",
+    "long trials at wide angles, where gravity pulls",
+    ("sway", "periodic_disturbance"),
+    scope="base",
     grid=frequencies,
-    formula="a gravity(q), a = sine sin(2 pi frequency t) + cosine cos(2 pi frequency t), at both joints",
-)  # fmt: skip
+    formula="a gravity(q), a = sine sin(2 pi frequency t) + cosine cos(2 pi frequency t), at both "
+    "joints",
+)
 
 SWAY = Effect(
-    "sway", "force", _shaken(), sway, "the base moves to and fro periodically: a frame that swings along",
-    "long trials through hanging and upright", ("heave", "periodic_disturbance"), scope="base",
+    "sway",
+    "force",
+    _shaken(),
+    sway,
+    "the base moves to and fro periodically: a frame that swings along",
+    "long trials through hanging and upright",
+    ("heave", "periodic_disturbance"),
+    scope="base",
     grid=frequencies,
     formula="sqrt(1 + a^2) gravity(q1 + atan a) - gravity(q1), a as of heave, at both joints",
-)  # fmt: skip
+)

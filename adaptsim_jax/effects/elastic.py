@@ -9,50 +9,113 @@ HERTZ_DEPTH = 0.1  # rad
 
 
 def spring(p, m: Motion):
-    """A cubic about any angle, written about zero: a spring that hardens need not do so about the joint's zero."""
+    """A cubic about any angle, written about zero: a spring that hardens need not do so about the
+    joint's zero.
+    """
     return p["preload"] - p["stiffness"] * m.q * (1.0 + p["bend"] * m.q + p["hardening"] * m.q**2)
 
 
 def hard_stop(p, m: Motion):
-    """A spring beyond an angle that never pulls: an upper stop where `side` is 1, a lower one where it is -1.
+    """A spring beyond an angle that never pulls: an upper stop where `side` is 1, a lower one where
+    it is -1.
 
-    It loses energy as a dashpot beside the spring (`damping`, Kelvin and Voigt), or in proportion to the depth (`loss`;
-    Hunt and Crossley, 1975). A round contact is softer where it touches: `exponent` 1.5 is Hertz's, and the stiffness is then
-    force over depth at `HERTZ_DEPTH`.
+    It loses energy as a dashpot beside the spring (`damping`, Kelvin and Voigt), or in proportion
+    to the depth (`loss`; Hunt and Crossley, 1975). A round contact is softer where it touches:
+    `exponent` 1.5 is Hertz's, and the stiffness is then force over depth at `HERTZ_DEPTH`.
     """
     depth = jnp.maximum(p["side"] * (m.q - p["angle"]), 0.0)
     inward = p["side"] * m.v
     spring_like = depth * jnp.power(jnp.maximum(depth, 1e-6) / HERTZ_DEPTH, p["exponent"] - 1.0)
-    pressed = spring_like * (1.0 + p["loss"] * inward) + jnp.where(depth > 0.0, p["damping"] * inward, 0.0)
+    pressed = spring_like * (1.0 + p["loss"] * inward) + jnp.where(
+        depth > 0.0, p["damping"] * inward, 0.0
+    )
     return -p["side"] * p["stiffness"] * jnp.maximum(pressed, 0.0)
 
 
 SPRING = Effect(
-    "spring", "force",
+    "spring",
+    "force",
     (
         Parameter("stiffness", "N m/rad", -5.0, 5.0, 0.0, sign=1),
         Parameter("preload", "N m", -5.0, 5.0, 0.0),
-        Parameter("bend", "1/rad", -5.0, 5.0, 0.0, None, optional=True, meaning="lopsidedness", late=True),
-        Parameter("hardening", "1/rad^2", -5.0, 5.0, 0.0, None, optional=True, meaning="cubic share", late=True),
+        Parameter(
+            "bend", "1/rad", -5.0, 5.0, 0.0, None, optional=True, meaning="lopsidedness", late=True
+        ),
+        Parameter(
+            "hardening",
+            "1/rad^2",
+            -5.0,
+            5.0,
+            0.0,
+            None,
+            optional=True,
+            meaning="cubic share",
+            late=True,
+        ),
     ),
-    spring, "a torsional spring, or a cable that pulls back; at rest at preload / stiffness",
+    spring,
+    "a torsional spring, or a cable that pulls back; at rest at preload / stiffness",
     "a wide range of angles",
-    ("bias", "tilt", "encoder_offset", "hard_stop"), contains=("bias",),
+    ("bias", "tilt", "encoder_offset", "hard_stop"),
+    contains=("bias",),
     formula="preload - stiffness q (1 + bend q + hardening q^2)",
-)  # fmt: skip
+)
 
 HARD_STOP = Effect(
-    "hard_stop", "force",
+    "hard_stop",
+    "force",
     (
         Parameter("stiffness", "N m/rad", 0.0, 300.0, 0.0, sign=1),
         Parameter("angle", "rad", -100.0, 100.0, 1.5, None),
-        Parameter("side", "1", -1.0, 1.0, 1.0, None, held=True, meaning="1: stops motion upwards, -1: downwards"),
-        Parameter("loss", "s", 0.0, 1.0, 0.0, None, optional=True, meaning="energy lost in proportion to depth"),
-        Parameter("damping", "s", 0.0, 0.5, 0.0, None, optional=True, meaning="a dashpot beside the spring, over its stiffness"),
-        Parameter("exponent", "1", 0.7, 2.5, 1.0, None, optional=True, meaning="of depth; 1.5 is Hertz's", late=True),
+        Parameter(
+            "side",
+            "1",
+            -1.0,
+            1.0,
+            1.0,
+            None,
+            held=True,
+            meaning="1: stops motion upwards, -1: downwards",
+        ),
+        Parameter(
+            "loss",
+            "s",
+            0.0,
+            1.0,
+            0.0,
+            None,
+            optional=True,
+            meaning="energy lost in proportion to depth",
+        ),
+        Parameter(
+            "damping",
+            "s",
+            0.0,
+            0.5,
+            0.0,
+            None,
+            optional=True,
+            meaning="a dashpot beside the spring, over its stiffness",
+        ),
+        Parameter(
+            "exponent",
+            "1",
+            0.7,
+            2.5,
+            1.0,
+            None,
+            optional=True,
+            meaning="of depth; 1.5 is Hertz's",
+            late=True,
+        ),
     ),
-    hard_stop, "an end stop or a taut cable beyond an angle", "motion into the stop, and well inside it",
-    ("spring", "cogging"), smooth=False, grid=grids.stops,
+    hard_stop,
+    "an end stop or a taut cable beyond an angle",
+    "motion into the stop, and well inside it",
+    ("spring", "cogging"),
+    smooth=False,
+    grid=grids.stops,
     starts=grids.stiff_stops,
-    formula="-side stiffness max(0, depth^exponent (1 + loss depth') + damping depth'), depth = max(0, side (q - angle))",
-)  # fmt: skip
+    formula="-side stiffness max(0, depth^exponent (1 + loss depth') + damping depth'), depth = "
+    "max(0, side (q - angle))",
+)

@@ -6,7 +6,15 @@ from adaptsim_jax.effects import grids
 from adaptsim_jax.effects.base import Dry, Effect, Motion, Parameter, Relaxation
 
 WIDTH = Parameter(
-    "width", "rad/s", 0.0, 0.2, 0.0, None, optional=True, meaning="within which it turns; 0 is sharp", late=True
+    "width",
+    "rad/s",
+    0.0,
+    0.2,
+    0.0,
+    None,
+    optional=True,
+    meaning="within which it turns; 0 is sharp",
+    late=True,
 )
 
 
@@ -34,8 +42,10 @@ def load_friction(p, m: Motion):
 
 
 def presliding(p, m: Motion):
-    """Dahl (1968): a bristle bends before the joint slides; memory is its deflection over the break-away deflection.
-    With damping it is LuGre (Canudas de Wit et al., 1995): the bristle's rate resists too."""
+    """Dahl (1968): a bristle bends before the joint slides; memory is its deflection over the
+    break-away deflection. With damping it is LuGre (Canudas de Wit et al., 1995): the bristle's
+    rate resists too.
+    """
     speed = jnp.abs(m.v)
     rate = (m.v - speed * m.memory) / p["deflection"]
     force = -p["level"] * (m.memory + p["damping"] * rate)
@@ -43,60 +53,98 @@ def presliding(p, m: Motion):
 
 
 COULOMB = Effect(
-    "coulomb", "force", (Parameter("level", "N m", 0.0, 1.0, 0.0, sign=1), WIDTH), coulomb,
-    "dry friction: a constant torque against the motion", "reversals, and both slow and fast motion",
+    "coulomb",
+    "force",
+    (Parameter("level", "N m", 0.0, 1.0, 0.0, sign=1), WIDTH),
+    coulomb,
+    "dry friction: a constant torque against the motion",
+    "reversals, and both slow and fast motion",
     ("stribeck", "presliding", "load_friction", "dead_zone", "friction_drift"),
-    formula="-level sign(v), or tanh(v / width); holds the joint where less than the level would move it",
-)  # fmt: skip
+    formula="-level sign(v), or tanh(v / width); holds the joint where less than the level would "
+    "move it",
+)
 
 STRIBECK = Effect(
-    "stribeck", "force",
+    "stribeck",
+    "force",
     (
         Parameter("level", "N m", 0.0, 1.0, 0.0, sign=1),
         Parameter("excess", "N m", 0.0, 2.0, 0.0, sign=1, meaning="how much more at rest"),
-        Parameter("speed", "rad/s", 0.02, 20.0, 0.5, None, meaning="at which the excess has fallen to a third"),
+        Parameter(
+            "speed",
+            "rad/s",
+            0.02,
+            20.0,
+            0.5,
+            None,
+            meaning="at which the excess has fallen to a third",
+        ),
         WIDTH,
     ),
-    stribeck, "dry friction that is higher at creeping speed", "long stretches of slow motion beside fast ones",
-    ("coulomb", "presliding"), contains=("coulomb",), grid=grids.speeds,
+    stribeck,
+    "dry friction that is higher at creeping speed",
+    "long stretches of slow motion beside fast ones",
+    ("coulomb", "presliding"),
+    contains=("coulomb",),
+    grid=grids.speeds,
     formula="-(level + excess exp(-(v / speed)^2)) sign(v), or tanh(v / width)",
-)  # fmt: skip
+)
 
 QUADRATIC_DRAG = Effect(
-    "quadratic_drag", "force", (Parameter("drag", "N m s^2/rad^2", 0.0, 1.0, 0.0, sign=1),),
-    quadratic_drag, "air drag or turbulent oil: torque with the square of speed", "a wide range of speeds",
+    "quadratic_drag",
+    "force",
+    (Parameter("drag", "N m s^2/rad^2", 0.0, 1.0, 0.0, sign=1),),
+    quadratic_drag,
+    "air drag or turbulent oil: torque with the square of speed",
+    "a wide range of speeds",
     ("coulomb", "friction_drift"),
     formula="-drag v |v|",
-)  # fmt: skip
+)
 
 FRICTION_DRIFT = Effect(
-    "friction_drift", "force",
+    "friction_drift",
+    "force",
     (
         Parameter("viscous", "N m s/rad", -1.0, 1.0, 0.0),
         Parameter("dry", "N m", -1.0, 1.0, 0.0),
         Parameter("decay", "s", 0.05, 100.0, 2.0, None, meaning="time to fall to a third"),
     ),
-    friction_drift, "friction that changes as the joint warms up within a trial",
-    "the same motion early and late in a trial", ("coulomb", "quadratic_drag"), grid=grids.decays,
+    friction_drift,
+    "friction that changes as the joint warms up within a trial",
+    "the same motion early and late in a trial",
+    ("coulomb", "quadratic_drag"),
+    grid=grids.decays,
     formula="-(dry sign(v) + viscous v) exp(-t / decay), t since the trial began",
-)  # fmt: skip
+)
 
 LOAD_FRICTION = Effect(
-    "load_friction", "force", (Parameter("share", "1", 0.0, 1.0, 0.0, sign=1), WIDTH), load_friction,
-    "gear friction in proportion to the torque that the joint carries", "high and low torque at like speeds",
+    "load_friction",
+    "force",
+    (Parameter("share", "1", 0.0, 1.0, 0.0, sign=1), WIDTH),
+    load_friction,
+    "gear friction in proportion to the torque that the joint carries",
+    "high and low torque at like speeds",
     ("coulomb", "torque_gain"),
     formula="-share |command| sign(v), or tanh(v / width)",
-)  # fmt: skip
+)
 
 PRESLIDING = Effect(
-    "presliding", "force",
+    "presliding",
+    "force",
     (
         Parameter("level", "N m", 0.0, 1.0, 0.0, sign=1),
         Parameter("deflection", "rad", 1e-3, 0.5, 0.02, None, meaning="at which it breaks away"),
-        Parameter("damping", "s", 0.0, 0.1, 0.0, None, meaning="of the bristle; 0 is Dahl, more is LuGre"),
+        Parameter(
+            "damping", "s", 0.0, 0.1, 0.0, None, meaning="of the bristle; 0 is Dahl, more is LuGre"
+        ),
     ),
-    presliding, "friction that acts as a spring before the joint slides (Dahl, LuGre)",
-    "many small reversals of less than the break-away deflection", ("coulomb", "stribeck", "backlash"),
-    memory=True, smooth=False, contains=("coulomb",), grid=grids.deflections,
+    presliding,
+    "friction that acts as a spring before the joint slides (Dahl, LuGre)",
+    "many small reversals of less than the break-away deflection",
+    ("coulomb", "stribeck", "backlash"),
+    memory=True,
+    smooth=False,
+    contains=("coulomb",),
+    grid=grids.deflections,
     formula="-level (z + damping z'), z' = (v - |v| z) / deflection",
-)  # fmt: skip
+)

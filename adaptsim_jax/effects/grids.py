@@ -1,4 +1,6 @@
-"""Shapes at which force effects are scored, from what the data cover, and where fits of them start."""
+"""Shapes at which force effects are scored, from what the data cover, and where fits of them
+start.
+"""
 
 import numpy as np
 
@@ -16,8 +18,9 @@ def orders(reach, joint):
 
 
 def frequencies(reach, joint):
-    """Half a cycle of a trial apart, so that no frequency between two points goes unseen; at most half of Nyquist. In long
-    trials no finer than `FINEST`."""
+    """Half a cycle of a trial apart, so that no frequency between two points goes unseen; at most
+    half of Nyquist. In long trials no finer than `FINEST`.
+    """
     top = min(15.0, 0.25 / reach.dt)
     step = max(0.5 / reach.duration, FINEST)
     return [{"frequency": float(f)} for f in np.arange(step, top, step)[:160]]
@@ -41,8 +44,10 @@ def decays(reach, joint):
 
 
 def stiff_stops(reach, joint):
-    """Stops as hard as most are, where the motion ends and a little before. One that is hit hard throws the model so far off that a
-    linear score makes it soft and puts it well inside; from there no fit finds the way to it."""
+    """Stops as hard as most are, where the motion ends and a little before. One that is hit hard
+    throws the model so far off that a linear score makes it soft and puts it well inside; from
+    there no fit finds the way to it.
+    """
     low, high = float(reach.q_low[joint]), float(reach.q_high[joint])
     stiff = {"stiffness": STIFF * float(reach.torque[joint]), "loss": 0.0, "damping": 0.0}
     inside = [0.015 * s * (high - low) for s in (0.0, 1.0)]

@@ -1,4 +1,6 @@
-"""The catalogue of effects, and a model's choice of them as one flat vector (`Layout`). What an effect is: `base.py`."""
+"""The catalogue of effects, and a model's choice of them as one flat vector (`Layout`). What an
+effect is: `base.py`.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -12,7 +14,9 @@ from adaptsim_jax.effects.base import Effect
 
 
 class Instance(NamedTuple):
-    """An effect at a place of the mechanism: `where` is `joint1`, ... or `base`; `at`: its part of the flat vector."""
+    """An effect at a place of the mechanism: `where` is `joint1`, ... or `base`; `at`: its part of
+    the flat vector.
+    """
 
     effect: Effect
     where: str
@@ -42,14 +46,19 @@ class Layout:
 
     @property
     def size(self) -> int:
-        return self.instances[-1].at.stop if self.instances else 0
+        if self.instances:
+            return self.instances[-1].at.stop
+        return 0
 
     def index(self, name: str, where: str) -> int:
         """Number of an instance; raises BadInput if there is none."""
         for i, instance in enumerate(self.instances):
             if (instance.effect.name, instance.where) == (name, where):
                 return i
-        raise BadInput(f"effect {name!r} at {where!r} is not in the catalogue; `adaptsim effects` lists what is")
+        raise BadInput(
+            f"effect {name!r} at {where!r} is not in the catalogue; `adaptsim effects` lists what "
+            f"is"
+        )
 
     def off(self) -> np.ndarray:
         """`[E]`: every amplitude at its off value, every shape at its default."""
@@ -58,10 +67,14 @@ class Layout:
 
     def names(self) -> list[tuple[str, str, str]]:
         """(effect, where, parameter) of each entry of the vector."""
-        return [(i.effect.name, i.where, p.name) for i in self.instances for p in i.effect.parameters]
+        return [
+            (i.effect.name, i.where, p.name) for i in self.instances for p in i.effect.parameters
+        ]
 
     def params(self, effect: Effect, eff: jax.Array, trailing: int) -> dict[str, jax.Array]:
-        """`{name: [n, 1, ...]}` of one effect for all joints, with `trailing` axes to broadcast over."""
+        """`{name: [n, 1, ...]}` of one effect for all joints, with `trailing` axes to broadcast
+        over.
+        """
         rows = len(self.joints) if effect.scope == "joint" else 1
         at, width = self._starts[effect.name], len(effect.parameters)
         block = eff[at : at + rows * width].reshape((rows, width) + (1,) * trailing)

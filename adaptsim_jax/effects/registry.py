@@ -1,4 +1,6 @@
-"""The catalogue of effects by name: ours in this order, then those of other packages (entry points `adaptsim.effects`)."""
+"""The catalogue of effects by name: ours in this order, then those of other packages (entry points
+`adaptsim.effects`).
+"""
 
 from __future__ import annotations
 
@@ -55,12 +57,14 @@ def catalogue(task: str = "pendulum") -> tuple[Any, ...]:
     """What `diagnose` can find in recordings of a task.
 
     Args:
-        task: `mechanism` (any tree of joints), `pushing`, `scooping`, `toss`; `pendulum`: the effects that a `model.toml` of the
-            double pendulum may hold, in which policies are trained.
+        task: `mechanism` (any tree of joints), `pushing`, `scooping`, `toss`; `pendulum`: the
+            effects that a `model.toml` of the double pendulum may hold, in which policies are
+            trained.
 
     Returns:
-        Effects, ours first, then those of other packages (entry points `adaptsim.effects`). Add your own to it:
-        `catalogue("mechanism") + (my_effect,)`. Raises BadInput where there is no such task.
+        Effects, ours first, then those of other packages (entry points `adaptsim.effects`). Add
+        your own to it: `catalogue("mechanism") + (my_effect,)`. Raises BadInput where there is no
+        such task.
     """
     if task == "pendulum":
         return tuple(EFFECTS.values())
@@ -70,12 +74,15 @@ def catalogue(task: str = "pendulum") -> tuple[Any, ...]:
 
 
 def of_other_packages(taken: Sequence[str] = ()) -> tuple[Effect, ...]:
-    """Effects that other packages add, by name: one registration serves every machine. Those with a memory of their own only the
-    pendulum's simulator steps. Raises BadInput where one has a name of those `taken`."""
+    """Effects that other packages add, by name: one registration serves every machine. Those with a
+    memory of their own only the pendulum's simulator steps. Raises BadInput where one has a name of
+    those `taken`.
+    """
     if both := sorted(set(taken) & set(EFFECTS.others)):
         point = EFFECTS.others[both[0]]
         raise BadInput(
-            f"entry point {point.name} = {point.value} of {EFFECTS.group}: there is another of that name; rename it"
+            f"entry point {point.name} = {point.value} of {EFFECTS.group}: there is another of "
+            f"that name; rename it"
         )
     found = [EFFECTS[name] for name in EFFECTS.others]
     return tuple(e for e in found if not e.memory)

@@ -1,4 +1,6 @@
-"""Effects between the true motion and what the sensors say: `t, q, v: [T, ...]` with time first, parameters `[1, ...]`."""
+"""Effects between the true motion and what the sensors say: `t, q, v: [T, ...]` with time first,
+parameters `[1, ...]`.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -11,8 +13,9 @@ def encoder_offset(p, t, q, v, first):
 
 
 def sensor_lag(p, t, q, v, first):
-    """First-order filter of angle and velocity, which start as if the motion had gone on at its first acceleration (a lag of
-    26 ms on a rig that accelerates by 50 rad/s^2 would otherwise start 34 mrad off), or velocity where a trial begins.
+    """First-order filter of angle and velocity, which start as if the motion had gone on at its
+    first acceleration (a lag of 26 ms on a rig that accelerates by 50 rad/s^2 would otherwise start
+    34 mrad off), or velocity where a trial begins.
 
     Between rows the velocity is taken to change linearly, for which the filter is exact.
     """
@@ -54,7 +57,9 @@ def _behind_slope(slope, keep):
 
 
 def _turning(t, q, v):
-    """Where the motion between rows turns back `[L, n, ...]`; the next row's `q` where it does not."""
+    """Where the motion between rows turns back `[L, n, ...]`; the next row's `q` where it does
+    not.
+    """
     turns = v[:-1] * v[1:] < 0.0
     slowing = jnp.where(turns, v[:-1] - v[1:], 1.0)
     rest = jnp.diff(t, axis=0) * v[:-1] / slowing
@@ -62,11 +67,13 @@ def _turning(t, q, v):
 
 
 def backlash(p, t, q, v, first):
-    """Play between link and encoder: the reading follows the link at a distance of at most half the gap.
+    """Play between link and encoder: the reading follows the link at a distance of at most half the
+    gap.
 
-    A stretch begins with the reading that was measured, as near as the gap allows. The lost motion is taken up in the
-    first half-gap of travel after each reversal (Nordin and Gutman, 2002, on the play operator and its rivals). A link that
-    turns back between two rows was furthest where its speed, linear in between, was none.
+    A stretch begins with the reading that was measured, as near as the gap allows. The lost motion
+    is taken up in the first half-gap of travel after each reversal (Nordin and Gutman, 2002, on the
+    play operator and its rivals). A link that turns back between two rows was furthest where its
+    speed, linear in between, was none.
     """
     half = 0.5 * p["gap"]
 
@@ -88,25 +95,45 @@ def _lags(reach, joint):
 
 def _gaps(reach, joint):
     span = float(reach.q_high[joint] - reach.q_low[joint])
-    return [{"gap": g} for g in (0.003, 0.01, 0.03, 0.1) if g < 0.5 * span] or [{"gap": 0.1 * span + 1e-4}]
+    return [{"gap": g} for g in (0.003, 0.01, 0.03, 0.1) if g < 0.5 * span] or [
+        {"gap": 0.1 * span + 1e-4}
+    ]
 
 
 ENCODER_OFFSET = Effect(
-    "encoder_offset", "measurement", (Parameter("offset", "rad", -0.8, 0.8, 0.0),), encoder_offset,
-    "the encoder's zero is not the model's", "wide angles, so that gravity tells the true zero", ("tilt", "bias"),
+    "encoder_offset",
+    "measurement",
+    (Parameter("offset", "rad", -0.8, 0.8, 0.0),),
+    encoder_offset,
+    "the encoder's zero is not the model's",
+    "wide angles, so that gravity tells the true zero",
+    ("tilt", "bias"),
     formula="reading = q + offset",
-)  # fmt: skip
+)
 
 SENSOR_LAG = Effect(
-    "sensor_lag", "measurement", (Parameter("lag", "s", 0.0, 0.1, 0.0, sign=1),), sensor_lag,
-    "angle and velocity come through a first-order filter", "fast motion", ("delay", "actuator_lag"), jump=True,
+    "sensor_lag",
+    "measurement",
+    (Parameter("lag", "s", 0.0, 0.1, 0.0, sign=1),),
+    sensor_lag,
+    "angle and velocity come through a first-order filter",
+    "fast motion",
+    ("delay", "actuator_lag"),
+    jump=True,
     grid=_lags,
     formula="lag reading' = q - reading, of angle and velocity",
-)  # fmt: skip
+)
 
 BACKLASH = Effect(
-    "backlash", "measurement", (Parameter("gap", "rad", 0.0, 0.4, 0.0, sign=1),), backlash,
-    "play between the link and what its encoder turns with", "many reversals, slow and fast", ("presliding",),
-    smooth=False, jump=True, grid=_gaps,
+    "backlash",
+    "measurement",
+    (Parameter("gap", "rad", 0.0, 0.4, 0.0, sign=1),),
+    backlash,
+    "play between the link and what its encoder turns with",
+    "many reversals, slow and fast",
+    ("presliding",),
+    smooth=False,
+    jump=True,
+    grid=_gaps,
     formula="reading follows q at a distance of at most gap / 2",
-)  # fmt: skip
+)

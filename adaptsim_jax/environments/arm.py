@@ -1,4 +1,6 @@
-"""An arm of two joints in a horizontal plane that brings its hand, and the payload in it, to a goal drawn anew in each episode."""
+"""An arm of two joints in a horizontal plane that brings its hand, and the payload in it, to a goal
+drawn anew in each episode.
+"""
 
 from typing import Any
 
@@ -44,21 +46,27 @@ class Arm(ModelEnvironment):
 
     def reset(self, key: jax.Array):
         start_key, goal_key = jax.random.split(key)
-        u = jax.random.uniform(goal_key, (2,), minval=jnp.array([0.25, -2.5]), maxval=jnp.array([0.6, 2.5]))
+        u = jax.random.uniform(
+            goal_key, (2,), minval=jnp.array([0.25, -2.5]), maxval=jnp.array([0.6, 2.5])
+        )
         goal = jnp.stack([u[0] * jnp.cos(u[1]), u[0] * jnp.sin(u[1]), 0.0])
         state = super().reset(start_key)
         return self._seen(state.data.replace(mocap_pos=goal[None]), jnp.zeros(self.action_size))
 
 
 def make() -> Arm:
-    """Observed: cosines and sines of both angles, their speeds [rad/s], the goal [m] and the way to it from the hand [m]."""
+    """Observed: cosines and sines of both angles, their speeds [rad/s], the goal [m] and the way to
+    it from the hand [m].
+    """
 
     def apart(data: Any) -> jax.Array:
         return data.mocap_pos[0, :2] - data.site_xpos[0, :2]
 
     def observe(data: Any) -> jax.Array:
         q = data.qpos
-        return jnp.concatenate([jnp.cos(q), jnp.sin(q), 0.2 * data.qvel, data.mocap_pos[0, :2], apart(data)])
+        return jnp.concatenate(
+            [jnp.cos(q), jnp.sin(q), 0.2 * data.qvel, data.mocap_pos[0, :2], apart(data)]
+        )
 
     def reward(data: Any, action: jax.Array) -> jax.Array:
         near = jnp.exp(-jnp.sum(jnp.square(apart(data))) / 0.02)

@@ -27,11 +27,17 @@ MJCF = """
   <actuator><motor name="motor" joint="slide" gear="10" ctrlrange="-1 1"/></actuator>
 </mujoco>
 """
-FIELDS = {"body:pole.mass": (0.1, 0.5), "body:cart.mass": (0.6, 1.6), "actuator:motor.gear": (6.0, 14.0)}
+FIELDS = {
+    "body:pole.mass": (0.1, 0.5),
+    "body:cart.mass": (0.6, 1.6),
+    "actuator:motor.gear": (6.0, 14.0),
+}
 
 
 def make() -> ModelEnvironment:
-    """Observed: cart's place and speed [m, m/s], the pole's cosine, sine (1, 0 upright) and speed [rad/s]."""
+    """Observed: cart's place and speed [m, m/s], the pole's cosine, sine (1, 0 upright) and speed
+    [rad/s].
+    """
 
     def observe(data: Any) -> jax.Array:
         x, angle = data.qpos

@@ -9,22 +9,34 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.environments.planner import PlannerConfig
 from adaptsim_jax.environments.trainer import PPOTraining
 
-BESIDE = ("phase1", "hyper", "seed", "every")  # tables of an env.toml that are of the run, not of the task
+BESIDE = (
+    "phase1",
+    "hyper",
+    "seed",
+    "every",
+)  # tables of an env.toml that are of the run, not of the task
 
 
 @dataclass(frozen=True)
 class EnvironmentConfig:
     """Options of the task.
 
-    env: `cartpole`, `arm`, `playground:NAME`, `brax:NAME`, `gymnax:NAME`, `module:function`, `file.py:function`; options: given to it.
-    fields: Omega, a range `[low, high]` or `[low, high, "log"]` for each number by name (docs/howto/environment.md).
-    wide: how far beyond Omega, as a share of each range, Phase 1 draws its targets. trials: episodes of a visit, each counted.
+    env: `cartpole`, `arm`, `playground:NAME`, `brax:NAME`, `gymnax:NAME`, `module:function`,
+        `file.py:function`; options: given to it.
+    fields: Omega, a range `[low, high]` or `[low, high, "log"]` for each number by name
+        (docs/howto/environment.md).
+    wide: how far beyond Omega, as a share of each range, Phase 1 draws its targets. trials:
+        episodes of a visit, each counted.
     length: steps of an episode, 0 for the environment's own.
-    policy: `knows` E's mean, trained once; `tuned` from it at each visit for `tune` updates; `planned` by sampling, not trained.
-    spread: of E's samples when a policy is tuned, as a share of each range. training: PPO. planner: of `planned`.
+    policy: `knows` E's mean, trained once; `tuned` from it at each visit for `tune` updates;
+        `planned` by sampling, not trained.
+    spread: of E's samples when a policy is tuned, as a share of each range. training: PPO. planner:
+        of `planned`.
     references: policies that a target's reward is scaled with. components: of what is observed.
-    doubt: variance of a visit's return by luck, over that by E's mean; 0 deploys what returned most once.
-    targets: for each by name a table of values of any field, Omega's or not, and of the engine (`environments/targets.py`).
+    doubt: variance of a visit's return by luck, over that by E's mean; 0 deploys what returned most
+        once.
+    targets: for each by name a table of values of any field, Omega's or not, and of the engine
+        (`environments/targets.py`).
     """
 
     env: str = "cartpole"
@@ -53,9 +65,11 @@ class EnvironmentConfig:
 
 
 def read_env(path: str | Path) -> dict[str, Any]:
-    """An env.toml as the table of a run: the task's options under `task`, `phase1`, `hyper`, `seed`, `every` beside them.
+    """An env.toml as the table of a run: the task's options under `task`, `phase1`, `hyper`,
+    `seed`, `every` beside them.
 
-    A file of Python that `env` names is found from the folder of env.toml. BadInput names the key at fault.
+    A file of Python that `env` names is found from the folder of env.toml. BadInput names the key
+    at fault.
     """
     table = configs.read(path)
     options = {key: value for key, value in table.items() if key not in BESIDE}

@@ -14,8 +14,9 @@ from adaptsim_jax.environments.task import Setting, play_in
 def filmed_episode(
     setting: Setting, acting: Acting, policy: Any, target: str
 ) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
-    """`(qpos [T, nq], mocap [T, 3 n], s a row, the model's bytes)` of one episode of `policy` in the target, from a start that is the
-    same for all policies."""
+    """`(qpos [T, nq], mocap [T, 3 n], s a row, the model's bytes)` of one episode of `policy` in
+    the target, from a start that is the same for all policies.
+    """
     play, values = play_in(setting, setting.targets[target])
 
     @jax.jit

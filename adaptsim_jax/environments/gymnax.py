@@ -1,4 +1,6 @@
-"""Environments of gymnax: their parameters are arguments already, named `params.g`, `params.m`, ...; there is no MuJoCo model."""
+"""Environments of gymnax: their parameters are arguments already, named `params.g`, `params.m`,
+...; there is no MuJoCo model.
+"""
 
 from typing import Any, NamedTuple
 
@@ -22,21 +24,28 @@ class Moment(NamedTuple):
 
 
 def from_gymnax(env: Any, params: Any, length: int = 0) -> Simulated:
-    """`env` with `params` as its model; actions in [-1, 1] are laid over its own. BadInput where its actions are not a continuum.
+    """`env` with `params` as its model; actions in [-1, 1] are laid over its own. BadInput where
+    its actions are not a continuum.
 
-    Episodes end where gymnax ends them, time limits included, which `length` then should not exceed.
+    Episodes end where gymnax ends them, time limits included, which `length` then should not
+    exceed.
     """
     space = env.action_space(params)
     if not hasattr(space, "low"):
         raise BadInput(
-            f"env: {env.name} chooses among {getattr(space, 'n', 'some')} actions; one with actions on a continuum is wanted"
+            f"env: {env.name} chooses among {getattr(space, 'n', 'some')} actions; one with "
+            f"actions on a continuum is wanted"
         )
     size = int(np.prod(space.shape, dtype=int))
-    low, high = (jnp.broadcast_to(jnp.asarray(x, jnp.float32), (size,)) for x in (space.low, space.high))
+    low, high = (
+        jnp.broadcast_to(jnp.asarray(x, jnp.float32), (size,)) for x in (space.low, space.high)
+    )
 
     def moment(state, key, obs, reward, done):
         obs = jnp.asarray(obs, jnp.float32).reshape(-1)
-        return Moment(state, key, obs, jnp.asarray(reward, jnp.float32), jnp.asarray(done, jnp.float32))
+        return Moment(
+            state, key, obs, jnp.asarray(reward, jnp.float32), jnp.asarray(done, jnp.float32)
+        )
 
     def reset(params, key):
         reset_key, key = jax.random.split(key)
@@ -47,9 +56,13 @@ def from_gymnax(env: Any, params: Any, length: int = 0) -> Simulated:
     def step(params, now, action, physics=None):
         step_key, key = jax.random.split(now.key)
         own = low + 0.5 * (action + 1.0) * (high - low)
-        obs, state, reward, done, _ = env.step_env(step_key, now.state, own.reshape(space.shape), params)
+        obs, state, reward, done, _ = env.step_env(
+            step_key, now.state, own.reshape(space.shape), params
+        )
         # types as at the reset: gymnax's own are of Python's numbers in places
-        state = jax.tree.map(lambda new, old: jnp.asarray(new, jnp.asarray(old).dtype), state, now.state)
+        state = jax.tree.map(
+            lambda new, old: jnp.asarray(new, jnp.asarray(old).dtype), state, now.state
+        )
         return moment(state, key, obs, reward, done)
 
     def edit(params, fields: tuple[Field, ...], values):

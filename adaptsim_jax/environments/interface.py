@@ -1,4 +1,6 @@
-"""What lies between a policy and a model: actions that come late or scaled, observations with noise; and the episode's clock."""
+"""What lies between a policy and a model: actions that come late or scaled, observations with
+noise; and the episode's clock.
+"""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -11,8 +13,10 @@ from adaptsim_jax.environments.simulated import Physics, Simulated
 
 
 class Live(NamedTuple):
-    """An environment at work: its own `state`, actions so far `[L, A]` (the newest first), `key` of what is drawn, `obs [O]` as the
-    policy sees it, `reward []`, `done []`, and steps so far `time []`."""
+    """An environment at work: its own `state`, actions so far `[L, A]` (the newest first), `key` of
+    what is drawn, `obs [O]` as the policy sees it, `reward []`, `done []`, and steps so far `time
+    []`.
+    """
 
     state: Any
     actions: jax.Array
@@ -24,7 +28,9 @@ class Live(NamedTuple):
 
 
 class World(NamedTuple):
-    """A model with its fields in place, and its interface: what steps need, computed once an episode."""
+    """A model with its fields in place, and its interface: what steps need, computed once an
+    episode.
+    """
 
     model: Any
     delay: jax.Array  # in steps
@@ -33,7 +39,9 @@ class World(NamedTuple):
 
 
 class Play(NamedTuple):
-    """`world(values [F]) -> World`, `reset(world, key) -> Live`, `step(world, live, action [A]) -> Live`; pure, of one sample."""
+    """`world(values [F]) -> World`, `reset(world, key) -> Live`, `step(world, live, action [A]) ->
+    Live`; pure, of one sample.
+    """
 
     sim: Simulated
     fields: tuple[Field, ...]
@@ -42,10 +50,14 @@ class Play(NamedTuple):
     step: Callable[[World, Live, jax.Array], Live]
 
 
-def make_play(sim: Simulated, fields: tuple[Field, ...], longest: float = 0.0, physics: Physics | None = None) -> Play:
-    """`sim` with `fields`, those of the interface among them, as arguments. longest: s, the greatest delay that may come.
+def make_play(
+    sim: Simulated, fields: tuple[Field, ...], longest: float = 0.0, physics: Physics | None = None
+) -> Play:
+    """`sim` with `fields`, those of the interface among them, as arguments. longest: s, the
+    greatest delay that may come.
 
-    A delay between two steps is a mean of both actions, weighted by how near they are; before the first action there is 0.
+    A delay between two steps is a mean of both actions, weighted by how near they are; before the
+    first action there is 0.
     """
     names = [field.name for field in fields]
     longest = max(longest, 0.0 if "delay" in names else sim.interface.get("delay", 0.0))
@@ -53,12 +65,17 @@ def make_play(sim: Simulated, fields: tuple[Field, ...], longest: float = 0.0, p
 
     def own(values, name):
         nominal = sim.interface.get(name, INTERFACE[name][2])
-        return values[names.index(name)] if name in names else jnp.asarray(nominal, jnp.float32)
+        if name in names:
+            return values[names.index(name)]
+        return jnp.asarray(nominal, jnp.float32)
 
     def world(values):
         model = sim.edit(sim.model, fields, values)
         return World(
-            model, own(values, "delay") / sim.dt, own(values, "action_scale"), own(values, "observation_noise")
+            model,
+            own(values, "delay") / sim.dt,
+            own(values, "action_scale"),
+            own(values, "observation_noise"),
         )
 
     def view(world, state, actions, key, time):
@@ -77,7 +94,9 @@ def make_play(sim: Simulated, fields: tuple[Field, ...], longest: float = 0.0, p
         actions = jnp.concatenate([jnp.clip(action, -1.0, 1.0)[None], live.actions[:-1]])
         sent = actions[0]
         if held > 1:
-            near = jnp.clip(1.0 - jnp.abs(jnp.arange(held) - jnp.clip(world.delay, 0.0, held - 1.0)), 0.0, 1.0)
+            near = jnp.clip(
+                1.0 - jnp.abs(jnp.arange(held) - jnp.clip(world.delay, 0.0, held - 1.0)), 0.0, 1.0
+            )
             sent = near @ actions
         state = sim.step(world.model, live.state, world.scale * sent, physics=physics)
         return view(world, state, actions, live.key, live.time + 1)

@@ -1,11 +1,14 @@
-"""An environment's task as the registry holds it: `env.toml`, or the cart-pole where nothing is said."""
+"""An environment's task as the registry holds it: `env.toml`, or the cart-pole where nothing is
+said.
+"""
 
 from adaptsim_jax.environments.config import EnvironmentConfig
 from adaptsim_jax.environments.simulated import OWN, load
 from adaptsim_jax.environments.task import Setting, setting_of, task_of
 from adaptsim_jax.tasks.base import Task, TaskKind
 
-# Phase 1 at a fifth of the pendulum's size: a trajectory costs eleven episodes, and eight more that scale its reward
+# Phase 1 at a fifth of the pendulum's size: a trajectory costs eleven episodes, and eight more that
+# scale its reward
 TRAIN = {
     "every": 5,
     "phase1": {
@@ -17,7 +20,9 @@ TRAIN = {
 
 
 def make_environment(config: EnvironmentConfig) -> Task:
-    """The task of `config`; its policy is trained by its `preparation`. BadInput names a field, a target or a key at fault."""
+    """The task of `config`; its policy is trained by its `preparation`. BadInput names a field, a
+    target or a key at fault.
+    """
     return task_of(environment_setting(config))
 
 

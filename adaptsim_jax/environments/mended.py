@@ -16,40 +16,56 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.given import finite
 
 SAID = {*HELD, *ACTUATED} - {"delay", "actuator_lag"}
-BODY, JOINT, ACTUATOR = mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtObj.mjOBJ_JOINT, mujoco.mjtObj.mjOBJ_ACTUATOR
+BODY, JOINT, ACTUATOR = (
+    mujoco.mjtObj.mjOBJ_BODY,
+    mujoco.mjtObj.mjOBJ_JOINT,
+    mujoco.mjtObj.mjOBJ_ACTUATOR,
+)
 SIMPLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 WORDS = {BODY: ("body", "nbody"), JOINT: ("joint", "njnt"), ACTUATOR: ("actuator", "nu")}
 ARRAYS = {
     BODY: ("body_mass", "body_ipos", "body_iquat", "body_inertia"),
     JOINT: ("jnt_stiffness", "dof_damping", "dof_frictionloss", "dof_armature", "qpos_spring"),
-    ACTUATOR: ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange", "actuator_forcelimited"),
+    ACTUATOR: (
+        "actuator_gainprm",
+        "actuator_biasprm",
+        "actuator_forcerange",
+        "actuator_forcelimited",
+    ),
 }
 
 
 def mended(env: Any, path: str | Path) -> Any:
-    """A copy of `env` with what a diagnosis changed in its robot: each number that `model.xml` has otherwise than `declared.xml`, by
-    the names of bodies, joints and actuators, and a delay, which becomes the environment's own.
+    """A copy of `env` with what a diagnosis changed in its robot: each number that `model.xml` has
+    otherwise than `declared.xml`, by the names of bodies, joints and actuators, and a delay, which
+    becomes the environment's own.
 
     Args:
         env: holds an `mjx.Model` and the `mujoco.MjModel` that it was made of.
-        path: of `model.toml`, with `declared.xml` and `model.xml` beside it, as `diagnose --out` writes them.
+        path: of `model.toml`, with `declared.xml` and `model.xml` beside it, as `diagnose --out`
+                writes them.
 
     Returns:
-        An environment of the same kind. BadInput names an effect that no field of a model can say, or a name that `env` has not.
+        An environment of the same kind. BadInput names an effect that no field of a model can say,
+        or a name that `env` has not.
     """
     path = Path(path)
     table = configs.read(path)
     if table.get("task") != "mechanism":
         raise BadInput(
-            f"{path}: task = {table.get('task')!r}; give the model.toml that `adaptsim diagnose` wrote of a robot"
+            f"{path}: task = {table.get('task')!r}; give the model.toml that `adaptsim diagnose` "
+            f"wrote of a robot"
         )
     holder = next((a for a in ("_mjx_model", "mjx_model") if a in vars(env)), None)
     keeper = next((a for a in ("_mj_model", "mj_model") if a in vars(env)), None)
     if holder is None or keeper is None:
         raise BadInput(
-            f"{path}: {type(env).__name__} holds no mj_model and mjx_model of its own, so it cannot be mended"
+            f"{path}: {type(env).__name__} holds no mj_model and mjx_model of its own, so it "
+            f"cannot be mended"
         )
-    declared, found = (_compiled(path.parent / name) for name in (str(table.get("model", DECLARED)), "model.xml"))
+    declared, found = (
+        _compiled(path.parent / name) for name in (str(table.get("model", DECLARED)), "model.xml")
+    )
     native = copy.deepcopy(getattr(env, keeper))
     delay = _delay(table, native, path)
     for kind in ARRAYS:
@@ -66,7 +82,10 @@ def mended(env: Any, path: str | Path) -> Any:
 
 def _compiled(path: Path) -> mujoco.MjModel:
     if not path.exists():
-        raise BadInput(f"{path}: no such file; keep it beside model.toml, as `adaptsim diagnose --out` wrote it")
+        raise BadInput(
+            f"{path}: no such file; keep it beside model.toml, as `adaptsim diagnose --out` wrote "
+            f"it"
+        )
     try:
         return mujoco.MjModel.from_xml_path(str(path))
     except ValueError as error:
@@ -74,31 +93,46 @@ def _compiled(path: Path) -> mujoco.MjModel:
 
 
 def _delay(table: Mapping[str, Any], native: mujoco.MjModel, path: Path) -> float:
-    """s, the same for all actuators. BadInput where it is not, or where an effect is none that a model's fields can say."""
+    """s, the same for all actuators. BadInput where it is not, or where an effect is none that a
+    model's fields can say.
+    """
     late: dict[str, float] = {}
     for k, row in enumerate(table.get("effects", [])):
         name, joint = row.get("name"), row.get("joint")
         if name == "delay":
             value = finite(row.get("parameters", {}).get("delay", {}).get("value"))
             if value is None or value < 0:
-                raise BadInput(f"{path}: effects[{k}]: a delay of {value} s; give 0 or more, or delete the effect")
+                raise BadInput(
+                    f"{path}: effects[{k}]: a delay of {value} s; give 0 or more, or delete the "
+                    f"effect"
+                )
             late[str(joint)] = value
         elif name not in SAID:
             raise BadInput(
-                f"{path}: effects[{k}]: no field of a model says '{name}' of {joint}; delete it from the file to go on without, "
+                f"{path}: effects[{k}]: no field of a model says '{name}' of {joint}; delete it "
+                f"from the file to go on without, "
                 "or train where it is simulated"
             )
     driven = {native.joint(native.actuator_trnid[i, 0]).name for i in range(native.nu)}
     if late and (set(late) != driven or np.ptp(list(late.values())) > 1e-9):
         told = ", ".join(f"{joint} {value:g} s" for joint, value in late.items())
-        raise BadInput(f"{path}: delays differ between actuators ({told}); an environment has one: give all the same")
+        raise BadInput(
+            f"{path}: delays differ between actuators ({told}); an environment has one: give all "
+            f"the same"
+        )
     return max(late.values(), default=0.0)
 
 
 def _copied(
-    kind: mujoco.mjtObj, native: mujoco.MjModel, declared: mujoco.MjModel, found: mujoco.MjModel, path: Path
+    kind: mujoco.mjtObj,
+    native: mujoco.MjModel,
+    declared: mujoco.MjModel,
+    found: mujoco.MjModel,
+    path: Path,
 ) -> None:
-    """What `found` has otherwise than `declared` into `native`; of actuators, what it has otherwise than `native`."""
+    """What `found` has otherwise than `declared` into `native`; of actuators, what it has otherwise
+    than `native`.
+    """
     word, count = WORDS[kind]
     for i in range(getattr(found, count)):
         name = mujoco.mj_id2name(found, kind, i)
@@ -108,8 +142,13 @@ def _copied(
         own = mujoco.mj_name2id(native, kind, name)
         for array in ARRAYS[kind]:
             value = getattr(found, array)[_row(found, array, i)]
-            other, at = (native, own) if kind == ACTUATOR and own >= 0 else (declared, was)
-            if np.allclose(value, getattr(other, array)[_row(other, array, at)], rtol=1e-9, atol=1e-12):
+            if kind == ACTUATOR and own >= 0:
+                other, at = (native, own)
+            else:
+                other, at = (declared, was)
+            if np.allclose(
+                value, getattr(other, array)[_row(other, array, at)], rtol=1e-9, atol=1e-12
+            ):
                 continue
             if own < 0:
                 known = [mujoco.mj_id2name(native, kind, k) for k in range(getattr(native, count))]
@@ -122,4 +161,6 @@ def _row(model: mujoco.MjModel, array: str, number: int) -> int:
     """Where the thing of that number stands in `array`."""
     if array.startswith("dof"):
         return int(model.jnt_dofadr[number])
-    return int(model.jnt_qposadr[number]) if array.startswith("qpos") else number
+    if array.startswith("qpos"):
+        return int(model.jnt_qposadr[number])
+    return number

@@ -15,7 +15,9 @@ from adaptsim_jax.environments.simulated import advance
 
 
 class State(NamedTuple):
-    """`obs [O]`, `reward []`, `done []` (1 where the episode is over) of a moment, and MuJoCo's `data` at it."""
+    """`obs [O]`, `reward []`, `done []` (1 where the episode is over) of a moment, and MuJoCo's
+    `data` at it.
+    """
 
     data: Any
     obs: jax.Array
@@ -29,9 +31,11 @@ class ModelEnvironment:
     Args:
         mjcf: a file, or its text; impl "jax" of MJX, every actuator with a `ctrlrange`.
         observe: `(data) -> [O]`. reward: `(data, action) -> []`, of a step.
-        start: `(key, qpos0 [nq]) -> (qpos [nq], qvel [nv])`; by default within 0.01 of `qpos0`, at rest.
+        start: `(key, qpos0 [nq]) -> (qpos [nq], qvel [nv])`; by default within 0.01 of `qpos0`, at
+                rest.
         done: `(data) -> []`, whether the episode ends there; by default it does not.
-        control_dt: s between actions, a multiple of the file's time step; length: steps of an episode.
+        control_dt: s between actions, a multiple of the file's time step; length: steps of an
+                episode.
         fields: Omega where nobody says otherwise.
     """
 
@@ -48,26 +52,41 @@ class ModelEnvironment:
         fields: dict[str, Any] | None = None,
     ):
         text = str(mjcf).lstrip()
-        made = mujoco.MjModel.from_xml_string if text.startswith("<") else mujoco.MjModel.from_xml_path
+        if text.startswith("<"):
+            made = mujoco.MjModel.from_xml_string
+        else:
+            made = mujoco.MjModel.from_xml_path
         try:
             self.mj_model = made(str(mjcf))
         except ValueError as error:
-            raise BadInput(f"{'MJCF' if text.startswith('<') else mjcf}: {' '.join(str(error).split())}") from None
+            raise BadInput(
+                f"{'MJCF' if text.startswith('<') else mjcf}: {' '.join(str(error).split())}"
+            ) from None
         if not self.mj_model.nu or not np.all(self.mj_model.actuator_ctrllimited):
             raise BadInput(
-                "MJCF: each actuator needs a ctrlrange, which actions in [-1, 1] are laid over; there is none"
+                "MJCF: each actuator needs a ctrlrange, which actions in [-1, 1] are laid over; "
+                "there is none"
             )
         self.substeps = round(control_dt / self.mj_model.opt.timestep)
         if self.substeps < 1 or abs(self.substeps * self.mj_model.opt.timestep - control_dt) > 1e-9:
             raise BadInput(
-                f"control_dt = {control_dt} s is no multiple of the file's time step {self.mj_model.opt.timestep} s"
+                f"control_dt = {control_dt} s is no multiple of the file's time step "
+                f"{self.mj_model.opt.timestep} s"
             )
         self.mjx_model = mjx.put_model(self.mj_model, impl="jax")
         self.fields = fields or {}
-        self.observe, self.reward_of, self.start, self.done_of = observe, reward, start or self._near, done
+        self.observe, self.reward_of, self.start, self.done_of = (
+            observe,
+            reward,
+            start or self._near,
+            done,
+        )
         self.dt, self.length, self.action_size = control_dt, length, self.mj_model.nu
         low, high = self.mj_model.actuator_ctrlrange.T
-        self._middle, self._half = (low + high).astype(np.float32) / 2, (high - low).astype(np.float32) / 2
+        self._middle, self._half = (
+            (low + high).astype(np.float32) / 2,
+            (high - low).astype(np.float32) / 2,
+        )
         self._blank = mjx.make_data(self.mj_model, impl="jax")
 
     def _near(self, key, qpos):
@@ -85,5 +104,8 @@ class ModelEnvironment:
         return self._seen(advance(self.mjx_model, state.data, ctrl, self.substeps), action)
 
     def _seen(self, data, action) -> State:
-        over = jnp.zeros(()) if self.done_of is None else jnp.asarray(self.done_of(data), jnp.float32)
+        if self.done_of is None:
+            over = jnp.zeros(())
+        else:
+            over = jnp.asarray(self.done_of(data), jnp.float32)
         return State(data, self.observe(data), self.reward_of(data, action), over)

@@ -1,7 +1,8 @@
-"""Predictive sampling: no training, the policy is the simulator with E's mean (Howell et al. 2022, "Predictive sampling").
+"""Predictive sampling: no training, the policy is the simulator with E's mean (Howell et al. 2022,
+"Predictive sampling").
 
-At every step the plan so far and noisy copies of it are rolled out in the simulator from where the target is; the best is gone on
-with, and its first action made.
+At every step the plan so far and noisy copies of it are rolled out in the simulator from where the
+target is; the best is gone on with, and its first action made.
 """
 
 from dataclasses import dataclass
@@ -17,8 +18,9 @@ from adaptsim_jax.space import Space
 
 @dataclass(frozen=True)
 class PlannerConfig:
-    """samples: plans tried at each step; horizon: steps ahead; knots: of a plan, between which actions are interpolated; noise:
-    standard deviation of what is added to them."""
+    """samples: plans tried at each step; horizon: steps ahead; knots: of a plan, between which
+    actions are interpolated; noise: standard deviation of what is added to them.
+    """
 
     samples: int = 16
     horizon: int = 40
@@ -27,11 +29,15 @@ class PlannerConfig:
 
     def __post_init__(self):
         if min(self.samples, self.horizon, self.knots) < 2 or not self.noise > 0:
-            raise BadInput(f"planner: {self}: give at least 2 samples, steps and knots, and a noise above 0")
+            raise BadInput(
+                f"planner: {self}: give at least 2 samples, steps and knots, and a noise above 0"
+            )
 
 
 def make_planner(play: Play, space: Space, config: PlannerConfig) -> Acting:
-    """Plans by the whole state of the target, in the world at `policy.mean` (unit coordinates `[D]`, other fields nominal)."""
+    """Plans by the whole state of the target, in the world at `policy.mean` (unit coordinates
+    `[D]`, other fields nominal).
+    """
     A, H, K = play.sim.action_dim, config.horizon, config.knots
     at = jnp.linspace(0.0, K - 1.0, H)
     knots = jnp.arange(K)[None]

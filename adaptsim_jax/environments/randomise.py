@@ -1,4 +1,6 @@
-"""Domain randomisation in the form that Playground and Brax take: `(model, rng [B]) -> (models, in_axes)`."""
+"""Domain randomisation in the form that Playground and Brax take: `(model, rng [B]) -> (models,
+in_axes)`.
+"""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -10,21 +12,28 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.environments.fields import edited, space_of
 
 
-def domain_randomize(native: mujoco.MjModel, ranges: Mapping[str, Any]) -> Callable[[Any, jax.Array], tuple[Any, Any]]:
+def domain_randomize(
+    native: mujoco.MjModel, ranges: Mapping[str, Any]
+) -> Callable[[Any, jax.Array], tuple[Any, Any]]:
     """Fields by name, each drawn from its range for every environment.
 
     Args:
         native: the model that `ranges` names fields of.
-        ranges: for each name `[low, high]`, or `[low, high, "log"]`, as in env.toml; not those of the interface, such as `delay`.
+        ranges: for each name `[low, high]`, or `[low, high, "log"]`, as in env.toml; not those of
+                the interface, such as `delay`.
 
     Returns:
-        `randomize(model, rng [B]) -> (models, in_axes)`: an `mjx.Model` whose edited arrays have a leading axis `[B]`, and the pytree
-        that says which, as `randomization_fn` of Playground's and Brax's training takes it.
+        `randomize(model, rng [B]) -> (models, in_axes)`: an `mjx.Model` whose edited arrays have a
+        leading axis `[B]`, and the pytree that says which, as `randomization_fn` of Playground's
+        and Brax's training takes it.
     """
     space, fields = space_of(native, ranges)
     for field in fields:
         if not field.edits:
-            raise BadInput(f"domain_randomize: '{field.name}' is of the interface, not of the model; leave it out")
+            raise BadInput(
+                f"domain_randomize: '{field.name}' is of the interface, not of the model; leave it "
+                f"out"
+            )
     arrays = sorted({edit.array for field in fields for edit in field.edits})
 
     def randomize(model: Any, rng: jax.Array) -> tuple[Any, Any]:

@@ -13,8 +13,10 @@ WINDOWS, EARLY, LATE = 4, 8, 4
 
 
 class Acting(NamedTuple):
-    """A policy at work: `start(policy) -> memory`, `act(key, policy, memory, live) -> (action [A], memory)`; pure.
-    luck: `(obs [O]) -> []`, by how much a start is worth more than others, as a return."""
+    """A policy at work: `start(policy) -> memory`, `act(key, policy, memory, live) -> (action [A],
+    memory)`; pure. luck: `(obs [O]) -> []`, by how much a start is worth more than others, as a
+    return.
+    """
 
     start: Callable[[Any], Any]
     act: Callable[[jax.Array, Any, Any, Live], tuple[jax.Array, Any]]
@@ -22,8 +24,9 @@ class Acting(NamedTuple):
 
 
 class Rollout(NamedTuple):
-    """Of one visit, means over its episodes: return `score []`, `luck []`, which of it the start brought, `length []` in steps,
-    `features [K]`."""
+    """Of one visit, means over its episodes: return `score []`, `luck []`, which of it the start
+    brought, `length []` in steps, `features [K]`.
+    """
 
     score: jax.Array
     luck: jax.Array
@@ -32,7 +35,9 @@ class Rollout(NamedTuple):
 
 
 class Steps(NamedTuple):
-    """Of one episode, `[T, ...]`: observation before each step, action, reward, and 1 while it goes on."""
+    """Of one episode, `[T, ...]`: observation before each step, action, reward, and 1 while it goes
+    on.
+    """
 
     obs: jax.Array
     action: jax.Array
@@ -40,8 +45,12 @@ class Steps(NamedTuple):
     on: jax.Array
 
 
-def episode(key: jax.Array, play: Play, acting: Acting, policy: Any, values: jax.Array) -> tuple[Steps, Live]:
-    """One episode of `policy` in the world of `values [F]`: its steps, and the environment's end."""
+def episode(
+    key: jax.Array, play: Play, acting: Acting, policy: Any, values: jax.Array
+) -> tuple[Steps, Live]:
+    """One episode of `policy` in the world of `values [F]`: its steps, and the environment's
+    end.
+    """
     reset_key, act_key = jax.random.split(key)
     world = play.world(values)
     live = play.reset(world, reset_key)
@@ -59,13 +68,18 @@ def episode(key: jax.Array, play: Play, acting: Acting, policy: Any, values: jax
 
 
 def look(steps: Steps, acting: Acting) -> Rollout:
-    """What is kept of an episode: means, spreads and step changes of each observed channel and action in each of four quarters, and
-    the observation at twelve moments, most of them early, where a policy has not yet forgotten where it began."""
+    """What is kept of an episode: means, spreads and step changes of each observed channel and
+    action in each of four quarters, and the observation at twelve moments, most of them early,
+    where a policy has not yet forgotten where it began.
+    """
     T = steps.obs.shape[0]
     rows = jnp.concatenate([steps.obs, steps.action], -1)
     part = max(T // WINDOWS, 1)
     count = min(WINDOWS, T)
-    cut = lambda x: x[: part * count].reshape(count, part, *x.shape[1:])
+
+    def cut(x):
+        return x[: part * count].reshape(count, part, *x.shape[1:])
+
     on = cut(steps.on)[..., None]
     size = jnp.maximum(on.sum(1), 1.0)
     quarters = cut(rows)
@@ -81,28 +95,39 @@ def look(steps: Steps, acting: Acting) -> Rollout:
     return Rollout(score, acting.luck(steps.obs[0]), length, jnp.concatenate(flat))
 
 
-def visit(key: jax.Array, play: Play, acting: Acting, policy: Any, values: jax.Array, trials: int) -> Rollout:
+def visit(
+    key: jax.Array, play: Play, acting: Acting, policy: Any, values: jax.Array, trials: int
+) -> Rollout:
     """`trials` episodes from fresh starts, averaged."""
-    one = lambda k: look(episode(k, play, acting, policy, values)[0], acting)
+
+    def one(k):
+        return look(episode(k, play, acting, policy, values)[0], acting)
+
     if trials == 1:
         return one(key)
     return jax.tree.map(lambda x: x.mean(0), jax.vmap(one)(jax.random.split(key, trials)))
 
 
 class Shown(NamedTuple):
-    """How features become an observation: centre `[K]`, and principal axes `[C, K]` scaled to unit variance."""
+    """How features become an observation: centre `[K]`, and principal axes `[C, K]` scaled to unit
+    variance.
+    """
 
     centre: jax.Array
     axes: jax.Array
 
     def __call__(self, features: jax.Array) -> jax.Array:
         """`[K] -> [C]`; near enough linear to 1, logarithmic far out."""
-        x = self.axes @ jnp.clip(jnp.nan_to_num(features - self.centre, posinf=1e6, neginf=-1e6), -1e6, 1e6)
+        x = self.axes @ jnp.clip(
+            jnp.nan_to_num(features - self.centre, posinf=1e6, neginf=-1e6), -1e6, 1e6
+        )
         return jnp.sign(x) * jnp.log1p(jnp.abs(x))
 
 
 def whitened(features: np.ndarray, components: int) -> Shown:
-    """Principal axes of `features [N, K]`, each channel to unit variance first, since units differ."""
+    """Principal axes of `features [N, K]`, each channel to unit variance first, since units
+    differ.
+    """
     data = features[np.isfinite(features).all(1)].astype(np.float64)
     centre, spread = data.mean(0), data.std(0) + 1e-6
     _, sizes, axes = np.linalg.svd((data - centre) / spread, full_matrices=False)

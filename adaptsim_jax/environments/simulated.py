@@ -1,7 +1,9 @@
-"""An environment as pure functions of its model: anything with `reset(key)` and `step(state, action)` over an `mjx.Model`.
+"""An environment as pure functions of its model: anything with `reset(key)` and `step(state,
+action)` over an `mjx.Model`.
 
-MuJoCo Playground and Brax hold the model as an attribute, and close their functions over it. Here a shallow copy of the environment
-holds the model that it is given, a tracer under `jit`: parameters are arguments, and one compiled step serves all of them.
+MuJoCo Playground and Brax hold the model as an attribute, and close their functions over it. Here a
+shallow copy of the environment holds the model that it is given, a tracer under `jit`: parameters
+are arguments, and one compiled step serves all of them.
 """
 
 import contextlib
@@ -25,15 +27,20 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.environments.fields import Field, edit_native, edited
 
 Physics = Callable[[Any, Any, Any, int], Any]  # (model, data, ctrl [nu], substeps) -> data
-OWN = {"cartpole": "adaptsim_jax.environments.cartpole:make", "arm": "adaptsim_jax.environments.arm:make"}
+OWN = {
+    "cartpole": "adaptsim_jax.environments.cartpole:make",
+    "arm": "adaptsim_jax.environments.arm:make",
+}
 
 
 @dataclass(frozen=True)
 class Simulated:
-    """Pure functions of one sample. `model`: a pytree, of which `edit` replaces the fields; actions lie in [-1, 1].
+    """Pure functions of one sample. `model`: a pytree, of which `edit` replaces the fields; actions
+    lie in [-1, 1].
 
-    native: the file's model, None where there is none (gymnax). length: steps of an episode, of `dt` s each. interface: nominal
-    values of its fields, where they are others than usual (a delay that was measured).
+    native: the file's model, None where there is none (gymnax). length: steps of an episode, of
+    `dt` s each. interface: nominal values of its fields, where they are others than usual (a delay
+    that was measured).
     """
 
     name: str
@@ -44,7 +51,9 @@ class Simulated:
     dt: float
     reset: Callable[[Any, jax.Array], Any]  # (model, key) -> state
     step: Callable[..., Any]  # (model, state, action [A], physics=None) -> state
-    seen: Callable[[Any], tuple[jax.Array, jax.Array, jax.Array]]  # state -> obs [O], reward [], done [] (float)
+    seen: Callable[
+        [Any], tuple[jax.Array, jax.Array, jax.Array]
+    ]  # state -> obs [O], reward [], done [] (float)
     data: Callable[[Any], Any]  # state -> mjx.Data, None where there is none
     edit: Callable[[Any, tuple[Field, ...], jax.Array], Any] = edited
     interface: Mapping[str, float] = field(default_factory=dict)
@@ -52,22 +61,35 @@ class Simulated:
     @property
     def names(self) -> Any:
         """Where fields are found by name: the file's model, or gymnax's parameters."""
-        return self.model if self.native is None else self.native
+        if self.native is None:
+            return self.model
+        return self.native
 
 
 def load(name: str, options: dict[str, Any] | None = None, where: str = "env") -> Any:
-    """The environment called `name`: `cartpole` or `arm` of ours, `playground:NAME`, `brax:NAME`, `gymnax:NAME`, `module:function`
-    or `file.py:function`. options: given to it. BadInput says what is missing, and how to get it."""
+    """The environment called `name`: `cartpole` or `arm` of ours, `playground:NAME`, `brax:NAME`,
+    `gymnax:NAME`, `module:function` or `file.py:function`. options: given to it. BadInput says what
+    is missing, and how to get it.
+    """
     home, colon, thing = OWN.get(name, name).rpartition(":")
     options = dict(options or {})
     if not colon:
-        known = [*OWN, "playground:NAME", "brax:NAME", "gymnax:NAME", "module:function", "file.py:function"]
+        known = [
+            *OWN,
+            "playground:NAME",
+            "brax:NAME",
+            "gymnax:NAME",
+            "module:function",
+            "file.py:function",
+        ]
         raise BadInput(f"{where}: environment '{name}' is unknown; {suggest(name, known)}")
     if home in _PEERS:
         return _PEERS[home](thing, options, where)
     made = getattr(_module(home, where), thing, None)
     if not callable(made):
-        raise BadInput(f"{where}: '{home}' has no function '{thing}'; name the one that makes the environment")
+        raise BadInput(
+            f"{where}: '{home}' has no function '{thing}'; name the one that makes the environment"
+        )
     try:
         inspect.signature(made).bind(**options)
     except TypeError as error:
@@ -90,7 +112,8 @@ def _module(home: str, where: str) -> Any:
         return importlib.import_module(home)
     except ModuleNotFoundError as error:
         raise BadInput(
-            f"{where}: no module '{error.name}'; install it, or name a file: path/to/{home}.py:function"
+            f"{where}: no module '{error.name}'; install it, or name a file: "
+            f"path/to/{home}.py:function"
         ) from None
 
 
@@ -101,13 +124,20 @@ def _playground(name: str, options: dict[str, Any], where: str) -> Any:
     known = registry.get_default_config(name)
     for key in options:
         if key not in known:
-            raise BadInput(f"{where}: options.{key}: '{name}' has no such option; {suggest(key, known)}")
+            raise BadInput(
+                f"{where}: options.{key}: '{name}' has no such option; {suggest(key, known)}"
+            )
     if "impl" in known:
-        options = {"impl": "jax"} | options  # Playground's own default is for GPUs, and twenty times slower on a CPU
+        options = {
+            "impl": "jax"
+        } | options  # Playground's own default is for GPUs, and twenty times slower on a CPU
     if options.get("impl") == "warp":
         _peer("warp", "warp-lang", f'{where}: impl = "warp"')
         if jax.default_backend() == "cpu":
-            print(f'{where}: impl = "warp" is slow on a CPU; set impl = "jax" in [options]', file=sys.stderr)
+            print(
+                f'{where}: impl = "warp" is slow on a CPU; set impl = "jax" in [options]',
+                file=sys.stderr,
+            )
     return registry.load(name, config_overrides=options)
 
 
@@ -127,7 +157,9 @@ def _peer(module: str, package: str, where: str) -> Any:
     try:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
-        raise BadInput(f"{where}: needs {package} ({error.name} is missing); pip install {package}") from None
+        raise BadInput(
+            f"{where}: needs {package} ({error.name} is missing); pip install {package}"
+        ) from None
 
 
 _PEERS: dict[str, Callable[[str, dict[str, Any], str], Any]] = {
@@ -137,25 +169,37 @@ _PEERS: dict[str, Callable[[str, dict[str, Any], str], Any]] = {
 }
 
 
-def simulated(env: Any, fields: tuple[Field, ...] = (), length: int = 0, where: str = "env") -> Simulated:
-    """`env` as pure functions of its model. fields: those that will be edited; where the file has one of them at 0, such as a dry
-    friction, the model is built so that it can act. BadInput where `env` has no `reset` or `step`, or no model to edit."""
+def simulated(
+    env: Any, fields: tuple[Field, ...] = (), length: int = 0, where: str = "env"
+) -> Simulated:
+    """`env` as pure functions of its model. fields: those that will be edited; where the file has
+    one of them at 0, such as a dry friction, the model is built so that it can act. BadInput where
+    `env` has no `reset` or `step`, or no model to edit.
+    """
     for name in ("reset", "step"):
         if not callable(getattr(env, name, None)):
             raise BadInput(
-                f"{where}: the environment has no {name}(...); see docs/howto/environment.md for what it needs"
+                f"{where}: the environment has no {name}(...); see docs/howto/environment.md for "
+                f"what it needs"
             )
     holder = next((a for a in ("_mjx_model", "mjx_model", "sys") if hasattr(env, a)), None)
     if holder is None:
         raise BadInput(
-            f"{where}: the environment holds no mjx.Model (as mjx_model or sys), so it has no fields to adapt"
+            f"{where}: the environment holds no mjx.Model (as mjx_model or sys), so it has no "
+            f"fields to adapt"
         )
     for name in ("action_size", "dt"):
         if not hasattr(env, name):
-            raise BadInput(f"{where}: the environment has no {name}; see docs/howto/environment.md for what it needs")
+            raise BadInput(
+                f"{where}: the environment has no {name}; see docs/howto/environment.md for what "
+                f"it needs"
+            )
     native = getattr(env, "mj_model", None) or getattr(getattr(env, "sys", None), "mj_model", None)
     if native is None:
-        raise BadInput(f"{where}: the environment holds no mujoco.MjModel (as mj_model) to find names in; add it")
+        raise BadInput(
+            f"{where}: the environment holds no mujoco.MjModel (as mj_model) to find names in; add "
+            f"it"
+        )
 
     def bound(model):
         one = copy.copy(env)
@@ -171,7 +215,10 @@ def simulated(env: Any, fields: tuple[Field, ...] = (), length: int = 0, where: 
             return bound(model).step(state, action)
 
     def seen(state):
-        obs = state.obs["state"] if isinstance(state.obs, dict) else state.obs
+        if isinstance(state.obs, dict):
+            obs = state.obs["state"]
+        else:
+            obs = state.obs
         done = jnp.asarray(state.done, jnp.float32)
         return obs.astype(jnp.float32), jnp.asarray(state.reward, jnp.float32), done
 
@@ -197,15 +244,21 @@ def _length(env: Any) -> int:
 
 
 def _awake(model: Any, native: mujoco.MjModel, fields: tuple[Field, ...]) -> Any:
-    """`model` with room for dry friction where a field has some and the file has none: MJX lays its rows out when it is built."""
-    asleep = [f for f in fields if any("frictionloss" in e.array for e in f.edits) and f.nominal == 0]
+    """`model` with room for dry friction where a field has some and the file has none: MJX lays its
+    rows out when it is built.
+    """
+    asleep = [
+        f for f in fields if any("frictionloss" in e.array for e in f.edits) and f.nominal == 0
+    ]
     if not asleep:
         return model
     own = copy.copy(native)
     edit_native(own, asleep, [1.0] * len(asleep))
     built = mjx.put_model(own, impl=model.impl.value)
     back = {e.array for f in asleep for e in f.edits}
-    return built.tree_replace({array: jnp.asarray(getattr(native, array), jnp.float32) for array in back})
+    return built.tree_replace(
+        {array: jnp.asarray(getattr(native, array), jnp.float32) for array in back}
+    )
 
 
 _ACTING: list[Physics] = []  # what steps the model while a target is traced; empty: MJX
@@ -213,9 +266,11 @@ _ACTING: list[Physics] = []  # what steps the model while a target is traced; em
 
 @contextlib.contextmanager
 def _physics(physics: Physics | None, name: str) -> Iterator[None]:
-    """Within it environments step by `physics`: ours ask `advance`, Playground's a function of its module, others `mjx.step`.
+    """Within it environments step by `physics`: ours ask `advance`, Playground's a function of its
+    module, others `mjx.step`.
 
-    Raises BadInput where none of these was asked for: the target would be the simulator again, without a word.
+    Raises BadInput where none of these was asked for: the target would be the simulator again,
+    without a word.
     """
     if physics is None:
         yield
@@ -231,7 +286,9 @@ def _physics(physics: Physics | None, name: str) -> Iterator[None]:
     _ACTING.append(counted)
     mjx.step = lambda model, data: counted(model, data, data.ctrl, 1)
     if peer is not None:
-        peer.step = lambda model, data, action, n_substeps=1: counted(model, data, action, n_substeps)
+        peer.step = lambda model, data, action, n_substeps=1: counted(
+            model, data, action, n_substeps
+        )
     try:
         yield
     finally:
@@ -242,7 +299,8 @@ def _physics(physics: Physics | None, name: str) -> Iterator[None]:
     if not asked:
         raise BadInput(
             f"{name}: its step does not reach the target's physics; call mjx.step, or advance of "
-            'adaptsim_jax.environments.simulated, inside of step and without a jit of its own, or write engine = "simulator"'
+            "adaptsim_jax.environments.simulated, inside of step and without a jit of its own, or "
+            'write engine = "simulator"'
         )
 
 

@@ -1,7 +1,9 @@
-"""d(return)/d(E's mean), through the policy that knows E and the simulator's steps: forward mode, for environments without contact.
+"""d(return)/d(E's mean), through the policy that knows E and the simulator's steps: forward mode,
+for environments without contact.
 
-Over many steps such derivatives grow without bound where the motion is unstable. They are then truncated: a window of so many steps
-counts how an action moves the states after it, and what went before the window counts for nothing.
+Over many steps such derivatives grow without bound where the motion is unstable. They are then
+truncated: a window of so many steps counts how an action moves the states after it, and what went
+before the window counts for nothing.
 """
 
 from collections.abc import Callable
@@ -19,8 +21,10 @@ SHORTEST = 5  # steps of a window
 
 
 class Slope(NamedTuple):
-    """The mean return `score []` over the starts, its derivative by E's mean `gradient [D]` (unit coordinates), and the window [steps]
-    that it was taken over; 0 where none is short enough, and the gradient 0."""
+    """The mean return `score []` over the starts, its derivative by E's mean `gradient [D]` (unit
+    coordinates), and the window [steps] that it was taken over; 0 where none is short enough, and
+    the gradient 0.
+    """
 
     score: float
     gradient: np.ndarray
@@ -28,11 +32,12 @@ class Slope(NamedTuple):
 
 
 def make_slope(play: Play, acting: Acting, policy_of: Callable[..., Any]) -> Callable:
-    """`slope(keys [N], mean [D], values [F], *more) -> Slope`: over N starts, with the longest window whose derivatives do not
-    explode.
+    """`slope(keys [N], mean [D], values [F], *more) -> Slope`: over N starts, with the longest
+    window whose derivatives do not explode.
 
     Args:
-        play: a simulation, not MuJoCo C. acting, policy_of: of the task's policies, `policy_of(mean, *more) -> policy`.
+        play: a simulation, not MuJoCo C. acting, policy_of: of the task's policies,
+            `policy_of(mean, *more) -> policy`.
     """
 
     def score(mean, key, values, window, *more):
@@ -42,7 +47,10 @@ def make_slope(play: Play, acting: Acting, policy_of: Callable[..., Any]) -> Cal
         def step(carry, row):
             live, memory, on = carry
             key, number = row
-            held = lambda x: jnp.where(number % window == 0, jax.lax.stop_gradient(x), x)
+
+            def held(x):
+                return jnp.where(number % window == 0, jax.lax.stop_gradient(x), x)
+
             live = jax.tree.map(held, live)
             action, memory = acting.act(key, policy, memory, live)
             after = play.step(world, live, action)
@@ -56,7 +64,9 @@ def make_slope(play: Play, acting: Acting, policy_of: Callable[..., Any]) -> Cal
 
     @jax.jit
     def every(keys, *rest):
-        one = lambda key: jax.jacfwd(lambda mean, *more: score(mean, key, *more), has_aux=True)(*rest)
+        def one(key):
+            return jax.jacfwd(lambda mean, *more: score(mean, key, *more), has_aux=True)(*rest)
+
         return jax.vmap(one)(keys)
 
     def slope(keys: jax.Array, mean: Any, values: Any, *more: Any) -> Slope:

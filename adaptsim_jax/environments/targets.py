@@ -1,8 +1,10 @@
-"""Targets: the same model in MuJoCo C, with another integrator, a smaller step, and what Omega cannot say.
+"""Targets: the same model in MuJoCo C, with another integrator, a smaller step, and what Omega
+cannot say.
 
-A target is a table of values by field name, of Omega or not: dry friction, a delay beyond the box, a weaker motor, a payload. What it
-does not name is as the file has it. Beside them it may say its `engine`: `mujoco` (C; by default) or `simulator`; `integrator`;
-`steps`: how many of its steps make one of the file's.
+A target is a table of values by field name, of Omega or not: dry friction, a delay beyond the box,
+a weaker motor, a payload. What it does not name is as the file has it. Beside them it may say its
+`engine`: `mujoco` (C; by default) or `simulator`; `integrator`; `steps`: how many of its steps make
+one of the file's.
 """
 
 import copy
@@ -21,7 +23,12 @@ from adaptsim_jax.core.given import brief, finite
 from adaptsim_jax.environments.fields import Field, edit_native, field_of
 
 ENGINE = {"engine": "mujoco", "integrator": "implicitfast", "steps": 2}
-SOLVED = 100, 50  # iterations of the solver and its line search at most: a file may say few of them, for MJX's speed
+SOLVED = (
+    100,
+    50,
+    # iterations of the solver and its line search at most: a file may say few of them, for MJX's
+    # speed
+)
 INTEGRATORS = {
     "Euler": mujoco.mjtIntegrator.mjINT_EULER,
     "RK4": mujoco.mjtIntegrator.mjINT_RK4,
@@ -39,19 +46,27 @@ class Target(NamedTuple):
     steps: int
 
 
-def hidden_fields(model: Any, targets: Mapping[str, Any], omega: tuple[Field, ...]) -> tuple[Field, ...]:
-    """The fields that some target names and Omega does not have, in the order in which they come."""
+def hidden_fields(
+    model: Any, targets: Mapping[str, Any], omega: tuple[Field, ...]
+) -> tuple[Field, ...]:
+    """The fields that some target names and Omega does not have, in the order in which they
+    come.
+    """
     names: dict[str, str] = {}
     for target, table in targets.items():
         if not isinstance(table, Mapping):
-            raise BadInput(f"targets.{target}: is no table; write [targets.{target}] and a line for each field")
+            raise BadInput(
+                f"targets.{target}: is no table; write [targets.{target}] and a line for each field"
+            )
         for name in table:
             if name not in ENGINE and name not in {f.name for f in omega}:
                 names.setdefault(name, target)
     return tuple(field_of(model, name, f"targets.{target}") for name, target in names.items())
 
 
-def target_of(name: str, table: Mapping[str, Any], fields: tuple[Field, ...], compiled: bool) -> Target:
+def target_of(
+    name: str, table: Mapping[str, Any], fields: tuple[Field, ...], compiled: bool
+) -> Target:
     """The target called `name`. compiled: there is a MuJoCo model, so that C can run it."""
     values = np.array([f.nominal for f in fields], np.float64)
     for i, field in enumerate(fields):
@@ -66,20 +81,29 @@ def target_of(name: str, table: Mapping[str, Any], fields: tuple[Field, ...], co
     engine = configs.pick("engine", str(said["engine"]), ("mujoco", "simulator"))
     configs.pick("integrator", str(said["integrator"]), INTEGRATORS)
     if type(said["steps"]) is not int or said["steps"] < 1:
-        raise BadInput(f"targets.{name}: steps = {brief(said['steps'])}; give a whole number of 1 or more")
+        raise BadInput(
+            f"targets.{name}: steps = {brief(said['steps'])}; give a whole number of 1 or more"
+        )
     return Target(values, engine if compiled else "simulator", said["integrator"], said["steps"])
 
 
-def native_physics(model: mujoco.MjModel, fields: tuple[Field, ...], target: Target, threads: int = 2) -> Callable:
-    """`physics(model, data, ctrl [nu], substeps) -> data`: MuJoCo C with the target's values, whatever the model that is given says.
+def native_physics(
+    model: mujoco.MjModel, fields: tuple[Field, ...], target: Target, threads: int = 2
+) -> Callable:
+    """`physics(model, data, ctrl [nu], substeps) -> data`: MuJoCo C with the target's values,
+    whatever the model that is given says.
 
-    Derived quantities are those of the state before the last of the file's steps, as MJX leaves them.
+    Derived quantities are those of the state before the last of the file's steps, as MJX leaves
+    them.
     """
     c = copy.deepcopy(model)
     edit_native(c, fields, target.values)
     c.opt.timestep = model.opt.timestep / target.steps
     c.opt.integrator = INTEGRATORS[target.integrator]
-    c.opt.iterations, c.opt.ls_iterations = max(c.opt.iterations, SOLVED[0]), max(c.opt.ls_iterations, SOLVED[1])
+    c.opt.iterations, c.opt.ls_iterations = (
+        max(c.opt.iterations, SOLVED[0]),
+        max(c.opt.ls_iterations, SOLVED[1]),
+    )
     nq, nv, held = c.nq, c.nv, 1 + c.nq + c.nv + c.na  # of a state: time, qpos, qvel, act
     pool, datas = rollout.Rollout(nthread=threads), [mujoco.MjData(c) for _ in range(threads)]
     spec = mujoco.mjtState.mjSTATE_FULLPHYSICS

@@ -1,4 +1,6 @@
-"""`environment_task`: an environment, named fields as Omega, a trainer; a `Task` for Phase 1, Phase 2 and the baselines."""
+"""`environment_task`: an environment, named fields as Omega, a trainer; a `Task` for Phase 1, Phase
+2 and the baselines.
+"""
 
 import contextlib
 import hashlib
@@ -29,13 +31,19 @@ from adaptsim_jax.space import Space
 from adaptsim_jax.tasks.base import Preparation, Task
 
 PAIRS, CHUNK = 512, 10
-BLIND = 0.5  # of training, at its start: told E at once, a policy stops at worse ways to swing up than one that is told nothing
+# of training, at its start: told E at once, a policy stops at worse ways to swing up than one that
+# is told nothing
+BLIND = 0.5
 FORM = 2  # of what is learned: what was learned in another is learned anew
-LEAST_SPREAD = 0.02  # of a target's best return: policies that differ by less are told apart by luck alone
+LEAST_SPREAD = (
+    0.02  # of a target's best return: policies that differ by less are told apart by luck alone
+)
 
 
 class Law(NamedTuple):
-    """A policy that is one network for all of Omega, and E's mean `[D]` (unit coordinates) that it is told."""
+    """A policy that is one network for all of Omega, and E's mean `[D]` (unit coordinates) that it
+    is told.
+    """
 
     mean: jax.Array
 
@@ -48,8 +56,10 @@ class Tuned(NamedTuple):
 
 
 class Prepared(NamedTuple):
-    """What is made once: what the trainer learned (None where nothing is), how what is seen is shown to the adaptation, and what
-    starts are worth `[3]`: mean and standard deviation of the policy's value of them, and the return that a unit of it is worth."""
+    """What is made once: what the trainer learned (None where nothing is), how what is seen is
+    shown to the adaptation, and what starts are worth `[3]`: mean and standard deviation of the
+    policy's value of them, and the return that a unit of it is worth.
+    """
 
     learned: Any
     shown: Shown
@@ -57,8 +67,9 @@ class Prepared(NamedTuple):
 
 
 class Setting(NamedTuple):
-    """All that an environment's task is made of, before anything is learned. `env`: as it was given; fields: Omega's, then those that
-    only targets have, whose nominal values are `rest [R]`."""
+    """All that an environment's task is made of, before anything is learned. `env`: as it was
+    given; fields: Omega's, then those that only targets have, whose nominal values are `rest [R]`.
+    """
 
     config: EnvironmentConfig
     env: Any
@@ -74,17 +85,27 @@ class Setting(NamedTuple):
 def setting_of(
     env: Any, config: EnvironmentConfig, trainer: Callable = make_ppo_trainer, where: str = "env"
 ) -> Setting:
-    """`env` with `config`; all that a person may have got wrong is told here, before anything is compiled."""
+    """`env` with `config`; all that a person may have got wrong is told here, before anything is
+    compiled.
+    """
     raw = environment(env, where=where)
     ranges = config.fields or getattr(env, "fields", {})
     space, omega = space_of(raw.names, ranges, f"{where}, fields")
     table = config.targets or {"nominal": {}}
-    own = lambda f: replace(f, nominal=raw.interface.get(f.name, f.nominal))
+
+    def own(f):
+        return replace(f, nominal=raw.interface.get(f.name, f.nominal))
+
     fields = tuple(map(own, (*omega, *hidden_fields(raw.names, table, omega))))
     omega = fields[: space.dim]
-    targets = {name: target_of(name, given, fields, raw.native is not None) for name, given in table.items()}
+    targets = {
+        name: target_of(name, given, fields, raw.native is not None)
+        for name, given in table.items()
+    }
     sim = environment(env, omega, config.length, where)
-    longest = [p.high + config.wide * (p.high - p.low) for p in space.parameters if p.name == "delay"]
+    longest = [
+        p.high + config.wide * (p.high - p.low) for p in space.parameters if p.name == "delay"
+    ]
     play = make_play(sim, omega, max(longest, default=0.0))
     rest = jnp.asarray([f.nominal for f in fields[space.dim :]], jnp.float32)
     made = trainer(play, space, config.training, _obs_dim(play, omega, where))
@@ -93,11 +114,17 @@ def setting_of(
 
 def compiled(trainer: Trainer) -> Trainer:
     """The same with one compiled program for all that it trains."""
-    return trainer._replace(begin=jax.jit(trainer.begin), train=jax.jit(trainer.train, static_argnums=3))
+    return trainer._replace(
+        begin=jax.jit(trainer.begin), train=jax.jit(trainer.train, static_argnums=3)
+    )
 
 
-def environment(env: Any, fields: tuple[Field, ...] = (), length: int = 0, where: str = "env") -> Simulated:
-    """`env`, over an `mjx.Model` or of gymnax, as pure functions of its model; BadInput as `simulated`."""
+def environment(
+    env: Any, fields: tuple[Field, ...] = (), length: int = 0, where: str = "env"
+) -> Simulated:
+    """`env`, over an `mjx.Model` or of gymnax, as pure functions of its model; BadInput as
+    `simulated`.
+    """
     if hasattr(env, "default_params") and hasattr(env, "step_env"):
         return from_gymnax(env, env.default_params, length)
     return simulated(env, fields, length, where)
@@ -112,12 +139,17 @@ def _obs_dim(play: Play, fields: tuple[Field, ...], where: str) -> int:
 
 
 def environment_task(
-    env: Any, fields: Mapping[str, Any] | None = None, config: EnvironmentConfig | None = None, **options: Any
+    env: Any,
+    fields: Mapping[str, Any] | None = None,
+    config: EnvironmentConfig | None = None,
+    **options: Any,
 ) -> Task:
-    """A `Task` of anything with `reset(key)` and `step(state, action)` over an `mjx.Model`, or of gymnax.
+    """A `Task` of anything with `reset(key)` and `step(state, action)` over an `mjx.Model`, or of
+    gymnax.
 
     Args:
-        env: such as `mujoco_playground.registry.load(...)`, a `ModelEnvironment`, or a name as in env.toml.
+        env: such as `mujoco_playground.registry.load(...)`, a `ModelEnvironment`, or a name as in
+                env.toml.
         fields: Omega: for each name `[low, high]` or `[low, high, "log"]`. By default `env.fields`.
         config, options: `EnvironmentConfig`, and what of it differs.
 
@@ -127,7 +159,9 @@ def environment_task(
     config = replace(config or EnvironmentConfig(), **options)
     if isinstance(env, str):
         config, env = replace(config, env=env), load(env, config.options)
-    return task_of(setting_of(env, config if fields is None else replace(config, fields=dict(fields))))
+    return task_of(
+        setting_of(env, config if fields is None else replace(config, fields=dict(fields)))
+    )
 
 
 def task_of(setting: Setting) -> Task:
@@ -139,15 +173,23 @@ def task_of(setting: Setting) -> Task:
         shown = Shown(jnp.zeros(k), jnp.zeros((setting.config.components, k)))
         return Prepared(setting.trainer.init(key) if trained else None, shown, jnp.zeros(3))
 
-    zeros = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), jax.eval_shape(blank, jax.random.key(0)))
-    make = lambda key, report=silent: prepared_of(setting, key, report)
+    zeros = jax.tree.map(
+        lambda x: np.zeros(x.shape, x.dtype), jax.eval_shape(blank, jax.random.key(0))
+    )
+
+    def make(key, report=silent):
+        return prepared_of(setting, key, report)
+
     return replace(
-        ready(setting, zeros), preparation=Preparation(blank, make, lambda p: ready(setting, p), _digest(setting))
+        ready(setting, zeros),
+        preparation=Preparation(blank, make, lambda p: ready(setting, p), _digest(setting)),
     )
 
 
 def _digest(setting: Setting) -> str:
-    """Of all that what is learned depends on: the model, the environment's own code, Omega, how it is trained and shown."""
+    """Of all that what is learned depends on: the model, the environment's own code, Omega, how it
+    is trained and shown.
+    """
     config, space = setting.config, setting.space
     told = (
         space,
@@ -165,7 +207,11 @@ def _digest(setting: Setting) -> str:
         buffer = np.empty(size, np.uint8)
         mujoco.mj_saveModel(setting.sim.native, None, buffer)
         found.update(buffer.tobytes())
-    for thing in (getattr(setting.env, "reward_of", None), getattr(setting.env, "observe", None), type(setting.env)):
+    for thing in (
+        getattr(setting.env, "reward_of", None),
+        getattr(setting.env, "observe", None),
+        type(setting.env),
+    ):
         with contextlib.suppress(TypeError, OSError):
             found.update(inspect.getsource(thing).encode())  # type: ignore[arg-type]
     return found.hexdigest()
@@ -178,7 +224,9 @@ def visit_shape(setting: Setting) -> int:
 
 
 def acting_of(setting: Setting, learned: Any, starts: Any = (0.0, 0.0, 0.0)) -> Acting:
-    """How the task's policies act, given what the trainer learned, and what `starts` are worth (`Prepared`)."""
+    """How the task's policies act, given what the trainer learned, and what `starts` are worth
+    (`Prepared`).
+    """
     if setting.config.policy == "planned":
         return make_planner(setting.play, setting.space, setting.config.planner)
     critic = setting.trainer.policy(learned)
@@ -221,19 +269,25 @@ def trained_in(
     report: Callable = silent,
     blind: float = 0.0,
 ) -> Any:
-    """What the trainer has learned after `rounds` in `worlds` from `learned`: in chunks, so that progress shows.
+    """What the trainer has learned after `rounds` in `worlds` from `learned`: in chunks, so that
+    progress shows.
 
     blind: for this share of the rounds, the first, no world is told.
     """
     begin_key, key = jax.random.split(key)
     state = trainer.begin(begin_key, learned)
-    size = max(n for n in range(1, min(CHUNK, rounds) + 1) if rounds % n == 0)  # one compiled program serves all of it
+    size = max(
+        n for n in range(1, min(CHUNK, rounds) + 1) if rounds % n == 0
+    )  # one compiled program serves all of it
     last = float("nan")
     for done in range(size, rounds + 1, size):
         known = worlds.known if done > blind * rounds else jnp.zeros(())
         state, info = trainer.train(key, state, worlds._replace(known=known), size)
         episodes = np.asarray(info.episode)
-        last = float(np.nanmean(episodes)) if np.isfinite(episodes).any() else last
+        if np.isfinite(episodes).any():
+            last = float(np.nanmean(episodes))
+        else:
+            last = last
         report(done, rounds, f"training the policy, return {last:.4g}")
     return trainer.learned(state)
 
@@ -245,7 +299,9 @@ def everywhere(setting: Setting, known: bool = True) -> Worlds:
 
 
 def prepared_of(setting: Setting, key: jax.Array, report: Callable = silent) -> Prepared:
-    """Train the policy that knows E's mean, then look at what visits within Omega show. BadInput names a field that does nothing."""
+    """Train the policy that knows E's mean, then look at what visits within Omega show. BadInput
+    names a field that does nothing.
+    """
     train_key, init_key, look_key = jax.random.split(key, 3)
     check_pure(setting.play, np.array([f.nominal for f in setting.play.fields]))
     check_fields(setting.space.names, shaken(setting))
@@ -253,7 +309,9 @@ def prepared_of(setting: Setting, key: jax.Array, report: Callable = silent) -> 
     if setting.config.policy != "planned":
         learned = setting.trainer.init(init_key)
         rounds = setting.config.training.rounds
-        learned = trained_in(setting.trainer, train_key, learned, everywhere(setting), rounds, report, BLIND)
+        learned = trained_in(
+            setting.trainer, train_key, learned, everywhere(setting), rounds, report, BLIND
+        )
     acting = acting_of(setting, learned, (0.0, 1e9, 1.0))  # a start's luck is its value
     policy_of = policies_of(setting, learned)
 
@@ -267,12 +325,16 @@ def prepared_of(setting: Setting, key: jax.Array, report: Callable = silent) -> 
     found = seen(jax.random.split(look_key, count), *jnp.split(points, 2, 1))
     features = np.asarray(found.features)
     if not np.isfinite(features).any(1).all():
-        raise BadInput("env: what policies show is not finite; mend the reward, or narrow the fields' ranges")
+        raise BadInput(
+            "env: what policies show is not finite; mend the reward, or narrow the fields' ranges"
+        )
     return Prepared(learned, whitened(features, setting.config.components), starts_of(found))
 
 
 def starts_of(found: Rollout) -> jax.Array:
-    """`Prepared.starts` of visits `found [N]` whose luck is the value of their start, by least squares."""
+    """`Prepared.starts` of visits `found [N]` whose luck is the value of their start, by least
+    squares.
+    """
     score, value = (np.asarray(x, float) for x in (found.score, found.luck))
     sound = np.isfinite(score) & np.isfinite(value)
     score, value = score[sound], value[sound]
@@ -281,10 +343,13 @@ def starts_of(found: Rollout) -> jax.Array:
 
 
 def shaken(setting: Setting) -> Callable[[jax.Array], np.ndarray]:
-    """`(u [N, D]) -> [N, K]` features of an episode under the same random actions. BadInput where its rewards are not finite."""
+    """`(u [N, D]) -> [N, K]` features of an episode under the same random actions. BadInput where
+    its rewards are not finite.
+    """
     dim = setting.sim.action_dim
     random = Acting(
-        lambda policy: (), lambda key, policy, memory, live: (jax.random.uniform(key, (dim,), minval=-1.0), memory)
+        lambda policy: (),
+        lambda key, policy, memory, live: (jax.random.uniform(key, (dim,), minval=-1.0), memory),
     )
 
     @jax.jit
@@ -297,10 +362,15 @@ def shaken(setting: Setting) -> Callable[[jax.Array], np.ndarray]:
         if not np.isfinite(np.asarray(found.score)).all():
             bad = int(np.flatnonzero(~np.isfinite(np.asarray(found.score)))[0])
             at = dict(
-                zip(setting.space.names, np.asarray(setting.space.physical(u[bad])).round(4).tolist(), strict=True)
+                zip(
+                    setting.space.names,
+                    np.asarray(setting.space.physical(u[bad])).round(4).tolist(),
+                    strict=True,
+                )
             )
             raise BadInput(
-                f"env: the return is not finite under random actions at {at}; mend the reward, or narrow that range"
+                f"env: the return is not finite under random actions at {at}; mend the reward, or "
+                f"narrow that range"
             )
         return np.asarray(found.features)
 
@@ -329,7 +399,9 @@ def ready(setting: Setting, prepared: Prepared) -> Task:
         return visit(key, setting.play, acting, policy, params, config.trials)
 
     def own_key(params):
-        """Of a target's own starts, which Phase 1 judges every policy from: luck with a start is no merit."""
+        """Of a target's own starts, which Phase 1 judges every policy from: luck with a start is no
+        merit.
+        """
         bits = jax.lax.bitcast_convert_type(jnp.sum(jnp.asarray(params, jnp.float32)), jnp.uint32)
         return jax.random.fold_in(jax.random.key(0), bits)
 
@@ -342,7 +414,9 @@ def ready(setting: Setting, prepared: Prepared) -> Task:
     means = jnp.asarray(qmc.Sobol(space.dim, rng=1).random(config.references), jnp.float32)
 
     def reference(params):
-        """Best and mean return in the target of policies at means spread over Omega, and at the target's own place in it."""
+        """Best and mean return in the target of policies at means spread over Omega, and at the
+        target's own place in it.
+        """
         own = jnp.clip(space.unit(jnp.asarray(params, jnp.float32)), 0.0, 1.0)[None]
         every = jnp.concatenate([means, own])
         score = jax.vmap(lambda m: rollout(own_key(params), policy_of(m), params).score)(every)
@@ -368,26 +442,38 @@ def ready(setting: Setting, prepared: Prepared) -> Task:
         reference=reference,
         reward=reward,
         world=lambda name: in_target(setting, prepared, name),
-        act=None if config.policy == "planned" else lambda policy, obs: _acts(setting, prepared, policy, obs),
+        act=None
+        if config.policy == "planned"
+        else lambda policy, obs: _acts(setting, prepared, policy, obs),
         read=lambda obs, action, reward: measured(setting, obs, action, reward, acting),
     )
 
 
 def _acts(setting: Setting, prepared: Prepared, policy: Any, obs: jax.Array) -> jax.Array:
-    actor = policy.actor if isinstance(policy, Tuned) else setting.trainer.policy(prepared.learned)
+    if isinstance(policy, Tuned):
+        actor = policy.actor
+    else:
+        actor = setting.trainer.policy(prepared.learned)
     return setting.trainer.act(actor, obs, 2.0 * policy.mean - 1.0)
 
 
 def measured(setting: Setting, obs: Any, action: Any, reward: Any, acting: Acting) -> Rollout:
-    """An episode that was measured, `obs [t, O]`, `action [t, A]`, `reward [t]`, as one that was simulated: where it ended
-    early, it is over from there. BadInput names a shape that does not fit."""
+    """An episode that was measured, `obs [t, O]`, `action [t, A]`, `reward [t]`, as one that was
+    simulated: where it ended early, it is over from there. BadInput names a shape that does not
+    fit.
+    """
     T, A = setting.sim.length, setting.sim.action_dim
     O = _obs_dim(setting.play, setting.play.fields, "env")
     rows = [np.asarray(x, np.float32) for x in (obs, action, reward)]
     t = len(rows[2])
-    for name, x, shape in zip(("obs", "action", "reward"), rows, ((t, O), (t, A), (t,)), strict=True):
+    for name, x, shape in zip(
+        ("obs", "action", "reward"), rows, ((t, O), (t, A), (t,)), strict=True
+    ):
         if x.shape != shape or not 1 <= t <= T or not np.isfinite(x).all():
-            raise BadInput(f"{name}: the shape is {x.shape}; {shape} of finite numbers is wanted, of 1 to {T} steps")
+            raise BadInput(
+                f"{name}: the shape is {x.shape}; {shape} of finite numbers is wanted, of 1 to {T} "
+                f"steps"
+            )
     full = [np.concatenate([x, np.zeros((T - t, *x.shape[1:]), np.float32)]) for x in rows]
     on = jnp.asarray(np.arange(T) < t, jnp.float32)
     return look(Steps(jnp.asarray(full[0]), jnp.asarray(full[1]), jnp.asarray(full[2]), on), acting)
@@ -406,33 +492,46 @@ def _wider(space: Space, fields: tuple[Field, ...], share: float) -> Space:
             return replace(p, low=p.low / factor, high=p.high * factor)
         more = share * (p.high - p.low)
         # what must be positive stays so, and above a third of the least in Omega
-        low = p.low - more if field.least < 0 else max(p.low - more, p.low / 3.0, field.least)
+        if field.least < 0:
+            low = p.low - more
+        else:
+            low = max(p.low - more, p.low / 3.0, field.least)
         return replace(p, low=low, high=p.high + more)
 
     return Space(tuple(one(p, f) for p, f in zip(space.parameters, fields, strict=False)))
 
 
 def play_in(setting: Setting, target: Target) -> tuple[Play, jax.Array]:
-    """The environment as the target steps it, in MuJoCo C or, where the target says so, in the simulator, and its values `[F]`: of
-    the fields that Omega lacks, those that the target changes."""
+    """The environment as the target steps it, in MuJoCo C or, where the target says so, in the
+    simulator, and its values `[F]`: of the fields that Omega lacks, those that the target changes.
+    """
     D = setting.space.dim
     kept = [i for i, f in enumerate(setting.fields) if i < D or target.values[i] != f.nominal]
     fields, values = tuple(setting.fields[i] for i in kept), target.values[kept]
     longest, told = longest_delay(fields, values), jnp.asarray(values, jnp.float32)
     if target.engine == "simulator":
-        return make_play(environment(setting.env, fields, setting.config.length), fields, longest), told
+        return make_play(
+            environment(setting.env, fields, setting.config.length), fields, longest
+        ), told
     assert setting.sim.native is not None
     physics = native_physics(setting.sim.native, fields, target._replace(values=values))
     return make_play(setting.sim, fields, longest, physics), told
 
 
 def longest_delay(fields: Sequence[Field], *values: np.ndarray) -> float:
-    """The greatest delay [s] among several `values [F]` of `fields`; 0 where none of them is one."""
-    return max((float(v[i]) for v in values for i, f in enumerate(fields) if f.name == "delay"), default=0.0)
+    """The greatest delay [s] among several `values [F]` of `fields`; 0 where none of them is
+    one.
+    """
+    return max(
+        (float(v[i]) for v in values for i, f in enumerate(fields) if f.name == "delay"),
+        default=0.0,
+    )
 
 
 def in_target(setting: Setting, prepared: Prepared, name: str) -> Task:
-    """The task with its rollouts in the target called `name`, whatever the parameters say; rewards are scaled in it."""
+    """The task with its rollouts in the target called `name`, whatever the parameters say; rewards
+    are scaled in it.
+    """
     target = setting.targets[name]
     task, (play, values) = ready(setting, prepared), play_in(setting, target)
     acting = acting_of(setting, prepared.learned, prepared.starts)
@@ -441,7 +540,9 @@ def in_target(setting: Setting, prepared: Prepared, name: str) -> Task:
     def rollout(key, policy, params):
         return visit(key, play, acting, policy, values, setting.config.trials)
 
-    means = jnp.asarray(qmc.Sobol(setting.space.dim, rng=1).random(setting.config.references), jnp.float32)
+    means = jnp.asarray(
+        qmc.Sobol(setting.space.dim, rng=1).random(setting.config.references), jnp.float32
+    )
     score = jax.jit(jax.vmap(lambda m: rollout(jax.random.key(0), policy_of(m), None).score))
     every = np.asarray(score(means))
     told = jnp.asarray([np.nanmax(every), np.nanmean(every)], jnp.float32)

@@ -1,7 +1,8 @@
 """Policies over many steps: the protocol `Trainer`, and PPO in worlds drawn from a box.
 
-One program trains what differs only in numbers: a policy that knows E's mean (every world is told to it), one for all of Omega that
-is told nothing (UDR), one at a single point (nominal values, an oracle in its target).
+One program trains what differs only in numbers: a policy that knows E's mean (every world is told
+to it), one for all of Omega that is told nothing (UDR), one at a single point (nominal values, an
+oracle in its target).
 """
 
 from collections.abc import Callable
@@ -18,8 +19,10 @@ from adaptsim_jax.space import Space
 
 
 class Worlds(NamedTuple):
-    """Where a trainer's worlds are drawn: unit coordinates between low and high `[D]`; known `[]`: 1 where the policy is told them,
-    0 where it is told the middle of Omega; rest `[R]`: values of the fields that are not of Omega, the same for all."""
+    """Where a trainer's worlds are drawn: unit coordinates between low and high `[D]`; known `[]`:
+    1 where the policy is told them, 0 where it is told the middle of Omega; rest `[R]`: values of
+    the fields that are not of Omega, the same for all.
+    """
 
     low: jax.Array
     high: jax.Array
@@ -28,14 +31,17 @@ class Worlds(NamedTuple):
 
 
 class Trainer(NamedTuple):
-    """How policies are trained, as pure functions that the caller jits; `train` may be vmapped over states and worlds.
+    """How policies are trained, as pure functions that the caller jits; `train` may be vmapped over
+    states and worlds.
 
-    * `init(key) -> learned`, a pytree of arrays: all that training leaves, such as weights and the optimiser's state
+    * `init(key) -> learned`, a pytree of arrays: all that training leaves, such as weights and the
+      optimiser's state
     * `begin(key, learned) -> state`: ready to train from there
     * `train(key, state, worlds, rounds) -> (state, info)`: `rounds`, static, of training on
     * `learned(state) -> learned`; `policy(learned) -> policy`, any pytree
     * `act(policy, obs [O], told [D]) -> action [A]` in [-1, 1]; told: E's mean, -1 to 1 over Omega
-    * `value(policy, obs [O], told [D]) -> []`, more where more is expected from there on, in a unit of its own
+    * `value(policy, obs [O], told [D]) -> []`, more where more is expected from there on, in a unit
+      of its own
     """
 
     init: Callable[[jax.Array], Any]
@@ -49,10 +55,11 @@ class Trainer(NamedTuple):
 
 @dataclass(frozen=True)
 class PPOTraining:
-    """PPO at work: steps of environments in all, `parallel` of them at once, an update after each has made `unroll` steps.
+    """PPO at work: steps of environments in all, `parallel` of them at once, an update after each
+    has made `unroll` steps.
 
-    decay: the learning rate falls to this share of its start. stagger: episodes end at different times, so that an update sees all
-    of them; else all begin together.
+    decay: the learning rate falls to this share of its start. stagger: episodes end at different
+    times, so that an update sees all of them; else all begin together.
     """
 
     steps: int = 3_000_000
@@ -72,7 +79,8 @@ class PPOTraining:
                 raise BadInput(f"training.{name} = {getattr(self, name)}: give at least 1")
         if self.parallel * self.unroll % self.minibatches:
             raise BadInput(
-                f"training: {self.parallel} environments of {self.unroll} steps do not divide into {self.minibatches} minibatches"
+                f"training: {self.parallel} environments of {self.unroll} steps do not divide into "
+                f"{self.minibatches} minibatches"
             )
 
     @property
@@ -81,8 +89,10 @@ class PPOTraining:
 
 
 class TrainerState(NamedTuple):
-    """The learner, environments `[B]` with the values `[B, F]` and what is told of them `[B, D]`, discounted and plain rewards so far
-    `[B]`, updates so far and in all; rates, which are arguments so that one compiled program serves all of them."""
+    """The learner, environments `[B]` with the values `[B, F]` and what is told of them `[B, D]`,
+    discounted and plain rewards so far `[B]`, updates so far and in all; rates, which are arguments
+    so that one compiled program serves all of them.
+    """
 
     ppo: PPOState
     live: Live
@@ -96,8 +106,9 @@ class TrainerState(NamedTuple):
 
 
 class TrainerInfo(NamedTuple):
-    """Of each update: mean return of the episodes that ended in it (not a number where none did), reward of a step, the
-    exploration's standard deviation, KL."""
+    """Of each update: mean return of the episodes that ended in it (not a number where none did),
+    reward of a step, the exploration's standard deviation, KL.
+    """
 
     episode: jax.Array
     reward: jax.Array
@@ -106,9 +117,15 @@ class TrainerInfo(NamedTuple):
 
 
 def make_ppo_trainer(play: Play, space: Space, config: PPOTraining, obs_dim: int) -> Trainer:
-    """PPO in the worlds of `play`, whose first fields are those of `space` (Omega), the rest after them."""
+    """PPO in the worlds of `play`, whose first fields are those of `space` (Omega), the rest after
+    them.
+    """
     A, B, D = play.sim.action_dim, config.parallel, space.dim
-    ppo = make_ppo(PPOConfig(obs_dim, A, D, config.hidden, config.activation, config.epochs, config.minibatches))
+    ppo = make_ppo(
+        PPOConfig(
+            obs_dim, A, D, config.hidden, config.activation, config.epochs, config.minibatches
+        )
+    )
 
     def draw(key, worlds: Worlds):
         u = worlds.low + (worlds.high - worlds.low) * jax.random.uniform(key, (D,))
@@ -132,13 +149,20 @@ def make_ppo_trainer(play: Play, space: Space, config: PPOTraining, obs_dim: int
         zero = jnp.zeros(B)
         rates = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), config.hyper)
         count = jnp.zeros((), jnp.int32)
-        return TrainerState(learned, live, values, mean, zero, zero, count, count + config.rounds, rates)
+        return TrainerState(
+            learned, live, values, mean, zero, zero, count, count + config.rounds, rates
+        )
 
     def one_round(key, state: TrainerState, worlds: Worlds):
         fresh_key, act_key, learn_key = jax.random.split(key, 3)
-        fresh, fresh_values, fresh_told = jax.vmap(fresh_one, (0, None))(jax.random.split(fresh_key, B), worlds)
+        fresh, fresh_values, fresh_told = jax.vmap(fresh_one, (0, None))(
+            jax.random.split(fresh_key, B), worlds
+        )
         first = state.number == 0
-        choose = lambda on, a, b: jax.tree.map(lambda x, y: jnp.where(_like(on, x), x, y), a, b)
+
+        def choose(on, a, b):
+            return jax.tree.map(lambda x, y: jnp.where(_like(on, x), x, y), a, b)
+
         every = jnp.broadcast_to(first, (B,))
         clock = state.live.time
         live = choose(every, fresh, state.live)._replace(time=clock)
@@ -159,14 +183,18 @@ def make_ppo_trainer(play: Play, space: Space, config: PPOTraining, obs_dim: int
             stop = jnp.maximum(ended, cut) > 0
             total = gained + reward
             row = (live.obs, action, log_prob, reward, obs_after, ended, cut, total, stop)
-            live = choose(stop, fresh, after)  # for the rest of this batch; then it begins once more, in a fresh world
+            live = choose(
+                stop, fresh, after
+            )  # for the rest of this batch; then it begins once more, in a fresh world
             return (live, jnp.where(stop, 0.0, total), over | stop), row
 
         (live, gained, over), rows = jax.lax.scan(
             step, (live, state.gained, jnp.zeros(B, bool)), jax.random.split(act_key, config.unroll)
         )
         obs, action, log_prob, reward, obs_after, ended, cut, totals, stops = rows
-        cut = cut.at[-1].set(jnp.maximum(cut[-1], over * (1.0 - ended[-1])))  # those begin anew, in another world
+        cut = cut.at[-1].set(
+            jnp.maximum(cut[-1], over * (1.0 - ended[-1]))
+        )  # those begin anew, in another world
         extra = jnp.broadcast_to(told, (config.unroll, *told.shape))
         batch = Batch(obs, extra, action, log_prob, reward, obs_after, ended, cut, state.carried)
         share = jnp.clip(state.number / state.rounds, 0.0, 1.0)
@@ -194,7 +222,9 @@ def make_ppo_trainer(play: Play, space: Space, config: PPOTraining, obs_dim: int
 
         return jax.lax.scan(on, state, None, rounds)
 
-    return Trainer(ppo.init, begin, train, lambda state: state.ppo, ppo.actor, ppo.deployed, ppo.value)
+    return Trainer(
+        ppo.init, begin, train, lambda state: state.ppo, ppo.actor, ppo.deployed, ppo.value
+    )
 
 
 def _blank(key: jax.Array, like: jax.ShapeDtypeStruct) -> jax.Array:

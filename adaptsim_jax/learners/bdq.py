@@ -1,9 +1,9 @@
 """Branching dueling Q-network with Double-Q targets (Tavakoli et al. 2018; paper, section 4.1).
 
-One trunk, one state value, one advantage per parameter and bin: `Q_d(s, a) = V(s) + A_d(s, a) - mean_a A_d(s, a)`.
-The target of every branch is the same, `r + discount * mean_d Q_d^-(s', argmax_a Q_d(s', a))`, where `Q^-` is the
-slowly moving copy. Sizes are static (`BDQConfig`); rates are traced (`BDQHyper`), so that one compiled step serves a
-sweep.
+One trunk, one state value, one advantage per parameter and bin: `Q_d(s, a) = V(s) + A_d(s, a) -
+mean_a A_d(s, a)`. The target of every branch is the same, `r + discount * mean_d Q_d^-(s', argmax_a
+Q_d(s', a))`, where `Q^-` is the slowly moving copy. Sizes are static (`BDQConfig`); rates are
+traced (`BDQHyper`), so that one compiled step serves a sweep.
 """
 
 from collections.abc import Callable
@@ -44,8 +44,8 @@ class BDQConfig:
 class BDQHyper:
     """Rates of the learner: a pytree, each leaf a scalar, or `[S]` under vmap over a sweep.
 
-    learning_rate: Adam's; discount: gamma; tau: share of the online network that enters the target network at each
-    update; max_grad_norm: the gradient is scaled down to this global norm.
+    learning_rate: Adam's; discount: gamma; tau: share of the online network that enters the target
+    network at each update; max_grad_norm: the gradient is scaled down to this global norm.
     """
 
     learning_rate: float = 2e-3
@@ -55,7 +55,9 @@ class BDQHyper:
 
 
 class BDQState(NamedTuple):
-    """What the next update needs. Weights are flat `[n]` vectors: one fused update instead of one for each layer."""
+    """What the next update needs. Weights are flat `[n]` vectors: one fused update instead of one
+    for each layer.
+    """
 
     online: jax.Array
     target: jax.Array
@@ -63,7 +65,9 @@ class BDQState(NamedTuple):
 
 
 class BDQInfo(NamedTuple):
-    """Of one update: loss, mean Q of the taken actions, gradient norm before clipping; each `[]`."""
+    """Of one update: loss, mean Q of the taken actions, gradient norm before clipping; each
+    `[]`.
+    """
 
     loss: jax.Array
     q: jax.Array
@@ -83,8 +87,11 @@ class Network(nn.Module):
             x = nn.Dense(width, kernel_init=nn.initializers.he_uniform())(x)
             x = nn.LayerNorm()(x) if cfg.layer_norm else x
             x = ACTIVATIONS[cfg.activation](x)
-        # All heads are linear in the trunk, so one matrix holds them; dueling is applied to its columns.
-        heads = nn.Dense(1 + cfg.branches * cfg.bins, kernel_init=nn.initializers.lecun_uniform())(x)
+        # All heads are linear in the trunk, so one matrix holds them; dueling is applied to its
+        # columns.
+        heads = nn.Dense(1 + cfg.branches * cfg.bins, kernel_init=nn.initializers.lecun_uniform())(
+            x
+        )
         value, advantage = heads[..., :1, None], heads[..., 1:]
         advantage = advantage.reshape(*advantage.shape[:-1], cfg.branches, cfg.bins)
         return value + advantage - advantage.mean(-1, keepdims=True)
@@ -105,10 +112,13 @@ def make_bdq(config: BDQConfig) -> BDQ:
     """Check the sizes and return the learner.
 
     * `init(key) -> BDQState`
-    * `q_values(weights, obs [..., obs_dim]) -> [..., branches, bins]`, `weights` being `state.online` or `.target`
+    * `q_values(weights, obs [..., obs_dim]) -> [..., branches, bins]`, `weights` being
+      `state.online` or `.target`
     * `greedy(weights, obs) -> [..., branches]` int32
-    * `act(key, weights, obs, epsilon, independent) -> [..., branches]`: epsilon-greedy, see `explore`
-    * `update(state, batch, hyper) -> (BDQState, BDQInfo)`: one Adam step on a `Transition` of `[B, ...]`
+    * `act(key, weights, obs, epsilon, independent) -> [..., branches]`: epsilon-greedy, see
+      `explore`
+    * `update(state, batch, hyper) -> (BDQState, BDQInfo)`: one Adam step on a `Transition` of `[B,
+      ...]`
     """
     _check(config)
     weights_of, q_values = flat(Network(config), config.obs_dim)
@@ -125,7 +135,9 @@ def make_bdq(config: BDQConfig) -> BDQ:
 
     def update(state, batch, hyper):
         target = double_q_target(q_values, state, batch, hyper.discount)
-        (loss, q), grad = jax.value_and_grad(_loss, argnums=1, has_aux=True)(q_values, state.online, batch, target)
+        (loss, q), grad = jax.value_and_grad(_loss, argnums=1, has_aux=True)(
+            q_values, state.online, batch, target
+        )
         norm = optax.tree.norm(grad)
         grad = grad * jnp.minimum(1.0, hyper.max_grad_norm / jnp.maximum(norm, 1e-12))
         step, opt = optax.scale_by_adam().update(grad, state.opt)
@@ -137,12 +149,16 @@ def make_bdq(config: BDQConfig) -> BDQ:
 
 
 def explore(
-    key: jax.Array, action: jax.Array, bins: int, epsilon: jax.Array | float, independent: jax.Array | float = 0.0
+    key: jax.Array,
+    action: jax.Array,
+    bins: int,
+    epsilon: jax.Array | float,
+    independent: jax.Array | float = 0.0,
 ) -> jax.Array:
     """With probability epsilon replace a whole action `[..., branches]` by a uniform one.
 
-    With `independent` 1 every branch tosses its own coin: a branch is then mostly valued beside greedy neighbours,
-    which is what it will meet when the policy is used.
+    With `independent` 1 every branch tosses its own coin: a branch is then mostly valued beside
+    greedy neighbours, which is what it will meet when the policy is used.
     """
     coin, noise = jax.random.split(key)
     random = jax.random.randint(noise, action.shape, 0, bins, action.dtype)
@@ -157,7 +173,9 @@ def taken(q: jax.Array, action: jax.Array) -> jax.Array:
 
 
 def double_q_target(q_values, state: BDQState, batch: Transition, discount: jax.Array) -> jax.Array:
-    """`[B]`: the online network chooses in each branch, the target network values, branches are averaged."""
+    """`[B]`: the online network chooses in each branch, the target network values, branches are
+    averaged.
+    """
     best = jnp.argmax(q_values(state.online, batch.next_obs), -1)
     value = taken(q_values(state.target, batch.next_obs), best).mean(-1)
     return batch.reward + discount * batch.bootstrap * value
@@ -169,7 +187,14 @@ def _loss(q_values, weights, batch: Transition, target):
 
 
 def _check(config: BDQConfig) -> None:
-    if min(config.obs_dim, config.branches, *config.hidden) < 1 or config.bins < 2 or not config.hidden:
-        raise BadInput(f"BDQ sizes {config}: each must be positive, with two bins or more and one hidden layer or more")
+    if (
+        min(config.obs_dim, config.branches, *config.hidden) < 1
+        or config.bins < 2
+        or not config.hidden
+    ):
+        raise BadInput(
+            f"BDQ sizes {config}: each must be positive, with two bins or more and one hidden "
+            f"layer or more"
+        )
     if config.activation not in ACTIVATIONS:
         raise BadInput(f"BDQ activation {config.activation!r} is none of {', '.join(ACTIVATIONS)}")

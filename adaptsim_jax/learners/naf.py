@@ -1,9 +1,11 @@
-"""Normalised advantage functions: Q of actions on a continuum, in problems that end after one (Gu et al. 2016; paper, appendix A4).
+"""Normalised advantage functions: Q of actions on a continuum, in problems that end after one (Gu
+et al. 2016; paper, appendix A4).
 
-`Q(s, a) = V(s) - (a - m(s))' P(s) (a - m(s)) / 2` with `P = L L'`, a full positive-definite matrix: L is lower triangular
-with exponentials on its diagonal. Actions live in `[-1, 1]^d`, and the greedy one is the exact maximiser of Q inside
-that box (`naf_box`), so the mean itself may lie outside. Sizes are static (`NAFConfig`), rates traced (`NAFHyper`). All is
-pure; vmap over states trains hundreds of networks in one update.
+`Q(s, a) = V(s) - (a - m(s))' P(s) (a - m(s)) / 2` with `P = L L'`, a full positive-definite matrix:
+L is lower triangular with exponentials on its diagonal. Actions live in `[-1, 1]^d`, and the greedy
+one is the exact maximiser of Q inside that box (`naf_box`), so the mean itself may lie outside.
+Sizes are static (`NAFConfig`), rates traced (`NAFHyper`). All is pure; vmap over states trains
+hundreds of networks in one update.
 """
 
 from collections.abc import Callable
@@ -23,8 +25,8 @@ from adaptsim_jax.learners.naf_box import box_maximiser
 
 @dataclass(frozen=True)
 class NAFConfig:
-    """Sizes of the network; static under jit. reach: the mean lies in `[-reach, reach]`. log_diagonal: the diagonal of L lies in
-    `exp(+-log_diagonal)`.
+    """Sizes of the network; static under jit. reach: the mean lies in `[-reach, reach]`.
+    log_diagonal: the diagonal of L lies in `exp(+-log_diagonal)`.
     """
 
     obs_dim: int
@@ -55,7 +57,9 @@ class NAFState(NamedTuple):
 
 
 class NAFInfo(NamedTuple):
-    """Of one update: loss, mean Q of the taken actions, gradient norm before clipping; each `[]`."""
+    """Of one update: loss, mean Q of the taken actions, gradient norm before clipping; each
+    `[]`.
+    """
 
     loss: jax.Array
     q: jax.Array
@@ -63,7 +67,9 @@ class NAFInfo(NamedTuple):
 
 
 class Quadratic(NamedTuple):
-    """Q as a function of the action: value `[...]` at mean `[..., d]`, and chol `[..., d, d]`, lower triangular."""
+    """Q as a function of the action: value `[...]` at mean `[..., d]`, and chol `[..., d, d]`,
+    lower triangular.
+    """
 
     value: jax.Array
     mean: jax.Array
@@ -72,7 +78,9 @@ class Quadratic(NamedTuple):
     def __call__(self, action: jax.Array) -> jax.Array:
         """Q of `action [..., d]`: `[...]`."""
         delta = action - self.mean
-        return self.value - 0.5 * jnp.sum(jnp.square(jnp.sum(self.chol * delta[..., :, None], -2)), -1)
+        return self.value - 0.5 * jnp.sum(
+            jnp.square(jnp.sum(self.chol * delta[..., :, None], -2)), -1
+        )
 
 
 class Network(nn.Module):
@@ -85,13 +93,19 @@ class Network(nn.Module):
         cfg, d = self.config, self.config.action_dim
         x = obs
         for width in cfg.hidden:
-            x = ACTIVATIONS[cfg.activation](nn.Dense(width, kernel_init=nn.initializers.he_uniform())(x))
-        # One matrix holds all heads. It starts small, so that P starts near the identity and the mean near the centre.
+            x = ACTIVATIONS[cfg.activation](
+                nn.Dense(width, kernel_init=nn.initializers.he_uniform())(x)
+            )
+        # One matrix holds all heads. It starts small, so that P starts near the identity and the
+        # mean near the centre.
         heads = nn.Dense(
-            1 + d + d * (d + 1) // 2, kernel_init=nn.initializers.variance_scaling(0.01, "fan_in", "normal")
+            1 + d + d * (d + 1) // 2,
+            kernel_init=nn.initializers.variance_scaling(0.01, "fan_in", "normal"),
         )(x)
         value, mean, entries = heads[..., 0], heads[..., 1 : 1 + d], heads[..., 1 + d :]
-        return Quadratic(value, cfg.reach * jnp.tanh(mean), _lower_triangle(entries, d, cfg.log_diagonal))
+        return Quadratic(
+            value, cfg.reach * jnp.tanh(mean), _lower_triangle(entries, d, cfg.log_diagonal)
+        )
 
 
 class NAF(NamedTuple):
@@ -112,8 +126,10 @@ def make_naf(config: NAFConfig) -> NAF:
     * `init(key) -> NAFState`; `fresh(weights [n]) -> NAFState` starts anew from trained weights
     * `quadratic(weights, obs [..., obs_dim]) -> Quadratic`, `weights` being `state.online`
     * `greedy(weights, obs) -> [..., d]`, the maximiser of Q inside `[-1, 1]^d`
-    * `act(key, weights, obs, scale) -> [..., d]`: noise of covariance `scale * inverse(P)` about it, clipped into the box
-    * `update(state, batch, hyper) -> (NAFState, NAFInfo)`: one Adam step on a `Transition` of `[B, ...]`, actions float
+    * `act(key, weights, obs, scale) -> [..., d]`: noise of covariance `scale * inverse(P)` about
+      it, clipped into the box
+    * `update(state, batch, hyper) -> (NAFState, NAFInfo)`: one Adam step on a `Transition` of `[B,
+      ...]`, actions float
     """
     _check(config)
     weights_of, quadratic = flat(Network(config), config.obs_dim)
@@ -131,10 +147,14 @@ def make_naf(config: NAFConfig) -> NAF:
     def act(key, weights, obs, scale):
         q = quadratic(weights, obs)
         best = box_maximiser(q.mean, q.chol)
-        return jnp.clip(best + jnp.sqrt(scale) * _whiten(q.chol, jax.random.normal(key, best.shape)), -1.0, 1.0)
+        return jnp.clip(
+            best + jnp.sqrt(scale) * _whiten(q.chol, jax.random.normal(key, best.shape)), -1.0, 1.0
+        )
 
     def update(state, batch, hyper):
-        loss_of = lambda w: _loss(quadratic(w, batch.obs)(batch.action), batch.reward)
+        def loss_of(w):
+            return _loss(quadratic(w, batch.obs)(batch.action), batch.reward)
+
         (loss, q), grad = jax.value_and_grad(loss_of, has_aux=True)(state.online)
         norm = optax.tree.norm(grad)
         grad = grad * jnp.minimum(1.0, hyper.max_grad_norm / jnp.maximum(norm, 1e-12))
@@ -146,7 +166,9 @@ def make_naf(config: NAFConfig) -> NAF:
 
 
 def _lower_triangle(entries: jax.Array, d: int, log_diagonal: float) -> jax.Array:
-    """`[..., d (d + 1) / 2] -> [..., d, d]`: row by row, the diagonal exponentiated between its bounds."""
+    """`[..., d (d + 1) / 2] -> [..., d, d]`: row by row, the diagonal exponentiated between its
+    bounds.
+    """
     rows, place = [], 0
     for i in range(d):
         row = [entries[..., place + j] for j in range(i)]
@@ -158,7 +180,9 @@ def _lower_triangle(entries: jax.Array, d: int, log_diagonal: float) -> jax.Arra
 
 
 def _whiten(chol: jax.Array, noise: jax.Array) -> jax.Array:
-    """Solve `L' x = noise` by back substitution, so that x has covariance `inverse(L L')`: `[..., d]`."""
+    """Solve `L' x = noise` by back substitution, so that x has covariance `inverse(L L')`: `[...,
+    d]`.
+    """
     d = noise.shape[-1]
     x: list[jax.Array] = [noise[..., 0]] * d
     for i in reversed(range(d)):
@@ -178,7 +202,8 @@ def _check(config: NAFConfig) -> None:
         raise BadInput(f"NAF sizes {config}: each must be positive, with one hidden layer or more")
     if config.reach < 1.0 or config.log_diagonal <= 0.0:
         raise BadInput(
-            f"NAF reach {config.reach} must be at least 1, else the box's corners are out of reach; log_diagonal positive"
+            f"NAF reach {config.reach} must be at least 1, else the box's corners are out of "
+            f"reach; log_diagonal positive"
         )
     if config.activation not in ACTIVATIONS:
         raise BadInput(f"NAF activation {config.activation!r} is none of {', '.join(ACTIVATIONS)}")

@@ -1,7 +1,9 @@
-"""The exact maximiser of a concave quadratic inside a box: what NAF's greedy action is when actions have bounds.
+"""The exact maximiser of a concave quadratic inside a box: what NAF's greedy action is when actions
+have bounds.
 
-Maximise `-(a - mean)' P (a - mean) / 2` with `P = L L'` positive definite over `low <= a <= high`. Clipping `mean` is not
-the answer unless P is diagonal: a bound on one action moves the best value of the others.
+Maximise `-(a - mean)' P (a - mean) / 2` with `P = L L'` positive definite over `low <= a <= high`.
+Clipping `mean` is not the answer unless P is diagonal: a bound on one action moves the best value
+of the others.
 """
 
 from typing import Any
@@ -12,11 +14,13 @@ import jax.numpy as jnp
 from adaptsim_jax.control.small_matrix import solve
 
 Array = Any
-ROUNDS = 6  # per action; 1 settles every one of 10,000 random problems of 3 actions, 4 all but one of 6 actions
+# per action; 1 settles every one of 10,000 random problems of 3 actions, 4 all but one of 6 actions
+ROUNDS = 6
 
 
 def box_maximiser(mean: Array, chol: Array, low: float = -1.0, high: float = 1.0) -> Array:
-    """`[..., d]`: the best action in `[low, high]^d` for `mean [..., d]` and lower-triangular `chol [..., d, d]`.
+    """`[..., d]`: the best action in `[low, high]^d` for `mean [..., d]` and lower-triangular `chol
+    [..., d, d]`.
 
     d = 1 is a clip, d = 2 an enumeration of the active sets, d > 2 an active-set ascent.
     """
@@ -24,7 +28,9 @@ def box_maximiser(mean: Array, chol: Array, low: float = -1.0, high: float = 1.0
     if d == 1:
         return jnp.clip(mean, low, high)
     precision = _precision(chol)
-    return _two(mean, precision, low, high) if d == 2 else _many(mean, precision, low, high)
+    if d == 2:
+        return _two(mean, precision, low, high)
+    return _many(mean, precision, low, high)
 
 
 def _precision(chol: Array) -> Array:
@@ -38,7 +44,9 @@ def _loss(delta: Array, precision: Array) -> Array:
 
 
 def _two(mean: Array, precision: Array, low: float, high: float) -> Array:
-    """The mean where it lies inside, else the best point of the four edges: on each the other action is a clip."""
+    """The mean where it lies inside, else the best point of the four edges: on each the other
+    action is a clip.
+    """
     best, least = mean, jnp.where(jnp.all((mean >= low) & (mean <= high), -1), -1.0, jnp.inf)
     for i, j in ((0, 1), (1, 0)):
         slope = precision[..., 0, 1] / precision[..., j, j]
@@ -55,15 +63,17 @@ def _two(mean: Array, precision: Array, low: float, high: float) -> Array:
 def _many(mean: Array, precision: Array, low: float, high: float) -> Array:
     """Rounds of two monotone moves until the active set settles.
 
-    A sweep of coordinate ascent takes up and lets go of bounds; then all free actions move together to where they
-    would be best with the others held, as far as the first bound that they meet.
+    A sweep of coordinate ascent takes up and lets go of bounds; then all free actions move together
+    to where they would be best with the others held, as far as the first bound that they meet.
     """
     d = mean.shape[-1]
 
     def sweep(action):
         for i in range(d):
             row = precision[..., i, :]
-            pull = jnp.sum(row * (action - mean), -1) - row[..., i] * (action[..., i] - mean[..., i])
+            pull = jnp.sum(row * (action - mean), -1) - row[..., i] * (
+                action[..., i] - mean[..., i]
+            )
             action = action.at[..., i].set(jnp.clip(mean[..., i] - pull / row[..., i], low, high))
         return action
 
@@ -78,12 +88,17 @@ def _many(mean: Array, precision: Array, low: float, high: float) -> Array:
 
 
 def _solve_free(action: Array, mean: Array, precision: Array, low: float, high: float) -> Array:
-    """Stationary point of the actions that touch no bound, the others held: `P_ff (a_f - m_f) = -P_fb (b - m_b)`."""
+    """Stationary point of the actions that touch no bound, the others held: `P_ff (a_f - m_f) =
+    -P_fb (b - m_b)`.
+    """
     free = (action > low) & (action < high)
     held = jnp.where(free, 0.0, action - mean)
     right = -jnp.sum(precision * held[..., None, :], -1)
     eye = jnp.broadcast_to(jnp.eye(mean.shape[-1], dtype=mean.dtype), precision.shape)
     matrix = jnp.where(free[..., :, None] & free[..., None, :], precision, eye)
-    last = lambda x, n: jnp.moveaxis(x, tuple(range(x.ndim - n)), tuple(range(n - x.ndim, 0)))
+
+    def last(x, n):
+        return jnp.moveaxis(x, tuple(range(x.ndim - n)), tuple(range(n - x.ndim, 0)))
+
     found = solve(last(matrix, 2), last(jnp.where(free, right, 0.0), 1)[:, None])[:, 0]
     return jnp.where(free, mean + jnp.moveaxis(found, 0, -1), action)

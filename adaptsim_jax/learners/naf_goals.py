@@ -1,10 +1,13 @@
-"""NAF on goals reached with a single open-loop action: a contextual bandit whose goals can be relabelled.
+"""NAF on goals reached with a single open-loop action: a contextual bandit whose goals can be
+relabelled.
 
-What an action leads to does not depend on the goal that it was chosen for. A stored trial therefore serves every goal: its
-reward is computed anew for goals drawn when a batch is drawn (hindsight relabelling, Andrychowicz et al. 2017, here
-without bias, since nothing of the trial depended on the goal). `relabel=0` learns from the goals as they were aimed at.
+What an action leads to does not depend on the goal that it was chosen for. A stored trial therefore
+serves every goal: its reward is computed anew for goals drawn when a batch is drawn (hindsight
+relabelling, Andrychowicz et al. 2017, here without bias, since nothing of the trial depended on the
+goal). `relabel=0` learns from the goals as they were aimed at.
 
-Everything is for one policy with its own replay; vmap over policies. Round numbers stay unbatched (see `replay`).
+Everything is for one policy with its own replay; vmap over policies. Round numbers stay unbatched
+(see `replay`).
 """
 
 from collections.abc import Callable
@@ -23,11 +26,14 @@ _CHECKS = 2**31 - 1  # the number that checks' keys are drawn with; no round has
 
 
 class GoalProblem(NamedTuple):
-    """Pure functions of one sample. `context` is whatever trials depend on, such as a distribution of parameters.
+    """Pure functions of one sample. `context` is whatever trials depend on, such as a distribution
+    of parameters.
 
-    draw: key -> goal `[g]`; see: goal -> observation `[obs_dim]`; trial: (key, context, action `[d]`) -> outcome `[k]`;
-    reward: (outcome, goal) -> `[]`. worth: (key, context, act) -> `[]`, how good a policy `act(goal) -> action` is; where it is
-    given, a training ends with the best of its rounds' policies, the first included, and not with the last.
+    draw: key -> goal `[g]`; see: goal -> observation `[obs_dim]`; trial: (key, context, action
+        `[d]`) -> outcome `[k]`;
+    reward: (outcome, goal) -> `[]`. worth: (key, context, act) -> `[]`, how good a policy
+        `act(goal) -> action` is; where it is given, a training ends with the best of its rounds'
+        policies, the first included, and not with the last.
     """
 
     draw: Callable[[jax.Array], jax.Array]
@@ -39,14 +45,17 @@ class GoalProblem(NamedTuple):
 
 @dataclass(frozen=True)
 class GoalConfig:
-    """Sizes and shares, static under jit. A *round* makes `block` trials and then `updates` gradient steps.
+    """Sizes and shares, static under jit. A *round* makes `block` trials and then `updates`
+    gradient steps.
 
-    relabel: share of a batch whose goals are drawn anew. near: share of those whose trial is not any stored one, but one of
-    `candidates`, likely in proportion to `exp(reward / temperature - |a - best|^2 / 2 width^2)`: Q is a quadratic, which
-    fits a real reward only near the best action, and there the data must be. Over a training the share rises to 1 and the
-    width goes from its first value to its second (actions span [-1, 1]).
-    uniform: share of trials with uniform actions, the others follow the policy with noise of covariance
-    `noise * inverse(P)`. The learning rate falls linearly to `rate_end` of its start over a training.
+    relabel: share of a batch whose goals are drawn anew. near: share of those whose trial is not
+    any stored one, but one of `candidates`, likely in proportion to `exp(reward / temperature - |a
+    - best|^2 / 2 width^2)`: Q is a quadratic, which fits a real reward only near the best action,
+    and there the data must be. Over a training the share rises to 1 and the width goes from its
+    first value to its second (actions span [-1, 1]).
+    uniform: share of trials with uniform actions, the others follow the policy with noise of
+    covariance `noise * inverse(P)`. The learning rate falls linearly to `rate_end` of its start
+    over a training.
     """
 
     block: int = 100
@@ -85,14 +94,16 @@ class GoalLearner(NamedTuple):
     tune: Callable[..., jax.Array]
 
 
-def make_goal_learner(naf: NAF, problem: GoalProblem, config: GoalConfig, hyper: NAFHyper = NAFHyper()) -> GoalLearner:  # noqa: B008
+def make_goal_learner(
+    naf: NAF, problem: GoalProblem, config: GoalConfig, hyper: NAFHyper = NAFHyper()
+) -> GoalLearner:
     """Check the sizes and return the training of one policy as pure functions.
 
-    * `train(keys [P], weights [P, n], contexts [P, ...], rounds [P], longest []) -> weights [P, n]`: `P` policies
-      together, each for its own number of rounds, with a new replay and optimiser. `longest`, the largest of them, may be traced: it
-      sets the time taken.
-    * `tune(key, weights [n], trials [N], used [], updates) -> weights [n]`: one policy from the first `used` of given
-      trials, made anywhere; none where there are none
+    * `train(keys [P], weights [P, n], contexts [P, ...], rounds [P], longest []) -> weights [P,
+      n]`: `P` policies together, each for its own number of rounds, with a new replay and
+      optimiser. `longest`, the largest of them, may be traced: it sets the time taken.
+    * `tune(key, weights [n], trials [N], used [], updates) -> weights [n]`: one policy from the
+      first `used` of given trials, made anywhere; none where there are none
     """
     _check(config)
     shapes = jax.eval_shape(problem.draw, jax.random.key(0))
@@ -100,7 +111,9 @@ def make_goal_learner(naf: NAF, problem: GoalProblem, config: GoalConfig, hyper:
 
     def start(weights, context):
         outcome = jax.eval_shape(problem.trial, jax.random.key(0), context, jnp.zeros(action.shape))
-        return GoalState(naf.fresh(weights), ring.empty(Trials(shapes, action, outcome), config.capacity))
+        return GoalState(
+            naf.fresh(weights), ring.empty(Trials(shapes, action, outcome), config.capacity)
+        )
 
     def step(key, state, context, number, rounds):
         """Round `number []` of `rounds []`; past the last one, weights stay as they are."""
@@ -109,8 +122,12 @@ def make_goal_learner(naf: NAF, problem: GoalProblem, config: GoalConfig, hyper:
         stored = ring.write(state.replay, block, number)
         filled = jnp.minimum((number + 1) * config.block, config.capacity)
         done = jnp.clip(number / jnp.maximum(rounds, 1), 0.0, 1.0)
-        batches = _batches(learn_key, naf, problem, config, state.learner.online, stored, filled, done)
-        share = jnp.maximum(1.0 - number / jnp.maximum(rounds, 1), config.rate_end) * (number < rounds)
+        batches = _batches(
+            learn_key, naf, problem, config, state.learner.online, stored, filled, done
+        )
+        share = jnp.maximum(1.0 - number / jnp.maximum(rounds, 1), config.rate_end) * (
+            number < rounds
+        )
         return GoalState(learned(state.learner, batches, share), stored)
 
     def learned(learner, batches, share):
@@ -119,7 +136,8 @@ def make_goal_learner(naf: NAF, problem: GoalProblem, config: GoalConfig, hyper:
         return jax.lax.scan(lambda s, b: (naf.update(s, b, rates)[0], None), learner, batches)[0]
 
     def train(keys, weights, contexts, rounds, longest):
-        at = lambda number: jax.vmap(jax.random.fold_in, (0, None))(keys, number)
+        def at(number):
+            return jax.vmap(jax.random.fold_in, (0, None))(keys, number)
 
         def one(number, state):
             return jax.vmap(step, (0, 0, 0, None, 0))(at(number), state, contexts, number, rounds)
@@ -130,7 +148,9 @@ def make_goal_learner(naf: NAF, problem: GoalProblem, config: GoalConfig, hyper:
             return jax.lax.fori_loop(0, longest, one, begin).learner.online
 
         def valued(keys, weights):
-            act = lambda w: lambda goal: naf.greedy(w, problem.see(goal))
+            def act(w):
+                return lambda goal: naf.greedy(w, problem.see(goal))
+
             return jax.vmap(lambda k, c, w: worth(k, c, act(w)))(keys, contexts, weights)
 
         def checked(number, carry):
@@ -140,7 +160,9 @@ def make_goal_learner(naf: NAF, problem: GoalProblem, config: GoalConfig, hyper:
             kept = jnp.where(better[:, None], state.learner.online, carry[1])
             return state, kept, jnp.where(better, value, carry[2])
 
-        return jax.lax.fori_loop(0, longest, checked, (begin, weights, valued(at(_CHECKS), weights)))[1]
+        return jax.lax.fori_loop(
+            0, longest, checked, (begin, weights, valued(at(_CHECKS), weights))
+        )[1]
 
     def tune(key, weights, trials, used, updates):
         given = replace(config, updates=updates)
@@ -152,34 +174,49 @@ def make_goal_learner(naf: NAF, problem: GoalProblem, config: GoalConfig, hyper:
 
 
 def _collect(key, naf: NAF, problem: GoalProblem, config: GoalConfig, weights, context) -> Trials:
-    """`[block]` trials: the first share uniform over the actions, the rest as the policy chooses, with noise."""
+    """`[block]` trials: the first share uniform over the actions, the rest as the policy chooses,
+    with noise.
+    """
     goal_key, act_key, uniform_key, trial_key = jax.random.split(key, 4)
     goals = jax.vmap(problem.draw)(jax.random.split(goal_key, config.block))
     actions = naf.act(act_key, weights, jax.vmap(problem.see)(goals), config.noise)
     uniform = jax.random.uniform(uniform_key, actions.shape, actions.dtype, -1.0, 1.0)
     first = jnp.arange(config.block) < round(config.uniform * config.block)
     actions = jnp.where(first[:, None], uniform, actions)
-    trial = lambda k, a: problem.trial(k, context, a)
-    return Trials(goals, actions, jax.vmap(trial)(jax.random.split(trial_key, config.block), actions))
+
+    def trial(k, a):
+        return problem.trial(k, context, a)
+
+    return Trials(
+        goals, actions, jax.vmap(trial)(jax.random.split(trial_key, config.block), actions)
+    )
 
 
 def _batches(
     key, naf: NAF, problem: GoalProblem, config: GoalConfig, weights, stored: Trials, filled, done
 ) -> Transition:
-    """`[updates, batch, ...]`: trials, and the goals that they are learned from; `done`: how far the training is, 0 to 1."""
+    """`[updates, batch, ...]`: trials, and the goals that they are learned from; `done`: how far
+    the training is, 0 to 1.
+    """
     shape = (config.updates, config.batch)
     goal_key, key = jax.random.split(key)
     first, relabelled, chosen, level = jnp.moveaxis(jax.random.uniform(key, (*shape, 4)), -1, 0)
     first = jnp.minimum((first * filled).astype(jnp.int32), filled - 1)
-    fetch = lambda index: jax.tree.map(lambda x: jnp.take(x, index, axis=0), stored)
+
+    def fetch(index):
+        return jax.tree.map(lambda x: jnp.take(x, index, axis=0), stored)
+
     if config.relabel == 0:
         trials = fetch(first)
         goals = trials.goal
     else:
         anew = relabelled < config.relabel
-        goals = jax.vmap(problem.draw)(jax.random.split(goal_key, shape[0] * shape[1])).reshape(*shape, -1)
+        goals = jax.vmap(problem.draw)(jax.random.split(goal_key, shape[0] * shape[1])).reshape(
+            *shape, -1
+        )
         goals = jnp.where(anew[..., None], goals, jnp.take(stored.goal, first, axis=0))
-        # candidates lie a stride apart, so that they are of all ages: one random number finds all of them
+        # candidates lie a stride apart, so that they are of all ages: one random number finds all
+        # of them
         stride = jnp.maximum(filled // config.candidates, 1)
         index = (first[..., None] + stride * jnp.arange(config.candidates)[None, None]) % filled
         likely = _likely(naf, problem, config, weights, stored, index, goals, done, level)
@@ -192,7 +229,8 @@ def _batches(
 
 
 def _likely(naf, problem, config, weights, stored: Trials, index, goals, done, level) -> jax.Array:
-    """One of the candidates `index [..., m]` for each goal: good for it, and near what the policy would do now.
+    """One of the candidates `index [..., m]` for each goal: good for it, and near what the policy
+    would do now.
 
     `level [...]` is uniform in [0, 1]; it picks by the cumulated probability.
     """

@@ -1,10 +1,12 @@
-"""One NAF for a whole box of contexts: it sees the context beside the goal, so that training at a new context starts near its end.
+"""One NAF for a whole box of contexts: it sees the context beside the goal, so that training at a
+new context starts near its end.
 
-Actions are tried at many contexts beforehand (`trials` uniform ones each); batches then pair a context with a goal and
-learn from the trial, among some candidates, that serves the goal well and lies near what the network would do, as
-`naf_goals` does for one context. The context enters the first layer only by its bias. A network for one context is
-therefore the same network without the context's inputs and with another bias (`fold`, `move`), of the size that a policy
-trained for that context alone has.
+Actions are tried at many contexts beforehand (`trials` uniform ones each); batches then pair a
+context with a goal and learn from the trial, among some candidates, that serves the goal well and
+lies near what the network would do, as `naf_goals` does for one context. The context enters the
+first layer only by its bias. A network for one context is therefore the same network without the
+context's inputs and with another bias (`fold`, `move`), of the size that a policy trained for that
+context alone has.
 """
 
 from collections.abc import Callable
@@ -21,8 +23,9 @@ from adaptsim_jax.learners.replay import Transition
 
 @dataclass(frozen=True)
 class SharedConfig:
-    """Sizes, static under jit. contexts: how many, each with `trials` uniform actions; updates of `batch` pairs of context and
-    goal, each with `candidates` trials; temperature, width, rate_end: as in `naf_goals.GoalConfig`.
+    """Sizes, static under jit. contexts: how many, each with `trials` uniform actions; updates of
+    `batch` pairs of context and goal, each with `candidates` trials; temperature, width, rate_end:
+    as in `naf_goals.GoalConfig`.
     """
 
     contexts: int = 2000
@@ -39,7 +42,10 @@ class SharedConfig:
         if min(self.contexts, self.trials, self.updates, self.batch, self.candidates) < 1:
             raise BadInput(f"sizes of the shared policy must be positive, got {self}")
         if self.candidates > self.trials:
-            raise BadInput(f"{self.candidates} candidates of {self.trials} trials: give at most as many as there are")
+            raise BadInput(
+                f"{self.candidates} candidates of {self.trials} trials: give at most as many as "
+                f"there are"
+            )
 
 
 def make_shared_learner(
@@ -61,9 +67,20 @@ def make_shared_learner(
 
         def one(state, number):
             done = number / config.updates
-            batch = _batch(jax.random.fold_in(learn_key, number), naf, problem, shown, config, state.online, data, done)
+            batch = _batch(
+                jax.random.fold_in(learn_key, number),
+                naf,
+                problem,
+                shown,
+                config,
+                state.online,
+                data,
+                done,
+            )
             share = jnp.maximum(1.0 - done, config.rate_end)
-            return naf.update(state, batch, replace(hyper, learning_rate=hyper.learning_rate * share))[0], None
+            return naf.update(
+                state, batch, replace(hyper, learning_rate=hyper.learning_rate * share)
+            )[0], None
 
         return jax.lax.scan(one, naf.init(start_key), jnp.arange(config.updates))[0].online
 
@@ -71,10 +88,12 @@ def make_shared_learner(
 
 
 def fold(weights: jax.Array, obs_dim: int, extra: int, width: int) -> tuple[jax.Array, jax.Array]:
-    """A network of `obs_dim + extra` inputs and a first layer of `width` units where the extra inputs are 0: weights of
-    the network without them, and what they add to its first bias, `[extra, width]`.
+    """A network of `obs_dim + extra` inputs and a first layer of `width` units where the extra
+    inputs are 0: weights of the network without them, and what they add to its first bias, `[extra,
+    width]`.
 
-    A flat network (`flat`) begins with the bias of its first layer, then that layer's matrix row by row.
+    A flat network (`flat`) begins with the bias of its first layer, then that layer's matrix row by
+    row.
     """
     bias, kernel, rest = jnp.split(weights, [width, width * (1 + obs_dim + extra)])
     kernel = kernel.reshape(obs_dim + extra, width)
@@ -96,18 +115,27 @@ def _tried(key, problem: GoalProblem, context, config: SharedConfig, dim: int):
         k, c, some = work
         return jax.vmap(problem.trial, (0, None, 0))(jax.random.split(k, config.trials), c, some)
 
-    return contexts, actions, jax.lax.map(at, (jax.random.split(trial_key, config.contexts), contexts, actions))
+    return (
+        contexts,
+        actions,
+        jax.lax.map(at, (jax.random.split(trial_key, config.contexts), contexts, actions)),
+    )
 
 
-def _batch(key, naf: NAF, problem: GoalProblem, shown, config: SharedConfig, weights, data, done) -> Transition:
-    """`[batch, ...]`: at each pair, one of the candidates in proportion to `exp(reward / temperature - away)`."""
+def _batch(
+    key, naf: NAF, problem: GoalProblem, shown, config: SharedConfig, weights, data, done
+) -> Transition:
+    """`[batch, ...]`: at each pair, one of the candidates in proportion to `exp(reward /
+    temperature - away)`.
+    """
     contexts, actions, outcomes = data
     keys = jax.random.split(key, 4)
     where = jax.random.randint(keys[0], (config.batch,), 0, config.contexts)
     goals = jax.vmap(problem.draw)(jax.random.split(keys[1], config.batch))
     stride = config.trials // config.candidates
     index = (
-        jax.random.randint(keys[2], (config.batch, 1), 0, config.trials) + stride * jnp.arange(config.candidates)[None]
+        jax.random.randint(keys[2], (config.batch, 1), 0, config.trials)
+        + stride * jnp.arange(config.candidates)[None]
     )
     index = index % config.trials
     action, outcome = actions[where[:, None], index], outcomes[where[:, None], index]

@@ -1,8 +1,10 @@
-"""Proximal policy optimisation for actions on a continuum (Schulman et al. 2017), with advantages by GAE (2016).
+"""Proximal policy optimisation for actions on a continuum (Schulman et al. 2017), with advantages
+by GAE (2016).
 
-A Gaussian about the policy's output, clipped into `[-1, 1]^d`; a value network of its own. Observations are standardised by what was
-seen so far, rewards by the spread of discounted returns. What a policy may know beside the observation (`extra`) goes to both
-networks as it is, with weights that begin at 0: a policy that is told something later goes on from what it did. Sizes are static
+A Gaussian about the policy's output, clipped into `[-1, 1]^d`; a value network of its own.
+Observations are standardised by what was seen so far, rewards by the spread of discounted returns.
+What a policy may know beside the observation (`extra`) goes to both networks as it is, with weights
+that begin at 0: a policy that is told something later goes on from what it did. Sizes are static
 (`PPOConfig`), rates traced (`PPOHyper`).
 """
 
@@ -27,8 +29,9 @@ FIRST = 1024  # of the first numbers seen, by which it is told what is far
 
 @dataclass(frozen=True)
 class PPOConfig:
-    """Sizes, static under jit. obs_dim: standardised; extra_dim: what a policy knows beside them; epochs x minibatches: Adam steps of
-    an update."""
+    """Sizes, static under jit. obs_dim: standardised; extra_dim: what a policy knows beside them;
+    epochs x minibatches: Adam steps of an update.
+    """
 
     obs_dim: int
     action_dim: int
@@ -44,8 +47,9 @@ class PPOConfig:
 class PPOHyper:
     """Rates: a pytree, each leaf a scalar, or `[S]` under vmap.
 
-    learning_rate: Adam's; discount: gamma; trace: lambda of GAE; clip: how far the ratio of probabilities may go; entropy: bonus on
-    the exploration; value: weight of the value's loss; max_grad_norm: gradients are scaled down to this global norm.
+    learning_rate: Adam's; discount: gamma; trace: lambda of GAE; clip: how far the ratio of
+    probabilities may go; entropy: bonus on the exploration; value: weight of the value's loss;
+    max_grad_norm: gradients are scaled down to this global norm.
     """
 
     learning_rate: float = 1e-3
@@ -87,9 +91,11 @@ class PPOState(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """`T` steps of `B` environments, `[T, B, ...]`: `after` is the observation that a step led to; ended: it was the last of its
-    episode, and no reward follows; cut: what follows is another episode, but this one would have gone on. carried `[B]`:
-    discounted rewards of the episode before this batch, for the spread of returns."""
+    """`T` steps of `B` environments, `[T, B, ...]`: `after` is the observation that a step led to;
+    ended: it was the last of its episode, and no reward follows; cut: what follows is another
+    episode, but this one would have gone on. carried `[B]`: discounted rewards of the episode
+    before this batch, for the spread of returns.
+    """
 
     obs: jax.Array
     extra: jax.Array
@@ -103,7 +109,9 @@ class Batch(NamedTuple):
 
 
 class PPOInfo(NamedTuple):
-    """Of one update, each `[]`: losses, the exploration's standard deviation, and how far the new policy is from the old (KL)."""
+    """Of one update, each `[]`: losses, the exploration's standard deviation, and how far the new
+    policy is from the old (KL).
+    """
 
     policy_loss: jax.Array
     value_loss: jax.Array
@@ -127,11 +135,17 @@ class Network(nn.Module):
 
         def mlp(y, outputs, scale):
             for i, width in enumerate(cfg.hidden):
-                y = ACTIVATIONS[cfg.activation](nn.Dense(width, kernel_init=orthogonal if i else first)(y))
+                y = ACTIVATIONS[cfg.activation](
+                    nn.Dense(width, kernel_init=orthogonal if i else first)(y)
+                )
             return nn.Dense(outputs, kernel_init=nn.initializers.orthogonal(scale))(y)
 
         log_std = self.param("log_std", nn.initializers.constant(-0.5), (cfg.action_dim,))
-        return mlp(x, cfg.action_dim, 0.01), jnp.clip(log_std, LOWEST, HIGHEST), mlp(x, 1, 1.0)[..., 0]
+        return (
+            mlp(x, cfg.action_dim, 0.01),
+            jnp.clip(log_std, LOWEST, HIGHEST),
+            mlp(x, 1, 1.0)[..., 0],
+        )
 
 
 class PPO(NamedTuple):
@@ -151,8 +165,10 @@ def make_ppo(config: PPOConfig) -> PPO:
 
     * `init(key) -> PPOState`; `actor(state) -> Actor`
     * `deployed(actor, obs [..., O], extra [..., X]) -> [..., d]` in [-1, 1], without noise
-    * `value(actor, obs [..., O], extra [..., X]) -> [...]`: what is expected from there on, discounted and in scaled rewards
-    * `act(key, actor, obs, extra) -> (action [..., d], log_prob [...])`, with the exploration's noise, not clipped
+    * `value(actor, obs [..., O], extra [..., X]) -> [...]`: what is expected from there on,
+      discounted and in scaled rewards
+    * `act(key, actor, obs, extra) -> (action [..., d], log_prob [...])`, with the exploration's
+      noise, not clipped
     * `update(key, state, batch, hyper) -> (state, info)`: one round of epochs over a `Batch`
     """
     _check(config)
@@ -165,11 +181,18 @@ def make_ppo(config: PPOConfig) -> PPO:
 
     def init(key):
         weights = weights_of(key)
-        blank = lambda shape: Scale(jnp.zeros(()), jnp.zeros(shape), jnp.zeros(shape))
-        return PPOState(weights, optax.scale_by_adam().init(weights), blank(config.obs_dim), blank(()))
+
+        def blank(shape):
+            return Scale(jnp.zeros(()), jnp.zeros(shape), jnp.zeros(shape))
+
+        return PPOState(
+            weights, optax.scale_by_adam().init(weights), blank(config.obs_dim), blank(())
+        )
 
     def actor(state):
-        return Actor(state.weights, state.obs.mean, jnp.where(state.obs.count > 0, state.obs.std, 1.0))
+        return Actor(
+            state.weights, state.obs.mean, jnp.where(state.obs.count > 0, state.obs.std, 1.0)
+        )
 
     def deployed(actor: Actor, obs, extra):
         return jnp.clip(apply(actor.weights, actor.mean, actor.std, obs, extra)[0], -1.0, 1.0)
@@ -179,7 +202,9 @@ def make_ppo(config: PPOConfig) -> PPO:
 
     def act(key, actor, obs, extra):
         mean, log_std, _ = apply(actor.weights, actor.mean, actor.std, obs, extra)
-        action = mean + jnp.exp(log_std).reshape(*(1,) * (mean.ndim - 1), -1) * jax.random.normal(key, mean.shape)
+        action = mean + jnp.exp(log_std).reshape(*(1,) * (mean.ndim - 1), -1) * jax.random.normal(
+            key, mean.shape
+        )
         return action, _log_prob(action, mean, log_std)
 
     def update(key, state, batch, hyper):
@@ -191,7 +216,10 @@ def make_ppo(config: PPOConfig) -> PPO:
             lambda x: x.reshape(-1, *x.shape[2:]),
             (batch.obs, batch.extra, batch.action, batch.log_prob, advantage, advantage + values),
         )
-        loss = lambda w, part: _loss(lambda o, e: apply(w, told.mean, told.std, o, e), part, hyper)
+
+        def loss(w, part):
+            return _loss(lambda o, e: apply(w, told.mean, told.std, o, e), part, hyper)
+
         (weights, opt), infos = _epochs(key, config, loss, (state.weights, state.opt), rows, hyper)
         info = jax.tree.map(jnp.mean, infos)
         return PPOState(weights, opt, _more(state.obs, batch.obs), gain), info
@@ -199,8 +227,12 @@ def make_ppo(config: PPOConfig) -> PPO:
     return PPO(config, init, actor, deployed, value, act, update)
 
 
-def gae(reward: jax.Array, value: jax.Array, after: jax.Array, batch: Batch, hyper: PPOHyper) -> jax.Array:
-    """Advantages `[T, B]` from rewards and values `[T, B]` before and `after` each step (Schulman et al. 2016)."""
+def gae(
+    reward: jax.Array, value: jax.Array, after: jax.Array, batch: Batch, hyper: PPOHyper
+) -> jax.Array:
+    """Advantages `[T, B]` from rewards and values `[T, B]` before and `after` each step (Schulman
+    et al. 2016).
+    """
     delta = reward + hyper.discount * (1.0 - batch.ended) * after - value
     on = (1.0 - batch.ended) * (1.0 - batch.cut)
 
@@ -213,7 +245,9 @@ def gae(reward: jax.Array, value: jax.Array, after: jax.Array, batch: Batch, hyp
 
 
 def carried(batch: Batch, discount: jax.Array | float) -> tuple[jax.Array, jax.Array]:
-    """Discounted rewards of an episode so far: at each step `[T, B]`, and what the next batch begins with `[B]`."""
+    """Discounted rewards of an episode so far: at each step `[T, B]`, and what the next batch
+    begins with `[B]`.
+    """
 
     def on(total, row):
         reward, over = row
@@ -248,13 +282,17 @@ def _more(scale: Scale, rows: jax.Array, last: tuple[int, ...] | None = None) ->
 
 
 def _near(scale: Scale, rows: jax.Array) -> jax.Array:
-    """`rows [N, n]` at most `FAR` from the mean. A world that blows up goes to 1e27 before it is no number: one such row would hide
-    all else for good. What is rarer than one row in `FAR^2` stays far; what is not widens the scale until it is near."""
+    """`rows [N, n]` at most `FAR` from the mean. A world that blows up goes to 1e27 before it is no
+    number: one such row would hide all else for good. What is rarer than one row in `FAR^2` stays
+    far; what is not widens the scale until it is near.
+    """
 
     def at_first():
         some = rows[:: max(1, rows.shape[0] // FIRST)]
         middle = jnp.median(some, 0, keepdims=True)
-        return middle, jnp.quantile(jnp.abs(some - middle), 0.99, 0, keepdims=True) / 2.58  # of a normal one its std
+        return middle, jnp.quantile(
+            jnp.abs(some - middle), 0.99, 0, keepdims=True
+        ) / 2.58  # of a normal one its std
 
     shape = (1, rows.shape[1])
     centre, std = jax.lax.cond(
@@ -272,23 +310,31 @@ def _epochs(key, config: PPOConfig, loss, carry, rows, hyper):
         weights, opt = carry
         (_, info), grad = jax.value_and_grad(loss, has_aux=True)(weights, part)
         grad = jnp.where(jnp.isfinite(grad), grad, 0.0)
-        grad = grad * jnp.minimum(1.0, hyper.max_grad_norm / jnp.maximum(optax.tree.norm(grad), 1e-12))
+        grad = grad * jnp.minimum(
+            1.0, hyper.max_grad_norm / jnp.maximum(optax.tree.norm(grad), 1e-12)
+        )
         move, opt = optax.scale_by_adam().update(grad, opt)
         return (weights - hyper.learning_rate * move, opt), info
 
     def epoch(carry, key):
         order = _shuffled(key, count)[: size * config.minibatches].reshape(config.minibatches, size)
-        return jax.lax.scan(lambda c, pick: step(c, jax.tree.map(lambda x: x[pick], rows)), carry, order)
+        return jax.lax.scan(
+            lambda c, pick: step(c, jax.tree.map(lambda x: x[pick], rows)), carry, order
+        )
 
     return jax.lax.scan(epoch, carry, jax.random.split(key, config.epochs))
 
 
 def _shuffled(key: jax.Array, count: int) -> jax.Array:
-    """0 to `count` - 1 in random order `[count]`, by one sort of random numbers that end in their index: on a CPU an eighth of the
-    time of `jax.random.permutation`. Rows whose numbers tie keep their order, which matters at the edges of a minibatch alone."""
+    """0 to `count` - 1 in random order `[count]`, by one sort of random numbers that end in their
+    index: on a CPU an eighth of the time of `jax.random.permutation`. Rows whose numbers tie keep
+    their order, which matters at the edges of a minibatch alone.
+    """
     low = max(1, (count - 1).bit_length())
     head = jax.random.bits(key, (count,), jnp.uint32) >> low << low
-    return (jnp.sort(head | jnp.arange(count, dtype=jnp.uint32)) & ((1 << low) - 1)).astype(jnp.int32)
+    return (jnp.sort(head | jnp.arange(count, dtype=jnp.uint32)) & ((1 << low) - 1)).astype(
+        jnp.int32
+    )
 
 
 def _loss(apply, part, hyper: PPOHyper):
@@ -313,7 +359,8 @@ def _log_prob(action, mean, log_std) -> jax.Array:
 def _check(config: PPOConfig) -> None:
     if (
         not config.hidden
-        or min(config.obs_dim, config.action_dim, config.epochs, config.minibatches, *config.hidden) < 1
+        or min(config.obs_dim, config.action_dim, config.epochs, config.minibatches, *config.hidden)
+        < 1
     ):
         raise BadInput(f"PPO sizes {config}: each must be positive, with one hidden layer or more")
     if config.activation not in ACTIVATIONS:

@@ -1,7 +1,8 @@
 """A first-in first-out replay of fixed size, written in whole blocks.
 
-The write position is an argument and not part of the state: under `vmap` over seeds it stays unbatched, so that a write
-is one contiguous window for all of them. `benchmarks/phase1.py --replay` measures it beside flashbax.
+The write position is an argument and not part of the state: under `vmap` over seeds it stays
+unbatched, so that a write is one contiguous window for all of them. `benchmarks/phase1.py --replay`
+measures it beside flashbax.
 """
 
 from typing import NamedTuple, TypeVar
@@ -17,7 +18,8 @@ Items = TypeVar("Items")
 class Transition(NamedTuple):
     """One adaptation step, or a batch of them.
 
-    obs: `[..., obs_dim]`, action: `[..., branches]` int32, reward: `[...]`, next_obs: `[..., obs_dim]`,
+    obs: `[..., obs_dim]`, action: `[..., branches]` int32, reward: `[...]`, next_obs: `[...,
+        obs_dim]`,
     bootstrap: `[...]`, 0 where nothing follows and 1 elsewhere.
     """
 
@@ -29,14 +31,21 @@ class Transition(NamedTuple):
 
 
 def check_capacity(capacity: int, block: int) -> None:
-    """Blocks must tile the ring, else a write would run over its end and `dynamic_update_slice` would shift it."""
+    """Blocks must tile the ring, else a write would run over its end and `dynamic_update_slice`
+    would shift it.
+    """
     if capacity % block or capacity < block:
         near = max(block, round(capacity / block) * block)
-        raise BadInput(f"replay capacity {capacity} is not a multiple of the {block} items written at once; use {near}")
+        raise BadInput(
+            f"replay capacity {capacity} is not a multiple of the {block} items written at once; "
+            f"use {near}"
+        )
 
 
 def empty(example: Items, capacity: int) -> Items:
-    """A ring `[capacity, ...]` of zeros for items shaped like `example` (arrays or shapes with dtypes)."""
+    """A ring `[capacity, ...]` of zeros for items shaped like `example` (arrays or shapes with
+    dtypes).
+    """
     return jax.tree.map(lambda x: jnp.zeros((capacity, *x.shape), x.dtype), example)
 
 

@@ -1,4 +1,6 @@
-"""Joint positions of the model from logged angles: whole turns, zeros, absolute angles, joints counted the other way round."""
+"""Joint positions of the model from logged angles: whole turns, zeros, absolute angles, joints
+counted the other way round.
+"""
 
 from __future__ import annotations
 
@@ -14,16 +16,22 @@ from adaptsim_jax.logs.quality.turns import without_turns
 V = TypeVar("V")
 
 
-def model_angles(logged: np.ndarray, names: ModelNames, meta: LogMeta, *, rates: bool = False) -> np.ndarray:
+def model_angles(
+    logged: np.ndarray, names: ModelNames, meta: LogMeta, *, rates: bool = False
+) -> np.ndarray:
     """The model's joint positions `[T, n]` (or their rates) from logged ones in SI units.
 
-    A zero is taken off first, then an absolute angle less that of the joint before it, then a reversed joint turned.
+    A zero is taken off first, then an absolute angle less that of the joint before it, then a
+    reversed joint turned.
     """
     zero = np.array([_declared(meta.zero, i, j, 0.0) for i, j in enumerate(names.joints)])
     shown = logged if rates else logged - zero
     out = shown.copy()
     for i, (joint, parent) in enumerate(zip(names.joints, names.parent_of, strict=True)):
-        if _declared(meta.convention, i, joint, meta.convention.get("", "relative")) == "absolute" and parent >= 0:
+        if (
+            _declared(meta.convention, i, joint, meta.convention.get("", "relative")) == "absolute"
+            and parent >= 0
+        ):
             out[:, i] = shown[:, i] - shown[:, parent]
     out[:, flipped_joints(names, meta)] *= -1.0
     return out
@@ -31,11 +39,16 @@ def model_angles(logged: np.ndarray, names: ModelNames, meta: LogMeta, *, rates:
 
 def flipped_joints(names: ModelNames, meta: LogMeta) -> list[bool]:
     """`[n]`: joints that the log counts the other way round."""
-    return [_declared(dict.fromkeys(meta.reversed, True), i, joint, False) for i, joint in enumerate(names.joints)]
+    return [
+        _declared(dict.fromkeys(meta.reversed, True), i, joint, False)
+        for i, joint in enumerate(names.joints)
+    ]
 
 
 def finite_without_turns(time: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """An angle `[T]` (rad, NaN where missing) at `time [T]` s without the jumps of an encoder that counts within one period."""
+    """An angle `[T]` (rad, NaN where missing) at `time [T]` s without the jumps of an encoder that
+    counts within one period.
+    """
     here = np.isfinite(q)
     out = q.copy()
     out[here] = without_turns(time[here], q[here]).q

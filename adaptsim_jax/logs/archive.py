@@ -1,4 +1,6 @@
-"""Arrays of a NumPy archive, rows first: `[T, 1]` and `[1, T]` are columns, `[n, T]` beside a column of T is turned to `[T, n]`."""
+"""Arrays of a NumPy archive, rows first: `[T, 1]` and `[1, T]` are columns, `[n, T]` beside a
+column of T is turned to `[T, n]`.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ MOST_TOLD = 6
 
 @dataclass(frozen=True)
 class Archive:
-    """`arrays`: those that are wanted, None for the others; `turned`: names of those that had a joint a row."""
+    """`arrays`: those that are wanted, None for the others; `turned`: names of those that had a
+    joint a row.
+    """
 
     arrays: dict[str, Any]
     turned: tuple[str, ...] = ()
@@ -30,24 +34,39 @@ class Archive:
     @property
     def notes(self) -> tuple[str, ...]:
         """What was done to read it, a line each."""
-        return (f"arrays with a row for each joint turned to a row for each sample: {', '.join(self.turned)}",) * bool(
-            self.turned
-        )
+        return (
+            f"arrays with a row for each joint turned to a row for each sample: "
+            f"{', '.join(self.turned)}",
+        ) * bool(self.turned)
 
 
 def read_archive(path: Path, wanted: Collection[str] | None = None) -> Archive:
-    """Arrays of an archive, those `wanted` (None: all); nothing in it is ever executed (no pickles). Raises `BadInput`."""
+    """Arrays of an archive, those `wanted` (None: all); nothing in it is ever executed (no
+    pickles). Raises `BadInput`.
+    """
     raw = read_bytes(path)
     try:
         with np.load(io.BytesIO(raw), allow_pickle=False) as data:
             shapes = {name: _shape(data, name) for name in data.files}
-            arrays = {name: data[name] if wanted is None or name in wanted else None for name in data.files}
-    except Exception as e:  # zip, zlib, struct, header parser, memory: damaged bytes raise any of them
+            arrays = {
+                name: data[name] if wanted is None or name in wanted else None
+                for name in data.files
+            }
+    except (
+        Exception
+    ) as e:  # zip, zlib, struct, header parser, memory: damaged bytes raise any of them
         why = " ".join(str(e).split())[:80] or type(e).__name__
-        raise BadInput(f"{path}: is no readable .npz of plain arrays ({why}); save it again with numpy.savez") from None
+        raise BadInput(
+            f"{path}: is no readable .npz of plain arrays ({why}); save it again with numpy.savez"
+        ) from None
     lengths = {max(shape) for shape in shapes.values() if _is_column(shape)}
-    turned = tuple(name for name, x in arrays.items() if x is not None and _has_rows(x.shape, lengths))
-    out = {name: x if x is None else x.T if name in turned else _flat(name, x) for name, x in arrays.items()}
+    turned = tuple(
+        name for name, x in arrays.items() if x is not None and _has_rows(x.shape, lengths)
+    )
+    out = {
+        name: x if x is None else x.T if name in turned else _flat(name, x)
+        for name, x in arrays.items()
+    }
     return Archive(out, turned)
 
 
@@ -57,7 +76,10 @@ def _shape(data: Any, name: str) -> tuple[int, ...]:
         return data[name].shape
     with data.zip.open(f"{name}.npy") as file:
         version = np.lib.format.read_magic(file)
-        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        if version == (1, 0):
+            read = np.lib.format.read_array_header_1_0
+        else:
+            read = np.lib.format.read_array_header_2_0
         return read(file)[0]
 
 
@@ -73,12 +95,18 @@ def _has_rows(shape: tuple[int, ...], lengths: Collection[int]) -> bool:
 
 
 def _flat(name: str, array: np.ndarray) -> np.ndarray:
-    """A column as `[T]`; of what is called as an array of all joints is, `[T, 1]`, so that its joint is the first."""
+    """A column as `[T]`; of what is called as an array of all joints is, `[T, 1]`, so that its
+    joint is the first.
+    """
     if array.ndim < 2 or not _is_column(array.shape):
         return array
     told = role(name)
-    joints = name.lower() in STEMS or (told is not None and told.joint is None and told.stem not in ("time", "trial"))
-    return array.reshape(-1, 1) if joints else array.ravel()
+    joints = name.lower() in STEMS or (
+        told is not None and told.joint is None and told.stem not in ("time", "trial")
+    )
+    if joints:
+        return array.reshape(-1, 1)
+    return array.ravel()
 
 
 def check_lengths(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
@@ -87,5 +115,10 @@ def check_lengths(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
         return
     some = list(arrays.items())[:MOST_TOLD]
     sizes = ", ".join(f"{name} {' x '.join(map(str, array.shape))}" for name, array in some)
-    more = f" and {len(arrays) - MOST_TOLD} more" if len(arrays) > MOST_TOLD else ""
-    raise BadInput(f"{path}: arrays differ in length ({sizes}{more}); save them with one row per sample")
+    if len(arrays) > MOST_TOLD:
+        more = f" and {len(arrays) - MOST_TOLD} more"
+    else:
+        more = ""
+    raise BadInput(
+        f"{path}: arrays differ in length ({sizes}{more}); save them with one row per sample"
+    )

@@ -1,4 +1,6 @@
-"""Raw trials of named columns made into a `Log`: joints of the model, in its order, angles and units."""
+"""Raw trials of named columns made into a `Log`: joints of the model, in its order, angles and
+units.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ from adaptsim_jax.logs.tables import RawTrial
 
 
 def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: LogMeta) -> Log:
-    """The `Log` of these raw trials. Raises `BadInput` where a joint, column or unit does not fit the model."""
+    """The `Log` of these raw trials. Raises `BadInput` where a joint, column or unit does not fit
+    the model.
+    """
     raw = [_without_ignored(trial, meta, model) for trial in _kept(path, raw, meta)]
     names = model or _names_in(raw[0])
     _check_meta_names(names, raw, meta)
@@ -38,7 +42,12 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
     known = {names.joints[j] for columns in trials for j in columns.declared}
     suspected = headed + scales + check_log_units(log_trials, names.only(kept), meta.units, known)
     turns = [columns.raw.name for columns in trials if columns.turns]
-    turned = (f"jumps of whole turns taken out of the angles (and targets) of {', '.join(turns)}",) if turns else ()
+    if turns:
+        turned = (
+            f"jumps of whole turns taken out of the angles (and targets) of {', '.join(turns)}",
+        )
+    else:
+        turned = ()
     return Log(
         path=path,
         meta=meta,
@@ -64,27 +73,33 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
 def _moving(
     path: str, trials: list[Columns], names: ModelNames, meta: LogMeta
 ) -> tuple[list[int], dict[str, float | None]]:
-    """Numbers of the joints that have angles and move, and where the others are held (None: nothing of them is logged).
+    """Numbers of the joints that have angles and move, and where the others are held (None: nothing
+    of them is logged).
 
     Raises BadInput where no joint has angles, or one has in some trials only.
     """
     n = len(names.joints)
     if unknown := [name for name in meta.hold if name not in names.joints]:
         raise BadInput(
-            f"{meta.path}: [hold] names {unknown[0]!r}, no joint of the model; {suggest(unknown[0], names.joints)}"
+            f"{meta.path}: [hold] names {unknown[0]!r}, no joint of the model; "
+            f"{suggest(unknown[0], names.joints)}"
         )
     have = [columns.by_joint.get("q", {}) for columns in trials]
     if not n:
         if any(columns.base is None and not columns.channels for columns in trials):
             raise BadInput(
-                f"{path}: the model has no joint but its base's; log base_x, base_y, base_z (m) and base_qw .. base_qz"
+                f"{path}: the model has no joint but its base's; log base_x, base_y, base_z (m) "
+                f"and base_qw .. base_qz"
             )
         return [], {}
     for columns, here in zip(trials, have, strict=True):
         if not here:
             _no_angle(columns, names, 0, here)
         spoken = {
-            j for rows in columns.by_joint.values() for j, x in rows.items() if len(np.unique(x[np.isfinite(x)])) > 1
+            j
+            for rows in columns.by_joint.values()
+            for j, x in rows.items()
+            if len(np.unique(x[np.isfinite(x)])) > 1
         }
         for j in sorted(set().union(*have, spoken) - set(here)):
             if names.joints[j] not in meta.hold:
@@ -97,7 +112,10 @@ def _moving(
         middle = float(np.nanmedian(every[:, j])) if some[j] else None
         still = some[j] and float(np.nanmax(every[:, j]) - np.nanmin(every[:, j])) == 0.0
         if joint in meta.hold:
-            held[joint] = middle if meta.hold[joint] is None else meta.hold[joint]
+            if meta.hold[joint] is None:
+                held[joint] = middle
+            else:
+                held[joint] = meta.hold[joint]
         elif j not in have[0]:
             held[joint] = None
         elif still:
@@ -113,68 +131,113 @@ def _no_angle(columns: Columns, names: ModelNames, j: int, here: Mapping[int, np
     raw, joint = columns.raw, names.joints[j]
     if not here:
         raise BadInput(
-            f"{raw.path}: has no angles; add columns q1 or q_{joint}, one for each joint{also_there(raw, 'q', joint)}"
+            f"{raw.path}: has no angles; add columns q1 or q_{joint}, one for each "
+            f"joint{also_there(raw, 'q', joint)}"
         )
     have = [names.joints[k] for k in here]
     mend = (
         f"record it in every trial, or write [hold] and {joint} = 0.0 in meta.toml, in rad or m"
         f" (this trial has {', '.join(have)})"
     )
-    raise BadInput(f"{raw.path}: no angle of the model's joint '{joint}' (column q{j + 1} or q_{joint}); {mend}")
+    raise BadInput(
+        f"{raw.path}: no angle of the model's joint '{joint}' (column q{j + 1} or q_{joint}); "
+        f"{mend}"
+    )
 
 
-def _strange(trial: RawTrial, names: ModelNames, held: Mapping[str, float | None]) -> tuple[str, ...]:
-    """A joint that nothing was logged of beside angles that no joint of the model has: the same by another name?"""
+def _strange(
+    trial: RawTrial, names: ModelNames, held: Mapping[str, float | None]
+) -> tuple[str, ...]:
+    """A joint that nothing was logged of beside angles that no joint of the model has: the same by
+    another name?
+    """
     bare = [name for name, value in held.items() if value is None]
-    left = [name for name in trial.ignored if (r := role(name, names.joints)) is not None and r.stem == "q"]
+    left = [
+        name
+        for name in trial.ignored
+        if (r := role(name, names.joints)) is not None and r.stem == "q"
+    ]
     if not bare or not left:
         return ()
     return (
-        f"nothing is logged of {', '.join(bare)}, held; {', '.join(left)} is left out: if it is the same, name it by [columns]",
+        f"nothing is logged of {', '.join(bare)}, held; {', '.join(left)} is left out: if it is "
+        f"the same, name it by [columns]",
     )
 
 
 def _numbered(trial: RawTrial, names: ModelNames, kept: Sequence[int]) -> tuple[str, ...]:
     """Which joints columns that go by number are taken for, where the model has more."""
-    roles = [r for name in trial.columns if (r := role(name, names.joints)) is not None and r.stem == "q"]
+    roles = [
+        r for name in trial.columns if (r := role(name, names.joints)) is not None and r.stem == "q"
+    ]
     if len(kept) == len(names.joints) or not any(isinstance(r.joint, int) for r in roles):
         return ()
-    return (f"columns go by number, in the model's order of joints: {', '.join(names.joints[j] for j in kept)}",)
+    return (
+        f"columns go by number, in the model's order of joints: "
+        f"{', '.join(names.joints[j] for j in kept)}",
+    )
 
 
 def _input_columns(trial: RawTrial, names: ModelNames, inputs: Inputs) -> tuple[str, ...]:
     """The column that each input was read from, empty where there is none."""
-    stems = ("ctrl", "target") if inputs.kind == "command" else (inputs.stem,)
-    roles = {name: r for name in trial.columns if (r := role(name, names.joints)) is not None and r.stem in stems}
-    base = 0 if any(r.joint == 0 for name in trial.columns if (r := role(name, names.joints)) is not None) else 1
+    if inputs.kind == "command":
+        stems = ("ctrl", "target")
+    else:
+        stems = (inputs.stem,)
+    roles = {
+        name: r
+        for name in trial.columns
+        if (r := role(name, names.joints)) is not None and r.stem in stems
+    }
+    if any(r.joint == 0 for name in trial.columns if (r := role(name, names.joints)) is not None):
+        base = 0
+    else:
+        base = 1
     place = {joint: k + base for k, joint in enumerate(names.joints)}
     out = []
     for index, name in enumerate(inputs.names):
         joint = inputs.actuators[index].joint if inputs.actuators else name
         own = {"ctrl": (name, joint, index + base)}
-        mine = sorted((r.stem, c) for c, r in roles.items() if r.joint in own.get(r.stem, (joint, place.get(joint))))
+        mine = sorted(
+            (r.stem, c)
+            for c, r in roles.items()
+            if r.joint in own.get(r.stem, (joint, place.get(joint)))
+        )
         out.append(mine[0][1] if mine else "")
     return tuple(out)
 
 
 def _kept(path: str, raw: list[RawTrial], meta: LogMeta) -> list[RawTrial]:
     names = [trial.name for trial in raw]
-    for key, patterns in (("exclude", meta.exclude), ("group", meta.group), ("payload", meta.payload)):
+    for key, patterns in (
+        ("exclude", meta.exclude),
+        ("group", meta.group),
+        ("payload", meta.payload),
+    ):
         for pattern in patterns:
             if not fnmatch.filter(names, pattern):
                 raise BadInput(
-                    f"{meta.path}: trials.{key} names {pattern!r}, no trial of {path}; {suggest(pattern, names)}"
+                    f"{meta.path}: trials.{key} names {pattern!r}, no trial of {path}; "
+                    f"{suggest(pattern, names)}"
                 )
-    kept = [trial for trial in raw if not any(fnmatch.fnmatchcase(trial.name, p) for p in meta.exclude)]
+    kept = [
+        trial for trial in raw if not any(fnmatch.fnmatchcase(trial.name, p) for p in meta.exclude)
+    ]
     if not kept:
         raise BadInput(f"{meta.path}: trials.exclude leaves no trial; keep one")
     return kept
 
 
 def _without_ignored(trial: RawTrial, meta: LogMeta, model: ModelNames | None) -> RawTrial:
-    """The trial without columns that are not ours, and those that `ignore` names: themselves, or by their joint."""
+    """The trial without columns that are not ours, and those that `ignore` names: themselves, or by
+    their joint.
+    """
     joints = model.joints if model else ()
-    ours = {n: v for n, v in trial.columns.items() if role(n, joints) and not is_ignored(n, meta.ignore, joints)}
+    ours = {
+        n: v
+        for n, v in trial.columns.items()
+        if role(n, joints) and not is_ignored(n, meta.ignore, joints)
+    }
     gone = tuple(name for name in trial.columns if name not in ours)
     return replace(trial, columns=ours, ignored=(*trial.ignored, *gone))
 
@@ -188,22 +251,36 @@ def _names_in(trial: RawTrial) -> ModelNames:
     else:
         joints = tuple(f"joint{i}" for i in range(1, len(angles) + 1))
     if not joints:
-        raise BadInput(f"{trial.path}: has no angle column; add q1, q2, ... or q_NAME (rad), or name them by [columns]")
+        raise BadInput(
+            f"{trial.path}: has no angle column; add q1, q2, ... or q_NAME (rad), or name them by "
+            f"[columns]"
+        )
     return ModelNames(joints)
 
 
 def _check_meta_names(names: ModelNames, raw: list[RawTrial], meta: LogMeta) -> None:
     columns = [name for trial in raw for name in trial.columns]
     known = (*names.joints, *dict.fromkeys(columns), "q", "")
-    for key, given in (("convention", meta.convention), ("zero", meta.zero), ("reversed", meta.reversed)):
+    for key, given in (
+        ("convention", meta.convention),
+        ("zero", meta.zero),
+        ("reversed", meta.reversed),
+    ):
         for name in given:
             if name not in known:
-                joints = suggest(name, (*names.joints, *(c for c in dict.fromkeys(columns) if c.startswith("q"))))
-                raise BadInput(f"{meta.path}: angles.{key} names {name!r}, no joint and no column; {joints}")
+                joints = suggest(
+                    name, (*names.joints, *(c for c in dict.fromkeys(columns) if c.startswith("q")))
+                )
+                raise BadInput(
+                    f"{meta.path}: angles.{key} names {name!r}, no joint and no column; {joints}"
+                )
     for key, given in (("rate", meta.rate), ("within", meta.within)):
         for name in given:
             if name not in names.joints:
-                raise BadInput(f"{meta.path}: commands.{key} names {name!r}, no joint; {suggest(name, names.joints)}")
+                raise BadInput(
+                    f"{meta.path}: commands.{key} names {name!r}, no joint; "
+                    f"{suggest(name, names.joints)}"
+                )
     quantities = ("time", "angle", "velocity", "torque", "length", "force", "voltage", "current")
     stems = ("q", "v", "tau", "target", "ctrl", "u", "i", "tau_commanded")
     words = {w for name in dict.fromkeys(columns) for w in _words(name, names)}
@@ -211,7 +288,10 @@ def _check_meta_names(names: ModelNames, raw: list[RawTrial], meta: LogMeta) -> 
         for name in given:
             if name not in (*quantities, *stems) and name not in words:
                 near = suggest(name, (*quantities, *stems, *sorted(words)))
-                raise BadInput(f"{meta.path}: [{table}] {name!r} is no column, joint or quantity of the data; {near}")
+                raise BadInput(
+                    f"{meta.path}: [{table}] {name!r} is no column, joint or quantity of the data; "
+                    f"{near}"
+                )
 
 
 def _words(name: str, names: ModelNames) -> tuple[str, ...]:
@@ -225,14 +305,17 @@ def _words(name: str, names: ModelNames) -> tuple[str, ...]:
     return found.words(name, joint)
 
 
-def _trial(columns: Columns, names: ModelNames, meta: LogMeta, inputs: Inputs, kept: Sequence[int]) -> LogTrial:
+def _trial(
+    columns: Columns, names: ModelNames, meta: LogMeta, inputs: Inputs, kept: Sequence[int]
+) -> LogTrial:
     raw, n, at = columns.raw, len(names.joints), np.asarray(kept, int)
     here = columns.by_joint.get("q", {})
     for j in kept:
         if not np.isfinite(here[j]).any():
             joint = names.joints[j]
             raise BadInput(
-                f"{raw.path}: the angle of joint '{joint}' holds no number in any row; record it, or write [hold] and "
+                f"{raw.path}: the angle of joint '{joint}' holds no number in any row; record it, "
+                f"or write [hold] and "
                 f"{joint} = 0.0 in meta.toml"
             )
     speeds = columns.by_joint.get("v", {})
@@ -241,14 +324,24 @@ def _trial(columns: Columns, names: ModelNames, meta: LogMeta, inputs: Inputs, k
     if speeds and not set(kept) <= set(speeds):
         lacks = next(names.joints[j] for j in kept if j not in speeds)
         raise BadInput(
-            f"{raw.path}: has velocities, but none of joint '{lacks}'; add column v_{lacks}, or leave all out"
+            f"{raw.path}: has velocities, but none of joint '{lacks}'; add column v_{lacks}, or "
+            f"leave all out"
         )
     q = model_angles(columns.stacked("q", n), names, meta)[:, at]
-    v = model_angles(columns.stacked("v", n), names, meta, rates=True)[:, at] if speeds else None
-    extra = {stem: columns.stacked(stem, n) for stem in columns.by_joint if stem not in ("q", "v", inputs.stem)}
+    if speeds:
+        v = model_angles(columns.stacked("v", n), names, meta, rates=True)[:, at]
+    else:
+        v = None
+    extra = {
+        stem: columns.stacked(stem, n)
+        for stem in columns.by_joint
+        if stem not in ("q", "v", inputs.stem)
+    }
     if "target" in extra:
         extra["target"] = model_angles(extra["target"], names, meta)
-    extra = {stem: values[:, at] for stem, values in extra.items() if not np.isnan(values[:, at]).all()}
+    extra = {
+        stem: values[:, at] for stem, values in extra.items() if not np.isnan(values[:, at]).all()
+    }
     return LogTrial(
         name=raw.name,
         path=raw.path,
@@ -265,13 +358,16 @@ def _trial(columns: Columns, names: ModelNames, meta: LogMeta, inputs: Inputs, k
 
 
 def _evened(trials: tuple[LogTrial, ...]) -> tuple[tuple[LogTrial, ...], tuple[str, ...]]:
-    """The trials at even times where their rows were read evenly and only stamped unevenly, and a note on it."""
+    """The trials at even times where their rows were read evenly and only stamped unevenly, and a
+    note on it.
+    """
     told = jitter([(t.time, t.q) for t in trials])
     if told is None:
         return trials, ()
     step = float(np.median([np.median(np.diff(time)) for time in told.times]))
     note = (
-        f"stamps of rows jitter (by {1e3 * told.size:.2g} ms) and the angles do not ({100 * told.share:.0f} % of it is not in "
+        f"stamps of rows jitter (by {1e3 * told.size:.2g} ms) and the angles do not "
+        f"({100 * told.share:.0f} % of it is not in "
         f"them): rows are taken as read evenly, every {1e3 * step:.4g} ms"
     )
     return tuple(replace(t, time=time) for t, time in zip(trials, told.times, strict=True)), (note,)
@@ -287,9 +383,15 @@ def _notes(raw: Sequence[RawTrial], trials: Sequence[LogTrial]) -> tuple[str, ..
         notes.append(f"columns kept beside the input: {', '.join(kept)}")
     if any(trial.v is None for trial in trials):
         notes.append(
-            "some trials have no velocities" if any(t.v is not None for t in trials) else "no velocities logged"
+            "some trials have no velocities"
+            if any(t.v is not None for t in trials)
+            else "no velocities logged"
         )
-    missing = {trial.name: int(np.isnan(trial.q).sum()) for trial in trials if np.isnan(trial.q).any()}
+    missing = {
+        trial.name: int(np.isnan(trial.q).sum()) for trial in trials if np.isnan(trial.q).any()
+    }
     if missing:
-        notes.append(f"angles missing: {', '.join(f'{count} in {name}' for name, count in missing.items())}")
+        notes.append(
+            f"angles missing: {', '.join(f'{count} in {name}' for name, count in missing.items())}"
+        )
     return tuple(notes)

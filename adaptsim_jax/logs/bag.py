@@ -9,8 +9,9 @@ from typing import Any, Protocol
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic of a bag: its name, message type (empty: of several) and number of messages. `encoding` of messages that are not ROS';
-    `unread`: whether it is none that can be read."""
+    """A topic of a bag: its name, message type (empty: of several) and number of messages.
+    `encoding` of messages that are not ROS'; `unread`: whether it is none that can be read.
+    """
 
     name: str
     kind: str

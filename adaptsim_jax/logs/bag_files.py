@@ -1,4 +1,6 @@
-"""Bags opened, of whatever kind: ROS 1 and ROS 2 by the library rosbags, MCAP by the library mcap, each as topics and messages."""
+"""Bags opened, of whatever kind: ROS 1 and ROS 2 by the library rosbags, MCAP by the library mcap,
+each as topics and messages.
+"""
 
 from __future__ import annotations
 
@@ -17,20 +19,28 @@ ENDINGS = (".bag", ".mcap", ".db3")
 
 
 def bags(path: Path) -> list[Path]:
-    """The bags that a folder holds: files, or folders with `metadata.yaml`; the path itself where it is one."""
+    """The bags that a folder holds: files, or folders with `metadata.yaml`; the path itself where
+    it is one.
+    """
     if is_bag(path):
         return [path]
-    return sorted(p for p in path.iterdir() if is_bag(p) and not p.name.startswith(".")) if path.is_dir() else []
+    if path.is_dir():
+        return sorted(p for p in path.iterdir() if is_bag(p) and not p.name.startswith("."))
+    return []
 
 
 def is_bag(path: Path) -> bool:
     """Whether a path is a bag by its ending, or a ROS 2 bag's folder."""
-    return (path / "metadata.yaml").is_file() if path.is_dir() else path.suffix.lower() in ENDINGS
+    if path.is_dir():
+        return (path / "metadata.yaml").is_file()
+    return path.suffix.lower() in ENDINGS
 
 
 @contextlib.contextmanager
 def opened(path: Path) -> Iterator[Bag]:
-    """A bag of any kind, open. What the libraries say of damaged ones comes in one line (`BadInput`)."""
+    """A bag of any kind, open. What the libraries say of damaged ones comes in one line
+    (`BadInput`).
+    """
     try:
         files = [path] if path.is_file() else sorted(path.glob("*.mcap"))
         if files and all(file.suffix.lower() == ".mcap" for file in files):
@@ -41,12 +51,15 @@ def opened(path: Path) -> Iterator[Bag]:
                 yield bag
     except BadInput:
         raise
-    except Exception as error:  # the libraries raise many kinds for damaged bytes: struct, sqlite, yaml, assertions
+    # the libraries raise many kinds for damaged bytes: struct, sqlite, yaml, assertions
+    except Exception as error:
         why = " ".join(str(error).split())[:120] or type(error).__name__
         mend = {".mcap": "mend it by 'mcap recover'", ".bag": "mend it by 'rosbag reindex'"}.get(
             path.suffix, "record it again"
         )
-        raise BadInput(f"{path}: is no readable bag ({why}); {mend}, or convert it to CSV") from None
+        raise BadInput(
+            f"{path}: is no readable bag ({why}); {mend}, or convert it to CSV"
+        ) from None
 
 
 @dataclass(frozen=True)
@@ -55,7 +68,10 @@ class _RosBag:
 
     @property
     def topics(self) -> tuple[Topic, ...]:
-        return tuple(Topic(name, info.msgtype or "", info.msgcount) for name, info in self.reader.topics.items())
+        return tuple(
+            Topic(name, info.msgtype or "", info.msgcount)
+            for name, info in self.reader.topics.items()
+        )
 
     def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
         connections = [c for c in self.reader.connections if c.topic == topic]
@@ -65,6 +81,11 @@ class _RosBag:
 
 @contextlib.contextmanager
 def _ros(path: Path) -> Iterator[_RosBag]:
-    highlevel, typesys = need(path, "rosbags.highlevel", "ros"), need(path, "rosbags.typesys", "ros")
-    with highlevel.AnyReader([path], default_typestore=typesys.get_typestore(typesys.Stores.LATEST)) as reader:
+    highlevel, typesys = (
+        need(path, "rosbags.highlevel", "ros"),
+        need(path, "rosbags.typesys", "ros"),
+    )
+    with highlevel.AnyReader(
+        [path], default_typestore=typesys.get_typestore(typesys.Stores.LATEST)
+    ) as reader:
         yield _RosBag(reader)

@@ -1,4 +1,6 @@
-"""A first `meta.toml` for data of any kind: what can be read, what is guessed, what is left to a person."""
+"""A first `meta.toml` for data of any kind: what can be read, what is guessed, what is left to a
+person.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,14 @@ from adaptsim_jax.logs.meta import SHORT_TRIALS
 from adaptsim_jax.logs.read import META, names_of, read_log
 from adaptsim_jax.logs.restarts import cuts, naming, restarted
 from adaptsim_jax.logs.table import read_table
-from adaptsim_jax.logs.tables import ENDINGS, cells_of, column_names, headers_of, list_columns, table_files
+from adaptsim_jax.logs.tables import (
+    ENDINGS,
+    cells_of,
+    column_names,
+    headers_of,
+    list_columns,
+    table_files,
+)
 from adaptsim_jax.logs.two_part_time import pair, together
 
 MODELS = (".xml", ".mjcf", ".urdf")
@@ -30,9 +39,11 @@ MODELS = (".xml", ".mjcf", ".urdf")
 
 @dataclass(frozen=True)
 class Begun:
-    """What was written where: `path` of meta.toml, its `text`; the `log` as it reads now, or what is `to_mend` before it does.
+    """What was written where: `path` of meta.toml, its `text`; the `log` as it reads now, or what
+    is `to_mend` before it does.
 
-    `unused`: columns that nothing was made of."""
+    `unused`: columns that nothing was made of.
+    """
 
     path: Path
     text: str
@@ -42,20 +53,29 @@ class Begun:
 
 
 def begin(data: Path, out: Path | None, model: Path | None, topics: dict[str, str]) -> Begun:
-    """Write `meta.toml` into `out` (None: into `data`, a folder). Raises `BadInput` where there is one, or no data."""
+    """Write `meta.toml` into `out` (None: into `data`, a folder). Raises `BadInput` where there is
+    one, or no data.
+    """
     folder = _folder(data, out)
     told = model or _only_model(data)
     names = names_of(str(told))[1] if model else _names_beside(told)
     tables = _state_files(data)
     columns, ros_topics, chosen = _columns(data, tables, topics, names.joints if names else ())
-    columns, clock = _one_clock(tables[0], columns) if tables else (columns, {})
+    if tables:
+        columns, clock = _one_clock(tables[0], columns)
+    else:
+        columns, clock = (columns, {})
     arrays = next(map(_lists, tables), {})
     named = {ours: array for array, ours in arrays.items() if ours}
     found = guess(columns, names, lerobot.is_lerobot(data) if data.is_dir() else False, named)
     found = replace(
-        found, columns=found.columns | clock | {o: a for a, o in arrays.items() if o and o != a},
-        ignored=(*(name for name in found.ignored if name.strip()), *(a for a, o in arrays.items() if not o)),
-    )  # fmt: skip
+        found,
+        columns=found.columns | clock | {o: a for a, o in arrays.items() if o and o != a},
+        ignored=(
+            *(name for name in found.ignored if name.strip()),
+            *(a for a, o in arrays.items() if not o),
+        ),
+    )
     here = folder.resolve()
     text = meta_text(
         found,
@@ -65,7 +85,10 @@ def begin(data: Path, out: Path | None, model: Path | None, topics: dict[str, st
         topics=ros_topics,
         ros=chosen,
         kinds=_kinds(found, columns, names),
-        commands={t: p.name for t, p in command_files.suspected(table_files(data) if data.is_dir() else []).items()},
+        commands={
+            t: p.name
+            for t, p in command_files.suspected(table_files(data) if data.is_dir() else []).items()
+        },
     )
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / META
@@ -77,20 +100,31 @@ def begin(data: Path, out: Path | None, model: Path | None, topics: dict[str, st
 
 
 def _folder(data: Path, out: Path | None) -> Path:
-    """The folder that meta.toml goes to; never one that has it, nor the data's own unless nothing else is named."""
+    """The folder that meta.toml goes to; never one that has it, nor the data's own unless nothing
+    else is named.
+    """
     if not data.exists():
         raise BadInput(f"{data}: does not exist; give a folder or a file of recordings")
     if (data / "actions.csv").exists() and not (data / META).exists():
         raise BadInput(f"{data / META}: {SHORT_TRIALS}")
     if out is None and not data.is_dir():
         raise BadInput(f"{data}: is a file; name a folder for meta.toml by --out")
-    if out is not None and data.is_dir() and data.resolve() in (out.resolve(), *out.resolve().parents):
-        raise BadInput(f"{out}: lies in the data's folder; leave --out away to write there, or name a folder elsewhere")
+    if (
+        out is not None
+        and data.is_dir()
+        and data.resolve() in (out.resolve(), *out.resolve().parents)
+    ):
+        raise BadInput(
+            f"{out}: lies in the data's folder; leave --out away to write there, or name a folder "
+            f"elsewhere"
+        )
     if out is not None and out.exists() and not out.is_dir():
         raise BadInput(f"{out}: is a file; name a folder by --out")
     folder = data if out is None else out
     if (folder / META).exists():
-        raise BadInput(f"{folder / META}: is there already; mend it by hand, or name another folder by --out")
+        raise BadInput(
+            f"{folder / META}: is there already; mend it by hand, or name another folder by --out"
+        )
     return folder
 
 
@@ -99,13 +133,17 @@ def _only_model(data: Path) -> Path | None:
     if not data.is_dir():
         return None
     found = [p for p in data.iterdir() if p.suffix.lower() in MODELS and p.is_file()]
-    return found[0] if len(found) == 1 else None
+    if len(found) == 1:
+        return found[0]
+    return None
 
 
 def _names_beside(model: Path | None) -> ModelNames | None:
     """What a model file that nobody named has; None where it cannot be read."""
     try:
-        return names_of(str(model))[1] if model else None
+        if model:
+            return names_of(str(model))[1]
+        return None
     except BadInput:
         return None
 
@@ -117,11 +155,21 @@ def _from(path: Path, folder: Path) -> str:
 def _columns(
     data: Path, tables: list[Path], topics: dict[str, str], joints: Sequence[str]
 ) -> tuple[dict[str, np.ndarray], list[str], dict[str, str]]:
-    """Columns of the first trial as its file names them; of bags also what their topics are, and those that are chosen."""
+    """Columns of the first trial as its file names them; of bags also what their topics are, and
+    those that are chosen.
+    """
     if data.is_dir() and lerobot.is_lerobot(data):
         trial = lerobot.read_lerobot(data)[0]
         # numbers whose names do not fit are no joints until a person says which
-        return {n: x for n, x in trial.columns.items() if not any(n.startswith(f"{v}[") for v in trial.doubt)}, [], {}
+        return (
+            {
+                n: x
+                for n, x in trial.columns.items()
+                if not any(n.startswith(f"{v}[") for v in trial.doubt)
+            },
+            [],
+            {},
+        )
     if tables:
         return _table_columns(tables[0]), [], {}
     bags = ros.bags(data)
@@ -133,27 +181,43 @@ def _columns(
     return ros.read_bag(bags[0], topics | chosen).columns, lines, chosen
 
 
-def _one_clock(path: Path, columns: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """Columns of the first trial alone, with one time; our name -> the file's of those that are told by how they go together: the two
-    parts of a time, and what names the trials where the clock starts again."""
+def _one_clock(
+    path: Path, columns: dict[str, np.ndarray]
+) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """Columns of the first trial alone, with one time; our name -> the file's of those that are
+    told by how they go together: the two parts of a time, and what names the trials where the clock
+    starts again.
+    """
     named: dict[str, str] = {}
     if TIME[0] not in columns and (found := pair(columns)):
         time = together(columns[found[0]], columns[found[1]])
-        columns = {TIME[0]: time} | {name: values for name, values in columns.items() if name not in found}
+        columns = {TIME[0]: time} | {
+            name: values for name, values in columns.items() if name not in found
+        }
         named = dict(zip((TIME[0], NANOS), found, strict=True))
-    back = (x for name, x in columns.items() if is_clock(name) and np.all(np.isfinite(x)) and np.any(np.diff(x) < 0))
+    back = (
+        x
+        for name, x in columns.items()
+        if is_clock(name) and np.all(np.isfinite(x)) and np.any(np.diff(x) < 0)
+    )
     time = next(back, None)
     if time is None or any(name in TRIAL for name in column_names(path)):
         return columns, named
     trial = naming(cells_of(path), time)
     parts = cuts(time) if trial else restarted(time)
     if parts:
-        columns = {name: x[parts[0]] for name, x in columns.items() if name != trial and len(x) == len(time)}
+        columns = {
+            name: x[parts[0]]
+            for name, x in columns.items()
+            if name != trial and len(x) == len(time)
+        }
     return columns, named | ({"trial": trial} if trial else {})
 
 
 def _state_files(data: Path) -> list[Path]:
-    """Tables of the data from the first that holds numbers on, without those that seem to hold commands of another, or no trial."""
+    """Tables of the data from the first that holds numbers on, without those that seem to hold
+    commands of another, or no trial.
+    """
     if data.is_dir() and lerobot.is_lerobot(data):
         return []
     files = table_files(data)
@@ -163,7 +227,10 @@ def _state_files(data: Path) -> list[Path]:
         parts = {name for header in headers.values() for name in pair(header) or ()}
         other |= {*strays(headers, lambda name: is_clock(name) or name in parts)}
     files = [path for path in files if path not in other]
-    first = next((k for k, path in enumerate(files) if _holds_numbers(path)), 0) if len(files) > 1 else 0
+    if len(files) > 1:
+        first = next((k for k, path in enumerate(files) if _holds_numbers(path)), 0)
+    else:
+        first = 0
     return files[first:]
 
 
@@ -175,7 +242,9 @@ def _holds_numbers(path: Path) -> bool:
 
 
 def _lists(path: Path) -> dict[str, str | None]:
-    """Lists and arrays `[T, n]` of a file, by name: what each seems to be to us (`q` gives q1 to qn), None where nothing."""
+    """Lists and arrays `[T, n]` of a file, by name: what each seems to be to us (`q` gives q1 to
+    qn), None where nothing.
+    """
     found: dict[str, str | None] = {}
     for name in list_columns(path):
         ours = array_name(name)
@@ -184,13 +253,16 @@ def _lists(path: Path) -> dict[str, str | None]:
 
 
 def _table_columns(path: Path) -> dict[str, np.ndarray]:
-    """Every column of numbers; others are left out. A list or an array `[T, n]` of joints is n columns by our name of it."""
+    """Every column of numbers; others are left out. A list or an array `[T, n]` of joints is n
+    columns by our name of it.
+    """
     names = tuple(dict.fromkeys(column_names(path)))
     try:
         return _placed(read_table(path, names, ours={}).columns, path)
     except BadInput as error:
         out = {}
-        for name in names:  # one column of words must not hide the others, nor cells that another topic leaves empty
+        # one column of words must not hide the others, nor cells that another topic leaves empty
+        for name in names:
             try:
                 out |= read_table(path, (name,), ours={}, gaps=(name,)).columns
             except BadInput:
@@ -214,11 +286,21 @@ def _placed(columns: dict[str, np.ndarray], path: Path) -> dict[str, np.ndarray]
 
 
 def _kinds(found: Guess, columns: dict[str, np.ndarray], names: ModelNames | None) -> list[str]:
-    """The input kinds that the columns allow: those that columns name themselves first, then by preference."""
+    """The input kinds that the columns allow: those that columns name themselves first, then by
+    preference.
+    """
     theirs = set(found.columns.values()) | set(found.ignored)
 
     def of(ours: Iterable[str]) -> list[str]:
-        stems = {r.stem for name in ours if (r := role(name, names.joints if names else ())) is not None}
-        return [kind for kind in PREFERRED if STEM[kind] in stems or (kind == "command" and "ctrl" in stems)]
+        stems = {
+            r.stem for name in ours if (r := role(name, names.joints if names else ())) is not None
+        }
+        return [
+            kind
+            for kind in PREFERRED
+            if STEM[kind] in stems or (kind == "command" and "ctrl" in stems)
+        ]
 
-    return list(dict.fromkeys([*of(name for name in columns if name not in theirs), *of(found.columns)]))
+    return list(
+        dict.fromkeys([*of(name for name in columns if name not in theirs), *of(found.columns)])
+    )

@@ -1,4 +1,6 @@
-"""What lies in a folder of recordings and is no trial of its own: copies, tables of other things, and files that are not read."""
+"""What lies in a folder of recordings and is no trial of its own: copies, tables of other things,
+and files that are not read.
+"""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -21,23 +23,41 @@ MOST_TOLD = 4
 def copies(trials: Sequence[tuple[str, np.ndarray]]) -> tuple[str, ...]:
     """A note on each trial (name, angles `[T, n]`) whose angles are those of an earlier one."""
     notes, known = [], {}
-    for name, q in trials:  # only those of one length and about one sum are compared: there may be a thousand
+    for (
+        name,
+        q,
+    ) in trials:  # only those of one length and about one sum are compared: there may be a thousand
         alike = known.setdefault((q.shape, round(float(np.nansum(q)), 3)), [])
-        same = (earlier for earlier, other in alike if np.allclose(q, other, rtol=1e-6, atol=1e-9, equal_nan=True))
+        same = (
+            earlier
+            for earlier, other in alike
+            if np.allclose(q, other, rtol=1e-6, atol=1e-9, equal_nan=True)
+        )
         if (earlier := next(same, None)) is not None:
-            notes.append(f"{name} holds the angles of {earlier}: a copy? leave it out (--without {name})")
+            notes.append(
+                f"{name} holds the angles of {earlier}: a copy? leave it out (--without {name})"
+            )
         alike.append((name, q))
     return tuple(notes)
 
 
-def strays(headers: Mapping[Path, Sequence[str]], is_time: Callable[[str], bool]) -> tuple[Path, ...]:
-    """Tables that are no logs, as lists of the trials are: without a time, and without any column of those that have one."""
+def strays(
+    headers: Mapping[Path, Sequence[str]], is_time: Callable[[str], bool]
+) -> tuple[Path, ...]:
+    """Tables that are no logs, as lists of the trials are: without a time, and without any column
+    of those that have one.
+    """
     logs = {path for path, header in headers.items() if any(map(is_time, header))}
     theirs = {name for path in logs for name in headers[path] if name}
-    alike = lambda header: (
-        len(header) < 2 or theirs & set(header) or any(map(is_number, header))
-    )  # a trial cut short, or bare
-    return tuple(path for path, header in headers.items() if logs and path not in logs and not alike(header))
+
+    def alike(header):
+        return (
+            len(header) < 2 or theirs & set(header) or any(map(is_number, header))
+        )  # a trial cut short, or bare
+
+    return tuple(
+        path for path, header in headers.items() if logs and path not in logs and not alike(header)
+    )
 
 
 def left_out(path: Path) -> str:
@@ -50,20 +70,30 @@ def unread(folder: str | Path) -> tuple[str, ...]:
     folder = Path(folder)
     if not folder.is_dir():
         return ()
-    holds = lambda p, pattern: next(p.glob(pattern), None) is not None
+
+    def holds(p, pattern):
+        return next(p.glob(pattern), None) is not None
+
     inner = sorted(
         p.name
         for p in folder.iterdir()
-        if p.is_dir() and (holds(p, "*.csv") or holds(p, "*.npz")) and not (p / "report.json").exists()
+        if p.is_dir()
+        and (holds(p, "*.csv") or holds(p, "*.npz"))
+        and not (p / "report.json").exists()
     )
     packed = _ending(folder, PACKED)
-    notes = [f"not read: {_some(packed)}; unpack, or export as CSV"] if packed else []
+    if packed:
+        notes = [f"not read: {_some(packed)}; unpack, or export as CSV"]
+    else:
+        notes = []
     moved = "move them up, each by the name of its trial"
     return (*notes, *([f"not read: tables in the folder {_some(inner)}; {moved}"] if inner else []))
 
 
 def instead(folder: Path) -> str:
-    """What lies in a folder without recordings, and how it is read, to follow what is said of that; '' where nothing does."""
+    """What lies in a folder without recordings, and how it is read, to follow what is said of that;
+    '' where nothing does.
+    """
     notes = list(unread(folder))
     if folder.is_dir() and (texts := _ending(folder, TEXTS)):
         notes.append(f"not read: {_some(texts)}; rename those that are tables to .csv")
@@ -73,11 +103,20 @@ def instead(folder: Path) -> str:
 
 
 def _ending(folder: Path, endings: Sequence[str]) -> list[str]:
-    found = (p.name for p in folder.iterdir() if p.is_file() and p.suffix.lower() in endings and p.name[0] != ".")
-    return sorted(found, key=lambda name: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", name)])
+    found = (
+        p.name
+        for p in folder.iterdir()
+        if p.is_file() and p.suffix.lower() in endings and p.name[0] != "."
+    )
+    return sorted(
+        found, key=lambda name: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", name)]
+    )
 
 
 def _some(names: Sequence[str]) -> str:
     """The first of these names, and how many more there are."""
-    more = f" and {len(names) - MOST_TOLD} more" if len(names) > MOST_TOLD else ""
+    if len(names) > MOST_TOLD:
+        more = f" and {len(names) - MOST_TOLD} more"
+    else:
+        more = ""
     return f"{', '.join(names[:MOST_TOLD])}{more}"

@@ -19,13 +19,17 @@ LATE = 10
 
 
 DENSE = 1.5
-"""Rows in a stretch of time, as a multiple of what the usual spacing leaves, from which on two stretches lie over each other."""
+"""Rows in a stretch of time, as a multiple of what the usual spacing leaves, from which on two
+stretches lie over each other.
+"""
 
 
 @dataclass(frozen=True)
 class Series:
-    """`time [K]` s in the order of arrival, `columns`: name -> `[K]`; `reordered`: its names changed their order; `straight`: of
-    commands, whether they are moved to from row to row, not held."""
+    """`time [K]` s in the order of arrival, `columns`: name -> `[K]`; `reordered`: its names
+    changed their order; `straight`: of commands, whether they are moved to from row to row, not
+    held.
+    """
 
     time: np.ndarray
     columns: dict[str, np.ndarray]
@@ -34,16 +38,21 @@ class Series:
 
     def of(self, names: Collection[str]) -> Series:
         """With these columns alone."""
-        return replace(self, columns={name: values for name, values in self.columns.items() if name in names})
+        return replace(
+            self, columns={name: values for name, values in self.columns.items() if name in names}
+        )
 
 
-def merge(path: str, states: list[Series], commands: list[Series]) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
+def merge(
+    path: str, states: list[Series], commands: list[Series]
+) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
     """Columns on one clock with `time` from 0 s, and what was done to get there.
 
-    The clock is that of the state series with most rows, over the time that all state series share. Other states are
-    interpolated between their rows. A command, or an effort, acts from its own time to the next one's: a row has the mean of
-    what acts until the next row, so that nothing is taken to wait for a row; before the first command rows are cut off. A
-    joint's gap of more than 10 of its intervals is NaN; one that speaks fewer than `RARE` times stays where it was last.
+    The clock is that of the state series with most rows, over the time that all state series share.
+    Other states are interpolated between their rows. A command, or an effort, acts from its own
+    time to the next one's: a row has the mean of what acts until the next row, so that nothing is
+    taken to wait for a row; before the first command rows are cut off. A joint's gap of more than
+    10 of its intervals is NaN; one that speaks fewer than `RARE` times stays where it was last.
     """
     notes: list[str] = []
     states = [_sorted(path, series, notes) for series in states]
@@ -52,11 +61,17 @@ def merge(path: str, states: list[Series], commands: list[Series]) -> tuple[dict
         notes.append("the order of joint names changes between messages: sorted by name")
     main = max(states, key=lambda series: len(series.time))
     # what names no joint beside those of the main series: its rows lack joints that the others have
-    states = [series for series in states if series is main or not set(series.columns) <= set(main.columns)]
+    states = [
+        series
+        for series in states
+        if series is main or not set(series.columns) <= set(main.columns)
+    ]
     rare = [series for series in states if len(series.time) < RARE and series is not main]
     for series in rare:
         joints = sorted({name.partition("_")[2] for name in series.columns})
-        notes.append(f"{', '.join(joints)}: {len(series.time)} messages in all, taken to stay as they say")
+        notes.append(
+            f"{', '.join(joints)}: {len(series.time)} messages in all, taken to stay as they say"
+        )
     often = [series for series in states if not any(series is other for other in rare)]
     start = max(series.time[0] for series in (*often, *commands))
     stop = min(series.time[-1] for series in often)
@@ -64,7 +79,8 @@ def merge(path: str, states: list[Series], commands: list[Series]) -> tuple[dict
     clock = main.time[rows]
     if len(clock) < MIN_ROWS:
         raise BadInput(
-            f"{path}: its topics share {len(clock)} rows; a trial needs at least {MIN_ROWS}, record joints and commands together"
+            f"{path}: its topics share {len(clock)} rows; a trial needs at least {MIN_ROWS}, "
+            f"record joints and commands together"
         )
     out = {"time": clock - clock[0]}
     for series in states:
@@ -76,11 +92,10 @@ def merge(path: str, states: list[Series], commands: list[Series]) -> tuple[dict
             else:
                 seldom = any(series is other for other in rare)
                 acts = name.split("_")[0] in HELD and not seldom
-                out[name] = (
-                    _acting(clock, series.time, values, False)
-                    if acts
-                    else _onto(clock, series.time, values, hold=seldom)
-                )
+                if acts:
+                    out[name] = _acting(clock, series.time, values, False)
+                else:
+                    out[name] = _onto(clock, series.time, values, hold=seldom)
     for name in [n for series in rare for n in series.columns if n.startswith("q_")]:
         if any(n.startswith("v_") for n in out):
             out.setdefault(f"v{name[1:]}", np.zeros(len(clock)))
@@ -91,7 +106,10 @@ def merge(path: str, states: list[Series], commands: list[Series]) -> tuple[dict
             if name not in out
         }
     if len(states) > 1:
-        notes.append(f"{len(states)} publishers of joint states brought onto the clock of the one with most messages")
+        notes.append(
+            f"{len(states)} publishers of joint states brought onto the clock of the one with most "
+            f"messages"
+        )
     cut = len(main.time) - len(clock)
     if cut:
         notes.append(f"{cut} rows cut off where not all joints and commands are there")
@@ -99,7 +117,9 @@ def merge(path: str, states: list[Series], commands: list[Series]) -> tuple[dict
 
 
 def _sorted(path: str, series: Series, notes: list[str]) -> Series:
-    """By time, of rows with the same time the first. BadInput where the clock was set back on the way."""
+    """By time, of rows with the same time the first. BadInput where the clock was set back on the
+    way.
+    """
     _check_set_back(path, series.time)
     order = np.argsort(series.time, kind="stable")
     if np.any(np.diff(series.time) < 0):
@@ -113,8 +133,10 @@ def _sorted(path: str, series: Series, notes: list[str]) -> Series:
 
 
 def _check_set_back(path: str, time: np.ndarray) -> None:
-    """BadInput where `time [K]` s steps back over a stretch that it had passed already: rows lie twice as dense there, two
-    parts of the motion over each other. Messages that are only out of order leave no such stretch."""
+    """BadInput where `time [K]` s steps back over a stretch that it had passed already: rows lie
+    twice as dense there, two parts of the motion over each other. Messages that are only out of
+    order leave no such stretch.
+    """
     steps = np.diff(time)
     usual = float(np.median(steps[steps > 0])) if np.any(steps > 0) else 0.0
     for k in np.flatnonzero(steps < -2.0 * usual):
@@ -123,14 +145,16 @@ def _check_set_back(path: str, time: np.ndarray) -> None:
         there = int(np.sum((time >= low) & (time <= high)))
         if there > 4 and there > DENSE * ((high - low) / usual + 1.0):
             raise BadInput(
-                f"{path}: message {k + 2}: the clock was set back by {back:.4g} s; cut the bag there, and take the parts for "
+                f"{path}: message {k + 2}: the clock was set back by {back:.4g} s; cut the bag "
+                f"there, and take the parts for "
                 "two trials"
             )
 
 
 def _acting(clock: np.ndarray, time: np.ndarray, values: np.ndarray, straight: bool) -> np.ndarray:
-    """Mean `[T]` of a command `values [K]` at `time [K]` from each row of `clock [T]` to the next, held or straight between its
-    rows; NaN where it never says anything."""
+    """Mean `[T]` of a command `values [K]` at `time [K]` from each row of `clock [T]` to the next,
+    held or straight between its rows; NaN where it never says anything.
+    """
     here = np.isfinite(values)
     time, values = time[here], values[here]
     if not len(time):
@@ -140,7 +164,10 @@ def _acting(clock: np.ndarray, time: np.ndarray, values: np.ndarray, straight: b
     held = values[row]
     span = np.diff(edges)
     # where nothing new comes within a row the command itself, to the bit
-    still = np.searchsorted(time, edges[1:], side="left") - 1 == np.searchsorted(time, edges[:-1], side="right") - 1
+    still = (
+        np.searchsorted(time, edges[1:], side="left") - 1
+        == np.searchsorted(time, edges[:-1], side="right") - 1
+    )
     if straight:
         at = np.interp(edges, time, values)
         steps = np.diff(time) * 0.5 * (values[1:] + values[:-1])
@@ -150,7 +177,9 @@ def _acting(clock: np.ndarray, time: np.ndarray, values: np.ndarray, straight: b
         part = (edges - time[row]) * held
     area = np.concatenate([[0.0], np.cumsum(steps)])[row] + part
     mean = np.where(span > 0, np.diff(area) / np.where(span > 0, span, 1.0), held[:-1])
-    return mean if straight else np.where(still, held[:-1], mean)
+    if straight:
+        return mean
+    return np.where(still, held[:-1], mean)
 
 
 def _onto(clock: np.ndarray, time: np.ndarray, values: np.ndarray, *, hold: bool) -> np.ndarray:

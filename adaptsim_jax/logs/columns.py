@@ -1,4 +1,6 @@
-"""What a column's name says: which quantity of which joint (`q3`, `q_elbow`, `tau`, `target_elbow`)."""
+"""What a column's name says: which quantity of which joint (`q3`, `q_elbow`, `tau`,
+`target_elbow`).
+"""
 
 from __future__ import annotations
 
@@ -21,35 +23,72 @@ STEMS = {
 }
 """Our stem -> the words that open a column's name."""
 BASE = ("x", "y", "z", "qw", "qx", "qy", "qz")
-"""Columns `base_x` .. `base_qz`: where a free base is (m), and its orientation as a unit quaternion."""
+"""Columns `base_x` .. `base_qz`: where a free base is (m), and its orientation as a unit
+quaternion.
+"""
 CHANNEL = "channel:"
 """What opens our name of a column that `[channels]` gives to a sensor of the model."""
 NOT_JOINTS = (
-    "d", "des", "desired", "cmd", "command", "commanded", "ref", "reference", "target", "goal", "error", "err", "raw",
-    "filtered", "std", "min", "max", "limit", "s", "rad", "deg", "m", "ff", "measured",
-)  # fmt: skip
+    "d",
+    "des",
+    "desired",
+    "cmd",
+    "command",
+    "commanded",
+    "ref",
+    "reference",
+    "target",
+    "goal",
+    "error",
+    "err",
+    "raw",
+    "filtered",
+    "std",
+    "min",
+    "max",
+    "limit",
+    "s",
+    "rad",
+    "deg",
+    "m",
+    "ff",
+    "measured",
+)
 """What follows a stem without being a joint's name: such columns are told, not refused."""
 _STEM_OF = {word: stem for stem, words in STEMS.items() for word in words}
-_PATTERN = re.compile(rf"({'|'.join(sorted(_STEM_OF, key=len, reverse=True))})(?:_?(\d+)|[_./ ](.+))?")
+_PATTERN = re.compile(
+    rf"({'|'.join(sorted(_STEM_OF, key=len, reverse=True))})(?:_?(\d+)|[_./ ](.+))?"
+)
 
 
 @dataclass(frozen=True)
 class Role:
-    """`stem`: time, nanos, trial, base, channel, q, v, tau, tau_commanded, target, ctrl, u, i; `joint`: its number as
-    written, name, None."""
+    """`stem`: time, nanos, trial, base, channel, q, v, tau, tau_commanded, target, ctrl, u, i;
+    `joint`: its number as written, name, None.
+    """
 
     stem: str
     joint: int | str | None = None
 
     def words(self, name: str, joint: str) -> tuple[str, ...]:
-        """The names that `meta.toml` may give this column, closest first; `joint` is the model's name of it."""
-        stem, after = ("tau", "_commanded") if self.stem == "tau_commanded" else (self.stem, "")
-        number = "" if isinstance(self.joint, str) or self.joint is None else self.joint
+        """The names that `meta.toml` may give this column, closest first; `joint` is the model's
+        name of it.
+        """
+        if self.stem == "tau_commanded":
+            stem, after = ("tau", "_commanded")
+        else:
+            stem, after = (self.stem, "")
+        if isinstance(self.joint, str) or self.joint is None:
+            number = ""
+        else:
+            number = self.joint
         return (name, f"{stem}{number}{after}", f"{stem}_{joint}{after}", joint)
 
 
 def role(name: str, joints: Iterable[str] = ()) -> Role | None:
-    """The role that a column's name tells; None for a column that is none of ours. `joints`: the model's, where known."""
+    """The role that a column's name tells; None for a column that is none of ours. `joints`: the
+    model's, where known.
+    """
     if name in TIME:
         return Role("time")
     if name == NANOS:
@@ -70,15 +109,21 @@ def role(name: str, joints: Iterable[str] = ()) -> Role | None:
         who: int | str | None = int(number)
     else:
         who = number or joint
-    letter = stem == "ctrl" and who is not None and len(str(who)) == 1  # an actuator may well be called m
+    letter = (
+        stem == "ctrl" and who is not None and len(str(who)) == 1
+    )  # an actuator may well be called m
     if isinstance(who, str) and who not in joints and who.lower() in NOT_JOINTS and not letter:
         return None
     if commanded:
-        return Role("tau_commanded", who) if stem == "tau" else None
+        if stem == "tau":
+            return Role("tau_commanded", who)
+        return None
     return Role(stem, who)
 
 
 def is_ignored(name: str, ignore: Iterable[str], joints: Iterable[str] = ()) -> bool:
     """Whether `ignore` leaves this column out, by its own name or by that of its joint."""
     found = role(name, joints)
-    return name in ignore or (found is not None and isinstance(found.joint, str) and found.joint in ignore)
+    return name in ignore or (
+        found is not None and isinstance(found.joint, str) and found.joint in ignore
+    )

@@ -1,4 +1,6 @@
-"""Commands that lie in a file of their own beside the states: which file that is, and both brought onto the states' clock."""
+"""Commands that lie in a file of their own beside the states: which file that is, and both brought
+onto the states' clock.
+"""
 
 from __future__ import annotations
 
@@ -33,8 +35,9 @@ STATE_WORDS = ("state", "states", "motor", "joint", "joints", "measured", "log",
 
 
 def suspected(files: Sequence[Path]) -> dict[str, Path]:
-    """Trials (stems of files) whose commands seem to lie in another of these files, by its name: `run_state.csv`,
-    `run_control.csv`."""
+    """Trials (stems of files) whose commands seem to lie in another of these files, by its name:
+    `run_state.csv`, `run_control.csv`.
+    """
     commands = [path for path in files if _tokens(path) & set(WORDS)]
     states = [path for path in files if path not in commands]
     found = {}
@@ -51,16 +54,21 @@ def _tokens(path: Path) -> set[str]:
 
 
 def check_suspected(files: Sequence[Path]) -> None:
-    """BadInput where a file of a folder seems to hold the commands of another, and nobody said so."""
+    """BadInput where a file of a folder seems to hold the commands of another, and nobody said
+    so.
+    """
     for trial, path in suspected(files).items():
         raise BadInput(
-            f'{path}: looks like the commands of {trial}; write [trials] and commands = {{{_key(trial)} = "{path.name}"}} in '
+            f"{path}: looks like the commands of {trial}; write [trials] and commands = "
+            f'{{{_key(trial)} = "{path.name}"}} in '
             "meta.toml, or rename it if it is a trial of its own"
         )
 
 
 def _key(trial: str) -> str:
-    return trial if re.fullmatch(r"[A-Za-z0-9_-]+", trial) else f'"{trial}"'
+    if re.fullmatch(r"[A-Za-z0-9_-]+", trial):
+        return trial
+    return f'"{trial}"'
 
 
 def beside(path: Path, files: Sequence[Path]) -> tuple[str, ...]:
@@ -69,25 +77,33 @@ def beside(path: Path, files: Sequence[Path]) -> tuple[str, ...]:
     if found is None:
         return ()
     return (
-        f'{found.name} beside it looks like its commands: write [trials] and commands = {{{_key(path.stem)} = "{found.name}"}} in '
+        f"{found.name} beside it looks like its commands: write [trials] and commands = "
+        f'{{{_key(path.stem)} = "{found.name}"}} in '
         "meta.toml to take them",
     )
 
 
 def declared(commands: Mapping[str, str], folder: Path, meta: str) -> dict[str, Path]:
-    """Trial (or pattern) -> its file of commands, which lies in the data's folder. BadInput where there is none."""
+    """Trial (or pattern) -> its file of commands, which lies in the data's folder. BadInput where
+    there is none.
+    """
     out = {}
     for trial, name in commands.items():
         out[trial] = folder / name
         if not out[trial].is_file():
-            raise BadInput(f"{meta}: trials.commands: {name!r} does not exist in {folder}; give a file's name there")
+            raise BadInput(
+                f"{meta}: trials.commands: {name!r} does not exist in {folder}; give a file's name "
+                f"there"
+            )
     return out
 
 
 def with_commands(
     trial: RawTrial, files: Mapping[str, Path], rename: Mapping[str, str], ignore: tuple[str, ...]
 ) -> RawTrial:
-    """A trial with the commands of its file, held from when they came: its angles there are targets."""
+    """A trial with the commands of its file, held from when they came: its angles there are
+    targets.
+    """
     path = of_trial(dict[str, Path | None](files), trial.name, None)
     if path is None:
         return trial
@@ -96,7 +112,8 @@ def with_commands(
     told, *others = read_file(path, path.stem, here, ignore)
     if others:
         raise BadInput(
-            f"{path}: holds commands of {1 + len(others)} trials, as its clock or its column of trials tells; write each a file"
+            f"{path}: holds commands of {1 + len(others)} trials, as its clock or its column of "
+            f"trials tells; write each a file"
         )
     commands = {}
     for name, values in told.columns.items():
@@ -107,7 +124,8 @@ def with_commands(
         commands[f"target{rest}" if found.stem == "q" else name] = values
     if not commands:
         raise BadInput(
-            f"{path}: holds no commands; name its columns by [columns] in meta.toml, as target1 or target_JOINT"
+            f"{path}: holds no commands; name its columns by [columns] in meta.toml, as target1 or "
+            f"target_JOINT"
         )
     time = next(name for name in trial.columns if name in TIME)
     other = next(name for name in told.columns if name in TIME)
@@ -119,4 +137,9 @@ def with_commands(
     )
     lines = np.round(out.pop(LINE)).astype(np.int64)
     note = f"commands of {trial.name} taken from {path.name}, held from when they came"
-    return replace(trial, columns={time: out.pop("time"), **out}, lines=lines, notes=(*trial.notes, note, *notes))
+    return replace(
+        trial,
+        columns={time: out.pop("time"), **out},
+        lines=lines,
+        notes=(*trial.notes, note, *notes),
+    )

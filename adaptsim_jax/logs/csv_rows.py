@@ -18,8 +18,9 @@ REMARKS = ("#", "%", "//")
 
 
 def rows_of(path: Path, text: str, most: int | None = None) -> tuple[list[list[str]], list[int]]:
-    """The first `most` rows (None: all) of a CSV that hold anything, from its header on, and their lines; cells as they are but for
-    the header's."""
+    """The first `most` rows (None: all) of a CSV that hold anything, from its header on, and their
+    lines; cells as they are but for the header's.
+    """
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     above, text, delimiter = _from_header(text)
     reader = csv.reader(io.StringIO(text), delimiter=delimiter)
@@ -32,13 +33,17 @@ def rows_of(path: Path, text: str, most: int | None = None) -> tuple[list[list[s
             if len(rows) == most:
                 break
     except csv.Error as e:
-        raise BadInput(f"{path}: line {above + reader.line_num}: not CSV ({e}); mend or remove that line") from None
+        raise BadInput(
+            f"{path}: line {above + reader.line_num}: not CSV ({e}); mend or remove that line"
+        ) from None
     return rows, lines
 
 
 def _within(row: list[str], n: int) -> list[str]:
     """A row without what separators at its end open behind the header's `n` columns."""
-    return row if any(cell.strip() for cell in row[n:]) else row[:n]
+    if any(cell.strip() for cell in row[n:]):
+        return row
+    return row[:n]
 
 
 def _header(row: list[str]) -> list[str]:
@@ -49,7 +54,8 @@ def _header(row: list[str]) -> list[str]:
 def _from_header(text: str) -> tuple[int, str, str]:
     """How many lines stand above the header, the text from it on, and what parts its cells.
 
-    The header is the first line that is no remark; where that one holds numbers, the last remark of as many names.
+    The header is the first line that is no remark; where that one holds numbers, the last remark of
+    as many names.
     """
     remarks, at, above, first = [], 0, 0, ""
     for line in io.StringIO(text):
@@ -66,12 +72,16 @@ def _from_header(text: str) -> tuple[int, str, str]:
 
 
 def _names(remark: str, first: str) -> bool:
-    """Whether a remark names the columns: of `first`, the first row of numbers, or, where nothing follows (""), of none."""
+    """Whether a remark names the columns: of `first`, the first row of numbers, or, where nothing
+    follows (""), of none.
+    """
     names, delimiter = _cells(remark), _delimiter(remark)
     if not first:
         return bool(names)
     row = _cells(first, delimiter)
-    return len(names) == len(row) > 1 and any(map(is_number, row)) and not any(map(is_number, names))
+    return (
+        len(names) == len(row) > 1 and any(map(is_number, row)) and not any(map(is_number, names))
+    )
 
 
 def _delimiter(line: str) -> str:
@@ -93,23 +103,35 @@ def is_number(cell: str) -> bool:
     return True
 
 
-def check_header(path: Path, header: list[str], line: int, wanted: tuple[str, ...], more: bool) -> None:
-    """BadInput where a header names no columns, or one of those `wanted` twice. more: whether the rows below it have more cells."""
+def check_header(
+    path: Path, header: list[str], line: int, wanted: tuple[str, ...], more: bool
+) -> None:
+    """BadInput where a header names no columns, or one of those `wanted` twice. more: whether the
+    rows below it have more cells.
+    """
     if all(is_number(cell) for cell in header):
         names = [name for name in wanted if not is_number(name)] or ["time", "q1", "tau1"]
         raise BadInput(
-            f"{path}: line {line} holds numbers, not column names; add a header line such as {','.join(names)}"
+            f"{path}: line {line} holds numbers, not column names; add a header line such as "
+            f"{','.join(names)}"
         )
     for name in header:
         if name in wanted and header.count(name) > 1:
-            raise BadInput(f"{path}: column {name!r} appears {header.count(name)} times; keep one of them")
+            raise BadInput(
+                f"{path}: column {name!r} appears {header.count(name)} times; keep one of them"
+            )
     if len(header) == 1 and len(wanted) > 1:
-        mend = "remove the lines above the columns' names" if more else "separate columns by commas"
+        if more:
+            mend = "remove the lines above the columns' names"
+        else:
+            mend = "separate columns by commas"
         raise BadInput(f"{path}: line {line} is one column {header[0][:60]!r}; {mend}")
 
 
 def check_widths(path: Path, rows: Sequence[list[str]], lines: Sequence[int]) -> None:
-    """BadInput at the first of `rows`, the header before them, that has not as many cells as the header."""
+    """BadInput at the first of `rows`, the header before them, that has not as many cells as the
+    header.
+    """
     n = len(rows[0])
     at = next((k for k, row in enumerate(rows) if len(row) != n), None)
     if at is None:
@@ -124,9 +146,16 @@ def check_widths(path: Path, rows: Sequence[list[str]], lines: Sequence[int]) ->
         why = f"as {often} lines have: remove what stands above the columns' names, or begin it with #"
     else:
         why = "complete or remove that line"
-    raise BadInput(f"{path}: line {lines[at]}: has {len(row)} values, the header has {n} columns; {why}")
+    raise BadInput(
+        f"{path}: line {lines[at]}: has {len(row)} values, the header has {n} columns; {why}"
+    )
 
 
 def _in_thousands(before: str, cell: str) -> bool:
-    """Whether two neighbouring cells look like a number that was cut at the comma of its thousands."""
-    return bool(re.fullmatch(r"[-+]?[1-9]\d{0,2}", before.strip()) and re.fullmatch(r"\d{3}(\.\d*)?", cell.strip()))
+    """Whether two neighbouring cells look like a number that was cut at the comma of its
+    thousands.
+    """
+    return bool(
+        re.fullmatch(r"[-+]?[1-9]\d{0,2}", before.strip())
+        and re.fullmatch(r"\d{3}(\.\d*)?", cell.strip())
+    )

@@ -1,4 +1,6 @@
-"""What every `meta.toml` is checked for, key by key; `BadInput` names the file, the key and the mend."""
+"""What every `meta.toml` is checked for, key by key; `BadInput` names the file, the key and the
+mend.
+"""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,7 +14,9 @@ TEXT_KEYS = ("name", "description", "note", "source", "license")
 """What a person may write about any recording."""
 
 
-def known(path: Path, table: Mapping[str, Any], keys: Sequence[str], name: str = "") -> Mapping[str, Any]:
+def known(
+    path: Path, table: Mapping[str, Any], keys: Sequence[str], name: str = ""
+) -> Mapping[str, Any]:
     """The table [name] (none: all of the file), of which every key is one of `keys`."""
     for key in table:
         if key not in keys:
@@ -27,11 +31,15 @@ def tables(path: Path, raw: Mapping[str, Any], names: Sequence[str]) -> dict[str
         text(path, key, raw.get(key, ""), empty=True)
     for name in names:
         if not isinstance(raw.get(name, {}), dict):
-            raise BadInput(f"{path}: {name} must be a table; write [{name}] with a key = value line each")
+            raise BadInput(
+                f"{path}: {name} must be a table; write [{name}] with a key = value line each"
+            )
     return {name: raw.get(name, {}) for name in names}
 
 
-def text(path: Path, key: str, value: Any, valid: Sequence[str] | None = None, empty: bool = False) -> str:
+def text(
+    path: Path, key: str, value: Any, valid: Sequence[str] | None = None, empty: bool = False
+) -> str:
     """A text, one of `valid` where these are given."""
     if not isinstance(value, str) or not (value or empty):
         raise BadInput(f"{path}: {key} must be text in quotes, not {brief(value)}")
@@ -40,9 +48,13 @@ def text(path: Path, key: str, value: Any, valid: Sequence[str] | None = None, e
     return value
 
 
-def choice(path: Path, raw: Mapping[str, Any], key: str, valid: Sequence[str] | None = None) -> str | None:
+def choice(
+    path: Path, raw: Mapping[str, Any], key: str, valid: Sequence[str] | None = None
+) -> str | None:
     """The text of a key, one of `valid` where these are given; None where there is no such key."""
-    return text(path, key, raw[key], valid, empty=True) if key in raw else None
+    if key in raw:
+        return text(path, key, raw[key], valid, empty=True)
+    return None
 
 
 def number(path: Path, key: str, value: Any) -> float:
@@ -54,7 +66,9 @@ def number(path: Path, key: str, value: Any) -> float:
     return found
 
 
-def not_negative(path: Path, key: str, value: Any, what: str = "a standard deviation in SI units") -> float:
+def not_negative(
+    path: Path, key: str, value: Any, what: str = "a standard deviation in SI units"
+) -> float:
     """A number that is not below 0; what: what is to be given."""
     if (found := number(path, key, value)) < 0:
         raise BadInput(f"{path}: {key} = {found:g} is negative; give {what}")

@@ -1,4 +1,6 @@
-"""Libraries that only some readers need: imported when they are, with one line where they are not installed."""
+"""Libraries that only some readers need: imported when they are, with one line where they are not
+installed.
+"""
 
 from __future__ import annotations
 
@@ -15,4 +17,6 @@ def need(path: Path, module: str, extra: str) -> ModuleType:
         return importlib.import_module(module)
     except ImportError:
         library = module.partition(".")[0]
-        raise BadInput(f"{path}: reading it needs {library}; run: pip install 'adaptsim_jax[{extra}]'") from None
+        raise BadInput(
+            f"{path}: reading it needs {library}; run: pip install 'adaptsim_jax[{extra}]'"
+        ) from None

@@ -12,4 +12,6 @@ def read_bytes(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as e:
-        raise BadInput(f"{path}: cannot be read ({e.strerror}); check the path and its permissions") from None
+        raise BadInput(
+            f"{path}: cannot be read ({e.strerror}); check the path and its permissions"
+        ) from None

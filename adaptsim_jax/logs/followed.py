@@ -1,4 +1,6 @@
-"""A log brought to the coordinates of a mechanism: without joints that follow others, whose torques go to their leaders."""
+"""A log brought to the coordinates of a mechanism: without joints that follow others, whose torques
+go to their leaders.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,9 @@ if TYPE_CHECKING:
     from adaptsim_jax.mechanisms.mjcf import Mechanism
 
 APART = 0.05
-"""Share of its motion by which a follower's readings may differ from where its leader has it, before that is told."""
+"""Share of its motion by which a follower's readings may differ from where its leader has it,
+before that is told.
+"""
 
 
 def followed(log: Log, mechanism: Mechanism) -> Log:
@@ -23,7 +27,10 @@ def followed(log: Log, mechanism: Mechanism) -> Log:
         return log
     where = {name: j for j, name in enumerate(log.joint_names)}
     at = [where[name] for name in joints]
-    followers = [f for f in mechanism.roles.followers.values() if f.joint in where] if mechanism.roles else []
+    if mechanism.roles:
+        followers = [f for f in mechanism.roles.followers.values() if f.joint in where]
+    else:
+        followers = []
     commanded = log.input_kind == "command"
 
     def trial(t: LogTrial) -> LogTrial:
@@ -42,16 +49,29 @@ def followed(log: Log, mechanism: Mechanism) -> Log:
         apart, span = np.nanmax(np.abs(own - led)), np.nanmax(own) - np.nanmin(own)
         if apart > APART * span:
             told.append(
-                f"{f.joint} does not follow {f.leader} as the model says: by up to {apart:.2g} of {span:.2g}; "
+                f"{f.joint} does not follow {f.leader} as the model says: by up to {apart:.2g} of "
+                f"{span:.2g}; "
                 f"nothing is named at {f.leader}"
             )
             unlike.append(f.leader)
-    left = [name for name in log.joint_names if name not in joints and name not in {f.joint for f in followers}]
+    left = [
+        name
+        for name in log.joint_names
+        if name not in joints and name not in {f.joint for f in followers}
+    ]
     if left:
         told.append(f"angles of joints that are held are not used: {', '.join(left)}")
-    names = log.input_names if commanded or log.input_kind == "none" else joints
+    if commanded or log.input_kind == "none":
+        names = log.input_names
+    else:
+        names = joints
     driven = tuple(name for name in joints if name in log.driven)
     return replace(
-        log, joint_names=joints, trials=tuple(map(trial, log.trials)), input_names=names, driven=driven,
-        notes=(*log.notes, *told), unlike=tuple(unlike),
-    )  # fmt: skip
+        log,
+        joint_names=joints,
+        trials=tuple(map(trial, log.trials)),
+        input_names=names,
+        driven=driven,
+        notes=(*log.notes, *told),
+        unlike=tuple(unlike),
+    )

@@ -1,4 +1,5 @@
-"""A `meta.toml` guessed from the data: which column is what, in which units (`unit_guess`). Every guess is marked as one.
+"""A `meta.toml` guessed from the data: which column is what, in which units (`unit_guess`). Every
+guess is marked as one.
 
 Nothing here decides anything for good: a person reads the text, mends it, and takes the marks away.
 """
@@ -20,13 +21,37 @@ from adaptsim_jax.logs.scales import Scale
 from adaptsim_jax.logs.unit_guess import Question, Units, guess_units
 
 WORDS = {word: stem for stem, words in STEMS.items() for word in words} | {
-    "angle": "q", "angles": "q", "positions": "q", "qpos": "q", "theta": "q", "state": "q",
-    "speed": "v", "velocities": "v", "qvel": "v", "omega": "v", "rate": "v",
-    "efforts": "tau", "torques": "tau", "moment": "tau", "force": "tau",
-    "command": "target", "cmd": "target", "desired": "target", "des": "target", "goal": "target", "reference": "target",
-    "commands": "target", "targets": "target", "actions": "target",
-    "ref": "target", "setpoint": "target", "action": "target", "control": "ctrl", "volts": "u", "amps": "i",
-}  # fmt: skip
+    "angle": "q",
+    "angles": "q",
+    "positions": "q",
+    "qpos": "q",
+    "theta": "q",
+    "state": "q",
+    "speed": "v",
+    "velocities": "v",
+    "qvel": "v",
+    "omega": "v",
+    "rate": "v",
+    "efforts": "tau",
+    "torques": "tau",
+    "moment": "tau",
+    "force": "tau",
+    "command": "target",
+    "cmd": "target",
+    "desired": "target",
+    "des": "target",
+    "goal": "target",
+    "reference": "target",
+    "commands": "target",
+    "targets": "target",
+    "actions": "target",
+    "ref": "target",
+    "setpoint": "target",
+    "action": "target",
+    "control": "ctrl",
+    "volts": "u",
+    "amps": "i",
+}
 STEM_OF_UNIT = {
     unit: stem
     for stem in ("q", "v", "tau", "u", "i")
@@ -34,12 +59,25 @@ STEM_OF_UNIT = {
     for unit in units_of(quantity_of(stem, slides), slides)
 }
 TARGETS = {word for word, stem in WORDS.items() if stem == "target"}
-CLOCKS = ("time", "times", "timestamp", "timestamps", "stamp", "stamps", "t", "ts", "seconds", "clock")
+CLOCKS = (
+    "time",
+    "times",
+    "timestamp",
+    "timestamps",
+    "stamp",
+    "stamps",
+    "t",
+    "ts",
+    "seconds",
+    "clock",
+)
 
 
 @dataclass(frozen=True)
 class Guess:
-    """`columns`: our name -> the file's, those that need it; `units`: see `unit_guess.guess_units`; `ignored`: columns."""
+    """`columns`: our name -> the file's, those that need it; `units`: see `unit_guess.guess_units`;
+    `ignored`: columns.
+    """
 
     columns: dict[str, str]
     units: Units
@@ -53,8 +91,10 @@ def guess(
     lerobot: bool = False,
     lists: Mapping[str, str] | None = None,
 ) -> Guess:
-    """What the columns of one trial (by the file's names, as written) seem to be. `model`: its joints, where known; lerobot: whether
-    they are of a LeRobot data set; lists: our stem -> the file's name of a list or array, whose places are columns by our name."""
+    """What the columns of one trial (by the file's names, as written) seem to be. `model`: its
+    joints, where known; lerobot: whether they are of a LeRobot data set; lists: our stem -> the
+    file's name of a list or array, whose places are columns by our name.
+    """
     joints = model.joints if model else ()
     actuators = {a.name for a in (model.actuators or ())} if model else set()
     names: dict[str, str] = {}
@@ -62,14 +102,22 @@ def guess(
     unknown: list[str] = []
     for name in columns:
         read = heading(name, joints)
-        bare = (
-            name if role(name) is not None and role(name) == role(read.name) else read.name
-        )  # `time_s` is ours as it is
+        # `time_s` is ours as it is
+        if role(name) is not None and role(name) == role(read.name):
+            bare = name
+        else:
+            bare = read.name
         told = role(bare, joints)
         named = told and (told.joint in joints or (told.stem == "ctrl" and told.joint in actuators))
         known = told and (not isinstance(told.joint, str) or not joints or named)
-        ours = bare if known else _ours(bare, joints) or _ours(name, joints) or _by_unit(read, joints)
-        ours = "time" if known and bare != name and told and told.stem == "time" else ours
+        if known:
+            ours = bare
+        else:
+            ours = _ours(bare, joints) or _ours(name, joints) or _by_unit(read, joints)
+        if known and bare != name and told and told.stem == "time":
+            ours = "time"
+        else:
+            ours = ours
         if ours is not None and ours not in names.values():
             names[name] = ours
         elif told and isinstance(told.joint, str):
@@ -85,7 +133,11 @@ def guess(
     by_ours = {ours: columns[name] for name, ours in names.items()}
     written = {ours: name for name, ours in names.items()}
     for ours in by_ours:
-        if (found := role(ours, joints)) and (array := (lists or {}).get(found.stem)) and written[ours] == ours:
+        if (
+            (found := role(ours, joints))
+            and (array := (lists or {}).get(found.stem))
+            and written[ours] == ours
+        ):
             written[ours] = array
     return Guess(
         columns={ours: name for name, ours in names.items() if ours != name},
@@ -96,11 +148,15 @@ def guess(
 
 
 def array_name(name: str) -> str | None:
-    """Our name of an array `[T, n]` such as `joint_positions`, whose columns are joints in order; None where it is none of ours."""
+    """Our name of an array `[T, n]` such as `joint_positions`, whose columns are joints in order;
+    None where it is none of ours.
+    """
     name = heading(name).name
     ours = name if role(name) else _ours(name, ())
     told = role(ours) if ours else None
-    return ours if told and told.joint is None and told.stem not in ("time", "trial") else None
+    if told and told.joint is None and told.stem not in ("time", "trial"):
+        return ours
+    return None
 
 
 def is_clock(name: str) -> bool:
@@ -113,7 +169,9 @@ def _tokens(name: str) -> list[str]:
 
 
 def _ours(name: str, joints: Sequence[str]) -> str | None:
-    """Our name of a column such as `/joint_states/elbow/position`, `shoulder_vel` or `joint_2_pos`."""
+    """Our name of a column such as `/joint_states/elbow/position`, `shoulder_vel` or
+    `joint_2_pos`.
+    """
     tokens = [part for token in _tokens(name) for part in _word_and_number(token)]
     found = [token for token in tokens if token in WORDS]
     if not found or (set(tokens) & {"error", "err", "std", "min", "max", "raw"}):
@@ -130,7 +188,11 @@ def _ours(name: str, joints: Sequence[str]) -> str | None:
     if inside:
         return f"{stem}_{max(inside, key=len)}"
     number = next(
-        (re.sub(r"\D", "", token) for token in reversed(tokens) if re.fullmatch(r"(j|joint|motor|axis)?\d+", token)),
+        (
+            re.sub(r"\D", "", token)
+            for token in reversed(tokens)
+            if re.fullmatch(r"(j|joint|motor|axis)?\d+", token)
+        ),
         None,
     )
     if number:
@@ -138,27 +200,42 @@ def _ours(name: str, joints: Sequence[str]) -> str | None:
     rest = [
         token
         for token in tokens
-        if token not in WORDS and token not in ("joint", "state", "states", "joints", "measured", "actual")
+        if token not in WORDS
+        and token not in ("joint", "state", "states", "joints", "measured", "actual")
     ]
     if not joints:
-        return f"{stem}_{'_'.join(rest)}" if rest else stem
+        if rest:
+            return f"{stem}_{'_'.join(rest)}"
+        return stem
     near = nearest("_".join(rest), joints) if rest else None
     if near:
         return f"{stem}_{near}"
-    return stem if len(joints) == 1 and not rest else None
+    if len(joints) == 1 and not rest:
+        return stem
+    return None
 
 
 def _by_unit(read: Heading, joints: Sequence[str]) -> str | None:
-    """Our name of a column that is called as a joint and nothing else: what is measured, its unit tells (`elbow (Nm)`)."""
+    """Our name of a column that is called as a joint and nothing else: what is measured, its unit
+    tells (`elbow (Nm)`).
+    """
     stem = STEM_OF_UNIT.get(read.unit or "")
-    inside = [joint for joint in joints if _tokens(joint) == [t for t in _tokens(read.name) if t != "joint"]]
-    return f"{stem}_{inside[0]}" if stem and len(inside) == 1 else None
+    inside = [
+        joint
+        for joint in joints
+        if _tokens(joint) == [t for t in _tokens(read.name) if t != "joint"]
+    ]
+    if stem and len(inside) == 1:
+        return f"{stem}_{inside[0]}"
+    return None
 
 
 def _word_and_number(token: str) -> tuple[str, ...]:
     """`position0`, as arrays are exported, is the word and its number; other tokens are whole."""
     found = re.fullmatch(r"([a-z]{3,})(\d+)", token)
-    return found.groups() if found and found[1] in WORDS else (token,)
+    if found and found[1] in WORDS:
+        return found.groups()
+    return (token,)
 
 
 def _contains(tokens: list[str], part: list[str]) -> bool:
@@ -183,11 +260,16 @@ def meta_text(
     kinds: Sequence[str] = (),
     commands: Mapping[str, str] | None = None,
 ) -> str:
-    """A `meta.toml` with these guesses. `topics`: lines about a bag's topics; `kinds`: input kinds that the columns allow; commands:
-    trial -> the file that seems to hold its commands."""
-    line = lambda key, value: dumps({key: value}).strip()
+    """A `meta.toml` with these guesses. `topics`: lines about a bag's topics; `kinds`: input kinds
+    that the columns allow; commands: trial -> the file that seems to hold its commands.
+    """
+
+    def line(key, value):
+        return dumps({key: value}).strip()
+
     lines = [
-        "# Written by 'adaptsim init' from the data. What is marked 'guess' was not declared by anyone: check it.",
+        "# Written by 'adaptsim init' from the data. What is marked 'guess' was not declared by "
+        "anyone: check it.",
         line("task", "mechanism"),
         line("model", model)
         if model
@@ -198,9 +280,14 @@ def meta_text(
     if data:
         lines.append(line("data", data))
     if len(kinds) > 1:
-        lines.append(f"{line('input', kinds[0])}   # guess: the data also have columns of {', '.join(kinds[1:])}")
+        lines.append(
+            f"{line('input', kinds[0])}   # guess: the data also have columns of "
+            f"{', '.join(kinds[1:])}"
+        )
     if found.unknown_joints:
-        lines.append(line("ignore", list(found.unknown_joints)) + "   # guess: joints that the model lacks")
+        lines.append(
+            line("ignore", list(found.unknown_joints)) + "   # guess: joints that the model lacks"
+        )
     if found.columns:
         lines += ["", "[columns]   # guess: our name = the file's name"]
         lines += [line(ours, theirs) for ours, theirs in found.columns.items()]
@@ -210,7 +297,8 @@ def meta_text(
     for key, (unit, why) in found.units.items():
         if isinstance(unit, Scale):
             lines.append(
-                f"{'' if unit.known else '# '}{unit.line}   # guess: {why}{'' if unit.known else '; fill LOW and HIGH (rad, m)'}"
+                f"{'' if unit.known else '# '}{unit.line}   # guess: "
+                f"{why}{'' if unit.known else '; fill LOW and HIGH (rad, m)'}"
             )
         elif isinstance(unit, Question):
             lines.append(f"# {line(key, unit.unit)}   # guess, not taken: {why}")
@@ -226,8 +314,10 @@ def meta_text(
     lines += [
         "",
         "[angles]",
-        'convention = "relative"   # guess: each angle counts from the link before it; "absolute": from the world',
-        "# zero = {elbow = 1.5708}   # what the log shows (rad or m) where the model's joint is at 0; guess: 0 for all",
+        'convention = "relative"   # guess: each angle counts from the link before it; "absolute": '
+        "from the world",
+        "# zero = {elbow = 1.5708}   # what the log shows (rad or m) where the model's joint is at "
+        "0; guess: 0 for all",
         '# reversed = ["elbow"]   # joints that the log counts the other way round; guess: none',
     ]
     if topics:
@@ -238,7 +328,14 @@ def meta_text(
             *(f"# {t}" for t in topics),
         ]
     given = ", ".join(f'"{trial}" = "{file}"' for trial, file in (commands or {}).items())
-    lines += ["", "[trials]", f"commands = {{{given}}}   # guess: files of commands, by their names"] if given else []
+    if given:
+        lines += [
+            "",
+            "[trials]",
+            f"commands = {{{given}}}   # guess: files of commands, by their names",
+        ]
+    else:
+        lines += []
     lines += [
         "",
         "# [noise]   # standard deviations in SI units, where known",

@@ -1,7 +1,8 @@
-"""What the heading of a column says beside its name: the unit, as in `q1 [deg]`, `Elbow Position (deg)`, `elbow_vel_deg_s`, `t_ms`.
+"""What the heading of a column says beside its name: the unit, as in `q1 [deg]`, `Elbow Position
+(deg)`, `elbow_vel_deg_s`, `t_ms`.
 
-A heading is read here once, for `adaptsim init`, which writes what it says into `[units]`, and for every reader, which tells where
-that is not what is declared.
+A heading is read here once, for `adaptsim init`, which writes what it says into `[units]`, and for
+every reader, which tells where that is not what is declared.
 """
 
 from __future__ import annotations
@@ -12,7 +13,15 @@ from dataclasses import dataclass
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.columns import Role, role
-from adaptsim_jax.logs.log_units import Affine, Unit, declared, quantity_of, si_of, unit_of, units_of
+from adaptsim_jax.logs.log_units import (
+    Affine,
+    Unit,
+    declared,
+    quantity_of,
+    si_of,
+    unit_of,
+    units_of,
+)
 
 _BRACKETS = re.compile(r"\s*[\[({]([^\[\](){}]*)[\])}]")
 _SEPARATORS = re.compile(r"[\s_./-]+")
@@ -23,7 +32,9 @@ CLOSE = 1e-6
 
 @dataclass(frozen=True)
 class Heading:
-    """`name`: what is written without its unit; `unit`: as `log_units` spells it, None where the heading says none."""
+    """`name`: what is written without its unit; `unit`: as `log_units` spells it, None where the
+    heading says none.
+    """
 
     name: str
     unit: str | None = None
@@ -31,8 +42,10 @@ class Heading:
 
 @dataclass(frozen=True)
 class Said:
-    """What a heading says of the unit of a column. `column`: our name of it; `quantity`: None for commands of actuators; `fits`:
-    whether a column of this quantity may be in this `unit`; `slides`: whether its joint does."""
+    """What a heading says of the unit of a column. `column`: our name of it; `quantity`: None for
+    commands of actuators; `fits`: whether a column of this quantity may be in this `unit`;
+    `slides`: whether its joint does.
+    """
 
     column: str
     heading: str
@@ -51,7 +64,9 @@ class Said:
 
 
 def heading(written: str, joints: Iterable[str] = ()) -> Heading:
-    """A column's heading as its file writes it. joints: the model's, where known; a joint's own name has no unit in it."""
+    """A column's heading as its file writes it. joints: the model's, where known; a joint's own
+    name has no unit in it.
+    """
     joints = tuple(joints)
     told = role(written, joints)
     if told is not None and told.joint in joints:
@@ -61,11 +76,16 @@ def heading(written: str, joints: Iterable[str] = ()) -> Heading:
         if name and found[1] not in joints and (unit := unit_of(found[1])):
             return Heading(name, unit)
     number = re.search(r"(?<=[A-Za-z])[\s_.]?\d+$", written)  # `pos_deg_1` is `pos_1` in degrees
-    whole, end = (written[: number.start()], number[0]) if number else ("", "")
+    if number:
+        whole, end = (written[: number.start()], number[0])
+    else:
+        whole, end = ("", "")
     if found := _suffix(written, joints):
         return found
     found = _suffix(whole, joints)
-    return Heading(found.name + end, found.unit) if found else Heading(written)
+    if found:
+        return Heading(found.name + end, found.unit)
+    return Heading(written)
 
 
 def _suffix(written: str, joints: tuple[str, ...]) -> Heading | None:
@@ -75,7 +95,11 @@ def _suffix(written: str, joints: tuple[str, ...]) -> Heading | None:
         words = _SEPARATORS.split(written[starts[-count] :])
         name = written[: starts[-count]].rstrip(" _./-")
         unit = unit_of(_joined(words))
-        if unit and name and (len(words[0]) > 1 or count > 1 or _letter(name, unit, written, joints)):
+        if (
+            unit
+            and name
+            and (len(words[0]) > 1 or count > 1 or _letter(name, unit, written, joints))
+        ):
             return Heading(name, unit)
     return None
 
@@ -84,7 +108,9 @@ def _joined(words: Sequence[str]) -> str:
     """`rad s` and `rad per s` are rad/s, `N m` is a torque; other words in a row are no unit."""
     if words[-1] in _SECONDS and (len(words) == 2 or (len(words) == 3 and words[1] == "per")):
         return f"{words[0]}/s"
-    return "".join(words) if len(words) == 1 or (len(words) == 2 and words[0] in ("N", "mN")) else ""
+    if len(words) == 1 or (len(words) == 2 and words[0] in ("N", "mN")):
+        return "".join(words)
+    return ""
 
 
 def _letter(name: str, unit: str, written: str, joints: tuple[str, ...]) -> bool:
@@ -95,24 +121,36 @@ def _letter(name: str, unit: str, written: str, joints: tuple[str, ...]) -> bool
     return any(unit in units_of(quantity_of(told.stem, slides), slides) for slides in (False, True))
 
 
-def said(column: str, written: str, found: Role, slides: bool | None, joints: Sequence[str] = ()) -> Said | None:
-    """What the heading `written` of our `column` says of its unit; None where nothing. slides: None where the joint is not known."""
+def said(
+    column: str, written: str, found: Role, slides: bool | None, joints: Sequence[str] = ()
+) -> Said | None:
+    """What the heading `written` of our `column` says of its unit; None where nothing. slides: None
+    where the joint is not known.
+    """
     unit = heading(written, joints).unit
     if unit is None or found.stem in ("trial", "base", "channel"):
         return None
     if slides is None:
-        turns, goes = (unit in units_of(quantity_of(found.stem, kind), kind) for kind in (False, True))
+        turns, goes = (
+            unit in units_of(quantity_of(found.stem, kind), kind) for kind in (False, True)
+        )
         slides = goes and not turns
     return Said(column, written, unit, quantity_of(found.stem, slides), slides)
 
 
 def lines(found: Sequence[Said]) -> dict[str, Said]:
-    """The lines of `[units]` that headings come to: one for a quantity where they agree, else one for each column."""
+    """The lines of `[units]` that headings come to: one for a quantity where they agree, else one
+    for each column.
+    """
     out: dict[str, Said] = {}
     both = {s.slides for s in found if s.quantity == "velocity"}
     for one in (s for s in found if s.fits):
         alike = {s.unit for s in found if s.fits and s.quantity == one.quantity}
-        general = one.quantity is not None and len(alike) == 1 and (one.quantity != "velocity" or len(both) == 1)
+        general = (
+            one.quantity is not None
+            and len(alike) == 1
+            and (one.quantity != "velocity" or len(both) == 1)
+        )
         out.setdefault(str(one.quantity) if general else one.column, one)
     return out
 
@@ -120,8 +158,8 @@ def lines(found: Sequence[Said]) -> dict[str, Said]:
 def compared(
     path: str, told: Sequence[tuple[Said, Affine, tuple[str, ...], str]], units: Mapping[str, Unit]
 ) -> tuple[str, ...]:
-    """Notes on columns whose headings say another unit than the one that is declared. told: of each column what its heading says, what
-    it is read in, its words in `[units]`, its stem.
+    """Notes on columns whose headings say another unit than the one that is declared. told: of each
+    column what its heading says, what it is read in, its words in `[units]`, its stem.
 
     Raises `BadInput` where nothing is declared and the heading says no SI unit.
     """
@@ -130,22 +168,32 @@ def compared(
     for one, unit, words, stem in told:
         own = declared(units, stem, words, slides=one.slides)
         if not one.fits:
-            notes += (
-                [] if own else [f"the heading {one.heading!r} says {one.unit}, no unit of {one.quantity}: not taken"]
-            )
+            if own:
+                notes += []
+            else:
+                notes += [
+                    f"the heading {one.heading!r} says {one.unit}, no unit of {one.quantity}: not "
+                    f"taken"
+                ]
         elif unit.offset or abs(unit.scale / one.scale - 1.0) > CLOSE:
             if own is None:
                 bare.append(one)
             elif isinstance(own, str):
-                notes.append(f"column {one.heading!r} is read in {own}, as declared; its heading says {one.unit}")
+                notes.append(
+                    f"column {one.heading!r} is read in {own}, as declared; its heading says "
+                    f"{one.unit}"
+                )
     if not bare:
         return tuple(notes)
     every = lines([one for one, *_ in told])
-    mend = {key: one for key, one in every.items() if any(key in (o.quantity, o.column) for o in bare)}
+    mend = {
+        key: one for key, one in every.items() if any(key in (o.quantity, o.column) for o in bare)
+    }
     other = ((key, si_of(one.quantity, one.slides)) for key, one in mend.items())
     says = " and ".join(f'{key} = "{one.unit}"' for key, one in mend.items())
     else_ = " and ".join(f'{key} = "{name}"' if name else f"{key} = 1.0" for key, name in other)
     raise BadInput(
-        f"{path}: the heading {bare[0].heading!r} says {bare[0].unit}, and no unit is declared for it; write {says} under [units] in "
+        f"{path}: the heading {bare[0].heading!r} says {bare[0].unit}, and no unit is declared for "
+        f"it; write {says} under [units] in "
         f"meta.toml, or {else_} if the heading is wrong"
     )

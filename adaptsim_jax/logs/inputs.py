@@ -1,4 +1,6 @@
-"""What drives the model in a log: torques, commands through its actuators, volts, amperes, or nothing."""
+"""What drives the model in a log: torques, commands through its actuators, volts, amperes, or
+nothing.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ PREFERRED: tuple[InputKind, ...] = ("torque", "command", "current", "voltage")
 
 @dataclass(frozen=True)
 class Inputs:
-    """`kind`, the `stem` of its columns, the `names` of the columns of `u`, the `driven` joints, `notes`."""
+    """`kind`, the `stem` of its columns, the `names` of the columns of `u`, the `driven` joints,
+    `notes`.
+    """
 
     kind: InputKind
     stem: str
@@ -32,7 +36,9 @@ class Inputs:
     actuators: tuple[ActuatorName, ...] = ()
     notes: tuple[str, ...] = ()
 
-    def of(self, columns: Columns, names: ModelNames, meta: LogMeta, kept: np.ndarray) -> np.ndarray:
+    def of(
+        self, columns: Columns, names: ModelNames, meta: LogMeta, kept: np.ndarray
+    ) -> np.ndarray:
         """`u [T, m]` of one trial in SI units; kept: numbers of the joints that move."""
         if self.kind == "none":
             return np.zeros((len(columns.time), 0))
@@ -44,17 +50,26 @@ class Inputs:
         angles = model_angles(columns.stacked("target", len(names.joints)), names, meta)
         out = []
         for index, actuator in enumerate(self.actuators):
-            told = columns.ctrl.get(actuator.name, columns.ctrl.get(index, columns.ctrl.get(actuator.joint)))
+            told = columns.ctrl.get(
+                actuator.name, columns.ctrl.get(index, columns.ctrl.get(actuator.joint))
+            )
             if told is None and _told(columns, actuator, index, names):
                 told = angles[:, names.joints.index(actuator.joint)]
             out.append(np.zeros(len(columns.time)) if told is None else told)
-        u = np.stack([_sent(columns, names, meta, *one) for one in zip(self.actuators, out, strict=True)], axis=1)
+        u = np.stack(
+            [_sent(columns, names, meta, *one) for one in zip(self.actuators, out, strict=True)],
+            axis=1,
+        )
         _complete(columns, self.kind, self.names, u)
         return u
 
 
-def _sent(columns: Columns, names: ModelNames, meta: LogMeta, actuator: ActuatorName, told: np.ndarray) -> np.ndarray:
-    """A command `[T]` that is an angle: with the whole turns of the angle of its joint, and cut as `[commands]` says."""
+def _sent(
+    columns: Columns, names: ModelNames, meta: LogMeta, actuator: ActuatorName, told: np.ndarray
+) -> np.ndarray:
+    """A command `[T]` that is an angle: with the whole turns of the angle of its joint, and cut as
+    `[commands]` says.
+    """
     if (j := _servo(actuator, names)) is None:
         return told
     q = model_angles(columns.stacked("q", len(names.joints)), names, meta)[:, j]
@@ -64,42 +79,53 @@ def _sent(columns: Columns, names: ModelNames, meta: LogMeta, actuator: Actuator
         told = followed_turns(q, told)
     if actuator.joint in meta.rate:
         told = limited(columns.time, told, q, meta.rate[actuator.joint])
-    return within(told, q, meta.within[actuator.joint]) if actuator.joint in meta.within else told
+    if actuator.joint in meta.within:
+        return within(told, q, meta.within[actuator.joint])
+    return told
 
 
 def _complete(columns: Columns, kind: str, names: tuple[str, ...], u: np.ndarray) -> None:
     bad = np.argwhere(np.isnan(u))
     for k in np.flatnonzero(np.isnan(u).all(0))[:1]:
         raise BadInput(
-            f"{columns.raw.path}: no {kind} of {names[k]} in any {columns.raw.row_word}; record it, or write "
+            f"{columns.raw.path}: no {kind} of {names[k]} in any {columns.raw.row_word}; record "
+            f"it, or write "
             f'ignore = ["{STEM[kind]}_{names[k]}"] in meta.toml where it has none'
         )
     if bad.size:
         row, k = bad[0]
         where = f"{columns.raw.row_word} {columns.raw.lines[row]}"
         raise BadInput(
-            f"{columns.raw.path}: {where}: no {kind} of {names[k]} (and {len(bad) - 1} more); remove such rows"
+            f"{columns.raw.path}: {where}: no {kind} of {names[k]} (and {len(bad) - 1} more); "
+            f"remove such rows"
         )
 
 
-def choose_inputs(path: str, trials: list[Columns], names: ModelNames, meta: LogMeta, moving: Sequence[str]) -> Inputs:
-    """Which columns drive the model in all trials; moving: its joints that move, of which alone something is needed.
+def choose_inputs(
+    path: str, trials: list[Columns], names: ModelNames, meta: LogMeta, moving: Sequence[str]
+) -> Inputs:
+    """Which columns drive the model in all trials; moving: its joints that move, of which alone
+    something is needed.
 
     Raises `BadInput` where trials differ or a motor has no column.
     """
     kinds = [_kinds(columns) for columns in trials]
-    kind: InputKind = meta.input or next((k for k in PREFERRED if all(k in have for have in kinds)), "none")  # type: ignore[assignment]
+    kind: InputKind = meta.input or next(
+        (k for k in PREFERRED if all(k in have for have in kinds)), "none"
+    )  # type: ignore[assignment]
     for columns, have in zip(trials, kinds, strict=True):
         if kind == "none" and have and not meta.input:
             has = " and ".join(sorted(have))
             other = next(t.raw.name for t, h in zip(trials, kinds, strict=True) if not have & h)
             raise BadInput(
-                f"{columns.raw.path}: has {has} columns, trial {other} has none of them; log the same in all trials, "
+                f"{columns.raw.path}: has {has} columns, trial {other} has none of them; log the "
+                f"same in all trials, "
                 'leave trials out by [trials] exclude, or write input = "none" in meta.toml'
             )
         if kind != "none" and kind not in have:
             raise BadInput(
-                f'{columns.raw.path}: has no column for input = "{kind}"; add {STEM[kind]}1, or name it by [columns]'
+                f'{columns.raw.path}: has no column for input = "{kind}"; add {STEM[kind]}1, or '
+                f"name it by [columns]"
             )
     first = trials[0]
     if kind == "none":
@@ -116,7 +142,8 @@ def choose_inputs(path: str, trials: list[Columns], names: ModelNames, meta: Log
     for actuator in names.actuators or ():
         if actuator.joint in lacking and not set(actuator.joints) & set(driven):
             raise BadInput(
-                f"{first.raw.path}: no {kind} of joint '{actuator.joint}', which has a motor in the model; add column "
+                f"{first.raw.path}: no {kind} of joint '{actuator.joint}', which has a motor in "
+                f"the model; add column "
                 f"{stem}_{actuator.joint}, or take actuator '{actuator.name}' out of the model"
             )
     if lacking:
@@ -135,7 +162,8 @@ def _notes(kind: str, kinds: list[set[str]], meta: LogMeta) -> tuple[str, ...]:
     if meta.input or not others:
         return ()
     return (
-        f'input taken from the {kind} columns; write input = "{others[0]}" in meta.toml for the {others[0]} columns',
+        f'input taken from the {kind} columns; write input = "{others[0]}" in meta.toml for the '
+        f"{others[0]} columns",
     )
 
 
@@ -146,16 +174,24 @@ def _driven(trials: list[Columns], stem: str, names: ModelNames) -> tuple[str, .
         if differ := here ^ set(columns.by_joint.get(stem, {})):
             joint = names.joints[min(differ)]
             raise BadInput(
-                f"{columns.raw.path}: joint '{joint}' has a {stem} column in some trials only; add {stem}_{joint} to all "
+                f"{columns.raw.path}: joint '{joint}' has a {stem} column in some trials only; add "
+                f"{stem}_{joint} to all "
                 "(0 where nothing was applied)"
             )
     return tuple(joint for j, joint in enumerate(names.joints) if j in here)
 
 
-def _commands(trials: list[Columns], names: ModelNames, notes: tuple[str, ...], moving: Sequence[str]) -> Inputs:
-    """A command for each actuator of the model; where the model's are not known, for each joint with a column."""
+def _commands(
+    trials: list[Columns], names: ModelNames, notes: tuple[str, ...], moving: Sequence[str]
+) -> Inputs:
+    """A command for each actuator of the model; where the model's are not known, for each joint
+    with a column.
+    """
     if names.actuators is None:
-        joints = _driven(trials, "target", names) if "target" in trials[0].by_joint else ()
+        if "target" in trials[0].by_joint:
+            joints = _driven(trials, "target", names)
+        else:
+            joints = ()
         if any(columns.ctrl for columns in trials):
             joints = joints or _ctrl_joints(trials[0], names)
         actuators = tuple(ActuatorName(joint, joint, "position") for joint in joints)
@@ -163,7 +199,8 @@ def _commands(trials: list[Columns], names: ModelNames, notes: tuple[str, ...], 
         actuators = names.actuators
     if not actuators:
         raise BadInput(
-            f"{trials[0].raw.path}: has commands, but the model has no actuator; add <actuator> to it, "
+            f"{trials[0].raw.path}: has commands, but the model has no actuator; add <actuator> to "
+            f"it, "
             '<position joint="..." kp="..." kv="..."/> for position targets, or log torques'
         )
     idle: dict[str, None] = {}
@@ -174,16 +211,24 @@ def _commands(trials: list[Columns], names: ModelNames, notes: tuple[str, ...], 
                 actuator.kind == "other" or set(actuator.joints) & set(moving)
             ):
                 continue
-            others = [a for a in actuators if a is not actuator and set(a.joints) & set(actuator.joints)]
-            if actuator.kind == "other" or any(_told(columns, a, actuators.index(a), names) for a in others):
+            others = [
+                a for a in actuators if a is not actuator and set(a.joints) & set(actuator.joints)
+            ]
+            if actuator.kind == "other" or any(
+                _told(columns, a, actuators.index(a), names) for a in others
+            ):
                 idle[actuator.name] = None
                 continue
             _no_command(columns, actuator, names)
         for j in columns.by_joint.get("target", {}):
-            if names.joints[j] in moving and not any(names.joints[j] in a.joints for a in actuators):
+            if names.joints[j] in moving and not any(
+                names.joints[j] in a.joints for a in actuators
+            ):
                 raise BadInput(
-                    f"{columns.raw.path}: joint '{names.joints[j]}' has a target, but no actuator in the model; add "
-                    f'<position joint="{names.joints[j]}" .../> to it, or write ignore = ["{columns.named["target", j]}"] in meta.toml'
+                    f"{columns.raw.path}: joint '{names.joints[j]}' has a target, but no actuator "
+                    f"in the model; add "
+                    f'<position joint="{names.joints[j]}" .../> to it, or write ignore = '
+                    f'["{columns.named["target", j]}"] in meta.toml'
                 )
     if idle:
         notes = (*notes, f"no command logged, taken as 0: {', '.join(idle)}")
@@ -192,13 +237,19 @@ def _commands(trials: list[Columns], names: ModelNames, notes: tuple[str, ...], 
 
 
 def _servo(actuator: ActuatorName, names: ModelNames) -> int | None:
-    """The number of the joint that a servo drives to an angle; None where that is not what it does."""
+    """The number of the joint that a servo drives to an angle; None where that is not what it
+    does.
+    """
     servo = actuator.kind in ("position", "general") and actuator.joint in names.joints
-    return names.joints.index(actuator.joint) if servo else None
+    if servo:
+        return names.joints.index(actuator.joint)
+    return None
 
 
 def _told(columns: Columns, actuator: ActuatorName, index: int, names: ModelNames) -> bool:
-    """Whether a trial has what an actuator was told: its own column, or a servo the target of its joint."""
+    """Whether a trial has what an actuator was told: its own column, or a servo the target of its
+    joint.
+    """
     own = {actuator.name, actuator.joint, index} & set(columns.ctrl)
     return bool(own) or _servo(actuator, names) in columns.by_joint.get("target", {})
 
@@ -211,16 +262,18 @@ def _no_command(columns: Columns, actuator: ActuatorName, names: ModelNames) -> 
         and names.joints.index(joint) in columns.by_joint.get("target", {})
     ):
         raise BadInput(
-            f"{path}: joint '{joint}' has a target, but its actuator '{actuator.name}' in the model is a motor; make it "
-            f'<position kp="..." kv="..."/>, or rename the column ctrl_{actuator.name} where it is what the motor was told'
+            f"{path}: joint '{joint}' has a target, but its actuator '{actuator.name}' in the "
+            f"model is a motor; make it "
+            f'<position kp="..." kv="..."/>, or rename the column ctrl_{actuator.name} where it is '
+            f"what the motor was told"
         )
-    column = (
-        f"target_{joint} or ctrl_{actuator.name}"
-        if actuator.kind in ("position", "general")
-        else f"ctrl_{actuator.name}"
-    )
+    if actuator.kind in ("position", "general"):
+        column = f"target_{joint} or ctrl_{actuator.name}"
+    else:
+        column = f"ctrl_{actuator.name}"
     raise BadInput(
-        f"{path}: no command for actuator '{actuator.name}' of joint '{joint}'; add column {column}, or hold the joint: "
+        f"{path}: no command for actuator '{actuator.name}' of joint '{joint}'; add column "
+        f"{column}, or hold the joint: "
         f"[hold] and {joint} = 0.0 in meta.toml{also_there(columns.raw, 'target', joint)}"
     )
 
@@ -228,9 +281,15 @@ def _no_command(columns: Columns, actuator: ActuatorName, names: ModelNames) -> 
 def _ctrl_joints(columns: Columns, names: ModelNames) -> tuple[str, ...]:
     out = []
     for key in columns.ctrl:
-        joint = names.joints[key] if isinstance(key, int) and 0 <= key < len(names.joints) else key
+        if isinstance(key, int) and 0 <= key < len(names.joints):
+            joint = names.joints[key]
+        else:
+            joint = key
         if joint not in names.joints:
-            raise BadInput(f"{columns.raw.path}: column ctrl_{key} names no joint; {suggest(str(key), names.joints)}")
+            raise BadInput(
+                f"{columns.raw.path}: column ctrl_{key} names no joint; "
+                f"{suggest(str(key), names.joints)}"
+            )
         out.append(joint)
     return tuple(joint for joint in names.joints if joint in out)
 
@@ -240,23 +299,34 @@ def _check_ctrl(columns: Columns, actuators: tuple[ActuatorName, ...]) -> None:
     for key in columns.ctrl:
         if isinstance(key, int) and not 0 <= key < len(actuators):
             raise BadInput(
-                f"{columns.raw.path}: column ctrl{key + 1}: the model has {len(actuators)} actuator(s); "
+                f"{columns.raw.path}: column ctrl{key + 1}: the model has {len(actuators)} "
+                f"actuator(s); "
                 f'write ignore = ["ctrl{key + 1}"] in meta.toml, or add the actuator'
             )
         if isinstance(key, str) and key not in known:
             near = nearest(key, known)
-            hint = f"did you mean '{near}'?" if near else f"it has {', '.join(known)};"
+            if near:
+                hint = f"did you mean '{near}'?"
+            else:
+                hint = f"it has {', '.join(known)};"
             mend = f'rename it by [columns] in meta.toml, or write ignore = ["ctrl_{key}"]'
-            raise BadInput(f"{columns.raw.path}: column ctrl_{key}: the model has no actuator '{key}'; {hint} {mend}")
+            raise BadInput(
+                f"{columns.raw.path}: column ctrl_{key}: the model has no actuator '{key}'; {hint} "
+                f"{mend}"
+            )
 
 
 def _motors_told(columns: Columns, names: ModelNames, meta: LogMeta, moving: Sequence[str]) -> None:
     needed = [a for a in names.actuators or () if set(a.joints) & set(moving)]
     if needed and meta.input != "none":
         a = needed[0]
-        column = f"ctrl_{a.name}" if a.kind == "motor" else f"target_{a.joint}"
+        if a.kind == "motor":
+            column = f"ctrl_{a.name}"
+        else:
+            column = f"target_{a.joint}"
         raise BadInput(
-            f"{columns.raw.path}: no command for actuator '{a.name}' of joint '{a.joint}'; add column {column} (or "
+            f"{columns.raw.path}: no command for actuator '{a.name}' of joint '{a.joint}'; add "
+            f"column {column} (or "
             f'tau_{a.joint}), or write input = "none" in meta.toml where its motor was off'
             f"{also_there(columns.raw, 'target', a.joint)}"
         )

@@ -1,7 +1,8 @@
-"""Tables whose rows hold parts of a sample: exports of several topics in one file, or commands that come less often than states.
+"""Tables whose rows hold parts of a sample: exports of several topics in one file, or commands that
+come less often than states.
 
-Each set of columns that are there in the same rows is a topic of its own; states give the clock, and what is commanded holds from
-when it came (`clock.merge`).
+Each set of columns that are there in the same rows is a topic of its own; states give the clock,
+and what is commanded holds from when it came (`clock.merge`).
 """
 
 from __future__ import annotations
@@ -25,8 +26,10 @@ LINE = "q_line of the file"
 def apart(
     path: str | Path, columns: Mapping[str, np.ndarray], lines: np.ndarray, ours: Mapping[str, str]
 ) -> tuple[dict[str, np.ndarray], np.ndarray, tuple[str, ...]] | None:
-    """`columns [T]` (NaN where a cell is missing) with their lines on the clock of the states, and what was done; None where rows are
-    whole, or hold too little. ours: what a column is to us where the file names it otherwise."""
+    """`columns [T]` (NaN where a cell is missing) with their lines on the clock of the states, and
+    what was done; None where rows are whole, or hold too little. ours: what a column is to us where
+    the file names it otherwise.
+    """
     roles = {name: found for name in columns if (found := role(ours.get(name, name))) is not None}
     clock = next((name for name in columns if ours.get(name, name) in TIME), None)
     names = [name for name, found in roles.items() if found.stem not in ("time", "trial")]
@@ -49,7 +52,10 @@ def apart(
         here = there[own[0]]
         values = {called[name]: columns[name][here] for name in own}
         made[is_state].append(
-            Series(columns[clock][here], values | ({LINE: lines[here].astype(float)} if is_state else {}))
+            Series(
+                columns[clock][here],
+                values | ({LINE: lines[here].astype(float)} if is_state else {}),
+            )
         )
     main = max(made[True], key=lambda series: len(series.time))
     made[True] = [s if s is main else s.of([n for n in s.columns if n != LINE]) for s in made[True]]
@@ -58,7 +64,8 @@ def apart(
     held = [name for name in names if name not in states]
     acts = f", {', '.join(held)} held from when they came" if held else ""
     notes = (
-        f"rows hold parts of a sample, as topics in one file do: taken at the times of {', '.join(angles)}{acts}",
+        f"rows hold parts of a sample, as topics in one file do: taken at the times of "
+        f"{', '.join(angles)}{acts}",
         *notes,
     )
     return {clock: out["time"]} | kept, np.round(out[LINE]).astype(np.int64), notes

@@ -22,11 +22,13 @@ from adaptsim_jax.logs.tables import RawTrial
 
 @dataclass(frozen=True)
 class Columns:
-    """One trial's columns in SI units by stem and joint: `by_joint[stem] [T]` of each joint's index; `ctrl` by actuator.
+    """One trial's columns in SI units by stem and joint: `by_joint[stem] [T]` of each joint's
+    index; `ctrl` by actuator.
 
-    `turns`: whether whole turns were taken out of angles. `written`: (stem, joint) -> `[T]` as the file has it, of angles and targets;
-    `named`: (stem, joint) -> its column; `scaled`: joints whose angles are declared in a scale that is no unit of angle;
-    `base [T, 7]`: place and orientation of a free base; `channels`: by sensor of the model `[T]`; `declared`: joints for whose angles
+    `turns`: whether whole turns were taken out of angles. `written`: (stem, joint) -> `[T]` as the
+    file has it, of angles and targets; `named`: (stem, joint) -> its column; `scaled`: joints whose
+    angles are declared in a scale that is no unit of angle; `base [T, 7]`: place and orientation of
+    a free base; `channels`: by sensor of the model `[T]`; `declared`: joints for whose angles
     `[units]` has a unit; `notes`: what is to be told of headings.
     """
 
@@ -52,15 +54,21 @@ class Columns:
 
 
 def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> Columns:
-    """The columns of a trial by joint. Raises `BadInput`: no such joint, two columns for one, a wrong unit, an absurd value."""
-    roles = {name: found for name in trial.columns if (found := role(name, names.joints)) is not None}
+    """The columns of a trial by joint. Raises `BadInput`: no such joint, two columns for one, a
+    wrong unit, an absurd value.
+    """
+    roles = {
+        name: found for name in trial.columns if (found := role(name, names.joints)) is not None
+    }
     zero_based = _zero_based(roles.values())
     time = next(name for name, r in roles.items() if r.stem == "time")
     where = f"{trial.path}: column {time}"
     scale = column_unit(where, meta.units, "time", (time,), slides=False).scale
     headed = []
 
-    def head(name: str, found: Role, words: tuple[str, ...], unit: Affine, slides: bool = False) -> None:
+    def head(
+        name: str, found: Role, words: tuple[str, ...], unit: Affine, slides: bool = False
+    ) -> None:
         written = meta.columns.get(name) or meta.columns.get(found.stem, name)
         if one := said(name, written, found, slides, names.joints):
             headed.append((one, unit, words, found.stem))
@@ -87,14 +95,20 @@ def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> Columns:
         j = _joint(trial, name, found, names, zero_based)
         if (found.stem, j) in taken:
             raise BadInput(
-                f"{trial.path}: columns {taken[found.stem, j]!r} and {name!r} are both {found.stem} of joint "
+                f"{trial.path}: columns {taken[found.stem, j]!r} and {name!r} are both "
+                f"{found.stem} of joint "
                 f"{names.joints[j]!r}; keep one, or write ignore = [{name!r}] in meta.toml"
             )
         taken[found.stem, j] = name
         slides = names.joints[j] in names.slides
         words = found.words(name, names.joints[j])
         unit = column_unit(
-            f"{trial.path}: column {name}", meta.units, found.stem, words, slides=slides, limits=names.limits_of(j)
+            f"{trial.path}: column {name}",
+            meta.units,
+            found.stem,
+            words,
+            slides=slides,
+            limits=names.limits_of(j),
         )
         head(name, found, words, unit, slides)
         if found.stem == "q" and declared(meta.units, "q", words, slides=slides) is not None:
@@ -102,17 +116,25 @@ def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> Columns:
         if found.stem in ("q", "target"):
             written[found.stem, j] = trial.columns[name]
             scaled[j] = scaled.get(j, False) or unit.scale not in ANGLE_UNITS.values()
-        values = check_size(trial.path, name, unit.of(trial.columns[name]), trial.lines, trial.row_word)
+        values = check_size(
+            trial.path, name, unit.of(trial.columns[name]), trial.lines, trial.row_word
+        )
         by_joint.setdefault(found.stem, {})[j] = values
     notes = compared(trial.path, headed, meta.units)
     angles = by_joint.get("q", {})
-    whole = {j: q if names.joints[j] in names.slides else finite_without_turns(seconds, q) for j, q in angles.items()}
+    whole = {
+        j: q if names.joints[j] in names.slides else finite_without_turns(seconds, q)
+        for j, q in angles.items()
+    }
     targets = {
         j: followed_turns(whole[j], u) if j in whole and names.turns_to(j) else u
         for j, u in by_joint.get("target", {}).items()
     }
     turns = any(not np.array_equal(whole[j], q, equal_nan=True) for j, q in angles.items())
-    turns |= any(not np.array_equal(targets[j], u, equal_nan=True) for j, u in by_joint.get("target", {}).items())
+    turns |= any(
+        not np.array_equal(targets[j], u, equal_nan=True)
+        for j, u in by_joint.get("target", {}).items()
+    )
     return Columns(
         trial,
         from_zero(seconds),
@@ -123,14 +145,20 @@ def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> Columns:
         taken,
         scaled,
         _base(trial, roles),
-        {str(found.joint): trial.columns[name] for name, found in roles.items() if found.stem == "channel"},
+        {
+            str(found.joint): trial.columns[name]
+            for name, found in roles.items()
+            if found.stem == "channel"
+        },
         frozenset(known),
         notes,
     )
 
 
 def also_there(trial: RawTrial, stem: str, joint: str) -> str:
-    """What to say of a trial's other columns where one is missing: it may be among them by another name."""
+    """What to say of a trial's other columns where one is missing: it may be among them by another
+    name.
+    """
     some = [name for name in trial.ignored if name.strip()]
     if not some:
         return ""
@@ -143,34 +171,45 @@ def _place(found: Role, zero_based: bool) -> int | str:
     """The index or the name of the actuator that a column of commands speaks of."""
     if isinstance(found.joint, str):
         return found.joint
-    return (found.joint - (not zero_based)) if found.joint is not None else 0
+    if found.joint is not None:
+        return found.joint - (not zero_based)
+    return 0
 
 
 def _actuator(place: int | str, names: ModelNames) -> str:
     """The name of the actuator at this place, '' where the model's are not known."""
     actuators = names.actuators or ()
-    return place if isinstance(place, str) else actuators[place].name if 0 <= place < len(actuators) else ""
+    if isinstance(place, str):
+        return place
+    if 0 <= place < len(actuators):
+        return actuators[place].name
+    return ""
 
 
 def _base(trial: RawTrial, roles: dict[str, Role]) -> np.ndarray | None:
-    """`[T, 7]` m and a unit quaternion whose sign does not jump. Raises `BadInput` where a column of them is missing."""
+    """`[T, 7]` m and a unit quaternion whose sign does not jump. Raises `BadInput` where a column
+    of them is missing.
+    """
     named = {str(found.joint): name for name, found in roles.items() if found.stem == "base"}
     if not named:
         return None
     if missing := [name for name in BASE if name not in named]:
         raise BadInput(
-            f"{trial.path}: has base_{next(iter(named))}, but no base_{missing[0]}; add it, or ignore all of them"
+            f"{trial.path}: has base_{next(iter(named))}, but no base_{missing[0]}; add it, or "
+            f"ignore all of them"
         )
     pose = np.stack([trial.columns[named[name]] for name in BASE], 1)
     size = np.linalg.norm(pose[:, 3:], axis=1)
     if bad := np.flatnonzero(np.abs(size - 1.0) > 0.05).tolist():
         raise BadInput(
-            f"{trial.path}: {trial.row_word} {trial.lines[bad[0]]}: base_qw .. base_qz have length {size[bad[0]]:.3g}; write unit "
+            f"{trial.path}: {trial.row_word} {trial.lines[bad[0]]}: base_qw .. base_qz have length "
+            f"{size[bad[0]]:.3g}; write unit "
             "quaternions"
         )
     pose[:, 3:] /= size[:, None]
     flips = np.cumprod(
-        np.sign(np.sum(pose[1:, 3:] * pose[:-1, 3:], 1)) + (np.sum(pose[1:, 3:] * pose[:-1, 3:], 1) == 0)
+        np.sign(np.sum(pose[1:, 3:] * pose[:-1, 3:], 1))
+        + (np.sum(pose[1:, 3:] * pose[:-1, 3:], 1) == 0)
     )
     pose[1:, 3:] *= flips[:, None]
     return pose
@@ -188,12 +227,18 @@ def _joint(trial: RawTrial, name: str, found: Role, names: ModelNames, zero_base
             return names.joints.index(joint)
         mend = f'rename it by [columns] in meta.toml, or write ignore = ["{joint}"]'
         near = nearest(joint, names.joints)
-        hint = f"did you mean '{near}'?" if near else f"it has {', '.join(names.joints)};"
-        raise BadInput(f"{trial.path}: column {name!r}: the model has no joint '{joint}'; {hint} {mend}")
+        if near:
+            hint = f"did you mean '{near}'?"
+        else:
+            hint = f"it has {', '.join(names.joints)};"
+        raise BadInput(
+            f"{trial.path}: column {name!r}: the model has no joint '{joint}'; {hint} {mend}"
+        )
     if joint is None:
         if n > 1:
             raise BadInput(
-                f"{trial.path}: column {name!r} names no joint, but the model has {n}; name it {name}1 or {name}_{names.joints[0]}"
+                f"{trial.path}: column {name!r} names no joint, but the model has {n}; name it "
+                f"{name}1 or {name}_{names.joints[0]}"
             )
         return 0
     index = joint if zero_based else joint - 1

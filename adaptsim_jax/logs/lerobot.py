@@ -1,8 +1,9 @@
 """LeRobot data sets: `meta/info.json` and Parquet files, each episode a raw trial.
 
-`observation.state` gives angles, `action` position targets, `observation.velocity` and `observation.effort` speeds and
-torques; names come from info.json's features. Read by pyarrow (extra `lerobot`). Both layouts are read: one file an
-episode (up to v2.1) and many episodes a file (v3).
+`observation.state` gives angles, `action` position targets, `observation.velocity` and
+`observation.effort` speeds and torques; names come from info.json's features. Read by pyarrow
+(extra `lerobot`). Both layouts are read: one file an episode (up to v2.1) and many episodes a file
+(v3).
 """
 
 from __future__ import annotations
@@ -20,7 +21,12 @@ from adaptsim_jax.logs.extras import need
 from adaptsim_jax.logs.table_checks import check_clock
 from adaptsim_jax.logs.tables import MIN_ROWS, RawTrial
 
-STEMS = {"observation.state": "q", "observation.velocity": "v", "observation.effort": "tau", "action": "target"}
+STEMS = {
+    "observation.state": "q",
+    "observation.velocity": "v",
+    "observation.effort": "tau",
+    "action": "target",
+}
 ENDS = {".pos": "q", ".vel": "v", ".torque": "tau", ".effort": "tau"}
 """What ends the names of one vector's entries, where it holds more than positions."""
 
@@ -31,27 +37,36 @@ def is_lerobot(folder: Path) -> bool:
 
 
 def read_lerobot(folder: Path, out: Callable[[str], bool] = lambda name: False) -> list[RawTrial]:
-    """Every episode; of those that are `out`, by their name, no more than that. Raises `BadInput`: no such features, damaged
-    files, pyarrow missing."""
+    """Every episode; of those that are `out`, by their name, no more than that. Raises `BadInput`:
+    no such features, damaged files, pyarrow missing.
+    """
     info = _info(folder)
     features = info["features"]
     if "observation.state" not in features:
         raise BadInput(
-            f"{folder}/meta/info.json: has no feature 'observation.state' (joint angles); convert the data to CSV"
+            f"{folder}/meta/info.json: has no feature 'observation.state' (joint angles); convert "
+            f"the data to CSV"
         )
     parquet = need(folder, "pyarrow.parquet", "lerobot")
     files = sorted((folder / "data").rglob("*.parquet"))
     if not files:
         raise BadInput(f"{folder}: holds no data/**/*.parquet; download the data set whole")
-    wanted = [name for name in (*STEMS, "timestamp", "frame_index", "episode_index") if name in features]
+    wanted = [
+        name for name in (*STEMS, "timestamp", "frame_index", "episode_index") if name in features
+    ]
     parts: dict[int, list[tuple[Path, dict[str, np.ndarray]]]] = {}
     for path in files:
         for episode, table in _episodes(path, parquet, wanted):
             parts.setdefault(episode, []).append((path, table))
     fps = info.get("fps")
-    bare = lambda e: RawTrial(_name(e), str(parts[e][0][0]), {}, np.zeros(0, np.int64))
+
+    def bare(e):
+        return RawTrial(_name(e), str(parts[e][0][0]), {}, np.zeros(0, np.int64))
+
     return [
-        bare(episode) if out(_name(episode)) else _trial(folder, episode, parts[episode], features, fps)
+        bare(episode)
+        if out(_name(episode))
+        else _trial(folder, episode, parts[episode], features, fps)
         for episode in sorted(parts)
     ]
 
@@ -61,17 +76,24 @@ def _name(episode: int) -> str:
 
 
 def check_named(folder: Path, trial: RawTrial, joints: Sequence[str]) -> None:
-    """BadInput where numbers of a trial have no names that fit, and `[columns]` gives none either. joints: the model's."""
+    """BadInput where numbers of a trial have no names that fit, and `[columns]` gives none either.
+    joints: the model's.
+    """
     for vector, stem in STEMS.items():
         count = sum(
             re.fullmatch(rf"{stem}_\d+", name) is not None and name[len(stem) + 1 :] not in joints
             for name in trial.columns
         )
-        named = any(name.startswith(f"{stem}_") and not re.fullmatch(rf"{stem}_\d+", name) for name in trial.columns)
+        named = any(
+            name.startswith(f"{stem}_") and not re.fullmatch(rf"{stem}_\d+", name)
+            for name in trial.columns
+        )
         if joints and count not in (0, len(joints)) and not named:
             raise BadInput(
-                f"{folder}/meta/info.json: {vector} has {count} numbers without names, the model {len(joints)} joint(s); write names "
-                f"there, in the order of the numbers, or say in meta.toml which number is which: [columns] and {stem}_{joints[0]} = "
+                f"{folder}/meta/info.json: {vector} has {count} numbers without names, the model "
+                f"{len(joints)} joint(s); write names "
+                f"there, in the order of the numbers, or say in meta.toml which number is which: "
+                f"[columns] and {stem}_{joints[0]} = "
                 f'"{stem}_K", K from 1 to {count}, and ignore the others'
             )
     for vector in trial.doubt:
@@ -82,8 +104,10 @@ def check_named(folder: Path, trial: RawTrial, joints: Sequence[str]) -> None:
             continue  # some have been given by [columns]: the others are left
         first = next(iter(joints), "JOINT")
         raise BadInput(
-            f"{folder}/meta/info.json: {trial.doubt[vector]}; write all {width} names there, in the order of the numbers, or say in "
-            f'meta.toml which number is which: [columns] and {stem}_{first} = "{vector}[K]", K from 0 to {width - 1}'
+            f"{folder}/meta/info.json: {trial.doubt[vector]}; write all {width} names there, in "
+            f"the order of the numbers, or say in "
+            f'meta.toml which number is which: [columns] and {stem}_{first} = "{vector}[K]", K '
+            f"from 0 to {width - 1}"
         )
 
 
@@ -96,18 +120,29 @@ def _info(folder: Path) -> dict[str, Any]:
         why = "it has no features"
     except (OSError, ValueError, RecursionError) as error:
         why = " ".join(str(error).split())[:120]
-    raise BadInput(f"{path}: is no description of a LeRobot data set ({why}); download the data set again") from None
+    raise BadInput(
+        f"{path}: is no description of a LeRobot data set ({why}); download the data set again"
+    ) from None
 
 
-def _episodes(path: Path, parquet: Any, wanted: list[str]) -> list[tuple[int, dict[str, np.ndarray]]]:
+def _episodes(
+    path: Path, parquet: Any, wanted: list[str]
+) -> list[tuple[int, dict[str, np.ndarray]]]:
     try:
         table = parquet.read_table(path, columns=wanted)
-        arrays = {name: np.array(table.column(name).to_pylist(), dtype=np.float64) for name in table.column_names}
+        arrays = {
+            name: np.array(table.column(name).to_pylist(), dtype=np.float64)
+            for name in table.column_names
+        }
     except Exception as error:  # pyarrow's own errors, and ragged or textual columns
         why = " ".join(str(error).split())[:120] or type(error).__name__
-        raise BadInput(f"{path}: is no readable Parquet file of joint vectors ({why}); download it again") from None
+        raise BadInput(
+            f"{path}: is no readable Parquet file of joint vectors ({why}); download it again"
+        ) from None
     if "observation.state" not in arrays:
-        raise BadInput(f"{path}: column 'observation.state' is missing; download the data set again")
+        raise BadInput(
+            f"{path}: column 'observation.state' is missing; download the data set again"
+        )
     index = arrays.get("episode_index", np.zeros(len(table))).astype(int).ravel()
     return [(int(e), {name: a[index == e] for name, a in arrays.items()}) for e in np.unique(index)]
 
@@ -126,12 +161,16 @@ def _trial(folder: Path, episode: int, parts: list, features: dict, fps: Any) ->
         time = arrays["timestamp"].ravel()
     else:
         if not isinstance(fps, int | float) or not fps > 0:
-            raise BadInput(f"{folder}/meta/info.json: has no fps, and the data no timestamp; add one of them")
+            raise BadInput(
+                f"{folder}/meta/info.json: has no fps, and the data no timestamp; add one of them"
+            )
         time = np.arange(count) / fps
         notes = (f"no timestamps: rows taken {fps:g} times a second, as info.json says",)
     rows, word = np.arange(1, count + 1), f"episode {episode}, row"
     if (bad := np.flatnonzero(~np.isfinite(time))).size:
-        raise BadInput(f"{path}: {word} {rows[bad[0]]}: timestamp is {time[bad[0]]:g}; remove such rows")
+        raise BadInput(
+            f"{path}: {word} {rows[bad[0]]}: timestamp is {time[bad[0]]:g}; remove such rows"
+        )
     check_clock(path, time, rows, word)
     columns = {"time": time}
     doubt: dict[str, str] = {}
@@ -143,17 +182,23 @@ def _trial(folder: Path, episode: int, parts: list, features: dict, fps: Any) ->
                 columns |= _named(stem, names, values)
                 continue
             written = _written(feature)
-            # numbers of joints; where info.json names others, names that only [columns] makes joints of
-            columns |= {f"{name}[{k}]" if written else f"{stem}_{k + 1}": values[:, k] for k in range(width)}
+            # numbers of joints; where info.json names others, names that only [columns] makes
+            # joints of
+            columns |= {
+                f"{name}[{k}]" if written else f"{stem}_{k + 1}": values[:, k] for k in range(width)
+            }
             if written:
                 said = ", ".join(dict.fromkeys(written))
                 doubt[name] = f"names {len(written)} of the {width} numbers of {name} ({said})"
-    return RawTrial(_name(episode), str(path), columns, np.arange(1, count + 1), "row", notes=notes, doubt=doubt)
+    return RawTrial(
+        _name(episode), str(path), columns, np.arange(1, count + 1), "row", notes=notes, doubt=doubt
+    )
 
 
 def _names(feature: Any, width: int) -> list[str] | None:
-    """The names of a vector's entries; None where info.json has none, or where they are not the entries' (another number of them, or
-    twice the same)."""
+    """The names of a vector's entries; None where info.json has none, or where they are not the
+    entries' (another number of them, or twice the same).
+    """
     names = feature.get("names") if isinstance(feature, dict) else None
     if (
         isinstance(names, dict)
@@ -163,7 +208,9 @@ def _names(feature: Any, width: int) -> list[str] | None:
         names = sorted(names, key=names.__getitem__)
     elif isinstance(names, dict):
         names = [name for group in names.values() if isinstance(group, list) for name in group]
-    if isinstance(names, list) and len(names) == width == len({n for n in names if isinstance(n, str)}):
+    if isinstance(names, list) and len(names) == width == len(
+        {n for n in names if isinstance(n, str)}
+    ):
         return names
     return None
 
@@ -173,7 +220,9 @@ def _written(feature: Any) -> list[str]:
     names = feature.get("names") if isinstance(feature, dict) else None
     if isinstance(names, dict):
         names = [n for k, v in names.items() for n in (v if isinstance(v, list) else [k])]
-    return [str(name) for name in names] if isinstance(names, list) else []
+    if isinstance(names, list):
+        return [str(name) for name in names]
+    return []
 
 
 def _named(stem: str, names: list[str], values: np.ndarray) -> dict[str, np.ndarray]:

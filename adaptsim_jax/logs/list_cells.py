@@ -10,11 +10,23 @@ from adaptsim_jax.core.errors import BadInput
 
 LIST = re.compile(r"\s*[\[({](.*)[\])}]\s*", re.DOTALL)
 STEMS = {
-    "positions": "q", "joint_positions": "q", "qpos": "q", "angles": "q", "joint_angles": "q",
-    "velocities": "v", "joint_velocities": "v",
-    "qvel": "v", "torques": "tau", "joint_torques": "tau", "efforts": "tau", "joint_efforts": "tau", "targets": "target",
-    "commands": "target", "actions": "target", "joint_targets": "target",
-}  # fmt: skip
+    "positions": "q",
+    "joint_positions": "q",
+    "qpos": "q",
+    "angles": "q",
+    "joint_angles": "q",
+    "velocities": "v",
+    "joint_velocities": "v",
+    "qvel": "v",
+    "torques": "tau",
+    "joint_torques": "tau",
+    "efforts": "tau",
+    "joint_efforts": "tau",
+    "targets": "target",
+    "commands": "target",
+    "actions": "target",
+    "joint_targets": "target",
+}
 """What lists of all joints are called -> our stem."""
 
 
@@ -23,9 +35,12 @@ def is_list(cell: str) -> bool:
     return LIST.fullmatch(cell) is not None
 
 
-def split(path: str | Path, name: str, cells: Sequence[str], lines: Sequence[int]) -> dict[str, tuple[str, ...]]:
-    """A column's cells `[T]` by the name of the column; of lists `[T]` for each place by `name[0]`, `name[1]`, ... BadInput at a
-    list of another length."""
+def split(
+    path: str | Path, name: str, cells: Sequence[str], lines: Sequence[int]
+) -> dict[str, tuple[str, ...]]:
+    """A column's cells `[T]` by the name of the column; of lists `[T]` for each place by `name[0]`,
+    `name[1]`, ... BadInput at a list of another length.
+    """
     first = next((cell for cell in cells if cell.strip()), "")
     if not is_list(first):
         return {name: tuple(cells)}
@@ -34,7 +49,8 @@ def split(path: str | Path, name: str, cells: Sequence[str], lines: Sequence[int
         parts = _parts(cell) if cell.strip() else [""] * width
         if len(parts) != width:
             raise BadInput(
-                f"{path}: line {line}: column {name} holds a list of {len(parts)}, the first one of {width}; mend or remove that row"
+                f"{path}: line {line}: column {name} holds a list of {len(parts)}, the first one "
+                f"of {width}; mend or remove that row"
             )
         out.append(parts)
     return {part_name(name, k): tuple(column) for k, column in enumerate(zip(*out, strict=True))}
@@ -54,4 +70,6 @@ def part_name(name: str, place: int) -> str:
 def stem_and_place(name: str) -> tuple[str, int] | None:
     """The column and the place that `part_name` made a name of; None for another name."""
     found = re.fullmatch(r"(.*)\[(\d+)\]", name)
-    return (found[1], int(found[2])) if found else None
+    if found:
+        return (found[1], int(found[2]))
+    return None

@@ -3,10 +3,14 @@
 import numpy as np
 
 
-def local_motion(time: np.ndarray, q: np.ndarray, v: np.ndarray | None, half: int = 7) -> tuple[np.ndarray, np.ndarray]:
-    """Angle and velocity `[T, n]` by least-squares cubics over `2 half + 1` neighbours (Savitzky-Golay, uneven rows).
+def local_motion(
+    time: np.ndarray, q: np.ndarray, v: np.ndarray | None, half: int = 7
+) -> tuple[np.ndarray, np.ndarray]:
+    """Angle and velocity `[T, n]` by least-squares cubics over `2 half + 1` neighbours
+    (Savitzky-Golay, uneven rows).
 
-    Measured velocities enter the same cubic. Good enough to start a fit; the noise model has a better smoother.
+    Measured velocities enter the same cubic. Good enough to start a fit; the noise model has a
+    better smoother.
     """
     count = min(2 * half + 1, len(time))
     first = np.clip(np.arange(len(time)) - half, 0, len(time) - count)
@@ -16,8 +20,13 @@ def local_motion(time: np.ndarray, q: np.ndarray, v: np.ndarray | None, half: in
     powers = (s / width)[..., None] ** np.arange(4)
     design, target = powers, q[near]
     if v is not None:
-        slopes = np.concatenate([np.zeros_like(powers[..., :1]), np.arange(1, 4) * powers[..., :3]], -1)
-        design, target = np.concatenate([design, slopes], 1), np.concatenate([target, v[near] * width[..., None]], 1)
+        slopes = np.concatenate(
+            [np.zeros_like(powers[..., :1]), np.arange(1, 4) * powers[..., :3]], -1
+        )
+        design, target = (
+            np.concatenate([design, slopes], 1),
+            np.concatenate([target, v[near] * width[..., None]], 1),
+        )
     keep = np.isfinite(target)
     channels = [(np.where(keep, target, 0.0)[..., j], keep[..., j]) for j in range(q.shape[1])]
     coef = np.stack([_cubic(design, y, k) for y, k in channels], -1)  # [T, 4, n]

@@ -15,8 +15,10 @@ InputKind = Literal["torque", "command", "voltage", "current", "none"]
 
 @dataclass(frozen=True)
 class ActuatorName:
-    """An actuator of the model and the joint that it drives; `kind`: motor, position, velocity, general, dcmotor, tendon (on several
-    joints) or other (on none: a site, a body); `moves`: all joints that it drives, those tied to them included."""
+    """An actuator of the model and the joint that it drives; `kind`: motor, position, velocity,
+    general, dcmotor, tendon (on several joints) or other (on none: a site, a body); `moves`: all
+    joints that it drives, those tied to them included.
+    """
 
     name: str
     joint: str
@@ -32,9 +34,12 @@ class ActuatorName:
 class ModelNames:
     """What a reader of logs must know of a model.
 
-    `joints`: hinge and slide joints in the model's order; `slides`: those that slide (logged in m, not rad);
-    `parents`: for each joint the index of the joint before it in the tree, -1 for none (empty: a serial chain);
-    `actuators`: in the model's order, None where nothing is known of them; `tied`: joints that go with others, and with which;
+    `joints`: hinge and slide joints in the model's order; `slides`: those that slide (logged in m,
+        not rad);
+    `parents`: for each joint the index of the joint before it in the tree, -1 for none (empty: a
+        serial chain);
+    `actuators`: in the model's order, None where nothing is known of them; `tied`: joints that go
+        with others, and with which;
     `ranges`: of each joint in rad or m, None where it has none (empty: not known).
     """
 
@@ -46,13 +51,19 @@ class ModelNames:
     ranges: tuple[tuple[float, float] | None, ...] = ()
 
     def turns_to(self, joint: int) -> bool:
-        """Whether a target of a joint is an angle: not where it slides, nor where all that drives it takes speeds or torques."""
+        """Whether a target of a joint is an angle: not where it slides, nor where all that drives
+        it takes speeds or torques.
+        """
         kinds = [a.kind for a in self.actuators or () if a.joint == self.joints[joint]]
-        return self.joints[joint] not in self.slides and (not kinds or any(k in ("position", "general") for k in kinds))
+        return self.joints[joint] not in self.slides and (
+            not kinds or any(k in ("position", "general") for k in kinds)
+        )
 
     def limits_of(self, joint: int) -> tuple[float, float] | None:
         """The range of a joint, where the model declares one."""
-        return self.ranges[joint] if joint < len(self.ranges) else None
+        if joint < len(self.ranges):
+            return self.ranges[joint]
+        return None
 
     @property
     def parent_of(self) -> tuple[int, ...]:
@@ -84,12 +95,14 @@ class ModelNames:
 class LogTrial:
     """One trial of `T` rows and `n` joints, in the model's order of joints.
 
-    `time [T]`: s, increasing, unevenly spaced; `q [T, n]`: rad (hinge) or m (slide), NaN where a value is missing;
-    `v [T, n]`: rad/s or m/s, None where no speed was logged; `u [T, m]`: the input, which holds from its row to the
-    next: N m or N (torque), what the actuators were told (command), V, A. `extra`: other quantities of the file by
-    their stem (`tau_commanded`, `target`, ...), each `[T, n]` and NaN for joints without; `group`: trials that
-    belong together; `payload`: kg at the tip; `base [T, 7]`: m and a unit quaternion (w first) of a free base, None where not logged;
-    `channels`: by sensor of the model (`gyro[0]`) what `[channels]` compares with it `[T]`, in the sensor's unit.
+    `time [T]`: s, increasing, unevenly spaced; `q [T, n]`: rad (hinge) or m (slide), NaN where a
+    value is missing; `v [T, n]`: rad/s or m/s, None where no speed was logged; `u [T, m]`: the
+    input, which holds from its row to the next: N m or N (torque), what the actuators were told
+    (command), V, A. `extra`: other quantities of the file by their stem (`tau_commanded`, `target`,
+    ...), each `[T, n]` and NaN for joints without; `group`: trials that belong together; `payload`:
+    kg at the tip; `base [T, 7]`: m and a unit quaternion (w first) of a free base, None where not
+    logged; `channels`: by sensor of the model (`gyro[0]`) what `[channels]` compares with it `[T]`,
+    in the sensor's unit.
     """
 
     name: str
@@ -117,7 +130,14 @@ class LogTrial:
         base = None if self.base is None else self.base[part]
         read = {name: values[part] for name, values in self.channels.items()}
         return replace(
-            self, time=self.time[part], q=self.q[part], v=v, u=self.u[part], extra=extra, base=base, channels=read
+            self,
+            time=self.time[part],
+            q=self.q[part],
+            v=v,
+            u=self.u[part],
+            extra=extra,
+            base=base,
+            channels=read,
         )
 
 
@@ -125,11 +145,13 @@ class LogTrial:
 class Log:
     """Trials of one mechanism and what its `meta.toml` declares.
 
-    `input_names [m]`: joints (torque, voltage, current), or actuators (command; joints where the model's actuators
-    are not known); `driven`: joints that have an input column, torque is 0 at the others. `notes`: what a person
-    should know of how the files were read, a line each. `held`: joints that stand still in all trials, or that `[hold]` names, and
-    where they were (None: nothing was logged); they are not among `joint_names`. `input_columns [m]`: the column that each
-    actuator's command was read from. `unlike`: joints whose followers do not follow as the model says.
+    `input_names [m]`: joints (torque, voltage, current), or actuators (command; joints where the
+    model's actuators are not known); `driven`: joints that have an input column, torque is 0 at the
+    others. `notes`: what a person should know of how the files were read, a line each. `held`:
+    joints that stand still in all trials, or that `[hold]` names, and where they were (None:
+    nothing was logged); they are not among `joint_names`. `input_columns [m]`: the column that each
+    actuator's command was read from. `unlike`: joints whose followers do not follow as the model
+    says.
     """
 
     path: str
@@ -154,4 +176,6 @@ class Log:
         from adaptsim_jax.core.config import pick
 
         by_name = {trial.name: trial for trial in self.trials}
-        return replace(self, trials=tuple(by_name[pick(f"trial of {self.path}:", n, by_name)] for n in names))
+        return replace(
+            self, trials=tuple(by_name[pick(f"trial of {self.path}:", n, by_name)] for n in names)
+        )

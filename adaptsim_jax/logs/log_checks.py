@@ -1,4 +1,6 @@
-"""Units that a whole log betrays: milliseconds for seconds, degrees for radians; refused where it is sure, told where not."""
+"""Units that a whole log betrays: milliseconds for seconds, degrees for radians; refused where it
+is sure, told where not.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ FAST = 20.0
 ODD = 15.0
 """Times that one trial's angles may reach as far as those of the others."""
 FAR, HINT = 20.0, 3.0
-"""Times its declared range that a joint may move, before its unit is doubted, and before that is hinted at."""
+"""Times its declared range that a joint may move, before its unit is doubted, and before that is
+hinted at.
+"""
 INSIDE = 1.2
 """Times its declared range that a joint may move in the unit that is suspected instead."""
 LONG = 10.0
@@ -33,8 +37,8 @@ def check_log_units(
     units: Mapping[str, object] | None = None,
     known: Collection[str] = (),
 ) -> tuple[str, ...]:
-    """Notes about suspicious units. units: as declared; angles that are degrees already are not asked about; known: joints for whose
-    angles or ways a unit is declared.
+    """Notes about suspicious units. units: as declared; angles that are degrees already are not
+    asked about; known: joints for whose angles or ways a unit is declared.
 
     Raises `BadInput` naming the trial and the line for meta.toml where the data are sure.
     """
@@ -46,26 +50,34 @@ def check_log_units(
     slides = [j for j, joint in enumerate(names.joints) if joint in names.slides]
     far = tuple(note for j in slides if (note := _far(trials, j, names, names.joints[j] in known)))
     degrees = any(unit in ("deg", "degrees") for unit in (units or {}).values())
-    return (
-        far
-        if degrees
-        else far + tuple(note for j in hinges if (note := _large(trials, j, names, names.joints[j] in known)))
+    if degrees:
+        return far
+    return far + tuple(
+        note for j in hinges if (note := _large(trials, j, names, names.joints[j] in known))
     )
 
 
 def lengths_within(times: float) -> tuple[str, ...]:
-    """Units of length that bring a sliding joint, which moves `times` as far as its range, into it; metres are not asked about."""
-    return tuple(unit for unit in ("mm", "cm") if times >= HINT and times * LENGTH_UNITS[unit] <= INSIDE)
+    """Units of length that bring a sliding joint, which moves `times` as far as its range, into it;
+    metres are not asked about.
+    """
+    return tuple(
+        unit for unit in ("mm", "cm") if times >= HINT and times * LENGTH_UNITS[unit] <= INSIDE
+    )
 
 
 def times_range(reach: float, limits: tuple[float, float] | None) -> float:
     """How many times as far from 0 as its declared range a joint moves; 0 where it has none."""
     span = max(map(abs, limits)) if limits else 0.0
-    return reach / span if span > 0.0 else 0.0
+    if span > 0.0:
+        return reach / span
+    return 0.0
 
 
 def _far(trials: Sequence[LogTrial], j: int, names: ModelNames, known: bool) -> str:
-    """A note on ways too long for metres; BadInput where the declared range is surely passed, and no unit is declared."""
+    """A note on ways too long for metres; BadInput where the declared range is surely passed, and
+    no unit is declared.
+    """
     reach = float(np.median([np.nanmax(np.abs(t.q[:, j]), initial=0.0) for t in trials]))
     limits, joint = names.limits_of(j), names.joints[j]
     times = times_range(reach, limits)
@@ -74,12 +86,16 @@ def _far(trials: Sequence[LogTrial], j: int, names: ModelNames, known: bool) -> 
         return ""
     ask = " or ".join(f'length = "{unit}"' for unit in units or ("mm",))
     if limits is None:
-        return f"{joint} slides as far as {reach:.3g} m: if that is no metres, write {ask} under [units]"
+        return (
+            f"{joint} slides as far as {reach:.3g} m: if that is no metres, write {ask} under "
+            f"[units]"
+        )
     says = f"{joint} slides as far as {reach:.3g} m, {times:.2g} times its declared range of {limits[0]:g} to {limits[1]:g} m"
     if times < FAR:
         return f"{says}: if that is no metres, write {ask} under [units]"
     raise BadInput(
-        f"{trials[0].path}: {says}, as {' or '.join(WORDS[unit] for unit in units)} would; write {ask} under [units] in meta.toml, "
+        f"{trials[0].path}: {says}, as {' or '.join(WORDS[unit] for unit in units)} would; write "
+        f"{ask} under [units] in meta.toml, "
         'or length = "m" if they are metres and the range is not the machine\'s'
     )
 
@@ -97,17 +113,26 @@ def _speed_suspect(trial: LogTrial, hinges: Sequence[int]) -> str:
 
 
 def _large(trials: Sequence[LogTrial], j: int, names: ModelNames, known: bool) -> str:
-    """A note on angles that may be degrees; where a unit is declared, on a trial that is unlike the others alone."""
+    """A note on angles that may be degrees; where a unit is declared, on a trial that is unlike the
+    others alone.
+    """
     reaches = np.array([np.nanmax(np.abs(t.q[:, j]), initial=0.0) for t in trials])
     reach = float(np.median(reaches))
     odd = int(reaches.argmax())
     if reaches[odd] > max(LARGE, ODD * reach):
         return (
-            f"angles of {names.joints[j]} reach {reaches[odd]:.3g} rad in {trials[odd].name}, {reach:.2g} rad in the others: if they "
+            f"angles of {names.joints[j]} reach {reaches[odd]:.3g} rad in {trials[odd].name}, "
+            f"{reach:.2g} rad in the others: if they "
             "are degrees there, convert that file"
         )
     speeds = [np.nanquantile(np.abs(t.v[:, j]), 0.99) for t in trials if t.v is not None]
     if known or reach < LARGE or (speeds and np.median(speeds) < FAST):
         return ""
-    more = "; LeRobot may write per cent of a range, too" if trials[0].path.endswith(".parquet") else ""
-    return f'angles of {names.joints[j]} reach {reach:.3g} rad: if they are degrees, write angle = "deg" under [units]{more}'
+    if trials[0].path.endswith(".parquet"):
+        more = "; LeRobot may write per cent of a range, too"
+    else:
+        more = ""
+    return (
+        f"angles of {names.joints[j]} reach {reach:.3g} rad: if they are degrees, write angle = "
+        f'"deg" under [units]{more}'
+    )

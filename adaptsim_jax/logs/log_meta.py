@@ -1,4 +1,6 @@
-"""The schema of a mechanism's `meta.toml`: what a person declares about a log, checked key by key."""
+"""The schema of a mechanism's `meta.toml`: what a person declares about a log, checked key by
+key.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,19 @@ from adaptsim_jax.logs.log_units import Unit, check_unit
 V = TypeVar("V")
 INPUTS = ("torque", "command", "voltage", "current", "none")
 CONVENTIONS = ("relative", "absolute")
-TABLES = ("columns", "channels", "units", "angles", "hold", "commands", "known", "fit", "noise", "trials", "ros")
+TABLES = (
+    "columns",
+    "channels",
+    "units",
+    "angles",
+    "hold",
+    "commands",
+    "known",
+    "fit",
+    "noise",
+    "trials",
+    "ros",
+)
 KEYS = ("task", "model", "data", "input", "ignore", "simulator", *TABLES, *TEXT_KEYS)
 SIMULATORS = ("tree", "mujoco")
 ANGLE_KEYS = ("convention", "zero", "reversed")
@@ -32,17 +46,19 @@ TRAJECTORY = ("ramp", "hold")
 class LogMeta:
     """What `meta.toml` declares of a log.
 
-    `model`, `data`: whole paths, None where not named; `input`: which columns drive the model, None: told by the columns;
-    `ignore`: columns, or joints with all their columns, that are left out; `columns`: our name -> the file's name;
-    `units`: column, stem or quantity -> unit; `convention`: joint or column -> "relative" or "absolute", "" for all;
-    `zero`: joint or column -> what the log shows (rad or m) where the model's joint is at 0; `reversed`: joints that
-    the log counts the other way round; `known`, `fit`: as written, names of the MJCF; `noise`: column, stem or quantity ->
-    standard deviation in SI units; `exclude`: trials left out; `group`, `payload`: trial -> group, kg (patterns like
-    `kp100_*` may stand for several trials); `rate`, `within`: joint -> what a target is cut to before it is sent, by a rate
-    (rad/s, m/s)
-    or to within a distance of the angle (rad, m); `commands`: trial -> the file beside the data that holds its commands;
-    `hold`: joint -> rad or m that it is held at (None: where the log or the file has it); `simulator`: tree or mujoco, None: by what
-    the model needs; `channels`: a sensor of the model, `gyro[0]` -> the column that it is compared with (among `columns`, too).
+    `model`, `data`: whole paths, None where not named; `input`: which columns drive the model,
+    None: told by the columns; `ignore`: columns, or joints with all their columns, that are left
+    out; `columns`: our name -> the file's name; `units`: column, stem or quantity -> unit;
+    `convention`: joint or column -> "relative" or "absolute", "" for all; `zero`: joint or column
+    -> what the log shows (rad or m) where the model's joint is at 0; `reversed`: joints that the
+    log counts the other way round; `known`, `fit`: as written, names of the MJCF; `noise`: column,
+    stem or quantity -> standard deviation in SI units; `exclude`: trials left out; `group`,
+    `payload`: trial -> group, kg (patterns like `kp100_*` may stand for several trials); `rate`,
+    `within`: joint -> what a target is cut to before it is sent, by a rate (rad/s, m/s)
+    or to within a distance of the angle (rad, m); `commands`: trial -> the file beside the data
+    that holds its commands; `hold`: joint -> rad or m that it is held at (None: where the log or
+    the file has it); `simulator`: tree or mujoco, None: by what the model needs; `channels`: a
+    sensor of the model, `gyro[0]` -> the column that it is compared with (among `columns`, too).
     """
 
     path: str = ""
@@ -71,9 +87,14 @@ class LogMeta:
 
 
 def read_log_meta(path: str | Path) -> LogMeta:
-    """Read and check a `meta.toml` with `task = "mechanism"`. Raises `BadInput` naming the file and the key."""
+    """Read and check a `meta.toml` with `task = "mechanism"`. Raises `BadInput` naming the file and
+    the key.
+    """
     path = Path(path)
-    raw = read(path, 'missing; write one with task = "mechanism" and model = "robot.xml", or run adaptsim init')
+    raw = read(
+        path,
+        'missing; write one with task = "mechanism" and model = "robot.xml", or run adaptsim init',
+    )
     known(path, raw, KEYS)
     if raw.get("task") != "mechanism":
         what = f"is {brief(raw['task'])}" if "task" in raw else "is missing"
@@ -87,13 +108,20 @@ def read_log_meta(path: str | Path) -> LogMeta:
     return LogMeta(
         path=str(path),
         model=_beside(path, raw, "model", 'write model = "robot.xml", relative to the folder'),
-        data=_beside(path, raw, "data", "give the file or folder of the data, relative to meta.toml"),
+        data=_beside(
+            path, raw, "data", "give the file or folder of the data, relative to meta.toml"
+        ),
         input=choice(path, raw, "input", INPUTS),
         ignore=_texts(path, "ignore", raw.get("ignore", [])),
-        columns=_columns(path, told["columns"]) | {CHANNEL + ours: theirs for ours, theirs in channels.items()},
+        columns=_columns(path, told["columns"])
+        | {CHANNEL + ours: theirs for ours, theirs in channels.items()},
         units={key: check_unit(path, key, value) for key, value in told["units"].items()},
-        convention=_conventions(path, {"": convention} if isinstance(convention, str) else convention),
-        zero=_numbers(path, "angles.zero", angles.get("zero", {}), "zero = {elbow = 3.14159}, in rad or m"),
+        convention=_conventions(
+            path, {"": convention} if isinstance(convention, str) else convention
+        ),
+        zero=_numbers(
+            path, "angles.zero", angles.get("zero", {}), "zero = {elbow = 3.14159}, in rad or m"
+        ),
         reversed=_texts(path, "angles.reversed", angles.get("reversed", [])),
         known=told["known"],
         fit=told["fit"],
@@ -101,12 +129,15 @@ def read_log_meta(path: str | Path) -> LogMeta:
         exclude=_texts(path, "trials.exclude", trials.get("exclude", [])),
         group=_groups(path, trials.get("group", {})),
         payload=_payloads(path, trials.get("payload", {})),
-        commands=_groups(path, trials.get("commands", {}), "commands", 'commands = {run = "control.csv"}'),
+        commands=_groups(
+            path, trials.get("commands", {}), "commands", 'commands = {run = "control.csv"}'
+        ),
         ros=_ros(path, told["ros"]),
         rate=_sizes(path, "rate", commands, "rate = {elbow = 3.0}, in rad/s or m/s"),
         within=_sizes(path, "within", commands, "within = {elbow = 0.1}, in rad or m"),
         hold={
-            key: None if value is True else number(path, f"hold.{key}", value) for key, value in told["hold"].items()
+            key: None if value is True else number(path, f"hold.{key}", value)
+            for key, value in told["hold"].items()
         },
         simulator=choice(path, raw, "simulator", SIMULATORS),
         channels=channels,
@@ -117,12 +148,17 @@ def _sizes(path: Path, key: str, table: Mapping[str, Any], example: str) -> dict
     out = _numbers(path, f"commands.{key}", table.get(key, {}), example)
     for name, size in out.items():
         if not size > 0:
-            raise BadInput(f"{path}: commands.{key}.{name} = {size:g} is not above 0; write {example}")
+            raise BadInput(
+                f"{path}: commands.{key}.{name} = {size:g} is not above 0; write {example}"
+            )
     return out
 
 
 def _ros(path: Path, table: dict) -> dict[str, str]:
-    out = {key: text(path, f"ros.{key}", value) for key, value in known(path, table, ROS_KEYS, "ros").items()}
+    out = {
+        key: text(path, f"ros.{key}", value)
+        for key, value in known(path, table, ROS_KEYS, "ros").items()
+    }
     if "trajectory" in out:
         text(path, "ros.trajectory", out["trajectory"], TRAJECTORY)
     return out
@@ -130,7 +166,9 @@ def _ros(path: Path, table: dict) -> dict[str, str]:
 
 def _texts(path: Path, key: str, value: Any) -> tuple[str, ...]:
     if not isinstance(value, list) or any(not isinstance(item, str) for item in value):
-        raise BadInput(f'{path}: {key} must be a list of names such as ["elbow"], not {brief(value)}')
+        raise BadInput(
+            f'{path}: {key} must be a list of names such as ["elbow"], not {brief(value)}'
+        )
     return tuple(value)
 
 
@@ -152,7 +190,9 @@ def _beside(path: Path, raw: dict, key: str, mend: str) -> str | None:
 
 
 def _columns(path: Path, table: dict) -> dict[str, str]:
-    """Our name -> the file's. A list under a stem (`q = ["a", "b"]`) names the joints' columns in order, of time its two parts."""
+    """Our name -> the file's. A list under a stem (`q = ["a", "b"]`) names the joints' columns in
+    order, of time its two parts.
+    """
     out: dict[str, str] = {}
     for key, value in table.items():
         if isinstance(value, list):
@@ -160,7 +200,8 @@ def _columns(path: Path, table: dict) -> dict[str, str]:
             if key in TIME:
                 if len(names) != 2:
                     raise BadInput(
-                        f"{path}: columns.{key} names {len(names)} columns; name one, or two: whole seconds, and nanoseconds"
+                        f"{path}: columns.{key} names {len(names)} columns; name one, or two: "
+                        f"whole seconds, and nanoseconds"
                     )
                 out |= {key: names[0], NANOS: names[1]}
                 continue
@@ -170,7 +211,9 @@ def _columns(path: Path, table: dict) -> dict[str, str]:
     for name in out.values():
         if list(out.values()).count(name) > 1:
             keys = ", ".join(key for key, value in out.items() if value == name)
-            raise BadInput(f"{path}: [columns] gives column {brief(name)} to {keys}; give it to one of them")
+            raise BadInput(
+                f"{path}: [columns] gives column {brief(name)} to {keys}; give it to one of them"
+            )
     return out
 
 
@@ -181,7 +224,8 @@ def _channels(path: Path, table: dict) -> dict[str, str]:
         sensor = text(path, f"channels.{column}", value)
         if sensor in out:
             raise BadInput(
-                f"{path}: [channels] gives {out[sensor]} and {column} to {sensor}; write {sensor}[0], {sensor}[1], ..."
+                f"{path}: [channels] gives {out[sensor]} and {column} to {sensor}; write "
+                f"{sensor}[0], {sensor}[1], ..."
             )
         out[sensor] = column
     return out
@@ -189,11 +233,15 @@ def _channels(path: Path, table: dict) -> dict[str, str]:
 
 def _conventions(path: Path, value: Any) -> dict[str, str]:
     if not isinstance(value, dict):
-        raise BadInput(f'{path}: angles.convention must be "relative" or "absolute", not {brief(value)}')
+        raise BadInput(
+            f'{path}: angles.convention must be "relative" or "absolute", not {brief(value)}'
+        )
     for name, word in value.items():
         if word not in CONVENTIONS:
             key = f"angles.convention{'.' if name else ''}{name}"
-            raise BadInput(f"{path}: {key} = {brief(word)} is unknown; {suggest(str(word), CONVENTIONS)}")
+            raise BadInput(
+                f"{path}: {key} = {brief(word)} is unknown; {suggest(str(word), CONVENTIONS)}"
+            )
     return dict(value)
 
 
@@ -214,11 +262,16 @@ def _groups(
 
 def _payloads(path: Path, value: Any) -> dict[str, float]:
     given = _numbers(path, "trials.payload", value, "payload = {trial_03 = 0.2}, in kg")
-    return {name: not_negative(path, f"trials.payload.{name}", mass, "a mass in kg") for name, mass in given.items()}
+    return {
+        name: not_negative(path, f"trials.payload.{name}", mass, "a mass in kg")
+        for name, mass in given.items()
+    }
 
 
 def of_trial(table: Mapping[str, V], trial: str, default: V) -> V:
     """What a table of `[trials]` gives a trial: its own name counts before patterns."""
     if trial in table:
         return table[trial]
-    return next((value for pattern, value in table.items() if fnmatch.fnmatchcase(trial, pattern)), default)
+    return next(
+        (value for pattern, value in table.items() if fnmatch.fnmatchcase(trial, pattern)), default
+    )

@@ -26,7 +26,14 @@ VELOCITY_UNITS = {
     "rad/ms": 1e3,
     "deg/ms": 1e3 * math.pi / 180,
 }
-TORQUE_UNITS = {"Nm": 1.0, "mNm": 1e-3, "Nmm": 1e-3, "Ncm": 1e-2, "kgfcm": 0.0980665, "kgcm": 0.0980665}
+TORQUE_UNITS = {
+    "Nm": 1.0,
+    "mNm": 1e-3,
+    "Nmm": 1e-3,
+    "Ncm": 1e-2,
+    "kgfcm": 0.0980665,
+    "kgcm": 0.0980665,
+}
 LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 SPEED_UNITS = {f"{name}/s": scale for name, scale in LENGTH_UNITS.items()}
 FORCE_UNITS = {"N": 1.0, "mN": 1e-3, "kN": 1e3}
@@ -43,17 +50,62 @@ QUANTITIES = {
     "current": AMPERE_UNITS,
 }
 SPELT = {
-    "seconds": "s", "second": "s", "secs": "s", "sec": "s", "milliseconds": "ms", "msec": "ms", "microseconds": "us", "usec": "us",
-    "nanoseconds": "ns", "nsec": "ns", "radians": "rad", "radian": "rad", "degrees": "deg", "degree": "deg", "°": "deg",
-    "revolutions": "rev", "turns": "rev", "meters": "m", "metres": "m", "centimeters": "cm", "centimetres": "cm", "millimeters": "mm",
-    "millimetres": "mm", "volts": "V", "volt": "V", "amperes": "A", "amps": "A", "newtons": "N", "N-m": "Nm", "mN-m": "mNm",
-    "radps": "rad/s", "degps": "deg/s", "dps": "deg/s", "°/s": "deg/s", "mps": "m/s", "minute": "min",
-}  # fmt: skip
+    "seconds": "s",
+    "second": "s",
+    "secs": "s",
+    "sec": "s",
+    "milliseconds": "ms",
+    "msec": "ms",
+    "microseconds": "us",
+    "usec": "us",
+    "nanoseconds": "ns",
+    "nsec": "ns",
+    "radians": "rad",
+    "radian": "rad",
+    "degrees": "deg",
+    "degree": "deg",
+    "°": "deg",
+    "revolutions": "rev",
+    "turns": "rev",
+    "meters": "m",
+    "metres": "m",
+    "centimeters": "cm",
+    "centimetres": "cm",
+    "millimeters": "mm",
+    "millimetres": "mm",
+    "volts": "V",
+    "volt": "V",
+    "amperes": "A",
+    "amps": "A",
+    "newtons": "N",
+    "N-m": "Nm",
+    "mN-m": "mNm",
+    "radps": "rad/s",
+    "degps": "deg/s",
+    "dps": "deg/s",
+    "°/s": "deg/s",
+    "mps": "m/s",
+    "minute": "min",
+}
 """Units written out, as people do; `degrees/s` is read too."""
-HINGE = {"q": "angle", "v": "velocity", "tau": "torque", "tau_commanded": "torque", "target": "angle"}
-SLIDE = {"q": "length", "v": "velocity", "tau": "force", "tau_commanded": "force", "target": "length"}
+HINGE = {
+    "q": "angle",
+    "v": "velocity",
+    "tau": "torque",
+    "tau_commanded": "torque",
+    "target": "angle",
+}
+SLIDE = {
+    "q": "length",
+    "v": "velocity",
+    "tau": "force",
+    "tau_commanded": "force",
+    "target": "length",
+}
 INPUT = {"u": "voltage", "i": "current"}
-"""Stem -> quantity, for joints that turn and joints that slide; `ctrl` goes to the actuator as it is, but for `command_unit`."""
+"""Stem -> quantity, for joints that turn and joints that slide; `ctrl` goes to the actuator as it
+is, but for `command_unit`.
+"""
 _EVERY = {unit: scale for table in QUANTITIES.values() for unit, scale in table.items()}
 _FOLDED = {unit.casefold(): unit for unit in _EVERY}
 
@@ -67,20 +119,25 @@ class Affine:
 
     def of(self, written: np.ndarray) -> np.ndarray:
         """In SI units."""
-        return written * self.scale + self.offset if self.offset else written * self.scale
+        if self.offset:
+            return written * self.scale + self.offset
+        return written * self.scale
 
 
 Unit = str | Affine
 PERCENT = "percent"
 """Of the joint's range in the model, 0 to 100."""
 FORMS = (
-    "{percent = [LOW, HIGH]} (SI at 0 and at 100), {from = [-100, 100], to = [LOW, HIGH]}, {ticks = 4096, zero = 2048} or a number "
+    "{percent = [LOW, HIGH]} (SI at 0 and at 100), {from = [-100, 100], to = [LOW, HIGH]}, {ticks "
+    "= 4096, zero = 2048} or a number "
     "(SI a unit)"
 )
 
 
 def check_unit(path: Path, key: str, value: Any) -> Unit:
-    """The unit that a line of `[units]` gives to the column, stem or quantity `key`; BadInput else."""
+    """The unit that a line of `[units]` gives to the column, stem or quantity `key`; BadInput
+    else.
+    """
     if isinstance(value, dict) or (isinstance(value, int | float) and not isinstance(value, bool)):
         return _affine(path, key, value)
     if not isinstance(value, str):
@@ -90,50 +147,77 @@ def check_unit(path: Path, key: str, value: Any) -> Unit:
         return PERCENT
     known = QUANTITIES.get(key, _EVERY)
     if name not in known:
-        raise BadInput(f"{path}: units.{key} = {brief(value)} is unknown; {suggest(name, tuple(known))}")
+        raise BadInput(
+            f"{path}: units.{key} = {brief(value)} is unknown; {suggest(name, tuple(known))}"
+        )
     return name
 
 
 def spelt(text: str) -> str:
-    """A unit as the tables above spell it; what is none of them nearly as it was: `Degrees/sec` is `deg/s`, `N·m` is `Nm`."""
-    bare = re.sub(r"(?<=[a-z])\s*[.*·]?\s*s(?:\^?-1|⁻¹)$", "/s", text.strip()).replace("µ", "u").replace("μ", "u")
+    """A unit as the tables above spell it; what is none of them nearly as it was: `Degrees/sec` is
+    `deg/s`, `N·m` is `Nm`.
+    """
+    bare = (
+        re.sub(r"(?<=[a-z])\s*[.*·]?\s*s(?:\^?-1|⁻¹)$", "/s", text.strip())
+        .replace("µ", "u")
+        .replace("μ", "u")
+    )
     words = "".join(c for c in bare if c not in " *.·").split("/")
     name = "/".join(SPELT.get(w, SPELT.get(w.casefold(), w)) for w in words)
     name = {"rev/min": "rpm"}.get(name, name)
-    return name if name in _EVERY or len(name) == 1 else _FOLDED.get(name.casefold(), name)
+    if name in _EVERY or len(name) == 1:
+        return name
+    return _FOLDED.get(name.casefold(), name)
 
 
 def unit_of(text: str) -> str | None:
     """The unit that a text is, as the tables above spell it; None where it is none."""
     name = spelt(text) if text.strip() else ""
-    return name if name in _EVERY else None
+    if name in _EVERY:
+        return name
+    return None
 
 
 def quantity_of(stem: str, slides: bool) -> str | None:
-    """What is measured in a column of this stem; None for `ctrl`, whose unit is its actuator's, and for what has no unit."""
-    return "time" if stem == "time" else INPUT.get(stem) or (SLIDE if slides else HINGE).get(stem)
+    """What is measured in a column of this stem; None for `ctrl`, whose unit is its actuator's, and
+    for what has no unit.
+    """
+    if stem == "time":
+        return "time"
+    return INPUT.get(stem) or (SLIDE if slides else HINGE).get(stem)
 
 
 def units_of(quantity: str | None, slides: bool) -> Mapping[str, float]:
-    """Units that a column of a joint may be in, by what each is in SI; quantity: by `quantity_of`, None for any."""
+    """Units that a column of a joint may be in, by what each is in SI; quantity: by `quantity_of`,
+    None for any.
+    """
     if quantity is None:
         return _EVERY
     if quantity == "velocity":
-        return SPEED_UNITS if slides else VELOCITY_UNITS
+        if slides:
+            return SPEED_UNITS
+        return VELOCITY_UNITS
     return QUANTITIES[quantity]
 
 
 def si_of(quantity: str | None, slides: bool) -> str:
     """The SI unit of a quantity, as the tables above spell it; '' for none."""
-    return "" if quantity is None else next(name for name, scale in units_of(quantity, slides).items() if scale == 1.0)
+    if quantity is None:
+        return ""
+    return next(name for name, scale in units_of(quantity, slides).items() if scale == 1.0)
 
 
 def _affine(path: Path, key: str, value: Any) -> Affine:
     table = value if isinstance(value, dict) else {"scale": value}
-    pair = lambda name: (
-        [finite(x) for x in table[name]] if isinstance(table[name], list) and len(table[name]) == 2 else [None]
-    )
-    one = lambda name, default: finite(table.get(name, default))
+
+    def pair(name):
+        if isinstance(table[name], list) and len(table[name]) == 2:
+            return [finite(x) for x in table[name]]
+        return [None]
+
+    def one(name, default):
+        return finite(table.get(name, default))
+
     made: Affine | None = None
     if (
         set(table) <= {"scale", "offset"}
@@ -143,12 +227,22 @@ def _affine(path: Path, key: str, value: Any) -> Affine:
         made = Affine(scale, shift)
     elif set(table) == {"percent"} and None not in (to := pair("percent")):
         made = _between([0.0, 100.0], to)
-    elif set(table) == {"from", "to"} and None not in (ends := pair("from")) and None not in (to := pair("to")):
+    elif (
+        set(table) == {"from", "to"}
+        and None not in (ends := pair("from"))
+        and None not in (to := pair("to"))
+    ):
         made = _between(ends, to)
-    elif set(table) <= {"ticks", "zero"} and (ticks := one("ticks", None)) and (zero := one("zero", 0.0)) is not None:
+    elif (
+        set(table) <= {"ticks", "zero"}
+        and (ticks := one("ticks", None))
+        and (zero := one("zero", 0.0)) is not None
+    ):
         made = Affine(2.0 * math.pi / ticks, -2.0 * math.pi * zero / ticks)
     if made is None or not math.isfinite(made.scale) or made.scale == 0.0:
-        raise BadInput(f"{path}: units.{key} = {brief(value)} is no unit; write one in quotes, {FORMS}")
+        raise BadInput(
+            f"{path}: units.{key} = {brief(value)} is no unit; write one in quotes, {FORMS}"
+        )
     return made
 
 
@@ -168,11 +262,11 @@ def column_unit(
     slides: bool,
     limits: tuple[float, float] | None = None,
 ) -> Affine:
-    """What makes a column of quantity `stem` SI; `words`: the names that `[units]` may give it, closest first; limits: the joint's
-    range in the model, of which per cent are taken.
+    """What makes a column of quantity `stem` SI; `words`: the names that `[units]` may give it,
+    closest first; limits: the joint's range in the model, of which per cent are taken.
 
-    A velocity, and a target, follow the angle of their joint unless they are declared. BadInput where the declared unit
-    belongs to another quantity; `where` opens its message.
+    A velocity, and a target, follow the angle of their joint unless they are declared. BadInput
+    where the declared unit belongs to another quantity; `where` opens its message.
     """
     quantity = quantity_of(stem, slides)
     if quantity is None:
@@ -188,29 +282,47 @@ def column_unit(
     if name == PERCENT:
         name = _of_range(where, words[0] if words else stem, limits)
     if isinstance(name, Affine):
-        return Affine(name.scale) if rate or stem == "v" else name
+        if rate or stem == "v":
+            return Affine(name.scale)
+        return name
     name = f"{name}/s" if rate else name
     if name not in QUANTITIES[quantity]:
-        raise BadInput(f"{where} is in {name}, which is no unit of {quantity}; {suggest(name, QUANTITIES[quantity])}")
+        raise BadInput(
+            f"{where} is in {name}, which is no unit of {quantity}; "
+            f"{suggest(name, QUANTITIES[quantity])}"
+        )
     return Affine(QUANTITIES[quantity][name])
 
 
-def declared(units: Mapping[str, Unit], stem: str, words: tuple[str, ...], *, slides: bool) -> Unit | None:
-    """What `[units]` says of a column itself; None where nothing, though a velocity may follow its angle then (`column_unit`)."""
+def declared(
+    units: Mapping[str, Unit], stem: str, words: tuple[str, ...], *, slides: bool
+) -> Unit | None:
+    """What `[units]` says of a column itself; None where nothing, though a velocity may follow its
+    angle then (`column_unit`).
+    """
     quantity = quantity_of(stem, slides)
     if quantity is None:
-        return next((units[word] for word in (*words, stem) if word.startswith(stem) and word in units), None)
+        return next(
+            (units[word] for word in (*words, stem) if word.startswith(stem) and word in units),
+            None,
+        )
     # a target is in its angle's unit, whose own word is closer than that of all angles
     order = (*words, stem, *((*_as_angle(stem, words), "q") if stem == "target" else ()), quantity)
-    return next((units[word] for word in order if word in units and _fits(units, word, quantity)), None)
+    return next(
+        (units[word] for word in order if word in units and _fits(units, word, quantity)), None
+    )
 
 
 def command_unit(where: str, units: Mapping[str, Unit], words: tuple[str, ...]) -> Affine:
-    """What makes a column `ctrl` what its actuator takes: as it is, but where `[units]` names this column, or `ctrl` for all."""
+    """What makes a column `ctrl` what its actuator takes: as it is, but where `[units]` names this
+    column, or `ctrl` for all.
+    """
     name = declared(units, "ctrl", words, slides=False)
     if name == PERCENT:
         name = _of_range(where, words[0], None)
-    return name if isinstance(name, Affine) else Affine(1.0 if name is None else _EVERY[name])
+    if isinstance(name, Affine):
+        return name
+    return Affine(1.0 if name is None else _EVERY[name])
 
 
 def _as_angle(stem: str, words: tuple[str, ...]) -> tuple[str, ...]:
@@ -221,7 +333,8 @@ def _of_range(where: str, word: str, limits: tuple[float, float] | None) -> Affi
     made = _between([0.0, 100.0], list(limits)) if limits else None
     if made is None:
         raise BadInput(
-            f"{where} is in per cent of a range that the model does not declare; write {word} = {{percent = [LOW, HIGH]}}, what 0 "
+            f"{where} is in per cent of a range that the model does not declare; write {word} = "
+            f"{{percent = [LOW, HIGH]}}, what 0 "
             "and 100 are in rad or m, under [units]"
         )
     return made

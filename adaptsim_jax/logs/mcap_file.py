@@ -1,4 +1,6 @@
-"""MCAP files: channels of ROS messages (CDR, ROS 1), of JSON and of protobuf; channels in other encodings are left."""
+"""MCAP files: channels of ROS messages (CDR, ROS 1), of JSON and of protobuf; channels in other
+encodings are left.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,9 @@ class McapBag:
             ):
                 for schema, channel, _ in self._reader(file).iter_messages(log_time_order=False):
                     counts[channel.topic] += 1
-                    kinds.setdefault(channel.topic, set()).add((_kind(schema), channel.message_encoding))
+                    kinds.setdefault(channel.topic, set()).add(
+                        (_kind(schema), channel.message_encoding)
+                    )
                 continue
             for number, channel in summary.channels.items():
                 counts[channel.topic] += summary.statistics.channel_message_counts.get(number, 0)
@@ -63,13 +67,16 @@ class McapBag:
     def _decoder(self, schema: Any, channel: Any) -> Decoder:
         encoding = channel.message_encoding
         if encoding == "json":
-            return lambda data: json.loads(data, object_hook=lambda fields: SimpleNamespace(**fields))
+            return lambda data: json.loads(
+                data, object_hook=lambda fields: SimpleNamespace(**fields)
+            )
         if encoding == "protobuf":
             return _protobuf(self.path, schema)
         if encoding in READ:
             return _ros(self.path, schema, encoding)
         raise BadInput(
-            f"{self.path}: topic {channel.topic} is in {encoding or 'no known encoding'}; record it as a ROS message, in JSON or "
+            f"{self.path}: topic {channel.topic} is in {encoding or 'no known encoding'}; record "
+            f"it as a ROS message, in JSON or "
             "in protobuf"
         )
 
@@ -84,11 +91,15 @@ def _kind(schema: Any) -> str:
     """A message type as ROS 2 names it; others as they stand."""
     name = schema.name if schema is not None else ""
     parts = name.split("/")
-    return f"{parts[0]}/msg/{parts[1]}" if len(parts) == 2 else name
+    if len(parts) == 2:
+        return f"{parts[0]}/msg/{parts[1]}"
+    return name
 
 
 def _ros(path: Path, schema: Any, encoding: str) -> Decoder:
-    """Of ROS messages: by the definition in the file, and by the common types where it holds none."""
+    """Of ROS messages: by the definition in the file, and by the common types where it holds
+    none.
+    """
     typesys = need(path, "rosbags.typesys", "ros")
     kind, stores = _kind(schema), typesys.Stores
     known = typesys.get_typestore(stores.ROS1_NOETIC if encoding == "ros1" else stores.LATEST)
@@ -97,7 +108,10 @@ def _ros(path: Path, schema: Any, encoding: str) -> Decoder:
     if "idl" in schema.encoding:
         line = "=" * 80 + "\n"
         for part in text.split(line) if line in text else [text]:
-            idl = part.partition("\n")[2] if part.startswith("IDL:") else part
+            if part.startswith("IDL:"):
+                idl = part.partition("\n")[2]
+            else:
+                idl = part
             types |= typesys.get_types_from_idl(idl) if idl.strip() else {}
     elif text.strip():
         types |= typesys.get_types_from_msg(text, kind)

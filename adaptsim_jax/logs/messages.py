@@ -1,4 +1,6 @@
-"""What messages say of joints, by the name of their type: their states, and what they command; and the stamps of messages."""
+"""What messages say of joints, by the name of their type: their states, and what they command; and
+the stamps of messages.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +19,11 @@ PR2 = "pr2_controllers_msgs/msg/JointTrajectoryControllerState"
 DYNAMIC = "control_msgs/msg/DynamicJointState"
 FOXGLOVE = ("foxglove.JointStates", "foxglove_msgs/msg/JointStates")
 ARRAYS = (
-    "std_msgs/msg/Float64MultiArray", "std_msgs/msg/Float64", "std_msgs/msg/Float32MultiArray", "std_msgs/msg/Float32",
-)  # fmt: skip
+    "std_msgs/msg/Float64MultiArray",
+    "std_msgs/msg/Float64",
+    "std_msgs/msg/Float32MultiArray",
+    "std_msgs/msg/Float32",
+)
 TRAJECTORIES = (TRAJECTORY, GOAL)
 CONTROLLERS = (CONTROLLER, PR2)
 FIELDS = {"position": "q", "velocity": "v", "effort": "tau"}
@@ -28,7 +33,9 @@ Said = tuple[tuple[str, ...], Mapping[str, Any]]
 
 
 def _joint_state(m: Any) -> Said:
-    get = lambda field: _numbers(getattr(m, field, ()))
+    def get(field):
+        return _numbers(getattr(m, field, ()))
+
     return tuple(getattr(m, "name", ())), {stem: get(field) for field, stem in FIELDS.items()}
 
 
@@ -60,7 +67,10 @@ def _dynamic(m: Any) -> Said:
 
 def _actual(m: Any) -> Said:
     point = _point(m, ("feedback", "actual"))
-    said = {"q": point.positions, "v": point.velocities, "tau": point.effort} if point is not None else {}
+    if point is not None:
+        said = {"q": point.positions, "v": point.velocities, "tau": point.effort}
+    else:
+        said = {}
     return tuple(m.joint_names), {stem: _numbers(x) for stem, x in said.items()}
 
 
@@ -70,7 +80,9 @@ def _desired(m: Any) -> Said:
 
 
 def _point(m: Any, names: tuple[str, ...]) -> Any:
-    """Newer messages say `reference` and `feedback`, older ones `desired` and `actual`; those between have both, and fill one."""
+    """Newer messages say `reference` and `feedback`, older ones `desired` and `actual`; those
+    between have both, and fill one.
+    """
     points = [getattr(m, name) for name in names if hasattr(m, name)]
     return next((point for point in points if len(point.positions)), None)
 
@@ -107,33 +119,53 @@ def _numbers(values: Any) -> np.ndarray:
 
 Read = Callable[[Any], Said]
 STATES: dict[str, Read] = {
-    STATE: _joint_state, DYNAMIC: _dynamic, **dict.fromkeys(CONTROLLERS, _actual), **dict.fromkeys(FOXGLOVE, _joint_states),
-}  # fmt: skip
+    STATE: _joint_state,
+    DYNAMIC: _dynamic,
+    **dict.fromkeys(CONTROLLERS, _actual),
+    **dict.fromkeys(FOXGLOVE, _joint_states),
+}
 """What reads states of joints from messages of a type."""
 COMMANDED: dict[str, Read] = {
-    STATE: _commanded, **dict.fromkeys(CONTROLLERS, _desired), **dict.fromkeys(FOXGLOVE, _commanded_states),
+    STATE: _commanded,
+    **dict.fromkeys(CONTROLLERS, _desired),
+    **dict.fromkeys(FOXGLOVE, _commanded_states),
     **dict.fromkeys(ARRAYS, _array),
-}  # fmt: skip
+}
 """What reads commands from messages of a type, but for trajectories."""
 
 
 def stamp_of(message: Any) -> int:
     """A message's own time in ns; 0 where it has none."""
     header = getattr(message, "header", None)
-    return nanoseconds(getattr(header, "stamp", None) if header is not None else getattr(message, "timestamp", None))
+    return nanoseconds(
+        getattr(header, "stamp", None)
+        if header is not None
+        else getattr(message, "timestamp", None)
+    )
 
 
 def nanoseconds(time: Any) -> int:
-    """Of a time or duration of ROS, JSON (also by ISO 8601) or protobuf, or a number of seconds; 0 for none."""
+    """Of a time or duration of ROS, JSON (also by ISO 8601) or protobuf, or a number of seconds; 0
+    for none.
+    """
     if time is None:
         return 0
     if isinstance(time, str):
         try:
-            moment = datetime.fromisoformat(re.sub(r"(\.\d{6})\d+", r"\1", time))  # none is finer than 1 us there
+            moment = datetime.fromisoformat(
+                re.sub(r"(\.\d{6})\d+", r"\1", time)
+            )  # none is finer than 1 us there
         except ValueError:
             return 0
         return round(moment.timestamp() * 1e6) * 1000
     if isinstance(time, int | float):
-        return round(time * 1e9) if time < 1e12 else int(time)
-    part = lambda *names: next((int(getattr(time, name)) for name in names if hasattr(time, name)), 0)
-    return part("sec", "seconds", "secs") * 10**9 + part("nanosec", "nsec", "nanos", "nsecs", "nanoseconds")
+        if time < 1e12:
+            return round(time * 1e9)
+        return int(time)
+
+    def part(*names):
+        return next((int(getattr(time, name)) for name in names if hasattr(time, name)), 0)
+
+    return part("sec", "seconds", "secs") * 10**9 + part(
+        "nanosec", "nsec", "nanos", "nsecs", "nanoseconds"
+    )

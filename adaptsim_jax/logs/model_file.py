@@ -20,7 +20,9 @@ from adaptsim_jax.mechanisms.model_file import SCHEMA, ModelFile, read_model
 __all__ = ["ModelFile", "declared_model", "read_model", "write_model"]
 
 
-def declared_model(recording: Recording, effects: Sequence[Effect] | None = None) -> ModelFile | None:
+def declared_model(
+    recording: Recording, effects: Sequence[Effect] | None = None
+) -> ModelFile | None:
     """The mended model that a recording's `meta.toml` names, or None.
 
     Raises BadInput where the file is bad or is of another rig than the recording says.
@@ -31,7 +33,10 @@ def declared_model(recording: Recording, effects: Sequence[Effect] | None = None
     for key in ("task", "model", "angle_zero"):
         there, here = getattr(given, key), getattr(recording, key)
         if there != here:
-            raise BadInput(f"{given.path}: {key} = {there!r}, but meta.toml of the recording says {here!r}; mend one")
+            raise BadInput(
+                f"{given.path}: {key} = {there!r}, but meta.toml of the recording says {here!r}; "
+                f"mend one"
+            )
     for key in set(given.geometry) & set(recording.geometry):
         if abs(given.geometry[key] - recording.geometry[key]) > 1e-9 * abs(given.geometry[key]):
             raise BadInput(
@@ -42,17 +47,30 @@ def declared_model(recording: Recording, effects: Sequence[Effect] | None = None
 
 
 def write_model(path: str | Path, model: ModelFile) -> ModelFile:
-    """Write `model.toml`, whole or not at all; returns the same with its path. Raises BadInput where it cannot."""
+    """Write `model.toml`, whole or not at all; returns the same with its path. Raises BadInput
+    where it cannot.
+    """
     write_bytes(path, text_of(model).encode())
     return replace(model, path=str(path))
 
 
 def text_of(model: ModelFile) -> str:
     """The TOML text of a model."""
-    head = {"schema": SCHEMA, "task": model.task, "model": model.model, "angle_zero": model.angle_zero}
-    head |= {"geometry": model.geometry, "known": model.known} if model.known else {"geometry": model.geometry}
+    head = {
+        "schema": SCHEMA,
+        "task": model.task,
+        "model": model.model,
+        "angle_zero": model.angle_zero,
+    }
+    if model.known:
+        head |= {"geometry": model.geometry, "known": model.known}
+    else:
+        head |= {"geometry": model.geometry}
     head["declared"] = {name: asdict(value) for name, value in model.declared.items()}
-    parts = ['# A model fitted by `adaptsim diagnose`; give it to diagnose (meta.toml: model = "..."), train or adapt.']
+    parts = [
+        '# A model fitted by `adaptsim diagnose`; give it to diagnose (meta.toml: model = "..."), '
+        "train or adapt."
+    ]
     parts.append(config.dumps(head))
     for effect in model.effects:
         parts.append("[[effects]]\n" + config.dumps({"name": effect.name, "where": effect.where}))

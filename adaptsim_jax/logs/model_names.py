@@ -11,7 +11,9 @@ if TYPE_CHECKING:
 
 
 def model_names(source: Source) -> ModelNames:
-    """The names of a model file: all joints that a log may have, which of them slide, the tree, the actuators."""
+    """The names of a model file: all joints that a log may have, which of them slide, the tree, the
+    actuators.
+    """
     import mujoco
 
     from adaptsim_jax.mechanisms.roles import BALL, FREE, JOINTS, TURNS, joint_names, ties
@@ -37,14 +39,25 @@ def model_names(source: Source) -> ModelNames:
         trn, target = int(model.actuator_trntype[k]), int(model.actuator_trnid[k, 0])
         moved = [model.joint(target).name] if trn in JOINTS else []
         if trn == int(mujoco.mjtTrn.mjTRN_TENDON):
-            rows = range(model.tendon_adr[target], model.tendon_adr[target] + model.tendon_num[target])
+            rows = range(
+                model.tendon_adr[target], model.tendon_adr[target] + model.tendon_num[target]
+            )
             own = [w for w in rows if model.wrap_type[w] == int(mujoco.mjtWrap.mjWRAP_JOINT)]
             moved = [model.joint(int(model.wrap_objid[w])).name for w in own]
         moves = tuple(
-            dict.fromkeys(other for name in moved for other in (name, *tied.get(name, ())) if other in joints)
+            dict.fromkeys(
+                other for name in moved for other in (name, *tied.get(name, ())) if other in joints
+            )
         )
-        kind = _kind(model, k) if trn in JOINTS else "tendon" if moves else "other"
-        actuators.append(ActuatorName(model.actuator(k).name, moves[0] if moves else "", kind, moves))
+        if trn in JOINTS:
+            kind = _kind(model, k)
+        elif moves:
+            kind = "tendon"
+        else:
+            kind = "other"
+        actuators.append(
+            ActuatorName(model.actuator(k).name, moves[0] if moves else "", kind, moves)
+        )
     return ModelNames(joints, tuple(slides), tuple(parents), tuple(actuators), tied, tuple(ranges))
 
 
@@ -59,4 +72,6 @@ def _kind(model, k: int) -> str:
         return "motor"
     if bias[0] or gain[0] not in (-bias[1], -bias[2]):
         return "general"
-    return "position" if bias[1] else "velocity"
+    if bias[1]:
+        return "position"
+    return "velocity"

@@ -1,7 +1,8 @@
-"""A log read from what people have: a folder with `meta.toml`, CSV or NPZ files, bags, LeRobot data sets.
+"""A log read from what people have: a folder with `meta.toml`, CSV or NPZ files, bags, LeRobot data
+sets.
 
-Each source gives raw trials of named columns; here they become joints of a model, in SI units. JAX is imported only where a
-model is read, so that bad input is reported at once.
+Each source gives raw trials of named columns; here they become joints of a model, in SI units. JAX
+is imported only where a model is read, so that bad input is reported at once.
 """
 
 from __future__ import annotations
@@ -34,19 +35,25 @@ META = "meta.toml"
 
 
 def read_log(
-    source: str | Path, model: Sequence[str] | ModelNames | None = None, meta: LogMeta | str | Path | None = None
+    source: str | Path,
+    model: Sequence[str] | ModelNames | None = None,
+    meta: LogMeta | str | Path | None = None,
 ) -> Log:
     """Read a log.
 
-    `source`: a folder (with `meta.toml`, else SI units and the usual names are assumed; one CSV or NPZ a trial), or one
-    file (CSV, NPZ, a ROS 1 or 2 bag, MCAP), or a LeRobot data set's folder. `model`: the joints of the model by name
-    and in order, with `ModelNames` also those that slide and the actuators; None: those of the model that meta.toml
-    names, else the data's own joints. `meta`: what stands in place of the folder's `meta.toml`, or its path.
+    `source`: a folder (with `meta.toml`, else SI units and the usual names are assumed; one CSV or
+    NPZ a trial), or one file (CSV, NPZ, a ROS 1 or 2 bag, MCAP), or a LeRobot data set's folder.
+    `model`: the joints of the model by name and in order, with `ModelNames` also those that slide
+    and the actuators; None: those of the model that meta.toml names, else the data's own joints.
+    `meta`: what stands in place of the folder's `meta.toml`, or its path.
 
     Raises `BadInput`, one line that names the file, the row, column or key, and the mend.
     """
     source, meta, notes = _declared(source, meta)
-    names = ModelNames(tuple(model)) if model is not None and not isinstance(model, ModelNames) else model
+    if model is not None and not isinstance(model, ModelNames):
+        names = ModelNames(tuple(model))
+    else:
+        names = model
     if names is None and meta.model:
         names = names_of(meta.model)[1]
     return _read(source, names, meta, notes)
@@ -55,7 +62,9 @@ def read_log(
 def read_with_model(
     source: str | Path, model: str | Path | None = None, meta: LogMeta | str | Path | None = None
 ) -> tuple[Mechanism, Log]:
-    """A log and the mechanism that it is of: `model` (a path, MJCF or URDF), else the one that meta.toml names."""
+    """A log and the mechanism that it is of: `model` (a path, MJCF or URDF), else the one that
+    meta.toml names.
+    """
     return joined(*read_source_and_log(source, model, meta))
 
 
@@ -67,7 +76,10 @@ def read_source_and_log(
     path = str(model) if model is not None else meta.model
     if path is None:
         where = meta.path or source
-        raise BadInput(f'{where}: no model is named; write model = "robot.xml" in meta.toml, or give one by --model')
+        raise BadInput(
+            f'{where}: no model is named; write model = "robot.xml" in meta.toml, or give one by '
+            f"--model"
+        )
     file, names = names_of(path)
     return file, _read(source, names, meta, notes)
 
@@ -76,15 +88,24 @@ def joined(source: Source, log: Log) -> tuple[Mechanism, Log]:
     """The mechanism that moves in a log of a model, and the log of its coordinates."""
     from adaptsim_jax.mechanisms.mjcf import mechanism_of  # loads JAX
 
-    hold = {name: value for name, value in log.held.items() if value is not None or name in log.meta.hold}
+    hold = {
+        name: value
+        for name, value in log.held.items()
+        if value is not None or name in log.meta.hold
+    }
     mechanism = mechanism_of(source, hold, log.joint_names, log.meta.path)
     return mechanism, followed(log, mechanism)
 
 
-def _declared(source: str | Path, meta: LogMeta | str | Path | None) -> tuple[Path, LogMeta, tuple[str, ...]]:
+def _declared(
+    source: str | Path, meta: LogMeta | str | Path | None
+) -> tuple[Path, LogMeta, tuple[str, ...]]:
     source = Path(source)
     if not source.exists():
-        raise BadInput(f"{source}: does not exist; give a folder with meta.toml, or a file (.csv, .npz, .mcap, .bag)")
+        raise BadInput(
+            f"{source}: does not exist; give a folder with meta.toml, or a file (.csv, .npz, "
+            f".mcap, .bag)"
+        )
     return source, *_meta(source, meta)
 
 
@@ -114,9 +135,14 @@ def _meta(source: Path, given: LogMeta | str | Path | None) -> tuple[LogMeta, tu
 
 
 def read_raw(data: Path, meta: LogMeta, names: ModelNames | None = None) -> list[RawTrial]:
-    """The raw trials of a file or folder, by what kind it is: a LeRobot data set, bags, CSV and NPZ files. names: the model's."""
+    """The raw trials of a file or folder, by what kind it is: a LeRobot data set, bags, CSV and NPZ
+    files. names: the model's.
+    """
     joints = names.joints if names else ()
-    out = lambda name: any(fnmatch.fnmatchcase(name, pattern) for pattern in meta.exclude)
+
+    def out(name):
+        return any(fnmatch.fnmatchcase(name, pattern) for pattern in meta.exclude)
+
     if data.is_dir() and lerobot.is_lerobot(data):
         whole = lerobot.read_lerobot(data, out)
         trials = _renamed([t for t in whole if t.columns], meta)
@@ -133,17 +159,26 @@ def read_raw(data: Path, meta: LogMeta, names: ModelNames | None = None) -> list
     if not files and not bags:
         if data.is_dir():
             raise BadInput(
-                f"{data}: holds no .csv, .npz, .mcap or .bag file; put one file a trial there{instead(data)}"
+                f"{data}: holds no .csv, .npz, .mcap or .bag file; put one file a trial "
+                f"there{instead(data)}"
             )
         raise BadInput(
-            f"{data}: a log ends in {', '.join((*ENDINGS, *ros.ENDINGS))}; convert this file, or give its folder"
+            f"{data}: a log ends in {', '.join((*ENDINGS, *ros.ENDINGS))}; convert this file, or "
+            f"give its folder"
         )
     # what is left out is not looked at; a file of one trial is called as its trial
     gone = [path for path in (*files, *bags) if out(_stem(path))]
     files, bags = ([path for path in some if path not in gone] for some in (files, bags))
     # in a folder of both, [columns] speaks of the tables
-    actuators, slides = (names.actuators or (), names.slides) if names else ((), ())
-    servos = {f"ctrl{k}": a.joint for k, a in enumerate(actuators, 1) if a.kind == "position" and a.joint not in slides}
+    if names:
+        actuators, slides = (names.actuators or (), names.slides)
+    else:
+        actuators, slides = ((), ())
+    servos = {
+        f"ctrl{k}": a.joint
+        for k, a in enumerate(actuators, 1)
+        if a.kind == "position" and a.joint not in slides
+    }
     wanted = ros.Wanted(meta.ros, meta.ignore, joints, tuple(meta.columns.values()), servos)
     recorded = [ros.read_bag(path, wanted) for path in bags]
     tables = [
@@ -156,14 +191,21 @@ def read_raw(data: Path, meta: LogMeta, names: ModelNames | None = None) -> list
     trials = tables + (recorded if files else _renamed(recorded, meta))
     called = Counter(trial.name for trial in trials)
     shared = Counter(trial.path for trial in trials)
-    by_file = lambda t: f"{_stem(Path(t.path))}_{t.name}" if shared[t.path] > 1 else Path(t.path).name
+
+    def by_file(t):
+        if shared[t.path] > 1:
+            return f"{_stem(Path(t.path))}_{t.name}"
+        return Path(t.path).name
+
     if len(files) < len(trials):
         trials = [replace(t, name=by_file(t)) if called[t.name] > 1 else t for t in trials]
     return trials + [RawTrial(_stem(path), str(path), {}, np.zeros(0, np.int64)) for path in gone]
 
 
 def _stem(path: Path) -> str:
-    return path.stem if path.is_file() else path.name
+    if path.is_file():
+        return path.stem
+    return path.name
 
 
 def _renamed(trials: list[RawTrial], meta: LogMeta) -> list[RawTrial]:
@@ -173,5 +215,11 @@ def _renamed(trials: list[RawTrial], meta: LogMeta) -> list[RawTrial]:
         for theirs, new in ours.items():
             if theirs not in trial.columns:
                 near = suggest(theirs, trial.columns)
-                raise BadInput(f"{trial.path}: has no column {theirs!r}, which [columns] gives to {new}; {near}")
-    return [replace(t, columns={ours.get(name, name): values for name, values in t.columns.items()}) for t in trials]
+                raise BadInput(
+                    f"{trial.path}: has no column {theirs!r}, which [columns] gives to {new}; "
+                    f"{near}"
+                )
+    return [
+        replace(t, columns={ours.get(name, name): values for name, values in t.columns.items()})
+        for t in trials
+    ]

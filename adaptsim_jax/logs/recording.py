@@ -1,6 +1,8 @@
-"""Measured data read from a folder: `meta.toml` and one `.csv` or `.npz` a trial, checked and in SI units.
+"""Measured data read from a folder: `meta.toml` and one `.csv` or `.npz` a trial, checked and in SI
+units.
 
-Section 4 of the design fixes the names. Nothing here imports JAX, so that bad input is reported at once.
+Section 4 of the design fixes the names. Nothing here imports JAX, so that bad input is reported at
+once.
 """
 
 from collections.abc import Sequence
@@ -13,7 +15,13 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.beside import copies, instead, unread
 from adaptsim_jax.logs.meta import Meta, read_meta
 from adaptsim_jax.logs.table import read_table
-from adaptsim_jax.logs.table_checks import LIMIT, check_clock, check_size, check_time_unit, from_zero
+from adaptsim_jax.logs.table_checks import (
+    LIMIT,
+    check_clock,
+    check_size,
+    check_time_unit,
+    from_zero,
+)
 from adaptsim_jax.logs.tables import table_files
 from adaptsim_jax.logs.types import Recording, Trial
 from adaptsim_jax.logs.units import check_units
@@ -28,14 +36,17 @@ COLUMNS = ("time", "q1", "q2", "v1", "v2", "tau1", "tau2", *COMMANDED)
 def read_recording(
     folder: str | Path, *, trials: Sequence[str] | None = None, without: Sequence[str] = ()
 ) -> Recording:
-    """Read a folder of measured data. `trials` picks some by name (file name with or without its ending); the files of those
-    `without` are not looked at.
+    """Read a folder of measured data. `trials` picks some by name (file name with or without its
+    ending); the files of those `without` are not looked at.
 
     Raises `BadInput`, one line that names the file, the line or key, and the mend.
     """
     folder = Path(folder)
     if not folder.is_dir():
-        what = "is a file, not a folder" if folder.exists() else "does not exist"
+        if folder.exists():
+            what = "is a file, not a folder"
+        else:
+            what = "does not exist"
         raise BadInput(f"{folder}: {what}; give a folder with meta.toml and one CSV a trial")
     meta = read_meta(folder / "meta.toml")
     picked = _pick(folder, _files(folder), trials)
@@ -52,7 +63,10 @@ def read_recording(
         noise=meta.noise,
         trials=tuple(trial for trial, _, _ in read),
         torque_source=sources.pop() if len(sources) == 1 else "mixed",
-        notes=meta.notes + _notes(read) + copies([(t.name, t.q) for t, _, _ in read]) + unread(folder),
+        notes=meta.notes
+        + _notes(read)
+        + copies([(t.name, t.q) for t, _, _ in read])
+        + unread(folder),
         model_file=meta.model_file,
         left_out=tuple(without),
     )
@@ -62,7 +76,10 @@ def read_recording(
 
 def _files(folder: Path) -> list[Path]:
     if not (found := table_files(folder)):
-        raise BadInput(f"{folder}: holds no .csv or .npz file; put one file a trial beside meta.toml{instead(folder)}")
+        raise BadInput(
+            f"{folder}: holds no .csv or .npz file; put one file a trial beside "
+            f"meta.toml{instead(folder)}"
+        )
     return found
 
 
@@ -72,12 +89,16 @@ def _pick(folder: Path, files: list[Path], trials: Sequence[str] | None) -> list
     if trials is None:
         return named
     if isinstance(trials, str) or not trials:
-        raise BadInput(f"{folder}: trials must be a list of at least one trial name, not {trials!r}")
+        raise BadInput(
+            f"{folder}: trials must be a list of at least one trial name, not {trials!r}"
+        )
     picked = []
     for want in trials:
         match = [(name, p) for name, p in named if want in (name, p.name)]
         if not match:
-            raise BadInput(f"{folder}: has no trial {want!r}; {suggest(want, tuple(n for n, _ in named))}")
+            raise BadInput(
+                f"{folder}: has no trial {want!r}; {suggest(want, tuple(n for n, _ in named))}"
+            )
         picked += [m for m in match if m not in picked]
     return picked
 
@@ -89,13 +110,18 @@ def _read_trial(path: Path, trial_name: str, meta: Meta) -> tuple[Trial, str, tu
             near = suggest(need, table.ignored)
             hint = f"{near} " if near.startswith("did") else ""
             one = need == "q2" and "q1" in table.columns
-            mend = "record both joints, one cannot be diagnosed" if one else "needed are time, q1, q2, tau1, tau2"
+            if one:
+                mend = "record both joints, one cannot be diagnosed"
+            else:
+                mend = "needed are time, q1, q2, tau1, tau2"
             raise BadInput(f"{path}: column {need!r} is missing; {hint}{mend}")
     columns = {key: values * meta.scale[key] for key, values in table.columns.items()}
     check_clock(path, table.columns["time"], table.lines, table.row_word)
     check_time_unit(path, columns["time"], meta.scale["time"])
     for name, values in columns.items():
-        check_size(path, name, values, table.lines, table.row_word, MOST_TIME if name == "time" else LIMIT)
+        check_size(
+            path, name, values, table.lines, table.row_word, MOST_TIME if name == "time" else LIMIT
+        )
     torque, commanded, source = _torques(path, columns, meta)
     trial = Trial(
         name=trial_name,
@@ -113,12 +139,20 @@ def _read_trial(path: Path, trial_name: str, meta: Meta) -> tuple[Trial, str, tu
 def _velocities(path: Path, columns: dict[str, np.ndarray]) -> np.ndarray | None:
     have = [c for c in ("v1", "v2") if c in columns]
     if len(have) == 1:
-        raise BadInput(f"{path}: has {have[0]} but not the other velocity; give both v1 and v2, or neither")
-    return np.stack([columns["v1"], columns["v2"]], axis=1) if have else None
+        raise BadInput(
+            f"{path}: has {have[0]} but not the other velocity; give both v1 and v2, or neither"
+        )
+    if have:
+        return np.stack([columns["v1"], columns["v2"]], axis=1)
+    return None
 
 
-def _torques(path: Path, columns: dict[str, np.ndarray], meta: Meta) -> tuple[np.ndarray, np.ndarray | None, str]:
-    """The applied torque `[T, 2]`, the commanded one where both are there, and where the first comes from."""
+def _torques(
+    path: Path, columns: dict[str, np.ndarray], meta: Meta
+) -> tuple[np.ndarray, np.ndarray | None, str]:
+    """The applied torque `[T, 2]`, the commanded one where both are there, and where the first
+    comes from.
+    """
     measured = _pair(columns, ("tau1", "tau2"), meta.unactuated)
     commanded = _pair(columns, COMMANDED, meta.unactuated)
     if measured is not None:
@@ -126,11 +160,15 @@ def _torques(path: Path, columns: dict[str, np.ndarray], meta: Meta) -> tuple[np
     if commanded is not None and not {"tau1", "tau2"} & set(columns):
         return commanded, None, "commanded"
     joint = next((i for i in (1, 2) if f"tau{i}" not in columns and i not in meta.unactuated), 1)
-    mend = f"add it (N m), or write unactuated = [{joint}] in meta.toml where that joint has no motor"
+    mend = (
+        f"add it (N m), or write unactuated = [{joint}] in meta.toml where that joint has no motor"
+    )
     raise BadInput(f"{path}: column 'tau{joint}' is missing; {mend}")
 
 
-def _pair(columns: dict[str, np.ndarray], names: tuple[str, str], unactuated: tuple[int, ...]) -> np.ndarray | None:
+def _pair(
+    columns: dict[str, np.ndarray], names: tuple[str, str], unactuated: tuple[int, ...]
+) -> np.ndarray | None:
     """`[T, 2]` of both columns, zero for a joint without a motor; None where one is missing."""
     zero = np.zeros_like(columns["time"])
     pair = [columns.get(c, zero if i in unactuated else None) for i, c in enumerate(names, start=1)]
@@ -144,7 +182,10 @@ def _notes(read: list[tuple[Trial, str, tuple[str, ...]]]) -> tuple[str, ...]:
     notes = list(dict.fromkeys(note for _, _, told in read for note in told))
     commanded = [trial.name for trial, source, _ in read if source == "commanded"]
     if commanded:
-        notes.append(f"torques are commands, not measured, in {len(commanded)} trial(s), first {commanded[0]}")
+        notes.append(
+            f"torques are commands, not measured, in {len(commanded)} trial(s), first "
+            f"{commanded[0]}"
+        )
     ignored = sorted({column for trial, _, _ in read for column in trial.ignored if column.strip()})
     if ignored:
         notes.append(f"columns ignored: {', '.join(ignored)}")
@@ -154,7 +195,9 @@ def _notes(read: list[tuple[Trial, str, tuple[str, ...]]]) -> tuple[str, ...]:
 
 
 def without_trials(recording: Recording, names: Sequence[str]) -> Recording:
-    """The recording without these trials. BadInput where one of them is not there, or none would be left."""
+    """The recording without these trials. BadInput where one of them is not there, or none would be
+    left.
+    """
     rest = [name for name in names if name not in recording.left_out]
     kept = _kept(recording.path, [t.name for t in recording.trials], rest)
     return recording.replace(trials=tuple(t for t in recording.trials if t.name in kept))
@@ -162,7 +205,9 @@ def without_trials(recording: Recording, names: Sequence[str]) -> Recording:
 
 def _kept(path: str, known: list[str], names: Sequence[str]) -> set[str]:
     if unknown := [name for name in names if name not in known]:
-        raise BadInput(f"{path}: no trial is named {unknown[0]!r}; --without takes of {', '.join(known)}")
+        raise BadInput(
+            f"{path}: no trial is named {unknown[0]!r}; --without takes of {', '.join(known)}"
+        )
     if not (kept := set(known) - set(names)):
         raise BadInput("--without: names every trial; leave some")
     return kept

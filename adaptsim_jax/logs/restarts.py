@@ -20,23 +20,32 @@ def cuts(time: np.ndarray) -> list[slice]:
 
 
 def restarted(time: np.ndarray) -> list[slice]:
-    """The rows of each trial where `time [T]` starts again at about its first value, and increases between; none where it never does,
-    or does anything else."""
+    """The rows of each trial where `time [T]` starts again at about its first value, and increases
+    between; none where it never does, or does anything else.
+    """
     parts = cuts(time)
     if len(parts) < 2 or not np.all(np.isfinite(time)):
         return []
     steps = np.diff(time)
-    near = NEAR * float(np.median(steps[steps > 0])) if np.any(steps > 0) else 0.0
+    if np.any(steps > 0):
+        near = NEAR * float(np.median(steps[steps > 0]))
+    else:
+        near = 0.0
     whole = (
-        len(time[part]) >= MIN_ROWS and np.all(np.diff(time[part]) > 0) and abs(time[part][0] - time[0]) <= near
+        len(time[part]) >= MIN_ROWS
+        and np.all(np.diff(time[part]) > 0)
+        and abs(time[part][0] - time[0]) <= near
         for part in parts
-    )  # fmt: skip
-    return parts if all(whole) else []
+    )
+    if all(whole):
+        return parts
+    return []
 
 
 def naming(cells: Mapping[str, Sequence[str]], time: np.ndarray) -> str | None:
-    """The first column of `cells [T]` that holds one word between steps back of `time [T]`, and another one after each; None where
-    none does."""
+    """The first column of `cells [T]` that holds one word between steps back of `time [T]`, and
+    another one after each; None where none does.
+    """
     parts = cuts(time)
     if len(parts) < 2 or min(len(time[part]) for part in parts) < MIN_ROWS:
         return None

@@ -1,8 +1,10 @@
-"""ROS 1 and ROS 2 bags and MCAP files: joint states, and commands where a topic has them, as one raw trial a bag.
+"""ROS 1 and ROS 2 bags and MCAP files: joint states, and commands where a topic has them, as one
+raw trial a bag.
 
-Read by the libraries `rosbags` and `mcap` (extra `ros`). `messages.py` lists the types of messages: for the state JointState (ROS or
-foxglove), DynamicJointState, or a trajectory controller's own state, for commands these, JointTrajectory, Float64MultiArray and
-Float64 (in the order of the model's actuators).
+Read by the libraries `rosbags` and `mcap` (extra `ros`). `messages.py` lists the types of messages:
+for the state JointState (ROS or foxglove), DynamicJointState, or a trajectory controller's own
+state, for commands these, JointTrajectory, Float64MultiArray and Float64 (in the order of the
+model's actuators).
 """
 
 from __future__ import annotations
@@ -20,7 +22,14 @@ from adaptsim_jax.logs.bag import Bag, Topic
 from adaptsim_jax.logs.bag_files import ENDINGS, bags, is_bag, opened
 from adaptsim_jax.logs.clock import Series, merge
 from adaptsim_jax.logs.columns import role
-from adaptsim_jax.logs.messages import ARRAYS, COMMANDED, STATES, TRAJECTORIES, nanoseconds, stamp_of
+from adaptsim_jax.logs.messages import (
+    ARRAYS,
+    COMMANDED,
+    STATES,
+    TRAJECTORIES,
+    nanoseconds,
+    stamp_of,
+)
 from adaptsim_jax.logs.quality.hypotheses import Track
 from adaptsim_jax.logs.quality.servo_fit import unexplained
 from adaptsim_jax.logs.quality.turns import followed_turns, without_turns
@@ -34,16 +43,19 @@ __all__ = ["ENDINGS", "Topic", "bag_topics", "bags", "is_bag", "read_bag"]
 FIRST = 20
 """Messages of a topic that are looked at to know its joints."""
 POINTS = ("ramp", "hold")
-"""How the points of a trajectory command: moved to (as controllers do), or each held until the next."""
+"""How the points of a trajectory command: moved to (as controllers do), or each held until the
+next.
+"""
 BETTER = 0.5
 """Share of what the other reading of a trajectory leaves that decides between the two."""
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """What is taken of a bag: `options` of `[ros]`; columns or joints that `ignore` names, `joints` of the model (empty: not known)
-    and the file's names that `[columns]` speaks of, which are kept whatever they are called; servos: columns of commands that are
-    targets -> their joints."""
+    """What is taken of a bag: `options` of `[ros]`; columns or joints that `ignore` names, `joints`
+    of the model (empty: not known) and the file's names that `[columns]` speaks of, which are kept
+    whatever they are called; servos: columns of commands that are targets -> their joints.
+    """
 
     options: Mapping[str, str]
     ignore: Collection[str] = ()
@@ -54,7 +66,9 @@ class Wanted:
 
 @dataclass(frozen=True)
 class Clock:
-    """Of the state's messages: whether they are `stamped`, the `first` time and how `late` they arrive (median), in ns."""
+    """Of the state's messages: whether they are `stamped`, the `first` time and how `late` they
+    arrive (median), in ns.
+    """
 
     stamped: bool
     first: int
@@ -62,21 +76,30 @@ class Clock:
 
 
 def read_bag(path: Path, options: Mapping[str, str] | Wanted) -> RawTrial:
-    """One bag as a raw trial with columns `q_NAME`, `v_NAME`, `tau_NAME`, `target_NAME`, ... on one clock.
+    """One bag as a raw trial with columns `q_NAME`, `v_NAME`, `tau_NAME`, `target_NAME`, ... on one
+    clock.
 
-    `options`: `state_topic`, `command_topic`, `trajectory` where chosen. Raises `BadInput`: no such topic, a damaged bag, a library
-    missing.
+    `options`: `state_topic`, `command_topic`, `trajectory` where chosen. Raises `BadInput`: no such
+    topic, a damaged bag, a library missing.
     """
     wanted = options if isinstance(options, Wanted) else Wanted(options)
     with opened(path) as bag:
-        state, command, notes = choose(path, bag.topics, wanted.options, lambda t: _known(bag, t, wanted.joints))
+        state, command, notes = choose(
+            path, bag.topics, wanted.options, lambda t: _known(bag, t, wanted.joints)
+        )
         series, clock, told = _state(bag, state)
         notes += told
         if not series:
-            raise BadInput(f"{path}: topic {state.name} has no message with positions; name another by state_topic")
+            raise BadInput(
+                f"{path}: topic {state.name} has no message with positions; name another by "
+                f"state_topic"
+            )
         series, left = _of_the_model(series, wanted)
         notes += left
-        commands, told = _commands(path, bag, command, clock, series, wanted) if command else ([], ())
+        if command:
+            commands, told = _commands(path, bag, command, clock, series, wanted)
+        else:
+            commands, told = ([], ())
         commands, _ = _of_the_model(commands, wanted)
         commands = [_turned(s, series, wanted.servos) for s in commands]
         notes += told
@@ -85,18 +108,23 @@ def read_bag(path: Path, options: Mapping[str, str] | Wanted) -> RawTrial:
     columns, told = _without_zeros(columns)
     notes += told
     rows = np.arange(1, len(columns["time"]) + 1)
-    return RawTrial(path.stem if path.is_file() else path.name, str(path), columns, rows, "message", notes=notes)
+    return RawTrial(
+        path.stem if path.is_file() else path.name, str(path), columns, rows, "message", notes=notes
+    )
 
 
 def bag_topics(
     path: Path, options: Mapping[str, str], joints: Collection[str] = ()
 ) -> tuple[tuple[Topic, ...], dict[str, str]]:
-    """All topics of a bag, and those that `read_bag` takes with these options, by `state_topic` and `command_topic`; joints: the
-    model's."""
+    """All topics of a bag, and those that `read_bag` takes with these options, by `state_topic` and
+    `command_topic`; joints: the model's.
+    """
     with opened(path) as bag:
         topics = bag.topics
         state, command, _ = choose(path, topics, options, lambda t: _known(bag, t, joints))
-    return topics, {"state_topic": state.name} | ({"command_topic": command.name} if command else {})
+    return topics, {"state_topic": state.name} | (
+        {"command_topic": command.name} if command else {}
+    )
 
 
 # ---------------------------------------------------------------- messages
@@ -107,12 +135,17 @@ def _known(bag: Bag, topic: Topic, joints: Collection[str]) -> int:
     read = STATES.get(topic.kind)
     if read is None:
         return 0
-    first = itertools.islice(bag.messages(topic.name), FIRST) if joints else ()
+    if joints:
+        first = itertools.islice(bag.messages(topic.name), FIRST)
+    else:
+        first = ()
     return len(set(joints) & {name for _, m in first for name in read(m)[0]})
 
 
 def _messages(bag: Bag, topic: Topic) -> tuple[np.ndarray, np.ndarray, list[Any]]:
-    """Times of arrival `[K]` and the messages' own stamps `[K]` (0 for none) in ns, and the messages."""
+    """Times of arrival `[K]` and the messages' own stamps `[K]` (0 for none) in ns, and the
+    messages.
+    """
     arrived, stamps, out = [], [], []
     for when, message in bag.messages(topic.name):
         arrived.append(when)
@@ -127,31 +160,52 @@ def _state(bag: Bag, topic: Topic) -> tuple[list[Series], Clock, tuple[str, ...]
     said = [(names if any(names) else (), values) for names, values in map(read, messages)]
     notes: list[str] = []
     if twice := next((n for names, _ in said for n in names if names.count(n) > 1), None):
-        raise BadInput(f"{topic.name}: its messages name {twice!r} more than once; record names that differ")
+        raise BadInput(
+            f"{topic.name}: its messages name {twice!r} more than once; record names that differ"
+        )
     nameless = sum(not names and len(values.get("q", ())) > 0 for names, values in said)
     if nameless:
         notes.append(
-            f"topic {topic.name}: names are empty in {nameless} messages, taken in the order of the model's joints"
+            f"topic {topic.name}: names are empty in {nameless} messages, taken in the order of "
+            f"the model's joints"
         )
-        numbers = lambda values: tuple(str(i) for i in range(1, len(values.get("q", ())) + 1))
+
+        def numbers(values):
+            return tuple(str(i) for i in range(1, len(values.get("q", ())) + 1))
+
         said = [(names or numbers(values), values) for names, values in said]
     whole = np.array([len(values.get("q", ())) == len(names) > 0 for names, values in said], bool)
-    some = sum(len(values.get("q", ())) > 0 for (_, values), here in zip(said, whole, strict=True) if not here)
+    some = sum(
+        len(values.get("q", ())) > 0
+        for (_, values), here in zip(said, whole, strict=True)
+        if not here
+    )
     if some and whole.any():
-        notes.append(f"topic {topic.name}: {some} messages with another number of positions than of names left out")
+        notes.append(
+            f"topic {topic.name}: {some} messages with another number of positions than of names "
+            f"left out"
+        )
     elif some:
         one = next((names, values) for names, values in said if len(values.get("q", ())))
         raise BadInput(
-            f"{topic.name}: its messages name {len(one[0])} joints and hold {len(one[1]['q'])} positions; record it so that they agree"
+            f"{topic.name}: its messages name {len(one[0])} joints and hold {len(one[1]['q'])} "
+            f"positions; record it so that they agree"
         )
-    sender = {key: k for k, key in enumerate(dict.fromkeys(tuple(sorted(names)) for names, _ in said))}
+    sender = {
+        key: k for k, key in enumerate(dict.fromkeys(tuple(sorted(names)) for names, _ in said))
+    }
     group = np.array([sender[tuple(sorted(names))] for names, _ in said])
-    times = stamped(arrived, stamps, group) if len(arrived) else Stamped(arrived, arrived > 0, False, 0)
+    if len(arrived):
+        times = stamped(arrived, stamps, group)
+    else:
+        times = Stamped(arrived, arrived > 0, False, 0)
     notes += times.notes(topic.name)
     keep = times.kept & whole
     first = int(times.time[keep].min()) if keep.any() else 0
     rows = [
-        ((time - first) * 1e-9, *one) for time, one, here in zip(times.time.tolist(), said, keep, strict=True) if here
+        ((time - first) * 1e-9, *one)
+        for time, one, here in zip(times.time.tolist(), said, keep, strict=True)
+        if here
     ]
     late = times.late if times.stamped else 0
     return _series(rows), Clock(times.stamped, first, late), tuple(notes)
@@ -166,22 +220,34 @@ def _commands(
     came = arrived - clock.late
     own = (stamps > 0) & clock.stamped
     if topic.kind not in TRAJECTORIES:
-        # a stamp of another clock, or of another computer's, says nothing beside those of the states
+        # a stamp of another clock, or of another computer's, says nothing beside those of the
+        # states
         own &= np.abs(stamps - came) < 10**9
     if np.mean(own) <= 0.5:
         own[:] = False
-    since = lambda ns: (ns - clock.first) * 1e-9
+
+    def since(ns):
+        return (ns - clock.first) * 1e-9
+
     if topic.kind in ARRAYS:
         if clock.stamped and clock.late:
             notes.append(
-                f"topic {topic.name} has no stamps: its arrival is taken, less the delay of the state's messages"
+                f"topic {topic.name} has no stamps: its arrival is taken, less the delay of the "
+                f"state's messages"
             )
-        notes.append(f"topic {topic.name} names no joints: taken in the order of the model's actuators")
+        notes.append(
+            f"topic {topic.name} names no joints: taken in the order of the model's actuators"
+        )
     if topic.kind in TRAJECTORIES:
         plans = []
         for m, a, s in zip(messages, came.tolist(), stamps.tolist(), strict=True):
-            begins = nanoseconds(m.goal.trajectory.header.stamp) if hasattr(m, "goal") else s
-            plans.append(plan_of(m, since(begins) if begins > 0 and clock.stamped else None, since(a)))
+            if hasattr(m, "goal"):
+                begins = nanoseconds(m.goal.trajectory.header.stamp)
+            else:
+                begins = s
+            plans.append(
+                plan_of(m, since(begins) if begins > 0 and clock.stamped else None, since(a))
+            )
         return _trajectory(path, topic, plans, states, wanted, notes)
     read = COMMANDED[topic.kind]
     times = np.where(own, stamps, came)
@@ -196,23 +262,33 @@ def _commands(
 def _trajectory(
     path: Path, topic: Topic, plans: list, states: list[Series], wanted: Wanted, notes: list[str]
 ) -> tuple[list[Series], tuple[str, ...]]:
-    """Points of trajectories as commands: as `[ros] trajectory` says, else in the way that the angles follow far better, else as
-    controllers take them."""
+    """Points of trajectories as commands: as `[ros] trajectory` says, else in the way that the
+    angles follow far better, else as controllers take them.
+    """
 
     def angle(joint: str, at: float) -> float:
         own = next((s for s in states if f"q_{joint}" in s.columns), None)
-        return float(np.interp(at, own.time, own.columns[f"q_{joint}"])) if own else 0.0
+        if own:
+            return float(np.interp(at, own.time, own.columns[f"q_{joint}"]))
+        return 0.0
 
     told = wanted.options.get("trajectory")
     if told is None and not any(t > plan.takes_over for plan in plans for t, *_ in plan.points):
-        return followed(plans, angle, True), tuple(notes)  # points that give no time to move are commands as they come
+        return followed(plans, angle, True), tuple(
+            notes
+        )  # points that give no time to move are commands as they come
     made = {how: followed(plans, angle, how == "hold") for how in POINTS if told in (None, how)}
     if (
         "ramp" in made
-    ):  # a controller that steps with the states holds what it has from row to row; a faster one does not wait
+        # a controller that steps with the states holds what it has from row to row; a faster one
+        # does
+        # not wait
+    ):
         main = max(states, key=lambda s: len(s.time)).time
         each = [sampled(series, main) for series in made["ramp"]]
-        made["ramp"] = min((each, made["ramp"]), key=lambda commands: _left(str(path), states, commands))
+        made["ramp"] = min(
+            (each, made["ramp"]), key=lambda commands: _left(str(path), states, commands)
+        )
     how = told or "ramp"
     why = "as controllers take it"
     if told is None:
@@ -220,16 +296,25 @@ def _trajectory(
         best, other = sorted(POINTS, key=lambda h: left[h])
         if left[best] < BETTER * left[other]:
             how, why = best, "which the angles follow far better"
-    says = {"ramp": "points are moved to from one to the next", "hold": "each point is held to the next"}[how]
-    mend = f'; write trajectory = "{"hold" if how == "ramp" else "ramp"}" under [ros] if not' if told is None else ""
+    says = {
+        "ramp": "points are moved to from one to the next",
+        "hold": "each point is held to the next",
+    }[how]
+    if told is None:
+        mend = f'; write trajectory = "{"hold" if how == "ramp" else "ramp"}" under [ros] if not'
+    else:
+        mend = ""
     notes.append(
-        f"topic {topic.name}: {says}{'' if told else f', {why}'}, a new trajectory takes the place of what is ahead{mend}"
+        f"topic {topic.name}: {says}{'' if told else f', {why}'}, a new trajectory takes the place "
+        f"of what is ahead{mend}"
     )
     return made[how], tuple(notes)
 
 
 def _left(path: str, states: list[Series], commands: list[Series]) -> float:
-    """What commands leave of the joints' accelerations, in the middle; infinite where that cannot be told."""
+    """What commands leave of the joints' accelerations, in the middle; infinite where that cannot
+    be told.
+    """
     try:
         columns, _ = merge(path, states, commands)
     except BadInput:
@@ -238,20 +323,31 @@ def _left(path: str, states: list[Series], commands: list[Series]) -> float:
     for name in columns:
         q = columns.get("q" + name.removeprefix("target"))
         if name.startswith("target_") and q is not None:
-            left.append(unexplained([Track(columns["time"], q[:, None], None, columns[name][:, None])]))
+            left.append(
+                unexplained([Track(columns["time"], q[:, None], None, columns[name][:, None])])
+            )
     left = [x for x in left if np.isfinite(x)]
-    return float(np.median(left)) if left else float("inf")
+    if left:
+        return float(np.median(left))
+    return float("inf")
 
 
 def _turned(command: Series, states: list[Series], servos: Mapping[str, str]) -> Series:
-    """Targets, and what `servos` says are, with the whole turns of their angles, before they are brought onto the clock of these: a
-    mean over a row of a target that counts anew within it would be no target."""
+    """Targets, and what `servos` says are, with the whole turns of their angles, before they are
+    brought onto the clock of these: a mean over a row of a target that counts anew within it would
+    be no target.
+    """
     out = dict(command.columns)
     for name, values in command.columns.items():
         joint = servos.get(name) or name.removeprefix("target_")
         own = next((s for s in states if f"q_{joint}" in s.columns), None)
         said = values[np.isfinite(values)]
-        if not (name in servos or name.startswith("target_")) or own is None or len(said) < 4 or np.ptp(said) < np.pi:
+        if (
+            not (name in servos or name.startswith("target_"))
+            or own is None
+            or len(said) < 4
+            or np.ptp(said) < np.pi
+        ):
             continue
         here = np.isfinite(own.columns[f"q_{joint}"])
         time, first = np.unique(own.time[here], return_index=True)
@@ -262,10 +358,16 @@ def _turned(command: Series, states: list[Series], servos: Mapping[str, str]) ->
 
 
 def _of_the_model(series: list[Series], wanted: Wanted) -> tuple[list[Series], tuple[str, ...]]:
-    """Without what `ignore` names, and without whole joints that the model lacks where all that it has are there: what speaks of
-    others decides nothing of the clock."""
+    """Without what `ignore` names, and without whole joints that the model lacks where all that it
+    has are there: what speaks of others decides nothing of the clock.
+    """
     joints = wanted.joints
-    has = {column.joint for s in series for name in s.columns if (column := role(name, joints)) and column.stem == "q"}
+    has = {
+        column.joint
+        for s in series
+        for name in s.columns
+        if (column := role(name, joints)) and column.stem == "q"
+    }
     strange: set[str] = set()
     if joints and set(joints) <= has:
         strange = {joint for joint in has if isinstance(joint, str) and joint not in joints}
@@ -275,23 +377,36 @@ def _of_the_model(series: list[Series], wanted: Wanted) -> tuple[list[Series], t
             return True
         found = role(name, joints)
         joint = found.joint if found else None
-        return name not in wanted.ignore and (not isinstance(joint, str) or joint not in {*wanted.ignore, *strange})
+        return name not in wanted.ignore and (
+            not isinstance(joint, str) or joint not in {*wanted.ignore, *strange}
+        )
 
     kept = [s.of({name for name in s.columns if keeps(name)}) for s in series]
     out = sorted(strange - set(wanted.ignore))
-    notes = (f"joints that the model lacks are left out: {', '.join(out)}",) if out else ()
+    if out:
+        notes = (f"joints that the model lacks are left out: {', '.join(out)}",)
+    else:
+        notes = ()
     return [s for s in kept if s.columns], notes
 
 
 def _without_zeros(columns: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
-    """Without efforts, and without speeds, that are zero throughout, as drivers write them that have none."""
+    """Without efforts, and without speeds, that are zero throughout, as drivers write them that
+    have none.
+    """
     notes: tuple[str, ...] = ()
     moves = any(
-        np.nanmax(x) - np.nanmin(x) > 1e-3 for n, x in columns.items() if n.startswith("q_") and np.isfinite(x).any()
+        np.nanmax(x) - np.nanmin(x) > 1e-3
+        for n, x in columns.items()
+        if n.startswith("q_") and np.isfinite(x).any()
     )
-    for stem, told in (("tau_", "efforts are zero throughout: not taken for torques"),
-                       ("v_", "velocities are zero throughout though joints move: left out")):  # fmt: skip
-        own = [name for name in columns if name.startswith(stem) and not name.endswith("_commanded")]
+    for stem, told in (
+        ("tau_", "efforts are zero throughout: not taken for torques"),
+        ("v_", "velocities are zero throughout though joints move: left out"),
+    ):
+        own = [
+            name for name in columns if name.startswith(stem) and not name.endswith("_commanded")
+        ]
         if own and not any(np.any(columns[name]) for name in own) and (stem == "tau_" or moves):
             columns = {name: values for name, values in columns.items() if name not in own}
             notes = (*notes, told)
@@ -307,12 +422,20 @@ def _series(rows: list[tuple[float, tuple[str, ...], Mapping[str, Any]]]) -> lis
     for group in groups.values():
         names = group[0][1]
         values: dict[str, np.ndarray] = {}
-        for stem in group[0][2] if len({tuple(r[2]) for r in group}) == 1 else {s for r in group for s in r[2]}:
+        for stem in (
+            group[0][2]
+            if len({tuple(r[2]) for r in group}) == 1
+            else {s for r in group for s in r[2]}
+        ):
             table = np.full((len(group), len(names)), np.nan)
             for i, (_, order, given) in enumerate(group):
                 if len(row := given.get(stem, ())) == len(names):
-                    table[i] = row if order == names else [row[order.index(name)] for name in names]
-            # efforts of one joint alone that are NaN throughout are no column that is not there: said where torques are chosen
+                    if order == names:
+                        table[i] = row
+                    else:
+                        table[i] = [row[order.index(name)] for name in names]
+            # efforts of one joint alone that are NaN throughout are no column that is not there:
+            # said where torques are chosen
             some = np.isfinite(table).any()
             values |= {
                 _column(stem, name): table[:, j]
@@ -327,4 +450,6 @@ def _series(rows: list[tuple[float, tuple[str, ...], Mapping[str, Any]]]) -> lis
 def _column(stem: str, name: str) -> str:
     if stem == "tau_commanded":
         return f"tau_{name}_commanded"
-    return f"ctrl{name}" if stem == "ctrl" else f"{stem}_{name}"
+    if stem == "ctrl":
+        return f"ctrl{name}"
+    return f"{stem}_{name}"

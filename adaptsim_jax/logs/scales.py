@@ -1,8 +1,10 @@
-"""Scales of angles that are no unit of angle: per cent of a joint's range, 0 to 100 of a gripper's travel, an encoder's steps.
+"""Scales of angles that are no unit of angle: per cent of a joint's range, 0 to 100 of a gripper's
+travel, an encoder's steps.
 
-LeRobot writes arms in degrees or in -100 to 100 of each joint's calibrated range, and grippers in 0 to 100 of their travel
-(https://github.com/huggingface/lerobot, motors/motors_bus.py, `MotorNormMode`); what is cut at the ends of such a range ends at
-exactly 100. Steps are whole numbers. Nothing is converted here: it is told, and refused where the numbers can be nothing else.
+LeRobot writes arms in degrees or in -100 to 100 of each joint's calibrated range, and grippers in 0
+to 100 of their travel (https://github.com/huggingface/lerobot, motors/motors_bus.py,
+`MotorNormMode`); what is cut at the ends of such a range ends at exactly 100. Steps are whole
+numbers. Nothing is converted here: it is told, and refused where the numbers can be nothing else.
 """
 
 from __future__ import annotations
@@ -31,7 +33,9 @@ TURN = 400.0
 
 @dataclass(frozen=True)
 class Scale:
-    """Of a joint's angle and target: its `kind`, `why`, and the `line` for [units], with what is not known in capitals."""
+    """Of a joint's angle and target: its `kind`, `why`, and the `line` for [units], with what is
+    not known in capitals.
+    """
 
     kind: str
     why: str
@@ -40,11 +44,19 @@ class Scale:
 
 
 def scale_of(
-    key: str, values: Sequence[np.ndarray], gripper: bool = False, limits: tuple[float, float] | None = None
+    key: str,
+    values: Sequence[np.ndarray],
+    gripper: bool = False,
+    limits: tuple[float, float] | None = None,
 ) -> Scale | None:
-    """The scale that all values of a joint (its angles, its targets) betray; None where they may well be angles. key: what [units]
-    calls them; gripper: whether it is one of a LeRobot data set; limits: its range in the model."""
-    x = np.concatenate([np.asarray(v, float)[np.isfinite(v)] for v in values]) if len(values) else np.zeros(0)
+    """The scale that all values of a joint (its angles, its targets) betray; None where they may
+    well be angles. key: what [units] calls them; gripper: whether it is one of a LeRobot data set;
+    limits: its range in the model.
+    """
+    if len(values):
+        x = np.concatenate([np.asarray(v, float)[np.isfinite(v)] for v in values])
+    else:
+        x = np.zeros(0)
     if len(x) < LEAST or np.ptp(x) == 0:
         return None
     low, high = float(x.min()), float(x.max())
@@ -54,13 +66,23 @@ def scale_of(
         if low >= 0 and TURN < high < 2**16 and len(np.unique(x)) > LEAST:
             steps = next(2**k for k in (12, 14, 16) if high < 2**k)
             line = f"{key} = {{ticks = {steps}, zero = {steps // 2}}}"
-            return Scale(STEPS, f"whole numbers up to {high:.0f} look like an encoder's steps", line, True)
+            return Scale(
+                STEPS, f"whole numbers up to {high:.0f} look like an encoder's steps", line, True
+            )
         return None
     ends = abs(high - 100.0) < END or abs(low + 100.0) < END
     inside = high <= 100.0 + END and low >= -100.0 - END
     if gripper and inside and low >= -1.0 and high > REACH:
-        line = f'{key} = "percent"' if limits else f"{key} = {{percent = [LOW, HIGH]}}"
-        return Scale(UNSIGNED, "LeRobot writes grippers as 0 to 100 of their travel", line, limits is not None)
+        if limits:
+            line = f'{key} = "percent"'
+        else:
+            line = f"{key} = {{percent = [LOW, HIGH]}}"
+        return Scale(
+            UNSIGNED,
+            "LeRobot writes grippers as 0 to 100 of their travel",
+            line,
+            limits is not None,
+        )
     if not (ends and inside):
         return None
     why = f"values end at exactly {'100' if abs(high - 100.0) < END else '-100'}: per cent of the joint's range, as LeRobot writes it"
@@ -70,8 +92,13 @@ def scale_of(
 
 
 def share_of(key: str, angles: Sequence[np.ndarray]) -> Scale | None:
-    """The scale of measured angles that never leave -1 to 1 and are cut there: a share of the joint's range."""
-    x = np.concatenate([np.asarray(q, float)[np.isfinite(q)] for q in angles]) if len(angles) else np.zeros(0)
+    """The scale of measured angles that never leave -1 to 1 and are cut there: a share of the
+    joint's range.
+    """
+    if len(angles):
+        x = np.concatenate([np.asarray(q, float)[np.isfinite(q)] for q in angles])
+    else:
+        x = np.zeros(0)
     if (
         len(x) < LEAST
         or np.max(np.abs(x)) > 1.0
@@ -95,12 +122,20 @@ def scales_of(
     lerobot: bool,
     ranges: Mapping[str, tuple[float, float]],
 ) -> dict[str, Scale]:
-    """By joint, of `columns`: joint -> its angles and targets as written. In a data set of LeRobot all joints of an arm are in one
-    scale."""
+    """By joint, of `columns`: joint -> its angles and targets as written. In a data set of LeRobot
+    all joints of an arm are in one scale.
+    """
     found = {
         joint: scale
         for joint in joints
-        if (scale := scale_of(f"q_{joint}", columns.get(joint, ()), lerobot and is_gripper(joint), ranges.get(joint)))
+        if (
+            scale := scale_of(
+                f"q_{joint}",
+                columns.get(joint, ()),
+                lerobot and is_gripper(joint),
+                ranges.get(joint),
+            )
+        )
     }
     signed = next((scale for scale in found.values() if scale.kind == SIGNED), None)
     if signed and lerobot:
@@ -112,30 +147,52 @@ def scales_of(
 
 
 def check_scales(trials: Sequence[Columns], names: ModelNames) -> tuple[str, ...]:
-    """Notes on joints whose angles are declared as angles and look like another scale. BadInput where nothing is declared and they can
-    be no angles."""
+    """Notes on joints whose angles are declared as angles and look like another scale. BadInput
+    where nothing is declared and they can be no angles.
+    """
     lerobot = all(c.raw.path.endswith(".parquet") for c in trials)
     written = {
-        joint: [x for c in trials for stem in ("q", "target") if (x := c.written.get((stem, j))) is not None]
-        for j, joint in enumerate(names.joints) if not all(c.scaled.get(j, False) for c in trials)
-    }  # fmt: skip
-    ranges = {joint: limits for j, joint in enumerate(names.joints) if (limits := names.limits_of(j))}
+        joint: [
+            x
+            for c in trials
+            for stem in ("q", "target")
+            if (x := c.written.get((stem, j))) is not None
+        ]
+        for j, joint in enumerate(names.joints)
+        if not all(c.scaled.get(j, False) for c in trials)
+    }
+    ranges = {
+        joint: limits for j, joint in enumerate(names.joints) if (limits := names.limits_of(j))
+    }
     found = scales_of(written, [j for j in names.joints if j in written], lerobot, ranges)
     for j, joint in enumerate(names.joints):
-        own = [c.written["q", j] for c in trials if ("q", j) in c.written and not c.scaled.get(j, False)]
-        if joint not in found and joint not in names.slides and (share := share_of(f"q_{joint}", own)):
+        own = [
+            c.written["q", j]
+            for c in trials
+            if ("q", j) in c.written and not c.scaled.get(j, False)
+        ]
+        if (
+            joint not in found
+            and joint not in names.slides
+            and (share := share_of(f"q_{joint}", own))
+        ):
             found[joint] = share
     if not found:
         return ()
     where = {joint: names.joints.index(joint) for joint in found}
 
     def reach(joint: str) -> float:
-        angles = [c.by_joint["q"][where[joint]] for c in trials if where[joint] in c.by_joint.get("q", {})]
+        angles = [
+            c.by_joint["q"][where[joint]] for c in trials if where[joint] in c.by_joint.get("q", {})
+        ]
         return max((float(np.nanmax(np.abs(q))) for q in angles), default=0.0)
 
     lines = "; ".join(scale.line for scale in found.values())
     first = next(iter(found.values()))
-    fill = ", LOW and HIGH its calibrated ends in rad (m)" if any(not s.known for s in found.values()) else ""
+    if any(not s.known for s in found.values()):
+        fill = ", LOW and HIGH its calibrated ends in rad (m)"
+    else:
+        fill = ""
     says = f"{', '.join(found)}: {first.why}; write {lines} under [units]{fill}, or record angles"
     if any(joint not in names.slides and reach(joint) > REACH for joint in found):
         raise BadInput(f"{trials[0].raw.path}: {says}")

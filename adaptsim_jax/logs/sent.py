@@ -11,8 +11,9 @@ def within(target: np.ndarray, q: np.ndarray, most: float) -> np.ndarray:
 
 
 def limited(time: np.ndarray, target: np.ndarray, q: np.ndarray, rate: float) -> np.ndarray:
-    """A target `[T]` at `time [T]` s that is sent by steps of at most `rate` (rad/s or m/s) times the time of a row, from where the
-    joint is at first."""
+    """A target `[T]` at `time [T]` s that is sent by steps of at most `rate` (rad/s or m/s) times
+    the time of a row, from where the joint is at first.
+    """
     if len(target) < 2:
         return target
     step = rate * np.diff(time, prepend=2 * time[0] - time[1])

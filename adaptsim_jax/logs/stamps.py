@@ -1,4 +1,6 @@
-"""When messages are from: their own stamps, where these are of one clock, and times of arrival where they have none."""
+"""When messages are from: their own stamps, where these are of one clock, and times of arrival
+where they have none.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +16,10 @@ FAR = 10**9
 
 @dataclass(frozen=True)
 class Stamped:
-    """`time [K]` ns of messages, `kept [K]`: those that have one; `stamped`: whether times are their own; `late`: how long they are
-    on their way (median, ns); `unstamped`, `far`: how many lack a stamp, or have one far from the others'."""
+    """`time [K]` ns of messages, `kept [K]`: those that have one; `stamped`: whether times are
+    their own; `late`: how long they are on their way (median, ns); `unstamped`, `far`: how many
+    lack a stamp, or have one far from the others'.
+    """
 
     time: np.ndarray
     kept: np.ndarray
@@ -29,17 +33,33 @@ class Stamped:
         if not self.stamped:
             return (f"topic {topic} has no stamps: the bag's time of arrival is taken",)
         left = "left out, the others keep theirs"
-        out = [f"topic {topic}: {self.unstamped} messages without a stamp {left}"] if self.unstamped else []
-        return (*out, *([f"topic {topic}: {self.far} stamps far from the others' {left}"] if self.far else []))
+        if self.unstamped:
+            out = [f"topic {topic}: {self.unstamped} messages without a stamp {left}"]
+        else:
+            out = []
+        return (
+            *out,
+            *(
+                [f"topic {topic}: {self.far} stamps far from the others' {left}"]
+                if self.far
+                else []
+            ),
+        )
 
 
 def stamped(arrived: np.ndarray, stamps: np.ndarray, group: np.ndarray | None = None) -> Stamped:
-    """Times of messages that arrived at `arrived [K]` ns with stamps `[K]` (0: none). group [K]: who sends; a sender of whom no
-    message has a stamp counts by arrival, less the delay of the others."""
+    """Times of messages that arrived at `arrived [K]` ns with stamps `[K]` (0: none). group [K]:
+    who sends; a sender of whom no message has a stamp counts by arrival, less the delay of the
+    others.
+    """
     has = stamps > 0
     far = has & _far(arrived, stamps, has)
     good = has & ~far
-    if not good.any() or good.sum() <= len(stamps) / 2 or len(set(stamps[good].tolist())) <= good.sum() / 2:
+    if (
+        not good.any()
+        or good.sum() <= len(stamps) / 2
+        or len(set(stamps[good].tolist())) <= good.sum() / 2
+    ):
         return Stamped(arrived, np.ones(len(arrived), bool), False, 0)
     late = int(np.median((arrived - stamps)[good]))
     time = np.where(good, stamps, arrived - late)
@@ -52,8 +72,10 @@ def stamped(arrived: np.ndarray, stamps: np.ndarray, group: np.ndarray | None = 
 
 
 def _far(arrived: np.ndarray, stamps: np.ndarray, has: np.ndarray) -> np.ndarray:
-    """Which stamps are far off: those whose distance from their arrival is not that of the stamps around them. A simulated clock may
-    run at another pace, so that the neighbours alone judge, by so much more as they are apart."""
+    """Which stamps are far off: those whose distance from their arrival is not that of the stamps
+    around them. A simulated clock may run at another pace, so that the neighbours alone judge, by
+    so much more as they are apart.
+    """
     at = np.flatnonzero(has)
     out = np.zeros(len(stamps), bool)
     if len(at) < 5:

@@ -1,4 +1,6 @@
-"""One trial's file (`.csv` or `.npz`) read into named columns, every fault named by file and line."""
+"""One trial's file (`.csv` or `.npz`) read into named columns, every fault named by file and
+line.
+"""
 
 import re
 from codecs import BOM_UTF8
@@ -22,13 +24,16 @@ NOTHING = ("", ".nan", "na", "n/a", "null", "none", "-")
 DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 DATE = re.compile(r"\d{4}-\d{2}-\d{2}[T ]\d|\d{1,2}[:.]\d{2}[:.]\d{2}")
 THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}([,' \u00a0\u2009\u202f]\d{3})+(\.\d*)?([eE][-+]?\d+)?")
-"""A number with its thousands apart: `1,234.5`; without a point one comma alone may as well be a decimal one."""
+"""A number with its thousands apart: `1,234.5`; without a point one comma alone may as well be a
+decimal one.
+"""
 EMPTY = "is empty; remove it or record the trial again"
 
 
 @dataclass(frozen=True)
 class Table:
-    """`columns`: name -> `[T]` float64 as written (no unit applied); `lines`: `[T]` line (or row) numbers.
+    """`columns`: name -> `[T]` float64 as written (no unit applied); `lines`: `[T]` line (or row)
+    numbers.
 
     `notes`: what was done to read it, a line each.
     """
@@ -48,12 +53,14 @@ def read_table(
     lost: tuple[str, ...] = (),
     gaps: tuple[str, ...] = (),
 ) -> Table:
-    """Read the columns named in `wanted` (those that are there) of `least` rows or more, list the others.
+    """Read the columns named in `wanted` (those that are there) of `least` rows or more, list the
+    others.
 
-    ours: what a column is to us where the file names it otherwise; arrays [T, n] are then n columns by `list_cells.part_name`.
-    Optional columns that hold nothing count as not there. lost:
-    columns of which a row may hold none, as cameras write frames in which they saw nothing: such rows are left out. gaps:
-    columns of which any cell may be empty, which is NaN then. Raises `BadInput`.
+    ours: what a column is to us where the file names it otherwise; arrays [T, n] are then n columns
+    by `list_cells.part_name`. Optional columns that hold nothing count as not there. lost:
+    columns of which a row may hold none, as cameras write frames in which they saw nothing: such
+    rows are left out. gaps: columns of which any cell may be empty, which is NaN then. Raises
+    `BadInput`.
     """
     path = Path(path)
     if path.suffix.lower() == ".npz":
@@ -67,12 +74,17 @@ def read_table(
 def _without_lost(
     table: Table, empty: Mapping[str, np.ndarray], lost: tuple[str, ...]
 ) -> tuple[Table, dict[str, np.ndarray]]:
-    """The table, and which cells are empty, without the rows that hold a number in none of the columns `lost`."""
+    """The table, and which cells are empty, without the rows that hold a number in none of the
+    columns `lost`.
+    """
     there = [~np.isnan(table.columns[name]) for name in lost if name in table.columns]
     kept = np.any(there, 0) if there else np.ones(len(table.lines), bool)
     if kept.all() or not kept.any():
         return table, dict(empty)
-    cut = lambda columns: {name: values[kept] for name, values in columns.items()}
+
+    def cut(columns):
+        return {name: values[kept] for name, values in columns.items()}
+
     return replace(table, columns=cut(table.columns), lines=table.lines[kept]), cut(empty)
 
 
@@ -84,17 +96,25 @@ def _checked(
     empty: Mapping[str, np.ndarray],
     gaps: tuple[str, ...],
 ) -> Table:
-    """The table without optional columns that hold nothing. BadInput for too few rows, and cells without a number but in `gaps`."""
+    """The table without optional columns that hold nothing. BadInput for too few rows, and cells
+    without a number but in `gaps`.
+    """
     n = len(table.lines)
     if n < least:
-        raise BadInput(f"{path}: has {n} data rows; a trial needs at least {least}, leave this file out")
+        raise BadInput(
+            f"{path}: has {n} data rows; a trial needs at least {least}, leave this file out"
+        )
     columns, notes = without_blank(path, table.columns, least, ours)
     columns, told = joined_time(path, columns, ours)
     lines, notes = table.lines, (*table.notes, *notes, *told)
     if not gaps and (joined := apart(path, columns, lines, ours)):
         columns, lines, told = joined
         notes = (*notes, *told)
-    filled = {name: np.where(np.isnan(values), 0.0, values) for name, values in columns.items() if name in gaps}
+    filled = {
+        name: np.where(np.isnan(values), 0.0, values)
+        for name, values in columns.items()
+        if name in gaps
+    }
     check_missing(path, columns | filled, lines, table.row_word, empty, ours)
     return replace(table, columns=columns, lines=lines, notes=notes)
 
@@ -104,7 +124,9 @@ def _decode(path: Path) -> str:
     if not raw.removeprefix(BOM_UTF8).strip():
         raise BadInput(f"{path}: {EMPTY}")
     if b"\x00" in raw:
-        raise BadInput(f"{path}: holds zero bytes (UTF-16 text or a binary file?); save it as plain UTF-8 CSV")
+        raise BadInput(
+            f"{path}: holds zero bytes (UTF-16 text or a binary file?); save it as plain UTF-8 CSV"
+        )
     try:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError as e:
@@ -135,8 +157,12 @@ def _others(names: list[str], wanted: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(name for name in names if name not in wanted)
 
 
-def _numbers(path: Path, name: str, cells: tuple[str, ...], lines: list[int]) -> tuple[np.ndarray, np.ndarray | None]:
-    """The cells of a column as numbers `[T]`, NaN where they are empty, and which are (None: none of them)."""
+def _numbers(
+    path: Path, name: str, cells: tuple[str, ...], lines: list[int]
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """The cells of a column as numbers `[T]`, NaN where they are empty, and which are (None: none
+    of them).
+    """
     try:
         return np.array([float(cell) for cell in cells], dtype=np.float64), None
     except ValueError:
@@ -145,12 +171,19 @@ def _numbers(path: Path, name: str, cells: tuple[str, ...], lines: list[int]) ->
     for row, cell in enumerate(cells):
         if empty[row] or is_number(cell):
             continue
-        raise BadInput(f"{path}: line {lines[row]}: column {name} is {cell.strip()[:40]!r}, {_no_number(cell, cells)}")
-    return np.array([np.nan if here else float(cell) for here, cell in zip(empty, cells, strict=True)]), empty
+        raise BadInput(
+            f"{path}: line {lines[row]}: column {name} is {cell.strip()[:40]!r}, "
+            f"{_no_number(cell, cells)}"
+        )
+    return np.array(
+        [np.nan if here else float(cell) for here, cell in zip(empty, cells, strict=True)]
+    ), empty
 
 
 def _no_number(cell: str, cells: tuple[str, ...]) -> str:
-    """What a cell is that is no number, and its mend, by what the column's other cells look like."""
+    """What a cell is that is no number, and its mend, by what the column's other cells look
+    like.
+    """
     apart, decimal = THOUSANDS.fullmatch(cell.strip()), DECIMAL_COMMA.fullmatch(cell.strip())
     if apart and decimal:
         others = [c.strip() for c in cells if "," in c]
@@ -160,7 +193,8 @@ def _no_number(cell: str, cells: tuple[str, ...]) -> str:
             apart = None
     if apart and decimal:
         return (
-            "thousands or decimals behind a comma; write thousands without one (1234.5), decimals with a point (1.2345)"
+            "thousands or decimals behind a comma; write thousands without one (1234.5), "
+            "decimals with a point (1.2345)"
         )
     if decimal:
         return "a decimal comma; write decimals with a point"
@@ -168,7 +202,8 @@ def _no_number(cell: str, cells: tuple[str, ...]) -> str:
         return "with its thousands apart; write 1234.5, nothing between the digits"
     if DATE.match(cell.strip()):
         return (
-            "a date; write seconds, with pandas: pd.to_datetime(df[...]).astype('datetime64[ns]').astype('int64') / 1e9"
+            "a date; write seconds, with pandas: "
+            "pd.to_datetime(df[...]).astype('datetime64[ns]').astype('int64') / 1e9"
         )
     return "not a number; mend or remove that row"
 
@@ -184,7 +219,10 @@ def _read_npz(path: Path, wanted: tuple[str, ...], lists: bool) -> Table:
     check_lengths(path, arrays)
     columns: dict[str, np.ndarray] = {}
     for name, array in arrays.items():
-        parts = {name: array} if array.ndim == 1 else {part_name(name, k): x for k, x in enumerate(array.T)}
+        if array.ndim == 1:
+            parts = {name: array}
+        else:
+            parts = {part_name(name, k): x for k, x in enumerate(array.T)}
         columns |= {part: x.astype(np.float64) for part, x in parts.items()}
     n = max(map(len, arrays.values()), default=0)
     others = _others(list(archive.arrays), wanted)

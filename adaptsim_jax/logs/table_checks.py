@@ -1,6 +1,8 @@
-"""What every reader checks of a table of named columns: cells that are missing, and a time that is one clock in seconds.
+"""What every reader checks of a table of named columns: cells that are missing, and a time that is
+one clock in seconds.
 
-Each function takes what a file holds and how its rows are called; `BadInput` names the file, the row and a mend that works.
+Each function takes what a file holds and how its rows are called; `BadInput` names the file, the
+row and a mend that works.
 """
 
 from __future__ import annotations
@@ -16,9 +18,12 @@ from adaptsim_jax.logs.columns import TIME, role
 
 MIN_ROWS = 20
 OPTIONAL = ("v", "tau_commanded", "target")
-"""Stems of columns that a reader can do without: where they hold nothing they count as not there."""
+"""Stems of columns that a reader can do without: where they hold nothing they count as not there.
+"""
 EPOCH = 1e6
-"""Times beyond this (s) are clock time: they are counted from the trial's first row, to lose no digit."""
+"""Times beyond this (s) are clock time: they are counted from the trial's first row, to lose no
+digit.
+"""
 LIMIT = 1e5
 """Magnitude in SI units beyond which a value is damage, not data."""
 SLOWEST = 0.25
@@ -33,17 +38,26 @@ JOINED = 0.3
 def without_blank(
     path: str | Path, columns: Mapping[str, np.ndarray], least: int, ours: Mapping[str, str]
 ) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
-    """`columns [T]` (NaN where a cell is missing) without optional ones that hold nothing, and a note on these.
+    """`columns [T]` (NaN where a cell is missing) without optional ones that hold nothing, and a
+    note on these.
 
     ours: what a column is to us where the file names it otherwise.
     BadInput where a column that is needed holds nothing.
     """
-    blank = [name for name, values in columns.items() if len(values) >= least and np.isnan(values).all()]
+    blank = [
+        name for name, values in columns.items() if len(values) >= least and np.isnan(values).all()
+    ]
     for name in blank:
         if not _is_optional(ours.get(name, name)):
-            raise BadInput(f"{path}: column {name} holds no number in any row; record it, or take the column out")
+            raise BadInput(
+                f"{path}: column {name} holds no number in any row; record it, or take the column "
+                f"out"
+            )
     kept = {name: values for name, values in columns.items() if name not in blank}
-    notes = (f"{', '.join(blank)} held no number in {Path(path).name}: taken as not recorded",) if blank else ()
+    if blank:
+        notes = (f"{', '.join(blank)} held no number in {Path(path).name}: taken as not recorded",)
+    else:
+        notes = ()
     return kept, notes
 
 
@@ -60,8 +74,9 @@ def check_missing(
     empty: Mapping[str, np.ndarray],
     ours: Mapping[str, str] | None = None,
 ) -> None:
-    """BadInput at the first cell that is no finite number. `empty[name] [T]`: cells that hold nothing at all; ours: what a column
-    is to us where the file names it otherwise."""
+    """BadInput at the first cell that is no finite number. `empty[name] [T]`: cells that hold
+    nothing at all; ours: what a column is to us where the file names it otherwise.
+    """
     bad = {name: ~np.isfinite(values) for name, values in columns.items()}
     bad = {name: rows for name, rows in bad.items() if rows.any()}
     if not bad:
@@ -76,8 +91,12 @@ def check_missing(
     raise BadInput(f"{where}: column {name} is {columns[name][at[0]]}{more}; remove such rows")
 
 
-def _check_joined(path: str | Path, columns: Mapping[str, np.ndarray], count: int, ours: Mapping[str, str]) -> None:
-    """BadInput where rows hold parts of a sample in turn, as an outer join of topics on their times leaves them."""
+def _check_joined(
+    path: str | Path, columns: Mapping[str, np.ndarray], count: int, ours: Mapping[str, str]
+) -> None:
+    """BadInput where rows hold parts of a sample in turn, as an outer join of topics on their times
+    leaves them.
+    """
     clock = next((name for name in columns if ours.get(name, name) in TIME), "time")
     names = [name for name in columns if name != clock]
     there = np.stack([np.isfinite(columns[name]) for name in names], 1)
@@ -89,20 +108,31 @@ def _check_joined(path: str | Path, columns: Mapping[str, np.ndarray], count: in
     if not often or not all(there[:, j].mean() > 0.05 for j in range(len(names))):
         return
     said = "; ".join(
-        f"{', '.join(n for n, here in zip(names, kind, strict=True) if here)} in {kinds[kind]} rows" for kind in often
+        f"{', '.join(n for n, here in zip(names, kind, strict=True) if here)} in {kinds[kind]} rows"
+        for kind in often
     )
     first = [n for n, here in zip(names, often[0], strict=True) if here]
     others = [n for n in names if n not in first] or names
-    quote = lambda words: ", ".join(repr(w) for w in words)
+
+    def quote(words):
+        return ", ".join(repr(w) for w in words)
+
     raise BadInput(
-        f"{path}: rows hold parts of a sample ({said}), as topics joined by time do; bring them onto one clock, with pandas: "
-        f"pd.merge_asof(df[[{clock!r}, {quote(first)}]].dropna(), df[[{clock!r}, {quote(others)}]].dropna(), on={clock!r})"
+        f"{path}: rows hold parts of a sample ({said}), as topics joined by time do; bring them "
+        f"onto one clock, with pandas: "
+        f"pd.merge_asof(df[[{clock!r}, {quote(first)}]].dropna(), df[[{clock!r}, "
+        f"{quote(others)}]].dropna(), on={clock!r})"
         f".dropna().to_csv(...)"
     )
 
 
 def check_size(
-    path: str | Path, name: str, values: np.ndarray, lines: np.ndarray, row_word: str, limit: float = LIMIT
+    path: str | Path,
+    name: str,
+    values: np.ndarray,
+    lines: np.ndarray,
+    row_word: str,
+    limit: float = LIMIT,
 ) -> np.ndarray:
     """`values [T]` in SI units. BadInput at the first of them that is beyond `limit`."""
     bad = np.flatnonzero(np.abs(values) > limit)
@@ -115,13 +145,19 @@ def check_size(
 
 def from_zero(time: np.ndarray) -> np.ndarray:
     """Times `[T]` s as they are, clock times from the first of them."""
-    return time - time[0] if abs(time[0]) > EPOCH else time
+    if abs(time[0]) > EPOCH:
+        return time - time[0]
+    return time
 
 
-def check_clock(path: str | Path, time: np.ndarray, lines: np.ndarray, row_word: str, mend: str = "") -> None:
-    """BadInput at the first row at which `time [T]` does not increase, with what clocks and files do to cause it.
+def check_clock(
+    path: str | Path, time: np.ndarray, lines: np.ndarray, row_word: str, mend: str = ""
+) -> None:
+    """BadInput at the first row at which `time [T]` does not increase, with what clocks and files
+    do to cause it.
 
-    mend: what to do, where more is known than that rows are out of order."""
+    mend: what to do, where more is known than that rows are out of order.
+    """
     bad = np.flatnonzero(np.diff(time) <= 0)
     if not bad.size:
         return
@@ -146,23 +182,29 @@ def lost_digits(time: np.ndarray) -> str:
     if not lost:
         return ""
     return (
-        f"time has lost its digits: it was kept in float32, whose steps are {lost:g} here; save it as float64, or "
+        f"time has lost its digits: it was kept in float32, whose steps are {lost:g} here; save it "
+        f"as float64, or "
         "take the first time off before saving"
     )
 
 
 def single_precision(time: np.ndarray) -> float:
-    """The step of float32 at these times where all are of that precision and many rows repeat; else 0."""
+    """The step of float32 at these times where all are of that precision and many rows repeat; else
+    0.
+    """
     size = float(np.max(np.abs(time), initial=0.0))
     if not 1e4 < size < 1e30:
         return 0.0
     step = float(np.spacing(np.float32(size)))
     exact = np.array_equal(time, np.asarray(time, np.float32).astype(float))
-    return step if exact and np.mean(np.diff(time) == 0) > 0.2 else 0.0
+    if exact and np.mean(np.diff(time) == 0) > 0.2:
+        return step
+    return 0.0
 
 
 def check_time_unit(path: str | Path, time: np.ndarray, scale: float, mend: str = "") -> None:
-    """BadInput where `time [T]`, which `scale` made seconds, is of another unit: rows are too far apart, or too near.
+    """BadInput where `time [T]`, which `scale` made seconds, is of another unit: rows are too far
+    apart, or too near.
 
     mend: what to do; a line of [units] in meta.toml by default.
     """
@@ -178,6 +220,7 @@ def check_time_unit(path: str | Path, time: np.ndarray, scale: float, mend: str 
         raise BadInput(f"{path}: a row every {step:.3g} s: time is suspected in {word}; {how}")
     if step < FASTEST and scale != 1.0:
         raise BadInput(
-            f"{path}: a row every {step:.3g} s by the declared unit of time; write the unit that the file has under [units] in "
+            f"{path}: a row every {step:.3g} s by the declared unit of time; write the unit that "
+            f"the file has under [units] in "
             "meta.toml"
         )

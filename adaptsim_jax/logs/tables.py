@@ -1,4 +1,6 @@
-"""CSV and NPZ files as raw trials: named columns as written, one trial a file or a `trial` column in one."""
+"""CSV and NPZ files as raw trials: named columns as written, one trial a file or a `trial` column
+in one.
+"""
 
 from __future__ import annotations
 
@@ -22,15 +24,25 @@ from adaptsim_jax.logs.table_checks import check_clock
 from adaptsim_jax.logs.two_part_time import both, pair
 
 ENDINGS = (".csv", ".npz")
-__all__ = ["ENDINGS", "MIN_ROWS", "RawTrial", "column_names", "read_file", "read_files", "table_files"]
+__all__ = [
+    "ENDINGS",
+    "MIN_ROWS",
+    "RawTrial",
+    "column_names",
+    "read_file",
+    "read_files",
+    "table_files",
+]
 
 
 @dataclass(frozen=True)
 class RawTrial:
-    """One trial as its file has it: `columns`: name -> `[T]` float64, no unit applied, NaN where a value is missing.
+    """One trial as its file has it: `columns`: name -> `[T]` float64, no unit applied, NaN where a
+    value is missing.
 
-    `lines [T]`: line (or row, message) numbers for what is said of a row; `ignored`: names of columns that are not ours;
-    `doubt`: vector -> what is wrong with its names, so that its columns (`vector[0]`, ...) are joints only by `[columns]`.
+    `lines [T]`: line (or row, message) numbers for what is said of a row; `ignored`: names of
+    columns that are not ours; `doubt`: vector -> what is wrong with its names, so that its columns
+    (`vector[0]`, ...) are joints only by `[columns]`.
     """
 
     name: str
@@ -44,17 +56,28 @@ class RawTrial:
 
 
 def table_files(path: Path) -> list[Path]:
-    """The CSV and NPZ files of a folder, by name with numbers in their order; a file of these itself."""
-    found = [p for p in (path.iterdir() if path.is_dir() else [path]) if p.suffix.lower() in ENDINGS and p.is_file()]
+    """The CSV and NPZ files of a folder, by name with numbers in their order; a file of these
+    itself.
+    """
+    found = [
+        p
+        for p in (path.iterdir() if path.is_dir() else [path])
+        if p.suffix.lower() in ENDINGS and p.is_file()
+    ]
     found = [p for p in found if p == path or not p.name.startswith((".", "~$"))]
-    return sorted(found, key=lambda p: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", p.name)])
+    return sorted(
+        found, key=lambda p: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", p.name)]
+    )
 
 
 def read_files(
-    files: list[Path], rename: Mapping[str, str], ignore: tuple[str, ...] = (), others: tuple[Path, ...] = ()
+    files: list[Path],
+    rename: Mapping[str, str],
+    ignore: tuple[str, ...] = (),
+    others: tuple[Path, ...] = (),
 ) -> list[RawTrial]:
-    """Every trial of these files; `rename`: our name -> the file's; `ignore`: columns or joints left out; others: files of commands,
-    whose columns `rename` may name too.
+    """Every trial of these files; `rename`: our name -> the file's; `ignore`: columns or joints
+    left out; others: files of commands, whose columns `rename` may name too.
 
     Raises `BadInput` naming file and line.
     """
@@ -63,14 +86,22 @@ def read_files(
     trials, notes = [], []
     for path in files:
         here = column_names(path) if elsewhere else []
-        own = {ours: theirs for ours, theirs in rename.items() if theirs in here or theirs not in elsewhere}
+        own = {
+            ours: theirs
+            for ours, theirs in rename.items()
+            if theirs in here or theirs not in elsewhere
+        }
         try:
-            trials += read_file(path, path.name if stems.count(path.stem) > 1 else path.stem, own, ignore)
+            trials += read_file(
+                path, path.name if stems.count(path.stem) > 1 else path.stem, own, ignore
+            )
         except BadInput as error:
             if path not in strays(headers_of(files), is_time := _is_time(rename)):
                 raise _or_left_out(error, path, files, is_time) from None
             notes.append(left_out(path))
-    return [replace(trials[0], notes=(*trials[0].notes, *notes)), *trials[1:]] if notes else trials
+    if notes:
+        return [replace(trials[0], notes=(*trials[0].notes, *notes)), *trials[1:]]
+    return trials
 
 
 def _is_time(rename: Mapping[str, str]) -> Callable[[str], bool]:
@@ -79,14 +110,20 @@ def _is_time(rename: Mapping[str, str]) -> Callable[[str], bool]:
     return lambda name: name in named or name in TIME
 
 
-def _or_left_out(error: BadInput, path: Path, files: list[Path], is_time: Callable[[str], bool]) -> BadInput:
-    """What is said of one file of several: how it is left out, where it may be none of the trials."""
+def _or_left_out(
+    error: BadInput, path: Path, files: list[Path], is_time: Callable[[str], bool]
+) -> BadInput:
+    """What is said of one file of several: how it is left out, where it may be none of the
+    trials.
+    """
     line = f'[trials] exclude = ["{path.stem}"]'
     if len(files) == 1:
         return error
     if str(error).endswith("leave this file out"):
         return BadInput(f"{error}: {line}")
-    return error if any(map(is_time, headers_of([path])[path])) else BadInput(f"{error}; or leave it out: {line}")
+    if any(map(is_time, headers_of([path])[path])):
+        return error
+    return BadInput(f"{error}; or leave it out: {line}")
 
 
 def headers_of(files: Iterable[Path]) -> dict[Path, list[str]]:
@@ -100,7 +137,9 @@ def headers_of(files: Iterable[Path]) -> dict[Path, list[str]]:
     return out
 
 
-def read_file(path: Path, name: str, rename: Mapping[str, str], ignore: tuple[str, ...] = ()) -> list[RawTrial]:
+def read_file(
+    path: Path, name: str, rename: Mapping[str, str], ignore: tuple[str, ...] = ()
+) -> list[RawTrial]:
     """The trials of one CSV or NPZ file: one, or one for each value of its `trial` column."""
     header = column_names(path)
     for ours, theirs in rename.items():
@@ -108,12 +147,21 @@ def read_file(path: Path, name: str, rename: Mapping[str, str], ignore: tuple[st
             from adaptsim_jax.core.config import suggest
 
             raise BadInput(
-                f"{path}: has no column {theirs!r}, which [columns] gives to {ours}; {suggest(theirs, header)}"
+                f"{path}: has no column {theirs!r}, which [columns] gives to {ours}; "
+                f"{suggest(theirs, header)}"
             )
     lists = _lists(path, header, rename)
     ours = lists | {theirs: new for new, theirs in rename.items()}
-    named = {column: ours.get(column, column) for column in header if column in ours or column not in rename}
-    told = {column for column in named if role(named[column]) is not None and not is_ignored(named[column], ignore)}
+    named = {
+        column: ours.get(column, column)
+        for column in header
+        if column in ours or column not in rename
+    }
+    told = {
+        column
+        for column in named
+        if role(named[column]) is not None and not is_ignored(named[column], ignore)
+    }
     wanted = tuple(dict.fromkeys(column for column in header if column in told))
     labels = next((column for column in wanted if named[column] in TRIAL), None)
     if path.suffix.lower() == ".npz" and not any(named[column] in TIME for column in wanted):
@@ -130,13 +178,18 @@ def read_file(path: Path, name: str, rename: Mapping[str, str], ignore: tuple[st
     trials = []
     for label, part in parts:
         clock = part.columns[time]
-        mend = "" if np.all(np.diff(clock) > 0) else _mend(path, header, rename.get(time, time), rename, part, clock)
+        if np.all(np.diff(clock) > 0):
+            mend = ""
+        else:
+            mend = _mend(path, header, rename.get(time, time), rename, part, clock)
         check_clock(path, clock, part.lines, part.row_word, mend)
         notes = part.notes
         if lists:
             said = ", ".join(f"{theirs} taken as {stem}" for theirs, stem in lists.items())
             notes = (*notes, f"cells hold lists, a number for each joint in order: {said}")
-        trials.append(RawTrial(label, str(path), part.columns, part.lines, part.row_word, part.ignored, notes))
+        trials.append(
+            RawTrial(label, str(path), part.columns, part.lines, part.row_word, part.ignored, notes)
+        )
     return trials
 
 
@@ -147,13 +200,25 @@ def _restarted(path: Path, name: str, table: Table, time: np.ndarray) -> list[tu
         return [(name, table)]
     who = naming(cells_of(path, table.lines), time)
     told = f"the clock of {path.name} starts again: taken as {len(parts)} trials, {name}_1 to {name}_{len(parts)}"
-    more = f'; [columns] trial = "{who}" in meta.toml calls them by that column' if who else ""
+    if who:
+        more = f'; [columns] trial = "{who}" in meta.toml calls them by that column'
+    else:
+        more = ""
     table = replace(table, notes=(*table.notes, told + more))
     return [(f"{name}_{k}", _rows(table, part)) for k, part in enumerate(parts, 1)]
 
 
-def _mend(path: Path, header: list[str], theirs: str, rename: Mapping[str, str], table: Table, time: np.ndarray) -> str:
-    """What meta.toml may say of a clock that does not increase; nothing where that is not known. theirs: its column."""
+def _mend(
+    path: Path,
+    header: list[str],
+    theirs: str,
+    rename: Mapping[str, str],
+    table: Table,
+    time: np.ndarray,
+) -> str:
+    """What meta.toml may say of a clock that does not increase; nothing where that is not known.
+    theirs: its column.
+    """
     found = pair(header)
     if found and theirs in found and NANOS not in rename:
         return f"it has two parts, write {both(*found)} in meta.toml"
@@ -166,7 +231,9 @@ def list_columns(path: Path) -> list[str]:
     """Columns of a CSV whose cells hold lists; arrays `[T, n]` of numbers in an archive."""
     if path.suffix.lower() == ".npz":
         return [
-            name for name, array in read_archive(path).arrays.items() if array.ndim == 2 and array.dtype.kind in "fiu"
+            name
+            for name, array in read_archive(path).arrays.items()
+            if array.ndim == 2 and array.dtype.kind in "fiu"
         ]
     first: dict[str, str] = {}
     rows, _ = _csv_rows(path, 40)  # topics of their own may begin some rows later
@@ -179,7 +246,10 @@ def list_columns(path: Path) -> list[str]:
 
 def _lists(path: Path, header: list[str], rename: Mapping[str, str]) -> dict[str, str]:
     """Columns of a CSV that hold lists of all joints by their usual names: theirs -> our stem."""
-    lists = [] if path.suffix.lower() == ".npz" else [name for name in list_columns(path) if role(name) is None]
+    if path.suffix.lower() == ".npz":
+        lists = []
+    else:
+        lists = [name for name in list_columns(path) if role(name) is None]
     out = {name: STEMS[name.lower()] for name in lists if name.lower() in STEMS}
     taken = set(rename) | {name for name in header if name not in lists}
     return {name: stem for name, stem in out.items() if stem not in taken}
@@ -188,11 +258,16 @@ def _lists(path: Path, header: list[str], rename: Mapping[str, str]) -> dict[str
 def _no_time(path: Path, header: list[str]) -> BadInput:
     if found := pair(header):
         return BadInput(
-            f"{path}: column 'time' is missing; it seems to have two parts, write {both(*found)} in meta.toml"
+            f"{path}: column 'time' is missing; it seems to have two parts, write {both(*found)} "
+            f"in meta.toml"
         )
-    some = f" (there are {', '.join(header[:8])}{', ...' if len(header) > 8 else ''})" if header else ""
+    if header:
+        some = f" (there are {', '.join(header[:8])}{', ...' if len(header) > 8 else ''})"
+    else:
+        some = ""
     return BadInput(
-        f"{path}: column 'time' is missing{some}; add it (s), or name it by [columns] time = \"...\" in meta.toml"
+        f"{path}: column 'time' is missing{some}; add it (s), or name it by [columns] time = "
+        f'"..." in meta.toml'
     )
 
 
@@ -208,15 +283,23 @@ def column_names(path: Path) -> list[str]:
 
 
 def _read(path: Path, named: Mapping[str, str]) -> Table:
-    """`read_table` of the columns in `named` (theirs -> ours); of lists and arrays `[T, n]` by place: `q` gives q1 to qn."""
+    """`read_table` of the columns in `named` (theirs -> ours); of lists and arrays `[T, n]` by
+    place: `q` gives q1 to qn.
+    """
     table = read_table(path, tuple(named), ours=_Named(named))
-    return replace(table, columns={_ours(name, named): values for name, values in table.columns.items()})
+    return replace(
+        table, columns={_ours(name, named): values for name, values in table.columns.items()}
+    )
 
 
 def _ours(name: str, named: Mapping[str, str]) -> str:
-    """Our name of a column, or of a place of one that holds lists: `positions[0]` is q1 where positions are q."""
+    """Our name of a column, or of a place of one that holds lists: `positions[0]` is q1 where
+    positions are q.
+    """
     part = None if name in named else stem_and_place(name)
-    return f"{named[part[0]]}{part[1] + 1}" if part else named[name]
+    if part:
+        return f"{named[part[0]]}{part[1] + 1}"
+    return named[name]
 
 
 class _Named(dict):
@@ -224,7 +307,9 @@ class _Named(dict):
 
     def get(self, name, default=None):
         part = None if name in self else stem_and_place(name)
-        return _ours(name, self) if name in self or (part and part[0] in self) else default
+        if name in self or (part and part[0] in self):
+            return _ours(name, self)
+        return default
 
 
 def _csv_rows(path: Path, most: int | None = None) -> tuple[list[list[str]], list[int]]:
@@ -240,7 +325,10 @@ def _labelled(path: Path, column: str, table: Table) -> list[tuple[str, Table]]:
     for label in dict.fromkeys(labels):
         rows = np.flatnonzero(array == label)
         if not label:
-            raise BadInput(f"{path}: {table.row_word} {table.lines[rows[0]]}: column {column} is empty; name the trial")
+            raise BadInput(
+                f"{path}: {table.row_word} {table.lines[rows[0]]}: column {column} is empty; name "
+                f"the trial"
+            )
         parts.append((_plain(label), _rows(table, rows)))
     return parts
 
@@ -251,19 +339,33 @@ def _rows(table: Table, rows: np.ndarray | slice) -> Table:
 
 
 def cells_of(path: Path, lines: np.ndarray | None = None) -> dict[str, list[str]]:
-    """What each column holds in these lines (None: in all), as written; of an archive arrays that are columns, in these rows."""
+    """What each column holds in these lines (None: in all), as written; of an archive arrays that
+    are columns, in these rows.
+    """
     if path.suffix.lower() == ".npz":
         arrays = {name: x for name, x in read_archive(path).arrays.items() if x.ndim == 1}
-        arrays = {name: x if lines is None else x[lines[lines <= len(x)] - 1] for name, x in arrays.items()}
+        arrays = {
+            name: x if lines is None else x[lines[lines <= len(x)] - 1]
+            for name, x in arrays.items()
+        }
         return {name: [str(value) for value in x] for name, x in arrays.items()}
     rows, numbers = _csv_rows(path)
     at = dict(zip(numbers, rows, strict=True))
     header = {name: place for place, name in reversed(list(enumerate(rows[0])))}
-    cell = lambda row, place: row[place].strip().strip('"') if place < len(row) else ""
+
+    def cell(row, place):
+        if place < len(row):
+            return row[place].strip().strip('"')
+        return ""
+
     here = numbers[1:] if lines is None else [int(line) for line in lines]
-    return {name: [cell(at.get(line, []), place) for line in here] for name, place in header.items()}
+    return {
+        name: [cell(at.get(line, []), place) for line in here] for name, place in header.items()
+    }
 
 
 def _plain(label: str) -> str:
     """`3.0` is trial 3."""
-    return label.removesuffix(".0") if re.fullmatch(r"\d+\.0", label) else label
+    if re.fullmatch(r"\d+\.0", label):
+        return label.removesuffix(".0")
+    return label

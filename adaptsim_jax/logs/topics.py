@@ -14,17 +14,23 @@ COMMAND_WORDS = ("command", "cmd", "desired", "target", "reference", "goal", "se
 
 
 def choose(
-    path: Path, topics: tuple[Topic, ...], options: Mapping[str, str], knows: Callable[[Topic], int] = lambda topic: 0
+    path: Path,
+    topics: tuple[Topic, ...],
+    options: Mapping[str, str],
+    knows: Callable[[Topic], int] = lambda topic: 0,
 ) -> tuple[Topic, Topic | None, tuple[str, ...]]:
-    """The topics of the state and of the commands (None: there is none), by `options` where these name them, and notes. knows: how
-    many joints of the model a topic speaks of."""
+    """The topics of the state and of the commands (None: there is none), by `options` where these
+    name them, and notes. knows: how many joints of the model a topic speaks of.
+    """
     by_name = {topic.name: topic for topic in topics}
     for key in ("state_topic", "command_topic"):
         if (name := options.get(key)) is not None and name not in by_name:
             raise BadInput(f"{path}: has no topic {name!r} ({key}); {suggest(name, by_name)}")
     state, notes = _state_topic(path, topics, options, knows)
     foreign = [
-        t for t in topics if t.encoding and t is not state and (t.unread or not (_commands_of(t) or t.kind in STATES))
+        t
+        for t in topics
+        if t.encoding and t is not state and (t.unread or not (_commands_of(t) or t.kind in STATES))
     ]
     if foreign:
         names = ", ".join(f"{t.name} ({t.kind or 'no type'}, {t.encoding})" for t in foreign)
@@ -33,10 +39,16 @@ def choose(
         command = by_name[wanted]
         if not _commands_of(command):
             kinds = "JointState, JointTrajectory, JointTrajectoryControllerState, Float64MultiArray, Float64"
-            raise BadInput(f"{path}: topic {wanted} is {_what(command)}; commands are read of {kinds}")
+            raise BadInput(
+                f"{path}: topic {wanted} is {_what(command)}; commands are read of {kinds}"
+            )
         return state, command, notes
     if state.kind in CONTROLLERS:
-        return state, state, (*notes, f"state and commands taken from the controller's topic {state.name}")
+        return (
+            state,
+            state,
+            (*notes, f"state and commands taken from the controller's topic {state.name}"),
+        )
     others = [t for t in topics if t.count and t is not state and _commands_of(t)]
     named = [t for t in others if t.kind in CONTROLLERS or _is_command(t)]
     if len(named) == 1:
@@ -50,23 +62,33 @@ def choose(
 def _state_topic(
     path: Path, topics: tuple[Topic, ...], options: Mapping[str, str], knows: Callable[[Topic], int]
 ) -> tuple[Topic, tuple[str, ...]]:
-    """The topic of the state: chosen, or of joint states, or of what else holds them; of several that of most joints of the model,
-    then that with most messages."""
+    """The topic of the state: chosen, or of joint states, or of what else holds them; of several
+    that of most joints of the model, then that with most messages.
+    """
     if chosen := options.get("state_topic"):
         state = next(topic for topic in topics if topic.name == chosen)
         if state.kind not in STATES or state.unread:
-            raise BadInput(f"{path}: topic {chosen} is {_what(state)}; name one of sensor_msgs/JointState")
+            raise BadInput(
+                f"{path}: topic {chosen} is {_what(state)}; name one of sensor_msgs/JointState"
+            )
         return state, ()
     able = [
-        t for t in topics if t.count and t.kind in STATES and not t.unread and t.name != options.get("command_topic")
+        t
+        for t in topics
+        if t.count and t.kind in STATES and not t.unread and t.name != options.get("command_topic")
     ]
-    states = [t for t in able if t.kind == STATE] or [t for t in able if t.kind not in CONTROLLERS] or able
+    states = (
+        [t for t in able if t.kind == STATE]
+        or [t for t in able if t.kind not in CONTROLLERS]
+        or able
+    )
     if options.get("command_topic") and not states:
         states = [t for t in topics if t.name == options["command_topic"] and t.kind in CONTROLLERS]
     if not states:
         kinds = ", ".join(f"{topic.name} ({_what(topic)})" for topic in topics) or "none"
         raise BadInput(
-            f"{path}: has no topic of sensor_msgs/JointState, nor of another message of joint states that is read "
+            f"{path}: has no topic of sensor_msgs/JointState, nor of another message of joint "
+            f"states that is read "
             f"(foxglove.JointStates in JSON or protobuf, DynamicJointState, "
             f"JointTrajectoryControllerState); record one (topics: {kinds})"
         )
@@ -78,7 +100,9 @@ def _state_topic(
 
 def _what(topic: Topic) -> str:
     kind = topic.kind or "of several types"
-    return f"{kind} in {topic.encoding}" if topic.encoding else kind
+    if topic.encoding:
+        return f"{kind} in {topic.encoding}"
+    return kind
 
 
 def _commands_of(topic: Topic) -> bool:

@@ -1,5 +1,7 @@
-"""JointTrajectory messages as controllers act on them (ros_control's and ros2_control's joint_trajectory_controller): a new one takes
-the place of what of the old lies ahead, joint by joint, and points are ramped to, by splines where they have speeds."""
+"""JointTrajectory messages as controllers act on them (ros_control's and ros2_control's
+joint_trajectory_controller): a new one takes the place of what of the old lies ahead, joint by
+joint, and points are ramped to, by splines where they have speeds.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ Angle = Callable[[str, float], float]
 
 @dataclass(frozen=True)
 class Plan:
-    """A trajectory of some joints: `begin` s, from which points count; `comes` s, when it is known; points (s, angles, speeds)."""
+    """A trajectory of some joints: `begin` s, from which points count; `comes` s, when it is known;
+    points (s, angles, speeds).
+    """
 
     begin: float
     comes: float
@@ -35,35 +39,51 @@ class Plan:
 
 
 def plan_of(message: Any, stamped: float | None, comes: float) -> Plan:
-    """A message of a trajectory or of an action's goal. stamped: its own time, None where it has none and so begins as it comes."""
+    """A message of a trajectory or of an action's goal. stamped: its own time, None where it has
+    none and so begins as it comes.
+    """
     inner = message.goal.trajectory if hasattr(message, "goal") else message
     begin = comes if stamped is None else stamped
     points = tuple(
-        (begin + nanoseconds(p.time_from_start) * 1e-9, np.asarray(p.positions, float), np.asarray(p.velocities, float))
+        (
+            begin + nanoseconds(p.time_from_start) * 1e-9,
+            np.asarray(p.positions, float),
+            np.asarray(p.velocities, float),
+        )
         for p in inner.points
     )
     return Plan(begin, comes, tuple(inner.joint_names), points)
 
 
 def followed(plans: Sequence[Plan], angle: Angle, hold: bool) -> list[Series]:
-    """What is commanded to each joint. hold: each point from its time to the next, else moved to meanwhile. angle: where a joint is
-    before its first command."""
+    """What is commanded to each joint. hold: each point from its time to the next, else moved to
+    meanwhile. angle: where a joint is before its first command.
+    """
     plans = sorted(plans, key=lambda plan: plan.takes_over)
     joints = dict.fromkeys(joint for plan in plans for joint in plan.joints)
     out = []
     for joint in joints:
         own = [plan for plan in plans if joint in plan.joints or not plan.joints]
-        time, value = _held(own, joint, angle) if hold else _ramped(own, joint, angle)
+        if hold:
+            time, value = _held(own, joint, angle)
+        else:
+            time, value = _ramped(own, joint, angle)
         if len(time):
-            out.append(Series(np.array(time), {f"target_{joint}": np.array(value)}, straight=not hold))
+            out.append(
+                Series(np.array(time), {f"target_{joint}": np.array(value)}, straight=not hold)
+            )
     return out
 
 
 def sampled(series: Series, rows: np.ndarray) -> Series:
-    """What moves from point to point as a controller has it that looks at `rows [T]` s, and holds what it has between them."""
+    """What moves from point to point as a controller has it that looks at `rows [T]` s, and holds
+    what it has between them.
+    """
     time = np.unique(rows[rows > series.time[0]])
     time = np.concatenate([series.time[:1], time])
-    columns = {name: np.interp(time, series.time, values) for name, values in series.columns.items()}
+    columns = {
+        name: np.interp(time, series.time, values) for name, values in series.columns.items()
+    }
     return Series(time, columns)
 
 
@@ -71,13 +91,22 @@ Point = tuple[float, float, float]
 
 
 def _points(plan: Plan, joint: str) -> tuple[list[Point], list[Point]]:
-    """Time, angle and speed of a joint's points that are past when a trajectory takes over, and of those ahead."""
+    """Time, angle and speed of a joint's points that are past when a trajectory takes over, and of
+    those ahead.
+    """
     if joint not in plan.joints:
         return [], []
     j, whole = plan.joints.index(joint), len(plan.joints)
-    speed = lambda v: float(v[j]) if len(v) == whole else np.nan
+
+    def speed(v):
+        if len(v) == whole:
+            return float(v[j])
+        return np.nan
+
     points = [(t, float(q[j]), speed(v)) for t, q, v in plan.points if len(q) == whole]
-    return [p for p in points if p[0] <= plan.takes_over], [p for p in points if p[0] > plan.takes_over]
+    return [p for p in points if p[0] <= plan.takes_over], [
+        p for p in points if p[0] > plan.takes_over
+    ]
 
 
 def _held(plans: Sequence[Plan], joint: str, angle: Angle) -> tuple[list[float], list[float]]:
@@ -103,15 +132,24 @@ def _ramped(plans: Sequence[Plan], joint: str, angle: Angle) -> tuple[list[float
     value: list[float] = []
     for plan in plans:
         at = plan.takes_over
-        here = float(np.interp(at, time, value)) if time else angle(joint, at)
+        if time:
+            here = float(np.interp(at, time, value))
+        else:
+            here = angle(joint, at)
         k = int(np.searchsorted(time, at))
-        speed = (value[k] - value[k - 1]) / (time[k] - time[k - 1]) if 0 < k < len(time) else 0.0
+        if 0 < k < len(time):
+            speed = (value[k] - value[k - 1]) / (time[k] - time[k - 1])
+        else:
+            speed = 0.0
         begins = not time
         time, value = time[:k], value[:k]
         passed, ahead = _points(plan, joint)
         if passed and not ahead:  # no time to move is given: a step
             time = [*time, at, at + STEP] if not begins else [at]
-            value = [*value, here, passed[-1][1]] if not begins else [passed[-1][1]]
+            if not begins:
+                value = [*value, here, passed[-1][1]]
+            else:
+                value = [passed[-1][1]]
             continue
         if passed and begins:
             here = float(np.interp(at, [passed[-1][0], ahead[0][0]], [passed[-1][1], ahead[0][1]]))
@@ -121,9 +159,11 @@ def _ramped(plans: Sequence[Plan], joint: str, angle: Angle) -> tuple[list[float
                 s = np.linspace(0.0, 1.0, FINE + 1)[1:]
                 h = t1 - t0
                 curve = (
-                    q0 * (2 * s**3 - 3 * s**2 + 1) + h * v0 * (s**3 - 2 * s**2 + s) + q1 * (3 * s**2 - 2 * s**3)
+                    q0 * (2 * s**3 - 3 * s**2 + 1)
+                    + h * v0 * (s**3 - 2 * s**2 + s)
+                    + q1 * (3 * s**2 - 2 * s**3)
                     + h * v1 * (s**3 - s**2)
-                )  # fmt: skip
+                )
                 time += (t0 + h * s).tolist()
                 value += curve.tolist()
             else:

@@ -32,8 +32,10 @@ class Trial:
 class Recording:
     """A folder of trials and what its `meta.toml` declares.
 
-    `geometry`: l1, l2 in m and g in m/s^2, as far as known; `noise`: sensor std by channel (rad, rad/s, N m);
-    `torque_source`: `measured`, `commanded`, `applied` or `mixed`; `model_file`: path of a mended model.
+    `geometry`: l1, l2 in m and g in m/s^2, as far as known; `noise`: sensor std by channel (rad,
+        rad/s, N m);
+    `torque_source`: `measured`, `commanded`, `applied` or `mixed`; `model_file`: path of a mended
+        model.
     """
 
     path: str

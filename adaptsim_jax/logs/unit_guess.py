@@ -1,6 +1,8 @@
-"""Units of a log's columns guessed by what tells most: the headings, else recorded speeds, else the model's ranges, else sizes.
+"""Units of a log's columns guessed by what tells most: the headings, else recorded speeds, else the
+model's ranges, else sizes.
 
-A size alone is a question, not a guess: a wheel that turns five times reaches as far as an arm that moves by 30 degrees.
+A size alone is a question, not a guess: a wheel that turns five times reaches as far as an arm that
+moves by 30 degrees.
 """
 
 from __future__ import annotations
@@ -39,7 +41,9 @@ Units = dict[str, tuple[str | Scale | Question, str]]
 
 @dataclass(frozen=True)
 class _Seen:
-    """Columns as written by joint, as the columns name it: of joints that turn, and of those that slide. `name`: the joint's own."""
+    """Columns as written by joint, as the columns name it: of joints that turn, and of those that
+    slide. `name`: the joint's own.
+    """
 
     q: dict[int | str | None, np.ndarray]
     v: dict[int | str | None, np.ndarray]
@@ -59,8 +63,8 @@ def guess_units(
     model: ModelNames | None = None,
     headings: Mapping[str, str] | None = None,
 ) -> Units:
-    """Units that headings say or numbers betray, and by what: key of `[units]` -> (unit, why), or a `Scale`, which is a whole line; a
-    quantity that looks SI is not listed.
+    """Units that headings say or numbers betray, and by what: key of `[units]` -> (unit, why), or a
+    `Scale`, which is a whole line; a quantity that looks SI is not listed.
 
     Args:
         columns: our name -> `[T]` as written.
@@ -71,16 +75,27 @@ def guess_units(
     """
     roles = {name: found for name in columns if (found := role(name, joints)) is not None}
     scales = _scales(columns, roles, joints, lerobot, model)
-    told = [one for name, found in roles.items() if (one := _said(name, found, roles, headings or {}, model))]
     told = [
-        one for one in told if one.quantity not in ("angle", "length") or str(roles[one.column].joint) not in scales
+        one
+        for name, found in roles.items()
+        if (one := _said(name, found, roles, headings or {}, model))
+    ]
+    told = [
+        one
+        for one in told
+        if one.quantity not in ("angle", "length") or str(roles[one.column].joint) not in scales
     ]
     out: Units = {}
     for key, one in lines(told).items():
         differ = any(
-            t.quantity == one.quantity and t.unit != one.unit and t.slides == one.slides for t in told if t.fits
+            t.quantity == one.quantity and t.unit != one.unit and t.slides == one.slides
+            for t in told
+            if t.fits
         )
-        also = f"; other headings of {one.quantity} say otherwise" if one.quantity and differ else ""
+        if one.quantity and differ:
+            also = f"; other headings of {one.quantity} say otherwise"
+        else:
+            also = ""
         if key != "time":
             out[key] = (one.unit, f"the heading says so ({one.heading}){also}")
     for one in told:
@@ -91,17 +106,27 @@ def guess_units(
     out |= {scale.line.partition(" ")[0]: (scale, scale.why) for scale in scales.values()}
     time = next((columns[name] for name in TIME if name in columns), None)
     unit = out.get("time", ("s", ""))[0]
-    seconds = None if time is None or not isinstance(unit, str) else time * TIME_UNITS[unit]
+    if time is None or not isinstance(unit, str):
+        seconds = None
+    else:
+        seconds = time * TIME_UNITS[unit]
     turning, sliding = (_seen(columns, roles, scales, model, kind) for kind in (False, True))
     out = _lengths(out, told, seconds, sliding)
     return _angles(out, told, seconds, turning, lerobot, model is None)
 
 
 def _said(
-    name: str, found: Role, roles: Mapping[str, Role], headings: Mapping[str, str], model: ModelNames | None
+    name: str,
+    found: Role,
+    roles: Mapping[str, Role],
+    headings: Mapping[str, str],
+    model: ModelNames | None,
 ) -> Said | None:
     j = _index(found, roles, model)
-    slides = None if model is None or j is None else model.joints[j] in model.slides
+    if model is None or j is None:
+        slides = None
+    else:
+        slides = model.joints[j] in model.slides
     return said(name, headings.get(name, name), found, slides, model.joints if model else ())
 
 
@@ -110,14 +135,22 @@ def _index(found: Role, roles: Mapping[str, Role], model: ModelNames | None) -> 
     if model is None or found.stem == "ctrl":
         return None
     if isinstance(found.joint, str):
-        return model.joints.index(found.joint) if found.joint in model.joints else None
+        if found.joint in model.joints:
+            return model.joints.index(found.joint)
+        return None
     first = 0 if any(r.joint == 0 for r in roles.values()) else 1
     j = 0 if found.joint is None else found.joint - first
-    return j if 0 <= j < len(model.joints) else None
+    if 0 <= j < len(model.joints):
+        return j
+    return None
 
 
 def _scales(
-    columns: dict[str, np.ndarray], roles: dict, joints: Sequence[str], lerobot: bool, model: ModelNames | None
+    columns: dict[str, np.ndarray],
+    roles: dict,
+    joints: Sequence[str],
+    lerobot: bool,
+    model: ModelNames | None,
 ) -> dict[str, Scale]:
     """Scales that are no units of angle, by joint as the columns name it."""
     by_joint: dict[str, list[np.ndarray]] = {}
@@ -147,11 +180,16 @@ def _seen(
         ):
             continue
         {"q": seen.q, "v": seen.v, "target": seen.target}[found.stem][found.joint] = columns[name]
-        seen.name[found.joint] = model.joints[j] if model and j is not None else str(found.joint or name)
+        if model and j is not None:
+            seen.name[found.joint] = model.joints[j]
+        else:
+            seen.name[found.joint] = str(found.joint or name)
         if model and j is not None:
             if limits := model.limits_of(j):
                 seen.limits[found.joint] = limits
-            if any(a.kind == "position" and a.joint == model.joints[j] for a in model.actuators or ()):
+            if any(
+                a.kind == "position" and a.joint == model.joints[j] for a in model.actuators or ()
+            ):
                 servos.add(found.joint)
     return _Seen(seen.q, seen.v, seen.target, seen.name, seen.limits, frozenset(servos))
 
@@ -159,20 +197,33 @@ def _seen(
 def _time(columns: dict[str, np.ndarray], heading: Said | None) -> Units:
     """The unit of time, by the heading, else by the interval of rows."""
     time = next((columns[name] for name in TIME if name in columns), None)
-    step = float(np.median(np.diff(time))) if time is not None and len(time) > 2 else None
-    name = None if step is None else next((n for n, s in TIME_UNITS.items() if step * s <= SLOWEST), "ns")
+    if time is not None and len(time) > 2:
+        step = float(np.median(np.diff(time)))
+    else:
+        step = None
+    if step is None:
+        name = None
+    else:
+        name = next((n for n, s in TIME_UNITS.items() if step * s <= SLOWEST), "ns")
     if heading is None:
-        return {} if name in (None, "s") else {"time": (name, f"a row every {step:.4g}")}
+        if name in (None, "s"):
+            return {}
+        return {"time": (name, f"a row every {step:.4g}")}
     why = f"the heading says so ({heading.heading})"
     if step is not None and not FASTEST <= step * heading.scale <= SLOWEST:
-        why += f", but a row every {step:.4g} {'looks like ' + str(name) if name != heading.unit else 'looks like a larger unit'}"
+        why += (
+            f", but a row every {step:.4g} "
+            f"{'looks like ' + str(name) if name != heading.unit else 'looks like a larger unit'}"
+        )
     elif heading.unit == "s":
         return {}
     return {"time": (heading.unit, why)}
 
 
 def _lengths(out: Units, told: Sequence[Said], time: np.ndarray | None, seen: _Seen) -> Units:
-    """With the unit of sliding joints' ways, by the headings, else by their speeds, ranges, sizes."""
+    """With the unit of sliding joints' ways, by the headings, else by their speeds, ranges,
+    sizes.
+    """
     if any(one.quantity == "length" and one.fits for one in told):
         return out
     gain = None if time is None else _gain(time, seen.q, seen.v)
@@ -180,35 +231,58 @@ def _lengths(out: Units, told: Sequence[Said], time: np.ndarray | None, seen: _S
     if gain is not None:  # of speeds in m/s, where no heading says otherwise
         for unit, scale in LENGTH_UNITS.items():
             if scale != 1.0 and _like(gain * (own[0] if own else 1.0), scale):
-                speeds = {} if own else {f"v_{seen.name[j]}": ("m/s", "see length") for j in seen.v if j in seen.q}
+                if own:
+                    speeds = {}
+                else:
+                    speeds = {
+                        f"v_{seen.name[j]}": ("m/s", "see length") for j in seen.v if j in seen.q
+                    }
                 return out | {"length": (unit, "ways against speeds tell")} | speeds
         return out
     for joint in seen.q:
         reach, name = seen.reach(joint), seen.name[joint]
-        if (limits := seen.limits.get(joint)) and (units := lengths_within(times_range(reach, limits))):
+        if (limits := seen.limits.get(joint)) and (
+            units := lengths_within(times_range(reach, limits))
+        ):
             why = f"{name} reaches {reach:.4g}, its range in the model is {limits[0]:g} to {limits[1]:g} m"
             sure = len(units) == 1
             return out | {
-                "length": (units[0] if sure else Question(units[0]), why if sure else f"{why}: {' or '.join(units)}?")
+                "length": (
+                    units[0] if sure else Question(units[0]),
+                    why if sure else f"{why}: {' or '.join(units)}?",
+                )
             }
         if limits is None and reach > LONG:
-            return out | {"length": (Question("mm"), f"{name} reaches {reach:.4g}: if that is no metres, say so")}
+            return out | {
+                "length": (
+                    Question("mm"),
+                    f"{name} reaches {reach:.4g}: if that is no metres, say so",
+                )
+            }
     return out
 
 
 def _angles(
-    out: Units, told: Sequence[Said], time: np.ndarray | None, seen: _Seen, lerobot: bool, unknown: bool
+    out: Units,
+    told: Sequence[Said],
+    time: np.ndarray | None,
+    seen: _Seen,
+    lerobot: bool,
+    unknown: bool,
 ) -> Units:
     """With the units of angles and of their speeds."""
     gain = None if time is None else _gain(time, seen.q, seen.v)
     angle = {one.scale for one in told if one.quantity == "angle" and one.fits}
-    speed = {one.scale for one in told if one.quantity == "velocity" and one.fits and not one.slides}
+    speed = {
+        one.scale for one in told if one.quantity == "velocity" and one.fits and not one.slides
+    }
     if angle or speed:
         return _by_headings(out, gain, angle, speed, seen)
     if gain is not None and _like(gain, DEGREE):
         return out | {
-            "angle": ("deg", "speeds fit rad/s, angles are 57 times larger"), "velocity": ("rad/s", "see angle"),
-        }  # fmt: skip
+            "angle": ("deg", "speeds fit rad/s, angles are 57 times larger"),
+            "velocity": ("rad/s", "see angle"),
+        }
     if gain is not None and _like(gain, 1 / DEGREE):
         return out | {"velocity": ("deg/s", "speeds are 57 times the angles' slopes")}
     if gain is not None and _like(gain, 1 / RPM):
@@ -216,21 +290,42 @@ def _angles(
     return out | _by_size(time, seen, lerobot, unknown)
 
 
-def _by_headings(out: Units, gain: float | None, angle: set[float], speed: set[float], seen: _Seen) -> Units:
-    """What headings say of angles and speeds, with what follows for the others, and what contradicts them."""
-    if gain is not None and len(angle) == 1 and not speed and _like(gain, *angle) and angle != {1.0}:
+def _by_headings(
+    out: Units, gain: float | None, angle: set[float], speed: set[float], seen: _Seen
+) -> Units:
+    """What headings say of angles and speeds, with what follows for the others, and what
+    contradicts them.
+    """
+    if (
+        gain is not None
+        and len(angle) == 1
+        and not speed
+        and _like(gain, *angle)
+        and angle != {1.0}
+    ):
         out = out | {"velocity": ("rad/s", "speeds fit rad/s")}
     elif gain is not None and len(speed) == 1 and not angle and _like(gain * min(speed), DEGREE):
         out = out | {"angle": ("deg", "angles are 57 times larger than speeds tell")}
-    elif gain is not None and len(angle) == len(speed) == 1 and not _like(gain * min(speed), *angle):
-        key = next(key for key in ("velocity", *out) if key in out and (key == "velocity" or key[0] == "v"))
+    elif (
+        gain is not None and len(angle) == len(speed) == 1 and not _like(gain * min(speed), *angle)
+    ):
+        key = next(
+            key for key in ("velocity", *out) if key in out and (key == "velocity" or key[0] == "v")
+        )
         unit, why = out[key]
         times = gain * min(speed) / min(angle)
         out = out | {
-            key: (unit, f"{why}, but speeds are {times:.3g} times what the angles' slopes are by their heading")
+            key: (
+                unit,
+                f"{why}, but speeds are {times:.3g} times what the angles' slopes are by their "
+                f"heading",
+            )
         }
     for joint, limits in seen.limits.items():
-        times = times_range(seen.reach(joint), limits) if joint in seen.q else 0.0
+        if joint in seen.q:
+            times = times_range(seen.reach(joint), limits)
+        else:
+            times = 0.0
         if angle == {1.0} and times > HINT and times * DEGREE <= INSIDE and "angle" in out:
             unit, why = out["angle"]
             far = f"{seen.name[joint]} reaches {seen.reach(joint):.4g}, its range in the model is {limits[0]:.3g} to {limits[1]:.3g}"
@@ -239,18 +334,28 @@ def _by_headings(out: Units, gain: float | None, angle: set[float], speed: set[f
 
 
 def _by_size(time: np.ndarray | None, seen: _Seen, lerobot: bool, unknown: bool) -> Units:
-    """Degrees, where something beside the size backs them; a question where the size is all there is. unknown: no model is known."""
+    """Degrees, where something beside the size backs them; a question where the size is all there
+    is. unknown: no model is known.
+    """
     asked: Units = {}
     for joint, q in seen.q.items():
         reach = seen.reach(joint)
         if reach <= LARGE:
             continue
         limits = seen.limits.get(joint)
-        if limits and times_range(reach, limits) > HINT and times_range(reach, limits) * DEGREE <= INSIDE:
+        if (
+            limits
+            and times_range(reach, limits) > HINT
+            and times_range(reach, limits) * DEGREE <= INSIDE
+        ):
             why = f"{seen.name[joint]} reaches {reach:.4g}, its range in the model is {limits[0]:.3g} to {limits[1]:.3g} rad"
             return {"angle": ("deg", why)}
         turns = f"angles reach {reach:.4g}; rad, if the joint turns {reach / (2 * np.pi):.2g} times"
-        fast = time is not None and np.nanquantile(np.abs(np.gradient(q, time)), 0.99) > SWIFT and reach <= TURN
+        fast = (
+            time is not None
+            and np.nanquantile(np.abs(np.gradient(q, time)), 0.99) > SWIFT
+            and reach <= TURN
+        )
         if lerobot or (fast and (unknown or joint in seen.servos)):
             return {"angle": ("deg", turns)}
         asked = asked or {"angle": (Question("deg"), turns)}

@@ -1,4 +1,6 @@
-"""Units that the data betray: degrees for radians, milliseconds for seconds; suspected, never mended."""
+"""Units that the data betray: degrees for radians, milliseconds for seconds; suspected, never
+mended.
+"""
 
 import math
 from collections.abc import Iterable
@@ -12,7 +14,8 @@ from adaptsim_jax.logs.quality.conventions import gravity_fit
 from adaptsim_jax.logs.types import Recording, Trial
 
 GAINS = {
-    math.pi / 180: 'q1, q2 in degrees while v1, v2 are in rad/s; write angle = "deg" and velocity = "rad/s"',
+    math.pi
+    / 180: 'q1, q2 in degrees while v1, v2 are in rad/s; write angle = "deg" and velocity = "rad/s"',
     180 / math.pi: 'v1, v2 in deg/s while q1, q2 are in rad; write velocity = "deg/s"',
     1e3: 'time in milliseconds; write time = "ms"',
     1e6: 'time in microseconds; write time = "us"',
@@ -22,20 +25,27 @@ GAINS = {
 ALIKE = 0.1
 """How far (in log) a speed may be from a known mistake and still be taken for it."""
 FAST = 15.0
-"""Top speed over sqrt(g / l) that no pendulum on a bench reaches (a fall from upright gives 2, a whip 6)."""
+"""Top speed over sqrt(g / l) that no pendulum on a bench reaches (a fall from upright gives 2, a
+whip 6).
+"""
 BETTER = 0.5
-"""Share of the unexplained torque that must remain, at most, after a conversion for it to be believed."""
+"""Share of the unexplained torque that must remain, at most, after a conversion for it to be
+believed.
+"""
 
 
 def check_units(recording: Recording, *, angle_stated: bool = False) -> None:
-    """Raise `BadInput` naming the first trial whose unit is suspect, with the line to add to meta.toml.
+    """Raise `BadInput` naming the first trial whose unit is suspect, with the line to add to
+    meta.toml.
 
     Where meta.toml states the unit of angles, that is believed.
     """
     for trial in recording.trials:
         suspect = _velocity_suspect(trial)
         if suspect:
-            raise BadInput(_say(trial, f"velocities and angles differ by a unit: suspected are {suspect}"))
+            raise BadInput(
+                _say(trial, f"velocities and angles differ by a unit: suspected are {suspect}")
+            )
     if not angle_stated and _degrees(recording):
         fastest = max(recording.trials, key=_top_speed)
         size = f"angles reach {_reach(fastest):.3g} and speeds {_top_speed(fastest):.3g}"
@@ -50,21 +60,35 @@ def _say(trial: Trial, why: str) -> str:
 def _velocity_suspect(trial: Trial) -> str:
     """The unit mismatch that both joints agree on, or nothing."""
     return speed_mistake(
-        [] if trial.v is None else [velocity_agreement(trial.time, *z) for z in zip(trial.q.T, trial.v.T, strict=True)]
+        []
+        if trial.v is None
+        else [velocity_agreement(trial.time, *z) for z in zip(trial.q.T, trial.v.T, strict=True)]
     )
 
 
 def speed_mistake(joints: Iterable[Agreement]) -> str:
-    """The mistake in a unit that speeds of all joints that move enough agree on (within 10 %), or nothing."""
+    """The mistake in a unit that speeds of all joints that move enough agree on (within 10 %), or
+    nothing.
+    """
     gains = [a.gain for a in joints if a.enough and a.r2 > 0.9]
     if not gains or min(gains) <= 0:
         return ""
-    return next((what for size, what in GAINS.items() if all(abs(math.log(g / size)) < ALIKE for g in gains)), "")
+    return next(
+        (
+            what
+            for size, what in GAINS.items()
+            if all(abs(math.log(g / size)) < ALIKE for g in gains)
+        ),
+        "",
+    )
 
 
 def _top_speed(trial: Trial) -> float:
     """A speed that the faster joint exceeds in one row of a hundred."""
-    v = trial.v if trial.v is not None else np.diff(trial.q, axis=0) / np.diff(trial.time)[:, None]
+    if trial.v is not None:
+        v = trial.v
+    else:
+        v = np.diff(trial.q, axis=0) / np.diff(trial.time)[:, None]
     return float(np.max(np.quantile(np.abs(v), 0.99, axis=0)))
 
 
@@ -73,10 +97,12 @@ def _reach(trial: Trial) -> float:
 
 
 def _degrees(recording: Recording) -> bool:
-    """Angles too large and speeds too high for radians, or a rigid-body fit that degrees suit far better.
+    """Angles too large and speeds too high for radians, or a rigid-body fit that degrees suit far
+    better.
 
-    The fit decides where there is torque to judge by: sin and cos of the true angle enter the dynamics. Sizes are those of the
-    median trial: all of a recording is in one unit, and one trial may have run away.
+    The fit decides where there is torque to judge by: sin and cos of the true angle enter the
+    dynamics. Sizes are those of the median trial: all of a recording is in one unit, and one trial
+    may have run away.
     """
     reach = float(np.median([_reach(t) for t in recording.trials]))
     speed = float(np.median([_top_speed(t) for t in recording.trials]))

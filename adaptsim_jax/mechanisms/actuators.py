@@ -2,10 +2,11 @@
 
 All kinds are one law, MuJoCo's with affine bias: with `length = gear q` and `speed = gear v`,
 
-    force = gain ctrl + offset - kp length - kv speed        the joint gets gear * (force within forcerange)
+    force = gain ctrl + offset - kp length - kv speed        the joint gets gear * (force within
+    forcerange)
 
-A motor has gain 1, kp = kv = 0; a position servo gain = kp, a velocity servo gain = kv; a dcmotor (volts) gain = K / R and
-kv = K^2 / R; `general` is any other. Ranges are nan where there is none.
+A motor has gain 1, kp = kv = 0; a position servo gain = kp, a velocity servo gain = kv; a dcmotor
+(volts) gain = K / R and kv = K^2 / R; `general` is any other. Ranges are nan where there is none.
 """
 
 from dataclasses import dataclass
@@ -15,8 +16,9 @@ NO_RANGE = (float("nan"), float("nan"))
 
 @dataclass(frozen=True)
 class Actuator:
-    """One actuator. `joint` is an index into the tree; `delay` and `lag` (a first-order filter of the command) in s; more: other
-    joints that it pulls by a tendon, each with its own gear."""
+    """One actuator. `joint` is an index into the tree; `delay` and `lag` (a first-order filter of
+    the command) in s; more: other joints that it pulls by a tendon, each with its own gear.
+    """
 
     name: str
     joint: int

@@ -1,7 +1,9 @@
-"""A controller in the loop with a model and all its effects: command, force and measurement effects, row by row.
+"""A controller in the loop with a model and all its effects: command, force and measurement
+effects, row by row.
 
-A law sees what the sensors say and its own past commands, decides a torque, and holds it for a row. Command and
-measurement effects are functions of whole sequences; here they get the last rows only, as many as they remember.
+A law sees what the sensors say and its own past commands, decides a torque, and holds it for a row.
+Command and measurement effects are functions of whole sequences; here they get the last rows only,
+as many as they remember.
 """
 
 from collections.abc import Callable
@@ -15,12 +17,16 @@ import numpy as np
 from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.mechanisms.stepping import Model, row_step
 
-Law = Callable[[jax.Array, jax.Array, jax.Array], jax.Array]  # (measured [S], past [H, U], t []) -> torque [U] N m
+Law = Callable[
+    [jax.Array, jax.Array, jax.Array], jax.Array
+]  # (measured [S], past [H, U], t []) -> torque [U] N m
 LONGEST = 40  # rows that a sensor or actuator is taken to remember at most
 
 
 def broadcasts(function):
-    """Effects and plants broadcast over ranks by design: allow it inside, however strict the caller is."""
+    """Effects and plants broadcast over ranks by design: allow it inside, however strict the caller
+    is.
+    """
 
     @wraps(function)
     def inside(*args, **kwargs):
@@ -31,7 +37,9 @@ def broadcasts(function):
 
 
 class Loop(NamedTuple):
-    """What happened: state `[T, S]`, measured `[T, S]`, command `[T, U]` N m at the start of each row."""
+    """What happened: state `[T, S]`, measured `[T, S]`, command `[T, U]` N m at the start of each
+    row.
+    """
 
     state: jax.Array
     measured: jax.Array
@@ -40,8 +48,10 @@ class Loop(NamedTuple):
 
 @broadcasts
 def run_loop(model: Model, theta, eff, law: Law, start, rows: int, dt: float, history: int) -> Loop:
-    """Run `law` for `rows` rows of `dt` s from `start: [S]`; theta `[P]`, eff `[E]`. Before the start nothing was
-    commanded and nothing moved. `history`: rows of the past that effects and law see (`history_rows`)."""
+    """Run `law` for `rows` rows of `dt` s from `start: [S]`; theta `[P]`, eff `[E]`. Before the
+    start nothing was commanded and nothing moved. `history`: rows of the past that effects and law
+    see (`history_rows`).
+    """
     n = model.plant.joint_dim
     start = jnp.asarray(start)
     memory = tuple(jnp.zeros((n, 1), start.dtype) for e in model.layout.placed("force") if e.memory)
@@ -56,7 +66,9 @@ def run_loop(model: Model, theta, eff, law: Law, start, rows: int, dt: float, hi
         u = law(y, past, t)
         past = jnp.concatenate([past[1:], u[None]])
         applied = arrived(model, eff, past, dt)
-        new, memory = row_step(model, theta, eff, x[:, None], memory, applied[:, None], t[None], step)
+        new, memory = row_step(
+            model, theta, eff, x[:, None], memory, applied[:, None], t[None], step
+        )
         return (jnp.concatenate(new), memory, past, seen, said), Loop(x, y, u)
 
     past = jnp.zeros((history, model.plant.command_dim), start.dtype)
@@ -79,7 +91,9 @@ def arrived(model: Model, eff, past, dt: float) -> jax.Array:
 
 @broadcasts
 def sensed(model: Model, eff, seen, first, dt: float) -> jax.Array:
-    """What the sensors say `[S]` of the last of `seen: [H, S]` states, having said angles `first: [n]` at the first."""
+    """What the sensors say `[S]` of the last of `seen: [H, S]` states, having said angles `first:
+    [n]` at the first.
+    """
     n = model.plant.joint_dim
     q, v = seen[:, :n, None], seen[:, n:, None]
     t = dt * jnp.arange(seen.shape[0], dtype=seen.dtype)[:, None, None]
@@ -89,26 +103,37 @@ def sensed(model: Model, eff, seen, first, dt: float) -> jax.Array:
 
 
 def history_rows(model: Model, eff: np.ndarray, dt: float) -> int:
-    """Rows of the past that command and measurement effects depend on at the largest parameters `eff: [E]`."""
+    """Rows of the past that command and measurement effects depend on at the largest parameters
+    `eff: [E]`.
+    """
     rows = [np.asarray(response(model, e, eff, dt)) for e in model.layout.placed("command")]
-    longest = max((int(np.flatnonzero(np.abs(r).max(1) > 2e-3)[-1]) + 2 for r in rows if np.abs(r).any()), default=2)
+    longest = max(
+        (int(np.flatnonzero(np.abs(r).max(1) > 2e-3)[-1]) + 2 for r in rows if np.abs(r).any()),
+        default=2,
+    )
     remembers = any(e.jump for e in model.layout.placed("measurement"))
     return min(LONGEST, max(longest, LONGEST if remembers else 2))
 
 
 @broadcasts
 def response(model: Model, effect: Effect, eff, dt: float) -> jax.Array:
-    """Torque per unit `[LONGEST, U]` in each row after a command of one row, large enough to pass any dead zone."""
+    """Torque per unit `[LONGEST, U]` in each row after a command of one row, large enough to pass
+    any dead zone.
+    """
     size = 1e3
     t = dt * jnp.arange(LONGEST + 1, dtype=jnp.float32)[:, None, None]
     pulse = jnp.zeros((LONGEST + 1, model.plant.command_dim, 1)).at[1].set(size)
-    p = {k: v[None] for k, v in model.layout.params(effect, jnp.asarray(eff, jnp.float32), 1).items()}
+    p = {
+        k: v[None] for k, v in model.layout.params(effect, jnp.asarray(eff, jnp.float32), 1).items()
+    }
     return (effect.apply(p, t, pulse) - effect.apply(p, t, 0.0 * pulse))[1:, :, 0] / size
 
 
 @broadcasts
 def group_delay(model: Model, eff, dt: float) -> jax.Array:
-    """Time `[]` s by which commands arrive late: the centre of the response to one row's command, the later joint's."""
+    """Time `[]` s by which commands arrive late: the centre of the response to one row's command,
+    the later joint's.
+    """
     total = jnp.zeros(model.plant.command_dim)
     for effect in model.layout.placed("command"):
         if effect.jump:

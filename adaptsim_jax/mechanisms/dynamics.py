@@ -1,15 +1,19 @@
-"""Dynamics of a `Tree`: mass matrix, bias force, regressor, acceleration with its derivatives, positions and energy.
+"""Dynamics of a `Tree`: mass matrix, bias force, regressor, acceleration with its derivatives,
+positions and energy.
 
-Arrays are `[n, ...batch]` with the batch last, and all is sums and products over lanes of all joints at once, so that it
-vectorises, and compiles in about the same time for two joints and for twelve. Vectors are in the world's axes, motions and
-wrenches about the first joint of each branch. Inverse dynamics are the recursive Newton-Euler algorithm and the mass matrix comes
-from composite bodies (Featherstone, "Rigid Body Dynamics Algorithms", 2008); derivatives are analytic (Singh, Russell and
-Wensing, "Efficient analytical derivatives of rigid-body dynamics using spatial vector algebra", RA-L 7(2), 2022; Carpentier and
-Mansard, 2018), so that a derivative along many directions costs a small matrix product each.
+Arrays are `[n, ...batch]` with the batch last, and all is sums and products over lanes of all
+joints at once, so that it vectorises, and compiles in about the same time for two joints and for
+twelve. Vectors are in the world's axes, motions and wrenches about the first joint of each branch.
+Inverse dynamics are the recursive Newton-Euler algorithm and the mass matrix comes from composite
+bodies (Featherstone, "Rigid Body Dynamics Algorithms", 2008); derivatives are analytic (Singh,
+Russell and Wensing, "Efficient analytical derivatives of rigid-body dynamics using spatial vector
+algebra", RA-L 7(2), 2022; Carpentier and Mansard, 2018), so that a derivative along many directions
+costs a small matrix product each.
 
-`inertial [n, 10]`, `gravity [3]` and `armature [n]` are arguments of their own and may carry the batch's axes. Rows of `inertial`
-of bodies that are `tree.massless` are not looked at. Where joints follow others (`tree.whole`), all is computed for all joints and
-brought to the coordinates at the end; `inertial` is of the coordinates' own bodies, followers keep theirs.
+`inertial [n, 10]`, `gravity [3]` and `armature [n]` are arguments of their own and may carry the
+batch's axes. Rows of `inertial` of bodies that are `tree.massless` are not looked at. Where joints
+follow others (`tree.whole`), all is computed for all joints and brought to the coordinates at the
+end; `inertial` is of the coordinates' own bodies, followers keep theirs.
 """
 
 from dataclasses import replace
@@ -58,7 +62,9 @@ Array = Any
 
 
 class Still(NamedTuple):
-    """What positions alone decide: poses, the motion that each joint makes at unit speed, and the bodies."""
+    """What positions alone decide: poses, the motion that each joint makes at unit speed, and the
+    bodies.
+    """
 
     pose: Pose
     screw: Pair
@@ -66,7 +72,9 @@ class Still(NamedTuple):
 
 
 class Moving(NamedTuple):
-    """Of each body: velocity and acceleration (less gravity), the same of the body before it, and the wrench that it needs."""
+    """Of each body: velocity and acceleration (less gravity), the same of the body before it, and
+    the wrench that it needs.
+    """
 
     velocity: Pair
     acceleration: Pair
@@ -76,7 +84,9 @@ class Moving(NamedTuple):
 
 
 def mass_matrix(tree: Tree, inertial: Array, q: Array) -> jax.Array:
-    """`[n, n, ...]` kg m^2 (kg m, kg where slides are concerned) at `q: [n, ...]`, without armature."""
+    """`[n, n, ...]` kg m^2 (kg m, kg where slides are concerned) at `q: [n, ...]`, without
+    armature.
+    """
     q = jnp.asarray(q)
     whole, rows = _wholly(tree, inertial)
     still = _still(whole, rows, _angles(tree, q))
@@ -91,67 +101,100 @@ def gravity_force(tree: Tree, inertial: Array, q: Array, gravity: Array) -> jax.
 def inverse_dynamics(
     tree: Tree, inertial: Array, q: Array, v: Array | None, a: Array | None, gravity: Array
 ) -> jax.Array:
-    """`[n, ...]`: generalized forces that make `q, v, a: [n, ...]` come about, without armature; `v` or `a` None stands for 0."""
+    """`[n, ...]`: generalized forces that make `q, v, a: [n, ...]` come about, without armature;
+    `v` or `a` None stands for 0.
+    """
     q = jnp.asarray(q)
     whole, rows = _wholly(tree, inertial)
     return _inverse_dynamics(tree, whole, rows, q, v, a, gravity)
 
 
-def _inverse_dynamics(tree: Tree, whole: Tree, rows: Array, q: jax.Array, v: Any, a: Any, gravity: Array) -> jax.Array:
-    """Of all joints `whole` with inertial parameters `rows`, brought to the coordinates of `tree`."""
+def _inverse_dynamics(
+    tree: Tree, whole: Tree, rows: Array, q: jax.Array, v: Any, a: Any, gravity: Array
+) -> jax.Array:
+    """Of all joints `whole` with inertial parameters `rows`, brought to the coordinates of
+    `tree`.
+    """
     still = _still(whole, rows, _angles(tree, q))
     down = lifted(gravity, 1, q.ndim - 1, q.dtype)
     wrench = _up(whole, _moving(whole, still, _rates(tree, v), _rates(tree, a), down).wrench)
     like = _like(whole, rows, q, v, a, gravity)
     return _on_one(
-        tree, jnp.broadcast_to(_filled(dot_pair(still.screw, wrench), whole.n, like), (whole.n, *like.shape))
+        tree,
+        jnp.broadcast_to(
+            _filled(dot_pair(still.screw, wrench), whole.n, like), (whole.n, *like.shape)
+        ),
     )
 
 
 def compensation(tree: Tree, q: Array) -> jax.Array | None:
-    """`[n, ...]`: the force that holds declared shares of bodies up (MuJoCo's `qfrc_gravcomp`); None where nothing does."""
+    """`[n, ...]`: the force that holds declared shares of bodies up (MuJoCo's `qfrc_gravcomp`);
+    None where nothing does.
+    """
     every = tree if tree.whole is None else tree.whole.tree
     if not any(every.compensated):
         return None
     bare = replace(
         every,
         shapes=tuple(
-            replace(shape, massless=not on) for shape, on in zip(every.shapes, every.compensated, strict=True)
+            replace(shape, massless=not on)
+            for shape, on in zip(every.shapes, every.compensated, strict=True)
         ),
     )
-    return _inverse_dynamics(tree, bare, jnp.asarray(every.gravcomp), jnp.asarray(q), None, None, tree.gravity)
+    return _inverse_dynamics(
+        tree, bare, jnp.asarray(every.gravcomp), jnp.asarray(q), None, None, tree.gravity
+    )
 
 
 def acceleration(
     tree: Tree, inertial: Array, q: Array, v: Array, force: Array, armature: Array, gravity: Array
 ) -> jax.Array:
-    """`[n, ...]`: of the joints at `q, v: [n, ...]` under the generalized `force: [n, ...]` (all but gravity and inertia)."""
+    """`[n, ...]`: of the joints at `q, v: [n, ...]` under the generalized `force: [n, ...]` (all
+    but gravity and inertia).
+    """
     q = jnp.asarray(q)
     like = _like(tree, inertial, q, v, force, armature, gravity)
-    wide = lambda x: jnp.broadcast_to(lifted(x, 1, q.ndim - 1, q.dtype), (tree.n, *like.shape))
+
+    def wide(x):
+        return jnp.broadcast_to(lifted(x, 1, q.ndim - 1, q.dtype), (tree.n, *like.shape))
+
     return _acceleration(tree, inertial, wide(q), wide(v), wide(force), wide(armature), gravity)
 
 
 def inverse_mass(tree: Tree, inertial: Array, q: Array, armature: Array) -> jax.Array:
-    """`[n, n, ...]`: of the mass matrix with armature; column j is the acceleration that a unit force at joint j brings."""
+    """`[n, n, ...]`: of the mass matrix with armature; column j is the acceleration that a unit
+    force at joint j brings.
+    """
     q = jnp.asarray(q)
     like = _like(tree, inertial, q, armature)
-    wide = lambda x: jnp.broadcast_to(lifted(x, 1, q.ndim - 1, q.dtype), (tree.n, *like.shape))
+
+    def wide(x):
+        return jnp.broadcast_to(lifted(x, 1, q.ndim - 1, q.dtype), (tree.n, *like.shape))
+
     return _inverse_mass(tree, inertial, wide(q), wide(armature))
 
 
 def regressor(tree: Tree, q: Array, v: Array | None, a: Array | None, gravity: Array) -> jax.Array:
-    """`[n, 10 n, ...]`: inverse dynamics are `regressor @ inertial.ravel()` (Atkeson, An and Hollerbach, 1986)."""
+    """`[n, 10 n, ...]`: inverse dynamics are `regressor @ inertial.ravel()` (Atkeson, An and
+    Hollerbach, 1986).
+    """
     q = jnp.asarray(q)
     like = _like(tree, None, q, v, a, gravity)
     whole, _ = _wholly(tree, None)
     still = _still(whole, None, _angles(tree, q))
-    moving = _moving(whole, still, _rates(tree, v), _rates(tree, a), lifted(gravity, 1, q.ndim - 1, q.dtype))
+    moving = _moving(
+        whole, still, _rates(tree, v), _rates(tree, a), lifted(gravity, 1, q.ndim - 1, q.dtype)
+    )
     rotation, origin = still.pose
     omega, u = (apply_transposed(rotation, x) for x in _about(moving.velocity, origin))
     alpha, linear = (apply_transposed(rotation, x) for x in _about(moving.acceleration, origin))
-    linear = plus(linear, cross(omega, u))  # of the point of the body, where the spatial one is of the place
-    pair = lambda x: tuple(y if known(y) else y[None] for y in x)  # of body j, for each joint i
+    linear = plus(
+        linear, cross(omega, u)
+    )  # of the point of the body, where the spatial one is of the place
+
+    def pair(x):
+        return tuple(y if known(y) else y[None] for y in x)  # of body j, for each joint i
+
     axes = tuple(pair(row) for row in rotation)
     angular, along = (tuple(y if known(y) else y[:, None] for y in x) for x in still.screw)
     turn, push = (apply_transposed(axes, x) for x in _about((angular, along), pair(origin)))
@@ -172,19 +215,34 @@ def solve(mass: Array, rhs: Array) -> jax.Array:
 
 
 def passive_force(tree: Tree, q: Array, v: Array) -> jax.Array:
-    """`[n, ...]`: of the declared springs and dampers, MuJoCo's `qfrc_passive`. Dry friction is not among them."""
+    """`[n, ...]`: of the declared springs and dampers, MuJoCo's `qfrc_passive`. Dry friction is not
+    among them.
+    """
     q, v = jnp.asarray(q), jnp.asarray(v)
-    of = lambda x: lifted(x, 1, q.ndim - 1, q.dtype)
+
+    def of(x):
+        return lifted(x, 1, q.ndim - 1, q.dtype)
+
     x = q - of(tree.springref)
     fast, far = jnp.abs(v), jnp.abs(x)
-    drag = of(tree.damping) + of(tree.damping_poly[:, 0]) * fast + of(tree.damping_poly[:, 1]) * fast**2
-    pull = of(tree.stiffness) + of(tree.stiffness_poly[:, 0]) * far + of(tree.stiffness_poly[:, 1]) * far**2
+    drag = (
+        of(tree.damping)
+        + of(tree.damping_poly[:, 0]) * fast
+        + of(tree.damping_poly[:, 1]) * fast**2
+    )
+    pull = (
+        of(tree.stiffness)
+        + of(tree.stiffness_poly[:, 0]) * far
+        + of(tree.stiffness_poly[:, 1]) * far**2
+    )
     return -drag * v - pull * x
 
 
 def _wholly(tree: Tree, inertial: Any, change: bool = False) -> tuple[Tree, Any]:
-    """The tree of all joints, and the inertial parameters of all bodies with those of the coordinates' own in their place. change:
-    these are tangents, so that followers, which stay as they are, have none."""
+    """The tree of all joints, and the inertial parameters of all bodies with those of the
+    coordinates' own in their place. change: these are tangents, so that followers, which stay as
+    they are, have none.
+    """
     if tree.whole is None:
         return tree, inertial
     every, own = tree.whole.tree, np.array(tree.whole.own)
@@ -200,7 +258,9 @@ def _angles(tree: Tree, q: jax.Array) -> jax.Array:
     """`[m, ...]` of all joints at the coordinates `q: [n, ...]`."""
     if tree.whole is None:
         return q
-    factor, offset = (lifted(x, 1, q.ndim - 1, q.dtype) for x in (tree.whole.factor, tree.whole.offset))
+    factor, offset = (
+        lifted(x, 1, q.ndim - 1, q.dtype) for x in (tree.whole.factor, tree.whole.offset)
+    )
     return offset + factor * q[np.array(tree.whole.leader)]
 
 
@@ -217,9 +277,12 @@ def _on_one(tree: Tree, x: jax.Array) -> jax.Array:
     if tree.whole is None:
         return x
     scaled = lifted(tree.whole.factor, 1, x.ndim - 1, x.dtype) * x
-    return jnp.stack([
-        sum(scaled[k] for k, leader in enumerate(tree.whole.leader) if leader == j) for j in range(tree.n)
-    ])  # fmt: skip
+    return jnp.stack(
+        [
+            sum(scaled[k] for k, leader in enumerate(tree.whole.leader) if leader == j)
+            for j in range(tree.n)
+        ]
+    )
 
 
 def _on_both(tree: Tree, x: jax.Array) -> jax.Array:
@@ -231,7 +294,9 @@ def _on_both(tree: Tree, x: jax.Array) -> jax.Array:
 
 def _like(tree: Tree, inertial: Any, q: jax.Array, *others: Any) -> jax.Array:
     """Zeros of the batch's shape: what all arguments have behind their own axes."""
-    shapes = [jnp.shape(x)[1:] for x in (q, *others, tree.place[:, 0], tree.gravity) if x is not None]
+    shapes = [
+        jnp.shape(x)[1:] for x in (q, *others, tree.place[:, 0], tree.gravity) if x is not None
+    ]
     shapes += [] if inertial is None else [jnp.shape(inertial)[2:]]
     return jnp.zeros(jnp.broadcast_shapes(*shapes), q.dtype)
 
@@ -279,7 +344,9 @@ def _still(tree: Tree, inertial: Any, q: jax.Array) -> Still:
         moment = cross(pose.origin, axis)
         screw = (
             times(turns, axis),
-            tuple(add(mul(turns, m), mul(1.0 - turns, z)) for m, z in zip(moment, axis, strict=True)),
+            tuple(
+                add(mul(turns, m), mul(1.0 - turns, z)) for m, z in zip(moment, axis, strict=True)
+            ),
         )
     if inertial is None:
         return Still(pose, screw, Body(0, ZERO, (ZERO, ZERO, ZERO)))
@@ -287,27 +354,46 @@ def _still(tree: Tree, inertial: Any, q: jax.Array) -> Still:
     if any(tree.massless):
         rows = rows * _mask(~np.array(tree.massless), rows[0])
     mass, x, y, z, *six = (rows[:, k] for k in range(10))
-    return Still(pose, screw, moved(turned(pose.rotation, mass, (x, y, z), symmetric(*six)), pose.origin))
+    return Still(
+        pose, screw, moved(turned(pose.rotation, mass, (x, y, z), symmetric(*six)), pose.origin)
+    )
 
 
-def _moving(tree: Tree, still: Still, v: Array | None, a: Array | None, gravity: jax.Array) -> Moving:
+def _moving(
+    tree: Tree, still: Still, v: Array | None, a: Array | None, gravity: jax.Array
+) -> Moving:
     """gravity [3, ...]."""
     nothing: Pair = (ZERO, ZERO)
     batch = gravity.ndim - 1
-    along = nothing if v is None else times_pair(lifted(v, 1, batch, gravity.dtype), still.screw)
+    if v is None:
+        along = nothing
+    else:
+        along = times_pair(lifted(v, 1, batch, gravity.dtype), still.screw)
     velocity = _down(tree, along)
     rate = cross_motion(velocity, along)
     if a is not None:
         rate = plus_pair(rate, times_pair(lifted(a, 1, batch, gravity.dtype), still.screw))
     acceleration = _down(tree, rate)
-    acceleration = acceleration[0], tuple(sub(x, g[None]) for x, g in zip(acceleration[1], gravity, strict=True))
-    wrench = plus_pair(momentum(still.body, acceleration), cross_wrench(velocity, momentum(still.body, velocity)))
-    without = lambda pair, own: (minus(pair[0], own[0]), minus(pair[1], own[1]))
-    return Moving(velocity, acceleration, without(velocity, along), without(acceleration, rate), wrench)
+    acceleration = (
+        acceleration[0],
+        tuple(sub(x, g[None]) for x, g in zip(acceleration[1], gravity, strict=True)),
+    )
+    wrench = plus_pair(
+        momentum(still.body, acceleration), cross_wrench(velocity, momentum(still.body, velocity))
+    )
+
+    def without(pair, own):
+        return (minus(pair[0], own[0]), minus(pair[1], own[1]))
+
+    return Moving(
+        velocity, acceleration, without(velocity, along), without(acceleration, rate), wrench
+    )
 
 
 def _computed(values: Any, asked: jax.Array) -> Any:
-    """Arrays among the entries are computed here, once, and not in each place that uses them (see `once`)."""
+    """Arrays among the entries are computed here, once, and not in each place that uses them (see
+    `once`).
+    """
     leaves, kind = jax.tree.flatten(values)
     arrays = [x for x in leaves if not known(x)]
     if not arrays or asked.size == 0:
@@ -376,26 +462,41 @@ def _derivatives(
     moving = _moving(tree, still, v, a, lifted(gravity, 1, q.ndim - 1, q.dtype))
     screw = still.screw
     swing = cross_motion(moving.velocity_before, screw)
-    surge = plus_pair(cross_motion(moving.acceleration_before, screw), cross_motion(moving.velocity_before, swing))
-    whole, wrench, (spin, push) = _up(tree, (still.body, moving.wrench, swirl(still.body, moving.velocity)))
+    surge = plus_pair(
+        cross_motion(moving.acceleration_before, screw), cross_motion(moving.velocity_before, swing)
+    )
+    whole, wrench, (spin, push) = _up(
+        tree, (still.body, moving.wrench, swirl(still.body, moving.velocity))
+    )
 
     def swirled(m: Pair) -> Pair:
         return apply(spin, m[0]), times(2.0, cross(m[0], push))
 
-    above = plus_pair(plus_pair(momentum(whole, surge), swirled(swing)), cross_wrench(screw, wrench))
+    above = plus_pair(
+        plus_pair(momentum(whole, surge), swirled(swing)), cross_wrench(screw, wrench)
+    )
     above_v = plus_pair(times_pair(2.0, momentum(whole, swing)), swirled(screw))
     own = momentum(whole, screw)
     back = plus(apply_transposed(spin, screw[0]), times(2.0, cross(push, screw[1]))), ZERO
     carries = _ancestry(tree)
     upper, lower = _mask(carries, like), _mask((carries & ~np.eye(tree.n, dtype=bool)).T, like)
-    table = lambda x: _table(x, tree.n, like)
-    by_q = upper * table(_outer(screw, above)) + lower * table(add(_outer(own, surge), _outer(back, swing)))
-    by_v = upper * table(_outer(screw, above_v)) + lower * table(add(mul(2.0, _outer(own, swing)), _outer(back, screw)))
+
+    def table(x):
+        return _table(x, tree.n, like)
+
+    by_q = upper * table(_outer(screw, above)) + lower * table(
+        add(_outer(own, surge), _outer(back, swing))
+    )
+    by_v = upper * table(_outer(screw, above_v)) + lower * table(
+        add(mul(2.0, _outer(own, swing)), _outer(back, screw))
+    )
     return by_q, by_v
 
 
 def _body_regressor(w: Vector, dw: Vector, a: Vector) -> list[tuple[Vector, Vector]]:
-    """Force and moment about the origin, in the body's own axes, for one unit of each inertial parameter; `a`: of the origin."""
+    """Force and moment about the origin, in the body's own axes, for one unit of each inertial
+    parameter; `a`: of the origin.
+    """
     out: list[tuple[Vector, Vector]] = [(a, ZERO)]
     for unit in IDENTITY:
         out.append((plus(cross(dw, unit), cross(w, cross(w, unit))), cross(unit, a)))
@@ -443,7 +544,9 @@ def _inverted(mass: jax.Array) -> jax.Array:
 
 def _with_armature(mass: jax.Array, armature: jax.Array) -> jax.Array:
     n = mass.shape[0]
-    return mass + jnp.eye(n, dtype=mass.dtype).reshape(n, n, *(1,) * (mass.ndim - 2)) * armature[None]
+    return (
+        mass + jnp.eye(n, dtype=mass.dtype).reshape(n, n, *(1,) * (mass.ndim - 2)) * armature[None]
+    )
 
 
 def _times_rows(m: jax.Array, x: jax.Array) -> jax.Array:
@@ -472,8 +575,10 @@ def _mass_and_bias(tree, every, rows, q, v, armature, gravity):
 
 
 def _acceleration_jvp(primals, tangents):
-    """From M a + bias = force: da = M^-1 (dforce - d(inverse dynamics at a) - darmature a). The partial derivatives do not depend
-    on the direction, so under `vmap` over directions they are computed once."""
+    """From M a + bias = force: da = M^-1 (dforce - d(inverse dynamics at a) - darmature a). The
+    partial derivatives do not depend on the direction, so under `vmap` over directions they are
+    computed once.
+    """
     tree, inertial, q, v, force, armature, gravity = primals
     d_tree, d_inertial, d_q, d_v, d_force, d_armature, d_gravity = tangents
     every, rows = _wholly(tree, inertial)
@@ -488,13 +593,22 @@ def _acceleration_jvp(primals, tangents):
         None if _zero(d_q) else -_times_rows(by_q, d_q),
         None if _zero(d_v) else -_times_rows(by_v, d_v),
         None if _zero(d_armature) else -d_armature * a,
-        None if _zero(d_inertial) else -_inverse_dynamics(tree, *_wholly(tree, d_inertial, True), q, v, a, gravity),
+        None
+        if _zero(d_inertial)
+        else -_inverse_dynamics(tree, *_wholly(tree, d_inertial, True), q, v, a, gravity),
         None if _zero(d_gravity) else gravity_force(tree, inertial, q, d_gravity),
     ]
     missing = [x for x in missing if x is not None and not _zero(x)]
-    change = _times_rows(inverse, sum(missing)) if missing else jnp.zeros_like(a)  # type: ignore[arg-type]
+    # type: ignore[arg-type]
+    if missing:
+        change = _times_rows(inverse, sum(missing))
+    else:
+        change = jnp.zeros_like(a)
     if not all(map(_zero, jax.tree.leaves(d_tree, is_leaf=_zero))):
-        along = lambda tree: _accelerated(tree, inertial, q, v, force, armature, gravity)
+
+        def along(tree):
+            return _accelerated(tree, inertial, q, v, force, armature, gravity)
+
         change = change + jax.jvp(along, (tree,), (_made(d_tree),))[1]
     return a, change
 
@@ -504,7 +618,11 @@ def _zero(tangent: Any) -> bool:
 
 
 def _made(tangents: Any) -> Any:
-    fill = lambda x: jnp.zeros(x.shape, x.dtype) if _zero(x) else x
+    def fill(x):
+        if _zero(x):
+            return jnp.zeros(x.shape, x.dtype)
+        return x
+
     return jax.tree.map(fill, tangents, is_leaf=_zero)
 
 
@@ -538,7 +656,10 @@ def _inverse_mass_jvp(primals, tangents):
         moved_by = _still(every, d_rows, _angles(tree, q))
         change = change + _on_both(tree, _mass(every, moved_by, _up(every, moved_by.body), q[0]))
     if not all(map(_zero, jax.tree.leaves(d_tree, is_leaf=_zero))):
-        change = change + jax.jvp(lambda tree: mass_matrix(tree, inertial, q), (tree,), (_made(d_tree),))[1]
+        change = (
+            change
+            + jax.jvp(lambda tree: mass_matrix(tree, inertial, q), (tree,), (_made(d_tree),))[1]
+        )
 
     def product(a: Array, b: Array) -> Array:
         return sum(a[:, k][:, None] * b[k][None] for k in range(tree.n))
@@ -550,27 +671,53 @@ _inverse_mass.defjvp(_inverse_mass_jvp, symbolic_zeros=True)
 
 
 def _mass_by_q(tree: Tree, still: Still, whole: Body, like: jax.Array) -> jax.Array:
-    """`[n, n, n, ...]`: derivative of the mass matrix's entry i, j by the angle k. Only what lies between two joints, or is carried
-    by both, changes it: with j carrying i, either k is between (then joint j's screw turns against the rest), or i carries k."""
+    """`[n, n, n, ...]`: derivative of the mass matrix's entry i, j by the angle k. Only what lies
+    between two joints, or is carried by both, changes it: with j carrying i, either k is between
+    (then joint j's screw turns against the rest), or i carries k.
+    """
     n, carries, eye = tree.n, _ancestry(tree), np.eye(tree.n, dtype=bool)
 
     def at(pair: Pair, own: str) -> Pair:
         """Entries with the axes `own`, in that order, on the axes i, j, k."""
         missing = [axis for axis in "ijk" if axis not in own]
         order = [(own + "".join(missing)).index(axis) for axis in "ijk"]
-        spread = lambda x: x.reshape(*x.shape[: len(own)], *(1,) * len(missing), *x.shape[len(own) :])
-        place = lambda x: x if known(x) else jnp.transpose(spread(x), (*order, *range(3, spread(x).ndim)))
+
+        def spread(x):
+            return x.reshape(*x.shape[: len(own)], *(1,) * len(missing), *x.shape[len(own) :])
+
+        def place(x):
+            if known(x):
+                return x
+            return jnp.transpose(spread(x), (*order, *range(3, spread(x).ndim)))
+
         return jax.tree.map(place, pair)
 
-    first = lambda x: jax.tree.map(lambda y: y if known(y) else y[:, None], x)
-    second = lambda x: jax.tree.map(lambda y: y if known(y) else y[None], x)
-    turns = cross_motion(first(still.screw), second(still.screw))  # [j, k]: screw j turned by joint k, less its sign
-    pull = momentum(first(whole), second(still.screw))  # [k, i]: what joint k carries, moved by joint i
+    def first(x):
+        return jax.tree.map(lambda y: y if known(y) else y[:, None], x)
+
+    def second(x):
+        return jax.tree.map(lambda y: y if known(y) else y[None], x)
+
+    turns = cross_motion(
+        first(still.screw), second(still.screw)
+    )  # [j, k]: screw j turned by joint k, less its sign
+    pull = momentum(
+        first(whole), second(still.screw)
+    )  # [k, i]: what joint k carries, moved by joint i
     between = dot_pair(at(momentum(whole, still.screw), "i"), at(turns, "jk"))
-    carried = add(dot_pair(at(turns, "jk"), at(pull, "ki")), dot_pair(at(pull, "kj"), at(turns, "ik")))
+    carried = add(
+        dot_pair(at(turns, "jk"), at(pull, "ki")), dot_pair(at(pull, "kj"), at(turns, "ik"))
+    )
     below, strictly = carries.T, carries.T & ~eye  # [i, j]: joint j carries joint i
-    in_between = below[:, :, None] & strictly.T[None] & below[:, None, :]  # j above k, and k carries i
+    in_between = (
+        below[:, :, None] & strictly.T[None] & below[:, None, :]
+    )  # j above k, and k carries i
     further = below[:, :, None] & strictly.T[:, None, :]  # i above k
-    cube = lambda x, mask: jnp.broadcast_to(jnp.asarray(x, like.dtype), (n, n, n, *like.shape)) * _mask(mask, like)
+
+    def cube(x, mask):
+        return jnp.broadcast_to(jnp.asarray(x, like.dtype), (n, n, n, *like.shape)) * _mask(
+            mask, like
+        )
+
     lower = cube(between, in_between) + cube(carried, further)
     return lower + jnp.swapaxes(lower, 0, 1) * _mask(~eye, like)[:, :, None]

@@ -1,8 +1,9 @@
-"""Equations of motion of a tree: its full dynamics (`dynamics.py`), or where `tree.linear` those linearised about rest at zero.
+"""Equations of motion of a tree: its full dynamics (`dynamics.py`), or where `tree.linear` those
+linearised about rest at zero.
 
-Linearised, the mass matrix is that of the pose at zero, gravity is followed to first order in the angles, and there are no Coriolis
-and centrifugal forces: `M(0) a = force + g(0) + g'(0) q` (the paper's double pendulum, section 5.1). Arguments and shapes are those
-of `dynamics.py`.
+Linearised, the mass matrix is that of the pose at zero, gravity is followed to first order in the
+angles, and there are no Coriolis and centrifugal forces: `M(0) a = force + g(0) + g'(0) q` (the
+paper's double pendulum, section 5.1). Arguments and shapes are those of `dynamics.py`.
 """
 
 from dataclasses import replace
@@ -24,7 +25,9 @@ def acceleration(
     if not tree.linear:
         return dynamics.acceleration(tree, inertial, q, v, force, armature, gravity)
     pull = gravity_force(tree, inertial, q, gravity)
-    return dynamics.acceleration(_full(tree), inertial, 0.0 * q, 0.0 * v, force + pull, armature, 0.0 * gravity)
+    return dynamics.acceleration(
+        _full(tree), inertial, 0.0 * q, 0.0 * v, force + pull, armature, 0.0 * gravity
+    )
 
 
 def inverse_mass(tree: Tree, inertial: Array, q: Array, armature: Array) -> jax.Array:
@@ -45,7 +48,9 @@ def gravity_force(tree: Tree, inertial: Array, q: Array, gravity: Array) -> jax.
     return at_zero + slope
 
 
-def inverse_dynamics(tree: Tree, inertial: Array, q: Array, v: Array, a: Array, gravity: Array) -> jax.Array:
+def inverse_dynamics(
+    tree: Tree, inertial: Array, q: Array, v: Array, a: Array, gravity: Array
+) -> jax.Array:
     """See `dynamics.inverse_dynamics`."""
     if not tree.linear:
         return dynamics.inverse_dynamics(tree, inertial, q, v, a, gravity)
@@ -58,7 +63,10 @@ def regressor(tree: Tree, q: Array, v: Array | None, a: Array | None, gravity: A
     if not tree.linear:
         return dynamics.regressor(tree, q, v, a, gravity)
     at_zero, slope = _along(lambda q: dynamics.regressor(_full(tree), q, None, None, gravity), q)
-    moving = 0.0 if a is None else dynamics.regressor(_full(tree), 0.0 * q, None, a, 0.0 * gravity)
+    if a is None:
+        moving = 0.0
+    else:
+        moving = dynamics.regressor(_full(tree), 0.0 * q, None, a, 0.0 * gravity)
     return at_zero + slope + moving
 
 

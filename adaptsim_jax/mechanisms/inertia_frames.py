@@ -1,8 +1,12 @@
-"""Frames, and inertial parameters moved between them: what reading and writing model files needs."""
+"""Frames, and inertial parameters moved between them: what reading and writing model files
+needs.
+"""
 
 import numpy as np
 
-Frame = tuple[np.ndarray, np.ndarray]  # place [3] and rotation [3, 3] in the frame that it is given in
+Frame = tuple[
+    np.ndarray, np.ndarray
+]  # place [3] and rotation [3, 3] in the frame that it is given in
 
 
 def moved(outer: Frame, inner: Frame) -> Frame:
@@ -15,8 +19,9 @@ def inverse(frame: Frame) -> Frame:
 
 
 def frame_along(axis: np.ndarray) -> np.ndarray:
-    """A rotation [3, 3] whose third column is `axis` [3], a unit vector. Its entries are exactly 0 and +-1 where the axis is
-    one of the frame's, so that the dynamics can leave products out."""
+    """A rotation [3, 3] whose third column is `axis` [3], a unit vector. Its entries are exactly 0
+    and +-1 where the axis is one of the frame's, so that the dynamics can leave products out.
+    """
     whole = np.round(axis)
     axis = whole if np.abs(axis - whole).max() < 1e-12 else axis
     least = int(np.argmin(np.abs(axis)))
@@ -35,17 +40,27 @@ def six_of(matrix: np.ndarray) -> np.ndarray:
     return matrix[[0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
 
 
-def inertial_about(mass: float, com: np.ndarray, axes: np.ndarray, moments: np.ndarray) -> np.ndarray:
-    """The 10 inertial parameters of a body with centre of mass `com` [3] and principal `moments` [3] about `axes` [3, 3]."""
+def inertial_about(
+    mass: float, com: np.ndarray, axes: np.ndarray, moments: np.ndarray
+) -> np.ndarray:
+    """The 10 inertial parameters of a body with centre of mass `com` [3] and principal `moments`
+    [3] about `axes` [3, 3].
+    """
     central = axes @ np.diag(moments) @ axes.T
     about = central + mass * (com @ com * np.eye(3) - np.outer(com, com))
     return np.concatenate([[mass], mass * com, six_of(about)])
 
 
 def central(inertial: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """Mass, centre of mass [3] and moments [3, 3] about it, of the 10 inertial parameters of a body that weighs something."""
+    """Mass, centre of mass [3] and moments [3, 3] about it, of the 10 inertial parameters of a body
+    that weighs something.
+    """
     mass, com = float(inertial[0]), inertial[1:4] / inertial[0]
-    return mass, com, symmetric_of(inertial[4:]) - mass * (com @ com * np.eye(3) - np.outer(com, com))
+    return (
+        mass,
+        com,
+        symmetric_of(inertial[4:]) - mass * (com @ com * np.eye(3) - np.outer(com, com)),
+    )
 
 
 def in_frame(inertial: np.ndarray, frame: Frame) -> np.ndarray:

@@ -1,8 +1,10 @@
-"""Arithmetic on short vectors whose entries are lanes, with zeros and ones that are known before tracing.
+"""Arithmetic on short vectors whose entries are lanes, with zeros and ones that are known before
+tracing.
 
-An entry is either an array (a scalar, or lanes on any trailing axes) or one of the Python integers -1, 0 and 1, which stand for
-what the geometry of a mechanism makes exactly so. Sums and products with those integers cost nothing: a planar arm gets planar
-formulas without being told that it is planar. Vectors are sequences of 3 entries, matrices of 3 rows.
+An entry is either an array (a scalar, or lanes on any trailing axes) or one of the Python integers
+-1, 0 and 1, which stand for what the geometry of a mechanism makes exactly so. Sums and products
+with those integers cost nothing: a planar arm gets planar formulas without being told that it is
+planar. Vectors are sequences of 3 entries, matrices of 3 rows.
 """
 
 from collections.abc import Sequence
@@ -30,7 +32,9 @@ def mul(a: Entry, b: Entry) -> Entry:
     if known(a):
         if a == 0:
             return 0
-        return b if a == 1 else neg(b)
+        if a == 1:
+            return b
+        return neg(b)
     return a * b
 
 
@@ -46,14 +50,20 @@ def add(a: Entry, b: Entry) -> Entry:
             return b
         if known(b):
             total = a + b
-            return total if -1 <= total <= 1 else float(total)
+            if -1 <= total <= 1:
+                return total
+            return float(total)
     return a + b
 
 
 def sub(a: Entry, b: Entry) -> Entry:
     if known(b) and b == 0:
         return a
-    return neg(b) if known(a) and a == 0 else add(a, neg(b)) if known(b) else a - b
+    if known(a) and a == 0:
+        return neg(b)
+    if known(b):
+        return add(a, neg(b))
+    return a - b
 
 
 def total(entries: Sequence[Entry]) -> Entry:

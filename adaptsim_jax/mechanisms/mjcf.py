@@ -1,4 +1,6 @@
-"""Mechanisms from MJCF and URDF, read by MuJoCo's own parser and compiler, as trees that `dynamics.py` can simulate."""
+"""Mechanisms from MJCF and URDF, read by MuJoCo's own parser and compiler, as trees that
+`dynamics.py` can simulate.
+"""
 
 import os
 from collections.abc import Collection, Mapping
@@ -12,7 +14,14 @@ from adaptsim_jax.mechanisms.actuators import Actuator
 from adaptsim_jax.mechanisms.inertia_frames import frame_along, inertial_about, moved
 from adaptsim_jax.mechanisms.roles import BALL, FREE, JOINTS, TURNS, Roles, roles
 from adaptsim_jax.mechanisms.spec import Source, read_source
-from adaptsim_jax.mechanisms.transmission import TENDON, WRAPPED, Added, Place, add_tendons, read_actuators
+from adaptsim_jax.mechanisms.transmission import (
+    TENDON,
+    WRAPPED,
+    Added,
+    Place,
+    add_tendons,
+    read_actuators,
+)
 from adaptsim_jax.mechanisms.tree import MOST_JOINTS, Tree, folded, make_tree
 
 HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
@@ -24,8 +33,10 @@ OFF = {
 
 @dataclass(frozen=True)
 class Frames:
-    """Where MJCF's own bodies are: `carrier` is the coordinate whose body each is part of (-1: the base, or a follower), and
-    `place [3]`, `rotation [3, 3]` its frame in that joint's frame (in the world at the base)."""
+    """Where MJCF's own bodies are: `carrier` is the coordinate whose body each is part of (-1: the
+    base, or a follower), and `place [3]`, `rotation [3, 3]` its frame in that joint's frame (in the
+    world at the base).
+    """
 
     carrier: dict[str, int]
     place: dict[str, np.ndarray]
@@ -34,9 +45,11 @@ class Frames:
 
 @dataclass(frozen=True)
 class Mechanism:
-    """What a file says. `source` is mjcf or urdf; `notes` are sentences on how it was read; `beyond` on what the file has and a tree
-    has not, of the mechanism itself, and `drives_beyond` of its actuators; `force_limits [n, 2]` bound what all actuators of a joint
-    together do (nan: nothing does); `roles`: what each joint of the file became."""
+    """What a file says. `source` is mjcf or urdf; `notes` are sentences on how it was read;
+    `beyond` on what the file has and a tree has not, of the mechanism itself, and `drives_beyond`
+    of its actuators; `force_limits [n, 2]` bound what all actuators of a joint together do (nan:
+    nothing does); `roles`: what each joint of the file became.
+    """
 
     tree: Tree
     actuators: tuple[Actuator, ...]
@@ -51,7 +64,8 @@ class Mechanism:
 
 
 def read_mechanism(path: str | os.PathLike) -> Mechanism:
-    """Read an MJCF or URDF file with all its joints: a base that stands still and 1 to 64 hinges or slides (three for a ball).
+    """Read an MJCF or URDF file with all its joints: a base that stands still and 1 to 64 hinges or
+    slides (three for a ball).
 
     Raises BadInput, naming the file, the joint or element, and the mend.
     """
@@ -73,14 +87,18 @@ def mechanism_of(
     walk = _Walk(model, role)
     if len(walk.kinds) - len(role.followers) > MOST_JOINTS:
         raise BadInput(
-            f"{source.path}: {len(walk.kinds) - len(role.followers)} joints move, more than {MOST_JOINTS}; hold some: [hold] in "
+            f"{source.path}: {len(walk.kinds) - len(role.followers)} joints move, more than "
+            f"{MOST_JOINTS}; hold some: [hold] in "
             f"meta.toml, {walk.names[-1]} = 0.0"
         )
     tree = _tree(model, walk, source.weightless)
     leader, factor, offset = walk.followed(role)
     tree = _in_reach(folded(tree, leader, factor, offset))
     place = walk.places(role, leader, factor, offset)
-    zero = lambda: np.zeros(tree.n)
+
+    def zero():
+        return np.zeros(tree.n)
+
     added = Added(zero(), zero(), zero(), zero(), zero())
     add_tendons(model, place, added)
     own, added.beyond = tuple(added.beyond), []
@@ -98,19 +116,30 @@ def mechanism_of(
         if model.ngravcomp and model.jnt_actgravcomp[k] and model.jnt_actfrclimited[k]
     ]:
         added.beyond.append(
-            f"gravity compensation within the force limits of {len(bounded)} joints ({bounded[0]}, ...)"
+            f"gravity compensation within the force limits of {len(bounded)} joints ({bounded[0]}, "
+            f"...)"
         )
     return Mechanism(
-        tree, actuators, source.path, source.kind, notes, _force_limits(model, tree, place), walk.frames(tree), beyond,
-        tuple(added.beyond), role,
-    )  # fmt: skip
+        tree,
+        actuators,
+        source.path,
+        source.kind,
+        notes,
+        _force_limits(model, tree, place),
+        walk.frames(tree),
+        beyond,
+        tuple(added.beyond),
+        role,
+    )
 
 
 class _Walk:
-    """The bodies of a model, from the base outwards: joints that move with their frames, and what each carries.
+    """The bodies of a model, from the base outwards: joints that move with their frames, and what
+    each carries.
 
-    Lists by joint of the tree of all joints: kinds, parent, names, body_names, place, rotation, file (its number in the file, of a
-    ball with which of its three turns); inertial and gravcomp [m, 10].
+    Lists by joint of the tree of all joints: kinds, parent, names, body_names, place, rotation,
+    file (its number in the file, of a ball with which of its three turns); inertial and gravcomp
+    [m, 10].
     """
 
     def __init__(self, model: mujoco.MjModel, role: Roles):
@@ -150,10 +179,14 @@ class _Walk:
             hinge = kind == HINGE
             anchor = at + turn @ model.jnt_pos[k]
             self._joint(
-                "hinge" if hinge else "slide", on, name, b, (k, 0),
+                "hinge" if hinge else "slide",
+                on,
+                name,
+                b,
+                (k, 0),
                 anchor if hinge else anchor - turn @ model.jnt_axis[k] * rest,
                 turn @ along @ (_about_z(-rest) if hinge else np.eye(3)),
-            )  # fmt: skip
+            )
             at, turn, on = -along.T @ model.jnt_pos[k], along.T, len(self.kinds) - 1
         self.carrier.append(on)
         self.frame.append((at, turn))
@@ -179,7 +212,13 @@ class _Walk:
         for axis, unit in zip(TURNS, np.eye(3), strict=True):
             along = frame_along(unit)
             self._joint(
-                "hinge", on, f"{name}_{axis}", body, (k, TURNS.index(axis)), at + turn @ model.jnt_pos[k], turn @ along
+                "hinge",
+                on,
+                f"{name}_{axis}",
+                body,
+                (k, TURNS.index(axis)),
+                at + turn @ model.jnt_pos[k],
+                turn @ along,
             )
             at, turn, on = -along.T @ model.jnt_pos[k], along.T, len(self.kinds) - 1
         return at, turn, on
@@ -200,7 +239,11 @@ class _Walk:
     def followed(self, role: Roles) -> tuple[list[int], np.ndarray, np.ndarray]:
         """leader, factor and offset of each joint, as `tree.folded` takes them."""
         number = {name: i for i, name in enumerate(self.names)}
-        leader, factor, offset = list(range(len(self.names))), np.ones(len(self.names)), np.zeros(len(self.names))
+        leader, factor, offset = (
+            list(range(len(self.names))),
+            np.ones(len(self.names)),
+            np.zeros(len(self.names)),
+        )
         for f in role.followers.values():
             i = number[f.joint]
             leader[i], factor[i], offset[i] = number[f.leader], f.factor, f.offset
@@ -213,7 +256,11 @@ class _Walk:
         number = {i: j for j, i in enumerate(own)}
         out = Place(np.full(model.njnt, -1), np.ones(model.njnt), np.zeros(model.njnt))
         for i, (k, _) in enumerate(self.file):
-            out.coordinate[k], out.factor[k], out.offset[k] = number[leader[i]], factor[i], offset[i]
+            out.coordinate[k], out.factor[k], out.offset[k] = (
+                number[leader[i]],
+                factor[i],
+                offset[i],
+            )
         for k in range(model.njnt):
             value = role.held.get(model.joint(k).name)
             if value is not None and len(value) == 1:
@@ -251,39 +298,69 @@ def _held(frame, model: mujoco.MjModel, k: int, value: np.ndarray):
 def _tree(model: mujoco.MjModel, walk: _Walk, weightless: Collection[str]) -> Tree:
     """The tree of all joints that are not held."""
     off = int(model.opt.disableflags)
-    keep = lambda name: 0.0 if off & OFF[name] else 1.0
+
+    def keep(name):
+        if off & OFF[name]:
+            return 0.0
+        return 1.0
+
     joint = np.array([k for k, _ in walk.file], int)
     turn = np.array([t for _, t in walk.file], int)
     ball = model.jnt_type[joint] == BALL
     dof, adr = model.jnt_dofadr[joint] + turn, model.jnt_qposadr[joint]
     inertial = walk.inertial.copy()
-    for i in range(len(joint)):  # a link without any inertia was given a little, so that MuJoCo reads it
+    for i in range(
+        len(joint)
+    ):  # a link without any inertia was given a little, so that MuJoCo reads it
         own = [model.body(b).name for b in range(model.nbody) if walk.carrier[b] == i]
         if own and all(name in weightless for name in own):
             inertial[i] = 0.0
-    stop = np.concatenate([model.jnt_solref[joint], model.jnt_solimp[joint], model.dof_invweight0[dof][:, None]], 1)
-    least = 0.0 if off & int(mujoco.mjtDisableBit.mjDSBL_REFSAFE) else 2 * model.opt.timestep
+    stop = np.concatenate(
+        [model.jnt_solref[joint], model.jnt_solimp[joint], model.dof_invweight0[dof][:, None]], 1
+    )
+    if off & int(mujoco.mjtDisableBit.mjDSBL_REFSAFE):
+        least = 0.0
+    else:
+        least = 2 * model.opt.timestep
     stop[:, 0] = np.where(stop[:, 0] > 0, np.maximum(stop[:, 0], least), stop[:, 0])
     rub = _rubs(model.dof_solref[dof], model.dof_solimp[dof], model.dof_invweight0[dof], least)
     return make_tree(
-        walk.kinds, walk.parent, np.array(walk.place).reshape(-1, 3), np.array(walk.rotation).reshape(-1, 3, 3), inertial,
-        gravity=model.opt.gravity * keep("gravity"), joint_names=walk.names, body_names=walk.body_names,
-        limited=[bool(model.jnt_limited[k]) and not off & OFF["limit"] and not b for k, b in zip(joint, ball, strict=True)],
-        damping=model.dof_damping[dof] * keep("damper"), damping_poly=model.dof_dampingpoly[dof] * keep("damper"),
-        armature=model.dof_armature[dof], frictionloss=model.dof_frictionloss[dof] * keep("frictionloss"),
+        walk.kinds,
+        walk.parent,
+        np.array(walk.place).reshape(-1, 3),
+        np.array(walk.rotation).reshape(-1, 3, 3),
+        inertial,
+        gravity=model.opt.gravity * keep("gravity"),
+        joint_names=walk.names,
+        body_names=walk.body_names,
+        limited=[
+            bool(model.jnt_limited[k]) and not off & OFF["limit"] and not b
+            for k, b in zip(joint, ball, strict=True)
+        ],
+        damping=model.dof_damping[dof] * keep("damper"),
+        damping_poly=model.dof_dampingpoly[dof] * keep("damper"),
+        armature=model.dof_armature[dof],
+        frictionloss=model.dof_frictionloss[dof] * keep("frictionloss"),
         stiffness=model.jnt_stiffness[joint] * keep("spring"),
         stiffness_poly=model.jnt_stiffnesspoly[joint] * keep("spring"),
-        springref=np.where(ball, 0.0, model.qpos_spring[adr]), range=np.where(ball[:, None], 0.0, model.jnt_range[joint]),
-        stop=stop, rub=rub, gravcomp=walk.gravcomp * keep("gravity"),
-    )  # fmt: skip
+        springref=np.where(ball, 0.0, model.qpos_spring[adr]),
+        range=np.where(ball[:, None], 0.0, model.jnt_range[joint]),
+        stop=stop,
+        rub=rub,
+        gravcomp=walk.gravcomp * keep("gravity"),
+    )
 
 
 def _rubs(solref: np.ndarray, solimp: np.ndarray, weight: np.ndarray, least: float) -> np.ndarray:
-    """How dry friction gives [n, 2], as of `Tree` (MuJoCo's documentation, "Computation", constraint model: friction loss has no
-    position, so that its impedance is the first of `solimp` and its reference acceleration -b v). least: of a time constant, s."""
+    """How dry friction gives [n, 2], as of `Tree` (MuJoCo's documentation, "Computation",
+    constraint model: friction loss has no position, so that its impedance is the first of `solimp`
+    and its reference acceleration -b v). least: of a time constant, s.
+    """
     time, ratio, most = solref[:, 0], solref[:, 1], solimp[:, 1]
     direct = time <= 0
-    rate = np.where(direct, -ratio / most, 2.0 / (most * np.where(direct, 1.0, np.maximum(time, least))))
+    rate = np.where(
+        direct, -ratio / most, 2.0 / (most * np.where(direct, 1.0, np.maximum(time, least)))
+    )
     share = np.clip(solimp[:, 0], 1e-4, 1.0 - 1e-4)
     return np.stack([rate, (1.0 - share) / share * weight], 1)
 
@@ -293,27 +370,39 @@ def _with_added(tree: Tree, added: Added) -> Tree:
     stiff = tree.stiffness + added.stiffness
     pull = tree.stiffness * tree.springref + added.pull
     return replace(
-        tree, armature=tree.armature + added.armature, damping=tree.damping + added.damping,
-        frictionloss=tree.frictionloss + added.frictionloss, stiffness=stiff,
-        springref=np.where(added.stiffness > 0, pull / np.where(stiff > 0, stiff, 1.0), tree.springref),
-    )  # fmt: skip
+        tree,
+        armature=tree.armature + added.armature,
+        damping=tree.damping + added.damping,
+        frictionloss=tree.frictionloss + added.frictionloss,
+        stiffness=stiff,
+        springref=np.where(
+            added.stiffness > 0, pull / np.where(stiff > 0, stiff, 1.0), tree.springref
+        ),
+    )
 
 
 def _force_limits(model: mujoco.MjModel, tree: Tree, place: Place) -> np.ndarray:
-    """[n, 2] of what actuators together do to each coordinate, nan where nothing bounds it: summed over its driven joints."""
+    """[n, 2] of what actuators together do to each coordinate, nan where nothing bounds it: summed
+    over its driven joints.
+    """
     driven = set()
     for k in range(model.nu):
         target = int(model.actuator_trnid[k, 0])
         if model.actuator_trntype[k] in JOINTS:
             driven.add(target)
         elif model.actuator_trntype[k] == TENDON:
-            rows = range(model.tendon_adr[target], model.tendon_adr[target] + model.tendon_num[target])
+            rows = range(
+                model.tendon_adr[target], model.tendon_adr[target] + model.tendon_num[target]
+            )
             driven |= {int(model.wrap_objid[i]) for i in rows if model.wrap_type[i] == WRAPPED}
     out = np.zeros((tree.n, 2))
     bounded = np.zeros(tree.n, bool)
     for k in sorted(driven):
         if (j := int(place.coordinate[k])) >= 0:
-            own = place.factor[k] * model.jnt_actfrcrange[k] if model.jnt_actfrclimited[k] else [-np.inf, np.inf]
+            if model.jnt_actfrclimited[k]:
+                own = place.factor[k] * model.jnt_actfrcrange[k]
+            else:
+                own = [-np.inf, np.inf]
             out[j] += np.sort(own)
             bounded[j] = True
     return np.where(bounded[:, None] & np.isfinite(out), out, np.nan)
@@ -326,14 +415,21 @@ def _in_reach(tree: Tree) -> Tree:
     every, bounds, limited = tree.whole.tree, np.array(tree.range, float), list(tree.limited)
     for k, j in enumerate(tree.whole.leader):
         if every.limited[k] and k != tree.whole.own[j]:
-            own = np.sort((np.asarray(every.range)[k] - tree.whole.offset[k]) / tree.whole.factor[k])
-            bounds[j] = [max(bounds[j, 0], own[0]), min(bounds[j, 1], own[1])] if limited[j] else own
+            own = np.sort(
+                (np.asarray(every.range)[k] - tree.whole.offset[k]) / tree.whole.factor[k]
+            )
+            if limited[j]:
+                bounds[j] = [max(bounds[j, 0], own[0]), min(bounds[j, 1], own[1])]
+            else:
+                bounds[j] = own
             limited[j] = True
     return replace(tree, range=bounds, limited=tuple(limited))
 
 
 def _medium(model: mujoco.MjModel) -> tuple[str, ...]:
-    return ("the drag of a medium (density, viscosity)",) if model.opt.density or model.opt.viscosity else ()
+    if model.opt.density or model.opt.viscosity:
+        return ("the drag of a medium (density, viscosity)",)
+    return ()
 
 
 def rotation_of(quaternion: np.ndarray) -> np.ndarray:

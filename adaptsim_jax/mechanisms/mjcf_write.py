@@ -1,4 +1,6 @@
-"""A user's model file with other numbers in it: fitted inertias, friction, gains. URDF in gives MJCF out."""
+"""A user's model file with other numbers in it: fitted inertias, friction, gains. URDF in gives
+MJCF out.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,11 +20,12 @@ LEAST_MOMENT = 1e-9  # kg m^2
 class Changes:
     """What to put in; None, or a joint that a table does not name, stays as it is.
 
-    inertial [n, 10] as of `Tree`; joint tables {joint name: value}: damping, armature, frictionloss (N m), stiffness (N m/rad),
-    springref (rad); gravity [3] m/s^2 in the world; actuator tables {actuator name: value}: gain and kp as factors, kv (N m
-    s/rad), delay and
-    lag in s, limit (N m); motors {joint name: N m per unit of its command} are put in where the joint has no actuator, with the limit
-    under `limit` by the joint's name; comments: what the file cannot hold, a line each.
+    inertial [n, 10] as of `Tree`; joint tables {joint name: value}: damping, armature, frictionloss
+    (N m), stiffness (N m/rad), springref (rad); gravity [3] m/s^2 in the world; actuator tables
+    {actuator name: value}: gain and kp as factors, kv (N m s/rad), delay and
+    lag in s, limit (N m); motors {joint name: N m per unit of its command} are put in where the
+    joint has no actuator, with the limit under `limit` by the joint's name; comments: what the file
+    cannot hold, a line each.
     """
 
     inertial: np.ndarray | None = None
@@ -34,7 +37,8 @@ class Changes:
 
 
 def mended_mjcf(mechanism: Mechanism, changes: Changes) -> str:
-    """The model file as MJCF text with `changes` in it; without its shapes where their meshes are not there, as it was read.
+    """The model file as MJCF text with `changes` in it; without its shapes where their meshes are
+    not there, as it was read.
 
     Raises BadInput where MuJoCo refuses the result.
     """
@@ -42,7 +46,9 @@ def mended_mjcf(mechanism: Mechanism, changes: Changes) -> str:
         return _mended(mechanism, changes)
     except BadInput:
         told = "written without shapes, sensors and keys: the meshes that this file names could not be read"
-        return _mended(mechanism, replace(changes, comments=[*changes.comments, told]), shapes=False)
+        return _mended(
+            mechanism, replace(changes, comments=[*changes.comments, told]), shapes=False
+        )
 
 
 def _mended(mechanism: Mechanism, changes: Changes, shapes: bool = True) -> str:
@@ -60,8 +66,12 @@ def _mended(mechanism: Mechanism, changes: Changes, shapes: bool = True) -> str:
             if key == "springref":
                 turns = joint.type == mujoco.mjtJoint.mjJNT_HINGE and spec.compiler.degree
                 _put(joint, key, float(np.rad2deg(value)) if turns else value)
-            elif joint.name in tree.joint_names:  # what followers, tendons and actuators add stays with them
-                more = value - float(np.asarray(getattr(tree, key))[tree.joint_names.index(joint.name)])
+            elif (
+                joint.name in tree.joint_names
+            ):  # what followers, tendons and actuators add stays with them
+                more = value - float(
+                    np.asarray(getattr(tree, key))[tree.joint_names.index(joint.name)]
+                )
                 now = float(np.ravel(getattr(joint, key))[0])
                 _put(joint, key, value if more + now == value else max(0.0, now + more))
     if changes.gravity is not None:
@@ -116,17 +126,23 @@ def _put_actuator(actuator, key: str, value: float, step: float) -> None:
 
 
 def _put_inertias(spec, mechanism: Mechanism, inertial: np.ndarray) -> None:
-    """Each joint's body gets what is left of its inertia once the bodies that are part of it have theirs: those that are welded to it
-    become part of it, those behind a joint that is held keep their own."""
+    """Each joint's body gets what is left of its inertia once the bodies that are part of it have
+    theirs: those that are welded to it become part of it, those behind a joint that is held keep
+    their own.
+    """
     tree, frames = mechanism.tree, mechanism.frames
     kept = _kept(spec, mechanism)
     for j, name in enumerate(tree.body_names):
         if tree.massless[j] or np.allclose(inertial[j], tree.inertial[j], rtol=0, atol=0):
             continue
         others = [
-            b for b in spec.bodies if frames.carrier.get(b.name, -1) == j and b.name not in kept and b.name != name
+            b
+            for b in spec.bodies
+            if frames.carrier.get(b.name, -1) == j and b.name not in kept and b.name != name
         ]
-        left = inertial[j] - sum((kept[b] for b in kept if frames.carrier.get(b, -1) == j and b != name), np.zeros(10))
+        left = inertial[j] - sum(
+            (kept[b] for b in kept if frames.carrier.get(b, -1) == j and b != name), np.zeros(10)
+        )
         if not _possible(left):
             continue
         for other in others:  # welded bodies become part of the one that moves them
@@ -135,10 +151,14 @@ def _put_inertias(spec, mechanism: Mechanism, inertial: np.ndarray) -> None:
             for geom in other.geoms:
                 geom.mass, geom.density = 0.0, 0.0
         body = next(b for b in spec.bodies if b.name == name)
-        mass, com, about = central(in_frame(left, inverse((frames.place[name], frames.rotation[name]))))
+        mass, com, about = central(
+            in_frame(left, inverse((frames.place[name], frames.rotation[name])))
+        )
         value, vector = np.linalg.eigh(0.5 * (about + about.T))
         value = np.maximum(value, LEAST_MOMENT)
-        value[-1] = min(value[-1], value[0] + value[1])  # rounding must not break the triangle inequality
+        value[-1] = min(
+            value[-1], value[0] + value[1]
+        )  # rounding must not break the triangle inequality
         if np.linalg.det(vector) < 0:
             vector[:, 0] *= -1.0
         quaternion = np.zeros(4)
@@ -149,7 +169,9 @@ def _put_inertias(spec, mechanism: Mechanism, inertial: np.ndarray) -> None:
 
 
 def _kept(spec, mechanism: Mechanism) -> dict[str, np.ndarray]:
-    """Bodies behind joints that are held, which must go on weighing something: inertial parameters [10] in their joint's frame."""
+    """Bodies behind joints that are held, which must go on weighing something: inertial parameters
+    [10] in their joint's frame.
+    """
     held = mechanism.roles.held if mechanism.roles is not None else {}
     if not held:
         return {}
@@ -183,4 +205,6 @@ def _possible(inertial: np.ndarray) -> bool:
 def commented(xml: str, comments: Sequence[str]) -> str:
     """MJCF text below XML comments, a line each."""
     lines = [f"<!-- {line.replace('--', '- -')} -->" for line in comments]
-    return "\n".join([*lines, xml]) if lines else xml
+    if lines:
+        return "\n".join([*lines, xml])
+    return xml

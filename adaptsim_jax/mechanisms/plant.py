@@ -1,11 +1,13 @@
-"""What the closed loop knows of a model: `Plant`. That of a declared pendulum is in `mechanisms/double_pendulum/plant.py`.
+"""What the closed loop knows of a model: `Plant`. That of a declared pendulum is in
+`mechanisms/double_pendulum/plant.py`.
 
 A plant is a mechanical model in generalized coordinates,
 
     d/dt momentum(theta, q, v) = push(theta, q, v) + u + force,
 
-whose two sides are linear in `theta` (for a rigid body these are the base parameters: Gautier and Khalil, 1990), so
-that a start value comes from linear regression and the data can fix what they can fix, no more.
+whose two sides are linear in `theta` (for a rigid body these are the base parameters: Gautier and
+Khalil, 1990), so that a start value comes from linear regression and the data can fix what they can
+fix, no more.
 Arrays carry any trailing batch axes: `x: [S, ...]`, `u: [U, ...]`, `force: [n, ...]`.
 """
 
@@ -25,12 +27,13 @@ Rows = Sequence[Any] | jax.Array  # one a state or joint, stacked or not
 
 @dataclass(frozen=True)
 class Plant:
-    """A model as pure functions of `(constants, theta, ...)`; a pytree whose leaves are numbers, so that two plants of
-    the same kind but other geometry share one compiled program.
+    """A model as pure functions of `(constants, theta, ...)`; a pytree whose leaves are numbers, so
+    that two plants of the same kind but other geometry share one compiled program.
 
-    mass(constants, theta, q [n, ...]) -> rows of entries, each a number or `[...]`; gravity(constants, theta, q) -> [n, ...];
-    push(constants, theta, q, v) -> [n, ...]: all forces but the input; momentum_push(constants, theta, q, v) ->
-    [n, ...]: what changes the momentum `mass v` beside the input, for the regression.
+    mass(constants, theta, q [n, ...]) -> rows of entries, each a number or `[...]`;
+    gravity(constants, theta, q) -> [n, ...]; push(constants, theta, q, v) -> [n, ...]: all forces
+    but the input; momentum_push(constants, theta, q, v) -> [n, ...]: what changes the momentum
+    `mass v` beside the input, for the regression.
     """
 
     name: str
@@ -45,24 +48,39 @@ class Plant:
     constants: Mapping[str, np.ndarray]
     low: np.ndarray  # [P]
     high: np.ndarray  # [P]; low == high marks a known parameter
-    sound: Callable | None = None  # (constants, theta) -> theta with which the model can be simulated at all
+    sound: Callable | None = (
+        None  # (constants, theta) -> theta with which the model can be simulated at all
+    )
 
     @property
     def joints(self) -> tuple[str, ...]:
         return tuple(f"joint{i + 1}" for i in range(self.joint_dim))
 
-    def deriv(self, theta: jax.Array, x: jax.Array, u: jax.Array, force: jax.Array, inertia: jax.Array) -> jax.Array:
-        """Time derivative of `x: [S, ...]` (positions, then velocities) under command `u: [U, ...]` N m, generalized
-        force `force: [n, ...]` N m and extra inertia `inertia: [n, ...]` kg m^2 on the diagonal."""
+    def deriv(
+        self, theta: jax.Array, x: jax.Array, u: jax.Array, force: jax.Array, inertia: jax.Array
+    ) -> jax.Array:
+        """Time derivative of `x: [S, ...]` (positions, then velocities) under command `u: [U, ...]`
+        N m, generalized force `force: [n, ...]` N m and extra inertia `inertia: [n, ...]` kg m^2 on
+        the diagonal.
+        """
         return jnp.stack(self.rates(theta, list(x), u, force, inertia))
 
-    def rates(self, theta: jax.Array, x: Rows, u: Rows, force: Rows, inertia: Rows) -> list[jax.Array]:
+    def rates(
+        self, theta: jax.Array, x: Rows, u: Rows, force: Rows, inertia: Rows
+    ) -> list[jax.Array]:
         """`deriv` a state at a time: all that is stacked there is a sequence here."""
         n = self.joint_dim
-        return [*x[n:], *_accelerations(self, theta, list(x), [u[i] + force[i] for i in range(n)], list(inertia))]
+        return [
+            *x[n:],
+            *_accelerations(
+                self, theta, list(x), [u[i] + force[i] for i in range(n)], list(inertia)
+            ),
+        ]
 
     def gravity_force(self, theta: jax.Array, q: jax.Array) -> jax.Array:
-        """Generalized force of gravity `[n, ...]` at `q: [n, ...]`; a tilt of the base adds to the first angle."""
+        """Generalized force of gravity `[n, ...]` at `q: [n, ...]`; a tilt of the base adds to the
+        first angle.
+        """
         return self.gravity(self.constants, theta, q)
 
     def mass_matrix(self, theta: jax.Array, q: jax.Array) -> jax.Array:
@@ -71,23 +89,28 @@ class Plant:
         return jnp.stack([jnp.stack([m + jnp.zeros_like(q[0]) for m in row]) for row in rows])
 
     def initial_theta(
-        self, motions: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]], interval: float = 0.1
+        self,
+        motions: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]],
+        interval: float = 0.1,
     ):
         """Start value `[P]` by linear regression on momentum balances over `interval` s.
 
-        motions: per trial `(time [T], q [T, n], v [T, n], torque [T, n])`, smoothed. Balances over intervals need no
-        acceleration, which noise would drown.
+        motions: per trial `(time [T], q [T, n], v [T, n], torque [T, n])`, smoothed. Balances over
+        intervals need no acceleration, which noise would drown.
         """
         return self._regressed([_balances(self, *m, interval) for m in motions])
 
     def _regressed(self, balances: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
         design, target = (np.concatenate(z) for z in zip(*balances, strict=True))
         theta = _bounded_regression(design, target, self.low, self.high)
-        return theta if self.sound is None else np.clip(self.sound(self.constants, theta), self.low, self.high)
+        if self.sound is None:
+            return theta
+        return np.clip(self.sound(self.constants, theta), self.low, self.high)
 
     def unscaled(self) -> "Plant":
-        """The plant for motions on which no torque acts, which fix `theta` up to a common factor: the first is held at 1,
-        unless one of them is known."""
+        """The plant for motions on which no torque acts, which fix `theta` up to a common factor:
+        the first is held at 1, unless one of them is known.
+        """
         if np.any(self.low == self.high):
             return self
         low, high = self.low.copy(), self.high.copy()
@@ -126,46 +149,71 @@ def _mass_and_push(plant: Plant, theta, x: list):
 
 
 def _by_the_balance(primals, tangents):
-    """The derivative from the balance of forces at the accelerations that there are: no quotient is differentiated, and what the
-    joints share is computed once."""
+    """The derivative from the balance of forces at the accelerations that there are: no quotient is
+    differentiated, and what the joints share is computed once.
+    """
     n, (leaves, tree) = primals[0].joint_dim, jax.tree.flatten(primals)
-    zero = lambda t: isinstance(t, jax.custom_derivatives.SymbolicZero)
+
+    def zero(t):
+        return isinstance(t, jax.custom_derivatives.SymbolicZero)
+
     slopes = jax.tree.leaves(tangents, is_leaf=zero)
     moving = [i for i, t in enumerate(slopes) if not zero(t)]
     acceleration = _accelerations(*primals)
     acceleration = once(acceleration, acceleration[0])
 
     def balance(some):
-        """What pushes the joints beyond what these accelerations need, as some of the arguments change."""
+        """What pushes the joints beyond what these accelerations need, as some of the arguments
+        change.
+        """
         changed = list(leaves)
         for i, leaf in zip(moving, some, strict=True):
             changed[i] = leaf
         plant, theta, x, pushed, inertia = jax.tree.unflatten(tree, changed)
         mass, push = _mass_and_push(plant, theta, x)
-        needs = lambda i: sum(mass[i][j] * acceleration[j] for j in range(n)) + inertia[i] * acceleration[i]
+
+        def needs(i):
+            return (
+                sum(mass[i][j] * acceleration[j] for j in range(n)) + inertia[i] * acceleration[i]
+            )
+
         return [pushed[i] + push[i] - needs(i) for i in range(n)]
 
     _, rest = jax.jvp(balance, ([leaves[i] for i in moving],), ([slopes[i] for i in moving],))
     plant, theta, x, _, inertia = primals
-    return acceleration, solve_mass(_mass_and_push(plant, theta, x)[0], inertia, once(rest, acceleration[0]))
+    return acceleration, solve_mass(
+        _mass_and_push(plant, theta, x)[0], inertia, once(rest, acceleration[0])
+    )
 
 
 _accelerations.defjvp(_by_the_balance, symbolic_zeros=True)
 
 
 def solve_mass(mass: Rows, inertia: Rows, total: Rows) -> list[jax.Array]:
-    """`(mass + diag(inertia))^-1 total`, a joint at a time, in closed form for one and two (batched LAPACK on 2x2 is slow)."""
+    """`(mass + diag(inertia))^-1 total`, a joint at a time, in closed form for one and two (batched
+    LAPACK on 2x2 is slow).
+    """
     n = len(total)
     if n == 1:
         return [total[0] * (1.0 / (mass[0][0] + inertia[0]))]
     if n == 2:
         m11, m12, m22 = mass[0][0] + inertia[0], mass[0][1], mass[1][1] + inertia[1]
-        shrink = 1.0 / (m11 * m22 - m12 * m12)  # one quotient, for along many directions they are most of the work
-        return [(m22 * total[0] - m12 * total[1]) * shrink, (m11 * total[1] - m12 * total[0]) * shrink]
-    wide = lambda z: z + jnp.zeros_like(total[0])
+        shrink = 1.0 / (
+            m11 * m22 - m12 * m12
+        )  # one quotient, for along many directions they are most of the work
+        return [
+            (m22 * total[0] - m12 * total[1]) * shrink,
+            (m11 * total[1] - m12 * total[0]) * shrink,
+        ]
+
+    def wide(z):
+        return z + jnp.zeros_like(total[0])
+
     full = jnp.stack([jnp.stack([wide(m) for m in row], -1) for row in mass], -2)
     full = full + jnp.stack([wide(m) for m in inertia], -1)[..., None] * jnp.eye(n)
-    return list(jnp.moveaxis(jnp.linalg.solve(full, jnp.stack(list(total), -1)[..., None])[..., 0], -1, 0))
+    return list(
+        jnp.moveaxis(jnp.linalg.solve(full, jnp.stack(list(total), -1)[..., None])[..., 0], -1, 0)
+    )
 
 
 def _balances(plant: Plant, time, q, v, torque, interval: float):
@@ -173,9 +221,15 @@ def _balances(plant: Plant, time, q, v, torque, interval: float):
     momentum, push = _columns(plant, q, v)
     dt = np.diff(time)
     pushed = np.concatenate(
-        [np.zeros_like(push[:, :1]), np.cumsum(0.5 * (push[:, 1:] + push[:, :-1]) * dt[None, :, None], 1)], 1
+        [
+            np.zeros_like(push[:, :1]),
+            np.cumsum(0.5 * (push[:, 1:] + push[:, :-1]) * dt[None, :, None], 1),
+        ],
+        1,
     )
-    impulse = np.concatenate([np.zeros((1, torque.shape[1])), np.cumsum(torque[:-1] * dt[:, None], 0)]).T
+    impulse = np.concatenate(
+        [np.zeros((1, torque.shape[1])), np.cumsum(torque[:-1] * dt[:, None], 0)]
+    ).T
     stride = max(1, round(interval / float(np.median(dt))))
     cut = np.arange(0, len(time), stride)
     design = np.diff((momentum - pushed)[:, cut], axis=1)
@@ -202,11 +256,15 @@ def _momentum_columns(plant: Plant, q, v):
     return jax.jacfwd(sides)(jnp.zeros(len(plant.theta_names), q.dtype))
 
 
-def _bounded_regression(design: np.ndarray, target: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+def _bounded_regression(
+    design: np.ndarray, target: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> np.ndarray:
     fixed = low == high
     rest = target - design[:, fixed] @ low[fixed]
     scale = np.linalg.norm(design[:, ~fixed], axis=0) + 1e-30
-    answer = lsq_linear(design[:, ~fixed] / scale, rest, (low[~fixed] * scale, high[~fixed] * scale))
+    answer = lsq_linear(
+        design[:, ~fixed] / scale, rest, (low[~fixed] * scale, high[~fixed] * scale)
+    )
     theta = low.copy()
     theta[~fixed] = answer.x / scale
     return theta

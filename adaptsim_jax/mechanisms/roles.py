@@ -1,7 +1,9 @@
-"""What each joint of a model file is in a tree: a coordinate, held where it is, or a follower of another; and what stays out.
+"""What each joint of a model file is in a tree: a coordinate, held where it is, or a follower of
+another; and what stays out.
 
-A joint that the log lacks is held, at what `[hold]` says, else where the file's `home` pose or its zero has it. A free joint is
-welded. A mimic or an equality of two joints makes one of them follow. Loops that close (connect, weld) hold what is in them.
+A joint that the log lacks is held, at what `[hold]` says, else where the file's `home` pose or its
+zero has it. A free joint is welded. A mimic or an equality of two joints makes one of them follow.
+Loops that close (connect, weld) hold what is in them.
 """
 
 from collections.abc import Collection, Mapping
@@ -16,7 +18,9 @@ from adaptsim_jax.mechanisms.spec import Source
 from adaptsim_jax.mechanisms.urdf import Follower
 
 FREE, BALL = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
-CONNECT, WELD, TIE = (int(getattr(mujoco.mjtEq, f"mjEQ_{name}")) for name in ("CONNECT", "WELD", "JOINT"))
+CONNECT, WELD, TIE = (
+    int(getattr(mujoco.mjtEq, f"mjEQ_{name}")) for name in ("CONNECT", "WELD", "JOINT")
+)
 JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 TURNS = "xyz"  # a ball is three hinges, which turn about these axes one after the other
 HOME = "home"
@@ -24,8 +28,10 @@ HOME = "home"
 
 @dataclass(frozen=True)
 class Roles:
-    """held: values (rad, m) by name of the joint, a free joint's or ball's as `qpos`; followers by name; notes: what was done, a
-    sentence each; beyond: what of the file a tree has not, a sentence each."""
+    """held: values (rad, m) by name of the joint, a free joint's or ball's as `qpos`; followers by
+    name; notes: what was done, a sentence each; beyond: what of the file a tree has not, a sentence
+    each.
+    """
 
     held: dict[str, np.ndarray]
     followers: dict[str, Follower]
@@ -34,7 +40,9 @@ class Roles:
 
 
 def joint_names(model: mujoco.MjModel) -> tuple[str, ...]:
-    """Names of all coordinates that a log may have: hinges and slides, and the three of each ball."""
+    """Names of all coordinates that a log may have: hinges and slides, and the three of each
+    ball.
+    """
     out: list[str] = []
     for k in range(model.njnt):
         name = model.joint(k).name
@@ -45,9 +53,15 @@ def joint_names(model: mujoco.MjModel) -> tuple[str, ...]:
     return tuple(out)
 
 
-def roles(source: Source, hold: Mapping[str, float | None], logged: Collection[str] | None, where: str = "") -> Roles:
-    """Of all joints. hold: joints to hold, with their value (None: as the file has it); logged: names (of `joint_names`) of which
-    there is a log, None: all; where: the file that `hold` comes from.
+def roles(
+    source: Source,
+    hold: Mapping[str, float | None],
+    logged: Collection[str] | None,
+    where: str = "",
+) -> Roles:
+    """Of all joints. hold: joints to hold, with their value (None: as the file has it); logged:
+    names (of `joint_names`) of which there is a log, None: all; where: the file that `hold` comes
+    from.
 
     Raises BadInput where `hold` names no joint, or nothing is left that moves.
     """
@@ -55,7 +69,10 @@ def roles(source: Source, hold: Mapping[str, float | None], logged: Collection[s
     names = joint_names(model)
     for name in hold:
         if name not in names:
-            raise BadInput(f"{where}: [hold] names {name!r}, which {source.path} has not; {suggest(name, names)}")
+            raise BadInput(
+                f"{where}: [hold] names {name!r}, which {source.path} has not; "
+                f"{suggest(name, names)}"
+            )
     hold = dict(_fixed(model)) | dict(hold)
     have = [n for n in names if n not in hold and (logged is None or n in logged)]
     pose, pose_name = pose_of(model)
@@ -74,9 +91,18 @@ def roles(source: Source, hold: Mapping[str, float | None], logged: Collection[s
             held[name] = at
             told["looped"].append(name)
         elif name in hold or (leads and leads.leader in hold):
-            given = hold.get(name) if leads is None or name in hold else hold[leads.leader]
+            if leads is None or name in hold:
+                given = hold.get(name)
+            else:
+                given = hold[leads.leader]
             if given is not None:
-                at = np.array([given if leads is None or name in hold else leads.offset + leads.factor * given])
+                at = np.array(
+                    [
+                        given
+                        if leads is None or name in hold
+                        else leads.offset + leads.factor * given
+                    ]
+                )
             held[name] = at
             told["asked"].append(f"{name} = {at[0]:.4g}")
         elif kind == BALL:
@@ -92,19 +118,30 @@ def roles(source: Source, hold: Mapping[str, float | None], logged: Collection[s
             told["looped"].append(name)
     followers = {n: f for n, f in followers.items() if f.leader not in held and n not in held}
     if len(held) + len(followers) >= model.njnt:
-        what = "every joint is in a loop that closes" if loops else "every joint is held"
+        if loops:
+            what = "every joint is in a loop that closes"
+        else:
+            what = "every joint is held"
         raise BadInput(
-            f"{source.path}: {what}, so that nothing of a tree moves; take --simulator mujoco, or log a joint that does"
+            f"{source.path}: {what}, so that nothing of a tree moves; take --simulator mujoco, or "
+            f"log a joint that does"
         )
-    return Roles(held, followers, (*_told(told, pose_name), *_folds_told(followers)), (*beyond, *loops))
+    return Roles(
+        held, followers, (*_told(told, pose_name), *_folds_told(followers)), (*beyond, *loops)
+    )
 
 
 def _fixed(model: mujoco.MjModel) -> dict[str, float]:
     """Joints that an equality holds at a constant."""
-    alone = [e for e in range(model.neq) if model.eq_type[e] == TIE and model.eq_active0[e] and model.eq_obj2id[e] < 0]
+    alone = [
+        e
+        for e in range(model.neq)
+        if model.eq_type[e] == TIE and model.eq_active0[e] and model.eq_obj2id[e] < 0
+    ]
     joint = {e: int(model.eq_obj1id[e]) for e in alone}
     return {
-        model.joint(k).name: float(model.qpos0[model.jnt_qposadr[k]] + model.eq_data[e, 0]) for e, k in joint.items()
+        model.joint(k).name: float(model.qpos0[model.jnt_qposadr[k]] + model.eq_data[e, 0])
+        for e, k in joint.items()
     }
 
 
@@ -119,13 +156,19 @@ def pose_of(model: mujoco.MjModel) -> tuple[np.ndarray, str]:
 def _told(told: dict[str, list[str]], pose: str) -> tuple[str, ...]:
     out = []
     if told["welded"]:
-        out.append(f"welded to the world, as no pose of it is simulated: {', '.join(told['welded'])}")
+        out.append(
+            f"welded to the world, as no pose of it is simulated: {', '.join(told['welded'])}"
+        )
     if told["unlogged"]:
         out.append(
-            f"held {pose}, as no log has them: {', '.join(told['unlogged'])} (another value: [hold] in meta.toml)"
+            f"held {pose}, as no log has them: {', '.join(told['unlogged'])} (another value: "
+            f"[hold] in meta.toml)"
         )
     if told["asked"]:
-        out.append(f"held where [hold], an equality or a log that never moves has them: {', '.join(told['asked'])}")
+        out.append(
+            f"held where [hold], an equality or a log that never moves has them: "
+            f"{', '.join(told['asked'])}"
+        )
     if told["looped"]:
         out.append(f"held {pose}, as a loop closes over them: {', '.join(told['looped'])}")
     return tuple(out)
@@ -133,9 +176,12 @@ def _told(told: dict[str, list[str]], pose: str) -> tuple[str, ...]:
 
 def _folds_told(followers: Mapping[str, Follower]) -> tuple[str, ...]:
     each = [
-        f"{f.joint} = {f'{f.offset:.4g} + ' if f.offset else ''}{f.factor:.4g} {f.leader}" for f in followers.values()
+        f"{f.joint} = {f'{f.offset:.4g} + ' if f.offset else ''}{f.factor:.4g} {f.leader}"
+        for f in followers.values()
     ]
-    return (f"joints that follow others: {', '.join(each)}",) if each else ()
+    if each:
+        return (f"joints that follow others: {', '.join(each)}",)
+    return ()
 
 
 Near = dict[str, list[tuple[str, float, float]]]
@@ -143,7 +189,9 @@ Near = dict[str, list[tuple[str, float, float]]]
 
 
 def ties(source: Source) -> dict[str, tuple[str, ...]]:
-    """Of each joint that is tied to others (mimics, equalities of two joints), directly or by others, these."""
+    """Of each joint that is tied to others (mimics, equalities of two joints), directly or by
+    others, these.
+    """
     near, _ = _near(source)
     out: dict[str, tuple[str, ...]] = {}
     for start in near:
@@ -156,7 +204,9 @@ def ties(source: Source) -> dict[str, tuple[str, ...]]:
 
 def _near(source: Source) -> tuple[Near, list[str]]:
     model = source.model
-    links: list[tuple[str, str, float, float]] = [(m.joint, m.leader, m.factor, m.offset) for m in source.mimics]
+    links: list[tuple[str, str, float, float]] = [
+        (m.joint, m.leader, m.factor, m.offset) for m in source.mimics
+    ]
     beyond: list[str] = []
     for e in range(model.neq):
         if model.eq_type[e] != TIE or not model.eq_active0[e] or model.eq_obj2id[e] < 0:
@@ -177,8 +227,12 @@ def _near(source: Source) -> tuple[Near, list[str]]:
     return near, beyond
 
 
-def _followers(source: Source, have: list[str], hold: set[str]) -> tuple[dict[str, Follower], list[str]]:
-    """Chains of joints that follow joints, each resolved to one leader: the first that is held by hand, else logged, else driven."""
+def _followers(
+    source: Source, have: list[str], hold: set[str]
+) -> tuple[dict[str, Follower], list[str]]:
+    """Chains of joints that follow joints, each resolved to one leader: the first that is held by
+    hand, else logged, else driven.
+    """
     model = source.model
     near, beyond = _near(source)
     out: dict[str, Follower] = {}
@@ -218,10 +272,15 @@ def _loops(model: mujoco.MjModel) -> tuple[set[int], list[str]]:
         ways = [upwards(model, max(b, 0)) for b in ends]
         own = set(ways[0]) ^ set(ways[1])
         for b in own:
-            looped |= {k for k in range(model.njnt) if model.jnt_bodyid[k] == b and model.jnt_type[k] != FREE}
+            looped |= {
+                k
+                for k in range(model.njnt)
+                if model.jnt_bodyid[k] == b and model.jnt_type[k] != FREE
+            }
         what = "connects" if kind == CONNECT else "welds"
         told.append(
-            f"a loop: an equality {what} {model.body(max(ends[0], 0)).name} and {model.body(max(ends[1], 0)).name}"
+            f"a loop: an equality {what} {model.body(max(ends[0], 0)).name} and "
+            f"{model.body(max(ends[1], 0)).name}"
         )
     return looped, told
 

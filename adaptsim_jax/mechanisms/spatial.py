@@ -1,7 +1,9 @@
-"""Motions, wrenches and inertias about one point, on entries `[n, ...batch]` or known integers (`lanes.py`).
+"""Motions, wrenches and inertias about one point, on entries `[n, ...batch]` or known integers
+(`lanes.py`).
 
-A motion is (angular, linear of the point), a wrench (moment about the point, force); both are pairs of vectors in the world's
-axes. Products are those of Featherstone, "Rigid Body Dynamics Algorithms", 2008, chapter 2.
+A motion is (angular, linear of the point), a wrench (moment about the point, force); both are pairs
+of vectors in the world's axes. Products are those of Featherstone, "Rigid Body Dynamics
+Algorithms", 2008, chapter 2.
 """
 
 from typing import NamedTuple
@@ -75,14 +77,19 @@ def moved(body: Body, d: Vector) -> Body:
     h, inertia = body.moment, body.inertia
     md = plus(h, times(body.mass, d))  # h d' + d h' + m d d' = h d' + d md'
     much = add(dot(h, d), dot(md, d))
-    entry = lambda r, c: sub(inertia[r][c], add(mul(h[r], d[c]), mul(d[r], md[c])))
+
+    def entry(r, c):
+        return sub(inertia[r][c], add(mul(h[r], d[c]), mul(d[r], md[c])))
+
     six = [add(entry(r, c), much) if r == c else entry(r, c) for r in range(3) for c in range(r, 3)]
     return Body(body.mass, md, symmetric(*six))
 
 
 def swirl(body: Body, m: Pair) -> tuple[Rows, Vector]:
-    """`K [3, 3]` and the linear momentum `p`: for any motion (a, b), V x* I (a, b) + (a, b) x* I V + I ((a, b) x V) is the wrench
-    (K a, 2 a x p), where V is `m` (the b falls out by Jacobi's identity)."""
+    """`K [3, 3]` and the linear momentum `p`: for any motion (a, b), V x* I (a, b) + (a, b) x* I V
+    + I ((a, b) x V) is the wrench (K a, 2 a x p), where V is `m` (the b falls out by Jacobi's
+    identity).
+    """
     omega, u = m
     push = plus(times(body.mass, u), cross(omega, body.moment))
     spin: list[list[Entry]] = [[0] * 3 for _ in range(3)]

@@ -1,4 +1,6 @@
-"""Model files as MuJoCo's own parser and compiler have them: MJCF, and URDF made ready by `urdf.py`."""
+"""Model files as MuJoCo's own parser and compiler have them: MJCF, and URDF made ready by
+`urdf.py`.
+"""
 
 import os
 from dataclasses import dataclass
@@ -13,8 +15,10 @@ from adaptsim_jax.mechanisms.urdf import Follower, is_urdf, urdf_for_mujoco
 
 @dataclass(frozen=True)
 class Source:
-    """A model file, compiled. kind: mjcf or urdf; mimics: joints of a URDF that follow others; weightless: links of a URDF without
-    any inertia; notes: what was done to read it, a sentence each."""
+    """A model file, compiled. kind: mjcf or urdf; mimics: joints of a URDF that follow others;
+    weightless: links of a URDF without any inertia; notes: what was done to read it, a sentence
+    each.
+    """
 
     path: str
     kind: str
@@ -34,16 +38,23 @@ def read_source(path: str | os.PathLike) -> Source:
     without_shapes(spec)
     model = compiled(where, spec)
     if not model.njnt:
-        raise BadInput(f"{where}: has no joint, so that nothing moves; give a model with hinges or slides")
+        raise BadInput(
+            f"{where}: has no joint, so that nothing moves; give a model with hinges or slides"
+        )
     if spec.flexes:
-        raise BadInput(f"{where}: flex '{_name(spec.flexes[0])}' is a soft body, which is not modelled; remove it")
+        raise BadInput(
+            f"{where}: flex '{_name(spec.flexes[0])}' is a soft body, which is not modelled; "
+            f"remove it"
+        )
     if urdf is None:
         return Source(where, kind, model)
     return Source(where, kind, model, urdf.mimics, urdf.weightless, urdf.notes)
 
 
 def read_spec(path: str | os.PathLike) -> tuple[mujoco.MjSpec, str]:
-    """The file as MuJoCo's parser has it, not compiled; and `mjcf` or `urdf`. Links of a URDF stay bodies of their own."""
+    """The file as MuJoCo's parser has it, not compiled; and `mjcf` or `urdf`. Links of a URDF stay
+    bodies of their own.
+    """
     return _parsed(path)[:2]
 
 
@@ -52,13 +63,25 @@ def _parsed(path: str | os.PathLike):
     try:
         text = where.read_text(encoding="utf-8")
     except FileNotFoundError:
-        raise BadInput(f"{where}: there is no such model file; give the path of an MJCF (.xml) or URDF file") from None
+        raise BadInput(
+            f"{where}: there is no such model file; give the path of an MJCF (.xml) or URDF file"
+        ) from None
     except (OSError, UnicodeDecodeError) as error:
-        raise BadInput(f"{where}: cannot be read ({_line(error)}); give the path of an MJCF or URDF file") from None
-    urdf = urdf_for_mujoco(str(where), text) if is_urdf(str(where), text) else None
+        raise BadInput(
+            f"{where}: cannot be read ({_line(error)}); give the path of an MJCF or URDF file"
+        ) from None
+    if is_urdf(str(where), text):
+        urdf = urdf_for_mujoco(str(where), text)
+    else:
+        urdf = None
     try:
-        spec = mujoco.MjSpec.from_file(str(where)) if urdf is None else mujoco.MjSpec.from_string(urdf.text)
-    except Exception as error:  # MuJoCo raises ValueError and RuntimeError, with the line in the text
+        if urdf is None:
+            spec = mujoco.MjSpec.from_file(str(where))
+        else:
+            spec = mujoco.MjSpec.from_string(urdf.text)
+    except (
+        Exception
+    ) as error:  # MuJoCo raises ValueError and RuntimeError, with the line in the text
         raise BadInput(f"{where}: MuJoCo cannot read it: {_line(error)}; mend the file") from None
     spec.compiler.fusestatic = False
     _named(spec)
@@ -73,19 +96,25 @@ def compiled(where: str, spec: mujoco.MjSpec) -> mujoco.MjModel:
         text = _line(error)
         if "Error opening file" in text or "mesh" in text.lower():
             raise BadInput(
-                f"{where}: MuJoCo cannot compile it: {text}; give the bodies an <inertial>, then no mesh is needed"
+                f"{where}: MuJoCo cannot compile it: {text}; give the bodies an <inertial>, then "
+                f"no mesh is needed"
             ) from None
         raise BadInput(f"{where}: MuJoCo cannot compile it: {text}; mend the file") from None
 
 
 def shapeless(where: str, spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """The model of a spec without meshes, as where their files are missing. Raises BadInput where MuJoCo refuses it."""
+    """The model of a spec without meshes, as where their files are missing. Raises BadInput where
+    MuJoCo refuses it.
+    """
     for kind in (spec.materials, spec.textures, spec.skins):
         for item in list(kind):
             spec.delete(item)
     for geom in list(spec.geoms):
         geom.material = ""
-        if geom.type in (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD) and geom.parent.explicitinertial:
+        if (
+            geom.type in (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD)
+            and geom.parent.explicitinertial
+        ):
             spec.delete(geom)
     needed = {geom.meshname for geom in spec.geoms}
     for mesh in list(spec.meshes):
@@ -100,7 +129,12 @@ def _line(error: Exception) -> str:
 
 def _named(spec: mujoco.MjSpec) -> None:
     """Every body, joint, actuator and tendon gets a name that is not taken yet."""
-    kinds = (("body", spec.bodies), ("joint", spec.joints), ("actuator", spec.actuators), ("tendon", spec.tendons))
+    kinds = (
+        ("body", spec.bodies),
+        ("joint", spec.joints),
+        ("actuator", spec.actuators),
+        ("tendon", spec.tendons),
+    )
     for kind, items in kinds:
         taken = {item.name for item in items}
         for i, item in enumerate(items):

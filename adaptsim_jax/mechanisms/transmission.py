@@ -1,4 +1,6 @@
-"""Actuators of a compiled model as laws on the coordinates of a tree, and what springs and dampers of tendons and actuators add."""
+"""Actuators of a compiled model as laws on the coordinates of a tree, and what springs and dampers
+of tendons and actuators add.
+"""
 
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -18,8 +20,9 @@ UNCLAMPED = int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
 
 @dataclass(frozen=True)
 class Place:
-    """Where the joints of the file are in the tree. coordinate, factor, offset by joint of the file: it is at
-    offset + factor * q[coordinate]; coordinate -1: held at its offset."""
+    """Where the joints of the file are in the tree. coordinate, factor, offset by joint of the
+    file: it is at offset + factor * q[coordinate]; coordinate -1: held at its offset.
+    """
 
     coordinate: np.ndarray
     factor: np.ndarray
@@ -28,8 +31,10 @@ class Place:
 
 @dataclass
 class Added:
-    """What acts on the coordinates besides the joints' own: armature, damping, frictionloss, stiffness [n] and the force of
-    these springs at zero, pull [n]; beyond: what a tree has not, a sentence each."""
+    """What acts on the coordinates besides the joints' own: armature, damping, frictionloss,
+    stiffness [n] and the force of these springs at zero, pull [n]; beyond: what a tree has not, a
+    sentence each.
+    """
 
     armature: np.ndarray
     damping: np.ndarray
@@ -42,7 +47,9 @@ class Added:
 def length(
     model: mujoco.MjModel, place: Place, joint: int = -1, tendon: int = -1
 ) -> tuple[dict[int, float], float] | None:
-    """A joint's or fixed tendon's length as (slope by coordinate, length at zero); None where it is no such sum."""
+    """A joint's or fixed tendon's length as (slope by coordinate, length at zero); None where it is
+    no such sum.
+    """
     parts = [(joint, 1.0)] if joint >= 0 else []
     if tendon >= 0:
         rows = range(model.tendon_adr[tendon], model.tendon_adr[tendon] + model.tendon_num[tendon])
@@ -60,19 +67,31 @@ def length(
     return {j: c for j, c in slope.items() if c != 0.0}, start
 
 
-def read_actuators(model: mujoco.MjModel, place: Place, added: Added) -> tuple[tuple[Actuator, ...], tuple[str, ...]]:
-    """The actuators that move coordinates of the tree, in the file's order; and the names of those that move held joints only."""
+def read_actuators(
+    model: mujoco.MjModel, place: Place, added: Added
+) -> tuple[tuple[Actuator, ...], tuple[str, ...]]:
+    """The actuators that move coordinates of the tree, in the file's order; and the names of those
+    that move held joints only.
+    """
     out, idle = [], []
     for k in range(model.nu):
-        name, kind, target = model.actuator(k).name, int(model.actuator_trntype[k]), int(model.actuator_trnid[k, 0])
+        name, kind, target = (
+            model.actuator(k).name,
+            int(model.actuator_trntype[k]),
+            int(model.actuator_trnid[k, 0]),
+        )
         found = None
         if kind in JOINTS:
             found = length(model, place, joint=target)
         elif kind == TENDON:
             found = length(model, place, tendon=target)
         if found is None:
-            where = {TENDON: "a tendon over sites"}.get(kind, f"a {mujoco.mjtTrn(kind).name[6:].lower()}")
-            added.beyond.append(f"actuator '{name}' on {where if kind not in JOINTS else 'a ball or free joint'}")
+            where = {TENDON: "a tendon over sites"}.get(
+                kind, f"a {mujoco.mjtTrn(kind).name[6:].lower()}"
+            )
+            added.beyond.append(
+                f"actuator '{name}' on {where if kind not in JOINTS else 'a ball or free joint'}"
+            )
             continue
         slope, start = found
         if not slope:
@@ -84,9 +103,13 @@ def read_actuators(model: mujoco.MjModel, place: Place, added: Added) -> tuple[t
         gear = float(model.actuator_gear[k, 0])
         home = max(slope, key=lambda j: (abs(slope[j]), -j))
         law = replace(
-            law, name=name, joint=home, gear=gear * slope[home], offset=law.offset - law.kp * gear * start,
+            law,
+            name=name,
+            joint=home,
+            gear=gear * slope[home],
+            offset=law.offset - law.kp * gear * start,
             more=tuple((j, gear * c) for j, c in slope.items() if j != home),
-        )  # fmt: skip
+        )
         out.append(law)
         for j, c in slope.items():
             added.armature[j] += (gear * c) ** 2 * model.actuator_armature[k]
@@ -95,25 +118,39 @@ def read_actuators(model: mujoco.MjModel, place: Place, added: Added) -> tuple[t
 
 
 def _law(model: mujoco.MjModel, k: int) -> tuple[Actuator, str]:
-    """The law of an actuator without where it acts, and what of it a tree has not ('' where it has all)."""
+    """The law of an actuator without where it acts, and what of it a tree has not ('' where it has
+    all).
+    """
     gain, bias, dyn = model.actuator_gainprm[k], model.actuator_biasprm[k], model.actuator_dynprm[k]
     gaintype, biastype, dyntype = (
-        int(x[k]) for x in (model.actuator_gaintype, model.actuator_biastype, model.actuator_dyntype)
+        int(x[k])
+        for x in (model.actuator_gaintype, model.actuator_biastype, model.actuator_dyntype)
     )
-    limited = lambda on, values: tuple(map(float, values)) if on else NO_RANGE
+
+    def limited(on, values):
+        if on:
+            return tuple(map(float, values))
+        return NO_RANGE
+
     shared: dict[str, Any] = {
         "forcerange": limited(model.actuator_forcelimited[k], model.actuator_forcerange[k]),
         "ctrlrange": limited(
-            model.actuator_ctrllimited[k] and not int(model.opt.disableflags) & UNCLAMPED, model.actuator_ctrlrange[k]
+            model.actuator_ctrllimited[k] and not int(model.opt.disableflags) & UNCLAMPED,
+            model.actuator_ctrlrange[k],
         ),
         "delay": float(model.actuator_delay[k]),
     }
     if gaintype == int(mujoco.mjtGain.mjGAIN_DCMOTOR):
         more = bool(np.any(gain[2:]) or np.any(bias) or np.any(dyn))
-        why = f"is a dcmotor with more than motorconst and resistance ({_dcmotor(model, k)})" if more else ""
+        if more:
+            why = f"is a dcmotor with more than motorconst and resistance ({_dcmotor(model, k)})"
+        else:
+            why = ""
         if not gain[0] > 0:
             return Actuator("", 0, "dcmotor", **shared), why
-        return Actuator("", 0, "dcmotor", gain=gain[1] / gain[0], kv=gain[1] ** 2 / gain[0], **shared), why
+        return Actuator(
+            "", 0, "dcmotor", gain=gain[1] / gain[0], kv=gain[1] ** 2 / gain[0], **shared
+        ), why
     why = ["is a plugin's"] if model.actuator_plugin[k] >= 0 else []
     lagged = dyntype in (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
     if not lagged and dyntype != int(mujoco.mjtDyn.mjDYN_NONE):
@@ -123,43 +160,61 @@ def _law(model: mujoco.MjModel, k: int) -> tuple[Actuator, str]:
     straight = biastype == int(mujoco.mjtBias.mjBIAS_AFFINE)
     if not straight and biastype != int(mujoco.mjtBias.mjBIAS_NONE):
         why.append("has a bias that is not affine")
-    offset, kp, kv = (float(bias[0]), float(-bias[1]), float(-bias[2])) if straight else (0.0, 0.0, 0.0)
+    if straight:
+        offset, kp, kv = (float(bias[0]), float(-bias[1]), float(-bias[2]))
+    else:
+        offset, kp, kv = (0.0, 0.0, 0.0)
     plain = offset == 0
-    kind = (
-        "motor" if plain and kp == 0 and kv == 0
-        else "position" if plain and kp == gain[0]
-        else "velocity" if plain and kp == 0 and kv == gain[0]
-        else "general"
-    )  # fmt: skip
+    if plain and kp == 0 and kv == 0:
+        kind = "motor"
+    elif plain and kp == gain[0]:
+        kind = "position"
+    elif plain and kp == 0 and kv == gain[0]:
+        kind = "velocity"
+    else:
+        kind = "general"
     lag = float(dyn[0]) if lagged else 0.0
-    return Actuator("", 0, kind, gain=float(gain[0]), offset=offset, kp=kp, kv=kv, lag=lag, **shared), " and ".join(why)
+    return Actuator(
+        "", 0, kind, gain=float(gain[0]), offset=offset, kp=kp, kv=kv, lag=lag, **shared
+    ), " and ".join(why)
 
 
 def _dcmotor(model: mujoco.MjModel, k: int) -> str:
     """What a dcmotor has besides, in words; LuGre's bristles are its friction."""
-    return (
-        "winding, cogging, heat, a controller or LuGre's friction"
-        if np.any(model.actuator_dynprm[k])
-        else "cogging or friction"
-    )
+    if np.any(model.actuator_dynprm[k]):
+        return "winding, cogging, heat, a controller or LuGre's friction"
+    return "cogging or friction"
 
 
 def add_tendons(model: mujoco.MjModel, place: Place, added: Added) -> None:
     """Springs, dampers, friction and rotors of fixed tendons, on the coordinate that each is of."""
     for t in range(model.ntendon):
         name = model.tendon(t).name
-        d, poly, k = float(model.tendon_damping[t]), model.tendon_dampingpoly[t], float(model.tendon_stiffness[t])
+        d, poly, k = (
+            float(model.tendon_damping[t]),
+            model.tendon_dampingpoly[t],
+            float(model.tendon_stiffness[t]),
+        )
         rub, arm = float(model.tendon_frictionloss[t]), float(model.tendon_armature[t])
         limited = bool(model.tendon_limited[t])
-        if not (d or np.any(poly) or k or np.any(model.tendon_stiffnesspoly[t]) or rub or arm or limited):
+        if not (
+            d or np.any(poly) or k or np.any(model.tendon_stiffnesspoly[t]) or rub or arm or limited
+        ):
             continue
         found = length(model, place, tendon=t)
         slack = model.tendon_lengthspring[t]
-        bare = slack[0] == slack[1] and not np.any(poly) and not np.any(model.tendon_stiffnesspoly[t]) and not limited
+        bare = (
+            slack[0] == slack[1]
+            and not np.any(poly)
+            and not np.any(model.tendon_stiffnesspoly[t])
+            and not limited
+        )
         if found is not None and not found[0]:
             continue
         if found is None or len(found[0]) > 1 or not bare:
-            added.beyond.append(f"what tendon '{name}' does by itself (spring, damper, friction or limit)")
+            added.beyond.append(
+                f"what tendon '{name}' does by itself (spring, damper, friction or limit)"
+            )
             if found is None or len(found[0]) > 1:
                 continue
         ((j, c),), start = found[0].items(), found[1]

@@ -1,20 +1,23 @@
 """A tree of hinge and slide joints on a fixed base, as arrays.
 
-**Frames.** Every joint carries one moving body. The frame of joint i sits on that body, its origin on the joint's axis and its
-z axis *along* the joint's axis; `place` and `rotation` say where it is in the frame of the body before it (of the world, where
-`parent` is -1) at q = 0. So a hinge turns the frame about its own z, and a slide moves it along it. Bodies without joints are
-part of the body that they are welded to; a body with several joints is the last of a series of bodies of which the others
-weigh nothing.
+**Frames.** Every joint carries one moving body. The frame of joint i sits on that body, its origin
+on the joint's axis and its z axis *along* the joint's axis; `place` and `rotation` say where it is
+in the frame of the body before it (of the world, where `parent` is -1) at q = 0. So a hinge turns
+the frame about its own z, and a slide moves it along it. Bodies without joints are part of the body
+that they are welded to; a body with several joints is the last of a series of bodies of which the
+others weigh nothing.
 
-**Inertial parameters** of a body, about the origin and in the axes of its joint's frame: `m, m cx, m cy, m cz` (kg, kg m), then
-`Ixx, Ixy, Ixz, Iyy, Iyz, Izz` (kg m^2), the moments about the *origin* and `Ixy = -sum m x y`. Dynamics are linear in them.
+**Inertial parameters** of a body, about the origin and in the axes of its joint's frame: `m, m cx,
+m cy, m cz` (kg, kg m), then `Ixx, Ixy, Ixz, Iyy, Iyz, Izz` (kg m^2), the moments about the *origin*
+and `Ixy = -sum m x y`. Dynamics are linear in them.
 
-Arrays are numpy in double precision until a function of `dynamics.py` casts them to the type of `q`; they may carry lanes on
-trailing axes, as if each mechanism of a batch had its own.
+Arrays are numpy in double precision until a function of `dynamics.py` casts them to the type of
+`q`; they may carry lanes on trailing axes, as if each mechanism of a batch had its own.
 
-**Followers.** A joint that follows another (a mimic, an equality of two joints) is no coordinate of its own: `whole` then is the
-tree of all joints, and says which coordinate each of them goes with. The fields of the tree itself are those of its coordinates,
-each at the joint that it is named after; what followers have of friction, inertia of rotors and springs is added to theirs.
+**Followers.** A joint that follows another (a mimic, an equality of two joints) is no coordinate of
+its own: `whole` then is the tree of all joints, and says which coordinate each of them goes with.
+The fields of the tree itself are those of its coordinates, each at the joint that it is named
+after; what followers have of friction, inertia of rotors and springs is added to theirs.
 """
 
 from collections.abc import Sequence
@@ -32,8 +35,9 @@ EXACT = 1e-14  # rotations by quarter turns come out of a quaternion this close 
 
 @dataclass(frozen=True)
 class Shape:
-    """What is exactly -1, 0 or 1 in a joint's `place` and `rotation` (None where nothing is), and whether its body weighs
-    nothing. Known before tracing, so that the formulas leave it out."""
+    """What is exactly -1, 0 or 1 in a joint's `place` and `rotation` (None where nothing is), and
+    whether its body weighs nothing. Known before tracing, so that the formulas leave it out.
+    """
 
     place: tuple[int | None, ...]  # 3
     rotation: tuple[tuple[int | None, ...], ...]  # 3 rows
@@ -42,10 +46,12 @@ class Shape:
 
 @dataclass(frozen=True)
 class Whole:
-    """All joints of a tree of which some follow others: joint k is at `offset[k] + factor[k] * q[leader[k]]`.
+    """All joints of a tree of which some follow others: joint k is at `offset[k] + factor[k] *
+    q[leader[k]]`.
 
-    tree: of all joints, each a coordinate; leader [m] the coordinate that each goes with, own [n] the joint that each coordinate
-    is (static); factor [m] in units of the joint over those of its leader, offset [m] rad or m.
+    tree: of all joints, each a coordinate; leader [m] the coordinate that each goes with, own [n]
+    the joint that each coordinate is (static); factor [m] in units of the joint over those of its
+    leader, offset [m] rad or m.
     """
 
     tree: "Tree"
@@ -55,21 +61,25 @@ class Whole:
     offset: Array
 
 
-jax.tree_util.register_dataclass(Whole, data_fields=["tree", "factor", "offset"], meta_fields=["leader", "own"])
+jax.tree_util.register_dataclass(
+    Whole, data_fields=["tree", "factor", "offset"], meta_fields=["leader", "own"]
+)
 
 
 @dataclass(frozen=True)
 class Tree:
     """See the module's text. `n` joints; joint i moves body i. SI units; angles in rad.
 
-    place [n, 3] m, rotation [n, 3, 3], gravity [3] m/s^2 in the world; inertial [n, 10]; damping N m s/rad (N s/m for a slide),
-    armature kg m^2 (kg), frictionloss N m (N), stiffness N m/rad (N/m) about springref rad (m), each [n]. `damping_poly` and
-    `stiffness_poly` [n, 2] are MuJoCo's higher coefficients: the force is -(d + d1 |v| + d2 v^2) v, and so with q - springref.
-    range [n, 2] rad or m, of use where `limited`; stop [n, 8] what a limit does there: MuJoCo's two numbers of `solref`, five of
-    `solimp`, and the joint's inverse weight (1 / (kg m^2) or 1 / kg). rub [n, 2] how dry friction gives, zeros where it is sharp:
-    the rate 1/s at which it ends a speed, and what it adds to the joint's inverse weight. gravcomp [n, 10]: inertial parameters
-    of what is held up against gravity, where `compensated`. linear: its equations of motion are those about rest at zero
-    (`equations.py`).
+    place [n, 3] m, rotation [n, 3, 3], gravity [3] m/s^2 in the world; inertial [n, 10]; damping N
+    m s/rad (N s/m for a slide), armature kg m^2 (kg), frictionloss N m (N), stiffness N m/rad (N/m)
+    about springref rad (m), each [n]. `damping_poly` and `stiffness_poly` [n, 2] are MuJoCo's
+    higher coefficients: the force is -(d + d1 |v| + d2 v^2) v, and so with q - springref. range [n,
+    2] rad or m, of use where `limited`; stop [n, 8] what a limit does there: MuJoCo's two numbers
+    of `solref`, five of `solimp`, and the joint's inverse weight (1 / (kg m^2) or 1 / kg). rub [n,
+    2] how dry friction gives, zeros where it is sharp: the rate 1/s at which it ends a speed, and
+    what it adds to the joint's inverse weight. gravcomp [n, 10]: inertial parameters of what is
+    held up against gravity, where `compensated`. linear: its equations of motion are those about
+    rest at zero (`equations.py`).
     """
 
     joint_names: tuple[str, ...]
@@ -108,19 +118,30 @@ class Tree:
 
     @property
     def massless(self) -> tuple[bool, ...]:
-        """Bodies that only join two joints of one body: they weigh nothing, whatever `inertial` a function is given."""
+        """Bodies that only join two joints of one body: they weigh nothing, whatever `inertial` a
+        function is given.
+        """
         return tuple(shape.massless for shape in self.shapes)
 
     def unit(self, joint: int) -> str:
         """Of the joint's coordinate."""
-        return "rad" if self.kinds[joint] == "hinge" else "m"
+        if self.kinds[joint] == "hinge":
+            return "rad"
+        return "m"
 
 
 _OF_EACH = ("joint_names", "kinds", "parent", "body_names", "limited", "compensated", "shapes")
 _META = (*_OF_EACH, "linear")
 _DATA = tuple(f.name for f in fields(Tree) if f.name not in _META)
 _OF_JOINTS = tuple(name for name in _DATA if name not in ("gravity", "whole"))
-_SIZES = {"damping_poly": (2,), "stiffness_poly": (2,), "range": (2,), "stop": (8,), "rub": (2,), "gravcomp": (10,)}
+_SIZES = {
+    "damping_poly": (2,),
+    "stiffness_poly": (2,),
+    "range": (2,),
+    "stop": (8,),
+    "rub": (2,),
+    "gravcomp": (10,),
+}
 jax.tree_util.register_dataclass(Tree, data_fields=_DATA, meta_fields=_META)
 
 
@@ -145,7 +166,9 @@ def make_tree(
     if any(k not in ("hinge", "slide") for k in kinds):
         raise ValueError(f"kinds {tuple(kinds)} must be 'hinge' or 'slide'")
     if len(parent) != n or any(not -1 <= p < i for i, p in enumerate(parent)):
-        raise ValueError(f"parent {tuple(parent)} must name an earlier joint, or -1, for each of {n} joints")
+        raise ValueError(
+            f"parent {tuple(parent)} must name an earlier joint, or -1, for each of {n} joints"
+        )
     sizes = {name: (n, *own) for name, own in _SIZES.items()}
     arrays: dict[str, Any] = {"place": place, "rotation": rotation, "inertial": inertial}
     shapes = {"place": (n, 3), "rotation": (n, 3, 3), "inertial": (n, 10)}
@@ -155,27 +178,40 @@ def make_tree(
             shapes[name] = sizes.get(name, (n,))
         arrays[name] = np.asarray(arrays[name], float)
         if arrays[name].shape != shapes[name]:
-            raise ValueError(f"{name} has shape {arrays[name].shape}, but {n} joints need {shapes[name]}")
+            raise ValueError(
+                f"{name} has shape {arrays[name].shape}, but {n} joints need {shapes[name]}"
+            )
     if values:
         raise ValueError(f"a tree has no {', '.join(values)}")
     snapped = {name: _snapped(arrays[name]) for name in ("place", "rotation")}
     rest: dict[str, Any] = arrays | snapped
     tree = Tree(
-        tuple(joint_names) or tuple(f"joint{i + 1}" for i in range(n)), tuple(kinds), tuple(int(p) for p in parent),
-        tuple(body_names) or tuple(f"body{i + 1}" for i in range(n)), tuple(map(bool, limited)) or (False,) * n,
-        tuple(bool(np.any(row)) for row in arrays["gravcomp"]), (),
-        gravity=np.asarray(gravity, float), **rest,
-    )  # fmt: skip
+        tuple(joint_names) or tuple(f"joint{i + 1}" for i in range(n)),
+        tuple(kinds),
+        tuple(int(p) for p in parent),
+        tuple(body_names) or tuple(f"body{i + 1}" for i in range(n)),
+        tuple(map(bool, limited)) or (False,) * n,
+        tuple(bool(np.any(row)) for row in arrays["gravcomp"]),
+        (),
+        gravity=np.asarray(gravity, float),
+        **rest,
+    )
     return reshaped(tree)
 
 
 def reshaped(tree: Tree) -> Tree:
-    """The tree with `shapes` found anew, after `place`, `rotation` or `inertial` were replaced by other numbers."""
-    place, rotation, inertial = (np.asarray(x, float) for x in (tree.place, tree.rotation, tree.inertial))
+    """The tree with `shapes` found anew, after `place`, `rotation` or `inertial` were replaced by
+    other numbers.
+    """
+    place, rotation, inertial = (
+        np.asarray(x, float) for x in (tree.place, tree.rotation, tree.inertial)
+    )
     shapes = tuple(
         Shape(
             tuple(0 if x == 0 else None for x in place[i]),
-            tuple(tuple(int(x) if x in (-1.0, 0.0, 1.0) else None for x in row) for row in rotation[i]),
+            tuple(
+                tuple(int(x) if x in (-1.0, 0.0, 1.0) else None for x in row) for row in rotation[i]
+            ),
             bool(np.all(inertial[i] == 0)),
         )
         for i in range(tree.n)
@@ -197,7 +233,9 @@ def ancestors(tree: Tree, joint: int) -> tuple[int, ...]:
 
 
 def subtrees(tree: Tree) -> list[tuple[int, ...]]:
-    """Groups of joints that share no moving body, hence no inertia: each may be simulated and fitted by itself."""
+    """Groups of joints that share no moving body, hence no inertia: each may be simulated and
+    fitted by itself.
+    """
     if tree.whole is not None:
         return _tied(tree.whole, tree.n)
     root: list[int] = []
@@ -216,14 +254,17 @@ def _tied(whole: Whole, n: int) -> list[tuple[int, ...]]:
 
 
 def take(tree: Tree, indices: Sequence[int]) -> Tree:
-    """The joints `indices`, in that order, as a tree of their own. Raises ValueError where a parent would be missing."""
+    """The joints `indices`, in that order, as a tree of their own. Raises ValueError where a parent
+    would be missing.
+    """
     new = {old: i for i, old in enumerate(indices)}
     if len(new) != len(indices):
         raise ValueError(f"indices {tuple(indices)} name a joint twice")
     missing = sorted({tree.parent[i] for i in indices} - set(new) - {-1})
     if missing:
         raise ValueError(
-            f"joints {tuple(indices)} hang on {[tree.joint_names[i] for i in missing]}; take those as well"
+            f"joints {tuple(indices)} hang on {[tree.joint_names[i] for i in missing]}; take those "
+            f"as well"
         )
     if any(new.get(tree.parent[i], -1) > new[i] for i in indices):
         raise ValueError(f"indices {tuple(indices)} must name a joint after its parent")
@@ -231,11 +272,15 @@ def take(tree: Tree, indices: Sequence[int]) -> Tree:
     meta = {name: tuple(getattr(tree, name)[i] for i in indices) for name in _OF_EACH}
     meta["parent"] = tuple(new.get(p, -1) for p in meta["parent"])
     whole = None if tree.whole is None else _taken(tree.whole, new)
-    return replace(tree, **meta, **{name: getattr(tree, name)[at] for name in _OF_JOINTS}, whole=whole)
+    return replace(
+        tree, **meta, **{name: getattr(tree, name)[at] for name in _OF_JOINTS}, whole=whole
+    )
 
 
 def _taken(whole: Whole, new: dict[int, int]) -> Whole | None:
-    """What of `whole` goes with the coordinates `new` (old number: new one); None where nothing follows anything."""
+    """What of `whole` goes with the coordinates `new` (old number: new one); None where nothing
+    follows anything.
+    """
     joints = [k for k, leader in enumerate(whole.leader) if leader in new]
     if len(joints) == len(new):
         return None
@@ -243,17 +288,21 @@ def _taken(whole: Whole, new: dict[int, int]) -> Whole | None:
     own = {new[whole.leader[k]]: place[k] for k in joints if whole.own[whole.leader[k]] == k}
     at = np.asarray(joints, int)
     return Whole(
-        take(whole.tree, joints), tuple(new[whole.leader[k]] for k in joints), tuple(own[j] for j in range(len(new))),
-        np.asarray(whole.factor)[at], np.asarray(whole.offset)[at],
-    )  # fmt: skip
+        take(whole.tree, joints),
+        tuple(new[whole.leader[k]] for k in joints),
+        tuple(own[j] for j in range(len(new))),
+        np.asarray(whole.factor)[at],
+        np.asarray(whole.offset)[at],
+    )
 
 
 def folded(tree: Tree, leader: Sequence[int], factor: Any, offset: Any) -> Tree:
     """`tree` of m joints with those that follow others taken out of its coordinates.
 
-    leader [m]: the joint that each follows (itself where it follows none); factor, offset [m]: it is at
-    offset + factor * (its leader's angle). What is linear in the joints' own motion is added up; a spring of a follower keeps its
-    force (its rest moves the leader's). Raises ValueError where a leader follows another.
+    leader [m]: the joint that each follows (itself where it follows none); factor, offset [m]: it
+    is at offset + factor * (its leader's angle). What is linear in the joints' own motion is added
+    up; a spring of a follower keeps its force (its rest moves the leader's). Raises ValueError
+    where a leader follows another.
     """
     m = tree.n
     if any(leader[leader[k]] != leader[k] for k in range(m)):
@@ -264,17 +313,24 @@ def folded(tree: Tree, leader: Sequence[int], factor: Any, offset: Any) -> Tree:
     number = {k: j for j, k in enumerate(own)}
     goes = tuple(number[leader[k]] for k in range(m))
     c, d = np.asarray(factor, float), np.asarray(offset, float)
-    summed = lambda x: np.stack([sum(x[k] for k in range(m) if goes[k] == j) for j in range(len(own))])
+
+    def summed(x):
+        return np.stack([sum(x[k] for k in range(m) if goes[k] == j) for j in range(len(own))])
+
     size = np.abs(c)
     values = {
-        "damping": summed(c**2 * tree.damping), "armature": summed(c**2 * tree.armature),
-        "frictionloss": summed(size * tree.frictionloss), "stiffness": summed(c**2 * tree.stiffness),
+        "damping": summed(c**2 * tree.damping),
+        "armature": summed(c**2 * tree.armature),
+        "frictionloss": summed(size * tree.frictionloss),
+        "stiffness": summed(c**2 * tree.stiffness),
         "damping_poly": summed(size[:, None] ** [3, 4] * tree.damping_poly),
         "stiffness_poly": summed(size[:, None] ** [3, 4] * tree.stiffness_poly),
-    }  # fmt: skip
+    }
     pull = summed(c * tree.stiffness * (tree.springref - d))
     stiff = values["stiffness"]
-    values["springref"] = np.where(stiff > 0, pull / np.where(stiff > 0, stiff, 1.0), tree.springref[own])
+    values["springref"] = np.where(
+        stiff > 0, pull / np.where(stiff > 0, stiff, 1.0), tree.springref[own]
+    )
     meta = {name: tuple(getattr(tree, name)[k] for k in own) for name in _OF_EACH}
     meta["parent"] = tuple(_parent(tree, k, goes, j) for j, k in enumerate(own))
     rest = {name: getattr(tree, name)[np.asarray(own)] for name in _OF_JOINTS if name not in values}

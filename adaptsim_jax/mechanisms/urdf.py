@@ -1,4 +1,6 @@
-"""URDF before MuJoCo reads it: checked in its own words, and without what only drawing and contact need."""
+"""URDF before MuJoCo reads it: checked in its own words, and without what only drawing and contact
+need.
+"""
 
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
@@ -28,7 +30,9 @@ class Follower:
 
 @dataclass(frozen=True)
 class Urdf:
-    """A URDF as MuJoCo can read it; what it cannot hold: `mimics`, and links `weightless` that got a little inertia; `notes`."""
+    """A URDF as MuJoCo can read it; what it cannot hold: `mimics`, and links `weightless` that got
+    a little inertia; `notes`.
+    """
 
     text: str
     mimics: tuple[Follower, ...]
@@ -37,24 +41,32 @@ class Urdf:
 
 
 def is_urdf(where: str, text: str) -> bool:
-    """Whether the root is <robot> and not <mujoco>. Raises BadInput where it is neither, or the text is no XML."""
+    """Whether the root is <robot> and not <mujoco>. Raises BadInput where it is neither, or the
+    text is no XML.
+    """
     try:
         tag = ElementTree.fromstring(text).tag
     except ElementTree.ParseError as error:
         raise BadInput(f"{where}: is no well-formed XML ({error}); mend that line") from None
     if tag not in ("robot", "mujoco"):
         raise BadInput(
-            f"{where}: its root is <{tag}>; give an MJCF file, whose root is <mujoco>, or a URDF, whose root is <robot>"
+            f"{where}: its root is <{tag}>; give an MJCF file, whose root is <mujoco>, or a URDF, "
+            f"whose root is <robot>"
         )
     return tag == "robot"
 
 
 def urdf_for_mujoco(where: str, text: str) -> Urdf:
-    """The URDF without shapes, materials and extensions, but for MuJoCo's own compiler. Raises BadInput for what is not modelled."""
+    """The URDF without shapes, materials and extensions, but for MuJoCo's own compiler. Raises
+    BadInput for what is not modelled.
+    """
     robot = ElementTree.fromstring(text)
     for element in robot.iter():
         if isinstance(element.tag, str) and "xacro" in element.tag:
-            raise BadInput(f"{where}: holds xacro commands; expand it first (xacro robot.urdf.xacro > robot.urdf)")
+            raise BadInput(
+                f"{where}: holds xacro commands; expand it first (xacro robot.urdf.xacro > "
+                f"robot.urdf)"
+            )
     links = {link.get("name", ""): link for link in robot.findall("link")}
     joints = robot.findall("joint")
     for joint in joints:
@@ -74,20 +86,25 @@ def urdf_for_mujoco(where: str, text: str) -> Urdf:
                 link.remove(child)
     _free_world(robot, links, joints)
     extension = ElementTree.Element("mujoco")
-    ElementTree.SubElement(extension, "compiler", compiler | {"fusestatic": "false", "discardvisual": "true"})
+    ElementTree.SubElement(
+        extension, "compiler", compiler | {"fusestatic": "false", "discardvisual": "true"}
+    )
     robot.insert(0, extension)
     return Urdf(ElementTree.tostring(robot, encoding="unicode"), mimics, weightless, tuple(notes))
 
 
 def _once(robot: Any) -> list[str]:
-    """Elements of which a link or joint may have one: of several the first counts, as in ROS' own parser."""
+    """Elements of which a link or joint may have one: of several the first counts, as in ROS' own
+    parser.
+    """
     told = []
     for owner in (*robot.findall("link"), *robot.findall("link/inertial"), *robot.findall("joint")):
         for tag in ("origin", "mass", "inertia", "inertial", "axis", "limit", "dynamics", "mimic"):
             for extra in owner.findall(tag)[1:]:
                 owner.remove(extra)
                 name = owner.get("name") or next(
-                    (k.get("name") for k in robot.findall("link") if k.find("inertial") is owner), ""
+                    (k.get("name") for k in robot.findall("link") if k.find("inertial") is owner),
+                    "",
                 )
                 told.append(f"<{tag}> stands twice in '{name}': the first counts, as in ROS")
     return told
@@ -97,7 +114,9 @@ def _number(where: str, joint: str, element: Any, key: str, default: float) -> f
     try:
         return float(element.get(key, default))
     except ValueError:
-        raise BadInput(f"{where}: joint '{joint}' has {key} = {brief(element.get(key))}; give a number") from None
+        raise BadInput(
+            f"{where}: joint '{joint}' has {key} = {brief(element.get(key))}; give a number"
+        ) from None
 
 
 def _mimics(where: str, joints: list) -> tuple[Follower, ...]:
@@ -110,11 +129,14 @@ def _mimics(where: str, joints: list) -> tuple[Follower, ...]:
         leader = mimic.get("joint")
         if leader not in names or leader == name:
             raise BadInput(
-                f"{where}: joint '{name}' mimics {brief(leader)}, which is no other joint that moves; mend the name"
+                f"{where}: joint '{name}' mimics {brief(leader)}, which is no other joint that "
+                f"moves; mend the name"
             )
         factor = _number(where, name, mimic, "multiplier", 1.0)
         if factor == 0.0:
-            raise BadInput(f"{where}: joint '{name}' mimics '{leader}' with multiplier 0; make it fixed")
+            raise BadInput(
+                f"{where}: joint '{name}' mimics '{leader}' with multiplier 0; make it fixed"
+            )
         out.append(Follower(name, leader, factor, _number(where, name, mimic, "offset", 0.0)))
         joint.remove(mimic)
     return tuple(out)
@@ -123,21 +145,33 @@ def _mimics(where: str, joints: list) -> tuple[Follower, ...]:
 def _check_joint(where: str, joint: Any, links: dict[str, Any]) -> None:
     name, kind = joint.get("name"), joint.get("type")
     if kind not in (*MOVING, "fixed", "floating"):
-        raise BadInput(f"{where}: joint '{name}' is of type {brief(kind)}; write single joints in its place")
+        raise BadInput(
+            f"{where}: joint '{name}' is of type {brief(kind)}; write single joints in its place"
+        )
     for end in ("parent", "child"):
         element = joint.find(end)
         if element is None or element.get("link") not in links:
-            named = "" if element is None else f" {brief(element.get('link'))}"
+            if element is None:
+                named = ""
+            else:
+                named = f" {brief(element.get('link'))}"
             raise BadInput(
-                f"{where}: joint '{name}' has a {end} link{named} that the file lacks; add it or mend the name"
+                f"{where}: joint '{name}' has a {end} link{named} that the file lacks; add it or "
+                f"mend the name"
             )
 
 
-def _inertias(where: str, links: dict[str, Any], joints: list, compiler: dict, notes: list[str]) -> tuple[str, ...]:
-    """Links that are fixed to each other are one body. Of those that move, the links that weigh nothing but carry something, and
-    points without moments, get as little as MuJoCo reads; what stands still needs nothing. Raises BadInput where the last of a
-    chain weighs nothing, or moments are negative."""
-    parent = {j.find("child").get("link"): (j.find("parent").get("link"), j.get("type")) for j in joints}
+def _inertias(
+    where: str, links: dict[str, Any], joints: list, compiler: dict, notes: list[str]
+) -> tuple[str, ...]:
+    """Links that are fixed to each other are one body. Of those that move, the links that weigh
+    nothing but carry something, and points without moments, get as little as MuJoCo reads; what
+    stands still needs nothing. Raises BadInput where the last of a chain weighs nothing, or moments
+    are negative.
+    """
+    parent = {
+        j.find("child").get("link"): (j.find("parent").get("link"), j.get("type")) for j in joints
+    }
 
     def head(link: str) -> str | None:
         """The link of a body that moves; None where it stands still."""
@@ -160,7 +194,8 @@ def _inertias(where: str, links: dict[str, Any], joints: list, compiler: dict, n
             bodies.setdefault(own, []).append(name)
     if negative := [n for names in bodies.values() for n in names if _mass(links[n]) < 0.0]:
         raise BadInput(
-            f"{where}: link '{negative[0]}' has a negative mass ({_mass(links[negative[0]]):g}); mend its sign"
+            f"{where}: link '{negative[0]}' has a negative mass ({_mass(links[negative[0]]):g}); "
+            f"mend its sign"
         )
     weighed = {own for own, names in bodies.items() if any(_mass(links[n]) > 0 for n in names)}
     carries = set()
@@ -174,14 +209,21 @@ def _inertias(where: str, links: dict[str, Any], joints: list, compiler: dict, n
             link = up
     if bare := [own for own in bodies if own not in carries]:
         raise BadInput(
-            f"{where}: no mass for link{'s' if len(bare) > 1 else ''} {', '.join(bare)}, nor for what it carries; give each that "
+            f"{where}: no mass for link{'s' if len(bare) > 1 else ''} {', '.join(bare)}, nor for "
+            f"what it carries; give each that "
             "moves an <inertial> with mass and inertia"
         )
-    odd = [name for own in bodies if own in weighed for name in _point(where, links, bodies[own], compiler)]
+    odd = [
+        name
+        for own in bodies
+        if own in weighed
+        for name in _point(where, links, bodies[own], compiler)
+    ]
     if odd:
         compiler["balanceinertia"] = "true"
         notes.append(
-            f"moments of inertia that no body can have (the largest is more than the other two together), balanced as MuJoCo does: "
+            f"moments of inertia that no body can have (the largest is more than the other two "
+            f"together), balanced as MuJoCo does: "
             f"{', '.join(odd)}"
         )
     out = [own for own in bodies if own not in weighed]
@@ -193,7 +235,9 @@ def _inertias(where: str, links: dict[str, Any], joints: list, compiler: dict, n
 
 
 def _point(where: str, links: dict[str, Any], names: list[str], compiler: dict) -> list[str]:
-    """Masses without moments, as points; negative moments are named. Returns the links whose moments no body can have."""
+    """Masses without moments, as points; negative moments are named. Returns the links whose
+    moments no body can have.
+    """
     odd = []
     for name in names:
         inertial, inertia = links[name].find("inertial"), links[name].find("inertial/inertia")
@@ -218,7 +262,8 @@ def _point(where: str, links: dict[str, Any], names: list[str], compiler: dict) 
                 f"{moments[0]:.3g} about a main axis"
             ]
             raise BadInput(
-                f"{where}: link '{name}' has negative moments of inertia ({', '.join(told)}); mend their sign"
+                f"{where}: link '{name}' has negative moments of inertia ({', '.join(told)}); mend "
+                f"their sign"
             )
         if moments[0] + moments[1] < moments[2] * (1.0 - TINY):
             odd.append(name)
@@ -235,24 +280,32 @@ def _inertial(mass: float, moment: float) -> Any:
 def _mass(link: Any) -> float:
     mass = link.find("inertial/mass")
     try:
-        return 0.0 if mass is None else float(mass.get("value", 0))
+        if mass is None:
+            return 0.0
+        return float(mass.get("value", 0))
     except ValueError:
         return 1.0  # MuJoCo's parser says what is wrong with the number
 
 
 def _placeholders(joints: list) -> list[str]:
-    """Friction as large as the effort limit holds a joint for ever: a number that was put in for want of one."""
+    """Friction as large as the effort limit holds a joint for ever: a number that was put in for
+    want of one.
+    """
     told = []
     for joint in joints:
         limit, dynamics = joint.find("limit"), joint.find("dynamics")
         try:
             effort = 0.0 if limit is None else float(limit.get("effort", 0))
-            friction = 0.0 if dynamics is None else float(dynamics.get("friction", 0))
+            if dynamics is None:
+                friction = 0.0
+            else:
+                friction = float(dynamics.get("friction", 0))
         except ValueError:
             continue
         if friction > 0.0 and friction >= effort > 0.0:
             told.append(
-                f"joint '{joint.get('name')}' declares friction of {friction:g}, as much as its effort limit: it could not move; "
+                f"joint '{joint.get('name')}' declares friction of {friction:g}, as much as its "
+                f"effort limit: it could not move; "
                 "put in a measured friction, or 0"
             )
     return told

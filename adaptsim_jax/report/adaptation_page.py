@@ -11,7 +11,9 @@ from adaptsim_jax.report.templating import filled
 
 
 def write_adaptation_page(results: Mapping[str, Any], path: Path) -> Path:
-    """Write the page for `results` (of `compare`) to `path`, whole or not at all. Raises BadInput where it cannot."""
+    """Write the page for `results` (of `compare`) to `path`, whole or not at all. Raises BadInput
+    where it cannot.
+    """
     write_bytes(path, render(results).encode())
     return path
 
@@ -23,13 +25,21 @@ def render(results: Mapping[str, Any]) -> str:
     methods = list(dict.fromkeys(r["method"] for r in rows))
     cells = {(r["method"], r["setting"]): _cell(r) for r in rows}
     curves = comparison_explore.rewards(results)
-    words = _CURVES if "reward" not in results else _DEPLOYED if "trials_axis" in results else _PLAIN_CURVES
+    if "reward" not in results:
+        words = _CURVES
+    elif "trials_axis" in results:
+        words = _DEPLOYED
+    else:
+        words = _PLAIN_CURVES
     caption = words.format(over=_OVER[look.one_seed(rows)])
     return filled(
         "adaptation.html.j2",
         results=results,
         headline=headline(
-            rows, "Reward" if "reward" in results and "trials_axis" not in results else "Normalized reward"
+            rows,
+            "Reward"
+            if "reward" in results and "trials_axis" not in results
+            else "Normalized reward",
         ),
         scale=_scale(results),
         best="best iteration" if "trials_axis" not in results else "after all target trials",
@@ -48,13 +58,18 @@ _CURVES = (
     "0 is one policy for all of Omega (UDR), 1 the best policy whose parameters lie in Omega."
 )
 _PLAIN_CURVES = (
-    "Reward of the best distribution at each iteration (for methods without distributions: at each of their budgets of "
+    "Reward of the best distribution at each iteration (for methods without distributions: at each "
+    "of their budgets of "
     "target trials): {over}."
 )
 _DEPLOYED = "Return of what is deployed after so many target trials: {over}."
-_OVER = {False: "median over seeds, shaded between the quartiles", True: "one seed, nothing to shade"}
+_OVER = {
+    False: "median over seeds, shaded between the quartiles",
+    True: "one seed, nothing to shade",
+}
 _NORMALISED = (
-    "0 is UDR, 1 the best policy of Omega. {beside} AdaptSim spends {starts} target rollouts an iteration, system identification "
+    "0 is UDR, 1 the best policy of Omega. {beside} AdaptSim spends {starts} target rollouts an "
+    "iteration, system identification "
     "one."
 )
 _BESIDE = {False: "Beside each mean its 95 % interval over seeds.", True: "One seed, no interval."}
@@ -62,7 +77,9 @@ _TARGETS = " Targets: WD is within Omega, the box of parameters that may be simu
 
 
 def headline(rows: list[Mapping[str, Any]], what: str = "Normalized reward") -> str:
-    """One sentence: how AdaptSim did beside the better SysID baseline, in the settings where both ran."""
+    """One sentence: how AdaptSim did beside the better SysID baseline, in the settings where both
+    ran.
+    """
     by = {(r["method"], r["setting"]): r["mean"] for r in rows}
     told = []
     for setting in dict.fromkeys(r["setting"] for r in rows):
@@ -71,7 +88,10 @@ def headline(rows: list[Mapping[str, Any]], what: str = "Normalized reward") -> 
         known = [v for v in known if v is not None]
         if ours is None:
             continue
-        beside = f" (system identification {max(known):.2f})" if known else ""
+        if known:
+            beside = f" (system identification {max(known):.2f})"
+        else:
+            beside = ""
         told.append(f"{look.setting(setting)} {ours:.2f}{beside}")
     if not told:
         return f"{what}s of the methods that ran"
@@ -88,7 +108,19 @@ def _scale(results: Mapping[str, Any]) -> str:
 
 
 def _cell(r: Mapping[str, Any]) -> dict[str, str]:
-    number = lambda v: "fails" if v is None else f"{v:.2f}"
-    spread = "" if r["low"] == r["high"] else f"{number(r['low'])} to {number(r['high'])}"
+    def number(v):
+        if v is None:
+            return "fails"
+        return f"{v:.2f}"
+
+    if r["low"] == r["high"]:
+        spread = ""
+    else:
+        spread = f"{number(r['low'])} to {number(r['high'])}"
     value = "" if r["mean"] is None else f"{r['mean']:.6g}"
-    return {"mean": number(r["mean"]), "value": value, "spread": spread, "final": number(r["final_mean"])}
+    return {
+        "mean": number(r["mean"]),
+        "value": value,
+        "spread": spread,
+        "final": number(r["final_mean"]),
+    }

@@ -11,14 +11,19 @@ from adaptsim_jax.report.adaptation_page import write_adaptation_page
 
 
 def write_comparison(results: Mapping[str, Any], out: str | Path) -> list[Path]:
-    """Write all of it into `out` (made if need be); returns the paths. Raises BadInput where it cannot be written."""
+    """Write all of it into `out` (made if need be); returns the paths. Raises BadInput where it
+    cannot be written.
+    """
     out = output_folder(Path(out))
     write_json(out / "results.json", results)
     write_bytes(out / "table.md", table(results).encode())
     paths = [out / "results.json", out / "table.md"]
     visiting = {r["method"] for r in results["rows"] if len(r["curve"]["median"]) > 1}
     late = {m for m in visiting if m.endswith("_state")}
-    for name, methods in (("reward_over_iterations", visiting - late), ("reward_over_iterations_state", late)):
+    for name, methods in (
+        ("reward_over_iterations", visiting - late),
+        ("reward_over_iterations_state", late),
+    ):
         if methods:
             figure = draw.reward_over_iterations(results, look.in_order(methods))
             paths.append(look.save(figure, out / f"{name}.png"))
@@ -28,13 +33,18 @@ def write_comparison(results: Mapping[str, Any], out: str | Path) -> list[Path]:
 
 
 def table(results: Mapping[str, Any]) -> str:
-    """Table 1 in Markdown: for each method and setting the mean over seeds of the best iteration, and what else counts."""
+    """Table 1 in Markdown: for each method and setting the mean over seeds of the best iteration,
+    and what else counts.
+    """
     rows = results["rows"]
     settings = list(dict.fromkeys(r["setting"] for r in rows))
     methods = list(dict.fromkeys(r["method"] for r in rows))
     cells = {(r["method"], r["setting"]): r for r in rows}
     head = [look.setting(s) for s in settings]
-    across = lambda cell: _grid(head, methods, cell, settings, cells)
+
+    def across(cell):
+        return _grid(head, methods, cell, settings, cells)
+
     told = _by_trials(results, across) if "trials_axis" in results else None
     parts = [
         f"{look.reward_of(results, long=True)}, {look.seeds(results['seeds'])}, "
@@ -61,19 +71,27 @@ def _over_seeds(across) -> list[str]:
 
 
 def _by_trials(results: Mapping[str, Any], across) -> list[str]:
-    """What is deployed at last, in each target, and in each target what was deployed after fewer trials."""
+    """What is deployed at last, in each target, and in each target what was deployed after fewer
+    trials.
+    """
     rows, one = results["rows"], look.one_seed(results["rows"])
     spent = max(r["trials"][-1] for r in rows)  # of more trials nothing is known
     budgets = [b for b in rows[0]["at"] if int(b) <= spent]
     parts = [
-        f"What is deployed after all trials{' (one seed, no interval)' if one else ', mean over seeds [95 % interval]'}:",
+        f"What is deployed after all "
+        f"trials{' (one seed, no interval)' if one else ', mean over seeds [95 % interval]'}:",
         across(lambda r: _number(r["mean"]) if one else _spread(r, "mean", "low", "high")),
         "The return itself, mean over seeds:" if not one else "The return itself:",
         across(_returns),
     ]
     for setting in dict.fromkeys(r["setting"] for r in rows):
         mine = [r for r in rows if r["setting"] == setting]
-        cell = lambda at: "" if at is None else _number(at["mean"])
+
+        def cell(at):
+            if at is None:
+                return ""
+            return _number(at["mean"])
+
         cells = {(r["method"], b): cell(r["at"][b]) for r in mine for b in budgets}
         methods = [r["method"] for r in mine]
         parts += [
@@ -95,7 +113,9 @@ def _of_one(across) -> list[str]:
 def _spread(r: Mapping[str, Any], *keys: str) -> str:
     """The number and what it is within; of one seed among rows of several, the number alone."""
     middle, low, high = (_number(r[key]) for key in keys)
-    return f"{middle} (one seed)" if look.one_seed([r]) else f"{middle} [{low}, {high}]"
+    if look.one_seed([r]):
+        return f"{middle} (one seed)"
+    return f"{middle} [{low}, {high}]"
 
 
 def _grid(head, methods, cell, settings, cells) -> str:
@@ -113,19 +133,24 @@ def _trials(rows, methods) -> str:
 
 
 def _number(value: float | None) -> str:
-    return "fails" if value is None else f"{value:.2f}"
+    if value is None:
+        return "fails"
+    return f"{value:.2f}"
 
 
 def _returns(r: Mapping[str, Any]) -> str:
     values = r["returns"]
-    return "fails" if None in values else f"{sum(values) / len(values):.4g}"
+    if None in values:
+        return "fails"
+    return f"{sum(values) / len(values):.4g}"
 
 
 def _discrepancies(rows, across) -> list[str]:
     if not any("discrepancy" in r for r in rows):
         return []
     return [
-        "Dynamics discrepancy at the best policy (rad, absolute differences of both joints summed over the 12 observed "
+        "Dynamics discrepancy at the best policy (rad, absolute differences of both joints summed "
+        "over the 12 observed "
         "points; median over seeds):",
         across(_discrepancy),
     ]
@@ -140,10 +165,13 @@ def _fresh(rows, across) -> list[str]:
         if "fresh" not in r:
             return "-"
         mean, low, high = (_number(r["fresh"][key]) for key in ("mean", "low", "high"))
-        return mean if look.one_seed([r]) else f"{mean} [{low}, {high}]"
+        if look.one_seed([r]):
+            return mean
+        return f"{mean} [{low}, {high}]"
 
     return [
-        "The policies of the best iteration in fresh contexts, by which none was chosen [95 % interval of the mean over seeds]:",
+        "The policies of the best iteration in fresh contexts, by which none was chosen [95 % "
+        "interval of the mean over seeds]:",
         across(best),
         "Those of the last iteration, of all starts, in fresh contexts:",
         across(lambda r: _number(r["fresh"]["final_mean"]) if "fresh" in r else "-"),
@@ -151,11 +179,17 @@ def _fresh(rows, across) -> list[str]:
 
 
 def _failures(rows) -> list[str]:
-    """How many trials failed, of those made, the scored ones included; nothing where that is not counted."""
+    """How many trials failed, of those made, the scored ones included; nothing where that is not
+    counted.
+    """
     counted = [r for r in rows if "made" in r]
     failed, made = (sum(r[key] for r in counted) for key in ("failed", "made"))
-    return [f"Trials that failed (reward 0): {failed} of {made}."] if made else []
+    if made:
+        return [f"Trials that failed (reward 0): {failed} of {made}."]
+    return []
 
 
 def _discrepancy(r: Mapping[str, Any]) -> str:
-    return _number(r["discrepancy"]["median"]) if "discrepancy" in r else "-"
+    if "discrepancy" in r:
+        return _number(r["discrepancy"]["median"])
+    return "-"

@@ -1,4 +1,6 @@
-"""The figures of the tour: what learning earned, the comparison, a push from above, a scoop as a film strip, a recording explained."""
+"""The figures of the tour: what learning earned, the comparison, a push from above, a scoop as a
+film strip, a recording explained.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -23,12 +25,15 @@ SHOWN = 2.0  # s of a recording
 def learning_curves(metrics: Sequence[Sequence[Mapping[str, Any]]]) -> Figure:
     """Mean reward that is learned from, a line for each run's `metrics.jsonl`.
 
-    It lies in [0, 1]; the task's own reward has no lower end, and a few hopeless starts would hide all the rest.
+    It lies in [0, 1]; the task's own reward has no lower end, and a few hopeless starts would hide
+    all the rest.
     """
     figure, (ax,) = look.new_figure(4.6, 2.9)
     for i, rows in enumerate(metrics):
         steps = [row["adaptation_steps"] / 1000 for row in rows]
-        ax.plot(steps, [row["shaped"] for row in rows], color=SHADES[i % len(SHADES)], linewidth=1.5)
+        ax.plot(
+            steps, [row["shaped"] for row in rows], color=SHADES[i % len(SHADES)], linewidth=1.5
+        )
     look.quiet(ax)
     ax.set_ylim(0, 1)
     ax.set_xlabel("adaptation steps in simulation (thousands)", fontsize=9)
@@ -45,15 +50,23 @@ def rewards_over_iterations(results: Mapping[str, Any]) -> Figure:
 
 
 def reward_map(chart: Any, target: Sequence[float], rows: Sequence[Mapping[str, Any]]) -> Figure:
-    """The paper's figure 5: the best policy's parameters of each seed on the map of what could be earned."""
-    found = {row["method"]: np.array(row["best_params"])[:, :2] for row in rows if row["method"] in CURVES}
+    """The paper's figure 5: the best policy's parameters of each seed on the map of what could be
+    earned.
+    """
+    found = {
+        row["method"]: np.array(row["best_params"])[:, :2]
+        for row in rows
+        if row["method"] in CURVES
+    }
     figure = draw.parameter_map(chart, target, found)
     figure.set_size_inches(4.6, 3.9)
     return figure
 
 
 def push_before_after(shown: Any) -> Figure:
-    """Table tops from above, two for each goal: the push of the policy before and after adaptation; `shown`: tour's `Pushes`."""
+    """Table tops from above, two for each goal: the push of the policy before and after adaptation;
+    `shown`: tour's `Pushes`.
+    """
     goals = len(shown.goals)
     along = tables.along_of(shown.tracks)
     height = 2.1 * (along[1] - along[0]) / (tables.ACROSS[1] - tables.ACROSS[0]) + 0.6
@@ -62,17 +75,24 @@ def push_before_after(shown: Any) -> Figure:
         for i, who in enumerate(WHO):
             ax, end = axes[2 * g + i], shown.tracks[i, g, -1]
             tables.table_top(ax, shown.patch, along)
-            tables.draw_push(ax, tables.Push(shown.goals[g], shown.tracks[i, g], float(shown.rewards[i, g])))
+            tables.draw_push(
+                ax, tables.Push(shown.goals[g], shown.tracks[i, g], float(shown.rewards[i, g]))
+            )
             ax.set_title(f"goal {g + 1}, {who}", fontsize=9.5, color=look.INK, pad=4)
             off = 100 * float(np.linalg.norm(end - shown.goals[g]))
-            words = f"{off:.1f} cm from the goal" if np.isfinite(off) else "the push failed"
+            if np.isfinite(off):
+                words = f"{off:.1f} cm from the goal"
+            else:
+                words = "the push failed"
             ax.set_xlabel(words, fontsize=8.5, color=look.INK, labelpad=4)
     axes[0].set_ylabel("x (m), away from the arm", fontsize=8.5, color=look.MUTED)
     return figure
 
 
 def scoop_strips(clips: Sequence[ScoopClip]) -> Figure:
-    """Two film strips from the side, the trial of the policy before and after adaptation, left to right in time."""
+    """Two film strips from the side, the trial of the policy before and after adaptation, left to
+    right in time.
+    """
     figure, axes = look.new_figure(1.6 * len(MOMENTS) + 0.4, 2.6, len(clips), len(MOMENTS))
     for r, (clip, who) in enumerate(zip(clips, WHO, strict=True)):
         last = len(clip.piece) - 1
@@ -89,7 +109,8 @@ def scoop_strips(clips: Sequence[ScoopClip]) -> Figure:
 
 
 def recording_explained(trial: Mapping[str, Any], channel: str) -> Figure:
-    """Two seconds of one trial, measured and simulated by the declared and the mended model, and under it what each is off by.
+    """Two seconds of one trial, measured and simulated by the declared and the mended model, and
+    under it what each is off by.
 
     `trial`: of `held_out` of a diagnosis; each half second is simulated from its own fitted start.
     """
@@ -109,18 +130,28 @@ def recording_explained(trial: Mapping[str, Any], channel: str) -> Figure:
     top.set_ylabel("angle (rad)", fontsize=8.5)
     low.set_ylabel("off by (mrad)", fontsize=8.5)
     low.set_xlabel("time (s)", fontsize=8.5)
-    figure.legend(*top.get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False, fontsize=8)
+    figure.legend(
+        *top.get_legend_handles_labels(),
+        loc="outside lower center",
+        ncols=3,
+        frameon=False,
+        fontsize=8,
+    )
     return figure
 
 
 def errors_by_trial(error: Mapping[str, Any]) -> Figure:
-    """The error on each left-out trial under the declared and the mended model, and what noise alone leaves; `error` of a report."""
+    """The error on each left-out trial under the declared and the mended model, and what noise
+    alone leaves; `error` of a report.
+    """
     trials = [row for row in error["per_trial"] if row.get("before") is not None]
     figure, (ax,) = look.new_figure(4.6, 3.4)
     for k, row in enumerate(trials):
         after = row["before"] if row.get("after") is None else row["after"]
         ax.plot([1e3 * row["before"], 1e3 * after], [k, k], color=look.GRID, linewidth=2, zorder=1)
-        ax.plot(1e3 * row["before"], k, "o", color=DECLARED, label="declared model" if k == 0 else None)
+        ax.plot(
+            1e3 * row["before"], k, "o", color=DECLARED, label="declared model" if k == 0 else None
+        )
         ax.plot(1e3 * after, k, "o", color=MENDED, label="mended model" if k == 0 else None)
     if (floor := error.get("noise_floor")) is not None:
         ax.axvline(1e3 * floor, color="#2f855a", linestyle="--", linewidth=1.3, label="noise alone")

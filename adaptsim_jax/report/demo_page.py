@@ -1,4 +1,6 @@
-"""The page of `adaptsim demo`: what was trained, how it adapted, what was measured, and where everything lies."""
+"""The page of `adaptsim demo`: what was trained, how it adapted, what was measured, and where
+everything lies.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ INK = {"adaptsim": "after", "sysid_bayes": "before", "sysid_point": "floor"}
 
 
 def write_demo(tour: Any, out: Path) -> None:
-    """Write `figures/*.png`, `comparison/table.md` and, last of all, `index.html` into `out`; see `demo_tour.Tour`."""
+    """Write `figures/*.png`, `comparison/table.md` and, last of all, `index.html` into `out`; see
+    `demo_tour.Tour`.
+    """
     pictures = drawn(tour)
     folder = output_folder(out / "figures")
     for name, figure in pictures.items():
@@ -35,7 +39,9 @@ def drawn(tour: Any) -> dict[str, Any]:
     target = np.asarray(task.space.values(task.settings[setting_of(tour)], setting_of(tour)))
     found = tour.diagnosis
     pictures = {
-        "learning": demo_figures.learning_curves([one.folder.read_metrics() for one in tour.adapted]),
+        "learning": demo_figures.learning_curves(
+            [one.folder.read_metrics() for one in tour.adapted]
+        ),
         "iterations": demo_figures.rewards_over_iterations(tour.results),
         "map": demo_figures.reward_map(tour.reward_map, target[:2].tolist(), tour.results["rows"]),
         "push": demo_figures.push_before_after(tour.push.shown),
@@ -43,7 +49,9 @@ def drawn(tour: Any) -> dict[str, Any]:
         "errors": demo_figures.errors_by_trial(found.report["error"]),
     }
     for trial in found.held_out[:1]:
-        pictures["recording"] = demo_figures.recording_explained(trial, next(iter(trial["measured"])))
+        pictures["recording"] = demo_figures.recording_explained(
+            trial, next(iter(trial["measured"]))
+        )
     return pictures
 
 
@@ -76,7 +84,9 @@ def render(tour: Any, pictures: Mapping[str, str], out: Path) -> str:
 
 
 def contact_words(found: Any, out: Path) -> dict[str, Any]:
-    """The push or the scoop: rewards before and after, trials spent, target and what was found, and the film's place."""
+    """The push or the scoop: rewards before and after, trials spent, target and what was found, and
+    the film's place.
+    """
     params, target = found.found["best"]["params"], found.found["target"]["params"]
     return {
         "setting": look.setting(found.found["target"]["name"]),
@@ -93,7 +103,9 @@ def contact_words(found: Any, out: Path) -> dict[str, Any]:
 
 
 def _ended(clip: Any) -> str:
-    return "on the spatula" if clip.success else "not on the spatula"
+    if clip.success:
+        return "on the spatula"
+    return "not on the spatula"
 
 
 def parameter_rows(tour: Any) -> list[dict[str, Any]]:
@@ -134,7 +146,9 @@ def method_rows(results: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _reward(value: float | None) -> str:
-    return "fails" if value is None else fmt.fixed(value, 2)
+    if value is None:
+        return "fails"
+    return fmt.fixed(value, 2)
 
 
 def diagnosis_words(report: Mapping[str, Any]) -> dict[str, Any]:
@@ -159,11 +173,26 @@ def summary(tour: Any, out: Path) -> list[tuple[str, str]]:
     """`(what, words)` for the terminal: results first, then where things lie."""
     rows = {row["method"]: row for row in tour.results["rows"]}
     seen = diagnosis_words(tour.diagnosis.report)
-    error = seen["before"] if seen["after"] is None else f"{seen['before']} -> {seen['after']}"
-    told = [f"{look.label(name)} {_reward(rows[name]['mean'])}" for name in demo_figures.CURVES if name in rows]
-    changed = lambda found: f"reward {_reward(found.before)} before adaptation, {_reward(found.after)} after, of 1"
+    if seen["after"] is None:
+        error = seen["before"]
+    else:
+        error = f"{seen['before']} -> {seen['after']}"
+    told = [
+        f"{look.label(name)} {_reward(rows[name]['mean'])}"
+        for name in demo_figures.CURVES
+        if name in rows
+    ]
+
+    def changed(found):
+        return (
+            f"reward {_reward(found.before)} before adaptation, {_reward(found.after)} after, of 1"
+        )
+
     return [
-        (f"pendulum in {look.SETTINGS[setting_of(tour)]}", f"reward {', '.join(told)} (0: UDR, 1: best in Omega)"),
+        (
+            f"pendulum in {look.SETTINGS[setting_of(tour)]}",
+            f"reward {', '.join(told)} (0: UDR, 1: best in Omega)",
+        ),
         ("push", changed(tour.push)),
         ("scoop", changed(tour.scoop)),
         ("diagnosed", f"{seen['headline']} Error on left-out trials {error}"),

@@ -1,15 +1,19 @@
-"""The report of a diagnosis: `report.json`, one self-contained `report.html`, a few lines for the terminal.
+"""The report of a diagnosis: `report.json`, one self-contained `report.html`, a few lines for the
+terminal.
 
     write_diagnosis(out, report, evidence)
     print_summary(report, console, out)
 
-`report` keeps `diagnosis.schema`. `evidence` holds NumPy arrays for the figures; every key may be missing:
+`report` keeps `diagnosis.schema`. `evidence` holds NumPy arrays for the figures; every key may be
+missing:
 
-    held_out         [{trial, time [T] s, measured {channel: [T]}, before {...}, after {...} or None, units {channel: unit}}],
-                     NaN where windows join; the first trial is shown, the others fold out
-    tracks           {measured [[T, 2] m], before [...], after [...] or None} of trials on a table, seen from above
-    torque           [{joint, unit, time [n] s, measured, file, fitted [n]}] along the measured motion
-    friction         [{joint, unit, speed [n], missing [n], modelled [n]}] what resists, against speed
+    held_out         [{trial, time [T] s, measured {channel: [T]}, before {...}, after {...} or
+                     None, units {channel: unit}}], NaN where windows join; the first trial is
+                     shown, the others fold out
+    tracks           {measured [[T, 2] m], before [...], after [...] or None} of trials on a table,
+    seen from above torque           [{joint, unit, time [n] s, measured, file, fitted [n]}] along
+    the measured motion friction         [{joint, unit, speed [n], missing [n], modelled [n]}] what
+    resists, against speed
     audit            [{severity, where, message}]
     run              {command, version, seed, seconds}
 """
@@ -54,9 +58,9 @@ GOES_TO = {
 def write_diagnosis(out: Path, report: dict, evidence: dict) -> None:
     """Write `report.json` and `report.html` into `out`, whole or not at all.
 
-    Write `model.toml` and the next experiment's CSV first: the page links the files that it finds in `out`.
-    Raises schema.ReportError where the report does not keep the schema (and writes nothing then), BadInput
-    where `out` cannot be written.
+    Write `model.toml` and the next experiment's CSV first: the page links the files that it finds
+    in `out`. Raises schema.ReportError where the report does not keep the schema (and writes
+    nothing then), BadInput where `out` cannot be written.
     """
     out = output_folder(out)
     clean = schema.check(report)
@@ -123,18 +127,28 @@ def _data_words(data: Mapping) -> str:
 
 
 def _declared_only(error: Mapping) -> dict[str, Any]:
-    """Without an effect nothing was mended: whatever stands under `after` is the declared model once more."""
+    """Without an effect nothing was mended: whatever stands under `after` is the declared model
+    once more.
+    """
     channels = {name: {**pair, "after": None} for name, pair in error["per_channel"].items()}
     trials = [{**trial, "after": None} for trial in error["per_trial"]]
     for trial in trials:
-        trial["per_channel"] = {c: {**p, "after": None} for c, p in (trial.get("per_channel") or {}).items()}
+        trial["per_channel"] = {
+            c: {**p, "after": None} for c, p in (trial.get("per_channel") or {}).items()
+        }
     return {**error, "after": None, "per_channel": channels, "per_trial": trials}
 
 
 def _error_rows(error: Mapping) -> list[dict[str, Any]]:
     rows = [{"name": f"overall ({error['metric']})", "unit": error["unit"], "pair": error}]
     for channel, pair in error["per_channel"].items():
-        rows.append({"name": channel, "unit": pair.get("unit") or figures.channel_unit(channel), "pair": pair})
+        rows.append(
+            {
+                "name": channel,
+                "unit": pair.get("unit") or figures.channel_unit(channel),
+                "pair": pair,
+            }
+        )
     for row in rows:
         pair, unit = row["pair"], row["unit"]
         like = max(pair.get("before") or 0.0, pair.get("after") or 0.0)
@@ -153,7 +167,9 @@ def _error_figures(error: Mapping) -> list[str]:
         dots = figures.trial_dots(error, None if index == 0 else row["name"])
         one = row["pair"].get("after") is None
         like = error["before"] if row["unit"] == error["unit"] else None
-        paint = figures.error_pair("overall" if index == 0 else row["name"], row["unit"], row["pair"], dots, like)
+        paint = figures.error_pair(
+            "overall" if index == 0 else row["name"], row["unit"], row["pair"], dots, like
+        )
         label = f"error of {row['name']}: declared {row['before']}, mended {row['after']}"
         pictures.append(svg.draw(paint, 1.4 if one else 1.75, label))
     return pictures
@@ -167,20 +183,37 @@ def _next_experiment(report: Mapping, out: Path | None) -> dict[str, Any]:
 
 def _links(out: Path | None) -> list[str]:
     names = ("model.xml", "model.toml", "leading.toml", "report.json")
-    return [name for name in names if name == "report.json" or (out is not None and (out / name).exists())]
+    return [
+        name
+        for name in names
+        if name == "report.json" or (out is not None and (out / name).exists())
+    ]
 
 
 def print_summary(report: dict, console: Console, out: Path | None = None) -> None:
-    """The verdict, what was found, the error before and after, what to do next, and where the files are."""
+    """The verdict, what was found, the error before and after, what to do next, and where the files
+    are.
+    """
     report = schema.check(report)
-    colour = {"good": "green", "calm": "cyan", "open": "yellow", "bad": "red"}[words.TONES[report["verdict"]]]
-    console.print(Text(report["verdict"], style=f"bold {colour}"), Text(words.headline(report), style="bold"))
+    colour = {"good": "green", "calm": "cyan", "open": "yellow", "bad": "red"}[
+        words.TONES[report["verdict"]]
+    ]
+    console.print(
+        Text(report["verdict"], style=f"bold {colour}"), Text(words.headline(report), style="bold")
+    )
     console.print(Padding(Text(report["message"]), (0, 0, 1, 2)))
     table = Table.grid(padding=(0, 2))
     for name, value in _summary_rows(report):
         table.add_row(Text(name, style="dim"), Text(value))
     console.print(Padding(table, (0, 0, 0, 2)))
-    for name in ("report.html", "report.json", "model.xml", "model.toml", "leading.toml", _csv_name(report)):
+    for name in (
+        "report.html",
+        "report.json",
+        "model.xml",
+        "model.toml",
+        "leading.toml",
+        _csv_name(report),
+    ):
         if out is not None and name and (Path(out) / name).exists():
             console.print(Text(f"  {Path(out) / name}", style="dim"), soft_wrap=True)
 
@@ -194,11 +227,22 @@ def _summary_rows(report: Mapping) -> list[tuple[str, str]]:
             rows.append((word, f"and {len(lines) - MOST_LINES} more, see report.html"))
     for effect in rows_of.effect_rows(report):
         values = [f"{row['name']} = {row['value']}" for row in effect["parameters"]]
-        rows.append(("effect", f"{effect['title']}: {', '.join(values)}" if values else effect["title"]))
-    error = report["error"] if report["effects"] else _declared_only(report["error"])
+        rows.append(
+            ("effect", f"{effect['title']}: {', '.join(values)}" if values else effect["title"])
+        )
+    if report["effects"]:
+        error = report["error"]
+    else:
+        error = _declared_only(report["error"])
     for row in _error_rows(error):
-        after = f" -> {row['after']} ({row['change']})" if row["pair"].get("after") is not None else ""
-        floor = f", noise floor {row['floor']}" if row["floor"] != fmt.DASH else ""
+        if row["pair"].get("after") is not None:
+            after = f" -> {row['after']} ({row['change']})"
+        else:
+            after = ""
+        if row["floor"] != fmt.DASH:
+            floor = f", noise floor {row['floor']}"
+        else:
+            floor = ""
         rows.append(("held-out error", f"{row['name']}: {row['before']}{after}{floor}"))
     rows.append(("next", words.next_words(report) or words.todo(report)))
     return rows
@@ -206,4 +250,6 @@ def _summary_rows(report: Mapping) -> list[tuple[str, str]]:
 
 def _csv_name(report: Mapping) -> str | None:
     given = report.get("next_experiment")
-    return given.get("csv") if isinstance(given, Mapping) else None
+    if isinstance(given, Mapping):
+        return given.get("csv")
+    return None

@@ -1,4 +1,6 @@
-"""What a diagnosis's page lets its reader explore: each trial measured and simulated, and tracks."""
+"""What a diagnosis's page lets its reader explore: each trial measured and simulated, and
+tracks.
+"""
 
 from __future__ import annotations
 
@@ -18,12 +20,16 @@ NAMES = {"measured": "measured", "before": "declared model", "after": "mended mo
 
 
 def held_out(trials: Sequence[Mapping], error: Mapping) -> tuple[str, int]:
-    """Measured and simulated by trial and channel, with the residual beneath, and how many trials there was no room for."""
+    """Measured and simulated by trial and channel, with the residual beneath, and how many trials
+    there was no room for.
+    """
     trials = [trial for trial in trials if len(trial["time"]) and trial["measured"]]
     if not trials:
         return "", 0
     channels = list(dict.fromkeys(channel for trial in trials for channel in trial["measured"]))
-    if _kind(channels) == "joint":  # what a reader looks for comes first: where the declared model is furthest off
+    if (
+        _kind(channels) == "joint"
+    ):  # what a reader looks for comes first: where the declared model is furthest off
         channels.sort(key=lambda c: -((error["per_channel"].get(c) or {}).get("before") or 0.0))
     models = 2 if trials[0].get("after") is None else 3
     most, kept = points([len(trial["time"]) for trial in trials], 1 + models * len(channels))
@@ -40,17 +46,29 @@ def held_out(trials: Sequence[Mapping], error: Mapping) -> tuple[str, int]:
 
 
 def _kind(channels: Sequence[str]) -> str:
-    """What to call a channel: the double pendulum's are signals of a joint, a track's are coordinates."""
+    """What to call a channel: the double pendulum's are signals of a joint, a track's are
+    coordinates.
+    """
     if all(figures.channel_unit(c) for c in channels):
         return "signal"
-    return "coordinate" if {"x", "z"} & set(channels) else "joint"
+    if {"x", "z"} & set(channels):
+        return "coordinate"
+    return "joint"
 
 
-def _residual(trial: Mapping, channel: str, columns: Columns, time: str, most: int) -> dict[str, Any]:
+def _residual(
+    trial: Mapping, channel: str, columns: Columns, time: str, most: int
+) -> dict[str, Any]:
     stages = [stage for stage in ("before", "after") if channel in (trial.get(stage) or {})]
-    measured, *simulated = thin(trial["measured"][channel], *[trial[s][channel] for s in stages], most=most)
+    measured, *simulated = thin(
+        trial["measured"][channel], *[trial[s][channel] for s in stages], most=most
+    )
     left = [measured - values for values in simulated]
-    unit = (trial.get("units") or {}).get(channel) or trial.get("unit") or figures.channel_unit(channel)
+    unit = (
+        (trial.get("units") or {}).get(channel)
+        or trial.get("unit")
+        or figures.channel_unit(channel)
+    )
     factor, name = fmt.scaled(unit, max((figures.percentile(rest) for rest in left), default=0.0))
     sizes = [size for rest in left if (size := figures.percentile(rest)) > 0]
     step = max(min(sizes, default=0.0) / 300, figures.percentile(measured) / 1e7) or None
@@ -60,14 +78,29 @@ def _residual(trial: Mapping, channel: str, columns: Columns, time: str, most: i
     for stage, values in zip(stages, simulated, strict=True):
         drawn = columns.add(values, step)
         data.append(_line(time, drawn, stage, 1.6, legendgroup=stage, **hover))
-        below = _line(time, {"minus": [seen, drawn], "times": factor}, stage, 1.4, legendgroup=stage)
+        below = _line(
+            time, {"minus": [seen, drawn], "times": factor}, stage, 1.4, legendgroup=stage
+        )
         below |= {"yaxis": "y2", "showlegend": False, "name": f"{NAMES[stage]}: error"}
         below |= {"hovertemplate": f"%{{y:.4~g}} {name}"}
         data.append(below)
     layout = {
-        "xaxis": {"title": {"text": "time, s"}, "anchor": "y2", "unifiedhovertitle": {"text": "%{x} s"}},
-        "yaxis": {"title": {"text": _axis(channel, fmt.unit_name(unit))}, "domain": [0.42, 1.0], "nticks": 6},
-        "yaxis2": {"title": {"text": _axis("error", name)}, "domain": [0.0, 0.34], "nticks": 4, "zeroline": True},
+        "xaxis": {
+            "title": {"text": "time, s"},
+            "anchor": "y2",
+            "unifiedhovertitle": {"text": "%{x} s"},
+        },
+        "yaxis": {
+            "title": {"text": _axis(channel, fmt.unit_name(unit))},
+            "domain": [0.42, 1.0],
+            "nticks": 6,
+        },
+        "yaxis2": {
+            "title": {"text": _axis("error", name)},
+            "domain": [0.0, 0.34],
+            "nticks": 4,
+            "zeroline": True,
+        },
         "hovermode": "x unified",
         "hoversubplots": "axis",
         "legend": {"uirevision": "all"},  # what is hidden stays hidden from trial to trial
@@ -78,7 +111,15 @@ def _residual(trial: Mapping, channel: str, columns: Columns, time: str, most: i
 
 def _line(x: Any, y: Any, stage: str, width: float, **more: Any) -> dict[str, Any]:
     line = {"color": COLOURS[stage], "width": width}
-    return {"type": "scatter", "mode": "lines", "x": x, "y": y, "name": NAMES[stage], "line": line, **more}
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "x": x,
+        "y": y,
+        "name": NAMES[stage],
+        "line": line,
+        **more,
+    }
 
 
 def _axis(name: str, unit: str) -> str:
@@ -86,11 +127,16 @@ def _axis(name: str, unit: str) -> str:
 
 
 def _note(trial: Mapping, channel: str, error: Mapping, samples: int, most: int) -> str:
-    """This trial's own error in the channel, as the report has it, and whether samples are passed over."""
+    """This trial's own error in the channel, as the report has it, and whether samples are passed
+    over.
+    """
     own = next((row for row in error["per_trial"] if str(row["trial"]) == str(trial["trial"])), {})
     pair = (own.get("per_channel") or {}).get(channel) or {}
     unit = (error["per_channel"].get(channel) or {}).get("unit") or figures.channel_unit(channel)
-    parts, size_of = [], lambda value, like: fmt.quantity(value, unit, like=like).replace(" ", "\u00a0")
+    parts, size_of = (
+        [],
+        lambda value, like: fmt.quantity(value, unit, like=like).replace(" ", "\u00a0"),
+    )
     if pair.get("before") is not None:
         size = max(pair["before"], pair.get("after") or 0.0)
         parts.append(f"error: declared {size_of(pair['before'], size)}")
@@ -103,23 +149,44 @@ def _note(trial: Mapping, channel: str, error: Mapping, samples: int, most: int)
 
 
 def tracks(found: Mapping) -> str:
-    """Tracks of all trials seen from above (or the plane of their `axes`), measured and simulated, each to its end."""
+    """Tracks of all trials seen from above (or the plane of their `axes`), measured and simulated,
+    each to its end.
+    """
     x, y = found.get("axes") or ("x", "y")
     all_of = {key: [np.asarray(t, float) for t in found.get(key) or []] for key in COLOURS}
-    most, kept = points([max(map(len, some)) for some in zip(*filter(None, all_of.values()), strict=False)], 6)
+    most, kept = points(
+        [max(map(len, some)) for some in zip(*filter(None, all_of.values()), strict=False)], 6
+    )
     columns, data = Columns(), []
     for key, some in all_of.items():
         if not some:
             continue
-        rows = [np.vstack([np.stack(thin(*t.T, most=most), 1), [[np.nan, np.nan]]]) for t in some[:kept]]
+        rows = [
+            np.vstack([np.stack(thin(*t.T, most=most), 1), [[np.nan, np.nan]]]) for t in some[:kept]
+        ]
         path, ends = np.vstack(rows), np.array([t[-1] for t in some[:kept]])
         width, opacity = (5, 0.6) if key == "measured" else (1.4, 0.95)
         step = float(np.nanmax(np.ptp(ends, axis=0), initial=0.0)) / 1e4 or None
         along, up = (columns.add(path[:, k], step) for k in (0, 1))
         data.append(_line(along, up, key, width, opacity=opacity, legendgroup=key))
-        marks = {"x": columns.add(ends[:, 0], step), "y": columns.add(ends[:, 1], step), "mode": "markers"}
-        marks |= {"marker": {"color": COLOURS[key], "size": 7 if key == "measured" else 5}, "hoverinfo": "skip"}
-        data.append({"type": "scatter", "legendgroup": key, "showlegend": False, "name": NAMES[key], **marks})
+        marks = {
+            "x": columns.add(ends[:, 0], step),
+            "y": columns.add(ends[:, 1], step),
+            "mode": "markers",
+        }
+        marks |= {
+            "marker": {"color": COLOURS[key], "size": 7 if key == "measured" else 5},
+            "hoverinfo": "skip",
+        }
+        data.append(
+            {
+                "type": "scatter",
+                "legendgroup": key,
+                "showlegend": False,
+                "name": NAMES[key],
+                **marks,
+            }
+        )
     for trace in data:
         trace["hovertemplate"] = "%{x:.4~g}, %{y:.4~g} m"
     layout = {
@@ -129,4 +196,6 @@ def tracks(found: Mapping) -> str:
     trials = max(map(len, all_of.values()))
     note = f"the first {kept} of {trials} trials" if kept < trials else ""
     view = View([{"data": data, "layout": layout}], note)
-    return explorer({}, {(): view}, [Plot("tracks, measured and simulated", 480)], columns) if data else ""
+    if data:
+        return explorer({}, {(): view}, [Plot("tracks, measured and simulated", 480)], columns)
+    return ""

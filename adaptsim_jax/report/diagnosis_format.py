@@ -1,4 +1,6 @@
-"""Numbers as a person reads them: three significant digits, a prefix that fits, intervals in one unit."""
+"""Numbers as a person reads them: three significant digits, a prefix that fits, intervals in one
+unit.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +9,19 @@ from collections.abc import Sequence
 
 DASH = "\u2013"
 MINUS = "\u2212"
-_SUPERSCRIPT = str.maketrans("-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079")
+_SUPERSCRIPT = str.maketrans(
+    "-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079"
+)
 _PREFIXED = ("rad", "N", "s", "m", "V", "A", "W", "J")
-"""First symbols that take a milli or a micro in front. kg does not: g and mg would hide the base unit."""
+"""First symbols that take a milli or a micro in front. kg does not: g and mg would hide the base
+unit.
+"""
 
 
 def unit_name(unit: str | None) -> str:
-    """A unit as it is set: `Nm`, `N*m`, `N m` -> `N·m`; `kg m^2` -> `kg·m²`; dimensionless -> empty."""
+    """A unit as it is set: `Nm`, `N*m`, `N m` -> `N·m`; `kg m^2` -> `kg·m²`; dimensionless ->
+    empty.
+    """
     text = (unit or "").strip()
     if text.lower() in ("", "1", "-", "none", "dimensionless"):
         return ""
@@ -25,21 +33,29 @@ def unit_name(unit: str | None) -> str:
 def scaled(unit: str | None, size: float | None) -> tuple[float, str]:
     """`(factor, name)` so that `factor * value` in `name` reads well for values of about `size`."""
     name = unit_name(unit)
-    head = name.replace("/", "·").split("·")[0]  # m² and the like stay as they are: a milli would be squared
+    head = name.replace("/", "·").split("·")[
+        0
+    ]  # m² and the like stay as they are: a milli would be squared
     if head not in _PREFIXED or not size or not math.isfinite(size) or abs(size) >= 0.1:
         return 1.0, name
-    return (1e3, "m" + name) if abs(size) >= 1e-4 else (1e6, "µ" + name)
+    if abs(size) >= 1e-4:
+        return (1e3, "m" + name)
+    return (1e6, "µ" + name)
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """`value` with `digits` significant digits; a dash for none; powers of ten beyond 1e-3 .. 1e5."""
+    """`value` with `digits` significant digits; a dash for none; powers of ten beyond 1e-3 ..
+    1e5.
+    """
     if value is None or not math.isfinite(value):
         return DASH
     if value == 0:
         return "0"
     exponent = math.floor(math.log10(abs(float(f"{value:.{digits - 1}e}"))))
     if not -3 <= exponent < 5:
-        return f"{fixed(value / 10.0**exponent, digits - 1)}×10{str(exponent).translate(_SUPERSCRIPT)}"
+        return (
+            f"{fixed(value / 10.0**exponent, digits - 1)}×10{str(exponent).translate(_SUPERSCRIPT)}"
+        )
     return fixed(value, max(0, digits - 1 - exponent))
 
 
@@ -51,11 +67,15 @@ def fixed(value: float, decimals: int) -> str:
     return text.replace("-", MINUS)
 
 
-def quantity(value: float | None, unit: str | None = "", digits: int = 3, like: float | None = None) -> str:
+def quantity(
+    value: float | None, unit: str | None = "", digits: int = 3, like: float | None = None
+) -> str:
     """`12.3 mrad`; the prefix is chosen for the size `like`, so that neighbours share it."""
     factor, name = scaled(unit, value if like is None else like)
     text = number(None if value is None else factor * value, digits)
-    return text if text == DASH or not name else f"{text} {name}"
+    if text == DASH or not name:
+        return text
+    return f"{text} {name}"
 
 
 def between(
@@ -66,11 +86,19 @@ def between(
     like: float | None = None,
 ) -> str:
     """`31.2 [28.7, 33.8] mN·m`: as many digits as the interval bears, at most five of the value."""
-    if value is None or low is None or high is None or not all(map(math.isfinite, (value, low, high))):
+    if (
+        value is None
+        or low is None
+        or high is None
+        or not all(map(math.isfinite, (value, low, high)))
+    ):
         return quantity(value, unit, like=like)
     size = max(abs(value), abs(low), abs(high))
     factor, name = scaled(unit, size if like is None else like)
-    scale = 0 if 1e-3 <= factor * size < 1e5 or size == 0 else math.floor(math.log10(factor * size))
+    if 1e-3 <= factor * size < 1e5 or size == 0:
+        scale = 0
+    else:
+        scale = math.floor(math.log10(factor * size))
     shown = [factor * x / 10.0**scale for x in (value, low, high)]
     decimals = interval_decimals(*shown)
     value_text, low_text, high_text = (fixed(x, decimals) for x in shown)
@@ -79,7 +107,9 @@ def between(
 
 
 def interval_decimals(value: float, low: float, high: float) -> int:
-    """Decimals that show the half width to one digit, two where it begins below 3.55; the value to five."""
+    """Decimals that show the half width to one digit, two where it begins below 3.55; the value to
+    five.
+    """
     half = (high - low) / 2
     size = max(abs(value), abs(low), abs(high))
     if size <= 0:
@@ -98,7 +128,9 @@ def percent(share: float | None) -> str:
         return DASH
     value = 100 * share
     if 0 < abs(value) < 0.1:
-        return "< 0.1 %" if value > 0 else f"> {MINUS}0.1 %"
+        if value > 0:
+            return "< 0.1 %"
+        return f"> {MINUS}0.1 %"
     if 99 < value < 100:
         return f"{min(value, 99.9):.1f} %"
     return f"{fixed(value, 0 if abs(value) >= 9.95 else 1)} %"
@@ -108,7 +140,9 @@ def p_value(p: float | None) -> str:
     """`0.032`; `< 0.001`."""
     if p is None or not math.isfinite(p):
         return DASH
-    return "< 0.001" if p < 0.001 else f"{p:.2g}"
+    if p < 0.001:
+        return "< 0.001"
+    return f"{p:.2g}"
 
 
 def listing(names: Sequence[str], last: str = "and") -> str:

@@ -1,4 +1,6 @@
-"""Rows of the page's tables: effects, the ladder of candidates, declared parameters before and after."""
+"""Rows of the page's tables: effects, the ladder of candidates, declared parameters before and
+after.
+"""
 
 from __future__ import annotations
 
@@ -9,16 +11,25 @@ from adaptsim_jax.report import diagnosis_format as fmt
 from adaptsim_jax.report import diagnosis_words as words
 
 FACTORS = {
-    "torque_gain": "gain", "position_gain": "gain", "encoder_scale": "scale", "camera_scale": "scale",
-    "camera_scale_at_start": "scale_start", "length_scale": "scale", "speed_scale": "speed_scale", "lift_scale": "lift_scale",
+    "torque_gain": "gain",
+    "position_gain": "gain",
+    "encoder_scale": "scale",
+    "camera_scale": "scale",
+    "camera_scale_at_start": "scale_start",
+    "length_scale": "scale",
+    "speed_scale": "speed_scale",
+    "lift_scale": "lift_scale",
     "clock_scale": "clock",
-}  # fmt: skip
-"""Parameters of effects that report.json has as a share more (0: none), and people read as a factor (1: none)."""
+}
+"""Parameters of effects that report.json has as a share more (0: none), and people read as a factor
+(1: none).
+"""
 
 
 def effect_rows(report: Mapping) -> list[dict[str, Any]]:
-    """Each effect: `title`, `fitted_as` in a class, `physics` where given, parameters with intervals; not those that a finer shape
-    would have and that stayed at zero."""
+    """Each effect: `title`, `fitted_as` in a class, `physics` where given, parameters with
+    intervals; not those that a finer shape would have and that stayed at zero.
+    """
     rows = []
     for effect in report["effects"]:
         parameters = [
@@ -28,7 +39,11 @@ def effect_rows(report: Mapping) -> list[dict[str, Any]]:
                 "interval": None not in (p["low"], p["high"]),
             }
             if not p["value"] == p["low"] == p["high"]
-            else {"name": _held(name, p), "value": fmt.quantity(p["value"], p["unit"]), "interval": False}
+            else {
+                "name": _held(name, p),
+                "value": fmt.quantity(p["value"], p["unit"]),
+                "interval": False,
+            }
             for name, p in effect["parameters"].items()
             if p.get("meaning") or not p["value"] == p["low"] == p["high"] == 0.0
         ]
@@ -56,7 +71,9 @@ def _is_factor(effect: Mapping, name: str) -> bool:
 def _shown(p: Mapping, factor: bool) -> tuple[float | None, float | None, float | None]:
     """Value, low and high as people read them."""
     more = 1.0 if factor else 0.0
-    value, low, high = (None if p[key] is None else more + p[key] for key in ("value", "low", "high"))
+    value, low, high = (
+        None if p[key] is None else more + p[key] for key in ("value", "low", "high")
+    )
     return value, low, high
 
 
@@ -81,7 +98,9 @@ def candidate_rows(report: Mapping) -> list[dict[str, Any]]:
 
 
 def declared_rows(report: Mapping) -> list[dict[str, Any]]:
-    """Declared parameters: text before and after (no number where the data fix none), the model file's value, and where to draw."""
+    """Declared parameters: text before and after (no number where the data fix none), the model
+    file's value, and where to draw.
+    """
     meanings = words.BASE if report["task"] == "pendulum" else {}
     before, after = report["declared"]["before"], report["declared"]["after"]
     rows = []
@@ -94,10 +113,16 @@ def declared_rows(report: Mapping) -> list[dict[str, Any]]:
                 "marks": _marks(stages),
                 "identifiable": all(row["identifiable"] for row in stages.values() if row),
                 "file": next(
-                    (fmt.quantity(row["file"], row["unit"]) for row in stages.values() if row and "file" in row), ""
+                    (
+                        fmt.quantity(row["file"], row["unit"])
+                        for row in stages.values()
+                        if row and "file" in row
+                    ),
+                    "",
                 ),
                 "note": next(
-                    (row["note"] for row in stages.values() if row and row.get("note")), meanings.get(name, "")
+                    (row["note"] for row in stages.values() if row and row.get("note")),
+                    meanings.get(name, ""),
                 ),
             }
         )
@@ -152,26 +177,38 @@ def power_rows(report: Mapping) -> list[dict[str, str]]:
 
 
 def trial_rows(report: Mapping) -> list[dict[str, Any]]:
-    """Trials with their own errors, where some of them differ: the odd ones first, then by error."""
+    """Trials with their own errors, where some of them differ: the odd ones first, then by
+    error.
+    """
     told = report.get("trials") or {}
     if not told.get("headline"):
         return []
     unit = report["error"]["unit"]
-    rows = sorted(told["each"], key=lambda row: (not row["odd"], -(row["error"] or row["unexplained_torque"] or 0.0)))
-    sizes = lambda size: ", ".join(f"{name} {value:+.2g}" for name, value in (size or {}).items()) or fmt.DASH
+    rows = sorted(
+        told["each"],
+        key=lambda row: (not row["odd"], -(row["error"] or row["unexplained_torque"] or 0.0)),
+    )
+
+    def sizes(size):
+        return ", ".join(f"{name} {value:+.2g}" for name, value in (size or {}).items()) or fmt.DASH
+
     return [
         {
-            "trial": row["trial"], "odd": row["odd"], "error": fmt.quantity(row["error"], unit, like=report["error"]["before"]),
-            "torque": fmt.percent(row["unexplained_torque"]), "size": sizes(row["size"]),
+            "trial": row["trial"],
+            "odd": row["odd"],
+            "error": fmt.quantity(row["error"], unit, like=report["error"]["before"]),
+            "torque": fmt.percent(row["unexplained_torque"]),
+            "size": sizes(row["size"]),
         }
         for row in rows
-    ]  # fmt: skip
+    ]
 
 
 def audit_rows(evidence: Mapping) -> list[dict[str, str]]:
     """Findings, faults first."""
     order = {"fault": 0, "error": 0, "warning": 1}
     rows = [
-        {key: str(row.get(key, "")) for key in ("severity", "where", "message")} for row in evidence.get("audit") or []
+        {key: str(row.get(key, "")) for key in ("severity", "where", "message")}
+        for row in evidence.get("audit") or []
     ]
     return sorted(rows, key=lambda row: order.get(row["severity"], 2))

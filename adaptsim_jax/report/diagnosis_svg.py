@@ -1,4 +1,6 @@
-"""Matplotlib figures as small inline SVG that follows the page's colours, light or dark, and its font."""
+"""Matplotlib figures as small inline SVG that follows the page's colours, light or dark, and its
+font.
+"""
 
 from __future__ import annotations
 
@@ -57,22 +59,30 @@ STYLE: Any = {
     "path.simplify_threshold": 0.3,
 }
 WIDTH = 5.0
-"""Inches (72 to an inch in SVG): a phone's width and not far from half a page, so text keeps its size."""
+"""Inches (72 to an inch in SVG): a phone's width and not far from half a page, so text keeps its
+size.
+"""
 
 
 def draw(paint: Callable[[Figure], None], height: float, label: str) -> str:
-    """The SVG of what `paint` draws on a transparent figure; `label` is for those who do not see it."""
+    """The SVG of what `paint` draws on a transparent figure; `label` is for those who do not see
+    it.
+    """
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDTH, height))
         FigureCanvasSVG(figure)
         paint(figure)
         buffer = io.StringIO()
-        figure.savefig(buffer, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+        figure.savefig(
+            buffer, format="svg", transparent=True, metadata={"Date": None, "Creator": None}
+        )
     return themed(buffer.getvalue(), label)
 
 
 def themed(svg: str, label: str) -> str:
-    """Inline form: no prolog, colours as CSS variables, two decimals, ids that cannot clash on one page."""
+    """Inline form: no prolog, colours as CSS variables, two decimals, ids that cannot clash on one
+    page.
+    """
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>\s*", "", svg, flags=re.S)
     svg = re.sub(r'<g id="[^"]*"', "<g", svg)
@@ -80,7 +90,9 @@ def themed(svg: str, label: str) -> str:
         svg = svg.replace(colour, f"var(--{name})")
     # of places, not of what is written
     svg = re.sub(
-        r"-?\d+\.\d{3,}(?!\d*</text>)", lambda found: f"{float(found.group()):.2f}".rstrip("0").rstrip("."), svg
+        r"-?\d+\.\d{3,}(?!\d*</text>)",
+        lambda found: f"{float(found.group()):.2f}".rstrip("0").rstrip("."),
+        svg,
     )
     svg = re.sub(r"font: (?:normal )?([\d.]+px) [^;\"]*", r"font-size: \1", svg)
     head = re.search(r'viewBox="[^"]*"', svg)
@@ -90,7 +102,9 @@ def themed(svg: str, label: str) -> str:
 
 
 def thin(*columns: np.ndarray, most: int = 700) -> list[np.ndarray]:
-    """Every column at no more than `most` rows, evenly taken; a gap (NaN) within a stride stays a gap."""
+    """Every column at no more than `most` rows, evenly taken; a gap (NaN) within a stride stays a
+    gap.
+    """
     arrays = [np.asarray(column, dtype=float) for column in columns]
     stride = max(1, -(-len(arrays[0]) // most))  # rounded up
     if stride == 1:

@@ -26,7 +26,9 @@ BASE = {
     "b1": "damping of joint 1",
     "b2": "damping of joint 2",
 }
-"""Of a double pendulum, the combinations that a motion fixes (rotors' inertias belong to them as well)."""
+"""Of a double pendulum, the combinations that a motion fixes (rotors' inertias belong to them as
+well).
+"""
 MANY = 8  # names in one sentence: more are listed elsewhere in the page
 LOUD = 4.0  # times the sensors' noise: from here on a reader asks what the rest is
 LABELS = {
@@ -40,28 +42,36 @@ LABELS = {
     "data_fault": "fault in the data",
 }
 MEANINGS = {
-    "explained": "The mended model is ready to use: the effect held on trials without a part in finding it.",
+    "explained": "The mended model is ready to use: the effect held on trials without a part in "
+    "finding it.",
     "explained_class": "The mended model predicts better, whichever of the names is right: "
     "with these trials they cannot be told apart.",
-    "partly_explained": "Each effect named held out by itself on trials without a part in finding it. More is left than the sensors' "
+    "partly_explained": "Each effect named held out by itself on trials without a part in finding "
+    "it. More is left than the sensors' "
     "noise, and it has no name: the mended model is better, not complete.",
-    "confounded_with_declared": "Another declared value does the same as an effect along these motions, "
+    "confounded_with_declared": "Another declared value does the same as an effect along these "
+    "motions, "
     "so neither can be held responsible.",
-    "structured_unattributed": "What is left is more than chance leaves, yet no effect in the catalogue "
+    "structured_unattributed": "What is left is more than chance leaves, yet no effect in the "
+    "catalogue "
     "accounts for it. No name is forced on it.",
-    "within_noise": "What is left looks like chance. Nothing needs to be added for motions like these.",
+    "within_noise": "What is left looks like chance. Nothing needs to be added for motions like "
+    "these.",
     "underpowered": "An effect of a size that matters could hide in these data. "
     "This is not evidence that the model is right.",
     "data_fault": "No model was judged: the findings below come first.",
 }
 NEXT = {
     "explained": "Use the mended model, and test it on motions that it has not seen.",
-    "explained_class": "Use the mended model for motions like these; other motions can tell the names apart.",
+    "explained_class": "Use the mended model for motions like these; other motions can tell the "
+    "names apart.",
     "partly_explained": "Use the mended model for motions like these, and look where the rest sits.",
     "confounded_with_declared": "Measure the declared value again and put it right in meta.toml, "
     "or record motions that part the two.",
-    "structured_unattributed": "Look where the structure sits: an effect of your own can be added for it (adaptsim new effect).",
-    "within_noise": "Add no effect; take the fitted values (below, and in model.toml) for those of the file.",
+    "structured_unattributed": "Look where the structure sits: an effect of your own can be added "
+    "for it (adaptsim new effect).",
+    "within_noise": "Add no effect; take the fitted values (below, and in model.toml) for those of "
+    "the file.",
     "underpowered": "Record more trials, longer ones, or with more excitation; then run this again.",
     "data_fault": "Mend the recording as the audit says, then run this again.",
 }
@@ -79,7 +89,9 @@ PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck", "lugre": "LuGre", "dahl"
 
 
 def plain(name: str) -> str:
-    """`command_delay` -> `command delay`; `coulomb` -> `Coulomb friction`; `joint1` -> `joint 1`."""
+    """`command_delay` -> `command delay`; `coulomb` -> `Coulomb friction`; `joint1` -> `joint
+    1`.
+    """
     if name in WHOLE:
         return WHOLE[name]
     text = " ".join(PROPER.get(word, word) for word in name.replace("_", " ").split())
@@ -90,7 +102,9 @@ def plain(name: str) -> str:
 
 
 def effect_name(effect: Mapping) -> str:
-    """`Coulomb friction at joint 1`; a class as `bias or spring at joint 1`, or `bias at joint 1 or tilt at base`."""
+    """`Coulomb friction at joint 1`; a class as `bias or spring at joint 1`, or `bias at joint 1 or
+    tilt at base`.
+    """
     rivals = [_named(name, effect["where"]) for name in effect.get("alternatives") or []]
     every = [(effect["name"], effect["where"]), *rivals]
     if len({where for _, where in every}) == 1:
@@ -110,7 +124,9 @@ NOWHERE = ("", "all", "whole", "command", "contact", "force", "measurement")
 
 def _at(text: str, where: str) -> str:
     place = plain(where)
-    return text if place in NOWHERE else f"{text} at {place}"
+    if place in NOWHERE:
+        return text
+    return f"{text} at {place}"
 
 
 def effect_names(report: Mapping) -> str:
@@ -124,7 +140,9 @@ def effect_names(report: Mapping) -> str:
 def headline(report: Mapping) -> str:
     """The verdict in a sentence, and in another that trials differ, where they do."""
     differ = (report.get("trials") or {}).get("headline")
-    return f"{_verdict(report)} But {differ}." if differ else _verdict(report)
+    if differ:
+        return f"{_verdict(report)} But {differ}."
+    return _verdict(report)
 
 
 def _verdict(report: Mapping) -> str:
@@ -132,7 +150,9 @@ def _verdict(report: Mapping) -> str:
     if verdict == "explained":
         return f"The declared model lacks {names}{rest}."
     if verdict == "explained_class":
-        return f"The declared model lacks {names}; these trials cannot tell which{rest}." if names else ""
+        if names:
+            return f"The declared model lacks {names}; these trials cannot tell which{rest}."
+        return ""
     if verdict == "partly_explained":
         return f"The declared model lacks {names}, and something more that has no name."
     if verdict == "confounded_with_declared":
@@ -141,8 +161,13 @@ def _verdict(report: Mapping) -> str:
             return "A declared value is wrong, or an effect acts just like it."
         return f"{names[:1].upper()}{names[1:]} cannot be told from the declared parameters."
     if verdict == "structured_unattributed":
-        found = f"{names[:1].upper()}{names[1:]} found, and" if names else "The declared model leaves structure:"
-        return f"{found} something more that no candidate explains." if names else f"{found} no candidate explains it."
+        if names:
+            found = f"{names[:1].upper()}{names[1:]} found, and"
+        else:
+            found = "The declared model leaves structure:"
+        if names:
+            return f"{found} something more that no candidate explains."
+        return f"{found} no candidate explains it."
     return {
         "within_noise": _nothing_more(report),
         "underpowered": "These data cannot decide whether the declared model is complete.",
@@ -151,7 +176,9 @@ def _verdict(report: Mapping) -> str:
 
 
 def _rest(error: Mapping) -> str:
-    """A caveat where what a named effect leaves is many times the noise: its size may then be off by more than its interval."""
+    """A caveat where what a named effect leaves is many times the noise: its size may then be off
+    by more than its interval.
+    """
     after, floor = error.get("after"), error.get("noise_floor")
     if after is None or not floor or after < LOUD * floor:
         return ""
@@ -159,12 +186,20 @@ def _rest(error: Mapping) -> str:
 
 
 def _nothing_more(report: Mapping) -> str:
-    """`within_noise` in a sentence: a torque that wanders by chance may leave many times what the sensors do."""
+    """`within_noise` in a sentence: a torque that wanders by chance may leave many times what the
+    sensors do.
+    """
     before, floor = report["error"].get("before"), report["error"].get("noise_floor")
     if before is None or not floor or before < LOUD * floor:
-        unlike = ", with fitted values unlike its file's," if report.get("unlike_file") else ""
+        if report.get("unlike_file"):
+            unlike = ", with fitted values unlike its file's,"
+        else:
+            unlike = ""
         return f"The declared model{unlike} explains these data to within the noise."
-    return f"The declared model leaves {before / floor:.0f} times the sensors' noise, and nothing in it but chance was found."
+    return (
+        f"The declared model leaves {before / floor:.0f} times the sensors' noise, and nothing "
+        f"in it but chance was found."
+    )
 
 
 def status(candidate: Mapping, report: Mapping) -> str:
@@ -174,9 +209,15 @@ def status(candidate: Mapping, report: Mapping) -> str:
     if candidate["accepted"]:
         return "accepted"
     here = (candidate["name"], candidate["where"])
-    if any(here == _named(a, e["where"]) for e in report["effects"] for a in e.get("alternatives") or []):
+    if any(
+        here == _named(a, e["where"])
+        for e in report["effects"]
+        for a in e.get("alternatives") or []
+    ):
         return "look-alike"
-    return "confounded" if "confounded" in candidate["why"].lower() else "rejected"
+    if "confounded" in candidate["why"].lower():
+        return "confounded"
+    return "rejected"
 
 
 def improvement(error: Mapping) -> dict[str, str | None]:
@@ -193,7 +234,9 @@ def improvement(error: Mapping) -> dict[str, str | None]:
 
 
 def not_established(report: Mapping) -> list[str]:
-    """What must not be taken for granted: the report's own sentences, then what its numbers imply."""
+    """What must not be taken for granted: the report's own sentences, then what its numbers
+    imply.
+    """
     lines = list(report.get("not_established") or [])
     for effect in report["effects"]:
         if effect.get("alternatives"):
@@ -201,10 +244,14 @@ def not_established(report: Mapping) -> list[str]:
     loose = unidentified(report)
     if loose and not any(line.startswith(", ".join(loose)) for line in lines):
         one = len(loose) == 1
-        named = fmt.listing(loose) if len(loose) <= MANY else f"{len(loose)} numbers listed under Declared parameters"
+        if len(loose) <= MANY:
+            named = fmt.listing(loose)
+        else:
+            named = f"{len(loose)} numbers listed under Declared parameters"
         lines.append(
             f"The value{'' if one else 's'} of {named}: "
-            f"these motions show only {'a combination of it with others' if one else 'combinations of them'}."
+            f"these motions show only "
+            f"{'a combination of it with others' if one else 'combinations of them'}."
         )
     if report["verdict"] in (
         "explained",
@@ -213,7 +260,10 @@ def not_established(report: Mapping) -> list[str]:
         "within_noise",
         "structured_unattributed",
     ):
-        lines.append("Anything outside the speeds, angles, loads and frequencies of these trials, or on another rig.")
+        lines.append(
+            "Anything outside the speeds, angles, loads and frequencies of these trials, or on "
+            "another rig."
+        )
     if report["verdict"] == "within_noise":
         lines.append("That no effect exists: only that none shows above the noise here.")
     return list(dict.fromkeys(lines))
@@ -231,18 +281,23 @@ def todo(report: Mapping) -> str:
     nameless = report["verdict"] in ("within_noise", "data_fault")
     if report["effects"] and (skill := _skill(report)) < TELLS:
         return (
-            f"Do not rely on the mended model yet: at best it is {100 * max(skill, 0.0):.0f} % better than what needs no model. "
+            f"Do not rely on the mended model yet: at best it is {100 * max(skill, 0.0):.0f} % "
+            f"better than what needs no model. "
             "Look where the rest sits."
         )
     if report["verdict"] == "within_noise" and not report["declared"]["after"]:
         return "Add no effect, and keep the file's values: nothing was fitted."
-    return NEXT[report["verdict"]] + (" See the next experiment below." if there and not nameless else "")
+    return NEXT[report["verdict"]] + (
+        " See the next experiment below." if there and not nameless else ""
+    )
 
 
 def next_words(report: Mapping) -> str:
     """What the next experiment is for; empty where there is none."""
     given: Any = report.get("next_experiment") or ""
-    return given["message"] if isinstance(given, Mapping) else given
+    if isinstance(given, Mapping):
+        return given["message"]
+    return given
 
 
 def _skill(report: Mapping) -> float:

@@ -1,6 +1,8 @@
-"""Episodes of any MuJoCo model rendered off screen, as a program: `python -m adaptsim_jax.report.env_render clips.npz film.mp4`.
+"""Episodes of any MuJoCo model rendered off screen, as a program: `python -m
+adaptsim_jax.report.env_render clips.npz film.mp4`.
 
-A process of its own, since MuJoCo's OpenGL is chosen by the environment at import and may take the process down.
+A process of its own, since MuJoCo's OpenGL is chosen by the environment at import and may take the
+process down.
 """
 
 import importlib
@@ -19,7 +21,9 @@ WIDTH, HEIGHT, BAND = 480, 360, 36
 
 
 def frames(clips: list[Clip]) -> Iterator[np.ndarray]:
-    """`[360, 480, 3]` uint8 frames by the model's first camera, or a free one that sees all of it."""
+    """`[360, 480, 3]` uint8 frames by the model's first camera, or a free one that sees all of
+    it.
+    """
     mujoco: Any = importlib.import_module("mujoco")
     model = _model(mujoco, clips[0].model)
     data, renderer = mujoco.MjData(model), mujoco.Renderer(model, HEIGHT - BAND, WIDTH)
@@ -31,7 +35,9 @@ def frames(clips: list[Clip]) -> Iterator[np.ndarray]:
             mujoco.mj_forward(model, data)
             renderer.update_scene(data, 0 if model.ncam else -1)
             text, time = str(clip.text), f"{float(clip.dt) * row:.2f} s"
-            yield from [with_text(np.concatenate([band, renderer.render()]), text, time)] * (HOLD if row == last else 1)
+            yield from [with_text(np.concatenate([band, renderer.render()]), text, time)] * (
+                HOLD if row == last else 1
+            )
 
 
 def _model(mujoco: Any, raw: np.ndarray) -> Any:

@@ -1,4 +1,6 @@
-"""A film of episodes of any MuJoCo model, such as those of the first and the best policy in a target."""
+"""A film of episodes of any MuJoCo model, such as those of the first and the best policy in a
+target.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -15,8 +17,9 @@ FPS, HOLD = 25.0, 12  # frames a second, and frames at the end of an episode
 
 @dataclass(frozen=True)
 class Clip:
-    """One episode: places `qpos [T, nq]` and `mocap [T, 3 n]`, a row each `dt` s; the model's bytes (mjb); a line of text; frames a
-    second."""
+    """One episode: places `qpos [T, nq]` and `mocap [T, 3 n]`, a row each `dt` s; the model's bytes
+    (mjb); a line of text; frames a second.
+    """
 
     qpos: Any
     mocap: Any
@@ -33,15 +36,24 @@ def clip_of(qpos: np.ndarray, mocap: np.ndarray, dt: float, model: np.ndarray, t
 
 
 def write_env_video(clips: Sequence[Clip], folder: Path) -> tuple[Path, str]:
-    """`(path, how)`: the film in `folder`, and a line that says what drew it. mp4 with the extra `[video]`, else gif."""
+    """`(path, how)`: the film in `folder`, and a line that says what drew it. mp4 with the extra
+    `[video]`, else gif.
+    """
     fps = float(clips[0].fps)
     return filmed(
-        "adaptsim_jax.report.env_render", clips, folder / "policies", drawn_frames, "coordinates over time", fps
+        "adaptsim_jax.report.env_render",
+        clips,
+        folder / "policies",
+        drawn_frames,
+        "coordinates over time",
+        fps,
     )
 
 
 def drawn_frames(clips: Sequence[Clip]) -> Iterator[np.ndarray]:
-    """`[360, 480, 3]` uint8 frames: the joints' coordinates so far, where nothing can be rendered."""
+    """`[360, 480, 3]` uint8 frames: the joints' coordinates so far, where nothing can be
+    rendered.
+    """
     from matplotlib.figure import Figure
 
     for clip in clips:

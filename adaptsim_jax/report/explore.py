@@ -1,18 +1,21 @@
-"""Plots to explore in a page: figures as plain JSON, drawn by Plotly, which lies packed in the page, so that no network is needed.
+"""Plots to explore in a page: figures as plain JSON, drawn by Plotly, which lies packed in the
+page, so that no network is needed.
 
-    html = explorer({"trial": ["01", "02"], "joint": ["elbow"]}, {(0, 0): View([figure]), (1, 0): View([figure])}, [Plot(...)])
+    html = explorer({"trial": ["01", "02"], "joint": ["elbow"]}, {(0, 0): View([figure]), (1, 0):
+    View([figure])}, [Plot(...)])
 
-goes where the plots are to stand, `script(True)` at the end of the body and `templates/explore.css.j2` into the style. A figure is
-`{"data": [trace], "layout": {}}` as Plotly has them, but
+goes where the plots are to stand, `script(True)` at the end of the body and
+`templates/explore.css.j2` into the style. A figure is `{"data": [trace], "layout": {}}` as Plotly
+has them, but
 
-    colours    "--before" is that variable of the page's style sheet, "#0072B2" is made lighter on a dark page; "/25" behind either
-               is its opacity in percent
-    numbers    "@name" in a trace stands for that column of the explorer's `columns`, and {"minus": ["@a", "@b"], "times": 1e3} for
-               1e3 (a - b), so that what plots share is written once
+    colours    "--before" is that variable of the page's style sheet, "#0072B2" is made lighter on a
+               dark page; "/25" behind either is its opacity in percent
+    numbers    "@name" in a trace stands for that column of the explorer's `columns`, and {"minus":
+               ["@a", "@b"], "times": 1e3} for 1e3 (a - b), so that what plots share is written once
     texts      are a little HTML to Plotly: what comes from files goes through `shown`
 
-Tables of the class `sortable` sort by a click on a heading, by `data-v` of a cell where it has one; with `data-most="8"` they show
-eight rows and a button for the rest.
+Tables of the class `sortable` sort by a click on a heading, by `data-v` of a cell where it has one;
+with `data-most="8"` they show eight rows and a button for the rest.
 """
 
 from __future__ import annotations
@@ -38,10 +41,10 @@ MOST_POINTS = 2000
 LEAST_POINTS = 200
 """Points to which traces are thinned before whole trials are left out."""
 MOST_NUMBERS = 300_000
-"""Numbers of one explorer, of some nine characters each: with Plotly's 2 MB a page stays far below 6 MB."""
-MISSING = (
-    "The plots to explore need the package plotly, which was not there when this page was made: pip install plotly."
-)
+"""Numbers of one explorer, of some nine characters each: with Plotly's 2 MB a page stays far below
+6 MB.
+"""
+MISSING = "The plots to explore need the package plotly, which was not there when this page was made: pip install plotly."
 
 
 @dataclass(frozen=True)
@@ -78,28 +81,37 @@ def explorer(
     plots: Sequence[Plot],
     columns: Columns | None = None,
 ) -> str:
-    """The HTML of plots side by side with a selector for each of `choices` that leaves a choice; `views` by the option of each."""
+    """The HTML of plots side by side with a selector for each of `choices` that leaves a choice;
+    `views` by the option of each.
+    """
     if plotly() is None:
         return f'<p class="note">{MISSING}</p>'
     table = {
         "columns": {} if columns is None else columns.values,
-        "views": {",".join(map(str, key)): {"note": v.note, "figures": list(v.figures)} for key, v in views.items()},
+        "views": {
+            ",".join(map(str, key)): {"note": v.note, "figures": list(v.figures)}
+            for key, v in views.items()
+        },
     }
     selectors = "".join(
         f"<label{'' if len(options) > 1 else ' hidden'}>{escape(name)} <select>"
-        + "".join(f'<option value="{i}">{escape(option)}</option>' for i, option in enumerate(options))
+        + "".join(
+            f'<option value="{i}">{escape(option)}</option>' for i, option in enumerate(options)
+        )
         + "</select></label>"
         for name, options in choices.items()
     )
     places = "".join(
-        f'<div class="plot" role="group" aria-label="{escape(p.label)}" style="--height: {p.height}px"></div>'
+        f'<div class="plot" role="group" aria-label="{escape(p.label)}" style="--height: '
+        f'{p.height}px"></div>'
         for p in plots
     )
     return (
         f'<div class="explore"><script type="application/json">{in_script(table)}</script>'
         f'<div class="choose">{selectors}<span class="said muted" aria-live="polite"></span></div>'
         f'<div class="plots">{places}</div>'
-        '<p class="note failed">The plots to explore need a browser of 2023 or later, with JavaScript.</p></div>'
+        '<p class="note failed">The plots to explore need a browser of 2023 or later, with '
+        "JavaScript.</p></div>"
     )
 
 
@@ -114,9 +126,14 @@ def script(plots: bool = True) -> str:
 
 @cache
 def plotly() -> str | None:
-    """plotly.min.js of the installed package, gzip in base64 (4.8 MB become 2); None where there is none. Imports nothing of it."""
+    """plotly.min.js of the installed package, gzip in base64 (4.8 MB become 2); None where there is
+    none. Imports nothing of it.
+    """
     spec = find_spec("plotly")
-    path = Path(spec.origin).parent / "package_data" / "plotly.min.js" if spec and spec.origin else None
+    if spec and spec.origin:
+        path = Path(spec.origin).parent / "package_data" / "plotly.min.js"
+    else:
+        path = None
     if path is None or not path.exists():
         return None
     return base64.b64encode(gzip.compress(path.read_bytes(), 6, mtime=0)).decode()
@@ -128,7 +145,9 @@ def shown(name: Any) -> str:
 
 
 def in_script(value: Any) -> str:
-    """JSON that no `</script>` of a trial's name can end; NaN is refused (`numbers` makes it null)."""
+    """JSON that no `</script>` of a trial's name can end; NaN is refused (`numbers` makes it
+    null).
+    """
     text = json.dumps(value, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
     for sign in "<>&\u2028\u2029":
         text = text.replace(sign, f"\\u{ord(sign):04x}")
@@ -136,19 +155,28 @@ def in_script(value: Any) -> str:
 
 
 def numbers(values: Any, step: float | None = None) -> list[float | None]:
-    """Values rounded to `step` or a finer power of ten (by default a 20,000th of their span), null for what is not finite."""
+    """Values rounded to `step` or a finer power of ten (by default a 20,000th of their span), null
+    for what is not finite.
+    """
     array = np.asarray(values, float).ravel()
     fine = array[np.isfinite(array)]
     span = float(np.ptp(fine)) if fine.size else 0.0
     step = step or span / 2e4 or float(np.max(np.abs(fine), initial=0.0)) / 1e6
-    decimals = min(15, max(0, -math.floor(math.log10(step)))) if step > 0 else 0
+    if step > 0:
+        decimals = min(15, max(0, -math.floor(math.log10(step))))
+    else:
+        decimals = 0
     return [round(x, decimals) + 0.0 if math.isfinite(x) else None for x in array.tolist()]
 
 
 def points(lengths: Sequence[int], series: int) -> tuple[int, int]:
-    """`(most, kept)`: points a trace, and how many of the trials of `lengths` samples and `series` numbers a sample are kept, so that
-    all of them stay within `MOST_NUMBERS`."""
-    total = lambda most, kept: series * sum(min(n, most) for n in lengths[:kept])
+    """`(most, kept)`: points a trace, and how many of the trials of `lengths` samples and `series`
+    numbers a sample are kept, so that all of them stay within `MOST_NUMBERS`.
+    """
+
+    def total(most, kept):
+        return series * sum(min(n, most) for n in lengths[:kept])
+
     kept = len(lengths)
     while kept > 1 and total(LEAST_POINTS, kept) > MOST_NUMBERS:
         kept -= 1

@@ -1,4 +1,6 @@
-"""The look that the figures of the comparison share: colours that colour-blind readers tell apart, labels, saving."""
+"""The look that the figures of the comparison share: colours that colour-blind readers tell apart,
+labels, saving.
+"""
 
 import io
 import re
@@ -10,7 +12,8 @@ from matplotlib.figure import Figure
 
 from adaptsim_jax.core.files import write_bytes
 
-# Okabe and Ito's palette: told apart with any common colour blindness, and in grey by the line styles below.
+# Okabe and Ito's palette: told apart with any common colour blindness, and in grey by the line
+# styles below.
 METHODS = {
     "adaptsim": ("#0072B2", "AdaptSim"),
     "adaptsim_state": ("#56B4E9", "AdaptSim-State"),
@@ -41,26 +44,38 @@ ITERATIONS = "iterations"
 
 
 def reward_of(results, long: bool = False) -> str:
-    """What the rewards of `results` are: in the task's own unit, or normalised as the pendulum's."""
+    """What the rewards of `results` are: in the task's own unit, or normalised as the
+    pendulum's.
+    """
     if "trials_axis" in results and not long:
         return "normalized return (0 UDR, 1 oracle or best in Ω)"
     if "reward" in results:
-        return f"Reward ({results['reward']}; oracle: {results['oracle']})" if long else "reward"
-    return "Normalized reward (0 UDR, 1 best in Omega, not clipped)" if long else REWARD
+        if long:
+            return f"Reward ({results['reward']}; oracle: {results['oracle']})"
+        return "reward"
+    if long:
+        return "Normalized reward (0 UDR, 1 best in Omega, not clipped)"
+    return REWARD
 
 
 def axis_of(results) -> str:
     """What rewards are drawn over."""
-    return "target trials" if "trials_axis" in results else ITERATIONS
+    if "trials_axis" in results:
+        return "target trials"
+    return ITERATIONS
 
 
 def least(results) -> float:
     """Where axes of rewards begin: normalised ones go below 0, a task's own do not."""
-    return -0.02 if "reward" in results and "trials_axis" not in results else -0.4
+    if "reward" in results and "trials_axis" not in results:
+        return -0.02
+    return -0.4
 
 
 def one_seed(rows) -> bool:
-    """Whether no row of a comparison is of more than one seed, so that there is nothing to give an interval of."""
+    """Whether no row of a comparison is of more than one seed, so that there is nothing to give an
+    interval of.
+    """
     return all(len(r["per_seed"]) < 2 for r in rows)
 
 
@@ -73,7 +88,9 @@ def setting(name: str) -> str:
 
 
 def colour(method: str) -> str:
-    return METHODS[method][0] if method in METHODS else MUTED
+    if method in METHODS:
+        return METHODS[method][0]
+    return MUTED
 
 
 def in_order(methods: Iterable[str]) -> list[str]:
@@ -83,11 +100,15 @@ def in_order(methods: Iterable[str]) -> list[str]:
 
 
 def label(method: str) -> str:
-    return METHODS[method][1] if method in METHODS else method
+    if method in METHODS:
+        return METHODS[method][1]
+    return method
 
 
 def style(method: str) -> dict:
-    """Line style: state-only variants are dashed, and so is the bound that has the oracle's colour."""
+    """Line style: state-only variants are dashed, and so is the bound that has the oracle's
+    colour.
+    """
     dashed = method.endswith("_state") or method == "best_in_omega"
     return {"color": colour(method), "linestyle": "--" if dashed else "-"}
 
@@ -105,8 +126,12 @@ def quiet(ax: Axes) -> None:
     ax.tick_params(colors=MUTED, labelcolor=INK, labelsize=8)
 
 
-def new_figure(width: float, height: float, rows: int = 1, columns: int = 1, **options) -> tuple[Figure, list[Axes]]:
-    """A figure of `width x height` inches without any global state, and its axes in reading order."""
+def new_figure(
+    width: float, height: float, rows: int = 1, columns: int = 1, **options
+) -> tuple[Figure, list[Axes]]:
+    """A figure of `width x height` inches without any global state, and its axes in reading
+    order.
+    """
     figure = Figure(figsize=(width, height), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False, **options)
     return figure, list(axes.ravel())
@@ -121,15 +146,25 @@ def save(figure: Figure, path: Path) -> Path:
 
 
 def svg(figure: Figure) -> str:
-    """The figure as an SVG element that shrinks with its place and grows to the figure's own width, 96 px an inch."""
+    """The figure as an SVG element that shrinks with its place and grows to the figure's own width,
+    96 px an inch.
+    """
     buffer = io.StringIO()
     figure.savefig(buffer, format="svg", facecolor="white")
     text = buffer.getvalue()
     width = figure.get_size_inches()[0] * 96
-    least = min(width, 640.0) if width > 600 else 0.0  # wide ones scroll on a phone
+    # wide ones scroll on a phone
+    if width > 600:
+        least = min(width, 640.0)
+    else:
+        least = 0.0
     style = f"width: 100%; height: auto; max-width: {width:.0f}px; min-width: {least:.0f}px"
     size = re.compile(
-        r'<svg ([^>]*?)\bheight="[^"]*"([^>]*?)\bwidth="[^"]*"|<svg ([^>]*?)\bwidth="[^"]*"([^>]*?)\bheight="[^"]*"'
+        r'<svg ([^>]*?)\bheight="[^"]*"([^>]*?)\bwidth="[^"]*"|<svg '
+        r'([^>]*?)\bwidth="[^"]*"([^>]*?)\bheight="[^"]*"'
     )
-    inner = lambda m: f'<svg style="{style}" ' + " ".join(g for g in m.groups() if g)
+
+    def inner(m):
+        return f'<svg style="{style}" ' + " ".join(g for g in m.groups() if g)
+
     return size.sub(inner, text[text.index("<svg") :], count=1)

@@ -12,16 +12,32 @@ from adaptsim_jax.report import figures as look
 
 
 def reward_over_iterations(results: Mapping[str, Any], methods: Sequence[str] = ()) -> Figure:
-    """A panel a setting: median over seeds of the best distribution's reward at each iteration, with its quartiles."""
+    """A panel a setting: median over seeds of the best distribution's reward at each iteration,
+    with its quartiles.
+    """
     bottom = look.least(results)
-    rows = [r for r in results["rows"] if len(r["curve"]["median"]) > 1 and (not methods or r["method"] in methods)]
-    by = {r["method"]: r["trials"] for r in rows} if "trials_axis" in results else {}
+    rows = [
+        r
+        for r in results["rows"]
+        if len(r["curve"]["median"]) > 1 and (not methods or r["method"] in methods)
+    ]
+    if "trials_axis" in results:
+        by = {r["method"]: r["trials"] for r in rows}
+    else:
+        by = {}
     settings = list(dict.fromkeys(r["setting"] for r in rows))
     width = max(2.15 * len(settings) + 0.6, 4.6)
     figure, axes = look.new_figure(width, 2.9, 1, len(settings), sharey=True)
     for ax, setting in zip(axes, settings, strict=True):
         for r in (r for r in rows if r["setting"] == setting):
-            _curve(ax, r["curve"], look.style(r["method"]), look.label(r["method"]), bottom, by.get(r["method"]))
+            _curve(
+                ax,
+                r["curve"],
+                look.style(r["method"]),
+                look.label(r["method"]),
+                bottom,
+                by.get(r["method"]),
+            )
         look.quiet(ax)
         ax.axhline(1, color=look.INK, linewidth=0.8, linestyle=":")
         ax.set_title(look.setting(setting), fontsize=9, color=look.INK)
@@ -42,25 +58,43 @@ def reward_over_iterations(results: Mapping[str, Any], methods: Sequence[str] = 
 
 
 def _curve(
-    ax, curve: Mapping[str, Any], style: dict, label: str, bottom: float, trials: Sequence[int] | None = None
+    ax,
+    curve: Mapping[str, Any],
+    style: dict,
+    label: str,
+    bottom: float,
+    trials: Sequence[int] | None = None,
 ) -> None:
-    # None stands for minus infinity, a policy that destabilised the target; it is drawn below the panel.
+    # None stands for minus infinity, a policy that destabilised the target; it is drawn below the
+    # panel.
     median, q25, q75 = (
-        np.array([bottom - 10 if v is None else v for v in curve[key]]) for key in ("median", "q25", "q75")
+        np.array([bottom - 10 if v is None else v for v in curve[key]])
+        for key in ("median", "q25", "q75")
     )
-    iterations = np.arange(len(median)) if trials is None else np.asarray(trials)
+    if trials is None:
+        iterations = np.arange(len(median))
+    else:
+        iterations = np.asarray(trials)
     ax.fill_between(iterations, q25, q75, color=style["color"], alpha=0.15, linewidth=0)
     ax.plot(iterations, median, linewidth=1.7, label=label, **style)
 
 
 def rewards(results: Mapping[str, Any]) -> Figure:
-    """Table 1 as dots: mean over seeds of the best-iteration reward with its 95 % interval (of one seed none), and every seed."""
+    """Table 1 as dots: mean over seeds of the best-iteration reward with its 95 % interval (of one
+    seed none), and every seed.
+    """
     left = look.least(results)
-    known = () if "reward" in results else ("udr", "best_in_omega")  # 0 and 1 by definition where normalised
+    # 0 and 1 by definition where normalised
+    if "reward" in results:
+        known = ()
+    else:
+        known = ("udr", "best_in_omega")
     rows = [r for r in results["rows"] if r["method"] not in known]
     settings = list(dict.fromkeys(r["setting"] for r in rows))
     methods = list(dict.fromkeys(r["method"] for r in rows))
-    figure, axes = look.new_figure(2.0 * len(settings) + 1.6, 0.34 * len(methods) + 1.1, 1, len(settings), sharey=True)
+    figure, axes = look.new_figure(
+        2.0 * len(settings) + 1.6, 0.34 * len(methods) + 1.1, 1, len(settings), sharey=True
+    )
     for ax, setting in zip(axes, settings, strict=True):
         for r in (r for r in rows if r["setting"] == setting):
             _dots(ax, len(methods) - 1 - methods.index(r["method"]), r, left)
@@ -84,29 +118,66 @@ def _dots(ax, y: float, r: Mapping[str, Any], left: float) -> None:
         ax.annotate(f"◂ {text}", (left + 0.02, y), fontsize=7.5, color=colour, va="center")
         return
     ax.plot([r["low"], r["high"]], [y, y], color=colour, linewidth=2.2, solid_capstyle="butt")
-    ax.plot(r["mean"], y, look.marker(r["method"]), color=colour, markersize=5.5, markeredgecolor="white")
+    ax.plot(
+        r["mean"],
+        y,
+        look.marker(r["method"]),
+        color=colour,
+        markersize=5.5,
+        markeredgecolor="white",
+    )
 
 
-def parameter_map(reward_map: Any, target: Sequence[float], found: Mapping[str, np.ndarray]) -> Figure:
-    """Figure 5 of the paper: colours are the best reward possible at two parameters, marks what methods found `[S, 2]`."""
+def parameter_map(
+    reward_map: Any, target: Sequence[float], found: Mapping[str, np.ndarray]
+) -> Figure:
+    """Figure 5 of the paper: colours are the best reward possible at two parameters, marks what
+    methods found `[S, 2]`.
+    """
     figure, (ax,) = look.new_figure(4.6, 3.7)
     bottom = -0.5
     levels = np.linspace(bottom, 1.0, 16)
     filled = ax.contourf(
-        reward_map.x, reward_map.y, np.clip(reward_map.reward, bottom, 1.0), levels=levels, cmap="cividis"
+        reward_map.x,
+        reward_map.y,
+        np.clip(reward_map.reward, bottom, 1.0),
+        levels=levels,
+        cmap="cividis",
     )
     bar = figure.colorbar(filled, ax=ax, ticks=np.arange(bottom, 1.01, 0.25), pad=0.02)
     bar.set_label(f"reward (0 UDR, 1 best in Ω; below {bottom:g} as {bottom:g})", fontsize=8)
     bar.ax.tick_params(labelsize=7.5)
     (x0, y0), (x1, y1) = reward_map.low, reward_map.high
-    ax.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor="white", linewidth=1.6))
-    ax.annotate("Ω", (x0, y1), xytext=(4, -11), textcoords="offset points", color="white", fontsize=10)
+    ax.add_patch(
+        Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor="white", linewidth=1.6)
+    )
+    ax.annotate(
+        "Ω", (x0, y1), xytext=(4, -11), textcoords="offset points", color="white", fontsize=10
+    )
     for method, points in found.items():
-        marks = {"color": look.colour(method), "markeredgecolor": "white", "markeredgewidth": 0.8, "markersize": 6.5}
+        marks = {
+            "color": look.colour(method),
+            "markeredgecolor": "white",
+            "markeredgewidth": 0.8,
+            "markersize": 6.5,
+        }
         ax.plot(
-            *np.asarray(points).T, look.marker(method), label=look.label(method), linestyle="", clip_on=False, **marks
+            *np.asarray(points).T,
+            look.marker(method),
+            label=look.label(method),
+            linestyle="",
+            clip_on=False,
+            **marks,
         )
-    ax.plot(*target, "*", color="#8b0000", markersize=15, markeredgecolor="white", label="target", linestyle="")
+    ax.plot(
+        *target,
+        "*",
+        color="#8b0000",
+        markersize=15,
+        markeredgecolor="white",
+        label="target",
+        linestyle="",
+    )
     ax.set_xlabel(f"{reward_map.names[0]} (kg)", fontsize=9)
     ax.set_ylabel(f"{reward_map.names[1]} (kg)", fontsize=9)
     ax.tick_params(labelsize=8)
@@ -115,7 +186,9 @@ def parameter_map(reward_map: Any, target: Sequence[float], found: Mapping[str, 
 
 
 def curves_by(rows: Sequence[Mapping[str, Any]], names: Sequence[str], title: str) -> Figure:
-    """Reward over iterations for one row of results a curve, as the step-size figure of the appendix."""
+    """Reward over iterations for one row of results a curve, as the step-size figure of the
+    appendix.
+    """
     shades = ["#56B4E9", "#0072B2", "#E69F00", "#D55E00", "#CC79A7"]
     figure, (ax,) = look.new_figure(4.2, 3.0)
     for i, (r, name) in enumerate(zip(rows, names, strict=True)):

@@ -1,6 +1,8 @@
-"""Scoops rendered by MuJoCo, as a program: `python -m adaptsim_jax.report.scoop_render clips.npz film.mp4`.
+"""Scoops rendered by MuJoCo, as a program: `python -m adaptsim_jax.report.scoop_render clips.npz
+film.mp4`.
 
-A process of its own, since MuJoCo's OpenGL is chosen by the environment at import and may take the process down.
+A process of its own, since MuJoCo's OpenGL is chosen by the environment at import and may take the
+process down.
 """
 
 import importlib
@@ -51,13 +53,21 @@ def frames(clips: Sequence[ScoopClip]) -> Iterator[np.ndarray]:
     for clip, row, time, times in shown(clips):
         if clip is not last:
             m = mujoco.MjModel.from_xml_string(scene(clip.params))
-            m.vis.headlight.ambient[:], m.vis.headlight.diffuse[:], m.vis.headlight.specular[:] = 0.45, 0.3, 0.0
+            m.vis.headlight.ambient[:], m.vis.headlight.diffuse[:], m.vis.headlight.specular[:] = (
+                0.45,
+                0.3,
+                0.0,
+            )
             data, last = mujoco.MjData(m), clip
             if renderer is not None:
                 renderer.close()
             renderer = mujoco.Renderer(m, HEIGHT, WIDTH)
         camera = mujoco.MjvCamera()
-        camera.azimuth, camera.elevation, camera.distance = CAMERA["azimuth"], CAMERA["elevation"], CAMERA["distance"]
+        camera.azimuth, camera.elevation, camera.distance = (
+            CAMERA["azimuth"],
+            CAMERA["elevation"],
+            CAMERA["distance"],
+        )
         camera.lookat[:] = np.add(CAMERA["lookat"], (clip.tip[row, 0], 0.0, 0.5 * clip.tip[row, 1]))
         for body, (x, z, angle) in enumerate((clip.piece[row], clip.tip[row])):
             data.mocap_pos[body] = x, 0.0, z

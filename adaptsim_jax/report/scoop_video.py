@@ -14,15 +14,21 @@ from adaptsim_jax.report import figures as look
 from adaptsim_jax.report.push_video import canvas_of, filmed
 from adaptsim_jax.tasks.scooping import model
 
-FPS, FRAMES, HOLD = 20.0, 50, 14  # 0.4 times real time; frames of a trial, and how many its end stays
+FPS, FRAMES, HOLD = (
+    20.0,
+    50,
+    14,
+)  # 0.4 times real time; frames of a trial, and how many its end stays
 BACK, AHEAD, DOWN, UP = 0.125, 0.075, -0.0125, 0.1  # m of the view around the tip, 16 by 9
 FOOD, STEEL, TABLE = "#0072B2", "#b5512f", "#a89f8f"
 
 
 @dataclass(frozen=True)
 class ScoopClip:
-    """One trial: `piece [T, 3]` and `tip [T, 3]`, each x, z m and angle rad (nose down), over `scooping.SECONDS`; `params [4]`;
-    whether the piece lay on the spatula at the end; a line of text."""
+    """One trial: `piece [T, 3]` and `tip [T, 3]`, each x, z m and angle rad (nose down), over
+    `scooping.SECONDS`; `params [4]`; whether the piece lay on the spatula at the end; a line of
+    text.
+    """
 
     piece: Any
     tip: Any
@@ -32,8 +38,12 @@ class ScoopClip:
 
 
 def write_scoop_video(clips: Sequence[ScoopClip], folder: Path) -> tuple[Path, str]:
-    """`(path, how)`: the film in `folder`, and a line that says what drew it. mp4 with the extra `[video]`, else gif."""
-    return filmed("adaptsim_jax.report.scoop_render", clips, folder / "scoop", drawn_frames, "the side", FPS)
+    """`(path, how)`: the film in `folder`, and a line that says what drew it. mp4 with the extra
+    `[video]`, else gif.
+    """
+    return filmed(
+        "adaptsim_jax.report.scoop_render", clips, folder / "scoop", drawn_frames, "the side", FPS
+    )
 
 
 def shown(clips: Sequence[ScoopClip]) -> Iterator[tuple[ScoopClip, int, float, int]]:
@@ -47,14 +57,22 @@ def shown(clips: Sequence[ScoopClip]) -> Iterator[tuple[ScoopClip, int, float, i
 
 def verdict(clip: ScoopClip, row: int) -> str:
     """The clip's text, with how it ended once it has."""
-    ended = "" if row < len(clip.piece) - 1 else ": on the spatula" if clip.success else ": not on the spatula"
+    if row < len(clip.piece) - 1:
+        ended = ""
+    elif clip.success:
+        ended = ": on the spatula"
+    else:
+        ended = ": not on the spatula"
     return f"{clip.text}{ended}"
 
 
 def outlines(clip: ScoopClip, row: int) -> dict[str, np.ndarray]:
     """`[N, 2]` m, the outlines of blade, neck and piece in the plane of the motion."""
     tip, piece = np.asarray(clip.tip)[row], np.asarray(clip.piece)[row]
-    box = lambda half: np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * half
+
+    def box(half):
+        return np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * half
+
     blade = box(model.BLADE_HALF) + model.BLADE_CENTRE
     neck = _turned(box(model.NECK_HALF), model.NECK_RISE) + model.NECK_CENTRE
     return {
@@ -93,16 +111,29 @@ def draw_scoop(ax: Any, clip: ScoopClip, row: int) -> None:
     ax.set_yticks([])
     ax.axhspan(DOWN, 0.0, color="#e4ddd0", zorder=0)
     ax.axhline(0.0, color=TABLE, linewidth=1.2, zorder=1)
-    for mark in np.arange(np.floor((middle - BACK) / 0.02) * 0.02, middle + AHEAD, 0.02):  # the table's centimetres
+    for mark in np.arange(
+        np.floor((middle - BACK) / 0.02) * 0.02, middle + AHEAD, 0.02
+    ):  # the table's centimetres
         ax.plot([mark, mark], [-0.003, 0.0], color=TABLE, linewidth=1.0, zorder=1)
     shapes = outlines(clip, row)
     for name, colour in (("neck", STEEL), ("blade", STEEL), ("piece", FOOD)):
         alpha = 0.55 if name == "piece" else 1.0
-        ax.add_patch(Polygon(shapes[name], facecolor=colour, edgecolor=colour, alpha=alpha, linewidth=1.0, zorder=2))
+        ax.add_patch(
+            Polygon(
+                shapes[name],
+                facecolor=colour,
+                edgecolor=colour,
+                alpha=alpha,
+                linewidth=1.0,
+                zorder=2,
+            )
+        )
 
 
 def drawn_frames(clips: Sequence[ScoopClip]) -> Iterator[np.ndarray]:
-    """`[360, 640, 3]` uint8 frames: the spatula from the side, the view going with it over a table with marks each 2 cm."""
+    """`[360, 640, 3]` uint8 frames: the spatula from the side, the view going with it over a table
+    with marks each 2 cm.
+    """
     from matplotlib.figure import Figure
 
     for clip, row, time, times in shown(clips):

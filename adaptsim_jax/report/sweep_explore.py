@@ -1,4 +1,6 @@
-"""What the page of a sweep lets its reader explore: rewards over each swept value, and learning curves by combination of values."""
+"""What the page of a sweep lets its reader explore: rewards over each swept value, and learning
+curves by combination of values.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,9 @@ from adaptsim_jax.report.explore import Columns, Plot, View, explorer, shown
 from adaptsim_jax.report.figures_sweep import COLOURS
 
 MOST_DRAWN = 10
-"""Combinations whose medians are drawn together; all have a plot of their own, up to `MOST_CHOICES`."""
+"""Combinations whose medians are drawn together; all have a plot of their own, up to
+`MOST_CHOICES`.
+"""
 MOST_CHOICES = 60
 MOST_ROUNDS = 400
 """Points of one learning curve."""
@@ -23,19 +27,32 @@ SYMBOLS = ("circle", "square", "triangle-up", "diamond", "triangle-down", "penta
 def groups(found: Mapping[str, Any]) -> dict[str, list[Mapping[str, Any]]]:
     """Finished members by their combination of values, in words."""
     rows: dict[str, list[Mapping[str, Any]]] = {}
-    last = [key.rsplit(".", 1)[-1] for key in found["swept"]]  # a legend has no room for the tables that a key is in
-    short = dict(zip(found["swept"], last if len(set(last)) == len(last) else found["swept"], strict=True))
+    last = [
+        key.rsplit(".", 1)[-1] for key in found["swept"]
+    ]  # a legend has no room for the tables that a key is in
+    short = dict(
+        zip(found["swept"], last if len(set(last)) == len(last) else found["swept"], strict=True)
+    )
     for row in found["rows"]:
         if row["status"] == "done":
-            name = ", ".join(f"{short.get(key, key)} {value}" for key, value in row["values"].items())
+            name = ", ".join(
+                f"{short.get(key, key)} {value}" for key, value in row["values"].items()
+            )
             rows.setdefault(name or "all members", []).append(row)
     return rows
 
 
 def over_values(found: Mapping[str, Any]) -> str:
-    """Mean rewards over the values of each swept key with 95 % intervals, a line a reward; empty where nothing was swept."""
-    views = {(i,): View([_over(found, key)], _over_note(found, key)) for i, key in enumerate(found["swept"])}
-    return explorer({"over": found["swept"]}, views, [Plot("reward over a swept value", 400)]) if views else ""
+    """Mean rewards over the values of each swept key with 95 % intervals, a line a reward; empty
+    where nothing was swept.
+    """
+    views = {
+        (i,): View([_over(found, key)], _over_note(found, key))
+        for i, key in enumerate(found["swept"])
+    }
+    if views:
+        return explorer({"over": found["swept"]}, views, [Plot("reward over a swept value", 400)])
+    return ""
 
 
 def _rows(found: Mapping[str, Any], key: str) -> list[Mapping[str, Any]]:
@@ -56,45 +73,79 @@ def _over(found: Mapping[str, Any], key: str) -> dict[str, Any]:
     for i, name in enumerate(dict.fromkeys(r["reward"] for r in rows)):
         mine = {repr(r["value"]): r for r in rows if r["reward"] == name}
         some = [v for v in values if repr(v) in mine]
-        colour = "--muted" if name == TRAINING else COLOURS[(i - 1) % len(COLOURS)]
+        if name == TRAINING:
+            colour = "--muted"
+        else:
+            colour = COLOURS[(i - 1) % len(COLOURS)]
         half = [None if (h := mine[repr(v)]["half"]) is None else round(h, 4) for v in some]
-        data.append({
-            "type": "scatter", "mode": "lines+markers", "name": shown(look.setting(name)), "hovertemplate": "%{y:.3f}",
-            "x": some if plain else [shown(v) for v in some], "y": [round(mine[repr(v)]["mean"], 4) for v in some],
-            "error_y": {"type": "data", "array": half, "color": colour, "thickness": 1.4},
-            "line": {"color": colour, "width": 2, "dash": "dot" if name == TRAINING else "solid"},
-            "marker": {"color": colour, "size": 8, "symbol": SYMBOLS[i % len(SYMBOLS)]},
-        })  # fmt: skip
+        data.append(
+            {
+                "type": "scatter",
+                "mode": "lines+markers",
+                "name": shown(look.setting(name)),
+                "hovertemplate": "%{y:.3f}",
+                "x": some if plain else [shown(v) for v in some],
+                "y": [round(mine[repr(v)]["mean"], 4) for v in some],
+                "error_y": {"type": "data", "array": half, "color": colour, "thickness": 1.4},
+                "line": {
+                    "color": colour,
+                    "width": 2,
+                    "dash": "dot" if name == TRAINING else "solid",
+                },
+                "marker": {"color": colour, "size": 8, "symbol": SYMBOLS[i % len(SYMBOLS)]},
+            }
+        )
     axis: dict[str, Any] = (
-        {"title": {"text": shown(key)}, "nticks": 8} if plain else {"title": {"text": shown(key)}, "type": "category"}
+        {"title": {"text": shown(key)}, "nticks": 8}
+        if plain
+        else {"title": {"text": shown(key)}, "type": "category"}
     )
     if plain and len(values) > 2 and min(values) > 0 and max(values) / min(values) >= 20:
         axis |= {"type": "log", "exponentformat": "power"}
     if plain and len(values) <= 6:
         axis |= {"tickmode": "array", "tickvals": values, "ticktext": [f"{v:g}" for v in values]}
-    layout = {"xaxis": axis, "yaxis": {"title": {"text": "reward"}}, "hovermode": "x unified", "title": {"text": ""}}
+    layout = {
+        "xaxis": axis,
+        "yaxis": {"title": {"text": "reward"}},
+        "hovermode": "x unified",
+        "title": {"text": ""},
+    }
     return {"data": data, "layout": layout}
 
 
 def curves(members: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
-    """Rewards of Phase 1 over rounds: medians of the best combinations together, then each combination's seeds."""
+    """Rewards of Phase 1 over rounds: medians of the best combinations together, then each
+    combination's seeds.
+    """
     found = {name: _matrix(rows) for name, rows in members.items()}
     found = {name: curve for name, curve in found.items() if curve.size}
     if not found:
         return ""
     columns, views = Columns(), {}
-    best = sorted(found, key=lambda name: -float(np.nan_to_num(np.nanmean(found[name][:, -20:]), nan=-np.inf)))
-    choices = ["medians", *best[:MOST_CHOICES]] if len(found) > 1 else list(found)
+    best = sorted(
+        found, key=lambda name: -float(np.nan_to_num(np.nanmean(found[name][:, -20:]), nan=-np.inf))
+    )
+    if len(found) > 1:
+        choices = ["medians", *best[:MOST_CHOICES]]
+    else:
+        choices = list(found)
     rounds = {n: columns.add(_taken(n) + 1, 1.0) for n in {c.shape[1] for c in found.values()}}
     for i, choice in enumerate(choices):
         if choice in found:
             views[(i,)] = View([_seeds(members[choice], found[choice], rounds, columns)])
         else:
             left = len(found) - MOST_DRAWN
-            note = f"the best {MOST_DRAWN} of {len(found)}, the others one by one" if left > 0 else ""
-            views[(i,)] = View([_medians({name: found[name] for name in best[:MOST_DRAWN]}, rounds, columns)], note)
+            if left > 0:
+                note = f"the best {MOST_DRAWN} of {len(found)}, the others one by one"
+            else:
+                note = ""
+            views[(i,)] = View(
+                [_medians({name: found[name] for name in best[:MOST_DRAWN]}, rounds, columns)], note
+            )
     height = 380 + 14 * min(len(found), MOST_DRAWN)  # names in the legend, one a line on a phone
-    return explorer({"show": choices}, views, [Plot("reward over rounds of Phase 1", height)], columns)
+    return explorer(
+        {"show": choices}, views, [Plot("reward over rounds of Phase 1", height)], columns
+    )
 
 
 def _matrix(rows: Sequence[Mapping[str, Any]]) -> np.ndarray:
@@ -110,12 +161,21 @@ def _taken(length: int) -> np.ndarray:
 
 
 def _layout(title: str, rounds: int) -> dict[str, Any]:
-    whole = {"dtick": 1} if rounds <= 10 else {}  # no tick between two rounds
-    axes = {"xaxis": {"title": {"text": "round"}} | whole, "yaxis": {"title": {"text": "reward of the last step"}}}
+    # no tick between two rounds
+    if rounds <= 10:
+        whole = {"dtick": 1}
+    else:
+        whole = {}
+    axes = {
+        "xaxis": {"title": {"text": "round"}} | whole,
+        "yaxis": {"title": {"text": "reward of the last step"}},
+    }
     return axes | {"hovermode": "closest", "title": {"text": title}}
 
 
-def _medians(found: Mapping[str, np.ndarray], rounds: Mapping[int, str], columns: Columns) -> dict[str, Any]:
+def _medians(
+    found: Mapping[str, np.ndarray], rounds: Mapping[int, str], columns: Columns
+) -> dict[str, Any]:
     data: list[dict[str, Any]] = []
     for i, (name, curve) in enumerate(found.items()):
         low, middle, high = np.nanpercentile(curve[:, _taken(curve.shape[1])], [25, 50, 75], axis=0)
@@ -130,19 +190,41 @@ def _medians(found: Mapping[str, np.ndarray], rounds: Mapping[int, str], columns
         if len(curve) > 1:
             edge = common | {"line": {"width": 0}, "hoverinfo": "skip", "showlegend": False}
             data.append(edge | {"y": columns.add(low, 1e-4)})
-            data.append(edge | {"y": columns.add(high, 1e-4), "fill": "tonexty", "fillcolor": f"{colour}/15"})
+            data.append(
+                edge
+                | {"y": columns.add(high, 1e-4), "fill": "tonexty", "fillcolor": f"{colour}/15"}
+            )
         line = {"color": colour, "width": 1.8, "dash": "solid" if i < len(COLOURS) else "dash"}
-        data.append(common | {"y": columns.add(middle, 1e-4), "line": line, "hovertemplate": "round %{x}: %{y:.3f}"})
-    return {"data": data, "layout": _layout("median and quartiles over seeds", max(c.shape[1] for c in found.values()))}
+        data.append(
+            common
+            | {
+                "y": columns.add(middle, 1e-4),
+                "line": line,
+                "hovertemplate": "round %{x}: %{y:.3f}",
+            }
+        )
+    return {
+        "data": data,
+        "layout": _layout(
+            "median and quartiles over seeds", max(c.shape[1] for c in found.values())
+        ),
+    }
 
 
-def _seeds(rows: Sequence[Mapping], curve: np.ndarray, rounds: Mapping[int, str], columns: Columns) -> dict[str, Any]:
+def _seeds(
+    rows: Sequence[Mapping], curve: np.ndarray, rounds: Mapping[int, str], columns: Columns
+) -> dict[str, Any]:
     some = [row for row in rows if row.get("curve")]
     data = []
     for i, row in enumerate(some[:30]):
         y = columns.add(curve[i, _taken(curve.shape[1])], 1e-4)
         line = {"color": f"{COLOURS[i % len(COLOURS)]}", "width": 1.4}
-        data.append({"type": "scatter", "mode": "lines", "x": rounds[curve.shape[1]], "y": y, "line": line}
-                    | {"name": f"seed {row['seed']}", "hovertemplate": "round %{x}: %{y:.3f}"})  # fmt: skip
-    title = "each seed" if len(some) <= 30 else f"the first 30 of {len(some)} seeds"
+        data.append(
+            {"type": "scatter", "mode": "lines", "x": rounds[curve.shape[1]], "y": y, "line": line}
+            | {"name": f"seed {row['seed']}", "hovertemplate": "round %{x}: %{y:.3f}"}
+        )
+    if len(some) <= 30:
+        title = "each seed"
+    else:
+        title = f"the first 30 of {len(some)} seeds"
     return {"data": data, "layout": _layout(title, curve.shape[1])}

@@ -1,4 +1,6 @@
-"""The page of a sweep, `report.html` beside its table: what was best, rewards over each swept value, learning curves, every member."""
+"""The page of a sweep, `report.html` beside its table: what was best, rewards over each swept
+value, learning curves, every member.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ MOST_MEMBERS = 1000
 
 
 def write_sweep_page(found: Mapping[str, Any], out: Path) -> Path:
-    """Write the page of `results.json` into the sweep's folder, whole or not at all. Raises BadInput where it cannot."""
+    """Write the page of `results.json` into the sweep's folder, whole or not at all. Raises
+    BadInput where it cannot.
+    """
     write_bytes(out / "report.html", render(found).encode())
     return out / "report.html"
 
@@ -28,7 +32,9 @@ def render(found: Mapping[str, Any]) -> str:
     """The page as text, of a sweep that is finished or still runs."""
     rewards = [TRAINING, *found["spec"]["targets"]]
     groups = sweep_explore.groups(found)
-    combinations = [_combination(name, rows, found["swept"], rewards) for name, rows in groups.items()]
+    combinations = [
+        _combination(name, rows, found["swept"], rewards) for name, rows in groups.items()
+    ]
     over, curves = sweep_explore.over_values(found), sweep_explore.curves(groups)
     return filled(
         "sweep.html.j2",
@@ -47,17 +53,25 @@ def render(found: Mapping[str, Any]) -> str:
 
 
 def _title(reward_name: str) -> str:
-    return "training" if reward_name == TRAINING else look.setting(reward_name)
+    if reward_name == TRAINING:
+        return "training"
+    return look.setting(reward_name)
 
 
-def _combination(name: str, rows: Sequence[Mapping], swept: Sequence[str], rewards: Sequence[str]) -> dict[str, Any]:
-    """Means over the members of one combination of values, with the half widths of their 95 % intervals."""
+def _combination(
+    name: str, rows: Sequence[Mapping], swept: Sequence[str], rewards: Sequence[str]
+) -> dict[str, Any]:
+    """Means over the members of one combination of values, with the half widths of their 95 %
+    intervals.
+    """
     found = [interval([v for row in rows if (v := earned(row, r)) is not None]) for r in rewards]
     return {
         "name": name,
         "values": [_value(rows[0], key) for key in swept],
         "members": len(rows),
-        "rewards": [{"value": f["mean"], "text": _text(f["mean"]), "half": _text(f["half"])} for f in found],
+        "rewards": [
+            {"value": f["mean"], "text": _text(f["mean"]), "half": _text(f["half"])} for f in found
+        ],
     }
 
 
@@ -74,11 +88,17 @@ def _member(row: Mapping, swept: Sequence[str], rewards: Sequence[str]) -> dict[
 
 def _value(row: Mapping, key: str) -> str:
     value = row["values"].get(key)
-    return value if isinstance(value, str) else "" if value is None else json.dumps(value)
+    if isinstance(value, str):
+        return value
+    if value is None:
+        return ""
+    return json.dumps(value)
 
 
 def _text(value: float | None) -> str:
-    return fmt.DASH if value is None else fmt.fixed(value, 3)
+    if value is None:
+        return fmt.DASH
+    return fmt.fixed(value, 3)
 
 
 def _best(combinations: Sequence[Mapping], rewards: Sequence[str]) -> list[dict[str, str]]:

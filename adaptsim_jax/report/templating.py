@@ -1,4 +1,6 @@
-"""Templates of the pages, all of one environment, with the filters by which they write numbers and names."""
+"""Templates of the pages, all of one environment, with the filters by which they write numbers and
+names.
+"""
 
 from functools import cache
 from typing import Any

@@ -13,7 +13,9 @@ Reference = Any  # a pytree
 
 
 class Episode(Protocol):
-    """What a task may know of an adaptation trajectory (`adaptation/episode.py`): its visits, leading axes as the caller has them."""
+    """What a task may know of an adaptation trajectory (`adaptation/episode.py`): its visits,
+    leading axes as the caller has them.
+    """
 
     @property
     def mean(self) -> Array: ...  # [..., I + 1, D] unit coordinates
@@ -52,26 +54,40 @@ class Task:
     space: Space  # Omega: the box that simulation parameters stay in
     targets: Space  # where Phase 1 draws its targets from: Omega, or a wider box
     obs_dim: int
-    settings: Mapping[str, Mapping[str, float]]  # named targets: wd, ood-1 .. ood-4 (paper, table A2)
+    settings: Mapping[
+        str, Mapping[str, float]
+    ]  # named targets: wd, ood-1 .. ood-4 (paper, table A2)
     init_policy: Callable[[Array], Policy]  # (key) -> policy
     train: Callable[[Array, Gaussian, Policy], Policy]  # (key, dist, policy) -> policy
     rollout: Callable[[Array, Policy, Array], Trajectory]  # (key, policy, params [D]) -> trajectory
     observe: Callable[[Trajectory], Array]  # trajectory -> [obs_dim]
-    score: Callable[[Trajectory], Array]  # -> [], the raw return; higher is better; all that a real target can tell
-    reference: Callable[[Array], Reference]  # (params [D]) -> what rewards in this simulated target are scaled with
-    reward: Callable[[Trajectory, Reference], Array]  # -> [], at most 1; in [0, 1] where the policy is of any use
-    # (keys [P], dists [P], policies [P], trials [P]) -> policies [P]: `train` for several at once, each with a budget of its
-    # own. None where training is too cheap to be worth sharing; see `adaptation.reuse`.
+    score: Callable[
+        [Trajectory], Array
+    ]  # -> [], the raw return; higher is better; all that a real target can tell
+    reference: Callable[
+        [Array], Reference
+    ]  # (params [D]) -> what rewards in this simulated target are scaled with
+    reward: Callable[
+        [Trajectory, Reference], Array
+    ]  # -> [], at most 1; in [0, 1] where the policy is of any use
+    # (keys [P], dists [P], policies [P], trials [P]) -> policies [P]: `train` for several at once,
+    # each with a budget of its own. None where training is too cheap to be worth sharing; see
+    # `adaptation.reuse`.
     train_many: Callable[[Array, Gaussian, Policy, Array], Policy] | None = None
-    # (key, policy, params [D]) -> trajectory, as `rollout` but cheaper and good enough for Phase 1 to learn from; None: `rollout`.
+    # (key, policy, params [D]) -> trajectory, as `rollout` but cheaper and good enough for Phase 1
+    # to learn from; None: `rollout`.
     rehearse: Callable[[Array, Policy, Array], Trajectory] | None = None
-    # (key) -> a policy for all of Omega that `train` goes on from better than from `init_policy`; None where there is none
+    # (key) -> a policy for all of Omega that `train` goes on from better than from `init_policy`;
+    # None where there is none
     pretrain: Callable[[Array], Policy] | None = None
-    # variance of a visit's return by luck, over that by E's mean: above 0 what is deployed is chosen by smoothed returns
+    # variance of a visit's return by luck, over that by E's mean: above 0 what is deployed is
+    # chosen by smoothed returns
     doubt: float = 0.0
-    # what is learned before all else, and is the same for all that Phase 1 and 2 do; None where nothing is
+    # what is learned before all else, and is the same for all that Phase 1 and 2 do; None where
+    # nothing is
     preparation: Preparation | None = None
-    # (a setting's name) -> the task with rollouts in that target, which has more than parameters of Omega; None: `params` say it all
+    # (a setting's name) -> the task with rollouts in that target, which has more than parameters of
+    # Omega; None: `params` say it all
     world: Callable[[str], "Task"] | None = None
     # (policy, obs [O]) -> action [A]: of tasks whose policies are called at each step
     act: Callable[[Policy, Array], Array] | None = None
@@ -81,14 +97,17 @@ class Task:
 
 @dataclass(frozen=True)
 class TaskKind:
-    """A task as the registry holds it (`tasks/registry.py`): how one is made of options, and what goes with it.
+    """A task as the registry holds it (`tasks/registry.py`): how one is made of options, and what
+    goes with it.
 
-    config: a frozen dataclass of the task's options, all with defaults. make: `(config) -> Task`; BadInput says what an option
-    would lead to. one_shot: `(config) -> OneShot`, of tasks whose policies are learned: `adaptsim compare` needs it. train: what
-    `adaptsim train` starts from, a table laid over the defaults of `TrainConfig`. augmented: `(options, where) -> Task` on the
-    model file that stands under the option `model`. of_model: `(model file as a table, its name) -> options`, what `adaptsim train
-    --model` lays over the options (`left_out`: effects of the file that are none of the simulator's). backends: the engines that it
-    runs in, by name; make_backend: one of them, `(name, options, **settings) -> Backend` (`tasks/engine.py`).
+    config: a frozen dataclass of the task's options, all with defaults. make: `(config) -> Task`;
+    BadInput says what an option would lead to. one_shot: `(config) -> OneShot`, of tasks whose
+    policies are learned: `adaptsim compare` needs it. train: what `adaptsim train` starts from, a
+    table laid over the defaults of `TrainConfig`. augmented: `(options, where) -> Task` on the
+    model file that stands under the option `model`. of_model: `(model file as a table, its name) ->
+    options`, what `adaptsim train --model` lays over the options (`left_out`: effects of the file
+    that are none of the simulator's). backends: the engines that it runs in, by name; make_backend:
+    one of them, `(name, options, **settings) -> Backend` (`tasks/engine.py`).
     """
 
     config: type

@@ -1,4 +1,6 @@
-"""What a camera may do to tracks of trials, whatever the task: quantities, effects, and the view itself."""
+"""What a camera may do to tracks of trials, whatever the task: quantities, effects, and the view
+itself.
+"""
 
 from collections.abc import Mapping
 from typing import Any
@@ -10,7 +12,9 @@ from adaptsim_jax.diagnosis.problem import Candidate, Quantity
 Array = Any
 
 
-def quantity(name: str, unit: str, low: float, high: float, scale: float, neutral: float = 0.0) -> Quantity:
+def quantity(
+    name: str, unit: str, low: float, high: float, scale: float, neutral: float = 0.0
+) -> Quantity:
     """A quantity of an effect, with a prior as wide as twice its farther bound."""
     return Quantity(name, unit, neutral, low, high, scale, 2.0 * max(abs(low), abs(high)))
 
@@ -26,19 +30,27 @@ QUANTITIES = (
     quantity("lean_x", "", -1.0, 1.0, 0.02),
     quantity("lean_y", "", -1.0, 1.0, 0.02),
 )
-"""`near`: one over a camera's height; `lean_x`, `lean_y`: the point under it over its height. All 0: a far camera that looks down."""
+"""`near`: one over a camera's height; `lean_x`, `lean_y`: the point under it over its height. All
+0: a far camera that looks down.
+"""
 
 
 def effects(trial: str, origin: str, rises: bool) -> tuple[Candidate, ...]:
     """The effects on tracks of a `trial`, in a frame about `origin`; rises: whether heights vary.
 
-    A late start of the arm shifts all of a track in time, as a latency does: no trial tells them apart, only the arm's own log.
+    A late start of the arm shifts all of a track in time, as a latency does: no trial tells them
+    apart, only the arm's own log.
     """
     seen = f"any {trial}"
-    make = lambda name, quantities, physics, **more: Candidate(name, "measurement", quantities, physics, seen, **more)
+
+    def make(name, quantities, physics, **more):
+        return Candidate(name, "measurement", quantities, physics, seen, **more)
+
     return (
         make("camera_shift", ("shift_x", "shift_y"), "the camera's frame lies beside the arm's"),
-        make("camera_scale", ("scale",), f"lengths are measured too long or too short, from {origin}"),
+        make(
+            "camera_scale", ("scale",), f"lengths are measured too long or too short, from {origin}"
+        ),
         make("camera_turn", ("turn",), f"the camera is turned about {origin}"),
         make(
             "latency",
@@ -70,7 +82,11 @@ def turned(xy: Array, angle: Array) -> Array:
 
 
 def viewed(v: Mapping[str, Array], xy: Array, height: Array) -> Array:
-    """Places `[R, 2]` m, at `height` m (a number or `[R, 1]`) above the table, as the camera tells them."""
+    """Places `[R, 2]` m, at `height` m (a number or `[R, 1]`) above the table, as the camera tells
+    them.
+    """
     beyond = v["near"] * xy - jnp.stack([v["lean_x"], v["lean_y"]])[None]
     xy = xy + height / (1.0 - height * v["near"]) * beyond
-    return (1.0 + v["scale"]) * turned(xy, v["turn"]) + jnp.stack([v["shift_x"], v["shift_y"]])[None]
+    return (1.0 + v["scale"]) * turned(xy, v["turn"]) + jnp.stack([v["shift_x"], v["shift_y"]])[
+        None
+    ]

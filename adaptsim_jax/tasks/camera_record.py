@@ -1,4 +1,6 @@
-"""What records of trials that a camera saw have in common: which trials were asked for, units, and times that run forward."""
+"""What records of trials that a camera saw have in common: which trials were asked for, units, and
+times that run forward.
+"""
 
 from collections.abc import Callable, Container, Iterable, Mapping
 from typing import NamedTuple
@@ -10,7 +12,9 @@ from adaptsim_jax.logs.table_checks import lost_digits
 
 
 class Seen(NamedTuple):
-    """Of one trial: rows `[R]` of the table, time `[R]` s, track `[R, 2]` m, and how its row k is named."""
+    """Of one trial: rows `[R]` of the table, time `[R]` s, track `[R, 2]` m, and how its row k is
+    named.
+    """
 
     rows: np.ndarray
     time: np.ndarray
@@ -18,7 +22,9 @@ class Seen(NamedTuple):
     told: Callable[[int], str]
 
 
-def check_columns(columns: Container[str], needed: Iterable[str], where: object, words: str) -> None:
+def check_columns(
+    columns: Container[str], needed: Iterable[str], where: object, words: str
+) -> None:
     """BadInput where one of the columns `needed` is missing; words: these, with their units."""
     for name in needed:
         if name not in columns:
@@ -26,20 +32,34 @@ def check_columns(columns: Container[str], needed: Iterable[str], where: object,
 
 
 def trials_of(
-    columns: Mapping[str, np.ndarray], at: Callable[[int], str], where: str, asked: np.ndarray, most: float
+    columns: Mapping[str, np.ndarray],
+    at: Callable[[int], str],
+    where: str,
+    asked: np.ndarray,
+    most: float,
 ) -> dict[int, Seen]:
-    """The trials `asked [N]` by number. BadInput where one is missing, two have one track, or one lasts longer than `most` s."""
+    """The trials `asked [N]` by number. BadInput where one is missing, two have one track, or one
+    lasts longer than `most` s.
+    """
     seen = {}
     for number in map(int, asked):
         rows = np.flatnonzero(columns["trial"] == number)
         if not len(rows):
             known = ", ".join(map(str, asked))
-            raise BadInput(f"{where}: trial {number} is missing; record trials {known} into one file, see actions.csv")
-        told = lambda k, rows=rows, number=number: f"{at(int(rows[k]))}: trial {number}"
+            raise BadInput(
+                f"{where}: trial {number} is missing; record trials {known} into one file, see "
+                f"actions.csv"
+            )
+
+        def told(k, rows=rows, number=number):
+            return f"{at(int(rows[k]))}: trial {number}"
+
         time = columns["time"][rows]
         check_increasing(time, told)
         if time[-1] - time[0] > most:
-            raise BadInput(f"{told(-1)}: lasts {time[-1] - time[0]:.6g} s; is time in ms? write seconds")
+            raise BadInput(
+                f"{told(-1)}: lasts {time[-1] - time[0]:.6g} s; is time in ms? write seconds"
+            )
         seen[number] = Seen(rows, time, np.stack([columns["x"][rows], columns["y"][rows]], 1), told)
     check_different({n: trial.track for n, trial in seen.items()}, where)
     return seen
@@ -50,10 +70,14 @@ def check_numbers(numbers: np.ndarray, at: Callable[[int], str], asked: np.ndarr
     for i in np.flatnonzero(~np.isin(numbers, asked))[:1]:
         now, number = " and ".join(map(str, asked)), numbers[i]
         if number != np.round(number):
-            raise BadInput(f"{at(i)}: trial {number:g} is no whole number; number the trials as in actions.csv")
+            raise BadInput(
+                f"{at(i)}: trial {number:g} is no whole number; number the trials as in actions.csv"
+            )
         if 0 < number < asked[0]:
             raise BadInput(f"{at(i)}: trial {number:g} was told already; name the file of {now}")
-        raise BadInput(f"{at(i)}: trial {number:g} was never asked for; asked are {now}, see actions.csv")
+        raise BadInput(
+            f"{at(i)}: trial {number:g} was never asked for; asked are {now}, see actions.csv"
+        )
 
 
 UNITS = {"mm": 1e-3, "cm": 1e-2, "inches": 0.0254}
@@ -63,13 +87,21 @@ UNITS = {"mm": 1e-3, "cm": 1e-2, "inches": 0.0254}
 def unit_like(size: float, usual: float) -> str:
     """Which of `UNITS` brings `size` nearest to `usual` m, and which does about as well."""
     off = {name: abs(float(np.log(size * unit / usual))) for name, unit in UNITS.items()}
-    return " or ".join(sorted((name for name in off if off[name] < min(off.values()) + 0.5), key=lambda n: off[n]))
+    return " or ".join(
+        sorted((name for name in off if off[name] < min(off.values()) + 0.5), key=lambda n: off[n])
+    )
 
 
 def check_unit(
-    columns: Mapping[str, np.ndarray], at: Callable[[int], str], far: float, what: str, usual: float = 0.0
+    columns: Mapping[str, np.ndarray],
+    at: Callable[[int], str],
+    far: float,
+    what: str,
+    usual: float = 0.0,
 ) -> None:
-    """BadInput at the first place farther than `far` m; usual: how far from the origin bodies are seen, 0 where that may be any."""
+    """BadInput at the first place farther than `far` m; usual: how far from the origin bodies are
+    seen, 0 where that may be any.
+    """
     for name in ("x", "y"):
         for i in np.flatnonzero(np.abs(columns[name]) > far)[:1]:
             mend = "is it in mm or cm? write metres"
@@ -78,8 +110,13 @@ def check_unit(
                 x, y = columns["x"][same], columns["y"][same]
                 alone = np.sum(np.maximum(np.abs(x), np.abs(y)) > far) < 3
                 unit = unit_like(float(np.median(np.hypot(x, y))), usual)
-                mend = f"{mend}, or remove that row" if alone else f"it looks like {unit}: write metres"
-            raise BadInput(f"{at(i)}: {name} = {columns[name][i]:.6g} m is beyond any {what}; {mend}")
+                if alone:
+                    mend = f"{mend}, or remove that row"
+                else:
+                    mend = f"it looks like {unit}: write metres"
+            raise BadInput(
+                f"{at(i)}: {name} = {columns[name][i]:.6g} m is beyond any {what}; {mend}"
+            )
 
 
 def check_different(tracks: Mapping[float, np.ndarray], where: str) -> None:
@@ -90,7 +127,8 @@ def check_different(tracks: Mapping[float, np.ndarray], where: str) -> None:
             a, b = tracks[other], tracks[name]
             if len(a) == len(b) and np.any(a != a[0]) and np.array_equal(a, b, equal_nan=True):
                 raise BadInput(
-                    f"{where}: trials {other:g} and {name:g} have the same track, to the digit; give each its own"
+                    f"{where}: trials {other:g} and {name:g} have the same track, to the digit; "
+                    f"give each its own"
                 )
 
 
@@ -100,63 +138,94 @@ def check_increasing(time: np.ndarray, told: Callable[[int], str]) -> None:
         if lost := lost_digits(time):
             raise BadInput(f"{told(0)}: {lost}")
         word = "repeats" if time[k] == time[k - 1] else "runs backwards"
-        raise BadInput(f"{told(k)}: time {word} ({time[k - 1]:.9g} then {time[k]:.9g}); sort or remove such rows")
+        raise BadInput(
+            f"{told(k)}: time {word} ({time[k - 1]:.9g} then {time[k]:.9g}); sort or remove such "
+            f"rows"
+        )
 
 
-def check_gaps(time: np.ndarray, most: float, until: float, told: Callable[[int], str], again: str) -> None:
-    """BadInput at the first gap of `time [T]` s longer than `most` that begins before `until`; again: the mend."""
+def check_gaps(
+    time: np.ndarray, most: float, until: float, told: Callable[[int], str], again: str
+) -> None:
+    """BadInput at the first gap of `time [T]` s longer than `most` that begins before `until`;
+    again: the mend.
+    """
     for k in np.flatnonzero((np.diff(time) > most) & (time[:-1] < until))[:1] + 1:
         raise BadInput(
-            f"{told(int(k))}: nothing was recorded from {time[k - 1]:.4g} to {time[k]:.4g} s; a gap of at most {most:g} s can be "
+            f"{told(int(k))}: nothing was recorded from {time[k - 1]:.4g} to {time[k]:.4g} s; a "
+            f"gap of at most {most:g} s can be "
             f"filled: {again}"
         )
 
 
 def check_leaps(
-    time: np.ndarray, track: np.ndarray, told: Callable[[int], str], body: str, fastest: float, slip: float = 0.0
+    time: np.ndarray,
+    track: np.ndarray,
+    told: Callable[[int], str],
+    body: str,
+    fastest: float,
+    slip: float = 0.0,
 ) -> None:
-    """BadInput at the first row of `track [T, C]` m that is farther from the one before than `slip` m and `fastest` m/s allow."""
+    """BadInput at the first row of `track [T, C]` m that is farther from the one before than `slip`
+    m and `fastest` m/s allow.
+    """
     leap = np.linalg.norm(np.diff(track, axis=0), axis=1)
     for k in np.flatnonzero(leap > fastest * np.diff(time) + slip)[:1] + 1:
         raise BadInput(
-            f"{told(int(k))}: {body} jumps {100 * leap[k - 1]:.0f} cm between two rows; remove what is not it"
+            f"{told(int(k))}: {body} jumps {100 * leap[k - 1]:.0f} cm between two rows; remove "
+            f"what is not it"
         )
 
 
 WHOLE_TURNS, FASTEST_TURN, TURN_SLIP = 30.0, 40.0, 0.5
-"""rad, rad/s and rad: bodies that slide have turned by 7 rad and at 9 rad/s; markers that are seen upside down jump by pi."""
+"""rad, rad/s and rad: bodies that slide have turned by 7 rad and at 9 rad/s; markers that are seen
+upside down jump by pi.
+"""
 
 
-def unwrapped(time: np.ndarray, yaw: np.ndarray, told: Callable[[int], str], body: str) -> np.ndarray:
-    """One trial's `yaw [T]` rad at `time [T]` s without jumps by whole turns; NaN where it was not seen. BadInput at the first row in
-    another unit, or that jumps otherwise."""
+def unwrapped(
+    time: np.ndarray, yaw: np.ndarray, told: Callable[[int], str], body: str
+) -> np.ndarray:
+    """One trial's `yaw [T]` rad at `time [T]` s without jumps by whole turns; NaN where it was not
+    seen. BadInput at the first row in another unit, or that jumps otherwise.
+    """
     seen = np.flatnonzero(~np.isnan(yaw))
     for k in seen[np.abs(yaw[seen]) > WHOLE_TURNS][:1]:
-        raise BadInput(f"{told(int(k))}: yaw = {yaw[k]:.6g} rad is several turns; is it in degrees? write radians")
+        raise BadInput(
+            f"{told(int(k))}: yaw = {yaw[k]:.6g} rad is several turns; is it in degrees? write "
+            f"radians"
+        )
     out = yaw.copy()
     out[seen] = np.unwrap(yaw[seen])
     leap = np.abs(np.diff(out[seen]))
     for k in np.flatnonzero(leap > FASTEST_TURN * np.diff(time[seen]) + TURN_SLIP)[:1]:
         raise BadInput(
-            f"{told(int(seen[k + 1]))}: {body} turns by {leap[k]:.2g} rad between two rows; empty the cells of yaw that are not it"
+            f"{told(int(seen[k + 1]))}: {body} turns by {leap[k]:.2g} rad between two rows; empty "
+            f"the cells of yaw that are not it"
         )
     return out
 
 
 HOLE = 0.1  # s without a row that is told
-STOOD = 0.03  # m that a body must have gone within a hole, by its speeds before and after, for its standing still to say anything
+# m that a body must have gone within a hole, by its speeds before and after, for its standing still
+# to say anything
+STOOD = 0.03
 
 
 def holes(time: np.ndarray) -> list[str]:
     """What to say of the parts of one trial's `time [T]` s in which nothing was recorded."""
     return [
-        f"nothing was recorded from {time[k]:.4g} to {time[k + 1]:.4g} s" for k in np.flatnonzero(np.diff(time) > HOLE)
+        f"nothing was recorded from {time[k]:.4g} to {time[k + 1]:.4g} s"
+        for k in np.flatnonzero(np.diff(time) > HOLE)
     ]
 
 
-def check_clock_set(time: np.ndarray, places: np.ndarray, told: Callable[[int], str], body: str) -> None:
-    """BadInput where a body moves before and after a hole and stood still in it: the clock was set. `time [T]` s, `places
-    [T, C]` m."""
+def check_clock_set(
+    time: np.ndarray, places: np.ndarray, told: Callable[[int], str], body: str
+) -> None:
+    """BadInput where a body moves before and after a hole and stood still in it: the clock was set.
+    `time [T]` s, `places [T, C]` m.
+    """
     for k in np.flatnonzero(np.diff(time) > HOLE) + 1:
         sides = [slice(max(k - 4, 0), k), slice(k, k + 4)]
         if min(len(time[s]) for s in sides) < 3:
@@ -166,6 +235,7 @@ def check_clock_set(time: np.ndarray, places: np.ndarray, told: Callable[[int], 
         went = float(np.linalg.norm(places[k] - places[k - 1]))
         if gap * min(speeds) > STOOD and went < 0.3 * gap * min(speeds):
             raise BadInput(
-                f"{told(int(k))}: {body} moves by {min(speeds):.2g} m/s before and after a hole of {gap:.3g} s, and by {went:.2g} m "
+                f"{told(int(k))}: {body} moves by {min(speeds):.2g} m/s before and after a hole of "
+                f"{gap:.3g} s, and by {went:.2g} m "
                 "in it: was the clock set? mend the times after it, or cut the trial there"
             )

@@ -23,10 +23,12 @@ class Trajectory(NamedTuple):
 
 
 class EngineKind(NamedTuple):
-    """An engine as a registry of backends holds it: `make(options, *settings) -> simulate`, of `Backend`.
+    """An engine as a registry of backends holds it: `make(options, *settings) -> simulate`, of
+    `Backend`.
 
-    options: the task's own (`PushOptions`, `ScoopOptions`; of the pendulum its step [s]). settings: a NamedTuple of what is the
-    engine's alone, with defaults. `make` raises BadInput where the engine is absent or cannot do the options.
+    options: the task's own (`PushOptions`, `ScoopOptions`; of the pendulum its step [s]). settings:
+    a NamedTuple of what is the engine's alone, with defaults. `make` raises BadInput where the
+    engine is absent or cannot do the options.
     """
 
     settings: type
@@ -38,14 +40,17 @@ class NoSettings(NamedTuple):
 
 
 class Backend(NamedTuple):
-    """`simulate(params [B, P], commands [B, T, U], initial [B, S]) -> Trajectory`, rows held for a step."""
+    """`simulate(params [B, P], commands [B, T, U], initial [B, S]) -> Trajectory`, rows held for a
+    step.
+    """
 
     name: str
     simulate: Callable[[Array, Array, Array], Trajectory]
 
 
 def own_settings(engine: str, kind: type[S], settings: dict[str, Any]) -> S:
-    """An engine's own `settings` as its record `kind`, whose defaults stand for what is left out; tables become records.
+    """An engine's own `settings` as its record `kind`, whose defaults stand for what is left out;
+    tables become records.
 
     BadInput names an unknown key or a value of another type.
     """

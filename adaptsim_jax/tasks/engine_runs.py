@@ -1,4 +1,6 @@
-"""Several engines on the same batch of trials: how each is timed, what did not run, and pair by pair what they agree on."""
+"""Several engines on the same batch of trials: how each is timed, what did not run, and pair by
+pair what they agree on.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +17,9 @@ from adaptsim_jax.core.progress import Report
 
 
 class Run(NamedTuple):
-    """outcome `[B, ...]` and code `[B]` of the trials, and seconds: the first call (compiling), and a trial of a warm call by
-    the wall clock and by processor time."""
+    """outcome `[B, ...]` and code `[B]` of the trials, and seconds: the first call (compiling), and
+    a trial of a warm call by the wall clock and by processor time.
+    """
 
     outcome: np.ndarray
     code: np.ndarray
@@ -32,7 +35,9 @@ def engines_and_pairs(
     pair: Callable[[Run, Run], dict[str, Any]],
     progress: Report,
 ) -> dict[str, Any]:
-    """`{cores, engines, pairs}`: a row for each engine, or why it did not run, and one for each pair of those that did."""
+    """`{cores, engines, pairs}`: a row for each engine, or why it did not run, and one for each
+    pair of those that did.
+    """
     runs, engines = {}, []
     for done, name in enumerate(names):
         progress(done, len(names), name)
@@ -46,9 +51,12 @@ def engines_and_pairs(
     return {"cores": os.cpu_count(), "engines": engines, "pairs": pairs}
 
 
-def timed_run(simulate: Callable, batch: tuple, outcome: Callable, *, compiles: bool = True, wide: int = 0) -> Run:
-    """The outcomes of a batch, and how long it takes. An engine that compiles nothing is called once; `wide` trials are timed
-    instead of the batch where an engine is made for many."""
+def timed_run(
+    simulate: Callable, batch: tuple, outcome: Callable, *, compiles: bool = True, wide: int = 0
+) -> Run:
+    """The outcomes of a batch, and how long it takes. An engine that compiles nothing is called
+    once; `wide` trials are timed instead of the batch where an engine is made for many.
+    """
     out, first, cpu = _timed(simulate, batch)
     found = outcome(np.asarray(out.state))
     if not compiles:
@@ -68,10 +76,14 @@ def _timed(simulate: Callable, batch: tuple) -> tuple[Any, float, float]:
 
 
 def speed_row(run: Run, what: str, messages: Mapping[int, str]) -> dict[str, Any]:
-    """Speed of one engine in `what` (pushes, trials) a second, and how many of its trials went wrong in which way."""
+    """Speed of one engine in `what` (pushes, trials) a second, and how many of its trials went
+    wrong in which way.
+    """
     return {
         f"{what}_per_second": 1 / run.each,
         f"{what}_per_cpu_second": 1 / max(run.cpu_each, 1e-9),
         "first_call_s": run.first,
-        "went_wrong": {messages[c]: int((run.code == c).sum()) for c in messages if c and (run.code == c).any()},
+        "went_wrong": {
+            messages[c]: int((run.code == c).sum()) for c in messages if c and (run.code == c).any()
+        },
     }

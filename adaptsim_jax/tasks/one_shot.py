@@ -1,7 +1,9 @@
-"""Tasks with one decision a trial: a policy sees a context (a goal, where a piece lies) and chooses an action; the trial is open loop.
+"""Tasks with one decision a trial: a policy sees a context (a goal, where a piece lies) and chooses
+an action; the trial is open loop.
 
-What the baselines need of such a task beyond `Task`, so that they know nothing of what is pushed or scooped. Targets are
-*worlds*: the task's own simulator, or any other engine, that run trials one by one outside of compiled code.
+What the baselines need of such a task beyond `Task`, so that they know nothing of what is pushed or
+scooped. Targets are *worlds*: the task's own simulator, or any other engine, that run trials one by
+one outside of compiled code.
 """
 
 from collections.abc import Callable
@@ -20,9 +22,11 @@ Outcome = Any  # a pytree
 
 
 class World(NamedTuple):
-    """Where policies are tried. `run(params [B, D], contexts [B, g], actions [B, d]) -> (outcomes [B, ...], codes [B])`.
+    """Where policies are tried. `run(params [B, D], contexts [B, g], actions [B, d]) -> (outcomes
+    [B, ...], codes [B])`.
 
-    Actions span [-1, 1]. `codes` are 0, or why a trial failed, as `messages` say; its outcome is not-a-number, and its reward 0.
+    Actions span [-1, 1]. `codes` are 0, or why a trial failed, as `messages` say; its outcome is
+    not-a-number, and its reward 0.
     """
 
     name: str
@@ -32,10 +36,13 @@ class World(NamedTuple):
 
 @dataclass(frozen=True)
 class OneShot:
-    """A `Task` of one decision a trial, as pure functions of one sample (`[...]` where any leading axes may stand).
+    """A `Task` of one decision a trial, as pure functions of one sample (`[...]` where any leading
+    axes may stand).
 
-    tests: `[G, g]` contexts that a policy is scored on, the same for all. trials: a visit of the adaptation.
-    fresh: `[F, g]` more of them, by which nothing is chosen: the best of many policies by `tests` is partly the luckiest.
+    tests: `[G, g]` contexts that a policy is scored on, the same for all. trials: a visit of the
+        adaptation.
+    fresh: `[F, g]` more of them, by which nothing is chosen: the best of many policies by `tests`
+        is partly the luckiest.
     """
 
     task: Task
@@ -44,17 +51,26 @@ class OneShot:
     action_dim: int
     draw: Callable[[Array], Array]  # (key) -> context [g]
     act: Callable[[Any, Array], Array]  # (policy, contexts [N, g]) -> [N, d] in [-1, 1]
-    explore: Callable[[Array, Any, Array], Array]  # (key, policy, contexts [N, g]) -> [N, d], with the learner's noise
-    reward: Callable[[Outcome, Array], Array]  # (outcome, context [g]) -> [] in [0, 1]; 0 for what is not finite
-    trajectory: Callable[[Array, Outcome], Any]  # (contexts [N, g], outcomes [N, ...]) -> the task's trajectory
+    explore: Callable[
+        [Array, Any, Array], Array
+    ]  # (key, policy, contexts [N, g]) -> [N, d], with the learner's noise
+    reward: Callable[
+        [Outcome, Array], Array
+    ]  # (outcome, context [g]) -> [] in [0, 1]; 0 for what is not finite
+    trajectory: Callable[
+        [Array, Outcome], Any
+    ]  # (contexts [N, g], outcomes [N, ...]) -> the task's trajectory
     train_uniform: Callable[[Array], Any]  # (key) -> one policy for all of Omega (UDR)
-    # (key, policy, contexts [N, g], actions [N, d], outcomes [N, ...], used []) -> policy, from the first `used` trials
+    # (key, policy, contexts [N, g], actions [N, d], outcomes [N, ...], used []) -> policy, from the
+    # first `used` trials
     tune: Callable[[Array, Any, Array, Array, Outcome, Array], Any]
     inputs: Callable[[Array, Array], Array]  # (context, action) -> [p]: what an outcome depends on
     outputs: Callable[[Outcome], Array]  # outcome -> [k]: what of it is predicted
     worth: Callable[[Array, Array], Array]  # (predicted [k], context) -> []: the reward of it
     world: Callable[..., World]  # (backend) -> World; BadInput for one that is not there
-    oracle: Callable[[World, np.ndarray], np.ndarray]  # (world, params [D]) -> [G] rewards of the best actions
+    oracle: Callable[
+        [World, np.ndarray], np.ndarray
+    ]  # (world, params [D]) -> [G] rewards of the best actions
     engine: str  # the world that is the simulator
     simulator: str  # in words, as results.json says it
     reward_unit: str
@@ -62,20 +78,24 @@ class OneShot:
     aim: Callable[[Array, Any], Array] | None = (
         None  # (key, policy) -> contexts [trials, g] of a visit; None: each drawn
     )
-    # (trajectory, policy) -> trajectory with what else is observed that the policy tells, such as what E expects; None: nothing
+    # (trajectory, policy) -> trajectory with what else is observed that the policy tells, such as
+    # what E expects; None: nothing
     expect: Callable[[Any, Any], Any] | None = None
-    # (policy, actions [K, d] and outcomes [K, ...] of the target's trials, which of them count [K]) -> policy to deploy, mended by
-    # them; None: it is not
+    # (policy, actions [K, d] and outcomes [K, ...] of the target's trials, which of them count [K])
+    # -> policy to deploy, mended by them; None: it is not
     remember: Callable[[Any, Array, Outcome, Array], Any] | None = None
-    # (policy, mended by `remember` once there are trials) -> policy as `act` makes a visit with it, part of its trials to learn
-    # more for what is deployed; None: a visit's trials are the policy's own, not mended
+    # (policy, mended by `remember` once there are trials) -> policy as `act` makes a visit with it,
+    # part of its trials to learn more for what is deployed; None: a visit's trials are the policy's
+    # own, not mended
     probe: Callable[[Any], Any] | None = None
     fresh: np.ndarray | None = None
 
     @property
     def scored(self) -> np.ndarray:
         """`[G + F, g]`: `tests`, then `fresh`."""
-        return self.tests if self.fresh is None else np.concatenate([self.tests, self.fresh])
+        if self.fresh is None:
+            return self.tests
+        return np.concatenate([self.tests, self.fresh])
 
 
 def action_grid(points: tuple[int, ...]) -> np.ndarray:
@@ -93,17 +113,24 @@ def best_actions(
     shared: bool = False,
     rounds: int = 0,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """`(rewards [G], actions [G, d])` of the best of a grid of actions for each of `contexts [G, g]` in `params [D]`.
+    """`(rewards [G], actions [G, d])` of the best of a grid of actions for each of `contexts [G,
+    g]` in `params [D]`.
 
-    `shared`: outcomes do not depend on the context, so that one grid serves all. Each of `rounds` then tries the
-    neighbours of each context's best action at half the spacing before.
+    `shared`: outcomes do not depend on the context, so that one grid serves all. Each of `rounds`
+    then tries the neighbours of each context's best action at half the spacing before.
     """
     G, d = len(contexts), len(points)
     grid = action_grid(points)
     valued = jax.jit(jax.vmap(reward))
     if shared:
-        outcomes, _ = world.run(np.tile(params, (len(grid), 1)), np.tile(contexts[:1], (len(grid), 1)), grid)
-        every = np.asarray(jax.jit(jax.vmap(jax.vmap(reward, (0, None)), (None, 0)))(outcomes, jnp.asarray(contexts)))
+        outcomes, _ = world.run(
+            np.tile(params, (len(grid), 1)), np.tile(contexts[:1], (len(grid), 1)), grid
+        )
+        every = np.asarray(
+            jax.jit(jax.vmap(jax.vmap(reward, (0, None)), (None, 0)))(
+                outcomes, jnp.asarray(contexts)
+            )
+        )
     else:
         pairs = np.repeat(contexts, len(grid), 0)
         outcomes, _ = world.run(np.tile(params, (len(pairs), 1)), pairs, np.tile(grid, (G, 1)))
@@ -113,7 +140,9 @@ def best_actions(
     around = action_grid((3,) * d)
     around = around[np.abs(around).sum(1) > 0]
     for k in range(rounds):
-        tried = np.clip(best[:, None] + around[None] * spacing / 2 ** (k + 1), -1.0, 1.0).astype(np.float32)
+        tried = np.clip(best[:, None] + around[None] * spacing / 2 ** (k + 1), -1.0, 1.0).astype(
+            np.float32
+        )
         pairs, flat = np.repeat(contexts, len(around), 0), tried.reshape(-1, d)
         outcomes, _ = world.run(np.tile(params, (len(flat), 1)), pairs, flat)
         found = np.asarray(valued(outcomes, jnp.asarray(pairs))).reshape(G, -1)

@@ -20,7 +20,9 @@ REFERENCE = "native"
 def parity(
     task: str, *, samples: int = 32, steps: int = 500, seed: int = 0, progress: Report = silent
 ) -> dict[str, Any]:
-    """The backends of `task` against each other: `pendulum_parity`, `pushing_parity` or `scooping_parity`. steps: of the pendulum."""
+    """The backends of `task` against each other: `pendulum_parity`, `pushing_parity` or
+    `scooping_parity`. steps: of the pendulum.
+    """
     if task == "pushing":
         from adaptsim_jax.tasks.pushing.engines.parity import pushing_parity
 
@@ -30,15 +32,21 @@ def parity(
 
         return scooping_parity(samples=samples, seed=seed, progress=progress)
     if task != "pendulum":
-        raise BadInput(f"unknown task '{task}'; there are backends of pendulum, pushing and scooping")
+        raise BadInput(
+            f"unknown task '{task}'; there are backends of pendulum, pushing and scooping"
+        )
     return pendulum_parity(samples, steps, seed, progress)
 
 
-def pendulum_parity(samples: int, steps: int, seed: int, progress: Report = silent) -> dict[str, Any]:
-    """Final states of every backend against native MuJoCo, after `steps` steps of 1 ms, in double precision.
+def pendulum_parity(
+    samples: int, steps: int, seed: int, progress: Report = silent
+) -> dict[str, Any]:
+    """Final states of every backend against native MuJoCo, after `steps` steps of 1 ms, in double
+    precision.
 
-    Returns `{task, samples, seconds, reference, rows}`; a row has the median and largest difference over
-    samples of angles (rad) and velocities (rad/s), how many samples diverged, or why it did not run.
+    Returns `{task, samples, seconds, reference, rows}`; a row has the median and largest difference
+    over samples of angles (rad) and velocities (rad/s), how many samples diverged, or why it did
+    not run.
     """
     inputs = pendulum_scene.draw(seed, samples, steps)
     rows, reference = [], None
@@ -70,5 +78,7 @@ def _differences(end: np.ndarray, reference: np.ndarray) -> dict[str, Any]:
     if not len(gap):
         return {"diverged": len(end)}
     sizes = {"angle": gap[:, :2].max(1), "velocity": gap[:, 2:].max(1)}
-    numbers = {f"{k}_{f.__name__}": float(f(v)) for k, v in sizes.items() for f in (np.median, np.max)}
+    numbers = {
+        f"{k}_{f.__name__}": float(f(v)) for k, v in sizes.items() for f in (np.median, np.max)
+    }
     return {"diverged": int((~finite).sum()), **numbers}

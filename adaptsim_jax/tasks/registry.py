@@ -1,4 +1,6 @@
-"""Tasks by name, made from a table of options as a config file holds it. Imports no JAX: commands list the names."""
+"""Tasks by name, made from a table of options as a config file holds it. Imports no JAX: commands
+list the names.
+"""
 
 from __future__ import annotations
 
@@ -34,24 +36,33 @@ def make_task(name: str, options: Mapping[str, Any], where: str = "config, [task
     kind = TASKS[config.pick("task", name, TASKS)]
     if "model" in options:
         if kind.augmented is None:
-            raise BadInput(f"{where}: a mended model of task '{name}' is not in this version yet; leave 'model' out")
+            raise BadInput(
+                f"{where}: a mended model of task '{name}' is not in this version yet; leave "
+                f"'model' out"
+            )
         return kind.augmented(dict(options), where)
     return kind.make(config.from_table(kind.config, dict(options), where))
 
 
 def make_one_shot(name: str, options: Mapping[str, Any], where: str = "config, [task]") -> OneShot:
-    """The task called `name` as the baselines see tasks of one decision a trial. BadInput as `make_task`."""
+    """The task called `name` as the baselines see tasks of one decision a trial. BadInput as
+    `make_task`.
+    """
     kind = TASKS[config.pick("task", name, TASKS)]
     if kind.one_shot is None:
-        raise BadInput(f"task '{name}' cannot be compared yet: it gives no `one_shot` (tasks/one_shot.py)")
+        raise BadInput(
+            f"task '{name}' cannot be compared yet: it gives no `one_shot` (tasks/one_shot.py)"
+        )
     return kind.one_shot(config.from_table(kind.config, dict(options), where))
 
 
 def make_backend(task: str, name: str, /, *options: Any, **settings: Any) -> Backend:
-    """The engine called `name` of `task`, as `simulate(params [B, P], commands [B, ...], initial [B, ...]) -> Trajectory`.
+    """The engine called `name` of `task`, as `simulate(params [B, P], commands [B, ...], initial
+    [B, ...]) -> Trajectory`.
 
-    What the arrays hold, in SI units, stands in `tasks/TASK/engines/registry.py`. options: the step [s] for the pendulum,
-    `PushOptions`, `ScoopOptions`; settings: the engine's own. BadInput where the name is unknown, or the engine absent or unable.
+    What the arrays hold, in SI units, stands in `tasks/TASK/engines/registry.py`. options: the step
+    [s] for the pendulum, `PushOptions`, `ScoopOptions`; settings: the engine's own. BadInput where
+    the name is unknown, or the engine absent or unable.
     """
     kind = TASKS[config.pick("task", task, TASKS)]
     if kind.make_backend is None:

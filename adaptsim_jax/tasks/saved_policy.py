@@ -12,19 +12,31 @@ from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
 
 
-def read_saved(path: str | Path, kind: type, policy: type, make_naf: Callable, make_policy: Callable, what: str):
+def read_saved(
+    path: str | Path, kind: type, policy: type, make_naf: Callable, make_policy: Callable, what: str
+):
     """`act(seen [2] or [N, 2]) -> actions` of a `best.toml` or `policy.toml`.
 
-    kind: of the task's configuration, which has `hidden`; policy: of its policies, made of weights; make_naf(config) and
-    make_policy(config): the task's own; what: the task in a message. Raises BadInput where the file holds no policy of this task.
+    kind: of the task's configuration, which has `hidden`; policy: of its policies, made of weights;
+    make_naf(config) and make_policy(config): the task's own; what: the task in a message. Raises
+    BadInput where the file holds no policy of this task.
     """
     table = configs.read(path)
     given, hidden = table.get("policy"), table.get("hidden")
     weights = given.get("weights") if isinstance(given, dict) else None
-    sizes = hidden if isinstance(hidden, list) and all(isinstance(n, int) and 0 < n <= 4096 for n in hidden) else None
+    if isinstance(hidden, list) and all(isinstance(n, int) and 0 < n <= 4096 for n in hidden):
+        sizes = hidden
+    else:
+        sizes = None
     config = None if sizes is None else kind(hidden=tuple(sizes))
-    if config is None or not isinstance(weights, list) or np.shape(weights) != (_count(make_naf(config)),):
-        raise BadInput(f"{path}: holds no policy of {what}; write it again with 'adaptsim robot next'")
+    if (
+        config is None
+        or not isinstance(weights, list)
+        or np.shape(weights) != (_count(make_naf(config)),)
+    ):
+        raise BadInput(
+            f"{path}: holds no policy of {what}; write it again with 'adaptsim robot next'"
+        )
     act, learned = jax.jit(make_policy(config)), policy(jnp.asarray(weights, jnp.float32))
     return lambda seen: np.asarray(act(learned, jnp.asarray(seen, jnp.float32)))
 

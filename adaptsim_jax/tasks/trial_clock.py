@@ -1,7 +1,9 @@
-"""A clock of another rate than the arm's, and an arm of another speed than commanded: told by when bodies begin to move, and how fast.
+"""A clock of another rate than the arm's, and an arm of another speed than commanded: told by when
+bodies begin to move, and how fast.
 
-What an arm was commanded says when it reaches a body and how fast it is then, whatever is adapted of a task. A slow clock makes both
-late and slow by the same factor; an arm that runs slowly is less late than slow, since it reaches the body while it gathers speed.
+What an arm was commanded says when it reaches a body and how fast it is then, whatever is adapted
+of a task. A slow clock makes both late and slow by the same factor; an arm that runs slowly is less
+late than slow, since it reaches the body while it gathers speed.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,11 +16,15 @@ from adaptsim_jax.core.errors import BadInput
 MOVED = 0.01
 """m from its first place at which a body counts as moving."""
 WINDOW = 0.17
-"""Share of the time until then over which its greatest speed is taken: of any clock the same part of the motion."""
+"""Share of the time until then over which its greatest speed is taken: of any clock the same part
+of the motion.
+"""
 NEVER = 100.0
 """s that stand for an arm that never reaches its body."""
 SLOW = 1.4
-"""Times by which a clock must be slow or fast to be refused: what is less is an effect that is named."""
+"""Times by which a clock must be slow or fast to be refused: what is less is an effect that is
+named.
+"""
 AGREE = 1.5
 """Times that the two may say otherwise: a soft body leaves slowly, a hard one fast."""
 ARMS = np.geomspace(0.1, 10.0, 41)
@@ -29,16 +35,18 @@ ON_TIME = 0.1
 
 @dataclass(frozen=True)
 class Touch:
-    """What commands say if arms run `f` times as fast as commanded, `[T]`: `reached(f)` s at which bodies have moved by `MOVED`, and
-    `speed(f)` m/s that they then have, as usual."""
+    """What commands say if arms run `f` times as fast as commanded, `[T]`: `reached(f)` s at which
+    bodies have moved by `MOVED`, and `speed(f)` m/s that they then have, as usual.
+    """
 
     reached: Callable[[float], np.ndarray]
     speed: Callable[[float], np.ndarray]
 
 
 def began(time: np.ndarray, places: np.ndarray) -> tuple[float, float]:
-    """When a body with `places [R, 2]` m at `time [R]` s has moved by `MOVED`, s, and its greatest speed from then on, m/s; NaN
-    where it never does, or moves as it is first seen."""
+    """When a body with `places [R, 2]` m at `time [R]` s has moved by `MOVED`, s, and its greatest
+    speed from then on, m/s; NaN where it never does, or moves as it is first seen.
+    """
     far = np.linalg.norm(places - places[0], axis=1)
     k = int(np.argmax(far > MOVED))
     if k < 1 or len(time) < 8 or far[2] > MOVED / 2:
@@ -53,7 +61,9 @@ def began(time: np.ndarray, places: np.ndarray) -> tuple[float, float]:
 
 
 def clock_rate(seen: Sequence[tuple[float, float]], touch: Touch) -> float | None:
-    """How many times too slow the clock is (below 1: too fast) by what `began` says of each trial `[T]`; None where it need not be."""
+    """How many times too slow the clock is (below 1: too fast) by what `began` says of each trial
+    `[T]`; None where it need not be.
+    """
     at, speed = np.asarray(seen, float).T
     known = np.isfinite(at) & np.isfinite(speed) & (at > 0) & (speed > 0)
     if 2 * known.sum() < len(known) or not known.any():
@@ -67,22 +77,36 @@ def clock_rate(seen: Sequence[tuple[float, float]], touch: Touch) -> float | Non
     least, most = sorted((by_time, by_speed))
     if not (least > np.log(SLOW) or most < -np.log(SLOW)) or most - least > np.log(AGREE):
         return None
-    cost = lambda late, slow: (late / ON_TIME) ** 2 + (slow / np.log(AGREE)) ** 2
+
+    def cost(late, slow):
+        return (late / ON_TIME) ** 2 + (slow / np.log(AGREE)) ** 2
+
     clock = min(cost(by_time - r, by_speed - r) for r in np.linspace(least, most, 9))
     arm = min(cost(*off(float(f))) for f in ARMS)
-    return float(np.exp(by_time)) if clock < arm else None
+    if clock < arm:
+        return float(np.exp(by_time))
+    return None
 
 
-def check_clock_rate(seen: Sequence[tuple[float, float]], touch: Touch, where: str, body: str) -> None:
-    """BadInput, naming `where`, where the clock of the trials runs several times too slow or too fast."""
+def check_clock_rate(
+    seen: Sequence[tuple[float, float]], touch: Touch, where: str, body: str
+) -> None:
+    """BadInput, naming `where`, where the clock of the trials runs several times too slow or too
+    fast.
+    """
     rate = clock_rate(seen, touch)
     if rate is None:
         return
     at, speed = np.nanmedian(np.asarray(seen, float), axis=0)
     due, usual = float(np.median(touch.reached(1.0))), float(np.median(touch.speed(1.0)))
-    times, slow, mend = (rate, "slow", "divide") if rate > 1 else (1 / rate, "fast", "multiply")
+    if rate > 1:
+        times, slow, mend = (rate, "slow", "divide")
+    else:
+        times, slow, mend = (1 / rate, "fast", "multiply")
     raise BadInput(
-        f"{where}: {body} begins to move at {at:.2g} s and goes {speed:.2g} m/s, where the arm as commanded reaches it at {due:.2g} s "
-        f"and gives it {usual:.2g} m/s: time looks about {times:.2g} times too {slow} (frames counted at another rate than the "
+        f"{where}: {body} begins to move at {at:.2g} s and goes {speed:.2g} m/s, where the arm as "
+        f"commanded reaches it at {due:.2g} s "
+        f"and gives it {usual:.2g} m/s: time looks about {times:.2g} times too {slow} (frames "
+        f"counted at another rate than the "
         f"camera's?); {mend} column time by {times:.2g}; if all is as declared, add --as-declared"
     )

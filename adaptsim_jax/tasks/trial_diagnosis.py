@@ -1,4 +1,6 @@
-"""Measured trials of a task diagnosed: read, judged, written; and what a report says of tracks that a camera saw."""
+"""Measured trials of a task diagnosed: read, judged, written; and what a report says of tracks that
+a camera saw.
+"""
 
 import time
 from collections.abc import Callable, Mapping
@@ -20,9 +22,11 @@ from adaptsim_jax.diagnosis.written import cleared
 
 @dataclass(frozen=True)
 class Diagnose:
-    """The diagnosis of a task's trials. trial: as messages call one; recording: the type of what `read(folder)` gives, with candidates
-    `effects(recording)`; judged: `(recording, effects, criteria, progress, folder) -> (report, the arrays behind its page, what to try
-    next, the table of model.toml, further files by name)`; columns: of the actions that are to be tried next."""
+    """The diagnosis of a task's trials. trial: as messages call one; recording: the type of what
+    `read(folder)` gives, with candidates `effects(recording)`; judged: `(recording, effects,
+    criteria, progress, folder) -> (report, the arrays behind its page, what to try next, the table
+    of model.toml, further files by name)`; columns: of the actions that are to be tried next.
+    """
 
     trial: str
     recording: type
@@ -44,9 +48,11 @@ class Diagnose:
         named: str = "DATA",
         asked: Mapping[str, Any] | None = None,
     ) -> dict[str, Any]:
-        """The report on a folder of trials (or on a recording of them); with `out` it is written there, with `model.toml`, and with
-        `next_experiment.csv` where names cannot be told apart. exclude: effects that are not considered; named, asked: what a
-        recording came of, and what of `command_of` it was read with. Raises BadInput."""
+        """The report on a folder of trials (or on a recording of them); with `out` it is written
+        there, with `model.toml`, and with `next_experiment.csv` where names cannot be told apart.
+        exclude: effects that are not considered; named, asked: what a recording came of, and what
+        of `command_of` it was read with. Raises BadInput.
+        """
         began, given = time.monotonic(), isinstance(data, self.recording)
         recorded = data if given else self.read(data)
         effects = rows.check_exclude(exclude, self.effects(recorded), self.trial)
@@ -54,7 +60,9 @@ class Diagnose:
         report, evidence, plan, model, more = self.judged(
             recorded, effects, criteria or self.criteria, progress, folder
         )
-        run = Run(command_of(named if given else data, out=out, exclude=exclude, **(asked or {})), began)
+        run = Run(
+            command_of(named if given else data, out=out, exclude=exclude, **(asked or {})), began
+        )
         return rows.finished(report, evidence, run, plan, folder, model, self.columns, page, more)
 
 
@@ -70,16 +78,25 @@ def reported(
     axes: tuple[int, int] = (0, 1),
     **more: Any,
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The report on tracks, with the keys `more`, and the arrays behind its page. tracks: `before` and `after` `[T, R, C]` m of
-    left-out trials, shown in a plane of two axes."""
-    over, worst, mended = rows.over_floor(found.final), worst_left(problem, found), bool(found.named)
+    """The report on tracks, with the keys `more`, and the arrays behind its page. tracks: `before`
+    and `after` `[T, R, C]` m of left-out trials, shown in a plane of two axes.
+    """
+    over, worst, mended = (
+        rows.over_floor(found.final),
+        worst_left(problem, found),
+        bool(found.named),
+    )
     both = {"before": found.null, "after": found.final}
     report = new_report(
         task,
         model,
         rows.verdict(found.named, worst, criteria),
         rows.message(seen, found, over, worst),
-        {"trials": len(seen.names), "samples": int(seen.mask.sum()), "held_out_trials": len(seen.names)},
+        {
+            "trials": len(seen.names),
+            "samples": int(seen.mask.sum()),
+            "held_out_trials": len(seen.names),
+        },
         effects=[rows.effect_row(problem, found, n) for n in found.named],
         error=rows.error_table(seen, found, tracks),
         candidates=rows.candidate_rows(found),
@@ -96,7 +113,9 @@ def reported(
 
 
 def worst_left(problem: Problem, found: Selection) -> float:
-    """What the final model leaves over the noise floor, of left-out trials or of all, whichever is more."""
+    """What the final model leaves over the noise floor, of left-out trials or of all, whichever is
+    more.
+    """
     return max(rows.over_floor(found.final), rows.left_by_fit(problem, found.final))
 
 

@@ -1,4 +1,6 @@
-"""A tracker that repeats its last value while the body must go on: rows that are the same to the digit, and what friction can stop."""
+"""A tracker that repeats its last value while the body must go on: rows that are the same to the
+digit, and what friction can stop.
+"""
 
 from collections.abc import Callable
 
@@ -17,11 +19,15 @@ GRIP = 12.0
 STILL_GOING = 0.05
 """m/s that a body must have left at the first repeated row, whatever stops it."""
 HELD = 0.4
-"""Share of a moving body's rows that repeat the one before from which on the tracker is slower than the log."""
+"""Share of a moving body's rows that repeat the one before from which on the tracker is slower than
+the log.
+"""
 
 
 def repeats(places: np.ndarray) -> list[tuple[int, int]]:
-    """First and last row of each run of rows of `places [R, C]` that are the same to the digit, two rows or more."""
+    """First and last row of each run of rows of `places [R, C]` that are the same to the digit, two
+    rows or more.
+    """
     same = np.concatenate([[False], np.all(np.diff(places, axis=0) == 0, axis=1), [False]])
     edges = np.flatnonzero(np.diff(same.astype(int)))
     return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
@@ -30,8 +36,9 @@ def repeats(places: np.ndarray) -> list[tuple[int, int]]:
 def check_frozen(
     time: np.ndarray, places: np.ndarray, told: Callable[[int], str], body: str, grip: float = GRIP
 ) -> None:
-    """BadInput where a track `places [R, C]` m at `time [R]` s holds its value while the body must move. told: names a row; body:
-    as messages call it; grip: m/s^2 that may stop it."""
+    """BadInput where a track `places [R, C]` m at `time [R]` s holds its value while the body must
+    move. told: names a row; body: as messages call it; grip: m/s^2 that may stop it.
+    """
     runs = repeats(places)
     if not runs:
         return
@@ -40,7 +47,8 @@ def check_frozen(
     _check_held(time, moved, blur, told, body)
     for first, last in runs:
         mend = (
-            "a tracker that lost it repeats its last value: leave x and y empty in these rows, or remove them"
+            "a tracker that lost it repeats its last value: leave x and y empty in these rows, or "
+            "remove them"
             "; if all is as declared, add --as-declared"
         )
         stood = f"{told(first + 1)}: {body} stands still to the digit from {time[first]:.4g} to {time[last]:.4g} s and"
@@ -51,11 +59,18 @@ def check_frozen(
         elif time[last] - time[first] > LEAST:
             left = _left(time, moved, first, blur, grip)
             if left > STILL_GOING:
-                raise BadInput(f"{stood} no friction stops it so suddenly (from {left:.2g} m/s or more): {mend}")
+                raise BadInput(
+                    f"{stood} no friction stops it so suddenly (from {left:.2g} m/s or more): "
+                    f"{mend}"
+                )
 
 
-def _check_held(time: np.ndarray, moved: np.ndarray, blur: float, told: Callable[[int], str], body: str) -> None:
-    """BadInput where rows come faster than places do: each place stands in several rows, and then changes by several rows' worth."""
+def _check_held(
+    time: np.ndarray, moved: np.ndarray, blur: float, told: Callable[[int], str], body: str
+) -> None:
+    """BadInput where rows come faster than places do: each place stands in several rows, and then
+    changes by several rows' worth.
+    """
     steps = np.flatnonzero(moved > 0)
     if len(steps) < 4:
         return
@@ -65,13 +80,17 @@ def _check_held(time: np.ndarray, moved: np.ndarray, blur: float, told: Callable
     if b - a >= 4 and np.mean(between == 0) >= HELD and between.max() > BAR + blur:
         every = round(len(between) / np.sum(between > 0))
         raise BadInput(
-            f"{told(a + 1)}: places of {body} change only once in {every} rows from {time[a]:.4g} s on, though it moves: the "
-            "tracker is slower than the log; keep the rows at which they change; if all is as declared, add --as-declared"
+            f"{told(a + 1)}: places of {body} change only once in {every} rows from {time[a]:.4g} "
+            f"s on, though it moves: the "
+            "tracker is slower than the log; keep the rows at which they change; if all is as "
+            "declared, add --as-declared"
         )
 
 
 def _left(time: np.ndarray, moved: np.ndarray, first: int, blur: float, grip: float) -> float:
-    """m/s that the body must still have had at row `first`, from which it stands, were it stopped by `grip` m/s^2."""
+    """m/s that the body must still have had at row `first`, from which it stands, were it stopped
+    by `grip` m/s^2.
+    """
     out = 0.0
     for rows in range(1, min(4, first) + 1):
         took = float(time[first] - time[first - rows])
@@ -82,8 +101,12 @@ def _left(time: np.ndarray, moved: np.ndarray, first: int, blur: float, grip: fl
 
 def _noise(places: np.ndarray) -> float:
     """m, one standard deviation of a coordinate, by third differences of rows that change."""
-    d = np.diff(places[np.concatenate([[True], np.any(np.diff(places, axis=0) != 0, axis=1)])], 3, axis=0)
-    return float(1.4826 * np.median(np.abs(d)) / np.sqrt(20.0)) if len(d) else 0.0
+    d = np.diff(
+        places[np.concatenate([[True], np.any(np.diff(places, axis=0) != 0, axis=1)])], 3, axis=0
+    )
+    if len(d):
+        return float(1.4826 * np.median(np.abs(d)) / np.sqrt(20.0))
+    return 0.0
 
 
 def _step(places: np.ndarray) -> float:

@@ -1,4 +1,6 @@
-"""Folders of measured trials: `actions.csv` and tracks, whatever the task. What cannot be judged is refused with its row."""
+"""Folders of measured trials: `actions.csv` and tracks, whatever the task. What cannot be judged is
+refused with its row.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,7 +20,9 @@ LEAST_ROWS, SLOWEST = 8, 0.06  # of one trial; s between its rows (20 Hz and som
 
 
 class Size(NamedTuple):
-    """Of a sensor's noise: its key in meta.toml, unit, the least that is believed, what is beyond any, and an example."""
+    """Of a sensor's noise: its key in meta.toml, unit, the least that is believed, what is beyond
+    any, and an example.
+    """
 
     key: str
     unit: str
@@ -32,10 +36,12 @@ PLACE = Size("noise", "m", 1e-4, 0.05, 0.0005)
 
 @dataclass(frozen=True)
 class Kind:
-    """What tracks of a task look like. trial, trials, body: as messages call them; far m: farther no body goes; fastest m/s, slip m: a
-    row farther than this from the one before is another thing; moves m: less in all is no trial; ends s: later rows are left out;
-    optional: columns that are read where they are there, of these `angles` in rad, with empty cells where they were not seen; usual m:
-    how far from the origin bodies are seen."""
+    """What tracks of a task look like. trial, trials, body: as messages call them; far m: farther
+    no body goes; fastest m/s, slip m: a row farther than this from the one before is another thing;
+    moves m: less in all is no trial; ends s: later rows are left out; optional: columns that are
+    read where they are there, of these `angles` in rad, with empty cells where they were not seen;
+    usual m: how far from the origin bodies are seen.
+    """
 
     trial: str
     trials: str
@@ -53,8 +59,9 @@ class Kind:
 
 
 class Track(NamedTuple):
-    """Of one trial: times `[R]` s, places `[R, C]` m (angles rad, NaN where not seen), the file's name, and when the body began to
-    move s and how fast m/s."""
+    """Of one trial: times `[R]` s, places `[R, C]` m (angles rad, NaN where not seen), the file's
+    name, and when the body began to move s and how fast m/s.
+    """
 
     time: np.ndarray
     places: np.ndarray
@@ -68,9 +75,13 @@ Tracks = dict[float, Track]
 
 def track_files(folder: Path) -> list[Path]:
     """All CSV files of a folder that hold tracks. Raises BadInput where there is none."""
-    tracks = sorted(p for p in folder.glob("*.csv") if p.name not in ("actions.csv", "next_experiment.csv"))
+    tracks = sorted(
+        p for p in folder.glob("*.csv") if p.name not in ("actions.csv", "next_experiment.csv")
+    )
     if not tracks:
-        raise BadInput(f"{folder}: holds no tracks; add a CSV with columns trial, time, x, y (s and m)")
+        raise BadInput(
+            f"{folder}: holds no tracks; add a CSV with columns trial, time, x, y (s and m)"
+        )
     return tracks
 
 
@@ -83,8 +94,12 @@ def read_meta(path: Path, keys: Sequence[str]) -> dict[str, Any]:
     return meta
 
 
-def read_actions(path: Path, needed: Mapping[str, str], optional: Sequence[str], trials: str) -> tuple[Table, Callable]:
-    """The table of an actions file, and how its row i is named; needed: columns beside `trial` with their units. Raises BadInput."""
+def read_actions(
+    path: Path, needed: Mapping[str, str], optional: Sequence[str], trials: str
+) -> tuple[Table, Callable]:
+    """The table of an actions file, and how its row i is named; needed: columns beside `trial` with
+    their units. Raises BadInput.
+    """
     table = read_table(path, ("trial", *needed, *optional), least=1)
     words = ", ".join(["trial", *[f"{n} ({u})" for n, u in needed.items()]])
     record.check_columns(table.columns, ("trial", *needed), path, words)
@@ -102,21 +117,30 @@ def read_tracks(
     without: Sequence[str] = (),
     as_declared: bool = False,
 ) -> tuple[Tracks, tuple[str, ...]]:
-    """The tracks of all files but those of the trials `without`, which are not looked at, and which of the optional columns each of
-    them has. as_declared: bodies may stand still as they like. Raises BadInput with the row."""
+    """The tracks of all files but those of the trials `without`, which are not looked at, and which
+    of the optional columns each of them has. as_declared: bodies may stand still as they like.
+    Raises BadInput with the row.
+    """
     if unknown := sorted(set(without) - {f"{n:g}" for n in numbers}):
         raise BadInput(
-            f"no {kind.trial} is named {unknown[0]!r}; --without takes of {', '.join(f'{n:g}' for n in numbers)}"
+            f"no {kind.trial} is named {unknown[0]!r}; --without takes of "
+            f"{', '.join(f'{n:g}' for n in numbers)}"
         )
     found: Tracks = {}
     columns = ("trial", "time", "x", "y", *kind.optional)
-    tables = [(path, read_table(path, columns, least=1, lost=("x", "y"), gaps=kind.angles)) for path in paths]
+    tables = [
+        (path, read_table(path, columns, least=1, lost=("x", "y"), gaps=kind.angles))
+        for path in paths
+    ]
     more = tuple(c for c in kind.optional if all(c in t.columns for _, t in tables))
     for name in (c for c in kind.angles if c not in more):
-        have, lack = ([path for path, t in tables if (name in t.columns) == has] for has in (True, False))
+        have, lack = (
+            [path for path, t in tables if (name in t.columns) == has] for has in (True, False)
+        )
         if have:
             raise BadInput(
-                f"{lack[0]}: no column {name!r}, which {have[0].name} has; add it, empty where it was not seen, or take it "
+                f"{lack[0]}: no column {name!r}, which {have[0].name} has; add it, empty where it "
+                f"was not seen, or take it "
                 "out of all files"
             )
     for path, table in tables:
@@ -141,40 +165,55 @@ def _read_tracks(
     free: bool,
     found: Tracks,
 ) -> None:
-    at = lambda i: f"{path}: {table.row_word} {table.lines[i]}"
+    def at(i):
+        return f"{path}: {table.row_word} {table.lines[i]}"
+
     c = table.columns
     record.check_columns(c, ("trial", "time", "x", "y"), path, "trial, time, x, y (s and m)")
     for i in np.flatnonzero(~np.isin(c["trial"], numbers))[:1]:
-        raise BadInput(f"{at(i)}: trial {c['trial'][i]:g} is not in {actions.name}; add its {kind.trial} there")
+        raise BadInput(
+            f"{at(i)}: trial {c['trial'][i]:g} is not in {actions.name}; add its {kind.trial} there"
+        )
     record.check_unit(c, at, kind.far, kind.trial, kind.usual)
     for n in np.unique(c["trial"]):
         if f"{n:g}" in without:
             continue
         i = np.flatnonzero(c["trial"] == n)
-        told = lambda k, i=i, n=n: f"{at(int(i[k]))}: trial {n:g}"
+
+        def told(k, i=i, n=n):
+            return f"{at(int(i[k]))}: trial {n:g}"
+
         if n in found:
             raise BadInput(f"{told(0)}: has a track in {found[n].file} already; keep one")
         t, p = c["time"][i], np.stack([c[name][i] for name in ("x", "y", *more)], 1)
         record.check_increasing(t, told)
         if t[-1] - t[0] > 60.0:
             raise BadInput(
-                f"{told(-1)}: lasts {t[-1] - t[0]:.6g} s; is time in ms? write seconds since the arm's start"
+                f"{told(-1)}: lasts {t[-1] - t[0]:.6g} s; is time in ms? write seconds since the "
+                f"arm's start"
             )
         if np.sum((t >= 0.0) & (t <= kind.ends)) < LEAST_ROWS and t[0] > kind.ends / 2:
             raise BadInput(
-                f"{told(0)}: begins at {t[0]:.9g} s; write seconds since the arm's start, subtract that of each trial"
+                f"{told(0)}: begins at {t[0]:.9g} s; write seconds since the arm's start, subtract "
+                f"that of each trial"
             )
         if len(t) < LEAST_ROWS:
-            raise BadInput(f"{told(0)}: {len(t)} rows; {LEAST_ROWS} at least are needed, at 20 Hz or more")
+            raise BadInput(
+                f"{told(0)}: {len(t)} rows; {LEAST_ROWS} at least are needed, at 20 Hz or more"
+            )
         if t[0] < -0.5:
-            raise BadInput(f"{told(0)}: begins {-t[0]:.3g} s before the arm's start; time 0 is where the arm starts")
+            raise BadInput(
+                f"{told(0)}: begins {-t[0]:.3g} s before the arm's start; time 0 is where the arm "
+                f"starts"
+            )
         if not free:
             seen = t <= kind.ends
             check_frozen(t[seen], p[seen, :2], told, kind.body)
         record.check_leaps(t, p[:, :2], told, kind.body, kind.fastest, kind.slip)
         if np.linalg.norm(p[:, :2] - p[0, :2], axis=1).max() < kind.moves:
             raise BadInput(
-                f"{told(-1)}: {kind.body} never moved: {kind.never}; leave it out (--without {n:g}) or make it again"
+                f"{told(-1)}: {kind.body} never moved: {kind.never}; leave it out (--without "
+                f"{n:g}) or make it again"
             )
         record.check_clock_set(t, p[:, :2], told, kind.body)
         for j in (2 + more.index(name) for name in kind.angles if name in more):
@@ -182,40 +221,57 @@ def _read_tracks(
         keep = (t >= 0.0) & (t <= kind.ends)
         if keep.sum() < LEAST_ROWS:
             raise BadInput(
-                f"{told(0)}: has {keep.sum()} rows within {kind.ends:g} s of the arm's start; write seconds since that start"
+                f"{told(0)}: has {keep.sum()} rows within {kind.ends:g} s of the arm's start; "
+                f"write seconds since that start"
             )
         found[n] = Track(t[keep], p[keep], path.name, began(t, p[:, :2]))
 
 
-def tracked(numbers: np.ndarray, found: Tracks, where: Path, kind: Kind, serve: str) -> tuple[list[float], list[str]]:
-    """The trials that have a track, and a note for each that has none. Raises BadInput where too few are left."""
+def tracked(
+    numbers: np.ndarray, found: Tracks, where: Path, kind: Kind, serve: str
+) -> tuple[list[float], list[str]]:
+    """The trials that have a track, and a note for each that has none. Raises BadInput where too
+    few are left.
+    """
     names = [n for n in numbers if n in found]
     if len(names) < kind.least:
         raise BadInput(
-            f"{where}: {len(names)} {kind.trials} have a track; to judge effects {kind.least} are needed, {serve} serve"
+            f"{where}: {len(names)} {kind.trials} have a track; to judge effects {kind.least} are "
+            f"needed, {serve} serve"
         )
     gaps = [f"trial {n:g}: {hole}" for n in names for hole in record.holes(found[n].time)]
-    return names, [f"trial {n:g} has no track and is left out" for n in numbers if n not in found] + gaps
+    return names, [
+        f"trial {n:g} has no track and is left out" for n in numbers if n not in found
+    ] + gaps
 
 
 def check_spacing(names: Sequence[float], found: Tracks) -> None:
-    """BadInput at the first trial whose rows are too far apart, by a clock that was checked before."""
+    """BadInput at the first trial whose rows are too far apart, by a clock that was checked
+    before.
+    """
     for n in names:
         step = float(np.median(np.diff(found[n].time)))
         if step > SLOWEST:
             raise BadInput(
-                f"{found[n].file}: trial {n:g}: rows {step:.2g} s apart; 20 Hz at least are needed: record it so, or mend time where "
+                f"{found[n].file}: trial {n:g}: rows {step:.2g} s apart; 20 Hz at least are "
+                f"needed: record it so, or mend time where "
                 "the camera did"
             )
 
 
-def check_starts(names: Sequence[float], aside: np.ndarray, most: float, body: str, where: Path) -> None:
-    """BadInput at the first trial whose body stands farther than `most` m from where the others do, beside what is declared."""
+def check_starts(
+    names: Sequence[float], aside: np.ndarray, most: float, body: str, where: Path
+) -> None:
+    """BadInput at the first trial whose body stands farther than `most` m from where the others do,
+    beside what is declared.
+    """
     apart = np.linalg.norm(aside - np.median(aside, 0), axis=1)
     for k in np.flatnonzero(apart > most)[:1]:
         raise BadInput(
-            f"{where}: trial {names[k]:g}: {body} stands {100 * apart[k]:.0f} cm from where it is declared, beside the other trials: "
-            f"of another frame, or of another trial? mend it, or leave it out (--without {names[k]:g})"
+            f"{where}: trial {names[k]:g}: {body} stands {100 * apart[k]:.0f} cm from where it is "
+            f"declared, beside the other trials: "
+            f"of another frame, or of another trial? mend it, or leave it out (--without "
+            f"{names[k]:g})"
         )
 
 
@@ -223,45 +279,70 @@ def padded(names: Sequence[float], found: Tracks) -> tuple[np.ndarray, np.ndarra
     """Times `[T, R]`, places `[T, R, C]` and mask `[T, R]`, each track held after its last row."""
     longest = max(len(found[n].time) for n in names)
     short = [longest - len(found[n].time) for n in names]
-    time = np.stack([np.pad(found[n].time, (0, k), "edge") for n, k in zip(names, short, strict=True)])
-    places = np.stack([np.pad(found[n].places, ((0, k), (0, 0)), "edge") for n, k in zip(names, short, strict=True)])
+    time = np.stack(
+        [np.pad(found[n].time, (0, k), "edge") for n, k in zip(names, short, strict=True)]
+    )
+    places = np.stack(
+        [
+            np.pad(found[n].places, ((0, k), (0, 0)), "edge")
+            for n, k in zip(names, short, strict=True)
+        ]
+    )
     return time, places, np.stack([np.arange(longest) < longest - k for k in short]).astype(float)
 
 
 def aside(names: Sequence[float], found: Tracks, starts: np.ndarray, quiet: float) -> np.ndarray:
-    """`[T, 2]` m from the declared `starts [T, 2]` to the mean of the rows before `quiet` s; 0 where there are none."""
+    """`[T, 2]` m from the declared `starts [T, 2]` to the mean of the rows before `quiet` s; 0
+    where there are none.
+    """
     rows = [found[n].places[found[n].time < quiet, :2] for n in names]
-    return np.array([r.mean(0) - s if len(r) else np.zeros(2) for r, s in zip(rows, starts, strict=True)])
+    return np.array(
+        [r.mean(0) - s if len(r) else np.zeros(2) for r, s in zip(rows, starts, strict=True)]
+    )
 
 
 def noise_of(
     meta: Mapping[str, Any], time, places, mask, quiet: float, before: str, size: Size = PLACE
 ) -> tuple[float, str]:
-    """Noise of a coordinate of `places [T, R, C]`, and where it is known from: declared, rows before `quiet` s, or third differences.
+    """Noise of a coordinate of `places [T, R, C]`, and where it is known from: declared, rows
+    before `quiet` s, or third differences.
 
-    Rounding hides smaller noise of a body at rest, not of one that moves: it is the least that is believed.
+    Rounding hides smaller noise of a body at rest, not of one that moves: it is the least that is
+    believed.
     """
     if (given := meta.get(size.key)) is not None:
         if not isinstance(given, int | float) or not 0.0 < given < size.most:
-            raise BadInput(f"meta.toml: {size.key} = {given!r} is no size in {size.unit}; write e.g. {size.such:g}")
+            raise BadInput(
+                f"meta.toml: {size.key} = {given!r} is no size in {size.unit}; write e.g. "
+                f"{size.such:g}"
+            )
         return float(given), "declared"
     least = max(size.least, rounded(places[mask > 0]) / np.sqrt(12.0))
     total, count = 0.0, 0
     for t, p, m in zip(time, places, mask, strict=True):
         r = p[(m > 0) & (t < quiet)]
         if len(r) > 1:
-            total, count = total + float(np.square(r - r.mean(0)).sum()), count + r.shape[1] * (len(r) - 1)
+            total, count = (
+                total + float(np.square(r - r.mean(0)).sum()),
+                count + r.shape[1] * (len(r) - 1),
+            )
     if count >= 20:
         return max(float(np.sqrt(total / count)), least), f"rows before the {before}"
-    d = np.concatenate([np.diff(p[m > 0], 3, axis=0).ravel() for p, m in zip(places, mask, strict=True)])
+    d = np.concatenate(
+        [np.diff(p[m > 0], 3, axis=0).ravel() for p, m in zip(places, mask, strict=True)]
+    )
     return max(float(1.4826 * np.median(np.abs(d)) / np.sqrt(20.0)), least), "third differences"
 
 
 def rounded(places: np.ndarray) -> float:
-    """The step of places `[N, C]` whose first coordinate is rounded to a grid; 0 where it is not."""
+    """The step of places `[N, C]` whose first coordinate is rounded to a grid; 0 where it is
+    not.
+    """
     d = np.diff(np.unique(np.round(places[:, 0], 7)))
     d = d[d > 1e-7]
     if len(d) < 10:
         return 0.0
     step = float(d.min())
-    return step if step > 5e-5 and np.all(np.abs(d / step - np.round(d / step)) < 0.02) else 0.0
+    if step > 5e-5 and np.all(np.abs(d / step - np.round(d / step)) < 0.02):
+        return step
+    return 0.0

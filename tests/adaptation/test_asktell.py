@@ -67,15 +67,22 @@ def recorded(policy, seconds=2.6, rate=500.0, velocities=True):
     names = {"q1": x[:, 0], "q2": x[:, 1], "tau1": u[:, 0], "tau2": u[:, 1]}
     if velocities:
         names |= {"v1": x[:, 2], "v2": x[:, 3]}
-    return {"time": time + 12.5, **{name: np.asarray(value, float) for name, value in names.items()}}
+    return {
+        "time": time + 12.5,
+        **{name: np.asarray(value, float) for name, value in names.items()},
+    }
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("velocities", [True, False])
 def test_a_measured_trial_has_the_return_and_observation_of_the_task(made, velocities):
-    """Torques held from row to row are late by half a row; the loop decays at about 8/s, so 2 * 8 * 0.25 ms."""
+    """Torques held from row to row are late by half a row; the loop decays at about 8/s, so 2 * 8 *
+    0.25 ms.
+    """
     task, _, _, starts = made
-    policy = task.train(jax.random.key(0), jax.tree.map(lambda x: x[0], _gaussians(task, starts)), None)
+    policy = task.train(
+        jax.random.key(0), jax.tree.map(lambda x: x[0], _gaussians(task, starts)), None
+    )
     exact = task.rollout(jax.random.key(0), policy, jnp.array(TARGET))
     columns = recorded(policy, rate=2000.0, velocities=velocities)
     seen = measured_trajectory(columns, "trial.csv")
@@ -91,14 +98,19 @@ def _gaussians(task, starts):
 
 def test_bad_trials_are_refused_in_a_line(made):
     task, _, _, starts = made
-    policy = task.train(jax.random.key(0), jax.tree.map(lambda x: x[0], _gaussians(task, starts)), None)
+    policy = task.train(
+        jax.random.key(0), jax.tree.map(lambda x: x[0], _gaussians(task, starts)), None
+    )
     good = recorded(policy)
     bad = [
         ({**good, "time": good["time"][::-1]}, "time runs backwards"),
         ({name: column[:300] for name, column in good.items()}, "run the policy for 2.5 s"),
         ({**good, "q1": good["q1"] + np.pi}, "the task starts hanging"),
         ({**good, "q1": np.degrees(good["q1"])}, "column v1 is 0.0175 times the slope of q1"),
-        ({name: column for name, column in good.items() if name != "tau2"}, "column 'tau2' is missing"),
+        (
+            {name: column for name, column in good.items() if name != "tau2"},
+            "column 'tau2' is missing",
+        ),
     ]
     for columns, says in bad:
         with pytest.raises(BadInput, match=f"^trial.csv: .*{says}"):

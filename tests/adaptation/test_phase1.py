@@ -1,4 +1,6 @@
-"""Phase 1 on a toy whose best answer is known: it learns, compiles once, and does not depend on how it is cut."""
+"""Phase 1 on a toy whose best answer is known: it learns, compiles once, and does not depend on how
+it is cut.
+"""
 
 from dataclasses import fields, replace
 
@@ -19,7 +21,14 @@ from tests.adaptation.toy import make_toy
 
 PLAIN = replace(paper_pendulum().hyper, threshold=0.0)
 SMALL = Phase1Config(
-    trajectories=60, parallel=10, horizon=4, updates=3, batch=16, capacity=80, archive=120, hidden=(16,)
+    trajectories=60,
+    parallel=10,
+    horizon=4,
+    updates=3,
+    batch=16,
+    capacity=80,
+    archive=120,
+    hidden=(16,),
 )
 
 
@@ -40,7 +49,12 @@ def test_cut_anywhere_it_ends_with_the_same_bits(small):
     hyper = traced(PLAIN)
     whole, _ = run(init(jax.random.key(3)), hyper, jnp.arange(6))
     state = init(jax.random.key(3))
-    for numbers in (jnp.arange(0, 3), jnp.arange(3, 4), jnp.arange(4, 5), jnp.arange(5, 6)):  # two lengths to compile
+    for numbers in (
+        jnp.arange(0, 3),
+        jnp.arange(3, 4),
+        jnp.arange(4, 5),
+        jnp.arange(5, 6),
+    ):  # two lengths to compile
         state, _ = run(state, hyper, numbers)
     assert _bits(state) == _bits(whole)
     other, _ = run(init(jax.random.key(4)), hyper, jnp.arange(6))
@@ -65,12 +79,16 @@ def test_vmap_over_seeds_and_rates_is_the_single_runs(small):
     keys = jax.random.split(jax.random.key(0), 2)
     hypers = [traced(replace(PLAIN, learner=BDQHyper(learning_rate=r))) for r in (1e-3, 1e-2)]
     both = jax.tree.map(lambda *x: jnp.stack(x), *hypers)
-    many = jax.jit(lambda k, h: jax.vmap(lambda k, h: phase1.run(phase1.init(k), h, jnp.arange(6)))(k, h))
+    many = jax.jit(
+        lambda k, h: jax.vmap(lambda k, h: phase1.run(phase1.init(k), h, jnp.arange(6)))(k, h)
+    )
     _, info = many(keys, both)
     for i, hyper in enumerate(hypers):
         alone = run(init(keys[i]), hyper, jnp.arange(6))[1]
         # batched products sum in another order, and six rounds of Adam amplify that
-        chex.assert_trees_all_close(jax.tree.map(lambda x, i=i: x[i], info), alone, rtol=2e-3, atol=2e-4)
+        chex.assert_trees_all_close(
+            jax.tree.map(lambda x, i=i: x[i], info), alone, rtol=2e-3, atol=2e-4
+        )
 
 
 def test_replay_and_archive_hold_what_happened(small):
@@ -116,17 +134,23 @@ def test_shaped_reward_by_hand():
 
 @pytest.mark.slow
 def test_it_learns_to_reach_the_target():
-    """The known answer: every parameter within half a step (0.05) of the target after at most ten steps."""
+    """The known answer: every parameter within half a step (0.05) of the target after at most ten
+    steps.
+    """
     task = make_toy(2)
-    phase1 = make_phase1(task, Phase1Config(trajectories=3000, parallel=50, updates=60, capacity=20_000))
+    phase1 = make_phase1(
+        task, Phase1Config(trajectories=3000, parallel=50, updates=60, capacity=20_000)
+    )
     hyper = traced(Phase1Hyper(gain=2.0))
     run = jax.jit(lambda k: phase1.run(phase1.init(k), hyper, jnp.arange(phase1.config.rounds))[0])
     state = run(jax.random.key(0))
     targets = task.space.physical(task.space.sample(jax.random.key(1), (200,)))
     starts = draw_starts(jax.random.key(2), state.archive, 20_000, 2)
-    result = jax.jit(jax.vmap(lambda t: adapt(jax.random.key(3), task, phase1.bdq, state.learner.target, starts, t)))(
-        targets
-    )
+    result = jax.jit(
+        jax.vmap(
+            lambda t: adapt(jax.random.key(3), task, phase1.bdq, state.learner.target, starts, t)
+        )
+    )(targets)
     first, last = (np.asarray(-result.history.score[:, :, i]) for i in (0, -1))
     # a random point of the square is 0.52 away on average; the best on the grid of steps 0.038
     assert first.mean() > 0.35 and last.mean() < 0.1
@@ -138,7 +162,9 @@ def test_best_of_skips_what_diverged():
     phase1 = make_phase1(task, SMALL)
     weights = jax.jit(phase1.init)(jax.random.key(0)).learner.online
     starts = draw_starts(jax.random.key(0), jax.jit(phase1.init)(jax.random.key(0)).archive, 1, 2)
-    history = adapt(jax.random.key(0), task, phase1.bdq, weights, starts, jnp.array([1.5, 2.5]), iterations=3).history
+    history = adapt(
+        jax.random.key(0), task, phase1.bdq, weights, starts, jnp.array([1.5, 2.5]), iterations=3
+    ).history
     history = history._replace(score=history.score.at[0, 0].set(jnp.nan).at[1, 2].set(7.0))
     result = best_of(history)
     assert result.score == 7.0
@@ -146,18 +172,25 @@ def test_best_of_skips_what_diverged():
 
 
 def test_the_first_visit_stands_for_none_that_is_finite():
-    assert tuple(map(int, best_visit(jnp.array([[0.1, 0.4, jnp.nan], [jnp.inf, 0.3, 0.2]])))) == (0, 1)
+    assert tuple(map(int, best_visit(jnp.array([[0.1, 0.4, jnp.nan], [jnp.inf, 0.3, 0.2]])))) == (
+        0,
+        1,
+    )
     assert tuple(map(int, best_visit(np.full((2, 3), np.nan)))) == (0, 0)
 
 
 def test_one_lucky_return_among_poor_ones_is_not_deployed():
     mean = jnp.array([[0.1], [0.15], [0.2], [0.9], [0.95], [1.0]])
     score = jnp.array([1.0, 8.0, 2.0, 6.0, 7.0, 6.0])
-    assert jnp.argmax(smoothed(mean, score, 0.0)) == 1 and jnp.argmax(smoothed(mean, score, 1.0)) > 2
+    assert (
+        jnp.argmax(smoothed(mean, score, 0.0)) == 1 and jnp.argmax(smoothed(mean, score, 1.0)) > 2
+    )
     other = 10.0 * smoothed(mean, score, 1.0) - 3.0
     np.testing.assert_allclose(smoothed(mean, 10.0 * score - 3.0, 1.0), other, rtol=1e-4)
     failed = smoothed(jnp.concatenate([mean, mean[:1]]), jnp.append(score, -jnp.inf), 1.0)
-    np.testing.assert_allclose(failed[:6], smoothed(mean, score, 1.0), rtol=1e-5)  # of what did not fail alone
+    np.testing.assert_allclose(
+        failed[:6], smoothed(mean, score, 1.0), rtol=1e-5
+    )  # of what did not fail alone
     assert failed[6] == -jnp.inf
 
 
@@ -189,7 +222,10 @@ def test_sizes_that_do_not_fit_are_refused(change, mend):
         ({"obs_noise": -1.0}, r"hyper\.obs_noise = -1.0: give at least 0"),
         ({"inside": float("nan")}, r"hyper\.inside = nan"),
         ({"learner": BDQHyper(discount=1.5)}, r"hyper\.learner\.discount = 1.5: give at most 1"),
-        ({"learner": BDQHyper(learning_rate=0.0)}, r"hyper\.learner\.learning_rate = 0.0: give a positive number"),
+        (
+            {"learner": BDQHyper(learning_rate=0.0)},
+            r"hyper\.learner\.learning_rate = 0.0: give a positive number",
+        ),
     ],
 )
 def test_rates_that_make_no_sense_are_refused(change, mend):

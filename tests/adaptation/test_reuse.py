@@ -1,4 +1,6 @@
-"""The rules of reuse one by one, on a pool small enough to follow by hand. A policy is a pair of numbers."""
+"""The rules of reuse one by one, on a pool small enough to follow by hand. A policy is a pair of
+numbers.
+"""
 
 from dataclasses import replace
 
@@ -7,15 +9,30 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from adaptsim_jax.adaptation.reuse import Loan, Pool, ReuseConfig, check, empty_pool, lend, settle, train_loans
+from adaptsim_jax.adaptation.reuse import (
+    Loan,
+    Pool,
+    ReuseConfig,
+    check,
+    empty_pool,
+    lend,
+    settle,
+    train_loans,
+)
 from adaptsim_jax.core.errors import BadInput
 
-RULES = ReuseConfig(threshold=0.16, first=1000, most=2500, least=850, decay=0.9, capacity=4, together=1)
+RULES = ReuseConfig(
+    threshold=0.16, first=1000, most=2500, least=850, decay=0.9, capacity=4, together=1
+)
 OWN = -1.0
 
 
-def _visit(pool: Pool, *places: tuple[float, float], rules: ReuseConfig = RULES) -> tuple[Pool, Loan]:
-    """Visit `places` at once; training adds the trials to the first number and leaves the visit's place in the second."""
+def _visit(
+    pool: Pool, *places: tuple[float, float], rules: ReuseConfig = RULES
+) -> tuple[Pool, Loan]:
+    """Visit `places` at once; training adds the trials to the first number and leaves the visit's
+    place in the second.
+    """
     means = jnp.array(places)
     loan = jax.jit(lend, static_argnums=1)(pool, rules, means, jnp.full((len(places), 2), OWN))
     policies = jnp.stack([loan.policy[:, 0] + loan.budget, means[:, 0]], -1)
@@ -28,7 +45,9 @@ def pool():
 
 
 def test_the_first_distribution_trains_its_own_policy_with_m(pool):
-    pool, loan = _visit(pool, (0.0, 0.0))  # the empty pool's zeros lie here, and must not be taken for an anchor
+    pool, loan = _visit(
+        pool, (0.0, 0.0)
+    )  # the empty pool's zeros lie here, and must not be taken for an anchor
     assert loan.place.tolist() == [-1] and loan.budget.tolist() == [1000]
     assert loan.policy[0, 0] == OWN
     assert pool.count == 1 and pool.taught[0] == 1 and pool.spent[0] == 1000
@@ -48,7 +67,9 @@ def test_the_nearest_of_several_is_reused(pool):
 
 
 def test_budget_decays_with_each_distribution_down_to_the_least_and_ends_at_the_most(pool):
-    """M = 1000, alpha = 0.9, M_min = 850, M_max = 2500: 1000, 900, then max(850, 810); the fourth finds 2750 spent."""
+    """M = 1000, alpha = 0.9, M_min = 850, M_max = 2500: 1000, 900, then max(850, 810); the fourth
+    finds 2750 spent.
+    """
     budgets, pool = [], _visit(pool, (0.5, 0.5))[0]
     for x in (0.55, 0.45, 0.5, 0.6):
         pool, loan = _visit(pool, (x, 0.5))
@@ -60,7 +81,9 @@ def test_budget_decays_with_each_distribution_down_to_the_least_and_ends_at_the_
 
 
 def test_a_borrower_does_not_lend(pool):
-    """0.5 lends to 0.62. 0.74 is within reach of 0.62 but not of 0.5: it must train a policy of its own."""
+    """0.5 lends to 0.62. 0.74 is within reach of 0.62 but not of 0.5: it must train a policy of its
+    own.
+    """
     pool, _ = _visit(pool, (0.5, 0.5))
     pool, loan = _visit(pool, (0.62, 0.5))
     assert loan.place.tolist() == [0] and pool.count == 1
@@ -94,7 +117,9 @@ def test_a_full_pool_forgets_its_oldest_anchors(pool):
 
 
 def test_training_in_groups_gives_each_its_own_budget_and_place():
-    """Sorted by budget inside, in the order of the visits outside; a group takes as long as its largest budget."""
+    """Sorted by budget inside, in the order of the visits outside; a group takes as long as its
+    largest budget.
+    """
     longest = []
 
     def train_many(keys, dists, policies, budgets):
@@ -111,7 +136,15 @@ def test_training_in_groups_gives_each_its_own_budget_and_place():
 
 
 @pytest.mark.parametrize(
-    "bad", [{"threshold": -0.1}, {"decay": 0.0}, {"least": 2000}, {"most": 10}, {"capacity": 3}, {"together": 3}]
+    "bad",
+    [
+        {"threshold": -0.1},
+        {"decay": 0.0},
+        {"least": 2000},
+        {"most": 10},
+        {"capacity": 3},
+        {"together": 3},
+    ],
 )
 def test_bad_rules_are_refused(bad):
     check(RULES, 4)

@@ -1,4 +1,6 @@
-"""A task whose best answer is known: move the mean of E onto the target, which the observation shows with an offset."""
+"""A task whose best answer is known: move the mean of E onto the target, which the observation
+shows with an offset.
+"""
 
 import jax.numpy as jnp
 
@@ -7,7 +9,9 @@ from adaptsim_jax.tasks.base import Task
 
 
 def make_toy(dim: int = 2) -> Task:
-    """The "task policy" is the mean itself, the observation target minus mean, the reward `1 - 2 |target - mean|`."""
+    """The "task policy" is the mean itself, the observation target minus mean, the reward `1 - 2
+    |target - mean|`.
+    """
     space = Space(tuple(Parameter(f"p{i}", 1.0, 3.0, "kg") for i in range(dim)))
     return Task(
         name="toy",

@@ -13,11 +13,19 @@ solreffriction="0.002 1" solimpfriction="0.99 0.999 0.001"/>
 
 
 def record(
-    folder: Path, friction: float, trials: int = 6, seconds: float = 4.0, seed: int = 0, noise: float = 2e-4,
-    rate: int = 250, digits: int = 8, held: bool = True,
-) -> Path:  # fmt: skip
-    """A folder with meta.toml, the declared model (mass 20 % off, no friction) and trials of the true one; held: whether the torque
-    is from row to row."""
+    folder: Path,
+    friction: float,
+    trials: int = 6,
+    seconds: float = 4.0,
+    seed: int = 0,
+    noise: float = 2e-4,
+    rate: int = 250,
+    digits: int = 8,
+    held: bool = True,
+) -> Path:
+    """A folder with meta.toml, the declared model (mass 20 % off, no friction) and trials of the
+    true one; held: whether the torque is from row to row.
+    """
     rng = np.random.default_rng(seed)
     model = mujoco.MjModel.from_xml_string(XML.format(damping=0.02, friction=friction, mass=1.0))
     folder.mkdir(parents=True, exist_ok=True)
@@ -29,7 +37,10 @@ def record(
         data.qpos[0] = rng.uniform(-1.0, 1.0)
         phase, speed = rng.uniform(0, 6, 3), rng.uniform(1.0, 9.0, 3)
         rows = []
-        torque = lambda t, speed=speed, phase=phase: 0.6 * np.sin(speed * t + phase).sum()
+
+        def torque(t, speed=speed, phase=phase):
+            return 0.6 * np.sin(speed * t + phase).sum()
+
         for i in range(round(seconds * rate)):
             t = i / rate
             rows.append([t, data.qpos[0] + noise * rng.normal(), torque(t)])
@@ -37,13 +48,22 @@ def record(
                 data.ctrl[0] = torque(t if held else t + step * model.opt.timestep)
                 mujoco.mj_step(model, data)
         np.savetxt(
-            folder / f"trial_{k:02d}.csv", rows, delimiter=",", header="time,q1,tau1", comments="", fmt=f"%.{digits}g"
+            folder / f"trial_{k:02d}.csv",
+            rows,
+            delimiter=",",
+            header="time,q1,tau1",
+            comments="",
+            fmt=f"%.{digits}g",
         )
     return folder
 
 
-def record_bristles(folder: Path, level: float, deflection: float, seed: int = 0, noise: float = 1e-4) -> Path:
-    """The same pendulum with LuGre friction of a break-away deflection [rad], by small steps of its own equations."""
+def record_bristles(
+    folder: Path, level: float, deflection: float, seed: int = 0, noise: float = 1e-4
+) -> Path:
+    """The same pendulum with LuGre friction of a break-away deflection [rad], by small steps of its
+    own equations.
+    """
     rng = np.random.default_rng(seed)
     folder.mkdir(parents=True)
     (folder / "model.xml").write_text(XML.format(damping=0.01, friction=0.0, mass=1.2))
@@ -67,5 +87,12 @@ def record_bristles(folder: Path, level: float, deflection: float, seed: int = 0
                 rub = stiff * bent + damped * bends * np.exp(-((v / 0.1) ** 2))
                 v += h * (torque - weight * np.sin(q) - 0.02 * v - rub) / inertia
                 q, bent = q + h * v, bent + h * bends
-        np.savetxt(folder / f"trial_{k:02d}.csv", rows, delimiter=",", header="time,q1,tau1", comments="", fmt="%.8g")
+        np.savetxt(
+            folder / f"trial_{k:02d}.csv",
+            rows,
+            delimiter=",",
+            header="time,q1,tau1",
+            comments="",
+            fmt="%.8g",
+        )
     return folder

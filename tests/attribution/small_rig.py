@@ -1,4 +1,6 @@
-"""A small recording for tests of the closed loop, made with SciPy's integrator and equations written out here."""
+"""A small recording for tests of the closed loop, made with SciPy's integrator and equations
+written out here.
+"""
 
 from types import SimpleNamespace
 
@@ -26,8 +28,12 @@ def acceleration(theta, q, v, torque):
     return np.linalg.solve(mass, torque - rest)
 
 
-def make_trials(seed=0, count=3, seconds=2.0, rate=200.0, noise=1.0, extra=None, velocity=True, theta=TRUE):
-    """Trials with torques held over each row and Gaussian sensor noise; `extra(t, q, v, u) -> [2]` N m is hidden."""
+def make_trials(
+    seed=0, count=3, seconds=2.0, rate=200.0, noise=1.0, extra=None, velocity=True, theta=TRUE
+):
+    """Trials with torques held over each row and Gaussian sensor noise; `extra(t, q, v, u) -> [2]`
+    N m is hidden.
+    """
     rng = np.random.default_rng(seed)
     return [_trial(rng, seconds, rate, noise, extra, velocity, theta) for _ in range(count)]
 
@@ -53,10 +59,21 @@ def _trial(rng, seconds, rate, noise, extra, velocity, theta):
 
 
 def written(folder, trials, l1=GEOMETRY["l1"]):
-    """The trials as a folder of CSV files, angles and torques alone, with `l1` as the declared length of the first link."""
+    """The trials as a folder of CSV files, angles and torques alone, with `l1` as the declared
+    length of the first link.
+    """
     for i, t in enumerate(trials):
         rows = np.column_stack([t.time, t.q, t.torque])
-        np.savetxt(folder / f"t{i}.csv", rows, delimiter=",", header="time,q1,q2,tau1,tau2", comments="", fmt="%.9g")
+        np.savetxt(
+            folder / f"t{i}.csv",
+            rows,
+            delimiter=",",
+            header="time,q1,q2,tau1,tau2",
+            comments="",
+            fmt="%.9g",
+        )
     lengths = f"[geometry]\nl1 = {l1}\nl2 = {GEOMETRY['l2']}\ng = {GEOMETRY['g']}\n"
-    (folder / "meta.toml").write_text(f'task = "pendulum"\nmodel = "rigid_body"\nangle_zero = "hanging"\n{lengths}')
+    (folder / "meta.toml").write_text(
+        f'task = "pendulum"\nmodel = "rigid_body"\nangle_zero = "hanging"\n{lengths}'
+    )
     return folder

@@ -22,7 +22,9 @@ def at(q, values):
     return p, Motion(q, q, q, q, q, lambda q: q, None)
 
 
-@pytest.mark.parametrize(("law", "of"), [(angle_torque, lambda z: z), (angle_friction, lambda z: z.level)])
+@pytest.mark.parametrize(
+    ("law", "of"), [(angle_torque, lambda z: z), (angle_friction, lambda z: z.level)]
+)
 def test_it_is_linear_between_its_nodes_and_constant_beyond(law, of):
     values, q = np.sin(3.0 * NODE), np.linspace(-1.0, 2.0, 61)
     p, motion = at(q, values)
@@ -39,5 +41,7 @@ def test_a_magnet_near_one_angle_is_described_and_not_called_cogging(tmp_path):
     world = write_world(tmp_path / "world", "single", 701, effect="magnet")
     (hidden,) = json.loads((world / "truth.json").read_text())["effects"]
     report = diagnose(world / "recording")
-    assert [(e["name"], e["joints"]) for e in report["effects"]] == [("angle_torque", hidden["joints"])]
+    assert [(e["name"], e["joints"]) for e in report["effects"]] == [
+        ("angle_torque", hidden["joints"])
+    ]
     assert report["error"]["after"] < 1.5 * report["error"]["noise_floor"]

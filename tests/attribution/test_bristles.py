@@ -22,16 +22,21 @@ LEVEL = 0.2  # N m
 
 
 def pushed(tmp_path, torque, compliance, level=LEVEL, more=()):
-    """(problem, vector) of trials at rest that are pushed by torques [k] N m, as functions of time or numbers."""
+    """(problem, vector) of trials at rest that are pushed by torques [k] N m, as functions of time
+    or numbers.
+    """
     (tmp_path / "arm.xml").write_text(XML)
     time = np.arange(250) / 250.0
     tracks = [
-        Track(str(k), time, np.zeros((250, 1)), None, np.broadcast_to(u, (250,))[:, None]) for k, u in enumerate(torque)
+        Track(str(k), time, np.zeros((250, 1)), None, np.broadcast_to(u, (250,))[:, None])
+        for k, u in enumerate(torque)
     ]
     effects = (*(e for e in MACHINE if e.name in ("viscous", "coulomb", "presliding")), *more)
     problem = prepare(read_mechanism(tmp_path / "arm.xml").tree, tracks, effects)
-    new = [Entry(name, key, (0,), z, 0.0, 0.0, 9.0, "1") for name, key, z in
-           (("coulomb", "level", level), ("presliding", "compliance", compliance))]  # fmt: skip
+    new = [
+        Entry(name, key, (0,), z, 0.0, 0.0, 9.0, "1")
+        for name, key, z in (("coulomb", "level", level), ("presliding", "compliance", compliance))
+    ]
     return problem, nuisances(problem, inertia=False).with_entries(new)
 
 
@@ -47,9 +52,13 @@ def test_it_holds_as_a_spring_up_to_its_level_and_then_slides(tmp_path):
 def test_dry_friction_of_another_package_rubs_too(tmp_path):
     """Asked by what it answers, not by its name."""
     own = Effect(
-        "tight_spot", "force", (Parameter("level", "N m", 0.0, 9.0, 0.0, sign=1),), lambda p, m: Dry(p["level"] + 0.0 * m.q),
-        "dry friction", "motion",
-    )  # fmt: skip
+        "tight_spot",
+        "force",
+        (Parameter("level", "N m", 0.0, 9.0, 0.0, sign=1),),
+        lambda p, m: Dry(p["level"] + 0.0 * m.q),
+        "dry friction",
+        "motion",
+    )
     problem, vector = pushed(tmp_path, (0.1, 0.4), 0.0, level=0.0, more=(own,))
     (free,) = run(problem, vector, starts_of(problem))
     held = vector.with_entries([Entry("tight_spot", "level", (0,), LEVEL, 0.0, 0.0, 9.0, "N m")])
@@ -69,10 +78,17 @@ def test_without_bristles_it_holds_still(tmp_path):
 def test_the_linearised_path_follows_the_bristles(tmp_path):
     """By start and by a level that all is below: only the bristles' own spring answers."""
     time = np.arange(250) / 250.0
-    problem, vector = pushed(tmp_path, (0.3 * np.sin(5.0 * time), 0.1 * np.cos(9.0 * time)), 0.05, level=5.0)
+    problem, vector = pushed(
+        tmp_path, (0.3 * np.sin(5.0 * time), 0.1 * np.cos(9.0 * time)), 0.05, level=5.0
+    )
     starts = starts_of(problem)
-    fit = Fit(vector, starts, weigh(problem, run(problem, vector, starts)), np.zeros(0), "stopped", 0)
-    fit = replace(fit, weights=replace(fit.weights, channel=np.ones(2), stretch=np.ones_like(fit.weights.stretch)))
+    fit = Fit(
+        vector, starts, weigh(problem, run(problem, vector, starts)), np.zeros(0), "stopped", 0
+    )
+    fit = replace(
+        fit,
+        weights=replace(fit.weights, channel=np.ones(2), stretch=np.ones_like(fit.weights.stretch)),
+    )
     lin = linear(problem, fit)
     moved = [x + np.array([[1e-6], [0.0]]) for x in starts]
     (there,), (here,) = run(problem, vector, moved), run(problem, vector, starts)

@@ -1,4 +1,6 @@
-"""First-order columns of effects beside differences of the simulation itself, and the score test on them."""
+"""First-order columns of effects beside differences of the simulation itself, and the score test on
+them.
+"""
 
 from dataclasses import replace
 
@@ -11,7 +13,13 @@ from adaptsim_jax.attribution.estimate import bounded_step
 from adaptsim_jax.attribution.linear import _without_lost, linear
 from adaptsim_jax.attribution.parameters import INERTIA, Entry, Vector
 from adaptsim_jax.attribution.paths import run, starts_of
-from adaptsim_jax.attribution.problem import nuisances, own_inertia, prepare, scaled_reach, values_of
+from adaptsim_jax.attribution.problem import (
+    nuisances,
+    own_inertia,
+    prepare,
+    scaled_reach,
+    values_of,
+)
 from adaptsim_jax.attribution.score import candidates, score_p
 from adaptsim_jax.attribution.stretches import Track
 from adaptsim_jax.attribution.weights import Fit, weigh
@@ -22,9 +30,18 @@ XML = """<mujoco><compiler angle="radian"/><worldbody><body name="upper" pos="0 
 <inertial pos="0 0 -0.15" mass="0.7" diaginertia="0.006 0.006 0.001"/></body></body></worldbody></mujoco>"""
 LAWS = {
     "torque": None,
-    "position": np.array([[40.0] * 2, [0.0] * 2, [-40.0] * 2, [-1.0] * 2, [-np.inf] * 2, [np.inf] * 2]),
+    "position": np.array(
+        [[40.0] * 2, [0.0] * 2, [-40.0] * 2, [-1.0] * 2, [-np.inf] * 2, [np.inf] * 2]
+    ),
 }
-NAMES = ("torque_gain", "torque_coupling", "friction_coupling", "drive_compliance", "drive_play", "encoder_offset")
+NAMES = (
+    "torque_gain",
+    "torque_coupling",
+    "friction_coupling",
+    "drive_compliance",
+    "drive_play",
+    "encoder_offset",
+)
 
 
 @pytest.fixture(scope="module", params=LAWS)
@@ -39,7 +56,12 @@ def fitted(request, tmp_path_factory):
     vector, starts = nuisances(problem, inertia=False), starts_of(problem)
     paths = run(problem, vector, starts)
     return problem, Fit(
-        vector, starts, weigh(problem, paths), np.zeros(problem.groups[0].stretches.count), "stopped", 0
+        vector,
+        starts,
+        weigh(problem, paths),
+        np.zeros(problem.groups[0].stretches.count),
+        "stopped",
+        0,
     )
 
 
@@ -47,11 +69,18 @@ def fitted(request, tmp_path_factory):
 def test_columns_are_those_of_differences(fitted, name):
     problem, fit = fitted
     reach = scaled_reach(problem, *own_inertia(problem, fit.vector))
-    found = [c for c in candidates(problem, fit.vector, reach) if c.effect == name and c.sharing == "joint"]
+    found = [
+        c
+        for c in candidates(problem, fit.vector, reach)
+        if c.effect == name and c.sharing == "joint"
+    ]
     assert found
     for entry in (e for c in found for e in c.entries):
         one = fit.vector.with_entries([entry])
-        at = lambda value, one=one: run(problem, one.at(np.append(fit.vector.values, value)), fit.starts)[0].sensed
+
+        def at(value, one=one):
+            return run(problem, one.at(np.append(fit.vector.values, value)), fit.starts)[0].sensed
+
         lin = linear(problem, replace(fit, vector=one))
         flat = lin.counted[0].flat(((at(1e-5) - at(-1e-5)) / 2e-5).transpose(2, 0, 1))
         assert np.linalg.norm(flat) > 0.0
@@ -113,11 +142,17 @@ def test_the_score_test_sees_what_directions_that_are_alike_differ_in():
 
 
 def test_a_step_is_found_where_rounding_left_no_positive_matrix():
-    vector = Vector(tuple(Entry("a", str(k), (0,), 0.0, 0.0, -9.0, 9.0, "1") for k in range(2)), np.zeros(2))
-    step = bounded_step(np.array([[1e-14, 3e-14], [3e-14, 1e-14]]), np.array([1e-14, 2e-14]), vector, 1e-9)
+    vector = Vector(
+        tuple(Entry("a", str(k), (0,), 0.0, 0.0, -9.0, 9.0, "1") for k in range(2)), np.zeros(2)
+    )
+    step = bounded_step(
+        np.array([[1e-14, 3e-14], [3e-14, 1e-14]]), np.array([1e-14, 2e-14]), vector, 1e-9
+    )
     assert np.all(np.isfinite(step)) and np.all(np.abs(step) <= 9.0)
     whole = bounded_step(np.array([[2.0, 0.5], [0.5, 1.0]]), np.array([1.0, 1.0]), vector, 0.0)
-    np.testing.assert_allclose(whole, np.linalg.solve([[2.0, 0.5], [0.5, 1.0]], [1.0, 1.0]), rtol=1e-8)
+    np.testing.assert_allclose(
+        whole, np.linalg.solve([[2.0, 0.5], [0.5, 1.0]], [1.0, 1.0]), rtol=1e-8
+    )
 
 
 def test_a_stretch_that_ran_away_beyond_all_numbers_pulls_nowhere():

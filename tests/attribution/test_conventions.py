@@ -1,4 +1,6 @@
-"""A mechanism's log that contradicts its model is told with what to write; the healthy one is not doubted."""
+"""A mechanism's log that contradicts its model is told with what to write; the healthy one is not
+doubted.
+"""
 
 import re
 from dataclasses import replace
@@ -12,7 +14,9 @@ from adaptsim_jax.core.errors import BadInput
 from tests.generators.mechanism_worlds import write_world
 from tests.logs.log_files import folder
 
-SAME = lambda x: x
+
+def SAME(x):
+    return x
 
 
 @pytest.fixture(scope="module", params=["arm3", "furuta"])
@@ -25,7 +29,10 @@ def healthy(request, tmp_path_factory):
 
 def spoiled(machine, q=SAME, u=SAME):
     """Angles and speeds, and torques, otherwise in every trial."""
-    each = lambda t: replace(t, q=q(t.q), v=None if t.v is None else q(t.v), u=u(t.u))
+
+    def each(t):
+        return replace(t, q=q(t.q), v=None if t.v is None else q(t.v), u=u(t.u))
+
     return replace(machine, tracks=tuple(each(t) for t in machine.tracks))
 
 
@@ -40,14 +47,18 @@ def times(j, factor):
 def moved(machine, q):
     """The last angle a quarter turn on; speeds as they are."""
     own = next((t for t in machine.tracks if t.q is q), None)
-    return q if own is None else q + np.where(np.arange(q.shape[1]) == q.shape[1] - 1, np.pi / 2, 0.0)
+    return (
+        q if own is None else q + np.where(np.arange(q.shape[1]) == q.shape[1] - 1, np.pi / 2, 0.0)
+    )
 
 
 def model(machine, length=1.0, mass=1.0):
     """The machine whose file has lengths and masses otherwise."""
     tree = machine.tree
     size = mass * np.array([1.0, *[length] * 3, *[length**2] * 6])
-    other = replace(tree, place=length * np.asarray(tree.place), inertial=np.asarray(tree.inertial) * size)
+    other = replace(
+        tree, place=length * np.asarray(tree.place), inertial=np.asarray(tree.inertial) * size
+    )
     return replace(machine, mechanism=replace(machine.mechanism, tree=other))
 
 
@@ -59,7 +70,10 @@ WRONG = {
     "degrees": (lambda m: spoiled(m, times(1, 180 / np.pi)), '= "deg" under'),
     "radians": (lambda m: spoiled(m, times(1, np.pi / 180)), '= "rad" under'),
     "turns": (lambda m: spoiled(m, times(1, 0.5 / np.pi)), '= "rev" under'),
-    "zero": (lambda m: spoiled(m, lambda q: moved(m, q)), "a quarter turn from where the model has its zero"),
+    "zero": (
+        lambda m: spoiled(m, lambda q: moved(m, q)),
+        "a quarter turn from where the model has its zero",
+    ),
     "mm": (lambda m: model(m, length=1e3), "lengths 0.001 times those"),
     "short": (lambda m: model(m, length=0.1), "lengths 10 times those"),
     "grams": (lambda m: model(m, mass=1e3), "masses in grams"),
@@ -102,7 +116,9 @@ WHEEL = """<mujoco><worldbody><body><joint name="axle" axis="0 1 0" damping="0.0
 
 
 def wheel(path, units, size=1.0):
-    """A wheel that turns five times under a torque command: rad and N m / 30, or `size` times that command."""
+    """A wheel that turns five times under a torque command: rad and N m / 30, or `size` times that
+    command.
+    """
     time = np.arange(1200) * 0.005
     inertia = 0.5 * 1.2 * 0.12**2 + 0.002
     columns = []
@@ -110,8 +126,14 @@ def wheel(path, units, size=1.0):
         q = 16.0 * (1 - np.cos(2 * rate * time)) + np.sin(5 * time) - 5 * time
         v = 32.0 * rate * np.sin(2 * rate * time) + 5 * np.cos(5 * time) - 5
         a = 64.0 * rate**2 * np.cos(2 * rate * time) - 25 * np.sin(5 * time)
-        columns.append({"time": time, "q_axle": q, "ctrl_drive": size * (inertia * a + 0.01 * v) / 30})
-    folder(path, f'model = "wheel.xml"\n[units]\n{units}\n', **{f"spin{k}": c for k, c in enumerate(columns)})
+        columns.append(
+            {"time": time, "q_axle": q, "ctrl_drive": size * (inertia * a + 0.01 * v) / 30}
+        )
+    folder(
+        path,
+        f'model = "wheel.xml"\n[units]\n{units}\n',
+        **{f"spin{k}": c for k, c in enumerate(columns)},
+    )
     (path / "wheel.xml").write_text(WHEEL)
     return load(path)
 
@@ -123,7 +145,9 @@ def test_torques_off_by_the_unit_of_angles_say_so_and_each_mend_works(tmp_path):
     ) as error:
         check_conventions(wheel(tmp_path / "deg", 'angle = "deg"'))
     assert check_conventions(wheel(tmp_path / "mended", 'angle = "rad"')) == ()
-    line = re.search(r"the commands' unit under \[units\] \((ctrl = [\d.e-]+)\)", str(error.value))[1]
+    line = re.search(r"the commands' unit under \[units\] \((ctrl = [\d.e-]+)\)", str(error.value))[
+        1
+    ]
     assert check_conventions(wheel(tmp_path / "torques", f'angle = "deg"\n{line}')) == ()
     with pytest.raises(BadInput, match="masses in tonnes, or torques in mN m") as error:
         check_conventions(wheel(tmp_path / "milli", "", 1e3))

@@ -33,10 +33,14 @@ def test_dry_friction_is_named_and_the_model_file_holds_it(tmp_path):
     assert report["remaining"]["times_floor"] < 1.5
     model = mujoco.MjModel.from_xml_path(str(out / "model.xml"))
     assert model.dof_frictionloss[0] == pytest.approx(0.15, rel=0.05)
-    assert replay_files(out / "model.xml", data).told()["median"] == pytest.approx(report["error"]["after"], rel=0.15)
+    assert replay_files(out / "model.xml", data).told()["median"] == pytest.approx(
+        report["error"]["after"], rel=0.15
+    )
     assert (out / "report.html").exists()
     assert report["run"]["command"] == f"adaptsim diagnose {data} --out {out}"
-    told = report["declared"]["after"]  # the true link: 1 kg at 0.25 m, 0.01 kg m^2 about its centre
+    told = report["declared"][
+        "after"
+    ]  # the true link: 1 kg at 0.25 m, 0.01 kg m^2 about its centre
     assert told["inertia about hinge"]["value"] == pytest.approx(0.0725, rel=0.01)
     assert told["first moment z at hinge"]["value"] == pytest.approx(-0.25, rel=0.01)
     fixed = {name for name, row in told.items() if row["identifiable"]}
@@ -48,7 +52,10 @@ def test_dry_friction_is_named_and_the_model_file_holds_it(tmp_path):
 
 def test_a_few_short_trials_are_diagnosed_whole(tmp_path):
     """Of a small catalogue, to be quick."""
-    data, out = record(tmp_path / "rub", friction=0.2, trials=5, seconds=1.5, rate=125), tmp_path / "out"
+    data, out = (
+        record(tmp_path / "rub", friction=0.2, trials=5, seconds=1.5, rate=125),
+        tmp_path / "out",
+    )
     others = [e.name for e in MACHINE if e.name not in ("viscous", "coulomb", "bias")]
     report = diagnose(data, out=out, exclude=tuple(others))
     assert [(e["name"], e["joints"]) for e in report["effects"]] == [("coulomb", ["hinge"])]
@@ -67,27 +74,37 @@ def test_a_few_short_trials_are_diagnosed_whole(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.xfail(
-    reason="named as its class: torque_gain and armature, which move to the bit like it, with inertia beside them"
+    reason="named as its class: torque_gain and armature, which move to the bit like it, with "
+    "inertia beside them"
 )
-def test_a_body_that_is_lighter_than_the_file_says_is_named_where_inertias_are_kept_and_noted_where_fitted(tmp_path):
+def test_a_body_that_is_lighter_than_the_file_says_is_named_where_inertias_are_kept_and_noted_where_fitted(
+    tmp_path,
+):
     data = record(tmp_path / "light", friction=0.0, seed=4)
     fitted = diagnose(data)
-    assert fitted["effects"] == [] and any(n.startswith("Unlike the model file") for n in fitted["notes"])
+    assert fitted["effects"] == [] and any(
+        n.startswith("Unlike the model file") for n in fitted["notes"]
+    )
     (data / "meta.toml").write_text((data / "meta.toml").read_text() + "[fit]\ninertias = false\n")
     report = diagnose(data, out=tmp_path / "out")
     assert ["inertia"] == [e["name"] for e in report["effects"]]
-    moment = lambda numbers: numbers["mass"] * numbers["centre_of_mass_z"]
-    assert moment({k: v["value"] for k, v in report["effects"][0]["parameters"].items()}) == pytest.approx(
-        -0.25, rel=0.02
-    )
+
+    def moment(numbers):
+        return numbers["mass"] * numbers["centre_of_mass_z"]
+
+    assert moment(
+        {k: v["value"] for k, v in report["effects"][0]["parameters"].items()}
+    ) == pytest.approx(-0.25, rel=0.02)
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "out" / "model.xml"))
     assert model.body_mass[1] * model.body_ipos[1, 2] == pytest.approx(-0.25, rel=0.02)
 
 
 @pytest.mark.slow
 def test_a_lighter_body_is_one_of_a_class_where_inertias_are_kept(tmp_path):
-    """Less mass with the same moment about its centre moves, to the bit, as the file's body with a stronger motor and a rotor: the
-    torque 1.2 times, and (1.2 - 1) times the 0.01 kg m^2 about the centre."""
+    """Less mass with the same moment about its centre moves, to the bit, as the file's body with a
+    stronger motor and a rotor: the torque 1.2 times, and (1.2 - 1) times the 0.01 kg m^2 about the
+    centre.
+    """
     data = record(tmp_path / "light", friction=0.0, seed=4)
     (data / "meta.toml").write_text((data / "meta.toml").read_text() + "[fit]\ninertias = false\n")
     report = diagnose(data)
@@ -99,7 +116,9 @@ def test_a_lighter_body_is_one_of_a_class_where_inertias_are_kept(tmp_path):
 
 @pytest.mark.slow
 def test_a_torque_that_acts_on_two_joints_is_named(tmp_path):
-    world = write_world(tmp_path / "world", "single", 802, effect="torque_coupling", machine="furuta", mode="torque")
+    world = write_world(
+        tmp_path / "world", "single", 802, effect="torque_coupling", machine="furuta", mode="torque"
+    )
     (effect,) = diagnose(world / "recording")["effects"]
     truth = json.loads((world / "truth.json").read_text())["effects"][0]["size"]["arm+free"]
     assert (effect["name"], effect["joints"]) == ("torque_coupling", ["free"])
@@ -112,7 +131,11 @@ def test_a_torque_that_acts_on_two_joints_is_named(tmp_path):
     [
         (825, {"effect": "saturation"}),
         (830, {"effect": "saturation"}),
-        pytest.param(832, {"effect": "saturation"}, marks=pytest.mark.xfail(reason="1.2 % too small, by the torque")),
+        pytest.param(
+            832,
+            {"effect": "saturation"},
+            marks=pytest.mark.xfail(reason="1.2 % too small, by the torque"),
+        ),
     ],
 )
 def test_a_limit_is_named_that_acts_nearly_always_or_in_a_few_stretches_only(tmp_path, seed, given):
@@ -120,9 +143,15 @@ def test_a_limit_is_named_that_acts_nearly_always_or_in_a_few_stretches_only(tmp
     (hidden,) = json.loads((tmp_path / "world/truth.json").read_text())["effects"]
     report = diagnose(tmp_path / "world/recording")
     (named,) = report["effects"]
-    assert (named["name"], named["joints"], report["verdict"]) == ("saturation", hidden["joints"], "explained")
+    assert (named["name"], named["joints"], report["verdict"]) == (
+        "saturation",
+        hidden["joints"],
+        "explained",
+    )
     size = {k: row["value"] for k, row in named["parameters"].items()}
-    assert (1.0 - size["cut"]) * size["peak"] == pytest.approx(hidden["size"][hidden["joints"][0]]["limit"], rel=0.01)
+    assert (1.0 - size["cut"]) * size["peak"] == pytest.approx(
+        hidden["size"][hidden["joints"][0]]["limit"], rel=0.01
+    )
 
 
 @pytest.mark.slow
@@ -132,18 +161,29 @@ def test_a_stop_that_a_third_of_the_stretches_hit_is_named(tmp_path):
     (hidden,) = json.loads((tmp_path / "world/truth.json").read_text())["effects"]
     report = diagnose(tmp_path / "world/recording")
     (named,) = report["effects"]
-    assert (named["name"], named["joints"], report["verdict"]) == ("hard_stop", hidden["joints"], "explained")
-    assert named["parameters"]["angle"]["value"] == pytest.approx(hidden["size"]["upper"]["angle"], rel=0.01)
+    assert (named["name"], named["joints"], report["verdict"]) == (
+        "hard_stop",
+        hidden["joints"],
+        "explained",
+    )
+    assert named["parameters"]["angle"]["value"] == pytest.approx(
+        hidden["size"]["upper"]["angle"], rel=0.01
+    )
 
 
 @pytest.mark.slow
 def test_friction_whose_bristles_bend_before_it_slides_is_named(tmp_path):
     report = diagnose(record_bristles(tmp_path / "lugre", level=0.3, deflection=0.03))
-    size = {e["name"]: {k: row["value"] for k, row in e["parameters"].items()} for e in report["effects"]}
+    size = {
+        e["name"]: {k: row["value"] for k, row in e["parameters"].items()}
+        for e in report["effects"]
+    }
     assert set(size) == {"coulomb", "presliding"}
     assert size["coulomb"]["level"] == pytest.approx(0.3, rel=0.05)
     assert size["presliding"]["compliance"] == pytest.approx(0.1, rel=0.05)
-    first = report["candidates"][:2]  # bristles take nothing off without the friction that they bend under
+    first = report["candidates"][
+        :2
+    ]  # bristles take nothing off without the friction that they bend under
     assert [(c["accepted"], c["held_out_gain"]) for c in first] == [
         (True, e["held_out_gain"]) for e in report["effects"]
     ]
@@ -160,10 +200,13 @@ def test_an_effect_whose_size_trades_places_with_inertias_is_named(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.xfail(
-    reason="named right and 4 % too small: the torque judges this world, and a noisy motion shrinks what it tells"
+    reason="named right and 4 % too small: the torque judges this world, and a noisy motion "
+    "shrinks what it tells"
 )
 def test_of_effects_that_do_as_well_the_simplest_has_the_name(tmp_path):
-    write_world(tmp_path / "world", "single", 761)  # a constant torque, for which a score test takes a stop
+    write_world(
+        tmp_path / "world", "single", 761
+    )  # a constant torque, for which a score test takes a stop
     (named,) = diagnose(tmp_path / "world/recording")["effects"]
     assert (named["name"], named["joints"]) == ("bias", ["pole"])
     assert named["parameters"]["torque"]["value"] == pytest.approx(-0.0432, rel=0.02)
@@ -172,7 +215,14 @@ def test_of_effects_that_do_as_well_the_simplest_has_the_name(tmp_path):
 @pytest.mark.slow
 def test_over_the_beginnings_of_stretches_friction_is_found_too(tmp_path):
     machine = load(record(tmp_path / "rub", friction=0.4), None)
-    problem = prepare(machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear, declared=machine.declared)
+    problem = prepare(
+        machine.tree,
+        machine.tracks,
+        MACHINE,
+        machine.actuator,
+        machine.gear,
+        declared=machine.declared,
+    )
     null, criteria = declared_vector(machine, problem), Criteria()
     model = declared(problem, null, criteria)
     nothing = Selection(model, model, (), (model,), (), (), (), problem.reach)
@@ -190,7 +240,9 @@ def test_where_nothing_is_hidden_nothing_is_named(tmp_path):
 @pytest.mark.long
 def test_torques_that_change_between_rows_are_no_effect(tmp_path):
     data = record(tmp_path / "fast", friction=0.0, rate=100, held=False, noise=5e-5)
-    others = [e.name for e in MACHINE if e.name not in ("viscous", "delay", "sensor_delay", "torque_gain")]
+    others = [
+        e.name for e in MACHINE if e.name not in ("viscous", "delay", "sensor_delay", "torque_gain")
+    ]
     report = diagnose(data, out=tmp_path / "out", exclude=tuple(others))
     assert (report["verdict"], report["effects"]) == ("within_noise", [])
     (note,) = [n for n in report["notes"] if "before their row" in n]
@@ -207,7 +259,9 @@ def test_the_folder_of_the_recordings_is_no_place_for_results(tmp_path, capsys):
 
 def test_a_trial_that_is_not_there_cannot_be_left_out(tmp_path, capsys):
     data = record(tmp_path / "rub", friction=0.1, trials=1, seconds=1.0)
-    assert cli.main(["diagnose", str(data), "--out", str(tmp_path / "out"), "--without", "nine"]) == 2
+    assert (
+        cli.main(["diagnose", str(data), "--out", str(tmp_path / "out"), "--without", "nine"]) == 2
+    )
     assert "no trial is named 'nine'" in capsys.readouterr().err
     assert json.dumps(sorted(p.name for p in tmp_path.iterdir())) == '["rub"]'
 
@@ -216,7 +270,10 @@ OTHERS = tuple(e.name for e in MACHINE if e.name not in ("viscous", "bias"))
 
 
 def test_a_gain_of_volts_that_was_found_is_told_and_stands_in_the_model(tmp_path):
-    data, out = record(tmp_path / "volts", friction=0.0, trials=5, seconds=1.5, rate=125), tmp_path / "out"
+    data, out = (
+        record(tmp_path / "volts", friction=0.0, trials=5, seconds=1.5, rate=125),
+        tmp_path / "out",
+    )
     for path in data.glob("trial_*.csv"):
         table = np.loadtxt(path, delimiter=",", skiprows=1)
         table[:, 2] /= 0.06  # N m/V

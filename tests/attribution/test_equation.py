@@ -1,5 +1,6 @@
-"""The balance of torques along a measured motion: exact where the motion is, blind to what shrinks with the torque, right about
-friction."""
+"""The balance of torques along a measured motion: exact where the motion is, blind to what shrinks
+with the torque, right about friction.
+"""
 
 import mujoco
 import numpy as np
@@ -35,7 +36,14 @@ HEAVY = """<mujoco><compiler angle="radian"/><option gravity="0 0 0"/><worldbody
 
 def prepared(folder, model=None):
     machine = load(folder, model)
-    problem = prepare(machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear, declared=machine.declared)
+    problem = prepare(
+        machine.tree,
+        machine.tracks,
+        MACHINE,
+        machine.actuator,
+        machine.gear,
+        declared=machine.declared,
+    )
     return machine, problem, balances(problem, machine.tracks)
 
 
@@ -43,7 +51,10 @@ def test_speed_and_acceleration_of_a_sine_are_its_own():
     time = np.arange(0.0, 8.0, 0.004)
     q = np.stack([np.sin(3.0 * time), 0.3 * np.cos(2.0 * time)], 1)
     (run,) = runs_of([Track("a", time, q, None, np.zeros_like(q))], np.full(2, 1e-6))
-    weigh = lambda z: run.averaged(z)
+
+    def weigh(z):
+        return run.averaged(z)
+
     assert weigh(run.a)[0] == pytest.approx(weigh(-9.0 * run.q)[0], abs=0.05)
     assert run.averaged(np.ones((1, len(run.time)))) == pytest.approx(1.0)
 
@@ -52,7 +63,10 @@ def test_the_true_model_misses_nothing_but_its_friction(tmp_path):
     data = record(tmp_path / "rub", friction=0.2, trials=2, held=False)
     truth = tmp_path / "truth.xml"
     truth.write_text(
-        (data / "model.xml").read_text().replace('mass="1.2"', 'mass="1.0"').replace('damping="0.01"', 'damping="0.02"')
+        (data / "model.xml")
+        .read_text()
+        .replace('mass="1.2"', 'mass="1.0"')
+        .replace('damping="0.01"', 'damping="0.02"')
     )
     _, problem, (balance,) = prepared(data, truth)
     missing = residual(problem, balance, NOTHING)[:, 0]
@@ -64,15 +78,19 @@ def test_the_true_model_misses_nothing_but_its_friction(tmp_path):
 
 def test_columns_are_slopes_of_what_is_missing(tmp_path):
     machine, problem, (balance,) = prepared(record(tmp_path / "rub", friction=0.2, trials=2))
-    vector = declared_vector(machine, problem).with_entries([
-        Entry("encoder_offset", "offset", (0,), 0.0, 0.0, -0.8, 0.8, "rad"),
-        Entry("encoder_scale", "scale", (0,), 0.0, 0.0, -0.5, 0.5, "1"),
-    ])  # fmt: skip
+    vector = declared_vector(machine, problem).with_entries(
+        [
+            Entry("encoder_offset", "offset", (0,), 0.0, 0.0, -0.8, 0.8, "rad"),
+            Entry("encoder_scale", "scale", (0,), 0.0, 0.0, -0.5, 0.5, "1"),
+        ]
+    )
     table = Table(problem, balance, vector)
     for k, entry in enumerate(vector.entries):
         step = np.zeros(len(vector))
         step[k] = 1e-4
-        slope = (residual(problem, balance, vector.at(vector.values + step)) - table.missing()) / -1e-4
+        slope = (
+            residual(problem, balance, vector.at(vector.values + step)) - table.missing()
+        ) / -1e-4
         assert table.of(entry) == pytest.approx(slope, abs=1e-3 * max(1.0, np.abs(slope).max()))
 
 
@@ -84,7 +102,9 @@ def test_an_actuator_that_does_nothing_leaves_as_much_as_it_was_told():
 def test_friction_is_found_in_seconds_and_nothing_beside(tmp_path):
     machine, problem, told = prepared(record(tmp_path / "rub", friction=0.2, trials=4, held=False))
     null = declared_vector(machine, problem)
-    found = said(problem, told, null, scaled_reach(problem, *own_inertia(problem, null)), Criteria(), False)
+    found = said(
+        problem, told, null, scaled_reach(problem, *own_inertia(problem, null)), Criteria(), False
+    )
     (named,) = found.named
     assert (named.candidate.effect, named.candidate.joints) == ("coulomb", (0,))
     value = found.final.values[found.final.index()["coulomb", "level", (0,)]]
@@ -92,16 +112,28 @@ def test_friction_is_found_in_seconds_and_nothing_beside(tmp_path):
 
 
 def test_a_dead_model_is_refused_by_yardstick_verdict_and_search(tmp_path):
-    """A body too heavy to move, driven by next to nothing, is a straight line, and a straight line a good forecast of slow motion."""
+    """A body too heavy to move, driven by next to nothing, is a straight line, and a straight line
+    a good forecast of slow motion.
+    """
     folder = tmp_path / "slow"
     folder.mkdir()
     rng = np.random.default_rng(3)
     time = np.arange(0.0, 12.0, 0.01)
     for k in range(2):
-        q = 0.3 * np.sin(0.4 * time + k) + 0.1 * np.sin(1.1 * time - k) + 1e-3 * rng.normal(size=len(time))
-        torque = 0.5 * rng.normal(size=len(time))  # of another machine: it has nothing to do with the motion
+        q = (
+            0.3 * np.sin(0.4 * time + k)
+            + 0.1 * np.sin(1.1 * time - k)
+            + 1e-3 * rng.normal(size=len(time))
+        )
+        torque = 0.5 * rng.normal(
+            size=len(time)
+        )  # of another machine: it has nothing to do with the motion
         np.savetxt(
-            folder / f"t{k}.csv", np.stack([time, q, torque], 1), delimiter=",", header="time,q1,tau1", comments=""
+            folder / f"t{k}.csv",
+            np.stack([time, q, torque], 1),
+            delimiter=",",
+            header="time,q1,tau1",
+            comments="",
         )
     (folder / "model.xml").write_text(HEAVY)
     mujoco.MjModel.from_xml_path(str(folder / "model.xml"))
@@ -115,8 +147,12 @@ def test_a_dead_model_is_refused_by_yardstick_verdict_and_search(tmp_path):
 
 
 def servo_log(folder, kp, kv, friction, limit="", late=0):
-    """A pendulum under a position servo, 3 trials of 12 s at 50 Hz; late: rows by which commands act after they are logged."""
-    model = mujoco.MjModel.from_xml_string(SERVO.format(kp=kp, kv=kv, friction=friction, limit=limit))
+    """A pendulum under a position servo, 3 trials of 12 s at 50 Hz; late: rows by which commands
+    act after they are logged.
+    """
+    model = mujoco.MjModel.from_xml_string(
+        SERVO.format(kp=kp, kv=kv, friction=friction, limit=limit)
+    )
     rng = np.random.default_rng(1)
     folder.mkdir()
     for k in range(3):
@@ -127,8 +163,16 @@ def servo_log(folder, kp, kv, friction, limit="", late=0):
             rows.append([i / 50, data.qpos[0] + 3e-4 * rng.normal(), target])
             data.ctrl[0] = rows[max(i - late, 0)][2]
             mujoco.mj_step(model, data, 20)
-        np.savetxt(folder / f"t{k}.csv", rows, delimiter=",", header="time,q_hinge,target_hinge", comments="")
-    (folder / "meta.toml").write_text('task = "mechanism"\nmodel = "model.xml"\ninput = "command"\n')
+        np.savetxt(
+            folder / f"t{k}.csv",
+            rows,
+            delimiter=",",
+            header="time,q_hinge,target_hinge",
+            comments="",
+        )
+    (folder / "meta.toml").write_text(
+        'task = "mechanism"\nmodel = "model.xml"\ninput = "command"\n'
+    )
     return folder
 
 
@@ -144,11 +188,15 @@ def test_command_errors_judge_a_servo_whose_gains_are_the_files(friction, tmp_pa
     )  # on disk before it is held against simulation
     assert [e["name"] for e in report["effects"]] == (["coulomb"] if friction else [])
     if friction:
-        assert report["effects"][0]["parameters"]["level"]["value"] == pytest.approx(friction, rel=0.1)
+        assert report["effects"][0]["parameters"]["level"]["value"] == pytest.approx(
+            friction, rel=0.1
+        )
 
 
 def test_a_late_command_does_not_hide_what_command_errors_tell(tmp_path):
-    """Until it is named, a stiff servo's errors are all lateness, and often beyond its limit: worse than no model."""
+    """Until it is named, a stiff servo's errors are all lateness, and often beyond its limit: worse
+    than no model.
+    """
     own = {"kp": 300.0, "kv": 8.0, "friction": 0.0, "limit": 'forcerange="-4 4"'}
     folder = servo_log(tmp_path / "servo", **own, late=2)
     (folder / "model.xml").write_text(SERVO.format(**own))
@@ -159,7 +207,9 @@ def test_a_late_command_does_not_hide_what_command_errors_tell(tmp_path):
 
 
 @pytest.mark.parametrize(("apart", "taken"), [(2.0, False), (4.0, True)])
-def test_a_gain_that_is_not_sure_to_be_another_than_the_files_is_not_taken(apart, taken, tmp_path, monkeypatch):
+def test_a_gain_that_is_not_sure_to_be_another_than_the_files_is_not_taken(
+    apart, taken, tmp_path, monkeypatch
+):
     folder = servo_log(tmp_path / "servo", 30.0, 2.0, 0.0)
     (folder / "model.xml").write_text(SERVO.format(kp=30.0, kv=2.0, friction=0.0, limit=""))
     machine = load(folder, None)
@@ -172,25 +222,39 @@ def test_a_gain_that_is_not_sure_to_be_another_than_the_files_is_not_taken(apart
 
 
 @pytest.mark.parametrize("limit", ["", 'forcerange="-3 3"'])
-def test_the_gains_of_a_servo_show_in_its_command_error_and_take_the_place_of_the_files(limit, tmp_path):
+def test_the_gains_of_a_servo_show_in_its_command_error_and_take_the_place_of_the_files(
+    limit, tmp_path
+):
     """With a limit the file's gains would be at it nearly always, which they are not."""
     folder = servo_log(tmp_path / "servo", 8.0, 0.8, 0.1)
     (folder / "model.xml").write_text(SERVO.format(kp=500.0, kv=2.0, friction=0.0, limit=limit))
     machine = load(folder, None)
     found, (own,) = servo.calibrated(machine, 0.5)
-    assert own.scale and own.kp == pytest.approx(8.0, rel=0.15) and own.damping == pytest.approx(0.8, rel=0.3)
-    assert own.coulomb == pytest.approx(0.1, rel=0.3) and own.p < 0.01
-    assert found.servo_times[0] == pytest.approx(8.0 / 500.0, rel=0.15) and found.actuator[3, 0] == 0.0
-    assert servo.calibrated(found, 0.5)[1] == ()  # as they are now, they are right
-    problem = prepare(found.tree, found.tracks, MACHINE, found.actuator, found.gear, declared=found.declared)
-    begun, effects = servo.friction_first(problem, NOTHING, (own,))  # no rotor, which would take its place
-    assert [(c.effect, c.joints) for c in effects] == [("coulomb", (0,))] and begun.values == pytest.approx(
-        [own.coulomb]
+    assert (
+        own.scale
+        and own.kp == pytest.approx(8.0, rel=0.15)
+        and own.damping == pytest.approx(0.8, rel=0.3)
     )
+    assert own.coulomb == pytest.approx(0.1, rel=0.3) and own.p < 0.01
+    assert (
+        found.servo_times[0] == pytest.approx(8.0 / 500.0, rel=0.15) and found.actuator[3, 0] == 0.0
+    )
+    assert servo.calibrated(found, 0.5)[1] == ()  # as they are now, they are right
+    problem = prepare(
+        found.tree, found.tracks, MACHINE, found.actuator, found.gear, declared=found.declared
+    )
+    begun, effects = servo.friction_first(
+        problem, NOTHING, (own,)
+    )  # no rotor, which would take its place
+    assert [(c.effect, c.joints) for c in effects] == [
+        ("coulomb", (0,))
+    ] and begun.values == pytest.approx([own.coulomb])
 
 
 def test_a_servo_at_its_limit_tells_nothing_of_its_gain(tmp_path, monkeypatch):
-    """Its command error is what it cannot reach: a softer servo leaves a third less of it than the file's, which is right."""
+    """Its command error is what it cannot reach: a softer servo leaves a third less of it than the
+    file's, which is right.
+    """
     own = {"kp": 30.0, "kv": 2.0, "friction": 0.0, "limit": 'forcerange="-0.4 0.4"'}
     folder = servo_log(tmp_path / "servo", **own)
     (folder / "model.xml").write_text(SERVO.format(**own))
@@ -198,7 +262,9 @@ def test_a_servo_at_its_limit_tells_nothing_of_its_gain(tmp_path, monkeypatch):
     (every,) = balances(problem, machine.tracks, trusted=False)
     (found,) = commands.servos(problem, every)
     assert found.file < 0.2 * found.left
-    monkeypatch.setattr(commands, "_limited", lambda asked, needs, clear: np.full(len(needs), np.inf))
+    monkeypatch.setattr(
+        commands, "_limited", lambda asked, needs, clear: np.full(len(needs), np.inf)
+    )
     (found,) = commands.servos(problem, every)
     assert found.kp < 3.0 and found.left < commands.LESS * found.file
     assert 0.3 < np.mean(trusted.clear > 0.01) < 0.7  # by the rows that are not at it
@@ -207,7 +273,9 @@ def test_a_servo_at_its_limit_tells_nothing_of_its_gain(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_what_the_torque_shows_of_a_real_servo_is_held_against_its_motion(tmp_path):
-    """The torque along the motion finds a rotor that simulates worse than none; friction that follows the load simulates better."""
+    """The torque along the motion finds a rotor that simulates worse than none; friction that
+    follows the load simulates better.
+    """
     folder = measured("measured_servo_pendulum")
     (tmp_path / "meta.toml").write_text(
         'task = "mechanism"\nmodel = "model.xml"\ninput = "voltage"\n[noise]\nv = 0.024\n'

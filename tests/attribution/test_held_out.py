@@ -21,21 +21,34 @@ from adaptsim_jax.attribution.weights import losses
 from adaptsim_jax.diagnosis.criteria import Criteria
 from tests.attribution.pendulum import record
 
-FEW = tuple(e for e in MACHINE if e.name in ("viscous", "coulomb", "bias") or e.place == "model")  # to be quick
+FEW = tuple(
+    e for e in MACHINE if e.name in ("viscous", "coulomb", "bias") or e.place == "model"
+)  # to be quick
 
 
 def test_of_what_no_other_trial_has_seen_a_trial_is_predicted_without(tmp_path):
-    """Only the first trial moves: without it nobody knows the damping. The others say nothing of it, and change nothing."""
+    """Only the first trial moves: without it nobody knows the damping. The others say nothing of
+    it, and change nothing.
+    """
     folder = record(tmp_path / "log", friction=0.0, trials=6, seconds=2.0, rate=125)
     rng = np.random.default_rng(0)
     for k in range(1, 6):
         rows = np.loadtxt(folder / f"trial_{k:02d}.csv", delimiter=",", skiprows=1)
         rows[:, 1:] = np.stack([2e-4 * rng.normal(size=len(rows)), np.zeros(len(rows))], 1)
-        np.savetxt(folder / f"trial_{k:02d}.csv", rows, delimiter=",", header="time,q1,tau1", comments="", fmt="%.8g")
+        np.savetxt(
+            folder / f"trial_{k:02d}.csv",
+            rows,
+            delimiter=",",
+            header="time,q1,tau1",
+            comments="",
+            fmt="%.8g",
+        )
     machine = load(folder)
     problem = prepare(machine.tree, machine.tracks, FEW, declared=machine.declared)
     vector = nuisances(problem, inertia=False)
-    free = tuple(replace(e, low=-1.0, high=1.0) for e in vector.entries)  # no bound at what it is where off
+    free = tuple(
+        replace(e, low=-1.0, high=1.0) for e in vector.entries
+    )  # no bound at what it is where off
     fitted = fit(problem, replace(vector, entries=free), rounds=5)
     (damping,) = fitted.vector.values
     assert damping > 0.005
@@ -47,7 +60,10 @@ def test_of_what_no_other_trial_has_seen_a_trial_is_predicted_without(tmp_path):
 def test_only_parameters_that_are_fitted_have_a_price():
     free = Entry("bias", "torque", (0,), 0.0, 0.0, -1.0, 1.0, "N m")
     held = replace(free, name="side", low=1.0, high=1.0)
-    model = lambda *entries: SimpleNamespace(fit=SimpleNamespace(vector=Vector(entries, np.zeros(len(entries)))))
+
+    def model(*entries):
+        return SimpleNamespace(fit=SimpleNamespace(vector=Vector(entries, np.zeros(len(entries)))))
+
     assert more(model(free, held), model()) == 1
     assert more(model(free, held), model(free)) == 0
     assert more(model(), model(free, free)) == -2
@@ -65,7 +81,10 @@ TWO = """<mujoco><compiler angle="radian"/><option timestep="0.001"/><worldbody>
 def two_legs(folder):
     """A problem with two groups of joints, of which the second rubs."""
     folder.mkdir()
-    rng, model = np.random.default_rng(3), mujoco.MjModel.from_xml_string(TWO.format(mass=1.0, friction=0.1))
+    rng, model = (
+        np.random.default_rng(3),
+        mujoco.MjModel.from_xml_string(TWO.format(mass=1.0, friction=0.1)),
+    )
     (folder / "model.xml").write_text(TWO.format(mass=1.2, friction=0.0))
     (folder / "meta.toml").write_text('task = "mechanism"\nmodel = "model.xml"\n')
     for trial in range(4):
@@ -77,7 +96,14 @@ def two_legs(folder):
                 data.qfrc_applied[:] = tau
                 mujoco.mj_step(model, data)
         header = "time,q1,q2,q3,tau1,tau2,tau3"
-        np.savetxt(folder / f"trial_{trial}.csv", rows, delimiter=",", header=header, comments="", fmt="%.8g")
+        np.savetxt(
+            folder / f"trial_{trial}.csv",
+            rows,
+            delimiter=",",
+            header=header,
+            comments="",
+            fmt="%.8g",
+        )
     machine = load(folder)
     return prepare(machine.tree, machine.tracks, FEW, declared=machine.declared)
 
@@ -89,13 +115,20 @@ def test_groups_that_a_change_does_not_touch_keep_their_numbers(tmp_path):
     base = modelled(problem, (), fit(problem, nuisances(problem), rounds=6))
     reach = scaled_reach(problem, *own_inertia(problem, base.fit.vector))
     scores = table(problem, base.lin, candidates(problem, base.fit.vector, reach))
-    score = next(s for s in scores if s.candidate.effect == "coulomb" and s.candidate.joints == (2,))
+    score = next(
+        s for s in scores if s.candidate.effect == "coulomb" and s.candidate.joints == (2,)
+    )
     vector, starts, loss = attempted(problem, base, reach, score)
-    assert loss == pytest.approx(losses(problem, run(problem, vector, starts), base.fit.weights), rel=1e-6)
+    assert loss == pytest.approx(
+        losses(problem, run(problem, vector, starts), base.fit.weights), rel=1e-6
+    )
     assert loss.sum() < 0.9 * base.fit.total
     one = refit(problem, vector, starts, (2,), 6, base.fit.weights)
     apart, whole = (modelled(problem, (score.candidate,), one, like=like) for like in (base, None))
-    assert apart.lin.residual[0] is base.lin.residual[0] and apart.lin.residual[1] is not base.lin.residual[1]
+    assert (
+        apart.lin.residual[0] is base.lin.residual[0]
+        and apart.lin.residual[1] is not base.lin.residual[1]
+    )
     for a, b in zip(apart.lin.shared, whole.lin.shared, strict=True):
         np.testing.assert_allclose(a, b, atol=1e-9 * np.abs(b).max())
     np.testing.assert_allclose(apart.held.vectors, whole.held.vectors, atol=1e-9)
@@ -103,7 +136,9 @@ def test_groups_that_a_change_does_not_touch_keep_their_numbers(tmp_path):
 
 
 def test_where_nothing_is_named_the_final_model_is_the_declared_one(tmp_path, monkeypatch):
-    """An effect that was in the model and went leaves a fit behind it that may lie in another minimum, with heavier bodies."""
+    """An effect that was in the model and went leaves a fit behind it that may lie in another
+    minimum, with heavier bodies.
+    """
     machine = load(record(tmp_path / "log", friction=0.0, trials=6, seconds=1.5, rate=125))
     problem = prepare(machine.tree, machine.tracks, FEW, declared=machine.declared)
     null = nuisances(problem, inertia=False)

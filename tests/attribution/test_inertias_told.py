@@ -39,7 +39,11 @@ def test_what_a_joint_carries_is_the_mass_matrix_of_mujoco(machine, found):
     mujoco.mj_forward(model, data)
     mujoco.mj_fullM(model, data, full)
     carried = [_carried(machine, found, j)[0] for j in range(3)]
-    assert [q.name for q in carried] == ["inertia about shoulder", "inertia about elbow", "mass on rail"]
+    assert [q.name for q in carried] == [
+        "inertia about shoulder",
+        "inertia about elbow",
+        "mass on rail",
+    ]
     np.testing.assert_allclose([q.values[0] for q in carried], np.diagonal(full), rtol=1e-9)
 
 
@@ -66,14 +70,25 @@ def test_what_is_said_to_be_unlike_the_model_file():
         rest = {"unit": "kg m^2", "identifiable": fixed, "combination": True, "file": 0.1}
         return {"value": value, "low": value - width, "high": value + width} | rest
 
-    rows = {"heavier": row(0.2, 0.01), "alike": row(0.102, 0.001), "wide": row(0.2, 0.2), "loose": row(0.9, 0.1, False)}
-    assert otherwise(rows) == ["Unlike the model file, by these data: heavier 0.2 kg m^2 (file 0.1)."]
+    rows = {
+        "heavier": row(0.2, 0.01),
+        "alike": row(0.102, 0.001),
+        "wide": row(0.2, 0.2),
+        "loose": row(0.9, 0.1, False),
+    }
+    assert otherwise(rows) == [
+        "Unlike the model file, by these data: heavier 0.2 kg m^2 (file 0.1)."
+    ]
     assert otherwise({"alike": rows["alike"]}) == []
-    nothing = row(2e-4, 1e-5) | {"file": 0.0}  # beside a moment of 0.1, whether the data fix that or not
+    nothing = row(2e-4, 1e-5) | {
+        "file": 0.0
+    }  # beside a moment of 0.1, whether the data fix that or not
     assert otherwise({"nothing": nothing, "loose": rows["loose"]}) == []
 
 
 def test_a_damping_that_the_file_gives_is_said_to_be_another():
     row = {"value": 0.25, "low": 0.24, "high": 0.26, "unit": "N m s/rad", "identifiable": True}
     rows = {"damping of hip": row | {"file": 0.75}, "damping of knee": row | {"file": 0.0}}
-    assert otherwise(rows) == ["Unlike the model file, by these data: damping of hip 0.25 N m s/rad (file 0.75)."]
+    assert otherwise(rows) == [
+        "Unlike the model file, by these data: damping of hip 0.25 N m s/rad (file 0.75)."
+    ]

@@ -1,4 +1,6 @@
-"""Joints of an effect that do not show it by themselves: they go together only where the rest predicts as well."""
+"""Joints of an effect that do not show it by themselves: they go together only where the rest
+predicts as well.
+"""
 
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
@@ -28,24 +30,45 @@ class Small:
 @pytest.mark.parametrize(("most", "stay"), [(4, ()), (2, (2, 3)), (1, (1, 2, 3)), (0, JOINTS)])
 def test_weak_joints_go_together_while_the_rest_predicts_as_well(most, stay, monkeypatch):
     """None shows by itself; without more than `most` of them the model predicts worse."""
-    gone = lambda model: len(JOINTS) - len(model.added[0].joints) if model.added else len(JOINTS)
-    trim = lambda problem, model, keys, criteria: replace(
-        model, added=tuple(c.at(left) for c in model.added if (left := [e for e in c.entries if e.key not in keys]))
-    )
-    worse = lambda n: Paired(0.5 if n > most else 0.0, 1e-4 if n > most else 0.5, 6, 6, 60)
+
+    def gone(model):
+        return len(JOINTS) - len(model.added[0].joints) if model.added else len(JOINTS)
+
+    def trim(problem, model, keys, criteria):
+        return replace(
+            model,
+            added=tuple(
+                c.at(left)
+                for c in model.added
+                if (left := [e for e in c.entries if e.key not in keys])
+            ),
+        )
+
+    def worse(n):
+        return Paired(0.5 if n > most else 0.0, 1e-4 if n > most else 0.5, 6, 6, 60)
+
     monkeypatch.setattr(
-        backward, "without", lambda p, m, c, criteria: replace(m, held=SimpleNamespace(loss=c.joints[0]))
+        backward,
+        "without",
+        lambda p, m, c, criteria: replace(m, held=SimpleNamespace(loss=c.joints[0])),
     )
     monkeypatch.setattr(backward, "steadiness", lambda model, c: 9.0)
     monkeypatch.setattr(backward, "why_not", lambda *a: "left-out stretches do not confirm it")
     monkeypatch.setattr(
-        backward, "trimmed", lambda *a: replace(m := trim(*a), held=SimpleNamespace(loss=0, paths=gone(m)))
+        backward,
+        "trimmed",
+        lambda *a: replace(m := trim(*a), held=SimpleNamespace(loss=0, paths=gone(m))),
     )
     monkeypatch.setattr(backward, "losses", lambda problem, paths, weights: (paths,))
     monkeypatch.setattr(backward, "more", lambda large, small: 1)
-    alone = lambda joint: Paired(0.001 * (joint + 1), 0.5, 3, 6, 60)
+
+    def alone(joint):
+        return Paired(0.001 * (joint + 1), 0.5, 3, 6, 60)
+
     monkeypatch.setattr(
-        backward, "paired", lambda p, less, whole: worse(less[0]) if isinstance(less, tuple) else alone(less)
+        backward,
+        "paired",
+        lambda p, less, whole: worse(less[0]) if isinstance(less, tuple) else alone(less),
     )
     whole = Small((Candidate("coulomb", JOINTS, "all", ENTRIES),))
     trace: list = []

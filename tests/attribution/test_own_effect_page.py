@@ -1,4 +1,6 @@
-"""The blocks of docs/your-own-effect.md run, in order, as a reader would paste them, in an empty folder."""
+"""The blocks of docs/your-own-effect.md run, in order, as a reader would paste them, in an empty
+folder.
+"""
 
 import re
 from pathlib import Path
@@ -30,13 +32,22 @@ def test_the_pages_blocks_run(tmp_path, monkeypatch, capsys):
 def test_a_model_takes_its_effects_from_the_library_it_was_read_with():
     size = Parameter("size", "N m", -1.0, 1.0, 0.0)
     mine = Effect("mine", "force", (size,), lambda p, m: p["size"] * m.q, "physics", "excitation")
-    value = lambda x, unit: Value(x, x, x, unit)
+
+    def value(x, unit):
+        return Value(x, x, x, unit)
+
     declared = {"m1": value(1.5, "kg"), "m2": value(1.4, "kg")}
     declared |= {"b1": value(1.2, "N m s/rad"), "b2": value(1.8, "N m s/rad")}
-    geometry, added = {"l1": 1.0, "l2": 1.0, "g": 9.81}, (AddedEffect("mine", "joint2", {"size": value(0.1, "N m")}),)
-    make = lambda library: ModelFile(
-        "pendulum", "linearized", "upright", geometry, declared, added, library=tuple(library)
+    geometry, added = (
+        {"l1": 1.0, "l2": 1.0, "g": 9.81},
+        (AddedEffect("mine", "joint2", {"size": value(0.1, "N m")}),),
     )
+
+    def make(library):
+        return ModelFile(
+            "pendulum", "linearized", "upright", geometry, declared, added, library=tuple(library)
+        )
+
     space, _ = mended_space(make((*catalogue("pendulum"), mine)))
     assert space.names[-1] == "mine_joint2_size"
     assert make_world(make([mine])).model.layout.effects == (mine,)

@@ -10,7 +10,14 @@ import pytest
 from adaptsim_jax.attribution.acting import Values, actuated
 from adaptsim_jax.attribution.catalogue import MACHINE, sensor_delay
 from adaptsim_jax.attribution.drive_effects import drive_play
-from adaptsim_jax.attribution.parameters import ETA, Entry, Vector, inertial_of, inertias, pseudo_inertia
+from adaptsim_jax.attribution.parameters import (
+    ETA,
+    Entry,
+    Vector,
+    inertial_of,
+    inertias,
+    pseudo_inertia,
+)
 from adaptsim_jax.attribution.problem import Group, Problem, beginnings, nuisances, prepare
 from adaptsim_jax.attribution.score import Candidate
 from adaptsim_jax.attribution.select import _acting
@@ -88,9 +95,18 @@ def test_a_late_sensor_says_what_was_before_between_uneven_rows(delay):
     with jax.enable_x64(True):
         steps = 0.004 + 0.001 * np.random.default_rng(0).random(99)
         t = np.cumsum(np.concatenate([[0.0], steps]))[:, None, None]
-        angle = lambda t: np.concatenate([np.sin(7 * t + 0.3), np.cos(5 * t)], 1)
-        speed = lambda t: np.concatenate([7 * np.cos(7 * t + 0.3), -5 * np.sin(5 * t)], 1)
-        read = lambda d: sensor_delay({"delay": d}, jnp.asarray(t), jnp.asarray(angle(t)), jnp.asarray(speed(t)), None)
+
+        def angle(t):
+            return np.concatenate([np.sin(7 * t + 0.3), np.cos(5 * t)], 1)
+
+        def speed(t):
+            return np.concatenate([7 * np.cos(7 * t + 0.3), -5 * np.sin(5 * t)], 1)
+
+        def read(d):
+            return sensor_delay(
+                {"delay": d}, jnp.asarray(t), jnp.asarray(angle(t)), jnp.asarray(speed(t)), None
+            )
+
         at, known = jnp.full((1, 2, 1), delay), int(np.ceil(delay / 0.004))
         (q, v), (slope, _) = jax.jvp(read, (at,), (jnp.ones_like(at),))
         q, v, slope = np.asarray(q), np.asarray(v), np.asarray(slope)
@@ -103,9 +119,25 @@ def test_a_late_sensor_says_what_was_before_between_uneven_rows(delay):
 
 
 def test_of_a_stretch_only_the_beginning_is_seen():
-    group = Group(cast(Any, None), (0, 1), cut([track()], 0.5), np.zeros((6, 2)), np.ones(2), inertias(ROD[None]))
+    group = Group(
+        cast(Any, None),
+        (0, 1),
+        cut([track()], 0.5),
+        np.zeros((6, 2)),
+        np.ones(2),
+        inertias(ROD[None]),
+    )
     whole = Problem(
-        (group,), ("a", "b"), ("hinge",) * 2, (), cast(Any, None), np.zeros(4, int), ("a",), False, {}, np.zeros(4)
+        (group,),
+        ("a", "b"),
+        ("hinge",) * 2,
+        (),
+        cast(Any, None),
+        np.zeros(4, int),
+        ("a",),
+        False,
+        {},
+        np.zeros(4),
     )
     (short,) = beginnings(whole, 0.2).groups
     assert short.stretches.seen[:26].all() and not short.stretches.seen[26:].any()
@@ -116,12 +148,17 @@ def test_an_effect_at_all_joints_is_told_where_it_acts():
     entries = tuple(Entry("coulomb", "level", (j,), 0.0, 0.0, 0.0, 1.0, "N m") for j in range(3))
     everywhere = Candidate("coulomb", (0, 1, 2), "all", entries)
     acting, still = _acting(Vector(entries, np.array([0.0, 0.2, 0.0])), everywhere)
-    assert (acting.joints, acting.sharing, still) == ((1,), "joint", [entries[0].key, entries[2].key])
+    assert (acting.joints, acting.sharing, still) == (
+        (1,),
+        "joint",
+        [entries[0].key, entries[2].key],
+    )
     assert _acting(Vector(entries, np.zeros(3)), everywhere) == (everywhere, [])
 
 
 @pytest.mark.parametrize(
-    ("unit", "slide"), [("N m", "N"), ("kg m^2", "kg"), ("rad/(N m)", "m/N"), ("1", "1"), ("s", "s")]
+    ("unit", "slide"),
+    [("N m", "N"), ("kg m^2", "kg"), ("rad/(N m)", "m/N"), ("1", "1"), ("s", "s")],
 )
 def test_units_are_those_of_the_joint(unit, slide):
     assert (unit_at(unit, "hinge"), unit_at(unit, "slide")) == (unit, slide)
@@ -129,22 +166,40 @@ def test_units_are_those_of_the_joint(unit, slide):
 
 @pytest.mark.parametrize("target", [-1.0, -0.01, 0.003, 0.03, 1.0])
 def test_a_controller_behind_play_answers_to_what_its_encoder_reads(target):
-    """kp (target - reading), with the link held at 0: none of it acts while the motor is between the sides of the play."""
+    """kp (target - reading), with the link held at 0: none of it acts while the motor is between
+    the sides of the play.
+    """
     kp, gap, width = 40.0, 0.0625, 0.01
-    wide = lambda z: jnp.full((1, 1), z)
+
+    def wide(z):
+        return jnp.full((1, 1), z)
+
     law = jnp.array([kp, 0.0, -kp, 0.0, -np.inf, np.inf])[:, None, None]
     effects = {"drive_play": {"gap": wide(gap), "width": wide(width)}}
-    torque = actuated(Values(None, None, law, wide(1.0), effects), wide(0.0), wide(0.0), wide(target))[0]
+    torque = actuated(
+        Values(None, None, law, wide(1.0), effects), wide(0.0), wide(0.0), wide(target)
+    )[0]
     time, still = jnp.arange(4.0)[:, None], jnp.zeros((4, 1))
-    reading = drive_play({"gap": gap, "width": width}, time, still, still, still[0], torque + still)[0]
+    reading = drive_play(
+        {"gap": gap, "width": width}, time, still, still, still[0], torque + still
+    )[0]
     np.testing.assert_allclose(torque[0], kp * (target - reading[0]), rtol=1e-4, atol=1e-5)
-    assert abs(float(reading[0, 0])) <= gap / 2 and (abs(target) > gap / 2 or abs(float(torque[0, 0])) < width)
+    assert abs(float(reading[0, 0])) <= gap / 2 and (
+        abs(target) > gap / 2 or abs(float(torque[0, 0])) < width
+    )
 
 
 def test_a_joint_that_nothing_drives_may_have_friction_though_its_file_has_none():
-    """Its torque scale is that of its own weight, not of an actuator it lacks: a bound of 0 would hold its damping there."""
-    tree = make_tree(["hinge"], [-1], np.zeros((1, 3)), np.array([[[0, 0, -1.0], [0, 1.0, 0], [1.0, 0, 0]]]),
-                     np.array([[1.0, 0.0, 0.0, 0.3, 0.1, 0.0, 0.0, 0.1, 0.0, 0.01]]))  # fmt: skip
+    """Its torque scale is that of its own weight, not of an actuator it lacks: a bound of 0 would
+    hold its damping there.
+    """
+    tree = make_tree(
+        ["hinge"],
+        [-1],
+        np.zeros((1, 3)),
+        np.array([[[0, 0, -1.0], [0, 1.0, 0], [1.0, 0, 0]]]),
+        np.array([[1.0, 0.0, 0.0, 0.3, 0.1, 0.0, 0.0, 0.1, 0.0, 0.01]]),
+    )
     time = np.arange(0.0, 4.0, 0.005)
     track = Track("swing", time, 0.5 * np.sin(5.0 * time)[:, None], None, np.zeros((len(time), 1)))
     problem = prepare(tree, (track,), tuple(e for e in MACHINE if e.name == "viscous"))

@@ -30,7 +30,9 @@ def test_written_as_mjcf_it_has_the_same_base_parameters_and_gravity(tmp_path, z
     file = tmp_path / "double_pendulum.xml"
     file.write_text(double_pendulum_mjcf(THETA, {"l1": L1}, zero))
     tree = read_mechanism(file).tree
-    np.testing.assert_allclose(base_parameters(np.asarray(tree.inertial), L1, down), THETA[:4], rtol=1e-7)
+    np.testing.assert_allclose(
+        base_parameters(np.asarray(tree.inertial), L1, down), THETA[:4], rtol=1e-7
+    )
     np.testing.assert_allclose(tree.damping, THETA[4:])
     q = np.array([0.4, -1.1])
     with jax.enable_x64(True):
@@ -38,7 +40,9 @@ def test_written_as_mjcf_it_has_the_same_base_parameters_and_gravity(tmp_path, z
         # a tilt of the base, as the pendulum's catalogue has it, is one about the world's y axis
         for angle in (0.0, 0.2):
             turned = tilted(np.asarray(tree.gravity), 0.0, angle)
-            told = dynamics.gravity_force(tree, jnp.asarray(tree.inertial), jnp.asarray(q), jnp.asarray(turned))
+            told = dynamics.gravity_force(
+                tree, jnp.asarray(tree.inertial), jnp.asarray(q), jnp.asarray(turned)
+            )
             right = plant.gravity_force(jnp.asarray(THETA), jnp.asarray(q + np.array([angle, 0.0])))
             np.testing.assert_allclose(np.abs(told), np.abs(right), rtol=1e-6)
 
@@ -52,18 +56,29 @@ def test_on_a_real_rig_friction_holds_out_and_the_files_say_the_same(tmp_path):
     report = diagnose_pendulum(recording.replace(trials=some), out=tmp_path)
     assert report["verdict"] == "partly_explained"
     assert "coulomb" in {e["name"] for e in report["effects"]}
-    held_out = {m: replay(load(folder, tmp_path / m).without([t.name for t in some])).told() for m in FILES}
+    held_out = {
+        m: replay(load(folder, tmp_path / m).without([t.name for t in some])).told() for m in FILES
+    }
     assert set(held_out["model.toml"]["trials"]) == set(others)
-    for mended in ("model.toml", "model.xml"):  # the second has a look-alike for what MJCF cannot hold
+    for mended in (
+        "model.toml",
+        "model.xml",
+    ):  # the second has a look-alike for what MJCF cannot hold
         assert held_out[mended]["median"] < 0.7 * held_out["declared.xml"]["median"]
     if {e["name"] for e in report["effects"]} <= set(HELD):
-        assert held_out["model.xml"]["median"] == pytest.approx(held_out["model.toml"]["median"], rel=0.05)
+        assert held_out["model.xml"]["median"] == pytest.approx(
+            held_out["model.toml"]["median"], rel=0.05
+        )
 
 
 FILES = ("declared.xml", "model.xml", "model.toml")
 
 
 def test_what_a_replay_leaves_out_of_a_mended_model_is_told():
-    effect = SimpleNamespace(name="coulomb", where="joint1", parameters={"level": 0.3, "width": 1e-3})
+    effect = SimpleNamespace(
+        name="coulomb", where="joint1", parameters={"level": 0.3, "width": 1e-3}
+    )
     model: Any = SimpleNamespace(effects=(effect,))
-    assert left_out(model) == ["coulomb at joint1 is simulated without its width, which diagnose has"]
+    assert left_out(model) == [
+        "coulomb at joint1 is simulated without its width, which diagnose has"
+    ]

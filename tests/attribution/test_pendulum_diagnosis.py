@@ -1,5 +1,6 @@
-"""`task = "pendulum"` from files to a report and back: friction sized, data that contradict themselves, a mended model as the declared
-one, a linearized world, an effect of one's own."""
+"""`task = "pendulum"` from files to a report and back: friction sized, data that contradict
+themselves, a mended model as the declared one, a linearized world, an effect of one's own.
+"""
 
 import shutil
 from dataclasses import replace
@@ -63,41 +64,67 @@ def test_rows_that_the_audit_found_spiked_are_not_fitted(tmp_path):
     rest = masked(usable(recording, checked), checked)
     np.testing.assert_allclose(first_parameters(rest, checked)[:4], TRUE[:4], rtol=0.15)
     holes = replace(checked, valid={t.name: np.arange(len(t.time)) % 50 > 0 for t in rest.trials})
-    torn = masked(usable(recording, checked), holes)  # no part is as long as one that is smoothed by itself
+    torn = masked(
+        usable(recording, checked), holes
+    )  # no part is as long as one that is smoothed by itself
     assert np.all(np.isfinite(first_parameters(torn, holes)))
 
 
 @pytest.mark.long
 def test_an_effect_at_all_joints_stays_where_it_is(tmp_path):
-    """Dry friction put in at both joints, of which the second rubs: tested at each, it is left at that one, refitted."""
+    """Dry friction put in at both joints, of which the second rubs: tested at each, it is left at
+    that one, refitted.
+    """
     recording = read_recording(
         written(tmp_path, make_trials(3, 4, 2.0, 100.0, noise=0.2, extra=rubbing, velocity=False))
     )
-    machine = declared_machine(recording, first_parameters(recording, audit(recording)), tmp_path / "declared.xml")
-    problem = prepare(machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear, declared=machine.declared)
+    machine = declared_machine(
+        recording, first_parameters(recording, audit(recording)), tmp_path / "declared.xml"
+    )
+    problem = prepare(
+        machine.tree,
+        machine.tracks,
+        MACHINE,
+        machine.actuator,
+        machine.gear,
+        declared=machine.declared,
+    )
     null = in_the_plane(declared_vector(machine, problem))
     reach = scaled_reach(problem, *own_inertia(problem, null))
-    (both,) = [c for c in candidates(problem, null, reach) if c.effect == "coulomb" and c.sharing == "all"]
+    (both,) = [
+        c for c in candidates(problem, null, reach) if c.effect == "coulomb" and c.sharing == "all"
+    ]
     assert [c.joints for c in both.split()] == [(0,), (1,)]
     model = modelled(problem, (both,), fit(problem, null.with_entries(both.entries), rounds=8))
     trace: list = []
     less = of_members(problem, model, Criteria(), trace, lambda note: None)
     assert [(c.effect, c.joints, c.sharing) for c in less.added] == [("coulomb", (1,), "joint")]
     assert [s.candidate.joints for s in trace] == [(0,)]
-    values = {e.key: z for e, z in zip(less.fit.vector.entries, less.fit.vector.values, strict=True)}
+    values = {
+        e.key: z for e, z in zip(less.fit.vector.entries, less.fit.vector.values, strict=True)
+    }
     assert values["coulomb", "level", (1,)] == pytest.approx(LEVEL, rel=0.1)
     assert ("coulomb", "level", (0,)) not in values
 
 
 @pytest.mark.long
 def test_play_begins_at_what_was_read_with_the_link_at_either_end(tmp_path):
-    """An encoder with a play of 0.15 rad at joint 1: from 0.1 rad the gap is found, and little more than the noise is left."""
+    """An encoder with a play of 0.15 rad at joint 1: from 0.1 rad the gap is found, and little more
+    than the noise is left.
+    """
     trials = make_trials(3, 4, 2.0, 200.0, noise=0.2, velocity=False)
     for trial in trials:
         trial.q[:, 0] = read_with_play(trial.q[:, 0], 0.075)
     recording = read_recording(written(tmp_path, trials))
     machine = declared_machine(recording, np.array(TRUE), tmp_path / "declared.xml")
-    problem = prepare(machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear, declared=machine.declared)
+    problem = prepare(
+        machine.tree,
+        machine.tracks,
+        MACHINE,
+        machine.actuator,
+        machine.gear,
+        declared=machine.declared,
+    )
     null = in_the_plane(declared_vector(machine, problem))
     every = candidates(problem, null, scaled_reach(problem, *own_inertia(problem, null)))
     play = next(c for c in every if c.effect == "backlash" and c.joints == (0,))
@@ -136,8 +163,13 @@ def test_friction_is_named_and_a_second_pass_on_the_mended_model_finds_nothing(t
 
 
 def test_what_an_earlier_run_left_in_the_folder_goes(tmp_path):
-    """A recording that contradicts itself has no model; that of the run before is not this report's."""
-    stale = [tmp_path / "out" / name for name in ("model.toml", "leading.toml", "next_experiment.csv", "model.xml")]
+    """A recording that contradicts itself has no model; that of the run before is not this
+    report's.
+    """
+    stale = [
+        tmp_path / "out" / name
+        for name in ("model.toml", "leading.toml", "next_experiment.csv", "model.xml")
+    ]
     (tmp_path / "out").mkdir()
     for file in stale:
         file.write_text("old")
@@ -168,7 +200,9 @@ def test_a_linearized_tree_is_the_papers_linear_model(tmp_path):
         inertial, gravity = jnp.asarray(tree.inertial), jnp.asarray(tree.gravity)
         linear = replace(tree, linear=True)
         got = equations.acceleration(linear, inertial, q, v, force, jnp.zeros(2), gravity)
-        np.testing.assert_allclose(got, right, rtol=2e-2)  # two bodies near point masses, as MJCF can write them
+        np.testing.assert_allclose(
+            got, right, rtol=2e-2
+        )  # two bodies near point masses, as MJCF can write them
         full = dynamics.acceleration(tree, inertial, q, v, force, jnp.zeros(2), gravity)
         assert np.abs(np.asarray(full - right)).max() > 1.0
         a = equations.acceleration(linear, inertial, q, v, force, jnp.zeros(2), gravity)
@@ -184,7 +218,9 @@ def test_of_two_effects_of_a_linearized_world_both_are_named(tmp_path):
     found = {(e["name"], e["where"]) for e in report["effects"]}
     assert {("coulomb", "joint2"), ("spring", "joint1")} <= found, report["message"]
     assert set(report["declared"]["after"]) == {"m1", "m2", "b1", "b2"} and "task_reward" in report
-    assert not (tmp_path / "out" / "model.xml").exists() and (tmp_path / "out" / "model.toml").exists()
+    assert (
+        not (tmp_path / "out" / "model.xml").exists() and (tmp_path / "out" / "model.toml").exists()
+    )
 
 
 @pytest.mark.slow
@@ -192,8 +228,22 @@ def test_an_effect_of_ones_own_competes(tmp_path):
     def pull(p, m):
         return -p["size"] * jnp.sin(3.0 * m.q)
 
-    mine = Effect("mine", "force", (Parameter("size", "N m", -1.0, 1.0, 0.0),), pull, "a magnet", "wide angles")
-    trials = make_trials(5, 4, 3.0, 100.0, noise=0.2, extra=lambda t, q, v, u: np.array([-0.1 * np.sin(3 * q[0]), 0.0]))
+    mine = Effect(
+        "mine",
+        "force",
+        (Parameter("size", "N m", -1.0, 1.0, 0.0),),
+        pull,
+        "a magnet",
+        "wide angles",
+    )
+    trials = make_trials(
+        5,
+        4,
+        3.0,
+        100.0,
+        noise=0.2,
+        extra=lambda t, q, v, u: np.array([-0.1 * np.sin(3 * q[0]), 0.0]),
+    )
     data = written(tmp_path, trials)
     few = tuple(e for e in catalogue("mechanism") if e.name in ("bias", "coulomb"))
     report = diagnose(data, effects=(*few, mine))
@@ -204,7 +254,12 @@ def test_an_effect_of_ones_own_competes(tmp_path):
 @pytest.mark.parametrize(("known", "file"), [({}, None), ({"m1": 1.0}, None), ({}, "rig.xml")])
 def test_a_gain_of_either_joint_is_the_same_where_no_mass_is_known(known, file):
     """Twice the torque of joint 2 on masses M is half of that of joint 1 on M / 2."""
-    gain = {"name": "torque_gain", "where": "joint2", "alternatives": [], "parameters": {"gain": {"value": 1.0}}}
+    gain = {
+        "name": "torque_gain",
+        "where": "joint2",
+        "alternatives": [],
+        "parameters": {"gain": {"value": 1.0}},
+    }
     report = {"effects": [gain], "verdict": "explained", "notes": []}
     pendulum_diagnosis._of_unknown_masses(report, SimpleNamespace(known=known, model_file=file))
     if known or file:
@@ -215,7 +270,9 @@ def test_a_gain_of_either_joint_is_the_same_where_no_mass_is_known(known, file):
 
 
 def test_links_are_thin_enough_for_rigs_whose_mass_sits_at_their_ends(tmp_path):
-    """Base parameters of a rig with little moment about its centres of mass are reached by the fitted links, from others."""
+    """Base parameters of a rig with little moment about its centres of mass are reached by the
+    fitted links, from others.
+    """
     theta, wanted, l1 = (
         np.array([0.070, 0.0355, 0.122, 0.081, 0.0, 0.0]),
         np.array([0.1404, 0.0798, 0.2808, 0.2139]),

@@ -21,11 +21,20 @@ def test_the_true_model_errs_by_the_noise_and_the_declared_one_by_more(data):
     right, declared = replay_files(true, data).told(), replay_files(None, data).told()
     assert right["median"] < 4e-4  # the noise is 2e-4
     assert declared["median"] > 10.0 * right["median"]
-    assert right["unit"] == "rad" and right["horizon"] == 0.5 and set(right["trials"]) == {"trial_00", "trial_01"}
+    assert (
+        right["unit"] == "rad"
+        and right["horizon"] == 0.5
+        and set(right["trials"]) == {"trial_00", "trial_01"}
+    )
 
 
 def test_the_command_prints_json_and_draws(data, tmp_path, capsys):
-    assert cli.main(["replay", str(data / "model.xml"), str(data), "--json", "--out", str(tmp_path / "out")]) == 0
+    assert (
+        cli.main(
+            ["replay", str(data / "model.xml"), str(data), "--json", "--out", str(tmp_path / "out")]
+        )
+        == 0
+    )
     told = json.loads(capsys.readouterr().out)
     assert {"median", "rms", "unit", "horizon", "joints", "trials"} <= set(told)
     assert np.isfinite(told["median"]) and (tmp_path / "out" / "replay.png").stat().st_size > 10_000

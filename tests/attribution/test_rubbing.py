@@ -29,9 +29,13 @@ FINGER = """<mujoco><compiler angle="radian"/><option timestep="1e-4" integrator
 
 
 def finger_log(folder, law="", near=0.1, noise=1e-4, declared=(0.1, 0.08)):
-    """A folder whose file has friction as MuJoCo has it; logs by MuJoCo with another law, or another level."""
+    """A folder whose file has friction as MuJoCo has it; logs by MuJoCo with another law, or
+    another level.
+    """
     file = FINGER.format(law="", near=declared[0], far=declared[1])
-    return servo_log(folder, file, FINGER.format(law=law, near=near, far=declared[1]), 8, noise=noise)
+    return servo_log(
+        folder, file, FINGER.format(law=law, near=near, far=declared[1]), 8, noise=noise
+    )
 
 
 def prepared(folder):
@@ -46,13 +50,18 @@ def shown(folder) -> bool:
     null = filed(declared_vector(machine, problem))
     reach = scaled_reach(problem, *own_inertia(problem, null))
     told = balances(problem, machine.tracks)
-    return rubbing(problem, machine.tree, told, lambda b: part_of(null, b), reach, Criteria(), True)[0] is not problem
+    return (
+        rubbing(problem, machine.tree, told, lambda b: part_of(null, b), reach, Criteria(), True)[0]
+        is not problem
+    )
 
 
 @pytest.mark.long
 def test_a_simulators_friction_is_simulated(tmp_path):
     """Half a second from the best start: 0.12 mrad beside MuJoCo, and 0.32 with sharp friction."""
-    machine, problem = prepared(finger_log(tmp_path / "log", near=0.4, noise=0.0, declared=(0.4, 0.3)))
+    machine, problem = prepared(
+        finger_log(tmp_path / "log", near=0.4, noise=0.0, declared=(0.4, 0.3))
+    )
     off = []
     for p in (problem, giving(problem, machine.tree)):
         _, (path,) = fitted_starts(p, Vector((), np.zeros(0)))
@@ -63,7 +72,8 @@ def test_a_simulators_friction_is_simulated(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("law", "near", "gives"), [("", 0.1, True), ("", 0.2, True), (SHARP, 0.1, False), (SHARP, 0.2, False)]
+    ("law", "near", "gives"),
+    [("", 0.1, True), ("", 0.2, True), (SHARP, 0.1, False), (SHARP, 0.2, False)],
 )
 def test_which_law_a_recording_shows(tmp_path, law, near, gives):
     assert shown(finger_log(tmp_path / "log", law, near)) is gives
@@ -75,7 +85,9 @@ def test_a_level_that_the_file_lacks_is_named_beside_friction_that_gives(tmp_pat
     assert (effect["name"], effect["where"]) == ("coulomb", "near")
     assert effect["parameters"]["level"]["value"] == pytest.approx(0.2, abs=0.01)
     assert any("gives" in note for note in report["notes"])
-    assert not any("cannot hold" in note for note in report["notes"])  # commands that are read early are no loss
+    assert not any(
+        "cannot hold" in note for note in report["notes"]
+    )  # commands that are read early are no loss
     mended = load(tmp_path / "log", tmp_path / "out" / "model.toml")
     assert mended.gives and np.median(replay(mended).error) < 1.2e-4  # rad; noise 1e-4
 
@@ -83,7 +95,9 @@ def test_a_level_that_the_file_lacks_is_named_beside_friction_that_gives(tmp_pat
 def test_a_ramp_is_the_sign_of_a_speed_where_it_is_narrow_and_straight_where_it_is_not():
     v = np.linspace(-1.0, 1.0, 41)
     assert ramp(v, np.full(1, 0.1), np.zeros(1)) == pytest.approx(np.tanh(v / 0.1), abs=1e-6)
-    assert ramp(v, np.full(1, 1e-4), np.full(1, 0.5)) == pytest.approx(np.clip(v / 0.5, -1.0, 1.0), abs=1e-3)
+    assert ramp(v, np.full(1, 1e-4), np.full(1, 0.5)) == pytest.approx(
+        np.clip(v / 0.5, -1.0, 1.0), abs=1e-3
+    )
 
 
 def test_columns_of_a_joint_that_nothing_drives_are_finite(tmp_path):
@@ -94,13 +108,24 @@ def test_columns_of_a_joint_that_nothing_drives_are_finite(tmp_path):
     (folder / "model.xml").write_text(passive)
     for path in folder.glob("run_*.csv"):
         names, rows = path.read_text().splitlines()[0], np.loadtxt(path, delimiter=",", skiprows=1)
-        np.savetxt(path, rows[:, :-1], delimiter=",", header=names.rsplit(",", 1)[0], comments="", fmt="%.9g")
+        np.savetxt(
+            path,
+            rows[:, :-1],
+            delimiter=",",
+            header=names.rsplit(",", 1)[0],
+            comments="",
+            fmt="%.9g",
+        )
     machine, problem = prepared(folder)
     soft = giving(problem, machine.tree)
     (balance,) = balances(soft, machine.tracks)
     assert problem.reach.torque[1] == 0.0
     vector = filed(declared_vector(machine, problem))
     reach = scaled_reach(problem, *own_inertia(problem, vector))
-    entries = [c.entries[0] for c in candidates(soft, vector, reach) if c.effect == "coulomb" and c.sharing == "joint"]
+    entries = [
+        c.entries[0]
+        for c in candidates(soft, vector, reach)
+        if c.effect == "coulomb" and c.sharing == "joint"
+    ]
     column = Table(soft, balance, vector).stack(entries)
     assert np.isfinite(column).all() and np.all(np.ptp(column, axis=0).diagonal() > 0.0)

@@ -1,4 +1,6 @@
-"""Rules of the search along the measured motion, each on numbers made for it, and on an arm that meets a stop."""
+"""Rules of the search along the measured motion, each on numbers made for it, and on an arm that
+meets a stop.
+"""
 
 from types import SimpleNamespace
 
@@ -25,9 +27,12 @@ def one(effect, name="level", low=0.0, shape=()):
 
 def test_an_arm_that_meets_its_stop_tells_how_late_damping_acts(tmp_path, monkeypatch):
     folder = arm_log(tmp_path / "stop", limit='forcerange="-60 60"', range_='range="-0.25 2"')
-    late = lambda found: dict(zip([e.owner for e in found.final.entries], found.final.values, strict=True))[
-        DAMPING_STEP
-    ]
+
+    def late(found):
+        return dict(zip([e.owner for e in found.final.entries], found.final.values, strict=True))[
+            DAMPING_STEP
+        ]
+
     _, free, held = searched(folder)
     assert not held.named and not free.named
     assert late(held) == pytest.approx(0.5 * STEP, abs=0.2 * STEP)
@@ -38,7 +43,10 @@ def test_an_arm_that_meets_its_stop_tells_how_late_damping_acts(tmp_path, monkey
 
 def test_much_at_one_joint_outweighs_little_at_the_others():
     rows = SimpleNamespace(fold=BLOCKS // 5, block=BLOCKS)
-    loss = lambda first, rest: SimpleNamespace(loss=np.tile([first, *[rest] * 5], (20, 1)))
+
+    def loss(first, rest):
+        return SimpleNamespace(loss=np.tile([first, *[rest] * 5], (20, 1)))
+
     assert compared(rows, loss(1.0, 1.0), loss(0.1, 1.2), [0]).overall > 0.0
     assert compared(rows, loss(1.0, 1.0), loss(0.1, 2.0), [0]).overall < 0.0
 
@@ -61,7 +69,9 @@ def test_of_two_numbers_one_that_is_somewhat_large_is_not_steady():
     )
 
 
-@pytest.mark.parametrize(("follows", "told"), [(True, "how exactly speeds are read"), (False, "less than 3 %")])
+@pytest.mark.parametrize(
+    ("follows", "told"), [(True, "how exactly speeds are read"), (False, "less than 3 %")]
+)
 def test_a_controllers_gain_within_what_speeds_tell_is_no_name(follows, told):
     c = one("position_gain", "gain", low=-0.9)
     state = SimpleNamespace(
@@ -73,35 +83,55 @@ def test_a_controllers_gain_within_what_speeds_tell_is_no_name(follows, told):
         balance=SimpleNamespace(joints=1),
     )
     solved = SimpleNamespace(
-        entries=c.entries, step=np.array([0.0013]), error=np.array([1e-5]), columns=np.ones((20, 1, 1))
+        entries=c.entries,
+        step=np.array([0.0013]),
+        error=np.array([1e-5]),
+        columns=np.ones((20, 1, 1)),
     )
     test = SimpleNamespace(p=1e-4, gain=0.3, overall=0.1)
     assert told in why_not(state, solved, c, test, 0.02, 0.01)
 
 
 @pytest.mark.parametrize(("friction_alone", "instead"), [(0.101, None), (0.3, "dead_zone")])
-def test_one_effect_takes_the_place_of_two_only_where_neither_does_by_itself(friction_alone, instead, monkeypatch):
-    """Soft friction of a simulator is friction and a trifle of a rotor, not a dead zone of its servo."""
+def test_one_effect_takes_the_place_of_two_only_where_neither_does_by_itself(
+    friction_alone, instead, monkeypatch
+):
+    """Soft friction of a simulator is friction and a trifle of a rotor, not a dead zone of its
+    servo.
+    """
     losses = {
-        (): 1.0, ("coulomb", "armature"): 0.1, ("coulomb",): friction_alone, ("armature",): 0.9, ("dead_zone",): 0.09,
-    }  # fmt: skip
+        (): 1.0,
+        ("coulomb", "armature"): 0.1,
+        ("coulomb",): friction_alone,
+        ("armature",): 0.9,
+        ("dead_zone",): 0.09,
+    }
     state = SimpleNamespace(
-        rows=SimpleNamespace(fold=BLOCKS // 5, block=BLOCKS), criteria=Criteria(), limits=LIMITS,
-        set_of=lambda some: SimpleNamespace(loss=np.full((20, 1), losses[tuple(c.effect for c in some)])),
-        settled=lambda rest, c: c, own=lambda *some: [0],
+        rows=SimpleNamespace(fold=BLOCKS // 5, block=BLOCKS),
+        criteria=Criteria(),
+        limits=LIMITS,
+        set_of=lambda some: SimpleNamespace(
+            loss=np.full((20, 1), losses[tuple(c.effect for c in some)])
+        ),
+        settled=lambda rest, c: c,
+        own=lambda *some: [0],
         problem=SimpleNamespace(effect=lambda name: SimpleNamespace(describes=False)),
-    )  # fmt: skip
+    )
     monkeypatch.setattr(search, "ranked", lambda state, now, some: list(some))
     monkeypatch.setattr(search, "why_not", lambda *a: "")
     monkeypatch.setattr(search, "at_bound", lambda *a: False)
-    found = search._one_for_two(state, [one("coulomb"), one("armature", "inertia")], [one("dead_zone", "width")], [])
+    found = search._one_for_two(
+        state, [one("coulomb"), one("armature", "inertia")], [one("dead_zone", "width")], []
+    )
     assert (found and found[0].effect) == instead
 
 
 def test_a_shift_has_its_column_at_its_own_value():
-    told = lambda added: SimpleNamespace(
-        step=np.array([0.003 - 0.02 * dict(added[-1].shape)["lag"]])
-    )  # of a grid's, too small
+    def told(added):
+        return SimpleNamespace(
+            step=np.array([0.003 - 0.02 * dict(added[-1].shape)["lag"]])
+        )  # of a grid's, too small
+
     lag = one("actuator_lag", "lag", shape=(("lag", 0.06),))
     state = SimpleNamespace(set_of=told)
     at = dict(Searched.settled(state, [], lag).shape)["lag"]
@@ -118,9 +148,18 @@ def test_a_column_at_its_bound_does_not_hide_what_goes_the_other_way():
     rows = rows_of(missing, missing, np.zeros(400, int), time, np.full(1, 1e-3), np.ones_like(x))
     gain = one("torque_gain", "gain", low=-0.9)
     state = SimpleNamespace(
-        rows=rows, null=Vector((), np.zeros(0)), table=SimpleNamespace(stack=lambda entries, shape: -0.5 * x[..., None]),
-        own=lambda c: [0], carry=lambda c: 1.0, limits=LIMITS,
-    )  # fmt: skip
-    at = lambda level: SimpleNamespace(entries=one("coulomb").entries, columns=x[..., None], step=np.array([level]))
+        rows=rows,
+        null=Vector((), np.zeros(0)),
+        table=SimpleNamespace(stack=lambda entries, shape: -0.5 * x[..., None]),
+        own=lambda c: [0],
+        carry=lambda c: 1.0,
+        limits=LIMITS,
+    )
+
+    def at(level):
+        return SimpleNamespace(
+            entries=one("coulomb").entries, columns=x[..., None], step=np.array([level])
+        )
+
     assert ranked(state, at(0.0), [gain]) == [gain]
     assert ranked(state, at(1e-6), [gain]) == []

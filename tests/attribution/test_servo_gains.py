@@ -1,4 +1,6 @@
-"""Gains of position servos that a regression takes for others than the file's, and a whole fit brings back."""
+"""Gains of position servos that a regression takes for others than the file's, and a whole fit
+brings back.
+"""
 
 from types import SimpleNamespace
 
@@ -24,7 +26,11 @@ BELT = """<mujoco><option timestep="0.001"/><worldbody><body name="carriage">
 @pytest.fixture(scope="module")
 def belt(tmp_path_factory):
     """A healthy belt's log: three trials of 6 s at 100 Hz of the model in the file."""
-    folder, model, rng = tmp_path_factory.mktemp("belt"), mujoco.MjModel.from_xml_string(BELT), np.random.default_rng(7)
+    folder, model, rng = (
+        tmp_path_factory.mktemp("belt"),
+        mujoco.MjModel.from_xml_string(BELT),
+        np.random.default_rng(7),
+    )
     (folder / "belt.xml").write_text(BELT)
     (folder / "meta.toml").write_text('task = "mechanism"\nmodel = "belt.xml"\n')
     for trial in range(3):
@@ -35,13 +41,22 @@ def belt(tmp_path_factory):
                 data.ctrl[0] = size @ np.sin(speed * data.time + phase) * min(1.0, 2 * data.time)
                 rows.append([data.time, data.qpos[0] + rng.normal(0, 2e-5), data.ctrl[0]])
             mujoco.mj_step(model, data)
-        np.savetxt(folder / f"move_{trial}.csv", rows, "%.7f", ",", header="time,q_belt,target_belt", comments="")
+        np.savetxt(
+            folder / f"move_{trial}.csv",
+            rows,
+            "%.7f",
+            ",",
+            header="time,q_belt,target_belt",
+            comments="",
+        )
     return folder
 
 
 @pytest.mark.long
 def test_a_gain_that_the_fit_brings_back_to_the_files_is_the_files(belt):
-    """Of a slide without weight only kp over mass is told: a regression is led astray by lags of a fraction of a row."""
+    """Of a slide without weight only kp over mass is told: a regression is led astray by lags of a
+    fraction of a row.
+    """
     assert servo.calibrated(load(belt, None), 0.5)[1]  # it is misled
     report = diagnose(belt)
     assert (report["verdict"], report["effects"]) == ("within_noise", [])
@@ -56,8 +71,13 @@ def test_a_gain_that_stays_far_from_the_files_is_told_in_its_own_unit(belt):
     machine = load(belt, None)
     own = servo.Servo(0, 40.0, 2.0, 0.0, 0.0, 0.0, True, 9.0, 1.0, 0.1, 1.0, 1e-4)
     found = servo.with_gains(machine, [own])
-    assert found.servo_times[0] == pytest.approx(0.1) and np.array_equal(found.actuator[:3], 0.1 * machine.actuator[:3])
-    at = lambda gain: SimpleNamespace(entries=servo.servo_entries((own,)), values=np.array([gain]))
+    assert found.servo_times[0] == pytest.approx(0.1) and np.array_equal(
+        found.actuator[:3], 0.1 * machine.actuator[:3]
+    )
+
+    def at(gain):
+        return SimpleNamespace(entries=servo.servo_entries((own,)), values=np.array([gain]))
+
     assert servo.still_off(found, (own,), at(0.5)) == (own,)
     assert servo.still_off(found, (own,), at(8.9)) == ()
     (row,) = servo.servo_rows(found, machine, (own,), at(0.5), np.array([0.01]))
@@ -66,14 +86,24 @@ def test_a_gain_that_stays_far_from_the_files_is_told_in_its_own_unit(belt):
     rows = {"damping of belt": {"value": 24.1, "file": 4.0}}
     servo.damped_by_file(rows, machine, (own,))
     assert rows["damping of belt"]["file"] == pytest.approx(24.0)  # kv is 20
-    report = {"effects": [], "verdict": "within_noise", "message": "It simulates. Nothing need be added."}
+    report = {
+        "effects": [],
+        "verdict": "within_noise",
+        "message": "It simulates. Nothing need be added.",
+    }
     with_rows(report, [row])
-    assert report["message"] == "kp is not the file's: belt 60 N/m. It simulates. Nothing more need be added."
+    assert (
+        report["message"]
+        == "kp is not the file's: belt 60 N/m. It simulates. Nothing more need be added."
+    )
 
 
 def test_friction_that_is_simulated_soft_is_not_said_to_leave_a_rest():
     named = [SimpleNamespace(candidate=SimpleNamespace(effect="coulomb"))]
-    group = lambda rub: SimpleNamespace(model=SimpleNamespace(tree=SimpleNamespace(rub=np.array([rub]))))
+
+    def group(rub):
+        return SimpleNamespace(model=SimpleNamespace(tree=SimpleNamespace(rub=np.array([rub]))))
+
     assert soft_friction(SimpleNamespace(groups=[group(0.0)]), named, "partly_explained", 2.0)
     assert not soft_friction(SimpleNamespace(groups=[group(0.01)]), named, "partly_explained", 2.0)
 
@@ -87,7 +117,9 @@ def test_where_nothing_was_fitted_no_fitted_value_is_recommended():
 
 
 def test_a_limit_that_the_file_lacks_is_no_softer_servo(tmp_path):
-    """What its command errors show is told by the file's gains, cut off, far better than by any others."""
+    """What its command errors show is told by the file's gains, cut off, far better than by any
+    others.
+    """
     own = {"kp": 30.0, "kv": 2.0, "friction": 0.0}
     folder = servo_log(tmp_path / "servo", **own, limit='forcerange="-0.4 0.4"')
     (folder / "model.xml").write_text(SERVO.format(**own, limit=""))
@@ -105,7 +137,9 @@ def test_a_limit_is_told_from_a_gain():
 
 
 def test_a_limit_is_told_in_newton_metres():
-    row = lambda value, low, high, unit: {"value": value, "low": low, "high": high, "unit": unit}
+    def row(value, low, high, unit):
+        return {"value": value, "low": low, "high": high, "unit": unit}
+
     numbers = {"cut[lift]": row(0.95, 0.94, 0.97, "1"), "peak[lift]": row(80.0, 80.0, 80.0, "N m")}
     told = with_limits(numbers)
     assert told["limit[lift]"] == pytest.approx(row(4.0, 2.4, 4.8, "N m"))

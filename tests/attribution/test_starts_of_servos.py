@@ -1,4 +1,6 @@
-"""Starts of long stretches of a machine that follows commands: what a start's speed does dies out between the rows that are summed."""
+"""Starts of long stretches of a machine that follows commands: what a start's speed does dies out
+between the rows that are summed.
+"""
 
 import numpy as np
 
@@ -19,7 +21,9 @@ def test_a_start_is_not_flung_away_for_what_is_left_elsewhere(tmp_path):
     path.write_text(XML)
     time = np.arange(1000) / 50.0
     target = 0.3 * np.sin(2.0 * time)[:, None]
-    measured = 0.3 * np.sin(2.0 * (time - 0.08))[:, None] + 0.01 * np.sign(np.cos(2.0 * time))[:, None]
+    measured = (
+        0.3 * np.sin(2.0 * (time - 0.08))[:, None] + 0.01 * np.sign(np.cos(2.0 * time))[:, None]
+    )
     tracks = [Track("whole", time, measured, None, target)]
     problem = prepare(read_mechanism(path).tree, tracks, (MACHINE[0],), LAW, np.ones(1), 19.0)
     found = forecast(problem, Vector((), np.zeros(0)))

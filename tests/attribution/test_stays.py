@@ -17,20 +17,28 @@ GOOD = Paired(0.4, 0.0001, 6, 6, 24)
 
 
 def judged(delay=0.01, angles=0.5, test=GOOD, steady=27.0, floor=0.1, least=0.0, describes=False):
-    """Of a delay [s] that leaves `angles` times the error of the angles without it, at a noise floor."""
+    """Of a delay [s] that leaves `angles` times the error of the angles without it, at a noise
+    floor.
+    """
     entry = Entry("delay", "delay", (0,), 0.0, 0.0, -0.1, 0.1, "s")
     candidate = Candidate("delay", (0,), "joint", (entry,))
     vector: Any = SimpleNamespace(entries=(entry,), values=np.array([delay]))
-    of: Any = lambda size: SimpleNamespace(
-        fit=SimpleNamespace(vector=vector), held=SimpleNamespace(squared=np.full((8, 2), size**2))
-    )
+
+    def of(size):
+        return SimpleNamespace(
+            fit=SimpleNamespace(vector=vector),
+            held=SimpleNamespace(squared=np.full((8, 2), size**2)),
+        )
+
     problem: Any = SimpleNamespace(
         reach=SimpleNamespace(dt=DT),
         fold=np.zeros(8, int),
         joints=1,
         floor=np.full(2, floor),
         least=least,
-        effect=lambda name: SimpleNamespace(describes=describes, amplitudes=(SimpleNamespace(name="delay"),)),
+        effect=lambda name: SimpleNamespace(
+            describes=describes, amplitudes=(SimpleNamespace(name="delay"),)
+        ),
     )
     return why_not(problem, of(angles), of(1.0), candidate, test, steady, Criteria())
 
@@ -65,13 +73,21 @@ def test_bristles_that_bend_within_the_noise_are_no_effect(floor, stays):
     level = Entry("coulomb", "level", (0,), 0.0, 0.0, 0.0, 9.0, "N m")
     entry = Entry("presliding", "compliance", (0,), 0.0, 0.0, 0.0, 9.0, "rad/(N m)")
     vector: Any = SimpleNamespace(entries=(level, entry), values=np.array([0.3, 1e-4]))
-    of: Any = lambda size: SimpleNamespace(
-        fit=SimpleNamespace(vector=vector), held=SimpleNamespace(squared=np.full((8, 2), (size * floor) ** 2))
-    )
+
+    def of(size):
+        return SimpleNamespace(
+            fit=SimpleNamespace(vector=vector),
+            held=SimpleNamespace(squared=np.full((8, 2), (size * floor) ** 2)),
+        )
+
     problem: Any = SimpleNamespace(
-        reach=SimpleNamespace(dt=DT, torque=np.array([1.0])), fold=np.zeros(8, int), joints=1, floor=np.full(2, floor), least=0.0,
+        reach=SimpleNamespace(dt=DT, torque=np.array([1.0])),
+        fold=np.zeros(8, int),
+        joints=1,
+        floor=np.full(2, floor),
+        least=0.0,
         effect=lambda name: SimpleNamespace(describes=False, amplitudes=()),
-    )  # fmt: skip
+    )
     candidate = Candidate("presliding", (0,), "joint", (entry,))
     why = why_not(problem, of(2.0), of(9.0), candidate, GOOD, 27.0, Criteria())
     assert (why == "") is stays and ("break away within" in why) is not stays
@@ -84,16 +100,27 @@ def test_commands_between_rows_are_how_rows_are_read(rows, read):
         fit=SimpleNamespace(vector=SimpleNamespace(entries=(entry,), values=np.array([rows * DT])))
     )
     problem: Any = SimpleNamespace(joints=2, reach=SimpleNamespace(dt=DT, peak=np.ones(2)))
-    assert bool(between_rows(problem, model, Candidate("delay", (0, 1), "common", (entry,)), Criteria())) is read
+    assert (
+        bool(
+            between_rows(problem, model, Candidate("delay", (0, 1), "common", (entry,)), Criteria())
+        )
+        is read
+    )
 
 
 def test_steadiness_is_that_of_an_effect_all_else_held():
-    """Two folds' equations in an effect and an inertia that trade places: each fold wants the effect, whatever it wants of both."""
+    """Two folds' equations in an effect and an inertia that trade places: each fold wants the
+    effect, whatever it wants of both.
+    """
     entries = tuple(Entry(k, k, (0,), 0.0, 0.0, -9.0, 9.0, "1") for k in ("coulomb", "inertia"))
     hess = np.array([[[1.0, 1.0], [1.0, 1.001]], [[1.0, 1.0], [1.0, 1.002]]])
     slope = np.array([[0.01, 0.011], [-0.01, -0.011]])
     model: Any = SimpleNamespace(
         fit=SimpleNamespace(vector=SimpleNamespace(entries=entries, values=np.array([0.5, 0.2]))),
-        held=SimpleNamespace(vectors=np.zeros((2, 2)), normal=SimpleNamespace(hess=hess, slope=slope)),
+        held=SimpleNamespace(
+            vectors=np.zeros((2, 2)), normal=SimpleNamespace(hess=hess, slope=slope)
+        ),
     )
-    assert steadiness(model, Candidate("coulomb", (0,), "joint", entries[:1])) == pytest.approx(50.0, rel=1e-3)
+    assert steadiness(model, Candidate("coulomb", (0,), "joint", entries[:1])) == pytest.approx(
+        50.0, rel=1e-3
+    )

@@ -1,4 +1,6 @@
-"""Controllers that are faster than the steps of a simulation: a light wrist on an arm, logged at 30 Hz."""
+"""Controllers that are faster than the steps of a simulation: a light wrist on an arm, logged at 30
+Hz.
+"""
 
 from dataclasses import replace
 
@@ -45,10 +47,18 @@ def test_stiff_steps_follow_what_many_small_ones_do(arm, kind):
     (path,) = run(problem, vector, starts_of(problem))
     plain = replace(how, stiff=False)
     with jax.enable_x64(True):
-        make = lambda how: np.asarray(simulate(group.model, values, s.time, s.stamp, s.command, s.start, how).x)
+
+        def make(how):
+            return np.asarray(
+                simulate(group.model, values, s.time, s.stamp, s.command, s.start, how).x
+            )
+
         true, lost = make(replace(plain, substeps=600)), make(replace(plain, substeps=12))
         long = make(replace(how, substeps=12))
-    off = lambda x: np.sqrt(np.mean((x[:, :2] - true[:, :2]) ** 2))
+
+    def off(x):
+        return np.sqrt(np.mean((x[:, :2] - true[:, :2]) ** 2))
+
     assert np.abs(true[:, :2]).max() > 0.5
     assert not off(lost) < 0.1  # Runge and Kutta's method at these steps
     assert off(path.x) < 1e-3 and off(path.x) < 0.3 * off(long)

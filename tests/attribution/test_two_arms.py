@@ -1,4 +1,6 @@
-"""What all joints share (a late computer, a simulator's step) where two arms on one base share no moving body."""
+"""What all joints share (a late computer, a simulator's step) where two arms on one base share no
+moving body.
+"""
 
 import pytest
 
@@ -19,20 +21,37 @@ ONE = """<body pos="0 {at} 0"><joint name="{side}_lift" axis="0 1 0" armature="0
 <body pos="0 0 -0.4"><joint name="{side}_elbow" axis="0 1 0" armature="0.01"/>
 <inertial pos="0 0 -0.1" mass="0.5" diaginertia="2e-3 2e-3 1e-3"/></body></body>"""
 NAMES = ("left_lift", "left_elbow", "right_lift", "right_elbow")
-SERVOS = "".join(f'<position name="{n}" joint="{n}" kp="800" kv="{30 if "lift" in n else 8}"/>' for n in NAMES)
+SERVOS = "".join(
+    f'<position name="{n}" joint="{n}" kp="800" kv="{30 if "lift" in n else 8}"/>' for n in NAMES
+)
 ARMS = f"""<mujoco><compiler angle="radian"/><option timestep="{STEP}"/><worldbody>{ONE.format(at=-0.3, side="left")}
 {ONE.format(at=0.3, side="right")}</worldbody><actuator>{SERVOS}</actuator></mujoco>"""
 
 
 def test_a_simulators_steps_are_no_effect_of_either_arm(tmp_path):
     machine = load(servo_log(tmp_path / "log", ARMS, ARMS, 4), None)
-    problem = prepare(machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear, declared=machine.declared)
+    problem = prepare(
+        machine.tree,
+        machine.tracks,
+        MACHINE,
+        machine.actuator,
+        machine.gear,
+        declared=machine.declared,
+    )
     null = filed(declared_vector(machine, problem))
     reach = scaled_reach(problem, *own_inertia(problem, null))
     found = said(problem, balances(problem, machine.tracks), null, reach, Criteria(), True)
-    assert not {n.candidate.effect for n in found.named} & {"position_gain", "torque_gain", "armature", "actuator_lag"}
+    assert not {n.candidate.effect for n in found.named} & {
+        "position_gain",
+        "torque_gain",
+        "armature",
+        "actuator_lag",
+    }
     values = {e.key: z for e, z in zip(found.final.entries, found.final.values, strict=True)}
-    for arm in (0, 1), (2, 3):  # a command acts as if at the middle of a step, and damping at another time in it
+    for arm in (
+        (0, 1),
+        (2, 3),
+    ):  # a command acts as if at the middle of a step, and damping at another time in it
         assert 0.0 < abs(values[DAMPING_STEP, "step", arm]) < STEP
         assert values["delay", "delay", arm] == pytest.approx(-0.5 * STEP, abs=0.2 * STEP)
 

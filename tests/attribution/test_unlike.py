@@ -1,4 +1,6 @@
-"""Joints that are not as the model says in a way that no effect is: followers that do not follow, servos that do not move."""
+"""Joints that are not as the model says in a way that no effect is: followers that do not follow,
+servos that do not move.
+"""
 
 from dataclasses import replace
 
@@ -47,25 +49,46 @@ def test_nothing_is_sought_at_a_joint_that_is_unlike_the_model_but_what_all_shar
     problem = replace(problem, unlike=(1,))
     null = filed(declared_vector(machine, problem))
     reach = scaled_reach(problem, *own_inertia(problem, null))
-    here = {c.effect for c in candidates(problem, null, reach) if 1 in c.joints and c.effect != "tilt"}
-    assert here == {"delay", "actuator_lag", "sensor_delay", "sensor_lag", "torque_gain"}  # with one value for all
+    here = {
+        c.effect for c in candidates(problem, null, reach) if 1 in c.joints and c.effect != "tilt"
+    }
+    assert here == {
+        "delay",
+        "actuator_lag",
+        "sensor_delay",
+        "sensor_lag",
+        "torque_gain",
+    }  # with one value for all
     (balance,) = balances(problem, machine.tracks)
     assert np.all(balance.clear[:, 1] == NOTHING) and np.mean(balance.clear[:, 0] > NOTHING) > 0.9
 
 
 def test_servos_that_do_not_follow_say_nothing_of_their_gains(tmp_path):
-    for law, joints in ('stiffness="1e4"', []), ("", [0, 1]):  # held by a brake, which the file has not
+    for law, joints in (
+        ('stiffness="1e4"', []),
+        ("", [0, 1]),
+    ):  # held by a brake, which the file has not
         machine, problem = prepared(finger_log(tmp_path / f"log{len(law)}", law))
         (balance,) = balances(problem, machine.tracks, trusted=False)
         assert [s.joint for s in servos(problem, balance)] == joints
-        gaps = [replace(t, q=np.where(np.arange(len(t.q))[:, None] % 7 == 0, np.nan, t.q)) for t in machine.tracks]
+        gaps = [
+            replace(t, q=np.where(np.arange(len(t.q))[:, None] % 7 == 0, np.nan, t.q))
+            for t in machine.tracks
+        ]
         unseen = replace(machine.tracks[0], q=np.full_like(machine.tracks[0].q, np.nan))
         told = standing(replace(machine, tracks=tuple(gaps)))
         assert standing(replace(machine, tracks=(unseen, *gaps[1:]))) == []
-        assert len(told) == (not joints) and (joints or all(f"{j} (" in told[0] for j in machine.tree.joint_names))
+        assert len(told) == (not joints) and (
+            joints or all(f"{j} (" in told[0] for j in machine.tree.joint_names)
+        )
 
 
 def test_joints_that_are_told_how_fast_to_go_are_held_too():
-    position, velocity, motor, damped = [9.0, 0, -9.0, -1.0], [50.0, 0, 0, -50.0], [1.0, 0, 0, 0], [0.0, 0, 0, -2.0]
+    position, velocity, motor, damped = (
+        [9.0, 0, -9.0, -1.0],
+        [50.0, 0, 0, -50.0],
+        [1.0, 0, 0, 0],
+        [0.0, 0, 0, -2.0],
+    )
     law = np.array([[*row, -np.inf, np.inf] for row in (position, velocity, motor, damped)]).T
     assert held(law).tolist() == [True, True, False, False]

@@ -1,4 +1,6 @@
-"""A task of one decision a trial whose every answer is known: an action times a hidden gain lands at `gain * action + bias`."""
+"""A task of one decision a trial whose every answer is known: an action times a hidden gain lands
+at `gain * action + bias`.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -43,7 +45,9 @@ def probe_task() -> Task:
         contexts = jax.random.uniform(key, (2, 1), minval=-1.0)
         return contexts, lands(params[None], act(policy, contexts))
 
-    score = lambda trajectory: jax.vmap(reward)(trajectory[1], trajectory[0]).mean()
+    def score(trajectory):
+        return jax.vmap(reward)(trajectory[1], trajectory[0]).mean()
+
     return Task(
         name="probe",
         space=SPACE,
@@ -53,7 +57,9 @@ def probe_task() -> Task:
         init_policy=lambda key: jnp.array([1.5, 0.0]),
         train=lambda key, dist, policy: SPACE.physical(dist.mean),
         rollout=rollout,
-        observe=lambda trajectory: jnp.nan_to_num(jnp.concatenate([t.reshape(-1) for t in trajectory]), nan=4.0),
+        observe=lambda trajectory: jnp.nan_to_num(
+            jnp.concatenate([t.reshape(-1) for t in trajectory]), nan=4.0
+        ),
         score=score,
         reference=lambda params: jnp.zeros(()),
         reward=lambda trajectory, reference: score(trajectory),
@@ -70,7 +76,10 @@ def _tune(key, policy, contexts, actions, outcomes, used):
 
 def probe(breaks_above: float = np.inf) -> OneShot:
     task = probe_task()
-    oracle = lambda world, params: best_actions(world, params, TESTS, reward, (401,), shared=True)[0]
+
+    def oracle(world, params):
+        return best_actions(world, params, TESTS, reward, (401,), shared=True)[0]
+
     return OneShot(
         task=task,
         tests=TESTS,
@@ -78,7 +87,9 @@ def probe(breaks_above: float = np.inf) -> OneShot:
         action_dim=1,
         draw=lambda key: jax.random.uniform(key, (1,), minval=-1.0),
         act=act,
-        explore=lambda key, policy, contexts: act(policy, contexts) + 0.1 * jax.random.normal(key, contexts.shape),
+        explore=lambda key, policy, contexts: (
+            act(policy, contexts) + 0.1 * jax.random.normal(key, contexts.shape)
+        ),
         reward=reward,
         trajectory=lambda contexts, outcomes: (contexts, outcomes),
         train_uniform=lambda key: jnp.array([1.5, 0.0]),

@@ -19,7 +19,9 @@ class ProbeTrajectory(NamedTuple):
 
 
 def probe_task() -> Task:
-    """The policy is the mean of E; the observation mixes parameters and policy linearly, so both are recovered exactly."""
+    """The policy is the mean of E; the observation mixes parameters and policy linearly, so both
+    are recovered exactly.
+    """
 
     def rollout(key, policy, params):
         u = SPACE.unit(params)
@@ -43,7 +45,9 @@ def probe_task() -> Task:
 
 
 def probe_problem() -> Problem:
-    """`cost = 1 + w (p - policy)^2`, policy = params: UDR is the centre, the best in Omega the target clipped to it."""
+    """`cost = 1 + w (p - policy)^2`, policy = params: UDR is the centre, the best in Omega the
+    target clipped to it.
+    """
     weights = np.array([1.0, 0.01])
 
     def cost(params, policy):

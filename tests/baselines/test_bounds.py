@@ -1,4 +1,6 @@
-"""UDR, best in Omega, gradient descent and the step grid's ceiling against answers that are known."""
+"""UDR, best in Omega, gradient descent and the step grid's ceiling against answers that are
+known.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +22,9 @@ TARGETS = np.array([[1.25, 26.0], [0.5, 40.0]])
 
 def test_udr_is_the_centre_of_a_quadratic():
     out = udr(probe_problem(), restarts=2)
-    np.testing.assert_allclose(out.policy, [1.5, 20.0], rtol=1e-3)  # Sobol's mean is the centre to 2^-9 of the range
+    np.testing.assert_allclose(
+        out.policy, [1.5, 20.0], rtol=1e-3
+    )  # Sobol's mean is the centre to 2^-9 of the range
     np.testing.assert_allclose(out.restarts, out.restarts[0], rtol=1e-6)
 
 
@@ -34,12 +38,16 @@ def test_best_in_omega_is_the_target_or_its_clip():
 def test_costs_and_discrepancy_are_per_target():
     means = np.full((2, 3, 2), 0.5)
     out = costs(probe_problem(), means, TARGETS)
-    np.testing.assert_allclose(out, np.repeat([[1 + 0.0625 + 0.36], [1 + 1.0 + 4.0]], 3, axis=1), rtol=1e-12)
+    np.testing.assert_allclose(
+        out, np.repeat([[1 + 0.0625 + 0.36], [1 + 1.0 + 4.0]], 3, axis=1), rtol=1e-12
+    )
     apart = discrepancy(probe_problem(), means, TARGETS)
     np.testing.assert_allclose(apart[:, 0], 2 * np.abs(TARGETS - [1.5, 20.0]).sum(1), rtol=1e-12)
 
 
-@pytest.mark.parametrize(("target", "goal"), list(zip(TARGETS, [[0.25, 0.8], [0.0, 1.0]], strict=True)))
+@pytest.mark.parametrize(
+    ("target", "goal"), list(zip(TARGETS, [[0.25, 0.8], [0.0, 1.0]], strict=True))
+)
 def test_descent_reaches_the_best_and_stays_in_the_box(target, goal):
     with jax.enable_x64(True):
         run = jax.jit(lambda u: gradient.descend(probe_problem().slope, u, jnp.asarray(target), 25))
@@ -51,15 +59,21 @@ def test_descent_reaches_the_best_and_stays_in_the_box(target, goal):
 
 
 def test_reachable_values_include_the_shift_at_an_end():
-    np.testing.assert_allclose(reachable_values(0.25, 0.1, 3), [0, 0.05, 0.15, 0.25, 0.35, 0.45, 0.55])
+    np.testing.assert_allclose(
+        reachable_values(0.25, 0.1, 3), [0, 0.05, 0.15, 0.25, 0.35, 0.45, 0.55]
+    )
     values = reachable_values(0.25, 0.1, 4)  # three steps down to 0, one up to the shifted 0.1
     assert 0.1 in values and 0.65 in values
 
 
 def test_ceiling_is_that_of_the_whole_grid():
     problem, target = probe_problem(), TARGETS[0]
-    means, found = ceiling(problem, np.array([[0.93, 0.07]]), target, np.array([0.25, 0.8]), delta=0.2, steps=4)
-    grid = np.array([[a, b] for a in reachable_values(0.93, 0.2, 4) for b in reachable_values(0.07, 0.2, 4)])
+    means, found = ceiling(
+        problem, np.array([[0.93, 0.07]]), target, np.array([0.25, 0.8]), delta=0.2, steps=4
+    )
+    grid = np.array(
+        [[a, b] for a in reachable_values(0.93, 0.2, 4) for b in reachable_values(0.07, 0.2, 4)]
+    )
     exact = costs(problem, grid[None], target[None])[0]
     assert found[0] == pytest.approx(exact.min(), rel=1e-12)
     np.testing.assert_allclose(means[0], grid[exact.argmin()])
@@ -88,7 +102,9 @@ def pendulum_bounds():
 
 @pytest.mark.slow
 def test_pendulums_best_beats_the_targets_own_lqr_within_omega(pendulum_bounds):
-    """LQR is optimal for an endless horizon; over 2.5 s a neighbour may be a little better, never much."""
+    """LQR is optimal for an endless horizon; over 2.5 s a neighbour may be a little better, never
+    much.
+    """
     problem, targets, best = pendulum_bounds
     with jax.enable_x64(True):
         own = float(problem.cost(targets[0], problem.policy(jnp.asarray(targets[0]))))
@@ -98,7 +114,9 @@ def test_pendulums_best_beats_the_targets_own_lqr_within_omega(pendulum_bounds):
 
 @pytest.mark.slow
 def test_pendulums_udr_over_a_speck_is_its_lqr():
-    """What the mean over starts is for: with nothing to average over, UDR is the policy that everyone else uses."""
+    """What the mean over starts is for: with nothing to average over, UDR is the policy that
+    everyone else uses.
+    """
     tiny = PendulumConfig(m1=(1.5, 1.5001), m2=(1.5, 1.5001), b1=(1.5, 1.5001), b2=(1.5, 1.5001))
     problem = pendulum_problem(pendulum_space(tiny))
     out = udr(problem, samples_log2=4, restarts=1)

@@ -25,9 +25,26 @@ TINY = CompareConfig(
     seeds=2,
     iterations=2,
     train=TrainConfig(phase1=Phase1Config(trajectories=100, parallel=50, updates=5)),
-    sysid=SysIdConfig(simulations=100, hidden=(32,), first_fit=FitConfig(updates=300), next_fit=FitConfig(updates=50)),
+    sysid=SysIdConfig(
+        simulations=100,
+        hidden=(32,),
+        first_fit=FitConfig(updates=300),
+        next_fit=FitConfig(updates=50),
+    ),
 )
-SCHEMA = ["method", "setting", "mean", "median", "q25", "q75", "final_mean", "low", "high", "oracle", "target_trials"]
+SCHEMA = [
+    "method",
+    "setting",
+    "mean",
+    "median",
+    "q25",
+    "q75",
+    "final_mean",
+    "low",
+    "high",
+    "oracle",
+    "target_trials",
+]
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +58,16 @@ def cell(results, method, setting):
 
 @pytest.mark.slow
 def test_results_keep_the_schema(results):
-    for key in ("schema", "task", "simulator", "target_backend", "seeds", "command", "versions", "rows"):
+    for key in (
+        "schema",
+        "task",
+        "simulator",
+        "target_backend",
+        "seeds",
+        "command",
+        "versions",
+        "rows",
+    ):
         assert key in results
     assert len(results["rows"]) == len(TINY.methods) * len(TINY.settings)
     for r in results["rows"]:
@@ -61,9 +87,13 @@ def test_bounds_are_zero_and_one_and_nothing_beats_the_best(results):
 
 @pytest.mark.slow
 def test_known_facts_of_the_pendulum(results):
-    assert cell(results, "sysid_point", "wd")["mean"] > 0.9  # within Omega the parameters can be identified
+    assert (
+        cell(results, "sysid_point", "wd")["mean"] > 0.9
+    )  # within Omega the parameters can be identified
     assert cell(results, "adaptsim", "wd")["oracle"] == 1.0
-    assert 1.0 < cell(results, "adaptsim", "ood-1")["oracle"] < 2.0  # m2 = 0.3 lies outside of Omega
+    assert (
+        1.0 < cell(results, "adaptsim", "ood-1")["oracle"] < 2.0
+    )  # m2 = 0.3 lies outside of Omega
 
 
 @pytest.mark.slow
@@ -92,7 +122,9 @@ def test_unknown_names_are_told():
 
 
 def test_normalisation_by_hand():
-    out = normalised(np.array([[8.0, 12.0], [1.0, np.inf]]), np.array([10.0, 2.0]), np.array([6.0, 1.0]))
+    out = normalised(
+        np.array([[8.0, 12.0], [1.0, np.inf]]), np.array([10.0, 2.0]), np.array([6.0, 1.0])
+    )
     np.testing.assert_array_equal(out, [[0.5, -0.5], [1.0, -np.inf]])
 
 
@@ -121,7 +153,10 @@ def test_bootstrap_interval_is_that_of_the_mean():
     values = np.random.default_rng(0).normal(size=200)
     low, high = bootstrap_interval(values)
     half = 1.96 * values.std() / math.sqrt(200)
-    assert (values.mean() - low, high - values.mean()) == (pytest.approx(half, rel=0.1), pytest.approx(half, rel=0.1))
+    assert (values.mean() - low, high - values.mean()) == (
+        pytest.approx(half, rel=0.1),
+        pytest.approx(half, rel=0.1),
+    )
     assert bootstrap_interval(np.array([0.3])) == (0.3, 0.3)
 
 
@@ -136,11 +171,20 @@ def test_plain_is_json():
 def test_the_command_is_what_the_caller_says(monkeypatch):
     monkeypatch.setattr(sys, "argv", ["pytest", "--token=secret"])
     assert stamped("pendulum", TINY)["command"] is None
-    assert stamped("pendulum", TINY, "adaptsim compare pendulum --out 'my results'")["command"].endswith("'my results'")
+    assert stamped("pendulum", TINY, "adaptsim compare pendulum --out 'my results'")[
+        "command"
+    ].endswith("'my results'")
 
 
 def test_every_method_is_reachable_by_name():
     assert set(exact_methods()) == {
-        *("adaptsim", "adaptsim_state", "sysid_bayes", "sysid_bayes_state", "sysid_point", "sysid_point_state"),
+        *(
+            "adaptsim",
+            "adaptsim_state",
+            "sysid_bayes",
+            "sysid_bayes_state",
+            "sysid_point",
+            "sysid_point_state",
+        ),
         *("adaptsim_analytic", "gradient", "udr", "best_in_omega"),
     }

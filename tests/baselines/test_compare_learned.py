@@ -1,4 +1,6 @@
-"""The comparison of methods whose policies are learned, on a probe with known answers, and the push in more than one engine."""
+"""The comparison of methods whose policies are learned, on a probe with known answers, and the push
+in more than one engine.
+"""
 
 import json
 from dataclasses import replace
@@ -36,9 +38,16 @@ TINY = CompareConfig(
     seeds=2,
     iterations=2,
     train=TrainConfig(
-        phase1=Phase1Config(trajectories=100, parallel=50, horizon=3, updates=5, capacity=300, archive=300)
+        phase1=Phase1Config(
+            trajectories=100, parallel=50, horizon=3, updates=5, capacity=300, archive=300
+        )
     ),
-    sysid=SysIdConfig(simulations=500, hidden=(32,), first_fit=FitConfig(updates=800), next_fit=FitConfig(updates=800)),
+    sysid=SysIdConfig(
+        simulations=500,
+        hidden=(32,),
+        first_fit=FitConfig(updates=800),
+        next_fit=FitConfig(updates=800),
+    ),
     direct=DirectConfig(budgets=(0, 2, 16), updates=300, grid=101),
     bayesopt=BayesOptConfig(initial=4),
 )
@@ -55,7 +64,9 @@ def cell(found, method, setting):
 
 @pytest.mark.slow
 def test_every_method_has_a_row_in_every_setting(found):
-    assert [(r["method"], r["setting"]) for r in found[0]] == [(m, s) for m in METHODS for s in ("wd", "ood-1")]
+    assert [(r["method"], r["setting"]) for r in found[0]] == [
+        (m, s) for m in METHODS for s in ("wd", "ood-1")
+    ]
     for r in found[0]:
         assert len(r["per_seed"]) == 2 and 0.0 <= r["low"] <= r["mean"] <= r["high"] <= 1.0
         assert r["oracle"] > 0.99
@@ -63,7 +74,9 @@ def test_every_method_has_a_row_in_every_setting(found):
 
 
 def test_what_the_probe_allows(found):
-    """gain 1.4 is within Omega: identified; 2.6 is not: the best that Omega has is 2.0, 1.5 is what UDR believes."""
+    """gain 1.4 is within Omega: identified; 2.6 is not: the best that Omega has is 2.0, 1.5 is what
+    UDR believes.
+    """
     assert cell(found, "sysid_point", "wd")["mean"] > 0.95 > cell(found, "udr", "wd")["mean"]
     away = np.abs(probes.TESTS).mean()
     assert cell(found, "udr", "ood-1")["mean"] == pytest.approx(
@@ -72,7 +85,9 @@ def test_what_the_probe_allows(found):
     best_of_omega = 1 - 0.3 * away
     assert cell(found, "bayesopt", "ood-1")["mean"] <= best_of_omega + 0.02
     assert (
-        cell(found, "udr_target", "ood-1")["final_mean"] > 0.99 > cell(found, "udr_target", "ood-1")["curve"]["mean"][0]
+        cell(found, "udr_target", "ood-1")["final_mean"]
+        > 0.99
+        > cell(found, "udr_target", "ood-1")["curve"]["mean"][0]
     )
     assert cell(found, "learn_in_target", "ood-1")["final_mean"] > 0.9
 
@@ -89,7 +104,9 @@ def test_target_trials_are_counted(found):
 
 def test_the_same_numbers_again_and_other_methods_do_not_matter(found):
     again, _ = compare_learned(
-        probes.probe(), ["wd", "ood-1"], CompareConfig(**{**vars(TINY), "methods": ("sysid_point",)})
+        probes.probe(),
+        ["wd", "ood-1"],
+        CompareConfig(**{**vars(TINY), "methods": ("sysid_point",)}),
     )
     assert again[1]["per_seed"] == cell(found, "sysid_point", "ood-1")["per_seed"]
 
@@ -104,12 +121,34 @@ def found_fresh():
 def test_fresh_contexts_score_what_others_chose_and_change_nothing_else(found, found_fresh):
     for r in found_fresh[0]:
         plain = cell(found, r["method"], r["setting"])
-        assert "fresh" not in plain and r["per_seed"] == plain["per_seed"] and r["curve"] == plain["curve"]
-        assert len(r["fresh"]["per_seed"]) == 2 and r["fresh"]["low"] <= r["fresh"]["mean"] <= r["fresh"]["high"]
-    # UDR believes in a gain of 1.5 and no bias: in 1.4 and 0.1 it lands at 0.1 for 0, and at 1.4 / 1.5 + 0.1 for 1
-    assert cell(found_fresh, "udr", "wd")["fresh"]["mean"] == pytest.approx(1 - (0.1 + 0.1 - 0.1 / 1.5) / 2, abs=1e-5)
-    assert cell(found_fresh, "udr", "wd")["fresh"]["final_mean"] == cell(found_fresh, "udr", "wd")["fresh"]["mean"]
-    text = table({**found_fresh[1], "seeds": 2, "iterations": 2, "starts": 2, "command": "", "rows": found_fresh[0]})
+        assert (
+            "fresh" not in plain
+            and r["per_seed"] == plain["per_seed"]
+            and r["curve"] == plain["curve"]
+        )
+        assert (
+            len(r["fresh"]["per_seed"]) == 2
+            and r["fresh"]["low"] <= r["fresh"]["mean"] <= r["fresh"]["high"]
+        )
+    # UDR believes in a gain of 1.5 and no bias: in 1.4 and 0.1 it lands at 0.1 for 0, and at 1.4 /
+    # 1.5 + 0.1 for 1
+    assert cell(found_fresh, "udr", "wd")["fresh"]["mean"] == pytest.approx(
+        1 - (0.1 + 0.1 - 0.1 / 1.5) / 2, abs=1e-5
+    )
+    assert (
+        cell(found_fresh, "udr", "wd")["fresh"]["final_mean"]
+        == cell(found_fresh, "udr", "wd")["fresh"]["mean"]
+    )
+    text = table(
+        {
+            **found_fresh[1],
+            "seeds": 2,
+            "iterations": 2,
+            "starts": 2,
+            "command": "",
+            "rows": found_fresh[0],
+        }
+    )
     assert "in fresh contexts, by which none was chosen" in text
 
 
@@ -125,7 +164,9 @@ def test_trials_that_fail_earn_nothing_and_are_counted():
     arena = Arena(probes.probe(), probes.probe_world(0.5), np.array([[1.4, 0.1]]))
     policies = jnp.tile(jnp.array([1.4, 0.1]), (3, 1))
     where = np.zeros(3, int)
-    np.testing.assert_allclose(arena.score(where, policies), 4 / 5, atol=1e-6)  # the test at 0.8 lands too far
+    np.testing.assert_allclose(
+        arena.score(where, policies), 4 / 5, atol=1e-6
+    )  # the test at 0.8 lands too far
     assert (arena.failed.tolist(), arena.made.tolist()) == ([3], [15])
     seen = arena.visit(lanes(1, np.arange(3), 1, 0).keys, where, policies)
     assert np.isfinite(seen.obs).all() and np.isfinite(seen.score).all()
@@ -141,14 +182,20 @@ def test_training_in_groups_is_training_all():
 
 
 def test_the_grids_best_actions_by_hand_and_refined():
-    """The best action for a context is (context - bias) / gain; one grid for all is a grid for each."""
+    """The best action for a context is (context - bias) / gain; one grid for all is a grid for
+    each.
+    """
     params = np.array([2.0, 0.0])
-    coarse, actions = best_actions(probes.probe_world(), params, probes.TESTS, probes.reward, (5,), shared=True)
+    coarse, actions = best_actions(
+        probes.probe_world(), params, probes.TESTS, probes.reward, (5,), shared=True
+    )
     np.testing.assert_allclose(actions[:, 0], [-0.5, 0.0, 0.0, 0.0, 0.5], atol=1e-6)
     np.testing.assert_allclose(coarse, [0.8, 0.6, 1.0, 0.6, 0.8], atol=1e-6)
     each, _ = best_actions(probes.probe_world(), params, probes.TESTS, probes.reward, (5,))
     np.testing.assert_allclose(each, coarse, atol=1e-6)
-    _, actions = best_actions(probes.probe_world(), params, probes.TESTS, probes.reward, (5,), rounds=6)
+    _, actions = best_actions(
+        probes.probe_world(), params, probes.TESTS, probes.reward, (5,), rounds=6
+    )
     np.testing.assert_allclose(actions[:, 0], probes.TESTS[:, 0] / 2, atol=0.5 / 2**6)
     assert action_grid((3, 2)).tolist() == [[-1, -1], [-1, 1], [0, -1], [0, 1], [1, -1], [1, 1]]
 
@@ -163,7 +210,11 @@ def test_the_pushs_world_is_the_tasks_own_rollout(push):
     arena = Arena(push, push.world("planar"), params[None])
     policies = arena.untrained(lanes(1, np.arange(2), 1, 0).keys)
     tested = jax.jit(
-        jax.vmap(lambda p: push.task.rollout(jax.random.key(0), p, jnp.asarray(params, jnp.float32)).tested)
+        jax.vmap(
+            lambda p: (
+                push.task.rollout(jax.random.key(0), p, jnp.asarray(params, jnp.float32)).tested
+            )
+        )
     )
     np.testing.assert_allclose(arena.score(np.zeros(2, int), policies), tested(policies), atol=1e-4)
 
@@ -183,13 +234,18 @@ def test_the_push_in_native_lands_near_planar_and_heavy_elsewhere(push):
 
 
 def test_a_push_that_cannot_be_made_is_not_a_number_with_a_code(push):
-    points, codes = push.world("planar").run(np.array([[0.1, np.nan, 0.5, 0.0]]), np.zeros((1, 2)), np.zeros((1, 2)))
+    points, codes = push.world("planar").run(
+        np.array([[0.1, np.nan, 0.5, 0.0]]), np.zeros((1, 2)), np.zeros((1, 2))
+    )
     assert np.isnan(points).all() and codes.tolist() == [model.UNFIT]
 
 
 def test_tuning_leaves_a_policy_without_trials_and_moves_one_with_them(push):
     policy = push.task.init_policy(jax.random.key(0))
-    goals, actions = jnp.tile(jnp.array([0.8, 0.0]), (8, 1)), jax.random.uniform(jax.random.key(1), (8, 2), minval=-1.0)
+    goals, actions = (
+        jnp.tile(jnp.array([0.8, 0.0]), (8, 1)),
+        jax.random.uniform(jax.random.key(1), (8, 2), minval=-1.0),
+    )
     points = jnp.tile(jnp.array([0.8, 0.0]), (8, 6, 1))
     tune = jax.jit(push.tune)
     same = tune(jax.random.key(2), policy, goals, actions, points, jnp.array(0))
@@ -200,7 +256,14 @@ def test_tuning_leaves_a_policy_without_trials_and_moves_one_with_them(push):
 
 def test_what_compare_writes_says_what_a_reward_is(found, tmp_path):
     rows, about = found
-    results = {"task": "probe", "seeds": 2, "iterations": 2, "starts": 2, "command": "none", "rows": rows} | about
+    results = {
+        "task": "probe",
+        "seeds": 2,
+        "iterations": 2,
+        "starts": 2,
+        "command": "none",
+        "rows": rows,
+    } | about
     results["versions"] = {"adaptsim_jax": "0", "jax": "0"}
     text = table(results)
     assert "1 - distance" in text and "LearnInTarget" in text and "Normalized" not in text
@@ -218,14 +281,22 @@ def test_what_compare_writes_says_what_a_reward_is(found, tmp_path):
         ("pushing", {"target_options": {"bottle": "full"}}, "heavy"),
         ("pushing", {"target_options": {"bottle": {}}}, "heavy"),
         ("pushing", {"target_options": {"botle": "heavy"}}, "did you mean 'bottle'"),
-        ("pushing", {"target_options": {"backend": "native"}}, "unknown setting of planar 'backend'"),
+        (
+            "pushing",
+            {"target_options": {"backend": "native"}},
+            "unknown setting of planar 'backend'",
+        ),
         ("pushing", {"target_options": {"coefficients": "darke"}}, "did you mean 'drake'"),
         ("pushing", {"target": "native", "target_options": {"dt": "fast"}}, "key 'dt' is 'fast'"),
         ("pushing", {"target": "native", "target_options": {"dt": 0.003}}, "must divide the row"),
         ("pushing", {"target": "native", "target_options": {"threads": 0}}, "threads = 0"),
         ("scooping", {"target_options": {"foo": 1}}, "unknown key 'foo'; known: numerics"),
         ("scooping", {"target_options": {"numerics": {"dt": 0.004}}}, "must divide the row"),
-        ("scooping", {"target_options": {"numerics": {"dtt": 0.0025}}}, "'numerics.dtt'; did you mean 'dt'"),
+        (
+            "scooping",
+            {"target_options": {"numerics": {"dtt": 0.0025}}},
+            "'numerics.dtt'; did you mean 'dt'",
+        ),
         ("scooping", {"target": "mjx", "target_options": {"options": 1}}, "unknown key 'options'"),
         ("pushing", {"target": "planar", "target_options": {"bottle": "heavy"}}, "native"),
         ("pendulum", {"methods": ("bayesopt",)}, "not for pendulum"),
@@ -234,10 +305,16 @@ def test_what_compare_writes_says_what_a_reward_is(found, tmp_path):
 )
 def test_what_cannot_be_compared_is_refused(task, change, says):
     with pytest.raises(BadInput, match=says):
-        compare(task, CompareConfig(**{**vars(default_comparison(task)), "settings": ("wd",), **change}))
+        compare(
+            task, CompareConfig(**{**vars(default_comparison(task)), "settings": ("wd",), **change})
+        )
 
 
 def test_sizes_that_make_no_sense_are_refused():
-    for make in (lambda: DirectConfig(budgets=(4, 4)), lambda: DirectConfig(grid=0), lambda: BayesOptConfig(initial=1)):
+    for make in (
+        lambda: DirectConfig(budgets=(4, 4)),
+        lambda: DirectConfig(grid=0),
+        lambda: BayesOptConfig(initial=1),
+    ):
         with pytest.raises(BadInput):
             make()

@@ -1,4 +1,6 @@
-"""What a comparison of policies over many steps makes of what methods did: deployed by their own trials, normalised, written."""
+"""What a comparison of policies over many steps makes of what methods did: deployed by their own
+trials, normalised, written.
+"""
 
 from types import SimpleNamespace
 from typing import Any, cast
@@ -19,7 +21,11 @@ def arena(own, trials=1) -> Any:
 
 
 def test_what_returned_most_in_its_own_trials_is_deployed_not_what_tests_best():
-    own = [np.array([1.0, 5.0]), np.array([3.0, np.nan]), np.array([2.0, 6.0])]  # a visit each, of two targets
+    own = [
+        np.array([1.0, 5.0]),
+        np.array([3.0, np.nan]),
+        np.array([2.0, 6.0]),
+    ]  # a visit each, of two targets
     tests = np.array([[10.0, 20.0, 90.0], [1.0, 2.0, 3.0]])[:, None, None]
     found = deployed_of("bayesopt", Trip(tests, None, np.arange(1, 4)), arena(own))
     assert found.trials.tolist() == [1, 2, 3]
@@ -28,7 +34,10 @@ def test_what_returned_most_in_its_own_trials_is_deployed_not_what_tests_best():
 
 
 def test_starts_that_go_side_by_side_count_each_their_trials():
-    own = [np.array([1.0, 4.0]), np.array([5.0, 2.0])]  # one target, two starts, two visits of two episodes each
+    own = [
+        np.array([1.0, 4.0]),
+        np.array([5.0, 2.0]),
+    ]  # one target, two starts, two visits of two episodes each
     tests = np.array([[[1.0, 3.0], [2.0, 4.0]]])[:, None]  # [T, S, N, I]
     found = deployed_of("adaptsim", Trip(tests, None, np.array([4, 8])), arena(own, trials=2))
     assert found.trials.tolist() == [2, 4, 6, 8]
@@ -36,13 +45,19 @@ def test_starts_that_go_side_by_side_count_each_their_trials():
 
 
 def test_sysid_deploys_the_newest_after_the_trials_before_it():
-    found = deployed_of("sysid_point", Trip(np.array([[[[1.0, 2.0, 3.0]]]]), None, np.arange(1, 4)), arena([]))
+    found = deployed_of(
+        "sysid_point", Trip(np.array([[[[1.0, 2.0, 3.0]]]]), None, np.arange(1, 4)), arena([])
+    )
     assert found.trials.tolist() == [0, 1, 2] and found.returns.tolist() == [[1.0, 2.0, 3.0]]
 
 
 def whole(rng):
-    once = lambda low, high: [Deployed((np.zeros(1, int), rng.uniform(low, high, (2, 1)))) for _ in range(3)]
-    rising = [Deployed((np.arange(1, 5), np.sort(rng.uniform(50.0, 100.0, (2, 4)), 1))) for _ in range(3)]
+    def once(low, high):
+        return [Deployed((np.zeros(1, int), rng.uniform(low, high, (2, 1)))) for _ in range(3)]
+
+    rising = [
+        Deployed((np.arange(1, 5), np.sort(rng.uniform(50.0, 100.0, (2, 4)), 1))) for _ in range(3)
+    ]
     return {"udr": once(50.0, 60.0), "oracle": once(100.0, 110.0), "adaptsim": rising}
 
 
@@ -59,11 +74,24 @@ def test_returns_are_normalised_between_udr_and_the_oracle_and_written(tmp_path)
     assert ours["at"]["0"] is None and ours["at"]["40"]["mean"] == pytest.approx(ours["mean"])
     assert ours["at"]["2"]["low"] <= ours["at"]["2"]["mean"] <= ours["at"]["2"]["high"]
     config = default_comparison("environment")
-    about = {"simulator": "s", "target_backend": "mujoco", "trials_axis": True, "reward": "return", "oracle": "o"}
+    about = {
+        "simulator": "s",
+        "target_backend": "mujoco",
+        "trials_axis": True,
+        "reward": "return",
+        "oracle": "o",
+    }
     settings = {n: {"params": {}, "udr_return": 1.0, "best_return": 2.0} for n in ("dry", "late")}
-    results = stamped("environment", config) | about | {"settings": settings, "rows": list(rows.values())}
+    results = (
+        stamped("environment", config) | about | {"settings": settings, "rows": list(rows.values())}
+    )
     paths = write_comparison(results, tmp_path)
-    assert {p.name for p in paths} >= {"results.json", "table.md", "reward_over_iterations.png", "report.html"}
+    assert {p.name for p in paths} >= {
+        "results.json",
+        "table.md",
+        "reward_over_iterations.png",
+        "report.html",
+    }
     text = (tmp_path / "table.md").read_text()
     assert (
         "late, by target trials (mean over seeds):" in text
@@ -72,8 +100,12 @@ def test_returns_are_normalised_between_udr_and_the_oracle_and_written(tmp_path)
     )
     assert "The return itself, mean over seeds:" in text and "iteration [" not in text
     page = (tmp_path / "report.html").read_text()
-    assert "after all target trials" in page and '"title":{"text":"target trials"}' in page.replace(": ", ":")
-    assert look.least(results) < -0.2 and "0 UDR" in look.reward_of(results)  # what is below UDR is seen to be
+    assert "after all target trials" in page and '"title":{"text":"target trials"}' in page.replace(
+        ": ", ":"
+    )
+    assert look.least(results) < -0.2 and "0 UDR" in look.reward_of(
+        results
+    )  # what is below UDR is seen to be
 
 
 def test_where_udr_is_as_good_as_the_oracle_nothing_is_blown_up():

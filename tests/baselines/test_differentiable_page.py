@@ -1,4 +1,6 @@
-"""The blocks of docs/howto/differentiable.md run, in order, as a reader would paste them; and the gradient is the slope."""
+"""The blocks of docs/howto/differentiable.md run, in order, as a reader would paste them; and the
+gradient is the slope.
+"""
 
 import re
 from pathlib import Path
@@ -31,7 +33,10 @@ def test_gradient_is_the_difference_quotient():
     with jax.enable_x64(True):
         slope = jax.jit(problem.slope)
         _, gradient = slope(jnp.asarray(u), target)
-        ends = [[float(slope(jnp.asarray(u + s * h * e), target)[0]) for s in (1, -1)] for e in np.eye(4)]
+        ends = [
+            [float(slope(jnp.asarray(u + s * h * e), target)[0]) for s in (1, -1)]
+            for e in np.eye(4)
+        ]
     quotient = [(a - b) / (2 * h) for a, b in ends]
     # Central differences of a cost of 1e7 with h = 1e-5: rounding leaves about 1e-4 of it.
     np.testing.assert_allclose(gradient, quotient, rtol=1e-4, atol=1.0)

@@ -1,4 +1,6 @@
-"""The Gaussian process of BayesOpt: gradients, an interpolation that is known, and that it finds a maximum."""
+"""The Gaussian process of BayesOpt: gradients, an interpolation that is known, and that it finds a
+maximum.
+"""
 
 import numpy as np
 from scipy import integrate, optimize, stats
@@ -23,17 +25,26 @@ def test_a_smooth_function_is_interpolated_and_unsure_far_from_its_points():
 
 
 def test_expected_improvement_is_the_integral_that_it_stands_for():
-    found = gp.fit(np.array([[0.1], [0.5], [0.9]]), np.array([0.0, 1.0, 0.3]), np.random.default_rng(0))
+    found = gp.fit(
+        np.array([[0.1], [0.5], [0.9]]), np.array([0.0, 1.0, 0.3]), np.random.default_rng(0)
+    )
     point, best = np.array([[0.65]]), 0.9
     mean, spread = (float(a[0]) for a in gp.predict(found, point))
-    value = integrate.quad(lambda f: max(f - best, 0.0) * stats.norm.pdf(f, mean, spread), best, mean + 10 * spread)[0]
+    value = integrate.quad(
+        lambda f: max(f - best, 0.0) * stats.norm.pdf(f, mean, spread), best, mean + 10 * spread
+    )[0]
     np.testing.assert_allclose(gp.expected_improvement(found, point, best)[0], value, rtol=1e-6)
 
 
 def test_it_finds_a_maximum_from_few_noisy_values():
-    """20 values of a bump in two dimensions, noise a tenth of its height: better than 20 random points are in the mean."""
+    """20 values of a bump in two dimensions, noise a tenth of its height: better than 20 random
+    points are in the mean.
+    """
     rng = np.random.default_rng(3)
-    bump = lambda u: np.exp(-((u - np.array([0.7, 0.2])) ** 2).sum(-1) / 0.1)
+
+    def bump(u):
+        return np.exp(-((u - np.array([0.7, 0.2])) ** 2).sum(-1) / 0.1)
+
     x = rng.uniform(size=(6, 2))
     y = bump(x) + 0.1 * rng.normal(size=6)
     for _ in range(14):
@@ -41,5 +52,7 @@ def test_it_finds_a_maximum_from_few_noisy_values():
         assert np.all((u >= 0) & (u <= 1))
         x, y = np.vstack([x, u]), np.append(y, bump(u) + 0.1 * rng.normal())
     best = x[gp.predict(gp.fit(x, y, rng), x)[0].argmax()]
-    random = np.mean([bump(np.random.default_rng(s).uniform(size=(20, 2))).max() for s in range(200)])
+    random = np.mean(
+        [bump(np.random.default_rng(s).uniform(size=(20, 2))).max() for s in range(200)]
+    )
     assert bump(best) > max(0.95, random)

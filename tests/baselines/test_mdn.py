@@ -1,4 +1,6 @@
-"""The mixture-density network against SciPy, against an analytic posterior, and on a posterior with two modes."""
+"""The mixture-density network against SciPy, against an analytic posterior, and on a posterior with
+two modes.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -91,10 +93,15 @@ def test_held_out_loss_is_near_the_exact_posteriors(trained):
     fitted, _, mean, covariance = trained
     x, theta, _, _ = linear_gaussian(8000, jax.random.key(0))
     exact = -np.mean(
-        [stats.multivariate_normal(mean(o), covariance).logpdf(t) for o, t in zip(x[-800:], theta[-800:], strict=True)]
+        [
+            stats.multivariate_normal(mean(o), covariance).logpdf(t)
+            for o, t in zip(x[-800:], theta[-800:], strict=True)
+        ]
     )
     assert fitted.best_loss == jnp.min(fitted.held_out_loss)
-    assert exact - 0.005 < fitted.best_loss < exact + 0.05  # the same 800 points: what is left is the fit
+    assert (
+        exact - 0.005 < fitted.best_loss < exact + 0.05
+    )  # the same 800 points: what is left is the fit
 
 
 def test_two_modes_are_found():
@@ -104,11 +111,16 @@ def test_two_modes_are_found():
     network = mdn.MixtureNetwork(dim=1, components=2, hidden=(32, 32))
     variables = network.init(jax.random.key(3), jnp.zeros(1))
     config = mdn.FitConfig(updates=2500)
-    loss = lambda v, a, b: -mdn.log_prob(network.apply(v, a), b)
+
+    def loss(v, a, b):
+        return -mdn.log_prob(network.apply(v, a), b)
+
     shift, scale = mdn.standardise(x)
-    fitted = jax.jit(lambda v: mdn.fit(jax.random.key(4), v, loss, (x - shift[None]) / scale[None], theta, config))(
-        variables
-    )
+    fitted = jax.jit(
+        lambda v: mdn.fit(
+            jax.random.key(4), v, loss, (x - shift[None]) / scale[None], theta, config
+        )
+    )(variables)
     mixture = network.apply(fitted.variables, (jnp.array([0.09]) - shift) / scale)
     means = np.sort(np.asarray(mixture.means)[:, 0])
     np.testing.assert_allclose(means, [0.2, 0.8], atol=0.03)

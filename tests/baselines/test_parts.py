@@ -41,8 +41,14 @@ def kept(out: Path) -> list[str]:
 
 
 def test_a_part_is_made_once_and_gone_after_all_is_written(tmp_path):
-    parts, make = parts_of(tmp_path, "pendulum", CompareConfig()), Counted({"mean": None, "curve": [1.5, 0.1]})
-    assert parts.of("udr", make) == parts.of("udr", make) == {"mean": None, "curve": [1.5, 0.1]} and make.calls == 1
+    parts, make = (
+        parts_of(tmp_path, "pendulum", CompareConfig()),
+        Counted({"mean": None, "curve": [1.5, 0.1]}),
+    )
+    assert (
+        parts.of("udr", make) == parts.of("udr", make) == {"mean": None, "curve": [1.5, 0.1]}
+        and make.calls == 1
+    )
     (parts.folder / "udr.json").write_text('{"mean": ')  # cut off by what no program can help
     assert parts.of("udr", make) == make.result and make.calls == 2
     other = parts_of(tmp_path, "pendulum", CompareConfig(iterations=11))
@@ -54,7 +60,9 @@ def test_a_part_is_made_once_and_gone_after_all_is_written(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_other_methods_are_the_same_comparison_and_without_a_folder_nothing_is_kept(tmp_path, capsys):
+def test_other_methods_are_the_same_comparison_and_without_a_folder_nothing_is_kept(
+    tmp_path, capsys
+):
     parts_of(tmp_path, "pendulum", CompareConfig(methods=("udr",))).put("udr", [1])
     assert "going on" not in capsys.readouterr().err
     assert parts_of(tmp_path, "pendulum", CompareConfig(methods=("adaptsim",))).get("udr") == [1]
@@ -66,25 +74,44 @@ def test_other_methods_are_the_same_comparison_and_without_a_folder_nothing_is_k
     assert make.calls == 2
 
 
-def test_the_command_goes_on_after_a_late_failure_to_the_same_results(tmp_path, monkeypatch, capsys):
+def test_the_command_goes_on_after_a_late_failure_to_the_same_results(
+    tmp_path, monkeypatch, capsys
+):
     curves = np.random.default_rng(0).uniform(0.0, 1.0, (2, 3))
     first, second = Counted(curves), Counted(curves, 1)
     monkeypatch.setattr(exact, "EXACT", {"adaptsim": first, "sysid_point": second})
-    ends = exact.Bounds(None, SimpleNamespace(mean=np.zeros((1, 2))), *np.array([[2.0], [1.0], [1.0]]))  # type: ignore[arg-type]
+    ends = exact.Bounds(
+        None, SimpleNamespace(mean=np.zeros((1, 2))), *np.array([[2.0], [1.0], [1.0]])
+    )  # type: ignore[arg-type]
     monkeypatch.setattr(exact, "find_bounds", lambda *given: ends)
-    rows = lambda method, names, problem, targets, bounds, made: [
-        row(method, n, made, oracle=1.0, target_trials=3) for n in names
-    ]
+
+    def rows(method, names, problem, targets, bounds, made):
+        return [row(method, n, made, oracle=1.0, target_trials=3) for n in names]
+
     monkeypatch.setattr(exact, "visiting_rows", rows)
-    command = ["compare", "pendulum", "--seeds", "2", "--settings", "wd", "--methods", "adaptsim,sysid-point,udr"]
+    command = [
+        "compare",
+        "pendulum",
+        "--seeds",
+        "2",
+        "--settings",
+        "wd",
+        "--methods",
+        "adaptsim,sysid-point,udr",
+    ]
     out = tmp_path / "out"
     assert main([*command, "--out", str(out)]) == 1
-    assert f"what was done is kept in {out / FOLDER}; the same command goes on there" in capsys.readouterr().err
+    assert (
+        f"what was done is kept in {out / FOLDER}; the same command goes on there"
+        in capsys.readouterr().err
+    )
     assert kept(out) == ["adaptsim"] and not (out / "results.json").exists()
     assert main([*command, "--out", str(out)]) == 0
     assert (first.calls, second.calls) == (1, 2) and not (out / FOLDER).exists()
     found = json.loads((out / "results.json").read_text())["rows"]
-    assert found[:2] == [row(m, "wd", curves, oracle=1.0, target_trials=3) for m in ("adaptsim", "sysid_point")]
+    assert found[:2] == [
+        row(m, "wd", curves, oracle=1.0, target_trials=3) for m in ("adaptsim", "sysid_point")
+    ]
     assert found[2]["method"] == "udr"
 
 
@@ -97,11 +124,19 @@ def test_learned_policies_keep_each_method_and_the_oracle(tmp_path, monkeypatch)
     oracle = Counted(np.array([0.5, 0.75], np.float32))
     task = SimpleNamespace(space=SPACE, settings={"wd": {"a": 1.5, "b": 20.0}}, name="probe")
     one = SimpleNamespace(
-        task=task, engine="e", world=lambda *a, **k: SimpleNamespace(name="w"), oracle=oracle,
-        simulator="s", reward_unit="r", oracle_means="o",
-    )  # fmt: skip
+        task=task,
+        engine="e",
+        world=lambda *a, **k: SimpleNamespace(name="w"),
+        oracle=oracle,
+        simulator="s",
+        reward_unit="r",
+        oracle_means="o",
+    )
     config = CompareConfig(methods=("udr", "adaptsim", "oracle"), seeds=1)
-    run = lambda out: learned.compare_learned(one, ["wd"], config, out=out)  # type: ignore[arg-type]
+
+    def run(out):
+        return learned.compare_learned(one, ["wd"], config, out=out)  # type: ignore[arg-type]
+
     with pytest.raises(Broken):
         run(tmp_path)
     assert kept(tmp_path) == ["oracle-rewards", "udr"]
@@ -113,8 +148,14 @@ def test_learned_policies_keep_each_method_and_the_oracle(tmp_path, monkeypatch)
 
 def test_policies_over_many_steps_keep_each_seed_of_each_method(tmp_path, monkeypatch):
     rng = np.random.default_rng(1)
-    returns = {(s, m): rng.uniform(1.0, 2.0, (1, 2)).astype(np.float32) for s in range(3) for m in ("udr", "oracle")}
-    returns[2, "adaptsim"] = returns[1, "adaptsim"] = returns[0, "adaptsim"] = np.array([[np.nan, 1.5]], np.float32)
+    returns = {
+        (s, m): rng.uniform(1.0, 2.0, (1, 2)).astype(np.float32)
+        for s in range(3)
+        for m in ("udr", "oracle")
+    }
+    returns[2, "adaptsim"] = returns[1, "adaptsim"] = returns[0, "adaptsim"] = np.array(
+        [[np.nan, 1.5]], np.float32
+    )
     asked, fails = [], [(1, "oracle")]
 
     def tried(setting, ready, names, methods, config, seed, report, programs):
@@ -127,16 +168,27 @@ def test_policies_over_many_steps_keep_each_seed_of_each_method(tmp_path, monkey
 
     trained = Counted(lambda task, made, seed, *rest: seed)
     setting = SimpleNamespace(
-        config=SimpleNamespace(policy="knows"), targets={"dry": SimpleNamespace(engine="mujoco", values=np.ones(1))},
-        sim=SimpleNamespace(name="cart", native=None), fields=[SimpleNamespace(name="mass")], space=SimpleNamespace(dim=2),
-    )  # fmt: skip
+        config=SimpleNamespace(policy="knows"),
+        targets={"dry": SimpleNamespace(engine="mujoco", values=np.ones(1))},
+        sim=SimpleNamespace(name="cart", native=None),
+        fields=[SimpleNamespace(name="mass")],
+        space=SimpleNamespace(dim=2),
+    )
     for name, thing in (
-        ("tried", tried), ("learned", trained), ("environment_setting", lambda config: setting),
-        ("task_of", lambda s: SimpleNamespace(name="environment", preparation=SimpleNamespace(digest="d"))),
-    ):  # fmt: skip
+        ("tried", tried),
+        ("learned", trained),
+        ("environment_setting", lambda config: setting),
+        (
+            "task_of",
+            lambda s: SimpleNamespace(name="environment", preparation=SimpleNamespace(digest="d")),
+        ),
+    ):
         monkeypatch.setattr(steps, name, thing)
     config = CompareConfig(methods=("udr", "adaptsim"), seeds=3)
-    run = lambda out, config=config: steps.compare_steps({}, ["dry"], config, out=out)
+
+    def run(out, config=config):
+        return steps.compare_steps({}, ["dry"], config, out=out)
+
     with pytest.raises(Broken):
         run(tmp_path)
     assert kept(tmp_path) == ["seed-0-adaptsim", "seed-0-oracle", "seed-0-udr", "seed-1-udr"]

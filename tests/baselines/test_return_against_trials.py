@@ -13,27 +13,46 @@ def test_each_method_is_held_against_adaptsim_in_each_target_over_seeds(tmp_path
     folder.mkdir()
     for seed in range(6):
         own = rng.normal(0.0, 1.0, len(names))
-        luck = lambda size: rng.normal(0.0, size, len(names))
-        of = lambda after, other=0.0: [[other, float(x)] for x in after]
+
+        def luck(size):
+            return rng.normal(0.0, size, len(names))
+
+        def of(after, other=0.0):
+            return [[other, float(x)] for x in after]
+
         found = {
             "adaptsim": {"trials": [1, 10], "returns": of(own, -9.0)},
             "udr": {"trials": [0], "returns": [[float(x - 5.0)] for x in own]},
-            "bayesopt": {"trials": [10, 40], "returns": [[float(x), 99.0] for x in own + luck(0.1)]},
+            "bayesopt": {
+                "trials": [10, 40],
+                "returns": [[float(x), 99.0] for x in own + luck(0.1)],
+            },
             "cma_es": {"trials": [4, 8], "returns": of(own + 3.0 + luck(0.1))},
         }
         (folder / f"seed-{seed}.json").write_text(json.dumps(found))
-    rows = {line.split(" | ")[0][2:]: line.split(" | ")[1:] for line in against(tmp_path) if line.startswith("| ")}
+    rows = {
+        line.split(" | ")[0][2:]: line.split(" | ")[1:]
+        for line in against(tmp_path)
+        if line.startswith("| ")
+    }
     assert (
         rows["UDR"][0] == "6"
         and all(cell.startswith("5 +") for cell in rows["UDR"][1:-2])
         and rows["UDR"][-2:] == ["4", "4 |"]
     )
-    assert rows["BayesOpt"][-1] == "4 |" and all(abs(float(cell.split()[0])) < 0.3 for cell in rows["BayesOpt"][1:-2])
-    assert rows["CMA-ES"][-2:] == ["0", "0 |"] and all(cell.endswith(" -") for cell in rows["CMA-ES"][1:-2])
+    assert rows["BayesOpt"][-1] == "4 |" and all(
+        abs(float(cell.split()[0])) < 0.3 for cell in rows["BayesOpt"][1:-2]
+    )
+    assert rows["CMA-ES"][-2:] == ["0", "0 |"] and all(
+        cell.endswith(" -") for cell in rows["CMA-ES"][1:-2]
+    )
 
 
 def test_nothing_is_said_of_more_trials_than_any_method_made(tmp_path):
-    folder, flat = tmp_path / "pendulum", lambda x, n: [[x] * n for _ in TASKS["pendulum"]["targets"]]
+    folder, flat = (
+        tmp_path / "pendulum",
+        lambda x, n: [[x] * n for _ in TASKS["pendulum"]["targets"]],
+    )
     folder.mkdir()
     found = {
         "udr": {"trials": [0], "returns": flat(1.0, 1)},
@@ -44,5 +63,7 @@ def test_nothing_is_said_of_more_trials_than_any_method_made(tmp_path):
     (folder / "seed-0.json").write_text(json.dumps(found))
     table = rows(tmp_path)
     assert {r["budget"] for r in table if r["method"] == "udr"} == {0, 2, 5, 10}
-    at = {r["budget"]: r["mean"] for r in table if (r["method"], r["target"]) == ("cma_es", "heavy")}
+    at = {
+        r["budget"]: r["mean"] for r in table if (r["method"], r["target"]) == ("cma_es", "heavy")
+    }
     assert at == {5: 0.5, 10: 0.5}

@@ -1,4 +1,6 @@
-"""BayesOpt in scooping: each visit's last scoop is a probe, its return is that of the others, and what is deployed is corrected."""
+"""BayesOpt in scooping: each visit's last scoop is a probe, its return is that of the others, and
+what is deployed is corrected.
+"""
 
 from dataclasses import replace
 
@@ -15,14 +17,19 @@ from adaptsim_jax.tasks.one_shot import World
 from adaptsim_jax.tasks.registry import make_one_shot
 
 OPTIONS = {
-    "correct": True, "tests": 2, "trials": 40, "hidden": [16],
+    "correct": True,
+    "tests": 2,
+    "trials": 40,
+    "hidden": [16],
     "training": {"block": 20, "updates": 2, "batch": 16, "capacity": 40, "candidates": 4},
-}  # fmt: skip
+}
 CONFIG = replace(default_comparison("scooping"), bayesopt=BayesOptConfig(initial=2, points=3))
 
 
 def stand_in(params, contexts, actions):
-    """A world that lifts what is scooped at a low pitch, in place of an engine that is slow to compile."""
+    """A world that lifts what is scooped at a low pitch, in place of an engine that is slow to
+    compile.
+    """
     outcomes = np.zeros((len(actions), 9, 2), np.float32)
     outcomes[:, :-1, 0] = np.linspace(0.0, 0.1, 8)
     outcomes[:, -1, 0] = actions[:, 0] < -0.5
@@ -41,7 +48,9 @@ class Recorder(Arena):
 @pytest.mark.long
 def test_visits_probe_and_deployed_scoops_learn_of_it():
     one = make_one_shot("scooping", OPTIONS)
-    arena = Recorder(one, World("stand-in", stand_in, {0: "fine"}), np.array([[0.3, 5e4, 1.0, 0.02]]))
+    arena = Recorder(
+        one, World("stand-in", stand_in, {0: "fine"}), np.array([[0.3, 5e4, 1.0, 0.02]])
+    )
     arena.kept = []
     trip = bayesopt(Bout(CONFIG, arena, np.array([0])))
     for policies, seen in arena.kept:
@@ -50,4 +59,7 @@ def test_visits_probe_and_deployed_scoops_learn_of_it():
         np.testing.assert_allclose(seen.trials.actions[:, 1], policies.probe, atol=1e-6)
         assert policies.told is None and seen.score == (seen.trials.actions[:, 0, 0] < -0.5)
     assert trip.rewards.shape == (1, 1, 1, 3) and trip.spent.tolist() == [2, 4, 6]
-    assert set(trip.rewards[0, 0, 0, 1:]) <= {0.0, 1.0}  # corrected, it is one scoop for all contexts
+    assert set(trip.rewards[0, 0, 0, 1:]) <= {
+        0.0,
+        1.0,
+    }  # corrected, it is one scoop for all contexts

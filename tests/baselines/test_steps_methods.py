@@ -1,4 +1,6 @@
-"""Every row of a comparison over many steps, tried on a mass on a rail whose policy takes seconds to train."""
+"""Every row of a comparison over many steps, tried on a mass on a rail whose policy takes seconds
+to train.
+"""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -22,43 +24,71 @@ from adaptsim_jax.environments.task import setting_of, task_of
 from adaptsim_jax.environments.trainer import PPOTraining
 from tests.environments.cart import Cart
 
-PHASE1 = Phase1Config(trajectories=4, parallel=2, horizon=2, updates=2, capacity=8, archive=8, hidden=(8,))
+PHASE1 = Phase1Config(
+    trajectories=4, parallel=2, horizon=2, updates=2, capacity=8, archive=8, hidden=(8,)
+)
 SIZES = {
-    "iterations": 2, "starts": 1, "sysid": {"simulations": 20, "first_fit": {"updates": 50}, "next_fit": {"updates": 50}},
-    "bayesopt": {"initial": 2}, "steps": {"points": 4, "tests": 2, "share": 0.25},
-}  # fmt: skip
+    "iterations": 2,
+    "starts": 1,
+    "sysid": {"simulations": 20, "first_fit": {"updates": 50}, "next_fit": {"updates": 50}},
+    "bayesopt": {"initial": 2},
+    "steps": {"points": 4, "tests": 2, "share": 0.25},
+}
 
 
 @pytest.fixture(scope="module")
 def made():
     training = PPOTraining(steps=32 * 25 * 24, parallel=32, unroll=25, hidden=(8,))
     targets = {"heavy": {"params.mass": 2.5}, "weak": {"params.push": 2.0, "delay": 0.04}}
-    setting = setting_of(Cart(), EnvironmentConfig(training=training, targets=targets, references=2, components=4))
+    setting = setting_of(
+        Cart(), EnvironmentConfig(training=training, targets=targets, references=2, components=4)
+    )
     task = task_of(setting)
     return setting, task.preparation.make(jax.random.key(0))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "method", [pytest.param(m, marks=pytest.mark.filterwarnings("ignore") if m == "sbi" else ()) for m in STEPS]
+    "method",
+    [
+        pytest.param(m, marks=pytest.mark.filterwarnings("ignore") if m == "sbi" else ())
+        for m in STEPS
+    ],
 )
 def test_a_method_deploys_something_in_every_target(method, made):
     if method in ("cma_es", "sbi"):
         pytest.importorskip({"cma_es": "cma"}.get(method, method), reason="it is an extra")
     setting, prepared = made
     base = default_comparison("environment")
-    table = configs.over(configs.to_table(base), SIZES | {"train": {"phase1": configs.to_table(PHASE1)}})
+    table = configs.over(
+        configs.to_table(base), SIZES | {"train": {"phase1": configs.to_table(PHASE1)}}
+    )
     config = configs.from_table(type(base), table, "test")
     said = []
-    found = dict(tried(setting, prepared, list(setting.targets), [method], config, 0, lambda *told: said.append(told)))
+    found = dict(
+        tried(
+            setting,
+            prepared,
+            list(setting.targets),
+            [method],
+            config,
+            0,
+            lambda *told: said.append(told),
+        )
+    )
     trials, returns = found[method]
     assert returns.shape == (2, len(trials)) and np.isfinite(returns).all() and said
     assert (returns >= 0.0).all() and (returns <= 25.0).all()  # a step is worth 1 at most
     counted = {
-        "adaptsim": [1, 2, 3], "bayesopt": [1, 2, 3], "cma_es": [1, 2, 3], "sysid_bayes": [0, 1, 2], "sysid_point": [0, 1, 2],
-        "sbi": [0, 1, 2], "gradient": [1, 2, 3],
+        "adaptsim": [1, 2, 3],
+        "bayesopt": [1, 2, 3],
+        "cma_es": [1, 2, 3],
+        "sysid_bayes": [0, 1, 2],
+        "sysid_point": [0, 1, 2],
+        "sbi": [0, 1, 2],
+        "gradient": [1, 2, 3],
         "fine_tune": [0, 2],
-    }  # fmt: skip
+    }
     assert list(trials) == counted.get(method, [0])
 
 
@@ -76,7 +106,9 @@ def test_what_one_seed_compiled_serves_the_next_with_its_own_policy():
         arena = StepsArena(setting, prepared, ["heavy"], 2, seed, programs)
         found.append(arena.program("act", act)(obs))
         np.testing.assert_allclose(found[seed], act(arena.one.task, obs), rtol=1e-5)
-    assert len(traced) == 3 and abs(found[0] - found[1]).max() > 1e-4  # once compiled, twice called by hand
+    assert (
+        len(traced) == 3 and abs(found[0] - found[1]).max() > 1e-4
+    )  # once compiled, twice called by hand
 
 
 def test_a_policy_told_nothing_is_trained_with_the_luck_of_the_one_that_knows_e(monkeypatch):
@@ -102,13 +134,21 @@ def test_a_policy_told_nothing_is_trained_with_the_luck_of_the_one_that_knows_e(
 
 def test_rows_that_cannot_be_run_are_told_before_anything_is_trained(monkeypatch, capsys):
     monkeypatch.setattr(compare_steps.importlib.util, "find_spec", lambda name: None)
-    setting, base = setting_of(Cart(), EnvironmentConfig(policy="tuned")), default_comparison("environment")
+    setting, base = (
+        setting_of(Cart(), EnvironmentConfig(policy="tuned")),
+        default_comparison("environment"),
+    )
     assert set(compare_steps.steps_methods()) - set(compare_steps._wanted(base, setting)) == {
         "cma_es",
         "sbi",
         "gradient",
     }
     told = capsys.readouterr().err.splitlines()
-    assert len(told) == 3 and "compare: no row 'cma_es': it needs the package cma (pip install cma)" in told
-    with pytest.raises(BadInput, match="method 'gradient' is for policy = \"knows\"; leave it out of --methods"):
+    assert (
+        len(told) == 3
+        and "compare: no row 'cma_es': it needs the package cma (pip install cma)" in told
+    )
+    with pytest.raises(
+        BadInput, match="method 'gradient' is for policy = \"knows\"; leave it out of --methods"
+    ):
         compare_steps._wanted(replace(base, methods=("gradient",)), setting)

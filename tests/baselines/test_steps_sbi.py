@@ -1,4 +1,6 @@
-"""The posterior by sbi beside SysID-Bayes as it is, on the pendulum's own simulations; failures masked."""
+"""The posterior by sbi beside SysID-Bayes as it is, on the pendulum's own simulations; failures
+masked.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -22,8 +24,12 @@ def test_it_agrees_with_sysid_bayes_on_the_pendulum():
     pytest.importorskip("sbi", reason="sbi is an extra")
     task = make_task("pendulum", {})
     D = task.space.dim
-    policy_key, train_key, data_key, fit_key, real_key, init_key = jax.random.split(jax.random.key(0), 6)
-    policy = task.train(train_key, Gaussian(jnp.full(D, 0.5), jnp.full(D, 1e-3)), task.init_policy(policy_key))
+    policy_key, train_key, data_key, fit_key, real_key, init_key = jax.random.split(
+        jax.random.key(0), 6
+    )
+    policy = task.train(
+        train_key, Gaussian(jnp.full(D, 0.5), jnp.full(D, 1e-3)), task.init_policy(policy_key)
+    )
     x, u = jax.jit(lambda k, p: simulate(k, task, p, CONFIG))(data_key, policy)
     network = mixture_estimator(D, CONFIG)
     shift, scale = mdn.standardise(x)

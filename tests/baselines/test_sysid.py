@@ -1,4 +1,6 @@
-"""SysID-Bayes and SysID-Point on a task whose answer is known, and what both promise: E never leaves Omega."""
+"""SysID-Bayes and SysID-Point on a task whose answer is known, and what both promise: E never
+leaves Omega.
+"""
 
 from dataclasses import replace
 
@@ -47,7 +49,8 @@ def test_starts_at_the_centre_and_visits_one_more_than_iterations(outcome):
 
 def test_never_leaves_omega(outcome):
     assert np.all((outcome.means >= 0) & (outcome.means <= 1))
-    # The second target lies a whole range below; that no network extrapolates well is the baseline's own weakness.
+    # The second target lies a whole range below; that no network extrapolates well is the
+    # baseline's own weakness.
 
 
 def test_policies_are_retrained_on_what_was_inferred(outcome):
@@ -61,7 +64,11 @@ def test_policies_are_retrained_on_what_was_inferred(outcome):
 def test_seeds_differ_and_repeat():
     task, target = probe_task(), jnp.array([1.3, 26.0])
     run = jax.jit(make_sysid_point(task, CONFIG))
-    a, b, c = run(jax.random.key(0), target), run(jax.random.key(0), target), run(jax.random.key(1), target)
+    a, b, c = (
+        run(jax.random.key(0), target),
+        run(jax.random.key(0), target),
+        run(jax.random.key(1), target),
+    )
     np.testing.assert_array_equal(a.means, b.means)
     assert np.any(np.asarray(a.means != c.means))
 
@@ -94,7 +101,10 @@ def test_bad_budgets_are_refused(bad):
 
 def test_simulations_can_share_visits():
     task = probe_task()
-    draw = lambda key, policy, params: jax.random.uniform(key, (2,))
+
+    def draw(key, policy, params):
+        return jax.random.uniform(key, (2,))
+
     noisy = replace(task, rollout=draw, observe=lambda drawn: drawn)
     drawn, at = simulate(jax.random.key(0), noisy, None, SysIdConfig(simulations=90, visits=4))
     assert len(np.unique(drawn, axis=0)) == 4 and len(np.unique(at, axis=0)) == 90

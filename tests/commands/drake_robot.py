@@ -1,9 +1,11 @@
-"""A robot for tests: make the pushes of an actions.csv in Drake, and write what a camera over the table would see.
+"""A robot for tests: make the pushes of an actions.csv in Drake, and write what a camera over the
+table would see.
 
     python tests/commands/drake_robot.py robot/actions.csv measured.csv --params 0.3,1e5,0.15,0.1
 
-It knows of the package only the engine, reads and writes files alone, and runs in a process of its own. The camera sees 60
-frames a second to the nearest 0.1 mm, from the arm's start on, and a little longer than the trial.
+It knows of the package only the engine, reads and writes files alone, and runs in a process of its
+own. The camera sees 60 frames a second to the nearest 0.1 mm, from the arm's start on, and a little
+longer than the trial.
 """
 
 import argparse
@@ -41,7 +43,8 @@ def main() -> None:
             places = np.concatenate([start[None], track])
             x, y = (np.interp(seen, simulated, places[:, k]) for k in range(2))
             write.writerows(
-                (row["trial"], f"{t:.4f}", f"{a:.4f}", f"{b:.4f}") for t, a, b in zip(seen, x, y, strict=True)
+                (row["trial"], f"{t:.4f}", f"{a:.4f}", f"{b:.4f}")
+                for t, a, b in zip(seen, x, y, strict=True)
             )
 
 

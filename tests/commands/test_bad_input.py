@@ -1,7 +1,8 @@
-"""Bad input end to end: whatever a person hands to a command, one line, exit code 2, and nothing half-written.
+"""Bad input end to end: whatever a person hands to a command, one line, exit code 2, and nothing
+half-written.
 
-Targets, configs and runs are in `test_train.py`, words in `test_errors.py`, every way a file can be wrong in
-`tests/closeloop`; here the same through the command line, with what is left on the disk.
+Targets, configs and runs are in `test_train.py`, words in `test_errors.py`, every way a file can be
+wrong in `tests/closeloop`; here the same through the command line, with what is left on the disk.
 """
 
 import errno
@@ -60,7 +61,10 @@ def scaled(places, factor):
     def change(rows):
         return [
             rows[0],
-            *([f"{float(x) * (factor if i in places else 1):.9g}" for i, x in enumerate(row)] for row in rows[1:]),
+            *(
+                [f"{float(x) * (factor if i in places else 1):.9g}" for i, x in enumerate(row)]
+                for row in rows[1:]
+            ),
         ]
 
     def edit(folder):
@@ -86,7 +90,11 @@ def swapped(rows):
 
 
 DATA = {
-    "a missing column": (column(lambda rows: [row[:2] + row[3:] for row in rows]), "trial_00.csv", "q2"),
+    "a missing column": (
+        column(lambda rows: [row[:2] + row[3:] for row in rows]),
+        "trial_00.csv",
+        "q2",
+    ),
     "not a number": (cell(7, 1, "nan"), "trial_00.csv", "line 8"),
     "text": (cell(7, 5, "off"), "trial_00.csv", "'off'"),
     "time that runs backwards": (column(swapped), "trial_00.csv", "runs backwards"),
@@ -95,9 +103,21 @@ DATA = {
     "an unknown key": (meta("angle_zero", "angel_zero"), "meta.toml", "did you mean 'angle_zero'"),
     "a missing key": (meta('task = "pendulum"\n', ""), "meta.toml", "'task' is missing"),
     "another task": (meta('"pendulum"', '"walking"'), "meta.toml", "walking"),
-    "a known parameter that the model has not": (meta("[geometry]", "[known]\nmass_1 = 1.0\n[geometry]"), "mass_1", ""),
-    "a parameter outside its physical range": (meta("l1 = 0.411", "l1 = -0.411"), "meta.toml", "l1"),
-    "no trials": (lambda folder: [path.unlink() for path in folder.glob("*.csv")], "data", "no .csv"),
+    "a known parameter that the model has not": (
+        meta("[geometry]", "[known]\nmass_1 = 1.0\n[geometry]"),
+        "mass_1",
+        "",
+    ),
+    "a parameter outside its physical range": (
+        meta("l1 = 0.411", "l1 = -0.411"),
+        "meta.toml",
+        "l1",
+    ),
+    "no trials": (
+        lambda folder: [path.unlink() for path in folder.glob("*.csv")],
+        "data",
+        "no .csv",
+    ),
     "no meta": (lambda folder: (folder / "meta.toml").unlink(), "meta.toml", "missing"),
     "no folder": (shutil.rmtree, "data", "does not exist"),
 }
@@ -113,7 +133,9 @@ def test_a_recording(data, tmp_path, capsys, damage):
 
 
 def test_an_excluded_effect_that_is_not_in_the_catalogue(data, tmp_path, capsys):
-    message = refused(capsys, "diagnose", data, "--out", tmp_path / "out", "--exclude", "backlash", "backlask")
+    message = refused(
+        capsys, "diagnose", data, "--out", tmp_path / "out", "--exclude", "backlash", "backlask"
+    )
     assert "'backlask'" in message and "backlash" in message
     assert not (tmp_path / "out").exists()
 
@@ -184,7 +206,16 @@ def test_a_disk_that_fills_while_results_are_written(tmp_path, capsys, monkeypat
     import adaptsim_jax.report.comparison as comparison
 
     monkeypatch.setattr(comparison, "write_bytes", full)  # results.json is written before
-    command = ("compare", "pendulum", "--out", tmp_path / "out", "--methods", "udr,best-in-omega", "--settings", "wd")
+    command = (
+        "compare",
+        "pendulum",
+        "--out",
+        tmp_path / "out",
+        "--methods",
+        "udr,best-in-omega",
+        "--settings",
+        "wd",
+    )
     assert "no space left" in refused(capsys, *command)
     json.loads((tmp_path / "out" / "results.json").read_text())
     assert not [path for path in (tmp_path / "out").iterdir() if path.suffix == ".tmp"]

@@ -1,4 +1,6 @@
-"""The tour on the smallest sizes: ordinary run folders, numbers that agree with the other commands, one whole page."""
+"""The tour on the smallest sizes: ordinary run folders, numbers that agree with the other commands,
+one whole page.
+"""
 
 import json
 import re
@@ -29,15 +31,23 @@ FIT = FitConfig(updates=20)
 SIZES = DemoConfig(
     seeds=2,
     iterations=3,
-    train=TrainConfig(phase1=Phase1Config(trajectories=40, parallel=10, updates=4, capacity=1000, archive=1000)),
+    train=TrainConfig(
+        phase1=Phase1Config(trajectories=40, parallel=10, updates=4, capacity=1000, archive=1000)
+    ),
     sysid=SysIdConfig(simulations=64, draws=50, first_fit=FIT, next_fit=FIT),
-    baselines=("sysid_point", "udr", "best_in_omega"),  # SysID-Bayes has the longest compile, and tests of its own
+    baselines=(
+        "sysid_point",
+        "udr",
+        "best_in_omega",
+    ),  # SysID-Bayes has the longest compile, and tests of its own
 )
 
 
 def tiny(task):
     options = {"push": {"shared": {"updates": 20, "contexts": 8, "trials": 32}}, "scoop": {}}[task]
-    return replace(getattr(SHORT, task), trajectories=4, parallel=2, updates=4, iterations=2, options=options)
+    return replace(
+        getattr(SHORT, task), trajectories=4, parallel=2, updates=4, iterations=2, options=options
+    )
 
 
 def adapted(task, shown):
@@ -55,7 +65,12 @@ def stand_ins():
     from tests.report.test_scooping_film import clip
 
     tracks = np.linspace((0.6, 0.0), (0.9, 0.1), 20)
-    pushes = Pushes(np.array([[0.8, 0.05], [0.9, -0.1]]), np.tile(tracks, (2, 2, 1, 1)), np.full((2, 2), 0.5), 0.05)
+    pushes = Pushes(
+        np.array([[0.8, 0.05], [0.9, -0.1]]),
+        np.tile(tracks, (2, 2, 1, 1)),
+        np.full((2, 2), 0.5),
+        0.05,
+    )
     time = np.linspace(0.0, 3.0, 100)
     trial = {"trial": "trial_00", "time": time, "measured": {"hinge": np.sin(time)}}
     trial |= {"before": {"hinge": np.sin(1.02 * time)}, "after": {"hinge": np.sin(1.001 * time)}}
@@ -86,7 +101,10 @@ def tour(tmp_path_factory, stand_ins):
     out = tmp_path_factory.mktemp("demo")
     with pytest.MonkeyPatch.context() as patch:
         put_in(patch, stand_ins)
-        say = lambda part, done, total, note="": told.append((part, done / total, note))
+
+        def say(part, done, total, note=""):
+            return told.append((part, done / total, note))
+
         found = demo(out, 5, say, SIZES)
     return out, found, told
 
@@ -101,7 +119,16 @@ def test_progress_only_goes_forward(tour):
 def test_its_runs_are_ordinary_and_adapt_alike(tour, tmp_path):
     out, found, _ = tour
     assert load_run(RunFolder.open(out / "runs" / "seed-6")).rounds == 4
-    again = ["adapt", str(out / "runs" / "seed-5"), "--target", "ood-1", "--seed", "5", "--iterations", "3"]
+    again = [
+        "adapt",
+        str(out / "runs" / "seed-5"),
+        "--target",
+        "ood-1",
+        "--seed",
+        "5",
+        "--iterations",
+        "3",
+    ]
     assert main([*again, "--out", str(tmp_path / "a")]) == 0
     best = json.loads((tmp_path / "a" / "result.json").read_text())["best"]
     assert best["reward"] == pytest.approx(float(found.adapted[0].result.reward), rel=1e-5)
@@ -192,11 +219,16 @@ def test_a_folder_that_cannot_be_written(tmp_path, capsys):
 
 @pytest.mark.parametrize("task", ["push", "scoop"])
 def test_a_push_and_a_scoop_before_and_after(task, tmp_path):
-    """The real thing on the smallest sizes: a run folder, a result that agrees with what is shown."""
+    """The real thing on the smallest sizes: a run folder, a result that agrees with what is
+    shown.
+    """
     from adaptsim_jax.commands.demo_contact import push_part, scoop_part
 
     told = []
-    say = lambda done, total, note="": told.append(done / total)
+
+    def say(done, total, note=""):
+        return told.append(done / total)
+
     part = {"push": push_part, "scoop": scoop_part}[task]
     found = part(tmp_path, 3, tiny(task), False, say)
     assert told == sorted(told) and told[-1] == 1.0

@@ -20,10 +20,16 @@ def test_its_commands_ask_for_the_same(tmp_path, sizes):
     args = {k: parse(shlex.split(line)[1:]) for k, line in commands(tmp_path, 5, sizes).items()}
     assert train_command.config_of({}, args["train"]) == replace(sizes.train, seed=5)
     assert args["adapt"].folder == args["train"].folder and args["adapt"].target == "ood-1"
-    assert (args["adapt"].starts, args["adapt"].iterations, args["adapt"].seed) == (sizes.starts, sizes.iterations, 5)
+    assert (args["adapt"].starts, args["adapt"].iterations, args["adapt"].seed) == (
+        sizes.starts,
+        sizes.iterations,
+        5,
+    )
     task_word(args["compare"])
     asked = compare_command.config_of(args["compare"])
-    wanted = {name: getattr(sizes, name) for name in ("seeds", "starts", "iterations", "train", "sysid")}
+    wanted = {
+        name: getattr(sizes, name) for name in ("seeds", "starts", "iterations", "train", "sysid")
+    }
     assert asked == CompareConfig(("adaptsim", *sizes.baselines), ("ood-1",), seed=5, **wanted)
     for task, sized in (("pushing", sizes.push), ("scooping", sizes.scoop)):
         train, adapt = args[f"train_{task}"], args[f"adapt_{task}"]
@@ -31,7 +37,9 @@ def test_its_commands_ask_for_the_same(tmp_path, sizes):
         assert adapt.folder == train.folder and (adapt.target, adapt.seed) == (sized.target, 5)
         assert (adapt.starts, adapt.iterations) == (sized.starts, sized.iterations)
     for name, data in (("diagnose", HINGE), ("double", PENDULUM)):
-        assert args[name].data == str(data) and (data / "meta.toml").exists() and args[name].seed == 5
+        assert (
+            args[name].data == str(data) and (data / "meta.toml").exists() and args[name].seed == 5
+        )
     for name in ("train", "train_pushing", "train_scooping", "compare", "diagnose", "double"):
         folder = Path(getattr(args[name], "folder", None) or args[name].out)
         assert tmp_path / "runs" not in folder.parents and folder.is_relative_to(tmp_path / "again")

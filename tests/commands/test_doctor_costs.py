@@ -6,12 +6,21 @@ from adaptsim_jax.commands.doctor_costs import costs, engines, line
 
 
 def test_every_engine_of_every_task_has_a_configuration_of_its_own():
-    made = {(task, name): config().task for task, rows in engines().items() for name, config in rows.items()}
-    assert made["pushing", "mjx"]["simulator"] == "mjx" and made["scooping", "hydro"]["simulator"] == "hydro"
+    made = {
+        (task, name): config().task
+        for task, rows in engines().items()
+        for name, config in rows.items()
+    }
+    assert (
+        made["pushing", "mjx"]["simulator"] == "mjx"
+        and made["scooping", "hydro"]["simulator"] == "hydro"
+    )
     assert len({str(sorted(options.items())) for options in made.values()}) == len(made)
 
 
 @pytest.mark.slow
 def test_a_trajectory_of_the_pendulum_takes_milliseconds():
     (row,) = costs(("pendulum",))
-    assert 1e-6 < row["s_a_trajectory"] < 1.0 and line(row).startswith("cost       pendulum in exact")
+    assert 1e-6 < row["s_a_trajectory"] < 1.0 and line(row).startswith(
+        "cost       pendulum in exact"
+    )

@@ -29,7 +29,10 @@ def refused(capsys, *arguments):
     [
         (["trian"], "unknown command 'trian'; did you mean 'train'?"),
         (["xyz"], "unknown command 'xyz'; known: demo, train"),
-        (["--seed", "3", "train"], "'--seed' stands before the command; write 'adaptsim COMMAND --seed'"),
+        (
+            ["--seed", "3", "train"],
+            "'--seed' stands before the command; write 'adaptsim COMMAND --seed'",
+        ),
         (["effects", "pushin"], "unknown task 'pushin'; did you mean 'pushing'?"),
         (["parity", "pushin"], "unknown task 'pushin'; did you mean 'pushing'?"),
         (["effects", "pushin"], "unknown task 'pushin'; did you mean 'pushing'?"),
@@ -86,7 +89,11 @@ def command(monkeypatch):
             2,
             "f: no space left on the disk; free some and run again",
         ),
-        (PermissionError(errno.EACCES, "Permission denied", "f"), 2, "f: Permission denied; name a file or"),
+        (
+            PermissionError(errno.EACCES, "Permission denied", "f"),
+            2,
+            "f: Permission denied; name a file or",
+        ),
         (
             FileNotFoundError(errno.ENOENT, "No such file", "f"),
             2,
@@ -120,7 +127,9 @@ def test_a_reader_that_goes_away_is_no_fault():
     code = "import sys; from adaptsim_jax.cli import main; sys.exit(main(['effects']))"
     reader, writer = os.pipe()
     os.close(reader)
-    process = subprocess.run([sys.executable, "-c", code], stdout=writer, stderr=subprocess.PIPE, text=True)
+    process = subprocess.run(
+        [sys.executable, "-c", code], stdout=writer, stderr=subprocess.PIPE, text=True
+    )
     os.close(writer)
     assert process.returncode == 1 and process.stderr == ""
 
@@ -130,21 +139,25 @@ def test_results_to_a_full_disk_are_one_line():
         pytest.skip("this system has no /dev/full")
     code = "import sys; from adaptsim_jax.cli import main; sys.exit(main(['effects']))"
     with open("/dev/full", "w") as full:
-        process = subprocess.run([sys.executable, "-c", code], stdout=full, stderr=subprocess.PIPE, text=True)
+        process = subprocess.run(
+            [sys.executable, "-c", code], stdout=full, stderr=subprocess.PIPE, text=True
+        )
     assert process.returncode == 2
     assert process.stderr.startswith("adaptsim: ") and "no space left" in process.stderr
     assert process.stderr.count("\n") == 1
 
 
-# Where tests run in the background of a shell SIGINT is ignored, and children inherit that. Set in the child: to fork with
-# `preexec_fn` beside JAX's threads is warned of.
+# Where tests run in the background of a shell SIGINT is ignored, and children inherit that. Set in
+# the child: to fork with `preexec_fn` beside JAX's threads is warned of.
 HEED = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
 
 
 def test_interrupt_of_a_real_process():
     code = HEED + (
-        "import sys, time, types; from adaptsim_jax import cli; from adaptsim_jax.commands import parser\n"
-        "def run(args):\n    args.resume_hint = 'go on'; print('ready', flush=True); time.sleep(60)\n"
+        "import sys, time, types; from adaptsim_jax import cli; from adaptsim_jax.commands import "
+        "parser\n"
+        "def run(args):\n    args.resume_hint = 'go on'; print('ready', flush=True); "
+        "time.sleep(60)\n"
         "module = types.SimpleNamespace(EXAMPLES='', arguments=lambda p: None, run=run)\n"
         "parser.importlib.import_module = lambda name: module\n"
         "sys.exit(cli.main(['doctor']))"
@@ -159,7 +172,9 @@ def test_interrupt_of_a_real_process():
 
 
 def test_ctrl_c_while_modules_are_loaded_is_quiet():
-    """SIGINT as the command line's first module is looked for: no traceback, ended by the signal."""
+    """SIGINT as the command line's first module is looked for: no traceback, ended by the
+    signal.
+    """
     code = HEED + (
         "import os, sys\n"
         "class Impatient:\n"
@@ -169,9 +184,14 @@ def test_ctrl_c_while_modules_are_loaded_is_quiet():
         "from adaptsim_jax.__main__ import run\n"
         "sys.exit(run())"
     )
-    done = subprocess.run([sys.executable, "-c", code, "--help"], capture_output=True, text=True, timeout=60)
+    done = subprocess.run(
+        [sys.executable, "-c", code, "--help"], capture_output=True, text=True, timeout=60
+    )
     assert done.returncode == -signal.SIGINT and done.stdout == done.stderr == ""
     plain = subprocess.run(
-        [sys.executable, "-m", "adaptsim_jax", "--version"], capture_output=True, text=True, timeout=60
+        [sys.executable, "-m", "adaptsim_jax", "--version"],
+        capture_output=True,
+        text=True,
+        timeout=60,
     )
     assert plain.returncode == 0 and plain.stdout.startswith("adaptsim_jax ") and plain.stderr == ""

@@ -1,4 +1,6 @@
-"""Every command line that the README, the pages of `docs/` and the `--help` texts show is one that the program takes."""
+"""Every command line that the README, the pages of `docs/` and the `--help` texts show is one that
+the program takes.
+"""
 
 import importlib
 import re
@@ -20,8 +22,9 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 def lines(text):
-    """The `adaptsim` commands in `text`, on lines that are indented or begin with `$`; without the words of explanation behind them
-    (two blanks or more)."""
+    """The `adaptsim` commands in `text`, on lines that are indented or begin with `$`; without the
+    words of explanation behind them (two blanks or more).
+    """
     whole = re.sub(r" *\\\n *", " ", text)
     found = re.findall(r"^(?: +|\$ )adaptsim (\S.*)$", whole, flags=re.M)
     return [re.split(r"\s{2,}| > ", line)[0] for line in found]
@@ -60,7 +63,9 @@ def check_config(command, args):
 
 def test_there_are_examples_of_every_command():
     readme = (ROOT / "README.md").read_text()
-    shown = {line.split()[0] for line in lines(readme)} | set(re.findall(r"`adaptsim ([a-z]+)`", readme))
+    shown = {line.split()[0] for line in lines(readme)} | set(
+        re.findall(r"`adaptsim ([a-z]+)`", readme)
+    )
     assert set(SUMMARIES) - {"demo"} <= shown  # the demo is `make demo` there
     for name in SUMMARIES:
         own = [line.split()[0] for where, line in examples() if where == name]
@@ -68,9 +73,7 @@ def test_there_are_examples_of_every_command():
 
 
 def test_commands_of_several_lines_and_of_sessions_are_found():
-    text = (
-        "    adaptsim train pendulum --run a \\\n      --seed 3     as it was\n\n$ adaptsim robot next\nadaptsim: no\n"
-    )
+    text = "    adaptsim train pendulum --run a \\\n      --seed 3     as it was\n\n$ adaptsim robot next\nadaptsim: no\n"
     assert lines(text) == ["train pendulum --run a --seed 3", "robot next"]
 
 
@@ -87,10 +90,14 @@ def test_commands_in_documents_exist():
 
 
 def test_files_that_documents_name_exist():
-    """Paths with a folder and a suffix; what a person would make (`out/`, `runs/`, `logs/`) is no file of ours."""
+    """Paths with a folder and a suffix; what a person would make (`out/`, `runs/`, `logs/`) is no
+    file of ours.
+    """
     folders = "adaptsim_jax|benchmarks|docs|experiments|tests"
     for path in [*PAGES, ROOT / "CONTRIBUTING.md"]:
-        for name in re.findall(rf'[`("]((?:{folders})/[\w./-]+\.(?:py|md|png))\b', path.read_text()):
+        for name in re.findall(
+            rf'[`("]((?:{folders})/[\w./-]+\.(?:py|md|png))\b', path.read_text()
+        ):
             assert (ROOT / name).exists(), f"{path.name} names {name}"
 
 
@@ -114,7 +121,10 @@ def test_help_names_every_preset(help_of):
 def test_help_names_every_method_and_engine_of_each_task(help_of):
     """The lists stand in the command as text, because its module must not import JAX."""
     shown = help_of("compare")
-    spelled = lambda names: ", ".join(name.replace("_", "-") for name in names)
+
+    def spelled(names):
+        return ", ".join(name.replace("_", "-") for name in names)
+
     assert f"pendulum: {spelled(exact_methods())};" in shown
     assert f"pushing and scooping: {spelled(learned_methods())}" in shown
     for task, engines in (("pushing", pushing.BACKENDS), ("scooping", scooping.BACKENDS)):

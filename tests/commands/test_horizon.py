@@ -1,4 +1,6 @@
-"""How long stretches are: what `--horizon` may be, what is told where no trial is as long, and the command that a report names."""
+"""How long stretches are: what `--horizon` may be, what is told where no trial is as long, and the
+command that a report names.
+"""
 
 import shlex
 
@@ -18,7 +20,10 @@ SERVO = """<mujoco><option timestep="0.01"/><worldbody><body><joint name="arm" a
 @pytest.mark.parametrize("command", ["diagnose", "replay"])
 @pytest.mark.parametrize("given", ["-1", "nan", "long", "1e9"])
 def test_what_is_no_length_is_refused(command, given, tmp_path, capsys):
-    words = {"diagnose": [tmp_path, "--out", tmp_path / "out"], "replay": [tmp_path / "arm.xml", tmp_path]}[command]
+    words = {
+        "diagnose": [tmp_path, "--out", tmp_path / "out"],
+        "replay": [tmp_path / "arm.xml", tmp_path],
+    }[command]
     assert main([command, *map(str, words), "--horizon", given]) == 2
     assert "give seconds" in capsys.readouterr().err and not (tmp_path / "out").exists()
 
@@ -30,26 +35,46 @@ def test_a_diagnosis_over_nothing_names_what_it_is_over_whole_trials(tmp_path, c
 
 @pytest.mark.parametrize(
     ("simulator", "horizon", "span"),
-    [("tree", 20.0, 1.19), ("mujoco", 20.0, 1.19), ("mujoco", 0.4, 0.4), ("mujoco", 0.0, 0.98 * 1.19)],
+    [
+        ("tree", 20.0, 1.19),
+        ("mujoco", 20.0, 1.19),
+        ("mujoco", 0.4, 0.4),
+        ("mujoco", 0.0, 0.98 * 1.19),
+    ],
 )
 def test_a_replay_tells_how_long_its_stretches_really_are(tmp_path, simulator, horizon, span):
     from adaptsim_jax.attribution.replay import replay_files
 
-    log = folder(tmp_path / "log", 'input = "torque"\n', run=named(motion(1, rows=120), ("arm",), "q", "tau"))
+    log = folder(
+        tmp_path / "log", 'input = "torque"\n', run=named(motion(1, rows=120), ("arm",), "q", "tau")
+    )
     (tmp_path / "arm.xml").write_text(SERVO)
     found = replay_files(tmp_path / "arm.xml", log, horizon, ("stretches",), simulator)
     told = found.told()
     np.testing.assert_allclose(told["horizon"], span, rtol=1e-6)
     np.testing.assert_allclose(np.ptp(found.time[0]), span, atol=0.03)
-    assert any("no trial is 20 s long: stretches are of 1.19 s" in note for note in found.notes) == (horizon == 20.0)
+    assert any(
+        "no trial is 20 s long: stretches are of 1.19 s" in note for note in found.notes
+    ) == (horizon == 20.0)
 
 
 def test_the_command_of_a_report_says_all_that_changes_the_answer():
-    told = {"model": "arm.xml", "as_declared": True, "simulator": "tree", "yardstick": "torque", "horizon": 0.25}
+    told = {
+        "model": "arm.xml",
+        "as_declared": True,
+        "simulator": "tree",
+        "yardstick": "torque",
+        "horizon": 0.25,
+    }
     command = command_of("my log", out="out", exclude=("backlash",), without=("a", "b"), **told)
     args = command_parser("diagnose").parse_args(shlex.split(command)[2:])
     assert {key: getattr(args, key) for key in told} == told
-    assert (args.data, args.out, args.exclude, args.without) == ("my log", "out", ["backlash"], ["a", "b"])
+    assert (args.data, args.out, args.exclude, args.without) == (
+        "my log",
+        "out",
+        ["backlash"],
+        ["a", "b"],
+    )
     assert command_of("log", out="out") == "adaptsim diagnose log --out out"
 
 
@@ -67,11 +92,24 @@ def test_a_diagnosis_hands_on_what_its_command_is_made_of(tmp_path, monkeypatch,
 
     monkeypatch.setattr(by_tree, "diagnose", keep)
     monkeypatch.setattr(by_mujoco, "diagnose", keep)
-    log = folder(tmp_path / "log", 'input = "torque"\n', run=named(motion(1, rows=120), ("arm",), "q", "tau"))
+    log = folder(
+        tmp_path / "log", 'input = "torque"\n', run=named(motion(1, rows=120), ("arm",), "q", "tau")
+    )
     (tmp_path / "arm.xml").write_text(SERVO)
     asked = ["--horizon", "0.3", *(["--simulator", simulator] if simulator else [])]
     assert (
-        main(["diagnose", str(log), "--model", str(tmp_path / "arm.xml"), "--out", str(tmp_path / "out"), *asked]) == 2
+        main(
+            [
+                "diagnose",
+                str(log),
+                "--model",
+                str(tmp_path / "arm.xml"),
+                "--out",
+                str(tmp_path / "out"),
+                *asked,
+            ]
+        )
+        == 2
     )
     assert seen["horizon"] == 0.3
     if simulator:

@@ -21,7 +21,11 @@ def test_the_push_starts_from_what_compare_trains_with():
 
 def test_a_preset_keeps_nothing_of_the_defaults():
     made = asked("--preset", "paper-pushing", "--set", "phase1.updates=7")
-    assert made.task == paper_pushing().task and made.phase1.updates == 7 and made.hyper == paper_pushing().hyper
+    assert (
+        made.task == paper_pushing().task
+        and made.phase1.updates == 7
+        and made.hyper == paper_pushing().hyper
+    )
 
 
 @pytest.mark.parametrize("key", ["training.block=300", "tuning.near=0.5", "shared.trials=64"])
@@ -63,7 +67,10 @@ def test_a_config_file_with_some_keys_is_filled_up():
 
 @pytest.mark.parametrize(
     ("task", "name", "there"),
-    [("pushing", "paper", "paper-pushing"), ("scooping", "paper-pushing", "hydro-scooping or mjx-scooping")],
+    [
+        ("pushing", "paper", "paper-pushing"),
+        ("scooping", "paper-pushing", "hydro-scooping or mjx-scooping"),
+    ],
 )
 def test_an_unknown_preset_is_refused(task, name, there):
     args = parse(["train", task, "--run", "r", "--preset", name])

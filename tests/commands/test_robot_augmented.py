@@ -1,4 +1,6 @@
-"""`adaptsim robot` on a run of a mended model: `next` names the controller, and what it writes can be run."""
+"""`adaptsim robot` on a run of a mended model: `next` names the controller, and what it writes can
+be run.
+"""
 
 import re
 
@@ -15,15 +17,22 @@ SIZES = ("trajectories=4", "parallel=2", "updates=1", "capacity=100", "archive=1
 
 @pytest.mark.slow
 def test_next_says_what_has_to_be_run_and_it_runs(tmp_path, capsys):
-    value = lambda x, unit: Value(x, x, x, unit)
+    def value(x, unit):
+        return Value(x, x, x, unit)
+
     declared = {"m1": value(1.5, "kg"), "m2": value(1.4, "kg")}
     declared |= {"b1": value(1.2, "N m s/rad"), "b2": value(1.8, "N m s/rad")}
     bias = AddedEffect("bias", "joint1", {"torque": value(4.0, "N m")})
     geometry = {"l1": 1.0, "l2": 1.0, "g": 9.81}
-    write_model(tmp_path / "m.toml", ModelFile("pendulum", "linearized", "upright", geometry, declared, (bias,)))
+    write_model(
+        tmp_path / "m.toml",
+        ModelFile("pendulum", "linearized", "upright", geometry, declared, (bias,)),
+    )
     sizes = [word for size in SIZES for word in ("--set", f"phase1.{size}")]
     run, folder = str(tmp_path / "run"), str(tmp_path / "robot")
-    assert main(["train", "pendulum", "--run", run, "--model", str(tmp_path / "m.toml"), *sizes]) == 0
+    assert (
+        main(["train", "pendulum", "--run", run, "--model", str(tmp_path / "m.toml"), *sizes]) == 0
+    )
     capsys.readouterr()
     assert main(["robot", "new", run, "--dir", folder, "--starts", "1", "--iterations", "1"]) == 0
     said = capsys.readouterr().out

@@ -1,4 +1,6 @@
-"""A person with a robot that drifts away from every E: what is deployed is corrected by the pushes told; and so is `adapt`'s."""
+"""A person with a robot that drifts away from every E: what is deployed is corrected by the pushes
+told; and so is `adapt`'s.
+"""
 
 import json
 import tomllib
@@ -18,12 +20,30 @@ from adaptsim_jax.tasks.pushing.measured import read_policy
 
 pytestmark = pytest.mark.slow
 SIZES = (
-    "phase1.trajectories=4", "phase1.parallel=2", "phase1.horizon=2", "phase1.updates=1", "phase1.batch=8",
-    "phase1.capacity=12", "phase1.archive=12", "phase1.hidden=[16]", "phase1.reuse.first=60", "phase1.reuse.most=90",
-    "phase1.reuse.least=20", "phase1.reuse.capacity=12", "phase1.reuse.together=2", "task.trials=200", "task.tests=6",
-    "task.hidden=[16]", "task.pretrain=true", "task.tune=false", "task.refine=6", "task.correct=true", "task.goals=spread",
-    "task.trajectories=4", "task.shared={contexts=60,trials=32,updates=200,batch=32,candidates=8}",
-)  # fmt: skip
+    "phase1.trajectories=4",
+    "phase1.parallel=2",
+    "phase1.horizon=2",
+    "phase1.updates=1",
+    "phase1.batch=8",
+    "phase1.capacity=12",
+    "phase1.archive=12",
+    "phase1.hidden=[16]",
+    "phase1.reuse.first=60",
+    "phase1.reuse.most=90",
+    "phase1.reuse.least=20",
+    "phase1.reuse.capacity=12",
+    "phase1.reuse.together=2",
+    "task.trials=200",
+    "task.tests=6",
+    "task.hidden=[16]",
+    "task.pretrain=true",
+    "task.tune=false",
+    "task.refine=6",
+    "task.correct=true",
+    "task.goals=spread",
+    "task.trajectories=4",
+    "task.shared={contexts=60,trials=32,updates=200,batch=32,candidates=8}",
+)
 PUSHES = 8
 
 
@@ -52,13 +72,16 @@ def robot(*arguments):
 
 
 def drifting(actions, count):
-    """Tracks `[N, 131, 2]` m of a bottle that veers to the left, which no parameter makes it do, the more the more pushes (`count
-    [N]`) were made; with the start."""
+    """Tracks `[N, 131, 2]` m of a bottle that veers to the left, which no parameter makes it do,
+    the more the more pushes (`count [N]`) were made; with the start.
+    """
     slide = jax.jit(jax.vmap(lambda a: pushing_planar.rollout(jnp.array([0.12, 1e5, 0.5, 0.0]), a)))
     way = np.asarray(slide(jnp.asarray(actions, jnp.float32))) - model.START
     turn = 0.10 + 0.004 * np.asarray(count)[:, None]
     x, y = way[..., 0], way[..., 1]
-    veered = np.stack([np.cos(turn) * x - np.sin(turn) * y, np.sin(turn) * x + np.cos(turn) * y], -1)
+    veered = np.stack(
+        [np.cos(turn) * x - np.sin(turn) * y, np.sin(turn) * x + np.cos(turn) * y], -1
+    )
     return np.concatenate([np.zeros((len(way), 1, 2)), veered], 1) + model.START
 
 
@@ -89,9 +112,13 @@ def test_a_robot_that_drifts(run, tmp_path, capsys):
     act = read_policy(folder / "best.toml")
     np.testing.assert_allclose(act(listed[:, 1:3]), listed[:, 3:], atol=2e-3)
     config.write(tmp_path / "plain.toml", {k: v for k, v in kept.items() if k != "told"})
-    ends = lambda act: drifting(act(listed[:, 1:3]), np.full(len(listed), PUSHES + 1))[:, -1]
+
+    def ends(act):
+        return drifting(act(listed[:, 1:3]), np.full(len(listed), PUSHES + 1))[:, -1]
+
     missed = [
-        np.linalg.norm(ends(a) - listed[:, 1:3], axis=1).mean() for a in (read_policy(tmp_path / "plain.toml"), act)
+        np.linalg.norm(ends(a) - listed[:, 1:3], axis=1).mean()
+        for a in (read_policy(tmp_path / "plain.toml"), act)
     ]
     assert missed[1] < 0.5 * missed[0]  # with a policy that has hardly learned
     config.write(
@@ -104,10 +131,18 @@ def test_a_robot_that_drifts(run, tmp_path, capsys):
 
 def test_adapt_says_what_is_earned_corrected(run, tmp_path, capsys, monkeypatch):
     found, adapt_run = [], training.adapt_run
-    monkeypatch.setattr(training, "adapt_run", lambda *a, **k: found.append(adapt_run(*a, **k)) or found[0])
-    assert main(["adapt", str(run), "--target", "wd", "--iterations", "2", "--out", str(tmp_path)]) == 0
+    monkeypatch.setattr(
+        training, "adapt_run", lambda *a, **k: found.append(adapt_run(*a, **k)) or found[0]
+    )
+    assert (
+        main(["adapt", str(run), "--target", "wd", "--iterations", "2", "--out", str(tmp_path)])
+        == 0
+    )
     assert "by the pushes made before, the best policy's by all 24" in capsys.readouterr().out
     told = json.loads((tmp_path / "result.json").read_text())["history"]
-    corrected, plain = np.array([[visit["reward"] for visit in start] for start in told]), found[0].history.reward
+    corrected, plain = (
+        np.array([[visit["reward"] for visit in start] for start in told]),
+        found[0].history.reward,
+    )
     np.testing.assert_allclose(corrected[:, 0], plain[:, 0], atol=1e-3)  # nothing was told yet
     assert (1 - corrected[:, 1:]).mean() < 0.6 * (1 - plain[:, 1:]).mean()

@@ -1,4 +1,6 @@
-"""`adaptsim robot` on a run of the push, with Drake as the robot in another process; the figures of `adaptsim adapt`."""
+"""`adaptsim robot` on a run of the push, with Drake as the robot in another process; the figures of
+`adaptsim adapt`.
+"""
 
 import csv
 import errno
@@ -27,11 +29,24 @@ from adaptsim_jax.tasks.pushing.measured import read_policy
 
 pytestmark = pytest.mark.slow
 SIZES = (
-    "phase1.trajectories=4", "phase1.parallel=2", "phase1.horizon=2", "phase1.updates=1", "phase1.batch=8",
-    "phase1.capacity=12", "phase1.archive=12", "phase1.hidden=[16]", "phase1.reuse.first=60", "phase1.reuse.most=90",
-    "phase1.reuse.least=20", "phase1.reuse.capacity=12", "phase1.reuse.together=2", "task.trials=200", "task.tests=6",
-    "task.hidden=[16]", "task.training={block=20,updates=5,batch=16,capacity=200}",
-)  # fmt: skip
+    "phase1.trajectories=4",
+    "phase1.parallel=2",
+    "phase1.horizon=2",
+    "phase1.updates=1",
+    "phase1.batch=8",
+    "phase1.capacity=12",
+    "phase1.archive=12",
+    "phase1.hidden=[16]",
+    "phase1.reuse.first=60",
+    "phase1.reuse.most=90",
+    "phase1.reuse.least=20",
+    "phase1.reuse.capacity=12",
+    "phase1.reuse.together=2",
+    "task.trials=200",
+    "task.tests=6",
+    "task.hidden=[16]",
+    "task.training={block=20,updates=5,batch=16,capacity=200}",
+)
 WORLD = "0.3,1e5,0.15,0.1"  # OOD-4
 ROBOT = Path(__file__).with_name("drake_robot.py")
 
@@ -40,7 +55,9 @@ ROBOT = Path(__file__).with_name("drake_robot.py")
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs") / "push"
     sizes = [word for size in SIZES for word in ("--set", size)]
-    assert main(["train", "pushing", "--run", str(folder), "--preset", "paper-pushing", *sizes]) == 0
+    assert (
+        main(["train", "pushing", "--run", str(folder), "--preset", "paper-pushing", *sizes]) == 0
+    )
     return folder
 
 
@@ -49,7 +66,11 @@ def robot(*arguments):
 
 
 def contents(folder):
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
 
 
 def pushed(folder, out):
@@ -60,7 +81,9 @@ def pushed(folder, out):
 
 
 def straight(folder, out, length=0.2, turn=1.0):
-    """Tracks of bottles that slide `length` m along `turn` times their pushes' angles, whatever speed was asked."""
+    """Tracks of bottles that slide `length` m along `turn` times their pushes' angles, whatever
+    speed was asked.
+    """
     time = np.arange(0, 1.34, 1 / 30)
     with open(folder / "actions.csv", newline="") as file:
         asked = [(row["trial"], float(row["angle"])) for row in csv.DictReader(file)]
@@ -75,7 +98,9 @@ def straight(folder, out, length=0.2, turn=1.0):
 
 
 def seen_by_hand(folder, record):
-    """Goals `[2, 2]`, six points `[2, 6, 2]` and rewards `[2]` from the two files, by other means than the package's."""
+    """Goals `[2, 2]`, six points `[2, 6, 2]` and rewards `[2]` from the two files, by other means
+    than the package's.
+    """
     asked = np.loadtxt(folder / "actions.csv", delimiter=",", skiprows=1)
     rows = np.loadtxt(record, delimiter=",", skiprows=1)
     times = [0.22, 0.43, 0.65, 0.87, 1.08, 1.30]
@@ -88,19 +113,25 @@ def seen_by_hand(folder, record):
 
 
 def next_mean(folder, goals, points):
-    """Unit mean `[4]` that the learned adaptation policy goes to after that, from the session's state on disk."""
+    """Unit mean `[4]` that the learned adaptation policy goes to after that, from the session's
+    state on disk.
+    """
     session = command.open_session(folder)
     state, _ = command.load(session)
     phase1 = session.trained.phase1
     seen = (np.concatenate([points, goals[:, None]], 1) - [0.85, 0.0]) / [0.15, 0.1]
     obs = np.concatenate([2 * state.mean - 1, seen.reshape(-1)])
-    action = np.asarray(phase1.bdq.greedy(session.trained.state.learner.target, obs.astype(np.float32)))
+    action = np.asarray(
+        phase1.bdq.greedy(session.trained.state.learner.target, obs.astype(np.float32))
+    )
     step = float(session.trained.hyper.delta) * np.array([-1.0, 1.0, 0.0])[action]
     return np.clip(np.asarray(state.mean) + step, 0, 1), phase1.task.space
 
 
 def test_a_session_with_drake_as_the_robot(run, tmp_path, capsys):
-    """Two iterations: what is told is the files' own reward and six points, and the next parameters are the policy's for these."""
+    """Two iterations: what is told is the files' own reward and six points, and the next parameters
+    are the policy's for these.
+    """
     pytest.importorskip("pydrake")
     folder, scores, visited = tmp_path / "robot", [], []
     assert robot("new", run, "--dir", folder, "--starts", "1", "--iterations", "1") == 0
@@ -120,14 +151,19 @@ def test_a_session_with_drake_as_the_robot(run, tmp_path, capsys):
         if iteration == 0:
             now = tomllib.loads((folder / "policy.toml").read_text())["params"]
             np.testing.assert_allclose(
-                list(now.values()), space.physical(expected.astype(np.float32)), rtol=1e-4, atol=1e-6
+                list(now.values()),
+                space.physical(expected.astype(np.float32)),
+                rtol=1e-4,
+                atol=1e-6,
             )
     out = capsys.readouterr().out
     assert "all 2 iterations are told" in out and f"best return {max(scores):.3f}"[:-1] in out
     best = tomllib.loads((folder / "best.toml").read_text())
     assert best["params"] == visited[int(np.argmax(scores))]
     table = np.loadtxt(folder / "best_actions.csv", delimiter=",", skiprows=1)
-    np.testing.assert_allclose(read_policy(folder / "best.toml")(table[:, 1:3]), table[:, 3:], atol=1e-5)
+    np.testing.assert_allclose(
+        read_policy(folder / "best.toml")(table[:, 1:3]), table[:, 3:], atol=1e-5
+    )
     assert robot("record", record, "--dir", folder) == 2
     assert "all 2 iterations are told" in capsys.readouterr().err
 
@@ -152,9 +188,13 @@ def test_what_is_refused_leaves_the_session_as_it_was(run, tmp_path, capsys, mon
     refuse("none.csv", "check the path")
     straight(folder, tmp_path / "mirrored.csv", turn=-1.0)
     refuse("mirrored.csv", "the tracks look mirrored")
-    # a disk that fills, or a process that dies, between the push and its last byte: told again, it comes to the same
+    # a disk that fills, or a process that dies, between the push and its last byte: told again, it
+    # comes to the same
     with monkeypatch.context() as patch:
-        full = lambda *_: (_ for _ in ()).throw(OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
+
+        def full(*_):
+            return (_ for _ in ()).throw(OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
+
         patch.setattr(files.os, "replace", full)
         assert robot("record", first, "--dir", folder) == 2
         assert "no space left" in capsys.readouterr().err
@@ -178,25 +218,41 @@ def test_what_is_refused_leaves_the_session_as_it_was(run, tmp_path, capsys, mon
 
 
 def three_visits(trained, *_, **__):
-    """What Phase 2 gives, of three untrained policies of which the second is the best: to draw, without the compiling."""
+    """What Phase 2 gives, of three untrained policies of which the second is the best: to draw,
+    without the compiling.
+    """
     task = trained.phase1.task
     policies = jax.vmap(task.init_policy)(jax.random.split(jax.random.key(0), 3))
     means, score = jnp.linspace(0.2, 0.6, 12).reshape(1, 3, 4), jnp.array([[0.2, 0.6, 0.4]])
-    policies, obs, action = jax.tree.map(lambda x: x[None], policies), jnp.zeros((1, 3, 2)), jnp.zeros((1, 2, 4))
+    policies, obs, action = (
+        jax.tree.map(lambda x: x[None], policies),
+        jnp.zeros((1, 3, 2)),
+        jnp.zeros((1, 2, 4)),
+    )
     return best_of(Episode(means, policies, obs, score, score, action))
 
 
-def test_adapt_leaves_a_figure_and_films_the_pushes_that_it_found(run, tmp_path, capsys, monkeypatch):
+def test_adapt_leaves_a_figure_and_films_the_pushes_that_it_found(
+    run, tmp_path, capsys, monkeypatch
+):
     taken = []
     monkeypatch.setattr(training, "adapt_run", three_visits)
     monkeypatch.setattr(
-        push_video, "write_push_video", lambda clips, folder: taken.extend(clips) or (folder / "p", "how")
+        push_video,
+        "write_push_video",
+        lambda clips, folder: taken.extend(clips) or (folder / "p", "how"),
     )
     assert main(["adapt", str(run), "--target", "wd", "--out", str(tmp_path), "--video"]) == 0
     said = capsys.readouterr().out
     with Image.open(tmp_path / "pushes.png") as figure:
-        assert figure.width > 800 and figure.height > 600 and len(np.unique(np.asarray(figure.convert("L")))) > 20
-    assert f"written: {tmp_path / 'pushes.png'}" in said and f"written: {tmp_path / 'p'}, how" in said
+        assert (
+            figure.width > 800
+            and figure.height > 600
+            and len(np.unique(np.asarray(figure.convert("L")))) > 20
+        )
+    assert (
+        f"written: {tmp_path / 'pushes.png'}" in said and f"written: {tmp_path / 'p'}, how" in said
+    )
     # two policies at two goals, in the scene that the planar model is a twin of
     assert [clip.text[:18] for clip in taken] == ["iteration 0 (first", "iteration 1 (best)"] * 2
     assert all(clip.patch == pytest.approx(0.05) for clip in taken)

@@ -17,7 +17,9 @@ LOADED = "print(code, sorted({'jax', 'numpy', 'scipy', 'mujoco', 'matplotlib', '
 
 def python(*arguments, **env):
     command = [sys.executable, "-c", CODE + LOADED, *arguments]
-    return subprocess.run(command, capture_output=True, text=True, env={**os.environ, **env}, check=True)
+    return subprocess.run(
+        command, capture_output=True, text=True, env={**os.environ, **env}, check=True
+    )
 
 
 @pytest.mark.parametrize("command", [[], *([name] for name in SUMMARIES)])
@@ -33,13 +35,17 @@ def test_help_takes_less_than_a_second_of_the_processor():
     times = []
     for _ in range(3):
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        subprocess.run([sys.executable, "-m", "adaptsim_jax.cli", "--help"], capture_output=True, check=True)
+        subprocess.run(
+            [sys.executable, "-m", "adaptsim_jax.cli", "--help"], capture_output=True, check=True
+        )
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         times.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
     assert min(times) < 1.0
 
 
-@pytest.mark.parametrize("arguments", [["trian"], ["train", "--sed", "3"], ["adapt"], ["effects", "pushin"]])
+@pytest.mark.parametrize(
+    "arguments", [["trian"], ["train", "--sed", "3"], ["adapt"], ["effects", "pushin"]]
+)
 def test_bad_words_are_refused_without_jax(arguments):
     out = python(*arguments)
     assert out.stdout == "2 []\n"

@@ -1,4 +1,6 @@
-"""A tiny run by the command line: killed and resumed to the same bits, adapted, and told robot trials."""
+"""A tiny run by the command line: killed and resumed to the same bits, adapted, and told robot
+trials.
+"""
 
 import json
 import os
@@ -19,9 +21,15 @@ from tests.commands.test_errors import HEED
 
 pytestmark = pytest.mark.slow
 SIZES = (
-    "phase1.trajectories=240", "phase1.parallel=10", "phase1.updates=4", "phase1.hidden=[16]",
-    "phase1.capacity=1000", "phase1.archive=1000", "phase1.horizon=5", "every=2",
-)  # fmt: skip
+    "phase1.trajectories=240",
+    "phase1.parallel=10",
+    "phase1.updates=4",
+    "phase1.hidden=[16]",
+    "phase1.capacity=1000",
+    "phase1.archive=1000",
+    "phase1.horizon=5",
+    "every=2",
+)
 SET = [word for size in SIZES for word in ("--set", size)]
 
 
@@ -38,12 +46,20 @@ def straight(tmp_path_factory):
 
 
 def contents(folder):
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
 
 
 def kill_after(command, done):
-    """Run the command in a process of its own and SIGKILL it as soon as `done()`; True if it was killed."""
-    process = subprocess.Popen([sys.executable, "-m", "adaptsim_jax.cli", *command], stdout=subprocess.DEVNULL)
+    """Run the command in a process of its own and SIGKILL it as soon as `done()`; True if it was
+    killed.
+    """
+    process = subprocess.Popen(
+        [sys.executable, "-m", "adaptsim_jax.cli", *command], stdout=subprocess.DEVNULL
+    )
     try:
         while process.poll() is None and not done():
             time.sleep(0.001)
@@ -60,7 +76,8 @@ def test_killed_and_resumed_it_ends_with_the_same_bits(straight, tmp_path):
     def rows(count):
         return lambda: metrics.exists() and metrics.read_bytes().count(b"\n") >= count
 
-    # before any checkpoint, just after metrics were written and before their checkpoint, and again later
+    # before any checkpoint, just after metrics were written and before their checkpoint, and again
+    # later
     assert kill_after(train(folder, "--seed", "3", *SET), (folder / "config.toml").exists)
     assert kill_after(train(folder, "--resume"), rows(1))
     assert kill_after(train(folder, "--resume"), rows(9))
@@ -81,7 +98,10 @@ def test_a_finished_run_resumed_stays_as_it_is(straight, tmp_path):
         ([], "holds a run already; add --resume"),
         (["--resume", "--seed", "4"], "seed: 3 there, 4 asked"),
         (["--resume", "--set", "hyper.delta=0.2"], "hyper.delta: 0.1 there, 0.2 asked"),
-        (["--resume", "--set", "hyper.dleta=0.2"], "unknown key 'hyper.dleta'; did you mean 'delta'?"),
+        (
+            ["--resume", "--set", "hyper.dleta=0.2"],
+            "unknown key 'hyper.dleta'; did you mean 'delta'?",
+        ),
         (["--resume", "--config", "none.toml"], "none.toml: no such file"),
     ],
 )
@@ -122,9 +142,14 @@ def test_adapt_to_a_setting_and_to_the_same_numbers_in_a_file(straight, tmp_path
     for target, out in (("ood-1", "a"), (str(tmp_path / "mine.toml"), "b")):
         assert main(adapt(straight, tmp_path / out, "--target", target)) == 0
         results.append(json.loads((tmp_path / out / "result.json").read_text()))
-    assert results[0]["target"] == {"name": "ood-1", "params": {"m1": 1.8, "m2": 0.3, "b1": 1.5, "b2": 1.5}}
+    assert results[0]["target"] == {
+        "name": "ood-1",
+        "params": {"m1": 1.8, "m2": 0.3, "b1": 1.5, "b2": 1.5},
+    }
     assert results[1]["target"]["name"] == "mine"
-    assert results[0]["best"] == results[1]["best"] and results[0]["history"] == results[1]["history"]
+    assert (
+        results[0]["best"] == results[1]["best"] and results[0]["history"] == results[1]["history"]
+    )
     history = [[visit["reward"] for visit in start] for start in results[0]["history"]]
     assert np.shape(history) == (2, 4) and results[0]["trials"] == 8
     assert results[0]["best"]["reward"] == np.max(history)
@@ -182,7 +207,9 @@ def write_trial(path, gain, target=(1.8, 0.3, 1.5, 1.5)):
     """What a logger of a robot with those parameters would write."""
     A, B = model.linearized(np.array(target, np.float32))
     time = np.arange(0.0, 2.6, 0.001)
-    x, u = model.linear_trajectory(A, B, np.array(gain, np.float32), np.array(model.START, np.float32), time)
+    x, u = model.linear_trajectory(
+        A, B, np.array(gain, np.float32), np.array(model.START, np.float32), time
+    )
     table = np.column_stack([time, x, u])
     np.savetxt(path, table, delimiter=",", header="time,q1,q2,v1,v2,tau1,tau2", comments="")
 
@@ -209,7 +236,9 @@ def test_a_session_with_a_robot(straight, tmp_path, capsys):
 def test_what_a_session_refuses(straight, tmp_path, capsys):
     folder = tmp_path / "robot"
     assert robot("new", straight, "--dir", folder, "--starts", "1", "--iterations", "2") == 0
-    write_trial(tmp_path / "a.csv", tomllib.loads((folder / "policy.toml").read_text())["policy"]["gain"])
+    write_trial(
+        tmp_path / "a.csv", tomllib.loads((folder / "policy.toml").read_text())["policy"]["gain"]
+    )
     assert robot("record", tmp_path / "a.csv", "--dir", folder) == 0
     (tmp_path / "bad.csv").write_text("time,q1\n0,0\n")
     capsys.readouterr()
@@ -244,7 +273,9 @@ def test_a_session_keeps_the_policy_it_began_with(straight, tmp_path, capsys):
     for arguments in (("next",), ("record", tmp_path / "a.csv")):
         assert robot(*arguments, "--dir", folder) == 2
         error = capsys.readouterr().err
-        assert f"{run}: was trained on, or anew, since the session" in error and error.count("\n") == 1
+        assert (
+            f"{run}: was trained on, or anew, since the session" in error and error.count("\n") == 1
+        )
     assert contents(folder) == before
     shutil.rmtree(run)
     shutil.copytree(straight, run)
@@ -257,7 +288,9 @@ def test_a_session_that_does_not_say_its_policy_goes_on(straight, tmp_path, monk
 
     folder = tmp_path / "robot"
     with monkeypatch.context() as patch:
-        patch.setattr(command, "identity", lambda run: None)  # TOML has no null: the key is left out
+        patch.setattr(
+            command, "identity", lambda run: None
+        )  # TOML has no null: the key is left out
         assert robot("new", straight, "--dir", folder, "--starts", "1", "--iterations", "2") == 0
     assert "trained" not in (folder / "robot.toml").read_text()
     assert robot("next", "--dir", folder) == 0
@@ -267,13 +300,17 @@ def test_ctrl_c_while_training_can_be_resumed(straight, tmp_path):
     folder = tmp_path / "run"
     code = HEED + "import sys; from adaptsim_jax.cli import main; sys.exit(main(sys.argv[1:]))"
     command = [sys.executable, "-c", code, *train(folder, "--seed", "3", *SET)]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=dict(os.environ)) as process:
+    with subprocess.Popen(
+        command, stderr=subprocess.PIPE, text=True, env=dict(os.environ)
+    ) as process:
         while process.poll() is None and not Path(folder, "metrics.jsonl").exists():
             time.sleep(0.001)
         process.send_signal(signal.SIGINT)
         _, error = process.communicate()
     assert process.returncode == 130
-    assert error.splitlines()[-1].startswith("adaptsim: stopped; continue with: adaptsim train pendulum --run ")
+    assert error.splitlines()[-1].startswith(
+        "adaptsim: stopped; continue with: adaptsim train pendulum --run "
+    )
     assert main(train(folder, "--resume")) == 0
     assert contents(folder) == contents(straight)
 
@@ -284,5 +321,12 @@ def test_adapt_says_where_no_visit_earned_a_reward(reward, said, capsys):
 
     visits = [{"reward": 0.0, "params": {}}, {"reward": reward, "params": {}}]
     target = {"name": "wet", "params": {}}
-    _show({"target": target, "best": {"reward": reward, "params": {}}, "trials": 2, "history": [visits]})
+    _show(
+        {
+            "target": target,
+            "best": {"reward": reward, "params": {}},
+            "trials": 2,
+            "history": [visits],
+        }
+    )
     assert ("no visit earned a reward" in capsys.readouterr().out) == said

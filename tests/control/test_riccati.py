@@ -22,9 +22,18 @@ from adaptsim_jax.control.riccati import (
 from adaptsim_jax.mechanisms.double_pendulum.linear import linearized
 
 SETTINGS = np.array(  # paper, table A2: wd, ood-1 .. ood-4
-    [[1.8, 1.2, 1.5, 1.5], [1.8, 0.3, 1.5, 1.5], [0.5, 1.8, 1.5, 1.5], [1.2, 1.8, 10, 10], [0.4, 2.6, 1, 2]]
+    [
+        [1.8, 1.2, 1.5, 1.5],
+        [1.8, 0.3, 1.5, 1.5],
+        [0.5, 1.8, 1.5, 1.5],
+        [1.2, 1.8, 10, 10],
+        [0.4, 2.6, 1, 2],
+    ]
 )
-SOLVERS = {"care": (solve_care, sl.solve_continuous_are), "dare": (solve_dare, sl.solve_discrete_are)}
+SOLVERS = {
+    "care": (solve_care, sl.solve_continuous_are),
+    "dare": (solve_dare, sl.solve_discrete_are),
+}
 
 
 def random_systems(seed, count, n, m, radius=None):
@@ -43,7 +52,9 @@ def pendulum_systems(params):
 
 def relative_difference(ours, theirs, systems):
     P = np.asarray(jax.jit(jax.vmap(ours))(*systems).P)
-    reference = np.array([theirs(*(np.asarray(x, float) for x in s)) for s in zip(*systems, strict=True)])
+    reference = np.array(
+        [theirs(*(np.asarray(x, float) for x in s)) for s in zip(*systems, strict=True)]
+    )
     return np.linalg.norm(P - reference, axis=(1, 2)) / np.linalg.norm(reference, axis=(1, 2))
 
 
@@ -63,23 +74,35 @@ def test_pendulum_settings_match_scipy_in_double(x64):
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["care", "dare"])
 def test_single_precision_is_usable(kind):
-    systems = [x.astype(np.float32) for x in random_systems(3, 50, 4, 2, radius=1.2 if kind == "dare" else None)]
+    systems = [
+        x.astype(np.float32)
+        for x in random_systems(3, 50, 4, 2, radius=1.2 if kind == "dare" else None)
+    ]
     assert jax.vmap(SOLVERS[kind][0])(*systems).P.dtype == jnp.float32
     # Rounding of 1e-7 times the conditioning of these samples, which reaches some hundreds.
     assert relative_difference(*SOLVERS[kind], systems).max() < 1e-3
-    assert relative_difference(*SOLVERS["care"], pendulum_systems(SETTINGS.astype(np.float32))).max() < 5e-3
+    assert (
+        relative_difference(*SOLVERS["care"], pendulum_systems(SETTINGS.astype(np.float32))).max()
+        < 5e-3
+    )
 
 
 def test_codes_say_what_happened():
-    unstabilisable = solve_care(jnp.diag(jnp.array([1.0, -1.0])), jnp.array([[0.0], [1.0]]), jnp.eye(2), jnp.eye(1))
-    undetectable = solve_care(jnp.zeros((2, 2)), jnp.eye(2), jnp.diag(jnp.array([1.0, 0.0])), jnp.eye(2))
+    unstabilisable = solve_care(
+        jnp.diag(jnp.array([1.0, -1.0])), jnp.array([[0.0], [1.0]]), jnp.eye(2), jnp.eye(1)
+    )
+    undetectable = solve_care(
+        jnp.zeros((2, 2)), jnp.eye(2), jnp.diag(jnp.array([1.0, 0.0])), jnp.eye(2)
+    )
     broken = solve_care(jnp.full((2, 2), jnp.nan), jnp.eye(2), jnp.eye(2), jnp.eye(2))
     good = solve_care(jnp.zeros((2, 2)), jnp.eye(2), jnp.eye(2), jnp.eye(2))
     assert int(unstabilisable.code) in (NOT_STABILISING, NOT_FINITE)
     assert int(undetectable.code) in (NOT_STABILISING, NOT_FINITE)
     assert int(broken.code) == NOT_FINITE and int(good.code) == CONVERGED
     np.testing.assert_allclose(good.P, np.eye(2), rtol=1e-5)
-    assert len({riccati_message(c) for c in (CONVERGED, INACCURATE, NOT_STABILISING, NOT_FINITE)}) == 4
+    assert (
+        len({riccati_message(c) for c in (CONVERGED, INACCURATE, NOT_STABILISING, NOT_FINITE)}) == 4
+    )
 
 
 def test_one_bad_sample_leaves_the_others_alone():

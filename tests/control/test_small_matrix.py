@@ -15,8 +15,12 @@ def test_solve_pivots(x64, n):
     if n > 1:
         a[0, 0] = 0.0  # a zero first pivot is fatal without row exchange
     reference = np.linalg.solve(np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0))
-    np.testing.assert_allclose(jnp.moveaxis(jax.jit(solve)(a, b), -1, 0), reference, rtol=1e-8, atol=1e-8)
-    np.testing.assert_allclose(jax.jit(solve)(a[..., 0], b[..., 0]), reference[0], rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(
+        jnp.moveaxis(jax.jit(solve)(a, b), -1, 0), reference, rtol=1e-8, atol=1e-8
+    )
+    np.testing.assert_allclose(
+        jax.jit(solve)(a[..., 0], b[..., 0]), reference[0], rtol=1e-8, atol=1e-8
+    )
 
 
 def test_products_and_norm(x64):
@@ -25,7 +29,9 @@ def test_products_and_norm(x64):
     np.testing.assert_allclose(mm(a, b), np.einsum("ijb,jkb->ikb", a, b), rtol=1e-12)
     np.testing.assert_allclose(mv(a, x), np.einsum("ijb,jb->ib", a, x), rtol=1e-12)
     np.testing.assert_allclose(norm(a), np.sqrt((a**2).sum((0, 1))), rtol=1e-12)
-    assert float(norm(jnp.full((2, 2), 1e30, jnp.float32))) == pytest.approx(2e30)  # squares would overflow
+    assert float(norm(jnp.full((2, 2), 1e30, jnp.float32))) == pytest.approx(
+        2e30
+    )  # squares would overflow
 
 
 def test_batch_last_sees_one_flat_trailing_axis():

@@ -1,4 +1,6 @@
-"""Work in a process of its own: what it tells, what it returns, how it fails, and that it ends with the block."""
+"""Work in a process of its own: what it tells, what it returns, how it fails, and that it ends with
+the block.
+"""
 
 import os
 import time

@@ -1,4 +1,6 @@
-"""Checkpoints: the same bits back, and one line for anything that is not a whole checkpoint of this task."""
+"""Checkpoints: the same bits back, and one line for anything that is not a whole checkpoint of this
+task.
+"""
 
 import errno
 import hashlib
@@ -159,10 +161,14 @@ def whole(tmp_path_factory):
     return tree, {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(data=st.data())
 def test_torn_anywhere(whole, tmp_path_factory, data):
-    """Cut, flip, overwrite or extend either file at any byte: refused in one line, or the very same bits."""
+    """Cut, flip, overwrite or extend either file at any byte: refused in one line, or the very same
+    bits.
+    """
     tree, contents = whole
     name = data.draw(st.sampled_from(sorted(contents)))
     old = contents[name]
@@ -170,7 +176,11 @@ def test_torn_anywhere(whole, tmp_path_factory, data):
     damage = data.draw(st.sampled_from(["cut", "flip", "zero", "extend", "insert"]))
     new = {
         "cut": lambda: old[:place],
-        "flip": lambda: old[:place] + bytes([old[place] ^ (1 << data.draw(st.integers(0, 7)))]) + old[place + 1 :],
+        "flip": lambda: (
+            old[:place]
+            + bytes([old[place] ^ (1 << data.draw(st.integers(0, 7)))])
+            + old[place + 1 :]
+        ),
         "zero": lambda: old[:place] + bytes(len(old) - place),
         "extend": lambda: old + data.draw(st.binary(min_size=1, max_size=9)),
         "insert": lambda: old[:place] + data.draw(st.binary(min_size=1, max_size=9)) + old[place:],
@@ -266,7 +276,9 @@ def test_killed_at_any_moment_a_whole_checkpoint_is_there(tmp_path):
     like = {"x": jnp.zeros(20_000)}
     for delay in (0.0, 0.003, 0.011, 0.023):
         process = subprocess.Popen(
-            [sys.executable, "-c", textwrap.dedent(WRITER), str(tmp_path)], stdout=subprocess.PIPE, text=True
+            [sys.executable, "-c", textwrap.dedent(WRITER), str(tmp_path)],
+            stdout=subprocess.PIPE,
+            text=True,
         )
         assert process.stdout.readline() == "ready\n"
         with pytest.raises(subprocess.TimeoutExpired):

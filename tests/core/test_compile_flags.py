@@ -12,19 +12,25 @@ NOTHING_SET = {name: value for name, value in os.environ.items() if name != comp
 
 
 def ended(code: str, **more: str) -> subprocess.CompletedProcess:
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=NOTHING_SET | more)
+    return subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=NOTHING_SET | more
+    )
 
 
 def test_this_xla_takes_the_flags_and_gives_the_same_numbers():
     """An unknown flag ends the process, so that one must compile something."""
     code = (
-        "from adaptsim_jax.core import compile_flags; print(compile_flags.small_steps()); import jax, jax.numpy as jnp;"
-        "print(jax.jit(lambda x: jax.lax.fori_loop(0, 50, lambda i, x: jnp.sin(x) + x[::-1], x))(jnp.ones(3))[0])"
+        "from adaptsim_jax.core import compile_flags; print(compile_flags.small_steps()); import "
+        "jax, jax.numpy as jnp;"
+        "print(jax.jit(lambda x: jax.lax.fori_loop(0, 50, lambda i, x: jnp.sin(x) + x[::-1], "
+        "x))(jnp.ones(3))[0])"
     )
     flagged, plain = ended(code), ended(code.replace("compile_flags.small_steps()", "True"))
     assert flagged.returncode == 0, flagged.stderr
     assert flagged.stdout.split()[0] == "True"
-    assert float(flagged.stdout.split()[1]) == pytest.approx(float(plain.stdout.split()[1]), rel=1e-5)
+    assert float(flagged.stdout.split()[1]) == pytest.approx(
+        float(plain.stdout.split()[1]), rel=1e-5
+    )
 
 
 def test_the_users_own_flags_stay(monkeypatch):

@@ -43,12 +43,16 @@ class Plan:
 
 
 def test_a_nested_table_keeps_the_rest_of_that_fields_default():
-    plan = config.from_table(Plan, {"sizes": {"hidden": [9]}, "whole": {"hyper": {"rate": 2.0}}}, "test")
+    plan = config.from_table(
+        Plan, {"sizes": {"hidden": [9]}, "whole": {"hyper": {"rate": 2.0}}}, "test"
+    )
     assert plan == Plan(Sizes((9,), "relu"), Settings("push", hyper=Hyper(2.0, 0.5)))
 
 
 def test_round_trip():
-    given_config = Settings("pendulum", path="a/b", sizes=Sizes((3,), "relu"), hyper=Hyper(0.5, 0.25))
+    given_config = Settings(
+        "pendulum", path="a/b", sizes=Sizes((3,), "relu"), hyper=Hyper(0.5, 0.25)
+    )
     text = config.dumps(config.to_table(given_config))
     assert config.from_table(Settings, tomllib.loads(text), "config.toml") == given_config
 
@@ -65,7 +69,10 @@ def test_round_trip():
         ({"task": 3}, "key 'task' is 3; a value of type str"),
         ({"task": "p", "box": [0.0]}, "key 'box' has 1 entries; 2 are wanted"),
         ({"task": "p", "box": [0.0, "b"]}, r"key 'box\[1\]' is 'b'"),
-        ({"task": "p", "sizes": {"hiden": [1]}}, "unknown key 'sizes.hiden'; did you mean 'hidden'?"),
+        (
+            {"task": "p", "sizes": {"hiden": [1]}},
+            "unknown key 'sizes.hiden'; did you mean 'hidden'?",
+        ),
         ({"task": "p", "sizes": {"act": "gelu"}}, "key 'sizes.act' is 'gelu'; one of"),
         ({"task": "p", "hyper": {"rte": 1}}, "unknown key 'hyper.rte'; did you mean 'rate'?"),
         ({"task": "p", "sizes": 3}, "key 'sizes' is 3"),
@@ -82,7 +89,9 @@ def test_wrong_keys(table, says):
 
 def test_settings_from_the_command_line():
     start = Settings("pendulum")
-    new = config.with_settings(start, ["rounds=3", "hyper.rate=0.5", "sizes.act=relu", "sizes.hidden=[8]"])
+    new = config.with_settings(
+        start, ["rounds=3", "hyper.rate=0.5", "sizes.act=relu", "sizes.hidden=[8]"]
+    )
     assert (new.rounds, new.hyper.rate, new.sizes) == (3, 0.5, Sizes((8,), "relu"))
     for setting, says in (
         ("rounds", "write --set key=value"),
@@ -101,7 +110,9 @@ def test_settings_reach_into_a_table_of_any_keys():
     new = config.with_settings(start, ["options.training.block=300", "options.training.wide.a=x"])
     assert new.options == {"trials": 3, "training": {"block": 300, "wide": {"a": "x"}}}
     assert start.options == {"trials": 3}
-    with pytest.raises(BadInput, match=r"'options\.trials' is no table; write --set options\.trials=VALUE"):
+    with pytest.raises(
+        BadInput, match=r"'options\.trials' is no table; write --set options\.trials=VALUE"
+    ):
         config.with_settings(start, ["options.trials.x=3"])
 
 

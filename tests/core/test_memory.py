@@ -1,4 +1,6 @@
-"""The allocator of the command line: freed memory is used again, and a user's own settings stand."""
+"""The allocator of the command line: freed memory is used again, and a user's own settings
+stand.
+"""
 
 import os
 import platform
@@ -23,7 +25,9 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
 
 
 def faults(keep: bool, **variables: str) -> tuple[str, int]:
-    environment = {k: v for k, v in os.environ.items() if not k.startswith(("MALLOC_", "GLIBC_"))} | variables
+    environment = {
+        k: v for k, v in os.environ.items() if not k.startswith(("MALLOC_", "GLIBC_"))
+    } | variables
     command = [sys.executable, "-c", LOOP.format(keep=keep)]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
     said, count = done.stdout.split()

@@ -1,5 +1,6 @@
-"""Progress: silent for short work, lines with the time left in a log, a bar on a terminal; of parts at once, a line at the beginning
-and at the end of each."""
+"""Progress: silent for short work, lines with the time left in a log, a bar on a terminal; of parts
+at once, a line at the beginning and at the end of each.
+"""
 
 import io
 import math
@@ -53,7 +54,10 @@ def test_of_work_without_a_known_end_the_time_so_far_is_told(monkeypatch, capsys
         for note in ("one", "two"):
             time.now += 40.0
             report(0.0, math.inf, note)
-    assert out.getvalue().splitlines() == ["search: 40 s so far, one", "search: 1 min 20 s so far, two"]
+    assert out.getvalue().splitlines() == [
+        "search: 40 s so far, one",
+        "search: 1 min 20 s so far, two",
+    ]
     out.isatty = lambda: True
     with progress("search", out) as report:
         time.now += 40.0
@@ -102,7 +106,10 @@ def test_a_long_part_says_how_far_it_is(monkeypatch):
     with parts_progress(TITLES, stream) as report:
         for done in range(3):
             report("a", done, 4, "fitting" * (done > 0))
-    assert stream.getvalue().splitlines()[1:] == ["one part  25 %, fitting", "one part  50 %, fitting"]
+    assert stream.getvalue().splitlines()[1:] == [
+        "one part  25 %, fitting",
+        "one part  50 %, fitting",
+    ]
 
 
 def test_nothing_is_shown_of_a_part_that_never_begins():

@@ -63,7 +63,9 @@ def test_metrics_that_were_cut_are_refused(tmp_path):
 def test_another_config_is_named_key_by_key(tmp_path):
     new_run(tmp_path)
     other = {"seed": 3, "rounds": 12, "hyper": {"delta": 0.2, "hidden": [64, 64]}}
-    with pytest.raises(BadInput, match=r"hyper\.delta: 0\.1 there, 0\.2 asked; rounds: 10 there, 12 asked"):
+    with pytest.raises(
+        BadInput, match=r"hyper\.delta: 0\.1 there, 0\.2 asked; rounds: 10 there, 12 asked"
+    ):
         RunFolder.resume(tmp_path, other, task="pendulum")
 
 

@@ -1,4 +1,6 @@
-"""Sine and cosine are those of NumPy to the last place, with their derivatives of any order and kind."""
+"""Sine and cosine are those of NumPy to the last place, with their derivatives of any order and
+kind.
+"""
 
 import chex
 import jax
@@ -33,7 +35,9 @@ def sines_in_wide_loops(force) -> int:
     x, ways = jnp.asarray(ANGLES), jnp.eye(len(ANGLES))
     jacobian = jax.jit(lambda x: jax.vmap(lambda way: jax.jvp(force, (x,), (way,))[1])(ways))
     loops = jacobian.lower(x).compile().as_text().split("\n\n")
-    fused = [loop for loop in loops if not loop.startswith("ENTRY")]  # what stands in the entry runs once
+    fused = [
+        loop for loop in loops if not loop.startswith("ENTRY")
+    ]  # what stands in the entry runs once
     return sum("sine(" in loop and f"[{len(x)},{len(x)}]" in loop for loop in fused)
 
 
@@ -53,7 +57,12 @@ def test_double_precision_is_to_the_last_place():
     with jax.enable_x64(True):
         rng = np.random.default_rng(4)
         quarters = np.arange(-40, 41) * (0.5 * np.pi)
-        for x in (rng.uniform(-4.0, 4.0, 4000), rng.uniform(-1e3, 1e3, 4000), rng.uniform(-1e6, 1e6, 4000), quarters):
+        for x in (
+            rng.uniform(-4.0, 4.0, 4000),
+            rng.uniform(-1e3, 1e3, 4000),
+            rng.uniform(-1e6, 1e6, 4000),
+            quarters,
+        ):
             sin, cos = jax.jit(sin_cos)(jnp.asarray(x))
             np.testing.assert_allclose(sin, np.sin(x), rtol=0.0, atol=2.3e-16)
             np.testing.assert_allclose(cos, np.cos(x), rtol=0.0, atol=2.3e-16)

@@ -10,8 +10,20 @@ from adaptsim_jax.diagnosis.run import Run, command_of
 
 def test_the_report_names_the_command_that_repeats_it():
     again = cli.parse(shlex.split(command_of("logs/my rig"))[1:])
-    assert (again.data, again.seed, again.exclude, again.without, again.model) == ("logs/my rig", 0, [], [], None)
-    given = {"seed": 3, "model": "arm.xml", "exclude": ["spring", "bias"], "without": ["02"], "as_declared": True}
+    assert (again.data, again.seed, again.exclude, again.without, again.model) == (
+        "logs/my rig",
+        0,
+        [],
+        [],
+        None,
+    )
+    given = {
+        "seed": 3,
+        "model": "arm.xml",
+        "exclude": ["spring", "bias"],
+        "without": ["02"],
+        "as_declared": True,
+    }
     again = cli.parse(shlex.split(command_of("logs", out="there", **given))[1:])
     assert {name: getattr(again, name) for name in given} == given
     assert (again.data, str(again.out)) == ("logs", "there")

@@ -1,4 +1,6 @@
-"""A simulator of one's own (`examples/coupled_tanks.py`): what is named, what is not, what could have been, and what is refused."""
+"""A simulator of one's own (`examples/coupled_tanks.py`): what is named, what is not, what could
+have been, and what is refused.
+"""
 
 import runpy
 from dataclasses import replace
@@ -16,14 +18,18 @@ TANKS = runpy.run_path(str(Path(__file__).parents[2] / "examples" / "coupled_tan
 recorded = TANKS["recorded"]
 
 
-@pytest.mark.parametrize(("name", "size"), [("leak", 0.004), ("dead_voltage", 0.8), ("sensor_offset", 30.0)])
+@pytest.mark.parametrize(
+    ("name", "size"), [("leak", 0.004), ("dead_voltage", 0.8), ("sensor_offset", 30.0)]
+)
 def test_what_the_plant_has_besides_is_named_with_its_size(name, size, tmp_path):
     report = diagnose_simulator(recorded({name: size}, seed=3), out=tmp_path)
     (effect,) = report["effects"]
     value = effect["parameters"][name]
     assert effect["name"] == name and value["value"] == pytest.approx(size, rel=0.1)
     assert report["error"]["after"] < 1.2 < report["error"]["before"]
-    assert (tmp_path / "report.json").exists() and f"[effects.{name}]" in (tmp_path / "model.toml").read_text()
+    assert (tmp_path / "report.json").exists() and f"[effects.{name}]" in (
+        tmp_path / "model.toml"
+    ).read_text()
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -43,10 +49,18 @@ def test_an_error_is_held_against_doing_nothing():
 
 
 def test_a_model_that_predicts_nothing_names_nothing():
-    """Tanks that nothing flows out of, under noise that is said to be a hundredth of what it is: any leak helps, and is no finding."""
+    """Tanks that nothing flows out of, under noise that is said to be a hundredth of what it is:
+    any leak helps, and is no finding.
+    """
     tanks = recorded({"gain": 0.02, "drain_1": 0.001, "drain_2": 0.001}, seed=4)
-    noisy = tanks.stretches.measured + 20.0 * np.random.default_rng(0).standard_normal(tanks.stretches.measured.shape)
-    ramp = 3.0 * np.arange(noisy.shape[1])[None, :, None] * np.random.default_rng(1).standard_normal((len(noisy), 1, 2))
+    noisy = tanks.stretches.measured + 20.0 * np.random.default_rng(0).standard_normal(
+        tanks.stretches.measured.shape
+    )
+    ramp = (
+        3.0
+        * np.arange(noisy.shape[1])[None, :, None]
+        * np.random.default_rng(1).standard_normal((len(noisy), 1, 2))
+    )
     object.__setattr__(tanks, "stretches", replace(tanks.stretches, measured=noisy + ramp))
     report = diagnose_simulator(tanks)
     assert not report["effects"] and report["message"].startswith("The model predicts nothing")
@@ -71,7 +85,10 @@ def test_look_alikes_are_told_as_a_class_with_the_motion_that_parts_them():
     report = diagnose_simulator(tanks, proposals={"fast": recorded({}, seed=7)})
     (effect,) = report["effects"]
     assert report["verdict"] == "explained_class" and len(effect["alternatives"]) == 1
-    assert report["next_experiment"]["distance"] < 1.0 and "hardly seen" in report["next_experiment"]["message"]
+    assert (
+        report["next_experiment"]["distance"] < 1.0
+        and "hardly seen" in report["next_experiment"]["message"]
+    )
     assert report["next_experiment"]["proposal"] == "fast"
 
 
@@ -86,9 +103,13 @@ def test_starts_are_fitted_and_taken_out_of_the_columns():
     own = jacobian(problem, values[0], ["sensor_offset"])
     whole = jacobian(problem, values[0], ["gain"])
     assert own.shape == whole.shape == (tanks.stretches.count, tanks.stretches.measured[0].size, 1)
-    assert np.square(own).sum() < np.square(tanks.stretches.measured[0].size)  # an offset is mostly another start
+    assert np.square(own).sum() < np.square(
+        tanks.stretches.measured[0].size
+    )  # an offset is mostly another start
     fit = completed(problem, problem.declared, values[0])
-    assert fit.vectors.shape == values.shape and len(np.unique(fit.vectors, axis=0)) == len(tanks.stretches.names)
+    assert fit.vectors.shape == values.shape and len(np.unique(fit.vectors, axis=0)) == len(
+        tanks.stretches.names
+    )
 
 
 def test_what_is_no_simulator_is_refused_in_one_line():
@@ -100,11 +121,17 @@ def test_what_is_no_simulator_is_refused_in_one_line():
         "'leek'": {"declared": ("leek",)},
         "a name twice": {"quantities": (*tanks.quantities, tanks.quantities[0])},
         "too few": {"stretches": tanks.stretches.of(np.arange(2))},
-        "row 3, channel level_2 is not finite": {"stretches": replace(tanks.stretches, measured=hole)},
-        "no finite numbers": {
-            "predict": lambda v, s, w: np.full((len(w), *tanks.stretches.measured.shape[1:]), np.nan)
+        "row 3, channel level_2 is not finite": {
+            "stretches": replace(tanks.stretches, measured=hole)
         },
-        "two answers": {"predict": lambda v, s, w: np.random.default_rng().normal(size=(len(w), 30, 2))},
+        "no finite numbers": {
+            "predict": lambda v, s, w: np.full(
+                (len(w), *tanks.stretches.measured.shape[1:]), np.nan
+            )
+        },
+        "two answers": {
+            "predict": lambda v, s, w: np.random.default_rng().normal(size=(len(w), 30, 2))
+        },
     }
     for words, change in spoilt.items():
         bad = recorded({}, seed=9)
@@ -133,8 +160,13 @@ def test_what_shows_nothing_to_first_order_is_begun_at_a_size():
     object.__setattr__(tanks, "quantities", (*tanks.quantities, lag))
     object.__setattr__(tanks, "candidates", (own, *tanks.candidates))
     object.__setattr__(tanks, "predict", predict)
-    true, s = np.tile([*(q.neutral for q in tanks.quantities[:-1]), 12.0], (tanks.stretches.count, 1)), tanks.stretches
-    seen = predict(true, s.start, np.arange(s.count)) + 0.5 * np.random.default_rng(0).standard_normal(s.measured.shape)
+    true, s = (
+        np.tile([*(q.neutral for q in tanks.quantities[:-1]), 12.0], (tanks.stretches.count, 1)),
+        tanks.stretches,
+    )
+    seen = predict(true, s.start, np.arange(s.count)) + 0.5 * np.random.default_rng(
+        0
+    ).standard_normal(s.measured.shape)
     object.__setattr__(tanks, "stretches", replace(s, measured=seen))
     report = diagnose_simulator(tanks)
     assert [e["name"] for e in report["effects"]] == ["lag"]
@@ -148,13 +180,17 @@ def test_what_was_not_fitted_is_not_said_to_be_worse_and_few_stretches_are_told(
 
 
 def test_the_protocol_is_what_is_asked_for():
-    """Every member of the contract is there with the right sizes, and prediction of a part is a part of the prediction."""
+    """Every member of the contract is there with the right sizes, and prediction of a part is a
+    part of the prediction.
+    """
     tanks = recorded({"leak": 0.002}, seed=10)
     assert all(hasattr(tanks, name) for name in (n for n in vars(Simulator) if n[0] != "_"))
     s, values = tanks.stretches, np.array([[q.neutral for q in tanks.quantities]])
     whole = tanks.predict(np.tile(values, (s.count, 1)), s.start, np.arange(s.count))
     some = np.array([5, 2])
-    np.testing.assert_array_equal(tanks.predict(np.tile(values, (2, 1)), s.start[some], some), whole[some])
+    np.testing.assert_array_equal(
+        tanks.predict(np.tile(values, (2, 1)), s.start[some], some), whole[some]
+    )
     np.testing.assert_array_equal(s.of(some).measured, s.measured[some])
 
 
@@ -164,10 +200,17 @@ def test_a_file_of_its_own_that_fails_is_a_line_and_loses_nothing(tmp_path):
     def fails(values):
         raise OSError("the disk is full")
 
-    object.__setattr__(tanks, "mended", {"own.txt": lambda values: f"leak {values['leak']:.3f}", "bad.txt": fails})
+    object.__setattr__(
+        tanks, "mended", {"own.txt": lambda values: f"leak {values['leak']:.3f}", "bad.txt": fails}
+    )
     report = diagnose_simulator(tanks, out=tmp_path)
-    assert (tmp_path / "own.txt").read_text() == "leak 0.004" and (tmp_path / "report.json").exists()
-    assert any("bad.txt could not be written: OSError: the disk is full" in line for line in report["warnings"])
+    assert (tmp_path / "own.txt").read_text() == "leak 0.004" and (
+        tmp_path / "report.json"
+    ).exists()
+    assert any(
+        "bad.txt could not be written: OSError: the disk is full" in line
+        for line in report["warnings"]
+    )
 
 
 def test_a_search_that_is_cut_off_leaves_what_it_had_found(tmp_path):

@@ -11,7 +11,14 @@ import pytest
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.fit import fitted, settled
 from adaptsim_jax.diagnosis.problem import Candidate, Problem, Quantity
-from adaptsim_jax.diagnosis.rows import Seen, _standing_out, error_table, finished, message, over_floor
+from adaptsim_jax.diagnosis.rows import (
+    Seen,
+    _standing_out,
+    error_table,
+    finished,
+    message,
+    over_floor,
+)
 from adaptsim_jax.diagnosis.run import Run
 from adaptsim_jax.diagnosis.schema import new_report
 from adaptsim_jax.diagnosis.select import select
@@ -20,18 +27,30 @@ TRIALS, ROWS = 14, 60
 
 
 def problem(truth, seed=0, trials=TRIALS):
-    """Trials that are linear in four quantities: a is declared; b, c and the pair (d) that does what b does are effects."""
+    """Trials that are linear in four quantities: a is declared; b, c and the pair (d) that does
+    what b does are effects.
+    """
     rng = np.random.default_rng(seed)
     basis = rng.standard_normal((trials, ROWS, 3))
     basis = np.concatenate([basis, basis[..., 1:2] * 2.0], -1)
     seen = basis @ np.array(truth) + rng.standard_normal((trials, ROWS))
-    quantity = lambda n: Quantity(n, "", 0.0, -5.0, 5.0, 0.1, 10.0)
-    effect = lambda n: Candidate(n, "force", (n,), "a column", "any trial")
+
+    def quantity(n):
+        return Quantity(n, "", 0.0, -5.0, 5.0, 0.1, 10.0)
+
+    def effect(n):
+        return Candidate(n, "force", (n,), "a column", "any trial")
+
     return Problem(
-        tuple(map(quantity, "abcd")), ("a",), tuple(map(effect, "bcd")),
-        lambda values: seen - np.einsum("trk,tk->tr", basis, values), lambda values, b: basis @ b.T,
-        np.full(trials, float(ROWS)), tuple(map(str, range(trials))), np.zeros((1, 4)),
-    )  # fmt: skip
+        tuple(map(quantity, "abcd")),
+        ("a",),
+        tuple(map(effect, "bcd")),
+        lambda values: seen - np.einsum("trk,tk->tr", basis, values),
+        lambda values, b: basis @ b.T,
+        np.full(trials, float(ROWS)),
+        tuple(map(str, range(trials))),
+        np.zeros((1, 4)),
+    )
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -59,11 +78,18 @@ def test_five_trials_can_show_an_effect_at_any_level_if_all_are_better():
 def test_an_effect_at_its_bound_is_not_named_and_says_so():
     lacks = problem((0.7, 0.0, 0.8, 0.0))
     narrow = replace(
-        lacks, quantities=(*lacks.quantities[:2], replace(lacks.quantities[2], high=0.5), lacks.quantities[3])
+        lacks,
+        quantities=(
+            *lacks.quantities[:2],
+            replace(lacks.quantities[2], high=0.5),
+            lacks.quantities[3],
+        ),
     )
     found = select(narrow, Criteria())
     assert not found.named and "at its bound" in found.refused["c"]
-    endless = replace(lacks, quantities=tuple(replace(q, low=-np.inf, high=np.inf) for q in lacks.quantities))
+    endless = replace(
+        lacks, quantities=tuple(replace(q, low=-np.inf, high=np.inf) for q in lacks.quantities)
+    )
     assert [n.effect.name for n in select(endless, Criteria()).named] == ["c"]
 
 
@@ -89,7 +115,9 @@ def test_two_effects_that_do_the_same_are_told_as_a_class():
 
 
 def test_an_effect_smaller_than_what_no_effect_explains_is_not_named():
-    """Another law of motion, the same in all trials, beside an effect of its size and beside one that is far larger."""
+    """Another law of motion, the same in all trials, beside an effect of its size and beside one
+    that is far larger.
+    """
     other = 1.6 * np.sin(np.arange(ROWS))
     for size, names in ((1.5, []), (4.5, ["c"])):
         linear = problem((0.7, 0.0, size, 0.0))
@@ -107,12 +135,23 @@ def test_what_is_missing_from_a_model_that_leaves_the_noise_is_not_named():
 
 def test_a_fit_that_leaves_structure_is_begun_again_from_beside():
     """Two minima, of which the nearer is the worse."""
-    wells = lambda a: np.stack([10.0 * (a**2 - 1.0), 2.0 * (a - 1.0)], 1)
-    slopes = lambda values, basis: np.tile(np.array([20.0 * values[0], 2.0])[:, None] * basis[:, 0], (TRIALS, 1, 1))
+
+    def wells(a):
+        return np.stack([10.0 * (a**2 - 1.0), 2.0 * (a - 1.0)], 1)
+
+    def slopes(values, basis):
+        return np.tile(np.array([20.0 * values[0], 2.0])[:, None] * basis[:, 0], (TRIALS, 1, 1))
+
     two = Problem(
-        (Quantity("a", "", 0.0, -5.0, 5.0, 1.8, 100.0),), ("a",), (), lambda values: -wells(values[:, 0]), slopes,
-        np.full(TRIALS, 2.0), tuple(map(str, range(TRIALS))), np.zeros((1, 1)),
-    )  # fmt: skip
+        (Quantity("a", "", 0.0, -5.0, 5.0, 1.8, 100.0),),
+        ("a",),
+        (),
+        lambda values: -wells(values[:, 0]),
+        slopes,
+        np.full(TRIALS, 2.0),
+        tuple(map(str, range(TRIALS))),
+        np.zeros((1, 1)),
+    )
     begin = np.array([-1.2])
     assert fitted(two, ["a"], begin, 10)[0][0] < -0.9
     assert settled(two, ["a"], begin, 10)[0][0] < -0.9  # nothing is declared that may be moved
@@ -125,20 +164,37 @@ def test_a_folder_gets_the_report_also_without_a_page_and_nothing_stays_of_an_ea
     report = new_report("pushing", "the push", "within_noise", "Nothing.", counts)
     plan = {"message": "push fast", "separates": ["b", "d"], "rows": [[0.5, 0.1]]}
     model, columns = {"schema": 1}, ("speed", "angle")
-    told = finished(report, {}, Run("adaptsim diagnose logs", time.monotonic()), plan, tmp_path, model, columns, None)
+    told = finished(
+        report,
+        {},
+        Run("adaptsim diagnose logs", time.monotonic()),
+        plan,
+        tmp_path,
+        model,
+        columns,
+        None,
+    )
     assert json.loads((tmp_path / "report.json").read_text())["run"] == told["run"]
-    assert (tmp_path / "next_experiment.csv").read_text() == "trial,speed,angle\n1,0.500000,0.100000\n"
-    assert (tmp_path / "model.toml").read_text() == "schema = 1\n" and not (tmp_path / "leading.toml").exists()
+    assert (
+        tmp_path / "next_experiment.csv"
+    ).read_text() == "trial,speed,angle\n1,0.500000,0.100000\n"
+    assert (tmp_path / "model.toml").read_text() == "schema = 1\n" and not (
+        tmp_path / "leading.toml"
+    ).exists()
 
 
 def test_a_few_trials_far_worse_than_the_others_are_told():
     seen = SimpleNamespace(trial="push", trials="pushes", names=tuple("abcdefgh"))
-    model = lambda held: SimpleNamespace(fit=SimpleNamespace(held=np.square(held)))
+
+    def model(held):
+        return SimpleNamespace(fit=SimpleNamespace(held=np.square(held)))
+
     assert _standing_out(seen, model([1, 2, 1, 1, 3, 1, 1, 1])) == ""
     told = _standing_out(seen, model([1, 2, 9, 1, 3, 1, 1, 8]))
     assert (
         told
-        == " Pushes c, h stand out with up to 6 times the error of the others: are their tracks right? --without c,h"
+        == " Pushes c, h stand out with up to 6 times the error of the others: are their tracks "
+        "right? --without c,h"
     )
     assert _standing_out(seen, model([1, 9, 9, 1, 9, 1, 1, 1])) == ""
 
@@ -147,6 +203,18 @@ def test_the_message_and_the_table_tell_one_error():
     model = SimpleNamespace(fit=SimpleNamespace(held=np.square([1.0, 2.0, 10.0, 20.0])))
     found = SimpleNamespace(named=(), null=model, final=model)
     rows = np.zeros((4, 3, 2))
-    seen = Seen("push", "pushes", tuple("abcd"), rows[..., 0], rows, rows[..., 0] + 1.0, ("x", "y"), 5e-4, "given")
-    assert error_table(seen, found, {"before": rows, "after": rows})["before"] == pytest.approx(3e-3)
+    seen = Seen(
+        "push",
+        "pushes",
+        tuple("abcd"),
+        rows[..., 0],
+        rows,
+        rows[..., 0] + 1.0,
+        ("x", "y"),
+        5e-4,
+        "given",
+    )
+    assert error_table(seen, found, {"before": rows, "after": rows})["before"] == pytest.approx(
+        3e-3
+    )
     assert "to 3 mm, 6.0 times the noise floor" in message(seen, found, over_floor(model), 7.0)

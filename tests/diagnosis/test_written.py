@@ -9,7 +9,11 @@ from adaptsim_jax.diagnosis.written import UNFINISHED, cleared, write_all, write
 
 def _report():
     return new_report(
-        "mechanism", "robot.xml", "within_noise", "Nothing.", {"trials": 1, "samples": 9, "held_out_trials": 1}
+        "mechanism",
+        "robot.xml",
+        "within_noise",
+        "Nothing.",
+        {"trials": 1, "samples": 9, "held_out_trials": 1},
     )
 
 
@@ -18,8 +22,12 @@ def test_a_file_that_cannot_be_written_is_a_line_and_the_rest_is_there(tmp_path)
         raise RuntimeError("a mesh is\nmissing")
 
     report, evidence = _report(), {}
-    write_all(tmp_path, report, evidence, plain, {"model.xml": broken, "model.toml": lambda: "a = 1\n"})
-    assert (tmp_path / "model.toml").read_text() == "a = 1\n" and not (tmp_path / "model.xml").exists()
+    write_all(
+        tmp_path, report, evidence, plain, {"model.xml": broken, "model.toml": lambda: "a = 1\n"}
+    )
+    assert (tmp_path / "model.toml").read_text() == "a = 1\n" and not (
+        tmp_path / "model.xml"
+    ).exists()
     (line,) = read_report(tmp_path / "report.json")["warnings"]
     assert line == "model.xml could not be written: RuntimeError: a mesh is missing"
     assert evidence["audit"][0]["message"] == line
@@ -30,7 +38,9 @@ def test_a_page_that_fails_leaves_the_numbers(tmp_path):
         raise ValueError("no ink")
 
     write_all(tmp_path, _report(), {}, page, {"model.toml": lambda: ""})
-    assert read_report(tmp_path / "report.json")["warnings"] == ["report.html could not be written: ValueError: no ink"]
+    assert read_report(tmp_path / "report.json")["warnings"] == [
+        "report.html could not be written: ValueError: no ink"
+    ]
     assert (tmp_path / "model.toml").exists()
 
 

@@ -1,4 +1,6 @@
-"""What a moving base does to a hanging double pendulum, against gravity and inertia written as vectors."""
+"""What a moving base does to a hanging double pendulum, against gravity and inertia written as
+vectors.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -23,11 +25,22 @@ def test_a_moving_base_is_felt_as_another_gravity(name):
     with jax.enable_x64(True):
         t = np.linspace(0.0, 2.0, 50)
         q = np.stack([1.3 * np.sin(2.0 * t), 0.9 * np.cos(3.0 * t)])
-        gravity = lambda q: jnp.asarray(felt(np.asarray(q), G, 0.0))
+
+        def gravity(q):
+            return jnp.asarray(felt(np.asarray(q), G, 0.0))
+
         m = Motion(
-            jnp.asarray(q), jnp.zeros((2, 50)), jnp.zeros((2, 50)), jnp.asarray(t[None]), jnp.zeros((2, 50)), gravity
+            jnp.asarray(q),
+            jnp.zeros((2, 50)),
+            jnp.zeros((2, 50)),
+            jnp.asarray(t[None]),
+            jnp.zeros((2, 50)),
+            gravity,
         )
-        number = lambda x: jnp.full((1, 1), x)
+
+        def number(x):
+            return jnp.full((1, 1), x)
+
         p = {"sine": number(0.2), "cosine": number(-0.1), "frequency": number(1.3)}
         got = effect_named(name, catalogue()).apply(p, m)
         turn = 2.0 * np.pi * 1.3 * t

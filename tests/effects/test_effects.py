@@ -9,19 +9,37 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.effects.base import UNITS, Dry, Effect, Motion, Parameter, Reach, Relaxation, exponents, unit_at
+from adaptsim_jax.effects.base import (
+    UNITS,
+    Dry,
+    Effect,
+    Motion,
+    Parameter,
+    Reach,
+    Relaxation,
+    exponents,
+    unit_at,
+)
 from adaptsim_jax.effects.layout import Layout
 from adaptsim_jax.effects.registry import catalogue
 
 NAMES = (
-    "coulomb stribeck quadratic_drag spring bias tilt encoder_offset torque_gain delay actuator_lag saturation dead_zone "
-    "presliding backlash cogging rotor_inertia friction_drift periodic_disturbance hard_stop load_friction sensor_lag "
+    "coulomb stribeck quadratic_drag spring bias tilt encoder_offset torque_gain delay "
+    "actuator_lag saturation dead_zone "
+    "presliding backlash cogging rotor_inertia friction_drift periodic_disturbance hard_stop "
+    "load_friction sensor_lag "
     "heave sway"
 ).split()
 REACH = Reach(
-    np.array([0.9, 0.35]), np.array([1.0, 0.4]), np.array([3.0, 6.0]), np.array([-1.0, -1.5]), np.array([1.2, 1.0]), 6.0,
-    5e-3, np.array([0.1, 0.02]),
-)  # fmt: skip
+    np.array([0.9, 0.35]),
+    np.array([1.0, 0.4]),
+    np.array([3.0, 6.0]),
+    np.array([-1.0, -1.5]),
+    np.array([1.2, 1.0]),
+    6.0,
+    5e-3,
+    np.array([0.1, 0.02]),
+)
 
 
 @pytest.fixture(params=[False, True], ids=["float32", "x64"])
@@ -36,17 +54,26 @@ def motion(torque=1.0, time=1.0, count=40, memory=0.3):
     q = np.stack([1.1 * np.sin(2 * t), 0.9 * np.cos(3 * t) - 0.2])
     v = np.stack([2.2 * np.cos(2 * t), -2.7 * np.sin(3 * t)]) / time
     u = torque * np.stack([np.sin(5 * t), 0.4 * np.cos(4 * t)])
-    gravity = lambda q: -torque * jnp.stack([2.0 * jnp.sin(q[0]), 0.7 * jnp.sin(q[0] + q[1])])
+
+    def gravity(q):
+        return -torque * jnp.stack([2.0 * jnp.sin(q[0]), 0.7 * jnp.sin(q[0] + q[1])])
+
     arrays = (jnp.asarray(z) for z in (q, v, u, t[None] * time, np.full_like(q, memory)))
     return Motion(*arrays, gravity)
 
 
 def parameters(effect, amplitude=1.0, torque=1.0, time=1.0):
-    """A mid-sized setting of an effect; `amplitude` 0 is its off value, 1 a third of the way to its upper bound."""
+    """A mid-sized setting of an effect; `amplitude` 0 is its off value, 1 a third of the way to its
+    upper bound.
+    """
     shape = effect.grid_points(REACH, 0)[-1]
     out = {}
     for p in effect.parameters:
-        value = shape.get(p.name, p.default) if p.off is None else p.off + amplitude * 0.3 * (min(p.high, 0.5) - p.off)
+        value = (
+            shape.get(p.name, p.default)
+            if p.off is None
+            else p.off + amplitude * 0.3 * (min(p.high, 0.5) - p.off)
+        )
         a, b = UNITS[p.unit]
         out[p.name] = jnp.asarray(np.reshape(value * torque**a * time**b, (1, 1)))
     return out
@@ -60,7 +87,11 @@ def act(effect, p, torque=1.0, time=1.0):
         return (effect.apply(p) * jnp.ones((2, 1)),)
     if effect.place == "force":
         answer = effect.apply(p, m)
-        return tuple(jnp.asarray(z) for z in answer) if isinstance(answer, (Dry, Relaxation)) else (answer,)
+        return (
+            tuple(jnp.asarray(z) for z in answer)
+            if isinstance(answer, (Dry, Relaxation))
+            else (answer,)
+        )
     t, flat = m.t.T, {k: v.reshape(1, 1) for k, v in p.items()}
     if effect.place == "command":
         return (effect.apply(flat, t, m.u.T),)
@@ -95,9 +126,19 @@ def test_entry_is_complete(effect):
 
 
 def test_a_slow_joint_leaves_room_for_a_drag_of_the_same_torque():
-    """A rig of 80 N m that turns at 0.5 rad/s has a drag of 98 N m s^2/rad^2; what a spring may be does not change."""
-    of = {p.name: p for e in catalogue() if e.name in ("quadratic_drag", "spring") for p in e.parameters}
-    assert of["drag"].bounds(80.0, 0.5) == (0.0, 320.0) and of["drag"].bounds(80.0, 5.0) == (0.0, 80.0)
+    """A rig of 80 N m that turns at 0.5 rad/s has a drag of 98 N m s^2/rad^2; what a spring may be
+    does not change.
+    """
+    of = {
+        p.name: p
+        for e in catalogue()
+        if e.name in ("quadratic_drag", "spring")
+        for p in e.parameters
+    }
+    assert of["drag"].bounds(80.0, 0.5) == (0.0, 320.0) and of["drag"].bounds(80.0, 5.0) == (
+        0.0,
+        80.0,
+    )
     assert of["stiffness"].bounds(80.0, 0.5) == of["stiffness"].bounds(80.0)
 
 
@@ -107,7 +148,9 @@ def test_off_value_does_nothing(effect, x64):
     tolerance = 1e-12 if x64 else 2e-4  # a running integral of the command loses digits in float32
     if untouched(effect) is None:
         count = 1 if effect.memory else len(got)  # a memory moves on even where it has no force
-        rounding = 1e-14 if x64 else 1e-5  # a fused multiply-add may leave the last digit of gravity minus itself
+        rounding = (
+            1e-14 if x64 else 1e-5
+        )  # a fused multiply-add may leave the last digit of gravity minus itself
         assert all(np.abs(z).max() <= rounding for z in got[:count])
     else:
         for a, b in zip(got, untouched(effect), strict=True):
@@ -139,13 +182,19 @@ def test_gradients_are_finite_and_right_where_smooth(effect, x64):
         for name in p:
             h = 1e-6 * max(1.0, abs(float(p[name][0, 0])))
             up, down = total(p | {name: p[name] + h}), total(p | {name: p[name] - h})
-            np.testing.assert_allclose(slope[name].sum(), (up - down) / (2 * h), rtol=1e-4, atol=1e-6)
+            np.testing.assert_allclose(
+                slope[name].sum(), (up - down) / (2 * h), rtol=1e-4, atol=1e-6
+            )
 
 
 @pytest.mark.parametrize("effect", catalogue(), ids=lambda e: e.name)
-@pytest.mark.parametrize(("torque", "time"), [(1000.0, 1.0), (1.0, 0.01)], ids=["mN m", "other seconds"])
+@pytest.mark.parametrize(
+    ("torque", "time"), [(1000.0, 1.0), (1.0, 0.01)], ids=["mN m", "other seconds"]
+)
 def test_units_scale_as_declared(effect, torque, time):
-    """Write the same motion and parameters in other units of torque or time: the same thing must happen."""
+    """Write the same motion and parameters in other units of torque or time: the same thing must
+    happen.
+    """
     with jax.enable_x64(True):
         base = act(effect, parameters(effect))
         other = act(effect, parameters(effect, torque=torque, time=time), torque, time)
@@ -155,12 +204,18 @@ def test_units_scale_as_declared(effect, torque, time):
             names = ["kg m^2"] if effect.inertia else remembers if effect.memory else dry
         for a, b, unit in zip(base, other, names, strict=False):
             i, j = UNITS["rad" if unit == "1" else unit]
-            np.testing.assert_allclose(np.asarray(a) * torque**i * time**j, b, rtol=1e-5, atol=1e-6 * torque)
+            np.testing.assert_allclose(
+                np.asarray(a) * torque**i * time**j, b, rtol=1e-5, atol=1e-6 * torque
+            )
 
 
 def test_layout_has_one_of_what_the_base_does_and_two_of_the_others():
     layout = Layout(catalogue(), ("joint1", "joint2"))
-    assert [i.effect.name for i in layout.instances if i.where == "base"] == ["tilt", "heave", "sway"]
+    assert [i.effect.name for i in layout.instances if i.where == "base"] == [
+        "tilt",
+        "heave",
+        "sway",
+    ]
     assert len(layout.instances) == 2 * len(NAMES) - 3
     with pytest.raises(BadInput, match=re.escape("effect 'tilt' at 'joint1'")):
         layout.index("tilt", "joint1")
@@ -170,17 +225,33 @@ def test_a_user_adds_an_effect_with_one_entry():
     def magnet(p, m):
         return p["pull"] * jnp.exp(-jnp.square(m.q))
 
-    mine = Effect("magnet", "force", (Parameter("pull", "N m", -1.0, 1.0, 0.0),), magnet, "a magnet", "near zero")
+    mine = Effect(
+        "magnet",
+        "force",
+        (Parameter("pull", "N m", -1.0, 1.0, 0.0),),
+        magnet,
+        "a magnet",
+        "near zero",
+    )
     layout = Layout((*catalogue(), mine), ("joint1", "joint2"))
     assert layout.names()[-1] == ("magnet", "joint2", "pull")
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
-    [({"place": "base"}, "place 'base'"), ({"scope": "body"}, "scope 'body'"), ({"parameters": ()}, "turns it off")],
+    [
+        ({"place": "base"}, "place 'base'"),
+        ({"scope": "body"}, "scope 'body'"),
+        ({"parameters": ()}, "turns it off"),
+    ],
 )
 def test_a_wrong_entry_is_refused(change, message):
-    entry = {"name": "x", "place": "force", "parameters": (Parameter("a", "N m", 0.0, 1.0, 0.0),), "apply": abs}
+    entry = {
+        "name": "x",
+        "place": "force",
+        "parameters": (Parameter("a", "N m", 0.0, 1.0, 0.0),),
+        "apply": abs,
+    }
     with pytest.raises(BadInput, match=message):
         Effect(**(entry | {"physics": "p", "excitation": "e"} | change))
 
@@ -192,14 +263,18 @@ def test_delay_and_lag_keep_the_impulse():
         u = jnp.zeros((400, 1)).at[20:24].set(2.0)
         for effect, p in (("delay", 0.0123), ("actuator_lag", 0.02)):
             (entry,) = (e for e in catalogue() if e.name == effect)
-            late = entry.apply({entry.parameters[0].name: jnp.array([[p]]), "before": jnp.array([[0.0]])}, t, u)
+            late = entry.apply(
+                {entry.parameters[0].name: jnp.array([[p]]), "before": jnp.array([[0.0]])}, t, u
+            )
             np.testing.assert_allclose(late.sum() * 5e-3, u.sum() * 5e-3, rtol=1e-9)
             mean = (late * (t + 2.5e-3)).sum() / late.sum() - (u * (t + 2.5e-3)).sum() / u.sum()
             assert abs(float(mean) - p) < 2e-3 if effect == "delay" else abs(float(mean) - p) < 5e-3
 
 
 def test_what_was_commanded_before_the_recording_fades():
-    """A held command arrives at once where it was there before, late where it was not; later rows do not know."""
+    """A held command arrives at once where it was there before, late where it was not; later rows
+    do not know.
+    """
     with jax.enable_x64(True):
         t, u = jnp.arange(100)[:, None] * 5e-3, jnp.full((100, 1), 2.0)
         for effect, size in (("delay", 0.0123), ("actuator_lag", 0.01)):
@@ -208,7 +283,9 @@ def test_what_was_commanded_before_the_recording_fades():
             held = entry.apply(p | {"before": jnp.array([[1.0]])}, t, u)
             fresh = entry.apply(p | {"before": jnp.array([[0.0]])}, t, u)
             np.testing.assert_allclose(held, u, rtol=1e-9)
-            assert abs(float((held - fresh)[:-1].sum() * 5e-3) - 2.0 * size) < 1e-9  # the impulse that is missing
+            assert (
+                abs(float((held - fresh)[:-1].sum() * 5e-3) - 2.0 * size) < 1e-9
+            )  # the impulse that is missing
             np.testing.assert_allclose(fresh[60:], u[60:], rtol=1e-9)
 
 

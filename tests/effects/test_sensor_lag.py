@@ -1,4 +1,6 @@
-"""A lagging sensor in mid-motion trails a constant acceleration by what the filter's differential equation says."""
+"""A lagging sensor in mid-motion trails a constant acceleration by what the filter's differential
+equation says.
+"""
 
 import jax.numpy as jnp
 import numpy as np
@@ -8,7 +10,9 @@ from adaptsim_jax.effects.sensor import sensor_lag
 
 
 def lagged(begin: float, lag: float, accel: float):
-    """Times, true angle and velocity of a constant acceleration from rest at 0 s, and what the sensor says of them."""
+    """Times, true angle and velocity of a constant acceleration from rest at 0 s, and what the
+    sensor says of them.
+    """
     t = np.linspace(begin, begin + 0.5, 101)[:, None]
     q, v = 0.5 * accel * t**2, accel * t
     p = {"lag": jnp.full((1, 1), lag)}

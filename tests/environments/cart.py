@@ -1,4 +1,6 @@
-"""A mass on a rail, in the form of gymnax's environments: no MuJoCo, so that a test compiles and trains it in seconds."""
+"""A mass on a rail, in the form of gymnax's environments: no MuJoCo, so that a test compiles and
+trains it in seconds.
+"""
 
 from typing import Any, NamedTuple
 

@@ -1,4 +1,6 @@
-"""A mass on a rail that a motor pushes to the middle, with few enough steps that a test compiles and trains it in seconds."""
+"""A mass on a rail that a motor pushes to the middle, with few enough steps that a test compiles
+and trains it in seconds.
+"""
 
 import jax.numpy as jnp
 

@@ -1,4 +1,6 @@
-"""`env.toml` on the command line: a new environment runs as it stands; train, adapt, sweep; what is wrong is one line."""
+"""`env.toml` on the command line: a new environment runs as it stands; train, adapt, sweep; what is
+wrong is one line.
+"""
 
 import json
 import tomllib
@@ -20,10 +22,19 @@ from adaptsim_jax.environments.task import task_of
 from tests.commands.test_examples import ROOT
 
 SMALL = [
-    "task.training.steps=2000", "task.training.parallel=20", "task.training.unroll=20", "task.training.hidden=[8]",
-    "task.references=2", "phase1.trajectories=4", "phase1.parallel=2", "phase1.horizon=2", "phase1.updates=2",
-    "phase1.capacity=8", "phase1.archive=8", "task.length=20",
-]  # fmt: skip
+    "task.training.steps=2000",
+    "task.training.parallel=20",
+    "task.training.unroll=20",
+    "task.training.hidden=[8]",
+    "task.references=2",
+    "phase1.trajectories=4",
+    "phase1.parallel=2",
+    "phase1.horizon=2",
+    "phase1.updates=2",
+    "phase1.capacity=8",
+    "phase1.archive=8",
+    "task.length=20",
+]
 SETS = [word for one in SMALL for word in ("--set", one)]
 
 
@@ -49,12 +60,20 @@ def test_it_trains_adapts_is_filmed_and_compared(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("ADAPTSIM_CACHE", str(tmp_path / "cache"))
     assert main(["new", "environment", "hopper"]) == 0
     assert main(["train", "hopper.toml", "--run", "run", *SETS]) == 0
-    assert main(["adapt", "run", "--target", "dry", "--starts", "1", "--iterations", "1", "--video"]) == 0
+    assert (
+        main(["adapt", "run", "--target", "dry", "--starts", "1", "--iterations", "1", "--video"])
+        == 0
+    )
     found = json.loads((tmp_path / "run/adapt-dry/result.json").read_text())
-    assert found["trials"] == 2 and set(found["best"]["params"]) == set(read_env("hopper.toml")["task"]["fields"])
+    assert found["trials"] == 2 and set(found["best"]["params"]) == set(
+        read_env("hopper.toml")["task"]["fields"]
+    )
     assert list((tmp_path / "run/adapt-dry").glob("policies.*"))
-    sets = [w.replace("task.", "train.task.", 1).replace("phase1.", "train.phase1.", 1) for w in SETS]
-    methods = "adaptsim,sysid-point,udr,oracle"  # every row is tried in tests/baselines/test_steps_methods.py
+    sets = [
+        w.replace("task.", "train.task.", 1).replace("phase1.", "train.phase1.", 1) for w in SETS
+    ]
+    # every row is tried in tests/baselines/test_steps_methods.py
+    methods = "adaptsim,sysid-point,udr,oracle"
     budgets = [
         "iterations=1",
         "starts=1",
@@ -64,9 +83,22 @@ def test_it_trains_adapts_is_filmed_and_compared(tmp_path, monkeypatch, capsys):
         "steps.tests=2",
     ]
     more = [word for one in budgets for word in ("--set", one)]
-    command = ["compare", "hopper.toml", "--out", "compared", "--seeds", "1", "--settings", "dry", "--methods", methods]
+    command = [
+        "compare",
+        "hopper.toml",
+        "--out",
+        "compared",
+        "--seeds",
+        "1",
+        "--settings",
+        "dry",
+        "--methods",
+        methods,
+    ]
     assert main([*command, *sets, *more]) == 0
-    rows = {r["method"]: r for r in json.loads((tmp_path / "compared/results.json").read_text())["rows"]}
+    rows = {
+        r["method"]: r for r in json.loads((tmp_path / "compared/results.json").read_text())["rows"]
+    }
     assert rows["udr"]["mean"] == 0.0 and rows["oracle"]["target_trials"] is None
     assert rows["adaptsim"]["trials"] == [1, 2] and rows["sysid_point"]["trials"] == [0, 1]
     assert "runs/hopper" not in capsys.readouterr().err
@@ -75,7 +107,10 @@ def test_it_trains_adapts_is_filmed_and_compared(tmp_path, monkeypatch, capsys):
 def test_what_the_file_says_is_a_line_of_the_figure():
     options = {"env": "tests.environments.cart:Cart", "length": 5}
     setting = environment_setting(from_table(EnvironmentConfig, options, "env.toml"))
-    task = replace(task_of(setting), rollout=lambda key, policy, params: Told(policy.mean @ jnp.array([10.0, 1.0])))
+    task = replace(
+        task_of(setting),
+        rollout=lambda key, policy, params: Told(policy.mean @ jnp.array([10.0, 1.0])),
+    )
     # nominal: 1 kg of 0.5 to 2 (log), 0.4 N s/m of 0.1 to 2
     assert at_nominal(task, options) == pytest.approx(10 * 0.5 + 0.3 / 1.9, abs=1e-4)
 
@@ -88,9 +123,15 @@ def test_what_the_file_says_is_a_line_of_the_figure():
         ('env = "no_such_module:make"', "no module 'no_such_module'"),
         ('env = "cartpole"\nfeilds = 1', "unknown key 'feilds'; did you mean 'fields'?"),
         ('env = "cartpole"\n[fields]\n"body:pol.mass" = [0.1, 0.5]', "did you mean 'body:pole'?"),
-        ('env = "cartpole"\n[targets.dry]\n"joint:slide.frictionlos" = 1', "a joint has damping, frictionloss"),
+        (
+            'env = "cartpole"\n[targets.dry]\n"joint:slide.frictionlos" = 1',
+            "a joint has damping, frictionloss",
+        ),
         ('env = "cartpole"\n[options]\ngravity = 3', "mend [options]"),
-        ('env = "cartpole"\n[training]\nparallel = 7\nunroll = 9', "do not divide into 8 minibatches"),
+        (
+            'env = "cartpole"\n[training]\nparallel = 7\nunroll = 9',
+            "do not divide into 8 minibatches",
+        ),
         ('env = "json:loads"', "mend [options]"),
     ],
 )
@@ -118,7 +159,12 @@ def test_a_sweep_goes_over_an_environment(tmp_path):
 def test_examples_are_read(name):
     table = read_env(ROOT / "examples" / name)
     setting = environment_setting(from_table(EnvironmentConfig, table["task"], name))
-    assert set(setting.targets) == set(tomllib.loads((ROOT / "examples" / name).read_text())["targets"])
+    assert set(setting.targets) == set(
+        tomllib.loads((ROOT / "examples" / name).read_text())["targets"]
+    )
     assert [f.name for f in setting.fields][setting.space.dim :] == [
-        "joint:slide.frictionloss", "delay", "joint:slide.damping", "action_scale",
-    ]  # fmt: skip
+        "joint:slide.frictionloss",
+        "delay",
+        "joint:slide.damping",
+        "action_scale",
+    ]

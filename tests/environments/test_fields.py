@@ -1,4 +1,6 @@
-"""Numbers of a model by name: read, edited in an `mjx.Model` and in MuJoCo's, refused with the nearest name."""
+"""Numbers of a model by name: read, edited in an `mjx.Model` and in MuJoCo's, refused with the
+nearest name.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -48,7 +50,12 @@ def test_an_edit_is_the_same_in_mjx_and_in_mujoco(servo):
     env = make()
     fields = tuple(
         field_of(env.mj_model, n)
-        for n in ("body:cart.mass", "joint:slide.damping", "option.gravity[2]", "actuator:motor.gear")
+        for n in (
+            "body:cart.mass",
+            "joint:slide.damping",
+            "option.gravity[2]",
+            "actuator:motor.gear",
+        )
     )
     values = [3.0, 0.7, -1.5, 2.0]
     x = jax.jit(lambda m, v: edited(m, fields, v))(env.mjx_model, jnp.asarray(values))
@@ -92,7 +99,12 @@ def test_a_field_that_is_not_there_is_one_line_with_the_mend(servo, name, tells)
 
 @pytest.mark.parametrize(
     ("given", "tells"),
-    [([1.0], r"give \[low"), ([0.1, "x"], r"give \[low"), ([-1.0, 1.0], "its least is"), ([2.0, 1.0], "swap")],
+    [
+        ([1.0], r"give \[low"),
+        ([0.1, "x"], r"give \[low"),
+        ([-1.0, 1.0], "its least is"),
+        ([2.0, 1.0], "swap"),
+    ],
 )
 def test_a_range_that_makes_no_sense_is_refused(servo, given, tells):
     with pytest.raises(BadInput, match=tells):
@@ -124,14 +136,21 @@ def test_domain_randomisation_is_in_the_form_that_playground_and_brax_take():
     )
     models, in_axes = randomize(env.mjx_model, jax.random.split(jax.random.key(0), 5))
     mass = np.asarray(jax.vmap(lambda m: m.body_mass[1], in_axes=(in_axes,))(models))
-    assert mass.shape == (5,) and len(set(mass)) == 5 and (mass >= 0.5).all() and (mass <= 2.0).all()
-    assert models.opt.gravity.shape == (5, 3) and models.dof_damping.shape == env.mjx_model.dof_damping.shape
+    assert (
+        mass.shape == (5,) and len(set(mass)) == 5 and (mass >= 0.5).all() and (mass <= 2.0).all()
+    )
+    assert (
+        models.opt.gravity.shape == (5, 3)
+        and models.dof_damping.shape == env.mjx_model.dof_damping.shape
+    )
     with pytest.raises(BadInput, match="of the interface"):
         domain_randomize(env.mj_model, {"delay": [0.0, 0.1]})
 
 
 def test_a_star_is_all_of_a_kind_in_proportion():
-    two = SERVO.replace("</actuator>", '<position name="other" joint="hinge" kp="14" ctrlrange="-1 1"/></actuator>')
+    two = SERVO.replace(
+        "</actuator>", '<position name="other" joint="hinge" kp="14" ctrlrange="-1 1"/></actuator>'
+    )
     model = mujoco.MjModel.from_xml_string(two)
     field = field_of(model, "actuator:*.gain")
     assert field.nominal == 7.0 and field.name == "actuator:*.gain"

@@ -1,4 +1,6 @@
-"""An environment that carries what a diagnosis found: by name, absolute, and refused by name where no field can say it."""
+"""An environment that carries what a diagnosis found: by name, absolute, and refused by name where
+no field can say it.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -31,7 +33,10 @@ def written(folder, effects="", found=FOUND, joint="slide"):
 
 
 def effect(name, value, parameter, joint="slide"):
-    return f'[[effects]]\nname = "{name}"\njoint = "{joint}"\n[effects.parameters.{parameter}]\nvalue = {value}\nunit = "s"\n'
+    return (
+        f'[[effects]]\nname = "{name}"\njoint = '
+        f'"{joint}"\n[effects.parameters.{parameter}]\nvalue = {value}\nunit = "s"\n'
+    )
 
 
 def test_the_model_has_what_was_found_and_the_rest_as_it_was(tmp_path):
@@ -39,18 +44,34 @@ def test_the_model_has_what_was_found_and_the_rest_as_it_was(tmp_path):
     path = written(tmp_path, effect("coulomb", 0.3, "level") + effect("delay", 0.03, "delay"))
     one = mended(env, path)
     own = one.mj_model
-    found = [own.dof_damping[0], own.dof_frictionloss[0], own.dof_armature[0], own.body("cart").mass[0]]
+    found = [
+        own.dof_damping[0],
+        own.dof_frictionloss[0],
+        own.dof_armature[0],
+        own.body("cart").mass[0],
+    ]
     np.testing.assert_allclose(found, [0.7, 0.3, 0.05, 1.2])
-    assert env.mj_model.dof_damping[0] == 0.4 and own.ngeom == env.mj_model.ngeom and not own.opt.gravity.any()
+    assert (
+        env.mj_model.dof_damping[0] == 0.4
+        and own.ngeom == env.mj_model.ngeom
+        and not own.opt.gravity.any()
+    )
     setting = setting_of(one, EnvironmentConfig(targets={"as_found": {}, "later": {"delay": 0.05}}))
-    assert setting.targets["as_found"].values[-1] == 0.03 and setting.space.names == tuple(small.FIELDS)
+    assert setting.targets["as_found"].values[-1] == 0.03 and setting.space.names == tuple(
+        small.FIELDS
+    )
     values = jnp.asarray([1.2, 0.7], jnp.float32)
 
     @jax.jit
     def places(values):
         world = setting.play.world(values)
-        step = lambda live, _: (setting.play.step(world, live, jnp.ones(1)),) * 2
-        return jax.lax.scan(step, setting.play.reset(world, jax.random.key(0)), None, 10)[1].obs[:, 0]
+
+        def step(live, _):
+            return (setting.play.step(world, live, jnp.ones(1)),) * 2
+
+        return jax.lax.scan(step, setting.play.reset(world, jax.random.key(0)), None, 10)[1].obs[
+            :, 0
+        ]
 
     # a constant push, late by 3/4 of a step of 40 ms, by hand in MuJoCo C with steps of 20 ms
     model, data = mujoco.MjModel.from_xml_path(str(path.parent / "model.xml")), None

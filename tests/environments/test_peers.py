@@ -1,4 +1,6 @@
-"""Environments that people have: Playground's over an `mjx.Model`, also in MuJoCo C, and gymnax's; with the extra `[environments]`."""
+"""Environments that people have: Playground's over an `mjx.Model`, also in MuJoCo C, and gymnax's;
+with the extra `[environments]`.
+"""
 
 import importlib.util
 
@@ -37,7 +39,10 @@ def track(play, values, steps):
 def test_playground_steps_with_fields_as_arguments_and_in_mujoco_c():
     pytest.importorskip("mujoco_playground", reason="Playground is an extra")
     env = load("playground:CartpoleSwingup")
-    targets = {"same": SAME, "heavy": SAME | {"body:pole_1.mass": 0.3, "joint:slider.frictionloss": 0.5}}
+    targets = {
+        "same": SAME,
+        "heavy": SAME | {"body:pole_1.mass": 0.3, "joint:slider.frictionloss": 0.5},
+    }
     setting = setting_of(env, EnvironmentConfig(fields=CARTPOLE, targets=targets))
     assert setting.sim.length == 1000 and setting.sim.dt == 0.01
     nominal = [f.nominal for f in setting.fields[:2]]
@@ -47,7 +52,9 @@ def test_playground_steps_with_fields_as_arguments_and_in_mujoco_c():
         *(track(*play_in(setting, t), 30) for t in setting.targets.values()),
     )
     for a, b in zip(ours, same, strict=True):
-        np.testing.assert_allclose(a, b, atol=2e-4)  # single precision, 30 steps of a chaotic system at its start
+        np.testing.assert_allclose(
+            a, b, atol=2e-4
+        )  # single precision, 30 steps of a chaotic system at its start
     assert np.abs(heavy[0] - same[0]).max() > 0.05
     with pytest.raises(BadInput, match="did you mean 'CartpoleSwingup'"):
         load("playground:CartpoleSwingupp")
@@ -62,7 +69,9 @@ def test_gymnax_moves_with_its_parameters():
     light, heavy = (track(setting.play, [m, 10.0], 10)[0] for m in (0.5, 2.0))
     assert np.abs(light - heavy).max() > 0.1
     with pytest.raises(BadInput, match="actions on a continuum"):
-        setting_of(load("gymnax:CartPole-v1"), EnvironmentConfig(fields={"params.gravity": [5.0, 15.0]}))
+        setting_of(
+            load("gymnax:CartPole-v1"), EnvironmentConfig(fields={"params.gravity": [5.0, 15.0]})
+        )
 
 
 @pytest.mark.parametrize(
@@ -87,9 +96,12 @@ def test_a_peer_that_is_not_there_is_told_with_what_to_install(name, tells, monk
 def test_an_option_that_playground_has_not_is_refused():
     pytest.importorskip("mujoco_playground", reason="Playground is an extra")
     with pytest.raises(
-        BadInput, match=r"options.control_dt: 'CartpoleSwingup' has no such option; did you mean 'ctrl_dt'"
+        BadInput,
+        match=r"options.control_dt: 'CartpoleSwingup' has no such option; did you mean 'ctrl_dt'",
     ):
         load("playground:CartpoleSwingup", {"control_dt": 0.02})
     if importlib.util.find_spec("warp") is None:
-        with pytest.raises(BadInput, match=r'impl = "warp": needs warp-lang .* pip install warp-lang'):
+        with pytest.raises(
+            BadInput, match=r'impl = "warp": needs warp-lang .* pip install warp-lang'
+        ):
             load("playground:CartpoleSwingup", {"impl": "warp"})

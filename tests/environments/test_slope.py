@@ -1,4 +1,6 @@
-"""d(return)/d(E's mean) through the policy: against finite differences; truncated where it explodes."""
+"""d(return)/d(E's mean) through the policy: against finite differences; truncated where it
+explodes.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -19,9 +21,13 @@ KEYS = jax.random.split(jax.random.key(5), 2)
 def made(env, values=None):
     setting = setting_of(env, CONFIG)
     learned = setting.trainer.init(jax.random.key(0))
-    learned = learned._replace(weights=0.3 * jax.random.normal(jax.random.key(1), learned.weights.shape))
+    learned = learned._replace(
+        weights=0.3 * jax.random.normal(jax.random.key(1), learned.weights.shape)
+    )
     acting = acting_of(setting, learned)
-    values = jnp.asarray([f.nominal for f in setting.fields] if values is None else values, jnp.float32)
+    values = jnp.asarray(
+        [f.nominal for f in setting.fields] if values is None else values, jnp.float32
+    )
     return setting, acting, values
 
 
@@ -38,12 +44,16 @@ def by_differences(setting, acting, values, mean, by=3e-3):
                 live = play.step(world, live, action)
                 return live, live.reward
 
-            return jax.lax.scan(step, play.reset(world, reset_key), jax.random.split(act_key, play.sim.length))[1].sum()
+            return jax.lax.scan(
+                step, play.reset(world, reset_key), jax.random.split(act_key, play.sim.length)
+            )[1].sum()
 
         return jax.vmap(one)(KEYS).mean()
 
     moves = by * np.eye(len(mean))
-    up, down = (np.asarray(score(jnp.asarray(mean + s * moves, jnp.float32)), np.float64) for s in (1, -1))
+    up, down = (
+        np.asarray(score(jnp.asarray(mean + s * moves, jnp.float32)), np.float64) for s in (1, -1)
+    )
     return (up - down) / (2 * by)
 
 
@@ -54,7 +64,9 @@ def test_it_agrees_with_finite_differences(env):
     found = make_slope(setting.play, acting, Law)(KEYS, mean, values)
     expected = by_differences(setting, acting, values, mean)
     assert np.abs(expected).max() > 0.02 and found.window == setting.sim.length
-    np.testing.assert_allclose(found.gradient, expected, rtol=0.03, atol=0.01 * np.abs(expected).max())
+    np.testing.assert_allclose(
+        found.gradient, expected, rtol=0.03, atol=0.01 * np.abs(expected).max()
+    )
 
 
 class Unstable(Cart):

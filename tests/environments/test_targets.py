@@ -1,4 +1,6 @@
-"""Targets in MuJoCo C: as the simulator where they are the same, otherwise where they say so; and the interface."""
+"""Targets in MuJoCo C: as the simulator where they are the same, otherwise where they say so; and
+the interface.
+"""
 
 from typing import Any, NamedTuple
 
@@ -37,7 +39,10 @@ def track(play, values, steps=12, seen=lambda live: live.obs):
     def run(values):
         world = play.world(values)
         live = play.reset(world, jax.random.key(0))
-        one = lambda live, _: (lambda after: (after, seen(after)))(play.step(world, live, jnp.ones(1)))
+
+        def one(live, _):
+            return (lambda after: (after, seen(after)))(play.step(world, live, jnp.ones(1)))
+
         return jax.lax.scan(one, live, None, steps)[1]
 
     return np.asarray(run(jnp.asarray(values, jnp.float32)))
@@ -47,7 +52,10 @@ def track(play, values, steps=12, seen=lambda live: live.obs):
 def tracks(setting):
     found = {name: track(*play_in(setting, target)) for name, target in setting.targets.items()}
     nominal = [f.nominal for f in setting.fields[: setting.space.dim]]
-    return found | {"simulator": track(setting.play, nominal), "triple": track(setting.play, [3.0, 0.4])}
+    return found | {
+        "simulator": track(setting.play, nominal),
+        "triple": track(setting.play, [3.0, 0.4]),
+    }
 
 
 def test_the_same_model_moves_alike_in_both(tracks):
@@ -59,9 +67,14 @@ def test_the_same_model_moves_alike_in_both(tracks):
 def test_it_does_so_to_twelve_digits_in_double_precision():
     with jax.enable_x64(True):
         setting = setting_of(make(), EnvironmentConfig(targets={"same": SAME}))
-        place = lambda live: live.state.data.qpos
+
+        def place(live):
+            return live.state.data.qpos
+
         same = track(*play_in(setting, setting.targets["same"]), seen=place)
-        ours = track(setting.play, [f.nominal for f in setting.fields[: setting.space.dim]], seen=place)
+        ours = track(
+            setting.play, [f.nominal for f in setting.fields[: setting.space.dim]], seen=place
+        )
     assert same.dtype == np.float64
     np.testing.assert_allclose(same, ours, atol=1e-12)
 
@@ -70,7 +83,9 @@ def test_what_omega_cannot_say_acts(tracks):
     speed = {name: track[-1, 1] for name, track in tracks.items()}
     assert 0.4 * speed["same"] < speed["dry"] < 0.6 * speed["same"]  # 2 N of 4 N are lost
     assert abs(speed["stuck"]) < 0.01
-    np.testing.assert_allclose(tracks["weak"][:, 1], 0.5 * tracks["same"][:, 1], atol=2e-5)  # linear in the push
+    np.testing.assert_allclose(
+        tracks["weak"][:, 1], 0.5 * tracks["same"][:, 1], atol=2e-5
+    )  # linear in the push
 
 
 def test_a_delay_is_whole_steps_or_between(tracks):
@@ -123,14 +138,18 @@ class SimpleState(NamedTuple):
 
 
 def test_an_environment_that_calls_mjx_by_itself_meets_the_target_too():
-    own = EnvironmentConfig(fields={"body:cart.mass": (0.5, 4.0)}, targets={"same": SAME, "stuck": TARGETS["stuck"]})
+    own = EnvironmentConfig(
+        fields={"body:cart.mass": (0.5, 4.0)}, targets={"same": SAME, "stuck": TARGETS["stuck"]}
+    )
     setting = setting_of(Raw(lambda model, data: mjx.step(model, data)), own)
     same, stuck = (track(*play_in(setting, setting.targets[name])) for name in ("same", "stuck"))
     assert abs(stuck[-1, 1]) < 0.1 * abs(same[-1, 1])
 
 
 def test_a_step_that_no_target_can_reach_is_refused():
-    own = EnvironmentConfig(fields={"body:cart.mass": (0.5, 4.0)}, targets={"stuck": TARGETS["stuck"]})
+    own = EnvironmentConfig(
+        fields={"body:cart.mass": (0.5, 4.0)}, targets={"stuck": TARGETS["stuck"]}
+    )
     kept = mjx.step  # as `from mujoco.mjx import step` has it
     setting = setting_of(Raw(lambda model, data: kept(model, data)), own)
     with pytest.raises(BadInput, match="does not reach the target's physics"):

@@ -1,4 +1,6 @@
-"""An environment as a `Task`: its policy is trained once, then Phase 1 and 2 run on it; what is wrong with one is told."""
+"""An environment as a `Task`: its policy is trained once, then Phase 1 and 2 run on it; what is
+wrong with one is told.
+"""
 
 import itertools
 import re
@@ -49,7 +51,9 @@ def made():
 
 def rolled(task, means, params):
     key = jax.random.key(3)
-    return jax.jit(jax.vmap(lambda m: task.rollout(key, Law(m), params)))(jnp.asarray(means, jnp.float32))
+    return jax.jit(jax.vmap(lambda m: task.rollout(key, Law(m), params)))(
+        jnp.asarray(means, jnp.float32)
+    )
 
 
 def test_training_makes_the_policy_better_and_says_how_far_it_is(made):
@@ -69,7 +73,9 @@ def test_worlds_are_not_told_while_training_is_blind():
         kinds.add(tuple(map(jax.typeof, worlds)))
         return state, TrainerInfo(*[jnp.zeros(rounds)] * 4)
 
-    trainer = Trainer(None, lambda key, learned: learned, train, lambda state: state, None, None, None)  # type: ignore[arg-type]
+    trainer = Trainer(
+        None, lambda key, learned: learned, train, lambda state: state, None, None, None
+    )  # type: ignore[arg-type]
     worlds = everywhere(setting_of(Cart(), SMALL))
     trained_in(trainer, jax.random.key(0), (), worlds, 40, blind=0.5)
     assert told == [0.0] * 20 + [1.0] * 20
@@ -85,7 +91,10 @@ def test_one_program_trains_at_all_rates_and_lengths():
         training = replace(SMALL.training, steps=steps, hyper=PPOHyper(learning_rate=rate))
         setting = setting_of(Cart(), replace(SMALL, training=training))
         state = setting.trainer.begin(jax.random.key(1), setting.trainer.init(jax.random.key(0)))
-        train = lambda *args, setting=setting: setting.trainer.train(*args, 2)
+
+        def train(*args, setting=setting):
+            return setting.trainer.train(*args, 2)
+
         program = str(jax.make_jaxpr(train)(jax.random.key(2), state, everywhere(setting)))
         programs.append(re.sub("0x[0-9a-f]+", "", program))  # where functions lie in memory
     assert programs[0] == programs[1]
@@ -93,17 +102,26 @@ def test_one_program_trains_at_all_rates_and_lengths():
 
 def test_what_is_observed_tells_worlds_apart_and_rewards_have_their_scale(made):
     *_, task, _ = made
-    light, heavy = (rolled(task, [[0.5, 0.5]], task.space.physical(jnp.array(u))) for u in ([0.0, 0.5], [1.0, 0.5]))
+    light, heavy = (
+        rolled(task, [[0.5, 0.5]], task.space.physical(jnp.array(u)))
+        for u in ([0.0, 0.5], [1.0, 0.5])
+    )
     seen = [np.asarray(jax.vmap(task.observe)(x))[0] for x in (light, heavy)]
-    assert np.isfinite(seen).all() and np.abs(seen[0] - seen[1]).max() > 1.0  # in units of their own spread
+    assert (
+        np.isfinite(seen).all() and np.abs(seen[0] - seen[1]).max() > 1.0
+    )  # in units of their own spread
     params = task.space.physical(jnp.array([0.2, 0.8]))
     best, mean = task.reference(params)
     means = np.array(list(itertools.product((0.0, 0.5, 1.0), repeat=2)))
-    reward = np.asarray(jax.vmap(task.reward, (0, None))(rolled(task, means, params), jnp.stack([best, mean])))
+    reward = np.asarray(
+        jax.vmap(task.reward, (0, None))(rolled(task, means, params), jnp.stack([best, mean]))
+    )
     assert best >= mean and (reward <= 1.0).all()
 
 
-PHASE1 = Phase1Config(trajectories=20, parallel=10, horizon=3, updates=4, capacity=60, archive=60, hidden=(16,))
+PHASE1 = Phase1Config(
+    trajectories=20, parallel=10, horizon=3, updates=4, capacity=60, archive=60, hidden=(16,)
+)
 
 
 @pytest.mark.long
@@ -115,16 +133,21 @@ def test_phase_1_and_2_run_and_a_session_told_the_same_goes_the_same_way(made):
     target = jnp.asarray(task.space.values(task.settings["heavy"]), jnp.float32)
     start_key, _ = jax.random.split(jax.random.key(5))
     starts = draw_starts(start_key, state.archive, 60, 1)
-    found = adapt(jax.random.key(0), task, phase1.bdq, state.learner.target, starts, target, iterations=3)
+    found = adapt(
+        jax.random.key(0), task, phase1.bdq, state.learner.target, starts, target, iterations=3
+    )
     session, visits = Session(Trained(phase1, hyper, state, 2), starts=1, iterations=3, seed=5), []
     while not session.done:
         asked = session.ask()
         visits.append(asked.policy.mean)
         trajectory = task.rollout(jax.random.key(len(visits)), asked.policy, target)
         session.tell(float(task.score(trajectory)), task.observe(trajectory))
-    np.testing.assert_allclose(np.stack(visits), found.history.mean[0], atol=1e-6)  # nothing of this task is drawn
+    np.testing.assert_allclose(
+        np.stack(visits), found.history.mean[0], atol=1e-6
+    )  # nothing of this task is drawn
     assert session.best().params == pytest.approx(
-        dict(zip(task.space.names, map(float, task.space.physical(found.mean)), strict=True)), rel=1e-5
+        dict(zip(task.space.names, map(float, task.space.physical(found.mean)), strict=True)),
+        rel=1e-5,
     )
     with pytest.raises(BadInput, match="all 4 trials are told"):
         session.tell(0.0, np.zeros(6))
@@ -133,8 +156,15 @@ def test_phase_1_and_2_run_and_a_session_told_the_same_goes_the_same_way(made):
 def test_a_measured_episode_is_read_as_a_simulated_one(made):
     *_, task, _ = made
     rng = np.random.default_rng(0)
-    obs, action, reward = rng.normal(size=(25, 2)), rng.uniform(-1, 1, (25, 1)), rng.uniform(size=25)
-    whole = look(Steps(*(jnp.asarray(x, jnp.float32) for x in (obs, action, reward)), jnp.ones(25)), Acting(None, None))  # type: ignore[arg-type]
+    obs, action, reward = (
+        rng.normal(size=(25, 2)),
+        rng.uniform(-1, 1, (25, 1)),
+        rng.uniform(size=25),
+    )
+    whole = look(
+        Steps(*(jnp.asarray(x, jnp.float32) for x in (obs, action, reward)), jnp.ones(25)),
+        Acting(None, None),
+    )  # type: ignore[arg-type]
     read = task.read(obs, action, reward)
     np.testing.assert_allclose(read.features, whole.features, rtol=1e-6)
     short = task.read(obs[:10], action[:10], reward[:10])
@@ -193,13 +223,18 @@ def test_a_field_that_does_nothing_is_told_by_name():
 def test_rewards_that_are_not_finite_are_told_before_anything_is_trained():
     env = Cart()
     env.reward = lambda state: jnp.log(state.place - 10.0)
-    with pytest.raises(BadInput, match=r"the return is not finite under random actions at {'params.mass'"):
+    with pytest.raises(
+        BadInput, match=r"the return is not finite under random actions at {'params.mass'"
+    ):
         environment_task(env, config=SMALL).preparation.make(jax.random.key(0))
 
 
 def test_an_environment_that_keeps_a_state_of_its_own_is_told():
     env, rng = Cart(), np.random.default_rng(0)
-    env.reset_env = lambda key, params: (jnp.zeros(2), State(jnp.full((), rng.normal()), jnp.zeros(())))
+    env.reset_env = lambda key, params: (
+        jnp.zeros(2),
+        State(jnp.full((), rng.normal()), jnp.zeros(())),
+    )
     with pytest.raises(BadInput, match="is not pure"):
         environment_task(env, config=SMALL).preparation.make(jax.random.key(0))
 
@@ -207,7 +242,9 @@ def test_an_environment_that_keeps_a_state_of_its_own_is_told():
 @pytest.mark.slow
 @pytest.mark.parametrize("policy", ["tuned", "planned"])
 def test_the_other_policies_serve_phase_1_too(policy):
-    config = replace(SMALL, policy=policy, tune=1, training=replace(SMALL.training, steps=64 * 25 * 10))
+    config = replace(
+        SMALL, policy=policy, tune=1, training=replace(SMALL.training, steps=64 * 25 * 10)
+    )
     task = task_of(setting_of(Cart(), config))
     task = task.preparation.ready(task.preparation.make(jax.random.key(0)))
     phase1 = make_phase1(task, replace(PHASE1, trajectories=4, parallel=2, capacity=12, archive=12))

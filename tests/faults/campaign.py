@@ -26,5 +26,7 @@ if __name__ == "__main__":
         if why:
             bad.append((seed, why))
             print(seed, why, flush=True)
-    print(f"{name}: {done} cases from seed {first}, {refused} refused, {len(bad)} wrong", flush=True)
+    print(
+        f"{name}: {done} cases from seed {first}, {refused} refused, {len(bad)} wrong", flush=True
+    )
     sys.exit(bool(bad))

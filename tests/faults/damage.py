@@ -1,7 +1,8 @@
-"""Damages of recordings, drawn by seed: what loggers, drivers, trackers and people do to columns, clocks, units and labels.
+"""Damages of recordings, drawn by seed: what loggers, drivers, trackers and people do to columns,
+clocks, units and labels.
 
-A damage takes a recording, a generator and what its columns are, and gives a recording. Cells may be text; `tests.faults.readers`
-writes them as each format can.
+A damage takes a recording, a generator and what its columns are, and gives a recording. Cells may
+be text; `tests.faults.readers` writes them as each format can.
 """
 
 from collections.abc import Callable
@@ -22,9 +23,11 @@ class Recording:
 
 @dataclass(frozen=True)
 class Kind:
-    """angles: rad; optional: columns that may be left out, all together; needed: columns that may not; lengths: m; placed: of
-    these, where another origin is another meaning; mirrored: where another sign is; turn: of a quaternion, w first; scales:
-    units of time, as a factor of s; sizes: name -> factor of an action in another unit."""
+    """angles: rad; optional: columns that may be left out, all together; needed: columns that may
+    not; lengths: m; placed: of these, where another origin is another meaning; mirrored: where
+    another sign is; turn: of a quaternion, w first; scales: units of time, as a factor of s; sizes:
+    name -> factor of an action in another unit.
+    """
 
     angles: tuple[str, ...] = ()
     optional: tuple[str, ...] = ()
@@ -47,7 +50,10 @@ def on_trials(one: Callable[[Columns, np.random.Generator, Kind], Columns]) -> D
         trials, count = recording.trials, len(recording.trials)
         which = int(rng.integers(-1, count)) if count > 1 else 0
         seed = int(rng.integers(2**31)) if count > 1 else None
-        draw = lambda: rng if seed is None else np.random.default_rng(seed)
+
+        def draw():
+            return rng if seed is None else np.random.default_rng(seed)
+
         changed = [one(c, draw(), kind) if which in (-1, k) else c for k, c in enumerate(trials)]
         return replace(recording, trials=changed)
 
@@ -60,7 +66,9 @@ def on_all(one: Callable[[Columns, np.random.Generator, Kind], Columns]) -> Dama
 
     def damage(recording: Recording, rng: np.random.Generator, kind: Kind) -> Recording:
         seed = int(rng.integers(2**31))
-        return replace(recording, trials=[one(c, np.random.default_rng(seed), kind) for c in recording.trials])
+        return replace(
+            recording, trials=[one(c, np.random.default_rng(seed), kind) for c in recording.trials]
+        )
 
     damage.__name__ = one.__name__
     return damage
@@ -76,7 +84,9 @@ def epoch(c, rng, kind):
 
 
 def wrapped(c, rng, kind):
-    wrap = lambda x, period=2 * np.pi: (x + period / 2) % period - period / 2
+    def wrap(x, period=2 * np.pi):
+        return (x + period / 2) % period - period / 2
+
     return c | {k: wrap(c[k] + 2 * np.pi * int(rng.integers(-1, 2))) for k in kind.angles}
 
 
@@ -149,7 +159,9 @@ def frame(c, rng, kind):
 
 
 def turn(c, rng, kind):
-    """A quaternion with w last, from world to body, of another length, or (which changes nothing) of the other sign here and there."""
+    """A quaternion with w last, from world to body, of another length, or (which changes nothing)
+    of the other sign here and there.
+    """
     w, x, y, z = (c[k] for k in kind.turn)
     how = int(rng.integers(4))
     if how == 0:
@@ -165,17 +177,25 @@ def turn(c, rng, kind):
 def renamed(c, rng, kind):
     """A column that is needed has another name, or is not there."""
     name = str(rng.choice(["time", *kind.needed]))
-    return {(f"{name}_raw" if k == name else k): x for k, x in c.items() if k != name or rng.integers(2)}
+    return {
+        (f"{name}_raw" if k == name else k): x for k, x in c.items() if k != name or rng.integers(2)
+    }
 
 
 def messages(c, rng, kind):
-    """Of a bag: stamps that are missing or far off, names in another order or empty, arrays that lack a joint, another robot on
-    the same topic, often or once, and a channel of another kind beside."""
+    """Of a bag: stamps that are missing or far off, names in another order or empty, arrays that
+    lack a joint, another robot on the same topic, often or once, and a channel of another kind
+    beside.
+    """
     name = str(rng.choice(["unstamped", "reordered", "short", "other", "far", "seldom", "foreign"]))
     n = len(c["time"])
     share = {"far": 0.05, "seldom": 0.004, "foreign": 0.1}.get(name, 0.2)
     # the very first row is left, for it is the zero of the trial's times
-    first = (np.arange(n) > 0) & (np.arange(n) < int(rng.integers(2, 5))) & bool(name in ("unstamped", "far"))
+    first = (
+        (np.arange(n) > 0)
+        & (np.arange(n) < int(rng.integers(2, 5)))
+        & bool(name in ("unstamped", "far"))
+    )
     return c | {name: ((rng.random(n) < share) & (np.arange(n) > 0)) | first}
 
 
@@ -190,20 +210,27 @@ def named(c, rng, kind):
 
 
 def scale(c, rng, kind):
-    """Angles in per cent of a range that the motion reaches the ends of, or in steps of an encoder."""
+    """Angles in per cent of a range that the motion reaches the ends of, or in steps of an
+    encoder.
+    """
     out = dict(c)
     steps = bool(rng.integers(2))
     for name in kind.angles:
         low, high = np.quantile(c[name], [0.02, 0.98])
         share = np.clip((c[name] - low) / (high - low), 0.0, 1.0)
-        out[name] = np.round(2048 + c[name] * 4096 / (2 * np.pi)) if steps else 200.0 * share - 100.0
+        out[name] = (
+            np.round(2048 + c[name] * 4096 / (2 * np.pi)) if steps else 200.0 * share - 100.0
+        )
     return out
 
 
 def beside(c, rng, kind):
     """Columns that are not ours: a frame's number, a remark."""
     n = len(c["time"])
-    return c | {"frame": np.arange(n, dtype=float), "remark": ["ok" if rng.random() < 0.9 else "" for _ in range(n)]}
+    return c | {
+        "frame": np.arange(n, dtype=float),
+        "remark": ["ok" if rng.random() < 0.9 else "" for _ in range(n)],
+    }
 
 
 def actions(recording, rng, kind):
@@ -221,16 +248,37 @@ def actions(recording, rng, kind):
     elif how == 2:
         asked["trial"] = asked["trial"] + int(rng.choice([-1, 1, 100]))
     else:
-        asked["trial"] = np.where(np.arange(n) == int(rng.integers(1, n)), asked["trial"][0], asked["trial"])
+        asked["trial"] = np.where(
+            np.arange(n) == int(rng.integers(1, n)), asked["trial"][0], asked["trial"]
+        )
     return replace(recording, actions=asked)
 
 
 LOGS = tuple(map(on_trials, (scaled_time, epoch, wrapped, emptied, one_cell, rows, clock, commas)))
-BAGS = tuple(map(on_trials, (scaled_time, epoch, wrapped, emptied, one_cell, rows, clock, messages, nameless)))
+BAGS = tuple(
+    map(
+        on_trials, (scaled_time, epoch, wrapped, emptied, one_cell, rows, clock, messages, nameless)
+    )
+)
 ARRAYS = LOGS[:-1]
 SETS = (*ARRAYS, on_trials(named), on_trials(scale))
 TRACKS = tuple(
-    map(on_trials, (scaled_time, epoch, emptied, one_cell, rows, clock, commas, unit, elsewhere, renamed, beside))
+    map(
+        on_trials,
+        (
+            scaled_time,
+            epoch,
+            emptied,
+            one_cell,
+            rows,
+            clock,
+            commas,
+            unit,
+            elsewhere,
+            renamed,
+            beside,
+        ),
+    )
 )
 TRACKS = (*TRACKS, on_all(frame))
 ASKED = (*TRACKS, actions)

@@ -1,11 +1,14 @@
-"""Healthy recordings, with and without an effect that their model lacks: read and checked; what is said of them is a false alarm.
+"""Healthy recordings, with and without an effect that their model lacks: read and checked; what is
+said of them is a false alarm.
 
-    python -m tests.faults.healthy FOLDER 7300                    seed; 200 sets; exit status 1 where anything is said
-    python -m tests.faults.healthy FOLDER 7300 mechanisms 10      so many of one kind
+    python -m tests.faults.healthy FOLDER 7300                    seed; 200 sets; exit status 1
+    where anything is said python -m tests.faults.healthy FOLDER 7300 mechanisms 10      so many of
+    one kind
 
-Said are refusals, warnings of the audit and of conventions, and trials that differ, which `diagnose` tells only after its search (not
-run here) and only where the mended model does not explain them. Noise, jitter, coarse encoders and missing speeds are among the
-sets; lost rows are not.
+Said are refusals, warnings of the audit and of conventions, and trials that differ, which
+`diagnose` tells only after its search (not run here) and only where the mended model does not
+explain them. Noise, jitter, coarse encoders and missing speeds are among the sets; lost rows are
+not.
 """
 
 import sys
@@ -30,7 +33,10 @@ def pendulums(folder: Path, seed: int, count: int) -> Sets:
     cases = [*null_cases(count // 2, seed), *single_cases(count - count // 2, seed)]
     for case, made in zip(cases, make_datasets([case.spec for case in cases]), strict=True):
         effect = "+".join(name for name, *_ in case.spec.effects) or "nothing"
-        yield f"{case.name} ({effect}, {case.spec.condition})", write_dataset(made, folder / case.name)
+        yield (
+            f"{case.name} ({effect}, {case.spec.condition})",
+            write_dataset(made, folder / case.name),
+        )
 
 
 def arms(folder: Path, seed: int, count: int) -> Sets:
@@ -70,14 +76,22 @@ def tossed(folder: Path, seed: int, count: int) -> Sets:
 
 
 MADE = {
-    "pendulums": pendulums, "arms": arms, "mechanisms": mechanisms, "pushes": worlds_of("pushes"),
-    "scoops": worlds_of("scoops"), "tosses": tossed,
-}  # fmt: skip
+    "pendulums": pendulums,
+    "arms": arms,
+    "mechanisms": mechanisms,
+    "pushes": worlds_of("pushes"),
+    "scoops": worlds_of("scoops"),
+    "tosses": tossed,
+}
 
 
 def of_pendulum(source: Path) -> list[str]:
     from adaptsim_jax.logs.quality.audit import audit, usable
-    from adaptsim_jax.logs.quality.pendulum_design import CHANNELS, check_conventions, pendulum_trials
+    from adaptsim_jax.logs.quality.pendulum_design import (
+        CHANNELS,
+        check_conventions,
+        pendulum_trials,
+    )
     from adaptsim_jax.logs.quality.trial_words import sentences
     from adaptsim_jax.logs.recording import read_recording
 
@@ -101,7 +115,9 @@ def of_mechanism(source: Path) -> list[str]:
     said = [f.message for f in check_conventions(machine)]
     machine = scaled(machine, HORIZON)
     found = mechanism_trials(machine)
-    return said + (list(sentences(found, channels(machine))) if found is not None and found.told else [])
+    return said + (
+        list(sentences(found, channels(machine))) if found is not None and found.told else []
+    )
 
 
 def of_trials(task: str) -> Callable[[Path], list[str]]:
@@ -117,9 +133,13 @@ def of_trials(task: str) -> Callable[[Path], list[str]]:
 
 
 SAID = {
-    "pendulums": of_pendulum, "arms": of_pendulum, "mechanisms": of_mechanism, "pushes": of_trials("pushing"),
-    "scoops": of_trials("scooping"), "tosses": of_trials("toss"),
-}  # fmt: skip
+    "pendulums": of_pendulum,
+    "arms": of_pendulum,
+    "mechanisms": of_mechanism,
+    "pushes": of_trials("pushing"),
+    "scoops": of_trials("scooping"),
+    "tosses": of_trials("toss"),
+}
 
 
 def false_alarms(folder: Path, seed: int, kind: str, count: int) -> list[str]:

@@ -1,6 +1,8 @@
-"""Healthy logs of servos, in the forms that people have them: what is said of their commands, scales and clocks is a false alarm.
+"""Healthy logs of servos, in the forms that people have them: what is said of their commands,
+scales and clocks is a false alarm.
 
-python -m tests.faults.healthy_servos FOLDER 8100 100       seed, sets of each reader (CSV, npz, LeRobot, bags, MCAP)
+python -m tests.faults.healthy_servos FOLDER 8100 100       seed, sets of each reader (CSV, npz,
+LeRobot, bags, MCAP)
 """
 
 import sys
@@ -34,7 +36,9 @@ WORDS = (
 
 
 def trials(seed: int):
-    """Four trials: sines, steps or slow targets, at 30 to 500 Hz, of servos whose force has a limit in one set of four."""
+    """Four trials: sines, steps or slow targets, at 30 to 500 Hz, of servos whose force has a limit
+    in one set of four.
+    """
     rng = np.random.default_rng(seed)
     rate = float(rng.choice([30.0, 50.0, 100.0, 250.0, 500.0]))
     rows, kind = int(2.5 * rate), int(rng.integers(3))
@@ -44,7 +48,11 @@ def trials(seed: int):
             u = sines(10 * seed + k, rows, rate, 2, float(rng.uniform(0.2, 1.2)))
         elif kind == 1:
             u = np.concatenate(
-                [steps(10 * seed + k + j, rows, int(0.5 * rate), float(rng.uniform(0.2, 0.8))) for j in range(2)], 1
+                [
+                    steps(10 * seed + k + j, rows, int(0.5 * rate), float(rng.uniform(0.2, 0.8)))
+                    for j in range(2)
+                ],
+                1,
             )
         else:
             u = np.cumsum(rng.normal(size=(rows, 2)) * 0.3 / np.sqrt(rate), 0)
@@ -60,7 +68,8 @@ def written(folder: Path, how: str, seed: int) -> Path:
     folder.mkdir(parents=True)
     (folder / "robot.xml").write_text(model(NAMES))
     (folder / "meta.toml").write_text(
-        f'{HEAD}model = "robot.xml"\ndata = "data"\n' + ('[units]\nangle = "deg"\n' if how == "lerobot" else "")
+        f'{HEAD}model = "robot.xml"\ndata = "data"\n'
+        + ('[units]\nangle = "deg"\n' if how == "lerobot" else "")
     )
     if how == "npz":
         (folder / "data").mkdir()

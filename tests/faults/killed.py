@@ -1,9 +1,12 @@
-"""Writers of runs and of a robot's session that are killed at random moments, again and again in the same folder.
+"""Writers of runs and of a robot's session that are killed at random moments, again and again in
+the same folder.
 
-    python -m tests.faults.killed FOLDER 1000 0      kills, seed; exit status 1 and a line at the first that lost anything
+    python -m tests.faults.killed FOLDER 1000 0      kills, seed; exit status 1 and a line at the
+    first that lost anything
 
-The writers do what `train` and `robot record` do between two steps, without what is computed in them: rows of metrics and then the
-checkpoint; the record before for `undo`, and then the session's own checkpoint.
+The writers do what `train` and `robot record` do between two steps, without what is computed in
+them: rows of metrics and then the checkpoint; the record before for `undo`, and then the session's
+own checkpoint.
 """
 
 import os
@@ -45,8 +48,15 @@ def write_run(folder: Path) -> None:
 def write_session(folder: Path) -> None:
     """As `robot record`: what was before, and what is now."""
     at = folder / "checkpoint"
-    step = store.load_checkpoint(at, LIKE, task="killed")[1] if at.exists() and any(at.glob("manifest.json")) else 0
-    save = lambda place, n: store.save_checkpoint(place, state(n), task="killed", step=n, config_hash="")
+    step = (
+        store.load_checkpoint(at, LIKE, task="killed")[1]
+        if at.exists() and any(at.glob("manifest.json"))
+        else 0
+    )
+
+    def save(place, n):
+        return store.save_checkpoint(place, state(n), task="killed", step=n, config_hash="")
+
     while True:
         save(folder / "undo" / str(step), step)
         step += 1
@@ -59,7 +69,9 @@ def check_run(folder: Path) -> int:
     tree, step = run.restore(LIKE)
     rows = [row["row"] for row in run.read_metrics()]
     if rows != list(range(3 * step)) or not np.all(np.asarray(tree["state"]) == step):
-        raise ValueError(f"step {step}: {len(rows)} rows of metrics, state {np.asarray(tree['state'])[0]}")
+        raise ValueError(
+            f"step {step}: {len(rows)} rows of metrics, state {np.asarray(tree['state'])[0]}"
+        )
     return step
 
 
@@ -78,7 +90,9 @@ def check_session(folder: Path) -> int:
 
 
 def campaign(folder: Path, kills: int, seed: int) -> tuple[int, int]:
-    """Steps that the run and the session came to. ValueError at the first kill that lost anything."""
+    """Steps that the run and the session came to. ValueError at the first kill that lost
+    anything.
+    """
     draw = random.Random(seed)
     ends = [0, 0]
     for kill in range(kills):

@@ -1,9 +1,12 @@
-"""`train`, `adapt` and `robot record` of a small pendulum, whole processes killed at random moments and called again.
+"""`train`, `adapt` and `robot record` of a small pendulum, whole processes killed at random moments
+and called again.
 
-    python -m tests.faults.killed_commands FOLDER 75 0      kills, seed; exit status 1 and a line at the first that lost anything
+    python -m tests.faults.killed_commands FOLDER 75 0      kills, seed; exit status 1 and a line at
+    the first that lost anything
 
-After each kill the same call is made again until it ends by itself. Then its files must be those of a call that nobody killed, to
-the bit. A moment is drawn from the time that the command takes. (`sweep` has a test of its
+After each kill the same call is made again until it ends by itself. Then its files must be those of
+a call that nobody killed, to the bit. A moment is drawn from the time that the command takes.
+(`sweep` has a test of its
 own: `SWEEP_KILLS=25 pytest tests/sweep/test_run.py -k killed`.)
 """
 
@@ -53,7 +56,9 @@ def policy(session: Path) -> list:
 
 
 class Call:
-    """One command in a folder of its own: words(folder) to call it, ready(folder) before, ended(folder) whether it has."""
+    """One command in a folder of its own: words(folder) to call it, ready(folder) before,
+    ended(folder) whether it has.
+    """
 
     def __init__(self, words: Callable, ready: Callable, ended: Callable, seconds: float):
         self.words, self.ready, self.ended, self.seconds = words, ready, ended, seconds
@@ -63,17 +68,22 @@ def calls(base: Path) -> dict[str, tuple[Call, Path]]:
     """What is killed, and the folder that a call which nobody killed has left."""
     base.mkdir(parents=True, exist_ok=True)
     made, adapted = base / "run", base / "adapted"
-    train = lambda f: [
-        "train",
-        "pendulum",
-        "--run",
-        f,
-        "--seed",
-        3,
-        *SET,
-        *(["--resume"] if (f / "config.toml").exists() else []),
-    ]
-    adapt = lambda f: ["adapt", made, "--target", "ood-1", "--out", f]
+
+    def train(f):
+        return [
+            "train",
+            "pendulum",
+            "--run",
+            f,
+            "--seed",
+            3,
+            *SET,
+            *(["--resume"] if (f / "config.toml").exists() else []),
+        ]
+
+    def adapt(f):
+        return ["adapt", made, "--target", "ood-1", "--out", f]
+
     began = time.monotonic()
     run(*train(made))
     took = time.monotonic() - began
@@ -82,9 +92,14 @@ def calls(base: Path) -> dict[str, tuple[Call, Path]]:
     run("robot", "new", made, "--dir", asked, "--starts", 1, "--iterations", 2)
     write_trial(trial, policy(asked))
     shutil.copytree(asked, told)
-    record = lambda f: ["robot", "record", trial, "--dir", f]
+
+    def record(f):
+        return ["robot", "record", trial, "--dir", f]
+
     run(*record(told))
-    fresh = lambda f: shutil.rmtree(f, ignore_errors=True)
+
+    def fresh(f):
+        return shutil.rmtree(f, ignore_errors=True)
 
     def new_session(f: Path) -> None:
         fresh(f)
@@ -98,7 +113,9 @@ def calls(base: Path) -> dict[str, tuple[Call, Path]]:
 
 
 def campaign(base: Path, kills: int, seed: int) -> dict[str, int]:
-    """Kills of each command that hit it while it ran. ValueError at the first that lost anything."""
+    """Kills of each command that hit it while it ran. ValueError at the first that lost
+    anything.
+    """
     draw, hits = random.Random(seed), dict.fromkeys(CALLS, 0)
     known = calls(base)
     for name, (call, straight) in known.items():
@@ -113,7 +130,9 @@ def campaign(base: Path, kills: int, seed: int) -> dict[str, int]:
             hits[name] += hit
             if not hit and process.returncode:
                 raise ValueError(f"{name}, after {hits[name]} kills: {said}")
-            if not hit or call.ended(folder):  # it has written all: whole, and as it should be; then from the beginning
+            if not hit or call.ended(
+                folder
+            ):  # it has written all: whole, and as it should be; then from the beginning
                 same(folder, straight, f"{name}, after {hits[name]} kills")
                 call.ready(folder)
         if not call.ended(folder):

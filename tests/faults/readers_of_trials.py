@@ -1,4 +1,6 @@
-"""The readers of pushes, scoops and tosses: healthy recordings of their own, written and read as folders and as a robot's record."""
+"""The readers of pushes, scoops and tosses: healthy recordings of their own, written and read as
+folders and as a robot's record.
+"""
 
 from functools import cache
 from pathlib import Path
@@ -34,14 +36,20 @@ SCOOP = Kind(
     sizes=(("pitch", 180 / np.pi), ("distance", 1e3), ("distance", 100.0)),
 )
 TOSS = Kind(
-    needed=toss_folder.COLUMNS[1:], lengths=("x", "y", "z"), placed=("z",), mirrored="x", turn=("qw", "qx", "qy", "qz")
+    needed=toss_folder.COLUMNS[1:],
+    lengths=("x", "y", "z"),
+    placed=("z",),
+    mirrored="x",
+    turn=("qw", "qx", "qy", "qz"),
 )
 ASKED = Kind(needed=("x", "y"), lengths=("x", "y"), placed=("x", "y"), mirrored="y")
 LIFTED = Kind(needed=("x", "y", "on"), lengths=("x", "y"), placed=("x",), mirrored="x")
 
 
 def slid(speed: float, angle: float, rng) -> Columns:
-    """A bottle that is hit after 0.35 s and slides along the push's angle until it stops, at 60 Hz."""
+    """A bottle that is hit after 0.35 s and slides along the push's angle until it stops, at 60
+    Hz.
+    """
     time = np.arange(85) / 60
     far = np.clip(time - 0.35, 0.0, 0.6)
     s = 1.1 * speed * (far - far**2 / 1.2)
@@ -57,7 +65,9 @@ def pushed(count: int = COUNT) -> list[Recording]:
         rng = np.random.default_rng([45, seed])
         speed, angle = rng.uniform(0.4, 0.8, count), rng.permutation(np.linspace(-0.3, 0.3, count))
         trials = [slid(s, a, rng) for s, a in zip(speed, angle, strict=True)]
-        out.append(Recording(trials, {"trial": np.arange(1.0, count + 1), "speed": speed, "angle": angle}))
+        out.append(
+            Recording(trials, {"trial": np.arange(1.0, count + 1), "speed": speed, "angle": angle})
+        )
     return out
 
 
@@ -65,7 +75,9 @@ def scooped_one(place, action, rng) -> Columns:
     """A piece that the blade takes along from where it meets it, at 60 Hz."""
     time = np.arange(61) / 60
     pitch, rate, distance = action
-    moved = np.logaddexp(0.0, 400.0 * (0.28 * np.clip(time / 0.7, 0, 1) ** 2 - distance - 0.03)) / 400.0
+    moved = (
+        np.logaddexp(0.0, 400.0 * (0.28 * np.clip(time / 0.7, 0, 1) ** 2 - distance - 0.03)) / 400.0
+    )
     x, y = place[0] + moved * (0.9 - 0.2 * pitch), place[1] + 0.02 * moved
     z = 0.01 + 0.3 * moved * (0.2 - rate)
     x, y, z = np.stack([x, y, z]) + 3e-4 * rng.standard_normal((3, len(time)))
@@ -91,12 +103,16 @@ def tossed() -> list[Recording]:
     out = []
     for seed in range(4):
         _, recorded = tosses.world((47, seed), tosses=16, seconds=0.7)
-        out.append(Recording([dict(zip(toss_folder.COLUMNS, rows.T, strict=True)) for rows in recorded]))
+        out.append(
+            Recording([dict(zip(toss_folder.COLUMNS, rows.T, strict=True)) for rows in recorded])
+        )
     return out
 
 
 def write_tracks(task: str):
-    """meta.toml, actions.csv and the tracks: of all trials in one table where these have the same columns, else one each."""
+    """meta.toml, actions.csv and the tracks: of all trials in one table where these have the same
+    columns, else one each.
+    """
 
     def written(folder: Path, recording: Recording) -> Path:
         folder.mkdir(exist_ok=True)
@@ -111,9 +127,15 @@ def write_tracks(task: str):
 
 
 def write_tables(folder: Path, recording: Recording, first: int = 1) -> None:
-    parts = [{"trial": [k] * len(next(iter(c.values()))), **c} for k, c in enumerate(recording.trials, first)]
+    parts = [
+        {"trial": [k] * len(next(iter(c.values()))), **c}
+        for k, c in enumerate(recording.trials, first)
+    ]
     if all(list(part) == list(parts[0]) for part in parts):
-        csv(folder / "tracks.csv", {k: [cell for part in parts for cell in part[k]] for k in parts[0]})
+        csv(
+            folder / "tracks.csv",
+            {k: [cell for part in parts for cell in part[k]] for k in parts[0]},
+        )
         return
     for part, c in zip(parts, recording.trials, strict=True):
         csv(folder / f"track_{part['trial'][0] if part['trial'] else 'empty'}.csv", part or c)
@@ -141,13 +163,17 @@ def seen(names, time, places, mask, axes) -> dict[int, Seen]:
 
 def read_pushes(source: Path) -> Read:
     r = push_folder.read(source)
-    asked = dict(zip(("speed", "angle"), r.actions.T, strict=True)) | {"trial": np.array(r.names, float)}
+    asked = dict(zip(("speed", "angle"), r.actions.T, strict=True)) | {
+        "trial": np.array(r.names, float)
+    }
     return Read(seen(r.names, r.time, r.xy, r.mask, "xy"), " ".join(r.notes), asked)
 
 
 def read_scoops(source: Path) -> Read:
     r = scoop_folder.read(source)
-    asked = dict(zip(("pitch", "rate", "distance"), r.actions.T, strict=True)) | {"trial": np.array(r.names, float)}
+    asked = dict(zip(("pitch", "rate", "distance"), r.actions.T, strict=True)) | {
+        "trial": np.array(r.names, float)
+    }
     asked |= dict(zip(("place_x", "place_y"), r.starts.T, strict=True))
     return Read(seen(r.names, r.time, r.places, r.mask, "xyz"), " ".join(r.notes), asked)
 
@@ -156,7 +182,9 @@ def read_tosses(source: Path) -> Read:
     """Quaternions are one turn whatever their sign: compared with w positive."""
     r, out = toss_folder.read(source), {}
     for name, time, place, turn in zip(r.names, r.time, r.place, r.turn, strict=True):
-        columns = dict(zip(("x", "y", "z"), place.T, strict=True)) | turned(dict(zip(TOSS.turn, turn.T, strict=True)))
+        columns = dict(zip(("x", "y", "z"), place.T, strict=True)) | turned(
+            dict(zip(TOSS.turn, turn.T, strict=True))
+        )
         out[int(name) - 1] = Seen(time, columns)
     return Read(out, " ".join(r.notes))
 
@@ -203,8 +231,13 @@ def write_record(folder: Path, recording: Recording) -> Path:
 
 def read_push_record(path: Path) -> Read:
     table = read_table(path, pushes.COLUMNS, least=1)
-    at = lambda i: f"{path}: {table.row_word} {table.lines[i]}"
-    asked = pushes.Pushes(np.array([1, 2]), np.array([[0.8, 0.0]] * 2), np.stack([[0.6, 0.6], ANGLES], 1))
+
+    def at(i):
+        return f"{path}: {table.row_word} {table.lines[i]}"
+
+    asked = pushes.Pushes(
+        np.array([1, 2]), np.array([[0.8, 0.0]] * 2), np.stack([[0.6, 0.6], ANGLES], 1)
+    )
     points = pushes.measured_trajectory(table.columns, at, str(path), asked, PushingConfig()).points
     check_frame(ANGLES, np.asarray(points[:, -1], float) - np.array(push.START), str(path))
     return of_points(np.asarray(points))
@@ -212,7 +245,10 @@ def read_push_record(path: Path) -> Read:
 
 def read_scoop_record(path: Path) -> Read:
     table = read_table(path, scoops.COLUMNS, least=1)
-    at = lambda i: f"{path}: {table.row_word} {table.lines[i]}"
+
+    def at(i):
+        return f"{path}: {table.row_word} {table.lines[i]}"
+
     asked = scoops.Scoops(np.array([1, 2]), np.zeros((2, 2)), np.zeros((2, 3)))
     read = scoops.measured_trajectory(table.columns, at, str(path), asked)
     scoops.check_way(np.asarray(read.points[:, -1], float), str(path), asked.numbers)
@@ -222,5 +258,12 @@ def read_scoop_record(path: Path) -> Read:
 def of_points(points: np.ndarray, success=(0.0, 0.0)) -> Read:
     """points `[2, K, 2]` m on the task's own times, and whether each trial succeeded."""
     own = np.arange(points.shape[1], dtype=float)
-    columns = lambda k: {"x": points[k, :, 0], "y": points[k, :, 1], "on": np.full(len(own), success[k])}
+
+    def columns(k):
+        return {
+            "x": points[k, :, 0],
+            "y": points[k, :, 1],
+            "on": np.full(len(own), success[k]),
+        }
+
     return Read({k: Seen(own, columns(k)) for k in range(2)})

@@ -1,4 +1,6 @@
-"""What readers advise is done, word for word, and the log is read on: every line that proposes a change of meta.toml or of a file."""
+"""What readers advise is done, word for word, and the log is read on: every line that proposes a
+change of meta.toml or of a file.
+"""
 
 import re
 from dataclasses import dataclass
@@ -23,7 +25,9 @@ V = [np.gradient(q, 1.0 / RATE, axis=0) for q in Q]
 
 def legs(k, stems=("q", "target")):
     has = {"q": Q[k], "v": V[k], "target": U[k], "tau": U[k] - Q[k]}
-    return {"time": np.arange(120) / RATE} | {f"{s}_{n}": has[s][:, j] for s in stems for j, n in enumerate(LEGS)}
+    return {"time": np.arange(120) / RATE} | {
+        f"{s}_{n}": has[s][:, j] for s in stems for j, n in enumerate(LEGS)
+    }
 
 
 def without(*names):
@@ -44,9 +48,11 @@ def scaled(size, *stems):
 
 @dataclass(frozen=True)
 class Told:
-    """spoil: of a trial's columns (of the last alone where `last`); says: what is told, with the `line` and the `table` (else the top)
-    of meta.toml that it proposes; fill: what a person puts for its capitals; meta: what stands there before; xml: the model's text;
-    stems: columns of a trial; held: joints that the mended log lacks."""
+    """spoil: of a trial's columns (of the last alone where `last`); says: what is told, with the
+        `line` and the `table` (else the top) of meta.toml that it proposes; fill: what a person
+        puts for its capitals; meta: what stands there before; xml: the model's text;
+    stems: columns of a trial; held: joints that the mended log lacks.
+    """
 
     spoil: object
     says: str
@@ -62,50 +68,107 @@ class Told:
 MOTORS = model(LEGS, kind="motor")
 ONE = model(LEGS, ("left",))
 CASES = {
-    "an angle in some trials": Told(without("q_right"), "right = 0.0", "hold", last=True, held=("right",)),
+    "an angle in some trials": Told(
+        without("q_right"), "right = 0.0", "hold", last=True, held=("right",)
+    ),
     "two columns of a joint": Told(added(q2="q_right"), r"ignore = \['q\w+'\]"),
     "a strange joint": Told(added(q_wheel="q_right"), r'ignore = \["wheel"\]'),
-    "a misspelt joint": Told(renamed(q_right="q_rigth"), "rename it by .columns.", "columns",
-                             fill=("rename it by [columns]", 'q_right = "q_rigth"')),
+    "a misspelt joint": Told(
+        renamed(q_right="q_rigth"),
+        "rename it by .columns.",
+        "columns",
+        fill=("rename it by [columns]", 'q_right = "q_rigth"'),
+    ),
     "a number beyond": Told(added(q3="q_right"), r'ignore = \["q3"\]'),
     "no actuator of that name": Told(added(ctrl_wheel="q_right"), r'ignore = \["ctrl_wheel"\]'),
     "no actuator of that number": Told(added(ctrl3="q_right"), r'ignore = \["ctrl3"\]'),
     "no clock": Told(renamed(time="zeit"), r'time = "..."', "columns", fill=("...", "zeit")),
-    "another name of the clock": Told(renamed(time="zeit"), "did you mean 'zeit'", "columns", meta='[columns]\ntime = "zeti"\n',
-                                      fill=("did you mean 'zeit'", 'time = "zeit"')),
+    "another name of the clock": Told(
+        renamed(time="zeit"),
+        "did you mean 'zeit'",
+        "columns",
+        meta='[columns]\ntime = "zeti"\n',
+        fill=("did you mean 'zeit'", 'time = "zeit"'),
+    ),
     "no command of a joint": Told(without("target_right"), "right = 0.0", "hold", held=("right",)),
-    "a command that holds nothing": Told(lambda c: c | {"target_right": np.full(120, np.nan)}, "right = 0.0", "hold", held=("right",)),
+    "a command that holds nothing": Told(
+        lambda c: c | {"target_right": np.full(120, np.nan)}, "right = 0.0", "hold", held=("right",)
+    ),
     "a target without a servo": Told(without(), r'ignore = \["target\w+"\]', xml=ONE),
-    "a target without a servo, by number": Told(renamed(target_left="target1", target_right="target2", q_left="q1", q_right="q2"),
-                                                r'ignore = \["target\w+"\]', xml=ONE),
-    "inputs in some trials": Told(without("target_left", "target_right"), 'input = "none"', last=True),
-    "a trial without inputs": Told(without("target_left", "target_right"), ".trials. exclude", "trials", last=True,
-                                   fill=("[trials] exclude", 'exclude = ["run_1"]')),
-    "no column of the input": Told(renamed(target_left="a", target_right="b"), "or name it by .columns.", "columns",
-                                   'input = "command"\n',
-                                   ("or name it by [columns]", 'target1 = "a"\ntarget2 = "b"')),
+    "a target without a servo, by number": Told(
+        renamed(target_left="target1", target_right="target2", q_left="q1", q_right="q2"),
+        r'ignore = \["target\w+"\]',
+        xml=ONE,
+    ),
+    "inputs in some trials": Told(
+        without("target_left", "target_right"), 'input = "none"', last=True
+    ),
+    "a trial without inputs": Told(
+        without("target_left", "target_right"),
+        ".trials. exclude",
+        "trials",
+        last=True,
+        fill=("[trials] exclude", 'exclude = ["run_1"]'),
+    ),
+    "no column of the input": Told(
+        renamed(target_left="a", target_right="b"),
+        "or name it by .columns.",
+        "columns",
+        'input = "command"\n',
+        ("or name it by [columns]", 'target1 = "a"\ntarget2 = "b"'),
+    ),
     "motors that were off": Told(without(), 'input = "none"', stems=("q",), xml=MOTORS),
     "two inputs": Told(without(), 'input = "command"', stems=("q", "tau", "target")),
     "milliseconds": Told(scaled(1e3, "time"), 'time = "ms"', "units"),
     "microseconds": Told(scaled(1e6, "time"), 'time = "us"', "units"),
-    "another unit of time": Told(scaled(1e3, "time"), "write the unit that the file has under .units.", "units",
-                                 '[units]\ntime = "ns"\n',
-                                 ("write the unit that the file has under [units]", 'time = "ms"')),
-    "speeds in degrees": Told(scaled(180 / np.pi, "v"), 'velocity = "deg/s"', "units", stems=("q", "v", "target")),
-    "speeds by the minute": Told(scaled(30 / np.pi, "v"), 'velocity = "rpm"', "units", stems=("q", "v", "target")),
-    "speeds by the millisecond": Told(scaled(1e-3, "v"), 'velocity = "rad/ms"', "units", stems=("q", "v", "target")),
-    "angles in degrees, speeds not": Told(scaled(180 / np.pi, "q", "target"), 'angle = "deg" and velocity = "rad/s"', "units",
-                                          stems=("q", "v", "target"), fill=(" and ", "\n")),
+    "another unit of time": Told(
+        scaled(1e3, "time"),
+        "write the unit that the file has under .units.",
+        "units",
+        '[units]\ntime = "ns"\n',
+        ("write the unit that the file has under [units]", 'time = "ms"'),
+    ),
+    "speeds in degrees": Told(
+        scaled(180 / np.pi, "v"), 'velocity = "deg/s"', "units", stems=("q", "v", "target")
+    ),
+    "speeds by the minute": Told(
+        scaled(30 / np.pi, "v"), 'velocity = "rpm"', "units", stems=("q", "v", "target")
+    ),
+    "speeds by the millisecond": Told(
+        scaled(1e-3, "v"), 'velocity = "rad/ms"', "units", stems=("q", "v", "target")
+    ),
+    "angles in degrees, speeds not": Told(
+        scaled(180 / np.pi, "q", "target"),
+        'angle = "deg" and velocity = "rad/s"',
+        "units",
+        stems=("q", "v", "target"),
+        fill=(" and ", "\n"),
+    ),
     "all in degrees": Told(scaled(180 / np.pi, "q", "target"), 'angle = "deg"', "units"),
-    "per cent of no range": Told(lambda c: c | {n: 100 * (c[n] + 2) / 4 for n in ("q_right", "target_right")},
-                                 r"q_right = {percent = \[LOW, HIGH\]}", "units", '[units]\nq_right = "percent"\n',
-                                 ("LOW, HIGH", "-2, 2")),
-    "what is left out may be it": Told(renamed(q_right="q_wheel"), "name it by .columns.", "columns",
-                                        'ignore = ["wheel", "target_right"]\n',
-                                       ("name it by [columns]", 'q_right = "q_wheel"'), held=(), xml=ONE),
-    "too few rows": Told(lambda c: {n: x[:9] for n, x in c.items()}, "leave this file out", "trials", last=True,
-                         fill=("leave this file out", 'exclude = ["run_1"]')),
-}  # fmt: skip
+    "per cent of no range": Told(
+        lambda c: c | {n: 100 * (c[n] + 2) / 4 for n in ("q_right", "target_right")},
+        r"q_right = {percent = \[LOW, HIGH\]}",
+        "units",
+        '[units]\nq_right = "percent"\n',
+        ("LOW, HIGH", "-2, 2"),
+    ),
+    "what is left out may be it": Told(
+        renamed(q_right="q_wheel"),
+        "name it by .columns.",
+        "columns",
+        'ignore = ["wheel", "target_right"]\n',
+        ("name it by [columns]", 'q_right = "q_wheel"'),
+        held=(),
+        xml=ONE,
+    ),
+    "too few rows": Told(
+        lambda c: {n: x[:9] for n, x in c.items()},
+        "leave this file out",
+        "trials",
+        last=True,
+        fill=("leave this file out", 'exclude = ["run_1"]'),
+    ),
+}
 
 
 def with_line(meta: str, table: str, line: str) -> str:
@@ -136,7 +199,9 @@ def test_the_line_that_is_proposed_is_written_and_the_log_reads(tmp_path, name):
     def put(path, meta):
         trials = [legs(k, case.stems) for k in range(2)]
         trials = [case.spoil(c) if k or not case.last else c for k, c in enumerate(trials)]
-        data = folder(path, f'model = "robot.xml"\n{meta}', **{f"run_{k}": c for k, c in enumerate(trials)})
+        data = folder(
+            path, f'model = "robot.xml"\n{meta}', **{f"run_{k}": c for k, c in enumerate(trials)}
+        )
         (path / "robot.xml").write_text(case.xml)
         return data
 
@@ -158,7 +223,9 @@ def turned(*stems):
 
 
 def shifted(rows):
-    moved = lambda x: np.r_[[x[0]] * rows, x[:-rows]] if rows > 0 else np.r_[x[-rows:], [x[-1]] * -rows]
+    def moved(x):
+        return np.r_[[x[0]] * rows, x[:-rows]] if rows > 0 else np.r_[x[-rows:], [x[-1]] * -rows]
+
     return lambda c: c | {k: moved(c[k]) for k in ("tau1", "tau2")}
 
 
@@ -167,7 +234,9 @@ def absolute(c, sign=1):
 
 
 def swap(*stems):
-    both = lambda k: k[:-1] + {"1": "2", "2": "1"}[k[-1]] if k[:-1] in stems else k
+    def both(k):
+        return k[:-1] + {"1": "2", "2": "1"}[k[-1]] if k[:-1] in stems else k
+
     return lambda c: {k: c[both(k)] for k in c}
 
 
@@ -182,15 +251,30 @@ TURNS = {
     "all torques in mN m": (times(1e3, "tau1", "tau2"), "the torques' unit under [units]", "units"),
     "one angle in degrees": (times(180 / np.pi, "q2", "v2"), 'q_joint2 = "deg"', "units"),
     "one angle in turns": (times(0.5 / np.pi, "q2", "v2"), 'q_joint2 = "rev"', "units"),
-    "joints exchanged": (swap("q", "v", "tau"), "their names in the header or under [columns]", "columns"),
+    "joints exchanged": (
+        swap("q", "v", "tau"),
+        "their names in the header or under [columns]",
+        "columns",
+    ),
     "torques exchanged": (swap("tau"), "exchange columns tau_joint1 and tau_joint2", swap("tau")),
-    "angles exchanged": (swap("q", "v"), "exchange columns q_joint1 and q_joint2, and so v_joint1 and v_joint2", swap("q", "v")),
+    "angles exchanged": (
+        swap("q", "v"),
+        "exchange columns q_joint1 and q_joint2, and so v_joint1 and v_joint2",
+        swap("q", "v"),
+    ),
     "one torque turned": (turned("tau"), "turn the sign of column tau_joint2", turned("tau")),
-    "all torques turned": (times(-1, "tau1", "tau2"), "turn the sign of columns tau_joint1, tau_joint2", times(-1, "tau1", "tau2")),
-    "zero of an angle": (lambda c: c | {"q2": c["q2"] - np.pi}, "add 3.1416 rad to column q_joint2",
-                         lambda c: c | {"q2": c["q2"] + np.pi}),
+    "all torques turned": (
+        times(-1, "tau1", "tau2"),
+        "turn the sign of columns tau_joint1, tau_joint2",
+        times(-1, "tau1", "tau2"),
+    ),
+    "zero of an angle": (
+        lambda c: c | {"q2": c["q2"] - np.pi},
+        "add 3.1416 rad to column q_joint2",
+        lambda c: c | {"q2": c["q2"] + np.pi},
+    ),
     "torques late": (shifted(3), "move the input columns up by 3 rows", shifted(-3)),
-}  # fmt: skip
+}
 LINES = {
     "the torques' unit under [units]": 'torque = "mNm"',
     "their names in the header or under [columns]": "\n".join(
@@ -204,21 +288,29 @@ def test_what_contradicts_the_motion_is_mended_as_it_is_told(tmp_path, name):
     spoil, says, mend = TURNS[name]
 
     def put(path, change, meta=""):
-        columns = lambda c: (
-            {"time": c["time"]} | {f"{s}_{n}": c[f"{s}{j + 1}"] for s in ("q", "v", "tau") for j, n in enumerate(NAMES)}
-        )
+        def columns(c):
+            return {"time": c["time"]} | {
+                f"{s}_{n}": c[f"{s}{j + 1}"] for s in ("q", "v", "tau") for j, n in enumerate(NAMES)
+            }
+
         spoiled = [columns(change(spoil(c))) for c in arm(4)]
-        data = folder(path, f'model = "robot.xml"\n{meta}', **{f"run_{k}": c for k, c in enumerate(spoiled)})
+        data = folder(
+            path, f'model = "robot.xml"\n{meta}', **{f"run_{k}": c for k, c in enumerate(spoiled)}
+        )
         (path / "robot.xml").write_text(ARM)
         return data
 
-    as_it_is = lambda c: c
+    def as_it_is(c):
+        return c
+
     told, _ = said(put(tmp_path / "a", as_it_is))
     assert says in told, told
     if callable(mend):
         told, machine = said(put(tmp_path / "b", mend))
     else:
-        told, machine = said(put(tmp_path / "b", as_it_is, with_line("", mend, LINES.get(says, says))))
+        told, machine = said(
+            put(tmp_path / "b", as_it_is, with_line("", mend, LINES.get(says, says)))
+        )
     assert machine is not None, told
     for track, c in zip(machine.tracks, arm(4), strict=True):
         if "zero" not in name:  # of a machine that has a mirror image either joint may be turned

@@ -1,5 +1,7 @@
-"""Bags as drivers, controllers and recorders leave them: other encodings beside, stamps that are missing or far off, joints that
-the model lacks, controllers' own states, trajectories that are replaced, names that are empty, commands between states."""
+"""Bags as drivers, controllers and recorders leave them: other encodings beside, stamps that are
+missing or far off, joints that the model lacks, controllers' own states, trajectories that are
+replaced, names that are empty, commands between states.
+"""
 
 import json
 
@@ -22,13 +24,17 @@ SERVOS = ModelNames(ARM, actuators=tuple(ActuatorName(f"p_{j}", j, "position") f
 
 
 def channels(path, some):
-    """An MCAP file of channels (topic, schema, its encoding, its bytes, encoding of messages, [(ns, bytes)])."""
+    """An MCAP file of channels (topic, schema, its encoding, its bytes, encoding of messages, [(ns,
+    bytes)]).
+    """
     with path.open("wb") as file:
         writer = mcap.Writer(file)
         writer.start(profile="", library="tests")
         rows = []
         for topic, schema, how, data, encoding, messages in some:
-            number = writer.register_channel(topic, encoding, writer.register_schema(schema, how, data))
+            number = writer.register_channel(
+                topic, encoding, writer.register_schema(schema, how, data)
+            )
             rows += [(when, number, body) for when, body in messages]
         for when, number, body in sorted(rows, key=lambda row: row[0]):
             writer.add_message(number, log_time=when, publish_time=when, data=body)
@@ -43,12 +49,22 @@ def with_channel(source, path, topic, schema, encoding, messages):
     with source.open("rb") as file:
         some = {}
         for s, c, m in make_reader(file).iter_messages():
-            some.setdefault(c.topic, (c.topic, s.name, s.encoding, s.data, c.message_encoding, []))[5].append(
-                (m.log_time, m.data)
-            )
+            some.setdefault(c.topic, (c.topic, s.name, s.encoding, s.data, c.message_encoding, []))[
+                5
+            ].append((m.log_time, m.data))
     return channels(
         path,
-        [*some.values(), (topic, schema, "jsonschema" if encoding == "json" else encoding, b"{}", encoding, messages)],
+        [
+            *some.values(),
+            (
+                topic,
+                schema,
+                "jsonschema" if encoding == "json" else encoding,
+                b"{}",
+                encoding,
+                messages,
+            ),
+        ],
     )
 
 
@@ -58,7 +74,12 @@ def test_a_channel_of_another_encoding_is_left_and_told(tmp_path, encoding):
     states(bag)
     data = b'{"level": 0}' if encoding == "json" else b"\x08\x01"
     path = with_channel(
-        bag.write(tmp_path), tmp_path / "more.mcap", "/battery", "vendor.Battery", encoding, [(ns(0.1), data)] * 3
+        bag.write(tmp_path),
+        tmp_path / "more.mcap",
+        "/battery",
+        "vendor.Battery",
+        encoding,
+        [(ns(0.1), data)] * 3,
     )
     log = read_log(path, ARM)
     np.testing.assert_array_equal(log.trials[0].q, M["q"])
@@ -68,7 +89,12 @@ def test_a_channel_of_another_encoding_is_left_and_told(tmp_path, encoding):
 def json_states(stamp):
     for i, t in enumerate(M["time"]):
         joints = [
-            {"name": n, "position": M["q"][i, j], "velocity": M["v"][i, j], "effort": M["tau"][i, j]}
+            {
+                "name": n,
+                "position": M["q"][i, j],
+                "velocity": M["v"][i, j],
+                "effort": M["tau"][i, j],
+            }
             for j, n in enumerate(ARM)
         ]
         yield ns(t) + LATE, json.dumps({"timestamp": stamp(ns(t)), "joints": joints}).encode()
@@ -77,7 +103,10 @@ def json_states(stamp):
 def iso(when):
     from datetime import UTC, datetime
 
-    return datetime.fromtimestamp(when // 10**9, UTC).strftime("%Y-%m-%dT%H:%M:%S") + f".{when % 10**9:09d}Z"
+    return (
+        datetime.fromtimestamp(when // 10**9, UTC).strftime("%Y-%m-%dT%H:%M:%S")
+        + f".{when % 10**9:09d}Z"
+    )
 
 
 STAMPS = {
@@ -91,7 +120,16 @@ STAMPS = {
 def test_foxglove_joint_states_in_json(tmp_path, how):
     path = channels(
         tmp_path / "f.mcap",
-        [("/joints", "foxglove.JointStates", "jsonschema", b"{}", "json", list(json_states(STAMPS[how])))],
+        [
+            (
+                "/joints",
+                "foxglove.JointStates",
+                "jsonschema",
+                b"{}",
+                "json",
+                list(json_states(STAMPS[how])),
+            )
+        ],
     )
     (trial,) = read_log(path, ARM).trials
     np.testing.assert_allclose(trial.q, M["q"])
@@ -103,9 +141,11 @@ def test_foxglove_joint_states_in_protobuf(tmp_path):
     pb = pytest.importorskip("google.protobuf.descriptor_pb2")
     from google.protobuf import descriptor_pool, message_factory, timestamp_pb2
 
-    field = lambda name, number, kind, label=1, type_name=None: pb.FieldDescriptorProto(
-        name=name, number=number, type=kind, label=label, type_name=type_name
-    )
+    def field(name, number, kind, label=1, type_name=None):
+        return pb.FieldDescriptorProto(
+            name=name, number=number, type=kind, label=label, type_name=type_name
+        )
+
     numbers = [field(n, k, 1) for k, n in ((2, "position"), (3, "velocity"), (5, "effort"))]
     joint = pb.DescriptorProto(name="JointState", field=[field("name", 1, 9), *numbers])
     inside = [
@@ -113,8 +153,13 @@ def test_foxglove_joint_states_in_protobuf(tmp_path):
         field("joints", 2, 11, 3, ".foxglove.JointState"),
     ]
     whole = pb.DescriptorProto(name="JointStates", field=inside)
-    file = pb.FileDescriptorProto(name="foxglove/JointStates.proto", package="foxglove", syntax="proto3", message_type=[joint, whole],
-                                  dependency=["google/protobuf/timestamp.proto"])  # fmt: skip
+    file = pb.FileDescriptorProto(
+        name="foxglove/JointStates.proto",
+        package="foxglove",
+        syntax="proto3",
+        message_type=[joint, whole],
+        dependency=["google/protobuf/timestamp.proto"],
+    )
     known = pb.FileDescriptorProto.FromString(timestamp_pb2.DESCRIPTOR.serialized_pb)
     pool = descriptor_pool.DescriptorPool()
     for one in (known, file):
@@ -125,10 +170,15 @@ def test_foxglove_joint_states_in_protobuf(tmp_path):
         m = make()
         m.timestamp.seconds, m.timestamp.nanos = divmod(ns(t), 10**9)
         for j, name in enumerate(ARM):
-            m.joints.add(name=name, position=M["q"][i, j], velocity=M["v"][i, j], effort=M["tau"][i, j])
+            m.joints.add(
+                name=name, position=M["q"][i, j], velocity=M["v"][i, j], effort=M["tau"][i, j]
+            )
         rows.append((ns(t) + LATE, m.SerializeToString()))
     schema = pb.FileDescriptorSet(file=[known, file]).SerializeToString()
-    path = channels(tmp_path / "f.mcap", [("/joints", "foxglove.JointStates", "protobuf", schema, "protobuf", rows)])
+    path = channels(
+        tmp_path / "f.mcap",
+        [("/joints", "foxglove.JointStates", "protobuf", schema, "protobuf", rows)],
+    )
     (trial,) = read_log(path, ARM).trials
     np.testing.assert_allclose(trial.q, M["q"])
     np.testing.assert_allclose(trial.v, M["v"])
@@ -137,7 +187,8 @@ def test_foxglove_joint_states_in_protobuf(tmp_path):
 
 def test_foxglove_joint_states_that_are_not_read_are_named(tmp_path):
     path = channels(
-        tmp_path / "f.mcap", [("/joints", "foxglove.JointStates", "flatbuffer", b"", "flatbuffer", [(ns(0), b"x")])]
+        tmp_path / "f.mcap",
+        [("/joints", "foxglove.JointStates", "flatbuffer", b"", "flatbuffer", [(ns(0), b"x")])],
     )
     with pytest.raises(BadInput, match=r"/joints .foxglove.JointStates in flatbuffer") as error:
         read_log(path, ARM)
@@ -150,7 +201,9 @@ def test_messages_without_a_stamp_are_left_out_and_the_others_keep_theirs(tmp_pa
     bag = Bag(kind)
     late = np.random.default_rng(0).exponential(4e6, 60).astype(int)
     for i, t in enumerate(M["time"]):
-        bag.joints("/joint_states", ns(t), ARM, M["q"][i], M["v"][i], M["tau"][i], stamp=i not in bad)
+        bag.joints(
+            "/joint_states", ns(t), ARM, M["q"][i], M["v"][i], M["tau"][i], stamp=i not in bad
+        )
         bag.rows[-1] = (ns(t) + LATE + int(late[i]), *bag.rows[-1][1:])
     log = read_log(bag.write(tmp_path), ARM)
     good = [i for i in range(60) if i not in bad]
@@ -164,7 +217,12 @@ def test_stamps_far_off_are_left_out(tmp_path, wrong):
     bag = Bag("ros2")
     for i, t in enumerate(M["time"]):
         bag.joints(
-            "/joint_states", ns(t + (wrong if i in (0, 20, 21) else 0.0)), ARM, M["q"][i], M["v"][i], M["tau"][i]
+            "/joint_states",
+            ns(t + (wrong if i in (0, 20, 21) else 0.0)),
+            ARM,
+            M["q"][i],
+            M["v"][i],
+            M["tau"][i],
         )
         bag.rows[-1] = (ns(t) + LATE, *bag.rows[-1][1:])
     log = read_log(bag.write(tmp_path), ARM)
@@ -202,7 +260,9 @@ def test_a_joint_that_the_model_lacks_decides_nothing(tmp_path, ignored, speaks)
     path = bag.write(tmp_path)
     log = tmp_path / "log"
     log.mkdir()
-    (log / "meta.toml").write_text(f'{HEAD}data = "../{path.name}"\n' + ('ignore = ["gripper"]\n' if ignored else ""))
+    (log / "meta.toml").write_text(
+        f'{HEAD}data = "../{path.name}"\n' + ('ignore = ["gripper"]\n' if ignored else "")
+    )
     read = read_log(log, ARM)
     np.testing.assert_array_equal(read.trials[0].q, M["q"])
     np.testing.assert_allclose(read.trials[0].time, M["time"], atol=1e-9)
@@ -215,7 +275,9 @@ def test_a_joint_of_the_model_that_hardly_speaks_is_held_where_it_is(tmp_path):
     bag.joints("/joint_states", ns(0.3), ("gripper",), [0.02])
     log = read_log(bag.write(tmp_path), (*ARM, "gripper"))
     np.testing.assert_array_equal(log.trials[0].q, M["q"])
-    assert log.held == {"gripper": 0.02} and any("gripper: 1 messages in all" in note for note in log.notes)
+    assert log.held == {"gripper": 0.02} and any(
+        "gripper: 1 messages in all" in note for note in log.notes
+    )
 
 
 @pytest.mark.parametrize("kind", ["bag", "ros2", "mcap"])
@@ -236,7 +298,9 @@ def test_the_topic_that_names_the_joints_of_the_model_is_the_state(tmp_path):
     np.testing.assert_array_equal(read_log(bag.write(tmp_path), ARM).trials[0].q, M["q"])
 
 
-@pytest.mark.parametrize("names, says", [(("", ""), ""), (("joint", "joint"), "name 'joint' more than once")])
+@pytest.mark.parametrize(
+    "names, says", [(("", ""), ""), (("joint", "joint"), "name 'joint' more than once")]
+)
 def test_names_that_are_blank_or_repeat(tmp_path, names, says):
     bag = Bag("mcap")
     states(bag, names=names)
@@ -260,19 +324,38 @@ TEXT = "std_msgs/Header header\nstring[] joint_names\n"
 
 @pytest.mark.parametrize("kind", ["bag", "ros2", "mcap"])
 @pytest.mark.parametrize(
-    "ends", [("desired", "actual"), ("reference", "feedback"), ("reference", "feedback", "desired", "actual")]
+    "ends",
+    [
+        ("desired", "actual"),
+        ("reference", "feedback"),
+        ("reference", "feedback", "desired", "actual"),
+    ],
 )
 def test_a_controller_s_own_state_is_a_log(tmp_path, kind, ends):
     from rosbags.typesys import get_types_from_msg
 
     bag = Bag(kind)
-    name, point = "control_msgs/msg/JointTrajectoryControllerState", "trajectory_msgs/msg/JointTrajectoryPoint"
+    name, point = (
+        "control_msgs/msg/JointTrajectoryControllerState",
+        "trajectory_msgs/msg/JointTrajectoryPoint",
+    )
     bag.types.register(
-        get_types_from_msg(TEXT + "".join(f"trajectory_msgs/JointTrajectoryPoint {e}\n" for e in ends), name)
+        get_types_from_msg(
+            TEXT + "".join(f"trajectory_msgs/JointTrajectoryPoint {e}\n" for e in ends), name
+        )
     )
     wait, e = bag.make("builtin_interfaces/msg/Duration", sec=0, nanosec=0), np.zeros(0)
-    filled = lambda q, v=e: bag.make(point, positions=np.asarray(q, float), velocities=np.asarray(v, float), accelerations=e, effort=e,
-                                     time_from_start=wait)  # fmt: skip
+
+    def filled(q, v=e):
+        return bag.make(
+            point,
+            positions=np.asarray(q, float),
+            velocities=np.asarray(v, float),
+            accelerations=e,
+            effort=e,
+            time_from_start=wait,
+        )
+
     for i, t in enumerate(M["time"]):
         told = {end: filled(()) for end in ends} | {
             ends[0]: filled(M["q"][i] + 0.1),
@@ -298,13 +381,24 @@ def test_dynamic_joint_states(tmp_path):
     bag = Bag("ros2")
     inner, name = "control_msgs/msg/InterfaceValue", "control_msgs/msg/DynamicJointState"
     bag.types.register(get_types_from_msg("string[] interface_names\nfloat64[] values\n", inner))
-    bag.types.register(get_types_from_msg(TEXT + "control_msgs/InterfaceValue[] interface_values\n", name))
+    bag.types.register(
+        get_types_from_msg(TEXT + "control_msgs/InterfaceValue[] interface_values\n", name)
+    )
     for i, t in enumerate(M["time"]):
         values = [
-            bag.make(inner, interface_names=["effort", "position"], values=np.array([M["tau"][i, j], M["q"][i, j]]))
+            bag.make(
+                inner,
+                interface_names=["effort", "position"],
+                values=np.array([M["tau"][i, j], M["q"][i, j]]),
+            )
             for j in (1, 0)
         ]
-        m = bag.make(name, header=bag.header(ns(t)), joint_names=["elbow", "shoulder"], interface_values=values)
+        m = bag.make(
+            name,
+            header=bag.header(ns(t)),
+            joint_names=["elbow", "shoulder"],
+            interface_values=values,
+        )
         bag.rows.append((ns(t) + LATE, "/dynamic_joint_states", name, m))
     (trial,) = read_log(bag.write(tmp_path), ARM).trials
     np.testing.assert_array_equal(trial.q, M["q"])
@@ -318,13 +412,22 @@ def trajectory(bag, sent, names, points, stamp=True, late=LATE):
     kind, point = "trajectory_msgs/msg/JointTrajectory", "trajectory_msgs/msg/JointTrajectoryPoint"
     e, made = np.zeros(0), []
     for after, q in points:
-        wait = bag.make("builtin_interfaces/msg/Duration", sec=int(after), nanosec=round(after % 1 * 1e9))
+        wait = bag.make(
+            "builtin_interfaces/msg/Duration", sec=int(after), nanosec=round(after % 1 * 1e9)
+        )
         made.append(
             bag.make(
-                point, positions=np.asarray(q, float), velocities=e, accelerations=e, effort=e, time_from_start=wait
+                point,
+                positions=np.asarray(q, float),
+                velocities=e,
+                accelerations=e,
+                effort=e,
+                time_from_start=wait,
             )
         )
-    m = bag.make(kind, header=bag.header(ns(sent) if stamp else 0), joint_names=list(names), points=made)
+    m = bag.make(
+        kind, header=bag.header(ns(sent) if stamp else 0), joint_names=list(names), points=made
+    )
     bag.rows.append((ns(sent) + late, "/arm_controller/joint_trajectory", kind, m))
 
 
@@ -335,7 +438,16 @@ PLANS = [
     (1.9, [(0.2, 0.1)]),
 ]
 HELD = [(0.2, 0.3), (0.7, 0.7), (1.15, -0.2), (1.65, -0.5), (2.1, 0.1)]
-RAMPED = [(0.0, 0.0), (0.2, 0.3), (0.7, 0.7), (0.9, 0.82), (1.15, -0.2), (1.65, -0.5), (1.9, -0.5), (2.1, 0.1)]
+RAMPED = [
+    (0.0, 0.0),
+    (0.2, 0.3),
+    (0.7, 0.7),
+    (0.9, 0.82),
+    (1.15, -0.2),
+    (1.65, -0.5),
+    (1.9, -0.5),
+    (2.1, 0.1),
+]
 
 
 @pytest.mark.parametrize("how", ["hold", "ramp"])
@@ -344,7 +456,9 @@ RAMPED = [(0.0, 0.0), (0.2, 0.3), (0.7, 0.7), (0.9, 0.82), (1.15, -0.2), (1.65, 
 def test_a_new_trajectory_takes_the_place_of_what_is_ahead(tmp_path, how, stamp, kind):
     t = np.arange(300) / 100
     if how == "hold":
-        u = np.array([next((q for s, q in reversed(HELD) if x >= s - 1e-9), 0.0) for x in t])[:, None]
+        u = np.array([next((q for s, q in reversed(HELD) if x >= s - 1e-9), 0.0) for x in t])[
+            :, None
+        ]
     else:
         u = np.interp(t, *zip(*RAMPED, strict=True))[:, None]
     q = swung(u, 100.0)
@@ -397,7 +511,9 @@ def test_a_command_acts_from_its_own_time(tmp_path, after):
 @pytest.mark.parametrize("array", [False, True])
 @pytest.mark.parametrize("late", [0.001, 0.004])
 def test_a_target_counted_anew_between_states_has_the_turns_of_its_angle(tmp_path, late, array):
-    wrap = lambda x: (x + np.pi) % (2 * np.pi) - np.pi
+    def wrap(x):
+        return (x + np.pi) % (2 * np.pi) - np.pi
+
     t = np.arange(200) / 100
     u = (5.0 * t)[:, None]
     q = u - 0.2

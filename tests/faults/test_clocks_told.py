@@ -1,5 +1,6 @@
-"""Clocks and efforts that the motion contradicts: jitter of stamps, stamps that are counted, currents for torques; with the advice
-done."""
+"""Clocks and efforts that the motion contradicts: jitter of stamps, stamps that are counted,
+currents for torques; with the advice done.
+"""
 
 import re
 
@@ -15,16 +16,27 @@ from tests.logs.log_files import folder
 
 NAMES = ("joint1", "joint2")
 ARM = (
-    '<mujoco><worldbody><body><joint name="joint1" axis="0 1 0" damping="0.03"/><inertial pos="0 0 -0.12" mass="1" '
-    'diaginertia="0.0371 0.0371 1e-3"/><body pos="0 0 -0.35"><joint name="joint2" axis="0 1 0" damping="0.02"/>'
-    '<inertial pos="0 0 -0.18333" mass="0.6" diaginertia="0.014833 0.014833 1e-3"/></body></body></worldbody></mujoco>'
+    '<mujoco><worldbody><body><joint name="joint1" axis="0 1 0" damping="0.03"/><inertial pos="0 0 '
+    '-0.12" mass="1" '
+    'diaginertia="0.0371 0.0371 1e-3"/><body pos="0 0 -0.35"><joint name="joint2" axis="0 1 0" '
+    'damping="0.02"/>'
+    '<inertial pos="0 0 -0.18333" mass="0.6" diaginertia="0.014833 0.014833 '
+    '1e-3"/></body></body></worldbody></mujoco>'
 )
-"""The arm of `arm_files`: p1 = I1 + m1 r1^2 + m2 l1^2 + p3, p3 = I2 + m2 r2^2, h1 = m1 r1 + m2 l1, h2 = m2 r2."""
+"""The arm of `arm_files`: p1 = I1 + m1 r1^2 + m2 l1^2 + p3, p3 = I2 + m2 r2^2, h1 = m1 r1 + m2 l1,
+h2 = m2 r2.
+"""
 
 
 def recorded(path, trials, meta="", names=("q", "v", "tau")):
-    named = lambda c: {"time": c["time"]} | {f"{s}_{n}": c[f"{s}{k + 1}"] for s in names for k, n in enumerate(NAMES)}
-    data = folder(path, f'model = "robot.xml"\n{meta}', **{f"run_{k}": named(c) for k, c in enumerate(trials)})
+    def named(c):
+        return {"time": c["time"]} | {
+            f"{s}_{n}": c[f"{s}{k + 1}"] for s in names for k, n in enumerate(NAMES)
+        }
+
+    data = folder(
+        path, f'model = "robot.xml"\n{meta}', **{f"run_{k}": named(c) for k, c in enumerate(trials)}
+    )
     (path / "robot.xml").write_text(ARM)
     return data
 
@@ -50,10 +62,14 @@ def test_time_that_gravity_contradicts_is_told_with_its_factor(tmp_path, slow, s
 @pytest.mark.parametrize("friction", [5.0, 0.05, 0.0])
 def test_friction_beyond_what_moves_a_joint_is_told_and_left_out_as_advised(tmp_path, friction):
     data = recorded(tmp_path / "a", arm(4))
-    (data / "robot.xml").write_text(ARM.replace('name="joint2"', f'name="joint2" frictionloss="{friction}"'))
+    (data / "robot.xml").write_text(
+        ARM.replace('name="joint2"', f'name="joint2" frictionloss="{friction}"')
+    )
     told = check_conventions(load(data))
     assert len(told) == (friction == 5.0)
-    assert all("declares friction of 5 N m at joint2" in f.message and "or 0" in f.message for f in told)
+    assert all(
+        "declares friction of 5 N m at joint2" in f.message and "or 0" in f.message for f in told
+    )
 
 
 def test_efforts_that_are_currents_are_asked_after_and_read_as_currents(tmp_path):
@@ -72,7 +88,9 @@ def test_rows_read_evenly_are_taken_so_whatever_their_stamps_say(tmp_path, how):
         for seed in range(3):
             u = sines(seed, 300, 125.0, 1, 1.0)
             rng = np.random.default_rng(seed)
-            jitter = rng.uniform(-4e-4, 4e-4, 300) if how == "uniform" else rng.exponential(4e-4, 300)
+            jitter = (
+                rng.uniform(-4e-4, 4e-4, 300) if how == "uniform" else rng.exponential(4e-4, 300)
+            )
             out.append(
                 (
                     np.arange(300) / 125.0 + stamped * (0.002 + jitter),
@@ -86,7 +104,9 @@ def test_rows_read_evenly_are_taken_so_whatever_their_stamps_say(tmp_path, how):
     assert any("stamps of rows jitter" in note for note in machine.log.notes)
     for track in machine.tracks:
         np.testing.assert_allclose(np.diff(track.time), 0.008, rtol=1e-3)
-    assert not any("jitter" in note for note in load(log(tmp_path / "b", "", ("arm",), trials(0.0))).log.notes)
+    assert not any(
+        "jitter" in note for note in load(log(tmp_path / "b", "", ("arm",), trials(0.0))).log.notes
+    )
 
 
 def test_rows_that_were_read_unevenly_keep_their_stamps(tmp_path):

@@ -1,5 +1,6 @@
-"""Commands that are not what acted: cut on their way, another joint's, of another gain in some trials, counted anew each turn. What is
-advised is done, and the log is read on."""
+"""Commands that are not what acted: cut on their way, another joint's, of another gain in some
+trials, counted anew each turn. What is advised is done, and the log is read on.
+"""
 
 import re
 
@@ -55,7 +56,10 @@ def test_targets_that_the_driver_cuts_are_refused_and_read_as_advised(tmp_path, 
     mended = log(tmp_path / "b", f"[commands]\n{line}\n", ARM, trials(made))
     machine = load(mended)
     assert check_commands(machine) == ()
-    assert np.ptp(np.diff(machine.tracks[0].u[:, 0])) < np.ptp(np.diff(load(data).tracks[0].u[:, 0])) / 2
+    assert (
+        np.ptp(np.diff(machine.tracks[0].u[:, 0]))
+        < np.ptp(np.diff(load(data).tracks[0].u[:, 0])) / 2
+    )
 
 
 @pytest.mark.parametrize("seed", [0, 10, 20])
@@ -63,7 +67,12 @@ def test_a_limit_of_force_that_a_much_damped_joint_meets_now_and_then_is_no_limi
     """At it the joint moves at one speed."""
     rate, rows, stiff, damping, inertia = 200.0, 1000, 35.0, 3.07, 0.06
     drawn = [np.random.default_rng(seed + k) for k in range(4)]
-    wave = lambda rng: 2 * np.pi * rng.uniform(0.2, 1.2, 3) * np.arange(rows)[:, None] / rate + rng.uniform(0, 6.28, 3)
+
+    def wave(rng):
+        return 2 * np.pi * rng.uniform(0.2, 1.2, 3) * np.arange(rows)[:, None] / rate + rng.uniform(
+            0, 6.28, 3
+        )
+
     u = [0.25 * np.sin(wave(rng)).sum(1) for rng in drawn]
     limit = 0.8 * damping * max(np.abs(np.gradient(x, 1 / rate)).max() for x in u)
     tracks, h = [], 1 / rate / 10
@@ -95,7 +104,9 @@ def test_a_limit_of_force_and_targets_as_sent_are_no_cuts(tmp_path, seed):
         for target in u:
             out.append(q.copy())
             for _ in range(20):
-                force = servo_files.KP * np.clip(target - q - servo_files.KV / servo_files.KP * v, -most, most)
+                force = servo_files.KP * np.clip(
+                    target - q - servo_files.KV / servo_files.KP * v, -most, most
+                )
                 v = v + 1e-3 * (force - servo_files.DAMPING * v - pull * np.sin(q)) / inertia
                 q = q + 1e-3 * v
         return np.array(out), u
@@ -112,7 +123,9 @@ def test_a_limit_of_force_and_targets_as_sent_are_no_cuts(tmp_path, seed):
 
 
 @pytest.mark.parametrize("which, mend", [("target", 'target_arm = "deg"'), ("q", 'q_arm = "deg"')])
-def test_targets_in_another_unit_than_their_angles_are_told_and_read_as_advised(tmp_path, which, mend):
+def test_targets_in_another_unit_than_their_angles_are_told_and_read_as_advised(
+    tmp_path, which, mend
+):
     whole = trials(lambda seed, rows: (lambda u: (swung(u, RATE), u))(sines(seed, rows, RATE, 1)))
     size = {which: 180 / np.pi}
     spoiled = [(t, size.get("q", 1.0) * q, size.get("target", 1.0) * u) for t, q, u in whole]
@@ -149,7 +162,9 @@ def test_commands_in_the_order_of_the_joints_are_told_and_read_as_advised(tmp_pa
         (path / "robot.xml").write_text(model(names, ("right", "left")))
         return path
 
-    with pytest.raises(BadInput, match=r"another order than the actuators.*left moves as that of right") as error:
+    with pytest.raises(
+        BadInput, match=r"another order than the actuators.*left moves as that of right"
+    ) as error:
         check_commands(load(write(tmp_path / "a", meta)))
     lines = advised(str(error.value), r'ctrl_\w+ = "\w+", ctrl_\w+ = "\w+"').replace(", ", "\n")
     assert check_commands(load(write(tmp_path / "b", f"[columns]\n{lines}\n"))) == ()
@@ -167,7 +182,10 @@ def test_gains_that_differ_by_trial_are_told_by_trial(tmp_path, gains):
         assert told == ()
         return
     (finding,) = told
-    values = {name: float(x) for name, x in re.findall(r"(run_\d) ([\d.]+)", finding.message.split(": ", 1)[1])}
+    values = {
+        name: float(x)
+        for name, x in re.findall(r"(run_\d) ([\d.]+)", finding.message.split(": ", 1)[1])
+    }
     for k in range(1, 6):
         assert values[f"run_{k}"] == pytest.approx(gains[k % 2], rel=0.1)
     odd = [f"run_{k}" for k in range(6) if k % 2]
@@ -179,7 +197,8 @@ def wrap(x, begin=-np.pi):
 
 
 @pytest.mark.parametrize(
-    "angle, target", [(wrap, wrap), (lambda x: wrap(x, 0.0), wrap), (lambda x: x, wrap), (wrap, lambda x: x)]
+    "angle, target",
+    [(wrap, wrap), (lambda x: wrap(x, 0.0), wrap), (lambda x: x, wrap), (wrap, lambda x: x)],
 )
 def test_a_target_has_the_turns_of_its_angle(tmp_path, angle, target):
     def made(seed, rows):
@@ -190,7 +209,8 @@ def test_a_target_has_the_turns_of_its_angle(tmp_path, angle, target):
     data = log(tmp_path / "a", "", ARM, [(t, angle(q), target(u)) for t, q, u in whole])
     for track, (_, q, u) in zip(load(data).tracks, whole, strict=True):
         np.testing.assert_allclose(track.u[:, 0] - track.q[:, 0], (u - q)[:, 0], atol=1e-6)
-    # a joint that stays within a turn and whose targets step by more than half of one is left as it is
+    # a joint that stays within a turn and whose targets step by more than half of one is left as it
+    # is
     far = trials(lambda seed, rows: (lambda u: (swung(u, RATE), u))(steps(seed, rows, 40, 2.6)), 2)
     log_ = load(log(tmp_path / "b", "", ARM, far))
     for track, (_, _, u) in zip(log_.tracks, far, strict=True):

@@ -1,4 +1,5 @@
-"""Damaged recordings at random over all readers: each is refused in one line that names its file, or read with its meaning unchanged.
+"""Damaged recordings at random over all readers: each is refused in one line that names its file,
+or read with its meaning unchanged.
 
 pytest tests/faults/test_damage_campaign.py -m "slow or not slow"
 """
@@ -24,8 +25,12 @@ ALL = [
     Reader("diagnose, pushes", 60, trials.PUSH, ASKED, *PUSHES, off=2e-3),
     Reader("diagnose, scoops", 61, trials.SCOOP, ASKED, *SCOOPS, off=2e-3),
     Reader("diagnose, tosses", 62, trials.TOSS, POSES, *TOSSES, off=5e-3),
-    Reader("robot record, pushes", 63, trials.ASKED, TRACKS, *TOLD_PUSHES, off=5e-3, resampled=True),
-    Reader("robot record, scoops", 64, trials.LIFTED, TRACKS, *TOLD_SCOOPS, off=5e-3, resampled=True),
+    Reader(
+        "robot record, pushes", 63, trials.ASKED, TRACKS, *TOLD_PUSHES, off=5e-3, resampled=True
+    ),
+    Reader(
+        "robot record, scoops", 64, trials.LIFTED, TRACKS, *TOLD_SCOOPS, off=5e-3, resampled=True
+    ),
 ]
 NEEDS = {"bag": "rosbags", "MCAP": "rosbags", "LeRobot": "pyarrow"}
 TURN = 2 * np.pi
@@ -41,7 +46,9 @@ def drawn(reader: Reader, seed: int):
 
 
 def unlike(reader: Reader, read, own) -> str:
-    """Which columns mean another thing than those of the healthy recording; nothing where none does."""
+    """Which columns mean another thing than those of the healthy recording; nothing where none
+    does.
+    """
     for k, trial in read.trials.items():
         for name, column in trial.columns.items():
             here = np.isfinite(column)
@@ -60,17 +67,23 @@ def unlike(reader: Reader, read, own) -> str:
 
 
 def healthy_column(own, k: int, name: str, time: np.ndarray) -> np.ndarray:
-    """A column of a healthy trial at `time` s: torques hold from row to row, a turn is the product of its numbers."""
+    """A column of a healthy trial at `time` s: torques hold from row to row, a turn is the product
+    of its numbers.
+    """
     c = own.trials[k]
     if "*" in name:
         return np.prod([np.interp(time, c["time"], c[q]) for q in name.split("*")], 0)
     if name.startswith("tau"):
-        return np.asarray(c[name])[np.maximum(np.searchsorted(c["time"], time + 1e-6, side="right") - 1, 0)]
+        return np.asarray(c[name])[
+            np.maximum(np.searchsorted(c["time"], time + 1e-6, side="right") - 1, 0)
+        ]
     return np.interp(time, c["time"], c[name])
 
 
 def begun(own, damaged):
-    """A healthy recording whose clock counts from the first stamp that damage left a number, as that of a bag does."""
+    """A healthy recording whose clock counts from the first stamp that damage left a number, as
+    that of a bag does.
+    """
     trials = []
     for c, d in zip(own.trials, damaged.trials, strict=False):
         stamps = np.array([number(z) for z in d.get("time", ())])
@@ -80,7 +93,9 @@ def begun(own, damaged):
 
 
 def wrong(reader: Reader, seed: int, folder) -> tuple[bool, str]:
-    """Whether a damaged recording was refused, and what was wrong of that; "" where all was right."""
+    """Whether a damaged recording was refused, and what was wrong of that; "" where all was
+    right.
+    """
     own, what, damaged = drawn(reader, seed)
     shutil.rmtree(folder, ignore_errors=True)
     source = reader.write(folder, damaged)
@@ -96,7 +111,9 @@ def wrong(reader: Reader, seed: int, folder) -> tuple[bool, str]:
         return False, f"{what}: read with another meaning" if off > reader.off else ""
     own = begun(own, damaged) if "bag" in reader.name or "MCAP" in reader.name else own
     # a clock that jumps forward moves what comes after it: that gap is told, of a log by the audit
-    jump = what == "clock" and any(np.max(np.diff(t.time), initial=0.0) > 0.3 for t in read.trials.values())
+    jump = what == "clock" and any(
+        np.max(np.diff(t.time), initial=0.0) > 0.3 for t in read.trials.values()
+    )
     jump &= reader.kind.angles != () or "nothing was recorded" in read.told
     other = "" if jump else unlike(reader, read, own)
     return False, f"{what}: {other} has another meaning" if other else ""

@@ -1,5 +1,6 @@
-"""Tables that other programs export: several topics in one file, commands less often than states, lists in cells, commands in a
-file of their own. With what is advised done."""
+"""Tables that other programs export: several topics in one file, commands less often than states,
+lists in cells, commands in a file of their own. With what is advised done.
+"""
 
 import re
 
@@ -21,10 +22,16 @@ T = np.arange(120) / RATE
 
 def export(path, head, rows):
     path.parent.mkdir(parents=True, exist_ok=True)
-    cell = lambda x: x if isinstance(x, str) else f"{x:.10g}"
+
+    def cell(x):
+        return x if isinstance(x, str) else f"{x:.10g}"
+
     lines = [
         ",".join(head),
-        *(",".join([f"{t:.6f}", *map(cell, cells)]) for t, cells in sorted(rows, key=lambda r: r[0])),
+        *(
+            ",".join([f"{t:.6f}", *map(cell, cells)])
+            for t, cells in sorted(rows, key=lambda r: r[0])
+        ),
     ]
     path.write_text("\n".join(lines) + "\n")
     return path
@@ -39,11 +46,20 @@ def meta(folder, text):
 
 @pytest.mark.parametrize("offset", [-2e-4, 2e-3, 9e-3])
 def test_topics_of_one_export_come_onto_the_clock_of_the_states(tmp_path, offset):
-    head = ["__time", *(f"/joint_states/{n}/position" for n in NAMES), "/commands/data[0]", "/commands/data[1]"]
+    head = [
+        "__time",
+        *(f"/joint_states/{n}/position" for n in NAMES),
+        "/commands/data[0]",
+        "/commands/data[1]",
+    ]
     rows = [(EPOCH + t, [*q, "", ""]) for t, q in zip(T, Q, strict=True)]
     rows += [(EPOCH + t + offset, ["", "", *u]) for t, u in zip(T, U, strict=True)]
-    columns = ['[columns]', 'time = "__time"', *(f'q_{n} = "/joint_states/{n}/position"' for n in NAMES),
-               *(f'target_{n} = "/commands/data[{k}]"' for k, n in enumerate(NAMES))]  # fmt: skip
+    columns = [
+        "[columns]",
+        'time = "__time"',
+        *(f'q_{n} = "/joint_states/{n}/position"' for n in NAMES),
+        *(f'target_{n} = "/commands/data[{k}]"' for k, n in enumerate(NAMES)),
+    ]
     data = meta(tmp_path / "log", "\n".join(columns))
     export(data / "run.csv", head, rows)
     log = read_log(data)
@@ -60,7 +76,10 @@ def test_topics_of_one_export_come_onto_the_clock_of_the_states(tmp_path, offset
 
 @pytest.mark.parametrize("every", [4, 20])
 def test_commands_that_come_less_often_than_states_hold(tmp_path, every):
-    rows = [(t, [*q, *(u if k % every == 0 else ("", ""))]) for k, (t, q, u) in enumerate(zip(T, Q, U, strict=True))]
+    rows = [
+        (t, [*q, *(u if k % every == 0 else ("", ""))])
+        for k, (t, q, u) in enumerate(zip(T, Q, U, strict=True))
+    ]
     data = meta(tmp_path / "log", "")
     export(data / "run.csv", ["time", "q_left", "q_right", "target_left", "target_right"], rows)
     (trial,) = read_log(data).trials
@@ -68,7 +87,12 @@ def test_commands_that_come_less_often_than_states_hold(tmp_path, every):
 
 
 def test_an_export_is_begun_and_reads(tmp_path):
-    head = ["__time", *(f"/joint_states/{n}/position" for n in NAMES), "/commands/data[0]", "/commands/data[1]"]
+    head = [
+        "__time",
+        *(f"/joint_states/{n}/position" for n in NAMES),
+        "/commands/data[0]",
+        "/commands/data[1]",
+    ]
     rows = [(EPOCH + t, [*q, "", ""]) for t, q in zip(T, Q, strict=True)]
     rows += [(EPOCH + t - 1e-4, ["", "", *u]) for t, u in zip(T, U, strict=True)]
     export(tmp_path / "data" / "run.csv", head, rows)
@@ -83,7 +107,12 @@ def said(row):
 
 
 @pytest.mark.parametrize(
-    "cells", [said, lambda row: '"' + str(np.round(row, 9)) + '"', lambda row: f"({row[0]:.9g} {row[1]:.9g})"]
+    "cells",
+    [
+        said,
+        lambda row: '"' + str(np.round(row, 9)) + '"',
+        lambda row: f"({row[0]:.9g} {row[1]:.9g})",
+    ],
 )
 def test_lists_in_cells_are_joints_in_order(tmp_path, cells):
     data = meta(tmp_path / "log", '[columns]\ntarget = "goal_of_all"\n')
@@ -97,20 +126,30 @@ def test_lists_in_cells_are_joints_in_order(tmp_path, cells):
 
 def test_a_list_of_another_length_is_refused_by_its_line(tmp_path):
     data = meta(tmp_path / "log", "")
-    rows = [(t, [said(q if k != 50 else q[:1]), said(u)]) for k, (t, q, u) in enumerate(zip(T, Q, U, strict=True))]
+    rows = [
+        (t, [said(q if k != 50 else q[:1]), said(u)])
+        for k, (t, q, u) in enumerate(zip(T, Q, U, strict=True))
+    ]
     export(data / "run.csv", ["time", "positions", "targets"], rows)
-    with pytest.raises(BadInput, match="line 52: column positions holds a list of 1, the first one of 2"):
+    with pytest.raises(
+        BadInput, match="line 52: column positions holds a list of 1, the first one of 2"
+    ):
         read_log(data)
 
 
 def test_commands_in_a_file_of_their_own_are_told_and_read_as_advised(tmp_path):
     data = meta(tmp_path / "log", 'input = "command"\n')
-    us = lambda t: round((t + EPOCH) * 1e6)
+
+    def us(t):
+        return round((t + EPOCH) * 1e6)
+
     state = [f"STATE,{us(t)},{said(q)}" for t, q in zip(T, Q, strict=True)]
     control = [f"CONTROL,{us(t + 0.002)},{said(u)}" for t, u in zip(T, U, strict=True)]
     (data / "state_motor.csv").write_text("\n".join(["type,timestamp,positions", *state]) + "\n")
     (data / "control.csv").write_text("\n".join(["type,timestamp,positions", *control]) + "\n")
-    with pytest.raises(BadInput, match=r"control.csv: looks like the commands of state_motor") as error:
+    with pytest.raises(
+        BadInput, match=r"control.csv: looks like the commands of state_motor"
+    ) as error:
         read_log(data)
     lines = re.search(r"commands = {.*?}", str(error.value))[0]
     meta(data, f'input = "command"\n[units]\ntime = "us"\n[trials]\n{lines}\n')
@@ -124,7 +163,15 @@ def test_a_folder_of_states_and_commands_is_begun_and_reads(tmp_path):
     data = tmp_path / "data"
     data.mkdir()
     (tmp_path / "robot.xml").write_text(model(NAMES))
-    rows = lambda x: "\n".join(["time,positions", *(f"{t:.6f},{said(r)}" for t, r in zip(T, x, strict=True))]) + "\n"
+
+    def rows(x):
+        return (
+            "\n".join(
+                ["time,positions", *(f"{t:.6f},{said(r)}" for t, r in zip(T, x, strict=True))]
+            )
+            + "\n"
+        )
+
     (data / "run_state.csv").write_text(rows(Q))
     (data / "run_command.csv").write_text(rows(U))
     begun = begin(data, tmp_path / "begun", tmp_path / "robot.xml", {})

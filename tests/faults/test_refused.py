@@ -1,4 +1,6 @@
-"""What real data and real days do, from the command line: told with what to write, before a model is judged."""
+"""What real data and real days do, from the command line: told with what to write, before a model
+is judged.
+"""
 
 import numpy as np
 import pytest
@@ -32,21 +34,42 @@ def late(c, rows=2):
 EPOCH = 1.7e9
 SPOILED = {
     "joints": (swapped, "joint 1 and joint 2 look swapped"),
-    "one degrees": (lambda c: c | {"q1": np.degrees(c["q1"]), "v1": np.degrees(c["v1"])}, 'q1 = "deg" under [units]'),
-    "absolute": (lambda c: c | {"q2": c["q1"] + c["q2"], "v2": c["v1"] + c["v2"]}, "q2 looks absolute"),
+    "one degrees": (
+        lambda c: c | {"q1": np.degrees(c["q1"]), "v1": np.degrees(c["v1"])},
+        'q1 = "deg" under [units]',
+    ),
+    "absolute": (
+        lambda c: c | {"q2": c["q1"] + c["q2"], "v2": c["v1"] + c["v2"]},
+        "q2 looks absolute",
+    ),
     "late": (late, "are logged about 20 ms (2 rows) late"),
     "commas": (lambda c: {k: [comma(v) for v in x] for k, x in c.items()}, "decimal comma"),
-    "float32": (lambda c: c | {"time": (c["time"] + EPOCH).astype(np.float32)}, "save it as float64"),
+    "float32": (
+        lambda c: c | {"time": (c["time"] + EPOCH).astype(np.float32)},
+        "save it as float64",
+    ),
     "ms": (lambda c: c | {"time": 1e3 * c["time"]}, 'time = "ms"'),
     "us": (lambda c: c | {"time": 1e6 * c["time"]}, 'time = "us"'),
     "ns": (lambda c: c | {"time": 1e9 * (c["time"] + EPOCH)}, 'time = "ns"'),
-    "back": (lambda c: c | {"time": np.where(c["time"] > 1.0, c["time"] - 0.5, c["time"])}, "time runs backwards"),
+    "back": (
+        lambda c: c | {"time": np.where(c["time"] > 1.0, c["time"] - 0.5, c["time"])},
+        "time runs backwards",
+    ),
     "needed": (lambda c: c | {"q2": ["nan"] * len(c["time"])}, "column q2 holds no number"),
-    "hole": (lambda c: c | {"tau1": np.where(c["time"] == 0.5, np.nan, c["tau1"])}, "column tau1 is nan"),
+    "hole": (
+        lambda c: c | {"tau1": np.where(c["time"] == 0.5, np.nan, c["tau1"])},
+        "column tau1 is nan",
+    ),
     "mNm": (lambda c: c | {"tau2": 1e3 * c["tau2"]}, 'write tau2 = "mNm" under [units]'),
-    "turns": (lambda c: c | {k: c[k] / (2 * np.pi) for k in ("q2", "v2")}, 'write q2 = "rev" under [units]'),
+    "turns": (
+        lambda c: c | {k: c[k] / (2 * np.pi) for k in ("q2", "v2")},
+        'write q2 = "rev" under [units]',
+    ),
     "folded": (lambda c: c | {"q2": c["q2"] - np.pi}, "add 3.1416 rad to column q2"),
-    "swapped": (lambda c: c | {"tau1": c["tau2"], "tau2": c["tau1"]}, "exchange columns tau1 and tau2"),
+    "swapped": (
+        lambda c: c | {"tau1": c["tau2"], "tau2": c["tau1"]},
+        "exchange columns tau1 and tau2",
+    ),
 }
 
 
@@ -65,11 +88,17 @@ def test_a_gravity_that_is_not_that_of_the_motion(tmp_path, capsys):
 
 def test_lengths_in_mm_are_no_pendulum_of_this_motion(tmp_path, capsys):
     data = write(tmp_path / "data", arm(), l1=350.0)
-    assert "write l1 = 0.35 under [geometry]" in refused(capsys, "diagnose", data, "--out", tmp_path / "out")
+    assert "write l1 = 0.35 under [geometry]" in refused(
+        capsys, "diagnose", data, "--out", tmp_path / "out"
+    )
 
 
 ENCODED = {
-    "semicolons and decimal commas": (lambda text: text.replace(",", ";").replace(".", ","), "utf-8", "decimal comma"),
+    "semicolons and decimal commas": (
+        lambda text: text.replace(",", ";").replace(".", ","),
+        "utf-8",
+        "decimal comma",
+    ),
     "utf-16": (lambda text: text, "utf-16", "UTF-8"),
     "spaces": (lambda text: text.replace(",", " "), "utf-8", "separate"),
     "tabs": (lambda text: text.replace(",", "\t"), "utf-8-sig", None),
@@ -92,7 +121,9 @@ def test_text_of_other_programs_is_read_or_told(tmp_path, capsys, name):
 
 
 def test_an_epoch_in_float64_is_a_clock_as_any_other(tmp_path):
-    data = write(tmp_path, [c | {"time": [f"{t + EPOCH:.4f}" for t in c["time"]]} for c in arm(count=2)])
+    data = write(
+        tmp_path, [c | {"time": [f"{t + EPOCH:.4f}" for t in c["time"]]} for c in arm(count=2)]
+    )
     assert abs(read_recording(data).trials[0].dt - 0.01) < 1e-6
 
 
@@ -118,11 +149,15 @@ def test_the_data_folder_is_no_place_for_the_report(tmp_path, capsys):
 
 def test_trials_to_leave_out_are_checked(tmp_path, capsys):
     data = write(tmp_path / "data", arm(count=2))
-    assert "no trial is named '07'" in refused(capsys, "diagnose", data, "--out", tmp_path / "o", "--without", "07")
+    assert "no trial is named '07'" in refused(
+        capsys, "diagnose", data, "--out", tmp_path / "o", "--without", "07"
+    )
     (data / "01.csv").write_text("torn")  # what is left out is not looked at
     assert "01.csv" in refused(capsys, "diagnose", data, "--out", tmp_path / "o")
     assert read_recording(data, without=["01"]).trials[0].name == "00"
-    assert "leave some" in refused(capsys, "diagnose", data, "--out", tmp_path / "o", "--without", "00,01")
+    assert "leave some" in refused(
+        capsys, "diagnose", data, "--out", tmp_path / "o", "--without", "00,01"
+    )
 
 
 THOUSANDS = {
@@ -136,6 +171,12 @@ THOUSANDS = {
 @pytest.mark.parametrize("name", THOUSANDS)
 def test_commas_between_thousands_are_told_from_decimal_commas(tmp_path, capsys, name):
     form, says = THOUSANDS[name]
-    cell = lambda v: form.format(v).replace(",", "'" if name == "apostrophes" else ",")
-    data = write(tmp_path / "data", [c | {"time": [cell(1e3 * t + 1e3) for t in c["time"]]} for c in arm(count=2)])
+
+    def cell(v):
+        return form.format(v).replace(",", "'" if name == "apostrophes" else ",")
+
+    data = write(
+        tmp_path / "data",
+        [c | {"time": [cell(1e3 * t + 1e3) for t in c["time"]]} for c in arm(count=2)],
+    )
     assert says in refused(capsys, "diagnose", data, "--out", tmp_path / "out")

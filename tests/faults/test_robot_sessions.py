@@ -1,4 +1,6 @@
-"""Sessions of `adaptsim robot` on odd days: a robot that trips, a record taken back, folders that move, two writers at once."""
+"""Sessions of `adaptsim robot` on odd days: a robot that trips, a record taken back, folders that
+move, two writers at once.
+"""
 
 import json
 import shutil
@@ -46,17 +48,32 @@ def test_a_robot_that_trips_a_record_taken_back_and_a_second_writer(session, tmp
     assert robot("next", "--dir", session, "--json") == 0
     out, err = capsys.readouterr()
     answer = json.loads(out)
-    assert (answer["told"], answer["of"], answer["done"], answer["best_return"]) == (2, 4, False, None)
-    assert answer["policy"] == str(session / "policy.toml") and "m2" in answer["params"] and "trial 3 of 4" in err
+    assert (answer["told"], answer["of"], answer["done"], answer["best_return"]) == (
+        2,
+        4,
+        False,
+        None,
+    )
+    assert (
+        answer["policy"] == str(session / "policy.toml")
+        and "m2" in answer["params"]
+        and "trial 3 of 4" in err
+    )
     assert robot("undo", "--dir", session) == 0
     assert robot("next", "--dir", session) == 0
     assert contents(session) == first
-    assert robot("undo", "--dir", session) == 2 and "nothing was recorded yet" in capsys.readouterr().err
+    assert (
+        robot("undo", "--dir", session) == 2
+        and "nothing was recorded yet" in capsys.readouterr().err
+    )
     assert robot("record", trial(session, tmp_path / "good.csv"), "--dir", session) == 0
     before = contents(session)
     with one_writer(session):
         assert robot("undo", "--dir", session) == 2
-    assert "another process is writing there" in capsys.readouterr().err and contents(session) == before
+    assert (
+        "another process is writing there" in capsys.readouterr().err
+        and contents(session) == before
+    )
     for _ in range(2):
         robot("record", "--failed", "--dir", session)
     capsys.readouterr()
@@ -74,16 +91,23 @@ def test_nothing_was_finished(session, capsys):
     for _ in range(2):
         assert robot("record", "--failed", "--dir", session) == 0
     assert robot("next", "--dir", session) == 0
-    assert "none of them was finished" in capsys.readouterr().out and not (session / "best.toml").exists()
+    assert (
+        "none of them was finished" in capsys.readouterr().out
+        and not (session / "best.toml").exists()
+    )
 
 
 def test_folders_that_move(run, tmp_path, capsys):
     there = tmp_path / "there"
     shutil.copytree(run, there / "run")
-    assert robot("new", there / "run", "--dir", there / "s", "--starts", "1", "--iterations", "1") == 0
+    assert (
+        robot("new", there / "run", "--dir", there / "s", "--starts", "1", "--iterations", "1") == 0
+    )
     there.rename(tmp_path / "here")
     session = tmp_path / "here" / "s"
-    assert robot("next", "--dir", session) == 0  # both together: told by the way from one to the other
+    assert (
+        robot("next", "--dir", session) == 0
+    )  # both together: told by the way from one to the other
     (tmp_path / "here" / "run").rename(tmp_path / "run")
     capsys.readouterr()
     assert robot("next", "--dir", session) == 2 and "--run RUN" in capsys.readouterr().err
@@ -104,7 +128,10 @@ SPOILED = {
     "hole": (lambda t: t[(t[:, 0] < 0.4) | (t[:, 0] > 1.2)], "nothing was recorded from"),
     "degrees": (lambda t: t * [1, 57.29578, 57.29578, 57.29578, 57.29578, 1, 1], "degrees"),
     "speeds": (lambda t: t * [1, 1, 1, 57.29578, 57.29578, 1, 1], "column v1"),
-    "exchanged": (lambda t: t[:, [0, 1, 2, 3, 4, 6, 5]], "the torques of joint 1 and joint 2 look swapped"),
+    "exchanged": (
+        lambda t: t[:, [0, 1, 2, 3, 4, 6, 5]],
+        "the torques of joint 1 and joint 2 look swapped",
+    ),
     "mNm": (lambda t: t * [1, 1, 1, 1, 1, 1e3, 1e3], "those of links of 1 m and 1 kg; write N m"),
     "nan": (lambda t: np.where(np.arange(len(t))[:, None] == 30, np.nan, t), "nan"),
 }
@@ -114,7 +141,10 @@ def test_spoiled_trials_are_refused_and_a_turn_is_no_matter(session, tmp_path, c
     good = trial(session, tmp_path / "good.csv")
     table = np.loadtxt(good, delimiter=",", skiprows=1)
     head = good.read_text().split("\n")[0]
-    save = lambda path, t: np.savetxt(path, t, delimiter=",", header=head, comments="", fmt="%.12g")
+
+    def save(path, t):
+        return np.savetxt(path, t, delimiter=",", header=head, comments="", fmt="%.12g")
+
     before = contents(session)
     for name, (spoil, says) in SPOILED.items():
         save(tmp_path / f"{name}.csv", spoil(table))

@@ -1,5 +1,6 @@
-"""Numbers that are no angles, and names that are not the numbers': LeRobot's per cent, grippers, encoder steps. With the advice
-done."""
+"""Numbers that are no angles, and names that are not the numbers': LeRobot's per cent, grippers,
+encoder steps. With the advice done.
+"""
 
 import json
 import re
@@ -24,18 +25,33 @@ LOW, HIGH = np.array([-0.7, -0.6]), np.array([0.8, 0.5])
 
 
 def names_of(joints, ranges=()):
-    return ModelNames(joints, actuators=tuple(ActuatorName(f"p_{j}", j, "position") for j in joints), ranges=ranges)
+    return ModelNames(
+        joints,
+        actuators=tuple(ActuatorName(f"p_{j}", j, "position") for j in joints),
+        ranges=ranges,
+    )
 
 
 def data_set(path, state, action, names, named=None):
-    vector = {"dtype": "float32", "shape": [state.shape[1]], "names": named if named is not None else list(names)}
-    features = {"observation.state": vector, "action": vector, "timestamp": {"dtype": "float32", "shape": [1]}}
+    vector = {
+        "dtype": "float32",
+        "shape": [state.shape[1]],
+        "names": named if named is not None else list(names),
+    }
+    features = {
+        "observation.state": vector,
+        "action": vector,
+        "timestamp": {"dtype": "float32", "shape": [1]},
+    }
     (path / "meta").mkdir(parents=True)
-    (path / "meta" / "info.json").write_text(json.dumps({"codebase_version": "v3.0", "fps": 30, "features": features}))
+    (path / "meta" / "info.json").write_text(
+        json.dumps({"codebase_version": "v3.0", "fps": 30, "features": features})
+    )
     table = {
-        "observation.state": state.astype(np.float32).tolist(), "action": action.astype(np.float32).tolist(),
+        "observation.state": state.astype(np.float32).tolist(),
+        "action": action.astype(np.float32).tolist(),
         "timestamp": np.arange(len(state)) / 30,
-    }  # fmt: skip
+    }
     (path / "data" / "chunk-000").mkdir(parents=True)
     parquet.write_table(pa.table(table), path / "data" / "chunk-000" / "file-000.parquet")
     return path
@@ -75,7 +91,10 @@ def test_per_cent_of_a_range_is_told_in_every_command_and_read_as_advised(tmp_pa
 def test_a_gripper_has_a_scale_of_its_own(tmp_path, known):
     joints, low, high = (*ARM, "gripper"), -0.2, 1.8
     grip = 0.8 + 0.5 * np.sin(np.arange(90) / 10)
-    share = lambda x, g: np.column_stack([np.degrees(x), 100 * (g - low) / (high - low)])
+
+    def share(x, g):
+        return np.column_stack([np.degrees(x), 100 * (g - low) / (high - low)])
+
     data_set(tmp_path / "set", share(Q, grip), share(U, grip), [f"{n}.pos" for n in joints])
     model = names_of(joints, (None, None, (low, high) if known else None))
     told = read_log(meta(tmp_path / "deg", '[units]\nangle = "deg"\n'), model)
@@ -103,16 +122,25 @@ def test_degrees_are_no_per_cent(tmp_path):
         "q1": np.degrees(Q[:, 0]),
         "target1": np.repeat([0.0, 100.0, -50.0], 30),
     }
-    log = read_log(folder(tmp_path / "round", '[units]\nangle = "deg"\n', run=setpoints), names_of(("arm",)))
+    log = read_log(
+        folder(tmp_path / "round", '[units]\nangle = "deg"\n', run=setpoints), names_of(("arm",))
+    )
     assert not any("per cent" in note for note in log.notes)
 
 
 def test_a_share_of_the_range_is_told_and_read_as_advised(tmp_path):
-    share = lambda x: np.clip(2 * (x - LOW) / (HIGH - LOW) - 1, -1, 1)
+    def share(x):
+        return np.clip(2 * (x - LOW) / (HIGH - LOW) - 1, -1, 1)
+
     columns = {"time": np.arange(90) / 30} | {f"q_{n}": share(Q)[:, j] for j, n in enumerate(ARM)}
-    (note,) = [n for n in read_log(folder(tmp_path / "a", "", run=columns), ARM).notes if "exactly 1" in n]
+    (note,) = [
+        n for n in read_log(folder(tmp_path / "a", "", run=columns), ARM).notes if "exactly 1" in n
+    ]
     lines = re.findall(r"q_\w+ = {from = \[-1, 1\], to = \[LOW, HIGH\]}", note)
-    filled = [x.replace("LOW", str(a)).replace("HIGH", str(b)) for x, a, b in zip(lines, LOW, HIGH, strict=True)]
+    filled = [
+        x.replace("LOW", str(a)).replace("HIGH", str(b))
+        for x, a, b in zip(lines, LOW, HIGH, strict=True)
+    ]
     log = read_log(folder(tmp_path / "b", "[units]\n" + "\n".join(filled), run=columns), ARM)
     np.testing.assert_allclose(log.trials[0].q, np.clip(Q, LOW, HIGH), atol=1e-9)
     assert not any("exactly 1" in n for n in log.notes)
@@ -127,7 +155,9 @@ def test_an_episode_that_is_left_out_is_not_read(tmp_path):
 
 
 def test_steps_of_an_encoder_are_told_and_read_as_advised(tmp_path):
-    ticks = lambda x: np.round(2048 + x * 4096 / (2 * np.pi))
+    def ticks(x):
+        return np.round(2048 + x * 4096 / (2 * np.pi))
+
     columns = {"time": np.arange(90) / 30} | {f"q_{n}": ticks(Q[:, j]) for j, n in enumerate(ARM)}
     with pytest.raises(BadInput, match="encoder's steps") as error:
         read_log(folder(tmp_path / "a", "", run=columns), ARM)
@@ -137,7 +167,8 @@ def test_steps_of_an_encoder_are_told_and_read_as_advised(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "named", [["shoulder", "elbow"], ["shoulder", "elbow", "elbow"], {"motors": ["shoulder", "elbow"]}]
+    "named",
+    [["shoulder", "elbow"], ["shoulder", "elbow", "elbow"], {"motors": ["shoulder", "elbow"]}],
 )
 def test_names_that_are_not_the_numbers_shift_no_joint(tmp_path, named):
     grip = 0.4 + 0.3 * np.sin(np.arange(90) / 10)
@@ -145,7 +176,10 @@ def test_names_that_are_not_the_numbers_shift_no_joint(tmp_path, named):
     with pytest.raises(BadInput, match=r"of the 3 numbers of observation.state.*elbow") as error:
         read_log(meta(tmp_path / "a", ""), names_of(ARM))
     assert '[columns] and q_shoulder = "observation.state[K]", K from 0 to 2' in str(error.value)
-    columns = [f'q_{n} = "observation.state[{k}]"\ntarget_{n} = "action[{k}]"' for k, n in enumerate(ARM, start=1)]
+    columns = [
+        f'q_{n} = "observation.state[{k}]"\ntarget_{n} = "action[{k}]"'
+        for k, n in enumerate(ARM, start=1)
+    ]
     log = read_log(meta(tmp_path / "b", "[columns]\n" + "\n".join(columns)), names_of(ARM))
     np.testing.assert_allclose(log.trials[0].q, Q, atol=1e-6)
     np.testing.assert_allclose(log.trials[0].u, U, atol=1e-6)
@@ -168,14 +202,25 @@ def test_numbers_without_names_that_are_more_than_the_joints_are_refused(tmp_pat
     np.testing.assert_allclose(log.trials[0].q, Q, atol=1e-6)
 
 
-@pytest.mark.parametrize("line", ["q_elbow = {percent = [1.0]}", "q_elbow = {ticks = 0}", "q_elbow = {from = [0, 0], to = [0, 1]}",
-                                  "q_elbow = 0.0", "q_elbow = true", 'q_elbow = {percent = ["a", 1]}',
-                                  "q_elbow = {scale = 1e999}"])  # fmt: skip
+@pytest.mark.parametrize(
+    "line",
+    [
+        "q_elbow = {percent = [1.0]}",
+        "q_elbow = {ticks = 0}",
+        "q_elbow = {from = [0, 0], to = [0, 1]}",
+        "q_elbow = 0.0",
+        "q_elbow = true",
+        'q_elbow = {percent = ["a", 1]}',
+        "q_elbow = {scale = 1e999}",
+    ],
+)
 def test_scales_that_are_none_are_refused(tmp_path, line):
     columns = {"time": np.arange(90) / 30} | {f"q_{n}": Q[:, j] for j, n in enumerate(ARM)}
     with pytest.raises(BadInput, match=r"units.q_elbow"):
         read_log(folder(tmp_path / "a", f"[units]\n{line}\n", run=columns), ARM)
     assert (
-        read_log(folder(tmp_path / "b", "[units]\nq_elbow = 0.5\n", run=columns), ARM).trials[0].q[3, 1]
+        read_log(folder(tmp_path / "b", "[units]\nq_elbow = 0.5\n", run=columns), ARM)
+        .trials[0]
+        .q[3, 1]
         == 0.5 * Q[3, 1]
     )

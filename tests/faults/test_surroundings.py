@@ -1,4 +1,6 @@
-"""Where a process runs: forks, switches of JAX, pipes of ASCII, no home, folders that cannot be written, other versions."""
+"""Where a process runs: forks, switches of JAX, pipes of ASCII, no home, folders that cannot be
+written, other versions.
+"""
 
 import errno
 import json
@@ -15,28 +17,47 @@ from tests.commands.test_train import SET
 from tests.logs.arm_files import arm, write
 
 
-@pytest.mark.parametrize("code", [
-    "import os, jax.numpy as jnp\nfrom adaptsim_jax.cli import main\nprint(jnp.ones(3).sum())\n"
-    "pid = os.fork()\nif pid == 0: os._exit(main(['train', 'pendulum', '--run', 'r']))\n"
-    "raise SystemExit(os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]))",
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import os, jax.numpy as jnp\nfrom adaptsim_jax.cli import main\nprint(jnp.ones(3).sum())\n"
+        "pid = os.fork()\nif pid == 0: os._exit(main(['train', 'pendulum', '--run', 'r']))\n"
+        "raise SystemExit(os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]))"
+    ],
+)
 def test_a_forked_worker_is_told_of_in_the_place_of_hanging(tmp_path, code):
     done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=120,
+        [sys.executable, "-W", "ignore", "-c", code],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=120,
         env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
-    )  # fmt: skip
-    assert done.returncode == 2 and "get_context('spawn')" in done.stderr and not (tmp_path / "r").exists()
+    )
+    assert (
+        done.returncode == 2
+        and "get_context('spawn')" in done.stderr
+        and not (tmp_path / "r").exists()
+    )
 
 
 def test_double_precision_is_put_off_and_an_ascii_pipe_is_written_to(tmp_path):
-    env = os.environ | {"JAX_ENABLE_X64": "1", "PYTHONIOENCODING": "ascii", "PYTHONPATH": os.pathsep.join(sys.path)}
+    env = os.environ | {
+        "JAX_ENABLE_X64": "1",
+        "PYTHONIOENCODING": "ascii",
+        "PYTHONPATH": os.pathsep.join(sys.path),
+    }
     code = (
         "import sys; from adaptsim_jax.cli import main; code = main(['effects', 'pendulum'])\n"
         "print('a\xb7b'); sys.exit(code)"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, env=env)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, env=env
+    )
     assert (
-        done.returncode == 0 and "a\\xb7b" in done.stdout and "JAX_ENABLE_X64 is set and is not heeded" in done.stderr
+        done.returncode == 0
+        and "a\\xb7b" in done.stdout
+        and "JAX_ENABLE_X64 is set and is not heeded" in done.stderr
     )
 
 
@@ -44,14 +65,17 @@ def said(code, **env):
     """The process that runs `code`, with the tests' environment and `env` (None: without)."""
     env = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)} | env
     kept = {k: v for k, v in env.items() if v is not None}
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, env=kept)
+    return subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, env=kept
+    )
 
 
 @pytest.mark.parametrize("switch", ["JAX_DEBUG_NANS", "JAX_DEBUG_INFS"])
 def test_a_search_for_numbers_that_do_not_exist_is_put_off(switch):
     code = (
         "from adaptsim_jax.cli import main; code = main(['effects', 'pendulum'])\n"
-        "import jax; print(jax.config.jax_debug_nans, jax.config.jax_debug_infs); raise SystemExit(code)"
+        "import jax; print(jax.config.jax_debug_nans, jax.config.jax_debug_infs); raise "
+        "SystemExit(code)"
     )
     done = said(code, **{switch: "True"})
     assert done.returncode == 0 and done.stdout.splitlines()[-1] == "False False"
@@ -64,7 +88,9 @@ def test_a_run_is_trained_and_adapted_whatever_switches_are_set(tmp_path, switch
     env = os.environ | {switch: "1", "PYTHONPATH": os.pathsep.join(sys.path)}
     for words in (["train", "pendulum", "--run", "r", *SET], ["adapt", "r", "--target", "ood-1"]):
         command = [sys.executable, "-m", "adaptsim_jax", *words]
-        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=600, env=env)
+        done = subprocess.run(
+            command, cwd=tmp_path, capture_output=True, text=True, timeout=600, env=env
+        )
         assert done.returncode == 0, done.stderr
 
 
@@ -75,16 +101,21 @@ def test_without_a_home_the_cache_is_elsewhere(tmp_path):
         "def nobody(*_): raise KeyError('no such user')\n"
         "pwd.getpwuid = pwd.getpwnam = nobody\n"
         "from adaptsim_jax.cli import main; from adaptsim_jax.core import compile_cache\n"
-        "code = main(['effects', 'pendulum']); print(compile_cache.folder()); raise SystemExit(code)"
+        "code = main(['effects', 'pendulum']); print(compile_cache.folder()); raise "
+        "SystemExit(code)"
     )
-    bare = {k: None for k in ("HOME", "XDG_CACHE_HOME", "ADAPTSIM_CACHE", "JAX_COMPILATION_CACHE_DIR")}
+    bare = {
+        k: None for k in ("HOME", "XDG_CACHE_HOME", "ADAPTSIM_CACHE", "JAX_COMPILATION_CACHE_DIR")
+    }
     done = said(code, TMPDIR=str(tmp_path), **bare)
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[-1].startswith(str(tmp_path)) and "Traceback" not in done.stderr
 
 
 @pytest.mark.parametrize("words", [("train", "pendulum", "--run"), ("diagnose", "DATA", "--out")])
-def test_a_folder_that_cannot_be_written_is_told_before_any_work(tmp_path, capsys, monkeypatch, words):
+def test_a_folder_that_cannot_be_written_is_told_before_any_work(
+    tmp_path, capsys, monkeypatch, words
+):
     data, out = write(tmp_path / "data", arm(count=3)), tmp_path / "out"
     out.mkdir()
 
@@ -112,6 +143,10 @@ def test_a_run_of_another_version_is_told_by_both_versions(tmp_path, capsys):
 def test_a_checkpoint_of_another_version_is_told_by_its_file(tmp_path):
     folder = tmp_path / "checkpoint"
     folder.mkdir()
-    (folder / store.MANIFEST).write_text(json.dumps({"package": "adaptsim_jax", "version": "9.8.7", "schema": 77}))
-    with pytest.raises(BadInput, match=r"written by adaptsim_jax 9\.8\.7 \(schema 77\).*install that version"):
+    (folder / store.MANIFEST).write_text(
+        json.dumps({"package": "adaptsim_jax", "version": "9.8.7", "schema": 77})
+    )
+    with pytest.raises(
+        BadInput, match=r"written by adaptsim_jax 9\.8\.7 \(schema 77\).*install that version"
+    ):
         store.read_manifest(folder)

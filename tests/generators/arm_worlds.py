@@ -1,9 +1,11 @@
-"""Worlds of a real arm's kind: torques with ripple and noise, dry friction of a third of the torque, slow motions, inertias off.
+"""Worlds of a real arm's kind: torques with ripple and noise, dry friction of a third of the
+torque, slow motions, inertias off.
 
-    write_arm(folder, robot, kind, seed)     -> folder/model.xml, meta.toml, trial_*.csv; the truth is returned
+    write_arm(folder, robot, kind, seed)     -> folder/model.xml, meta.toml, trial_*.csv; the truth
+    is returned
 
-Shares no code with the package: MuJoCo steps it, with its own Coulomb friction (nearly rigid), and a computed-torque controller
-that does
+Shares no code with the package: MuJoCo steps it, with its own Coulomb friction (nearly rigid), and
+a computed-torque controller that does
 not know of the effects moves it along sums of slow sines.
 """
 
@@ -17,16 +19,29 @@ KINDS = ("null", "friction", "rotor", "gain", "offset", "spring", "stribeck")
 
 
 def write_arm(
-    folder: Path, robot: Path, kind: str, seed: int, seconds: float = 30.0, rate: int = 100, noise: float = 1e-4
+    folder: Path,
+    robot: Path,
+    kind: str,
+    seed: int,
+    seconds: float = 30.0,
+    rate: int = 100,
+    noise: float = 1e-4,
 ) -> dict:
-    """kind: `null` (the file has the friction), `friction` alone, or friction with one effect more at one or two joints."""
+    """kind: `null` (the file has the friction), `friction` alone, or friction with one effect more
+    at one or two joints.
+    """
     rng = np.random.default_rng(seed)
     spec, n = _arm(robot)
     model = spec.compile()
     weight, reach = _torques(model, rng)
     level = weight * rng.uniform(0.2, 0.45, n)
     viscous = level * rng.uniform(0.3, 1.0, n)
-    truth: dict = {"kind": kind, "coulomb": level, "viscous": viscous, "effects": [("coulomb", j) for j in range(n)]}
+    truth: dict = {
+        "kind": kind,
+        "coulomb": level,
+        "viscous": viscous,
+        "effects": [("coulomb", j) for j in range(n)],
+    }
     joints = [j for j in spec.joints]
     declared, _ = _arm(robot)
     for j, joint in enumerate(joints):
@@ -37,7 +52,9 @@ def write_arm(
     inertia = np.diagonal(_mass(model))
     for j in some if kind not in ("null", "friction", "stribeck") else ():
         if kind == "rotor":
-            joints[j].armature = joints[j].armature + float(inertia[j] * rng.uniform(1.0, 3.0) + 0.02)
+            joints[j].armature = joints[j].armature + float(
+                inertia[j] * rng.uniform(1.0, 3.0) + 0.02
+            )
             truth["effects"].append(("armature", int(j)))
         elif kind == "gain":
             gain[j] = 1.0 + rng.choice([-1, 1]) * rng.uniform(0.2, 0.4)
@@ -62,10 +79,24 @@ def write_arm(
 
 
 def _arm(robot: Path):
-    """The robot without shapes, sensors, actuators, and with torque-free joints of its first chain of at most seven hinges."""
-    text = re.sub(r"<(sensor|keyframe|contact|tendon|equality|actuator)>.*?</\1>", "", robot.read_text(), flags=re.S)
+    """The robot without shapes, sensors, actuators, and with torque-free joints of its first chain
+    of at most seven hinges.
+    """
+    text = re.sub(
+        r"<(sensor|keyframe|contact|tendon|equality|actuator)>.*?</\1>",
+        "",
+        robot.read_text(),
+        flags=re.S,
+    )
     spec = mujoco.MjSpec.from_string(text)
-    for kind in (spec.sensors, spec.keys, spec.pairs, spec.excludes, spec.actuators, spec.equalities):
+    for kind in (
+        spec.sensors,
+        spec.keys,
+        spec.pairs,
+        spec.excludes,
+        spec.actuators,
+        spec.equalities,
+    ):
         for item in list(kind):
             spec.delete(item)
     for body in spec.bodies:
@@ -89,7 +120,9 @@ def _arm(robot: Path):
 def _mass(model) -> np.ndarray:
     data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
     mujoco.mj_forward(model, data)
-    mujoco.mj_fullM(model, full, data.qM) if hasattr(data, "qM") else mujoco.mj_fullM(model, data, full)
+    mujoco.mj_fullM(model, full, data.qM) if hasattr(data, "qM") else mujoco.mj_fullM(
+        model, data, full
+    )
     return full
 
 
@@ -117,13 +150,27 @@ def _disturb(spec, rng) -> None:
 
 def _record(folder, model, level, viscous, gain, offset, reach, rng, seconds, rate, noise) -> None:
     n, data = model.nv, mujoco.MjData(model)
-    waves = rng.uniform(0.05, 0.35, (4, n)), rng.uniform(0, 2 * np.pi, (4, n)), rng.uniform(0.3, 1.0, (4, n))
-    size = reach / waves[2].sum(0)
-    path = lambda t: (
-        (size * waves[2] * np.sin(2 * np.pi * waves[0] * t + waves[1])).sum(0),
-        (size * waves[2] * 2 * np.pi * waves[0] * np.cos(2 * np.pi * waves[0] * t + waves[1])).sum(0),
-        -(size * waves[2] * (2 * np.pi * waves[0]) ** 2 * np.sin(2 * np.pi * waves[0] * t + waves[1])).sum(0),
+    waves = (
+        rng.uniform(0.05, 0.35, (4, n)),
+        rng.uniform(0, 2 * np.pi, (4, n)),
+        rng.uniform(0.3, 1.0, (4, n)),
     )
+    size = reach / waves[2].sum(0)
+
+    def path(t):
+        return (
+            (size * waves[2] * np.sin(2 * np.pi * waves[0] * t + waves[1])).sum(0),
+            (
+                size * waves[2] * 2 * np.pi * waves[0] * np.cos(2 * np.pi * waves[0] * t + waves[1])
+            ).sum(0),
+            -(
+                size
+                * waves[2]
+                * (2 * np.pi * waves[0]) ** 2
+                * np.sin(2 * np.pi * waves[0] * t + waves[1])
+            ).sum(0),
+        )
+
     data.qpos[:], data.qvel[:], _ = path(0.0)
     dt, rows, steps = model.opt.timestep, [], round(1.0 / rate / model.opt.timestep)
     torque = np.zeros(n)
@@ -133,7 +180,9 @@ def _record(folder, model, level, viscous, gain, offset, reach, rng, seconds, ra
         for _ in range(steps):
             want = a + 400.0 * (q - data.qpos) + 40.0 * (v - data.qvel)
             full = np.zeros((n, n))
-            mujoco.mj_fullM(model, full, data.qM) if hasattr(data, "qM") else mujoco.mj_fullM(model, data, full)
+            mujoco.mj_fullM(model, full, data.qM) if hasattr(data, "qM") else mujoco.mj_fullM(
+                model, data, full
+            )
             push = np.clip(level / 0.02 * data.qvel, -level, level) + viscous * data.qvel
             torque = full @ want + data.qfrc_bias - data.qfrc_passive * 0.0 + push
             data.qfrc_applied[:] = torque

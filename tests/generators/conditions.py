@@ -7,7 +7,9 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Condition:
-    """Sensor standard deviations [rad, rad/s], encoder bits a turn (0: none), clock, disturbance, trials."""
+    """Sensor standard deviations [rad, rad/s], encoder bits a turn (0: none), clock, disturbance,
+    trials.
+    """
 
     q_noise: tuple[float, float] = (5e-5, 3e-4)  # drawn log-uniformly between
     v_noise: tuple[float, float] = (1e-3, 8e-3)
@@ -40,8 +42,15 @@ CONDITIONS: dict[str, Condition] = {
     "open_loop": replace(CLEAN, kinds=("open_upright",), n_trials=12, seconds=0.7),
 }
 NULL_CONDITIONS = (
-    "low_noise", "high_noise", "coloured", "quantised", "jitter", "closed_loop", "slow", "few_short",
-)  # fmt: skip
+    "low_noise",
+    "high_noise",
+    "coloured",
+    "quantised",
+    "jitter",
+    "closed_loop",
+    "slow",
+    "few_short",
+)
 
 
 def log_uniform(rng: np.random.Generator, span: tuple[float, float]) -> float:
@@ -49,7 +58,9 @@ def log_uniform(rng: np.random.Generator, span: tuple[float, float]) -> float:
 
 
 def row_times(rng: np.random.Generator, c: Condition, rate: float, seconds: float) -> np.ndarray:
-    """Row times `[K]` from 0: uniform, or late by a random part of a period, now and then by several periods."""
+    """Row times `[K]` from 0: uniform, or late by a random part of a period, now and then by
+    several periods.
+    """
     count = round(seconds * rate)
     if c.jitter == 0 and c.dropouts == 0:
         return np.arange(count) / rate
@@ -61,8 +72,12 @@ def row_times(rng: np.random.Generator, c: Condition, rate: float, seconds: floa
     return times[times <= seconds]
 
 
-def ornstein_uhlenbeck(rng: np.random.Generator, times: np.ndarray, rms: np.ndarray, tau: float) -> np.ndarray:
-    """A stationary coloured disturbance `[K, 2]` with standard deviation `rms` `[2]`, sampled at `times`."""
+def ornstein_uhlenbeck(
+    rng: np.random.Generator, times: np.ndarray, rms: np.ndarray, tau: float
+) -> np.ndarray:
+    """A stationary coloured disturbance `[K, 2]` with standard deviation `rms` `[2]`, sampled at
+    `times`.
+    """
     keep = np.exp(-np.diff(times, prepend=times[0]) / tau)
     out = np.empty((len(times), 2))
     x = rng.normal(size=2)

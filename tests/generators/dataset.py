@@ -17,7 +17,9 @@ SIZING_STEP = 2.5e-3
 
 @dataclass(frozen=True)
 class Spec:
-    """What to make. effects: (name, joint 1 | 2 | 0 for the base, multiple of the size that just matters)."""
+    """What to make. effects: (name, joint 1 | 2 | 0 for the base, multiple of the size that just
+    matters).
+    """
 
     seed: int
     condition: str = "clean"
@@ -44,12 +46,16 @@ class Draft:
     hidden: list[dict] = field(default_factory=list)  # name, joint, multiple, params
 
     def valid(self, rows: int) -> np.ndarray:
-        """Which rows of which trial are real rather than padding, `[trials, rows]`; the last has no torque after."""
+        """Which rows of which trial are real rather than padding, `[trials, rows]`; the last has no
+        torque after.
+        """
         return np.arange(rows)[None] < np.array([[len(t.times) - 1] for t in self.trials])
 
 
 def stream(spec: Spec, tag: int) -> np.random.Generator:
-    """A random stream of its own for each purpose, so that one seed means the same rig under any condition."""
+    """A random stream of its own for each purpose, so that one seed means the same rig under any
+    condition.
+    """
     return np.random.default_rng([spec.seed, tag])
 
 
@@ -115,15 +121,24 @@ def _lanes(drafts: list[Draft]):
 
 
 def stack(drafts: list[Draft]) -> Drive:
-    """All trials of all data sets side by side, padded at the end by rows of no duration; no noise yet."""
+    """All trials of all data sets side by side, padded at the end by rows of no duration; no noise
+    yet.
+    """
     at = 0
     for d in drafts:
         d.lanes = slice(at, at := at + len(d.trials))
     trials = [t for d in drafts for t in d.trials]
     rows, n = max(len(t.times) for t in trials), at
-    pad = lambda x: np.concatenate([x, np.repeat(x[-1:], rows - len(x), 0)])
-    lane = lambda name: np.stack([pad(getattr(t, name)) for t in trials], -1)
-    limit = np.concatenate([np.repeat(4.0 * d.rig.gravity_torque()[:, None], len(d.trials), 1) for d in drafts], 1)
+
+    def pad(x):
+        return np.concatenate([x, np.repeat(x[-1:], rows - len(x), 0)])
+
+    def lane(name):
+        return np.stack([pad(getattr(t, name)) for t in trials], -1)
+
+    limit = np.concatenate(
+        [np.repeat(4.0 * d.rig.gravity_torque()[:, None], len(d.trials), 1) for d in drafts], 1
+    )
     phase = np.concatenate([stream(d.spec, 3).uniform(0, 2 * np.pi, len(d.trials)) for d in drafts])
     return Drive(
         times=lane("times"),
@@ -145,7 +160,9 @@ def _tame(drafts: list[Draft], drive: Drive) -> Run:
     for _ in range(4):
         run = simulate(p, effects.Table(drive.times.shape[1]), drive.quiet(), SIZING_STEP)
         fast = np.abs(run.state).max(0)
-        wild = ((fast[:2].max(0) > 3.8) | (fast[2:].max(0) > 20)) & (np.abs(drive.feedforward).max((0, 1)) > 0)
+        wild = ((fast[:2].max(0) > 3.8) | (fast[2:].max(0) > 20)) & (
+            np.abs(drive.feedforward).max((0, 1)) > 0
+        )
         if p.linear or not wild.any():
             break
         drive.feedforward[..., wild] *= 0.6
@@ -155,7 +172,10 @@ def _tame(drafts: list[Draft], drive: Drive) -> Run:
 def ruler(d: Draft, run: Run, joint: int) -> effects.Scale:
     """The scales of one joint in a nominal run."""
     valid = d.valid(len(run.times))
-    pick = lambda x, j: x[:, j, d.lanes].T[valid]
+
+    def pick(x, j):
+        return x[:, j, d.lanes].T[valid]
+
     u, q, v = pick(run.command, joint), pick(run.state, joint), pick(run.state, 2 + joint)
     low, high = np.quantile(q, [0.02, 0.98])
     rms = np.sqrt(np.mean(u**2)) + 1e-6
@@ -165,13 +185,17 @@ def ruler(d: Draft, run: Run, joint: int) -> effects.Scale:
 
 
 def _hide(drafts: list[Draft], drive: Drive, nominal: Run) -> None:
-    """Draw the effects of every data set and size each alone, by a few quiet runs of all of them together."""
+    """Draw the effects of every data set and size each alone, by a few quiet runs of all of them
+    together.
+    """
     jobs = []
     for d in drafts:
         for i, (name, joint, multiple) in enumerate(d.spec.effects):
             j = max(joint - 1, 0)
             params = effects.draw(
-                name, stream(d.spec, 100 + 10 * effects.EFFECTS.index(name) + i), ruler(d, nominal, j)
+                name,
+                stream(d.spec, 100 + 10 * effects.EFFECTS.index(name) + i),
+                ruler(d, nominal, j),
             )
             d.hidden.append({"name": name, "joint": joint, "multiple": multiple, "params": params})
             jobs.append((d, d.hidden[-1]))
@@ -181,7 +205,10 @@ def _hide(drafts: list[Draft], drive: Drive, nominal: Run) -> None:
 
 def _size(jobs: list[tuple[Draft, dict]], drive: Drive, rounds: int = 4) -> None:
     lanes = np.concatenate([np.arange(d.lanes.start, d.lanes.stop) for d, _ in jobs])
-    alone, p = drive.quiet().pick(lanes), lanes_of([d.rig for d, _ in jobs], [len(d.trials) for d, _ in jobs])
+    alone, p = (
+        drive.quiet().pick(lanes),
+        lanes_of([d.rig for d, _ in jobs], [len(d.trials) for d, _ in jobs]),
+    )
     spans, at = [], 0
     for d, _ in jobs:
         spans.append(slice(at, at := at + len(d.trials)))
@@ -190,7 +217,11 @@ def _size(jobs: list[tuple[Draft, dict]], drive: Drive, rounds: int = 4) -> None
         table = effects.Table(len(lanes))
         for (_, e), span in zip(jobs, spans, strict=True):
             table.add(e["name"], max(e["joint"] - 1, 0), span, e["params"])
-        step = 1.25e-3 if {"presliding", "hard_stop", "actuator_lag", "sensor_lag"} & set(table.values) else SIZING_STEP
+        step = (
+            1.25e-3
+            if {"presliding", "hard_stop", "actuator_lag", "sensor_lag"} & set(table.values)
+            else SIZING_STEP
+        )
         run = simulate(p, table, alone, step)
         for (d, e), span, (sizes, shares) in zip(jobs, spans, tried, strict=True):
             share = sizing.measure(d.rig, run, span, d.valid(len(run.times)))
@@ -198,7 +229,10 @@ def _size(jobs: list[tuple[Draft, dict]], drive: Drive, rounds: int = 4) -> None
             shares.append(share.counted)
             e["share"] = share
             if turn < rounds - 1:
-                low, high = effects.SMALLEST.get(e["name"], 0.0), effects.LARGEST.get(e["name"], np.inf)
+                low, high = (
+                    effects.SMALLEST.get(e["name"], 0.0),
+                    effects.LARGEST.get(e["name"], np.inf),
+                )
                 target = sizing.aimed_at(e["multiple"]) * sizing.JUST_MATTERS
                 e["params"]["size"] = sizing.next_size(sizes, shares, target, low, high)
     for _, e in jobs:
@@ -217,21 +251,27 @@ def effect_table(drafts: list[Draft], lanes: int) -> effects.Table:
 
 
 def _tell_widths(drafts: list[Draft], step: float) -> None:
-    """Put the speed within which dry friction turned into its parameters: on light links it is no small one."""
+    """Put the speed within which dry friction turned into its parameters: on light links it is no
+    small one.
+    """
     for d in drafts:
         m11, m12, m22 = (m[0] for m in mass_matrix(lanes_of([d.rig], [1]), np.zeros((2, 1))))
         inertia = (m11 * m22 - m12**2) / np.array([m22, m11])
         for e in d.hidden:
             if e["name"] in ("coulomb", "stribeck"):
                 level = e["params"]["size"] * e["params"].get("ratio", 1.0)
-                e["params"]["width"] = float(forces.stick_speed(level, inertia[e["joint"] - 1], step))
+                e["params"]["width"] = float(
+                    forces.stick_speed(level, inertia[e["joint"] - 1], step)
+                )
 
 
 def _sensors(drafts: list[Draft], drive: Drive, nominal: Run) -> None:
     """Draw sensor noise, encoder steps and disturbance torques into the drive."""
     for d in drafts:
         rng, c = stream(d.spec, 4), d.condition
-        std = np.repeat([conditions.log_uniform(rng, c.q_noise), conditions.log_uniform(rng, c.v_noise)], 2)
+        std = np.repeat(
+            [conditions.log_uniform(rng, c.q_noise), conditions.log_uniform(rng, c.v_noise)], 2
+        )
         bits = int(rng.integers(c.bits[0], c.bits[1] + 1))
         share, tau = rng.uniform(*c.disturbance), rng.uniform(0.05, 0.5)
         rms = share * np.array([ruler(d, nominal, j).torque for j in range(2)])
@@ -240,7 +280,9 @@ def _sensors(drafts: list[Draft], drive: Drive, nominal: Run) -> None:
             drive.noise[:k, :, lane] = rng.normal(size=(k, 4)) * std
             drive.quantum[:, lane] = 2 * np.pi / 2**bits if bits else 0.0
             if share > 0:
-                drive.disturbance[:k, :, lane] = conditions.ornstein_uhlenbeck(rng, t.times, rms, tau)
+                drive.disturbance[:k, :, lane] = conditions.ornstein_uhlenbeck(
+                    rng, t.times, rms, tau
+                )
         d.sensor = {
             "q": std[0],
             "v": std[2],

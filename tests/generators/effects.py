@@ -1,7 +1,7 @@
 """The effects that a generator can hide in its world: physics, how each is drawn, and its one size.
 
-An effect is drawn as a dictionary of scalars; `size` multiplies or sets the one parameter that makes it larger.
-`Table` stacks those of all lanes of a batch to `[2, L]`, zero where absent.
+An effect is drawn as a dictionary of scalars; `size` multiplies or sets the one parameter that
+makes it larger. `Table` stacks those of all lanes of a batch to `[2, L]`, zero where absent.
 """
 
 from dataclasses import dataclass
@@ -24,7 +24,9 @@ SMOOTH_STEP = 1.25e-3
 
 @dataclass(frozen=True)
 class Scale:
-    """What a nominal run of the same rig looks like at one joint: the ruler for drawing parameters."""
+    """What a nominal run of the same rig looks like at one joint: the ruler for drawing
+    parameters.
+    """
 
     torque: float  # RMS of the command [N m]
     torque_peak: float
@@ -46,9 +48,16 @@ def draw(name: str, rng: np.random.Generator, s: Scale) -> dict[str, float]:
     few = 0.03 * s.torque
     return {
         "coulomb": lambda: {"size": few},
-        "stribeck": lambda: {"size": few, "ratio": 1.8 + 1.4 * u, "velocity": s.speed * (0.08 + 0.25 * rng.random())},
+        "stribeck": lambda: {
+            "size": few,
+            "ratio": 1.8 + 1.4 * u,
+            "velocity": s.speed * (0.08 + 0.25 * rng.random()),
+        },
         "quadratic_drag": lambda: {"size": few / s.speed**2},
-        "spring": lambda: {"size": few / max(span / 3, 0.05), "rest": s.q_low + span * (u * 1.2 - 0.1)},
+        "spring": lambda: {
+            "size": few / max(span / 3, 0.05),
+            "rest": s.q_low + span * (u * 1.2 - 0.1),
+        },
         "bias": lambda: {"size": few, "sign": sign},
         "tilt": lambda: {"size": 0.02, "sign": sign},
         "encoder_offset": lambda: {"size": 0.02, "sign": sign},
@@ -63,7 +72,11 @@ def draw(name: str, rng: np.random.Generator, s: Scale) -> dict[str, float]:
             "lugre": float(rng.random() < 0.5),
         },
         "backlash": lambda: {"size": 0.01},
-        "cogging": lambda: {"size": few * 1.4, "order": float(rng.integers(3, 25)), "phase": 2 * np.pi * u},
+        "cogging": lambda: {
+            "size": few * 1.4,
+            "order": float(rng.integers(3, 25)),
+            "phase": 2 * np.pi * u,
+        },
         "rotor_inertia": lambda: {"size": 0.03 * s.inertia},
         "friction_drift": lambda: {"size": few * 2 / s.speed, "decay": 0.8 + 2.5 * u},
         "periodic_disturbance": lambda: {
@@ -79,14 +92,21 @@ def draw(name: str, rng: np.random.Generator, s: Scale) -> dict[str, float]:
         },
         "load_friction": lambda: {"size": 0.04},
         "sensor_lag": lambda: {"size": 0.004},
-    }[name]()  # fmt: skip
+    }[name]()
 
 
 # Size past which an effect would be implausible, in the unit of `size`.
 LARGEST = {
-    "tilt": 0.35, "encoder_offset": 0.35, "torque_gain": 0.5, "delay": 0.06, "actuator_lag": 0.08,
-    "saturation": 0.85, "backlash": 0.2, "load_friction": 0.5, "sensor_lag": 0.06,
-}  # fmt: skip
+    "tilt": 0.35,
+    "encoder_offset": 0.35,
+    "torque_gain": 0.5,
+    "delay": 0.06,
+    "actuator_lag": 0.08,
+    "saturation": 0.85,
+    "backlash": 0.2,
+    "load_friction": 0.5,
+    "sensor_lag": 0.06,
+}
 
 # Filters faster than this are beyond the inner step.
 SMALLEST = {"actuator_lag": 5e-4, "sensor_lag": 5e-4}
@@ -108,7 +128,9 @@ class Table:
         self.values: dict[str, dict[str, np.ndarray]] = {}
 
     def add(self, name: str, joint: int, where: slice, params: dict[str, float]) -> None:
-        """Enter one effect of one data set (`where`: its lanes). Neutral values elsewhere come from `size` = 0."""
+        """Enter one effect of one data set (`where`: its lanes). Neutral values elsewhere come from
+        `size` = 0.
+        """
         entry = self.values.setdefault(name, {})
         for key, value in params.items():
             neutral = {"size": 0.0, "ratio": 1.0}.get(key, 1.0)

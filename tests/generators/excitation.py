@@ -1,4 +1,6 @@
-"""Commands and starts of trials: multi-sines, chirps, random phases, free swings, tracking, balancing."""
+"""Commands and starts of trials: multi-sines, chirps, random phases, free swings, tracking,
+balancing.
+"""
 
 from dataclasses import dataclass
 
@@ -12,7 +14,9 @@ OPEN_KINDS = ("multisine", "tracking", "chirp", "swing", "random_phase", "tracki
 
 @dataclass
 class Trial:
-    """One trial's drive. times `[K]`, feedforward `[K, 2]`, gain `[2, 4]`, reference `[K, 4]`, start `[4]`."""
+    """One trial's drive. times `[K]`, feedforward `[K, 2]`, gain `[2, 4]`, reference `[K, 4]`,
+    start `[4]`.
+    """
 
     kind: str
     times: np.ndarray
@@ -52,12 +56,16 @@ def torques(rng: np.random.Generator, kind: str, t: np.ndarray, scale: np.ndarra
 
 def mass_at_rest(rig: Rig) -> np.ndarray:
     """Mass matrix `[2, 2]` at q2 = 0."""
-    m11, m12, m22 = (float(np.squeeze(x)) for x in mass_matrix(lanes_of([rig], [1]), np.zeros((2, 1))))
+    m11, m12, m22 = (
+        float(np.squeeze(x)) for x in mass_matrix(lanes_of([rig], [1]), np.zeros((2, 1)))
+    )
     return np.array([[m11, m12], [m12, m22]])
 
 
 def balance_gain(rng: np.random.Generator, rig: Rig, dt: float) -> np.ndarray:
-    """Discrete LQR gain about upright at the trial's rate, for a rig known only to 10 %, `[2, 4]`."""
+    """Discrete LQR gain about upright at the trial's rate, for a rig known only to 10 %, `[2,
+    4]`.
+    """
     p = lanes_of([rig], [1])
     lower = float(p.a3[0])
     first = rig.m[0] + 2 * rig.m[1] if p.linear else float(p.a4[0]) + lower
@@ -109,10 +117,18 @@ def make_trial(rng: np.random.Generator, rig: Rig, kind: str, t: np.ndarray) -> 
 
 
 def _upright(rng: np.random.Generator, rig: Rig, kind: str, t: np.ndarray) -> Trial:
-    """About upright: balanced by LQR with extra torques, or let go for as long as the trial lasts."""
-    gain = balance_gain(rng, rig, float(np.median(np.diff(t)))) if kind == "balance" else np.zeros((2, 4))
+    """About upright: balanced by LQR with extra torques, or let go for as long as the trial
+    lasts.
+    """
+    gain = (
+        balance_gain(rng, rig, float(np.median(np.diff(t))))
+        if kind == "balance"
+        else np.zeros((2, 4))
+    )
     size = (0.3 if rig.world == "linearized" else 0.15) * rng.uniform(0.7, 1.3)
-    push = torques(rng, str(rng.choice(["multisine", "random_phase", "chirp"])), t, rig.gravity_torque() * size)
+    push = torques(
+        rng, str(rng.choice(["multisine", "random_phase", "chirp"])), t, rig.gravity_torque() * size
+    )
     wide = 1.0 if rig.world == "linearized" and kind == "balance" else 0.15
     start = rng.uniform(-wide, wide, 4) * [1.0, 0.6, 0.5, 0.5]
     reference = np.zeros((len(t), 4))

@@ -6,9 +6,11 @@ from tests.generators.effects import Table
 
 
 def stick_speed(level: np.ndarray, inertia: np.ndarray, step: float) -> np.ndarray:
-    """Width of the sign function `tanh(v / width)` [rad/s]: 1 mrad/s, or as small as RK4 at `step` stays stable.
+    """Width of the sign function `tanh(v / width)` [rad/s]: 1 mrad/s, or as small as RK4 at `step`
+    stays stable.
 
-    A joint that should stick creeps by that width times torque over friction: some mrad/s on these rigs.
+    A joint that should stick creeps by that width times torque over friction: some mrad/s on these
+    rigs.
     """
     return np.maximum(1e-3, step * level / (1.5 * inertia))
 
@@ -16,7 +18,8 @@ def stick_speed(level: np.ndarray, inertia: np.ndarray, step: float) -> np.ndarr
 def force_terms(table: Table, inertia: np.ndarray, step: float, free_phase: np.ndarray):
     """Functions f(q, v, t, u) -> torque `[2, L]`, one for each memoryless force in the table.
 
-    inertia: `[2, L]` smallest effective inertia; free_phase: `[L]` phases of disturbances not tied to the trial.
+    inertia: `[2, L]` smallest effective inertia; free_phase: `[L]` phases of disturbances not tied
+    to the trial.
     """
     terms = []
     if "coulomb" in table:
@@ -27,7 +30,9 @@ def force_terms(table: Table, inertia: np.ndarray, step: float, free_phase: np.n
         e = table["stribeck"]
         f, rise, vs = e["size"], e["ratio"] - 1, e["velocity"]
         w = stick_speed(f * e["ratio"], inertia, step)
-        terms.append(lambda q, v, t, u, f=f, w=w: -f * (1 + rise * np.exp(-((v / vs) ** 2))) * np.tanh(v / w))
+        terms.append(
+            lambda q, v, t, u, f=f, w=w: -f * (1 + rise * np.exp(-((v / vs) ** 2))) * np.tanh(v / w)
+        )
     if "quadratic_drag" in table:
         drag = table["quadratic_drag"]["size"]
         terms.append(lambda q, v, t, u: -drag * v * np.abs(v))
@@ -46,12 +51,18 @@ def force_terms(table: Table, inertia: np.ndarray, step: float, free_phase: np.n
     if "periodic_disturbance" in table:
         e = table["periodic_disturbance"]
         phase = e["phase"] + e["free_phase"] * free_phase
-        terms.append(lambda q, v, t, u, e=e: e["size"] * np.sin(2 * np.pi * e["frequency"] * t + phase))
+        terms.append(
+            lambda q, v, t, u, e=e: e["size"] * np.sin(2 * np.pi * e["frequency"] * t + phase)
+        )
     if "hard_stop" in table:
         terms.append(hard_stop(table["hard_stop"]))
     if "load_friction" in table:
         mu = table["load_friction"]["size"]
-        terms.append(lambda q, v, t, u: -mu * np.abs(u) * np.tanh(v / stick_speed(mu * np.abs(u), inertia, step)))
+        terms.append(
+            lambda q, v, t, u: (
+                -mu * np.abs(u) * np.tanh(v / stick_speed(mu * np.abs(u), inertia, step))
+            )
+        )
     return terms
 
 
@@ -86,5 +97,7 @@ def bristle_rate(e: dict[str, np.ndarray], z: np.ndarray, v: np.ndarray) -> np.n
 
 
 def bristle_force(e: dict[str, np.ndarray], z: np.ndarray, rate: np.ndarray) -> np.ndarray:
-    """Dahl: -F z; LuGre adds bristle damping, here a hundredth of a second of the bristle's rate."""
+    """Dahl: -F z; LuGre adds bristle damping, here a hundredth of a second of the bristle's
+    rate.
+    """
     return -e["size"] * (z + 0.01 * e["lugre"] * rate)

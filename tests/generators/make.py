@@ -1,4 +1,6 @@
-"""Command line: `python -m tests.generators.make --out DIR --seed 1 --effect coulomb:1:3 --condition clean`."""
+"""Command line: `python -m tests.generators.make --out DIR --seed 1 --effect coulomb:1:3
+--condition clean`.
+"""
 
 import argparse
 import json
@@ -14,7 +16,9 @@ def main() -> None:
     p.add_argument("--out", required=True, type=Path)
     p.add_argument("--seed", type=int, default=0)
     p.add_argument("--condition", default="clean", choices=sorted(CONDITIONS))
-    p.add_argument("--effect", action="append", default=[], help="name:joint:multiple, joint 0 for the base")
+    p.add_argument(
+        "--effect", action="append", default=[], help="name:joint:multiple, joint 0 for the base"
+    )
     p.add_argument("--world", default="rigid_body", choices=("rigid_body", "linearized"))
     p.add_argument("--engine", default="scipy", choices=("scipy", "mujoco"))
     p.add_argument("--trials", type=int, default=6)

@@ -1,4 +1,6 @@
-"""Make the sample of one hinge that the tour diagnoses: `python -m tests.generators.make_hinge_sample [FOLDER]`."""
+"""Make the sample of one hinge that the tour diagnoses: `python -m
+tests.generators.make_hinge_sample [FOLDER]`.
+"""
 
 import sys
 from pathlib import Path

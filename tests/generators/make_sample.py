@@ -1,4 +1,6 @@
-"""Make the sample recording that ships with the package: `python -m tests.generators.make_sample [FOLDER]`."""
+"""Make the sample recording that ships with the package: `python -m tests.generators.make_sample
+[FOLDER]`.
+"""
 
 import sys
 from pathlib import Path
@@ -17,7 +19,15 @@ would have written: 4 trials of 4 s at 200 Hz. The rig has an effect that its de
 
 
 def main(folder: Path = FOLDER) -> None:
-    ds = make_dataset(9001, "clean", [("coulomb", 1, 4.0)], n_trials=4, seconds=4.0, rate=200.0, angle_zero="hanging")
+    ds = make_dataset(
+        9001,
+        "clean",
+        [("coulomb", 1, 4.0)],
+        n_trials=4,
+        seconds=4.0,
+        rate=200.0,
+        angle_zero="hanging",
+    )
     write_dataset(ds, folder / "recording", digits=6)
     hidden = ds.truth["effects"][0]
     names = {"effect": "Coulomb friction", "where": "joint 1", "unit": hidden["unit"]}

@@ -1,4 +1,6 @@
-"""What moves the machines: references of few sines or a chirp, followed by a torque controller or by position servos; pushes."""
+"""What moves the machines: references of few sines or a chirp, followed by a torque controller or
+by position servos; pushes.
+"""
 
 import mujoco
 import numpy as np
@@ -21,7 +23,10 @@ def wave(rng: np.random.Generator, t: np.ndarray, kind: str):
     """A reference of peak 1 and its derivative, `[R]` each."""
     if kind == "chirp":
         x, y = sweep(rng, t, rng.uniform(0.1, 0.25), rng.uniform(0.9, 1.5))
-        y = y * (shape := 1 / (1 + (0.6 * t / t[-1]) ** 2)) - x * 1.2 * 0.6 * t / t[-1] ** 2 * shape**2
+        y = (
+            y * (shape := 1 / (1 + (0.6 * t / t[-1]) ** 2))
+            - x * 1.2 * 0.6 * t / t[-1] ** 2 * shape**2
+        )
         return x * shape, y
     x, y = sines(rng, t, 0.15, 1.2, 6)
     peak = np.abs(x).max()
@@ -51,7 +56,9 @@ def weight(model: mujoco.MjModel, q: np.ndarray) -> np.ndarray:
 
 
 def servo_gains(rng: np.random.Generator, machine: Machine, model: mujoco.MjModel) -> np.ndarray:
-    """kp and kv `[n, 2]` of position servos: 3 to 5 Hz at the home pose, zero where nothing drives."""
+    """kp and kv `[n, 2]` of position servos: 3 to 5 Hz at the home pose, zero where nothing
+    drives.
+    """
     own = inertia(model, home(machine))
     w = 2 * np.pi * rng.uniform(3.0, 5.0, machine.n)
     out = np.stack([own * w**2, 2 * rng.uniform(0.4, 0.8, machine.n) * w * own], 1)
@@ -72,7 +79,11 @@ def _rows(rng, duration: float, rate: int, uneven: bool) -> np.ndarray:
 
 
 def make_drive(
-    rng: np.random.Generator, machine: Machine, declared: mujoco.MjModel, mode: str, wide: float = 1.0
+    rng: np.random.Generator,
+    machine: Machine,
+    declared: mujoco.MjModel,
+    mode: str,
+    wide: float = 1.0,
 ) -> Drive:
     """6 to 8 trials of 5 to 6 s at 200 or 250 Hz. wide: share of the machine's reach."""
     trials, rate = int(rng.integers(6, 9)), int(rng.choice([200, 250]))
@@ -80,9 +91,14 @@ def make_drive(
     parts = []
     for k in range(trials):
         rows = _rows(rng, duration, rate, uneven)
-        kinds = ("track", "chirp", "push", "track", "swing", "push") if machine.name in FREE and mode == "torque" else (
-            "track", "chirp", "track")  # fmt: skip
-        parts.append((rows, *_trial(rng, machine, declared, mode, kinds[k % len(kinds)], rows * STEP, wide)))
+        kinds = (
+            ("track", "chirp", "push", "track", "swing", "push")
+            if machine.name in FREE and mode == "torque"
+            else ("track", "chirp", "track")
+        )
+        parts.append(
+            (rows, *_trial(rng, machine, declared, mode, kinds[k % len(kinds)], rows * STEP, wide))
+        )
     fields = [np.stack(z) for z in zip(*parts, strict=True)]
     shape = fields[0].shape
     fine = np.exp(rng.uniform(np.log(1e-4), np.log(1e-3))) * np.array(
@@ -99,7 +115,9 @@ def _trial(rng, machine: Machine, declared, mode: str, kind: str, t: np.ndarray,
     driven = np.isin(np.arange(n), machine.driven)
     reference, slope, feed = (np.zeros((len(t), n)) for _ in range(3))
     gains, start, fade = np.zeros((2, n)), rest.copy(), np.minimum(1, t / 0.3)[:, None]
-    scale = np.abs(weight(declared, rest + 0.5 * np.eye(n) * [link.reach for link in machine.links])).max(0)
+    scale = np.abs(
+        weight(declared, rest + 0.5 * np.eye(n) * [link.reach for link in machine.links])
+    ).max(0)
     own = inertia(declared, rest)
     if kind in ("track", "chirp"):
         for j in machine.driven:
@@ -117,7 +135,9 @@ def _trial(rng, machine: Machine, declared, mode: str, kind: str, t: np.ndarray,
     elif kind == "push":
         push = np.stack([sines(rng, t, 0.25, 3.0, 6)[0] for _ in range(n)], 1)
         feed = fade * push * scale * rng.uniform(0.3, 0.6, n) * wide
-        gains = np.stack([scale * rng.uniform(0.2, 0.5, n), 0.15 * np.sqrt(own * scale)])  # lest it turn over
+        gains = np.stack(
+            [scale * rng.uniform(0.2, 0.5, n), 0.15 * np.sqrt(own * scale)]
+        )  # lest it turn over
         start += rng.uniform(-0.3, 0.3, n)
     else:
         start += rng.uniform(0.6, 1.3, n) * rng.choice([-1, 1], n) * wide

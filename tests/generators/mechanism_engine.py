@@ -1,8 +1,10 @@
-"""Trials of a true machine by MuJoCo's C engine; what its joints and actuators do beside lies in `mechanism_forces.py`.
+"""Trials of a true machine by MuJoCo's C engine; what its joints and actuators do beside lies in
+`mechanism_forces.py`.
 
-All trials go side by side. Accelerations are MuJoCo's forward dynamics; speeds and positions leapfrog in steps of 0.5 ms (Verlet,
-second order, also in forces that follow the speed: they see it extrapolated by half a step). A step's force acts from half a step
-before to half a step after, so a command that changes at a step acts by half at it. Dry friction is MuJoCo's `frictionloss`, its
+All trials go side by side. Accelerations are MuJoCo's forward dynamics; speeds and positions
+leapfrog in steps of 0.5 ms (Verlet, second order, also in forces that follow the speed: they see it
+extrapolated by half a step). A step's force acts from half a step before to half a step after, so a
+command that changes at a step acts by half at it. Dry friction is MuJoCo's `frictionloss`, its
 level set anew each step, with a time constant of 2 ms.
 """
 
@@ -18,8 +20,10 @@ STEP = 5e-4
 
 @dataclass(frozen=True)
 class Drive:
-    """What moves K trials of R rows. rows `[K, R]`: step at which each row is taken; start `[K, n]`; reference, slope, feed
-    `[K, R, n]`: wanted position and speed, force added; gains `[K, 2, n]` of the torque controller; noise `[K, R, 2, n]`."""
+    """What moves K trials of R rows. rows `[K, R]`: step at which each row is taken; start `[K,
+    n]`; reference, slope, feed `[K, R, n]`: wanted position and speed, force added; gains `[K, 2,
+    n]` of the torque controller; noise `[K, R, 2, n]`.
+    """
 
     rows: np.ndarray
     start: np.ndarray
@@ -35,15 +39,27 @@ class Drive:
 
     def first(self, trials: int, rows: int) -> "Drive":
         """The first rows of the first trials."""
-        cut = lambda z: z[:trials, :rows]
-        return Drive(cut(self.rows), self.start[:trials], cut(self.reference), cut(self.slope), cut(self.feed),
-                     self.gains[:trials], cut(self.noise))  # fmt: skip
+
+        def cut(z):
+            return z[:trials, :rows]
+
+        return Drive(
+            cut(self.rows),
+            self.start[:trials],
+            cut(self.reference),
+            cut(self.slope),
+            cut(self.feed),
+            self.gains[:trials],
+            cut(self.noise),
+        )
 
 
 @dataclass(frozen=True)
 class Plant:
-    """Who drives what: mode torque or position; driven: joints with an actuator; servo `[n, 2]`: kp and kv as they are without
-    effects. at `[n]`: degree of freedom of each joint in the model; twist: of the spring between drive and link, by joint."""
+    """Who drives what: mode torque or position; driven: joints with an actuator; servo `[n, 2]`: kp
+    and kv as they are without effects. at `[n]`: degree of freedom of each joint in the model;
+    twist: of the spring between drive and link, by joint.
+    """
 
     model: mujoco.MjModel
     mode: str
@@ -55,9 +71,11 @@ class Plant:
 
 @dataclass(frozen=True)
 class Run:
-    """Every step s of K trials, `[S, K, n]`: q, v, a of the joints (of the drives, where one is elastic), u: the actuators' forces;
-    sent: commands as they leave the computer; parts: each effect's own force; twist: angle and speed of the links
-    against their drives; command `[K, R, n]`: by rows."""
+    """Every step s of K trials, `[S, K, n]`: q, v, a of the joints (of the drives, where one is
+    elastic), u: the actuators' forces; sent: commands as they leave the computer; parts: each
+    effect's own force; twist: angle and speed of the links against their drives; command `[K, R,
+    n]`: by rows.
+    """
 
     q: np.ndarray
     v: np.ndarray
@@ -85,11 +103,23 @@ def _sensed(effects: tuple[Effect, ...], q: np.ndarray, v: np.ndarray):
 def simulate(plant: Plant, drive: Drive, effects: tuple[Effect, ...] = ()) -> Run:
     """Step all trials to their last row."""
     m, (trials, rows) = plant.model, drive.rows.shape
-    n, steps, at, on = drive.start.shape[1], int(drive.rows.max()) + 1, plant.at, np.array(plant.driven)
-    run = Run(*(np.zeros((steps, trials, n)) for _ in range(5)), tuple(np.zeros((steps, trials, n)) for _ in effects),
-              (np.zeros((steps, trials, n)), np.zeros((steps, trials, n))), np.zeros((trials, rows, n)))  # fmt: skip
+    n, steps, at, on = (
+        drive.start.shape[1],
+        int(drive.rows.max()) + 1,
+        plant.at,
+        np.array(plant.driven),
+    )
+    run = Run(
+        *(np.zeros((steps, trials, n)) for _ in range(5)),
+        tuple(np.zeros((steps, trials, n)) for _ in effects),
+        (np.zeros((steps, trials, n)), np.zeros((steps, trials, n))),
+        np.zeros((trials, rows, n)),
+    )
     datas = [mujoco.MjData(m) for _ in range(trials)]
-    views = [(d, d.qpos, d.qvel, d.qacc, d.qfrc_applied, d.qfrc_constraint, d.xfrc_applied) for d in datas]
+    views = [
+        (d, d.qpos, d.qvel, d.qacc, d.qfrc_applied, d.qfrc_constraint, d.xfrc_applied)
+        for d in datas
+    ]
     whole_q, whole_v, whole_a, friction, applied = (np.zeros((trials, m.nv)) for _ in range(5))
     whole_q[:, at] = drive.start
     for w, start in zip(views, whole_q, strict=True):
@@ -163,15 +193,23 @@ def simulate(plant: Plant, drive: Drive, effects: tuple[Effect, ...] = ()) -> Ru
 
 
 def _command(mode: str, drive: Drive, k: int, r: int, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """What the computer sends at row r of trial k: a target, or the torque of a controller that sees the noise as well."""
+    """What the computer sends at row r of trial k: a target, or the torque of a controller that
+    sees the noise as well.
+    """
     if mode == "position":
         return drive.reference[k, r]
     x, y = q + drive.noise[k, r, 0], v + drive.noise[k, r, 1]
     gains = drive.gains[k]
-    return drive.feed[k, r] + gains[0] * (drive.reference[k, r] - x) + gains[1] * (drive.slope[k, r] - y)
+    return (
+        drive.feed[k, r]
+        + gains[0] * (drive.reference[k, r] - x)
+        + gains[1] * (drive.slope[k, r] - y)
+    )
 
 
-def _twist(plant: Plant, effects, q: np.ndarray, v: np.ndarray, applied: np.ndarray, run: Run, s: int) -> None:
+def _twist(
+    plant: Plant, effects, q: np.ndarray, v: np.ndarray, applied: np.ndarray, run: Run, s: int
+) -> None:
     """The spring, or the play with stiff ends, between a drive and its link."""
     for e in effects:
         if e.name in ("drive_elasticity", "drive_play"):

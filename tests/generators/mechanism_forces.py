@@ -1,4 +1,6 @@
-"""The effects' own formulas, each a function of the true motion; signs as a force on the joint. SI units."""
+"""The effects' own formulas, each a function of the true motion; signs as a force on the joint. SI
+units.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,11 +21,17 @@ class Effect:
 
     def each(self) -> list[tuple[int, dict[str, float]]]:
         """Joints with their params; none where the params are the whole machine's."""
-        return list(zip(self.joints, self.params, strict=True)) if len(self.joints) == len(self.params) else []
+        return (
+            list(zip(self.joints, self.params, strict=True))
+            if len(self.joints) == len(self.params)
+            else []
+        )
 
 
 class Motion(NamedTuple):
-    """At time t, step s: q, v, u (actuators' forces), c (commands as they arrive) `[K, n]`; servo `[n, 2]`."""
+    """At time t, step s: q, v, u (actuators' forces), c (commands as they arrive) `[K, n]`; servo
+    `[n, 2]`.
+    """
 
     t: float
     s: int
@@ -55,7 +63,9 @@ def _periodic(p, x, j):
 
 @lru_cache(maxsize=4)
 def _wander_paths(seed: int, trials: int, steps: int = 14000, step: float = 5e-4) -> np.ndarray:
-    """Ornstein-Uhlenbeck processes of unit variance and 0.5 s, smoothed over 50 ms, `[steps, trials]`."""
+    """Ornstein-Uhlenbeck processes of unit variance and 0.5 s, smoothed over 50 ms, `[steps,
+    trials]`.
+    """
     rng = np.random.default_rng(seed)
     out, x, keep = np.zeros((steps, trials)), rng.normal(size=trials), np.exp(-step / 0.5)
     y = x.copy()
@@ -83,13 +93,19 @@ LEVELS: dict[str, Force] = {
     "asymmetric_coulomb": lambda p, x, j: p["difference"] * np.tanh(x.v[:, j] / 1e-3),
     "stribeck": lambda p, x, j: p["excess"] * np.exp(-((x.v[:, j] / p["speed"]) ** 2)),
     "load_friction": lambda p, x, j: p["share"] * np.abs(x.u[:, j]),
-    "place_friction": lambda p, x, j: p["level"] * (1 + p["depth"] * np.sin(p["order"] * x.q[:, j] + p["phase"])),
+    "place_friction": lambda p, x, j: (
+        p["level"] * (1 + p["depth"] * np.sin(p["order"] * x.q[:, j] + p["phase"]))
+    ),
 }
-"""Levels of dry friction, which add up; an asymmetry and an excess stand beside a `coulomb` of the same joint."""
+"""Levels of dry friction, which add up; an asymmetry and an excess stand beside a `coulomb` of the
+same joint.
+"""
 
 
 def _coupling(e: Effect, x: Motion) -> np.ndarray:
-    """From the potential size cos(qa - ratio qb - rest): a cable over two joints that grips unevenly."""
+    """From the potential size cos(qa - ratio qb - rest): a cable over two joints that grips
+    unevenly.
+    """
     (a, b), p, out = e.joints, e.params[0], np.zeros(x.q.shape)
     pull = p["size"] * np.sin(p["order"] * (x.q[:, a] - p["ratio"] * x.q[:, b]) - p["rest"])
     out[:, a], out[:, b] = pull, -p["ratio"] * pull
@@ -109,8 +125,10 @@ def _friction_coupling(e: Effect, x: Motion) -> np.ndarray:
 
 
 WHOLE: dict[str, Callable[[Effect, Motion], np.ndarray]] = {
-    "coupling": _coupling, "torque_coupling": _torque_coupling, "friction_coupling": _friction_coupling,
-}  # fmt: skip
+    "coupling": _coupling,
+    "torque_coupling": _torque_coupling,
+    "friction_coupling": _friction_coupling,
+}
 """Of several joints at once."""
 
 
@@ -145,7 +163,9 @@ def _output(law):
 
 OUTPUT = {
     "torque_gain": _output(lambda p, x, j: (1 + p["gain"]) * x.u[:, j]),
-    "position_gain": _output(lambda p, x, j: x.u[:, j] + p["gain"] * x.servo[j, 0] * (x.c[:, j] - x.q[:, j])),
+    "position_gain": _output(
+        lambda p, x, j: x.u[:, j] + p["gain"] * x.servo[j, 0] * (x.c[:, j] - x.q[:, j])
+    ),
     "saturation": _output(lambda p, x, j: np.clip(x.u[:, j], -p["limit"], p["limit"])),
     "dead_zone": _output(lambda p, x, j: x.u[:, j] - np.clip(x.u[:, j], -p["width"], p["width"])),
 }

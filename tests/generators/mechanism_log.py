@@ -1,4 +1,6 @@
-"""What the encoders and the logger make of the true motion: offsets, scales, lateness, play, logs that run late."""
+"""What the encoders and the logger make of the true motion: offsets, scales, lateness, play, logs
+that run late.
+"""
 
 import numpy as np
 
@@ -6,8 +8,12 @@ from tests.generators.mechanism_engine import STEP, Drive, Run
 from tests.generators.mechanism_forces import Effect
 
 
-def readings(run: Run, effects: tuple[Effect, ...], accelerations: bool = False) -> list[np.ndarray]:
-    """q, v (and accelerations) `[S, K, n]` as the encoders have them at each step, without noise."""
+def readings(
+    run: Run, effects: tuple[Effect, ...], accelerations: bool = False
+) -> list[np.ndarray]:
+    """q, v (and accelerations) `[S, K, n]` as the encoders have them at each step, without
+    noise.
+    """
     out = [run.q.copy(), run.v.copy()] + ([run.a.copy()] if accelerations else [])
     for e in effects:
         for j, p in e.each():

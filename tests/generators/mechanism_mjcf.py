@@ -9,9 +9,12 @@ from tests.generators.mechanism_machines import G, Link, Machine, turned
 
 @dataclass(frozen=True)
 class Extras:
-    """What the true machine has in its MJCF beside the declared: by joint name, in SI units; `gravity [3]`, `payload` kg.
+    """What the true machine has in its MJCF beside the declared: by joint name, in SI units;
+    `gravity [3]`, `payload` kg.
 
-    gear, kp and kv are factors; stiffness with its angle of rest; twist: stiffness and damping between a drive and its link."""
+    gear, kp and kv are factors; stiffness with its angle of rest; twist: stiffness and damping
+    between a drive and its link.
+    """
 
     frictionloss: dict[str, float] = field(default_factory=dict)
     armature: dict[str, float] = field(default_factory=dict)
@@ -29,7 +32,13 @@ def number(values) -> str:
     return " ".join(f"{v:.9g}" for v in np.atleast_1d(values))
 
 
-def to_xml(machine: Machine, mode: str, gains: np.ndarray, extras: Extras | None = None, actuators: bool = True) -> str:
+def to_xml(
+    machine: Machine,
+    mode: str,
+    gains: np.ndarray,
+    extras: Extras | None = None,
+    actuators: bool = True,
+) -> str:
     """mode: torque (motors) or position (servos with `gains [n, 2]`: kp, kv)."""
     x = extras or Extras()
     lines = [
@@ -48,7 +57,8 @@ def to_xml(machine: Machine, mode: str, gains: np.ndarray, extras: Extras | None
         r = 0.4 * x.payload * 0.03**2
         lines += [
             f'{pad}<body name="payload" pos="{number(machine.tip)}">',
-            f'{pad}  <inertial pos="0 0 0" mass="{x.payload:.9g}" diaginertia="{number([r, r, r])}"/>',
+            f'{pad}  <inertial pos="0 0 0" mass="{x.payload:.9g}" '
+            f'diaginertia="{number([r, r, r])}"/>',
             f"{pad}</body>",
         ]
     lines += ["  " * k + "</body>" for k in range(depth - 1, 1, -1)] + ["  </worldbody>"]
@@ -63,14 +73,22 @@ def to_xml(machine: Machine, mode: str, gains: np.ndarray, extras: Extras | None
 
 def _nested(bodies: list[list[str]], depth: int) -> list[str]:
     """Each body within the one before; the first line of each opens it."""
-    return ["  " * (depth + k + (i > 0)) + line for k, body in enumerate(bodies) for i, line in enumerate(body)]
+    return [
+        "  " * (depth + k + (i > 0)) + line
+        for k, body in enumerate(bodies)
+        for i, line in enumerate(body)
+    ]
 
 
 def _body(link: Link, x: Extras) -> list[list[str]]:
     """The link, behind a massless drive where it has a spring between."""
     joint = {"damping": link.damping, "armature": link.armature + x.armature.get(link.name, 0.0)}
     if loss := x.frictionloss.get(link.name, 0.0):
-        joint |= {"frictionloss": loss, "solreffriction": [2e-3, 1.0], "solimpfriction": [0.99, 0.999, 1e-3, 0.5, 2.0]}
+        joint |= {
+            "frictionloss": loss,
+            "solreffriction": [2e-3, 1.0],
+            "solimpfriction": [0.99, 0.999, 1e-3, 0.5, 2.0],
+        }
     if link.name in x.stiffness:
         joint["stiffness"], joint["springref"] = x.stiffness[link.name]
     text = " ".join(f'{key}="{number(v)}"' for key, v in joint.items() if np.any(v))
@@ -83,7 +101,9 @@ def _body(link: Link, x: Extras) -> list[list[str]]:
         return [[opened, mass, own]]
     stiff, damp = x.twist[link.name]
     spring = f'stiffness="{stiff:.9g}" damping="{damp:.9g}"'
-    bend = f'<joint name="twist_{link.name}" type="{link.kind}" axis="{number(link.axis)}" {spring}/>'
+    bend = (
+        f'<joint name="twist_{link.name}" type="{link.kind}" axis="{number(link.axis)}" {spring}/>'
+    )
     tiny = '<inertial pos="0 0 0" mass="1e-4" diaginertia="1e-8 1e-8 1e-8"/>'
     return [
         [f'<body name="drive_{link.name}" pos="{number(link.at)}">', tiny, own],

@@ -1,7 +1,9 @@
-"""What of an effect can be told apart: its share of the torque, what inertias and damping leave of it, and what does just the same.
+"""What of an effect can be told apart: its share of the torque, what inertias and damping leave of
+it, and what does just the same.
 
-All in torques along the true motion: an effect is the force by which a model without it errs. Base inertial parameters and damping
-are projected off; a name whose own force then leaves no more than 3 % of the effect is an exact equivalent.
+All in torques along the true motion: an effect is the force by which a model without it errs. Base
+inertial parameters and damping are projected off; a name whose own force then leaves no more than 3
+% of the effect is an exact equivalent.
 """
 
 from dataclasses import dataclass
@@ -32,7 +34,9 @@ LEFT = 0.05  # of an effect that inertias and damping leave when they absorb it
 
 @dataclass(frozen=True)
 class Motion:
-    """Samples `[M, n]` of the true motion and of the command as logged; scale [n]: torque of each joint."""
+    """Samples `[M, n]` of the true motion and of the command as logged; scale [n]: torque of each
+    joint.
+    """
 
     q: np.ndarray
     v: np.ndarray
@@ -47,20 +51,35 @@ class Sight:
     """Judges the effects of one world."""
 
     def __init__(
-        self, machine: Machine, plant: Plant, drive: Drive, run: Run, effects: tuple[Effect, ...], tilt, own: np.ndarray
+        self,
+        machine: Machine,
+        plant: Plant,
+        drive: Drive,
+        run: Run,
+        effects: tuple[Effect, ...],
+        tilt,
+        own: np.ndarray,
     ):
         self.machine, self.plant, self.effects, self.tilt = machine, plant, effects, tilt
         steps = np.arange(200, len(run.q) - 200, max(1, len(run.q) // 100))
-        flat = lambda z: z[steps].reshape(-1, machine.n)
+
+        def flat(z):
+            return z[steps].reshape(-1, machine.n)
+
         self.flat = flat
-        rms = lambda x: np.sqrt(np.mean(x**2, 0))
+
+        def rms(x):
+            return np.sqrt(np.mean(x**2, 0))
+
         rate = (run.sent[steps + 8] - run.sent[steps - 8]).reshape(-1, machine.n) / (16 * STEP)
         u = flat(run.u)
         scale = np.maximum(rms(u), own * rms(flat(run.a)))
         self.m = Motion(flat(run.q), flat(run.v), flat(run.a), u, flat(run.sent), rate, scale)
         self.chain = Chain(machine, self.m.q, self.m.v, self.m.a)
         self.base = self._base()
-        self.parts = [self._part(e, part, run, steps) for e, part in zip(effects, run.parts, strict=True)]
+        self.parts = [
+            self._part(e, part, run, steps) for e, part in zip(effects, run.parts, strict=True)
+        ]
 
     def _wide(self, x: np.ndarray) -> np.ndarray:
         """Forces `[M, n, ...]` over the torque of each joint, flattened `[M n, ...]`."""
@@ -83,7 +102,10 @@ class Sight:
     def _model(self, q, v, a) -> np.ndarray:
         """Forces that a motion needs, of true parameters."""
         links = self.machine.links
-        extra = np.array([link.damping for link in links]) * v + np.array([link.armature for link in links]) * a
+        extra = (
+            np.array([link.damping for link in links]) * v
+            + np.array([link.armature for link in links]) * a
+        )
         return Chain(self.machine, q, v, a).total() + extra
 
     def _part(self, e: Effect, part: np.ndarray, run: Run, steps: np.ndarray) -> np.ndarray:
@@ -116,20 +138,32 @@ class Sight:
         return self.flat(part)
 
     def judge(self, k: int) -> dict:
-        """share and seen by joint; absorbed; accept: names and the joints where each must be told; also_right."""
+        """share and seen by joint; absorbed; accept: names and the joints where each must be told;
+        also_right.
+        """
         e, n = self.effects[k], self.machine.n
-        names = lambda js: [self.machine.joints[j] for j in js]
-        rms = lambda x: np.sqrt(np.mean(x.reshape(-1, n) ** 2, 0))
+
+        def names(js):
+            return [self.machine.joints[j] for j in js]
+
+        def rms(x):
+            return np.sqrt(np.mean(x.reshape(-1, n) ** 2, 0))
+
         y = self._wide(self.parts[k])
         others = [self._wide(p)[:, None] for i, p in enumerate(self.parts) if i != k and np.any(p)]
         base = _span(np.hstack([self.base, *others])) if others else self.base
         left = y - base @ (base.T @ y)
         share, seen = rms(y), rms(left)
-        absorbed = bool(np.sqrt(np.sum(seen**2)) < LEFT * np.sqrt(np.sum(share**2)) or max(seen) < BARELY)
+        absorbed = bool(
+            np.sqrt(np.sum(seen**2)) < LEFT * np.sqrt(np.sum(share**2)) or max(seen) < BARELY
+        )
         where = list(e.joints) or [int(np.argmax(seen))]
         must = [j for j in e.joints if seen[j] >= SEEN * (0.5 if len(e.joints) == 1 else 1)]
-        told = {"share": dict(zip(names(where), share[where].tolist(), strict=True)),
-                "seen": dict(zip(names(where), seen[where].tolist(), strict=True)), "absorbed": absorbed}  # fmt: skip
+        told = {
+            "share": dict(zip(names(where), share[where].tolist(), strict=True)),
+            "seen": dict(zip(names(where), seen[where].tolist(), strict=True)),
+            "absorbed": absorbed,
+        }
         accept = [{"name": e.name, "joints": names(must or e.joints)}]
         also = [{"name": e.name, "joints": names(e.joints)}]
         size = np.linalg.norm(left)
@@ -140,14 +174,18 @@ class Sight:
                 if np.any(np.linalg.norm(z, axis=0) < 1e-3 * np.linalg.norm(whole, axis=0)):
                     continue  # it is absorbed itself
                 gain = np.linalg.lstsq(z, left)[0]
-                if np.linalg.norm(left - z @ gain) < SAME * size and np.abs(gain[0]) < MOST.get(name, np.inf):
+                if np.linalg.norm(left - z @ gain) < SAME * size and np.abs(gain[0]) < MOST.get(
+                    name, np.inf
+                ):
                     accept.append({"name": name, "joints": names(joints)})
         for name, joints, needed in self._known(e):
             (accept if needed else also).append({"name": name, "joints": names(joints)})
         return told | {"accept": accept, "also_right": also}
 
     def _known(self, e: Effect):
-        """(name, joints, whether it may stand for the effect) by physics: the same but for sticking, or a part of it."""
+        """(name, joints, whether it may stand for the effect) by physics: the same but for
+        sticking, or a part of it.
+        """
         everywhere, driven = tuple(range(self.machine.n)), self.plant.driven
         if e.name == "asymmetric_coulomb":  # while it slides
             yield "bias", e.joints, True
@@ -157,7 +195,9 @@ class Sight:
             yield "sensor_delay", everywhere, True
         elif e.name in ("torque_coupling", "friction_coupling"):  # told at the later of its joints
             yield e.name, e.joints[1:], True
-        elif e.name == "drive_elasticity" and not e.params[0]["link_side"]:  # an encoder on the motor's side
+        elif (
+            e.name == "drive_elasticity" and not e.params[0]["link_side"]
+        ):  # an encoder on the motor's side
             yield "drive_compliance", e.joints, True
         elif e.name == "drive_play":
             yield "drive_backlash", e.joints, True
@@ -172,13 +212,18 @@ class Sight:
             yield "coulomb", e.joints, False
 
     def _rivals(self):
-        """(name, joints, forces `[M, n, k]`) of effects that are linear in their parameters, at their smallest."""
+        """(name, joints, forces `[M, n, k]`) of effects that are linear in their parameters, at
+        their smallest.
+        """
         m, n, driven = self.m, self.machine.n, self.plant.driven
         sign = np.tanh(m.v / (0.01 * np.sqrt(np.mean(m.v**2, 0))))
         by_joint = {
-            "bias": [np.ones_like(m.q)], "spring": [m.q, np.ones_like(m.q)], "armature": [m.a], "coulomb": [sign],
+            "bias": [np.ones_like(m.q)],
+            "spring": [m.q, np.ones_like(m.q)],
+            "armature": [m.a],
+            "coulomb": [sign],
             "quadratic_drag": [m.v * np.abs(m.v)],
-        }  # fmt: skip
+        }
         by_motor = {"torque_gain": [m.u], "load_friction": [np.abs(m.u) * sign]}
         if self.plant.mode == "position":
             by_motor["position_gain"] = [self.plant.servo[:, 0] * (m.c - m.q)]
@@ -196,7 +241,10 @@ class Sight:
                     for z in (q, v, a):
                         z[:, j] *= 1 + size
                 yield name, (j,), ((self._model(q, v, a) - now) / size)[..., None]
-        turned = [Chain(self.machine, m.q, m.v, m.a, g).total() for g in ((9.81e-4, 0, -9.81), (0, 9.81e-4, -9.81))]
+        turned = [
+            Chain(self.machine, m.q, m.v, m.a, g).total()
+            for g in ((9.81e-4, 0, -9.81), (0, 9.81e-4, -9.81))
+        ]
         yield "tilt", (), (np.stack(turned, -1) - self.chain.total()[..., None]) * 1e4
 
     def _at(self, j: int, columns: list[np.ndarray]) -> np.ndarray:

@@ -1,10 +1,13 @@
-"""Recordings of machines whose truth is known, by MuJoCo's C engine: a declared MJCF, the machine as it is, trials.
+"""Recordings of machines whose truth is known, by MuJoCo's C engine: a declared MJCF, the machine
+as it is, trials.
 
-    python -m tests.generators.mechanism_worlds single 3 FOLDER     one world (kind, seed), to look at
+    python -m tests.generators.mechanism_worlds single 3 FOLDER     one world (kind, seed), to look
+    at
 
-`write_world` leaves `recording/` (what a user has), `true.xml` (the machine, with what MJCF can hold of the effects) and
-`truth.json`. Kinds: `null`; `single`, one effect; `multi`, 3 to 5 of which one is in no catalogue. Seeds 0-999 are for tuning,
-from 10000 on for scoring. Nothing here shares code with the package.
+`write_world` leaves `recording/` (what a user has), `true.xml` (the machine, with what MJCF can
+hold of the effects) and `truth.json`. Kinds: `null`; `single`, one effect; `multi`, 3 to 5 of which
+one is in no catalogue. Seeds 0-999 are for tuning, from 10000 on for scoring. Nothing here shares
+code with the package.
 """
 
 import json
@@ -15,7 +18,16 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from tests.generators.mechanism_draw import ABSORBED, Plan, draw_effects, extras_of, owners, plan, scales, tilted
+from tests.generators.mechanism_draw import (
+    ABSORBED,
+    Plan,
+    draw_effects,
+    extras_of,
+    owners,
+    plan,
+    scales,
+    tilted,
+)
 from tests.generators.mechanism_drive import home, inertia, make_drive, servo_gains
 from tests.generators.mechanism_engine import Drive, Plant, Run, simulate
 from tests.generators.mechanism_forces import Effect
@@ -29,7 +41,9 @@ SUITES = ("null", "single", "multi")
 
 @dataclass(frozen=True)
 class World:
-    """q, v `[K, R, n]` and command as logged (v None: no speeds); clean_q, clean_v `[K, R, n]` as they are; declared, true: MJCF."""
+    """q, v `[K, R, n]` and command as logged (v None: no speeds); clean_q, clean_v `[K, R, n]` as
+    they are; declared, true: MJCF.
+    """
 
     machine: Machine
     mode: str
@@ -47,7 +61,9 @@ class World:
 
 def plant_of(machine: Machine, mode: str, gains: np.ndarray, effects: tuple[Effect, ...]) -> Plant:
     """The true machine; its actuators and most effects are left to `simulate`."""
-    model = mujoco.MjModel.from_xml_string(to_xml(machine, mode, gains, extras_of(machine, effects, False), False))
+    model = mujoco.MjModel.from_xml_string(
+        to_xml(machine, mode, gains, extras_of(machine, effects, False), False)
+    )
     model.dof_solref[:] = [2e-3, 1.0]
     model.dof_solimp[:] = [0.99, 0.999, 1e-3, 0.5, 2.0]
     at = np.array([model.joint(name).dofadr[0] for name in machine.joints])
@@ -66,26 +82,40 @@ def with_rotors(rng: np.random.Generator, machine: Machine, plans: list[Plan]) -
     """A drive with a spring behind it has a rotor, which is declared."""
     links = list(machine.links)
     own = inertia(
-        mujoco.MjModel.from_xml_string(to_xml(machine, "torque", np.zeros((machine.n, 2)), actuators=False)),
+        mujoco.MjModel.from_xml_string(
+            to_xml(machine, "torque", np.zeros((machine.n, 2)), actuators=False)
+        ),
         home(machine),
     )
     for kind, joints in plans:
         for j in joints:
             if kind in ("drive_elasticity", "drive_play"):
-                links[j] = replace(links[j], armature=links[j].armature + float(rng.uniform(0.3, 0.8) * own[j]))
+                links[j] = replace(
+                    links[j], armature=links[j].armature + float(rng.uniform(0.3, 0.8) * own[j])
+                )
     return replace(machine, links=tuple(links))
 
 
 def tame(run: Run) -> bool:
     """Whether nothing turns over or runs away."""
-    return bool(np.all(np.isfinite(run.q)) and np.ptp(run.q, axis=0).max() < 1.8 * np.pi and np.abs(run.v).max() < 25)
+    return bool(
+        np.all(np.isfinite(run.q))
+        and np.ptp(run.q, axis=0).max() < 1.8 * np.pi
+        and np.abs(run.v).max() < 25
+    )
 
 
 def make_world(
-    kind: str, seed: int, machine: str | None = None, mode: str | None = None, effect: str | None = None
+    kind: str,
+    seed: int,
+    machine: str | None = None,
+    mode: str | None = None,
+    effect: str | None = None,
 ) -> World:
-    """machine, mode and effect (of a single) are drawn where not given. A world whose effects are too small to see is drawn again with
-    larger ones, one that turns over with smaller motion. Raises ValueError for an unknown kind or effect."""
+    """machine, mode and effect (of a single) are drawn where not given. A world whose effects are
+    too small to see is drawn again with larger ones, one that turns over with smaller motion.
+    Raises ValueError for an unknown kind or effect.
+    """
     if kind not in SUITES:
         raise ValueError(f"no kind of worlds {kind!r}; there are {', '.join(SUITES)}")
     rng = np.random.default_rng([SUITES.index(kind), seed, 44])
@@ -117,27 +147,52 @@ def make_world(
             break
         factors = [1.7 * f if i in small else f for i, f in enumerate(factors)]
     else:
-        raise RuntimeError(f"{kind} world {seed} of {m.name} turns over however little it is driven")
-    truth = {"kind": kind, "seed": seed, "machine": m.name, "mode": mode, "joints": m.joints, "effects": told}
+        raise RuntimeError(
+            f"{kind} world {seed} of {m.name} turns over however little it is driven"
+        )
+    truth = {
+        "kind": kind,
+        "seed": seed,
+        "machine": m.name,
+        "mode": mode,
+        "joints": m.joints,
+        "effects": told,
+    }
     lane = np.arange(len(drive.rows))[:, None]
     q, v = (z[drive.rows, lane] for z in readings(run, effects))
     speeds = bool(np.random.default_rng([seed, 45]).integers(2))
     return World(
-        m, mode, effects, drive, q + drive.noise[:, :, 0], v + drive.noise[:, :, 1] if speeds else None,
-        logged_command(run, drive, effects), run.q[drive.rows, lane], run.v[drive.rows, lane],
-        to_xml(declared, mode, gains), to_xml(m, mode, gains, extras_of(m, effects, True)), truth,
-    )  # fmt: skip
+        m,
+        mode,
+        effects,
+        drive,
+        q + drive.noise[:, :, 0],
+        v + drive.noise[:, :, 1] if speeds else None,
+        logged_command(run, drive, effects),
+        run.q[drive.rows, lane],
+        run.v[drive.rows, lane],
+        to_xml(declared, mode, gains),
+        to_xml(m, mode, gains, extras_of(m, effects, True)),
+        truth,
+    )
 
 
 def _too_small(told: dict) -> bool:
     """Whether nobody need name it only because there is so little of it."""
     seen, share = (sum(told[k].values()) for k in ("seen", "share"))
-    return not told["outside"] and bool(told["seen"]) and seen > 0.05 * share and max(told["seen"].values()) < SEEN
+    return (
+        not told["outside"]
+        and bool(told["seen"])
+        and seen > 0.05 * share
+        and max(told["seen"].values()) < SEEN
+    )
 
 
 def _told(machine: Machine, sight: Sight, k: int) -> dict:
-    """What `truth.json` says of an effect. accept: names that are right, with the joints where each must be told; also_right: names
-    that are not wrong; absorbed: nothing need be told, since inertias and damping do the same."""
+    """What `truth.json` says of an effect. accept: names that are right, with the joints where each
+    must be told; also_right: names that are not wrong; absorbed: nothing need be told, since
+    inertias and damping do the same.
+    """
     e = sight.effects[k]
     names = [machine.joints[j] for j in e.joints]
     sizes = (
@@ -148,13 +203,19 @@ def _told(machine: Machine, sight: Sight, k: int) -> dict:
     told = {"name": e.name, "joints": names, "outside": e.outside, "size": sizes} | sight.judge(k)
     if e.name in ABSORBED:
         told["absorbed"] = True
-    if e.name in ("backlash", "drive_elasticity", "drive_play"):  # a kink of the kinematics, not a torque
+    if e.name in (
+        "backlash",
+        "drive_elasticity",
+        "drive_play",
+    ):  # a kink of the kinematics, not a torque
         told |= {"absorbed": False, "share": {}, "seen": {}}
     return told
 
 
 def write_world(folder: str | Path, kind: str, seed: int, **given: str) -> Path:
-    """Write `recording/`, `true.xml` and `truth.json` into `folder`; returns it. `given`: as of `make_world`."""
+    """Write `recording/`, `true.xml` and `truth.json` into `folder`; returns it. `given`: as of
+    `make_world`.
+    """
     w, out = make_world(kind, seed, **given), Path(folder)
     (out / "recording").mkdir(parents=True, exist_ok=True)
     (out / "recording" / "model.xml").write_text(w.declared)
@@ -163,12 +224,22 @@ def write_world(folder: str | Path, kind: str, seed: int, **given: str) -> Path:
     (out / "truth.json").write_text(json.dumps(w.truth, indent=1, default=float))
     label = "tau" if w.mode == "torque" else "target"
     n, driven = w.machine.n, list(w.machine.driven)
-    names = ["time", *(f"q{j + 1}" for j in range(n)), *(f"v{j + 1}" for j in range(n) if w.v is not None)]
+    names = [
+        "time",
+        *(f"q{j + 1}" for j in range(n)),
+        *(f"v{j + 1}" for j in range(n) if w.v is not None),
+    ]
     names += [f"{label}{j + 1}" for j in driven]
     for k, t in enumerate(w.drive.times):
         columns = [t[:, None], w.q[k], *([] if w.v is None else [w.v[k]]), w.command[k][:, driven]]
-        np.savetxt(out / "recording" / f"trial_{k:02d}.csv", np.hstack(columns), fmt="%.9g", delimiter=",",
-                   header=",".join(names), comments="")  # fmt: skip
+        np.savetxt(
+            out / "recording" / f"trial_{k:02d}.csv",
+            np.hstack(columns),
+            fmt="%.9g",
+            delimiter=",",
+            header=",".join(names),
+            comments="",
+        )
     return out
 
 

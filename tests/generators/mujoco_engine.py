@@ -1,9 +1,11 @@
-"""The same rigs in MuJoCo's C engine, with MuJoCo's own joint and motor features instead of our formulas.
+"""The same rigs in MuJoCo's C engine, with MuJoCo's own joint and motor features instead of our
+formulas.
 
-Used as a second, independent world. Effects by feature: coulomb `frictionloss`; stribeck and presliding the `dcmotor`'s
-LuGre friction; cogging the `dcmotor`'s; quadratic drag `damping` polynomial; spring `stiffness`; rotor inertia
-`armature`; tilt a turned gravity; torque gain `gear`; saturation `ctrlrange`; delay the actuator's history buffer;
-actuator lag `filterexact`; hard stop a joint limit; bias `qfrc_applied`; encoder offset `ref`.
+Used as a second, independent world. Effects by feature: coulomb `frictionloss`; stribeck and
+presliding the `dcmotor`'s LuGre friction; cogging the `dcmotor`'s; quadratic drag `damping`
+polynomial; spring `stiffness`; rotor inertia `armature`; tilt a turned gravity; torque gain `gear`;
+saturation `ctrlrange`; delay the actuator's history buffer; actuator lag `filterexact`; hard stop a
+joint limit; bias `qfrc_applied`; encoder offset `ref`.
 """
 
 import mujoco
@@ -14,11 +16,25 @@ from tests.generators.simulate import Drive, Run
 from tests.generators.worlds import G, Rig
 
 SUPPORTED = (
-    "coulomb", "stribeck", "presliding", "cogging", "quadratic_drag", "spring", "rotor_inertia", "tilt",
-    "torque_gain", "saturation", "delay", "actuator_lag", "hard_stop", "bias", "encoder_offset",
-)  # fmt: skip
+    "coulomb",
+    "stribeck",
+    "presliding",
+    "cogging",
+    "quadratic_drag",
+    "spring",
+    "rotor_inertia",
+    "tilt",
+    "torque_gain",
+    "saturation",
+    "delay",
+    "actuator_lag",
+    "hard_stop",
+    "bias",
+    "encoder_offset",
+)
 SMOOTH = {"spring", "tilt", "torque_gain", "saturation", "rotor_inertia", "bias", "encoder_offset"}
-# A motor driven by torque: constant K over resistance R is 1, and the damping K^2/R of its back-EMF is nil.
+# A motor driven by torque: constant K over resistance R is 1, and the damping K^2/R of its back-EMF
+# is nil.
 TINY = 1e-9
 
 
@@ -31,7 +47,9 @@ def build(rig: Rig, hidden: list[dict], step: float) -> mujoco.MjModel:
     spec.compiler.degree = False
     spec.option.timestep = step
     smooth = all(name in SMOOTH for name, _ in at)
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4 if smooth else mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.integrator = (
+        mujoco.mjtIntegrator.mjINT_RK4 if smooth else mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    )
     tilt = at.get(("tilt", 0), {"size": 0.0, "sign": 1.0})
     angle = tilt["size"] * tilt["sign"]
     spec.option.gravity = [-G * np.sin(angle) * rig.sign, 0, -G * np.cos(angle) * rig.sign]
@@ -64,7 +82,8 @@ def _joint_features(joint, viscous: float, j: int, at: dict, least_inertia: floa
         edge = p["angle"]
         joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
         joint.range = [-50.0, edge] if p["side"] > 0 else [edge, 50.0]
-        # Limits are rated by acceleration: the stop is of about, not exactly, the stiffness asked for.
+        # Limits are rated by acceleration: the stop is of about, not exactly, the stiffness asked
+        # for.
         rate = p["size"] / least_inertia
         joint.solref_limit = [-rate, -0.002 * rate]
 
@@ -88,7 +107,9 @@ def _motor(motor, j: int, at: dict, step: float) -> None:
 
 
 def _dcmotor(cogging: dict | None, bristle: dict | None) -> dict:
-    """Cogging (amplitude, order, phase) and LuGre (stiffness, damping, Coulomb, static, Stribeck speed)."""
+    """Cogging (amplitude, order, phase) and LuGre (stiffness, damping, Coulomb, static, Stribeck
+    speed).
+    """
     out = {}
     if cogging:
         out["cogging"] = [cogging["size"], cogging["order"], cogging["phase"] + np.pi]
@@ -100,7 +121,9 @@ def _dcmotor(cogging: dict | None, bristle: dict | None) -> dict:
     return out
 
 
-def run_trial(model: mujoco.MjModel, rig: Rig, hidden: list[dict], drive: Drive, lane: int, step: float):
+def run_trial(
+    model: mujoco.MjModel, rig: Rig, hidden: list[dict], drive: Drive, lane: int, step: float
+):
     """One trial: (states `[K, 4]`, clean readings, measured readings, commands `[K, 2]`)."""
     data = mujoco.MjData(model)
     data.qpos[:], data.qvel[:] = drive.start[:2, lane], drive.start[2:, lane]
@@ -120,7 +143,9 @@ def run_trial(model: mujoco.MjModel, rig: Rig, hidden: list[dict], drive: Drive,
         clean[k] = state[k] + [*offset, 0, 0]
         x = clean[k] + drive.noise[k, :, lane]
         x[:2] = np.where(quantum > 0, np.round(x[:2] / np.maximum(quantum, 1e-12)) * quantum, x[:2])
-        u = drive.feedforward[k, :, lane] + drive.gain[..., lane] @ (drive.reference[k, :, lane] - x)
+        u = drive.feedforward[k, :, lane] + drive.gain[..., lane] @ (
+            drive.reference[k, :, lane] - x
+        )
         measured[k], command[k] = x, np.clip(u, -drive.limit[:, lane], drive.limit[:, lane])
         data.ctrl[:] = command[k]
         data.qfrc_applied[:] = drive.disturbance[k, :, lane] + bias
@@ -133,7 +158,9 @@ def run_trial(model: mujoco.MjModel, rig: Rig, hidden: list[dict], drive: Drive,
 
 
 def simulate_mujoco(drafts: list, drive: Drive) -> Run:
-    """All trials of all data sets, one after another, into the same arrays as the NumPy engine fills."""
+    """All trials of all data sets, one after another, into the same arrays as the NumPy engine
+    fills.
+    """
     rows, lanes = drive.times.shape
     run = Run(drive.times, *(np.zeros((rows, n, lanes)) for n in (4, 4, 4, 4, 2)))
     for d in drafts:
@@ -144,6 +171,11 @@ def simulate_mujoco(drafts: list, drive: Drive) -> Run:
         model = build(d.rig, d.hidden, step)
         for lane in range(d.lanes.start, d.lanes.stop):
             out = run_trial(model, d.rig, d.hidden, drive, lane, step)
-            run.state[..., lane], run.clean[..., lane], run.measured[..., lane], run.command[..., lane] = out
+            (
+                run.state[..., lane],
+                run.clean[..., lane],
+                run.measured[..., lane],
+                run.command[..., lane],
+            ) = out
             run.smooth[..., lane] = out[1]
     return run

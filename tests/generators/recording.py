@@ -8,7 +8,9 @@ import numpy as np
 
 @dataclass
 class Dataset:
-    """A recording. trials: one dictionary of columns `[K]` each; truth: what nobody who measures would know."""
+    """A recording. trials: one dictionary of columns `[K]` each; truth: what nobody who measures
+    would know.
+    """
 
     trials: list[dict[str, np.ndarray]]
     meta: dict
@@ -29,5 +31,7 @@ def write_dataset(ds: Dataset, folder: str | Path, digits: int = 9) -> Path:
     for i, columns in enumerate(ds.trials):
         table = np.stack(list(columns.values()), 1)
         name = folder / f"trial_{i:02d}.csv"
-        np.savetxt(name, table, fmt=f"%.{digits}g", delimiter=",", header=",".join(columns), comments="")
+        np.savetxt(
+            name, table, fmt=f"%.{digits}g", delimiter=",", header=",".join(columns), comments=""
+        )
     return folder

@@ -1,7 +1,9 @@
-"""The clock of the worlds: rows of a recording, a controller that sees the sensors, and RK4 between the rows.
+"""The clock of the worlds: rows of a recording, a controller that sees the sensors, and RK4 between
+the rows.
 
-A command holds from its row to the next. All lanes march row by row together, each with its own times; the layout is
-`[rows, 2, L]`, so that one NumPy call serves both joints of all trials of all data sets.
+A command holds from its row to the next. All lanes march row by row together, each with its own
+times; the layout is `[rows, 2, L]`, so that one NumPy call serves both joints of all trials of all
+data sets.
 """
 
 from dataclasses import dataclass
@@ -15,7 +17,9 @@ from tests.generators.worlds import Lanes, acceleration, mass_matrix
 
 @dataclass
 class Drive:
-    """What is done to the rigs: `command = feedforward + gain (reference - measured)`, clipped at `limit`."""
+    """What is done to the rigs: `command = feedforward + gain (reference - measured)`, clipped at
+    `limit`.
+    """
 
     times: np.ndarray  # [K, L] s; padded by repeating the last
     feedforward: np.ndarray  # [K, 2, L] N m
@@ -46,12 +50,16 @@ class Run:
     state: np.ndarray  # [K, 4, L] true
     measured: np.ndarray  # [K, 4, L]
     clean: np.ndarray  # [K, 4, L]
-    smooth: np.ndarray  # [K, 4, L] as clean, but with velocities free of the jumps of backlash: for sizing
+    smooth: (
+        np.ndarray
+    )  # [K, 4, L] as clean, but with velocities free of the jumps of backlash: for sizing
     command: np.ndarray  # [K, 2, L]
 
 
 class Delay:
-    """Commands that arrive late, averaged over each inner step so that the delay is not rounded to steps."""
+    """Commands that arrive late, averaged over each inner step so that the delay is not rounded to
+    steps.
+    """
 
     def __init__(self, lag: np.ndarray, times: np.ndarray, commands: np.ndarray):
         self.lag, self.commands = lag, commands
@@ -82,7 +90,9 @@ def play(q: np.ndarray, z: np.ndarray, width: np.ndarray) -> np.ndarray:
 
 
 class Plant:
-    """Everything between a command and a sensor: the joint dynamics with the effects of one table."""
+    """Everything between a command and a sensor: the joint dynamics with the effects of one
+    table.
+    """
 
     def __init__(self, p: Lanes, table: Table, drive: Drive, step: float):
         self.p, self.table, self.rotor = p, table, 0.0
@@ -93,13 +103,17 @@ class Plant:
             self.tilt = (table["tilt"]["size"] * table["tilt"]["sign"])[0]
         m11, m12, m22 = mass_matrix(p, np.zeros((2, table.lanes)))
         det = m11 * m22 - m12**2
-        self.terms = forces.force_terms(table, np.stack([det / m22, det / m11]), step, drive.free_phase)
+        self.terms = forces.force_terms(
+            table, np.stack([det / m22, det / m11]), step, drive.free_phase
+        )
         self.lag = table["actuator_lag"]["size"] if "actuator_lag" in table else None
         self.filter = table["sensor_lag"]["size"] if "sensor_lag" in table else None
         self.bristle = table["presliding"] if "presliding" in table else None
 
     def rate(self, y: np.ndarray, t: np.ndarray, u: np.ndarray, disturbance: np.ndarray):
-        """Time derivative of the stacked state `[n, 2, L]`: q, v, actuator, bristle, sensor filter."""
+        """Time derivative of the stacked state `[n, 2, L]`: q, v, actuator, bristle, sensor
+        filter.
+        """
         q, v = y[0], y[1]
         out = np.zeros_like(y)
         applied = u if self.lag is None else np.where(self.lag > 0, y[2], u)
@@ -118,7 +132,9 @@ class Plant:
         return out
 
     def sense(self, y: np.ndarray, slack: np.ndarray):
-        """Clean sensor readings, and the same without the velocity jumps of backlash: two of `[4, L]`."""
+        """Clean sensor readings, and the same without the velocity jumps of backlash: two of `[4,
+        L]`.
+        """
         q, v = y[0], y[1]
         if self.filter is not None:
             f, on = np.maximum(self.filter, 1e-6), self.filter > 0
@@ -167,7 +183,9 @@ def _command(drive: Drive, k: int, clean: np.ndarray, run: Run) -> np.ndarray:
     """Read the sensors at row k, decide the command, write both down."""
     measured = clean + drive.noise[k]
     steps = drive.quantum
-    measured[:2] = np.where(steps > 0, np.round(measured[:2] / np.maximum(steps, 1e-12)) * steps, measured[:2])
+    measured[:2] = np.where(
+        steps > 0, np.round(measured[:2] / np.maximum(steps, 1e-12)) * steps, measured[:2]
+    )
     error = drive.reference[k] - measured
     command = drive.feedforward[k] + (drive.gain * error).sum(1)
     command = np.clip(command, -drive.limit, drive.limit)

@@ -1,14 +1,15 @@
 """How large an effect is: the torque that the best-fitting declared model leaves unexplained.
 
-Along a noise-free run, the declared inverse dynamics Y(q, v, a) theta are evaluated with what the sensors read, on
-average over each row (a from the change of v), and compared with the commanded torque of that row. The discrepancy,
-each joint divided by the RMS of its torque, is projected orthogonal to the columns of Y (so what a declared parameter
-can absorb does not count). Its RMS, summed over the joints in squares, is the *unexplained share*; the RMS before
-projection is the *raw share*.
+Along a noise-free run, the declared inverse dynamics Y(q, v, a) theta are evaluated with what the
+sensors read, on average over each row (a from the change of v), and compared with the commanded
+torque of that row. The discrepancy, each joint divided by the RMS of its torque, is projected
+orthogonal to the columns of Y (so what a declared parameter can absorb does not count). Its RMS,
+summed over the joints in squares, is the *unexplained share*; the RMS before projection is the *raw
+share*.
 
-**The size that just matters** (size multiple 1) has an unexplained share of 3 %. A multiple m aims at m times 3 %.
-If the declared model absorbs over nine tenths of the effect (unexplained < 0.1 raw), it is confounded with the
-declared model, and the raw share is aimed at instead.
+**The size that just matters** (size multiple 1) has an unexplained share of 3 %. A multiple m aims
+at m times 3 %. If the declared model absorbs over nine tenths of the effect (unexplained < 0.1
+raw), it is confounded with the declared model, and the raw share is aimed at instead.
 """
 
 from dataclasses import dataclass
@@ -19,7 +20,8 @@ from tests.generators.simulate import Run
 from tests.generators.worlds import Rig, base_parameters, regressor
 
 JUST_MATTERS = 0.03
-LEAST = 0.05  # multiple below which what a quiet run leaves is its integration's: smaller sizes are in proportion
+# multiple below which what a quiet run leaves is its integration's: smaller sizes are in proportion
+LEAST = 0.05
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,10 @@ def measure(rig: Rig, run: Run, lanes: slice, valid: np.ndarray) -> Share:
     smooth, u = run.smooth[..., lanes], run.command[..., lanes]
     dt = np.maximum(np.diff(run.times[:, lanes], axis=0), 1e-12)[:, None]
     middle, slope = (smooth[1:] + smooth[:-1]) / 2, np.diff(smooth[:, 2:], axis=0) / dt
-    pick = lambda x: x.transpose(2, 0, 1)[valid[:, :-1]]
+
+    def pick(x):
+        return x.transpose(2, 0, 1)[valid[:, :-1]]
+
     x, a, u = pick(middle), pick(slope), pick(u[:-1])
     y = regressor(rig, x[:, :2], x[:, 2:], a)
     if not np.isfinite(y).all():  # the closed loop did not bear an effect of this size
@@ -57,7 +62,9 @@ def measure(rig: Rig, run: Run, lanes: slice, valid: np.ndarray) -> Share:
     scale = np.linalg.norm(rows, axis=0) + 1e-12
     theta = np.linalg.lstsq(rows / scale, target, rcond=1e-10)[0]
     rest = target - rows / scale @ theta
-    return Share(float(np.sqrt(2 * np.mean(target**2))), float(np.sqrt(2 * np.mean(rest**2))), torque)
+    return Share(
+        float(np.sqrt(2 * np.mean(target**2))), float(np.sqrt(2 * np.mean(rest**2))), torque
+    )
 
 
 def aimed_at(multiple: float) -> float:
@@ -65,8 +72,12 @@ def aimed_at(multiple: float) -> float:
     return multiple if multiple >= LEAST else 2 * LEAST
 
 
-def next_size(sizes: list[float], shares: list[float], target: float, low: float, high: float) -> float:
-    """The next size to try: proportional at first, then the secant in logarithms with a bounded slope."""
+def next_size(
+    sizes: list[float], shares: list[float], target: float, low: float, high: float
+) -> float:
+    """The next size to try: proportional at first, then the secant in logarithms with a bounded
+    slope.
+    """
     if not np.isfinite(shares[-1]):
         return sizes[-1] / 3
     slope = 1.0

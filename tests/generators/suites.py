@@ -1,4 +1,6 @@
-"""Which data sets make up each suite: null, one effect, outside the catalogue, two at once, power, metamorphic."""
+"""Which data sets make up each suite: null, one effect, outside the catalogue, two at once, power,
+metamorphic.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -22,11 +24,20 @@ EFFECT_CONDITIONS = (
 )
 POWER_MULTIPLES = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 3.0, 5.0, 8.0)
 
-# Effects that no recording can tell apart, by physics: turning the base and turning the first encoder's zero both
-# shift q1 against gravity, and nothing else in the equations of motion depends on q1.
-SAME = {("tilt", "base"): {("encoder_offset", "joint1")}, ("encoder_offset", "joint1"): {("tilt", "base")}}
+# Effects that no recording can tell apart, by physics: turning the base and turning the first
+# encoder's zero both shift q1 against gravity, and nothing else in the equations of motion depends
+# on q1.
+SAME = {
+    ("tilt", "base"): {("encoder_offset", "joint1")},
+    ("encoder_offset", "joint1"): {("tilt", "base")},
+}
 # Names under which one family may be listed in a catalogue.
-ALIASES = {"dahl": "presliding", "lugre": "presliding", "viscous_drift": "friction_drift", "armature": "rotor_inertia"}
+ALIASES = {
+    "dahl": "presliding",
+    "lugre": "presliding",
+    "viscous_drift": "friction_drift",
+    "armature": "rotor_inertia",
+}
 # Effects close enough in kind that two of them in one data set would be one question asked twice.
 KIN = (
     {"coulomb", "stribeck", "presliding", "load_friction"},
@@ -61,7 +72,9 @@ def null_cases(n: int, seed: int) -> list[Case]:
 
 
 def single_spec(seed: int, low: float = 3.0, high: float = 10.0, index: int | None = None) -> Spec:
-    """One effect: catalogue and joints take turns by `index`, size log-uniform from 3 times what just matters."""
+    """One effect: catalogue and joints take turns by `index`, size log-uniform from 3 times what
+    just matters.
+    """
     rng = np.random.default_rng([seed, 8])
     world = _world(rng)
     condition = str(rng.choice(EFFECT_CONDITIONS))
@@ -75,7 +88,9 @@ def single_cases(n: int, seed: int) -> list[Case]:
 
 
 def outside_cases(n: int, seed: int) -> list[Case]:
-    """One effect whose name the catalogue is denied, with whatever cannot be told from it by physics."""
+    """One effect whose name the catalogue is denied, with whatever cannot be told from it by
+    physics.
+    """
     out = []
     for i in range(n):
         spec = single_spec(seed + i)
@@ -95,7 +110,9 @@ def two_cases(n: int, seed: int) -> list[Case]:
         others = [p for p in PLACES if p[0] not in kin and p != ("rotor_inertia", 1)]
         second = others[rng.integers(len(others))]
         sizes = np.exp(rng.uniform(np.log(3), np.log(8), 2))
-        hidden = tuple((name, j, float(m)) for (name, j), m in zip((first, second), sizes, strict=True))
+        hidden = tuple(
+            (name, j, float(m)) for (name, j), m in zip((first, second), sizes, strict=True)
+        )
         out.append(Case(f"two_{seed + i}", Spec(seed + i, "clean", hidden, _world(rng))))
     return out
 

@@ -1,4 +1,6 @@
-"""Each hidden effect does what it says, is nothing at zero size, and comes in the size that was asked for."""
+"""Each hidden effect does what it says, is nothing at zero size, and comes in the size that was
+asked for.
+"""
 
 import numpy as np
 import pytest
@@ -55,7 +57,9 @@ def test_friction_forces_take_energy_and_hard_stops_only_push():
         (force,) = forces.force_terms(table_with(name, 1)(40), inertia, 1e-4, phase)
         power = force(q, v, 0.3, u) * v
         assert np.all(power <= 0) and power[1].min() < 0 and np.all(power[0] == 0)
-    (stop,) = forces.force_terms(table_with("hard_stop", 1, side=1.0, angle=0.5)(40), inertia, 1e-4, phase)
+    (stop,) = forces.force_terms(
+        table_with("hard_stop", 1, side=1.0, angle=0.5)(40), inertia, 1e-4, phase
+    )
     push = stop(q, v, 0.0, u)[1]
     assert np.all(push <= 0) and np.all(push[q[1] < 0.5] == 0) and push.min() < 0
 
@@ -75,11 +79,15 @@ def test_delay_shifts_by_rows_and_averages_fractions():
     late = Delay(np.array([[0.1], [0.05]]), times, commands)
     seen = np.array([late(times[k], np.array([0.1]))[:, 0] for k in range(5)])
     np.testing.assert_allclose(seen[:, 0], [0, 1, 2, 3, 4], atol=1e-9)  # a whole row late
-    np.testing.assert_allclose(seen[:, 1], [0.5, 1.5, 2.5, 3.5, 4.5], atol=1e-9)  # half a row: the mean
+    np.testing.assert_allclose(
+        seen[:, 1], [0.5, 1.5, 2.5, 3.5, 4.5], atol=1e-9
+    )  # half a row: the mean
 
 
 def test_a_stuck_joint_stays():
-    """Friction above the torque holds joint 2: it creeps slower than the width of the smoothed sign."""
+    """Friction above the torque holds joint 2: it creeps slower than the width of the smoothed
+    sign.
+    """
     level = 5.0
     d, _, run = run_with(table_with("coulomb", 1, size=level))
     _, _, free = run_with(table_with(""))
@@ -98,7 +106,9 @@ def test_play_keeps_its_distance():
 
 
 def test_tilt_is_an_offset_of_the_first_encoder():
-    """The two that no recording can tell apart, in open loop: q1 + a against gravity, or the frame turned by a."""
+    """The two that no recording can tell apart, in open loop: q1 + a against gravity, or the frame
+    turned by a.
+    """
     d = making.draft(Spec(21, "clean", **SHORT))
     drive = making.stack([d]).quiet()
     drive.gain[:] = 0.0
@@ -124,7 +134,8 @@ def test_lag_of_the_sensor_trails_the_motion():
 def test_small_sizes_are_in_proportion():
     """A two-hundredth of what just matters is a twentieth of its tenth."""
     tenth, tiny = (
-        make_datasets([Spec(70, "clean", (("coulomb", 2, m),), **SHORT)])[0].truth["effects"][0] for m in (0.1, 0.005)
+        make_datasets([Spec(70, "clean", (("coulomb", 2, m),), **SHORT)])[0].truth["effects"][0]
+        for m in (0.1, 0.005)
     )
     assert tiny["parameters"]["size"] == pytest.approx(tenth["parameters"]["size"] / 20)
     assert tiny["multiple_reached"] == pytest.approx(tenth["multiple_reached"] / 20)
@@ -132,12 +143,17 @@ def test_small_sizes_are_in_proportion():
 
 @pytest.mark.slow
 def test_sizes_are_what_was_asked_for():
-    """Three times the size that just matters: the declared model leaves 9 % of the torque unexplained."""
+    """Three times the size that just matters: the declared model leaves 9 % of the torque
+    unexplained.
+    """
     specs = [Spec(70 + i, "clean", ((n, j, 3.0),), **SHORT) for i, (n, j) in enumerate(PLACES)]
     for ds in make_datasets(specs):
         (e,) = ds.truth["effects"]
         share = e["share_raw"] if e["confounded"] else e["share_unexplained"]
         assert share == pytest.approx(0.03 * e["multiple_reached"])
-        at_bound = e["parameters"]["size"] in (effects.LARGEST.get(e["name"]), effects.SMALLEST.get(e["name"]))
+        at_bound = e["parameters"]["size"] in (
+            effects.LARGEST.get(e["name"]),
+            effects.SMALLEST.get(e["name"]),
+        )
         assert at_bound or e["multiple_reached"] == pytest.approx(3.0, rel=0.25), e
         assert e["confounded"] == ((e["name"], e["where"]) == ("rotor_inertia", "joint1"))

@@ -1,4 +1,6 @@
-"""Recordings as files, conditions, seeds, disguises, suites, and the sample that ships with the package."""
+"""Recordings as files, conditions, seeds, disguises, suites, and the sample that ships with the
+package.
+"""
 
 import tomllib
 from pathlib import Path
@@ -43,7 +45,16 @@ def test_a_seed_is_one_recording_and_one_rig_under_all_conditions():
 
 
 def test_conditions_are_what_they_say():
-    names = ("quantised", "jitter", "slow", "few_short", "closed_loop", "coloured", "high_noise", "low_noise")
+    names = (
+        "quantised",
+        "jitter",
+        "slow",
+        "few_short",
+        "closed_loop",
+        "coloured",
+        "high_noise",
+        "low_noise",
+    )
     made = dict(zip(names, make_datasets([Spec(8, c, **SHORT) for c in names]), strict=True))
     bits = made["quantised"].truth["sensor"]["bits"]
     q = made["quantised"].trials[0]["q1"] * 2**bits / (2 * np.pi)
@@ -63,7 +74,9 @@ def test_sensor_noise_has_the_declared_spread():
     ds = make_dataset(9, "high_noise", declare_noise=True, **SHORT)
     for channel, std in ds.meta["noise"].items():
         x = np.concatenate([np.diff(t[channel], 4) for t in ds.trials])
-        assert x.std() / np.sqrt(70) == pytest.approx(std, rel=0.2), channel  # 70 = sum of squared binomials
+        assert x.std() / np.sqrt(70) == pytest.approx(std, rel=0.2), (
+            channel
+        )  # 70 = sum of squared binomials
 
 
 def test_coloured_disturbance_is_not_in_the_file_but_in_the_motion():
@@ -89,7 +102,10 @@ def test_suites_are_reproducible_and_their_seeds_apart():
         assert first == again and len({c.name for c in first}) == len(first)
         assert not {c.spec.seed for c in first} & {c.spec.seed for c in scoring}, name
         for c in first:
-            assert all(c.variant or m >= (POWER_MULTIPLES[0] if name == "power" else 3.0) for _, _, m in c.spec.effects)
+            assert all(
+                c.variant or m >= (POWER_MULTIPLES[0] if name == "power" else 3.0)
+                for _, _, m in c.spec.effects
+            )
     for c in outside_cases(60, 0):
         assert c.spec.effects[0][0] in c.exclude
         assert ("tilt" in c.exclude) == ("encoder_offset" in c.exclude)

@@ -3,12 +3,22 @@
 from experiments.mechanism_scores import judge
 
 TRUTH = {
-    "kind": "single", "seed": 1, "machine": "furuta", "mode": "position", "joints": ["arm", "free"],
+    "kind": "single",
+    "seed": 1,
+    "machine": "furuta",
+    "mode": "position",
+    "joints": ["arm", "free"],
     "effects": [
-        {"name": "sensor_lag", "joints": ["arm", "free"], "outside": False, "share": {},
-         "accept": [{"name": "sensor_lag", "joints": ["arm"]}], "also_right": [{"name": "sensor_lag", "joints": ["arm", "free"]}]}
+        {
+            "name": "sensor_lag",
+            "joints": ["arm", "free"],
+            "outside": False,
+            "share": {},
+            "accept": [{"name": "sensor_lag", "joints": ["arm"]}],
+            "also_right": [{"name": "sensor_lag", "joints": ["arm", "free"]}],
+        }
     ],
-}  # fmt: skip
+}
 
 
 def judged(*alternatives):

@@ -1,4 +1,6 @@
-"""Worlds of machines: the same by seed, true to MuJoCo's own integration, effects beyond the noise."""
+"""Worlds of machines: the same by seed, true to MuJoCo's own integration, effects beyond the
+noise.
+"""
 
 import json
 
@@ -11,7 +13,9 @@ from tests.generators.mechanism_worlds import World, make_world, write_world
 
 
 def replay(w: World, trial: int, row: int, rows: int) -> np.ndarray:
-    """The true MJCF under the logged commands from a true state, by Runge and Kutta at a quarter of a millisecond, `[rows + 1, n]`."""
+    """The true MJCF under the logged commands from a true state, by Runge and Kutta at a quarter of
+    a millisecond, `[rows + 1, n]`.
+    """
     m = mujoco.MjModel.from_xml_string(w.true)
     m.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
     d, t = mujoco.MjData(m), w.drive.times[trial]
@@ -50,9 +54,13 @@ def test_an_effect_changes_the_motion_beyond_the_noise(machine, effect):
 def test_a_world_is_the_same_by_seed_and_another_by_another(tmp_path):
     a, b, c = (write_world(tmp_path / str(k), "single", seed) for k, seed in enumerate((7, 7, 8)))
     files = sorted(p.relative_to(a) for p in a.rglob("*.*") if p.is_file())
-    assert {"true.xml", "truth.json", "recording/model.xml", "recording/meta.toml", "recording/trial_05.csv"} <= set(
-        map(str, files)
-    )
+    assert {
+        "true.xml",
+        "truth.json",
+        "recording/model.xml",
+        "recording/meta.toml",
+        "recording/trial_05.csv",
+    } <= set(map(str, files))
     assert all((a / f).read_bytes() == (b / f).read_bytes() for f in files)
     assert (a / "recording/model.xml").read_text() != (c / "recording/model.xml").read_text()
     assert json.loads((a / "truth.json").read_text())["seed"] == 7

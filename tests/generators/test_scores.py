@@ -17,14 +17,25 @@ from tests.generators import Spec
 from tests.generators.suites import Case
 
 
-def judged(hidden, effects, verdict="explained", suite="single", confounded=False, name="single_1", **more):
-    truth = {"effects": [{"name": n, "where": w, "confounded": confounded, "multiple_reached": 3.0} for n, w in hidden]}
-    return score_case(suite, Case(name, Spec(1), **more), truth, {"verdict": verdict, "effects": effects})
+def judged(
+    hidden, effects, verdict="explained", suite="single", confounded=False, name="single_1", **more
+):
+    truth = {
+        "effects": [
+            {"name": n, "where": w, "confounded": confounded, "multiple_reached": 3.0}
+            for n, w in hidden
+        ]
+    }
+    return score_case(
+        suite, Case(name, Spec(1), **more), truth, {"verdict": verdict, "effects": effects}
+    )
 
 
 def test_names_are_read_in_any_spelling():
     assert parse("bias", "joint2") == ("bias", "joint2")
-    assert parse("bias@joint1", "joint2") == parse("bias at joint 1", "joint2") == ("bias", "joint1")
+    assert (
+        parse("bias@joint1", "joint2") == parse("bias at joint 1", "joint2") == ("bias", "joint1")
+    )
     assert parse("tilt", "joint1") == ("tilt", "base")
     assert parse({"name": "dahl", "where": "joint 2"}, "") == ("presliding", "joint2")
 
@@ -45,7 +56,10 @@ def test_one_name_is_not_two_effects():
     hidden = [("periodic_disturbance", "joint1"), ("tilt", "base")]
     assert sum(judged(hidden, [tilt], suite="two")["hits"]) == 1
     assert judged(hidden, [tilt, hum], suite="two")["hits"] == [True, True]
-    assert judged(hidden, [hum | {"alternatives": ["tilt@base"]}, tilt], suite="two")["hits"] == [True, True]
+    assert judged(hidden, [hum | {"alternatives": ["tilt@base"]}, tilt], suite="two")["hits"] == [
+        True,
+        True,
+    ]
     assert judged(hidden, [], "structured_unattributed", suite="two")["hits"] == [False, False]
 
 
@@ -58,11 +72,22 @@ def test_what_physics_makes_the_same_counts_and_nothing_else():
 
 def test_the_first_place_counts_and_of_a_scale_of_the_torque_the_other_joint_too():
     told = [{"joint": "joint2", "variable": "command"}, {"joint": "joint1", "variable": "past"}]
-    record = lambda effect, where, told: {"hidden": [(effect, where)], "leftover": told}
-    assert localised(record("spring", "joint2", told)) and not localised(record("saturation", "joint1", told))
-    assert localised(record("torque_gain", "joint1", told)) and not localised(record("torque_gain", "joint1", told[:1]))
-    assert not localised(record("torque_gain", "joint1", [told[0] | {"variable": "angle"}, told[1]]))
-    assert localised(record("tilt", "base", told)) and not localised(record("spring", "joint1", None))
+
+    def record(effect, where, told):
+        return {"hidden": [(effect, where)], "leftover": told}
+
+    assert localised(record("spring", "joint2", told)) and not localised(
+        record("saturation", "joint1", told)
+    )
+    assert localised(record("torque_gain", "joint1", told)) and not localised(
+        record("torque_gain", "joint1", told[:1])
+    )
+    assert not localised(
+        record("torque_gain", "joint1", [told[0] | {"variable": "angle"}, told[1]])
+    )
+    assert localised(record("tilt", "base", told)) and not localised(
+        record("spring", "joint1", None)
+    )
 
 
 def test_a_confounded_effect_is_right_when_nothing_is_named():
@@ -85,7 +110,10 @@ def test_summary_counts_and_prints():
     alarm = judged([], [{"name": "bias", "where": "joint1"}], suite="null", name="null_1")
     records = [r | {"seconds": 2.0, "error": error} for r in (right, wrong, alarm)]
     results = summarise(records)
-    assert results["single"]["right"]["hits"] == 1 and results["single"]["wrong_without_right"]["hits"] == 1
+    assert (
+        results["single"]["right"]["hits"] == 1
+        and results["single"]["wrong_without_right"]["hits"] == 1
+    )
     assert results["single"]["confusion"]["coulomb@joint2"] == {"bias@joint2": 1}
     assert results["single"]["gap_closed_median"] == pytest.approx(0.875)
     assert results["null"]["false_alarms"]["clean"]["hits"] == 1
@@ -122,8 +150,14 @@ def test_a_case_in_a_line():
         "seconds": 9.6,
         "error": {"before": 0.0123456},
     }
-    record["declared"] = {"m1": {"before": 0.1, "after": 0.0, "covered": True}, "b1": {"before": 0.1, "after": 0.2}}
+    record["declared"] = {
+        "m1": {"before": 0.1, "after": 0.0, "covered": True},
+        "b1": {"before": 0.1, "after": 0.2},
+    }
     line = row(record)
-    assert (line["hidden"], line["said"]) == ("stribeck@joint1", "coulomb@joint1|stribeck@joint1 + bias@joint2")
+    assert (line["hidden"], line["said"]) == (
+        "stribeck@joint1",
+        "coulomb@joint1|stribeck@joint1 + bias@joint2",
+    )
     assert (line["right"], line["wrong"], line["covered"], line["told"]) == (1, 1, 1, 1)
     assert (line["before"], line["after"], line["seconds"]) == ("0.01235", "", "10")

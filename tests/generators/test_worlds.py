@@ -36,7 +36,9 @@ def test_nothing_here_imports_the_package():
 
 
 def energy(rig: Rig, state: np.ndarray) -> np.ndarray:
-    """Kinetic plus potential energy from the positions of the centres of mass, `[K, 4]` -> `[K]`."""
+    """Kinetic plus potential energy from the positions of the centres of mass, `[K, 4]` ->
+    `[K]`.
+    """
     q1, q12 = state[:, 0], state[:, 0] + state[:, 1]
     w1, w12 = state[:, 2], state[:, 2] + state[:, 3]
     l1, (c1, c2) = rig.l[0], rig.c
@@ -51,7 +53,15 @@ def energy(rig: Rig, state: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("zero", ["hanging", "upright"])
 def test_energy_is_kept_without_damping_and_torque(zero):
     d = making.draft(Spec(3, "swings", angle_zero="hanging"))
-    rig = Rig("rigid_body", d.rig.m, d.rig.l, d.rig.c, d.rig.inertia, np.zeros(2), 1.0 if zero == "hanging" else -1.0)
+    rig = Rig(
+        "rigid_body",
+        d.rig.m,
+        d.rig.l,
+        d.rig.c,
+        d.rig.inertia,
+        np.zeros(2),
+        1.0 if zero == "hanging" else -1.0,
+    )
     drive = making.stack([d]).quiet()
     drive.feedforward[:] = 0.0
     run = simulate(lanes_of([rig], [6]), Table(6), drive, 1e-3)
@@ -62,7 +72,9 @@ def test_energy_is_kept_without_damping_and_torque(zero):
 
 @pytest.mark.parametrize("condition", ["clean", "jitter"])
 def test_rows_follow_scipy_with_the_torque_of_the_row_before(condition):
-    """A torque holds from its row to the next: SciPy, started at row k under torque k, must land on row k + 1."""
+    """A torque holds from its row to the next: SciPy, started at row k under torque k, must land on
+    row k + 1.
+    """
     d, drive, run = made(Spec(11, condition, n_trials=2, seconds=1.0, angle_zero="hanging"))
     p = lanes_of([d.rig], [1])
 
@@ -74,9 +86,13 @@ def test_rows_follow_scipy_with_the_torque_of_the_row_before(condition):
         for k in (5, 60, 150):
             t0, t1 = drive.times[k, lane], drive.times[k + 1, lane]
             u = run.command[k, :, lane]
-            x = solve_ivp(rhs, (t0, t1), run.state[k, :, lane], args=(u,), rtol=1e-11, atol=1e-13).y[:, -1]
+            x = solve_ivp(
+                rhs, (t0, t1), run.state[k, :, lane], args=(u,), rtol=1e-11, atol=1e-13
+            ).y[:, -1]
             assert np.abs(x - run.state[k + 1, :, lane]).max() < 1e-8
-            wrong = solve_ivp(rhs, (t0, t1), run.state[k, :, lane], args=(run.command[k + 1, :, lane],)).y[:, -1]
+            wrong = solve_ivp(
+                rhs, (t0, t1), run.state[k, :, lane], args=(run.command[k + 1, :, lane],)
+            ).y[:, -1]
             assert np.abs(wrong - run.state[k + 1, :, lane]).max() > 1e-6
 
 
@@ -111,7 +127,9 @@ def test_declared_truth_is_the_mass_matrix_and_gravity_of_the_world():
     d = making.draft(Spec(4, angle_zero="hanging"))
     t, p = d.rig.declared(), lanes_of([d.rig], [1])
     m11, m12, m22 = mass_matrix(p, np.array([[0.3], [np.pi / 2]]))
-    assert (m11[0], m22[0]) == (pytest.approx(t["p1"]), pytest.approx(t["p3"])) and m12[0] == pytest.approx(t["p3"])
+    assert (m11[0], m22[0]) == (pytest.approx(t["p1"]), pytest.approx(t["p3"])) and m12[
+        0
+    ] == pytest.approx(t["p3"])
     torque = bias_torque(p, np.array([[np.pi / 2], [0.0]]), np.zeros((2, 1)))[:, 0]
     np.testing.assert_allclose(torque, G * np.array([t["h1"] + t["h2"], t["h2"]]))
 
@@ -141,7 +159,11 @@ def test_mujoco_s_own_features_agree(name):
     ]
     mujoco, ours, null = make_datasets(specs)
     apart, effect = (
-        max(np.abs(a[c] - b[c]).max() for a, b in zip(x.trials, ours.trials, strict=True) for c in ("q1", "q2"))
+        max(
+            np.abs(a[c] - b[c]).max()
+            for a, b in zip(x.trials, ours.trials, strict=True)
+            for c in ("q1", "q2")
+        )
         for x in (mujoco, null)
     )
     assert apart < ENGINE_TOLERANCE[name] * (effect if name else 1.0), (apart, effect)
@@ -152,10 +174,16 @@ def test_mujoco_s_own_features_agree(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("world", ["rigid_body", "linearized"])
 def test_without_effects_the_declared_model_explains_everything(world):
-    """In every condition the unexplained torque of a quiet null run is a small part of what just matters."""
+    """In every condition the unexplained torque of a quiet null run is a small part of what just
+    matters.
+    """
     zero = "hanging" if world == "rigid_body" else "upright"
-    names = [c for c in CONDITIONS if c != "one_long" and not (c == "open_loop" and zero == "hanging")]
-    specs = [Spec(60 + i, c, world=world, angle_zero=zero, seconds=3.0) for i, c in enumerate(names)]
+    names = [
+        c for c in CONDITIONS if c != "one_long" and not (c == "open_loop" and zero == "hanging")
+    ]
+    specs = [
+        Spec(60 + i, c, world=world, angle_zero=zero, seconds=3.0) for i, c in enumerate(names)
+    ]
     drafts = [making.draft(s) for s in specs]
     run = making._tame(drafts, making.stack(drafts))
     for d in drafts:

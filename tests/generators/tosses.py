@@ -1,9 +1,12 @@
-"""Worlds of tosses: poses that motion capture would record of a cube on a table, with or without an effect.
+"""Worlds of tosses: poses that motion capture would record of a cube on a table, with or without an
+effect.
 
-Shares no code with the package. MuJoCo steps one toss after the other at 0.5 ms, half of what the written model declares; what
-depends on the motion is set at each step from the contacts that are there.
+Shares no code with the package. MuJoCo steps one toss after the other at 0.5 ms, half of what the
+written model declares; what depends on the motion is set at each step from the contacts that are
+there.
 
-    python -m tests.generators.tosses --suite singles --seed 1 --count 14 --out worlds/      a folder for each world
+    python -m tests.generators.tosses --suite singles --seed 1 --count 14 --out worlds/      a
+    folder for each world
 """
 
 import argparse
@@ -44,9 +47,18 @@ SIZES = {
 }
 
 
-def xml(step, friction, time, damping, inertia=MASS * (2 * HALF) ** 2 / 6, half=HALF, centre="0 0 0"):
+def xml(
+    step, friction, time, damping, inertia=MASS * (2 * HALF) ** 2 / 6, half=HALF, centre="0 0 0"
+):
     return XML.format(
-        step=step, mass=MASS, inertia=inertia, half=half, friction=friction, time=time, damping=damping, centre=centre
+        step=step,
+        mass=MASS,
+        inertia=inertia,
+        half=half,
+        friction=friction,
+        time=time,
+        damping=damping,
+        centre=centre,
     )
 
 
@@ -71,7 +83,9 @@ def turned(q, v):
 
 
 def slips(model, data):
-    """Velocity `[2]` m/s in the plane of the contacts' mean, and the fastest approach m/s; None where nothing touches."""
+    """Velocity `[2]` m/s in the plane of the contacts' mean, and the fastest approach m/s; None
+    where nothing touches.
+    """
     if not data.ncon:
         return None
     points = np.array([data.contact[i].pos for i in range(data.ncon)])
@@ -98,7 +112,9 @@ def toss(model, start, seconds, truth, effect):
             model.geom_friction[1, 0] = friction * (1 + size * np.cos(2 * (angle - along)))
             if not touched:
                 hard = max(seen[1], 0.1)
-                model.geom_solref[1, 1] = truth["damping"] * (hard / 0.7) ** effect.get("restitution", 0.0)
+                model.geom_solref[1, 1] = truth["damping"] * (hard / 0.7) ** effect.get(
+                    "restitution", 0.0
+                )
         touched = seen is not None
         mujoco.mj_step(model, data)
         rows.append(data.qpos.copy())
@@ -123,17 +139,29 @@ def drawn(rng, name):
 def world(seed, name=None, tosses=20, seconds=0.75, effect=None, height=(0.14, 0.24)):
     """truth, and poses as recorded: a list of `[R, 8]` (time, place, quaternion w first)."""
     rng = np.random.default_rng(seed)
-    truth = {"friction": rng.uniform(0.12, 0.4), "time": rng.uniform(0.003, 0.006), "damping": rng.uniform(0.3, 0.9)}
+    truth = {
+        "friction": rng.uniform(0.12, 0.4),
+        "time": rng.uniform(0.003, 0.006),
+        "damping": rng.uniform(0.3, 0.9),
+    }
     effect = {} if name is None else {name: drawn(rng, name) if effect is None else effect}
-    get = lambda key, least=0.0: effect.get(key, least)
+
+    def get(key, least=0.0):
+        return effect.get(key, least)
+
     inertia = MASS * (2 * HALF) ** 2 / 6 * (1 + get("inertia"))
     centre = " ".join(f"{z:.9f}" for z in get("centre_of_mass", np.zeros(3)))
     contact = truth["friction"], truth["time"], truth["damping"]
-    model = mujoco.MjModel.from_xml_string(xml(STEP, *contact, inertia, HALF * (1 + get("body_size")), centre))
+    model = mujoco.MjModel.from_xml_string(
+        xml(STEP, *contact, inertia, HALF * (1 + get("body_size")), centre)
+    )
     model.geom_priority[1] = 1
     x, y = np.sin(get("tilt", (0.0, 0.0)))
     model.opt.gravity[:] = 9.81 * np.array([x, y, -np.sqrt(1 - x * x - y * y)])
-    frame, axes = rotation([*get("plane_turn", (0.0, 0.0)), 0.0]), rotation(get("body_turn", np.zeros(3)))
+    frame, axes = (
+        rotation([*get("plane_turn", (0.0, 0.0)), 0.0]),
+        rotation(get("body_turn", np.zeros(3))),
+    )
     off, recorded = np.asarray(get("body_offset", np.zeros(3))), []
     for _ in range(tosses):
         q = rng.normal(size=4)
@@ -158,7 +186,9 @@ def world(seed, name=None, tosses=20, seconds=0.75, effect=None, height=(0.14, 0
             turn = row[3:] / np.linalg.norm(row[3:])
             place = (1 + get("length_scale")) * turned(frame, row[:3] + turned(turn, off))
             place[2] += get("plane_height")
-            seen = product(product(product(frame, turn), axes), rotation(rng.normal(scale=NOISE_TURN, size=3)))
+            seen = product(
+                product(product(frame, turn), axes), rotation(rng.normal(scale=NOISE_TURN, size=3))
+            )
             out.append([t, *(place + rng.normal(scale=NOISE, size=3)), *seen])
         recorded.append(np.array(out))
     return {"kind": name or "null", "effect": effect, **truth}, recorded
@@ -189,7 +219,9 @@ def main():
     args = parser.parse_args()
     for i in range(args.count):
         name = None if args.suite == "nulls" else list(SIZES)[i % len(SIZES)]
-        written(Path(args.out) / f"{i:02d}_{name or 'null'}", *world((args.seed, i), name, args.tosses))
+        written(
+            Path(args.out) / f"{i:02d}_{name or 'null'}", *world((args.seed, i), name, args.tosses)
+        )
 
 
 if __name__ == "__main__":

@@ -1,7 +1,10 @@
-"""Two double-pendulum worlds in plain NumPy: rigid bodies, and the linearisation about upright of the paper.
+"""Two double-pendulum worlds in plain NumPy: rigid bodies, and the linearisation about upright of
+the paper.
 
-Everything is vectorised over lanes (one lane = one trial of one data set); joint quantities are `[2, L]`.
-q2 is relative to link 1. Textbook equations of motion of two links in a plane, written out here by hand.
+Everything is vectorised over lanes (one lane = one trial of one data set); joint quantities are
+`[2, L]`.
+q2 is relative to link 1. Textbook equations of motion of two links in a plane, written out here by
+hand.
 """
 
 from dataclasses import dataclass, fields
@@ -13,7 +16,9 @@ G = 9.81
 
 @dataclass(frozen=True)
 class Rig:
-    """True parameters of one rig. SI units; `sign` is +1 if q1 = 0 hangs down, -1 if it stands upright."""
+    """True parameters of one rig. SI units; `sign` is +1 if q1 = 0 hangs down, -1 if it stands
+    upright.
+    """
 
     world: str  # rigid_body | linearized
     m: np.ndarray  # [2] kg
@@ -24,14 +29,18 @@ class Rig:
     sign: float = 1.0
 
     def gravity_torque(self) -> np.ndarray:
-        """Largest gravity torque of each joint, `[2]` N m: the natural scale of commands on this rig."""
+        """Largest gravity torque of each joint, `[2]` N m: the natural scale of commands on this
+        rig.
+        """
         first = self.m[0] * self.c[0] + self.m[1] * (self.l[0] + self.c[1])
         return G * np.array([first, self.m[1] * self.c[1]])
 
     def declared(self) -> dict[str, float]:
-        """True values of what a declared model can identify: masses and damping, or the rigid base parameters.
+        """True values of what a declared model can identify: masses and damping, or the rigid base
+        parameters.
 
-        p1, p3 are the inertias about joints 1 and 2 (with q2's cosine left out), h1, h2 the first moments.
+        p1, p3 are the inertias about joints 1 and 2 (with q2's cosine left out), h1, h2 the first
+        moments.
         """
         (m1, m2), (c1, c2), (i1, i2), l1 = self.m, self.c, self.inertia, self.l[0]
         damping = {"b1": float(self.b[0]), "b2": float(self.b[1])}
@@ -47,11 +56,15 @@ class Rig:
 
 
 def draw_rig(rng: np.random.Generator, world: str, angle_zero: str) -> Rig:
-    """A random plausible rig. Linearised: unit lengths, point masses and damping in [1, 2] as in the paper."""
+    """A random plausible rig. Linearised: unit lengths, point masses and damping in [1, 2] as in
+    the paper.
+    """
     if world == "linearized":
         one, zero = np.ones(2), np.zeros(2)
         return Rig(world, rng.uniform(1, 2, 2), one, one, zero, rng.uniform(1, 2, 2), -1.0)
-    length = rng.uniform(0.2, 0.5, 2) if rng.random() < 0.85 else np.array([1.0, rng.uniform(0.6, 1.0)])
+    length = (
+        rng.uniform(0.2, 0.5, 2) if rng.random() < 0.85 else np.array([1.0, rng.uniform(0.6, 1.0)])
+    )
     length = np.round(length, 3)  # as somebody would have measured it
     m = rng.uniform(0.3, 1.5, 2)
     m[1] = min(m[1], 1.3 * m[0])
@@ -65,7 +78,9 @@ def draw_rig(rng: np.random.Generator, world: str, angle_zero: str) -> Rig:
 
 @dataclass(frozen=True)
 class Lanes:
-    """Coefficients of the equations of motion, each `[L]` (b: `[2, L]`): what a batch of rigs needs to move."""
+    """Coefficients of the equations of motion, each `[L]` (b: `[2, L]`): what a batch of rigs needs
+    to move.
+    """
 
     linear: bool
     a1: np.ndarray  # rigid: I1 + m1 c1^2 + m2 l1^2;   linearised: m1
@@ -101,7 +116,9 @@ def mass_matrix(p: Lanes, q: np.ndarray, rotor: np.ndarray | float = 0.0):
     return p.a1 + p.a2 + 2 * x + j[0], p.a2 + x, p.a2 + j[1]
 
 
-def bias_torque(p: Lanes, q: np.ndarray, v: np.ndarray, tilt: np.ndarray | float = 0.0) -> np.ndarray:
+def bias_torque(
+    p: Lanes, q: np.ndarray, v: np.ndarray, tilt: np.ndarray | float = 0.0
+) -> np.ndarray:
     """Coriolis plus gravity torque `[2, L]`; `tilt` turns the base against gravity [rad]."""
     if p.linear:
         q1 = q[0] + tilt
@@ -117,7 +134,9 @@ def bias_torque(p: Lanes, q: np.ndarray, v: np.ndarray, tilt: np.ndarray | float
 
 
 def acceleration(p: Lanes, q, v, torque, tilt=0.0, rotor=0.0) -> np.ndarray:
-    """Joint accelerations `[2, L]` under the net joint torque `[2, L]` (friction already subtracted)."""
+    """Joint accelerations `[2, L]` under the net joint torque `[2, L]` (friction already
+    subtracted).
+    """
     m11, m12, m22 = mass_matrix(p, q, rotor)
     r = torque - bias_torque(p, q, v, tilt)
     out = np.empty_like(q)
@@ -128,7 +147,9 @@ def acceleration(p: Lanes, q, v, torque, tilt=0.0, rotor=0.0) -> np.ndarray:
 
 
 def regressor(rig: Rig, q, v, a) -> np.ndarray:
-    """Declared inverse dynamics, linear in base parameters: torque = Y theta. q, v, a `[N, 2]` -> Y `[2, N, P]`."""
+    """Declared inverse dynamics, linear in base parameters: torque = Y theta. q, v, a `[N, 2]` -> Y
+    `[2, N, P]`.
+    """
     (q1, q2), (v1, v2), (a1, a2) = q.T, v.T, a.T
     z = np.zeros_like(q1)
     if rig.world == "linearized":

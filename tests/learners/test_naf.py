@@ -1,4 +1,6 @@
-"""The maximiser in the box by brute force, targets by hand, and problems whose optimum is known, trained for real."""
+"""The maximiser in the box by brute force, targets by hand, and problems whose optimum is known,
+trained for real.
+"""
 
 from dataclasses import replace
 from itertools import product
@@ -24,7 +26,9 @@ def _random_quadratics(d, count, seed=0):
 
 
 def _by_active_sets(mean, chol):
-    """The best feasible point over all assignments of each action to its lower bound, its upper bound, or neither."""
+    """The best feasible point over all assignments of each action to its lower bound, its upper
+    bound, or neither.
+    """
     P, best, least = chol @ chol.T, None, np.inf
     for held in product((-1.0, 1.0, None), repeat=len(mean)):
         free = [i for i, b in enumerate(held) if b is None]
@@ -51,7 +55,9 @@ def test_box_maximiser_against_all_active_sets(x64, d):
 
 
 def test_box_maximiser_is_not_a_clip():
-    """P = [[1, .9], [.9, 1]] and mean (2, 0): with the first action held at 1, the second is best at 0.9."""
+    """P = [[1, .9], [.9, 1]] and mean (2, 0): with the first action held at 1, the second is best
+    at 0.9.
+    """
     chol = jnp.linalg.cholesky(jnp.array([[1.0, 0.9], [0.9, 1.0]]))
     np.testing.assert_allclose(box_maximiser(jnp.array([2.0, 0.0]), chol), [1.0, 0.9], atol=1e-6)
 
@@ -63,16 +69,28 @@ def test_precision_is_full_and_noise_has_its_inverse_as_covariance():
     q = naf.quadratic(weights, obs)
     P = np.asarray(q.chol @ q.chol.T)
     assert np.all(np.linalg.eigvalsh(P) > 0) and abs(P[0, 1]) > 1e-3
-    acts = jax.jit(jax.vmap(lambda k: naf.act(k, weights, obs, 1e-4)))(jax.random.split(jax.random.key(1), 40_000))
-    np.testing.assert_allclose(np.cov(np.asarray(acts), rowvar=False), 1e-4 * np.linalg.inv(P), rtol=0.05, atol=3e-6)
+    acts = jax.jit(jax.vmap(lambda k: naf.act(k, weights, obs, 1e-4)))(
+        jax.random.split(jax.random.key(1), 40_000)
+    )
+    np.testing.assert_allclose(
+        np.cov(np.asarray(acts), rowvar=False), 1e-4 * np.linalg.inv(P), rtol=0.05, atol=3e-6
+    )
 
 
 def test_update_by_hand():
-    """The first Adam step is the rate times the sign of the gradient, which finite differences give as well."""
+    """The first Adam step is the rate times the sign of the gradient, which finite differences give
+    as well.
+    """
     naf = make_naf(NAFConfig(obs_dim=1, action_dim=2, hidden=(4,), activation="tanh"))
     state = jax.jit(naf.init)(jax.random.key(0))
     rows = jnp.array([[0.3], [-0.8]])
-    batch = Transition(rows, jnp.array([[0.2, -0.5], [0.9, 0.1]]), jnp.array([1.0, -1.0]), rows[:, :0], jnp.zeros(2))
+    batch = Transition(
+        rows,
+        jnp.array([[0.2, -0.5], [0.9, 0.1]]),
+        jnp.array([1.0, -1.0]),
+        rows[:, :0],
+        jnp.zeros(2),
+    )
     new, info = jax.jit(naf.update)(state, batch, NAFHyper(learning_rate=1e-2))
 
     def loss(weights):
@@ -86,11 +104,15 @@ def test_update_by_hand():
     np.testing.assert_allclose(info.loss, loss(state.online), rtol=1e-5)
     slope = jax.grad(loss)(state.online)
     clear = np.abs(slope) > 1e-4
-    np.testing.assert_allclose((new.online - state.online)[clear], -1e-2 * np.sign(slope)[clear], rtol=1e-3)
+    np.testing.assert_allclose(
+        (new.online - state.online)[clear], -1e-2 * np.sign(slope)[clear], rtol=1e-3
+    )
 
 
 def _train(naf, batch_of, hyper, steps, key):
-    """The learning rate falls linearly to 0: at a constant one Adam ends in a cloud about the answer."""
+    """The learning rate falls linearly to 0: at a constant one Adam ends in a cloud about the
+    answer.
+    """
 
     def one(state, item):
         number, key = item
@@ -102,9 +124,14 @@ def _train(naf, batch_of, hyper, steps, key):
 
 
 def test_a_tilted_quadratic_bandit_is_learned_exactly():
-    """r = 1 - (a - m(s))' P (a - m(s)) / 2 with correlated actions: value, mean, precision and the bounded best action."""
+    """r = 1 - (a - m(s))' P (a - m(s)) / 2 with correlated actions: value, mean, precision and the
+    bounded best action.
+    """
     P = jnp.array([[2.0, 1.2], [1.2, 1.5]])
-    centre = lambda obs: jnp.concatenate([1.2 * obs, -0.5 * obs], -1)
+
+    def centre(obs):
+        return jnp.concatenate([1.2 * obs, -0.5 * obs], -1)
+
     naf = make_naf(NAFConfig(obs_dim=1, action_dim=2, hidden=(32, 32)))
 
     def batch(key):
@@ -116,16 +143,21 @@ def test_a_tilted_quadratic_bandit_is_learned_exactly():
         return Transition(obs, action, reward, obs[:, :0], jnp.zeros(64))
 
     state = _train(naf, batch, NAFHyper(3e-3, max_grad_norm=10.0), 4000, jax.random.key(0))
-    obs = jnp.linspace(-0.75, 0.75, 13)[:, None]  # beyond, the mean lies outside the box, where no data tell it from P
+    obs = jnp.linspace(-0.75, 0.75, 13)[
+        :, None
+    ]  # beyond, the mean lies outside the box, where no data tell it from P
     q = naf.quadratic(state.online, obs)
     np.testing.assert_allclose(q.mean, centre(obs), atol=0.05)
     np.testing.assert_allclose(q.value, 1.0, atol=0.05)
-    np.testing.assert_allclose(q.chol @ jnp.swapaxes(q.chol, -1, -2), jnp.broadcast_to(P, (13, 2, 2)), atol=0.25)
+    np.testing.assert_allclose(
+        q.chol @ jnp.swapaxes(q.chol, -1, -2), jnp.broadcast_to(P, (13, 2, 2)), atol=0.25
+    )
     truth = box_maximiser(centre(obs), jnp.broadcast_to(jnp.linalg.cholesky(P), (13, 2, 2)))
     np.testing.assert_allclose(naf.greedy(state.online, obs), truth, atol=0.05)
 
 
-# A throw along a line: the outcome is `power * (a0 + 1.2) ** 2` at angle `a1`; its best action is known for every goal.
+# A throw along a line: the outcome is `power * (a0 + 1.2) ** 2` at angle `a1`; its best action is
+# known for every goal.
 def _throw(context, action):
     reach, angle = context * (action[0] + 1.2) ** 2, 0.6 * action[1]
     return reach * jnp.stack([jnp.cos(angle), jnp.sin(angle)])
@@ -133,16 +165,24 @@ def _throw(context, action):
 
 def _throw_problem():
     def draw(key):
-        reach, angle = jax.random.uniform(key, (2,), minval=jnp.array([0.5, -0.4]), maxval=jnp.array([3.0, 0.4]))
+        reach, angle = jax.random.uniform(
+            key, (2,), minval=jnp.array([0.5, -0.4]), maxval=jnp.array([3.0, 0.4])
+        )
         return reach * jnp.stack([jnp.cos(angle), jnp.sin(angle)])
 
-    reward = lambda outcome, goal: jnp.maximum(0.0, 1.0 - jnp.linalg.norm(outcome - goal))
-    return GoalProblem(draw, lambda goal: goal - jnp.array([1.5, 0.0]), lambda k, c, a: _throw(c, a), reward)
+    def reward(outcome, goal):
+        return jnp.maximum(0.0, 1.0 - jnp.linalg.norm(outcome - goal))
+
+    return GoalProblem(
+        draw, lambda goal: goal - jnp.array([1.5, 0.0]), lambda k, c, a: _throw(c, a), reward
+    )
 
 
 def _throw_reward(relabel, rounds=40, policies=4):
     naf, problem = make_naf(NAFConfig(obs_dim=2, action_dim=2)), _throw_problem()
-    learner = make_goal_learner(naf, problem, GoalConfig(block=20, capacity=800, relabel=relabel), NAFHyper(3e-3))
+    learner = make_goal_learner(
+        naf, problem, GoalConfig(block=20, capacity=800, relabel=relabel), NAFHyper(3e-3)
+    )
     power = jnp.linspace(0.8, 1.2, policies)
     goals = jax.vmap(problem.draw)(jax.random.split(jax.random.key(7), 100))
 
@@ -151,8 +191,13 @@ def _throw_reward(relabel, rounds=40, policies=4):
         keys = jax.random.split(key, policies)
         start = jax.vmap(naf.init)(keys).online
         ends = learner.train(keys, start, power, jnp.full(policies, rounds), rounds)
-        act = lambda w, g: naf.greedy(w, problem.see(g))
-        one = lambda w, p: jax.vmap(lambda g: problem.reward(_throw(p, act(w, g)), g))(goals).mean()
+
+        def act(w, g):
+            return naf.greedy(w, problem.see(g))
+
+        def one(w, p):
+            return jax.vmap(lambda g: problem.reward(_throw(p, act(w, g)), g))(goals).mean()
+
         return jax.vmap(one)(start, power), jax.vmap(one)(ends, power)
 
     return run(jax.random.key(0))
@@ -177,7 +222,9 @@ def test_together_is_each_alone_and_past_its_rounds_a_policy_rests():
     train = jax.jit(learner.train)
     together = train(keys, start, power, rounds, 4)
     for i in range(3):
-        alone = train(keys[i : i + 1], start[i : i + 1], power[i : i + 1], rounds[i : i + 1], int(rounds[i]))
+        alone = train(
+            keys[i : i + 1], start[i : i + 1], power[i : i + 1], rounds[i : i + 1], int(rounds[i])
+        )
         np.testing.assert_allclose(together[i], alone[0], atol=2e-6)
     assert np.array_equal(together[2], start[2])
     assert not np.allclose(together[1], start[1], atol=1e-4)
@@ -212,7 +259,9 @@ def test_bad_sizes_are_refused(bad):
         make_naf(NAFConfig(**({"obs_dim": 2, "action_dim": 1} | bad)))
 
 
-@pytest.mark.parametrize("bad", [{"block": 0}, {"near": 1.5}, {"capacity": 150}, {"temperature": 0.0}])
+@pytest.mark.parametrize(
+    "bad", [{"block": 0}, {"near": 1.5}, {"capacity": 150}, {"temperature": 0.0}]
+)
 def test_bad_training_is_refused(bad):
     with pytest.raises(BadInput):
         make_goal_learner(make_naf(NAFConfig(2, 2)), _throw_problem(), replace(GoalConfig(), **bad))

@@ -1,4 +1,6 @@
-"""One NAF for many contexts: the network folded for a context is the wide one, and it learns what the context changes."""
+"""One NAF for many contexts: the network folded for a context is the wide one, and it learns what
+the context changes.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -17,12 +19,16 @@ PLAIN = make_naf(NAFConfig(obs_dim=1, action_dim=1, hidden=(24, 16)))
 def test_a_folded_network_moved_to_a_context_is_the_wide_network_there():
     weights = jax.jit(WIDE.init)(jax.random.key(0)).online
     plain, tilt = fold(weights, 1, 2, 24)
-    assert plain.shape == jax.eval_shape(PLAIN.init, jax.random.key(0)).online.shape and tilt.shape == (2, 24)
+    assert plain.shape == jax.eval_shape(
+        PLAIN.init, jax.random.key(0)
+    ).online.shape and tilt.shape == (2, 24)
     goals = jnp.linspace(-1.0, 1.0, 5)[:, None]
     for shown in ([0.0, 0.0], [0.7, -0.4]):
         there = move(plain, tilt, jnp.array(shown))
         obs = jnp.concatenate([goals, jnp.broadcast_to(jnp.array(shown), (5, 2))], -1)
-        for ours, wide in zip(PLAIN.quadratic(there, goals), WIDE.quadratic(weights, obs), strict=True):
+        for ours, wide in zip(
+            PLAIN.quadratic(there, goals), WIDE.quadratic(weights, obs), strict=True
+        ):
             np.testing.assert_allclose(ours, wide, atol=1e-5)
 
 
@@ -35,7 +41,10 @@ def test_it_learns_an_action_that_depends_on_goal_and_context():
         reward=lambda outcome, goal: 1.0 - jnp.abs(outcome - goal)[0],
     )
     config = SharedConfig(contexts=200, trials=32, updates=1500, batch=64, candidates=16)
-    draw = lambda key: jax.random.uniform(key, (2,), minval=-1.0)
+
+    def draw(key):
+        return jax.random.uniform(key, (2,), minval=-1.0)
+
     learn = make_shared_learner(
         WIDE, problem, draw, lambda c: c, config, NAFHyper(learning_rate=3e-3, max_grad_norm=10.0)
     )

@@ -1,4 +1,6 @@
-"""PPO: advantages as the definition says, standardisation as NumPy does it, and that it learns what is best."""
+"""PPO: advantages as the definition says, standardisation as NumPy does it, and that it learns what
+is best.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -12,12 +14,21 @@ T, B = 6, 4
 
 
 def batch_of(rng, **changed):
-    f = lambda *shape: jnp.asarray(rng.normal(size=shape), jnp.float32)
+    def f(*shape):
+        return jnp.asarray(rng.normal(size=shape), jnp.float32)
+
     zeros = jnp.zeros((T, B))
     rows = {
-        "obs": f(T, B, 3), "extra": f(T, B, 2), "action": f(T, B, 1), "log_prob": f(T, B), "reward": f(T, B),
-        "after": f(T, B, 3), "ended": zeros, "cut": zeros, "carried": jnp.zeros(B),
-    }  # fmt: skip
+        "obs": f(T, B, 3),
+        "extra": f(T, B, 2),
+        "action": f(T, B, 1),
+        "log_prob": f(T, B),
+        "reward": f(T, B),
+        "after": f(T, B, 3),
+        "ended": zeros,
+        "cut": zeros,
+        "carried": jnp.zeros(B),
+    }
     return Batch(**rows | changed)
 
 
@@ -43,7 +54,9 @@ def test_advantages_are_the_discounted_sums_of_surprises():
 def test_discounted_rewards_are_carried_from_batch_to_batch_within_an_episode():
     reward = jnp.ones((T, B))
     cut = jnp.zeros((T, B)).at[1, 0].set(1.0)
-    every, rest = carried(batch_of(np.random.default_rng(0), reward=reward, cut=cut, carried=jnp.full(B, 2.0)), 0.5)
+    every, rest = carried(
+        batch_of(np.random.default_rng(0), reward=reward, cut=cut, carried=jnp.full(B, 2.0)), 0.5
+    )
     np.testing.assert_allclose(every[:3, 0], [2.0, 2.0, 1.0])
     np.testing.assert_allclose(rest[1:], 2.0)  # 2 is where it stays
 
@@ -57,14 +70,20 @@ def test_rows_are_shuffled_so_that_each_is_as_likely_in_each_minibatch():
     assert np.all(np.abs(shares - 1 / 3) < 5 * np.sqrt(2 / 9 / 4000))
     together = np.mean(parts[:, 0] == parts[:, 1])  # 3 of the 11 others share a row's minibatch
     assert abs(together - 3 / 11) < 5 * np.sqrt(3 / 11 * 8 / 11 / 4000)
-    assert np.all(np.sort(_shuffled(keys[0], 1)) == [0]) and len(np.unique(_shuffled(keys[0], 10240))) == 10240
+    assert (
+        np.all(np.sort(_shuffled(keys[0], 1)) == [0])
+        and len(np.unique(_shuffled(keys[0], 10240))) == 10240
+    )
 
 
 def test_what_was_seen_is_standardised_as_all_of_it_at_once():
     ppo, rng = make_ppo(PPOConfig(3, 1, 2, (8,), epochs=1, minibatches=2)), np.random.default_rng(1)
     state, batches = (
         ppo.init(jax.random.key(0)),
-        [batch_of(rng, obs=jnp.asarray(rng.normal(3.0, 2.0, (T, B, 3)), jnp.float32)) for _ in range(3)],
+        [
+            batch_of(rng, obs=jnp.asarray(rng.normal(3.0, 2.0, (T, B, 3)), jnp.float32))
+            for _ in range(3)
+        ],
     )
     for batch in batches:
         state, _ = jax.jit(ppo.update)(jax.random.key(1), state, batch, PPOHyper())
@@ -77,10 +96,17 @@ def test_what_was_seen_is_standardised_as_all_of_it_at_once():
 @pytest.mark.parametrize("when", [0, 2])
 def test_a_world_that_blows_up_does_not_hide_what_others_show(when):
     ppo, rng = make_ppo(PPOConfig(3, 1, 2, (8,), epochs=1, minibatches=2)), np.random.default_rng(1)
-    obs, zeros = lambda: jnp.asarray(rng.normal(3.0, 2.0, (T, 64, 3)), jnp.float32), jnp.zeros((T, 64))
-    rest = Batch(obs(), jnp.zeros((T, 64, 2)), zeros[..., None], zeros, zeros, obs(), zeros, zeros, zeros[0])
+    obs, zeros = (
+        lambda: jnp.asarray(rng.normal(3.0, 2.0, (T, 64, 3)), jnp.float32),
+        jnp.zeros((T, 64)),
+    )
+    rest = Batch(
+        obs(), jnp.zeros((T, 64, 2)), zeros[..., None], zeros, zeros, obs(), zeros, zeros, zeros[0]
+    )
     usual = [rest._replace(obs=obs(), reward=obs()[..., 0]) for _ in range(3)]
-    far = usual[when]._replace(obs=usual[when].obs.at[3, 5, 1].set(1e27), reward=usual[when].reward.at[3, 5].set(-1e30))
+    far = usual[when]._replace(
+        obs=usual[when].obs.at[3, 5, 1].set(1e27), reward=usual[when].reward.at[3, 5].set(-1e30)
+    )
     found = []
     for batches in (usual, [*usual[:when], far, *usual[when + 1 :]]):
         state = ppo.init(jax.random.key(0))
@@ -89,7 +115,9 @@ def test_a_world_that_blows_up_does_not_hide_what_others_show(when):
         found.append(ppo.actor(state))
     assert np.all(np.isfinite(found[1].weights)) and np.isfinite(info.value_loss)
     np.testing.assert_allclose(found[1].mean, found[0].mean, atol=0.5)
-    assert np.all(found[1].std < 4.5 * found[0].std)  # of 2 in 1,152 numbers, where nothing is done 1e25
+    assert np.all(
+        found[1].std < 4.5 * found[0].std
+    )  # of 2 in 1,152 numbers, where nothing is done 1e25
 
 
 def test_what_is_rare_but_comes_again_is_standardised_in_the_end():
@@ -98,12 +126,16 @@ def test_what_is_rare_but_comes_again_is_standardised_in_the_end():
     for _ in range(30):
         obs = rng.normal(size=(T, B, 3))
         obs[..., 0] = 5e3 * (rng.random((T, B)) < 0.03)  # a force, where anything touches
-        state, _ = update(jax.random.key(1), state, batch_of(rng, obs=jnp.asarray(obs, jnp.float32)), PPOHyper())
+        state, _ = update(
+            jax.random.key(1), state, batch_of(rng, obs=jnp.asarray(obs, jnp.float32)), PPOHyper()
+        )
     assert 500.0 < ppo.actor(state).std[0] < 1100.0
 
 
 def test_it_finds_the_best_action_for_what_it_is_told():
-    """A single step worth 1 - (action - told)^2: told 0.6 or -0.6, a policy that cannot read it earns 0.64."""
+    """A single step worth 1 - (action - told)^2: told 0.6 or -0.6, a policy that cannot read it
+    earns 0.64.
+    """
     ppo = make_ppo(PPOConfig(1, 1, 1, (16,), epochs=4, minibatches=4))
     told = jnp.where(jnp.arange(128) % 2 == 0, 0.6, -0.6)[None, :, None]
     obs = jnp.ones((1, 128, 1))
@@ -116,7 +148,9 @@ def test_it_finds_the_best_action_for_what_it_is_told():
             reward = 1.0 - jnp.square(action - told)[..., 0]
             one, zero = jnp.ones((1, 128)), jnp.zeros((1, 128))
             batch = Batch(obs, told, action, log_prob, reward, obs, one, zero, jnp.zeros(128))
-            return ppo.update(update_key, state, batch, PPOHyper(learning_rate=3e-3))[0], reward.mean()
+            return ppo.update(update_key, state, batch, PPOHyper(learning_rate=3e-3))[
+                0
+            ], reward.mean()
 
         return jax.lax.scan(one, state, jax.random.split(key, 120))
 
@@ -130,12 +164,18 @@ def test_what_is_told_changes_nothing_until_it_was_learned_from():
     state = ppo.init(jax.random.key(0))
     obs, some, other = jnp.ones((4, 3)), jnp.ones((4, 2)), -jnp.ones((4, 2))
     batch = batch_of(np.random.default_rng(0))
-    untold = ppo.update(jax.random.key(1), state, batch._replace(extra=0.0 * batch.extra), PPOHyper())[0]
+    untold = ppo.update(
+        jax.random.key(1), state, batch._replace(extra=0.0 * batch.extra), PPOHyper()
+    )[0]
     told = ppo.update(jax.random.key(1), state, batch, PPOHyper())[0]
     for ask in (ppo.deployed, ppo.value):
         for after in (state, untold):
-            np.testing.assert_array_equal(ask(ppo.actor(after), obs, some), ask(ppo.actor(after), obs, other))
-        assert jnp.abs(ask(ppo.actor(told), obs, some) - ask(ppo.actor(told), obs, other)).max() > 0.0
+            np.testing.assert_array_equal(
+                ask(ppo.actor(after), obs, some), ask(ppo.actor(after), obs, other)
+            )
+        assert (
+            jnp.abs(ask(ppo.actor(told), obs, some) - ask(ppo.actor(told), obs, other)).max() > 0.0
+        )
 
 
 def test_it_maps_over_seeds_and_sizes_are_checked():
@@ -144,9 +184,15 @@ def test_it_maps_over_seeds_and_sizes_are_checked():
     batch = batch_of(np.random.default_rng(0))
     both = jax.tree.map(lambda x: jnp.stack([x, x]), batch)
     after, info = jax.eval_shape(
-        jax.vmap(ppo.update, (0, 0, 0, None)), jax.random.split(jax.random.key(1), 2), states, both, PPOHyper()
+        jax.vmap(ppo.update, (0, 0, 0, None)),
+        jax.random.split(jax.random.key(1), 2),
+        states,
+        both,
+        PPOHyper(),
     )
-    assert jax.tree.map(lambda x: x.shape, after) == jax.tree.map(lambda x: x.shape, states) and info.kl.shape == (2,)
+    assert jax.tree.map(lambda x: x.shape, after) == jax.tree.map(
+        lambda x: x.shape, states
+    ) and info.kl.shape == (2,)
     with pytest.raises(BadInput, match="each must be positive"):
         make_ppo(PPOConfig(3, 0))
     with pytest.raises(BadInput, match="is none of"):

@@ -15,7 +15,9 @@ def test_blocks_overwrite_the_oldest():
 
 
 def test_sample_never_reads_what_was_not_written():
-    ring = replay.write(replay.empty(jax.ShapeDtypeStruct((), jnp.float32), 100), jnp.ones(10), jnp.asarray(0))
+    ring = replay.write(
+        replay.empty(jax.ShapeDtypeStruct((), jnp.float32), 100), jnp.ones(10), jnp.asarray(0)
+    )
     drawn = replay.sample(jax.random.key(0), ring, jnp.asarray(10), (50, 4))
     assert drawn.shape == (50, 4)
     np.testing.assert_array_equal(drawn, 1.0)

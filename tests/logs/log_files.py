@@ -12,7 +12,12 @@ def motion(n: int, rows: int = 60, dt: float = 0.01) -> dict[str, np.ndarray]:
     time = np.arange(rows) * dt
     rate = 2.0 + np.arange(n)
     phase = np.outer(time, rate)
-    return {"time": time, "q": np.sin(phase), "v": rate * np.cos(phase), "tau": 0.1 * np.cos(phase + 1.0)}
+    return {
+        "time": time,
+        "q": np.sin(phase),
+        "v": rate * np.cos(phase),
+        "tau": 0.1 * np.cos(phase + 1.0),
+    }
 
 
 def write_csv(path: Path, columns: dict[str, np.ndarray]) -> Path:
@@ -20,7 +25,10 @@ def write_csv(path: Path, columns: dict[str, np.ndarray]) -> Path:
     rows = zip(*(values.tolist() for values in columns.values()), strict=True)
     lines = [
         ",".join(columns),
-        *(",".join(repr(value) if not isinstance(value, str) else value for value in row) for row in rows),
+        *(
+            ",".join(repr(value) if not isinstance(value, str) else value for value in row)
+            for row in rows
+        ),
     ]
     path.write_text("\n".join(lines) + "\n")
     return path
@@ -28,12 +36,16 @@ def write_csv(path: Path, columns: dict[str, np.ndarray]) -> Path:
 
 def numbered(m: dict[str, np.ndarray], *stems: str) -> dict[str, np.ndarray]:
     """Columns `time`, `q1..qn`, ... of a motion."""
-    return {"time": m["time"]} | {f"{s}{j + 1}": m[s][:, j] for s in stems for j in range(m[s].shape[1])}
+    return {"time": m["time"]} | {
+        f"{s}{j + 1}": m[s][:, j] for s in stems for j in range(m[s].shape[1])
+    }
 
 
 def named(m: dict[str, np.ndarray], names: tuple[str, ...], *stems: str) -> dict[str, np.ndarray]:
     """Columns `time`, `q_NAME`, ... of a motion."""
-    return {"time": m["time"]} | {f"{s}_{name}": m[s][:, j] for s in stems for j, name in enumerate(names)}
+    return {"time": m["time"]} | {
+        f"{s}_{name}": m[s][:, j] for s in stems for j, name in enumerate(names)
+    }
 
 
 def folder(path: Path, meta: str, **trials: dict[str, np.ndarray]) -> Path:

@@ -1,4 +1,6 @@
-"""Recordings for the tests of reading, audit and noise: a double pendulum integrated by SciPy, in files."""
+"""Recordings for the tests of reading, audit and noise: a double pendulum integrated by SciPy, in
+files.
+"""
 
 import os
 from pathlib import Path
@@ -20,14 +22,21 @@ M1, M2, R1, R2, I1, I2, B1, B2, L1, G = 0.6, 0.5, 0.2, 0.15, 0.01, 0.006, 0.02, 
 
 
 def acceleration(q, v, u, coulomb):
-    """Joint accelerations of a two-link arm hanging from its base, with viscous and dry friction."""
+    """Joint accelerations of a two-link arm hanging from its base, with viscous and dry
+    friction.
+    """
     c2, s2 = np.cos(q[1]), np.sin(q[1])
     coupling = M2 * L1 * R2
     m22 = I2 + M2 * R2**2
     m12 = m22 + coupling * c2
     m11 = I1 + M1 * R1**2 + M2 * L1**2 + m22 + 2 * coupling * c2
     g2 = M2 * R2 * G * np.sin(q[0] + q[1])
-    f1 = u[0] + coupling * s2 * (2 * v[0] * v[1] + v[1] ** 2) - (M1 * R1 + M2 * L1) * G * np.sin(q[0]) - g2
+    f1 = (
+        u[0]
+        + coupling * s2 * (2 * v[0] * v[1] + v[1] ** 2)
+        - (M1 * R1 + M2 * L1) * G * np.sin(q[0])
+        - g2
+    )
     f2 = u[1] - coupling * s2 * v[0] ** 2 - g2
     f1 -= B1 * v[0] + coulomb * np.tanh(v[0] / 0.02)
     f2 -= B2 * v[1] + coulomb * np.tanh(v[1] / 0.02)
@@ -36,7 +45,9 @@ def acceleration(q, v, u, coulomb):
 
 
 def simulate(seed, seconds=4.0, rate=200.0, strength=0.3, jitter=0.0, coulomb=0.0):
-    """`(time [T], q [T, 2], v [T, 2], torque [T, 2])` of one trial; torques held from row to row."""
+    """`(time [T], q [T, 2], v [T, 2], torque [T, 2])` of one trial; torques held from row to
+    row.
+    """
     rng = np.random.default_rng(seed)
     n = int(seconds * rate)
     time = (np.arange(n) + jitter * rng.uniform(-0.5, 0.5, n)) / rate
@@ -70,7 +81,9 @@ def table(time, q, v=None, torque=None):
 def csv_text(columns, delimiter=",", newline="\n"):
     """CSV text of the columns at full precision."""
     rows = [delimiter.join(columns)]
-    rows += [delimiter.join(repr(float(x)) for x in row) for row in zip(*columns.values(), strict=True)]
+    rows += [
+        delimiter.join(repr(float(x)) for x in row) for row in zip(*columns.values(), strict=True)
+    ]
     return newline.join(rows) + newline
 
 
@@ -94,5 +107,8 @@ def measured(name):
     root = Path(__file__).resolve().parents[2]
     folder = Path(os.environ.get("ADAPTSIM_DATA", root.parent / "shared" / "data")) / name
     if not folder.is_dir():
-        pytest.skip(f"real recording {folder.name} is not at hand: set ADAPTSIM_DATA to the folder that holds it")
+        pytest.skip(
+            f"real recording {folder.name} is not at hand: set ADAPTSIM_DATA to the folder that "
+            f"holds it"
+        )
     return folder

@@ -40,44 +40,72 @@ class Bag:
         return self.make("std_msgs/msg/Header", stamp=stamp, frame_id="", **extra)
 
     def joints(self, topic, ns, names, q, v=(), tau=(), *, stamp=True):
-        a = lambda x: np.asarray(x, dtype=np.float64)
-        m = self.make("sensor_msgs/msg/JointState", header=self.header(ns if stamp else 0), name=list(names), position=a(q),
-                      velocity=a(v), effort=a(tau))  # fmt: skip
+        def a(x):
+            return np.asarray(x, dtype=np.float64)
+
+        m = self.make(
+            "sensor_msgs/msg/JointState",
+            header=self.header(ns if stamp else 0),
+            name=list(names),
+            position=a(q),
+            velocity=a(v),
+            effort=a(tau),
+        )
         self.rows.append((ns + LATE, topic, "sensor_msgs/msg/JointState", m))
 
     def array(self, topic, ns, values):
         layout = self.make("std_msgs/msg/MultiArrayLayout", dim=[], data_offset=0)
-        m = self.make("std_msgs/msg/Float64MultiArray", layout=layout, data=np.asarray(values, dtype=np.float64))
+        m = self.make(
+            "std_msgs/msg/Float64MultiArray",
+            layout=layout,
+            data=np.asarray(values, dtype=np.float64),
+        )
         self.rows.append((ns + LATE, topic, "std_msgs/msg/Float64MultiArray", m))
 
     def trajectory(self, topic, ns, names, q):
         after = self.make("builtin_interfaces/msg/Duration", sec=0, nanosec=0)
         empty = np.zeros(0)
-        point = self.make("trajectory_msgs/msg/JointTrajectoryPoint", positions=np.asarray(q, dtype=np.float64), velocities=empty,
-                          accelerations=empty, effort=empty, time_from_start=after)  # fmt: skip
+        point = self.make(
+            "trajectory_msgs/msg/JointTrajectoryPoint",
+            positions=np.asarray(q, dtype=np.float64),
+            velocities=empty,
+            accelerations=empty,
+            effort=empty,
+            time_from_start=after,
+        )
         m = self.make(
-            "trajectory_msgs/msg/JointTrajectory", header=self.header(ns), joint_names=list(names), points=[point]
+            "trajectory_msgs/msg/JointTrajectory",
+            header=self.header(ns),
+            joint_names=list(names),
+            points=[point],
         )
         self.rows.append((ns + LATE, topic, "trajectory_msgs/msg/JointTrajectory", m))
 
     def controller(self, topic, ns, names, q, *, old):
-        kind, point = "control_msgs/msg/JointTrajectoryControllerState", "trajectory_msgs/msg/JointTrajectoryPoint"
+        kind, point = (
+            "control_msgs/msg/JointTrajectoryControllerState",
+            "trajectory_msgs/msg/JointTrajectoryPoint",
+        )
         text = "std_msgs/Header header\nstring[] joint_names\n"
         text += "".join(
-            f"trajectory_msgs/JointTrajectoryPoint {f}\n" for f in (() if old else ("reference",)) + ("desired",)
+            f"trajectory_msgs/JointTrajectoryPoint {f}\n"
+            for f in (() if old else ("reference",)) + ("desired",)
         )
         if kind not in self.types.types:
             self.types.register(typesys.get_types_from_msg(text, kind))
         after = self.make("builtin_interfaces/msg/Duration", sec=0, nanosec=0)
         e = np.zeros(0)
-        filled = lambda a: self.make(
-            point,
-            positions=np.asarray(a, dtype=np.float64),
-            velocities=e,
-            accelerations=e,
-            effort=e,
-            time_from_start=after,
-        )
+
+        def filled(a):
+            return self.make(
+                point,
+                positions=np.asarray(a, dtype=np.float64),
+                velocities=e,
+                accelerations=e,
+                effort=e,
+                time_from_start=after,
+            )
+
         points = {"desired": filled(q)} if old else {"reference": filled(q), "desired": filled(())}
         m = self.make(kind, header=self.header(ns), joint_names=list(names), **points)
         self.rows.append((ns + LATE, topic, kind, m))
@@ -87,12 +115,20 @@ class Bag:
             path = folder / "run.bag"
             writer, dump = rosbag1.Writer(path), self.types.serialize_ros1
         else:
-            plugin = rosbag2.StoragePlugin.MCAP if self.kind == "mcap" else rosbag2.StoragePlugin.SQLITE3
+            plugin = (
+                rosbag2.StoragePlugin.MCAP if self.kind == "mcap" else rosbag2.StoragePlugin.SQLITE3
+            )
             path = folder / "run"
-            writer, dump = rosbag2.Writer(path, version=9, storage_plugin=plugin), self.types.serialize_cdr
+            writer, dump = (
+                rosbag2.Writer(path, version=9, storage_plugin=plugin),
+                self.types.serialize_cdr,
+            )
         with writer:
             kinds = {topic: kind for _, topic, kind, _ in self.rows}
-            open_ = {topic: writer.add_connection(topic, kind, typestore=self.types) for topic, kind in kinds.items()}
+            open_ = {
+                topic: writer.add_connection(topic, kind, typestore=self.types)
+                for topic, kind in kinds.items()
+            }
             for when, topic, kind, message in sorted(self.rows, key=lambda row: row[0]):
                 writer.write(open_[topic], when, dump(message, kind))
         return next(path.glob("*.mcap")) if self.kind == "mcap" else path
@@ -138,7 +174,12 @@ def test_names_that_change_their_order(tmp_path):
     for i, t in enumerate(M["time"]):
         order = (0, 1) if i % 3 else (1, 0)
         bag.joints(
-            "/joint_states", ns(t), [ARM[j] for j in order], M["q"][i, order], M["v"][i, order], M["tau"][i, order]
+            "/joint_states",
+            ns(t),
+            [ARM[j] for j in order],
+            M["q"][i, order],
+            M["v"][i, order],
+            M["tau"][i, order],
         )
     log = read_log(bag.write(tmp_path), ARM)
     np.testing.assert_array_equal(log.trials[0].q, M["q"])
@@ -157,8 +198,12 @@ def test_joints_from_two_publishers_come_onto_one_clock(tmp_path):
     (trial,) = log.trials
     logged = trial.time + 0.005  # the first row before the elbow's first message is cut off
     np.testing.assert_allclose(trial.q[:, 0], np.sin(logged), atol=1e-9)
-    np.testing.assert_allclose(trial.q[:, 1], np.cos(logged), atol=2e-5)  # h^2 / 8 of a line between rows 0.01 s apart
-    assert any("2 publishers" in note for note in log.notes) and any("cut off" in note for note in log.notes)
+    np.testing.assert_allclose(
+        trial.q[:, 1], np.cos(logged), atol=2e-5
+    )  # h^2 / 8 of a line between rows 0.01 s apart
+    assert any("2 publishers" in note for note in log.notes) and any(
+        "cut off" in note for note in log.notes
+    )
 
 
 def test_a_gap_of_one_joint_is_missing_not_made_up(tmp_path):
@@ -181,7 +226,9 @@ def test_repeated_and_late_messages(tmp_path):
         bag.rows[-1] = (START + k * 10_000_000, *bag.rows[-1][1:])
     log = read_log(bag.write(tmp_path), ARM)
     np.testing.assert_array_equal(log.trials[0].q, M["q"])
-    assert any("out of order" in note for note in log.notes) and any("repeat a stamp" in note for note in log.notes)
+    assert any("out of order" in note for note in log.notes) and any(
+        "repeat a stamp" in note for note in log.notes
+    )
 
 
 @pytest.mark.parametrize("how", ["states", "trajectory", "array", "controller", "old controller"])
@@ -219,14 +266,17 @@ def test_topics_are_chosen_by_name(tmp_path):
     assert any("state taken from topic /right/joint_states" in note for note in largest.notes)
     meta = tmp_path / "meta.toml"
     meta.write_text(
-        'task = "mechanism"\ninput = "command"\n[ros]\nstate_topic = "/left/joint_states"\ncommand_topic = "/odd"\n'
+        'task = "mechanism"\ninput = "command"\n[ros]\nstate_topic = '
+        '"/left/joint_states"\ncommand_topic = "/odd"\n'
     )
     log = read_log(path, ARM, meta)
     np.testing.assert_array_equal(log.trials[0].q, M["q"])
     np.testing.assert_array_equal(log.trials[0].u, M["q"] + 1)
     meta.write_text('task = "mechanism"\n[ros]\nstate_topic = "/lefd/joint_states"\n')
     with pytest.raises(
-        BadInput, match=r"has no topic '/lefd/joint_states' \(state_topic\); did you mean '/left/joint_states'"
+        BadInput,
+        match=r"has no topic '/lefd/joint_states' \(state_topic\); did you mean "
+        r"'/left/joint_states'",
     ):
         read_log(path, ARM, meta)
 
@@ -251,7 +301,9 @@ def test_a_joint_that_the_model_lacks_and_one_that_the_data_lack(tmp_path):
     bag = Bag("mcap")
     states(bag, names=("shoulder_joint", "elbow"))
     path = bag.write(tmp_path)
-    with pytest.raises(BadInput, match="the model has no joint 'shoulder_joint'; did you mean 'shoulder'") as caught:
+    with pytest.raises(
+        BadInput, match="the model has no joint 'shoulder_joint'; did you mean 'shoulder'"
+    ) as caught:
         read_log(path, ARM)
     assert "\n" not in str(caught.value)
     log = read_log(path, ("shoulder_joint", "elbow", "wrist"))

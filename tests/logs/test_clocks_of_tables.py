@@ -1,4 +1,6 @@
-"""A time in two columns, and a clock that starts again within a file: read, guessed by `adaptsim init`, or told with what to write."""
+"""A time in two columns, and a clock that starts again within a file: read, guessed by `adaptsim
+init`, or told with what to write.
+"""
 
 import re
 import tomllib
@@ -21,7 +23,9 @@ def stamped(seconds, nanos, time=M["time"]):
     whole = np.floor(time + 0.25).astype(int)
     parts = {seconds: whole + EPOCH, nanos: np.round(1e9 * (time + 0.25 - whole)).astype(int)}
     return (
-        {"header.seq": np.arange(len(time))} | parts | {n: x for n, x in numbered(M, "q", "tau").items() if n != "time"}
+        {"header.seq": np.arange(len(time))}
+        | parts
+        | {n: x for n, x in numbered(M, "q", "tau").items() if n != "time"}
     )
 
 
@@ -45,7 +49,9 @@ def test_a_time_of_seconds_and_nanoseconds_is_begun_and_reads(tmp_path, seconds,
     assert tomllib.loads(begun.text)["units"] == {} and begun.unused == ("header.seq",)
 
 
-@pytest.mark.parametrize("columns", ["", 'time = "header.stamp.secs"\n', 'time = "header.stamp.nsecs"\n'])
+@pytest.mark.parametrize(
+    "columns", ["", 'time = "header.stamp.secs"\n', 'time = "header.stamp.nsecs"\n']
+)
 @pytest.mark.parametrize("rows", [240, 60])
 def test_one_part_of_a_time_is_refused_with_the_line_that_reads(tmp_path, columns, rows):
     told = {name: x[:rows] for name, x in stamped(*STAMPS[0]).items()}
@@ -104,9 +110,17 @@ def test_what_names_such_trials_is_told_and_guessed(tmp_path, names, shift):
 
 def test_trials_of_one_archive(tmp_path):
     time = np.tile(M["time"][:80], 3)
-    np.savez(tmp_path / "all.npz", time=time, q=M["q"], tau=M["tau"], run_id=np.repeat(["a", "b", "c"], 80))
+    np.savez(
+        tmp_path / "all.npz",
+        time=time,
+        q=M["q"],
+        tau=M["tau"],
+        run_id=np.repeat(["a", "b", "c"], 80),
+    )
     log = read_log(tmp_path / "all.npz", ARM)
-    assert [len(t.time) for t in log.trials] == [80, 80, 80] and any('trial = "run_id"' in note for note in log.notes)
+    assert [len(t.time) for t in log.trials] == [80, 80, 80] and any(
+        'trial = "run_id"' in note for note in log.notes
+    )
 
 
 @pytest.mark.parametrize("spoil", ["set back", "swapped rows", "short"])
@@ -119,15 +133,21 @@ def test_a_clock_that_does_anything_else_is_still_refused(tmp_path, spoil):
     else:
         time[-5:] = time[:5]
     path = write_csv(tmp_path / "all.csv", numbered(M, "q", "tau") | {"time": time})
-    with pytest.raises(BadInput, match=r"time runs backwards .*; sort or remove such rows, or cut the file there"):
+    with pytest.raises(
+        BadInput, match=r"time runs backwards .*; sort or remove such rows, or cut the file there"
+    ):
         read_log(path, ARM)
 
 
 def test_commands_of_several_trials_in_one_file_are_refused(tmp_path):
-    data = folder(tmp_path / "logs", '[trials]\ncommands = {run = "control.csv"}\n', run=numbered(M, "q"))
+    data = folder(
+        tmp_path / "logs", '[trials]\ncommands = {run = "control.csv"}\n', run=numbered(M, "q")
+    )
     columns = {"time": np.tile(M["time"][:80], 3), "target1": M["q"][:, 0], "target2": M["q"][:, 1]}
     write_csv(data / "control.csv", columns)
-    with pytest.raises(BadInput, match=r"control.csv: holds commands of 3 trials.*; write each a file"):
+    with pytest.raises(
+        BadInput, match=r"control.csv: holds commands of 3 trials.*; write each a file"
+    ):
         read_log(data, ARM)
 
 

@@ -1,4 +1,6 @@
-"""Damaged files: whatever bytes are lost or changed, a log is read or refused in one line that names a file."""
+"""Damaged files: whatever bytes are lost or changed, a log is read or refused in one line that
+names a file.
+"""
 
 import shutil
 
@@ -30,9 +32,7 @@ def damaged(data: bytes, rng: np.random.Generator) -> bytes:
 
 def make(kind: str, path):
     if kind in ("csv", "meta.toml"):
-        meta = (
-            'ignore = ["q9"]\n[units]\nangle = "rad"\n[angles]\nzero = {elbow = 0.1}\n[trials]\ngroup = {a = ["t*"]}\n'
-        )
+        meta = 'ignore = ["q9"]\n[units]\nangle = "rad"\n[angles]\nzero = {elbow = 0.1}\n[trials]\ngroup = {a = ["t*"]}\n'
         folder(path, meta, t=numbered(M, "q", "v", "tau"))
         return path / ("t.csv" if kind == "csv" else "meta.toml")
     path.mkdir()
@@ -58,9 +58,12 @@ def make(kind: str, path):
 def test_damage_is_refused_in_one_line(tmp_path, kind):
     file = make(kind, tmp_path / "whole")
     whole, rng, refusals = file.read_bytes(), np.random.default_rng(0), 0
-    source = {"parquet": tmp_path / "whole" / "set", "ros2": file.parent, "bag": file, "mcap": file}.get(
-        kind, file.parent
-    )
+    source = {
+        "parquet": tmp_path / "whole" / "set",
+        "ros2": file.parent,
+        "bag": file,
+        "mcap": file,
+    }.get(kind, file.parent)
     for _ in range(40):
         file.write_bytes(damaged(whole, rng))
         try:

@@ -1,4 +1,6 @@
-"""Units in the headings of columns: read by `adaptsim init`, and told where nothing, or something else, is declared."""
+"""Units in the headings of columns: read by `adaptsim init`, and told where nothing, or something
+else, is declared.
+"""
 
 import re
 import tomllib
@@ -73,7 +75,9 @@ HEADED = {
     "brackets": columns(("q1 [deg]", "q2 [deg]")),
     "suffixes": columns(("q1_deg", "q2_deg"), time="t_ms"),
     "words": columns(("Shoulder Position (deg)", "Elbow Position (deg)"), time="Time (ms)"),
-    "joints and units alone": columns(("shoulder (deg)", "elbow (deg)"), ("shoulder (rad/s)", "elbow (rad/s)")),
+    "joints and units alone": columns(
+        ("shoulder (deg)", "elbow (deg)"), ("shoulder (rad/s)", "elbow (rad/s)")
+    ),
     "speeds of their own": columns(("q1_deg", "q2_deg"), ("v1", "v2")),
     "two units": columns(("q1 [deg]", "q2 [mrad]"), sizes=(DEG, 1e3)),
 }
@@ -108,43 +112,67 @@ def test_an_archives_arrays_say_their_units_too(tmp_path):
 def test_what_numbers_contradict_is_told():
     ranged = ModelNames(ARM, ranges=((-2.0, 2.0), None))
     time = np.arange(60) * 0.01
-    units = lambda c, m=NAMES: guess(c, m).units
+
+    def units(c, m=NAMES):
+        return guess(c, m).units
+
     unit, why = units({"time (s)": 1e3 * time, "q1": SMALL[:, 0]})["time"]
     assert unit == "s" and "looks like ms" in why
-    unit, why = units({"time": time, "q1 (rad)": DEG * M["q"][:, 0], "q2 (rad)": M["q"][:, 1]}, ranged)["angle"]
+    unit, why = units(
+        {"time": time, "q1 (rad)": DEG * M["q"][:, 0], "q2 (rad)": M["q"][:, 1]}, ranged
+    )["angle"]
     assert unit == "rad" and "its range in the model" in why
     fast = {"time": time} | {f"q{j + 1} (rad)": M["q"][:, j] for j in range(2)}
-    unit, why = units(fast | {f"v{j + 1} (rad/s)": DEG * M["v"][:, j] for j in range(2)})["velocity"]
+    unit, why = units(fast | {f"v{j + 1} (rad/s)": DEG * M["v"][:, j] for j in range(2)})[
+        "velocity"
+    ]
     assert unit == "rad/s" and "57" in why
     odd, why = units({"time": time, "q1 (mm)": SMALL[:, 0], "q2": SMALL[:, 1]})["q1"]
     assert odd.unit == "mm" and "no unit of angle" in why
 
 
 WITHOUT = {
-    "angle": ('q = ["a [deg]", "b [deg]"]', {"a [deg]": DEG * SMALL[:, 0], "b [deg]": DEG * SMALL[:, 1]}, 'angle = "deg"'),
+    "angle": (
+        'q = ["a [deg]", "b [deg]"]',
+        {"a [deg]": DEG * SMALL[:, 0], "b [deg]": DEG * SMALL[:, 1]},
+        'angle = "deg"',
+    ),
     "speeds beside angles": (
         'q = ["a (rad)", "b (rad)"]\nv = ["va (deg/s)", "vb (deg/s)"]',
-        {"a (rad)": SMALL[:, 0], "b (rad)": SMALL[:, 1], "va (deg/s)": 6 * M["v"][:, 0], "vb (deg/s)": 6 * M["v"][:, 1]},
+        {
+            "a (rad)": SMALL[:, 0],
+            "b (rad)": SMALL[:, 1],
+            "va (deg/s)": 6 * M["v"][:, 0],
+            "vb (deg/s)": 6 * M["v"][:, 1],
+        },
         'velocity = "deg/s"',
     ),
     "one of two": (
-        'q = ["a_deg", "b_rad"]', {"a_deg": DEG * SMALL[:, 0], "b_rad": SMALL[:, 1]}, 'q1 = "deg"',
+        'q = ["a_deg", "b_rad"]',
+        {"a_deg": DEG * SMALL[:, 0], "b_rad": SMALL[:, 1]},
+        'q1 = "deg"',
     ),
     "commands": (
-        'q = ["a", "b"]\nctrl1 = "m (mNm)"', {"a": SMALL[:, 0], "b": SMALL[:, 1], "m (mNm)": 1e3 * SMALL[:, 0]}, 'ctrl1 = "mNm"',
+        'q = ["a", "b"]\nctrl1 = "m (mNm)"',
+        {"a": SMALL[:, 0], "b": SMALL[:, 1], "m (mNm)": 1e3 * SMALL[:, 0]},
+        'ctrl1 = "mNm"',
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", WITHOUT)
 def test_a_heading_without_a_declared_unit_is_refused_and_read_as_advised(tmp_path, name):
     names, spoiled, line = WITHOUT[name]
-    model = ModelNames(ARM, actuators=(ActuatorName("m", "shoulder"),)) if name == "commands" else NAMES
+    model = (
+        ModelNames(ARM, actuators=(ActuatorName("m", "shoulder"),)) if name == "commands" else NAMES
+    )
     table = {"time": M["time"]} | spoiled
     with pytest.raises(BadInput, match="and no unit is declared for it") as error:
         read_log(folder(tmp_path / "a", f"[columns]\n{names}\n", run=table), model)
     assert f"write {line} under [units]" in str(error.value) and "run.csv" in str(error.value)
-    log = read_log(folder(tmp_path / "b", f"[columns]\n{names}\n[units]\n{line}\n", run=table), model)
+    log = read_log(
+        folder(tmp_path / "b", f"[columns]\n{names}\n[units]\n{line}\n", run=table), model
+    )
     np.testing.assert_allclose(log.trials[0].q, SMALL, atol=1e-12)
     if name == "commands":
         np.testing.assert_allclose(log.trials[0].u[:, 0], SMALL[:, 0], atol=1e-12)
@@ -152,14 +180,19 @@ def test_a_heading_without_a_declared_unit_is_refused_and_read_as_advised(tmp_pa
     if name == "speeds beside angles":
         return  # such speeds are in deg/s by their own numbers
     wrong = re.search(r", or (.*) if the heading is wrong", str(error.value))[1]
-    log = read_log(folder(tmp_path / "c", f"[columns]\n{names}\n[units]\n{wrong}\n", run=table), model)
+    log = read_log(
+        folder(tmp_path / "c", f"[columns]\n{names}\n[units]\n{wrong}\n", run=table), model
+    )
     np.testing.assert_array_equal(log.trials[0].q[:, 0], next(iter(spoiled.values())))
 
 
 def test_a_heading_that_is_not_what_is_declared_is_told(tmp_path):
     meta = '[columns]\nq = ["a [deg]", "b (mm)"]\n[units]\nangle = "rad"\n'
     log = read_log(
-        folder(tmp_path, meta, run={"time": M["time"], "a [deg]": SMALL[:, 0], "b (mm)": SMALL[:, 1]}), NAMES
+        folder(
+            tmp_path, meta, run={"time": M["time"], "a [deg]": SMALL[:, 0], "b (mm)": SMALL[:, 1]}
+        ),
+        NAMES,
     )
     assert "column 'a [deg]' is read in rad, as declared; its heading says deg" in log.notes
     np.testing.assert_array_equal(log.trials[0].q, SMALL)

@@ -25,7 +25,9 @@ LINK = """<link name="{name}_link"><inertial><origin xyz="0 0 -0.1"/><mass value
 
 
 def model(path):
-    links = LINK.format(name="shoulder", parent="base") + LINK.format(name="elbow", parent="shoulder_link")
+    links = LINK.format(name="shoulder", parent="base") + LINK.format(
+        name="elbow", parent="shoulder_link"
+    )
     path.write_text(URDF.format(links=links))
     return path
 
@@ -47,7 +49,10 @@ def test_a_folder_of_odd_columns_reads_after_init(tmp_path, capsys):
     }
     write_csv(tmp_path / "logs" / "run.csv", columns)
     assert init(tmp_path / "logs", "--model", model(tmp_path / "arm.urdf")) == 0
-    assert "reads as 1 trial(s), 1.99 s, joints shoulder, elbow, input: torque" in capsys.readouterr().out
+    assert (
+        "reads as 1 trial(s), 1.99 s, joints shoulder, elbow, input: torque"
+        in capsys.readouterr().out
+    )
     mechanism, log = read_with_model(tmp_path / "logs")
     assert mechanism.tree.joint_names == ARM
     np.testing.assert_allclose(log.trials[0].time, M["time"], atol=1e-12)
@@ -65,16 +70,31 @@ def test_a_folder_of_odd_columns_reads_after_init(tmp_path, capsys):
 
 
 def test_arrays_of_joints_by_other_names(tmp_path, capsys):
-    """An archive of `[T, n]` arrays in the words of robots' loggers; what no joint can be read from is told."""
+    """An archive of `[T, n]` arrays in the words of robots' loggers; what no joint can be read from
+    is told.
+    """
     logs = tmp_path / "logs"
     logs.mkdir()
-    arrays = {"timestamps": M["time"], "joint_positions": M["q"], "joint_velocities": M["v"], "efforts": M["tau"]}
+    arrays = {
+        "timestamps": M["time"],
+        "joint_positions": M["q"],
+        "joint_velocities": M["v"],
+        "efforts": M["tau"],
+    }
     np.savez(logs / "run.npz", **arrays, torque_raw=M["tau"], contact=M["time"] > 1)
     assert init(logs, "--model", model(tmp_path / "arm.urdf")) == 0
     out = capsys.readouterr().out
-    assert "columns that are not used: torque_raw; name those that matter" in out and "input: torque" in out
+    assert (
+        "columns that are not used: torque_raw; name those that matter" in out
+        and "input: torque" in out
+    )
     table = tomllib.loads((logs / "meta.toml").read_text())
-    assert table["columns"] == {"time": "timestamps", "q": "joint_positions", "v": "joint_velocities", "tau": "efforts"}
+    assert table["columns"] == {
+        "time": "timestamps",
+        "q": "joint_positions",
+        "v": "joint_velocities",
+        "tau": "efforts",
+    }
     (trial,) = read_log(logs).trials
     np.testing.assert_array_equal(trial.q, M["q"])
     np.testing.assert_array_equal(trial.u, M["tau"])
@@ -84,7 +104,9 @@ def test_an_archive_without_a_clock_says_what_it_has(tmp_path, capsys):
     np.savez(tmp_path / "run.npz", stamps=M["time"], q=M["q"])
     np.savez(tmp_path / "none.npz", stamps=M["time"])
     for name, there in (("run", "stamps, q"), ("none", "stamps")):
-        assert main(["replay", str(model(tmp_path / "arm.urdf")), str(tmp_path / f"{name}.npz")]) == 2
+        assert (
+            main(["replay", str(model(tmp_path / "arm.urdf")), str(tmp_path / f"{name}.npz")]) == 2
+        )
         assert f"column 'time' is missing (there are {there}); add it" in capsys.readouterr().err
 
 
@@ -149,7 +171,10 @@ def test_a_joint_without_a_log_beside_one_that_the_model_lacks_is_said(tmp_path,
 
 def test_joints_of_other_names_and_joints_that_the_model_lacks(tmp_path, capsys):
     m = motion(3, rows=60)
-    write_csv(tmp_path / "logs" / "run.csv", named(m, ("shoulder_joint", "elbow_joint", "gripper"), "q", "tau"))
+    write_csv(
+        tmp_path / "logs" / "run.csv",
+        named(m, ("shoulder_joint", "elbow_joint", "gripper"), "q", "tau"),
+    )
     assert init(tmp_path / "logs", "--model", model(tmp_path / "arm.urdf")) == 0
     table = tomllib.loads((tmp_path / "logs" / "meta.toml").read_text())
     assert table["ignore"] == ["gripper"]
@@ -158,10 +183,17 @@ def test_joints_of_other_names_and_joints_that_the_model_lacks(tmp_path, capsys)
 
 
 def test_a_command_by_its_actuators_name_is_no_joint_that_the_model_lacks():
-    cart = ModelNames(("rail", "pivot"), slides=("rail",), actuators=(ActuatorName("belt", "rail"),))
-    columns = {name: np.linspace(0.0, 1.0, 5) for name in ("time", "q_rail", "q_pivot", "ctrl_belt", "tau_belt")}
+    cart = ModelNames(
+        ("rail", "pivot"), slides=("rail",), actuators=(ActuatorName("belt", "rail"),)
+    )
+    columns = {
+        name: np.linspace(0.0, 1.0, 5)
+        for name in ("time", "q_rail", "q_pivot", "ctrl_belt", "tau_belt")
+    }
     found = guess(columns, cart)
-    assert found.unknown_joints == ("tau_belt",)  # the column alone: a torque is named for its joint
+    assert found.unknown_joints == (
+        "tau_belt",
+    )  # the column alone: a torque is named for its joint
     assert found.columns == {} and found.ignored == ()
     assert guess({name: columns[name] for name in list(columns)[:4]}, cart).unknown_joints == ()
 
@@ -188,7 +220,10 @@ def test_a_bag_with_its_topics(tmp_path, capsys):
     ("columns", "units"),
     [
         (named(M, ARM, "q", "v"), {}),
-        (named(M | {"q": np.degrees(M["q"])}, ARM, "q", "v"), {"angle": "deg", "velocity": "rad/s"}),
+        (
+            named(M | {"q": np.degrees(M["q"])}, ARM, "q", "v"),
+            {"angle": "deg", "velocity": "rad/s"},
+        ),
         (named(M | {"v": np.degrees(M["v"])}, ARM, "q", "v"), {"velocity": "deg/s"}),
         (named(M | {"v": M["v"] * 60 / (2 * np.pi)}, ARM, "q", "v"), {"velocity": "rpm"}),
         (named(M | {"q": np.degrees(M["q"])}, ARM, "q"), {"angle": "deg"}),

@@ -1,4 +1,6 @@
-"""Layouts of tables as programs write them: remarks above the header, arrays by rows, times in two columns, trials in one file."""
+"""Layouts of tables as programs write them: remarks above the header, arrays by rows, times in two
+columns, trials in one file.
+"""
 
 import re
 
@@ -38,7 +40,9 @@ def test_remarks_with_commas_are_no_header(tmp_path, above):
 def test_remarks_above_rows_without_a_header_are_told_as_such(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("# rig: arm2, operator: Jo, 3\n" + ROWS)
-    with pytest.raises(BadInput, match=r"line 2 holds numbers, not column names; add a header line such as time"):
+    with pytest.raises(
+        BadInput, match=r"line 2 holds numbers, not column names; add a header line such as time"
+    ):
         read_log(path, ("shoulder",))
     path.write_text("# rig: arm2, operator: Jo, 3\ntime,q1\n" + ROWS)  # as advised
     read_log(path, ("shoulder",))
@@ -50,7 +54,8 @@ def test_lines_above_the_header_that_are_no_remarks_are_told_and_their_mends_wor
     rows = "time,q1,q2\n" + "".join(f"{k / 100:.2f},{k},{k}\n" for k in range(30))
     path.write_text(above + rows)
     with pytest.raises(
-        BadInput, match=r"line 3: has 3 values, the header has 2 columns; as 31 lines have: remove what"
+        BadInput,
+        match=r"line 3: has 3 values, the header has 2 columns; as 31 lines have: remove what",
     ) as e:
         read_log(path, ARM)
     assert "begin it with #" in str(e.value)
@@ -68,7 +73,12 @@ def archived(path, **arrays):
 @pytest.mark.parametrize("name", ["time", "t"])
 def test_a_time_of_one_row_or_one_column_is_a_time(tmp_path, time, name):
     path = archived(
-        tmp_path / "run.npz", **{name: time}, q=M["q"], tau1=M["tau"][:, :1], tau2=M["tau"][None, :, 1], dt=0.01
+        tmp_path / "run.npz",
+        **{name: time},
+        q=M["q"],
+        tau1=M["tau"][:, :1],
+        tau2=M["tau"][None, :, 1],
+        dt=0.01,
     )
     (trial,) = read_log(path, ARM).trials
     np.testing.assert_array_equal(trial.time, M["time"])
@@ -94,7 +104,8 @@ def test_one_array_of_one_joint_is_still_the_first_joints(tmp_path):
 def test_arrays_of_other_lengths_are_told_in_a_short_line(tmp_path):
     path = archived(tmp_path / "run.npz", time=M["time"], q=M["q"].T[:, 1:], tau=M["tau"])
     with pytest.raises(
-        BadInput, match=r"arrays differ in length \(time 60, q 2 x 59, tau 60 x 2\); save them with one row"
+        BadInput,
+        match=r"arrays differ in length \(time 60, q 2 x 59, tau 60 x 2\); save them with one row",
     ):
         read_log(path, ARM)
 
@@ -104,5 +115,7 @@ def test_separators_at_the_ends_of_rows_open_no_columns(tmp_path):
     path.write_text("time,q1\n" + ROWS.replace("\n", ",,\n"))
     assert list(read_table(path, ("time", "q1")).columns["q1"]) == list(range(30))
     path.write_text("time,q1\n" + ROWS.replace("5\n", "5,word\n", 1))
-    with pytest.raises(BadInput, match="has 3 values, the header has 2 columns; complete or remove that line"):
+    with pytest.raises(
+        BadInput, match="has 3 values, the header has 2 columns; complete or remove that line"
+    ):
         read_table(path, ("time", "q1"))

@@ -19,10 +19,17 @@ M = motion(2, rows=40, dt=1 / 30)
 
 def data_set(path, *, names=("shoulder.pos", "elbow.pos"), one_file=True, drop=(), features=None):
     vector = {"dtype": "float32", "shape": [len(names)], "names": list(names)}
-    info = {"codebase_version": "v3.0", "fps": 30, "features": features or {
-        "observation.state": vector, "action": {**vector, "names": {"motors": list(names)}},
-        "timestamp": {"dtype": "float32", "shape": [1]}, "episode_index": {"dtype": "int64", "shape": [1]},
-    }}  # fmt: skip
+    info = {
+        "codebase_version": "v3.0",
+        "fps": 30,
+        "features": features
+        or {
+            "observation.state": vector,
+            "action": {**vector, "names": {"motors": list(names)}},
+            "timestamp": {"dtype": "float32", "shape": [1]},
+            "episode_index": {"dtype": "int64", "shape": [1]},
+        },
+    }
     for name in drop:
         del info["features"][name]
     (path / "meta").mkdir(parents=True)
@@ -35,8 +42,14 @@ def data_set(path, *, names=("shoulder.pos", "elbow.pos"), one_file=True, drop=(
         "frame_index": [*range(40), *range(40)],
     }
     rows = {name: values for name, values in rows.items() if name not in drop}
-    files = [(slice(0, 80), "chunk-000/file-000")] if one_file else [
-        (slice(0, 40), "chunk-000/episode_000000"), (slice(40, 80), "chunk-000/episode_000001")]  # fmt: skip
+    files = (
+        [(slice(0, 80), "chunk-000/file-000")]
+        if one_file
+        else [
+            (slice(0, 40), "chunk-000/episode_000000"),
+            (slice(40, 80), "chunk-000/episode_000001"),
+        ]
+    )
     for part, name in files:
         file = path / "data" / f"{name}.parquet"
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -76,7 +89,9 @@ def test_units_and_ignored_joints_of_meta_toml(tmp_path):
     path = data_set(tmp_path / "set", names=("elbow.pos", "gripper.pos"))
     with pytest.raises(BadInput, match="the model has no joint 'gripper'"):
         read_log(path, ("elbow",))
-    (path / "meta.toml").write_text('task = "mechanism"\nignore = ["gripper"]\n[units]\nangle = "deg"\n')
+    (path / "meta.toml").write_text(
+        'task = "mechanism"\nignore = ["gripper"]\n[units]\nangle = "deg"\n'
+    )
     log = read_log(path, ("elbow",))
     np.testing.assert_allclose(log.trials[0].q[:, 0], np.radians(M["q"][:, 0]))
     np.testing.assert_allclose(log.trials[0].u[:, 0], np.radians(M["q"][:, 0] + 1))
@@ -101,5 +116,7 @@ def test_bad_sets(tmp_path):
 def test_without_the_library_the_mend_is_named(tmp_path, monkeypatch):
     path = data_set(tmp_path / "set")
     monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
-    with pytest.raises(BadInput, match=r"needs pyarrow; run: pip install 'adaptsim_jax\[lerobot\]'"):
+    with pytest.raises(
+        BadInput, match=r"needs pyarrow; run: pip install 'adaptsim_jax\[lerobot\]'"
+    ):
         read_log(path, ARM)

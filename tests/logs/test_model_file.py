@@ -1,4 +1,6 @@
-"""`model.toml`: what is written is read back, and a bad file is told in one line that names the key and the mend."""
+"""`model.toml`: what is written is read back, and a bad file is told in one line that names the key
+and the mend.
+"""
 
 import json
 from dataclasses import replace
@@ -20,13 +22,23 @@ def example() -> ModelFile:
     units = dict(zip(theta, ["kg m^2"] * 2 + ["kg m"] * 2 + ["N m s/rad"] * 2, strict=True))
     declared = {k: Value(v, 0.9 * v, 1.1 * v, units[k]) for k, v in theta.items()}
     friction = AddedEffect("coulomb", "joint2", {"level": Value(0.02, 0.015, 0.025, "N m")})
-    drag = AddedEffect("quadratic_drag", "joint1", {"drag": Value(0.004, 0.003, 0.005, "N m s^2/rad^2")})
+    drag = AddedEffect(
+        "quadratic_drag", "joint1", {"drag": Value(0.004, 0.003, 0.005, "N m s^2/rad^2")}
+    )
     names = (*theta, "coulomb/joint2/level")
     covariance = np.diag(np.linspace(1e-6, 1e-5, len(names)))
     return ModelFile(
-        "pendulum", "rigid_body", "hanging", {"l1": 0.3, "g": 9.81}, declared, (friction, drag), {}, names, covariance,
+        "pendulum",
+        "rigid_body",
+        "hanging",
+        {"l1": 0.3, "g": 9.81},
+        declared,
+        (friction, drag),
+        {},
+        names,
+        covariance,
         {"verdict": "explained", "message": 'says "so"'},
-    )  # fmt: skip
+    )
 
 
 def test_what_is_written_is_read_back(tmp_path):
@@ -35,8 +47,11 @@ def test_what_is_written_is_read_back(tmp_path):
     back = read_model(tmp_path / "model.toml")
     assert [p.name for p in tmp_path.iterdir()] == ["model.toml"]
     assert (back.declared, back.effects, back.geometry, back.names) == (
-        model.declared, model.effects, model.geometry, model.names,
-    )  # fmt: skip
+        model.declared,
+        model.effects,
+        model.geometry,
+        model.names,
+    )
     np.testing.assert_array_equal(back.covariance, model.covariance)
     assert back.provenance["message"] == 'says "so"'
 
@@ -121,7 +136,10 @@ def test_a_recording_takes_the_geometry_of_its_mended_model(tmp_path):
     recording = read_recording(recording_folder(tmp_path, meta))
     assert recording.model == "rigid_body" and recording.geometry["l1"] == 0.3
     given = declared_model(recording)
-    assert given is not None and given.active == (("coulomb", "joint2"), ("quadratic_drag", "joint1"))
+    assert given is not None and given.active == (
+        ("coulomb", "joint2"),
+        ("quadratic_drag", "joint1"),
+    )
 
 
 @pytest.mark.parametrize(

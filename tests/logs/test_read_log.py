@@ -40,7 +40,14 @@ def test_one_joint_needs_no_number_and_a_file_no_folder(tmp_path):
 
 
 def test_an_archive_of_matrices(tmp_path):
-    np.savez(tmp_path / "run.npz", time=M["time"], q=M["q"], v=M["v"], tau=M["tau"], camera=np.zeros((3, 4, 5)))
+    np.savez(
+        tmp_path / "run.npz",
+        time=M["time"],
+        q=M["q"],
+        v=M["v"],
+        tau=M["tau"],
+        camera=np.zeros((3, 4, 5)),
+    )
     log = read_log(tmp_path / "run.npz", ARM)
     np.testing.assert_array_equal(log.trials[0].q, M["q"])
     np.testing.assert_array_equal(log.trials[0].u, M["tau"])
@@ -110,7 +117,9 @@ def test_a_sliding_joint_is_in_metres_where_angles_are_in_degrees(tmp_path):
         "q_pole": np.degrees(M["q"][:, 1]),
         "tau_cart": M["tau"][:, 0],
     }
-    names = ModelNames(("cart", "pole"), slides=("cart",), actuators=(ActuatorName("push", "cart"),))
+    names = ModelNames(
+        ("cart", "pole"), slides=("cart",), actuators=(ActuatorName("push", "cart"),)
+    )
     log = read_log(folder(tmp_path, meta, t=columns), names)
     np.testing.assert_allclose(log.trials[0].q, M["q"], atol=1e-12)
     np.testing.assert_array_equal(log.trials[0].u, np.stack([M["tau"][:, 0], np.zeros(60)], axis=1))
@@ -140,19 +149,30 @@ def test_absolute_angles_follow_the_tree_not_the_order(tmp_path):
     m = motion(3)
     shown = m["q"] + np.stack([np.zeros(60), np.zeros(60), m["q"][:, 0]], axis=1)
     meta = '[angles.convention]\nknee = "absolute"\n'
-    (trial,) = read_log(folder(tmp_path, meta, t=numbered(m | {"q": shown}, "q", "tau")), names).trials
+    (trial,) = read_log(
+        folder(tmp_path, meta, t=numbered(m | {"q": shown}, "q", "tau")), names
+    ).trials
     np.testing.assert_allclose(trial.q, m["q"], atol=1e-12)
 
 
 def test_targets_go_through_the_models_actuators(tmp_path):
     names = ModelNames(
-        ARM, actuators=(ActuatorName("m2", "elbow", "position"), ActuatorName("m1", "shoulder", "position"))
+        ARM,
+        actuators=(
+            ActuatorName("m2", "elbow", "position"),
+            ActuatorName("m1", "shoulder", "position"),
+        ),
     )
     columns = numbered(M | {"target": M["q"] + 0.1}, "q", "target")
     log = read_log(folder(tmp_path / "a", "[angles]\nzero = {q2 = 0.5}\n", t=columns), names)
     assert (log.input_kind, log.input_names, log.driven) == ("command", ("m2", "m1"), ARM)
     np.testing.assert_allclose(log.trials[0].u, M["q"][:, ::-1] + [0.1 - 0.5, 0.1], atol=1e-12)
-    by_actuator = {"time": M["time"], **numbered(M, "q"), "ctrl_m1": M["q"][:, 0], "ctrl_m2": M["q"][:, 1]}
+    by_actuator = {
+        "time": M["time"],
+        **numbered(M, "q"),
+        "ctrl_m1": M["q"][:, 0],
+        "ctrl_m2": M["q"][:, 1],
+    }
     told = read_log(folder(tmp_path / "b", "", t=by_actuator), names)
     np.testing.assert_array_equal(told.trials[0].u, M["q"][:, ::-1])
 
@@ -160,7 +180,9 @@ def test_targets_go_through_the_models_actuators(tmp_path):
 def test_what_was_commanded_is_kept_beside_what_was_measured(tmp_path):
     columns = numbered(M, "q", "tau") | {"tau1_commanded": M["time"], "tau2_commanded": -M["time"]}
     log = read_log(folder(tmp_path / "a", "", t=columns), ARM)
-    np.testing.assert_array_equal(log.trials[0].extra["tau_commanded"], np.stack([M["time"], -M["time"]], axis=1))
+    np.testing.assert_array_equal(
+        log.trials[0].extra["tau_commanded"], np.stack([M["time"], -M["time"]], axis=1)
+    )
     del columns["tau1"], columns["tau2"]
     commanded = read_log(folder(tmp_path / "b", "", t=columns), ARM)
     np.testing.assert_array_equal(commanded.trials[0].u[:, 1], -M["time"])
@@ -205,14 +227,21 @@ def test_ignored_columns_may_hold_anything(tmp_path):
 
 
 def test_angles_that_may_be_degrees_are_told(tmp_path):
-    log = read_log(write_csv(tmp_path / "run.csv", numbered(M | {"q": np.degrees(M["q"])}, "q")), ARM)
+    log = read_log(
+        write_csv(tmp_path / "run.csv", numbered(M | {"q": np.degrees(M["q"])}, "q")), ARM
+    )
     assert any('if they are degrees, write angle = "deg"' in note for note in log.notes)
 
 
 def test_a_trial_in_degrees_among_others_is_told(tmp_path):
-    trials = {f"t{k}": numbered(M | {"q": np.degrees(M["q"]) if k == 1 else M["q"]}, "q") for k in range(3)}
+    trials = {
+        f"t{k}": numbered(M | {"q": np.degrees(M["q"]) if k == 1 else M["q"]}, "q")
+        for k in range(3)
+    }
     log = read_log(folder(tmp_path, "", **trials), ARM)
-    assert any("in t1, 1 rad in the others: if they are degrees there" in note for note in log.notes)
+    assert any(
+        "in t1, 1 rad in the others: if they are degrees there" in note for note in log.notes
+    )
 
 
 def test_data_may_lie_elsewhere(tmp_path):
@@ -230,7 +259,10 @@ def test_data_may_lie_elsewhere(tmp_path):
         ('modle = "a.xml"', "unknown key 'modle'; did you mean 'model'?"),
         ('model = "a.xml"', "model 'a.xml' does not exist"),
         ('input = "torqe"', "did you mean 'torque'?"),
-        ("[angles]\nzero = {elbwo = 1.0}", "angles.zero names 'elbwo', no joint and no column; did you mean 'elbow'?"),
+        (
+            "[angles]\nzero = {elbwo = 1.0}",
+            "angles.zero names 'elbwo', no joint and no column; did you mean 'elbow'?",
+        ),
         ('[angles]\nconvention = "abs"', "'relative', 'absolute'"),
         ('[units]\nq1 = "degre"', "units.q1 = 'degre' is unknown; did you mean 'deg'?"),
         ('[units]\nq1 = "s"', "column q1 is in s, which is no unit of angle"),
@@ -259,23 +291,56 @@ def test_the_old_task_is_told_from_a_mechanism(tmp_path):
     ("change", "says"),
     [
         (lambda c: c | {"q3": c["q1"]}, "column 'q3': the model has 2 joint(s)"),
-        (lambda c: c | {"q_elbwo": c["q1"]}, "the model has no joint 'elbwo'; did you mean 'elbow'?"),
-        (lambda c: c | {"q_elbow": c["q1"]}, "columns 'q2' and 'q_elbow' are both q of joint 'elbow'"),
-        (lambda c: {k: v for k, v in c.items() if k != "q2"}, "no angle of the model's joint 'elbow'"),
+        (
+            lambda c: c | {"q_elbwo": c["q1"]},
+            "the model has no joint 'elbwo'; did you mean 'elbow'?",
+        ),
+        (
+            lambda c: c | {"q_elbow": c["q1"]},
+            "columns 'q2' and 'q_elbow' are both q of joint 'elbow'",
+        ),
+        (
+            lambda c: {k: v for k, v in c.items() if k != "q2"},
+            "no angle of the model's joint 'elbow'",
+        ),
         (lambda c: {k: v for k, v in c.items() if k != "time"}, "column 'time' is missing"),
         (lambda c: c | {"v1": c["q1"]}, "none of joint 'elbow'; add column v_elbow"),
-        (lambda c: {k: v for k, v in c.items() if k != "tau2"}, "no torque of joint 'elbow', which has a motor"),
-        (lambda c: {k: v for k, v in c.items() if not k.startswith("tau")}, "no command for actuator 'm1'"),
-        (lambda c: c | {"q1": np.where(np.arange(60) == 7, 1e9, c["q1"])}, "line 9: column q1 is 1e+09 in SI units"),
-        (lambda c: c | {"q1": np.where(np.arange(60) == 7, np.nan, c["q1"])}, "line 9: column q1 is nan"),
-        (lambda c: c | {"time": np.where(np.arange(60) == 7, 0.0, c["time"])}, "line 9: time runs backwards"),
+        (
+            lambda c: {k: v for k, v in c.items() if k != "tau2"},
+            "no torque of joint 'elbow', which has a motor",
+        ),
+        (
+            lambda c: {k: v for k, v in c.items() if not k.startswith("tau")},
+            "no command for actuator 'm1'",
+        ),
+        (
+            lambda c: c | {"q1": np.where(np.arange(60) == 7, 1e9, c["q1"])},
+            "line 9: column q1 is 1e+09 in SI units",
+        ),
+        (
+            lambda c: c | {"q1": np.where(np.arange(60) == 7, np.nan, c["q1"])},
+            "line 9: column q1 is nan",
+        ),
+        (
+            lambda c: c | {"time": np.where(np.arange(60) == 7, 0.0, c["time"])},
+            "line 9: time runs backwards",
+        ),
         (
             lambda c: c | {"time": 0 * c["time"] + 5.0},
             "time never changes; call the one that does time, in a log by [columns] time",
         ),
-        (lambda c: c | {"time": np.array(["2026-05-01 12:00:00.25"] * 60)}, "a date; write seconds, with pandas"),
-        (lambda c: c | {"time": 1e3 * c["time"]}, 'time is suspected in milliseconds; write time = "ms"'),
-        (lambda c: c | {"v1": 57.3 * M["v"][:, 0], "v2": 57.3 * M["v"][:, 1]}, 'write velocity = "deg/s"'),
+        (
+            lambda c: c | {"time": np.array(["2026-05-01 12:00:00.25"] * 60)},
+            "a date; write seconds, with pandas",
+        ),
+        (
+            lambda c: c | {"time": 1e3 * c["time"]},
+            'time is suspected in milliseconds; write time = "ms"',
+        ),
+        (
+            lambda c: c | {"v1": 57.3 * M["v"][:, 0], "v2": 57.3 * M["v"][:, 1]},
+            'write velocity = "deg/s"',
+        ),
         (
             lambda c: {"time": c["time"], **numbered(M | {"target": M["q"]}, "q", "target")},
             "has a target, but its actuator 'm1'",
@@ -291,7 +356,10 @@ def test_bad_columns(tmp_path, change, says):
 
 def test_a_motor_that_was_off_is_said(tmp_path):
     names = ModelNames(ARM, actuators=(ActuatorName("m1", "shoulder"),))
-    assert read_log(folder(tmp_path, 'input = "none"\n', t=numbered(M, "q")), names).input_kind == "none"
+    assert (
+        read_log(folder(tmp_path, 'input = "none"\n', t=numbered(M, "q")), names).input_kind
+        == "none"
+    )
 
 
 def test_trials_that_differ_in_their_input(tmp_path):
@@ -302,7 +370,9 @@ def test_trials_that_differ_in_their_input(tmp_path):
 
 def test_targets_without_an_actuator(tmp_path):
     names = ModelNames(ARM, actuators=())
-    message = refused(folder(tmp_path, "", t=numbered(M | {"target": M["q"]}, "q", "target")), names)
+    message = refused(
+        folder(tmp_path, "", t=numbered(M | {"target": M["q"]}, "q", "target")), names
+    )
     assert "the model has no actuator; add <actuator>" in message
 
 

@@ -57,7 +57,9 @@ def test_npz_csv_and_other_delimiters_read_alike(tmp_path):
     assert [t.name for t in recording.trials] == ["a", "b", "c", "d", "e"]
     for trial in recording.trials[1:]:
         for field in ("time", "q", "v", "torque"):
-            np.testing.assert_array_equal(getattr(trial, field), getattr(recording.trials[0], field))
+            np.testing.assert_array_equal(
+                getattr(trial, field), getattr(recording.trials[0], field)
+            )
 
 
 def test_trials_are_sorted_as_people_count_and_picked_by_name(tmp_path):
@@ -88,7 +90,9 @@ def test_declared_units_give_the_same_data(tmp_path, scale, units):
     columns = gentle()
     other = {k: x * scale.get(k, 1.0) for k, x in columns.items()}
     one = read_recording(write(tmp_path / "si", {"t": columns})).trials[0]
-    two = read_recording(write(tmp_path / "other", {"t": other}, f"{META}[units]\n{units}")).trials[0]
+    two = read_recording(write(tmp_path / "other", {"t": other}, f"{META}[units]\n{units}")).trials[
+        0
+    ]
     for field in ("time", "q", "v", "torque"):
         np.testing.assert_allclose(getattr(two, field), getattr(one, field), rtol=1e-12, atol=1e-15)
 
@@ -117,12 +121,20 @@ def test_a_joint_without_motor_must_be_declared(tmp_path):
 
 
 def test_linearized_model_has_default_geometry_and_a_mended_model_is_a_path(tmp_path):
-    folder = write(tmp_path, {"t": gentle()}, 'task = "pendulum"\nmodel = "linearized"\nangle_zero = "upright"\n')
+    folder = write(
+        tmp_path,
+        {"t": gentle()},
+        'task = "pendulum"\nmodel = "linearized"\nangle_zero = "upright"\n',
+    )
     assert read_recording(folder).geometry == {"l1": 1.0, "l2": 1.0, "g": 9.81}
     (folder / "model.toml").write_text('model = "rigid_body"\n')
-    (folder / "meta.toml").write_text('task = "pendulum"\nmodel = "model.toml"\nangle_zero = "hanging"\n')
+    (folder / "meta.toml").write_text(
+        'task = "pendulum"\nmodel = "model.toml"\nangle_zero = "hanging"\n'
+    )
     recording = read_recording(folder)
-    assert recording.model == "rigid_body" and recording.model_file == str((folder / "model.toml").resolve())
+    assert recording.model == "rigid_body" and recording.model_file == str(
+        (folder / "model.toml").resolve()
+    )
 
 
 def test_noise_may_be_declared_by_group_or_channel(tmp_path):
@@ -144,7 +156,10 @@ META_FAULTS = [
     (META.replace("l1 = 0.3", "l1 = -0.3"), "geometry.l1 = -0.3"),
     (META.replace("l1 = 0.3", 'l1 = "0.3"'), "geometry.l1 must be a number"),
     (META.replace("l1 = 0.3", "l1 = nan"), "geometry.l1 = nan is not finite"),
-    (META.replace("l1 = 0.3", f"l1 = 0x{'f' * 9000}"), "geometry.l1 = a number of thousands of digits is not finite"),
+    (
+        META.replace("l1 = 0.3", f"l1 = 0x{'f' * 9000}"),
+        "geometry.l1 = a number of thousands of digits is not finite",
+    ),
     (META.replace("l1 = 0.3", "L1 = 0.3"), "did you mean 'l1'"),
     (META.replace("l1 = 0.3", "l1 = = 0.3"), "line 6"),
     (META + "[noise]\nq3 = 1\n", "unknown key 'q3' in [noise]"),
@@ -290,8 +305,10 @@ def test_reading_does_not_import_jax(tmp_path):
     write(tmp_path, {"t": gentle()})
     code = (
         "import sys; from adaptsim_jax.logs.recording import read_recording;"
-        "from adaptsim_jax.logs.quality.audit import audit;from adaptsim_jax.logs.noise.floor import noise_floor;"
-        f"r = read_recording({str(tmp_path)!r}); noise_floor(r, audit(r)); sys.exit('jax' in sys.modules)"
+        "from adaptsim_jax.logs.quality.audit import audit;from adaptsim_jax.logs.noise.floor "
+        "import noise_floor;"
+        f"r = read_recording({str(tmp_path)!r}); noise_floor(r, audit(r)); sys.exit('jax' in "
+        f"sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 

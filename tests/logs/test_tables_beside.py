@@ -1,4 +1,6 @@
-"""Tables beside the trials that are none: left out and told, or refused with the line that leaves them out."""
+"""Tables beside the trials that are none: left out and told, or refused with the line that leaves
+them out.
+"""
 
 import gzip
 
@@ -51,7 +53,9 @@ def test_what_may_be_a_trial_without_a_time_is_refused_with_both_mends(tmp_path,
 def test_a_table_of_words_alone_is_refused_as_before(tmp_path):
     data = folder(tmp_path / "logs", "")
     (data / "index.csv").write_text(INDEX)
-    with pytest.raises(BadInput, match=r"index.csv: column 'time' is missing|a trial needs at least") as error:
+    with pytest.raises(
+        BadInput, match=r"index.csv: column 'time' is missing|a trial needs at least"
+    ) as error:
         read_log(data, ARM)
     assert "exclude" not in str(error.value)
 
@@ -60,13 +64,20 @@ def test_a_damaged_trial_is_no_table_beside_the_others(tmp_path):
     data = runs(tmp_path / "logs")
     write_csv(data / "run2.csv", {n: x[:5] for n, x in numbered(M, "q", "tau").items()})
     (data / "index.csv").write_text(INDEX)
-    with pytest.raises(BadInput, match=r"run2.csv: has 5 data rows.*leave this file out: \[trials\] exclude = ..run2"):
+    with pytest.raises(
+        BadInput,
+        match=r"run2.csv: has 5 data rows.*leave this file out: \[trials\] exclude = ..run2",
+    ):
         read_log(data, ARM)
 
 
 @pytest.mark.parametrize(
     ("text", "says"),
-    [("ti", "has 0 data rows.*leave this file out: "), ("", "is empty"), ("0,1,2\n" * 30, "holds numbers")],
+    [
+        ("ti", "has 0 data rows.*leave this file out: "),
+        ("", "is empty"),
+        ("0,1,2\n" * 30, "holds numbers"),
+    ],
 )
 def test_a_trial_that_lost_its_header_is_none_either(tmp_path, text, says):
     data = runs(tmp_path / "logs")
@@ -104,19 +115,30 @@ def together(data):
 @pytest.mark.parametrize(
     ("spoil", "says", "mend"),
     [
-        (packed, "not read: run0.csv.gz, run1.csv.gz, run2.csv.gz, run3.csv.gz and 1 more; unpack", unpacked),
+        (
+            packed,
+            "not read: run0.csv.gz, run1.csv.gz, run2.csv.gz, run3.csv.gz and 1 more; unpack",
+            unpacked,
+        ),
         (renamed(".csv", ".txt"), "run0.txt, .* to .csv", renamed(".txt", ".csv")),
-        (parted, "tables in the folder run0, .* and 1 more; move them up, each by the name", together),
+        (
+            parted,
+            "tables in the folder run0, .* and 1 more; move them up, each by the name",
+            together,
+        ),
         (renamed(".csv", ".parquet"), "run0.parquet, .*export as CSV", renamed(".parquet", ".csv")),
     ],
 )
-def test_a_folder_without_recordings_says_what_lies_there_and_the_mend_works(tmp_path, spoil, says, mend):
+def test_a_folder_without_recordings_says_what_lies_there_and_the_mend_works(
+    tmp_path, spoil, says, mend
+):
     data = runs(tmp_path / "logs", tuple(f"run{k}" for k in range(5)))
     (data / "meta.toml").unlink()
     spoil(data)
     for refused in (lambda: begin(data, None, None, {}), lambda: read_log(data, ARM)):
         with pytest.raises(
-            BadInput, match=f"holds no .*; {says}" if spoil is packed else f"holds no .*; not read: .*{says}"
+            BadInput,
+            match=f"holds no .*; {says}" if spoil is packed else f"holds no .*; not read: .*{says}",
         ):
             refused()
     mend(data)

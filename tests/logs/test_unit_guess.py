@@ -1,4 +1,6 @@
-"""Units that nobody wrote: what backs a guess, and what is a question only; ways of sliding joints that are no metres."""
+"""Units that nobody wrote: what backs a guess, and what is a question only; ways of sliding joints
+that are no metres.
+"""
 
 import re
 import tomllib
@@ -27,7 +29,12 @@ def of(q, model, **more):
 
 
 def servo(limits=None, slides=False, kind="position"):
-    return ModelNames(("a",), ("a",) if slides else (), actuators=(ActuatorName("m", "a", kind),), ranges=(limits,))
+    return ModelNames(
+        ("a",),
+        ("a",) if slides else (),
+        actuators=(ActuatorName("m", "a", kind),),
+        ranges=(limits,),
+    )
 
 
 def test_a_wheel_that_turns_a_few_times_is_asked_about():
@@ -82,7 +89,9 @@ def test_a_belt_in_millimetres(tmp_path, headings, named):
 
 
 @pytest.mark.parametrize(("times", "units"), [(375.0, ["mm"]), (100.0, ["mm", "cm"])])
-def test_ways_far_beyond_the_declared_range_are_refused_and_read_as_advised(tmp_path, times, units, capsys):
+def test_ways_far_beyond_the_declared_range_are_refused_and_read_as_advised(
+    tmp_path, times, units, capsys
+):
     table = {"time": TIME, "q_belt": 0.4 * times * SWING, "target_belt": 0.4 * times * SWING}
     data = folder(tmp_path / "a", 'model = "slider.xml"\n', run=table)
     (data / "slider.xml").write_text(SLIDER.format(RANGE))
@@ -91,7 +100,13 @@ def test_ways_far_beyond_the_declared_range_are_refused_and_read_as_advised(tmp_
     assert "belt slides as far as" in told and "times its declared range" in told
     assert re.findall(r'length = "(\w+)"', told) == [*units, "m"]
     for unit, size in (("mm", 1e-3), ("cm", 1e-2), ("m", 1.0)):
-        log = read_log(folder(tmp_path / unit, f'model = "../a/slider.xml"\n[units]\nlength = "{unit}"\n', run=table))
+        log = read_log(
+            folder(
+                tmp_path / unit,
+                f'model = "../a/slider.xml"\n[units]\nlength = "{unit}"\n',
+                run=table,
+            )
+        )
         np.testing.assert_allclose(log.trials[0].q[:, 0], size * table["q_belt"], rtol=1e-12)
 
 
@@ -107,7 +122,12 @@ def test_ways_that_may_be_no_metres_are_told(tmp_path, reach, limits):
 def test_a_unit_of_commands_acts_and_an_unknown_one_is_refused(tmp_path):
     model = servo(kind="motor")
     table = {"time": TIME, "q_a": SWING, "ctrl_m": 5.0 * SWING}
-    for line, size in (("ctrl = 0.02", 0.02), ('ctrl_m = "mNm"', 1e-3), ("", 1.0), ("torque = 0.02", 1.0)):
+    for line, size in (
+        ("ctrl = 0.02", 0.02),
+        ('ctrl_m = "mNm"', 1e-3),
+        ("", 1.0),
+        ("torque = 0.02", 1.0),
+    ):
         log = read_log(folder(tmp_path, f"[units]\n{line}\n", run=table), model)
         np.testing.assert_allclose(log.trials[0].u[:, 0], 5.0 * size * SWING, rtol=1e-12)
     with pytest.raises(BadInput, match="ctrl_m is in per cent of a range"):

@@ -1,4 +1,6 @@
-"""The linearized pendulum's exact propagation against SciPy's exponential, an integrator and a plain loop."""
+"""The linearized pendulum's exact propagation against SciPy's exponential, an integrator and a
+plain loop.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -11,10 +13,22 @@ from jax.test_util import check_grads
 from scipy.integrate import solve_ivp
 
 from adaptsim_jax.mechanisms.double_pendulum import linear as pd
-from adaptsim_jax.mechanisms.double_pendulum.linear import COST_CEILING, OK, OVERFLOW, UNSTABLE, transition
+from adaptsim_jax.mechanisms.double_pendulum.linear import (
+    COST_CEILING,
+    OK,
+    OVERFLOW,
+    UNSTABLE,
+    transition,
+)
 
 SETTINGS = np.array(  # paper, table A2: wd, ood-1 .. ood-4
-    [[1.8, 1.2, 1.5, 1.5], [1.8, 0.3, 1.5, 1.5], [0.5, 1.8, 1.5, 1.5], [1.2, 1.8, 10, 10], [0.4, 2.6, 1, 2]]
+    [
+        [1.8, 1.2, 1.5, 1.5],
+        [1.8, 0.3, 1.5, 1.5],
+        [0.5, 1.8, 1.5, 1.5],
+        [1.2, 1.8, 10, 10],
+        [0.4, 2.6, 1, 2],
+    ]
 )
 
 
@@ -48,7 +62,14 @@ def test_rollout_is_the_plain_loop(x64, params, indices):
 def test_rollout_is_what_an_integrator_finds(x64):
     A, B, gain = systems(SETTINGS[1])
     times = np.linspace(0, 2.5, 1000)
-    flow = solve_ivp(lambda _, x: (A - B @ gain) @ x, (0, 2.5), [-np.pi, 0, 0, 0], t_eval=times, rtol=1e-10, atol=1e-12)
+    flow = solve_ivp(
+        lambda _, x: (A - B @ gain) @ x,
+        (0, 2.5),
+        [-np.pi, 0, 0, 0],
+        t_eval=times,
+        rtol=1e-10,
+        atol=1e-12,
+    )
     states, commands = pd.linear_trajectory(A, B, gain, jnp.asarray(pd.START), jnp.asarray(times))
     np.testing.assert_allclose(states, flow.y.T, atol=1e-7)
     cost = np.sum(np.asarray(states) ** 2) + np.sum(np.asarray(commands) ** 2)
@@ -59,7 +80,9 @@ def test_known_optimal_costs(x64):
     """Costs of the release at equal parameters, three digits: an anchor outside this code."""
     for value, cost in ((1.0, 3.30e6), (1.5, 7.42e6), (2.0, 13.2e6)):
         params = jnp.full(4, value)
-        assert float(pd.rollout(params, pd.optimal_gain(params).gain).cost) == pytest.approx(cost, rel=4e-3)
+        assert float(pd.rollout(params, pd.optimal_gain(params).gain).cost) == pytest.approx(
+            cost, rel=4e-3
+        )
 
 
 def both(params, nominal):
@@ -68,11 +91,15 @@ def both(params, nominal):
 
 @pytest.mark.slow
 def test_single_precision_is_good_enough_for_rewards():
-    """The reward is 1 - 10 (J/J* - 1): 1e-4 of cost is 1e-3 of reward. Gains here come from inside the box."""
+    """The reward is 1 - 10 (J/J* - 1): 1e-4 of cost is 1e-3 of reward. Gains here come from inside
+    the box.
+    """
     rng = np.random.default_rng(0)
     params = np.concatenate([SETTINGS, rng.uniform(1, 2, (295, 4))])
     nominal = np.clip(params, 1, 2)
-    single = jax.jit(jax.vmap(both))(jnp.asarray(params, jnp.float32), jnp.asarray(nominal, jnp.float32))
+    single = jax.jit(jax.vmap(both))(
+        jnp.asarray(params, jnp.float32), jnp.asarray(nominal, jnp.float32)
+    )
     with jax.enable_x64(True):
         double = jax.jit(jax.vmap(both))(params, nominal)
     assert single.cost.dtype == jnp.float32 and double.cost.dtype == jnp.float64
@@ -103,7 +130,11 @@ def test_gradients_through_riccati_and_rollout(x64):
 
 def test_late_snapshots_are_the_last_half_second():
     times = np.array(pd.LATE_SNAPSHOTS) * 2.5 / 999
-    assert len(times) == 12 and times[0] == pytest.approx(2.0, abs=2e-3) and times[-1] == pytest.approx(2.5)
+    assert (
+        len(times) == 12
+        and times[0] == pytest.approx(2.0, abs=2e-3)
+        and times[-1] == pytest.approx(2.5)
+    )
 
 
 @settings(max_examples=40, deadline=None)

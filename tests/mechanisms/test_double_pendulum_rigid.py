@@ -1,4 +1,6 @@
-"""The rigid-body pendulum against a Newton-Euler recursion in NumPy, an integrator, and conservation of energy."""
+"""The rigid-body pendulum against a Newton-Euler recursion in NumPy, an integrator, and
+conservation of energy.
+"""
 
 from typing import Any, NamedTuple
 
@@ -16,7 +18,9 @@ from adaptsim_jax.mechanisms.double_pendulum.plant import base_parameters
 from adaptsim_jax.mechanisms.registry import make_plant
 from adaptsim_jax.mechanisms.stepping import make_model, row_step
 
-LINKS = dict(mass=(1.3, 0.7), length=(0.8, 0.5), com=(0.35, 0.3), inertia=(0.07, 0.02), damping=(0.15, 0.08))
+LINKS = dict(
+    mass=(1.3, 0.7), length=(0.8, 0.5), com=(0.35, 0.3), inertia=(0.07, 0.02), damping=(0.15, 0.08)
+)
 
 
 class Links(NamedTuple):
@@ -101,11 +105,15 @@ def test_dynamics_are_newton_euler(x64, angle_zero):
     theta, plant = base_form(p), plant_of(p, angle_zero)
     rng = np.random.default_rng(0)
     for q, v, a in rng.normal(size=(20, 3, 2)) * 2:
-        np.testing.assert_allclose(base_forward(plant, theta, q, v, newton_euler(p, q, v, a, angle_zero)), a, atol=1e-9)
+        np.testing.assert_allclose(
+            base_forward(plant, theta, q, v, newton_euler(p, q, v, a, angle_zero)), a, atol=1e-9
+        )
 
 
 def test_base_parameters_are_all_that_motion_sees(x64):
-    """Other links with the same base parameters, and the inertial parameters themselves, move alike."""
+    """Other links with the same base parameters, and the inertial parameters themselves, move
+    alike.
+    """
     p = links()
     m1, m2 = 1.5, 0.6  # other masses; centres and inertias chosen to keep p1, p3, h1, h2
     l1, (c1, c2) = LINKS["length"][0], LINKS["com"]
@@ -131,7 +139,9 @@ def test_simulation_is_what_an_integrator_finds(x64, angle_zero):
     dt = np.array([0.01, 0.02, 0.015, 0.01] * 25)  # uneven sampling
     tau = np.random.default_rng(3).normal(size=(100, 2))
     fine = np.repeat(tau, 8, 0), np.repeat(dt / 8, 8)
-    ours = simulated(plant_of(p, angle_zero), base_form(p), jnp.array([0.4, -0.2]), jnp.zeros(2), *fine)
+    ours = simulated(
+        plant_of(p, angle_zero), base_form(p), jnp.array([0.4, -0.2]), jnp.zeros(2), *fine
+    )
     x = np.array([0.4, -0.2, 0, 0])
     for row, hold in zip(tau, dt, strict=True):
         flow = solve_ivp(
@@ -149,11 +159,18 @@ def test_simulation_is_what_an_integrator_finds(x64, angle_zero):
 def energy(p, q, v):
     """Kinetic plus potential energy J of bodies that hang, by their velocities and heights."""
     (m1, m2), (l1, _), (c1, c2), (I1, I2) = p.mass, p.length, p.com, p.inertia
-    along = lambda i, r: r * jnp.array([jnp.cos(jnp.sum(q[: i + 1])), jnp.sin(jnp.sum(q[: i + 1]))])
-    rate = lambda i, r: along(i, r) * jnp.sum(v[: i + 1])
+
+    def along(i, r):
+        return r * jnp.array([jnp.cos(jnp.sum(q[: i + 1])), jnp.sin(jnp.sum(q[: i + 1]))])
+
+    def rate(i, r):
+        return along(i, r) * jnp.sum(v[: i + 1])
+
     kinetic = m1 * jnp.sum(rate(0, c1) ** 2) + m2 * jnp.sum((rate(0, l1) + rate(1, c2)) ** 2)
     turning = I1 * v[0] ** 2 + I2 * jnp.sum(v) ** 2
-    return 0.5 * (kinetic + turning) - GRAVITY * (m1 * along(0, c1)[0] + m2 * (along(0, l1) + along(1, c2))[0])
+    return 0.5 * (kinetic + turning) - GRAVITY * (
+        m1 * along(0, c1)[0] + m2 * (along(0, l1) + along(1, c2))[0]
+    )
 
 
 @settings(max_examples=15, deadline=None)
@@ -163,11 +180,15 @@ def test_energy_is_kept_without_damping_and_lost_with(q, v):
         for damping in ((0.0, 0.0), (0.1, 0.1)):
             p = links(damping=damping)
             path = run(p, jnp.asarray(q), jnp.asarray(v))[::4]
-            change = float(energy(p, path[-1, :2], path[-1, 2:]) - energy(p, path[0, :2], path[0, 2:]))
+            change = float(
+                energy(p, path[-1, :2], path[-1, 2:]) - energy(p, path[0, :2], path[0, 2:])
+            )
             if damping[0] == 0:
                 assert abs(change) < 1e-6
             else:
-                lost = np.trapezoid(np.sum(np.asarray(p.damping) * np.asarray(path[:, 2:]) ** 2, axis=1), dx=0.005)
+                lost = np.trapezoid(
+                    np.sum(np.asarray(p.damping) * np.asarray(path[:, 2:]) ** 2, axis=1), dx=0.005
+                )
                 assert change == pytest.approx(-lost, abs=1e-3 * (1 + lost))
 
 
@@ -200,11 +221,16 @@ def test_single_precision_batch_and_divergence():
 
 
 def test_regressed_inertias_that_no_bodies_have_are_raised():
-    """Slow motions say little of inertias; what a regression makes of them must still be simulated."""
+    """Slow motions say little of inertias; what a regression makes of them must still be
+    simulated.
+    """
     plant = make_plant("rigid_body", "upright", {"l1": 0.309})
     impossible = np.array([0.1706, 0.0341, 0.656, 0.240, 0.59, 0.025])  # det M < 0 at some angles
     q = jnp.stack([jnp.zeros(64), jnp.linspace(-np.pi, np.pi, 64)])
-    smallest = lambda theta: float(jnp.linalg.eigvalsh(jnp.moveaxis(plant.mass_matrix(theta, q), -1, 0)).min())
+
+    def smallest(theta):
+        return float(jnp.linalg.eigvalsh(jnp.moveaxis(plant.mass_matrix(theta, q), -1, 0)).min())
+
     assert smallest(impossible) < 0
     mended = plant.sound(plant.constants, impossible)
     assert smallest(mended) > 0

@@ -23,7 +23,11 @@ def test_what_is_written_is_read_back(tmp_path):
     inertial = np.array(arm.tree.inertial) * np.array([[1.3], [0.8]])
     changes = Changes(
         inertial,
-        {"damping": {"shoulder": 0.2, "elbow": 0.3}, "frictionloss": {"elbow": 0.5}, "armature": {"shoulder": 0.01}},
+        {
+            "damping": {"shoulder": 0.2, "elbow": 0.3},
+            "frictionloss": {"elbow": 0.5},
+            "armature": {"shoulder": 0.01},
+        },
         np.array([0.1, 0.0, -9.8]),
         {"kp": {"drive": 1.1}, "delay": {"drive": 0.006}, "limit": {"drive": 3.0}},
         comments=("not held: cogging at elbow",),
@@ -37,7 +41,9 @@ def test_what_is_written_is_read_back(tmp_path):
     np.testing.assert_allclose(new.tree.armature, [0.01, 0.0])
     np.testing.assert_allclose(new.tree.gravity, [0.1, 0.0, -9.8])
     (drive,) = new.actuators
-    np.testing.assert_allclose([drive.gain, drive.kp, drive.kv, drive.delay], [22.0, 22.0, 1.0, 0.006])
+    np.testing.assert_allclose(
+        [drive.gain, drive.kp, drive.kv, drive.delay], [22.0, 22.0, 1.0, 0.006]
+    )
     np.testing.assert_allclose(drive.forcerange, [-3.0, 3.0])
     assert "cogging at elbow" in out.read_text()
     assert mujoco.MjModel.from_xml_path(str(out)).nv == 2
@@ -49,13 +55,17 @@ def test_nothing_changed_is_the_same_machine(tmp_path):
     arm = read_mechanism(path)
     out = tmp_path / "same.xml"
     out.write_text(mended_mjcf(arm, Changes(np.array(arm.tree.inertial))))
-    np.testing.assert_allclose(read_mechanism(out).tree.inertial, arm.tree.inertial, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(
+        read_mechanism(out).tree.inertial, arm.tree.inertial, rtol=1e-6, atol=1e-9
+    )
 
 
 def test_a_joint_without_an_actuator_gets_a_motor_with_a_limit_and_a_servo_loses_its_kv(tmp_path):
     path, out = tmp_path / "arm.xml", tmp_path / "model.xml"
     path.write_text(ARM)
-    changes = Changes(actuators={"limit": {"elbow": 0.2}, "kv": {"drive": 0.0}}, motors={"elbow": 0.05})
+    changes = Changes(
+        actuators={"limit": {"elbow": 0.2}, "kv": {"drive": 0.0}}, motors={"elbow": 0.05}
+    )
     out.write_text(mended_mjcf(read_mechanism(path), changes))
     drive, motor = read_mechanism(out).actuators
     assert (drive.kp, drive.kv) == (20.0, 0.0)
@@ -66,8 +76,11 @@ def test_a_joint_without_an_actuator_gets_a_motor_with_a_limit_and_a_servo_loses
 def test_a_file_whose_meshes_are_not_there_is_written_without_them(tmp_path):
     path = tmp_path / "arm.xml"
     mesh = '<asset><mesh name="gone" file="gone.stl"/></asset><worldbody>'
-    path.write_text(ARM.replace("<worldbody>", mesh).replace('mass="1"', 'mass="1"', 1).replace(
-        '<body name="lower"', '<geom type="mesh" mesh="gone"/><body name="lower"'))  # fmt: skip
+    path.write_text(
+        ARM.replace("<worldbody>", mesh)
+        .replace('mass="1"', 'mass="1"', 1)
+        .replace('<body name="lower"', '<geom type="mesh" mesh="gone"/><body name="lower"')
+    )
     text = mended_mjcf(read_mechanism(path), Changes(joints={"damping": {"shoulder": 0.7}}))
     assert "could not be read" in text and "gone.stl" not in text
     assert mujoco.MjModel.from_xml_string(text).dof_damping[0] == pytest.approx(0.7)
@@ -79,4 +92,6 @@ def test_a_rest_angle_is_in_rad_whatever_the_file_has_its_angles_in(tmp_path, an
     path.write_text(ARM.replace('<compiler angle="radian"/>', angle))
     table = {"stiffness": {"elbow": 0.12}, "springref": {"elbow": 0.25}}
     out.write_text(mended_mjcf(read_mechanism(path), Changes(joints=table)))
-    np.testing.assert_allclose(mujoco.MjModel.from_xml_path(str(out)).qpos_spring, [0.0, 0.25], atol=1e-6)
+    np.testing.assert_allclose(
+        mujoco.MjModel.from_xml_path(str(out)).qpos_spring, [0.0, 0.25], atol=1e-6
+    )

@@ -1,4 +1,6 @@
-"""A plant's accelerations balance its forces, and their derivatives are those of a general solver, of any order and kind."""
+"""A plant's accelerations balance its forces, and their derivatives are those of a general solver,
+of any order and kind.
+"""
 
 import chex
 import jax
@@ -19,7 +21,12 @@ def solved(plant, theta, x, u, force, inertia):
     def one(x, u, force, inertia):
         mass = plant.mass_matrix(theta, x[:n]) + jnp.diag(inertia)
         return jnp.concatenate(
-            [x[n:], jnp.linalg.solve(mass, u + force + plant.push(plant.constants, theta, x[:n], x[n:]))]
+            [
+                x[n:],
+                jnp.linalg.solve(
+                    mass, u + force + plant.push(plant.constants, theta, x[:n], x[n:])
+                ),
+            ]
         )
 
     return one(x, u, force, inertia) if x.ndim == 1 else jax.vmap(one, -1, -1)(x, u, force, inertia)
@@ -31,7 +38,11 @@ def case(request):
     rng = np.random.default_rng(7)
     plant = make_plant(request.param, "hanging", {"l1": 0.3})
     shapes = [(4, 5), (2, 5), (2, 5)]
-    args = [THETA[request.param], *(rng.normal(size=s) for s in shapes), rng.uniform(0.0, 0.1, (2, 5))]
+    args = [
+        THETA[request.param],
+        *(rng.normal(size=s) for s in shapes),
+        rng.uniform(0.0, 0.1, (2, 5)),
+    ]
     return plant, args
 
 
@@ -42,7 +53,9 @@ def test_values_are_those_of_a_general_solver(case, x64):
     with jax.enable_x64(x64):
         args = [jnp.asarray(a) for a in args]
         tolerance = 1e-12 if x64 else 2e-5
-        chex.assert_trees_all_close(plant.deriv(*args), solved(plant, *args), rtol=tolerance, atol=tolerance)
+        chex.assert_trees_all_close(
+            plant.deriv(*args), solved(plant, *args), rtol=tolerance, atol=tolerance
+        )
 
 
 @pytest.mark.slow
@@ -66,11 +79,19 @@ def test_a_derivative_by_one_argument_alone_and_the_second_one(case, argument):
         def alone(f, z):
             return f(*args[:argument], z, *args[argument + 1 :])
 
-        ours, general = (lambda z, f=f: alone(f, z) for f in (plant.deriv, lambda *a: solved(plant, *a)))
-        close = lambda a, b: chex.assert_trees_all_close(a, b, rtol=1e-9, atol=1e-10)
+        ours, general = (
+            lambda z, f=f: alone(f, z) for f in (plant.deriv, lambda *a: solved(plant, *a))
+        )
+
+        def close(a, b):
+            return chex.assert_trees_all_close(a, b, rtol=1e-9, atol=1e-10)
+
         close(jax.jacfwd(ours)(args[argument]), jax.jacfwd(general)(args[argument]))
         way = jnp.ones_like(args[argument])
-        bend = lambda f: jax.jvp(lambda z: jax.jvp(f, (z,), (way,))[1], (args[argument],), (way,))[1]
+
+        def bend(f):
+            return jax.jvp(lambda z: jax.jvp(f, (z,), (way,))[1], (args[argument],), (way,))[1]
+
         close(bend(ours), bend(general))
 
 
@@ -82,7 +103,9 @@ def test_by_the_constants_of_the_plant():
         theta = jnp.asarray(THETA["rigid_body"])
 
         def spin(l1, f):
-            longer = jax.tree.unflatten(tree, [l1 if leaf is plant.constants["l1"] else leaf for leaf in leaves])
+            longer = jax.tree.unflatten(
+                tree, [l1 if leaf is plant.constants["l1"] else leaf for leaf in leaves]
+            )
             return f(longer, theta, x, zero, zero, zero)
 
         leaves, tree = jax.tree.flatten(plant)
@@ -98,9 +121,14 @@ def test_by_the_constants_of_the_plant():
 def test_what_goes_through_once_is_as_it_was(asked, x64):
     with jax.enable_x64(x64):
         values = {"a": jnp.array([1.5, -2.0]), "b": jnp.array(0.1)}
-        through = lambda values: once(values, jnp.array([asked, 3.0]))
+
+        def through(values):
+            return once(values, jnp.array([asked, 3.0]))
+
         chex.assert_trees_all_equal(jax.jit(through)(values), values)
         chex.assert_trees_all_equal(jax.jvp(through, (values,), (values,))[1], values)
-        chex.assert_trees_all_equal(jax.grad(lambda v: jnp.sum(through(v)["a"]))(values)["a"], jnp.ones(2))
+        chex.assert_trees_all_equal(
+            jax.grad(lambda v: jnp.sum(through(v)["a"]))(values)["a"], jnp.ones(2)
+        )
         many = jax.vmap(lambda a: once(values, a[None]))(jnp.array([asked, -asked]))
         chex.assert_trees_all_equal(jax.tree.map(lambda z: z[1], many), values)

@@ -1,4 +1,6 @@
-"""Model files of any kind: what of them becomes a tree, against MuJoCo's own forces, and what is told."""
+"""Model files of any kind: what of them becomes a tree, against MuJoCo's own forces, and what is
+told.
+"""
 
 import mujoco
 import numpy as np
@@ -30,12 +32,16 @@ def written(path, text):
 
 
 def test_a_gripper_on_a_welded_base_is_folded_and_told(tmp_path):
-    made = read_mechanism(written(tmp_path / "robot.xml", GRIPPER.format(free='<freejoint name="root"/>')))
+    made = read_mechanism(
+        written(tmp_path / "robot.xml", GRIPPER.format(free='<freejoint name="root"/>'))
+    )
     tree = made.tree
     assert tree.joint_names == ("arm", "right", "tip") and tree.whole is not None
     np.testing.assert_allclose(tree.damping, [0.1, 2.0 + 0.8**2 * 3.0, 0.0])
     np.testing.assert_allclose(tree.armature[1], 0.8**2 * 0.1)
-    np.testing.assert_allclose(tree.stiffness[1] * tree.springref[1], 0.8 * 5.0 * (0.01 - 0.004))  # its force at zero
+    np.testing.assert_allclose(
+        tree.stiffness[1] * tree.springref[1], 0.8 * 5.0 * (0.01 - 0.004)
+    )  # its force at zero
     grip = next(x for x in made.actuators if x.name == "grip")
     np.testing.assert_allclose([grip.gear, grip.offset], [0.5 + 0.5 * 0.8, -60.0 * 0.5 * 0.004])
     np.testing.assert_allclose(tree.whole.tree.gravcomp[0, 0], 0.4 * 1.0)
@@ -43,12 +49,16 @@ def test_a_gripper_on_a_welded_base_is_folded_and_told(tmp_path):
 
 @pytest.mark.slow
 def test_a_gripper_on_a_welded_base_has_the_forces_of_mujoco(tmp_path):
-    """Mass, bias, springs, gravity compensation, and the moment arm of a tendon over a joint and its follower: projected."""
+    """Mass, bias, springs, gravity compensation, and the moment arm of a tendon over a joint and
+    its follower: projected.
+    """
     import jax
 
     from adaptsim_jax.mechanisms import dynamics
 
-    made = read_mechanism(written(tmp_path / "robot.xml", GRIPPER.format(free='<freejoint name="root"/>')))
+    made = read_mechanism(
+        written(tmp_path / "robot.xml", GRIPPER.format(free='<freejoint name="root"/>'))
+    )
     tree = made.tree
     assert tree.joint_names == ("arm", "right", "tip") and tree.whole is not None
     assert any("welded" in note and "root" in note for note in made.notes)
@@ -70,14 +80,26 @@ def test_a_gripper_on_a_welded_base_has_the_forces_of_mujoco(tmp_path):
         mass = dynamics.mass_matrix(tree, tree.inertial, q) + np.diag(tree.armature)
         bias = dynamics.inverse_dynamics(tree, tree.inertial, q, v, None, tree.gravity)
         passive = dynamics.passive_force(tree, q, v) + dynamics.compensation(tree, q)
-        force = dynamics.inverse_dynamics(tree, tree.inertial, q, v, a, tree.gravity) + tree.armature * a
-        moved = lambda q: dynamics.acceleration(tree, tree.inertial, q, v, force, tree.armature, tree.gravity)
-        inverse = lambda q: dynamics.inverse_mass(tree, tree.inertial, q, tree.armature)
-        both = lambda q: (moved(q), inverse(q))
-        slopes = jax.vmap(lambda way: jax.jvp(both, (q,), (way,))[1])(np.eye(3))
-        steps = jax.vmap(lambda h: jax.tree.map(lambda x, y: (x - y) / 2e-6, both(q + h), both(q - h)))(
-            1e-6 * np.eye(3)
+        force = (
+            dynamics.inverse_dynamics(tree, tree.inertial, q, v, a, tree.gravity)
+            + tree.armature * a
         )
+
+        def moved(q):
+            return dynamics.acceleration(
+                tree, tree.inertial, q, v, force, tree.armature, tree.gravity
+            )
+
+        def inverse(q):
+            return dynamics.inverse_mass(tree, tree.inertial, q, tree.armature)
+
+        def both(q):
+            return (moved(q), inverse(q))
+
+        slopes = jax.vmap(lambda way: jax.jvp(both, (q,), (way,))[1])(np.eye(3))
+        steps = jax.vmap(
+            lambda h: jax.tree.map(lambda x, y: (x - y) / 2e-6, both(q + h), both(q - h))
+        )(1e-6 * np.eye(3))
         return mass, bias, passive, moved(q), slopes, steps
 
     with jax.enable_x64(True):
@@ -90,7 +112,9 @@ def test_a_gripper_on_a_welded_base_has_the_forces_of_mujoco(tmp_path):
     np.testing.assert_allclose(again, a, atol=1e-9)
     grip = next(x for x in made.actuators if x.name == "grip")
     pull = grip.gear * np.clip(
-        grip.gain * 0.05 + grip.offset - grip.kp * grip.gear * q[1] - grip.kv * grip.gear * v[1], -9, 9
+        grip.gain * 0.05 + grip.offset - grip.kp * grip.gear * q[1] - grip.kv * grip.gear * v[1],
+        -9,
+        9,
     )
     np.testing.assert_allclose(pull, (way.T @ data.qfrc_actuator)[1], atol=1e-9)
 
@@ -106,12 +130,18 @@ def test_derivatives_with_a_follower_are_those_of_differences(tmp_path):
 
     @jax.jit
     def both_ways(q):
-        moved = lambda q: dynamics.acceleration(tree, tree.inertial, q, v, force, tree.armature, tree.gravity)
-        both = lambda q: (moved(q), dynamics.inverse_mass(tree, tree.inertial, q, tree.armature))
+        def moved(q):
+            return dynamics.acceleration(
+                tree, tree.inertial, q, v, force, tree.armature, tree.gravity
+            )
+
+        def both(q):
+            return (moved(q), dynamics.inverse_mass(tree, tree.inertial, q, tree.armature))
+
         slopes = jax.vmap(lambda way: jax.jvp(both, (q,), (way,))[1])(np.eye(3))
-        return slopes, jax.vmap(lambda h: jax.tree.map(lambda x, y: (x - y) / 2e-6, both(q + h), both(q - h)))(
-            1e-6 * np.eye(3)
-        )
+        return slopes, jax.vmap(
+            lambda h: jax.tree.map(lambda x, y: (x - y) / 2e-6, both(q + h), both(q - h))
+        )(1e-6 * np.eye(3))
 
     with jax.enable_x64(True):
         slopes, steps = both_ways(q)
@@ -123,7 +153,10 @@ def test_what_no_log_has_is_held_where_the_file_or_a_person_has_it(tmp_path):
     source = read_source(written(tmp_path / "robot.xml", GRIPPER.format(free="")))
     some = mechanism_of(source, {}, ("arm",))
     assert some.tree.joint_names == ("arm",) and set(some.roles.held) == {"left", "right", "tip"}
-    assert all(any(words in note for note in some.notes) for words in ("do nothing: grip", "no log has them"))
+    assert all(
+        any(words in note for note in some.notes)
+        for words in ("do nothing: grip", "no log has them")
+    )
     still = mechanism_of(source, {"right": 0.02}, ("arm", "right", "tip"), "meta.toml")
     np.testing.assert_allclose(still.roles.held["left"], [0.02])  # 0.004 + 0.8 * 0.02
     with pytest.raises(BadInput, match=r"\[hold\] names 'rihgt'.*did you mean 'right'"):
@@ -141,11 +174,16 @@ def test_a_loop_that_closes_is_told_and_what_is_in_it_held(tmp_path):
 def test_a_ball_is_three_hinges_in_turn(tmp_path):
     text = f'<mujoco><worldbody><body><joint name="hip" type="ball"/>{BODY.format(mass=1)}</body></worldbody></mujoco>'
     made = read_mechanism(written(tmp_path / "robot.xml", text))
-    assert made.tree.joint_names == ("hip_x", "hip_y", "hip_z") and "ball joint 'hip'" in made.beyond[0]
+    assert (
+        made.tree.joint_names == ("hip_x", "hip_y", "hip_z")
+        and "ball joint 'hip'" in made.beyond[0]
+    )
 
 
 def test_force_limits_of_joints_bound_what_their_actuators_do(tmp_path):
-    text = GRIPPER.format(free="").replace('name="arm" axis', 'name="arm" actuatorfrcrange="-2 3" axis')
+    text = GRIPPER.format(free="").replace(
+        'name="arm" axis', 'name="arm" actuatorfrcrange="-2 3" axis'
+    )
     made = read_mechanism(written(tmp_path / "robot.xml", text))
     np.testing.assert_allclose(made.force_limits[0], [-2.0, 3.0])
     assert np.isnan(made.force_limits[1:]).all()
@@ -163,20 +201,30 @@ def urdf(*parts):
 
 def test_a_mimic_of_a_urdf_follows(tmp_path):
     text = urdf(
-        LINK.format("a", 1, 0.01, 0.01), LINK.format("b", 1, 0.01, 0.01), JOINT.format("left", "prismatic", "base", "a", ""),
-        JOINT.format("right", "prismatic", "base", "b", '<mimic joint="left" multiplier="-1" offset="0.02"/>'),
-    )  # fmt: skip
+        LINK.format("a", 1, 0.01, 0.01),
+        LINK.format("b", 1, 0.01, 0.01),
+        JOINT.format("left", "prismatic", "base", "a", ""),
+        JOINT.format(
+            "right", "prismatic", "base", "b", '<mimic joint="left" multiplier="-1" offset="0.02"/>'
+        ),
+    )
     made = read_mechanism(written(tmp_path / "robot.urdf", text))
     assert made.tree.joint_names == ("left",)
-    assert made.roles.followers["right"].factor == -1.0 and made.roles.followers["right"].offset == 0.02
+    assert (
+        made.roles.followers["right"].factor == -1.0
+        and made.roles.followers["right"].offset == 0.02
+    )
 
 
 def test_links_without_inertia_points_and_a_base_of_any_moments(tmp_path):
     text = urdf(
-        LINK.format("stand", 3, 0.1, 5.0), JOINT.format("mount", "fixed", "base", "stand", ""), '<link name="cross"/>',
-        JOINT.format("roll", "revolute", "stand", "cross", ""), LINK.format("bob", 0.7, 0, 0),
+        LINK.format("stand", 3, 0.1, 5.0),
+        JOINT.format("mount", "fixed", "base", "stand", ""),
+        '<link name="cross"/>',
+        JOINT.format("roll", "revolute", "stand", "cross", ""),
+        LINK.format("bob", 0.7, 0, 0),
         JOINT.format("pitch", "revolute", "cross", "bob", ""),
-    )  # fmt: skip
+    )
     tree = read_mechanism(written(tmp_path / "robot.urdf", text)).tree
     assert tree.massless == (True, False)
     np.testing.assert_allclose(tree.inertial[1, 0], 0.7)
@@ -215,7 +263,9 @@ def test_bad_inertias_are_named(tmp_path, link, says):
 )
 def test_what_is_odd_but_readable_is_told(tmp_path, link, more, says):
     made = read_mechanism(
-        written(tmp_path / "robot.urdf", urdf(link, JOINT.format("j", "revolute", "base", "a", more)))
+        written(
+            tmp_path / "robot.urdf", urdf(link, JOINT.format("j", "revolute", "base", "a", more))
+        )
     )
     assert any(says in note for note in made.notes)
     assert abs(made.tree.inertial[0, 1:4]).max() == pytest.approx(0.1)  # of the first origin
@@ -227,12 +277,18 @@ def test_a_mended_file_keeps_what_is_behind_a_joint_that_is_held(tmp_path):
     path = written(tmp_path / "robot.xml", GRIPPER.format(free='<freejoint name="root"/>'))
     made = mechanism_of(read_source(path), {}, ("arm",))
     heavier = np.array(made.tree.inertial) * 1.2
-    model = mujoco.MjModel.from_xml_string(mended_mjcf(made, Changes(heavier, {"damping": {"arm": 0.3}})))
+    model = mujoco.MjModel.from_xml_string(
+        mended_mjcf(made, Changes(heavier, {"damping": {"arm": 0.3}}))
+    )
     assert model.nv == 10 and model.body("left").mass[0] == 0.2
     again = mechanism_of(
-        read_source(written(tmp_path / "model.xml", mended_mjcf(made, Changes(heavier)))), {}, ("arm",)
+        read_source(written(tmp_path / "model.xml", mended_mjcf(made, Changes(heavier)))),
+        {},
+        ("arm",),
     )
-    np.testing.assert_allclose(again.tree.inertial, heavier, rtol=1e-4, atol=1e-6)  # the file has six digits
+    np.testing.assert_allclose(
+        again.tree.inertial, heavier, rtol=1e-4, atol=1e-6
+    )  # the file has six digits
 
 
 def test_what_a_follower_and_a_tendon_add_stays_with_them(tmp_path):
@@ -240,5 +296,7 @@ def test_what_a_follower_and_a_tendon_add_stays_with_them(tmp_path):
 
     made = read_mechanism(written(tmp_path / "robot.xml", GRIPPER.format(free="")))
     damping = dict(zip(made.tree.joint_names, 2.0 * made.tree.damping, strict=True))
-    again = read_mechanism(written(tmp_path / "model.xml", mended_mjcf(made, Changes(joints={"damping": damping}))))
+    again = read_mechanism(
+        written(tmp_path / "model.xml", mended_mjcf(made, Changes(joints={"damping": damping})))
+    )
     np.testing.assert_allclose(again.tree.damping, 2.0 * made.tree.damping, rtol=1e-5)

@@ -1,4 +1,6 @@
-"""A page in headless Chromium, over the DevTools protocol on two pipes: no driver, no port, no further package."""
+"""A page in headless Chromium, over the DevTools protocol on two pipes: no driver, no port, no
+further package.
+"""
 
 import base64
 import json
@@ -9,10 +11,18 @@ import sys
 import time
 from pathlib import Path
 
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
+CHROMIUM = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))),
+    None,
+)
 QUIET = (
-    "--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--no-first-run", "--disable-dev-shm-usage",
-)  # fmt: skip
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-background-networking",
+    "--no-first-run",
+    "--disable-dev-shm-usage",
+)
 START = """
 import fcntl, os, sys
 ends = [fcntl.fcntl(int(end), fcntl.F_DUPFD, 10) for end in sys.argv[1:3]]
@@ -25,15 +35,19 @@ PATIENCE = 300.0
 
 
 class Browser:
-    """One browser with one tab. `errors` gathers what the console would show in red, `asked` every address that was fetched."""
+    """One browser with one tab. `errors` gathers what the console would show in red, `asked` every
+    address that was fetched.
+    """
 
     def __init__(self, profile: Path) -> None:
         down, up = os.pipe(), os.pipe()
         options = [*QUIET, "--remote-debugging-pipe", f"--user-data-dir={profile}", "about:blank"]
         self.process = subprocess.Popen(
             [sys.executable, "-c", START, str(down[0]), str(up[1]), str(CHROMIUM), *options],
-            pass_fds=(down[0], up[1]), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
+            pass_fds=(down[0], up[1]),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
         os.close(down[0]), os.close(up[1])
         self.down, self.up = os.fdopen(down[1], "wb", 0), os.fdopen(up[0], "rb", 0)
         os.set_blocking(up[0], False)
@@ -41,7 +55,9 @@ class Browser:
         self.errors: list[str] = []
         self.asked: list[str] = []
         target = self.tell("Target.createTarget", url="about:blank")["targetId"]
-        self.session = self.tell("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        self.session = self.tell("Target.attachToTarget", targetId=target, flatten=True)[
+            "sessionId"
+        ]
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.tell(f"{domain}.enable")
 
@@ -92,18 +108,29 @@ class Browser:
 
     def run(self, script: str):
         """The value of an expression in the page."""
-        found = self.tell("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
+        found = self.tell(
+            "Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True
+        )
         assert "exceptionDetails" not in found, found["exceptionDetails"]
         return found["result"].get("value")
 
     def show(self, page: Path, width: int = 1200, height: int = 900, dark: bool = False) -> None:
         """Open a file at a width and in a colour scheme, and wait until its plots are drawn."""
         self.errors, self.asked = [], []
-        self.tell("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
+        self.tell(
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=height,
+            deviceScaleFactor=1,
+            mobile=False,
+        )
         self.scheme(dark)
         self.tell("Page.navigate", url=page.resolve().as_uri())
         self.until("document.readyState === 'complete'")
-        self.until("!document.querySelector('.explore') || document.documentElement.dataset.plots === 'drawn'")
+        self.until(
+            "!document.querySelector('.explore') || document.documentElement.dataset.plots === "
+            "'drawn'"
+        )
 
     def scheme(self, dark: bool) -> None:
         features = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]

@@ -1,5 +1,6 @@
-# ruff: noqa: E501 (sentences as they stand on the page)
-"""Invented reports and evidence for the tests of the page: measured on no rig and computed by no fit."""
+"""Invented reports and evidence for the tests of the page: measured on no rig and computed by no
+fit.
+"""
 
 import copy
 from functools import partial
@@ -32,11 +33,19 @@ BEFORE = {"q1": 0.0141, "q2": 0.0212, "v1": 0.094, "v2": 0.151}
 
 def errors(after_share, trials=4, floor=FLOOR, ceiling=1.1, size=BEFORE):
     rng = np.random.default_rng(3)
-    per_channel, per_trial = {}, [{"trial": f"trial_{8 + i:02d}", "per_channel": {}} for i in range(trials)]
+    per_channel, per_trial = (
+        {},
+        [{"trial": f"trial_{8 + i:02d}", "per_channel": {}} for i in range(trials)],
+    )
     for channel, value in size.items():
         after = None if after_share is None else max(value * after_share, 1.05 * floor[channel])
         unit = "rad" if channel[0] == "q" else "rad/s"
-        per_channel[channel] = {"before": value, "after": after, "unit": unit, "noise_floor": floor[channel]}
+        per_channel[channel] = {
+            "before": value,
+            "after": after,
+            "unit": unit,
+            "noise_floor": floor[channel],
+        }
         per_channel[channel] |= {"ceiling": ceiling * floor[channel]}
         spread = 1 + 0.18 * rng.standard_normal(trials)
         for row, factor in zip(per_trial, spread, strict=True):
@@ -46,13 +55,19 @@ def errors(after_share, trials=4, floor=FLOOR, ceiling=1.1, size=BEFORE):
             }
             row["per_channel"][channel] = pair
         per_channel[channel]["intervals"] = {"before": [0.87 * value, 1.16 * value]}
-        per_channel[channel]["intervals"]["after"] = None if after is None else [0.93 * after, 1.1 * after]
+        per_channel[channel]["intervals"]["after"] = (
+            None if after is None else [0.93 * after, 1.1 * after]
+        )
     for row in per_trial:
         for stage in ("before", "after"):
             row[stage] = row["per_channel"]["q1"][stage]
     overall = per_channel["q1"]
     keys = ("before", "after", "noise_floor", "ceiling", "intervals")
-    return {"metric": "rmse of the joint angles", "unit": "rad", **{k: overall[k] for k in keys}} | {
+    return {
+        "metric": "rmse of the joint angles",
+        "unit": "rad",
+        **{k: overall[k] for k in keys},
+    } | {
         "per_channel": per_channel,
         "per_trial": per_trial,
     }
@@ -70,14 +85,47 @@ def candidate(name, where, gain, p, accepted, why, **more):
 
 
 REJECTED = [
-    candidate("quadratic_drag", "joint1", 0.21, 0.004, False, "gain vanishes once Coulomb friction is in the model"),
-    candidate("command_delay", "joint1", 0.034, 0.11, False, "below the least gain of 5 % declared beforehand"),
-    candidate("torque_gain", "joint1", 0.0, None, False, "declared masses absorb it", status="confounded"),
-    candidate("encoder_offset", "joint2", 0.012, 0.74, False, "p-value above 0.05 after correction"),
+    candidate(
+        "quadratic_drag",
+        "joint1",
+        0.21,
+        0.004,
+        False,
+        "gain vanishes once Coulomb friction is in the model",
+    ),
+    candidate(
+        "command_delay",
+        "joint1",
+        0.034,
+        0.11,
+        False,
+        "below the least gain of 5 % declared beforehand",
+    ),
+    candidate(
+        "torque_gain", "joint1", 0.0, None, False, "declared masses absorb it", status="confounded"
+    ),
+    candidate(
+        "encoder_offset", "joint2", 0.012, 0.74, False, "p-value above 0.05 after correction"
+    ),
     candidate("cogging", "joint2", 0.00021, 0.91, False, "p-value above 0.05 after correction"),
     candidate("torsional_spring", "joint1", -0.008, 1.0, False, "makes held-out trials worse"),
-    candidate("stribeck", "joint1", 0.613, 0.0005, False, "no better than Coulomb friction, one parameter more"),
-    candidate("rotor_inertia", "joint2", 0.0, None, False, "declared inertias absorb it", status="confounded"),
+    candidate(
+        "stribeck",
+        "joint1",
+        0.613,
+        0.0005,
+        False,
+        "no better than Coulomb friction, one parameter more",
+    ),
+    candidate(
+        "rotor_inertia",
+        "joint2",
+        0.0,
+        None,
+        False,
+        "declared inertias absorb it",
+        status="confounded",
+    ),
     candidate("dead_zone", "joint2", -0.02, 1.0, False, "wrong sign: fitted width is negative"),
 ]
 
@@ -105,7 +153,8 @@ def explained():
         "pendulum",
         "rigid_body",
         "explained",
-        "Coulomb friction of 31 mN·m at joint 1 removes 85 % of the held-out error of q1; no structure is left above the noise.",
+        "Coulomb friction of 31 mN·m at joint 1 removes 85 % of the held-out error of q1; no "
+        "structure is left above the noise.",
         DATA,
         effects=[coulomb()],
         error=errors(0.14),
@@ -153,38 +202,72 @@ def explained_class():
         "pendulum",
         "linearized",
         "explained_class",
-        "A constant torque at joint 1 is missing. A bias, a tilted base and an encoder offset all give it near upright.",
+        "A constant torque at joint 1 is missing. A bias, a tilted base and an encoder offset all "
+        "give it near upright.",
         DATA,
         effects=[effect],
         error=errors(0.25),
         candidates=rows,
         declared={"before": declared(), "after": declared(0.004)},
-        next_experiment={"message": "Hold joint 1 at −60°, 0° and 60° for 2 s each: tilt changes with the angle, bias does not.", "csv": "next_experiment.csv", "separates": ["constant_bias", "base_tilt"]},
-    )  # fmt: skip
+        next_experiment={
+            "message": "Hold joint 1 at −60°, 0° and 60° for 2 s each: tilt changes with the "
+            "angle, bias does not.",
+            "csv": "next_experiment.csv",
+            "separates": ["constant_bias", "base_tilt"],
+        },
+    )
 
 
 def partly_explained():
     """One effect holds out; more is left than the noise."""
     effect = {
-        "name": "coulomb", "where": "all joints", "joints": ["hip", "knee"], "alternatives": [],
-        "parameters": {"level[hip]": interval(0.31, 0.02, "N m"), "level[knee]": interval(0.85, 0.05, "N m")},
-        "held_out_gain": 0.5, "p_value": 0.004, "better": 8, "folds": 8,
-    }  # fmt: skip
+        "name": "coulomb",
+        "where": "all joints",
+        "joints": ["hip", "knee"],
+        "alternatives": [],
+        "parameters": {
+            "level[hip]": interval(0.31, 0.02, "N m"),
+            "level[knee]": interval(0.85, 0.05, "N m"),
+        },
+        "held_out_gain": 0.5,
+        "p_value": 0.004,
+        "better": 8,
+        "folds": 8,
+    }
     return new_report(
-        "mechanism", "robot.xml", "partly_explained",
-        "Coulomb friction at all joints holds out in 8 of 8; what remains is 12 times the noise floor, most of it at the knee.",
-        DATA, effects=[effect], error=errors(0.5), candidates=[candidate("coulomb", "all joints", 0.5, 0.004, True, "named")],
-        declared={"before": declared(), "after": declared(0.004)}, remaining={"error": 0.013, "times_floor": 12.0},
-    )  # fmt: skip
+        "mechanism",
+        "robot.xml",
+        "partly_explained",
+        "Coulomb friction at all joints holds out in 8 of 8; what remains is 12 times the noise "
+        "floor, most of it at the knee.",
+        DATA,
+        effects=[effect],
+        error=errors(0.5),
+        candidates=[candidate("coulomb", "all joints", 0.5, 0.004, True, "named")],
+        declared={"before": declared(), "after": declared(0.004)},
+        remaining={"error": 0.013, "times_floor": 12.0},
+    )
 
 
 def confounded():
-    rows = [candidate("torque_gain", "joint1", 0.0, None, False, "98.7 % of it lies in the span of the declared masses", status="confounded"), *REJECTED[:2]]  # fmt: skip
+    rows = [
+        candidate(
+            "torque_gain",
+            "joint1",
+            0.0,
+            None,
+            False,
+            "98.7 % of it lies in the span of the declared masses",
+            status="confounded",
+        ),
+        *REJECTED[:2],
+    ]
     return new_report(
         "pendulum",
         "linearized",
         "confounded_with_declared",
-        "A torque gain error at joint 1 would change the data as a change of m1 and m2 does; the declared fit absorbs it.",
+        "A torque gain error at joint 1 would change the data as a change of m1 and m2 does; the "
+        "declared fit absorbs it.",
         DATA,
         error=errors(None, ceiling=4.0),
         candidates=rows,
@@ -198,15 +281,29 @@ def structured():
         "pendulum",
         "rigid_body",
         "structured_unattributed",
-        "After Coulomb friction at joint 1, 38 % of the rest at joint 2 repeats between trials and goes with position; no candidate explains it.",
+        "After Coulomb friction at joint 1, 38 % of the rest at joint 2 repeats between trials and "
+        "goes with position; no candidate explains it.",
         DATA,
         effects=[coulomb()],
         error=errors(0.55, ceiling=2.0),
-        candidates=[candidate("coulomb_friction", "joint1", 0.31, 0.0011, True, "confirmed on 4 of 4 held-out trials"), *REJECTED],
+        candidates=[
+            candidate(
+                "coulomb_friction",
+                "joint1",
+                0.31,
+                0.0011,
+                True,
+                "confirmed on 4 of 4 held-out trials",
+            ),
+            *REJECTED,
+        ],
         declared={"before": declared(0.03), "after": declared(0.01)},
-        next_experiment={"message": "Turn joint 2 slowly through its whole range, both ways.", "csv": "next_experiment.csv"},
+        next_experiment={
+            "message": "Turn joint 2 slowly through its whole range, both ways.",
+            "csv": "next_experiment.csv",
+        },
         not_established=["What acts at joint 2 between −0.4 and 0.9 rad."],
-    )  # fmt: skip
+    )
 
 
 def within_noise():
@@ -214,28 +311,50 @@ def within_noise():
         "pendulum",
         "linearized",
         "within_noise",
-        "The residual of the declared model is no more structured than trials shuffled at random (p = 0.44).",
+        "The residual of the declared model is no more structured than trials shuffled at random "
+        "(p = 0.44).",
         DATA,
         error=errors(None, size=FLOOR),
         declared={"before": declared(), "after": declared()},
-        power=[{"name": "coulomb_friction", "where": "joint1", "size": 0.006, "unit": "N m", "power": 0.96}, {"name": "command_delay", "where": "joint1", "size": 0.004, "unit": "s", "power": 0.71}],
-        not_established=["Coulomb friction at joint 1 below 4 mN·m: it would have been found in fewer than 8 of 10 recordings."],
-    )  # fmt: skip
+        power=[
+            {
+                "name": "coulomb_friction",
+                "where": "joint1",
+                "size": 0.006,
+                "unit": "N m",
+                "power": 0.96,
+            },
+            {"name": "command_delay", "where": "joint1", "size": 0.004, "unit": "s", "power": 0.71},
+        ],
+        not_established=[
+            "Coulomb friction at joint 1 below 4 mN·m: it would have been found in fewer than 8 of "
+            "10 recordings."
+        ],
+    )
 
 
 def underpowered():
     data = {"trials": 2, "samples": 240, "held_out_trials": ["trial_01"]}
-    error = {"metric": "rmse of the joint angles", "unit": "rad", "before": 0.031, "noise_floor": 0.024}
+    error = {
+        "metric": "rmse of the joint angles",
+        "unit": "rad",
+        "before": 0.031,
+        "noise_floor": 0.024,
+    }
     return new_report(
         "pendulum",
         "rigid_body",
         "underpowered",
-        "Two trials of 1.2 s at 100 Hz: Coulomb friction of a size that doubles the error would be found in 23 % of such recordings.",
+        "Two trials of 1.2 s at 100 Hz: Coulomb friction of a size that doubles the error would be "
+        "found in 23 % of such recordings.",
         data,
         error=error,
         declared={"before": declared(loose=("m1", "m2")), "after": {}},
-        next_experiment={"message": "At least 6 trials of 4 s, with both joints moving at up to 3 rad/s.", "csv": "next_experiment.csv"},
-    )  # fmt: skip
+        next_experiment={
+            "message": "At least 6 trials of 4 s, with both joints moving at up to 3 rad/s.",
+            "csv": "next_experiment.csv",
+        },
+    )
 
 
 def data_fault():
@@ -292,7 +411,9 @@ def held_out(mended, trials=4):
 
 
 def evidence(verdict):
-    """The evidence that goes with each verdict; the poorer ones lack most keys, as real ones would."""
+    """The evidence that goes with each verdict; the poorer ones lack most keys, as real ones
+    would.
+    """
     run = {
         "command": "adaptsim diagnose recordings/rig --out diagnosis --seed 0",
         "version": "0.1.0",
@@ -301,10 +422,17 @@ def evidence(verdict):
     }
     if verdict == "data_fault":
         return {"run": run, "audit": AUDIT_FAULT}
-    mended = verdict in ("explained", "explained_class", "partly_explained", "structured_unattributed")
+    mended = verdict in (
+        "explained",
+        "explained_class",
+        "partly_explained",
+        "structured_unattributed",
+    )
     found = {"run": run, "audit": AUDIT, "held_out": held_out(mended)}
     if verdict == "within_noise":
-        found["held_out"] = [row | {"before": row["after"], "after": None} for row in held_out(True)]
+        found["held_out"] = [
+            row | {"before": row["after"], "after": None} for row in held_out(True)
+        ]
     if verdict == "underpowered":
         found["held_out"] = held_out(False, trials=1)
     return found
@@ -316,10 +444,19 @@ AUDIT = [
         "where": "trial_03, tau2",
         "message": "saturates at 0.800 N·m for 2.1 % of the samples",
     },
-    {"severity": "note", "where": "all trials", "message": "sampling 3.30 ms ± 0.02 ms; no dropouts"},
+    {
+        "severity": "note",
+        "where": "all trials",
+        "message": "sampling 3.30 ms ± 0.02 ms; no dropouts",
+    },
 ]
 AUDIT_FAULT = [
-    {"severity": "fault", "where": "all trials, v1 and v2", "message": "57.3 times the slope of the angles; say velocity = \"deg/s\" under [units] in meta.toml"},
+    {
+        "severity": "fault",
+        "where": "all trials, v1 and v2",
+        "message": '57.3 times the slope of the angles; say velocity = "deg/s" under [units] in '
+        "meta.toml",
+    },
     {"severity": "warning", "where": "trial_05, time", "message": "gap of 0.412 s at 3.10 s"},
     *AUDIT[1:],
-]  # fmt: skip
+]

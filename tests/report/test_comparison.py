@@ -1,4 +1,6 @@
-"""Table, figures and page of a comparison whose rows are made up, with everything odd that rows may hold."""
+"""Table, figures and page of a comparison whose rows are made up, with everything odd that rows may
+hold.
+"""
 
 import numpy as np
 import pytest
@@ -70,22 +72,39 @@ def test_a_table_that_no_command_line_made_names_none(results):
 def test_everything_is_written_and_again(results, tmp_path):
     first = write_comparison(results, tmp_path)
     assert [p.name for p in first] == [p.name for p in write_comparison(results, tmp_path)]
-    assert {"results.json", "table.md", "report.html", "reward_over_iterations_state.png"} <= {p.name for p in first}
+    assert {"results.json", "table.md", "report.html", "reward_over_iterations_state.png"} <= {
+        p.name for p in first
+    }
     assert {p.name for p in tmp_path.iterdir()} == {p.name for p in first}
 
 
 def test_page_is_self_contained_and_escaped(results, tmp_path):
     html = write_adaptation_page(results, tmp_path / "page.html").read_text()
     assert "&lt;pendulum&gt; &amp; more" in html
-    assert html.count("<svg") == 0 and html.count('class="explore"') == 1 and html.count('class="plot"') == 2
-    assert "src=" not in html and "href=" not in html.replace('href="data:,"', "").replace('xlink:href="#', "")
+    assert (
+        html.count("<svg") == 0
+        and html.count('class="explore"') == 1
+        and html.count('class="plot"') == 2
+    )
+    assert "src=" not in html and "href=" not in html.replace('href="data:,"', "").replace(
+        'xlink:href="#', ""
+    )
 
 
 def test_of_one_seed_no_interval_is_told_anywhere(results):
     """Of several there is one in the table and beside the means on the page."""
     html, text = section(results), table(results)
-    assert "95 % interval" in html and "between the quartiles" in html and "[95 % interval of the mean]" in text
-    keep = lambda r: row(r["method"], r["setting"], np.full((1, 11), 0.4321), oracle=1.0, target_trials=11)
+    assert (
+        "95 % interval" in html
+        and "between the quartiles" in html
+        and "[95 % interval of the mean]" in text
+    )
+
+    def keep(r):
+        return row(
+            r["method"], r["setting"], np.full((1, 11), 0.4321), oracle=1.0, target_trials=11
+        )
+
     lone = {**results, "seeds": 1, "rows": [keep(r) for r in results["rows"]]}
     html, text = section(lone), table(lone)
     for told in (html, text):
@@ -118,11 +137,17 @@ def test_headline_takes_the_better_sysid():
 def test_curves_show_the_median_over_seeds(results):
     figure = draw.reward_over_iterations(results, ["adaptsim"])
     drawn = figure.axes[0].lines[0].get_ydata()
-    np.testing.assert_allclose(drawn, next(r for r in results["rows"] if r["method"] == "adaptsim")["curve"]["median"])
+    np.testing.assert_allclose(
+        drawn, next(r for r in results["rows"] if r["method"] == "adaptsim")["curve"]["median"]
+    )
 
 
 def test_means_below_the_frame_are_written_out(results):
-    worse = [dict(r, mean=-3.21, low=-4.0, high=-2.0) for r in results["rows"] if r["method"] == "sysid_point"]
+    worse = [
+        dict(r, mean=-3.21, low=-4.0, high=-2.0)
+        for r in results["rows"]
+        if r["method"] == "sysid_point"
+    ]
     figure = draw.rewards({**results, "rows": worse})
     assert any("-3.21" in text.get_text() for text in figure.axes[0].texts)
 
@@ -134,7 +159,9 @@ def test_sweep_figures_draw_what_they_are_given(results):
     panel = against({"adaptsim": rows}, ["left", "right"], "range").axes[0]
     np.testing.assert_allclose(panel.lines[0].get_ydata(), [r["mean"] for r in rows])
     panels = {"wd": [{"trials": [1, 2], "so_far": [0.1, 0.4], "method": "N = 1"}]}
-    np.testing.assert_allclose(reward_against_trials(panels).axes[0].lines[0].get_ydata(), [0.1, 0.4])
+    np.testing.assert_allclose(
+        reward_against_trials(panels).axes[0].lines[0].get_ydata(), [0.1, 0.4]
+    )
 
 
 def test_every_method_has_its_own_colour_and_name():

@@ -1,4 +1,6 @@
-"""Numbers as text: digits, prefixes, intervals; thinned series keep their gaps; colours follow the page."""
+"""Numbers as text: digits, prefixes, intervals; thinned series keep their gaps; colours follow the
+page.
+"""
 
 import numpy as np
 import pytest
@@ -70,26 +72,47 @@ def test_an_interval_reads_back_to_what_it_was(seed):
         value, half = rng.normal() * 10 ** rng.uniform(-6, 6), 10 ** rng.uniform(-7, 6)
         text = fmt.between(value, value - half, value + half, "").replace("−", "-")
         body, _, power = text.partition(" ×10")
-        scale = 10.0 ** int(power.translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789"))) if power else 1.0
-        numbers = [scale * float(x) for x in body.replace("[", "").replace("]", "").replace(",", "").split()]
+        scale = (
+            10.0 ** int(power.translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")))
+            if power
+            else 1.0
+        )
+        numbers = [
+            scale * float(x)
+            for x in body.replace("[", "").replace("]", "").replace(",", "").split()
+        ]
         error = np.abs(np.array(numbers) - [value, value - half, value + half])
         assert np.all(error <= 0.34 * half + 1e-4 * (abs(value) + half)), (text, value, half)
 
 
 def test_percent_never_rounds_to_all_or_nothing():
     assert fmt.percent(0.9996) == "99.9 %" and fmt.percent(0.0004) == "< 0.1 %"
-    assert fmt.percent(1.0) == "100 %" and fmt.percent(0.0) == "0.0 %" and fmt.percent(-0.008) == "−0.8 %"
+    assert (
+        fmt.percent(1.0) == "100 %"
+        and fmt.percent(0.0) == "0.0 %"
+        and fmt.percent(-0.008) == "−0.8 %"
+    )
 
 
 def test_p_values_and_lists():
-    assert fmt.p_value(2e-5) == "< 0.001" and fmt.p_value(0.032) == "0.032" and fmt.p_value(None) == "–"
+    assert (
+        fmt.p_value(2e-5) == "< 0.001"
+        and fmt.p_value(0.032) == "0.032"
+        and fmt.p_value(None) == "–"
+    )
     assert fmt.listing(["a", "b", "c"], "or") == "a, b or c" and fmt.listing([]) == ""
     assert fmt.count(1, "trial") == "1 trial" and fmt.count(7200, "sample") == "7,200 samples"
 
 
 def test_names_read_as_words():
-    assert words.plain("coulomb_friction") == "Coulomb friction" and words.plain("joint12") == "joint 12"
-    assert words.effect_name({"name": "bias", "where": "joint2", "alternatives": ["tilt"]}) == "bias or tilt at joint 2"
+    assert (
+        words.plain("coulomb_friction") == "Coulomb friction"
+        and words.plain("joint12") == "joint 12"
+    )
+    assert (
+        words.effect_name({"name": "bias", "where": "joint2", "alternatives": ["tilt"]})
+        == "bias or tilt at joint 2"
+    )
     both = {"name": "torque_gain", "where": "joint1", "alternatives": ["torque_gain@joint2"]}
     assert words.effect_name(both) == "torque gain at joint 1 or torque gain at joint 2"
 
@@ -116,7 +139,9 @@ def test_thinned_series_keep_their_gaps_and_their_length():
 
 
 def test_figures_take_their_colours_from_the_page():
-    text = svg.draw(lambda figure: figure.subplots().plot([0, 1], color=svg.AFTER), 2.0, 'a "figure" & more')
+    text = svg.draw(
+        lambda figure: figure.subplots().plot([0, 1], color=svg.AFTER), 2.0, 'a "figure" & more'
+    )
     assert "var(--after)" in text and svg.AFTER not in text
     assert 'aria-label="a &quot;figure&quot; &amp; more"' in text and not text.startswith("<?xml")
 
@@ -131,29 +156,64 @@ def test_declared_parameters_stand_beside_the_model_files_and_combinations_are_e
 
 def test_names_that_the_report_lists_already_are_not_listed_again_and_many_are_counted():
     loose = {"value": 0.0, "low": None, "high": None, "unit": "kg", "identifiable": False}
-    report = {"effects": [], "verdict": "explained", "declared": {"before": {"m1": loose, "m2": loose}, "after": {}}}
+    report = {
+        "effects": [],
+        "verdict": "explained",
+        "declared": {"before": {"m1": loose, "m2": loose}, "after": {}},
+    }
     said = "m1, m2 one by one: the motion fixes only the combinations listed."
-    assert sum("m1" in line for line in words.not_established(report | {"not_established": [said]})) == 1
+    assert (
+        sum("m1" in line for line in words.not_established(report | {"not_established": [said]}))
+        == 1
+    )
     report["declared"]["before"] = {f"mass of {k}": loose for k in range(18)}
-    assert words.not_established(report)[0].startswith("The values of 18 numbers listed under Declared parameters:")
+    assert words.not_established(report)[0].startswith(
+        "The values of 18 numbers listed under Declared parameters:"
+    )
 
 
 def test_the_joint_that_is_furthest_off_is_shown_first():
     flat = np.zeros(5)
-    trial = {"trial": "a", "time": np.arange(5.0), "measured": {"shoulder": flat, "elbow": flat}, "after": None}
-    trial |= {"before": {"shoulder": flat + 0.1, "elbow": flat + 1.0}, "units": {"shoulder": "rad", "elbow": "rad"}}
-    channels = {name: {"before": size, "unit": "rad"} for name, size in (("shoulder", 0.1), ("elbow", 1.0))}
+    trial = {
+        "trial": "a",
+        "time": np.arange(5.0),
+        "measured": {"shoulder": flat, "elbow": flat},
+        "after": None,
+    }
+    trial |= {
+        "before": {"shoulder": flat + 0.1, "elbow": flat + 1.0},
+        "units": {"shoulder": "rad", "elbow": "rad"},
+    }
+    channels = {
+        name: {"before": size, "unit": "rad"} for name, size in (("shoulder", 0.1), ("elbow", 1.0))
+    }
     html, _ = held_out([trial], {"per_channel": channels, "per_trial": []})
     assert html.index(">elbow</option>") < html.index(">shoulder</option>")
 
 
 def test_a_gain_is_read_as_a_factor():
-    """report.json has what it is more than 1 by; of parameters of other effects nothing is changed."""
+    """report.json has what it is more than 1 by; of parameters of other effects nothing is
+    changed.
+    """
     found = {"value": -0.3, "low": -0.31, "high": -0.29, "unit": "1"}
-    rows = [{"name": "torque_gain", "where": "joint1", "alternatives": [], "parameters": {"gain": found}},
-            {"name": "own", "where": "joint1", "alternatives": [], "parameters": {"gain": found}},
-            {"name": "camera_scale", "where": "", "alternatives": [], "parameters": {"scale": found | {"low": None}}}]  # fmt: skip
-    texts = [(p["name"], p["value"]) for row in effect_rows({"effects": rows}) for p in row["parameters"]]
+    rows = [
+        {
+            "name": "torque_gain",
+            "where": "joint1",
+            "alternatives": [],
+            "parameters": {"gain": found},
+        },
+        {"name": "own", "where": "joint1", "alternatives": [], "parameters": {"gain": found}},
+        {
+            "name": "camera_scale",
+            "where": "",
+            "alternatives": [],
+            "parameters": {"scale": found | {"low": None}},
+        },
+    ]
+    texts = [
+        (p["name"], p["value"]) for row in effect_rows({"effects": rows}) for p in row["parameters"]
+    ]
     assert dict(texts) == {
         "gain (1: none)": "0.700 [0.690, 0.710]",
         "gain": "−0.300 [−0.310, −0.290]",
@@ -162,7 +222,8 @@ def test_a_gain_is_read_as_a_factor():
 
 
 @pytest.mark.parametrize(
-    ("skill", "begins"), [(0.2, "Do not rely on the mended model yet: at best it is 20 %"), (0.9, "Use")]
+    ("skill", "begins"),
+    [(0.2, "Do not rely on the mended model yet: at best it is 20 %"), (0.9, "Use")],
 )
 def test_a_model_that_hardly_beats_a_straight_line_is_not_recommended(skill, begins):
     mended = {"stretches": {"skill": -0.3}, "torque": {"skill": skill}}

@@ -1,4 +1,6 @@
-"""Page and files of a diagnosis: whole for every verdict, self-contained, honest about what is not there."""
+"""Page and files of a diagnosis: whole for every verdict, self-contained, honest about what is not
+there.
+"""
 
 import io
 import json
@@ -33,7 +35,9 @@ class Page(HTMLParser):
 
     def handle_startendtag(self, tag, attrs):
         found = dict(attrs)
-        self.addresses += [found[key] for key in ("href", "src", "xlink:href", "action") if key in found]
+        self.addresses += [
+            found[key] for key in ("href", "src", "xlink:href", "action") if key in found
+        ]
         self.ids += [found["id"]] if "id" in found else []
 
     def handle_endtag(self, tag):
@@ -101,14 +105,17 @@ def test_page_says_the_verdict_and_the_message(written, verdict):
     ("verdict", "sentence"),
     [
         ("explained", "The declared model lacks Coulomb friction at joint 1."),
-        ("explained_class", "The declared model lacks constant bias, base tilt or encoder offset at joint 1"),
+        (
+            "explained_class",
+            "The declared model lacks constant bias, base tilt or encoder offset at joint 1",
+        ),
         ("confounded_with_declared", "A declared value is wrong, or an effect acts just like it."),
         ("structured_unattributed", "Coulomb friction at joint 1 found, and something more"),
         ("within_noise", "The declared model explains these data to within the noise."),
         ("underpowered", "These data cannot decide whether the declared model is complete."),
         ("data_fault", "The data must be mended before a model can be judged."),
     ],
-)  # fmt: skip
+)
 def test_headlines(written, verdict, sentence):
     assert sentence in written[verdict][1].text
 
@@ -123,7 +130,9 @@ def test_within_noise_says_how_much_is_left_where_that_is_far_more_than_the_sens
 
 def test_what_declared_parameters_absorb_is_no_suspect():
     report = REPORTS["confounded_with_declared"]()
-    assert any(row["status"] == "confounded" for row in report["candidates"]) and not report["effects"]
+    assert (
+        any(row["status"] == "confounded" for row in report["candidates"]) and not report["effects"]
+    )
     assert "orque gain" not in headline(report)
 
 
@@ -188,8 +197,20 @@ def test_every_evidence_key_may_come_alone():
 def test_poor_evidence_is_drawn_without_a_warning():
     gaps = np.full(50, np.nan)
     bad = {
-        "held_out": [{"trial": "a", "time": np.arange(50.0), "measured": {"q1": gaps}, "before": {}, "after": None}],
-        "tracks": {"measured": [np.full((5, 2), np.nan)], "before": [np.zeros((5, 2))], "after": None},
+        "held_out": [
+            {
+                "trial": "a",
+                "time": np.arange(50.0),
+                "measured": {"q1": gaps},
+                "before": {},
+                "after": None,
+            }
+        ],
+        "tracks": {
+            "measured": [np.full((5, 2), np.nan)],
+            "before": [np.zeros((5, 2))],
+            "after": None,
+        },
         "audit": [{"severity": "note", "message": "one"}],
         "run": {},
     }
@@ -200,7 +221,10 @@ def test_poor_evidence_is_drawn_without_a_warning():
 
 def test_finer_shapes_that_stayed_at_zero_are_not_listed_as_found():
     report = REPORTS["explained"]()
-    zero, fitted = ({"value": 0.0, "low": low, "high": high, "unit": "rad/s"} for low, high in ((0.0, 0.0), (0.0, 0.1)))
+    zero, fitted = (
+        {"value": 0.0, "low": low, "high": high, "unit": "rad/s"}
+        for low, high in ((0.0, 0.0), (0.0, 0.1))
+    )
     report["effects"][0]["parameters"] |= {"softness": zero, "width": fitted}
     text = Page(render(report, {})).text
     assert "width" in text and "softness" not in text
@@ -247,6 +271,10 @@ def test_summary(written, verdict):
     text = console.file.getvalue()
     assert text.startswith(verdict) and str(out / "report.html") in text and "next" in text
     if verdict == "explained":
-        assert "31.2 [28.7, 33.7] mN·m" in text and "14.1 [12.3, 16.4] mrad" in text and "86 % less" in text
+        assert (
+            "31.2 [28.7, 33.7] mN·m" in text
+            and "14.1 [12.3, 16.4] mrad" in text
+            and "86 % less" in text
+        )
     else:
         print_summary(REPORTS[verdict](), Console(file=io.StringIO(), width=30))

@@ -28,7 +28,10 @@ NESTED = [
     *[("effects", 0, "parameters", "torque", key) for key in ("value", "low", "high", "unit")],
     *[("error", key) for key in schema.ERROR_KEYS],
     *[("error", "per_channel", "q1", key) for key in ("before", "after")],
-    *[("candidates", 0, key) for key in ("name", "where", "held_out_gain", "p_value", "accepted", "why")],
+    *[
+        ("candidates", 0, key)
+        for key in ("name", "where", "held_out_gain", "p_value", "accepted", "why")
+    ],
     *[("declared", key) for key in ("before", "after")],
     *[("declared", "after", "m1", key) for key in ("value", "low", "high", "unit", "identifiable")],
 ]
@@ -50,7 +53,9 @@ def test_every_verdict_has_a_report_that_keeps_the_schema(verdict):
     assert schema.check(report) == json.loads(json.dumps(report, allow_nan=False))
 
 
-@pytest.mark.parametrize("path", [(key,) for key in TOP] + NESTED, ids=lambda path: ".".join(map(str, path)))
+@pytest.mark.parametrize(
+    "path", [(key,) for key in TOP] + NESTED, ids=lambda path: ".".join(map(str, path))
+)
 def test_every_key_is_wanted(path):
     found = schema.problems(without(REPORTS["explained"](), path))
     assert found and any(str(path[-1]) in line for line in found)
@@ -100,7 +105,11 @@ def test_free_keys_are_free():
 
 def test_new_report_is_whole():
     report = schema.new_report(
-        "pendulum", "linearized", "data_fault", "why", {"trials": 0, "samples": 0, "held_out_trials": 0}
+        "pendulum",
+        "linearized",
+        "data_fault",
+        "why",
+        {"trials": 0, "samples": 0, "held_out_trials": 0},
     )
     assert schema.problems(report) == [] and set(TOP) == set(report)
 

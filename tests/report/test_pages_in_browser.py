@@ -1,4 +1,6 @@
-"""The pages in headless Chromium: plots are drawn, tables sort, nothing is fetched, nothing is wider than a phone."""
+"""The pages in headless Chromium: plots are drawn, tables sort, nothing is fetched, nothing is
+wider than a phone.
+"""
 
 from pathlib import Path
 
@@ -12,7 +14,10 @@ from tests.report.diagnosis_cases import REPORTS, evidence
 from tests.report.sweep_cases import made
 from tests.report.test_comparison import results  # noqa: F401  (a fixture)
 
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine")]
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine"),
+]
 CHOOSE = "Object.assign(document.querySelectorAll('#held-out select')[{}], {{value: '1'}}).dispatchEvent(new Event('change'))"
 PLOTS = {"diagnosis": 1, "comparison": 2, "sweep": 2}
 
@@ -49,7 +54,9 @@ def test_plots_are_drawn_and_nothing_is_fetched(browser, pages, name, dark):
 @pytest.mark.parametrize("name", PLOTS)
 def test_nothing_is_wider_than_a_phone(browser, pages, name):
     browser.show(pages[name], width=400)
-    assert browser.run("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
+    assert browser.run(
+        "document.documentElement.scrollWidth <= document.documentElement.clientWidth"
+    )
     plots = "[...document.querySelectorAll('.js-plotly-plot')]"
     right = "p.querySelector('.main-svg').getBoundingClientRect().right"
     assert browser.run(f"Math.max(...{plots}.map(p => {right}))") <= 400
@@ -60,13 +67,17 @@ def test_nothing_is_wider_than_a_phone(browser, pages, name):
 
 def column(browser, table, index):
     return browser.run(
-        f"[...document.querySelector('{table}').tBodies[0].rows].filter(r => !r.hidden).map(r => r.cells[{index}].innerText.trim())"
+        f"[...document.querySelector('{table}').tBodies[0].rows].filter(r => !r.hidden).map(r => "
+        f"r.cells[{index}].innerText.trim())"
     )
 
 
 def test_candidates_sort_by_a_click_and_the_rest_unfolds(browser, pages):
     browser.show(pages["diagnosis"])
-    table, press = "#candidates table", "document.querySelectorAll('#candidates th button')[{}].click()"
+    table, press = (
+        "#candidates table",
+        "document.querySelectorAll('#candidates th button')[{}].click()",
+    )
     total = len(REPORTS["explained"]()["candidates"])
     assert len(column(browser, table, 0)) == 8 < total
     browser.run("document.querySelector('#candidates .more').click()")
@@ -76,18 +87,25 @@ def test_candidates_sort_by_a_click_and_the_rest_unfolds(browser, pages):
     assert column(browser, table, 0) == sorted(first, key=str.lower)
     browser.run(press.format(2))
     gains = [row["held_out_gain"] for row in REPORTS["explained"]()["candidates"]]
-    shown = browser.run(f"[...document.querySelectorAll('{table} tbody tr')].map(r => Number(r.cells[2].dataset.v))")
+    shown = browser.run(
+        f"[...document.querySelectorAll('{table} tbody tr')].map(r => Number(r.cells[2].dataset.v))"
+    )
     assert shown == sorted(gains, reverse=True)
     browser.run(press.format(2))
-    shown = browser.run(f"[...document.querySelectorAll('{table} tbody tr')].map(r => Number(r.cells[2].dataset.v))")
+    shown = browser.run(
+        f"[...document.querySelectorAll('{table} tbody tr')].map(r => Number(r.cells[2].dataset.v))"
+    )
     assert shown == sorted(gains)
     assert browser.run("document.querySelectorAll('#candidates th[aria-sort]').length") == 1
 
 
 @pytest.mark.parametrize(
-    ("name", "table", "index"), [("comparison", "#adaptation table", 1), ("sweep", "#combinations table", 3)]
+    ("name", "table", "index"),
+    [("comparison", "#adaptation table", 1), ("sweep", "#combinations table", 3)],
 )
-def test_other_tables_sort_too_and_what_has_no_number_comes_last(browser, pages, name, table, index):
+def test_other_tables_sort_too_and_what_has_no_number_comes_last(
+    browser, pages, name, table, index
+):
     browser.show(pages[name])
     browser.run(f"document.querySelectorAll('{table} th button')[{index}].click()")
     shown = [float(text.split()[0]) for text in column(browser, table, index)]
@@ -97,7 +115,10 @@ def test_other_tables_sort_too_and_what_has_no_number_comes_last(browser, pages,
 def test_selectors_draw_another_trial_and_signal(browser, pages):
     browser.show(pages["diagnosis"])
     first = "document.querySelector('#held-out .plot').data[0].y.slice(0, 50).join()"
-    before, note = browser.run(first), browser.run("document.querySelector('#held-out .said').innerText")
+    before, note = (
+        browser.run(first),
+        browser.run("document.querySelector('#held-out .said').innerText"),
+    )
     assert "declared" in note and "mended" in note
     browser.run(CHOOSE.format(0))
     trial = browser.run(first)

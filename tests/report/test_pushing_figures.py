@@ -1,4 +1,6 @@
-"""Figures and films of the push: what is drawn is what was given, the plate meets the bottle, and no OpenGL is no failure."""
+"""Figures and films of the push: what is drawn is what was given, the plate meets the bottle, and
+no OpenGL is no failure.
+"""
 
 import subprocess
 import sys
@@ -33,7 +35,9 @@ def clip():
     return Clip(state[0], ACTION[0], GOAL, 0.05, "a push")
 
 
-@pytest.mark.parametrize("task, called", [("pushing", "μ table"), ("scooping", "μ piece"), ("other", "")])
+@pytest.mark.parametrize(
+    "task, called", [("pushing", "μ table"), ("scooping", "μ piece"), ("other", "")]
+)
 def test_parameters_are_called_what_their_task_calls_them(task, called):
     axis = draw.axes_of(Space((Parameter("mu", 0.1, 0.2),)), task)[0]
     assert axis == draw.Axis("mu", 0.1, 0.2, False, called)
@@ -43,12 +47,16 @@ def test_a_table_top_shows_each_push_where_it_was():
     track = np.stack([np.linspace(0.56, 0.8, 20), np.linspace(0, 0.05, 20)], -1)
     panels = [[[draw.Push((0.85, 0.02), track, 0.7)], [draw.Push((0.75, -0.1), track, 0.2)] * 2]]
     params = np.tile(PARAMS, (4, 1))
-    figure = draw.pushes_over_iterations(panels, [["iteration 3", "iteration 4"]], params, AXES, patch=0.05, first=3)
+    figure = draw.pushes_over_iterations(
+        panels, [["iteration 3", "iteration 4"]], params, AXES, patch=0.05, first=3
+    )
     tops, lines = figure.axes[:2], figure.axes[2:]
     assert [ax.get_title() for ax in tops] == ["iteration 3", "iteration 4"] and len(lines) == 4
     assert [ax.get_xlabel() for ax in tops] == ["reward 0.70", "reward 0.20, 0.20"]
     ends = [p.center for p in tops[0].patches if isinstance(p, Circle)]
-    assert (0.0, 0.56) in ends and np.allclose(ends[-1], (0.05, 0.8))  # y across, x away from the arm
+    assert (0.0, 0.56) in ends and np.allclose(
+        ends[-1], (0.05, 0.8)
+    )  # y across, x away from the arm
     assert np.allclose(tops[0].lines[-1].get_xydata(), [[0.02, 0.85]])
     assert tops[0].get_xlim()[0] > tops[0].get_xlim()[1]  # the arm's left is on the left
     assert lines[0].lines[0].get_xdata().tolist() == [3, 4, 5, 6]
@@ -69,7 +77,9 @@ def test_parameters_of_each_method_and_seed_are_dots_and_methods_without_any_are
         {"method": "adaptsim", "setting": "ood-1", "best_params": found.tolist()},
         {"method": "udr", "setting": "ood-1"},
     ]
-    figure = draw.parameters_found({"rows": rows, "settings": {"ood-1": {"params": [0.25, 5e4, 0.1, -0.1]}}}, AXES)
+    figure = draw.parameters_found(
+        {"rows": rows, "settings": {"ood-1": {"params": [0.25, 5e4, 0.1, -0.1]}}}, AXES
+    )
     assert len(figure.axes) == 4
     for k, ax in enumerate(figure.axes):
         target, seeds, middle = ax.lines
@@ -83,24 +93,44 @@ def test_parameters_of_each_method_and_seed_are_dots_and_methods_without_any_are
 def test_the_drawn_plate_meets_the_bottle_when_it_begins_to_move(clip):
     track = np.asarray(clip.state)[:, :2]
     row = int(np.argmax(np.linalg.norm(track - START, axis=1) > 1e-6))
-    gap = [np.linalg.norm(track[k] - push_video._edge(clip, k)[0]) - RADIUS - EDGE_RADIUS for k in (row - 2, row)]
-    assert 0 < gap[0] < 0.016 and -0.016 < gap[1] < 0  # it touches between these rows, 8 mm apart each
+    gap = [
+        np.linalg.norm(track[k] - push_video._edge(clip, k)[0]) - RADIUS - EDGE_RADIUS
+        for k in (row - 2, row)
+    ]
+    assert (
+        0 < gap[0] < 0.016 and -0.016 < gap[1] < 0
+    )  # it touches between these rows, 8 mm apart each
     assert 0.01 < push_video._edge(clip, row)[1] < 0.06
     forward, _, _ = push_video.plate(clip.action, 129)
-    assert forward == pytest.approx(0.7 * (0.1 + 0.1 + 0.25), abs=2e-3)  # half the ramps and the hold
+    assert forward == pytest.approx(
+        0.7 * (0.1 + 0.1 + 0.25), abs=2e-3
+    )  # half the ramps and the hold
 
 
 @pytest.mark.slow
 def test_a_drawing_shows_the_bottle_going_to_where_it_went(clip):
     first, *_, last = frames = list(drawn_frames([clip]))
-    assert len(frames) == 65 + push_video.HOLD and first.shape == (360, 640, 3) and first.dtype == np.uint8
-    blue = lambda f: np.argwhere((f[32:228, 80:580, 2] > 1.35 * f[32:228, 80:580, 0]) & (f[32:228, 80:580, 2] > 150))
-    metres = lambda pixel: 0.3 + pixel / 500.0
+    assert (
+        len(frames) == 65 + push_video.HOLD
+        and first.shape == (360, 640, 3)
+        and first.dtype == np.uint8
+    )
+
+    def blue(f):
+        return np.argwhere(
+            (f[32:228, 80:580, 2] > 1.35 * f[32:228, 80:580, 0]) & (f[32:228, 80:580, 2] > 150)
+        )
+
+    def metres(pixel):
+        return 0.3 + pixel / 500.0
+
     assert abs(metres(np.median(blue(first)[:, 1])) - 0.56) < 0.02
     assert metres(blue(last)[:, 1].max()) == pytest.approx(clip.state[-1, 0] + RADIUS, abs=0.02)
 
 
-def test_where_mujoco_has_no_opengl_the_film_is_drawn_and_the_line_says_so(clip, tmp_path, monkeypatch):
+def test_where_mujoco_has_no_opengl_the_film_is_drawn_and_the_line_says_so(
+    clip, tmp_path, monkeypatch
+):
     monkeypatch.setenv("MUJOCO_GL", "none-such")
     short = Clip(clip.state[::26], clip.action, clip.goal, clip.patch, clip.text)
     path, how = write_push_video([short], tmp_path)
@@ -123,7 +153,9 @@ def test_mujoco_renders_the_same_push_where_it_can(clip, tmp_path):
             picture = np.asarray(film.convert("RGB")).astype(int)
         yellow = (picture[..., 0] > 200) & (picture[..., 1] > 170) & (picture[..., 2] < 90)
         green = (picture[..., 1] > picture[..., 0] + 30) & (picture[..., 1] > picture[..., 2] + 20)
-        assert yellow.sum() > 100 and green.sum() > 1000  # the goal's cross and the bottle are in sight
+        assert (
+            yellow.sum() > 100 and green.sum() > 1000
+        )  # the goal's cross and the bottle are in sight
 
 
 def test_a_film_that_cannot_be_made_ends_in_an_error_code(tmp_path):

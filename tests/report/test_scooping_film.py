@@ -41,8 +41,14 @@ def test_outlines_stand_where_the_poses_say():
 def test_frames_are_drawn_and_say_how_it_ended():
     made = clip(success=False)
     shown = list(scoop_video.shown([made]))
-    assert len(shown) == scoop_video.FRAMES and shown[-1][1] == 40 and shown[-1][2] == pytest.approx(model.SECONDS)
-    assert scoop_video.verdict(made, 10) == "iteration 2" and "not on" in scoop_video.verdict(made, 40)
+    assert (
+        len(shown) == scoop_video.FRAMES
+        and shown[-1][1] == 40
+        and shown[-1][2] == pytest.approx(model.SECONDS)
+    )
+    assert scoop_video.verdict(made, 10) == "iteration 2" and "not on" in scoop_video.verdict(
+        made, 40
+    )
     frames = drawn_frames([made])
     first = next(frames)
     assert first.shape == (360, 640, 3) and first.dtype == np.uint8
@@ -67,7 +73,10 @@ def test_scenes_load_in_mujoco_and_are_where_the_drawing_is():
         piece = m.geom_size[1]
         assert piece[0] == model.RADIUS and {model.CYLINDER: piece[1]}.get(shape, piece[2]) == 0.01
     tip, data = clip().tip[20], mujoco.MjData(m)
-    data.mocap_pos[1], data.mocap_quat[1] = (tip[0], 0, tip[1]), (np.cos(tip[2] / 2), 0, np.sin(tip[2] / 2), 0)
+    data.mocap_pos[1], data.mocap_quat[1] = (
+        (tip[0], 0, tip[1]),
+        (np.cos(tip[2] / 2), 0, np.sin(tip[2] / 2), 0),
+    )
     mujoco.mj_forward(m, data)
     for geom, name in ((2, "blade"), (3, "neck")):
         middle = outlines(clip(), 20)[name].mean(0)
@@ -81,23 +90,38 @@ def test_the_best_visit_is_the_one_that_is_deployed(tmp_path, monkeypatch):
     """The highest raw return, not the highest reward, as in `result.json`."""
     drawn = []
     figure = scoops_over_iterations([clip()], [""], [0.0], np.tile(PARAMS, (3, 1)), AXES)
-    monkeypatch.setattr(figures_scooping, "scoops_over_iterations", lambda *given, **_: drawn.append(given) or figure)
+    monkeypatch.setattr(
+        figures_scooping,
+        "scoops_over_iterations",
+        lambda *given, **_: drawn.append(given) or figure,
+    )
     monkeypatch.setattr(adapt_scooping, "visits_of", lambda result, start: start)
     monkeypatch.setattr(adapt_scooping, "clips_of", lambda made, policies, target: [policies] * 3)
-    score, reward = np.array([[0.5, np.nan, 0.5], [0.0, 1.0, 0.5]]), np.array([[0.9, 0.2, 0.1], [0.3, 0.4, 0.5]])
+    score, reward = (
+        np.array([[0.5, np.nan, 0.5], [0.0, 1.0, 0.5]]),
+        np.array([[0.9, 0.2, 0.1], [0.3, 0.4, 0.5]]),
+    )
     history = SimpleNamespace(score=score, reward=reward, mean=np.full((2, 3, 4), 0.5, np.float32))
     result = SimpleNamespace(history=history, policy=SimpleNamespace(told=None))
     task = SimpleNamespace(space=scooping_space(), name="scooping")
     found = {"run": "run", "target": {"params": dict(zip("abcd", PARAMS, strict=True))}}
     trained = SimpleNamespace(phase1=SimpleNamespace(task=task))
     adapt_scooping.show(trained, {}, found, result, tmp_path, False)
-    assert drawn[0][:3] == ([1, 1, 1], ["iteration 0", "iteration 1 (best)", "iteration 2"], [0.3, 0.4, 0.5])
+    assert drawn[0][:3] == (
+        [1, 1, 1],
+        ["iteration 0", "iteration 1 (best)", "iteration 2"],
+        [0.3, 0.4, 0.5],
+    )
 
 
 def test_the_figure_of_iterations(tmp_path):
     figure = scoops_over_iterations(
-        [clip(), clip(success=False)], ["iteration 0", "iteration 3 (best)"], [0.17, 1.0], np.tile(PARAMS, (4, 1)), AXES,
+        [clip(), clip(success=False)],
+        ["iteration 0", "iteration 3 (best)"],
+        [0.17, 1.0],
+        np.tile(PARAMS, (4, 1)),
+        AXES,
         target=PARAMS.tolist(),
-    )  # fmt: skip
+    )
     path = look.save(figure, tmp_path / "scoops.png")
     assert path.stat().st_size > 10_000

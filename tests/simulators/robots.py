@@ -18,7 +18,9 @@ def quadruped() -> str:
     """Four legs of two joints on a free base, over a floor."""
     legs = "".join(LEG.format(n=n, x=x, y=y) for n, (x, y) in CORNERS.items())
     names = [f"{n}_{j}" for n in CORNERS for j in ("hip", "knee")]
-    servos = "".join(f'<position name="{n}" joint="{n}" kp="40" kv="1" forcerange="-20 20"/>' for n in names)
+    servos = "".join(
+        f'<position name="{n}" joint="{n}" kp="40" kv="1" forcerange="-20 20"/>' for n in names
+    )
     return HOPPER.format(legs=legs, servos=servos)
 
 
@@ -33,7 +35,9 @@ def record(
     every: int = 5,
     base: bool = False,
 ):
-    """Logs of `truth` (the model itself where empty) into `folder`, with `model.xml`; told(t, trial) -> commands [nu]."""
+    """Logs of `truth` (the model itself where empty) into `folder`, with `model.xml`; told(t,
+    trial) -> commands [nu].
+    """
     folder.mkdir(exist_ok=True)
     (folder / "model.xml").write_text(text)
     (folder / "meta.toml").write_text('task = "mechanism"\nmodel = "model.xml"\n')
@@ -56,7 +60,14 @@ def record(
             rows.append([t, *angles, *data.ctrl, *(data.qpos[:7] if base else [])])
             for _ in range(every):
                 mujoco.mj_step(model, data)
-        np.savetxt(folder / f"run_{trial}.csv", rows, delimiter=",", header=",".join(head), comments="", fmt="%.12g")
+        np.savetxt(
+            folder / f"run_{trial}.csv",
+            rows,
+            delimiter=",",
+            header=",".join(head),
+            comments="",
+            fmt="%.12g",
+        )
     return folder
 
 

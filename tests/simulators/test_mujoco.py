@@ -1,4 +1,6 @@
-"""MuJoCo itself over recordings that it made: bases that move, contact, loops; and numbers of a model fitted by it."""
+"""MuJoCo itself over recordings that it made: bases that move, contact, loops; and numbers of a
+model fitted by it.
+"""
 
 import json
 import shutil
@@ -47,7 +49,9 @@ def test_a_trial_without_the_base_that_others_have_is_refused_and_the_mend_works
         np.loadtxt(data / "run_1.csv", delimiter=",", skiprows=1),
     )
     header = ",".join(names.split(",")[:-7])
-    np.savetxt(data / "run_1.csv", rows[:, :-7], delimiter=",", header=header, comments="", fmt="%.12g")
+    np.savetxt(
+        data / "run_1.csv", rows[:, :-7], delimiter=",", header=header, comments="", fmt="%.12g"
+    )
     with pytest.raises(BadInput, match=r"trial run_1 has no base_x.*exclude = ..run_1") as error:
         stepped(*read_source_and_log(data))
     mend = str(error.value)[str(error.value).index("exclude") :]
@@ -56,7 +60,10 @@ def test_a_trial_without_the_base_that_others_have_is_refused_and_the_mend_works
 
 
 def test_the_command_takes_mujoco_where_the_base_moves(walked, capsys):
-    assert cli.main(["replay", str(walked / "model.xml"), str(walked), "--horizon", "0.3", "--json"]) == 0
+    assert (
+        cli.main(["replay", str(walked / "model.xml"), str(walked), "--horizon", "0.3", "--json"])
+        == 0
+    )
     told = json.loads(capsys.readouterr().out)
     assert told["median"] < 1e-6 and any("its base moves" in note for note in told["notes"])
 
@@ -85,11 +92,26 @@ def swing(t: float, trial: int) -> np.ndarray:
 
 
 def test_mass_damping_and_a_servos_gain_are_found(tmp_path):
-    data = record(tmp_path / "log", ARM.format(damping=0.1, mass=0.5, kp=30), truth=ARM.format(damping=0.2, mass=0.6, kp=36),
-                  told=swing, every=2)  # fmt: skip
-    found = fit(*read_source_and_log(data), ("joint:elbow.damping", "body:lower.mass", "actuator:lift.kp"), 0.3)
-    np.testing.assert_allclose(found.value, [0.2, 0.6, 36.0], rtol=1e-3)  # the log is MuJoCo's own, to 12 digits
-    assert found.code == "converged" and np.all(found.low <= found.value) and np.all(found.value <= found.high)
+    data = record(
+        tmp_path / "log",
+        ARM.format(damping=0.1, mass=0.5, kp=30),
+        truth=ARM.format(damping=0.2, mass=0.6, kp=36),
+        told=swing,
+        every=2,
+    )
+    found = fit(
+        *read_source_and_log(data),
+        ("joint:elbow.damping", "body:lower.mass", "actuator:lift.kp"),
+        0.3,
+    )
+    np.testing.assert_allclose(
+        found.value, [0.2, 0.6, 36.0], rtol=1e-3
+    )  # the log is MuJoCo's own, to 12 digits
+    assert (
+        found.code == "converged"
+        and np.all(found.low <= found.value)
+        and np.all(found.value <= found.high)
+    )
 
 
 def test_a_late_command_is_found_and_printed(tmp_path, capsys):
@@ -102,16 +124,31 @@ def test_a_late_command_is_found_and_printed(tmp_path, capsys):
     out = ["--horizon", "0.3", "--fit", "command.delay", "--json", "--out", str(tmp_path / "out")]
     assert cli.main(["replay", str(data / "model.xml"), str(data), *out]) == 0
     told = json.loads(capsys.readouterr().out)["fitted"]["command.delay"]
-    assert told["value"] == pytest.approx(0.008, abs=2e-4) and (tmp_path / "out" / "fitted.json").exists()
+    assert (
+        told["value"] == pytest.approx(0.008, abs=2e-4)
+        and (tmp_path / "out" / "fitted.json").exists()
+    )
 
 
 def test_a_loop_and_an_actuator_with_a_memory_of_which_one_joint_is_logged(tmp_path):
-    swing = lambda t, trial: np.array([0.1 * np.sin(6 * t + trial)])
+    def swing(t, trial):
+        return np.array([0.1 * np.sin(6 * t + trial)])
+
     data = record(tmp_path / "log", LOOP, told=swing)
     for path in data.glob("*.csv"):
-        rows, head = np.loadtxt(path, delimiter=",", skiprows=1), path.read_text().split("\n")[0].split(",")
+        rows, head = (
+            np.loadtxt(path, delimiter=",", skiprows=1),
+            path.read_text().split("\n")[0].split(","),
+        )
         keep = [head.index(n) for n in ("time", "q_crank", "ctrl_drive")]
-        np.savetxt(path, rows[:, keep], delimiter=",", header=",".join(head[k] for k in keep), comments="", fmt="%.12g")
+        np.savetxt(
+            path,
+            rows[:, keep],
+            delimiter=",",
+            header=",".join(head[k] for k in keep),
+            comments="",
+            fmt="%.12g",
+        )
     found = replayed(*read_source_and_log(data), 0.3)
     assert np.median(found.error) < 1e-5
 
@@ -144,12 +181,19 @@ def test_names_that_are_none_are_refused(walked, name, says):
 
 @pytest.mark.parametrize("name", ["ground.tilt_x", "ground.tilt_y", "ground.height"])
 def test_ground_that_is_moved_is_where_it_was_moved_to(name):
-    """A geom that lies in its body's frame is taken to lie there still, unless the model is told anew."""
-    model = mujoco.MjModel.from_xml_string('<mujoco><worldbody><geom type="plane" size="1 1 1"/></worldbody></mujoco>')
+    """A geom that lies in its body's frame is taken to lie there still, unless the model is told
+    anew.
+    """
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><geom type="plane" size="1 1 1"/></worldbody></mujoco>'
+    )
     moved = with_values(model, [field(model, name)], [0.1])
     data = mujoco.MjData(moved)
     mujoco.mj_forward(moved, data)
     up, height = data.geom_xmat[0].reshape(3, 3)[:, 2], data.geom_xpos[0, 2]
-    want = {"ground.tilt_x": [0, -np.sin(0.1), np.cos(0.1)], "ground.tilt_y": [np.sin(0.1), 0, np.cos(0.1)]}
+    want = {
+        "ground.tilt_x": [0, -np.sin(0.1), np.cos(0.1)],
+        "ground.tilt_y": [np.sin(0.1), 0, np.cos(0.1)],
+    }
     assert up == pytest.approx(want.get(name, [0, 0, 1]), abs=1e-9)
     assert height == pytest.approx(0.1 if name == "ground.height" else 0.0)

@@ -1,4 +1,6 @@
-"""A model file gets the numbers that were found, compiles to the model that was simulated, and says what it cannot hold."""
+"""A model file gets the numbers that were found, compiles to the model that was simulated, and says
+what it cannot hold.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +19,8 @@ from adaptsim_jax.simulators.mujoco.mended import _put, mended_mjcf
 from tests.simulators.robots import quadruped, record, walk
 
 ARRAYS = (
-    "dof_damping dof_frictionloss dof_armature body_mass body_inertia body_ipos geom_friction geom_solref geom_solimp geom_pos "
+    "dof_damping dof_frictionloss dof_armature body_mass body_inertia body_ipos geom_friction "
+    "geom_solref geom_solimp geom_pos "
     "geom_quat actuator_gainprm actuator_biasprm"
 ).split()
 
@@ -25,7 +28,9 @@ ARRAYS = (
 @pytest.fixture(scope="module")
 def walked(tmp_path_factory):
     data = tmp_path_factory.mktemp("walked")
-    return simulator(*read_source_and_log(record(data, quadruped(), told=walk, trials=3, seconds=1.0, base=True)))
+    return simulator(
+        *read_source_and_log(record(data, quadruped(), told=walk, trials=3, seconds=1.0, base=True))
+    )
 
 
 def moved(f) -> float:
@@ -42,7 +47,9 @@ def test_every_number_of_the_catalogue_comes_back_from_the_file(walked):
     for name in ARRAYS:
         np.testing.assert_allclose(getattr(got, name), getattr(want, name), atol=2e-6, err_msg=name)
     for f in walked.fields:
-        assert (f"not in this file: {f.name} = " in text) is (f.field in OUTSIDE and f.name != "command.delay")
+        assert (f"not in this file: {f.name} = " in text) is (
+            f.field in OUTSIDE and f.name != "command.delay"
+        )
     assert 'delay="' in text
 
 
@@ -56,7 +63,11 @@ def test_contact_changes_in_proportion_so_that_nothing_jumps_where_it_hardly_cha
 
 def test_feet_without_friction_have_no_share_of_it_to_change(tmp_path):
     bare = quadruped().replace('friction="0.5 0.01 0.001"', 'friction="0 0 0" priority="1"')
-    made = simulator(*read_source_and_log(record(tmp_path / "bare", bare, told=walk, trials=3, seconds=0.4, base=True)))
+    made = simulator(
+        *read_source_and_log(
+            record(tmp_path / "bare", bare, told=walk, trials=3, seconds=0.4, base=True)
+        )
+    )
     assert all(q.scale > 0 for q in made.quantities)
     assert not any("friction" in c.name for c in made.candidates)
 

@@ -18,7 +18,9 @@ MIXED = Space(
 
 
 def test_unit_and_physical_by_hand():
-    np.testing.assert_allclose(MIXED.physical(jnp.array([0.25, 0.5, 0.6])), [1.25, 1e5, 1.0], rtol=1e-5)
+    np.testing.assert_allclose(
+        MIXED.physical(jnp.array([0.25, 0.5, 0.6])), [1.25, 1e5, 1.0], rtol=1e-5
+    )
     np.testing.assert_allclose(MIXED.unit(jnp.array([1.25, 1e5, 1.0])), [0.25, 0.5, 0.5], atol=1e-6)
 
 
@@ -61,7 +63,9 @@ def test_samples_of_e_have_its_mean_and_spread_and_stay_inside():
 def test_uniform_samples_fill_the_box():
     drawn = np.asarray(MIXED.sample(jax.random.key(0), (10_000,)))
     assert drawn.shape == (10_000, 3)
-    np.testing.assert_allclose(np.quantile(drawn, [0.1, 0.5, 0.9], axis=0).T[:2], [[0.1, 0.5, 0.9]] * 2, atol=0.03)
+    np.testing.assert_allclose(
+        np.quantile(drawn, [0.1, 0.5, 0.9], axis=0).T[:2], [[0.1, 0.5, 0.9]] * 2, atol=0.03
+    )
     categories, counts = np.unique(drawn[:, 2], return_counts=True)
     np.testing.assert_allclose(categories, [0.0, 0.5, 1.0])
     np.testing.assert_allclose(counts / len(drawn), 1 / 3, atol=0.02)
@@ -98,7 +102,8 @@ def test_bad_values_say_the_mend_in_one_line(given, says):
 
 
 @pytest.mark.parametrize(
-    "bad", [("m", 2.0, 1.0), ("m", 0.0, 1.0, "", "log"), ("m", 0.0, 1.0, "", "cubic"), ("m", 1.0, 1.0)]
+    "bad",
+    [("m", 2.0, 1.0), ("m", 0.0, 1.0, "", "log"), ("m", 0.0, 1.0, "", "cubic"), ("m", 1.0, 1.0)],
 )
 def test_bad_parameters_are_refused(bad):
     with pytest.raises(BadInput):

@@ -1,4 +1,6 @@
-"""A sweep of the pendulum that is as small as may be, and how to run the command in a process of its own."""
+"""A sweep of the pendulum that is as small as may be, and how to run the command in a process of
+its own.
+"""
 
 import os
 import subprocess
@@ -45,7 +47,11 @@ def environment(devices=1):
 def start(words, devices=1):
     command = [sys.executable, "-m", "adaptsim_jax.cli", "sweep", *map(str, words)]
     return subprocess.Popen(
-        command, env=environment(devices), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        command,
+        env=environment(devices),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
     )
 
 

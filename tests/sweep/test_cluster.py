@@ -1,4 +1,6 @@
-"""A sweep shared out by Ray on this machine: one of its workers is killed in the middle, and the sweep ends whole."""
+"""A sweep shared out by Ray on this machine: one of its workers is killed in the middle, and the
+sweep ends whole.
+"""
 
 import importlib.util
 import json
@@ -14,7 +16,9 @@ from tests.sweep.test_devices import rows, same
 
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason="Ray is absent: pip install -e .[cluster]"),
+    pytest.mark.skipif(
+        importlib.util.find_spec("ray") is None, reason="Ray is absent: pip install -e .[cluster]"
+    ),
 ]
 
 
@@ -36,7 +40,9 @@ def test_a_worker_that_is_killed_is_replaced(tmp_path, monkeypatch):
     monkeypatch.setenv("SWEEP_TEST", tmp_path.name)
     spec = write(tmp_path, SPEC)
     run([spec, "--out", tmp_path / "plain", "--at-once", "2"])
-    process = start([spec, "--out", tmp_path / "out", "--at-once", "2", "--ray", "--save-every", "0"])
+    process = start(
+        [spec, "--out", tmp_path / "out", "--at-once", "2", "--ray", "--save-every", "0"]
+    )
     until, parts = time.monotonic() + 300, tmp_path / "out" / "parts"
     # in the middle: one batch is done, and another has begun
     while process.poll() is None and time.monotonic() < until:

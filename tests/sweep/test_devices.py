@@ -1,4 +1,6 @@
-"""The same sweep on one device, on four, and by two programs that join over loopback: equal but for rounding."""
+"""The same sweep on one device, on four, and by two programs that join over loopback: equal but for
+rounding.
+"""
 
 import json
 import socket
@@ -9,13 +11,20 @@ import pytest
 from adaptsim_jax.adaptation.sweep_devices import choose_split
 from tests.sweep.small import SPEC, run, start, write
 
-FEW = SPEC.replace("[0.1, 0.15]", "[0.1]").replace("[3e-4, 1e-3]", "[1e-3]").replace("seeds = 2", "seeds = 3")
+FEW = (
+    SPEC.replace("[0.1, 0.15]", "[0.1]")
+    .replace("[3e-4, 1e-3]", "[1e-3]")
+    .replace("seeds = 2", "seeds = 3")
+)
 
 
 def test_members_are_split_first_then_trajectories():
     assert choose_split(4, 64, 50) == (4, 1)
     assert choose_split(4, 2, 50) == (2, 2)
-    assert choose_split(4, 1, 50) == (4, 1)  # 50 trajectories do not divide by four: padded with copies
+    assert choose_split(4, 1, 50) == (
+        4,
+        1,
+    )  # 50 trajectories do not divide by four: padded with copies
     assert choose_split(4, 1, 100) == (1, 4)
     assert choose_split(4, 3, 8) == (2, 2)  # the fourth place of each is a copy
     assert choose_split(4, 2, 0) == (4, 1)
@@ -31,7 +40,9 @@ def same(a, b):
     for one, other in zip(a, b, strict=True):
         np.testing.assert_allclose(one["curve"], other["curve"], rtol=1e-4, atol=1e-4)
         for name, found in one["targets"].items():
-            np.testing.assert_allclose(found["rewards"], other["targets"][name]["rewards"], rtol=1e-4, atol=1e-4)
+            np.testing.assert_allclose(
+                found["rewards"], other["targets"][name]["rewards"], rtol=1e-4, atol=1e-4
+            )
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +69,17 @@ def free_port():
 @pytest.mark.slow
 def test_two_programs_over_loopback_find_what_one_does(alone, tmp_path):
     spec, where = write(tmp_path, FEW), f"127.0.0.1:{free_port()}"
-    words = [spec, "--out", tmp_path / "out", "--hosts", where, "--processes", "2", "--save-every", "0"]
+    words = [
+        spec,
+        "--out",
+        tmp_path / "out",
+        "--hosts",
+        where,
+        "--processes",
+        "2",
+        "--save-every",
+        "0",
+    ]
     both = [start([*words, "--process", i]) for i in range(2)]
     said = [p.communicate(timeout=400)[0] for p in both]
     assert [p.returncode for p in both] == [0, 0], said

@@ -1,4 +1,6 @@
-"""A small sweep by the command: what it writes, that members are those of `train` and `adapt`, failures, locks, kills."""
+"""A small sweep by the command: what it writes, that members are those of `train` and `adapt`,
+failures, locks, kills.
+"""
 
 import csv
 import json
@@ -30,13 +32,21 @@ def straight(tmp_path_factory):
 
 def test_it_leaves_a_table_and_figures(straight):
     rows = list(csv.DictReader((straight / "out" / "results.csv").read_text().splitlines()))
-    assert len(rows) == 8 and rows[3]["seed"] == "1" and rows[3]["hyper.learner.learning_rate"] == "0.001"
+    assert (
+        len(rows) == 8
+        and rows[3]["seed"] == "1"
+        and rows[3]["hyper.learner.learning_rate"] == "0.001"
+    )
     found = json.loads((straight / "out" / "results.json").read_text())
     assert found["done"] == 8 and len(found["rows"][0]["curve"]) == 8
     line = next(s for s in found["summary"] if s["key"] == "hyper.delta" and s["reward"] == "wd")
     assert line["over"] == "seeds" and line["count"] == 2 and line["members"] == 4
     names = {p.name for p in (straight / "out").glob("*.png")}
-    assert names == {"reward_hyper_delta.png", "reward_hyper_learner_learning_rate.png", "curves.png"}
+    assert names == {
+        "reward_hyper_delta.png",
+        "reward_hyper_learner_learning_rate.png",
+        "curves.png",
+    }
     page = (straight / "out" / "report.html").read_text()
     assert "8 of 8 members done" in page and page.count('class="explore"') == 2
 
@@ -47,11 +57,22 @@ def test_a_member_is_the_run_that_train_makes_and_adapt_adapts(straight, tmp_pat
     assert main(["train", "pendulum", "--run", str(tmp_path / "a"), "--config", str(config)]) == 0
     rewards = {}
     for name, folder in (("apart", tmp_path / "a"), ("kept", straight / "out" / "runs" / "00007")):
-        words = ["--target", "ood-1", "--seed", "1", "--iterations", "3", "--out", str(tmp_path / name)]
+        words = [
+            "--target",
+            "ood-1",
+            "--seed",
+            "1",
+            "--iterations",
+            "3",
+            "--out",
+            str(tmp_path / name),
+        ]
         assert main(["adapt", str(folder), *words]) == 0
         rewards[name] = json.loads((tmp_path / name / "result.json").read_text())["best"]["reward"]
     assert rewards["kept"] == pytest.approx(row["targets"]["ood-1"]["reward"], abs=1e-5)
-    assert rewards["apart"] == pytest.approx(rewards["kept"], abs=1e-3)  # another program, trained in float32
+    assert rewards["apart"] == pytest.approx(
+        rewards["kept"], abs=1e-3
+    )  # another program, trained in float32
 
 
 def test_a_second_run_into_the_folder_is_refused(straight, capsys):
@@ -81,7 +102,13 @@ def test_batches_that_raise_are_halved_down_to_the_member_that_does():
         return [(m, "done") for m in members]
 
     found = halved([1, 2, 3, 4, 5], work, lambda m, reason: (m, reason))
-    assert found == [(1, "done"), (2, "done"), (3, "RuntimeError: out of luck"), (4, "done"), (5, "done")]
+    assert found == [
+        (1, "done"),
+        (2, "done"),
+        (3, "RuntimeError: out of luck"),
+        (4, "done"),
+        (5, "done"),
+    ]
 
     def refuse(members):
         raise BadInput("no")
@@ -91,17 +118,29 @@ def test_batches_that_raise_are_halved_down_to_the_member_that_does():
 
 
 def test_killed_at_random_moments_it_ends_with_the_same_bits(straight, tmp_path):
-    """SIGKILL, five times (SWEEP_KILLS and SWEEP_SEED say otherwise): within 4 s of the start, and every fourth time after a
-    checkpoint."""
+    """SIGKILL, five times (SWEEP_KILLS and SWEEP_SEED say otherwise): within 4 s of the start, and
+    every fourth time after a checkpoint.
+    """
     spec, out = write(tmp_path, "keep = true\n" + SPEC), tmp_path / "out"
     words = [spec, "--out", out, "--at-once", "4", "--resume", "--save-every", "0"]
-    rng, wanted = random.Random(int(os.environ.get("SWEEP_SEED", "7"))), int(os.environ.get("SWEEP_KILLS", "5"))
+    rng, wanted = (
+        random.Random(int(os.environ.get("SWEEP_SEED", "7"))),
+        int(os.environ.get("SWEEP_KILLS", "5")),
+    )
     kills, midway = 0, 0
-    saved = lambda: sum(p.stat().st_mtime_ns for p in (out / "work").glob("*/manifest.json"))
+
+    def saved():
+        return sum(p.stat().st_mtime_ns for p in (out / "work").glob("*/manifest.json"))
+
     for _ in range(3 * wanted):
         before, process = saved(), start(words)
         held = time.monotonic() + 60
-        while kills % 4 == 1 and process.poll() is None and saved() == before and time.monotonic() < held:
+        while (
+            kills % 4 == 1
+            and process.poll() is None
+            and saved() == before
+            and time.monotonic() < held
+        ):
             time.sleep(0.005)
         time.sleep(rng.uniform(0.0, 0.1 if kills % 4 == 1 else 4.0))
         process.send_signal(signal.SIGKILL)

@@ -16,7 +16,11 @@ def test_members_are_the_grid_times_seeds(tmp_path):
     assert len(sweep.members) == 8 and sweep.swept == ("hyper.delta", "hyper.learner.learning_rate")
     assert [m.config.seed for m in sweep.members[:3]] == [0, 1, 0]
     last = sweep.members[-1].config
-    assert (last.hyper.delta, last.hyper.learner.learning_rate, last.phase1.trajectories) == (0.15, 1e-3, 64)
+    assert (last.hyper.delta, last.hyper.learner.learning_rate, last.phase1.trajectories) == (
+        0.15,
+        1e-3,
+        64,
+    )
     assert len(grouped(sweep)) == 1
 
 
@@ -51,7 +55,8 @@ def test_random_values_lie_in_their_ranges_and_come_again(tmp_path):
 def test_listed_values_belong_together(tmp_path):
     text = (
         SPEC.split("[grid]")[0]
-        + "[[list]]\nhyper.delta = 0.1\nhyper.shrink = 1\n[[list]]\nhyper.delta = 0.3\nhyper.shrink = 0.7\n"
+        + "[[list]]\nhyper.delta = 0.1\nhyper.shrink = 1\n[[list]]\nhyper.delta = "
+        "0.3\nhyper.shrink = 0.7\n"
     )
     sweep = read_sweep(write(tmp_path, text))
     assert [m.values for m in sweep.members[::2]] == [

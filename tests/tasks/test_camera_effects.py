@@ -1,4 +1,6 @@
-"""What a camera does to places: parallax is that of rays through what it sees, and over one height a scale with a shift."""
+"""What a camera does to places: parallax is that of rays through what it sees, and over one height
+a scale with a shift.
+"""
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +14,9 @@ CAMERA = np.array([0.4, -0.3, 1.2])  # x, y and height m
 
 def seen(places, height, **given):
     values = {q.name: jnp.float32(given.get(q.name, 0.0)) for q in QUANTITIES}
-    return np.asarray(viewed(values, jnp.asarray(places, jnp.float32), jnp.asarray(height, jnp.float32)))
+    return np.asarray(
+        viewed(values, jnp.asarray(places, jnp.float32), jnp.asarray(height, jnp.float32))
+    )
 
 
 def parallax():
@@ -29,7 +33,9 @@ def test_parallax_is_where_rays_meet_the_table():
 def test_over_one_height_it_is_a_scale_with_a_shift_and_over_several_none():
     more = 0.1 / (CAMERA[2] - 0.1)
     alike = {"scale": more, "shift_x": -more * CAMERA[0], "shift_y": -more * CAMERA[1]}
-    np.testing.assert_allclose(seen(PLACES, 0.1, **parallax()), seen(PLACES, 0.1, **alike), atol=1e-6)
+    np.testing.assert_allclose(
+        seen(PLACES, 0.1, **parallax()), seen(PLACES, 0.1, **alike), atol=1e-6
+    )
     apart = seen(PLACES, HEIGHTS, **parallax())
     design = np.concatenate([PLACES, np.ones((20, 1))], 1)
     left = apart - design @ np.linalg.lstsq(design, apart, rcond=None)[0]
@@ -37,5 +43,8 @@ def test_over_one_height_it_is_a_scale_with_a_shift_and_over_several_none():
 
 
 def test_only_where_heights_do_not_vary_no_trial_tells_them_apart():
-    classes = [{e.name: e.same for e in effects("trial", "there", rises)}["parallax"] for rises in (False, True)]
+    classes = [
+        {e.name: e.same for e in effects("trial", "there", rises)}["parallax"]
+        for rises in (False, True)
+    ]
     assert classes == [("camera_scale_with_shift@measurement",), ()]

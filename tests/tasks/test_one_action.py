@@ -11,13 +11,26 @@ from adaptsim_jax import BadInput, Parameter, Space, Task
 from adaptsim_jax.tasks.one_action import one_action
 
 SPACE = Space((Parameter("gain", 0.5, 2.0, "1"),))
-FLIP = lambda key, policy, params: params * policy + 0.01 * jax.random.normal(key)
+
+
+def FLIP(key, policy, params):
+    return params * policy + 0.01 * jax.random.normal(key)
+
+
 LAUNCHER = Task(
-    name="launcher", space=SPACE, targets=SPACE, obs_dim=1, settings={"weak": {"gain": 0.6}},
-    init_policy=lambda key: jnp.zeros(1), train=lambda key, dist, policy: 3.0 / SPACE.physical(dist.mean), rollout=FLIP,
-    observe=lambda at: at, score=lambda at: -jnp.abs(at[0] - 3.0), reference=lambda params: params[0],
+    name="launcher",
+    space=SPACE,
+    targets=SPACE,
+    obs_dim=1,
+    settings={"weak": {"gain": 0.6}},
+    init_policy=lambda key: jnp.zeros(1),
+    train=lambda key, dist, policy: 3.0 / SPACE.physical(dist.mean),
+    rollout=FLIP,
+    observe=lambda at: at,
+    score=lambda at: -jnp.abs(at[0] - 3.0),
+    reference=lambda params: params[0],
     reward=lambda at, gain: 1.0 - jnp.abs(at[0] - 3.0) / gain,
-)  # fmt: skip
+)
 KEY = jax.random.key(0)
 
 
@@ -46,15 +59,24 @@ def test_rewards_are_scaled_by_the_target_and_a_failure_earns_nothing(one):
     contexts = np.asarray(one.tests)
     outcomes, codes = world.run(np.array([[0.6], [np.nan]]), contexts, np.full((2, 1), 0.25))
     rewards = jax.vmap(one.reward)(outcomes, contexts)
-    assert float(rewards[0]) == pytest.approx(1.0, abs=0.1) and rewards[1] == 0.0 and codes.tolist() == [0, 1]
+    assert (
+        float(rewards[0]) == pytest.approx(1.0, abs=0.1)
+        and rewards[1] == 0.0
+        and codes.tolist() == [0, 1]
+    )
     assert np.mean(one.oracle(world, np.array([0.6]))) > 0.97
 
 
 def test_one_policy_serves_all_of_omega_and_the_best_trial_is_kept(one):
     assert 1.5 < float(one.train_uniform(KEY)[0]) < 6.0
     actions = jnp.array([[-0.9], [0.25], [0.9]])
-    outcomes, _ = one.world("own").run(np.full((3, 1), 0.6), np.tile(one.tests[:1], (3, 1)), np.asarray(actions))
-    tune = lambda used: float(one.tune(KEY, jnp.array([7.0]), None, actions, outcomes, jnp.asarray(used))[0])
+    outcomes, _ = one.world("own").run(
+        np.full((3, 1), 0.6), np.tile(one.tests[:1], (3, 1)), np.asarray(actions)
+    )
+
+    def tune(used):
+        return float(one.tune(KEY, jnp.array([7.0]), None, actions, outcomes, jnp.asarray(used))[0])
+
     assert [tune(n) for n in (0, 1, 3)] == pytest.approx([7.0, 0.4, 5.0])
 
 

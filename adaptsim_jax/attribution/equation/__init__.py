@@ -1,1 +1,3 @@
-"""Equation error: the balance of forces along the measured motion, in which nothing is simulated."""
+"""Equation error: the balance of forces along the measured motion, in which nothing is
+simulated.
+"""

@@ -1,4 +1,6 @@
-"""The balance of forces of a group of joints: what its motion takes, linear in inertial parameters, and what acts, by effect."""
+"""The balance of forces of a group of joints: what its motion takes, linear in inertial parameters,
+and what acts, by effect.
+"""
 
 import itertools
 from collections.abc import Mapping
@@ -26,26 +28,33 @@ ON_TORQUE = ("torque_gain", "saturation", "dead_zone", "position_gain", "load_fr
 LEAST_GAIN = 0.02
 At = Mapping[str, np.ndarray]  # parameters of an effect, [n] each
 Driven = tuple[np.ndarray, np.ndarray]
-AT_END = 0.05  # rad (m): from the end of a range, within which it may push, since an encoder's zero may be off; at most
+# rad (m): from the end of a range, within which it may push, since an encoder's zero may be off; at
+# most
+AT_END = 0.05
 OF_RANGE = 0.02  # of its width
 CUT = 0.05  # of a joint's usual force, from which on what a limit cuts of spikes is not told
 NEAR = 0.98  # of an actuator's limit, from which on it is at it
 LEAST_CLEAR = 0.03  # weight of a window in which a joint does not move
-PUSHED = 0.01  # of a window: from which share on, in which what pushes is not told, it does not count
+PUSHED = (
+    0.01  # of a window: from which share on, in which what pushes is not told, it does not count
+)
 NOTHING = 1e-9  # of its weight then
 SOMEWHAT = 2048  # rows that one compiled program takes
 
 
 @dataclass(frozen=True)
 class Balance:
-    """Of a group of n joints in K windows: regressor [K, n, 10 n] (N m by inertial parameter), acceleration [K, n], trial [K],
-    time [K], clear [K, n]: whether a joint moved, was not at the end of its range, and its force is told by the rows (`_told`); known
-    [K, n]: what acts whatever is fitted, which is what holds bodies up against gravity, less what bodies of joints that follow others
-    take.
+    """Of a group of n joints in K windows: regressor [K, n, 10 n] (N m by inertial parameter),
+    acceleration [K, n], trial [K], time [K], clear [K, n]: whether a joint moved, was not at the
+    end of its range, and its force is told by the rows (`_told`); known [K, n]: what acts whatever
+    is fitted, which is what holds bodies up against gravity, less what bodies of joints that follow
+    others take.
 
-    q, v, a, u, jump [n, T]: the motion of all runs one after the other; ahead, width [n, T]: the speed that dry friction goes by, and
-    below which it is not told from zero; row [T] s (`windows.Run`); clock [T] s; mean [K, T]
-    averages over windows; runs: the rows of each."""
+    q, v, a, u, jump [n, T]: the motion of all runs one after the other; ahead, width [n, T]: the
+    speed that dry friction goes by, and below which it is not told from zero; row [T] s
+    (`windows.Run`); clock [T] s; mean [K, T]
+    averages over windows; runs: the rows of each.
+    """
 
     group: Group
     q: np.ndarray
@@ -85,8 +94,10 @@ class Balance:
 def balances(
     problem: Problem, tracks: tuple[Track, ...], span: float = SPAN, trusted: bool = True
 ) -> tuple[Balance, ...]:
-    """By group of joints; none of a group whose trials hold no window. trusted: the law of the file's actuators says where they are at
-    their limits, and windows there do not count; else only those at stops."""
+    """By group of joints; none of a group whose trials hold no window. trusted: the law of the
+    file's actuators says where they are at their limits, and windows there do not count; else only
+    those at stops.
+    """
     out = []
     for group in problem.groups:
         own = list(group.joints)
@@ -95,7 +106,8 @@ def balances(
         if not runs:
             continue
         q, v, a, u, jump, smooth = (
-            np.concatenate([getattr(r, k) for r in runs], 1) for k in ("q", "v", "a", "u", "jump", "smooth")
+            np.concatenate([getattr(r, k) for r in runs], 1)
+            for k in ("q", "v", "a", "u", "jump", "smooth")
         )
         width = np.concatenate([np.outer(r.width, np.ones(len(r.time))) for r in runs], 1)
         row = np.concatenate([np.full(len(r.time), r.row) for r in runs])
@@ -105,12 +117,32 @@ def balances(
         table = _by_pieces(partial(_regressed, group.model.tree), q, v, a)
         regressor = (mean @ table.reshape(-1, table.shape[-1]).T).reshape(-1, *table.shape[:2])
         made = Balance(
-            group, q, v, a, u, jump, row, ahead_of(group.model.tree, smooth, a), width, np.concatenate([r.time for r in runs]),
-            tuple(slice(int(i), int(j)) for i, j in itertools.pairwise(ends)), mean, regressor, mean @ a.T, np.zeros(0),
-            np.concatenate([np.full(len(r.at), r.trial) for r in runs]), np.concatenate([r.at for r in runs]),
-            tuple(t.name for t in tracks), group_inertia(values, group)[0], _known(group.model.tree, mean, q, v, a),
-        )  # fmt: skip
-        sure = inside(group.model.tree, q) & _told(made, values, trusted) & ~np.isin(own, problem.unlike)[:, None]
+            group,
+            q,
+            v,
+            a,
+            u,
+            jump,
+            row,
+            ahead_of(group.model.tree, smooth, a),
+            width,
+            np.concatenate([r.time for r in runs]),
+            tuple(slice(int(i), int(j)) for i, j in itertools.pairwise(ends)),
+            mean,
+            regressor,
+            mean @ a.T,
+            np.zeros(0),
+            np.concatenate([np.full(len(r.at), r.trial) for r in runs]),
+            np.concatenate([r.at for r in runs]),
+            tuple(t.name for t in tracks),
+            group_inertia(values, group)[0],
+            _known(group.model.tree, mean, q, v, a),
+        )
+        sure = (
+            inside(group.model.tree, q)
+            & _told(made, values, trusted)
+            & ~np.isin(own, problem.unlike)[:, None]
+        )
         moves = np.maximum(mean @ np.concatenate([r.clear for r in runs], 1).T, LEAST_CLEAR)
         out.append(replace(made, clear=np.where(mean @ (~sure).T < PUSHED, moves, NOTHING)))
     return tuple(out)
@@ -124,12 +156,17 @@ def inside(tree: Tree, q: np.ndarray) -> np.ndarray:
 
 
 def _told(balance: Balance, values: Values, trusted: bool) -> np.ndarray:
-    """Where [n, T] limits cut little of the spikes of a force after each command (how much they cut hangs on what is between rows),
-    and no controller's force is at them: it is the difference of two much larger ones there, and none where a joint chatters."""
+    """Where [n, T] limits cut little of the spikes of a force after each command (how much they cut
+    hangs on what is between rows), and no controller's force is at them: it is the difference of
+    two much larger ones there, and none where a joint chatters.
+    """
     none = np.zeros_like(balance.jump)
     law = np.asarray(values.actuator)[..., 0]
     limit = np.abs(law[4:6]).min(0)[:, None] * np.abs(values.gear)
-    force, smooth = actuator_force(balance, values)[0], actuator_force(balance, values, (balance.u, none))[0]
+    force, smooth = (
+        actuator_force(balance, values)[0],
+        actuator_force(balance, values, (balance.u, none))[0],
+    )
     at_limit = trusted & held(law)[:, None] & (np.abs(smooth) >= NEAR * limit)
     usual = np.sqrt(np.mean(np.square(np.where(at_limit, 0.0, smooth)), 1, keepdims=True))
     return (np.abs(force - smooth) <= CUT * usual) & ~at_limit
@@ -150,17 +187,24 @@ def _given(tree, q, v, a):
     up = 0.0 * q if up is None else up
     if tree.whole is None:
         return up
-    return up - dynamics.inverse_dynamics(tree, 0.0 * jnp.asarray(tree.inertial), q, v, a, jnp.asarray(tree.gravity))
+    return up - dynamics.inverse_dynamics(
+        tree, 0.0 * jnp.asarray(tree.inertial), q, v, a, jnp.asarray(tree.gravity)
+    )
 
 
 def _by_pieces(make, *along: np.ndarray) -> np.ndarray:
-    """`make(*pieces)` of arrays [..., T], by pieces of one length, so that a program is compiled once."""
+    """`make(*pieces)` of arrays [..., T], by pieces of one length, so that a program is compiled
+    once.
+    """
     out, count = [], along[0].shape[-1]
     with jax.enable_x64(True):
         for first in range(0, count, SOMEWHAT):
             piece = [z[..., first : first + SOMEWHAT] for z in along]
             own = piece[0].shape[-1]
-            full = [np.pad(z, [(0, 0)] * (z.ndim - 1) + [(0, SOMEWHAT - own)], mode="edge") for z in piece]
+            full = [
+                np.pad(z, [(0, 0)] * (z.ndim - 1) + [(0, SOMEWHAT - own)], mode="edge")
+                for z in piece
+            ]
             out.append(np.asarray(make(*full))[..., :own])
     return np.concatenate(out, -1)
 
@@ -173,23 +217,39 @@ def _regressed(tree, q, v, a):
 @jax.jit
 def _taken(tree, inertial, offset, scale, q, v, a):
     size = 1.0 + scale[:, None]
-    force = lambda q, v, a: equations.inverse_dynamics(tree, inertial, q, v, a, jnp.asarray(tree.gravity))
+
+    def force(q, v, a):
+        return equations.inverse_dynamics(tree, inertial, q, v, a, jnp.asarray(tree.gravity))
+
     return force((q - offset[:, None]) / size, v / size, a / size) - force(q, v, a)
 
 
 @jax.jit
 def _taken_more(tree, inertial, offset, scale, q, v, a):
     none = jnp.zeros_like(offset)
-    change = lambda by, of: _taken(tree, inertial, by, of, q, v, a)
+
+    def change(by, of):
+        return _taken(tree, inertial, by, of, q, v, a)
+
     return jax.jvp(change, (none, none), (offset, scale))[1]
 
 
 def read_wrong(
-    balance: Balance, inertial: np.ndarray, offset: np.ndarray, scale: np.ndarray, slope: bool = False
+    balance: Balance,
+    inertial: np.ndarray,
+    offset: np.ndarray,
+    scale: np.ndarray,
+    slope: bool = False,
 ) -> np.ndarray:
-    """What a motion takes more [K, n] than the measured one, where encoders read `(1 + scale) q + offset` ([n]); with `slope` to first
-    order."""
-    make = partial(_taken_more if slope else _taken, balance.group.model.tree, inertial, np.asarray(offset, float))
+    """What a motion takes more [K, n] than the measured one, where encoders read `(1 + scale) q +
+    offset` ([n]); with `slope` to first order.
+    """
+    make = partial(
+        _taken_more if slope else _taken,
+        balance.group.model.tree,
+        inertial,
+        np.asarray(offset, float),
+    )
     at = partial(make, np.asarray(scale, float))
     return balance.averaged(_by_pieces(at, balance.q, balance.v, balance.a))
 
@@ -201,19 +261,30 @@ def _pulled(tree, inertial, gravity, q):
 
 def tilting(balance: Balance, inertial: np.ndarray, way: np.ndarray) -> np.ndarray:
     """Force of a gravity `way` [3] alone, [K, n]."""
-    return balance.averaged(_by_pieces(partial(_pulled, balance.group.model.tree, inertial, way), balance.q))
+    return balance.averaged(
+        _by_pieces(partial(_pulled, balance.group.model.tree, inertial, way), balance.q)
+    )
 
 
-def actuator_force(balance: Balance, values: Values, told: tuple[np.ndarray, np.ndarray] | None = None) -> Driven:
-    """Force of the actuators and the part of it that follows command and angle, [n, T], by the law of `values`. Controllers see what
-    is logged, an encoder's offset included. told: u and jump, where not those that were logged."""
+def actuator_force(
+    balance: Balance, values: Values, told: tuple[np.ndarray, np.ndarray] | None = None
+) -> Driven:
+    """Force of the actuators and the part of it that follows command and angle, [n, T], by the law
+    of `values`. Controllers see what is logged, an encoder's offset included. told: u and jump,
+    where not those that were logged.
+    """
     b, values = balance, values._replace(effects={})
     u, jump = (b.u, b.jump) if told is None else told
     law = np.asarray(values.actuator)
     with jax.enable_x64(True):
         if values.ties is None and np.any(np.isfinite(law[4:6])):
-            free = np.concatenate([law[:4], np.full_like(law[4:5], -np.inf), np.full_like(law[4:5], np.inf)])
-            tau, pull = (np.asarray(z) + 0.0 * b.q for z in _actuated(values._replace(actuator=free), b.q, b.v, u))
+            free = np.concatenate(
+                [law[:4], np.full_like(law[4:5], -np.inf), np.full_like(law[4:5], np.inf)]
+            )
+            tau, pull = (
+                np.asarray(z) + 0.0 * b.q
+                for z in _actuated(values._replace(actuator=free), b.q, b.v, u)
+            )
             ends = np.sort(np.asarray(values.gear) * law[4:6], 0)
             slow = b.inertia[:, None] / np.maximum(-law[3] * np.asarray(values.gear) ** 2, 1e-9)
             tau = limited(tau, law[0] * values.gear * jump, ends, slow, b.row, b.clock, b.runs)
@@ -229,7 +300,9 @@ def _actuated(values: Values, q, v, u):
 
 @partial(jax.jit, static_argnames="effect")
 def _acted(tree, inertial, effect: Effect, p, q, v, tau, t, pull, u, ahead, width):
-    gravity = lambda q: equations.gravity_force(tree, inertial, q, jnp.asarray(tree.gravity))
+    def gravity(q):
+        return equations.gravity_force(tree, inertial, q, jnp.asarray(tree.gravity))
+
     answer = effect.apply(p, Motion(q, v, tau, t, jnp.zeros_like(q), gravity, t, pull, u))
     if isinstance(answer, Dry):
         rate, more = jnp.asarray(tree.rub).T[..., None]
@@ -239,29 +312,45 @@ def _acted(tree, inertial, effect: Effect, p, q, v, tau, t, pull, u, ahead, widt
 
 
 def ahead_of(tree: Tree, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-    """The speed [n, T] that dry friction goes by: that of the joints, or where it gives as it will be a time constant on."""
+    """The speed [n, T] that dry friction goes by: that of the joints, or where it gives as it will
+    be a time constant on.
+    """
     rate, more = np.asarray(tree.rub, float).T[..., None]
     return np.where(more > 0.0, v + a / np.maximum(rate, 1e-9), v)
 
 
 def ramp(v, width, wide):
-    """The sign of v as it is told from zero beyond `width`: the mean of tanh(v / width) over +-`wide`, about which it turns."""
-    log_cosh = lambda x: jnp.abs(x) + jnp.log1p(jnp.exp(-2.0 * jnp.abs(x)))
+    """The sign of v as it is told from zero beyond `width`: the mean of tanh(v / width) over
+    +-`wide`, about which it turns.
+    """
+
+    def log_cosh(x):
+        return jnp.abs(x) + jnp.log1p(jnp.exp(-2.0 * jnp.abs(x)))
+
     some = jnp.maximum(wide, 1e-3 * width)
     mean = (log_cosh((v + some) / width) - log_cosh((v - some) / width)) * width / (2.0 * some)
     return jnp.where(wide > 0.0, mean, jnp.tanh(v / width))
 
 
-def effect_force(balance: Balance, values: Values, effect: Effect, p: At, driven: Driven) -> np.ndarray:
-    """Mean force [K, n] of a force effect at parameters p {name: [n]} along the measured motion; dry friction against it.
-    driven: `actuator_force` of these values."""
+def effect_force(
+    balance: Balance, values: Values, effect: Effect, p: At, driven: Driven
+) -> np.ndarray:
+    """Mean force [K, n] of a force effect at parameters p {name: [n]} along the measured motion;
+    dry friction against it. driven: `actuator_force` of these values.
+    """
     if effect.inertia:
         with jax.enable_x64(True):
-            return -np.asarray(effect.apply({k: np.asarray(z) for k, z in p.items()})) * balance.acceleration
+            return (
+                -np.asarray(effect.apply({k: np.asarray(z) for k, z in p.items()}))
+                * balance.acceleration
+            )
     at = {k: np.asarray(z, float)[:, None] for k, z in p.items()}
     b = balance
     tau, pull = driven
-    make = lambda *z: _acted(b.group.model.tree, values.inertial[..., 0], effect, at, *z)
+
+    def make(*z):
+        return _acted(b.group.model.tree, values.inertial[..., 0], effect, at, *z)
+
     return b.averaged(_by_pieces(make, b.q, b.v, tau, b.clock[None], pull, b.u, b.ahead, b.width))
 
 
@@ -270,7 +359,9 @@ def _commanded(effect: Effect, p, t, u):
     return effect.apply(p, t[:, None, None], u.T[..., None])[..., 0].T
 
 
-def command_force(balance: Balance, values: Values, effect: Effect, p: At, driven: Driven) -> np.ndarray:
+def command_force(
+    balance: Balance, values: Values, effect: Effect, p: At, driven: Driven
+) -> np.ndarray:
     """Change of the actuators' mean force [K, n] by an effect on their command (a delay, a lag)."""
     at = {k: np.asarray(z, float)[None, :, None] for k, z in p.items()}
     late = np.stack([balance.u, balance.jump])
@@ -288,21 +379,30 @@ def command_force(balance: Balance, values: Values, effect: Effect, p: At, drive
 
 def force_of(balance: Balance, values: Values, effect: Effect, p: At, driven: Driven) -> np.ndarray:
     """Mean force [K, n] of an effect on forces or commands at parameters p {name: [n]}."""
-    return (command_force if effect.place == "command" else effect_force)(balance, values, effect, p, driven)
+    return (command_force if effect.place == "command" else effect_force)(
+        balance, values, effect, p, driven
+    )
 
 
 def residual(
-    problem: Problem, balance: Balance, vector: Vector, acts: tuple[np.ndarray, np.ndarray] | None = None
+    problem: Problem,
+    balance: Balance,
+    vector: Vector,
+    acts: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> np.ndarray:
-    """Force that is missing [K, n]: what the motion takes less all that acts, at the values of a vector; of an actuator that does less
-    than it was told, in terms of what it was told.
+    """Force that is missing [K, n]: what the motion takes less all that acts, at the values of a
+    vector; of an actuator that does less than it was told, in terms of what it was told.
 
-    Else a gain of -1 (a limit of 0) beside a body that weighs nothing would leave nothing, whatever the motion: a dead model.
+    Else a gain of -1 (a limit of 0) beside a body that weighs nothing would leave nothing, whatever
+    the motion: a dead model.
     """
     group = balance.group
     values = values_of(problem, group, vector)
     n = balance.joints
-    read = lambda effect, name: values.effects.get(effect, {}).get(name, np.zeros((n, 1)))[:, 0]
+
+    def read(effect, name):
+        return values.effects.get(effect, {}).get(name, np.zeros((n, 1)))[:, 0]
+
     offset, scale = read("encoder_offset", "offset"), read("encoder_scale", "scale")
     inertial = values.inertial[..., 0]
     takes = balance.regressor @ inertial.ravel() - balance.known
@@ -331,5 +431,10 @@ def acting(balance: Balance, values: Values) -> tuple[np.ndarray, np.ndarray]:
 
 def in_proportion(told: np.ndarray, driven: np.ndarray) -> np.ndarray:
     """What actuators do [K, n] over what they were told, root mean squares [n]."""
-    size = lambda z: np.sqrt(np.mean(np.square(z), 0))
-    return np.where(size(told) > 0, np.maximum(size(driven) / np.maximum(size(told), 1e-300), LEAST_GAIN), 1.0)
+
+    def size(z):
+        return np.sqrt(np.mean(np.square(z), 0))
+
+    return np.where(
+        size(told) > 0, np.maximum(size(driven) / np.maximum(size(told), 1e-300), LEAST_GAIN), 1.0
+    )

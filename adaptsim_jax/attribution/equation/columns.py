@@ -1,4 +1,6 @@
-"""What each parameter does to the balance of forces: a column of mean force in the windows, linear in amplitudes."""
+"""What each parameter does to the balance of forces: a column of mean force in the windows, linear
+in amplitudes.
+"""
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any
@@ -23,7 +25,8 @@ from adaptsim_jax.attribution.problem import Problem, values_of
 from adaptsim_jax.effects.base import Effect
 
 TOLD = ("encoder_offset", "encoder_scale")
-"""Effects on what is measured of which the balance can tell; the others move time or need a path."""
+"""Effects on what is measured of which the balance can tell; the others move time or need a path.
+"""
 NOT_TOLD = ("presliding", "hard_stop", "friction_drift", "periodic_disturbance")
 """Effects on forces that have a state, act in few places, or go with time as much else does."""
 STEP = 0.02  # share of a value, by which it is moved for a difference
@@ -39,20 +42,29 @@ def balanced(effect: Effect) -> bool:
 
 
 class Table:
-    """Columns [K, n] of entries of a vector and of candidates, made when asked for. About the values of `vector`."""
+    """Columns [K, n] of entries of a vector and of candidates, made when asked for. About the
+    values of `vector`.
+    """
 
     def __init__(self, problem: Problem, balance: Balance, vector: Vector):
         self.problem, self.balance, self.vector = problem, balance, vector
         self.values = values_of(problem, balance.group, vector)
         self.place = {j: k for k, j in enumerate(balance.group.joints)}
-        self.explained: Any = 0.0  # of what is missing [K, n], by a set of columns that is fitted already
-        own = self.values.effects[GAIN]["gain"][:, 0] if GAIN in self.values.effects else np.zeros(balance.joints)
+        self.explained: Any = (
+            0.0  # of what is missing [K, n], by a set of columns that is fitted already
+        )
+        if GAIN in self.values.effects:
+            own = self.values.effects[GAIN]["gain"][:, 0]
+        else:
+            own = np.zeros(balance.joints)
         self.scale = np.maximum(1.0 + own, LEAST_GAIN)
         self._made: dict = {}
 
     def missing(self) -> np.ndarray:
         """Force that is missing [K, n]."""
-        return self._kept("missing", lambda: residual(self.problem, self.balance, self.vector, self._acting()))
+        return self._kept(
+            "missing", lambda: residual(self.problem, self.balance, self.vector, self._acting())
+        )
 
     def driven(self) -> tuple[np.ndarray, np.ndarray]:
         """`actuator_force`."""
@@ -65,7 +77,9 @@ class Table:
         return self._of(entry, shape) / self.scale
 
     def _gain(self, entry: Entry) -> np.ndarray:
-        """What the motion takes of an actuator, by the model: of what was told the noise would be read as a gain."""
+        """What the motion takes of an actuator, by the model: of what was told the noise would be
+        read as a gain.
+        """
         told = self._kept("told", lambda: self.balance.averaged(self.driven()[0]))
         needed = told + self.missing() - self.explained
         return needed / self.scale * np.isin(self.balance.group.joints, entry.joints)
@@ -74,7 +88,10 @@ class Table:
         if entry.owner == INERTIA:
             return self._inertia(self.place[entry.joints[0]], entry.name)
         if entry.owner == TILT:
-            way = np.cross(np.asarray(self.balance.group.model.tree.gravity), np.eye(3)[TILTS.index(entry.name)])
+            way = np.cross(
+                np.asarray(self.balance.group.model.tree.gravity),
+                np.eye(3)[TILTS.index(entry.name)],
+            )
             return tilting(self.balance, self.values.inertial[..., 0], way)
         effect = self.problem.effect(entry.owner)
         if effect.place == "measurement":
@@ -90,7 +107,9 @@ class Table:
         own[[self.place[j] for j in entry.joints if j in self.place]] = 1.0
         return column * own
 
-    def stack(self, entries: Sequence[Entry], shape: Mapping[str, float] | None = None) -> np.ndarray:
+    def stack(
+        self, entries: Sequence[Entry], shape: Mapping[str, float] | None = None
+    ) -> np.ndarray:
         """[K, n, E]."""
         if not entries:
             return np.zeros((*self.missing().shape, 0))
@@ -109,7 +128,10 @@ class Table:
     def _read(self, effect: Effect, entry: Entry) -> np.ndarray:
         way = 1.0 * np.isin(self.balance.group.joints, entry.joints)
         of = {"encoder_offset": (way, 0.0 * way), "encoder_scale": (0.0 * way, way)}[effect.name]
-        slope = lambda: -read_wrong(self.balance, self.values.inertial[..., 0], *of, slope=True)
+
+        def slope():
+            return -read_wrong(self.balance, self.values.inertial[..., 0], *of, slope=True)
+
         return self._kept((effect.name, entry.joints), slope)
 
     def _at(self, effect: Effect, shape: Mapping[str, float]) -> dict[str, np.ndarray]:
@@ -122,7 +144,9 @@ class Table:
         return out
 
     def _acts(self, effect: Effect) -> bool:
-        return any(e.owner == effect.name and e.joints[0] in self.place for e in self.vector.entries)
+        return any(
+            e.owner == effect.name and e.joints[0] in self.place for e in self.vector.entries
+        )
 
     def _everywhere(self, effect: Effect, name: str, shape: tuple) -> np.ndarray:
         """Change of the mean force [K, n] per unit of a parameter at every joint."""
@@ -132,12 +156,19 @@ class Table:
             here = self._at(effect, given)
             size = self._size(effect, name, here, given)
             away = here | {name: here[name] + size}
-            act = lambda p: force_of(self.balance, self.values, effect, p, self.driven())
+
+            def act(p):
+                return force_of(self.balance, self.values, effect, p, self.driven())
+
             self._made[key] = (act(away) - act(here)) / size
         return self._made[key]
 
-    def _size(self, effect: Effect, name: str, here: Mapping[str, np.ndarray], given: Mapping[str, float]) -> Any:
-        """By which a parameter is moved for a column; of friction that gives over a band, as far as it may be off."""
+    def _size(
+        self, effect: Effect, name: str, here: Mapping[str, np.ndarray], given: Mapping[str, float]
+    ) -> Any:
+        """By which a parameter is moved for a column; of friction that gives over a band, as far as
+        it may be off.
+        """
         if effect.jump or effect.place == "command":
             return given.get(name, 0.01)
         if not np.any(self.balance.group.model.tree.rub):
@@ -146,13 +177,18 @@ class Table:
         own = self.balance.inertia * np.sqrt(
             np.mean(np.square(self.balance.acceleration), 0)
         )  # of a joint that nothing drives
-        return np.maximum(0.5 * np.abs(here[name]), OFF * np.where(torque > 0.0, torque, own + LEAST))
+        return np.maximum(
+            0.5 * np.abs(here[name]), OFF * np.where(torque > 0.0, torque, own + LEAST)
+        )
 
     def _paired(self, effect: Effect, entry: Entry, shape) -> np.ndarray:
         here = self._at(effect, shape or {})
         own = np.zeros(self.balance.joints)
         own[[self.place[j] for j in entry.joints]] = 1.0
-        act = lambda p: effect_force(self.balance, self.values, effect, p, self.driven())
+
+        def act(p):
+            return effect_force(self.balance, self.values, effect, p, self.driven())
+
         return act(here | {entry.name: here[entry.name] + own}) - act(here)
 
     def _difference(self, entry: Entry) -> np.ndarray:
@@ -169,7 +205,10 @@ class Table:
             return (self.missing() - there) / size
         here = {k: z[:, 0] for k, z in self.values.effects[effect.name].items()}
         own = np.isin(self.balance.group.joints, entry.joints)
-        act = lambda p: force_of(self.balance, self.values, effect, p, self.driven())
+
+        def act(p):
+            return force_of(self.balance, self.values, effect, p, self.driven())
+
         now, share = self._kept((effect.name, "now"), lambda: act(here)), self._acting()[1]
         return (act(here | {entry.name: here[entry.name] + size * own}) - now) / size / share
 

@@ -1,9 +1,10 @@
 """The gains of position servos, from where they are beside where they were told to be.
 
-A servo's force is kp (command - angle) - D speed. What it was told is exact and where it is is known well, so the command error is the
-measured side: command - angle = (forces that the motion takes, by the file's bodies) / kp + D/kp speed + friction/kp sign(speed)
-+ rotor/kp acceleration. All of it is linear. Only ratios to kp show unless gravity or inertia gives the scale: kp is held where
-it is not told.
+A servo's force is kp (command - angle) - D speed. What it was told is exact and where it is is
+known well, so the command error is the measured side: command - angle = (forces that the motion
+takes, by the file's bodies) / kp + D/kp speed + friction/kp sign(speed) + rotor/kp acceleration.
+All of it is linear. Only ratios to kp show unless gravity or inertia gives the scale: kp is held
+where it is not told.
 """
 
 from dataclasses import dataclass
@@ -16,23 +17,32 @@ from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import Problem, values_of
 from adaptsim_jax.diagnosis.paired import sign_flip
 
-TOLD = 2.5  # 1/kp over its standard error, from which on it is told; and its distance from the file's
+TOLD = (
+    2.5  # 1/kp over its standard error, from which on it is told; and its distance from the file's
+)
 SURE = 6.0  # the same of a drive's gain, which everything hangs on
 LEVEL = 0.01
 STUCK = 0.1  # of its command's motion, below which a joint does not follow it
 TIMES = 2.0  # by which a gain must differ from the file's before the file's is not taken
-LIMITS = np.linspace(0.3, 1.0, 15)  # quantiles of the torque that a motion needs, at which a limit may lie
-MISSED = 0.1  # of the command errors, that the file's gains must leave at least: what is less is for the search to tell
-LESS = 0.7  # of what the file's gains leave of the command errors, that others must leave at most to be taken
+LIMITS = np.linspace(
+    0.3, 1.0, 15
+)  # quantiles of the torque that a motion needs, at which a limit may lie
+# of the command errors, that the file's gains must leave at least: what is less is for the search
+# to tell
+MISSED = 0.1
+# of what the file's gains leave of the command errors, that others must leave at most to be taken
+LESS = 0.7
 
 
 @dataclass(frozen=True)
 class Servo:
-    """Of a joint: kp [N m/rad], D [N m s/rad], coulomb [N m], rotor [kg m^2] beside the file's, bias [N m]; scale: whether kp
-    itself is told, and
-    not only what is over it; apart: standard errors between 1/kp and the file's, infinite where other joints give the scale; error:
-    rms of the command error [rad] where the joint moves, and what is left of it by these gains and by the file's; p of a test over
-    blocks of the one against the other."""
+    """Of a joint: kp [N m/rad], D [N m s/rad], coulomb [N m], rotor [kg m^2] beside the file's,
+    bias [N m]; scale: whether kp itself is told, and
+    not only what is over it; apart: standard errors between 1/kp and the file's, infinite where
+    other joints give the scale; error: rms of the command error [rad] where the joint moves, and
+    what is left of it by these gains and by the file's; p of a test over blocks of the one against
+    the other.
+    """
 
     joint: int
     kp: float
@@ -62,12 +72,20 @@ def servos(problem: Problem, balance: Balance) -> list[Servo]:
         kp = -law[2, k] * gear[k] ** 2
         if kp <= 0.0:
             continue
-        target = law[0, k] * gear[k] * balance.u[k] / kp  # of the angle, by what the file says of the command's unit
+        target = (
+            law[0, k] * gear[k] * balance.u[k] / kp
+        )  # of the angle, by what the file says of the command's unit
         error = balance.mean @ (target - balance.q[k])
-        moved = lambda z: np.sqrt(np.mean([np.var(z[run]) for run in balance.runs]))
+
+        def moved(z):
+            return np.sqrt(np.mean([np.var(z[run]) for run in balance.runs]))
+
         if moved(balance.q[k]) < STUCK * moved(target):
             continue  # a joint that is held, or chatters, says nothing of a gain
-        columns = np.stack([takes[:, k], speed[:, k], sign[:, k], balance.acceleration[:, k], np.ones(len(error))], 1)
+        columns = np.stack(
+            [takes[:, k], speed[:, k], sign[:, k], balance.acceleration[:, k], np.ones(len(error))],
+            1,
+        )
         out.append((k, int(j), error, columns, kp, -law[3, k] * gear[k] ** 2))
     found = []
     for k, j, error, columns, kp, kv in out:
@@ -78,38 +96,76 @@ def servos(problem: Problem, balance: Balance) -> list[Servo]:
         needs = takes[:, k] + balance.group.model.tree.frictionloss[k] * sign[:, k]
         file = error - (needs + kv * speed[:, k]) / kp
         if scale:
-            size = lambda z, k=k: np.average(np.square(z), weights=balance.clear[:, k])
+
+            def size(z, k=k):
+                return np.average(np.square(z), weights=balance.clear[:, k])
+
             # at a limit, the file's or another, the error says nothing of kp
             limited = x[0] * _limited(kp * error - kv * speed[:, k], needs, balance.clear[:, k])
-            file = limited if size(limited) < min(size(file), size(left)) else file
+            if size(limited) < min(size(file), size(left)):
+                file = limited
+            else:
+                file = file
         p = _better(balance, file, left)
-        sizes = [float(np.sqrt(np.average(np.square(z), weights=balance.clear[:, k]))) for z in (error, left, file)]
+        sizes = [
+            float(np.sqrt(np.average(np.square(z), weights=balance.clear[:, k])))
+            for z in (error, left, file)
+        ]
         apart = abs(x[0] - 1.0 / kp) / spread[0] if scale else np.inf
         found.append((k, j, x, scale, apart, sizes, p))
-    like = float(np.median(usual)) if usual else 1.0  # times the file's, where a joint does not tell its own
+    # times the file's, where a joint does not tell its own
+    if usual:
+        like = float(np.median(usual))
+    else:
+        like = 1.0
     made = []
     for k, j, x, scale, apart, (error, left, file), p in found:
         kp = 1.0 / x[0] if scale else like * -law[2, k] * gear[k] ** 2
         rubs, drags, turns = (max(kp * z, 0.0) for z in (x[2], x[1], x[3]))
-        made.append(Servo(j, kp, drags, rubs, turns, kp * x[4], bool(scale), float(apart), error, left, file, p))
+        made.append(
+            Servo(
+                j,
+                kp,
+                drags,
+                rubs,
+                turns,
+                kp * x[4],
+                bool(scale),
+                float(apart),
+                error,
+                left,
+                file,
+                p,
+            )
+        )
     return made
 
 
 def _limited(asked: np.ndarray, needs: np.ndarray, clear: np.ndarray) -> np.ndarray:
-    """What a motion needs, less what the file's gains ask for, cut off at a limit [N m]: at the level that leaves least."""
+    """What a motion needs, less what the file's gains ask for, cut off at a limit [N m]: at the
+    level that leaves least.
+    """
     levels = np.quantile(np.abs(needs), LIMITS)
     left = np.abs(np.clip(asked, -levels[:, None], levels[:, None]) - needs)
     return left[int(np.argmin(np.average(np.square(left), axis=1, weights=clear)))]
 
 
 def _regressed(balance: Balance, y: np.ndarray, columns: np.ndarray, clear: np.ndarray):
-    """Coefficients, their standard errors by a jackknife over folds, and what is left of each fold by the others' coefficients."""
+    """Coefficients, their standard errors by a jackknife over folds, and what is left of each fold
+    by the others' coefficients.
+    """
     weight = np.sqrt(clear)
     fold = folds_of(balance.trial, balance.time)
     size = np.sqrt(np.mean(np.square(columns), 0)) + 1e-300
-    solve = lambda some: (
-        np.linalg.lstsq((columns / size * weight[:, None])[some], (y * weight)[some], rcond=1e-6)[0] / size
-    )
+
+    def solve(some):
+        return (
+            np.linalg.lstsq(
+                (columns / size * weight[:, None])[some], (y * weight)[some], rcond=1e-6
+            )[0]
+            / size
+        )
+
     whole = solve(np.ones(len(y), bool))
     each, left = [], np.zeros_like(y)
     for f in np.unique(fold):
@@ -129,18 +185,26 @@ def _better(balance: Balance, before: np.ndarray, after: np.ndarray) -> float:
 
 
 def drive_gains(problem: Problem, balance: Balance) -> dict[int, float | None]:
-    """Torque over volts or amperes of the driven joints of a group, from told = (forces that the motion takes, by the file's
-    bodies) / gain
-    + friction and rotor over it; None where these do not give the scale."""
+    """Torque over volts or amperes of the driven joints of a group, from told = (forces that the
+    motion takes, by the file's bodies) / gain
+    + friction and rotor over it; None where these do not give the scale.
+    """
     values = values_of(problem, balance.group, Vector((), np.zeros(0)))
     takes = balance.regressor @ values.inertial[..., 0].ravel()
     takes = takes + np.asarray(balance.group.model.tree.armature) * balance.acceleration
-    told, speed, sign = balance.averaged(balance.u), balance.averaged(balance.v), balance.averaged(balance.sign)
+    told, speed, sign = (
+        balance.averaged(balance.u),
+        balance.averaged(balance.v),
+        balance.averaged(balance.sign),
+    )
     out: dict[int, float | None] = {}
     for k, j in enumerate(balance.group.joints):
         if not np.any(told[:, k]):
             continue
-        columns = np.stack([takes[:, k], speed[:, k], sign[:, k], balance.acceleration[:, k], np.ones(len(told))], 1)
+        columns = np.stack(
+            [takes[:, k], speed[:, k], sign[:, k], balance.acceleration[:, k], np.ones(len(told))],
+            1,
+        )
         x, spread, _ = _regressed(balance, told[:, k], columns, balance.clear[:, k])
         out[int(j)] = 1.0 / x[0] if x[0] > SURE * spread[0] else None
     return out

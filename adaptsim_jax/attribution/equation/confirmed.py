@@ -1,7 +1,9 @@
-"""What the balance of torques named of a machine that follows commands, held against simulation, without a fit by it.
+"""What the balance of torques named of a machine that follows commands, held against simulation,
+without a fit by it.
 
-A command error is small beside what drives it, so that trifles of a servo's law show in it which no motion shows. Each effect must
-therefore also simulate left-out stretches better than the balance refitted without it.
+A command error is small beside what drives it, so that trifles of a servo's law show in it which no
+motion shows. Each effect must therefore also simulate left-out stretches better than the balance
+refitted without it.
 """
 
 from dataclasses import replace
@@ -18,9 +20,11 @@ from adaptsim_jax.diagnosis.criteria import Criteria
 
 
 def confirmed(problem: Problem, found: Said, whole: Model, criteria: Criteria) -> Said:
-    """Without the effects that simulation does not bear out, the weakest first and with it those that are not beside it, refitted by
-    the balance. One that takes far more than the least off is not asked again; where all together take nothing off, none is asked
-    (closed testing; Marcus, Peritz and Gabriel, 1976). whole: the model of all that is found."""
+    """Without the effects that simulation does not bear out, the weakest first and with it those
+    that are not beside it, refitted by the balance. One that takes far more than the least off is
+    not asked again; where all together take nothing off, none is asked (closed testing; Marcus,
+    Peritz and Gabriel, 1976). whole: the model of all that is found.
+    """
     sure: set[tuple] = set()
     if len(found.named) > 1:
         bare = _gone(without(problem, found, [n.candidate for n in found.named], []))
@@ -41,31 +45,53 @@ def confirmed(problem: Problem, found: Said, whole: Model, criteria: Criteria) -
             return _told_apart(problem, found, whole, criteria)
         sure |= {c.key for gain, stays, c, _ in tests if stays and gain > criteria.apart}
         gone = apart_in_turn(sorted(weak, key=lambda w: w[0]), lambda w: w[1])
-        found = _gone(gone[0][2] if len(gone) == 1 else without(problem, found, [c for _, c, _ in gone], []))
+        found = _gone(
+            gone[0][2] if len(gone) == 1 else without(problem, found, [c for _, c, _ in gone], [])
+        )
         whole = model_of(problem, found, found.final, found.added, whole.fit.starts)
     return found
 
 
 def _told_apart(problem: Problem, found: Said, whole: Model, criteria: Criteria) -> Said:
-    """With those alternatives of each effect alone that simulate left-out stretches as well in its place."""
+    """With those alternatives of each effect alone that simulate left-out stretches as well in its
+    place.
+    """
 
     def as_well(pair: tuple[Candidate, Candidate]) -> bool:
         c, other = pair
         instead = without(problem, found, [c], [other])
         model = model_of(problem, instead, instead.final, instead.added, whole.fit.starts)
-        test = paired(problem, losses(problem, model.held.paths, whole.fit.weights), whole.held.loss)
+        test = paired(
+            problem, losses(problem, model.held.paths, whole.fit.weights), whole.held.loss
+        )
         return test.p > criteria.confidence or test.gain < criteria.gap
 
-    pairs = [(k.candidate, other) for w in found.witnesses for k in w.kept for other in k.alternatives]
-    alike = {(c.key, o.key) for (c, o), good in zip(pairs, parallel_map(as_well, pairs), strict=True) if good}
-    apart = lambda k: replace(k, alternatives=tuple(o for o in k.alternatives if (k.candidate.key, o.key) in alike))
+    pairs = [
+        (k.candidate, other) for w in found.witnesses for k in w.kept for other in k.alternatives
+    ]
+    alike = {
+        (c.key, o.key)
+        for (c, o), good in zip(pairs, parallel_map(as_well, pairs), strict=True)
+        if good
+    }
+
+    def apart(k):
+        return replace(
+            k, alternatives=tuple(o for o in k.alternatives if (k.candidate.key, o.key) in alike)
+        )
+
     witnesses = tuple(replace(w, kept=tuple(apart(k) for k in w.kept)) for w in found.witnesses)
-    return replace(found, witnesses=witnesses) if pairs else found
+    if pairs:
+        return replace(found, witnesses=witnesses)
+    return found
 
 
 def _gone(less: Said) -> Said:
     """What is found less, without the names that are no longer in it."""
-    names = lambda w: tuple(k for k in w.kept if any(k.candidate is c for c in w.added))
+
+    def names(w):
+        return tuple(k for k in w.kept if any(k.candidate is c for c in w.added))
+
     return replace(less, witnesses=tuple(replace(w, kept=names(w)) for w in less.witnesses))
 
 
@@ -73,5 +99,9 @@ def _gain(problem: Problem, less: Model, whole: Model, criteria: Criteria) -> tu
     """Share of the left-out loss that an effect takes off, and whether it stays."""
     test = paired(problem, losses(problem, less.held.paths, whole.fit.weights), whole.held.loss)
     holds = test.p <= criteria.confidence and test.gain > criteria.size
-    stays = holds and eased(problem, less, whole) > 0.0 and worth(problem, less, whole) >= criteria.worth
+    stays = (
+        holds
+        and eased(problem, less, whole) > 0.0
+        and worth(problem, less, whole) >= criteria.worth
+    )
     return test.gain, stays

@@ -1,4 +1,6 @@
-"""Effects of a set fitted with their shapes, which lie on grids while a search goes on, and which of them are needed then."""
+"""Effects of a set fitted with their shapes, which lie on grids while a search goes on, and which
+of them are needed then.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -19,20 +21,34 @@ ROUNDS = 8
 def exact(
     state: Searched, added: Sequence[Candidate], whole: Solved, near: Vector | None = None
 ) -> tuple[Vector, np.ndarray]:
-    """The vector of null and effects, shapes too, by Gauss and Newton's steps from the linear one, or from the values of a fit that is
-    `near`, where that is better; standard errors [P]."""
+    """The vector of null and effects, shapes too, by Gauss and Newton's steps from the linear one,
+    or from the values of a fit that is `near`, where that is better; standard errors [P].
+    """
     problem, balance = state.problem, state.balance
-    entries, values = list(whole.entries), list(np.array([*state.null.values]) + whole.step[: len(state.null)])
-    values += [e.start + z for e, z in zip(whole.entries[len(values) :], whole.step[len(values) :], strict=True)]
+    entries, values = (
+        list(whole.entries),
+        list(np.array([*state.null.values]) + whole.step[: len(state.null)]),
+    )
+    values += [
+        e.start + z
+        for e, z in zip(whole.entries[len(values) :], whole.step[len(values) :], strict=True)
+    ]
     vector = Vector(tuple(entries), np.array(values))
     vector = vector.at(np.clip(vector.values, vector.low, vector.high))
     for c in added:
         vector = vector.with_entries(shape_entries(problem, state.reach, c))
-    cost = lambda v: _cost(state.rows, residual(problem, balance, v), v)
+
+    def cost(v):
+        return _cost(state.rows, residual(problem, balance, v), v)
+
     now = cost(vector)
     if near is not None:
         known = {e.key: z for e, z in zip(near.entries, near.values, strict=True)}
-        close = vector.at(np.array([known.get(e.key, z) for e, z in zip(vector.entries, vector.values, strict=True)]))
+        close = vector.at(
+            np.array(
+                [known.get(e.key, z) for e, z in zip(vector.entries, vector.values, strict=True)]
+            )
+        )
         if (there := cost(close)) < now:
             vector, now = close, there
     fitted = None
@@ -46,7 +62,9 @@ def exact(
         sums.add("", columns)
         fitted = solved(sums, [""], vector.entries, vector.values)
         for length in (1.0, 0.5, 0.2, 0.05):
-            trial = vector.at(np.clip(vector.values + length * fitted.step, vector.low, vector.high))
+            trial = vector.at(
+                np.clip(vector.values + length * fitted.step, vector.low, vector.high)
+            )
             there = cost(trial)
             if there < now:
                 break
@@ -63,8 +81,10 @@ def exact(
 def needed(
     state: Searched, added: Sequence[Candidate], asked: Sequence[Candidate]
 ) -> tuple[list[Candidate], Vector, np.ndarray]:
-    """Effects without those of `asked` that only made up for a shape on a grid: with all shapes fitted their interval includes none of
-    them, and the rest leaves as little. With the vector of these and its errors, as of `exact`."""
+    """Effects without those of `asked` that only made up for a shape on a grid: with all shapes
+    fitted their interval includes none of them, and the rest leaves as little. With the vector of
+    these and its errors, as of `exact`.
+    """
     added = list(added)
     final, errors = exact(state, added, state.set_of(added))
     for c in sorted(asked, key=lambda c: _sure(final, errors, c)):

@@ -1,7 +1,9 @@
-"""Whether the bodies and the damping of the model file need be fitted: two nested models of a machine that follows commands.
+"""Whether the bodies and the damping of the model file need be fitted: two nested models of a
+machine that follows commands.
 
-Fitted bodies take up much of what a stiff servo's friction, rotor or encoder does. Where those of the file, with few
-effects named beside them, tell left-out torques as well, they are the file's: the model with fewer numbers is taken.
+Fitted bodies take up much of what a stiff servo's friction, rotor or encoder does. Where those of
+the file, with few effects named beside them, tell left-out torques as well, they are the file's:
+the model with fewer numbers is taken.
 """
 
 from collections.abc import Callable
@@ -29,14 +31,17 @@ def filed(null: Vector) -> Vector:
 def searched(
     problem: Problem, search: Callable[[Vector], Said], null: Vector, criteria: Criteria
 ) -> tuple[Said, Said, bool]:
-    """`(found, usual, asked)`: what is found with the file's bodies or with fitted ones; what is found with fitted ones, where these
-    were sought; whether simulation was asked of each name. search: along the motion, with the entries of a vector fitted.
+    """`(found, usual, asked)`: what is found with the file's bodies or with fitted ones; what is
+    found with fitted ones, where these were sought; whether simulation was asked of each name.
+    search: along the motion, with the entries of a vector fitted.
 
-    Fitted bodies (hundreds of numbers of a humanoid) are not sought where the file's simulate left-out stretches to within the noise
-    with one name at most, for they cannot do better, nor of a machine of very many joints. Else the file's are taken where they tell
-    left-out torques as well, by no more names that simulation bears out (where fitted ones have taken all of it up, by a few). A
-    command error shows more than any motion does, and it is enough that left-out stretches are simulated as well, or to within the
-    noise."""
+    Fitted bodies (hundreds of numbers of a humanoid) are not sought where the file's simulate
+    left-out stretches to within the noise with one name at most, for they cannot do better, nor of
+    a machine of very many joints. Else the file's are taken where they tell left-out torques as
+    well, by no more names that simulation bears out (where fitted ones have taken all of it up, by
+    a few). A command error shows more than any motion does, and it is enough that left-out
+    stretches are simulated as well, or to within the noise.
+    """
     held = search(filed(null))
     model, own = model_of(problem, held, held.final, held.added), None
     if over_floor(problem, model) <= criteria.explained:
@@ -51,11 +56,19 @@ def searched(
         return free, free, False
     own = own or confirmed(problem, held, model, criteria)
     fitted = confirmed(problem, free, other, criteria)
-    return (own if len(own.named) <= (len(fitted.named) or criteria.torque.filed) else fitted), free, True
+    return (
+        (own if len(own.named) <= (len(fitted.named) or criteria.torque.filed) else fitted),
+        free,
+        True,
+    )
 
 
-def enough(problem: Problem, found: tuple[Said, Said], models: tuple[Model, Model], criteria: Criteria) -> bool:
-    """Whether the file's bodies predict as well as fitted ones: what was found with both, and the models of it."""
+def enough(
+    problem: Problem, found: tuple[Said, Said], models: tuple[Model, Model], criteria: Criteria
+) -> bool:
+    """Whether the file's bodies predict as well as fitted ones: what was found with both, and the
+    models of it.
+    """
     d = np.concatenate([_worse(*both) for both in zip(*(s.witnesses for s in found), strict=True)])
     if 1.0 - np.exp(-d.mean()) < criteria.torque.gain:
         return True
@@ -70,7 +83,8 @@ def _worse(held: Witness, free: Witness) -> np.ndarray:
     """Logarithms [B] of what the first leaves of left-out blocks over what the second does."""
     rows = free.rows
     loss = [
-        means(rows.clear * np.square(w.whole.left_out(w.rows) / rows.size), rows.block).mean(1) for w in (held, free)
+        means(rows.clear * np.square(w.whole.left_out(w.rows) / rows.size), rows.block).mean(1)
+        for w in (held, free)
     ]
     usual = FLOOR * np.median(loss[0])
     return np.log((loss[0] + usual) / (loss[1] + usual))

@@ -1,4 +1,6 @@
-"""What the balance of forces found, as models of the whole machine: fitted values, how they predict, what is named."""
+"""What the balance of forces found, as models of the whole machine: fitted values, how they
+predict, what is named.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -8,7 +10,14 @@ import numpy as np
 from adaptsim_jax.attribution.backward import Named
 from adaptsim_jax.attribution.backward import Step as Told
 from adaptsim_jax.attribution.equation.balance import Balance
-from adaptsim_jax.attribution.equation.search import FACTOR, Step, Witness, refitted, within, witness
+from adaptsim_jax.attribution.equation.search import (
+    FACTOR,
+    Step,
+    Witness,
+    refitted,
+    within,
+    witness,
+)
 from adaptsim_jax.attribution.equation.solve import Compared
 from adaptsim_jax.attribution.forecast import fitted_starts
 from adaptsim_jax.attribution.held_out import HeldOut, Model
@@ -30,7 +39,9 @@ ROUNDS = 3  # of the starts of stretches
 
 @dataclass(frozen=True)
 class Said:
-    """What the balances of all groups of joints say. null, final: vectors of the whole machine; errors [P] of the final one."""
+    """What the balances of all groups of joints say. null, final: vectors of the whole machine;
+    errors [P] of the final one.
+    """
 
     witnesses: tuple[Witness, ...]
     null: Vector
@@ -59,9 +70,16 @@ def said(
     commanded: bool,
     factor: float = FACTOR,
 ) -> Said:
-    """Search the balances of all groups. null: what is fitted whatever is named; commanded, factor: as of `witness`, `within`."""
-    own = lambda b: within(part_of(null, b), factor)
-    found = tuple(parallel_map(lambda b: witness(problem, b, own(b), reach, criteria, commanded), balances))
+    """Search the balances of all groups. null: what is fitted whatever is named; commanded, factor:
+    as of `witness`, `within`.
+    """
+
+    def own(b):
+        return within(part_of(null, b), factor)
+
+    found = tuple(
+        parallel_map(lambda b: witness(problem, b, own(b), reach, criteria, commanded), balances)
+    )
     return merged(null, found)
 
 
@@ -72,12 +90,16 @@ def merged(null: Vector, witnesses: Sequence[Witness]) -> Said:
     final = null.with_entries(entries)
     final = final.at(_values(final, [w.final for w in witnesses]))
     error = {e.key: s for w in witnesses for e, s in zip(w.final.entries, w.errors, strict=True)}
-    return Said(tuple(witnesses), first, final, np.array([error.get(e.key, 0.0) for e in final.entries]))
+    return Said(
+        tuple(witnesses), first, final, np.array([error.get(e.key, 0.0) for e in final.entries])
+    )
 
 
 def _values(vector: Vector, parts: Sequence[Vector]) -> np.ndarray:
     known = {e.key: z for v in parts for e, z in zip(v.entries, v.values, strict=True)}
-    return np.array([known.get(e.key, z) for e, z in zip(vector.entries, vector.values, strict=True)])
+    return np.array(
+        [known.get(e.key, z) for e, z in zip(vector.entries, vector.values, strict=True)]
+    )
 
 
 def part_of(null: Vector, balance: Balance) -> Vector:
@@ -92,12 +114,17 @@ def test_of(c: Compared) -> Test:
 
 
 def selection(problem: Problem, found: Said, null: Model, reach: Reach) -> Selection:
-    """As a search by simulation hands it on: models that predict stretches, effects that are named, what was tried. null: the declared
-    model."""
+    """As a search by simulation hands it on: models that predict stretches, effects that are named,
+    what was tried. null: the declared model.
+    """
     final = model_of(problem, found, found.final, found.added)
     steps = [s for w in found.witnesses for s in w.steps]
-    opening = sorted((_score(s, null.fit.total) for s in _best_tried(steps)), key=lambda s: -s.held_out)
-    trace = tuple(Told(s.action, s.candidate, None, s.test and test_of(s.test), s.why) for s in steps)
+    opening = sorted(
+        (_score(s, null.fit.total) for s in _best_tried(steps)), key=lambda s: -s.held_out
+    )
+    trace = tuple(
+        Told(s.action, s.candidate, None, s.test and test_of(s.test), s.why) for s in steps
+    )
     return Selection(null, final, found.named, (null,), trace, tuple(opening), (), reach)
 
 
@@ -125,8 +152,10 @@ def model_of(
     added: Sequence[Candidate],
     starts: Sequence[np.ndarray] | None = None,
 ) -> Model:
-    """A vector with how it simulates stretches, each from starts fitted to it, with the values of the folds that it is not in.
-    starts: from which these are fitted, of a model that is nearly the same."""
+    """A vector with how it simulates stretches, each from starts fitted to it, with the values of
+    the folds that it is not in. starts: from which these are fitted, of a model that is nearly the
+    same.
+    """
     vectors = _folded(problem, found, vector)
     fold = np.minimum(problem.fold, len(vectors) - 1)
     rows = vectors[fold]
@@ -137,12 +166,23 @@ def model_of(
     weights = weigh(problem, paths)
     loss = losses(problem, paths, weights)
     fit = Fit(vector, starts, weights, loss, "converged", 0)
-    return Model(tuple(added), fit, None, _held(problem, tuple(paths), loss, vectors), curvature(found, vector))
+    return Model(
+        tuple(added),
+        fit,
+        None,
+        _held(problem, tuple(paths), loss, vectors),
+        curvature(found, vector),
+    )
 
 
 def _folded(problem: Problem, found: Said, vector: Vector) -> np.ndarray:
-    """Values [F, P] without each fold: of the same pieces of the trials as far as balances and stretches are cut alike."""
-    count = max(len(w.whole.by_fold) for w in found.witnesses) if found.witnesses else 1
+    """Values [F, P] without each fold: of the same pieces of the trials as far as balances and
+    stretches are cut alike.
+    """
+    if found.witnesses:
+        count = max(len(w.whole.by_fold) for w in found.witnesses)
+    else:
+        count = 1
     out = np.repeat(vector.values[None], max(count, problem.fold.max() + 1), 0)
     index = vector.index()
     for w in found.witnesses:
@@ -154,16 +194,28 @@ def _folded(problem: Problem, found: Said, vector: Vector) -> np.ndarray:
     return np.clip(out, vector.low, vector.high)
 
 
-def _held(problem: Problem, paths: tuple[Path, ...], loss: np.ndarray, vectors: np.ndarray) -> HeldOut:
+def _held(
+    problem: Problem, paths: tuple[Path, ...], loss: np.ndarray, vectors: np.ndarray
+) -> HeldOut:
     n = problem.joints
     squared = np.zeros((len(loss), 2 * n))
     for group, path in zip(problem.groups, paths, strict=True):
         r = residuals(group, path)
-        count = np.concatenate([group.stretches.seen, group.stretches.seen_v], 1).transpose(2, 0, 1).sum(1)
+        count = (
+            np.concatenate([group.stretches.seen, group.stretches.seen_v], 1)
+            .transpose(2, 0, 1)
+            .sum(1)
+        )
         j = np.array(group.joints)
         squared[:, [*j, *(n + j)]] = np.square(r).sum(1) / np.maximum(count, 1)
     folds, size = vectors.shape
-    return HeldOut(loss, squared, vectors, Normal(np.zeros((folds, size, size)), np.zeros((folds, size))), paths)
+    return HeldOut(
+        loss,
+        squared,
+        vectors,
+        Normal(np.zeros((folds, size, size)), np.zeros((folds, size))),
+        paths,
+    )
 
 
 def curvature(found: Said, vector: Vector) -> np.ndarray:
@@ -177,11 +229,15 @@ def curvature(found: Said, vector: Vector) -> np.ndarray:
     return out
 
 
-def without(problem: Problem, found: Said, gone: Sequence[Candidate], instead: Sequence[Candidate]) -> Said:
+def without(
+    problem: Problem, found: Said, gone: Sequence[Candidate], instead: Sequence[Candidate]
+) -> Said:
     """Refitted without some effects, with others in their place."""
     out = []
     for w in found.witnesses:
         joints = set(w.balance.group.joints)
-        less = [c for c in w.added if c not in gone] + [c for c in instead if set(c.joints) <= joints]
+        less = [c for c in w.added if c not in gone] + [
+            c for c in instead if set(c.joints) <= joints
+        ]
         out.append(w if len(less) == len(w.added) and not instead else refitted(problem, w, less))
     return merged(replace(found.null, values=found.null.values), out)

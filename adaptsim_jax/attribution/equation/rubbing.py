@@ -1,9 +1,11 @@
-"""Whether dry friction along a measured motion is sharp, as of real joints, or gives, as a simulator's.
+"""Whether dry friction along a measured motion is sharp, as of real joints, or gives, as a
+simulator's.
 
-MuJoCo's dry friction is a soft constraint: below its level it leaves a joint some of its acceleration and ends its speed at a rate.
-So it turns a time constant (10 ms, unless a file says otherwise) ahead of the speed, over a band of its own; in the balance of a
-stiff servo that looks like rotors, gains and dead zones. Both laws are held against the motion once, and the sharp one stays unless
-the other tells it better.
+MuJoCo's dry friction is a soft constraint: below its level it leaves a joint some of its
+acceleration and ends its speed at a rate. So it turns a time constant (10 ms, unless a file says
+otherwise) ahead of the speed, over a band of its own; in the balance of a stiff servo that looks
+like rotors, gains and dead zones. Both laws are held against the motion once, and the sharp one
+stays unless the other tells it better.
 """
 
 from collections.abc import Sequence
@@ -23,40 +25,63 @@ from adaptsim_jax.effects.base import Reach
 from adaptsim_jax.mechanisms.tree import Tree
 
 GIVES = (
-    "Dry friction gives as MuJoCo's does (solreffriction, solimpfriction), as in a simulator's log: it is simulated so, and no "
+    "Dry friction gives as MuJoCo's does (solreffriction, solimpfriction), as in a simulator's "
+    "log: it is simulated so, and no "
     "effect is named for it."
 )
 
 
 def rubbing(
-    problem: Problem, tree: Tree, told: Sequence[Balance], part, reach: Reach, criteria: Criteria, commanded: bool
+    problem: Problem,
+    tree: Tree,
+    told: Sequence[Balance],
+    part,
+    reach: Reach,
+    criteria: Criteria,
+    commanded: bool,
 ) -> tuple[Problem, tuple[Balance, ...]]:
-    """Problem and balances with dry friction as the motion shows it. tree: of the whole machine, with the softness of its file; part:
-    of a balance, the entries that are always fitted. One law holds for all joints, and one joint may show it."""
+    """Problem and balances with dry friction as the motion shows it. tree: of the whole machine,
+    with the softness of its file; part: of a balance, the entries that are always fitted. One law
+    holds for all joints, and one joint may show it.
+    """
     rub = np.asarray(tree.rub, float)
     if not np.any(rub):
         return problem, tuple(told)
     soft = giving(problem, tree)
     other = tuple(given(b, soft) for b in told)
     pairs = zip(told, other, strict=True)
-    joints = [z for p in pairs for z in gains(problem, soft, *p, part(p[0]), reach, criteria, commanded).T]
+    joints = [
+        z for p in pairs for z in gains(problem, soft, *p, part(p[0]), reach, criteria, commanded).T
+    ]
     limits = criteria.torque
-    shows = [1.0 - np.exp(-z.mean()) > limits.gain and sign_flip(z) * len(joints) <= limits.level for z in joints]
+    shows = [
+        1.0 - np.exp(-z.mean()) > limits.gain and sign_flip(z) * len(joints) <= limits.level
+        for z in joints
+    ]
     gives = any(shows) and np.mean([z.mean() for z in joints]) > 0.0
-    return (soft, other) if gives else (problem, tuple(told))
+    if gives:
+        return (soft, other)
+    return (problem, tuple(told))
 
 
 def giving(problem: Problem, tree: Tree) -> Problem:
     """The same with dry friction that gives as the file has it."""
     rub = np.asarray(tree.rub, float)
-    of = lambda g: replace(g, model=replace(g.model, tree=replace(g.model.tree, rub=rub[list(g.joints)])))
+
+    def of(g):
+        return replace(
+            g, model=replace(g.model, tree=replace(g.model.tree, rub=rub[list(g.joints)]))
+        )
+
     return replace(problem, groups=tuple(of(g) for g in problem.groups))
 
 
 def friction_notes(problem: Problem) -> list[str]:
     """That dry friction gives, where it does."""
     gives = any(np.any(g.model.tree.rub) for g in problem.groups)
-    return [GIVES] if gives else []
+    if gives:
+        return [GIVES]
+    return []
 
 
 def given(balance: Balance, soft: Problem) -> Balance:
@@ -66,11 +91,22 @@ def given(balance: Balance, soft: Problem) -> Balance:
 
 
 def gains(
-    problem, soft, one: Balance, other: Balance, null: Vector, reach, criteria: Criteria, commanded: bool
+    problem,
+    soft,
+    one: Balance,
+    other: Balance,
+    null: Vector,
+    reach,
+    criteria: Criteria,
+    commanded: bool,
 ) -> np.ndarray:
-    """Logarithms [B, n] of what sharp friction leaves of left-out blocks over what the giving one does; each with what all joints are
-    likely to have (a delay of commands, friction at each joint)."""
-    sharp, gives = (Searched(p, b, null, reach, criteria, commanded) for p, b in ((problem, one), (soft, other)))
+    """Logarithms [B, n] of what sharp friction leaves of left-out blocks over what the giving one
+    does; each with what all joints are likely to have (a delay of commands, friction at each
+    joint).
+    """
+    sharp, gives = (
+        Searched(p, b, null, reach, criteria, commanded) for p, b in ((problem, one), (soft, other))
+    )
     left = [s.set_of(likely_first(s, told_apart(s), [])).left_out(s.rows) for s in (sharp, gives)]
     rows = sharp.rows
     loss = [means(rows.clear * np.square(z / rows.size), rows.block) for z in left]

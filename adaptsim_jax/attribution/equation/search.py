@@ -1,8 +1,8 @@
-"""Which effects the torque along the measured motion asks for: friction first, forward by left-out blocks, then each beside the
-others.
+"""Which effects the torque along the measured motion asks for: friction first, forward by left-out
+blocks, then each beside the others.
 
-Everything is linear but for a few shapes, which lie on grids, so that no set of effects is a minimum to be stuck in, and thousands
-of sets are judged in seconds.
+Everything is linear but for a few shapes, which lie on grids, so that no set of effects is a
+minimum to be stuck in, and thousands of sets are judged in seconds.
 """
 
 from collections import Counter
@@ -18,7 +18,13 @@ from adaptsim_jax.attribution.equation.columns import balanced
 from adaptsim_jax.attribution.equation.exact import exact, needed
 from adaptsim_jax.attribution.equation.searched import SHIFTS, Searched, ranked
 from adaptsim_jax.attribution.equation.solve import Compared, Rows, Solved, compared
-from adaptsim_jax.attribution.equation.stays import at_bound, level_of, only_read, steadiness, why_not
+from adaptsim_jax.attribution.equation.stays import (
+    at_bound,
+    level_of,
+    only_read,
+    steadiness,
+    why_not,
+)
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, TILT, Vector
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.score import Candidate, candidates
@@ -30,7 +36,9 @@ FIRST = ("coulomb", "armature")
 ORDER = ("delay", "coulomb", "armature")
 FACTOR = 3.0  # within which a body's mass and moments are taken to be those of the file
 TRUSTED = {"torque_gain": 0.3, "encoder_scale": 0.3, "encoder_offset": 0.03, "tilt": 0.03}
-"""Standard deviations beforehand: of a gain of torques that are told in N m, of an encoder's zero and of a base's tilt [rad]."""
+"""Standard deviations beforehand: of a gain of torques that are told in N m, of an encoder's zero
+and of a base's tilt [rad].
+"""
 
 
 @dataclass(frozen=True)
@@ -45,7 +53,9 @@ class Step:
 
 @dataclass(frozen=True)
 class Kept:
-    """An effect that stays: test beside all others; alternatives that do as well in its place; amplitudes over their errors."""
+    """An effect that stays: test beside all others; alternatives that do as well in its place;
+    amplitudes over their errors.
+    """
 
     candidate: Candidate
     test: Compared
@@ -55,8 +65,9 @@ class Kept:
 
 @dataclass(frozen=True)
 class Witness:
-    """What the balance of a group of joints says. null, final: vectors of its entries; added: effects in it; kept: those that
-    hold out by themselves; steps; rows, base and whole: the sums."""
+    """What the balance of a group of joints says. null, final: vectors of its entries; added:
+    effects in it; kept: those that hold out by themselves; steps; rows, base and whole: the sums.
+    """
 
     balance: Balance
     null: Vector
@@ -72,10 +83,16 @@ class Witness:
 
 
 def witness(
-    problem: Problem, balance: Balance, null: Vector, reach: Reach, criteria: Criteria, commanded: bool = False
+    problem: Problem,
+    balance: Balance,
+    null: Vector,
+    reach: Reach,
+    criteria: Criteria,
+    commanded: bool = False,
 ) -> Witness:
-    """Search the balance of a group. null: entries of the group that are fitted whatever is named; commanded: the input is a command,
-    which may be late at each joint, and no measured torque."""
+    """Search the balance of a group. null: entries of the group that are fitted whatever is named;
+    commanded: the input is a command, which may be late at each joint, and no measured torque.
+    """
     state = Searched(problem, balance, null, reach, criteria, commanded)
     every = told_apart(state)
     steps: list[Step] = []
@@ -100,24 +117,42 @@ def witness(
     for c in (c for c in added if c not in quiet and not only_read(state, whole, c)):
         less = state.set_of([k for k in added if k is not c])
         test = compared(state.rows, less, whole, state.own(c))
-        kept.append(Kept(c, test, _alike(state, added, c, less, whole, every), steadiness(whole, c)))
+        kept.append(
+            Kept(c, test, _alike(state, added, c, less, whole, every), steadiness(whole, c))
+        )
     base = state.set_of(())
     first = exact(state, (), base)[0]
     return Witness(
-        balance, first, final, errors, tuple(added), tuple(kept), tuple(steps), state.rows, base, whole, state
+        balance,
+        first,
+        final,
+        errors,
+        tuple(added),
+        tuple(kept),
+        tuple(steps),
+        state.rows,
+        base,
+        whole,
+        state,
     )
 
 
 def told_apart(state: Searched) -> list[Candidate]:
     """Candidates of which a group's balance can tell."""
-    joints, speed, slowest = set(state.balance.group.joints), state.reach.speed, state.limits.slowest
+    joints, speed, slowest = (
+        set(state.balance.group.joints),
+        state.reach.speed,
+        state.limits.slowest,
+    )
     effect = state.problem.effect
     return [
-        _trusted(c) for c in (_of_group(c, joints) for c in candidates(state.problem, state.null, state.reach))
-        if set(c.joints) <= joints and balanced(effect(c.effect))
+        _trusted(c)
+        for c in (_of_group(c, joints) for c in candidates(state.problem, state.null, state.reach))
+        if set(c.joints) <= joints
+        and balanced(effect(c.effect))
         and c.shaped().get("speed", np.inf) > slowest * max(speed[j] for j in c.joints)
         and (state.commanded or not (c.sharing == "joint" and effect(c.effect).place == "command"))
-    ]  # fmt: skip
+    ]
 
 
 def refitted(problem: Problem, found: Witness, added: Sequence[Candidate]) -> Witness:
@@ -128,7 +163,9 @@ def refitted(problem: Problem, found: Witness, added: Sequence[Candidate]) -> Wi
 
 
 def _of_group(c: Candidate, joints: set[int]) -> Candidate:
-    """Of an effect with one value for all joints of the machine the one for those of a group: a late computer is late for each."""
+    """Of an effect with one value for all joints of the machine the one for those of a group: a
+    late computer is late for each.
+    """
     own = tuple(j for j in c.joints if j in joints)
     if c.sharing != "common" or c.effect == TILT or len(own) in (0, len(c.joints)):
         return c
@@ -142,14 +179,25 @@ def _trusted(c: Candidate) -> Candidate:
 
 
 def likely_first(state: Searched, every: Sequence[Candidate], steps: list[Step]) -> list[Candidate]:
-    """What all joints are likely to have, each kind at all of them as one candidate; joint by joint it is judged in the end, since one
-    hides another (a file's damping and rotors that are not there: dry friction that is)."""
+    """What all joints are likely to have, each kind at all of them as one candidate; joint by joint
+    it is judged in the end, since one hides another (a file's damping and rotors that are not
+    there: dry friction that is).
+    """
     added: list[Candidate] = []
-    stepped = any(e.owner == DAMPING_STEP for e in state.null.entries)  # which is nearly rotors at all of them already
+    stepped = any(
+        e.owner == DAMPING_STEP for e in state.null.entries
+    )  # which is nearly rotors at all of them already
     for name in ORDER[:2] if stepped else ORDER:
-        some = [c for c in every if c.effect == name and c.sharing == ("common" if name == "delay" else "joint")]
+        some = [
+            c
+            for c in every
+            if c.effect == name and c.sharing == ("common" if name == "delay" else "joint")
+        ]
         if name == "delay":  # of all commands, where there are any, which else looks like rotors
-            some = ranked(state, state.set_of(added), some)[:1] if state.commanded else []
+            if state.commanded:
+                some = ranked(state, state.set_of(added), some)[:1]
+            else:
+                some = []
         if not some:
             continue
         less, more = state.set_of(added), state.set_of([*added, *some])
@@ -166,16 +214,24 @@ def _taken(added: Sequence[Candidate]) -> set[tuple[str, int]]:
     return {(c.effect, j) for c in added for j in c.joints}
 
 
-def _open(state: Searched, added: Sequence[Candidate], every: Sequence[Candidate]) -> list[Candidate]:
+def _open(
+    state: Searched, added: Sequence[Candidate], every: Sequence[Candidate]
+) -> list[Candidate]:
     taken = _taken(added)
     return [c for c in every if not any((c.effect, j) in taken for j in c.joints)]
 
 
 def _forward(state: Searched, added: list[Candidate], every, steps: list[Step]) -> Candidate | None:
-    """The candidate that takes most off where it was left out, of all joints at which it shows, for the numbers that it has."""
+    """The candidate that takes most off where it was left out, of all joints at which it shows, for
+    the numbers that it has.
+    """
     now = state.set_of(added)
-    late = {j for c in added if c.effect in SHIFTS and not only_read(state, now, c) for j in c.joints}
-    free = [c for c in _open(state, added, every) if c.effect not in SHIFTS or not late & set(c.joints)]
+    late = {
+        j for c in added if c.effect in SHIFTS and not only_read(state, now, c) for j in c.joints
+    }
+    free = [
+        c for c in _open(state, added, every) if c.effect not in SHIFTS or not late & set(c.joints)
+    ]
     for laws in (True, False):
         some = [c for c in free if state.problem.effect(c.effect).describes is not laws]
         best = None
@@ -183,7 +239,10 @@ def _forward(state: Searched, added: list[Candidate], every, steps: list[Step]) 
             c = state.settled(added, c)
             more = state.set_of([*added, c])
             test = compared(state.rows, now, more, state.own(c))
-            least = state.criteria.described if not laws else state.limits.gain * len(c.entries)
+            if not laws:
+                least = state.criteria.described
+            else:
+                least = state.limits.gain * len(c.entries)
             why = why_not(state, more, c, test, least, state.limits.level)
             steps.append(Step("refused" if why else "tried", c, test, why))
             value = test.gain * state.carry(c) - state.limits.gain * len(c.entries)
@@ -198,21 +257,34 @@ def _forward(state: Searched, added: list[Candidate], every, steps: list[Step]) 
 def _backward(
     state: Searched, added: Sequence[Candidate], steps: list[Step], asked: Mapping[str, int]
 ) -> tuple[list[Candidate], list[Candidate]]:
-    """Effects that do not hold out beside the others go, the weakest first; and which of those that stay are not shown by themselves:
-    what like drives have together, and takes something off here too, is fitted everywhere and named where it holds out alone.
-    asked: of each effect at how many driven joints it was looked for."""
+    """Effects that do not hold out beside the others go, the weakest first; and which of those that
+    stay are not shown by themselves: what like drives have together, and takes something off here
+    too, is fitted everywhere and named where it holds out alone. asked: of each effect at how many
+    driven joints it was looked for.
+    """
     added, own = [k for c in added for k in c.split()], state.limits
     while True:
         whole = state.set_of(added)
         tests = [
-            (c, compared(state.rows, state.set_of([k for k in added if k is not c]), whole, state.own(c)))
+            (
+                c,
+                compared(
+                    state.rows, state.set_of([k for k in added if k is not c]), whole, state.own(c)
+                ),
+            )
             for c in added
         ]
         failing, quiet = [], []
         for c, test in tests:
-            least = state.criteria.described if state.problem.effect(c.effect).describes else own.gain * len(c.entries)
+            if state.problem.effect(c.effect).describes:
+                least = state.criteria.described
+            else:
+                least = own.gain * len(c.entries)
             like = [t.p for k, t in tests if k.effect == c.effect]
-            level = level_of(like, own, max(1, asked[c.effect])) if c.effect in FIRST else own.level
+            if c.effect in FIRST:
+                level = level_of(like, own, max(1, asked[c.effect]))
+            else:
+                level = own.level
             if why := why_not(state, whole, c, test, least, level):
                 if c.effect in FIRST and test.gain > 0.0 and len(like) > 1:
                     quiet.append(c)
@@ -225,56 +297,82 @@ def _backward(
         added = [k for k in added if k is not c]
 
 
-def _one_for_two(state: Searched, added: Sequence[Candidate], every, steps: list[Step]) -> list[Candidate] | None:
-    """The set with one effect in the place of two of a joint, which forward steps took for it; None where none does as well, or one of
-    the two does by itself (a trifle beside it does not make it another)."""
+def _one_for_two(
+    state: Searched, added: Sequence[Candidate], every, steps: list[Step]
+) -> list[Candidate] | None:
+    """The set with one effect in the place of two of a joint, which forward steps took for it; None
+    where none does as well, or one of the two does by itself (a trifle beside it does not make it
+    another).
+    """
     whole = state.set_of(added)
     for one, other in combinations(added, 2):
         if not set(one.joints) & set(other.joints):
             continue
         less = state.set_of(rest := [k for k in added if k is not one and k is not other])
         alone = [
-            compared(state.rows, state.set_of([*rest, k]), whole, state.own(one, other)).gain for k in (one, other)
+            compared(state.rows, state.set_of([*rest, k]), whole, state.own(one, other)).gain
+            for k in (one, other)
         ]
         if min(alone) < _gap(state, (one, other), less, whole):
             continue
         for k in _as_good(state, rest, (one, other), less, whole, every):
             test = compared(state.rows, less, more := state.set_of([*rest, k]), state.own(k))
-            if not why_not(state, more, k, test, state.limits.gain * len(k.entries), state.limits.level):
+            if not why_not(
+                state, more, k, test, state.limits.gain * len(k.entries), state.limits.level
+            ):
                 steps.append(Step("replaced", k, test, f"{one.effect} and {other.effect} by one"))
                 return [*rest, k]
     return None
 
 
-def _alike(state: Searched, added, c: Candidate, less: Solved, whole: Solved, every) -> tuple[Candidate, ...]:
+def _alike(
+    state: Searched, added, c: Candidate, less: Solved, whole: Solved, every
+) -> tuple[Candidate, ...]:
     """Effects that do nearly as well in its place."""
     return tuple(_as_good(state, [k for k in added if k is not c], (c,), less, whole, every))
 
 
-def _as_good(state: Searched, rest, gone: Sequence[Candidate], less: Solved, whole: Solved, every) -> list[Candidate]:
-    """Single effects that do nearly as well beside `rest` as those that are gone from it: others at their joints, the same at joints
-    beside. less, whole: without them, and with."""
+def _as_good(
+    state: Searched, rest, gone: Sequence[Candidate], less: Solved, whole: Solved, every
+) -> list[Candidate]:
+    """Single effects that do nearly as well beside `rest` as those that are gone from it: others at
+    their joints, the same at joints beside. less, whole: without them, and with.
+    """
     names, joints = {c.effect for c in gone}, {j for c in gone for j in c.joints}
-    near = [k for k in _open(state, rest, every) if any(beside(k, c) or k.effect == c.effect == INERTIA for c in gone)]
+    near = [
+        k
+        for k in _open(state, rest, every)
+        if any(beside(k, c) or k.effect == c.effect == INERTIA for c in gone)
+    ]
     others = [k for k in near if (k.effect in names) != bool(joints & set(k.joints))]
     others = [k for k in others if not state.problem.effect(k.effect).describes]
     gap, out = _gap(state, gone, less, whole), []
     for k in ranked(state, less, others)[:3]:
         k = state.settled(rest, k)
         other = state.set_of([*rest, k])
-        if compared(state.rows, other, whole, state.own(*gone, k)).gain < gap and not at_bound(other, k):
+        if compared(state.rows, other, whole, state.own(*gone, k)).gain < gap and not at_bound(
+            other, k
+        ):
             out.append(k)
     return out
 
 
 def _gap(state: Searched, gone: Sequence[Candidate], less: Solved, whole: Solved) -> float:
-    """Share of the loss by which what stands in the place of `gone` may be worse and still do as well."""
+    """Share of the loss by which what stands in the place of `gone` may be worse and still do as
+    well.
+    """
     gain = compared(state.rows, less, whole, state.own(*gone)).gain
     return max(state.criteria.gap, 1.0 - (1.0 - gain) ** state.criteria.alike)
 
 
 def within(vector: Vector, factor: float = FACTOR) -> Vector:
-    """A vector whose bodies stay within a factor of the file's masses, lengths of gyration squared and shifts by these lengths."""
+    """A vector whose bodies stay within a factor of the file's masses, lengths of gyration squared
+    and shifts by these lengths.
+    """
     wide = 0.5 * np.log(factor)
-    entries = tuple(replace(e, low=-wide, high=wide) if e.owner == INERTIA else e for e in vector.entries)
-    return Vector(entries, np.clip(vector.values, [e.low for e in entries], [e.high for e in entries]))
+    entries = tuple(
+        replace(e, low=-wide, high=wide) if e.owner == INERTIA else e for e in vector.entries
+    )
+    return Vector(
+        entries, np.clip(vector.values, [e.low for e in entries], [e.high for e in entries])
+    )

@@ -1,5 +1,6 @@
-"""What a search along the measured motion knows of a group: its columns, the entries that are always fitted, rows and weights; and by
-what a candidate is ranked."""
+"""What a search along the measured motion knows of a group: its columns, the entries that are
+always fitted, rows and weights; and by what a candidate is ranked.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -19,17 +20,29 @@ from adaptsim_jax.mechanisms.tree import ancestors
 
 CARRIED = (INERTIA, *TOLD)
 SHIFTS = ("delay", "actuator_lag")
-"""Of which one at a joint is enough: beside a delay of rows a lag takes what its column, a difference, leaves of it."""
+"""Of which one at a joint is enough: beside a delay of rows a lag takes what its column, a
+difference, leaves of it.
+"""
 LEAST_SHIFT = 1e-4  # s, of which a column is made
 LEAST_OF_TORQUE, LEAST_OF_MISSING = 0.03, 0.15
-"""Of the torque, and of what the file misses of it: a joint that is missed by less does not outweigh the others for that."""
+"""Of the torque, and of what the file misses of it: a joint that is missed by less does not
+outweigh the others for that.
+"""
 
 
 class Searched:
-    """The search of one group: its table of columns, the entries that are always fitted, the effects so far."""
+    """The search of one group: its table of columns, the entries that are always fitted, the
+    effects so far.
+    """
 
     def __init__(
-        self, problem: Problem, balance: Balance, null: Vector, reach: Reach, criteria: Criteria, commanded: bool
+        self,
+        problem: Problem,
+        balance: Balance,
+        null: Vector,
+        reach: Reach,
+        criteria: Criteria,
+        commanded: bool,
     ):
         self.problem, self.balance, self.reach, self.criteria = problem, balance, reach, criteria
         self.commanded, self.limits = commanded, criteria.torque
@@ -44,7 +57,9 @@ class Searched:
         taken = self.told + missing  # by the motion, where nothing is told of what acts
         self.torque = np.where(torque > 0, torque, np.sqrt(np.mean(np.square(taken), 0)))
         self.least = np.maximum(LEAST_OF_TORQUE * torque, LEAST_OF_MISSING * size)
-        self.rows = rows_of(missing, missing, balance.trial, balance.time, self.least, balance.clear)
+        self.rows = rows_of(
+            missing, missing, balance.trial, balance.time, self.least, balance.clear
+        )
         self._summed()
         self.weigh(self.set_of(()))
         self.local = {j: k for k, j in enumerate(balance.group.joints)}
@@ -54,7 +69,12 @@ class Searched:
         self.table.explained = fitted.columns @ fitted.step
         left = self.rows.missing - self.table.explained
         self.rows = rows_of(
-            self.rows.missing, left, self.balance.trial, self.balance.time, self.least, self.balance.clear
+            self.rows.missing,
+            left,
+            self.balance.trial,
+            self.balance.time,
+            self.least,
+            self.balance.clear,
         )
         self._summed()
 
@@ -78,7 +98,9 @@ class Searched:
         return replace(found, loss=found.loss / np.square(in_proportion(self.told, driven)))
 
     def settled(self, added: Sequence[Candidate], c: Candidate) -> Candidate:
-        """A shift with its column made at the value that it comes to: a lag of 60 ms scaled to one of 3 ms is none of 3 ms."""
+        """A shift with its column made at the value that it comes to: a lag of 60 ms scaled to one
+        of 3 ms is none of 3 ms.
+        """
         if c.effect not in SHIFTS or not c.shape:
             return c
         for _ in range(2):
@@ -88,7 +110,9 @@ class Searched:
         return c
 
     def own(self, *some: Candidate) -> list[int]:
-        """Local numbers of the joints at which effects show: a body, and where it is, at all that carry it."""
+        """Local numbers of the joints at which effects show: a body, and where it is, at all that
+        carry it.
+        """
         tree = self.balance.group.model.tree
         shows = {
             k
@@ -111,9 +135,16 @@ def ranked(state: Searched, now: Solved, some: Sequence[Candidate]) -> list[Cand
     left = (rows.missing - now.columns @ now.step) * rows.weight
     total = np.maximum(np.square(left).sum(0), 1e-300)
     even = np.sqrt(total.mean() / total)  # joints count alike, whatever they leave
-    weigh = lambda z: (z * (rows.weight * even)[..., None]).reshape(left.size, z.shape[2])
+
+    def weigh(z):
+        return (z * (rows.weight * even)[..., None]).reshape(left.size, z.shape[2])
+
     began = [*state.null.values, *(e.start for e in now.entries[len(state.null) :])]
-    free = [i for i, (e, z) in enumerate(zip(now.entries, began + now.step, strict=True)) if e.low < z < e.high]
+    free = [
+        i
+        for i, (e, z) in enumerate(zip(now.entries, began + now.step, strict=True))
+        if e.low < z < e.high
+    ]
     a, y = weigh(now.columns[..., free]), left * even
     prior = np.diag([now.entries[i].prior ** -2.0 for i in free])
     inverse = np.linalg.pinv(a.T @ a + prior, rcond=1e-12, hermitian=True)
@@ -146,7 +177,9 @@ def _gain(columns: np.ndarray, y: np.ndarray, fold: np.ndarray, c: Candidate) ->
     gain = 0.0
     for f in range(folds):
         h = hess.sum(0) - hess[f] + prior
-        step = np.linalg.lstsq(h + 1e-9 * np.diag(np.diagonal(h)), slope.sum(0) - slope[f], rcond=1e-10)[0]
+        step = np.linalg.lstsq(
+            h + 1e-9 * np.diag(np.diagonal(h)), slope.sum(0) - slope[f], rcond=1e-10
+        )[0]
         step = np.clip(step, low, high)
         gain += float(step @ slope[f] - 0.5 * step @ hess[f] @ step)
     return gain

@@ -1,4 +1,6 @@
-"""Sets of columns fitted to the missing forces, with what is known beforehand, and judged by blocks that were left out."""
+"""Sets of columns fitted to the missing forces, with what is known beforehand, and judged by blocks
+that were left out.
+"""
 
 import itertools
 from collections.abc import Sequence
@@ -16,14 +18,18 @@ TRIALS = 5
 BLOCK = 0.5  # s, of which a paired test takes one difference
 MOST_BLOCKS, LEAST_BLOCKS = 60, 16
 MEMORY = 1.0  # s, over which what is left of neighbours is taken to be alike at most
-FLOOR = 0.1  # of the usual loss of a block: one that hardly moved says little, however much it gained
+FLOOR = (
+    0.1  # of the usual loss of a block: one that hardly moved says little, however much it gained
+)
 
 
 @dataclass(frozen=True)
 class Rows:
-    """Missing forces [K, n] with their weights [K, n] (one over their size, and over the root of how many neighbours say the
-    same; less
-    where a joint hardly moves: what holds it is anything up to the level of its friction), size [n], fold and block [K]."""
+    """Missing forces [K, n] with their weights [K, n] (one over their size, and over the root of
+    how many neighbours say the same; less
+    where a joint hardly moves: what holds it is anything up to the level of its friction), size
+    [n], fold and block [K].
+    """
 
     missing: np.ndarray
     weight: np.ndarray
@@ -35,8 +41,9 @@ class Rows:
 
 @dataclass(frozen=True)
 class Solved:
-    """A set of entries fitted. step [P] from the values at which its columns were made; by_fold [F, P]; loss [B, n] of left-out
-    blocks, over the squared size of what was missing; hess [P, P]."""
+    """A set of entries fitted. step [P] from the values at which its columns were made; by_fold [F,
+    P]; loss [B, n] of left-out blocks, over the squared size of what was missing; hess [P, P].
+    """
 
     entries: tuple[Entry, ...]
     columns: np.ndarray = field(repr=False)
@@ -53,15 +60,19 @@ class Solved:
     def error(self) -> np.ndarray:
         """Standard errors [P] by the jackknife over folds, at least those of the curvature."""
         folds = len(self.by_fold)
-        scatter = np.sqrt((folds - 1) / folds * np.square(self.by_fold - self.by_fold.mean(0)).sum(0))
+        scatter = np.sqrt(
+            (folds - 1) / folds * np.square(self.by_fold - self.by_fold.mean(0)).sum(0)
+        )
         inverse = np.linalg.pinv(self.hess, rcond=1e-12, hermitian=True)
         return np.maximum(scatter, np.sqrt(np.maximum(np.diagonal(inverse), 0.0)))
 
 
 @dataclass(frozen=True)
 class Compared:
-    """One set against another. gain: share of the loss of the joints concerned that it takes off, geometric mean over blocks; p of a
-    sign-flip test; overall: the share of all joints, geometric mean over these too."""
+    """One set against another. gain: share of the loss of the joints concerned that it takes off,
+    geometric mean over blocks; p of a sign-flip test; overall: the share of all joints, geometric
+    mean over these too.
+    """
 
     gain: float
     p: float
@@ -72,9 +83,16 @@ class Compared:
 
 
 def rows_of(
-    missing: np.ndarray, left: np.ndarray, trial: np.ndarray, time: np.ndarray, least: np.ndarray, clear: np.ndarray
+    missing: np.ndarray,
+    left: np.ndarray,
+    trial: np.ndarray,
+    time: np.ndarray,
+    least: np.ndarray,
+    clear: np.ndarray,
 ) -> Rows:
-    """Rows weighted by what is `left` [K, n] of the missing forces by the model so far, at least by sizes `least` [n]."""
+    """Rows weighted by what is `left` [K, n] of the missing forces by the model so far, at least by
+    sizes `least` [n].
+    """
     usual = _block_means(np.square(left) * clear, trial, time) / _block_means(clear, trial, time)
     size = np.sqrt(np.maximum(np.median(usual, 0), np.square(least) + 1e-18))
     alike = _alike(left * np.sqrt(clear), trial, time)
@@ -95,8 +113,13 @@ def means(z: np.ndarray, unit: np.ndarray) -> np.ndarray:
 
 
 def _alike(left: np.ndarray, trial: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """How many neighbouring windows say the same [n]: one and twice the sum of the autocorrelation up to its first zero."""
-    hop = float(np.median(np.diff(time)[np.diff(trial) == 0])) if len(time) > 1 else 1.0
+    """How many neighbouring windows say the same [n]: one and twice the sum of the autocorrelation
+    up to its first zero.
+    """
+    if len(time) > 1:
+        hop = float(np.median(np.diff(time)[np.diff(trial) == 0]))
+    else:
+        hop = 1.0
     most = max(1, int(MEMORY / max(hop, 1e-6)))
     z = left - left.mean(0)
     power = np.square(z).mean(0) + 1e-300
@@ -121,7 +144,10 @@ def folds_of(trial: np.ndarray, time: np.ndarray) -> np.ndarray:
 
 def blocks_of(trial: np.ndarray, time: np.ndarray) -> np.ndarray:
     """Blocks of about `BLOCK` s: at least `LEAST_BLOCKS` in all, at most `MOST_BLOCKS`."""
-    hop = float(np.median(np.diff(time)[np.diff(trial) == 0])) if len(time) > 1 else 1.0
+    if len(time) > 1:
+        hop = float(np.median(np.diff(time)[np.diff(trial) == 0]))
+    else:
+        hop = 1.0
     about = int(np.clip(len(trial) * hop / BLOCK, LEAST_BLOCKS, MOST_BLOCKS))
     return _pieces(trial, about)
 
@@ -130,13 +156,17 @@ def _pieces(trial: np.ndarray, about: int) -> np.ndarray:
     out, at = np.zeros(len(trial), int), 0
     for t in np.unique(trial):
         mine = np.flatnonzero(trial == t)
-        for part in np.array_split(mine, max(1, min(len(mine) // 2 or 1, round(about * len(mine) / len(trial))))):
+        for part in np.array_split(
+            mine, max(1, min(len(mine) // 2 or 1, round(about * len(mine) / len(trial))))
+        ):
             out[part], at = at, at + 1
     return out
 
 
 class Sums:
-    """Products of blocks of columns, by fold, kept for the many sets that share them. Blocks go by names."""
+    """Products of blocks of columns, by fold, kept for the many sets that share them. Blocks go by
+    names.
+    """
 
     def __init__(self, rows: Rows):
         self.rows = rows
@@ -166,7 +196,10 @@ class Sums:
                 b, there, _ = self.blocks[other]
             both = np.intersect1d(live, there)
             a, b = a[:, np.searchsorted(live, both)], b[:, np.searchsorted(there, both)]
-            flat = lambda z, part: z[part].reshape((part.stop - part.start) * z.shape[1], z.shape[2])
+
+            def flat(z, part):
+                return z[part].reshape((part.stop - part.start) * z.shape[1], z.shape[2])
+
             self.products[key] = np.stack([flat(a, p).T @ flat(b, p) for p in self.parts])
             if other is not None:
                 self.products[other, one] = np.swapaxes(self.products[key], 1, 2)
@@ -174,13 +207,22 @@ class Sums:
 
 
 def solved(sums: Sums, names: Sequence, entries: Sequence[Entry], now: np.ndarray) -> Solved:
-    """Fit entries at values `now` [P] by the named blocks of columns; each fold predicted by the others."""
+    """Fit entries at values `now` [P] by the named blocks of columns; each fold predicted by the
+    others.
+    """
     vector, rows = Vector(tuple(entries), np.asarray(now, float)), sums.rows
-    hess = np.concatenate([np.concatenate([sums.product(i, j) for j in names], 2) for i in names], 1)
+    hess = np.concatenate(
+        [np.concatenate([sums.product(i, j) for j in names], 2) for i in names], 1
+    )
     slope = np.concatenate([sums.product(i, None)[..., 0] for i in names], 1)
     total, all_slope = hess.sum(0), slope.sum(0)
     step = bounded_step(total, all_slope, vector, 1e-9)
-    by_fold = np.stack([bounded_step(total - h, all_slope - s, vector, 1e-9) for h, s in zip(hess, slope, strict=True)])
+    by_fold = np.stack(
+        [
+            bounded_step(total - h, all_slope - s, vector, 1e-9)
+            for h, s in zip(hess, slope, strict=True)
+        ]
+    )
     columns = np.concatenate([sums.blocks[name][2] for name in names], 2)
     left = left_out(rows, columns, by_fold)
     loss = means(rows.clear * np.square(left / rows.size), rows.block)
@@ -188,7 +230,9 @@ def solved(sums: Sums, names: Sequence, entries: Sequence[Entry], now: np.ndarra
 
 
 def left_out(rows: Rows, columns: np.ndarray, by_fold: np.ndarray) -> np.ndarray:
-    """What columns [K, n, P] leave of the missing forces [K, n] of each fold, at the values [F, P] that go without it."""
+    """What columns [K, n, P] leave of the missing forces [K, n] of each fold, at the values [F, P]
+    that go without it.
+    """
     left = rows.missing.copy()
     for f, x in enumerate(by_fold):
         mine = rows.fold == f
@@ -197,16 +241,23 @@ def left_out(rows: Rows, columns: np.ndarray, by_fold: np.ndarray) -> np.ndarray
 
 
 def compared(rows: Rows, without: Solved, with_: Solved, joints: Sequence[int]) -> Compared:
-    """The second set of entries against the first, by left-out blocks; joints: the local numbers of those concerned, each by what it
-    usually leaves: one that neither set explains does not outweigh the others."""
+    """The second set of entries against the first, by left-out blocks; joints: the local numbers of
+    those concerned, each by what it usually leaves: one that neither set explains does not outweigh
+    the others.
+    """
     own = list(joints)
     usual = np.maximum(np.median(without.loss, 0), 1e-300)
     before, after = without.loss / usual, with_.loss / usual
     d, each = _ratio(before[:, own].mean(1), after[:, own].mean(1)), _ratio(before, after)
     fold = np.array([np.bincount(rows.fold[rows.block == b]).argmax() for b in range(len(d))])
     by_fold = means(d, np.unique(fold, return_inverse=True)[1])
-    share = lambda z: 1.0 - float(np.exp(-z.mean()))
-    return Compared(share(d), sign_flip(d), share(each), int((by_fold > 0).sum()), len(by_fold), len(d))
+
+    def share(z):
+        return 1.0 - float(np.exp(-z.mean()))
+
+    return Compared(
+        share(d), sign_flip(d), share(each), int((by_fold > 0).sum()), len(by_fold), len(d)
+    )
 
 
 def _ratio(before: np.ndarray, after: np.ndarray) -> np.ndarray:

@@ -1,4 +1,6 @@
-"""Whether an effect stays beside the others of a set, by what the torque along the motion says of left-out blocks, and if not, why."""
+"""Whether an effect stays beside the others of a set, by what the torque along the motion says of
+left-out blocks, and if not, why.
+"""
 
 from collections.abc import Sequence
 
@@ -13,20 +15,31 @@ GAINS = ("torque_gain", "position_gain")
 
 
 def level_of(p: Sequence[float], own: TorqueCriteria, asked: int) -> float:
-    """Up to which p an effect that like drives have is taken at each of them, by how many of the joints that were `asked` show it."""
+    """Up to which p an effect that like drives have is taken at each of them, by how many of the
+    joints that were `asked` show it.
+    """
     ranked = np.sort(p)
     good = ranked <= own.discovery * np.arange(1, len(p) + 1) / asked
     return max(own.level, float(ranked[good].max()) if good.any() else 0.0)
 
 
-def why_not(state: Searched, whole: Solved, c: Candidate, test: Compared, least: float, level: float) -> str:
+def why_not(
+    state: Searched, whole: Solved, c: Candidate, test: Compared, least: float, level: float
+) -> str:
     """Why a candidate is not taken beside the others of a set; empty if it is."""
     if test.p > level:
         return "left-out blocks do not confirm it"
     if state.commanded and c.sharing != "common" and only_read(state, whole, c):
         return "a joint that is late by so little is how its rows are read"
-    if state.follows and c.effect in GAINS and np.max(np.abs(whole.step[_numbers(whole, c)])) < state.limits.share:
-        return f"a gain that is off by less than {100 * state.limits.share:g} % is how exactly speeds are read"
+    if (
+        state.follows
+        and c.effect in GAINS
+        and np.max(np.abs(whole.step[_numbers(whole, c)])) < state.limits.share
+    ):
+        return (
+            f"a gain that is off by less than {100 * state.limits.share:g} % is how exactly "
+            f"speeds are read"
+        )
     if test.gain * state.carry(c) < least:
         return f"takes less than {100 * least:.0f} % off the squared missing torque"
     if test.overall < 0.0:
@@ -35,22 +48,30 @@ def why_not(state: Searched, whole: Solved, c: Candidate, test: Compared, least:
         return f"its size is only {steadiness(whole, c):.1f} times its error"
     if at_bound(whole, c):
         return "its value is at the end of what such a machine may have"
-    least = state.limits.seen if state.follows and c.effect in CARRIED else state.limits.worth
-    if not only_read(state, whole, c) and _worth(state, whole, c) < least:  # what is read so is no name, however small
+    if state.follows and c.effect in CARRIED:
+        least = state.limits.seen
+    else:
+        least = state.limits.worth
+    if (
+        not only_read(state, whole, c) and _worth(state, whole, c) < least
+    ):  # what is read so is no name, however small
         return f"it is less than {100 * least:g} % of the joint's torque"
     return ""
 
 
 def _worth(state: Searched, whole: Solved, c: Candidate) -> float:
-    """Root mean square of an effect's torque over that of the joint, at the joint where it is most."""
+    """Root mean square of an effect's torque over that of the joint, at the joint where it is
+    most.
+    """
     at = _numbers(whole, c)
     force = np.sqrt(np.mean(np.square(whole.columns[..., at] @ whole.step[at]), 0))
     return float(np.max(force / np.maximum(state.torque, 1e-300)))
 
 
 def only_read(state: Searched, whole: Solved, c: Candidate) -> bool:
-    """A shift of all commands by less than a row, or of measured torques by as much as loggers pair them with angles: how rows are
-    read, and no effect."""
+    """A shift of all commands by less than a row, or of measured torques by as much as loggers pair
+    them with angles: how rows are read, and no effect.
+    """
     if c.effect not in ("delay", "actuator_lag"):
         return False
     value = float(whole.step[_numbers(whole, c)][0]) / state.reach.dt
@@ -65,7 +86,9 @@ def _numbers(whole: Solved, c: Candidate) -> list[int]:
 
 
 def steadiness(whole: Solved, c: Candidate) -> float:
-    """Its amplitudes over their standard errors, root mean square: a torque of two numbers has twice the chance that one is large."""
+    """Its amplitudes over their standard errors, root mean square: a torque of two numbers has
+    twice the chance that one is large.
+    """
     at = _numbers(whole, c)
     return float(np.sqrt(np.mean(np.square(whole.step[at] / np.maximum(whole.error[at], 1e-300)))))
 

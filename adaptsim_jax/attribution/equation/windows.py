@@ -1,9 +1,11 @@
-"""A measured motion on an even grid, and the smooth windows that its balance of forces is averaged over.
+"""A measured motion on an even grid, and the smooth windows that its balance of forces is averaged
+over.
 
-Both sides of the equations of motion are weighed with the same window, so that what a filter would round off (dry friction) is
-rounded off on both. An acceleration is a difference of speeds; summed by parts it is the window's own slope times the speed, so no
-second derivative of a noisy angle is taken by itself (the weak form; Bortz, Messenger and Dukic, 2023; DIDIM's parallel filters:
-Gautier, Janot and Vandanjon, 2013).
+Both sides of the equations of motion are weighed with the same window, so that what a filter would
+round off (dry friction) is rounded off on both. An acceleration is a difference of speeds; summed
+by parts it is the window's own slope times the speed, so no second derivative of a noisy angle is
+taken by itself (the weak form; Bortz, Messenger and Dukic, 2023; DIDIM's parallel filters: Gautier,
+Janot and Vandanjon, 2013).
 """
 
 from collections.abc import Sequence
@@ -19,17 +21,22 @@ LEAST_ROWS = 12  # of a window
 GRID = 4e-3  # s: faster logs are read at about this
 HOP = 0.25  # of a window, from one to the next
 MOST = 3000  # windows of a recording: of longer ones they lie farther apart
-CREEP = 0.02  # of a joint's usual speed, below which the direction of dry friction is not told from zero
-CLEAR = 0.1  # of the usual speed, below which a joint may be held by friction, which is then anything up to its level
+# of a joint's usual speed, below which the direction of dry friction is not told from zero
+CREEP = 0.02
+# of the usual speed, below which a joint may be held by friction, which is then anything up to its
+# level
+CLEAR = 0.1
 DOUBT = 3.0  # times the noise of a speed, likewise
 
 
 @dataclass(frozen=True)
 class Run:
-    """A trial on an even grid: time [T] s, q, v, a [n, T], u [n, T] what the actuators were told in the mean over the `row` s about a
-    row, jump [n, T] by which that changes at it, smooth [n, T] a speed with less noise, width [n] below
+    """A trial on an even grid: time [T] s, q, v, a [n, T], u [n, T] what the actuators were told in
+    the mean over the `row` s about a row, jump [n, T] by which that changes at it, smooth [n, T] a
+    speed with less noise, width [n] below
     which that is not told from zero, clear [n, T] 0 to 1:
-    whether it moves; mean [K, T] averages over windows; at [K] s, their middles."""
+    whether it moves; mean [K, T] averages over windows; at [K] s, their middles.
+    """
 
     trial: int
     time: np.ndarray
@@ -70,7 +77,23 @@ def runs_of(tracks: Sequence[Track], noise: np.ndarray, span: float = SPAN) -> t
         rough = noise / dt * np.sqrt(12.0 / _rows(dt) ** 3)  # of a slope through so many rows
         width = np.maximum(np.maximum(CREEP * usual, DOUBT * rough), 1e-9)
         moves = np.square(np.tanh(v / np.maximum(CLEAR * usual, width)[:, None]))
-        out.append(Run(k, time, q, speed, np.gradient(v, dt, axis=1), u, jump, row, v, width, moves, mean, at))
+        out.append(
+            Run(
+                k,
+                time,
+                q,
+                speed,
+                np.gradient(v, dt, axis=1),
+                u,
+                jump,
+                row,
+                v,
+                width,
+                moves,
+                mean,
+                at,
+            )
+        )
     return tuple(out)
 
 
@@ -80,7 +103,9 @@ def _rows(dt: float) -> int:
 
 
 def _even(track: Track) -> tuple[np.ndarray, ...]:
-    """time, q, v, speed, u, jump on an even grid, and where rows were read (1) or not (0); v is smooth, and speed is true."""
+    """time, q, v, speed, u, jump on an even grid, and where rows were read (1) or not (0); v is
+    smooth, and speed is true.
+    """
     steps = np.diff(track.time)
     dt = float(np.median(steps))
     time = np.arange(track.time[0], track.time[-1], dt)
@@ -106,21 +131,36 @@ def _even(track: Track) -> tuple[np.ndarray, ...]:
     held = u[np.clip(np.searchsorted(track.time, time + 0.25 * dt) - 1, 0, len(u) - 1)]
     jump = 2.0 * (held - middle)
     some = slice(None, None, max(1, round(GRID / dt)))
-    return time[some], q[:, some], v[:, some], speed[:, some], middle.T[:, some], jump.T[:, some], seen[some]
+    return (
+        time[some],
+        q[:, some],
+        v[:, some],
+        speed[:, some],
+        middle.T[:, some],
+        jump.T[:, some],
+        seen[some],
+    )
 
 
 def _local(q: np.ndarray, dt: float, rows: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Angles and speeds [n, T] by local quadratics over `rows` neighbours (Savitzky and Golay, 1964), and speeds by local quartics:
-    the slope of a quadratic is too small by a share (0.2 % at 1.2 Hz, by 7 rows of 5 ms) that a stiff controller's damping shows.
-    Five rows, which a quartic would go through, have no other speed."""
+    """Angles and speeds [n, T] by local quadratics over `rows` neighbours (Savitzky and Golay,
+    1964), and speeds by local quartics: the slope of a quadratic is too small by a share (0.2 % at
+    1.2 Hz, by 7 rows of 5 ms) that a stiff controller's damping shows. Five rows, which a quartic
+    would go through, have no other speed.
+    """
     from scipy.signal import savgol_filter
 
     rows = min(rows, (q.shape[1] - 1) // 2 * 2 + 1)
-    by = lambda degree, deriv: np.asarray(savgol_filter(q, rows, degree, deriv=deriv, delta=dt, axis=1))
+
+    def by(degree, deriv):
+        return np.asarray(savgol_filter(q, rows, degree, deriv=deriv, delta=dt, axis=1))
+
     return by(2, 0), by(2, 1), by(4 if rows > 5 else 2, 1)
 
 
-def _windows(time: np.ndarray, seen: np.ndarray, span: float, hop: float) -> tuple[scipy.sparse.csr_matrix, np.ndarray]:
+def _windows(
+    time: np.ndarray, seen: np.ndarray, span: float, hop: float
+) -> tuple[scipy.sparse.csr_matrix, np.ndarray]:
     """Means over windows [K, T] of (1 + cos)^2's shape, and their middles [K]."""
     dt = time[1] - time[0]
     wide, hop = max(4, round(span / dt)), max(1, round(hop / dt))
@@ -128,8 +168,13 @@ def _windows(time: np.ndarray, seen: np.ndarray, span: float, hop: float) -> tup
     shape /= shape.sum()
     begins = np.arange(0, len(time) - wide, hop)
     whole = np.concatenate([[0.0], np.cumsum(seen)])
-    begins = begins[whole[begins + wide] - whole[begins] > wide - 0.5] if len(begins) else begins
+    if len(begins):
+        begins = begins[whole[begins + wide] - whole[begins] > wide - 0.5]
+    else:
+        begins = begins
     rows = np.repeat(np.arange(len(begins)), wide - 1)
     columns = (begins[:, None] + np.arange(1, wide)).ravel()
-    table = scipy.sparse.csr_matrix((np.tile(shape, len(begins)), (rows, columns)), shape=(len(begins), len(time)))
+    table = scipy.sparse.csr_matrix(
+        (np.tile(shape, len(begins)), (rows, columns)), shape=(len(begins), len(time))
+    )
     return table, time[begins] + 0.5 * wide * dt

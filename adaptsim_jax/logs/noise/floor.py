@@ -1,8 +1,9 @@
 """The noise floor of a recording's sensors, and a smoother that uses it.
 
-The estimate is the marginal likelihood of an integrated random walk on windows of each trial (`smoother.py`),
-which is a difference method with exact variance factors on uneven grids. The median over windows guards
-against signal that leaks into the noise (impacts, stiction); quantisation sets a least value, step/sqrt(12).
+The estimate is the marginal likelihood of an integrated random walk on windows of each trial
+(`smoother.py`), which is a difference method with exact variance factors on uneven grids. The
+median over windows guards against signal that leaks into the noise (impacts, stiction);
+quantisation sets a least value, step/sqrt(12).
 """
 
 from collections.abc import Mapping
@@ -14,23 +15,31 @@ from adaptsim_jax.logs.quality.findings import Audit
 from adaptsim_jax.logs.types import Recording, Trial
 
 WINDOW = 300
-"""Samples a window: long enough to tell noise from motion, short enough for the motion to be of one kind."""
+"""Samples a window: long enough to tell noise from motion, short enough for the motion to be of one
+kind.
+"""
 COARSE = 0.0
-"""Log signal-to-noise ratio of one step above which a smoother prior (white snap) is tried as well."""
+"""Log signal-to-noise ratio of one step above which a smoother prior (white snap) is tried as well.
+"""
 ROUGH = 2.5
-"""Log ratio above which white jerk is too rough a prior for the sampling, and white snap is used."""
+"""Log ratio above which white jerk is too rough a prior for the sampling, and white snap is used.
+"""
 APART = 1.4
-"""The two priors' estimates further apart than this: the motion between two samples hides the noise."""
+"""The two priors' estimates further apart than this: the motion between two samples hides the
+noise.
+"""
 DISAGREE = 2.0
-"""Declared and estimated noise further apart than this factor are reported, and the larger one is used."""
+"""Declared and estimated noise further apart than this factor are reported, and the larger one is
+used.
+"""
 
 
 def noise_floor(recording: Recording, audit: Audit) -> dict[str, float]:
-    """Noise std of every measured channel (`q1`, `q2` rad; `v1`, `v2` rad/s where measured): declared, else from repeats, else from
-    the smoothing residual.
+    """Noise std of every measured channel (`q1`, `q2` rad; `v1`, `v2` rad/s where measured):
+    declared, else from repeats, else from the smoothing residual.
 
-    A declared value is used as declared unless the estimate differs by more than a factor of two: then the
-    larger is used, because too small a floor makes effects out of noise.
+    A declared value is used as declared unless the estimate differs by more than a factor of two:
+    then the larger is used, because too small a floor makes effects out of noise.
     """
     fits = [_trial_fits(t, audit.valid.get(t.name)) for t in recording.trials]
     repeated, std = _from_repeats(recording), {}
@@ -53,27 +62,39 @@ def _choose(declared: float | None, estimate: float, hidden: bool) -> float:
 
 def _channels(trial: Trial) -> dict[str, np.ndarray]:
     both = {"q1": trial.q[:, 0], "q2": trial.q[:, 1]}
-    return both if trial.v is None else both | {"v1": trial.v[:, 0], "v2": trial.v[:, 1]}
+    if trial.v is None:
+        return both
+    return both | {"v1": trial.v[:, 0], "v2": trial.v[:, 1]}
 
 
 def _trial_fits(trial: Trial, valid: np.ndarray | None) -> dict[str, tuple[float, float]]:
     """Channel -> (noise std, share of windows that hide it) over the valid rows of the trial."""
-    keep = np.ones(len(trial.time), bool) if valid is None or valid.sum() < 20 else valid
+    if valid is None or valid.sum() < 20:
+        keep = np.ones(len(trial.time), bool)
+    else:
+        keep = valid
     time = trial.time[keep]
     return {c: estimate(time, y[keep]) for c, y in _channels(trial).items()}
 
 
 def estimate(time: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Noise std of one signal `y: [T]` at `time: [T]` s, and the share of its windows that hide the noise."""
+    """Noise std of one signal `y: [T]` at `time: [T]` s, and the share of its windows that hide the
+    noise.
+    """
     windows = np.array_split(np.arange(len(y)), max(1, len(y) // WINDOW))
     fits = [fit_window(time[w], y[w]) for w in windows]
-    # A window at rest in a quantised channel shows no noise at all: it says nothing about the moving sensor.
+    # A window at rest in a quantised channel shows no noise at all: it says nothing about the
+    # moving sensor.
     seen = [f for f in fits if f[0] > 0] or fits
-    return float(np.median([std for std, _ in seen])), float(np.mean([hidden for _, hidden in seen]))
+    return float(np.median([std for std, _ in seen])), float(
+        np.mean([hidden for _, hidden in seen])
+    )
 
 
 def fit_window(time: np.ndarray, y: np.ndarray) -> tuple[float, bool]:
-    """Noise std of a short signal, and whether the motion hides it (then a guess between two priors)."""
+    """Noise std of a short signal, and whether the motion hides it (then a guess between two
+    priors).
+    """
     jerk = smoother.fit_noise(time, y, 3)
     if jerk.log_ratio < COARSE or jerk.std == 0:
         return jerk.std, False
@@ -84,7 +105,9 @@ def fit_window(time: np.ndarray, y: np.ndarray) -> tuple[float, bool]:
 
 
 def _from_repeats(recording: Recording) -> dict[str, float]:
-    """Noise from differences of trials that repeat one command from one state: the motion cancels in them."""
+    """Noise from differences of trials that repeat one command from one state: the motion cancels
+    in them.
+    """
     found: dict[str, list[float]] = {}
     trials = recording.trials
     for i, a in enumerate(trials):
@@ -100,7 +123,9 @@ def _from_repeats(recording: Recording) -> dict[str, float]:
 
 
 def repeats(a: Trial, b: Trial) -> bool:
-    """Whether `b` repeats `a`: one command at the same times from nearly one state, but not a copy."""
+    """Whether `b` repeats `a`: one command at the same times from nearly one state, but not a
+    copy.
+    """
     n = min(len(a.time), len(b.time))
     if n < 0.9 * max(len(a.time), len(b.time)) or np.array_equal(a.q[:n], b.q[:n]):
         return False
@@ -115,11 +140,12 @@ def repeats(a: Trial, b: Trial) -> bool:
 
 
 def smooth(trial: Trial, noise: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and velocities `[T, 2]`, rad and rad/s: posterior mean of the motion given angles, and velocities where they agree
-    with the angles.
+    """Positions and velocities `[T, 2]`, rad and rad/s: posterior mean of the motion given angles,
+    and velocities where they agree with the angles.
 
-    The walk's intensity follows the motion window by window. Measured velocities are dropped for a joint
-    where using them makes the angles fit worse than their noise allows (a lagging filter, a wrong scale).
+    The walk's intensity follows the motion window by window. Measured velocities are dropped for a
+    joint where using them makes the angles fit worse than their noise allows (a lagging filter, a
+    wrong scale).
     """
     joints = [_smooth_joint(trial, noise, j) for j in range(2)]
     q, v = (np.stack([states[:, k] for states in joints], axis=1) for k in range(2))
@@ -137,11 +163,15 @@ def _smooth_joint(trial: Trial, noise: Mapping[str, float], joint: int) -> np.nd
         return alone
     both = _states(prior, q, sq, trial.v[:, joint], sv)
     least = max(sq**2, float(np.mean((q - alone[:, 0]) ** 2)))
-    return alone if np.mean((q - both[:, 0]) ** 2) > 1.3 * least else both
+    if np.mean((q - both[:, 0]) ** 2) > 1.3 * least:
+        return alone
+    return both
 
 
 def _intensity(time: np.ndarray, q: np.ndarray, std: float) -> tuple[int, np.ndarray]:
-    """Order of the walk and its intensity `[T - 1]` over the noise, by maximum likelihood per window."""
+    """Order of the walk and its intensity `[T - 1]` over the noise, by maximum likelihood per
+    window.
+    """
     windows = np.array_split(np.arange(len(q)), max(1, len(q) // WINDOW))
     logs = np.array([_level(time[w], q[w], std, 3) for w in windows])
     order = 4 if np.median(logs) > ROUGH else 3
@@ -168,7 +198,9 @@ def _level(time: np.ndarray, q: np.ndarray, std: float, order: int) -> float:
     return smoother.minimise(objective, (-18.0, 14.0), 0.2)
 
 
-def _states(prior: smoother.Prior, q: np.ndarray, sq: float, v: np.ndarray | None, sv: float) -> np.ndarray:
+def _states(
+    prior: smoother.Prior, q: np.ndarray, sq: float, v: np.ndarray | None, sv: float
+) -> np.ndarray:
     """Posterior mean of angle and velocity `[T, 2]` in SI units."""
     h, m = prior.step, prior.order
     offset = q.mean()

@@ -1,9 +1,11 @@
-"""Smoothing of a signal by an integrated random walk: exact likelihood and mean from one banded Cholesky.
+"""Smoothing of a signal by an integrated random walk: exact likelihood and mean from one banded
+Cholesky.
 
-The signal's m-th derivative is white noise of intensity `s^2` (m = 3: white jerk, the quintic smoothing
-spline; Wahba 1978, and Sarkka 2013, ch. 8 for the same posterior by filtering). States are the signal and its
-first m - 1 derivatives at the sampling times, scaled by powers of the median step: uneven sampling is exact
-and the precision matrix is block tridiagonal: cost O(T), no loop over time.
+The signal's m-th derivative is white noise of intensity `s^2` (m = 3: white jerk, the quintic
+smoothing spline; Wahba 1978, and Sarkka 2013, ch. 8 for the same posterior by filtering). States
+are the signal and its first m - 1 derivatives at the sampling times, scaled by powers of the median
+step: uneven sampling is exact and the precision matrix is block tridiagonal: cost O(T), no loop
+over time.
 """
 
 import math
@@ -16,12 +18,15 @@ from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
 from scipy.optimize import minimize_scalar
 
 LOG_RATIO = (-22.0, 10.0)
-"""Natural-log range searched for the signal-to-noise ratio of one step; beyond it nothing changes."""
+"""Natural-log range searched for the signal-to-noise ratio of one step; beyond it nothing changes.
+"""
 
 
 @dataclass(frozen=True)
 class Prior:
-    """The random walk on one time grid; `bands: [2m, m T]`: its precision at unit intensity, lower banded."""
+    """The random walk on one time grid; `bands: [2m, m T]`: its precision at unit intensity, lower
+    banded.
+    """
 
     order: int
     step: float
@@ -31,16 +36,20 @@ class Prior:
 
 @dataclass(frozen=True)
 class Fit:
-    """`std`: noise std; `log_ratio`: log of the walk's variance per median step over the noise variance."""
+    """`std`: noise std; `log_ratio`: log of the walk's variance per median step over the noise
+    variance.
+    """
 
     std: float
     log_ratio: float
 
 
 def make_prior(time: np.ndarray, order: int, intensity: np.ndarray | None = None) -> Prior:
-    """Precision of the `order`-times integrated random walk on `time: [T]` s (any spacing, increasing).
+    """Precision of the `order`-times integrated random walk on `time: [T]` s (any spacing,
+    increasing).
 
-    `intensity: [T - 1]` scales the walk's variance step by step, for signals that are rough in places only.
+    `intensity: [T - 1]` scales the walk's variance step by step, for signals that are rough in
+    places only.
     """
     dt = np.diff(time)
     step = float(np.median(dt))
@@ -61,7 +70,9 @@ def make_prior(time: np.ndarray, order: int, intensity: np.ndarray | None = None
 
 
 def _banded(head: np.ndarray, tail: np.ndarray, cross: np.ndarray) -> np.ndarray:
-    """Lower banded storage `[2m, m T]` of the block tridiagonal matrix of `[T - 1, m, m]` blocks."""
+    """Lower banded storage `[2m, m T]` of the block tridiagonal matrix of `[T - 1, m, m]`
+    blocks.
+    """
     n, m = head.shape[0] + 1, head.shape[1]
     diagonal = np.zeros((n, m, m))
     diagonal[:-1] += head
@@ -75,10 +86,14 @@ def _banded(head: np.ndarray, tail: np.ndarray, cross: np.ndarray) -> np.ndarray
     return bands.reshape(2 * m, n * m)
 
 
-def posterior(prior: Prior, ratio: float, weights: list[np.ndarray | None], data: list[np.ndarray | None]):
-    """Posterior mean `[T, m]` (scaled states), Cholesky factor and quadratic form for given noise weights.
+def posterior(
+    prior: Prior, ratio: float, weights: list[np.ndarray | None], data: list[np.ndarray | None]
+):
+    """Posterior mean `[T, m]` (scaled states), Cholesky factor and quadratic form for given noise
+    weights.
 
-    `data[k]: [T]` measures the scaled k-th derivative with precision `weights[k]: [T]` (None: not measured).
+    `data[k]: [T]` measures the scaled k-th derivative with precision `weights[k]: [T]` (None: not
+    measured).
     """
     m, n = prior.order, prior.size
     bands = prior.bands / ratio
@@ -97,7 +112,9 @@ def posterior(prior: Prior, ratio: float, weights: list[np.ndarray | None], data
 
 
 def _factor(bands: np.ndarray) -> np.ndarray:
-    """Banded Cholesky factor, the diagonal raised a little where very uneven times make rounding matter."""
+    """Banded Cholesky factor, the diagonal raised a little where very uneven times make rounding
+    matter.
+    """
     for ridge in (0.0, 1e-12, 1e-9, 1e-6, 1e-3):
         try:
             raised = np.concatenate([bands[:1] * (1.0 + ridge), bands[1:]])
@@ -107,8 +124,12 @@ def _factor(bands: np.ndarray) -> np.ndarray:
     raise LinAlgError("the sampling times are too uneven to smooth over")
 
 
-def cost(prior: Prior, log_ratio: float, weights: list, data: list, count: int) -> tuple[float, float]:
-    """-2 log likelihood with the noise scale profiled out, and that scale's variance; diffuse first state."""
+def cost(
+    prior: Prior, log_ratio: float, weights: list, data: list, count: int
+) -> tuple[float, float]:
+    """-2 log likelihood with the noise scale profiled out, and that scale's variance; diffuse first
+    state.
+    """
     ratio = math.exp(log_ratio)
     _, factor, quad = posterior(prior, ratio, weights, data)
     logdet = 2.0 * float(np.sum(np.log(factor[0])))
@@ -117,14 +138,20 @@ def cost(prior: Prior, log_ratio: float, weights: list, data: list, count: int) 
     return dof * math.log(variance) + prior.order * (prior.size - 1) * log_ratio + logdet, variance
 
 
-def minimise(function: Callable[[float], float], bounds: tuple[float, float], tolerance: float) -> float:
+def minimise(
+    function: Callable[[float], float], bounds: tuple[float, float], tolerance: float
+) -> float:
     """Where a function of one number is least within `bounds` (Brent)."""
-    found: Any = minimize_scalar(function, bounds=bounds, method="bounded", options={"xatol": tolerance})
+    found: Any = minimize_scalar(
+        function, bounds=bounds, method="bounded", options={"xatol": tolerance}
+    )
     return float(found.x)
 
 
 def detrend(time: np.ndarray, y: np.ndarray, order: int) -> np.ndarray:
-    """`y` less its polynomial of degree `order - 1`, which the walk gives free: only rounding changes."""
+    """`y` less its polynomial of degree `order - 1`, which the walk gives free: only rounding
+    changes.
+    """
     s = (time - time[0]) / (time[-1] - time[0]) * 2.0 - 1.0
     basis = np.polynomial.legendre.legvander(s, order - 1)
     return y - basis @ np.linalg.lstsq(basis, y, rcond=None)[0]

@@ -1,7 +1,8 @@
-"""What a recording is fit for, before anything is fitted: gaps, stuck sensors, velocities, commands.
+"""What a recording is fit for, before anything is fitted: gaps, stuck sensors, velocities,
+commands.
 
-A finding of severity `fault` means that no diagnosis should be made (verdict `data_fault`); trials that
-cannot be used while the others can are listed in `exclude`, single rows in `valid`.
+A finding of severity `fault` means that no diagnosis should be made (verdict `data_fault`); trials
+that cannot be used while the others can are listed in `exclude`, single rows in `valid`.
 """
 
 import hashlib
@@ -39,15 +40,27 @@ def audit(recording: Recording) -> Audit:
     return Audit(tuple(findings), steps, valid, exclude)
 
 
-def _audit_trial(trial: Trial, steps: dict[str, float]) -> tuple[list[Finding], np.ndarray, list[str]]:
+def _audit_trial(
+    trial: Trial, steps: dict[str, float]
+) -> tuple[list[Finding], np.ndarray, list[str]]:
     """Findings, rows to keep, and channels that cannot be used."""
     wrapped = signals.check_wrap(trial)
     trial = unwrap_trial(trial)
     frozen, moving, stuck = signals.check_frozen(trial, steps)
     spikes, smooth = signals.check_spikes(trial, steps)
     velocity, wrong = signals.check_velocity(trial)
-    found = signals.check_sampling(trial) + wrapped + frozen + spikes + signals.check_saturation(trial, steps)
-    found += timing.check_timestamps(trial) + timing.check_derived(trial) + timing.check_stale(trial, steps)
+    found = (
+        signals.check_sampling(trial)
+        + wrapped
+        + frozen
+        + spikes
+        + signals.check_saturation(trial, steps)
+    )
+    found += (
+        timing.check_timestamps(trial)
+        + timing.check_derived(trial)
+        + timing.check_stale(trial, steps)
+    )
     found += velocity + signals.check_command(trial) + signals.check_excitation(trial)
     return found, moving & smooth, stuck + wrong
 
@@ -58,7 +71,10 @@ def _faults(recording: Recording, broken: dict[str, list[str]]) -> list[Finding]
     for channel in sorted({c for wrong in broken.values() for c in wrong}):
         count = sum(channel in wrong for wrong in broken.values())
         if 2 * count > len(recording.trials):
-            what = "stands still" if channel.startswith("q") else "contradicts the angle's slope"
+            if channel.startswith("q"):
+                what = "stands still"
+            else:
+                what = "contradicts the angle's slope"
             share = f"{count} of {len(recording.trials)} trials"
             text = f"{channel} {what} in {share}: check its sensor, sign and unit"
             found.append(Finding("channel", "fault", "", channel, text, float(count)))
@@ -72,18 +88,30 @@ def _quantisation(recording: Recording) -> dict[str, float]:
         columns = {"q": trial.q, "tau": trial.torque} | ({} if trial.v is None else {"v": trial.v})
         for stem, x in columns.items():
             for j in range(2):
-                steps.setdefault(f"{stem}{j + 1}", []).append(lattice_step(x[:, j]) if np.ptp(x[:, j]) else np.nan)
+                steps.setdefault(f"{stem}{j + 1}", []).append(
+                    lattice_step(x[:, j]) if np.ptp(x[:, j]) else np.nan
+                )
     out = {}
     for channel, seen in sorted(steps.items()):
         known = [s for s in seen if np.isfinite(s)]
         positive = [s for s in known if s > 0]
-        out[channel] = float(np.median(positive)) if 2 * len(positive) > len(known) else 0.0
+        if 2 * len(positive) > len(known):
+            out[channel] = float(np.median(positive))
+        else:
+            out[channel] = 0.0
     return out
 
 
 def _quantised(channel: str, step: float) -> Finding:
     unit = {"q": "rad", "v": "rad/s", "t": "N m"}[channel[0]]
-    return Finding("quantisation", "info", "", channel, f"{channel} is quantised in steps of {step:.4g} {unit}", step)
+    return Finding(
+        "quantisation",
+        "info",
+        "",
+        channel,
+        f"{channel} is quantised in steps of {step:.4g} {unit}",
+        step,
+    )
 
 
 def _fingerprint(trial: Trial) -> str:
@@ -110,7 +138,9 @@ def _duplicates(recording: Recording) -> list[Finding]:
 
 
 def without_duplicates(recording: Recording) -> tuple[Recording, tuple[str, ...]]:
-    """The recording with each distinct trial once (the first of its copies), and the names dropped."""
+    """The recording with each distinct trial once (the first of its copies), and the names
+    dropped.
+    """
     kept = [group[0].name for group in _groups(recording).values()]
     trials = tuple(t for t in recording.trials if t.name in kept)
     dropped = tuple(t.name for t in recording.trials if t.name not in kept)
@@ -119,7 +149,9 @@ def without_duplicates(recording: Recording) -> tuple[Recording, tuple[str, ...]
 
 def unwrap_trial(trial: Trial) -> Trial:
     """The trial with jumps of whole turns taken out of its angles."""
-    return replace(trial, q=np.stack([without_turns(trial.time, trial.q[:, j]).q for j in range(2)], axis=1))
+    return replace(
+        trial, q=np.stack([without_turns(trial.time, trial.q[:, j]).q for j in range(2)], axis=1)
+    )
 
 
 def unwrapped(recording: Recording) -> Recording:
@@ -130,8 +162,8 @@ def unwrapped(recording: Recording) -> Recording:
 def usable(recording: Recording, found: Audit) -> Recording:
     """What the fit should see: unwrapped, each trial once, without those that the audit excludes.
 
-    Velocities go too where they are mere differences of the angles in every trial: used beside the angles they
-    would count the same noise twice.
+    Velocities go too where they are mere differences of the angles in every trial: used beside the
+    angles they would count the same noise twice.
     """
     single, _ = without_duplicates(unwrapped(recording))
     trials = tuple(t for t in single.trials if t.name not in found.exclude)

@@ -1,5 +1,6 @@
-"""What the motion says of recorded commands: that they moved other joints than they are said to, that they were cut on their way, or
-that what they do differs from trial to trial. By `servo_fit`: no model of the mechanism is needed, so that servos are judged too.
+"""What the motion says of recorded commands: that they moved other joints than they are said to,
+that they were cut on their way, or that what they do differs from trial to trial. By `servo_fit`:
+no model of the mechanism is needed, so that servos are judged too.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,19 +23,27 @@ EXCHANGED = 4.0
 KNOWN = 0.3
 """Share of the acceleration that a command may leave to be believed."""
 CUT_TRIALS, ROW, NEARLY = 4, 5e-3, 2.0
-"""Trials, and s of a row, in which a cut is looked for; times what counts that a coarse look may leave."""
+"""Trials, and s of a row, in which a cut is looked for; times what counts that a coarse look may
+leave.
+"""
 POOR, CUT, APART = 0.03, 0.3, 0.7
-"""A command is doubted from this share on; one cut on its way is told where it leaves this share of that, and this share of what
-a limit of force leaves."""
+"""A command is doubted from this share on; one cut on its way is told where it leaves this share of
+that, and this share of what a limit of force leaves.
+"""
 FOLLOWS, NEAR_UNIT = 0.7, 0.4
-"""Square of the correlation of angle and target from which on their sizes are compared; how far (in log) these may be from units'."""
+"""Square of the correlation of angle and target from which on their sizes are compared; how far (in
+log) these may be from units'.
+"""
 SPREAD, SURE, LEAST_TRIALS = 1.2, 8.0, 3
-"""Ratio of gains between trials from which on they differ, in standard errors of their difference."""
+"""Ratio of gains between trials from which on they differ, in standard errors of their difference.
+"""
 
 
 @dataclass(frozen=True)
 class Exchanged:
-    """Commands by joint: joint `i` moves as the command of `order[i]` says; `left`, `other` [n]: shares left as declared, and so."""
+    """Commands by joint: joint `i` moves as the command of `order[i]` says; `left`, `other` [n]:
+    shares left as declared, and so.
+    """
 
     order: tuple[int, ...]
     left: np.ndarray
@@ -43,7 +52,9 @@ class Exchanged:
 
 @dataclass(frozen=True)
 class Cut:
-    """A target that reaches its joint cut: `how` (`rate` in rad/s, or `within` rad of the angle) by `size`, and the shares left."""
+    """A target that reaches its joint cut: `how` (`rate` in rad/s, or `within` rad of the angle) by
+    `size`, and the shares left.
+    """
 
     how: str
     size: float
@@ -65,11 +76,15 @@ def one(track: Track, joint: int, command: np.ndarray | None = None) -> Track:
 
 
 def exchanged(tracks: Sequence[Track], joints: Sequence[int]) -> Exchanged | None:
-    """Which joints' commands look exchanged, of tracks whose torque is the command; None for none. joints: those that have one."""
+    """Which joints' commands look exchanged, of tracks whose torque is the command; None for none.
+    joints: those that have one.
+    """
     if not 2 <= len(joints) <= MOST_JOINTS:
         return None
     some = drawn(tracks)
-    left = np.array([[unexplained([one(t, j, t.tau[:, k]) for t in some]) for k in joints] for j in joints])
+    left = np.array(
+        [[unexplained([one(t, j, t.tau[:, k]) for t in some]) for k in joints] for j in joints]
+    )
     if not np.all(np.isfinite(left)):
         return None
     cost = np.log(np.maximum(left, 1e-6))
@@ -89,9 +104,15 @@ def exchanged(tracks: Sequence[Track], joints: Sequence[int]) -> Exchanged | Non
 
 
 def cut(tracks: Sequence[Track], joint: int, damping: float) -> Cut | None:
-    """Whether the target of a servo's joint reached it cut: by a rate, or to within some distance of the angle. damping: of the servo,
-    over its stiffness, s; a limit of force is another thing, and where it explains as much nothing is told."""
-    some = [_thinned(one(t, joint)) for t in drawn(tracks, CUT_TRIALS) if np.all(np.isfinite(t.q[:, joint]))]
+    """Whether the target of a servo's joint reached it cut: by a rate, or to within some distance
+    of the angle. damping: of the servo, over its stiffness, s; a limit of force is another thing,
+    and where it explains as much nothing is told.
+    """
+    some = [
+        _thinned(one(t, joint))
+        for t in drawn(tracks, CUT_TRIALS)
+        if np.all(np.isfinite(t.q[:, joint]))
+    ]
     base = unexplained(some) if some else float("nan")
     if not base > POOR:
         return None
@@ -118,8 +139,12 @@ def cut(tracks: Sequence[Track], joint: int, damping: float) -> Cut | None:
     return Cut(best, size, base, left)
 
 
-def other_unit(q: Sequence[np.ndarray], target: Sequence[np.ndarray], slides: bool) -> tuple[str, str] | None:
-    """Units of a servo's angle and target, each `[T]` by trial, which follow one another but for their size; None where they agree."""
+def other_unit(
+    q: Sequence[np.ndarray], target: Sequence[np.ndarray], slides: bool
+) -> tuple[str, str] | None:
+    """Units of a servo's angle and target, each `[T]` by trial, which follow one another but for
+    their size; None where they agree.
+    """
     here = [np.isfinite(a) & np.isfinite(u) for a, u in zip(q, target, strict=True)]
     a = np.concatenate([x[k] - x[k].mean() for x, k in zip(q, here, strict=True) if k.any()])
     u = np.concatenate([x[k] - x[k].mean() for x, k in zip(target, here, strict=True) if k.any()])
@@ -127,7 +152,10 @@ def other_unit(q: Sequence[np.ndarray], target: Sequence[np.ndarray], slides: bo
     if power == 0.0 or float(a @ u) < np.sqrt(FOLLOWS * power):
         return None
     size = float(np.sqrt((a @ a) / (u @ u)))
-    units = ({"mm": 1e-3, "cm": 1e-2}, "m") if slides else ({"deg": np.pi / 180, "rev": 2 * np.pi}, "rad")
+    if slides:
+        units = ({"mm": 1e-3, "cm": 1e-2}, "m")
+    else:
+        units = ({"deg": np.pi / 180, "rev": 2 * np.pi}, "rad")
     for unit, scale in units[0].items():
         for pair, times in (((units[1], unit), scale), ((unit, units[1]), 1.0 / scale)):
             if abs(np.log(size / times)) < NEAR_UNIT:
@@ -138,14 +166,23 @@ def other_unit(q: Sequence[np.ndarray], target: Sequence[np.ndarray], slides: bo
 def _thinned(track: Track) -> Track:
     """Rows of about `ROW` s: a limit is followed row by row, and acts over many."""
     k = max(1, round(ROW / float(np.median(np.diff(track.time)))))
-    return Track(track.time[::k], track.q[::k], None if track.v is None else track.v[::k], track.tau[::k])
+    return Track(
+        track.time[::k], track.q[::k], None if track.v is None else track.v[::k], track.tau[::k]
+    )
 
 
 def _best(
-    tracks: Sequence[Track], read: Callable[[Track, float], np.ndarray], low: float, high: float, rounds: int = 3
+    tracks: Sequence[Track],
+    read: Callable[[Track, float], np.ndarray],
+    low: float,
+    high: float,
+    rounds: int = 3,
 ) -> tuple[float, float]:
     """The size of a reading that leaves least, and what that is."""
-    loss = lambda size: unexplained([one(t, 0, read(t, float(size))) for t in tracks])
+
+    def loss(size):
+        return unexplained([one(t, 0, read(t, float(size))) for t in tracks])
+
     grid = np.geomspace(max(low, 1e-9), max(high, 2e-9), 10)
     for _ in range(rounds):
         values = np.array([loss(size) for size in grid])
@@ -156,7 +193,9 @@ def _best(
 
 
 def _speed(track: Track) -> np.ndarray:
-    return np.gradient(track.q[:, 0], track.time) if track.v is None else track.v[:, 0]
+    if track.v is None:
+        return np.gradient(track.q[:, 0], track.time)
+    return track.v[:, 0]
 
 
 def _forced(track: Track, size: float, damping: float) -> np.ndarray:
@@ -166,19 +205,27 @@ def _forced(track: Track, size: float, damping: float) -> np.ndarray:
 
 
 def gains_by_trial(tracks: Sequence[Track], joint: int) -> np.ndarray | None:
-    """What a joint's command does in each trial `[T]`, over what it does in the middle one; None where trials do not differ in it, or
-    where that cannot be told. Each trial has a gain of its own; what else acts is alike in all, or each trial's own where the
-    whole of it is (a load)."""
+    """What a joint's command does in each trial `[T]`, over what it does in the middle one; None
+    where trials do not differ in it, or where that cannot be told. Each trial has a gain of its
+    own; what else acts is alike in all, or each trial's own where the whole of it is (a load).
+    """
     if len(tracks) < LEAST_TRIALS:
         return None
     fits = [servo_fit.gain([one(t, joint)]) for t in tracks]
     if any(fit is None for fit in fits):
         return None
     gain, error, left = np.array([fit for fit in fits if fit is not None]).T
-    if np.max(left) > POOR:  # something else acts too, as a limit of force in the trials that reach it
+    if (
+        np.max(left) > POOR
+    ):  # something else acts too, as a limit of force in the trials that reach it
         return None
     middle = float(np.median(gain))
     apart = np.ptp(gain) / max(float(np.hypot(error[gain.argmax()], error[gain.argmin()])), 1e-12)
-    if np.min(gain) <= 0 or np.max(gain) / np.min(gain) < SPREAD or apart < SURE or np.max(error / gain) > 0.1:
+    if (
+        np.min(gain) <= 0
+        or np.max(gain) / np.min(gain) < SPREAD
+        or apart < SURE
+        or np.max(error / gain) > 0.1
+    ):
         return None
     return gain / middle

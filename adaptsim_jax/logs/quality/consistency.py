@@ -1,4 +1,6 @@
-"""Do two records of the same motion agree: velocity with d(angle)/dt, measured with commanded torque."""
+"""Do two records of the same motion agree: velocity with d(angle)/dt, measured with commanded
+torque.
+"""
 
 from dataclasses import dataclass
 
@@ -7,9 +9,11 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Agreement:
-    """`second = gain first(t - lag)`, and a constant; `r2`: the share of the variance that this explains.
+    """`second = gain first(t - lag)`, and a constant; `r2`: the share of the variance that this
+    explains.
 
-    `enough`: there is signal enough to judge by, and they are related; `loud`: there is signal enough.
+    `enough`: there is signal enough to judge by, and they are related; `loud`: there is signal
+        enough.
     `spread`: standard error of the gain.
     """
 
@@ -23,15 +27,18 @@ class Agreement:
 
 NOT_ENOUGH = Agreement(1.0, 0.0, 0.0, False, False)
 SPAN = 0.1
-"""Stretch in s over which slopes are taken: long enough for the noise of the angle to average out."""
+"""Stretch in s over which slopes are taken: long enough for the noise of the angle to average out.
+"""
 
 
 def velocity_agreement(time: np.ndarray, q: np.ndarray, v: np.ndarray) -> Agreement:
-    """How a measured velocity `v: [T]` relates to the slope of `q: [T]`: v = gain dq/dt(t - lag) + offset.
+    """How a measured velocity `v: [T]` relates to the slope of `q: [T]`: v = gain dq/dt(t - lag) +
+    offset.
 
-    Compares the mean velocity over a stretch with the angle's change, so that noise averages out and uneven
-    sampling is exact (trapezoid). A lag shows as a term in the acceleration. Steps that stand out (a wrap, a
-    lost row) are trimmed. The slope is the noisier of the two, so it is what is regressed on the other.
+    Compares the mean velocity over a stretch with the angle's change, so that noise averages out
+    and uneven sampling is exact (trapezoid). A lag shows as a term in the acceleration. Steps that
+    stand out (a wrap, a lost row) are trimmed. The slope is the noisier of the two, so it is what
+    is regressed on the other.
     """
     dt = np.diff(time)
     area = np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1]) * dt)])
@@ -52,11 +59,18 @@ def _angle_noise(q: np.ndarray) -> float:
     """Rough noise of an angle `q: [T]`, from its fourth difference and its resolution."""
     change = np.abs(np.diff(q))
     moved = change[change > 0]
-    return max(float(np.median(np.abs(np.diff(q, 4)))) / 5.6, float(np.min(moved)) / 3.5 if len(moved) else 0.0)
+    return max(
+        float(np.median(np.abs(np.diff(q, 4)))) / 5.6,
+        float(np.min(moved)) / 3.5 if len(moved) else 0.0,
+    )
 
 
-def _regress(first: np.ndarray, second: np.ndarray, target: np.ndarray, span: int) -> tuple[np.ndarray, float, float]:
-    """Trimmed least squares on both and a constant: coefficients `[3]`, std error of the first, R2."""
+def _regress(
+    first: np.ndarray, second: np.ndarray, target: np.ndarray, span: int
+) -> tuple[np.ndarray, float, float]:
+    """Trimmed least squares on both and a constant: coefficients `[3]`, std error of the first,
+    R2.
+    """
     keep = np.ones(len(target), bool)
     design = np.stack([first, second, np.ones_like(first)], axis=1)
     scale = np.maximum(np.std(design, axis=0), 1e-300)
@@ -73,8 +87,12 @@ def _regress(first: np.ndarray, second: np.ndarray, target: np.ndarray, span: in
     return coef / scale, float(spread), 1.0 - rest / total if total > 0 else 0.0
 
 
-def command_agreement(time: np.ndarray, command: np.ndarray, measured: np.ndarray, most: int = 40) -> Agreement:
-    """measured = gain command(t - lag) + offset; lag in s: the best of `most` samples and a parabola."""
+def command_agreement(
+    time: np.ndarray, command: np.ndarray, measured: np.ndarray, most: int = 40
+) -> Agreement:
+    """measured = gain command(t - lag) + offset; lag in s: the best of `most` samples and a
+    parabola.
+    """
     if np.std(command) < 1e-9 or np.std(measured) < 1e-9 or len(time) <= 3 * most:
         return NOT_ENOUGH
     n = len(time)
@@ -97,11 +115,15 @@ def command_agreement(time: np.ndarray, command: np.ndarray, measured: np.ndarra
 
 
 def lattice_step(x: np.ndarray) -> float:
-    """Quantisation step of `x: [T]`: the largest spacing of a lattice that holds its values, 0 if none."""
+    """Quantisation step of `x: [T]`: the largest spacing of a lattice that holds its values, 0 if
+    none.
+    """
     values = np.unique(x)
     gaps = np.diff(values)
     if len(values) < 4:
-        return float(gaps.min()) if len(gaps) else 0.0
+        if len(gaps):
+            return float(gaps.min())
+        return 0.0
     tiny = 1e-6 * float(np.max(np.abs(values)))
     gaps = gaps[gaps > tiny]
     if len(gaps) < 3:
@@ -128,4 +150,6 @@ def _refine(values: np.ndarray, guess: float) -> float:
         step, start = np.polyfit(index, values, 1)
     off = np.abs(values - (start + step * index)) / step
     single = np.mean(np.diff(index) == 0)
-    return float(step) if np.mean(off > 0.15) < 0.02 and single < 0.05 else 0.0
+    if np.mean(off > 0.15) < 0.02 and single < 0.05:
+        return float(step)
+    return 0.0

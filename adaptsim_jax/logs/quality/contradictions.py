@@ -1,7 +1,8 @@
-"""Which convention of columns, units or lengths explains a motion that the declared one does not: told, never taken.
+"""Which convention of columns, units or lengths explains a motion that the declared one does not:
+told, never taken.
 
-`contradiction` tries each hypothesis of `hypotheses_of` once (`quality.hypotheses`) and says the one that turns most of the torque
-from unexplained into explained. Nothing is adapted to it.
+`contradiction` tries each hypothesis of `hypotheses_of` once (`quality.hypotheses`) and says the
+one that turns most of the torque from unexplained into explained. Nothing is adapted to it.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,11 +27,15 @@ from adaptsim_jax.logs.quality.hypotheses import (
 
 AS_DECLARED = "if all is as declared, add --as-declared"
 POOR = 0.15
-"""Share of the torque's square left unexplained from which on the declared convention is doubted."""
+"""Share of the torque's square left unexplained from which on the declared convention is doubted.
+"""
 GOOD, TIMES = 0.1, 5.0
-"""Another convention is told where it leaves less than GOOD, and TIMES less than the declared one."""
+"""Another convention is told where it leaves less than GOOD, and TIMES less than the declared one.
+"""
 HARDLY, FAR = 0.03, 10.0
-"""So it is from this share on, where another leaves FAR times less: many parameters explain much of anything."""
+"""So it is from this share on, where another leaves FAR times less: many parameters explain much of
+anything.
+"""
 MOST_SWAPPED = 8
 """Joints up to which every pair is tried."""
 SURE = 0.7
@@ -42,8 +47,10 @@ SHORTEST = 1e-3
 
 @dataclass(frozen=True)
 class Words:
-    """How columns are called, each `[n]`: angles `q`, velocities `v`, torques `tau`; `joints`. What to write: `swap` to exchange two
-    joints, `reverse(j)` to turn a joint with all its columns, `absolute(j, parent)` for an angle measured from the world."""
+    """How columns are called, each `[n]`: angles `q`, velocities `v`, torques `tau`; `joints`. What
+    to write: `swap` to exchange two joints, `reverse(j)` to turn a joint with all its columns,
+    `absolute(j, parent)` for an angle measured from the world.
+    """
 
     joints: tuple[str, ...]
     q: tuple[str, ...]
@@ -57,7 +64,9 @@ class Words:
 
 @dataclass(frozen=True)
 class Told:
-    """`left` of the torque's square as declared, `other` under the hypothesis; `says` what looks otherwise, `mend` what to write."""
+    """`left` of the torque's square as declared, `other` under the hypothesis; `says` what looks
+    otherwise, `mend` what to write.
+    """
 
     name: str
     says: str
@@ -67,9 +76,14 @@ class Told:
 
     @property
     def message(self) -> str:
-        share = lambda x: f"{100 * x:.0f} %" if x >= 0.01 else f"{100 * x:.1f} %"
+        def share(x):
+            if x >= 0.01:
+                return f"{100 * x:.0f} %"
+            return f"{100 * x:.1f} %"
+
         return (
-            f"the columns contradict the declared model, which leaves {share(self.left)} of the torque's square unexplained: "
+            f"the columns contradict the declared model, which leaves {share(self.left)} of the "
+            f"torque's square unexplained: "
             f"{self.says} ({share(self.other)} is left then); {self.mend}"
         )
 
@@ -82,10 +96,12 @@ def contradiction(
     chain: Sequence[int] = (),
     zeros: Sequence[int] = (),
 ) -> Told | None:
-    """The convention that the motion follows in place of the declared one; None where that does, or where none explains it.
+    """The convention that the motion follows in place of the declared one; None where that does, or
+    where none explains it.
 
-    more: hypotheses of the mechanism itself (lengths, zeros); chain [n]: the joint whose angle a joint's may have been added to, -1
-    for none; zeros: joints whose zero may be a quarter or half a turn off.
+    more: hypotheses of the mechanism itself (lengths, zeros); chain [n]: the joint whose angle a
+    joint's may have been added to, -1 for none; zeros: joints whose zero may be a quarter or half a
+    turn off.
     """
     motion = motion_of(tracks)
     if len(motion.q) < LEAST or not np.all(np.isfinite(motion.a)) or not _moves(motion):
@@ -106,15 +122,21 @@ def contradiction(
         and best[1] in more
         and 1.0 / NEAR < linear_fit(motion, design, first=motion.tau.shape[1]).scale < NEAR
     ):
-        return None  # inertias that are a little off look like lengths that are far off; but torques are then of the right size
+        # inertias that are a little off look like lengths that are far off; but torques are then of
+        # the right size
+        return None
     return Told(best[1].name, best[1].says, best[1].mend, left, best[0])
 
 
 def _moves(motion: Motion) -> bool:
-    return bool(np.all(np.std(motion.q, axis=0) > 1e-3) and np.any(np.std(motion.tau, axis=0) > 1e-9))
+    return bool(
+        np.all(np.std(motion.q, axis=0) > 1e-3) and np.any(np.std(motion.tau, axis=0) > 1e-9)
+    )
 
 
-def hypotheses_of(words: Words, chain: Sequence[int] = (), zeros: Sequence[int] = ()) -> list[Hypothesis]:
+def hypotheses_of(
+    words: Words, chain: Sequence[int] = (), zeros: Sequence[int] = ()
+) -> list[Hypothesis]:
     """Those of the columns, for `n` joints."""
     n = len(words.joints)
     out = []
@@ -122,37 +144,54 @@ def hypotheses_of(words: Words, chain: Sequence[int] = (), zeros: Sequence[int] 
         order = list(range(n))
         order[i], order[j] = j, i
         pair = f"{words.joints[i]} and {words.joints[j]}"
-        out.append(Hypothesis("joints_swapped", f"{pair} look swapped", words.swap, _ordered(order, order)))
+        out.append(
+            Hypothesis("joints_swapped", f"{pair} look swapped", words.swap, _ordered(order, order))
+        )
         out.append(
             Hypothesis(
-                "torques_swapped", f"the torques of {pair} look swapped", f"exchange columns {words.tau[i]} and {words.tau[j]}",
+                "torques_swapped",
+                f"the torques of {pair} look swapped",
+                f"exchange columns {words.tau[i]} and {words.tau[j]}",
                 _ordered(list(range(n)), order),
             )
-        )  # fmt: skip
+        )
         out.append(
             Hypothesis(
-                "angles_swapped", f"the angles of {pair} look swapped", f"exchange columns {words.q[i]} and {words.q[j]}, and so "
-                f"{words.v[i]} and {words.v[j]}", _ordered(order, list(range(n))),
+                "angles_swapped",
+                f"the angles of {pair} look swapped",
+                f"exchange columns {words.q[i]} and {words.q[j]}, and so "
+                f"{words.v[i]} and {words.v[j]}",
+                _ordered(order, list(range(n))),
             )
-        )  # fmt: skip
+        )
     if n > 1:
         out.append(
             Hypothesis(
-                "torques_turned", "all torques have the other sign", f"turn the sign of columns {', '.join(words.tau)}",
+                "torques_turned",
+                "all torques have the other sign",
+                f"turn the sign of columns {', '.join(words.tau)}",
                 lambda m: replace(m, tau=-m.tau),
             )
-        )  # fmt: skip
+        )
     for j in range(n):
         sign = np.where(np.arange(n) == j, -1.0, 1.0)
         turned = f"the other sign is seen in {words.q[j]}"
         out.append(
-            Hypothesis("torque_turned", f"{words.tau[j]} has the other sign", f"turn the sign of column {words.tau[j]}",
-                       lambda m, sign=sign: replace(m, tau=m.tau * sign))
-        )  # fmt: skip
+            Hypothesis(
+                "torque_turned",
+                f"{words.tau[j]} has the other sign",
+                f"turn the sign of column {words.tau[j]}",
+                lambda m, sign=sign: replace(m, tau=m.tau * sign),
+            )
+        )
         out.append(
-            Hypothesis("angle_turned", turned, f"turn the signs of columns {words.q[j]} and {words.v[j]}",
-                       lambda m, sign=sign: _scaled(m, sign))
-        )  # fmt: skip
+            Hypothesis(
+                "angle_turned",
+                turned,
+                f"turn the signs of columns {words.q[j]} and {words.v[j]}",
+                lambda m, sign=sign: _scaled(m, sign),
+            )
+        )
         whole = f"{words.joints[j]} looks to be counted the other way round than the rest"
         out.append(
             Hypothesis(
@@ -166,11 +205,18 @@ def hypotheses_of(words: Words, chain: Sequence[int] = (), zeros: Sequence[int] 
             small = np.where(np.arange(n) == j, 1e-3, 1.0)
             unit = f'write {words.tau[j]} = "mNm" under [units] in meta.toml'
             out.append(
-                Hypothesis("torque_unit", f"{words.tau[j]} looks to be in mN m", unit,
-                           lambda m, small=small: replace(m, tau=m.tau * small))
-            )  # fmt: skip
+                Hypothesis(
+                    "torque_unit",
+                    f"{words.tau[j]} looks to be in mN m",
+                    unit,
+                    lambda m, small=small: replace(m, tau=m.tau * small),
+                )
+            )
         if words.hinges[j]:
-            own = lambda factor, j=j: np.where(np.arange(n) == j, factor, 1.0)
+
+            def own(factor, j=j):
+                return np.where(np.arange(n) == j, factor, 1.0)
+
             out += _units(f"{words.q[j]} looks to be", words.q[j], own)
     if n > 1 and all(words.hinges):
         out += _units("all angles look to be", "angle", lambda factor: np.full(n, factor))
@@ -179,29 +225,45 @@ def hypotheses_of(words: Words, chain: Sequence[int] = (), zeros: Sequence[int] 
             continue
         said = f"{words.q[j]} looks absolute (measured from the world, not from the link before)"
         mend = words.absolute(j, parent)
-        out.append(Hypothesis("absolute_angle", said, mend, lambda m, j=j, parent=parent: _relative(m, j, parent)))
+        out.append(
+            Hypothesis(
+                "absolute_angle", said, mend, lambda m, j=j, parent=parent: _relative(m, j, parent)
+            )
+        )
     for j in zeros:
-        for turn, word in ((np.pi, "half a turn"), (np.pi / 2, "a quarter turn"), (-np.pi / 2, "a quarter turn")):
+        for turn, word in (
+            (np.pi, "half a turn"),
+            (np.pi / 2, "a quarter turn"),
+            (-np.pi / 2, "a quarter turn"),
+        ):
             said = f"{words.q[j]} looks to be zero {word} from where the model has its zero"
             own = np.where(np.arange(n) == j, turn, 0.0)
             mend = f"add {turn:.5g} rad to column {words.q[j]}"
             out.append(Hypothesis("zero", said, mend, lambda m, own=own: replace(m, q=m.q + own)))
     out.append(
         Hypothesis(
-            "gravity_missing", "gravity is missing from the torques",
-            f"add the gravity torque that the drives hold to {', '.join(words.tau)}, or declare that there is none (g = 0) if the "
-            "axes stand upright", gravity=False,
+            "gravity_missing",
+            "gravity is missing from the torques",
+            f"add the gravity torque that the drives hold to {', '.join(words.tau)}, or declare "
+            f"that there is none (g = 0) if the "
+            "axes stand upright",
+            gravity=False,
         )
-    )  # fmt: skip
+    )
     return out
 
 
 def _units(says: str, key: str, factors: Callable[[float], np.ndarray]) -> list[Hypothesis]:
-    """Angles in another unit than declared: `factors(factor)` `[n]` by which each joint's would have to be multiplied."""
+    """Angles in another unit than declared: `factors(factor)` `[n]` by which each joint's would
+    have to be multiplied.
+    """
     mend = f'write {key} = "{{}}" under [units] in meta.toml'
-    each = lambda name, unit, factor, words: Hypothesis(
-        name, f"{says} {words}", mend.format(unit), lambda m: _scaled(m, factors(factor))
-    )
+
+    def each(name, unit, factor, words):
+        return Hypothesis(
+            name, f"{says} {words}", mend.format(unit), lambda m: _scaled(m, factors(factor))
+        )
+
     return [
         each("degrees", "deg", np.pi / 180.0, "in degrees"),
         each("radians", "rad", 180.0 / np.pi, "in radians already, and to be taken for degrees"),
@@ -228,8 +290,9 @@ def _relative(m: Motion, j: int, parent: int) -> Motion:
 
 @dataclass(frozen=True)
 class Late:
-    """The torque of `seconds` later than it was logged moves the mechanism: positive where the torque is logged late, negative where
-    the motion follows late."""
+    """The torque of `seconds` later than it was logged moves the mechanism: positive where the
+    torque is logged late, negative where the motion follows late.
+    """
 
     seconds: float
     left: float
@@ -237,7 +300,9 @@ class Late:
 
 
 def lateness(tracks: Sequence[Track], design: Design) -> Late | None:
-    """By how much the torque is out of step with the motion, all joints alike; None where it is not, or where that cannot be told."""
+    """By how much the torque is out of step with the motion, all joints alike; None where it is
+    not, or where that cannot be told.
+    """
     motion = motion_of(tracks)
     if len(motion.q) < LEAST or not _moves(motion):
         return None
@@ -260,14 +325,18 @@ def lateness(tracks: Sequence[Track], design: Design) -> Late | None:
 def late_finding(
     path: str, late: Late, step: float, columns: Sequence[str], names_late_logs: bool = False
 ) -> tuple[Finding, ...]:
-    """A warning where the motion follows the torque late, which an effect may be. BadInput where it is before its torque, which
-    nothing can be, unless the search to come names logs that are late: then a warning too. `step` s between rows."""
+    """A warning where the motion follows the torque late, which an effect may be. BadInput where it
+    is before its torque, which nothing can be, unless the search to come names logs that are late:
+    then a warning too. `step` s between rows.
+    """
     ms, names = f"{1e3 * abs(late.seconds):.2g} ms", ", ".join(columns)
     if late.seconds > 0.75 * step:
         count = f"{late.seconds / step:.1f}".removesuffix(".0")
         rows = "1 row" if count == "1" else f"{count} rows"
         what = f"the motion is {ms} ahead of the torque that makes it: {names} are logged about {ms} ({rows}) late"
-        mend = f"move {names} up by {rows} against time and the angles, or bring both onto one clock"
+        mend = (
+            f"move {names} up by {rows} against time and the angles, or bring both onto one clock"
+        )
         if names_late_logs:
             return (
                 Finding(
@@ -283,7 +352,8 @@ def late_finding(
     if late.seconds > 0.0:
         return ()  # a torque that is not held from row to row looks half a row late
     text = (
-        f"the motion follows the torque about {ms} late, at all joints alike: a delay of the commands or of the sensors' readings "
+        f"the motion follows the torque about {ms} late, at all joints alike: a delay of the "
+        f"commands or of the sensors' readings "
         f"(if these are logged late, take {ms} off the times of the angles)"
     )
     return (Finding("late_motion", "warn", "", names, text, late.seconds),)

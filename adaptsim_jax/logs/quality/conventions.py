@@ -1,7 +1,9 @@
-"""Does the motion fit the declared convention: a linear regression of torque on rigid-body regressors.
+"""Does the motion fit the declared convention: a linear regression of torque on rigid-body
+regressors.
 
-The double pendulum's inverse dynamics is linear in its base parameters (Khalil and Dombre 2002, ch. 9). With
-the angle zero or the unit declared wrongly, gravity has the wrong sign, or a converted angle fits better.
+The double pendulum's inverse dynamics is linear in its base parameters (Khalil and Dombre 2002, ch.
+9). With the angle zero or the unit declared wrongly, gravity has the wrong sign, or a converted
+angle fits better.
 """
 
 import math
@@ -16,7 +18,9 @@ MOST_ROWS = 4000
 
 
 def regressors(q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-    """`[2 T, 10]`: inertia (2), coupling, gravity (2; above 0 restores), damping, dry friction, bias."""
+    """`[2 T, 10]`: inertia (2), coupling, gravity (2; above 0 restores), damping, dry friction,
+    bias.
+    """
     n = len(q)
     c2, s2 = np.cos(q[:, 1]), np.sin(q[:, 1])
     a1, a2, v1, v2 = a[:, 0], a[:, 1], v[:, 0], v[:, 1]
@@ -40,7 +44,9 @@ def regressors(q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
 
 
 def _motion(trial: Trial) -> tuple[np.ndarray, ...]:
-    """Angle, velocity, acceleration and torque, low-passed alike by means over short blocks (about 30 ms)."""
+    """Angle, velocity, acceleration and torque, low-passed alike by means over short blocks (about
+    30 ms).
+    """
     block = max(1, round(0.03 / trial.dt))
     n = len(trial.time) // block
     if n < 8:
@@ -56,7 +62,9 @@ def _motion(trial: Trial) -> tuple[np.ndarray, ...]:
 
 
 def gravity_fit(recording: Recording, scale: float = 1.0) -> tuple[np.ndarray, np.ndarray, float]:
-    """Base parameters `[10]`, t-values `[10]` and R2 with angles times `scale`; R2 is 0 without torque."""
+    """Base parameters `[10]`, t-values `[10]` and R2 with angles times `scale`; R2 is 0 without
+    torque.
+    """
     parts = [_motion(t) for t in recording.trials]
     q, v, a, u = (np.concatenate([p[k] for p in parts])[:MOST_ROWS] for k in range(4))
     target = np.concatenate([u[:, 0], u[:, 1]])
@@ -77,7 +85,9 @@ def gravity_fit(recording: Recording, scale: float = 1.0) -> tuple[np.ndarray, n
 
 
 def check_angle_zero(recording: Recording) -> list[Finding]:
-    """Warn where gravity pushes the other way than the declared `angle_zero` says (rigid-body model only)."""
+    """Warn where gravity pushes the other way than the declared `angle_zero` says (rigid-body model
+    only).
+    """
     if recording.model != "rigid_body" or recording.geometry.get("g", GRAVITY) == 0:
         return []
     theta, t_value, r2 = gravity_fit(recording)
@@ -91,10 +101,14 @@ def check_angle_zero(recording: Recording) -> list[Finding]:
 
 
 def _resting(recording: Recording) -> list[Finding]:
-    """At rest without torque the arm hangs (or stands): link 1 must be near 0 or half a turn from it."""
+    """At rest without torque the arm hangs (or stands): link 1 must be near 0 or half a turn from
+    it.
+    """
     for trial in recording.trials:
         n = min(20, len(trial.time))
-        still = np.all(np.ptp(trial.q[:n], axis=0) < 0.003) and np.all(np.abs(trial.torque[:n]) < 1e-3)
+        still = np.all(np.ptp(trial.q[:n], axis=0) < 0.003) and np.all(
+            np.abs(trial.torque[:n]) < 1e-3
+        )
         if not still or np.ptp(trial.q) < 0.02:
             continue
         tilt = [float(abs(math.remainder(x, math.pi))) for x in (trial.q[0, 0], trial.q[0].sum())]

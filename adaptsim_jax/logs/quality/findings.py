@@ -7,7 +7,8 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing the audit saw. `severity`: `info`, `warn`, or `fault` (no diagnosis should be made of it).
+    """One thing the audit saw. `severity`: `info`, `warn`, or `fault` (no diagnosis should be made
+    of it).
 
     `where` names a channel, joint or time; `value` is the number that `message` explains.
     """
@@ -25,7 +26,8 @@ Findings = list[Finding]
 
 @dataclass(frozen=True)
 class Audit:
-    """Findings of all trials; `valid[name]: [T]` bool, the rows to use; `exclude`: trials not to use at all.
+    """Findings of all trials; `valid[name]: [T]` bool, the rows to use; `exclude`: trials not to
+    use at all.
 
     `quantisation`: channel -> step (rad, rad/s, N m; 0 where none is seen).
     """
@@ -47,12 +49,17 @@ class Audit:
         if faults:
             return "; ".join(faults)
         warnings = sum(f.severity == "warn" for f in self.findings)
-        return f"{warnings} warning(s), no fault" if warnings else "no fault found"
+        if warnings:
+            return f"{warnings} warning(s), no fault"
+        return "no fault found"
 
     @property
     def warnings(self) -> list[str]:
         """A sentence for each kind of warning and channel, and the trials left out."""
-        lines = [f"left out: {', '.join(self.exclude)}"] if self.exclude else []
+        if self.exclude:
+            lines = [f"left out: {', '.join(self.exclude)}"]
+        else:
+            lines = []
         groups: dict[tuple[str, str], list[Finding]] = {}
         for f in self.findings:
             if f.severity == "warn":
@@ -60,23 +67,36 @@ class Audit:
         for (_, where), found in groups.items():
             first = found[0]
             place = f"{first.trial}: " if first.trial else ""
-            more = f" (and so in {len(found) - 1} more trial{'s' if len(found) > 2 else ''})" if len(found) > 1 else ""
-            own = "" if not where or first.message.startswith(where) or where in first.message else f"{where} "
+            if len(found) > 1:
+                more = f" (and so in {len(found) - 1} more trial{'s' if len(found) > 2 else ''})"
+            else:
+                more = ""
+            if not where or first.message.startswith(where) or where in first.message:
+                own = ""
+            else:
+                own = f"{where} "
             lines.append(f"{place}{own}{first.message}{more}")
         return lines
 
     @property
     def limits(self) -> list[str]:
         """A sentence for each channel that rests at its largest values."""
-        cut = sorted({f.where for f in self.findings if f.kind == "saturation" and f.severity == "info"})
+        cut = sorted(
+            {f.where for f in self.findings if f.kind == "saturation" and f.severity == "info"}
+        )
         only = "where only its log is cut, and not the torque, what is named is wrong"
         return [f"{name} rests at its largest values: {only}" for name in cut]
 
     @property
     def rows(self) -> list[dict[str, str]]:
         """The findings as a page shows them."""
-        where = lambda f: " ".join(x for x in (f.trial, f.where) if x)
-        return [{"severity": f.severity, "where": where(f), "message": f.message} for f in self.findings]
+
+        def where(f):
+            return " ".join(x for x in (f.trial, f.where) if x)
+
+        return [
+            {"severity": f.severity, "where": where(f), "message": f.message} for f in self.findings
+        ]
 
     def of(self, kind: str) -> tuple[Finding, ...]:
         """Findings of one kind."""

@@ -1,9 +1,11 @@
-"""Conventions told from data: one cheap refit for each way in which columns or lengths are commonly taken wrongly.
+"""Conventions told from data: one cheap refit for each way in which columns or lengths are commonly
+taken wrongly.
 
-The torque that moves a mechanism is linear in what is unknown of it (Khalil and Dombre 2002, ch. 9), so that a convention is
-judged by one non-negative least-squares fit of inertial parameters, dampings and dry frictions to block means of the motion.
-Where the declared convention leaves most of the torque and another one next to nothing, the columns are told to contradict the
-model. NumPy and SciPy alone.
+The torque that moves a mechanism is linear in what is unknown of it (Khalil and Dombre 2002, ch.
+9), so that a convention is judged by one non-negative least-squares fit of inertial parameters,
+dampings and dry frictions to block means of the motion. Where the declared convention leaves most
+of the torque and another one next to nothing, the columns are told to contradict the model. NumPy
+and SciPy alone.
 """
 
 from collections.abc import Callable, Sequence
@@ -35,7 +37,9 @@ class Motion:
 
 @dataclass(frozen=True)
 class Track:
-    """A trial: `time [T]` s, `q, tau [T, n]`, `v [T, n]` or None; the torque holds from its row to the next."""
+    """A trial: `time [T]` s, `q, tau [T, n]`, `v [T, n]` or None; the torque holds from its row to
+    the next.
+    """
 
     time: np.ndarray
     q: np.ndarray
@@ -44,12 +48,16 @@ class Track:
 
 
 Design = Callable[[Motion, bool], np.ndarray]
-"""`(motion, gravity) -> [K, n, P]`: torque at each joint by unit of each parameter that is at least 0."""
+"""`(motion, gravity) -> [K, n, P]`: torque at each joint by unit of each parameter that is at least
+0.
+"""
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """What may be otherwise than declared. `motion`: the motion as it would be then; `design` where the mechanism is another."""
+    """What may be otherwise than declared. `motion`: the motion as it would be then; `design` where
+    the mechanism is another.
+    """
 
     name: str
     says: str
@@ -63,16 +71,19 @@ def motion_of(tracks: Sequence[Track], shift: float = 0.0) -> Motion:
     """Block means of all trials, with the torque of `shift` s later taken to act."""
     parts = [blocks(t, shift) for t in tracks]
     joined = [np.concatenate([p[k] for p in parts]) for k in range(4)]
-    keep = (
-        np.unique(np.linspace(0, len(joined[0]) - 1, min(MOST, len(joined[0]))).astype(int)) if len(joined[0]) else []
-    )
+    if len(joined[0]):
+        keep = np.unique(np.linspace(0, len(joined[0]) - 1, min(MOST, len(joined[0]))).astype(int))
+    else:
+        keep = []
     return Motion(*(x[keep] for x in joined))
 
 
 def blocks(track: Track, shift: float = 0.0, sharp: bool = False) -> tuple[np.ndarray, ...]:
-    """Block means `q, v, a, tau [K, n]` of one trial, none beside a gap in time, and their numbers `[K]`.
+    """Block means `q, v, a, tau [K, n]` of one trial, none beside a gap in time, and their numbers
+    `[K]`.
 
-    sharp: short blocks, with accelerations from the speeds at their ends: exact where motion is fast, and as rough as the sensors.
+    sharp: short blocks, with accelerations from the speeds at their ends: exact where motion is
+    fast, and as rough as the sensors.
     """
     time = track.time
     step = float(np.median(np.diff(time)))
@@ -82,10 +93,17 @@ def blocks(track: Track, shift: float = 0.0, sharp: bool = False) -> tuple[np.nd
     if len(edges) < 8:
         return *(np.zeros((0, n)),) * 4, np.zeros(0, int)
     q = _means(time, track.q, edges)
-    v = np.gradient(q, size, axis=0) if track.v is None else _means(time, track.v, edges)
+    if track.v is None:
+        v = np.gradient(q, size, axis=0)
+    else:
+        v = _means(time, track.v, edges)
     a = _between(track, q, edges) if sharp else np.gradient(v, size, axis=0)
-    held = np.concatenate([np.zeros((1, n)), np.cumsum(np.diff(time)[:, None] * track.tau[:-1], axis=0)])
-    tau = np.stack([np.diff(np.interp(edges + shift, time, held[:, j])) / size for j in range(n)], 1)
+    held = np.concatenate(
+        [np.zeros((1, n)), np.cumsum(np.diff(time)[:, None] * track.tau[:-1], axis=0)]
+    )
+    tau = np.stack(
+        [np.diff(np.interp(edges + shift, time, held[:, j])) / size for j in range(n)], 1
+    )
     # a hole within or beside a block says nothing of it
     gap = np.flatnonzero(np.diff(time) > 4.0 * step)
     whole = np.ones(len(edges) - 1, bool)
@@ -96,20 +114,27 @@ def blocks(track: Track, shift: float = 0.0, sharp: bool = False) -> tuple[np.nd
 
 
 def _between(track: Track, q: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Mean accelerations `[K, n]` of blocks from the speeds at their ends, which are differences of `q` where none were logged."""
+    """Mean accelerations `[K, n]` of blocks from the speeds at their ends, which are differences of
+    `q` where none were logged.
+    """
     size = float(edges[1] - edges[0])
     if track.v is not None:
         ends = np.stack([np.interp(edges, track.time, v) for v in track.v.T], 1)
     else:
         inner = np.diff(q, axis=0) / size
-        ends = np.concatenate([inner[:1], inner, inner[-1:]])  # blocks at the ends of a trial are left out
+        ends = np.concatenate(
+            [inner[:1], inner, inner[-1:]]
+        )  # blocks at the ends of a trial are left out
     return np.diff(ends, axis=0) / size
 
 
 def _means(time: np.ndarray, x: np.ndarray, edges: np.ndarray) -> np.ndarray:
     """Means of `x [T, n]`, straight between rows, over the blocks between `edges`."""
     area = np.concatenate(
-        [np.zeros((1, x.shape[1])), np.cumsum(0.5 * np.diff(time)[:, None] * (x[1:] + x[:-1]), axis=0)]
+        [
+            np.zeros((1, x.shape[1])),
+            np.cumsum(0.5 * np.diff(time)[:, None] * (x[1:] + x[:-1]), axis=0),
+        ]
     )
     size = np.diff(edges)
     fine = [np.interp(edges, time, x[:, j]) for j in range(x.shape[1])]
@@ -122,7 +147,9 @@ def _means(time: np.ndarray, x: np.ndarray, edges: np.ndarray) -> np.ndarray:
 
 
 def rubbing(motion: Motion) -> np.ndarray:
-    """`[K, n, 4 n]`: torque of each joint's damping, its dry friction, and a constant of either sign."""
+    """`[K, n, 4 n]`: torque of each joint's damping, its dry friction, and a constant of either
+    sign.
+    """
     k, n = motion.q.shape
     loud = np.maximum(0.02 * np.max(np.abs(motion.v), axis=0), 1e-9)
     joints = np.zeros((k, n, 4 * n))
@@ -135,8 +162,9 @@ def rubbing(motion: Motion) -> np.ndarray:
 
 @dataclass(frozen=True)
 class LinearFit:
-    """`left`: share of the torque's square that the best parameters leave; `scale`: how many times larger the torque of the first
-    columns is than with a parameter of 1 for each."""
+    """`left`: share of the torque's square that the best parameters leave; `scale`: how many times
+    larger the torque of the first columns is than with a parameter of 1 for each.
+    """
 
     left: float
     scale: float
@@ -148,8 +176,9 @@ def unexplained(motion: Motion, design: Design, gravity: bool = True) -> float:
 
 
 def linear_fit(motion: Motion, design: Design, gravity: bool = True, first: int = 0) -> LinearFit:
-    """The best parameters that are at least 0, the joints weighed alike; one without a drive as the others in the middle. first:
-    columns of the design whose scale is asked for (0: all)."""
+    """The best parameters that are at least 0, the joints weighed alike; one without a drive as the
+    others in the middle. first: columns of the design whose scale is asked for (0: all).
+    """
     k, n = motion.q.shape
     columns, joints = design(motion, gravity), rubbing(motion)
     spread = np.std(motion.tau, axis=0)

@@ -1,4 +1,6 @@
-"""The declared double pendulum as `quality.hypotheses` needs it: torque by unit of p1, p3, h1, h2, and what its lengths may be."""
+"""The declared double pendulum as `quality.hypotheses` needs it: torque by unit of p1, p3, h1, h2,
+and what its lengths may be.
+"""
 
 from collections.abc import Sequence
 
@@ -22,17 +24,23 @@ from adaptsim_jax.logs.types import Recording
 
 FACTORS = {1e-3: "millimetres", 1e-2: "centimetres", 1e-1: None, 10.0: None, 1e3: "kilometres"}
 WORDS = Words(
-    ("joint 1", "joint 2"), ("q1", "q2"), ("v1", "v2"), ("tau1", "tau2"), (True, True),
+    ("joint 1", "joint 2"),
+    ("q1", "q2"),
+    ("v1", "v2"),
+    ("tau1", "tau2"),
+    (True, True),
     "exchange q1 and q2, v1 and v2, tau1 and tau2 in the header of each file",
     lambda j: f"turn the signs of columns q{j + 1}, v{j + 1} and tau{j + 1}",
     lambda j, parent: "write q2 - q1 into column q2, and so v2 - v1 into v2",
-)  # fmt: skip
+)
 
 CHANNELS = Channels(WORDS.q, WORDS.tau, WORDS.hinges)
 
 
 def design(l1: float, gravity: float, down: float) -> Design:
-    """Base parameters of `mechanisms.double_pendulum.plant`; `down`: 1 where zero angle hangs, -1 where it stands upright."""
+    """Base parameters of `mechanisms.double_pendulum.plant`; `down`: 1 where zero angle hangs, -1
+    where it stands upright.
+    """
 
     def columns(m: Motion, with_gravity: bool) -> np.ndarray:
         (q1, q2), (v1, v2), (a1, a2) = m.q.T, m.v.T, m.a.T
@@ -43,7 +51,10 @@ def design(l1: float, gravity: float, down: float) -> Design:
             (a1, zero),
             (a2, a1 + a2),
             (pull * np.sin(q1), zero),
-            (l1 * (c * (2 * a1 + a2) - s * (2 * v1 * v2 + v2**2)) + outer, l1 * (c * a1 + s * v1**2) + outer),
+            (
+                l1 * (c * (2 * a1 + a2) - s * (2 * v1 * v2 + v2**2)) + outer,
+                l1 * (c * a1 + s * v1**2) + outer,
+            ),
         )
         return np.stack([np.stack(pair, 1) for pair in pairs], 2)
 
@@ -51,7 +62,9 @@ def design(l1: float, gravity: float, down: float) -> Design:
 
 
 def of_recording(recording: Recording) -> tuple[list[Track], Design] | None:
-    """Tracks and design of a recording of two driven links; None where the linear fit cannot judge it."""
+    """Tracks and design of a recording of two driven links; None where the linear fit cannot judge
+    it.
+    """
     geometry = recording.geometry
     if recording.model != "rigid_body" or "l1" not in geometry or recording.model_file is not None:
         return None
@@ -84,22 +97,32 @@ def _contradiction(recording: Recording, tracks: Sequence[Track], declared: Desi
         more.append(Hypothesis("gravity", says, mend, design=design(l1, GRAVITY, down)))
     other = "upright" if down > 0 else "hanging"
     mend = f'write angle_zero = "{other}" in meta.toml'
-    more.append(Hypothesis("angle_zero", f"angles look to be zero when {other}", mend, design=design(l1, g, -down)))
+    more.append(
+        Hypothesis(
+            "angle_zero", f"angles look to be zero when {other}", mend, design=design(l1, g, -down)
+        )
+    )
     return contradiction(tracks, declared, WORDS, more, chain=(-1, 0), zeros=(1,))
 
 
 def pendulum_trials(recording: Recording) -> Differ | None:
     """See `trials_differ.trials_differ`."""
     found = of_recording(recording)
-    return None if found is None else trials_differ([t.name for t in recording.trials], *found)
+    if found is None:
+        return None
+    return trials_differ([t.name for t in recording.trials], *found)
 
 
 def check_conventions(recording: Recording) -> tuple[Finding, ...]:
-    """What the motion says of the declared columns. Raises BadInput where it contradicts them, with what to write instead."""
+    """What the motion says of the declared columns. Raises BadInput where it contradicts them, with
+    what to write instead.
+    """
     if (found := of_recording(recording)) is None:
         return ()
     if told := _contradiction(recording, *found):
         raise BadInput(f"{recording.path}: {told.message}; {AS_DECLARED}")
     late = lateness(*found)
     step = float(np.median([t.dt for t in recording.trials]))
-    return () if late is None else late_finding(recording.path, late, step, ("tau1", "tau2"))
+    if late is None:
+        return ()
+    return late_finding(recording.path, late, step, ("tau1", "tau2"))

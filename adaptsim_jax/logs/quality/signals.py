@@ -1,4 +1,6 @@
-"""The single checks of the audit: each takes one trial and returns findings; some mark rows to leave out."""
+"""The single checks of the audit: each takes one trial and returns findings; some mark rows to
+leave out.
+"""
 
 import math
 
@@ -14,7 +16,16 @@ def check_sampling(trial: Trial) -> Findings:
     """Sampling rate, jitter, gaps longer than five intervals."""
     dt = np.diff(trial.time)
     step = float(np.median(dt))
-    found = [Finding("sampling", "info", trial.name, "time", f"sampled at {1 / step:.4g} Hz (median)", 1 / step)]
+    found = [
+        Finding(
+            "sampling",
+            "info",
+            trial.name,
+            "time",
+            f"sampled at {1 / step:.4g} Hz (median)",
+            1 / step,
+        )
+    ]
     jitter = float(np.std(dt[dt <= 5 * step]) / step)
     if jitter > 0.05:
         found.append(
@@ -31,7 +42,9 @@ def check_sampling(trial: Trial) -> Findings:
     if gaps.size:
         first = trial.time[gaps[0]]
         text = f"{gaps.size} gap(s) over 5 intervals, the longest {dt.max():.3g} s, first at {first:.3g} s"
-        found.append(Finding("gap", "warn", trial.name, f"time {first:.3g} s", text, float(dt.max())))
+        found.append(
+            Finding("gap", "warn", trial.name, f"time {first:.3g} s", text, float(dt.max()))
+        )
     if 1 / step < 45:
         text = f"sampled at {1 / step:.3g} Hz: below 50 Hz fast effects cannot be told apart"
         found.append(Finding("slow_sampling", "warn", trial.name, "time", text, 1 / step))
@@ -76,7 +89,9 @@ def _others_move(trial: Trial, joint: int) -> bool:
 
 
 def _frozen_runs(trial: Trial, joint: int, step: float) -> list[tuple[int, int]]:
-    """(start, length) of frozen runs: the angle should have moved by many resolution steps, and jumps."""
+    """(start, length) of frozen runs: the angle should have moved by many resolution steps, and
+    jumps.
+    """
     q, time = trial.q[:, joint], trial.time
     starts, lengths = runs(q)
     noise = max(step, 1.4826 * float(np.median(np.abs(np.diff(q, 2)))) / math.sqrt(6.0))
@@ -89,7 +104,10 @@ def _frozen_runs(trial: Trial, joint: int, step: float) -> list[tuple[int, int]]
         before = (q[start] - q[start - 4]) / (time[start] - time[start - 4])
         after = (q[end + 3] - q[end]) / (time[end + 3] - time[end])
         jump = abs(q[end] - q[end - 1])
-        expected = held * min(abs(before), abs(after)) if before * after > 0 else 0.0
+        if before * after > 0:
+            expected = held * min(abs(before), abs(after))
+        else:
+            expected = 0.0
         if min(expected, 2 * jump) > 10 * noise:
             bad.append((int(start), int(length)))
     return bad
@@ -110,7 +128,9 @@ def check_spikes(trial: Trial, steps: dict[str, float]) -> tuple[Findings, np.nd
 
 
 def _lone_outliers(time: np.ndarray, q: np.ndarray, step: float) -> np.ndarray:
-    """Rows that the cubic through their four neighbours misses by far, and that stick out from both sides."""
+    """Rows that the cubic through their four neighbours misses by far, and that stick out from both
+    sides.
+    """
     dt = np.diff(time)
     even = np.stack([dt[:-3], dt[1:-2], dt[2:-1], dt[3:]]).max(axis=0) < 2 * np.median(dt)
     miss = q[2:-2] - (4 * (q[1:-3] + q[3:-1]) - q[:-4] - q[4:]) / 6
@@ -122,7 +142,9 @@ def _lone_outliers(time: np.ndarray, q: np.ndarray, step: float) -> np.ndarray:
 
 
 def check_saturation(trial: Trial, steps: dict[str, float]) -> Findings:
-    """A torque or an angle that rests at its largest or smallest value for many rows: cut flat there."""
+    """A torque or an angle that rests at its largest or smallest value for many rows: cut flat
+    there.
+    """
     found = []
     columns = {
         "tau1": trial.torque[:, 0],
@@ -147,7 +169,9 @@ def check_saturation(trial: Trial, steps: dict[str, float]) -> Findings:
 
 
 def _cut_runs(time: np.ndarray, x: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
-    """Runs of equal values that are entered at a speed which would have carried on for many steps."""
+    """Runs of equal values that are entered at a speed which would have carried on for many
+    steps.
+    """
     starts, lengths = runs(x)
     ends = np.minimum(starts + lengths, len(x) - 1)
     before = np.maximum(starts - 3, 0)
@@ -157,7 +181,9 @@ def _cut_runs(time: np.ndarray, x: np.ndarray, step: float) -> tuple[np.ndarray,
 
 
 def check_velocity(trial: Trial) -> tuple[Findings, list[str]]:
-    """Velocity against d(angle)/dt: scale, sign, lag. Also the channels that contradict the angles."""
+    """Velocity against d(angle)/dt: scale, sign, lag. Also the channels that contradict the
+    angles.
+    """
     found, wrong = [], []
     if trial.v is None:
         return found, wrong
@@ -193,43 +219,61 @@ def check_command(trial: Trial) -> Findings:
         if a.enough and a.lag > -4 * trial.dt:
             how = f"gain {a.gain:.3f} and lag {a.lag * 1e3:.3g} ms (r2 {a.r2:.3f})"
             text = f"tau{j + 1} follows its command with {how}"
-            severity = "warn" if not 0.7 < a.gain < 1.4 or a.lag > 0.02 else "info"
+            if not 0.7 < a.gain < 1.4 or a.lag > 0.02:
+                severity = "warn"
+            else:
+                severity = "info"
             found.append(Finding("command", severity, trial.name, f"tau{j + 1}", text, a.lag))
     return found
 
 
 def check_wrap(trial: Trial) -> Findings:
-    """Jumps of whole turns (or of an encoder's own period), which are taken out, and gaps in which there may be more."""
+    """Jumps of whole turns (or of an encoder's own period), which are taken out, and gaps in which
+    there may be more.
+    """
     found = []
     for j in range(2):
         turns = without_turns(trial.time, trial.q[:, j])
         channel = f"q{j + 1}"
         if turns.count:
-            what = "a full turn" if abs(turns.period - TURN) < 1e-9 else f"{turns.period:.4g} rad"
+            if abs(turns.period - TURN) < 1e-9:
+                what = "a full turn"
+            else:
+                what = f"{turns.period:.4g} rad"
             text = f"{channel} jumps by {what} {turns.count} time(s): taken out"
             found.append(Finding("wrap", "info", trial.name, channel, text, float(turns.count)))
         if turns.unsure:
             at = trial.time[turns.unsure[0]]
             text = f"{channel} wraps, and may have turned further in {len(turns.unsure)} gap(s), first at {at:.3g} s: cut there"
-            found.append(Finding("wrap_in_gap", "warn", trial.name, channel, text, float(len(turns.unsure))))
+            found.append(
+                Finding("wrap_in_gap", "warn", trial.name, channel, text, float(len(turns.unsure)))
+            )
     return found
 
 
 def check_excitation(trial: Trial) -> Findings:
-    """Range of angle, speed and torque, and how often each joint turns round (friction shows there)."""
+    """Range of angle, speed and torque, and how often each joint turns round (friction shows
+    there).
+    """
     found = []
-    v = trial.v if trial.v is not None else np.gradient(trial.q, trial.time, axis=0)
+    if trial.v is not None:
+        v = trial.v
+    else:
+        v = np.gradient(trial.q, trial.time, axis=0)
     for j in range(2):
         q, w, u = trial.q[:, j], v[:, j], trial.torque[:, j]
         loud = 0.02 * float(np.max(np.abs(w)) or 1.0)
         signs = np.sign(w[np.abs(w) > loud])
         turns = int(np.sum(signs[1:] != signs[:-1]))
         text = (
-            f"joint {j + 1}: angle range {np.ptp(q):.3g} rad, top speed {np.max(np.abs(w)):.3g} rad/s, "
+            f"joint {j + 1}: angle range {np.ptp(q):.3g} rad, top speed {np.max(np.abs(w)):.3g} "
+            f"rad/s, "
             f"torque range {np.ptp(u):.3g} N m, {turns} reversals"
         )
         found.append(Finding("excitation", "info", trial.name, f"joint{j + 1}", text, float(turns)))
     if np.all(np.ptp(trial.q, axis=0) < 0.02):
         text = "the arm hardly moves (under 0.02 rad): nothing can be learned from this trial"
-        found.append(Finding("no_motion", "warn", trial.name, "joints", text, float(np.ptp(trial.q))))
+        found.append(
+            Finding("no_motion", "warn", trial.name, "joints", text, float(np.ptp(trial.q)))
+        )
     return found

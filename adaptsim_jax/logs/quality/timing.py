@@ -1,4 +1,6 @@
-"""How the rows came to be: stale angles, late time stamps, velocities that are only differences of the angles."""
+"""How the rows came to be: stale angles, late time stamps, velocities that are only differences of
+the angles.
+"""
 
 import numpy as np
 
@@ -7,7 +9,9 @@ from adaptsim_jax.logs.types import Trial
 
 
 def check_stale(trial: Trial, steps: dict[str, float]) -> Findings:
-    """Rows that repeat the angle of the row before although the joint turns: they outrun the sensor."""
+    """Rows that repeat the angle of the row before although the joint turns: they outrun the
+    sensor.
+    """
     found = []
     for j in range(2):
         q, step = trial.q[:, j], max(steps.get(f"q{j + 1}", 0.0), 1e-12)
@@ -23,7 +27,8 @@ def check_stale(trial: Trial, steps: dict[str, float]) -> Findings:
 
 
 def check_timestamps(trial: Trial) -> Findings:
-    """Whether uneven times are when the angles were read: then angle steps grow with the time steps.
+    """Whether uneven times are when the angles were read: then angle steps grow with the time
+    steps.
 
     `value` is the share of the unevenness that the angles do not follow (1: they were read evenly).
     """
@@ -48,15 +53,24 @@ def check_timestamps(trial: Trial) -> Findings:
 
 
 def check_derived(trial: Trial) -> Findings:
-    """Velocities that are only differences of the logged angles: they add no measurement of their own."""
+    """Velocities that are only differences of the logged angles: they add no measurement of their
+    own.
+    """
     found = []
     for j in range(2):
         if trial.v is None or np.ptp(trial.v[:, j]) == 0:
             continue
         slope = np.diff(trial.q[:, j]) / np.diff(trial.time)
         for side, v in (("backward", trial.v[1:, j]), ("forward", trial.v[:-1, j])):
-            if np.median(np.abs(v - slope)) < 0.005 * np.std(v) and np.corrcoef(v, slope)[0, 1] > 0.999:
-                text = f"v{j + 1} is the {side} difference of q{j + 1}: it measures nothing of its own"
-                found.append(Finding("velocity_derived", "info", trial.name, f"v{j + 1}", text, 1.0))
+            if (
+                np.median(np.abs(v - slope)) < 0.005 * np.std(v)
+                and np.corrcoef(v, slope)[0, 1] > 0.999
+            ):
+                text = (
+                    f"v{j + 1} is the {side} difference of q{j + 1}: it measures nothing of its own"
+                )
+                found.append(
+                    Finding("velocity_derived", "info", trial.name, f"v{j + 1}", text, 1.0)
+                )
                 break
     return found

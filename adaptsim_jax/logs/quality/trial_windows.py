@@ -1,7 +1,9 @@
-"""The torque of all trials as one linear regression over short windows, with numbers that some of the rows have of their own.
+"""The torque of all trials as one linear regression over short windows, with numbers that some of
+the rows have of their own.
 
-Blocks of `quality.hypotheses`, sharp ones, are averaged over windows by Hann's weights, which leave motion exact and take the noise of
-accelerations out. Smooth forces of each joint's own angle and speed stand for what the model lacks in all trials alike.
+Blocks of `quality.hypotheses`, sharp ones, are averaged over windows by Hann's weights, which leave
+motion exact and take the noise of accelerations out. Smooth forces of each joint's own angle and
+speed stand for what the model lacks in all trials alike.
 """
 
 from collections.abc import Sequence
@@ -25,9 +27,10 @@ ROWS = 8 * MOST
 
 @dataclass(frozen=True)
 class Rows:
-    """Means over windows of all trials: `table [K, n, P]` of the design's columns (the first `rigid`), friction and smooth forces;
-    `tau [K, n]`, `trial [K]`, `piece [K]`, `weight [n]` 1/N m. `mean [K, N]` takes them from blocks, whose motion is `fine` and
-    whose trial `origin [N]`."""
+    """Means over windows of all trials: `table [K, n, P]` of the design's columns (the first
+    `rigid`), friction and smooth forces; `tau [K, n]`, `trial [K]`, `piece [K]`, `weight [n]` 1/N
+    m. `mean [K, N]` takes them from blocks, whose motion is `fine` and whose trial `origin [N]`.
+    """
 
     fine: Motion
     design: Design
@@ -50,7 +53,9 @@ class Rows:
 
 
 def rows_of(tracks: Sequence[Track], design: Design) -> Rows | None:
-    """Windows of trials that are long enough; None where there are too few of these, or they do not move."""
+    """Windows of trials that are long enough; None where there are too few of these, or they do not
+    move.
+    """
     parts = [blocks(t, sharp=True) for t in tracks]
     most = ROWS // max(1, len(parts))
     motion, means, trial, piece, origin = [], [], [], [], []
@@ -72,26 +77,48 @@ def rows_of(tracks: Sequence[Track], design: Design) -> Rows | None:
     if not np.all(np.std(m.q, axis=0) > 1e-3) or not np.any(spread > 1e-9):
         return None
     weight = 1.0 / np.maximum(spread, 1e-3 * spread.max())
-    width, trials = design(Motion(*(z[:1] for z in (m.q, m.v, m.a, m.tau))), True).shape[2], np.concatenate(trial)
-    made = Rows(m, design, np.concatenate(origin), mean, m.tau, m.tau, width, trials, np.concatenate(piece), weight)
+    width, trials = (
+        design(Motion(*(z[:1] for z in (m.q, m.v, m.a, m.tau))), True).shape[2],
+        np.concatenate(trial),
+    )
+    made = Rows(
+        m,
+        design,
+        np.concatenate(origin),
+        mean,
+        m.tau,
+        m.tau,
+        width,
+        trials,
+        np.concatenate(piece),
+        weight,
+    )
     return replace(of_motion(made, m), tau=made.averaged(m.tau))
 
 
 def _windows(number: np.ndarray) -> tuple[int, sparse.csr_array]:
-    """How many, and `[K, N]` their means over `WINDOW` neighbouring blocks, by Hann's weights, which take the noise of
-    accelerations out."""
+    """How many, and `[K, N]` their means over `WINDOW` neighbouring blocks, by Hann's weights,
+    which take the noise of accelerations out.
+    """
     begins = np.arange(0, max(0, len(number) - WINDOW + 1), STRIDE)
-    begins = begins[number[begins + WINDOW - 1] - number[begins] == WINDOW - 1] if len(begins) else begins
+    if len(begins):
+        begins = begins[number[begins + WINDOW - 1] - number[begins] == WINDOW - 1]
+    else:
+        begins = begins
     hann = np.hanning(WINDOW + 2)[1:-1]
     column = begins[:, None] + np.arange(WINDOW)
     data = np.broadcast_to(hann / hann.sum(), column.shape)
     row = np.broadcast_to(np.arange(len(begins))[:, None], column.shape)
-    mean = sparse.csr_array((data.ravel(), (row.ravel(), column.ravel())), shape=(len(begins), len(number)))
+    mean = sparse.csr_array(
+        (data.ravel(), (row.ravel(), column.ravel())), shape=(len(begins), len(number))
+    )
     return len(begins), mean
 
 
 def _smooth(m: Motion) -> np.ndarray:
-    """`[K, n, 8 n]`: forces of each joint's own angle and speed, for what the model lacks in all trials alike."""
+    """`[K, n, 8 n]`: forces of each joint's own angle and speed, for what the model lacks in all
+    trials alike.
+    """
     n, q = m.q.shape[1], m.q
     speed = m.v / np.maximum(np.max(np.abs(m.v), axis=0), 1e-9)
     rub = [np.tanh(k * speed) for k in (10.0, 200.0, 1000.0)]
@@ -101,7 +128,10 @@ def _smooth(m: Motion) -> np.ndarray:
 
 def over_blocks(design: Design, motion: Motion) -> np.ndarray:
     """`design` over any number of rows."""
-    cut = lambda i: Motion(*(z[i : i + MOST] for z in (motion.q, motion.v, motion.a, motion.tau)))
+
+    def cut(i):
+        return Motion(*(z[i : i + MOST] for z in (motion.q, motion.v, motion.a, motion.tau)))
+
     return np.concatenate([design(cut(i), True) for i in range(0, len(motion.q), MOST)])
 
 
@@ -136,18 +166,25 @@ def unexplained_of(rows: Rows, x: np.ndarray) -> np.ndarray:
 
 def of_motion(rows: Rows, fine: Motion) -> Rows:
     """The same of another motion."""
-    table = np.concatenate([over_blocks(rows.design, fine), rubbing(fine)[:, :, :-1], _smooth(fine)], 2)
+    table = np.concatenate(
+        [over_blocks(rows.design, fine), rubbing(fine)[:, :, :-1], _smooth(fine)], 2
+    )
     return replace(rows, fine=fine, table=rows.averaged(table))
 
 
 def jointly(
     rows: Rows, own: np.ndarray, label: np.ndarray, seen: np.ndarray, likely: float = np.inf
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Parameters `[P]` and numbers `[T, S]` of each label's own, together by least squares; those of a label are eliminated first.
-    likely: size of a number before anything was seen, for what a trial's own motion does not fix."""
+    """Parameters `[P]` and numbers `[T, S]` of each label's own, together by least squares; those
+    of a label are eliminated first. likely: size of a number before anything was seen, for what a
+    trial's own motion does not fix.
+    """
     p = rows.table.shape[2]
     gram, right, kept = np.zeros((p, p)), np.zeros(p), []
-    doubt = 0.0 if np.isinf(likely) else np.mean(np.square(unexplained_of(rows, fitted(rows)))) / likely**2
+    if np.isinf(likely):
+        doubt = 0.0
+    else:
+        doubt = np.mean(np.square(unexplained_of(rows, fitted(rows)))) / likely**2
     for t in seen:
         here = label == t
         a = (rows.table[here] * rows.weight[:, None]).reshape(-1, p)

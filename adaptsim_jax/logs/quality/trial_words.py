@@ -1,4 +1,6 @@
-"""What differs between trials, in the words and numbers of a report: which trials, by how much, and what to do."""
+"""What differs between trials, in the words and numbers of a report: which trials, by how much, and
+what to do.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,11 +11,15 @@ import numpy as np
 from adaptsim_jax.logs.quality.trials_differ import Differ, Odd
 
 LOUD = 3.0
-"""Times the sensors' noise that must be left, on left-out trials, for a difference between trials to be told of."""
+"""Times the sensors' noise that must be left, on left-out trials, for a difference between trials
+to be told of.
+"""
 ODD = 2.0
 """Times the middle trial's error that an odd trial's must be in the final model."""
 SPOILS = 30.0
-"""Times the middle trial's unexplained torque with which a trial spoils the fit of all, where errors are as many times the noise."""
+"""Times the middle trial's unexplained torque with which a trial spoils the fit of all, where
+errors are as many times the noise.
+"""
 KINDS = {
     "zero": "the zeros of the angles",
     "torque_scale": "the scale of the torques",
@@ -24,47 +30,65 @@ KINDS = {
 
 @dataclass(frozen=True)
 class Channels:
-    """How columns are called, `[n]`: angles `q`, torques `tau`; `hinges`: whether an angle is one."""
+    """How columns are called, `[n]`: angles `q`, torques `tau`; `hinges`: whether an angle is
+    one.
+    """
 
     q: tuple[str, ...]
     tau: tuple[str, ...]
     hinges: tuple[bool, ...]
 
 
-def add_trials(report: dict[str, Any], evidence: dict[str, Any], differ: Differ | None, channels: Channels) -> None:
-    """Put `trials` into a report, and a warning for all that differs between them and that the final model does not explain."""
+def add_trials(
+    report: dict[str, Any], evidence: dict[str, Any], differ: Differ | None, channels: Channels
+) -> None:
+    """Put `trials` into a report, and a warning for all that differs between them and that the
+    final model does not explain.
+    """
     if differ is None:
         return
     differ = confirmed(differ, report["error"])
     lines = sentences(differ, channels)
     report["trials"] = {
-        "differ": differ.kind or None, "alike": list(differ.alike), "takes": differ.takes if differ.kind else None,
-        "leave_out": sorted({*differ.apart, *(o.trial for o in differ.odd)}), "headline": headline(differ), "warnings": lines,
+        "differ": differ.kind or None,
+        "alike": list(differ.alike),
+        "takes": differ.takes if differ.kind else None,
+        "leave_out": sorted({*differ.apart, *(o.trial for o in differ.odd)}),
+        "headline": headline(differ),
+        "warnings": lines,
         "each": [_each(differ, i, report["error"], channels) for i in range(len(differ.names))],
-    }  # fmt: skip
+    }
     report["warnings"] = [*(report.get("warnings") or []), *lines]
-    evidence["audit"] = [{"severity": "warn", "where": "trials", "message": m} for m in lines] + list(
-        evidence.get("audit") or []
-    )
+    evidence["audit"] = [
+        {"severity": "warn", "where": "trials", "message": m} for m in lines
+    ] + list(evidence.get("audit") or [])
 
 
 def confirmed(differ: Differ, error: Mapping[str, Any]) -> Differ:
-    """What of it the final model leaves: nothing where its error is about the noise, no odd trial that it simulates as the others,
-    unless that is because the trial spoiled the fit of all."""
+    """What of it the final model leaves: nothing where its error is about the noise, no odd trial
+    that it simulates as the others, unless that is because the trial spoiled the fit of all.
+    """
     left, floor = error.get("after") or error.get("before"), error.get("noise_floor")
     if left is not None and floor and left < LOUD * floor:
         return Differ(differ.names, differ.error)
     own = _errors(error)
     usual = float(np.median(list(own.values()))) if own else 0.0
     spoilt = bool(floor) and usual > SPOILS * floor
-    odd = tuple(o for o in differ.odd if own.get(o.trial, np.inf) > ODD * usual or (spoilt and o.times > SPOILS))
-    return Differ(differ.names, differ.error, differ.kind, differ.size, differ.takes, differ.alike, odd)
+    odd = tuple(
+        o
+        for o in differ.odd
+        if own.get(o.trial, np.inf) > ODD * usual or (spoilt and o.times > SPOILS)
+    )
+    return Differ(
+        differ.names, differ.error, differ.kind, differ.size, differ.takes, differ.alike, odd
+    )
 
 
 def _errors(error: Mapping[str, Any]) -> dict[str, float]:
     """Error of the final model by trial, rad."""
     rows = [
-        (t.get("trial"), t.get("after") if t.get("after") is not None else t.get("before")) for t in error["per_trial"]
+        (t.get("trial"), t.get("after") if t.get("after") is not None else t.get("before"))
+        for t in error["per_trial"]
     ]
     return {str(name): float(e) for name, e in rows if e is not None}
 
@@ -89,7 +113,8 @@ def sentences(differ: Differ, channels: Channels) -> list[str]:
     if differ.kind and differ.size is not None:
         alike = [_alike(k) for k in differ.alike]
         out.append(
-            f"{_differs(differ.kind)} from trial to trial, {_spread(differ.kind, differ.size, channels)}: that is "
+            f"{_differs(differ.kind)} from trial to trial, "
+            f"{_spread(differ.kind, differ.size, channels)}: that is "
             f"{100 * differ.takes:.0f} % of what the model leaves unexplained"
             + (f" ({' or '.join(alike)} would do as well)" if alike else "")
             + ", or an effect without a name that acts otherwise in each trial"
@@ -100,8 +125,12 @@ def sentences(differ: Differ, channels: Channels) -> list[str]:
 
 
 def _alike(kind: str) -> str:
-    return {"zero": "zeros", "torque_scale": "a scale of the torques", "torque_offset": "a constant torque",
-            "load": "another load"}[kind] + " of each trial's own"  # fmt: skip
+    return {
+        "zero": "zeros",
+        "torque_scale": "a scale of the torques",
+        "torque_offset": "a constant torque",
+        "load": "another load",
+    }[kind] + " of each trial's own"
 
 
 def _mend(differ: Differ) -> str:
@@ -109,7 +138,8 @@ def _mend(differ: Differ) -> str:
         return f"leave the odd ones out: --without {','.join(differ.apart)}"
     if differ.kind == "zero":
         return (
-            "zero the encoders once for all trials, or subtract what report.json says under trials; sizes of effects are not sure "
+            "zero the encoders once for all trials, or subtract what report.json says under "
+            "trials; sizes of effects are not sure "
             "until then"
         )
     if differ.kind == "load":
@@ -122,20 +152,27 @@ def _spread(kind: str, size: np.ndarray, channels: Channels) -> str:
     if kind == "load":
         return f"by about {100 * wide[0]:.2g} % of the torque"
     names = channels.q if kind == "zero" else channels.tau
-    parts = [(n, w, _amount(kind, w, h)) for n, w, h in zip(names, wide, channels.hinges, strict=True)]
+    parts = [
+        (n, w, _amount(kind, w, h)) for n, w, h in zip(names, wide, channels.hinges, strict=True)
+    ]
     most = max(w for _, w, _ in parts)
     return "by about " + ", ".join(f"{a} in {n}" for n, w, a in parts if w > 0.1 * most)
 
 
 def _amount(kind: str, size: float, hinge: bool) -> str:
     if kind == "zero":
-        return f"{size:.2g} rad ({np.degrees(size):.2g} degrees)" if hinge else f"{1e3 * size:.2g} mm"
-    return f"{100 * size:.2g} %" if kind == "torque_scale" else f"{size:.2g} N m"
+        if hinge:
+            return f"{size:.2g} rad ({np.degrees(size):.2g} degrees)"
+        return f"{1e3 * size:.2g} mm"
+    if kind == "torque_scale":
+        return f"{100 * size:.2g} %"
+    return f"{size:.2g} N m"
 
 
 def _odd(o: Odd, channels: Channels) -> str:
     why = (
-        "nothing simple explains it: did a drive trip, a sensor drop out, are its columns or units other, or does an effect act that "
+        "nothing simple explains it: did a drive trip, a sensor drop out, are its columns or units "
+        "other, or does an effect act that "
         "the other trials hardly show?"
     )
     if o.kind == "load":
@@ -143,10 +180,15 @@ def _odd(o: Odd, channels: Channels) -> str:
     elif o.kind:
         names = channels.q if o.kind == "zero" else channels.tau
         k = int(np.argmax(np.abs(o.size)))
-        what = {"zero": "zeros", "torque_scale": "torques' scale", "torque_offset": "constant torques"}[o.kind]
+        what = {
+            "zero": "zeros",
+            "torque_scale": "torques' scale",
+            "torque_offset": "constant torques",
+        }[o.kind]
         why = f"its {what} look otherwise, by {_amount(o.kind, o.size[k], channels.hinges[k])} in {names[k]}"
     return (
-        f"{o.trial} does not follow the model of the other trials ({o.times:.0f} times as much torque is unexplained): {why}; "
+        f"{o.trial} does not follow the model of the other trials ({o.times:.0f} times as much "
+        f"torque is unexplained): {why}; "
         f"leave it out: --without {o.trial}"
     )
 
@@ -156,10 +198,22 @@ def _each(differ: Differ, i: int, error: Mapping[str, Any], channels: Channels) 
     odd = next((o for o in differ.odd if o.trial == name), None)
     size: Any = None
     if differ.kind and differ.size is not None and np.all(np.isfinite(differ.size[i])):
-        names = ("share",) if differ.kind == "load" else channels.q if differ.kind == "zero" else channels.tau
+        if differ.kind == "load":
+            names = ("share",)
+        elif differ.kind == "zero":
+            names = channels.q
+        else:
+            names = channels.tau
         size = dict(zip(names, map(float, differ.size[i]), strict=True))
-    unexplained = float(differ.error[i]) if np.isfinite(differ.error[i]) else None
+    if np.isfinite(differ.error[i]):
+        unexplained = float(differ.error[i])
+    else:
+        unexplained = None
     return {
-        "trial": name, "error": _errors(error).get(name), "unexplained_torque": unexplained, "size": size,
-        "odd": odd is not None or name in differ.apart, "kind": odd.kind or None if odd else None,
-    }  # fmt: skip
+        "trial": name,
+        "error": _errors(error).get(name),
+        "unexplained_torque": unexplained,
+        "size": size,
+        "odd": odd is not None or name in differ.apart,
+        "kind": odd.kind or None if odd else None,
+    }

@@ -1,9 +1,11 @@
-"""Whether trials of one recording were made by one machine: zeros, loads, torque scales and offsets that differ from trial to trial.
+"""Whether trials of one recording were made by one machine: zeros, loads, torque scales and offsets
+that differ from trial to trial.
 
-The torque that moves a mechanism is linear in its parameters (`quality.hypotheses`), and in small changes of an angle's zero, of a
-load, of a torque's scale or of a constant torque. Each of these is given to every trial by itself, fitted to some pieces of the
-trials and judged on the others, so that what a model lacks alike in all trials is taken for nothing; smooth forces of each joint's
-own angle and speed, alike in all trials, stand for what it lacks. NumPy and SciPy alone.
+The torque that moves a mechanism is linear in its parameters (`quality.hypotheses`), and in small
+changes of an angle's zero, of a load, of a torque's scale or of a constant torque. Each of these is
+given to every trial by itself, fitted to some pieces of the trials and judged on the others, so
+that what a model lacks alike in all trials is taken for nothing; smooth forces of each joint's own
+angle and speed, alike in all trials, stand for what it lacks. NumPy and SciPy alone.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,8 +32,9 @@ from adaptsim_jax.logs.quality.trial_windows import (
 )
 
 TAKES = {"zero": 0.5, "torque_scale": 0.75, "torque_offset": 0.5, "load": 0.85}
-"""Share of the unexplained torque's square that a difference must take away in pieces that it was not fitted to. Drives that saturate
-or play have another scale in every trial by themselves."""
+"""Share of the unexplained torque's square that a difference must take away in pieces that it was
+not fitted to. Drives that saturate or play have another scale in every trial by themselves.
+"""
 ALPHA = 1e-4
 """Family-wise level of the test between trials."""
 ALIKE = 0.8
@@ -42,17 +45,22 @@ LIKELY, WIDEST = 0.1, 0.1
 SMALL = 1e-3
 """rad by which a zero is moved to see what that does."""
 APART, TIMES, SHARE = 4.0, 3.0, 0.02
-"""An odd trial: robust standard deviations and times that its error is above the others', and least share of its torque's square."""
+"""An odd trial: robust standard deviations and times that its error is above the others', and least
+share of its torque's square.
+"""
 LIGHTEST = -0.5
 """Share of a mechanism's torque that a load may take off it: what looks lighter is no load."""
 OWN = 0.8
-"""Share of an odd trial's error that a difference of its own must take away to be told for its reason."""
+"""Share of an odd trial's error that a difference of its own must take away to be told for its
+reason.
+"""
 
 
 @dataclass(frozen=True)
 class Odd:
-    """A trial apart from the others: its unexplained torque is `times` theirs. `kind`: what of it is otherwise, by `size [S]` (see
-    `Differ`); empty where none of the kinds explains it."""
+    """A trial apart from the others: its unexplained torque is `times` theirs. `kind`: what of it
+    is otherwise, by `size [S]` (see `Differ`); empty where none of the kinds explains it.
+    """
 
     trial: str
     times: float
@@ -62,10 +70,12 @@ class Odd:
 
 @dataclass(frozen=True)
 class Differ:
-    """What differs between trials. `error [T]`: RMS of the unexplained torque over the torque's spread, NaN where not judged; `kind`:
-    what differs in all of them, empty for nothing; `size [T, S]` of it from the middle trial's (rad or m, N m, or a share of the
-    torque that goes with it); `takes`: share of the unexplained torque's square that goes with it; `alike`: kinds that do about as
-    well; `odd`: trials apart from the rest."""
+    """What differs between trials. `error [T]`: RMS of the unexplained torque over the torque's
+    spread, NaN where not judged; `kind`: what differs in all of them, empty for nothing; `size [T,
+    S]` of it from the middle trial's (rad or m, N m, or a share of the torque that goes with it);
+    `takes`: share of the unexplained torque's square that goes with it; `alike`: kinds that do
+    about as well; `odd`: trials apart from the rest.
+    """
 
     names: tuple[str, ...]
     error: np.ndarray
@@ -88,17 +98,21 @@ class Differ:
         far = np.nanmax(np.abs(np.nan_to_num(self.size)), axis=1)
         usual = float(np.median(far[np.isfinite(self.error)]))
         few = far > np.maximum(TIMES * usual, 0.3 * far.max())
-        return tuple(n for n, x in zip(self.names, few, strict=True) if x) if 3 * few.sum() <= len(far) else ()
+        if 3 * few.sum() <= len(far):
+            return tuple(n for n, x in zip(self.names, few, strict=True) if x)
+        return ()
 
 
 Columns = Callable[[Rows, np.ndarray], np.ndarray]
-"""`(rows, parameters [P]) -> [K, n, S]`: torque by unit of each number that a trial has of its own."""
+"""`(rows, parameters [P]) -> [K, n, S]`: torque by unit of each number that a trial has of its own.
+"""
 
 
 def trials_differ(names: Sequence[str], tracks: Sequence[Track], design: Design) -> Differ | None:
     """What differs between trials, and which of them are apart; None where that cannot be told.
 
-    names, tracks `[T]`; design: torque by unit of each of the mechanism's parameters, as of `hypotheses.unexplained`.
+    names, tracks `[T]`; design: torque by unit of each of the mechanism's parameters, as of
+    `hypotheses.unexplained`.
     """
     rows = rows_of(tracks, design)
     if rows is None:
@@ -109,14 +123,19 @@ def trials_differ(names: Sequence[str], tracks: Sequence[Track], design: Design)
     whole[seen] = error
     apart = [int(t) for t in seen[_apart(error)]]
     rest = part_of(rows, np.flatnonzero(~np.isin(rows.trial, apart)))
-    common = _common(rest, len(names)) if len(np.unique(rest.trial)) >= LEAST_TRIALS else ("", None, 0.0, ())
+    if len(np.unique(rest.trial)) >= LEAST_TRIALS:
+        common = _common(rest, len(names))
+    else:
+        common = ("", None, 0.0, ())
     usual = float(np.median(error))
     odd = tuple(_reason(rows, rest, t, names[t], float(error[seen == t][0]) / usual) for t in apart)
     return Differ(tuple(names), whole, *common, odd)
 
 
 def _errors(rows: Rows, seen: np.ndarray) -> np.ndarray:
-    """RMS by trial of what parameters from the other trials leave, with or without smooth forces, odd trials counting less."""
+    """RMS by trial of what parameters from the other trials leave, with or without smooth forces,
+    odd trials counting less.
+    """
     plain = rows.rigid + 3 * rows.tau.shape[1]
     return np.minimum(*(_left_out(rows, seen, least) for least in (plain, 0)))
 
@@ -128,16 +147,28 @@ def _left_out(rows: Rows, seen: np.ndarray, least: int) -> np.ndarray:
     for _ in range(ROUNDS):
         gram = sum(w * g[0] for w, g in zip(worth, grams, strict=True))
         right = sum(w * g[1] for w, g in zip(worth, grams, strict=True))
-        error = np.array([
-            np.sqrt(np.mean(unexplained_of(part_of(rows, rows.trial == t), solved(gram - w * g[0], right - w * g[1])) ** 2))
-            for t, w, g in zip(seen, worth, grams, strict=True)
-        ])  # fmt: skip
+        error = np.array(
+            [
+                np.sqrt(
+                    np.mean(
+                        unexplained_of(
+                            part_of(rows, rows.trial == t),
+                            solved(gram - w * g[0], right - w * g[1]),
+                        )
+                        ** 2
+                    )
+                )
+                for t, w, g in zip(seen, worth, grams, strict=True)
+            ]
+        )
         worth = 1.0 / np.square(np.maximum(1.0, error / max(float(np.median(error)), 1e-12)))
     return error
 
 
 def _apart(error: np.ndarray) -> np.ndarray:
-    """Trials whose error is far above the others', by the median and the median absolute deviation of its logarithm."""
+    """Trials whose error is far above the others', by the median and the median absolute deviation
+    of its logarithm.
+    """
     log = np.log(np.maximum(error, 1e-12))
     middle = float(np.median(log))
     spread = 1.4826 * float(np.median(np.abs(log - middle)))
@@ -146,7 +177,10 @@ def _apart(error: np.ndarray) -> np.ndarray:
 
 def kinds(n: int) -> dict[str, Columns]:
     """Ways in which trials may differ, of a mechanism of `n` joints."""
-    each = lambda value: value[:, :, None] * np.eye(n)
+
+    def each(value):
+        return value[:, :, None] * np.eye(n)
+
     return {
         "zero": _moved,
         "torque_scale": lambda rows, x: -each(rows.tau),
@@ -161,13 +195,18 @@ def _moved(rows: Rows, x: np.ndarray) -> np.ndarray:
     out = []
     for j in range(n):
         step = np.where(np.arange(n) == j, SMALL, 0.0)
-        up, down = (over_blocks(rows.design, replace(rows.fine, q=rows.fine.q + s * step)) for s in (1.0, -1.0))
+        up, down = (
+            over_blocks(rows.design, replace(rows.fine, q=rows.fine.q + s * step))
+            for s in (1.0, -1.0)
+        )
         out.append(rows.averaged(-(up - down) @ own / (2.0 * SMALL)))
     return np.stack(out, 2)
 
 
 def _common(rows: Rows, count: int) -> tuple[str, np.ndarray | None, float, tuple[str, ...]]:
-    """The kind that takes most of what is unexplained in trials, its size by trial `[count, S]`, what it takes, and kinds alike."""
+    """The kind that takes most of what is unexplained in trials, its size by trial `[count, S]`,
+    what it takes, and kinds alike.
+    """
     seen, x = np.unique(rows.trial), fitted(rows)
     own = {name: columns(rows, x) for name, columns in kinds(rows.tau.shape[1]).items()}
     takes = {}
@@ -180,42 +219,69 @@ def _common(rows: Rows, count: int) -> tuple[str, np.ndarray | None, float, tupl
     if not found:
         return "", None, 0.0, ()
     best = next(iter(found))
-    for name, t in found.items():  # the first, which is the commonest, stands where another does about as well
+    for (
+        name,
+        t,
+    ) in (
+        found.items()
+    ):  # the first, which is the commonest, stands where another does about as well
         best = name if 1.0 - t < ALIKE * (1.0 - found[best]) else best
     size = np.full((count, own[best].shape[2]), np.nan)
-    plain = lambda: _numbers(rows, own[best], rows.trial, seen, best != "torque_scale")[1]
+
+    def plain():
+        return _numbers(rows, own[best], rows.trial, seen, best != "torque_scale")[1]
+
     size[seen] = _refined_zeros(rows, seen) if best == "zero" else plain()
-    alike = tuple(n for n, t in found.items() if n != best and ALIKE * (1.0 - t) < 1.0 - found[best])
-    return best, _told(best, rows, own[best], x, size - np.nanmedian(size, axis=0)), found[best], alike
+    alike = tuple(
+        n for n, t in found.items() if n != best and ALIKE * (1.0 - t) < 1.0 - found[best]
+    )
+    return (
+        best,
+        _told(best, rows, own[best], x, size - np.nanmedian(size, axis=0)),
+        found[best],
+        alike,
+    )
 
 
 def _takes(rows: Rows, own: np.ndarray, shared: bool) -> float:
-    """Share of the square of what is left in half of the pieces that goes with numbers of each trial's own from the other half."""
+    """Share of the square of what is left in half of the pieces that goes with numbers of each
+    trial's own from the other half.
+    """
     before = after = 0.0
     for half in (0, 1):
         known, judged = part_of(rows, rows.half == half), part_of(rows, rows.half != half)
         seen = np.intersect1d(known.trial, judged.trial)
         x, mine = _numbers(known, own[rows.half == half], known.trial, seen, shared)
-        more = np.einsum("kns,ks->kn", own[rows.half != half], mine[np.searchsorted(seen, judged.trial)])
+        more = np.einsum(
+            "kns,ks->kn", own[rows.half != half], mine[np.searchsorted(seen, judged.trial)]
+        )
         after += float(np.sum((unexplained_of(judged, x) - more * rows.weight) ** 2))
         before += float(np.sum(unexplained_of(judged, fitted(known)) ** 2))
     return 1.0 - after / max(before, 1e-300)
 
 
-def _numbers(rows: Rows, own, label: np.ndarray, seen: np.ndarray, shared: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Parameters `[P]` and numbers `[T, S]` of each label's own. shared: together; else the numbers after the parameters, since all
-    torques and all parameters may shrink alike."""
+def _numbers(
+    rows: Rows, own, label: np.ndarray, seen: np.ndarray, shared: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Parameters `[P]` and numbers `[T, S]` of each label's own. shared: together; else the numbers
+    after the parameters, since all torques and all parameters may shrink alike.
+    """
     if shared:
         return jointly(rows, own, label, seen)
     x = fitted(rows)
     left, weighed = unexplained_of(rows, x), own * rows.weight[:, None]
     return x, np.stack(
-        [least_squares(weighed[label == t].reshape(-1, own.shape[2]), left[label == t].ravel()) for t in seen]
+        [
+            least_squares(weighed[label == t].reshape(-1, own.shape[2]), left[label == t].ravel())
+            for t in seen
+        ]
     )
 
 
 def _refined_zeros(rows: Rows, seen: np.ndarray) -> np.ndarray:
-    """Zeros `[T, n]` together with the parameters, by Gauss and Newton's steps: wide zeros move the parameters too."""
+    """Zeros `[T, n]` together with the parameters, by Gauss and Newton's steps: wide zeros move the
+    parameters too.
+    """
     n = rows.tau.shape[1]
     size, now = np.zeros((len(seen), n)), rows
     for _ in range(ROUNDS):
@@ -228,7 +294,9 @@ def _refined_zeros(rows: Rows, seen: np.ndarray) -> np.ndarray:
 
 
 def _steady(rows: Rows, own: np.ndarray, seen: np.ndarray, shared: bool) -> bool:
-    """Whether a trial's numbers agree between its pieces and differ between trials: an analysis of variance for each number."""
+    """Whether a trial's numbers agree between its pieces and differ between trials: an analysis of
+    variance for each number.
+    """
     label = rows.trial * PIECES + rows.piece
     table = _numbers(rows, own, label, np.unique(label), shared)[1].reshape(len(seen), PIECES, -1)
     middle = table.mean(1)
@@ -246,12 +314,16 @@ def _told(name: str, rows: Rows, own: np.ndarray, x: np.ndarray, size: np.ndarra
     out = np.full((len(size), 1), np.nan)
     for t in np.flatnonzero(np.all(np.isfinite(size), axis=1)):
         here = rows.trial == t
-        out[t] = np.sum((own[here] @ size[t]) * whole[here]) / max(float(np.sum(whole[here] ** 2)), 1e-300)
+        out[t] = np.sum((own[here] @ size[t]) * whole[here]) / max(
+            float(np.sum(whole[here] ** 2)), 1e-300
+        )
     return out
 
 
 def _reason(rows: Rows, rest: Rows, t: int, name: str, times: float) -> Odd:
-    """What of trial `t` is otherwise than in `rest`: the kind that takes most of its error in pieces not fitted to."""
+    """What of trial `t` is otherwise than in `rest`: the kind that takes most of its error in
+    pieces not fitted to.
+    """
     mine = part_of(rows, rows.trial == t)
     x = fitted(rest)
     left = unexplained_of(mine, x)
@@ -259,16 +331,22 @@ def _reason(rows: Rows, rest: Rows, t: int, name: str, times: float) -> Odd:
     most = OWN
     for kind, columns in kinds(rows.fine.q.shape[1]).items():
         own = columns(mine, x) * rows.weight[:, None]
-        fit = lambda keep, own=own: least_squares(own[keep].reshape(-1, own.shape[2]), left[keep].ravel())
+
+        def fit(keep, own=own):
+            return least_squares(own[keep].reshape(-1, own.shape[2]), left[keep].ravel())
+
         after = sum(
-            float(np.sum((left[mine.half != h] - own[mine.half != h] @ fit(mine.half == h)) ** 2)) for h in (0, 1)
+            float(np.sum((left[mine.half != h] - own[mine.half != h] @ fit(mine.half == h)) ** 2))
+            for h in (0, 1)
         )
         takes = 1.0 - after / max(float(np.sum(left**2)), 1e-300)
         if takes > most:
             size = np.full((t + 1, own.shape[2]), np.nan)
             size[t] = fit(np.ones(len(left), bool))
             shown = _told(kind, mine, columns(mine, x), x, size)[t]
-            if (kind == "load" and np.min(shown) < LIGHTEST) or (kind == "zero" and np.max(np.abs(shown)) > np.pi):
+            if (kind == "load" and np.min(shown) < LIGHTEST) or (
+                kind == "zero" and np.max(np.abs(shown)) > np.pi
+            ):
                 continue
             best, most = Odd(name, times, kind, tuple(float(z) for z in shown)), takes
     return best

@@ -1,4 +1,6 @@
-"""Whole turns that an encoder counting within one period leaves out of an angle, between neighbouring rows and across gaps."""
+"""Whole turns that an encoder counting within one period leaves out of an angle, between
+neighbouring rows and across gaps.
+"""
 
 from dataclasses import dataclass
 
@@ -17,8 +19,9 @@ GAP = 2.5
 
 @dataclass(frozen=True)
 class Turns:
-    """`q [T]` without jumps of whole periods, `count` of them taken out, `period` in rad; `unsure`: rows before a gap in which an
-    encoder that wraps may have counted more than can be told."""
+    """`q [T]` without jumps of whole periods, `count` of them taken out, `period` in rad; `unsure`:
+    rows before a gap in which an encoder that wraps may have counted more than can be told.
+    """
 
     q: np.ndarray
     count: int
@@ -29,7 +32,8 @@ class Turns:
 def without_turns(time: np.ndarray, q: np.ndarray) -> Turns:
     """Take jumps of whole periods out of `q [T]` rad at `time [T]` s, both finite.
 
-    A period is a turn, or what an encoder that starts anew elsewhere betrays: jumps alike, as far as its whole range.
+    A period is a turn, or what an encoder that starts anew elsewhere betrays: jumps alike, as far
+    as its whole range.
     """
     if len(q) < 4:
         return Turns(q, 0, TURN)
@@ -42,9 +46,13 @@ def without_turns(time: np.ndarray, q: np.ndarray) -> Turns:
     turns = np.round((jump - np.where(gap, expected, 0.0)) / period)
     miss = np.abs(jump - np.where(gap, expected, 0.0) - turns * period)
     within = _within_one_period(q, period)
-    counted = np.where(gap, within & (miss < SHARE * period) & (dt < LONGEST), miss < min(NEAR, SHARE * period))
+    counted = np.where(
+        gap, within & (miss < SHARE * period) & (dt < LONGEST), miss < min(NEAR, SHARE * period)
+    )
     taken = np.where(counted, turns, 0.0)
-    between = ~gap & (np.abs(near) > 0.25 * period)  # an encoder that wraps jumps by its period, or hardly moves
+    between = ~gap & (
+        np.abs(near) > 0.25 * period
+    )  # an encoder that wraps jumps by its period, or hardly moves
     if np.sum(between) >= np.count_nonzero(taken):
         taken = np.where(gap, taken, 0.0)
     moved = np.abs(expected) > 0.25 * period
@@ -56,12 +64,16 @@ def without_turns(time: np.ndarray, q: np.ndarray) -> Turns:
 
 
 BESIDE = 0.25
-"""Share of the square of its distance from the angle that a target must lose by turns to be given them."""
+"""Share of the square of its distance from the angle that a target must lose by turns to be given
+them.
+"""
 
 
 def followed_turns(q: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """A target `[T]` rad with the whole turns of the angle `q [T]` that it commands, from which turns were taken out: it jumps
-    where the driver counts anew, at rows of its own. Both may be NaN; as it is where turns do not bring it to the angle."""
+    """A target `[T]` rad with the whole turns of the angle `q [T]` that it commands, from which
+    turns were taken out: it jumps where the driver counts anew, at rows of its own. Both may be
+    NaN; as it is where turns do not bring it to the angle.
+    """
     here = np.flatnonzero(np.isfinite(q) & np.isfinite(target))
     if len(here) < 4:
         return target
@@ -80,7 +92,9 @@ def followed_turns(q: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 
 def _mean_of_sides(speed: np.ndarray) -> np.ndarray:
-    """For each step the mean of the speeds just before and after it, of three steps each; 0 where there are none."""
+    """For each step the mean of the speeds just before and after it, of three steps each; 0 where
+    there are none.
+    """
     n = len(speed)
     padded = np.concatenate([np.full(3, np.nan), speed, np.full(3, np.nan)])
     before = np.stack([padded[k : k + n] for k in range(3)])
@@ -88,14 +102,20 @@ def _mean_of_sides(speed: np.ndarray) -> np.ndarray:
     sides = []
     for side in (before, after):
         here = np.isfinite(side)
-        sides.append(np.where(here.any(0), np.where(here, side, 0.0).sum(0) / np.maximum(here.sum(0), 1), np.nan))
+        sides.append(
+            np.where(
+                here.any(0), np.where(here, side, 0.0).sum(0) / np.maximum(here.sum(0), 1), np.nan
+            )
+        )
     first, second = sides
     both = np.where(np.isfinite(first), first, second), np.where(np.isfinite(second), second, first)
     return np.nan_to_num(0.5 * (both[0] + both[1]))
 
 
 def _within_one_period(q: np.ndarray, period: float) -> bool:
-    """Whether the angle never leaves one period from -period/2 or from 0, and comes near both of its ends."""
+    """Whether the angle never leaves one period from -period/2 or from 0, and comes near both of
+    its ends.
+    """
     slack, low, high = 0.01 * period, float(q.min()), float(q.max())
     return any(
         start - slack <= low < start + 0.25 * period and end - 0.25 * period < high <= end + slack
@@ -104,8 +124,9 @@ def _within_one_period(q: np.ndarray, period: float) -> bool:
 
 
 def _other_period(q: np.ndarray, near: np.ndarray) -> float | None:
-    """A period that is no turn: several jumps alike between neighbouring rows (`near [T-1]`), far beyond all other steps, and nearly
-    as wide as the angle's range."""
+    """A period that is no turn: several jumps alike between neighbouring rows (`near [T-1]`), far
+    beyond all other steps, and nearly as wide as the angle's range.
+    """
     step = np.abs(np.diff(q))[near]
     span = float(np.ptp(q))
     high = step > 0.8 * span

@@ -1,9 +1,9 @@
 """Double pendulum linearized about upright (paper, section 5.1), propagated exactly.
 
-Unit links with point masses at their ends; `params: [4]` are `m1, m2` (kg) and the viscous joint dampings
-`b1, b2` (N m s/rad); the state is `(q1, q2, v1, v2)` (rad, rad/s) with q2 relative to link 1 and zero
-upright. Between samples the closed loop is a matrix power, so a cost over 1000 samples takes a dozen products
-instead of 1000 steps.
+Unit links with point masses at their ends; `params: [4]` are `m1, m2` (kg) and the viscous joint
+dampings `b1, b2` (N m s/rad); the state is `(q1, q2, v1, v2)` (rad, rad/s) with q2 relative to link
+1 and zero upright. Between samples the closed loop is a matrix power, so a cost over 1000 samples
+takes a dozen products instead of 1000 steps.
 """
 
 from collections.abc import Sequence
@@ -25,16 +25,21 @@ HORIZON = 2.5  # s
 SAMPLES = 1000  # equispaced over the horizon, both ends included
 START = (-np.pi, 0.0, 0.0, 0.0)  # hanging straight down
 SNAPSHOTS = tuple(range(81, 973, 81))  # 12 points spread over the horizon: the standard observation
-LATE_SNAPSHOTS = tuple(int(i) for i in np.round(np.linspace(0.8 * (SAMPLES - 1), SAMPLES - 1, 12)))  # last 0.5 s
+LATE_SNAPSHOTS = tuple(
+    int(i) for i in np.round(np.linspace(0.8 * (SAMPLES - 1), SAMPLES - 1, 12))
+)  # last 0.5 s
 COST_CEILING = 1e20  # what an overflowing cost is reported as
 
 OK, UNSTABLE, OVERFLOW = 0, 1, 2
-"""Codes of `rollout`. UNSTABLE: the closed loop is; its cost over the horizon is finite and exact. OVERFLOW: within the horizon, or
-input that is not finite; the cost is a ceiling."""
+"""Codes of `rollout`. UNSTABLE: the closed loop is; its cost over the horizon is finite and exact.
+OVERFLOW: within the horizon, or input that is not finite; the cost is a ceiling.
+"""
 
 
 class LinearRollout(NamedTuple):
-    """`cost: []` summed over the samples, `points: [K, 4]` states at wanted samples, `code: []` int32."""
+    """`cost: []` summed over the samples, `points: [K, 4]` states at wanted samples, `code: []`
+    int32.
+    """
 
     cost: Array
     points: Array
@@ -42,7 +47,9 @@ class LinearRollout(NamedTuple):
 
 
 def linearized(params: Array, gravity: float = GRAVITY) -> tuple[Array, Array]:
-    """`params: [4] -> A [4, 4], B [4, 2]` of `dx/dt = A x + B tau`, `tau: [2]` N m at the joints."""
+    """`params: [4] -> A [4, 4], B [4, 2]` of `dx/dt = A x + B tau`, `tau: [2]` N m at the
+    joints.
+    """
     m1, m2, b1, b2 = params
     ratio, zero, one = m2 / m1, jnp.zeros_like(m1), jnp.ones_like(m1)
     # Inverse of the upright mass matrix [[m1 + 4 m2, 2 m2], [2 m2, m2]], written out.
@@ -58,7 +65,9 @@ def linearized(params: Array, gravity: float = GRAVITY) -> tuple[Array, Array]:
 
 
 def optimal_gain(params: Array) -> LqrGain:
-    """LQR `gain: [2, 4]` for `params: [4]` with unit weights, `u = -gain x`, and its Riccati code."""
+    """LQR `gain: [2, 4]` for `params: [4]` with unit weights, `u = -gain x`, and its Riccati
+    code.
+    """
     A, B = linearized(params)
     return lqr_gain(A, B, jnp.eye(4, dtype=A.dtype), jnp.eye(2, dtype=A.dtype))
 
@@ -66,21 +75,28 @@ def optimal_gain(params: Array) -> LqrGain:
 def rollout(params: Array, gain: Array, indices: Sequence[int] = SNAPSHOTS) -> LinearRollout:
     """Closed loop `u = -gain x` from hanging: `params: [4]`, `gain: [2, 4]` -> cost, points, code.
 
-    The cost is the plain sum of `x'x + u'u` over the 1000 samples of [0, 2.5] s; `indices` (static) are the
-    samples wanted as points. Nothing returned is NaN or infinite: an unstable loop says so in its code.
+    The cost is the plain sum of `x'x + u'u` over the 1000 samples of [0, 2.5] s; `indices` (static)
+    are the samples wanted as points. Nothing returned is NaN or infinite: an unstable loop says so
+    in its code.
     """
     A, B = linearized(params)
     return linear_rollout(A, B, gain, jnp.asarray(START, A.dtype), tuple(indices))
 
 
-def linear_rollout(A: Array, B: Array, gain: Array, x0: Array, indices: tuple[int, ...]) -> LinearRollout:
+def linear_rollout(
+    A: Array, B: Array, gain: Array, x0: Array, indices: tuple[int, ...]
+) -> LinearRollout:
     """`rollout` for any `A: [n, n]`, `B: [n, m]`, `gain: [m, n]` and start `x0: [n]`."""
     cost, points, code = _propagate(tuple(indices), A - mm(B, gain), gain, x0)
     return LinearRollout(cost, points, code.astype(jnp.int32))
 
 
-def linear_trajectory(A: Array, B: Array, gain: Array, x0: Array, times: Array) -> tuple[Array, Array]:
-    """States `[T, n]` and commands `[T, m]` under `u = -gain x` at equispaced `times: [T]` s from 0."""
+def linear_trajectory(
+    A: Array, B: Array, gain: Array, x0: Array, times: Array
+) -> tuple[Array, Array]:
+    """States `[T, n]` and commands `[T, m]` under `u = -gain x` at equispaced `times: [T]` s from
+    0.
+    """
     T = times.shape[0]
     power = transition(A - mm(B, gain), times[1] - times[0])
     states = x0[None]
@@ -102,7 +118,9 @@ _TERMS = 8
 
 
 def _expm1(X: Array) -> Array:
-    """`exp(X) - I`. Without the identity, slow modes keep their digits in single precision. `[n, n, ...]`."""
+    """`exp(X) - I`. Without the identity, slow modes keep their digits in single precision. `[n, n,
+    ...]`.
+    """
     size = norm(X)[None, None]
     halvings = jnp.clip(jnp.ceil(jnp.log2(jnp.maximum(size, 1e-30)) + 1), 0, _SQUARINGS)
     X = X * 2.0**-halvings
@@ -118,7 +136,9 @@ def _expm1(X: Array) -> Array:
 
 
 def _powers_and_sums(E: Array, C: Array, count: int) -> tuple[Array, Array]:
-    """With `F = I + E`, for every k with `2^k <= count`: `F^(2^k) - I`, and `sum_{i < 2^k} F'^i C F^i`."""
+    """With `F = I + E`, for every k with `2^k <= count`: `F^(2^k) - I`, and `sum_{i < 2^k} F'^i C
+    F^i`.
+    """
 
     def double(carry: tuple[Array, Array], _: None) -> Any:
         E, S = carry
@@ -129,7 +149,9 @@ def _powers_and_sums(E: Array, C: Array, count: int) -> tuple[Array, Array]:
 
 
 def _sum_along(powers: Array, sums: Array, x0: Array, count: int) -> Array:
-    """`sum_{i < count} x_i' C x_i` over the states from `x0: [n, ...]`, by the binary digits of `count`."""
+    """`sum_{i < count} x_i' C x_i` over the states from `x0: [n, ...]`, by the binary digits of
+    `count`.
+    """
     digits = np.array([k for k in range(count.bit_length()) if count >> k & 1])
 
     def add(x: Array, ES: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -149,10 +171,14 @@ def _power(powers: Array, count: int) -> Array:
 
 
 def _points(powers: Array, x0: Array, indices: tuple[int, ...]) -> Array:
-    """States at increasing sample `indices`, `[K, n, ...]`, hopping by matrices that equal gaps share."""
+    """States at increasing sample `indices`, `[K, n, ...]`, hopping by matrices that equal gaps
+    share.
+    """
     gaps = np.diff(indices, prepend=0)
     sizes = sorted(set(gaps.tolist()))
-    hops = jnp.stack([_power(powers, size) if size else jnp.zeros_like(powers[0]) for size in sizes])
+    hops = jnp.stack(
+        [_power(powers, size) if size else jnp.zeros_like(powers[0]) for size in sizes]
+    )
 
     def hop(x: Array, which: Array) -> tuple[Array, Array]:
         x = x + mv(hops[which], x)
@@ -161,7 +187,9 @@ def _points(powers: Array, x0: Array, indices: tuple[int, ...]) -> Array:
     return lax.scan(hop, x0, np.searchsorted(sizes, gaps))[1]
 
 
-def _propagate_plain(indices: tuple[int, ...], closed: Array, gain: Array, x0: Array) -> tuple[Array, Array, Array]:
+def _propagate_plain(
+    indices: tuple[int, ...], closed: Array, gain: Array, x0: Array
+) -> tuple[Array, Array, Array]:
     """Cost, points and code for `closed: [n, n, ...]`, `gain: [m, n, ...]`, `x0: [n, ...]`."""
     E = _expm1(closed * (HORIZON / (SAMPLES - 1)))
     C = eye_like(closed) + mm(transpose(gain), gain)
@@ -184,7 +212,9 @@ def _stability(F: Array) -> Array:
 
 @cache
 def _batched(indices: tuple[int, ...]) -> Any:
-    return jax.jit(batch_last(partial(_propagate_plain, indices)))  # jit for those who call it eagerly
+    return jax.jit(
+        batch_last(partial(_propagate_plain, indices))
+    )  # jit for those who call it eagerly
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))

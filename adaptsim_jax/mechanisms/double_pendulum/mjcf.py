@@ -11,10 +11,12 @@ THIN = 1e-2  # of a link's moment about its joint's axis: the moment about its o
 
 
 def links_of(theta: np.ndarray, l1: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Masses, centres along the links and moments about the centres [2] each (kg, m, kg m^2) of base parameters [6].
+    """Masses, centres along the links and moments about the centres [2] each (kg, m, kg m^2) of
+    base parameters [6].
 
-    Many links share one theta; these are in the middle of what is physical: the second mass between the least that its own moments
-    allow and the most that the first link's do. Base parameters that no two bodies have are moved to the nearest that some have.
+    Many links share one theta; these are in the middle of what is physical: the second mass between
+    the least that its own moments allow and the most that the first link's do. Base parameters that
+    no two bodies have are moved to the nearest that some have.
     """
     p1, p3, h1, h2 = (float(z) for z in theta[:4])
     p3 = max(p3, 1e-9)
@@ -29,10 +31,12 @@ def links_of(theta: np.ndarray, l1: float) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 def double_pendulum_mjcf(theta: np.ndarray, geometry: Mapping[str, float], angle_zero: str) -> str:
-    """MJCF text of base parameters `theta [6] = p1, p3, h1, h2, b1, b2` (`plant.py`), geometry `l1` m and `g` m/s^2.
+    """MJCF text of base parameters `theta [6] = p1, p3, h1, h2, b1, b2` (`plant.py`), geometry `l1`
+    m and `g` m/s^2.
 
-    Joints `joint1` and `joint2` (relative) turn about the world's y axis; at zero the links hang or stand as `angle_zero` says. Links
-    are thin: a body that is as thick as long has no less of a moment than its thickness gives it, however it is fitted.
+    Joints `joint1` and `joint2` (relative) turn about the world's y axis; at zero the links hang or
+    stand as `angle_zero` says. Links are thin: a body that is as thick as long has no less of a
+    moment than its thickness gives it, however it is fitted.
     """
     mass, centre, moment = links_of(theta, float(geometry["l1"]))
     down = -1.0 if angle_zero == "hanging" else 1.0
@@ -47,7 +51,8 @@ def double_pendulum_mjcf(theta: np.ndarray, geometry: Mapping[str, float], angle
     return (
         '<mujoco model="double_pendulum">\n'
         '  <compiler angle="radian" inertiafromgeom="false"/>\n'
-        f'  <option timestep="0.001" gravity="0 0 {-float(geometry.get("g", GRAVITY)):.9g}" integrator="implicitfast"/>\n'
+        f'  <option timestep="0.001" gravity="0 0 {-float(geometry.get("g", GRAVITY)):.9g}" '
+        f'integrator="implicitfast"/>\n'
         "  <worldbody>\n"
         f'    <body name="link1">{link[0]}\n'
         f'      <body name="link2" pos="0 0 {down * float(geometry["l1"]):.9g}">{link[1]}</body>\n'

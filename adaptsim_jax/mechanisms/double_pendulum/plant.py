@@ -1,9 +1,10 @@
-"""The declared double pendulum as the closed loop knows it: the paper's linear one, and two rigid links in base parameters.
+"""The declared double pendulum as the closed loop knows it: the paper's linear one, and two rigid
+links in base parameters.
 
-q1 is the angle of link 1 from `angle_zero` (hanging or upright), q2 that of link 2 relative to link 1, both in rad and
-counter-clockwise. All dynamics of rigid links go through six *base parameters* p1, p3, h1, h2 and the joints' dampings b1, b2, the
-most that motion and torque can fix (Gautier & Khalil, "Direct calculation of minimum set of inertial parameters", IEEE T-RA 6(3),
-1990):
+q1 is the angle of link 1 from `angle_zero` (hanging or upright), q2 that of link 2 relative to link
+1, both in rad and counter-clockwise. All dynamics of rigid links go through six *base parameters*
+p1, p3, h1, h2 and the joints' dampings b1, b2, the most that motion and torque can fix (Gautier &
+Khalil, "Direct calculation of minimum set of inertial parameters", IEEE T-RA 6(3), 1990):
 
     M11 = p1 + 2 l1 h2 cos q2    M12 = p3 + l1 h2 cos q2    M22 = p3
     p1 = I1 + m1 c1^2 + I2 + m2 (l1^2 + c2^2)    p3 = I2 + m2 c2^2    (kg m^2)
@@ -22,8 +23,10 @@ from adaptsim_jax.mechanisms.plant import Plant
 
 
 def base_parameters(mass, l1, com, inertia, damping):
-    """`theta [6, ...] = p1, p3, h1, h2, b1, b2` of both links' masses kg, centres along the links m, moments about these kg m^2 and
-    dampings N m s/rad, and the length l1 m; many of these share one theta."""
+    """`theta [6, ...] = p1, p3, h1, h2, b1, b2` of both links' masses kg, centres along the links
+    m, moments about these kg m^2 and dampings N m s/rad, and the length l1 m; many of these share
+    one theta.
+    """
     (m1, m2), (c1, c2), (I1, I2) = mass, com, inertia
     p3 = I2 + m2 * c2**2
     p1 = I1 + m1 * c1**2 + p3 + m2 * l1**2
@@ -39,8 +42,10 @@ def _rigid_mass(c, theta, q):
 
 
 def _rigid_sound(c, theta):
-    """`theta` with the inertias raised until the mass matrix is positive definite at every angle: what a regression says of
-    slow motions need not be. For any two bodies (p1 - p3) p3 >= (l1 h2)^2."""
+    """`theta` with the inertias raised until the mass matrix is positive definite at every angle:
+    what a regression says of slow motions need not be. For any two bodies (p1 - p3) p3 >= (l1
+    h2)^2.
+    """
     p1, p3 = float(theta[0]), float(theta[1])
     couple = (1.05 * float(c["l1"]) * float(theta[3])) ** 2
     if (p1 - p3) * p3 > couple:
@@ -100,42 +105,77 @@ def _linear_push(c, theta, q, v):
     return jnp.stack([g1 - theta[2] * v[0], g2 - theta[3] * v[1]])
 
 
-def linearized_pendulum(angle_zero: str, geometry: Mapping[str, float], known: Mapping[str, float]) -> Plant:
-    """Links of unit length about upright; theta = m1, m2 [kg], b1, b2 [N m s/rad]. geometry: g [m/s^2]. A `known` name of theta is
-    held at its value."""
+def linearized_pendulum(
+    angle_zero: str, geometry: Mapping[str, float], known: Mapping[str, float]
+) -> Plant:
+    """Links of unit length about upright; theta = m1, m2 [kg], b1, b2 [N m s/rad]. geometry: g
+    [m/s^2]. A `known` name of theta is held at its value.
+    """
     low, high = np.array([1e-3, 1e-3, 0.0, 0.0]), np.array([1e3, 1e3, 1e3, 1e3])
     names, units = ("m1", "m2", "b1", "b2"), ("kg", "kg", "N m s/rad", "N m s/rad")
     hold(names, known, low, high)
     constants = {"g": np.asarray(float(geometry.get("g", GRAVITY)))}
     return Plant(
-        "pendulum/linearized", 2, 2, names, units, _linear_mass, _linear_push, _linear_gravity, _linear_push, constants,
-        low, high, None,  # positive masses are enough
-    )  # fmt: skip
+        "pendulum/linearized",
+        2,
+        2,
+        names,
+        units,
+        _linear_mass,
+        _linear_push,
+        _linear_gravity,
+        _linear_push,
+        constants,
+        low,
+        high,
+        None,  # positive masses are enough
+    )
 
 
-def rigid_pendulum(angle_zero: str, geometry: Mapping[str, float], known: Mapping[str, float]) -> Plant:
-    """Two rigid links; theta = p1 = I1 + m1 lc1^2 + m2 l1^2 + p3, p3 = I2 + m2 lc2^2 [kg m^2], h1 = m1 lc1 + m2 l1, h2 = m2 lc2
-    [kg m], b1, b2 [N m s/rad]. geometry: l1 [m], g [m/s^2]. A `known` name of theta is held at its value.
+def rigid_pendulum(
+    angle_zero: str, geometry: Mapping[str, float], known: Mapping[str, float]
+) -> Plant:
+    """Two rigid links; theta = p1 = I1 + m1 lc1^2 + m2 l1^2 + p3, p3 = I2 + m2 lc2^2 [kg m^2], h1 =
+    m1 lc1 + m2 l1, h2 = m2 lc2 [kg m], b1, b2 [N m s/rad]. geometry: l1 [m], g [m/s^2]. A `known`
+    name of theta is held at its value.
 
     Raises BadInput on an unknown angle zero or a missing length.
     """
     if angle_zero not in ("upright", "hanging"):
-        raise BadInput(f"meta.toml: angle_zero {angle_zero!r} is unknown; use 'upright' or 'hanging'")
+        raise BadInput(
+            f"meta.toml: angle_zero {angle_zero!r} is unknown; use 'upright' or 'hanging'"
+        )
     if "l1" not in geometry:
         raise BadInput("meta.toml: [geometry] lacks l1, the length of link 1; add it in metres")
     names = ("p1", "p3", "h1", "h2", "b1", "b2")
     units = ("kg m^2", "kg m^2", "kg m", "kg m", "N m s/rad", "N m s/rad")
-    low, high = np.array([1e-6, 1e-6, -1e2, -1e2, 0.0, 0.0]), np.array([1e3, 1e3, 1e3, 1e3, 1e3, 1e3])
+    low, high = (
+        np.array([1e-6, 1e-6, -1e2, -1e2, 0.0, 0.0]),
+        np.array([1e3, 1e3, 1e3, 1e3, 1e3, 1e3]),
+    )
     hold(names, known, low, high)
     sign = 1.0 if angle_zero == "hanging" else -1.0
     constants = {"l1": geometry["l1"], "g": geometry.get("g", GRAVITY), "gravity_sign": sign}
     return Plant(
-        "pendulum/rigid_body", 2, 2, names, units, _rigid_mass, _rigid_push, _rigid_gravity, _rigid_momentum_push,
-        {k: np.asarray(float(v)) for k, v in constants.items()}, low, high, _rigid_sound,
-    )  # fmt: skip
+        "pendulum/rigid_body",
+        2,
+        2,
+        names,
+        units,
+        _rigid_mass,
+        _rigid_push,
+        _rigid_gravity,
+        _rigid_momentum_push,
+        {k: np.asarray(float(v)) for k, v in constants.items()},
+        low,
+        high,
+        _rigid_sound,
+    )
 
 
-def hold(names: Sequence[str], known: Mapping[str, float], low: np.ndarray, high: np.ndarray) -> None:
+def hold(
+    names: Sequence[str], known: Mapping[str, float], low: np.ndarray, high: np.ndarray
+) -> None:
     """Set both bounds `[P]` of what is known to its value."""
     for i, name in enumerate(names):
         if name in known:

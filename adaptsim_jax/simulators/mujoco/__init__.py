@@ -1,1 +1,3 @@
-"""Whatever MuJoCo compiles, over a recording: at the file's own time step and integrator, its numbers named by field."""
+"""Whatever MuJoCo compiles, over a recording: at the file's own time step and integrator, its
+numbers named by field.
+"""

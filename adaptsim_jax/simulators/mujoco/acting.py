@@ -1,4 +1,6 @@
-"""What acts beside a model's own numbers: commands that are late or shifted, a force on the base, readings that are off."""
+"""What acts beside a model's own numbers: commands that are late or shifted, a force on the base,
+readings that are off.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,7 +20,9 @@ OUTSIDE = (DELAY, SHIFT, WIND, READ, BIAS, TURN, LATE)
 
 @dataclass(frozen=True)
 class Acting:
-    """Of B simulations: late [B] s of all commands; shift [B, nu] of each; force [B, nv] that acts all the time, None: none."""
+    """Of B simulations: late [B] s of all commands; shift [B, nu] of each; force [B, nv] that acts
+    all the time, None: none.
+    """
 
     late: np.ndarray
     shift: np.ndarray
@@ -26,7 +30,9 @@ class Acting:
 
     def of(self, some: slice) -> "Acting":
         """Those alone."""
-        return Acting(self.late[some], self.shift[some], None if self.force is None else self.force[some])
+        return Acting(
+            self.late[some], self.shift[some], None if self.force is None else self.force[some]
+        )
 
 
 def acting(made: Stepped, fields: Sequence[Field], values: np.ndarray) -> Acting:
@@ -44,8 +50,12 @@ def acting(made: Stepped, fields: Sequence[Field], values: np.ndarray) -> Acting
     return Acting(delay, shift, force)
 
 
-def control_of(made: Stepped, stretches: Stretches, lanes: np.ndarray, by: Acting | None) -> tuple[np.ndarray, int]:
-    """(controls [B, S, ...], what of MuJoCo's state they are). Commands between steps are a mix of both."""
+def control_of(
+    made: Stepped, stretches: Stretches, lanes: np.ndarray, by: Acting | None
+) -> tuple[np.ndarray, int]:
+    """(controls [B, S, ...], what of MuJoCo's state they are). Commands between steps are a mix of
+    both.
+    """
     model, control = made.model, stretches.control[lanes]
     command = control.shape[2] == model.nu and model.nu > 0
     if by is not None and np.any(by.late):
@@ -57,11 +67,16 @@ def control_of(made: Stepped, stretches: Stretches, lanes: np.ndarray, by: Actin
         force = np.broadcast_to(by.force[:, None], (*control.shape[:2], model.nv))
         if not command:  # torques were logged: they are forces, too
             return control + force, spec
-        control, spec = np.concatenate([control, force], 2), spec | int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
+        control, spec = (
+            np.concatenate([control, force], 2),
+            spec | int(mujoco.mjtState.mjSTATE_QFRC_APPLIED),
+        )
     return control, spec
 
 
-def as_read(fields: Sequence[Field], values: np.ndarray, read: np.ndarray, time: np.ndarray) -> np.ndarray:
+def as_read(
+    fields: Sequence[Field], values: np.ndarray, read: np.ndarray, time: np.ndarray
+) -> np.ndarray:
     """Channels [B, L, C] as a sensor that is off reads them, by values [B, P]; time [B, L] s."""
     out = read
     for f, value in zip(fields, values.T, strict=True):
@@ -80,6 +95,8 @@ def as_read(fields: Sequence[Field], values: np.ndarray, read: np.ndarray, time:
                 )
         else:
             for k in f.elements:
-                slope = np.gradient(out[..., k], axis=1) / np.maximum(np.gradient(time, axis=1), 1e-9)
+                slope = np.gradient(out[..., k], axis=1) / np.maximum(
+                    np.gradient(time, axis=1), 1e-9
+                )
                 out[..., k] -= value[:, None] * slope
     return out

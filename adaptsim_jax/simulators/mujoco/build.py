@@ -1,7 +1,8 @@
-"""The model that is stepped: the user's file, its base welded where no pose of it was logged, and held what stands still.
+"""The model that is stepped: the user's file, its base welded where no pose of it was logged, and
+held what stands still.
 
-A joint that nothing was logged of is held where `roles.roles` has it; one in a loop that closes, or tied to others, moves as the
-model says.
+A joint that nothing was logged of is held where `roles.roles` has it; one in a loop that closes, or
+tied to others, moves as the model says.
 """
 
 from collections.abc import Collection
@@ -22,9 +23,11 @@ HARD = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 
 @dataclass(frozen=True)
 class Stepped:
-    """A model to be stepped. angle [n]: where each joint of the log is in qpos; base: first of the seven of a free base in qpos that
-    was logged, -1: none; free: the same of one that moves, logged or only felt by an IMU; read: what `[channels]` compares;
-    pose [nq]: where everything is held or begins; notes: what was done, a sentence each."""
+    """A model to be stepped. angle [n]: where each joint of the log is in qpos; base: first of the
+    seven of a free base in qpos that was logged, -1: none; free: the same of one that moves, logged
+    or only felt by an IMU; read: what `[channels]` compares; pose [nq]: where everything is held or
+    begins; notes: what was done, a sentence each.
+    """
 
     path: str
     model: mujoco.MjModel
@@ -41,7 +44,9 @@ class Stepped:
 
 
 def turns_of_balls(source: Source, log: Log) -> list[str]:
-    """Angles of a log that are one of a ball joint's three turns, which MuJoCo's own coordinates have not."""
+    """Angles of a log that are one of a ball joint's three turns, which MuJoCo's own coordinates
+    have not.
+    """
     single = {source.model.joint(k).name for k in range(source.model.njnt)}
     return [name for name in log.joint_names if name not in single]
 
@@ -52,7 +57,8 @@ def stepped(source: Source, log: Log) -> Stepped:
     logged = any(t.base is not None for t in log.trials)
     if logged and (without := [t.name for t in log.trials if t.base is None]):
         raise BadInput(
-            f"{log.path}: trial {without[0]} has no base_x .. base_qz, which others have; add them, or leave it out: [trials] in "
+            f"{log.path}: trial {without[0]} has no base_x .. base_qz, which others have; add "
+            f"them, or leave it out: [trials] in "
             f'meta.toml, exclude = ["{without[0]}"]'
         )
     first = source.model
@@ -64,7 +70,10 @@ def stepped(source: Source, log: Log) -> Stepped:
     _hold(spec, source, log, values, notes)
     for mimic in source.mimics:
         tie = spec.add_equality(
-            name=f"mimic_{mimic.joint}", type=mujoco.mjtEq.mjEQ_JOINT, name1=mimic.joint, name2=mimic.leader
+            name=f"mimic_{mimic.joint}",
+            type=mujoco.mjtEq.mjEQ_JOINT,
+            name1=mimic.joint,
+            name2=mimic.leader,
         )
         data = np.zeros(len(tie.data))
         data[:2] = mimic.offset, mimic.factor
@@ -74,7 +83,9 @@ def stepped(source: Source, log: Log) -> Stepped:
     for body in spec.bodies:
         body.simple = False  # its centre of mass may be fitted
     model = _compiled(source.path, spec)
-    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # a run that blows up shall be seen
+    model.opt.disableflags |= int(
+        mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    )  # a run that blows up shall be seen
     at = {model.joint(k).name: int(model.jnt_qposadr[k]) for k in range(model.njnt)}
     whole = model.qpos0.copy()
     for k in range(model.njnt):
@@ -83,21 +94,34 @@ def stepped(source: Source, log: Log) -> Stepped:
     for name, value in log.held.items():
         if value is not None and name in at:
             whole[at[name]] = value
-    free = next((int(model.jnt_qposadr[k]) for k in range(model.njnt) if model.jnt_type[k] == FREE), -1)
+    free = next(
+        (int(model.jnt_qposadr[k]) for k in range(model.njnt) if model.jnt_type[k] == FREE), -1
+    )
     if logged and free < 0:
         notes.append("base_x .. base_qz are not used: the model's base cannot move")
     if turns := turns_of_balls(source, log):
         raise BadInput(
-            f"{source.path}: '{turns[0]}' is one turn of a ball joint, which --simulator mujoco does not read; take tree"
+            f"{source.path}: '{turns[0]}' is one turn of a ball joint, which --simulator mujoco "
+            f"does not read; take tree"
         )
     if felt and free >= 0:
         notes.append(
-            "no pose of the base is logged: it is estimated with each start from gyro, accelerometer and feet that stand"
+            "no pose of the base is logged: it is estimated with each start from gyro, "
+            "accelerometer and feet that stand"
         )
     angle = [at[name] for name in log.joint_names]
     read = readings(model, log.meta.channels, log.meta.path)
     moves = free if logged or felt else -1
-    return Stepped(source.path, model, np.array(angle, int), free if logged else -1, whole, tuple(notes), moves, read)
+    return Stepped(
+        source.path,
+        model,
+        np.array(angle, int),
+        free if logged else -1,
+        whole,
+        tuple(notes),
+        moves,
+        read,
+    )
 
 
 def _compiled(where: str, spec: mujoco.MjSpec) -> mujoco.MjModel:
@@ -121,7 +145,11 @@ def _weld(spec: mujoco.MjSpec, values, logged: bool, notes: list[str]) -> None:
         at = values[joint.name]
         body.pos, body.quat = at[:3], at[3:7] / np.linalg.norm(at[3:7])
         notes.append(f"welded to the world, as no pose of it is logged: {joint.name}")
-        for sensor in [s for s in spec.sensors if s.objname == joint.name and s.objtype == mujoco.mjtObj.mjOBJ_JOINT]:
+        for sensor in [
+            s
+            for s in spec.sensors
+            if s.objname == joint.name and s.objtype == mujoco.mjtObj.mjOBJ_JOINT
+        ]:
             spec.delete(sensor)
         spec.delete(joint)
 
@@ -133,7 +161,10 @@ def _hold(spec: mujoco.MjSpec, source: Source, log: Log, values, notes: list[str
     tied = _tied(source.model, [n for n in (*log.joint_names, *log.meta.hold) if n not in turns])
     for joint in spec.joints:
         name = joint.name
-        if joint.type not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE) or name in log.joint_names:
+        if (
+            joint.type not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+            or name in log.joint_names
+        ):
             continue
         value = log.held.get(name)
         if name in tied and value is None and name not in log.meta.hold:

@@ -1,5 +1,7 @@
-"""What a model that MuJoCo steps may lack, as numbers of it by name: friction, damping and rotors of joints, weak drives, late or
-shifted commands, payloads, sensors that are off. What only contact and a base that moves show is in `contact`."""
+"""What a model that MuJoCo steps may lack, as numbers of it by name: friction, damping and rotors
+of joints, weak drives, late or shifted commands, payloads, sensors that are off. What only contact
+and a base that moves show is in `contact`.
+"""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -15,14 +17,28 @@ from adaptsim_jax.simulators.mujoco.sensed import triple
 
 DECLARED = "viscous"
 """What is fitted whatever is named."""
-HEAVY, HEAVIER = 0.05, 0.1  # share of all mass from which on a body may carry a payload; of a machine whose base moves
+HEAVY, HEAVIER = (
+    0.05,
+    0.1,
+)  # share of all mass from which on a body may carry a payload; of a machine whose base moves
 AWAY = 0.01  # m: of a payload's place, a step that shows
 TURNED = 2e-3  # rad: of an angle read wrong, likewise
-SENSED = {"gyro": (5e-3, 1.0), "accelerometer": (0.05, 10.0)}  # rad/s, m/s^2: a bias that shows, and its bound
+SENSED = {
+    "gyro": (5e-3, 1.0),
+    "accelerometer": (0.05, 10.0),
+}  # rad/s, m/s^2: a bias that shows, and its bound
 UNITS = {
-    "frictionloss": "N m", "damping": "N m s/rad", "armature": "kg m^2", "mass": "kg", "solref": "s", "kp": "N m/rad", "ipos": "m",
-    "offset": "rad", "wind": "N", "delay": "s",
-}  # fmt: skip
+    "frictionloss": "N m",
+    "damping": "N m s/rad",
+    "armature": "kg m^2",
+    "mass": "kg",
+    "solref": "s",
+    "kp": "N m/rad",
+    "ipos": "m",
+    "offset": "rad",
+    "wind": "N",
+    "delay": "s",
+}
 SIZE, PRIOR = 10.0, 100.0  # steps of a field: what matters of it, and the width of its prior
 
 
@@ -35,13 +51,21 @@ class Row:
 
 
 def row(
-    effect: str, where: str, fields: Field | Iterable[Field], told: tuple[str, str], same: tuple[str, ...] = ()
+    effect: str,
+    where: str,
+    fields: Field | Iterable[Field],
+    told: tuple[str, str],
+    same: tuple[str, ...] = (),
 ) -> Row:
-    """An effect at a place; told: its physics and what shows it; same: effects that no such recording tells apart from it."""
+    """An effect at a place; told: its physics and what shows it; same: effects that no such
+    recording tells apart from it.
+    """
     fields = (fields,) if isinstance(fields, Field) else tuple(fields)
     name = f"{effect} at {where}" if where else effect
     apart = "a look at the machine" if same else ""
-    return Row(fields, Candidate(name, where, tuple(f.name for f in fields), *told, same=same, apart=apart))
+    return Row(
+        fields, Candidate(name, where, tuple(f.name for f in fields), *told, same=same, apart=apart)
+    )
 
 
 def quantity(f: Field) -> Quantity:
@@ -54,18 +78,40 @@ def quantity(f: Field) -> Quantity:
 def rows(made: Stepped, joints: Sequence[str]) -> list[Row]:
     """All that joints, drives and bodies may lack. joints: those that were logged."""
     model = made.model
-    return [*_of_joints(made, joints), *_of_drives(model), *_of_bodies(model, HEAVY if made.free < 0 else HEAVIER)]
+    return [
+        *_of_joints(made, joints),
+        *_of_drives(model),
+        *_of_bodies(model, HEAVY if made.free < 0 else HEAVIER),
+    ]
 
 
 def _of_joints(made: Stepped, joints: Sequence[str]) -> Iterable[Row]:
     model, weight = made.model, _scales(made.model, joints)
-    wide = lambda f, size: replace(f, scale=max(f.scale, 0.01 * size))
+
+    def wide(f, size):
+        return replace(f, scale=max(f.scale, 0.01 * size))
+
     for k, name in enumerate(joints):
-        inertia = 1.0 / max(float(model.dof_invweight0[model.jnt_dofadr[model.joint(name).id]]), 1e-9)
-        of = lambda what, size, name=name: wide(field(model, f"joint:{name}.{what}"), size)
+        inertia = 1.0 / max(
+            float(model.dof_invweight0[model.jnt_dofadr[model.joint(name).id]]), 1e-9
+        )
+
+        def of(what, size, name=name):
+            return wide(field(model, f"joint:{name}.{what}"), size)
+
         yield row("coulomb", name, of("frictionloss", weight[name]), ("dry friction", "reversals"))
-        yield row(DECLARED, name, of("damping", weight[name]), ("friction in proportion to speed", "fast motion"))
-        yield row("armature", name, of("armature", inertia), ("a rotor's inertia", "fast changes of speed"))
+        yield row(
+            DECLARED,
+            name,
+            of("damping", weight[name]),
+            ("friction in proportion to speed", "fast motion"),
+        )
+        yield row(
+            "armature",
+            name,
+            of("armature", inertia),
+            ("a rotor's inertia", "fast changes of speed"),
+        )
         off = Field(f"reading:{name}.offset", READ, (k,), 0, 0.0, -1.0, 1.0, TURNED)
         yield row(
             "angle offset",
@@ -86,9 +132,16 @@ def _of_drives(model: mujoco.MjModel) -> Iterable[Row]:
         yield row("gain", name, weak, ("the drive gives more or less than told", "large commands"))
         if model.actuator_biasprm[k, 1] < 0 and model.actuator_trntype[k] == 0:
             shift = Field(f"command:{name}.offset", SHIFT, (k,), 0, 0.0, -1.0, 1.0, TURNED)
-            yield row("command offset", name, shift, ("the drive goes to another angle than told", "any command"))
+            yield row(
+                "command offset",
+                name,
+                shift,
+                ("the drive goes to another angle than told", "any command"),
+            )
     if model.nu:
-        yield row("delay", "all joints", field(model, DELAY), ("commands act late", "fast commands"))
+        yield row(
+            "delay", "all joints", field(model, DELAY), ("commands act late", "fast commands")
+        )
 
 
 def _of_bodies(model: mujoco.MjModel, share: float) -> Iterable[Row]:
@@ -98,24 +151,41 @@ def _of_bodies(model: mujoco.MjModel, share: float) -> Iterable[Row]:
             name = model.body(b).name or f"body{b}"
             place = [replace(field(model, f"body:{name}.ipos[{i}]"), scale=AWAY) for i in range(3)]
             mass = field(model, f"body:{name}.mass")
-            yield row("payload", name, (mass, *place), ("a body of another mass", "motion against gravity"))
+            yield row(
+                "payload",
+                name,
+                (mass, *place),
+                ("a body of another mass", "motion against gravity"),
+            )
 
 
 def sensor_rows(made: Stepped, first: int) -> Iterable[Row]:
     """What sensors may read wrong. first: place of theirs among the channels."""
-    found = [(kind, axes) for kind in ("gyro", "accelerometer") if (axes := triple(made.read, kind)) is not None]
+    found = [
+        (kind, axes)
+        for kind in ("gyro", "accelerometer")
+        if (axes := triple(made.read, kind)) is not None
+    ]
     for kind, axes in found:
         step, most = SENSED[kind]
         places = tuple(first + k for k in axes)
-        off = [Field(f"imu.{kind}_bias[{i}]", BIAS, places, i, 0.0, -most, most, step) for i in range(3)]
+        off = [
+            Field(f"imu.{kind}_bias[{i}]", BIAS, places, i, 0.0, -most, most, step)
+            for i in range(3)
+        ]
         yield row(f"{kind} bias", "imu", off, ("it reads more or less than there is", "any motion"))
     if found:
         starts = tuple(first + axes[0] for _, axes in found)
-        turned = [Field(f"imu.turn[{i}]", TURN, starts, i, 0.0, -0.5, 0.5, TURNED) for i in range(3)]
+        turned = [
+            Field(f"imu.turn[{i}]", TURN, starts, i, 0.0, -0.5, 0.5, TURNED) for i in range(3)
+        ]
         yield row("turned", "imu", turned, ("it is mounted at another angle", "turns, gravity"))
         every = tuple(first + k for _, axes in found for k in axes)
         yield row(
-            "late", "imu", Field("imu.late", LATE, every, 0, 0.0, -0.05, 0.05, 1e-3), ("it is read late", "fast motion")
+            "late",
+            "imu",
+            Field("imu.late", LATE, every, 0, 0.0, -0.05, 0.05, 1e-3),
+            ("it is read late", "fast motion"),
         )
 
 
@@ -124,18 +194,26 @@ def _moves(model: mujoco.MjModel, body: int) -> bool:
 
 
 def _scales(model: mujoco.MjModel, joints: Sequence[str]) -> dict[str, float]:
-    """N m, N: of gravity at a joint, at least of its own inertia at an acceleration of 10 rad/s^2 (m/s^2)."""
+    """N m, N: of gravity at a joint, at least of its own inertia at an acceleration of 10 rad/s^2
+    (m/s^2).
+    """
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     out = {}
     for name in joints:
         dof = int(model.jnt_dofadr[model.joint(name).id])
-        out[name] = max(abs(float(data.qfrc_bias[dof])), 10.0 / max(float(model.dof_invweight0[dof]), 1e-9) * 0.1, 1e-3)
+        out[name] = max(
+            abs(float(data.qfrc_bias[dof])),
+            10.0 / max(float(model.dof_invweight0[dof]), 1e-9) * 0.1,
+            1e-3,
+        )
     return out
 
 
 def noise_of(measured: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Noise [C] of channels [W, L, C] by their third differences, of which smooth motion has next to none."""
+    """Noise [C] of channels [W, L, C] by their third differences, of which smooth motion has next
+    to none.
+    """
     d = np.diff(np.where(seen, measured, np.nan), 3, axis=1)
     size = np.nanmedian(np.abs(d), axis=(0, 1)) / 0.6745 / np.sqrt(20.0)
     return np.where(np.isfinite(size), size, 0.0)

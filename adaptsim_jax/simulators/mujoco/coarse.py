@@ -1,4 +1,6 @@
-"""Whether a file's own time step is coarse: how much half of it changes what is predicted, over the noise."""
+"""Whether a file's own time step is coarse: how much half of it changes what is predicted, over the
+noise.
+"""
 
 from __future__ import annotations
 
@@ -23,12 +25,15 @@ def halved(made: MujocoSimulator) -> MujocoSimulator:
     model.opt.timestep *= 0.5
     own = made.own
     twice = {k: np.repeat(getattr(own, k), 2, 1) for k in ("control", "past")}
-    return replace(made, made=made.made.with_model(model), own=replace(own, at=2.0 * own.at, **twice))
+    return replace(
+        made, made=made.made.with_model(model), own=replace(own, at=2.0 * own.at, **twice)
+    )
 
 
 def change(made: MujocoSimulator, values: np.ndarray) -> float:
-    """RMS change of predictions over the noise by half the step, with values [P], less what starts would take up; the median of
-    a few stretches."""
+    """RMS change of predictions over the noise by half the step, with values [P], less what starts
+    would take up; the median of a few stretches.
+    """
     s = made.stretches
     which = np.unique(np.linspace(0, s.count - 1, SAMPLE).round().astype(int))
     rows, starts = np.tile(values, (len(which), 1)), s.start[which]
@@ -47,6 +52,7 @@ def told(made: MujocoSimulator, values: np.ndarray) -> list[str]:
     if size < TOLD:
         return []
     return [
-        f"The file's step of {step:g} ms is coarse for this log: half of it changes what is predicted by {size:.2g} times the noise. "
+        f"The file's step of {step:g} ms is coarse for this log: half of it changes what is "
+        f"predicted by {size:.2g} times the noise. "
         "What is named may be the step's; try a smaller timestep."
     ]

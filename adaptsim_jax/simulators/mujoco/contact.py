@@ -1,5 +1,6 @@
-"""What only contact and a base that moves show: friction, softness and bounce of what touches the world, ground that is tilted or
-lies at another height, wind."""
+"""What only contact and a base that moves show: friction, softness and bounce of what touches the
+world, ground that is tilted or lies at another height, wind.
+"""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -14,7 +15,10 @@ from adaptsim_jax.simulators.mujoco.catalogue import Row, row
 from adaptsim_jax.simulators.mujoco.fields import CONTACT, GROUND, Field, field, grounds
 
 WIDE = (0.7, 1.4)  # of what the file has
-SLOPE, WAYS = 0.04, np.arange(8) * np.pi / 4  # rad: of a ground that is not level, and where it may fall
+SLOPE, WAYS = (
+    0.04,
+    np.arange(8) * np.pi / 4,
+)  # rad: of a ground that is not level, and where it may fall
 LEVEL = 0.02  # m: of a ground that lies higher or lower
 PUSH = 1e-3  # of the weight: a wind that shows
 
@@ -30,9 +34,12 @@ def contact_rows(made: Stepped) -> Iterable[Row]:
             turned = [field(model, name) for name in GROUND[:2]]
             told = ("what it stands on is not level", "standing, walking")
             slopes: list[Any] = [
-                dict(zip(GROUND[:2], SLOPE * np.array([np.cos(w), np.sin(w)]), strict=True)) for w in WAYS
+                dict(zip(GROUND[:2], SLOPE * np.array([np.cos(w), np.sin(w)]), strict=True))
+                for w in WAYS
             ]
-            yield _tried_at(row("tilted", "ground", turned, told, ("a log's frame turned",)), slopes)
+            yield _tried_at(
+                row("tilted", "ground", turned, told, ("a log's frame turned",)), slopes
+            )
             told = ("what it stands on lies higher or lower", "every step")
             levels = [{GROUND[2]: z} for z in (-LEVEL, LEVEL)]
             yield _tried_at(row("height", "ground", field(model, GROUND[2]), told), levels)
@@ -40,8 +47,17 @@ def contact_rows(made: Stepped) -> Iterable[Row]:
         k = int(np.flatnonzero(model.jnt_qposadr == made.free)[0])
         weight = float(model.body_mass.sum()) * 9.81
         first = int(model.jnt_dofadr[k])
-        wind = [Field(f"wind.{a}", WIND, (first,), i, 0.0, -weight, weight, PUSH * weight) for i, a in enumerate("xyz")]
-        yield row("wind", "base", wind, ("a steady force on the base", "flight, slipping, long runs"), ("a tether",))
+        wind = [
+            Field(f"wind.{a}", WIND, (first,), i, 0.0, -weight, weight, PUSH * weight)
+            for i, a in enumerate("xyz")
+        ]
+        yield row(
+            "wind",
+            "base",
+            wind,
+            ("a steady force on the base", "flight, slipping, long runs"),
+            ("a tether",),
+        )
 
 
 def _tried_at(made: Row, sizes: Sequence[Mapping[str, float]]) -> Row:
@@ -49,8 +65,9 @@ def _tried_at(made: Row, sizes: Sequence[Mapping[str, float]]) -> Row:
 
 
 def _effective(model: mujoco.MjModel, touch: list[int]) -> list[int]:
-    """Geoms of the bodies furthest out, which touch the ground first: where a model has feet, these; of them those whose numbers go
-    before others' (`priority`)."""
+    """Geoms of the bodies furthest out, which touch the ground first: where a model has feet,
+    these; of them those whose numbers go before others' (`priority`).
+    """
     ends = [g for g in touch if not np.any(model.body_parentid == model.geom_bodyid[g])] or touch
     first = model.geom_priority[ends].max()
     return [g for g in ends if model.geom_priority[g] == first]
@@ -79,22 +96,38 @@ def _of_touch(model: mujoco.MjModel, every: tuple[int, ...], feet: list[int]) ->
 
     dims = int(model.geom_condim[list(every)].max())
     if model.geom_friction[feet, 0].any():  # of none there is no share
-        yield of_wide("floor friction", of("friction", 0, 5.0), ("a floor that is more or less slippery", "sliding"))
+        yield of_wide(
+            "floor friction",
+            of("friction", 0, 5.0),
+            ("a floor that is more or less slippery", "sliding"),
+        )
     if dims >= 4 and model.geom_friction[feet, 1].any():
         yield of_wide(
-            "torsional friction", of("friction", 1, 1.0), ("turns on the spot are held more or less", "turns on a foot")
+            "torsional friction",
+            of("friction", 1, 1.0),
+            ("turns on the spot are held more or less", "turns on a foot"),
         )
     if dims >= 6 and model.geom_friction[feet, 2].any():
         yield of_wide(
-            "rolling friction", of("friction", 2, 1.0), ("rolling is held more or less", "round feet, wheels, balls")
+            "rolling friction",
+            of("friction", 2, 1.0),
+            ("rolling is held more or less", "round feet, wheels, balls"),
         )
     if (model.geom_solref[feet, 0] > 0).all():
         yield of_wide(
-            "contact stiffness", of("solref", 0, 1.0), ("softer or harder contacts", "impacts"), ("soft ground",)
+            "contact stiffness",
+            of("solref", 0, 1.0),
+            ("softer or harder contacts", "impacts"),
+            ("soft ground",),
         )
         yield of_wide(
-            "contact damping", of("solref", 1, 5.0), ("contacts that bounce", "impacts, falls"), ("restitution",)
+            "contact damping",
+            of("solref", 1, 5.0),
+            ("contacts that bounce", "impacts, falls"),
+            ("restitution",),
         )
         yield of_wide(
-            "contact impedance", of("solimp", 0, 0.9999), ("contacts that give from the first touch", "standing")
+            "contact impedance",
+            of("solimp", 0, 0.9999),
+            ("contacts that give from the first touch", "standing"),
         )

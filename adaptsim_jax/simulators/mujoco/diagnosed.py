@@ -1,4 +1,6 @@
-"""MuJoCo over a recording as a `Simulator` of the core: a model file that a tree of joints cannot simulate, diagnosed."""
+"""MuJoCo over a recording as a `Simulator` of the core: a model file that a tree of joints cannot
+simulate, diagnosed.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -32,7 +34,10 @@ from adaptsim_jax.simulators.mujoco.stretches import Stretches, cut
 HORIZON, TOUCHED = 0.5, 0.24  # s; where a base moves, for contact makes longer stretches chaotic
 BUDGET = 5e5  # steps of one linearisation
 STRETCHES = (24, 100)  # at least, at most
-OPENING = (1, 4)  # rounds of starts before all channels count as they should; where a base is only felt
+OPENING = (
+    1,
+    4,
+)  # rounds of starts before all channels count as they should; where a base is only felt
 ROUGH = 30.0  # times its noise: what an accelerometer counts with there
 JUMPS = 0.1  # of an accelerometer's spread: its least noise where a base is only felt
 DIFF = 0.1  # of a quantity's scale, by which its derivative is taken
@@ -40,15 +45,19 @@ WILD = 1e9  # of a derivative over the noise: what runs away
 FLOOR = 1e-6  # rad, m: least noise, of a log without any
 TURNED, SPED = 1e-2, 0.1  # rad (m) and rad/s (m/s) of a start
 SHORT = Criteria(rounds=4, glance=1, confidence=0.025, behind=0.3, matters=0.5)
-"""Where a base moves a round is dear: fits are short; and what they leave of single contacts is not to be named: a gain had friction
-of 1.03 times the file's beside it, for another number frees starts that are caught."""
+"""Where a base moves a round is dear: fits are short; and what they leave of single contacts is not
+to be named: a gain had friction of 1.03 times the file's beside it, for another number frees starts
+that are caught.
+"""
 MENDED = "model.xml"
 ONE_AT_A_TIME = Lock()  # MuJoCo's pool of threads is one for all
 
 
 @dataclass(frozen=True)
 class MujocoSimulator:
-    """A model file over stretches of a recording. Orientations of a base are compared as three angles from the measured ones."""
+    """A model file over stretches of a recording. Orientations of a base are compared as three
+    angles from the measured ones.
+    """
 
     made: Stepped
     own: Stretches
@@ -67,7 +76,9 @@ class MujocoSimulator:
         models = [with_values(self.made.model, [self.fields[i] for i in own], row) for row in rows]
         by = acting(self.made, self.fields, values)
         with ONE_AT_A_TIME:
-            path = rollouts.predict(self.made, self.own, starts, which, [models[k] for k in kind.reshape(-1)], by)
+            path = rollouts.predict(
+                self.made, self.own, starts, which, [models[k] for k in kind.reshape(-1)], by
+            )
         read = self.stretches.measured[which] - rollouts.residual(self.made, self.own, path, which)
         return as_read(self.fields, values, read, self.stretches.time[which])
 
@@ -77,21 +88,34 @@ class MujocoSimulator:
         return {MENDED: lambda values: mended_mjcf(self.made, self.fields, values)}
 
     def linearise(
-        self, values: np.ndarray, starts: np.ndarray, which: np.ndarray, basis: np.ndarray, starts_too: bool = True
+        self,
+        values: np.ndarray,
+        starts: np.ndarray,
+        which: np.ndarray,
+        basis: np.ndarray,
+        starts_too: bool = True,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """See `diagnosis.simulator.linearise`: forward differences in one batch, by steps wide enough to see past single contacts."""
+        """See `diagnosis.simulator.linearise`: forward differences in one batch, by steps wide
+        enough to see past single contacts.
+        """
         b, width = len(which), starts.shape[1] if starts_too else 0
         high = np.array([f.high for f in self.fields])
         basis = DIFF * basis
         basis = np.where(np.any(values[0] + basis > high, 1)[:, None], -basis, basis)
         steps = STEP * np.diag(self.stretches.scale)[:width]
-        every_value = np.concatenate([values, np.tile(values, (width, 1)), *(values + row for row in basis)])
-        every_start = np.concatenate([starts, *(starts + row for row in steps), np.tile(starts, (len(basis), 1))])
+        every_value = np.concatenate(
+            [values, np.tile(values, (width, 1)), *(values + row for row in basis)]
+        )
+        every_start = np.concatenate(
+            [starts, *(starts + row for row in steps), np.tile(starts, (len(basis), 1))]
+        )
         read = self.predict(every_value, every_start, np.tile(which, 1 + width + len(basis)))
         read = read.reshape(1 + width + len(basis), b, -1)
         noise = np.tile([c.noise for c in self.channels], self.stretches.time.shape[1])
         seen = self.stretches.seen[which].reshape(b, -1) > 0
-        size = np.concatenate([np.full(width, STEP), DIFF * np.sign(basis.sum(1) if len(basis) else np.zeros(0))])
+        size = np.concatenate(
+            [np.full(width, STEP), DIFF * np.sign(basis.sum(1) if len(basis) else np.zeros(0))]
+        )
         slope = np.where(seen, (read[1:] - read[0]) / noise / size[:, None, None], 0.0)
         both = np.moveaxis(np.clip(np.nan_to_num(slope), -WILD, WILD), 0, -1)
         return both[..., :width], both[..., width:]
@@ -114,9 +138,13 @@ def simulator(source: Source, log: Log, horizon: float | None = None) -> MujocoS
     nv, na = made.model.nv, made.model.na
     scale = np.concatenate([np.full(nv, TURNED), np.full(nv, SPED), np.full(na, SPED)])
     prior = prior_of(made.model, made.free) if felt else None
-    compared = Compared(own.trial, own.names, own.time, measured, seen.astype(float), starts, scale, prior)
+    compared = Compared(
+        own.trial, own.names, own.time, measured, seen.astype(float), starts, scale, prior
+    )
     quantities = tuple(quantity(f) for f in fields)
-    declared = tuple(f.name for r in found if r.candidate.name.startswith(DECLARED) for f in r.fields)
+    declared = tuple(
+        f.name for r in found if r.candidate.name.startswith(DECLARED) for f in r.fields
+    )
     wanted = tuple(r.candidate for r in found if r.candidate.quantities[0] not in declared)
     return MujocoSimulator(made, own, fields, quantities, declared, channels, compared, wanted)
 
@@ -127,9 +155,17 @@ def _opening(channels: Sequence[Channel], made: Stepped) -> np.ndarray:
     return np.array([1.0 / (c.noise * (ROUGH if c.name in rough else 1.0)) for c in channels])
 
 
-def _channels(made: Stepped, own: Stretches, log: Log) -> tuple[tuple[Channel, ...], np.ndarray, np.ndarray]:
-    """Channels, and what was measured and seen of them; of a base three angles from the measured orientation."""
-    slides = {n for n in log.joint_names if made.model.jnt_type[made.model.joint(n).id] == mujoco.mjtJoint.mjJNT_SLIDE}
+def _channels(
+    made: Stepped, own: Stretches, log: Log
+) -> tuple[tuple[Channel, ...], np.ndarray, np.ndarray]:
+    """Channels, and what was measured and seen of them; of a base three angles from the measured
+    orientation.
+    """
+    slides = {
+        n
+        for n in log.joint_names
+        if made.model.jnt_type[made.model.joint(n).id] == mujoco.mjtJoint.mjJNT_SLIDE
+    }
     units = {n: "m" if n in slides else "rad" for n in log.joint_names}
     named = [(f"q_{n}", units[n]) for n in log.joint_names]
     if rollouts.has_speeds(made, own):
@@ -152,7 +188,11 @@ def _channels(made: Stepped, own: Stretches, log: Log) -> tuple[tuple[Channel, .
         ]
         noise[rough] = np.maximum(noise[rough], JUMPS * own_spread[rough])
     noise = np.maximum(noise, FLOOR)
-    return tuple(Channel(n, u, float(z)) for (n, u), z in zip(named, noise, strict=True)), measured, seen
+    return (
+        tuple(Channel(n, u, float(z)) for (n, u), z in zip(named, noise, strict=True)),
+        measured,
+        seen,
+    )
 
 
 def diagnose(
@@ -166,17 +206,29 @@ def diagnose(
     page: Page | None = None,
     command: str | None = None,
 ) -> dict[str, Any]:
-    """Which numbers of a model file hold out on left-out trials of a recording that MuJoCo simulates; the report.
+    """Which numbers of a model file hold out on left-out trials of a recording that MuJoCo
+    simulates; the report.
 
-    horizon: s of the stretches, None: as the base needs; command: what gives the same answer, for the report."""
+    horizon: s of the stretches, None: as the base needs; command: what gives the same answer, for
+    the report.
+    """
     made = simulator(source, log, horizon)
-    notes = ["simulated by MuJoCo at the file's own step", *log.notes, *source.notes, *made.made.notes]
+    notes = [
+        "simulated by MuJoCo at the file's own step",
+        *log.notes,
+        *source.notes,
+        *made.made.notes,
+    ]
     coarse: dict[str, list[str]] = {}
 
     def with_notes(report: dict[str, Any]) -> dict[str, Any]:
         if not coarse:
             coarse["told"] = coarse_step(made, _values(made, report))
-        report["notes"] = [*(n for n in report.get("notes", ()) if n not in notes), *coarse["told"], *notes]
+        report["notes"] = [
+            *(n for n in report.get("notes", ()) if n not in notes),
+            *coarse["told"],
+            *notes,
+        ]
         return report
 
     def told(folder: Path, report: dict[str, Any], evidence: dict[str, Any]) -> None:
@@ -193,7 +245,9 @@ def diagnose(
         name=name,
         command=command,
     )
-    return report if out is not None else with_notes(report)
+    if out is not None:
+        return report
+    return with_notes(report)
 
 
 def _values(made: MujocoSimulator, report: dict[str, Any]) -> np.ndarray:
@@ -201,4 +255,6 @@ def _values(made: MujocoSimulator, report: dict[str, Any]) -> np.ndarray:
     found = {**report["declared"]["after"]}
     for e in report["effects"]:
         found |= e["parameters"]
-    return np.array([found[q.name]["value"] if q.name in found else q.neutral for q in made.quantities])
+    return np.array(
+        [found[q.name]["value"] if q.name in found else q.neutral for q in made.quantities]
+    )

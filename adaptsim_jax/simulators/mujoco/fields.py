@@ -1,8 +1,10 @@
-"""Numbers of a MuJoCo model by name: `joint:elbow.frictionloss`, `body:torso.mass`, `geom:FL.friction[0]`, `actuator:x.kp`,
-`option.gravity[2]`; and `command.delay`, by which all commands act late.
+"""Numbers of a MuJoCo model by name: `joint:elbow.frictionloss`, `body:torso.mass`,
+`geom:FL.friction[0]`, `actuator:x.kp`, `option.gravity[2]`; and `command.delay`, by which all
+commands act late.
 
-A name is KIND:ELEMENT.FIELD with MuJoCo's own names of the fields of its model, `[i]` where a field has several numbers; ELEMENT may
-be a pattern (`geom:*foot*.friction[0]`), which gives one number to all that it names.
+A name is KIND:ELEMENT.FIELD with MuJoCo's own names of the fields of its model, `[i]` where a field
+has several numbers; ELEMENT may be a pattern (`geom:*foot*.friction[0]`), which gives one number to
+all that it names.
 """
 
 import copy
@@ -23,25 +25,49 @@ TILTS = ("world.tilt_x", "world.tilt_y")
 GROUND = ("ground.tilt_x", "ground.tilt_y", "ground.height")
 """rad, m: all that the world touches with, turned about the world's x and y, and lifted."""
 CONTACT = "contact."
-"""Of all that touches: by as many times as what decides (its `neutral`), so that nothing jumps where it hardly changes."""
+"""Of all that touches: by as many times as what decides (its `neutral`), so that nothing jumps
+where it hardly changes.
+"""
 STRENGTH = "strength"
-"""Of an actuator: what it gives of what it should, all its gains alike, but for the damping of a position servo."""
+"""Of an actuator: what it gives of what it should, all its gains alike, but for the damping of a
+position servo.
+"""
 LATEST = 0.05  # s
 STEP = 0.01  # of a number, for its derivative: wide enough to see past single contacts
 FORM = re.compile(r"(?:(\w+):(.+?)|(option))\.(\w+)(?:\[(\d+)\])?")
 OF_DOF = ("damping", "armature", "frictionloss", "invweight0")
-KINDS = {kind: (f"{kind if kind != 'joint' else 'jnt'}_", getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"))
-         for kind in ("joint", "body", "geom", "actuator", "tendon", "site")}  # fmt: skip
-TYPICAL = {"armature": 0.01, "stiffness": 1.0}  # sizes of numbers that the model has at zero, of others 0.1
-POSITIVE = ("mass", "inertia", "friction", "damping", "armature", "frictionloss", "stiffness", "kp", "kv", STRENGTH)
+KINDS = {
+    kind: (
+        f"{kind if kind != 'joint' else 'jnt'}_",
+        getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"),
+    )
+    for kind in ("joint", "body", "geom", "actuator", "tendon", "site")
+}
+TYPICAL = {
+    "armature": 0.01,
+    "stiffness": 1.0,
+}  # sizes of numbers that the model has at zero, of others 0.1
+POSITIVE = (
+    "mass",
+    "inertia",
+    "friction",
+    "damping",
+    "armature",
+    "frictionloss",
+    "stiffness",
+    "kp",
+    "kv",
+    STRENGTH,
+)
 CONSTANTS = ("mass", "inertia", "ipos", "armature", "pos", "quat", "gear")
 """Fields from which MuJoCo derives others, which then are made anew."""
 
 
 @dataclass(frozen=True)
 class Field:
-    """One number of a model, at all elements that its name stands for. neutral: what the model has; low, high: its bounds; scale: a
-    step that shows in the motion and leaves it what it is."""
+    """One number of a model, at all elements that its name stands for. neutral: what the model has;
+    low, high: its bounds; scale: a step that shows in the motion and leaves it what it is.
+    """
 
     name: str
     field: str
@@ -65,11 +91,21 @@ def field(model: mujoco.MjModel, name: str) -> Field:
     found = FORM.fullmatch(name)
     if found is None:
         raise BadInput(
-            f"quantity {name!r}: write KIND:ELEMENT.FIELD, such as joint:elbow.damping, body:torso.mass or option.gravity[2]"
+            f"quantity {name!r}: write KIND:ELEMENT.FIELD, such as joint:elbow.damping, "
+            f"body:torso.mass or option.gravity[2]"
         )
     kind, element, option, what, index = found[1], found[2], found[3], found[4], int(found[5] or 0)
     elements = (0,) if option else _elements(model, name, kind, element)
-    made = Field(name, f"{'opt' if option else kind}.{what}", tuple(elements), index, 0.0, -np.inf, np.inf, 1.0)
+    made = Field(
+        name,
+        f"{'opt' if option else kind}.{what}",
+        tuple(elements),
+        index,
+        0.0,
+        -np.inf,
+        np.inf,
+        1.0,
+    )
     values = [_get(model, made, e) for e in made.elements]
     neutral = float(np.mean(values))
     low = 0.0 if what in POSITIVE else -np.inf
@@ -86,7 +122,9 @@ def _elements(model: mujoco.MjModel, name: str, kind: str, pattern: str) -> list
         i for i, n in enumerate(names) if fnmatch.fnmatchcase(n, pattern)
     ]
     if not some:
-        raise BadInput(f"quantity {name!r}: the model has no {kind} {pattern!r}; {suggest(pattern, names)}")
+        raise BadInput(
+            f"quantity {name!r}: the model has no {kind} {pattern!r}; {suggest(pattern, names)}"
+        )
     return some
 
 
@@ -104,12 +142,17 @@ def _place(model: mujoco.MjModel, made: Field, element: int) -> tuple[np.ndarray
         return model.qpos_spring, int(model.jnt_qposadr[element]), -1
     array = getattr(model, KINDS[kind][0] + what, None)
     if array is None:
-        known = sorted(n.removeprefix(KINDS[kind][0]) for n in dir(model) if n.startswith(KINDS[kind][0]))
+        known = sorted(
+            n.removeprefix(KINDS[kind][0]) for n in dir(model) if n.startswith(KINDS[kind][0])
+        )
         raise BadInput(
-            f"quantity {made.name!r}: a {kind} has no {what!r}; {suggest(what, [*known, *OF_DOF, 'kp', 'kv'])}"
+            f"quantity {made.name!r}: a {kind} has no {what!r}; "
+            f"{suggest(what, [*known, *OF_DOF, 'kp', 'kv'])}"
         )
     if array.ndim > 1 and made.index >= array.shape[1]:
-        raise BadInput(f"quantity {made.name!r}: {what} has {array.shape[1]} numbers, counted from 0")
+        raise BadInput(
+            f"quantity {made.name!r}: {what} has {array.shape[1]} numbers, counted from 0"
+        )
     return array, element, made.index if array.ndim > 1 else -1
 
 
@@ -143,18 +186,28 @@ def _set(model: mujoco.MjModel, made: Field, element: int, value: float) -> None
     elif made.field.startswith("opt."):
         array = np.array(np.atleast_1d(getattr(model.opt, made.field[4:])), float)
         array[made.index] = value
-        setattr(model.opt, made.field[4:], array if np.ndim(getattr(model.opt, made.field[4:])) else float(array[0]))
+        setattr(
+            model.opt,
+            made.field[4:],
+            array if np.ndim(getattr(model.opt, made.field[4:])) else float(array[0]),
+        )
     else:
         array, row, column = _place(model, made, element)
         array[row if column < 0 else (row, column)] = value
 
 
-def with_values(model: mujoco.MjModel, fields: Sequence[Field], values: Sequence[float]) -> mujoco.MjModel:
-    """A copy of the model with these numbers; a mass keeps its shape, so that its moments go with it."""
+def with_values(
+    model: mujoco.MjModel, fields: Sequence[Field], values: Sequence[float]
+) -> mujoco.MjModel:
+    """A copy of the model with these numbers; a mass keeps its shape, so that its moments go with
+    it.
+    """
     out = copy.copy(model)
     anew = False
     for made, value in zip(fields, values, strict=True):
-        if value == made.neutral:  # a number for several elements has their mean, which is not what each of them has
+        if (
+            value == made.neutral
+        ):  # a number for several elements has their mean, which is not what each of them has
             continue
         if made.name in TILTS:
             turned = np.zeros(3)

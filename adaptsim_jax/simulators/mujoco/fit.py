@@ -1,7 +1,9 @@
-"""Numbers of a model file fitted to a recording by MuJoCo itself: Gauss and Newton's steps with a free start of each stretch.
+"""Numbers of a model file fitted to a recording by MuJoCo itself: Gauss and Newton's steps with a
+free start of each stretch.
 
-Derivatives are central differences of whole simulations, starts are eliminated stretch by stretch (variable projection; Golub and
-Pereyra, 1973), intervals come from leaving trials out one by one (the jackknife).
+Derivatives are central differences of whole simulations, starts are eliminated stretch by stretch
+(variable projection; Golub and Pereyra, 1973), intervals come from leaving trials out one by one
+(the jackknife).
 """
 
 from collections.abc import Sequence
@@ -24,14 +26,17 @@ FIRST, SETTLED = 8, 2
 CONVERGED = 1e-4  # of the loss a reading, that a round must take off
 FLOOR = 0.01  # of a weighted residual: less is not told from nothing
 EXACT = 1e-16  # mean square of what is left, below which nothing is
-WILD = 1e9  # of weighted residuals and their derivatives: a stretch that runs away says nothing of where to go
+# of weighted residuals and their derivatives: a stretch that runs away says nothing of where to go
+WILD = 1e9
 NINETY = 1.645
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """names; neutral, value, low, high [P]: as the file has it, fitted, and where it lies with 90 %; before, after: rms of the
-    weighted residuals with the file's numbers and these; code: converged, stopped or stuck."""
+    """names; neutral, value, low, high [P]: as the file has it, fitted, and where it lies with 90
+    %; before, after: rms of the weighted residuals with the file's numbers and these; code:
+    converged, stopped or stuck.
+    """
 
     fields: tuple[Field, ...]
     value: np.ndarray
@@ -103,11 +108,16 @@ def fitted_values(made: Stepped, stretches: Stretches, fields: Sequence[Field]) 
     return Fitted(tuple(fields), values, *bounds, before, _rms(off, weight), code)
 
 
-def _at(made: Stepped, stretches: Stretches, fields: Sequence[Field], values: np.ndarray) -> tuple[Stepped, Stretches]:
+def _at(
+    made: Stepped, stretches: Stretches, fields: Sequence[Field], values: np.ndarray
+) -> tuple[Stepped, Stretches]:
     """Model and stretches with these numbers; a delay moves the commands."""
     delay = [float(v) for f, v in zip(fields, values, strict=True) if f.name == DELAY]
     own = [(f, v) for f, v in zip(fields, values, strict=True) if f.name != DELAY]
-    model = with_values(made.model, [f for f, _ in own], [v for _, v in own]) if own else made.model
+    if own:
+        model = with_values(made.model, [f for f, _ in own], [v for _, v in own])
+    else:
+        model = made.model
     if delay:
         steps = np.full(stretches.count, delay[0] / float(model.opt.timestep))
         stretches = replace(stretches, control=late(stretches.past, stretches.control, steps))
@@ -115,7 +125,9 @@ def _at(made: Stepped, stretches: Stretches, fields: Sequence[Field], values: np
 
 
 def _weights(off: np.ndarray) -> np.ndarray:
-    """[C'] one over the size of each channel's residuals, by medians over stretches; of one that is hardly off, of the typical one."""
+    """[C'] one over the size of each channel's residuals, by medians over stretches; of one that is
+    hardly off, of the typical one.
+    """
     size = np.median(np.sqrt(np.mean(np.square(off), 1)), 0)
     typical = np.median(size[size > 0]) if np.any(size > 0) else 1e-9
     return 1.0 / np.maximum(size, 0.1 * typical)
@@ -136,7 +148,9 @@ def _better(
 def _anew(
     at: tuple[Stepped, Stretches], weight: np.ndarray, starts: np.ndarray, off: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(starts, residual), those of stretches that are nearer when their starts are sought from the measured ones again."""
+    """(starts, residual), those of stretches that are nearer when their starts are sought from the
+    measured ones again.
+    """
     other, new = fitted(*at, weight, FIRST)
     good = _each(new, weight) < _each(off, weight)
     return np.where(good[:, None], other, starts), np.where(good[:, None, None], new, off)
@@ -148,7 +162,9 @@ def _each(off: np.ndarray, weight: np.ndarray) -> np.ndarray:
 
 
 def _loss(off: np.ndarray, weight: np.ndarray) -> float:
-    """Each stretch has a spread of its own, so that one whose start is caught at another contact does not decide."""
+    """Each stretch has a spread of its own, so that one whose start is caught at another contact
+    does not decide.
+    """
     return 0.5 * float(off[0].size * np.log(_each(off, weight)).sum())
 
 
@@ -158,8 +174,10 @@ def _rms(off: np.ndarray, weight: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class _Linear:
-    """Weighted residuals [W, R], derivatives by starts [W, R, S] and by the fields [W, R, P], and the normal equations of the
-    fields by trial with the starts eliminated: hess [F, P, P], slope [F, P]. `good` [W]: stretches that count."""
+    """Weighted residuals [W, R], derivatives by starts [W, R, S] and by the fields [W, R, P], and
+    the normal equations of the fields by trial with the starts eliminated: hess [F, P, P], slope
+    [F, P]. `good` [W]: stretches that count.
+    """
 
     left: np.ndarray
     by_start: np.ndarray
@@ -175,7 +193,10 @@ class _Linear:
             x = self.by_start[w]
             size = np.maximum(np.linalg.norm(x, axis=0), 1e-9)
             hess = (x / size).T @ (x / size) + 1e-6 * np.eye(len(size))
-            out[w] = -np.linalg.solve(hess, (x / size).T @ (self.left[w] + self.by_field[w] @ step)) / size
+            out[w] = (
+                -np.linalg.solve(hess, (x / size).T @ (self.left[w] + self.by_field[w] @ step))
+                / size
+            )
         return out
 
 
@@ -186,12 +207,20 @@ def _linear(made, stretches, fields, values, starts, weight) -> _Linear:
     columns = [_column(made, stretches, fields, values, p, starts) for p in range(len(fields))]
     by_p = np.stack(columns, -1)
     spread = np.sqrt(_each(base, weight))
-    wide = lambda z: (z * weight.reshape(1, 1, -1, *[1] * (z.ndim - 3))).reshape(len(z), -1, *z.shape[3:])
-    wide = lambda z, all_=wide: all_(z) / spread.reshape(-1, *[1] * (z.ndim - 2))
+
+    def wide(z):
+        return (z * weight.reshape(1, 1, -1, *[1] * (z.ndim - 3))).reshape(len(z), -1, *z.shape[3:])
+
+    def wide(z, all_=wide):
+        return all_(z) / spread.reshape(-1, *[1] * (z.ndim - 2))
+
     r, x, s = wide(base), wide(by_x), wide(by_p)
     good = np.all([np.abs(z).reshape(len(z), -1).max(1) < WILD for z in (r, x, s)], 0)
     trials = np.unique(stretches.trial)
-    hess, slope = np.zeros((len(trials), len(fields), len(fields))), np.zeros((len(trials), len(fields)))
+    hess, slope = (
+        np.zeros((len(trials), len(fields), len(fields))),
+        np.zeros((len(trials), len(fields))),
+    )
     for w in np.flatnonzero(good):
         q, u = np.linalg.qr(x[w] / np.maximum(np.linalg.norm(x[w], axis=0), 1e-12))
         q = q[:, np.abs(np.diagonal(u)) > 1e-7]
@@ -203,7 +232,9 @@ def _linear(made, stretches, fields, values, starts, weight) -> _Linear:
 
 
 def _column(made, stretches, fields, values, p: int, starts) -> np.ndarray:
-    """Derivative [W, L, C'] of what is left by one field: a central difference, one-sided at a bound."""
+    """Derivative [W, L, C'] of what is left by one field: a central difference, one-sided at a
+    bound.
+    """
     f, lanes = fields[p], np.arange(stretches.count)
     ends = []
     for way in (1.0, -1.0):
@@ -226,10 +257,17 @@ def _bounded(hess, slope, fields, values, damping) -> np.ndarray:
 
 
 def _jackknife(lin: _Linear, fields, values) -> np.ndarray:
-    """Standard deviation [P] of the values, by leaving out one trial at a time (one linear step each)."""
+    """Standard deviation [P] of the values, by leaving out one trial at a time (one linear step
+    each).
+    """
     count = len(lin.hess)
     if count < 2:
         return np.full(len(fields), np.nan)
     hess, slope = lin.hess.sum(0), lin.slope.sum(0)
-    moves = np.stack([_bounded(hess - lin.hess[k], slope - lin.slope[k], fields, values, 0.0) for k in range(count)])
+    moves = np.stack(
+        [
+            _bounded(hess - lin.hess[k], slope - lin.slope[k], fields, values, 0.0)
+            for k in range(count)
+        ]
+    )
     return np.sqrt((count - 1) / count * np.square(moves - moves.mean(0)).sum(0))

@@ -13,15 +13,19 @@ from adaptsim_jax.simulators.mujoco.build import Stepped
 from adaptsim_jax.simulators.mujoco.fields import DELAY, GROUND, TILTS, Field, grounds, with_values
 
 WHOLE = {"body": ("mass", "ipos", "iquat", "inertia"), "actuator": ("gainprm", "biasprm")}
-"""What a number of an element may change besides itself; of a joint or a geom it is that field alone."""
+"""What a number of an element may change besides itself; of a joint or a geom it is that field
+alone.
+"""
 SHAPED = (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD)  # are placed by their own files
 
 
 def mended_mjcf(made: Stepped, fields: Sequence[Field], values: Mapping[str, float]) -> str:
-    """The file of `made` with `values` by a field's name in it; what no model file holds stands in comments above.
+    """The file of `made` with `values` by a field's name in it; what no model file holds stands in
+    comments above.
 
     Args:
-        made: what was simulated; its file is read anew, so that nothing is held or welded that was not.
+        made: what was simulated; its file is read anew, so that nothing is held or welded that was
+                not.
         fields: of `made`. values: those that differ from the file's are put in.
 
     Raises BadInput where MuJoCo refuses the result.
@@ -43,13 +47,18 @@ def mended_mjcf(made: Stepped, fields: Sequence[Field], values: Mapping[str, flo
         if f.field == DELAY and values[f.name] > 0:
             _delay(spec, values[f.name])
         elif f.field in OUTSIDE:
-            comments.append(f"not in this file: {f.name} = {values[f.name]:.6g}, which is of the log or the controller")
+            comments.append(
+                f"not in this file: {f.name} = {values[f.name]:.6g}, which is of the log or the "
+                f"controller"
+            )
     compiled(made.path, spec)
     return commented(spec.to_xml(), comments)
 
 
 def _own(stepped: mujoco.MjModel, model: mujoco.MjModel, f: Field) -> Field:
-    """A field of the model that was stepped as one of the file's own: joints may have other numbers there."""
+    """A field of the model that was stepped as one of the file's own: joints may have other numbers
+    there.
+    """
     if not f.field.startswith("joint."):
         return f
     at = tuple(model.joint(stepped.joint(e).name).id for e in f.elements)
@@ -64,7 +73,10 @@ def _put(spec: mujoco.MjSpec, there: mujoco.MjModel, f: Field) -> None:
     if f.name in GROUND:
         for geom in (g for g in spec.geoms if g.id in grounds(there)):
             if geom.type in SHAPED:
-                raise BadInput(f"{f.name}: the ground '{geom.name}' is a mesh or a height field; move it by hand")
+                raise BadInput(
+                    f"{f.name}: the ground '{geom.name}' is a mesh or a height field; move it by "
+                    f"hand"
+                )
             geom.pos, geom.quat = there.geom_pos[geom.id], there.geom_quat[geom.id]
             geom.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
         return
@@ -72,7 +84,12 @@ def _put(spec: mujoco.MjSpec, there: mujoco.MjModel, f: Field) -> None:
     if kind == "opt":
         setattr(spec.option, what, getattr(there.opt, what))
         return
-    listed = {"body": spec.bodies, "geom": spec.geoms, "actuator": spec.actuators, "joint": spec.joints}.get(kind)
+    listed = {
+        "body": spec.bodies,
+        "geom": spec.geoms,
+        "actuator": spec.actuators,
+        "joint": spec.joints,
+    }.get(kind)
     if listed is None:
         raise BadInput(f"{f.name}: numbers of a {kind} are not written; put {f.name} in by hand")
     for element in (e for e in listed if e.id in f.elements):
@@ -87,7 +104,10 @@ def _put(spec: mujoco.MjSpec, there: mujoco.MjModel, f: Field) -> None:
 def _copy(element, name: str, kind: str, there: mujoco.MjModel, f: Field) -> None:
     if kind == "joint":
         dof = int(there.jnt_dofadr[element.id])
-        value = getattr(there, f"dof_{name}")[dof] if hasattr(there, f"dof_{name}") else _of_joint(there, element, name)
+        if hasattr(there, f"dof_{name}"):
+            value = getattr(there, f"dof_{name}")[dof]
+        else:
+            value = _of_joint(there, element, name)
     else:
         value = getattr(there, f"{kind}_{name}")[element.id]
     now = getattr(element, name)

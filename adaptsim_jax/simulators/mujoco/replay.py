@@ -1,4 +1,6 @@
-"""The yardstick by MuJoCo itself: a model file over a recording, at the file's own step, from starts fitted to each stretch."""
+"""The yardstick by MuJoCo itself: a model file over a recording, at the file's own step, from
+starts fitted to each stretch.
+"""
 
 from dataclasses import dataclass
 
@@ -17,9 +19,10 @@ FEWEST = 8  # stretches, whatever they cost
 
 @dataclass(frozen=True)
 class Replayed:
-    """error [W, n] rad or m by stretch and joint; measured and simulated angles, seen [W, L, n]; base [W, 2] m and rad of a free
-    base, None where none was logged; time [W, L] s; trial [W]; stretches in all, of which these are `count`;
-    span: s of a stretch."""
+    """error [W, n] rad or m by stretch and joint; measured and simulated angles, seen [W, L, n];
+    base [W, 2] m and rad of a free base, None where none was logged; time [W, L] s; trial [W];
+    stretches in all, of which these are `count`; span: s of a stretch.
+    """
 
     made: Stepped
     stretches: Stretches
@@ -31,7 +34,8 @@ class Replayed:
 
 
 def replayed(source: Source, log: Log, horizon: float, most: int | None = None) -> Replayed:
-    """A model over a recording. horizon: s, 0 for each trial in one go; most: stretches, None: as many as `BUDGET` allows.
+    """A model over a recording. horizon: s, 0 for each trial in one go; most: stretches, None: as
+    many as `BUDGET` allows.
 
     Raises BadInput as `build` and `stretches` do.
     """
@@ -51,4 +55,6 @@ def replayed(source: Source, log: Log, horizon: float, most: int | None = None) 
     if made.base >= 0:
         mean = np.square(off[..., -6:]).reshape(*off.shape[:2], 2, 3).sum(-1).mean(1)
         base = np.sqrt(mean)
-    return Replayed(made, stretches, error, base, stretches.measured[..., :n] - off[..., :n], total, span)
+    return Replayed(
+        made, stretches, error, base, stretches.measured[..., :n] - off[..., :n], total, span
+    )

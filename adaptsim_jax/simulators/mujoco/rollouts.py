@@ -1,6 +1,8 @@
-"""Stretches stepped by MuJoCo on all cores: states from starts in tangent coordinates, and their derivatives by differences.
+"""Stretches stepped by MuJoCo on all cores: states from starts in tangent coordinates, and their
+derivatives by differences.
 
-A start is [2 nv + na]: a displacement of qpos along the tangent, one of qvel, one of the activations, from where the stretch begins.
+A start is [2 nv + na]: a displacement of qpos along the tangent, one of qvel, one of the
+activations, from where the stretch begins.
 """
 
 import contextlib
@@ -17,7 +19,9 @@ from adaptsim_jax.simulators.mujoco.stretches import Stretches, dofs
 
 FULL = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 STEP = 1e-5
-"""rad, m (a second): of a start, for its derivative; the solver of constraints converges to far less."""
+"""rad, m (a second): of a start, for its derivative; the solver of constraints converges to far
+less.
+"""
 ROOM = 4e7  # numbers of states that are kept at once
 
 
@@ -35,7 +39,8 @@ def predict(
 ) -> np.ndarray:
     """What the channels would read [B, L, C], NaN where the simulation blew up.
 
-    starts [B, 2 nv + na]; lanes [B]: the stretch of each; models: that of each (none: the one made); by: what else acts on each.
+    starts [B, 2 nv + na]; lanes [B]: the stretch of each; models: that of each (none: the one
+    made); by: what else acts on each.
     """
     size = mujoco.mj_stateSize(made.model, FULL)
     block = max(1, int(ROOM / (size * stretches.steps)))
@@ -43,7 +48,11 @@ def predict(
     for i in range(0, len(lanes), block):
         some = slice(i, i + block)
         own = models[some] if len(models) else ()
-        parts.append(_predict(made, stretches, starts[some], lanes[some], own, None if by is None else by.of(some)))
+        parts.append(
+            _predict(
+                made, stretches, starts[some], lanes[some], own, None if by is None else by.of(some)
+            )
+        )
     return np.concatenate(parts)
 
 
@@ -55,14 +64,18 @@ def _predict(made: Stepped, stretches: Stretches, starts, lanes, models, by) -> 
     chosen = list(models) if len(models) else model
     data = [mujoco.MjData(model) for _ in range(min(threads, len(lanes)))]
     with quietly():
-        path, sensed = rollout.rollout(chosen, data, states, control, control_spec=spec, persistent_pool=True)
+        path, sensed = rollout.rollout(
+            chosen, data, states, control, control_spec=spec, persistent_pool=True
+        )
     path = np.concatenate([states[:, None], path], 1)
     return read(made, stretches, path, sensed, lanes)
 
 
 @contextlib.contextmanager
 def quietly() -> Iterator[None]:
-    """Without MuJoCo's warnings of runs that blow up, which it prints and writes into a file; they are seen in the numbers."""
+    """Without MuJoCo's warnings of runs that blow up, which it prints and writes into a file; they
+    are seen in the numbers.
+    """
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda message: None)
     try:
@@ -71,12 +84,17 @@ def quietly() -> Iterator[None]:
         mujoco.set_mju_user_warning(before)
 
 
-def initial_states(made: Stepped, stretches: Stretches, starts: np.ndarray, lanes: np.ndarray) -> np.ndarray:
+def initial_states(
+    made: Stepped, stretches: Stretches, starts: np.ndarray, lanes: np.ndarray
+) -> np.ndarray:
     """Full states [B, nstate] of starts."""
     model, data = made.model, mujoco.MjData(made.model)
     nv = model.nv
     out = np.zeros((len(lanes), mujoco.mj_stateSize(model, FULL)))
-    late = np.flatnonzero(model.actuator_history[:, 0]) if model.nu and hasattr(model, "actuator_history") else ()
+    if model.nu and hasattr(model, "actuator_history"):
+        late = np.flatnonzero(model.actuator_history[:, 0])
+    else:
+        late = ()
     times = {}
     for b, (w, x) in enumerate(zip(lanes, starts, strict=True)):
         qpos = stretches.qpos[w].copy()
@@ -91,23 +109,35 @@ def initial_states(made: Stepped, stretches: Stretches, starts: np.ndarray, lane
             count = int(model.actuator_history[k, 0])
             if k not in times:
                 times[k] = -float(model.opt.timestep) * np.arange(count, 0, -1)
-            some = stretches.past[w, -count:, k] if stretches.past.shape[2] == model.nu else np.zeros(count)
+            if stretches.past.shape[2] == model.nu:
+                some = stretches.past[w, -count:, k]
+            else:
+                some = np.zeros(count)
             some = np.concatenate([np.full(count - len(some), some[0]), some])
-            mujoco.mj_initCtrlHistory(model, data, int(k), times[k], np.ascontiguousarray(some[:, None]))
+            mujoco.mj_initCtrlHistory(
+                model, data, int(k), times[k], np.ascontiguousarray(some[:, None])
+            )
         mujoco.mj_getState(model, data, out[b], FULL)
     return out
 
 
-def read(made: Stepped, stretches: Stretches, path: np.ndarray, sensed: np.ndarray, lanes: np.ndarray) -> np.ndarray:
-    """Channels [B, L, C] of paths [B, S+1, nstate] and sensors [B, S, nsensordata], between steps along straight lines."""
+def read(
+    made: Stepped, stretches: Stretches, path: np.ndarray, sensed: np.ndarray, lanes: np.ndarray
+) -> np.ndarray:
+    """Channels [B, L, C] of paths [B, S+1, nstate] and sensors [B, S, nsensordata], between steps
+    along straight lines.
+    """
     model, at = made.model, stretches.at[lanes]
     low = np.minimum(np.floor(at + 1e-6).astype(int), path.shape[1] - 1)
     high = np.minimum(low + 1, path.shape[1] - 1)
     share = np.clip(at - low, 0.0, 1.0)
     share = np.where(share < 1e-6, 0.0, share)[..., None]
-    pick = lambda rows, columns: (
-        np.take_along_axis(path, rows[..., None], 1)[..., 1 + columns] if len(columns) else np.zeros((*rows.shape, 0))
-    )
+
+    def pick(rows, columns):
+        if len(columns):
+            return np.take_along_axis(path, rows[..., None], 1)[..., 1 + columns]
+        return np.zeros((*rows.shape, 0))
+
     angle = np.asarray(made.angle)
     columns = [angle]
     if has_speeds(made, stretches):
@@ -119,17 +149,24 @@ def read(made: Stepped, stretches: Stretches, path: np.ndarray, sensed: np.ndarr
     if made.read:
         felt, lane = sensed[..., [r.place for r in made.read]], np.arange(len(lanes))[:, None]
         split = columns.size - (7 if made.base >= 0 else 0)
-        row = lambda k: felt[lane, np.minimum(k, felt.shape[1] - 1)]
+
+        def row(k):
+            return felt[lane, np.minimum(k, felt.shape[1] - 1)]
+
         first, last = (
-            np.concatenate([z[..., :split], row(k), z[..., split:]], -1) for z, k in ((first, low), (last, high))
+            np.concatenate([z[..., :split], row(k), z[..., split:]], -1)
+            for z, k in ((first, low), (last, high))
         )
     out = first + share * (last - first)
     return np.where(np.isfinite(out) & (np.abs(out) < 1e6), out, np.nan)
 
 
-def residual(made: Stepped, stretches: Stretches, predicted: np.ndarray, lanes: np.ndarray) -> np.ndarray:
-    """Measured less predicted [B, L, C'], 0 where nothing was read; a base's orientation as three angles. A run that blew up is off
-    by a large number."""
+def residual(
+    made: Stepped, stretches: Stretches, predicted: np.ndarray, lanes: np.ndarray
+) -> np.ndarray:
+    """Measured less predicted [B, L, C'], 0 where nothing was read; a base's orientation as three
+    angles. A run that blew up is off by a large number.
+    """
     measured, seen = stretches.measured[lanes], stretches.seen[lanes]
     if made.base >= 0:
         turn = _between(measured[..., -4:], predicted[..., -4:])
@@ -142,7 +179,9 @@ def residual(made: Stepped, stretches: Stretches, predicted: np.ndarray, lanes: 
 
 def has_speeds(made: Stepped, stretches: Stretches) -> bool:
     """Whether speeds of the joints are among the channels."""
-    return stretches.measured.shape[2] - len(made.read) - (7 if made.base >= 0 else 0) == 2 * len(made.angle)
+    return stretches.measured.shape[2] - len(made.read) - (7 if made.base >= 0 else 0) == 2 * len(
+        made.angle
+    )
 
 
 def _between(one: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -160,7 +199,9 @@ def _between(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 def by_start(
     made: Stepped, stretches: Stretches, starts: np.ndarray, lanes: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(residual [B, L, C'], its derivative [B, L, C', 2 nv + na] by the starts), by forward differences."""
+    """(residual [B, L, C'], its derivative [B, L, C', 2 nv + na] by the starts), by forward
+    differences.
+    """
     width = start_size(made)
     base = residual(made, stretches, predict(made, stretches, starts, lanes), lanes)
     moved = np.repeat(starts, width, 0)

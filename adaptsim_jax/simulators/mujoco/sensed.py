@@ -1,4 +1,6 @@
-"""Sensors of a model as channels of a log (`[channels]` in meta.toml), and what an IMU alone tells of where a base begins."""
+"""Sensors of a model as channels of a log (`[channels]` in meta.toml), and what an IMU alone tells
+of where a base begins.
+"""
 
 import re
 from collections.abc import Iterable, Mapping
@@ -10,18 +12,33 @@ import numpy as np
 from adaptsim_jax.core.config import suggest
 from adaptsim_jax.core.errors import BadInput
 
-INERTIAL = {mujoco.mjtSensor.mjSENS_GYRO: "gyro", mujoco.mjtSensor.mjSENS_ACCELEROMETER: "accelerometer"}
+INERTIAL = {
+    mujoco.mjtSensor.mjSENS_GYRO: "gyro",
+    mujoco.mjtSensor.mjSENS_ACCELEROMETER: "accelerometer",
+}
 UNITS = {"gyro": "rad/s", "accelerometer": "m/s^2"}
 BLEND = 1.0  # 1/s: by which an orientation follows gravity instead of the gyro
 CALM = 0.3  # of gravity: by which an acceleration may differ from it
 SETTLED = 0.3  # s at the beginning over which gravity is averaged
-PRIOR = {"place": 1e-2, "height": 0.05, "turn": 0.1, "heading": 1e-2, "speed": 0.5, "spin": 0.5, "joint": 10.0}
-"""m, m, rad, rad, m/s, rad/s, rad (a second): how far a start may be from what an IMU and standing feet say of it."""
+PRIOR = {
+    "place": 1e-2,
+    "height": 0.05,
+    "turn": 0.1,
+    "heading": 1e-2,
+    "speed": 0.5,
+    "spin": 0.5,
+    "joint": 10.0,
+}
+"""m, m, rad, rad, m/s, rad/s, rad (a second): how far a start may be from what an IMU and standing
+feet say of it.
+"""
 
 
 @dataclass(frozen=True)
 class Reading:
-    """A channel: its sensor with a number (`gyro[0]`), its place in the model's sensordata, kind (gyro, accelerometer, other)."""
+    """A channel: its sensor with a number (`gyro[0]`), its place in the model's sensordata, kind
+    (gyro, accelerometer, other).
+    """
 
     name: str
     place: int
@@ -33,36 +50,60 @@ class Reading:
 
 
 def readings(model: mujoco.MjModel, channels: Mapping[str, str], where: str) -> tuple[Reading, ...]:
-    """The channels of a log as sensors of a model. Raises BadInput where a name is none of its sensors."""
+    """The channels of a log as sensors of a model. Raises BadInput where a name is none of its
+    sensors.
+    """
     out = []
     names = [model.sensor(k).name for k in range(model.nsensor)]
     for name in channels:
         found = re.fullmatch(r"(.+?)(?:\[(\d+)\])?", name)
-        sensor, index = (found[1], int(found[2] or 0)) if found else (name, 0)
+        if found:
+            sensor, index = (found[1], int(found[2] or 0))
+        else:
+            sensor, index = (name, 0)
         if not found or sensor not in names:
-            near = suggest(sensor, names) if names else "it has none: add a <sensor> to the model file"
+            if names:
+                near = suggest(sensor, names)
+            else:
+                near = "it has none: add a <sensor> to the model file"
             raise BadInput(
-                f"{where}: [channels] {channels[name]} = {name!r}: the model has no sensor {sensor!r}; {near}"
+                f"{where}: [channels] {channels[name]} = {name!r}: the model has no sensor "
+                f"{sensor!r}; {near}"
             )
         k = names.index(sensor)
         if index >= model.sensor_dim[k]:
             raise BadInput(
-                f"{where}: [channels] {channels[name]} = {name!r}: {sensor} has {model.sensor_dim[k]} numbers, from 0"
+                f"{where}: [channels] {channels[name]} = {name!r}: {sensor} has "
+                f"{model.sensor_dim[k]} numbers, from 0"
             )
-        out.append(Reading(name, int(model.sensor_adr[k]) + index, INERTIAL.get(int(model.sensor_type[k]), "other")))
+        out.append(
+            Reading(
+                name,
+                int(model.sensor_adr[k]) + index,
+                INERTIAL.get(int(model.sensor_type[k]), "other"),
+            )
+        )
     return tuple(out)
 
 
 def feels(spec: mujoco.MjSpec, channels: Iterable[str]) -> bool:
-    """Whether a gyro and an accelerometer of the model are among the channels: then a base moves though its pose is not logged."""
-    kinds = {s.type for s in spec.sensors if s.name in {name.partition("[")[0] for name in channels}}
+    """Whether a gyro and an accelerometer of the model are among the channels: then a base moves
+    though its pose is not logged.
+    """
+    kinds = {
+        s.type for s in spec.sensors if s.name in {name.partition("[")[0] for name in channels}
+    }
     return {mujoco.mjtSensor.mjSENS_GYRO, mujoco.mjtSensor.mjSENS_ACCELEROMETER} <= kinds
 
 
 def triple(own: tuple[Reading, ...], kind: str) -> list[int] | None:
-    """Places among the channels of the three axes of a gyro or an accelerometer, None where not all are logged."""
+    """Places among the channels of the three axes of a gyro or an accelerometer, None where not all
+    are logged.
+    """
     found = sorted((r.place, i) for i, r in enumerate(own) if r.kind == kind)
-    return [i for _, i in found[:3]] if len(found) >= 3 else None
+    if len(found) >= 3:
+        return [i for _, i in found[:3]]
+    return None
 
 
 def turn_of(model: mujoco.MjModel, own: tuple[Reading, ...], kind: str) -> np.ndarray:
@@ -77,10 +118,11 @@ def turn_of(model: mujoco.MjModel, own: tuple[Reading, ...], kind: str) -> np.nd
 def oriented(
     model: mujoco.MjModel, own: tuple[Reading, ...], time: np.ndarray, read: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Unit quaternions [T, 4] (heading 0 at first) and rates [T, 3] rad/s, both of the body that carries an IMU.
+    """Unit quaternions [T, 4] (heading 0 at first) and rates [T, 3] rad/s, both of the body that
+    carries an IMU.
 
-    Its gyro is integrated and drawn towards gravity (Mahony's complementary filter), forth, back and forth again, so that no
-    guess of where it began is left. read [T, m]: all channels.
+    Its gyro is integrated and drawn towards gravity (Mahony's complementary filter), forth, back
+    and forth again, so that no guess of where it began is left. read [T, m]: all channels.
     """
     rate = read[:, triple(own, "gyro")] @ turn_of(model, own, "gyro").T
     up = read[:, triple(own, "accelerometer")] @ turn_of(model, own, "accelerometer").T
@@ -104,7 +146,9 @@ def _times(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def _followed(now: np.ndarray, time: np.ndarray, rate: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """Orientations [T, 4] from `now` on; time may run backwards. Where more than gravity acts, it does not count."""
+    """Orientations [T, 4] from `now` on; time may run backwards. Where more than gravity acts, it
+    does not count.
+    """
     out = np.tile(now, (len(time), 1))
     for k in range(len(time) - 1):
         back, own_up, size = np.zeros(4), np.zeros(3), np.linalg.norm(up[k])
@@ -113,18 +157,26 @@ def _followed(now: np.ndarray, time: np.ndarray, rate: np.ndarray, up: np.ndarra
         step = float(time[k + 1] - time[k])
         calm = BLEND * np.exp(-np.square((size / 9.81 - 1.0) / CALM)) * np.sign(step)
         out[k + 1] = out[k]
-        mujoco.mju_quatIntegrate(out[k + 1], rate[k] + calm * np.cross(up[k] / max(size, 1e-9), own_up), step)
+        mujoco.mju_quatIntegrate(
+            out[k + 1], rate[k] + calm * np.cross(up[k] / max(size, 1e-9), own_up), step
+        )
     return out
 
 
-def standing(model: mujoco.MjModel, data: mujoco.MjData, free: int, qpos: np.ndarray, qvel: np.ndarray) -> None:
-    """In place: height and speed of a free base (at `free` in qpos) whose lowest geom touches the ground and stands still."""
+def standing(
+    model: mujoco.MjModel, data: mujoco.MjData, free: int, qpos: np.ndarray, qvel: np.ndarray
+) -> None:
+    """In place: height and speed of a free base (at `free` in qpos) whose lowest geom touches the
+    ground and stands still.
+    """
     joint = int(np.flatnonzero(model.jnt_qposadr == free)[0])
     dof = int(model.jnt_dofadr[joint])
     data.qpos[:], data.qvel[:] = qpos, qvel
     mujoco.mj_fwdPosition(model, data)
     mujoco.mj_fwdVelocity(model, data)
-    solid = np.flatnonzero((model.geom_bodyid > 0) & ((model.geom_contype != 0) | (model.geom_conaffinity != 0)))
+    solid = np.flatnonzero(
+        (model.geom_bodyid > 0) & ((model.geom_contype != 0) | (model.geom_conaffinity != 0))
+    )
     low = [(data.geom_xpos[g, 2] - _below(model, data, int(g)), int(g)) for g in solid]
     if not low:
         return
@@ -138,7 +190,11 @@ def standing(model: mujoco.MjModel, data: mujoco.MjData, free: int, qpos: np.nda
 
 def _below(model: mujoco.MjModel, data: mujoco.MjData, g: int) -> float:
     """m: how far a geom reaches below its middle."""
-    down, size, kind = np.abs(data.geom_xmat[g].reshape(3, 3)[2]), model.geom_size[g], model.geom_type[g]
+    down, size, kind = (
+        np.abs(data.geom_xmat[g].reshape(3, 3)[2]),
+        model.geom_size[g],
+        model.geom_type[g],
+    )
     if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
         return float(size[0])
     if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:

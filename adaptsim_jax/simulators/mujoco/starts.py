@@ -1,9 +1,17 @@
-"""Starts of stretches by least squares: damped steps of Gauss and Newton, each stretch by itself."""
+"""Starts of stretches by least squares: damped steps of Gauss and Newton, each stretch by
+itself.
+"""
 
 import numpy as np
 
 from adaptsim_jax.simulators.mujoco.build import Stepped
-from adaptsim_jax.simulators.mujoco.rollouts import by_start, has_speeds, predict, residual, start_size
+from adaptsim_jax.simulators.mujoco.rollouts import (
+    by_start,
+    has_speeds,
+    predict,
+    residual,
+    start_size,
+)
 from adaptsim_jax.simulators.mujoco.stretches import Stretches
 
 ROUNDS = 6
@@ -19,36 +27,49 @@ def position_weight(made: Stepped, stretches: Stretches) -> np.ndarray:
 
 
 def fitted(
-    made: Stepped, stretches: Stretches, weight: np.ndarray, rounds: int = ROUNDS, begin: np.ndarray | None = None
+    made: Stepped,
+    stretches: Stretches,
+    weight: np.ndarray,
+    rounds: int = ROUNDS,
+    begin: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """(starts [W, 2 nv + na] from which the weighted squares are least, residual [W, L, C'] there).
 
-    weight [C'] of each channel; begin: where the search begins (None: the measured starts). A start that the readings do not fix
-    stays near there.
+    weight [C'] of each channel; begin: where the search begins (None: the measured starts). A start
+    that the readings do not fix stays near there.
     """
     width, size = stretches.count, start_size(made)
     lanes = np.arange(width)
-    starts, damping = np.zeros((width, size)) if begin is None else begin.copy(), np.full(width, 1e-6)
+    starts, damping = (
+        np.zeros((width, size)) if begin is None else begin.copy(),
+        np.full(width, 1e-6),
+    )
     off = residual(made, stretches, predict(made, stretches, starts, lanes), lanes)
     cost = _cost(off, weight)
     for other in _others(made, stretches) if begin is None else ():
         new = residual(made, stretches, predict(made, stretches, other, lanes), lanes)
         better = _cost(new, weight) < cost
-        starts[better], off[better], cost[better] = other[better], new[better], _cost(new, weight)[better]
+        starts[better], off[better], cost[better] = (
+            other[better],
+            new[better],
+            _cost(new, weight)[better],
+        )
     open_ = np.flatnonzero(cost > EXACT * off[0].size)
     for _ in range(rounds):
         if not len(open_):
             break
         base, slope = by_start(made, stretches, starts[open_], open_)
-        step = np.stack([
-            _step(r, j, weight, d) for r, j, d in zip(base, slope, damping[open_], strict=True)
-        ])  # fmt: skip
+        step = np.stack(
+            [_step(r, j, weight, d) for r, j, d in zip(base, slope, damping[open_], strict=True)]
+        )
         before = cost[open_].copy()
         length = np.ones(len(open_))
         pending = np.arange(len(open_))
         for _ in range(4):
             trial = starts[open_[pending]] + length[pending, None] * step[pending]
-            new = residual(made, stretches, predict(made, stretches, trial, open_[pending]), open_[pending])
+            new = residual(
+                made, stretches, predict(made, stretches, trial, open_[pending]), open_[pending]
+            )
             gain = _cost(new, weight)
             good = gain < cost[open_[pending]]
             took = open_[pending[good]]
@@ -65,7 +86,9 @@ def fitted(
 
 
 def _others(made: Stepped, stretches: Stretches) -> list[np.ndarray]:
-    """Starts that may be nearer than smoothed speeds, which blur where a joint sticks: speeds by the rows just before, and rest."""
+    """Starts that may be nearer than smoothed speeds, which blur where a joint sticks: speeds by
+    the rows just before, and rest.
+    """
     nv = made.model.nv
     out = []
     for speed in (stretches.before, np.zeros_like(stretches.before)):
@@ -81,7 +104,9 @@ def _cost(off: np.ndarray, weight: np.ndarray) -> np.ndarray:
 
 
 def _step(off: np.ndarray, slope: np.ndarray, weight: np.ndarray, damping: float) -> np.ndarray:
-    """Of one stretch's start. The derivative is of what is left (measured less predicted), so that the step is against it."""
+    """Of one stretch's start. The derivative is of what is left (measured less predicted), so that
+    the step is against it.
+    """
     r = (off * weight).reshape(-1)
     j = (slope * weight[:, None]).reshape(len(r), -1)
     hess = j.T @ j

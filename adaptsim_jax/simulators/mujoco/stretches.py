@@ -1,4 +1,6 @@
-"""A recording cut into stretches on the grid of a model's own time step, each with a start of its own."""
+"""A recording cut into stretches on the grid of a model's own time step, each with a start of its
+own.
+"""
 
 from dataclasses import dataclass
 
@@ -16,10 +18,13 @@ PAST = 0.1  # s of command before a stretch, for actuators that remember
 
 @dataclass(frozen=True)
 class Stretches:
-    """W stretches of S steps of a model. trial [W]; time [W, L] s since the trial began, of L rows with `seen` [W, L, C] readings
-    `measured` [W, L, C] of C channels (angles in the log's order, then speeds where they are logged, sensors, the seven of a base);
-    at [W, L]: rows in steps since the start; control [W, S, nu]; past [W, B, nu]: commands of the B steps before; qpos [W, nq],
-    qvel [W, nv], act [W, na]: where each begins, from the measured motion; before [W, nv]: its speeds by the rows just before."""
+    """W stretches of S steps of a model. trial [W]; time [W, L] s since the trial began, of L rows
+    with `seen` [W, L, C] readings `measured` [W, L, C] of C channels (angles in the log's order,
+    then speeds where they are logged, sensors, the seven of a base); at [W, L]: rows in steps since
+    the start; control [W, S, nu]; past [W, B, nu]: commands of the B steps before; qpos [W, nq],
+    qvel [W, nv], act [W, na]: where each begins, from the measured motion; before [W, nv]: its
+    speeds by the rows just before.
+    """
 
     trial: np.ndarray
     time: np.ndarray
@@ -44,7 +49,8 @@ class Stretches:
 
 
 def cut(made: Stepped, log: Log, horizon: float, most: int) -> Stretches:
-    """Stretches of `horizon` s of all trials, at most about `most`, evenly spread; none over a gap in time.
+    """Stretches of `horizon` s of all trials, at most about `most`, evenly spread; none over a gap
+    in time.
 
     Raises BadInput where no trial holds a whole one.
     """
@@ -52,12 +58,16 @@ def cut(made: Stepped, log: Log, horizon: float, most: int) -> Stretches:
     pieces = [(k, b, e) for k, trial in enumerate(log.trials) for b, e in _whole(trial, horizon)]
     if not pieces:
         raise BadInput(
-            f"{log.path}: no trial has an unbroken stretch of {horizon:g} s; give a shorter --horizon or longer trials"
+            f"{log.path}: no trial has an unbroken stretch of {horizon:g} s; give a shorter "
+            f"--horizon or longer trials"
         )
     keep = np.unique(np.linspace(0, len(pieces) - 1, min(most, len(pieces))).round().astype(int))
     chosen = [pieces[i] for i in keep]
     rows = max(e - b for _, b, e in chosen) + 1
-    steps = max(int(np.ceil((log.trials[k].time[e] - log.trials[k].time[b]) / h - 0.25)) for k, b, e in chosen)
+    steps = max(
+        int(np.ceil((log.trials[k].time[e] - log.trials[k].time[b]) / h - 0.25))
+        for k, b, e in chosen
+    )
     motion = {k: _motion(log.trials[k]) for k in {k for k, *_ in chosen}}
     felt = _felt(made, log)
     inputs = [inputs_of(model, log, trial) for trial in log.trials]
@@ -65,31 +75,49 @@ def cut(made: Stepped, log: Log, horizon: float, most: int) -> Stretches:
         _lane(made, log.trials[k], (*motion[k], felt.get(k)), inputs[k], b, e, rows, max(steps, 1))
         for k, b, e in chosen
     ]
-    stack = lambda key: np.stack([lane[key] for lane in lanes])
+
+    def stack(key):
+        return np.stack([lane[key] for lane in lanes])
+
     keys = ("time", "measured", "seen", "at", "control", "past", "qpos", "qvel", "act", "before")
     return Stretches(
-        np.array([k for k, *_ in chosen]), **{k: stack(k) for k in keys}, names=tuple(t.name for t in log.trials)
+        np.array([k for k, *_ in chosen]),
+        **{k: stack(k) for k in keys},
+        names=tuple(t.name for t in log.trials),
     )
 
 
 def _felt(made: Stepped, log: Log) -> dict[int, tuple[np.ndarray, np.ndarray]]:
-    """By trial the orientation [T, 4] and rate [T, 3] of a base that only its IMU tells of; empty where its pose is logged."""
+    """By trial the orientation [T, 4] and rate [T, 3] of a base that only its IMU tells of; empty
+    where its pose is logged.
+    """
     if made.free < 0 or made.base >= 0:
         return {}
-    read = {k: np.stack([t.channels[r.name] for r in made.read], 1) for k, t in enumerate(log.trials)}
-    return {k: oriented(made.model, made.read, log.trials[k].time, values) for k, values in read.items()}
+    read = {
+        k: np.stack([t.channels[r.name] for r in made.read], 1) for k, t in enumerate(log.trials)
+    }
+    return {
+        k: oriented(made.model, made.read, log.trials[k].time, values) for k, values in read.items()
+    }
 
 
 def _motion(trial: LogTrial) -> tuple[np.ndarray, np.ndarray]:
     """Smoothed angles and speeds [T, n]."""
-    return local_motion(trial.time, trial.q, trial.v) if trial.q.shape[1] else (trial.q, trial.q)
+    if trial.q.shape[1]:
+        return local_motion(trial.time, trial.q, trial.v)
+    return (trial.q, trial.q)
 
 
 def _whole(trial: LogTrial, horizon: float) -> list[tuple[int, int]]:
-    """First and last rows of consecutive stretches without a gap, in which at least half of the angles were read."""
+    """First and last rows of consecutive stretches without a gap, in which at least half of the
+    angles were read.
+    """
     dt, out, at = trial.dt, [], 0
     gaps = np.flatnonzero(np.diff(trial.time) > max(5.0 * dt, 0.05))
-    seen = np.isfinite(trial.q).mean(1) if trial.q.shape[1] else np.ones(len(trial.time))
+    if trial.q.shape[1]:
+        seen = np.isfinite(trial.q).mean(1)
+    else:
+        seen = np.ones(len(trial.time))
     while at < len(trial.time) - 1:
         end = int(np.searchsorted(trial.time, trial.time[at] + horizon - 0.5 * dt))
         inside = gaps[(gaps >= at) & (gaps < min(end, len(trial.time) - 1))]
@@ -105,7 +133,9 @@ def _whole(trial: LogTrial, horizon: float) -> list[tuple[int, int]]:
 
 
 def inputs_of(model: mujoco.MjModel, log: Log, trial: LogTrial) -> np.ndarray:
-    """[T, nu] commands of the model's actuators, or [T, nv] forces at its joints where torques were logged."""
+    """[T, nu] commands of the model's actuators, or [T, nv] forces at its joints where torques were
+    logged.
+    """
     if log.input_kind == "command":
         out = np.zeros((len(trial.time), model.nu))
         for k, name in enumerate(log.input_names):
@@ -115,7 +145,8 @@ def inputs_of(model: mujoco.MjModel, log: Log, trial: LogTrial) -> np.ndarray:
         return np.nan_to_num(out)
     if log.input_kind in ("voltage", "current"):
         raise BadInput(
-            f"{log.path}: volts or amperes have no simulator mujoco; give torques or commands, or --simulator tree"
+            f"{log.path}: volts or amperes have no simulator mujoco; give torques or commands, or "
+            f"--simulator tree"
         )
     out = np.zeros((len(trial.time), model.nv))
     for k, name in enumerate(log.input_names):
@@ -125,14 +156,28 @@ def inputs_of(model: mujoco.MjModel, log: Log, trial: LogTrial) -> np.ndarray:
     return np.nan_to_num(out)
 
 
-def _lane(made: Stepped, trial: LogTrial, motion, u: np.ndarray, begin: int, end: int, rows: int, steps: int) -> dict:
+def _lane(
+    made: Stepped,
+    trial: LogTrial,
+    motion,
+    u: np.ndarray,
+    begin: int,
+    end: int,
+    rows: int,
+    steps: int,
+) -> dict:
     h = float(made.model.opt.timestep)
     live = begin + np.minimum(np.arange(rows), end - begin)
     here = (np.arange(rows) <= end - begin)[:, None]
     start = trial.time[begin]
-    row_of = lambda t: np.clip(
-        np.searchsorted(trial.time, t + 0.5 * h - 1e-9, side="right") - 1, 0, len(trial.time) - 1
-    )
+
+    def row_of(t):
+        return np.clip(
+            np.searchsorted(trial.time, t + 0.5 * h - 1e-9, side="right") - 1,
+            0,
+            len(trial.time) - 1,
+        )
+
     control = u[row_of(start + h * np.arange(steps))]
     before = max(1, int(np.ceil(PAST / h)))
     past = u[row_of(start - h * np.arange(before, 0, -1))]
@@ -150,21 +195,33 @@ def _lane(made: Stepped, trial: LogTrial, motion, u: np.ndarray, begin: int, end
         last = measured.shape[1] - (7 if made.base >= 0 else 0)
         seen[:, last - len(made.read) : last] &= (at <= steps - 1 + 1e-6)[:, None]
     return {
-        "time": trial.time[live] - trial.time[0], "measured": np.nan_to_num(measured), "seen": seen, "at": at,
-        "control": control, "past": past, "qpos": qpos, "qvel": qvel,
-        "act": _act(made, qpos, past), "before": _rate_before(made, trial, begin, qpos, qvel),
-    }  # fmt: skip
+        "time": trial.time[live] - trial.time[0],
+        "measured": np.nan_to_num(measured),
+        "seen": seen,
+        "at": at,
+        "control": control,
+        "past": past,
+        "qpos": qpos,
+        "qvel": qvel,
+        "act": _act(made, qpos, past),
+        "before": _rate_before(made, trial, begin, qpos, qvel),
+    }
 
 
 def _start(made: Stepped, trial: LogTrial, motion, begin: int) -> tuple[np.ndarray, np.ndarray]:
-    """qpos [nq] and qvel [nv] from the measured motion; what was not logged as the loops and equalities of the model have it."""
+    """qpos [nq] and qvel [nv] from the measured motion; what was not logged as the loops and
+    equalities of the model have it.
+    """
     model, data = made.model, mujoco.MjData(made.model)
     qpos, qvel = made.pose.copy(), np.zeros(model.nv)
     q, v, felt = motion
     measured = trial.q[begin]
     qpos[made.angle] = np.where(np.isfinite(measured), measured, q[begin])
     dof = dofs(made)
-    speed = v[begin] if trial.v is None else np.where(np.isfinite(trial.v[begin]), trial.v[begin], v[begin])
+    if trial.v is None:
+        speed = v[begin]
+    else:
+        speed = np.where(np.isfinite(trial.v[begin]), trial.v[begin], v[begin])
     qvel[dof] = speed
     known = np.zeros(model.nv, bool)
     known[dof] = True
@@ -185,7 +242,9 @@ def _start(made: Stepped, trial: LogTrial, motion, begin: int) -> tuple[np.ndarr
     return qpos, qvel
 
 
-def _rate_before(made: Stepped, trial: LogTrial, begin: int, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
+def _rate_before(
+    made: Stepped, trial: LogTrial, begin: int, qpos: np.ndarray, qvel: np.ndarray
+) -> np.ndarray:
     """Speeds [nv] by the last two rows up to a start; as they are where there is none before."""
     out = qvel.copy()
     if begin > 0:
@@ -215,11 +274,15 @@ def _known(made: Stepped) -> np.ndarray:
 def dofs(made: Stepped) -> np.ndarray:
     """[n]: where the speed of each joint of the log is in qvel."""
     model = made.model
-    return np.array([int(model.jnt_dofadr[np.flatnonzero(model.jnt_qposadr == a)[0]]) for a in made.angle], int)
+    return np.array(
+        [int(model.jnt_dofadr[np.flatnonzero(model.jnt_qposadr == a)[0]]) for a in made.angle], int
+    )
 
 
 def _base_rate(trial: LogTrial, row: int, some: slice | None = None) -> np.ndarray:
-    """[6] m/s in the world and rad/s in the base, by differences over some rows (None: about one)."""
+    """[6] m/s in the world and rad/s in the base, by differences over some rows (None: about
+    one).
+    """
     assert trial.base is not None
     some = some or slice(max(0, row - 2), row + 3)
     t, place, turn = trial.time[some], trial.base[some, :3], trial.base[some, 3:]
@@ -234,11 +297,15 @@ def _base_rate(trial: LogTrial, row: int, some: slice | None = None) -> np.ndarr
 
 
 def _consistent(model, data, qpos, qvel, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """With what is `free` [nv] moved until equalities hold, by Gauss and Newton's steps; the rest as it was measured."""
+    """With what is `free` [nv] moved until equalities hold, by Gauss and Newton's steps; the rest
+    as it was measured.
+    """
     for _ in range(20):
         data.qpos[:], data.qvel[:] = qpos, qvel
         mujoco.mj_fwdPosition(model, data)
-        rows = np.flatnonzero(data.efc_type[: data.nefc] == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY))
+        rows = np.flatnonzero(
+            data.efc_type[: data.nefc] == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+        )
         if not len(rows):
             break
         jacobian = np.zeros((data.nefc, model.nv))
@@ -260,7 +327,9 @@ def _consistent(model, data, qpos, qvel, free: np.ndarray) -> tuple[np.ndarray, 
 
 
 def _act(made: Stepped, qpos: np.ndarray, past: np.ndarray) -> np.ndarray:
-    """Activations [na] at a start: filters as the commands before bring them about, integrators where their actuators are."""
+    """Activations [na] at a start: filters as the commands before bring them about, integrators
+    where their actuators are.
+    """
     model = made.model
     out = np.zeros(model.na)
     data = mujoco.MjData(model)
@@ -282,8 +351,14 @@ def _act(made: Stepped, qpos: np.ndarray, past: np.ndarray) -> np.ndarray:
 
 
 def late(past: np.ndarray, control: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """Commands [W, S, nu] that act so many `steps` [W] later (below zero: earlier), between steps as a mix of both."""
-    both, before, last = np.concatenate([past, control], 1), past.shape[1], past.shape[1] + control.shape[1] - 1
+    """Commands [W, S, nu] that act so many `steps` [W] later (below zero: earlier), between steps
+    as a mix of both.
+    """
+    both, before, last = (
+        np.concatenate([past, control], 1),
+        past.shape[1],
+        past.shape[1] + control.shape[1] - 1,
+    )
     at = np.clip(before + np.arange(control.shape[1]) - steps[:, None], 0, last)
     low = np.floor(at).astype(int)
     share, row = (at - low)[..., None], np.arange(len(steps))[:, None]

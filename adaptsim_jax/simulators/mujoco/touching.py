@@ -11,13 +11,18 @@ SHARE = 0.02  # of these, in which a motion that touches does so
 
 
 def touching(made: Stepped, log: Log) -> str:
-    """In words which bodies touch, and in how many of the recorded poses; '' where hardly any do."""
+    """In words which bodies touch, and in how many of the recorded poses; '' where hardly any
+    do.
+    """
     model = made.model
     if model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CONTACT):
         return ""
     data = mujoco.MjData(model)
     q = np.concatenate([t.q for t in log.trials])
-    base = None if made.base < 0 else np.concatenate([t.base for t in log.trials if t.base is not None])
+    if made.base < 0:
+        base = None
+    else:
+        base = np.concatenate([t.base for t in log.trials if t.base is not None])
     rows = np.unique(np.linspace(0, len(q) - 1, min(ROWS, len(q))).astype(int))
     hits, pairs = 0, {}
     for row in rows:

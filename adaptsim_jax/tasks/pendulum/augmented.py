@@ -1,12 +1,14 @@
-"""The pendulum task on a mended model: the same swing-up and cost, with the effects of a `model.toml` in the simulator.
+"""The pendulum task on a mended model: the same swing-up and cost, with the effects of a
+`model.toml` in the simulator.
 
-Omega has the declared parameters and the effects' amplitudes, each around its fitted value. Policies are those of
-`augmented_policy.py`.
+Omega has the declared parameters and the effects' amplitudes, each around its fitted value.
+Policies are those of `augmented_policy.py`.
 
-The reward is 1 at the reference's cost. Of a linearized model that is the cost of the target's own policy, which no
-other beats by much. Of a rigid body it is not: a gain that is optimal near the goal is far from the best for a swing-up
-from hanging, and policies trained at other parameters cost less in half of the cases. There the reference is the
-cheapest of the target's own policy and of those of `SPREAD` points of Omega; rewards above 1 still occur, but are rare.
+The reward is 1 at the reference's cost. Of a linearized model that is the cost of the target's own
+policy, which no other beats by much. Of a rigid body it is not: a gain that is optimal near the
+goal is far from the best for a swing-up from hanging, and policies trained at other parameters cost
+less in half of the cases. There the reference is the cheapest of the target's own policy and of
+those of `SPREAD` points of Omega; rewards above 1 still occur, but are rare.
 """
 
 from collections.abc import Mapping
@@ -29,17 +31,29 @@ SPREAD = 16  # points of Omega whose policies a rigid body's reference is the be
 
 
 def mended_space(given: ModelFile) -> tuple[Space, list[tuple[str, ...]]]:
-    """Omega around a mended model, and what each parameter is: `(theta,)` or `(effect, where, parameter)`."""
+    """Omega around a mended model, and what each parameter is: `(theta,)` or `(effect, where,
+    parameter)`.
+    """
     plant = given.plant()
     parameters, keys = [], []
     for name, low, high in zip(plant.theta_names, plant.low, plant.high, strict=True):
         fitted = given.declared[name]
         damping = name.startswith("b")
-        share = 0.5 if damping or given.model == "linearized" else 0.1  # rigid moments only make sense together
+        # rigid moments only make sense together
+        if damping or given.model == "linearized":
+            share = 0.5
+        else:
+            share = 0.1
         half = max(share * abs(fitted.value), 0.05 if damping else 1e-3)
         ends = max(fitted.value - half, 0.0 if damping else low), fitted.value + half
         parameters.append(
-            Parameter(name, *ends, fitted.unit, physical_low=min(low, ends[0]), physical_high=max(high, ends[1]))
+            Parameter(
+                name,
+                *ends,
+                fitted.unit,
+                physical_low=min(low, ends[0]),
+                physical_high=max(high, ends[1]),
+            )
         )
         keys.append((name,))
     for e in given.effects:
@@ -50,14 +64,19 @@ def mended_space(given: ModelFile) -> tuple[Space, list[tuple[str, ...]]]:
             low = max(v.value - half, 0.0) if p.sign > 0 else v.value - half
             inside = 0.0 if p.sign > 0 else -np.inf
             parameters.append(
-                Parameter(f"{e.name}_{e.where}_{p.name}", low, v.value + half, p.unit, physical_low=inside)
+                Parameter(
+                    f"{e.name}_{e.where}_{p.name}", low, v.value + half, p.unit, physical_low=inside
+                )
             )
             keys.append((e.name, e.where, p.name))
     return Space(tuple(parameters)), keys
 
 
-def make_mended_pendulum(source: str | Path | Mapping[str, Any] | ModelFile, reward_gain: float = 10.0) -> Task:
-    """The pendulum task on the mended model of a `model.toml` (or its table): Phase 1 and 2 take it as any other.
+def make_mended_pendulum(
+    source: str | Path | Mapping[str, Any] | ModelFile, reward_gain: float = 10.0
+) -> Task:
+    """The pendulum task on the mended model of a `model.toml` (or its table): Phase 1 and 2 take it
+    as any other.
 
     Raises BadInput where the file is no model.
     """
@@ -78,27 +97,37 @@ def make_mended_pendulum(source: str | Path | Mapping[str, Any] | ModelFile, rew
         return world.rollout(train_policy(world, theta, eff), theta, eff)[0].cost
 
     def reference(params):
-        return (
-            own(params)
-            if given.model == "linearized"
-            else jnp.minimum(own(params), cheapest(space, train, rollout, params))
-        )
+        if given.model == "linearized":
+            return own(params)
+        return jnp.minimum(own(params), cheapest(space, train, rollout, params))
 
     fitted = {p.name: _fitted(given, key) for p, key in zip(space.parameters, keys, strict=True)}
     settings = {"fitted": fitted}
     if given.model == "linearized":
         settings |= {name: fitted | dict(table) for name, table in SETTINGS.items()}
-    empty = jax.eval_shape(lambda: train_policy(world, *split(jnp.asarray(list(fitted.values()), jnp.float32))))
+    empty = jax.eval_shape(
+        lambda: train_policy(world, *split(jnp.asarray(list(fitted.values()), jnp.float32)))
+    )
     return Task(
-        name="pendulum", space=space, targets=space, obs_dim=24, settings=settings,
+        name="pendulum",
+        space=space,
+        targets=space,
+        obs_dim=24,
+        settings=settings,
         init_policy=lambda key: jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), empty),
-        train=train, rollout=rollout, observe=paper_scaling, score=lambda trajectory: -trajectory.cost,
-        reference=reference, reward=lambda trajectory, best: 1.0 - reward_gain * (trajectory.cost / best - 1.0),
-    )  # fmt: skip
+        train=train,
+        rollout=rollout,
+        observe=paper_scaling,
+        score=lambda trajectory: -trajectory.cost,
+        reference=reference,
+        reward=lambda trajectory, best: 1.0 - reward_gain * (trajectory.cost / best - 1.0),
+    )
 
 
 def cheapest(space: Space, train, rollout, params) -> jax.Array:
-    """Least cost `[]` at `params` of the policies of `SPREAD` points of Omega; they are the same for all `params`."""
+    """Least cost `[]` at `params` of the policies of `SPREAD` points of Omega; they are the same
+    for all `params`.
+    """
     points = jnp.asarray(Sobol(space.dim, rng=0).random(SPREAD), jnp.float32)
     policies = jax.vmap(lambda u: train(None, gaussian(space, u), None))(points)
     return jnp.min(jax.vmap(lambda policy: rollout(None, policy, params).cost)(policies))
@@ -107,7 +136,9 @@ def cheapest(space: Space, train, rollout, params) -> jax.Array:
 def _given(source) -> ModelFile:
     if isinstance(source, ModelFile):
         return source
-    return model_of(source, "model.toml") if isinstance(source, Mapping) else read_model(source)
+    if isinstance(source, Mapping):
+        return model_of(source, "model.toml")
+    return read_model(source)
 
 
 def _fitted(given: ModelFile, key: tuple[str, ...]) -> float:
@@ -117,7 +148,9 @@ def _fitted(given: ModelFile, key: tuple[str, ...]) -> float:
 
 
 def _splitter(given: ModelFile, keys):
-    """From task parameters `[D]` to theta `[P]` and effect parameters `[E]`; shapes stay as they were fitted."""
+    """From task parameters `[D]` to theta `[P]` and effect parameters `[E]`; shapes stay as they
+    were fitted.
+    """
     names = dict.fromkeys(name for name, _ in given.active)
     layout = make_model(given.plant(), tuple(given.effect(n) for n in names)).layout
     base = np.asarray(given.effect_vector(layout), np.float32)
@@ -127,6 +160,8 @@ def _splitter(given: ModelFile, keys):
 
     def split(params):
         params = jnp.asarray(params, jnp.float32)
-        return params[:count], jnp.asarray(base).at[at].set(params[count:]) if len(at) else jnp.asarray(base)
+        return params[:count], jnp.asarray(base).at[at].set(params[count:]) if len(
+            at
+        ) else jnp.asarray(base)
 
     return split

@@ -1,8 +1,8 @@
 """Policies for the pendulum's task on a mended model, and the simulator that they are tried in.
 
-The policy is an LQR that knows the effects: gains of the model linearized with them along its own motion (statistical
-linearization), a constant torque where they push one way, cancellation of the modelled force, and prediction across a late command.
-Which of these pays is tried in the model.
+The policy is an LQR that knows the effects: gains of the model linearized with them along its own
+motion (statistical linearization), a constant torque where they push one way, cancellation of the
+modelled force, and prediction across a late command. Which of these pays is tried in the model.
 """
 
 from dataclasses import dataclass
@@ -14,7 +14,14 @@ import numpy as np
 
 from adaptsim_jax.control.riccati import solve_care
 from adaptsim_jax.control.small_matrix import mm, solve, transpose
-from adaptsim_jax.mechanisms.closed_loop import Loop, broadcasts, group_delay, history_rows, run_loop, sensed
+from adaptsim_jax.mechanisms.closed_loop import (
+    Loop,
+    broadcasts,
+    group_delay,
+    history_rows,
+    run_loop,
+    sensed,
+)
 from adaptsim_jax.mechanisms.double_pendulum.linear import HORIZON, SAMPLES, SNAPSHOTS, transition
 from adaptsim_jax.mechanisms.model_file import ModelFile
 from adaptsim_jax.mechanisms.stepping import Model, acting, make_model
@@ -27,9 +34,11 @@ SLIDING = 0.05  # rad/s: where the policy takes a joint to slide
 
 
 class MendedPolicy(NamedTuple):
-    """gain `[2, 4]` and constant torque feed `[2]` N m; share `[]` of the modelled force that is cancelled; phi `[4, 4]`,
-    gamma `[4, 2]`, recent `[H]`: the state when a command arrives, from now's and the mean of recent commands; zero
-    `[2]` rad: error of the encoders; theta, eff: the model that it was trained on; code: the Riccati solver's."""
+    """gain `[2, 4]` and constant torque feed `[2]` N m; share `[]` of the modelled force that is
+    cancelled; phi `[4, 4]`, gamma `[4, 2]`, recent `[H]`: the state when a command arrives, from
+    now's and the mean of recent commands; zero `[2]` rad: error of the encoders; theta, eff: the
+    model that it was trained on; code: the Riccati solver's.
+    """
 
     gain: jax.Array
     feed: jax.Array
@@ -45,7 +54,9 @@ class MendedPolicy(NamedTuple):
 
 @dataclass(frozen=True)
 class World:
-    """A mended model as a simulator of the task. goal, start: `[4]`; history: rows that its effects remember."""
+    """A mended model as a simulator of the task. goal, start: `[4]`; history: rows that its effects
+    remember.
+    """
 
     model: Model
     goal: np.ndarray
@@ -54,40 +65,64 @@ class World:
 
     def rollout(self, policy: MendedPolicy, theta, eff) -> tuple[PendulumTrajectory, Loop]:
         """The task's trajectory under a policy, and all of it."""
-        law = lambda y, past, t: command(self, policy, y, past, t)
-        loop = run_loop(self.model, theta, eff, law, jnp.asarray(self.start, jnp.float32), ROWS, DT, self.history)
+
+        def law(y, past, t):
+            return command(self, policy, y, past, t)
+
+        loop = run_loop(
+            self.model,
+            theta,
+            eff,
+            law,
+            jnp.asarray(self.start, jnp.float32),
+            ROWS,
+            DT,
+            self.history,
+        )
         return self.judged(loop), loop
 
     @broadcasts
     def judged(self, loop: Loop) -> PendulumTrajectory:
-        """Angles from the goal at the task's samples, and the cost on the scale of its 1000 samples."""
+        """Angles from the goal at the task's samples, and the cost on the scale of its 1000
+        samples.
+        """
         gap = loop.state - jnp.asarray(self.goal, jnp.float32)[None]
         cost = (SAMPLES / ROWS) * (jnp.sum(jnp.square(gap)) + jnp.sum(jnp.square(loop.command)))
         at = np.round(np.asarray(SNAPSHOTS) * ROWS / (SAMPLES - 1)).astype(int)
         angles = gap[at, :2]
         fine = jnp.isfinite(cost) & (cost < COST_CEILING) & jnp.all(jnp.isfinite(angles))
         angles = jnp.where(fine, angles, 0.0)
-        return PendulumTrajectory(angles, jnp.where(fine, cost, COST_CEILING), jnp.where(fine, 0, 2).astype(jnp.int32))
+        return PendulumTrajectory(
+            angles, jnp.where(fine, cost, COST_CEILING), jnp.where(fine, 0, 2).astype(jnp.int32)
+        )
 
 
 def make_world(given: ModelFile, largest: np.ndarray | None = None, history: int = 2) -> World:
-    """The simulator of a mended model, its friction as of `fixed_effect`; `largest`: effect parameters `[E]` at which its memory is
-    measured."""
+    """The simulator of a mended model, its friction as of `fixed_effect`; `largest`: effect
+    parameters `[E]` at which its memory is measured.
+    """
     names = [name for name, _ in given.active]
     effects = tuple(given.fixed_effect(n) for n in dict.fromkeys(names))
     model = make_model(given.plant(), effects)
     up = 0.0 if given.angle_zero == "upright" else np.pi
     goal = np.array([up, 0.0, 0.0, 0.0])
-    largest = given.effect_vector(model.layout) if largest is None else largest
+    if largest is None:
+        largest = given.effect_vector(model.layout)
+    else:
+        largest = largest
     rows = max(history, history_rows(model, np.asarray(largest, float), DT))
     return World(model, goal, goal - [np.pi, 0.0, 0.0, 0.0], rows)
 
 
 @broadcasts
 def command(world: World, policy: MendedPolicy, y, past, t) -> jax.Array:
-    """Torque `[2]` N m of a policy that sees `y: [4]` and its own `past: [H, 2]` commands (the newest last)."""
+    """Torque `[2]` N m of a policy that sees `y: [4]` and its own `past: [H, 2]` commands (the
+    newest last).
+    """
     n = world.model.plant.joint_dim
-    gap = y - jnp.asarray(world.goal, y.dtype) - jnp.concatenate([policy.zero, jnp.zeros(n, y.dtype)])
+    gap = (
+        y - jnp.asarray(world.goal, y.dtype) - jnp.concatenate([policy.zero, jnp.zeros(n, y.dtype)])
+    )
     gap = policy.phi @ gap + policy.gamma @ (policy.recent @ past[::-1])
     u = -policy.gain @ gap - policy.feed
     x = (gap + jnp.asarray(world.goal, y.dtype))[:, None]
@@ -113,7 +148,9 @@ def _static(model: Model, eff, u) -> jax.Array:
     u = u[:, :, None]
     for effect in model.layout.placed("command"):
         if not _remembers(effect):
-            u = effect.apply({k: v[None] for k, v in model.layout.params(effect, eff, 1).items()}, t, u)
+            u = effect.apply(
+                {k: v[None] for k, v in model.layout.params(effect, eff, 1).items()}, t, u
+            )
     return u[:, :, 0]
 
 
@@ -122,7 +159,9 @@ def _remembers(effect) -> bool:
 
 
 def _inverse(model: Model, eff, wanted) -> jax.Array:
-    """The command after which the static command effects give `wanted: [U]`, by a few fixed-point steps."""
+    """The command after which the static command effects give `wanted: [U]`, by a few fixed-point
+    steps.
+    """
     u = wanted
     for _ in range(3):
         u = u + wanted - _static(model, eff, u[None])[0]
@@ -130,7 +169,9 @@ def _inverse(model: Model, eff, wanted) -> jax.Array:
 
 
 class Affine(NamedTuple):
-    """Forces taken as `slope_q q + slope_v v + push` from the goal, and commands as `1 + gain` of themselves; `[n]`."""
+    """Forces taken as `slope_q q + slope_v v + push` from the goal, and commands as `1 + gain` of
+    themselves; `[n]`.
+    """
 
     slope_q: jax.Array
     slope_v: jax.Array
@@ -140,7 +181,9 @@ class Affine(NamedTuple):
 
 @broadcasts
 def along(world: World, theta, eff, loop: Loop) -> Affine:
-    """The effects' best affine stand-in along a motion (least squares; statistical linearization)."""
+    """The effects' best affine stand-in along a motion (least squares; statistical
+    linearization).
+    """
     model, n = world.model, world.model.plant.joint_dim
     gap = jnp.clip(loop.state - jnp.asarray(world.goal, loop.state.dtype), -20.0, 20.0)
     x = (gap + jnp.asarray(world.goal, gap.dtype)).T
@@ -160,8 +203,12 @@ def along(world: World, theta, eff, loop: Loop) -> Affine:
 
 
 @broadcasts
-def lqr(world: World, theta, eff, affine: Affine) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array]:
-    """Optimal gain `[2, 4]` and constant torque `[2]` of the model with affine forces, with its A, B and Riccati code."""
+def lqr(
+    world: World, theta, eff, affine: Affine
+) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array]:
+    """Optimal gain `[2, 4]` and constant torque `[2]` of the model with affine forces, with its A,
+    B and Riccati code.
+    """
     model, n = world.model, world.model.plant.joint_dim
     goal = jnp.asarray(world.goal, jnp.float32)
     zeros = jnp.zeros((n, 1))
@@ -171,7 +218,9 @@ def lqr(world: World, theta, eff, affine: Affine) -> tuple[jax.Array, jax.Array,
     def deriv(gap, u):
         force = affine.slope_q * gap[:n] + affine.slope_v * gap[n:] + affine.push
         arrives = (1.0 + affine.gain) * u
-        return model.plant.deriv(theta, (goal + gap)[:, None], arrives[:, None], force[:, None], inertia)[:, 0]
+        return model.plant.deriv(
+            theta, (goal + gap)[:, None], arrives[:, None], force[:, None], inertia
+        )[:, 0]
 
     x, u = jnp.zeros(4), jnp.zeros(n)
     A, B = jax.jacfwd(deriv, (0, 1))(x, u)
@@ -183,19 +232,31 @@ def lqr(world: World, theta, eff, affine: Affine) -> tuple[jax.Array, jax.Array,
 
 
 def plain_policy(world: World, theta, eff) -> MendedPolicy:
-    """The LQR of the declared part alone: it knows nothing of the effects (but of added inertia)."""
+    """The LQR of the declared part alone: it knows nothing of the effects (but of added
+    inertia).
+    """
     n, rows = world.model.plant.joint_dim, world.history
     nothing = Affine(*(jnp.zeros(n) for _ in range(4)))
     gain, _, _, _, code = lqr(world, theta, eff, nothing)
     return MendedPolicy(
-        gain, jnp.zeros(n), jnp.zeros(()), jnp.eye(4), jnp.zeros((4, n)), jnp.zeros(rows), jnp.zeros(n),
-        jnp.asarray(theta, jnp.float32), jnp.asarray(eff, jnp.float32), code,
-    )  # fmt: skip
+        gain,
+        jnp.zeros(n),
+        jnp.zeros(()),
+        jnp.eye(4),
+        jnp.zeros((4, n)),
+        jnp.zeros(rows),
+        jnp.zeros(n),
+        jnp.asarray(theta, jnp.float32),
+        jnp.asarray(eff, jnp.float32),
+        code,
+    )
 
 
 @broadcasts
 def train_policy(world: World, theta, eff) -> MendedPolicy:
-    """The cheapest in the model of: knowing nothing, affine stand-ins, cancelling half or all; each with prediction too."""
+    """The cheapest in the model of: knowing nothing, affine stand-ins, cancelling half or all; each
+    with prediction too.
+    """
     plain = plain_policy(world, theta, eff)
     if not world.model.layout.instances:
         return plain
@@ -203,7 +264,13 @@ def train_policy(world: World, theta, eff) -> MendedPolicy:
     _, loop = world.rollout(known, theta, eff)
     gain, feed, A, B, code = lqr(world, theta, eff, along(world, theta, eff, loop))
     fitted = known._replace(gain=gain, feed=feed, code=code)
-    tried = [plain, known, fitted, known._replace(share=jnp.float32(0.5)), known._replace(share=jnp.float32(1.0))]
+    tried = [
+        plain,
+        known,
+        fitted,
+        known._replace(share=jnp.float32(0.5)),
+        known._replace(share=jnp.float32(1.0)),
+    ]
     if any(_remembers(e) for e in world.model.layout.effects if e.place != "force"):
         tried += [_ahead(world, policy, A, B) for policy in tried[1:]]
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *tried)
@@ -218,7 +285,8 @@ STIFFER = (16.0, 32.0, 64.0)  # times the damping that a motion's affine stand-i
 def descended(world: World, theta, eff) -> MendedPolicy:
     """The cheapest after `polished` of `train_policy`'s and of gains for more damping.
 
-    Dry friction brakes most, for its size, where a motion is slow; the affine stand-in, fitted where it is fast, hardly damps.
+    Dry friction brakes most, for its size, where a motion is slow; the affine stand-in, fitted
+    where it is fast, hardly damps.
     """
     policy = train_policy(world, theta, eff)
     if not world.model.layout.instances:
@@ -227,7 +295,9 @@ def descended(world: World, theta, eff) -> MendedPolicy:
     affine = along(world, theta, eff, loop)
     starts = [policy]
     for times in STIFFER:
-        gain, feed, _, _, code = lqr(world, theta, eff, affine._replace(slope_v=times * affine.slope_v))
+        gain, feed, _, _, code = lqr(
+            world, theta, eff, affine._replace(slope_v=times * affine.slope_v)
+        )
         starts.append(policy._replace(gain=gain, feed=feed, code=code))
     stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *starts)
     better = jax.vmap(lambda p: polished(world, p, theta, eff))(stacked)
@@ -238,10 +308,11 @@ def descended(world: World, theta, eff) -> MendedPolicy:
 
 @broadcasts
 def polished(world: World, policy: MendedPolicy, theta, eff, steps: int = 6) -> MendedPolicy:
-    """The policy after Levenberg-Marquardt steps on its gain and constant torque, in the model: the cost is a sum of squares.
+    """The policy after Levenberg-Marquardt steps on its gain and constant torque, in the model: the
+    cost is a sum of squares.
 
-    What no affine stand-in gives, as damping that makes up for dry friction, is found so. Never worse than it was; a step
-    costs eleven rollouts, which Phase 1 does without.
+    What no affine stand-in gives, as damping that makes up for dry friction, is found so. Never
+    worse than it was; a step costs eleven rollouts, which Phase 1 does without.
     """
     scale = jnp.sqrt(SAMPLES / ROWS)
 
@@ -250,16 +321,23 @@ def polished(world: World, policy: MendedPolicy, theta, eff, steps: int = 6) -> 
 
     def residual(z):
         loop = world.rollout(with_(z), theta, eff)[1]
-        return scale * jnp.concatenate([(loop.state - jnp.asarray(world.goal, z.dtype)).ravel(), loop.command.ravel()])
+        return scale * jnp.concatenate(
+            [(loop.state - jnp.asarray(world.goal, z.dtype)).ravel(), loop.command.ravel()]
+        )
 
     def body(carry, _):
         z, cost, damping = carry
         r, jac = residual(z), jax.jacfwd(residual)(z)
         normal = jac.T @ jac
-        step = -solve(normal + damping * jnp.diag(jnp.diag(normal) + 1e-6), (jac.T @ r)[:, None])[:, 0]
+        step = -solve(normal + damping * jnp.diag(jnp.diag(normal) + 1e-6), (jac.T @ r)[:, None])[
+            :, 0
+        ]
         new = world.rollout(with_(z + step), theta, eff)[0].cost
         good = jnp.isfinite(new) & (new < cost)
-        keep = lambda a, b: jnp.where(good, a, b)
+
+        def keep(a, b):
+            return jnp.where(good, a, b)
+
         return (keep(z + step, z), keep(new, cost), keep(damping * 0.2, damping * 10.0)), None
 
     first = jnp.concatenate([policy.gain.ravel(), policy.feed])
@@ -278,7 +356,9 @@ def _with_zero(world: World, policy: MendedPolicy) -> MendedPolicy:
 
 @broadcasts
 def _ahead(world: World, policy: MendedPolicy, A, B) -> MendedPolicy:
-    """The same, acting on where the state will be when its command arrives (a predictor for a late input)."""
+    """The same, acting on where the state will be when its command arrives (a predictor for a late
+    input).
+    """
     late = group_delay(world.model, policy.eff, DT) + _sensor_delay(world, policy.eff)
     n = B.shape[1]
     both = jnp.zeros((4 + n, 4 + n)).at[:4, :4].set(A).at[:4, 4:].set(B)

@@ -13,24 +13,37 @@ from adaptsim_jax.tasks.pendulum.task import PendulumConfig, make_pendulum
 
 
 def augmented(options: dict[str, Any], where: str) -> Task:
-    """The task on a mended model, whose table stands under `model`; `reward_gain` may stand beside it."""
+    """The task on a mended model, whose table stands under `model`; `reward_gain` may stand beside
+    it.
+    """
     given, reward_gain = options.pop("model"), options.pop("reward_gain", 10.0)
     if options:
-        raise BadInput(f"{where}: unknown key '{next(iter(options))}'; with a mended model there is: reward_gain")
+        raise BadInput(
+            f"{where}: unknown key '{next(iter(options))}'; with a mended model there is: "
+            f"reward_gain"
+        )
     if not isinstance(given, Mapping) or given.get("task") != "pendulum":
         raise BadInput(
-            f"{where}: 'model' is no mended model of task 'pendulum'; use `adaptsim train pendulum --model FILE`"
+            f"{where}: 'model' is no mended model of task 'pendulum'; use `adaptsim train pendulum "
+            f"--model FILE`"
         )
     gain = finite(reward_gain)
     if gain is None or gain <= 0:
-        raise BadInput(f"{where}: reward_gain = {brief(reward_gain)} must be a positive number; leave it out for 10")
+        raise BadInput(
+            f"{where}: reward_gain = {brief(reward_gain)} must be a positive number; leave it out "
+            f"for 10"
+        )
     return make_mended_pendulum(model_of(given, f"{where}, model"), gain)
 
 
 def of_model(table: dict[str, Any], where: str) -> dict[str, Any]:
     """The option `model`: the checked file, less what is only for people."""
     model_of(table, where)
-    return {"model": {key: value for key, value in table.items() if key not in ("covariance", "provenance")}}
+    return {
+        "model": {
+            key: value for key, value in table.items() if key not in ("covariance", "provenance")
+        }
+    }
 
 
 TASK = TaskKind(

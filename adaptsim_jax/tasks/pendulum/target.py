@@ -1,4 +1,6 @@
-"""A mended model as the *target* of Phase 2: policies of any pendulum run act in a world that has its effects."""
+"""A mended model as the *target* of Phase 2: policies of any pendulum run act in a world that has
+its effects.
+"""
 
 from dataclasses import replace
 
@@ -10,13 +12,20 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.mechanisms.model_file import ModelFile
 from adaptsim_jax.tasks.base import Task
 from adaptsim_jax.tasks.pendulum.augmented import cheapest, mended_space
-from adaptsim_jax.tasks.pendulum.augmented_policy import MendedPolicy, World, make_world, plain_policy, train_policy
+from adaptsim_jax.tasks.pendulum.augmented_policy import (
+    MendedPolicy,
+    World,
+    make_world,
+    plain_policy,
+    train_policy,
+)
 from adaptsim_jax.tasks.pendulum.task import PendulumPolicy
 
 
 def in_world(task: Task, given: ModelFile) -> tuple[np.ndarray, Task]:
-    """`(params [D], task)`: the task with its rollouts in the mended model, whatever `params` say, and the parameters
-    of Omega as the model has them (those of effects that it lacks: at the start of their range).
+    """`(params [D], task)`: the task with its rollouts in the mended model, whatever `params` say,
+    and the parameters of Omega as the model has them (those of effects that it lacks: at the start
+    of their range).
 
     Raises BadInput where the run was trained on another kind of pendulum.
     """
@@ -26,7 +35,8 @@ def in_world(task: Task, given: ModelFile) -> tuple[np.ndarray, Task]:
     for name in given.declared:
         if name not in task.space.names:
             raise BadInput(
-                f"{given.path}: its parameter {name!r} is none of the run's ({', '.join(task.space.names)}); "
+                f"{given.path}: its parameter {name!r} is none of the run's "
+                f"({', '.join(task.space.names)}); "
                 f"train on this model: adaptsim train pendulum --model {given.path}"
             )
     params = np.array([values.get(p.name, p.low) for p in task.space.parameters])
@@ -38,12 +48,18 @@ def in_world(task: Task, given: ModelFile) -> tuple[np.ndarray, Task]:
     if mended:
         own = _same_effects(task, given, world, empty)
     else:
-        own = lambda policy: _linear(world, policy, theta, eff)
-    act = lambda key, policy, params: world.rollout(own(policy), theta, eff)[0]
+
+        def own(policy):
+            return _linear(world, policy, theta, eff)
+
+    def act(key, policy, params):
+        return world.rollout(own(policy), theta, eff)[0]
 
     def best_known():
         best = world.rollout(train_policy(world, theta, eff), theta, eff)[0].cost
-        return best if given.model == "linearized" else jnp.minimum(best, cheapest(task.space, task.train, act, None))
+        if given.model == "linearized":
+            return best
+        return jnp.minimum(best, cheapest(task.space, task.train, act, None))
 
     best = jax.jit(best_known)()
     return params, replace(
@@ -59,8 +75,12 @@ def _linear(world: World, policy: PendulumPolicy, theta, eff) -> MendedPolicy:
 
 
 def _same_effects(task: Task, given: ModelFile, world: World, empty: MendedPolicy):
-    """Policies of a mended run act as they are; they must have been trained with this model's effects in mind."""
-    alike = mended_space(given)[0].names == task.space.names and empty.recent.shape[0] == world.history
+    """Policies of a mended run act as they are; they must have been trained with this model's
+    effects in mind.
+    """
+    alike = (
+        mended_space(given)[0].names == task.space.names and empty.recent.shape[0] == world.history
+    )
     if not alike or empty.eff.shape[0] != world.model.layout.size:
         raise BadInput(
             f"{given.path}: has other effects than the model that this run was trained on; "

@@ -1,7 +1,7 @@
 """Swing-up of the linearized double pendulum (paper, section 5.1): the task policy is an LQR gain.
 
-The gain is the optimal one at the mean of E, solved and not learned. Costs are sums over 1000 samples of 2.5 s; the
-return is minus the cost, and the reward `1 - gain (cost / reference - 1)`.
+The gain is the optimal one at the mean of E, solved and not learned. Costs are sums over 1000
+samples of 2.5 s; the return is minus the cost, and the reward `1 - gain (cost / reference - 1)`.
 """
 
 from dataclasses import dataclass
@@ -30,12 +30,14 @@ SETTINGS = {
 class PendulumConfig:
     """Options of the task.
 
-    observation: 12 points over the whole trajectory (`full`) or in its last 0.5 s (`late`, the paper's
-    state-only variant).
-    scaling: `paper` ((q1 + pi) / pi and q2 as they are) or `whitened` (principal components of simulated trajectories,
-    each to unit variance, and compressed where they are far out). components: how many of those.
-    reference: rewards relative to the target's own optimal cost (`optimum`) or to the best that a gain from Omega
-    reaches there (`omega`, as the paper's Table 1 normalises). reward_gain: cost 1/gain above the reference gives 0.
+    observation: 12 points over the whole trajectory (`full`) or in its last 0.5 s (`late`, the
+        paper's state-only variant).
+    scaling: `paper` ((q1 + pi) / pi and q2 as they are) or `whitened` (principal components of
+        simulated trajectories, each to unit variance, and compressed where they are far out).
+        components: how many of those.
+    reference: rewards relative to the target's own optimal cost (`optimum`) or to the best that a
+        gain from Omega reaches there (`omega`, as the paper's Table 1 normalises). reward_gain:
+        cost 1/gain above the reference gives 0.
     targets: Phase 1 draws targets from Omega (the paper), or from a box around it (`wide`).
     m1, m2, b1, b2: Omega.
     """
@@ -53,7 +55,9 @@ class PendulumConfig:
 
 
 class PendulumTrajectory(NamedTuple):
-    """angles: `[12, 2]` rad at the observed samples; cost: `[]`; code: `[]`, a code of `double_pendulum.linear`."""
+    """angles: `[12, 2]` rad at the observed samples; cost: `[]`; code: `[]`, a code of
+    `double_pendulum.linear`.
+    """
 
     angles: jax.Array
     cost: jax.Array
@@ -101,7 +105,10 @@ def make_pendulum(config: PendulumConfig = PendulumConfig()) -> Task:
     if config.reward_gain <= 0 or not 1 <= config.components <= 24:
         raise BadInput(f"reward_gain must be positive and components in 1..24, got {config}")
     space = pendulum_space(config)
-    indices = model.SNAPSHOTS if config.observation == "full" else model.LATE_SNAPSHOTS
+    if config.observation == "full":
+        indices = model.SNAPSHOTS
+    else:
+        indices = model.LATE_SNAPSHOTS
 
     def train(key, dist, policy):
         gain, code = model.optimal_gain(space.physical(dist.mean))
@@ -115,7 +122,12 @@ def make_pendulum(config: PendulumConfig = PendulumConfig()) -> Task:
         return model.rollout(params, model.optimal_gain(params).gain, indices).cost
 
     search = best_in_space(space) if config.reference == "omega" else None
-    reference = optimum if search is None else lambda params: search(params)[1]
+    if search is None:
+        reference = optimum
+    else:
+
+        def reference(params):
+            return search(params)[1]
 
     return Task(
         name="pendulum",
@@ -126,7 +138,9 @@ def make_pendulum(config: PendulumConfig = PendulumConfig()) -> Task:
         init_policy=lambda key: PendulumPolicy(jnp.zeros((2, 4)), jnp.zeros((), jnp.int32)),
         train=train,
         rollout=rollout,
-        observe=paper_scaling if config.scaling == "paper" else _whitening(space, indices, config.components),
+        observe=paper_scaling
+        if config.scaling == "paper"
+        else _whitening(space, indices, config.components),
         score=lambda trajectory: -trajectory.cost,
         reference=reference,
         reward=lambda trajectory, best: 1.0 - config.reward_gain * (trajectory.cost / best - 1.0),
@@ -134,15 +148,20 @@ def make_pendulum(config: PendulumConfig = PendulumConfig()) -> Task:
 
 
 def best_in_space(space: Space, halvings: int = 4):
-    """A search of Omega for the mean whose gain is cheapest in a target: `params [D] -> (u [D], cost [])`.
+    """A search of Omega for the mean whose gain is cheapest in a target: `params [D] -> (u [D],
+    cost [])`.
 
-    The gains of a grid of three values a parameter are solved here, once; the cheapest of them, or the target itself
-    clipped into the box, starts a pattern search whose step halves from a quarter of the range. Within 2e-3 of a
-    dense search for 99 % of wide targets (`tests/tasks`): enough to scale rewards, not to report them.
+    The gains of a grid of three values a parameter are solved here, once; the cheapest of them, or
+    the target itself clipped into the box, starts a pattern search whose step halves from a quarter
+    of the range. Within 2e-3 of a dense search for 99 % of wide targets (`tests/tasks`): enough to
+    scale rewards, not to report them.
     """
     line = np.linspace(0.0, 1.0, 3, dtype=np.float32)
     grid = np.stack(np.meshgrid(*[line] * space.dim, indexing="ij"), -1).reshape(-1, space.dim)
-    solve = lambda u: model.optimal_gain(space.physical(u)).gain
+
+    def solve(u):
+        return model.optimal_gain(space.physical(u)).gain
+
     gains = jax.jit(jax.vmap(solve))(grid)
     moves = np.concatenate([np.eye(space.dim), -np.eye(space.dim)]).astype(np.float32)
 
@@ -151,14 +170,18 @@ def best_in_space(space: Space, halvings: int = 4):
 
         def better_of(best, us, costs):
             k = jnp.argmin(costs)
-            return jax.tree.map(lambda a, b: jnp.where(costs[k] < best[1], a, b), (us[k], costs[k]), best)
+            return jax.tree.map(
+                lambda a, b: jnp.where(costs[k] < best[1], a, b), (us[k], costs[k]), best
+            )
 
         def refine(best, size):
             us = jnp.clip(best[0][None] + moves * size, 0.0, 1.0)
             return better_of(best, us, cost(jax.vmap(solve)(us))), None
 
         clipped = jnp.clip(space.unit(params), 0.0, 1.0)[None]
-        best = better_of((clipped[0], cost(solve(clipped[0])[None])[0]), jnp.asarray(grid), cost(gains))
+        best = better_of(
+            (clipped[0], cost(solve(clipped[0])[None])[0]), jnp.asarray(grid), cost(gains)
+        )
         return jax.lax.scan(refine, best, 0.25 * 0.5 ** jnp.arange(halvings, dtype=jnp.float32))[0]
 
     return search
@@ -171,12 +194,15 @@ def paper_scaling(trajectory: PendulumTrajectory) -> jax.Array:
 
 
 def _squash(x: jax.Array) -> jax.Array:
-    """Near enough linear to 1, logarithmic far out: what a diverging target shows must not swamp a network."""
+    """Near enough linear to 1, logarithmic far out: what a diverging target shows must not swamp a
+    network.
+    """
     return jnp.sign(x) * jnp.log1p(jnp.abs(x))
 
 
 def _whitening(space: Space, indices: tuple[int, ...], components: int):
-    """Principal components of the observed angles over random pairs of E and target within Omega, to unit variance.
+    """Principal components of the observed angles over random pairs of E and target within Omega,
+    to unit variance.
 
     Only simulation enters: 4000 pairs with a fixed seed, computed when the task is made.
     """
@@ -186,7 +212,9 @@ def _whitening(space: Space, indices: tuple[int, ...], components: int):
     @jax.jit
     @jax.vmap
     def angles(sim, target):
-        return model.rollout(target, model.optimal_gain(sim).gain, indices).points[:, :2].reshape(-1)
+        return (
+            model.rollout(target, model.optimal_gain(sim).gain, indices).points[:, :2].reshape(-1)
+        )
 
     data = np.asarray(angles(*pairs), np.float64)
     centre = data.mean(0)

@@ -1,4 +1,6 @@
-"""The push: its options, the parameters that are adapted, its settings, and what policies and trajectories are made of."""
+"""The push: its options, the parameters that are adapted, its settings, and what policies and
+trajectories are made of.
+"""
 
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
@@ -12,7 +14,8 @@ from adaptsim_jax.tasks.pushing import model
 from adaptsim_jax.tasks.pushing.corrections import Told
 from adaptsim_jax.tasks.pushing.slide import Lacking
 
-# Paper, table A2: friction of the table, modulus of the bottle Pa, friction of the patch, its lateral place m.
+# Paper, table A2: friction of the table, modulus of the bottle Pa, friction of the patch, its
+# lateral place m.
 SETTINGS = {
     "wd": {"mu": 0.1, "e": 1e5, "mu_p": 0.6, "y_p": 0.05},
     "ood-1": {"mu": 0.25, "e": 5e4, "mu_p": 0.1, "y_p": -0.1},
@@ -26,30 +29,36 @@ SETTINGS = {
 class PushingConfig:
     """Options of the task.
 
-    observation: six points of each trajectory, or the `final` position alone (the paper's state-only variant).
-    show_goal: observe also the goal of each push, without which a miss cannot be told from a far goal.
-    show_gap: observe also how far the points lie from those of the same pushes simulated at the mean of E (`pretrain` only).
-    trajectories: pushes an iteration; tests: goals that the reward of a simulated target is averaged over.
-    goals: of an iteration's pushes: drawn anew; `spread`, drawn one in each equal part of the sector's angle and far out; or
-    `fixed`, always the same, so that what is seen differs by parameters alone, or `edges`, likewise but near the sector's edges.
-    targets: Phase 1 draws targets from Omega (the paper), or from a box around it (`wide`).
-    trials: M, simulated pushes that `train` trains a policy with; training: how; hidden, learning_rate: of the NAF.
-    pretrain: go on from one policy for all of Omega (`naf_shared`) instead of from nothing. It is made first, by `shared`
-    with `learning_rate`; `train` then moves it to the mean of E and, unless `tune` is false, tunes it by `tuning` with
-    `tuning_rate`.
-    refine: pushes simulated at the mean of E that each action is corrected by before it is made (`refine`), with
-    `pretrain` only; 0: actions are the network's own. correct: what is deployed is searched for in the simulator as
-    mended by the pushes made in the target so far, near E's mean and over the actions (`corrections`); a visit's own pushes are
-    not, nor is anything in Phase 1. visits: an iteration's pushes are E's own for `goals`, or `deployed`, those that would be deployed
-    then for goals drawn over the whole sector; the adaptation policy is shown as their goals where E's mean expects them
-    (`compare` and `robot`; Phase 1 knows only the former). rehearsal: tests and refine that Phase 1 makes do with, where not 0.
-    simulator: where policies are trained, refined and corrected: the planar model, or the MuJoCo scene itself in processes of
-    its own (`models.backends.pushing_served`; a hundredth of the speed), or that scene in MJX (`mjx`: in the compiled program, all
-    samples at once; for GPUs, on a CPU a quarter of the speed of `native`). coefficients: the planar model as a twin of that
-    scene or of Drake's.
-    friction, duration: of the model, see `tasks.pushing.model.PushOptions`. mu, e, mu_p, y_p: Omega.
-    mended: what measured pushes showed that the planar model lacks; it is then a slide in two dimensions (`slide`, in steps of
-    2.5 ms). fitted: mu, e Pa, mu_p, y_p m as fitted to them, the setting `fitted`; both of a model.toml of `adaptsim diagnose`.
+    observation: six points of each trajectory, or the `final` position alone (the paper's
+    state-only variant). show_goal: observe also the goal of each push, without which a miss cannot
+    be told from a far goal. show_gap: observe also how far the points lie from those of the same
+    pushes simulated at the mean of E (`pretrain` only). trajectories: pushes an iteration; tests:
+    goals that the reward of a simulated target is averaged over. goals: of an iteration's pushes:
+    drawn anew; `spread`, drawn one in each equal part of the sector's angle and far out; or
+    `fixed`, always the same, so that what is seen differs by parameters alone, or `edges`, likewise
+    but near the sector's edges. targets: Phase 1 draws targets from Omega (the paper), or from a
+    box around it (`wide`).
+    trials: M, simulated pushes that `train` trains a policy with; training: how; hidden,
+    learning_rate: of the NAF. pretrain: go on from one policy for all of Omega (`naf_shared`)
+    instead of from nothing. It is made first, by `shared` with `learning_rate`; `train` then moves
+    it to the mean of E and, unless `tune` is false, tunes it by `tuning` with `tuning_rate`.
+    refine: pushes simulated at the mean of E that each action is corrected by before it is made
+    (`refine`), with `pretrain` only; 0: actions are the network's own. correct: what is deployed is
+    searched for in the simulator as mended by the pushes made in the target so far, near E's mean
+    and over the actions (`corrections`); a visit's own pushes are not, nor is anything in Phase 1.
+    visits: an iteration's pushes are E's own for `goals`, or `deployed`, those that would be
+    deployed then for goals drawn over the whole sector; the adaptation policy is shown as their
+    goals where E's mean expects them (`compare` and `robot`; Phase 1 knows only the former).
+    rehearsal: tests and refine that Phase 1 makes do with, where not 0. simulator: where policies
+    are trained, refined and corrected: the planar model, or the MuJoCo scene itself in processes of
+    its own (`models.backends.pushing_served`; a hundredth of the speed), or that scene in MJX
+    (`mjx`: in the compiled program, all samples at once; for GPUs, on a CPU a quarter of the speed
+    of `native`). coefficients: the planar model as a twin of that scene or of Drake's.
+    friction, duration: of the model, see `tasks.pushing.model.PushOptions`. mu, e, mu_p, y_p:
+    Omega.
+    mended: what measured pushes showed that the planar model lacks; it is then a slide in two
+    dimensions (`slide`, in steps of 2.5 ms). fitted: mu, e Pa, mu_p, y_p m as fitted to them, the
+    setting `fitted`; both of a model.toml of `adaptsim diagnose`.
     """
 
     observation: Literal["points", "final"] = "points"
@@ -61,7 +70,9 @@ class PushingConfig:
     targets: Literal["omega", "wide"] = "wide"
     trials: int = 10_000
     training: GoalConfig = field(
-        default_factory=lambda: GoalConfig(updates=40, batch=32, candidates=16, temperature=0.03, width=(0.5, 0.05))
+        default_factory=lambda: GoalConfig(
+            updates=40, batch=32, candidates=16, temperature=0.03, width=(0.5, 0.05)
+        )
     )
     hidden: tuple[int, ...] = (64, 64)
     learning_rate: float = 3e-3
@@ -69,7 +80,13 @@ class PushingConfig:
     shared: SharedConfig = field(default_factory=SharedConfig)
     tuning: GoalConfig = field(
         default_factory=lambda: GoalConfig(
-            updates=40, batch=32, temperature=0.015, width=(0.15, 0.03), near=1.0, uniform=0.25, noise=0.05
+            updates=40,
+            batch=32,
+            temperature=0.015,
+            width=(0.15, 0.03),
+            near=1.0,
+            uniform=0.25,
+            noise=0.05,
         )
     )
     tuning_rate: float = 1e-3
@@ -91,9 +108,12 @@ class PushingConfig:
 
 
 class PushingPolicy(NamedTuple):
-    """weights: `[n]` of the NAF; `make_policy(config)` gives what it does. Where it came of one for all of Omega (else None):
-    tilt: `[D, width]`, what E's mean adds to the first bias, and at: `[D]`, the mean (unit coordinates) that it stands for. told:
-    pushes of the target that its actions are corrected by, where there are any (else None)."""
+    """weights: `[n]` of the NAF; `make_policy(config)` gives what it does. Where it came of one for
+        all of Omega (else None):
+    tilt: `[D, width]`, what E's mean adds to the first bias, and at: `[D]`, the mean (unit
+        coordinates) that it stands for. told: pushes of the target that its actions are corrected
+        by, where there are any (else None).
+    """
 
     weights: jax.Array
     tilt: jax.Array | None = None
@@ -102,9 +122,11 @@ class PushingPolicy(NamedTuple):
 
 
 class PushingTrajectory(NamedTuple):
-    """goals: `[N, 2]` m; points: `[N, 6, 2]` m, the bottle at six even times, the last at the end; rewards: `[N]` of these
-    pushes; tested: `[]`, mean reward over the test goals (in simulation only; elsewhere the mean of `rewards`); expected:
-    `[N, 6, 2]` m, the points of the same pushes simulated at the mean of E, where they are observed (else None)."""
+    """goals: `[N, 2]` m; points: `[N, 6, 2]` m, the bottle at six even times, the last at the end;
+    rewards: `[N]` of these pushes; tested: `[]`, mean reward over the test goals (in simulation
+    only; elsewhere the mean of `rewards`); expected: `[N, 6, 2]` m, the points of the same pushes
+    simulated at the mean of E, where they are observed (else None).
+    """
 
     goals: jax.Array
     points: jax.Array

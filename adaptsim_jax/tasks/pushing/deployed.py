@@ -1,4 +1,6 @@
-"""What is deployed after an adaptation in a simulated target, where `correct` is on: policies with the pushes made before."""
+"""What is deployed after an adaptation in a simulated target, where `correct` is on: policies with
+the pushes made before.
+"""
 
 from __future__ import annotations
 
@@ -15,9 +17,12 @@ from adaptsim_jax.tasks.pushing.simulator import make_simulator
 from adaptsim_jax.tasks.pushing.task import PushingConfig, PushingPolicy
 
 
-def deployed(history: Episode, target: jax.Array, config: PushingConfig) -> tuple[PushingPolicy, Told]:
-    """The policies `[N, I + 1]` of `history [N, I + 1]` in `target [D]` (physical), each told the pushes that all N starts made
-    before its iteration; and all of these pushes. Those that failed (their places are not finite) do not count.
+def deployed(
+    history: Episode, target: jax.Array, config: PushingConfig
+) -> tuple[PushingPolicy, Told]:
+    """The policies `[N, I + 1]` of `history [N, I + 1]` in `target [D]` (physical), each told the
+    pushes that all N starts made before its iteration; and all of these pushes. Those that failed
+    (their places are not finite) do not count.
 
     Goals are read back from what was observed, so they must be shown. Pure.
     """
@@ -28,22 +33,35 @@ def deployed(history: Episode, target: jax.Array, config: PushingConfig) -> tupl
         seen = obs[history.mean.shape[-1] :].reshape(
             config.trajectories, -1, 2
         )  # behind the mean of E: places, the goal, gaps
-        actions = choose(policy, unseen(seen[:, pushing.POINTS if config.observation == "points" else 1]))
+        actions = choose(
+            policy, unseen(seen[:, pushing.POINTS if config.observation == "points" else 1])
+        )
         return actions, jax.vmap(end)(pushing.physical_action(actions))
 
     actions, places = jax.vmap(jax.vmap(pushed))(history.policy, history.obs)
-    made = jnp.broadcast_to(jnp.arange(turns)[None, :, None], (N, turns, config.trajectories)).reshape(-1)
+    made = jnp.broadcast_to(
+        jnp.arange(turns)[None, :, None], (N, turns, config.trajectories)
+    ).reshape(-1)
     places = places.reshape(-1, 2)
     every = Told(actions.reshape(-1, 2), places, jnp.isfinite(places).all(-1))
-    at = lambda i: every._replace(used=every.used & (made < i))
+
+    def at(i):
+        return every._replace(used=every.used & (made < i))
+
     told = jax.vmap(lambda _: jax.vmap(at)(jnp.arange(turns)))(jnp.arange(N))
     return history.policy._replace(told=told), every
 
 
 def tested(policies: PushingPolicy, target: jax.Array, config: PushingConfig) -> jax.Array:
     """Mean rewards `[N]` of `policies [N]` over the test goals in `target [D]` (physical). Pure."""
-    grid, act, end = pushing.goal_lattice(config.tests), pushing.make_policy(config), _end(target, config)
-    return jax.lax.map(lambda policy: pushing.push_reward(jax.vmap(end)(act(policy, grid)), grid).mean(), policies)
+    grid, act, end = (
+        pushing.goal_lattice(config.tests),
+        pushing.make_policy(config),
+        _end(target, config),
+    )
+    return jax.lax.map(
+        lambda policy: pushing.push_reward(jax.vmap(end)(act(policy, grid)), grid).mean(), policies
+    )
 
 
 def _end(target: jax.Array, config: PushingConfig) -> Callable[[jax.Array], jax.Array]:

@@ -1,7 +1,9 @@
-"""Where bottles went against where they were pushed: a mirrored or turned camera and angles in another unit, told before they count.
+"""Where bottles went against where they were pushed: a mirrored or turned camera and angles in
+another unit, told before they count.
 
-A bottle slides along its push's angle, whatever the frictions are, in every engine to 0.001 rad. A plate that is not held square or a
-camera that is not level adds some degrees, which the task adapts to and `diagnose` names.
+A bottle slides along its push's angle, whatever the frictions are, in every engine to 0.001 rad. A
+plate that is not held square or a camera that is not level adds some degrees, which the task adapts
+to and `diagnose` names.
 """
 
 import itertools
@@ -13,7 +15,9 @@ import numpy as np
 from adaptsim_jax.core.errors import BadInput
 
 SURE = 0.1
-"""rad (root mean square) by which the bottles must miss their pushes' angles for the frame to be doubted."""
+"""rad (root mean square) by which the bottles must miss their pushes' angles for the frame to be
+doubted.
+"""
 BETTER = 3.0
 """Times by which they must miss less in another frame."""
 SLIGHT, TURNED = 0.05, 0.35
@@ -37,25 +41,39 @@ class Told:
 
 OTHERS = (
     (
-        Told("mirrored", "the bottles came out on the other side of the line than they were pushed to: the tracks look mirrored",
-             "turn the sign of y (or of the angles: to the left is positive)"),
+        Told(
+            "mirrored",
+            "the bottles came out on the other side of the line than they were pushed to: the "
+            "tracks look mirrored",
+            "turn the sign of y (or of the angles: to the left is positive)",
+        ),
         lambda a: -a,
     ),
     (
-        Told("degrees", "the bottles went straight ahead whatever the angle: the robot looks to have taken the angles for degrees",
-             "give the robot radians, and push again"),
+        Told(
+            "degrees",
+            "the bottles went straight ahead whatever the angle: the robot looks to have taken the "
+            "angles for degrees",
+            "give the robot radians, and push again",
+        ),
         np.radians,
     ),
     (
-        Told("in_degrees", "the bottles went much wider than they were pushed: the angles look to be other than in radians",
-             "write the angles in radians"),
+        Told(
+            "in_degrees",
+            "the bottles went much wider than they were pushed: the angles look to be other than "
+            "in radians",
+            "write the angles in radians",
+        ),
         np.degrees,
     ),
-)  # fmt: skip
+)
 
 
 def frame_told(angles: np.ndarray, way: np.ndarray) -> Told | None:
-    """What pushes at `angles [N]` rad say of the frame of bottles that went `way [N, 2]` m; None where all agrees."""
+    """What pushes at `angles [N]` rad say of the frame of bottles that went `way [N, 2]` m; None
+    where all agrees.
+    """
     far = np.linalg.norm(way, axis=1) > LEAST
     angles, went = np.asarray(angles, float)[far], np.arctan2(way[far, 1], way[far, 0])
     if not len(angles):
@@ -74,15 +92,22 @@ def frame_told(angles: np.ndarray, way: np.ndarray) -> Told | None:
         what = f"the bottles went {abs(np.degrees(turn)):.0f} degrees to the {'left' if turn > 0 else 'right'} of their pushes"
         slight = abs(turn) < TURNED
         return Told(
-            "turned", f"{what}: {'is the frame turned a little' if slight else 'another frame'}?", TURN_MEND, slight
+            "turned",
+            f"{what}: {'is the frame turned a little' if slight else 'another frame'}?",
+            TURN_MEND,
+            slight,
         )
     if missed > 2.0 * TURNED:
-        return Told("frame", "the bottles did not go where they were pushed: another frame?", TURN_MEND)
+        return Told(
+            "frame", "the bottles did not go where they were pushed: another frame?", TURN_MEND
+        )
     return None
 
 
 def check_frame(angles: np.ndarray, way: np.ndarray, where: str) -> str | None:
-    """A sentence where the frame looks a little turned, else None. BadInput, naming `where`, where it looks another."""
+    """A sentence where the frame looks a little turned, else None. BadInput, naming `where`, where
+    it looks another.
+    """
     told = frame_told(angles, way)
     if told is None:
         return None
@@ -92,7 +117,9 @@ def check_frame(angles: np.ndarray, way: np.ndarray, where: str) -> str | None:
 
 
 def check_each(names: Sequence[float], angles: np.ndarray, way: np.ndarray, where: str) -> None:
-    """BadInput at the first push `[N]` whose bottle went elsewhere by far than the others did, beside the angles of their pushes."""
+    """BadInput at the first push `[N]` whose bottle went elsewhere by far than the others did,
+    beside the angles of their pushes.
+    """
     off = np.angle(np.exp(1j * (np.arctan2(way[:, 1], way[:, 0]) - np.asarray(angles, float))))
     far = np.linalg.norm(way, axis=1) > LEAST
     if np.sum(far) < 3:
@@ -101,14 +128,19 @@ def check_each(names: Sequence[float], angles: np.ndarray, way: np.ndarray, wher
     alike = float(np.median(np.abs(off[far]))) < SURE
     for k in np.flatnonzero(far & alike & (np.abs(off) > ODD))[:1]:
         raise BadInput(
-            f"{where}: trial {names[k]:g}: the bottle went {abs(np.degrees(off[k])):.0f} degrees to the "
-            f"{'left' if off[k] > 0 else 'right'} of its push, the others did not: the track of another push, or of another frame? "
-            f"mend it, or leave it out (--without {names[k]:g}); if all is as declared, add --as-declared"
+            f"{where}: trial {names[k]:g}: the bottle went {abs(np.degrees(off[k])):.0f} degrees "
+            f"to the "
+            f"{'left' if off[k] > 0 else 'right'} of its push, the others did not: the track of "
+            f"another push, or of another frame? "
+            f"mend it, or leave it out (--without {names[k]:g}); if all is as declared, add "
+            f"--as-declared"
         )
 
 
 def check_order(names: Sequence[float], angles: np.ndarray, way: np.ndarray, where: str) -> None:
-    """BadInput where bottles went where other pushes of the file were made: two tracks exchanged, or all numbers off by one."""
+    """BadInput where bottles went where other pushes of the file were made: two tracks exchanged,
+    or all numbers off by one.
+    """
     far = np.linalg.norm(way, axis=1) > LEAST
     angles, went = np.asarray(angles, float), np.arctan2(way[:, 1], way[:, 0])
     if np.sum(far) < 2:
@@ -116,20 +148,27 @@ def check_order(names: Sequence[float], angles: np.ndarray, way: np.ndarray, whe
     mend = "give each track its own number; if all is as declared, add --as-declared"
     off = _wrapped(went - angles)
     usual = float(np.median(off[far])) if np.sum(far) > 4 else 0.0
-    miss = lambda i, j: abs(_wrapped(went[i] - angles[j] - usual))
-    left = lambda order: _rms((went - angles[order] - usual)[far])
+
+    def miss(i, j):
+        return abs(_wrapped(went[i] - angles[j] - usual))
+
+    def left(order):
+        return _rms((went - angles[order] - usual)[far])
+
     own = np.arange(len(angles))
     for by in (-1, 1):
         if len(angles) > 2 and left(own) > SURE and BETTER * left(np.roll(own, by)) < left(own):
             which = "next" if by < 0 else "last"
             raise BadInput(
-                f"{where}: the bottles went where the {which} push was made: are the numbers off by one? {mend}"
+                f"{where}: the bottles went where the {which} push was made: are the numbers off "
+                f"by one? {mend}"
             )
     for i, j in itertools.combinations(np.flatnonzero(far).tolist(), 2):
         as_told, exchanged = min(miss(i, i), miss(j, j)), max(miss(i, j), miss(j, i))
         if as_told > SURE and BETTER * exchanged < as_told:
             raise BadInput(
-                f"{where}: trials {names[i]:g} and {names[j]:g} went where the other was pushed: exchanged? {mend}"
+                f"{where}: trials {names[i]:g} and {names[j]:g} went where the other was pushed: "
+                f"exchanged? {mend}"
             )
 
 

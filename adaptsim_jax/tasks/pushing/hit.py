@@ -1,4 +1,6 @@
-"""When the plate reaches the bottle and how fast that then goes, by the commands alone: what a clock of another rate contradicts."""
+"""When the plate reaches the bottle and how fast that then goes, by the commands alone: what a
+clock of another rate contradicts.
+"""
 
 from collections.abc import Sequence
 
@@ -16,7 +18,9 @@ STEP = 0.001  # s
 
 
 def touch(actions: np.ndarray, starts: np.ndarray) -> Touch:
-    """Of pushes with `actions [T, 2]` m/s, rad and bottles at `starts [T, 2]` m: reached where the bottle has moved by `MOVED`."""
+    """Of pushes with `actions [T, 2]` m/s, rad and bottles at `starts [T, 2]` m: reached where the
+    bottle has moved by `MOVED`.
+    """
     edge = np.asarray(edge_halfway(model.PUSH_ENDS, STEP), float)
     time = (np.arange(len(edge)) + 0.5) * STEP
     along = np.stack([np.cos(actions[:, 1]), np.sin(actions[:, 1])], 1)
@@ -35,7 +39,13 @@ def touch(actions: np.ndarray, starts: np.ndarray) -> Touch:
 
 
 def check_hits(
-    seen: Sequence[tuple[float, float]], actions: np.ndarray, starts: np.ndarray, where: str, body: str = "the bottle"
+    seen: Sequence[tuple[float, float]],
+    actions: np.ndarray,
+    starts: np.ndarray,
+    where: str,
+    body: str = "the bottle",
 ) -> None:
     """BadInput where pushes contradict the rate of their clock; see `trial_clock`."""
-    check_clock_rate(seen, touch(np.asarray(actions, float), np.asarray(starts, float)), where, body)
+    check_clock_rate(
+        seen, touch(np.asarray(actions, float), np.asarray(starts, float)), where, body
+    )

@@ -1,7 +1,9 @@
-"""The push on a real robot: which pushes to make, and a camera's record of them as the trajectory the task observes.
+"""The push on a real robot: which pushes to make, and a camera's record of them as the trajectory
+the task observes.
 
-A record has rows of (trial, time s, x m, y m): the number of the push, the time since the arm's start, and the bottle's place
-in the arm's base frame. Whatever the task cannot take is refused with the row.
+A record has rows of (trial, time s, x m, y m): the number of the push, the time since the arm's
+start, and the bottle's place in the arm's base frame. Whatever the task cannot take is refused with
+the row.
 """
 
 from collections.abc import Callable, Mapping
@@ -34,7 +36,10 @@ ASIDE = 0.03  # m between where the bottle stood and where the task wants it
 FAR = 3.0  # m; nothing is pushed so far, so it is another unit
 STILL = 0.005  # m; every push within the bounds moves the bottle farther
 USUAL = 0.7  # m from the arm's base at which bottles are seen
-FASTEST, SLIP = 3.0, 0.03  # m/s and m: a row farther than this from the one before is another thing than the bottle
+FASTEST, SLIP = (
+    3.0,
+    0.03,
+)  # m/s and m: a row farther than this from the one before is another thing than the bottle
 _SIMULATOR = (
     "simulator", "pretrain", "refine", "coefficients", "friction", "duration", "mu", "e", "mu_p", "y_p", "mended",
 )  # fmt: skip  # options of it
@@ -42,15 +47,21 @@ _GOALS = 0x60A15  # tells the goals' keys from those that policies are trained w
 
 
 class Pushes(NamedTuple):
-    """What to do on the robot now: numbers `[N]` int, counted over the session; goals `[N, 2]` m; actions `[N, 2]`: m/s, rad."""
+    """What to do on the robot now: numbers `[N]` int, counted over the session; goals `[N, 2]` m;
+    actions `[N, 2]`: m/s, rad.
+    """
 
     numbers: np.ndarray
     goals: np.ndarray
     actions: np.ndarray
 
 
-def pushes_to_make(key: jax.Array, told: Any, policy: PushingPolicy, config: PushingConfig) -> Pushes:
-    """The pushes of adaptation iteration `told` (from 0) of a session with `key`: always the same for the same session."""
+def pushes_to_make(
+    key: jax.Array, told: Any, policy: PushingPolicy, config: PushingConfig
+) -> Pushes:
+    """The pushes of adaptation iteration `told` (from 0) of a session with `key`: always the same
+    for the same session.
+    """
     goals = make_aims(config)(jax.random.fold_in(jax.random.fold_in(key, _GOALS), told), policy)
     actions = pushing.make_policy(config)(policy, goals)
     numbers = int(told) * config.trajectories + np.arange(1, config.trajectories + 1)
@@ -64,33 +75,53 @@ def pushes_over_sector(policy: PushingPolicy, config: PushingConfig, count: int)
     return Pushes(np.arange(1, count + 1), np.asarray(goals), np.asarray(actions))
 
 
-def corrected(policy: PushingPolicy, config: PushingConfig, actions: Any, places: Any) -> PushingPolicy:
-    """The policy as it is deployed after pushes `actions [K, 2]` (m/s, rad) whose bottles ended at `places [K, 2]` m: corrected by
-    them where the task does that (`correct`), else as it is."""
+def corrected(
+    policy: PushingPolicy, config: PushingConfig, actions: Any, places: Any
+) -> PushingPolicy:
+    """The policy as it is deployed after pushes `actions [K, 2]` (m/s, rad) whose bottles ended at
+    `places [K, 2]` m: corrected by them where the task does that (`correct`), else as it is.
+    """
     if not config.correct or not len(actions):
         return policy
     low, high = np.asarray(model.ACTION_LOW), np.asarray(model.ACTION_HIGH)
     own = (2.0 * np.asarray(actions, float) - low - high) / (high - low)
-    told = Told(jnp.asarray(own, jnp.float32), jnp.asarray(places, jnp.float32), jnp.ones(len(own), bool))
+    told = Told(
+        jnp.asarray(own, jnp.float32), jnp.asarray(places, jnp.float32), jnp.ones(len(own), bool)
+    )
     return policy._replace(told=told)
 
 
 def read_policy(path: str | Path) -> Callable[[Any], np.ndarray]:
-    """`act(goal [2] or [N, 2] m) -> (speed m/s, angle rad)` from a `best.toml` or `policy.toml` of `adaptsim robot`.
+    """`act(goal [2] or [N, 2] m) -> (speed m/s, angle rad)` from a `best.toml` or `policy.toml` of
+    `adaptsim robot`.
 
     Raises BadInput where the file holds no policy of this task.
     """
-    act = read_saved(path, PushingConfig, PushingPolicy, pushing.make_pushing_naf, pushing.make_policy, "the push")
+    act = read_saved(
+        path,
+        PushingConfig,
+        PushingPolicy,
+        pushing.make_pushing_naf,
+        pushing.make_policy,
+        "the push",
+    )
     table = configs.read(path)
     if "simulator" not in table:
         return act
-    config = configs.from_table(PushingConfig, {**table["simulator"], "hidden": table["hidden"]}, f"{path}: simulator")
+    config = configs.from_table(
+        PushingConfig, {**table["simulator"], "hidden": table["hidden"]}, f"{path}: simulator"
+    )
     at, weights = table["policy"].get("at"), jnp.asarray(table["policy"]["weights"], jnp.float32)
     if not isinstance(at, list) or np.shape(at) != (pushing.pushing_space(config).dim,):
-        raise BadInput(f"{path}: the mean of E, policy.at, is missing; write it again with 'adaptsim robot next'")
+        raise BadInput(
+            f"{path}: the mean of E, policy.at, is missing; write it again with 'adaptsim robot "
+            f"next'"
+        )
     policy = PushingPolicy(weights, at=jnp.asarray(at, jnp.float32))
     if "told" in table:
-        policy = corrected(policy, replace(config, correct=True), *_told_columns(table["told"], path))
+        policy = corrected(
+            policy, replace(config, correct=True), *_told_columns(table["told"], path)
+        )
     choose = jax.jit(pushing.make_policy(config))
     return lambda goal: np.asarray(choose(policy, jnp.asarray(goal, jnp.float32)))
 
@@ -104,15 +135,20 @@ def _told_columns(table: Any, path: str | Path) -> tuple[np.ndarray, np.ndarray]
         actions, places = np.zeros((1, 2)), np.zeros((0, 2))
     if actions.shape != places.shape or not np.isfinite([actions, places]).all():
         raise BadInput(
-            f"{path}: told: actions and places must be pairs of numbers; write it again with 'adaptsim robot next'"
+            f"{path}: told: actions and places must be pairs of numbers; write it again with "
+            f"'adaptsim robot next'"
         )
     return actions, places
 
 
 def policy_table(policy: PushingPolicy, config: PushingConfig) -> dict[str, Any]:
-    """What a file holds of a policy for `read_policy`: its network and, where its actions are refined, the simulator at E and the
-    pushes that correct it (m/s, rad, m)."""
-    table: dict[str, Any] = {"hidden": list(config.hidden), "policy": {"weights": policy.weights.tolist()}}
+    """What a file holds of a policy for `read_policy`: its network and, where its actions are
+    refined, the simulator at E and the pushes that correct it (m/s, rad, m).
+    """
+    table: dict[str, Any] = {
+        "hidden": list(config.hidden),
+        "policy": {"weights": policy.weights.tolist()},
+    }
     if config.refine == 0 or policy.at is None:
         return table
     table["policy"]["at"] = policy.at.tolist()
@@ -131,11 +167,12 @@ def measured_trajectory(
     config: PushingConfig,
     as_declared: bool = False,
 ) -> PushingTrajectory:
-    """The trajectory of `pushes` as the task observes and rewards it, from `columns` trial, time, x, y of `[T]` each.
+    """The trajectory of `pushes` as the task observes and rewards it, from `columns` trial, time,
+    x, y of `[T]` each.
 
-    `at(i)` names row i in a message, `where` the file. The bottle's place is interpolated at the task's times, the last of
-    them the end of the trial (1.3 s by default), by which the reward goes. as_declared: whatever they say of the clock. Raises
-    BadInput.
+    `at(i)` names row i in a message, `where` the file. The bottle's place is interpolated at the
+    task's times, the last of them the end of the trial (1.3 s by default), by which the reward
+    goes. as_declared: whatever they say of the clock. Raises BadInput.
     """
     record.check_columns(columns, COLUMNS, where, f"{', '.join(COLUMNS)} (s and m)")
     record.check_numbers(columns["trial"], at, pushes.numbers)
@@ -168,19 +205,26 @@ def _check_time(time: np.ndarray, told: Callable[[int], str], config: PushingCon
     last = config.duration - min(1.5 * step, GAP / 2) - 1e-6
     if time[-1] < last:
         raise BadInput(
-            f"{told(-1)}: ends at {time[-1]:.4g} s; record it for {config.duration:g} s from the arm's start"
+            f"{told(-1)}: ends at {time[-1]:.4g} s; record it for {config.duration:g} s from the "
+            f"arm's start"
         )
     if config.observation == "final":  # one row at the end serves
         if not np.any((time >= last) & (time <= config.duration + GAP)):
-            raise BadInput(f"{told(-1)}: no row at {config.duration:g} s; give where the bottle was then")
+            raise BadInput(
+                f"{told(-1)}: no row at {config.duration:g} s; give where the bottle was then"
+            )
         return
     if time[0] > LATE:
         start = "the arm's start as time 0"
-        raise BadInput(f"{told(0)}: begins at {time[0]:.9g} s; record from {start}, or subtract that time")
+        raise BadInput(
+            f"{told(0)}: begins at {time[0]:.9g} s; record from {start}, or subtract that time"
+        )
     record.check_gaps(time, GAP, config.duration, told, "make that push again")
 
 
-def _check_track(time: np.ndarray, track: np.ndarray, told: Callable[[int], str], config: PushingConfig) -> None:
+def _check_track(
+    time: np.ndarray, track: np.ndarray, told: Callable[[int], str], config: PushingConfig
+) -> None:
     """A bottle that stood where it should, then moved, and never jumped."""
     if config.observation == "final" and time[0] > LATE:
         return
@@ -188,9 +232,12 @@ def _check_track(time: np.ndarray, track: np.ndarray, told: Callable[[int], str]
     if aside > ASIDE:
         x, y = track[0]
         raise BadInput(
-            f"{told(0)}: the bottle stands at ({x:.3g}, {y:.3g}) m, {100 * aside:.0f} cm from {model.START}, where the task "
+            f"{told(0)}: the bottle stands at ({x:.3g}, {y:.3g}) m, {100 * aside:.0f} cm from "
+            f"{model.START}, where the task "
             "starts: mend the frame (the arm's base), the unit, or the start"
         )
     record.check_leaps(time, track, told, "the bottle", FASTEST, SLIP)
     if np.linalg.norm(track - track[0], axis=1).max() < STILL:
-        raise BadInput(f"{told(-1)}: the bottle never moved; make that push again, or mend the tracking")
+        raise BadInput(
+            f"{told(-1)}: the bottle never moved; make that push again, or mend the tracking"
+        )

@@ -30,25 +30,39 @@ BOTTLES = {"paper": model.PAPER, "heavy": model.HEAVY, "light": model.LIGHT}
 
 
 def make_pushing_one_shot(config: PushingConfig) -> OneShot:
-    """The push with `config` for the comparison. Contexts are goals `[2]` m, outcomes the bottle's places `[6, 2]` m."""
+    """The push with `config` for the comparison. Contexts are goals `[2]` m, outcomes the bottle's
+    places `[6, 2]` m.
+    """
     made, naf = task.make_pushing(config), task.make_pushing_naf(config)
     options = PushOptions(friction=config.friction, duration=config.duration)
     space = made.space
     learner = make_goal_learner(
-        naf, _everywhere(space, task.make_simulator(config)), config.training, task.naf_rates(config)
+        naf,
+        _everywhere(space, task.make_simulator(config)),
+        config.training,
+        task.naf_rates(config),
     )
-    trials = lambda goals, actions, points: Trials(goals, actions, points[:, -1])
+
+    def trials(goals, actions, points):
+        return Trials(goals, actions, points[:, -1])
+
     policies: dict[str, Any] = naf_policies(
         naf, learner, config.trials, config.training, PushingPolicy, task.seen_goal, trials
     )
     policies["act"] = task.make_choice(config)
 
     def world(backend, /, **settings):
-        own = {"coefficients": config.coefficients, "lacking": asdict(config.mended)} if backend == "planar" else {}
+        if backend == "planar":
+            own = {"coefficients": config.coefficients, "lacking": asdict(config.mended)}
+        else:
+            own = {}
         return pushing_world(backend, options, **(own | settings))
 
     def oracle(world, params):
-        points, zooms = ((161, 31), 0) if world.name == "planar" else ((17, 9), 3)
+        if world.name == "planar":
+            points, zooms = ((161, 31), 0)
+        else:
+            points, zooms = ((17, 9), 3)
         return best_actions(world, params, tests, _reward, points, shared=True, rounds=zooms)[0]
 
     tests = np.asarray(task.goal_lattice(config.tests))
@@ -63,7 +77,9 @@ def make_pushing_one_shot(config: PushingConfig) -> OneShot:
         **policies,
         inputs=lambda goal, action: action,
         outputs=lambda points: task.seen_goal(points[-1]),
-        worth=lambda seen, goal: jnp.maximum(0.0, 1.0 - jnp.linalg.norm(unseen(seen) - goal) / WORST),
+        worth=lambda seen, goal: jnp.maximum(
+            0.0, 1.0 - jnp.linalg.norm(unseen(seen) - goal) / WORST
+        ),
         world=world,
         oracle=oracle,
         engine=config.simulator,
@@ -78,11 +94,15 @@ def make_pushing_one_shot(config: PushingConfig) -> OneShot:
     )
 
 
-def pushing_world(backend: str, options: PushOptions = model.PAPER, /, bottle: str = "paper", **settings: Any) -> World:
-    """The push in `backend` (planar, native, mjx, drake). Pushes that fail give not-a-number, hence reward 0.
+def pushing_world(
+    backend: str, options: PushOptions = model.PAPER, /, bottle: str = "paper", **settings: Any
+) -> World:
+    """The push in `backend` (planar, native, mjx, drake). Pushes that fail give not-a-number, hence
+    reward 0.
 
-    bottle: `heavy` and `light` are the stand-ins whose mass and inertia no parameter models (not in planar). coefficients:
-    of planar, `drake` for its twin of Drake. Others are the engine's own, see `make_backend`.
+    bottle: `heavy` and `light` are the stand-ins whose mass and inertia no parameter models (not in
+    planar). coefficients: of planar, `drake` for its twin of Drake. Others are the engine's own,
+    see `make_backend`.
     """
     if bottle not in list(BOTTLES):  # a list, for a table has no hash
         raise BadInput(f"pushing, bottle = {bottle!r}: unknown; use one of {', '.join(BOTTLES)}")
@@ -99,7 +119,9 @@ def pushing_world(backend: str, options: PushOptions = model.PAPER, /, bottle: s
         physical = np.asarray(task.physical_action(jnp.asarray(actions)))
         found = simulate(np.asarray(params), physical, np.tile(model.START, (len(physical), 1)))
         points = np.asarray(found.state[:, rows, :2], np.float32)
-        return np.where((found.code == model.FINE)[:, None, None], points, np.nan), np.asarray(found.code)
+        return np.where((found.code == model.FINE)[:, None, None], points, np.nan), np.asarray(
+            found.code
+        )
 
     return World(backend, run, dict(model.MESSAGES))
 
@@ -108,7 +130,9 @@ def _reward(points: jax.Array, goal: jax.Array) -> jax.Array:
     return task.push_reward(points[-1], goal)
 
 
-def _remember(policy: PushingPolicy, actions: jax.Array, points: jax.Array, used: jax.Array) -> PushingPolicy:
+def _remember(
+    policy: PushingPolicy, actions: jax.Array, points: jax.Array, used: jax.Array
+) -> PushingPolicy:
     places = points[:, -1]
     return policy._replace(told=Told(actions, places, used & jnp.isfinite(places).all(-1)))
 

@@ -1,7 +1,8 @@
 """A push for a goal, corrected by trying it in the simulator at the mean of E before it is made.
 
-A NAF network is a few centimetres off where the patch begins. The simulator is at hand, so a push can be tried there first and
-mended by where its bottle ends: no push of the target is spent, and nothing is learned of the target.
+A NAF network is a few centimetres off where the patch begins. The simulator is at hand, so a push
+can be tried there first and mended by where its bottle ends: no push of the target is spent, and
+nothing is learned of the target.
 """
 
 from collections.abc import Callable
@@ -14,17 +15,24 @@ from adaptsim_jax.tasks.pushing import model
 _LEAP = 0.4  # of the action's range [-1, 1]: the farthest that one correction goes
 _GRID = (17, 13)  # speeds and angles
 _WITHIN = 6  # pushes of the guide for one of the simulator
-_DAMPING = (1e-3, 0.3, 8.0)  # of the steps, m^2: at first, and its factors after a success and a failure
+_DAMPING = (
+    1e-3,
+    0.3,
+    8.0,
+)  # of the steps, m^2: at first, and its factors after a success and a failure
 
 Push = Callable[[jax.Array], jax.Array]
 
 
-def refine(push: Push, goal: jax.Array, action: jax.Array, trials: int, guide: Push | None = None) -> jax.Array:
-    """The best of `trials` simulated pushes for `goal [2]` m, the first of them `action [2]` in [-1, 1].
+def refine(
+    push: Push, goal: jax.Array, action: jax.Array, trials: int, guide: Push | None = None
+) -> jax.Array:
+    """The best of `trials` simulated pushes for `goal [2]` m, the first of them `action [2]` in
+    [-1, 1].
 
-    `push(action [2] in [-1, 1]) -> [2]` m, where the bottle ends. Damped steps of Gauss and Newton with a slope that is not
-    computed: a guess, mended by what each trial shows (Broyden 1965). `guide`: a cheaper simulator, alike, to take the steps in
-    instead (`_guided`).
+    `push(action [2] in [-1, 1]) -> [2]` m, where the bottle ends. Damped steps of Gauss and Newton
+    with a slope that is not computed: a guess, mended by what each trial shows (Broyden 1965).
+    `guide`: a cheaper simulator, alike, to take the steps in instead (`_guided`).
     """
     if guide is not None:
         return _guided(push, goal, action, trials, guide)
@@ -53,23 +61,37 @@ def search(
     wide: jax.Array | bool = True,
     guide: Push | None = None,
 ) -> jax.Array:
-    """For each of `goals [N, 2]` m the better of two refined actions `[N, 2]`: the one given, and the best of a grid for all goals;
-    where `wide []` is false, the one given. The grid's pushes are simulated by `guide` where there is one.
+    """For each of `goals [N, 2]` m the better of two refined actions `[N, 2]`: the one given, and
+    the best of a grid for all goals; where `wide []` is false, the one given. The grid's pushes are
+    simulated by `guide` where there is one.
 
-    For what is deployed: a bottle may reach a goal across the patch or beside it, and no step leads from one to the other.
+    For what is deployed: a bottle may reach a goal across the patch or beside it, and no step leads
+    from one to the other.
     """
-    grid = jnp.stack(jnp.meshgrid(*(jnp.linspace(-1.0, 1.0, n) for n in _GRID), indexing="ij"), -1).reshape(-1, 2)
+    grid = jnp.stack(
+        jnp.meshgrid(*(jnp.linspace(-1.0, 1.0, n) for n in _GRID), indexing="ij"), -1
+    ).reshape(-1, 2)
     ends = jax.vmap(guide or push)(grid)
     nearest = grid[jnp.argmin(jnp.sum((ends[None] - goals[:, None]) ** 2, -1), 1)]
-    found = jnp.stack([jax.vmap(lambda g, a: refine(push, g, a, trials, guide))(goals, a) for a in (actions, nearest)])
+    found = jnp.stack(
+        [
+            jax.vmap(lambda g, a: refine(push, g, a, trials, guide))(goals, a)
+            for a in (actions, nearest)
+        ]
+    )
     apart = jnp.sum((jax.vmap(jax.vmap(push))(found) - goals[None]) ** 2, -1)
     return jnp.where(((apart[1] < apart[0]) & wide)[:, None], found[1], found[0])
 
 
 def _guided(push: Push, goal: jax.Array, action: jax.Array, trials: int, guide: Push) -> jax.Array:
-    """The best of `trials` pushes, each solved for in `guide` as shifted by what the last one was off it by (space mapping, Bandler
-    et al. 1994). The last is not simulated unless it has to be compared: one trial is the guide's own solution."""
-    solve = lambda shift, begin: refine(lambda a: guide(a) + shift, goal, begin, _WITHIN)
+    """The best of `trials` pushes, each solved for in `guide` as shifted by what the last one was
+    off it by (space mapping, Bandler et al. 1994). The last is not simulated unless it has to be
+    compared: one trial is the guide's own solution.
+    """
+
+    def solve(shift, begin):
+        return refine(lambda a: guide(a) + shift, goal, begin, _WITHIN)
+
     first = solve(jnp.zeros_like(goal), action)
     if trials == 1:
         return first
@@ -94,7 +116,9 @@ def _ahead(action, miss, slope, damping) -> jax.Array:
 
 
 def _guess(final: jax.Array, action: jax.Array) -> jax.Array:
-    """`[2, 2]`: what a change of `action` does to `final`, for a bottle that slides along the push as far as its speed squared."""
+    """`[2, 2]`: what a change of `action` does to `final`, for a bottle that slides along the push
+    as far as its speed squared.
+    """
     low, high = jnp.asarray(model.ACTION_LOW), jnp.asarray(model.ACTION_HIGH)
     half = ((high - low) / 2).astype(final.dtype)
     speed = (low + high)[0] / 2 + action[0] * half[0]

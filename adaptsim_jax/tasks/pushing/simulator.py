@@ -1,4 +1,6 @@
-"""Which engine the push is simulated in where E is tried: in Phase 1, where actions are refined, and where pushes are corrected."""
+"""Which engine the push is simulated in where E is tried: in Phase 1, where actions are refined,
+and where pushes are corrected.
+"""
 
 import functools
 from collections.abc import Callable
@@ -19,8 +21,10 @@ Push = Callable[[jax.Array, jax.Array], jax.Array]
 
 
 def make_simulator(config: PushingConfig) -> Push:
-    """`push(params [4], action [2]) -> [T, 2]` m, the bottle at even times (action: speed m/s, angle rad). Pure; T is what the engine
-    gives, the six observed points at least, and the last is the end."""
+    """`push(params [4], action [2]) -> [T, 2]` m, the bottle at even times (action: speed m/s,
+    angle rad). Pure; T is what the engine gives, the six observed points at least, and the last is
+    the end.
+    """
     if config.simulator == "planar":
         return _twin(config)
     options = PushOptions(friction=config.friction, duration=config.duration)
@@ -32,8 +36,12 @@ def make_simulator(config: PushingConfig) -> Push:
 
 
 def make_guide(config: PushingConfig) -> Push | None:
-    """A cheaper simulator to take slopes from, where there is one: the MuJoCo scene's planar twin."""
-    return None if config.simulator == "planar" else _twin(config)
+    """A cheaper simulator to take slopes from, where there is one: the MuJoCo scene's planar
+    twin.
+    """
+    if config.simulator == "planar":
+        return None
+    return _twin(config)
 
 
 @functools.cache
@@ -41,7 +49,9 @@ def _in_mjx(options: PushOptions) -> Push:
     """The scene in MJX, from where bottles start."""
     from adaptsim_jax.tasks.pushing.engines.mjx import make_push
 
-    with jax.ensure_compile_time_eval():  # the model is kept, and must hold no tracers of a caller's program
+    with (
+        jax.ensure_compile_time_eval()
+    ):  # the model is kept, and must hold no tracers of a caller's program
         simulate = make_push(model.check_options(options), model.ELASTICITY)
 
     @jax.jit  # traced once, though Phase 1 pushes in many places
@@ -54,7 +64,10 @@ def _in_mjx(options: PushOptions) -> Push:
 
 
 def _twin(config: PushingConfig) -> Push:
-    options, twin = PushOptions(friction=config.friction, duration=config.duration), TWINS[config.coefficients]
+    options, twin = (
+        PushOptions(friction=config.friction, duration=config.duration),
+        TWINS[config.coefficients],
+    )
     if config.mended == slide.Lacking():
         return lambda params, action: planar.rollout(params, action, options, twin)
     lacking, every = asdict(config.mended), round(options.row / slide.ROW)

@@ -1,11 +1,13 @@
-"""The push as a slide in two dimensions: the planar model with lateral motion, and what may act on it beside the declared.
+"""The push as a slide in two dimensions: the planar model with lateral motion, and what may act on
+it beside the declared.
 
-The bottle is a disc at (x, y), which turns only where its inertia is not declared to be too large for that (`spin`): friction at
-the sole's points then couples force and moment (Goyal, Ruina and Papadopoulos, 1991). The plate's face is a line with a normal; it
-meets the bottle along that normal as in `planar` (the same damped spring, the same lift) and drags it across by friction. Where
-nothing acts sideways the motion is that of `planar`, where asked for with its step of 5 ms. A measured slide follows no step, and
-that one ends 5 mm from the converged motion (median; 28 mm at most), so that the default here is a scheme of second order with a
-step of 1 ms.
+The bottle is a disc at (x, y), which turns only where its inertia is not declared to be too large
+for that (`spin`): friction at the sole's points then couples force and moment (Goyal, Ruina and
+Papadopoulos, 1991). The plate's face is a line with a normal; it meets the bottle along that normal
+as in `planar` (the same damped spring, the same lift) and drags it across by friction. Where
+nothing acts sideways the motion is that of `planar`, where asked for with its step of 5 ms. A
+measured slide follows no step, and that one ends 5 mm from the converged motion (median; 28 mm at
+most), so that the default here is a scheme of second order with a step of 1 ms.
 """
 
 from __future__ import annotations
@@ -21,28 +23,42 @@ import numpy as np
 from adaptsim_jax.tasks.pushing import model as pushing
 from adaptsim_jax.tasks.pushing import planar
 from adaptsim_jax.tasks.pushing.model import PAPER, ElasticityMap, PushOptions
-from adaptsim_jax.tasks.pushing.planar import DEFAULT, IMPEDANCE, PlanarCoefficients, edge_motion, edge_of
+from adaptsim_jax.tasks.pushing.planar import (
+    DEFAULT,
+    IMPEDANCE,
+    PlanarCoefficients,
+    edge_motion,
+    edge_of,
+)
 
 Array = Any
 
 STEP = 0.001  # s
 ROW = 0.005  # s between the rows that are kept
-DRAKE = PlanarCoefficients(ElasticityMap((4.440, 0.615, -0.176), (-1.366, 0.263, 0.086), (0.737, 0.701)), -0.498, 0.958)
-"""Twin of Drake's scene in converged steps, fitted to tracks by `experiments/slide_twin.py`: `planar.DRAKE` was fitted in steps of
-5 ms to where bottles end, and is 9 mm away (RMS) while the plate touches, this one 3."""
+DRAKE = PlanarCoefficients(
+    ElasticityMap((4.440, 0.615, -0.176), (-1.366, 0.263, 0.086), (0.737, 0.701)), -0.498, 0.958
+)
+"""Twin of Drake's scene in converged steps, fitted to tracks by `experiments/slide_twin.py`:
+`planar.DRAKE` was fitted in steps of 5 ms to where bottles end, and is 9 mm away (RMS) while the
+plate touches, this one 3.
+"""
 
 
 @dataclass(frozen=True)
 class Lacking:
-    """What acts on the slide and is not declared; 0 does nothing (a second patch's place is free then).
+    """What acts on the slide and is not declared; 0 does nothing (a second patch's place is free
+    then).
 
-    speed_scale 1, speed_offset m/s, heading_offset rad; start_x, start_y m beside the declared start; hardening, the power of the
-    hit's speed by which the contact is stiffer and more damped; heavier: share of the mass beyond the declared; plate_turn rad of
-    the face against its motion; tilt_x, tilt_y rad, positive downhill towards +x, +y; speed_friction s/m, the growth of friction
-    with speed, of its size; drag 1/s of speed by itself; grain_a, grain_b: friction larger by about that share along x than along
-    y, and along the diagonal; patch_x m and patch_size m (half the growth of its side); other_x, other_y m and other_mu of a
-    second patch, as large as the declared, and what it adds; spin: a solid cylinder's moment of inertia about the vertical over
-    the bottle's (0: it does not turn); com_x, com_y m of its centre of mass from its axis, as it stands.
+    speed_scale 1, speed_offset m/s, heading_offset rad; start_x, start_y m beside the declared
+    start; hardening, the power of the hit's speed by which the contact is stiffer and more damped;
+    heavier: share of the mass beyond the declared; plate_turn rad of the face against its motion;
+    tilt_x, tilt_y rad, positive downhill towards +x, +y; speed_friction s/m, the growth of friction
+    with speed, of its size; drag 1/s of speed by itself; grain_a, grain_b: friction larger by about
+    that share along x than along y, and along the diagonal; patch_x m and patch_size m (half the
+    growth of its side); other_x, other_y m and other_mu of a second patch, as large as the
+    declared, and what it adds; spin: a solid cylinder's moment of inertia about the vertical over
+    the bottle's (0: it does not turn); com_x, com_y m of its centre of mass from its axis, as it
+    stands.
     """
 
     speed_scale: float = 0.0
@@ -81,12 +97,14 @@ def rollout(
     step: float = STEP,
     as_planar: bool = False,
 ) -> Array:
-    """`[rows + 1, 4]`: x, y m and vx, vy m/s at 0, 5 ms, 10 ms, ...; pure, jit, vmap and differentiate it. With `spin` other than a
-    plain 0, `[rows + 1, 6]`: yaw rad and its rate rad/s as well.
+    """`[rows + 1, 4]`: x, y m and vx, vy m/s at 0, 5 ms, 10 ms, ...; pure, jit, vmap and
+    differentiate it. With `spin` other than a plain 0, `[rows + 1, 6]`: yaw rad and its rate rad/s
+    as well.
 
-    values: mu, e (Pa), mu_p, y_p (m), and any of `NEUTRAL`; action `[2]` (m/s, rad). `options`, `coefficients`, `step` static.
-    as_planar: semi-implicit Euler's steps as `planar` makes them (`step` 5 ms); else half a drift, a kick, half a drift, and where
-    `coefficients` are `planar.DRAKE`, `DRAKE` stands for them.
+    values: mu, e (Pa), mu_p, y_p (m), and any of `NEUTRAL`; action `[2]` (m/s, rad). `options`,
+        `coefficients`, `step` static.
+    as_planar: semi-implicit Euler's steps as `planar` makes them (`step` 5 ms); else half a drift,
+        a kick, half a drift, and where `coefficients` are `planar.DRAKE`, `DRAKE` stands for them.
     """
     if not as_planar and isinstance(coefficients.lift, float) and coefficients == planar.DRAKE:
         coefficients = DRAKE
@@ -103,7 +121,10 @@ def rollout(
         return state, jnp.stack(state)
 
     still = 0.0 * speed + 0.0 * heading + 0.0 * sum(jnp.asarray(z) for z in v.values())
-    edge = edge_motion(options.duration, step) if as_planar else edge_halfway(options.duration, step)
+    if as_planar:
+        edge = edge_motion(options.duration, step)
+    else:
+        edge = edge_halfway(options.duration, step)
     edges = jnp.asarray(edge).reshape(-1, per_row, 6)
     state = (still,) * (6 if turns else 4)
     _, rows = jax.lax.scan(row, state, edges)
@@ -117,12 +138,20 @@ def _is_zero(value: Array) -> bool:
 
 
 def edge_halfway(duration: float, step: float) -> np.ndarray:
-    """As `planar.edge_motion`, in the middle of each step and of the profile as it is: `[steps, 6]`."""
+    """As `planar.edge_motion`, in the middle of each step and of the profile as it is: `[steps,
+    6]`.
+    """
     t = (np.arange(round(duration / step)) + 0.5) * step
     begin = np.array([0.0, pushing.STILL, pushing.STILL + pushing.RAMP_UP])
     corners = np.array([*begin, begin[-1] + pushing.HOLD, pushing.PUSH_ENDS])
     travelled = np.concatenate(
-        [[0.0], np.cumsum(np.diff(corners) * (h := pushing.ramp(corners))[1:] - np.diff(corners) * np.diff(h) / 2)]
+        [
+            [0.0],
+            np.cumsum(
+                np.diff(corners) * (h := pushing.ramp(corners))[1:]
+                - np.diff(corners) * np.diff(h) / 2
+            ),
+        ]
     )
     at = np.clip(np.searchsorted(corners, t, "right") - 1, 0, len(corners) - 1)
     rate, slope = pushing.ramp(t), np.append(np.diff(h) / np.diff(corners), 0.0)[at]
@@ -130,13 +159,26 @@ def edge_halfway(duration: float, step: float) -> np.ndarray:
     return edge_of(travel, rate, slope)
 
 
-def _make_step(v, speed, heading, start, options: PushOptions, c: PlanarCoefficients, dt: float, as_planar: bool):
-    """`step((dx, dy, vx, vy), edge [6]) -> ...`: one step in time; with yaw and its rate where the bottle turns."""
-    friction = pushing.frictions(jnp.stack([jnp.asarray(v[n]) for n in pushing.PARAMETERS]), options.friction)
-    k, b = pushing.spring(c.elasticity, v["e"], speed, options.mass, jnp)
-    hit = jnp.exp(v["hardening"] * jnp.log((speed + pushing.PITCH_RATE * pushing.EDGE_DROP) / 0.7)) / (
-        1.0 + v["heavier"]
+def _make_step(
+    v,
+    speed,
+    heading,
+    start,
+    options: PushOptions,
+    c: PlanarCoefficients,
+    dt: float,
+    as_planar: bool,
+):
+    """`step((dx, dy, vx, vy), edge [6]) -> ...`: one step in time; with yaw and its rate where the
+    bottle turns.
+    """
+    friction = pushing.frictions(
+        jnp.stack([jnp.asarray(v[n]) for n in pushing.PARAMETERS]), options.friction
     )
+    k, b = pushing.spring(c.elasticity, v["e"], speed, options.mass, jnp)
+    hit = jnp.exp(
+        v["hardening"] * jnp.log((speed + pushing.PITCH_RATE * pushing.EDGE_DROP) / 0.7)
+    ) / (1.0 + v["heavier"])
     k, b = k * hit, b * hit
     along = (jnp.cos(heading), jnp.sin(heading))
     normal = (jnp.cos(heading + v["plate_turn"]), jnp.sin(heading + v["plate_turn"]))
@@ -152,22 +194,38 @@ def _make_step(v, speed, heading, start, options: PushOptions, c: PlanarCoeffici
     light = v["spin"] * 2.0 / pushing.RADIUS**2  # mass over moment of inertia, 1/m^2
     spread = sum(a * a for a, _ in points) / len(points)
     spots = [
-        (c.sole * a, c.sole * q, (1.0 + (v["com_x"] * a + v["com_y"] * q) / spread) / len(points)) for a, q in points
+        (c.sole * a, c.sole * q, (1.0 + (v["com_x"] * a + v["com_y"] * q) / spread) / len(points))
+        for a, q in points
     ]
     before, after = (0.0, dt) if as_planar else (dt / 2, dt / 2)
-    within = 1.0 if as_planar else 1.0 / (1.0 + b * dt / 2)  # damping by the mean of the speeds before and after
+    # damping by the mean of the speeds before and after
+    if as_planar:
+        within = 1.0
+    else:
+        within = 1.0 / (1.0 + b * dt / 2)
 
     def friction_at(x, y):
         """Of one point of the ground."""
-        inside = lambda z, size: jnp.clip((size - jnp.abs(z)) / pushing.PATCH_EDGE + 0.5, 0.0, 1.0)
+
+        def inside(z, size):
+            return jnp.clip((size - jnp.abs(z)) / pushing.PATCH_EDGE + 0.5, 0.0, 1.0)
+
         own = half + v["patch_size"]
         on = inside(x - pushing.PATCH_X - v["patch_x"], own) * inside(y - v["y_p"], own)
         mu = friction.table + on * (friction.patch - friction.table)
-        return mu + inside(x - v["other_x"], half) * inside(y - v["other_y"], half) * v["other_mu"] if other else mu
+        if other:
+            return (
+                mu + inside(x - v["other_x"], half) * inside(y - v["other_y"], half) * v["other_mu"]
+            )
+        return mu
 
     def grained(vx, vy):
-        """B v: friction of greatest dissipation in an elliptic cone has its direction, and the size sqrt(v B v) of the speed."""
-        return (1.0 + v["grain_a"]) * vx + v["grain_b"] * vy, v["grain_b"] * vx + (1.0 - v["grain_a"]) * vy
+        """B v: friction of greatest dissipation in an elliptic cone has its direction, and the size
+        sqrt(v B v) of the speed.
+        """
+        return (1.0 + v["grain_a"]) * vx + v["grain_b"] * vy, v["grain_b"] * vx + (
+            1.0 - v["grain_a"]
+        ) * vy
 
     def step(state, edge):
         dx, dy, vx, vy, *turning = state
@@ -186,7 +244,9 @@ def _make_step(v, speed, heading, start, options: PushOptions, c: PlanarCoeffici
         closing = rate * forward - out
         if as_planar:
             touching = jnp.where(depth > 0, 1.0, 0.0)
-        else:  # the share of the step after the first touch: the damper's force begins at once, wherever a step begins
+        # the share of the step after the first touch: the damper's force begins at once, wherever a
+        # step begins
+        else:
             touching = jnp.clip(0.5 + depth / (dt * jnp.maximum(jnp.abs(closing), 1e-3)), 0.0, 1.0)
             depth = jnp.where(touching < 1.0, 0.5 * touching * dt * closing, depth)
         force = touching * jnp.maximum(within * (b * closing + k * depth + d * free), 0.0)
@@ -197,8 +257,14 @@ def _make_step(v, speed, heading, start, options: PushOptions, c: PlanarCoeffici
             yaw = yaw + before * rate_z
             cx = jnp.cos(yaw) * v["com_x"] - jnp.sin(yaw) * v["com_y"]
             cy = jnp.sin(yaw) * v["com_x"] + jnp.cos(yaw) * v["com_y"]
-            arm = pushing.RADIUS + cx * normal[0] + cy * normal[1]  # of the plate's grip about the centre of mass
-            drag = jnp.clip((rate * aside - over + pushing.RADIUS * rate_z) / (1.0 + light * arm * arm), -grip, grip)
+            arm = (
+                pushing.RADIUS + cx * normal[0] + cy * normal[1]
+            )  # of the plate's grip about the centre of mass
+            drag = jnp.clip(
+                (rate * aside - over + pushing.RADIUS * rate_z) / (1.0 + light * arm * arm),
+                -grip,
+                grip,
+            )
             # from here on the speed of the centre of mass
             vx, vy = vx - rate_z * cy, vy + rate_z * cx
             rate_z = rate_z + light * (dt * force * (cy * normal[0] - cx * normal[1]) - drag * arm)
@@ -211,7 +277,8 @@ def _make_step(v, speed, heading, start, options: PushOptions, c: PlanarCoeffici
             share = dt * mu * pressed / jnp.sqrt(vx * bx + vy * by + 1e-16)
             vx, vy = (jnp.where(share < 1.0, w - share * z, 0.0) for w, z in ((vx, bx), (vy, by)))
             return dx + after * vx, dy + after * vy, vx, vy
-        # below the speed that a step's friction takes away it is viscous, so that no step turns a slip round
+        # below the speed that a step's friction takes away it is viscous, so that no step turns a
+        # slip round
         slow = jnp.square(dt * mu * pressed * (1.0 + v["spin"])) + 1e-16
         fx = fy = moment = 0.0
         for (a, q, _), held in zip(spots, local, strict=True):

@@ -1,4 +1,6 @@
-"""Which goals an iteration's pushes are made for, where they are made to learn what is deployed (`PushingConfig.visits`)."""
+"""Which goals an iteration's pushes are made for, where they are made to learn what is deployed
+(`PushingConfig.visits`).
+"""
 
 from collections.abc import Callable
 
@@ -13,10 +15,12 @@ DRAWN = 8  # goals in each part of the sector that one is taken of
 
 
 def make_aims(config: PushingConfig) -> Callable[[jax.Array, PushingPolicy], jax.Array]:
-    """`aims(key, policy) -> [trajectories, 2]` m, the goals of an iteration's pushes in a target. Pure.
+    """`aims(key, policy) -> [trajectories, 2]` m, the goals of an iteration's pushes in a target.
+    Pure.
 
-    Where visits are E's own they are `visit_goals`. Otherwise one in each part of the sector, anywhere in it: of some that are drawn
-    the one whose action lies farthest from all pushes made, so that a few pushes cover what will be asked for.
+    Where visits are E's own they are `visit_goals`. Otherwise one in each part of the sector,
+    anywhere in it: of some that are drawn the one whose action lies farthest from all pushes made,
+    so that a few pushes cover what will be asked for.
     """
     if config.visits == "own":
         return lambda key, policy: visit_goals(key, config)

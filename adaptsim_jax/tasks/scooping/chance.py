@@ -1,4 +1,6 @@
-"""What the bank says of actions: chances of success, outcomes to rehearse with, and the problem that a NAF is trained on."""
+"""What the bank says of actions: chances of success, outcomes to rehearse with, and the problem
+that a NAF is trained on.
+"""
 
 from collections.abc import Callable
 from typing import Any
@@ -26,16 +28,26 @@ from adaptsim_jax.tasks.scooping.trial import (
 def training_problem(
     config: ScoopingConfig, draw: Callable[[jax.Array, Any], jax.Array], checks: int | None = None
 ) -> GoalProblem:
-    """What a NAF is trained on: places as goals, trials of the configured source at `draw(key, context) -> params [4]`.
+    """What a NAF is trained on: places as goals, trials of the configured source at `draw(key,
+    context) -> params [4]`.
 
-    A trial of the bank is worth its chance of success, which is what many trials with one action would come to.
+    A trial of the bank is worth its chance of success, which is what many trials with one action
+    would come to.
     """
     options = checked(config)
     checks = config.checks if checks is None else checks
-    place = lambda key: draw_context(key)[:2]
-    reward = lambda outcome, goal: outcome[0]
+
+    def place(key):
+        return draw_context(key)[:2]
+
+    def reward(outcome, goal):
+        return outcome[0]
+
     if not config.trains_in_bank:
-        simulate = make_mjx_trial(options) if config.simulator == "mjx" else make_trial(options, config.numerics)
+        if config.simulator == "mjx":
+            simulate = make_mjx_trial(options)
+        else:
+            simulate = make_trial(options, config.numerics)
 
         def real(key, context, action):
             draw_key, luck_key = jax.random.split(key)
@@ -64,9 +76,12 @@ def bank_chance(bank: Bank, params: jax.Array, action: jax.Array) -> jax.Array:
     return jax.nn.sigmoid(bank.logit(params, action))
 
 
-def expected_odds(bank: Bank, params: jax.Array, action: jax.Array, options: ScoopOptions) -> jax.Array:
-    """Log odds of success `[]` at `params [4]` when `action [3]` in [-1, 1] is asked for: of the mean chance over its errors, by
-    Gauss's rule of two points for each."""
+def expected_odds(
+    bank: Bank, params: jax.Array, action: jax.Array, options: ScoopOptions
+) -> jax.Array:
+    """Log odds of success `[]` at `params [4]` when `action [3]` in [-1, 1] is asked for: of the
+    mean chance over its errors, by Gauss's rule of two points for each.
+    """
     errors = jnp.array([(a, b) for a in (-1.0, 1.0) for b in (-1.0, 1.0)]) / np.sqrt(3.0)
     lucks = jnp.zeros((len(errors), CONTEXT)).at[:, 2:4].set(errors)
     logits = jax.vmap(lambda luck: bank.logit(params, executed(action, luck, options)))(lucks)
@@ -75,7 +90,9 @@ def expected_odds(bank: Bank, params: jax.Array, action: jax.Array, options: Sco
 
 
 def bank_outcome(bank: Bank, params: jax.Array, action: jax.Array, won: jax.Array) -> jax.Array:
-    """An outcome `[9, 2]` as `make_trial`'s, of a trial of the bank that ended as `won []` says; the last height is 0."""
+    """An outcome `[9, 2]` as `make_trial`'s, of a trial of the bank that ended as `won []` says;
+    the last height is 0.
+    """
     x = bank.places(params, action, won)
     places = jnp.stack([x, jnp.zeros_like(x)], -1)
     return jnp.concatenate([places, jnp.stack([won, jnp.zeros_like(won)])[None]])

@@ -1,4 +1,6 @@
-"""Scooping: its options, the parameters that are adapted, its settings, and what policies and trajectories are made of."""
+"""Scooping: its options, the parameters that are adapted, its settings, and what policies and
+trajectories are made of.
+"""
 
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
@@ -29,19 +31,22 @@ SETTINGS = {
 class ScoopingConfig:
     """Options of the task.
 
-    trajectories: trials an iteration; tests: places and errors that the reward of a simulated target is averaged over; fresh: more
-    of them, in which `compare` scores each policy once more, none being chosen by them.
-    targets: Phase 1 draws targets from Omega (the paper), or from a box around it, boxes included (`wide`).
-    simulator: where policies are trained and Phase 1 runs: the `bank` of the hydroelastic engine's trials, as far as `source` and
-    `rehearsal` say; `hydro`, that engine itself, without the bank; or `mjx`, the MuJoCo scene in MJX (without correct, both).
-    source: of the trials that policies are trained with: the `bank`, or the `simulator`; rehearsal: of the targets that Phase 1
-    learns from, likewise. lucks: execution errors that a trial of the bank is averaged over. checks: places and errors that the
-    best of a training's policies is chosen by, in the bank; 0 keeps the last one. correct: what is deployed is the best action by
-    the bank at E's mean as mended by the scoops made in the target so far (`corrections`); a visit's own scoops are not, nor is
-    anything in Phase 1. trials: M of the paper; training: how;
-    hidden, learning_rate: of the NAF. clearance, noise: difficulty, see `tasks.scooping.model.ScoopOptions`.
-    camera: mean along the motion and standard deviation of the noise on observed places, m. numerics: of the engine.
-    mu, e, h: Omega.
+    trajectories: trials an iteration; tests: places and errors that the reward of a simulated
+    target is averaged over; fresh: more of them, in which `compare` scores each policy once more,
+    none being chosen by them.
+    targets: Phase 1 draws targets from Omega (the paper), or from a box around it, boxes included
+    (`wide`). simulator: where policies are trained and Phase 1 runs: the `bank` of the hydroelastic
+    engine's trials, as far as `source` and `rehearsal` say; `hydro`, that engine itself, without
+    the bank; or `mjx`, the MuJoCo scene in MJX (without correct, both). source: of the trials that
+    policies are trained with: the `bank`, or the `simulator`; rehearsal: of the targets that Phase
+    1 learns from, likewise. lucks: execution errors that a trial of the bank is averaged over.
+    checks: places and errors that the best of a training's policies is chosen by, in the bank; 0
+    keeps the last one. correct: what is deployed is the best action by the bank at E's mean as
+    mended by the scoops made in the target so far (`corrections`); a visit's own scoops are not,
+    nor is anything in Phase 1. trials: M of the paper; training: how;
+    hidden, learning_rate: of the NAF. clearance, noise: difficulty, see
+    `tasks.scooping.model.ScoopOptions`. camera: mean along the motion and standard deviation of the
+    noise on observed places, m. numerics: of the engine. mu, e, h: Omega.
     """
 
     trajectories: int = 2
@@ -80,9 +85,11 @@ class ScoopingConfig:
 
 
 class ScoopingPolicy(NamedTuple):
-    """weights: `[n]` of the NAF; `make_policy(config)` gives what it does. Where deployed policies are corrected (else None): at:
-    `[D]`, the mean of E (unit coordinates) that it stands for; told: the target's scoops that it is corrected by, if any; probe:
-    `[3]` in [-1, 1], what the last scoop of a visit tries instead (`deployed.make_probe`), if anything."""
+    """weights: `[n]` of the NAF; `make_policy(config)` gives what it does. Where deployed policies
+    are corrected (else None): at: `[D]`, the mean of E (unit coordinates) that it stands for; told:
+    the target's scoops that it is corrected by, if any; probe: `[3]` in [-1, 1], what the last
+    scoop of a visit tries instead (`deployed.make_probe`), if anything.
+    """
 
     weights: jax.Array
     at: jax.Array | None = None
@@ -91,8 +98,10 @@ class ScoopingPolicy(NamedTuple):
 
 
 class ScoopingTrajectory(NamedTuple):
-    """points: `[N, 8, 2]` m, the piece as the camera saw it, from where it lay; success: `[N]` of these trials; tested: `[]`,
-    mean over the test contexts (in simulation only; elsewhere the mean of `success`)."""
+    """points: `[N, 8, 2]` m, the piece as the camera saw it, from where it lay; success: `[N]` of
+    these trials; tested: `[]`, mean over the test contexts (in simulation only; elsewhere the mean
+    of `success`).
+    """
 
     points: jax.Array
     success: jax.Array
@@ -105,7 +114,9 @@ def scooping_space(config: ScoopingConfig = ScoopingConfig()) -> Space:
         (
             Parameter("mu", *config.mu, description="friction of the piece with table and blade"),
             Parameter("e", *config.e, "Pa", "log", description="modulus of the piece's surface"),
-            Parameter("g", 0, 1, "", "categorical", description="shape: 0 ellipsoid, 1 cylinder (2 box)"),
+            Parameter(
+                "g", 0, 1, "", "categorical", description="shape: 0 ellipsoid, 1 cylinder (2 box)"
+            ),
             Parameter("h", *config.h, "m", description="height of the piece"),
         )
     ).within(model.PHYSICAL_LOW, model.PHYSICAL_HIGH)
@@ -141,14 +152,23 @@ def checked(config: ScoopingConfig) -> ScoopOptions:
     if config.fresh < 0:
         raise BadInput(f"scooping, fresh = {config.fresh}: give 0 for none, or more, such as 96")
     if config.checks < 0:
-        raise BadInput(f"scooping, checks = {config.checks}: give 0 to keep the last policy of a training, or more")
+        raise BadInput(
+            f"scooping, checks = {config.checks}: give 0 to keep the last policy of a training, or "
+            f"more"
+        )
     if config.learning_rate <= 0:
-        raise BadInput(f"scooping, learning_rate = {config.learning_rate}: give a positive one, such as 3e-3")
+        raise BadInput(
+            f"scooping, learning_rate = {config.learning_rate}: give a positive one, such as 3e-3"
+        )
     if len(config.camera) != 2 or config.camera[1] < 0:
-        raise BadInput(f"scooping, camera = {config.camera}: give a mean and a standard deviation of at least 0, in m")
+        raise BadInput(
+            f"scooping, camera = {config.camera}: give a mean and a standard deviation of at least "
+            f"0, in m"
+        )
     if config.correct and config.simulator != "bank":
         raise BadInput(
-            f"scooping, correct: what is deployed is corrected by the bank, and simulator = '{config.simulator}' does without; set "
+            f"scooping, correct: what is deployed is corrected by the bank, and simulator = "
+            f"'{config.simulator}' does without; set "
             "correct = false"
         )
     hydro.check_numerics(config.numerics)
@@ -157,13 +177,16 @@ def checked(config: ScoopingConfig) -> ScoopOptions:
 
 
 def _check_covered(config: ScoopingConfig) -> None:
-    """BadInput where Omega reaches beyond the pieces that the bank was made of: its networks know nothing there."""
+    """BadInput where Omega reaches beyond the pieces that the bank was made of: its networks know
+    nothing there.
+    """
     if not (config.trains_in_bank or config.rehearses_in_bank or config.correct):
         return
     for name, low, high in zip(model.PARAMETERS, *BANK_BOXES["wide"], strict=True):
         given = getattr(config, name, (low, high))  # the shapes are no option
         if given[0] < low or given[1] > high:
             raise BadInput(
-                f"scooping, {name} = {list(given)}: the bank holds pieces of {low:g} to {high:g}; stay within, or use "
+                f"scooping, {name} = {list(given)}: the bank holds pieces of {low:g} to {high:g}; "
+                f"stay within, or use "
                 "simulator = 'hydro', correct = false"
             )

@@ -1,10 +1,13 @@
-"""What the target's own scoops tell beside the parameters: how far the chance of success at E's mean is off, over the actions.
+"""What the target's own scoops tell beside the parameters: how far the chance of success at E's
+mean is off, over the actions.
 
-No E makes the bank right where the target is a piece that Omega does not have, nor where the bank itself is too hopeful, nor
-where E is not found yet. The scoops that adaptation makes anyway show it: their outcomes are taken for coins whose log odds are
-the bank's at E's mean and a Gaussian process (Rasmussen and Williams 2006, chapter 3, Laplace's approximation). Its covariance is
-of two parts: departures towards other pieces, for what pieces have in common the bank knows; and smooth ones over the actions, for
-what it has wrong of all. Where the piece lies changes nothing, and is left out.
+No E makes the bank right where the target is a piece that Omega does not have, nor where the bank
+itself is too hopeful, nor where E is not found yet. The scoops that adaptation makes anyway show
+it: their outcomes are taken for coins whose log odds are the bank's at E's mean and a Gaussian
+process (Rasmussen and Williams 2006, chapter 3, Laplace's approximation). Its covariance is of two
+parts: departures towards other pieces, for what pieces have in common the bank knows; and smooth
+ones over the actions, for what it has wrong of all. Where the piece lies changes nothing, and is
+left out.
 """
 
 from typing import NamedTuple
@@ -17,8 +20,9 @@ _STEPS = 30  # towards the mode: each of them comes nearer, whatever the outcome
 
 
 class Told(NamedTuple):
-    """Scoops made in the target: actions `[K, 3]` in [-1, 1] as asked for, won `[K]` (1 or 0), used `[K]` bool: whether a row
-    counts."""
+    """Scoops made in the target: actions `[K, 3]` in [-1, 1] as asked for, won `[K]` (1 or 0), used
+    `[K]` bool: whether a row counts.
+    """
 
     actions: jax.Array
     won: jax.Array
@@ -26,9 +30,11 @@ class Told(NamedTuple):
 
 
 class Doubt(NamedTuple):
-    """Of what the bank's log odds at E's mean may be off by. others: share of the way to other pieces' that the target may be; reach:
-    of the action's range [-1, 1], how far else what a scoop showed holds; spread: standard deviation of that; most: log odds that
-    the bank never goes beyond. Chosen on pieces and seeds that no table uses."""
+    """Of what the bank's log odds at E's mean may be off by. others: share of the way to other
+    pieces' that the target may be; reach: of the action's range [-1, 1], how far else what a scoop
+    showed holds; spread: standard deviation of that; most: log odds that the bank never goes
+    beyond. Chosen on pieces and seeds that no table uses.
+    """
 
     others: float = 1.0
     reach: float = 0.5
@@ -37,15 +43,20 @@ class Doubt(NamedTuple):
 
 
 class Odds(NamedTuple):
-    """The bank's log odds of success of `A` actions: at E's mean `expected [A]`, and at `J` other pieces `others [A, J]`."""
+    """The bank's log odds of success of `A` actions: at E's mean `expected [A]`, and at `J` other
+    pieces `others [A, J]`.
+    """
 
     expected: jax.Array
     others: jax.Array
 
 
-def chances(told: Told, at_told: Odds, tried: jax.Array, at_tried: Odds, doubt: Doubt = Doubt()) -> jax.Array:  # noqa: B008
-    """`[A]`, chance of success of the actions `tried [A, 3]` as `outlook` has it. Unsure odds are drawn towards even, as their
-    expected chance is."""
+def chances(
+    told: Told, at_told: Odds, tried: jax.Array, at_tried: Odds, doubt: Doubt = Doubt()
+) -> jax.Array:
+    """`[A]`, chance of success of the actions `tried [A, 3]` as `outlook` has it. Unsure odds are
+    drawn towards even, as their expected chance is.
+    """
     odds, variance = outlook(told, at_told, tried, at_tried, doubt)
     return jax.nn.sigmoid(odds / jnp.sqrt(1.0 + np.pi / 8.0 * variance))
 
@@ -55,10 +66,12 @@ def outlook(
     at_told: Odds,
     tried: jax.Array,
     at_tried: Odds,
-    doubt: Doubt = Doubt(),  # noqa: B008
+    doubt: Doubt = Doubt(),
 ) -> tuple[jax.Array, jax.Array]:
-    """Log odds of success `[A]` of the actions `tried [A, 3]` by the bank and by what was seen in the target, `told`, and their
-    variance `[A]`; `at_told`, `at_tried`: the bank's odds of both. Rows that are not used count for nothing."""
+    """Log odds of success `[A]` of the actions `tried [A, 3]` by the bank and by what was seen in
+    the target, `told`, and their variance `[A]`; `at_told`, `at_tried`: the bank's odds of both.
+    Rows that are not used count for nothing.
+    """
     used = told.used.astype(tried.dtype)
     prior, ways = _departures(at_told, doubt)
     alike = _covariance(ways, told.actions, ways, told.actions, doubt) * used[:, None] * used[None]
@@ -67,19 +80,30 @@ def outlook(
     root = jnp.sqrt(at_mode * (1.0 - at_mode) * used)
     there, tried_ways = _departures(at_tried, doubt)
     across = _covariance(tried_ways, tried, ways, told.actions, doubt) * used[None]
-    known = jax.scipy.linalg.solve_triangular(_factor(root, alike), root[:, None] * across.T, lower=True)
+    known = jax.scipy.linalg.solve_triangular(
+        _factor(root, alike), root[:, None] * across.T, lower=True
+    )
     alone = doubt.spread**2 + jnp.sum(tried_ways**2, 1)
     return there + across @ pull, jnp.maximum(alone - jnp.sum(known**2, 0), 0.0)
 
 
 def lattice(count: int) -> np.ndarray:
     """`[count, 3]` actions in [-1, 1], spread evenly: a lattice of irrational steps."""
-    return 2.0 * ((np.arange(count)[:, None] + 0.5) * np.array([0.8191725, 0.6710436, 0.5497005]) % 1.0) - 1.0
+    return (
+        2.0
+        * ((np.arange(count)[:, None] + 0.5) * np.array([0.8191725, 0.6710436, 0.5497005]) % 1.0)
+        - 1.0
+    )
 
 
 def _departures(odds: Odds, doubt: Doubt) -> tuple[jax.Array, jax.Array]:
-    """Odds at E's mean `[A]`, bounded, and the ways `[A, J]` in which those of the other pieces depart from them."""
-    held = lambda x: doubt.most * jnp.tanh(x / doubt.most)
+    """Odds at E's mean `[A]`, bounded, and the ways `[A, J]` in which those of the other pieces
+    depart from them.
+    """
+
+    def held(x):
+        return doubt.most * jnp.tanh(x / doubt.most)
+
     expected, others = held(odds.expected), held(odds.others)
     return expected, doubt.others * (others - expected[:, None]) / np.sqrt(max(others.shape[1], 1))
 
@@ -90,7 +114,9 @@ def _covariance(ways_a, a, ways_b, b, doubt: Doubt) -> jax.Array:
 
 
 def _mode(prior: jax.Array, alike: jax.Array, won: jax.Array, used: jax.Array) -> jax.Array:
-    """`[K]`, inverse covariance times the likeliest departure from `prior [K]`, by the bound of Jaakkola and Jordan (2000)."""
+    """`[K]`, inverse covariance times the likeliest departure from `prior [K]`, by the bound of
+    Jaakkola and Jordan (2000).
+    """
 
     def nearer(pull, _):
         odds = prior + alike @ pull
@@ -107,7 +133,9 @@ def _mode(prior: jax.Array, alike: jax.Array, won: jax.Array, used: jax.Array) -
 
 def _factor(root: jax.Array, alike: jax.Array) -> jax.Array:
     """Cholesky factor of `1 + root alike root`."""
-    return jnp.linalg.cholesky(jnp.eye(len(root), dtype=alike.dtype) + root[:, None] * alike * root[None])
+    return jnp.linalg.cholesky(
+        jnp.eye(len(root), dtype=alike.dtype) + root[:, None] * alike * root[None]
+    )
 
 
 def _alike(a: jax.Array, b: jax.Array, reach: float) -> jax.Array:

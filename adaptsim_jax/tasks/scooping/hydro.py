@@ -1,9 +1,11 @@
-"""Scooping in JAX: one soft piece against table and spatula, with hydroelastic contact; the simulator of this task.
+"""Scooping in JAX: one soft piece against table and spatula, with hydroelastic contact; the
+simulator of this task.
 
-Pressure fields after Elandt et al. (2019), discrete hydroelastic contact after Masterjohn et al. (2022), contact solved as SAP's
-convex problem after Castro et al. (2022); see `hydro_shapes`, `_contact` and `_sap`. The scene is symmetric about the
-vertical plane of the motion, so the piece has three degrees of freedom. Everything is pure and traced: shape, height,
-friction, modulus and action; float32 or, where JAX is told so, float64.
+Pressure fields after Elandt et al. (2019), discrete hydroelastic contact after Masterjohn et al.
+(2022), contact solved as SAP's convex problem after Castro et al. (2022); see `hydro_shapes`,
+`_contact` and `_sap`. The scene is symmetric about the vertical plane of the motion, so the piece
+has three degrees of freedom. Everything is pure and traced: shape, height, friction, modulus and
+action; float32 or, where JAX is told so, float64.
 """
 
 from __future__ import annotations
@@ -28,10 +30,13 @@ Array = Any
 
 @dataclass(frozen=True)
 class Numerics:
-    """What makes up *the* simulator besides physics; static under jit. See docs/explanation/scooping.md for how much each matters.
+    """What makes up *the* simulator besides physics; static under jit. See
+    docs/explanation/scooping.md for how much each matters.
 
-    dt: s. relaxation: tau of the damping, s, of the pair. slip: sigma of SAP's friction. near_rigid: beta of SAP, 0 for none.
-    iterations: of Newton's method in a step, at most. grid: columns along and points across each of table, blade, its front, neck.
+    dt: s. relaxation: tau of the damping, s, of the pair. slip: sigma of SAP's friction.
+        near_rigid: beta of SAP, 0 for none.
+    iterations: of Newton's method in a step, at most. grid: columns along and points across each of
+        table, blade, its front, neck.
     tolerance: unbalanced share of the momentum above which a step counts as unsolved.
     """
 
@@ -52,15 +57,19 @@ class PieceState(NamedTuple):
 
 
 class StepInfo(NamedTuple):
-    """residual `[]`: unbalanced share of the momentum; impulse `[3]` of the contacts, N s and N m s."""
+    """residual `[]`: unbalanced share of the momentum; impulse `[3]` of the contacts, N s and N m
+    s.
+    """
 
     residual: Array
     impulse: Array
 
 
 class Scoop(NamedTuple):
-    """`T + 1` rows, the start included: `piece [T + 1, 3]` and `tip [T + 1, 3]`, each x, z m and angle rad; `ahead []`, `above []`:
-    the piece's centre in the tip's frame at the end, m; `success []`: 1 or 0; `code []`: of `scooping.MESSAGES`."""
+    """`T + 1` rows, the start included: `piece [T + 1, 3]` and `tip [T + 1, 3]`, each x, z m and
+    angle rad; `ahead []`, `above []`: the piece's centre in the tip's frame at the end, m; `success
+    []`: 1 or 0; `code []`: of `scooping.MESSAGES`.
+    """
 
     piece: Array
     tip: Array
@@ -74,11 +83,18 @@ def check_numerics(numerics: Numerics) -> Numerics:
     """`numerics` if a trial can be cut into such steps; BadInput otherwise."""
     n = numerics
     if not 1e-4 <= n.dt <= 0.01 or abs(model.SECONDS / n.dt - round(model.SECONDS / n.dt)) > 1e-6:
-        raise BadInput(f"scooping, dt = {n.dt} s: give a whole part of 1 s from 1e-4 to 0.01, such as 0.0025")
+        raise BadInput(
+            f"scooping, dt = {n.dt} s: give a whole part of 1 s from 1e-4 to 0.01, such as 0.0025"
+        )
     if n.relaxation < 0 or n.slip <= 0 or n.near_rigid < 0 or n.tolerance <= 0:
-        raise BadInput(f"scooping, {n}: relaxation and near_rigid must be at least 0, slip and tolerance positive")
+        raise BadInput(
+            f"scooping, {n}: relaxation and near_rigid must be at least 0, slip and tolerance "
+            f"positive"
+        )
     if n.iterations < 1 or len(n.grid) != 4 or min(min(pair) for pair in n.grid) < 1:
-        raise BadInput(f"scooping, {n}: at least one iteration, and four pairs of positive counts as grid")
+        raise BadInput(
+            f"scooping, {n}: at least one iteration, and four pairs of positive counts as grid"
+        )
     return numerics
 
 
@@ -95,7 +111,8 @@ def step(
     numerics: Numerics,
     gravity: tuple[float, float] = (0.0, -model.GRAVITY),
 ) -> tuple[PieceState, StepInfo]:
-    """One step of `numerics.dt` of a piece against rigid `surfaces`: as many as `numerics.grid` has pairs.
+    """One step of `numerics.dt` of a piece against rigid `surfaces`: as many as `numerics.grid` has
+    pairs.
 
     Contacts are found where things are at the start, and solved for the velocity at the end.
     """
@@ -123,9 +140,11 @@ def rollout(
     options: ScoopOptions = ScoopOptions(),  # noqa: B008
     numerics: Numerics = Numerics(),
 ) -> Scoop:
-    """The trial of `action [3]` on the piece of `params [4]`; pure, jit and vmap it. Noise is the caller's.
+    """The trial of `action [3]` on the piece of `params [4]`; pure, jit and vmap it. Noise is the
+    caller's.
 
-    Whatever the code, all numbers are finite: a piece whose motion ceases to be finite stays where it was.
+    Whatever the code, all numbers are finite: a piece whose motion ceases to be finite stays where
+    it was.
     """
     params = jnp.asarray(params)
     action = jnp.asarray(action, params.dtype)
@@ -140,7 +159,9 @@ def rollout(
     def one(carry, row):
         state, lost, worst = carry
         now, after = row
-        surfaces = contact.together(ground, contact.spatula(now, (after - now) / numerics.dt, friction))
+        surfaces = contact.together(
+            ground, contact.spatula(now, (after - now) / numerics.dt, friction)
+        )
         new, info = step(piece, modulus, state, surfaces, numerics)
         lost = lost | ~in_room(new)
         state = jax.tree.map(lambda a, b: jnp.where(lost, a, b), state, new)
@@ -170,7 +191,9 @@ def in_room(state: PieceState) -> Array:
 
 
 def _fit(params: Array, action: Array) -> Array:
-    """Whether the engine is made for these numbers; actions may exceed their range by an execution error."""
+    """Whether the engine is made for these numbers; actions may exceed their range by an execution
+    error.
+    """
     low, high = (jnp.asarray(b, params.dtype) for b in (model.PHYSICAL_LOW, model.PHYSICAL_HIGH))
     most = jnp.array([0.35, 0.6, 0.1], params.dtype)
     inside = jnp.all(params >= low) & jnp.all(params <= high)

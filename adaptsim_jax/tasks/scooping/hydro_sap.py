@@ -1,12 +1,15 @@
-"""The contact solve of one step: SAP's convex problem by Newton's method (Castro, Permenter and Han 2022).
+"""The contact solve of one step: SAP's convex problem by Newton's method (Castro, Permenter and Han
+2022).
 
-Velocities after the step minimise `|v - v*|_M^2 / 2 + sum of l_i(v)`, where `v*` is the velocity without contact and `l_i`
-the regularised cost of contact i: half of `R_n gamma_n^2 + R_t gamma_t^2` of an impulse that is known in closed form. The
-problem is convex, so Newton's method with an exact line search ends at its one minimum.
+Velocities after the step minimise `|v - v*|_M^2 / 2 + sum of l_i(v)`, where `v*` is the velocity
+without contact and `l_i` the regularised cost of contact i: half of `R_n gamma_n^2 + R_t gamma_t^2`
+of an impulse that is known in closed form. The problem is convex, so Newton's method with an exact
+line search ends at its one minimum.
 
-Here there are three unknowns: x and z velocity m/s and spin rad/s. A point with normal velocity v_n and tangential v_t, with
-`R_n = 1 / (dt k (dt + tau))`, pressed in by p / g, has `y_n = (p / g / (dt + tau) - v_n) / R_n`, `y_r = |v_t| / R_t`, and
-sticks if `y_r <= mu y_n`, is open if `y_n <= -m y_r` with `m = mu R_t / R_n`, and slides in between.
+Here there are three unknowns: x and z velocity m/s and spin rad/s. A point with normal velocity v_n
+and tangential v_t, with `R_n = 1 / (dt k (dt + tau))`, pressed in by p / g, has `y_n = (p / g / (dt
++ tau) - v_n) / R_n`, `y_r = |v_t| / R_t`, and sticks if `y_r <= mu y_n`, is open if `y_n <= -m y_r`
+with `m = mu R_t / R_n`, and slides in between.
 """
 
 from __future__ import annotations
@@ -22,15 +25,21 @@ from adaptsim_jax.tasks.scooping.hydro_shapes import Body
 Array = Any
 ROUNDS = 2  # of the line search, after its bounds are known
 SOLVED = {4: 2e-5, 8: 1e-10}
-"""By the size of a float in bytes: the unbalanced share of the momentum at which Newton's method stops."""
+"""By the size of a float in bytes: the unbalanced share of the momentum at which Newton's method
+stops.
+"""
 PATIENCE, SLOW = 9, 1e-4
-"""Newton's steps before points that slide by less than so many m/s count as sticking in the Hessian."""
+"""Newton's steps before points that slide by less than so many m/s count as sticking in the
+Hessian.
+"""
 
 
 class Springs(NamedTuple):
-    """What stays fixed during a solve, each field `[N]`: rows of the normal and the tangential Jacobian (x, z, spin), the
-    surface's velocities and the speed m/s that the spring asks for, inverses of R_n and R_t kg, friction, m and
-    1 / (1 + mu m) of the law, and 1 where the point is active."""
+    """What stays fixed during a solve, each field `[N]`: rows of the normal and the tangential
+    Jacobian (x, z, spin), the surface's velocities and the speed m/s that the spring asks for,
+    inverses of R_n and R_t kg, friction, m and 1 / (1 + mu m) of the law, and 1 where the point is
+    active.
+    """
 
     normal: tuple[Array, Array, Array]
     tangent: tuple[Array, Array, Array]
@@ -46,25 +55,33 @@ class Springs(NamedTuple):
 
 
 class Solve(NamedTuple):
-    """velocity `[3]`; residual `[]`: norm of the momentum that is unbalanced by that of what there is to balance; impulse
-    `[3]`: of all contacts together (N s, N s, N m s)."""
+    """velocity `[3]`; residual `[]`: norm of the momentum that is unbalanced by that of what there
+    is to balance; impulse `[3]`: of all contacts together (N s, N s, N m s).
+    """
 
     velocity: Array
     residual: Array
     impulse: Array
 
 
-def springs(c: Contacts, piece: Body, dt: float, tau: float, slip: float, near_rigid: float) -> Springs:
+def springs(
+    c: Contacts, piece: Body, dt: float, tau: float, slip: float, near_rigid: float
+) -> Springs:
     """Contacts as regularised springs with damping time `tau` s.
 
-    `slip`: sigma, R_t as a share of a point's effective inverse mass. `near_rigid`: beta, above 0 softens springs that are too
-    stiff for the step.
+    `slip`: sigma, R_t as a share of a point's effective inverse mass. `near_rigid`: beta, above 0
+    softens springs that are too stiff for the step.
     """
     nx, nz = -c.tz, c.tx
-    arm = lambda x, z: x * c.rz - z * c.rx
+
+    def arm(x, z):
+        return x * c.rz - z * c.rx
+
     light = 1.0 / piece.mass + (c.rx**2 + c.rz**2) / (2.0 * piece.inertia)
     stiffness = jnp.where(c.active > 0, c.area * c.growth, 1.0)
-    r_normal = jnp.maximum(near_rigid**2 / (4 * jnp.pi**2) * light, 1.0 / (dt * stiffness * (dt + tau)))
+    r_normal = jnp.maximum(
+        near_rigid**2 / (4 * jnp.pi**2) * light, 1.0 / (dt * stiffness * (dt + tau))
+    )
     stiff, grip = 1.0 / r_normal, 1.0 / (slip * light)
     lever = c.friction * stiff / grip
     return Springs(
@@ -82,12 +99,14 @@ def springs(c: Contacts, piece: Body, dt: float, tau: float, slip: float, near_r
     )
 
 
-def solve(s: Springs, firsts: tuple[int, ...], piece: Body, free: Array, guess: Array, iterations: int) -> Solve:
-    """The velocity `[3]` after a step, from `free [3]`, the velocity without contact, starting at `guess [3]`;
-    `firsts`: the place of one point of each flat surface.
+def solve(
+    s: Springs, firsts: tuple[int, ...], piece: Body, free: Array, guess: Array, iterations: int
+) -> Solve:
+    """The velocity `[3]` after a step, from `free [3]`, the velocity without contact, starting at
+    `guess [3]`; `firsts`: the place of one point of each flat surface.
 
-    Derivatives are those of the minimum, by the implicit function theorem: Newton's iterations run on constants, and one
-    more step from their end carries the dependence on everything else.
+    Derivatives are those of the minimum, by the implicit function theorem: Newton's iterations run
+    on constants, and one more step from their end carries the dependence on everything else.
     """
     mass = jnp.stack([piece.mass, piece.mass, piece.inertia])
     fixed = jax.lax.stop_gradient((s, mass, free, guess))
@@ -98,36 +117,48 @@ def solve(s: Springs, firsts: tuple[int, ...], piece: Body, free: Array, guess: 
 
 
 def _unbalanced(mass: Array, free: Array, gradient: Array, impulse: Array) -> Array:
-    size = lambda v: jnp.sqrt(jnp.sum(v * v / mass))
+    def size(v):
+        return jnp.sqrt(jnp.sum(v * v / mass))
+
     return size(gradient) / (size(mass * free) + size(impulse) + 1e-9)
 
 
-def _newton(s: Springs, firsts: tuple[int, ...], mass: Array, free: Array, guess: Array, iterations: int) -> Array:
+def _newton(
+    s: Springs, firsts: tuple[int, ...], mass: Array, free: Array, guess: Array, iterations: int
+) -> Array:
     """Iterates until the momentum balances; under vmap, until it does for all samples.
 
-    Where the minimum lies on the kink between sliding one way and the other, steps from either side end just across it, and may go
-    to and fro with hardly any gain. After `PATIENCE` steps what hardly slides is therefore held, as far as curvature goes: steps
-    then run along the kink. Any positive Hessian descends, so the minimum is the same.
+    Where the minimum lies on the kink between sliding one way and the other, steps from either side
+    end just across it, and may go to and fro with hardly any gain. After `PATIENCE` steps what
+    hardly slides is therefore held, as far as curvature goes: steps then run along the kink. Any
+    positive Hessian descends, so the minimum is the same.
     """
     enough = SOLVED[guess.dtype.itemsize]
 
     def one(carry):
         v, count, _ = carry
-        gradient, impulse, bend = _slope(s, mass, free, v, jnp.where((count < PATIENCE) | (count % 2 == 0), 0.0, SLOW))
+        gradient, impulse, bend = _slope(
+            s, mass, free, v, jnp.where((count < PATIENCE) | (count % 2 == 0), 0.0, SLOW)
+        )
         left = _unbalanced(mass, free, gradient, impulse)
         move = -_solve3(bend, gradient)
         return v + _best_share(s, firsts, mass, free, v, move) * move, count + 1, left > enough
 
-    go_on = lambda carry: carry[2] & (carry[1] < iterations)
+    def go_on(carry):
+        return carry[2] & (carry[1] < iterations)
+
     return jax.lax.while_loop(go_on, one, (guess, jnp.zeros((), jnp.int32), jnp.ones((), bool)))[0]
 
 
-def _best_share(s: Springs, firsts: tuple[int, ...], mass: Array, free: Array, v: Array, move: Array) -> Array:
+def _best_share(
+    s: Springs, firsts: tuple[int, ...], mass: Array, free: Array, v: Array, move: Array
+) -> Array:
     """The share of `move`, at most 1, at which the cost is least.
 
-    Along a line the cost's slope rises; the share is its root. It nearly jumps where a surface passes from sliding one way to
-    sliding the other, and sticks in between, over some micrometres a second. Those places are known: tangential speed is the
-    same all over a flat surface. They bound the root, and Newton's method in one dimension does the rest.
+    Along a line the cost's slope rises; the share is its root. It nearly jumps where a surface
+    passes from sliding one way to sliding the other, and sticks in between, over some micrometres a
+    second. Those places are known: tangential speed is the same all over a flat surface. They bound
+    the root, and Newton's method in one dimension does the rest.
     """
     here, along = _relative(s, v), _speeds(s, move)
     inertia, pull = jnp.sum(mass * move * move), jnp.sum(mass * (v - free) * move)
@@ -136,13 +167,20 @@ def _best_share(s: Springs, firsts: tuple[int, ...], mass: Array, free: Array, v
         law = _law(s, here[0] + share * along[0], here[1] + share * along[1])
         nn, nt, tt = _stiffness(s, law)
         first = pull + share * inertia - _sum(law.normal * along[0] - law.tangent * along[1])
-        return first, inertia + _sum(nn * along[0] ** 2 + 2.0 * nt * along[0] * along[1] + tt * along[1] ** 2)
+        return first, inertia + _sum(
+            nn * along[0] ** 2 + 2.0 * nt * along[0] * along[1] + tt * along[1] ** 2
+        )
 
     at = jnp.array(firsts)
     turning = -here[1][at] / jnp.where(along[1][at] == 0.0, 1.0, along[1][at])
-    shares = jnp.concatenate([jnp.where((turning > 0) & (turning < 1), turning, 1.0), jnp.ones(1, v.dtype)])
+    shares = jnp.concatenate(
+        [jnp.where((turning > 0) & (turning < 1), turning, 1.0), jnp.ones(1, v.dtype)]
+    )
     first, second = jax.vmap(slopes)(shares)
-    low, high = jnp.max(jnp.where(first < 0, shares, 0.0)), jnp.min(jnp.where(first < 0, 1.0, shares))
+    low, high = (
+        jnp.max(jnp.where(first < 0, shares, 0.0)),
+        jnp.min(jnp.where(first < 0, 1.0, shares)),
+    )
     guess = shares - first / second
     far = jnp.where((guess > low) & (guess < high), jnp.abs(guess - shares), jnp.inf)
     start = jnp.where(jnp.isfinite(jnp.min(far)), guess[jnp.argmin(far)], 0.5 * (low + high))
@@ -159,8 +197,12 @@ def _best_share(s: Springs, firsts: tuple[int, ...], mass: Array, free: Array, v
 
 
 def _sum(x: Array) -> Array:
-    """The sum of `x [N]`, eight at a time where they go up evenly: strict order would keep the processor from it."""
-    return jnp.sum(jnp.sum(x.reshape(-1, 8), 0)) if x.shape[0] % 8 == 0 else jnp.sum(x)
+    """The sum of `x [N]`, eight at a time where they go up evenly: strict order would keep the
+    processor from it.
+    """
+    if x.shape[0] % 8 == 0:
+        return jnp.sum(jnp.sum(x.reshape(-1, 8), 0))
+    return jnp.sum(x)
 
 
 def _speeds(s: Springs, v: Array) -> tuple[Array, Array]:
@@ -183,7 +225,9 @@ class _Law(NamedTuple):
 
 
 def _law(s: Springs, vn: Array, vt: Array) -> _Law:
-    """Impulses at velocities relative to the surfaces, projected on the friction cone in the norm of R."""
+    """Impulses at velocities relative to the surfaces, projected on the friction cone in the norm
+    of R.
+    """
     yn, yt = (s.press - vn) * s.stiff, vt * s.grip
     yr = jnp.abs(yt)
     sticks = (yr <= s.friction * yn) & (s.active > 0)
@@ -198,34 +242,46 @@ def _stiffness(s: Springs, law: _Law) -> tuple[Array, Array, Array]:
     """Second derivatives of the contacts' costs: normal, mixed, tangential."""
     slope = jnp.where(law.slides, s.stiff * s.share, 0.0)
     mixed = -slope * law.way
-    return jnp.where(law.sticks, s.stiff, slope), mixed, jnp.where(law.sticks, s.grip, -mixed * law.way)
+    return (
+        jnp.where(law.sticks, s.stiff, slope),
+        mixed,
+        jnp.where(law.sticks, s.grip, -mixed * law.way),
+    )
 
 
 def cost(s: Springs, piece: Body, free: Array, v: Array) -> Array:
     """What is minimised, kg m^2/s^2; the solver itself needs only its slopes."""
     law = _law(s, *_relative(s, v))
     mass = jnp.stack([piece.mass, piece.mass, piece.inertia])
-    return 0.5 * (jnp.sum(mass * (v - free) ** 2) + _sum(law.normal**2 / s.stiff + law.tangent**2 / s.grip))
+    return 0.5 * (
+        jnp.sum(mass * (v - free) ** 2) + _sum(law.normal**2 / s.stiff + law.tangent**2 / s.grip)
+    )
 
 
 def _slope(
     s: Springs, mass: Array, free: Array, v: Array, held: Array | float = 0.0
 ) -> tuple[Array, Array, list[list[Array]]]:
-    """Gradient `[3]` of the cost, impulse `[3]` of the contacts, and the Hessian's lower triangle; in that, points that slide by
-    less than `held` m/s stick."""
+    """Gradient `[3]` of the cost, impulse `[3]` of the contacts, and the Hessian's lower triangle;
+    in that, points that slide by less than `held` m/s stick.
+    """
     vn, vt = _relative(s, v)
     law = _law(s, vn, vt)
     a, b = s.normal, s.tangent
     impulse = jnp.stack([_sum(law.normal * a[i] - law.tangent * b[i]) for i in range(3)])
     slow = law.slides & (jnp.abs(vt) < held)
     nn, nt, tt = _stiffness(s, law._replace(sticks=law.sticks | slow, slides=law.slides & ~slow))
-    entry = lambda i, j: _sum(nn * a[i] * a[j] + nt * (a[i] * b[j] + b[i] * a[j]) + tt * b[i] * b[j])
+
+    def entry(i, j):
+        return _sum(nn * a[i] * a[j] + nt * (a[i] * b[j] + b[i] * a[j]) + tt * b[i] * b[j])
+
     bend = [[entry(i, j) + (mass[i] if i == j else 0.0) for j in range(i + 1)] for i in range(3)]
     return mass * (v - free) - impulse, impulse, bend
 
 
 def _solve3(bend: list[list[Array]], right: Array) -> Array:
-    """The symmetric positive definite system of three unknowns, scaled to a unit diagonal, by Cholesky's factors."""
+    """The symmetric positive definite system of three unknowns, scaled to a unit diagonal, by
+    Cholesky's factors.
+    """
     scale = [1.0 / jnp.sqrt(bend[i][i]) for i in range(3)]
     h = [[bend[i][j] * scale[i] * scale[j] for j in range(i + 1)] for i in range(3)]
     l10, l20 = h[1][0], h[2][0]

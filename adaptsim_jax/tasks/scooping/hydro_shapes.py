@@ -1,10 +1,13 @@
-"""The pieces of the hydroelastic engine: pressure fields, mass, and sections by lines in the plane of symmetry.
+"""The pieces of the hydroelastic engine: pressure fields, mass, and sections by lines in the plane
+of symmetry.
 
-A soft body carries a pressure field p = e s, where s rises from 0 on its surface to 1 at its core (Elandt et al. 2019). s is
-Drake's: for an ellipsoid one less the scaled radius; for a cylinder or a box the distance to the surface by the smallest half
-size. Shape `g` and height are traced, so one program serves every piece.
+A soft body carries a pressure field p = e s, where s rises from 0 on its surface to 1 at its core
+(Elandt et al. 2019). s is Drake's: for an ellipsoid one less the scaled radius; for a cylinder or a
+box the distance to the surface by the smallest half size. Shape `g` and height are traced, so one
+program serves every piece.
 
-Coordinates are the body's: x and z in the plane of symmetry, y across it, m. `hz` is half the height.
+Coordinates are the body's: x and z in the plane of symmetry, y across it, m. `hz` is half the
+height.
 """
 
 from __future__ import annotations
@@ -29,7 +32,9 @@ class Body(NamedTuple):
 
 
 class Chord(NamedTuple):
-    """Where a line crosses a piece in the plane of symmetry: from `low` to `high` m along it; equal where it misses."""
+    """Where a line crosses a piece in the plane of symmetry: from `low` to `high` m along it; equal
+    where it misses.
+    """
 
     low: Array
     high: Array
@@ -39,7 +44,9 @@ def body(g: Array, height: Array) -> Body:
     """A solid piece of the food's density."""
     hz, r = height / 2, RADIUS
     volume = by_shape(g, 4 / 3 * jnp.pi * r * r * hz, 2 * jnp.pi * r * r * hz, 8 * r * r * hz)
-    square = by_shape(g, (r * r + hz * hz) / 5, (3 * r * r + 4 * hz * hz) / 12, (r * r + hz * hz) / 3)
+    square = by_shape(
+        g, (r * r + hz * hz) / 5, (3 * r * r + 4 * hz * hz) / 12, (r * r + hz * hz) / 3
+    )
     mass = DENSITY * volume
     return Body(mass, mass * square, g, hz)
 
@@ -62,7 +69,10 @@ def field(piece: Body, x: Array, y: Array, z: Array) -> tuple[Array, Array, Arra
     along_x = jnp.where(g == BOX, -jnp.sign(x) * (jnp.abs(x) >= jnp.abs(y)), -x / axis)
     near_end = end < side
     flat = jnp.where(near_end, end, side) / core
-    flat_x, flat_z = jnp.where(near_end, 0.0, along_x) / core, jnp.where(near_end, -jnp.sign(z), 0.0) / core
+    flat_x, flat_z = (
+        jnp.where(near_end, 0.0, along_x) / core,
+        jnp.where(near_end, -jnp.sign(z), 0.0) / core,
+    )
     is_round = g == ELLIPSOID
     return (
         jnp.where(is_round, 1.0 - scaled, flat),
@@ -83,7 +93,9 @@ def chord(piece: Body, x: Array, z: Array, tx: Array, tz: Array) -> Chord:
     low = jnp.maximum(through_x.low, through_z.low)
     high = jnp.maximum(jnp.minimum(through_x.high, through_z.high), low)
     is_round = piece.g == ELLIPSOID
-    return Chord(jnp.where(is_round, (-b - half) / a, low), jnp.where(is_round, (-b + half) / a, high))
+    return Chord(
+        jnp.where(is_round, (-b - half) / a, low), jnp.where(is_round, (-b + half) / a, high)
+    )
 
 
 def _slab(x: Array, t: Array, half: Array) -> Chord:
@@ -103,8 +115,9 @@ def half_width(piece: Body, x: Array, z: Array) -> Array:
 def sink(piece: Body, modulus: Array, gravity: float) -> Array:
     """How deep a piece that lies on its underside sinks into a rigid table under its own weight, m.
 
-    The field integrated over the section in closed form. Ellipsoid: e pi r^2 (d^2 - 2 d^3 / 3) bears the weight, with d the
-    depth by the half height. Cylinder, box: e c (r^2 d - r d^2 + d^3 / 3) / core, with c = pi or 4.
+    The field integrated over the section in closed form. Ellipsoid: e pi r^2 (d^2 - 2 d^3 / 3)
+    bears the weight, with d the depth by the half height. Cylinder, box: e c (r^2 d - r d^2 + d^3 /
+    3) / core, with c = pi or 4.
     """
     r, hz = RADIUS, piece.hz
     load = piece.mass * gravity / modulus

@@ -1,6 +1,8 @@
-"""What all engines of scooping share: rows and states of a trajectory, checked batches, places and outcomes.
+"""What all engines of scooping share: rows and states of a trajectory, checked batches, places and
+outcomes.
 
-`state [B, T, 6]` holds, in rows of `ROW` s, the piece's x, y, z m and the tip's x, z m and pitch rad.
+`state [B, T, 6]` holds, in rows of `ROW` s, the piece's x, y, z m and the tip's x, z m and pitch
+rad.
 """
 
 from typing import Any
@@ -17,12 +19,17 @@ BATCH = 64  # trials side by side on a CPU: more do not fit into its cache
 
 
 def checked(params: Any, commands: Any, initial: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The batch as arrays `[B, 4]`, `[B, 3]`, `[B, 2]`; BadInput where shapes do not fit together."""
+    """The batch as arrays `[B, 4]`, `[B, 3]`, `[B, 2]`; BadInput where shapes do not fit
+    together.
+    """
     arrays = np.asarray(params, float), np.asarray(commands, float), np.asarray(initial, float)
-    for name, array, width in zip(("params", "commands", "initial"), arrays, (4, 3, 2), strict=True):
+    for name, array, width in zip(
+        ("params", "commands", "initial"), arrays, (4, 3, 2), strict=True
+    ):
         if array.ndim != 2 or array.shape[1] != width or len(array) != len(arrays[0]):
             raise BadInput(
-                f"scooping: {name} has shape {array.shape}, needs [{len(arrays[0])}, {width}]; check its columns"
+                f"scooping: {name} has shape {array.shape}, needs [{len(arrays[0])}, {width}]; "
+                f"check its columns"
             )
     return arrays
 
@@ -36,7 +43,9 @@ def placed(state: np.ndarray, codes: np.ndarray, starts: np.ndarray) -> Trajecto
 
 
 def outcome(state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """`(success [B], above [B] m)` at the end of `state [B, T, 6]`; `above`: height over the tip's plane."""
+    """`(success [B], above [B] m)` at the end of `state [B, T, 6]`; `above`: height over the tip's
+    plane.
+    """
     x, _, z, tip_x, tip_z, pitch = np.moveaxis(state[:, -1], -1, 0)
     c, s = np.cos(pitch), np.sin(pitch)
     ahead, above = c * (x - tip_x) - s * (z - tip_z), s * (x - tip_x) + c * (z - tip_z)

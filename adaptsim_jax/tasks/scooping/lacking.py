@@ -1,6 +1,8 @@
-"""A scoop with what may be lacking in the declared one: the engine of `hydro` with an offset command, a tilted table, drag.
+"""A scoop with what may be lacking in the declared one: the engine of `hydro` with an offset
+command, a tilted table, drag.
 
-With `NEUTRAL` it is `hydro.rollout`, number by number. Pure and traced in all values; the shape may be traced, too.
+With `NEUTRAL` it is `hydro.rollout`, number by number. Pure and traced in all values; the shape may
+be traced, too.
 """
 
 from __future__ import annotations
@@ -33,8 +35,10 @@ NEUTRAL = {
     "adhesion": 0.0,
     "blade_friction": 0.0,
 }
-"""Shares of the declared speed, pitch rate and the blade's friction; rad; m, how far the blade starts farther, and the piece lies
-ahead; m more under the blade; rad, downhill ahead; 1/s on the table; m/s^2 towards the blade on it."""
+"""Shares of the declared speed, pitch rate and the blade's friction; rad; m, how far the blade
+starts farther, and the piece lies ahead; m more under the blade; rad, downhill ahead; 1/s on the
+table; m/s^2 towards the blade on it.
+"""
 NEAR = 1e-3  # m, over which drag and adhesion fade as a piece leaves table or blade
 
 
@@ -44,13 +48,17 @@ def rollout(
     options: ScoopOptions = ScoopOptions(),  # noqa: B008
     numerics: Numerics = Numerics(),  # noqa: B008
 ) -> Array:
-    """Poses `[N + 1, 3]` (x m from where the piece lies, z m, angle rad) every `numerics.dt` s of `action [3]` (rad, rad/s, m).
+    """Poses `[N + 1, 3]` (x m from where the piece lies, z m, angle rad) every `numerics.dt` s of
+    `action [3]` (rad, rad/s, m).
 
-    values: mu, e Pa, g, h m (`model.PARAMETERS`) and what differs from `NEUTRAL`. Where the motion ceases to be finite it stays.
+    values: mu, e Pa, g, h m (`model.PARAMETERS`) and what differs from `NEUTRAL`. Where the motion
+    ceases to be finite it stays.
     """
     v = {**NEUTRAL, **values}
     piece = shapes.body(v["g"], v["h"])
-    more = jnp.stack([v["pitch_offset"], jnp.zeros_like(v["mu"]), v["distance_offset"] + v["start_x"]])
+    more = jnp.stack(
+        [v["pitch_offset"], jnp.zeros_like(v["mu"]), v["distance_offset"] + v["start_x"]]
+    )
     sliding = replace(options, clearance=options.clearance + v["clearance"])
     tip = spatula.motion(
         action + more.astype(action.dtype),
@@ -65,7 +73,9 @@ def rollout(
     def one(carry, row):
         state, lost = carry
         now, after = row
-        surfaces = contact.together(ground, contact.spatula(now, (after - now) / numerics.dt, blade))
+        surfaces = contact.together(
+            ground, contact.spatula(now, (after - now) / numerics.dt, blade)
+        )
         pull = _pull(v, piece, rest.pose[1], state, now)
         new, _ = hydro.step(piece, v["e"], state, surfaces, numerics, pull)
         lost = lost | ~hydro.in_room(new)
@@ -76,8 +86,12 @@ def rollout(
     return jnp.concatenate([poses, end.pose[None]])
 
 
-def _pull(v, piece: shapes.Body, rest: Array, state: hydro.PieceState, tip: Array) -> tuple[Array, Array]:
-    """Acceleration along and up: gravity on a tilted table, drag near the table, adhesion near the blade."""
+def _pull(
+    v, piece: shapes.Body, rest: Array, state: hydro.PieceState, tip: Array
+) -> tuple[Array, Array]:
+    """Acceleration along and up: gravity on a tilted table, drag near the table, adhesion near the
+    blade.
+    """
     x, z = state.pose[0], state.pose[1]
     on_table = jnp.exp(-jnp.maximum(z - rest, 0.0) / NEAR)
     ahead, above = spatula.seen_from_tip(tip, x, z)

@@ -1,8 +1,10 @@
-"""Scooping on a real robot: which scoops to make, and a camera's record of them as the trajectory the task observes.
+"""Scooping on a real robot: which scoops to make, and a camera's record of them as the trajectory
+the task observes.
 
-A record has rows of (trial, time s, x m, y m, on): the number of the scoop, the time since the arm's start, the piece's place on
-the table with x along the spatula's way, and whether it lies on the spatula (1 or 0), which counts in a trial's last row.
-Whatever the task cannot take is refused with the row.
+A record has rows of (trial, time s, x m, y m, on): the number of the scoop, the time since the
+arm's start, the piece's place on the table with x along the spatula's way, and whether it lies on
+the spatula (1 or 0), which counts in a trial's last row. Whatever the task cannot take is refused
+with the row.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -30,46 +32,69 @@ COLUMNS = ("trial", "time", "x", "y", "on")
 GAP = 0.1  # s without a row that can be filled
 LATE = 0.2  # s; the spatula cannot touch the piece before
 FAR = 2.0  # m; no piece goes so far, so it is another unit
-FASTEST, SLIP = 3.0, 0.03  # m/s and m: a row farther than this from the one before is another thing than the piece
-LEAST, AHEAD = 0.03, 0.5  # m that a piece must have gone for its way to count; cosine of that way and the spatula's
+FASTEST, SLIP = (
+    3.0,
+    0.03,
+)  # m/s and m: a row farther than this from the one before is another thing than the piece
+LEAST, AHEAD = (
+    0.03,
+    0.5,
+)  # m that a piece must have gone for its way to count; cosine of that way and the spatula's
 WIDE = 0.02  # m over which pieces must have been laid for a mirror to show
 USUAL = 0.1  # m from the middle of the box of places at which pieces are seen
 _PLACES = 0x5C00  # tells the places' keys from those that policies are trained with
 
 
 class Scoops(NamedTuple):
-    """What to do on the robot now: numbers `[N]` int, counted over the session; places `[N, 2]` m of the piece from the middle of
-    the box of places; actions `[N, 3]`: pitch rad, pitch rate rad/s, distance m."""
+    """What to do on the robot now: numbers `[N]` int, counted over the session; places `[N, 2]` m
+    of the piece from the middle of the box of places; actions `[N, 3]`: pitch rad, pitch rate
+    rad/s, distance m.
+    """
 
     numbers: np.ndarray
     places: np.ndarray
     actions: np.ndarray
 
 
-def scoops_to_make(key: jax.Array, told: Any, policy: ScoopingPolicy, config: ScoopingConfig) -> Scoops:
-    """The scoops of adaptation iteration `told` (from 0) of a session with `key`: always the same for the same session."""
-    keys = jax.random.split(jax.random.fold_in(jax.random.fold_in(key, _PLACES), told), config.trajectories)
+def scoops_to_make(
+    key: jax.Array, told: Any, policy: ScoopingPolicy, config: ScoopingConfig
+) -> Scoops:
+    """The scoops of adaptation iteration `told` (from 0) of a session with `key`: always the same
+    for the same session.
+    """
+    keys = jax.random.split(
+        jax.random.fold_in(jax.random.fold_in(key, _PLACES), told), config.trajectories
+    )
     places = jax.vmap(scooping.draw_context)(keys)[:, :2]
     actions = scooping.make_policy(config)(policy, places)
     numbers = int(told) * config.trajectories + np.arange(1, config.trajectories + 1)
     return Scoops(numbers, np.asarray(places), np.asarray(actions))
 
 
-def corrected(policy: ScoopingPolicy, config: ScoopingConfig, actions: Any, won: Any) -> ScoopingPolicy:
-    """The policy as it is deployed after scoops `actions [K, 3]` (rad, rad/s, m) of which `won [K]` (1 or 0) succeeded: corrected
-    by them where the task does that (`correct`), else as it is."""
+def corrected(
+    policy: ScoopingPolicy, config: ScoopingConfig, actions: Any, won: Any
+) -> ScoopingPolicy:
+    """The policy as it is deployed after scoops `actions [K, 3]` (rad, rad/s, m) of which `won [K]`
+    (1 or 0) succeeded: corrected by them where the task does that (`correct`), else as it is.
+    """
     if not config.correct or not len(actions):
         return policy
     low, high = np.asarray(model.ACTION_LOW), np.asarray(model.ACTION_HIGH)
     own = (2.0 * np.asarray(actions, float) - low - high) / (high - low)
-    told = Told(jnp.asarray(own, jnp.float32), jnp.asarray(won, jnp.float32), jnp.ones(len(own), bool))
+    told = Told(
+        jnp.asarray(own, jnp.float32), jnp.asarray(won, jnp.float32), jnp.ones(len(own), bool)
+    )
     return policy._replace(told=told)
 
 
 def policy_table(policy: ScoopingPolicy, config: ScoopingConfig) -> dict[str, Any]:
-    """What a file holds of a policy for `read_policy`: its network and, where it is corrected, the scoop that it makes wherever the
-    piece lies (rad, rad/s, m)."""
-    table: dict[str, Any] = {"hidden": list(config.hidden), "policy": {"weights": policy.weights.tolist()}}
+    """What a file holds of a policy for `read_policy`: its network and, where it is corrected, the
+    scoop that it makes wherever the piece lies (rad, rad/s, m).
+    """
+    table: dict[str, Any] = {
+        "hidden": list(config.hidden),
+        "policy": {"weights": policy.weights.tolist()},
+    }
     if policy.told is not None:
         table["policy"]["corrected"] = scoop_in_the_middle(policy, config).astype(float).tolist()
     return table
@@ -81,32 +106,54 @@ def scoop_in_the_middle(policy: ScoopingPolicy, config: ScoopingConfig) -> np.nd
 
 
 def read_policy(path: str | Path) -> Callable[[Any], np.ndarray]:
-    """`act(place [2] or [N, 2] m) -> (pitch rad, rate rad/s, distance m)` from a `best.toml` or `policy.toml` of `adaptsim robot`.
+    """`act(place [2] or [N, 2] m) -> (pitch rad, rate rad/s, distance m)` from a `best.toml` or
+    `policy.toml` of `adaptsim robot`.
 
     Raises BadInput where the file holds no policy of this task.
     """
-    act = read_saved(path, ScoopingConfig, ScoopingPolicy, scooping.make_scooping_naf, scooping.make_policy, "scooping")
+    act = read_saved(
+        path,
+        ScoopingConfig,
+        ScoopingPolicy,
+        scooping.make_scooping_naf,
+        scooping.make_policy,
+        "scooping",
+    )
     action = configs.read(path)["policy"].get("corrected")
     if action is None:
         return act
     if not isinstance(action, list) or np.shape(action) != (3,) or not np.all(np.isfinite(action)):
-        raise BadInput(f"{path}: policy.corrected must be three numbers; write it again with 'adaptsim robot next'")
-    return lambda place: np.broadcast_to(np.asarray(action, np.float32), (*np.shape(place)[:-1], 3)).copy()
+        raise BadInput(
+            f"{path}: policy.corrected must be three numbers; write it again with 'adaptsim robot "
+            f"next'"
+        )
+    return lambda place: np.broadcast_to(
+        np.asarray(action, np.float32), (*np.shape(place)[:-1], 3)
+    ).copy()
 
 
 def measured_trajectory(
-    columns: Mapping[str, np.ndarray], at: Callable[[int], str], where: str, scoops: Scoops, as_declared: bool = False
+    columns: Mapping[str, np.ndarray],
+    at: Callable[[int], str],
+    where: str,
+    scoops: Scoops,
+    as_declared: bool = False,
 ) -> ScoopingTrajectory:
-    """The trajectory of `scoops` as the task observes and rewards it, from `columns` trial, time, x, y, on of `[T]` each.
+    """The trajectory of `scoops` as the task observes and rewards it, from `columns` trial, time,
+    x, y, on of `[T]` each.
 
-    `at(i)` names row i in a message, `where` the file. Places are interpolated at the task's eight times and counted from
-    where the piece lay. as_declared: whatever they say of clock and frame. Raises BadInput.
+    `at(i)` names row i in a message, `where` the file. Places are interpolated at the task's eight
+    times and counted from where the piece lay. as_declared: whatever they say of clock and frame.
+    Raises BadInput.
     """
     record.check_columns(columns, COLUMNS, where, f"{', '.join(COLUMNS)} (s, m, 0 or 1)")
     record.check_numbers(columns["trial"], at, scoops.numbers)
     record.check_unit(columns, at, FAR, "scoop", USUAL)
     for i in np.flatnonzero(~np.isin(columns["on"], (0.0, 1.0)))[:1]:
-        raise BadInput(f"{at(i)}: on = {columns['on'][i]:g}; write 1 where the piece lies on the spatula, else 0")
+        raise BadInput(
+            f"{at(i)}: on = {columns['on'][i]:g}; write 1 where the piece lies on the spatula, "
+            f"else 0"
+        )
     trials = record.trials_of(columns, at, where, scoops.numbers, 50 * model.SECONDS).values()
     if not as_declared:
         check_reach([began(t.time, t.track) for t in trials], scoops.actions, ScoopOptions(), where)
@@ -116,24 +163,38 @@ def measured_trajectory(
         if not as_declared:
             check_frozen(time, track, told, "the piece")
         _check_track(time, track, told)
-        points.append(np.stack([np.interp(model.SEEN_AT, time, track[:, k]) for k in range(2)], 1) - track[0])
+        points.append(
+            np.stack([np.interp(model.SEEN_AT, time, track[:, k]) for k in range(2)], 1) - track[0]
+        )
         lies.append(columns["on"][rows[-1]])
     success = jnp.asarray(lies, jnp.float32)
     return ScoopingTrajectory(jnp.asarray(np.stack(points), jnp.float32), success, success.mean())
 
 
 def check_mirrored(declared: np.ndarray, seen: np.ndarray, where: str) -> None:
-    """BadInput where pieces declared to lie `declared [N]` m to the left were seen as far to the right, `seen [N]`, from anywhere."""
-    spread = lambda v: float(np.median(np.abs(v - np.median(v))))
-    if len(seen) > 1 and np.ptp(declared) > WIDE and spread(seen + declared) < 0.3 * spread(seen - declared):
+    """BadInput where pieces declared to lie `declared [N]` m to the left were seen as far to the
+    right, `seen [N]`, from anywhere.
+    """
+
+    def spread(v):
+        return float(np.median(np.abs(v - np.median(v))))
+
+    if (
+        len(seen) > 1
+        and np.ptp(declared) > WIDE
+        and spread(seen + declared) < 0.3 * spread(seen - declared)
+    ):
         raise BadInput(
-            f"{where}: pieces lie to the right where they are declared to the left: tracks are mirrored; turn the sign of y (or of "
+            f"{where}: pieces lie to the right where they are declared to the left: tracks are "
+            f"mirrored; turn the sign of y (or of "
             "place_y); if all is as declared, add --as-declared"
         )
 
 
 def check_way(went: np.ndarray, where: str, names: Sequence[float]) -> None:
-    """BadInput where pieces that went `went [N, 2 or more]` m did not go along the spatula's way: all, or one of them."""
+    """BadInput where pieces that went `went [N, 2 or more]` m did not go along the spatula's way:
+    all, or one of them.
+    """
     far = np.linalg.norm(went[:, :2], axis=1) > LEAST
     if not far.any():
         return
@@ -141,12 +202,14 @@ def check_way(went: np.ndarray, where: str, names: Sequence[float]) -> None:
     middle = float(np.median(ahead[far]))
     if middle < AHEAD:
         raise BadInput(
-            f"{where}: pieces go {np.degrees(np.arccos(np.clip(middle, -1, 1))):.0f} degrees off the spatula's way: another frame? "
+            f"{where}: pieces go {np.degrees(np.arccos(np.clip(middle, -1, 1))):.0f} degrees off "
+            f"the spatula's way: another frame? "
             "give tracks with x along it"
         )
     for k in np.flatnonzero(far & (ahead < -AHEAD))[:1]:
         raise BadInput(
-            f"{where}: trial {names[k]:g}: the piece goes against the spatula's way, the others go along it: the track of another "
+            f"{where}: trial {names[k]:g}: the piece goes against the spatula's way, the others go "
+            f"along it: the track of another "
             "frame? mend it, or leave that trial out"
         )
 
@@ -155,9 +218,13 @@ def _check_track(time: np.ndarray, track: np.ndarray, told: Callable[[int], str]
     """A piece seen from the arm's start to the end of the trial, that never jumped."""
     if time[0] > LATE:
         raise BadInput(
-            f"{told(0)}: begins at {time[0]:.4g} s; record from the arm's start as time 0, or subtract that time"
+            f"{told(0)}: begins at {time[0]:.4g} s; record from the arm's start as time 0, or "
+            f"subtract that time"
         )
     if time[-1] < model.SECONDS - GAP / 2:
-        raise BadInput(f"{told(-1)}: ends at {time[-1]:.4g} s; record it for {model.SECONDS:g} s from the arm's start")
+        raise BadInput(
+            f"{told(-1)}: ends at {time[-1]:.4g} s; record it for {model.SECONDS:g} s from the "
+            f"arm's start"
+        )
     record.check_gaps(time, GAP, model.SECONDS, told, "make that scoop again")
     record.check_leaps(time, track, told, "the piece", FASTEST, SLIP)

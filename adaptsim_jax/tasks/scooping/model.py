@@ -1,10 +1,13 @@
-"""Scooping a piece of food with a spatula (paper, section V-C and appendix): what every engine of it shares.
+"""Scooping a piece of food with a spatula (paper, section V-C and appendix): what every engine of
+it shares.
 
-A thin blade, pitched nose down, slides along the table under a piece that stands there, and is pitched up. The piece is an
-ellipsoid, a cylinder or a box with a soft surface. Nothing depends on where the piece stands, so lengths along the table are
-counted from where it stood; everything is symmetric about the vertical plane of the motion.
+A thin blade, pitched nose down, slides along the table under a piece that stands there, and is
+pitched up. The piece is an ellipsoid, a cylinder or a box with a soft surface. Nothing depends on
+where the piece stands, so lengths along the table are counted from where it stood; everything is
+symmetric about the vertical plane of the motion.
 
-Sample parameters `params: [4]` are `PARAMETERS`; an action `[3]` is (initial pitch rad, pitch rate rad/s, distance m).
+Sample parameters `params: [4]` are `PARAMETERS`; an action `[3]` is (initial pitch rad, pitch rate
+rad/s, distance m).
 """
 
 from __future__ import annotations
@@ -21,12 +24,15 @@ from adaptsim_jax.core.errors import BadInput
 Array = Any
 
 PARAMETERS = ("mu", "e", "g", "h")
-"""Friction of piece with table and blade, hydroelastic modulus Pa, shape (see `SHAPES`), height m."""
+"""Friction of piece with table and blade, hydroelastic modulus Pa, shape (see `SHAPES`), height m.
+"""
 SHAPES = ("ellipsoid", "cylinder", "box")  # as MuJoCo calls them
 ELLIPSOID, CYLINDER, BOX = range(3)
 LOW = (0.25, 1e4, 0.0, 0.015)
 HIGH = (0.40, 5e5, 1.0, 0.025)
-"""Omega of the paper (its table of the scooping task); e is spread logarithmically, g is a category."""
+"""Omega of the paper (its table of the scooping task); e is spread logarithmically, g is a
+category.
+"""
 PHYSICAL_LOW = (0.02, 1e3, 0.0, 0.006)
 PHYSICAL_HIGH = (1.5, 1e7, 2.0, 0.04)
 """What the engines are made for."""
@@ -40,17 +46,21 @@ SECONDS = 1.0
 SEEN_AT = (0.0, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0)
 """Length of a trial, and when the piece is seen, s."""
 
-# The spatula, in the frame of its tip: x ahead, z up; see `motion`. Boxes by centre and half-size, m.
+# The spatula, in the frame of its tip: x ahead, z up; see `motion`. Boxes by centre and half-size,
+# m.
 BLADE_CENTRE, BLADE_HALF = (-0.0501, 0.0002), (0.05, 0.0006)
 BLADE_HALF_WIDTH = 0.04
 NECK_CENTRE, NECK_HALF, NECK_RISE = (-0.1083, 0.0048), (0.01, 0.001), 0.46
 NECK_HALF_WIDTH = 0.03
 TIP_AHEAD, TIP_BELOW = 0.177, 0.143
-"""Where the tip lies, seen from the link whose velocity is commanded: ahead in the spatula's frame; below, of which
-`GRIP_BELOW` in the world's frame at the start and the rest in the spatula's."""
+"""Where the tip lies, seen from the link whose velocity is commanded: ahead in the spatula's frame;
+below, of which `GRIP_BELOW` in the world's frame at the start and the rest in the spatula's.
+"""
 GRIP_BELOW = 0.10
 RISEN = 3.25e-3
-"""Height of a piece's centre over the tip's plane, m, from which it counts as lying on the blade: 2.5 mm over its surface."""
+"""Height of a piece's centre over the tip's plane, m, from which it counts as lying on the blade:
+2.5 mm over its surface.
+"""
 
 FINE, DIVERGED, UNSOLVED, UNFIT = 0, 1, 2, 3
 MESSAGES = {
@@ -65,8 +75,9 @@ MESSAGES = {
 class ScoopOptions:
     """What is not adapted.
 
-    clearance: height of the blade's lower edge over the table while it slides, m; the arm presses it down, a real blade
-    bends. noise: half-widths of the uniform error with which pitch (rad), rate (rad/s) and distance (m) are executed.
+    clearance: height of the blade's lower edge over the table while it slides, m; the arm presses
+        it down, a real blade bends. noise: half-widths of the uniform error with which pitch (rad),
+        rate (rad/s) and distance (m) are executed.
     press: speed at which the arm sinks while sliding, m/s; 0 in the paper, 0.01 in the release.
     """
 
@@ -79,11 +90,17 @@ def check_options(options: ScoopOptions) -> ScoopOptions:
     """`options` if they make sense; BadInput names the key, the reason and the mend otherwise."""
     o = options
     if not 0.0 <= o.clearance <= 0.01:
-        raise BadInput(f"scooping, clearance = {o.clearance} m is not within 0 to 0.01; give it in metres")
+        raise BadInput(
+            f"scooping, clearance = {o.clearance} m is not within 0 to 0.01; give it in metres"
+        )
     if len(o.noise) != 3 or not all(math.isfinite(n) and n >= 0 for n in o.noise):
-        raise BadInput(f"scooping, noise = {o.noise}: needs three numbers of at least 0 (rad, rad/s, m)")
+        raise BadInput(
+            f"scooping, noise = {o.noise}: needs three numbers of at least 0 (rad, rad/s, m)"
+        )
     if not 0.0 <= o.press <= 0.1:
-        raise BadInput(f"scooping, press = {o.press} m/s is not within 0 to 0.1; the release has 0.01")
+        raise BadInput(
+            f"scooping, press = {o.press} m/s is not within 0 to 0.1; the release has 0.01"
+        )
     return options
 
 

@@ -1,9 +1,11 @@
-"""The spatula's prescribed motion: cubic splines of velocity, integrated exactly (paper, appendix A4).
+"""The spatula's prescribed motion: cubic splines of velocity, integrated exactly (paper, appendix
+A4).
 
-Forward speed and pitch rate of the arm's link are cubic splines through values at six knots, clamped: their slopes at both
-ends are zero. A clamped spline is linear in its values, and so is its integral; with the knots fixed, sampling at given times
-is one constant matrix. The motion is therefore a small pure function of the action, differentiable but for one switch: the
-table keeps the blade from sinking below it, which the arm's compliance does in reality.
+Forward speed and pitch rate of the arm's link are cubic splines through values at six knots,
+clamped: their slopes at both ends are zero. A clamped spline is linear in its values, and so is its
+integral; with the knots fixed, sampling at given times is one constant matrix. The motion is
+therefore a small pure function of the action, differentiable but for one switch: the table keeps
+the blade from sinking below it, which the arm's compliance does in reality.
 """
 
 from __future__ import annotations
@@ -24,14 +26,17 @@ KNOTS = (0.0, 0.25, 0.35, 0.60, 0.70, 1.0)
 FORWARD = (0.0, 0.6, 0.7, 0.2, 0.0, 0.0)
 """Speed of the link at the knots, m/s."""
 PITCH = (0.0, 0.0, -0.6, -0.6, 0.0, 0.0)
-"""Pitch rate at the knots, rad/s, the action's added to the second; positive turns the nose down."""
+"""Pitch rate at the knots, rad/s, the action's added to the second; positive turns the nose down.
+"""
 PRESS = (0.0, -1.0, -1.0, 1.0, 0.0, 0.0)
 """Vertical speed at the knots, in units of `ScoopOptions.press`."""
 
 
 @cache
 def _travelled(steps: int) -> np.ndarray:
-    """`[steps + 1, 6]`: values at the knots to the integrals of their clamped spline, at even times over the trial."""
+    """`[steps + 1, 6]`: values at the knots to the integrals of their clamped spline, at even times
+    over the trial.
+    """
     splines = CubicSpline(KNOTS, np.eye(len(KNOTS)), bc_type="clamped")
     return splines.antiderivative()(np.linspace(0.0, KNOTS[-1], steps + 1))
 
@@ -43,11 +48,12 @@ def motion(
     speed: Array = 1.0,
     lift: Array = 1.0,
 ) -> Array:
-    """The tip's poses `[steps + 1, 3]` (x m from the piece's centre, z m, pitch rad) at even times for `action [3]`; pure, and as
-    precise as `action`. speed, lift: times the declared speed forward and pitch rate.
+    """The tip's poses `[steps + 1, 3]` (x m from the piece's centre, z m, pitch rad) at even times
+    for `action [3]`; pure, and as precise as `action`. speed, lift: times the declared speed
+    forward and pitch rate.
 
-    The link moves with the splines' velocity; the tip hangs ahead of and below it, and turns with it. Then the blade is
-    lifted wherever its lower edges would pass below the clearance.
+    The link moves with the splines' velocity; the tip hangs ahead of and below it, and turns with
+    it. Then the blade is lifted wherever its lower edges would pass below the clearance.
     """
     pitch, rate, distance = action[0], action[1], action[2]
     table = jnp.asarray(_travelled(steps), action.dtype)

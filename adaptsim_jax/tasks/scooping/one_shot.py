@@ -26,15 +26,27 @@ UDR_CHECKS = 256  # pieces of Omega that the best of UDR's policies is chosen by
 
 
 def make_scooping_one_shot(config: ScoopingConfig) -> OneShot:
-    """Scooping with `config` for the comparison. Contexts are `scooping.CONTEXT`, outcomes `[9, 2]` as `make_trial`'s.
+    """Scooping with `config` for the comparison. Contexts are `scooping.CONTEXT`, outcomes `[9, 2]`
+    as `make_trial`'s.
 
-    Targets are worlds, whose trials an engine makes; what methods simulate besides (SysID's data) they rehearse in the bank.
+    Targets are worlds, whose trials an engine makes; what methods simulate besides (SysID's data)
+    they rehearse in the bank.
     """
-    made, naf, options = task.make_scooping(config), task.make_scooping_naf(config), task.checked(config)
-    anywhere = lambda key, context: made.space.physical(made.space.sample(key))
+    made, naf, options = (
+        task.make_scooping(config),
+        task.make_scooping_naf(config),
+        task.checked(config),
+    )
+
+    def anywhere(key, context):
+        return made.space.physical(made.space.sample(key))
+
     problem = task.training_problem(config, anywhere, UDR_CHECKS if config.checks else 0)
     learner = make_goal_learner(naf, problem, config.training, task.naf_rates(config))
-    trials = lambda contexts, actions, outcomes: Trials(contexts[:, :2], actions, task.success(outcomes)[:, None])
+
+    def trials(contexts, actions, outcomes):
+        return Trials(contexts[:, :2], actions, task.success(outcomes)[:, None])
+
     policies: dict[str, Any] = naf_policies(
         naf, learner, config.trials, config.training, ScoopingPolicy, task.seen_place, trials
     )
@@ -43,7 +55,9 @@ def make_scooping_one_shot(config: ScoopingConfig) -> OneShot:
     probes = config.correct and config.trajectories > 1
 
     return OneShot(
-        task=replace(made, rollout=made.rehearse or made.rollout, score=_own_score if probes else made.score),
+        task=replace(
+            made, rollout=made.rehearse or made.rollout, score=_own_score if probes else made.score
+        ),
         tests=tests,
         fresh=fresh if config.fresh else None,
         trials=config.trajectories,
@@ -53,14 +67,22 @@ def make_scooping_one_shot(config: ScoopingConfig) -> OneShot:
         trajectory=lambda contexts, outcomes: task.measured(contexts, outcomes, config.camera),
         **policies,
         inputs=lambda context, action: action,
-        outputs=lambda outcome: jnp.stack([outcome[-1, 0], jnp.clip(outcome[-1, 1] / HEIGHT_UNIT, -2.0, 2.0)]),
+        outputs=lambda outcome: jnp.stack(
+            [outcome[-1, 0], jnp.clip(outcome[-1, 1] / HEIGHT_UNIT, -2.0, 2.0)]
+        ),
         worth=lambda seen, context: seen[0],
-        world=lambda backend, /, **settings: scooping_world(backend, options, config.numerics, **settings),
+        world=lambda backend, /, **settings: scooping_world(
+            backend, options, config.numerics, **settings
+        ),
         oracle=lambda world, params: best_shared_action(world, params, tests),
         engine="mjx" if config.simulator == "mjx" else "hydro",
-        simulator="MuJoCo scene (MJX)" if config.simulator == "mjx" else "hydroelastic engine (JAX)",
-        reward_unit=f"share of pieces on the spatula at the end, over {config.tests} places and execution errors",
-        oracle_means=f"the best single action of a grid of {' x '.join(map(str, GRID))} in the target: all are tried in one test "
+        simulator="MuJoCo scene (MJX)"
+        if config.simulator == "mjx"
+        else "hydroelastic engine (JAX)",
+        reward_unit=f"share of pieces on the spatula at the end, over {config.tests} places and "
+        f"execution errors",
+        oracle_means=f"the best single action of a grid of {' x '.join(map(str, GRID))} in the "
+        f"target: all are tried in one test "
         f"context, the {FINALISTS} that are best there and around in all",
         remember=_remember if config.correct else None,
         probe=make_probe(config) if probes else None,
@@ -74,8 +96,13 @@ def scooping_world(
     /,
     **settings: Any,
 ) -> World:
-    """Scooping in `backend` (`backends.BACKENDS`). Trials that fail give not-a-number, hence reward 0."""
-    own = {"numerics": configs.to_table(numerics)} if backend == "hydro" else {}
+    """Scooping in `backend` (`backends.BACKENDS`). Trials that fail give not-a-number, hence reward
+    0.
+    """
+    if backend == "hydro":
+        own = {"numerics": configs.to_table(numerics)}
+    else:
+        own = {}
     simulate = backends.make_backend(backend, options, **configs.over(own, settings)).simulate
     rows = np.maximum(np.round(np.array(model.SEEN_AT) / interface.ROW).astype(int) - 1, 0)
     execute = jax.jit(jax.vmap(lambda a, c: task.executed(a, c, options)))
@@ -86,7 +113,9 @@ def scooping_world(
         lies, above = interface.outcome(found.state)
         places = found.state[:, rows, :2].copy()
         places[:, 0] = 0.0  # seen before it moves
-        outcomes = np.concatenate([places, np.stack([lies, above], -1)[:, None]], 1).astype(np.float32)
+        outcomes = np.concatenate([places, np.stack([lies, above], -1)[:, None]], 1).astype(
+            np.float32
+        )
         lost = np.isin(found.code, (model.DIVERGED, model.UNFIT))
         return np.where(lost[:, None, None], np.nan, outcomes), np.where(lost, found.code, 0)
 
@@ -94,17 +123,26 @@ def scooping_world(
 
 
 def best_shared_action(world: World, params: np.ndarray, tests: np.ndarray) -> np.ndarray:
-    """`[G]` rewards of the best single action in `params [D]`: nobody knows a trial's errors when choosing.
+    """`[G]` rewards of the best single action in `params [D]`: nobody knows a trial's errors when
+    choosing.
 
-    Actions of the grid are tried in one context and smoothed over their neighbours; the finalists are tried in all.
+    Actions of the grid are tried in one context and smoothed over their neighbours; the finalists
+    are tried in all.
     """
     grid = action_grid(GRID)
-    won = _rewards(world, params, np.tile(tests[:1] * np.array([1, 1, 0, 0, 1], np.float32), (len(grid), 1)), grid)
+    won = _rewards(
+        world,
+        params,
+        np.tile(tests[:1] * np.array([1, 1, 0, 0, 1], np.float32), (len(grid), 1)),
+        grid,
+    )
     spacing = 2.0 / (np.array(GRID) - 1)
     near = np.exp(-0.5 * (((grid[:, None] - grid[None]) / spacing) ** 2).sum(-1))
     chosen = grid[np.argsort(-(near @ won) / near.sum(1), kind="stable")[:FINALISTS]]
     pairs = np.repeat(chosen, len(tests), 0)
-    rewards = _rewards(world, params, np.tile(tests, (len(chosen), 1)), pairs).reshape(len(chosen), -1)
+    rewards = _rewards(world, params, np.tile(tests, (len(chosen), 1)), pairs).reshape(
+        len(chosen), -1
+    )
     return rewards[rewards.mean(1).argmax()]
 
 
@@ -113,10 +151,14 @@ def _own_score(trajectory: ScoopingTrajectory) -> jax.Array:
     return trajectory.success[:-1].mean()
 
 
-def _remember(policy: ScoopingPolicy, actions: jax.Array, outcomes: jax.Array, used: jax.Array) -> ScoopingPolicy:
+def _remember(
+    policy: ScoopingPolicy, actions: jax.Array, outcomes: jax.Array, used: jax.Array
+) -> ScoopingPolicy:
     return policy._replace(told=Told(actions, task.success(outcomes), used))
 
 
-def _rewards(world: World, params: np.ndarray, contexts: np.ndarray, actions: np.ndarray) -> np.ndarray:
+def _rewards(
+    world: World, params: np.ndarray, contexts: np.ndarray, actions: np.ndarray
+) -> np.ndarray:
     outcomes, _ = world.run(np.tile(params, (len(actions), 1)), contexts, actions)
     return np.asarray(task.success(jnp.asarray(outcomes)))

@@ -1,10 +1,13 @@
-"""Scooping a piece of food (paper, section 5.2 and appendix A4): a NAF network chooses how to move the spatula.
+"""Scooping a piece of food (paper, section 5.2 and appendix A4): a NAF network chooses how to move
+the spatula.
 
-The policy maps where the piece lies to pitch, pitch rate and distance. It is trained at parameters drawn from E, on trials of
-the hydroelastic engine itself or of the bank (`bank`), a smoothed store of such trials that all policies share; Phase 1
-may rehearse on the bank, too. At each adaptation iteration it is tried twice; the piece's tracks in these trials, as a camera
-sees them, are all that the adaptation policy is shown. Trials execute their actions with an error. In a simulated target the
-reward is the mean over a fixed set of places and errors: the share of pieces that lie on the spatula at the end.
+The policy maps where the piece lies to pitch, pitch rate and distance. It is trained at parameters
+drawn from E, on trials of the hydroelastic engine itself or of the bank (`bank`), a smoothed store
+of such trials that all policies share; Phase 1 may rehearse on the bank, too. At each adaptation
+iteration it is tried twice; the piece's tracks in these trials, as a camera sees them, are all that
+the adaptation policy is shown. Trials execute their actions with an error. In a simulated target
+the reward is the mean over a fixed set of places and errors: the share of pieces that lie on the
+spatula at the end.
 """
 
 from collections.abc import Callable
@@ -44,32 +47,45 @@ from adaptsim_jax.tasks.scooping.trial import (
 )
 
 
-def make_policy(config: ScoopingConfig = ScoopingConfig()) -> Callable[[ScoopingPolicy, jax.Array], jax.Array]:  # noqa: B008
+def make_policy(
+    config: ScoopingConfig = ScoopingConfig(),
+) -> Callable[[ScoopingPolicy, jax.Array], jax.Array]:
     """`act(policy, places [..., 2] m) -> [..., 3]`: pitch rad, rate rad/s, distance m. Pure."""
     choose = make_choice(config)
     return lambda policy, places: model.physical_action(choose(policy, places))
 
 
-def make_scooping(config: ScoopingConfig = ScoopingConfig()) -> Task:  # noqa: B008
+def make_scooping(config: ScoopingConfig = ScoopingConfig()) -> Task:
     """Scooping as a `Task`, simulated with the hydroelastic engine, or in MJX."""
     space, naf = scooping_space(config), make_scooping_naf(config)
     if config.correct:
         load_bank(
             checked(config), config.numerics
         )  # one of other options is refused now, and not when it comes to deploying
-    draw = lambda key, dist: space.physical(spaces.sample(key, dist))
-    learner = make_goal_learner(naf, training_problem(config, draw), config.training, naf_rates(config))
+
+    def draw(key, dist):
+        return space.physical(spaces.sample(key, dist))
+
+    learner = make_goal_learner(
+        naf, training_problem(config, draw), config.training, naf_rates(config)
+    )
     block = config.training.block
-    at_mean = lambda weights, mean: ScoopingPolicy(weights, mean if config.correct else None)
+
+    def at_mean(weights, mean):
+        return ScoopingPolicy(weights, mean if config.correct else None)
 
     def train_many(keys, dists, policies, trials):
         rounds = (trials + block - 1) // block
-        return at_mean(learner.train(keys, policies.weights, dists, rounds, jnp.max(rounds)), dists.mean)
+        return at_mean(
+            learner.train(keys, policies.weights, dists, rounds, jnp.max(rounds)), dists.mean
+        )
 
     def train(key, dist, policy):
         one = jax.tree.map(lambda x: x[None], (dist, policy.weights))
         rounds = -(-config.trials // block)
-        return at_mean(learner.train(key[None], one[1], one[0], jnp.full(1, rounds), rounds)[0], dist.mean)
+        return at_mean(
+            learner.train(key[None], one[1], one[0], jnp.full(1, rounds), rounds)[0], dist.mean
+        )
 
     rollout, rehearse = make_rollouts(config, naf)
 
@@ -92,10 +108,15 @@ def make_scooping(config: ScoopingConfig = ScoopingConfig()) -> Task:  # noqa: B
 
 
 def make_rollouts(config: ScoopingConfig, naf: NAF) -> tuple[Callable, Callable | None]:
-    """`rollout` of the task in the engine, and `rehearse` in the bank; None where Phase 1 is to run in the engine, too."""
+    """`rollout` of the task in the engine, and `rehearse` in the bank; None where Phase 1 is to run
+    in the engine, too.
+    """
     options, N = checked(config), config.trajectories
     tests = jnp.asarray(test_contexts(config.tests))
-    trial = make_mjx_trial(options) if config.simulator == "mjx" else make_trial(options, config.numerics)
+    if config.simulator == "mjx":
+        trial = make_mjx_trial(options)
+    else:
+        trial = make_trial(options, config.numerics)
 
     def run(key, policy, params, outcome_of):
         contexts = jax.vmap(draw_context)(jax.random.split(key, N))

@@ -1,6 +1,8 @@
-"""A trial of scooping: what it depends on (its context), what is done in it, what comes of it, and what a camera sees of it.
+"""A trial of scooping: what it depends on (its context), what is done in it, what comes of it, and
+what a camera sees of it.
 
-Given its context a trial is a function, in Drake as in ours, so that all methods can be scored on the same luck.
+Given its context a trial is a function, in Drake as in ours, so that all methods can be scored on
+the same luck.
 """
 
 import functools
@@ -19,15 +21,19 @@ POINTS = len(model.SEEN_AT)
 PLACES = np.array([0.04, 0.03])
 """Half the box that pieces are placed in, 8 by 6 cm about its middle, m."""
 CONTEXT = 5
-"""Numbers of a trial's context: the piece's place `[2]` m, all that the policy sees of it; then what no one knows beforehand:
-errors of pitch and rate in [-1, 1], and a number in [0, 1) that the camera's noise is drawn with."""
+"""Numbers of a trial's context: the piece's place `[2]` m, all that the policy sees of it; then
+what no one knows beforehand: errors of pitch and rate in [-1, 1], and a number in [0, 1) that the
+camera's noise is drawn with.
+"""
 _SPAN = 0.15  # m: places seen are divided by it
 
 
 def draw_context(key: jax.Array) -> jax.Array:
     """A context `[5]` of a trial; see `CONTEXT`."""
     u = jax.random.uniform(key, (CONTEXT,))
-    return jnp.concatenate([(2.0 * u[:2] - 1.0) * jnp.asarray(PLACES, u.dtype), 2.0 * u[2:4] - 1.0, u[4:]])
+    return jnp.concatenate(
+        [(2.0 * u[:2] - 1.0) * jnp.asarray(PLACES, u.dtype), 2.0 * u[2:4] - 1.0, u[4:]]
+    )
 
 
 def seen_place(context: jax.Array) -> jax.Array:
@@ -37,14 +43,20 @@ def seen_place(context: jax.Array) -> jax.Array:
 
 
 def executed(action: jax.Array, context: jax.Array, options: ScoopOptions) -> jax.Array:
-    """What is done when `action [3]` in [-1, 1] is asked for: (pitch rad, rate rad/s, distance m), with the context's errors."""
+    """What is done when `action [3]` in [-1, 1] is asked for: (pitch rad, rate rad/s, distance m),
+    with the context's errors.
+    """
     errors = jnp.concatenate([context[2:4], jnp.zeros(1, context.dtype)])
     return model.physical_action(action) + errors * jnp.asarray(options.noise, action.dtype)
 
 
-def make_trial(options: ScoopOptions, numerics: Numerics) -> Callable[[jax.Array, jax.Array, jax.Array], jax.Array]:
-    """`trial(params [4], action [3], context [5]) -> outcome [9, 2]` in the engine: eight places m from where the piece lay,
-    and (success, height over the tip's plane m); not-a-number, success 0, where the engine reports a fault."""
+def make_trial(
+    options: ScoopOptions, numerics: Numerics
+) -> Callable[[jax.Array, jax.Array, jax.Array], jax.Array]:
+    """`trial(params [4], action [3], context [5]) -> outcome [9, 2]` in the engine: eight places m
+    from where the piece lay, and (success, height over the tip's plane m); not-a-number, success 0,
+    where the engine reports a fault.
+    """
     rows = hydro.seen_rows(numerics)
 
     def trial(params, action, context):
@@ -59,11 +71,15 @@ def make_trial(options: ScoopOptions, numerics: Numerics) -> Callable[[jax.Array
 
 @functools.cache
 def make_mjx_trial(options: ScoopOptions) -> Callable[[jax.Array, jax.Array, jax.Array], jax.Array]:
-    """The same in the MuJoCo scene, in MJX. Not-a-number for pieces and actions that the scene is not made for, too."""
+    """The same in the MuJoCo scene, in MJX. Not-a-number for pieces and actions that the scene is
+    not made for, too.
+    """
     from adaptsim_jax.tasks.scooping.engines.mjx import make_scoop
     from adaptsim_jax.tasks.scooping.interface import ROW
 
-    with jax.ensure_compile_time_eval():  # the model is kept, and must hold no tracers of a caller's program
+    with (
+        jax.ensure_compile_time_eval()
+    ):  # the model is kept, and must hold no tracers of a caller's program
         scoop = make_scoop(options)
     rows = np.maximum(np.round(np.array(model.SEEN_AT) / ROW).astype(int) - 1, 0)
 
@@ -77,45 +93,66 @@ def make_mjx_trial(options: ScoopOptions) -> Callable[[jax.Array, jax.Array, jax
         ahead, above = c * dx - s * dz, s * dx + c * dz  # in the tip's frame
         end = jnp.stack([model.on_blade(ahead, above), above])
         found = jnp.concatenate([jnp.stack([x, jnp.zeros_like(x)], -1), end[None]])
-        lasts = jnp.all(jnp.isfinite(q)) & jnp.all(jnp.abs(q[:, 0]) < 2.0) & jnp.all(jnp.abs(q[:, 1]) < 1.0)
-        inside = jnp.all((params >= jnp.array(model.PHYSICAL_LOW)) & (params <= jnp.array(model.PHYSICAL_HIGH)))
+        lasts = (
+            jnp.all(jnp.isfinite(q))
+            & jnp.all(jnp.abs(q[:, 0]) < 2.0)
+            & jnp.all(jnp.abs(q[:, 1]) < 1.0)
+        )
+        inside = jnp.all(
+            (params >= jnp.array(model.PHYSICAL_LOW)) & (params <= jnp.array(model.PHYSICAL_HIGH))
+        )
         return jnp.where(lasts & inside, found, jnp.nan)
 
     return trial
 
 
 def success(outcome: jax.Array) -> jax.Array:
-    """`[...]`: 1 where the piece of `outcome [..., 9, 2]` lies on the spatula at the end; 0 where it is not finite."""
+    """`[...]`: 1 where the piece of `outcome [..., 9, 2]` lies on the spatula at the end; 0 where
+    it is not finite.
+    """
     return jnp.where(outcome[..., -1, 0] > 0.5, 1.0, 0.0)
 
 
 def camera_view(points: jax.Array, context: jax.Array, camera: tuple[float, ...]) -> jax.Array:
-    """`points [8, 2]` m as the camera sees them: blurred ahead, and noisy (paper, appendix). The context seeds the noise."""
+    """`points [8, 2]` m as the camera sees them: blurred ahead, and noisy (paper, appendix). The
+    context seeds the noise.
+    """
     seed = jnp.floor(context[4] * 2.0**23).astype(jnp.uint32)
     noise = jax.random.normal(jax.random.key(seed), points.shape, points.dtype)
     return points + jnp.array([[camera[0], 0.0]], points.dtype) + camera[1] * noise
 
 
 def measured(
-    contexts: jax.Array, outcomes: jax.Array, camera: tuple[float, ...], tested: jax.Array | None = None
+    contexts: jax.Array,
+    outcomes: jax.Array,
+    camera: tuple[float, ...],
+    tested: jax.Array | None = None,
 ) -> ScoopingTrajectory:
-    """The trajectory of `N` trials in `contexts [N, 5]` from their `outcomes [N, 9, 2]`, of any engine."""
+    """The trajectory of `N` trials in `contexts [N, 5]` from their `outcomes [N, 9, 2]`, of any
+    engine.
+    """
     points = jax.vmap(lambda o, c: camera_view(o[:-1], c, camera))(outcomes, contexts)
     lies = success(outcomes)
     return ScoopingTrajectory(points, lies, lies.mean() if tested is None else tested)
 
 
 def observed(trajectory: ScoopingTrajectory) -> jax.Array:
-    """`[obs_dim]`: places along and across the table in units of 15 cm; far out they are held at 4."""
+    """`[obs_dim]`: places along and across the table in units of 15 cm; far out they are held at
+    4.
+    """
     seen = trajectory.points / _SPAN
     return jnp.clip(jnp.where(jnp.isfinite(seen), seen, 4.0), -4.0, 4.0).reshape(-1)
 
 
 def test_contexts(count: int) -> np.ndarray:
-    """`[count, 5]`: places and errors spread evenly, the same for every policy (a lattice of irrational steps)."""
+    """`[count, 5]`: places and errors spread evenly, the same for every policy (a lattice of
+    irrational steps).
+    """
     row = np.arange(count)[:, None] + 0.5
     u = row * np.array([0.8566749, 0.7338919, 0.6287067, 0.5385973, 0.4614027]) % 1.0
-    return np.concatenate([(2 * u[:, :2] - 1) * PLACES, 2 * u[:, 2:4] - 1, u[:, 4:]], 1).astype(np.float32)
+    return np.concatenate([(2 * u[:, :2] - 1) * PLACES, 2 * u[:, 2:4] - 1, u[:, 4:]], 1).astype(
+        np.float32
+    )
 
 
 test_contexts.__test__ = False  # type: ignore[attr-defined]  # for pytest, which collects by name

@@ -1,1 +1,3 @@
-"""A body tossed onto a plane, seen by motion capture: what the declared MJCF lacks. Simulated by MuJoCo in C; there is no policy."""
+"""A body tossed onto a plane, seen by motion capture: what the declared MJCF lacks. Simulated by
+MuJoCo in C; there is no policy.
+"""

@@ -1,4 +1,6 @@
-"""The declared model of a tossed body: an MJCF file with one free body over one plane, and that file with other numbers in it."""
+"""The declared model of a tossed body: an MJCF file with one free body over one plane, and that
+file with other numbers in it.
+"""
 
 import copy
 import itertools
@@ -22,8 +24,10 @@ LEAST_FRICTION = 1e-5  # MuJoCo takes none that is smaller
 
 @dataclass(frozen=True)
 class Body:
-    """model: compiled, contacts taken from the body's own geoms; at: its number; geoms: its geoms' numbers; friction, contact_time
-    (s), damping: as the file declares them; sized: whether all of its shapes have a size that can be scaled."""
+    """model: compiled, contacts taken from the body's own geoms; at: its number; geoms: its geoms'
+    numbers; friction, contact_time (s), damping: as the file declares them; sized: whether all of
+    its shapes have a size that can be scaled.
+    """
 
     model: mujoco.MjModel
     path: str
@@ -48,10 +52,14 @@ class Body:
     def size(self) -> float:
         """Radius in m of a ball about the body's origin that holds it."""
         m = self.model
-        return float(np.max(np.linalg.norm(m.geom_pos[self.geoms], axis=1) + m.geom_rbound[self.geoms]))
+        return float(
+            np.max(np.linalg.norm(m.geom_pos[self.geoms], axis=1) + m.geom_rbound[self.geoms])
+        )
 
     def corners(self) -> np.ndarray:
-        """Points `[C, 3]` m of the body's frame that stand out furthest: corners, rims, vertices."""
+        """Points `[C, 3]` m of the body's frame that stand out furthest: corners, rims,
+        vertices.
+        """
         return np.concatenate([_outer(self.model, g) for g in self.geoms])
 
 
@@ -84,7 +92,10 @@ def read_body(path: str | Path) -> Body:
     """The declared body of a file. Raises BadInput that names the file and what to write."""
     spec, source = read_spec(path)
     if source != "mjcf":
-        raise BadInput(f"{path}: a tossed body is declared in MJCF (a free joint and a plane); write it as MJCF")
+        raise BadInput(
+            f"{path}: a tossed body is declared in MJCF (a free joint and a plane); write it as "
+            f"MJCF"
+        )
     model = compiled(str(path), spec)
     _check(path, model)
     at = int(model.jnt_bodyid[0])
@@ -92,25 +103,40 @@ def read_body(path: str | Path) -> Body:
     geoms = np.flatnonzero(model.geom_bodyid == at)
     touching = geoms[(model.geom_contype[geoms] | model.geom_conaffinity[geoms]) > 0]
     if not len(touching):
-        raise BadInput(f"{path}: no geom of the body can touch anything; give one contype and conaffinity")
+        raise BadInput(
+            f"{path}: no geom of the body can touch anything; give one contype and conaffinity"
+        )
     solref = np.array(model.geom_solref[touching[0]])
     if solref[0] <= 0:
         raise BadInput(
-            f"{path}: solref is given as stiffness and damping; write time constant (s) and damping ratio, as "
+            f"{path}: solref is given as stiffness and damping; write time constant (s) and "
+            f"damping ratio, as "
             'solref="0.004 0.5"'
         )
-    # what a contact takes from either geom is taken from the body's, so that one set of numbers is what acts
+    # what a contact takes from either geom is taken from the body's, so that one set of numbers is
+    # what acts
     model.geom_priority[geoms] = int(model.geom_priority.max()) + 1
     model.body_sameframe[:] = 0  # shortcuts that hold only for the numbers of the file
     model.geom_sameframe[:] = 0
     kinds = {mujoco.mjtGeom(int(t)).name.removeprefix("mjGEOM_") for t in model.geom_type[geoms]}
     friction = float(model.geom_friction[touching[0], 0])
-    return Body(model, str(path), at, geoms, friction, float(solref[0]), float(solref[1]), kinds <= set(SIZED))
+    return Body(
+        model,
+        str(path),
+        at,
+        geoms,
+        friction,
+        float(solref[0]),
+        float(solref[1]),
+        kinds <= set(SIZED),
+    )
 
 
 def _general(path: str, spec: mujoco.MjSpec, model: mujoco.MjModel, at: int) -> mujoco.MjModel:
-    """The model compiled for a centre of mass beside the body's origin: where they coincide MuJoCo leaves out what couples motion
-    and turning, and a centre that is moved later would be pulled about the origin."""
+    """The model compiled for a centre of mass beside the body's origin: where they coincide MuJoCo
+    leaves out what couples motion and turning, and a centre that is moved later would be pulled
+    about the origin.
+    """
     centre = np.array(model.body_ipos[at])
     _weigh(spec, model, at, centre + 1e-3)
     general = compiled(path, spec)
@@ -129,28 +155,43 @@ def _weigh(spec: mujoco.MjSpec, m: mujoco.MjModel, at: int, centre: np.ndarray) 
 
 def _check(path: str | Path, model: mujoco.MjModel) -> None:
     if model.njnt != 1 or model.jnt_type[0] != mujoco.mjtJoint.mjJNT_FREE:
-        raise BadInput(f"{path}: has {model.njnt} joints that move it; a toss needs one body with a <freejoint/>")
+        raise BadInput(
+            f"{path}: has {model.njnt} joints that move it; a toss needs one body with a "
+            f"<freejoint/>"
+        )
     planes = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
     if len(planes) != 1 or model.geom_bodyid[planes[0]] != 0:
         raise BadInput(f"{path}: has {len(planes)} planes; a toss needs one, in the worldbody")
-    level = abs(abs(model.geom_quat[planes[0], 0]) - 1.0) < 1e-9 and not np.any(model.geom_pos[planes[0]])
+    level = abs(abs(model.geom_quat[planes[0], 0]) - 1.0) < 1e-9 and not np.any(
+        model.geom_pos[planes[0]]
+    )
     if not level:
-        raise BadInput(f"{path}: the plane is not z = 0; give poses and the plane in one frame with z upwards from it")
+        raise BadInput(
+            f"{path}: the plane is not z = 0; give poses and the plane in one frame with z upwards "
+            f"from it"
+        )
     gravity = np.array(model.opt.gravity)
     if np.any(gravity[:2]) and abs(gravity[2]) < 1.0:
         raise BadInput(f'{path}: gravity {gravity} does not point down; write gravity="0 0 -9.81"')
     if gravity[2] > -1.0:
-        raise BadInput(f'{path}: gravity is {-gravity[2]:g} m/s^2 downwards; write gravity="0 0 -9.81"')
+        raise BadInput(
+            f'{path}: gravity is {-gravity[2]:g} m/s^2 downwards; write gravity="0 0 -9.81"'
+        )
     if model.opt.timestep > LONGEST_STEP:
         raise BadInput(
-            f'{path}: a step of {model.opt.timestep:g} s is longer than an impact; write <option timestep="0.001"/>'
+            f"{path}: a step of {model.opt.timestep:g} s is longer than an impact; write <option "
+            f'timestep="0.001"/>'
         )
     if model.nu or model.neq or model.ntendon:
-        raise BadInput(f"{path}: has actuators, equalities or tendons; a tossed body has none: take them out")
+        raise BadInput(
+            f"{path}: has actuators, equalities or tendons; a tossed body has none: take them out"
+        )
 
 
 def with_values(body: Body, values: Mapping[str, float]) -> mujoco.MjModel:
-    """A model with these values of the catalogue's quantities that are the model's own (what they are: `catalogue`)."""
+    """A model with these values of the catalogue's quantities that are the model's own (what they
+    are: `catalogue`).
+    """
     m = copy.copy(body.model)
     g, b = body.geoms, body.at
     m.geom_friction[g, 0] = max(values["friction"], LEAST_FRICTION)
@@ -176,7 +217,9 @@ def gravity(body: Body, values: Mapping[str, float]) -> np.ndarray:
 
 
 def mended_xml(body: Body, values: Mapping[str, float], comments: Sequence[str] = ()) -> str:
-    """The file as MJCF text with what MJCF can hold of `values`; comments say the rest. Raises BadInput where MuJoCo refuses it."""
+    """The file as MJCF text with what MJCF can hold of `values`; comments say the rest. Raises
+    BadInput where MuJoCo refuses it.
+    """
     spec, _ = read_spec(body.path)
     m = with_values(body, values)
     part = _weigh(spec, m, body.at, m.body_ipos[body.at])

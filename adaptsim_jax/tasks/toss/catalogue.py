@@ -1,4 +1,6 @@
-"""What a toss may lack beside its declared contact: each effect with its quantities, units, bounds, physics and excitation."""
+"""What a toss may lack beside its declared contact: each effect with its quantities, units, bounds,
+physics and excitation.
+"""
 
 import math
 
@@ -52,32 +54,113 @@ def quantities(body: Body) -> tuple[Quantity, ...]:
 
 _E = Candidate
 EFFECTS = (
-    _E("speed_friction", "contact", ("speed_friction",), "friction grows or falls with speed", "fast and slow slides",
-       absorbed=("friction",)),
-    _E("grain", "contact", ("grain_a", "grain_b"), "friction depends on the direction of the slide",
-       "slides in many directions", absorbed=("friction",)),
-    _E("restitution", "contact", ("rebound",), "harder impacts rebound more or less than the declared damping says",
-       "soft and hard impacts", absorbed=("damping",)),
-    _E("body_size", "contact", ("size",), "the body is larger or smaller than declared", "impacts on corners, and rest"),
-    _E("inertia", "force", ("inertia",), "the body is harder or easier to turn than declared", "impacts off the centre"),
-    _E("centre_of_mass", "force", ("com_x", "com_y", "com_z"), "the centre of mass lies beside the declared one",
-       "spinning flight"),
-    _E("drag", "force", ("drag",), "a drag proportional to speed", "fast flights and slides", absorbed=("friction",)),
-    _E("tilt", "force", ("tilt_x", "tilt_y"), "the table is not level", "flights, and slides in many directions"),
-    _E("length_scale", "measurement", ("scale",), "lengths are measured too long or too short",
-       "free flight beside rest: the height of rest scales too"),
-    _E("clock_scale", "measurement", ("clock",), "the recording's clock runs fast or slow", "free flight",
-       same=("gravity@force",)),
-    _E("plane_height", "measurement", ("height",), "the plane does not lie at the height zero of the recording",
-       "impacts and rest"),
-    _E("plane_turn", "measurement", ("plane_x", "plane_y"), "the recording's frame is turned against a level plane",
-       "rest and slides"),
-    _E("body_offset", "measurement", ("off_x", "off_y", "off_z"), "the point that is recorded is not the body's middle",
-       "impacts and rest on several faces"),
-    _E("body_turn", "measurement", ("turned_x", "turned_y", "turned_z"), "the recorded axes are turned against the body's",
-       "rest on several faces"),
-)  # fmt: skip
-"""A clock that is off and another gravity are the same toss: rigid motion under Coulomb friction has no time of its own."""
+    _E(
+        "speed_friction",
+        "contact",
+        ("speed_friction",),
+        "friction grows or falls with speed",
+        "fast and slow slides",
+        absorbed=("friction",),
+    ),
+    _E(
+        "grain",
+        "contact",
+        ("grain_a", "grain_b"),
+        "friction depends on the direction of the slide",
+        "slides in many directions",
+        absorbed=("friction",),
+    ),
+    _E(
+        "restitution",
+        "contact",
+        ("rebound",),
+        "harder impacts rebound more or less than the declared damping says",
+        "soft and hard impacts",
+        absorbed=("damping",),
+    ),
+    _E(
+        "body_size",
+        "contact",
+        ("size",),
+        "the body is larger or smaller than declared",
+        "impacts on corners, and rest",
+    ),
+    _E(
+        "inertia",
+        "force",
+        ("inertia",),
+        "the body is harder or easier to turn than declared",
+        "impacts off the centre",
+    ),
+    _E(
+        "centre_of_mass",
+        "force",
+        ("com_x", "com_y", "com_z"),
+        "the centre of mass lies beside the declared one",
+        "spinning flight",
+    ),
+    _E(
+        "drag",
+        "force",
+        ("drag",),
+        "a drag proportional to speed",
+        "fast flights and slides",
+        absorbed=("friction",),
+    ),
+    _E(
+        "tilt",
+        "force",
+        ("tilt_x", "tilt_y"),
+        "the table is not level",
+        "flights, and slides in many directions",
+    ),
+    _E(
+        "length_scale",
+        "measurement",
+        ("scale",),
+        "lengths are measured too long or too short",
+        "free flight beside rest: the height of rest scales too",
+    ),
+    _E(
+        "clock_scale",
+        "measurement",
+        ("clock",),
+        "the recording's clock runs fast or slow",
+        "free flight",
+        same=("gravity@force",),
+    ),
+    _E(
+        "plane_height",
+        "measurement",
+        ("height",),
+        "the plane does not lie at the height zero of the recording",
+        "impacts and rest",
+    ),
+    _E(
+        "plane_turn",
+        "measurement",
+        ("plane_x", "plane_y"),
+        "the recording's frame is turned against a level plane",
+        "rest and slides",
+    ),
+    _E(
+        "body_offset",
+        "measurement",
+        ("off_x", "off_y", "off_z"),
+        "the point that is recorded is not the body's middle",
+        "impacts and rest on several faces",
+    ),
+    _E(
+        "body_turn",
+        "measurement",
+        ("turned_x", "turned_y", "turned_z"),
+        "the recorded axes are turned against the body's",
+        "rest on several faces",
+    ),
+)
+"""A clock that is off and another gravity are the same toss: rigid motion under Coulomb friction
+has no time of its own.
+"""
 
 
 def effects(body: Body) -> tuple[Candidate, ...]:

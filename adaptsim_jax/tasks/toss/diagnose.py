@@ -1,4 +1,6 @@
-"""Diagnose measured tosses: which effects the declared toss lacks, what is left, and the mended model."""
+"""Diagnose measured tosses: which effects the declared toss lacks, what is left, and the mended
+model.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -20,7 +22,9 @@ from adaptsim_jax.tasks.toss.read import Tossed, read
 from adaptsim_jax.tasks.trial_diagnosis import Diagnose, noted
 
 XML = "model.xml"
-CRITERIA = Criteria(rounds=3, glance=1)  # a simulation of strikes is rough: fits gain little after a few rounds
+CRITERIA = Criteria(
+    rounds=3, glance=1
+)  # a simulation of strikes is rough: fits gain little after a few rounds
 LOGS = {"log_time": ("contact_time", "s")}
 HELD = ("body_size", "inertia", "centre_of_mass", "tilt")
 """Effects that MJCF has a place for; the declared contact, too."""
@@ -38,7 +42,13 @@ MEASURE = {
 }
 
 
-def judged(tossed: Tossed, considered: tuple[Candidate, ...], criteria: Criteria, progress, folder: Path | None):
+def judged(
+    tossed: Tossed,
+    considered: tuple[Candidate, ...],
+    criteria: Criteria,
+    progress,
+    folder: Path | None,
+):
     """See `trial_diagnosis.Diagnose`."""
     if progress is not None:
         progress(0.01, 1.0, "starts of the windows")
@@ -67,14 +77,17 @@ def model_table(found: Selection, values: dict[str, float]) -> dict[str, Any]:
             "contact_time": 10.0 ** values["log_time"],
             "damping": values["damping"],
         },
-        "effects": {n.effect.name: {q: values[q] for q in n.effect.quantities} for n in found.named},
+        "effects": {
+            n.effect.name: {q: values[q] for q in n.effect.quantities} for n in found.named
+        },
     }
 
 
 def beside(found: Selection, values: dict[str, float]) -> list[str]:
     """What was named and MJCF cannot hold, a line each."""
     return [
-        f"not in this file: {n.effect.name} ({', '.join(f'{q} = {values[q]:.4g}' for q in n.effect.quantities)})"
+        f"not in this file: {n.effect.name} "
+        f"({', '.join(f'{q} = {values[q]:.4g}' for q in n.effect.quantities)})"
         for n in found.named
         if n.effect.name not in HELD
     ]
@@ -96,7 +109,11 @@ def reported(
     flown = free_flight(tossed)
     whole = {k: whole_tosses(tossed, m.fit.vectors) for k, m in both}
     whole = {k: float(np.median(z)) if len(z) else None for k, z in whole.items()}
-    classes = [f"{parts.words(n.effect.name)} or {parts.words(s)}" for n in found.named for s in n.effect.same]
+    classes = [
+        f"{parts.words(n.effect.name)} or {parts.words(s)}"
+        for n in found.named
+        for s in n.effect.same
+    ]
     report = new_report(
         "toss",
         _model(tossed),
@@ -137,22 +154,33 @@ def _model(tossed: Tossed) -> str:
 
 def message(found: Selection, over, error: dict[str, Any], whole, flown: Flight | None) -> str:
     """What was found, in a few sentences."""
-    size = lambda k: f"{1e3 * error[k]:.3g}"
+
+    def size(k):
+        return f"{1e3 * error[k]:.3g}"
+
     floors = {k: float(np.median(v)) for k, v in over.items()}
     if not found.named:
         text = (
-            f"The declared body, fitted, predicts windows of left-out tosses to {size('before')} mm, {floors['before']:.1f} times "
+            f"The declared body, fitted, predicts windows of left-out tosses to {size('before')} "
+            f"mm, {floors['before']:.1f} times "
             "the noise floor (median over windows)."
         )
-        text += " No effect of the catalogue holds out." if floors["before"] > FOLLOWED else " Nothing need be added."
+        if floors["before"] > FOLLOWED:
+            text += " No effect of the catalogue holds out."
+        else:
+            text += " Nothing need be added."
     else:
         text = (
-            f"{parts.told(found.named, 'tosses')} Left-out error {size('before')} to {size('after')} mm; windows are left at "
+            f"{parts.told(found.named, 'tosses')} Left-out error {size('before')} to "
+            f"{size('after')} mm; windows are left at "
             f"{floors['after']:.1f} times the noise floor (median)."
         )
     if whole["before"] is not None:
         after = f" to {1e3 * whole['after']:.3g}" if found.named else ""
-        text += f" Whole tosses from their flight alone: {1e3 * whole['before']:.3g}{after} mm (median)."
+        text += (
+            f" Whole tosses from their flight alone: {1e3 * whole['before']:.3g}{after} mm "
+            f"(median)."
+        )
     if flown is not None:
         said = flight_words(flown)
         text += f" {said[:1].upper()}{said[1:]}"
@@ -190,12 +218,16 @@ def _error(tossed: Tossed, follow: Follow, tracks: dict[str, np.ndarray]) -> dic
 
     def rms(which: str, channel: int | None) -> np.ndarray:
         off = np.square(tracks[which] - w.place) * w.mask[..., None]
-        each = off.sum(1).mean(1) if channel is None else off.sum(1)[:, channel]
+        if channel is None:
+            each = off.sum(1).mean(1)
+        else:
+            each = off.sum(1)[:, channel]
         return np.sqrt(np.bincount(w.toss, each, trials) / rows)
 
     both = ("before", "after")
     return parts.error_rows(
-        "median over left-out tosses of the RMS error of a coordinate, over windows with fitted starts",
+        "median over left-out tosses of the RMS error of a coordinate, over windows with fitted "
+        "starts",
         tossed.noise,
         tossed.noise_source,
         tossed.names,
@@ -213,9 +245,15 @@ def _joined(follow: Follow, toss: int, rows: np.ndarray) -> np.ndarray:
 
 def _held_out(tossed: Tossed, follow: Follow, tracks, mended: bool) -> list[dict[str, Any]]:
     out, w = [], follow.windows
-    clock = np.stack([tossed.time[t][a] for t, a in zip(w.toss, w.first, strict=True)])[:, None] + w.time
+    clock = (
+        np.stack([tossed.time[t][a] for t, a in zip(w.toss, w.first, strict=True)])[:, None]
+        + w.time
+    )
     for i, name in enumerate(tossed.names):
-        channels = lambda z, i=i: dict(zip("xyz", _joined(follow, i, z).T, strict=True))
+
+        def channels(z, i=i):
+            return dict(zip("xyz", _joined(follow, i, z).T, strict=True))
+
         time_of = _joined(follow, i, clock)
         gaps = np.flatnonzero(np.isnan(time_of))
         time_of[gaps] = time_of[gaps - 1]
@@ -234,7 +272,10 @@ def _held_out(tossed: Tossed, follow: Follow, tracks, mended: bool) -> list[dict
 
 def _from_above(follow: Follow, tracks, mended: bool) -> dict[str, Any]:
     trials = range(len(follow.tossed.names))
-    cut = lambda z: [_joined(follow, i, z[..., :2]) for i in trials]
+
+    def cut(z):
+        return [_joined(follow, i, z[..., :2]) for i in trials]
+
     return {
         "measured": cut(follow.windows.place),
         "before": cut(tracks["before"]),

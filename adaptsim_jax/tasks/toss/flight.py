@@ -12,8 +12,9 @@ DRAWS = 2000
 
 @dataclass(frozen=True)
 class Flight:
-    """gravity: at which bodies fall as recorded in m/s^2, `low` to `high` (95 %, over tosses); each `[F]` of a toss; aside: median
-    acceleration in x and y; declared: of the model."""
+    """gravity: at which bodies fall as recorded in m/s^2, `low` to `high` (95 %, over tosses); each
+    `[F]` of a toss; aside: median acceleration in x and y; declared: of the model.
+    """
 
     gravity: float
     low: float
@@ -39,10 +40,11 @@ class Flight:
 
 
 def free_flight(tossed: Tossed) -> Flight | None:
-    """Parabolas through each toss before it first comes near the plane; None where no toss flies long enough.
+    """Parabolas through each toss before it first comes near the plane; None where no toss flies
+    long enough.
 
-    The point that is recorded is taken for the centre of mass; the median over tosses bears some that were touched or spin about
-    another point.
+    The point that is recorded is taken for the centre of mass; the median over tosses bears some
+    that were touched or spin about another point.
     """
     corners, found = tossed.body.corners(), []
     for time, place, turn in zip(tossed.time, tossed.place, tossed.turn, strict=True):
@@ -55,7 +57,12 @@ def free_flight(tossed: Tossed) -> Flight | None:
     draws = np.random.default_rng(0).integers(0, len(a), (DRAWS, len(a)))
     low, high = np.quantile(np.median(-a[draws, 2], axis=1), [0.025, 0.975])
     return Flight(
-        float(np.median(-a[:, 2])), float(low), float(high), -a[:, 2], np.median(a[:, :2], 0), tossed.body.gravity
+        float(np.median(-a[:, 2])),
+        float(low),
+        float(high),
+        -a[:, 2],
+        np.median(a[:, :2], 0),
+        tossed.body.gravity,
     )
 
 
@@ -67,6 +74,8 @@ def words(found: Flight) -> str:
     long = "long" if found.scale > 0 else "short"
     fast = "fast" if found.clock > 0 else "slow"
     return (
-        f"{falls} where {found.declared:.2f} is declared: lengths {100 * abs(found.scale):.1f} % too {long}, a clock "
-        f"{100 * abs(found.clock):.1f} % {fast}, or another gravity; flight alone does not tell which."
+        f"{falls} where {found.declared:.2f} is declared: lengths {100 * abs(found.scale):.1f} % "
+        f"too {long}, a clock "
+        f"{100 * abs(found.clock):.1f} % {fast}, or another gravity; flight alone does not tell "
+        f"which."
     )

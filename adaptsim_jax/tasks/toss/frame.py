@@ -1,8 +1,9 @@
-"""What impacts say of the frame: a blow at the lowest corner changes speed and spin together, in one frame and sense of turning only.
+"""What impacts say of the frame: a blow at the lowest corner changes speed and spin together, in
+one frame and sense of turning only.
 
-A body that strikes the plane at `r` from its centre of mass with the impulse `m dv` spins faster by `I^-1 (r x m dv)`,
-whatever friction and stiffness are. Places of a mirrored or turned camera, and turns from world to body, break that; told
-before anything is fitted.
+A body that strikes the plane at `r` from its centre of mass with the impulse `m dv` spins faster by
+`I^-1 (r x m dv)`, whatever friction and stiffness are. Places of a mirrored or turned camera, and
+turns from world to body, break that; told before anything is fitted.
 """
 
 from collections.abc import Sequence
@@ -32,37 +33,54 @@ FRAMES = {
 
 
 def check_blows(body: Body, time: Sequence, place: Sequence, turn: Sequence, where: str) -> None:
-    """BadInput, naming `where`, where the blows of all tosses are explained in another frame, or with turns the other way round."""
+    """BadInput, naming `where`, where the blows of all tosses are explained in another frame, or
+    with turns the other way round.
+    """
     left: dict[tuple[str, bool], float] = {}
     for inverse in (False, True):
         blows = [
-            _blows(body, t, p, turns.inverse(q) if inverse else q) for t, p, q in zip(time, place, turn, strict=True)
+            _blows(body, t, p, turns.inverse(q) if inverse else q)
+            for t, p, q in zip(time, place, turn, strict=True)
         ]
         dv, ds, r, axes = (np.concatenate([b[k] for b in blows]) for k in range(4))
         for name, frame in FRAMES.items() if len(dv) >= LEAST else ():
             seen = np.concatenate([dv[:, :2] @ frame.T, dv[:, 2:]], 1)
-            left[name, inverse] = float(np.median(np.linalg.norm(ds - _spun(body, r, seen, axes), axis=1)))
+            left[name, inverse] = float(
+                np.median(np.linalg.norm(ds - _spun(body, r, seen, axes), axis=1))
+            )
     if ("", False) not in left:
         return
     (name, inverse), least = min(left.items(), key=lambda item: item[1])
     if least * BETTER > left["", False]:
         return
-    said = ["quaternions turn from the world to the body, not from the body to the world"] if inverse else []
+    if inverse:
+        said = ["quaternions turn from the world to the body, not from the body to the world"]
+    else:
+        said = []
     said += [f"places look {name}, as against the quaternions"] if name else []
-    mend = "turn the signs of qx, qy, qz" if inverse and not name else TURN_MEND
+    if inverse and not name:
+        mend = "turn the signs of qx, qy, qz"
+    else:
+        mend = TURN_MEND
     raise BadInput(
-        f"{where}: by how bodies spin after they strike the plane, {' and '.join(said)}: {mend}; if all is as declared, add "
+        f"{where}: by how bodies spin after they strike the plane, {' and '.join(said)}: {mend}; "
+        f"if all is as declared, add "
         "--as-declared"
     )
 
 
-def _blows(body: Body, time: np.ndarray, place: np.ndarray, turn: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Of each blow of a toss: changes of the centre's velocity and of the spin `[B, 3]` (world), the lowest corner from the
-    centre `[B, 3]` m, and the turn `[B, 4]` then."""
+def _blows(
+    body: Body, time: np.ndarray, place: np.ndarray, turn: np.ndarray
+) -> tuple[np.ndarray, ...]:
+    """Of each blow of a toss: changes of the centre's velocity and of the spin `[B, 3]` (world),
+    the lowest corner from the centre `[B, 3]` m, and the turn `[B, 4]` then.
+    """
     centre = place + turns.turned(turn, np.broadcast_to(body.model.body_ipos[body.at], place.shape))
     gaps = np.diff(time)[:, None]
     speed = np.diff(centre, axis=0) / gaps
-    spin = turns.turned(turn[:-1], turns.log(turns.times(turns.inverse(turn[:-1]), turn[1:]))) / gaps
+    spin = (
+        turns.turned(turn[:-1], turns.log(turns.times(turns.inverse(turn[:-1]), turn[1:]))) / gaps
+    )
     fall = -body.gravity * (time[3:] - time[:-3])[:, None] * np.array([0.0, 0.0, 2.0 / 3.0])
     dv, ds = speed[2:] - speed[:-2] - fall, spin[2:] - spin[:-2]
     size = np.linalg.norm(dv, axis=1)
@@ -76,7 +94,10 @@ def _blows(body: Body, time: np.ndarray, place: np.ndarray, turn: np.ndarray) ->
     near = np.sort(height, axis=1)
     # the row at which the corner is lowest; alone, before and after it strikes
     row = np.where(near[at + 1, 0] < near[at + 2, 0], at + 1, at + 2)
-    alone = np.minimum(near[at + 1, 1] - near[at + 1, 0], near[at + 2, 1] - near[at + 2, 0]) > ALONE * body.size
+    alone = (
+        np.minimum(near[at + 1, 1] - near[at + 1, 0], near[at + 2, 1] - near[at + 2, 0])
+        > ALONE * body.size
+    )
     r = np.take_along_axis(out[row], np.argmin(height[row], 1)[:, None, None], 1)[:, 0]
     return dv[at][alone], ds[at][alone], r[alone], turn[row][alone]
 

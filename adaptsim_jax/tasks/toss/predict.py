@@ -1,4 +1,6 @@
-"""Stretches of tosses simulated from starts that are fitted to their first rows alone: whole tosses from their flight."""
+"""Stretches of tosses simulated from starts that are fitted to their first rows alone: whole tosses
+from their flight.
+"""
 
 from collections.abc import Mapping, Sequence
 
@@ -18,13 +20,19 @@ def values_of(tossed: Tossed, given: Mapping[str, float]) -> np.ndarray:
     return np.array([given.get(q.name, q.neutral) for q in quantities(tossed.body)])
 
 
-def predicted(tossed: Tossed, values: np.ndarray, spans: Sequence[Span], rows: Sequence[int]) -> list[np.ndarray]:
-    """Off by what `[R, 3]` m, measured less simulated, in each span (toss, first row, row after the last), its start fitted to so
-    many `rows`; values `[S, P]`, of each span its own."""
+def predicted(
+    tossed: Tossed, values: np.ndarray, spans: Sequence[Span], rows: Sequence[int]
+) -> list[np.ndarray]:
+    """Off by what `[R, 3]` m, measured less simulated, in each span (toss, first row, row after the
+    last), its start fitted to so many `rows`; values `[S, P]`, of each span its own.
+    """
     names = tuple(q.name for q in quantities(tossed.body))
     first = gathered(tossed, [(t, a, a + n) for (t, a, _), n in zip(spans, rows, strict=True)])
     whole = gathered(tossed, list(spans))
-    less = lambda at, v, start: seen_less(tossed, first, names, at, v, start)
+
+    def less(at, v, start):
+        return seen_less(tossed, first, names, at, v, start)
+
     anchor, _ = anchored(less, np.arange(len(spans)), values, first.start)
     place, _ = poses(tossed.body, names, values, anchor.start, whole.time)
     return [(m - p)[k > 0] for m, p, k in zip(whole.place, place, whole.mask, strict=True)]
@@ -42,7 +50,9 @@ def flights(tossed: Tossed) -> tuple[list[Span], list[int]]:
 
 
 def whole_tosses(tossed: Tossed, vectors: np.ndarray) -> np.ndarray:
-    """RMS `[F]` m of the place's distance over each whole toss from its flight; vectors `[T, P]`: values for each toss."""
+    """RMS `[F]` m of the place's distance over each whole toss from its flight; vectors `[T, P]`:
+    values for each toss.
+    """
     spans, rows = flights(tossed)
     if not spans:
         return np.zeros(0)

@@ -1,12 +1,15 @@
-"""Tosses as a `Problem`: windows simulated from starts that are fitted inside, less what was seen, over its noise.
+"""Tosses as a `Problem`: windows simulated from starts that are fitted inside, less what was seen,
+over its noise.
 
-The start of each window is its own twelve numbers. They are eliminated: `residuals` are those of the best start (steps with the
-Jacobian at an anchor, the start that fits the declared model), `columns` are without what a start would take up (Kaufman's variable
-projection). Derivatives are differences, since MuJoCo in C has no others.
+The start of each window is its own twelve numbers. They are eliminated: `residuals` are those of
+the best start (steps with the Jacobian at an anchor, the start that fits the declared model),
+`columns` are without what a start would take up (Kaufman's variable projection). Derivatives are
+differences, since MuJoCo in C has no others.
 
-No declared contact follows strikes to the sensor's noise, and flights are followed to it: windows are weighed by what the fitted
-declared model leaves of each, or else its strikes alone would speak. What a window leaves beyond that counts by its root: a
-strike of an edge that goes another way does not lead the fit.
+No declared contact follows strikes to the sensor's noise, and flights are followed to it: windows
+are weighed by what the fitted declared model leaves of each, or else its strikes alone would speak.
+What a window leaves beyond that counts by its root: a strike of an edge that goes another way does
+not lead the fit.
 """
 
 from collections.abc import Sequence
@@ -23,23 +26,36 @@ from adaptsim_jax.tasks.toss.read import Tossed
 from adaptsim_jax.tasks.toss.simulate import poses
 from adaptsim_jax.tasks.toss.windows import Windows, cut, moved
 
-ASIDE = 1.0  # of a quantity's scale, to either side of where a column is taken: over less, steps of the simulation show
-STEPS = np.repeat([1e-4, 1e-3, 3e-3, 3e-2], 3)  # m, rad, m/s, rad/s of a start: where its columns are taken
+# of a quantity's scale, to either side of where a column is taken: over less, steps of the
+# simulation show
+ASIDE = 1.0
+STEPS = np.repeat(
+    [1e-4, 1e-3, 3e-3, 3e-2], 3
+)  # m, rad, m/s, rad/s of a start: where its columns are taken
 PRIOR = np.repeat([0.02, 0.2, 0.5, 5.0], 3)  # widths that keep finite what a window does not show
-ROUNDS, ENOUGH = 12, 0.99  # of the anchor's fit; share of the square at which a round was not in vain
+ROUNDS, ENOUGH = (
+    12,
+    0.99,
+)  # of the anchor's fit; share of the square at which a round was not in vain
 DAMPING = (0.0, 0.01, 0.3, 10.0)
 AGAIN = ((1.0, 0.3), (1.0,))  # steps tried with the anchor's Jacobian at other values
 FAR, FRESH = 1.3, 3  # of the anchor's square: above it, rounds with a Jacobian of its own
 SOME = 4  # tosses from which a beginning is chosen
 SETTLED = 4  # rounds of the fit that windows are weighed by
-USUAL = 4.0  # of what the declared model leaves of a window (mean square), from where on more of it counts by its root
-GRID = ((0.12, 0.3), (0.4, 1.0))  # friction and damping from which the declared fit may begin, beside the file's
+# of what the declared model leaves of a window (mean square), from where on more of it counts by
+# its root
+USUAL = 4.0
+GRID = (
+    (0.12, 0.3),
+    (0.4, 1.0),
+)  # friction and damping from which the declared fit may begin, beside the file's
 
 
 @dataclass(frozen=True)
 class Anchor:
-    """Starts `[W, 13]` that fit the declared model, the inverse `[W, 12, R 6]` that turns residuals into steps of them, and the sum of
-    squares `[W]` that they leave."""
+    """Starts `[W, 13]` that fit the declared model, the inverse `[W, 12, R 6]` that turns residuals
+    into steps of them, and the sum of squares `[W]` that they leave.
+    """
 
     start: np.ndarray
     inverse: np.ndarray
@@ -47,24 +63,31 @@ class Anchor:
 
 
 def seen_less(tossed: Tossed, windows: Windows, names, at: np.ndarray, values, start) -> np.ndarray:
-    """Measured minus simulated over the noise `[N, R, 6]` of windows `at [N]`; values `[N, P]`, start `[N, 13]`. Turns by the vector
-    from the simulated to the measured, in the body's axes."""
+    """Measured minus simulated over the noise `[N, R, 6]` of windows `at [N]`; values `[N, P]`,
+    start `[N, 13]`. Turns by the vector from the simulated to the measured, in the body's axes.
+    """
     place, turn = poses(tossed.body, names, values, start, windows.time[at])
     off = (windows.place[at] - place) / tossed.noise
     angle = turns.log(turns.times(turns.inverse(turn), windows.turn[at])) / tossed.noise_turn
     return windows.mask[at][..., None] * np.concatenate([off, angle], -1)
 
 
-def start_columns(less, at: np.ndarray, values: np.ndarray, start: np.ndarray, residual: np.ndarray) -> np.ndarray:
+def start_columns(
+    less, at: np.ndarray, values: np.ndarray, start: np.ndarray, residual: np.ndarray
+) -> np.ndarray:
     """Derivatives `[n, R 6, 12]` of what is simulated of windows `at [n]` by their starts."""
     count = len(at)
     by = np.repeat(np.diag(STEPS), count, 0)
-    out = less(np.tile(at, 12), np.tile(values, (12, 1)), moved(np.tile(start, (12, 1)), by)).reshape(12, count, -1)
+    out = less(
+        np.tile(at, 12), np.tile(values, (12, 1)), moved(np.tile(start, (12, 1)), by)
+    ).reshape(12, count, -1)
     return np.moveaxis((residual.reshape(1, count, -1) - out) / STEPS[:, None, None], 0, 2)
 
 
 def inverse_of(columns: np.ndarray, more: float = 0.0) -> np.ndarray:
-    """`[W, 12, R 6]`: residuals to the step of a start, with the weak prior `PRIOR` and `more` of the diagonal."""
+    """`[W, 12, R 6]`: residuals to the step of a start, with the weak prior `PRIOR` and `more` of
+    the diagonal.
+    """
     gram = np.einsum("wri,wrj->wij", columns, columns)
     at = np.arange(12)
     gram[:, at, at] += PRIOR**-2.0 + more * gram[:, at, at]
@@ -72,7 +95,9 @@ def inverse_of(columns: np.ndarray, more: float = 0.0) -> np.ndarray:
 
 
 def better(less, at, values, start, residual, steps) -> tuple[np.ndarray, np.ndarray]:
-    """Starts and residuals of windows `at [n]` after the best of `steps [S, n, 12]`; as they were where none helps."""
+    """Starts and residuals of windows `at [n]` after the best of `steps [S, n, 12]`; as they were
+    where none helps.
+    """
     times = len(steps)
     tried = moved(np.tile(start, (times, 1)), steps.reshape(-1, 12))
     now = less(np.tile(at, times), np.tile(values, (times, 1)), tried)
@@ -81,8 +106,11 @@ def better(less, at, values, start, residual, steps) -> tuple[np.ndarray, np.nda
     return np.concatenate([start, tried])[best], np.concatenate([residual, now])[best]
 
 
-def improved(less, at, values, start, residual, rounds: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Starts `[n, 13]` of windows `at [n]` that fit `values [n, P]`, their residuals, and the inverses `[n, 12, R 6]` last used.
+def improved(
+    less, at, values, start, residual, rounds: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Starts `[n, 13]` of windows `at [n]` that fit `values [n, P]`, their residuals, and the
+    inverses `[n, 12, R 6]` last used.
 
     Levenberg and Marquardt; windows are left alone once they gain no more.
     """
@@ -94,14 +122,21 @@ def improved(less, at, values, start, residual, rounds: int) -> tuple[np.ndarray
             break
         columns = start_columns(less, at[on], values[on], start[on], residual[on])
         inverse[on] = inverse_of(columns)
-        steps = [np.einsum("wir,wr->wi", inverse_of(columns, more), flat(residual[on])) for more in DAMPING]
+        steps = [
+            np.einsum("wir,wr->wi", inverse_of(columns, more), flat(residual[on]))
+            for more in DAMPING
+        ]
         before = np.square(residual[on]).sum((1, 2))
-        start[on], residual[on] = better(less, at[on], values[on], start[on], residual[on], np.array(steps))
+        start[on], residual[on] = better(
+            less, at[on], values[on], start[on], residual[on], np.array(steps)
+        )
         on = on[np.square(residual[on]).sum((1, 2)) < ENOUGH * before]
     return start, residual, inverse
 
 
-def anchored(less, at: np.ndarray, values: np.ndarray, start: np.ndarray) -> tuple[Anchor, np.ndarray]:
+def anchored(
+    less, at: np.ndarray, values: np.ndarray, start: np.ndarray
+) -> tuple[Anchor, np.ndarray]:
     """Starts that fit `values [n, P]`, from guesses, and their residuals."""
     start, residual, inverse = improved(less, at, values, start, less(at, values, start), ROUNDS)
     return Anchor(start, inverse, np.square(residual).sum((1, 2))), residual
@@ -111,16 +146,24 @@ def flat(z: np.ndarray) -> np.ndarray:
     return z.reshape(len(z), -1)
 
 
-def prepare(tossed: Tossed, considered: Sequence[Candidate] | None = None) -> tuple[Problem, "Follow"]:
-    """The problem of a recording, weighed by what its declared model leaves, and how its windows are followed."""
+def prepare(
+    tossed: Tossed, considered: Sequence[Candidate] | None = None
+) -> tuple[Problem, "Follow"]:
+    """The problem of a recording, weighed by what its declared model leaves, and how its windows
+    are followed.
+    """
     windows, q = cut(tossed), quantities(tossed.body)
     known = effects(tossed.body) if considered is None else tuple(considered)
-    values = begun(tossed, windows, begins(tuple(z.name for z in q), np.array([z.neutral for z in q])))
+    values = begun(
+        tossed, windows, begins(tuple(z.name for z in q), np.array([z.neutral for z in q]))
+    )
     follow = follower(tossed, windows, values)
     usual = np.full(len(windows.toss), max(float(np.median(follow.left())), 1.0))
     for weight in (usual, None):
         weight = np.maximum(follow.left(), 1.0) if weight is None else weight
-        follow = follower(tossed, windows, declared_fit(posed(follow, known, weight), SETTLED).values)
+        follow = follower(
+            tossed, windows, declared_fit(posed(follow, known, weight), SETTLED).values
+        )
     return posed(follow, known, np.maximum(follow.left(), 1.0)), follow
 
 
@@ -129,7 +172,10 @@ def begun(tossed: Tossed, windows: Windows, points: np.ndarray) -> np.ndarray:
     few = np.flatnonzero(windows.toss % max(1, len(tossed.names) // SOME) == 0)
     at = np.tile(few, len(points))
     names = tuple(z.name for z in quantities(tossed.body))
-    less = lambda w, v, start: seen_less(tossed, windows, names, w, v, start)
+
+    def less(w, v, start):
+        return seen_less(tossed, windows, names, w, v, start)
+
     anchor, _ = anchored(less, at, np.repeat(points, len(few), 0), windows.start[at])
     left = (anchor.square / windows.free[at]).reshape(len(points), -1)
     return points[int(np.argmin(np.log1p(left).mean(1)))]
@@ -150,7 +196,9 @@ def posed(follow: "Follow", known: tuple[Candidate, ...], weight: np.ndarray) ->
         return out.reshape(trials, most * z.shape[1], *z.shape[2:])
 
     def softened(residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Factors `[W]` of residuals, so that their squares add up to the loss, and of columns, so that its slope is theirs."""
+        """Factors `[W]` of residuals, so that their squares add up to the loss, and of columns, so
+        that its slope is theirs.
+        """
         size = np.maximum(np.square(residual).sum((1, 2)) / windows.free / weight / USUAL, 1e-12)
         loss = 2.0 * (np.sqrt(1.0 + size) - 1.0)
         share = np.sqrt(loss / size)
@@ -168,7 +216,9 @@ def posed(follow: "Follow", known: tuple[Candidate, ...], weight: np.ndarray) ->
     def around(key: bytes):
         values = np.tile(np.frombuffer(key), (trials, 1))
         start, residual = followed(values.tobytes())
-        own, _ = np.linalg.qr(start_columns(follow.less, np.arange(count), values[toss], start, residual))
+        own, _ = np.linalg.qr(
+            start_columns(follow.less, np.arange(count), values[toss], start, residual)
+        )
         return start, own, softened(residual)[1]
 
     def columns(values: np.ndarray, basis: np.ndarray) -> np.ndarray:
@@ -184,9 +234,18 @@ def posed(follow: "Follow", known: tuple[Candidate, ...], weight: np.ndarray) ->
     counts = np.zeros(trials)
     np.add.at(counts, toss, windows.free)
     return Problem(
-        quantities(tossed.body), DECLARED, known, residuals, columns, counts, tossed.names, follow.values[None],
-        lambda points: np.zeros(len(points)), channels=6, begun=1,
-    )  # fmt: skip
+        quantities(tossed.body),
+        DECLARED,
+        known,
+        residuals,
+        columns,
+        counts,
+        tossed.names,
+        follow.values[None],
+        lambda points: np.zeros(len(points)),
+        channels=6,
+        begun=1,
+    )
 
 
 def begins(names, neutral: np.ndarray) -> np.ndarray:
@@ -221,11 +280,15 @@ class Follow:
         residual = self.less(at, own, start)
         for shares in AGAIN:
             step = np.einsum("wir,wr->wi", self.anchor.inverse, flat(residual))
-            start, residual = better(self.less, at, own, start, residual, np.array([share * step for share in shares]))
+            start, residual = better(
+                self.less, at, own, start, residual, np.array([share * step for share in shares])
+            )
         usual = np.maximum(self.anchor.square, self.windows.free)
         far = np.flatnonzero(np.square(residual).sum((1, 2)) > FAR * usual)
         start, residual = start.copy(), residual.copy()
-        start[far], residual[far], _ = improved(self.less, far, own[far], start[far], residual[far], FRESH)
+        start[far], residual[far], _ = improved(
+            self.less, far, own[far], start[far], residual[far], FRESH
+        )
         return start, residual
 
     def left(self) -> np.ndarray:
@@ -240,7 +303,10 @@ class Follow:
 def follower(tossed: Tossed, windows: Windows, values: np.ndarray) -> Follow:
     """The windows of a recording and the starts that fit `values [P]`."""
     names = tuple(z.name for z in quantities(tossed.body))
-    less = lambda at, v, start: seen_less(tossed, windows, names, at, v, start)
+
+    def less(at, v, start):
+        return seen_less(tossed, windows, names, at, v, start)
+
     count = len(windows.toss)
     anchor, _ = anchored(less, np.arange(count), np.tile(values, (count, 1)), windows.start)
     return Follow(tossed, windows, names, values, anchor)

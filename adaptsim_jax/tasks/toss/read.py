@@ -1,4 +1,6 @@
-"""Recordings of tosses: a folder of `meta.toml`, the declared MJCF, and poses. What cannot be judged is refused with its row."""
+"""Recordings of tosses: a folder of `meta.toml`, the declared MJCF, and poses. What cannot be
+judged is refused with its row.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -19,7 +21,18 @@ from adaptsim_jax.tasks.trial_record import read_meta
 
 PLACE, TURN = ("x", "y", "z"), ("qw", "qx", "qy", "qz")
 COLUMNS = ("time", *PLACE, *TURN)
-KEYS = ("schema", "task", "model", "noise", "noise_turn", "note", "name", "description", "source", "license")
+KEYS = (
+    "schema",
+    "task",
+    "model",
+    "noise",
+    "noise_turn",
+    "note",
+    "name",
+    "description",
+    "source",
+    "license",
+)
 LEAST_TRIALS, LEAST_ROWS, SLOWEST = 5, 20, 0.02  # tosses; rows of one; s between its rows
 FAR = 20.0  # m
 FASTEST, SPIN = 20.0, 100.0  # m/s, rad/s between two rows
@@ -31,8 +44,10 @@ SUNK = 0.25  # of the body's size, below the plane
 
 @dataclass(frozen=True)
 class Tossed:
-    """T tosses. names `[T]`; time: of each `[R]` s from its first row; place: `[R, 3]` m; turn: `[R, 4]` unit quaternions w first,
-    of continuous sign; noise m and noise_turn rad of one coordinate; notes: what the files say beside."""
+    """T tosses. names `[T]`; time: of each `[R]` s from its first row; place: `[R, 3]` m; turn:
+    `[R, 4]` unit quaternions w first, of continuous sign; noise m and noise_turn rad of one
+    coordinate; notes: what the files say beside.
+    """
 
     names: tuple[str, ...]
     time: tuple[np.ndarray, ...]
@@ -47,7 +62,9 @@ class Tossed:
     def without(self, names: Sequence[str]) -> "Tossed":
         """Without these tosses. Raises BadInput where one is not there, or too few are left."""
         if unknown := sorted(set(names) - set(self.names)):
-            raise BadInput(f"no toss is named {unknown[0]!r}; --without takes of {', '.join(self.names)}")
+            raise BadInput(
+                f"no toss is named {unknown[0]!r}; --without takes of {', '.join(self.names)}"
+            )
         keep = [k for k, name in enumerate(self.names) if name not in set(names)]
         if len(keep) < LEAST_TRIALS:
             raise BadInput(f"--without leaves {len(keep)} tosses; a diagnosis needs {LEAST_TRIALS}")
@@ -55,28 +72,37 @@ class Tossed:
 
     def only(self, keep: Sequence[int]) -> "Tossed":
         """These tosses by number."""
-        rows = {k: tuple(getattr(self, k)[i] for i in keep) for k in ("names", "time", "place", "turn")}
+        rows = {
+            k: tuple(getattr(self, k)[i] for i in keep) for k in ("names", "time", "place", "turn")
+        }
         return replace(self, **rows)
 
 
 def read(folder: str | Path, as_declared: bool = False, without: Sequence[str] = ()) -> Tossed:
-    """The tosses of a folder. as_declared: whatever the poses say of the frame; without: tosses that are left out. Raises BadInput."""
+    """The tosses of a folder. as_declared: whatever the poses say of the frame; without: tosses
+    that are left out. Raises BadInput.
+    """
     folder = Path(folder)
     where = folder / "meta.toml"
     meta = read_meta(where, KEYS)
     if not isinstance(meta.get("model"), str):
-        raise BadInput(f'{where}: names no model; add model = "cube.xml", the MJCF of the body over a plane')
+        raise BadInput(
+            f'{where}: names no model; add model = "cube.xml", the MJCF of the body over a plane'
+        )
     body = read_body(folder / meta["model"])
     files = sorted(folder.glob("*.csv"))
     if not files:
-        raise BadInput(f"{folder}: holds no tosses; add a CSV for each with columns {', '.join(COLUMNS)}")
+        raise BadInput(
+            f"{folder}: holds no tosses; add a CSV for each with columns {', '.join(COLUMNS)}"
+        )
     found: dict[str, tuple[np.ndarray, ...]] = {}
     notes: list[str] = []
     for path in files:
         _read_file(path, found, notes, as_declared)
     if len(found) < LEAST_TRIALS:
         raise BadInput(
-            f"{folder}: holds {len(found)} tosses; to judge effects {LEAST_TRIALS} are needed, 20 to 30 serve"
+            f"{folder}: holds {len(found)} tosses; to judge effects {LEAST_TRIALS} are needed, 20 "
+            f"to 30 serve"
         )
     names = tuple(found)
     time, place, turn = (tuple(found[n][k] for n in names) for k in range(3))
@@ -84,30 +110,51 @@ def read(folder: str | Path, as_declared: bool = False, without: Sequence[str] =
         _check_frame(body, names, time, place, turn, where)
         check_blows(body, time, place, turn, str(where))
     noise, noise_turn, source = _noise(meta, where, place, turn)
-    return Tossed(names, time, place, turn, noise, noise_turn, source, body, tuple(dict.fromkeys(notes))).without(
-        without
-    )
+    return Tossed(
+        names, time, place, turn, noise, noise_turn, source, body, tuple(dict.fromkeys(notes))
+    ).without(without)
 
 
-def _read_file(path: Path, found: dict[str, tuple[np.ndarray, ...]], notes: list[str], as_declared: bool) -> None:
-    """The tosses of a file into `found`: one by the file's name, or as many as its column `trial` numbers."""
+def _read_file(
+    path: Path, found: dict[str, tuple[np.ndarray, ...]], notes: list[str], as_declared: bool
+) -> None:
+    """The tosses of a file into `found`: one by the file's name, or as many as its column `trial`
+    numbers.
+    """
     table = read_table(path, ("trial", *COLUMNS), least=1)
-    at = lambda i: f"{path}: {table.row_word} {table.lines[i]}"
+
+    def at(i):
+        return f"{path}: {table.row_word} {table.lines[i]}"
+
     c = table.columns
-    record.check_columns(c, COLUMNS, path, "time (s), x, y, z (m) and qw, qx, qy, qz (body to world)")
+    record.check_columns(
+        c, COLUMNS, path, "time (s), x, y, z (m) and qw, qx, qy, qz (body to world)"
+    )
     if table.ignored:
-        notes.append(f"columns {', '.join(table.ignored)} are not used: what moves is taken from the poses")
+        notes.append(
+            f"columns {', '.join(table.ignored)} are not used: what moves is taken from the poses"
+        )
     record.check_unit(c, at, FAR, "toss")
     norm = np.sqrt(sum(np.square(c[q]) for q in TURN))
     for i in np.flatnonzero(np.abs(norm - 1.0) > NORM)[:1]:
-        raise BadInput(f"{at(i)}: the quaternion's length is {norm[i]:.4g}, not 1; mend or remove that row")
+        raise BadInput(
+            f"{at(i)}: the quaternion's length is {norm[i]:.4g}, not 1; mend or remove that row"
+        )
     numbers = c.get("trial")
     for number in [None] if numbers is None else np.unique(numbers):
-        i = np.arange(len(c["time"])) if number is None else np.flatnonzero(numbers == number)
+        if number is None:
+            i = np.arange(len(c["time"]))
+        else:
+            i = np.flatnonzero(numbers == number)
         name = path.stem if number is None else f"{number:g}"
-        told = lambda k, i=i: at(int(i[k]))
+
+        def told(k, i=i):
+            return at(int(i[k]))
+
         if name in found:
-            raise BadInput(f"{told(0)}: there is a toss named {name} already; number the tosses one by one")
+            raise BadInput(
+                f"{told(0)}: there is a toss named {name} already; number the tosses one by one"
+            )
         found[name] = _one(
             c["time"][i],
             np.stack([c[n][i] for n in PLACE], 1),
@@ -118,12 +165,15 @@ def _read_file(path: Path, found: dict[str, tuple[np.ndarray, ...]], notes: list
         notes += [f"toss {name}: {hole}" for hole in record.holes(found[name][0])]
 
 
-def _one(time: np.ndarray, place: np.ndarray, turn: np.ndarray, told, as_declared: bool) -> tuple[np.ndarray, ...]:
+def _one(
+    time: np.ndarray, place: np.ndarray, turn: np.ndarray, told, as_declared: bool
+) -> tuple[np.ndarray, ...]:
     record.check_increasing(time, told)
     if len(time) < LEAST_ROWS or np.median(np.diff(time)) > SLOWEST:
         gap = np.median(np.diff(time)) if len(time) > 1 else 0.0
         raise BadInput(
-            f"{told(0)}: {len(time)} rows {gap:.2g} s apart; a toss needs {LEAST_ROWS} at 50 Hz or more, time in seconds"
+            f"{told(0)}: {len(time)} rows {gap:.2g} s apart; a toss needs {LEAST_ROWS} at 50 Hz or "
+            f"more, time in seconds"
         )
     if not as_declared:
         check_frozen(time, place, told, "the body", grip=np.inf)  # a blow may stop it at once
@@ -133,29 +183,40 @@ def _one(time: np.ndarray, place: np.ndarray, turn: np.ndarray, told, as_declare
     turn = turns.continuous(turn)
     spun = np.linalg.norm(turns.log(turns.times(turns.inverse(turn[:-1]), turn[1:])), axis=1)
     for k in np.flatnonzero((spun > SPIN * gaps) & (spun > 0.5))[:1] + 1:
-        raise BadInput(f"{told(k)}: the body turns by {spun[k - 1]:.2g} rad between two rows; remove what is not it")
+        raise BadInput(
+            f"{told(k)}: the body turns by {spun[k - 1]:.2g} rad between two rows; remove what is "
+            f"not it"
+        )
     return time - time[0], place, turn
 
 
 def _check_frame(body: Body, names, time, place, turn, where: Path) -> None:
-    """Another frame, another body, another order of the quaternion: told before anything is fitted."""
+    """Another frame, another body, another order of the quaternion: told before anything is
+    fitted.
+    """
     corners = body.corners()
     low = [lowest(p, q, corners) for p, q in zip(place, turn, strict=True)]
     sunk, floats = float(np.median([z.min() for z in low])), float(np.median([z[-1] for z in low]))
     swapped = [lowest(p, np.roll(q, 1, axis=1), corners) for p, q in zip(place, turn, strict=True)]
-    spread = lambda all_rows: float(np.median([np.abs(z[-3:]).max() for z in all_rows]))
+
+    def spread(all_rows):
+        return float(np.median([np.abs(z[-3:]).max() for z in all_rows]))
+
     if spread(swapped) < 0.3 * spread(low) and spread(low) > 0.05 * body.size:
         raise BadInput(
-            f"{where}: bodies lie on the plane only where quaternions have w last; name the columns so that qw is the scalar"
+            f"{where}: bodies lie on the plane only where quaternions have w last; name the "
+            f"columns so that qw is the scalar"
         )
     if sunk < -SUNK * body.size:
         raise BadInput(
-            f"{where}: bodies go {-1e3 * sunk:.3g} mm below the plane z = 0 (median of the tosses); give poses in a frame whose "
+            f"{where}: bodies go {-1e3 * sunk:.3g} mm below the plane z = 0 (median of the "
+            f"tosses); give poses in a frame whose "
             "z is upwards from the plane, in m, and the body's size in the model"
         )
     if min(floats, float(np.median([z.min() for z in low]))) > body.size:
         raise BadInput(
-            f"{where}: bodies never come nearer to the plane z = 0 than {1e3 * min(floats, sunk):.3g} mm; give poses in a frame "
+            f"{where}: bodies never come nearer to the plane z = 0 than "
+            f"{1e3 * min(floats, sunk):.3g} mm; give poses in a frame "
             "whose z is upwards from the plane"
         )
 
@@ -163,12 +224,14 @@ def _check_frame(body: Body, names, time, place, turn, where: Path) -> None:
         fall = np.polynomial.polynomial.Polynomial.fit(t, p[:, 2], 2)
         if z.min() > body.size and np.abs(p[:, 2] - fall(t)).max() > STRUCK * body.size:
             raise BadInput(
-                f"{where}: toss {name}: the body strikes something {1e3 * z.min():.3g} mm above the plane z = 0, the others come down "
+                f"{where}: toss {name}: the body strikes something {1e3 * z.min():.3g} mm above "
+                f"the plane z = 0, the others come down "
                 f"to it: of another frame? mend it, or leave it out (--without {name})"
             )
         if z.min() < -2.0 * SUNK * body.size:
             raise BadInput(
-                f"{where}: toss {name}: the body goes {-1e3 * z.min():.3g} mm below the plane z = 0, the others do not: of another "
+                f"{where}: toss {name}: the body goes {-1e3 * z.min():.3g} mm below the plane z = "
+                f"0, the others do not: of another "
                 f"frame? mend it, or leave it out (--without {name})"
             )
 
@@ -179,7 +242,9 @@ def lowest(place: np.ndarray, turn: np.ndarray, corners: np.ndarray) -> np.ndarr
 
 
 def _noise(meta: dict[str, Any], where: Path, place, turn) -> tuple[float, float, str]:
-    """Of one coordinate, as declared or by third differences, which motion hardly has at these rates outside of impacts."""
+    """Of one coordinate, as declared or by third differences, which motion hardly has at these
+    rates outside of impacts.
+    """
     seen = []
     spins = [turns.log(turns.times(turns.inverse(q[:-1]), q[1:])) for q in turn]
     for rows, order, least in ((place, 3, LEAST_NOISE), (spins, 2, LEAST_TURN)):
@@ -191,6 +256,8 @@ def _noise(meta: dict[str, Any], where: Path, place, turn) -> tuple[float, float
             value = finite(meta[key])
             if value is None or not 0.0 < value < most:
                 unit, usual = (("m", "0.0002"), ("rad", "0.002"))[i]
-                raise BadInput(f"{where}: {key} = {brief(meta[key])} is no size in {unit}; write e.g. {usual}")
+                raise BadInput(
+                    f"{where}: {key} = {brief(meta[key])} is no size in {unit}; write e.g. {usual}"
+                )
             seen[i], source = value, "declared"
     return seen[0], seen[1], source

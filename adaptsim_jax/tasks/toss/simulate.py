@@ -1,7 +1,9 @@
-"""Tosses by MuJoCo in C over all cores: what motion capture would say of them, and the start of each as it is recorded.
+"""Tosses by MuJoCo in C over all cores: what motion capture would say of them, and the start of
+each as it is recorded.
 
-A start is `[13]`: place m, quaternion (w first), velocity m/s, turning rate rad/s in the body's axes, all as recorded, so that an
-effect of the measurement moves what is simulated and leaves the start near the recording.
+A start is `[13]`: place m, quaternion (w first), velocity m/s, turning rate rad/s in the body's
+axes, all as recorded, so that an effect of the measurement moves what is simulated and leaves the
+start near the recording.
 """
 
 import math
@@ -18,28 +20,42 @@ from adaptsim_jax.tasks.toss.catalogue import CHUNKED
 
 AT_ONCE = 256  # simulations in memory
 CHUNK = 0.004  # s between looks at the motion, where friction or damping depend on it
-USUAL, SLOW = 0.5, 0.05  # m/s: the speed at which damping is as declared; below the second it changes no more
+USUAL, SLOW = (
+    0.5,
+    0.05,
+)  # m/s: the speed at which damping is as declared; below the second it changes no more
 
 
 def poses(
     body: Body, names: Sequence[str], values: np.ndarray, start: np.ndarray, time: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Places `[N, R, 3]` m and quaternions `[N, R, 4]` as recorded at `time [N, R]` s since each start; `values [N, P]` of `names`.
+    """Places `[N, R, 3]` m and quaternions `[N, R, 4]` as recorded at `time [N, R]` s since each
+    start; `values [N, P]` of `names`.
 
     Where MuJoCo's state is not finite any more, places are far away, not NaN.
     """
     place, turn = np.empty((*time.shape, 3)), np.empty((*time.shape, 4))
-    order = np.argsort(time.max(1), kind="stable")  # what is simulated together is so for as long as its longest
+    order = np.argsort(
+        time.max(1), kind="stable"
+    )  # what is simulated together is so for as long as its longest
     for at in range(0, len(values), AT_ONCE):
         part = order[at : at + AT_ONCE]
         v = {n: values[part, i] for i, n in enumerate(names)}
-        rows = _rolled(body, names, values[part], _begun(v, start[part]), (1.0 + v["clock"])[:, None] * time[part])
+        rows = _rolled(
+            body,
+            names,
+            values[part],
+            _begun(v, start[part]),
+            (1.0 + v["clock"])[:, None] * time[part],
+        )
         place[part], turn[part] = _recorded(v, *rows)
     return place, turn
 
 
 def _frames(v: Mapping[str, np.ndarray]):
-    """Turn of the recording's frame against the plane's, of the recorded axes against the body's, and the recorded point."""
+    """Turn of the recording's frame against the plane's, of the recorded axes against the body's,
+    and the recorded point.
+    """
     zero = np.zeros_like(v["plane_x"])
     frame = turns.exp(np.stack([v["plane_x"], v["plane_y"], zero], -1))
     axes = turns.exp(np.stack([v[f"turned_{c}"] for c in "xyz"], -1))
@@ -47,7 +63,9 @@ def _frames(v: Mapping[str, np.ndarray]):
 
 
 def _begun(v: Mapping[str, np.ndarray], start: np.ndarray) -> np.ndarray:
-    """States `[N, 13]` of MuJoCo (place, quaternion, velocity, rate) of starts `[N, 13]` as recorded."""
+    """States `[N, 13]` of MuJoCo (place, quaternion, velocity, rate) of starts `[N, 13]` as
+    recorded.
+    """
     frame, axes, off = _frames(v)
     back, grown, fast = turns.inverse(frame), 1.0 + v["scale"], 1.0 + v["clock"]
     turn = turns.times(turns.times(back, start[:, 3:7]), turns.inverse(axes))
@@ -55,11 +73,15 @@ def _begun(v: Mapping[str, np.ndarray], start: np.ndarray) -> np.ndarray:
     arm = turns.turned(turn, off)
     lifted = start[:, :3] - np.stack([0 * v["height"], 0 * v["height"], v["height"]], -1)
     place = turns.turned(back, lifted) / grown[:, None] - arm
-    speed = turns.turned(back, start[:, 7:10]) / (grown * fast)[:, None] - np.cross(turns.turned(turn, rate), arm)
+    speed = turns.turned(back, start[:, 7:10]) / (grown * fast)[:, None] - np.cross(
+        turns.turned(turn, rate), arm
+    )
     return np.concatenate([place, turn, speed, rate], 1)
 
 
-def _recorded(v: Mapping[str, np.ndarray], place: np.ndarray, turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _recorded(
+    v: Mapping[str, np.ndarray], place: np.ndarray, turn: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Simulated poses `[N, R, 3]`, `[N, R, 4]` as recorded."""
     frame, axes, off = (z[:, None] for z in _frames(v))
     seen = (1.0 + v["scale"])[:, None, None] * turns.turned(frame, place + turns.turned(turn, off))
@@ -68,7 +90,9 @@ def _recorded(v: Mapping[str, np.ndarray], place: np.ndarray, turn: np.ndarray) 
 
 
 def _rolled(body: Body, names, values, state, time) -> tuple[np.ndarray, np.ndarray]:
-    """Poses `[N, R, 3]`, `[N, R, 4]` of the simulation at `time [N, R]` s, between whose steps is interpolated."""
+    """Poses `[N, R, 3]`, `[N, R, 4]` of the simulation at `time [N, R]` s, between whose steps is
+    interpolated.
+    """
     step = body.step
     count = max(2, math.ceil(float(time.max()) / step) + 1)
     full = np.concatenate([np.zeros((len(state), 1)), state], 1)
@@ -85,7 +109,9 @@ def _rolled(body: Body, names, values, state, time) -> tuple[np.ndarray, np.ndar
         else:
             different, which = np.unique(values[at], axis=0, return_inverse=True)
             models = [with_values(body, dict(zip(names, z, strict=True))) for z in different]
-            rows[at, 1:] = _run([models[i] for i in which.ravel()], pool, full[at], count)[:, :, 1:8]
+            rows[at, 1:] = _run([models[i] for i in which.ravel()], pool, full[at], count)[
+                :, :, 1:8
+            ]
     rows = np.where(np.isfinite(rows), rows, 1e3)
     place = np.clip(time / step, 0.0, count - 1e-9)
     k = np.floor(place).astype(int)
@@ -96,13 +122,16 @@ def _rolled(body: Body, names, values, state, time) -> tuple[np.ndarray, np.ndar
     return between[..., :3], turn / np.linalg.norm(turn, axis=-1, keepdims=True)
 
 
-def _run(models: Sequence[mujoco.MjModel], pool: Sequence[mujoco.MjData], full: np.ndarray, count: int) -> np.ndarray:
+def _run(
+    models: Sequence[mujoco.MjModel], pool: Sequence[mujoco.MjData], full: np.ndarray, count: int
+) -> np.ndarray:
     return rollout.rollout(models, pool, full, nstep=count, skip_checks=False)[0]
 
 
 def _in_chunks(body: Body, names, values, full, count: int, pool) -> np.ndarray:
-    """As `_run`, with friction and damping of what the body does at each chunk's start: slip of the point below its middle at the
-    plane's height, and speed towards or away from the plane."""
+    """As `_run`, with friction and damping of what the body does at each chunk's start: slip of the
+    point below its middle at the plane's height, and speed towards or away from the plane.
+    """
     v = {n: values[:, i] for i, n in enumerate(names)}
     models = [with_values(body, dict(zip(names, z, strict=True))) for z in values]
     each, out = max(1, round(CHUNK / body.step)), []
@@ -111,7 +140,9 @@ def _in_chunks(body: Body, names, values, full, count: int, pool) -> np.ndarray:
         speed = np.linalg.norm(slip, axis=1)
         twice = 2.0 * np.arctan2(slip[:, 1], slip[:, 0])
         grain = v["grain_a"] * np.cos(twice) + v["grain_b"] * np.sin(twice)
-        friction = v["friction"] * np.maximum((1.0 + v["speed_friction"] * speed) * (1.0 + grain), LEAST_FRICTION)
+        friction = v["friction"] * np.maximum(
+            (1.0 + v["speed_friction"] * speed) * (1.0 + grain), LEAST_FRICTION
+        )
         hard = np.maximum(np.abs(full[:, 10]), SLOW) / USUAL
         damping = np.clip(v["damping"] * hard ** v["rebound"], 0.01, 5.0)
         for m, mu, ratio in zip(models, friction, damping, strict=True):

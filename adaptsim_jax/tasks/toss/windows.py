@@ -1,8 +1,11 @@
-"""Tosses cut into windows that begin anew: over a few impacts a toss can no longer be told, over one it can.
+"""Tosses cut into windows that begin anew: over a few impacts a toss can no longer be told, over
+one it can.
 
-Where a corner strikes, a turn by a milliradian more decides over which edge the body goes; after two or three impacts simulations from
-starts that no camera could tell apart lie centimetres apart. So each toss is cut into windows of some tenth of a second, each with a
-start of its own that is fitted beside everything else; what the parameters say is judged over windows, never through such a fork.
+Where a corner strikes, a turn by a milliradian more decides over which edge the body goes; after
+two or three impacts simulations from starts that no camera could tell apart lie centimetres apart.
+So each toss is cut into windows of some tenth of a second, each with a start of its own that is
+fitted beside everything else; what the parameters say is judged over windows, never through such a
+fork.
 """
 
 import itertools
@@ -19,7 +22,9 @@ SETTLED = 2  # rows after it first does
 SLIDES = 0.1  # m/s; slower is rest
 LEAST = 8  # rows of a window
 BEGIN = 5  # rows from which a start is guessed
-STILL = 0.02  # m/s; rows after the last that is faster say nothing more than one second of them does
+STILL = (
+    0.02  # m/s; rows after the last that is faster say nothing more than one second of them does
+)
 REST = 5  # rows kept after it
 BEFORE = 4  # rows of flight left to the window of the first strike, from which its start is guessed
 ASIDE = 4  # rows by which a window may begin earlier or later, where it jolts less
@@ -28,8 +33,10 @@ CLEAR = 0.05  # of the body's size, above the plane: free flight
 
 @dataclass(frozen=True)
 class Windows:
-    """W windows of at most R rows. toss `[W]`: whose; first `[W]`: its row there; time `[W, R]` s from its first row; place
-    `[W, R, 3]`, turn `[W, R, 4]`, mask `[W, R]`; start `[W, 13]`: guessed (`simulate`)."""
+    """W windows of at most R rows. toss `[W]`: whose; first `[W]`: its row there; time `[W, R]` s
+    from its first row; place `[W, R, 3]`, turn `[W, R, 4]`, mask `[W, R]`; start `[W, 13]`: guessed
+    (`simulate`).
+    """
 
     toss: np.ndarray
     first: np.ndarray
@@ -46,10 +53,13 @@ class Windows:
 
 
 def cut(tossed: Tossed, length: float = LENGTH) -> Windows:
-    """Windows of about `length` s up to where each toss lies still. What can be told for longer is a window of its own: the free
-    flight (less `BEFORE` rows), and the last slide on a face."""
+    """Windows of about `length` s up to where each toss lies still. What can be told for longer is
+    a window of its own: the free flight (less `BEFORE` rows), and the last slide on a face.
+    """
     spans, corners = [], tossed.body.corners()
-    for t, (time, place, turn) in enumerate(zip(tossed.time, tossed.place, tossed.turn, strict=True)):
+    for t, (time, place, turn) in enumerate(
+        zip(tossed.time, tossed.place, tossed.turn, strict=True)
+    ):
         speed = np.linalg.norm(np.diff(place, axis=0), axis=1) / np.diff(time)
         moving = np.flatnonzero(speed > STILL)
         stop = min(len(time), (int(moving[-1]) if len(moving) else 0) + 2 + REST)
@@ -62,11 +72,16 @@ def cut(tossed: Tossed, length: float = LENGTH) -> Windows:
         if last is not None and stop - last >= LEAST and last - begin >= LEAST:
             spans.append((t, last, stop))
             stop = last
-        count = max(1, round((time[stop - 1] - time[begin]) / length)) if stop - begin >= LEAST else 0
+        if stop - begin >= LEAST:
+            count = max(1, round((time[stop - 1] - time[begin]) / length))
+        else:
+            count = 0
         smooth = jolts(time, place, turn, tossed.body.size)
         edges = [begin]
         for edge in np.round(np.linspace(begin, stop, count + 1)[1:-1]).astype(int):
-            near = np.arange(max(edge - ASIDE, edges[-1] + LEAST), min(edge + ASIDE + 1, stop - LEAST + 1))
+            near = np.arange(
+                max(edge - ASIDE, edges[-1] + LEAST), min(edge + ASIDE + 1, stop - LEAST + 1)
+            )
             if len(near):
                 edges.append(int(near[np.argmin(smooth[near])]))
         spans += [(t, a, b) for a, b in itertools.pairwise([*edges, stop]) if b - a >= LEAST]
@@ -74,40 +89,63 @@ def cut(tossed: Tossed, length: float = LENGTH) -> Windows:
 
 
 def slide(time: np.ndarray, place: np.ndarray, turn: np.ndarray) -> int | None:
-    """The row from which the body lies as it does at the end, but for a turn about z, and slides; None where it does not."""
+    """The row from which the body lies as it does at the end, but for a turn about z, and slides;
+    None where it does not.
+    """
     w, x, y, z = turn.T
     up = np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], 1)
-    lies = (np.arccos(np.clip(up @ up[-1], -1.0, 1.0)) < FLAT) & (np.abs(place[:, 2] - place[-1, 2]) < LIES)
+    lies = (np.arccos(np.clip(up @ up[-1], -1.0, 1.0)) < FLAT) & (
+        np.abs(place[:, 2] - place[-1, 2]) < LIES
+    )
     away = np.flatnonzero(~lies)
     begin = (int(away[-1]) + 1 if len(away) else 0) + SETTLED
     if len(place) - begin < 2 * LEAST:
         return None
     ahead = begin + LEAST - 1
     speed = np.linalg.norm(place[ahead, :2] - place[begin, :2]) / (time[ahead] - time[begin])
-    return begin if speed > SLIDES else None
+    if speed > SLIDES:
+        return begin
+    return None
 
 
 def jolts(time: np.ndarray, place: np.ndarray, turn: np.ndarray, size: float) -> np.ndarray:
-    """The largest change of velocity `[R]` m/s over the rows from which a start at each row would be guessed; turning at `size` m."""
+    """The largest change of velocity `[R]` m/s over the rows from which a start at each row would
+    be guessed; turning at `size` m.
+    """
     gaps = np.diff(time)[:, None]
     speed = np.diff(place, axis=0) / gaps
-    spin = turns.turned(turn[:-1], turns.log(turns.times(turns.inverse(turn[:-1]), turn[1:]))) / gaps
-    jump = np.linalg.norm(np.diff(speed, axis=0), axis=1) + size * np.linalg.norm(np.diff(spin, axis=0), axis=1)
+    spin = (
+        turns.turned(turn[:-1], turns.log(turns.times(turns.inverse(turn[:-1]), turn[1:]))) / gaps
+    )
+    jump = np.linalg.norm(np.diff(speed, axis=0), axis=1) + size * np.linalg.norm(
+        np.diff(spin, axis=0), axis=1
+    )
     padded = np.concatenate([jump, np.full(BEGIN + 2, jump[-1])])
     return np.array([padded[max(r - 2, 0) : r + BEGIN - 1].max() for r in range(len(time))])
 
 
 def flight(place: np.ndarray, turn: np.ndarray, corners: np.ndarray, clear: float) -> int:
-    """Rows before the body first comes nearer than `clear` m to the plane; place `[R, 3]`, turn `[R, 4]`, corners `[C, 3]` m."""
+    """Rows before the body first comes nearer than `clear` m to the plane; place `[R, 3]`, turn
+    `[R, 4]`, corners `[C, 3]` m.
+    """
     near = np.flatnonzero(lowest(place, turn, corners) < clear)
-    return int(near[0]) if len(near) else len(place)
+    if len(near):
+        return int(near[0])
+    return len(place)
 
 
 def gathered(tossed: Tossed, spans: list[tuple[int, int, int]]) -> Windows:
     """Windows of rows a to b of tosses t, `spans` of (t, a, b)."""
     longest = max(b - a for _, a, b in spans)
-    pad = lambda z, n: np.pad(z, ((0, n), *[(0, 0)] * (z.ndim - 1)), "edge")
-    rows = lambda name: np.stack([pad(getattr(tossed, name)[t][a:b], longest - (b - a)) for t, a, b in spans])
+
+    def pad(z, n):
+        return np.pad(z, ((0, n), *[(0, 0)] * (z.ndim - 1)), "edge")
+
+    def rows(name):
+        return np.stack(
+            [pad(getattr(tossed, name)[t][a:b], longest - (b - a)) for t, a, b in spans]
+        )
+
     time, place, turn = rows("time"), rows("place"), rows("turn")
     time = time - time[:, :1]
     mask = np.stack([np.arange(longest) < b - a for _, a, b in spans]).astype(float)

@@ -14,12 +14,16 @@ class Settings(NamedTuple):
 
 
 def make_late(dt: float, rows: int):
-    """`simulate(params [B, 10], commands [B, T, 2] N m, initial [B, 4]) -> Trajectory` in rows of `dt` s."""
+    """`simulate(params [B, 10], commands [B, T, 2] N m, initial [B, 4]) -> Trajectory` in rows of
+    `dt` s.
+    """
     simulate = make_backend("pendulum", "rigid_body", dt).simulate
 
     def late(params, commands, initial):
         waiting = np.zeros_like(commands[:, :rows])
-        return simulate(params, np.concatenate([waiting, commands], 1)[:, : commands.shape[1]], initial)
+        return simulate(
+            params, np.concatenate([waiting, commands], 1)[:, : commands.shape[1]], initial
+        )
 
     return late
 

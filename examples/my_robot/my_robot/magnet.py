@@ -13,7 +13,10 @@ def magnet(p, m):
 MAGNET = Effect(
     "magnet",
     "force",
-    (Parameter("pull", "N m/rad", -5.0, 5.0, 0.0), Parameter("reach", "rad", 0.05, 1.0, 0.3, off=None)),
+    (
+        Parameter("pull", "N m/rad", -5.0, 5.0, 0.0),
+        Parameter("reach", "rad", 0.05, 1.0, 0.3, off=None),
+    ),
     magnet,
     physics="a magnet near the angle zero",
     excitation="slow motion through zero, and wide angles",

@@ -18,7 +18,9 @@ class PuckConfig:
 
 
 def make_puck(config: PuckConfig) -> Task:
-    """The policy is a push [N s]; parameters are mass [kg] and friction [1]. BadInput where the goal is not ahead."""
+    """The policy is a push [N s]; parameters are mass [kg] and friction [1]. BadInput where the
+    goal is not ahead.
+    """
     if not config.goal > 0:
         raise BadInput(f"goal = {config.goal}: give a distance above 0 m")
     space = Space((Parameter("mass", 0.2, 0.6, "kg"), Parameter("friction", 0.1, 0.4, "1")))
@@ -35,7 +37,10 @@ def make_puck(config: PuckConfig) -> Task:
         space=space,
         targets=space,
         obs_dim=1,
-        settings={"middle": {"mass": 0.4, "friction": 0.25}, "slick": {"mass": 0.4, "friction": 0.05}},
+        settings={
+            "middle": {"mass": 0.4, "friction": 0.25},
+            "slick": {"mass": 0.4, "friction": 0.05},
+        },
         init_policy=lambda key: jnp.zeros(()),
         train=train,
         rollout=rollout,

@@ -15,9 +15,14 @@ from tests.logs.measured_files import META, real_rig, simulate, table, write
 
 @pytest.fixture(scope="module")
 def truth():
-    """Clean motions by rate: `{rate: [(time, q, v, torque), ...]}`; every other arm has dry friction."""
+    """Clean motions by rate: `{rate: [(time, q, v, torque), ...]}`; every other arm has dry
+    friction.
+    """
     return {
-        rate: [simulate(s, 4.0, rate, jitter=0.3 * (s % 2), coulomb=0.02 * (s % 2)) for s in range(10, 14)]
+        rate: [
+            simulate(s, 4.0, rate, jitter=0.3 * (s % 2), coulomb=0.02 * (s % 2))
+            for s in range(10, 14)
+        ]
         for rate in (50, 100, 200, 500)
     }
 
@@ -35,7 +40,9 @@ def recorded(folder, motions, q_std, v_std, seed=0, meta=META):
 @pytest.mark.slow
 @pytest.mark.parametrize(("rate", "within"), [(500, 0.10), (200, 0.10), (100, 0.15)])
 @pytest.mark.parametrize(("q_std", "v_std"), [(2e-4, 0.01), (1e-3, 0.03), (5e-3, 0.1)])
-def test_noise_is_estimated_on_uneven_grids_and_with_dry_friction(truth, tmp_path, rate, within, q_std, v_std):
+def test_noise_is_estimated_on_uneven_grids_and_with_dry_friction(
+    truth, tmp_path, rate, within, q_std, v_std
+):
     recording = recorded(tmp_path, truth[rate], q_std, v_std)
     floor = noise_floor(recording, audit(recording))
     for channel, std in floor.items():
@@ -79,7 +86,9 @@ def test_repeats_give_the_noise_and_copies_do_not(truth, tmp_path):
     motion = truth[200][0]
     recording = recorded(tmp_path / "repeats", [motion] * 3, 1e-3, 0.03)
     floor = noise_floor(recording, audit(recording))
-    assert floor["q1"] == pytest.approx(1e-3, rel=0.1) and floor["v2"] == pytest.approx(0.03, rel=0.1)
+    assert floor["q1"] == pytest.approx(1e-3, rel=0.1) and floor["v2"] == pytest.approx(
+        0.03, rel=0.1
+    )
     one = recorded(tmp_path / "one", [motion], 1e-3, 0.03)
     copies = replace(one, trials=tuple(replace(one.trials[0], name=str(i)) for i in range(3)))
     assert noise_floor(copies, audit(copies)) == noise_floor(one, audit(one))
@@ -109,9 +118,14 @@ def test_the_likelihood_finds_the_walk_that_made_the_data():
     rng = np.random.default_rng(2)
     jerk = rng.standard_normal(3000) * 0.02
     signal = np.cumsum(np.cumsum(np.cumsum(jerk)))
-    fits = [fit_noise(np.arange(300.0), c + 0.5 * rng.standard_normal(300), 3) for c in signal.reshape(10, 300)]
+    fits = [
+        fit_noise(np.arange(300.0), c + 0.5 * rng.standard_normal(300), 3)
+        for c in signal.reshape(10, 300)
+    ]
     assert np.median([f.std for f in fits]) == pytest.approx(0.5, rel=0.05)
-    assert np.median([f.log_ratio for f in fits]) == pytest.approx(np.log((0.02 / 0.5) ** 2), abs=0.7)
+    assert np.median([f.log_ratio for f in fits]) == pytest.approx(
+        np.log((0.02 / 0.5) ** 2), abs=0.7
+    )
 
 
 @pytest.mark.parametrize("rate", [50, 200])
@@ -134,7 +148,8 @@ def test_the_smoother_beats_the_raw_data_and_uses_velocities(truth, tmp_path, ra
 
 def test_a_lagging_velocity_is_not_used(truth, tmp_path):
     motions = [
-        (t, q, np.stack([np.interp(t - 0.03, t, v[:, j]) for j in range(2)], axis=1), u) for t, q, v, u in truth[200]
+        (t, q, np.stack([np.interp(t - 0.03, t, v[:, j]) for j in range(2)], axis=1), u)
+        for t, q, v, u in truth[200]
     ]
     recording = recorded(tmp_path, motions, 5e-4, 0.01)
     floor = noise_floor(recording, audit(recording))

@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.logs.quality.audit import audit, unwrapped, usable, without_duplicates
-from adaptsim_jax.logs.quality.consistency import command_agreement, lattice_step, velocity_agreement
+from adaptsim_jax.logs.quality.consistency import (
+    command_agreement,
+    lattice_step,
+    velocity_agreement,
+)
 from adaptsim_jax.logs.recording import read_recording
 from tests.logs.measured_files import META, real_rig, simulate, table, write
 
@@ -18,7 +22,14 @@ def motions():
     made = []
     for seed in range(3):
         time, q, v, torque = simulate(seed, seconds=3.0)
-        made.append((time, q + 5e-4 * rng.standard_normal(q.shape), v + 0.01 * rng.standard_normal(v.shape), torque))
+        made.append(
+            (
+                time,
+                q + 5e-4 * rng.standard_normal(q.shape),
+                v + 0.01 * rng.standard_normal(v.shape),
+                torque,
+            )
+        )
     return made
 
 
@@ -100,7 +111,9 @@ def test_command_gain_and_lag_are_measured(motions):
     time, _, _, torque = motions[0]
     measured = 0.8 * np.interp(time - 0.0175, time, torque[:, 0]) + 0.05
     agreement = command_agreement(time, torque[:, 0], measured)
-    assert agreement.lag == pytest.approx(0.0175, abs=0.002) and agreement.gain == pytest.approx(0.8, rel=0.02)
+    assert agreement.lag == pytest.approx(0.0175, abs=0.002) and agreement.gain == pytest.approx(
+        0.8, rel=0.02
+    )
 
 
 def test_gaps_jitter_spikes_wraps_and_clipping_are_found(clean):
@@ -169,7 +182,9 @@ def test_copies_are_found_and_counted_once(clean):
     copies = tuple(replace(t, name=f"{t.name}_copy") for t in clean.trials)
     doubled = replace(clean, trials=clean.trials + copies)
     single, dropped = without_duplicates(doubled)
-    assert single == replace(doubled, trials=clean.trials) and dropped == tuple(t.name for t in copies)
+    assert single == replace(doubled, trials=clean.trials) and dropped == tuple(
+        t.name for t in copies
+    )
     found = audit(doubled)
     assert len(found.of("duplicate")) == 3 and not found.fault
     assert [t.name for t in usable(doubled, found).trials] == [t.name for t in clean.trials]
@@ -185,7 +200,9 @@ def test_rest_where_gravity_forbids_it_is_warned_of(tmp_path):
     time, q, v, torque = simulate(0, seconds=2.0)
     q, v = q - q[0], v.copy()
     q[:30], v[:30], torque = q[0], 0.0, np.zeros_like(torque)
-    found = audit(read_recording(write(tmp_path, {"t": table(time, q + np.array([1.2, 0.0]), v, torque)})))
+    found = audit(
+        read_recording(write(tmp_path, {"t": table(time, q + np.array([1.2, 0.0]), v, torque)}))
+    )
     assert "angle_zero" in kinds(found)
 
 

@@ -11,7 +11,9 @@ from adaptsim_jax.logs.quality.audit import audit, usable
 from adaptsim_jax.logs.recording import read_recording
 from tests.logs.measured_files import META, csv_text, table
 
-FAST = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+FAST = settings(
+    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 CELLS = [
     "",
     "nan",
@@ -44,7 +46,9 @@ CSV = csv_text(columns()).encode()
 
 
 def read_or_refuse(folder):
-    """What precedes the fit works, or `BadInput` is raised: one line that names a file of the folder."""
+    """What precedes the fit works, or `BadInput` is raised: one line that names a file of the
+    folder.
+    """
     try:
         recording = read_recording(folder)
     except BadInput as refused:
@@ -61,7 +65,9 @@ def read_or_refuse(folder):
 
 
 def spoil(raw, edits):
-    """Bytes with pieces cut, written over or doubled: `edits` are (kind, place in [0, 1], length, bytes)."""
+    """Bytes with pieces cut, written over or doubled: `edits` are (kind, place in [0, 1], length,
+    bytes).
+    """
     for kind, place, length, filling in edits:
         at = int(place * len(raw))
         middle = {"cut": b"", "over": filling, "double": raw[at : at + length] * 2}[kind]
@@ -159,7 +165,9 @@ def test_the_undamaged_trial_reads(folder):
     assert read_or_refuse(folder).samples == 60
 
 
-@pytest.mark.parametrize("rest", [b"", b" \n", b"\xef\xbb\xbf", b"\xef\xbb\xbf\n", b",,,,\n", b"\n;;;\n"])
+@pytest.mark.parametrize(
+    "rest", [b"", b" \n", b"\xef\xbb\xbf", b"\xef\xbb\xbf\n", b",,,,\n", b"\n;;;\n"]
+)
 def test_what_a_spreadsheet_leaves_of_nothing_is_empty(folder, rest):
     (folder / "t.csv").write_bytes(rest)
     with pytest.raises(BadInput, match=r"t\.csv: is empty"):

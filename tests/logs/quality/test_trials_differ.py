@@ -1,4 +1,6 @@
-"""Trials that were not made by one machine are told of, by kind and name; trials of one machine are not doubted."""
+"""Trials that were not made by one machine are told of, by kind and name; trials of one machine are
+not doubted.
+"""
 
 import numpy as np
 import pytest
@@ -18,7 +20,10 @@ def differ_of(tmp_path, trials):
 def tripped(c, at=1.0):
     """The drives stop at `at` s, the log of their torques does not."""
     other = arm(count=1, seed=77)[0]
-    return {k: x if k.startswith(("time", "tau")) else np.where(c["time"] < at, x, other[k]) for k, x in c.items()}
+    return {
+        k: x if k.startswith(("time", "tau")) else np.where(c["time"] < at, x, other[k])
+        for k, x in c.items()
+    }
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -31,7 +36,9 @@ def test_trials_of_one_machine_are_not_doubted(tmp_path, seed):
 def test_zeros_that_differ_are_told_with_their_sizes(tmp_path, size):
     trials = arm(count=COUNT, seed=3)
     off = np.random.default_rng(4).uniform(-size, size, (COUNT, 2))
-    moved = [c | {"q1": c["q1"] + a, "q2": c["q2"] + b} for c, (a, b) in zip(trials, off, strict=True)]
+    moved = [
+        c | {"q1": c["q1"] + a, "q2": c["q2"] + b} for c, (a, b) in zip(trials, off, strict=True)
+    ]
     found = differ_of(tmp_path, moved)
     assert found.kind == "zero" and found.takes > 0.8
     np.testing.assert_allclose(found.size[:, 0], off[:, 0] - np.median(off[:, 0]), atol=0.4 * size)
@@ -43,7 +50,10 @@ def test_a_trial_apart_is_named_and_offered_to_be_left_out(tmp_path):
     trials = arm(count=COUNT, seed=5)
     trials[3] = tripped(trials[3])
     weak = trials[6]
-    trials[6] = weak | {"tau1": weak["tau1"] * 2.0, "tau2": weak["tau2"] * 2.0}  # half of what was logged did act
+    trials[6] = weak | {
+        "tau1": weak["tau1"] * 2.0,
+        "tau2": weak["tau2"] * 2.0,
+    }  # half of what was logged did act
     found = differ_of(tmp_path, trials)
     assert [o.trial for o in found.odd] == ["03", "06"] and found.kind == ""
     assert (
@@ -73,7 +83,9 @@ def test_a_trial_that_spoils_the_fit_of_all_stays_odd(tmp_path):
     rows = [{"trial": f"{k:02d}", "before": 0.1, "after": 0.1} for k in range(COUNT)]
     error = {"unit": "rad", "before": 0.1, "after": 0.1, "noise_floor": 2e-4, "per_trial": rows}
     assert found.odd[0].times > 30.0 and confirmed(found, error).odd == found.odd
-    assert not confirmed(found, error | {"noise_floor": 0.01}).odd  # no fit is spoilt that leaves ten times the noise
+    assert not confirmed(
+        found, error | {"noise_floor": 0.01}
+    ).odd  # no fit is spoilt that leaves ten times the noise
 
 
 def test_what_the_mended_model_explains_is_not_told(tmp_path):

@@ -1,4 +1,6 @@
-"""The task on a mended model: the same task where nothing was added, and policies that make use of what was."""
+"""The task on a mended model: the same task where nothing was added, and policies that make use of
+what was.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +12,12 @@ from adaptsim_jax.mechanisms.double_pendulum import linear as plain_model
 from adaptsim_jax.mechanisms.model_file import AddedEffect, ModelFile, Value
 from adaptsim_jax.space import gaussian
 from adaptsim_jax.tasks.pendulum.augmented import make_mended_pendulum, mended_space
-from adaptsim_jax.tasks.pendulum.augmented_policy import descended, make_world, plain_policy, train_policy
+from adaptsim_jax.tasks.pendulum.augmented_policy import (
+    descended,
+    make_world,
+    plain_policy,
+    train_policy,
+)
 from adaptsim_jax.tasks.pendulum.target import in_world
 from adaptsim_jax.tasks.registry import make_task
 
@@ -18,10 +25,14 @@ THETA = {"m1": (1.5, "kg"), "m2": (1.4, "kg"), "b1": (1.2, "N m s/rad"), "b2": (
 
 
 def mended(*effects: tuple[str, str, dict[str, tuple[float, str]]]) -> ModelFile:
-    number = lambda v: Value(v[0], v[0], v[0], v[1])
+    def number(v):
+        return Value(v[0], v[0], v[0], v[1])
+
     declared = {k: number(v) for k, v in THETA.items()}
     added = tuple(AddedEffect(n, w, {k: number(v) for k, v in p.items()}) for n, w, p in effects)
-    return ModelFile("pendulum", "linearized", "upright", {"l1": 1.0, "l2": 1.0, "g": 9.81}, declared, added)
+    return ModelFile(
+        "pendulum", "linearized", "upright", {"l1": 1.0, "l2": 1.0, "g": 9.81}, declared, added
+    )
 
 
 SPRING = ("spring", "joint2", {"stiffness": (6.0, "N m/rad"), "preload": (4.0, "N m")})
@@ -37,13 +48,17 @@ def costs(given: ModelFile, *trainings):
     world = make_world(given)
     theta = jnp.asarray(given.theta(world.model.plant), jnp.float32)
     eff = jnp.asarray(given.effect_vector(world.model.layout), jnp.float32)
-    run = jax.jit(lambda: [world.rollout(train(world, theta, eff), theta, eff)[0].cost for train in trainings])
+    run = jax.jit(
+        lambda: [world.rollout(train(world, theta, eff), theta, eff)[0].cost for train in trainings]
+    )
     return [float(c) for c in run()]
 
 
 @pytest.mark.slow
 def test_descent_beats_the_stand_ins_for_dry_friction():
-    """No affine force is dry friction: gains found by descent cost less than any that were tried."""
+    """No affine force is dry friction: gains found by descent cost less than any that were
+    tried.
+    """
     given = mended(("coulomb", "joint1", {"level": (5.4, "N m")}))
     tried, after = costs(given, train_policy, descended)
     assert after < 0.99 * tried
@@ -51,8 +66,13 @@ def test_descent_beats_the_stand_ins_for_dry_friction():
 
 @pytest.mark.slow
 def test_narrow_friction_is_sharp_to_the_task():
-    """What a width of 10 mrad/s adds to the cost is less than a thousandth; a wide one is simulated."""
-    friction = lambda width: mended(("coulomb", "joint1", {"level": (5.4, "N m"), "width": (width, "rad/s")}))
+    """What a width of 10 mrad/s adds to the cost is less than a thousandth; a wide one is
+    simulated.
+    """
+
+    def friction(width):
+        return mended(("coulomb", "joint1", {"level": (5.4, "N m"), "width": (width, "rad/s")}))
+
     narrow, wide = friction(0.01), friction(0.1)
     assert make_world(wide).model.layout.effects == (wide.effect("coulomb"),)
     sharp = make_world(narrow)
@@ -66,7 +86,9 @@ def test_narrow_friction_is_sharp_to_the_task():
 
 @pytest.mark.slow
 def test_without_effects_it_is_the_plain_task():
-    """Commands are held for 5 ms here and continuous there: the optimal cost moves by less than 2 %."""
+    """Commands are held for 5 ms here and continuous there: the optimal cost moves by less than 2
+    %.
+    """
     before, after = costs(mended(), plain_policy, train_policy)
     params = jnp.array([v for v, _ in THETA.values()], jnp.float32)
     exact = float(plain_model.rollout(params, plain_model.optimal_gain(params).gain).cost)
@@ -83,7 +105,14 @@ def test_a_policy_that_knows_the_effect_is_cheaper(name):
 
 def test_omega_has_the_effects_amplitudes_around_what_was_fitted():
     space, keys = mended_space(mended(SPRING))
-    assert space.names == ("m1", "m2", "b1", "b2", "spring_joint2_stiffness", "spring_joint2_preload")
+    assert space.names == (
+        "m1",
+        "m2",
+        "b1",
+        "b2",
+        "spring_joint2_stiffness",
+        "spring_joint2_preload",
+    )
     assert keys[-1] == ("spring", "joint2", "preload")
     low, high = space.parameters[4].low, space.parameters[4].high
     assert 0.0 <= low < 6.0 < high
@@ -99,7 +128,12 @@ def test_it_is_a_task_as_any_other():
     def adapt(u):
         policy = task.train(key, gaussian(task.space, u), task.init_policy(key))
         trajectory = task.rollout(key, policy, target)
-        return policy, trajectory, task.reward(trajectory, task.reference(target)), task.observe(trajectory)
+        return (
+            policy,
+            trajectory,
+            task.reward(trajectory, task.reference(target)),
+            task.observe(trajectory),
+        )
 
     policy, trajectory, reward, seen = adapt(task.space.unit(target))
     assert jax.tree.structure(policy) == jax.tree.structure(task.init_policy(key))
@@ -114,8 +148,12 @@ def test_a_plain_run_meets_a_mended_target():
     task = make_task("pendulum", {})
     params, there = in_world(task, mended(SPRING))
     key = jax.random.key(0)
-    policy = task.train(key, gaussian(task.space, task.space.unit(jnp.asarray(params, jnp.float32))), None)
-    reward = jax.jit(lambda p: there.reward(there.rollout(key, p, params), there.reference(params)))(policy)
+    policy = task.train(
+        key, gaussian(task.space, task.space.unit(jnp.asarray(params, jnp.float32))), None
+    )
+    reward = jax.jit(
+        lambda p: there.reward(there.rollout(key, p, params), there.reference(params))
+    )(policy)
     assert np.allclose(params, [v for v, _ in THETA.values()])
     assert float(reward) < 0.999
 
@@ -129,7 +167,11 @@ def test_bad_options_and_targets_are_told():
         with pytest.raises(BadInput, match=r"reward_gain = .* must be a positive number"):
             make_task("pendulum", {"model": {"task": "pendulum"}, "reward_gain": gain})
     rigid = ModelFile(
-        "pendulum", "rigid_body", "hanging", {"l1": 0.3, "g": 9.81}, {"p1": Value(0.1, 0.1, 0.1, "kg m^2")}
+        "pendulum",
+        "rigid_body",
+        "hanging",
+        {"l1": 0.3, "g": 9.81},
+        {"p1": Value(0.1, 0.1, 0.1, "kg m^2")},
     )
     with pytest.raises(BadInput, match="p1"):
         in_world(make_task("pendulum", {}), rigid)
@@ -137,7 +179,9 @@ def test_bad_options_and_targets_are_told():
 
 @pytest.mark.slow
 def test_hardly_any_policy_earns_more_than_1_on_a_rigid_body():
-    """The target's own policy is no reference there: the gain is optimal near the goal, not for the swing-up."""
+    """The target's own policy is no reference there: the gain is optimal near the goal, not for the
+    swing-up.
+    """
     theta = {"p1": 0.376, "p3": 0.087, "h1": 0.762, "h2": 0.249, "b1": 0.017, "b2": 0.027}
     units = {"p": "kg m^2", "h": "kg m", "b": "N m s/rad"}
     declared = {k: Value(v, v, v, units[k[0]]) for k, v in theta.items()}
@@ -145,9 +189,17 @@ def test_hardly_any_policy_earns_more_than_1_on_a_rigid_body():
     task = make_mended_pendulum(ModelFile("pendulum", "rigid_body", "hanging", geometry, declared))
     u = jax.random.uniform(jax.random.key(0), (12, task.space.dim))
     policies = jax.jit(jax.vmap(lambda u: task.train(None, gaussian(task.space, u), None)))(u)
-    run = lambda p: jax.vmap(lambda policy: task.rollout(None, policy, p).cost)(policies)
+
+    def run(p):
+        return jax.vmap(lambda policy: task.rollout(None, policy, p).cost)(policies)
+
     targets = task.space.physical(u)
-    cost, best = np.asarray(jax.jit(jax.vmap(run))(targets)), np.asarray(jax.jit(jax.vmap(task.reference))(targets))
+    cost, best = (
+        np.asarray(jax.jit(jax.vmap(run))(targets)),
+        np.asarray(jax.jit(jax.vmap(task.reference))(targets)),
+    )
     assert np.all(best <= np.diag(cost) * 1.001)
-    assert np.mean(cost < np.diag(cost)[:, None] * 0.999) > 0.2  # what the reference of a linear model would allow
+    assert (
+        np.mean(cost < np.diag(cost)[:, None] * 0.999) > 0.2
+    )  # what the reference of a linear model would allow
     assert np.mean(cost < best[:, None] * 0.999) < 0.05

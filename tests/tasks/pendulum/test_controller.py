@@ -1,4 +1,6 @@
-"""A robot's loop that calls the controller of a mended policy gets the torques that the simulated trial had."""
+"""A robot's loop that calls the controller of a mended policy gets the torques that the simulated
+trial had.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -10,24 +12,37 @@ from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.model_file import write_model
 from adaptsim_jax.mechanisms.model_file import AddedEffect, ModelFile, Value
-from adaptsim_jax.tasks.pendulum.augmented_policy import _ahead, along, lqr, make_world, plain_policy
+from adaptsim_jax.tasks.pendulum.augmented_policy import (
+    _ahead,
+    along,
+    lqr,
+    make_world,
+    plain_policy,
+)
 from adaptsim_jax.tasks.pendulum.controller import read_controller
 
 THETA = {"m1": (1.5, "kg"), "m2": (1.4, "kg"), "b1": (1.2, "N m s/rad"), "b2": (1.8, "N m s/rad")}
 
 
 def model(**effects) -> ModelFile:
-    value = lambda x, unit: Value(x, x, x, unit)
+    def value(x, unit):
+        return Value(x, x, x, unit)
+
     declared = {k: value(*v) for k, v in THETA.items()}
     added = tuple(
-        AddedEffect(name, "joint1", {p: value(*v) for p, v in given.items()}) for name, given in effects.items()
+        AddedEffect(name, "joint1", {p: value(*v) for p, v in given.items()})
+        for name, given in effects.items()
     )
-    return ModelFile("pendulum", "linearized", "upright", {"l1": 1.0, "l2": 1.0, "g": 9.81}, declared, added)
+    return ModelFile(
+        "pendulum", "linearized", "upright", {"l1": 1.0, "l2": 1.0, "g": 9.81}, declared, added
+    )
 
 
 @pytest.fixture(scope="module")
 def trial(tmp_path_factory):
-    """A folder as `adaptsim robot next` leaves it, with a policy that predicts and cancels, and its simulated trial."""
+    """A folder as `adaptsim robot next` leaves it, with a policy that predicts and cancels, and its
+    simulated trial.
+    """
     folder = tmp_path_factory.mktemp("robot")
     given = model(delay={"delay": (0.03, "s")}, bias={"torque": (4.0, "N m")})
     world = make_world(given)

@@ -1,9 +1,9 @@
 """The pendulum in every engine that is installed, against native MuJoCo, in double precision.
 
-Ours, MJX and native MuJoCo take the same Runge-Kutta steps of the same equations, so they may differ by
-rounding, grown over 500 steps of a mildly unstable motion: 1e-10 is ten thousand times what was seen. Drake
-integrates with error control to 1e-10, MuJoCo with a fixed step, whose error falls with its fourth power: 1.1e-6 at 1 ms,
-6e-8 at the 0.5 ms compared here, so 1e-6 has room.
+Ours, MJX and native MuJoCo take the same Runge-Kutta steps of the same equations, so they may
+differ by rounding, grown over 500 steps of a mildly unstable motion: 1e-10 is ten thousand times
+what was seen. Drake integrates with error control to 1e-10, MuJoCo with a fixed step, whose error
+falls with its fourth power: 1.1e-6 at 1 ms, 6e-8 at the 0.5 ms compared here, so 1e-6 has room.
 """
 
 import json
@@ -84,7 +84,9 @@ def test_the_table_of_parity(capsys):
     assert [row["backend"] for row in rows] == ["native", "rigid_body", "mjx", "drake"]
     for row in rows:
         if row["ran"]:
-            assert row["angle_max"] < TOLERANCE.get(row["backend"], 0.0) or row["backend"] == "native"
+            assert (
+                row["angle_max"] < TOLERANCE.get(row["backend"], 0.0) or row["backend"] == "native"
+            )
             assert row["diverged"] == 0
         else:
             assert "not installed" in row["why"]
@@ -100,4 +102,6 @@ def test_the_table_for_a_person(capsys):
     ]
     _show({**found, "rows": rows})
     out = capsys.readouterr().out
-    assert "2.0e+00" in out and "all 1 samples diverged" in out and "did not run: not installed" in out
+    assert (
+        "2.0e+00" in out and "all 1 samples diverged" in out and "did not run: not installed" in out
+    )

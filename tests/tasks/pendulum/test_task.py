@@ -56,7 +56,8 @@ def test_reward_and_observation_against_scipy(name):
     _, best = _simulate(target, _gain(target))
     points = states[81:973:81, :2]
     want = np.stack([(points[:, 0] + np.pi) / np.pi, points[:, 1]], -1).reshape(-1)
-    # single precision against double through a gain of norm 100: the reward's gain of 10 makes 1e-4 here 1e-3 there
+    # single precision against double through a gain of norm 100: the reward's gain of 10 makes 1e-4
+    # here 1e-3 there
     np.testing.assert_allclose(score, -cost, rtol=1e-4)
     np.testing.assert_allclose(obs, want, atol=2e-4)
     np.testing.assert_allclose(reward, 1 - 10 * (cost / best - 1), atol=2e-3)
@@ -66,7 +67,13 @@ def test_settings_are_those_of_table_a2():
     table = np.array([[*s.values()] for s in SETTINGS.values()])
     np.testing.assert_array_equal(
         table,
-        [[1.8, 1.2, 1.5, 1.5], [1.8, 0.3, 1.5, 1.5], [0.5, 1.8, 1.5, 1.5], [1.2, 1.8, 10, 10], [0.4, 2.6, 1, 2]],
+        [
+            [1.8, 1.2, 1.5, 1.5],
+            [1.8, 0.3, 1.5, 1.5],
+            [0.5, 1.8, 1.5, 1.5],
+            [1.2, 1.8, 10, 10],
+            [0.4, 2.6, 1, 2],
+        ],
     )
 
 
@@ -80,7 +87,9 @@ def test_best_in_omega_against_a_dense_grid():
     grid = jnp.stack(jnp.meshgrid(*[line] * 4, indexing="ij"), -1).reshape(-1, 4)
     policies = jax.jit(jax.vmap(lambda u: task.train(None, gaussian(task.space, u), None)))(grid)
     costs = jax.jit(
-        lambda ts: jax.lax.map(lambda t: jax.vmap(lambda p: -task.score(task.rollout(None, p, t)))(policies).min(), ts)
+        lambda ts: jax.lax.map(
+            lambda t: jax.vmap(lambda p: -task.score(task.rollout(None, p, t)))(policies).min(), ts
+        )
     )(targets)
     ratio = np.asarray(quick / costs)
     assert np.median(ratio) < 1.0002 and np.quantile(ratio, 0.95) < 1.004 and ratio.max() < 1.02
@@ -100,7 +109,10 @@ def test_observations_are_finite_where_the_loop_diverges():
 def test_whitened_observations_have_unit_spread_before_compression(observation):
     task = make_pendulum(PendulumConfig(scaling="whitened", observation=observation, components=8))
     keys = jax.random.split(jax.random.key(5), 2)
-    sims, targets = task.space.sample(keys[0], (2000,)), task.space.physical(task.space.sample(keys[1], (2000,)))
+    sims, targets = (
+        task.space.sample(keys[0], (2000,)),
+        task.space.physical(task.space.sample(keys[1], (2000,))),
+    )
 
     @jax.jit
     @jax.vmap
@@ -110,11 +122,14 @@ def test_whitened_observations_have_unit_spread_before_compression(observation):
 
     seen = np.asarray(observe(sims, targets))
     plain = np.sign(seen) * np.expm1(np.abs(seen))
-    # both this sample of 2000 and the 4000 that the scale came from; late points have heavy tails, so by their kurtosis
+    # both this sample of 2000 and the 4000 that the scale came from; late points have heavy tails,
+    # so by their kurtosis
     kurtosis = np.mean((plain - plain.mean(0)) ** 4, 0) / plain.var(0) ** 2
     error = np.sqrt((kurtosis - 1) / 4 * (1 / 2000 + 1 / 4000))
     assert np.all(np.abs(plain.std(0) - 1) < 5 * error) and np.all(error < 0.1)
-    if observation == "full":  # the late points' tails make sample correlations too noisy to say anything
+    if (
+        observation == "full"
+    ):  # the late points' tails make sample correlations too noisy to say anything
         np.testing.assert_allclose(np.corrcoef(plain.T), np.eye(8), atol=0.15)
 
 

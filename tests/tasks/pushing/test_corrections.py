@@ -23,7 +23,11 @@ from adaptsim_jax.tasks.pushing.one_shot import make_pushing_one_shot
 from adaptsim_jax.tasks.pushing.refine import refine, search
 from adaptsim_jax.tasks.pushing.task import PushingConfig
 
-simulated = lambda a: jnp.stack([0.8 + 0.2 * a[0], 0.1 * a[1]])
+
+def simulated(a):
+    return jnp.stack([0.8 + 0.2 * a[0], 0.1 * a[1]])
+
+
 ACTIONS = jnp.array([[-0.5, 0.0], [0.0, 0.4], [0.6, -0.3], [0.9, 0.9]])
 
 
@@ -53,22 +57,37 @@ def test_rows_that_do_not_count_or_failed_change_nothing():
 @pytest.mark.slow
 def test_the_mean_moves_to_parameters_that_explain_the_pushes_and_stays_within_omega():
     space = pushing.pushing_space()
-    end = lambda u, a: planar.rollout(space.physical(u), pushing.physical_action(a))[-1]
+
+    def end(u, a):
+        return planar.rollout(space.physical(u), pushing.physical_action(a))[-1]
+
     actions = jnp.asarray(np.random.default_rng(0).uniform(-1, 1, (12, 2)), jnp.float32)
     truth, mean = jnp.array([0.4, 0.6, 0.7, 0.5]), jnp.array([0.5, 0.45, 0.6, 0.6])
-    there = lambda u: jax.vmap(lambda a: end(u, a))(actions)
+
+    def there(u):
+        return jax.vmap(lambda a: end(u, a))(actions)
+
     move = jax.jit(lambda places, used: nearer(end, mean, Told(actions, places, used)))
     every = jnp.ones(12, bool)
-    off = lambda u: np.linalg.norm(there(u) - there(truth), axis=1).mean()
+
+    def off(u):
+        return np.linalg.norm(there(u) - there(truth), axis=1).mean()
+
     found = move(there(truth), every)
     assert off(found) < 0.1 * off(mean) and np.abs(found - truth)[0] < 0.3 * np.abs(mean - truth)[0]
     np.testing.assert_array_equal(move(there(truth), ~every), mean)
     # two that failed tell nothing
     some = every.at[:2].set(False)
-    np.testing.assert_array_equal(move(there(truth).at[:2].set(jnp.nan), every), move(there(truth), some))
+    np.testing.assert_array_equal(
+        move(there(truth).at[:2].set(jnp.nan), every), move(there(truth), some)
+    )
     # a target more slippery than any of Omega
     beyond = move(
-        jax.vmap(lambda a: planar.rollout(jnp.array([0.03, 1e5, 0.5, 0.0]), pushing.physical_action(a))[-1])(actions),
+        jax.vmap(
+            lambda a: planar.rollout(jnp.array([0.03, 1e5, 0.5, 0.0]), pushing.physical_action(a))[
+                -1
+            ]
+        )(actions),
         every,
     )
     assert beyond[0] < mean[0] - 0.1 and np.all(beyond >= 0.0) and np.all(beyond <= 1.0)
@@ -76,11 +95,21 @@ def test_the_mean_moves_to_parameters_that_explain_the_pushes_and_stays_within_o
 
 @pytest.mark.slow
 def test_a_goal_that_no_step_leads_to_is_found_by_searching():
-    """Faster pushes go less far at first (a bottle that is caught), and the farthest only beyond."""
-    far = lambda x: jnp.where(x > 0.5, 0.9 + 0.1 * x, 0.8 - 0.15 * (x + 0.5))
-    push = lambda a: jnp.stack([far(a[0]), 0.1 * a[1]])
+    """Faster pushes go less far at first (a bottle that is caught), and the farthest only
+    beyond.
+    """
+
+    def far(x):
+        return jnp.where(x > 0.5, 0.9 + 0.1 * x, 0.8 - 0.15 * (x + 0.5))
+
+    def push(a):
+        return jnp.stack([far(a[0]), 0.1 * a[1]])
+
     goals, first = jnp.array([[0.97, 0.05], [0.7, -0.05]]), jnp.array([[-0.5, 0.0], [0.0, 0.0]])
-    apart = lambda found: np.linalg.norm(jax.vmap(push)(found) - goals, axis=1)
+
+    def apart(found):
+        return np.linalg.norm(jax.vmap(push)(found) - goals, axis=1)
+
     stuck = jax.vmap(lambda g, a: refine(push, g, a, 8))(goals, first)
     assert apart(stuck)[0] > 0.05
     assert np.all(apart(search(push, goals, first, 8)) < 0.005)
@@ -91,7 +120,9 @@ def test_memory_shares_between_the_starts_of_a_seed_and_with_no_one_else():
     config = PushingConfig(pretrain=True, refine=2, correct=True, tests=2)
     one = make_pushing_one_shot(config)
     batch = lanes(2, np.array([0, 1]), 2, label=1)
-    arena = Arena(one, one.world("planar"), np.array([[0.1, 1e5, 0.6, 0.05], [0.25, 5e4, 0.1, -0.1]]))
+    arena = Arena(
+        one, one.world("planar"), np.array([[0.1, 1e5, 0.6, 0.05], [0.25, 5e4, 0.1, -0.1]])
+    )
     memory = Memory(arena, batch, 3)
     policies = arena.untrained(batch.keys)
     assert memory.deployed(policies) is policies
@@ -113,7 +144,9 @@ def test_a_corrected_policy_earns_more_in_a_target_that_its_mean_of_e_does_not_e
     arena = Arena(one, one.world("planar"), target)
     batch = lanes(1, np.array([0]), 1, label=1)
     blank = arena.untrained(batch.keys)
-    wrong = jnp.asarray(space.unit(jnp.asarray(target, jnp.float32))) + jnp.array([[0.2, -0.2, 0.0, 0.0]])
+    wrong = jnp.asarray(space.unit(jnp.asarray(target, jnp.float32))) + jnp.array(
+        [[0.2, -0.2, 0.0, 0.0]]
+    )
     policies, memory = blank._replace(at=wrong), Memory(arena, batch, 8)
     plain = arena.score(batch.where, memory.deployed(policies))
     for i in range(8):
@@ -124,16 +157,28 @@ def test_a_corrected_policy_earns_more_in_a_target_that_its_mean_of_e_does_not_e
 
 @pytest.mark.slow
 def test_pushes_that_fail_in_the_target_do_not_count_and_are_null_in_a_file(monkeypatch):
-    config = PushingConfig(pretrain=True, refine=1, correct=True, tests=2, hidden=(8,), trajectories=4)
-    fails = lambda params, action: jnp.where(action[1] > 0, jnp.nan, jnp.full((1, 2), 0.8))
+    config = PushingConfig(
+        pretrain=True, refine=1, correct=True, tests=2, hidden=(8,), trajectories=4
+    )
+
+    def fails(params, action):
+        return jnp.where(action[1] > 0, jnp.nan, jnp.full((1, 2), 0.8))
+
     monkeypatch.setattr(pushing_deployed, "make_simulator", lambda config: fails)
     blank = pushing.make_pushing(config).init_policy(jax.random.key(0))
     policies = jax.tree.map(lambda x: jnp.broadcast_to(x, (1, 2, *x.shape)), blank)
-    goals = jnp.array([[0.0, 0.9], [0.0, -0.9], [0.5, 0.9], [0.5, -0.9]])  # to the left and to the right
+    goals = jnp.array(
+        [[0.0, 0.9], [0.0, -0.9], [0.5, 0.9], [0.5, -0.9]]
+    )  # to the left and to the right
     seen = jnp.concatenate([jnp.zeros((4, 6, 2)), goals[:, None]], 1).reshape(-1)
     obs = jnp.broadcast_to(jnp.concatenate([jnp.zeros(4), seen]), (1, 2, 4 + seen.size))
     history = Episode(
-        jnp.full((1, 2, 4), 0.5), policies, obs, jnp.zeros((1, 2)), jnp.zeros((1, 2)), jnp.zeros((1, 1, 4))
+        jnp.full((1, 2, 4), 0.5),
+        policies,
+        obs,
+        jnp.zeros((1, 2)),
+        jnp.zeros((1, 2)),
+        jnp.zeros((1, 1, 4)),
     )
     target = jnp.array([0.12, 3e5, 0.3, 0.0])
     made, every = pushing_deployed.deployed(history, target, config)
@@ -152,12 +197,29 @@ def test_correction_without_refining_is_refused():
 
 @pytest.mark.slow
 def test_deployed_pushes_are_visited_and_shown_for_the_goals_that_e_expects_of_them():
-    options = {"pretrain": True, "refine": 2, "correct": True, "tests": 2, "show_gap": True, "hidden": (8,)}
+    options = {
+        "pretrain": True,
+        "refine": 2,
+        "correct": True,
+        "tests": 2,
+        "show_gap": True,
+        "hidden": (8,),
+    }
     config = PushingConfig(visits="deployed", **options)
-    goals = np.asarray(jax.vmap(lambda k: sector_goals(k, 2, 4))(jax.random.split(jax.random.key(0), 100)))
+    goals = np.asarray(
+        jax.vmap(lambda k: sector_goals(k, 2, 4))(jax.random.split(jax.random.key(0), 100))
+    )
     centre = np.array(GOAL_CENTRE)
-    angle, radius = goals[..., 1] / (goals[..., 0] - centre[0]), np.linalg.norm(goals - centre, axis=-1)
-    assert np.all(angle[:, 0] < 0) and np.all(angle[:, 1] > 0) and radius.min() < 0.28 and radius.max() > 0.52
+    angle, radius = (
+        goals[..., 1] / (goals[..., 0] - centre[0]),
+        np.linalg.norm(goals - centre, axis=-1),
+    )
+    assert (
+        np.all(angle[:, 0] < 0)
+        and np.all(angle[:, 1] > 0)
+        and radius.min() < 0.28
+        and radius.max() > 0.52
+    )
     one, target = make_pushing_one_shot(config), np.array([[0.12, 3e5, 0.3, 0.0]])
     arena, batch = Arena(one, one.world("planar"), target), lanes(1, np.array([0]), 1, label=1)
     policies, memory = arena.untrained(batch.keys), Memory(arena, batch, 2)
@@ -167,7 +229,10 @@ def test_deployed_pushes_are_visited_and_shown_for_the_goals_that_e_expects_of_t
     second = arena.visit(batch.at(1), batch.where, mended)
     made, now = first.trials.actions[0], second.trials.actions[0]
     assert np.linalg.norm(now[:, None] - made[None], axis=-1).min() > 0.2
-    act = lambda p: np.asarray(arena._act(p, jnp.asarray(second.trials.contexts)))
+
+    def act(p):
+        return np.asarray(arena._act(p, jnp.asarray(second.trials.contexts)))
+
     np.testing.assert_allclose(second.trials.actions, act(mended), atol=1e-5)
     seen = second.obs[0].reshape(2, 13, 2)  # six points, the goal, six gaps
     assert np.abs(second.trials.actions - act(policies)).max() > 0.01  # and not E's own

@@ -21,13 +21,19 @@ from adaptsim_jax.tasks.pushing.planar import DRAKE
 
 COUNT = 12
 RNG = np.random.default_rng(3)
-ACTIONS = np.stack([RNG.permutation(np.linspace(0.4, 0.8, COUNT)), RNG.permutation(np.linspace(-0.3, 0.3, COUNT))], 1)
+ACTIONS = np.stack(
+    [RNG.permutation(np.linspace(0.4, 0.8, COUNT)), RNG.permutation(np.linspace(-0.3, 0.3, COUNT))],
+    1,
+)
 
 
 @pytest.fixture(scope="module")
 def tracks():
     """[T, R, 2] m at 50 Hz of a table that is not level."""
-    values = dict(zip(model.PARAMETERS, (0.12, 5e4, 0.4, 0.03), strict=True)) | {"tilt_x": 0.02, "tilt_y": -0.03}
+    values = dict(zip(model.PARAMETERS, (0.12, 5e4, 0.4, 0.03), strict=True)) | {
+        "tilt_x": 0.02,
+        "tilt_y": -0.03,
+    }
     rows = jax.jit(jax.vmap(lambda a: slide.rollout(values, a)))(ACTIONS.astype(np.float32))
     out = np.asarray(rows, float)[:, ::4, :2]
     return out + 5e-4 * RNG.standard_normal(out.shape)
@@ -39,7 +45,9 @@ def written(folder, tracks, meta='task = "pushing"\n', rate=50.0):
     rows = [f"{i},{a:.6f},{b:.6f}" for i, (a, b) in enumerate(ACTIONS, 1)]
     (folder / "actions.csv").write_text("\n".join(["trial,speed,angle", *rows, ""]))
     rows = [
-        f"{i},{k / rate:.4f},{x:.6f},{y:.6f}" for i, track in enumerate(tracks, 1) for k, (x, y) in enumerate(track)
+        f"{i},{k / rate:.4f},{x:.6f},{y:.6f}"
+        for i, track in enumerate(tracks, 1)
+        for k, (x, y) in enumerate(track)
     ]
     (folder / "tracks.csv").write_text("\n".join(["trial,time,x,y", *rows, ""]))
     return folder
@@ -64,10 +72,14 @@ def test_frames_in_which_the_camera_saw_nothing_are_drop_outs(tmp_path, tracks):
     folder = written(tmp_path, tracks)
     lines = (folder / "tracks.csv").read_text().splitlines()
     cut = [i for i in range(1, len(lines)) if i % 7 == 3]
-    (folder / "tracks.csv").write_text("\n".join(lines[i] for i in range(len(lines)) if i not in cut) + "\n")
+    (folder / "tracks.csv").write_text(
+        "\n".join(lines[i] for i in range(len(lines)) if i not in cut) + "\n"
+    )
     shorter = read(folder)
     for row in ("{},{},,", "{},{},nan,nan"):
-        lost = [row.format(*line.split(",")[:2]) if i in cut else line for i, line in enumerate(lines)]
+        lost = [
+            row.format(*line.split(",")[:2]) if i in cut else line for i, line in enumerate(lines)
+        ]
         (folder / "tracks.csv").write_text("\n".join([*lost, ""]))
         np.testing.assert_array_equal(read(folder).xy, shorter.xy)
     half = [line.rsplit(",", 1)[0] + "," if i == 10 else line for i, line in enumerate(lines)]
@@ -82,7 +94,10 @@ def test_frames_in_which_the_camera_saw_nothing_are_drop_outs(tmp_path, tracks):
         (lambda z: z * [1.0, -1.0], "mirrored"),
         (lambda z: z + np.array([0.5, 0.0]), "another frame"),
         (lambda z: 1000.0 * z, "metres"),
-        (lambda z: np.where(np.arange(len(z))[:, None, None] == 4, z[4, 0], z), "trial 5: the bottle never moved"),
+        (
+            lambda z: np.where(np.arange(len(z))[:, None, None] == 4, z[4, 0], z),
+            "trial 5: the bottle never moved",
+        ),
         (lambda z: z[..., ::-1] + np.array([0.56, -0.56]), "another frame"),
         (lambda z: z[:, ::5], "20 Hz"),
     ],
@@ -105,10 +120,14 @@ def test_an_unknown_key_and_a_push_in_degrees_are_refused(tmp_path, tracks):
 
 def test_a_session_is_read_from_the_files_that_were_told(tmp_path, tracks):
     folder = written(tmp_path / "told", tracks)
-    run = store.RunFolder.create(tmp_path / "run", {"task": {"coefficients": "drake"}}, task="pushing")
+    run = store.RunFolder.create(
+        tmp_path / "run", {"task": {"coefficients": "drake"}}, task="pushing"
+    )
     file = folder / "tracks.csv"
     visit = {"file": str(file), "sha256": hashlib.sha256(file.read_bytes()).hexdigest()}
-    visit["pushes"] = [{"trial": i, "action": list(map(float, a))} for i, a in enumerate(ACTIONS, 1)]
+    visit["pushes"] = [
+        {"trial": i, "action": list(map(float, a))} for i, a in enumerate(ACTIONS, 1)
+    ]
     session = tmp_path / "robot"
     store.save_checkpoint(
         session / store.CHECKPOINT,
@@ -129,7 +148,9 @@ def test_a_session_is_read_from_the_files_that_were_told(tmp_path, tracks):
 
 
 def test_a_look_alike_that_no_push_shows_does_not_hide_one_that_some_push_does(tmp_path, tracks):
-    """A scale of lengths by 5 % is what a camera straight over the arm's base sees 2.1 m above it, and unlike a faster plate."""
+    """A scale of lengths by 5 % is what a camera straight over the arm's base sees 2.1 m above it,
+    and unlike a faster plate.
+    """
     pushed = read(written(tmp_path, tracks))
     problem = prepare(pushed, pushed.options, pushed.coefficients)
 
@@ -138,15 +159,24 @@ def test_a_look_alike_that_no_push_shows_does_not_hide_one_that_some_push_does(t
         values[problem.at(given)] = list(given.values())
         return SimpleNamespace(fit=SimpleNamespace(values=values))
 
-    scaled, near, fast = model(scale=0.05), model(near=0.05 / 1.05 / HEIGHT), model(speed_scale=0.05)
-    named = lambda *others: SimpleNamespace(
-        final=scaled, named=(SimpleNamespace(effect=problem.effect("camera_scale"), alternatives=others),)
+    scaled, near, fast = (
+        model(scale=0.05),
+        model(near=0.05 / 1.05 / HEIGHT),
+        model(speed_scale=0.05),
     )
+
+    def named(*others):
+        return SimpleNamespace(
+            final=scaled,
+            named=(SimpleNamespace(effect=problem.effect("camera_scale"), alternatives=others),),
+        )
+
     parallax, speed = (problem.effect("parallax"), near), (problem.effect("speed_scale"), fast)
     both, one = telling(pushed, named(parallax, speed)), telling(pushed, named(parallax))
     assert both["separates"] == ["camera_scale", "speed_scale"] and len(both["rows"]) == 3
     assert (
-        one["message"].startswith("No push within the bounds tells camera scale and parallax apart") and not one["rows"]
+        one["message"].startswith("No push within the bounds tells camera scale and parallax apart")
+        and not one["rows"]
     )
 
 

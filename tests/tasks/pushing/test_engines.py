@@ -1,8 +1,8 @@
 """The engines of the push: physics that must hold, and agreement between them.
 
-MJX and native MuJoCo solve the same scene; float32 moves a bottle by hundredths of a millimetre (docs/results/pushing.md).
-The planar model leaves out pitch and yaw, which costs some millimetres; Drake has another law of contact, which costs
-centimetres.
+MJX and native MuJoCo solve the same scene; float32 moves a bottle by hundredths of a millimetre
+(docs/results/pushing.md). The planar model leaves out pitch and yaw, which costs some millimetres;
+Drake has another law of contact, which costs centimetres.
 """
 
 import dataclasses
@@ -38,7 +38,9 @@ def reference(native, batch):
 
 def apart(a, b):
     """Distance of final positions, mm."""
-    return 1e3 * np.linalg.norm(np.asarray(a.state)[:, -1, :2] - np.asarray(b.state)[:, -1, :2], axis=1)
+    return 1e3 * np.linalg.norm(
+        np.asarray(a.state)[:, -1, :2] - np.asarray(b.state)[:, -1, :2], axis=1
+    )
 
 
 def test_bottles_go_along_the_push_and_stay_upright(reference, batch):
@@ -66,14 +68,25 @@ def test_sliding_loses_the_energy_that_friction_takes(name, batch):
     way = np.linalg.norm(place[:, -1] - place[:, 0], axis=-1)
     moving = way > 0.02
     assert moving.sum() >= 3
-    np.testing.assert_allclose(lost[moving], (params[:, 0] * pushing.GRAVITY * way)[moving], rtol=0.03)
+    np.testing.assert_allclose(
+        lost[moving], (params[:, 0] * pushing.GRAVITY * way)[moving], rtol=0.03
+    )
     assert np.all(np.diff(speed, axis=1) < 1e-3)  # nothing pushes any more
 
 
 def test_every_parameter_reaches_native_and_planar(native, batch):
-    """A change of any one moves the bottle, and to the same side in both: more friction, or a patch nearer, brakes."""
+    """A change of any one moves the bottle, and to the same side in both: more friction, or a patch
+    nearer, brakes.
+    """
     params = np.array([[0.1, 1e5, 0.4, 0.06]])
-    changed = np.array([[0.13, 1e5, 0.4, 0.06], [0.1, 1e6, 0.4, 0.06], [0.1, 1e5, 0.7, 0.06], [0.1, 1e5, 0.4, 0.03]])
+    changed = np.array(
+        [
+            [0.13, 1e5, 0.4, 0.06],
+            [0.1, 1e6, 0.4, 0.06],
+            [0.1, 1e5, 0.7, 0.06],
+            [0.1, 1e5, 0.4, 0.03],
+        ]
+    )
     every = np.concatenate([params, changed])
     actions, starts = np.tile([[0.7, 0.0]], (5, 1)), np.tile(pushing.START, (5, 1))
     for simulate in (native, make_backend("planar").simulate):
@@ -90,7 +103,9 @@ def test_planar_is_near_native(reference, batch):
 
 @pytest.mark.slow
 def test_calibration_finds_a_spring_again():
-    """Pushes of a planar model with other coefficients: the fit must come back to millimetres from centimetres."""
+    """Pushes of a planar model with other coefficients: the fit must come back to millimetres from
+    centimetres.
+    """
     truth = pushing_planar.DEFAULT._replace(
         elasticity=pushing.ElasticityMap((4.4, 0.3, 0.0), (-0.9, 0.3, 0.0)), lift=0.1
     )
@@ -117,7 +132,10 @@ def test_planar_rollout_is_pure_and_traced_once(batch):
     assert first.shape == (12, 130, 2) and first.dtype == jnp.float32
     run(params[::-1], actions)
     assert run._cache_size() == 1
-    final = lambda action: pushing_planar.rollout(params[0], action)[-1, 0]
+
+    def final(action):
+        return pushing_planar.rollout(params[0], action)[-1, 0]
+
     _, slope = jax.jit(lambda a: jax.jvp(final, (a,), (jnp.array([1.0, 0.0]),)))(actions[0])
     assert 0.1 < float(slope) < np.inf  # faster goes further
 
@@ -138,11 +156,15 @@ def test_one_bad_sample_is_told_and_spares_the_others(name, batch, reference):
     assert np.all(out.code[bad] == pushing.UNFIT) and not np.delete(out.code, bad).any()
     assert np.isfinite(out.state).all()
     if name == "native":
-        np.testing.assert_allclose(np.delete(out.state, bad, 0), np.delete(reference.state, bad, 0), atol=1e-9)
+        np.testing.assert_allclose(
+            np.delete(out.state, bad, 0), np.delete(reference.state, bad, 0), atol=1e-9
+        )
 
 
 def test_a_bottle_of_true_inertia_falls(batch):
-    """With a cylinder's inertia and its centre of mass at half height, a hit at the foot tips it (147 of 200 in Drake)."""
+    """With a cylinder's inertia and its centre of mass at half height, a hit at the foot tips it
+    (147 of 200 in Drake).
+    """
     true = dataclasses.replace(PAPER, inertia=pushing.cylinder_inertia(0.3), com=(0.0, 0.0, 0.0))
     out = make_backend("native", true).simulate(*batch)
     assert (out.code == pushing.FALLEN).sum() >= 4 and np.isfinite(out.state).all()
@@ -178,22 +200,40 @@ def test_mjx_agrees_with_native_and_is_traced_once(batch, reference, monkeypatch
 
 @pytest.mark.parametrize("name", ["native", "drake"])
 def test_a_table_that_is_not_level_draws_the_bottle_aside(name):
-    """As the planar slide has it, within a quarter: pushes that are still on their way after a second."""
+    """As the planar slide has it, within a quarter: pushes that are still on their way after a
+    second.
+    """
     if name == "drake":
         pytest.importorskip("pydrake")
     tilt = 0.03
     gravity = (0.0, pushing.GRAVITY * np.sin(tilt), -pushing.GRAVITY * np.cos(tilt))
-    batch = np.array([[0.12, 1e5, 0.3, 0.9]] * 2), np.array([[0.7, 0.0], [0.8, -0.2]]), np.tile(pushing.START, (2, 1))
-    level, turned = (make_backend(name, **given).simulate(*batch) for given in ({}, {"gravity": gravity}))
-    slides = [make_backend("planar", lacking=lacking).simulate(*batch) for lacking in ({}, {"tilt_y": tilt})]
-    aside = lambda pair: (pair[1].state - pair[0].state)[:, -1, 1]
+    batch = (
+        np.array([[0.12, 1e5, 0.3, 0.9]] * 2),
+        np.array([[0.7, 0.0], [0.8, -0.2]]),
+        np.tile(pushing.START, (2, 1)),
+    )
+    level, turned = (
+        make_backend(name, **given).simulate(*batch) for given in ({}, {"gravity": gravity})
+    )
+    slides = [
+        make_backend("planar", lacking=lacking).simulate(*batch)
+        for lacking in ({}, {"tilt_y": tilt})
+    ]
+
+    def aside(pair):
+        return (pair[1].state - pair[0].state)[:, -1, 1]
+
     np.testing.assert_allclose(aside((level, turned)), aside(slides), rtol=0.25)
-    assert np.abs(turned.state[:, 15, :2] - pushing.START).max() < 1e-3  # friction holds it until the plate comes
+    assert (
+        np.abs(turned.state[:, 15, :2] - pushing.START).max() < 1e-3
+    )  # friction holds it until the plate comes
 
 
 @pytest.mark.slow
 def test_drake_is_near_native(native, batch):
-    """Three pushes; another contact law and no fit to them: see docs/results/pushing.md for two hundred."""
+    """Three pushes; another contact law and no fit to them: see docs/results/pushing.md for two
+    hundred.
+    """
     pytest.importorskip("pydrake")
     few = tuple(a[:3] for a in batch)
     out = make_backend("drake").simulate(*few)
@@ -204,7 +244,12 @@ def test_drake_is_near_native(native, batch):
 
 def test_drake_that_is_not_there_says_what_to_install(monkeypatch):
     real = importlib.import_module
-    absent = lambda name: (_ for _ in ()).throw(ImportError(name)) if name.startswith("pydrake") else real(name)
+
+    def absent(name):
+        return (
+            (_ for _ in ()).throw(ImportError(name)) if name.startswith("pydrake") else real(name)
+        )
+
     monkeypatch.setattr(importlib, "import_module", absent)
     with pytest.raises(BadInput, match=r"pip install 'adaptsim_jax\[drake\]'"):
         make_backend("drake")

@@ -1,4 +1,6 @@
-"""Tracks in another frame than declared are told by what they look like; those of a robot that veers a little are taken."""
+"""Tracks in another frame than declared are told by what they look like; those of a robot that
+veers a little are taken.
+"""
 
 import numpy as np
 import pytest
@@ -45,7 +47,9 @@ def test_pushes_that_go_where_they_should_are_not_doubted(seed, count):
 
 def test_a_robot_that_veers_is_taken_with_a_word():
     for angles in ANGLES.values():
-        assert "7 degrees to the left" in (check_frame(angles, way(angles + 0.12, noise=0.0), "") or "")
+        assert "7 degrees to the left" in (
+            check_frame(angles, way(angles + 0.12, noise=0.0), "") or ""
+        )
 
 
 def test_bottles_that_hardly_moved_say_nothing():
@@ -59,7 +63,9 @@ def test_tracks_of_other_pushes_are_refused(count):
     check_order(range(count), angles, went, "tracks.csv")
     order = np.arange(count)
     order[[0, -1]] = order[[-1, 0]]
-    with pytest.raises(BadInput, match=rf"trials 0 and {count - 1} went where the other was pushed"):
+    with pytest.raises(
+        BadInput, match=rf"trials 0 and {count - 1} went where the other was pushed"
+    ):
         check_order(range(count), angles, went[order], "tracks.csv")
     if count > 2:
         mixed = np.random.default_rng(3).permutation(angles)

@@ -23,20 +23,29 @@ def test_the_simulator_is_the_backend_of_that_name():
     )
     expected = make_backend("native").simulate(params, actions, starts).state[..., :2]
     assert found.shape == (4, 130, 2) and make_guide(config) is not None
-    assert np.abs(np.asarray(found) - expected).max() < 0.002  # m; MJX in float32, docs/results/pushing.md
+    assert (
+        np.abs(np.asarray(found) - expected).max() < 0.002
+    )  # m; MJX in float32, docs/results/pushing.md
 
 
 @pytest.mark.slow
 def test_policies_are_trained_refined_and_visits_made_in_it():
-    """What Phase 1 takes of the task: `train_many` from the untrained, and `rehearse`; how good they are is not looked at."""
+    """What Phase 1 takes of the task: `train_many` from the untrained, and `rehearse`; how good
+    they are is not looked at.
+    """
     options = {"duration": 0.65, "trials": 20, "rehearsal": [2, 1]}
     task = make_task("pushing", PRESETS["mjx-pushing"]().task | options)
     mean = jnp.full(4, 0.5)
 
     def visit(key):
         policy = task.init_policy(key)
-        one = lambda x: jax.tree.map(lambda y: y[None], x)
-        trained = task.train_many(key[None], one(gaussian(task.space, mean)), one(policy), jnp.full(1, 20))
+
+        def one(x):
+            return jax.tree.map(lambda y: y[None], x)
+
+        trained = task.train_many(
+            key[None], one(gaussian(task.space, mean)), one(policy), jnp.full(1, 20)
+        )
         policy = jax.tree.map(lambda x: x[0], trained)
         return policy, task.rehearse(key, policy, task.space.physical(mean))
 

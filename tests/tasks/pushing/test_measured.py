@@ -16,7 +16,9 @@ from adaptsim_jax.tasks.pushing.task import PushingConfig
 
 CONFIG = PushingConfig(hidden=(16,))
 PUSHES = measured.Pushes(
-    np.array([3, 4]), np.array([[0.8, 0.03], [0.9, -0.05]]), np.array([[0.6, 0.1], [0.75, -0.15]], np.float32)
+    np.array([3, 4]),
+    np.array([[0.8, 0.03], [0.9, -0.05]]),
+    np.array([[0.6, 0.1], [0.75, -0.15]], np.float32),
 )
 
 
@@ -24,7 +26,9 @@ def places(duration=1.4):
     """`[2, 140, 2]` m: the two pushes simulated."""
     options = model.PushOptions(duration=duration)
     params = jnp.array([0.15, 1e5, 0.5, 0.0])
-    return np.asarray(jax.jit(jax.vmap(lambda a: planar.rollout(params, a, options)))(jnp.asarray(PUSHES.actions)))
+    return np.asarray(
+        jax.jit(jax.vmap(lambda a: planar.rollout(params, a, options)))(jnp.asarray(PUSHES.actions))
+    )
 
 
 PLACES = places()
@@ -52,13 +56,18 @@ def moved(rows, by):
 
 def take(path, config=CONFIG):
     table = read_table(path, measured.COLUMNS, least=1)
-    at = lambda i: f"{path}: {table.row_word} {table.lines[i]}"
+
+    def at(i):
+        return f"{path}: {table.row_word} {table.lines[i]}"
+
     return measured.measured_trajectory(table.columns, at, str(path), PUSHES, config)
 
 
 @pytest.mark.parametrize("rate, tolerance", [(100.0, 1e-5), (30.0, 1.5e-3), (15.0, 4e-3)])
 def test_a_record_is_the_trajectory_that_was_simulated(tmp_path, rate, tolerance):
-    """To rounding at the simulator's rate; to what a straight line misses of a braking bottle between slower frames."""
+    """To rounding at the simulator's rate; to what a straight line misses of a braking bottle
+    between slower frames.
+    """
     got = take(write(tmp_path / "m.csv", record(rate)))
     points = PLACES[:, [21, 42, 64, 86, 107, 129]]
     np.testing.assert_allclose(got.points, points, atol=tolerance)
@@ -107,28 +116,62 @@ def scaled(*columns, by):
 
 FRAMES = 81  # of a trial
 BAD = {
-    "millimetres": (scaled(2, 3, by=1000), "line 2: x = 560 m is beyond any push; it looks like mm: write metres"),
-    "milliseconds": (scaled(1, by=1000), "line 82: trial 3: lasts 1333.33 s; is time in ms? write seconds"),
-    "a trial never asked": (changed(0, 7), "line 12: trial 7 was never asked for; asked are 3 and 4"),
+    "millimetres": (
+        scaled(2, 3, by=1000),
+        "line 2: x = 560 m is beyond any push; it looks like mm: write metres",
+    ),
+    "milliseconds": (
+        scaled(1, by=1000),
+        "line 82: trial 3: lasts 1333.33 s; is time in ms? write seconds",
+    ),
+    "a trial never asked": (
+        changed(0, 7),
+        "line 12: trial 7 was never asked for; asked are 3 and 4",
+    ),
     "trial 0": (changed(0, 0), "line 12: trial 0 was never asked for"),
-    "a trial of before": (changed(0, 2), "line 12: trial 2 was told already; name the file of 3 and 4"),
+    "a trial of before": (
+        changed(0, 2),
+        "line 12: trial 2 was told already; name the file of 3 and 4",
+    ),
     "no whole trial": (changed(0, 3.5), "line 12: trial 3.5 is no whole number"),
-    "a trial missing": (lambda rows: rows[:FRAMES], "m.csv: trial 4 is missing; record trials 3, 4 into one file"),
-    "a time twice": (changed(1, 9 / 60), "line 12: trial 3: time repeats (0.15 then 0.15); sort or remove such rows"),
+    "a trial missing": (
+        lambda rows: rows[:FRAMES],
+        "m.csv: trial 4 is missing; record trials 3, 4 into one file",
+    ),
+    "a time twice": (
+        changed(1, 9 / 60),
+        "line 12: trial 3: time repeats (0.15 then 0.15); sort or remove such rows",
+    ),
     "time backwards": (changed(1, 0.1), "line 12: trial 3: time runs backwards (0.15 then 0.1)"),
     "not a number": (changed(2, np.nan), "line 12: column x is nan; remove such rows"),
     "infinite": (changed(3, np.inf, 90), "line 92: column y is inf; remove such rows"),
     "a gap": (
         lambda rows: np.delete(rows, range(FRAMES + 20, FRAMES + 30), 0),
-        "line 103: trial 4: nothing was recorded from 0.3167 to 0.5 s; a gap of at most 0.1 s can be filled",
+        "line 103: trial 4: nothing was recorded from 0.3167 to 0.5 s; a gap of at most 0.1 s can "
+        "be filled",
     ),
-    "too short": (lambda rows: rows[rows[:, 1] < 1.0], "line 61: trial 3: ends at 0.9833 s; record it for 1.3 s"),
-    "begun late": (lambda rows: rows[rows[:, 1] > 0.3], "line 2: trial 3: begins at 0.316666667 s; record from the arm's"),
-    "the clock on the wall": (lambda rows: moved(rows, [0, 1.7e9, 0, 0]), "line 2: trial 3: begins at 1.7e+09 s; record from"),
-    "another frame": (lambda rows: moved(rows, [0, 0, -0.56, 0]), "line 2: trial 3: the bottle stands at (0, 0) m, 56 cm from"),
+    "too short": (
+        lambda rows: rows[rows[:, 1] < 1.0],
+        "line 61: trial 3: ends at 0.9833 s; record it for 1.3 s",
+    ),
+    "begun late": (
+        lambda rows: rows[rows[:, 1] > 0.3],
+        "line 2: trial 3: begins at 0.316666667 s; record from the arm's",
+    ),
+    "the clock on the wall": (
+        lambda rows: moved(rows, [0, 1.7e9, 0, 0]),
+        "line 2: trial 3: begins at 1.7e+09 s; record from",
+    ),
+    "another frame": (
+        lambda rows: moved(rows, [0, 0, -0.56, 0]),
+        "line 2: trial 3: the bottle stands at (0, 0) m, 56 cm from",
+    ),
     "another thing": (changed(3, 0.4, FRAMES + 40), "line 123: trial 4: the bottle jumps 4"),
-    "never moved": (lambda rows: np.column_stack([rows[:, :2], 0 * rows[:, :2] + model.START]), "line 82: trial 3: the bott"),
-}  # fmt: skip
+    "never moved": (
+        lambda rows: np.column_stack([rows[:, :2], 0 * rows[:, :2] + model.START]),
+        "line 82: trial 3: the bott",
+    ),
+}
 
 
 @pytest.mark.parametrize("case", BAD)
@@ -164,7 +207,10 @@ def test_a_file_that_is_no_record_is_refused(tmp_path, text, says):
 def test_pushes_are_the_policys_for_goals_of_the_task_and_new_each_time():
     naf = pushing.make_pushing_naf(CONFIG)
     policy = pushing.PushingPolicy(jax.jit(naf.init)(jax.random.key(1)).online)
-    ask = lambda seed, told: measured.pushes_to_make(jax.random.key(seed), told, policy, CONFIG)
+
+    def ask(seed, told):
+        return measured.pushes_to_make(jax.random.key(seed), told, policy, CONFIG)
+
     first, again, second, other = ask(0, 0), ask(0, 0), ask(0, 1), ask(1, 0)
     assert first.numbers.tolist() == [1, 2] and second.numbers.tolist() == [3, 4]
     np.testing.assert_array_equal(first.goals, again.goals)
@@ -172,16 +218,25 @@ def test_pushes_are_the_policys_for_goals_of_the_task_and_new_each_time():
     assert len(np.unique(goals.round(6), axis=0)) == 6
     radius, angle = np.hypot(*(goals - [0.45, 0]).T), np.arctan2(goals[:, 1], goals[:, 0] - 0.45)
     assert np.all((radius > 0.25 - 1e-6) & (radius < 0.55 + 1e-6) & (np.abs(angle) < 0.175 + 1e-6))
-    np.testing.assert_allclose(first.actions, pushing.make_policy(CONFIG)(policy, jnp.asarray(first.goals)), atol=1e-6)
+    np.testing.assert_allclose(
+        first.actions, pushing.make_policy(CONFIG)(policy, jnp.asarray(first.goals)), atol=1e-6
+    )
 
 
 def test_a_policy_is_read_back_from_its_file(tmp_path):
-    policy = pushing.PushingPolicy(jax.jit(pushing.make_pushing_naf(CONFIG).init)(jax.random.key(1)).online)
+    policy = pushing.PushingPolicy(
+        jax.jit(pushing.make_pushing_naf(CONFIG).init)(jax.random.key(1)).online
+    )
     table = {"hidden": [16], "policy": {"weights": policy.weights.tolist()}}
     configs.write(tmp_path / "best.toml", table)
     act, goal = measured.read_policy(tmp_path / "best.toml"), jnp.array([0.85, 0.02])
     np.testing.assert_allclose(act(goal), pushing.make_policy(CONFIG)(policy, goal), atol=1e-6)
-    for bad in ({}, {"hidden": [16], "policy": {"weights": [1.0]}}, {"policy": 3}, {"hidden": ["a"]}):
+    for bad in (
+        {},
+        {"hidden": [16], "policy": {"weights": [1.0]}},
+        {"policy": 3},
+        {"hidden": ["a"]},
+    ):
         configs.write(tmp_path / "bad.toml", bad)
         with pytest.raises(BadInput, match="holds no policy of the push"):
             measured.read_policy(tmp_path / "bad.toml")

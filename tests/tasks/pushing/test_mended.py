@@ -1,4 +1,6 @@
-"""A mended push as the simulator that policies are trained in: what a diagnosis wrote goes into `adaptsim train --model`."""
+"""A mended push as the simulator that policies are trained in: what a diagnosis wrote goes into
+`adaptsim train --model`.
+"""
 
 import json
 
@@ -27,7 +29,9 @@ MODEL = {
 def test_a_mended_push_is_the_slide_and_one_that_lacks_nothing_is_planar():
     plain = make_simulator(PushingConfig())(PARAMS, ACTION)
     np.testing.assert_array_equal(plain, planar.rollout(PARAMS, ACTION))
-    tilted = jax.jit(make_simulator(PushingConfig(mended=slide.Lacking(tilt_y=0.03))))(PARAMS, ACTION)
+    tilted = jax.jit(make_simulator(PushingConfig(mended=slide.Lacking(tilt_y=0.03))))(
+        PARAMS, ACTION
+    )
     assert tilted.shape == plain.shape
     assert tilted[-1, 1] > plain[-1, 1] + 0.005, "it slides downhill"
     gently = make_simulator(PushingConfig(mended=slide.Lacking(tilt_y=1e-9)))(PARAMS, ACTION)
@@ -89,10 +93,15 @@ def test_it_is_trained_and_adapted_from_the_command_line(tmp_path, capsys, monke
 
 def test_a_target_may_lack_what_the_simulator_has_not():
     level, tilted = (
-        make_one_shot("pushing", {}).world("planar", **settings) for settings in ({}, {"lacking": {"tilt_y": 0.03}})
+        make_one_shot("pushing", {}).world("planar", **settings)
+        for settings in ({}, {"lacking": {"tilt_y": 0.03}})
     )
     goals, actions = np.array([[0.9, 0.0]]), np.zeros((1, 2), np.float32)
-    places = [world.run(np.asarray(PARAMS)[None], goals, actions)[0][0, -1] for world in (level, tilted)]
+    places = [
+        world.run(np.asarray(PARAMS)[None], goals, actions)[0][0, -1] for world in (level, tilted)
+    ]
     assert places[1][1] > places[0][1] + 0.005
     mended = make_one_shot("pushing", {"mended": {"tilt_y": 0.03}}).world("planar")
-    np.testing.assert_allclose(mended.run(np.asarray(PARAMS)[None], goals, actions)[0][0, -1], places[1], atol=1e-6)
+    np.testing.assert_allclose(
+        mended.run(np.asarray(PARAMS)[None], goals, actions)[0][0, -1], places[1], atol=1e-6
+    )

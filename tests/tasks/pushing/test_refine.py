@@ -21,7 +21,9 @@ from adaptsim_jax.tasks.pushing.refine import refine
 from adaptsim_jax.tasks.pushing.slide import Lacking
 from adaptsim_jax.tasks.pushing.task import PushingConfig, PushingPolicy
 
-PLAIN = PushingConfig(tests=6, hidden=(16,), pretrain=True, goals="fixed", training=GoalConfig(block=20, capacity=60))
+PLAIN = PushingConfig(
+    tests=6, hidden=(16,), pretrain=True, goals="fixed", training=GoalConfig(block=20, capacity=60)
+)
 REFINED = replace(PLAIN, refine=6)
 
 
@@ -42,9 +44,13 @@ def test_a_linear_push_is_solved_and_a_goal_out_of_reach_is_approached():
 
 
 def test_the_best_of_the_trials_is_given_and_one_trial_changes_nothing():
-    push = lambda a: jnp.array([0.85, 0.0]) + 0.3 * jnp.sin(20.0 * a)  # no slope is of use here
+    def push(a):
+        return jnp.array([0.85, 0.0]) + 0.3 * jnp.sin(20.0 * a)  # no slope is of use here
+
     goal, start = jnp.array([0.9, 0.05]), jnp.array([0.3, -0.4])
-    missed = [float(jnp.linalg.norm(push(refine(push, goal, start, n)) - goal)) for n in range(1, 8)]
+    missed = [
+        float(jnp.linalg.norm(push(refine(push, goal, start, n)) - goal)) for n in range(1, 8)
+    ]
     assert missed == sorted(missed, reverse=True)
     np.testing.assert_array_equal(refine(push, goal, start, 1), start)
 
@@ -54,7 +60,10 @@ def test_refined_pushes_end_at_their_goals_in_the_simulator():
     params = pushing.pushing_space().physical(blank().at)
     goals = pushing.goal_lattice(12)
     place = jax.jit(jax.vmap(lambda a: planar.rollout(params, a)[-1]))
-    ends = lambda config: place(jax.jit(pushing.make_policy(config))(blank(), goals))
+
+    def ends(config):
+        return place(jax.jit(pushing.make_policy(config))(blank(), goals))
+
     rewards = [float(pushing.push_reward(ends(c), goals).mean()) for c in (PLAIN, REFINED)]
     assert rewards[0] < 0.75 and rewards[1] > 0.9
 
@@ -75,20 +84,30 @@ def test_without_tuning_a_policy_is_only_moved_and_phase_1_has_tests_of_its_own(
     means = jnp.array([[0.2, 0.9, 0.4, 0.6]])
     policies = jax.tree.map(lambda x: x[None], blank())
     moved = jax.jit(task.train_many)(
-        jax.random.split(jax.random.key(0), 1), Gaussian(means, 1e-4 + 0 * means), policies, jnp.array([40])
+        jax.random.split(jax.random.key(0), 1),
+        Gaussian(means, 1e-4 + 0 * means),
+        policies,
+        jnp.array([40]),
     )
     np.testing.assert_array_equal(moved.at, means)
     np.testing.assert_array_equal(moved.weights, policies.weights)  # the tilt is 0 here
     assert task.rehearse is not None and pushing.make_pushing(REFINED).rehearse is None
     params = task.space.physical(jnp.array([0.4, 0.6, 0.5, 0.5]))
-    whole, part = (jax.jit(run)(jax.random.key(0), blank(), params) for run in (task.rollout, task.rehearse))
+    whole, part = (
+        jax.jit(run)(jax.random.key(0), blank(), params) for run in (task.rollout, task.rehearse)
+    )
     np.testing.assert_array_equal(whole.goals, part.goals)
-    assert float(whole.rewards.mean()) != float(part.rewards.mean()) and float(whole.tested) != float(part.tested)
+    assert float(whole.rewards.mean()) != float(part.rewards.mean()) and float(
+        whole.tested
+    ) != float(part.tested)
 
 
 @pytest.mark.slow
 def test_a_refined_policy_is_read_back_from_its_file(tmp_path):
-    config, policy = replace(REFINED, mu=(0.05, 0.3), friction="coupled"), blank((0.3, 0.6, 0.2, 0.7))
+    config, policy = (
+        replace(REFINED, mu=(0.05, 0.3), friction="coupled"),
+        blank((0.3, 0.6, 0.2, 0.7)),
+    )
     path = tmp_path / "best.toml"
     configs.write(path, pushing_measured.policy_table(policy, config))
     goals = pushing.goal_lattice(4)
@@ -125,7 +144,9 @@ def test_the_gap_to_what_e_expects_is_observed_and_is_0_where_the_target_is_e():
     one = make_pushing_one_shot(config)
     arena = Arena(one, one.world("planar"), np.asarray(task.space.physical(policy.at))[None])
     seen = arena.visit(
-        jax.random.split(jax.random.key(1), 1), np.zeros(1, int), jax.tree.map(lambda x: x[None], policy)
+        jax.random.split(jax.random.key(1), 1),
+        np.zeros(1, int),
+        jax.tree.map(lambda x: x[None], policy),
     )
     np.testing.assert_allclose(seen.obs[0], at_e, atol=2e-3)
 

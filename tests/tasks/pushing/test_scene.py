@@ -19,7 +19,9 @@ def test_the_profile_rises_holds_and_ends():
     at = pushing.ramp([0.0, 0.01, 0.11, 0.21, 0.31, 0.56, 0.81, 1.3])
     np.testing.assert_allclose(at, [0, 0, 0.5, 1, 1, 0.5, 0, 0], atol=1e-12)
     steps = pushing.slopes(0.005, 260)
-    np.testing.assert_allclose(np.cumsum(steps) * 0.005, pushing.ramp(np.arange(1, 261) * 0.005), atol=1e-12)
+    np.testing.assert_allclose(
+        np.cumsum(steps) * 0.005, pushing.ramp(np.arange(1, 261) * 0.005), atol=1e-12
+    )
 
 
 def test_friction_semantics():
@@ -48,7 +50,8 @@ def _standing(x, y=0.0, speed=0.5, mass=0.3):
 
 
 @pytest.mark.parametrize(
-    ("x", "y", "expected"), [(0.60, 0.0, 0.1), (0.75, 0.0, 0.5), (0.70, 0.0, 0.3), (0.75, 0.05, 0.3)]
+    ("x", "y", "expected"),
+    [(0.60, 0.0, 0.1), (0.75, 0.0, 0.5), (0.70, 0.0, 0.3), (0.75, 0.05, 0.3)],
 )
 def test_ground_friction_is_what_the_sole_stands_on(x, y, expected):
     friction = Frictions(*(np.full((1, 1), v) for v in (0.1, 0.5, 0.3)))
@@ -76,7 +79,9 @@ def test_ground_friction_is_the_same_in_jax(x64):
     friction = Frictions(*(np.full((1, 1), v) for v in (0.1, 0.5, 0.3)))
     here = pushing.ground_friction(pose, friction, np.zeros((1, 1)), 0.3, 0.005)
     with jax.numpy_rank_promotion("allow"):
-        there = pushing.ground_friction(jnp.asarray(pose), friction, np.zeros((1, 1)), 0.3, 0.005, jnp)
+        there = pushing.ground_friction(
+            jnp.asarray(pose), friction, np.zeros((1, 1)), 0.3, 0.005, jnp
+        )
     np.testing.assert_allclose(there, here, rtol=1e-9, atol=1e-12)
 
 
@@ -104,7 +109,9 @@ def test_options_go_through_a_config_file():
 
 
 def test_unknown_backends_are_refused():
-    with pytest.raises(BadInput, match="backend 'mujoco' is unknown; known: native, mjx, planar, drake"):
+    with pytest.raises(
+        BadInput, match="backend 'mujoco' is unknown; known: native, mjx, planar, drake"
+    ):
         make_backend("mujoco")
     assert set(BACKENDS) == {"native", "mjx", "planar", "drake"}
 
@@ -127,5 +134,10 @@ def test_states_without_a_motion_are_told_and_finite():
     state[2, 2:, 0] = 1e3
     state[3, 4, 3:5] = np.cos(0.3), np.sin(0.3)  # tilted by 0.6 rad
     out = scene.finished(state, batch)
-    assert list(out.code) == [pushing.FINE, *2 * [pushing.DIVERGED], pushing.FALLEN, pushing.DIVERGED]
+    assert list(out.code) == [
+        pushing.FINE,
+        *2 * [pushing.DIVERGED],
+        pushing.FALLEN,
+        pushing.DIVERGED,
+    ]
     assert np.isfinite(out.state).all() and set(out.code) <= set(pushing.MESSAGES)

@@ -1,4 +1,6 @@
-"""The push with one policy for all of Omega: moved to a mean of E, lent to every visit of Phase 1, and tuned in Phase 2."""
+"""The push with one policy for all of Omega: moved to a mean of E, lent to every visit of Phase 1,
+and tuned in Phase 2.
+"""
 
 from dataclasses import replace
 
@@ -23,9 +25,15 @@ from adaptsim_jax.tasks.pushing.task import PushingConfig, make_pushing
 
 SIZES = GoalConfig(block=20, updates=5, batch=16, candidates=8, capacity=60)
 SHORT = PushingConfig(
-    trials=40, tests=6, hidden=(16,), pretrain=True, goals="fixed", training=SIZES, tuning=SIZES,
+    trials=40,
+    tests=6,
+    hidden=(16,),
+    pretrain=True,
+    goals="fixed",
+    training=SIZES,
+    tuning=SIZES,
     shared=SharedConfig(contexts=20, trials=16, updates=20, batch=16, candidates=8),
-)  # fmt: skip
+)
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +64,10 @@ def test_fixed_goals_are_the_same_for_every_key_and_lie_in_the_sector():
     first, second = (np.asarray(pushing.visit_goals(jax.random.key(k), SHORT)) for k in range(2))
     np.testing.assert_array_equal(first, second)
     assert first[0, 1] < 0 < first[1, 1] and first[:, 0].min() > 0.69 and first[:, 0].max() < 1.0
-    spread = [np.asarray(pushing.visit_goals(jax.random.key(k), replace(SHORT, goals="spread"))) for k in range(20)]
+    spread = [
+        np.asarray(pushing.visit_goals(jax.random.key(k), replace(SHORT, goals="spread")))
+        for k in range(20)
+    ]
     assert all(g[0, 1] < 0 < g[1, 1] for g in spread) and np.ptp([g[0, 0] for g in spread]) > 0.02
 
 
@@ -64,19 +75,41 @@ def test_fixed_goals_are_the_same_for_every_key_and_lie_in_the_sector():
 def test_phase_1_lends_the_one_policy_to_every_visit_and_phase_2_tunes_it(made):
     task, _ = made
     sizes = Phase1Config(
-        trajectories=8, parallel=4, horizon=3, updates=2, batch=8, capacity=24, archive=24, hidden=(16,),
+        trajectories=8,
+        parallel=4,
+        horizon=3,
+        updates=2,
+        batch=8,
+        capacity=24,
+        archive=24,
+        hidden=(16,),
         reuse=ReuseConfig(threshold=9.0, first=20, most=30, least=10, capacity=4, together=4),
-    )  # fmt: skip
+    )
     phase1 = make_phase1(task, sizes)
     hyper = traced(pushing_sweep().hyper)
     state, info = jax.jit(phase1.run)(jax.jit(phase1.init)(jax.random.key(0)), hyper, jnp.arange(2))
-    assert int(state.pool.count) == 1 and info.trials.tolist() == [0.0, 0.0] and info.reused.tolist() == [1.0, 1.0]
+    assert (
+        int(state.pool.count) == 1
+        and info.trials.tolist() == [0.0, 0.0]
+        and info.reused.tolist() == [1.0, 1.0]
+    )
     np.testing.assert_array_equal(state.archive.policy.at, state.archive.mean)
     starts = draw_starts(jax.random.key(1), state.archive, 24, 2)
     target = jnp.asarray(task.space.values(task.settings["ood-1"]), jnp.float32)
-    run = lambda k: adapt(
-        k, task, phase1.bdq, state.learner.target, starts, target, iterations=2, delta=0.2, shrink=0.5
-    )
+
+    def run(k):
+        return adapt(
+            k,
+            task,
+            phase1.bdq,
+            state.learner.target,
+            starts,
+            target,
+            iterations=2,
+            delta=0.2,
+            shrink=0.5,
+        )
+
     found = jax.jit(run)(jax.random.key(2))
     moves = np.abs(np.diff(np.asarray(found.history.mean), axis=1))
     for i, size in enumerate((0.2, 0.1)):  # whole steps, or what is left up to the border of Omega
@@ -91,7 +124,12 @@ def test_baselines_start_from_one_shared_policy_a_seed():
     batch = lanes(2, bout.seeds, 1, label=2)
     policies = first_policies(bout, batch, None)
     same_seed = batch.seed[:, None] == batch.seed[None]
-    apart = np.abs(np.asarray(policies.weights)[:, None] - np.asarray(policies.weights)[None]).max(-1)
+    apart = np.abs(np.asarray(policies.weights)[:, None] - np.asarray(policies.weights)[None]).max(
+        -1
+    )
     assert np.all(apart[same_seed] == 0) and np.all(apart[~same_seed] > 0)
-    seen = [bout.arena.visit(jax.random.split(jax.random.key(k), 4), batch.where, policies).obs for k in range(2)]
+    seen = [
+        bout.arena.visit(jax.random.split(jax.random.key(k), 4), batch.where, policies).obs
+        for k in range(2)
+    ]
     np.testing.assert_array_equal(*seen)

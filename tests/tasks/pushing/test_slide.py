@@ -1,4 +1,6 @@
-"""The push as a slide in two dimensions, against the planar model, a finer step, and what each effect has to do."""
+"""The push as a slide in two dimensions, against the planar model, a finer step, and what each
+effect has to do.
+"""
 
 from functools import partial
 
@@ -14,7 +16,9 @@ PARAMS, ACTIONS, _ = model.draw(0, 24)
 
 @partial(jax.jit, static_argnames=("step", "as_planar"))
 def batch(values, actions, step, as_planar):
-    return jax.vmap(lambda v, a: slide.rollout(v, a, step=step, as_planar=as_planar))(values, actions)
+    return jax.vmap(lambda v, a: slide.rollout(v, a, step=step, as_planar=as_planar))(
+        values, actions
+    )
 
 
 def rolled(step=slide.STEP, as_planar=False, **more):
@@ -27,7 +31,9 @@ def rolled(step=slide.STEP, as_planar=False, **more):
 def test_it_is_the_planar_model_where_nothing_acts_sideways():
     with jax.enable_x64(True):
         expected = np.asarray(jax.jit(jax.vmap(planar.trajectory))(PARAMS, ACTIONS))
-    np.testing.assert_allclose(rolled(planar.STEP, as_planar=True)[:, 2::2, :4], expected, atol=1e-6)
+    np.testing.assert_allclose(
+        rolled(planar.STEP, as_planar=True)[:, 2::2, :4], expected, atol=1e-6
+    )
 
 
 def test_the_step_of_1_ms_has_converged_but_for_a_fraction_of_a_millimetre():
@@ -38,14 +44,19 @@ def test_the_step_of_1_ms_has_converged_but_for_a_fraction_of_a_millimetre():
 
 def test_a_slope_across_bends_the_track_downhill_and_a_turned_heading_turns_it():
     plain = rolled()
-    aside = lambda z: z[:, -1, 1] - plain[:, -1, 1]
+
+    def aside(z):
+        return z[:, -1, 1] - plain[:, -1, 1]
+
     assert (aside(rolled(tilt_y=0.02)) > 0.002).all()
     assert (aside(rolled(heading_offset=0.05)) > 0.002).all()
     assert np.isfinite(rolled(grain_a=0.4, grain_b=-0.2, drag=0.5, plate_turn=0.1)).all()
 
 
 def test_a_bottle_that_turns_is_that_of_other_equations_of_motion():
-    """Those of `experiments/pushing_worlds`: about the axis instead of the centre of mass, at another step, without JAX."""
+    """Those of `experiments/pushing_worlds`: about the axis instead of the centre of mass, at
+    another step, without JAX.
+    """
     lanes = {k: np.zeros(len(PARAMS)) for k in pushing_worlds.ZERO}
     lanes |= dict(zip(("mu", "e", "mu_p", "y_p"), PARAMS.T, strict=True)) | dict(
         zip(("speed", "angle"), ACTIONS.T, strict=True)
@@ -81,7 +92,9 @@ def test_it_is_differentiable():
 
 
 def test_another_mass_is_a_softer_contact_and_no_other_modulus():
-    """Friction does not know of mass. Stiffness and damping fall alike, by which no modulus changes both."""
+    """Friction does not know of mass. Stiffness and damping fall alike, by which no modulus changes
+    both.
+    """
     halved = rolled(heavier=1.0)
     values = dict(zip(model.PARAMETERS, PARAMS.T, strict=True))
     heavy = model.PushOptions(mass=2 * model.NOMINAL_MASS)

@@ -1,4 +1,6 @@
-"""The bottle's turn where a camera saw it: how it is read, what is refused, and what of it enters the residuals."""
+"""The bottle's turn where a camera saw it: how it is read, what is refused, and what of it enters
+the residuals.
+"""
 
 import json
 from dataclasses import replace
@@ -26,15 +28,23 @@ def world(tmp_path_factory):
 def test_a_turn_in_some_files_only_is_refused_by_the_file_that_lacks_it(world, tmp_path):
     folder = changed(world, tmp_path / "some", lambda yaw: yaw)
     lines = (folder / "tracks.csv").read_text().splitlines()
-    last = [line for line in lines[1:] if float(line.split(",")[0]) == float(lines[-1].split(",")[0])]
-    (folder / "tracks.csv").write_text("\n".join([lines[0], *(line for line in lines[1:] if line not in last), ""]))
-    (folder / "more.csv").write_text("\n".join(line.rsplit(",", 1)[0] for line in [lines[0], *last]) + "\n")
+    last = [
+        line for line in lines[1:] if float(line.split(",")[0]) == float(lines[-1].split(",")[0])
+    ]
+    (folder / "tracks.csv").write_text(
+        "\n".join([lines[0], *(line for line in lines[1:] if line not in last), ""])
+    )
+    (folder / "more.csv").write_text(
+        "\n".join(line.rsplit(",", 1)[0] for line in [lines[0], *last]) + "\n"
+    )
     with pytest.raises(BadInput, match=r"more.csv: no column 'yaw', which tracks.csv has; add it"):
         read(folder)
 
 
 def changed(world, folder, change, meta=""):
-    """A copy of the world with `change(yaw [N]) -> [N]` of all rows, or without the column where there is none."""
+    """A copy of the world with `change(yaw [N]) -> [N]` of all rows, or without the column where
+    there is none.
+    """
     folder.mkdir()
     for name in ("actions.csv", "truth.json"):
         (folder / name).write_text((world / name).read_text())
@@ -43,14 +53,19 @@ def changed(world, folder, change, meta=""):
     lines = [row[0] for row in rows]
     if change:
         yaw = change(np.array([float(row[1] or "nan") for row in rows[1:]]))
-        lines = [f"{rows[0][0]},yaw", *(f"{a},{'' if np.isnan(z) else z}" for a, z in zip(lines[1:], yaw, strict=True))]
+        lines = [
+            f"{rows[0][0]},yaw",
+            *(f"{a},{'' if np.isnan(z) else z}" for a, z in zip(lines[1:], yaw, strict=True)),
+        ]
     (folder / "tracks.csv").write_text("\n".join([*lines, ""]))
     return folder
 
 
 def test_turns_are_read_from_any_marker_without_whole_turns_and_drop_outs(world, tmp_path):
     pushed = read(world)
-    assert pushed.channels == ("x", "y", "yaw") and pushed.noise_yaw == pytest.approx(NOISE, rel=0.3)
+    assert pushed.channels == ("x", "y", "yaw") and pushed.noise_yaw == pytest.approx(
+        NOISE, rel=0.3
+    )
     assert 0.9 < pushed.turned.sum() / pushed.mask.sum() < 1.0
     assert np.abs(np.diff(pushed.yaw, axis=1)).max() < 0.5
     assert np.abs(pushed.yaw[:, :8]).max() < 0.05 and np.abs(pushed.yaw).max() > 0.3
@@ -66,13 +81,30 @@ def test_turns_are_read_from_any_marker_without_whole_turns_and_drop_outs(world,
 @pytest.mark.parametrize(
     ("change", "meta", "says"),
     [
-        (np.degrees, "", r"tracks.csv: line \d+: trial 1: yaw = .* rad is several turns; is it in degrees\? write radians"),
-        (lambda z: np.where(np.arange(len(z)) == 100, z + 2.5, z), "", r"turns by 2.\d rad between two rows; empty the cells"),
-        (lambda z: np.degrees(NOISE) * np.random.default_rng(0).standard_normal(len(z)), "", "in degrees|between two rows"),
-        (lambda z: z, "noise_yaw = 3.0\n", "meta.toml: noise_yaw = 3.0 is no size in rad; write e.g. 0.01"),
+        (
+            np.degrees,
+            "",
+            r"tracks.csv: line \d+: trial 1: yaw = .* rad is several turns; is it in degrees\? "
+            r"write radians",
+        ),
+        (
+            lambda z: np.where(np.arange(len(z)) == 100, z + 2.5, z),
+            "",
+            r"turns by 2.\d rad between two rows; empty the cells",
+        ),
+        (
+            lambda z: np.degrees(NOISE) * np.random.default_rng(0).standard_normal(len(z)),
+            "",
+            "in degrees|between two rows",
+        ),
+        (
+            lambda z: z,
+            "noise_yaw = 3.0\n",
+            "meta.toml: noise_yaw = 3.0 is no size in rad; write e.g. 0.01",
+        ),
         (lambda z: np.nan * z, "", "column yaw holds no number in any row"),
     ],
-)  # fmt: skip
+)
 def test_turns_that_cannot_be_judged_are_refused(world, tmp_path, change, meta, says):
     with pytest.raises(BadInput, match=says):
         read(changed(world, tmp_path / "bad", change, meta))
@@ -82,8 +114,15 @@ def test_residuals_hold_the_turn_whatever_way_the_marker_was_glued_on(world):
     truth = json.loads((world / "truth.json").read_text())
     pushed = read(world)
     problem = prepare(pushed, pushed.options, pushed.coefficients)
-    given = {"mu": truth["mu"], "log_e": np.log10(truth["e"]), "mu_p": truth["mu_p"], "y_p": truth["y_p"]}
-    given |= dict(zip(TURNING, (truth["light"] * 4.5e-4, truth["com_x"], truth["com_y"]), strict=True))
+    given = {
+        "mu": truth["mu"],
+        "log_e": np.log10(truth["e"]),
+        "mu_p": truth["mu_p"],
+        "y_p": truth["y_p"],
+    }
+    given |= dict(
+        zip(TURNING, (truth["light"] * 4.5e-4, truth["com_x"], truth["com_y"]), strict=True)
+    )
     values = problem.neutral
     values[problem.at(given)] = list(given.values())
     vectors = np.tile(values, (len(pushed.names), 1))

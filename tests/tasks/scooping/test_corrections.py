@@ -32,24 +32,44 @@ PIECES = np.array([[1.0, 0.5, 0.0], [-2.0, 0.0, 1.0]])
 
 def odds(actions):
     """Of a piece whose odds fall with pitch, and of two others."""
-    return Odds(0.5 - 2.0 * actions[:, 0] + actions[:, 2], actions @ jnp.asarray(PIECES.T, actions.dtype))
+    return Odds(
+        0.5 - 2.0 * actions[:, 0] + actions[:, 2], actions @ jnp.asarray(PIECES.T, actions.dtype)
+    )
 
 
-chance = jax.jit(lambda told, tried, doubt: chances(told, odds(told.actions), tried, odds(tried), doubt))
+chance = jax.jit(
+    lambda told, tried, doubt: chances(told, odds(told.actions), tried, odds(tried), doubt)
+)
 
 
 def test_chances_are_those_of_laplaces_approximation_found_by_another_optimiser():
     actions, asked, won = (np.asarray(x, float) for x in (ACTIONS[:3], TRIED, WON[:3]))
-    held = lambda x: 3.0 * np.tanh(np.asarray(x, float) / 3.0)
-    ways = lambda a: (held(odds(jnp.asarray(a)).others) - held(odds(jnp.asarray(a)).expected)[:, None]) / np.sqrt(2)
-    near = lambda a, b: 1.5**2 * np.exp(-0.5 * (((a[:, None] - b[None]) / 0.5) ** 2).sum(-1))
-    kernel = lambda a, b: ways(a) @ ways(b).T + near(a, b)
+
+    def held(x):
+        return 3.0 * np.tanh(np.asarray(x, float) / 3.0)
+
+    def ways(a):
+        return (
+            held(odds(jnp.asarray(a)).others) - held(odds(jnp.asarray(a)).expected)[:, None]
+        ) / np.sqrt(2)
+
+    def near(a, b):
+        return 1.5**2 * np.exp(-0.5 * (((a[:, None] - b[None]) / 0.5) ** 2).sum(-1))
+
+    def kernel(a, b):
+        return ways(a) @ ways(b).T + near(a, b)
+
     K, m = kernel(actions, actions), held(odds(jnp.asarray(actions)).expected)
-    cost = lambda g: 0.5 * g @ np.linalg.solve(K, g) + np.logaddexp(0, m + g).sum() - won @ (m + g)
+
+    def cost(g):
+        return 0.5 * g @ np.linalg.solve(K, g) + np.logaddexp(0, m + g).sum() - won @ (m + g)
+
     g = optimize.minimize(cost, np.zeros(3), tol=1e-12).x
     p = 1 / (1 + np.exp(-m - g))
     across, own = kernel(asked, actions), np.diag(kernel(asked, asked))
-    variance = own - np.einsum("ai,ij,aj->a", across, np.linalg.inv(K + np.diag(1 / (p * (1 - p)))), across)
+    variance = own - np.einsum(
+        "ai,ij,aj->a", across, np.linalg.inv(K + np.diag(1 / (p * (1 - p)))), across
+    )
     mean = held(odds(jnp.asarray(asked)).expected) + across @ np.linalg.solve(K, g)
     want = 1 / (1 + np.exp(-mean / np.sqrt(1 + np.pi / 8 * variance)))
     np.testing.assert_allclose(chance(Told(ACTIONS, WON, KNOWN), TRIED, DOUBT), want, rtol=2e-3)
@@ -67,23 +87,40 @@ def test_rows_that_do_not_count_change_nothing():
 def test_what_was_seen_outweighs_the_bank_where_it_was_seen_and_not_far_from_it(won):
     """32 scoops at one action, all lost or all won, where the bank is sure of the contrary."""
     tried = jnp.array([[0.0, 0.0, 0.0], [1.0, 1.0, -1.0]])
-    sure = lambda n: Odds(jnp.full(n, 8.0 - 16.0 * won), jnp.zeros((n, 1)))
+
+    def sure(n):
+        return Odds(jnp.full(n, 8.0 - 16.0 * won), jnp.zeros((n, 1)))
+
     told = Told(jnp.zeros((32, 3)), jnp.full(32, won), jnp.ones(32, bool))
     there, far = chances(told, sure(32), tried, sure(2), ALONE)
     assert abs(there - won) < 0.25 and abs(far - won) > 0.75
 
 
 def test_one_scoop_tells_of_far_actions_what_pieces_have_in_common():
-    """The bank has a piece that wins where this one is expected to lose; a scoop that says so speaks for all of its actions."""
-    told, tried = Told(jnp.zeros((1, 3)), jnp.ones(1), jnp.ones(1, bool)), jnp.array([[1.0, -1.0, 1.0]])
+    """The bank has a piece that wins where this one is expected to lose; a scoop that says so
+    speaks for all of its actions.
+    """
+    told, tried = (
+        Told(jnp.zeros((1, 3)), jnp.ones(1), jnp.ones(1, bool)),
+        jnp.array([[1.0, -1.0, 1.0]]),
+    )
     lost = Odds(jnp.full(1, -2.0), jnp.full((1, 2), 3.0))
-    assert chances(told, lost, tried, lost, DOUBT)[0] > chances(told, lost, tried, lost, ALONE)[0] + 0.2
+    assert (
+        chances(told, lost, tried, lost, DOUBT)[0]
+        > chances(told, lost, tried, lost, ALONE)[0] + 0.2
+    )
 
 
 def test_expected_odds_are_of_the_mean_chance_over_errors():
-    bank, params, options = load_bank(ScoopOptions(), Numerics()), jnp.array([0.3, 2e5, 1.0, 0.02]), ScoopOptions()
+    bank, params, options = (
+        load_bank(ScoopOptions(), Numerics()),
+        jnp.array([0.3, 2e5, 1.0, 0.02]),
+        ScoopOptions(),
+    )
     action, contexts = jnp.array([0.2, -0.1, 0.3]), jnp.asarray(scooping.test_contexts(2000))
-    each = jax.vmap(lambda c: scooping.bank_chance(bank, params, scooping.executed(action, c, options)))(contexts)
+    each = jax.vmap(
+        lambda c: scooping.bank_chance(bank, params, scooping.executed(action, c, options))
+    )(contexts)
     got = expected_odds(bank, params, action, options)
     assert 0.02 < each.mean() < 0.98 and abs(jax.nn.sigmoid(got) - each.mean()) < 0.01
 
@@ -127,14 +164,21 @@ def test_the_last_scoop_of_a_visit_is_a_probe():
 
 
 def test_probes_leave_what_was_lost():
-    """Eight times a scoop is probed and lost. One loss may be luck, so that it may be tried again, but hardly more."""
+    """Eight times a scoop is probed and lost. One loss may be luck, so that it may be tried again,
+    but hardly more.
+    """
     config = ScoopingConfig(correct=True)
     policy = scooping.make_scooping(config).init_policy(jax.random.key(2))
-    probe, told = jax.jit(make_probe(config)), Told(jnp.zeros((8, 3)), jnp.zeros(8), jnp.zeros(8, bool))
+    probe, told = (
+        jax.jit(make_probe(config)),
+        Told(jnp.zeros((8, 3)), jnp.zeros(8), jnp.zeros(8, bool)),
+    )
     for i in range(8):
         tried = probe(policy._replace(told=told))
         assert tried.told is None
-        told = told._replace(actions=told.actions.at[i].set(tried.probe), used=told.used.at[i].set(True))
+        told = told._replace(
+            actions=told.actions.at[i].set(tried.probe), used=told.used.at[i].set(True)
+        )
     apart = np.linalg.norm(told.actions[:, None] - told.actions[None], axis=-1)
     assert np.sum(apart < 0.1, 1).max() <= 2 and apart.max() > 1.0
 
@@ -144,13 +188,22 @@ def test_what_the_comparison_remembers_is_actions_and_whether_they_won():
     one = make_scooping_one_shot(ScoopingConfig(correct=True))
     outcomes = jnp.zeros((3, 9, 2)).at[1, -1, 0].set(1.0).at[2].set(jnp.nan)
     policy = one.remember(
-        one.task.init_policy(jax.random.key(0)), ACTIONS[:3], outcomes, jnp.array([True, True, False])
+        one.task.init_policy(jax.random.key(0)),
+        ACTIONS[:3],
+        outcomes,
+        jnp.array([True, True, False]),
     )
-    assert policy.told.won.tolist() == [0.0, 1.0, 0.0] and policy.told.used.tolist() == [True, True, False]
+    assert policy.told.won.tolist() == [0.0, 1.0, 0.0] and policy.told.used.tolist() == [
+        True,
+        True,
+        False,
+    ]
     np.testing.assert_array_equal(policy.told.actions, ACTIONS[:3])
     assert make_scooping_one_shot(ScoopingConfig()).remember is None
 
 
 def test_correcting_needs_pieces_that_the_bank_holds():
     with pytest.raises(BadInput, match="the bank holds pieces"):
-        scooping.make_scooping(ScoopingConfig(source="simulator", rehearsal="simulator", correct=True, h=(0.01, 0.02)))
+        scooping.make_scooping(
+            ScoopingConfig(source="simulator", rehearsal="simulator", correct=True, h=(0.01, 0.02))
+        )

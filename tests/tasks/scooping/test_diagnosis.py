@@ -1,4 +1,6 @@
-"""Recordings of scoops: what is refused, the selection over an engine of closed form, and an effect named from the command line."""
+"""Recordings of scoops: what is refused, the selection over an engine of closed form, and an effect
+named from the command line.
+"""
 
 import hashlib
 import json
@@ -29,16 +31,31 @@ TIME = np.arange(0.0, 1.0, 1 / 60)
 
 
 def closed_form(scooped, shape, values, trials, actions):
-    """Poses of a scoop as simple as can be: the blade takes the piece along from where it meets it, less what slips."""
+    """Poses of a scoop as simple as can be: the blade takes the piece along from where it meets it,
+    less what slips.
+    """
     v = dict(zip(NAMES, np.asarray(values, float).T[..., None], strict=True))
     t = np.arange(0.0, 1.0 + 1e-9, simulate.ROW)[None]
     pitch, rate, distance = np.asarray(actions, float).T[..., None]
-    tip = 0.28 * np.clip(t / 0.7, 0, 1) ** 2 * (1 + v["speed_scale"]) - distance - v["distance_offset"]
+    tip = (
+        0.28 * np.clip(t / 0.7, 0, 1) ** 2 * (1 + v["speed_scale"])
+        - distance
+        - v["distance_offset"]
+    )
     moved = np.logaddexp(0.0, 400.0 * (tip - v["start_x"] - 0.1 * v["clearance"])) / 400.0
-    slid = 0.3 * (v["mu"] - v["tilt"]) + 0.03 * (v["log_e"] - 5.0) + 0.05 * v["blade_friction"] + 0.01 * v["drag"] * t
+    slid = (
+        0.3 * (v["mu"] - v["tilt"])
+        + 0.03 * (v["log_e"] - 5.0)
+        + 0.05 * v["blade_friction"]
+        + 0.01 * v["drag"] * t
+    )
     rolls = {"box": 0.01 * np.sin(12.0 * t), "ellipsoid": 0.01 * np.sin(9.0 * t)}
     x = moved * (1.0 - slid - 0.2 * (pitch + v["pitch_offset"])) + rolls.get(shape, 0.0)
-    z = v["h"] / 2 + 0.3 * moved * (0.2 - rate) * (1 + v["lift_scale"]) + 1e-3 * v["adhesion"] * moved
+    z = (
+        v["h"] / 2
+        + 0.3 * moved * (0.2 - rate) * (1 + v["lift_scale"])
+        + 1e-3 * v["adhesion"] * moved
+    )
     return np.stack([x, z + 0 * x], -1)
 
 
@@ -70,7 +87,9 @@ def written(folder, tracks, meta='task = "scooping"\n', rate=60.0, actions=ACTIO
         f"{i},{p[0]:.6f},{p[1]:.6f},{a[0]:.6f},{a[1]:.6f},{a[2]:.6f}"
         for i, (p, a) in enumerate(zip(PLACES, actions, strict=True), 1)
     ]
-    (folder / "actions.csv").write_text("\n".join(["trial,place_x,place_y,pitch,rate,distance", *rows, ""]))
+    (folder / "actions.csv").write_text(
+        "\n".join(["trial,place_x,place_y,pitch,rate,distance", *rows, ""])
+    )
     names = "x,y,z".split(",")[: tracks.shape[-1]]
     rows = [
         ",".join([str(i), f"{k / rate:.5f}", *(f"{c:.6f}" for c in row)])
@@ -100,7 +119,9 @@ def test_scoops_are_read_with_their_noise(tmp_path, tracks):
     assert scooped.noise == pytest.approx(NOISE, rel=0.25)
     assert (scooped.shape, scooped.height) == ("box", 0.02)
     assert len(read(tmp_path, without=["3", "5"]).names) == COUNT - 2
-    assert any("no heights" in note for note in read(written(tmp_path / "above", tracks[..., :2])).notes)
+    assert any(
+        "no heights" in note for note in read(written(tmp_path / "above", tracks[..., :2])).notes
+    )
 
 
 @pytest.mark.parametrize(
@@ -110,7 +131,10 @@ def test_scoops_are_read_with_their_noise(tmp_path, tracks):
         (lambda z: z * [-1.0, 1.0, 1.0], "another frame"),
         (lambda z: z + np.array([0.5, 0.0, 0.0]), "another frame"),
         (lambda z: 1000.0 * z, "metres"),
-        (lambda z: np.where(np.arange(len(z))[:, None, None] == 4, z[4, 0], z), "trial 5: the piece never moved"),
+        (
+            lambda z: np.where(np.arange(len(z))[:, None, None] == 4, z[4, 0], z),
+            "trial 5: the piece never moved",
+        ),
         (lambda z: z[:, ::5], "20 Hz"),
     ],
 )
@@ -141,12 +165,17 @@ def test_a_scoop_in_degrees_is_refused(tmp_path, tracks):
 
 
 def test_a_session_is_read_from_the_files_that_were_told(tmp_path, tracks):
-    folder = written(tmp_path / "told", tracks + np.array([0.3, 0.1, 0.0]))  # a camera with an origin of its own
+    folder = written(
+        tmp_path / "told", tracks + np.array([0.3, 0.1, 0.0])
+    )  # a camera with an origin of its own
     run = store.RunFolder.create(tmp_path / "run", {"task": {"clearance": 1e-4}}, task="scooping")
     file = folder / "tracks.csv"
     visit = {"file": str(file), "sha256": hashlib.sha256(file.read_bytes()).hexdigest()}
     pairs = enumerate(zip(PLACES, ACTIONS, strict=True), 1)
-    visit["scoops"] = [{"trial": i, "place": list(map(float, p)), "action": list(map(float, a))} for i, (p, a) in pairs]
+    visit["scoops"] = [
+        {"trial": i, "place": list(map(float, p)), "action": list(map(float, a))}
+        for i, (p, a) in pairs
+    ]
     session = tmp_path / "robot"
     store.save_checkpoint(
         session / store.CHECKPOINT,
@@ -179,10 +208,14 @@ def test_a_blade_that_runs_fast_is_named(tmp_path, simple):
     report = json.loads((out / "report.json").read_text())
     (effect,) = report["effects"]
     assert "speed_scale" in {effect["name"], *(a.split("@")[0] for a in effect["alternatives"])}
-    assert report["error"]["after"] < 1.3 * report["error"]["noise_floor"] < report["error"]["before"]
+    assert (
+        report["error"]["after"] < 1.3 * report["error"]["noise_floor"] < report["error"]["before"]
+    )
     assert f"[effects.{effect['name']}]" in (out / "model.toml").read_text()
     assert "from the side" in (out / "report.html").read_text()
-    assert (out / "next_experiment.csv").exists() == bool((report["next_experiment"] or {}).get("csv"))
+    assert (out / "next_experiment.csv").exists() == bool(
+        (report["next_experiment"] or {}).get("csv")
+    )
 
 
 def test_a_blade_that_starts_farther_is_not_a_late_camera(tmp_path, simple):
@@ -208,7 +241,9 @@ def test_declared_values_stay_where_their_emulator_knows_something(tmp_path, tra
     found = emulate.emulate(scooped, "cylinder", centre, emulate.widths(), drawn=drawn)
     mu = problem.prepare(scooped, found, (), declared, quantities, centre).quantities[INDEX["mu"]]
     reach = emulate.REACH * found.width[emulate.PLACE[INDEX["mu"]]]
-    assert (mu.low, mu.high) == pytest.approx((centre[INDEX["mu"]] - reach, centre[INDEX["mu"]] + reach))
+    assert (mu.low, mu.high) == pytest.approx(
+        (centre[INDEX["mu"]] - reach, centre[INDEX["mu"]] + reach)
+    )
     values = centre + (np.arange(len(centre)) == INDEX["mu"]) * 0.02
     said = emulate.predicted(found.weights[0], found.centre, found.width, values)
     told = closed_form(scooped, "cylinder", values[None], np.arange(1), scooped.actions[:1])[0]
@@ -216,7 +251,9 @@ def test_declared_values_stay_where_their_emulator_knows_something(tmp_path, tra
 
 
 def test_another_shape_than_declared_is_named(tmp_path, simple):
-    report = diagnose(written(tmp_path, measured(simulated()), 'task = "scooping"\nshape = "box"\n'))
+    report = diagnose(
+        written(tmp_path, measured(simulated()), 'task = "scooping"\nshape = "box"\n')
+    )
     assert [e["name"] for e in report["effects"]] == ["shape"]
     assert report["piece"] == {"shape": "cylinder", "declared": True}
 

@@ -35,7 +35,10 @@ def found(ours):
 def test_trials_end_well_and_pieces_stay_above_the_table(found):
     params, _, out = found
     assert out.state.shape == (BATCH, 100, 6) and np.isfinite(out.state).all()
-    assert np.mean(out.code == model.FINE) > 0.95 and not np.isin(out.code, (model.DIVERGED, model.UNFIT)).any()
+    assert (
+        np.mean(out.code == model.FINE) > 0.95
+        and not np.isin(out.code, (model.DIVERGED, model.UNFIT)).any()
+    )
     assert np.all(out.state[:, :, 2] > 0.3 * np.minimum(params[:, 3], 2 * model.RADIUS)[:, None])
     won, above = interface.outcome(out.state)
     assert 0.1 < won.mean() < 0.9  # neither always nor never
@@ -65,15 +68,27 @@ def test_what_cannot_be_simulated_has_a_code_and_is_finite(ours, found):
     params, actions = params.copy(), actions.copy()
     params[3, 1], params[5, 3], actions[7, 0], params[9, 2] = np.nan, -0.01, np.inf, 5
     bad = ours(params, actions, np.zeros((BATCH, 2)))
-    assert np.flatnonzero(bad.code == model.UNFIT).tolist() == [3, 5, 7, 9] and np.isfinite(bad.state).all()
-    np.testing.assert_array_equal(np.delete(bad.state, [3, 5, 7, 9], 0), np.delete(out.state, [3, 5, 7, 9], 0))
+    assert (
+        np.flatnonzero(bad.code == model.UNFIT).tolist() == [3, 5, 7, 9]
+        and np.isfinite(bad.state).all()
+    )
+    np.testing.assert_array_equal(
+        np.delete(bad.state, [3, 5, 7, 9], 0), np.delete(out.state, [3, 5, 7, 9], 0)
+    )
 
 
-@pytest.mark.parametrize("shape, name, sign", [(model.CYLINDER, "modulus", -1), (model.ELLIPSOID, "pitch", -1)])
+@pytest.mark.parametrize(
+    "shape, name, sign", [(model.CYLINDER, "modulus", -1), (model.ELLIPSOID, "pitch", -1)]
+)
 def test_trends_that_the_physics_must_show(ours, shape, name, sign):
-    """Soft cylinders are scooped more often than stiff ones, ellipsoids at low pitch more often than at high: 32 pairs each; the
-    interval excludes 0 (docs/results/scooping.md has all trends, over more)."""
-    simulate = lambda p, a: interface.outcome(ours(p, a, np.zeros((len(p), 2))).state)[0]
+    """Soft cylinders are scooped more often than stiff ones, ellipsoids at low pitch more often
+    than at high: 32 pairs each; the interval excludes 0 (docs/results/scooping.md has all trends,
+    over more).
+    """
+
+    def simulate(p, a):
+        return interface.outcome(ours(p, a, np.zeros((len(p), 2))).state)[0]
+
     row = scooping_trends.trend(simulate, shape, name, BATCH // 2, seed=6)
     least, most = row["interval"]
     assert sign * row["difference"] > 0 and (most < 0 if sign < 0 else least > 0), row
@@ -81,7 +96,9 @@ def test_trends_that_the_physics_must_show(ours, shape, name, sign):
 
 @pytest.mark.slow
 def test_gradient_of_an_early_place_by_the_action():
-    """Where the piece is shortly after the blade met it, by distance, against finite differences in double precision."""
+    """Where the piece is shortly after the blade met it, by distance, against finite differences in
+    double precision.
+    """
     with jax.enable_x64(True):
         params = jnp.array([0.3, 5e4, 1.0, 0.02])
         numerics = Numerics(dt=0.005, grid=((4, 2), (4, 2), (2, 1), (2, 1)))
@@ -96,9 +113,14 @@ def test_gradient_of_an_early_place_by_the_action():
         assert float(slope(at)) == pytest.approx(numeric, rel=1e-3) and abs(numeric) > 0.1
 
 
-@pytest.mark.parametrize("name, says", [("bullet", "hydro, drake"), ("hydro", "divide"), ("drake", "divide")])
+@pytest.mark.parametrize(
+    "name, says", [("bullet", "hydro, drake"), ("hydro", "divide"), ("drake", "divide")]
+)
 def test_bad_backends_are_refused(name, says):
-    settings = {"hydro": {"numerics": Numerics(dt=0.004)}, "drake": {"contact": DrakeContact(dt=0.004)}}
+    settings = {
+        "hydro": {"numerics": Numerics(dt=0.004)},
+        "drake": {"contact": DrakeContact(dt=0.004)},
+    }
     with pytest.raises(BadInput, match=says):
         backends.make_backend(name, **settings.get(name, {}))
 
@@ -109,7 +131,11 @@ def test_settings_may_be_given_as_a_table():
     params, actions = model.draw(2, 2)
     start, given = np.zeros((2, 2)), {"dt": 0.005}
     ours, other = (backends.make_backend("hydro", **s).simulate for s in ({}, {"numerics": given}))
-    record = backends.make_backend("hydro", numerics=Numerics(dt=0.005)).simulate(params, actions, start).state
+    record = (
+        backends.make_backend("hydro", numerics=Numerics(dt=0.005))
+        .simulate(params, actions, start)
+        .state
+    )
     np.testing.assert_array_equal(other(params, actions, start).state, record)
     assert not np.array_equal(ours(params, actions, start).state, record)
 
@@ -120,17 +146,22 @@ def test_a_batch_of_the_wrong_shape_is_refused(ours):
 
 
 def test_drake_agrees_with_itself_about_as_much_as_with_us(found):
-    """Three in four end alike at least (over 200 it is more, docs/results/scooping.md). Which ones do is chaos, other on another
-    processor, so that twelve are too few."""
+    """Three in four end alike at least (over 200 it is more, docs/results/scooping.md). Which ones
+    do is chaos, other on another processor, so that twelve are too few.
+    """
     pytest.importorskip("pydrake")
     params, actions, out = (x[:COUNT] if i < 2 else x for i, x in enumerate(found))
     theirs = backends.make_backend("drake").simulate(params, actions, np.zeros((COUNT, 2)))
     assert not theirs.code.any()
     alike = interface.outcome(theirs.state)[0] == interface.outcome(out.state[:COUNT])[0]
     assert alike.mean() >= 0.75
-    # before the blade comes, as deep in the table: cylinders to microns, ellipsoids by the 0.1 mm that Drake's mesh of flat
-    # facets lies inside of them; and the tip is where it was told to be throughout
-    gap, flat = np.abs(theirs.state[:12, :6, [0, 2]] - out.state[:12, :6, [0, 2]]).max((1, 2)), params[:12, 2] == 1
+    # before the blade comes, as deep in the table: cylinders to microns, ellipsoids by the 0.1 mm
+    # that Drake's mesh of flat facets lies inside of them; and the tip is where it was told to be
+    # throughout
+    gap, flat = (
+        np.abs(theirs.state[:12, :6, [0, 2]] - out.state[:12, :6, [0, 2]]).max((1, 2)),
+        params[:12, 2] == 1,
+    )
     assert gap[flat].max() < 5e-6
     assert gap[~flat].max() < 1.5e-4
     assert np.abs(theirs.state[:, :, 3:5] - out.state[:COUNT, :, 3:5]).max() < 2e-4
@@ -147,7 +178,9 @@ def test_parity_command(monkeypatch, capsys):
         def simulate(params, actions, starts):
             state = np.zeros((len(params), 100, 6))
             state[:, -1, 2] = np.where(rng.uniform(size=len(params)) < 0.5, 0.1, 0.0)
-            return interface.placed(state, np.r_[model.DIVERGED, np.zeros(len(params) - 1, int)], starts)
+            return interface.placed(
+                state, np.r_[model.DIVERGED, np.zeros(len(params) - 1, int)], starts
+            )
 
         return simulate
 

@@ -1,6 +1,8 @@
-"""The hydroelastic engine by itself: depth at rest, Coulomb's law, energy, momentum, gradients, and convergence.
+"""The hydroelastic engine by itself: depth at rest, Coulomb's law, energy, momentum, gradients, and
+convergence.
 
-Almost all of it is one compiled program: a piece of any shape on a table at rest, under any gravity, in double precision.
+Almost all of it is one compiled program: a piece of any shape on a table at rest, under any
+gravity, in double precision.
 """
 
 from dataclasses import replace
@@ -23,15 +25,21 @@ STEPS = 300
 
 
 def on_table(params, pose, velocity, gravity, dt=TABLE.dt, grid=TABLE.grid, steps=STEPS):
-    """Poses and velocities `[steps, 3]`, impulses `[steps, 3]` and the largest residual of a piece on a table."""
+    """Poses and velocities `[steps, 3]`, impulses `[steps, 3]` and the largest residual of a piece
+    on a table.
+    """
     piece, ground = shapes.body(params[2], params[3]), contact.table(params[0])
     numerics = replace(TABLE, dt=dt, grid=grid)
 
     def one(state, _):
-        state, info = hydro.step(piece, params[1], state, ground, numerics, (gravity[0], gravity[1]))
+        state, info = hydro.step(
+            piece, params[1], state, ground, numerics, (gravity[0], gravity[1])
+        )
         return state, (state.pose, state.velocity, info.impulse, info.residual)
 
-    _, (poses, velocities, impulses, residuals) = jax.lax.scan(one, PieceState(pose, velocity), None, steps)
+    _, (poses, velocities, impulses, residuals) = jax.lax.scan(
+        one, PieceState(pose, velocity), None, steps
+    )
     return poses, velocities, impulses, residuals.max()
 
 
@@ -39,9 +47,13 @@ def on_table(params, pose, velocity, gravity, dt=TABLE.dt, grid=TABLE.grid, step
 def run():
     compiled = jax.jit(on_table)
 
-    def call(params, pose=(0.0, 0.02, 0.0), velocity=(0.0, 0.0, 0.0), gravity=(0.0, -G), dt=TABLE.dt):
+    def call(
+        params, pose=(0.0, 0.02, 0.0), velocity=(0.0, 0.0, 0.0), gravity=(0.0, -G), dt=TABLE.dt
+    ):
         with jax.enable_x64(True):
-            out = compiled(*(jnp.asarray(v, jnp.float64) for v in (params, pose, velocity, gravity, dt)))
+            out = compiled(
+                *(jnp.asarray(v, jnp.float64) for v in (params, pose, velocity, gravity, dt))
+            )
             return tuple(np.asarray(v) for v in out)
 
     return call
@@ -56,14 +68,17 @@ def resting(params):
 @pytest.mark.parametrize("g", [0, 1, 2])
 @pytest.mark.parametrize("e", [1e4, 2e5])
 def test_a_dropped_piece_sinks_as_deep_as_its_weight_asks(run, g, e):
-    """The field integrated over the section by hand: an ellipsoid sinks by about hz sqrt(4 rho g hz / 3 e), a cylinder or a box
-    by rho g h core / e and a little more at its rim."""
+    """The field integrated over the section by hand: an ellipsoid sinks by about hz sqrt(4 rho g hz
+    / 3 e), a cylinder or a box by rho g h core / e and a little more at its rim.
+    """
     h, params = 0.02, (0.3, e, g, 0.02)
     poses, velocities, _, residual = run(params, pose=(0.0, h / 2 + 5e-4, 0.0))
     depth = h / 2 - poses[-1, 1]
     first = h / 2 * np.sqrt(4 * 1000 * G * h / 2 / (3 * e)) if g == 0 else 1000 * G * h * 0.01 / e
     assert depth == pytest.approx(first, rel=0.05)
-    assert depth == pytest.approx(h / 2 - resting(params)[1], rel=0.02)  # 2 %: the section by 16 by 4 points
+    assert depth == pytest.approx(
+        h / 2 - resting(params)[1], rel=0.02
+    )  # 2 %: the section by 16 by 4 points
     assert np.abs(velocities[-1]).max() < 1e-3 and residual < 1e-8
 
 
@@ -86,7 +101,8 @@ def test_an_incline_holds_below_the_angle_of_friction_and_not_above(run):
         if share < 1:
             assert abs(velocities[-1, 0]) < 1e-4  # regularised friction creeps
         else:
-            # the speed is a small difference of two large impulses, so what friction there was is what can be compared
+            # the speed is a small difference of two large impulses, so what friction there was is
+            # what can be compared
             friction = (down * seconds - velocities[-1, 0]) / (normal * seconds)
             assert friction == pytest.approx(0.3, rel=0.005)
             assert velocities[-1, 0] > 0.5 * (down - 0.3 * normal) * seconds
@@ -94,7 +110,9 @@ def test_an_incline_holds_below_the_angle_of_friction_and_not_above(run):
 
 @pytest.mark.parametrize("g", [0, 1, 2])
 def test_energy_is_never_gained_and_goes_where_it_should(run, g):
-    """Thrown onto the table tilted, sliding and spinning; what the surface stores comes from what the piece loses."""
+    """Thrown onto the table tilted, sliding and spinning; what the surface stores comes from what
+    the piece loses.
+    """
     params = (0.35, 3e4, g, 0.018)
     poses, velocities, _, _ = run(params, pose=(0.0, 0.03, 0.5), velocity=(0.3, -0.2, 6.0))
     with jax.enable_x64(True):
@@ -110,27 +128,39 @@ def test_energy_is_never_gained_and_goes_where_it_should(run, g):
 @pytest.mark.parametrize("g", [0, 1, 2])
 def test_momentum_changes_by_gravity_and_contact_alone(run, g):
     params = (0.35, 3e4, g, 0.018)
-    _, velocities, impulses, residual = run(params, pose=(0.0, 0.03, 0.5), velocity=(0.3, -0.2, 6.0))
+    _, velocities, impulses, residual = run(
+        params, pose=(0.0, 0.03, 0.5), velocity=(0.3, -0.2, 6.0)
+    )
     with jax.enable_x64(True):
         piece = shapes.body(jnp.asarray(float(g)), jnp.asarray(0.018))
     mass = np.array([piece.mass, piece.mass, piece.inertia])
-    change = mass * np.diff(velocities, axis=0) - impulses[1:] - mass * TABLE.dt * np.array([0.0, -G, 0.0])
+    change = (
+        mass * np.diff(velocities, axis=0)
+        - impulses[1:]
+        - mass * TABLE.dt * np.array([0.0, -G, 0.0])
+    )
     assert np.abs(change / mass).max() < 1e-8 and residual < 1e-8
     assert (np.abs(impulses[:, 1]) > 0).any() and np.abs(impulses[0]).max() == 0.0  # it falls first
 
 
 def test_with_no_contact_it_flies(run):
-    poses, velocities, _, _ = run((0.3, 1e5, 1, 0.02), pose=(0.0, 5.0, 0.2), velocity=(0.1, 2.0, 3.0))
+    poses, velocities, _, _ = run(
+        (0.3, 1e5, 1, 0.02), pose=(0.0, 5.0, 0.2), velocity=(0.1, 2.0, 3.0)
+    )
     t = STEPS * TABLE.dt
     np.testing.assert_allclose(velocities[-1], [0.1, 2.0 - G * t, 3.0], rtol=1e-9)
-    np.testing.assert_allclose(poses[-1], [0.1 * t, 5 + 2 * t - G * t * (t + TABLE.dt) / 2, 0.2 + 3 * t], rtol=1e-9)
+    np.testing.assert_allclose(
+        poses[-1], [0.1 * t, 5 + 2 * t - G * t * (t + TABLE.dt) / 2, 0.2 + 3 * t], rtol=1e-9
+    )
 
 
 def test_convergence_in_step(run):
     """The place where a thrown cylinder comes to rest after 0.4 s: errors fall with the step."""
     end = {}
     for rows in (75, 150, 300):
-        poses, _, _, _ = run((0.3, 5e4, 1, 0.02), (0.0, 0.0105, 0.0), (0.4, 0.0, 0.0), dt=0.4 / rows)
+        poses, _, _, _ = run(
+            (0.3, 5e4, 1, 0.02), (0.0, 0.0105, 0.0), (0.4, 0.0, 0.0), dt=0.4 / rows
+        )
         end[rows] = poses[rows - 1, 0]
     coarse, fine = abs(end[75] - end[300]), abs(end[150] - end[300])
     assert fine < 0.6 * coarse and fine < 1e-3
@@ -138,13 +168,17 @@ def test_convergence_in_step(run):
 
 @pytest.mark.slow
 def test_gradients_are_finite_differences(x64):
-    """Of where a sliding, then resting piece is after 80 ms by friction, modulus, height and first speed."""
+    """Of where a sliding, then resting piece is after 80 ms by friction, modulus, height and first
+    speed.
+    """
 
     def place(z):
         params = jnp.stack([z[0], jnp.exp(z[1]), jnp.ones(()), z[2]])
         pose = hydro.at_rest(shapes.body(params[2], params[3]), params[1]).pose
         velocity = jnp.stack([z[3], jnp.zeros(()), jnp.zeros(())])
-        poses, _, _, _ = on_table(params, pose, velocity, jnp.array([0.0, -G]), grid=((8, 2),), steps=40)
+        poses, _, _, _ = on_table(
+            params, pose, velocity, jnp.array([0.0, -G]), grid=((8, 2),), steps=40
+        )
         return poses[-1]
 
     z = np.array([0.3, np.log(5e4), 0.016, 0.45])
@@ -158,27 +192,40 @@ def test_gradients_are_finite_differences(x64):
 
 
 def test_newtons_method_finds_the_least_cost(x64):
-    """The solve's velocity against SciPy on the same cost, which shares no slope or Hessian with it."""
+    """The solve's velocity against SciPy on the same cost, which shares no slope or Hessian with
+    it.
+    """
     from scipy.optimize import minimize
 
     piece = shapes.body(jnp.ones(()), jnp.asarray(0.02))
     points = contact.touch(
-        piece, jnp.asarray(5e4), jnp.array([0.0, 0.0095, 0.02]), contact.table(jnp.asarray(0.3)), TABLE.grid
+        piece,
+        jnp.asarray(5e4),
+        jnp.array([0.0, 0.0095, 0.02]),
+        contact.table(jnp.asarray(0.3)),
+        TABLE.grid,
     )
     fixed = sap.springs(points, piece, 2e-3, 0.02, 0.1, 0.0)
     free = jnp.array([0.05, -0.1, 1.0])
     found = sap.solve(fixed, contact.firsts(TABLE.grid), piece, free, free, 30)
     scale = np.array([1.0, 1.0, 100.0])
     cost = jax.jit(lambda z: sap.cost(fixed, piece, free, z * scale) * 1e4)
-    by_scipy = minimize(lambda z: float(cost(jnp.asarray(z))), np.zeros(3), method="Nelder-Mead",
-                        options={"xatol": 1e-10, "fatol": 1e-14, "maxiter": 4000, "maxfev": 4000})  # fmt: skip
+    by_scipy = minimize(
+        lambda z: float(cost(jnp.asarray(z))),
+        np.zeros(3),
+        method="Nelder-Mead",
+        options={"xatol": 1e-10, "fatol": 1e-14, "maxiter": 4000, "maxfev": 4000},
+    )
     np.testing.assert_allclose(found.velocity, by_scipy.x * scale, atol=1e-5)
     assert float(cost(found.velocity / scale)) <= by_scipy.fun * (1 + 1e-9)
 
 
 def test_sections_and_fields_by_hand(x64):
     """A horizontal line 4 mm over the centre of pieces 2 cm high, and the field at its middle."""
-    piece = lambda g: shapes.body(jnp.asarray(float(g)), jnp.asarray(0.02))
+
+    def piece(g):
+        return shapes.body(jnp.asarray(float(g)), jnp.asarray(0.02))
+
     z, zero = jnp.asarray(0.004), jnp.zeros(())
     half = [0.015 * np.sqrt(1 - 0.4**2), 0.015, 0.015]
     depth = [1 - 0.4, 0.6, 0.6]
@@ -191,7 +238,9 @@ def test_sections_and_fields_by_hand(x64):
         assert shapes.half_width(piece(g), zero, z) == pytest.approx(half[g])
 
 
-@pytest.mark.parametrize("change", [{"dt": 0.0033}, {"slip": 0.0}, {"grid": ((2, 2),)}, {"iterations": 0}])
+@pytest.mark.parametrize(
+    "change", [{"dt": 0.0033}, {"slip": 0.0}, {"grid": ((2, 2),)}, {"iterations": 0}]
+)
 def test_bad_numerics_are_refused(change):
     with pytest.raises(BadInput):
         hydro.check_numerics(replace(Numerics(), **change))

@@ -1,4 +1,6 @@
-"""A camera's record of scoops as the task observes it, and the records that are refused with their row."""
+"""A camera's record of scoops as the task observes it, and the records that are refused with their
+row.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -16,11 +18,16 @@ CONFIG = ScoopingConfig(hidden=(16,))
 NAF = scooping.make_scooping_naf(CONFIG)
 POLICY = ScoopingPolicy(NAF.init(jax.random.key(1)).online)
 SCOOPS = measured.scoops_to_make(jax.random.key(7), 2, POLICY, CONFIG)
-AT = lambda i: f"record.csv: line {i + 2}"
+
+
+def AT(i):
+    return f"record.csv: line {i + 2}"
 
 
 def record(fps=60):
-    """Both scoops: pieces that lie for 0.2 s and then go 0.2 m at 0.4 m/s; the first ends on the spatula."""
+    """Both scoops: pieces that lie for 0.2 s and then go 0.2 m at 0.4 m/s; the first ends on the
+    spatula.
+    """
     time = np.arange(0, 1.02, 1 / fps)
     rows = [
         np.stack(
@@ -85,7 +92,10 @@ LINES = len(record()["time"]) // 2
         (lambda c: _changed(c, "on", slice(3, 4), 0.5), "line 5: on = 0.5"),
         (lambda c: {k: v[c["time"] < 0.8] for k, v in c.items()}, "ends at"),
         (lambda c: {k: v[c["time"] > 0.25] for k, v in c.items()}, "begins at"),
-        (lambda c: {k: v[(c["time"] < 0.4) | (c["time"] > 0.55)] for k, v in c.items()}, "nothing was recorded from"),
+        (
+            lambda c: {k: v[(c["time"] < 0.4) | (c["time"] > 0.55)] for k, v in c.items()},
+            "nothing was recorded from",
+        ),
         (lambda c: _changed(c, "x", slice(20, 21), 0.9), "jumps"),
     ],
 )

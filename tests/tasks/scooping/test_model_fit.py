@@ -1,4 +1,6 @@
-"""A chance of success smoothed and differentiated, and a modulus fitted to a track with the engine's derivative."""
+"""A chance of success smoothed and differentiated, and a modulus fitted to a track with the
+engine's derivative.
+"""
 
 import jax
 import jax.numpy as jnp
@@ -26,7 +28,9 @@ def test_scaled_inputs_span_the_ranges():
 
 
 def test_the_smoothed_gradient_is_that_of_the_smoothed_chance(monkeypatch):
-    """A rule instead of the engine: success where pitch and friction together lie over a line; a normal integral."""
+    """A rule instead of the engine: success where pitch and friction together lie over a line; a
+    normal integral.
+    """
 
     def rule(params, action, options, numerics):
         z = scooping_fit.scaled(params, action)
@@ -40,11 +44,16 @@ def test_the_smoothed_gradient_is_that_of_the_smoothed_chance(monkeypatch):
     away, wide = float(z[3] + 2 * z[0] - 4.5), 0.1 * np.sqrt(5)
     slope = np.exp(-0.5 * (away / wide) ** 2) / (wide * np.sqrt(2 * np.pi))
     np.testing.assert_allclose(got.gradient, slope * np.array([2, 0, 0, 1, 0, 0]), atol=0.15)
-    assert np.all(np.abs(np.asarray(got.gradient) - slope * np.array([2, 0, 0, 1, 0, 0])) < 5 * np.asarray(got.error))
+    assert np.all(
+        np.abs(np.asarray(got.gradient) - slope * np.array([2, 0, 0, 1, 0, 0]))
+        < 5 * np.asarray(got.error)
+    )
 
 
 def test_the_modulus_is_found_from_an_early_track():
-    """Of WD's cylinder, from a start three times too stiff, with the piece's track until shortly after the blade met it."""
+    """Of WD's cylinder, from a start three times too stiff, with the piece's track until shortly
+    after the blade met it.
+    """
     with jax.enable_x64(True):
         seconds = 0.15
         track = jax.jit(scooping_gradient.track_until(seconds, ScoopOptions(), COARSE))

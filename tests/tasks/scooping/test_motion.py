@@ -15,19 +15,36 @@ ACTION = np.array([np.radians(6.0), 0.13, 0.012])
 
 
 def _by_twist(action, options):
-    """The tip by integrating the link's twist in small steps, and turning the arm from link to tip with it."""
+    """The tip by integrating the link's twist in small steps, and turning the arm from link to tip
+    with it.
+    """
     pitch, rate, distance = action
-    clamped = lambda values: CubicSpline(spatula.KNOTS, values, bc_type="clamped")
-    speed, turning = clamped(spatula.FORWARD), clamped(np.array(spatula.PITCH) + np.eye(6)[1] * rate)
+
+    def clamped(values):
+        return CubicSpline(spatula.KNOTS, values, bc_type="clamped")
+
+    speed, turning = (
+        clamped(spatula.FORWARD),
+        clamped(np.array(spatula.PITCH) + np.eye(6)[1] * rate),
+    )
     arm = np.array(
-        [np.cos(pitch) * 0.177 - np.sin(pitch) * 0.043, -np.sin(pitch) * 0.177 - np.cos(pitch) * 0.043 - 0.1]
+        [
+            np.cos(pitch) * 0.177 - np.sin(pitch) * 0.043,
+            -np.sin(pitch) * 0.177 - np.cos(pitch) * 0.043 - 0.1,
+        ]
     )
     link, angle, count = -arm + [-0.015 - distance, 0.0], 0.0, 20_000
     out = []
     for k in range(count + 1):
         c, s = np.cos(angle), np.sin(angle)
         if k % (count // 100) == 0:
-            out.append([link[0] + c * arm[0] + s * arm[1], link[1] + c * arm[1] - s * arm[0], pitch + angle])
+            out.append(
+                [
+                    link[0] + c * arm[0] + s * arm[1],
+                    link[1] + c * arm[1] - s * arm[0],
+                    pitch + angle,
+                ]
+            )
         t = (k + 0.5) / count
         link = link + np.array([speed(t), 0.0]) / count
         angle += turning(t) / count
@@ -40,7 +57,9 @@ def test_the_tip_hangs_from_the_link(x64):
     by_hand = _by_twist(ACTION, options)
     np.testing.assert_allclose(ours[:, [0, 2]], by_hand[:, [0, 2]], atol=1e-6)
     low = np.asarray(by_hand[:, 1] + np.asarray(spatula.lowest(jnp.asarray(by_hand[:, 2]))))
-    np.testing.assert_allclose(ours[:, 1], by_hand[:, 1] + np.maximum(0.0, options.clearance - low), atol=1e-6)
+    np.testing.assert_allclose(
+        ours[:, 1], by_hand[:, 1] + np.maximum(0.0, options.clearance - low), atol=1e-6
+    )
     assert (low < -1e-3).any() and (low > 0.02).any()  # it would sink, and it lifts
 
 
@@ -53,17 +72,23 @@ def test_no_edge_comes_below_the_clearance(x64, clearance):
 
 
 def test_a_positive_rate_lifts_late(x64):
-    rises = lambda rate: np.asarray(spatula.motion(jnp.array([0.1, rate, 0.01]), 400))[:, 1] > 4e-3
+    def rises(rate):
+        return np.asarray(spatula.motion(jnp.array([0.1, rate, 0.01]), 400))[:, 1] > 4e-3
+
     early, late = (np.argmax(rises(rate)) / 400 for rate in (-0.2, 0.2))
     assert 0.2 < early < late - 0.03 < 0.7
 
 
 def test_gradients_are_finite_differences(x64):
-    place = lambda a: spatula.motion(a, 40)[jnp.array([8, 16, 30, 40])]
+    def place(a):
+        return spatula.motion(a, 40)[jnp.array([8, 16, 30, 40])]
+
     jacobian = np.asarray(jax.jacobian(place)(jnp.asarray(ACTION)))
     for i in range(3):
         e = 1e-6 * np.eye(3)[i]
-        numeric = (np.asarray(place(jnp.asarray(ACTION + e))) - np.asarray(place(jnp.asarray(ACTION - e)))) / 2e-6
+        numeric = (
+            np.asarray(place(jnp.asarray(ACTION + e))) - np.asarray(place(jnp.asarray(ACTION - e)))
+        ) / 2e-6
         np.testing.assert_allclose(jacobian[..., i], numeric, atol=1e-7)
 
 

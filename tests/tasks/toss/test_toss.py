@@ -42,7 +42,9 @@ def test_tosses_are_read_with_their_noise(null):
     assert len(tossed.names) == 6
     assert tossed.noise == pytest.approx(tosses.NOISE, rel=0.3)
     assert tossed.noise_turn == pytest.approx(tosses.NOISE_TURN, rel=0.4)
-    assert tossed.body.friction == pytest.approx(json.loads((null / "truth.json").read_text())["friction"])
+    assert tossed.body.friction == pytest.approx(
+        json.loads((null / "truth.json").read_text())["friction"]
+    )
 
 
 def test_one_table_of_all_tosses_is_read_alike(null, tmp_path):
@@ -62,7 +64,10 @@ def changed(lines, column, what):
     """A file's lines with a column's cells changed."""
     at = lines[0].split(",").index(column)
     cells = [line.split(",") for line in lines[1:]]
-    return [lines[0], *[",".join([*c[:at], what(i, c[at]), *c[at + 1 :]]) for i, c in enumerate(cells)]]
+    return [
+        lines[0],
+        *[",".join([*c[:at], what(i, c[at]), *c[at + 1 :]]) for i, c in enumerate(cells)],
+    ]
 
 
 @pytest.mark.parametrize(
@@ -70,7 +75,10 @@ def changed(lines, column, what):
     [
         (lambda z: changed(z, "x", lambda i, c: "nan" if i == 4 else c), "line 6: column x is nan"),
         (lambda z: changed(z, "x", lambda i, c: f"{1e3 * float(c) + 1e5:g}"), "is it in mm or cm"),
-        (lambda z: changed(z, "qw", lambda i, c: "3.0" if i == 4 else c), "line 6: the quaternion's length is"),
+        (
+            lambda z: changed(z, "qw", lambda i, c: "3.0" if i == 4 else c),
+            "line 6: the quaternion's length is",
+        ),
         (lambda z: [z[0].replace("qz", "q4"), *z[1:]], "column 'qz' is missing"),
         (lambda z: [z[0].replace("qw,qx,qy,qz", "qx,qy,qz,qw"), *z[1:]], "have w last"),
         (lambda z: changed(z, "z", lambda i, c: f"{float(c) - 0.5:g}"), "below the plane z = 0"),
@@ -123,19 +131,32 @@ def test_a_start_is_where_it_was_recorded_whatever_the_measurement_lacks(null):
     time = np.tile([0.0, 0.004], (5, 1))
     place, turn = poses(tossed.body, [z.name for z in q], values, start, time)
     np.testing.assert_allclose(place[:, 0], start[:, :3], atol=1e-12)
-    np.testing.assert_allclose(turns.log(turns.times(turns.inverse(turn[:, 0]), start[:, 3:7])), 0.0, atol=1e-9)
+    np.testing.assert_allclose(
+        turns.log(turns.times(turns.inverse(turn[:, 0]), start[:, 3:7])), 0.0, atol=1e-9
+    )
     speed = (place[:, 1] - place[:, 0]) / 0.004
-    np.testing.assert_allclose(speed, start[:, 7:10], atol=0.15)  # gravity acts, and the recorded point turns
+    np.testing.assert_allclose(
+        speed, start[:, 7:10], atol=0.15
+    )  # gravity acts, and the recorded point turns
     spin = turns.log(turns.times(turns.inverse(turn[:, 0]), turn[:, 1])) / 0.004
     np.testing.assert_allclose(spin, start[:, 10:], atol=0.02)
 
 
 def test_the_model_file_is_the_mended_body(null, tmp_path):
     tossed = read(null)
-    given = {"friction": 0.3, "damping": 0.7, "com_x": 0.004, "inertia": 0.2, "tilt_y": 0.03, "size": 0.03}
+    given = {
+        "friction": 0.3,
+        "damping": 0.7,
+        "com_x": 0.004,
+        "inertia": 0.2,
+        "tilt_y": 0.03,
+        "size": 0.03,
+    }
     values = values_of(tossed, given)
     names = [z.name for z in quantities(tossed.body)]
-    (tmp_path / "mended.xml").write_text(mended_xml(tossed.body, dict(zip(names, values, strict=True)), ["a note"]))
+    (tmp_path / "mended.xml").write_text(
+        mended_xml(tossed.body, dict(zip(names, values, strict=True)), ["a note"])
+    )
     again = read_body(tmp_path / "mended.xml")
     start = np.array([[0.0, 0.0, 0.12, 0.8, 0.6, 0.0, 0.0, 1.0, 0.5, 0.0, 1.0, 2.0, 3.0]])
     time = np.linspace(0.0, 0.3, 40)[None]
@@ -148,9 +169,13 @@ def test_the_model_file_is_the_mended_body(null, tmp_path):
         mujoco.mj_step(again.model, theirs)
         rows.append(theirs.qpos[:3].copy())
     at = time[0] / again.step
-    expected = np.stack([np.interp(at, np.arange(len(rows)), np.array(rows)[:, k]) for k in range(3)], 1)
+    expected = np.stack(
+        [np.interp(at, np.arange(len(rows)), np.array(rows)[:, k]) for k in range(3)], 1
+    )
     np.testing.assert_allclose(ours[0, :20], expected[:20], atol=1e-7)
-    np.testing.assert_allclose(ours[0], expected, atol=1e-3)  # the file has six digits, which strikes magnify
+    np.testing.assert_allclose(
+        ours[0], expected, atol=1e-3
+    )  # the file has six digits, which strikes magnify
 
 
 def test_a_clock_that_is_off_shows_in_free_flight(tmp_path):
@@ -175,11 +200,14 @@ def test_nothing_is_named_where_nothing_lacks(null):
 
 @pytest.mark.slow
 @pytest.mark.xfail(
-    reason="named right, but by 0.012 of the 0.03 that are there: hard strikes make the loss rough (contact_tasks.md)"
+    reason="named right, but by 0.012 of the 0.03 that are there: hard strikes make the loss rough "
+    "(contact_tasks.md)"
 )
 def test_a_clock_is_named_from_the_command_line(tmp_path):
     out = tmp_path / "out"
-    data = folder(tmp_path, "clock_scale", effect=0.03, count=8, height=(0.4, 0.5))  # a long flight shows it
+    data = folder(
+        tmp_path, "clock_scale", effect=0.03, count=8, height=(0.4, 0.5)
+    )  # a long flight shows it
     assert cli.main(["diagnose", str(data), "--out", str(out), "--exclude", *REST]) == 0
     report = json.loads((out / "report.json").read_text())
     (effect,) = report["effects"]
@@ -194,10 +222,14 @@ def test_a_clock_is_named_from_the_command_line(tmp_path):
 
 def test_the_measured_cube_falls_slowly(tmp_path):
     root = Path(__file__).resolve().parents[3]
-    data = Path(os.environ.get("ADAPTSIM_DATA", root.parent / "shared" / "data")) / "measured_cube_tosses"
+    data = (
+        Path(os.environ.get("ADAPTSIM_DATA", root.parent / "shared" / "data"))
+        / "measured_cube_tosses"
+    )
     if not data.is_dir():
         pytest.skip(
-            "the cube's tosses are not at hand: set ADAPTSIM_DATA to the folder that holds measured_cube_tosses"
+            "the cube's tosses are not at hand: set ADAPTSIM_DATA to the folder that holds "
+            "measured_cube_tosses"
         )
     from experiments.cube_tosses import written
 

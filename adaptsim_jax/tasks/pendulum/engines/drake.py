@@ -1,4 +1,6 @@
-"""The double pendulum in Drake: commands held by a fixed input between steps, error control to 1e-10."""
+"""The double pendulum in Drake: commands held by a fixed input between steps, error control to
+1e-10.
+"""
 
 from __future__ import annotations
 
@@ -17,10 +19,17 @@ def make_drake(dt: float):
     try:
         drake: Any = importlib.import_module("pydrake.all")
     except ImportError:
-        raise BadInput("backend drake is not installed; pip install 'adaptsim_jax[drake]'") from None
+        raise BadInput(
+            "backend drake is not installed; pip install 'adaptsim_jax[drake]'"
+        ) from None
 
     def simulate(params, commands, initial):
-        rows = zip(np.asarray(params, float), np.asarray(commands, float), np.asarray(initial, float), strict=True)
+        rows = zip(
+            np.asarray(params, float),
+            np.asarray(commands, float),
+            np.asarray(initial, float),
+            strict=True,
+        )
         return finished(np.stack([_drake_one(drake, *row, dt) for row in rows]))
 
     return simulate

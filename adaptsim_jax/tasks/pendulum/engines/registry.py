@@ -22,12 +22,15 @@ BACKENDS: Registry[EngineKind] = Registry(
 
 
 def make_backend(name: str, dt: float = 1e-3, **settings: Any) -> Backend:
-    """A backend with steps of `dt` s; BadInput where the name is unknown or the engine is not installed.
+    """A backend with steps of `dt` s; BadInput where the name is unknown or the engine is not
+    installed.
 
-    `simulate(params [B, 10], commands [B, T, 2], initial [B, 4])`: `scene.PARAMETERS`; N m; rad and rad/s.
-    `settings` are the engine's own.
+    `simulate(params [B, 10], commands [B, T, 2], initial [B, 4])`: `scene.PARAMETERS`; N m; rad and
+    rad/s. `settings` are the engine's own.
     """
     kind = BACKENDS.named(name, "backend")
     if not 0 < dt <= 0.01:
-        raise BadInput(f"backend {name}: a step of {dt} s is out of range; use one above 0 and up to 0.01 s")
+        raise BadInput(
+            f"backend {name}: a step of {dt} s is out of range; use one above 0 and up to 0.01 s"
+        )
     return Backend(name, kind.make(dt, *own_settings(name, kind.settings, settings)))

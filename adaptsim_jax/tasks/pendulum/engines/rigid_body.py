@@ -1,4 +1,6 @@
-"""Our own rigid-body pendulum as a backend: the plant that mended models are made of, without effects."""
+"""Our own rigid-body pendulum as a backend: the plant that mended models are made of, without
+effects.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,9 @@ def make_rigid_body(dt: float):
         states = jax.lax.scan(row, list(initial.T), jnp.transpose(commands, (1, 2, 0)))[1]
         return jnp.transpose(states, (2, 0, 1))
 
-    return lambda params, commands, initial: finished(run(*map(jnp.asarray, (params, commands, initial))))
+    return lambda params, commands, initial: finished(
+        run(*map(jnp.asarray, (params, commands, initial)))
+    )
 
 
 ENGINE = EngineKind(NoSettings, make_rigid_body)

@@ -1,4 +1,6 @@
-"""The rigid-body double pendulum as a MuJoCo scene, and its parameters as one vector for all backends."""
+"""The rigid-body double pendulum as a MuJoCo scene, and its parameters as one vector for all
+backends.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +13,18 @@ from adaptsim_jax.core.constants import GRAVITY as GRAVITY
 from adaptsim_jax.tasks.engine import Trajectory
 
 PARAMETERS = ("m1", "m2", "l1", "l2", "c1", "c2", "I1", "I2", "b1", "b2")
-"""Masses kg, lengths and centres of mass m, inertias about the centres kg m^2, viscous damping N m s/rad."""
+"""Masses kg, lengths and centres of mass m, inertias about the centres kg m^2, viscous damping N m
+s/rad.
+"""
 
 
 def scene(params: np.ndarray, dt: float, integrator: str = "RK4") -> str:
-    """MJCF of a pendulum that hangs at zero angle, with `params: [10]` in the order of `PARAMETERS`."""
+    """MJCF of a pendulum that hangs at zero angle, with `params: [10]` in the order of
+    `PARAMETERS`.
+    """
     m1, m2, l1, _, c1, c2, i1, i2, b1, b2 = (repr(float(x)) for x in params)
-    # Only motion about y is possible: the other two inertias are free, and chosen for MuJoCo to accept.
+    # Only motion about y is possible: the other two inertias are free, and chosen for MuJoCo to
+    # accept.
     return f"""<mujoco>
   <option timestep="{dt!r}" integrator="{integrator}" gravity="0 0 -{GRAVITY}">
     <flag contact="disable" constraint="disable"/>
@@ -43,9 +50,11 @@ def model(params: np.ndarray, dt: float) -> Any:
 
 
 def draw(seed: int, samples: int, steps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Random `params [B, 10]`, smooth `commands [B, T, 2]` N m, and `initial [B, 4]`, in double precision.
+    """Random `params [B, 10]`, smooth `commands [B, T, 2]` N m, and `initial [B, 4]`, in double
+    precision.
 
-    Sizes are those of desk-top rigs: masses 0.2 to 2 kg, links 0.2 to 0.6 m, angles within 1 rad, 5 rad/s.
+    Sizes are those of desk-top rigs: masses 0.2 to 2 kg, links 0.2 to 0.6 m, angles within 1 rad, 5
+    rad/s.
     """
     rng = np.random.default_rng(seed)
     mass, length = rng.uniform(0.2, 2.0, (2, samples)), rng.uniform(0.2, 0.6, (2, samples))
@@ -56,7 +65,9 @@ def draw(seed: int, samples: int, steps: int) -> tuple[np.ndarray, np.ndarray, n
     waves = rng.normal(size=(samples, 3, 1, 2)) * np.sin(
         rng.uniform(0.5, 4.0, (samples, 3, 1, 2)) * np.linspace(0.0, 2 * np.pi, steps)[:, None]
     )
-    initial = np.concatenate([rng.uniform(-1, 1, (samples, 2)), rng.uniform(-5, 5, (samples, 2))], axis=1)
+    initial = np.concatenate(
+        [rng.uniform(-1, 1, (samples, 2)), rng.uniform(-5, 5, (samples, 2))], axis=1
+    )
     return params, waves.sum(1), initial
 
 

@@ -1,4 +1,6 @@
-"""What a push may lack beside its declared parameters: each effect with its quantities, units, bounds, physics and excitation."""
+"""What a push may lack beside its declared parameters: each effect with its quantities, units,
+bounds, physics and excitation.
+"""
 
 import itertools
 import math
@@ -16,7 +18,13 @@ def _declared(name: str, scale: float) -> Quantity:
     low, high = BOUNDS[name]
     middle = {"mu": 0.12, "log_e": 5.0, "mu_p": 0.5, "y_p": 0.0}[name]
     return Quantity(
-        name, "log10 Pa" if name == "log_e" else "m" if name == "y_p" else "", middle, low, high, scale, high - low
+        name,
+        "log10 Pa" if name == "log_e" else "m" if name == "y_p" else "",
+        middle,
+        low,
+        high,
+        scale,
+        high - low,
     )
 
 
@@ -108,14 +116,28 @@ EFFECTS = (
         "mass",
         "contact",
         ("heavier",),
-        "the bottle is heavier or lighter than declared, by a share, so that the same contact gives way more or less",
+        "the bottle is heavier or lighter than declared, by a share, so that the same contact "
+        "gives way more or less",
         "fast and slow pushes",
         same=("softer_contact@contact",),
         absorbed=("log_e",),
         apart="scales",
     ),
-    _E("plate_turn", "contact", ("plate_turn",), "the plate's face is turned against its motion", "any push"),
-    _E("tilt", "force", ("tilt_x", "tilt_y"), "the table is not level", "pushes to either side", absorbed=("mu",)),
+    _E(
+        "plate_turn",
+        "contact",
+        ("plate_turn",),
+        "the plate's face is turned against its motion",
+        "any push",
+    ),
+    _E(
+        "tilt",
+        "force",
+        ("tilt_x", "tilt_y"),
+        "the table is not level",
+        "pushes to either side",
+        absorbed=("mu",),
+    ),
     _E(
         "speed_friction",
         "force",
@@ -124,7 +146,14 @@ EFFECTS = (
         "slow and fast pushes",
         absorbed=("mu",),
     ),
-    _E("drag", "force", ("drag",), "a drag proportional to speed", "slow and fast pushes", absorbed=("mu",)),
+    _E(
+        "drag",
+        "force",
+        ("drag",),
+        "a drag proportional to speed",
+        "slow and fast pushes",
+        absorbed=("mu",),
+    ),
     _E(
         "grain",
         "force",
@@ -169,7 +198,8 @@ EFFECTS = (
         "turning",
         "force",
         ("spin",),
-        "the bottle turns where friction under it does not balance, as at a patch's edge; asked where yaw was measured",
+        "the bottle turns where friction under it does not balance, as at a patch's edge; asked "
+        "where yaw was measured",
         "bottles that cross a patch's edge beside their axis",
         shapes=({"spin": 1.0},),
     ),
@@ -192,7 +222,9 @@ EFFECTS = (
 
 
 def effects_of(yaw: bool) -> tuple[Candidate, ...]:
-    """The effects of tracks with a measured yaw or without: places alone hardly show that a bottle turns at a patch's edge."""
+    """The effects of tracks with a measured yaw or without: places alone hardly show that a bottle
+    turns at a patch's edge.
+    """
     return tuple(e for e in EFFECTS if yaw or e.name != "turning")
 
 
@@ -202,7 +234,9 @@ def physical(values: dict) -> dict:
 
 
 def grain(a: float, b: float) -> tuple[float, float]:
-    """Ratio of friction across by along the grain, and the grain's direction in rad from x, of `grain_a`, `grain_b`."""
+    """Ratio of friction across by along the grain, and the grain's direction in rad from x, of
+    `grain_a`, `grain_b`.
+    """
     size = min(math.hypot(a, b), 0.999)
     return math.sqrt((1 + size) / (1 - size)), (
         0.5 * math.atan2(b, a) + math.pi / 2 + math.pi / 2

@@ -1,4 +1,6 @@
-"""Diagnose measured pushes: which effects the declared push lacks, what is left, the mended model, and the push that tells more."""
+"""Diagnose measured pushes: which effects the declared push lacks, what is left, the mended model,
+and the push that tells more.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -18,39 +20,64 @@ from adaptsim_jax.tasks.trial_diagnosis import Diagnose, reported, worst_left
 
 MODEL = "the planar push with lateral motion"
 CRITERIA = Criteria(quiet=1.14, beyond=0.9, tried=6)
-"""Of 60 worlds with nothing hidden three had an effect named that took 1 to 4 % off an error of 1.04 to 1.08 times the noise. Pushes
-that Drake makes leave 3 to 16 times the noise with nothing hidden, of which effects take off 30 to 85 %. With four tried, a drag lost
-its place to another mass, whose first step gains as much."""
+"""Of 60 worlds with nothing hidden three had an effect named that took 1 to 4 % off an error of
+1.04 to 1.08 times the noise. Pushes that Drake makes leave 3 to 16 times the noise with nothing
+hidden, of which effects take off 30 to 85 %. With four tried, a drag lost its place to another
+mass, whose first step gains as much.
+"""
 MIRRORED = 4.0
-"""Times by which yaw of the other sign must leave less of the squared error to be taken for mirrored."""
+"""Times by which yaw of the other sign must leave less of the squared error to be taken for
+mirrored.
+"""
 
 
 def judged(pushed: Pushed, effects, criteria: Criteria, progress, folder: Path | None):
     """See `trial_diagnosis.Diagnose`."""
     p, problem = pushed, prepare(pushed, pushed.options, pushed.coefficients, effects)
     found = select(
-        problem, criteria, rows.stepping(progress, 0.05), keep=rows.keeping(folder, "pushing", MODEL, problem)
+        problem,
+        criteria,
+        rows.stepping(progress, 0.05),
+        keep=rows.keeping(folder, "pushing", MODEL, problem),
     )
     turns = {"yaw": ("rad", p.noise_yaw)} if p.yaw is not None else {}
     seen = rows.Seen(
-        KIND.trial, KIND.trials, p.names, p.time, p.places, p.mask, p.channels, p.noise, p.noise_source, p.known, turns
-    )  # fmt: skip
+        KIND.trial,
+        KIND.trials,
+        p.names,
+        p.time,
+        p.places,
+        p.mask,
+        p.channels,
+        p.noise,
+        p.noise_source,
+        p.known,
+        turns,
+    )
     both = {"before": found.null, "after": found.final}
     tracks = {k: simulated(p, p.options, p.coefficients, m.fit.vectors) for k, m in both.items()}
     noise = {"m": p.noise, "source": p.noise_source} | ({"rad": p.noise_yaw} if turns else {})
-    report, evidence = reported("pushing", MODEL, seen, problem, found, tracks, criteria, list(p.notes), noise=noise)
+    report, evidence = reported(
+        "pushing", MODEL, seen, problem, found, tracks, criteria, list(p.notes), noise=noise
+    )
     report["message"] += _mirrored(pushed, problem, found, criteria)
     for row in report["effects"]:
         if row["name"] == "grain":
-            row["ratio"], row["smooth_direction_rad"] = grain(*(z["value"] for z in row["parameters"].values()))
+            row["ratio"], row["smooth_direction_rad"] = grain(
+                *(z["value"] for z in row["parameters"].values())
+            )
     return report, evidence, telling(pushed, found), model_table(pushed, problem, found), {}
 
 
 def _mirrored(pushed: Pushed, problem: Problem, found: Selection, criteria: Criteria) -> str:
-    """A sentence where a bottle that turns would be followed far better if it turned the other way."""
+    """A sentence where a bottle that turns would be followed far better if it turned the other
+    way.
+    """
     if pushed.yaw is None or worst_left(problem, found) <= criteria.explained:
         return ""
-    other = prepare(replace(pushed, yaw=-pushed.yaw), pushed.options, pushed.coefficients, problem.effects)
+    other = prepare(
+        replace(pushed, yaw=-pushed.yaw), pushed.options, pushed.coefficients, problem.effects
+    )
     values = found.null.fit.values.copy()
     values[problem.index["spin"]] = 1.0
     _, loss = fitted(other, (*problem.declared, *TURNING), values, criteria.rounds)
@@ -58,25 +85,40 @@ def _mirrored(pushed: Pushed, problem: Problem, found: Selection, criteria: Crit
         return ""
     left = (loss / problem.counts.sum()) ** 0.5
     return (
-        f" Yaw looks mirrored: turned the other way it is followed to {left:.1f} times the noise floor; give it positive to the left "
+        f" Yaw looks mirrored: turned the other way it is followed to {left:.1f} times the noise "
+        f"floor; give it positive to the left "
         "(seen from above)."
     )
 
 
 def model_table(pushed: Pushed, problem: Problem, found: Selection) -> dict[str, Any]:
     """`model.toml`: declared parameters as fitted, and what each named effect adds."""
-    value = lambda name: float(found.final.fit.values[problem.index[name]])
+
+    def value(name):
+        return float(found.final.fit.values[problem.index[name]])
+
     return {
         "schema": 1,
         "task": "pushing",
         "friction": pushed.options.friction,
         "mass": pushed.options.mass,
         "coefficients": "drake" if pushed.coefficients == DRAKE else "native",
-        "parameters": {"mu": value("mu"), "e": 10.0 ** value("log_e"), "mu_p": value("mu_p"), "y_p": value("y_p")},
+        "parameters": {
+            "mu": value("mu"),
+            "e": 10.0 ** value("log_e"),
+            "mu_p": value("mu_p"),
+            "y_p": value("y_p"),
+        },
         "effects": {n.effect.name: {q: value(q) for q in n.effect.quantities} for n in found.named},
     }
 
 
 diagnose = Diagnose(
-    KIND.trial, Pushed, read, lambda pushed: effects_of(pushed.yaw is not None), judged, CRITERIA, ("speed", "angle")
+    KIND.trial,
+    Pushed,
+    read,
+    lambda pushed: effects_of(pushed.yaw is not None),
+    judged,
+    CRITERIA,
+    ("speed", "angle"),
 )

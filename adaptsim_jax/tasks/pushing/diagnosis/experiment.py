@@ -1,4 +1,6 @@
-"""The pushes that tell the members of a class apart: of a grid of actions those whose tracks they predict most differently."""
+"""The pushes that tell the members of a class apart: of a grid of actions those whose tracks they
+predict most differently.
+"""
 
 from dataclasses import replace
 from typing import Any
@@ -15,7 +17,8 @@ APART = 3.0  # times the camera's noise, between members, of a push worth making
 
 
 def telling(pushed: Pushed, found: Selection) -> dict[str, Any] | None:
-    """message, separates (names) and rows (speed m/s, angle rad), none where no push of the grid tells them apart.
+    """message, separates (names) and rows (speed m/s, angle rad), none where no push of the grid
+    tells them apart.
 
     None where nothing that was named has look-alikes.
     """
@@ -38,19 +41,32 @@ def telling(pushed: Pushed, found: Selection) -> dict[str, Any] | None:
         aside=np.zeros((len(grid), 2)),
         time=np.tile(time, (len(grid), 1)),
     )
-    said = lambda m: simulated(many, pushed.options, pushed.coefficients, np.tile(m.fit.values, (len(grid), 1)))
+
+    def said(m):
+        return simulated(
+            many, pushed.options, pushed.coefficients, np.tile(m.fit.values, (len(grid), 1))
+        )
+
     own, sizes = said(found.final), pushed.sizes / pushed.noise
-    apart = np.array([np.sqrt(np.square((said(m) - own) / sizes).sum(-1).max(1)) for _, _, m in pairs])
+    apart = np.array(
+        [np.sqrt(np.square((said(m) - own) / sizes).sum(-1).max(1)) for _, _, m in pairs]
+    )
     most = apart.max(1)
-    shown = most >= APART * pushed.noise  # a scale of lengths may be a parallax as well, whatever is pushed
+    shown = (
+        most >= APART * pushed.noise
+    )  # a scale of lengths may be a parallax as well, whatever is pushed
     i = int(np.argmin(np.where(shown | ~shown.any(), most, np.inf)))
     n, other, _ = pairs[i]
     names, score = [n.effect.name, other.name], apart[i]
     words = f"{names[0].replace('_', ' ')} and {names[1].replace('_', ' ')}"
-    told = f"{1e3 * score.max():.2g} mm" if pushed.yaw is None else f"{score.max() / pushed.noise:.2g} times the noise"
+    if pushed.yaw is None:
+        told = f"{1e3 * score.max():.2g} mm"
+    else:
+        told = f"{score.max() / pushed.noise:.2g} times the noise"
     if score.max() < APART * pushed.noise:
         return {
-            "message": f"No push within the bounds tells {words} apart: their tracks differ by {told} at most. Measure one of them "
+            "message": f"No push within the bounds tells {words} apart: their tracks differ by "
+            f"{told} at most. Measure one of them "
             "by itself.",
             "separates": names,
             "rows": [],

@@ -1,4 +1,6 @@
-"""Pushes as a `Problem`: what a camera would see of each slide, less what it saw, over its noise."""
+"""Pushes as a `Problem`: what a camera would see of each slide, less what it saw, over its
+noise.
+"""
 
 import itertools
 from collections.abc import Sequence
@@ -35,8 +37,9 @@ def seen(
     turns: bool,
     yaw: bool,
 ) -> Array:
-    """`[R, C]` m: what the camera says of one push at `push["time"]`; values `[P]`. turns: whether the bottle may turn; yaw: whether
-    the camera tells it, in rad beside x and y."""
+    """`[R, C]` m: what the camera says of one push at `push["time"]`; values `[P]`. turns: whether
+    the bottle may turn; yaw: whether the camera tells it, in rad beside x and y.
+    """
     v = physical({n: values[i] for i, n in enumerate(NAMES)})
     inner = {n: v[n] for n in (*model.PARAMETERS, *slide.NEUTRAL)}
     if not turns:  # a fifth of the work
@@ -50,13 +53,17 @@ def seen(
     places = viewed(v, local, model.HEIGHT)
     if not yaw:
         return places
-    turn = at_times(rows[:, 4:5], rows[:, 5:6], time) if turns else jnp.zeros_like(places[:, :1])
+    if turns:
+        turn = at_times(rows[:, 4:5], rows[:, 5:6], time)
+    else:
+        turn = jnp.zeros_like(places[:, :1])
     return jnp.concatenate([places, turn], 1)
 
 
 def at_times(places: Array, rates: Array, time: Array) -> Array:
-    """`[R, C]` at times `[R]` s between `places` and their `rates` `[N, C]` at the rows of `slide.rollout`, by Hermite's cubics; held
-    before and after."""
+    """`[R, C]` at times `[R]` s between `places` and their `rates` `[N, C]` at the rows of
+    `slide.rollout`, by Hermite's cubics; held before and after.
+    """
     place = jnp.clip(time / slide.ROW, 0.0, len(places) - 1.0)
     k = jnp.clip(jnp.floor(place).astype(int), 0, len(places) - 2)
     u = (place - k)[:, None]
@@ -72,10 +79,17 @@ def at_times(places: Array, rates: Array, time: Array) -> Array:
 @lru_cache(maxsize=8)
 def _program(options: PushOptions, coefficients: PlanarCoefficients, step: float, yaw: bool):
     """`(values [T, P], pushes) -> [T, R, C]` m (and rad)."""
-    make = lambda turns: partial(seen, options=options, coefficients=coefficients, step=step, turns=turns, yaw=yaw)
+
+    def make(turns):
+        return partial(
+            seen, options=options, coefficients=coefficients, step=step, turns=turns, yaw=yaw
+        )
+
     flat, turning = (jax.jit(jax.vmap(make(turns))) for turns in (False, True))
     spin = NAMES.index("spin")
-    return lambda values, pushes: (turning if np.any(values[:, spin]) else flat)(np.asarray(values, np.float32), pushes)
+    return lambda values, pushes: (turning if np.any(values[:, spin]) else flat)(
+        np.asarray(values, np.float32), pushes
+    )
 
 
 def packed(pushed: Pushed) -> dict[str, Array]:
@@ -97,35 +111,48 @@ def prepare(
 ) -> Problem:
     """The problem of a recording, simulated up to its last row."""
     last = np.ceil((float(pushed.time.max()) + MARGIN) / 0.05) * 0.05
-    options = PushOptions(**{**options.__dict__, "duration": float(np.round(max(last, model.PUSH_ENDS), 3))})
-    simulate, rough = (_program(options, coefficients, z, pushed.yaw is not None) for z in (step, ROUGH))
+    options = PushOptions(
+        **{**options.__dict__, "duration": float(np.round(max(last, model.PUSH_ENDS), 3))}
+    )
+    simulate, rough = (
+        _program(options, coefficients, z, pushed.yaw is not None) for z in (step, ROUGH)
+    )
     pushes = packed(pushed)
     places, known = pushed.places, pushed.known
     weight = known / pushed.sizes
     count = len(pushed.names)
 
     def free(z: np.ndarray) -> np.ndarray:
-        """`[..., R, C]` less what a turn of the marker, which each push has of its own, takes up."""
+        """`[..., R, C]` less what a turn of the marker, which each push has of its own, takes
+        up.
+        """
         turn = z[..., 2:]
-        z[..., 2:] -= known[..., 2:] * (turn.sum(-2) / np.maximum(known[..., 2:].sum(-2), 1))[..., None, :]
+        z[..., 2:] -= (
+            known[..., 2:] * (turn.sum(-2) / np.maximum(known[..., 2:].sum(-2), 1))[..., None, :]
+        )
         return z
 
     def residuals(values: np.ndarray) -> np.ndarray:
         out = simulate(values, pushes)
         return free(weight * (places - np.asarray(out, float))).reshape(count, -1)
 
-    every = lambda times: {k: np.tile(v, (times, *[1] * (v.ndim - 1))) for k, v in pushes.items()}
+    def every(times):
+        return {k: np.tile(v, (times, *[1] * (v.ndim - 1))) for k, v in pushes.items()}
 
     def columns(values: np.ndarray, basis: np.ndarray) -> np.ndarray:
-        # central differences over a fifth of a step that matters, all at once: faster here than forward-mode columns,
-        # and they smooth what a track does as it meets the patch's edge
+        # central differences over a fifth of a step that matters, all at once: faster here than
+        # forward-mode columns, and they smooth what a track does as it meets the patch's edge
         width = next(w for w in WIDTHS if w >= len(basis))
         moves = np.zeros((2, width, basis.shape[1]))
         moves[0, : len(basis)], moves[1, : len(basis)] = ASIDE * basis, -ASIDE * basis
         rows = np.repeat((values + moves).reshape(2 * width, -1), count, 0)
         out = np.asarray(simulate(rows, every(2 * width)), float)
         up, down = out.reshape(2, width, *places.shape)[:, : len(basis)]
-        return free(weight * (up - down) / (2 * ASIDE)).reshape(len(basis), count, -1).transpose(1, 2, 0)
+        return (
+            free(weight * (up - down) / (2 * ASIDE))
+            .reshape(len(basis), count, -1)
+            .transpose(1, 2, 0)
+        )
 
     def scan(rows: np.ndarray) -> np.ndarray:
         out = np.asarray(rough(np.repeat(rows, count, 0), every(len(rows))), float)
@@ -157,7 +184,13 @@ def prepare(
 
 
 def simulated(
-    pushed: Pushed, options: PushOptions, coefficients: PlanarCoefficients, values: np.ndarray, step: float = slide.STEP
+    pushed: Pushed,
+    options: PushOptions,
+    coefficients: PlanarCoefficients,
+    values: np.ndarray,
+    step: float = slide.STEP,
 ) -> np.ndarray:
     """`[T, R, C]` m (and rad): what the camera would say of these pushes; values `[T, P]`."""
-    return np.asarray(_program(options, coefficients, step, pushed.yaw is not None)(values, packed(pushed)))
+    return np.asarray(
+        _program(options, coefficients, step, pushed.yaw is not None)(values, packed(pushed))
+    )

@@ -1,4 +1,6 @@
-"""Recordings of pushes: a folder of `meta.toml`, `actions.csv` and tracks. What cannot be judged is refused with its row."""
+"""Recordings of pushes: a folder of `meta.toml`, `actions.csv` and tracks. What cannot be judged is
+refused with its row.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,19 +25,30 @@ TURN = trial_record.Size("noise_yaw", "rad", 5e-3, 0.2, 0.01)
 """The least is what a step of 1 ms costs the turn of a bottle."""
 KEYS = ("schema", "task", "friction", "coefficients", "mass", "note", "noise", TURN.key)
 KIND = trial_record.Kind(
-    "push", "pushes", "the bottle", far=3.0, fastest=FASTEST, slip=SLIP, moves=2 * STILL, ends=3.0, usual=USUAL,
-    never="the hit never came, or the track ends before", optional=("yaw",), angles=("yaw",),
-)  # fmt: skip
+    "push",
+    "pushes",
+    "the bottle",
+    far=3.0,
+    fastest=FASTEST,
+    slip=SLIP,
+    moves=2 * STILL,
+    ends=3.0,
+    usual=USUAL,
+    never="the hit never came, or the track ends before",
+    optional=("yaw",),
+    angles=("yaw",),
+)
 
 
 @dataclass(frozen=True)
 class Pushed:
     """T pushes of at most R rows.
 
-    names `[T]`; actions `[T, 2]` m/s, rad; starts `[T, 2]` m as declared; aside `[T, 2]` m from there to the first rows' mean; time
-    `[T, R]` s, xy `[T, R, 2]` m, mask `[T, R]`; noise m of one coordinate; notes: what the files say beside. yaw `[T, R]` rad where
-    the bottle's turn was measured, to the left positive, from each push's first rows; turned `[T, R]`: rows that show it; noise_yaw
-    rad.
+    names `[T]`; actions `[T, 2]` m/s, rad; starts `[T, 2]` m as declared; aside `[T, 2]` m from
+    there to the first rows' mean; time `[T, R]` s, xy `[T, R, 2]` m, mask `[T, R]`; noise m of one
+    coordinate; notes: what the files say beside. yaw `[T, R]` rad where the bottle's turn was
+    measured, to the left positive, from each push's first rows; turned `[T, R]`: rows that show it;
+    noise_yaw rad.
     """
 
     names: tuple[str, ...]
@@ -56,18 +69,24 @@ class Pushed:
 
     @property
     def channels(self) -> tuple[str, ...]:
-        return ("x", "y") if self.yaw is None else ("x", "y", "yaw")
+        if self.yaw is None:
+            return ("x", "y")
+        return ("x", "y", "yaw")
 
     @property
     def places(self) -> np.ndarray:
         """`[T, R, C]` m and rad."""
-        return self.xy if self.yaw is None else np.concatenate([self.xy, self.yaw[..., None]], -1)
+        if self.yaw is None:
+            return self.xy
+        return np.concatenate([self.xy, self.yaw[..., None]], -1)
 
     @property
     def known(self) -> np.ndarray:
         """`[T, R, C]`: what was measured."""
         known = np.repeat(self.mask[..., None], 2, -1)
-        return known if self.turned is None else np.concatenate([known, self.turned[..., None]], -1)
+        if self.turned is None:
+            return known
+        return np.concatenate([known, self.turned[..., None]], -1)
 
     @property
     def sizes(self) -> np.ndarray:
@@ -76,12 +95,18 @@ class Pushed:
 
 
 def read(folder: str | Path, as_declared: bool = False, without: Sequence[str] = ()) -> Pushed:
-    """The pushes of a folder. as_declared: whatever their directions say of the frame; without: pushes whose tracks are not looked
-    at. Raises BadInput."""
+    """The pushes of a folder. as_declared: whatever their directions say of the frame; without:
+    pushes whose tracks are not looked at. Raises BadInput.
+    """
     folder = Path(folder)
     meta = trial_record.read_meta(folder / "meta.toml", KEYS)
     return assemble(
-        folder / "actions.csv", trial_record.track_files(folder), meta, folder / "meta.toml", as_declared, without
+        folder / "actions.csv",
+        trial_record.track_files(folder),
+        meta,
+        folder / "meta.toml",
+        as_declared,
+        without,
     )
 
 
@@ -100,15 +125,23 @@ def assemble(
     c = table.columns
     for i, (speed, angle) in enumerate(zip(c["speed"], c["angle"], strict=True)):
         if not 0.1 <= speed <= 2.0:
-            raise BadInput(f"{told(i)}: speed {speed:g} is not within 0.1 to 2 m/s; is it in another unit?")
+            raise BadInput(
+                f"{told(i)}: speed {speed:g} is not within 0.1 to 2 m/s; is it in another unit?"
+            )
         if abs(angle) > 1.2:
-            raise BadInput(f"{told(i)}: angle {angle:g} rad is beyond any push; is it in degrees? write radians")
+            raise BadInput(
+                f"{told(i)}: angle {angle:g} rad is beyond any push; is it in degrees? write "
+                f"radians"
+            )
     numbers = c["trial"]
     found, more = trial_record.read_tracks(tracks, numbers, actions, KIND, without, as_declared)
     names, notes = trial_record.tracked(numbers, found, where, KIND, "12 to 24")
     row = {n: i for i, n in enumerate(numbers)}
     at = np.array([row[n] for n in names])
-    default = lambda k: c.get(f"start_{'xy'[k]}", np.full(len(numbers), model.START[k]))[at]
+
+    def default(k):
+        return c.get(f"start_{'xy'[k]}", np.full(len(numbers), model.START[k]))[at]
+
     starts = np.stack([default(0), default(1)], 1)
     time, places, mask = trial_record.padded(names, found)
     xy = places[..., :2]
@@ -128,7 +161,9 @@ def assemble(
     quantum = trial_record.rounded(xy[mask > 0])
     if quantum > 0.5 * noise:
         notes.append(f"places are rounded to {1e3 * quantum:.3g} mm, which is in the noise floor")
-    options = PushOptions(friction=meta.get("friction", "clean"), mass=float(meta.get("mass", model.NOMINAL_MASS)))
+    options = PushOptions(
+        friction=meta.get("friction", "clean"), mass=float(meta.get("mass", model.NOMINAL_MASS))
+    )
     which = config.pick("coefficients", meta.get("coefficients", "native"), ("native", "drake"))
     return Pushed(
         tuple(f"{n:g}" for n in names),
@@ -147,8 +182,12 @@ def assemble(
     )
 
 
-def _turns(time, yaw, mask, meta: dict[str, Any], where: Path) -> tuple[np.ndarray, np.ndarray, float]:
-    """yaw, turned, noise_yaw of `Pushed`: a marker sits as it was glued on, so that each push is counted from its first rows."""
+def _turns(
+    time, yaw, mask, meta: dict[str, Any], where: Path
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """yaw, turned, noise_yaw of `Pushed`: a marker sits as it was glued on, so that each push is
+    counted from its first rows.
+    """
     turned = mask * ~np.isnan(yaw)
     out = np.zeros_like(yaw)
     for k, (t, z) in enumerate(zip(time, yaw, strict=True)):
@@ -157,7 +196,10 @@ def _turns(time, yaw, mask, meta: dict[str, Any], where: Path) -> tuple[np.ndarr
             out[k] = np.interp(t, t[seen], z[seen]) - z[first].mean()
     noise, _ = trial_record.noise_of(meta, time, out[..., None], turned, QUIET, "hit", TURN)
     if noise > TURN.most:
-        raise BadInput(f"{where}: yaw scatters by {noise:.2g} rad before the hit; is it in degrees? write radians")
+        raise BadInput(
+            f"{where}: yaw scatters by {noise:.2g} rad before the hit; is it in degrees? write "
+            f"radians"
+        )
     return out, turned, noise
 
 
@@ -167,6 +209,7 @@ def _check_start(starts, aside, where: Path) -> None:
     if off > ASIDE:
         x, y = np.median(aside + starts, 0)
         raise BadInput(
-            f"{where}: bottles stand at ({x:.3g}, {y:.3g}) m, {100 * off:.0f} cm from where they are declared: another frame? "
+            f"{where}: bottles stand at ({x:.3g}, {y:.3g}) m, {100 * off:.0f} cm from where they "
+            f"are declared: another frame? "
             "give tracks in the arm's base frame, or start_x, start_y in actions.csv"
         )

@@ -1,4 +1,6 @@
-"""The push in Drake with hydroelastic contact: the paper's simulator, and a reference for the others."""
+"""The push in Drake with hydroelastic contact: the paper's simulator, and a reference for the
+others.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ from adaptsim_jax.tasks.pushing.model import PushOptions
 
 SOLVERS = ("lagged", "tamsi", "similar", "sap")
 PUSHER_MASS = 1000.0  # kg on each joint: the motion is prescribed, and a bottle must not slow it
-GRIPPY = 1e6  # a friction that leaves a pair its partner's: 2ab/(a+b) -> 2b, so partners are given half
+GRIPPY = (
+    1e6  # a friction that leaves a pair its partner's: 2ab/(a+b) -> 2b, so partners are given half
+)
 
 
 @dataclass(frozen=True)
@@ -32,19 +36,30 @@ class DrakeContact:
 
 
 class Settings(NamedTuple):
-    """contact: numerics; threads: cores to run on (None: all); gravity m/s2, turned where the table is not level."""
+    """contact: numerics; threads: cores to run on (None: all); gravity m/s2, turned where the table
+    is not level.
+    """
 
     contact: DrakeContact = DrakeContact()
     threads: int | None = None
     gravity: tuple[float, float, float] = pushing.LEVEL
 
 
-def make_drake(options: PushOptions, contact: DrakeContact, threads: int | None, gravity: tuple[float, float, float]):
-    """`simulate` in Drake on `threads` cores (all); a plant is built for each sample. BadInput where Drake is absent."""
+def make_drake(
+    options: PushOptions,
+    contact: DrakeContact,
+    threads: int | None,
+    gravity: tuple[float, float, float],
+):
+    """`simulate` in Drake on `threads` cores (all); a plant is built for each sample. BadInput
+    where Drake is absent.
+    """
     try:
         drake: Any = importlib.import_module("pydrake.all")
     except ImportError:
-        raise BadInput("backend drake is not installed; pip install 'adaptsim_jax[drake]'") from None
+        raise BadInput(
+            "backend drake is not installed; pip install 'adaptsim_jax[drake]'"
+        ) from None
     _check(contact, options)
     threads = threads or os.cpu_count() or 1
 
@@ -52,7 +67,10 @@ def make_drake(options: PushOptions, contact: DrakeContact, threads: int | None,
         batch = scene.checked(params, commands, initial)
         with ThreadPoolExecutor(threads) as pool:
             rows = list(
-                pool.map(lambda row: _one(drake, options, contact, gravity, *row), zip(*batch[:3], strict=True))
+                pool.map(
+                    lambda row: _one(drake, options, contact, gravity, *row),
+                    zip(*batch[:3], strict=True),
+                )
             )
         empty = np.zeros((0, pushing.rows(options), scene.STATE))
         return scene.finished(np.stack(rows) if rows else empty, batch)
@@ -62,14 +80,22 @@ def make_drake(options: PushOptions, contact: DrakeContact, threads: int | None,
 
 def _check(contact: DrakeContact, options: PushOptions) -> None:
     if contact.solver not in SOLVERS:
-        raise BadInput(f"backend drake, solver = {contact.solver!r}: unknown; use one of {', '.join(SOLVERS)}")
-    if not 0 < contact.dt <= 0.01 or abs(options.row / contact.dt - round(options.row / contact.dt)) > 1e-6:
         raise BadInput(
-            f"backend drake, dt = {contact.dt} s: must divide the row of {options.row} s and be at most 0.01 s; use 0.002"
+            f"backend drake, solver = {contact.solver!r}: unknown; use one of {', '.join(SOLVERS)}"
+        )
+    if (
+        not 0 < contact.dt <= 0.01
+        or abs(options.row / contact.dt - round(options.row / contact.dt)) > 1e-6
+    ):
+        raise BadInput(
+            f"backend drake, dt = {contact.dt} s: must divide the row of {options.row} s and be at "
+            f"most 0.01 s; use 0.002"
         )
 
 
-def _one(drake: Any, options: PushOptions, contact: DrakeContact, gravity, params, action, start) -> np.ndarray:
+def _one(
+    drake: Any, options: PushOptions, contact: DrakeContact, gravity, params, action, start
+) -> np.ndarray:
     """Rows `[T, 13]` of one push; not-a-number from where Drake's solver gave up."""
     world = _World(drake, options, contact, gravity, params, action)
     every, steps = round(options.row / contact.dt), round(options.duration / contact.dt)
@@ -90,9 +116,13 @@ def _one(drake: Any, options: PushOptions, contact: DrakeContact, gravity, param
 
 
 class _World:
-    """Table with a patch, bottle, and a plate on yaw, forward, rise and pitch joints that is driven by forces."""
+    """Table with a patch, bottle, and a plate on yaw, forward, rise and pitch joints that is driven
+    by forces.
+    """
 
-    def __init__(self, drake: Any, options: PushOptions, contact: DrakeContact, gravity, params, action):
+    def __init__(
+        self, drake: Any, options: PushOptions, contact: DrakeContact, gravity, params, action
+    ):
         self.drake, self.contact, self.options = drake, contact, options
         builder = drake.DiagramBuilder()
         config = drake.MultibodyPlantConfig(
@@ -111,11 +141,15 @@ class _World:
         self.simulator = drake.Simulator(diagram)
         self.context = self.plant.GetMyMutableContextFromRoot(self.simulator.get_mutable_context())
         third = PUSHER_MASS / 3
-        carried = np.array([3 * third, 2 * third, third])  # what forward, rise and pitch joints move
+        carried = np.array(
+            [3 * third, 2 * third, third]
+        )  # what forward, rise and pitch joints move
         self.drive = carried * np.array([action[0], pushing.RISE_SPEED, pushing.PITCH_RATE])
 
     def place(self, start: np.ndarray, yaw: float) -> None:
-        """The bottle standing still at `start`, the plate behind the nominal place and turned by `yaw`."""
+        """The bottle standing still at `start`, the plate behind the nominal place and turned by
+        `yaw`.
+        """
         pose = self.drake.RigidTransform([*start, pushing.HEIGHT / 2])
         self.plant.SetFreeBodyPose(self.context, self.bottle, pose)
         self.yaw.set_angle(self.context, yaw)
@@ -140,38 +174,55 @@ class _World:
         else:
             d.AddCompliantHydroelasticProperties(self.contact.resolution, modulus, properties)
         coulomb = d.CoulombFriction(friction, friction)
-        d.AddContactMaterial(dissipation=self.contact.dissipation, friction=coulomb, properties=properties)
+        d.AddContactMaterial(
+            dissipation=self.contact.dissipation, friction=coulomb, properties=properties
+        )
         return properties
 
     def _add_ground(self, y_p: float, friction: dict[str, float]) -> None:
         d, side = self.drake, pushing.PATCH_SIDE
-        add = lambda name, at, shape, mu: self.plant.RegisterCollisionGeometry(
-            self.plant.world_body(), d.RigidTransform(at), shape, name, self._surface(mu)
-        )
+
+        def add(name, at, shape, mu):
+            return self.plant.RegisterCollisionGeometry(
+                self.plant.world_body(), d.RigidTransform(at), shape, name, self._surface(mu)
+            )
+
         patch_at = [pushing.PATCH_X, y_p, 0.0]
         if self.options.friction == "coupled":  # as released: flush boxes that overlap
             add("table", [0.5, 0.0, -0.02], d.Box(4.0, 4.0, 0.04), friction["table"])
-            add("patch", np.add(patch_at, [0, 0, -0.01]), d.Box(side, side, 0.02), friction["patch"])
+            add(
+                "patch", np.add(patch_at, [0, 0, -0.01]), d.Box(side, side, 0.02), friction["patch"]
+            )
             return
         add("table", patch_at, _sheet(d, side / 2, 3.0), friction["table"])
         add("patch", patch_at, _sheet(d, 0.0, side / 2), friction["patch"])
 
     def _add_bottle(self, modulus: float, friction: float) -> None:
         d, o = self.drake, self.options
-        inertia = d.SpatialInertia.MakeFromCentralInertia(o.mass, list(o.com), d.RotationalInertia(*o.inertia))
-        self.bottle = self.plant.AddRigidBody("bottle", self.plant.AddModelInstance("bottle"), inertia)
+        inertia = d.SpatialInertia.MakeFromCentralInertia(
+            o.mass, list(o.com), d.RotationalInertia(*o.inertia)
+        )
+        self.bottle = self.plant.AddRigidBody(
+            "bottle", self.plant.AddModelInstance("bottle"), inertia
+        )
         shape = d.Cylinder(pushing.RADIUS, pushing.HEIGHT)
         properties = self._surface(friction, modulus)
-        self.plant.RegisterCollisionGeometry(self.bottle, d.RigidTransform(), shape, "bottle", properties)
+        self.plant.RegisterCollisionGeometry(
+            self.bottle, d.RigidTransform(), shape, "bottle", properties
+        )
 
     def _add_pusher(self, friction: float) -> None:
         d, plant = self.drake, self.plant
         self.pusher = plant.AddModelInstance("pusher")
         inertia = d.SpatialInertia(PUSHER_MASS / 3, np.zeros(3), d.UnitInertia(1, 1, 1))
         heading, forward, rise, plate = (
-            plant.AddRigidBody(name, self.pusher, inertia) for name in ("heading", "forward", "rise", "plate")
+            plant.AddRigidBody(name, self.pusher, inertia)
+            for name in ("heading", "forward", "rise", "plate")
         )
-        fixed = lambda name, frame, at: plant.AddFrame(d.FixedOffsetFrame(name, frame, d.RigidTransform(at)))
+
+        def fixed(name, frame, at):
+            return plant.AddFrame(d.FixedOffsetFrame(name, frame, d.RigidTransform(at)))
+
         at_start = fixed("start", plant.world_frame(), [*pushing.START, pushing.LINK_HEIGHT])
         behind = fixed("behind", heading.body_frame(), [-pushing.LINK_BACK, 0, 0])
         self.yaw = plant.AddJoint(d.RevoluteJoint("yaw", at_start, heading.body_frame(), [0, 0, 1]))
@@ -192,12 +243,21 @@ def _material(params: np.ndarray, semantics: str) -> dict[str, float]:
     if semantics == "coupled":
         return {"table": params[0], "patch": params[2], "plate": 0.3, "bottle": params[2]}
     pair = pushing.frictions(params, semantics)
-    half = lambda mu: float(mu) * GRIPPY / (2 * GRIPPY - float(mu))
-    return {"table": half(pair.table), "patch": half(pair.patch), "plate": half(pair.plate), "bottle": GRIPPY}
+
+    def half(mu):
+        return float(mu) * GRIPPY / (2 * GRIPPY - float(mu))
+
+    return {
+        "table": half(pair.table),
+        "patch": half(pair.patch),
+        "plate": half(pair.plate),
+        "bottle": GRIPPY,
+    }
 
 
 def _sheet(drake: Any, inner: float, outer: float):
-    """A flat square of half-width `outer` with a square hole of half-width `inner`, facing up, as a mesh.
+    """A flat square of half-width `outer` with a square hole of half-width `inner`, facing up, as a
+    mesh.
 
     Table and patch meet along the hole's edge and nowhere overlap: each bears what stands on it.
     """
@@ -207,10 +267,17 @@ def _sheet(drake: Any, inner: float, outer: float):
     else:
         points = [(r * x, r * y) for r in (inner, outer) for x, y in corners]
         faces = [
-            f for i in range(4) for f in ((5 + i, 5 + (i + 1) % 4, 1 + (i + 1) % 4), (5 + i, 1 + (i + 1) % 4, 1 + i))
+            f
+            for i in range(4)
+            for f in ((5 + i, 5 + (i + 1) % 4, 1 + (i + 1) % 4), (5 + i, 1 + (i + 1) % 4, 1 + i))
         ]
-    text = "\n".join([f"v {x} {y} 0" for x, y in points] + [f"f {a} {b} {c}" for a, b, c in faces]) + "\n"
-    return drake.Mesh(drake.InMemoryMesh(mesh_file=drake.MemoryFile(text, ".obj", "sheet.obj")), 1.0)
+    text = (
+        "\n".join([f"v {x} {y} 0" for x, y in points] + [f"f {a} {b} {c}" for a, b, c in faces])
+        + "\n"
+    )
+    return drake.Mesh(
+        drake.InMemoryMesh(mesh_file=drake.MemoryFile(text, ".obj", "sheet.obj")), 1.0
+    )
 
 
 ENGINE = EngineKind(Settings, make_drake)

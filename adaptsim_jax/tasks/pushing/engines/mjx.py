@@ -42,7 +42,9 @@ def make_mjx(options: PushOptions, elasticity: ElasticityMap, dt: float):
 
 def make_push(options: PushOptions, elasticity: ElasticityMap, dt: float = 0.005):
     """`push(params [4], action [2], start [2]) -> state [T, 13]`: pure, for jit, vmap and grad."""
-    with contextlib.redirect_stdout(io.StringIO()):  # MJX prints on its first import that optional parts are absent
+    with contextlib.redirect_stdout(
+        io.StringIO()
+    ):  # MJX prints on its first import that optional parts are absent
         mjx: Any = importlib.import_module("mujoco.mjx")
     model = scene.model(options, dt)
     rest = scene.rest(model)
@@ -64,13 +66,21 @@ def make_push(options: PushOptions, elasticity: ElasticityMap, dt: float = 0.005
             ground = pushing.ground_friction(pose, friction, params[3], options.mass, dt, jnp)
             applied = jnp.zeros_like(qvel).at[:6].set(ground)
             # only what the next step needs is carried; all else of `Data` is rebuilt from the blank
-            data = blank.replace(qpos=qpos, qvel=qvel, qacc_warmstart=warm, ctrl=control, qfrc_applied=applied)
+            data = blank.replace(
+                qpos=qpos, qvel=qvel, qacc_warmstart=warm, ctrl=control, qfrc_applied=applied
+            )
             data = mjx.step(m, data)
-            return (data.qpos, data.qvel, data.qacc_warmstart), jnp.concatenate([data.qpos[:7], data.qvel[:6]])
+            return (data.qpos, data.qvel, data.qacc_warmstart), jnp.concatenate(
+                [data.qpos[:7], data.qvel[:6]]
+            )
 
         qpos = jnp.asarray(rest.qpos, params.dtype).at[:2].set(start).at[7].set(action[1])
         speeds = jnp.stack(
-            [action[0], jnp.full_like(action[0], pushing.RISE_SPEED), jnp.full_like(action[0], pushing.PITCH_RATE)]
+            [
+                action[0],
+                jnp.full_like(action[0], pushing.RISE_SPEED),
+                jnp.full_like(action[0], pushing.PITCH_RATE),
+            ]
         )
         controls = jnp.asarray(pushing.slopes(dt, steps), params.dtype)[:, None] * speeds
         first = (qpos, jnp.zeros(model.nv, params.dtype), jnp.asarray(rest.warmstart, params.dtype))

@@ -19,13 +19,16 @@ from adaptsim_jax.tasks.pushing.engines import scene
 from adaptsim_jax.tasks.pushing.model import ElasticityMap, PushOptions
 
 BLOCK = 100
-"""Samples at a time on a thread: more would share fewer calls of the engine, and each needs a model of its own."""
+"""Samples at a time on a thread: more would share fewer calls of the engine, and each needs a model
+of its own.
+"""
 AT_REST = 1e-4  # m/s and rad/s; such a bottle goes no further than a micrometre
 
 
 class Settings(NamedTuple):
-    """elasticity: of plate and bottle; dt: s; threads: cores to run on (None: all); gravity: m/s2, turned where the table is not
-    level."""
+    """elasticity: of plate and bottle; dt: s; threads: cores to run on (None: all); gravity: m/s2,
+    turned where the table is not level.
+    """
 
     elasticity: ElasticityMap = pushing.ELASTICITY
     dt: float = 0.005
@@ -33,16 +36,27 @@ class Settings(NamedTuple):
     gravity: tuple[float, float, float] = pushing.LEVEL
 
 
-def make_native(options: PushOptions, elasticity: ElasticityMap, dt: float, threads: int | None, gravity=pushing.LEVEL):
-    """`simulate` of the MJCF scene by `mujoco.rollout` on `threads` cores (all); float64. One batch runs at a time."""
-    engines = [_Engine(options, elasticity, dt, gravity) for _ in range(threads or os.cpu_count() or 1)]
+def make_native(
+    options: PushOptions,
+    elasticity: ElasticityMap,
+    dt: float,
+    threads: int | None,
+    gravity=pushing.LEVEL,
+):
+    """`simulate` of the MJCF scene by `mujoco.rollout` on `threads` cores (all); float64. One batch
+    runs at a time.
+    """
+    engines = [
+        _Engine(options, elasticity, dt, gravity) for _ in range(threads or os.cpu_count() or 1)
+    ]
     lock = threading.Lock()
 
     def simulate(params, commands, initial):
         batch = scene.checked(params, commands, initial)
         count = len(batch.fit)
         size = max(1, min(BLOCK, -(-count // len(engines))))
-        # pushes of like speed reach the patch at like times, and then step together in long stretches
+        # pushes of like speed reach the patch at like times, and then step together in long
+        # stretches
         order = np.argsort(batch.actions[:, 0], kind="stable")
         blocks = [order[i : i + size] for i in range(0, count, size)]
         state = np.zeros((count, pushing.rows(options), scene.STATE))
@@ -53,7 +67,9 @@ def make_native(options: PushOptions, elasticity: ElasticityMap, dt: float, thre
                     mine = blocks.pop()
                 except IndexError:  # another thread was faster
                     return
-                state[mine] = engine.run(batch.params[mine], batch.actions[mine], batch.starts[mine])
+                state[mine] = engine.run(
+                    batch.params[mine], batch.actions[mine], batch.starts[mine]
+                )
 
         with lock, ThreadPoolExecutor(len(engines)) as pool:
             list(pool.map(work, engines))
@@ -63,7 +79,9 @@ def make_native(options: PushOptions, elasticity: ElasticityMap, dt: float, thre
 
 
 class _Engine:
-    """One thread's engine. Models are copied once and rewritten for each batch: a copy costs a tenth of a push."""
+    """One thread's engine. Models are copied once and rewritten for each batch: a copy costs a
+    tenth of a push.
+    """
 
     def __init__(self, options: PushOptions, elasticity: ElasticityMap, dt: float, gravity):
         mujoco: Any = importlib.import_module("mujoco")
@@ -84,7 +102,9 @@ class _Engine:
         self.ground = _Ground()
 
     def run(self, params: np.ndarray, actions: np.ndarray, starts: np.ndarray) -> np.ndarray:
-        """Rows `[B, T, 13]` of a block: one call of the engine a step, since friction follows the bottle."""
+        """Rows `[B, T, 13]` of a block: one call of the engine a step, since friction follows the
+        bottle.
+        """
         steps = round(self.options.duration / self.dt)
         friction = pushing.frictions(params, self.options.friction)
         models = self._prepare(params, actions, friction.plate)
@@ -104,7 +124,8 @@ class _Engine:
                     break
             piece = self._advance(models, state, control[:, done : done + count], warm)
             out[:, done : done + count] = _pose(piece)
-            # Euler without damping: the change of velocity is the acceleration that the solver found
+            # Euler without damping: the change of velocity is the acceleration that the solver
+            # found
             before = piece[:, -2] if count > 1 else state
             state = np.ascontiguousarray(piece[:, -1])
             warm = (state[:, 12:] - before[:, 12:]) / self.dt
@@ -113,14 +134,20 @@ class _Engine:
         return out[:, every - 1 :: every]
 
     def _untouched(self, fastest: float, closest: float, steps: int) -> int:
-        """How many steps end before the fastest plate of the block can touch a bottle `closest` m nearer than usual.
+        """How many steps end before the fastest plate of the block can touch a bottle `closest` m
+        nearer than usual.
 
-        None where friction holds the bottle on a slope until then."""
+        None where friction holds the bottle on a slope until then.
+        """
         if not self.level:
             return 0
         ramp = pushing.ramp(np.arange(1, steps + 1) * self.dt)
         travel = np.cumsum(ramp) * self.dt
-        edge = fastest * travel + pushing.EDGE_DROP * np.sin(pushing.PITCH_RATE * travel) + pushing.EDGE_RADIUS
+        edge = (
+            fastest * travel
+            + pushing.EDGE_DROP * np.sin(pushing.PITCH_RATE * travel)
+            + pushing.EDGE_RADIUS
+        )
         gap = pushing.LINK_BACK - pushing.RADIUS - 0.005 - closest
         return int((edge < gap).sum())
 
@@ -166,24 +193,37 @@ def _friction(pose, friction, y_p, mass, dt):
 
 
 class _Ground:
-    """The ground's friction for a block, compiled by JAX on the CPU: a third of NumPy's time, and it is asked each step."""
+    """The ground's friction for a block, compiled by JAX on the CPU: a third of NumPy's time, and
+    it is asked each step.
+    """
 
     def __init__(self) -> None:
         self.cpu = jax.local_devices(backend="cpu")[0]
 
     def on(self, friction: pushing.Frictions, y_p: np.ndarray, mass: float, dt: float):
-        """`pose [B, 13] -> force [B, 6]`; blocks are filled up to powers of two, so that few sizes are compiled."""
+        """`pose [B, 13] -> force [B, 6]`; blocks are filled up to powers of two, so that few sizes
+        are compiled.
+        """
         count = len(y_p)
         size = max(16, 1 << (count - 1).bit_length())
-        fill = lambda a: np.concatenate([a, np.repeat(a[:1], size - count, 0)])
+
+        def fill(a):
+            return np.concatenate([a, np.repeat(a[:1], size - count, 0)])
+
         columns = [fill(np.asarray(a, float))[:, None] for a in (*friction, y_p)]
         pose_filled = np.zeros((size, scene.STATE))
         pose_filled[:, 3] = 1.0
 
         def force(pose: np.ndarray) -> np.ndarray:
             pose_filled[:count] = pose
-            with jax.enable_x64(True), jax.default_device(self.cpu), jax.numpy_rank_promotion("allow"):
-                found = _friction(pose_filled, pushing.Frictions(*columns[:3]), columns[3], mass, dt)
+            with (
+                jax.enable_x64(True),
+                jax.default_device(self.cpu),
+                jax.numpy_rank_promotion("allow"),
+            ):
+                found = _friction(
+                    pose_filled, pushing.Frictions(*columns[:3]), columns[3], mass, dt
+                )
             return np.asarray(found)[:count]
 
         return force

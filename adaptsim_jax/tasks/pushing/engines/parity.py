@@ -1,4 +1,6 @@
-"""The engines of the push against each other: where the same bottles end, pair by pair, and how fast each computes."""
+"""The engines of the push against each other: where the same bottles end, pair by pair, and how
+fast each computes.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,9 @@ from adaptsim_jax.tasks.pushing.engines.registry import make_backend
 from adaptsim_jax.tasks.pushing.model import PAPER, PushOptions
 
 CEILING_STEP = 0.0025
-"""s: the step of the second Drake, next to its usual 2 ms; what two settings of one engine differ by is the ceiling."""
+"""s: the step of the second Drake, next to its usual 2 ms; what two settings of one engine differ
+by is the ceiling.
+"""
 PLANAR_BATCH = 4096
 ENGINES = ("native", "mjx", "planar", "drake", "drake_other_step")
 
@@ -24,11 +28,13 @@ def pushing_parity(
 ) -> dict[str, Any]:
     """Final positions of `samples` random pushes in every engine that is installed.
 
-    `engines` has a row each: speed, codes, or why it did not run; `pairs` the differences of final positions over the pushes
-    that went well in both: median, p90, p99 and max, mm.
+    `engines` has a row each: speed, codes, or why it did not run; `pairs` the differences of final
+    positions over the pushes that went well in both: median, p90, p99 and max, mm.
     """
     batch = pushing.draw(seed, samples)
-    found = engines_and_pairs(ENGINES, lambda name: _run(_backend(name, options), batch, name), _row, _apart, progress)
+    found = engines_and_pairs(
+        ENGINES, lambda name: _run(_backend(name, options), batch, name), _row, _apart, progress
+    )
     about = {"samples": samples, "seconds": options.duration, "friction": options.friction}
     return {"schema": 1, "task": "pushing", **about, **found}
 
@@ -44,7 +50,13 @@ def _backend(name: str, options: PushOptions):
 def _run(simulate: Callable, batch: tuple, name: str) -> Run:
     """Drake compiles nothing; the planar model is timed on a batch worth its while."""
     wide = PLANAR_BATCH if name == "planar" else 0
-    return timed_run(simulate, batch, lambda state: state[:, -1, :2], compiles=not name.startswith("drake"), wide=wide)
+    return timed_run(
+        simulate,
+        batch,
+        lambda state: state[:, -1, :2],
+        compiles=not name.startswith("drake"),
+        wide=wide,
+    )
 
 
 def _row(run: Run) -> dict[str, Any]:

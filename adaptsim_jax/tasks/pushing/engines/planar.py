@@ -14,13 +14,17 @@ from adaptsim_jax.tasks.pushing.model import PARAMETERS, PushOptions
 
 
 class Settings(NamedTuple):
-    """coefficients: what calibration sets. lacking: what acts beside the declared; then it is the slide in two dimensions."""
+    """coefficients: what calibration sets. lacking: what acts beside the declared; then it is the
+    slide in two dimensions.
+    """
 
     coefficients: planar.PlanarCoefficients = planar.DEFAULT
     lacking: slide.Lacking = slide.Lacking()
 
 
-def make_planar(options: PushOptions, coefficients: planar.PlanarCoefficients, lacking: slide.Lacking):
+def make_planar(
+    options: PushOptions, coefficients: planar.PlanarCoefficients, lacking: slide.Lacking
+):
     planar.check_options(options)
     every = round(options.row / slide.ROW)
 
@@ -30,7 +34,9 @@ def make_planar(options: PushOptions, coefficients: planar.PlanarCoefficients, l
 
     @jax.jit
     def run(params, actions, starts):
-        plain = lambda p, a, s: planar.trajectory(p, a, options, coefficients, s)
+        def plain(p, a, s):
+            return planar.trajectory(p, a, options, coefficients, s)
+
         return jax.vmap(plain if lacking == slide.Lacking() else slid)(params, actions, starts)
 
     def simulate(params, commands, initial):

@@ -1,8 +1,9 @@
-"""The bottle push in four engines behind one signature: native MuJoCo, MJX, Drake, and the planar model.
+"""The bottle push in four engines behind one signature: native MuJoCo, MJX, Drake, and the planar
+model.
 
-`simulate(params [B, 4], commands [B, 2], initial [B, 2]) -> Trajectory`: commands are actions (speed m/s, angle rad), initial
-the bottle's place m, and `state [B, T, 13]` the bottle's pose and velocity in rows (`scene.STATE`). Codes are
-`pushing.MESSAGES`; states are finite whatever the code.
+`simulate(params [B, 4], commands [B, 2], initial [B, 2]) -> Trajectory`: commands are actions
+(speed m/s, angle rad), initial the bottle's place m, and `state [B, T, 13]` the bottle's pose and
+velocity in rows (`scene.STATE`). Codes are `pushing.MESSAGES`; states are finite whatever the code.
 """
 
 from __future__ import annotations
@@ -27,12 +28,15 @@ BACKENDS: Registry[EngineKind] = Registry(
 
 
 def make_backend(name: str, options: PushOptions = PAPER, /, **settings: Any) -> Backend:
-    """A backend for `options`; BadInput where the name is unknown, the engine absent, or it cannot do the options or settings.
+    """A backend for `options`; BadInput where the name is unknown, the engine absent, or it cannot
+    do the options or settings.
 
     `settings` are the engine's own, see `settings_of`; records may be given as tables.
     """
     kind = BACKENDS.named(name, "backend")
-    return Backend(name, kind.make(check_options(options), *own_settings(name, kind.settings, settings)))
+    return Backend(
+        name, kind.make(check_options(options), *own_settings(name, kind.settings, settings))
+    )
 
 
 def settings_of(name: str) -> tuple[str, ...]:

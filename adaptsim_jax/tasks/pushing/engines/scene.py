@@ -1,4 +1,6 @@
-"""What the engines of the push share: batches checked, the MJCF scene as a model, codes and rows of the outcome."""
+"""What the engines of the push share: batches checked, the MJCF scene as a model, codes and rows of
+the outcome.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,9 @@ from adaptsim_jax.tasks.pushing import model as pushing
 from adaptsim_jax.tasks.pushing.model import PushOptions
 
 STATE = 13
-"""Columns of a state row: position (3) m, quaternion (4), velocity (3) m/s, turning in the bottle's frame (3) rad/s."""
+"""Columns of a state row: position (3) m, quaternion (4), velocity (3) m/s, turning in the bottle's
+frame (3) rad/s.
+"""
 ROOM = 5.0
 """A bottle further from the arm's base than this, m, has been thrown by the numerics."""
 
@@ -29,9 +33,13 @@ class Batch(NamedTuple):
 
 
 def checked(params: Any, actions: Any, starts: Any) -> Batch:
-    """Shapes are the caller's fault (BadInput); values are a sample's (`fit`), since one of many may be bad."""
+    """Shapes are the caller's fault (BadInput); values are a sample's (`fit`), since one of many
+    may be bad.
+    """
     arrays = [np.asarray(a, float) for a in (params, actions, starts)]
-    for array, width, name in zip(arrays, (4, 2, 2), ("params", "commands", "initial"), strict=True):
+    for array, width, name in zip(
+        arrays, (4, 2, 2), ("params", "commands", "initial"), strict=True
+    ):
         if array.ndim != 2 or array.shape[1] != width or len(array) != len(arrays[0]):
             wanted = f"[{len(arrays[0]) if arrays[0].ndim else 'B'}, {width}]"
             raise BadInput(f"pushing, {name}: has shape {list(array.shape)}; give {wanted}")
@@ -47,8 +55,8 @@ def checked(params: Any, actions: Any, starts: Any) -> Batch:
 def finished(state: Any, batch: Batch) -> Trajectory:
     """`state [B, T, 13]` with a code for each sample, and finite whatever the code.
 
-    A fallen bottle stays as it was when it had tilted too far (the MuJoCo scene lets it through the table after that); one
-    without a motion stands at its start.
+    A fallen bottle stays as it was when it had tilted too far (the MuJoCo scene lets it through the
+    table after that); one without a motion stands at its start.
     """
     state = np.asarray(state)
     finite = np.isfinite(state).all((1, 2))
@@ -56,14 +64,21 @@ def finished(state: Any, batch: Batch) -> Trajectory:
     place = state[:, :, :3]
     with np.errstate(invalid="ignore"):
         in_room = (np.abs(place) < ROOM).all((1, 2)) & (place[:, :, 2] >= 0.0).all(1)
-    code = np.where(finite & in_room, np.where(fallen, pushing.FALLEN, pushing.FINE), pushing.DIVERGED)
+    code = np.where(
+        finite & in_room, np.where(fallen, pushing.FALLEN, pushing.FINE), pushing.DIVERGED
+    )
     return _told(state, code, batch)
 
 
 def slid(place: np.ndarray, velocity: np.ndarray, batch: Batch) -> Trajectory:
     """The same for bottles that only slide: `place` and `velocity` `[B, T, 2]`."""
     state = np.zeros((*place.shape[:2], STATE), place.dtype)
-    state[..., :2], state[..., 2], state[..., 3], state[..., 7:9] = place, pushing.HEIGHT / 2, 1.0, velocity
+    state[..., :2], state[..., 2], state[..., 3], state[..., 7:9] = (
+        place,
+        pushing.HEIGHT / 2,
+        1.0,
+        velocity,
+    )
     finite = np.isfinite(place[:, -1]).all(1)  # a place that is not a number stays none
     return _told(state, np.where(finite, pushing.FINE, pushing.DIVERGED), batch)
 
@@ -74,7 +89,11 @@ def _told(state: np.ndarray, code: np.ndarray, batch: Batch) -> Trajectory:
     if len(lost):
         state = state.copy()
         state[lost] = 0.0
-        state[lost, :, :2], state[lost, :, 2], state[lost, :, 3] = batch.starts[lost, None], pushing.HEIGHT / 2, 1.0
+        state[lost, :, :2], state[lost, :, 2], state[lost, :, 3] = (
+            batch.starts[lost, None],
+            pushing.HEIGHT / 2,
+            1.0,
+        )
     return Trajectory(state, code)
 
 
@@ -93,13 +112,16 @@ def _held_where_fallen(state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def model(options: PushOptions, dt: float, drawn: bool = False) -> Any:
-    """The compiled `mujoco.MjModel` of the shipped scene, with the bottle of `options`; what is only seen, if `drawn`.
+    """The compiled `mujoco.MjModel` of the shipped scene, with the bottle of `options`; what is
+    only seen, if `drawn`.
 
     BadInput where rows cannot be cut out of steps of `dt` s.
     """
     every = round(options.row / dt) if dt > 0 else 0
     if every < 1 or abs(options.row / dt - every) > 1e-6:
-        raise BadInput(f"pushing in MuJoCo, dt = {dt} s must divide the row of {options.row} s; use 0.005")
+        raise BadInput(
+            f"pushing in MuJoCo, dt = {dt} s must divide the row of {options.row} s; use 0.005"
+        )
     mujoco: Any = importlib.import_module("mujoco")
     text = resources.files("adaptsim_jax.tasks.pushing.engines").joinpath("scene.xml").read_text()
     spec = mujoco.MjSpec.from_string(text)
@@ -107,13 +129,21 @@ def model(options: PushOptions, dt: float, drawn: bool = False) -> Any:
     bottle = spec.body("bottle")
     bottle.mass, bottle.ipos, bottle.inertia = options.mass, options.com, options.inertia
     if not drawn:  # a fifth of a step's time goes into what touches nothing
-        for thing in (spec.geom("skin"), spec.geom("plate"), spec.geom("patch"), *spec.lights, *spec.textures):
+        for thing in (
+            spec.geom("skin"),
+            spec.geom("plate"),
+            spec.geom("patch"),
+            *spec.lights,
+            *spec.textures,
+        ):
             spec.delete(thing)
     return spec.compile()
 
 
 class Rest(NamedTuple):
-    """The bottle standing at rest: `qpos [11]`, and the accelerations `[10]` from which solvers start."""
+    """The bottle standing at rest: `qpos [11]`, and the accelerations `[10]` from which solvers
+    start.
+    """
 
     qpos: np.ndarray
     warmstart: np.ndarray
@@ -131,9 +161,16 @@ def rest(m: Any) -> Rest:
 
 
 def controls(actions: np.ndarray, dt: float, steps: int) -> np.ndarray:
-    """Accelerations `[B, steps, 3]` of the plate along forward, rise and pitch that follow the profile exactly."""
+    """Accelerations `[B, steps, 3]` of the plate along forward, rise and pitch that follow the
+    profile exactly.
+    """
     slope = pushing.slopes(dt, steps)
     per_unit = np.stack(
-        [actions[:, 0], np.full(len(actions), pushing.RISE_SPEED), np.full(len(actions), pushing.PITCH_RATE)], -1
+        [
+            actions[:, 0],
+            np.full(len(actions), pushing.RISE_SPEED),
+            np.full(len(actions), pushing.PITCH_RATE),
+        ],
+        -1,
     )
     return per_unit[:, None, :] * slope[:, None]

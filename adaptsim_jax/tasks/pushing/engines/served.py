@@ -1,8 +1,9 @@
 """Native pushes for compiled JAX code: processes that simulate, asked through `jax.pure_callback`.
 
-The native engine asks JAX for the ground's friction at each step, which a callback must not do in the process whose program waits
-for it. So each core has a process of its own that simulates (`python -m adaptsim_jax.tasks.pushing.engines.served`), told what to
-do over a pipe in plain numbers. They end when the pipe closes, which it does when the asking process is gone.
+The native engine asks JAX for the ground's friction at each step, which a callback must not do in
+the process whose program waits for it. So each core has a process of its own that simulates
+(`python -m adaptsim_jax.tasks.pushing.engines.served`), told what to do over a pipe in plain
+numbers. They end when the pipe closes, which it does when the asking process is gone.
 """
 
 from __future__ import annotations
@@ -27,8 +28,10 @@ PIECE = 500
 
 
 def make_served(options: PushOptions, points: int) -> Any:
-    """`push(params [4], action [2]) -> [points, 2]` m: the bottle in the native scene at even times, the last at the end; float32,
-    not a number where the push failed. Pure: jit and vmap it; it has no derivative. Equal pushes of a call are made once."""
+    """`push(params [4], action [2]) -> [points, 2]` m: the bottle in the native scene at even
+    times, the last at the end; float32, not a number where the push failed. Pure: jit and vmap it;
+    it has no derivative. Equal pushes of a call are made once.
+    """
     pool = _pool(pushing.check_options(options), points, os.cpu_count() or 1)
 
     def push(params, action):
@@ -39,7 +42,9 @@ def make_served(options: PushOptions, points: int) -> Any:
 
 
 def served_seconds() -> float:
-    """Processor time of all serving processes of this one so far, which its own clock does not count."""
+    """Processor time of all serving processes of this one so far, which its own clock does not
+    count.
+    """
     return sum(pool.seconds for pool in _POOLS)
 
 
@@ -78,10 +83,17 @@ class _Pool:
         while len(self.processes) < self.count:
             o = self.options
             told = [o.friction, o.duration, o.mass, *o.com, *o.inertia, o.row, self.points]
-            command = [sys.executable, "-m", "adaptsim_jax.tasks.pushing.engines.served", *map(str, told)]
+            command = [
+                sys.executable,
+                "-m",
+                "adaptsim_jax.tasks.pushing.engines.served",
+                *map(str, told),
+            ]
             environment = os.environ | {"JAX_PLATFORMS": "cpu"}
             self.processes.append(
-                subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment)
+                subprocess.Popen(
+                    command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment
+                )
             )
 
     def _ask(self, process: subprocess.Popen, rows: np.ndarray) -> np.ndarray:
@@ -101,7 +113,9 @@ _COUNTING = threading.Lock()
 
 @functools.cache
 def _pool(options: PushOptions, points: int, count: int) -> _Pool:
-    """One for all functions of the same scene, so that no more processes run than there are cores."""
+    """One for all functions of the same scene, so that no more processes run than there are
+    cores.
+    """
     _POOLS.append(_Pool(options, points, count))
     return _POOLS[-1]
 
@@ -121,7 +135,9 @@ def _serve(words: list[str]) -> None:
 
     numbers = [float(w) for w in words[1:]]
     duration, mass = numbers[:2]
-    options = PushOptions(words[0], duration, mass, tuple(numbers[2:5]), tuple(numbers[5:8]), numbers[8])
+    options = PushOptions(
+        words[0], duration, mass, tuple(numbers[2:5]), tuple(numbers[5:8]), numbers[8]
+    )
     points = int(numbers[9])
     simulate = make_backend("native", options, threads=1).simulate
     kept = np.round(pushing.rows(options) * np.arange(1, points + 1) / points).astype(int) - 1
@@ -131,7 +147,9 @@ def _serve(words: list[str]) -> None:
         count, begin = int(np.frombuffer(head, np.int64)[0]), time.process_time()
         rows = np.frombuffer(_whole(requests, count * 48), np.float64).reshape(count, 6)
         found = simulate(rows[:, :4], rows[:, 4:], np.tile(pushing.START, (count, 1)))
-        places = np.where((found.code == pushing.FINE)[:, None, None], found.state[:, kept, :2], np.nan)
+        places = np.where(
+            (found.code == pushing.FINE)[:, None, None], found.state[:, kept, :2], np.nan
+        )
         spent = np.array([time.process_time() - begin])
         answers.write(spent.tobytes() + np.ascontiguousarray(places, np.float32).tobytes())
         answers.flush()

@@ -1,11 +1,14 @@
-"""What a scoop may lack beside its declared parameters: each effect with its quantities, units, bounds, physics and excitation."""
+"""What a scoop may lack beside its declared parameters: each effect with its quantities, units,
+bounds, physics and excitation.
+"""
 
 from adaptsim_jax.diagnosis.problem import Candidate, Quantity
 from adaptsim_jax.tasks import camera_effects
 from adaptsim_jax.tasks.camera_effects import quantity as _q
 
 BOUNDS = {"mu": (0.08, 0.8, 0.3), "log_e": (3.5, 6.5, 4.8), "h": (0.011, 0.032, 0.02)}
-"""Low, high and middle. Wider than Omega: a piece outside of it is no effect that the model lacks."""
+"""Low, high and middle. Wider than Omega: a piece outside of it is no effect that the model lacks.
+"""
 
 
 def _declared(name: str, unit: str, scale: float) -> Quantity:
@@ -112,12 +115,29 @@ EFFECTS = (
         "pieces that slide freely",
         absorbed=("mu",),
     ),
-    _E("drag", "force", ("drag",), "a viscous friction on the table", "slow and fast sliding", absorbed=("mu",)),
+    _E(
+        "drag",
+        "force",
+        ("drag",),
+        "a viscous friction on the table",
+        "slow and fast sliding",
+        absorbed=("mu",),
+    ),
     *camera_effects.effects("scoop", "the middle of the places", rises=True),
 )
 HEIGHT = _E(
-    "height", "piece", ("h",), "the piece is higher or lower than declared", "any scoop, best seen from the side"
+    "height",
+    "piece",
+    ("h",),
+    "the piece is higher or lower than declared",
+    "any scoop, best seen from the side",
 )
 SHIFTS = ("shift_x", "shift_y", "shift_z")
 """Of `camera_shift` where heights are seen, too."""
-SHAPE = _E("shape", "piece", (), "the piece moves like one of another shape than declared", "pieces that roll or slide")
+SHAPE = _E(
+    "shape",
+    "piece",
+    (),
+    "the piece moves like one of another shape than declared",
+    "pieces that roll or slide",
+)

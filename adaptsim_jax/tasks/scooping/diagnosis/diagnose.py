@@ -1,4 +1,6 @@
-"""Diagnose measured scoops: which effects the declared scoop lacks, what is left, the mended model, and the scoop that tells more."""
+"""Diagnose measured scoops: which effects the declared scoop lacks, what is left, the mended model,
+and the scoop that tells more.
+"""
 
 from functools import partial
 from pathlib import Path
@@ -23,14 +25,31 @@ def judged(scooped: Scooped, effects, criteria: Criteria, progress, folder: Path
     found = diagnosed(scooped, effects, criteria, rows.stepping(progress, 0.02), keep)
     known = np.any(found.scale > 0, -1) * 1.0
     seen = rows.Seen(
-        KIND.trial, KIND.trials, s.names, s.time, s.places, s.mask, s.channels, s.noise, s.noise_source, known
-    )  # fmt: skip
+        KIND.trial,
+        KIND.trials,
+        s.names,
+        s.time,
+        s.places,
+        s.mask,
+        s.channels,
+        s.noise,
+        s.noise_source,
+        known,
+    )
     side = (0, 2) if len(s.channels) > 2 else (0, 1)
     report, evidence = reported(
-        "scooping", MODEL, seen, found.problem, found.selection, found.tracks, criteria,
-        [*s.notes, _told(found, known, s.mask)], side, noise={"m": s.noise, "source": s.noise_source},
+        "scooping",
+        MODEL,
+        seen,
+        found.problem,
+        found.selection,
+        found.tracks,
+        criteria,
+        [*s.notes, _told(found, known, s.mask)],
+        side,
+        noise={"m": s.noise, "source": s.noise_source},
         piece={"shape": found.shape, "declared": s.shape is not None},
-    )  # fmt: skip
+    )
     evidence["tracks"]["axes"] = [s.channels[i] for i in side]
     return report, evidence, telling(scooped, found), model_table(scooped, found), {}
 
@@ -39,7 +58,8 @@ def _told(found: Found, known: np.ndarray, mask: np.ndarray) -> str:
     share = 100.0 * known.sum() / max(mask.sum(), 1.0)
     floor = float(np.median(1e3 / found.scale[found.scale > 0]))
     return (
-        f"the piece moves like {'an ' if found.shape == SHAPES[0] else 'a '}{found.shape}; {share:.0f} % of the rows can be told "
+        f"the piece moves like {'an ' if found.shape == SHAPES[0] else 'a '}{found.shape}; "
+        f"{share:.0f} % of the rows can be told "
         f"beforehand, half of them to {floor:.2g} mm: errors are over what each row can be told to"
     )
 
@@ -47,7 +67,10 @@ def _told(found: Found, known: np.ndarray, mask: np.ndarray) -> str:
 def model_table(scooped: Scooped, found: Found) -> dict[str, Any]:
     """`model.toml`: declared parameters as fitted, and what each named effect adds."""
     values, index = found.selection.final.fit.values, found.problem.index
-    value = lambda name: float(values[index[name]])
+
+    def value(name):
+        return float(values[index[name]])
+
     g = float(SHAPES.index(found.shape))
     return {
         "schema": 1,
@@ -55,10 +78,18 @@ def model_table(scooped: Scooped, found: Found) -> dict[str, Any]:
         "clearance": scooped.options.clearance,
         "press": scooped.options.press,
         "parameters": {"mu": value("mu"), "e": 10.0 ** value("log_e"), "g": g, "h": value("h")},
-        "effects": {n.effect.name: {q: value(q) for q in n.effect.quantities} for n in found.selection.named},
+        "effects": {
+            n.effect.name: {q: value(q) for q in n.effect.quantities} for n in found.selection.named
+        },
     }
 
 
 diagnose = Diagnose(
-    KIND.trial, Scooped, read, effects_of, judged, CRITERIA, ("place_x", "place_y", "pitch", "rate", "distance")
+    KIND.trial,
+    Scooped,
+    read,
+    effects_of,
+    judged,
+    CRITERIA,
+    ("place_x", "place_y", "pitch", "rate", "distance"),
 )

@@ -1,9 +1,12 @@
-"""Scoops by local regression: poses as a quadratic function of the values, and how far a scoop strays from it.
+"""Scoops by local regression: poses as a quadratic function of the values, and how far a scoop
+strays from it.
 
-A scoop is chaotic from where the blade's edge is under a flat bottom: friction changed by a millionth moves one piece in two by a
-millimetre, so that the engine's exact derivatives say nothing. What can be told beforehand is the mean over neighbours. Each scoop is
-therefore simulated at `DRAWS` points around a centre, all values drawn at once and the action executed as an arm repeats it.
-Its poses are regressed on the values, row by row; what they stray by about the regression is a row's own uncertainty.
+A scoop is chaotic from where the blade's edge is under a flat bottom: friction changed by a
+millionth moves one piece in two by a millimetre, so that the engine's exact derivatives say
+nothing. What can be told beforehand is the mean over neighbours. Each scoop is therefore simulated
+at `DRAWS` points around a centre, all values drawn at once and the action executed as an arm
+repeats it. Its poses are regressed on the values, row by row; what they stray by about the
+regression is a row's own uncertainty.
 """
 
 from dataclasses import dataclass
@@ -29,18 +32,24 @@ LOW, HIGH = (np.array([getattr(q, end) for q in QUANTITIES])[OWN] for end in ("l
 PLACE = {int(o): i for i, o in enumerate(OWN)}
 SCALES = np.array([q.scale for q in QUANTITIES])[OWN]
 WIDE, NARROW = 2.0, {"ellipsoid": 1.0, "cylinder": 2.0, "box": 2.0}
-"""Widths of the draws in scales of each quantity, at first and later. A piece that rolls strays less the narrower they are; one
-with a flat bottom strays by centimetres however narrow they are, and wide draws tell its slopes."""
+"""Widths of the draws in scales of each quantity, at first and later. A piece that rolls strays
+less the narrower they are; one with a flat bottom strays by centimetres however narrow they are,
+and wide draws tell its slopes.
+"""
 
 
 def widths(shape: str | None = None) -> np.ndarray:
-    """Standard deviations `[O]` of the draws where nothing is known better: at first, or later for a shape."""
+    """Standard deviations `[O]` of the draws where nothing is known better: at first, or later for
+    a shape.
+    """
     return (WIDE if shape is None else NARROW[shape]) * SCALES
 
 
 @dataclass(frozen=True)
 class Emulator:
-    """centre, width `[O]` of the values that matter to a simulation; weights `[T, F, N, 2]`; stray `[T, N, 2]` m; shape."""
+    """centre, width `[O]` of the values that matter to a simulation; weights `[T, F, N, 2]`; stray
+    `[T, N, 2]` m; shape.
+    """
 
     centre: np.ndarray
     width: np.ndarray
@@ -64,9 +73,15 @@ def predicted(weights: Array, centre: Array, width: Array, values: Array) -> Arr
 
 
 def emulate(
-    scooped: Scooped, shape: str, centre: np.ndarray, width: np.ndarray, seed: int = 0, drawn: np.ndarray | None = None
+    scooped: Scooped,
+    shape: str,
+    centre: np.ndarray,
+    width: np.ndarray,
+    seed: int = 0,
+    drawn: np.ndarray | None = None,
 ) -> Emulator:
-    """The scoops around `centre [P]`, drawn with standard deviations `width [O]` and held within bounds.
+    """The scoops around `centre [P]`, drawn with standard deviations `width [O]` and held within
+    bounds.
 
     drawn `[O]`: values that are drawn, where not all: `FEWER` draws tell a few.
     """
@@ -84,13 +99,17 @@ def emulate(
     out = out.reshape(count, draws, -1, 2).astype(float)
     x = np.asarray(features((own - centre[OWN]) / width), float)
     fits = [_regressed(x, rows) for rows in out]
-    return Emulator(centre[OWN], width, np.stack([f[0] for f in fits]), np.stack([f[1] for f in fits]), shape)
+    return Emulator(
+        centre[OWN], width, np.stack([f[0] for f in fits]), np.stack([f[1] for f in fits]), shape
+    )
 
 
 def _regressed(x: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Weights `[F, N, 2]` of one scoop's draws `rows [S, N, 2]` on features `x [S, F]`, and what these stray by `[N, 2]`.
+    """Weights `[F, N, 2]` of one scoop's draws `rows [S, N, 2]` on features `x [S, F]`, and what
+    these stray by `[N, 2]`.
 
-    Draws that went another way at the lip are outliers, in the fit and in the scale: what two draws of three stay within.
+    Draws that went another way at the lip are outliers, in the fit and in the scale: what two draws
+    of three stay within.
     """
     y = rows.reshape(len(rows), -1).T  # [M, S]
     penalty = RIDGE * np.eye(x.shape[1])
@@ -106,6 +125,8 @@ def _regressed(x: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]
             break
         trust = 1.0 / (1.0 + np.square(left / (2.0 * scale)))
     # each draw predicted by the others
-    leverage = trust * np.einsum("sf,mfs->ms", x, np.linalg.solve(gram, np.broadcast_to(x.T, weighed.shape)))
+    leverage = trust * np.einsum(
+        "sf,mfs->ms", x, np.linalg.solve(gram, np.broadcast_to(x.T, weighed.shape))
+    )
     stray = np.quantile(np.abs(left) / np.maximum(1.0 - leverage, 0.1), 0.68, axis=1)
     return weights.T.reshape(-1, *rows.shape[1:]), stray.reshape(rows.shape[1:])

@@ -1,4 +1,6 @@
-"""The scoops that tell the members of a class apart: of a grid of actions those whose tracks they predict most differently."""
+"""The scoops that tell the members of a class apart: of a grid of actions those whose tracks they
+predict most differently.
+"""
 
 from dataclasses import replace
 from itertools import product
@@ -13,12 +15,15 @@ from adaptsim_jax.tasks.scooping.diagnosis.simulate import executed, places, pos
 
 PITCHES, RATES, DISTANCES, SCOOPS = 4, 3, 3, 3
 COPIES = 4
-APART = 3.0  # times what the copies of a scoop and the camera scatter by, between members, of a scoop worth making
+# times what the copies of a scoop and the camera scatter by, between members, of a scoop worth
+# making
+APART = 3.0
 PLACE = (0.03, 0.02)  # m: away from the middle, where a scale and a turn show
 
 
 def telling(scooped: Scooped, found: Found) -> dict[str, Any] | None:
-    """message, separates (names) and rows (place m, pitch rad, rate rad/s, distance m), none where no scoop of the grid tells.
+    """message, separates (names) and rows (place m, pitch rad, rate rad/s, distance m), none where
+    no scoop of the grid tells.
 
     None where nothing that was named has look-alikes.
     """
@@ -60,7 +65,11 @@ def telling(scooped: Scooped, found: Found) -> dict[str, Any] | None:
     words = f"{names[0].replace('_', ' ')} and {names[1].replace('_', ' ')}"
     if score.max() < APART:
         told = f"No scoop within the bounds tells {words} apart: tracks differ by {score.max():.1f} times what scoops scatter by"
-        return {"message": f"{told}, at most. Measure one of them by itself.", "separates": names, "rows": []}
+        return {
+            "message": f"{told}, at most. Measure one of them by itself.",
+            "separates": names,
+            "rows": [],
+        }
     order = np.argsort(-score)[:SCOOPS]
     size = 1e3 * sizes[worst][order[0]]
     return {

@@ -1,4 +1,6 @@
-"""The selection in passes: an emulator around what is believed, effects selected in it, and another around what was found."""
+"""The selection in passes: an emulator around what is believed, effects selected in it, and another
+around what was found.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -26,7 +28,13 @@ from adaptsim_jax.diagnosis.select import (
 )
 from adaptsim_jax.tasks.scooping.diagnosis.catalogue import EFFECTS, HEIGHT, SHAPE, SHIFTS
 from adaptsim_jax.tasks.scooping.diagnosis.emulate import PLACE, Emulator, emulate, widths
-from adaptsim_jax.tasks.scooping.diagnosis.problem import begun, prepare, quantities_of, scales, softened
+from adaptsim_jax.tasks.scooping.diagnosis.problem import (
+    begun,
+    prepare,
+    quantities_of,
+    scales,
+    softened,
+)
 from adaptsim_jax.tasks.scooping.diagnosis.read import Scooped
 from adaptsim_jax.tasks.scooping.diagnosis.simulate import INDEX, OWN, expected
 from adaptsim_jax.tasks.scooping.model import SHAPES
@@ -35,13 +43,19 @@ PASSES = 4
 OWNED = 2
 """Emulators that a model which is judged has of its own, one after the other, at most."""
 CRITERIA = Criteria(size=0.05, gap=0.05)
-"""An emulator errs by some per cent of its own: less than a twentieth of the error is no effect, and no difference between two."""
+"""An emulator errs by some per cent of its own: less than a twentieth of the error is no effect,
+and no difference between two.
+"""
 FIRST = {"mu": 0.05, "log_e": 0.4, "h": 1e-3}
-"""Widths of the first draws about the best of the grid; of a height that nobody saw three times as much."""
+"""Widths of the first draws about the best of the grid; of a height that nobody saw three times as
+much.
+"""
 RIVAL = 1.5  # times the best shape's loss on the grid, up to which a shape is fitted
 OMEGA = SHAPES[:2]
-"""The shapes of the paper's Omega, of which the likeliest is taken where none is declared. Seen in one plane a box moves so much like
-a cylinder that it would take up a pitch or a clearance: it has to be declared."""
+"""The shapes of the paper's Omega, of which the likeliest is taken where none is declared. Seen in
+one plane a box moves so much like a cylinder that it would take up a pitch or a clearance: it has
+to be declared.
+"""
 Say = Callable[[str], None]
 Keep = Callable[[Problem], Callable[[Selection], None]]
 Owned = Callable[[tuple[Candidate, ...], np.ndarray], Model]
@@ -49,7 +63,9 @@ Owned = Callable[[tuple[Candidate, ...], np.ndarray], Model]
 
 @dataclass(frozen=True)
 class Found:
-    """The selection, its problem, the shape, the rows' scales `[T, R, C]`, and tracks as simulated, `before` and `after`."""
+    """The selection, its problem, the shape, the rows' scales `[T, R, C]`, and tracks as simulated,
+    `before` and `after`.
+    """
 
     selection: Selection
     problem: Problem
@@ -60,7 +76,9 @@ class Found:
 
 @dataclass(frozen=True)
 class _Base:
-    """A shape with the declared fit about it: values `[P]`, loss a number, and mean squares by scoop `[T]`."""
+    """A shape with the declared fit about it: values `[P]`, loss a number, and mean squares by
+    scoop `[T]`.
+    """
 
     shape: str
     values: np.ndarray
@@ -69,24 +87,39 @@ class _Base:
 
 
 def effects_of(scooped: Scooped) -> tuple[Candidate, ...]:
-    """The candidates of a recording: a shift in height only where it was seen, another height or shape only where one was declared."""
+    """The candidates of a recording: a shift in height only where it was seen, another height or
+    shape only where one was declared.
+    """
     seen = scooped.places.shape[-1] > 2
-    own = tuple(replace(e, quantities=SHIFTS) if seen and e.name == "camera_shift" else e for e in EFFECTS)
+    own = tuple(
+        replace(e, quantities=SHIFTS) if seen and e.name == "camera_shift" else e for e in EFFECTS
+    )
     return (*own, *[HEIGHT] * (scooped.height is not None), *[SHAPE] * (scooped.shape is not None))
 
 
-def diagnosed(scooped: Scooped, effects: tuple[Candidate, ...], criteria: Criteria, say: Say, keep: Keep) -> Found:
-    """What the selection finds: with the declared shape, or with the likeliest where none was declared or another holds out. keep:
-    makes what is told of it as it goes."""
+def diagnosed(
+    scooped: Scooped, effects: tuple[Candidate, ...], criteria: Criteria, say: Say, keep: Keep
+) -> Found:
+    """What the selection finds: with the declared shape, or with the likeliest where none was
+    declared or another holds out. keep: makes what is told of it as it goes.
+    """
     quantities = quantities_of(scooped)
-    declared = ("mu", "log_e", "h") if scooped.height is None else ("mu", "log_e")
+    if scooped.height is None:
+        declared = ("mu", "log_e", "h")
+    else:
+        declared = ("mu", "log_e")
     free = SHAPE in effects
     effects = tuple(e for e in effects if e is not SHAPE)
     bases = _bases(scooped, quantities, declared, free, say)
-    run = lambda base: _passes(scooped, base, effects, declared, quantities, criteria, say, keep)
-    fit = lambda shape: (
-        next((b for b in bases if b.shape == shape), None) or _fitted(scooped, shape, quantities, declared)
-    )
+
+    def run(base):
+        return _passes(scooped, base, effects, declared, quantities, criteria, say, keep)
+
+    def fit(shape):
+        return next((b for b in bases if b.shape == shape), None) or _fitted(
+            scooped, shape, quantities, declared
+        )
+
     if scooped.shape is None:
         found = run(bases[0])
         if left_by_fit(found.problem, found.selection.final) <= criteria.explained:
@@ -109,23 +142,37 @@ def diagnosed(scooped: Scooped, effects: tuple[Candidate, ...], criteria: Criter
         named=(named, *rival.selection.named),
         scores=(score, *rival.selection.scores),
     )
-    return replace(rival, selection=selection, tracks={**rival.tracks, "before": found.tracks["before"]})
+    return replace(
+        rival, selection=selection, tracks={**rival.tracks, "before": found.tracks["before"]}
+    )
 
 
 def _alike(scooped: Scooped, one: Found, other: Found) -> tuple[np.ndarray, np.ndarray]:
-    """Mean squares `[T]` of what both leave after, on one scale: the finer of theirs where both tell a row."""
+    """Mean squares `[T]` of what both leave after, on one scale: the finer of theirs where both
+    tell a row.
+    """
     known = (one.scale > 0) & (other.scale > 0)
     scale = known * np.maximum(one.scale, other.scale)
     count = np.maximum(known.reshape(len(known), -1).sum(1), 1)
-    left = lambda f: np.square(np.asarray(softened(scale * (scooped.places - f.tracks["after"]))))
-    mean = lambda f: left(f).reshape(len(known), -1).sum(1) / count
+
+    def left(f):
+        return np.square(np.asarray(softened(scale * (scooped.places - f.tracks["after"]))))
+
+    def mean(f):
+        return left(f).reshape(len(known), -1).sum(1) / count
+
     return mean(one), mean(other)
 
 
 def _bases(scooped: Scooped, quantities, declared, free: bool, say: Say) -> list[_Base]:
     """Shapes with which the declared scoop fits about as well as with any, likeliest first."""
     say("shape")
-    shapes = OMEGA if scooped.shape is None else SHAPES if free else (scooped.shape,)
+    if scooped.shape is None:
+        shapes = OMEGA
+    elif free:
+        shapes = SHAPES
+    else:
+        shapes = (scooped.shape,)
     starts = {shape: begun(scooped, shape, quantities) for shape in shapes}
     best = min(loss for _, loss in starts.values())
     found = []
@@ -136,9 +183,16 @@ def _bases(scooped: Scooped, quantities, declared, free: bool, say: Say) -> list
     return sorted(found, key=lambda b: b.loss)
 
 
-def _fitted(scooped: Scooped, shape: str, quantities, declared, starts: np.ndarray | None = None) -> _Base:
-    """The declared fit from each of the starts, the best of them by the engine: a stiff piece and a soft one may both fit roughly."""
-    starts = begun(scooped, shape, quantities)[0] if starts is None else starts
+def _fitted(
+    scooped: Scooped, shape: str, quantities, declared, starts: np.ndarray | None = None
+) -> _Base:
+    """The declared fit from each of the starts, the best of them by the engine: a stiff piece and a
+    soft one may both fit roughly.
+    """
+    if starts is None:
+        starts = begun(scooped, shape, quantities)[0]
+    else:
+        starts = starts
     width = widths()
     for n in declared:
         wide = 3.0 if n == "h" and scooped.places.shape[-1] < 3 else 1.0
@@ -149,13 +203,25 @@ def _fitted(scooped: Scooped, shape: str, quantities, declared, starts: np.ndarr
         fits.append(own((), start).fit)
         known += [scales(scooped, emulator.stray) for emulator in made.values()]
     scale = np.min(known, 0)
-    left = lambda fit: scale * (scooped.places - expected(scooped, shape, np.tile(fit.values, (len(scooped.names), 1))))
+
+    def left(fit):
+        return scale * (
+            scooped.places - expected(scooped, shape, np.tile(fit.values, (len(scooped.names), 1)))
+        )
+
     fit = min(fits, key=lambda f: np.square(np.asarray(softened(left(f)))).sum())
     return _Base(shape, fit.values, fit.loss, fit.held)
 
 
 def _passes(
-    scooped: Scooped, base: _Base, effects, declared, quantities, criteria: Criteria, say: Say, keep: Keep
+    scooped: Scooped,
+    base: _Base,
+    effects,
+    declared,
+    quantities,
+    criteria: Criteria,
+    say: Say,
+    keep: Keep,
 ) -> Found:
     """Effects selected about the declared fit, then about what was found, until nothing changes."""
     least, names = widths(base.shape), ()
@@ -175,14 +241,20 @@ def _passes(
         names = now
         width = _narrowed(base.shape, found.final, problem.neutral, declared)
     own, _ = _owned(scooped, base.shape, emulator.width, declared, quantities, criteria)
-    return _judged(scooped, base.shape, scales(scooped, emulator.stray), problem, found, criteria, own, say)
+    return _judged(
+        scooped, base.shape, scales(scooped, emulator.stray), problem, found, criteria, own, say
+    )
 
 
-def _owned(scooped: Scooped, shape: str, width: np.ndarray, declared, quantities, criteria: Criteria):
-    """`fit(effects, values)`: the model with `effects` fitted from `values [P]`, each about its own optimum; and emulators as made.
+def _owned(
+    scooped: Scooped, shape: str, width: np.ndarray, declared, quantities, criteria: Criteria
+):
+    """`fit(effects, values)`: the model with `effects` fitted from `values [P]`, each about its own
+    optimum; and emulators as made.
 
-    An emulator drawn around a rival, and narrowly where the model is asked, flatters the rival. Each model has therefore one
-    of its own, of the values that it fits; width `[O]`: of the declared ones.
+    An emulator drawn around a rival, and narrowly where the model is asked, flatters the rival.
+    Each model has therefore one of its own, of the values that it fits; width `[O]`: of the
+    declared ones.
     """
     neutral = np.array([q.neutral for q in quantities])
     made: dict[tuple[bool, ...], Emulator] = {}
@@ -190,7 +262,10 @@ def _owned(scooped: Scooped, shape: str, width: np.ndarray, declared, quantities
     def fit(effects: tuple[Candidate, ...], values: np.ndarray) -> Model:
         free = {*declared, *(q for e in effects for q in e.quantities)}
         drawn = np.array([quantities[i].name in free for i in OWN])
-        far = lambda to: np.max(drawn * np.abs(values[OWN] - to.centre) / to.width) > 1.0
+
+        def far(to):
+            return np.max(drawn * np.abs(values[OWN] - to.centre) / to.width) > 1.0
+
         wide = width
         for turn in range(OWNED):
             emulator = made.get(tuple(drawn))
@@ -210,7 +285,9 @@ def _owned(scooped: Scooped, shape: str, width: np.ndarray, declared, quantities
 
 
 def _narrowed(shape: str, model: Model, neutral: np.ndarray, declared) -> np.ndarray:
-    """Widths `[O]` of draws about a fitted model: of the declared values by how well they are known, of others by their size."""
+    """Widths `[O]` of draws about a fitted model: of the declared values by how well they are
+    known, of others by their size.
+    """
     least = widths(shape)
     width = np.maximum(least, 0.6 * np.abs(model.fit.values - neutral)[OWN])
     for n in declared:
@@ -220,11 +297,20 @@ def _narrowed(shape: str, model: Model, neutral: np.ndarray, declared) -> np.nda
 
 
 def _judged(
-    scooped: Scooped, shape: str, scale, problem, found: Selection, criteria: Criteria, own: Owned, say: Say
+    scooped: Scooped,
+    shape: str,
+    scale,
+    problem,
+    found: Selection,
+    criteria: Criteria,
+    own: Owned,
+    say: Say,
 ) -> Found:
-    """What the emulator names, tested once more by the engine: each beside the others, then against what may do as well in its place.
+    """What the emulator names, tested once more by the engine: each beside the others, then against
+    what may do as well in its place.
 
-    What does not hold out is dropped. The best in a place is named, others that predict left-out scoops as well are its class.
+    What does not hold out is dropped. The best in a place is named, others that predict left-out
+    scoops as well are its class.
     """
     say("by the engine")
     whole = replace(problem, quantities=quantities_of(scooped))
@@ -234,13 +320,19 @@ def _judged(
     def fit(effects, values) -> Model:
         key = frozenset(e.name for e in effects)
         if key not in known:
-            model = own(tuple(effects), values) if found.named else found.null
+            if found.named:
+                model = own(tuple(effects), values)
+            else:
+                model = found.null
             judged, tracks = _simulated(scooped, shape, scale, problem, model.fit)
             known[key] = Model(tuple(effects), judged), tracks
         return known[key][0]
 
     def told(model: Model, named: list[Named]) -> Found:
-        tracks = {k: known[frozenset(e.name for e in m.added)][1] for k, m in (("before", null), ("after", model))}
+        tracks = {
+            k: known[frozenset(e.name for e in m.added)][1]
+            for k, m in (("before", null), ("after", model))
+        }
         selection = replace(found, null=null, final=model, named=tuple(named), refused=refused)
         return Found(selection, whole, shape, scale, tracks)
 
@@ -251,16 +343,25 @@ def _judged(
         model, emulated, rows = _holding(problem, model, emulated, null, fit, criteria, refused)
         named: list[Named] = []
         for e, rough, less, test in rows:
-            tries = [(*added(problem, rough, s, 2 * criteria.glance), s) for s in likely(problem, emulated, rough, e)]
+            tries = [
+                (*added(problem, rough, s, 2 * criteria.glance), s)
+                for s in likely(problem, emulated, rough, e)
+            ]
             rivals = [
                 (s.effect, values, fit((*less.added, s.effect), values))
                 for values, _, s in sorted(tries, key=lambda t: t[1])[: criteria.tried]
             ]
             better = None
             for rival in rivals:
-                better = rival if beats(problem, rival[2], better[2] if better else model, criteria) else better
+                if beats(problem, rival[2], better[2] if better else model, criteria):
+                    better = rival
+                else:
+                    better = better
             if better and turn < PASSES - 1:
-                model, emulated = better[2], finished(problem, (*rough.added, better[0]), better[1], criteria.rounds)
+                model, emulated = (
+                    better[2],
+                    finished(problem, (*rough.added, better[0]), better[1], criteria.rounds),
+                )
                 break
             alike = []
             for o, _, m in rivals:
@@ -273,24 +374,38 @@ def _judged(
     return told(model, named)
 
 
-def _holding(problem: Problem, model: Model, emulated: Model, null, fit, criteria: Criteria, refused):
-    """The model of the effects that hold out beside the others by the engine, as emulated, and for each the models without it."""
+def _holding(
+    problem: Problem, model: Model, emulated: Model, null, fit, criteria: Criteria, refused
+):
+    """The model of the effects that hold out beside the others by the engine, as emulated, and for
+    each the models without it.
+    """
     while True:
         rows = []
         for e in model.added:
             rough = without(problem, emulated, e, criteria.rounds)
-            less = fit(rough.added, rough.fit.values) if rough.added else null
+            if rough.added:
+                less = fit(rough.added, rough.fit.values)
+            else:
+                less = null
             rows.append((e, rough, less, paired(less.fit.held, model.fit.held)))
         failing = [r for r in rows if r[3].gain < criteria.size or r[3].p > criteria.confidence]
         if not failing:
             return model, emulated, rows
         e, emulated, model, test = min(failing, key=lambda r: r[3].gain)
-        refused[e.name] = f"dropped by the engine: held-out gain {100 * test.gain:.1f} %, p {test.p:.2g}"
+        refused[e.name] = (
+            f"dropped by the engine: held-out gain {100 * test.gain:.1f} %, p {test.p:.2g}"
+        )
 
 
 def _simulated(scooped: Scooped, shape: str, scale, problem, fit: Fit) -> tuple[Fit, np.ndarray]:
     """A fit with its left-out errors by the engine, not the emulator; and these tracks."""
     tracks = expected(scooped, shape, fit.vectors)
-    left = lambda out: np.asarray(softened(scale * (scooped.places - out))).reshape(len(scooped.names), -1)
-    whole = np.square(left(expected(scooped, shape, np.tile(fit.values, (len(scooped.names), 1))))).sum()
+
+    def left(out):
+        return np.asarray(softened(scale * (scooped.places - out))).reshape(len(scooped.names), -1)
+
+    whole = np.square(
+        left(expected(scooped, shape, np.tile(fit.values, (len(scooped.names), 1))))
+    ).sum()
     return replace(fit, held=mean_square(problem, left(tracks)), loss=float(whole)), tracks

@@ -1,8 +1,9 @@
-"""Scoops as a `Problem` over their emulator: what a camera would see of each, less what it saw, over what can be told beforehand.
+"""Scoops as a `Problem` over their emulator: what a camera would see of each, less what it saw,
+over what can be told beforehand.
 
-A row's scale is the camera's noise and what the scoop strays by about its emulator; rows where it strays too far are left out.
-What then still departs (a piece that went the other way at the lip) counts by its root, as in Huber's estimate: one scoop must not
-outvote the others.
+A row's scale is the camera's noise and what the scoop strays by about its emulator; rows where it
+strays too far are left out. What then still departs (a piece that went the other way at the lip)
+counts by its root, as in Huber's estimate: one scoop must not outvote the others.
 """
 
 import itertools
@@ -35,7 +36,9 @@ def softened(r: Array) -> Array:
 
 
 def scales(scooped: Scooped, stray: np.ndarray) -> np.ndarray:
-    """One over the scale of each row `[T, R, C]` 1/m, 0 where it is not measured or cannot be told beforehand."""
+    """One over the scale of each row `[T, R, C]` 1/m, 0 where it is not measured or cannot be told
+    beforehand.
+    """
     count, channels = len(scooped.names), scooped.places.shape[-1]
     at = np.clip(np.round(scooped.time / ROW).astype(int), 0, stray.shape[1] - 1)
     x, z = (stray[np.arange(count)[:, None], at, c] for c in range(2))
@@ -56,7 +59,12 @@ def _residuals(values, weights, centre, width, start, aside, time, measured, sca
 @jax.jit
 def _columns(values, basis, *rest):
     every = jnp.broadcast_to(values, (len(rest[0]), len(values)))
-    push = lambda b: jax.jvp(lambda v: _residuals(v, *rest), (every,), (jnp.broadcast_to(b, every.shape),))[1]
+
+    def push(b):
+        return jax.jvp(
+            lambda v: _residuals(v, *rest), (every,), (jnp.broadcast_to(b, every.shape),)
+        )[1]
+
     return -jax.vmap(push, out_axes=-1)(basis)
 
 
@@ -68,23 +76,38 @@ def prepare(
     quantities: tuple[Quantity, ...],
     start: np.ndarray,
 ) -> Problem:
-    """The problem of a recording with pieces of one shape, around the emulator's centre; start `[P]`: of the declared fit.
+    """The problem of a recording with pieces of one shape, around the emulator's centre; start
+    `[P]`: of the declared fit.
 
-    Declared values stay within the emulator's reach: what is lacking would drive them to where it knows nothing.
+    Declared values stay within the emulator's reach: what is lacking would drive them to where it
+    knows nothing.
     """
     within = {q: REACH * emulator.width[PLACE[INDEX[q]]] for q in declared}
     quantities = tuple(
-        _near(q, emulator.centre[PLACE[INDEX[q.name]]], within[q.name]) if q.name in within else q for q in quantities
+        _near(q, emulator.centre[PLACE[INDEX[q.name]]], within[q.name]) if q.name in within else q
+        for q in quantities
     )
     count = len(scooped.names)
     scale = scales(scooped, emulator.stray)
-    single = lambda a: jnp.asarray(np.asarray(a, np.float32))
+
+    def single(a):
+        return jnp.asarray(np.asarray(a, np.float32))
+
     rest = tuple(
         map(
             single,
-            (emulator.weights, emulator.centre, emulator.width, scooped.starts, scooped.aside, scooped.time, scooped.places, scale),
+            (
+                emulator.weights,
+                emulator.centre,
+                emulator.width,
+                scooped.starts,
+                scooped.aside,
+                scooped.time,
+                scooped.places,
+                scale,
+            ),
         )
-    )  # fmt: skip
+    )
     neutral = np.array([q.neutral for q in quantities])
     begin = np.where([q.name in declared for q in quantities], start, neutral)
 
@@ -119,8 +142,12 @@ def quantities_of(scooped: Scooped) -> tuple[Quantity, ...]:
     return tuple(replace(q, neutral=given.get(q.name, q.neutral)) for q in QUANTITIES)
 
 
-def begun(scooped: Scooped, shape: str, quantities: tuple[Quantity, ...]) -> tuple[np.ndarray, float]:
-    """The best two of a grid of declared values `[2, P]` for pieces of a shape, of different stiffness, and the best loss a number."""
+def begun(
+    scooped: Scooped, shape: str, quantities: tuple[Quantity, ...]
+) -> tuple[np.ndarray, float]:
+    """The best two of a grid of declared values `[2, P]` for pieces of a shape, of different
+    stiffness, and the best loss a number.
+    """
     heights: tuple[float, ...] = HEIGHTS
     q = quantities[INDEX["h"]]
     if scooped.height is not None:
@@ -134,9 +161,13 @@ def begun(scooped: Scooped, shape: str, quantities: tuple[Quantity, ...]) -> tup
         points.append(point)
     some = np.unique(np.linspace(0, len(scooped.names) - 1, FEW).astype(int))
     trials, values = np.tile(some, len(points)), np.repeat(points, len(some), 0)
-    out = places(scooped, values, poses(scooped, shape, values, trials, scooped.actions[trials]), trials)
+    out = places(
+        scooped, values, poses(scooped, shape, values, trials, scooped.actions[trials]), trials
+    )
     r = scooped.mask[trials][..., None] * (scooped.places[trials] - out) / ROUGH
-    loss = np.square(np.asarray(softened(r))).reshape(len(points), -1).sum(1) / (3.0 * scooped.mask[some].sum())
+    loss = np.square(np.asarray(softened(r))).reshape(len(points), -1).sum(1) / (
+        3.0 * scooped.mask[some].sum()
+    )
     order = np.argsort(loss)
     best = points[order[0]]
     second = next(points[i] for i in order if points[i][INDEX["log_e"]] != best[INDEX["log_e"]])

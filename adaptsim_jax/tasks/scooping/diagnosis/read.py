@@ -1,4 +1,6 @@
-"""Recordings of scoops: a folder of `meta.toml`, `actions.csv` and tracks. What cannot be judged is refused with its row."""
+"""Recordings of scoops: a folder of `meta.toml`, `actions.csv` and tracks. What cannot be judged is
+refused with its row.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -11,7 +13,14 @@ from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks import trial_record
 from adaptsim_jax.tasks.scooping import model
-from adaptsim_jax.tasks.scooping.measured import FAR, FASTEST, SLIP, USUAL, check_mirrored, check_way
+from adaptsim_jax.tasks.scooping.measured import (
+    FAR,
+    FASTEST,
+    SLIP,
+    USUAL,
+    check_mirrored,
+    check_way,
+)
 from adaptsim_jax.tasks.scooping.model import ScoopOptions, check_options
 from adaptsim_jax.tasks.scooping.reach import check_reach
 
@@ -21,9 +30,18 @@ KEYS = ("schema", "task", "shape", "height", "clearance", "press", "repeats", "n
 REPEATS = (5e-4, 2e-3, 1e-4)
 """How well an arm repeats a scoop: pitch rad, rate rad/s, distance m, one standard deviation."""
 KIND = trial_record.Kind(
-    "scoop", "scoops", "the piece", far=FAR, fastest=FASTEST, slip=SLIP, moves=0.01, ends=model.SECONDS,
-    never="the blade never came, or the track ends before", optional=("z",), usual=USUAL,
-)  # fmt: skip
+    "scoop",
+    "scoops",
+    "the piece",
+    far=FAR,
+    fastest=FASTEST,
+    slip=SLIP,
+    moves=0.01,
+    ends=model.SECONDS,
+    never="the blade never came, or the track ends before",
+    optional=("z",),
+    usual=USUAL,
+)
 _LIMITS = {"pitch": (0.0, 0.35, "rad"), "rate": (-0.6, 0.6, "rad/s"), "distance": (0.0, 0.1, "m")}
 
 
@@ -31,9 +49,10 @@ _LIMITS = {"pitch": (0.0, 0.35, "rad"), "rate": (-0.6, 0.6, "rad/s"), "distance"
 class Scooped:
     """T scoops of at most R rows.
 
-    names `[T]`; actions `[T, 3]` rad, rad/s, m; starts `[T, 2]` m as declared; aside `[T, 2]` m from there to the first rows' mean;
-    time `[T, R]` s, places `[T, R, C]` m (x, y and z where it was seen), mask `[T, R]`; noise m of one coordinate; shape, height: of
-    the piece where declared; repeats: see `REPEATS`; notes: what the files say beside.
+    names `[T]`; actions `[T, 3]` rad, rad/s, m; starts `[T, 2]` m as declared; aside `[T, 2]` m
+    from there to the first rows' mean; time `[T, R]` s, places `[T, R, C]` m (x, y and z where it
+    was seen), mask `[T, R]`; noise m of one coordinate; shape, height: of the piece where declared;
+    repeats: see `REPEATS`; notes: what the files say beside.
     """
 
     names: tuple[str, ...]
@@ -57,12 +76,18 @@ class Scooped:
 
 
 def read(folder: str | Path, as_declared: bool = False, without: Sequence[str] = ()) -> Scooped:
-    """The scoops of a folder. as_declared: whatever their places say of the frame; without: scoops whose tracks are not looked at.
-    Raises BadInput."""
+    """The scoops of a folder. as_declared: whatever their places say of the frame; without: scoops
+    whose tracks are not looked at. Raises BadInput.
+    """
     folder = Path(folder)
     meta = trial_record.read_meta(folder / "meta.toml", KEYS)
     return assemble(
-        folder / "actions.csv", trial_record.track_files(folder), meta, folder / "meta.toml", as_declared, without
+        folder / "actions.csv",
+        trial_record.track_files(folder),
+        meta,
+        folder / "meta.toml",
+        as_declared,
+        without,
     )
 
 
@@ -75,24 +100,38 @@ def assemble(
     without: Sequence[str] = (),
     own_frame: bool = False,
 ) -> Scooped:
-    """Scoops of an actions file and tracks' files; see `read`. own_frame: tracks count from anywhere; each is moved to begin at
-    its place."""
+    """Scoops of an actions file and tracks' files; see `read`. own_frame: tracks count from
+    anywhere; each is moved to begin at its place.
+    """
     needed = {"place_x": "m", "place_y": "m", **{k: unit for k, (_, _, unit) in _LIMITS.items()}}
     table, told = trial_record.read_actions(actions, needed, (), KIND.trials)
     c = table.columns
     for name, (low, high, unit) in _LIMITS.items():
         for i in np.flatnonzero((c[name] < low) | (c[name] > high))[:1]:
-            mend = "in degrees? write radians" if name != "distance" else "in mm? write metres"
-            raise BadInput(f"{told(i)}: {name} {c[name][i]:g} is not within {low:g} to {high:g} {unit}; is it {mend}")
+            if name != "distance":
+                mend = "in degrees? write radians"
+            else:
+                mend = "in mm? write metres"
+            raise BadInput(
+                f"{told(i)}: {name} {c[name][i]:g} is not within {low:g} to {high:g} {unit}; is it "
+                f"{mend}"
+            )
     numbers = c["trial"]
     found, more = trial_record.read_tracks(tracks, numbers, actions, KIND, without, as_declared)
     names, notes = trial_record.tracked(numbers, found, where, KIND, "12 to 24")
     at = np.array([int(np.flatnonzero(numbers == n)[0]) for n in names])
     starts = np.stack([c["place_x"], c["place_y"]], 1)[at]
     acts = np.stack([c[name] for name in _LIMITS], 1)[at]
-    options = replace(ScoopOptions(), **{k: float(meta[k]) for k in ("clearance", "press") if k in meta})
+    options = replace(
+        ScoopOptions(), **{k: float(meta[k]) for k in ("clearance", "press") if k in meta}
+    )
     if not as_declared:
-        check_reach([found[n].began for n in names], acts, check_options(options), trial_record.place_of(tracks))
+        check_reach(
+            [found[n].began for n in names],
+            acts,
+            check_options(options),
+            trial_record.place_of(tracks),
+        )
         check_mirrored(starts[:, 1], np.array([found[n].places[0, 1] for n in names]), str(where))
     trial_record.check_spacing(names, found)
     if own_frame:
@@ -100,7 +139,9 @@ def assemble(
         for n, off in zip(names, apart, strict=True):
             p = found[n].places
             found[n] = found[n]._replace(places=p - np.pad(off, (0, p.shape[1] - 2)))
-        notes.append("places are counted from where each piece lay: a shifted camera or piece would not show")
+        notes.append(
+            "places are counted from where each piece lay: a shifted camera or piece would not show"
+        )
     time, places, mask = trial_record.padded(names, found)
     aside = trial_record.aside(names, found, starts, QUIET)
     if not as_declared:
@@ -110,12 +151,26 @@ def assemble(
     if quantum > 0.5 * noise:
         notes.append(f"places are rounded to {1e3 * quantum:.3g} mm, which is in the noise floor")
     if not more:
-        notes.append("no heights were seen (column z): a blade's lift and a piece's height show less")
+        notes.append(
+            "no heights were seen (column z): a blade's lift and a piece's height show less"
+        )
     shape, height = _piece(meta, where)
     return Scooped(
-        tuple(f"{n:g}" for n in names), acts, starts, aside, time, places, mask, noise, source, options,
-        shape, height, _repeats(meta, where), tuple(notes),
-    )  # fmt: skip
+        tuple(f"{n:g}" for n in names),
+        acts,
+        starts,
+        aside,
+        time,
+        places,
+        mask,
+        noise,
+        source,
+        options,
+        shape,
+        height,
+        _repeats(meta, where),
+        tuple(notes),
+    )
 
 
 def _piece(meta: dict[str, Any], where: Path) -> tuple[str | None, float | None]:
@@ -123,14 +178,20 @@ def _piece(meta: dict[str, Any], where: Path) -> tuple[str | None, float | None]
     if shape is not None:
         config.pick("shape", shape, model.SHAPES)
     if height is not None and not (isinstance(height, int | float) and 0.01 <= height <= 0.035):
-        raise BadInput(f"{where}: height = {height!r} is no height of a piece within 0.01 to 0.035 m; write e.g. 0.02")
+        raise BadInput(
+            f"{where}: height = {height!r} is no height of a piece within 0.01 to 0.035 m; write "
+            f"e.g. 0.02"
+        )
     return shape, None if height is None else float(height)
 
 
 def _repeats(meta: dict[str, Any], where: Path) -> tuple[float, ...]:
     given = meta.get("repeats", REPEATS)
     if len(given) != 3 or not all(isinstance(v, int | float) and 0 < v < 0.1 for v in given):
-        raise BadInput(f"{where}: repeats = {given!r}; give three sizes in rad, rad/s, m, such as {list(REPEATS)}")
+        raise BadInput(
+            f"{where}: repeats = {given!r}; give three sizes in rad, rad/s, m, such as "
+            f"{list(REPEATS)}"
+        )
     return tuple(map(float, given))
 
 
@@ -140,8 +201,13 @@ def _check_frame(names, starts, aside, places, mask, where: Path) -> None:
     if off > ASIDE:
         x, y = np.median(aside, 0)
         raise BadInput(
-            f"{where}: pieces lie ({x:.3g}, {y:.3g}) m from where they are declared: another frame? give tracks from the middle of "
+            f"{where}: pieces lie ({x:.3g}, {y:.3g}) m from where they are declared: another "
+            f"frame? give tracks from the middle of "
             "the box that place_x, place_y count from, x along the spatula's way"
         )
     trial_record.check_starts(names, aside, ASIDE, KIND.body, where)
-    check_way(np.array([p[int(m.sum()) - 1] - p[0] for p, m in zip(places, mask, strict=True)]), str(where), names)
+    check_way(
+        np.array([p[int(m.sum()) - 1] - p[0] for p, m in zip(places, mask, strict=True)]),
+        str(where),
+        names,
+    )

@@ -1,5 +1,7 @@
-"""Scoops simulated with the values of a diagnosis, in lots of `LANES`: so few stay in a processor's cache, and one program serves any
-number of them, a lot on each core. And what a camera tells of them."""
+"""Scoops simulated with the values of a diagnosis, in lots of `LANES`: so few stay in a processor's
+cache, and one program serves any number of them, a lot on each core. And what a camera tells of
+them.
+"""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -40,8 +42,12 @@ def _program(options: ScoopOptions) -> Callable:
     return jax.jit(jax.vmap(lambda v, g, action, aside: _poses(v, g, action, aside, options)))
 
 
-def poses(scooped: Scooped, shape: str, values: np.ndarray, trials: np.ndarray, actions: np.ndarray) -> np.ndarray:
-    """`[B, N, 2]` m of `values [B, P]` with `actions [B, 3]` as executed, in the scoops `trials [B]` of the recording."""
+def poses(
+    scooped: Scooped, shape: str, values: np.ndarray, trials: np.ndarray, actions: np.ndarray
+) -> np.ndarray:
+    """`[B, N, 2]` m of `values [B, P]` with `actions [B, 3]` as executed, in the scoops `trials
+    [B]` of the recording.
+    """
     program, count = _program(scooped.options), len(values)
     g = np.full(LANES, float(SHAPES.index(shape)), np.float32)
     given = [np.asarray(a, np.float32) for a in (values, actions, scooped.aside[trials])]
@@ -63,23 +69,32 @@ def seen(values: Array, poses: Array, start: Array, aside: Array, time: Array) -
     u = (place - k)[:, None]
     xz = (1.0 - u) * poses[k] + u * poses[k + 1]
     origin = start + jnp.stack([v["start_x"], v["start_y"]]) + v["placed"] * aside
-    xy = viewed(v, jnp.stack([origin[0] + xz[:, 0], jnp.broadcast_to(origin[1], time.shape)], 1), xz[:, 1:])
+    xy = viewed(
+        v, jnp.stack([origin[0] + xz[:, 0], jnp.broadcast_to(origin[1], time.shape)], 1), xz[:, 1:]
+    )
     return jnp.concatenate([xy, ((1.0 + v["scale"]) * xz[:, 1] + v["shift_z"])[:, None]], 1)
 
 
 _view = jax.jit(jax.vmap(seen))
 
 
-def places(scooped: Scooped, values: np.ndarray, poses: np.ndarray, trials: np.ndarray) -> np.ndarray:
+def places(
+    scooped: Scooped, values: np.ndarray, poses: np.ndarray, trials: np.ndarray
+) -> np.ndarray:
     """`[B, R, C]` m: what the camera would say of `poses [B, N, 2]`."""
-    single = lambda a: np.asarray(a[trials], np.float32)
+
+    def single(a):
+        return np.asarray(a[trials], np.float32)
+
     rows = single(scooped.starts), single(scooped.aside), single(scooped.time)
     out = _view(np.asarray(values, np.float32), np.asarray(poses, np.float32), *rows)
     return np.asarray(out, float)[..., : scooped.places.shape[-1]]
 
 
 def expected(scooped: Scooped, shape: str, values: np.ndarray, copies: int = 8) -> np.ndarray:
-    """`[T, R, C]` m: the mean over copies of each scoop, as an arm repeats it; values `[T, P]`, each scoop with its own."""
+    """`[T, R, C]` m: the mean over copies of each scoop, as an arm repeats it; values `[T, P]`,
+    each scoop with its own.
+    """
     trials = np.repeat(np.arange(len(values)), copies)
     actions = scooped.actions[trials] + executed(scooped, len(trials))
     every = np.repeat(values, copies, 0)

@@ -1,7 +1,9 @@
-"""Scooping in Drake with hydroelastic contact and SAP: the paper's simulator, a reference, and a stand-in for reality.
+"""Scooping in Drake with hydroelastic contact and SAP: the paper's simulator, a reference, and a
+stand-in for reality.
 
-The same motion, masses and shapes as `hydro`, with Drake's own meshes of the pressure field. The spatula is driven to
-the motion by stiff implicit PD control on three joints; it does not touch the table, above which the motion keeps it.
+The same motion, masses and shapes as `hydro`, with Drake's own meshes of the pressure field. The
+spatula is driven to the motion by stiff implicit PD control on three joints; it does not touch the
+table, above which the motion keeps it.
 """
 
 from __future__ import annotations
@@ -28,7 +30,8 @@ GAINS = ((1e7, 1e5), (1e7, 1e5), (1e6, 1e4))  # N/m and N s/m along x and z, N m
 
 @dataclass(frozen=True)
 class DrakeContact:
-    """Numerics of Drake. relaxation s: of piece and surface together. resolution m: of the piece's pressure field.
+    """Numerics of Drake. relaxation s: of piece and surface together. resolution m: of the piece's
+    pressure field.
 
     The release has 5 ms and 0.2 s.
     """
@@ -46,16 +49,25 @@ class Settings(NamedTuple):
 
 
 def make_drake(options: ScoopOptions, contact: DrakeContact, threads: int | None):
-    """`simulate` in Drake on `threads` cores (all); a plant is built for each sample. BadInput where Drake is absent."""
+    """`simulate` in Drake on `threads` cores (all); a plant is built for each sample. BadInput
+    where Drake is absent.
+    """
     try:
         drake: Any = importlib.import_module("pydrake.all")
     except ImportError:
-        raise BadInput("backend drake is not installed; pip install 'adaptsim_jax[drake]'") from None
+        raise BadInput(
+            "backend drake is not installed; pip install 'adaptsim_jax[drake]'"
+        ) from None
     every = round(interface.ROW / contact.dt)
     if contact.dt <= 0 or every < 1 or abs(interface.ROW / contact.dt - every) > 1e-6:
-        raise BadInput(f"backend drake, dt = {contact.dt} s must divide the row of {interface.ROW} s; use 0.0025")
+        raise BadInput(
+            f"backend drake, dt = {contact.dt} s must divide the row of {interface.ROW} s; use "
+            f"0.0025"
+        )
     if contact.relaxation < 0 or contact.resolution <= 0:
-        raise BadInput(f"backend drake: relaxation at least 0 and resolution positive, got {contact}")
+        raise BadInput(
+            f"backend drake: relaxation at least 0 and resolution positive, got {contact}"
+        )
     threads = threads or os.cpu_count() or 1
 
     def simulate(params, commands, initial):
@@ -64,7 +76,10 @@ def make_drake(options: ScoopOptions, contact: DrakeContact, threads: int | None
         work = list(zip(params, poses, strict=True))
         with ThreadPoolExecutor(threads) as pool:
             rows = list(pool.map(lambda row: _one(drake, contact, every, *row), work))
-        state = np.stack(rows) if rows else np.zeros((0, round(model.SECONDS / interface.ROW), interface.STATE))
+        if rows:
+            state = np.stack(rows)
+        else:
+            state = np.zeros((0, round(model.SECONDS / interface.ROW), interface.STATE))
         lost = np.logical_not(np.all(np.isfinite(state), axis=(1, 2)))
         fit = _fit(params, actions)
         codes = np.where(fit, np.where(lost, model.DIVERGED, model.FINE), model.UNFIT)
@@ -75,7 +90,9 @@ def make_drake(options: ScoopOptions, contact: DrakeContact, threads: int | None
 
 def _poses(action: np.ndarray, options: ScoopOptions, dt: float) -> np.ndarray:
     """The tip's poses `[steps + 1, 3]`."""
-    return np.asarray(spatula.motion(jnp.asarray(action, jnp.float32), round(model.SECONDS / dt), options), float)
+    return np.asarray(
+        spatula.motion(jnp.asarray(action, jnp.float32), round(model.SECONDS / dt), options), float
+    )
 
 
 def _fit(params: np.ndarray, actions: np.ndarray) -> np.ndarray:
@@ -83,7 +100,9 @@ def _fit(params: np.ndarray, actions: np.ndarray) -> np.ndarray:
     return np.all(inside, axis=1) & np.all(np.isfinite(actions), axis=1)
 
 
-def _one(drake: Any, contact: DrakeContact, every: int, params: np.ndarray, poses: np.ndarray) -> np.ndarray:
+def _one(
+    drake: Any, contact: DrakeContact, every: int, params: np.ndarray, poses: np.ndarray
+) -> np.ndarray:
     """Rows `[T, 6]` of one trial; not-a-number from where Drake's solver gave up."""
     rows = np.full(((len(poses) - 1) // every, interface.STATE), np.nan)
     if not _fit(params[None], poses[:1]).all():
@@ -103,7 +122,9 @@ def _one(drake: Any, contact: DrakeContact, every: int, params: np.ndarray, pose
 
 
 class _World:
-    """Table, piece, and a spatula on forward, rise and pitch joints that are led along the motion."""
+    """Table, piece, and a spatula on forward, rise and pitch joints that are led along the
+    motion.
+    """
 
     def __init__(self, drake: Any, contact: DrakeContact, params: np.ndarray):
         self.drake, self.contact = drake, contact
@@ -116,7 +137,9 @@ class _World:
         )
         self.plant, graph = drake.AddMultibodyPlant(config, builder)
         ground = drake.Box(2.0, 1.2, 0.08)
-        self._collide(self.plant.world_body(), [0, 0, -0.04], ground, "table", self._surface(self.mu))
+        self._collide(
+            self.plant.world_body(), [0, 0, -0.04], ground, "table", self._surface(self.mu)
+        )
         self._add_piece()
         self._add_spatula()
         self.plant.Finalize()
@@ -137,14 +160,18 @@ class _World:
         self.simulator.Initialize()
 
     def lead(self, pose: np.ndarray, speed: np.ndarray) -> None:
-        self.plant.get_desired_state_input_port(self.spatula).FixValue(self.context, np.concatenate([pose, speed]))
+        self.plant.get_desired_state_input_port(self.spatula).FixValue(
+            self.context, np.concatenate([pose, speed])
+        )
 
     def state(self) -> np.ndarray:
         at = self.plant.EvalBodyPoseInWorld(self.context, self.piece).translation()
         return np.concatenate([at, self.plant.GetPositions(self.context, self.spatula)])
 
     def _surface(self, friction: float, modulus: float | None = None):
-        """Proximity properties of a rigid surface, or of the piece; Drake adds the relaxation times of a pair."""
+        """Proximity properties of a rigid surface, or of the piece; Drake adds the relaxation times
+        of a pair.
+        """
         d = self.drake
         properties = d.ProximityProperties()
         if modulus is None:
@@ -156,7 +183,10 @@ class _World:
         return properties
 
     def _collide(self, body: Any, at: Any, shape: Any, name: str, properties: Any) -> None:
-        pose = at if isinstance(at, self.drake.RigidTransform) else self.drake.RigidTransform(at)
+        if isinstance(at, self.drake.RigidTransform):
+            pose = at
+        else:
+            pose = self.drake.RigidTransform(at)
         self.plant.RegisterCollisionGeometry(body, pose, shape, name, properties)
 
     def _add_piece(self) -> None:
@@ -175,7 +205,9 @@ class _World:
         d, plant = self.drake, self.plant
         self.spatula = plant.AddModelInstance("spatula")
         inertia = d.SpatialInertia(SPATULA_MASS, np.zeros(3), d.UnitInertia(1e-2, 1e-2, 1e-2))
-        ahead, up, self.blade = (plant.AddRigidBody(name, self.spatula, inertia) for name in ("ahead", "up", "blade"))
+        ahead, up, self.blade = (
+            plant.AddRigidBody(name, self.spatula, inertia) for name in ("ahead", "up", "blade")
+        )
         joints = (
             d.PrismaticJoint("x", plant.world_frame(), ahead.body_frame(), [1, 0, 0]),
             d.PrismaticJoint("z", ahead.body_frame(), up.body_frame(), [0, 0, 1]),
@@ -196,8 +228,13 @@ class _World:
     def _pass_through(self, graph: Any) -> None:
         """Spatula and table do not touch."""
         d, plant = self.drake, self.plant
-        of = lambda body: d.GeometrySet(plant.GetCollisionGeometriesForBody(body))
-        apart = d.CollisionFilterDeclaration().ExcludeBetween(of(self.blade), of(plant.world_body()))
+
+        def of(body):
+            return d.GeometrySet(plant.GetCollisionGeometriesForBody(body))
+
+        apart = d.CollisionFilterDeclaration().ExcludeBetween(
+            of(self.blade), of(plant.world_body())
+        )
         graph.collision_filter_manager().Apply(apart)
 
 

@@ -25,7 +25,9 @@ def make_hydro(options: model.ScoopOptions, numerics: Numerics):
     hydro.check_numerics(numerics)
     every = round(ROW / numerics.dt)
     if abs(ROW / numerics.dt - every) > 1e-6:
-        raise BadInput(f"backend hydro, dt = {numerics.dt} s must divide the row of {ROW} s; use 0.0025")
+        raise BadInput(
+            f"backend hydro, dt = {numerics.dt} s must divide the row of {ROW} s; use 0.0025"
+        )
 
     @jax.jit
     @jax.vmap
@@ -36,11 +38,18 @@ def make_hydro(options: model.ScoopOptions, numerics: Numerics):
 
     def simulate(params, commands, initial):
         params, actions, starts = checked(params, commands, initial)
-        state, codes = np.zeros((len(params), round(model.SECONDS / ROW), STATE)), np.zeros(len(params), int)
+        state, codes = (
+            np.zeros((len(params), round(model.SECONDS / ROW), STATE)),
+            np.zeros(len(params), int),
+        )
         for at in range(0, len(params), BATCH):
-            room = np.minimum(np.arange(at, at + BATCH), len(params) - 1)  # the last batch is filled up
+            room = np.minimum(
+                np.arange(at, at + BATCH), len(params) - 1
+            )  # the last batch is filled up
             kind = jnp.result_type(float)
-            piece, tip, code = run(jnp.asarray(params[room], kind), jnp.asarray(actions[room], kind))
+            piece, tip, code = run(
+                jnp.asarray(params[room], kind), jnp.asarray(actions[room], kind)
+            )
             here = slice(at, min(at + BATCH, len(params)))
             count = here.stop - at
             state[here, :, 0], state[here, :, 2] = np.moveaxis(np.asarray(piece)[:count], -1, 0)

@@ -1,4 +1,6 @@
-"""Scooping in MJX: the same MJCF scene in JAX, with shape, height, friction and softness of every piece traced."""
+"""Scooping in MJX: the same MJCF scene in JAX, with shape, height, friction and softness of every
+piece traced.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ class Settings(NamedTuple):
 
 
 def make_mjx(options: ScoopOptions, dt: float, batch: int):
-    """`simulate` of the MJCF scene in MJX, `batch` trials side by side; in the precision that JAX is set to."""
+    """`simulate` of the MJCF scene in MJX, `batch` trials side by side; in the precision that JAX
+    is set to.
+    """
     run = jax.jit(jax.vmap(make_scoop(options, dt)))
 
     def simulate(params, commands, initial):
@@ -49,11 +53,19 @@ def make_mjx(options: ScoopOptions, dt: float, batch: int):
 
 
 def make_scoop(options: ScoopOptions, dt: float = scene.DT):
-    """`scoop(params [4], action [3]) -> positions [T, 6]` in rows of 10 ms: pure, for jit and vmap."""
-    with contextlib.redirect_stdout(io.StringIO()):  # MJX prints on its first import that optional parts are absent
+    """`scoop(params [4], action [3]) -> positions [T, 6]` in rows of 10 ms: pure, for jit and
+    vmap.
+    """
+    with contextlib.redirect_stdout(
+        io.StringIO()
+    ):  # MJX prints on its first import that optional parts are absent
         mjx: Any = importlib.import_module("mujoco.mjx")
     compiled = scene.compiled(dt)
-    base, blank, drive = mjx.put_model(compiled), mjx.make_data(compiled), scene.make_drive(options, dt)
+    base, blank, drive = (
+        mjx.put_model(compiled),
+        mjx.make_data(compiled),
+        scene.make_drive(options, dt),
+    )
     first = compiled.geom("sphere0").id
 
     def scoop(params: Array, action: Array) -> Array:
@@ -63,7 +75,9 @@ def make_scoop(options: ScoopOptions, dt: float = scene.DT):
         def step(carry, control):
             # only what the next step needs is carried; all else of `Data` is rebuilt from the blank
             qpos, qvel, warm = carry
-            data = mjx.step(m, blank.replace(qpos=qpos, qvel=qvel, qacc_warmstart=warm, ctrl=control))
+            data = mjx.step(
+                m, blank.replace(qpos=qpos, qvel=qvel, qacc_warmstart=warm, ctrl=control)
+            )
             return (data.qpos, data.qvel, data.qacc_warmstart), data.qpos
 
         zero = jnp.zeros(scene.DOFS, params.dtype)
@@ -75,7 +89,10 @@ def make_scoop(options: ScoopOptions, dt: float = scene.DT):
 def _with_piece(base: Any, piece: dict[str, Array], first: int) -> Any:
     """The model with the spheres and weights of `scene.fields`."""
     spheres, body = slice(first, first + clouds.SPHERES), scene.PIECE
-    put = lambda name, at, value: getattr(base, name).at[at].set(value)
+
+    def put(name, at, value):
+        return getattr(base, name).at[at].set(value)
+
     new = {
         name: put(name, spheres, piece[name])
         for name in ("geom_pos", "geom_size", "geom_rbound", "geom_friction", "geom_solref")

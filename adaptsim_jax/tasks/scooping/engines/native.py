@@ -45,21 +45,29 @@ def make_native(options: ScoopOptions, dt: float, threads: int | None):
 
 
 class _Engine:
-    """A model for each sample of a batch; they are copied once, and the pieces in them rewritten."""
+    """A model for each sample of a batch; they are copied once, and the pieces in them
+    rewritten.
+    """
 
     def __init__(self, options: ScoopOptions, dt: float, threads: int):
         self.mujoco: Any = importlib.import_module("mujoco")
         self.model = scene.compiled(dt)
-        self.rollout: Any = importlib.import_module("mujoco.rollout").Rollout(nthread=threads if threads > 1 else 0)
+        self.rollout: Any = importlib.import_module("mujoco.rollout").Rollout(
+            nthread=threads if threads > 1 else 0
+        )
         self.data = [self.mujoco.MjData(self.model) for _ in range(threads)]
         self.prepare, self.rows = scene.jitted(options, dt), scene.rows(dt)
         self.models: list[Any] = []
-        self.size = self.mujoco.mj_stateSize(self.model, self.mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
+        self.size = self.mujoco.mj_stateSize(
+            self.model, self.mujoco.mjtState.mjSTATE_FULLPHYSICS.value
+        )
 
     def run(self, params: np.ndarray, actions: np.ndarray, count: int) -> np.ndarray:
         """Positions `[count, T, 6]` in rows, of the first `count` samples."""
         kind = jnp.result_type(float)
-        fields, (start, control) = self.prepare(jnp.asarray(params, kind), jnp.asarray(actions, kind))
+        fields, (start, control) = self.prepare(
+            jnp.asarray(params, kind), jnp.asarray(actions, kind)
+        )
         fields = {name: np.asarray(value, float) for name, value in fields.items()}
         while len(self.models) < count:
             self.models.append(copy.copy(self.model))
@@ -73,7 +81,9 @@ class _Engine:
 
 
 def write_piece(m: Any, piece: dict[str, np.ndarray]) -> None:
-    """The piece of `scene.fields` into a compiled model, with all that MuJoCo derives of its mass."""
+    """The piece of `scene.fields` into a compiled model, with all that MuJoCo derives of its
+    mass.
+    """
     first = m.geom("sphere0").id
     spheres = slice(first, first + clouds.SPHERES)
     for name in ("geom_pos", "geom_size", "geom_rbound", "geom_friction", "geom_solref"):

@@ -1,6 +1,8 @@
-"""The engines of scooping against each other: how often the same trials end alike, pair by pair, and how fast each computes.
+"""The engines of scooping against each other: how often the same trials end alike, pair by pair,
+and how fast each computes.
 
-Outcomes are success or failure, and Drake does not agree with itself at another mesh or step: that is the ceiling for anyone.
+Outcomes are success or failure, and Drake does not agree with itself at another mesh or step: that
+is the ceiling for anyone.
 """
 
 from __future__ import annotations
@@ -20,7 +22,9 @@ from adaptsim_jax.tasks.scooping.engines.drake import DrakeContact
 from adaptsim_jax.tasks.scooping.hydro import Numerics
 
 LOW_RELAXATION = 0.02
-"""s: of the pair that is compared with hardly any dissipation, where contact is least a matter of numerics."""
+"""s: of the pair that is compared with hardly any dissipation, where contact is least a matter of
+numerics.
+"""
 ENGINES = (
     "hydro",
     "drake",
@@ -45,11 +49,14 @@ _SETTINGS: dict[str, dict[str, Any]] = {
 }
 
 
-def scooping_parity(*, samples: int = 32, seed: int = 0, progress: Report = silent) -> dict[str, Any]:
+def scooping_parity(
+    *, samples: int = 32, seed: int = 0, progress: Report = silent
+) -> dict[str, Any]:
     """Success or failure of `samples` random trials in every engine that is installed.
 
-    `engines` has a row each: success by shape, speed, codes, or why it did not run; `pairs` the share of trials that ended
-    alike in both, of those that went well, with a 95 % interval (Wilson).
+    `engines` has a row each: success by shape, speed, codes, or why it did not run; `pairs` the
+    share of trials that ended alike in both, of those that went well, with a 95 % interval
+    (Wilson).
     """
     params, actions = model.draw(seed, samples)
     batch = (params, actions, np.zeros((samples, 2)))
@@ -63,12 +70,18 @@ def _backend(name: str) -> Callable:
 
 
 def _run(simulate: Callable, batch: tuple, name: str) -> Run:
-    outcome = lambda state: interface.outcome(state)[0]
+    def outcome(state):
+        return interface.outcome(state)[0]
+
     return timed_run(simulate, batch, outcome, compiles=not name.startswith("drake"))
 
 
 def _row(run: Run, shape: np.ndarray) -> dict[str, Any]:
-    share = lambda rows: float(run.outcome[rows].mean()) if rows.any() else None
+    def share(rows):
+        if rows.any():
+            return float(run.outcome[rows].mean())
+        return None
+
     shares = {model.SHAPES[g]: share(shape == g) for g in range(2)}
     success = {"success": float(run.outcome.mean()), "success_by_shape": shares}
     return success | speed_row(run, "trials", model.MESSAGES)
@@ -81,4 +94,9 @@ def _alike(a: Run, b: Run) -> dict[str, Any]:
         return {"compared": 0}
     alike = int((a.outcome == b.outcome)[good].sum())
     interval = binomtest(alike, count).proportion_ci(method="wilson")
-    return {"compared": count, "alike": alike / count, "low": float(interval.low), "high": float(interval.high)}
+    return {
+        "compared": count,
+        "alike": alike / count,
+        "low": float(interval.low),
+        "high": float(interval.high),
+    }

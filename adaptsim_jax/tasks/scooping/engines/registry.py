@@ -1,8 +1,10 @@
-"""Scooping in four engines behind one signature: ours in JAX (hydro), Drake, and a sphere cloud in MJX and native MuJoCo.
+"""Scooping in four engines behind one signature: ours in JAX (hydro), Drake, and a sphere cloud in
+MJX and native MuJoCo.
 
-`simulate(params [B, 4], commands [B, 3], initial [B, 2]) -> Trajectory`: commands are actions as executed (pitch rad, rate rad/s,
-distance m), initial the place of the piece m. `state [B, T, 6]` holds, in rows of 10 ms, the piece's x, y, z m and the tip's
-x, z m and pitch rad. Codes are `scooping.MESSAGES`; states are finite whatever the code.
+`simulate(params [B, 4], commands [B, 3], initial [B, 2]) -> Trajectory`: commands are actions as
+executed (pitch rad, rate rad/s, distance m), initial the place of the piece m. `state [B, T, 6]`
+holds, in rows of 10 ms, the piece's x, y, z m and the tip's x, z m and pitch rad. Codes are
+`scooping.MESSAGES`; states are finite whatever the code.
 """
 
 from __future__ import annotations
@@ -27,9 +29,12 @@ BACKENDS: Registry[EngineKind] = Registry(
 
 
 def make_backend(name: str, options: ScoopOptions = ScoopOptions(), /, **settings: Any) -> Backend:  # noqa: B008
-    """A backend for `options`; BadInput where the name is unknown, the engine absent, or a setting makes no sense.
+    """A backend for `options`; BadInput where the name is unknown, the engine absent, or a setting
+    makes no sense.
 
     `settings` are the engine's own, `Settings` in its module; records may be given as tables.
     """
     kind = BACKENDS.named(name, "backend")
-    return Backend(name, kind.make(check_options(options), *own_settings(name, kind.settings, settings)))
+    return Backend(
+        name, kind.make(check_options(options), *own_settings(name, kind.settings, settings))
+    )

@@ -1,4 +1,6 @@
-"""What MuJoCo and MJX share of scooping: the MJCF scene, what of it belongs to a sample, the blade's drive, rows and codes."""
+"""What MuJoCo and MJX share of scooping: the MJCF scene, what of it belongs to a sample, the
+blade's drive, rows and codes.
+"""
 
 from __future__ import annotations
 
@@ -29,10 +31,14 @@ HARMLESS = ((0.3, 5e4, 1.0, 0.02), (0.1, 0.0, 0.0125))
 
 
 def compiled(dt: float = DT) -> Any:
-    """The `mujoco.MjModel` of the shipped scene in steps of `dt` s; BadInput where rows cannot be cut out of such steps."""
+    """The `mujoco.MjModel` of the shipped scene in steps of `dt` s; BadInput where rows cannot be
+    cut out of such steps.
+    """
     every = round(interface.ROW / dt) if dt > 0 else 0
     if every < 1 or abs(interface.ROW / dt - every) > 1e-6:
-        raise BadInput(f"scooping in MuJoCo, dt = {dt} s must divide the row of {interface.ROW} s; use {DT}")
+        raise BadInput(
+            f"scooping in MuJoCo, dt = {dt} s must divide the row of {interface.ROW} s; use {DT}"
+        )
     mujoco: Any = importlib.import_module("mujoco")
     text = resources.files("adaptsim_jax.tasks.scooping.engines").joinpath("scene.xml").read_text()
     spec = mujoco.MjSpec.from_string(text)
@@ -43,18 +49,25 @@ def compiled(dt: float = DT) -> Any:
 
 
 def fields(params: Array, dt: float) -> dict[str, Array]:
-    """What of a compiled model belongs to the piece of `params [4]`: rows of its spheres, and `piece` masses and weights.
+    """What of a compiled model belongs to the piece of `params [4]`: rows of its spheres, and
+    `piece` masses and weights.
 
-    `geom_*` are `[SPHERES, ...]`; `mass []`, `inertia []` about all axes; `weight [2]` and `weights [3]` are MuJoCo's inverse
-    weights of the body (one third of the three axes' sum, of which the plane has two, and one) and of its joints.
+    `geom_*` are `[SPHERES, ...]`; `mass []`, `inertia []` about all axes; `weight [2]` and `weights
+    [3]` are MuJoCo's inverse weights of the body (one third of the three axes' sum, of which the
+    plane has two, and one) and of its joints.
     """
     spheres, body = clouds.cloud(params), shapes.body(params[2], params[3])
-    every = lambda row: jnp.broadcast_to(row, (clouds.SPHERES, *row.shape))
+
+    def every(row):
+        return jnp.broadcast_to(row, (clouds.SPHERES, *row.shape))
+
     light, turns = 1.0 / body.mass, 1.0 / body.inertia
     friction = jnp.stack([params[0], jnp.zeros_like(params[0]), jnp.zeros_like(params[0])])
     return {
         "geom_pos": spheres.centres,
-        "geom_size": jnp.stack([spheres.radii, jnp.zeros_like(spheres.radii), jnp.zeros_like(spheres.radii)], -1),
+        "geom_size": jnp.stack(
+            [spheres.radii, jnp.zeros_like(spheres.radii), jnp.zeros_like(spheres.radii)], -1
+        ),
         "geom_rbound": spheres.radii,
         "geom_friction": every(friction),
         "geom_solref": every(clouds.spring(params, dt).solref),
@@ -66,8 +79,10 @@ def fields(params: Array, dt: float) -> dict[str, Array]:
 
 
 def make_drive(options: ScoopOptions, dt: float) -> Callable[[Array, Array], tuple[Array, Array]]:
-    """`drive(params, action) -> (start [6], accelerations [T, 3])`: positions at the start, and what the tip's joints are driven by,
-    such that Euler's steps follow the prescribed motion exactly."""
+    """`drive(params, action) -> (start [6], accelerations [T, 3])`: positions at the start, and
+    what the tip's joints are driven by, such that Euler's steps follow the prescribed motion
+    exactly.
+    """
     steps = round(model.SECONDS / dt)
 
     def drive(params: Array, action: Array) -> tuple[Array, Array]:
@@ -81,19 +96,28 @@ def make_drive(options: ScoopOptions, dt: float) -> Callable[[Array, Array], tup
 
 
 def fit(params: np.ndarray, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Which samples the scene is made for `[B]`, and the batch with those that are not replaced by a harmless one."""
+    """Which samples the scene is made for `[B]`, and the batch with those that are not replaced by
+    a harmless one.
+    """
     inside = (params >= np.array(model.PHYSICAL_LOW)) & (params <= np.array(model.PHYSICAL_HIGH))
     within = np.abs(actions) <= np.array([0.35, 0.6, 0.1])
     good = np.all(inside, axis=1) & np.all(within, axis=1)
-    swap = lambda a, harmless: np.where(good[:, None], a, np.array(harmless))
+
+    def swap(a, harmless):
+        return np.where(good[:, None], a, np.array(harmless))
+
     return good, swap(params, HARMLESS[0]), swap(actions, HARMLESS[1])
 
 
 def finished(positions: np.ndarray, good: np.ndarray, starts: np.ndarray) -> Trajectory:
-    """`positions [B, T, 6]` in rows of 10 ms as the trajectory that all engines return; finite whatever the code."""
+    """`positions [B, T, 6]` in rows of 10 ms as the trajectory that all engines return; finite
+    whatever the code.
+    """
     q = np.asarray(positions, float)
     with np.errstate(invalid="ignore"):
-        kept = np.all(np.isfinite(q), axis=(1, 2)) & np.all(np.abs(q[:, :, :2]) < np.array([2.0, 1.0]), axis=(1, 2))
+        kept = np.all(np.isfinite(q), axis=(1, 2)) & np.all(
+            np.abs(q[:, :, :2]) < np.array([2.0, 1.0]), axis=(1, 2)
+        )
     codes = np.where(good, np.where(kept, model.FINE, model.DIVERGED), model.UNFIT)
     q = np.where((codes == model.FINE)[:, None, None], q, 0.0)
     state = np.zeros((*q.shape[:2], interface.STATE))
@@ -108,14 +132,18 @@ def rows(dt: float) -> slice:
 
 
 def batches(count: int, size: int) -> list[tuple[slice, np.ndarray]]:
-    """Where each batch of `size` goes, and its samples; the last one is filled up, so that one size is compiled."""
+    """Where each batch of `size` goes, and its samples; the last one is filled up, so that one size
+    is compiled.
+    """
     return [
         (slice(at, min(at + size, count)), np.minimum(np.arange(at, at + size), count - 1))
         for at in range(0, count, size)
     ]
 
 
-def jitted(options: ScoopOptions, dt: float) -> Callable[[Array, Array], tuple[dict[str, Array], tuple[Array, Array]]]:
+def jitted(
+    options: ScoopOptions, dt: float
+) -> Callable[[Array, Array], tuple[dict[str, Array], tuple[Array, Array]]]:
     """`fields` and drive of a batch, compiled."""
     drive = make_drive(options, dt)
     return jax.jit(jax.vmap(lambda p, a: (fields(p, dt), drive(p, a))))
