@@ -3,8 +3,8 @@ warm compile cache.
 
     python -m benchmarks.diagnose                        all four recordings, cold and then warm
     python -m benchmarks.diagnose --only null --no-cold  one of them, warm
-    python -m benchmarks.diagnose --case outside:17091   a recording of the suites (SUITE:SEED) in
-    their place
+    # a recording of the suites (SUITE:SEED) in their place
+    python -m benchmarks.diagnose --case outside:17091
 
 Each diagnosis is the command in a process of its own, everything included: import, compiling, the
 next experiment, the page. Cold: a new cache folder for each; warm: that folder again. Recordings

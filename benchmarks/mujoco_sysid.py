@@ -2,8 +2,8 @@
 mass and damping fitted from the declared model, and nothing judged. Prints fits per minute of wall
 time, and the two values. Needs `pip install mujoco[sysid]`.
 
-    python benchmarks/mujoco_sysid.py FOLDER      with model.xml, and trial_00.csv ... of time, q1,
-    tau1
+    # with model.xml, and trial_00.csv ... of time, q1, tau1
+    python benchmarks/mujoco_sysid.py FOLDER
 """
 
 import sys

@@ -1,10 +1,13 @@
 """Speed of Phase 1 on the pendulum, side by side in one run; each part alone with its option.
 
-    python benchmarks/phase1.py --speed      10,000 trajectories of 10 steps, compile included,
-    beside NumPy + PyTorch python benchmarks/phase1.py --seeds 20   time per seed: one seed, then
-    all of them by lax.map and by vmap python benchmarks/phase1.py --together 1 64 512     so many
-    seeds in one program by vmap (for a GPU) python benchmarks/phase1.py --replay     the
-    block-written ring beside flashbax's item buffer, 20 seeds at once
+    # 10,000 trajectories of 10 steps, compile included, beside NumPy + PyTorch
+    python benchmarks/phase1.py --speed
+    # time per seed: one seed, then all of them by lax.map and by vmap
+    python benchmarks/phase1.py --seeds 20
+    # so many seeds in one program by vmap (for a GPU)
+    python benchmarks/phase1.py --together 1 64 512
+    # the block-written ring beside flashbax's item buffer, 20 seeds at once
+    python benchmarks/phase1.py --replay
 
 CPU seconds stand beside wall seconds, because on a busy machine only they can be compared.
 `--speed` needs torch for the peer (`pip install -e .[bench]`); without it only our side is timed.

@@ -2,8 +2,8 @@
 in MJX within the program.
 
     python benchmarks/phase1_engines.py                 40 trajectories, both engines, one seed
-    python benchmarks/phase1_engines.py --trials        trials a second of each engine by batch size
-    (GPUs: up to 16,384)
+    # trials a second of each engine by batch size (GPUs: up to 16,384)
+    python benchmarks/phase1_engines.py --trials
 
 Seconds with and without compile, trials and rewards of the last round. The engines step the same
 scene with the same seed, so that rewards differ by float32 and by what chance makes of it.

@@ -1,10 +1,11 @@
 """The push in every engine, side by side in one run: speeds with their ratios, MJX's compile time,
 Drake's own spread.
 
-    python benchmarks/pushing_backends.py                       speeds over 200 pushes; MJX compiles
-    cold (no cache) python benchmarks/pushing_backends.py --samples 64 --repeats 3
-    python benchmarks/pushing_backends.py --drake-steps 0.001 0.0025 0.005    final positions
-    against steps of 2 ms
+    # speeds over 200 pushes; MJX compiles cold (no cache)
+    python benchmarks/pushing_backends.py
+    python benchmarks/pushing_backends.py --samples 64 --repeats 3
+    # final positions against steps of 2 ms
+    python benchmarks/pushing_backends.py --drake-steps 0.001 0.0025 0.005
 
 CPU seconds stand beside wall seconds: on a busy machine only they can be compared. Engines take
 turns, so that a slow minute hits all of them. Without Drake (`pip install -e .[drake]`) the others

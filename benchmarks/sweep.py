@@ -1,10 +1,11 @@
 """One call of `adaptsim sweep` beside as many calls of `adaptsim train`, two at a time, on the same
 cores; compile included.
 
-    python benchmarks/sweep.py                          64 members (4 values x 16 seeds) of 2,000
-    trajectories python benchmarks/sweep.py --calls 8                time 8 of the calls of `train`,
-    and count the rest as these python benchmarks/sweep.py --trajectories 10000     the members as
-    the paper trains them
+    # 64 members (4 values x 16 seeds) of 2,000 trajectories
+    python benchmarks/sweep.py
+    # time 8 of the calls of `train`, and count the rest as these
+    python benchmarks/sweep.py --calls 8
+    python benchmarks/sweep.py --trajectories 10000     the members as the paper trains them
 
 Both start with an empty compile cache. CPU seconds (user and system, of all children) stand beside
 wall seconds, because on a busy machine only they can be compared; two calls at a time keep two

@@ -2,8 +2,8 @@
 witness names, right and wrong.
 
     python experiments/arm_worlds.py ../shared/data/robots OUT --first 100 --count 20 --kinds null
-    python experiments/arm_worlds.py ../shared/data/robots OUT --first 200 --count 30 --kinds
-    friction rotor gain offset spring
+    python experiments/arm_worlds.py ../shared/data/robots OUT --first 200 --count 30 --kinds \\
+        friction rotor gain offset spring
 
 A line a world; `--whole` runs all of `adaptsim diagnose` instead of the witness alone.
 """

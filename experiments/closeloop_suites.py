@@ -1,7 +1,7 @@
 """Score `adaptsim diagnose` on data sets whose truth is known.
 
-    python -m experiments.closeloop_suites --suite null single --count 200 --seed 10000 --out DIR
-    --workers 2
+    python -m experiments.closeloop_suites --suite null single --count 200 --seed 10000 --out \\
+        DIR --workers 2
 
 Seeds 0-9999 are for tuning, from 10000 on for scoring. Every data set goes through files. Finished
 cases are kept in `DIR/cases`, so a stopped run goes on where it was; `DIR/results.json` and

@@ -1,8 +1,8 @@
 """A quadruped that walks on a floor by position commands, with one thing that its model file lacks:
 what `diagnose` names.
 
-    python experiments/floor_worlds.py ROBOTS OUT --robot unitree_go1__go1 --worlds floor_friction
-    null --seeds 100 101
+    python experiments/floor_worlds.py ROBOTS OUT --robot unitree_go1__go1 --worlds \\
+        floor_friction null --seeds 100 101
 
 ROBOTS: a folder of MJCF files, one of which has legs driven by position servos. Each world: 8
 trials of 4 s at 100 Hz of a trot whose speed, stride and turn are drawn, made by MuJoCo at the

@@ -1,8 +1,8 @@
 """Whether recordings show dry friction that gives, as MuJoCo's, or sharp friction, as of real
 joints.
 
-    python experiments/friction_law.py ../shared/data/measured_panda/rec
-    ../shared/data/measured_furuta/rec OUT/*_3900
+    python experiments/friction_law.py ../shared/data/measured_panda/rec \\
+        ../shared/data/measured_furuta/rec OUT/*_3900
 
 FOLDERS: recordings of mechanisms. Of each the share that the giving law takes off what the sharp
 one leaves of the missing torque of left-out blocks, by joint (below zero: it tells less), the p of

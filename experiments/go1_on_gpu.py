@@ -1,9 +1,11 @@
 """4,096 environments of Playground's Go1 joystick on one GPU: steps a second, and a policy that
 knows E, in ten minutes.
 
-    python experiments/go1_on_gpu.py --out runs/go1                                  a GPU; extra
-    [environments] python experiments/go1_on_gpu.py --out runs/try --env cartpole --parallel 16
-    --minutes 0.2 --unroll 10    anywhere
+    # a GPU; extra [environments]
+    python experiments/go1_on_gpu.py --out runs/go1
+    # anywhere
+    python experiments/go1_on_gpu.py --out runs/try --env cartpole --parallel 16 --minutes 0.2 \\
+        --unroll 10
 
 Fields: the floor's friction, a payload on the trunk, kp of all twelve servos, and a delay. Written:
 `result.json`, anew after every few updates, so that a run that is cut off has left what it

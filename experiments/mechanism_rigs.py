@@ -1,8 +1,9 @@
 """Real recordings: what is named, and the error on data that had no part in it.
 
-    python -m experiments.mechanism_rigs double_pendulum/rig_a --out rig_a.json     every trial held
-    out in turn python -m experiments.mechanism_rigs quadruped_legs --out quadruped.json
-    fitted on train, scored on validation
+    # every trial held out in turn
+    python -m experiments.mechanism_rigs double_pendulum/rig_a --out rig_a.json
+    # fitted on train, scored on validation
+    python -m experiments.mechanism_rigs quadruped_legs --out quadruped.json
 
 `experiments/rigs/rigs.toml` says what each is made of. Of a double pendulum everything (base
 parameters, effects, which of them) is done without the trial that is scored; `declared` is the

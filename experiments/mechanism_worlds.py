@@ -1,7 +1,7 @@
 """Score the diagnosis of mechanisms on worlds made by MuJoCo whose truth is known.
 
-    python -m experiments.mechanism_worlds --kind single --seeds 10000:10040 --jobs 2 --out
-    single.csv
+    python -m experiments.mechanism_worlds --kind single --seeds 10000:10040 --jobs 2 --out \\
+        single.csv
 
 Kinds: null, single, multi. Seeds 0-999 are for tuning, from 10000 on for scoring. Each world goes
 through files in a folder of its own (`--keep DIR` keeps them and the reports). A row per world is

@@ -1,8 +1,9 @@
 """Table 1's AdaptSim row for the pendulum: one Phase 1 for each seed, then Phase 2 in the five
 settings.
 
-    python experiments/phase1_pendulum.py train --out DIR [--first 0] [--seeds 20] [--config
-    recommended|paper-pendulum] python experiments/phase1_pendulum.py score --out DIR
+    python experiments/phase1_pendulum.py train --out DIR [--first 0] [--seeds 20] [--config \\
+        recommended|paper-pendulum]
+    python experiments/phase1_pendulum.py score --out DIR
 
 `train` can be stopped and run again: finished seeds are kept. `score` prints the tables and writes
 `scores.json` into DIR.

@@ -1,10 +1,11 @@
 """From Drake's hydroelastic modulus e to the contact of our models: the map is fitted to where
 Drake's bottles go.
 
-    python experiments/pushing_elasticity.py --fit native --against drake      the map of the MuJoCo
-    scene (native, MJX) python experiments/pushing_elasticity.py --fit planar --against native
-    the planar model as a twin of that scene python experiments/pushing_elasticity.py --fit planar
-    --against drake
+    # the map of the MuJoCo scene (native, MJX)
+    python experiments/pushing_elasticity.py --fit native --against drake
+    # the planar model as a twin of that scene
+    python experiments/pushing_elasticity.py --fit planar --against native
+    python experiments/pushing_elasticity.py --fit planar --against drake
 
 Half of the random pushes are fitted to (Nelder and Mead), the other half judge: both errors are
 printed, with the coefficients. `--keep FILE.npz` saves the pushes of the reference, `--use

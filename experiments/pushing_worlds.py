@@ -5,8 +5,8 @@ Shares no code with the package: NumPy, semi-implicit Euler at 0.2 ms. The sole 
 twelve points of equal area: along a patch's edge their number is physics of the model (24 points
 stop one such push 31 mm elsewhere). All worlds of a suite are simulated side by side.
 
-    python experiments/pushing_worlds.py --suite singles --seed 1 --out worlds/         writes a
-    folder for each world
+    # writes a folder for each world
+    python experiments/pushing_worlds.py --suite singles --seed 1 --out worlds/
 """
 
 import argparse

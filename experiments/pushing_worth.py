@@ -2,8 +2,8 @@
 the target that lacks something.
 
     python -m experiments.pushing_worth --out OUT --seeds 10 --trajectories 1250
-    python -m experiments.pushing_worth --out OUT --seeds 3 --trajectories 1250 --engine drake
-    --effects tilt
+    python -m experiments.pushing_worth --out OUT --seeds 3 --trajectories 1250 --engine drake \\
+        --effects tilt
 
 For each effect: 18 pushes of `experiments/pushing_worlds.py` at WD's parameters and `adaptsim
 diagnose` of them; Phase 1 of AdaptSim with the declared and with the mended model (`model.toml`),

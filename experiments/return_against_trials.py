@@ -1,11 +1,11 @@
 """Return in the target against target trials, for each way of adapting a simulator: one figure and
 one table.
 
-    python experiments/return_against_trials.py --out runs/trials                            all
-    tasks, 10 seeds: hours python experiments/return_against_trials.py --out runs/trials --tasks
-    cartpole --seeds 3 --small
-    python experiments/return_against_trials.py --out runs/trials --show                     figure
-    and table of what is there
+    # all tasks, 10 seeds: hours
+    python experiments/return_against_trials.py --out runs/trials
+    python experiments/return_against_trials.py --out runs/trials --tasks cartpole --seeds 3 --small
+    # figure and table of what is there
+    python experiments/return_against_trials.py --out runs/trials --show
 
 Resumable: each task, seed and method is a part of its own in `OUT/TASK/seed-N.json`. Five targets a
 task: one within Omega, four that Omega cannot say; they run in MuJoCo C. Returns are normalised in

@@ -1,7 +1,7 @@
 """Robots that people have, with one thing that their model file lacks: what `diagnose` names.
 
-    python experiments/robot_worlds.py ROBOTS OUT --robots panda__panda go2 --worlds null friction
-    gain --seed 0
+    python experiments/robot_worlds.py ROBOTS OUT --robots panda__panda go2 --worlds null \\
+        friction gain --seed 0
 
 ROBOTS: a folder of MJCF files. Each world is a log made by MuJoCo in steps of 0.5 ms, base welded,
 without contact: 6 trials of 5 s at 200 Hz, commands of the file's own actuators (sums of sines

@@ -1,8 +1,8 @@
 """How what is deployed in scooping may be corrected by the target's own scoops, tried on random
 targets and seeds that no table uses.
 
-    python experiments/scooping_correction.py --out OUT --visits own 0 1 --doubts 1,0.5,1,3
-    0,0.5,2,3
+    python experiments/scooping_correction.py --out OUT --visits own 0 1 --doubts 1,0.5,1,3 \\
+        0,0.5,2,3
 
 AdaptSim and SysID-Point adapt in ten of the pieces of `scooping_choices`, once; their visits are
 kept in OUT. They are taken as they were (`own`), or the last scoop of each is replaced by a probe

@@ -5,8 +5,8 @@ Shares no code with the package: NumPy, float64, SAP's problem by Newton's metho
 line search. Step, points of the contact surfaces and regularisation are the declared engine's,
 which are part of the model. All worlds of a call are simulated side by side.
 
-    python experiments/scooping_worlds.py --suite singles --seed 1 --out worlds/         writes a
-    folder for each world
+    # writes a folder for each world
+    python experiments/scooping_worlds.py --suite singles --seed 1 --out worlds/
 """
 
 import argparse

@@ -1,14 +1,19 @@
 """Table 1 of the paper, pushing or scooping columns, in parts that can be stopped and gone on with:
 a file for each method and seed.
 
-    python experiments/table1_pushing.py --out OUT --seeds 10                       planar as
-    simulator and target python experiments/table1_pushing.py --out OUT --seeds 10 --target drake
-    deployed in Drake
-    python experiments/table1_pushing.py --out OUT --seeds 10 --simulator native --methods adaptsim
-    the MuJoCo scene as both python experiments/table1_pushing.py --out OUT --settings wd --target
-    drake --bottle heavy --iterations 12 \\ --methods adaptsim learn_in_target udr_target bayesopt
-    Table 2: 4 trials an iteration python experiments/table1_pushing.py --task scooping --out OUT
-    --seeds 10       hydroelastic engine, or --target drake
+    # planar as simulator and target
+    python experiments/table1_pushing.py --out OUT --seeds 10
+    # deployed in Drake
+    python experiments/table1_pushing.py --out OUT --seeds 10 --target drake
+    # the MuJoCo scene as both
+    python experiments/table1_pushing.py --out OUT --seeds 10 --simulator native --methods \\
+        adaptsim
+    python experiments/table1_pushing.py --out OUT --settings wd --target drake --bottle heavy \\
+        --iterations 12 \\
+        # Table 2: 4 trials an iteration
+        --methods adaptsim learn_in_target udr_target bayesopt
+    # hydroelastic engine, or --target drake
+    python experiments/table1_pushing.py --task scooping --out OUT --seeds 10
 
 `adaptsim compare TASK` is the same in one go. What is there is not computed again; `table.md` shows
 what is there so far.

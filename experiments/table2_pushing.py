@@ -1,10 +1,11 @@
 """Table 2 of the paper: reward by target pushes spent, on the Heavy stand-in whose mass and inertia
 no parameter models.
 
-    python experiments/table1_pushing.py --out OUT --seeds 3 --settings wd --target drake --bottle
-        heavy --iterations 12 \\ --methods adaptsim learn_in_target --no-oracle
-    python experiments/table2_pushing.py OUT                      prints the table, draws
-    OUT/data_budget.png
+    python experiments/table1_pushing.py --out OUT --seeds 3 --settings wd --target drake \\
+        --bottle heavy --iterations 12 \\
+        --methods adaptsim learn_in_target --no-oracle
+    # prints the table, draws OUT/data_budget.png
+    python experiments/table2_pushing.py OUT
 
 AdaptSim makes 4 pushes an iteration (two starts, two pushes each): what it deploys after 4 i pushes
 is the policy of iteration i. Two rows of it: the mean of its two starts, which anyone could have,

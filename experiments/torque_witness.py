@@ -1,9 +1,9 @@
 """The torque along the measured motion as a witness: what it names on one recording, and what of
 the torque it misses on others.
 
-    python experiments/torque_witness.py ../shared/data/measured_panda/rec --judge
-    ../shared/data/measured_panda/val python experiments/torque_witness.py
-    ../shared/data/measured_kr300/rec --leave-out
+    python experiments/torque_witness.py ../shared/data/measured_panda/rec --judge \\
+        ../shared/data/measured_panda/val
+    python experiments/torque_witness.py ../shared/data/measured_kr300/rec --leave-out
 
 --leave-out: each trial in turn takes no part and is the judge. Seconds are of the processor,
 without reading.

@@ -1,8 +1,8 @@
 """How far trainings of the same policy lie apart: returns at points of Omega of the policy that is
 deployed, for each way and seed.
 
-    python experiments/training_luck.py --task cartpole --seeds 100,101,102 --set
-    hyper.entropy=0.001
+    python experiments/training_luck.py --task cartpole --seeds 100,101,102 --set \\
+        hyper.entropy=0.001
 
 Ways: `udr` is told nothing, `knows` E from the start, `blind` E from the middle of training on (as
 `adaptsim train` does), `nominal` is trained at the file's own values. Seeds below 10 are the

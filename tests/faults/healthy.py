@@ -1,9 +1,9 @@
 """Healthy recordings, with and without an effect that their model lacks: read and checked; what is
 said of them is a false alarm.
 
-    python -m tests.faults.healthy FOLDER 7300                    seed; 200 sets; exit status 1
-    where anything is said python -m tests.faults.healthy FOLDER 7300 mechanisms 10      so many of
-    one kind
+    # seed; 200 sets; exit status 1 where anything is said
+    python -m tests.faults.healthy FOLDER 7300
+    python -m tests.faults.healthy FOLDER 7300 mechanisms 10      so many of one kind
 
 Said are refusals, warnings of the audit and of conventions, and trials that differ, which
 `diagnose` tells only after its search (not run here) and only where the mended model does not

@@ -1,8 +1,8 @@
 """Writers of runs and of a robot's session that are killed at random moments, again and again in
 the same folder.
 
-    python -m tests.faults.killed FOLDER 1000 0      kills, seed; exit status 1 and a line at the
-    first that lost anything
+    # kills, seed; exit status 1 and a line at the first that lost anything
+    python -m tests.faults.killed FOLDER 1000 0
 
 The writers do what `train` and `robot record` do between two steps, without what is computed in
 them: rows of metrics and then the checkpoint; the record before for `undo`, and then the session's

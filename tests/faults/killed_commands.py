@@ -1,8 +1,8 @@
 """`train`, `adapt` and `robot record` of a small pendulum, whole processes killed at random moments
 and called again.
 
-    python -m tests.faults.killed_commands FOLDER 75 0      kills, seed; exit status 1 and a line at
-    the first that lost anything
+    # kills, seed; exit status 1 and a line at the first that lost anything
+    python -m tests.faults.killed_commands FOLDER 75 0
 
 After each kill the same call is made again until it ends by itself. Then its files must be those of
 a call that nobody killed, to the bit. A moment is drawn from the time that the command takes.

@@ -1,8 +1,8 @@
 """Recordings of machines whose truth is known, by MuJoCo's C engine: a declared MJCF, the machine
 as it is, trials.
 
-    python -m tests.generators.mechanism_worlds single 3 FOLDER     one world (kind, seed), to look
-    at
+    # one world (kind, seed), to look at
+    python -m tests.generators.mechanism_worlds single 3 FOLDER
 
 `write_world` leaves `recording/` (what a user has), `true.xml` (the machine, with what MJCF can
 hold of the effects) and `truth.json`. Kinds: `null`; `single`, one effect; `multi`, 3 to 5 of which

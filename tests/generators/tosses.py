@@ -5,8 +5,8 @@ Shares no code with the package. MuJoCo steps one toss after the other at 0.5 ms
 written model declares; what depends on the motion is set at each step from the contacts that are
 there.
 
-    python -m tests.generators.tosses --suite singles --seed 1 --count 14 --out worlds/      a
-    folder for each world
+    # a folder for each world
+    python -m tests.generators.tosses --suite singles --seed 1 --count 14 --out worlds/
 """
 
 import argparse
