@@ -26,7 +26,6 @@ from adaptsim_jax.simulators.mujoco.sensed import Reading
 from adaptsim_jax.tasks.pushing.diagnosis import catalogue as pushing
 from adaptsim_jax.tasks.scooping.diagnosis import catalogue as scooping
 from adaptsim_jax.tasks.toss import catalogue as toss
-from adaptsim_jax.tasks.toss.body import Body
 
 PINNED = Path(__file__).with_name("candidates.json")
 ROD = [0.6, 0.0, 0.0, -0.09, 0.02, 0.0, 0.0, 0.02, 0.0, 1e-4]
@@ -160,7 +159,9 @@ def of_mujoco(text: str, joints: tuple[str, ...]) -> dict[str, list[str]]:
     angle = np.array([model.jnt_qposadr[model.joint(name).id] for name in joints])
     free = 0 if model.nq > model.nv else -1
     kinds = ("gyro", "accelerometer") if model.nsensor else ()
-    read = [Reading(f"{kind}{i}", 3 * k + i, kind) for k, kind in enumerate(kinds) for i in range(3)]
+    read = [
+        Reading(f"{kind}{i}", 3 * k + i, kind) for k, kind in enumerate(kinds) for i in range(3)
+    ]
     made = Stepped("", model, angle, -1, model.qpos0, (), free, tuple(read))
     every = [*rows(made, joints), *contact_rows(made), *sensor_rows(made, len(joints))]
     return of_trials([r.candidate for r in every], [quantity(f) for r in every for f in r.fields])
