@@ -14,9 +14,8 @@ import os
 import sys
 import traceback
 
-from adaptsim_jax import __version__
 from adaptsim_jax.commands import SUMMARIES
-from adaptsim_jax.commands.parser import Parser, command_parser
+from adaptsim_jax.commands.parser import Parser, command_parser, top_parser
 from adaptsim_jax.core import compile_cache, surroundings
 from adaptsim_jax.core.config import nearest, suggest
 from adaptsim_jax.core.errors import BadInput
@@ -87,7 +86,7 @@ def _interrupted(error: BaseException | None) -> bool:
 def parse(argv: list[str]) -> argparse.Namespace:
     """The arguments of one command, with `run` set to it; only that command's module is loaded."""
     if not argv or argv[0].startswith("-"):
-        parser = _top()
+        parser = top_parser()
         options, unknown = parser.parse_known_args(argv)  # --help, --version, or an error
         if unknown:
             raise BadInput(
@@ -104,20 +103,6 @@ def parse(argv: list[str]) -> argparse.Namespace:
         raise BadInput(_unknown_argument(command, unknown[0]))
     args.seed_given, args.seed = args.seed is not None, args.seed or 0
     return args
-
-
-def _top() -> Parser:
-    lines = "\n".join(f"  {name:10} {summary}" for name, summary in SUMMARIES.items())
-    parser = Parser(
-        prog="adaptsim",
-        usage="adaptsim [-h] [--version] COMMAND ...",
-        description="Find simulation parameters that make a task policy work in a target "
-        "environment,\n"
-        "and trace what a simulator lacks from measured data.",
-        epilog=f"commands:\n{lines}\n\n'adaptsim COMMAND --help' shows its options and examples.",
-    )
-    parser.add_argument("--version", action="version", version=f"adaptsim_jax {__version__}")
-    return parser
 
 
 def _unknown_argument(parser: Parser, word: str) -> str:

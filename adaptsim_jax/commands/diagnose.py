@@ -59,9 +59,6 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--json", action="store_true", help="print report.json")
     parser.add_argument(
-        "--strict", action="store_true", help=argparse.SUPPRESS
-    )  # of earlier versions
-    parser.add_argument(
         "--as-declared",
         action="store_true",
         help="take columns and lengths as declared, though the motion contradicts them",
@@ -95,8 +92,6 @@ def run(args: argparse.Namespace) -> int:
 
     data = Path(args.data)
     check_apart(data, Path(args.out))
-    if args.strict:
-        raise BadInput(STRICT)
     if "jax" not in sys.modules:  # else a Python program called us, which may have compiled already
         compile_flags.small_steps()
     task = of_trials(data) if args.model is None else None
@@ -110,13 +105,6 @@ def run(args: argparse.Namespace) -> int:
     with output(args.out) as out, progress("diagnose") as report:
         result = judge(out=out, exclude=tuple(args.exclude), progress=report)
     return say(args, result, out, replays=task is None)
-
-
-STRICT = (
-    "--strict: there is one search for all machines now; leave the option out: names that explain "
-    "all but the noise have the "
-    "verdict `explained`, others `partly_explained`"
-)
 
 
 def check_apart(data: Path, out: Path) -> None:

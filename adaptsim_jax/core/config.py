@@ -8,8 +8,6 @@ import dataclasses
 import difflib
 import hashlib
 import json
-import math
-import re
 import tomllib
 import types
 import typing
@@ -90,56 +88,28 @@ def write(path: str | Path, table: dict[str, Any]) -> None:
     files.write_bytes(path, dumps(table).encode())
 
 
-def dumps(table: dict[str, Any]) -> str:
-    """TOML text of nested tables of numbers, strings, booleans and lists; None is left out."""
-    return "\n".join(_lines(table, ())).strip() + "\n"
+def dumps(table: dict[str, Any], heading: str = "") -> str:
+    """TOML text of nested tables of numbers, strings, booleans and lists; None is left out.
+
+    Args:
+        table: lists of tables become `[[arrays of tables]]`; paths become strings.
+        heading: what stands above it, a comment for each line.
+    """
+    import tomlkit  # a command that writes no TOML does not wait for it
+
+    comments = [f"# {line}" for line in heading.splitlines()]
+    return "\n".join([*comments, tomlkit.dumps(_writable(table)).strip(), ""])
 
 
-def _lines(table: dict[str, Any], path: tuple[str, ...]) -> list[str]:
-    plain = {k: v for k, v in table.items() if not isinstance(v, dict) and v is not None}
-    lines = [f"{_key(k)} = {_value(v)}" for k, v in plain.items()]
-    if path and (plain or not table):
-        lines = ["", f"[{'.'.join(map(_key, path))}]", *lines]
-    for name, child in table.items():
-        if isinstance(child, dict):
-            lines += _lines(child, (*path, name))
-    return lines
-
-
-def _key(name: str) -> str:
-    if re.fullmatch(r"[A-Za-z0-9_-]+", name):
-        return name
-    return _string(name)
-
-
-def _string(text: str) -> str:
-    # JSON escapes are TOML escapes, but for DEL and for pairs of surrogates (so: no ASCII-only
-    # output)
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, int):
-        return str(value)
-    if isinstance(value, float):
-        if math.isfinite(value):
-            return repr(value)
-        return str(value).replace("-nan", "nan")
-    if isinstance(value, str):
-        return _string(value)
-    if isinstance(value, Path):
-        return _string(str(value))
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_value, value))}]"
+def _writable(value: Any) -> Any:
+    """`value` in types that TOML has."""
     if isinstance(value, dict):
-        return (
-            "{"
-            + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in value.items() if v is not None)
-            + "}"
-        )
-    raise TypeError(f"no TOML for {type(value).__name__}")
+        return {str(k): _writable(v) for k, v in value.items() if v is not None}
+    if isinstance(value, list | tuple):
+        return [_writable(item) for item in value]
+    if isinstance(value, Path):
+        return str(value)
+    return value
 
 
 # ---------------------------------------------------------------- dataclasses

@@ -27,9 +27,10 @@ parameter that the data do not fix has `identifiable` false; the page shows no n
 
 from __future__ import annotations
 
+import functools
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -151,196 +152,116 @@ def problems(report: Any) -> list[str]:
     """What is wrong with a report of JSON types, each `key: why`; empty where it keeps the
     schema.
     """
-    if not isinstance(report, Mapping):
-        return [f"the report is a {type(report).__name__}, not a table"]
-    found = _Problems()
-    found.equal(report, "schema", SCHEMA)
-    for key in ("task", "model", "message"):
-        found.text(report, key)
-    found.one_of(report, "verdict", VERDICTS)
-    _check_data(found, found.table(report, "data"))
-    _check_effects(found, report)
-    _check_error(found, found.table(report, "error"))
-    _check_candidates(found, report)
-    _check_declared(found, found.table(report, "declared"))
-    if "next_experiment" not in report:
-        found.add("next_experiment", "missing")
-    _check_extensions(found, report)
-    return found.lines
+    found = sorted(_validator().iter_errors(report), key=lambda error: error.json_path)
+    lines = [f"{_place(error)}: {_brief(error.message)}" for error in found]
+    if isinstance(report, Mapping) and isinstance(report.get("effects"), list):
+        lines += _contradictions(report.get("verdict"), report["effects"])
+    return lines
 
 
-class _Problems:
-    """Collects `key: why` while it looks things up, so that one pass reports everything."""
-
-    def __init__(self) -> None:
-        self.lines: list[str] = []
-
-    def add(self, where: str, why: str) -> None:
-        self.lines.append(f"{where}: {why}")
-
-    def equal(self, table: Mapping, key: str, wanted: Any) -> None:
-        if table.get(key) != wanted:
-            self.add(key, f"must be {wanted!r}, is {table.get(key)!r}")
-
-    def text(self, table: Mapping, key: str, where: str = "") -> None:
-        if not isinstance(table.get(key), str) or not table[key].strip():
-            self.add(where + key, "a text is wanted")
-
-    def one_of(self, table: Mapping, key: str, allowed: Sequence[str], where: str = "") -> None:
-        if table.get(key) not in allowed:
-            self.add(where + key, f"one of {', '.join(allowed)} is wanted, not {table.get(key)!r}")
-
-    def table(self, table: Mapping, key: str, where: str = "") -> Mapping:
-        return self._typed(table, key, Mapping, "a table", {}, where)
-
-    def rows(self, table: Mapping, key: str, where: str = "") -> list[Mapping]:
-        rows = self._typed(table, key, list, "a list", [], where)
-        if not all(isinstance(row, Mapping) for row in rows):
-            self.add(where + key, "a list of tables is wanted")
-        return [row for row in rows if isinstance(row, Mapping)]
-
-    def _typed(
-        self, table: Mapping, key: str, kind: type, name: str, default: Any, where: str
-    ) -> Any:
-        value = table.get(key)
-        if isinstance(value, kind):
-            return value
-        self.add(where + key, f"{name} is wanted" + ("" if key in table else ", it is missing"))
-        return default
-
-    def number(
-        self, table: Mapping, key: str, where: str, low: float = -math.inf, high: float = math.inf
-    ) -> None:
-        value = table.get(key)
-        if key not in table:
-            self.add(where + key, "missing (null where it does not exist)")
-        elif value is not None and (isinstance(value, bool) or not isinstance(value, (int, float))):
-            self.add(where + key, f"a number or null is wanted, not {value!r}")
-        elif value is not None and not low <= value <= high:
-            self.add(where + key, f"{value:g} lies outside [{low:g}, {high:g}]")
-
-    def interval(self, table: Mapping, where: str) -> None:
-        """A value with `low`, `high` and `unit`; the ends in order."""
-        for key in ("value", "low", "high"):
-            self.number(table, key, where)
-        if not isinstance(table.get("unit"), str):
-            self.add(where + "unit", "a text is wanted")
-        self.ordered((table.get("low"), table.get("high")), where + "low")
-
-    def ordered(self, ends: Any, where: str) -> None:
-        if not isinstance(ends, (list, tuple)) or len(ends) != 2:
-            self.add(where, "an interval [low, high] is wanted")
-        elif all(isinstance(end, (int, float)) for end in ends) and ends[0] > ends[1]:
-            self.add(where, f"the interval [{ends[0]:g}, {ends[1]:g}] is upside down")
+NUMBER = {"type": ["number", "null"]}
+SIZE = NUMBER | {"minimum": 0}
+TEXT = {"type": "string", "pattern": r"\S"}
+FLAG = {"type": "boolean"}
+SENTENCES = {"type": "array", "items": {"type": "string"}}
 
 
-def _check_data(found: _Problems, data: Mapping) -> None:
-    for key in ("trials", "samples"):
-        found.number(data, key, "data.", low=0)
-    held_out = data.get("held_out_trials")
-    if not isinstance(held_out, list):
-        found.number(data, "held_out_trials", "data.", low=0)
+def _record(required: Mapping[str, Any], optional: Mapping[str, Any] | None = None) -> dict:
+    """The schema of a table with these keys; others are free."""
+    properties = {**required, **(optional or {})}
+    return {"type": "object", "required": list(required), "properties": properties}
 
 
-def _check_effects(found: _Problems, report: Mapping) -> None:
-    effects, verdict = found.rows(report, "effects"), report.get("verdict")
-    for index, effect in enumerate(effects):
-        where = f"effects[{index}]."
-        found.text(effect, "name", where)
-        found.text(effect, "where", where)
-        for name, parameter in found.table(effect, "parameters", where).items():
-            if isinstance(parameter, Mapping):
-                found.interval(parameter, f"{where}parameters.{name}.")
-            else:
-                found.add(f"{where}parameters.{name}", "a table is wanted")
-        alternatives = effect.get("alternatives")
-        if not isinstance(alternatives, list) or not all(
-            isinstance(name, str) for name in alternatives
-        ):
-            found.add(
-                where + "alternatives", "a list of names is wanted (empty where it stands alone)"
-            )
+def _list_of(item: Mapping[str, Any]) -> dict:
+    return {"type": "array", "items": item}
+
+
+def _table_of(value: Mapping[str, Any]) -> dict:
+    """The schema of a table whose keys are names of the user's."""
+    return {"type": "object", "additionalProperties": value}
+
+
+def _report_schema() -> dict[str, Any]:
+    """The JSON Schema of a report, draft 2020-12 and the keyword `ordered` (`_is_ordered`)."""
+    ends = {"type": ["array", "null"], "minItems": 2, "maxItems": 2, "ordered": True}
+    intervals = {"intervals": {"type": ["object", "null"], "additionalProperties": ends}}
+    value = _record(
+        {"value": NUMBER, "low": NUMBER, "high": NUMBER, "unit": {"type": "string"}}
+    ) | {"ordered": True}
+    pair = _record(
+        {"before": SIZE, "after": SIZE}, {"noise_floor": SIZE, "ceiling": SIZE} | intervals
+    )
+    effect = {
+        "name": TEXT,
+        "where": TEXT,
+        "parameters": _table_of(value),
+        "alternatives": SENTENCES,
+    }
+    candidate = {"name": TEXT, "where": TEXT, "why": TEXT, "held_out_gain": NUMBER}
+    candidate |= {"p_value": NUMBER | {"minimum": 0, "maximum": 1}, "accepted": FLAG}
+    declared = value | {
+        "required": [*value["required"], "identifiable"],
+        "properties": value["properties"] | {"identifiable": FLAG},
+    }
+    error = dict.fromkeys(ERROR_KEYS[:2], TEXT) | dict.fromkeys(ERROR_KEYS[2:6], SIZE)
+    error |= {"per_channel": _table_of(pair), "per_trial": _list_of(pair)}
+    counted = {"anyOf": [{"type": "array"}, SIZE]}
+    required = {
+        "schema": {"const": SCHEMA},
+        "task": TEXT,
+        "model": TEXT,
+        "data": _record({"trials": SIZE, "samples": SIZE, "held_out_trials": counted}),
+        "verdict": {"enum": list(VERDICTS)},
+        "message": TEXT,
+        "effects": _list_of(_record(effect)),
+        "error": _record(error, intervals),
+        "candidates": _list_of(_record(candidate, {"status": {"enum": list(STATUSES)}})),
+        "declared": _record({"before": _table_of(declared), "after": _table_of(declared)}),
+        "next_experiment": {},
+    }
+    reward = _record({"before": NUMBER, "after": NUMBER}) | {"type": ["object", "null"]}
+    optional = dict.fromkeys(("not_established", "warnings", "notes"), SENTENCES)
+    return _record(required, optional | {"task_reward": reward})
+
+
+@functools.cache
+def _validator() -> Any:
+    import jsonschema  # a tenth of a second, which a command that reads no report does not spend
+
+    known = jsonschema.Draft202012Validator
+    return jsonschema.validators.extend(known, {"ordered": _is_ordered})(_report_schema())
+
+
+def _is_ordered(_validator: Any, _wanted: bool, ends: Any, _schema: Any) -> Iterator[Any]:
+    """JSON Schema's keyword for intervals, as [low, high] or as a table: the ends in order."""
+    from jsonschema import ValidationError
+
+    if isinstance(ends, Mapping):
+        ends = [ends.get("low"), ends.get("high")]
+    whole = isinstance(ends, list) and len(ends) == 2
+    if whole and all(isinstance(end, (int, float)) for end in ends) and ends[0] > ends[1]:
+        yield ValidationError(f"the interval [{ends[0]:g}, {ends[1]:g}] is upside down")
+
+
+def _place(error: Any) -> str:
+    """Where in the report an error is, as `effects[0].name`."""
+    return error.json_path.removeprefix("$").removeprefix(".") or "the report"
+
+
+def _brief(message: str, most: int = 160) -> str:
+    """A message of the validator, which quotes the whole value, short enough for a line."""
+    if len(message) <= most:
+        return message
+    return f"{message[: most // 2]} ... {message[-most // 2 :]}"
+
+
+def _contradictions(verdict: Any, effects: list) -> list[str]:
+    """Effects beside a verdict that names none, and the reverse."""
     if verdict in NAMELESS and effects:
-        found.add(
-            "effects", f"the verdict {verdict} names no effect, yet {len(effects)} are listed"
-        )
+        return [f"effects: the verdict {verdict} names no effect, yet {len(effects)} are listed"]
     if verdict in ("explained", "explained_class", "partly_explained") and not effects:
-        found.add("effects", f"the verdict {verdict} names an effect, yet none is listed")
-    if verdict == "explained_class" and not any(effect.get("alternatives") for effect in effects):
-        found.add(
-            "effects", "the verdict explained_class names the alternatives, yet none are listed"
-        )
-
-
-def _check_error(found: _Problems, error: Mapping) -> None:
-    for key in ERROR_KEYS[:2]:
-        found.text(error, key, "error.")
-    for key in ERROR_KEYS[2:6]:
-        found.number(error, key, "error.", low=0)
-    for name, channel in found.table(error, "per_channel", "error.").items():
-        _check_pair(found, channel, f"error.per_channel.{name}.")
-    for index, trial in enumerate(found.rows(error, "per_trial", "error.")):
-        _check_pair(found, trial, f"error.per_trial[{index}].")
-    _check_intervals(found, error, "error.")
-
-
-def _check_pair(found: _Problems, pair: Any, where: str) -> None:
-    if not isinstance(pair, Mapping):
-        found.add(where[:-1], "a table with before and after is wanted")
-        return
-    for key in ("before", "after"):
-        found.number(pair, key, where, low=0)
-    for key in ("noise_floor", "ceiling"):
-        if key in pair:
-            found.number(pair, key, where, low=0)
-    _check_intervals(found, pair, where)
-
-
-def _check_intervals(found: _Problems, table: Mapping, where: str) -> None:
-    intervals = table.get("intervals")
-    if intervals is None:
-        return
-    if not isinstance(intervals, Mapping):
-        found.add(where + "intervals", "a table with before and after is wanted")
-        return
-    for key, ends in intervals.items():
-        if ends is not None:
-            found.ordered(ends, f"{where}intervals.{key}")
-
-
-def _check_candidates(found: _Problems, report: Mapping) -> None:
-    for index, candidate in enumerate(found.rows(report, "candidates")):
-        where = f"candidates[{index}]."
-        for key in ("name", "where", "why"):
-            found.text(candidate, key, where)
-        found.number(candidate, "held_out_gain", where)
-        found.number(candidate, "p_value", where, 0.0, 1.0)
-        if not isinstance(candidate.get("accepted"), bool):
-            found.add(where + "accepted", "true or false is wanted")
-        if "status" in candidate:
-            found.one_of(candidate, "status", STATUSES, where)
-
-
-def _check_declared(found: _Problems, declared: Mapping) -> None:
-    for stage in ("before", "after"):
-        for name, parameter in found.table(declared, stage, "declared.").items():
-            where = f"declared.{stage}.{name}."
-            if not isinstance(parameter, Mapping):
-                found.add(where[:-1], "a table is wanted")
-                continue
-            found.interval(parameter, where)
-            if not isinstance(parameter.get("identifiable"), bool):
-                found.add(where + "identifiable", "true or false is wanted")
-
-
-def _check_extensions(found: _Problems, report: Mapping) -> None:
-    for key in ("not_established", "warnings", "notes"):
-        sentences = report.get(key, [])
-        if not isinstance(sentences, list) or not all(isinstance(line, str) for line in sentences):
-            found.add(key, "a list of sentences is wanted")
-    reward = report.get("task_reward")
-    if reward is not None and not isinstance(reward, Mapping):
-        found.add("task_reward", "a table with before and after is wanted")
-    elif reward is not None:
-        for key in ("before", "after"):
-            found.number(reward, key, "task_reward.")
+        return [f"effects: the verdict {verdict} names an effect, yet none is listed"]
+    rows = [effect for effect in effects if isinstance(effect, Mapping)]
+    if verdict == "explained_class" and not any(row.get("alternatives") for row in rows):
+        return ["effects: the verdict explained_class names the alternatives, yet none are listed"]
+    return []

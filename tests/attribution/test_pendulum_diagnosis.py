@@ -26,7 +26,6 @@ from adaptsim_jax.attribution.pendulum import LINK, base_parameters, declared_ma
 from adaptsim_jax.attribution.pendulum_diagnosis import first_parameters, masked
 from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
 from adaptsim_jax.attribution.score import candidates
-from adaptsim_jax.cli import main
 from adaptsim_jax.diagnosis import Effect, Parameter, catalogue, read_model
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.logs.quality.audit import audit, usable
@@ -180,11 +179,6 @@ def test_what_an_earlier_run_left_in_the_folder_goes(tmp_path):
         np.savetxt(trial, rows, delimiter=",", header=",".join(rows.dtype.names), comments="")
     assert diagnose(data, out=tmp_path / "out")["verdict"] == "data_fault"
     assert not any(file.exists() for file in stale)
-
-
-def test_strict_is_refused_with_what_replaced_it(tmp_path, capsys):
-    assert main(["diagnose", str(SAMPLE), "--out", str(tmp_path), "--strict"]) == 2
-    assert "one search for all machines" in capsys.readouterr().err
 
 
 def test_a_linearized_tree_is_the_papers_linear_model(tmp_path):

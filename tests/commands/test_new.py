@@ -13,7 +13,8 @@ import pytest
 
 from adaptsim_jax.cli import main
 from adaptsim_jax.commands import SUMMARIES
-from adaptsim_jax.commands.completion import options_of
+from adaptsim_jax.commands.common import TASKS
+from adaptsim_jax.commands.parser import command_parser
 from adaptsim_jax.logs.read import read_with_model
 
 ROOT = Path(__file__).parents[2]
@@ -177,6 +178,14 @@ def test_nothing_is_overwritten_and_names_are_checked(tmp_path, capsys):
     assert "letters in lower case" in capsys.readouterr().err
 
 
+def options_of(name):
+    """Options of a command, and the words that its first argument may be."""
+    for action in command_parser(name)._actions:
+        yield from (option for option in action.option_strings if option.startswith("--"))
+        if not action.option_strings:
+            yield from TASKS if action.metavar == "TASK" else map(str, action.choices or ())
+
+
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_completion_holds_all(shell, capsys):
     assert main(["completion", shell]) == 0
@@ -189,7 +198,7 @@ def test_completion_holds_all(shell, capsys):
 def test_bash_completes(capsys):
     assert main(["completion", "bash"]) == 0
     script = capsys.readouterr().out
-    ask = 'COMP_WORDS=(adaptsim {}); COMP_CWORD={}; _adaptsim; echo "${{COMPREPLY[@]}}"\n'
+    ask = 'COMP_WORDS=(adaptsim {}); COMP_CWORD={}; _shtab_adaptsim; echo "${{COMPREPLY[@]}}"\n'
     script += ask.format("dia", 1) + ask.format("train pend", 2) + ask.format("diagnose --with", 2)
     found = subprocess.run(
         ["bash", "-c", script], capture_output=True, text=True, check=True

@@ -416,7 +416,7 @@ def evidence(verdict):
     """
     run = {
         "command": "adaptsim diagnose recordings/rig --out diagnosis --seed 0",
-        "version": "0.1.0",
+        "version": "0.2.0",
         "seed": 0,
         "seconds": 41.27,
     }
