@@ -24,7 +24,7 @@ from adaptsim_jax.attribution.equation.search import within
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.problem import held, own_inertia, prepare, scaled_reach
 from adaptsim_jax.diagnosis.criteria import Criteria
-from adaptsim_jax.diagnosis.paired import sign_flip
+from adaptsim_jax.diagnosis.testing import sign_flip
 
 
 def shown(folder: Path) -> str:

@@ -147,7 +147,7 @@ WITHIN = {
         "run",
         "schema",
         "criteria",
-        "paired",
+        "testing",
         "folds",
         "problem",
         "fit",

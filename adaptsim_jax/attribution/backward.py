@@ -14,7 +14,7 @@ from adaptsim_jax.attribution.stays import between_rows, steadiness, why_not
 from adaptsim_jax.attribution.weights import losses
 from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.diagnosis.criteria import Criteria
-from adaptsim_jax.diagnosis.paired import Test
+from adaptsim_jax.diagnosis.testing import Test
 from adaptsim_jax.effects.base import Reach
 
 T = TypeVar("T")

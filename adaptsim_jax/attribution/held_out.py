@@ -31,7 +31,7 @@ from adaptsim_jax.attribution.simulate import Path
 from adaptsim_jax.attribution.weights import WILD, Fit, Weights, losses
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.folds import BLOCKS, blocks_of
-from adaptsim_jax.diagnosis.paired import Test, sign_flip
+from adaptsim_jax.diagnosis.testing import Test, jackknife, paired_test
 from adaptsim_jax.effects.base import Effect, Reach
 
 ALONE = 1e-3  # of what all say of a parameter: less, without one fold, is nothing
@@ -66,8 +66,7 @@ class Model:
     @property
     def spread(self) -> np.ndarray:
         """Standard errors [P] by the jackknife over folds."""
-        v = self.held.vectors
-        return np.sqrt((len(v) - 1) / len(v) * np.square(v - v.mean(0)).sum(0))
+        return jackknife(self.held.vectors)
 
 
 def held_out(
@@ -155,20 +154,9 @@ def paired(problem: Problem, without: np.ndarray, with_: np.ndarray) -> Test:
     runs away decides for its trial. The test takes blocks of consecutive stretches: a few trials
     alone could not show what is not in each of them.
     """
-    a, b = without[: len(problem.fold)], with_[: len(problem.fold)]
-    usual = 0.1 * np.median(a)  # a unit that hardly moved says little, however much it gained
-    ratio = np.log((a + usual) / (b + usual))
-
-    def mean(unit):
-        return np.bincount(unit, ratio) / np.bincount(unit)
-
-    d, parts = (
-        mean(problem.fold),
-        mean(blocks_of(problem.groups[0].stretches.trial[: len(ratio)], BLOCKS)),
-    )
-    return Test(
-        1.0 - float(np.exp(-d.mean())), sign_flip(parts), int((d > 0).sum()), len(d), len(parts)
-    )
+    count = len(problem.fold)
+    block = blocks_of(problem.groups[0].stretches.trial[:count], BLOCKS)
+    return paired_test(without[:count], with_[:count], problem.fold, block)
 
 
 def held_error(problem: Problem, model: Model) -> np.ndarray:

@@ -19,6 +19,7 @@ from adaptsim_jax.attribution.linear import normal
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import ETA, INERTIA
 from adaptsim_jax.attribution.problem import Problem
+from adaptsim_jax.diagnosis.testing import jackknife
 from adaptsim_jax.effects.base import NINETY
 from adaptsim_jax.mechanisms.inertia_frames import (
     Frame,
@@ -82,11 +83,8 @@ def told(machine: Machine, problem: Problem, model: Model) -> dict[str, dict[str
         if alone == 0.0:
             continue
         both = float(np.sqrt(max(q.slope @ left @ q.slope, 0.0)))
-        folds = q.values[1:-1]
-        jackknife = float(
-            np.sqrt((len(folds) - 1) / len(folds) * np.square(folds - folds.mean()).sum())
-        )
-        width, value = NINETY * max(jackknife, both), float(q.values[0])
+        width = NINETY * max(float(jackknife(q.values[1:-1])), both)
+        value = float(q.values[0])
         rows[q.name] = {
             "value": value,
             "low": value - width,

@@ -17,6 +17,7 @@ from adaptsim_jax.attribution.parameters import INERTIA, TILT, Vector
 from adaptsim_jax.attribution.problem import Problem, values_of
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import write_bytes
+from adaptsim_jax.diagnosis.testing import jackknife
 from adaptsim_jax.effects.base import NINETY, Effect
 from adaptsim_jax.effects.registry import catalogue
 from adaptsim_jax.logs.pendulum_log import log_of
@@ -212,7 +213,7 @@ def declared_values(recording: Recording, problem: Problem, model: Model) -> dic
     if recording.model == LINEAR:  # gravity has the least to do with how bodies are shaped
         names, units, of = ("m1", "m2"), ("kg", "kg"), lambda z: np.array([z[2] - z[3], z[3]])
     own, folds = of(base(vector.values)), np.array([of(base(z)) for z in model.held.vectors])
-    wide = np.sqrt((len(folds) - 1) / len(folds) * np.square(folds - folds.mean(0)).sum(0))
+    wide = jackknife(folds)
     out = {k: _number(*z) for k, z in zip(names, zip(own, wide, units, strict=True), strict=True)}
     by = _fitted(model)
     for k in range(2):

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import stats
 
 from adaptsim_jax.attribution.catalogue import COMMON, EVERYWHERE
 from adaptsim_jax.attribution.linear import Linear, candidate_columns, padded_fold, project, rows
@@ -25,6 +24,7 @@ from adaptsim_jax.attribution.parameters import (
     inertia_entries,
 )
 from adaptsim_jax.attribution.problem import Problem, off_value
+from adaptsim_jax.diagnosis.testing import score_p
 from adaptsim_jax.effects.base import Effect, Reach, unit_at
 
 PASSIVE = (
@@ -366,50 +366,6 @@ class _Sums:
         return Score(
             c, amplitude, gain, float(np.sum(each)), p, float(np.mean(np.array(each) > 0)), scatter
         )
-
-
-def score_p(slope: np.ndarray) -> float:
-    """p that scores [W, K] of stretches have mean zero. Of one direction Student's t; of several
-    the smaller of two, twice: a sum of squares, which sees many directions in few stretches, and
-    Hotelling's T^2, which sees a few that are alike and differ.
-    """
-    slope = slope[np.any(slope != 0.0, axis=1)]
-    count = len(slope)
-    if slope.size == 0 or count < 3:
-        return 1.0
-    t = np.sqrt(count) * slope.mean(0) / np.maximum(slope.std(0, ddof=1), 1e-300)
-    alike = np.atleast_2d(np.corrcoef(slope.T))
-    if len(t) == 1:
-        return float(2.0 * stats.t.sf(np.abs(t[0]), count - 1))
-    return min(1.0, 2.0 * min(_sum_of_squares(t, alike, count), _hotelling(t, alike, count)))
-
-
-def _sum_of_squares(t: np.ndarray, alike: np.ndarray, count: int) -> float:
-    """Student's t [K] as normal deviates, whose correlation `alike` [K, K] makes the sum of their
-    squares a scaled chi square of fewer degrees of freedom (Satterthwaite's approximation; Rao and
-    Scott, 1981).
-    """
-    z, k = stats.norm.isf(np.maximum(stats.t.sf(np.abs(t), count - 1), 1e-300)), len(t)
-    # squares of correlations are too large by chance, by so much (Srivastava, 2005)
-    squares = (
-        (float(np.square(alike).sum()) - k**2 / (count - 1))
-        * (count - 1) ** 2
-        / ((count - 2) * (count + 1))
-    )
-    freedom = k**2 / max(squares, k)
-    return float(stats.chi2.sf(float(z @ z) * freedom / k, freedom))
-
-
-def _hotelling(t: np.ndarray, alike: np.ndarray, count: int) -> float:
-    """Hotelling's T^2 of Student's t [K], of the directions that are there and, at most, half as
-    many as stretches tell apart.
-    """
-    value, vector = np.linalg.eigh(alike)
-    keep = value > 1e-9 * value[-1]
-    keep[: max(0, len(t) - (count - 1) // 2)] = False
-    k = int(keep.sum())
-    square = float(np.sum(np.square(t @ vector[:, keep]) / value[keep]))
-    return float(stats.f.sf(square * (count - k) / (k * (count - 1)), k, count - k))
 
 
 def at_scored(problem: Problem, c: Candidate) -> float | None:

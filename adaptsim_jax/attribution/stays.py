@@ -11,7 +11,7 @@ from adaptsim_jax.attribution.parameters import DAMPING_STEP, Entry
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.score import Candidate
 from adaptsim_jax.diagnosis.criteria import Criteria
-from adaptsim_jax.diagnosis.paired import Test
+from adaptsim_jax.diagnosis.testing import Test, attainable, jackknife
 
 TIMED = ("delay", "actuator_lag", "sensor_delay", "sensor_lag")
 
@@ -30,7 +30,7 @@ def why_not(
     less: the model without it, refitted; test: of the two over left-out blocks; steady: its size
     over its scatter (`steadiness`).
     """
-    if test.p > max(criteria.confidence, 1.01 * 2.0**-test.parts):
+    if test.p > attainable(criteria.confidence, test.parts):
         return "left-out stretches do not confirm it"
     least = criteria.size * len(c.entries)
     if test.gain < least:
@@ -213,7 +213,7 @@ def steady_each(model: Model, c: Candidate) -> np.ndarray:
     at = [
         i for i, e in enumerate(model.fit.vector.entries) if any(e.key == k.key for k in c.entries)
     ]
-    n, folds = model.held.normal, len(model.held.vectors)
+    n = model.held.normal
     hess, own = n.hess[:, at][:, :, at], n.slope[:, at]
     ridge = 1e-9 * np.diag(np.diagonal(hess.sum(0)))
     moved = np.array(
@@ -222,6 +222,5 @@ def steady_each(model: Model, c: Candidate) -> np.ndarray:
             for h, s in zip(hess, own, strict=True)
         ]
     )
-    scatter = np.sqrt((folds - 1) / folds * np.square(moved - moved.mean(0)).sum(0))
     off = np.array([model.fit.vector.entries[i].off for i in at])
-    return np.abs(model.fit.vector.values[at] - off) / np.maximum(scatter, 1e-12)
+    return np.abs(model.fit.vector.values[at] - off) / np.maximum(jackknife(moved), 1e-12)

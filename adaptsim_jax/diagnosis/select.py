@@ -22,8 +22,8 @@ from adaptsim_jax.diagnosis.fit import (
     mean_square,
     settled,
 )
-from adaptsim_jax.diagnosis.paired import Test, sign_flip
 from adaptsim_jax.diagnosis.problem import Candidate, Problem
+from adaptsim_jax.diagnosis.testing import Test, attainable, jackknife, paired_test
 
 LAGS = 40  # rows over which residuals are asked whether they hang together
 CLOSE = 1.5  # of the named model's loss, up to which a look-alike is fitted to the end
@@ -75,21 +75,9 @@ def paired(without: np.ndarray, with_: np.ndarray, problem: Problem | None = Non
     the ratio are averaged over the problem's folds, and over its blocks for the test; over trials
     where it has none.
     """
-    usual = 0.1 * np.median(without)
-    ratio = np.log((without + usual) / (with_ + usual))
-
-    def mean(unit):
-        if unit is None:
-            return ratio
-        return np.bincount(unit, ratio) / np.bincount(unit)
-
     if problem is None:
-        d, parts = (mean(None), mean(None))
-    else:
-        d, parts = (mean(problem.fold), mean(problem.block))
-    return Test(
-        1.0 - float(np.exp(-d.mean())), sign_flip(parts), int((d > 0).sum()), len(d), len(parts)
-    )
+        return paired_test(without, with_)
+    return paired_test(without, with_, problem.fold, problem.block)
 
 
 def together(problem: Problem, residual: np.ndarray) -> float:
@@ -200,8 +188,7 @@ def without(problem: Problem, model: Model, gone: Candidate, rounds: int) -> Mod
 
 def spread(model: Model) -> np.ndarray:
     """Standard errors `[P]` by the jackknife over trials."""
-    v = np.unique(model.fit.vectors, axis=0)  # trials of one fold have the same
-    return np.sqrt((len(v) - 1) / len(v) * np.square(v - v.mean(0)).sum(0))
+    return jackknife(np.unique(model.fit.vectors, axis=0))  # trials of one fold have the same
 
 
 def steadiness(problem: Problem, model: Model, e: Candidate) -> float:
@@ -307,7 +294,7 @@ def _level(criteria: Criteria, folds: int, family: int = 1) -> float:
     """The level of a paired test, one of `family`: at least what so few trials can show, all of
     them better.
     """
-    return max(criteria.confidence / family, 1.01 * 2.0**-folds)
+    return attainable(criteria.confidence, folds, family)
 
 
 def beats(problem: Problem, model: Model, other: Model, criteria: Criteria) -> bool:

@@ -20,9 +20,10 @@ from adaptsim_jax.attribution.problem import (
     scaled_reach,
     values_of,
 )
-from adaptsim_jax.attribution.score import candidates, score_p
+from adaptsim_jax.attribution.score import candidates
 from adaptsim_jax.attribution.stretches import Track
 from adaptsim_jax.attribution.weights import Fit, weigh
+from adaptsim_jax.diagnosis.testing import score_p
 from adaptsim_jax.mechanisms.mjcf import read_mechanism
 
 XML = """<mujoco><compiler angle="radian"/><worldbody><body name="upper" pos="0 0 1"><joint name="a" axis="0 1 0" damping="0.1"/>

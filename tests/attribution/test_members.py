@@ -12,7 +12,7 @@ from adaptsim_jax.attribution import backward
 from adaptsim_jax.attribution.parameters import Entry
 from adaptsim_jax.attribution.score import Candidate
 from adaptsim_jax.diagnosis.criteria import Criteria
-from adaptsim_jax.diagnosis.paired import Test as Paired
+from adaptsim_jax.diagnosis.testing import Test as Paired
 
 JOINTS = (0, 1, 2, 3)
 ENTRIES = tuple(Entry("coulomb", "level", (j,), 0.0, 0.0, 0.0, 9.0, "N m", np.inf) for j in JOINTS)

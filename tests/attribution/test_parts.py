@@ -23,7 +23,7 @@ from adaptsim_jax.attribution.score import Candidate
 from adaptsim_jax.attribution.select import _acting
 from adaptsim_jax.attribution.stretches import Track, cut
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.diagnosis.paired import sign_flip
+from adaptsim_jax.diagnosis.testing import sign_flip
 from adaptsim_jax.effects.base import unit_at
 from adaptsim_jax.mechanisms.tree import make_tree
 

@@ -10,10 +10,11 @@ import pytest
 from adaptsim_jax.attribution.equation import balance, search
 from adaptsim_jax.attribution.equation.searched import Searched, ranked
 from adaptsim_jax.attribution.equation.solve import compared, rows_of
-from adaptsim_jax.attribution.equation.stays import level_of, steadiness, why_not
+from adaptsim_jax.attribution.equation.stays import steadiness, why_not
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, Entry, Vector
 from adaptsim_jax.attribution.score import Candidate
 from adaptsim_jax.diagnosis.criteria import Criteria, TorqueCriteria
+from adaptsim_jax.diagnosis.testing import false_discovery
 from tests.attribution.test_filed import STEP, arm_log, searched
 
 LIMITS = TorqueCriteria()
@@ -52,9 +53,9 @@ def test_much_at_one_joint_outweighs_little_at_the_others():
 
 
 def test_joints_that_were_asked_count_in_the_false_discovery_rate():
-    assert level_of([0.03], LIMITS, asked=1) == 0.03
-    assert level_of([0.03], LIMITS, asked=6) == LIMITS.level
-    assert level_of([0.001, 0.014, 0.5], LIMITS, asked=6) == 0.014
+    assert false_discovery([0.03], LIMITS.discovery, asked=1) == 0.03
+    assert false_discovery([0.03], LIMITS.discovery, asked=6) == 0.0
+    assert false_discovery([0.001, 0.014, 0.5], LIMITS.discovery, asked=6) == 0.014
 
 
 def test_of_two_numbers_one_that_is_somewhat_large_is_not_steady():

@@ -10,7 +10,7 @@ from adaptsim_jax.attribution.parameters import Entry
 from adaptsim_jax.attribution.score import Candidate
 from adaptsim_jax.attribution.stays import between_rows, steadiness, why_not
 from adaptsim_jax.diagnosis.criteria import Criteria
-from adaptsim_jax.diagnosis.paired import Test as Paired
+from adaptsim_jax.diagnosis.testing import Test as Paired
 
 DT = 0.005  # s
 GOOD = Paired(0.4, 0.0001, 6, 6, 24)

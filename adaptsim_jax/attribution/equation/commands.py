@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptsim_jax.attribution.equation.balance import Balance
-from adaptsim_jax.attribution.equation.solve import blocks_of, folds_of, means
+from adaptsim_jax.attribution.equation.solve import blocks_of, folds_of
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import Problem, values_of
-from adaptsim_jax.diagnosis.paired import sign_flip
+from adaptsim_jax.diagnosis.testing import jackknife, log_ratio, means, sign_flip
 
 TOLD = (
     2.5  # 1/kp over its standard error, from which on it is told; and its distance from the file's
@@ -171,17 +171,14 @@ def _regressed(balance: Balance, y: np.ndarray, columns: np.ndarray, clear: np.n
     for f in np.unique(fold):
         each.append(solve(fold != f))
         left[fold == f] = y[fold == f] - columns[fold == f] @ each[-1]
-    count = len(each)
-    spread = np.sqrt((count - 1) / count * np.square(np.array(each) - np.mean(each, 0)).sum(0))
-    return whole, np.maximum(spread, 1e-300), left
+    return whole, np.maximum(jackknife(np.array(each)), 1e-300), left
 
 
 def _better(balance: Balance, before: np.ndarray, after: np.ndarray) -> float:
     """p that blocks are not better explained."""
     block = blocks_of(balance.trial, balance.time)
-    a, b = means(np.square(before), block), means(np.square(after), block)
-    usual = 0.1 * np.median(a)
-    return sign_flip(np.log((a + usual) / (b + usual)))
+    left = [means(np.square(z), block) for z in (before, after)]
+    return sign_flip(log_ratio(*left))
 
 
 def drive_gains(problem: Problem, balance: Balance) -> dict[int, float | None]:

@@ -13,12 +13,12 @@ import numpy as np
 from adaptsim_jax.attribution.equation.confirmed import confirmed
 from adaptsim_jax.attribution.equation.models import Said, model_of
 from adaptsim_jax.attribution.equation.search import Witness
-from adaptsim_jax.attribution.equation.solve import FLOOR, means
 from adaptsim_jax.attribution.held_out import Model, over_floor, paired
 from adaptsim_jax.attribution.parameters import INERTIA, Vector
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.weights import losses
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.testing import log_ratio, means, share
 
 FITTED = (INERTIA, "viscous")
 
@@ -70,7 +70,7 @@ def enough(
     models of it.
     """
     d = np.concatenate([_worse(*both) for both in zip(*(s.witnesses for s in found), strict=True)])
-    if 1.0 - np.exp(-d.mean()) < criteria.torque.gain:
+    if share(d) < criteria.torque.gain:
         return True
     own, other = models
     if over_floor(problem, own) <= criteria.explained:
@@ -86,5 +86,4 @@ def _worse(held: Witness, free: Witness) -> np.ndarray:
         means(rows.clear * np.square(w.whole.left_out(w.rows) / rows.size), rows.block).mean(1)
         for w in (held, free)
     ]
-    usual = FLOOR * np.median(loss[0])
-    return np.log((loss[0] + usual) / (loss[1] + usual))
+    return log_ratio(*loss)

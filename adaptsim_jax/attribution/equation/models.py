@@ -18,7 +18,6 @@ from adaptsim_jax.attribution.equation.search import (
     within,
     witness,
 )
-from adaptsim_jax.attribution.equation.solve import Compared
 from adaptsim_jax.attribution.forecast import fitted_starts
 from adaptsim_jax.attribution.held_out import HeldOut, Model
 from adaptsim_jax.attribution.linear import Normal
@@ -31,7 +30,6 @@ from adaptsim_jax.attribution.simulate import Path
 from adaptsim_jax.attribution.weights import Fit, losses, weigh
 from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.diagnosis.criteria import Criteria
-from adaptsim_jax.diagnosis.paired import Test
 from adaptsim_jax.effects.base import Reach
 
 ROUNDS = 3  # of the starts of stretches
@@ -55,7 +53,7 @@ class Said:
     @property
     def named(self) -> tuple[Named, ...]:
         return tuple(
-            Named(k.candidate, test_of(k.test), k.alternatives, k.steady, k.test.p)
+            Named(k.candidate, k.test, k.alternatives, k.steady, k.test.p)
             for w in self.witnesses
             for k in w.kept
         )
@@ -109,10 +107,6 @@ def part_of(null: Vector, balance: Balance) -> Vector:
     return Vector(tuple(null.entries[i] for i in at), null.values[at])
 
 
-def test_of(c: Compared) -> Test:
-    return Test(c.gain, c.p, c.better, c.folds, c.blocks)
-
-
 def selection(problem: Problem, found: Said, null: Model, reach: Reach) -> Selection:
     """As a search by simulation hands it on: models that predict stretches, effects that are named,
     what was tried. null: the declared model.
@@ -122,9 +116,7 @@ def selection(problem: Problem, found: Said, null: Model, reach: Reach) -> Selec
     opening = sorted(
         (_score(s, null.fit.total) for s in _best_tried(steps)), key=lambda s: -s.held_out
     )
-    trace = tuple(
-        Told(s.action, s.candidate, None, s.test and test_of(s.test), s.why) for s in steps
-    )
+    trace = tuple(Told(s.action, s.candidate, None, s.test, s.why) for s in steps)
     return Selection(null, final, found.named, (null,), trace, tuple(opening), (), reach)
 
 

@@ -16,11 +16,10 @@ import numpy as np
 from adaptsim_jax.attribution.equation.balance import Balance, ahead_of
 from adaptsim_jax.attribution.equation.search import likely_first, told_apart
 from adaptsim_jax.attribution.equation.searched import Searched
-from adaptsim_jax.attribution.equation.solve import FLOOR, means
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.diagnosis.criteria import Criteria
-from adaptsim_jax.diagnosis.paired import sign_flip
+from adaptsim_jax.diagnosis.testing import log_ratio, means, share, sign_flip
 from adaptsim_jax.effects.base import Reach
 from adaptsim_jax.mechanisms.tree import Tree
 
@@ -54,10 +53,7 @@ def rubbing(
         z for p in pairs for z in gains(problem, soft, *p, part(p[0]), reach, criteria, commanded).T
     ]
     limits = criteria.torque
-    shows = [
-        1.0 - np.exp(-z.mean()) > limits.gain and sign_flip(z) * len(joints) <= limits.level
-        for z in joints
-    ]
+    shows = [share(z) > limits.gain and sign_flip(z) * len(joints) <= limits.level for z in joints]
     gives = any(shows) and np.mean([z.mean() for z in joints]) > 0.0
     if gives:
         return (soft, other)
@@ -110,5 +106,4 @@ def gains(
     left = [s.set_of(likely_first(s, told_apart(s), [])).left_out(s.rows) for s in (sharp, gives)]
     rows = sharp.rows
     loss = [means(rows.clear * np.square(z / rows.size), rows.block) for z in left]
-    usual = FLOOR * np.median(loss[0], 0)
-    return np.log((loss[0] + usual) / (loss[1] + usual))
+    return log_ratio(*loss)

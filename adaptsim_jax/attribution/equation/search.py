@@ -17,10 +17,9 @@ from adaptsim_jax.attribution.equation.balance import Balance
 from adaptsim_jax.attribution.equation.columns import balanced
 from adaptsim_jax.attribution.equation.exact import exact, needed
 from adaptsim_jax.attribution.equation.searched import SHIFTS, Searched, ranked
-from adaptsim_jax.attribution.equation.solve import Compared, Rows, Solved, compared
+from adaptsim_jax.attribution.equation.solve import Rows, Solved, compared
 from adaptsim_jax.attribution.equation.stays import (
     at_bound,
-    level_of,
     only_read,
     steadiness,
     why_not,
@@ -29,6 +28,7 @@ from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, TILT, Vec
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.score import Candidate, candidates
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.testing import Test, false_discovery
 from adaptsim_jax.effects.base import Reach
 
 FIRST = ("coulomb", "armature")
@@ -47,7 +47,7 @@ class Step:
 
     action: str
     candidate: Candidate
-    test: Compared | None
+    test: Test | None
     why: str
 
 
@@ -58,7 +58,7 @@ class Kept:
     """
 
     candidate: Candidate
-    test: Compared
+    test: Test
     alternatives: tuple[Candidate, ...]
     steady: float
 
@@ -282,7 +282,8 @@ def _backward(
                 least = own.gain * len(c.entries)
             like = [t.p for k, t in tests if k.effect == c.effect]
             if c.effect in FIRST:
-                level = level_of(like, own, max(1, asked[c.effect]))
+                shown = false_discovery(like, own.discovery, max(1, asked[c.effect]))
+                level = max(own.level, shown)
             else:
                 level = own.level
             if why := why_not(state, whole, c, test, least, level):

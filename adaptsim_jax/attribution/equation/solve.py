@@ -4,23 +4,20 @@ that were left out.
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from adaptsim_jax.attribution.estimate import bounded_step
 from adaptsim_jax.attribution.parameters import Entry, Vector
-from adaptsim_jax.diagnosis.paired import sign_flip
+from adaptsim_jax.diagnosis.testing import Test, compare, jackknife, log_ratio, means, share
 
 FOLDS = 8  # of recordings of fewer trials than `TRIALS`
 TRIALS = 5
 BLOCK = 0.5  # s, of which a paired test takes one difference
 MOST_BLOCKS, LEAST_BLOCKS = 60, 16
 MEMORY = 1.0  # s, over which what is left of neighbours is taken to be alike at most
-FLOOR = (
-    0.1  # of the usual loss of a block: one that hardly moved says little, however much it gained
-)
 
 
 @dataclass(frozen=True)
@@ -59,27 +56,9 @@ class Solved:
     @cached_property
     def error(self) -> np.ndarray:
         """Standard errors [P] by the jackknife over folds, at least those of the curvature."""
-        folds = len(self.by_fold)
-        scatter = np.sqrt(
-            (folds - 1) / folds * np.square(self.by_fold - self.by_fold.mean(0)).sum(0)
-        )
         inverse = np.linalg.pinv(self.hess, rcond=1e-12, hermitian=True)
-        return np.maximum(scatter, np.sqrt(np.maximum(np.diagonal(inverse), 0.0)))
-
-
-@dataclass(frozen=True)
-class Compared:
-    """One set against another. gain: share of the loss of the joints concerned that it takes off,
-    geometric mean over blocks; p of a sign-flip test; overall: the share of all joints, geometric
-    mean over these too.
-    """
-
-    gain: float
-    p: float
-    overall: float
-    better: int
-    folds: int
-    blocks: int
+        curved = np.sqrt(np.maximum(np.diagonal(inverse), 0.0))
+        return np.maximum(jackknife(self.by_fold), curved)
 
 
 def rows_of(
@@ -102,14 +81,6 @@ def rows_of(
 
 def _block_means(z: np.ndarray, trial, time) -> np.ndarray:
     return means(z, blocks_of(trial, time))
-
-
-def means(z: np.ndarray, unit: np.ndarray) -> np.ndarray:
-    """Means [U, ...] of z [K, ...] over the members of each unit."""
-    count = np.bincount(unit)
-    out = np.zeros((len(count), *z.shape[1:]))
-    np.add.at(out, unit, z)
-    return out / count.reshape(-1, *(1,) * (z.ndim - 1))
 
 
 def _alike(left: np.ndarray, trial: np.ndarray, time: np.ndarray) -> np.ndarray:
@@ -240,27 +211,16 @@ def left_out(rows: Rows, columns: np.ndarray, by_fold: np.ndarray) -> np.ndarray
     return left
 
 
-def compared(rows: Rows, without: Solved, with_: Solved, joints: Sequence[int]) -> Compared:
+def compared(rows: Rows, without: Solved, with_: Solved, joints: Sequence[int]) -> Test:
     """The second set of entries against the first, by left-out blocks; joints: the local numbers of
     those concerned, each by what it usually leaves: one that neither set explains does not outweigh
-    the others.
+    the others. The gain is a mean over blocks.
     """
     own = list(joints)
     usual = np.maximum(np.median(without.loss, 0), 1e-300)
     before, after = without.loss / usual, with_.loss / usual
-    d, each = _ratio(before[:, own].mean(1), after[:, own].mean(1)), _ratio(before, after)
-    fold = np.array([np.bincount(rows.fold[rows.block == b]).argmax() for b in range(len(d))])
-    by_fold = means(d, np.unique(fold, return_inverse=True)[1])
-
-    def share(z):
-        return 1.0 - float(np.exp(-z.mean()))
-
-    return Compared(
-        share(d), sign_flip(d), share(each), int((by_fold > 0).sum()), len(by_fold), len(d)
-    )
-
-
-def _ratio(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Logarithms of losses [B] or [B, n] over others."""
-    usual = FLOOR * np.median(before, 0)
-    return np.log((before + usual) / (after + usual))
+    by_block = log_ratio(before[:, own].mean(1), after[:, own].mean(1))
+    fold = np.array([np.bincount(rows.fold[rows.block == b]).argmax() for b in range(len(before))])
+    by_fold = means(by_block, np.unique(fold, return_inverse=True)[1])
+    overall = share(log_ratio(before, after))
+    return replace(compare(by_fold, by_block), gain=share(by_block), overall=overall)

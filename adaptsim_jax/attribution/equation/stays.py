@@ -2,29 +2,19 @@
 left-out blocks, and if not, why.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from adaptsim_jax.attribution.equation.searched import CARRIED, Searched
-from adaptsim_jax.attribution.equation.solve import Compared, Solved
+from adaptsim_jax.attribution.equation.solve import Solved
 from adaptsim_jax.attribution.score import Candidate
-from adaptsim_jax.diagnosis.criteria import Criteria, TorqueCriteria
+from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.testing import Test
 
 GAINS = ("torque_gain", "position_gain")
 
 
-def level_of(p: Sequence[float], own: TorqueCriteria, asked: int) -> float:
-    """Up to which p an effect that like drives have is taken at each of them, by how many of the
-    joints that were `asked` show it.
-    """
-    ranked = np.sort(p)
-    good = ranked <= own.discovery * np.arange(1, len(p) + 1) / asked
-    return max(own.level, float(ranked[good].max()) if good.any() else 0.0)
-
-
 def why_not(
-    state: Searched, whole: Solved, c: Candidate, test: Compared, least: float, level: float
+    state: Searched, whole: Solved, c: Candidate, test: Test, least: float, level: float
 ) -> str:
     """Why a candidate is not taken beside the others of a set; empty if it is."""
     if test.p > level:

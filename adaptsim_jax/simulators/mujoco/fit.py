@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from adaptsim_jax.diagnosis.testing import jackknife
 from adaptsim_jax.logs.log import Log
 from adaptsim_jax.mechanisms.spec import Source
 from adaptsim_jax.simulators.mujoco.build import Stepped, stepped
@@ -270,4 +271,4 @@ def _jackknife(lin: _Linear, fields, values) -> np.ndarray:
             for k in range(count)
         ]
     )
-    return np.sqrt((count - 1) / count * np.square(moves - moves.mean(0)).sum(0))
+    return jackknife(moves)

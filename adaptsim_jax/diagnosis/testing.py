@@ -1,0 +1,184 @@
+"""Whether a difference is more than chance: tests over left-out blocks, of scores, and of several
+effects at once.
+
+Functions take arrays and know no problem, so that every objective is judged by the same tests.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+EXACT = 14  # parts up to which the sign-flip test takes all patterns of signs
+SIGNS = 10_000  # patterns of signs that are drawn for more parts
+USUAL = 0.1
+"""Share of the median loss that is added to each: a unit that hardly moved shows little, however
+much it gained.
+"""
+
+
+@dataclass(frozen=True)
+class Test:
+    """Of one model against another. gain: the share of the loss that it takes off (geometric mean
+    over folds); p of a sign-flip test over `parts` blocks; better: folds in which it is better.
+    overall: of a part of the joints, the share that it takes off of all of them.
+    """
+
+    gain: float
+    p: float
+    better: int
+    folds: int
+    parts: int
+    overall: float = np.nan
+
+
+def means(z: np.ndarray, unit: np.ndarray) -> np.ndarray:
+    """Means [U, ...] of z [K, ...] over the members of each unit."""
+    count = np.bincount(unit)
+    out = np.zeros((len(count), *z.shape[1:]))
+    np.add.at(out, unit, z)
+    return out / count.reshape(-1, *(1,) * (z.ndim - 1))
+
+
+def log_ratio(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Logarithms of losses [U, ...] of units over others of the same units."""
+    usual = USUAL * np.median(before, 0)
+    return np.log((before + usual) / (after + usual))
+
+
+def share(ratio: np.ndarray) -> float:
+    """Of logarithms of ratios the share that is taken off, geometric mean."""
+    return 1.0 - float(np.exp(-ratio.mean()))
+
+
+def sign_flip(d: np.ndarray) -> float:
+    """One-sided p of the mean of paired differences [U] under random signs (Fisher, 1935).
+
+    Of up to `EXACT` differences all patterns are taken, of more a sample.
+    """
+    count = len(d)
+    if count <= EXACT:
+        signs = 1.0 - 2.0 * ((np.arange(2**count)[:, None] >> np.arange(count)) & 1)
+    else:
+        signs = np.random.default_rng(0).choice([-1.0, 1.0], (SIGNS, count))
+        signs[0] = 1.0
+    return float(np.mean(signs @ d >= d.sum() * (1.0 - 1e-12)))
+
+
+def compare(by_fold: np.ndarray, by_block: np.ndarray) -> Test:
+    """The test of logarithms of ratios, averaged over folds [F] and over blocks [B]."""
+    better = int((by_fold > 0).sum())
+    return Test(share(by_fold), sign_flip(by_block), better, len(by_fold), len(by_block))
+
+
+def paired_test(
+    before: np.ndarray,
+    after: np.ndarray,
+    fold: np.ndarray | None = None,
+    block: np.ndarray | None = None,
+) -> Test:
+    """Whether a model predicts left-out units better than another, one-sided.
+
+    Ratios are averaged over a fold or a block, so that no unit that runs away decides for its
+    trial.
+
+    Args:
+        before: losses [U] of units by the first model, left out.
+        after: losses [U] by the second.
+        fold: which are left out together [U]; each unit where None.
+        block: which stand together in the test [U]; each unit where None.
+    """
+    ratio = log_ratio(before, after)
+    by_fold, by_block = (ratio if unit is None else means(ratio, unit) for unit in (fold, block))
+    return compare(by_fold, by_block)
+
+
+def attainable(level: float, blocks: int, family: int = 1) -> float:
+    """The level of a test that is one of `family`, at least what so few blocks can show."""
+    return max(level / family, 1.01 * 2.0**-blocks)
+
+
+def holm(p: Sequence[float], level: float, blocks: int) -> np.ndarray:
+    """Which of several effects hold out at a common level (Holm's step-down, 1979).
+
+    The smallest p is held against the level over all, the next over all but one; after the first
+    that fails, none holds.
+
+    Args:
+        p: of each effect [K].
+        level: probability of one false effect or more.
+        blocks: of each test; with few of them no p can be smaller than all better shows.
+    """
+    p = np.asarray(p, float)
+    out, order = np.zeros(len(p), bool), np.argsort(p, kind="stable")
+    for rank, k in enumerate(order):
+        if p[k] > attainable(level, blocks, len(p) - rank):
+            break
+        out[k] = True
+    return out
+
+
+def false_discovery(p: Sequence[float], rate: float, asked: int) -> float:
+    """Up to which p effects are taken, of which a share of `rate` may be false (Benjamini and
+    Hochberg, 1995).
+
+    Args:
+        p: of each effect that is asked about now.
+        rate: share of false ones among those taken.
+        asked: how many were asked about in all.
+    """
+    ranked = np.sort(p)
+    good = ranked <= rate * np.arange(1, len(ranked) + 1) / asked
+    if not good.any():
+        return 0.0
+    return float(ranked[good].max())
+
+
+def jackknife(values: np.ndarray) -> np.ndarray:
+    """Standard errors [...] of what was fitted [F, ...] without each fold (Tukey, 1958)."""
+    count = len(values)
+    return np.sqrt((count - 1) / count * np.square(values - values.mean(0)).sum(0))
+
+
+def score_p(slope: np.ndarray) -> float:
+    """p that scores [W, K] of clusters have mean zero.
+
+    Of one direction it is Student's t. Of several it is the smaller of two, twice: a sum of
+    squares, which sees many directions in few clusters, and Hotelling's T^2, which sees a few that
+    are alike and differ.
+    """
+    slope = slope[np.any(slope != 0.0, axis=1)]
+    count = len(slope)
+    if slope.size == 0 or count < 3:
+        return 1.0
+    t = np.sqrt(count) * slope.mean(0) / np.maximum(slope.std(0, ddof=1), 1e-300)
+    alike = np.atleast_2d(np.corrcoef(slope.T))
+    if len(t) == 1:
+        return float(2.0 * stats.t.sf(np.abs(t[0]), count - 1))
+    return min(1.0, 2.0 * min(_sum_of_squares(t, alike, count), _hotelling(t, alike, count)))
+
+
+def _sum_of_squares(t: np.ndarray, alike: np.ndarray, count: int) -> float:
+    """Student's t [K] as normal deviates, whose correlation `alike` [K, K] makes the sum of their
+    squares a scaled chi square of fewer degrees of freedom (Satterthwaite's approximation; Rao and
+    Scott, 1981).
+    """
+    z, k = stats.norm.isf(np.maximum(stats.t.sf(np.abs(t), count - 1), 1e-300)), len(t)
+    # squares of correlations are too large by chance, by so much (Srivastava, 2005)
+    excess = float(np.square(alike).sum()) - k**2 / (count - 1)
+    squares = excess * (count - 1) ** 2 / ((count - 2) * (count + 1))
+    freedom = k**2 / max(squares, k)
+    return float(stats.chi2.sf(float(z @ z) * freedom / k, freedom))
+
+
+def _hotelling(t: np.ndarray, alike: np.ndarray, count: int) -> float:
+    """Hotelling's T^2 of Student's t [K], of the directions that are there and, at most, half as
+    many as clusters tell apart.
+    """
+    value, vector = np.linalg.eigh(alike)
+    keep = value > 1e-9 * value[-1]
+    keep[: max(0, len(t) - (count - 1) // 2)] = False
+    k = int(keep.sum())
+    square = float(np.sum(np.square(t @ vector[:, keep]) / value[keep]))
+    return float(stats.f.sf(square * (count - k) / (k * (count - 1)), k, count - k))
