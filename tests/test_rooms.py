@@ -51,6 +51,7 @@ WITHIN = {
         "compile_cache",
         "compile_flags",
         "memory",
+        "traced",
         "tree_store",
         "store",
     ),

@@ -3,6 +3,8 @@ compiled programs, and read back.
 """
 
 import os
+import sys
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +52,7 @@ def learned(
     make: bool = True,
 ) -> Any:
     """What `made` learns, as `prepared` finds or makes it: a pytree of arrays."""
-    digest = config.digest({"task": task.name, "seed": seed, "of": made.digest})
+    digest = config.digest({"task": task.name, "seed": seed, "of": made.digest()})
     shared = compile_cache.folder() / FOLDER / digest[:32]
     own = None if folder is None else Path(folder) / FOLDER
     like = jax.eval_shape(made.blank, jax.random.key(0))
@@ -58,13 +60,15 @@ def learned(
         if store.read_manifest(place)["config_hash"] != digest:
             if place == own:
                 raise BadInput(
-                    f"{folder}: the environment was changed since its policy was trained; train in "
-                    f"another folder"
+                    f"{folder}: the environment (or JAX, which traces it) was changed since its "
+                    f"policy was trained; train in another folder"
                 )
             continue
         tree, _ = store.load_checkpoint(place, like, task=task.name)
-        if own is not None and place == shared:
-            _keep(own, tree, task.name, digest)
+        if place == shared:
+            _report_reuse(place)
+            if own is not None:
+                _keep(own, tree, task.name, digest)
         return tree
     if not make:
         raise BadInput(
@@ -76,6 +80,17 @@ def learned(
     ):
         _keep(place, tree, task.name, digest)
     return tree
+
+
+def _report_reuse(place: Path) -> None:
+    """A line: the policy is that of an earlier run, trained for the same."""
+    trained = datetime.fromtimestamp((place / store.MANIFEST).stat().st_mtime)
+    print(
+        f"prepared: the policy trained on {trained:%Y-%m-%d %H:%M} is taken again, for the "
+        f"environment, its fields, the training and the seed are the same (to train anew, remove "
+        f"{place})",
+        file=sys.stderr,
+    )
 
 
 def _keep(place: Path, tree, task: str, digest: str) -> None:

@@ -71,7 +71,7 @@ def compare_steps(
     seeds = range(config.seed, config.seed + config.seeds)
     found: dict[str, list[Deployed]] = {method: [] for method in every}
     programs: dict[Hashable, Any] = {}
-    parts = parts_of(out, task.name, replace(config, seeds=1, seed=0), made.digest)
+    parts = parts_of(out, task.name, replace(config, seeds=1, seed=0), made.digest())
     for i, seed in enumerate(seeds):
 
         def told(done, of, note="", i=i):

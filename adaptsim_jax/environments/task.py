@@ -2,21 +2,20 @@
 2 and the baselines.
 """
 
-import contextlib
-import hashlib
-import inspect
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, is_dataclass, replace
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 from scipy.stats import qmc
 
+from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.progress import silent
+from adaptsim_jax.core.traced import digest_of, digest_of_arrays
 from adaptsim_jax.environments.checks import check_fields, check_pure
 from adaptsim_jax.environments.config import EnvironmentConfig
 from adaptsim_jax.environments.fields import Field, space_of
@@ -34,7 +33,7 @@ PAIRS, CHUNK = 512, 10
 # of training, at its start: told E at once, a policy stops at worse ways to swing up than one that
 # is told nothing
 BLIND = 0.5
-FORM = 2  # of what is learned: what was learned in another is learned anew
+FORM = 3  # of what is learned: what was learned in another is learned anew
 LEAST_SPREAD = (
     0.02  # of a target's best return: policies that differ by less are told apart by luck alone
 )
@@ -180,41 +179,36 @@ def task_of(setting: Setting) -> Task:
     def make(key, report=silent):
         return prepared_of(setting, key, report)
 
+    whole = cache(lambda: digest(setting))
     return replace(
-        ready(setting, zeros),
-        preparation=Preparation(blank, make, lambda p: ready(setting, p), _digest(setting)),
+        ready(setting, zeros), preparation=Preparation(blank, make, partial(ready, setting), whole)
     )
 
 
-def _digest(setting: Setting) -> str:
-    """Of all that what is learned depends on: the model, the environment's own code, Omega, how it
-    is trained and shown.
+def digest(setting: Setting) -> str:
+    """Of all that what is learned depends on: what the environment computes, its numbers, Omega,
+    and how a policy is trained and shown. It takes one trace of a reset and a step.
     """
-    config, space = setting.config, setting.space
-    told = (
-        space,
-        setting.sim.length,
-        config.training,
-        config.policy == "planned",
-        config.planner,
-        config.components,
-        BLIND,
-        FORM,
-    )
-    found = hashlib.sha256(repr((*told, config.env, config.options)).encode())
-    if setting.sim.native is not None:
-        size = mujoco.mj_sizeModel(setting.sim.native)
-        buffer = np.empty(size, np.uint8)
-        mujoco.mj_saveModel(setting.sim.native, None, buffer)
-        found.update(buffer.tobytes())
-    for thing in (
-        getattr(setting.env, "reward_of", None),
-        getattr(setting.env, "observe", None),
-        type(setting.env),
-    ):
-        with contextlib.suppress(TypeError, OSError):
-            found.update(inspect.getsource(thing).encode())  # type: ignore[arg-type]
-    return found.hexdigest()
+    config, sim, play = setting.config, setting.sim, setting.play
+
+    def run(key, values, action):
+        world = play.world(values)
+        live = play.reset(world, key)
+        return live, play.step(world, live, action)
+
+    values, action = jnp.zeros(len(play.fields)), jnp.zeros(sim.action_dim)
+    table = {
+        "form": FORM,
+        "space": [asdict(p) for p in setting.space.parameters],
+        "training": asdict(config.training) if is_dataclass(config.training) else {},
+        "trainer": getattr(setting.trainer.train, "__qualname__", ""),
+        "planner": asdict(config.planner) if config.policy == "planned" else {},
+        "shown": [config.components, BLIND],
+        "steps": [sim.length, float(sim.dt)],
+        "traced": digest_of(run, jax.random.key(0), values, action),
+        "model": digest_of_arrays(sim.model),
+    }
+    return configs.digest(table)
 
 
 def visit_shape(setting: Setting) -> int:

@@ -33,13 +33,13 @@ class Preparation(NamedTuple):
     * `blank(key) -> prepared`: a pytree of arrays with its structure and shapes
     * `make(key, report) -> prepared`: not pure, may take minutes; `report(done, total, note)`
     * `ready(prepared) -> Task`: the task with it
-    * digest: of all that it depends on beside the seed
+    * digest() -> str: of all that it depends on beside the seed; it may take seconds
     """
 
     blank: Callable[[Array], Any]
     make: Callable[..., Any]
     ready: Callable[[Any], "Task"]
-    digest: str = ""
+    digest: Callable[[], str]
 
 
 @dataclass(frozen=True)
