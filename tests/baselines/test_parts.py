@@ -180,7 +180,9 @@ def test_policies_over_many_steps_keep_each_seed_of_each_method(tmp_path, monkey
         ("environment_setting", lambda config: setting),
         (
             "task_of",
-            lambda s: SimpleNamespace(name="environment", preparation=SimpleNamespace(digest=lambda: "d")),
+            lambda s: SimpleNamespace(
+                name="environment", preparation=SimpleNamespace(digest=lambda: "d")
+            ),
         ),
     ):
         monkeypatch.setattr(steps, name, thing)
