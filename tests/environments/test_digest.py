@@ -61,9 +61,7 @@ def first():
 
 
 def test_the_same_environment_in_other_words_has_the_same_digest(first):
-    commented = MJCF.replace(
-        "<worldbody>", "<!-- a --><worldbody>"
-    )
+    commented = MJCF.replace("<worldbody>", "<!-- a --><worldbody>")
     assert of(made()) == first
     assert of(made(commented, reward_alike)) == first
 
