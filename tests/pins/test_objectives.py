@@ -1,0 +1,222 @@
+"""Residuals, columns and candidates of each objective, at fixed vectors."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from adaptsim_jax.attribution.catalogue import MACHINE
+from adaptsim_jax.attribution.diagnose import declared_vector, posed
+from adaptsim_jax.attribution.equation.balance import balances
+from adaptsim_jax.attribution.equation.columns import Table
+from adaptsim_jax.attribution.equation.models import part_of
+from adaptsim_jax.attribution.equation.search import told_apart, within
+from adaptsim_jax.attribution.equation.searched import Searched
+from adaptsim_jax.attribution.linear import linear
+from adaptsim_jax.attribution.load import load
+from adaptsim_jax.attribution.parameters import Vector
+from adaptsim_jax.attribution.paths import run, starts_of
+from adaptsim_jax.attribution.problem import Problem, own_inertia, scaled_reach
+from adaptsim_jax.attribution.score import Candidate, candidate_columns, candidates, table
+from adaptsim_jax.attribution.weights import Fit, losses, weigh
+from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.starts import problem_of
+from adaptsim_jax.logs.read import read_source_and_log
+from adaptsim_jax.simulators.mujoco.diagnosed import simulator
+from tests.diagnosis.test_simulator import recorded
+from tests.pins.machines import MACHINES, record
+from tests.pins.stored import check, mark
+
+HORIZON = 0.5
+# what compiles programs of its own is left to the longer tier
+TIERS = [
+    pytest.param(name, marks=[pytest.mark.long] if name in ("stop", "follower") else [])
+    for name in MACHINES
+]
+LOOSE = 1e-4  # of differences of simulations
+NEAR = 0.02  # of a unit, by which the second vector is moved
+FEW = ("viscous", "coulomb", "armature", "delay", "encoder_offset", "damping_step", "torque_gain")
+"""Effects of a catalogue that is compiled in seconds."""
+
+
+@dataclass(frozen=True)
+class Posed:
+    """A machine's problem by simulation and by the balance, and the vector that is fitted."""
+
+    machine: Any
+    problem: Problem
+    null: Vector
+    reach: Any
+
+
+@pytest.fixture(scope="module")
+def posed_of(tmp_path_factory):
+    """`posed_of(name)`, made once each; with `few` of a short catalogue."""
+    known: dict[tuple[str, bool], Posed] = {}
+    machines: dict[str, Any] = {}
+
+    def make(name: str, few: bool = False) -> Posed:
+        if name not in machines:
+            machines[name] = load(record(tmp_path_factory.mktemp("pins") / name, name), None)
+        if (name, few) not in known:
+            machine = machines[name]
+            effects = tuple(e for e in MACHINE if e.name in FEW or not few)
+            problem = posed(machine, effects, HORIZON)
+            null = declared_vector(machine, problem)
+            reach = scaled_reach(problem, *own_inertia(problem, null))
+            known[name, few] = Posed(machine, problem, null, reach)
+        return known[name, few]
+
+    return make
+
+
+def moved(vector: Vector, size: float) -> Vector:
+    """A vector near another, within its bounds."""
+    off = size * np.sin(1.0 + np.arange(len(vector)))
+    return vector.at(np.clip(vector.values + off, vector.low, vector.high))
+
+
+def three(case: Posed) -> dict[str, Vector]:
+    """The declared vector, one near it, and one with effects."""
+    wanted = {("coulomb", "joint"), ("delay", "common"), ("encoder_offset", "joint")}
+    some = [
+        c
+        for c in candidates(case.problem, case.null, case.reach)
+        if (c.effect, c.sharing) in wanted and not c.shape
+    ]
+    rows = [e for c in some for e in c.entries]
+    values = [
+        e.off + 0.1 * (min(e.high, 1.0) - e.off) * (0.1 if e.unit == "s" else 1.0) for e in rows
+    ]
+    return {
+        "declared": case.null,
+        "near": moved(case.null, NEAR),
+        "effects": case.null.with_entries(rows, values),
+    }
+
+
+def told(c: Candidate) -> list[Any]:
+    """A candidate as it is stored."""
+    rows = [
+        [e.owner, e.name, list(e.joints), e.start, e.off, e.low, e.high, e.unit, e.prior]
+        for e in c.entries
+    ]
+    return [c.effect, list(c.joints), c.sharing, dict(c.shape), rows]
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_candidates_are_the_same_in_the_same_order(posed_of, name):
+    case = posed_of(name)
+    rows = [told(c) for c in candidates(case.problem, case.null, case.reach)]
+    fitted = [[*e.key, e.start, e.off, e.low, e.high, e.unit, e.prior] for e in case.null.entries]
+    check(f"candidates_{name}", {"fitted": fitted, "candidates": rows})
+
+
+@pytest.mark.parametrize("name", TIERS)
+def test_simulated_stretches_leave_the_same(posed_of, name):
+    case, out = posed_of(name, few=True), {}
+    for key, vector in three(case).items():
+        starts = starts_of(case.problem)
+        paths = run(case.problem, vector, starts)
+        weights = weigh(case.problem, paths)
+        loss = losses(case.problem, paths, weights)
+        lin = linear(case.problem, Fit(vector, starts, weights, loss, "", 0))
+        groups = zip(lin.residual, lin.start, lin.shared, strict=True)
+        out[key] = [
+            [mark(loss), mark(r), mark(by_start), [mark(z) for z in np.moveaxis(shared, -1, 0)]]
+            for r, by_start, shared in groups
+        ]
+    check(f"tree_{name}", out, LOOSE)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["motors", "servos"])
+def test_columns_and_scores_of_candidates_are_the_same(posed_of, name):
+    case = posed_of(name)
+    starts = starts_of(case.problem)
+    paths = run(case.problem, case.null, starts)
+    weights = weigh(case.problem, paths)
+    fit = Fit(case.null, starts, weights, losses(case.problem, paths, weights), "", 0)
+    lin = linear(case.problem, fit)
+    every = candidates(case.problem, case.null, case.reach)
+    pairs = [(e, c.shaped()) for c in every for e in c.entries]
+    columns = candidate_columns(case.problem, lin, pairs)
+    out = {
+        "columns": [[mark(z) for z in np.moveaxis(c, -1, 0)] for c in columns],
+        "scores": [
+            [
+                s.candidate.effect,
+                list(s.candidate.joints),
+                s.candidate.sharing,
+                s.gain,
+                s.held_out,
+                s.p,
+            ]
+            for s in sorted(table(case.problem, lin, every), key=lambda s: s.candidate.key)
+        ],
+    }
+    check(f"scores_{name}", out, LOOSE)
+
+
+@pytest.mark.parametrize("name", TIERS)
+def test_the_balance_misses_the_same(posed_of, name):
+    case, out = posed_of(name), []
+    for b in balances(case.problem, case.machine.tracks):
+        own = within(part_of(case.null, b))
+        commanded = case.machine.log.input_kind != "torque"
+        state = Searched(case.problem, b, own, case.reach, Criteria(), commanded)
+        every = told_apart(state)
+        rows = {"windows": [mark(b.clear), mark(b.trial), mark(b.time)], "offered": []}
+        for c in every:
+            columns = [mark(state.table.of(e, c.shaped())) for e in c.entries]
+            rows["offered"].append([c.effect, list(c.joints), c.sharing, dict(c.shape), columns])
+        for key, vector in three(case).items():
+            made = Table(case.problem, b, part_of(vector, b))
+            fitted = [mark(made.of(e)) for e in made.vector.entries]
+            rows[key] = [mark(made.missing()), fitted]
+        out.append(rows)
+    check(f"balance_{name}", out, LOOSE)
+
+
+def test_mujoco_predicts_the_same(tmp_path: Path):
+    made = simulator(*read_source_and_log(record(tmp_path / "log", "servos")))
+    values = np.array([q.neutral for q in made.quantities])
+    scale = np.array([q.scale for q in made.quantities])
+    which = np.arange(made.stretches.count)
+    out: dict[str, Any] = {
+        "quantities": [
+            [q.name, q.unit, q.neutral, q.low, q.high, q.scale, q.prior] for q in made.quantities
+        ],
+        "declared": made.declared,
+        "candidates": [[c.name, c.where, c.quantities, c.shapes] for c in made.candidates],
+        "channels": [[c.name, c.unit, c.noise] for c in made.channels],
+        "fold": mark(problem_of(made).fold),
+    }
+    for key, off in {
+        "neutral": 0.0 * scale,
+        "near": 0.3 * scale,
+        "far": scale * np.sin(np.arange(len(scale))),
+    }.items():
+        rows = np.tile(values + off, (len(which), 1))
+        out[key] = [
+            mark(z) for z in np.moveaxis(made.predict(rows, made.stretches.start, which), -1, 0)
+        ]
+    rows = np.tile(values, (len(which), 1))
+    columns = made.linearise(rows, made.stretches.start, which, np.diag(scale))
+    out["columns"] = [[mark(z) for z in np.moveaxis(c, -1, 0)] for c in columns]
+    check("mujoco_servos", out, LOOSE)
+
+
+def test_a_simulator_of_ones_own_leaves_the_same():
+    problem = problem_of(recorded({"leak": 0.004}, seed=3, trials=4))
+    values = np.array([q.neutral for q in problem.quantities])
+    scale = np.array([q.scale for q in problem.quantities])
+    out: dict[str, Any] = {"fold": list(problem.fold), "block": list(problem.block)}
+    for key, off in {"neutral": 0.0, "near": 0.5, "far": 2.0}.items():
+        at = values + off * scale
+        rows = np.tile(at, (len(problem.trials), 1))
+        columns = problem.columns(at, np.diag(scale))
+        out[key] = [mark(problem.residuals(rows)), [mark(z) for z in np.moveaxis(columns, -1, 0)]]
+    check("own_tanks", out)
