@@ -25,7 +25,8 @@ class Values(NamedTuple):
     inertial [n, 10, .]; gravity [3, .] m/s^2; actuator [6, n, .]: gain, bias, bias per angle, bias
     per speed, lowest and highest force, before the gear [n, .]; effects {name: {parameter: [n,
     .]}}; ties [n, n, .]: gears by which a joint's actuator pulls other joints as well (a tendon),
-    None where none does; read [n, .]: angles that the sensors gave where a stretch begins.
+    None where none does; read [n, .]: angles that the sensors gave where a stretch begins; ease [n,
+    .]: inverse weights of the joints over the file's, by which what MuJoCo makes soft gives.
     """
 
     inertial: Any
@@ -35,6 +36,7 @@ class Values(NamedTuple):
     effects: dict[str, dict[str, Any]]
     ties: Any = None
     read: Any = None
+    ease: Any = 1.0
 
 
 class Motion(NamedTuple):

@@ -270,6 +270,12 @@ def _actuators(machine: Machine, problem: Problem, model: Model) -> dict[str, di
             out.setdefault("kv", {})[name] = 0.0
     if machine.log.input_kind not in COMMANDED:
         return out
+    peak = dict(enumerate(problem.reach.peak)) | {
+        j: value
+        for e, value in zip(model.fit.vector.entries, model.fit.vector.values, strict=True)
+        for j in e.joints
+        if e.owner == "saturation" and e.name == "peak"
+    }
     for e, value in zip(model.fit.vector.entries, model.fit.vector.values, strict=True):
         key = ACTUATED.get(e.owner)
         for j in e.joints if key else ():
@@ -280,9 +286,7 @@ def _actuators(machine: Machine, problem: Problem, model: Model) -> dict[str, di
                     found = gains.get(name, 1.0) if key == "gain" else 1.0
                     out.setdefault(key, {})[name] = (1.0 + float(value)) * found
                 elif key == "limit" and e.name == "cut":
-                    out.setdefault(key, {})[name] = (1.0 - float(value)) * float(
-                        problem.reach.peak[j]
-                    )
+                    out.setdefault(key, {})[name] = float((1.0 - value) * peak[j])
                 elif key in ("delay", "lag") and e.name == key and value > 0.0:
                     out.setdefault(key, {})[name] = float(value)
     return out

@@ -25,7 +25,8 @@ from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.held_out import Model
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import INERTIA, TILT, TILTS
-from adaptsim_jax.attribution.problem import Problem, tilted, values_of
+from adaptsim_jax.attribution.problem import Problem, numbers_of, tilted, values_of
+from adaptsim_jax.attribution.stops import with_inertial
 from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 
@@ -104,6 +105,7 @@ def applied(given: Mapping[str, Any], path: str, machine: Machine) -> Machine:
             )
         law[:3, joints.index(name)] *= times
         law[3, joints.index(name)] = 0.0
+    filed = numbers_of(tree) | machine.declared
     out, gravity = dict(machine.declared), np.asarray(tree.gravity, float)
     for k, row in enumerate(given.get("effects", [])):
         name, joint = row.get("name"), row.get("joint")
@@ -124,9 +126,11 @@ def applied(given: Mapping[str, Any], path: str, machine: Machine) -> Machine:
             )
         for p in (p for p in known[name].parameters if p.name in numbers):
             rest = p.default if p.off is None else p.off
-            column = np.array(out.get((name, p.name), np.full(len(joints), rest)), float)
+            start = filed.get((name, p.name), np.full(len(joints), rest))
+            column = np.array(out.get((name, p.name), start), float)
             column[joints.index(joint)] = numbers[p.name]
             out[name, p.name] = column
-    mechanism = replace(machine.mechanism, tree=replace(tree, inertial=inertial, gravity=gravity))
+    tree = replace(with_inertial(tree, inertial), gravity=gravity)
+    mechanism = replace(machine.mechanism, tree=tree)
     gives = given.get("friction") == GIVES
     return replace(machine, mechanism=mechanism, declared=out, actuator=law, gives=gives)

@@ -13,7 +13,7 @@ from adaptsim_jax.attribution.drive import LEAST, Drive, drive_of, gives
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import Group, Problem, group_inertia, values_of
 from adaptsim_jax.attribution.simulate import Path, Scheme, simulate, with_drives
-from adaptsim_jax.attribution.stops import limited, rates
+from adaptsim_jax.attribution.stops import inverse_weight, limited, rates
 
 STABLE = 1.0  # of a row's step times the fastest rate, for Runge and Kutta
 MOST_SUBSTEPS = 12
@@ -91,8 +91,24 @@ def ready(problem: Problem, vector: Vector, rows: np.ndarray | None = None) -> t
                 values = at
             else:
                 values = values_of(problem, group, vector, rows)
+            values = values._replace(ease=ease(group, values))
             out.append(Ready(group, at, values, scheme(group, at, values)))
     return tuple(out)
+
+
+def ease(group: Group, values: Values) -> np.ndarray:
+    """Inverse weights of the joints [n, .] at `values` over those of the model file.
+
+    MuJoCo scales the softness of dry friction and of the ends of ranges with the inverse mass
+    matrix's diagonal at the file's zero. So an inertia that is fitted changes them as one in the
+    file does.
+    """
+    tree = group.model.tree
+    if not any(tree.limited) and not np.any(tree.rub):
+        return np.ones((tree.n, 1))
+    armature = values.effects.get("armature", {}).get("inertia", tree.armature[:, None])
+    declared = inverse_weight(tree, tree.inertial[..., None], tree.armature[:, None])
+    return np.asarray(inverse_weight(tree, values.inertial, armature) / declared)
 
 
 def widened(made: Sequence[Ready], starts: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:

@@ -128,13 +128,7 @@ def prepare(
                 own if own is not None and np.any(own) else None,
             )
         )
-    as_declared = {
-        ("viscous", "damping"): np.asarray(tree.damping),
-        ("coulomb", "level"): np.asarray(tree.frictionloss),
-        ("armature", "inertia"): np.asarray(tree.armature),
-        ("spring", "stiffness"): np.asarray(tree.stiffness),
-        ("spring", "preload"): np.asarray(tree.stiffness) * np.asarray(tree.springref),
-    }
+    as_declared = numbers_of(tree)
     as_declared[DAMPING_STEP, "damping"] = np.asarray(tree.damping) - actuator[3] * gear**2
     as_declared |= dict(declared or {})
     return Problem(
@@ -149,6 +143,17 @@ def prepare(
         as_declared,
         noise(tracks),
     )
+
+
+def numbers_of(tree: Tree) -> dict[tuple[str, str], np.ndarray]:
+    """What a model file says of effects, (effect, parameter) -> [n]."""
+    return {
+        ("viscous", "damping"): np.asarray(tree.damping),
+        ("coulomb", "level"): np.asarray(tree.frictionloss),
+        ("armature", "inertia"): np.asarray(tree.armature),
+        ("spring", "stiffness"): np.asarray(tree.stiffness),
+        ("spring", "preload"): np.asarray(tree.stiffness) * np.asarray(tree.springref),
+    }
 
 
 NEAR_STOP = 0.05  # rad (m): from its range, within which a joint's motion may feel it

@@ -92,10 +92,10 @@ def select(
         stages.append(base)
         scores = scored(problem, base, reach, True)
 
-    def so_far():
-        return Selection(first, base, (), tuple(stages), tuple(trace), tuple(opening), (), reach)
+    def so_far(model):
+        return Selection(first, model, (), tuple(stages), tuple(trace), tuple(opening), (), reach)
 
-    keep(so_far())
+    keep(so_far(base))
     while len(base.added) < criteria.most_effects:
         better = _forward(problem, base, scores, family, reach, criteria, trace, say)
         better = better or _now_and_then(problem, base, reach, criteria, trace, say)
@@ -109,16 +109,18 @@ def select(
             break
         base = better
         stages.append(base)
-        keep(so_far())
+        keep(so_far(base))
         scores = scored(problem, base, reach, True)
     beside = replace(problem, least=criteria.beside * np.median(held_error(problem, first), 0))
     final, named = judged(beside, base, reach, criteria, trace, say)
-    if (
-        final.fit.vector.index().keys() == first.fit.vector.index().keys()
-    ):  # by way of what went a fit may end elsewhere
-        final = first = first if hint is None else declared(problem, null, criteria)
+    before = first
+    if final.fit.vector.index().keys() == first.fit.vector.index().keys():
+        # by way of what went a fit may end elsewhere
+        if hint is not None:
+            before = declared(problem, null, criteria)
+        final = before
     return Selection(
-        first, final, named, tuple(stages), tuple(trace), tuple(opening), tuple(scores), reach
+        before, final, named, tuple(stages), tuple(trace), tuple(opening), tuple(scores), reach
     )
 
 

@@ -130,7 +130,7 @@ def _giving(model: Model, values: Values, u, giving, pushed) -> Moving:
     )
 
 
-def _held(moving: Moving, model: Model, x, t, extra, bent, h, hold):
+def _held(moving: Moving, model: Model, values: Values, x, t, extra, bent, h, hold):
     """Dry friction [n, W] held over a step of h s, the deflection of bristles by its end, from that
     before, bent [n, W], and the force of the ends of declared ranges [n, W]. hold: stiffness and
     damping that are stepped implicitly, None where none are.
@@ -149,21 +149,23 @@ def _held(moving: Moving, model: Model, x, t, extra, bent, h, hold):
     ends = stops.limited(model.tree)
     still = jnp.zeros_like(v)
     # where friction gives (MuJoCo's): the share of a speed that it ends in a step
-    rate, soft = jnp.asarray(model.tree.rub).T[..., None]
-    braked = jnp.where(soft > 0.0, jnp.minimum(safe[None] * rate, 1.0), 1.0)
+    rate, softness = jnp.asarray(model.tree.rub).T[..., None]
+    softness = softness * values.ease
+    braked = jnp.where(softness > 0.0, jnp.minimum(safe[None] * rate, 1.0), 1.0)
 
     def turn(carry, j):  # a loop: written out for each joint it takes many times as long to compile
         after, force, stop = carry
         rise = after[j] - v[j] - safe * own[j] * force[j]
         slide = bent[j] + safe * (braked[j] * v[j] + rise)  # by the end of the step, without it
         new = jnp.clip(
-            -slide / (act.yielding[j] + safe**2 * (own[j] + soft[j])), -level[j], level[j]
+            -slide / (act.yielding[j] + safe**2 * (own[j] + softness[j])), -level[j], level[j]
         )
         after = after + h[None] * answer[:, j] * (new - force[j])[None]
         return (after, force.at[j].set(new), stop), None
 
     if len(ends):
-        side, reference, soft, out = stops.hold_within(model.tree, x[:n], x[n : 2 * n])
+        side, reference, give, out = stops.hold_within(model.tree, x[:n], x[n : 2 * n])
+        give = give * values.ease[ends]
         place = jnp.asarray(np.searchsorted(ends, np.arange(n)).clip(0, len(ends) - 1))
         ended = jnp.asarray(np.isin(np.arange(n), ends))
 
@@ -171,7 +173,7 @@ def _held(moving: Moving, model: Model, x, t, extra, bent, h, hold):
         (after, force, stop), _ = turn(carry, j)
         k = place[j]
         rise = (after[j] - v[j]) / safe - own[j] * stop[j]  # without the end's force
-        wanted = jnp.maximum((reference[k] - side[k] * rise) / (own[j] + soft[k]), 0.0) * side[k]
+        wanted = jnp.maximum((reference[k] - side[k] * rise) / (own[j] + give[k]), 0.0) * side[k]
         new = jnp.where(out[k] & ended[j], wanted, 0.0)
         after = after + h[None] * answer[:, j] * (new - stop[j])[None]
         return (after, force, stop.at[j].set(new)), None
@@ -210,7 +212,7 @@ def row_step(model: Model, values: Values, x, u, t, dt, extra, scheme: Scheme):
         bent = whole[moves:] if len(whole) > moves else still
 
         def rubs():
-            return _held(moving, model, x, now, extra, bent, h, hold)
+            return _held(moving, model, values, x, now, extra, bent, h, hold)
 
         if any(model.tree.limited):
             rub, yielded, stop = rubs()

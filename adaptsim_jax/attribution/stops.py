@@ -6,11 +6,14 @@ v the reference acceleration is -b v - k d(r) r with the impedance d; b, k and d
 and `solimp`.
 """
 
+from dataclasses import replace
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
+from adaptsim_jax.mechanisms import equations
 from adaptsim_jax.mechanisms.tree import Tree
 
 
@@ -60,3 +63,37 @@ def hold_within(tree: Tree, q: Any, v: Any) -> tuple[Any, Any, Any, Any]:
     share = impedance(stop, jnp.maximum(far, 0.0))
     reference = -damping * side * v + stiffness * share * jnp.maximum(far, 0.0)
     return side, reference, (1.0 - share) / share * stop[..., 7], far > 0.0
+
+
+@jax.jit
+def inverse_weight(tree: Tree, inertial, armature):
+    """Of the coordinates at the file's zero [n, .], as if none followed another: what MuJoCo scales
+    softness by. inertial [n, 10, .], armature [n, .].
+    """
+    if tree.whole is not None:
+        own, every = np.array(tree.whole.own), tree.whole.tree
+        more = armature - tree.armature[:, None]
+        bodies = jnp.broadcast_to(
+            every.inertial[..., None], (*every.inertial.shape, inertial.shape[-1])
+        )
+        wide = jnp.broadcast_to(every.armature[:, None], (every.n, more.shape[-1]))
+        tree, inertial = every, bodies.at[own].set(inertial)
+        armature = wide.at[own].add(more)
+    else:
+        own = np.arange(tree.n)
+    zero = jnp.zeros((tree.n, max(inertial.shape[-1], armature.shape[-1])))
+    inverse = equations.inverse_mass(tree, inertial, zero, armature)
+    return jnp.stack([inverse[j, j] for j in own])
+
+
+def with_inertial(tree: Tree, inertial: np.ndarray) -> Tree:
+    """The tree with other bodies [n, 10], and with ends and friction as soft as these make them."""
+    with jax.enable_x64(True):
+        now, before = (
+            np.asarray(inverse_weight(tree, z[..., None], tree.armature[:, None]))
+            for z in (np.asarray(inertial), np.asarray(tree.inertial))
+        )
+    stop, rub = np.array(tree.stop, float), np.array(tree.rub, float)
+    stop[:, 7:] *= now / before
+    rub[:, 1:] *= now / before
+    return replace(tree, inertial=inertial, stop=stop, rub=rub)

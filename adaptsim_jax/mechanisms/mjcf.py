@@ -95,11 +95,7 @@ def mechanism_of(
     leader, factor, offset = walk.followed(role)
     tree = _in_reach(folded(tree, leader, factor, offset))
     place = walk.places(role, leader, factor, offset)
-
-    def zero():
-        return np.zeros(tree.n)
-
-    added = Added(zero(), zero(), zero(), zero(), zero())
+    added = Added(*np.zeros((5, tree.n)))
     add_tendons(model, place, added)
     own, added.beyond = tuple(added.beyond), []
     actuators, idle = read_actuators(model, place, added)

@@ -156,8 +156,8 @@ def row_step(model: Model, theta, eff, x, memory, u, t, h):
 
     zero = [jnp.zeros_like(z) for z in x]
     (_, total), _ = jax.lax.scan(stage, (zero, zero), stages)
-    x = [z + h * t for z, t in zip(x, total, strict=True)]
-    return x, remember(model, theta, eff, memory, x, u, t + h, 0.5 * h)
+    end = [z + h * t for z, t in zip(x, total, strict=True)]
+    return end, remember(model, theta, eff, memory, end, u, t + h, 0.5 * h)
 
 
 def _sorted(model: Model, theta, eff, x, u, t) -> tuple[list, list, bool]:

@@ -86,8 +86,9 @@ def needed(
     these and its errors, as of `exact`.
     """
     added = list(added)
-    final, errors = exact(state, added, state.set_of(added))
-    for c in sorted(asked, key=lambda c: _sure(final, errors, c)):
+    whole = exact(state, added, state.set_of(added))
+    final, errors = whole
+    for c in sorted(asked, key=lambda c: _sure(*whole, c)):
         if _sure(final, errors, c) > NINETY:
             break
         rest = [k for k in added if k is not c]

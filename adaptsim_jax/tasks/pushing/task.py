@@ -91,8 +91,11 @@ def make_choice(config: PushingConfig) -> Callable[[PushingPolicy, jax.Array], j
             def mended(push):
                 return push and with_gaps(push, policy.told)
 
-            push, steps = map(mended, at_mean(nearer(end, policy.at, policy.told, hint)))
-            better = search(push, goals, first, config.refine, policy.told.used.any(), steps)
+            nearest = map(mended, at_mean(nearer(end, policy.at, policy.told, hint)))
+            mended_push, mended_steps = nearest
+            better = search(
+                mended_push, goals, first, config.refine, policy.told.used.any(), mended_steps
+            )
         return better.reshape(action.shape)
 
     return choose

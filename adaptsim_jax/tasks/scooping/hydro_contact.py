@@ -137,7 +137,7 @@ def _layout(grid: tuple[tuple[int, int], ...]) -> tuple[np.ndarray, ...]:
                 tiled(weights / 2),
             )
         )
-    return tuple(np.concatenate(columns) for columns in zip(*parts, strict=True))
+    return tuple(np.concatenate(rows) for rows in zip(*parts, strict=True))
 
 
 def firsts(grid: tuple[tuple[int, int], ...]) -> tuple[int, ...]:

@@ -121,12 +121,14 @@ def diagnosed(
         )
 
     if scooped.shape is None:
-        found = run(bases[0])
-        if left_by_fit(found.problem, found.selection.final) <= criteria.explained:
-            return found
+        likeliest = run(bases[0])
+        if left_by_fit(likeliest.problem, likeliest.selection.final) <= criteria.explained:
+            return likeliest
         # an effect may make another shape look likelier before it is named
-        others = [run(fit(shape)) for shape in OMEGA if shape != found.shape]
-        return min([found, *others], key=lambda other: sum(_alike(scooped, found, other)[1]))
+        others = [run(fit(shape)) for shape in OMEGA if shape != likeliest.shape]
+        return min(
+            [likeliest, *others], key=lambda other: sum(_alike(scooped, likeliest, other)[1])
+        )
     if bases[0].shape == scooped.shape:
         return run(bases[0])
     own, rival = fit(scooped.shape), run(bases[0])
