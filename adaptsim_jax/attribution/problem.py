@@ -25,6 +25,7 @@ from adaptsim_jax.attribution.stretches import Stretches, Track, cut, without_fi
 from adaptsim_jax.diagnosis.folds import folds_of
 from adaptsim_jax.effects.base import Effect, Reach, unit_at
 from adaptsim_jax.logs.local_motion import local_motion
+from adaptsim_jax.logs.noise.differences import difference_noise
 from adaptsim_jax.mechanisms import equations
 from adaptsim_jax.mechanisms.tree import Tree, subtrees, take
 
@@ -252,13 +253,9 @@ def noise(tracks: Sequence[Track]) -> np.ndarray:
 
 
 def _rough(z: np.ndarray) -> np.ndarray:
-    """Noise of columns [T, n] from their third differences, of which smooth motion has next to
-    none.
-    """
-    d = np.diff(z, 3, axis=0)
-    size = np.nanmedian(np.abs(d), axis=0) / 0.6745
-    mean = np.sqrt(np.nanmean(d**2, axis=0))
-    return np.where(size > 0, size, mean) / np.sqrt(20.0)
+    """Noise of columns [T, n]; by the mean square where most rows are rounded to the same."""
+    size = difference_noise([z])
+    return np.where(size > 0, size, difference_noise([z], robust=False))
 
 
 def held(actuator: np.ndarray) -> np.ndarray:

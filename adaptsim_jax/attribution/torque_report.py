@@ -15,6 +15,7 @@ from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.sentences import place
 from adaptsim_jax.attribution.yardsticks import Measure, needed
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.logs.noise.differences import difference_noise
 
 MOST_ROWS = 1500  # of a curve of the page
 # times, by which a body of a fit may differ from the file's before that is a finding of its own
@@ -38,8 +39,7 @@ def floor_of(problem: Problem, balances: Sequence[Balance]) -> np.ndarray:
     """
     out = np.zeros(problem.joints)
     for b in balances:
-        third = np.concatenate([np.diff(b.u[:, run], 3, axis=1) for run in b.runs], 1)
-        noise = np.median(np.abs(third), 1) / 0.6745 / np.sqrt(20.0) / np.sqrt(0.35 * SPAN / GRID)
+        noise = difference_noise([b.u[:, run].T for run in b.runs]) / np.sqrt(0.35 * SPAN / GRID)
         out[list(b.group.joints)] = np.maximum(
             noise, 1e-3 * np.sqrt(np.mean(np.square(needed(problem, b)), 0))
         )

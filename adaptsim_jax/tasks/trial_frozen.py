@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.noise.differences import difference_noise
 
 BAR = 0.005
 """m that a body must go on for its standing still to be doubted."""
@@ -100,13 +101,9 @@ def _left(time: np.ndarray, moved: np.ndarray, first: int, blur: float, grip: fl
 
 
 def _noise(places: np.ndarray) -> float:
-    """m, one standard deviation of a coordinate, by third differences of rows that change."""
-    d = np.diff(
-        places[np.concatenate([[True], np.any(np.diff(places, axis=0) != 0, axis=1)])], 3, axis=0
-    )
-    if len(d):
-        return float(1.4826 * np.median(np.abs(d)) / np.sqrt(20.0))
-    return 0.0
+    """m, one standard deviation of a coordinate, by rows that change."""
+    change = np.any(np.diff(places, axis=0) != 0, axis=1)
+    return float(difference_noise([places[np.append(True, change)]], pooled=True)[0])
 
 
 def _step(places: np.ndarray) -> float:

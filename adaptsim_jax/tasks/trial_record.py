@@ -11,6 +11,7 @@ import numpy as np
 
 from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.noise.differences import difference_noise
 from adaptsim_jax.logs.table import Table, read_table
 from adaptsim_jax.tasks import camera_record as record
 from adaptsim_jax.tasks.trial_clock import began
@@ -328,10 +329,8 @@ def noise_of(
             )
     if count >= 20:
         return max(float(np.sqrt(total / count)), least), f"rows before the {before}"
-    d = np.concatenate(
-        [np.diff(p[m > 0], 3, axis=0).ravel() for p, m in zip(places, mask, strict=True)]
-    )
-    return max(float(1.4826 * np.median(np.abs(d)) / np.sqrt(20.0)), least), "third differences"
+    rows = [p[m > 0] for p, m in zip(places, mask, strict=True)]
+    return max(float(difference_noise(rows, pooled=True)[0]), least), "third differences"
 
 
 def rounded(places: np.ndarray) -> float:

@@ -7,12 +7,15 @@ quantisation sets a least value, step/sqrt(12).
 """
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from adaptsim_jax.logs.noise import smoother
-from adaptsim_jax.logs.quality.findings import Audit
 from adaptsim_jax.logs.types import Recording, Trial
+
+if TYPE_CHECKING:
+    from adaptsim_jax.logs.quality.findings import Audit
 
 WINDOW = 300
 """Samples a window: long enough to tell noise from motion, short enough for the motion to be of one
@@ -34,7 +37,7 @@ used.
 """
 
 
-def noise_floor(recording: Recording, audit: Audit) -> dict[str, float]:
+def noise_floor(recording: Recording, audit: "Audit") -> dict[str, float]:
     """Noise std of every measured channel (`q1`, `q2` rad; `v1`, `v2` rad/s where measured):
     declared, else from repeats, else from the smoothing residual.
 

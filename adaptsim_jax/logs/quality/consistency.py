@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adaptsim_jax.logs.noise.differences import difference_noise
+
 
 @dataclass(frozen=True)
 class Agreement:
@@ -60,7 +62,7 @@ def _angle_noise(q: np.ndarray) -> float:
     change = np.abs(np.diff(q))
     moved = change[change > 0]
     return max(
-        float(np.median(np.abs(np.diff(q, 4)))) / 5.6,
+        float(difference_noise([q], 4)),
         float(np.min(moved)) / 3.5 if len(moved) else 0.0,
     )
 

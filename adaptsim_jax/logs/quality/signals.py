@@ -2,10 +2,9 @@
 leave out.
 """
 
-import math
-
 import numpy as np
 
+from adaptsim_jax.logs.noise.differences import difference_noise
 from adaptsim_jax.logs.quality.consistency import command_agreement, velocity_agreement
 from adaptsim_jax.logs.quality.findings import Finding, Findings
 from adaptsim_jax.logs.quality.turns import TURN, without_turns
@@ -94,7 +93,7 @@ def _frozen_runs(trial: Trial, joint: int, step: float) -> list[tuple[int, int]]
     """
     q, time = trial.q[:, joint], trial.time
     starts, lengths = runs(q)
-    noise = max(step, 1.4826 * float(np.median(np.abs(np.diff(q, 2)))) / math.sqrt(6.0))
+    noise = max(step, float(difference_noise([q], 2)))
     bad = []
     for start, length in zip(starts, lengths, strict=True):
         end = start + length

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from adaptsim_jax.diagnosis.problem import Candidate, Quantity
+from adaptsim_jax.logs.noise.differences import difference_noise
 from adaptsim_jax.simulators.mujoco.acting import BIAS, LATE, READ, SHIFT, TURN
 from adaptsim_jax.simulators.mujoco.build import Stepped
 from adaptsim_jax.simulators.mujoco.fields import DELAY, STRENGTH, Field, field
@@ -211,9 +212,5 @@ def _scales(model: mujoco.MjModel, joints: Sequence[str]) -> dict[str, float]:
 
 
 def noise_of(measured: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Noise [C] of channels [W, L, C] by their third differences, of which smooth motion has next
-    to none.
-    """
-    d = np.diff(np.where(seen, measured, np.nan), 3, axis=1)
-    size = np.nanmedian(np.abs(d), axis=(0, 1)) / 0.6745 / np.sqrt(20.0)
-    return np.where(np.isfinite(size), size, 0.0)
+    """Noise [C] of channels [W, L, C], where they were `seen`."""
+    return difference_noise(np.where(seen, measured, np.nan))

@@ -11,6 +11,7 @@ import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.given import brief, finite
+from adaptsim_jax.logs.noise.differences import difference_noise
 from adaptsim_jax.logs.table import read_table
 from adaptsim_jax.tasks import camera_record as record
 from adaptsim_jax.tasks.toss import turns
@@ -247,9 +248,9 @@ def _noise(meta: dict[str, Any], where: Path, place, turn) -> tuple[float, float
     """
     seen = []
     spins = [turns.log(turns.times(turns.inverse(q[:-1]), q[1:])) for q in turn]
-    for rows, order, least in ((place, 3, LEAST_NOISE), (spins, 2, LEAST_TURN)):
-        d = np.concatenate([np.abs(np.diff(z, order, axis=0)).ravel() for z in rows])
-        seen.append(max(float(1.4826 * np.median(d) / np.sqrt(20.0)), least))
+    angles = [np.cumsum(np.pad(z, ((1, 0), (0, 0))), 0) for z in spins]
+    for rows, least in ((place, LEAST_NOISE), (angles, LEAST_TURN)):
+        seen.append(max(float(difference_noise(rows, pooled=True)[0]), least))
     source = "third differences"
     for i, (key, most) in enumerate((("noise", 0.02), ("noise_turn", 0.2))):
         if key in meta:

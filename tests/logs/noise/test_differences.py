@@ -1,0 +1,24 @@
+"""Noise by differences of rows."""
+
+import numpy as np
+import pytest
+
+from adaptsim_jax.logs.noise.differences import difference_noise
+
+
+@pytest.mark.parametrize("order", [2, 3, 4])
+def test_the_noise_of_a_smooth_motion_is_found(order):
+    rng, t = np.random.default_rng(0), np.arange(4000) * 0.004
+    noise = np.array([1e-3, 3e-3])
+    motion = np.stack([np.sin(3 * t), np.cos(2 * t)], 1)
+    q = motion + noise * rng.normal(size=(4000, 2))
+    np.testing.assert_allclose(difference_noise([q[:2500], q[2500:]], order), noise, rtol=0.08)
+    np.testing.assert_allclose(difference_noise([q], order, robust=False), noise, rtol=0.08)
+    assert 1e-3 < difference_noise([q], order, pooled=True)[0] < 3e-3
+
+
+def test_what_was_never_read_has_no_noise():
+    q = np.full((50, 2), np.nan)
+    q[:, 0] = np.random.default_rng(0).normal(size=50)
+    found = difference_noise([q])
+    assert found[0] > 0.5 and found[1] == 0.0
