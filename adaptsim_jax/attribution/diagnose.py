@@ -55,7 +55,8 @@ from adaptsim_jax.diagnosis.schema import check
 from adaptsim_jax.diagnosis.written import cleared, write_all, write_partial
 from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.logs.quality.trial_words import add_trials
-from adaptsim_jax.mechanisms.mjcf_write import mended_mjcf
+from adaptsim_jax.mend.mjcf import mended_mjcf
+from adaptsim_jax.mend.model_toml import FILE as MODEL_FILE
 
 Progress = Callable[[float, float, str], None]
 HORIZON = 0.5  # s
@@ -178,7 +179,7 @@ def diagnose(
             report,
             evidence,
             page or plain,
-            {model_toml.FILE: text, **mjcf_files(machine, whole, criteria or Criteria())},
+            {MODEL_FILE: text, **mjcf_files(machine, whole, criteria or Criteria())},
         )
     return check(report)
 

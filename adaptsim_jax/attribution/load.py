@@ -7,12 +7,12 @@ from adaptsim_jax.attribution import model_toml
 from adaptsim_jax.attribution.choice import base_moves
 from adaptsim_jax.attribution.machine import Machine, machine
 from adaptsim_jax.attribution.pendulum import pendulum_machine
-from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.meta import declared_task
 from adaptsim_jax.logs.quality.audit import audit, usable
 from adaptsim_jax.logs.read import joined, read_source_and_log
 from adaptsim_jax.logs.recording import read_recording
+from adaptsim_jax.mend.model_toml import read_model_table
 from adaptsim_jax.simulators.mujoco.build import stepped, turns_of_balls
 from adaptsim_jax.simulators.mujoco.touching import touching
 
@@ -28,7 +28,7 @@ def load(data: str | Path, model: str | Path | None = None) -> Machine:
     if declared_task(data) != "pendulum":
         if model is None or Path(model).suffix.lower() != ".toml":
             return _joined(data, model)
-        given = config.read(Path(model))
+        given = read_model_table(model)
         beside = given.get("model")
         if given.get("task") == "simulator":
             raise BadInput(

@@ -13,7 +13,7 @@ from adaptsim_jax.attribution.problem import Problem, values_of
 from adaptsim_jax.attribution.score import Candidate, candidates, table
 from adaptsim_jax.attribution.select import Selection
 from adaptsim_jax.diagnosis.criteria import Criteria
-from adaptsim_jax.mechanisms.mjcf_write import Changes
+from adaptsim_jax.mend.mjcf import Changes
 
 HELD = ("viscous", "coulomb", "armature", "spring", TILT, INERTIA)
 """Effects that any MJCF holds."""

@@ -24,7 +24,8 @@ from adaptsim_jax.logs.pendulum_log import log_of
 from adaptsim_jax.logs.types import Recording
 from adaptsim_jax.mechanisms.double_pendulum.mjcf import JOINTS, double_pendulum_mjcf
 from adaptsim_jax.mechanisms.mjcf import read_mechanism
-from adaptsim_jax.mechanisms.model_file import AddedEffect, ModelFile, Value
+from adaptsim_jax.mend.model_toml import AddedEffect, Value
+from adaptsim_jax.mend.pendulum_model import ModelFile
 
 SAME = {
     "quadratic_drag": ("drag",),
@@ -75,7 +76,7 @@ def pendulum_machine(
             mechanism,
             replace(log, joint_names=mechanism.tree.joint_names, input_names=told, driven=told),
         )
-    from adaptsim_jax.mechanisms.model_file import read_model
+    from adaptsim_jax.mend.pendulum_model import read_model
 
     given = read_model(model, own_catalogue(recording.task, effects))
     with TemporaryDirectory() as folder:

@@ -34,7 +34,7 @@ from adaptsim_jax.diagnosis.schema import check, new_report
 from adaptsim_jax.diagnosis.written import cleared, write_all, write_partial
 from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.logs.meta import check_known
-from adaptsim_jax.logs.model_file import declared_model, text_of
+from adaptsim_jax.logs.model_file import declared_model
 from adaptsim_jax.logs.noise.floor import noise_floor, smooth
 from adaptsim_jax.logs.quality.audit import audit, usable
 from adaptsim_jax.logs.quality.findings import Audit
@@ -42,8 +42,8 @@ from adaptsim_jax.logs.quality.pendulum_design import CHANNELS, check_convention
 from adaptsim_jax.logs.quality.trial_words import add_trials
 from adaptsim_jax.logs.recording import read_recording, without_trials
 from adaptsim_jax.logs.types import Recording, Trial
-from adaptsim_jax.mechanisms.model_file import ModelFile
 from adaptsim_jax.mechanisms.registry import make_plant
+from adaptsim_jax.mend.pendulum_model import ModelFile, text_of
 
 LINKS = (
     "m1",

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from adaptsim_jax.mechanisms.closed_loop import Law, run_loop
-from adaptsim_jax.mechanisms.model_file import ModelFile
+from adaptsim_jax.mend.pendulum_model import ModelFile
 from adaptsim_jax.tasks.pendulum.augmented_policy import (
     DT,
     ROWS,

@@ -16,13 +16,13 @@ if TYPE_CHECKING:
     from adaptsim_jax.effects.base import Relaxation as Relaxation
     from adaptsim_jax.effects.registry import catalogue as catalogue
     from adaptsim_jax.effects.registry import effect_named as effect_named
-    from adaptsim_jax.logs.model_file import write_model as write_model
     from adaptsim_jax.logs.recording import read_recording as read_recording
     from adaptsim_jax.logs.types import Recording as Recording
-    from adaptsim_jax.mechanisms.model_file import ModelFile as ModelFile
-    from adaptsim_jax.mechanisms.model_file import read_model as read_model
     from adaptsim_jax.mechanisms.plant import Plant as Plant
     from adaptsim_jax.mechanisms.registry import make_plant as make_plant
+    from adaptsim_jax.mend.pendulum_model import ModelFile as ModelFile
+    from adaptsim_jax.mend.pendulum_model import read_model as read_model
+    from adaptsim_jax.mend.pendulum_model import write_model as write_model
 
 __all__ = [
     "Criteria",
@@ -47,7 +47,7 @@ __getattr__ = lazily(
         "Criteria": "diagnosis.criteria",
         "Dry": "effects.base",
         "Effect": "effects.base",
-        "ModelFile": "mechanisms.model_file",
+        "ModelFile": "mend.pendulum_model",
         "Parameter": "effects.base",
         "Plant": "mechanisms.plant",
         "Recording": "logs.types",
@@ -55,9 +55,9 @@ __getattr__ = lazily(
         "catalogue": "effects.registry",
         "effect_named": "effects.registry",
         "make_plant": "mechanisms.registry",
-        "read_model": "mechanisms.model_file",
+        "read_model": "mend.pendulum_model",
         "read_recording": "logs.recording",
-        "write_model": "logs.model_file",
+        "write_model": "mend.pendulum_model",
     },
 )
 

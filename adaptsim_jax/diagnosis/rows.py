@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.problem import Candidate, Problem
@@ -19,6 +18,7 @@ from adaptsim_jax.diagnosis.schema import check, new_report
 from adaptsim_jax.diagnosis.select import Model, Named, Selection, spread
 from adaptsim_jax.diagnosis.written import cleared, write_all, write_partial
 from adaptsim_jax.effects.base import NINETY
+from adaptsim_jax.mend.model_toml import Form
 
 MODEL, NEXT = "model.toml", "next_experiment.csv"
 LOGS = {"log_e": ("e", "Pa")}
@@ -441,7 +441,7 @@ def finished(
     run: Run,
     plan: Mapping[str, Any] | None,
     folder: Path | None,
-    model: dict[str, Any],
+    model: Form,
     columns: tuple[str, ...],
     page: Page | None,
     more: Mapping[str, Callable[[], str]] = MappingProxyType({}),
@@ -457,7 +457,7 @@ def finished(
     report["run"] = evidence["run"] = run.told()
     report = check(report)
     if folder is not None:
-        files = {MODEL: lambda: config.dumps(model), **more}
+        files = {MODEL: model.text, **more}
         if plan is not None and plan["rows"]:
             table = [
                 ",".join([str(i), *(f"{x:.6f}" for x in row)])

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.core import config
 from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.diagnosis import rows
 from adaptsim_jax.diagnosis.criteria import Criteria
@@ -24,6 +23,7 @@ from adaptsim_jax.diagnosis.simulator import Simulator, check_simulator
 from adaptsim_jax.diagnosis.starts import problem_of
 from adaptsim_jax.diagnosis.written import cleared, write_all
 from adaptsim_jax.diagnosis.yardstick import doing_nothing, skill
+from adaptsim_jax.mend.model_toml import Form, Value, added_effects
 
 METRIC = "median over left-out stretches of the RMS error of a signal over its noise, starts fitted"
 
@@ -71,9 +71,7 @@ def diagnose_simulator(
     report["run"] = evidence["run"] = Run(command or f"diagnose_simulator({name})", began).told()
     report = check(report)
     if folder is not None:
-
-        def model():
-            return config.dumps(model_table(problem, found, name))
+        model = mended_model(problem, found, name).text
 
         values = {
             q.name: float(z)
@@ -172,20 +170,13 @@ def message(found: Selection, worst: float, criteria: Criteria) -> str:
     )
 
 
-def model_table(problem: Problem, found: Selection, name: str) -> dict[str, Any]:
+def mended_model(problem: Problem, found: Selection, name: str) -> Form:
     """`model.toml`: declared quantities as fitted, and what each named effect adds."""
-
-    def value(q):
-        return float(found.final.fit.values[problem.index[q]])
-
-    effects = {n.effect.name: {q: value(q) for q in n.effect.quantities} for n in found.named}
-    return {
-        "schema": 1,
-        "task": "simulator",
-        "model": name,
-        "parameters": {q: value(q) for q in problem.declared},
-        "effects": effects,
-    }
+    value = {q.name: float(found.final.fit.values[i]) for i, q in enumerate(problem.quantities)}
+    units = {q.name: q.unit for q in problem.quantities}
+    declared = {q: Value(value[q], unit=units[q]) for q in problem.declared}
+    effects = added_effects([n.effect for n in found.named], value, units)
+    return Form("simulator", name, declared, effects)
 
 
 def predictions(simulator: Simulator, problem: Problem, model: Model) -> np.ndarray:

@@ -1,7 +1,6 @@
 """An environment whose model carries what `adaptsim diagnose` found of the same robot."""
 
 import copy
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +9,10 @@ import numpy as np
 from mujoco import mjx
 
 from adaptsim_jax.attribution.mend import ACTUATED, HELD
-from adaptsim_jax.attribution.model_toml import DECLARED
+from adaptsim_jax.attribution.model_toml import OWN
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.core.given import finite
+from adaptsim_jax.mend.model_toml import Form, read_form
 
 SAID = {*HELD, *ACTUATED} - {"delay", "actuator_lag"}
 BODY, JOINT, ACTUATOR = (
@@ -63,11 +62,10 @@ def mended(env: Any, path: str | Path) -> Any:
             f"{path}: {type(env).__name__} holds no mj_model and mjx_model of its own, so it "
             f"cannot be mended"
         )
-    declared, found = (
-        _compiled(path.parent / name) for name in (str(table.get("model", DECLARED)), "model.xml")
-    )
+    form = read_form(table, str(path), OWN)
+    declared, found = (_compiled(path.parent / name) for name in (form.model, "model.xml"))
     native = copy.deepcopy(getattr(env, keeper))
-    delay = _delay(table, native, path)
+    delay = _delay(form, native)
     for kind in ARRAYS:
         _copied(kind, native, declared, found, path)
     if not np.array_equal(declared.opt.gravity, found.opt.gravity):
@@ -92,32 +90,31 @@ def _compiled(path: Path) -> mujoco.MjModel:
         raise BadInput(f"{path}: {' '.join(str(error).split())}") from None
 
 
-def _delay(table: Mapping[str, Any], native: mujoco.MjModel, path: Path) -> float:
+def _delay(form: Form, native: mujoco.MjModel) -> float:
     """s, the same for all actuators. BadInput where it is not, or where an effect is none that a
     model's fields can say.
     """
     late: dict[str, float] = {}
-    for k, row in enumerate(table.get("effects", [])):
-        name, joint = row.get("name"), row.get("joint")
-        if name == "delay":
-            value = finite(row.get("parameters", {}).get("delay", {}).get("value"))
+    for k, effect in enumerate(form.effects):
+        if effect.name == "delay":
+            value = effect.parameters["delay"].value if "delay" in effect.parameters else None
             if value is None or value < 0:
                 raise BadInput(
-                    f"{path}: effects[{k}]: a delay of {value} s; give 0 or more, or delete the "
-                    f"effect"
+                    f"{form.path}: effects[{k}]: a delay of {value} s; give 0 or more, or delete "
+                    f"the effect"
                 )
-            late[str(joint)] = value
-        elif name not in SAID:
+            late[effect.where] = value
+        elif effect.name not in SAID:
             raise BadInput(
-                f"{path}: effects[{k}]: no field of a model says '{name}' of {joint}; delete it "
-                f"from the file to go on without, "
-                "or train where it is simulated"
+                f"{form.path}: effects[{k}]: no field of a model says '{effect.name}' of "
+                f"{effect.where}; delete it from the file to go on without, or train where it is "
+                f"simulated"
             )
     driven = {native.joint(native.actuator_trnid[i, 0]).name for i in range(native.nu)}
     if late and (set(late) != driven or np.ptp(list(late.values())) > 1e-9):
         told = ", ".join(f"{joint} {value:g} s" for joint, value in late.items())
         raise BadInput(
-            f"{path}: delays differ between actuators ({told}); an environment has one: give all "
+            f"{form.path}: delays differ between actuators ({told}); an environment has one: give all "
             f"the same"
         )
     return max(late.values(), default=0.0)

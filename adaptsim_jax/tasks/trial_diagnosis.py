@@ -18,21 +18,22 @@ from adaptsim_jax.diagnosis.run import Page, Run, command_of
 from adaptsim_jax.diagnosis.schema import new_report
 from adaptsim_jax.diagnosis.select import Selection
 from adaptsim_jax.diagnosis.written import cleared
+from adaptsim_jax.mend.model_toml import Form
 
 
 @dataclass(frozen=True)
 class Diagnose:
     """The diagnosis of a task's trials. trial: as messages call one; recording: the type of what
     `read(folder)` gives, with candidates `effects(recording)`; judged: `(recording, effects,
-    criteria, progress, folder) -> (report, the arrays behind its page, what to try next, the table
-    of model.toml, further files by name)`; columns: of the actions that are to be tried next.
+    criteria, progress, folder) -> (report, the arrays behind its page, what to try next, the
+    model.toml, further files by name)`; columns: of the actions that are to be tried next.
     """
 
     trial: str
     recording: type
     read: Callable[[Any], Any]
     effects: Callable[[Any], tuple[Candidate, ...]]
-    judged: Callable[..., tuple[dict, dict, dict | None, dict, Mapping[str, Callable[[], str]]]]
+    judged: Callable[..., tuple[dict, dict, dict | None, Form, Mapping[str, Callable[[], str]]]]
     criteria: Criteria
     columns: tuple[str, ...] = ()
 

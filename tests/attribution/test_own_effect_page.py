@@ -10,7 +10,8 @@ import pytest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.effects.base import Effect, Parameter
 from adaptsim_jax.effects.registry import catalogue
-from adaptsim_jax.mechanisms.model_file import AddedEffect, ModelFile, Value
+from adaptsim_jax.mend.model_toml import AddedEffect, Value
+from adaptsim_jax.mend.pendulum_model import ModelFile
 from adaptsim_jax.tasks.pendulum.augmented import mended_space
 from adaptsim_jax.tasks.pendulum.augmented_policy import make_world
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.cli import main
-from adaptsim_jax.logs.model_file import write_model
-from adaptsim_jax.mechanisms.model_file import AddedEffect, ModelFile, Value
+from adaptsim_jax.mend.model_toml import AddedEffect, Value
+from adaptsim_jax.mend.pendulum_model import ModelFile, write_model
 from adaptsim_jax.tasks.pendulum.controller import read_controller
 
 SIZES = ("trajectories=4", "parallel=2", "updates=1", "capacity=100", "archive=100", "horizon=2")

@@ -27,7 +27,7 @@ def test_what_the_plant_has_besides_is_named_with_its_size(name, size, tmp_path)
     value = effect["parameters"][name]
     assert effect["name"] == name and value["value"] == pytest.approx(size, rel=0.1)
     assert report["error"]["after"] < 1.2 < report["error"]["before"]
-    assert (tmp_path / "report.json").exists() and f"[effects.{name}]" in (
+    assert (tmp_path / "report.json").exists() and f'name = "{name}"' in (
         tmp_path / "model.toml"
     ).read_text()
 

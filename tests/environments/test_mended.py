@@ -28,13 +28,13 @@ def written(folder, effects="", found=FOUND, joint="slide"):
     (folder / "declared.xml").write_text(ROBOT.format(joint=joint, **AS_DECLARED))
     (folder / "model.xml").write_text(ROBOT.format(joint=joint, **found))
     path = folder / "model.toml"
-    path.write_text(f'schema = 1\ntask = "mechanism"\nmodel = "declared.xml"\n{effects}')
+    path.write_text(f'schema = 2\ntask = "mechanism"\nmodel = "declared.xml"\n{effects}')
     return path
 
 
 def effect(name, value, parameter, joint="slide"):
     return (
-        f'[[effects]]\nname = "{name}"\njoint = '
+        f'[[effects]]\nname = "{name}"\nwhere = '
         f'"{joint}"\n[effects.parameters.{parameter}]\nvalue = {value}\nunit = "s"\n'
     )
 
@@ -105,7 +105,7 @@ def test_a_file_of_something_else_is_refused(tmp_path):
     path.write_text('task = "pushing"')
     with pytest.raises(BadInput, match="of a robot"):
         mended(small.make(), path)
-    path.write_text('task = "mechanism"')
+    path.write_text('schema = 2\ntask = "mechanism"\nmodel = "declared.xml"\n')
     (tmp_path / "model.xml").unlink()
     with pytest.raises(BadInput, match=r"model.xml: no such file; keep it beside"):
         mended(small.make(), path)

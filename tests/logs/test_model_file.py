@@ -10,10 +10,11 @@ import pytest
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.effects.registry import catalogue
-from adaptsim_jax.logs.model_file import declared_model, text_of, write_model
+from adaptsim_jax.logs.model_file import declared_model
 from adaptsim_jax.logs.recording import read_recording
-from adaptsim_jax.mechanisms.model_file import AddedEffect, ModelFile, Value, read_model
 from adaptsim_jax.mechanisms.stepping import make_model
+from adaptsim_jax.mend.model_toml import AddedEffect, Value
+from adaptsim_jax.mend.pendulum_model import ModelFile, read_model, text_of, write_model
 
 
 def example() -> ModelFile:
@@ -67,7 +68,7 @@ def test_effects_land_in_their_slots_of_the_flat_vector(tmp_path):
 
 
 BAD = (
-    ("schema = 1", "schema = 9", "schema"),
+    ("schema = 2", "schema = 9", "schema"),
     ('task = "pendulum"', 'task = "pushing"', "task"),
     ('model = "rigid_body"', 'model = "bendy"', "bendy"),
     ('angle_zero = "hanging"', 'angle_zero = "left"', "angle_zero"),
@@ -83,7 +84,8 @@ BAD = (
     ("value = 0.02\nlow = 0.015", "value = -0.02\nlow = -0.1", "negative"),
     ("[provenance]", "[provenence]", "provenance"),
     ("[covariance]", "[covariance]\nnames = 3\n[more]", "more"),
-    ("schema = 1", "schema = = 1", "TOML"),
+    ("schema = 2", "schema = = 1", "TOML"),
+    ("schema = 2", "schema = 1", "written by adaptsim_jax 0.1"),
 )
 
 
@@ -106,7 +108,7 @@ def test_missing_file_and_missing_keys(tmp_path):
     path.write_text(text_of(example()).replace("[declared.b2]", "[ignored]", 1))
     with pytest.raises(BadInput, match="ignored"):
         read_model(path)
-    path.write_text('schema = 1\ntask = "pendulum"\n')
+    path.write_text('schema = 2\ntask = "pendulum"\n')
     with pytest.raises(BadInput, match="'model' is missing"):
         read_model(path)
 

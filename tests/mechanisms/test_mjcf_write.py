@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.mechanisms.mjcf import read_mechanism
-from adaptsim_jax.mechanisms.mjcf_write import Changes, mended_mjcf
+from adaptsim_jax.mend.mjcf import Changes, mended_mjcf
 
 ARM = """<mujoco><compiler angle="radian"/><worldbody>
 <body name="upper"><joint name="shoulder" axis="0 1 0" damping="0.1"/>

@@ -272,7 +272,7 @@ def test_what_is_odd_but_readable_is_told(tmp_path, link, more, says):
 
 
 def test_a_mended_file_keeps_what_is_behind_a_joint_that_is_held(tmp_path):
-    from adaptsim_jax.mechanisms.mjcf_write import Changes, mended_mjcf
+    from adaptsim_jax.mend.mjcf import Changes, mended_mjcf
 
     path = written(tmp_path / "robot.xml", GRIPPER.format(free='<freejoint name="root"/>'))
     made = mechanism_of(read_source(path), {}, ("arm",))
@@ -292,7 +292,7 @@ def test_a_mended_file_keeps_what_is_behind_a_joint_that_is_held(tmp_path):
 
 
 def test_what_a_follower_and_a_tendon_add_stays_with_them(tmp_path):
-    from adaptsim_jax.mechanisms.mjcf_write import Changes, mended_mjcf
+    from adaptsim_jax.mend.mjcf import Changes, mended_mjcf
 
     made = read_mechanism(written(tmp_path / "robot.xml", GRIPPER.format(free="")))
     damping = dict(zip(made.tree.joint_names, 2.0 * made.tree.damping, strict=True))

@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.mechanisms.mjcf_write import commented
 from adaptsim_jax.mechanisms.spec import compiled, read_spec, shapeless
+from adaptsim_jax.mend.mjcf import commented
 from adaptsim_jax.simulators.mujoco.acting import OUTSIDE
 from adaptsim_jax.simulators.mujoco.build import Stepped
 from adaptsim_jax.simulators.mujoco.fields import DELAY, GROUND, TILTS, Field, grounds, with_values

@@ -20,8 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.stats.qmc import Sobol
 
-from adaptsim_jax.mechanisms.model_file import ModelFile, model_of, read_model
 from adaptsim_jax.mechanisms.stepping import make_model
+from adaptsim_jax.mend.pendulum_model import ModelFile, model_of, read_model
 from adaptsim_jax.space import Parameter, Space, gaussian
 from adaptsim_jax.tasks.base import Task
 from adaptsim_jax.tasks.pendulum.augmented_policy import make_world, train_policy

@@ -23,8 +23,8 @@ from adaptsim_jax.mechanisms.closed_loop import (
     sensed,
 )
 from adaptsim_jax.mechanisms.double_pendulum.linear import HORIZON, SAMPLES, SNAPSHOTS, transition
-from adaptsim_jax.mechanisms.model_file import ModelFile
 from adaptsim_jax.mechanisms.stepping import Model, acting, make_model
+from adaptsim_jax.mend.pendulum_model import ModelFile
 from adaptsim_jax.tasks.pendulum.task import PendulumTrajectory
 
 ROWS = 500  # a command is held for 5 ms

@@ -16,7 +16,7 @@ import numpy as np
 
 from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.mechanisms.model_file import ModelFile, read_model
+from adaptsim_jax.mend.pendulum_model import ModelFile, read_model
 from adaptsim_jax.tasks.pendulum.augmented_policy import (
     DT,
     MendedPolicy,

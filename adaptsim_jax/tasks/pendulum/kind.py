@@ -5,7 +5,7 @@ from typing import Any
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.given import brief, finite
-from adaptsim_jax.mechanisms.model_file import model_of
+from adaptsim_jax.mend.pendulum_model import model_of
 from adaptsim_jax.tasks.base import Task, TaskKind
 from adaptsim_jax.tasks.pendulum.augmented import make_mended_pendulum
 from adaptsim_jax.tasks.pendulum.engines import registry

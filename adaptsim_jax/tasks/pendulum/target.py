@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.mechanisms.model_file import ModelFile
+from adaptsim_jax.mend.pendulum_model import ModelFile
 from adaptsim_jax.tasks.base import Task
 from adaptsim_jax.tasks.pendulum.augmented import cheapest, mended_space
 from adaptsim_jax.tasks.pendulum.augmented_policy import (

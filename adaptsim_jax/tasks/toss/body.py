@@ -14,8 +14,8 @@ import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.mechanisms.mjcf import rotation_of
-from adaptsim_jax.mechanisms.mjcf_write import commented
 from adaptsim_jax.mechanisms.spec import compiled, read_spec
+from adaptsim_jax.mend.mjcf import commented
 
 SIZED = ("BOX", "SPHERE", "CAPSULE", "CYLINDER", "ELLIPSOID")
 LONGEST_STEP = 0.004  # s; an impact lasts some ms

@@ -12,6 +12,7 @@ from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.problem import Candidate, Problem
 from adaptsim_jax.diagnosis.schema import new_report
 from adaptsim_jax.diagnosis.select import Model, Selection, select
+from adaptsim_jax.mend.model_toml import Form, Value, added_effects
 from adaptsim_jax.tasks.toss.body import mended_xml
 from adaptsim_jax.tasks.toss.catalogue import effects
 from adaptsim_jax.tasks.toss.flight import Flight, free_flight
@@ -58,7 +59,7 @@ def judged(
     report, evidence = reported(tossed, problem, follow, found, criteria)
     values = fitted(problem, found.final)
     xml = {XML: lambda: mended_xml(tossed.body, values, beside(found, values))}
-    return report, evidence, None, model_table(found, values), xml
+    return report, evidence, None, mended_model(problem, found, values), xml
 
 
 def fitted(problem: Problem, model: Model) -> dict[str, float]:
@@ -66,21 +67,16 @@ def fitted(problem: Problem, model: Model) -> dict[str, float]:
     return {q.name: float(v) for q, v in zip(problem.quantities, model.fit.values, strict=True)}
 
 
-def model_table(found: Selection, values: dict[str, float]) -> dict[str, Any]:
+def mended_model(problem: Problem, found: Selection, values: dict[str, float]) -> Form:
     """`model.toml`: declared parameters as fitted, and what each named effect adds."""
-    return {
-        "schema": 1,
-        "task": "toss",
-        "model": XML,
-        "parameters": {
-            "friction": values["friction"],
-            "contact_time": 10.0 ** values["log_time"],
-            "damping": values["damping"],
-        },
-        "effects": {
-            n.effect.name: {q: values[q] for q in n.effect.quantities} for n in found.named
-        },
+    declared = {
+        "friction": Value(values["friction"]),
+        "contact_time": Value(10.0 ** values["log_time"], unit="s"),
+        "damping": Value(values["damping"]),
     }
+    units = {q.name: q.unit for q in problem.quantities}
+    effects = added_effects([n.effect for n in found.named], values, units)
+    return Form("toss", XML, declared, effects)
 
 
 def beside(found: Selection, values: dict[str, float]) -> list[str]:

@@ -9,7 +9,8 @@ import pytest
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.mechanisms.double_pendulum import linear as plain_model
-from adaptsim_jax.mechanisms.model_file import AddedEffect, ModelFile, Value
+from adaptsim_jax.mend.model_toml import AddedEffect, Value
+from adaptsim_jax.mend.pendulum_model import ModelFile
 from adaptsim_jax.space import gaussian
 from adaptsim_jax.tasks.pendulum.augmented import make_mended_pendulum, mended_space
 from adaptsim_jax.tasks.pendulum.augmented_policy import (

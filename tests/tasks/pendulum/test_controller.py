@@ -10,8 +10,8 @@ import pytest
 from adaptsim_jax.commands.adapt import policy_table
 from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.model_file import write_model
-from adaptsim_jax.mechanisms.model_file import AddedEffect, ModelFile, Value
+from adaptsim_jax.mend.model_toml import AddedEffect, Value
+from adaptsim_jax.mend.pendulum_model import ModelFile, write_model
 from adaptsim_jax.tasks.pendulum.augmented_policy import (
     _ahead,
     along,

@@ -189,5 +189,5 @@ def test_a_table_that_is_not_level_is_named(tmp_path, tracks):
     assert effect["name"] == "tilt"
     assert effect["parameters"]["tilt_y"]["value"] == pytest.approx(-0.03, abs=0.005)
     assert report["error"]["after"] < 1.3 * report["error"]["noise_floor"]
-    assert "[effects.tilt]" in (out / "model.toml").read_text()
+    assert 'name = "tilt"' in (out / "model.toml").read_text()
     assert "Tracks from above" in (out / "report.html").read_text()

@@ -19,11 +19,19 @@ from adaptsim_jax.tasks.pushing.simulator import make_simulator
 from adaptsim_jax.tasks.registry import make_one_shot
 
 PARAMS, ACTION = jnp.array([0.1, 1e5, 0.6, 0.05]), jnp.array([0.6, 0.1])
+DECLARED = {"mu": 0.12, "e": 9e4, "mu_p": 0.5, "y_p": 0.02}
+TILT = {"name": "tilt", "where": "table", "parameters": {"tilt_x": 0.0, "tilt_y": 0.03}}
+LATE = {"name": "latency", "where": "camera", "parameters": {"latency": 0.02}}
 MODEL = {
-    "schema": 1, "task": "pushing", "friction": "clean", "mass": 0.3, "coefficients": "native",
-    "parameters": {"mu": 0.12, "e": 9e4, "mu_p": 0.5, "y_p": 0.02},
-    "effects": {"tilt": {"tilt_x": 0.0, "tilt_y": 0.03}, "latency": {"latency": 0.02}},
-}  # fmt: skip
+    "schema": 2,
+    "task": "pushing",
+    "model": "planar",
+    "friction": "clean",
+    "mass": 0.3,
+    "coefficients": "native",
+    "declared": DECLARED,
+    "effects": [TILT, LATE],
+}
 
 
 def test_a_mended_push_is_the_slide_and_one_that_lacks_nothing_is_planar():
@@ -51,9 +59,13 @@ def test_a_model_file_becomes_options_without_what_the_camera_does():
     ("change", "words"),
     [
         ({"mass": 0.5}, "mass = 0.5"),
-        ({"parameters": {"mu": 0.1}}, "no number 'e'"),
-        ({"effects": {"tilt": {"tilt_x": "much"}}}, "tilt_x = 'much' is no number"),
-        ({"effects": {"tilt": 0.1}}, "is no table"),
+        ({"declared": {"mu": 0.1}}, "no number 'e'"),
+        (
+            {"effects": [TILT | {"parameters": {"tilt_x": "much"}}]},
+            "tilt_x.value = 'much' must be a finite number",
+        ),
+        ({"effects": {"tilt": 0.1}}, "must be a list of tables"),
+        ({"schema": 1}, "written by adaptsim_jax 0.1"),
         ({"fricton": "clean"}, "unknown key 'fricton'"),
     ],
 )

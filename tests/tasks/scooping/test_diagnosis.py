@@ -211,7 +211,7 @@ def test_a_blade_that_runs_fast_is_named(tmp_path, simple):
     assert (
         report["error"]["after"] < 1.3 * report["error"]["noise_floor"] < report["error"]["before"]
     )
-    assert f"[effects.{effect['name']}]" in (out / "model.toml").read_text()
+    assert f'name = "{effect["name"]}"' in (out / "model.toml").read_text()
     assert "from the side" in (out / "report.html").read_text()
     assert (out / "next_experiment.csv").exists() == bool(
         (report["next_experiment"] or {}).get("csv")

@@ -215,7 +215,7 @@ def test_a_clock_is_named_from_the_command_line(tmp_path):
     assert "gravity@force" in effect["alternatives"]
     assert effect["parameters"]["clock"]["value"] == pytest.approx(0.03, abs=0.006)
     assert report["error"]["after"] < report["error"]["before"]
-    assert "[effects.clock_scale]" in (out / "model.toml").read_text()
+    assert 'name = "clock_scale"' in (out / "model.toml").read_text()
     assert "clock_scale" in (out / "model.xml").read_text()
     assert "Tracks from above" in (out / "report.html").read_text()
 

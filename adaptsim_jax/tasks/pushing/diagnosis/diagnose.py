@@ -4,13 +4,13 @@ and the push that tells more.
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from adaptsim_jax.diagnosis import rows
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.fit import fitted
 from adaptsim_jax.diagnosis.problem import Problem
 from adaptsim_jax.diagnosis.select import Selection, select
+from adaptsim_jax.mend.model_toml import Form, Value, added_effects
 from adaptsim_jax.tasks.pushing.diagnosis.catalogue import effects_of, grain
 from adaptsim_jax.tasks.pushing.diagnosis.experiment import telling
 from adaptsim_jax.tasks.pushing.diagnosis.problem import TURNING, prepare, simulated
@@ -66,7 +66,7 @@ def judged(pushed: Pushed, effects, criteria: Criteria, progress, folder: Path |
             row["ratio"], row["smooth_direction_rad"] = grain(
                 *(z["value"] for z in row["parameters"].values())
             )
-    return report, evidence, telling(pushed, found), model_table(pushed, problem, found), {}
+    return report, evidence, telling(pushed, found), mended_model(pushed, problem, found), {}
 
 
 def _mirrored(pushed: Pushed, problem: Problem, found: Selection, criteria: Criteria) -> str:
@@ -91,26 +91,23 @@ def _mirrored(pushed: Pushed, problem: Problem, found: Selection, criteria: Crit
     )
 
 
-def model_table(pushed: Pushed, problem: Problem, found: Selection) -> dict[str, Any]:
+def mended_model(pushed: Pushed, problem: Problem, found: Selection) -> Form:
     """`model.toml`: declared parameters as fitted, and what each named effect adds."""
-
-    def value(name):
-        return float(found.final.fit.values[problem.index[name]])
-
-    return {
-        "schema": 1,
-        "task": "pushing",
+    value = {q.name: float(found.final.fit.values[i]) for i, q in enumerate(problem.quantities)}
+    declared = {
+        "mu": Value(value["mu"]),
+        "e": Value(10.0 ** value["log_e"], unit="Pa"),
+        "mu_p": Value(value["mu_p"]),
+        "y_p": Value(value["y_p"], unit="m"),
+    }
+    own = {
         "friction": pushed.options.friction,
         "mass": pushed.options.mass,
         "coefficients": "drake" if pushed.coefficients == DRAKE else "native",
-        "parameters": {
-            "mu": value("mu"),
-            "e": 10.0 ** value("log_e"),
-            "mu_p": value("mu_p"),
-            "y_p": value("y_p"),
-        },
-        "effects": {n.effect.name: {q: value(q) for q in n.effect.quantities} for n in found.named},
     }
+    units = {q.name: q.unit for q in problem.quantities}
+    effects = added_effects([n.effect for n in found.named], value, units)
+    return Form("pushing", MODEL, declared, effects, own)
 
 
 diagnose = Diagnose(

@@ -4,12 +4,12 @@ and the scoop that tells more.
 
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from adaptsim_jax.diagnosis import rows
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.mend.model_toml import Form, Value, added_effects
 from adaptsim_jax.tasks.scooping.diagnosis.experiment import telling
 from adaptsim_jax.tasks.scooping.diagnosis.passes import CRITERIA, Found, diagnosed, effects_of
 from adaptsim_jax.tasks.scooping.diagnosis.read import KIND, Scooped, read
@@ -51,7 +51,7 @@ def judged(scooped: Scooped, effects, criteria: Criteria, progress, folder: Path
         piece={"shape": found.shape, "declared": s.shape is not None},
     )
     evidence["tracks"]["axes"] = [s.channels[i] for i in side]
-    return report, evidence, telling(scooped, found), model_table(scooped, found), {}
+    return report, evidence, telling(scooped, found), mended_model(scooped, found), {}
 
 
 def _told(found: Found, known: np.ndarray, mask: np.ndarray) -> str:
@@ -64,24 +64,20 @@ def _told(found: Found, known: np.ndarray, mask: np.ndarray) -> str:
     )
 
 
-def model_table(scooped: Scooped, found: Found) -> dict[str, Any]:
+def mended_model(scooped: Scooped, found: Found) -> Form:
     """`model.toml`: declared parameters as fitted, and what each named effect adds."""
-    values, index = found.selection.final.fit.values, found.problem.index
-
-    def value(name):
-        return float(values[index[name]])
-
-    g = float(SHAPES.index(found.shape))
-    return {
-        "schema": 1,
-        "task": "scooping",
-        "clearance": scooped.options.clearance,
-        "press": scooped.options.press,
-        "parameters": {"mu": value("mu"), "e": 10.0 ** value("log_e"), "g": g, "h": value("h")},
-        "effects": {
-            n.effect.name: {q: value(q) for q in n.effect.quantities} for n in found.selection.named
-        },
+    problem, fitted = found.problem, found.selection.final.fit.values
+    value = {q.name: float(fitted[i]) for i, q in enumerate(problem.quantities)}
+    declared = {
+        "mu": Value(value["mu"]),
+        "e": Value(10.0 ** value["log_e"], unit="Pa"),
+        "g": Value(float(SHAPES.index(found.shape))),
+        "h": Value(value["h"], unit="m"),
     }
+    own = {"clearance": scooped.options.clearance, "press": scooped.options.press}
+    units = {q.name: q.unit for q in problem.quantities}
+    effects = added_effects([n.effect for n in found.selection.named], value, units)
+    return Form("scooping", MODEL, declared, effects, own)
 
 
 diagnose = Diagnose(
