@@ -9,7 +9,6 @@ import jax
 import mujoco
 import numpy as np
 import pytest
-from adaptsim_jax.mechanisms.mjcf_write import mended_mjcf
 
 from adaptsim_jax.attribution import model_toml
 from adaptsim_jax.attribution.catalogue import MACHINE
@@ -20,6 +19,7 @@ from adaptsim_jax.attribution.parameters import Entry, Vector
 from adaptsim_jax.attribution.paths import ready, run, starts_of
 from adaptsim_jax.attribution.problem import prepare
 from adaptsim_jax.attribution.simulate import simulate
+from adaptsim_jax.mend.mjcf import mended_mjcf
 
 OPTION = '<compiler angle="radian"/><option timestep="{step}" integrator="implicitfast"/>'
 BODIES = """<worldbody><body pos="0 0 1"><joint name="a" axis="0 1 0" damping="0.3" frictionloss="0.1"
