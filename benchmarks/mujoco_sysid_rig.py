@@ -34,7 +34,7 @@ from adaptsim_jax.attribution.pendulum import declared_machine, in_the_plane
 from adaptsim_jax.attribution.pendulum_diagnosis import first_parameters
 from adaptsim_jax.attribution.problem import nuisances, prepare
 from adaptsim_jax.attribution.replay import replay
-from adaptsim_jax.diagnosis import read_recording
+from adaptsim_jax.diagnosis import read_pendulum
 from adaptsim_jax.logs.quality.audit import audit, usable
 from adaptsim_jax.mechanisms.mjcf import read_mechanism
 
@@ -163,13 +163,15 @@ def peers(machine, xml: str, links: bool) -> tuple[dict, str]:
 
 
 def main(rig: str) -> None:
-    whole = read_recording(DATA / "measured_double_pendulum" / rig)
-    train = usable(*(lambda r: (r, audit(r)))(whole.replace(trials=whole.trials[:-LEFT_OUT])))
-    theta = first_parameters(train, audit(train))
+    whole = read_pendulum(DATA / "measured_double_pendulum" / rig)
+    names = [t.name for t in whole.trials]
+    train = whole.pick(names[:-LEFT_OUT])
+    train = usable(train, audit(train))
+    theta = first_parameters(train)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "declared.xml"
         machine = declared_machine(train, theta, path)
-        rest = whole.replace(trials=whole.trials[-LEFT_OUT:])
+        rest = whole.pick(names[-LEFT_OUT:])
         test = declared_machine(usable(rest, audit(rest)), theta, Path(folder) / "test.xml")
         compare(rig, machine, test, path, lambda problem: in_the_plane(nuisances(problem)), True)
 

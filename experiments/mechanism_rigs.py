@@ -26,9 +26,9 @@ from adaptsim_jax.attribution.diagnose import HORIZON, diagnose, examined
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.model_toml import DECLARED
 from adaptsim_jax.attribution.pendulum import declared_machine, in_the_plane
-from adaptsim_jax.attribution.pendulum_diagnosis import first_parameters, masked
+from adaptsim_jax.attribution.pendulum_diagnosis import first_parameters
 from adaptsim_jax.attribution.replay import Replay, replay
-from adaptsim_jax.diagnosis import read_recording
+from adaptsim_jax.diagnosis import read_pendulum
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.logs.quality.audit import audit, usable
 
@@ -62,17 +62,16 @@ def names(report: dict) -> list[str]:
 
 def left_out(rig: str, trial: str) -> dict:
     """Everything without one trial of a double pendulum, scored on that trial."""
-    whole = read_recording(data() / "measured_double_pendulum" / rig)
+    whole = read_pendulum(data() / "measured_double_pendulum" / rig)
     began = time.perf_counter()
-    rest = whole.replace(trials=tuple(t for t in whole.trials if t.name != trial))
-    checked = audit(rest)
-    rest = masked(usable(rest, checked), checked)
-    theta = first_parameters(rest, checked)
+    rest = whole.without([trial])
+    rest = usable(rest, audit(rest))
+    theta = first_parameters(rest)
     with tempfile.TemporaryDirectory() as folder:
         machine = declared_machine(rest, theta, Path(folder) / DECLARED)
         report, _, whole_run = examined(machine, Criteria(), HORIZON, narrow=in_the_plane)
         found = whole_run.found
-        one = whole.replace(trials=tuple(t for t in whole.trials if t.name == trial))
+        one = whole.pick([trial])
         test = declared_machine(usable(one, audit(one)), theta, Path(folder) / "one.xml")
         scores = {
             key: told(replay(test, HORIZON, vector))
@@ -151,7 +150,7 @@ def main() -> None:
         return
     rig = a.rig.split("/")[1]
     rows = json.loads(a.out.read_text()) if a.out.exists() else []
-    for trial in read_recording(data() / "measured_double_pendulum" / rig).trials:
+    for trial in read_pendulum(data() / "measured_double_pendulum" / rig).trials:
         if trial.name not in {r["trial"] for r in rows}:
             rows.append(left_out(rig, trial.name))
             a.out.write_text(json.dumps(rows, indent=1))

@@ -14,7 +14,7 @@ import numpy as np
 
 from adaptsim_jax.commands.diagnose import TRIALS
 from adaptsim_jax.core import compile_flags
-from adaptsim_jax.logs.meta import declared_task
+from adaptsim_jax.logs.declared import declared_task
 
 
 def main(folder):

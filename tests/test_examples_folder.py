@@ -9,7 +9,7 @@ import pytest
 
 from adaptsim_jax.adaptation.sweep_spec import read_sweep
 from adaptsim_jax.logs.log_meta import read_log_meta
-from adaptsim_jax.logs.meta import read_meta
+from adaptsim_jax.logs.pendulum import read_pendulum_meta
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
@@ -35,8 +35,8 @@ def test_meta_of_a_mechanism(tmp_path):
 
 
 def test_meta_of_a_pendulum():
-    meta = read_meta(EXAMPLES / "meta_pendulum.toml")
-    assert meta.known == {"b1": 0.01} and meta.unactuated == (1,)
+    rig = read_pendulum_meta(EXAMPLES / "meta_pendulum.toml")[0].rig
+    assert rig.known == {"b1": 0.01} and rig.unactuated == (1,)
 
 
 @pytest.mark.parametrize("folder", ["so101", "go2_hung", "panda_hand"])

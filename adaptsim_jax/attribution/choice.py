@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.declared import declared_task
 from adaptsim_jax.logs.log import Log
-from adaptsim_jax.logs.meta import declared_task
 from adaptsim_jax.logs.read import read_source_and_log
 from adaptsim_jax.mechanisms.spec import Source
 from adaptsim_jax.simulators.mujoco.build import stepped, turns_of_balls

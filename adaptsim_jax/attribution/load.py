@@ -8,10 +8,10 @@ from adaptsim_jax.attribution.choice import base_moves
 from adaptsim_jax.attribution.machine import Machine, machine
 from adaptsim_jax.attribution.pendulum import pendulum_machine
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.meta import declared_task
+from adaptsim_jax.logs.declared import declared_task
+from adaptsim_jax.logs.pendulum import read_pendulum
 from adaptsim_jax.logs.quality.audit import audit, usable
 from adaptsim_jax.logs.read import joined, read_source_and_log
-from adaptsim_jax.logs.recording import read_recording
 from adaptsim_jax.mend.model_toml import read_model_table
 from adaptsim_jax.simulators.mujoco.build import stepped, turns_of_balls
 from adaptsim_jax.simulators.mujoco.touching import touching
@@ -47,8 +47,8 @@ def load(data: str | Path, model: str | Path | None = None) -> Machine:
             f"{data}: a double pendulum's masses are not declared; give a model.xml or model.toml "
             f"of it"
         )
-    recording = read_recording(data)
-    return pendulum_machine(usable(recording, audit(recording)), model)
+    log = read_pendulum(data)
+    return pendulum_machine(usable(log, audit(log)), model)
 
 
 def _joined(data: str | Path, model: str | Path | None) -> Machine:

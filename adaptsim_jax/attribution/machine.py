@@ -7,8 +7,7 @@ import numpy as np
 
 from adaptsim_jax.attribution.problem import BEYOND_STOP, beyond_range
 from adaptsim_jax.attribution.stretches import Track
-from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.log import Log
+from adaptsim_jax.logs.log import Log, check_left_out
 from adaptsim_jax.mechanisms.actuators import Actuator
 from adaptsim_jax.mechanisms.mjcf import Mechanism
 from adaptsim_jax.mechanisms.tree import Tree
@@ -63,14 +62,7 @@ class Machine:
 
     def without(self, names: Sequence[str]) -> "Machine":
         """Without these trials. Raises BadInput where one is not there, or none is left."""
-        known = [t.name for t in self.tracks]
-        if unknown := sorted(set(names) - set(known)):
-            raise BadInput(
-                f"{self.log.path}: no trial is named {unknown[0]!r}; --without takes of "
-                f"{', '.join(sorted(known))}"
-            )
-        if not set(known) - set(names):
-            raise BadInput(f"{self.log.path}: --without leaves no trial; leave one out at a time")
+        check_left_out(self.log.path, sorted(t.name for t in self.tracks), names)
         return replace(self, tracks=tuple(t for t in self.tracks if t.name not in set(names)))
 
 

@@ -11,8 +11,7 @@ import numpy as np
 
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.log_units import Affine
-from adaptsim_jax.logs.meta import TIME_UNITS
+from adaptsim_jax.logs.log_units import TIME_UNITS, Affine
 from adaptsim_jax.logs.quality.contradictions import AS_DECLARED, NEAR, POOR
 from adaptsim_jax.logs.quality.findings import Finding
 from adaptsim_jax.logs.quality.hypotheses import (

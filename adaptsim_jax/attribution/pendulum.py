@@ -20,12 +20,12 @@ from adaptsim_jax.core.files import write_bytes
 from adaptsim_jax.diagnosis.testing import jackknife
 from adaptsim_jax.effects.base import NINETY, Effect
 from adaptsim_jax.effects.registry import catalogue
-from adaptsim_jax.logs.pendulum_log import log_of
-from adaptsim_jax.logs.types import Recording
+from adaptsim_jax.logs.log import Log
+from adaptsim_jax.logs.log_meta import Rig
 from adaptsim_jax.mechanisms.double_pendulum.mjcf import JOINTS, double_pendulum_mjcf
 from adaptsim_jax.mechanisms.mjcf import read_mechanism
 from adaptsim_jax.mend.model_toml import AddedEffect, Value
-from adaptsim_jax.mend.pendulum_model import ModelFile
+from adaptsim_jax.mend.pendulum_model import ModelFile, read_model
 
 SAME = {
     "quadratic_drag": ("drag",),
@@ -53,38 +53,58 @@ LINK = ("size", "stretch_y", "shift_y")
 RIGID, LINEAR = "rigid_body", "linearized"
 
 
-def pendulum_machine(
-    recording: Recording, model: str | Path, effects: Sequence[Effect] = ()
-) -> Machine:
-    """A recording of the double pendulum with a model: an MJCF or URDF file, or a `model.toml`,
-    which may hold `effects` besides ours.
+def pendulum_machine(log: Log, model: str | Path, effects: Sequence[Effect] = ()) -> Machine:
+    """A log of the double pendulum with a model: an MJCF or URDF file, or a `model.toml`, which may
+    hold `effects` besides ours.
 
     Raises BadInput where the model is not of two joints, or has an effect that mechanisms do not
     know.
     """
     if Path(model).suffix.lower() != ".toml":
         mechanism = read_mechanism(model)
-        if mechanism.tree.n != 2:
+        names = mechanism.tree.joint_names
+        if len(names) != 2:
             raise BadInput(
-                f"{model}: has {mechanism.tree.n} joints, but {recording.path} is of a double "
+                f"{model}: has {len(names)} joints, but {log.path} is of a double "
                 f"pendulum; give one of 2"
             )
-        log = log_of(recording)
-        names: dict[str, str] = dict(zip(JOINTS, mechanism.tree.joint_names, strict=True))
-        told = tuple(names[n] for n in log.driven)
+        theirs: dict[str, str] = dict(zip(JOINTS, names, strict=True))
+        inputs = tuple(theirs[n] for n in log.input_names)
+        driven = tuple(theirs[n] for n in log.driven)
         return machine(
-            mechanism,
-            replace(log, joint_names=mechanism.tree.joint_names, input_names=told, driven=told),
+            mechanism, replace(log, joint_names=names, input_names=inputs, driven=driven)
         )
-    from adaptsim_jax.mend.pendulum_model import read_model
-
-    given = read_model(model, own_catalogue(recording.task, effects))
+    given = read_model(model, own_catalogue("pendulum", effects))
     with TemporaryDirectory() as folder:
-        made = declared_machine(recording, given.theta(given.plant()), Path(folder) / DECLARED)
+        made = declared_machine(log, given.theta(given.plant()), Path(folder) / DECLARED)
     notes = (*made.log.notes, *left_out(given))
     return replace(
         made, declared=made.declared | _declared_effects(given), log=replace(made.log, notes=notes)
     )
+
+
+def declared_model(rig: Rig, effects: Sequence[Effect] | None = None) -> ModelFile | None:
+    """The mended model that a rig's `meta.toml` names, or None.
+
+    Raises BadInput where the file is bad or is of another rig than the recording says.
+    """
+    if rig.model_file is None:
+        return None
+    given = read_model(rig.model_file, effects)
+    for key in ("task", "model", "angle_zero"):
+        there, here = getattr(given, key), getattr(rig, key)
+        if there != here:
+            raise BadInput(
+                f"{given.path}: {key} = {there!r}, but meta.toml of the recording says {here!r}; "
+                f"mend one"
+            )
+    for key in set(given.geometry) & set(rig.geometry):
+        if abs(given.geometry[key] - rig.geometry[key]) > 1e-9 * abs(given.geometry[key]):
+            raise BadInput(
+                f"{given.path}: geometry.{key} = {given.geometry[key]:g}, but the recording has "
+                f"{rig.geometry[key]:g}; a mended model is of one rig: mend one of them"
+            )
+    return given
 
 
 def own_catalogue(task: str, effects: Sequence[Effect]) -> tuple[Effect, ...]:
@@ -111,17 +131,17 @@ def left_out(given: ModelFile) -> list[str]:
     return out
 
 
-def declared_machine(recording: Recording, theta: np.ndarray, path: Path) -> Machine:
-    """A recording with the declared model at parameters theta (p1, p3, h1, h2, b1, b2 of a rigid
-    body, m1, m2, b1, b2 of a linearized one), which is written to `path` as MJCF.
+def declared_machine(log: Log, theta: np.ndarray, path: Path) -> Machine:
+    """A log of a rig with the declared model at parameters theta, which is written to `path`.
+
+    theta: p1, p3, h1, h2, b1, b2 of a rigid body, m1, m2, b1, b2 of a linearized one.
     """
-    linear = recording.model == LINEAR
+    rig = log.meta.rig
+    linear = rig.model == LINEAR
     base = _of_point_masses(theta) if linear else theta
-    write_bytes(path, double_pendulum_mjcf(base, recording.geometry, recording.angle_zero).encode())
+    write_bytes(path, double_pendulum_mjcf(base, rig.geometry, rig.angle_zero).encode())
     mechanism = read_mechanism(path)
-    return machine(
-        replace(mechanism, tree=replace(mechanism.tree, linear=linear)), log_of(recording)
-    )
+    return machine(replace(mechanism, tree=replace(mechanism.tree, linear=linear)), log)
 
 
 def _of_point_masses(theta: np.ndarray) -> np.ndarray:
@@ -199,26 +219,26 @@ def base_parameters(inertial: np.ndarray, l1: float, down: float) -> np.ndarray:
     return np.array([i1 + m2 * l1**2 + i2, i2, down * m1y + m2 * l1, down * m2y])
 
 
-def declared_values(recording: Recording, problem: Problem, model: Model) -> dict[str, Value]:
+def declared_values(rig: Rig, problem: Problem, model: Model) -> dict[str, Value]:
     """Declared parameters of a fitted model under their names in `model.toml`, with 90 % intervals
     from its folds (jackknife).
     """
     (group,) = problem.groups
-    vector, l1 = model.fit.vector, float(recording.geometry["l1"])
-    down = -1.0 if recording.angle_zero == "upright" else 1.0
+    vector, l1 = model.fit.vector, float(rig.geometry["l1"])
+    down = -1.0 if rig.angle_zero == "upright" else 1.0
 
     def base(z):
         return base_parameters(values_of(problem, group, vector.at(z)).inertial[..., 0], l1, down)
 
     names, units, of = ("p1", "p3", "h1", "h2"), ("kg m^2", "kg m^2", "kg m", "kg m"), lambda z: z
-    if recording.model == LINEAR:  # gravity has the least to do with how bodies are shaped
+    if rig.model == LINEAR:  # gravity has the least to do with how bodies are shaped
         names, units, of = ("m1", "m2"), ("kg", "kg"), lambda z: np.array([z[2] - z[3], z[3]])
     own, folds = of(base(vector.values)), np.array([of(base(z)) for z in model.held.vectors])
     wide = jackknife(folds)
     out = {k: _number(*z) for k, z in zip(names, zip(own, wide, units, strict=True), strict=True)}
     by = _fitted(model)
     for k in range(2):
-        held = (float(recording.known.get(f"b{k + 1}", 0.0)), 0.0, "N m s/rad")
+        held = (float(rig.known.get(f"b{k + 1}", 0.0)), 0.0, "N m s/rad")
         out[f"b{k + 1}"] = _number(*by.get(("viscous", "damping", k), held))
     return out
 
@@ -236,15 +256,15 @@ def _fitted(model: Model) -> dict[tuple[str, str, int], tuple[float, float, str]
 
 
 def model_file(
-    recording: Recording, problem: Problem, model: Model, told: Mapping[str, object]
+    rig: Rig, problem: Problem, model: Model, told: Mapping[str, object]
 ) -> tuple[ModelFile, list[str]]:
     """A fitted model as `model.toml` holds it, and a line for each effect that it cannot hold.
     told: of its provenance.
     """
-    declared, by = declared_values(recording, problem, model), _fitted(model)
+    declared, by = declared_values(rig, problem, model), _fitted(model)
     effects, lost = [], []
-    library = {e.name: e for e in own_catalogue(recording.task, problem.effects)}
-    own = set(library) - {e.name for e in catalogue(recording.task)}
+    library = {e.name: e for e in own_catalogue(rig.task, problem.effects)}
+    own = set(library) - {e.name for e in catalogue(rig.task)}
 
     def put(name: str, where: str, mine: Mapping[str, Value]) -> None:
         parameters = library[name].parameters
@@ -285,15 +305,15 @@ def model_file(
             lost.append(
                 f"model.toml cannot hold {name} at {where}; model.xml says what of it MJCF can hold"
             )
-    given = {k: float(v) for k, v in recording.geometry.items()}
+    given = {k: float(v) for k, v in rig.geometry.items()}
     file = ModelFile(
-        recording.task,
-        recording.model,
-        recording.angle_zero,
+        rig.task,
+        rig.model,
+        rig.angle_zero,
         given,
         declared,
         tuple(effects),
-        {k: float(v) for k, v in recording.known.items()},
+        {k: float(v) for k, v in rig.known.items()},
         provenance=dict(told),
         library=tuple(library.values()) if own else (),
     )

@@ -18,6 +18,7 @@ from adaptsim_jax.attribution.pendulum import (
     LINEAR,
     RIGID,
     declared_machine,
+    declared_model,
     declared_values,
     doubted,
     in_the_plane,
@@ -33,15 +34,18 @@ from adaptsim_jax.diagnosis.run import Run, command_of, plain
 from adaptsim_jax.diagnosis.schema import check, new_report
 from adaptsim_jax.diagnosis.written import cleared, write_all, write_partial
 from adaptsim_jax.effects.base import Effect
-from adaptsim_jax.logs.meta import check_known
-from adaptsim_jax.logs.model_file import declared_model
-from adaptsim_jax.logs.noise.floor import noise_floor, smooth
+from adaptsim_jax.logs.local_motion import local_motion
+from adaptsim_jax.logs.log import Log
+from adaptsim_jax.logs.log_meta import Rig
+from adaptsim_jax.logs.pendulum import check_known, read_pendulum
 from adaptsim_jax.logs.quality.audit import audit, usable
-from adaptsim_jax.logs.quality.findings import Audit
-from adaptsim_jax.logs.quality.pendulum_design import CHANNELS, check_conventions, pendulum_trials
+from adaptsim_jax.logs.quality.pendulum_design import (
+    CHANNELS,
+    check_conventions,
+    pendulum_trials,
+    torques,
+)
 from adaptsim_jax.logs.quality.trial_words import add_trials
-from adaptsim_jax.logs.recording import read_recording, without_trials
-from adaptsim_jax.logs.types import Recording, Trial
 from adaptsim_jax.mechanisms.registry import make_plant
 from adaptsim_jax.mend.pendulum_model import ModelFile, text_of
 
@@ -55,11 +59,11 @@ LINKS = (
     "b1",
     "b2",
 )  # of which base parameters are made, and which may be known
-LEAST_ROWS = 64  # of a part of a trial between rows without angles, that is smoothed by itself
+LEAST_ROWS = 64  # of a part of a trial between rows without angles, that is regressed by itself
 
 
 def diagnose_pendulum(
-    data: str | Path | Recording,
+    data: str | Path | Log,
     *,
     out: str | Path | None = None,
     exclude: Sequence[str] = (),
@@ -92,45 +96,34 @@ def diagnose_pendulum(
     began = time.monotonic()
     say = progress or (lambda done, total, note: None)
     say(0.02, 1.0, "reading")
-    if isinstance(data, Recording):
-        read = data
-    else:
-        read = read_recording(data, without=without)
-    recording = without_trials(read, without)
-    checked = audit(recording)
+    log = data if isinstance(data, Log) else read_pendulum(data, without=without)
+    log = log.without([name for name in without if name in {t.name for t in log.trials}])
+    rig, path = log.meta.rig, log.path
+    checked = audit(log)
     run = Run(
-        command_of(
-            recording.path, out=out, exclude=exclude, without=without, as_declared=as_declared
-        ),
+        command_of(path, out=out, exclude=exclude, without=without, as_declared=as_declared),
         began,
     )
     folder = None if out is None else cleared(output_folder(out))
     if checked.fault:
         data_told = {
-            "trials": len(recording.trials),
-            "samples": _samples(recording),
+            "trials": len(log.trials),
+            "samples": log.samples,
             "held_out_trials": 0,
         }
-        report = new_report(
-            recording.task, recording.model, "data_fault", checked.message, data_told
-        )
-        told = {"warnings": checked.warnings, "notes": [*recording.notes, *checked.limits]}
+        report = new_report(rig.task, rig.model, "data_fault", checked.message, data_told)
+        told = {"warnings": checked.warnings, "notes": [*log.notes, *checked.limits]}
         return _written(report | told, {"audit": checked.rows}, run, folder, page, {})
-    recording = masked(usable(recording, checked), checked)
-    if as_declared:
-        checked = checked
-    else:
-        checked = replace(checked, findings=checked.findings + check_conventions(recording))
+    log = usable(log, checked)
+    if not as_declared:
+        checked = replace(checked, findings=checked.findings + check_conventions(log))
     with TemporaryDirectory() as spare:
-        if recording.model_file is None:
-            machine = declared_machine(
-                recording, first_parameters(recording, checked), Path(spare) / DECLARED
-            )
+        if rig.model_file is None:
+            machine = declared_machine(log, first_parameters(log), Path(spare) / DECLARED)
         else:
-            declared_model(
-                recording, own_catalogue(recording.task, effects or ())
-            )  # BadInput where it is of another rig
-            machine = pendulum_machine(recording, recording.model_file, effects or ())
+            known = own_catalogue(rig.task, effects or ())
+            declared_model(rig, known)  # BadInput where it is of another rig
+            machine = pendulum_machine(log, rig.model_file, effects or ())
         report, evidence, whole = examined(
             machine,
             criteria or Criteria(),
@@ -141,31 +134,29 @@ def diagnose_pendulum(
             effects,
             None if folder is None else lambda so_far: write_partial(folder, so_far),
             STRETCHES,
-            torques=recording.model == LINEAR,
+            torques=rig.model == LINEAR,
         )
         problem, found = whole.problem, whole.found
-        report |= {"task": recording.task, "model": recording.model}
+        report |= {"task": rig.task, "model": rig.model}
 
         def rows(model):
             return {
                 k: asdict(v) | {"identifiable": v.fitted}
-                for k, v in declared_values(recording, problem, model).items()
+                for k, v in declared_values(rig, problem, model).items()
             }
 
         report["declared"] = {"before": rows(found.null), "after": rows(found.final)}
         report["warnings"] = [
             *checked.warnings,
-            *doubted(recording.known, declared_values(recording, problem, found.final)),
+            *doubted(rig.known, declared_values(rig, problem, found.final)),
         ]
         report["notes"] += checked.limits
-        _of_unknown_masses(report, recording)
-        add_trials(report, evidence, pendulum_trials(recording), CHANNELS)
+        _of_unknown_masses(report, rig)
+        add_trials(report, evidence, pendulum_trials(log), CHANNELS)
         evidence["audit"] += checked.rows
-        provenance = (
-            {k: report[k] for k in ("verdict", "message")} | {"data": recording.path} | run.told()
-        )
-        null, _ = model_file(recording, problem, found.null, {})
-        file, lost = model_file(recording, problem, found.final, provenance)
+        provenance = {k: report[k] for k in ("verdict", "message")} | {"data": path} | run.told()
+        null, _ = model_file(rig, problem, found.null, {})
+        file, lost = model_file(rig, problem, found.final, provenance)
         report["notes"] += lost
         if reward is not None and found.named:
             try:
@@ -179,70 +170,56 @@ def diagnose_pendulum(
         files = {}
         if folder is not None:
             files = {"model.toml": lambda: text_of(file)}
-            if recording.model != LINEAR:  # which no MJCF can say
+            if rig.model != LINEAR:  # which no MJCF can say
                 files |= mjcf_files(machine, whole, criteria or Criteria())
         return _written(report, evidence, run, folder, page, files)
 
 
-def first_parameters(recording: Recording, checked: Audit) -> np.ndarray:
-    """Declared parameters [P] at which the fit begins: by regression of the momentum balance on the
-    smoothed motion (`Plant.initial_theta`), which no simulation leads astray. Raises BadInput where
-    `[known]` names what the model has not.
+def first_parameters(log: Log) -> np.ndarray:
+    """Declared parameters [P] at which the fit begins.
+
+    By regression of the momentum balance on the smoothed motion (`Plant.initial_theta`), which no
+    simulation leads astray. Raises BadInput where `[known]` names what the model has not.
     """
-    if recording.model not in (RIGID, LINEAR):
+    rig = log.meta.rig
+    if rig.model not in (RIGID, LINEAR):
         raise BadInput(
-            f'{recording.path}: model = "{recording.model}" is not diagnosed; write it as an MJCF, '
+            f'{log.path}: model = "{rig.model}" is not diagnosed; write it as an MJCF, '
             f'and task = "mechanism"'
         )
-    plant = make_plant(recording.model, recording.angle_zero, recording.geometry, recording.known)
-    links = LINKS if recording.model == RIGID else ()
-    check_known(recording.path, recording.known, (*plant.theta_names, *links))
-    noise = noise_floor(recording, checked)
-    motions = [(t, *smooth(t, noise)) for whole in recording.trials for t in _unbroken(whole)]
-    if any(np.any(t.torque) for t in recording.trials):
-        plant = plant
-    else:
+    plant = make_plant(rig.model, rig.angle_zero, rig.geometry, rig.known)
+    links = LINKS if rig.model == RIGID else ()
+    check_known(log.path, rig.known, (*plant.theta_names, *links))
+    if not log.driven:
         plant = plant.unscaled()
-    return plant.initial_theta([(t.time, q, v, t.torque) for t, q, v in motions])
+    motions = []
+    for trial in log.trials:
+        torque = torques(log, trial)
+        for rows in _unbroken(trial.q):
+            time, v = trial.time[rows], None if trial.v is None else trial.v[rows]
+            motions.append((time, *local_motion(time, trial.q[rows], v), torque[rows]))
+    return plant.initial_theta(motions)
 
 
-def _unbroken(trial: Trial) -> list[Trial]:
-    """The trial, or its parts between rows that have no angles: those of `LEAST_ROWS` or more, else
-    the longest.
+def _unbroken(q: np.ndarray) -> list[np.ndarray]:
+    """The rows of a trial, or of its parts between rows that have no angles `q [T, n]`.
+
+    Parts are of `LEAST_ROWS` or more, else the longest.
     """
-    seen = np.all(np.isfinite(trial.q), axis=1)
-    if seen.all():
-        return [trial]
-    parts = [
-        p for p in np.split(np.arange(len(seen)), np.flatnonzero(np.diff(seen)) + 1) if seen[p[0]]
-    ]
+    seen = np.all(np.isfinite(q), axis=1)
+    parts = np.split(np.arange(len(seen)), np.flatnonzero(np.diff(seen)) + 1)
+    parts = [rows for rows in parts if seen[rows[0]]]
     longest = max(map(len, parts), default=0)
-
-    def cut(z, rows):
-        if z is None:
-            return None
-        return z[rows]
-
-    return [
-        replace(
-            trial,
-            **{
-                name: cut(getattr(trial, name), p)
-                for name in ("time", "q", "v", "torque", "commanded")
-            },
-        )
-        for p in parts
-        if len(p) >= min(LEAST_ROWS, longest)
-    ]
+    return [rows for rows in parts if len(rows) >= min(LEAST_ROWS, longest)]
 
 
-def _of_unknown_masses(report: dict[str, Any], recording: Recording) -> None:
+def _of_unknown_masses(report: dict[str, Any], rig: Rig) -> None:
     """Where nothing of the masses is known, the gain g of one joint's torque is that of the other's
     by 1 / (1 + g), all masses and dampings being as many times less: put among the alternatives, in
     place.
     """
     gains = [e for e in report["effects"] if e["name"] == "torque_gain" and e["where"] in JOINTS]
-    if recording.known or recording.model_file is not None or len(gains) != 1:
+    if rig.known or rig.model_file is not None or len(gains) != 1:
         return
     (effect,) = gains
     other = f"torque_gain@{JOINTS[1 - JOINTS.index(effect['where'])]}"
@@ -256,23 +233,6 @@ def _of_unknown_masses(report: dict[str, Any], recording: Recording) -> None:
         f"times those told here, makes the same "
         "motion: no mass is known; give what is known of them under [known] in meta.toml."
     )
-
-
-def masked(recording: Recording, checked: Audit) -> Recording:
-    """The recording without the rows that the audit found frozen or spiked: their angles are
-    NaN.
-    """
-
-    def hidden(t):
-        if t.name in checked.valid:
-            return np.where(checked.valid[t.name][:, None], t.q, np.nan)
-        return t.q
-
-    return replace(recording, trials=tuple(replace(t, q=hidden(t)) for t in recording.trials))
-
-
-def _samples(recording: Recording) -> int:
-    return sum(len(t.time) for t in recording.trials)
 
 
 def _written(

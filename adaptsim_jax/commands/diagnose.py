@@ -14,7 +14,7 @@ from adaptsim_jax.commands.horizon import stretch
 from adaptsim_jax.core.errors import BadInput
 
 if TYPE_CHECKING:
-    from adaptsim_jax.logs.types import Recording
+    from adaptsim_jax.logs.log import Log
 
 EXAMPLES = """
   adaptsim diagnose logs/rig --out out          reads logs/rig/meta.toml and a CSV for each trial
@@ -122,7 +122,7 @@ def split_names(names: list[str]) -> list[str]:
 
 def of_a_mechanism(data: Path) -> bool:
     """Whether DATA is a log of a mechanism: a file, or a folder whose meta.toml says so."""
-    from adaptsim_jax.logs.meta import declared_task
+    from adaptsim_jax.logs.declared import declared_task
 
     if data.is_dir():
         return declared_task(data) == "mechanism"
@@ -137,7 +137,7 @@ def of_trials(data: Path) -> str | None:
     """Which of `TRIALS` DATA holds, a folder of them or a session of `adaptsim robot`; None where
     it is something else.
     """
-    from adaptsim_jax.logs.meta import declared_task
+    from adaptsim_jax.logs.declared import declared_task
 
     if (data / "robot.toml").exists():
         from adaptsim_jax.commands.robot_recorded import session_task
@@ -155,11 +155,11 @@ Judge = Callable[..., dict[str, Any]]
 
 def pendulum(args: argparse.Namespace, without: list[str]) -> Judge:
     """A recording of the double pendulum, refused within a second and before JAX is loaded."""
-    from adaptsim_jax.logs.recording import read_recording
+    from adaptsim_jax.logs.pendulum import read_pendulum
 
     return partial(
         diagnose,
-        read_recording(args.data, without=without),
+        read_pendulum(args.data, without=without),
         without=without,
         as_declared=args.as_declared,
     )
@@ -265,12 +265,12 @@ def say(args: argparse.Namespace, result: dict[str, Any], out: Path, replays: bo
     return 0
 
 
-def diagnose(data: str | Path | Recording, **options: Any) -> dict[str, Any]:
+def diagnose(data: str | Path | Log, **options: Any) -> dict[str, Any]:
     """Which effects recorded trials show that their declared model lacks.
 
     Args:
-        data: a folder with `meta.toml`, one log (with `model=`), or a recording of the double
-                pendulum that was read.
+        data: a folder with `meta.toml`, one log (with `model=`), or the log of a double pendulum that
+                was read.
         options: `out` (folder for report, page and mended models), `model`, `exclude`, `without`,
             `effects`, `criteria`, `progress`, `as_declared`, as far as the data's task has them
             (`attribution.diagnose.diagnose`, `attribution.pendulum_diagnosis.diagnose_pendulum`).

@@ -16,8 +16,9 @@ if TYPE_CHECKING:
     from adaptsim_jax.effects.base import Relaxation as Relaxation
     from adaptsim_jax.effects.registry import catalogue as catalogue
     from adaptsim_jax.effects.registry import effect_named as effect_named
-    from adaptsim_jax.logs.recording import read_recording as read_recording
-    from adaptsim_jax.logs.types import Recording as Recording
+    from adaptsim_jax.logs.log import Log as Log
+    from adaptsim_jax.logs.pendulum import read_pendulum as read_pendulum
+    from adaptsim_jax.logs.read import read_log as read_log
     from adaptsim_jax.mechanisms.plant import Plant as Plant
     from adaptsim_jax.mechanisms.registry import make_plant as make_plant
     from adaptsim_jax.mend.pendulum_model import ModelFile as ModelFile
@@ -28,16 +29,17 @@ __all__ = [
     "Criteria",
     "Dry",
     "Effect",
+    "Log",
     "ModelFile",
     "Parameter",
     "Plant",
-    "Recording",
     "Relaxation",
     "catalogue",
     "effect_named",
     "make_plant",
+    "read_log",
     "read_model",
-    "read_recording",
+    "read_pendulum",
     "write_model",
 ]
 
@@ -50,13 +52,14 @@ __getattr__ = lazily(
         "ModelFile": "mend.pendulum_model",
         "Parameter": "effects.base",
         "Plant": "mechanisms.plant",
-        "Recording": "logs.types",
+        "Log": "logs.log",
+        "read_log": "logs.read",
         "Relaxation": "effects.base",
         "catalogue": "effects.registry",
         "effect_named": "effects.registry",
         "make_plant": "mechanisms.registry",
+        "read_pendulum": "logs.pendulum",
         "read_model": "mend.pendulum_model",
-        "read_recording": "logs.recording",
         "write_model": "mend.pendulum_model",
     },
 )

@@ -5,13 +5,14 @@ counted the other way round.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
 
 from adaptsim_jax.logs.log import ModelNames
 from adaptsim_jax.logs.log_meta import LogMeta
-from adaptsim_jax.logs.quality.turns import without_turns
+from adaptsim_jax.logs.quality.turns import Turns, without_turns
 
 V = TypeVar("V")
 
@@ -45,14 +46,15 @@ def flipped_joints(names: ModelNames, meta: LogMeta) -> list[bool]:
     ]
 
 
-def finite_without_turns(time: np.ndarray, q: np.ndarray) -> np.ndarray:
+def turns_of(time: np.ndarray, q: np.ndarray) -> Turns:
     """An angle `[T]` (rad, NaN where missing) at `time [T]` s without the jumps of an encoder that
     counts within one period.
     """
-    here = np.isfinite(q)
+    here = np.flatnonzero(np.isfinite(q))
+    found = without_turns(time[here], q[here])
     out = q.copy()
-    out[here] = without_turns(time[here], q[here]).q
-    return out
+    out[here] = found.q
+    return replace(found, q=out, unsure=tuple(int(here[k]) for k in found.unsure))
 
 
 def _declared(table: Mapping[str, V], index: int, joint: str, default: V) -> V:

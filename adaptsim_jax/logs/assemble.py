@@ -118,7 +118,7 @@ def _moving(
                 held[joint] = meta.hold[joint]
         elif j not in have[0]:
             held[joint] = None
-        elif still:
+        elif still and meta.rig is None:  # of a pendulum a sensor is stuck then
             held[joint] = middle
         else:
             kept.append(j)

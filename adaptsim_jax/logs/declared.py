@@ -2,6 +2,7 @@
 mend.
 """
 
+import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,25 @@ from adaptsim_jax.core.given import brief, finite
 
 TEXT_KEYS = ("name", "description", "note", "source", "license")
 """What a person may write about any recording."""
+TASKS = ("pendulum", "mechanism", "pushing", "scooping", "toss")
+MISSING = (
+    "missing; `adaptsim init DATA --model FILE` writes one of a mechanism, that of a double "
+    "pendulum has task, model, angle_zero"
+)
+SHORT_TRIALS = (
+    "missing; with an actions.csv these look like measured pushes or scoops: "
+    'it needs one line, task = "pushing" or task = "scooping"'
+)
+
+
+def declared_task(folder: str | Path) -> str | None:
+    """The task that a folder's meta.toml declares; None where there is none that can be read."""
+    try:
+        text = (Path(folder) / "meta.toml").read_text(encoding="utf-8")
+        task = tomllib.loads(text).get("task")
+    except (OSError, ValueError):
+        return None
+    return task if isinstance(task, str) else None
 
 
 def known(

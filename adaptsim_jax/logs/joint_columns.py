@@ -9,13 +9,13 @@ import numpy as np
 
 from adaptsim_jax.core.config import nearest
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.angles import finite_without_turns
+from adaptsim_jax.logs.angles import turns_of
 from adaptsim_jax.logs.columns import BASE, Role, role
 from adaptsim_jax.logs.headings import compared, said
 from adaptsim_jax.logs.log import ModelNames
 from adaptsim_jax.logs.log_meta import LogMeta
 from adaptsim_jax.logs.log_units import ANGLE_UNITS, Affine, column_unit, command_unit, declared
-from adaptsim_jax.logs.quality.turns import followed_turns
+from adaptsim_jax.logs.quality.turns import Turns, followed_turns
 from adaptsim_jax.logs.table_checks import check_size, check_time_unit, from_zero
 from adaptsim_jax.logs.tables import RawTrial
 
@@ -122,10 +122,13 @@ def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> Columns:
         by_joint.setdefault(found.stem, {})[j] = values
     notes = compared(trial.path, headed, meta.units)
     angles = by_joint.get("q", {})
-    whole = {
-        j: q if names.joints[j] in names.slides else finite_without_turns(seconds, q)
-        for j, q in angles.items()
-    }
+    whole = {}
+    for j, q in angles.items():
+        whole[j] = q
+        if names.joints[j] not in names.slides:
+            counted = turns_of(seconds, q)
+            whole[j] = counted.q
+            notes = (*notes, *_unsure(trial.name, names.joints[j], seconds, counted))
     targets = {
         j: followed_turns(whole[j], u) if j in whole and names.turns_to(j) else u
         for j, u in by_joint.get("target", {}).items()
@@ -152,6 +155,17 @@ def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> Columns:
         },
         frozenset(known),
         notes,
+    )
+
+
+def _unsure(trial: str, joint: str, seconds: np.ndarray, turns: Turns) -> tuple[str, ...]:
+    """A note on gaps in which an angle that wraps may have turned further than can be told."""
+    if not turns.unsure:
+        return ()
+    at = seconds[turns.unsure[0]] - seconds[0]
+    return (
+        f"{trial}: the angle of {joint} wraps, and may have turned further in "
+        f"{len(turns.unsure)} gap(s), first at {at:.3g} s",
     )
 
 

@@ -9,8 +9,7 @@ def local_motion(
     """Angle and velocity `[T, n]` by least-squares cubics over `2 half + 1` neighbours
     (Savitzky-Golay, uneven rows).
 
-    Measured velocities enter the same cubic. Good enough to start a fit; the noise model has a
-    better smoother.
+    Measured velocities enter the same cubic. Good enough to start a fit.
     """
     count = min(2 * half + 1, len(time))
     first = np.clip(np.arange(len(time)) - half, 0, len(time) - count)

@@ -8,6 +8,8 @@ from typing import Literal
 
 import numpy as np
 
+from adaptsim_jax.core.config import pick
+from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.log_meta import LogMeta
 
 InputKind = Literal["torque", "command", "voltage", "current", "none"]
@@ -173,9 +175,28 @@ class Log:
 
     def pick(self, names: Sequence[str]) -> Log:
         """The log with these trials only, in this order; BadInput names one that is not there."""
-        from adaptsim_jax.core.config import pick
-
         by_name = {trial.name: trial for trial in self.trials}
         return replace(
             self, trials=tuple(by_name[pick(f"trial of {self.path}:", n, by_name)] for n in names)
         )
+
+    def without(self, names: Sequence[str]) -> Log:
+        """The log without these trials. BadInput where one is not there, or none would be left."""
+        check_left_out(self.path, [trial.name for trial in self.trials], names)
+        return replace(self, trials=tuple(t for t in self.trials if t.name not in names))
+
+    def column(self, stem: str, joint: str) -> str:
+        """What a joint's column is called in messages: `q_elbow`, of a double pendulum `q1`."""
+        if self.meta.rig is not None:
+            return f"{stem}{self.joint_names.index(joint) + 1}"
+        return f"{stem}_{joint}"
+
+
+def check_left_out(path: str, known: Sequence[str], names: Sequence[str]) -> None:
+    """BadInput where a trial to leave out is not there, or none would be left."""
+    if unknown := [name for name in names if name not in known]:
+        raise BadInput(
+            f"{path}: no trial is named {unknown[0]!r}; --without takes of {', '.join(known)}"
+        )
+    if not set(known) - set(names):
+        raise BadInput(f"{path}: --without names every trial; leave some")

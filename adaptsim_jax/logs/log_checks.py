@@ -4,15 +4,15 @@ is sure, told where not.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+import math
+from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.log import LogTrial, ModelNames
 from adaptsim_jax.logs.log_units import LENGTH_UNITS
-from adaptsim_jax.logs.quality.consistency import velocity_agreement
-from adaptsim_jax.logs.units import speed_mistake
+from adaptsim_jax.logs.quality.consistency import Agreement, velocity_agreement
 
 LARGE = 4 * np.pi
 """Angle in rad beyond which degrees are suspected where no speeds tell."""
@@ -29,6 +29,19 @@ INSIDE = 1.2
 LONG = 10.0
 """m that a sliding joint without a range may move, before millimetres are hinted at."""
 WORDS = {"mm": "millimetres", "cm": "centimetres"}
+MISTAKES = {
+    math.pi / 180: (
+        'q1, q2 in degrees while v1, v2 are in rad/s; write angle = "deg" and velocity = "rad/s"'
+    ),
+    180 / math.pi: 'v1, v2 in deg/s while q1, q2 are in rad; write velocity = "deg/s"',
+    1e3: 'time in milliseconds; write time = "ms"',
+    1e6: 'time in microseconds; write time = "us"',
+    60 / (2 * math.pi): 'v1, v2 in revolutions per minute; write velocity = "rpm"',
+    1e-3: 'v1, v2 in rad/ms; write velocity = "rad/ms"',
+}
+"""Times that speeds are the slopes of the angles -> the unit that explains it."""
+ALIKE = 0.1
+"""How far (in log) a speed may be from a known mistake and still be taken for it."""
 
 
 def check_log_units(
@@ -110,6 +123,17 @@ def _speed_suspect(trial: LogTrial, hinges: Sequence[int]) -> str:
         for j, rows in here.items()
         if rows.sum() > 20
     )
+
+
+def speed_mistake(joints: Iterable[Agreement]) -> str:
+    """The mistake in a unit that speeds of all joints that move enough agree on, or nothing."""
+    gains = [a.gain for a in joints if a.enough and a.r2 > 0.9]
+    if not gains or min(gains) <= 0:
+        return ""
+    for size, what in MISTAKES.items():
+        if all(abs(math.log(gain / size)) < ALIKE for gain in gains):
+            return what
+    return ""
 
 
 def _large(trials: Sequence[LogTrial], j: int, names: ModelNames, known: bool) -> str:

@@ -43,6 +43,24 @@ TRAJECTORY = ("ramp", "hold")
 
 
 @dataclass(frozen=True)
+class Rig:
+    """A double pendulum that its `meta.toml` declares in place of a model file.
+
+    `model`: rigid_body or linearized; `angle_zero`: where both angles are 0, hanging or upright;
+    `geometry`: l1, l2 in m and g in m/s^2; `known`: declared parameters; `model_file`: path of a
+    mended model; `unactuated`: joints without a motor, counted from 1.
+    """
+
+    model: str
+    angle_zero: str
+    geometry: dict[str, float]
+    known: dict[str, float]
+    model_file: str | None = None
+    unactuated: tuple[int, ...] = ()
+    task: str = "pendulum"
+
+
+@dataclass(frozen=True)
 class LogMeta:
     """What `meta.toml` declares of a log.
 
@@ -58,7 +76,8 @@ class LogMeta:
     or to within a distance of the angle (rad, m); `commands`: trial -> the file beside the data
     that holds its commands; `hold`: joint -> rad or m that it is held at (None: where the log or
     the file has it); `simulator`: tree or mujoco, None: by what the model needs; `channels`: a
-    sensor of the model, `gyro[0]` -> the column that it is compared with (among `columns`, too).
+    sensor of the model, `gyro[0]` -> the column that it is compared with (among `columns`, too);
+    `rig`: of a double pendulum, whose `meta.toml` is another (`logs/pendulum.py`).
     """
 
     path: str = ""
@@ -84,6 +103,7 @@ class LogMeta:
     within: Mapping[str, float] = field(default_factory=dict)
     commands: Mapping[str, str] = field(default_factory=dict)
     channels: Mapping[str, str] = field(default_factory=dict)
+    rig: Rig | None = None
 
 
 def read_log_meta(path: str | Path) -> LogMeta:

@@ -25,7 +25,7 @@ from adaptsim_jax.logs.followed import followed
 from adaptsim_jax.logs.log import Log, ModelNames
 from adaptsim_jax.logs.log_meta import LogMeta, read_log_meta
 from adaptsim_jax.logs.model_names import model_names
-from adaptsim_jax.logs.tables import ENDINGS, RawTrial, read_files, table_files
+from adaptsim_jax.logs.tables import ENDINGS, LEAVE_OUT, RawTrial, read_files, table_files
 
 if TYPE_CHECKING:
     from adaptsim_jax.mechanisms.mjcf import Mechanism
@@ -183,7 +183,13 @@ def read_raw(data: Path, meta: LogMeta, names: ModelNames | None = None) -> list
     recorded = [ros.read_bag(path, wanted) for path in bags]
     tables = [
         command_files.with_commands(trial, commands, meta.columns, meta.ignore)
-        for trial in read_files(files, meta.columns, meta.ignore, tuple(commands.values()))
+        for trial in read_files(
+            files,
+            meta.columns,
+            meta.ignore,
+            tuple(commands.values()),
+            "--without {}" if meta.rig else LEAVE_OUT,
+        )
     ]
     if files and not data.is_dir() and not commands:
         told = command_files.beside(data, table_files(folder))

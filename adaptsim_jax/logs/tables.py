@@ -24,6 +24,8 @@ from adaptsim_jax.logs.table_checks import check_clock
 from adaptsim_jax.logs.two_part_time import both, pair
 
 ENDINGS = (".csv", ".npz")
+LEAVE_OUT = '[trials] exclude = ["{}"]'
+"""What a meta.toml says of a trial to leave out."""
 __all__ = [
     "ENDINGS",
     "MIN_ROWS",
@@ -75,9 +77,11 @@ def read_files(
     rename: Mapping[str, str],
     ignore: tuple[str, ...] = (),
     others: tuple[Path, ...] = (),
+    leave_out: str = LEAVE_OUT,
 ) -> list[RawTrial]:
     """Every trial of these files; `rename`: our name -> the file's; `ignore`: columns or joints
-    left out; others: files of commands, whose columns `rename` may name too.
+    left out; others: files of commands, whose columns `rename` may name too; leave_out: how a file
+    is left out, with `{}` for its name.
 
     Raises `BadInput` naming file and line.
     """
@@ -97,7 +101,7 @@ def read_files(
             )
         except BadInput as error:
             if path not in strays(headers_of(files), is_time := _is_time(rename)):
-                raise _or_left_out(error, path, files, is_time) from None
+                raise _or_left_out(error, path, files, is_time, leave_out) from None
             notes.append(left_out(path))
     if notes:
         return [replace(trials[0], notes=(*trials[0].notes, *notes)), *trials[1:]]
@@ -111,12 +115,16 @@ def _is_time(rename: Mapping[str, str]) -> Callable[[str], bool]:
 
 
 def _or_left_out(
-    error: BadInput, path: Path, files: list[Path], is_time: Callable[[str], bool]
+    error: BadInput,
+    path: Path,
+    files: list[Path],
+    is_time: Callable[[str], bool],
+    leave_out: str,
 ) -> BadInput:
     """What is said of one file of several: how it is left out, where it may be none of the
     trials.
     """
-    line = f'[trials] exclude = ["{path.stem}"]'
+    line = leave_out.format(path.stem)
     if len(files) == 1:
         return error
     if str(error).endswith("leave this file out"):
@@ -166,7 +174,8 @@ def read_file(
     labels = next((column for column in wanted if named[column] in TRIAL), None)
     if path.suffix.lower() == ".npz" and not any(named[column] in TIME for column in wanted):
         raise _no_time(path, header)
-    table = _read(path, {column: named[column] for column in wanted if column != labels})
+    here = {column: named[column] for column in wanted if column != labels}
+    table = _read(path, here or {"time": "time", "q1": "q1"})  # else it says what the header is
     table = replace(table, ignored=tuple(c for c in table.ignored if c != labels))
     time = next((column for column in table.columns if column in TIME), None)
     if time is None:
@@ -287,6 +296,16 @@ def _read(path: Path, named: Mapping[str, str]) -> Table:
     place: `q` gives q1 to qn.
     """
     table = read_table(path, tuple(named), ours=_Named(named))
+    for name in table.columns:
+        part = None if name in named else stem_and_place(name)
+        one = part and role(named[part[0]])
+        if one and one.joint is not None:
+            parts = sum((stem_and_place(c) or ("",))[0] == part[0] for c in table.columns)
+            raise BadInput(
+                f"{path}: column {part[0]!r} is one joint's and has shape "
+                f"({len(table.lines)}, {parts}); save one number for each row, or call it "
+                f"{one.stem} for a number of each joint"
+            )
     return replace(
         table, columns={_ours(name, named): values for name, values in table.columns.items()}
     )

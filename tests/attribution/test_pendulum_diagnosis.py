@@ -23,13 +23,13 @@ from adaptsim_jax.attribution.estimate import fit
 from adaptsim_jax.attribution.held_out import modelled, over_floor
 from adaptsim_jax.attribution.parameters import ETA, inertias
 from adaptsim_jax.attribution.pendulum import LINK, base_parameters, declared_machine, in_the_plane
-from adaptsim_jax.attribution.pendulum_diagnosis import first_parameters, masked
+from adaptsim_jax.attribution.pendulum_diagnosis import first_parameters
 from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
 from adaptsim_jax.attribution.score import candidates
 from adaptsim_jax.diagnosis import Effect, Parameter, catalogue, read_model
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.logs.pendulum import read_pendulum
 from adaptsim_jax.logs.quality.audit import audit, usable
-from adaptsim_jax.logs.recording import read_recording
 from adaptsim_jax.mechanisms import dynamics, equations
 from adaptsim_jax.mechanisms.double_pendulum.linear import linearized
 from adaptsim_jax.mechanisms.double_pendulum.mjcf import double_pendulum_mjcf
@@ -48,25 +48,24 @@ def rubbing(t, q, v, u):
 
 
 def test_the_fit_begins_near_the_truth(tmp_path):
-    recording = read_recording(written(tmp_path, make_trials(seed=1, count=3, noise=0.2)))
-    found = first_parameters(recording, audit(recording))
+    recording = read_pendulum(written(tmp_path, make_trials(seed=1, count=3, noise=0.2)))
+    found = first_parameters(recording)
     np.testing.assert_allclose(found[:4], TRUE[:4], rtol=0.15)
 
 
 def test_rows_that_the_audit_found_spiked_are_not_fitted(tmp_path):
     trials = make_trials(seed=2, count=3, seconds=3.0, noise=0.2)
     trials[1].q[205, 1] += 0.4
-    recording = read_recording(written(tmp_path, trials))
+    recording = read_pendulum(written(tmp_path, trials))
     checked = audit(recording)
-    hidden = ~np.isfinite(masked(usable(recording, checked), checked).trials[1].q[:, 1])
+    rest = usable(recording, checked)
+    hidden = ~np.isfinite(rest.trials[1].q[:, 1])
     assert np.flatnonzero(hidden).tolist() == [205]
-    rest = masked(usable(recording, checked), checked)
-    np.testing.assert_allclose(first_parameters(rest, checked)[:4], TRUE[:4], rtol=0.15)
+    np.testing.assert_allclose(first_parameters(rest)[:4], TRUE[:4], rtol=0.15)
     holes = replace(checked, valid={t.name: np.arange(len(t.time)) % 50 > 0 for t in rest.trials})
-    torn = masked(
-        usable(recording, checked), holes
-    )  # no part is as long as one that is smoothed by itself
-    assert np.all(np.isfinite(first_parameters(torn, holes)))
+    # no part is as long as one that is regressed by itself
+    torn = usable(recording, holes)
+    assert np.all(np.isfinite(first_parameters(torn)))
 
 
 @pytest.mark.long
@@ -74,12 +73,10 @@ def test_an_effect_at_all_joints_stays_where_it_is(tmp_path):
     """Dry friction put in at both joints, of which the second rubs: tested at each, it is left at
     that one, refitted.
     """
-    recording = read_recording(
+    recording = read_pendulum(
         written(tmp_path, make_trials(3, 4, 2.0, 100.0, noise=0.2, extra=rubbing, velocity=False))
     )
-    machine = declared_machine(
-        recording, first_parameters(recording, audit(recording)), tmp_path / "declared.xml"
-    )
+    machine = declared_machine(recording, first_parameters(recording), tmp_path / "declared.xml")
     problem = prepare(
         machine.tree,
         machine.tracks,
@@ -114,7 +111,7 @@ def test_play_begins_at_what_was_read_with_the_link_at_either_end(tmp_path):
     trials = make_trials(3, 4, 2.0, 200.0, noise=0.2, velocity=False)
     for trial in trials:
         trial.q[:, 0] = read_with_play(trial.q[:, 0], 0.075)
-    recording = read_recording(written(tmp_path, trials))
+    recording = read_pendulum(written(tmp_path, trials))
     machine = declared_machine(recording, np.array(TRUE), tmp_path / "declared.xml")
     problem = prepare(
         machine.tree,

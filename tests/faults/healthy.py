@@ -86,6 +86,7 @@ MADE = {
 
 
 def of_pendulum(source: Path) -> list[str]:
+    from adaptsim_jax.logs.pendulum import read_pendulum
     from adaptsim_jax.logs.quality.audit import audit, usable
     from adaptsim_jax.logs.quality.pendulum_design import (
         CHANNELS,
@@ -93,9 +94,8 @@ def of_pendulum(source: Path) -> list[str]:
         pendulum_trials,
     )
     from adaptsim_jax.logs.quality.trial_words import sentences
-    from adaptsim_jax.logs.recording import read_recording
 
-    recording = read_recording(source)
+    recording = read_pendulum(source)
     checked = audit(recording)
     if checked.fault:
         return [checked.message]

@@ -10,9 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from adaptsim_jax.logs.quality.audit import unwrapped
+from adaptsim_jax.logs.pendulum import read_pendulum as read_rig
 from adaptsim_jax.logs.read import read_log
-from adaptsim_jax.logs.recording import read_recording
 from adaptsim_jax.logs.table import read_table
 from adaptsim_jax.tasks.pendulum import measured as swings
 from tests.faults import damage
@@ -102,12 +101,12 @@ def begun(time: np.ndarray) -> np.ndarray:
 
 
 def read_pendulum(source: Path) -> Read:
-    trial = unwrapped(read_recording(source)).trials[0]
+    trial = read_rig(source).trials[0]
     columns = {
         "q1": trial.q[:, 0],
         "q2": trial.q[:, 1],
-        "tau1": trial.torque[:, 0],
-        "tau2": trial.torque[:, 1],
+        "tau1": trial.u[:, 0],
+        "tau2": trial.u[:, 1],
     }
     return Read({0: Seen(begun(trial.time), columns)})
 

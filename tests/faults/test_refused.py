@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.cli import main
-from adaptsim_jax.logs.quality.audit import unwrapped
-from adaptsim_jax.logs.recording import read_recording
+from adaptsim_jax.logs.pendulum import read_pendulum
 from tests.logs.arm_files import META, arm, wrapped, write
 
 
@@ -109,14 +108,14 @@ ENCODED = {
 @pytest.mark.parametrize("name", ENCODED)
 def test_text_of_other_programs_is_read_or_told(tmp_path, capsys, name):
     change, encoding, says = ENCODED[name]
-    plain = read_recording(write(tmp_path / "plain", arm(count=2)))
+    plain = read_pendulum(write(tmp_path / "plain", arm(count=2)))
     data = write(tmp_path / "data", arm(count=2))
     for path in data.glob("*.csv"):
         path.write_text(change(path.read_text()), encoding=encoding)
     if says is not None:
         assert says in refused(capsys, "diagnose", data, "--out", tmp_path / "out")
         return
-    for a, b in zip(plain.trials, read_recording(data).trials, strict=True):
+    for a, b in zip(plain.trials, read_pendulum(data).trials, strict=True):
         np.testing.assert_array_equal(a.q, b.q)
 
 
@@ -124,7 +123,7 @@ def test_an_epoch_in_float64_is_a_clock_as_any_other(tmp_path):
     data = write(
         tmp_path, [c | {"time": [f"{t + EPOCH:.4f}" for t in c["time"]]} for c in arm(count=2)]
     )
-    assert abs(read_recording(data).trials[0].dt - 0.01) < 1e-6
+    assert abs(read_pendulum(data).trials[0].dt - 0.01) < 1e-6
 
 
 @pytest.mark.parametrize("lost", [0, 2, 4])
@@ -134,7 +133,7 @@ def test_wraps_are_taken_out_even_where_rows_are_lost_just_there(tmp_path, lost)
     trials = [wrapped(c, lost) for c in whole]
     all_rows = [wrapped(c) for c in whole]
     assert sum(np.sum(np.abs(np.diff(c[k])) > np.pi) for c in all_rows for k in ("q1", "q2")) >= 3
-    read = unwrapped(read_recording(write(tmp_path, trials)))
+    read = read_pendulum(write(tmp_path, trials))
     for trial, c in zip(read.trials, whole, strict=True):
         for j, name in enumerate(("q1", "q2")):
             off = trial.q[:, j] - np.interp(trial.time, c["time"], c[name])
@@ -154,7 +153,7 @@ def test_trials_to_leave_out_are_checked(tmp_path, capsys):
     )
     (data / "01.csv").write_text("torn")  # what is left out is not looked at
     assert "01.csv" in refused(capsys, "diagnose", data, "--out", tmp_path / "o")
-    assert read_recording(data, without=["01"]).trials[0].name == "00"
+    assert read_pendulum(data, without=["01"]).trials[0].name == "00"
     assert "leave some" in refused(
         capsys, "diagnose", data, "--out", tmp_path / "o", "--without", "00,01"
     )

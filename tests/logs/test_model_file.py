@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from adaptsim_jax.attribution.pendulum import declared_model
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.effects.registry import catalogue
-from adaptsim_jax.logs.model_file import declared_model
-from adaptsim_jax.logs.recording import read_recording
+from adaptsim_jax.logs.pendulum import read_pendulum
 from adaptsim_jax.mechanisms.stepping import make_model
 from adaptsim_jax.mend.model_toml import AddedEffect, Value
 from adaptsim_jax.mend.pendulum_model import ModelFile, read_model, text_of, write_model
@@ -135,9 +135,10 @@ def recording_folder(tmp_path, meta: str):
 
 def test_a_recording_takes_the_geometry_of_its_mended_model(tmp_path):
     meta = 'task = "pendulum"\nmodel = "../model.toml"\nangle_zero = "hanging"\n'
-    recording = read_recording(recording_folder(tmp_path, meta))
-    assert recording.model == "rigid_body" and recording.geometry["l1"] == 0.3
-    given = declared_model(recording)
+    recording = read_pendulum(recording_folder(tmp_path, meta))
+    rig = recording.meta.rig
+    assert rig.model == "rigid_body" and rig.geometry["l1"] == 0.3
+    given = declared_model(rig)
     assert given is not None and given.active == (
         ("coulomb", "joint2"),
         ("quadratic_drag", "joint1"),
@@ -154,7 +155,7 @@ def test_a_recording_takes_the_geometry_of_its_mended_model(tmp_path):
 def test_a_mended_model_of_another_rig_is_refused(tmp_path, meta, named):
     folder = recording_folder(tmp_path, 'task = "pendulum"\nmodel = "../model.toml"\n' + meta)
     with pytest.raises(BadInput, match=named):
-        declared_model(read_recording(folder))
+        declared_model(read_pendulum(folder).meta.rig)
 
 
 def test_the_text_is_plain_data():

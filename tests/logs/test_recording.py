@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.meta import check_known
-from adaptsim_jax.logs.recording import read_recording
+from adaptsim_jax.logs.pendulum import check_known, read_pendulum
 from tests.logs.measured_files import META, csv_text, real_rig, table, write
 
 
@@ -24,7 +23,7 @@ def gentle(rows=60, rate=100.0):
 def refusal(folder, **kwargs):
     """The message with which reading is refused: one line."""
     with pytest.raises(BadInput) as caught:
-        read_recording(folder, **kwargs)
+        read_pendulum(folder, **kwargs)
     message = str(caught.value)
     assert "\n" not in message
     return message
@@ -32,17 +31,15 @@ def refusal(folder, **kwargs):
 
 def test_columns_come_back_in_si_units_with_shapes(tmp_path):
     columns = gentle() | {"temperature": np.arange(60.0)}
-    recording = read_recording(write(tmp_path, {"trial_00": columns}))
+    recording = read_pendulum(write(tmp_path, {"trial_00": columns}))
     trial = recording.trials[0]
-    assert trial.q.shape == trial.v.shape == trial.torque.shape == (60, 2)
+    assert trial.q.shape == trial.v.shape == trial.u.shape == (60, 2)
     np.testing.assert_array_equal(trial.q[:, 1], columns["q2"])
-    assert trial.ignored == ("temperature",) and trial.commanded is None
-    assert (recording.model, recording.angle_zero, recording.torque_source) == (
-        "rigid_body",
-        "hanging",
-        "measured",
-    )
-    assert recording.geometry == {"l1": 0.3, "l2": 0.2, "g": 9.81}
+    assert not trial.extra and recording.input_kind == "torque"
+    assert recording.driven == recording.joint_names == ("joint1", "joint2")
+    rig = recording.meta.rig
+    assert (rig.model, rig.angle_zero) == ("rigid_body", "hanging")
+    assert rig.geometry == {"l1": 0.3, "l2": 0.2, "g": 9.81}
     assert recording.samples == 60 and any("temperature" in note for note in recording.notes)
 
 
@@ -53,10 +50,10 @@ def test_npz_csv_and_other_delimiters_read_alike(tmp_path):
     (folder / "c.csv").write_text(csv_text(columns, "\t") + "\n\n")
     (folder / "d.csv").write_text("# " + csv_text(columns))
     np.savez(folder / "e.npz", **columns)
-    recording = read_recording(folder)
+    recording = read_pendulum(folder)
     assert [t.name for t in recording.trials] == ["a", "b", "c", "d", "e"]
     for trial in recording.trials[1:]:
-        for field in ("time", "q", "v", "torque"):
+        for field in ("time", "q", "v", "u"):
             np.testing.assert_array_equal(
                 getattr(trial, field), getattr(recording.trials[0], field)
             )
@@ -64,9 +61,11 @@ def test_npz_csv_and_other_delimiters_read_alike(tmp_path):
 
 def test_trials_are_sorted_as_people_count_and_picked_by_name(tmp_path):
     folder = write(tmp_path, {f"trial_{i}": gentle() for i in (10, 9, 1)})
-    assert [t.name for t in read_recording(folder).trials] == ["trial_1", "trial_9", "trial_10"]
-    assert [t.name for t in read_recording(folder, trials=["trial_9.csv"]).trials] == ["trial_9"]
-    assert "did you mean 'trial_10'" in refusal(folder, trials=["trial_100"])
+    assert [t.name for t in read_pendulum(folder).trials] == ["trial_1", "trial_9", "trial_10"]
+    assert [t.name for t in read_pendulum(folder).pick(["trial_9"]).trials] == ["trial_9"]
+    with pytest.raises(BadInput, match="did you mean 'trial_10'"):
+        read_pendulum(folder).pick(["trial_100"])
+    assert "trial_100" in refusal(folder, without=["trial_100"])
 
 
 DEG = 180 / np.pi
@@ -89,35 +88,35 @@ DEG = 180 / np.pi
 def test_declared_units_give_the_same_data(tmp_path, scale, units):
     columns = gentle()
     other = {k: x * scale.get(k, 1.0) for k, x in columns.items()}
-    one = read_recording(write(tmp_path / "si", {"t": columns})).trials[0]
-    two = read_recording(write(tmp_path / "other", {"t": other}, f"{META}[units]\n{units}")).trials[
+    one = read_pendulum(write(tmp_path / "si", {"t": columns})).trials[0]
+    two = read_pendulum(write(tmp_path / "other", {"t": other}, f"{META}[units]\n{units}")).trials[
         0
     ]
-    for field in ("time", "q", "v", "torque"):
+    for field in ("time", "q", "v", "u"):
         np.testing.assert_allclose(getattr(two, field), getattr(one, field), rtol=1e-12, atol=1e-15)
 
 
 def test_clock_time_is_counted_from_the_first_row(tmp_path):
     columns = gentle() | {"time": gentle()["time"] + 1.7e9}
-    trial = read_recording(write(tmp_path, {"t": columns})).trials[0]
+    trial = read_pendulum(write(tmp_path, {"t": columns})).trials[0]
     assert trial.time[0] == 0.0 and trial.time[-1] == pytest.approx(0.59, abs=1e-6)
 
 
 def test_commands_stand_in_for_torques_and_say_so(tmp_path):
     columns = gentle()
     columns["tau1_commanded"], columns["tau2_commanded"] = columns.pop("tau1"), columns.pop("tau2")
-    recording = read_recording(write(tmp_path, {"t": columns}))
-    assert recording.torque_source == "commanded" and any("commands" in n for n in recording.notes)
-    np.testing.assert_array_equal(recording.trials[0].torque[:, 0], columns["tau1_commanded"])
+    recording = read_pendulum(write(tmp_path, {"t": columns}))
+    assert any("commands, not measured" in n for n in recording.notes)
+    np.testing.assert_array_equal(recording.trials[0].u[:, 0], columns["tau1_commanded"])
 
 
 def test_a_joint_without_motor_must_be_declared(tmp_path):
     columns = gentle()
     del columns["tau1"]
     assert "unactuated = [1]" in refusal(write(tmp_path, {"t": columns}))
-    recording = read_recording(write(tmp_path, {"t": columns}, "unactuated = [1]\n" + META))
-    assert not recording.trials[0].torque[:, 0].any()
-    np.testing.assert_array_equal(recording.trials[0].torque[:, 1], columns["tau2"])
+    recording = read_pendulum(write(tmp_path, {"t": columns}, "unactuated = [1]\n" + META))
+    assert not recording.trials[0].u[:, 0].any() and recording.driven == ("joint2",)
+    np.testing.assert_array_equal(recording.trials[0].u[:, 1], columns["tau2"])
 
 
 def test_linearized_model_has_default_geometry_and_a_mended_model_is_a_path(tmp_path):
@@ -126,20 +125,18 @@ def test_linearized_model_has_default_geometry_and_a_mended_model_is_a_path(tmp_
         {"t": gentle()},
         'task = "pendulum"\nmodel = "linearized"\nangle_zero = "upright"\n',
     )
-    assert read_recording(folder).geometry == {"l1": 1.0, "l2": 1.0, "g": 9.81}
+    assert read_pendulum(folder).meta.rig.geometry == {"l1": 1.0, "l2": 1.0, "g": 9.81}
     (folder / "model.toml").write_text('model = "rigid_body"\n')
     (folder / "meta.toml").write_text(
         'task = "pendulum"\nmodel = "model.toml"\nangle_zero = "hanging"\n'
     )
-    recording = read_recording(folder)
-    assert recording.model == "rigid_body" and recording.model_file == str(
-        (folder / "model.toml").resolve()
-    )
+    rig = read_pendulum(folder).meta.rig
+    assert rig.model == "rigid_body" and rig.model_file == str((folder / "model.toml").resolve())
 
 
 def test_noise_may_be_declared_by_group_or_channel(tmp_path):
     meta = META + "[noise]\nq = 0.001\nv = 0.02\nv2 = 0.03\n"
-    noise = read_recording(write(tmp_path, {"t": gentle()}, meta)).noise
+    noise = read_pendulum(write(tmp_path, {"t": gentle()}, meta)).meta.noise
     assert noise == {"q1": 0.001, "q2": 0.001, "v1": 0.02, "v2": 0.03}
 
 
@@ -182,7 +179,7 @@ def test_a_wrong_meta_is_refused_with_its_key(tmp_path, meta, says):
 def test_a_folder_without_meta_or_trials_is_refused(tmp_path):
     assert "does not exist" in refusal(tmp_path / "none")
     (tmp_path / "meta.toml").write_text(META)
-    assert "holds no .csv or .npz" in refusal(tmp_path)
+    assert "holds no .csv, .npz" in refusal(tmp_path)
     (tmp_path / "meta.toml").unlink()
     assert "meta.toml: missing" in refusal(tmp_path)
     (tmp_path / "actions.csv").write_text("trial,speed,angle\n1,0.6,0\n")
@@ -210,9 +207,12 @@ CSV_FAULTS = [
     (edited(lambda s: s[:1]), "has 0 data rows"),
     (edited(lambda s: s[:3]), "has 2 data rows"),
     (edited(lambda s: s[1:]), "add a header"),
-    (edited(lambda s: put(s, 1, 1, "q_1")), "column 'q1' is missing; did you mean 'q_1'"),
+    (edited(lambda s: put(s, 1, 1, "qq1")), "column 'q1' is missing; did you mean 'qq1'"),
     (edited(lambda s: put(s, 1, 5, "q1")), "column 'q1' appears 2 times"),
-    (edited(lambda s: put(s, 1, 4, "speed")), "has v1 but not the other velocity"),
+    (
+        edited(lambda s: put(s, 1, 4, "speed")),
+        "has velocities, but none of joint 'joint2'; add column v_joint2, or leave all out",
+    ),
     (edited(lambda s: put(s, 12, 3, "nan")), "line 12: column v1 is nan"),
     (edited(lambda s: put(s, 12, 3, "inf")), "line 12: column v1 is inf"),
     (edited(lambda s: put(s, 12, 5, "off")), "line 12: column tau1 is 'off', not a number"),
@@ -278,12 +278,12 @@ def test_a_fast_arm_that_turns_over_is_not_taken_for_degrees(tmp_path):
     t = np.arange(800) / 200
     q = np.stack([20 * t, -25 * t + np.sin(9 * t)], axis=1)
     v = np.stack([np.full(800, 20.0), -25 + 9 * np.cos(9 * t)], axis=1)
-    assert read_recording(write(tmp_path, {"t": table(t, q, v, np.zeros_like(q))})).samples == 800
+    assert read_pendulum(write(tmp_path, {"t": table(t, q, v, np.zeros_like(q))})).samples == 800
 
 
 def test_one_trial_that_ran_away_does_not_make_the_others_degrees(tmp_path):
     calm, far = swing(), {k: x * (1.0 if k == "time" else DEG) for k, x in swing().items()}
-    assert len(read_recording(write(tmp_path, {"a": calm, "b": far, "c": calm})).trials) == 3
+    assert len(read_pendulum(write(tmp_path, {"a": calm, "b": far, "c": calm})).trials) == 3
 
 
 def test_a_stated_unit_of_angles_is_believed(tmp_path):
@@ -292,7 +292,7 @@ def test_a_stated_unit_of_angles_is_believed(tmp_path):
     assert '"rad" if they are' in refusal(folder)
     with open(folder / "meta.toml", "a") as f:
         f.write('\n[units]\nangle = "rad"\n')
-    assert float(np.abs(read_recording(folder).trials[0].q).max()) > 50
+    assert float(np.abs(read_pendulum(folder).trials[0].q).max()) > 50
 
 
 def test_known_parameters_are_checked_by_whoever_has_their_names():
@@ -304,17 +304,15 @@ def test_known_parameters_are_checked_by_whoever_has_their_names():
 def test_reading_does_not_import_jax(tmp_path):
     write(tmp_path, {"t": gentle()})
     code = (
-        "import sys; from adaptsim_jax.logs.recording import read_recording;"
-        "from adaptsim_jax.logs.quality.audit import audit;from adaptsim_jax.logs.noise.floor "
-        "import noise_floor;"
-        f"r = read_recording({str(tmp_path)!r}); noise_floor(r, audit(r)); sys.exit('jax' in "
-        f"sys.modules)"
+        "import sys; from adaptsim_jax.logs.pendulum import read_pendulum;"
+        "from adaptsim_jax.logs.quality.audit import audit;"
+        f"audit(read_pendulum({str(tmp_path)!r})); sys.exit('jax' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 @pytest.mark.parametrize(("rig", "trials"), [("rig_a", 8), ("rig_c", 9)])
 def test_the_real_rigs_read(rig, trials):
-    recording = read_recording(real_rig(rig))
-    assert len(recording.trials) == trials and recording.torque_source == "measured"
-    assert all(t.commanded is not None and t.v is not None for t in recording.trials)
+    recording = read_pendulum(real_rig(rig))
+    assert len(recording.trials) == trials and recording.driven
+    assert all("tau_commanded" in t.extra and t.v is not None for t in recording.trials)

@@ -1,173 +1,187 @@
-"""What a recording is fit for, before anything is fitted: gaps, stuck sensors, velocities,
-commands.
+"""What a log is fit for, before anything is fitted: gaps, stuck sensors, velocities, commands.
 
-A finding of severity `fault` means that no diagnosis should be made (verdict `data_fault`); trials
-that cannot be used while the others can are listed in `exclude`, single rows in `valid`.
+A finding of severity `fault` means that no diagnosis should be made of a double pendulum (verdict
+`data_fault`); of a machine with a model file all findings warn.
 """
 
 import hashlib
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from adaptsim_jax.logs.quality import signals, timing
+from adaptsim_jax.logs.log import Log, LogTrial
+from adaptsim_jax.logs.quality import signals
 from adaptsim_jax.logs.quality.consistency import lattice_step
-from adaptsim_jax.logs.quality.conventions import check_angle_zero
 from adaptsim_jax.logs.quality.findings import Audit, Finding
-from adaptsim_jax.logs.quality.turns import without_turns
-from adaptsim_jax.logs.types import Recording, Trial
+from adaptsim_jax.logs.quality.signals import STILL, Signal
+
+LEAST_ROWS = 20
+"""Rows with an angle, below which nothing is said of a joint of a trial."""
 
 
-def audit(recording: Recording) -> Audit:
-    """Check every trial, then the recording as a whole. Pure; the recording is not changed."""
-    steps = _quantisation(recording)
-    findings: list[Finding] = [_quantised(c, s) for c, s in steps.items() if s > 0]
-    valid, broken = {}, {}
-    for trial in recording.trials:
-        found, keep, wrong = _audit_trial(trial, steps)
+def audit(log: Log, slides: Collection[str] = (), servos: Collection[str] = ()) -> Audit:
+    """Check every joint of every trial, then the log as a whole.
+
+    Args:
+        log: what was read; it is not changed.
+        slides: joints that slide, logged in m.
+        servos: inputs that are targets of servos, not torques or forces.
+
+    Returns:
+        Findings, with rows and trials that should not be used.
+    """
+    by_trial = {t.name: list(_signals(log, t, slides, servos)) for t in log.trials}
+    steps = _quantisation([s for own in by_trial.values() for s in own])
+    findings = [_quantised(*row) for row in steps.values() if row[1] > 0]
+    sizes = {name: step for name, step, _ in steps.values()}
+    valid, broken, still = {}, {}, []
+    for trial in log.trials:
+        found, valid[trial.name], wrong = _audit_trial(trial, by_trial[trial.name], sizes)
         findings += found
-        valid[trial.name] = keep
         if wrong:
             broken[trial.name] = wrong
-    findings += _duplicates(recording)
-    findings += check_angle_zero(recording)
-    findings += _faults(recording, broken)
-    still = [f.trial for f in findings if f.kind == "no_motion"]
-    exclude = tuple(t.name for t in recording.trials if t.name in broken or t.name in still)
-    if len(still) == len(recording.trials):
-        text = "no trial moves the arm by more than 0.02 rad: nothing can be learned from this recording"
+        still += [f.trial for f in found if f.kind == "no_motion"]
+    findings += _faults(len(log.trials), broken)
+    if len(still) == len(log.trials):
+        text = (
+            f"no trial moves by more than {STILL:g} rad (m): nothing can be learned from this "
+            f"recording"
+        )
         findings.append(Finding("no_motion", "fault", "", "recording", text, float(len(still))))
-    return Audit(tuple(findings), steps, valid, exclude)
+    exclude = tuple(t.name for t in log.trials if t.name in broken or t.name in still)
+    if log.meta.rig is None:
+        findings = [replace(f, severity="warn") if f.severity == "fault" else f for f in findings]
+        exclude = ()
+    return Audit(tuple(findings), sizes, valid, exclude)
+
+
+def _signals(
+    log: Log, trial: LogTrial, slides: Collection[str], servos: Collection[str]
+) -> Iterator[Signal]:
+    """The joints of a trial that have angles enough, where they were read."""
+    spans = [np.ptp(q[np.isfinite(q)]) if np.isfinite(q).any() else 0.0 for q in trial.q.T]
+    inputs = {name: k for k, name in enumerate(log.input_names) if name not in servos}
+    told = trial.extra.get("tau_commanded")
+    for j, joint in enumerate(log.joint_names):
+        rows = np.isfinite(trial.q[:, j])
+        if trial.v is not None:
+            rows &= np.isfinite(trial.v[:, j])
+        if rows.sum() < LEAST_ROWS:
+            continue
+        k = inputs.get(joint)
+        driven = k is not None and joint in log.driven
+        yield Signal(
+            trial.name,
+            joint,
+            log.column("q", joint),
+            log.column("v", joint),
+            log.column("tau", joint),
+            "m" if joint in slides else "rad",
+            trial.time[rows],
+            trial.q[rows, j],
+            None if trial.v is None else trial.v[rows, j],
+            trial.u[rows, k] if driven else None,
+            None if told is None or not np.isfinite(told[:, j]).all() else told[rows, j],
+            trial.dt,
+            log.meta.rig is not None or joint not in log.driven,
+            max((s for i, s in enumerate(spans) if i != j), default=0.0),
+        )
 
 
 def _audit_trial(
-    trial: Trial, steps: dict[str, float]
+    trial: LogTrial, own: Sequence[Signal], steps: dict[str, float]
 ) -> tuple[list[Finding], np.ndarray, list[str]]:
-    """Findings, rows to keep, and channels that cannot be used."""
-    wrapped = signals.check_wrap(trial)
-    trial = unwrap_trial(trial)
-    frozen, moving, stuck = signals.check_frozen(trial, steps)
-    spikes, smooth = signals.check_spikes(trial, steps)
-    velocity, wrong = signals.check_velocity(trial)
-    found = (
-        signals.check_sampling(trial)
-        + wrapped
-        + frozen
-        + spikes
-        + signals.check_saturation(trial, steps)
-    )
-    found += (
-        timing.check_timestamps(trial)
-        + timing.check_derived(trial)
-        + timing.check_stale(trial, steps)
-    )
-    found += velocity + signals.check_command(trial) + signals.check_excitation(trial)
-    return found, moving & smooth, stuck + wrong
+    """Findings, rows to use `[T]`, and channels that cannot be used."""
+    found = signals.check_sampling(trial.name, trial.time) + signals.check_timestamps(own)
+    valid, wrong = np.ones(len(trial.time), bool), []
+    for s in own:
+        step = steps.get(s.q_name, 0.0)
+        frozen, moving, stuck = signals.check_frozen(s, step)
+        spikes, smooth = signals.check_spikes(s, step)
+        velocity, contradicts = signals.check_velocity(s)
+        found += frozen + spikes + velocity + signals.check_saturation(s, steps)
+        found += signals.check_derived(s) + signals.check_stale(s, step)
+        found += signals.check_command(s) + signals.check_excitation(s)
+        valid[np.searchsorted(trial.time, s.time[~(moving & smooth)])] = False
+        wrong += [s.q_name] * stuck + [s.v_name] * contradicts
+    if own and all(np.ptp(s.q) < STILL for s in own):
+        text = (
+            f"the machine hardly moves (under {STILL:g} rad or m): nothing can be learned from "
+            f"this trial"
+        )
+        most = max(float(np.ptp(s.q)) for s in own)
+        found.append(Finding("no_motion", "warn", trial.name, "joints", text, most))
+    return found, valid, wrong
 
 
-def _faults(recording: Recording, broken: dict[str, list[str]]) -> list[Finding]:
+def _faults(trials: int, broken: dict[str, list[str]]) -> list[Finding]:
     """A channel that is unusable in most trials is a fault of the recording."""
     found = []
     for channel in sorted({c for wrong in broken.values() for c in wrong}):
         count = sum(channel in wrong for wrong in broken.values())
-        if 2 * count > len(recording.trials):
-            if channel.startswith("q"):
-                what = "stands still"
-            else:
-                what = "contradicts the angle's slope"
-            share = f"{count} of {len(recording.trials)} trials"
-            text = f"{channel} {what} in {share}: check its sensor, sign and unit"
-            found.append(Finding("channel", "fault", "", channel, text, float(count)))
+        if 2 * count <= trials:
+            continue
+        what = "contradicts the angle's slope"
+        if channel.startswith("q"):
+            what = "stands still"
+        text = f"{channel} {what} in {count} of {trials} trials: check its sensor, sign and unit"
+        found.append(Finding("channel", "fault", "", channel, text, float(count)))
     return found
 
 
-def _quantisation(recording: Recording) -> dict[str, float]:
-    """Step by channel: the median over trials in which a lattice shows, if that is most of them."""
+def _quantisation(every: Sequence[Signal]) -> dict[str, tuple[str, float, str]]:
+    """By column its name, step and unit.
+
+    The step is the median over the trials in which a lattice shows, if that is most of them.
+    """
     steps: dict[str, list[float]] = {}
-    for trial in recording.trials:
-        columns = {"q": trial.q, "tau": trial.torque} | ({} if trial.v is None else {"v": trial.v})
-        for stem, x in columns.items():
-            for j in range(2):
-                steps.setdefault(f"{stem}{j + 1}", []).append(
-                    lattice_step(x[:, j]) if np.ptp(x[:, j]) else np.nan
-                )
+    units: dict[str, str] = {}
+    for s in every:
+        force = "N m" if s.unit == "rad" else "N"
+        for name, x, unit in (
+            (s.q_name, s.q, s.unit),
+            (s.u_name, s.u, force),
+            (s.v_name, s.v, f"{s.unit}/s"),
+        ):
+            units[name] = unit
+            if x is not None and np.ptp(x):
+                steps.setdefault(name, []).append(lattice_step(x))
     out = {}
-    for channel, seen in sorted(steps.items()):
-        known = [s for s in seen if np.isfinite(s)]
-        positive = [s for s in known if s > 0]
-        if 2 * len(positive) > len(known):
-            out[channel] = float(np.median(positive))
-        else:
-            out[channel] = 0.0
+    for name, sizes in sorted(steps.items()):
+        positive = [size for size in sizes if size > 0]
+        step = float(np.median(positive)) if 2 * len(positive) > len(sizes) else 0.0
+        out[name] = (name, step, units[name])
     return out
 
 
-def _quantised(channel: str, step: float) -> Finding:
-    unit = {"q": "rad", "v": "rad/s", "t": "N m"}[channel[0]]
-    return Finding(
-        "quantisation",
-        "info",
-        "",
-        channel,
-        f"{channel} is quantised in steps of {step:.4g} {unit}",
-        step,
-    )
+def _quantised(name: str, step: float, unit: str) -> Finding:
+    text = f"{name} is quantised in steps of {step:.4g} {unit}"
+    return Finding("quantisation", "info", "", name, text, step)
 
 
-def _fingerprint(trial: Trial) -> str:
-    digest = hashlib.sha256()
-    for x in (trial.time - trial.time[0], trial.q, trial.torque):
-        digest.update(np.ascontiguousarray(x).tobytes())
-    return digest.hexdigest()
+def without_copies(log: Log) -> Log:
+    """The log with each distinct trial once, the first of its copies."""
+    first: dict[str, LogTrial] = {}
+    for trial in log.trials:
+        digest = hashlib.sha256()
+        for x in (trial.time - trial.time[0], trial.q, trial.u):
+            digest.update(np.ascontiguousarray(x).tobytes())
+        first.setdefault(digest.hexdigest(), trial)
+    return replace(log, trials=tuple(first.values()))
 
 
-def _groups(recording: Recording) -> dict[str, list[Trial]]:
-    groups: dict[str, list[Trial]] = {}
-    for trial in recording.trials:
-        groups.setdefault(_fingerprint(trial), []).append(trial)
-    return groups
+def usable(log: Log, found: Audit) -> Log:
+    """What a fit should see: each trial once, without those that the audit excludes.
 
-
-def _duplicates(recording: Recording) -> list[Finding]:
-    found = []
-    for group in _groups(recording).values():
-        for copy in group[1:]:
-            text = f"is a copy of {group[0].name}: it is counted once"
-            found.append(Finding("duplicate", "warn", copy.name, "trial", text, 1.0))
-    return found
-
-
-def without_duplicates(recording: Recording) -> tuple[Recording, tuple[str, ...]]:
-    """The recording with each distinct trial once (the first of its copies), and the names
-    dropped.
+    Angles are NaN in rows that are not valid. Velocities go where they are mere differences of the
+    angles in every trial: beside the angles they would count the same noise twice.
     """
-    kept = [group[0].name for group in _groups(recording).values()]
-    trials = tuple(t for t in recording.trials if t.name in kept)
-    dropped = tuple(t.name for t in recording.trials if t.name not in kept)
-    return replace(recording, trials=trials), dropped
-
-
-def unwrap_trial(trial: Trial) -> Trial:
-    """The trial with jumps of whole turns taken out of its angles."""
-    return replace(
-        trial, q=np.stack([without_turns(trial.time, trial.q[:, j]).q for j in range(2)], axis=1)
-    )
-
-
-def unwrapped(recording: Recording) -> Recording:
-    """The recording with all angles continuous."""
-    return replace(recording, trials=tuple(unwrap_trial(t) for t in recording.trials))
-
-
-def usable(recording: Recording, found: Audit) -> Recording:
-    """What the fit should see: unwrapped, each trial once, without those that the audit excludes.
-
-    Velocities go too where they are mere differences of the angles in every trial: used beside the
-    angles they would count the same noise twice.
-    """
-    single, _ = without_duplicates(unwrapped(recording))
-    trials = tuple(t for t in single.trials if t.name not in found.exclude)
+    trials = tuple(t for t in without_copies(log).trials if t.name not in found.exclude)
     derived = {(f.trial, f.where) for f in found.of("velocity_derived")}
-    if trials and all((t.name, c) in derived for t in trials for c in ("v1", "v2")):
+    names = [log.column("v", joint) for joint in log.joint_names]
+    if trials and all((t.name, name) in derived for t in trials for name in names):
         trials = tuple(replace(t, v=None) for t in trials)
-    return replace(single, trials=trials)
+    hidden = {t.name: found.valid.get(t.name, np.ones(len(t.time), bool)) for t in trials}
+    trials = tuple(replace(t, q=np.where(hidden[t.name][:, None], t.q, np.nan)) for t in trials)
+    return replace(log, trials=trials)

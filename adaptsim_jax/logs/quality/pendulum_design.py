@@ -2,15 +2,16 @@
 and what its lengths may be.
 """
 
-from collections.abc import Sequence
+import math
 
 import numpy as np
 
 from adaptsim_jax.core.constants import GRAVITY
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.log import Log, LogTrial
+from adaptsim_jax.logs.log_meta import Rig
 from adaptsim_jax.logs.quality.contradictions import (
     AS_DECLARED,
-    Told,
     Words,
     contradiction,
     late_finding,
@@ -20,7 +21,6 @@ from adaptsim_jax.logs.quality.findings import Finding
 from adaptsim_jax.logs.quality.hypotheses import Design, Hypothesis, Motion, Track
 from adaptsim_jax.logs.quality.trial_words import Channels
 from adaptsim_jax.logs.quality.trials_differ import Differ, trials_differ
-from adaptsim_jax.logs.types import Recording
 
 FACTORS = {1e-3: "millimetres", 1e-2: "centimetres", 1e-1: None, 10.0: None, 1e3: "kilometres"}
 WORDS = Words(
@@ -61,68 +61,86 @@ def design(l1: float, gravity: float, down: float) -> Design:
     return columns
 
 
-def of_recording(recording: Recording) -> tuple[list[Track], Design] | None:
-    """Tracks and design of a recording of two driven links; None where the linear fit cannot judge
-    it.
-    """
-    geometry = recording.geometry
-    if recording.model != "rigid_body" or "l1" not in geometry or recording.model_file is not None:
+def of_rig(log: Log) -> tuple[list[Track], Design] | None:
+    """Tracks and design of a log of two driven links; None where the linear fit cannot judge it."""
+    rig = log.meta.rig
+    if rig is None or rig.model != "rigid_body" or "l1" not in rig.geometry or rig.model_file:
         return None
-    tracks = [Track(t.time, t.q, t.v, t.torque) for t in recording.trials]
-    down = 1.0 if recording.angle_zero == "hanging" else -1.0
-    return tracks, design(geometry["l1"], geometry.get("g", GRAVITY), down)
+    tracks = [Track(t.time, t.q, t.v, torques(log, t)) for t in log.trials]
+    return tracks, design(rig.geometry["l1"], rig.geometry.get("g", GRAVITY), _down(rig))
 
 
-def _contradiction(recording: Recording, tracks: Sequence[Track], declared: Design) -> Told | None:
-    """See `contradictions.contradiction`."""
-    l1, g = recording.geometry["l1"], recording.geometry.get("g", GRAVITY)
-    down = 1.0 if recording.angle_zero == "hanging" else -1.0
-    more = []
+def torques(log: Log, trial: LogTrial) -> np.ndarray:
+    """`[T, n]` N m at the joints, 0 at those without a motor."""
+    out = np.zeros_like(trial.q)
+    for k, name in enumerate(log.input_names):
+        out[:, log.joint_names.index(name)] = trial.u[:, k]
+    return out
+
+
+def _down(rig: Rig) -> float:
+    return 1.0 if rig.angle_zero == "hanging" else -1.0
+
+
+def _alternatives(rig: Rig) -> list[Hypothesis]:
+    """What else of the rig itself may be otherwise than declared: lengths, gravity, the zero."""
+    l1, g, down = rig.geometry["l1"], rig.geometry.get("g", GRAVITY), _down(rig)
+    out = []
     for factor, unit in FACTORS.items():
         right = f"{factor * l1:g}"
-        says = f"l1 = {l1:g} m is no length of this motion, {right} m is" + (
-            f" (was it given in {unit}?)" if unit else ""
-        )
-        more.append(
-            Hypothesis(
-                "length",
-                says,
-                f"write l1 = {right} under [geometry] in meta.toml, and l2 likewise",
-                design=design(factor * l1, g, down),
-            )
-        )
+        says = f"l1 = {l1:g} m is no length of this motion, {right} m is"
+        if unit:
+            says = f"{says} (was it given in {unit}?)"
+        mend = f"write l1 = {right} under [geometry] in meta.toml, and l2 likewise"
+        out.append(Hypothesis("length", says, mend, design=design(factor * l1, g, down)))
     if abs(g - GRAVITY) > 0.3 * GRAVITY:
         says = f"g = {g:g} m/s^2 is not the gravity of this motion, {GRAVITY:g} is"
         mend = f"write g = {GRAVITY:g} under [geometry] in meta.toml"
-        more.append(Hypothesis("gravity", says, mend, design=design(l1, GRAVITY, down)))
+        out.append(Hypothesis("gravity", says, mend, design=design(l1, GRAVITY, down)))
     other = "upright" if down > 0 else "hanging"
+    says = f"angles look to be zero when {other}"
     mend = f'write angle_zero = "{other}" in meta.toml'
-    more.append(
-        Hypothesis(
-            "angle_zero", f"angles look to be zero when {other}", mend, design=design(l1, g, -down)
-        )
-    )
-    return contradiction(tracks, declared, WORDS, more, chain=(-1, 0), zeros=(1,))
+    out.append(Hypothesis("angle_zero", says, mend, design=design(l1, g, -down)))
+    return out
 
 
-def pendulum_trials(recording: Recording) -> Differ | None:
+def pendulum_trials(log: Log) -> Differ | None:
     """See `trials_differ.trials_differ`."""
-    found = of_recording(recording)
-    if found is None:
+    if (found := of_rig(log)) is None:
         return None
-    return trials_differ([t.name for t in recording.trials], *found)
+    return trials_differ([t.name for t in log.trials], *found)
 
 
-def check_conventions(recording: Recording) -> tuple[Finding, ...]:
+def check_conventions(log: Log) -> tuple[Finding, ...]:
     """What the motion says of the declared columns. Raises BadInput where it contradicts them, with
     what to write instead.
     """
-    if (found := of_recording(recording)) is None:
+    told = _resting(log)
+    if (found := of_rig(log)) is None:
+        return told
+    more = _alternatives(log.meta.rig)
+    if other := contradiction(*found, WORDS, more, chain=(-1, 0), zeros=(1,)):
+        raise BadInput(f"{log.path}: {other.message}; {AS_DECLARED}")
+    if (late := lateness(*found)) is None:
+        return told
+    step = float(np.median([t.dt for t in log.trials]))
+    return told + late_finding(log.path, late, step, WORDS.tau)
+
+
+def _resting(log: Log) -> tuple[Finding, ...]:
+    """At rest without torque the arm hangs or stands: each link near 0 or half a turn from it."""
+    rig = log.meta.rig
+    if rig is None or rig.model != "rigid_body" or rig.geometry.get("g", GRAVITY) == 0:
         return ()
-    if told := _contradiction(recording, *found):
-        raise BadInput(f"{recording.path}: {told.message}; {AS_DECLARED}")
-    late = lateness(*found)
-    step = float(np.median([t.dt for t in recording.trials]))
-    if late is None:
-        return ()
-    return late_finding(recording.path, late, step, ("tau1", "tau2"))
+    for trial in log.trials:
+        q = trial.q[: min(20, len(trial.time))]
+        torque = torques(log, trial)[: len(q)]
+        still = np.all(np.ptp(q, axis=0) < 0.003) and np.all(np.abs(torque) < 1e-3)
+        if not still or np.ptp(trial.q) < 0.02:
+            continue
+        tilt = max(abs(math.remainder(x, math.pi)) for x in (q[0, 0], q[0].sum()))
+        if tilt > 0.6:
+            at = f"q = {q[0, 0]:.3g}, {q[0, 1]:.3g} rad"
+            text = f"at rest without torque at {at}, which gravity forbids: check angle_zero"
+            return (Finding("angle_zero", "warn", trial.name, "meta.toml", text, tilt),)
+    return ()

@@ -1,97 +1,118 @@
-"""The single checks of the audit: each takes one trial and returns findings; some mark rows to
-leave out.
-"""
+"""The single checks of the audit, each of one joint of one trial."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from adaptsim_jax.logs.noise.differences import difference_noise
 from adaptsim_jax.logs.quality.consistency import command_agreement, velocity_agreement
 from adaptsim_jax.logs.quality.findings import Finding, Findings
-from adaptsim_jax.logs.quality.turns import TURN, without_turns
-from adaptsim_jax.logs.types import Trial
+
+MOVES = 0.2
+"""Range in rad (rad/s) from which on a joint is taken to move."""
+STILL = 0.02
+"""Range in rad (m) below which a trial teaches nothing."""
 
 
-def check_sampling(trial: Trial) -> Findings:
-    """Sampling rate, jitter, gaps longer than five intervals."""
-    dt = np.diff(trial.time)
+@dataclass(frozen=True)
+class Signal:
+    """One joint of one trial, in the rows in which its angle was read.
+
+    `trial`, `joint` and the columns `q_name`, `v_name`, `u_name` by their names; `time [K]` s;
+    `q [K]` in `unit`; `v [K]` or None; `u [K]` or None: force or torque; `told [K]` or None: what
+    it was commanded; `row`: the trial's sampling interval in s; `free`: whether nothing but a
+    motor with no brake or gear holds the joint; `others`: range of the trial's other joints.
+    """
+
+    trial: str
+    joint: str
+    q_name: str
+    v_name: str
+    u_name: str
+    unit: str
+    time: np.ndarray
+    q: np.ndarray
+    v: np.ndarray | None
+    u: np.ndarray | None
+    told: np.ndarray | None
+    row: float
+    free: bool
+    others: float
+
+    def finding(self, kind: str, severity: str, where: str, text: str, value: float) -> Finding:
+        """A finding of this trial."""
+        return Finding(kind, severity, self.trial, where, text, float(value))
+
+
+def check_sampling(trial: str, time: np.ndarray) -> Findings:
+    """Sampling rate, jitter, gaps longer than five intervals, of one trial."""
+    dt = np.diff(time)
     step = float(np.median(dt))
-    found = [
-        Finding(
-            "sampling",
-            "info",
-            trial.name,
-            "time",
-            f"sampled at {1 / step:.4g} Hz (median)",
-            1 / step,
-        )
-    ]
+    rate = 1.0 / step
+    text = f"sampled at {rate:.4g} Hz (median)"
+    found = [Finding("sampling", "info", trial, "time", text, rate)]
     jitter = float(np.std(dt[dt <= 5 * step]) / step)
     if jitter > 0.05:
-        found.append(
-            Finding(
-                "jitter",
-                "info",
-                trial.name,
-                "time",
-                f"sampling interval varies by {jitter:.0%} (std)",
-                jitter,
-            )
-        )
+        text = f"sampling interval varies by {jitter:.0%} (std)"
+        found.append(Finding("jitter", "info", trial, "time", text, jitter))
     gaps = np.flatnonzero(dt > 5 * step)
     if gaps.size:
-        first = trial.time[gaps[0]]
-        text = f"{gaps.size} gap(s) over 5 intervals, the longest {dt.max():.3g} s, first at {first:.3g} s"
-        found.append(
-            Finding("gap", "warn", trial.name, f"time {first:.3g} s", text, float(dt.max()))
+        at = time[gaps[0]]
+        text = (
+            f"{gaps.size} gap(s) over 5 intervals, the longest {dt.max():.3g} s, "
+            f"first at {at:.3g} s"
         )
-    if 1 / step < 45:
-        text = f"sampled at {1 / step:.3g} Hz: below 50 Hz fast effects cannot be told apart"
-        found.append(Finding("slow_sampling", "warn", trial.name, "time", text, 1 / step))
+        found.append(Finding("gap", "warn", trial, f"time {at:.3g} s", text, float(dt.max())))
+    if rate < 45:
+        text = f"sampled at {rate:.3g} Hz: below 50 Hz fast effects cannot be told apart"
+        found.append(Finding("slow_sampling", "warn", trial, "time", text, rate))
     return found
 
 
 def runs(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Starts and lengths of the runs of equal rows in `x: [T]` or `[T, k]`."""
-    rows = x.reshape(len(x), -1)
-    change = np.flatnonzero(np.any(rows[1:] != rows[:-1], axis=1)) + 1
-    starts = np.concatenate([[0], change])
+    """Starts and lengths of the runs of equal values in `x: [K]`."""
+    starts = np.concatenate([[0], np.flatnonzero(x[1:] != x[:-1]) + 1])
     return starts, np.diff(np.concatenate([starts, [len(x)]]))
 
 
-def check_frozen(trial: Trial, steps: dict[str, float]) -> tuple[Findings, np.ndarray, list[str]]:
-    """Runs in which an angle stands still though the arm moves; rows to keep; stuck channels."""
-    keep = np.ones(len(trial.time), bool)
-    found, stuck = [], []
-    for j in range(2):
-        channel = f"q{j + 1}"
-        q = trial.q[:, j]
-        if np.ptp(q) == 0:
-            if _others_move(trial, j):
-                stuck.append(channel)
-                text = f"{channel} is constant ({q[0]:.4g} rad) over the trial while the arm moves: stuck"
-                found.append(Finding("stuck", "warn", trial.name, channel, text, float(q[0])))
-            continue
-        bad = _frozen_runs(trial, j, steps.get(channel, 0.0))
-        for start, length in bad:
-            keep[start : start + length] = False
-        if bad:
-            lost = sum(length for _, length in bad)
-            at = trial.time[bad[0][0]]
-            text = f"{channel} froze {len(bad)} time(s) while moving ({lost} samples, the first at {at:.3g} s)"
-            found.append(Finding("frozen", "warn", trial.name, channel, text, float(lost)))
-    return found, keep, stuck
+def check_frozen(s: Signal, step: float) -> tuple[Findings, np.ndarray, bool]:
+    """Runs in which an angle stands still though the joint moves.
 
+    Args:
+        s: the joint.
+        step: resolution of its angle.
 
-def _others_move(trial: Trial, joint: int) -> bool:
-    own = trial.v is not None and np.ptp(trial.v[:, joint]) > 0.2
-    return bool(own or np.ptp(trial.q[:, 1 - joint]) > 0.2)
-
-
-def _frozen_runs(trial: Trial, joint: int, step: float) -> list[tuple[int, int]]:
-    """(start, length) of frozen runs: the angle should have moved by many resolution steps, and
-    jumps.
+    Returns:
+        Findings, rows to use `[K]`, and whether the sensor is stuck over the whole trial.
     """
-    q, time = trial.q[:, joint], trial.time
+    keep = np.ones(len(s.q), bool)
+    if np.ptp(s.q) == 0:
+        spins = s.v is not None and np.ptp(s.v) > MOVES
+        if not spins and not (s.free and s.others > MOVES):
+            return [], keep, False
+        text = (
+            f"{s.q_name} is constant ({s.q[0]:.4g} {s.unit}) over the trial while it moves: stuck"
+        )
+        return [s.finding("stuck", "warn", s.q_name, text, s.q[0])], keep, True
+    bad = _frozen_runs(s.time, s.q, step)
+    if not bad:
+        return [], keep, False
+    for start, length in bad:
+        keep[start : start + length] = False
+    lost = sum(length for _, length in bad)
+    text = (
+        f"{s.q_name} froze {len(bad)} time(s) while moving ({lost} samples, the first at "
+        f"{s.time[bad[0][0]]:.3g} s)"
+    )
+    return [s.finding("frozen", "warn", s.q_name, text, lost)], keep, False
+
+
+def _frozen_runs(time: np.ndarray, q: np.ndarray, step: float) -> list[tuple[int, int]]:
+    """(start, length) of frozen runs.
+
+    The angle should have moved by many resolution steps in them, and jumps at their end.
+    """
     starts, lengths = runs(q)
     noise = max(step, float(difference_noise([q], 2)))
     bad = []
@@ -99,31 +120,26 @@ def _frozen_runs(trial: Trial, joint: int, step: float) -> list[tuple[int, int]]
         end = start + length
         if length < 5 or start < 4 or end + 4 > len(q):
             continue
-        held = time[end - 1] - time[start]
+        span = time[end - 1] - time[start]
         before = (q[start] - q[start - 4]) / (time[start] - time[start - 4])
         after = (q[end + 3] - q[end]) / (time[end + 3] - time[end])
-        jump = abs(q[end] - q[end - 1])
+        expected = 0.0
         if before * after > 0:
-            expected = held * min(abs(before), abs(after))
-        else:
-            expected = 0.0
-        if min(expected, 2 * jump) > 10 * noise:
+            expected = span * min(abs(before), abs(after))
+        if min(expected, 2 * abs(q[end] - q[end - 1])) > 10 * noise:
             bad.append((int(start), int(length)))
     return bad
 
 
-def check_spikes(trial: Trial, steps: dict[str, float]) -> tuple[Findings, np.ndarray]:
-    """Single samples far from both neighbours (a lost bit, a bad packet); rows to keep."""
-    keep = np.ones(len(trial.time), bool)
-    found = []
-    for j in range(2):
-        bad = _lone_outliers(trial.time, trial.q[:, j], steps.get(f"q{j + 1}", 0.0))
-        if bad.size:
-            keep[bad] = False
-            at = trial.time[bad[0]]
-            text = f"q{j + 1} has {bad.size} lone outlier(s), the first at {at:.3g} s; those rows are not used"
-            found.append(Finding("spike", "warn", trial.name, f"q{j + 1}", text, float(bad.size)))
-    return found, keep
+def check_spikes(s: Signal, step: float) -> tuple[Findings, np.ndarray]:
+    """Single samples far from both neighbours (a lost bit, a bad packet); rows to use `[K]`."""
+    keep = np.ones(len(s.q), bool)
+    bad = _lone_outliers(s.time, s.q, step)
+    if not bad.size:
+        return [], keep
+    keep[bad] = False
+    text = f"{s.q_name} has {bad.size} lone outlier(s), the first at {s.time[bad[0]]:.3g} s"
+    return [s.finding("spike", "warn", s.q_name, text, bad.size)], keep
 
 
 def _lone_outliers(time: np.ndarray, q: np.ndarray, step: float) -> np.ndarray:
@@ -140,30 +156,25 @@ def _lone_outliers(time: np.ndarray, q: np.ndarray, step: float) -> np.ndarray:
     return np.flatnonzero(out & even) + 2
 
 
-def check_saturation(trial: Trial, steps: dict[str, float]) -> Findings:
-    """A torque or an angle that rests at its largest or smallest value for many rows: cut flat
-    there.
-    """
+def check_saturation(s: Signal, steps: dict[str, float]) -> Findings:
+    """A torque, or the angle of a free joint, that rests at its largest or smallest value."""
     found = []
-    columns = {
-        "tau1": trial.torque[:, 0],
-        "tau2": trial.torque[:, 1],
-        "q1": trial.q[:, 0],
-        "q2": trial.q[:, 1],
-    }
-    for channel, x in columns.items():
-        span = np.ptp(x)
-        if span == 0:
+    columns = [(s.u_name, s.u, "info")]
+    if s.free:
+        columns.append((s.q_name, s.q, "warn"))
+    for name, x, severity in columns:
+        if x is None or np.ptp(x) == 0 or np.mean(np.isin(x, (x.max(), x.min()))) > 0.9:
             continue
-        starts, lengths = _cut_runs(trial.time, x, steps.get(channel, 0.0))
+        starts, lengths = _cut_runs(s.time, x, steps.get(name, 0.0))
         for extreme, word in ((x.max(), "largest"), (x.min(), "smallest")):
             at = (x[starts] == extreme) & (lengths >= 5)
             share = float(lengths[at].sum()) / len(x)
-            two_level = np.mean(np.isin(x, (x.max(), x.min()))) > 0.9
-            if share > 0.01 and np.sum(at) >= 2 and not two_level:
-                text = f"{channel} rests at its {word} value {extreme:.4g} in {share:.0%} of the rows: clipped?"
-                severity = "info" if channel.startswith("tau") else "warn"
-                found.append(Finding("saturation", severity, trial.name, channel, text, share))
+            if share > 0.01 and np.sum(at) >= 2:
+                text = (
+                    f"{name} rests at its {word} value {extreme:.4g} in {share:.0%} of the rows: "
+                    f"clipped?"
+                )
+                found.append(s.finding("saturation", severity, name, text, share))
     return found
 
 
@@ -179,100 +190,116 @@ def _cut_runs(time: np.ndarray, x: np.ndarray, step: float) -> tuple[np.ndarray,
     return starts[cut], lengths[cut]
 
 
-def check_velocity(trial: Trial) -> tuple[Findings, list[str]]:
-    """Velocity against d(angle)/dt: scale, sign, lag. Also the channels that contradict the
-    angles.
-    """
-    found, wrong = [], []
-    if trial.v is None:
-        return found, wrong
-    for j in range(2):
-        channel, name = f"v{j + 1}", trial.name
-        a = velocity_agreement(trial.time, trial.q[:, j], trial.v[:, j])
-        if not a.enough:
-            if a.loud and np.ptp(trial.q[:, j]) > 0.2:
-                wrong.append(channel)
-                text = f"{channel} is unrelated to d(q{j + 1})/dt (explains {a.r2:.0%} of it)"
-                found.append(Finding("velocity", "warn", name, channel, text, a.r2))
-            continue
-        if a.gain < 0 or not 0.5 < a.gain < 2.0:
-            wrong.append(channel)
-            text = f"{channel} is {a.gain:.3g} times d(q{j + 1})/dt: wrong sign, unit or gear ratio"
-            found.append(Finding("velocity", "warn", name, channel, text, a.gain))
-        elif abs(a.gain - 1) > max(0.03, 5 * a.spread):
-            text = f"{channel} is {a.gain:.3f} times d(q{j + 1})/dt"
-            found.append(Finding("velocity_scale", "warn", name, channel, text, a.gain))
-        if abs(a.lag) > 0.5 * trial.dt and abs(a.lag) > 1e-3:
-            text = f"{channel} lags d(q{j + 1})/dt by {a.lag * 1e3:.3g} ms (a filter, or a backward difference)"
-            found.append(Finding("velocity_lag", "info", name, channel, text, a.lag))
+def check_velocity(s: Signal) -> tuple[Findings, bool]:
+    """Velocity against d(angle)/dt: scale, sign, lag; and whether it contradicts the angle."""
+    if s.v is None:
+        return [], False
+    slope, name = f"d({s.q_name})/dt", s.v_name
+    a = velocity_agreement(s.time, s.q, s.v)
+    if not a.enough:
+        if not (a.loud and np.ptp(s.q) > MOVES):
+            return [], False
+        text = f"{name} is unrelated to {slope} (explains {a.r2:.0%} of it)"
+        return [s.finding("velocity", "warn", name, text, a.r2)], True
+    found, wrong = [], not 0.5 < a.gain < 2.0
+    if wrong:
+        text = f"{name} is {a.gain:.3g} times {slope}: wrong sign, unit or gear ratio"
+        found.append(s.finding("velocity", "warn", name, text, a.gain))
+    elif abs(a.gain - 1) > max(0.03, 5 * a.spread):
+        text = f"{name} is {a.gain:.3f} times {slope}"
+        found.append(s.finding("velocity_scale", "warn", name, text, a.gain))
+    if abs(a.lag) > 0.5 * s.row and abs(a.lag) > 1e-3:
+        how = "a filter, or a backward difference"
+        text = f"{name} lags {slope} by {a.lag * 1e3:.3g} ms ({how})"
+        found.append(s.finding("velocity_lag", "info", name, text, a.lag))
     return found, wrong
 
 
-def check_command(trial: Trial) -> Findings:
-    """Measured against commanded torque: gain and lag, where both were recorded."""
-    found = []
-    if trial.commanded is None:
-        return found
-    for j in range(2):
-        a = command_agreement(trial.time, trial.commanded[:, j], trial.torque[:, j])
-        if a.enough and a.lag > -4 * trial.dt:
-            how = f"gain {a.gain:.3f} and lag {a.lag * 1e3:.3g} ms (r2 {a.r2:.3f})"
-            text = f"tau{j + 1} follows its command with {how}"
-            if not 0.7 < a.gain < 1.4 or a.lag > 0.02:
-                severity = "warn"
-            else:
-                severity = "info"
-            found.append(Finding("command", severity, trial.name, f"tau{j + 1}", text, a.lag))
-    return found
-
-
-def check_wrap(trial: Trial) -> Findings:
-    """Jumps of whole turns (or of an encoder's own period), which are taken out, and gaps in which
-    there may be more.
-    """
-    found = []
-    for j in range(2):
-        turns = without_turns(trial.time, trial.q[:, j])
-        channel = f"q{j + 1}"
-        if turns.count:
-            if abs(turns.period - TURN) < 1e-9:
-                what = "a full turn"
-            else:
-                what = f"{turns.period:.4g} rad"
-            text = f"{channel} jumps by {what} {turns.count} time(s): taken out"
-            found.append(Finding("wrap", "info", trial.name, channel, text, float(turns.count)))
-        if turns.unsure:
-            at = trial.time[turns.unsure[0]]
-            text = f"{channel} wraps, and may have turned further in {len(turns.unsure)} gap(s), first at {at:.3g} s: cut there"
-            found.append(
-                Finding("wrap_in_gap", "warn", trial.name, channel, text, float(len(turns.unsure)))
+def check_derived(s: Signal) -> Findings:
+    """A velocity that is only a difference of the logged angles: it measures nothing of its own."""
+    if s.v is None or np.ptp(s.v) == 0:
+        return []
+    slope = np.diff(s.q) / np.diff(s.time)
+    for side, v in (("backward", s.v[1:]), ("forward", s.v[:-1])):
+        near = np.median(np.abs(v - slope)) < 0.005 * np.std(v)
+        if near and np.corrcoef(v, slope)[0, 1] > 0.999:
+            text = (
+                f"{s.v_name} is the {side} difference of {s.q_name}: it measures nothing of its own"
             )
-    return found
+            return [s.finding("velocity_derived", "info", s.v_name, text, 1.0)]
+    return []
 
 
-def check_excitation(trial: Trial) -> Findings:
-    """Range of angle, speed and torque, and how often each joint turns round (friction shows
-    there).
+def check_command(s: Signal) -> Findings:
+    """Measured against commanded torque: gain and lag, where both were recorded."""
+    if s.told is None or s.u is None:
+        return []
+    a = command_agreement(s.time, s.told, s.u)
+    if not a.enough or a.lag <= -4 * s.row:
+        return []
+    how = f"gain {a.gain:.3f} and lag {a.lag * 1e3:.3g} ms (r2 {a.r2:.3f})"
+    severity = "info"
+    if not 0.7 < a.gain < 1.4 or a.lag > 0.02:
+        severity = "warn"
+    text = f"{s.u_name} follows its command with {how}"
+    return [s.finding("command", severity, s.u_name, text, a.lag)]
+
+
+def check_stale(s: Signal, step: float) -> Findings:
+    """Rows that repeat the angle of the row before although the joint turns."""
+    q = s.q
+    turning = np.abs(q[2:] - q[:-2]) > 6 * max(step, 1e-12)
+    if turning.sum() < 50:
+        return []
+    share = float(np.mean((q[1:-1] == q[:-2])[turning] | (q[1:-1] == q[2:])[turning]))
+    if share <= 0.05:
+        return []
+    text = (
+        f"{s.q_name} repeats its value in {share:.0%} of the rows while turning: rows outrun the "
+        f"sensor"
+    )
+    return [s.finding("stale", "warn", s.q_name, text, share)]
+
+
+def check_timestamps(own: Sequence[Signal]) -> Findings:
+    """Whether uneven times are when the angles were read: then angles grow with the time steps.
+
+    `value` is the share of the unevenness that they do not follow (1: they were read evenly).
     """
-    found = []
-    if trial.v is not None:
-        v = trial.v
-    else:
-        v = np.gradient(trial.q, trial.time, axis=0)
-    for j in range(2):
-        q, w, u = trial.q[:, j], v[:, j], trial.torque[:, j]
-        loud = 0.02 * float(np.max(np.abs(w)) or 1.0)
-        signs = np.sign(w[np.abs(w) > loud])
-        turns = int(np.sum(signs[1:] != signs[:-1]))
-        text = (
-            f"joint {j + 1}: angle range {np.ptp(q):.3g} rad, top speed {np.max(np.abs(w)):.3g} "
-            f"rad/s, "
-            f"torque range {np.ptp(u):.3g} N m, {turns} reversals"
-        )
-        found.append(Finding("excitation", "info", trial.name, f"joint{j + 1}", text, float(turns)))
-    if np.all(np.ptp(trial.q, axis=0) < 0.02):
-        text = "the arm hardly moves (under 0.02 rad): nothing can be learned from this trial"
-        found.append(
-            Finding("no_motion", "warn", trial.name, "joints", text, float(np.ptp(trial.q)))
-        )
-    return found
+    shares = [_not_followed(s.time, s.q) for s in own if np.ptp(s.q) > STILL]
+    share, spread = min(shares, key=lambda pair: pair[1], default=(0.0, 0.0))
+    if share < max(0.3, 6.0 * spread):
+        return []
+    text = (
+        f"angles do not follow {share:.0%} of the unevenness of time: rows are stamped late, not "
+        f"when read"
+    )
+    return [own[0].finding("timestamps", "warn", "time", text, share)]
+
+
+def _not_followed(time: np.ndarray, q: np.ndarray) -> tuple[float, float]:
+    """Share of the unevenness of time that an angle does not follow, and its standard error."""
+    dt = np.diff(time)
+    if np.std(dt) < 0.1 * float(np.median(dt)):
+        return 0.0, 0.0
+    turn = np.diff(q)
+    width = np.ones(min(21, len(dt) // 2))
+    speed = np.convolve(turn, width, "same") / np.convolve(dt, width, "same")
+    expected = speed * (dt - np.convolve(dt, width / len(width), "same"))
+    extra = turn - speed * dt
+    power = max(float(np.sum(expected**2)), 1e-300)
+    return -float(np.sum(extra * expected)) / power, float(np.std(extra)) / power**0.5
+
+
+def check_excitation(s: Signal) -> Findings:
+    """Range of angle, speed and torque, and how often the joint turns round."""
+    w = np.gradient(s.q, s.time) if s.v is None else s.v
+    loud = 0.02 * float(np.max(np.abs(w)) or 1.0)
+    signs = np.sign(w[np.abs(w) > loud])
+    turns = int(np.sum(signs[1:] != signs[:-1]))
+    torque = "" if s.u is None else f"torque range {np.ptp(s.u):.3g}, "
+    text = (
+        f"{s.joint}: range {np.ptp(s.q):.3g} {s.unit}, top speed {np.max(np.abs(w)):.3g} "
+        f"{s.unit}/s, {torque}{turns} reversals"
+    )
+    return [s.finding("excitation", "info", s.joint, text, turns)]

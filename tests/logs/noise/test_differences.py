@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.logs.noise.differences import difference_noise
+from adaptsim_jax.logs.pendulum import read_pendulum
+from tests.logs.measured_files import real_rig
 
 
 @pytest.mark.parametrize("order", [2, 3, 4])
@@ -22,3 +24,14 @@ def test_what_was_never_read_has_no_noise():
     q[:, 0] = np.random.default_rng(0).normal(size=50)
     found = difference_noise([q])
     assert found[0] > 0.5 and found[1] == 0.0
+
+
+def test_a_constant_signal_has_no_noise():
+    assert difference_noise([np.full(100, 3.0)]) == 0.0
+
+
+@pytest.mark.parametrize("rig", ["rig_a", "rig_c"])
+def test_the_real_rigs_have_encoder_noise(rig):
+    floor = difference_noise([t.q for t in read_pendulum(real_rig(rig)).trials])
+    # Between the least value that 14 bits allow (1.1e-4 rad) and one whole step of them.
+    assert np.all((floor >= 1.1e-4) & (floor <= 3.9e-4))

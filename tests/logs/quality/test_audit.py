@@ -5,13 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from adaptsim_jax.logs.quality.audit import audit, unwrapped, usable, without_duplicates
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.pendulum import read_pendulum
+from adaptsim_jax.logs.quality.audit import audit, usable, without_copies
 from adaptsim_jax.logs.quality.consistency import (
     command_agreement,
     lattice_step,
     velocity_agreement,
 )
-from adaptsim_jax.logs.recording import read_recording
+from adaptsim_jax.logs.quality.pendulum_design import check_conventions
 from tests.logs.measured_files import META, real_rig, simulate, table, write
 
 
@@ -37,7 +39,7 @@ def motions():
 def clean(motions, tmp_path_factory):
     """The clean recording."""
     trials = {f"trial_{i:02d}": table(*m) for i, m in enumerate(motions)}
-    return read_recording(write(tmp_path_factory.mktemp("clean"), trials))
+    return read_pendulum(write(tmp_path_factory.mktemp("clean"), trials))
 
 
 def changed(recording, change, trials=None):
@@ -119,7 +121,7 @@ def test_command_gain_and_lag_are_measured(motions):
 def test_gaps_jitter_spikes_wraps_and_clipping_are_found(clean):
     def gap(t):
         keep = np.r_[0:200, 220 : len(t.time)]
-        return {k: getattr(t, k)[keep] for k in ("time", "q", "v", "torque")}
+        return {k: getattr(t, k)[keep] for k in ("time", "q", "v", "u")}
 
     assert audit(changed(clean, gap)).of("gap")[0].value == pytest.approx(0.105, rel=0.01)
 
@@ -131,16 +133,8 @@ def test_gaps_jitter_spikes_wraps_and_clipping_are_found(clean):
     found = audit(changed(clean, spike, ["trial_02"]))
     assert kinds(found) == {"spike"} and np.flatnonzero(~found.valid["trial_02"]).tolist() == [150]
 
-    def wrap(t):
-        return {"q": (t.q + np.pi + 3.0) % (2 * np.pi) - np.pi}
-
-    wrapped = changed(clean, wrap)
-    assert audit(wrapped).of("wrap") and not audit(wrapped).fault
-    for before, after in zip(clean.trials, unwrapped(wrapped).trials, strict=True):
-        np.testing.assert_allclose(np.diff(after.q, axis=0), np.diff(before.q, axis=0), atol=1e-12)
-
     def clip(t):
-        return {"torque": np.clip(t.torque, -0.2, 0.2)}
+        return {"u": np.clip(t.u, -0.2, 0.2)}
 
     clipped = audit(changed(clean, clip)).of("saturation")
     assert {f.where for f in clipped} == {"tau1", "tau2"}
@@ -159,6 +153,20 @@ def test_velocities_made_from_the_angles_and_late_stamps_are_told(clean):
     assert not audit(clean).of("velocity_derived")
     assert all(t.v is not None for t in usable(clean, audit(clean)).trials)
 
+
+def test_wraps_are_taken_out(motions, tmp_path):
+    def wrapped(q):
+        return (q + np.pi + 3.0) % (2 * np.pi) - np.pi
+
+    turned = {f"{i}": table(t, wrapped(q), v, u) for i, (t, q, v, u) in enumerate(motions)}
+    read = read_pendulum(write(tmp_path / "wrapped", turned))
+    assert any("jumps of whole turns taken out" in note for note in read.notes)
+    assert not audit(read).fault
+    for (_, before, _, _), after in zip(motions, read.trials, strict=True):
+        np.testing.assert_allclose(np.diff(after.q, axis=0), np.diff(before, axis=0), atol=1e-12)
+
+
+def test_rows_that_are_stamped_late_are_told(clean):
     def stamp(t):
         rng = np.random.default_rng(1)
         return {"time": t.time + 0.8 * t.dt * rng.uniform(0, 1, len(t.time))}
@@ -166,7 +174,7 @@ def test_velocities_made_from_the_angles_and_late_stamps_are_told(clean):
     late = audit(changed(clean, stamp)).of("timestamps")
     assert len(late) == 3 and late[0].value == pytest.approx(1.0, abs=0.2)
     time, q, v, torque = simulate(7, 3.0, jitter=0.8)
-    true = changed(clean, lambda t: {"time": time, "q": q, "v": v, "torque": torque})
+    true = changed(clean, lambda t: {"time": time, "q": q, "v": v, "u": torque})
     assert not audit(true).of("timestamps")
 
 
@@ -181,29 +189,26 @@ def test_quantisation_steps_are_recovered(motions, step):
 def test_copies_are_found_and_counted_once(clean):
     copies = tuple(replace(t, name=f"{t.name}_copy") for t in clean.trials)
     doubled = replace(clean, trials=clean.trials + copies)
-    single, dropped = without_duplicates(doubled)
-    assert single == replace(doubled, trials=clean.trials) and dropped == tuple(
-        t.name for t in copies
-    )
+    assert without_copies(doubled) == replace(doubled, trials=clean.trials)
     found = audit(doubled)
-    assert len(found.of("duplicate")) == 3 and not found.fault
+    assert not found.fault
     assert [t.name for t in usable(doubled, found).trials] == [t.name for t in clean.trials]
 
 
-def test_a_wrong_angle_zero_is_warned_of(motions, tmp_path):
+def test_a_wrong_angle_zero_is_refused(motions, tmp_path):
     trials = {f"trial_{i:02d}": table(*m) for i, m in enumerate(motions)}
-    found = audit(read_recording(write(tmp_path, trials, META.replace("hanging", "upright"))))
-    assert "angle_zero" in kinds(found) and not found.fault
+    other = write(tmp_path, trials, META.replace("hanging", "upright"))
+    with pytest.raises(BadInput, match="angles look to be zero when hanging"):
+        check_conventions(read_pendulum(other))
 
 
 def test_rest_where_gravity_forbids_it_is_warned_of(tmp_path):
     time, q, v, torque = simulate(0, seconds=2.0)
     q, v = q - q[0], v.copy()
     q[:30], v[:30], torque = q[0], 0.0, np.zeros_like(torque)
-    found = audit(
-        read_recording(write(tmp_path, {"t": table(time, q + np.array([1.2, 0.0]), v, torque)}))
-    )
-    assert "angle_zero" in kinds(found)
+    trials = {"t": table(time, q + np.array([1.2, 0.0]), v, torque)}
+    (found,) = check_conventions(read_pendulum(write(tmp_path, trials)))
+    assert (found.kind, found.severity) == ("angle_zero", "warn")
 
 
 def test_an_arm_at_rest_teaches_nothing(clean):
@@ -213,8 +218,8 @@ def test_an_arm_at_rest_teaches_nothing(clean):
 
 @pytest.mark.parametrize("rig", ["rig_a", "rig_c"])
 def test_the_real_rigs_are_quantised_and_have_no_fault(rig):
-    found = audit(read_recording(real_rig(rig)))
-    assert not found.fault and found.exclude == () and not found.of("angle_zero")
+    found = audit(read_pendulum(real_rig(rig)))
+    assert not found.fault and found.exclude == ()
     # Both drivers read angles with 14 bits a turn: 2 pi / 2^14 = 3.8e-4 rad.
     for channel in ("q1", "q2"):
         assert found.quantisation[channel] == pytest.approx(2 * np.pi / 2**14, rel=0.01)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.pendulum import read_pendulum
 from adaptsim_jax.logs.quality.pendulum_design import check_conventions
-from adaptsim_jax.logs.recording import read_recording
 from tests.logs.arm_files import L1, arm, write
 
 
@@ -77,7 +77,7 @@ SPOILED = {
 @pytest.mark.parametrize("name", SPOILED)
 def test_a_wrong_convention_is_told(tmp_path, name):
     spoil, l1, says = SPOILED[name]
-    recording = read_recording(write(tmp_path, [spoil(c) for c in arm()], l1=l1))
+    recording = read_pendulum(write(tmp_path, [spoil(c) for c in arm()], l1=l1))
     with pytest.raises(BadInput) as told:
         check_conventions(recording)
     assert says in str(told.value) and "--as-declared" in str(told.value)
@@ -85,12 +85,12 @@ def test_a_wrong_convention_is_told(tmp_path, name):
 
 def test_healthy_recordings_are_not_doubted(tmp_path):
     for seed in range(12):
-        assert check_conventions(read_recording(write(tmp_path / str(seed), arm(seed=seed)))) == ()
+        assert check_conventions(read_pendulum(write(tmp_path / str(seed), arm(seed=seed)))) == ()
 
 
 def test_motion_that_follows_late_is_an_effect_or_a_sensor_and_warned_of(tmp_path):
     moved = [c | {k: late(c[k], 1) for k in ("q1", "q2", "v1", "v2")} for c in arm()]
-    (found,) = check_conventions(read_recording(write(tmp_path, moved)))
+    (found,) = check_conventions(read_pendulum(write(tmp_path, moved)))
     told = re.search(r"about ([\d.]+) ms late", found.message)
     assert (
         found.severity == "warn" and told and float(told[1]) == pytest.approx(10.0, abs=1.0)

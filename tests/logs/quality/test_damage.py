@@ -6,9 +6,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.noise.floor import noise_floor, smooth
+from adaptsim_jax.logs.local_motion import local_motion
+from adaptsim_jax.logs.pendulum import read_pendulum
 from adaptsim_jax.logs.quality.audit import audit, usable
-from adaptsim_jax.logs.recording import read_recording
 from tests.logs.measured_files import META, csv_text, table
 
 FAST = settings(
@@ -50,16 +50,17 @@ def read_or_refuse(folder):
     folder.
     """
     try:
-        recording = read_recording(folder)
+        recording = read_pendulum(folder)
     except BadInput as refused:
         message = str(refused)
         assert str(folder) in message and len(message.splitlines()) == 1 and len(message) < 600
         return None
     found = audit(recording)
-    floor = noise_floor(usable(recording, found), found)
-    for trial in recording.trials:
-        if floor:
-            q, v = smooth(trial, floor)
+    for trial in usable(recording, found).trials:
+        rows = np.isfinite(trial.q).all(axis=1)
+        time, angles = trial.time[rows], trial.q[rows]
+        if len(time) > 20:
+            q, v = local_motion(time, angles, None if trial.v is None else trial.v[rows])
             assert np.isfinite(q).all() and np.isfinite(v).all()
     return recording
 
@@ -171,4 +172,4 @@ def test_the_undamaged_trial_reads(folder):
 def test_what_a_spreadsheet_leaves_of_nothing_is_empty(folder, rest):
     (folder / "t.csv").write_bytes(rest)
     with pytest.raises(BadInput, match=r"t\.csv: is empty"):
-        read_recording(folder)
+        read_pendulum(folder)

@@ -5,16 +5,16 @@ not doubted.
 import numpy as np
 import pytest
 
+from adaptsim_jax.logs.pendulum import read_pendulum
 from adaptsim_jax.logs.quality.pendulum_design import CHANNELS, pendulum_trials
 from adaptsim_jax.logs.quality.trial_words import add_trials, confirmed, headline, sentences
-from adaptsim_jax.logs.recording import read_recording
 from tests.logs.arm_files import arm, write
 
 COUNT = 8
 
 
 def differ_of(tmp_path, trials):
-    return pendulum_trials(read_recording(write(tmp_path, trials)))
+    return pendulum_trials(read_pendulum(write(tmp_path, trials)))
 
 
 def tripped(c, at=1.0):
