@@ -30,6 +30,7 @@ def pages() -> dict[str, str]:
         "reference/cli.md": command_line(),
         "reference/config.md": configuration(),
         "reference/effects.md": effects(),
+        "explanation/rules.md": rules(),
     }
 
 
@@ -62,6 +63,19 @@ def with_outputs(markdown: str, outputs: Path) -> str:
         return f"{match[0]}\n```{{.text .output}}\n{text}\n```\n"
 
     return BLOCK.sub(shown, markdown)
+
+
+def rules() -> str:
+    """Why an effect is refused, from the records of the rules."""
+    from adaptsim_jax.diagnosis.rules import STEPS, table
+
+    steps = "\n".join(f"| `{code}` | {_barred(words)} |" for code, words in STEPS.items())
+    return (
+        "# Rules of the search\n\nMade from `adaptsim_jax/diagnosis/rules.py`. What fails at stage "
+        "*model* does not predict and goes; what fails at stage *name* is not named. A rule that "
+        "does not apply to a search, a machine or an effect is not asked.\n\n"
+        f"{table()}\n## Other steps\n\n| code | words |\n| --- | --- |\n{steps}\n"
+    )
 
 
 def command_line() -> str:

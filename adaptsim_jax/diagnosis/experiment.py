@@ -5,8 +5,9 @@ from typing import Any
 
 import numpy as np
 
+from adaptsim_jax.diagnosis.finding import Finding
+from adaptsim_jax.diagnosis.models import Model
 from adaptsim_jax.diagnosis.problem import Problem
-from adaptsim_jax.diagnosis.select import Model, Selection
 from adaptsim_jax.diagnosis.simulator import Simulator, linearise
 from adaptsim_jax.diagnosis.starts import settle, taken_up, without
 
@@ -14,7 +15,7 @@ TELLING = 3.0  # noises, over a whole stretch, from which on a difference is see
 
 
 def telling(
-    simulator: Simulator, problem: Problem, found: Selection, proposals: Mapping[str, Simulator]
+    simulator: Simulator, problem: Problem, found: Finding, proposals: Mapping[str, Simulator]
 ) -> dict[str, Any] | None:
     """Where a named effect has a look-alike: which of the proposals parts the two most, or which
     recorded trial does where there are none; None where every name stands alone.
@@ -23,7 +24,7 @@ def telling(
     start would take up.
     """
     for n in found.named:
-        for rival, model in n.alternatives:
+        for rival, model in zip(n.alternatives, n.models, strict=True):
             tried = {f"{name}": other for name, other in proposals.items()} or {"": simulator}
             apart = {
                 (key, trial): size
@@ -35,13 +36,13 @@ def telling(
                 where = f"proposal {key}"
             else:
                 where = f"motions like those of trial {trial}"
-            pair = f"{n.effect.name} and {rival.name}"
+            pair = f"{n.candidate.name} and {rival.name}"
             said = f"{pair} differ most in {where}: by {size:.2g} times the noise over a stretch."
             if size < TELLING:
                 said += " That is hardly seen: another kind of experiment is needed."
             return {
                 "message": said,
-                "separates": [n.effect.name, rival.name],
+                "separates": [n.candidate.name, rival.name],
                 "distance": size,
                 "proposal": key or trial,
             }

@@ -8,12 +8,13 @@ import numpy as np
 from scipy import stats
 
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.finding import Finding
 from adaptsim_jax.diagnosis.fit import jacobian
+from adaptsim_jax.diagnosis.models import begun_at, together
 from adaptsim_jax.diagnosis.problem import Candidate, Problem
-from adaptsim_jax.diagnosis.select import Selection, begun_at, together
 
 
-def power_rows(problem: Problem, found: Selection, criteria: Criteria) -> list[dict[str, Any]]:
+def power_rows(problem: Problem, found: Finding, criteria: Criteria) -> list[dict[str, Any]]:
     """Rows of `power`: a candidate's quantity, a size that matters (`Quantity.scale`), and the
     share of recordings like this one in which an effect of that size would pass the score test (its
     level corrected for the number of candidates).

@@ -42,6 +42,11 @@ class Candidate:
     absorbed: tuple[str, ...] = ()
     apart: str = ""
 
+    @property
+    def key(self) -> str:
+        """By which a search knows it."""
+        return self.name
+
 
 @dataclass(frozen=True)
 class Problem:

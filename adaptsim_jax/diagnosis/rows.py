@@ -12,10 +12,11 @@ import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.finding import Finding, Named
+from adaptsim_jax.diagnosis.models import Model, spread
 from adaptsim_jax.diagnosis.problem import Candidate, Problem
 from adaptsim_jax.diagnosis.run import Page, Run, plain
 from adaptsim_jax.diagnosis.schema import check, new_report
-from adaptsim_jax.diagnosis.select import Model, Named, Selection, spread
 from adaptsim_jax.diagnosis.written import cleared, write_all, write_partial
 from adaptsim_jax.effects.base import NINETY
 from adaptsim_jax.mend.model_toml import Form
@@ -106,7 +107,7 @@ def verdict(named: tuple[Named, ...], over: float, criteria: Criteria) -> str:
         return "structured_unattributed"
     if over > criteria.explained:
         return "partly_explained"
-    if any(n.alternatives or n.effect.same for n in named):
+    if any(n.alternatives or n.candidate.same for n in named):
         return "explained_class"
     return "explained"
 
@@ -119,7 +120,7 @@ def words(name: str) -> str:
 def told(named: Sequence[Named], what: str) -> str:
     """What is named and how it was tested, one sentence; what: the trials in words."""
     lines = [
-        f"{words(n.effect.name)} holds out in {n.test.better} of {n.test.folds} {what} "
+        f"{words(n.candidate.name)} holds out in {n.test.better} of {n.test.folds} {what} "
         f"(takes {100 * n.test.gain:.0f} % off the squared error beside all others, p "
         f"{n.test.p:.2g})"
         for n in named
@@ -128,7 +129,7 @@ def told(named: Sequence[Named], what: str) -> str:
     return f"{text[:1].upper()}{text[1:]}."
 
 
-def message(seen: Seen, found: Selection, over: float, worst: float) -> str:
+def message(seen: Seen, found: Finding, over: float, worst: float) -> str:
     """What was found, in a few sentences."""
 
     def size(m):
@@ -172,9 +173,9 @@ def interval(problem: Problem, model: Model, name: str) -> tuple[float, float, f
     return value, value - width, value + width
 
 
-def effect_row(problem: Problem, found: Selection, n: Named, **more: Any) -> dict[str, Any]:
+def effect_row(problem: Problem, found: Finding, n: Named, **more: Any) -> dict[str, Any]:
     """A row of `effects`; more: keys beside."""
-    e, numbers = n.effect, {}
+    e, numbers = n.candidate, {}
     for name in e.quantities:
         value, low, high = interval(problem, found.final, name)
         numbers[name] = {
@@ -189,7 +190,7 @@ def effect_row(problem: Problem, found: Selection, n: Named, **more: Any) -> dic
         "parameters": numbers,
         "physics": e.physics,
         "shown_by": e.seen,
-        "alternatives": [*[f"{a.name}@{a.where}" for a, _ in n.alternatives], *e.same],
+        "alternatives": [*[f"{a.name}@{a.where}" for a in n.alternatives], *e.same],
         "held_out_gain": n.test.gain,
         "p_value": n.test.p,
         "better": n.test.better,
@@ -199,12 +200,12 @@ def effect_row(problem: Problem, found: Selection, n: Named, **more: Any) -> dic
     }
 
 
-def same_rows(found: Selection, trial: str) -> list[str]:
+def same_rows(found: Finding, trial: str) -> list[str]:
     """A sentence for each pair of names that no trial tells apart."""
     return [
-        f"{words(n.effect.name)} or {words(s)}: no {trial} tells them apart, only {n.effect.apart}."
+        f"{words(n.candidate.name)} or {words(s)}: no {trial} tells them apart, only {n.candidate.apart}."
         for n in found.named
-        for s in n.effect.same
+        for s in n.candidate.same
     ]
 
 
@@ -254,7 +255,7 @@ def error_rows(
     }
 
 
-def error_table(seen: Seen, found: Selection, tracks: Mapping[str, np.ndarray]) -> dict[str, Any]:
+def error_table(seen: Seen, found: Finding, tracks: Mapping[str, np.ndarray]) -> dict[str, Any]:
     """Left-out errors before and after, by channel and by trial; tracks: `before` and `after` `[T,
     R, C]` m, of left-out trials.
     """
@@ -275,15 +276,15 @@ def error_table(seen: Seen, found: Selection, tracks: Mapping[str, np.ndarray]) 
     return error_rows(metric, seen.noise, seen.noise_source, seen.names, size, channels)
 
 
-def candidate_rows(found: Selection, alpha: float = Criteria.alpha) -> list[dict[str, Any]]:
+def candidate_rows(found: Finding, alpha: float = Criteria.alpha) -> list[dict[str, Any]]:
     """Every candidate, what the first score test said of it, and what became of it. alpha: the
     test's level.
     """
-    names = {n.effect.name for n in found.named}
-    alike = {a.name for n in found.named for a, _ in n.alternatives}
-    rows = []
+    names = {n.candidate.name for n in found.named}
+    alike = {a.name for n in found.named for a in n.alternatives}
+    rows, refused = [], found.refused()
     for s in found.scores:
-        name = s.effect.name
+        name = s.candidate.name
         if name in names:
             status = "accepted"
         elif name in alike:
@@ -299,13 +300,13 @@ def candidate_rows(found: Selection, alpha: float = Criteria.alpha) -> list[dict
             rest = chosen
         else:
             rest = f"does not pass the score test (p {min(1.0, s.p * len(found.scores)):.2g}), and was not fitted"
-        why = {"accepted": "named", "look-alike": "does as well"}.get(status) or found.refused.get(
-            name, rest
+        why = {"accepted": "named", "look-alike": "does as well"}.get(status) or refused.get(
+            s.candidate.key, rest
         )
         rows.append(
             {
                 "name": name,
-                "where": s.effect.where,
+                "where": s.candidate.where,
                 "held_out_gain": float(np.clip(s.gain, -1.0, 1.0)),
                 "p_value": float(min(1.0, s.p * len(found.scores))),
                 "accepted": name in names,
@@ -389,14 +390,14 @@ def keeping(
     model: str,
     problem: Problem,
     logs: Mapping[str, tuple[str, str]] = LOGS,
-) -> Callable[[Selection], None]:
+) -> Callable[[Finding], None]:
     """What leaves a readable report on disk as a search goes; nothing without a folder. logs: as of
     `declared_rows`.
     """
     count = len(dict.fromkeys(problem.trials))
     data = {"trials": count, "samples": int(problem.counts.sum()), "held_out_trials": count}
 
-    def keep(found: Selection) -> None:
+    def keep(found: Finding) -> None:
         final = found.final
         values = [
             f"{words(e.name)} "

@@ -14,11 +14,13 @@ from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.diagnosis import rows
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.experiment import telling
+from adaptsim_jax.diagnosis.finding import Finding
+from adaptsim_jax.diagnosis.models import Model
 from adaptsim_jax.diagnosis.power import power_rows
 from adaptsim_jax.diagnosis.problem import Problem
 from adaptsim_jax.diagnosis.run import Page, Run, plain
 from adaptsim_jax.diagnosis.schema import check, new_report
-from adaptsim_jax.diagnosis.select import Model, Selection, select
+from adaptsim_jax.diagnosis.search import search
 from adaptsim_jax.diagnosis.simulator import Simulator, check_simulator
 from adaptsim_jax.diagnosis.starts import problem_of
 from adaptsim_jax.diagnosis.written import cleared, write_all
@@ -65,7 +67,7 @@ def diagnose_simulator(
     step = rows.stepping(progress, 0.02)
     step("starts")
     problem = problem_of(simulator, kept)
-    found = select(problem, criteria, step, keep=rows.keeping(folder, "simulator", name, problem))
+    found = search(problem, criteria, step, keep=rows.keeping(folder, "simulator", name, problem))
     report, evidence = reported(simulator, problem, found, criteria, proposals or {}, name)
     told_of_nothing(report, criteria)
     report["run"] = evidence["run"] = Run(command or f"diagnose_simulator({name})", began).told()
@@ -87,7 +89,7 @@ def diagnose_simulator(
 def reported(
     simulator: Simulator,
     problem: Problem,
-    found: Selection,
+    found: Finding,
     criteria: Criteria,
     proposals: Mapping[str, Simulator],
     name: str,
@@ -155,7 +157,7 @@ def few(problem: Problem) -> list[str]:
     ]
 
 
-def message(found: Selection, worst: float, criteria: Criteria) -> str:
+def message(found: Finding, worst: float, criteria: Criteria) -> str:
     """What was found, in a few sentences."""
 
     def size(m):
@@ -170,12 +172,12 @@ def message(found: Selection, worst: float, criteria: Criteria) -> str:
     )
 
 
-def mended_model(problem: Problem, found: Selection, name: str) -> Form:
+def mended_model(problem: Problem, found: Finding, name: str) -> Form:
     """`model.toml`: declared quantities as fitted, and what each named effect adds."""
     value = {q.name: float(found.final.fit.values[i]) for i, q in enumerate(problem.quantities)}
     units = {q.name: q.unit for q in problem.quantities}
     declared = {q: Value(value[q], unit=units[q]) for q in problem.declared}
-    effects = added_effects([n.effect for n in found.named], value, units)
+    effects = added_effects([n.candidate for n in found.named], value, units)
     return Form("simulator", name, declared, effects)
 
 

@@ -13,10 +13,10 @@ import numpy as np
 from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.diagnosis import rows
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.finding import Finding
 from adaptsim_jax.diagnosis.problem import Candidate, Problem
 from adaptsim_jax.diagnosis.run import Page, Run, command_of
 from adaptsim_jax.diagnosis.schema import new_report
-from adaptsim_jax.diagnosis.select import Selection
 from adaptsim_jax.diagnosis.written import cleared
 from adaptsim_jax.mend.model_toml import Form
 
@@ -72,7 +72,7 @@ def reported(
     model: str,
     seen: rows.Seen,
     problem: Problem,
-    found: Selection,
+    found: Finding,
     tracks: Mapping[str, np.ndarray],
     criteria: Criteria,
     notes: list[str],
@@ -113,7 +113,7 @@ def reported(
     }
 
 
-def worst_left(problem: Problem, found: Selection) -> float:
+def worst_left(problem: Problem, found: Finding) -> float:
     """What the final model leaves over the noise floor, of left-out trials or of all, whichever is
     more.
     """

@@ -21,7 +21,7 @@ from adaptsim_jax.diagnosis.rows import (
 )
 from adaptsim_jax.diagnosis.run import Run
 from adaptsim_jax.diagnosis.schema import new_report
-from adaptsim_jax.diagnosis.select import select
+from adaptsim_jax.diagnosis.search import search
 
 TRIALS, ROWS = 14, 60
 
@@ -55,23 +55,23 @@ def problem(truth, seed=0, trials=TRIALS):
 
 @pytest.mark.parametrize("seed", range(5))
 def test_nothing_is_named_where_nothing_lacks(seed):
-    found = select(problem((0.7, 0.0, 0.0, 0.0), seed), Criteria())
+    found = search(problem((0.7, 0.0, 0.0, 0.0), seed), Criteria())
     assert not found.named
     assert abs(found.final.fit.values[0] - 0.7) < 0.2
     assert 0.8 < found.final.fit.held.mean() < 1.2
 
 
 def test_an_effect_is_named_and_its_size_found():
-    found = select(problem((0.7, 0.0, 0.8, 0.0)), Criteria())
+    found = search(problem((0.7, 0.0, 0.8, 0.0)), Criteria())
     (named,) = found.named
-    assert named.effect.name == "c"
+    assert named.candidate.name == "c"
     assert not named.alternatives
     assert abs(found.final.fit.values[2] - 0.8) < 0.2
 
 
 def test_five_trials_can_show_an_effect_at_any_level_if_all_are_better():
-    (named,) = select(problem((0.7, 0.0, 0.8, 0.0), trials=5), Criteria(confidence=0.01)).named
-    assert named.effect.name == "c" and named.test.better == named.test.folds == 5
+    (named,) = search(problem((0.7, 0.0, 0.8, 0.0), trials=5), Criteria(confidence=0.01)).named
+    assert named.candidate.name == "c" and named.test.better == named.test.folds == 5
     assert 0.01 < named.test.p < 0.05
 
 
@@ -85,33 +85,35 @@ def test_an_effect_at_its_bound_is_not_named_and_says_so():
             lacks.quantities[3],
         ),
     )
-    found = select(narrow, Criteria())
-    assert not found.named and "at its bound" in found.refused["c"]
+    found = search(narrow, Criteria())
+    assert not found.named and [s.reason.code for s in found.trace if s.action == "dropped"] == [
+        "at_bound"
+    ]
     endless = replace(
         lacks, quantities=tuple(replace(q, low=-np.inf, high=np.inf) for q in lacks.quantities)
     )
-    assert [n.effect.name for n in select(endless, Criteria()).named] == ["c"]
+    assert [n.candidate.name for n in search(endless, Criteria()).named] == ["c"]
 
 
 @pytest.mark.parametrize(("matters", "names"), [(0.5, ["c"]), (9.0, [])])
 def test_what_changes_less_than_matters_is_not_named(matters, names):
     """0.8 is eight times the scale of 0.1."""
-    found = select(problem((0.7, 0.0, 0.8, 0.0)), Criteria(matters=matters))
-    assert [n.effect.name for n in found.named] == names
-    assert names or "less than what matters" in found.refused["c"]
+    found = search(problem((0.7, 0.0, 0.8, 0.0)), Criteria(matters=matters))
+    assert [n.candidate.name for n in found.named] == names
+    assert names or "less_than_matters" in [s.reason.code for s in found.trace if s.reason]
 
 
 def test_a_model_that_is_taken_is_fitted_on_with_starts_found_anew():
     told = []
     lacks = replace(problem((0.7, 0.0, 0.8, 0.0)), anew=told.append)
-    (named,) = select(lacks, Criteria()).named
-    assert named.effect.name == "c" and len(told) == 2 and abs(told[0][2] - 0.8) < 0.2
+    (named,) = search(lacks, Criteria()).named
+    assert named.candidate.name == "c" and len(told) == 2 and abs(told[0][2] - 0.8) < 0.2
 
 
 def test_two_effects_that_do_the_same_are_told_as_a_class():
-    found = select(problem((0.7, 0.8, 0.0, 0.0)), Criteria())
+    found = search(problem((0.7, 0.8, 0.0, 0.0)), Criteria())
     (named,) = found.named
-    assert {named.effect.name, *[e.name for e, _ in named.alternatives]} == {"b", "d"}
+    assert {named.candidate.name, *[e.name for e in named.alternatives]} == {"b", "d"}
 
 
 def test_an_effect_smaller_than_what_no_effect_explains_is_not_named():
@@ -122,15 +124,17 @@ def test_an_effect_smaller_than_what_no_effect_explains_is_not_named():
     for size, names in ((1.5, []), (4.5, ["c"])):
         linear = problem((0.7, 0.0, size, 0.0))
         odd = replace(linear, residuals=lambda values, r=linear.residuals: r(values) + other)
-        assert [n.effect.name for n in select(odd, Criteria()).named] == ["c"]
-        assert [n.effect.name for n in select(odd, Criteria(beyond=0.9, quiet=1.14)).named] == names
+        assert [n.candidate.name for n in search(odd, Criteria()).named] == ["c"]
+        assert [
+            n.candidate.name for n in search(odd, Criteria(beyond=0.9, quiet=1.14)).named
+        ] == names
 
 
 def test_what_is_missing_from_a_model_that_leaves_the_noise_is_not_named():
     """Beside a large effect, one that a hundred rows show and no eye would."""
     small = problem((0.7, 0.4, 4.5, 0.0))
-    assert len(select(small, Criteria()).named) == 2
-    assert [n.effect.name for n in select(small, Criteria(quiet=1.14)).named] == ["c"]
+    assert len(search(small, Criteria()).named) == 2
+    assert [n.candidate.name for n in search(small, Criteria(quiet=1.14)).named] == ["c"]
 
 
 def test_a_fit_that_leaves_structure_is_begun_again_from_beside():

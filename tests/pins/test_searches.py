@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.finding import Finding
 from adaptsim_jax.diagnosis.problem import Candidate
-from adaptsim_jax.diagnosis.select import Selection, select
+from adaptsim_jax.diagnosis.search import search
 from adaptsim_jax.diagnosis.starts import problem_of
 from adaptsim_jax.logs.read import read_source_and_log
 from adaptsim_jax.simulators.mujoco.diagnosed import simulator
@@ -40,29 +41,37 @@ TANKS: dict[str, tuple[dict[str, float], dict[str, Any]]] = {
 }
 
 
-def told(found: Selection) -> dict[str, Any]:
+def told(found: Finding) -> dict[str, Any]:
     """What a search over short trials found."""
 
     def test(z):
         return [z.gain, z.p, float(z.better), float(z.folds), float(z.parts)]
 
     return {
-        "scores": [[s.effect.name, dict(s.shape), s.gain, s.p] for s in found.scores],
+        "scores": [[s.candidate.name, dict(s.shape), s.gain, s.p] for s in found.scores],
         "null": [found.null.fit.loss, list(found.null.fit.values)],
         "final": [found.final.fit.loss, list(found.final.fit.values)],
         "added": [c.name for c in found.final.added],
         "named": [
-            [n.effect.name, test(n.test), n.steady, [a.name for a, _ in n.alternatives]]
+            [n.candidate.name, test(n.test), n.steady, [a.name for a in n.alternatives]]
             for n in found.named
         ],
-        "refused": sorted(found.refused),
+        "trace": [
+            [
+                s.action,
+                s.candidate.name if s.candidate else "",
+                s.reason.code if s.reason else "",
+                s.reason.number if s.reason else 0.0,
+            ]
+            for s in found.trace
+        ],
     }
 
 
 @pytest.mark.parametrize("name", LINEAR)
 def test_a_linear_problem_is_searched_the_same(name):
     truth, more, criteria = LINEAR[name]
-    check(f"search_linear_{name}", told(select(problem(truth, **more), criteria)), LOOSE)
+    check(f"search_linear_{name}", told(search(problem(truth, **more), criteria)), LOOSE)
 
 
 def test_an_effect_at_its_bound_is_refused_the_same():
@@ -70,7 +79,7 @@ def test_an_effect_at_its_bound_is_refused_the_same():
     quantities = tuple(replace(q, high=0.3) if q.name == "c" else q for q in lacks.quantities)
     check(
         "search_linear_bound",
-        told(select(replace(lacks, quantities=quantities), Criteria())),
+        told(search(replace(lacks, quantities=quantities), Criteria())),
         LOOSE,
     )
 
@@ -80,7 +89,7 @@ def test_tanks_are_searched_the_same(name):
     hidden, more = TANKS[name]
     check(
         f"search_tanks_{name}",
-        told(select(problem_of(recorded(hidden, **more)), Criteria())),
+        told(search(problem_of(recorded(hidden, **more)), Criteria())),
         LOOSE,
     )
 
@@ -88,13 +97,13 @@ def test_tanks_are_searched_the_same(name):
 def test_a_twin_of_a_leak_is_its_class():
     tanks = recorded({"leak": 0.004}, seed=6)
     twin = Candidate("evaporation", "tank 1", ("leak",), "the same by another name", "nothing")
-    found = select(problem_of(tanks, (*tanks.candidates, twin)), Criteria())
+    found = search(problem_of(tanks, (*tanks.candidates, twin)), Criteria())
     check("search_tanks_twin", told(found), LOOSE)
 
 
 @pytest.mark.long
 def test_mujoco_is_searched_the_same(tmp_path):
     made = simulator(*read_source_and_log(record(tmp_path / "log", "servos")))
-    found = select(problem_of(made), Criteria())
+    found = search(problem_of(made), Criteria())
     assert np.isfinite(found.final.fit.loss)
     check("search_mujoco_servos", told(found), LOOSE)

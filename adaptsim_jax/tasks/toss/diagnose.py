@@ -9,9 +9,11 @@ import numpy as np
 
 from adaptsim_jax.diagnosis import rows as parts
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.finding import Finding
+from adaptsim_jax.diagnosis.models import Model
 from adaptsim_jax.diagnosis.problem import Candidate, Problem
 from adaptsim_jax.diagnosis.schema import new_report
-from adaptsim_jax.diagnosis.select import Model, Selection, select
+from adaptsim_jax.diagnosis.search import search
 from adaptsim_jax.mend.model_toml import Form, Value, added_effects
 from adaptsim_jax.tasks.toss.body import mended_xml
 from adaptsim_jax.tasks.toss.catalogue import effects
@@ -55,7 +57,7 @@ def judged(
         progress(0.01, 1.0, "starts of the windows")
     problem, follow = prepare(tossed, considered)
     keep = parts.keeping(folder, "toss", _model(tossed), problem, LOGS)
-    found = select(problem, criteria, parts.stepping(progress, 0.05), keep=keep)
+    found = search(problem, criteria, parts.stepping(progress, 0.05), keep=keep)
     report, evidence = reported(tossed, problem, follow, found, criteria)
     values = fitted(problem, found.final)
     xml = {XML: lambda: mended_xml(tossed.body, values, beside(found, values))}
@@ -67,7 +69,7 @@ def fitted(problem: Problem, model: Model) -> dict[str, float]:
     return {q.name: float(v) for q, v in zip(problem.quantities, model.fit.values, strict=True)}
 
 
-def mended_model(problem: Problem, found: Selection, values: dict[str, float]) -> Form:
+def mended_model(problem: Problem, found: Finding, values: dict[str, float]) -> Form:
     """`model.toml`: declared parameters as fitted, and what each named effect adds."""
     declared = {
         "friction": Value(values["friction"]),
@@ -75,17 +77,17 @@ def mended_model(problem: Problem, found: Selection, values: dict[str, float]) -
         "damping": Value(values["damping"]),
     }
     units = {q.name: q.unit for q in problem.quantities}
-    effects = added_effects([n.effect for n in found.named], values, units)
+    effects = added_effects([n.candidate for n in found.named], values, units)
     return Form("toss", XML, declared, effects)
 
 
-def beside(found: Selection, values: dict[str, float]) -> list[str]:
+def beside(found: Finding, values: dict[str, float]) -> list[str]:
     """What was named and MJCF cannot hold, a line each."""
     return [
-        f"not in this file: {n.effect.name} "
-        f"({', '.join(f'{q} = {values[q]:.4g}' for q in n.effect.quantities)})"
+        f"not in this file: {n.candidate.name} "
+        f"({', '.join(f'{q} = {values[q]:.4g}' for q in n.candidate.quantities)})"
         for n in found.named
-        if n.effect.name not in HELD
+        if n.candidate.name not in HELD
     ]
 
 
@@ -95,7 +97,7 @@ def left(follow: Follow, model: Model) -> np.ndarray:
 
 
 def reported(
-    tossed: Tossed, problem: Problem, follow: Follow, found: Selection, criteria: Criteria
+    tossed: Tossed, problem: Problem, follow: Follow, found: Finding, criteria: Criteria
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """The report, and the arrays behind its page."""
     over = {"before": left(follow, found.null), "after": left(follow, found.final)}
@@ -106,9 +108,9 @@ def reported(
     whole = {k: whole_tosses(tossed, m.fit.vectors) for k, m in both}
     whole = {k: float(np.median(z)) if len(z) else None for k, z in whole.items()}
     classes = [
-        f"{parts.words(n.effect.name)} or {parts.words(s)}"
+        f"{parts.words(n.candidate.name)} or {parts.words(s)}"
         for n in found.named
-        for s in n.effect.same
+        for s in n.candidate.same
     ]
     report = new_report(
         "toss",
@@ -148,7 +150,7 @@ def _model(tossed: Tossed) -> str:
     return f"a free body over a plane, by MuJoCo ({Path(tossed.body.path).name})"
 
 
-def message(found: Selection, over, error: dict[str, Any], whole, flown: Flight | None) -> str:
+def message(found: Finding, over, error: dict[str, Any], whole, flown: Flight | None) -> str:
     """What was found, in a few sentences."""
 
     def size(k):
@@ -183,16 +185,16 @@ def message(found: Selection, over, error: dict[str, Any], whole, flown: Flight 
     return text
 
 
-def _next(found: Selection) -> dict[str, Any] | None:
+def _next(found: Finding) -> dict[str, Any] | None:
     """What to measure by itself where names cannot be told apart."""
     for n in found.named:
-        rivals = [a.name for a, _ in n.alternatives] + [s.partition("@")[0] for s in n.effect.same]
-        advice = [MEASURE[name] for name in (n.effect.name, *rivals) if name in MEASURE]
+        rivals = [a.name for a in n.alternatives] + [s.partition("@")[0] for s in n.candidate.same]
+        advice = [MEASURE[name] for name in (n.candidate.name, *rivals) if name in MEASURE]
         if rivals and advice:
-            names = " and ".join(map(parts.words, (n.effect.name, rivals[0])))
+            names = " and ".join(map(parts.words, (n.candidate.name, rivals[0])))
             return {
                 "message": f"{names} are told apart by themselves: {'; or '.join(advice)}.",
-                "separates": [n.effect.name, rivals[0]],
+                "separates": [n.candidate.name, rivals[0]],
             }
     return None
 

@@ -7,9 +7,10 @@ from pathlib import Path
 
 from adaptsim_jax.diagnosis import rows
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.finding import Finding
 from adaptsim_jax.diagnosis.fit import fitted
 from adaptsim_jax.diagnosis.problem import Problem
-from adaptsim_jax.diagnosis.select import Selection, select
+from adaptsim_jax.diagnosis.search import search
 from adaptsim_jax.mend.model_toml import Form, Value, added_effects
 from adaptsim_jax.tasks.pushing.diagnosis.catalogue import effects_of, grain
 from adaptsim_jax.tasks.pushing.diagnosis.experiment import telling
@@ -34,7 +35,7 @@ mirrored.
 def judged(pushed: Pushed, effects, criteria: Criteria, progress, folder: Path | None):
     """See `trial_diagnosis.Diagnose`."""
     p, problem = pushed, prepare(pushed, pushed.options, pushed.coefficients, effects)
-    found = select(
+    found = search(
         problem,
         criteria,
         rows.stepping(progress, 0.05),
@@ -69,7 +70,7 @@ def judged(pushed: Pushed, effects, criteria: Criteria, progress, folder: Path |
     return report, evidence, telling(pushed, found), mended_model(pushed, problem, found), {}
 
 
-def _mirrored(pushed: Pushed, problem: Problem, found: Selection, criteria: Criteria) -> str:
+def _mirrored(pushed: Pushed, problem: Problem, found: Finding, criteria: Criteria) -> str:
     """A sentence where a bottle that turns would be followed far better if it turned the other
     way.
     """
@@ -91,7 +92,7 @@ def _mirrored(pushed: Pushed, problem: Problem, found: Selection, criteria: Crit
     )
 
 
-def mended_model(pushed: Pushed, problem: Problem, found: Selection) -> Form:
+def mended_model(pushed: Pushed, problem: Problem, found: Finding) -> Form:
     """`model.toml`: declared parameters as fitted, and what each named effect adds."""
     value = {q.name: float(found.final.fit.values[i]) for i, q in enumerate(problem.quantities)}
     declared = {
@@ -106,7 +107,7 @@ def mended_model(pushed: Pushed, problem: Problem, found: Selection) -> Form:
         "coefficients": "drake" if pushed.coefficients == DRAKE else "native",
     }
     units = {q.name: q.unit for q in problem.quantities}
-    effects = added_effects([n.effect for n in found.named], value, units)
+    effects = added_effects([n.candidate for n in found.named], value, units)
     return Form("pushing", MODEL, declared, effects, own)
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.diagnosis.select import Selection
+from adaptsim_jax.diagnosis.finding import Finding
 from adaptsim_jax.tasks.pushing import model
 from adaptsim_jax.tasks.pushing.diagnosis.problem import simulated
 from adaptsim_jax.tasks.pushing.diagnosis.read import Pushed
@@ -16,13 +16,17 @@ SPEEDS, ANGLES, PUSHES = 5, 13, 3
 APART = 3.0  # times the camera's noise, between members, of a push worth making
 
 
-def telling(pushed: Pushed, found: Selection) -> dict[str, Any] | None:
+def telling(pushed: Pushed, found: Finding) -> dict[str, Any] | None:
     """message, separates (names) and rows (speed m/s, angle rad), none where no push of the grid
     tells them apart.
 
     None where nothing that was named has look-alikes.
     """
-    pairs = [(n, other, m) for n in found.named for other, m in n.alternatives]
+    pairs = [
+        (n, other, m)
+        for n in found.named
+        for other, m in zip(n.alternatives, n.models, strict=True)
+    ]
     if not pairs:
         return None
     grid = np.stack(
@@ -57,7 +61,7 @@ def telling(pushed: Pushed, found: Selection) -> dict[str, Any] | None:
     )  # a scale of lengths may be a parallax as well, whatever is pushed
     i = int(np.argmin(np.where(shown | ~shown.any(), most, np.inf)))
     n, other, _ = pairs[i]
-    names, score = [n.effect.name, other.name], apart[i]
+    names, score = [n.candidate.name, other.name], apart[i]
     words = f"{names[0].replace('_', ' ')} and {names[1].replace('_', ' ')}"
     if pushed.yaw is None:
         told = f"{1e3 * score.max():.2g} mm"

@@ -76,7 +76,7 @@ def mended_model(scooped: Scooped, found: Found) -> Form:
     }
     own = {"clearance": scooped.options.clearance, "press": scooped.options.press}
     units = {q.name: q.unit for q in problem.quantities}
-    effects = added_effects([n.effect for n in found.selection.named], value, units)
+    effects = added_effects([n.candidate for n in found.selection.named], value, units)
     return Form("scooping", MODEL, declared, effects, own)
 
 

@@ -27,7 +27,11 @@ def telling(scooped: Scooped, found: Found) -> dict[str, Any] | None:
 
     None where nothing that was named has look-alikes.
     """
-    pairs = [(n, other, m) for n in found.selection.named for other, m in n.alternatives]
+    pairs = [
+        (n, other, m)
+        for n in found.selection.named
+        for other, m in zip(n.alternatives, n.models, strict=True)
+    ]
     if not pairs:
         return None
     ends = zip(model.ACTION_LOW, model.ACTION_HIGH, (PITCHES, RATES, DISTANCES), strict=True)
@@ -61,7 +65,7 @@ def telling(scooped: Scooped, found: Found) -> dict[str, Any] | None:
         sizes.append(np.sqrt(np.square(apart).sum(-1)).max(1))
     worst = int(np.argmin([s.max() for s in scores]))
     n, other, _ = pairs[worst]
-    names, score = [n.effect.name, other.name], scores[worst]
+    names, score = [n.candidate.name, other.name], scores[worst]
     words = f"{names[0].replace('_', ' ')} and {names[1].replace('_', ' ')}"
     if score.max() < APART:
         told = f"No scoop within the bounds tells {words} apart: tracks differ by {score.max():.1f} times what scoops scatter by"

@@ -8,24 +8,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.finding import Finding, Named, Step
 from adaptsim_jax.diagnosis.fit import Fit, mean_square
-from adaptsim_jax.diagnosis.problem import Candidate, Problem
-from adaptsim_jax.diagnosis.rows import left_by_fit
-from adaptsim_jax.diagnosis.select import (
+from adaptsim_jax.diagnosis.models import (
     Model,
-    Named,
     Score,
-    Selection,
     added,
     beats,
     finished,
-    likely,
     paired,
-    select,
     spread,
-    steadiness,
     without,
 )
+from adaptsim_jax.diagnosis.problem import Candidate, Problem
+from adaptsim_jax.diagnosis.rows import left_by_fit
+from adaptsim_jax.diagnosis.rules import step_reason
+from adaptsim_jax.diagnosis.search import does_as_well, likely, search, steadiness
 from adaptsim_jax.tasks.scooping.diagnosis.catalogue import EFFECTS, HEIGHT, SHAPE, SHIFTS
 from adaptsim_jax.tasks.scooping.diagnosis.emulate import PLACE, Emulator, emulate, widths
 from adaptsim_jax.tasks.scooping.diagnosis.problem import (
@@ -57,7 +55,7 @@ one plane a box moves so much like a cylinder that it would take up a pitch or a
 to be declared.
 """
 Say = Callable[[str], None]
-Keep = Callable[[Problem], Callable[[Selection], None]]
+Keep = Callable[[Problem], Callable[[Finding], None]]
 Owned = Callable[[tuple[Candidate, ...], np.ndarray], Model]
 
 
@@ -67,7 +65,7 @@ class Found:
     `before` and `after`.
     """
 
-    selection: Selection
+    selection: Finding
     problem: Problem
     shape: str
     scale: np.ndarray
@@ -136,7 +134,7 @@ def diagnosed(
     test = paired(*_alike(scooped, found, rival))
     if test.gain < criteria.size or test.p > criteria.confidence:
         return found
-    named = Named(SHAPE, paired(own.held, bases[0].held), np.inf, ())
+    named = Named(SHAPE, paired(own.held, bases[0].held), np.inf)
     score = Score(SHAPE, {}, max(1.0 - bases[0].loss / own.loss, 0.0), test.p)
     selection = replace(
         rival.selection,
@@ -232,7 +230,7 @@ def _passes(
         say(f"pass {turn + 1}")
         emulator = emulate(scooped, base.shape, centre, width, turn)
         problem = prepare(scooped, emulator, effects, declared, quantities, centre)
-        found = select(problem, criteria, say, alike=False, keep=keep(problem))
+        found = search(problem, criteria, say, alike=False, keep=keep(problem))
         fit = found.final.fit
         now = tuple(e.name for e in found.final.added)
         moved = np.max(np.abs(fit.values - centre)[OWN] / width)
@@ -303,7 +301,7 @@ def _judged(
     shape: str,
     scale,
     problem,
-    found: Selection,
+    found: Finding,
     criteria: Criteria,
     own: Owned,
     say: Say,
@@ -317,7 +315,7 @@ def _judged(
     say("by the engine")
     whole = replace(problem, quantities=quantities_of(scooped))
     known: dict[frozenset[str], tuple[Model, np.ndarray]] = {}
-    refused = dict(found.refused)
+    trace = list(found.trace)
 
     def fit(effects, values) -> Model:
         key = frozenset(e.name for e in effects)
@@ -335,14 +333,14 @@ def _judged(
             k: known[frozenset(e.name for e in m.added)][1]
             for k, m in (("before", null), ("after", model))
         }
-        selection = replace(found, null=null, final=model, named=tuple(named), refused=refused)
+        selection = replace(found, null=null, final=model, named=tuple(named), trace=tuple(trace))
         return Found(selection, whole, shape, scale, tracks)
 
     null = fit((), found.null.fit.values)
     emulated = found.final
     model = fit(emulated.added, emulated.fit.values)
     for turn in range(PASSES):
-        model, emulated, rows = _holding(problem, model, emulated, null, fit, criteria, refused)
+        model, emulated, rows = _holding(problem, model, emulated, null, fit, criteria, trace)
         named: list[Named] = []
         for e, rough, less, test in rows:
             tries = [
@@ -350,7 +348,7 @@ def _judged(
                 for s in likely(problem, emulated, rough, e)
             ]
             rivals = [
-                (s.effect, values, fit((*less.added, s.effect), values))
+                (s.candidate, values, fit((*less.added, s.candidate), values))
                 for values, _, s in sorted(tries, key=lambda t: t[1])[: criteria.tried]
             ]
             better = None
@@ -365,20 +363,19 @@ def _judged(
                     finished(problem, (*rough.added, better[0]), better[1], criteria.rounds),
                 )
                 break
-            alike = []
-            for o, _, m in rivals:
-                worse = paired(m.fit.held, model.fit.held)
-                if worse.gain < criteria.gap or worse.p > criteria.confidence:
-                    alike.append((o, m))
-            named.append(Named(e, test, steadiness(problem, model, e), tuple(alike)))
+            alike = [
+                (other, m)
+                for other, _, m in rivals
+                if does_as_well(paired(m.fit.held, model.fit.held), criteria)
+            ]
+            steady, others = steadiness(problem, model, e), tuple(other for other, _ in alike)
+            named.append(Named(e, test, steady, others, tuple(m for _, m in alike)))
         else:
             break
     return told(model, named)
 
 
-def _holding(
-    problem: Problem, model: Model, emulated: Model, null, fit, criteria: Criteria, refused
-):
+def _holding(problem: Problem, model: Model, emulated: Model, null, fit, criteria: Criteria, trace):
     """The model of the effects that hold out beside the others by the engine, as emulated, and for
     each the models without it.
     """
@@ -395,9 +392,7 @@ def _holding(
         if not failing:
             return model, emulated, rows
         e, emulated, model, test = min(failing, key=lambda r: r[3].gain)
-        refused[e.name] = (
-            f"dropped by the engine: held-out gain {100 * test.gain:.1f} %, p {test.p:.2g}"
-        )
+        trace.append(Step("dropped", e, test, step_reason("engine_bears_out", test.gain)))
 
 
 def _simulated(scooped: Scooped, shape: str, scale, problem, fit: Fit) -> tuple[Fit, np.ndarray]:

@@ -1,0 +1,276 @@
+"""Why an effect is refused beside all others: one list of rules for all searches, each with a code.
+
+A rule asks an `Evidence` for a number and returns it where it fails. What does not apply to a
+search, a machine or an effect has no number there (None). Words are made in one place, from the
+code and the number.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.testing import Test
+
+MODEL, NAME = "model", "name"
+"""Stages: what fails the first does not stay in the model; what fails the second has no name."""
+
+
+class Reason(NamedTuple):
+    """Why a search did what it did: a code, the number that decided, and words for people."""
+
+    code: str
+    number: float
+    words: str
+
+
+class Evidence:
+    """What is known of an effect beside all others of a model; a search gives its own.
+
+    test: of the model against the one without it. level: up to which its p holds. gain: the share
+    of the loss that it takes off, all joints that carry it together. price: the least of that.
+    steadiness: its size over its scatter, and the least of it. units, loss: what is left out, and
+    of what an error is, in words.
+    """
+
+    criteria: Criteria
+    test: Test
+    level: float
+    gain: float
+    price: float
+    steadiness: float
+    least_steadiness: float
+    units = "trials"
+    loss = "squared error"
+
+    @property
+    def at_bound(self) -> bool:
+        """Whether its value lies at the end of its range."""
+        raise NotImplementedError
+
+    @property
+    def unresolved_shift(self) -> float | None:
+        """A shift in time, in rows of the log, that is shorter than the log resolves."""
+        return None
+
+    @property
+    def gain_error(self) -> float | None:
+        """Of a controller's gain, by what share it is off."""
+        return None
+
+    @property
+    def declared_change(self) -> float | None:
+        """By what share, at most, it changes what the file declares."""
+        return None
+
+    @property
+    def scaled_change(self) -> float | None:
+        """By how many of the sizes that matter, at most, it changes quantities."""
+        return None
+
+    @property
+    def torque_share(self) -> tuple[float, float] | None:
+        """Its share of the torque of the joint where it is most, and the least of that."""
+        return None
+
+    @property
+    def bend(self) -> float | None:
+        """By how many noises of the sensors bristles bend before they break away."""
+        return None
+
+    @property
+    def left_without(self) -> float | None:
+        """What the model without it leaves, over the noise."""
+        return None
+
+    @property
+    def beyond_noise(self) -> float | None:
+        """The share that it takes off the squared error beyond the noise."""
+        return None
+
+    @property
+    def nearer(self) -> float | None:
+        """The share by which simulated angles come nearer, all joints together."""
+        return None
+
+    @property
+    def best_joint(self) -> tuple[float, float] | None:
+        """The share that it takes off one joint's squared error, at best, and the least of that."""
+        return None
+
+
+@dataclass(frozen=True)
+class Rule:
+    """A refusal. fails: of evidence, the number by which it fails, None where it passes."""
+
+    code: str
+    stage: str
+    words: str
+    fails: Callable[[Evidence], float | None]
+
+    @property
+    def meaning(self) -> str:
+        """What it refuses, a sentence."""
+        return " ".join((self.fails.__doc__ or "").split())
+
+
+RULES: list[Rule] = []
+"""All of them, in the order in which they are asked: what costs a simulation comes last."""
+
+
+def rule(stage: str, words: str):
+    """A function of evidence as a rule whose code is its name; words: with fields of `e` and `n`,
+    the number.
+    """
+
+    def known(fails: Callable[[Evidence], float | None]):
+        RULES.append(Rule(fails.__name__, stage, words, fails))
+        return fails
+
+    return known
+
+
+@rule(MODEL, "left-out {e.units} do not confirm it")
+def not_confirmed(e: Evidence) -> float | None:
+    """The paired test over what was left out has a p above its level."""
+    return e.test.p if e.test.p > e.level else None
+
+
+@rule(MODEL, "takes less than {e.price:.0%} off the {e.loss}")
+def too_little_gain(e: Evidence) -> float | None:
+    """It takes less off the left-out loss than its numbers cost."""
+    return e.gain if e.gain < e.price else None
+
+
+@rule(MODEL, "the torques of all joints together are missed by more")
+def others_missed_more(e: Evidence) -> float | None:
+    """It helps at its own joints, and all joints together are missed by more."""
+    return e.test.overall if e.test.overall < 0.0 else None
+
+
+@rule(NAME, "its size differs between {e.units}: {n:.1f} times its scatter")
+def unsteady(e: Evidence) -> float | None:
+    """Its size is not many times its scatter between folds (jackknife)."""
+    return e.steadiness if e.steadiness < e.least_steadiness else None
+
+
+@rule(MODEL, "its value is at the end of what such a machine may have")
+def at_bound(e: Evidence) -> float | None:
+    """Its value lies at the end of its range: it wants what no machine has."""
+    return 1.0 if e.at_bound else None
+
+
+@rule(NAME, "a shift in time of {n:.2g} sampling intervals: how rows are read, not an effect")
+def within_row(e: Evidence) -> float | None:
+    """It is a shift in time shorter than the log resolves."""
+    return e.unresolved_shift
+
+
+@rule(
+    NAME,
+    "a gain that is off by less than {e.criteria.torque.share:.0%} is how exactly speeds are read",
+)
+def gain_within_speed_error(e: Evidence) -> float | None:
+    """It is a controller's gain that is off by no more than speeds are."""
+    off = e.gain_error
+    return off if off is not None and off < e.criteria.torque.share else None
+
+
+@rule(NAME, "changes what the model file declares by less than {e.criteria.least_change:.0%}")
+def declared_hardly_changes(e: Evidence) -> float | None:
+    """It changes what the file declares by a small share."""
+    change = e.declared_change
+    return change if change is not None and change < e.criteria.least_change else None
+
+
+@rule(NAME, "changes its quantities by less than what matters of them")
+def less_than_matters(e: Evidence) -> float | None:
+    """It changes each of its quantities by a small part of the size that matters."""
+    change = e.scaled_change
+    return change if change is not None and change < e.criteria.matters else None
+
+
+@rule(NAME, "it is {n:.1%} of the joint's torque")
+def less_than_joint_torque(e: Evidence) -> float | None:
+    """It is a small share of its joint's torque."""
+    if e.torque_share is None:
+        return None
+    share, least = e.torque_share
+    return share if share < least else None
+
+
+@rule(
+    NAME,
+    "its bristles break away within the sensors' noise: friction that turns smoothly, not an "
+    "effect",
+)
+def below_noise(e: Evidence) -> float | None:
+    """What it does to an angle is below the noise of its sensor."""
+    return e.bend if e.bend is not None and e.bend < 1.0 else None
+
+
+@rule(MODEL, "without it {n:.2f} times the noise is left, which lacks nothing")
+def nothing_lacking_without(e: Evidence) -> float | None:
+    """The model without it leaves no more than the noise."""
+    left = e.left_without
+    return left if left is not None and left < e.criteria.quiet else None
+
+
+@rule(MODEL, "takes {n:.0%} off what is beyond the noise, of which it may be a part")
+def not_beyond_noise(e: Evidence) -> float | None:
+    """It takes too little off the error beyond the noise to be what the model lacks."""
+    share = e.beyond_noise
+    return share if share is not None and share < e.criteria.beyond else None
+
+
+@rule(MODEL, "the simulated angles do not come nearer to the measured ones")
+def angles_not_nearer(e: Evidence) -> float | None:
+    """Simulated angles come no nearer, whatever the estimator's weights see."""
+    return e.nearer if e.nearer is not None and e.nearer < 0.0 else None
+
+
+@rule(MODEL, "takes {n:.0%} off the squared error of the joint's angles where it is most")
+def no_joint_improves(e: Evidence) -> float | None:
+    """No joint's simulated angles come enough nearer."""
+    if e.best_joint is None:
+        return None
+    share, least = e.best_joint
+    return share if share < least else None
+
+
+STEPS = {
+    "score_test": "{passed} of {of} candidates pass the score test, none holds out",
+    "forward_gain": "takes too little off the left-out loss",
+    "forward_level": "left-out trials do not confirm it",
+    "forward_fit": "fitted, leaves {n:.2f} of the loss",
+    "begin_from_other": "along the measured motion",
+    "likely_first": "at all joints",
+    "shape_artefact": "with all shapes fitted its interval includes none of it",
+    "one_for_two": "{one} and {other} by one",
+    "simpler_has_the_name": "{one} has fewer parameters and does as well",
+    "commands_between_rows": "how rows are read, not an effect",
+    "rotors_are_steps": "how rows are read, not an effect",
+    "engine_bears_out": "dropped by the engine",
+}
+"""Words of what a search does besides refusals, by code."""
+
+
+def refusal(evidence: Evidence) -> Reason | None:
+    """The first rule that an effect fails; None where it stays."""
+    for one in RULES:
+        number = one.fails(evidence)
+        if number is not None:
+            words = one.words.format(e=evidence, n=number).replace("%", " %")
+            return Reason(one.code, number, words)
+    return None
+
+
+def step_reason(code: str, number: float = 0.0, **fields: object) -> Reason:
+    """Why a search took a step that is no refusal."""
+    return Reason(code, number, STEPS[code].format(n=number, **fields))
+
+
+def table() -> str:
+    """The rules as a table in Markdown, for `docs/explanation/rules.md`."""
+    rows = [f"| `{r.code}` | {r.stage} | {r.meaning} |" for r in RULES]
+    return "\n".join(["| code | stage | refuses |", "| --- | --- | --- |", *rows, ""])
