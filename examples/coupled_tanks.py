@@ -3,10 +3,13 @@ examples/coupled_tanks.py`
 
 The model: a pump fills tank 1, it drains into tank 2, that drains away, as Torricelli says. The
 plant, simulated here in place of a recording, leaks from tank 1 besides. A simulator of one's own
-is `predict` and four tables.
+is `predict` and four tables. From the command line, over recordings in CSV:
+
+    adaptsim diagnose logs/tanks --out out --simulator coupled_tanks.py:of_folder
 """
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -77,15 +80,32 @@ def recorded(hidden: dict[str, float], seed: int = 0, trials: int = 6) -> Tanks:
     seen = levels(np.repeat(true, trials, 0), rng.uniform(50, 250, (trials, 2)), volts)
     seen = seen + NOISE * rng.standard_normal(seen.shape)
 
-    def cut(z):
-        return z.reshape(trials * 4, ROWS, *z.shape[2:])
+    return tanks(tuple(f"{k:02d}" for k in range(trials)), volts, seen)
 
-    y, time = cut(seen), cut(np.tile(DT * np.arange(4 * ROWS), (trials, 1)))
-    names = tuple(f"{k:02d}" for k in range(trials))
-    trial, guess = np.repeat(np.arange(trials), 4), y[:, 0]
+
+def tanks(names: tuple[str, ...], volts: np.ndarray, seen: np.ndarray) -> Tanks:
+    """Recordings `volts [T, N]` and `seen [T, N, 2]`, cut into stretches of `ROWS`."""
+    trials, each = len(names), volts.shape[1] // ROWS
+
+    def cut(z):
+        return z[:, : each * ROWS].reshape(trials * each, ROWS, *z.shape[2:])
+
+    y, time = cut(seen), cut(np.tile(DT * np.arange(volts.shape[1]), (trials, 1)))
+    trial, guess = np.repeat(np.arange(trials), each), y[:, 0]
     return Tanks(
         Stretches(trial, names, time, y, np.ones_like(y), guess, np.array([5.0, 5.0])), cut(volts)
     )
+
+
+def of_folder(folder: Path) -> Tanks:
+    """The recordings of a folder: a CSV a trial, with columns volts, level_1 and level_2 every
+    `DT`.
+    """
+    files = sorted(folder.glob("*.csv"))
+    rows = [np.loadtxt(file, delimiter=",", skiprows=1) for file in files]
+    length = min(len(row) for row in rows)
+    table = np.stack([row[:length] for row in rows])
+    return tanks(tuple(file.stem for file in files), table[..., 0], table[..., 1:])
 
 
 if __name__ == "__main__":

@@ -26,6 +26,7 @@ EXAMPLES = """
   adaptsim diagnose logs/tosses --out out9      a tossed body: task = "toss", model = "cube.xml"; poses beside it
   adaptsim diagnose robot --out out7            a session of `adaptsim robot` of either, as it is
   adaptsim diagnose logs/walk --out out11 --simulator mujoco     a base that moves, contact: by MuJoCo itself
+  adaptsim diagnose logs/tanks --out out12 --simulator tanks.py:of_folder       a simulator of your own
   adaptsim diagnose run.mcap --model robot.urdf --out out5                  a log by itself, and a better robot.xml back
 """
 
@@ -52,10 +53,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--simulator",
-        choices=("tree", "mujoco"),
-        help="of a mechanism: a tree of joints, or MuJoCo itself (a base that moves, contact, "
-        "loops; a shorter catalogue); default: "
-        "as meta.toml says, else tree where the base stands still",
+        metavar="NAME",
+        help="of a mechanism: tree (of joints), or mujoco itself (a base that moves, contact, "
+        "loops; a shorter catalogue); default: as meta.toml says, else tree where the base stands "
+        "still. One of your own: module:function or file.py:function, of DATA to a Simulator",
     )
     parser.add_argument("--json", action="store_true", help="print report.json")
     parser.add_argument(
@@ -94,8 +95,11 @@ def run(args: argparse.Namespace) -> int:
     check_apart(data, Path(args.out))
     if "jax" not in sys.modules:  # else a Python program called us, which may have compiled already
         compile_flags.small_steps()
-    task = of_trials(data) if args.model is None else None
-    if task:
+    named = args.simulator not in (None, "tree", "mujoco")
+    task = of_trials(data) if args.model is None and not named else None
+    if named:
+        read = own_simulator
+    elif task:
         read = trials
     elif args.model is not None or of_a_mechanism(data):
         read = mechanism
@@ -104,7 +108,7 @@ def run(args: argparse.Namespace) -> int:
     judge = read(args, split_names(args.without))  # refused before anything is written
     with output(args.out) as out, progress("diagnose") as report:
         result = judge(out=out, exclude=tuple(args.exclude), progress=report)
-    return say(args, result, out, replays=task is None)
+    return say(args, result, out, replays=task is None and not named)
 
 
 def check_apart(data: Path, out: Path) -> None:
@@ -162,6 +166,32 @@ def pendulum(args: argparse.Namespace, without: list[str]) -> Judge:
         read_pendulum(args.data, without=without),
         without=without,
         as_declared=args.as_declared,
+    )
+
+
+def own_simulator(args: argparse.Namespace, without: list[str]) -> Judge:
+    """Whatever a function of the user's makes of DATA, which is that function's alone to read."""
+    from adaptsim_jax.diagnosis.run import command_of
+    from adaptsim_jax.diagnosis.simulated import diagnose_simulator
+    from adaptsim_jax.report.diagnosis import write_diagnosis
+    from adaptsim_jax.simulators.registry import simulator_named
+
+    for option in ("without", "model", "as_declared", "yardstick", "horizon"):
+        if getattr(args, option):
+            raise BadInput(
+                f"--{option.replace('_', '-')}: a simulator of your own reads DATA itself; leave "
+                f"the option out"
+            )
+    simulator = simulator_named(args.simulator)(Path(args.data))
+    command = partial(command_of, args.data, simulator=args.simulator)
+    return lambda out, exclude, progress: diagnose_simulator(
+        simulator,
+        out=out,
+        exclude=exclude,
+        progress=progress,
+        page=write_diagnosis,
+        name=args.simulator,
+        command=command(out=out, exclude=exclude),
     )
 
 

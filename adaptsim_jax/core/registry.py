@@ -9,10 +9,14 @@ for, so that listing names loads no JAX. Another package adds to it by an entry 
     magnet = "my_package.magnet:MAGNET"
 """
 
-from collections.abc import Iterator, Mapping
+import importlib.util
+import sys
+from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
 from importlib.metadata import EntryPoint, entry_points
-from typing import Generic, TypeVar
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Generic, TypeVar
 
 from adaptsim_jax.core.config import suggest
 from adaptsim_jax.core.errors import BadInput
@@ -85,3 +89,34 @@ class Registry(Mapping[str, Thing], Generic[Thing]):
         if name not in self:
             raise BadInput(f"{what} '{name}' is unknown; {suggest(name, self)}")
         return self[name]
+
+
+def function_named(text: str, where: str) -> Callable[..., Any]:
+    """The function that `module:function` or `path/to/file.py:function` names; where: the option or
+    key that has it, for BadInput.
+    """
+    home, _, name = text.rpartition(":")
+    made = getattr(_module(home, where), name, None)
+    if not callable(made):
+        raise BadInput(f"{where}: '{home}' has no function '{name}'; name one that it has")
+    return made
+
+
+def _module(home: str, where: str) -> ModuleType:
+    if home.endswith(".py"):
+        path = Path(home)
+        if not path.exists():
+            raise BadInput(f"{where}: {home}: no such file; name the file of your function")
+        spec = importlib.util.spec_from_file_location(f"adaptsim_own_{path.stem}", path)
+        assert spec is not None and spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[spec.name] = module
+        spec.loader.exec_module(module)
+        return module
+    try:
+        return importlib.import_module(home)
+    except ModuleNotFoundError as error:
+        raise BadInput(
+            f"{where}: no module '{error.name}'; install it, or name a file: "
+            f"path/to/{home}.py:function"
+        ) from None

@@ -14,7 +14,6 @@ import inspect
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -24,6 +23,7 @@ from mujoco import mjx
 
 from adaptsim_jax.core.config import suggest
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.registry import function_named
 from adaptsim_jax.environments.fields import Field, edit_native, edited
 
 Physics = Callable[[Any, Any, Any, int], Any]  # (model, data, ctrl [nu], substeps) -> data
@@ -85,36 +85,12 @@ def load(name: str, options: dict[str, Any] | None = None, where: str = "env") -
         raise BadInput(f"{where}: environment '{name}' is unknown; {suggest(name, known)}")
     if home in _PEERS:
         return _PEERS[home](thing, options, where)
-    made = getattr(_module(home, where), thing, None)
-    if not callable(made):
-        raise BadInput(
-            f"{where}: '{home}' has no function '{thing}'; name the one that makes the environment"
-        )
+    made = function_named(f"{home}:{thing}", where)
     try:
         inspect.signature(made).bind(**options)
     except TypeError as error:
         raise BadInput(f"{where}: {name}: {error}; mend [options]") from None
     return made(**options)
-
-
-def _module(home: str, where: str) -> Any:
-    if home.endswith(".py"):
-        path = Path(home)
-        if not path.exists():
-            raise BadInput(f"{where}: {home}: no such file; name the file of your environment")
-        spec = importlib.util.spec_from_file_location(f"adaptsim_environment_{path.stem}", path)
-        assert spec is not None and spec.loader is not None
-        module = importlib.util.module_from_spec(spec)
-        sys.modules[spec.name] = module
-        spec.loader.exec_module(module)
-        return module
-    try:
-        return importlib.import_module(home)
-    except ModuleNotFoundError as error:
-        raise BadInput(
-            f"{where}: no module '{error.name}'; install it, or name a file: "
-            f"path/to/{home}.py:function"
-        ) from None
 
 
 def _playground(name: str, options: dict[str, Any], where: str) -> Any:

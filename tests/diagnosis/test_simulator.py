@@ -10,11 +10,15 @@ import numpy as np
 import pytest
 
 from adaptsim_jax import BadInput, Candidate, Quantity, Simulator, diagnose_simulator
+from adaptsim_jax.cli import main
+from adaptsim_jax.core.registry import Registry
 from adaptsim_jax.diagnosis.fit import completed, jacobian
 from adaptsim_jax.diagnosis.schema import read_report
 from adaptsim_jax.diagnosis.starts import problem_of, settle
+from adaptsim_jax.simulators.registry import SIMULATORS, simulator_named
 
-TANKS = runpy.run_path(str(Path(__file__).parents[2] / "examples" / "coupled_tanks.py"))
+EXAMPLE = Path(__file__).parents[2] / "examples" / "coupled_tanks.py"
+TANKS = runpy.run_path(str(EXAMPLE))
 recorded = TANKS["recorded"]
 
 
@@ -223,3 +227,46 @@ def test_a_search_that_is_cut_off_leaves_what_it_had_found(tmp_path):
     told = read_report(tmp_path / "report.json")
     assert told["unfinished"] and "leak" in told["message"] and not told["effects"]
     assert told["error"]["after"] < 0.7 * told["error"]["before"]
+
+
+def logged(folder: Path) -> Path:
+    """Six recordings of tanks that leak, as CSV."""
+    made = recorded({"leak": 0.004}, seed=3)
+    volts = made.volts.reshape(6, -1, 1)
+    levels = made.stretches.measured.reshape(6, -1, 2)
+    folder.mkdir()
+    for name, rows in zip(made.stretches.names, np.concatenate([volts, levels], -1), strict=True):
+        np.savetxt(folder / f"{name}.csv", rows, delimiter=",", header="volts,level_1,level_2")
+    return folder
+
+
+def test_a_simulator_in_a_file_is_diagnosed_from_the_command_line(tmp_path, capsys):
+    data, out = logged(tmp_path / "logs"), tmp_path / "out"
+    asked = ["diagnose", str(data), "--out", str(out), "--simulator", f"{EXAMPLE}:of_folder"]
+    assert main(asked) == 0
+    assert "leak" in capsys.readouterr().out
+    report = read_report(out / "report.json")
+    assert [e["name"] for e in report["effects"]] == ["leak"]
+    assert report["run"]["command"].endswith(f"--simulator {EXAMPLE}:of_folder")
+    assert (out / "report.html").exists() and (out / "model.toml").exists()
+    assert main([*asked, "--exclude", "leek"]) == 2
+    assert "'leek' is no effect" in capsys.readouterr().err
+
+
+def test_a_simulator_is_known_by_its_entry_point(tmp_path, monkeypatch, capsys):
+    (tmp_path / "my_tanks.py").write_text(EXAMPLE.read_text())
+    about = tmp_path / "my_tanks-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: my_tanks\nVersion: 1.0\n")
+    point = "[adaptsim.simulators]\ntanks = my_tanks:of_folder\n"
+    (about / "entry_points.txt").write_text(point)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setitem(SIMULATORS.__dict__, "others", Registry("simulators", own={}).others)
+    made = simulator_named("tanks")(logged(tmp_path / "logs"))
+    assert made.stretches.count == 24
+    asked = ["diagnose", str(tmp_path / "logs"), "--out", str(tmp_path / "out"), "--simulator"]
+    assert main([*asked, "tank"]) == 2
+    assert "did you mean 'tanks'" in capsys.readouterr().err
+    assert main([*asked, "tanks", "--horizon", "1"]) == 2
+    assert "--horizon: a simulator of your own reads DATA itself" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
