@@ -13,7 +13,8 @@ from pathlib import Path
 from adaptsim_jax import make_task
 from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.report import figures as look
-from adaptsim_jax.report.figures_pushing import axes_of, parameters_found
+from adaptsim_jax.report.parameters import axes_of, parameters_found
+from adaptsim_jax.tasks.registry import TASKS
 
 
 def main() -> None:
@@ -36,7 +37,7 @@ def main() -> None:
             f"{args.results}: no method in it adapts parameters; compare adaptsim or sysid-bayes"
         )
     space = make_task(results["task"], {}).space
-    figure = parameters_found(results, axes_of(space, results["task"]))
+    figure = parameters_found(results, axes_of(space, TASKS[results["task"]].symbols))
     print(f"written: {look.save(figure, output_folder(args.out) / 'parameters_found.png')}")
 
 

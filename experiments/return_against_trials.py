@@ -185,8 +185,7 @@ def run(out: Path, task: str, seeds: range, methods: list[str], small: bool) -> 
     from adaptsim_jax.adaptation.prepared import learned
     from adaptsim_jax.baselines.compare_steps import tried
     from adaptsim_jax.environments.config import EnvironmentConfig
-    from adaptsim_jax.environments.kind import environment_setting
-    from adaptsim_jax.environments.task import task_of
+    from adaptsim_jax.environments.task import environment_setting, task_of
 
     options, sizes = options_of(task, small), comparison(options_of(task, small), small)
     setting = environment_setting(configs.from_table(EnvironmentConfig, options, task))

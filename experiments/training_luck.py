@@ -19,12 +19,12 @@ from scipy.stats import qmc
 
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.environments.config import EnvironmentConfig
-from adaptsim_jax.environments.kind import environment_setting
 from adaptsim_jax.environments.rollout import visit
 from adaptsim_jax.environments.task import (
     BLIND,
     Setting,
     Tuned,
+    environment_setting,
     everywhere,
     network_acting,
     trained_in,

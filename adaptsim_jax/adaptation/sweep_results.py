@@ -5,16 +5,13 @@ value.
 import csv
 import io
 import json
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from adaptsim_jax.adaptation.sweep_folder import SCHEMA, SweepFolder
 from adaptsim_jax.core.files import write_bytes, write_json
-
-TRAINING = "training"
-"""The reward of Phase 1's last tenth of rounds, beside those in targets."""
+from adaptsim_jax.report.sweep_explore import TRAINING, earned, interval
 
 
 def write_results(folder: SweepFolder) -> dict[str, Any]:
@@ -104,25 +101,3 @@ def _over_seeds(rows: list[dict[str, Any]], name: str) -> dict[str, Any]:
         "over": "seeds",
         "members": len(rewards),
     }
-
-
-def earned(row: Mapping[str, Any], name: str) -> float | None:
-    """What a finished member earned in training or in a target; None where it has no reward
-    there.
-    """
-    if name == TRAINING:
-        return row["train_reward"]
-    return row["targets"][name]["reward"]
-
-
-def interval(values: list[float]) -> dict[str, Any]:
-    """mean, half (of the 95 % interval of the mean) and count of `values`."""
-    from scipy.stats import t
-
-    count = len(values)
-    mean = float(np.mean(values)) if count else None
-    if count > 1:
-        half = float(t.ppf(0.975, count - 1) * np.std(values, ddof=1) / np.sqrt(count))
-    else:
-        half = None
-    return {"mean": mean, "half": half, "count": count}

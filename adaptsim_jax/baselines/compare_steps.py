@@ -29,8 +29,7 @@ from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.progress import silent
 from adaptsim_jax.environments.config import EnvironmentConfig
-from adaptsim_jax.environments.kind import environment_setting
-from adaptsim_jax.environments.task import Setting, task_of
+from adaptsim_jax.environments.task import Setting, environment_setting, task_of
 
 BUDGETS = (0, 2, 5, 10, 20, 40)
 TRIED = (

@@ -45,13 +45,13 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Phase 2 of a trained run: result.json, and a few lines for a person."""
-    from adaptsim_jax.commands.task_parts import ROBOT, adapt_part
     from adaptsim_jax.core.errors import BadInput
     from adaptsim_jax.core.store import RunFolder
+    from adaptsim_jax.tasks.registry import TASKS
 
     folder = RunFolder.open(args.folder)
-    part, options = adapt_part(folder.task), folder.config.get("task", {})
-    if args.video and part.show is None:
+    kind = TASKS.named(folder.task, "task")
+    if args.video and kind.adapt is None:
         raise BadInput(
             f"{args.folder}: there is no film of task '{folder.task}'; leave --video out"
         )
@@ -59,6 +59,7 @@ def run(args: argparse.Namespace) -> int:
 
     from adaptsim_jax.adaptation.training import load_run
     from adaptsim_jax.commands.common import next_step, output, print_file, read_target
+    from adaptsim_jax.commands.phase2 import phase2, write_look
     from adaptsim_jax.core.files import write_json
 
     trained = load_run(folder)
@@ -68,15 +69,13 @@ def run(args: argparse.Namespace) -> int:
         task = world
         trained = trained._replace(phase1=trained.phase1._replace(task=task))
     with output(args.out or Path(args.folder) / f"adapt-{name}") as out:
-        result = part.adapt(
-            trained, options, jax.random.key(args.seed), params, args.starts, args.iterations
-        )
+        key, options = jax.random.key(args.seed), folder.config.get("task", {})
+        result = phase2(folder.task, trained, options, key, params, args.starts, args.iterations)
         found = describe(result, task, name, params, args)
         write_json(out / "result.json", found)
-    if part.show is not None:
-        lines = part.show(trained, options, found, result, out, args.video)
-    else:
-        lines = ()
+    lines: list[str] = []
+    if kind.adapt is not None:
+        lines = write_look(folder, task, (name, params), result, out, args.video)
     if args.json:
         print_file(out / "result.json")
         return 0
@@ -84,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
     print(f"written: {out / 'result.json'}")
     for line in lines:
         print(line)
-    if folder.task in ROBOT:
+    if kind.robot is not None:
         next_step(
             f"robot new {shlex.quote(str(args.folder))} --dir robot    the same with a real robot"
         )
@@ -106,6 +105,7 @@ def describe(
     import numpy as np
 
     from adaptsim_jax.core.files import without_nan
+    from adaptsim_jax.tasks.saved_policy import leaves_by_name
 
     names = task.space.names
     physical = np.asarray(task.space.physical(result.history.mean))
@@ -122,7 +122,7 @@ def describe(
             "params": dict(
                 zip(names, np.asarray(task.space.physical(result.mean)).tolist(), strict=True)
             ),
-            "policy": without_nan(policy_table(result.policy)),
+            "policy": without_nan(leaves_by_name(result.policy)),
         },
         "final": [number(row[-1]) for row in reward],
         "trials": int(reward.size),
@@ -146,17 +146,6 @@ def number(value: Any) -> float | None:
     if math.isfinite(float(value)):
         return float(value)
     return None
-
-
-def policy_table(policy: Any) -> dict[str, Any]:
-    """The leaves of a task policy as nested lists, by name."""
-    import jax
-    import numpy as np
-
-    leaves = jax.tree_util.tree_flatten_with_path(policy)[0]
-    return {
-        jax.tree_util.keystr(path).strip(".[]'"): np.asarray(leaf).tolist() for path, leaf in leaves
-    }
 
 
 def _show(found: dict[str, Any]) -> None:

@@ -94,12 +94,12 @@ def found_figure(results: dict[str, Any], options: dict[str, Any], out: Any) -> 
     from pathlib import Path
 
     from adaptsim_jax.report import figures as look
-    from adaptsim_jax.report.figures_pushing import axes_of, parameters_found
-    from adaptsim_jax.tasks.registry import make_task
+    from adaptsim_jax.report.parameters import axes_of, parameters_found
+    from adaptsim_jax.tasks.registry import TASKS, make_task
 
-    figure = parameters_found(
-        results, axes_of(make_task(results["task"], options).space, results["task"])
-    )
+    task = results["task"]
+    axes = axes_of(make_task(task, options).space, TASKS[task].symbols)
+    figure = parameters_found(results, axes)
     return [look.save(figure, Path(out) / "parameters_found.png")]
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from adaptsim_jax.commands.demo_config import HINGE, PENDULUM, SHORT, DemoConfig, commands
-from adaptsim_jax.commands.demo_contact import Before, push_part, scoop_part
+from adaptsim_jax.commands.demo_contact import Before, contact_part
 from adaptsim_jax.commands.demo_diagnosis import Diagnosed, diagnosed
 from adaptsim_jax.commands.demo_pendulum import Adapted, Pendulum, pendulum_part
 from adaptsim_jax.core.beside import beside
@@ -85,8 +85,9 @@ def contact_parts(
 ) -> tuple[Before, Before]:
     """The push and the scoop."""
     say = _named(progress)
-    push = push_part(out, seed, config.push, config.films, say("push"))
-    return push, scoop_part(out, seed, config.scoop, config.films, say("scoop"))
+    push = contact_part(out, "push", "pushing", seed, config.push, config.films, say("push"))
+    scoop = contact_part(out, "scoop", "scooping", seed, config.scoop, config.films, say("scoop"))
+    return push, scoop
 
 
 def _named(progress: Parts) -> Callable[[str], Report]:

@@ -148,7 +148,9 @@ def new(args: argparse.Namespace) -> dict[str, Any]:
         sessions.save(session, session.loop.init(key, starts), [])
         # written last: a folder with this file holds a whole session
         config.write(folder / SESSION, table)
-        print(f"{session.part.opened(session, args.starts * (args.iterations + 1))} in {folder}")
+        print(
+            f"{session.kind.robot.opened(session, args.starts * (args.iterations + 1))} in {folder}"
+        )
         return ask(args, session)
 
 
@@ -158,7 +160,7 @@ def stands(session: Session) -> dict[str, Any]:
 
     state, history = sessions.load(session)
     best = float(state.best_score)
-    told = {"told": len(history), "of": session.loop.trials(state), "turn": session.part.turn}
+    told = {"told": len(history), "of": session.loop.trials(state), "turn": session.kind.robot.turn}
     last = history[-1]["score"] if history else None
     return told | {"last_return": last, "best_return": best if math.isfinite(best) else None}
 
@@ -174,7 +176,7 @@ def ask(args: argparse.Namespace, session: Session) -> dict[str, Any]:
     done = len(history) >= total
     if done and not math.isfinite(state.best_score):
         print(
-            f"all {total} {session.part.turn}s are told, and none of them was finished: there is "
+            f"all {total} {session.kind.robot.turn}s are told, and none of them was finished: there is "
             f"no best policy"
         )
         print(
@@ -186,22 +188,24 @@ def ask(args: argparse.Namespace, session: Session) -> dict[str, Any]:
         mean, policy = (state.best_mean, state.best_policy)
     else:
         mean, policy = (state.mean, state.policy)
-    policy = session.part.deployed(session, policy, history)
+    policy = session.kind.robot.deployed(session, policy, history)
     params = dict(zip(task.space.names, map(float, task.space.physical(mean)), strict=True))
     if done:
         what = "best policy"
     else:
-        what = f"{session.part.turn} {len(history) + 1} of {total}"
+        what = f"{session.kind.robot.turn} {len(history) + 1} of {total}"
     print(
         f"{what}: trained at {', '.join(f'{name} {value:.4g}' for name, value in params.items())}"
     )
     path = session.folder / ("best.toml" if done else "policy.toml")
-    config.write(path, {"what": what, "params": params} | session.part.policy_file(session, policy))
-    session.part.show(session, _tried(session, state, history), policy, history, done)
+    config.write(
+        path, {"what": what, "params": params} | session.kind.robot.policy_file(session, policy)
+    )
+    session.kind.robot.show(session, _tried(session, state, history), policy, history, done)
     print(f"written: {path}")
     if done:
         print(
-            f"all {total} {session.part.turn}s are told; best return {float(state.best_score):.6g}"
+            f"all {total} {session.kind.robot.turn}s are told; best return {float(state.best_score):.6g}"
         )
     else:
         print(f"then: adaptsim robot record FILE --dir {args.dir}")
@@ -214,7 +218,7 @@ def record(args: argparse.Namespace, session: Session) -> None:
     from adaptsim_jax.core.errors import BadInput
 
     before, history, total = _not_done(session)
-    turn, path = session.part.turn, Path(args.what)
+    turn, path = session.kind.robot.turn, Path(args.what)
     digest = _digest(path)
     for earlier, trial in enumerate(history, 1):
         if digest is not None and trial.get("sha256") == digest:
@@ -223,7 +227,7 @@ def record(args: argparse.Namespace, session: Session) -> None:
                 f"{len(history) + 1}"
             )
     tried = _tried(session, before, history)
-    trajectory = session.part.read(session, tried, path)
+    trajectory = session.kind.robot.read(session, tried, path)
     state, info = session.loop.tell(before, trajectory)
     entry = {"file": str(path), "sha256": digest, "score": number(info.score)}
     for earlier, trial in enumerate(history, 1):
@@ -233,12 +237,12 @@ def record(args: argparse.Namespace, session: Session) -> None:
                 f"recording? then: adaptsim robot undo"
             )
             break
-    after = [*history, entry | session.part.remember(session, tried, trajectory)]
+    after = [*history, entry | session.kind.robot.remember(session, tried, trajectory)]
     sessions.keep(session, before, history)
     sessions.save(session, state, after)
     best = ", the best so far" if bool(info.best) else ""
     print(f"{turn} {len(after)} of {total}: return {float(info.score):.6g}{best}")
-    session.part.told(session, tried, state, trajectory, len(after) >= total)
+    session.kind.robot.comment(session, tried, state, trajectory, len(after) >= total)
 
 
 def failed(args: argparse.Namespace, session: Session) -> None:
@@ -246,8 +250,8 @@ def failed(args: argparse.Namespace, session: Session) -> None:
     task says.
     """
     before, history, total = _not_done(session)
-    turn = session.part.turn
-    if session.part.again:
+    turn = session.kind.robot.turn
+    if session.kind.robot.again:
         print(
             f"{turn} {len(history) + 1} of {total} failed: nothing is recorded, and the same "
             f"{turn} is asked again"
@@ -295,7 +299,7 @@ def undo(args: argparse.Namespace, session: Session) -> None:
     (session.folder / "best.toml").unlink(missing_ok=True)
     gone = history[len(earlier)]
     what = gone["file"] or "a failure"
-    print(f"taken back: {what}, of {session.part.turn} {len(earlier) + 1}")
+    print(f"taken back: {what}, of {session.kind.robot.turn} {len(earlier) + 1}")
 
 
 def _not_done(session: Session) -> tuple[Any, list[dict[str, Any]], int]:
@@ -305,14 +309,14 @@ def _not_done(session: Session) -> tuple[Any, list[dict[str, Any]], int]:
     state, history = sessions.load(session)
     total = session.loop.trials(state)
     if len(history) >= total:
-        what = f"all {total} {session.part.turn}s are told"
+        what = f"all {total} {session.kind.robot.turn}s are told"
         raise BadInput(f"{session.folder}: {what}; 'robot new' starts another session")
     return state, history, total
 
 
 def _tried(session: Session, state: Any, history: list[dict[str, Any]]) -> Any:
     """The state with its policy as the coming turn makes its trials."""
-    return state._replace(policy=session.part.tried(session, state.policy, history))
+    return state._replace(policy=session.kind.robot.tried(session, state.policy, history))
 
 
 def _digest(path: Path) -> str | None:

@@ -18,7 +18,7 @@ PLACES = ("run", "run_from_here")
 
 class Session(NamedTuple):
     """A session on disk: where it is, how it was started, the learned adaptation policy at work,
-    the task's options, and what speaks for the task (`task_parts.RobotPart`).
+    the task's options, and the task as the registry holds it (`TaskKind`).
     """
 
     folder: Path
@@ -26,7 +26,7 @@ class Session(NamedTuple):
     trained: Any
     loop: Any
     options: dict[str, Any]
-    part: Any
+    kind: Any
     as_declared: bool = False  # what the record contradicts is taken all the same
 
 
@@ -96,14 +96,15 @@ def _was(table: dict[str, Any]) -> str:
 
 def run_of(path: str) -> RunFolder:
     """The run at `path`, of a task that robots are for."""
-    from adaptsim_jax.commands.task_parts import ROBOT
     from adaptsim_jax.core.errors import BadInput
     from adaptsim_jax.core.store import RunFolder
+    from adaptsim_jax.tasks.registry import TASKS
 
     run = RunFolder.open(path)
-    if run.task not in ROBOT:
+    if TASKS.named(run.task, "task").robot is None:
+        able = ", ".join(name for name, kind in TASKS.items() if kind.robot is not None)
         raise BadInput(
-            f"{path}: a run of task '{run.task}'; robot takes runs of {', '.join(ROBOT)} in this "
+            f"{path}: a run of task '{run.task}'; robot takes runs of {able} in this "
             f"version. For "
             f"{run.task} use 'adaptsim adapt', or from Python adaptsim_jax.adaptation.asktell with "
             f"recorded trajectories"
@@ -139,7 +140,7 @@ def _check_same(run: RunFolder, table: dict[str, Any], folder: Path) -> None:
 def make_session(folder: Path, table: dict[str, Any]) -> Session:
     from adaptsim_jax.adaptation.asktell import make_ask_tell
     from adaptsim_jax.adaptation.training import load_run
-    from adaptsim_jax.commands.task_parts import ROBOT
+    from adaptsim_jax.tasks.registry import TASKS
 
     run = run_of(table["run"])
     trained = load_run(run)
@@ -150,7 +151,7 @@ def make_session(folder: Path, table: dict[str, Any]) -> Session:
         {k: float(getattr(trained.hyper, k)) for k in ("delta", "shrink")},
     )
     loop = make_ask_tell(phase1.task, phase1.bdq, weights, iterations=table["iterations"], **sizes)
-    return Session(folder, table, trained, loop, run.config.get("task", {}), ROBOT[run.task])
+    return Session(folder, table, trained, loop, run.config.get("task", {}), TASKS[run.task])
 
 
 def keep(session: Session, state: Any, history: list[dict[str, Any]]) -> None:

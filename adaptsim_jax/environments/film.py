@@ -1,5 +1,9 @@
-"""Episodes as a film needs them: places of a model's joints over time, of policies in a target."""
+"""Episodes of policies in a target, on film: places of a model's joints over time."""
 
+import os
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -9,6 +13,9 @@ import numpy as np
 
 from adaptsim_jax.environments.rollout import Acting
 from adaptsim_jax.environments.task import Setting, play_in
+from adaptsim_jax.report.film import Moment, Scene, Stage
+
+FPS = 25.0  # frames a second of a film, as near as whole steps go
 
 
 def filmed_episode(
@@ -40,8 +47,92 @@ def filmed_episode(
     return qpos[:end], mocap[:end], setting.sim.dt, model_bytes(setting.sim.native)
 
 
+@dataclass(frozen=True)
+class EpisodeClip:
+    """One episode: places `qpos [T, nq]` and `mocap [T, 3 n]`, a row each `dt` s; the model's bytes
+    (mjb); a line of text.
+    """
+
+    qpos: Any
+    mocap: Any
+    dt: Any
+    model: Any
+    text: str
+
+
+def clip_of(
+    qpos: np.ndarray, mocap: np.ndarray, dt: float, model: np.ndarray, text: str
+) -> EpisodeClip:
+    """A clip at its own speed, as near to 25 frames a second as whole steps go."""
+    every = max(1, round(1.0 / (FPS * dt)))
+    return EpisodeClip(qpos[::every], mocap[::every], every * dt, model, text)
+
+
+def moments(clip: EpisodeClip) -> list[Moment]:
+    """Every row."""
+    return [Moment(r, float(clip.dt) * r, str(clip.text)) for r in range(len(clip.qpos))]
+
+
+def drawing(clip: EpisodeClip) -> Callable[[Moment], Any]:
+    """The joints' coordinates over time with a line at the moment, where nothing can be
+    rendered.
+    """
+    from matplotlib.figure import Figure
+
+    from adaptsim_jax.report import figures as look
+
+    figure = Figure(figsize=(4.8, 3.6), dpi=100, facecolor="white")
+    ax = figure.add_axes((0.14, 0.14, 0.8, 0.74))
+    ax.plot(float(clip.dt) * np.arange(len(clip.qpos)), clip.qpos, linewidth=1.2)
+    ax.set_xlabel("s")
+    ax.set_ylabel("coordinates (m, rad)")
+    figure.text(0.14, 0.93, str(clip.text), fontsize=11, color=look.INK)
+    line = ax.axvline(0.0, color=look.INK, linewidth=0.8)
+
+    def draw(moment: Moment) -> Any:
+        line.set_xdata([moment.time] * 2)
+        return figure
+
+    return draw
+
+
+def stage(clip: EpisodeClip) -> Stage:
+    """The model by its first camera, or a free one that sees all of it."""
+    model = model_of_bytes(clip.model)
+
+    def place(data: Any, row: int) -> None:
+        data.qpos[:] = clip.qpos[row]
+        data.mocap_pos[:] = clip.mocap[row].reshape(data.mocap_pos.shape)
+
+    return Stage(model, place, lambda row: 0 if model.ncam else -1, band=True)
+
+
 def model_bytes(model: Any) -> np.ndarray:
     """A compiled model as bytes (mjb)."""
     buffer = np.empty(mujoco.mj_sizeModel(model), np.uint8)
     mujoco.mj_saveModel(model, None, buffer)
     return buffer
+
+
+def model_of_bytes(raw: np.ndarray) -> Any:
+    """The compiled model of `model_bytes`."""
+    with tempfile.NamedTemporaryFile(suffix=".mjb", delete=False) as file:
+        file.write(np.asarray(raw, np.uint8).tobytes())
+    try:
+        return mujoco.MjModel.from_binary_path(file.name)
+    finally:
+        os.unlink(file.name)
+
+
+SCENE = Scene(
+    home=f"{__name__}:SCENE",
+    name="policies",
+    clip=EpisodeClip,
+    size=(480, 360),
+    hold=12,
+    fps=lambda clips: 1.0 / float(clips[0].dt),
+    moments=moments,
+    drawing=drawing,
+    side="coordinates over time",
+    stage=stage,
+)

@@ -2,9 +2,9 @@
 said.
 """
 
+from adaptsim_jax.environments.adapt import ADAPT
 from adaptsim_jax.environments.config import EnvironmentConfig
-from adaptsim_jax.environments.simulated import OWN, load
-from adaptsim_jax.environments.task import Setting, setting_of, task_of
+from adaptsim_jax.environments.task import environment_setting, task_of
 from adaptsim_jax.tasks.base import Task, TaskKind
 
 # Phase 1 at a fifth of the pendulum's size: a trajectory costs eleven episodes, and eight more that
@@ -26,10 +26,4 @@ def make_environment(config: EnvironmentConfig) -> Task:
     return task_of(environment_setting(config))
 
 
-def environment_setting(config: EnvironmentConfig) -> Setting:
-    """All that the task of `config` is made of, before anything is learned."""
-    where = config.env if config.env in OWN else "env.toml"
-    return setting_of(load(config.env, config.options, where), config, where=where)
-
-
-TASK = TaskKind(EnvironmentConfig, make_environment, train=TRAIN)
+TASK = TaskKind(EnvironmentConfig, make_environment, train=TRAIN, adapt=ADAPT)

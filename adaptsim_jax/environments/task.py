@@ -23,7 +23,7 @@ from adaptsim_jax.environments.gymnax import from_gymnax
 from adaptsim_jax.environments.interface import Play, make_play
 from adaptsim_jax.environments.planner import make_planner
 from adaptsim_jax.environments.rollout import Acting, Rollout, Shown, Steps, look, visit, whitened
-from adaptsim_jax.environments.simulated import Simulated, load, simulated
+from adaptsim_jax.environments.simulated import OWN, Simulated, load, simulated
 from adaptsim_jax.environments.targets import Target, hidden_fields, native_physics, target_of
 from adaptsim_jax.environments.trainer import Trainer, Worlds, make_ppo_trainer
 from adaptsim_jax.space import Space
@@ -109,6 +109,12 @@ def setting_of(
     rest = jnp.asarray([f.nominal for f in fields[space.dim :]], jnp.float32)
     made = trainer(play, space, config.training, _obs_dim(play, omega, where))
     return Setting(config, env, sim, space, fields, play, compiled(made), targets, rest)
+
+
+def environment_setting(config: EnvironmentConfig) -> Setting:
+    """All that the task of `config` is made of, before anything is learned."""
+    where = config.env if config.env in OWN else "env.toml"
+    return setting_of(load(config.env, config.options, where), config, where=where)
 
 
 def compiled(trainer: Trainer) -> Trainer:

@@ -1,6 +1,4 @@
-"""The figures of the tour: what learning earned, the comparison, a push from above, a scoop as a
-film strip, a recording explained.
-"""
+"""The figures of the tour: what learning earned, the comparison, a recording explained."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -10,14 +8,9 @@ from matplotlib.figure import Figure
 
 from adaptsim_jax.report import figures as look
 from adaptsim_jax.report import figures_comparison as draw
-from adaptsim_jax.report import figures_pushing as tables
-from adaptsim_jax.report.scoop_video import ScoopClip, draw_scoop
-from adaptsim_jax.tasks.scooping.model import SECONDS
 
 SHADES = ("#0072B2", "#56B4E9", "#004d7a")
 CURVES = ("adaptsim", "sysid_bayes", "sysid_point")
-WHO = ("before", "after")
-MOMENTS = (0.1, 0.3, 0.4, 0.5, 0.7, 1.0)  # s of a scoop
 MEASURED, DECLARED, MENDED = "#7b8794", "#c4540a", "#1767b0"
 SHOWN = 2.0  # s of a recording
 
@@ -60,51 +53,6 @@ def reward_map(chart: Any, target: Sequence[float], rows: Sequence[Mapping[str, 
     }
     figure = draw.parameter_map(chart, target, found)
     figure.set_size_inches(4.6, 3.9)
-    return figure
-
-
-def push_before_after(shown: Any) -> Figure:
-    """Table tops from above, two for each goal: the push of the policy before and after adaptation;
-    `shown`: tour's `Pushes`.
-    """
-    goals = len(shown.goals)
-    along = tables.along_of(shown.tracks)
-    height = 2.1 * (along[1] - along[0]) / (tables.ACROSS[1] - tables.ACROSS[0]) + 0.6
-    figure, axes = look.new_figure(2.2 * 2 * goals + 0.4, height, 1, 2 * goals, sharey=True)
-    for g in range(goals):
-        for i, who in enumerate(WHO):
-            ax, end = axes[2 * g + i], shown.tracks[i, g, -1]
-            tables.table_top(ax, shown.patch, along)
-            tables.draw_push(
-                ax, tables.Push(shown.goals[g], shown.tracks[i, g], float(shown.rewards[i, g]))
-            )
-            ax.set_title(f"goal {g + 1}, {who}", fontsize=9.5, color=look.INK, pad=4)
-            off = 100 * float(np.linalg.norm(end - shown.goals[g]))
-            if np.isfinite(off):
-                words = f"{off:.1f} cm from the goal"
-            else:
-                words = "the push failed"
-            ax.set_xlabel(words, fontsize=8.5, color=look.INK, labelpad=4)
-    axes[0].set_ylabel("x (m), away from the arm", fontsize=8.5, color=look.MUTED)
-    return figure
-
-
-def scoop_strips(clips: Sequence[ScoopClip]) -> Figure:
-    """Two film strips from the side, the trial of the policy before and after adaptation, left to
-    right in time.
-    """
-    figure, axes = look.new_figure(1.6 * len(MOMENTS) + 0.4, 2.6, len(clips), len(MOMENTS))
-    for r, (clip, who) in enumerate(zip(clips, WHO, strict=True)):
-        last = len(clip.piece) - 1
-        for c, moment in enumerate(MOMENTS):
-            ax = axes[r * len(MOMENTS) + c]
-            draw_scoop(ax, clip, round(last * moment / SECONDS))
-            if r == 0:
-                ax.set_title(f"{moment:.1f} s", fontsize=8.5, color=look.MUTED, pad=3)
-            if c == 0:
-                ax.set_ylabel(who, fontsize=9.5, color=look.INK)
-        ended = "on the spatula" if clip.success else "not on the spatula"
-        axes[(r + 1) * len(MOMENTS) - 1].set_xlabel(ended, fontsize=8.5, color=look.INK, labelpad=3)
     return figure
 
 

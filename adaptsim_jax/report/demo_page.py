@@ -44,8 +44,8 @@ def drawn(tour: Any) -> dict[str, Any]:
         ),
         "iterations": demo_figures.rewards_over_iterations(tour.results),
         "map": demo_figures.reward_map(tour.reward_map, target[:2].tolist(), tour.results["rows"]),
-        "push": demo_figures.push_before_after(tour.push.shown),
-        "scoop": demo_figures.scoop_strips(tour.scoop.shown),
+        "push": tour.push.figure,
+        "scoop": tour.scoop.figure,
         "errors": demo_figures.errors_by_trial(found.report["error"]),
     }
     for trial in found.held_out[:1]:
@@ -97,15 +97,9 @@ def contact_words(found: Any, out: Path) -> dict[str, Any]:
         "learned": f"{found.learned:,}",
         "start": found.start + 1,
         "parameters": [(name, f"{target[name]:.3g}", f"{params[name]:.3g}") for name in params],
-        "ends": [_ended(clip) for clip in found.shown] if isinstance(found.shown, list) else [],
+        "ends": found.ends,
         "film": None if found.film is None else str(found.film.relative_to(out)),
     }
-
-
-def _ended(clip: Any) -> str:
-    if clip.success:
-        return "on the spatula"
-    return "not on the spatula"
 
 
 def parameter_rows(tour: Any) -> list[dict[str, Any]]:

@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.adaptation.sweep_results import TRAINING
 from adaptsim_jax.report import figures as look
 from adaptsim_jax.report.explore import Columns, Plot, View, explorer, shown
 from adaptsim_jax.report.figures_sweep import COLOURS
 
+TRAINING = "training"
+"""The reward of Phase 1's last tenth of rounds, beside those in targets."""
 MOST_DRAWN = 10
 """Combinations whose medians are drawn together; all have a plot of their own, up to
 `MOST_CHOICES`.
@@ -22,6 +23,28 @@ MOST_CHOICES = 60
 MOST_ROUNDS = 400
 """Points of one learning curve."""
 SYMBOLS = ("circle", "square", "triangle-up", "diamond", "triangle-down", "pentagon", "star")
+
+
+def earned(row: Mapping[str, Any], name: str) -> float | None:
+    """What a finished member earned in training or in a target; None where it has no reward
+    there.
+    """
+    if name == TRAINING:
+        return row["train_reward"]
+    return row["targets"][name]["reward"]
+
+
+def interval(values: list[float]) -> dict[str, Any]:
+    """mean, half (of the 95 % interval of the mean) and count of `values`."""
+    from scipy.stats import t
+
+    count = len(values)
+    mean = float(np.mean(values)) if count else None
+    if count > 1:
+        half = float(t.ppf(0.975, count - 1) * np.std(values, ddof=1) / np.sqrt(count))
+    else:
+        half = None
+    return {"mean": mean, "half": half, "count": count}
 
 
 def groups(found: Mapping[str, Any]) -> dict[str, list[Mapping[str, Any]]]:

@@ -9,11 +9,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from adaptsim_jax.adaptation.sweep_results import TRAINING, earned, interval
 from adaptsim_jax.core.files import write_bytes
 from adaptsim_jax.report import diagnosis_format as fmt
 from adaptsim_jax.report import explore, sweep_explore
 from adaptsim_jax.report import figures as look
+from adaptsim_jax.report.sweep_explore import TRAINING, earned, interval
 from adaptsim_jax.report.templating import filled
 
 MOST_MEMBERS = 1000

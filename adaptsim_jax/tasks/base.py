@@ -106,7 +106,9 @@ class TaskKind:
     table laid over the defaults of `TrainConfig`. augmented: `(options, where) -> Task` on the
     model file that stands under the option `model`. of_model: `(model file as a table, its name) ->
     options`, what `adaptsim train --model` lays over the options (`left_out`: effects of the file
-    that are none of the simulator's). backends: the engines that it runs in, by name; make_backend:
+    that are none of the simulator's). adapt, robot: what the
+    commands of these names show and say (`AdaptFace`, `RobotFace` of `tasks/faces.py`). symbols:
+    what parameters are called in figures, where that is not their name. backends: the engines that it runs in, by name; make_backend:
     one of them, `(name, options, **settings) -> Backend` (`tasks/engine.py`).
     """
 
@@ -116,5 +118,8 @@ class TaskKind:
     train: Mapping[str, Any] = field(default_factory=dict)
     augmented: Callable[[dict[str, Any], str], Task] | None = None
     of_model: Callable[[dict[str, Any], str], dict[str, Any]] | None = None
+    adapt: Any = None
+    robot: Any = None
+    symbols: Mapping[str, str] = field(default_factory=dict)
     backends: Mapping[str, Any] = field(default_factory=dict)
     make_backend: Callable[..., Any] | None = None

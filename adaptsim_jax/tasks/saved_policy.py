@@ -44,3 +44,14 @@ def read_saved(
 def _count(naf: Any) -> int:
     """How many weights the networks of `naf` have."""
     return jax.eval_shape(lambda: naf.init(jax.random.key(0)).online).size
+
+
+def leaves_by_name(policy: Any) -> dict[str, Any]:
+    """The leaves of a task policy as nested lists, by name."""
+    import jax
+    import numpy as np
+
+    leaves = jax.tree_util.tree_flatten_with_path(policy)[0]
+    return {
+        jax.tree_util.keystr(path).strip(".[]'"): np.asarray(leaf).tolist() for path, leaf in leaves
+    }

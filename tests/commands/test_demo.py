@@ -18,7 +18,7 @@ from adaptsim_jax.cli import main
 from adaptsim_jax.commands import demo_pendulum, demo_tour
 from adaptsim_jax.commands.demo import TITLES, _show
 from adaptsim_jax.commands.demo_config import SHORT, DemoConfig
-from adaptsim_jax.commands.demo_contact import Before, Pushes
+from adaptsim_jax.commands.demo_contact import Before
 from adaptsim_jax.commands.demo_diagnosis import Diagnosed
 from adaptsim_jax.commands.demo_tour import demo
 from adaptsim_jax.core.errors import BadInput
@@ -50,32 +50,33 @@ def tiny(task):
     )
 
 
-def adapted(task, shown):
+def adapted(task, figure, ends=()):
     """A push or a scoop that was adapted; both have tests of their own and take a minute."""
     space = {"pushing": pushing_space, "scooping": scooping_space}[task]()
     params = dict(zip(space.names, map(float, space.physical(np.full(4, 0.5))), strict=True))
     found = {"target": {"name": "wd", "params": params}, "best": {"params": params}, "trials": 18}
-    return Before(40, found, 0, 36, 0.25, 0.75, shown)
+    return Before(40, found, 0, 36, 0.25, 0.75, figure, ends)
 
 
 @pytest.fixture(scope="module")
 def stand_ins():
     """The push, the scoop and the diagnosis, as the tour would have found them."""
+    from adaptsim_jax.tasks.pushing.figures import Push, before_after
+    from adaptsim_jax.tasks.scooping.film import ending, film_strips
     from tests.report.diagnosis_cases import explained
     from tests.report.test_scooping_film import clip
 
     tracks = np.linspace((0.6, 0.0), (0.9, 0.1), 20)
-    pushes = Pushes(
-        np.array([[0.8, 0.05], [0.9, -0.1]]),
-        np.tile(tracks, (2, 2, 1, 1)),
-        np.full((2, 2), 0.5),
-        0.05,
-    )
+    pushes = [Push(np.array(goal), tracks, 0.5) for goal in ((0.8, 0.05), (0.9, -0.1))]
+    clips = [clip(success=False), clip()]
+    push = adapted("pushing", before_after({"before": pushes, "after": pushes}, 0.05))
+    ends = tuple(map(ending, clips))
+    scoop = adapted("scooping", film_strips(clips, ("before", "after")), ends)
     time = np.linspace(0.0, 3.0, 100)
     trial = {"trial": "trial_00", "time": time, "measured": {"hinge": np.sin(time)}}
     trial |= {"before": {"hinge": np.sin(1.02 * time)}, "after": {"hinge": np.sin(1.001 * time)}}
     found = Diagnosed(explained(), [trial])
-    return adapted("pushing", pushes), adapted("scooping", [clip(success=False), clip()]), found
+    return push, scoop, found
 
 
 def put_in(patch, stand_ins):
@@ -222,15 +223,15 @@ def test_a_push_and_a_scoop_before_and_after(task, tmp_path):
     """The real thing on the smallest sizes: a run folder, a result that agrees with what is
     shown.
     """
-    from adaptsim_jax.commands.demo_contact import push_part, scoop_part
+    from adaptsim_jax.commands.demo_contact import contact_part
 
     told = []
 
     def say(done, total, note=""):
         return told.append(done / total)
 
-    part = {"push": push_part, "scoop": scoop_part}[task]
-    found = part(tmp_path, 3, tiny(task), False, say)
+    name = {"push": "pushing", "scoop": "scooping"}[task]
+    found = contact_part(tmp_path, task, name, 3, tiny(task), False, say)
     assert told == sorted(told) and told[-1] == 1.0
     assert (tmp_path / "runs" / task / "config.toml").exists()
     result = json.loads((tmp_path / task / "result.json").read_text())

@@ -16,14 +16,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from adaptsim_jax.adaptation import training
 from adaptsim_jax.adaptation.episode import Episode
 from adaptsim_jax.adaptation.phase2 import best_of
 from adaptsim_jax.cli import main
+from adaptsim_jax.commands import phase2
 from adaptsim_jax.commands import robot_session as command
 from adaptsim_jax.core import files
 from adaptsim_jax.core.store import RunFolder
-from adaptsim_jax.report import push_video
 from adaptsim_jax.tasks.pushing import planar as pushing_planar
 from adaptsim_jax.tasks.pushing.measured import read_policy
 
@@ -236,11 +235,11 @@ def test_adapt_leaves_a_figure_and_films_the_pushes_that_it_found(
     run, tmp_path, capsys, monkeypatch
 ):
     taken = []
-    monkeypatch.setattr(training, "adapt_run", three_visits)
+    monkeypatch.setattr(phase2, "adapt_run", three_visits)
     monkeypatch.setattr(
-        push_video,
-        "write_push_video",
-        lambda clips, folder: taken.extend(clips) or (folder / "p", "how"),
+        phase2,
+        "write_film",
+        lambda scene, clips, folder: taken.extend(clips) or (folder / "p", "how"),
     )
     assert main(["adapt", str(run), "--target", "wd", "--out", str(tmp_path), "--video"]) == 0
     said = capsys.readouterr().out

@@ -10,7 +10,8 @@ import pytest
 from adaptsim_jax.cli import main
 from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.report import push_video, scoop_video
+from adaptsim_jax.report import film as films
+from adaptsim_jax.tasks.scooping import film
 from adaptsim_jax.tasks.scooping.measured import read_policy
 
 pytestmark = pytest.mark.slow
@@ -122,8 +123,8 @@ def test_a_session_from_start_to_best_policy(run, tmp_path, capsys):
 
 
 def test_adapt_draws_and_films(run, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(push_video, "rendered", lambda *_: False)
-    monkeypatch.setattr(scoop_video, "FRAMES", 4)
+    monkeypatch.setattr(films, "rendered", lambda *_: False)
+    monkeypatch.setattr(film, "FRAMES", 4)
     out = tmp_path / "adapted"
     assert (
         main(

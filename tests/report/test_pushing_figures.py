@@ -10,18 +10,21 @@ import pytest
 from matplotlib.patches import Circle
 from PIL import Image
 
-from adaptsim_jax.report import figures_pushing as draw
-from adaptsim_jax.report import push_video
-from adaptsim_jax.report.push_video import Clip, drawn_frames, write_push_video
+from adaptsim_jax.report.film import drawn_frames, write_film
+from adaptsim_jax.report.parameters import Axis, axes_of, parameters_found
 from adaptsim_jax.space import Parameter, Space
+from adaptsim_jax.tasks.pushing import figures as draw
+from adaptsim_jax.tasks.pushing import film
 from adaptsim_jax.tasks.pushing.engines.registry import make_backend
+from adaptsim_jax.tasks.pushing.film import SCENE, PushClip
 from adaptsim_jax.tasks.pushing.model import EDGE_RADIUS, RADIUS, START
+from adaptsim_jax.tasks.registry import TASKS
 
 AXES = [
-    draw.Axis("mu", 0.05, 0.2),
-    draw.Axis("e", 1e4, 1e6, True),
-    draw.Axis("mu_p", 0.2, 0.8),
-    draw.Axis("y_p", -0.1, 0.1),
+    Axis("mu", 0.05, 0.2),
+    Axis("e", 1e4, 1e6, True),
+    Axis("mu_p", 0.2, 0.8),
+    Axis("y_p", -0.1, 0.1),
 ]
 PARAMS = np.array([[0.1, 1e5, 0.5, 0.05]])
 ACTION = np.array([[0.7, 0.2]])
@@ -32,15 +35,16 @@ GOAL = np.array([0.9, -0.1])
 def clip():
     state, code = make_backend("planar").simulate(PARAMS, ACTION, np.array([START]))
     assert not code.any()
-    return Clip(state[0], ACTION[0], GOAL, 0.05, "a push")
+    return PushClip(state[0], ACTION[0], GOAL, 0.05, "a push")
 
 
 @pytest.mark.parametrize(
     "task, called", [("pushing", "μ table"), ("scooping", "μ piece"), ("other", "")]
 )
 def test_parameters_are_called_what_their_task_calls_them(task, called):
-    axis = draw.axes_of(Space((Parameter("mu", 0.1, 0.2),)), task)[0]
-    assert axis == draw.Axis("mu", 0.1, 0.2, False, called)
+    symbols = TASKS[task].symbols if task in TASKS else {}
+    axis = axes_of(Space((Parameter("mu", 0.1, 0.2),)), symbols)[0]
+    assert axis == Axis("mu", 0.1, 0.2, False, called)
 
 
 def test_a_table_top_shows_each_push_where_it_was():
@@ -77,7 +81,7 @@ def test_parameters_of_each_method_and_seed_are_dots_and_methods_without_any_are
         {"method": "adaptsim", "setting": "ood-1", "best_params": found.tolist()},
         {"method": "udr", "setting": "ood-1"},
     ]
-    figure = draw.parameters_found(
+    figure = parameters_found(
         {"rows": rows, "settings": {"ood-1": {"params": [0.25, 5e4, 0.1, -0.1]}}}, AXES
     )
     assert len(figure.axes) == 4
@@ -94,14 +98,14 @@ def test_the_drawn_plate_meets_the_bottle_when_it_begins_to_move(clip):
     track = np.asarray(clip.state)[:, :2]
     row = int(np.argmax(np.linalg.norm(track - START, axis=1) > 1e-6))
     gap = [
-        np.linalg.norm(track[k] - push_video._edge(clip, k)[0]) - RADIUS - EDGE_RADIUS
+        np.linalg.norm(track[k] - film.plate_edge(clip, k)[0]) - RADIUS - EDGE_RADIUS
         for k in (row - 2, row)
     ]
     assert (
         0 < gap[0] < 0.016 and -0.016 < gap[1] < 0
     )  # it touches between these rows, 8 mm apart each
-    assert 0.01 < push_video._edge(clip, row)[1] < 0.06
-    forward, _, _ = push_video.plate(clip.action, 129)
+    assert 0.01 < film.plate_edge(clip, row)[1] < 0.06
+    forward, _, _ = film.plate(clip.action, 129)
     assert forward == pytest.approx(
         0.7 * (0.1 + 0.1 + 0.25), abs=2e-3
     )  # half the ramps and the hold
@@ -109,11 +113,9 @@ def test_the_drawn_plate_meets_the_bottle_when_it_begins_to_move(clip):
 
 @pytest.mark.slow
 def test_a_drawing_shows_the_bottle_going_to_where_it_went(clip):
-    first, *_, last = frames = list(drawn_frames([clip]))
+    first, *_, last = frames = list(drawn_frames(SCENE, [clip]))
     assert (
-        len(frames) == 65 + push_video.HOLD
-        and first.shape == (360, 640, 3)
-        and first.dtype == np.uint8
+        len(frames) == 65 + SCENE.hold and first.shape == (360, 640, 3) and first.dtype == np.uint8
     )
 
     def blue(f):
@@ -132,8 +134,8 @@ def test_where_mujoco_has_no_opengl_the_film_is_drawn_and_the_line_says_so(
     clip, tmp_path, monkeypatch
 ):
     monkeypatch.setenv("MUJOCO_GL", "none-such")
-    short = Clip(clip.state[::26], clip.action, clip.goal, clip.patch, clip.text)
-    path, how = write_push_video([short], tmp_path)
+    short = PushClip(clip.state[::26], clip.action, clip.goal, clip.patch, clip.text)
+    path, how = write_film(SCENE, [short], tmp_path)
     assert "no OpenGL" in how and "none-such" in how and "\n" not in how
     if path.suffix == ".gif":
         with Image.open(path) as film:
@@ -143,8 +145,8 @@ def test_where_mujoco_has_no_opengl_the_film_is_drawn_and_the_line_says_so(
 
 @pytest.mark.slow
 def test_mujoco_renders_the_same_push_where_it_can(clip, tmp_path):
-    short = Clip(clip.state[::26], clip.action, clip.goal, clip.patch, clip.text)
-    path, how = write_push_video([short], tmp_path)
+    short = PushClip(clip.state[::26], clip.action, clip.goal, clip.patch, clip.text)
+    path, how = write_film(SCENE, [short], tmp_path)
     if "rendered" not in how:
         pytest.skip(how)
     if path.suffix == ".gif":
@@ -162,7 +164,8 @@ def test_a_film_that_cannot_be_made_ends_in_an_error_code(tmp_path):
     command = [
         sys.executable,
         "-m",
-        "adaptsim_jax.report.push_render",
+        "adaptsim_jax.report.film",
+        SCENE.home,
         str(tmp_path / "none.npz"),
         str(tmp_path / "a.gif"),
     ]

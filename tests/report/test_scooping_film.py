@@ -1,18 +1,19 @@
 """Scoops drawn and filmed: the right thing in the right place, with OpenGL or without."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from adaptsim_jax.commands import adapt_scooping
+from adaptsim_jax.commands import phase2
 from adaptsim_jax.report import figures as look
-from adaptsim_jax.report import figures_scooping, push_video, scoop_video
-from adaptsim_jax.report.figures_pushing import Axis
-from adaptsim_jax.report.figures_scooping import scoops_over_iterations
-from adaptsim_jax.report.scoop_video import ScoopClip, drawn_frames, outlines, write_scoop_video
-from adaptsim_jax.tasks.scooping import model
+from adaptsim_jax.report import film as films
+from adaptsim_jax.report.film import drawn_frames, write_film
+from adaptsim_jax.report.parameters import Axis
+from adaptsim_jax.tasks.scooping import adapt, film, model
 from adaptsim_jax.tasks.scooping.config import scooping_space
+from adaptsim_jax.tasks.scooping.film import SCENE, ScoopClip, outlines, scoops_over_iterations
 
 PARAMS = np.array([0.3, 5e4, 1.0, 0.02])
 AXES = [Axis("mu", 0.25, 0.4), Axis("e", 1e4, 5e5, True), Axis("g", 0, 1), Axis("h", 0.015, 0.025)]
@@ -40,16 +41,14 @@ def test_outlines_stand_where_the_poses_say():
 
 def test_frames_are_drawn_and_say_how_it_ended():
     made = clip(success=False)
-    shown = list(scoop_video.shown([made]))
+    shown = film.moments(made)
     assert (
-        len(shown) == scoop_video.FRAMES
-        and shown[-1][1] == 40
-        and shown[-1][2] == pytest.approx(model.SECONDS)
+        len(shown) == film.FRAMES
+        and shown[-1].row == 40
+        and shown[-1].time == pytest.approx(model.SECONDS)
     )
-    assert scoop_video.verdict(made, 10) == "iteration 2" and "not on" in scoop_video.verdict(
-        made, 40
-    )
-    frames = drawn_frames([made])
+    assert film.verdict(made, 10) == "iteration 2" and "not on" in film.verdict(made, 40)
+    frames = drawn_frames(SCENE, [made])
     first = next(frames)
     assert first.shape == (360, 640, 3) and first.dtype == np.uint8
     later = [next(frames) for _ in range(30)][-1]
@@ -57,19 +56,16 @@ def test_frames_are_drawn_and_say_how_it_ended():
 
 
 def test_a_film_without_opengl(monkeypatch, tmp_path):
-    monkeypatch.setattr(push_video, "rendered", lambda *_: False)
-    monkeypatch.setattr(scoop_video, "FRAMES", 3)
-    monkeypatch.setattr(scoop_video, "HOLD", 1)
-    path, how = write_scoop_video([clip()], tmp_path)
+    monkeypatch.setattr(films, "rendered", lambda *_: False)
+    monkeypatch.setattr(film, "FRAMES", 3)
+    path, how = write_film(replace(SCENE, hold=1), [clip()], tmp_path)
     assert path.exists() and path.stat().st_size > 1000 and "no OpenGL" in how
 
 
 def test_scenes_load_in_mujoco_and_are_where_the_drawing_is():
     mujoco = pytest.importorskip("mujoco")
-    from adaptsim_jax.report.scoop_render import scene
-
     for shape in range(3):
-        m = mujoco.MjModel.from_xml_string(scene(np.array([0.3, 5e4, shape, 0.02])))
+        m = mujoco.MjModel.from_xml_string(film.scene_xml(np.array([0.3, 5e4, shape, 0.02])))
         piece = m.geom_size[1]
         assert piece[0] == model.RADIUS and {model.CYLINDER: piece[1]}.get(shape, piece[2]) == 0.01
     tip, data = clip().tip[20], mujoco.MjData(m)
@@ -89,24 +85,26 @@ def test_scenes_load_in_mujoco_and_are_where_the_drawing_is():
 def test_the_best_visit_is_the_one_that_is_deployed(tmp_path, monkeypatch):
     """The highest raw return, not the highest reward, as in `result.json`."""
     drawn = []
-    figure = scoops_over_iterations([clip()], [""], [0.0], np.tile(PARAMS, (3, 1)), AXES)
     monkeypatch.setattr(
-        figures_scooping,
-        "scoops_over_iterations",
-        lambda *given, **_: drawn.append(given) or figure,
+        film, "scoops_over_iterations", lambda *given, **_: drawn.append(given) or "figure"
     )
-    monkeypatch.setattr(adapt_scooping, "visits_of", lambda result, start: start)
-    monkeypatch.setattr(adapt_scooping, "clips_of", lambda made, policies, target: [policies] * 3)
+    monkeypatch.setattr(adapt, "clips_of", lambda config, policies, target: [policies] * 3)
+    monkeypatch.setattr(phase2, "save", lambda figure, path: path)
     score, reward = (
         np.array([[0.5, np.nan, 0.5], [0.0, 1.0, 0.5]]),
         np.array([[0.9, 0.2, 0.1], [0.3, 0.4, 0.5]]),
     )
-    history = SimpleNamespace(score=score, reward=reward, mean=np.full((2, 3, 4), 0.5, np.float32))
+    history = SimpleNamespace(
+        score=score,
+        reward=reward,
+        mean=np.full((2, 3, 4), 0.5, np.float32),
+        policy=np.arange(2),
+    )
     result = SimpleNamespace(history=history, policy=SimpleNamespace(told=None))
-    task = SimpleNamespace(space=scooping_space(), name="scooping")
-    found = {"run": "run", "target": {"params": dict(zip("abcd", PARAMS, strict=True))}}
-    trained = SimpleNamespace(phase1=SimpleNamespace(task=task))
-    adapt_scooping.show(trained, {}, found, result, tmp_path, False)
+    task = SimpleNamespace(space=scooping_space(), name="scooping", doubt=0.0)
+    run = SimpleNamespace(task="scooping", config={}, path=tmp_path)
+    lines = phase2.write_look(run, task, ("wd", PARAMS), result, tmp_path, False)
+    assert lines == [f"written: {tmp_path / 'scoops.png'}"]
     assert drawn[0][:3] == (
         [1, 1, 1],
         ["iteration 0", "iteration 1 (best)", "iteration 2"],

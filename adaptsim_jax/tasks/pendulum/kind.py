@@ -9,6 +9,7 @@ from adaptsim_jax.mend.pendulum_model import model_of
 from adaptsim_jax.tasks.base import Task, TaskKind
 from adaptsim_jax.tasks.pendulum.augmented import make_mended_pendulum
 from adaptsim_jax.tasks.pendulum.engines import registry
+from adaptsim_jax.tasks.pendulum.robot import ROBOT
 from adaptsim_jax.tasks.pendulum.task import PendulumConfig, make_pendulum
 
 
@@ -51,6 +52,7 @@ TASK = TaskKind(
     make_pendulum,
     augmented=augmented,
     of_model=of_model,
+    robot=ROBOT,
     backends=registry.BACKENDS,
     make_backend=registry.make_backend,
 )

@@ -5,6 +5,7 @@ the pushes made before.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +16,25 @@ from adaptsim_jax.tasks.pushing.corrections import Told
 from adaptsim_jax.tasks.pushing.goals import unseen
 from adaptsim_jax.tasks.pushing.simulator import make_simulator
 from adaptsim_jax.tasks.pushing.task import PushingConfig, PushingPolicy
+
+
+def as_deployed(config: PushingConfig, result: Any, target: Any) -> Any:
+    """`result` of Phase 2 with its policies and rewards as they are deployed: corrected by the
+    pushes made before, and the best visit's policy by all that were made, where the task does that
+    (`correct`).
+    """
+    if not config.correct or not config.show_goal:
+        return result
+    aim, history = jnp.asarray(target, jnp.float32), result.history
+    policies, every = jax.jit(lambda h: deployed(h, aim, config))(history)
+    flat = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), policies)
+    best = jax.tree.map(lambda x: x[None], result.policy._replace(told=every))
+    together = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), flat, best)
+    rewards = jax.jit(lambda p: tested(p, aim, config))(together)
+    history = history._replace(policy=policies, reward=rewards[:-1].reshape(history.reward.shape))
+    return result._replace(
+        policy=result.policy._replace(told=every), reward=rewards[-1], history=history
+    )
 
 
 def deployed(

@@ -1,9 +1,11 @@
 """The push as the registry holds it."""
 
 from adaptsim_jax.tasks.base import TaskKind
+from adaptsim_jax.tasks.pushing.adapt import ADAPT, SYMBOLS
 from adaptsim_jax.tasks.pushing.engines import registry
 from adaptsim_jax.tasks.pushing.mended import of_model
 from adaptsim_jax.tasks.pushing.one_shot import make_pushing_one_shot
+from adaptsim_jax.tasks.pushing.robot import ROBOT
 from adaptsim_jax.tasks.pushing.task import PushingConfig, make_pushing
 
 TASK = TaskKind(
@@ -11,6 +13,9 @@ TASK = TaskKind(
     make_pushing,
     make_pushing_one_shot,
     of_model=of_model,
+    adapt=ADAPT,
+    robot=ROBOT,
+    symbols=SYMBOLS,
     backends=registry.BACKENDS,
     make_backend=registry.make_backend,
 )

@@ -1,14 +1,19 @@
 """Scooping as the registry holds it."""
 
 from adaptsim_jax.tasks.base import TaskKind
+from adaptsim_jax.tasks.scooping.adapt import ADAPT, SYMBOLS
 from adaptsim_jax.tasks.scooping.engines import registry
 from adaptsim_jax.tasks.scooping.one_shot import make_scooping_one_shot
+from adaptsim_jax.tasks.scooping.robot import ROBOT
 from adaptsim_jax.tasks.scooping.task import ScoopingConfig, make_scooping
 
 TASK = TaskKind(
     ScoopingConfig,
     make_scooping,
     make_scooping_one_shot,
+    adapt=ADAPT,
+    robot=ROBOT,
+    symbols=SYMBOLS,
     backends=registry.BACKENDS,
     make_backend=registry.make_backend,
 )

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from adaptsim_jax.commands.adapt import policy_table
 from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.mend.model_toml import AddedEffect, Value
@@ -20,6 +19,7 @@ from adaptsim_jax.tasks.pendulum.augmented_policy import (
     plain_policy,
 )
 from adaptsim_jax.tasks.pendulum.controller import read_controller
+from adaptsim_jax.tasks.saved_policy import leaves_by_name
 
 THETA = {"m1": (1.5, "kg"), "m2": (1.4, "kg"), "b1": (1.2, "N m s/rad"), "b2": (1.8, "N m s/rad")}
 
@@ -53,7 +53,7 @@ def trial(tmp_path_factory):
     gain, feed, A, B, _ = lqr(world, theta, eff, along(world, theta, eff, loop))
     policy = _ahead(world, plain._replace(gain=gain, feed=feed), A, B)
     write_model(folder / "model.toml", given)
-    config.write(folder / "policy.toml", {"what": "trial 1 of 2", "policy": policy_table(policy)})
+    config.write(folder / "policy.toml", {"what": "trial 1 of 2", "policy": leaves_by_name(policy)})
     return folder, world, jax.jit(lambda: world.rollout(policy, theta, eff)[1])()
 
 

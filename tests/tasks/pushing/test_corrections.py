@@ -11,7 +11,6 @@ import pytest
 from adaptsim_jax.adaptation.episode import Episode
 from adaptsim_jax.baselines.arena import Arena, Trials, lanes
 from adaptsim_jax.baselines.memory import Memory
-from adaptsim_jax.commands.adapt import policy_table
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import without_nan
 from adaptsim_jax.tasks.pushing import deployed as pushing_deployed
@@ -22,6 +21,7 @@ from adaptsim_jax.tasks.pushing.goals import GOAL_CENTRE, sector_goals, unseen
 from adaptsim_jax.tasks.pushing.one_shot import make_pushing_one_shot
 from adaptsim_jax.tasks.pushing.refine import refine, search
 from adaptsim_jax.tasks.pushing.task import PushingConfig
+from adaptsim_jax.tasks.saved_policy import leaves_by_name
 
 
 def simulated(a):
@@ -186,7 +186,7 @@ def test_pushes_that_fail_in_the_target_do_not_count_and_are_null_in_a_file(monk
     assert 0 < failed.sum() < 8
     np.testing.assert_array_equal(every.used, ~failed)
     np.testing.assert_array_equal(made.told.used[0, 1], ~failed & (np.arange(8) < 4))
-    text = json.dumps(without_nan(policy_table(blank._replace(told=every))), allow_nan=False)
+    text = json.dumps(without_nan(leaves_by_name(blank._replace(told=every))), allow_nan=False)
     assert text.count("null") == 2 * failed.sum()
 
 

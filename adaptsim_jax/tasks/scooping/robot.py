@@ -7,18 +7,17 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from adaptsim_jax.commands.robot_trials import (
+from adaptsim_jax.tasks.faces import (
+    RobotFace,
     config_of,
     opened,
-    policy_file,
+    print_parameters,
     remembered,
-    say_parameters,
     write_actions,
 )
-from adaptsim_jax.commands.task_parts import RobotPart
 
 if TYPE_CHECKING:
-    from adaptsim_jax.commands.robot import Session
+    from adaptsim_jax.commands.robot_session import Session
     from adaptsim_jax.tasks.scooping.measured import Scoops
 
 TURN = "iteration"
@@ -52,6 +51,13 @@ def tried(session: Session, policy: Any, history: list[dict[str, Any]]) -> Any:
     if config.correct:
         return jax.jit(make_probe(config))(deployed(session, policy, history))
     return policy
+
+
+def policy_file(session: Session, policy: Any) -> dict[str, Any]:
+    """What `policy.toml` holds beside the parameters; `measured.read_policy` reads it."""
+    from adaptsim_jax.tasks.scooping.measured import policy_table
+
+    return policy_table(policy, config_of(session))
 
 
 def show(
@@ -120,13 +126,13 @@ def remember(session: Session, before: Any, trajectory: Any) -> dict[str, Any]:
     )
 
 
-def told(session: Session, before: Any, after: Any, trajectory: Any, done: bool) -> None:
+def comment(session: Session, before: Any, after: Any, trajectory: Any, done: bool) -> None:
     """Which scoops succeeded, and which parameters are believed in now."""
     for number, success in zip(_scoops(session, before).numbers, trajectory.success, strict=True):
         print(f"  trial {number}: {'on the spatula' if success > 0.5 else 'not on the spatula'}")
     if done:
         return
-    say_parameters(session, before, after)
+    print_parameters(session, before, after)
 
 
 def _said(action: Any) -> str:
@@ -145,4 +151,6 @@ def _scoops(session: Session, state: Any) -> Scoops:
     return scoops_to_make(state.key, state.told, state.policy, config_of(session))
 
 
-PART = RobotPart(TURN, opened("scoops"), policy_file, show, read, remember, told, deployed, tried)
+ROBOT = RobotFace(
+    TURN, opened("scoops"), policy_file, show, read, remember, comment, deployed, tried
+)

@@ -7,10 +7,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from adaptsim_jax.commands.task_parts import RobotPart
+from adaptsim_jax.tasks.faces import RobotFace
 
 if TYPE_CHECKING:
-    from adaptsim_jax.commands.robot import Session
+    from adaptsim_jax.commands.robot_session import Session
 
 TURN = "trial"
 HOW = (
@@ -31,9 +31,9 @@ def opened(session: Session, total: int) -> str:
 
 def policy_file(session: Session, policy: Any) -> dict[str, Any]:
     """What `policy.toml` holds beside the parameters."""
-    from adaptsim_jax.commands.adapt import policy_table
+    from adaptsim_jax.tasks.saved_policy import leaves_by_name
 
-    return {"policy": policy_table(policy)}
+    return {"policy": leaves_by_name(policy)}
 
 
 def show(
@@ -42,11 +42,11 @@ def show(
     """Print the policy, and how to run it while trials are left; a mended model's controller needs
     the model beside it.
     """
-    from adaptsim_jax.commands.adapt import policy_table
     from adaptsim_jax.core import config
+    from adaptsim_jax.tasks.saved_policy import leaves_by_name
 
     model = session.options.get("model")
-    for name, value in policy_table(policy).items():
+    for name, value in leaves_by_name(policy).items():
         # a solver's code of 0 says nothing; the rest of a mended policy is for its controller, not
         # for people
         if name == "gain" or (model is None and value != 0):
@@ -92,4 +92,4 @@ def _digits(value: Any) -> str:
     return f"{value:.6g}"
 
 
-PART = RobotPart(TURN, opened, policy_file, show, read, again=False)
+ROBOT = RobotFace(TURN, opened, policy_file, show, read, again=False)

@@ -7,18 +7,17 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from adaptsim_jax.commands.robot_trials import (
+from adaptsim_jax.tasks.faces import (
+    RobotFace,
     config_of,
     opened,
-    policy_file,
+    print_parameters,
     remembered,
-    say_parameters,
     write_actions,
 )
-from adaptsim_jax.commands.task_parts import RobotPart
 
 if TYPE_CHECKING:
-    from adaptsim_jax.commands.robot import Session
+    from adaptsim_jax.commands.robot_session import Session
     from adaptsim_jax.tasks.pushing.measured import Pushes
 
 TURN = "iteration"
@@ -47,6 +46,13 @@ def tried(session: Session, policy: Any, history: list[dict[str, Any]]) -> Any:
     if config_of(session).visits == "deployed":
         return deployed(session, policy, history)
     return policy
+
+
+def policy_file(session: Session, policy: Any) -> dict[str, Any]:
+    """What `policy.toml` holds beside the parameters; `measured.read_policy` reads it."""
+    from adaptsim_jax.tasks.pushing.measured import policy_table
+
+    return policy_table(policy, config_of(session))
 
 
 def show(
@@ -106,7 +112,7 @@ def remember(session: Session, before: Any, trajectory: Any) -> dict[str, Any]:
     return remembered(session, before.mean, "pushes", ("goal", "action", "points", "reward"), rows)
 
 
-def told(session: Session, before: Any, after: Any, trajectory: Any, done: bool) -> None:
+def comment(session: Session, before: Any, after: Any, trajectory: Any, done: bool) -> None:
     """How far each bottle ended from its goal, and which parameters are believed in now."""
     import numpy as np
 
@@ -131,7 +137,7 @@ def told(session: Session, before: Any, after: Any, trajectory: Any, done: bool)
         )
     if done:
         return
-    say_parameters(session, before, after)
+    print_parameters(session, before, after)
 
 
 def _best(session: Session, policy: Any) -> None:
@@ -154,9 +160,11 @@ def _figure(session: Session, history: list[dict[str, Any]]) -> Path:
     """
     import numpy as np
 
-    from adaptsim_jax.commands.adapt_pushing import picked
     from adaptsim_jax.report import figures as look
-    from adaptsim_jax.report import figures_pushing as draw
+    from adaptsim_jax.report.parameters import axes_of
+    from adaptsim_jax.tasks.faces import picked
+    from adaptsim_jax.tasks.pushing import figures as draw
+    from adaptsim_jax.tasks.pushing.adapt import SYMBOLS
 
     turns = session.table["iterations"] + 1
     starts = [history[i : i + turns] for i in range(0, len(history), turns)]
@@ -175,7 +183,7 @@ def _figure(session: Session, history: list[dict[str, Any]]) -> Path:
     params = np.array([list(visit["params"].values()) for visit in starts[best]])
     task = session.trained.phase1.task
     figure = draw.pushes_over_iterations(
-        panels, heads, params, draw.axes_of(task.space, task.name), first=1 + best * turns
+        panels, heads, params, axes_of(task.space, SYMBOLS), first=1 + best * turns
     )
     return look.save(figure, session.folder / "pushes.png")
 
@@ -186,4 +194,6 @@ def _pushes(session: Session, state: Any) -> Pushes:
     return pushes_to_make(state.key, state.told, state.policy, config_of(session))
 
 
-PART = RobotPart(TURN, opened("pushes"), policy_file, show, read, remember, told, deployed, tried)
+ROBOT = RobotFace(
+    TURN, opened("pushes"), policy_file, show, read, remember, comment, deployed, tried
+)
