@@ -23,7 +23,7 @@ import numpy as np
 
 from adaptsim_jax import BadInput
 from adaptsim_jax.tasks.pushing import model as pushing
-from adaptsim_jax.tasks.pushing.engines.registry import make_backend
+from adaptsim_jax.tasks.pushing.engines import make_backend
 
 SHARE = {
     "planar": 4096,
@@ -83,19 +83,19 @@ def speeds(samples: int, repeats: int, seed: int) -> None:
 
 
 def drake_steps(samples: int, steps: list[float], seed: int) -> None:
-    from adaptsim_jax.tasks.pushing.engines.drake import DrakeContact
+    from adaptsim_jax.tasks.pushing.engines.drake import PushContact
 
     batch = pushing.draw(seed, samples)
 
     def place(dt):
-        return make_backend("drake", contact=DrakeContact(dt=dt)).simulate(*batch).state[:, -1, :2]
+        return make_backend("drake", contact=PushContact(dt=dt)).simulate(*batch).state[:, -1, :2]
 
-    usual = place(DrakeContact.dt)
+    usual = place(PushContact.dt)
     for dt in steps:
         apart = 1e3 * np.linalg.norm(place(dt) - usual, axis=1)
         median, p90, most = np.percentile(apart, [50, 90, 100])
         print(
-            f"drake {1e3 * dt:g} ms against {1e3 * DrakeContact.dt:g} ms: median {median:.1f} p90 "
+            f"drake {1e3 * dt:g} ms against {1e3 * PushContact.dt:g} ms: median {median:.1f} p90 "
             f"{p90:.1f} max {most:.1f} mm"
         )
 

@@ -163,12 +163,12 @@ def engines(task: str, engine: str, peer_python: str) -> dict[str, Any]:
 
     if task == "pushing":
         from adaptsim_jax.tasks.pushing import model
-        from adaptsim_jax.tasks.pushing.engines.registry import make_backend
+        from adaptsim_jax.tasks.pushing.engines import make_backend
 
         batch = model.draw(0, 64)
     else:
         from adaptsim_jax.tasks.scooping import model
-        from adaptsim_jax.tasks.scooping.engines.registry import make_backend
+        from adaptsim_jax.tasks.scooping.engines import make_backend
 
         batch = (*model.draw(0, 64), np.zeros((64, 2)))
     simulate = make_backend(engine).simulate

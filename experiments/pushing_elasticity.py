@@ -22,8 +22,8 @@ import pushing_fit
 from adaptsim_jax import BadInput
 from adaptsim_jax.core import config, files
 from adaptsim_jax.core.progress import progress
-from adaptsim_jax.tasks.pushing.engines.drake import DrakeContact
-from adaptsim_jax.tasks.pushing.engines.registry import BACKENDS, make_backend
+from adaptsim_jax.tasks.pushing.engines import BACKENDS, make_backend
+from adaptsim_jax.tasks.pushing.engines.drake import PushContact
 from adaptsim_jax.tasks.pushing.model import PushOptions, check_options
 
 
@@ -42,9 +42,9 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=11)
     parser.add_argument("--rounds", type=int, help="evaluations from each of two starts")
     parser.add_argument(
-        "--solver", default=DrakeContact.solver, help="Drake's contact approximation (lagged)"
+        "--solver", default=PushContact.solver, help="Drake's contact approximation (lagged)"
     )
-    parser.add_argument("--dt", type=float, default=DrakeContact.dt, help="Drake's step, s (0.002)")
+    parser.add_argument("--dt", type=float, default=PushContact.dt, help="Drake's step, s (0.002)")
     parser.add_argument("--keep", type=Path, metavar="FILE.npz")
     parser.add_argument("--use", type=Path, metavar="FILE.npz")
     parser.add_argument("--out", type=Path, metavar="FILE.toml")
@@ -55,7 +55,7 @@ def reference(args: argparse.Namespace, options: PushOptions) -> pushing_fit.Ref
     if args.use:
         with np.load(args.use) as saved:
             return pushing_fit.Reference(*(saved[name] for name in pushing_fit.Reference._fields))
-    settings = {"contact": DrakeContact(args.solver, args.dt)} if args.against == "drake" else {}
+    settings = {"contact": PushContact(args.solver, args.dt)} if args.against == "drake" else {}
     found = pushing_fit.observe(
         make_backend(args.against, options, **settings), args.seed, args.samples
     )

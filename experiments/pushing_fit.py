@@ -18,7 +18,7 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.progress import Report, silent
 from adaptsim_jax.tasks.engine import Backend
 from adaptsim_jax.tasks.pushing import model as pushing
-from adaptsim_jax.tasks.pushing.engines.registry import make_backend
+from adaptsim_jax.tasks.pushing.engines import make_backend
 from adaptsim_jax.tasks.pushing.model import PAPER, ElasticityMap, PushOptions
 from adaptsim_jax.tasks.pushing.planar import DEFAULT, PlanarCoefficients
 

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from adaptsim_jax.tasks.pushing import model
-from adaptsim_jax.tasks.pushing.engines.registry import make_backend
+from adaptsim_jax.tasks.pushing.engines import make_backend
 from experiments.pushing_worlds import LATE, LENGTH, world, write_world
 
 ROW, RATE = 0.01, 500  # s between the engine's rows; 1/s of the tracks that the camera looks at

@@ -20,9 +20,9 @@ import numpy as np
 from scipy.stats import binomtest
 
 from adaptsim_jax.core.files import output_folder, write_json
+from adaptsim_jax.tasks.scooping import engines as backend
 from adaptsim_jax.tasks.scooping import interface, model
-from adaptsim_jax.tasks.scooping.engines import registry as backend
-from adaptsim_jax.tasks.scooping.engines.drake import DrakeContact
+from adaptsim_jax.tasks.scooping.engines.drake import ScoopContact
 from adaptsim_jax.tasks.scooping.engines.parity import LOW_RELAXATION
 from adaptsim_jax.tasks.scooping.hydro import Numerics
 
@@ -43,7 +43,7 @@ def own_engines(relaxation: float) -> dict[str, tuple[str, dict]]:
 def drake_engine(text: str, relaxation: float) -> tuple[str, tuple[str, dict]]:
     """`MM` or `MM@MS` of Drake's mesh and step, as a name and what makes it."""
     mesh, _, step = text.partition("@")
-    contact = DrakeContact(float(step or 2.5) / 1e3, relaxation, float(mesh) / 1e3)
+    contact = ScoopContact(float(step or 2.5) / 1e3, relaxation, float(mesh) / 1e3)
     return f"Drake {mesh} mm" + (f", {step} ms" if step else ""), ("drake", {"contact": contact})
 
 

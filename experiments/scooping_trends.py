@@ -20,8 +20,8 @@ import numpy as np
 
 from adaptsim_jax.core import compile_cache
 from adaptsim_jax.core.files import write_json
+from adaptsim_jax.tasks.scooping import engines as backends
 from adaptsim_jax.tasks.scooping import interface, model
-from adaptsim_jax.tasks.scooping.engines import registry as backends
 
 
 class Quantity(NamedTuple):

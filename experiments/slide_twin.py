@@ -17,7 +17,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from adaptsim_jax.tasks.pushing import model, planar, slide
-from adaptsim_jax.tasks.pushing.engines.registry import make_backend
+from adaptsim_jax.tasks.pushing.engines import make_backend
 
 OPTIONS = model.PushOptions(duration=1.4)
 ROWS = np.arange(21, 140, 3)  # of 10 ms; nothing is touched before

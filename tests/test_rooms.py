@@ -195,12 +195,10 @@ WITHIN = {
         "one_action",
         "one_shot_naf",
         "engine",
-        "engine_runs",
         "pendulum",
         "pushing",
         "scooping",
         "toss",
-        "parity",
         "registry",
     ),
 }

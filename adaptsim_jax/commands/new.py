@@ -45,7 +45,7 @@ KNOWN = {  # entry point: group, name, object, where it then stands, and the reg
         "pendulum.{name}",
         "ENGINE",
         "`adaptsim parity pendulum`",
-        "tasks.pendulum.engines.registry:BACKENDS",
+        "tasks.pendulum.engines:BACKENDS",
     ),
     "baseline": (
         "baselines",

@@ -106,10 +106,10 @@ class TaskKind:
     table laid over the defaults of `TrainConfig`. augmented: `(options, where) -> Task` on the
     model file that stands under the option `model`. of_model: `(model file as a table, its name) ->
     options`, what `adaptsim train --model` lays over the options (`left_out`: effects of the file
-    that are none of the simulator's). adapt, robot: what the
-    commands of these names show and say (`AdaptFace`, `RobotFace` of `tasks/faces.py`). symbols:
-    what parameters are called in figures, where that is not their name. backends: the engines that it runs in, by name; make_backend:
-    one of them, `(name, options, **settings) -> Backend` (`tasks/engine.py`).
+    that are none of the simulator's). backends: the engines that it runs in (`tasks/engine.py`),
+    and parity: what they agree on. adapt, robot: what the commands of these names show and say
+    (`tasks/faces.py`). symbols: what parameters are called in figures, where that is not their
+    name.
     """
 
     config: type
@@ -121,5 +121,5 @@ class TaskKind:
     adapt: Any = None
     robot: Any = None
     symbols: Mapping[str, str] = field(default_factory=dict)
-    backends: Mapping[str, Any] = field(default_factory=dict)
-    make_backend: Callable[..., Any] | None = None
+    backends: Any = None
+    parity: Any = None

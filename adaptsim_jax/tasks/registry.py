@@ -60,11 +60,11 @@ def make_backend(task: str, name: str, /, *options: Any, **settings: Any) -> Bac
     """The engine called `name` of `task`, as `simulate(params [B, P], commands [B, ...], initial
     [B, ...]) -> Trajectory`.
 
-    What the arrays hold, in SI units, stands in `tasks/TASK/engines/registry.py`. options: the step
+    What the arrays hold, in SI units, stands in `tasks/TASK/engines`. options: the step
     [s] for the pendulum, `PushOptions`, `ScoopOptions`; settings: the engine's own. BadInput where
     the name is unknown, or the engine absent or unable.
     """
     kind = TASKS[config.pick("task", task, TASKS)]
-    if kind.make_backend is None:
+    if kind.backends is None:
         raise BadInput(f"task '{task}' has no engines beside its own simulator; use `make_task`")
-    return kind.make_backend(name, *options, **settings)
+    return kind.backends.make(name, *options, **settings)

@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from adaptsim_jax.tasks.pushing.engines.registry import make_backend
+from adaptsim_jax.tasks.pushing.engines import make_backend
 from adaptsim_jax.tasks.pushing.model import PAPER, START
 
 FRAMES = 60.0  # a second

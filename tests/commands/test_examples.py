@@ -14,8 +14,8 @@ from adaptsim_jax.baselines.registry import exact_methods, learned_methods
 from adaptsim_jax.cli import parse
 from adaptsim_jax.commands import SUMMARIES
 from adaptsim_jax.commands.common import task_word
-from adaptsim_jax.tasks.pushing.engines import registry as pushing
-from adaptsim_jax.tasks.scooping.engines import registry as scooping
+from adaptsim_jax.tasks.pushing import engines as pushing
+from adaptsim_jax.tasks.scooping import engines as scooping
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]

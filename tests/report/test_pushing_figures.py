@@ -15,7 +15,7 @@ from adaptsim_jax.report.parameters import Axis, axes_of, parameters_found
 from adaptsim_jax.space import Parameter, Space
 from adaptsim_jax.tasks.pushing import figures as draw
 from adaptsim_jax.tasks.pushing import film
-from adaptsim_jax.tasks.pushing.engines.registry import make_backend
+from adaptsim_jax.tasks.pushing.engines import make_backend
 from adaptsim_jax.tasks.pushing.film import SCENE, PushClip
 from adaptsim_jax.tasks.pushing.model import EDGE_RADIUS, RADIUS, START
 from adaptsim_jax.tasks.registry import TASKS

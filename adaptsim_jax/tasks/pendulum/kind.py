@@ -8,7 +8,7 @@ from adaptsim_jax.core.given import brief, finite
 from adaptsim_jax.mend.pendulum_model import model_of
 from adaptsim_jax.tasks.base import Task, TaskKind
 from adaptsim_jax.tasks.pendulum.augmented import make_mended_pendulum
-from adaptsim_jax.tasks.pendulum.engines import registry
+from adaptsim_jax.tasks.pendulum.engines import BACKENDS, PARITY
 from adaptsim_jax.tasks.pendulum.robot import ROBOT
 from adaptsim_jax.tasks.pendulum.task import PendulumConfig, make_pendulum
 
@@ -53,6 +53,6 @@ TASK = TaskKind(
     augmented=augmented,
     of_model=of_model,
     robot=ROBOT,
-    backends=registry.BACKENDS,
-    make_backend=registry.make_backend,
+    backends=BACKENDS,
+    parity=PARITY,
 )

@@ -97,7 +97,7 @@ def clips_of(
     """Clips in the MuJoCo scene, a goal after the other, of policies by number, and what each is
     called.
     """
-    from adaptsim_jax.tasks.pushing.engines.registry import make_backend
+    from adaptsim_jax.tasks.pushing.engines import make_backend
     from adaptsim_jax.tasks.pushing.film import PushClip
     from adaptsim_jax.tasks.pushing.model import START, PushOptions
 

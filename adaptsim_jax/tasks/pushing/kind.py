@@ -2,7 +2,8 @@
 
 from adaptsim_jax.tasks.base import TaskKind
 from adaptsim_jax.tasks.pushing.adapt import ADAPT, SYMBOLS
-from adaptsim_jax.tasks.pushing.engines import registry
+from adaptsim_jax.tasks.pushing.engines import BACKENDS
+from adaptsim_jax.tasks.pushing.engines.parity import PARITY
 from adaptsim_jax.tasks.pushing.mended import of_model
 from adaptsim_jax.tasks.pushing.one_shot import make_pushing_one_shot
 from adaptsim_jax.tasks.pushing.robot import ROBOT
@@ -16,6 +17,6 @@ TASK = TaskKind(
     adapt=ADAPT,
     robot=ROBOT,
     symbols=SYMBOLS,
-    backends=registry.BACKENDS,
-    make_backend=registry.make_backend,
+    backends=BACKENDS,
+    parity=PARITY,
 )

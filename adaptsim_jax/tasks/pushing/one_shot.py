@@ -14,7 +14,7 @@ from adaptsim_jax.tasks.one_shot import OneShot, World, best_actions
 from adaptsim_jax.tasks.one_shot_naf import naf_policies
 from adaptsim_jax.tasks.pushing import model, task
 from adaptsim_jax.tasks.pushing.corrections import Told
-from adaptsim_jax.tasks.pushing.engines.registry import make_backend, settings_of
+from adaptsim_jax.tasks.pushing.engines import BACKENDS, make_backend
 from adaptsim_jax.tasks.pushing.goals import WORST, unseen
 from adaptsim_jax.tasks.pushing.model import PushOptions
 from adaptsim_jax.tasks.pushing.simulator import TWINS
@@ -107,7 +107,11 @@ def pushing_world(
     if bottle not in list(BOTTLES):  # a list, for a table has no hash
         raise BadInput(f"pushing, bottle = {bottle!r}: unknown; use one of {', '.join(BOTTLES)}")
     for name in settings:
-        configs.pick(f"setting of {backend}", name, ("bottle", *settings_of(backend)))
+        configs.pick(
+            f"setting of {backend}",
+            name,
+            ("bottle", *BACKENDS.named(backend, "backend").settings._fields),
+        )
     if isinstance(twin := settings.get("coefficients"), str):
         settings["coefficients"] = TWINS[configs.pick("coefficients", twin, TWINS)]
     body = BOTTLES[bottle]

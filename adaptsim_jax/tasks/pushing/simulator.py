@@ -47,7 +47,7 @@ def make_guide(config: PushingConfig) -> Push | None:
 @functools.cache
 def _in_mjx(options: PushOptions) -> Push:
     """The scene in MJX, from where bottles start."""
-    from adaptsim_jax.tasks.pushing.engines.mjx import make_push
+    from adaptsim_jax.tasks.pushing.engines.mujoco import make_push
 
     with (
         jax.ensure_compile_time_eval()

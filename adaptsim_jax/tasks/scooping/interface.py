@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.tasks.engine import Trajectory
+from adaptsim_jax.tasks.engine import Trajectory, checked_batch
 from adaptsim_jax.tasks.scooping import model
 
 ROW = 0.01  # s between rows; row k is at (k + 1) ROW
@@ -18,20 +17,12 @@ STATE = 6
 BATCH = 64  # trials side by side on a CPU: more do not fit into its cache
 
 
-def checked(params: Any, commands: Any, initial: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def checked(params: Any, commands: Any, initial: Any) -> list[np.ndarray]:
     """The batch as arrays `[B, 4]`, `[B, 3]`, `[B, 2]`; BadInput where shapes do not fit
     together.
     """
-    arrays = np.asarray(params, float), np.asarray(commands, float), np.asarray(initial, float)
-    for name, array, width in zip(
-        ("params", "commands", "initial"), arrays, (4, 3, 2), strict=True
-    ):
-        if array.ndim != 2 or array.shape[1] != width or len(array) != len(arrays[0]):
-            raise BadInput(
-                f"scooping: {name} has shape {array.shape}, needs [{len(arrays[0])}, {width}]; "
-                f"check its columns"
-            )
-    return arrays
+    given = {"params": params, "commands": commands, "initial": initial}
+    return checked_batch("scooping", given, (4, 3, 2))
 
 
 def placed(state: np.ndarray, codes: np.ndarray, starts: np.ndarray) -> Trajectory:

@@ -2,7 +2,8 @@
 
 from adaptsim_jax.tasks.base import TaskKind
 from adaptsim_jax.tasks.scooping.adapt import ADAPT, SYMBOLS
-from adaptsim_jax.tasks.scooping.engines import registry
+from adaptsim_jax.tasks.scooping.engines import BACKENDS
+from adaptsim_jax.tasks.scooping.engines.parity import PARITY
 from adaptsim_jax.tasks.scooping.one_shot import make_scooping_one_shot
 from adaptsim_jax.tasks.scooping.robot import ROBOT
 from adaptsim_jax.tasks.scooping.task import ScoopingConfig, make_scooping
@@ -14,6 +15,6 @@ TASK = TaskKind(
     adapt=ADAPT,
     robot=ROBOT,
     symbols=SYMBOLS,
-    backends=registry.BACKENDS,
-    make_backend=registry.make_backend,
+    backends=BACKENDS,
+    parity=PARITY,
 )

@@ -11,11 +11,11 @@ from adaptsim_jax.core import config as configs
 from adaptsim_jax.learners.naf_goals import Trials, make_goal_learner
 from adaptsim_jax.tasks.one_shot import OneShot, World, action_grid
 from adaptsim_jax.tasks.one_shot_naf import naf_policies
+from adaptsim_jax.tasks.scooping import engines as backends
 from adaptsim_jax.tasks.scooping import interface, model, task
 from adaptsim_jax.tasks.scooping.config import ScoopingConfig, ScoopingPolicy, ScoopingTrajectory
 from adaptsim_jax.tasks.scooping.corrections import Told
 from adaptsim_jax.tasks.scooping.deployed import make_choice, make_probe
-from adaptsim_jax.tasks.scooping.engines import registry as backends
 from adaptsim_jax.tasks.scooping.hydro import Numerics
 from adaptsim_jax.tasks.scooping.model import ScoopOptions
 

@@ -74,7 +74,7 @@ def make_mjx_trial(options: ScoopOptions) -> Callable[[jax.Array, jax.Array, jax
     """The same in the MuJoCo scene, in MJX. Not-a-number for pieces and actions that the scene is
     not made for, too.
     """
-    from adaptsim_jax.tasks.scooping.engines.mjx import make_scoop
+    from adaptsim_jax.tasks.scooping.engines.mujoco import make_scoop
     from adaptsim_jax.tasks.scooping.interface import ROW
 
     with (

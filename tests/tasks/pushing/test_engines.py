@@ -16,7 +16,7 @@ import pytest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.pushing import model as pushing
 from adaptsim_jax.tasks.pushing import planar as pushing_planar
-from adaptsim_jax.tasks.pushing.engines.registry import make_backend
+from adaptsim_jax.tasks.pushing.engines import make_backend
 from adaptsim_jax.tasks.pushing.model import PAPER
 from experiments import pushing_fit
 
@@ -257,9 +257,9 @@ def test_drake_that_is_not_there_says_what_to_install(monkeypatch):
 
 def test_drake_refuses_steps_that_miss_the_rows():
     pytest.importorskip("pydrake")
-    from adaptsim_jax.tasks.pushing.engines.drake import DrakeContact
+    from adaptsim_jax.tasks.pushing.engines.drake import PushContact
 
     with pytest.raises(BadInput, match="must divide the row"):
-        make_backend("drake", contact=DrakeContact(dt=0.003))
+        make_backend("drake", contact=PushContact(dt=0.003))
     with pytest.raises(BadInput, match="use one of lagged, tamsi"):
-        make_backend("drake", contact=DrakeContact(solver="implicit"))
+        make_backend("drake", contact=PushContact(solver="implicit"))

@@ -8,7 +8,7 @@ import pytest
 from adaptsim_jax.adaptation.presets import PRESETS
 from adaptsim_jax.space import gaussian
 from adaptsim_jax.tasks.pushing import model
-from adaptsim_jax.tasks.pushing.engines.registry import make_backend
+from adaptsim_jax.tasks.pushing.engines import make_backend
 from adaptsim_jax.tasks.pushing.simulator import make_guide, make_simulator
 from adaptsim_jax.tasks.pushing.task import PushingConfig
 from adaptsim_jax.tasks.registry import make_task

@@ -46,7 +46,7 @@ def test_pushes_that_went_wrong_are_left_out_and_counted():
     code = np.array([pushing.FINE, pushing.FALLEN, pushing.FINE, pushing.UNFIT])
     a = parity.Run(place, code, 0.0, 1.0, 1.0)
     b = parity.Run(place + 0.003, np.zeros(4, int), 0.0, 1.0, 1.0)
-    row = parity._apart(a, b)
+    row = parity._distances(a, b)
     assert row["compared"] == 2 and row["max_mm"] == pytest.approx(3 * 2**0.5)
     assert parity._row(a)["went_wrong"] == {pushing.MESSAGES[2]: 1, pushing.MESSAGES[3]: 1}
-    assert parity._apart(a, b._replace(code=code[::-1] * 0 + 1)) == {"compared": 0}
+    assert parity._distances(a, b._replace(code=code[::-1] * 0 + 1)) == {"compared": 0}

@@ -10,8 +10,7 @@ import pytest
 from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.pushing import model as pushing
-from adaptsim_jax.tasks.pushing.engines import scene
-from adaptsim_jax.tasks.pushing.engines.registry import BACKENDS, make_backend
+from adaptsim_jax.tasks.pushing.engines import BACKENDS, make_backend, scene
 from adaptsim_jax.tasks.pushing.model import PAPER, Frictions, PushOptions
 
 

@@ -9,10 +9,10 @@ import pytest
 
 from adaptsim_jax.cli import main
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.tasks.scooping import engines as backends
 from adaptsim_jax.tasks.scooping import hydro, interface, model
 from adaptsim_jax.tasks.scooping.engines import parity as scooping_parity
-from adaptsim_jax.tasks.scooping.engines import registry as backends
-from adaptsim_jax.tasks.scooping.engines.drake import DrakeContact
+from adaptsim_jax.tasks.scooping.engines.drake import ScoopContact
 from adaptsim_jax.tasks.scooping.hydro import Numerics
 from experiments import scooping_trends
 
@@ -119,7 +119,7 @@ def test_gradient_of_an_early_place_by_the_action():
 def test_bad_backends_are_refused(name, says):
     settings = {
         "hydro": {"numerics": Numerics(dt=0.004)},
-        "drake": {"contact": DrakeContact(dt=0.004)},
+        "drake": {"contact": ScoopContact(dt=0.004)},
     }
     with pytest.raises(BadInput, match=says):
         backends.make_backend(name, **settings.get(name, {}))

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.tasks.scooping import engines as backends
 from adaptsim_jax.tasks.scooping import hydro_shapes as shapes
 from adaptsim_jax.tasks.scooping import interface, model
 from adaptsim_jax.tasks.scooping import sphere_cloud as clouds
-from adaptsim_jax.tasks.scooping.engines import native as scooping_native
-from adaptsim_jax.tasks.scooping.engines import registry as backends
+from adaptsim_jax.tasks.scooping.engines import mujoco as scooping_native
 from adaptsim_jax.tasks.scooping.engines import scene
 from adaptsim_jax.tasks.scooping.model import ScoopOptions
 

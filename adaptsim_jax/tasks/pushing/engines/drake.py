@@ -4,16 +4,13 @@ others.
 
 from __future__ import annotations
 
-import importlib
-import os
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.tasks.engine import EngineKind
+from adaptsim_jax.tasks.engine import EngineKind, drake_modules, in_threads
 from adaptsim_jax.tasks.pushing import model as pushing
 from adaptsim_jax.tasks.pushing.engines import scene
 from adaptsim_jax.tasks.pushing.model import PushOptions
@@ -26,7 +23,7 @@ GRIPPY = (
 
 
 @dataclass(frozen=True)
-class DrakeContact:
+class PushContact:
     """Numerics of Drake; the release uses tamsi at 10 ms, where the bounce depends on the step."""
 
     solver: str = "lagged"
@@ -35,50 +32,41 @@ class DrakeContact:
     resolution: float = 0.01  # m, of the bottle's pressure field
 
 
-class Settings(NamedTuple):
+class DrakeSettings(NamedTuple):
     """contact: numerics; threads: cores to run on (None: all); gravity m/s2, turned where the table
     is not level.
     """
 
-    contact: DrakeContact = DrakeContact()
+    contact: PushContact = PushContact()
     threads: int | None = None
     gravity: tuple[float, float, float] = pushing.LEVEL
 
 
 def make_drake(
     options: PushOptions,
-    contact: DrakeContact,
+    contact: PushContact,
     threads: int | None,
     gravity: tuple[float, float, float],
 ):
     """`simulate` in Drake on `threads` cores (all); a plant is built for each sample. BadInput
     where Drake is absent.
     """
-    try:
-        drake: Any = importlib.import_module("pydrake.all")
-    except ImportError:
-        raise BadInput(
-            "backend drake is not installed; pip install 'adaptsim_jax[drake]'"
-        ) from None
+    drake = drake_modules()
     _check(contact, options)
-    threads = threads or os.cpu_count() or 1
+
+    def one(*sample):
+        return _one(drake, options, contact, gravity, *sample)
 
     def simulate(params, commands, initial):
         batch = scene.checked(params, commands, initial)
-        with ThreadPoolExecutor(threads) as pool:
-            rows = list(
-                pool.map(
-                    lambda row: _one(drake, options, contact, gravity, *row),
-                    zip(*batch[:3], strict=True),
-                )
-            )
+        rows = in_threads(threads, one, *batch[:3])
         empty = np.zeros((0, pushing.rows(options), scene.STATE))
         return scene.finished(np.stack(rows) if rows else empty, batch)
 
     return simulate
 
 
-def _check(contact: DrakeContact, options: PushOptions) -> None:
+def _check(contact: PushContact, options: PushOptions) -> None:
     if contact.solver not in SOLVERS:
         raise BadInput(
             f"backend drake, solver = {contact.solver!r}: unknown; use one of {', '.join(SOLVERS)}"
@@ -94,10 +82,10 @@ def _check(contact: DrakeContact, options: PushOptions) -> None:
 
 
 def _one(
-    drake: Any, options: PushOptions, contact: DrakeContact, gravity, params, action, start
+    drake: Any, options: PushOptions, contact: PushContact, gravity, params, action, start
 ) -> np.ndarray:
     """Rows `[T, 13]` of one push; not-a-number from where Drake's solver gave up."""
-    world = _World(drake, options, contact, gravity, params, action)
+    world = PushWorld(drake, options, contact, gravity, params, action)
     every, steps = round(options.row / contact.dt), round(options.duration / contact.dt)
     slope = pushing.slopes(contact.dt, steps)
     rows = np.full((pushing.rows(options), scene.STATE), np.nan)
@@ -115,13 +103,13 @@ def _one(
     return rows
 
 
-class _World:
+class PushWorld:
     """Table with a patch, bottle, and a plate on yaw, forward, rise and pitch joints that is driven
     by forces.
     """
 
     def __init__(
-        self, drake: Any, options: PushOptions, contact: DrakeContact, gravity, params, action
+        self, drake: Any, options: PushOptions, contact: PushContact, gravity, params, action
     ):
         self.drake, self.contact, self.options = drake, contact, options
         builder = drake.DiagramBuilder()
@@ -280,4 +268,4 @@ def _sheet(drake: Any, inner: float, outer: float):
     )
 
 
-ENGINE = EngineKind(Settings, make_drake)
+ENGINE = EngineKind(DrakeSettings, make_drake)

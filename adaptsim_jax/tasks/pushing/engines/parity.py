@@ -10,9 +10,17 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.core.progress import Report, silent
-from adaptsim_jax.tasks.engine_runs import Run, engines_and_pairs, speed_row, timed_run
+from adaptsim_jax.tasks.engine import (
+    Parity,
+    Run,
+    engine_lines,
+    engines_and_pairs,
+    pair_lines,
+    speed_row,
+    timed_run,
+)
 from adaptsim_jax.tasks.pushing import model as pushing
-from adaptsim_jax.tasks.pushing.engines.registry import make_backend
+from adaptsim_jax.tasks.pushing.engines import make_backend
 from adaptsim_jax.tasks.pushing.model import PAPER, PushOptions
 
 CEILING_STEP = 0.0025
@@ -24,7 +32,7 @@ ENGINES = ("native", "mjx", "planar", "drake", "drake_other_step")
 
 
 def pushing_parity(
-    *, samples: int = 32, seed: int = 0, options: PushOptions = PAPER, progress: Report = silent
+    samples: int = 32, seed: int = 0, progress: Report = silent, options: PushOptions = PAPER
 ) -> dict[str, Any]:
     """Final positions of `samples` random pushes in every engine that is installed.
 
@@ -33,7 +41,7 @@ def pushing_parity(
     """
     batch = pushing.draw(seed, samples)
     found = engines_and_pairs(
-        ENGINES, lambda name: _run(_backend(name, options), batch, name), _row, _apart, progress
+        ENGINES, lambda name: _run(_backend(name, options), batch, name), _row, _distances, progress
     )
     about = {"samples": samples, "seconds": options.duration, "friction": options.friction}
     return {"schema": 1, "task": "pushing", **about, **found}
@@ -42,9 +50,9 @@ def pushing_parity(
 def _backend(name: str, options: PushOptions):
     if name != "drake_other_step":
         return make_backend(name, options).simulate
-    from adaptsim_jax.tasks.pushing.engines.drake import DrakeContact
+    from adaptsim_jax.tasks.pushing.engines.drake import PushContact
 
-    return make_backend("drake", options, contact=DrakeContact(dt=CEILING_STEP)).simulate
+    return make_backend("drake", options, contact=PushContact(dt=CEILING_STEP)).simulate
 
 
 def _run(simulate: Callable, batch: tuple, name: str) -> Run:
@@ -63,13 +71,42 @@ def _row(run: Run) -> dict[str, Any]:
     return speed_row(run, "pushes", pushing.MESSAGES)
 
 
-def _apart(a: Run, b: Run) -> dict[str, Any]:
+def _distances(a: Run, b: Run) -> dict[str, Any]:
     good = (a.code == pushing.FINE) & (b.code == pushing.FINE)
     if not good.any():
         return {"compared": 0}
-    apart = 1e3 * np.linalg.norm(a.outcome - b.outcome, axis=1)[good]
+    distance = 1e3 * np.linalg.norm(a.outcome - b.outcome, axis=1)[good]
     names = ("median_mm", "p90_mm", "p99_mm", "max_mm")
     return {
         "compared": int(good.sum()),
-        **dict(zip(names, map(float, np.percentile(apart, [50, 90, 99, 100])), strict=True)),
+        **dict(zip(names, map(float, np.percentile(distance, [50, 90, 99, 100])), strict=True)),
     }
+
+
+def parity_lines(found: dict[str, Any]) -> list[str]:
+    """The results of `pushing_parity` for a person."""
+    keys = ("median_mm", "p90_mm", "p99_mm", "max_mm")
+
+    def sizes(row):
+        return " ".join(f"{row[key]:8.3f}" for key in keys)
+
+    def speeds(row):
+        each = f"{row['pushes_per_second']:10.1f} {row['pushes_per_cpu_second']:13.1f}"
+        return f"{each} {row['first_call_s']:9.1f} s"
+
+    head = f"{'median':>8} {'p90':>8} {'p99':>8} {'max':>8}"
+    return [
+        f"pushing: {found['samples']} random pushes of {found['seconds']:g} s, friction "
+        f"{found['friction']};",
+        "distance between final positions of the bottle, mm",
+        "",
+        *pair_lines(found, 28, head, "push", sizes),
+        "",
+        "drake - drake_other_step is the ceiling: one engine at steps of 2 and 2.5 ms",
+        "",
+        f"{'engine':18} {'pushes/s':>10} {'pushes/CPU s':>13} {'first call':>11}",
+        *engine_lines(found, speeds),
+    ]
+
+
+PARITY = Parity(pushing_parity, parity_lines)

@@ -1,19 +1,22 @@
 """What the engines of the push share: batches checked, the MJCF scene as a model, codes and rows of
-the outcome.
+the outcome; and the planar model as an engine.
 """
 
 from __future__ import annotations
 
 import importlib
+from dataclasses import asdict
 from importlib import resources
 from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.tasks.engine import Trajectory
+from adaptsim_jax.tasks.engine import EngineKind, Trajectory, checked_batch, steps_a_row
 from adaptsim_jax.tasks.pushing import model as pushing
-from adaptsim_jax.tasks.pushing.model import PushOptions
+from adaptsim_jax.tasks.pushing import planar, slide
+from adaptsim_jax.tasks.pushing.model import PARAMETERS, PushOptions
 
 STATE = 13
 """Columns of a state row: position (3) m, quaternion (4), velocity (3) m/s, turning in the bottle's
@@ -23,7 +26,7 @@ ROOM = 5.0
 """A bottle further from the arm's base than this, m, has been thrown by the numerics."""
 
 
-class Batch(NamedTuple):
+class PushBatch(NamedTuple):
     """Checked arrays; samples that are not `fit: [B]` have been replaced by a harmless push."""
 
     params: np.ndarray  # [B, 4]
@@ -32,27 +35,21 @@ class Batch(NamedTuple):
     fit: np.ndarray  # [B]
 
 
-def checked(params: Any, actions: Any, starts: Any) -> Batch:
+def checked(params: Any, actions: Any, starts: Any) -> PushBatch:
     """Shapes are the caller's fault (BadInput); values are a sample's (`fit`), since one of many
     may be bad.
     """
-    arrays = [np.asarray(a, float) for a in (params, actions, starts)]
-    for array, width, name in zip(
-        arrays, (4, 2, 2), ("params", "commands", "initial"), strict=True
-    ):
-        if array.ndim != 2 or array.shape[1] != width or len(array) != len(arrays[0]):
-            wanted = f"[{len(arrays[0]) if arrays[0].ndim else 'B'}, {width}]"
-            raise BadInput(f"pushing, {name}: has shape {list(array.shape)}; give {wanted}")
+    given = {"params": params, "commands": actions, "initial": starts}
+    rows = np.concatenate(checked_batch("pushing", given, (4, 2, 2)), 1)
     low = np.array((*pushing.PHYSICAL_LOW, 0.05, -1.0, 0.3, -0.5))
     high = np.array((*pushing.PHYSICAL_HIGH, 2.0, 1.0, 1.0, 0.5))
-    rows = np.concatenate(arrays, 1)
     fit = np.asarray(((rows >= low) & (rows <= high)).all(1))
     harmless = (0.1, 1e5, 0.5, 0.0, 0.4, 0.0, *pushing.START)
     rows = np.where(fit[:, None], rows, np.array(harmless))
-    return Batch(rows[:, :4], rows[:, 4:6], rows[:, 6:], fit)
+    return PushBatch(rows[:, :4], rows[:, 4:6], rows[:, 6:], fit)
 
 
-def finished(state: Any, batch: Batch) -> Trajectory:
+def finished(state: Any, batch: PushBatch) -> Trajectory:
     """`state [B, T, 13]` with a code for each sample, and finite whatever the code.
 
     A fallen bottle stays as it was when it had tilted too far (the MuJoCo scene lets it through the
@@ -67,10 +64,10 @@ def finished(state: Any, batch: Batch) -> Trajectory:
     code = np.where(
         finite & in_room, np.where(fallen, pushing.FALLEN, pushing.FINE), pushing.DIVERGED
     )
-    return _told(state, code, batch)
+    return _with_codes(state, code, batch)
 
 
-def slid(place: np.ndarray, velocity: np.ndarray, batch: Batch) -> Trajectory:
+def sliding(place: np.ndarray, velocity: np.ndarray, batch: PushBatch) -> Trajectory:
     """The same for bottles that only slide: `place` and `velocity` `[B, T, 2]`."""
     state = np.zeros((*place.shape[:2], STATE), place.dtype)
     state[..., :2], state[..., 2], state[..., 3], state[..., 7:9] = (
@@ -80,10 +77,10 @@ def slid(place: np.ndarray, velocity: np.ndarray, batch: Batch) -> Trajectory:
         velocity,
     )
     finite = np.isfinite(place[:, -1]).all(1)  # a place that is not a number stays none
-    return _told(state, np.where(finite, pushing.FINE, pushing.DIVERGED), batch)
+    return _with_codes(state, np.where(finite, pushing.FINE, pushing.DIVERGED), batch)
 
 
-def _told(state: np.ndarray, code: np.ndarray, batch: Batch) -> Trajectory:
+def _with_codes(state: np.ndarray, code: np.ndarray, batch: PushBatch) -> Trajectory:
     code = np.where(batch.fit, code, pushing.UNFIT)
     lost = np.flatnonzero((code == pushing.DIVERGED) | (code == pushing.UNFIT))
     if len(lost):
@@ -117,11 +114,7 @@ def model(options: PushOptions, dt: float, drawn: bool = False) -> Any:
 
     BadInput where rows cannot be cut out of steps of `dt` s.
     """
-    every = round(options.row / dt) if dt > 0 else 0
-    if every < 1 or abs(options.row / dt - every) > 1e-6:
-        raise BadInput(
-            f"pushing in MuJoCo, dt = {dt} s must divide the row of {options.row} s; use 0.005"
-        )
+    steps_a_row("pushing in MuJoCo", dt, options.row, 0.005)
     mujoco: Any = importlib.import_module("mujoco")
     text = resources.files("adaptsim_jax.tasks.pushing.engines").joinpath("scene.xml").read_text()
     spec = mujoco.MjSpec.from_string(text)
@@ -174,3 +167,40 @@ def controls(actions: np.ndarray, dt: float, steps: int) -> np.ndarray:
         -1,
     )
     return per_unit[:, None, :] * slope[:, None]
+
+
+class PlanarSettings(NamedTuple):
+    """coefficients: what calibration sets. lacking: what acts beside the declared; then it is the
+    slide in two dimensions.
+    """
+
+    coefficients: planar.PlanarCoefficients = planar.DEFAULT
+    lacking: slide.Lacking = slide.Lacking()
+
+
+def make_planar(
+    options: PushOptions, coefficients: planar.PlanarCoefficients, lacking: slide.Lacking
+):
+    planar.check_options(options)
+    every = round(options.row / slide.ROW)
+
+    def slid(p, a, s):
+        values = asdict(lacking) | {name: p[i] for i, name in enumerate(PARAMETERS)}
+        return slide.rollout(values, a, options, coefficients, s)[every::every]
+
+    @jax.jit
+    def run(params, actions, starts):
+        def plain(p, a, s):
+            return planar.trajectory(p, a, options, coefficients, s)
+
+        return jax.vmap(plain if lacking == slide.Lacking() else slid)(params, actions, starts)
+
+    def simulate(params, commands, initial):
+        batch = checked(params, commands, initial)
+        flat = np.asarray(run(*(jnp.asarray(a, jnp.result_type(float)) for a in batch[:3])))
+        return sliding(flat[..., :2], flat[..., 2:4], batch)
+
+    return simulate
+
+
+PLANAR = EngineKind(PlanarSettings, make_planar)

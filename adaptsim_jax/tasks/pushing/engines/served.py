@@ -131,7 +131,7 @@ def _serve(words: list[str]) -> None:
     """Answer requests until the pipe closes."""
     import time
 
-    from adaptsim_jax.tasks.pushing.engines.registry import make_backend
+    from adaptsim_jax.tasks.pushing.engines import make_backend
 
     numbers = [float(w) for w in words[1:]]
     duration, mass = numbers[:2]

@@ -8,9 +8,6 @@ table, above which the motion keeps it.
 
 from __future__ import annotations
 
-import importlib
-import os
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -18,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.tasks.engine import EngineKind
+from adaptsim_jax.tasks.engine import EngineKind, drake_modules, in_threads, steps_a_row
 from adaptsim_jax.tasks.scooping import hydro_shapes as shapes
 from adaptsim_jax.tasks.scooping import interface, model
 from adaptsim_jax.tasks.scooping import motion as spatula
@@ -29,7 +26,7 @@ GAINS = ((1e7, 1e5), (1e7, 1e5), (1e6, 1e4))  # N/m and N s/m along x and z, N m
 
 
 @dataclass(frozen=True)
-class DrakeContact:
+class ScoopContact:
     """Numerics of Drake. relaxation s: of piece and surface together. resolution m: of the piece's
     pressure field.
 
@@ -41,41 +38,31 @@ class DrakeContact:
     resolution: float = 0.01
 
 
-class Settings(NamedTuple):
+class DrakeSettings(NamedTuple):
     """contact: numerics; threads: cores to run on (None: all)."""
 
-    contact: DrakeContact = DrakeContact()
+    contact: ScoopContact = ScoopContact()
     threads: int | None = None
 
 
-def make_drake(options: ScoopOptions, contact: DrakeContact, threads: int | None):
+def make_drake(options: ScoopOptions, contact: ScoopContact, threads: int | None):
     """`simulate` in Drake on `threads` cores (all); a plant is built for each sample. BadInput
     where Drake is absent.
     """
-    try:
-        drake: Any = importlib.import_module("pydrake.all")
-    except ImportError:
-        raise BadInput(
-            "backend drake is not installed; pip install 'adaptsim_jax[drake]'"
-        ) from None
-    every = round(interface.ROW / contact.dt)
-    if contact.dt <= 0 or every < 1 or abs(interface.ROW / contact.dt - every) > 1e-6:
-        raise BadInput(
-            f"backend drake, dt = {contact.dt} s must divide the row of {interface.ROW} s; use "
-            f"0.0025"
-        )
+    drake = drake_modules()
+    every = steps_a_row("backend drake", contact.dt, interface.ROW, 0.0025)
     if contact.relaxation < 0 or contact.resolution <= 0:
         raise BadInput(
             f"backend drake: relaxation at least 0 and resolution positive, got {contact}"
         )
-    threads = threads or os.cpu_count() or 1
+
+    def one(*sample):
+        return _one(drake, contact, every, *sample)
 
     def simulate(params, commands, initial):
         params, actions, starts = interface.checked(params, commands, initial)
         poses = [_poses(action, options, contact.dt) for action in actions]
-        work = list(zip(params, poses, strict=True))
-        with ThreadPoolExecutor(threads) as pool:
-            rows = list(pool.map(lambda row: _one(drake, contact, every, *row), work))
+        rows = in_threads(threads, one, params, poses)
         if rows:
             state = np.stack(rows)
         else:
@@ -101,13 +88,13 @@ def _fit(params: np.ndarray, actions: np.ndarray) -> np.ndarray:
 
 
 def _one(
-    drake: Any, contact: DrakeContact, every: int, params: np.ndarray, poses: np.ndarray
+    drake: Any, contact: ScoopContact, every: int, params: np.ndarray, poses: np.ndarray
 ) -> np.ndarray:
     """Rows `[T, 6]` of one trial; not-a-number from where Drake's solver gave up."""
     rows = np.full(((len(poses) - 1) // every, interface.STATE), np.nan)
     if not _fit(params[None], poses[:1]).all():
         return rows
-    world = _World(drake, contact, params)
+    world = ScoopWorld(drake, contact, params)
     speeds = np.diff(poses, axis=0) / contact.dt
     world.place(poses[0], speeds[0])
     try:
@@ -121,12 +108,12 @@ def _one(
     return rows
 
 
-class _World:
+class ScoopWorld:
     """Table, piece, and a spatula on forward, rise and pitch joints that are led along the
     motion.
     """
 
-    def __init__(self, drake: Any, contact: DrakeContact, params: np.ndarray):
+    def __init__(self, drake: Any, contact: ScoopContact, params: np.ndarray):
         self.drake, self.contact = drake, contact
         self.mu, self.modulus, self.g, self.height = params[0], params[1], int(params[2]), params[3]
         builder = drake.DiagramBuilder()
@@ -238,4 +225,4 @@ class _World:
         graph.collision_filter_manager().Apply(apart)
 
 
-ENGINE = EngineKind(Settings, make_drake)
+ENGINE = EngineKind(DrakeSettings, make_drake)

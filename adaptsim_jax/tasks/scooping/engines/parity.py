@@ -15,10 +15,18 @@ import numpy as np
 from scipy.stats import binomtest
 
 from adaptsim_jax.core.progress import Report, silent
-from adaptsim_jax.tasks.engine_runs import Run, engines_and_pairs, speed_row, timed_run
+from adaptsim_jax.tasks.engine import (
+    Parity,
+    Run,
+    engine_lines,
+    engines_and_pairs,
+    pair_lines,
+    speed_row,
+    timed_run,
+)
 from adaptsim_jax.tasks.scooping import interface, model
-from adaptsim_jax.tasks.scooping.engines import registry as backend
-from adaptsim_jax.tasks.scooping.engines.drake import DrakeContact
+from adaptsim_jax.tasks.scooping.engines import make_backend
+from adaptsim_jax.tasks.scooping.engines.drake import ScoopContact
 from adaptsim_jax.tasks.scooping.hydro import Numerics
 
 LOW_RELAXATION = 0.02
@@ -38,20 +46,18 @@ ENGINES = (
 )
 _SETTINGS: dict[str, dict[str, Any]] = {
     "hydro": {"numerics": Numerics()},
-    "drake": {"contact": DrakeContact()},
-    "drake_finer_mesh": {"contact": DrakeContact(resolution=0.003)},
-    "drake_other_step": {"contact": DrakeContact(dt=0.005)},
+    "drake": {"contact": ScoopContact()},
+    "drake_finer_mesh": {"contact": ScoopContact(resolution=0.003)},
+    "drake_other_step": {"contact": ScoopContact(dt=0.005)},
     "hydro_low": {"numerics": replace(Numerics(), relaxation=LOW_RELAXATION)},
-    "drake_low": {"contact": DrakeContact(relaxation=LOW_RELAXATION)},
-    "drake_low_finer_mesh": {"contact": DrakeContact(relaxation=LOW_RELAXATION, resolution=0.003)},
+    "drake_low": {"contact": ScoopContact(relaxation=LOW_RELAXATION)},
+    "drake_low_finer_mesh": {"contact": ScoopContact(relaxation=LOW_RELAXATION, resolution=0.003)},
     "native": {},
     "mjx": {},
 }
 
 
-def scooping_parity(
-    *, samples: int = 32, seed: int = 0, progress: Report = silent
-) -> dict[str, Any]:
+def scooping_parity(samples: int = 32, seed: int = 0, progress: Report = silent) -> dict[str, Any]:
     """Success or failure of `samples` random trials in every engine that is installed.
 
     `engines` has a row each: success by shape, speed, codes, or why it did not run; `pairs` the
@@ -60,13 +66,19 @@ def scooping_parity(
     """
     params, actions = model.draw(seed, samples)
     batch = (params, actions, np.zeros((samples, 2)))
-    run, row = lambda name: _run(_backend(name), batch, name), lambda run: _row(run, params[:, 2])
+
+    def run(name):
+        return _run(_backend(name), batch, name)
+
+    def row(run):
+        return _row(run, params[:, 2])
+
     found = engines_and_pairs(ENGINES, run, row, _alike, progress)
     return {"schema": 1, "task": "scooping", "samples": samples, "seconds": model.SECONDS, **found}
 
 
 def _backend(name: str) -> Callable:
-    return backend.make_backend(name.split("_")[0], **_SETTINGS[name]).simulate
+    return make_backend(name.split("_")[0], **_SETTINGS[name]).simulate
 
 
 def _run(simulate: Callable, batch: tuple, name: str) -> Run:
@@ -100,3 +112,32 @@ def _alike(a: Run, b: Run) -> dict[str, Any]:
         "low": float(interval.low),
         "high": float(interval.high),
     }
+
+
+def parity_lines(found: dict[str, Any]) -> list[str]:
+    """The results of `scooping_parity` for a person."""
+
+    def interval(row):
+        return f"{row['alike']:6.3f} {row['low']:6.3f} - {row['high']:5.3f}"
+
+    def numbers(row):
+        shares = row["success_by_shape"].values()
+        shapes = " ".join(f"{'-' if v is None else f'{v:.3f}':>9}" for v in shares)
+        speeds = f"{row['trials_per_second']:9.1f} {row['trials_per_cpu_second']:9.1f}"
+        return f"{row['success']:8.3f} {shapes} {speeds} {row['first_call_s']:9.1f} s"
+
+    return [
+        f"scooping: {found['samples']} random trials of {found['seconds']:g} s; share that ended "
+        f"alike, with 95 % intervals",
+        "",
+        *pair_lines(found, 36, f"{'alike':>6} {'interval':>14}", "trial", interval),
+        "",
+        "drake with itself at another mesh or step is the ceiling; low: hardly any dissipation",
+        "",
+        f"{'engine':18} {'success':>8} {'ellipsoid':>9} {'cylinder':>9} {'trials/s':>9} "
+        f"{'per CPU s':>9} {'first call':>11}",
+        *engine_lines(found, numbers),
+    ]
+
+
+PARITY = Parity(scooping_parity, parity_lines)

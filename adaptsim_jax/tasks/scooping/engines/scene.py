@@ -1,5 +1,5 @@
 """What MuJoCo and MJX share of scooping: the MJCF scene, what of it belongs to a sample, the
-blade's drive, rows and codes.
+blade's drive, rows and codes; and our own engine.
 """
 
 from __future__ import annotations
@@ -7,18 +7,18 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable
 from importlib import resources
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.tasks.engine import Trajectory
+from adaptsim_jax.tasks.engine import EngineKind, Trajectory, filled_batches, steps_a_row
+from adaptsim_jax.tasks.scooping import hydro, interface, model
 from adaptsim_jax.tasks.scooping import hydro_shapes as shapes
-from adaptsim_jax.tasks.scooping import interface, model
 from adaptsim_jax.tasks.scooping import motion as spatula
 from adaptsim_jax.tasks.scooping import sphere_cloud as clouds
+from adaptsim_jax.tasks.scooping.hydro import Numerics
 from adaptsim_jax.tasks.scooping.model import ScoopOptions
 
 Array = Any
@@ -34,11 +34,7 @@ def compiled(dt: float = DT) -> Any:
     """The `mujoco.MjModel` of the shipped scene in steps of `dt` s; BadInput where rows cannot be
     cut out of such steps.
     """
-    every = round(interface.ROW / dt) if dt > 0 else 0
-    if every < 1 or abs(interface.ROW / dt - every) > 1e-6:
-        raise BadInput(
-            f"scooping in MuJoCo, dt = {dt} s must divide the row of {interface.ROW} s; use {DT}"
-        )
+    steps_a_row("scooping in MuJoCo", dt, interface.ROW, DT)
     mujoco: Any = importlib.import_module("mujoco")
     text = resources.files("adaptsim_jax.tasks.scooping.engines").joinpath("scene.xml").read_text()
     spec = mujoco.MjSpec.from_string(text)
@@ -131,19 +127,45 @@ def rows(dt: float) -> slice:
     return slice(every - 1, None, every)
 
 
-def batches(count: int, size: int) -> list[tuple[slice, np.ndarray]]:
-    """Where each batch of `size` goes, and its samples; the last one is filled up, so that one size
-    is compiled.
-    """
-    return [
-        (slice(at, min(at + size, count)), np.minimum(np.arange(at, at + size), count - 1))
-        for at in range(0, count, size)
-    ]
-
-
 def jitted(
     options: ScoopOptions, dt: float
 ) -> Callable[[Array, Array], tuple[dict[str, Array], tuple[Array, Array]]]:
     """`fields` and drive of a batch, compiled."""
     drive = make_drive(options, dt)
     return jax.jit(jax.vmap(lambda p, a: (fields(p, dt), drive(p, a))))
+
+
+class HydroSettings(NamedTuple):
+    """numerics: what makes up the simulator besides physics."""
+
+    numerics: Numerics = Numerics()
+
+
+def make_hydro(options: ScoopOptions, numerics: Numerics):
+    """`simulate` of our own engine, in batches on the CPU."""
+    hydro.check_numerics(numerics)
+    every = steps_a_row("backend hydro", numerics.dt, interface.ROW, DT)
+
+    @jax.jit
+    @jax.vmap
+    def run(params, action):
+        out = hydro.rollout(params, action, options, numerics)
+        rows = slice(every, None, every)
+        return out.piece[rows, :2], out.tip[rows], out.code
+
+    def simulate(params, commands, initial):
+        params, actions, starts = interface.checked(params, commands, initial)
+        count, kind = len(params), jnp.result_type(float)
+        state = np.zeros((count, round(model.SECONDS / interface.ROW), interface.STATE))
+        codes = np.zeros(count, int)
+        for here, room in filled_batches(count, interface.BATCH):
+            found = run(jnp.asarray(params[room], kind), jnp.asarray(actions[room], kind))
+            piece, tip, code = (np.asarray(x)[: here.stop - here.start] for x in found)
+            state[here, :, 0], state[here, :, 2] = piece[..., 0], piece[..., 1]
+            state[here, :, 3:], codes[here] = tip, code
+        return interface.placed(state, codes, starts)
+
+    return simulate
+
+
+HYDRO = EngineKind(HydroSettings, make_hydro)

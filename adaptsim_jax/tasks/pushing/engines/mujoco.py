@@ -1,4 +1,4 @@
-"""The push in native MuJoCo on all cores, with the patch."""
+"""The push in MuJoCo: the MJCF scene with its patch, natively on all cores, and in MJX."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.tasks.engine import EngineKind
+from adaptsim_jax.tasks.engine import EngineKind, mjx_module
 from adaptsim_jax.tasks.pushing import model as pushing
 from adaptsim_jax.tasks.pushing.engines import scene
 from adaptsim_jax.tasks.pushing.model import ElasticityMap, PushOptions
 
+Array = Any
 BLOCK = 100
 """Samples at a time on a thread: more would share fewer calls of the engine, and each needs a model
 of its own.
@@ -25,7 +26,7 @@ of its own.
 AT_REST = 1e-4  # m/s and rad/s; such a bottle goes no further than a micrometre
 
 
-class Settings(NamedTuple):
+class NativeSettings(NamedTuple):
     """elasticity: of plate and bottle; dt: s; threads: cores to run on (None: all); gravity: m/s2,
     turned where the table is not level.
     """
@@ -47,7 +48,7 @@ def make_native(
     runs at a time.
     """
     engines = [
-        _Engine(options, elasticity, dt, gravity) for _ in range(threads or os.cpu_count() or 1)
+        PushEngine(options, elasticity, dt, gravity) for _ in range(threads or os.cpu_count() or 1)
     ]
     lock = threading.Lock()
 
@@ -61,7 +62,7 @@ def make_native(
         blocks = [order[i : i + size] for i in range(0, count, size)]
         state = np.zeros((count, pushing.rows(options), scene.STATE))
 
-        def work(engine: _Engine) -> None:
+        def work(engine: PushEngine) -> None:
             while blocks:
                 try:
                     mine = blocks.pop()
@@ -78,7 +79,7 @@ def make_native(
     return simulate
 
 
-class _Engine:
+class PushEngine:
     """One thread's engine. Models are copied once and rewritten for each batch: a copy costs a
     tenth of a push.
     """
@@ -99,7 +100,7 @@ class _Engine:
         self.edge = self.model.pair("edge").id
         self.data = [mujoco.MjData(self.model)]
         self.models: list[Any] = []
-        self.ground = _Ground()
+        self.ground = GroundFriction()
 
     def run(self, params: np.ndarray, actions: np.ndarray, starts: np.ndarray) -> np.ndarray:
         """Rows `[B, T, 13]` of a block: one call of the engine a step, since friction follows the
@@ -192,7 +193,7 @@ def _friction(pose, friction, y_p, mass, dt):
     return pushing.ground_friction(pose, friction, y_p, mass, dt, jnp)
 
 
-class _Ground:
+class GroundFriction:
     """The ground's friction for a block, compiled by JAX on the CPU: a third of NumPy's time, and
     it is asked each step.
     """
@@ -239,4 +240,75 @@ def _pose(state: np.ndarray) -> np.ndarray:
     return np.concatenate([state[..., 1:8], state[..., 12:18]], -1)
 
 
-ENGINE = EngineKind(Settings, make_native)
+NATIVE = EngineKind(NativeSettings, make_native)
+
+
+class MJXSettings(NamedTuple):
+    """elasticity: of plate and bottle; dt: s."""
+
+    elasticity: ElasticityMap = pushing.ELASTICITY
+    dt: float = 0.005
+
+
+def make_mjx(options: PushOptions, elasticity: ElasticityMap, dt: float):
+    """`simulate` of the MJCF scene in MJX; in the precision that JAX is set to."""
+    run = jax.jit(jax.vmap(make_push(options, elasticity, dt)))
+
+    def simulate(params, commands, initial):
+        batch = scene.checked(params, commands, initial)
+        kind = jnp.result_type(float)
+        # MJX relies on rank promotion, which a strict caller may have forbidden
+        with jax.numpy_rank_promotion("allow"):
+            state = run(*(jnp.asarray(a, kind) for a in batch[:3]))
+        return scene.finished(state, batch)
+
+    return simulate
+
+
+def make_push(options: PushOptions, elasticity: ElasticityMap, dt: float = 0.005):
+    """`push(params [4], action [2], start [2]) -> state [T, 13]`: pure, for jit, vmap and grad."""
+    mjx = mjx_module()
+    model = scene.model(options, dt)
+    rest = scene.rest(model)
+    edge = model.pair("edge").id
+    base, blank = mjx.put_model(model), mjx.make_data(model)
+    steps, every = round(options.duration / dt), round(options.row / dt)
+
+    def push(params: Array, action: Array, start: Array) -> Array:
+        friction = pushing.frictions(params, options.friction)
+        k, b = pushing.spring(elasticity, params[1], action[0], options.mass, jnp)
+        m = base.replace(
+            pair_friction=base.pair_friction.at[edge, :2].set(friction.plate),
+            pair_solref=base.pair_solref.at[edge].set(jnp.stack([-k, -b])),
+        )
+
+        def step(carry, control):
+            qpos, qvel, warm = carry
+            pose = jnp.concatenate([qpos[:7], qvel[:6]])
+            ground = pushing.ground_friction(pose, friction, params[3], options.mass, dt, jnp)
+            applied = jnp.zeros_like(qvel).at[:6].set(ground)
+            # only what the next step needs is carried; all else of `Data` is rebuilt from the blank
+            data = blank.replace(
+                qpos=qpos, qvel=qvel, qacc_warmstart=warm, ctrl=control, qfrc_applied=applied
+            )
+            data = mjx.step(m, data)
+            return (data.qpos, data.qvel, data.qacc_warmstart), jnp.concatenate(
+                [data.qpos[:7], data.qvel[:6]]
+            )
+
+        qpos = jnp.asarray(rest.qpos, params.dtype).at[:2].set(start).at[7].set(action[1])
+        speeds = jnp.stack(
+            [
+                action[0],
+                jnp.full_like(action[0], pushing.RISE_SPEED),
+                jnp.full_like(action[0], pushing.PITCH_RATE),
+            ]
+        )
+        controls = jnp.asarray(pushing.slopes(dt, steps), params.dtype)[:, None] * speeds
+        first = (qpos, jnp.zeros(model.nv, params.dtype), jnp.asarray(rest.warmstart, params.dtype))
+        return jax.lax.scan(step, first, controls)[1][every - 1 :: every]
+
+    return push
+
+
+MJX = EngineKind(MJXSettings, make_mjx)
