@@ -16,7 +16,7 @@ import traceback
 
 from adaptsim_jax.commands import SUMMARIES
 from adaptsim_jax.commands.parser import Parser, command_parser, top_parser
-from adaptsim_jax.core import compile_cache, surroundings
+from adaptsim_jax.core import compile_cache, process
 from adaptsim_jax.core.config import nearest, suggest
 from adaptsim_jax.core.errors import BadInput
 
@@ -40,10 +40,10 @@ def main(argv: list[str] | None = None) -> int:
     argv = sys.argv[1:] if argv is None else list(argv)
     args = None
     try:
-        surroundings.legible_streams()
+        process.legible_streams()
         args = parse(argv)
-        surroundings.check_process()
-        for word in surroundings.computing():
+        process.check_process()
+        for word in process.computing():
             print(f"adaptsim: {word}", file=sys.stderr)
         _limit_blas_threads()
         os.environ.setdefault(
@@ -134,10 +134,10 @@ def _set_up_cache(args: argparse.Namespace) -> None:
 
 def _set_up_memory() -> None:
     if "jax" not in sys.modules:  # else a Python program called us, whose memory is its own
-        from adaptsim_jax.core import memory
+        from adaptsim_jax.core import process
 
-        memory.keep_freed()
-        memory.collect_rarely()
+        process.keep_freed()
+        process.collect_rarely()
 
 
 def _file_system(error: OSError) -> int:

@@ -19,7 +19,7 @@ from adaptsim_jax.attribution.equation.models import said
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.parameters import INERTIA
 from adaptsim_jax.attribution.problem import own_inertia, scaled_reach
-from adaptsim_jax.core import compile_flags
+from adaptsim_jax.core import process
 from adaptsim_jax.diagnosis.criteria import Criteria
 from experiments.torque_witness import prepared
 from tests.generators.arm_worlds import KINDS, write_arm
@@ -60,7 +60,7 @@ def main() -> None:
     parser.add_argument("--kinds", nargs="+", default=["friction"], choices=KINDS)
     parser.add_argument("--whole", action="store_true")
     args = parser.parse_args()
-    compile_flags.small_steps()
+    process.small_steps()
     total = {"right": 0, "wrong": 0, "missed": 0, "hidden": 0}
     for k, seed in enumerate(range(args.first, args.first + args.count)):
         robot, kind, folder = (

@@ -23,7 +23,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 
-from adaptsim_jax.core import compile_flags, memory
+from adaptsim_jax.core import process
 from adaptsim_jax.diagnosis import Effect, Parameter, catalogue
 from experiments.closeloop_scores import row, score_case, summarise, table
 from tests.generators import make_datasets, write_dataset
@@ -121,12 +121,12 @@ def main() -> None:
         help="write the data sets and their truths, no diagnosis",
     )
     a = p.parse_args()
-    memory.keep_freed()
-    compile_flags.small_steps()  # as the command does; workers inherit them
+    process.keep_freed()
+    process.small_steps()  # as the command does; workers inherit them
     for name in ("cases", "data", "reports"):
         (a.out / name).mkdir(parents=True, exist_ok=True)
     pool = (
-        ProcessPoolExecutor(a.workers, get_context("spawn"), memory.keep_freed)
+        ProcessPoolExecutor(a.workers, get_context("spawn"), process.keep_freed)
         if a.workers > 1
         else None
     )

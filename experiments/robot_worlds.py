@@ -258,9 +258,9 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
     from adaptsim_jax.attribution.diagnose import diagnose
-    from adaptsim_jax.core import compile_flags
+    from adaptsim_jax.core import process
 
-    compile_flags.small_steps()
+    process.small_steps()
     for robot in args.robots:
         (path,) = [
             p

@@ -23,7 +23,7 @@ from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import INERTIA, Vector
 from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
 from adaptsim_jax.attribution.sentences import place
-from adaptsim_jax.core import compile_flags
+from adaptsim_jax.core import process
 from adaptsim_jax.diagnosis.criteria import Criteria
 
 
@@ -107,7 +107,7 @@ def main() -> None:
     parser.add_argument("--judge")
     parser.add_argument("--leave-out", action="store_true")
     args = parser.parse_args()
-    compile_flags.small_steps()
+    process.small_steps()
     machine = load(args.data, args.model)
     names = [t.name for t in machine.tracks]
     if args.leave_out:

@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 
 from adaptsim_jax.commands.diagnose import TRIALS
-from adaptsim_jax.core import compile_flags
+from adaptsim_jax.core import process
 from adaptsim_jax.logs.declared import declared_task
 
 
 def main(folder):
-    compile_flags.small_steps()
+    process.small_steps()
     rows = []
     for path in sorted(p for p in Path(folder).iterdir() if (p / "truth.json").exists()):
         truth = json.loads((path / "truth.json").read_text())["kind"]

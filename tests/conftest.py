@@ -16,9 +16,9 @@ os.environ.setdefault(
     "XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false"
 )  # a test process for each core is enough
 
-from adaptsim_jax.core import memory  # noqa: E402
+from adaptsim_jax.core import process  # noqa: E402
 
-memory.keep_freed()  # as the command line does
+process.keep_freed()  # as the command line does
 
 import jax  # noqa: E402  (JAX reads the settings above when it is imported)
 import pytest  # noqa: E402

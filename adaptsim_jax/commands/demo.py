@@ -59,10 +59,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _set_up_computing() -> None:
-    from adaptsim_jax.core import compile_flags
+    from adaptsim_jax.core import process
 
     # the tour is small loops, and most of its time goes into compiling them
-    compile_flags.small_steps()
+    process.small_steps()
     # two processes: by default each would take three quarters of a GPU's memory at once
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
 

@@ -15,8 +15,8 @@ from adaptsim_jax.commands.demo_config import HINGE, PENDULUM, SHORT, DemoConfig
 from adaptsim_jax.commands.demo_contact import Before, contact_part
 from adaptsim_jax.commands.demo_diagnosis import Diagnosed, diagnosed
 from adaptsim_jax.commands.demo_pendulum import Adapted, Pendulum, pendulum_part
-from adaptsim_jax.core.beside import beside
 from adaptsim_jax.core.files import output_folder
+from adaptsim_jax.core.parallel import worker_process
 from adaptsim_jax.core.progress import Parts, Report, silent_parts
 
 
@@ -52,7 +52,7 @@ def demo(
 
     out = output_folder(out)
     if apart:
-        with beside(contact_parts, out, seed, config, told=progress) as other:
+        with worker_process(contact_parts, out, seed, config, report=progress) as other:
             first = own_parts(out, seed, config, progress)
             push, scoop = other.result()
     else:

@@ -88,13 +88,13 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Close the loop on a folder of measured data."""
     from adaptsim_jax.commands.common import output
-    from adaptsim_jax.core import compile_flags
+    from adaptsim_jax.core import process
     from adaptsim_jax.core.progress import progress
 
     data = Path(args.data)
     check_apart(data, Path(args.out))
     if "jax" not in sys.modules:  # else a Python program called us, which may have compiled already
-        compile_flags.small_steps()
+        process.small_steps()
     named = args.simulator not in (None, "tree", "mujoco")
     task = of_trials(data) if args.model is None and not named else None
     if named:

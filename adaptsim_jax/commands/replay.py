@@ -66,11 +66,11 @@ def run(args: argparse.Namespace) -> int:
     what the motion contradicts of the recording's columns and units is told, not refused.
     """
     from adaptsim_jax.attribution.replay import replay_files
-    from adaptsim_jax.core import compile_flags
+    from adaptsim_jax.core import process
     from adaptsim_jax.core.files import output_folder, write_json
 
     if "jax" not in sys.modules:
-        compile_flags.small_steps()
+        process.small_steps()
     if args.fit:
         return _fit(args)
     asked = {None: None, "all": ("stretches", "whole", "torque")}.get(

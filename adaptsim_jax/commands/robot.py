@@ -81,8 +81,7 @@ def stepped(args: argparse.Namespace) -> dict[str, Any]:
     """
     from adaptsim_jax.core.config import pick
     from adaptsim_jax.core.errors import BadInput
-    from adaptsim_jax.core.files import output_folder
-    from adaptsim_jax.core.lock import one_writer
+    from adaptsim_jax.core.files import one_writer, output_folder
 
     step = pick("step", args.step, STEPS)
     if args.failed and (step != "record" or args.what is not None):
@@ -122,7 +121,7 @@ def new(args: argparse.Namespace) -> dict[str, Any]:
     from adaptsim_jax.adaptation.training import archive_size
     from adaptsim_jax.core import config, files
     from adaptsim_jax.core.errors import BadInput
-    from adaptsim_jax.core.lock import one_writer
+    from adaptsim_jax.core.files import one_writer
 
     folder = Path(args.dir)
     if (folder / SESSION).exists():

@@ -46,7 +46,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Phase 1 into a run folder."""
     from adaptsim_jax.commands.common import task_word
-    from adaptsim_jax.core.lock import one_writer
+    from adaptsim_jax.core.files import one_writer
 
     said, args.task = args.task, task_word(args)
     from adaptsim_jax.adaptation.training import train_run

@@ -3,15 +3,30 @@ compute them again.
 
 XLA calls the C library for the sine of each single double, which was a quarter of the time of a
 pendulum's Jacobian, and, as it fuses them into whatever uses them, of a derivative along many
-directions nine tenths were sines of the same angles (`once.py`).
+directions nine tenths were sines of the same angles. In a derivative along many directions what XLA
+fuses is computed for each of them; a branch is not fused into, so what goes through one (`once`) is
+computed before.
 """
 
 import math
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
 
-from adaptsim_jax.core.once import once
+Tree = TypeVar("Tree")
+
+
+def once(values: Tree, asked: jax.Array) -> Tree:
+    """`values` as they are, a pytree of floats. asked: any array but an empty one that does not
+    depend on the direction (a derivative's values do, those of the function itself do not).
+    """
+    first = jax.lax.stop_gradient(jnp.ravel(asked)[0])
+    one = 1.0 + 0.0 * first  # the compiler cannot know it, or it would drop the branch
+    return jax.lax.cond(
+        first < 0, lambda z: jax.tree.map(lambda y: y * one.astype(y.dtype), z), lambda z: z, values
+    )
+
 
 # up to a quarter of pi the first terms that are left out are below a tenth of the last place
 SINE = tuple((-1.0) ** n / math.factorial(2 * n + 1) for n in range(9))

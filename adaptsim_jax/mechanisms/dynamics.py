@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.core.once import once
+from adaptsim_jax.core.trig import once
 from adaptsim_jax.mechanisms.kinematics import Pose, chain, lifted, together
 from adaptsim_jax.mechanisms.lanes import (
     IDENTITY,

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from adaptsim_jax.core.once import once
+from adaptsim_jax.core.trig import once
 
 Rows = Sequence[Any] | jax.Array  # one a state or joint, stacked or not
 

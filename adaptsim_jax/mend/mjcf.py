@@ -1,8 +1,9 @@
 """A user's model file with other numbers in it: fitted inertias, friction, gains. URDF in gives
-MJCF out.
+MJCF out. What other rooms change in a file goes through `edited`, too.
 """
 
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import mujoco
@@ -52,9 +53,28 @@ def mended_mjcf(mechanism: Mechanism, changes: Changes) -> str:
 
 
 def _mended(mechanism: Mechanism, changes: Changes, shapes: bool = True) -> str:
-    spec, _ = read_spec(mechanism.path)
-    if not shapes:
-        without_shapes(spec)
+    def edit(spec: mujoco.MjSpec) -> Sequence[str]:
+        if not shapes:
+            without_shapes(spec)
+        _put_all(spec, mechanism, changes)
+        return changes.comments
+
+    return edited(mechanism.path, edit)
+
+
+def edited(path: str | os.PathLike, edit: Callable[[mujoco.MjSpec], Sequence[str]]) -> str:
+    """The model file at `path` as MJCF text after `edit(spec)`, which returns lines to stand above
+    it as comments. Every file that is mended is written here.
+
+    Raises BadInput where MuJoCo refuses the result.
+    """
+    spec, _ = read_spec(path)
+    comments = edit(spec)
+    compiled(str(path), spec)
+    return commented(spec.to_xml(), comments)
+
+
+def _put_all(spec: mujoco.MjSpec, mechanism: Mechanism, changes: Changes) -> None:
     if changes.inertial is not None:
         _put_inertias(spec, mechanism, np.asarray(changes.inertial))
     tree = mechanism.tree
@@ -65,7 +85,7 @@ def _mended(mechanism: Mechanism, changes: Changes, shapes: bool = True) -> str:
             value = float(table[joint.name])
             if key == "springref":
                 turns = joint.type == mujoco.mjtJoint.mjJNT_HINGE and spec.compiler.degree
-                _put(joint, key, float(np.rad2deg(value)) if turns else value)
+                put_field(joint, key, float(np.rad2deg(value)) if turns else value)
             elif (
                 joint.name in tree.joint_names
             ):  # what followers, tendons and actuators add stays with them
@@ -73,7 +93,7 @@ def _mended(mechanism: Mechanism, changes: Changes, shapes: bool = True) -> str:
                     np.asarray(getattr(tree, key))[tree.joint_names.index(joint.name)]
                 )
                 now = float(np.ravel(getattr(joint, key))[0])
-                _put(joint, key, value if more + now == value else max(0.0, now + more))
+                put_field(joint, key, value if more + now == value else max(0.0, now + more))
     if changes.gravity is not None:
         spec.option.gravity = np.asarray(changes.gravity, float)
     for joint, gear in changes.motors.items():
@@ -87,17 +107,6 @@ def _mended(mechanism: Mechanism, changes: Changes, shapes: bool = True) -> str:
         for key, table in changes.actuators.items():
             if actuator.name in table and actuator.name not in changes.motors:
                 _put_actuator(actuator, key, float(table[actuator.name]), step)
-    compiled(mechanism.path, spec)
-    return commented(spec.to_xml(), changes.comments)
-
-
-def _put(element, key: str, value: float) -> None:
-    """A number, or the first of a polynomial's coefficients."""
-    now = getattr(element, key)
-    if np.ndim(now):
-        setattr(element, key, [value, *np.asarray(now).ravel()[1:]])
-    else:
-        setattr(element, key, value)
 
 
 def _put_actuator(actuator, key: str, value: float, step: float) -> None:
@@ -114,8 +123,7 @@ def _put_actuator(actuator, key: str, value: float, step: float) -> None:
         actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
         actuator.forcerange = [-value, value]
     elif key == "delay":
-        actuator.delay = value
-        actuator.nsample = int(np.ceil(value / step)) + 2
+        put_delay(actuator, value, step)
     elif key == "lag":
         actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
         dyn = np.array(actuator.dynprm)
@@ -123,6 +131,29 @@ def _put_actuator(actuator, key: str, value: float, step: float) -> None:
         actuator.dynprm = dyn
     else:
         raise ValueError(f"an actuator has no {key}")
+
+
+def put_delay(actuator, delay: float, step: float) -> None:
+    """Have commands of an actuator arrive `delay` s late, in a simulation of steps of `step` s."""
+    actuator.delay = delay
+    actuator.nsample = int(np.ceil(delay / step)) + 2
+
+
+def put_inertia(body, mass: float, centre, quaternion, moments) -> None:
+    """Declare a body's inertia: kg, m, the axes of its moments, kg m^2."""
+    body.explicitinertial = True
+    body.mass, body.ipos, body.iquat, body.inertia = mass, centre, quaternion, moments
+    body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+    body.fullinertia = [np.nan, 0, 0, 0, 0, 0]
+
+
+def put_field(element, name: str, value) -> None:
+    """A number or numbers of an element; fewer than it has are its first."""
+    now = np.asarray(getattr(element, name))
+    if now.ndim:
+        value = np.ravel(value)
+        value = np.concatenate([value, now.ravel()[value.size :]])[: now.size]
+    setattr(element, name, value)
 
 
 def _put_inertias(spec, mechanism: Mechanism, inertial: np.ndarray) -> None:
@@ -163,9 +194,7 @@ def _put_inertias(spec, mechanism: Mechanism, inertial: np.ndarray) -> None:
             vector[:, 0] *= -1.0
         quaternion = np.zeros(4)
         mujoco.mju_mat2Quat(quaternion, vector.ravel())
-        body.explicitinertial = True
-        body.mass, body.ipos, body.iquat, body.inertia = mass, com, quaternion, value
-        body.fullinertia = [np.nan, 0, 0, 0, 0, 0]
+        put_inertia(body, mass, com, quaternion, value)
 
 
 def _kept(spec, mechanism: Mechanism) -> dict[str, np.ndarray]:

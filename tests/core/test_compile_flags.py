@@ -6,9 +6,9 @@ import sys
 
 import pytest
 
-from adaptsim_jax.core import compile_flags
+from adaptsim_jax.core import process
 
-NOTHING_SET = {name: value for name, value in os.environ.items() if name != compile_flags.NAME}
+NOTHING_SET = {name: value for name, value in os.environ.items() if name != process.NAME}
 
 
 def ended(code: str, **more: str) -> subprocess.CompletedProcess:
@@ -20,12 +20,12 @@ def ended(code: str, **more: str) -> subprocess.CompletedProcess:
 def test_this_xla_takes_the_flags_and_gives_the_same_numbers():
     """An unknown flag ends the process, so that one must compile something."""
     code = (
-        "from adaptsim_jax.core import compile_flags; print(compile_flags.small_steps()); import "
+        "from adaptsim_jax.core import process; print(process.small_steps()); import "
         "jax, jax.numpy as jnp;"
         "print(jax.jit(lambda x: jax.lax.fori_loop(0, 50, lambda i, x: jnp.sin(x) + x[::-1], "
         "x))(jnp.ones(3))[0])"
     )
-    flagged, plain = ended(code), ended(code.replace("compile_flags.small_steps()", "True"))
+    flagged, plain = ended(code), ended(code.replace("process.small_steps()", "True"))
     assert flagged.returncode == 0, flagged.stderr
     assert flagged.stdout.split()[0] == "True"
     assert float(flagged.stdout.split()[1]) == pytest.approx(
@@ -34,13 +34,13 @@ def test_this_xla_takes_the_flags_and_gives_the_same_numbers():
 
 
 def test_the_users_own_flags_stay(monkeypatch):
-    monkeypatch.setenv(compile_flags.NAME, "")
-    assert not compile_flags.small_steps()
-    assert os.environ[compile_flags.NAME] == ""
+    monkeypatch.setenv(process.NAME, "")
+    assert not process.small_steps()
+    assert os.environ[process.NAME] == ""
 
 
 def test_another_jaxlib_gets_none(monkeypatch):
-    monkeypatch.delenv(compile_flags.NAME, raising=False)
-    monkeypatch.setattr(compile_flags.metadata, "version", lambda name: "9.1.0")
-    assert not compile_flags.small_steps()
-    assert compile_flags.NAME not in os.environ
+    monkeypatch.delenv(process.NAME, raising=False)
+    monkeypatch.setattr(process.metadata, "version", lambda name: "9.1.0")
+    assert not process.small_steps()
+    assert process.NAME not in os.environ

@@ -9,13 +9,13 @@ import sys
 
 import pytest
 
-from adaptsim_jax.core import memory
+from adaptsim_jax.core import process
 
 GLIBC = sys.platform.startswith("linux") and platform.libc_ver()[0] == "glibc"
 LOOP = """
 import resource
-from adaptsim_jax.core import memory
-print(memory.keep_freed() if {keep} else False)
+from adaptsim_jax.core import process
+print(process.keep_freed() if {keep} else False)
 bytearray(60_000_000)
 before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
 for _ in range(10):
@@ -46,11 +46,11 @@ def test_the_settings_of_a_user_stand():
 
 
 def test_other_systems_are_left_alone(monkeypatch):
-    monkeypatch.setattr(memory.platform, "libc_ver", lambda: ("", ""))
-    assert memory.keep_freed() is False
+    monkeypatch.setattr(process.platform, "libc_ver", lambda: ("", ""))
+    assert process.keep_freed() is False
 
 
 def test_garbage_is_looked_for_rarely():
-    code = "import gc; from adaptsim_jax.core import memory; memory.collect_rarely(); print(gc.get_threshold()[0])"
+    code = "import gc; from adaptsim_jax.core import process; process.collect_rarely(); print(gc.get_threshold()[0])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert int(done.stdout) == memory.YOUNG
+    assert int(done.stdout) == process.YOUNG

@@ -20,7 +20,7 @@ import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
-from adaptsim_jax.core.lock import LOCK
+from adaptsim_jax.core.files import LOCK
 from tests.commands.test_train import SET, contents, write_trial
 
 CALLS = ("train", "adapt", "record")

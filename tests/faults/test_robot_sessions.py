@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.cli import main
-from adaptsim_jax.core.lock import one_writer
+from adaptsim_jax.core.files import one_writer
 from tests.commands.test_train import SET, contents, robot, write_trial
 
 pytestmark = pytest.mark.slow

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from adaptsim_jax.core.once import once
+from adaptsim_jax.core.trig import once
 from adaptsim_jax.mechanisms.registry import make_plant
 
 THETA = {"rigid_body": [0.9, 0.21, 1.3, 0.4, 0.02, 0.03], "linearized": [1.1, 0.7, 0.3, 0.2]}

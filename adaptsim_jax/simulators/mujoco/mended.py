@@ -6,15 +6,16 @@ import mujoco
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.mechanisms.spec import compiled, read_spec, shapeless
-from adaptsim_jax.mend.mjcf import commented
+from adaptsim_jax.mechanisms.spec import compiled, shapeless
+from adaptsim_jax.mend.mjcf import edited, put_delay, put_field, put_inertia
 from adaptsim_jax.simulators.mujoco.acting import OUTSIDE
 from adaptsim_jax.simulators.mujoco.build import Stepped
 from adaptsim_jax.simulators.mujoco.fields import DELAY, GROUND, TILTS, Field, grounds, with_values
 
-WHOLE = {"body": ("mass", "ipos", "iquat", "inertia"), "actuator": ("gainprm", "biasprm")}
-"""What a number of an element may change besides itself; of a joint or a geom it is that field
-alone.
+INERTIA = ("mass", "ipos", "iquat", "inertia")
+ACTUATOR = ("gainprm", "biasprm")
+"""What a number of a body or an actuator may change besides itself; of a joint or a geom it is that
+field alone.
 """
 SHAPED = (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD)  # are placed by their own files
 
@@ -30,29 +31,34 @@ def mended_mjcf(made: Stepped, fields: Sequence[Field], values: Mapping[str, flo
 
     Raises BadInput where MuJoCo refuses the result.
     """
-    spec, _ = read_spec(made.path)
-    comments: list[str] = []
-    try:
-        model = compiled(made.path, spec)
-    except BadInput:
-        model = shapeless(made.path, spec)
-        comments.append("written without shapes: the meshes that this file names could not be read")
     changed = [f for f in fields if values.get(f.name, f.neutral) != f.neutral]
     held = [f for f in changed if f.field not in OUTSIDE]
-    own = [_own(made.model, model, f) for f in held]
-    there = with_values(model, own, [values[f.name] for f in held])
-    for f in own:
-        _put(spec, there, f)
-    for f in changed:
-        if f.field == DELAY and values[f.name] > 0:
-            _delay(spec, values[f.name])
-        elif f.field in OUTSIDE:
+
+    def edit(spec: mujoco.MjSpec) -> list[str]:
+        comments = []
+        try:
+            model = compiled(made.path, spec)
+        except BadInput:
+            model = shapeless(made.path, spec)
             comments.append(
-                f"not in this file: {f.name} = {values[f.name]:.6g}, which is of the log or the "
-                f"controller"
+                "written without shapes: the meshes that this file names could not be read"
             )
-    compiled(made.path, spec)
-    return commented(spec.to_xml(), comments)
+        own = [_own(made.model, model, f) for f in held]
+        there = with_values(model, own, [values[f.name] for f in held])
+        for f in own:
+            _put(spec, there, f)
+        for f in changed:
+            if f.field == DELAY and values[f.name] > 0:
+                for actuator in spec.actuators:
+                    put_delay(actuator, values[f.name], spec.option.timestep)
+            elif f.field in OUTSIDE:
+                comments.append(
+                    f"not in this file: {f.name} = {values[f.name]:.6g}, which is of the log or "
+                    f"the controller"
+                )
+        return comments
+
+    return edited(made.path, edit)
 
 
 def _own(stepped: mujoco.MjModel, model: mujoco.MjModel, f: Field) -> Field:
@@ -92,39 +98,24 @@ def _put(spec: mujoco.MjSpec, there: mujoco.MjModel, f: Field) -> None:
     }.get(kind)
     if listed is None:
         raise BadInput(f"{f.name}: numbers of a {kind} are not written; put {f.name} in by hand")
+    names = {"body": (), "actuator": ACTUATOR}.get(kind, (what,))
     for element in (e for e in listed if e.id in f.elements):
         if kind == "body":
-            element.explicitinertial = True
-            element.fullinertia = [np.nan, 0, 0, 0, 0, 0]
-            element.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-        for name in WHOLE.get(kind, (what,)):
-            _copy(element, name, kind, there, f)
+            numbers = (getattr(there, f"body_{n}")[element.id] for n in INERTIA)
+            put_inertia(element, *numbers)
+        for name in names:
+            put_field(element, name, _number(there, element, kind, name))
 
 
-def _copy(element, name: str, kind: str, there: mujoco.MjModel, f: Field) -> None:
-    if kind == "joint":
-        dof = int(there.jnt_dofadr[element.id])
-        if hasattr(there, f"dof_{name}"):
-            value = getattr(there, f"dof_{name}")[dof]
-        else:
-            value = _of_joint(there, element, name)
-    else:
-        value = getattr(there, f"{kind}_{name}")[element.id]
-    now = getattr(element, name)
-    if np.ndim(now) and not np.ndim(value):  # the first of a polynomial's coefficients
-        value = [float(value), *np.asarray(now).ravel()[1:]]
-    elif np.ndim(now):
-        value = np.concatenate([np.ravel(value), np.ravel(now)[np.size(value) :]])[: np.size(now)]
-    setattr(element, name, value)
+def _number(there: mujoco.MjModel, element, kind: str, name: str):
+    if kind != "joint":
+        return getattr(there, f"{kind}_{name}")[element.id]
+    if hasattr(there, f"dof_{name}"):
+        return getattr(there, f"dof_{name}")[int(there.jnt_dofadr[element.id])]
+    return _of_joint(there, element, name)
 
 
 def _of_joint(there: mujoco.MjModel, joint, name: str) -> float:
     if name == "springref":
         return float(there.qpos_spring[there.jnt_qposadr[joint.id]])
     return float(np.ravel(getattr(there, f"jnt_{name}")[joint.id])[0])
-
-
-def _delay(spec: mujoco.MjSpec, delay: float) -> None:
-    for actuator in spec.actuators:
-        actuator.delay = delay
-        actuator.nsample = int(np.ceil(delay / spec.option.timestep)) + 2

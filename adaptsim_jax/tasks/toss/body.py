@@ -15,7 +15,7 @@ import numpy as np
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.mechanisms.mjcf import rotation_of
 from adaptsim_jax.mechanisms.spec import compiled, read_spec
-from adaptsim_jax.mend.mjcf import commented
+from adaptsim_jax.mend.mjcf import edited, put_inertia
 
 SIZED = ("BOX", "SPHERE", "CAPSULE", "CYLINDER", "ELLIPSOID")
 LONGEST_STEP = 0.004  # s; an impact lasts some ms
@@ -147,9 +147,7 @@ def _general(path: str, spec: mujoco.MjSpec, model: mujoco.MjModel, at: int) -> 
 def _weigh(spec: mujoco.MjSpec, m: mujoco.MjModel, at: int, centre: np.ndarray) -> Any:
     """Declare the inertia that body `at` has in a model, about `centre [3]` m; the body."""
     part = next(p for p in spec.bodies if p.name == m.body(at).name)
-    part.explicitinertial = True
-    part.mass, part.ipos, part.iquat = float(m.body_mass[at]), centre, m.body_iquat[at]
-    part.inertia, part.fullinertia = m.body_inertia[at], [np.nan, 0, 0, 0, 0, 0]
+    put_inertia(part, float(m.body_mass[at]), centre, m.body_iquat[at], m.body_inertia[at])
     return part
 
 
@@ -220,14 +218,16 @@ def mended_xml(body: Body, values: Mapping[str, float], comments: Sequence[str] 
     """The file as MJCF text with what MJCF can hold of `values`; comments say the rest. Raises
     BadInput where MuJoCo refuses it.
     """
-    spec, _ = read_spec(body.path)
     m = with_values(body, values)
-    part = _weigh(spec, m, body.at, m.body_ipos[body.at])
-    for geom, at in zip(part.geoms, body.geoms, strict=True):
-        geom.friction, geom.solref = m.geom_friction[at], m.geom_solref[at]
-        geom.priority = int(m.geom_priority[at])
-        if body.sized:
-            geom.size, geom.pos = m.geom_size[at], m.geom_pos[at]
-    spec.option.gravity = m.opt.gravity
-    compiled(body.path, spec)
-    return commented(spec.to_xml(), comments)
+
+    def edit(spec: mujoco.MjSpec) -> Sequence[str]:
+        part = _weigh(spec, m, body.at, m.body_ipos[body.at])
+        for geom, at in zip(part.geoms, body.geoms, strict=True):
+            geom.friction, geom.solref = m.geom_friction[at], m.geom_solref[at]
+            geom.priority = int(m.geom_priority[at])
+            if body.sized:
+                geom.size, geom.pos = m.geom_size[at], m.geom_pos[at]
+        spec.option.gravity = m.opt.gravity
+        return comments
+
+    return edited(body.path, edit)

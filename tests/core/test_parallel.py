@@ -7,8 +7,8 @@ import time
 
 import pytest
 
-from adaptsim_jax.core.beside import beside
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.parallel import worker_process
 
 
 def adds(a, b, tell):
@@ -40,7 +40,7 @@ def never_ends(tell):
 
 def test_what_it_tells_and_returns_comes_back():
     told = []
-    with beside(adds, 2, 3, told=lambda *words: told.append(words)) as other:
+    with worker_process(adds, 2, 3, report=lambda *words: told.append(words)) as other:
         total, pid = other.result()
     assert total == 5 and pid != os.getpid() and told == [("begun", 0.5)]
 
@@ -54,13 +54,13 @@ def test_what_it_tells_and_returns_comes_back():
     ],
 )
 def test_a_failure_is_raised_here(work, error, says):
-    with beside(work, told=print) as other, pytest.raises(error, match=says):
+    with worker_process(work, report=print) as other, pytest.raises(error, match=says):
         other.result()
 
 
 def test_it_ends_with_the_block():
     told = []
-    with pytest.raises(KeyboardInterrupt), beside(never_ends, told=told.append):
+    with pytest.raises(KeyboardInterrupt), worker_process(never_ends, report=told.append):
         for _ in range(600):
             if told:
                 break

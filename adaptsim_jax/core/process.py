@@ -1,0 +1,146 @@
+"""What a process is run in and with: forks, JAX's switches, streams that take ASCII alone, XLA's
+flags, memory.
+
+Three settings are for programs that trace and compile a lot. XLA's flags: by default a loop's body
+runs as one small kernel after another, and asking for each takes longer than running it; loops
+compiled into one kernel each take a quarter to a third of the time off `adaptsim diagnose`. Memory:
+XLA on a CPU asks the C library for every array and gives it back after use; one arena that keeps
+what it has is faster, and smaller at its peak. Garbage: rare searches.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import platform
+import sys
+from importlib import metadata
+
+from adaptsim_jax.core.errors import BadInput
+
+_forked_after_use = [False]
+_BRANCHES = "branches that are not taken may hold numbers that do not exist, and what ran away is told by its code"
+PUT_OFF = {
+    "JAX_ENABLE_X64": "adaptsim computes in single precision",
+    "JAX_DEBUG_NANS": _BRANCHES,
+    "JAX_DEBUG_INFS": _BRANCHES,
+}
+"""Switches of JAX that are not heeded, with why."""
+_OFF = ("", "0", "false", "off", "no")
+
+
+def _note_fork() -> None:
+    bridge = sys.modules.get("jax._src.xla_bridge")
+    initialised = getattr(bridge, "backends_are_initialized", lambda: False)
+    _forked_after_use[0] = _forked_after_use[0] or bool(initialised())
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_note_fork)
+
+
+def check_process() -> None:
+    """BadInput in a forked worker of a process that had used JAX, whose threads are not there and
+    would be waited for.
+    """
+    if _forked_after_use[0]:
+        raise BadInput(
+            "this worker was forked from a process that had used JAX, and would hang: make workers "
+            "by "
+            "multiprocessing.get_context('spawn'), or use JAX in the workers alone"
+        )
+
+
+def computing() -> list[str]:
+    """Put off what the environment says of how JAX computes and we cannot heed; a line on each.
+
+    BadInput where a program that called us turned double precision on: its arrays would not fit
+    ours.
+    """
+    if "jax" in sys.modules:
+        import jax
+
+        if jax.config.read("jax_enable_x64"):
+            raise BadInput(
+                "JAX computes in double precision here (jax_enable_x64), adaptsim in single: turn "
+                "it off"
+            )
+        return []
+    told = []
+    for name, why in PUT_OFF.items():
+        if os.environ.get(name, "").strip().lower() not in _OFF:
+            os.environ[name] = "0"
+            told.append(f"{name} is set and is not heeded: {why}")
+    return told
+
+
+def legible_streams() -> None:
+    """Write what a terminal or pipe cannot encode as escapes, in the place of failing."""
+    for stream in (sys.stdout, sys.stderr):
+        encoding = (getattr(stream, "encoding", None) or "").lower().replace("-", "")
+        reconfigure = getattr(stream, "reconfigure", None)
+        if encoding not in ("utf8", "") and reconfigure is not None:
+            reconfigure(errors="backslashreplace")
+
+
+# ---------------------------------------------------------------- XLA's flags
+
+NAME = "XLA_FLAGS"
+KNOWN_TO = "0.10."  # jaxlib; an unknown flag ends the process
+FLAGS = (
+    "--xla_cpu_use_fusion_emitters=false",
+    f"--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold={10**12}",
+)
+
+
+def small_steps() -> bool:
+    """Set the flags, to be called before the first program is compiled; True where they are set
+    now. A user's own `XLA_FLAGS` stay as they are, and a jaxlib that may not know these is left
+    alone.
+    """
+    if NAME in os.environ or not metadata.version("jaxlib").startswith(KNOWN_TO):
+        return False
+    os.environ[NAME] = " ".join(FLAGS)
+    return True
+
+
+# ---------------------------------------------------------------- memory
+
+_M_TRIM_THRESHOLD, _M_TOP_PAD, _M_MMAP_MAX, _M_ARENA_MAX = -1, -2, -4, -8
+_SETTINGS = {
+    "MALLOC_ARENA_MAX": (_M_ARENA_MAX, 1),
+    "MALLOC_MMAP_MAX_": (_M_MMAP_MAX, 0),
+    "MALLOC_TRIM_THRESHOLD_": (_M_TRIM_THRESHOLD, 2**31 - 1),
+    "MALLOC_TOP_PAD_": (_M_TOP_PAD, 2**26),
+}
+
+# objects made, less those gone, before Python looks for garbage among them (its own default: 700)
+YOUNG = 100_000
+
+
+def collect_rarely() -> None:
+    """Look for unreachable objects a hundred times less often: JAX's tracing makes millions that
+    all stay, and looking through them is a tenth of the time of a short diagnosis.
+    """
+    gc.set_threshold(YOUNG, 10, 10)
+
+
+def keep_freed() -> bool:
+    """Set glibc's allocator so; True where it took all settings, False elsewhere and where the user
+    has set it up.
+
+    To be called before other threads run, as the command line does; any variable of glibc's own
+    that is set (`MALLOC_ARENA_MAX`, `MALLOC_MMAP_MAX_`, `MALLOC_TRIM_THRESHOLD_`,
+    `MALLOC_TOP_PAD_`, `GLIBC_TUNABLES`) leaves it as it is.
+    """
+    if not sys.platform.startswith("linux") or platform.libc_ver()[0] != "glibc":
+        return False
+    if any(name in os.environ for name in (*_SETTINGS, "GLIBC_TUNABLES")):
+        return False
+    import ctypes
+
+    try:
+        mallopt = ctypes.CDLL(None).mallopt
+    except (OSError, AttributeError):
+        return False
+    return all(mallopt(option, value) == 1 for option, value in _SETTINGS.values())
