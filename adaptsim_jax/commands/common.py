@@ -119,3 +119,35 @@ def next_step(command: str) -> None:
 def print_file(path: Path) -> None:
     """What `--json` prints of a command that writes its answer to a file."""
     print(path.read_text(encoding="utf-8"), end="")
+
+
+# ---------------------------------------------------------------- --horizon S: how long simulated stretches are
+
+LONGEST = 1e4
+"""s that no stretch reaches."""
+
+
+def length(text: str) -> float:
+    """Seconds, or 0 for whole trials."""
+    if not 0.0 <= (value := _seconds(text)) < LONGEST:
+        raise argparse.ArgumentTypeError(
+            f"'{text}' is no length of time; give seconds, or 0 for whole trials"
+        )
+    return value
+
+
+def stretch(text: str) -> float:
+    """Seconds above 0."""
+    if not 0.0 < (value := _seconds(text)) < LONGEST:
+        raise argparse.ArgumentTypeError(
+            f"'{text}' is no length of a stretch; give seconds above 0 (whole trials: --yardstick "
+            f"whole)"
+        )
+    return value
+
+
+def _seconds(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return -1.0

@@ -12,12 +12,21 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from adaptsim_jax.commands.demo_config import HINGE, PENDULUM, SHORT, DemoConfig, commands
-from adaptsim_jax.commands.demo_contact import Before, contact_part
-from adaptsim_jax.commands.demo_diagnosis import Diagnosed, diagnosed
-from adaptsim_jax.commands.demo_pendulum import Adapted, Pendulum, pendulum_part
+from adaptsim_jax.commands.demo_parts import Adapted, Before, Pendulum, contact_part, pendulum_part
+from adaptsim_jax.commands.diagnose import diagnose
 from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.core.parallel import worker_process
 from adaptsim_jax.core.progress import Parts, Report, silent_parts
+from adaptsim_jax.report.diagnosis import write_diagnosis
+
+
+class Diagnosed(NamedTuple):
+    """report: as report.json; held_out: measured and simulated angles of a trial, as the page of a
+    diagnosis is given them.
+    """
+
+    report: dict[str, Any]
+    held_out: list[dict[str, Any]]
 
 
 class Tour(NamedTuple):
@@ -78,6 +87,20 @@ def own_parts(
         hinge,
         diagnosed(PENDULUM, out / "double", say("double")).report if config.double else None,
     )
+
+
+def diagnosed(data: Path, out: Path, report: Report) -> Diagnosed:
+    """Diagnose a sample into the folder `out`."""
+    kept: dict[str, Any] = {}
+
+    def page(folder: Path, found: dict[str, Any], evidence: dict[str, Any]) -> None:
+        write_diagnosis(folder, found, evidence)
+        kept.update(evidence)
+
+    report(0, 1, "reading")
+    found = diagnose(data, out=output_folder(out), progress=report, page=page)
+    report(1, 1, f"verdict: {found['verdict'].replace('_', ' ')}")
+    return Diagnosed(found, list(kept.get("held_out") or [])[:1])
 
 
 def contact_parts(

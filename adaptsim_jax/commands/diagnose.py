@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from adaptsim_jax.commands.horizon import stretch
+from adaptsim_jax.commands.common import stretch
 from adaptsim_jax.core.errors import BadInput
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ import shlex
 import sys
 from pathlib import Path
 
-from adaptsim_jax.commands.horizon import length
+from adaptsim_jax.commands.common import length
 
 EXAMPLES = """
   adaptsim replay robot.xml logs/robot                    error over stretches of 0.5 s, as declared

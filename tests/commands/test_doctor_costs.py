@@ -2,7 +2,7 @@
 
 import pytest
 
-from adaptsim_jax.commands.doctor_costs import costs, engines, line
+from adaptsim_jax.commands.doctor import cost_line, costs, engines
 
 
 def test_every_engine_of_every_task_has_a_configuration_of_its_own():
@@ -21,6 +21,6 @@ def test_every_engine_of_every_task_has_a_configuration_of_its_own():
 @pytest.mark.slow
 def test_a_trajectory_of_the_pendulum_takes_milliseconds():
     (row,) = costs(("pendulum",))
-    assert 1e-6 < row["s_a_trajectory"] < 1.0 and line(row).startswith(
+    assert 1e-6 < row["s_a_trajectory"] < 1.0 and cost_line(row).startswith(
         "cost       pendulum in exact"
     )
