@@ -19,8 +19,8 @@ from adaptsim_jax.adaptation.sweep_spec import Sweep
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import output_errors, output_folder, write_json
+from adaptsim_jax.core.store import SCHEMA, check_version
 
-SCHEMA = 1
 HEAD = "sweep.json"
 
 
@@ -57,11 +57,9 @@ class SweepFolder:
             raise BadInput(
                 f"{path / HEAD}: cannot be read ({error}); name another folder"
             ) from None
-        if not isinstance(head, dict) or head.get("schema") != SCHEMA or "plan" not in head:
-            raise BadInput(
-                f"{path / HEAD}: not a sweep of this version ({__version__}); start it anew in "
-                f"another folder"
-            )
+        if not isinstance(head, dict) or "plan" not in head:
+            raise BadInput(f"{path / HEAD}: not a sweep; start it anew in another folder")
+        check_version(path / HEAD, head)
         return cls(path, head)
 
     @classmethod

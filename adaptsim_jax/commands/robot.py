@@ -7,6 +7,7 @@ import hashlib
 from pathlib import Path
 from typing import Any
 
+from adaptsim_jax import __version__
 from adaptsim_jax.commands import robot_session as sessions
 from adaptsim_jax.commands.robot_session import SESSION, UNDO, Session
 
@@ -122,6 +123,7 @@ def new(args: argparse.Namespace) -> dict[str, Any]:
     from adaptsim_jax.core import config, files
     from adaptsim_jax.core.errors import BadInput
     from adaptsim_jax.core.files import one_writer
+    from adaptsim_jax.core.store import SCHEMA
 
     folder = Path(args.dir)
     if (folder / SESSION).exists():
@@ -130,7 +132,8 @@ def new(args: argparse.Namespace) -> dict[str, Any]:
         )
     path = str(Path(args.what).resolve())
     table = {
-        "schema": 1,
+        "schema": SCHEMA,
+        "version": __version__,
         **sessions.places(path, folder),
         "seed": args.seed,
         "starts": args.starts,

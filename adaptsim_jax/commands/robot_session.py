@@ -47,12 +47,14 @@ def located(folder: Path, moved: str | None = None) -> dict[str, Any]:
     """robot.toml of the session in `folder`, with its run where it is now."""
     from adaptsim_jax.core import config
     from adaptsim_jax.core.errors import BadInput
+    from adaptsim_jax.core.store import check_version
 
     if not (folder / SESSION).exists():
         raise BadInput(
             f"{folder}: no session here; start one with 'adaptsim robot new RUN --dir {folder}'"
         )
     table = config.read(folder / SESSION)
+    check_version(folder / SESSION, table)
     for name, kind in {
         "schema": int,
         "run": str,

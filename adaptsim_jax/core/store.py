@@ -144,7 +144,7 @@ def read_manifest(folder: str | os.PathLike) -> dict[str, Any]:
         raise BadInput(f"{path}: the checkpoint is torn (not JSON); {_RENEW}") from None
     if not isinstance(manifest, dict) or manifest.get("package") != "adaptsim_jax":
         raise BadInput(f"{path}: not a checkpoint of adaptsim_jax; name a run of `adaptsim train`")
-    _check_version(path, manifest)
+    check_version(path, manifest)
     whole = all(type(manifest.get(name)) is kind for name, kind in _FIELDS.items())
     if not whole or manifest.get("seal") != _seal(manifest):
         raise BadInput(
@@ -153,14 +153,16 @@ def read_manifest(folder: str | os.PathLike) -> dict[str, Any]:
     return manifest
 
 
-def _check_version(path: Path, manifest: dict[str, Any]) -> None:
-    # within one minor version a checkpoint keeps its meaning
-    version = manifest.get("version")
+def check_version(path: Path, table: dict[str, Any]) -> None:
+    """BadInput where a file of ours, which says `schema` and `version`, is of another minor
+    version: within one it keeps its meaning.
+    """
+    version = table.get("version", "0.1")
     same = isinstance(version, str) and version.split(".")[:2] == __version__.split(".")[:2]
-    if manifest.get("schema") != SCHEMA or not same:
+    if table.get("schema") != SCHEMA or not same:
         raise BadInput(
-            f"{path}: written by adaptsim_jax {version} (schema {manifest.get('schema')}), "
-            f"this is {__version__} (schema {SCHEMA}); install that version to use it, or train "
+            f"{path}: written by adaptsim_jax {version} (schema {table.get('schema')}), "
+            f"this is {__version__} (schema {SCHEMA}); install that version to use it, or start "
             f"anew"
         )
 
@@ -213,7 +215,7 @@ class RunFolder:
                 f"{path}: not a run folder (no {CONFIG}); name one that `adaptsim train` made"
             )
         table = config.read(where)
-        _check_version(where, table)
+        check_version(where, table)
         if not isinstance(table.get("config"), dict) or not isinstance(table.get("task"), str):
             raise BadInput(f"{where}: 'task' or [config] is missing; {_RENEW}")
         if task is not None and table["task"] != task:

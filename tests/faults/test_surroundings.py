@@ -10,7 +10,9 @@ import sys
 
 import pytest
 
+from adaptsim_jax.adaptation.sweep_folder import SweepFolder
 from adaptsim_jax.cli import main
+from adaptsim_jax.commands.robot_session import located
 from adaptsim_jax.core import files, store
 from adaptsim_jax.core.errors import BadInput
 from tests.commands.test_train import SET
@@ -138,6 +140,14 @@ def test_a_run_of_another_version_is_told_by_both_versions(tmp_path, capsys):
     assert main(["adapt", str(run.path), "--target", "wd"]) == 2
     told = capsys.readouterr().err
     assert "written by adaptsim_jax 9.8.7" in told and f"this is {store.__version__}" in told
+
+
+def test_a_session_and_a_sweep_of_an_earlier_version_are_refused_by_one_line(tmp_path):
+    (tmp_path / "robot.toml").write_text('schema = 1\nrun = "run"\nseed = 0\n')
+    (tmp_path / "sweep.json").write_text('{"schema": 1, "version": "0.1.0", "plan": {}}')
+    for read in (located, SweepFolder.load):
+        with pytest.raises(BadInput, match=r"written by adaptsim_jax 0\.1.*this is 0\.2"):
+            read(tmp_path)
 
 
 def test_a_checkpoint_of_another_version_is_told_by_its_file(tmp_path):

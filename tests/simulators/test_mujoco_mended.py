@@ -89,7 +89,7 @@ def test_a_number_of_what_is_not_written_is_told(walked):
 
 def test_a_table_of_numbers_is_refused_with_the_file_that_holds_them(walked, tmp_path):
     table = tmp_path / "model.toml"
-    table.write_text('schema = 1\ntask = "simulator"\nmodel = "model.xml"\n')
+    table.write_text('schema = 2\ntask = "simulator"\nmodel = "model.xml"\n')
     data = Path(walked.made.path).parent
     with pytest.raises(BadInput, match=r"give the model\.xml beside it"):
         replay_files(str(table), str(data))
