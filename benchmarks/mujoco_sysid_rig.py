@@ -25,7 +25,6 @@ import mujoco
 import numpy as np
 from mujoco import sysid
 
-from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.estimate import fit
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.machine import machine as joined
@@ -35,6 +34,7 @@ from adaptsim_jax.attribution.pendulum_diagnosis import first_parameters
 from adaptsim_jax.attribution.problem import nuisances, prepare
 from adaptsim_jax.attribution.replay import replay
 from adaptsim_jax.diagnosis import read_pendulum
+from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.logs.quality.audit import audit, usable
 from adaptsim_jax.mechanisms.mjcf import read_mechanism
 

@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 
-from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.diagnose import declared_vector
 from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.equation.filed import filed
@@ -25,6 +24,7 @@ from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.problem import held, own_inertia, prepare, scaled_reach
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.testing import sign_flip
+from adaptsim_jax.effects.joints.catalogue import MACHINE
 
 
 def shown(folder: Path) -> str:

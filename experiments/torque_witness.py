@@ -14,7 +14,6 @@ import time
 
 import numpy as np
 
-from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.diagnose import declared_vector, factor_of
 from adaptsim_jax.attribution.equation.balance import balances, residual
 from adaptsim_jax.attribution.equation.models import said
@@ -25,6 +24,7 @@ from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
 from adaptsim_jax.attribution.sentences import place
 from adaptsim_jax.core import process
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.effects.joints.catalogue import MACHINE
 
 
 def prepared(machine: Machine):

@@ -24,9 +24,9 @@ import pytest
 
 import adaptsim_jax
 import adaptsim_jax.diagnosis
-from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.baselines.registry import EXACT, LEARNED, PROBLEMS
 from adaptsim_jax.effects.base import PLACES, UNITS, Dry, Relaxation, of_the_engine
+from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.effects.registry import EFFECTS
 from adaptsim_jax.learners.bdq import BDQConfig, BDQHyper, make_bdq
 from adaptsim_jax.learners.naf import NAFConfig, NAFHyper, make_naf

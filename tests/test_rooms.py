@@ -63,6 +63,7 @@ WITHIN = {
         "base_motion",
         "layout",
         "registry",
+        "joints",
     ),
     "mechanisms": (
         "lanes",

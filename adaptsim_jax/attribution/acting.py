@@ -12,10 +12,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.effects.base import Dry, Effect
+from adaptsim_jax.effects.joints.drives import DRIVE_COMPLIANCE, DRIVE_PLAY
+from adaptsim_jax.effects.joints.friction import VISCOUS
+from adaptsim_jax.effects.joints.sensor import ENCODER_OFFSET
 from adaptsim_jax.mechanisms import equations
 from adaptsim_jax.mechanisms.dynamics import compensation
 from adaptsim_jax.mechanisms.tree import Tree
 
+OF_CONTROLLERS = frozenset(e.name for e in (ENCODER_OFFSET, DRIVE_COMPLIANCE, DRIVE_PLAY))
+"""Effects by which the angle that a controller follows is another than the joint's."""
 BENT = 0.05  # s of motion before a stretch, by which bristles are taken to be bent at its start
 
 
@@ -69,8 +74,8 @@ jax.tree_util.register_dataclass(Model, data_fields=["tree"], meta_fields=["effe
 
 def sensed_offset(values: Values):
     """What the encoders add to the angles, which the actuators' controllers see too, [n, .]."""
-    if "encoder_offset" in values.effects:
-        return values.effects["encoder_offset"]["offset"]
+    if ENCODER_OFFSET.name in values.effects:
+        return values.effects[ENCODER_OFFSET.name]["offset"]
     return 0.0
 
 
@@ -105,8 +110,8 @@ def held_by(values: Values):
     friction.
     """
     square = values.gear**2
-    if "viscous" in values.effects:
-        damping = values.effects["viscous"]["damping"]
+    if VISCOUS.name in values.effects:
+        damping = values.effects[VISCOUS.name]["damping"]
     else:
         damping = 0.0
     return -square * values.actuator[2], damping - square * values.actuator[3]
@@ -114,8 +119,8 @@ def held_by(values: Values):
 
 def wound(values: Values):
     """Wind-up of the drives under torque, [n, .] rad/(N m)."""
-    if "drive_compliance" in values.effects:
-        return values.effects["drive_compliance"]["compliance"]
+    if DRIVE_COMPLIANCE.name in values.effects:
+        return values.effects[DRIVE_COMPLIANCE.name]["compliance"]
     return 0.0
 
 
@@ -124,9 +129,9 @@ def _played(values: Values, torque):
     towards where it pulls: it lies against a side of the play as `drive_play` has it of the torque
     that is left.
     """
-    if "drive_play" not in values.effects:
+    if DRIVE_PLAY.name not in values.effects:
         return 0.0
-    p = values.effects["drive_play"]
+    p = values.effects[DRIVE_PLAY.name]
     most = -0.5 * p["gap"] * values.gear**2 * values.actuator[2]
     return most * jnp.clip(torque / jnp.maximum(most + p["width"], 1e-12), -1.0, 1.0)
 
@@ -171,7 +176,7 @@ def forces(model: Model, values: Values, q, v, u, t, seen=None) -> Forces:
         p = values.effects[effect.name]
         if effect.inertia:
             inertia = inertia + effect.apply(p)
-        elif _dry(effect)[0]:
+        elif rubs_dry(effect)[0]:
 
             def rubs(z, e=effect, p=p):
                 return _rubbing(z, e.apply(p, motion))
@@ -197,12 +202,12 @@ def _where_on(effect: Effect, p, added, total):
 
 def rough(model: Model, values: Values) -> bool:
     """Whether anything may rub dry."""
-    return any(_dry(e)[0] for e in model.effects if _on(e, values))
+    return any(rubs_dry(e)[0] for e in model.effects if _on(e, values))
 
 
 def bristles(model: Model, values: Values) -> bool:
     """Whether dry friction yields anywhere."""
-    return any(_dry(e)[1] for e in model.effects if _on(e, values))
+    return any(rubs_dry(e)[1] for e in model.effects if _on(e, values))
 
 
 def _on(effect: Effect, values: Values) -> bool:
@@ -211,7 +216,7 @@ def _on(effect: Effect, values: Values) -> bool:
 
 
 @cache
-def _dry(effect: Effect) -> tuple[bool, bool]:
+def rubs_dry(effect: Effect) -> tuple[bool, bool]:
     """Whether an effect rubs dry, and whether what rubs yields."""
     if effect.place != "force" or effect.inertia:
         return False, False

@@ -14,16 +14,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.attribution import drive as drives
-from adaptsim_jax.attribution.acting import BENT, Motion, actuated, carried, held_by
+from adaptsim_jax.attribution.acting import BENT, OF_CONTROLLERS, Motion, actuated, carried, held_by
 from adaptsim_jax.attribution.drive_alone import Local, logged_alone
-from adaptsim_jax.attribution.parameters import ETA, INERTIA, TILT, TILTS, Entry, Vector
+from adaptsim_jax.attribution.parameters import INERTIA, TILT, Entry, Vector
 from adaptsim_jax.attribution.problem import Group, Problem, group_inertia, off_value
 from adaptsim_jax.attribution.simulate import Path, command_rows
 from adaptsim_jax.effects.base import Dry, Effect
+from adaptsim_jax.effects.joints.catalogue import ETA, TILTS
+from adaptsim_jax.effects.joints.forces import ARMATURE
 from adaptsim_jax.mechanisms import equations
 
 STEP = 1e-3  # s, by which a delay or a lag is moved for its derivative
-SEEN_BY_CONTROLLERS = ("encoder_offset", "drive_compliance", "drive_play")
 NEAR = 0.02  # of a value, by which it is moved at most
 FAR = 1e3  # rad (rad/s): drives that would run away so far are not looked at
 SLIDING = 0.99  # of its level, that dry friction takes over a row in which the joint slides
@@ -89,7 +90,7 @@ def _force(group_tree, values, path: Path, time, rub, p, direction, effect: Effe
 
     ties = None if values.ties is None else values.ties[:, :, None]
     lanes = values._replace(actuator=values.actuator[:, :, None], gear=wide(values.gear), ties=ties)
-    seen = {k: jax.tree.map(wide, z) for k, z in values.effects.items() if k in SEEN_BY_CONTROLLERS}
+    seen = {k: jax.tree.map(wide, z) for k, z in values.effects.items() if k in OF_CONTROLLERS}
     lanes = lanes._replace(effects=seen)
     u = jnp.moveaxis(path.u, 0, 1)
     tau, pull = actuated(lanes, q, v, u)
@@ -428,7 +429,7 @@ class Columns:
         """Each joint by itself, and the torque [n, L, W] that its link takes of its drive."""
         if "carries" not in self._made:
             plain = jax.tree.map(np.asarray, self.values)
-            rotor = plain.effects["armature"]["inertia"][:, 0]
+            rotor = plain.effects[ARMATURE.name]["inertia"][:, 0]
             link = np.maximum(group_inertia(plain, self.group)[0] - rotor, drives.LEAST)
             held = (np.asarray(z)[:, 0] + np.zeros(self.n) for z in held_by(plain))
             local = Local(
@@ -487,7 +488,7 @@ class Columns:
                     output = output
                 for c in (at, self.n + at):
                     output[:, :, c, k] += z[:, c].T
-                if e.owner in SEEN_BY_CONTROLLERS and np.any(self.values.actuator[2, at]):
+                if e.owner in OF_CONTROLLERS and np.any(self.values.actuator[2, at]):
                     force[:, :, at, k] += self.answered(
                         self.problem.effect(e.owner), e.name, shape
                     )[at].T

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.attribution import model_toml
-from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.conventions import channels, check_conventions, mechanism_trials
 from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.equation.commands import drive_gains
@@ -54,6 +53,9 @@ from adaptsim_jax.diagnosis.run import Page, Run, command_of, plain
 from adaptsim_jax.diagnosis.schema import check
 from adaptsim_jax.diagnosis.written import cleared, write_all, write_partial
 from adaptsim_jax.effects.base import Effect
+from adaptsim_jax.effects.joints.actuator import POSITION_GAIN, TORQUE_GAIN
+from adaptsim_jax.effects.joints.catalogue import MACHINE
+from adaptsim_jax.effects.joints.friction import VISCOUS
 from adaptsim_jax.logs.quality.trial_words import add_trials
 from adaptsim_jax.mend.mjcf import mended_mjcf
 from adaptsim_jax.mend.model_toml import FILE as MODEL_FILE
@@ -243,11 +245,11 @@ def examined(
     others: what the declared model leaves is told of it.
     """
     # whatever is named
+    fitted = {VISCOUS.name}
     if machine.gain_unknown:
-        fitted = ("viscous", "torque_gain")
-    else:
-        fitted = ("viscous",)
-    fitted = (*fitted, "position_gain") if machine.servo_times else fitted
+        fitted.add(TORQUE_GAIN.name)
+    if machine.servo_times:
+        fitted.add(POSITION_GAIN.name)
     if effects is None:
         known = MACHINE
     else:
@@ -340,7 +342,7 @@ def scaled(machine: Machine, horizon: float) -> Machine:
     vector = fit(problem, declared_vector(machine, problem), rounds=15).vector
     law = machine.actuator.copy()
     for e, value in zip(vector.entries, vector.values, strict=True):
-        if e.owner == "torque_gain":
+        if e.owner == TORQUE_GAIN.name:
             law[0, list(e.joints)] *= 1.0 + value
     return replace(machine, actuator=law)
 
@@ -386,7 +388,7 @@ def declared_vector(machine: Machine, problem: Problem) -> Vector:
     tree = machine.tree
     for wanted, owner, of in (
         (inertia, INERTIA, tree.body_names),
-        (damping, "viscous", tree.joint_names),
+        (damping, VISCOUS.name, tree.joint_names),
     ):
         if isinstance(wanted, (list, tuple)):
             if unknown := [n for n in wanted if n not in of]:
@@ -420,7 +422,7 @@ def declared_vector(machine: Machine, problem: Problem) -> Vector:
         else:
             prior = np.inf
         gain = [
-            Entry("torque_gain", "gain", (j,), 0.0, 0.0, -0.95, 20.0, "1", prior)
+            Entry(TORQUE_GAIN.name, "gain", (j,), 0.0, 0.0, -0.95, 20.0, "1", prior)
             for j in range(problem.joints)
         ]
         vector = vector.with_entries(gain)

@@ -14,22 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.attribution.acting import Forces, Model, Values, forces
+from adaptsim_jax.effects.base import Drive
 from adaptsim_jax.mechanisms import equations
 
 LEAST = 1e-9  # kg m^2: of a rotor that a step of a fit made nothing of
-
-
-class Drive(NamedTuple):
-    """[n, .] each. compliance rad/(N m), 0: rigid; damping s, that of a dashpot beside the spring
-    over its stiffness; gap rad; link: 1 where the log's encoder is on the link's side, 0 on the
-    rotor's; control: the same of the encoder that the controller has.
-    """
-
-    compliance: Any
-    damping: Any
-    gap: Any
-    link: Any
-    control: Any
 
 
 def drive_of(model: Model, values: Values) -> Drive:

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from adaptsim_jax.attribution.drive import Drive, sprung, yielded
-from adaptsim_jax.effects.base import Effect
+from adaptsim_jax.attribution.drive import sprung, yielded
+from adaptsim_jax.effects.base import Drive, Effect
 
 FINE = 8  # steps of a row
 

@@ -17,10 +17,11 @@ import numpy as np
 from adaptsim_jax.attribution.held_out import Model
 from adaptsim_jax.attribution.linear import normal
 from adaptsim_jax.attribution.machine import Machine
-from adaptsim_jax.attribution.parameters import ETA, INERTIA
+from adaptsim_jax.attribution.parameters import INERTIA
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.diagnosis.testing import jackknife
 from adaptsim_jax.effects.base import NINETY
+from adaptsim_jax.effects.joints.catalogue import ETA
 from adaptsim_jax.mechanisms.inertia_frames import (
     Frame,
     central,

@@ -7,6 +7,7 @@ import numpy as np
 
 from adaptsim_jax.attribution.problem import BEYOND_STOP, beyond_range
 from adaptsim_jax.attribution.stretches import Track
+from adaptsim_jax.effects.joints.actuator import ACTUATOR_LAG, DELAY
 from adaptsim_jax.logs.log import Log, check_left_out
 from adaptsim_jax.mechanisms.actuators import Actuator
 from adaptsim_jax.mechanisms.mjcf import Mechanism
@@ -89,13 +90,11 @@ def machine(mechanism: Mechanism, log: Log) -> Machine:
         for a in mechanism.actuators:
             low, high = (a.gear * z for z in a.forcerange)
             law[4:, a.joint] = -np.inf if np.isnan(low) else low, np.inf if np.isnan(high) else high
-    declared = {("delay", "delay"): np.zeros(n), ("actuator_lag", "lag"): np.zeros(n)}
+    delays, lags = np.zeros(n), np.zeros(n)
     if commanded:
         for a in mechanism.actuators:
-            declared["delay", "delay"][a.joint], declared["actuator_lag", "lag"][a.joint] = (
-                a.delay,
-                a.lag,
-            )
+            delays[a.joint], lags[a.joint] = a.delay, a.lag
+    declared = {(DELAY.name, "delay"): delays, (ACTUATOR_LAG.name, "lag"): lags}
     beyond = (
         mechanism.beyond
         + (mechanism.drives_beyond if commanded else ())

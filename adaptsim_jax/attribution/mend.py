@@ -4,34 +4,34 @@ from dataclasses import replace
 
 import numpy as np
 
+from adaptsim_jax.attribution.acting import rubs_dry
 from adaptsim_jax.attribution.backward import without as without_simulated
 from adaptsim_jax.attribution.equation.models import Said, without
 from adaptsim_jax.attribution.held_out import Model, attempted, modelled, refit
 from adaptsim_jax.attribution.machine import Machine
-from adaptsim_jax.attribution.parameters import INERTIA, TILT
+from adaptsim_jax.attribution.parameters import TILT
 from adaptsim_jax.attribution.problem import Problem, values_of
 from adaptsim_jax.attribution.score import Candidate, candidates, table
 from adaptsim_jax.attribution.select import Selection
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.effects.base import Effect
+from adaptsim_jax.effects.joints.actuator import SATURATION, TORQUE_GAIN
+from adaptsim_jax.effects.joints.friction import COULOMB
 from adaptsim_jax.mend.mjcf import Changes
 
-HELD = ("viscous", "coulomb", "armature", "spring", TILT, INERTIA)
-"""Effects that any MJCF holds."""
-ACTUATED = {
-    "torque_gain": "gain",
-    "position_gain": "kp",
-    "delay": "delay",
-    "actuator_lag": "lag",
-    "saturation": "limit",
-}
-"""Those that it holds where an actuator is told what to do, with the name of the change."""
 COMMANDED = ("command", "voltage", "current")
-GAINS = ("torque_gain", "position_gain")
-LATE = ("delay", "actuator_lag")
+OF_JOINTS = ("damping", "frictionloss", "armature", "stiffness")
+"""What of joints a file holds."""
 
 
-DRY = ("asymmetric_coulomb", "stribeck", "load_friction")
-"""Dry friction that MJCF does not know: a constant level is the nearest that it has."""
+def by_actuator(effect: Effect) -> dict[str, str]:
+    """What changes at an actuator, by parameter of an effect that a file holds there."""
+    return {p.name: p.mjcf for p in effect.parameters if p.mjcf and effect.on_actuator}
+
+
+def levelled(effect: Effect) -> bool:
+    """Whether it is dry friction that MJCF does not know: a constant level is the nearest there."""
+    return effect.traits.resists and not effect.held_by_file and rubs_dry(effect)[0]
 
 
 def holdable(
@@ -50,15 +50,15 @@ def holdable(
     model = found.final
     alike = {n.candidate.key: {a.key for a in n.alternatives} for n in found.named}
     for c in model.added:
-        if not _holds(machine, model, c):
+        if not _holds(machine, problem, model, c):
             model = without_simulated(
                 problem, model, c, replace(criteria, apart=1.0)
             )  # fitted to the end in any case
 
             def level(k, c=c):
                 return (
-                    c.effect in DRY
-                    and k.effect == "coulomb"
+                    levelled(problem.effect(c.effect))
+                    and k.effect == COULOMB.name
                     and set(k.joints) <= set(c.joints)
                     and k.sharing != "common"
                 )
@@ -66,7 +66,8 @@ def holdable(
             rows = [
                 k
                 for k in candidates(problem, model.fit.vector, found.reach)
-                if k.effect in HELD and (k.key in alike.get(c.key, ()) or level(k))
+                if problem.effect(k.effect).held_by_file
+                and (k.key in alike.get(c.key, ()) or level(k))
             ]
             for row in table(problem, model.lin, rows)[:1]:
                 vector, starts, _ = attempted(problem, model, found.reach, row)
@@ -79,23 +80,25 @@ def holdable(
 
 def _held_by_torque(machine: Machine, problem: Problem, found: Selection, said: Said) -> Model:
     model = found.final
-    gone = [c for c in model.added if not _holds(machine, model, c)]
+    gone = [c for c in model.added if not _holds(machine, problem, model, c)]
     if not gone:
         return model
     there = {(c.effect, j) for c in model.added for j in c.joints}
-    dry = {j for c in gone if c.effect in DRY for j in c.joints if ("coulomb", j) not in there}
+    rubbing = [c for c in gone if levelled(problem.effect(c.effect))]
+    dry = {j for c in rubbing for j in c.joints if (COULOMB.name, j) not in there}
     level = [
         c
         for c in candidates(problem, said.null, found.reach)
-        if c.effect == "coulomb" and c.sharing == "joint"
+        if c.effect == COULOMB.name and c.sharing == "joint"
     ]
     rest = without(problem, said, gone, [c for c in level if c.joints[0] in dry])
     fit = replace(model.fit, vector=rest.final)
     return replace(model, added=rest.added, fit=fit)
 
 
-def _holds(machine: Machine, model: Model, c: Candidate) -> bool:
-    if c.effect in HELD:
+def _holds(machine: Machine, problem: Problem, model: Model, c: Candidate) -> bool:
+    effect = problem.effect(c.effect)
+    if effect.held_by_file:
         return True
     if machine.log.input_kind in COMMANDED:
         driven = {a.joint for a in machine.mechanism.actuators}
@@ -108,17 +111,15 @@ def _holds(machine: Machine, model: Model, c: Candidate) -> bool:
         for e, v in zip(model.fit.vector.entries, model.fit.vector.values, strict=True)
         if e.owner == c.effect and set(e.joints) <= set(c.joints)
     ]
-    late = c.effect in LATE
+    late, changed = effect.shifts_commands, by_actuator(effect)
     # gain times torque beside a clipped torque bends where the limit is reached; a limit of MJCF
     # clips both
-    bent = c.effect == "saturation" and any(
-        k.effect in GAINS and set(k.joints) & set(c.joints) for k in model.added
+    bent = "limit" in changed.values() and any(
+        problem.effect(k.effect).traits.scales_drive and set(k.joints) & set(c.joints)
+        for k in model.added
     )
     return (
-        c.effect in ACTUATED
-        and set(c.joints) <= driven
-        and not bent
-        and not (late and min(values) < 0.0)
+        bool(changed) and set(c.joints) <= driven and not bent and not (late and min(values) < 0.0)
     )
 
 
@@ -130,7 +131,8 @@ def lost(machine: Machine, problem: Problem, found: Selection) -> list[str]:
     gone = [
         c
         for c in model.added
-        if not _holds(machine, model, c) and (c.key in keys or c.effect not in LATE)
+        if not _holds(machine, problem, model, c)
+        and (c.key in keys or not problem.effect(c.effect).shifts_commands)
     ]
     told = [
         f"{c.effect.replace('_', ' ')} at {', '.join(problem.joint_names[j] for j in c.joints)}"
@@ -176,29 +178,21 @@ def changes(machine: Machine, problem: Problem, model: Model, named: Model) -> C
     n = problem.joints
     inertial = np.array(tree.inertial, float)
     gravity = None
-    table = {
-        k: np.zeros(n) for k in ("damping", "frictionloss", "armature", "stiffness", "preload")
-    }
+    table = {key: np.zeros(n) for key in (*OF_JOINTS, "preload")}
     for g in problem.groups:
         values = values_of(problem, g, vector)
         own = list(g.joints)
         inertial[own] = values.inertial[..., 0]
         if any(e.owner == TILT for e in vector.entries):
             gravity = values.gravity[:, 0]
-        for key, (effect, name) in {
-            "damping": ("viscous", "damping"),
-            "frictionloss": ("coulomb", "level"),
-            "armature": ("armature", "inertia"),
-            "stiffness": ("spring", "stiffness"),
-            "preload": ("spring", "preload"),
-        }.items():
-            if effect in values.effects:
-                table[key][own] = values.effects[effect][name][:, 0]
+        for effect in (e for e in problem.effects if e.held_by_file and e.name in values.effects):
+            for p in (p for p in effect.parameters if p.mjcf):
+                table[p.mjcf][own] += values.effects[effect.name][p.name][:, 0]
 
     def by_joint(z):
         return {name: float(v) for name, v in zip(tree.joint_names, z, strict=True)}
 
-    joints = {k: by_joint(table[k]) for k in ("damping", "frictionloss", "armature", "stiffness")}
+    joints = {key: by_joint(table[key]) for key in OF_JOINTS}
     stiff = table["stiffness"] != 0.0
     rest = np.where(
         stiff,
@@ -238,7 +232,7 @@ def _motors(machine: Machine, model: Model | None = None) -> dict[str, float]:
     for e, value in (
         zip(model.fit.vector.entries, model.fit.vector.values, strict=True) if model else ()
     ):
-        for j in e.joints if e.owner == "torque_gain" else ():
+        for j in e.joints if e.owner == TORQUE_GAIN.name else ():
             name = machine.tree.joint_names[j]
             if name in out:
                 out[name] *= 1.0 + float(value)
@@ -270,14 +264,15 @@ def _actuators(machine: Machine, problem: Problem, model: Model) -> dict[str, di
             out.setdefault("kv", {})[name] = 0.0
     if machine.log.input_kind not in COMMANDED:
         return out
+    changed = {(k.name, p): key for k in problem.effects for p, key in by_actuator(k).items()}
     peak = dict(enumerate(problem.reach.peak)) | {
         j: value
         for e, value in zip(model.fit.vector.entries, model.fit.vector.values, strict=True)
         for j in e.joints
-        if e.owner == "saturation" and e.name == "peak"
+        if e.owner == SATURATION.name and e.name == "peak"
     }
     for e, value in zip(model.fit.vector.entries, model.fit.vector.values, strict=True):
-        key = ACTUATED.get(e.owner)
+        key = changed.get((e.owner, e.name))
         for j in e.joints if key else ():
             for name in by_joint.get(j, ()):
                 if key == "kp" and j in machine.servo_times:
@@ -285,9 +280,9 @@ def _actuators(machine: Machine, problem: Problem, model: Model) -> dict[str, di
                 elif key in ("gain", "kp"):
                     found = gains.get(name, 1.0) if key == "gain" else 1.0
                     out.setdefault(key, {})[name] = (1.0 + float(value)) * found
-                elif key == "limit" and e.name == "cut":
+                elif key == "limit":
                     out.setdefault(key, {})[name] = float((1.0 - value) * peak[j])
-                elif key in ("delay", "lag") and e.name == key and value > 0.0:
+                elif key in ("delay", "lag") and value > 0.0:
                     out.setdefault(key, {})[name] = float(value)
     return out
 

@@ -18,14 +18,14 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.held_out import Model
 from adaptsim_jax.attribution.machine import Machine
-from adaptsim_jax.attribution.parameters import INERTIA, TILT, TILTS
+from adaptsim_jax.attribution.parameters import INERTIA, TILT
 from adaptsim_jax.attribution.problem import Problem, numbers_of, tilted, values_of
 from adaptsim_jax.attribution.stops import with_inertial
 from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.effects.joints.catalogue import MACHINE, TILTS
 from adaptsim_jax.mend.model_toml import (
     AddedEffect,
     Form,

@@ -16,23 +16,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-INERTIA = "inertia"
-TILT = "tilt"
-DAMPING_STEP = "damping_step"
-TILTS = ("about_x", "about_y")
-ETA = (
-    "size",
-    "stretch_x",
-    "stretch_y",
-    "stretch_z",
-    "shear_xy",
-    "shear_xz",
-    "shear_yz",
-    "shift_x",
-    "shift_y",
-    "shift_z",
-)
-WIDEST = {name: (6.0 if name in ETA[:4] else 20.0) for name in ETA}
+from adaptsim_jax.effects.joints import catalogue, forces
+from adaptsim_jax.effects.joints.catalogue import BODY, WIDEST
+
+INERTIA, TILT, DAMPING_STEP = BODY.name, catalogue.TILT.name, forces.DAMPING_STEP.name
 PRIOR = 0.3  # standard deviation of eta
 
 

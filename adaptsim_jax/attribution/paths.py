@@ -9,11 +9,13 @@ import jax
 import numpy as np
 
 from adaptsim_jax.attribution.acting import Values, bristles, held_by, rough
-from adaptsim_jax.attribution.drive import LEAST, Drive, drive_of, gives
+from adaptsim_jax.attribution.drive import LEAST, drive_of, gives
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import Group, Problem, group_inertia, values_of
 from adaptsim_jax.attribution.simulate import Path, Scheme, simulate, with_drives
 from adaptsim_jax.attribution.stops import inverse_weight, limited, rates
+from adaptsim_jax.effects.base import Drive
+from adaptsim_jax.effects.joints.forces import ARMATURE
 
 STABLE = 1.0  # of a row's step times the fastest rate, for Runge and Kutta
 MOST_SUBSTEPS = 12
@@ -38,7 +40,7 @@ def scheme(group: Group, at: Values, some: Values | None = None) -> Scheme:
     row = float(np.median(gaps[gaps > 0]))
     giving, fastest = np.zeros(0, int), 200.0
     if gives(group.model, at):
-        rotor = at.effects["armature"]["inertia"][:, 0]
+        rotor = at.effects[ARMATURE.name]["inertia"][:, 0]
         drive = Drive(*(np.asarray(z)[:, 0] for z in drive_of(group.model, at)))
         soft = drive.compliance > 0.0
         both = np.where(
@@ -106,7 +108,7 @@ def ease(group: Group, values: Values) -> np.ndarray:
     tree = group.model.tree
     if not any(tree.limited) and not np.any(tree.rub):
         return np.ones((tree.n, 1))
-    armature = values.effects.get("armature", {}).get("inertia", tree.armature[:, None])
+    armature = values.effects.get(ARMATURE.name, {}).get("inertia", tree.armature[:, None])
     declared = inverse_weight(tree, tree.inertial[..., None], tree.armature[:, None])
     return np.asarray(inverse_weight(tree, values.inertial, armature) / declared)
 

@@ -9,7 +9,6 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from adaptsim_jax.attribution.catalogue import OWN
 from adaptsim_jax.attribution.held_out import Model
 from adaptsim_jax.attribution.machine import Machine, machine
 from adaptsim_jax.attribution.model_toml import DECLARED
@@ -19,6 +18,7 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import write_bytes
 from adaptsim_jax.diagnosis.testing import jackknife
 from adaptsim_jax.effects.base import NINETY, Effect
+from adaptsim_jax.effects.joints.catalogue import OWN
 from adaptsim_jax.effects.registry import catalogue
 from adaptsim_jax.logs.log import Log
 from adaptsim_jax.logs.log_meta import Rig

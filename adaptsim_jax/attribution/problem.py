@@ -11,10 +11,8 @@ import numpy as np
 from adaptsim_jax.attribution.acting import Model, Values
 from adaptsim_jax.attribution.parameters import (
     DAMPING_STEP,
-    ETA,
     INERTIA,
     TILT,
-    TILTS,
     Entry,
     Inertias,
     Vector,
@@ -24,6 +22,9 @@ from adaptsim_jax.attribution.parameters import (
 from adaptsim_jax.attribution.stretches import Stretches, Track, cut, without_first_rows
 from adaptsim_jax.diagnosis.folds import folds_of
 from adaptsim_jax.effects.base import Effect, Reach, unit_at
+from adaptsim_jax.effects.joints.catalogue import ETA, TILTS
+from adaptsim_jax.effects.joints.forces import ARMATURE, SPRING
+from adaptsim_jax.effects.joints.friction import COULOMB, VISCOUS
 from adaptsim_jax.logs.local_motion import local_motion
 from adaptsim_jax.logs.noise.differences import difference_noise
 from adaptsim_jax.mechanisms import equations
@@ -149,11 +150,11 @@ def prepare(
 def numbers_of(tree: Tree) -> dict[tuple[str, str], np.ndarray]:
     """What a model file says of effects, (effect, parameter) -> [n]."""
     return {
-        ("viscous", "damping"): np.asarray(tree.damping),
-        ("coulomb", "level"): np.asarray(tree.frictionloss),
-        ("armature", "inertia"): np.asarray(tree.armature),
-        ("spring", "stiffness"): np.asarray(tree.stiffness),
-        ("spring", "preload"): np.asarray(tree.stiffness) * np.asarray(tree.springref),
+        (VISCOUS.name, "damping"): np.asarray(tree.damping),
+        (COULOMB.name, "level"): np.asarray(tree.frictionloss),
+        (ARMATURE.name, "inertia"): np.asarray(tree.armature),
+        (SPRING.name, "stiffness"): np.asarray(tree.stiffness),
+        (SPRING.name, "preload"): np.asarray(tree.stiffness) * np.asarray(tree.springref),
     }
 
 
@@ -327,13 +328,13 @@ def nuisances(problem: Problem, inertia: bool = True, damping: bool = True) -> V
             local = inertia_entries(g.inertias.massive)
             entries += [Entry(**{**e.__dict__, "joints": (g.joints[e.joints[0]],)}) for e in local]
     if damping:
-        start = problem.declared["viscous", "damping"]
+        start = problem.declared[VISCOUS.name, "damping"]
         # of a joint that nothing drives, what its own weight and motion are worth
         reach = scaled_reach(problem, *own_inertia(problem, Vector((), np.zeros(0))))
         top = 5.0 * reach.torque / reach.speed + 10.0 * start
         entries += [
             Entry(
-                "viscous",
+                VISCOUS.name,
                 "damping",
                 (j,),
                 float(start[j]),
@@ -434,8 +435,8 @@ def group_inertia(values: Values, group: Group) -> tuple[np.ndarray, np.ndarray]
             np.asarray(z) for z in _at_rest(group.model.tree, values.inertial, values.gravity, q)
         )
     mass = np.moveaxis(mass, -1, 0)
-    if "armature" in values.effects:
-        arm = values.effects["armature"]["inertia"][:, 0]
+    if ARMATURE.name in values.effects:
+        arm = values.effects[ARMATURE.name]["inertia"][:, 0]
     else:
         arm = np.zeros(len(group.joints))
     inverse = np.linalg.inv(mass + np.diag(arm))

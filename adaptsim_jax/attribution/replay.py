@@ -12,7 +12,6 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.choice import Choice, choose
 from adaptsim_jax.attribution.conventions import check_conventions
 from adaptsim_jax.attribution.equation.balance import balances
@@ -33,6 +32,7 @@ from adaptsim_jax.attribution.yardsticks import (
     predicts_nothing,
 )
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.logs.quality.contradictions import AS_DECLARED
 from adaptsim_jax.simulators.mujoco.replay import replayed as mujoco_replayed
 

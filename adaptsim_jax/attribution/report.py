@@ -27,6 +27,8 @@ from adaptsim_jax.attribution.sentences import (
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.schema import new_report
 from adaptsim_jax.effects.base import NINETY
+from adaptsim_jax.effects.joints.actuator import SATURATION
+from adaptsim_jax.effects.joints.friction import VISCOUS
 
 
 def _numbers(error: np.ndarray) -> float:
@@ -166,7 +168,7 @@ def _effect(machine: Machine, problem: Problem, found: Selection, n: Named) -> d
             held = next(p for p in problem.effect(c.effect).parameters if p.name == e.name)
             if held.held and held.meaning:
                 numbers[key]["meaning"] = held.meaning
-    numbers = with_limits(numbers) if c.effect == "saturation" else numbers
+    numbers = with_limits(numbers) if c.effect == SATURATION.name else numbers
     if c.effect == INERTIA:  # as a person knows it, and not in the coordinates of the fit
         body = next(iter(c.joints))
         of = f" of {machine.tree.body_names[body]}"
@@ -343,7 +345,7 @@ def _declared(machine: Machine, problem: Problem, model: Model) -> dict[str, Any
         f"{e.name} of {problem.joint_names[e.joints[0]]}": wider(row, stiff[e.joints[0]])
         | {"identifiable": True, "file": float(machine.tree.damping[e.joints[0]])}
         for e, row in _numbers_of(model)
-        if e.owner == "viscous"
+        if e.owner == VISCOUS.name
     }
     return inertias_told.told(machine, problem, model) | dampings
 

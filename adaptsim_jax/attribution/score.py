@@ -12,35 +12,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from adaptsim_jax.attribution.catalogue import COMMON, EVERYWHERE
 from adaptsim_jax.attribution.linear import Linear, candidate_columns, padded_fold, project, rows
-from adaptsim_jax.attribution.parameters import (
-    DAMPING_STEP,
-    INERTIA,
-    TILT,
-    TILTS,
-    Entry,
-    Vector,
-    inertia_entries,
-)
+from adaptsim_jax.attribution.parameters import INERTIA, TILT, Entry, Vector, inertia_entries
 from adaptsim_jax.attribution.problem import Problem, off_value
 from adaptsim_jax.diagnosis.testing import score_p
 from adaptsim_jax.effects.base import Effect, Reach, unit_at
+from adaptsim_jax.effects.joints.catalogue import TILTS
+from adaptsim_jax.effects.joints.forces import ARMATURE
 
-PASSIVE = (
-    "torque_gain",
-    "position_gain",
-    "saturation",
-    "dead_zone",
-    "delay",
-    "actuator_lag",
-    "load_friction",
-    "drive_compliance",
-    "drive_play",
-    "drive_elasticity",
-    "drive_backlash",
-)
-"""Effects on the torque of an actuator: not of a joint that has none."""
 # of the amplitude at which an effect that does not act linearly is scored, up to which the score is
 # good for it
 BEYOND = 1.5
@@ -174,24 +153,25 @@ def candidates(problem: Problem, vector: Vector, reach: Reach) -> list[Candidate
             j
             for j in range(problem.joints)
             if (effect.name, j) not in taken
-            and (j not in problem.unlike or effect.name in COMMON)
-            and (j in driven or effect.name not in PASSIVE)
+            and (j not in problem.unlike or effect.traits.shared)
+            and (j in driven or not effect.on_actuator)
             and not (effect.pair and j in first)
         ]
-        if effect.name == DAMPING_STEP:
+        if not effect.traits.offered:
             continue
         if effect.place == "model":
             out += _of_model(problem, effect.name, taken)
             continue
         follows = np.array([np.any(g.actuator[2] != 0.0) for g in problem.groups]).any()
-        if effect.name == "position_gain" and not follows:
+        if effect.traits.of_controller and not follows:
             continue
         grids = [(j, effect.grid_points(reach, j)) for j in free]
         if effect.place == "drive":
             rotors = [
                 j
                 for j in free
-                if off_value(problem, "armature", "inertia", j) > 0.0 or ("armature", j) in taken
+                if off_value(problem, ARMATURE.name, "inertia", j) > 0.0
+                or (ARMATURE.name, j) in taken
             ]
             # without a position controller it does not matter on which side that one's encoder is
             grids = [
@@ -208,14 +188,9 @@ def candidates(problem: Problem, vector: Vector, reach: Reach) -> list[Candidate
                 continue
             for point in points:
                 out.append(Candidate(effect.name, (j,), "joint", make([j], False), _fixed(point)))
-        if len(free) > 1 and effect.name in EVERYWHERE and not effect.shapes:
+        if len(free) > 1 and effect.traits.family and not effect.shapes:
             out.append(Candidate(effect.name, tuple(free), "all", make(free, False)))
-        if (
-            len(free) > 1
-            and effect.name in COMMON
-            and len(free)
-            == len([j for j in driven if j in free] if effect.name in PASSIVE else free)
-        ):
+        if len(free) > 1 and effect.traits.shared:
             for point in grids[0][1]:
                 out.append(
                     Candidate(effect.name, tuple(free), "common", make(free, True), _fixed(point))

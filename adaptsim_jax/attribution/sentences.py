@@ -12,6 +12,8 @@ from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.score import Candidate
 from adaptsim_jax.attribution.select import Selection
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.effects.joints.forces import ARMATURE
+from adaptsim_jax.effects.joints.friction import COULOMB, VISCOUS
 
 SURE = 3.0  # times its standard error, from which on the step is told by which damping acts late
 READ = "Read so; no effect is named for it. model.toml keeps it, for which model.xml has no place."
@@ -113,7 +115,7 @@ def _found(
 
 
 def _model(problem: Problem, found: Selection) -> str:
-    if any(e.owner in (INERTIA, "viscous") for e in found.final.fit.vector.entries):
+    if any(e.owner in (INERTIA, VISCOUS.name) for e in found.final.fit.vector.entries):
         return "The declared model, fitted,"
     read = read_so(problem, found)
     if read:
@@ -186,7 +188,7 @@ def soft_friction(problem: Problem, named: tuple[Named, ...], kind: str, over: f
     if (
         kind != "partly_explained"
         or over > SOFT
-        or all(n.candidate.effect != "coulomb" for n in named)
+        or all(n.candidate.effect != COULOMB.name for n in named)
     ):
         return []
     return [
@@ -198,7 +200,7 @@ def soft_friction(problem: Problem, named: tuple[Named, ...], kind: str, over: f
 def read_so(problem: Problem, found: Selection) -> list[str]:
     """What was fitted as a way in which rows are read, or steps made."""
     read = any(
-        s.action == "read" and s.candidate is not None and s.candidate.effect == "armature"
+        s.action == "read" and s.candidate is not None and s.candidate.effect == ARMATURE.name
         for s in found.trace
     )
     rotors = (
@@ -227,9 +229,10 @@ def _implicit(found: Selection) -> list[str]:
 
 def _early_commands(problem: Problem, found: Selection) -> list[str]:
     """What a delay below zero means, or one within a row."""
+    reads = {e.name for e in problem.effects if e.pairs_rows}.__contains__
     vector = found.final.fit.vector
-    delays = [z for e, z in zip(vector.entries, vector.values, strict=True) if e.owner == "delay"]
-    named = any(n.candidate.effect == "delay" for n in found.named)
+    delays = [z for e, z in zip(vector.entries, vector.values, strict=True) if reads(e.owner)]
+    named = any(reads(n.candidate.effect) for n in found.named)
     if not delays or (named and min(delays) >= 0.0):
         return []
     if not named:

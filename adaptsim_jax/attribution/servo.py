@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.equation.commands import (
     LESS,
@@ -29,10 +28,12 @@ from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import Entry, Vector
 from adaptsim_jax.attribution.problem import Problem, own_inertia, prepare, scaled_reach
 from adaptsim_jax.attribution.score import Candidate, entries_of
+from adaptsim_jax.effects.joints.actuator import POSITION_GAIN
+from adaptsim_jax.effects.joints.catalogue import MACHINE
+from adaptsim_jax.effects.joints.friction import COULOMB, VISCOUS
 
 SPANS = (0.5, 1.0, 2.0, 4.0)  # s
-RUBS = "coulomb"
-GAIN = "position_gain"
+RUBS, GAIN = COULOMB.name, POSITION_GAIN.name
 WIDE = 0.5  # prior's standard deviation of what is left of a gain, as a share
 
 
@@ -79,13 +80,13 @@ def with_gains(machine: Machine, off: Sequence[Servo]) -> Machine:
     if not off:
         return machine
     law = machine.actuator.copy()
-    damping = np.array(machine.declared.get(("viscous", "damping"), machine.tree.damping), float)
+    damping = np.array(machine.declared.get((VISCOUS.name, "damping"), machine.tree.damping), float)
     times = {s.joint: float(s.kp / (-law[2, s.joint] * machine.gear[s.joint] ** 2)) for s in off}
     for s in off:
         law[:3, s.joint] *= times[s.joint]
         law[3, s.joint] = 0.0  # what damps is one with the joint's own friction
         damping[s.joint] = s.damping
-    declared = machine.declared | {("viscous", "damping"): damping}
+    declared = machine.declared | {(VISCOUS.name, "damping"): damping}
     return replace(machine, actuator=law, declared=declared, servo_times=times)
 
 

@@ -12,8 +12,8 @@ from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.score import Candidate
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.testing import Test, attainable, jackknife
-
-TIMED = ("delay", "actuator_lag", "sensor_delay", "sensor_lag")
+from adaptsim_jax.effects.joints.forces import ARMATURE
+from adaptsim_jax.effects.joints.friction import COULOMB, PRESLIDING, VISCOUS
 
 
 def why_not(
@@ -104,7 +104,7 @@ def between_rows(problem: Problem, model: Model, c: Candidate, criteria: Criteri
     damps a joint in a small part of a row.
     """
     stepped = any(e.owner == DAMPING_STEP for e in model.fit.vector.entries)
-    if c.effect == "armature" and not stepped:
+    if c.effect == ARMATURE.name and not stepped:
         return in_step(problem, model.fit.vector.entries, model.fit.vector.values, criteria)
     driven = {j for j in range(problem.joints) if problem.reach.peak[j] > 0.0}
     times = [
@@ -115,7 +115,8 @@ def between_rows(problem: Problem, model: Model, c: Candidate, criteria: Criteri
     between = (
         bool(times) and -criteria.within_row < times[0] / problem.reach.dt < criteria.least_shift
     )
-    return c.effect == "delay" and between and len(c.entries) == 1 and driven <= set(c.joints)
+    shifts = problem.effect(c.effect).pairs_rows and len(c.entries) == 1
+    return shifts and between and driven <= set(c.joints)
 
 
 def in_step(
@@ -129,12 +130,12 @@ def in_step(
     damping = np.zeros(problem.joints)
     for g in problem.groups:
         damping[list(g.joints)] = -g.actuator[3] * g.gear**2
-    damping += [at.get(("viscous", "damping", (j,)), 0.0) for j in range(problem.joints)]
+    damping += [at.get((VISCOUS.name, "damping", (j,)), 0.0) for j in range(problem.joints)]
     shift = criteria.least_shift * problem.reach.dt
     rotors = [
         (abs(at[e.key] - e.off), min(damping[j] for j in e.joints))
         for e in entries
-        if e.owner == "armature"
+        if e.owner == ARMATURE.name
     ]
     return len(rotors) > 1 and all(heavier < shift * damps for heavier, damps in rotors)
 
@@ -158,16 +159,15 @@ def _too_short(problem: Problem, model: Model, c: Candidate, criteria: Criteria)
         for e, z in zip(model.fit.vector.entries, model.fit.vector.values, strict=True)
         if e.owner == c.effect and e.unit == "s"
     ]
-    return (
-        bool(times) and c.effect in TIMED and max(times) < criteria.least_shift * problem.reach.dt
-    )
+    shifts = problem.effect(c.effect).shifts_time
+    return bool(times) and shifts and max(times) < criteria.least_shift * problem.reach.dt
 
 
 def _unseen(problem: Problem, model: Model, c: Candidate) -> bool:
     """Whether bristles bend by less than the noise of the angles before they break away, at every
     joint (of a simulator whose friction turns with tanh(v / width), say): no motion shows them.
     """
-    if c.effect != "presliding":
+    if c.effect != PRESLIDING.name:
         return False
     values = {
         e.key: z for e, z in zip(model.fit.vector.entries, model.fit.vector.values, strict=True)
@@ -175,7 +175,7 @@ def _unseen(problem: Problem, model: Model, c: Candidate) -> bool:
 
     def level(j):
         return max(
-            values.get(("coulomb", "level", (j,)), 0.0), 0.01 * float(problem.reach.torque[j])
+            values.get((COULOMB.name, "level", (j,)), 0.0), 0.01 * float(problem.reach.torque[j])
         )
 
     bent = [

@@ -213,14 +213,7 @@ def curves(problem: Problem, found: Said, final: Vector) -> dict[str, list[dict[
         b = w.balance
         told = needed(problem, b)
         left = [residual(problem, b, v) for v in (Vector((), np.zeros(0)), final)]
-        rubbing = {
-            "viscous",
-            "coulomb",
-            "asymmetric_coulomb",
-            "stribeck",
-            "quadratic_drag",
-            "load_friction",
-        }
+        rubbing = {e.name for e in problem.effects if e.traits.resists}
         bare = final.at(
             np.array(
                 [

@@ -86,7 +86,8 @@ class Parameter:
     An `optional` one may be left out of a `model.toml`: it is `default` there. `meaning`: what it
     is, where its name does not say. A `late` one a mended pendulum keeps at its default unless its
     file says otherwise. `prior`: standard deviation about none of it, scaled as the bounds are (of
-    mechanisms).
+    mechanisms). `mjcf`: what of a joint (damping, frictionloss, armature, stiffness, preload), or of
+    its actuator (gain, kp, delay, lag, limit), a model file changes to hold it; empty where none.
     """
 
     name: str
@@ -101,6 +102,7 @@ class Parameter:
     meaning: str = ""
     late: bool = False
     prior: float = float("inf")
+    mjcf: str = ""
 
     def bounds(self, torque: float, speed: float = 1.0) -> tuple[float, float]:
         """Bounds for a rig whose torques are of size `torque` N m. Of a joint slower than 1 rad/s,
@@ -171,6 +173,21 @@ class Relaxation(NamedTuple):
     rate: jax.Array
 
 
+class Drive(NamedTuple):
+    """What an effect of the place `drive` says of joints, [n, .] each.
+
+    compliance rad/(N m), 0: rigid; damping s, that of a dashpot beside the spring over its
+    stiffness; gap rad; link: 1 where the log's encoder is on the link's side, 0 on the rotor's;
+    control: the same of the encoder that the controller has.
+    """
+
+    compliance: jax.Array
+    damping: jax.Array
+    gap: jax.Array
+    link: jax.Array
+    control: jax.Array
+
+
 @dataclass(frozen=True)
 class Reach:
     """What the data cover, per joint `[n]`: from it shape grids and bounds are made."""
@@ -183,6 +200,38 @@ class Reach:
     duration: float  # s, of a trial
     dt: float  # s, median row
     inertia: np.ndarray  # kg m^2
+
+
+@dataclass(frozen=True)
+class Traits:
+    """What searches, reports and model files ask of an effect, whatever its name (of mechanisms).
+
+    - on_actuator: a force that changes what an actuator gives; none at joints without one.
+    - of_controller: only joints that a position controller holds have it.
+    - scales_drive: a share more of what the drive gives.
+    - shared: tried with one value for all joints too, as of one computer that commands them.
+    - family: tried at all joints at once too, with own values, as of like drives.
+    - tried_first: its place among what the balance adds at all joints before all else; 0: none.
+    - prior: standard deviation of its amplitudes beforehand, in the balance of torques.
+    - in_balance: whether the balance of torques shows it; None: forces and commands, no sensors.
+    - at_parents: it shows at all joints that carry its own.
+    - resists: it opposes the motion, whatever the time and the torque's direction.
+    - fitted: its parameters are fitted whatever is named.
+    - offered: whether a search may add it.
+    """
+
+    on_actuator: bool = False
+    of_controller: bool = False
+    scales_drive: bool = False
+    shared: bool = False
+    family: bool = False
+    tried_first: int = 0
+    prior: float = float("inf")
+    in_balance: bool | None = None
+    at_parents: bool = False
+    resists: bool = False
+    fitted: bool = False
+    offered: bool = True
 
 
 def of_the_engine(*_):
@@ -219,7 +268,8 @@ class Effect:
     `slack`: of a measurement effect, its parameter within which the reading does not tell the
     angle: stretches are also begun with the angle at either end of it.
     `describes`: it is no law but a form that fits many (of mechanisms it must take off
-    `Criteria.described`). `formula`: the physics in a line, for people.
+    `Criteria.described`). `formula`: the physics in a line, for people. `traits`: what searches
+    ask of it; those below are derived.
     """
 
     name: str
@@ -249,6 +299,7 @@ class Effect:
     )
     starts: Callable[[Reach, int], list[dict[str, float]]] | None = None
     formula: str = ""
+    traits: Traits = Traits()
 
     def __post_init__(self):
         if self.place not in PLACES:
@@ -276,6 +327,48 @@ class Effect:
     @property
     def shapes(self) -> tuple[Parameter, ...]:
         return tuple(p for p in self.parameters if p.off is None)
+
+    @property
+    def on_actuator(self) -> bool:
+        """Whether only a joint with an actuator can have it."""
+        return self.place in ("command", "drive") or self.carried or self.traits.on_actuator
+
+    @property
+    def scales_torque(self) -> bool:
+        """Whether it changes the torque that an actuator makes of its command, row by row."""
+        return self.place == "force" and self.traits.on_actuator
+
+    @property
+    def in_balance(self) -> bool:
+        """Whether the balance of torques along the measured motion shows it."""
+        if self.traits.in_balance is not None:
+            return self.traits.in_balance
+        return self.place in ("force", "command", "model")
+
+    @property
+    def shifts_time(self) -> bool:
+        """Whether it moves commands or readings in time, by an amplitude in s."""
+        return self.place in ("command", "measurement") and self.amplitudes[0].unit == "s"
+
+    @property
+    def shifts_commands(self) -> bool:
+        """Whether it moves commands in time."""
+        return self.place == "command" and self.shifts_time
+
+    @property
+    def pairs_rows(self) -> bool:
+        """Whether it says how commands and angles were paired: they may be early, too."""
+        return self.shifts_commands and self.amplitudes[0].low < 0.0
+
+    @property
+    def in_mjcf(self) -> bool:
+        """Whether an MJCF can hold it, at a joint, at its actuator, or as a body."""
+        return any(p.mjcf for p in self.parameters) or self.apply is of_the_engine
+
+    @property
+    def held_by_file(self) -> bool:
+        """Whether any model file holds it, whatever drives its joints."""
+        return self.in_mjcf and not self.on_actuator
 
     def grid_points(self, reach: Reach, joint: int) -> list[dict[str, float]]:
         """Fixed shapes to score at; one point of defaults where the effect has no shape."""

@@ -8,13 +8,14 @@ import mujoco
 import numpy as np
 from mujoco import mjx
 
-from adaptsim_jax.attribution.mend import ACTUATED, HELD
 from adaptsim_jax.attribution.model_toml import OWN
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.effects.joints import catalogue
+from adaptsim_jax.effects.joints.actuator import DELAY
 from adaptsim_jax.mend.model_toml import Form, read_form
 
-SAID = {*HELD, *ACTUATED} - {"delay", "actuator_lag"}
+HELD = {e.name for e in catalogue.OWN if e.in_mjcf and not e.shifts_commands}
 BODY, JOINT, ACTUATOR = (
     mujoco.mjtObj.mjOBJ_BODY,
     mujoco.mjtObj.mjOBJ_JOINT,
@@ -96,7 +97,7 @@ def _delay(form: Form, native: mujoco.MjModel) -> float:
     """
     late: dict[str, float] = {}
     for k, effect in enumerate(form.effects):
-        if effect.name == "delay":
+        if effect.name == DELAY.name:
             value = effect.parameters["delay"].value if "delay" in effect.parameters else None
             if value is None or value < 0:
                 raise BadInput(
@@ -104,7 +105,7 @@ def _delay(form: Form, native: mujoco.MjModel) -> float:
                     f"the effect"
                 )
             late[effect.where] = value
-        elif effect.name not in SAID:
+        elif effect.name not in HELD:
             raise BadInput(
                 f"{form.path}: effects[{k}]: no field of a model says '{effect.name}' of "
                 f"{effect.where}; delete it from the file to go on without, or train where it is "

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.attribution.acting import bristles
-from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.linear import linear
 from adaptsim_jax.attribution.parameters import Entry
 from adaptsim_jax.attribution.paths import run, starts_of
@@ -14,6 +13,7 @@ from adaptsim_jax.attribution.problem import nuisances, prepare, values_of
 from adaptsim_jax.attribution.stretches import Track
 from adaptsim_jax.attribution.weights import Fit, weigh
 from adaptsim_jax.effects.base import Dry, Effect, Parameter
+from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.mechanisms.mjcf import read_mechanism
 
 XML = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="a" axis="0 1 0" damping="2"/>

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.estimate import bounded_step
 from adaptsim_jax.attribution.linear import _without_lost, linear
 from adaptsim_jax.attribution.parameters import INERTIA, Entry, Vector
@@ -24,6 +23,7 @@ from adaptsim_jax.attribution.score import candidates
 from adaptsim_jax.attribution.stretches import Track
 from adaptsim_jax.attribution.weights import Fit, weigh
 from adaptsim_jax.diagnosis.testing import score_p
+from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.mechanisms.mjcf import read_mechanism
 
 XML = """<mujoco><compiler angle="radian"/><worldbody><body name="upper" pos="0 0 1"><joint name="a" axis="0 1 0" damping="0.1"/>

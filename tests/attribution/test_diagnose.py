@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from adaptsim_jax import cli
-from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.diagnose import declared_vector, diagnose
 from adaptsim_jax.attribution.held_out import over_floor
 from adaptsim_jax.attribution.load import load
@@ -16,6 +15,7 @@ from adaptsim_jax.attribution.replay import replay_files
 from adaptsim_jax.attribution.select import Selection, declared, select_shorter
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.schema import read_report
+from adaptsim_jax.effects.joints.catalogue import MACHINE
 from tests.attribution.pendulum import record, record_bristles
 from tests.generators.mechanism_worlds import write_world
 

@@ -6,7 +6,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.estimate import fit
 from adaptsim_jax.attribution.held_out import modelled
 from adaptsim_jax.attribution.linear import linear
@@ -17,6 +16,7 @@ from adaptsim_jax.attribution.score import candidates, table
 from adaptsim_jax.attribution.stretches import Track
 from adaptsim_jax.attribution.weights import Fit, losses, weigh
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.mechanisms.mjcf import read_mechanism
 
 XML = """<mujoco><option timestep="0.0002" integrator="RK4"/><worldbody><body><joint name="arm" axis="0 0 1" damping="0.02"

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.attribution import servo
-from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.diagnose import declared_vector, examined, scaled
 from adaptsim_jax.attribution.equation import commands
 from adaptsim_jax.attribution.equation.balance import balances, in_proportion, residual
@@ -21,6 +20,7 @@ from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
 from adaptsim_jax.attribution.stretches import Track
 from adaptsim_jax.attribution.yardsticks import headline, of_torque, predicts_nothing
 from adaptsim_jax.diagnosis.criteria import TELLS, Criteria, TorqueCriteria
+from adaptsim_jax.effects.joints.catalogue import MACHINE
 from experiments.mechanism_rigs import RIGS
 from tests.attribution.pendulum import record
 from tests.logs.measured_files import measured

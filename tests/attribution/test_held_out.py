@@ -9,7 +9,6 @@ import pytest
 
 from adaptsim_jax.attribution import select as search
 from adaptsim_jax.attribution.backward import more
-from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.estimate import fit
 from adaptsim_jax.attribution.held_out import attempted, modelled, refit
 from adaptsim_jax.attribution.load import load
@@ -19,6 +18,7 @@ from adaptsim_jax.attribution.problem import nuisances, own_inertia, prepare, sc
 from adaptsim_jax.attribution.score import candidates, table
 from adaptsim_jax.attribution.weights import losses
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.effects.joints.catalogue import MACHINE
 from tests.attribution.pendulum import record
 
 FEW = tuple(

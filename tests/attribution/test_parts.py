@@ -8,16 +8,7 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.attribution.acting import Values, actuated
-from adaptsim_jax.attribution.catalogue import MACHINE, sensor_delay
-from adaptsim_jax.attribution.drive_effects import drive_play
-from adaptsim_jax.attribution.parameters import (
-    ETA,
-    Entry,
-    Vector,
-    inertial_of,
-    inertias,
-    pseudo_inertia,
-)
+from adaptsim_jax.attribution.parameters import Entry, Vector, inertial_of, inertias, pseudo_inertia
 from adaptsim_jax.attribution.problem import Group, Problem, beginnings, nuisances, prepare
 from adaptsim_jax.attribution.score import Candidate
 from adaptsim_jax.attribution.select import _acting
@@ -25,6 +16,9 @@ from adaptsim_jax.attribution.stretches import Track, cut
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.diagnosis.testing import sign_flip
 from adaptsim_jax.effects.base import unit_at
+from adaptsim_jax.effects.joints.catalogue import ETA, MACHINE
+from adaptsim_jax.effects.joints.drives import drive_play
+from adaptsim_jax.effects.joints.sensor import sensor_delay
 from adaptsim_jax.mechanisms.tree import make_tree
 
 ROD = np.array([0.6, 0.0, 0.0, -0.09, 0.02, 0.0, 0.0, 0.02, 0.0, 1e-4])

@@ -17,17 +17,17 @@ import adaptsim_jax
 from adaptsim_jax import diagnose
 from adaptsim_jax.attribution import pendulum_diagnosis
 from adaptsim_jax.attribution.backward import of_members
-from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.diagnose import declared_vector
 from adaptsim_jax.attribution.estimate import fit
 from adaptsim_jax.attribution.held_out import modelled, over_floor
-from adaptsim_jax.attribution.parameters import ETA, inertias
+from adaptsim_jax.attribution.parameters import inertias
 from adaptsim_jax.attribution.pendulum import LINK, base_parameters, declared_machine, in_the_plane
 from adaptsim_jax.attribution.pendulum_diagnosis import first_parameters
 from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
 from adaptsim_jax.attribution.score import candidates
 from adaptsim_jax.diagnosis import Effect, Parameter, catalogue, read_model
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.effects.joints.catalogue import ETA, MACHINE
 from adaptsim_jax.logs.pendulum import read_pendulum
 from adaptsim_jax.logs.quality.audit import audit, usable
 from adaptsim_jax.mechanisms import dynamics, equations

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.diagnose import declared_vector, diagnose
 from adaptsim_jax.attribution.equation.balance import balances, ramp
 from adaptsim_jax.attribution.equation.columns import Table
@@ -17,6 +16,7 @@ from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
 from adaptsim_jax.attribution.replay import replay
 from adaptsim_jax.attribution.score import candidates
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.effects.joints.catalogue import MACHINE
 from tests.attribution.servo_logs import servo_log
 
 SHARP = 'solreffriction="0.001 1" solimpfriction="0.9999 0.9999 0.001 0.5 2"'

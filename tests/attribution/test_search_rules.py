@@ -15,10 +15,13 @@ from adaptsim_jax.attribution.parameters import DAMPING_STEP, Entry, Vector
 from adaptsim_jax.attribution.score import Candidate
 from adaptsim_jax.diagnosis.criteria import Criteria, TorqueCriteria
 from adaptsim_jax.diagnosis.testing import false_discovery
+from adaptsim_jax.effects.joints.catalogue import MACHINE
+from adaptsim_jax.effects.registry import effect_named
 from tests.attribution.test_filed import STEP, arm_log, searched
 
 LIMITS = TorqueCriteria()
 BLOCKS = np.arange(20)
+PROBLEM = SimpleNamespace(effect=lambda name: effect_named(name, MACHINE))
 
 
 def one(effect, name="level", low=0.0, shape=()):
@@ -76,6 +79,7 @@ def test_of_two_numbers_one_that_is_somewhat_large_is_not_steady():
 def test_a_controllers_gain_within_what_speeds_tell_is_no_name(follows, told):
     c = one("position_gain", "gain", low=-0.9)
     state = SimpleNamespace(
+        problem=PROBLEM,
         commanded=False,
         follows=follows,
         limits=LIMITS,
@@ -116,7 +120,7 @@ def test_one_effect_takes_the_place_of_two_only_where_neither_does_by_itself(
         ),
         settled=lambda rest, c: c,
         own=lambda *some: [0],
-        problem=SimpleNamespace(effect=lambda name: SimpleNamespace(describes=False)),
+        problem=PROBLEM,
     )
     monkeypatch.setattr(search, "ranked", lambda state, now, some: list(some))
     monkeypatch.setattr(search, "why_not", lambda *a: "")
@@ -134,7 +138,7 @@ def test_a_shift_has_its_column_at_its_own_value():
         )  # of a grid's, too small
 
     lag = one("actuator_lag", "lag", shape=(("lag", 0.06),))
-    state = SimpleNamespace(set_of=told)
+    state = SimpleNamespace(set_of=told, problem=PROBLEM)
     at = dict(Searched.settled(state, [], lag).shape)["lag"]
     assert at == pytest.approx(0.003, rel=0.05)
     spring = one("spring", "stiffness")

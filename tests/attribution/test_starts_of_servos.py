@@ -4,11 +4,11 @@ between the rows that are summed.
 
 import numpy as np
 
-from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.forecast import forecast
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import prepare
 from adaptsim_jax.attribution.stretches import Track
+from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.mechanisms.mjcf import read_mechanism
 
 XML = """<mujoco><compiler angle="radian"/><worldbody><body><joint name="a" axis="0 0 1" damping="0.5"/>

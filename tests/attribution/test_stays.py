@@ -1,5 +1,6 @@
 """Why an effect does not stay is said by the rule that it failed."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,9 +12,15 @@ from adaptsim_jax.attribution.score import Candidate
 from adaptsim_jax.attribution.stays import between_rows, steadiness, why_not
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.testing import Test as Paired
+from adaptsim_jax.effects.joints.catalogue import MACHINE
+from adaptsim_jax.effects.registry import effect_named
 
 DT = 0.005  # s
 GOOD = Paired(0.4, 0.0001, 6, 6, 24)
+
+
+def the_effect(name):
+    return effect_named(name, MACHINE)
 
 
 def judged(delay=0.01, angles=0.5, test=GOOD, steady=27.0, floor=0.1, least=0.0, describes=False):
@@ -36,9 +43,7 @@ def judged(delay=0.01, angles=0.5, test=GOOD, steady=27.0, floor=0.1, least=0.0,
         joints=1,
         floor=np.full(2, floor),
         least=least,
-        effect=lambda name: SimpleNamespace(
-            describes=describes, amplitudes=(SimpleNamespace(name="delay"),)
-        ),
+        effect=lambda name: replace(the_effect(name), describes=describes),
     )
     return why_not(problem, of(angles), of(1.0), candidate, test, steady, Criteria())
 
@@ -86,7 +91,7 @@ def test_bristles_that_bend_within_the_noise_are_no_effect(floor, stays):
         joints=1,
         floor=np.full(2, floor),
         least=0.0,
-        effect=lambda name: SimpleNamespace(describes=False, amplitudes=()),
+        effect=the_effect,
     )
     candidate = Candidate("presliding", (0,), "joint", (entry,))
     why = why_not(problem, of(2.0), of(9.0), candidate, GOOD, 27.0, Criteria())
@@ -99,7 +104,9 @@ def test_commands_between_rows_are_how_rows_are_read(rows, read):
     model: Any = SimpleNamespace(
         fit=SimpleNamespace(vector=SimpleNamespace(entries=(entry,), values=np.array([rows * DT])))
     )
-    problem: Any = SimpleNamespace(joints=2, reach=SimpleNamespace(dt=DT, peak=np.ones(2)))
+    problem: Any = SimpleNamespace(
+        joints=2, reach=SimpleNamespace(dt=DT, peak=np.ones(2)), effect=the_effect
+    )
     assert (
         bool(
             between_rows(problem, model, Candidate("delay", (0, 1), "common", (entry,)), Criteria())

@@ -4,7 +4,6 @@ moving body.
 
 import pytest
 
-from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.diagnose import declared_vector, diagnose
 from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.equation.filed import filed
@@ -13,6 +12,7 @@ from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.parameters import DAMPING_STEP
 from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.effects.joints.catalogue import MACHINE
 from tests.attribution.servo_logs import servo_log
 
 STEP = 5e-4

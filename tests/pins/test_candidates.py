@@ -12,12 +12,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.equation.search import told_apart
 from adaptsim_jax.attribution.problem import nuisances, own_inertia, prepare, scaled_reach
 from adaptsim_jax.attribution.score import candidates
 from adaptsim_jax.attribution.stretches import Track
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.mechanisms.tree import make_tree
 from adaptsim_jax.simulators.mujoco.build import Stepped
 from adaptsim_jax.simulators.mujoco.catalogue import quantity, rows, sensor_rows

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.attribution import model_toml
-from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.equation.rubbing import giving
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.mend import changes
@@ -19,6 +18,7 @@ from adaptsim_jax.attribution.parameters import Entry, Vector
 from adaptsim_jax.attribution.paths import ready, run, starts_of
 from adaptsim_jax.attribution.problem import prepare
 from adaptsim_jax.attribution.simulate import simulate
+from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.mend.mjcf import mended_mjcf
 
 OPTION = '<compiler angle="radian"/><option timestep="{step}" integrator="implicitfast"/>'

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from adaptsim_jax.attribution.catalogue import MACHINE
 from adaptsim_jax.attribution.diagnose import declared_vector, posed
 from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.equation.columns import Table
@@ -23,6 +22,7 @@ from adaptsim_jax.attribution.score import Candidate, candidate_columns, candida
 from adaptsim_jax.attribution.weights import Fit, losses, weigh
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.starts import problem_of
+from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.logs.read import read_source_and_log
 from adaptsim_jax.simulators.mujoco.diagnosed import simulator
 from tests.diagnosis.test_simulator import recorded

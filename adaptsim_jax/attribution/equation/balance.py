@@ -5,7 +5,7 @@ and what acts, by effect.
 import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 
 import jax
 import jax.numpy as jnp
@@ -19,11 +19,11 @@ from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import Group, Problem, group_inertia, held, values_of
 from adaptsim_jax.attribution.stretches import Track
 from adaptsim_jax.effects.base import Dry, Effect
+from adaptsim_jax.effects.joints.actuator import TORQUE_GAIN
 from adaptsim_jax.mechanisms import dynamics, equations
 from adaptsim_jax.mechanisms.tree import Tree
 
-GAIN = "torque_gain"
-ON_TORQUE = ("torque_gain", "saturation", "dead_zone", "position_gain", "load_friction")
+GAIN = TORQUE_GAIN.name
 """Effects that change what an actuator does by what it was told."""
 LEAST_GAIN = 0.02
 At = Mapping[str, np.ndarray]  # parameters of an effect, [n] each
@@ -234,6 +234,21 @@ def _taken_more(tree, inertial, offset, scale, q, v, a):
     return jax.jvp(change, (none, none), (offset, scale))[1]
 
 
+@cache
+def read_more(effect: Effect, parameter: str) -> tuple[float, float]:
+    """What one more of a sensor effect's amplitude adds to the reading: at the angle zero, and for
+    each rad (m) of the angle.
+    """
+    p = {a.name: jnp.full((1, 1), a.default if a.off is None else a.off) for a in effect.parameters}
+    angle = jnp.array([[0.0], [1.0]])
+
+    def reading(z):
+        return effect.apply(p | {parameter: z}, angle, angle, 0.0 * angle, angle[0])[0]
+
+    slope = jax.jvp(reading, (p[parameter],), (jnp.ones((1, 1)),))[1]
+    return float(slope[0, 0]), float(slope[1, 0] - slope[0, 0])
+
+
 def read_wrong(
     balance: Balance,
     inertial: np.ndarray,
@@ -400,10 +415,13 @@ def residual(
     values = values_of(problem, group, vector)
     n = balance.joints
 
-    def read(effect, name):
-        return values.effects.get(effect, {}).get(name, np.zeros((n, 1)))[:, 0]
-
-    offset, scale = read("encoder_offset", "offset"), read("encoder_scale", "scale")
+    offset, scale = np.zeros(n), np.zeros(n)
+    for effect in problem.effects:
+        if effect.place == "measurement" and effect.in_balance:
+            for a in effect.amplitudes:
+                at_zero, by_angle = read_more(effect, a.name)
+                off = values.effects[effect.name][a.name][:, 0] - a.off
+                offset, scale = offset + at_zero * off, scale + by_angle * off
     inertial = values.inertial[..., 0]
     takes = balance.regressor @ inertial.ravel() - balance.known
     if np.any(offset) or np.any(scale):  # the bodies are where their encoders do not say
@@ -425,7 +443,7 @@ def acting(balance: Balance, values: Values) -> tuple[np.ndarray, np.ndarray]:
         if on and effect.place in ("force", "command"):
             force = force_of(balance, values, effect, p, now)
             acts = acts + force
-            driven = driven + force if effect.name in ON_TORQUE else driven
+            driven = driven + force if effect.scales_torque else driven
     return acts, in_proportion(told, driven)
 
 

@@ -10,35 +10,24 @@ import numpy as np
 from adaptsim_jax.attribution.equation.balance import (
     GAIN,
     LEAST_GAIN,
-    ON_TORQUE,
     Balance,
     acting,
     actuator_force,
     effect_force,
     force_of,
+    read_more,
     read_wrong,
     residual,
     tilting,
 )
-from adaptsim_jax.attribution.parameters import ETA, INERTIA, TILT, TILTS, Entry, Vector
+from adaptsim_jax.attribution.parameters import INERTIA, TILT, Entry, Vector
 from adaptsim_jax.attribution.problem import Problem, values_of
 from adaptsim_jax.effects.base import Effect
+from adaptsim_jax.effects.joints.catalogue import ETA, TILTS
 
-TOLD = ("encoder_offset", "encoder_scale")
-"""Effects on what is measured of which the balance can tell; the others move time or need a path.
-"""
-NOT_TOLD = ("presliding", "hard_stop", "friction_drift", "periodic_disturbance")
-"""Effects on forces that have a state, act in few places, or go with time as much else does."""
 STEP = 0.02  # share of a value, by which it is moved for a difference
 LEAST = 1e-4
 OFF = 0.03  # of the usual torque, by which friction may be off
-
-
-def balanced(effect: Effect) -> bool:
-    """Whether the balance of forces can tell of an effect."""
-    if effect.place == "measurement":
-        return effect.name in TOLD
-    return effect.place in ("force", "command", "model") and effect.name not in NOT_TOLD
 
 
 class Table:
@@ -127,7 +116,7 @@ class Table:
 
     def _read(self, effect: Effect, entry: Entry) -> np.ndarray:
         way = 1.0 * np.isin(self.balance.group.joints, entry.joints)
-        of = {"encoder_offset": (way, 0.0 * way), "encoder_scale": (0.0 * way, way)}[effect.name]
+        of = [share * way for share in read_more(effect, entry.name)]
 
         def slope():
             return -read_wrong(self.balance, self.values.inertial[..., 0], *of, slope=True)
@@ -198,7 +187,7 @@ class Table:
         size = max(STEP * abs(value), LEAST)
         size = -size if value + size > entry.high else size
         effect = self.problem.effect(entry.owner)
-        if effect.name in ON_TORQUE or effect.place == "measurement":
+        if effect.scales_torque or effect.place == "measurement":
             moved = self.vector.values.copy()
             moved[at] += size
             there = residual(self.problem, self.balance, self.vector.at(moved))

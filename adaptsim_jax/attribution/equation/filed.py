@@ -14,13 +14,14 @@ from adaptsim_jax.attribution.equation.confirmed import confirmed
 from adaptsim_jax.attribution.equation.models import Said, model_of
 from adaptsim_jax.attribution.equation.search import Witness
 from adaptsim_jax.attribution.held_out import Model, over_floor, paired
-from adaptsim_jax.attribution.parameters import INERTIA, Vector
+from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.weights import losses
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.testing import log_ratio, means, share
+from adaptsim_jax.effects.joints.catalogue import OWN
 
-FITTED = (INERTIA, "viscous")
+FITTED = tuple(e.name for e in OWN if e.traits.fitted)
 
 
 def filed(null: Vector) -> Vector:

@@ -14,9 +14,8 @@ import numpy as np
 
 from adaptsim_jax.attribution.backward import beside
 from adaptsim_jax.attribution.equation.balance import Balance
-from adaptsim_jax.attribution.equation.columns import balanced
 from adaptsim_jax.attribution.equation.exact import exact, needed
-from adaptsim_jax.attribution.equation.searched import SHIFTS, Searched, ranked
+from adaptsim_jax.attribution.equation.searched import Searched, ranked
 from adaptsim_jax.attribution.equation.solve import Rows, Solved, compared
 from adaptsim_jax.attribution.equation.stays import (
     at_bound,
@@ -31,14 +30,7 @@ from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.testing import Test, false_discovery
 from adaptsim_jax.effects.base import Reach
 
-FIRST = ("coulomb", "armature")
-"""Effects that are tried at all joints at once before any other: real joints rub."""
-ORDER = ("delay", "coulomb", "armature")
 FACTOR = 3.0  # within which a body's mass and moments are taken to be those of the file
-TRUSTED = {"torque_gain": 0.3, "encoder_scale": 0.3, "encoder_offset": 0.03, "tilt": 0.03}
-"""Standard deviations beforehand: of a gain of torques that are told in N m, of an encoder's zero
-and of a base's tilt [rad].
-"""
 
 
 @dataclass(frozen=True)
@@ -146,10 +138,10 @@ def told_apart(state: Searched) -> list[Candidate]:
     )
     effect = state.problem.effect
     return [
-        _trusted(c)
+        _trusted(c, effect(c.effect).traits.prior)
         for c in (_of_group(c, joints) for c in candidates(state.problem, state.null, state.reach))
         if set(c.joints) <= joints
-        and balanced(effect(c.effect))
+        and effect(c.effect).in_balance
         and c.shaped().get("speed", np.inf) > slowest * max(speed[j] for j in c.joints)
         and (state.commanded or not (c.sharing == "joint" and effect(c.effect).place == "command"))
     ]
@@ -172,9 +164,8 @@ def _of_group(c: Candidate, joints: set[int]) -> Candidate:
     return replace(c, joints=own, entries=tuple(replace(e, joints=own) for e in c.entries))
 
 
-def _trusted(c: Candidate) -> Candidate:
+def _trusted(c: Candidate, wide: float) -> Candidate:
     """With what is known beforehand of how far such a thing is off."""
-    wide = TRUSTED.get(c.effect, np.inf)
     return replace(c, entries=tuple(replace(e, prior=min(e.prior, wide)) for e in c.entries))
 
 
@@ -187,13 +178,15 @@ def likely_first(state: Searched, every: Sequence[Candidate], steps: list[Step])
     stepped = any(
         e.owner == DAMPING_STEP for e in state.null.entries
     )  # which is nearly rotors at all of them already
-    for name in ORDER[:2] if stepped else ORDER:
-        some = [
-            c
-            for c in every
-            if c.effect == name and c.sharing == ("common" if name == "delay" else "joint")
-        ]
-        if name == "delay":  # of all commands, where there are any, which else looks like rotors
+    first = [e for e in state.problem.effects if e.traits.tried_first]
+    for effect in sorted(first, key=lambda e: e.traits.tried_first):
+        if stepped and effect.inertia:
+            continue
+        sharing = "common" if effect.traits.shared else "joint"
+        some = [c for c in every if c.effect == effect.name and c.sharing == sharing]
+        if (
+            effect.shifts_commands
+        ):  # of all commands, where there are any, which else looks like rotors
             if state.commanded:
                 some = ranked(state, state.set_of(added), some)[:1]
             else:
@@ -208,6 +201,12 @@ def likely_first(state: Searched, every: Sequence[Candidate], steps: list[Step])
             state.weigh(state.set_of(added))
             steps += [Step("added", c, test, "at all joints") for c in some]
     return added
+
+
+def _likely(state: Searched, c: Candidate) -> bool:
+    """Whether like drives have it, so that it was put in at all joints: real joints rub."""
+    traits = state.problem.effect(c.effect).traits
+    return traits.family and traits.tried_first > 0
 
 
 def _taken(added: Sequence[Candidate]) -> set[tuple[str, int]]:
@@ -226,12 +225,12 @@ def _forward(state: Searched, added: list[Candidate], every, steps: list[Step]) 
     the numbers that it has.
     """
     now = state.set_of(added)
-    late = {
-        j for c in added if c.effect in SHIFTS and not only_read(state, now, c) for j in c.joints
-    }
-    free = [
-        c for c in _open(state, added, every) if c.effect not in SHIFTS or not late & set(c.joints)
-    ]
+
+    def shifts(c):
+        return state.problem.effect(c.effect).shifts_commands
+
+    late = {j for c in added if shifts(c) and not only_read(state, now, c) for j in c.joints}
+    free = [c for c in _open(state, added, every) if not shifts(c) or not late & set(c.joints)]
     for laws in (True, False):
         some = [c for c in free if state.problem.effect(c.effect).describes is not laws]
         best = None
@@ -281,13 +280,14 @@ def _backward(
             else:
                 least = own.gain * len(c.entries)
             like = [t.p for k, t in tests if k.effect == c.effect]
-            if c.effect in FIRST:
+            likely = _likely(state, c)
+            if likely:
                 shown = false_discovery(like, own.discovery, max(1, asked[c.effect]))
                 level = max(own.level, shown)
             else:
                 level = own.level
             if why := why_not(state, whole, c, test, least, level):
-                if c.effect in FIRST and test.gain > 0.0 and len(like) > 1:
+                if likely and test.gain > 0.0 and len(like) > 1:
                     quiet.append(c)
                 else:
                     failing.append((test.gain, c, test, why))

@@ -8,21 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.attribution.equation.balance import ON_TORQUE, Balance, in_proportion
-from adaptsim_jax.attribution.equation.columns import TOLD, Table
+from adaptsim_jax.attribution.equation.balance import GAIN, Balance, in_proportion
+from adaptsim_jax.attribution.equation.columns import Table
 from adaptsim_jax.attribution.equation.solve import Solved, Sums, rows_of, solved
-from adaptsim_jax.attribution.parameters import INERTIA, Vector
+from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import Problem, held
 from adaptsim_jax.attribution.score import Candidate
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.base import Reach
 from adaptsim_jax.mechanisms.tree import ancestors
 
-CARRIED = (INERTIA, *TOLD)
-SHIFTS = ("delay", "actuator_lag")
-"""Of which one at a joint is enough: beside a delay of rows a lag takes what its column, a
-difference, leaves of it.
-"""
 LEAST_SHIFT = 1e-4  # s, of which a column is made
 LEAST_OF_TORQUE, LEAST_OF_MISSING = 0.03, 0.15
 """Of the torque, and of what the file misses of it: a joint that is missed by less does not
@@ -48,6 +43,7 @@ class Searched:
         self.commanded, self.limits = commanded, criteria.torque
         self.table = Table(problem, balance, null)
         self.null = null
+        self.bends = {e.name for e in problem.effects if e.scales_torque} - {GAIN}
         self.follows = bool(np.any(held(self.table.values.actuator[..., 0])))
         self.base = self.table.stack(null.entries)
         missing = self.table.missing()
@@ -91,7 +87,7 @@ class Searched:
             names.append((c.key, c.shape))
             self.sums.add(names[-1], self.table.stack(c.entries, c.shaped()))
         found = solved(self.sums, names, entries, np.array(now))
-        changed = [i for i, e in enumerate(entries) if e.owner in ON_TORQUE[1:]]
+        changed = [i for i, e in enumerate(entries) if e.owner in self.bends]
         if not changed:
             return found
         driven = self.told + found.columns[..., changed] @ found.step[changed]
@@ -101,7 +97,7 @@ class Searched:
         """A shift with its column made at the value that it comes to: a lag of 60 ms scaled to one
         of 3 ms is none of 3 ms.
         """
-        if c.effect not in SHIFTS or not c.shape:
+        if not c.shape or not self.problem.effect(c.effect).shifts_commands:
             return c
         for _ in range(2):
             value = float(self.set_of([*added, c]).step[-1]) + c.entries[0].start
@@ -114,11 +110,15 @@ class Searched:
         carry it.
         """
         tree = self.balance.group.model.tree
+
+        def at_parents(c):
+            return self.problem.effect(c.effect).traits.at_parents
+
         shows = {
             k
             for c in some
             for k in (self.local[j] for j in c.joints if j in self.local)
-            for k in (k, *(ancestors(tree, k) if c.effect in CARRIED else ()))
+            for k in (k, *(ancestors(tree, k) if at_parents(c) else ()))
         }
         return sorted(shows)
 

@@ -4,26 +4,25 @@ left-out blocks, and if not, why.
 
 import numpy as np
 
-from adaptsim_jax.attribution.equation.searched import CARRIED, Searched
+from adaptsim_jax.attribution.equation.searched import Searched
 from adaptsim_jax.attribution.equation.solve import Solved
 from adaptsim_jax.attribution.score import Candidate
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.testing import Test
-
-GAINS = ("torque_gain", "position_gain")
 
 
 def why_not(
     state: Searched, whole: Solved, c: Candidate, test: Test, least: float, level: float
 ) -> str:
     """Why a candidate is not taken beside the others of a set; empty if it is."""
+    traits = state.problem.effect(c.effect).traits
     if test.p > level:
         return "left-out blocks do not confirm it"
     if state.commanded and c.sharing != "common" and only_read(state, whole, c):
         return "a joint that is late by so little is how its rows are read"
     if (
         state.follows
-        and c.effect in GAINS
+        and traits.scales_drive
         and np.max(np.abs(whole.step[_numbers(whole, c)])) < state.limits.share
     ):
         return (
@@ -38,7 +37,7 @@ def why_not(
         return f"its size is only {steadiness(whole, c):.1f} times its error"
     if at_bound(whole, c):
         return "its value is at the end of what such a machine may have"
-    if state.follows and c.effect in CARRIED:
+    if state.follows and traits.at_parents:
         least = state.limits.seen
     else:
         least = state.limits.worth
@@ -62,7 +61,7 @@ def only_read(state: Searched, whole: Solved, c: Candidate) -> bool:
     """A shift of all commands by less than a row, or of measured torques by as much as loggers pair
     them with angles: how rows are read, and no effect.
     """
-    if c.effect not in ("delay", "actuator_lag"):
+    if not state.problem.effect(c.effect).shifts_commands:
         return False
     value = float(whole.step[_numbers(whole, c)][0]) / state.reach.dt
     if not state.commanded:

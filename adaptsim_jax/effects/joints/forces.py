@@ -1,0 +1,201 @@
+"""Springs, stops, rotors, ripples and couplings at a joint of any machine."""
+
+import jax.numpy as jnp
+
+from adaptsim_jax.effects import disturbance, elastic, grids, inertia
+from adaptsim_jax.effects.base import Effect, Parameter, Traits
+
+
+def spring(p, m):
+    return p["preload"] - p["stiffness"] * m.q
+
+
+def cogging(p, m):
+    return p["sine"] * jnp.sin(p["order"] * m.q) + p["cosine"] * jnp.cos(p["order"] * m.q)
+
+
+def damping_step(p):
+    return p["step"] * p["damping"]
+
+
+def _before(z):
+    """Of the joint before each, [n, ...]; zero at the first."""
+    return jnp.concatenate([jnp.zeros_like(z[:1]), z[:-1]])
+
+
+def _after(z):
+    """Of the joint after each; zero at the last."""
+    return jnp.concatenate([z[1:], jnp.zeros_like(z[:1])])
+
+
+def torque_coupling(p, m):
+    return p["onto"] * _before(m.u) + _after(p["back"] * m.u)
+
+
+def friction_coupling(p, m):
+    return -p["damping"] * _before(m.v) - _after(p["damping"] * m.v)
+
+
+def _stops(reach, joint):
+    """Stops as hard as most are, where the motion ends and a little before."""
+    low, high = float(reach.q_low[joint]), float(reach.q_high[joint])
+    hard = [
+        (0.01 * s * (high - low), k * float(reach.torque[joint]))
+        for s in range(4)
+        for k in (10.0, 30.0)
+    ]
+    upper = [{"angle": high - d, "side": 1.0, "stiffness": k} for d, k in hard]
+    return upper + [{"angle": low + d, "side": -1.0, "stiffness": k} for d, k in hard]
+
+
+SPRING = Effect(
+    "spring",
+    "force",
+    (
+        Parameter("stiffness", "N m/rad", -5.0, 5.0, 0.0, sign=1, mjcf="stiffness"),
+        Parameter("preload", "N m", -5.0, 5.0, 0.0, mjcf="preload"),
+    ),
+    spring,
+    "a torsional spring or a cable; at rest at preload / stiffness",
+    "a wide range of angles",
+    ("bias", "position_gain", "encoder_offset"),
+    formula="preload - stiffness q",
+)
+
+BIAS = Effect(
+    "bias",
+    "force",
+    (Parameter("torque", "N m", -1.0, 1.0, 0.0),),
+    disturbance.bias,
+    "a constant torque: the torque sensor's zero, a cable's pull",
+    "a wide range of angles",
+    ("encoder_offset", "tilt", "spring", "asymmetric_coulomb"),
+    formula="torque",
+)
+
+COGGING = Effect(
+    "cogging",
+    "force",
+    (
+        Parameter("sine", "N m", -1.0, 1.0, 0.0),
+        Parameter("cosine", "N m", -1.0, 1.0, 0.0),
+        Parameter("order", "1", 2.0, 200.0, 7.0, None, meaning="periods a turn"),
+    ),
+    cogging,
+    "torque ripple periodic in the joint's angle (magnets, gear teeth)",
+    "slow sweeps over many periods",
+    ("spring",),
+    grid=grids.orders,
+    formula="sine sin(order q) + cosine cos(order q)",
+)
+
+PERIODIC_DISTURBANCE = Effect(
+    "periodic_disturbance",
+    "force",
+    (
+        Parameter("sine", "N m", -1.0, 1.0, 0.0),
+        Parameter("cosine", "N m", -1.0, 1.0, 0.0),
+        Parameter("frequency", "Hz", 0.05, 60.0, 2.0, None),
+    ),
+    disturbance.periodic_disturbance,
+    "a torque periodic in time that starts with each trial: a fan, a neighbouring machine",
+    "long trials whose commands leave that frequency free",
+    ("cogging",),
+    grid=grids.frequencies,
+    formula="sine sin(2 pi frequency t) + cosine cos(2 pi frequency t), t since the trial began",
+    traits=Traits(in_balance=False),
+)
+
+HARD_STOP = Effect(
+    "hard_stop",
+    "force",
+    (
+        Parameter("stiffness", "N m/rad", 0.0, 300.0, 0.0, sign=1),
+        Parameter("angle", "rad", -100.0, 100.0, 1.5, None),
+        Parameter("side", "1", -1.0, 1.0, 1.0, None, held=True),
+        Parameter("loss", "s", 0.0, 1.0, 0.0, None, optional=True),
+        Parameter("damping", "s", 0.0, 0.5, 0.0, None, held=True, optional=True),
+        Parameter("exponent", "1", 0.7, 2.5, 1.0, None, held=True, optional=True),
+    ),
+    elastic.hard_stop,
+    "an end stop beyond an angle",
+    "motion into the stop, and well inside it",
+    ("spring",),
+    grid=grids.stops,
+    starts=_stops,
+    formula="-side stiffness max(0, side (q - angle)) (1 + loss depth')",
+    traits=Traits(in_balance=False),
+)
+
+ARMATURE = Effect(
+    "armature",
+    "force",
+    (Parameter("inertia", "kg m^2", 0.0, 1.0, 0.0, sign=1, mjcf="armature"),),
+    inertia.rotor_inertia,
+    "the rotor's inertia times the gear ratio squared, felt at its own joint",
+    "fast motion",
+    ("torque_gain", "inertia"),
+    inertia=True,
+    formula="-inertia dv/dt",
+    traits=Traits(family=True, tried_first=3),
+)
+
+DAMPING_STEP = Effect(
+    "damping_step",
+    "force",
+    (
+        Parameter("step", "s", -1.0, 1.0, 0.0),
+        Parameter("damping", "N m s/rad", 0.0, 1e9, 0.0, None, held=True),
+    ),
+    damping_step,
+    "a simulator's step, or a controller's: the declared damping acts by the speed at another "
+    "time in it",
+    "fast changes of speed",
+    ("armature", "delay"),
+    inertia=True,
+    formula="-step damping dv/dt",
+    traits=Traits(offered=False),
+)
+
+TORQUE_COUPLING = Effect(
+    "torque_coupling",
+    "force",
+    (
+        Parameter(
+            "onto",
+            "1",
+            -1.0,
+            1.0,
+            0.0,
+            meaning="share of the torque of the joint before that acts here",
+        ),
+        Parameter(
+            "back",
+            "1",
+            -1.0,
+            1.0,
+            0.0,
+            meaning="share of this joint's torque that acts on the joint before",
+        ),
+    ),
+    torque_coupling,
+    "the drives of a joint and of the one before it act on both (a belt, a differential, a "
+    "motor at the base)",
+    "torques at both joints that differ",
+    ("torque_gain", "friction_coupling"),
+    pair=True,
+    formula="onto torque(before); on the joint before: back torque",
+)
+
+FRICTION_COUPLING = Effect(
+    "friction_coupling",
+    "force",
+    (Parameter("damping", "N m s/rad", -10.0, 10.0, 0.0),),
+    friction_coupling,
+    "viscous friction in a drive that two joints share: of the sum or the difference of their "
+    "speeds",
+    "fast motion of both joints, apart and together",
+    ("torque_coupling", "viscous"),
+    pair=True,
+    formula="-damping v(before); on the joint before: -damping v",
+)
