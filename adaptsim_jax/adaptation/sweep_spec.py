@@ -181,8 +181,6 @@ def _base(spec: SweepSpec, lines: Lines, folder: Path, env: dict[str, Any]) -> T
                 )
             if isinstance(table.get("config"), dict):
                 table = table["config"]
-            else:
-                table = table
             base = configs.from_table(TrainConfig, with_defaults(spec.task, table), spec.config)
     for key, value in leaves(spec.set, configs.to_table(base)).items():
         with lines.blamed(f"set.{key}"):

@@ -484,8 +484,6 @@ class Columns:
                         continue
                 if output is None:
                     output = np.zeros((width, rows + 1, 2 * self.n, len(entries)))
-                else:
-                    output = output
                 for c in (at, self.n + at):
                     output[:, :, c, k] += z[:, c].T
                 if e.owner in OF_CONTROLLERS and np.any(self.values.actuator[2, at]):

@@ -97,8 +97,6 @@ def examine(
             why = "stretches are this task's yardstick"
         if commanded:
             why = f"it follows commands; over {horizon:g} s a straight line says less"
-        else:
-            why = why
         return Examined(problem, found, None, before, after, STRETCHES, why)
     say("balance of torques")
     follows = bool(np.any(held(machine.actuator)))
@@ -160,9 +158,7 @@ def examine(
         keep(found)
         if follows and not each:
             words = confirmed(problem, words, found.final, criteria)
-            if words is free:
-                found = found
-            else:
+            if words is not free:
                 found = selection(problem, words, declared, reach)
         if follows and not many:
             found = _polished(problem, found, reach, criteria, say, bool(asked))
@@ -217,9 +213,7 @@ def _polished(
         return found
     say("fit by simulation")
     again = found.final.fit
-    if good:
-        again = again
-    else:
+    if not good:
         again = fit(problem, again.vector, again.starts, rounds=ROUNDS)
     whole = modelled(problem, tuple(n.candidate for n in found.named), again)
     if not several or (not asked and over_floor(problem, whole) >= criteria.near):

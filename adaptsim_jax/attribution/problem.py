@@ -393,9 +393,7 @@ def values_of(
         eta, axis=0, return_inverse=True
     )  # as many as there are folds, not stretches
     inertial = np.stack([group.inertias.at(z)[0] for z in which], -1)
-    if len(which) == 1:
-        inertial = inertial
-    else:
+    if len(which) != 1:
         inertial = inertial[..., lane.reshape(-1)]
     gravity = np.stack([tilted(np.asarray(group.model.tree.gravity), *z) for z in tilt], -1)
 

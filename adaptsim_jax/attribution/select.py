@@ -100,9 +100,7 @@ def select(
         better = _forward(problem, base, scores, family, reach, criteria, trace, say)
         better = better or _now_and_then(problem, base, reach, criteria, trace, say)
         if better is None:  # no law holds out any more: what only describes
-            if base is first:
-                forms = forms
-            else:
+            if base is not first:
                 forms = scored(problem, base, reach, False)
             better = _forward(problem, base, forms, family, reach, criteria, trace, say)
         if better is None:

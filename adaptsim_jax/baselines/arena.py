@@ -68,9 +68,7 @@ class Arena:
 
     def _look(self, policy, contexts, outcomes):
         trajectory = self.one.trajectory(contexts, outcomes)
-        if self.one.expect is None:
-            trajectory = trajectory
-        else:
+        if self.one.expect is not None:
             trajectory = self.one.expect(trajectory, policy)
         return self.one.task.observe(trajectory), self.one.task.score(trajectory)
 

@@ -133,8 +133,6 @@ def identify(bout: Bout, estimator: Callable, label: int) -> Trip:
             )
             if i == 0 and config.next_fit != config.first_fit:
                 infer = infers(config.next_fit, "next")
-            else:
-                infer = infer
     spent = arena.one.trials * np.arange(1, config.iterations + 2)
     return Trip(batch.grid(np.stack(rewards, -1)), batch.grid(np.stack(means, 1)), spent)
 

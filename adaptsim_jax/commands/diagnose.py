@@ -236,8 +236,6 @@ def mechanism(args: argparse.Namespace, without: list[str]) -> Judge:
 
         if without:
             log = log.pick([t.name for t in log.trials if t.name not in without])
-        else:
-            log = log
         command = partial(
             command_of,
             args.data,

@@ -283,8 +283,6 @@ def edited(model: Any, fields: Sequence[Field], values: jax.Array) -> Any:
             value = (edit.factor * values[i]).astype(array.dtype)
             if "frictionloss" in edit.array:
                 value = jnp.maximum(value, LEAST_FRICTION)
-            else:
-                value = value
             if edit.index:
                 changed[edit.array] = array.at[edit.index].set(value)
             else:

@@ -286,8 +286,6 @@ def trained_in(
         episodes = np.asarray(info.episode)
         if np.isfinite(episodes).any():
             last = float(np.nanmean(episodes))
-        else:
-            last = last
         report(done, rounds, f"training the policy, return {last:.4g}")
     return trainer.learned(state)
 

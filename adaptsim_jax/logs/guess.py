@@ -116,8 +116,6 @@ def guess(
             ours = _ours(bare, joints) or _ours(name, joints) or _by_unit(read, joints)
         if known and bare != name and told and told.stem == "time":
             ours = "time"
-        else:
-            ours = ours
         if ours is not None and ours not in names.values():
             names[name] = ours
         elif told and isinstance(told.joint, str):

@@ -104,8 +104,6 @@ def servos(problem: Problem, balance: Balance) -> list[Servo]:
             limited = x[0] * _limited(kp * error - kv * speed[:, k], needs, balance.clear[:, k])
             if size(limited) < min(size(file), size(left)):
                 file = limited
-            else:
-                file = file
         p = _better(balance, file, left)
         sizes = [
             float(np.sqrt(np.average(np.square(z), weights=balance.clear[:, k])))

@@ -170,8 +170,6 @@ def _windows(
     whole = np.concatenate([[0.0], np.cumsum(seen)])
     if len(begins):
         begins = begins[whole[begins + wide] - whole[begins] > wide - 0.5]
-    else:
-        begins = begins
     rows = np.repeat(np.arange(len(begins)), wide - 1)
     columns = (begins[:, None] + np.arange(1, wide)).ravel()
     table = scipy.sparse.csr_matrix(

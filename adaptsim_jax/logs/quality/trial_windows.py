@@ -103,8 +103,6 @@ def _windows(number: np.ndarray) -> tuple[int, sparse.csr_array]:
     begins = np.arange(0, max(0, len(number) - WINDOW + 1), STRIDE)
     if len(begins):
         begins = begins[number[begins + WINDOW - 1] - number[begins] == WINDOW - 1]
-    else:
-        begins = begins
     hann = np.hanning(WINDOW + 2)[1:-1]
     column = begins[:, None] + np.arange(WINDOW)
     data = np.broadcast_to(hann / hann.sum(), column.shape)

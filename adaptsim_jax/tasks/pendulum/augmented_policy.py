@@ -108,8 +108,6 @@ def make_world(given: ModelFile, largest: np.ndarray | None = None, history: int
     goal = np.array([up, 0.0, 0.0, 0.0])
     if largest is None:
         largest = given.effect_vector(model.layout)
-    else:
-        largest = largest
     rows = max(history, history_rows(model, np.asarray(largest, float), DT))
     return World(model, goal, goal - [np.pi, 0.0, 0.0, 0.0], rows)
 

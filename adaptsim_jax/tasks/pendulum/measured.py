@@ -128,8 +128,6 @@ def check_policy(columns: Mapping[str, np.ndarray], gain: np.ndarray) -> str:
     q, v = _pair(_whole_angles(time, columns), "q"), _speeds(columns)
     if v is None:
         v = np.gradient(gaussian_filter1d(q, 1.0, axis=0), time, axis=0)
-    else:
-        v = v
     asked = -np.concatenate([q, v], 1) @ np.asarray(gain, float).T
     for j, name in enumerate(("tau1", "tau2")):
         told = np.asarray(columns[name], float)

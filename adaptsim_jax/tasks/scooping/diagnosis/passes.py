@@ -191,8 +191,6 @@ def _fitted(
     """
     if starts is None:
         starts = begun(scooped, shape, quantities)[0]
-    else:
-        starts = starts
     width = widths()
     for n in declared:
         wide = 3.0 if n == "h" and scooped.places.shape[-1] < 3 else 1.0
@@ -355,8 +353,6 @@ def _judged(
             for rival in rivals:
                 if beats(problem, rival[2], better[2] if better else model, criteria):
                     better = rival
-                else:
-                    better = better
             if better and turn < PASSES - 1:
                 model, emulated = (
                     better[2],
