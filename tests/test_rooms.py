@@ -139,6 +139,7 @@ WITHIN = {
         "schema",
         "criteria",
         "testing",
+        "steps",
         "rules",
         "finding",
         "folds",

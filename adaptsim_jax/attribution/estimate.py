@@ -4,11 +4,10 @@ Channels are weighted by the size of their own residuals, so that radians, metre
 need no common unit; a stretch that runs away counts less.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-import scipy.linalg
 
 from adaptsim_jax.attribution.linear import Linear, linear, normal
 from adaptsim_jax.attribution.parameters import Vector
@@ -16,9 +15,9 @@ from adaptsim_jax.attribution.paths import at_ends, ready, residuals, simulated,
 from adaptsim_jax.attribution.problem import Group, Problem
 from adaptsim_jax.attribution.simulate import Path
 from adaptsim_jax.attribution.weights import Fit, Weights, group_losses, losses, weigh
+from adaptsim_jax.diagnosis.steps import ENOUGH, Point, fit_values
 
-CONVERGED = 1e-4  # share of the loss that a round takes off, below which a fit ends
-GOING_ON = 0.03  # the same of a fit that is only to be compared
+GOING_ON = 0.03  # share of the loss that a round must take off a fit that is only to be compared
 
 
 def _as_long(x: np.ndarray, rows: int) -> np.ndarray:
@@ -26,47 +25,6 @@ def _as_long(x: np.ndarray, rows: int) -> np.ndarray:
     if len(x) >= rows:
         return x[:rows]
     return np.concatenate([x, np.zeros((rows - len(x), *x.shape[1:]))])
-
-
-def bounded_step(hess: np.ndarray, slope: np.ndarray, vector: Vector, damping: float) -> np.ndarray:
-    """Step [P] of the damped normal equations with the prior, within the bounds: entries that push
-    against one stay.
-    """
-    prior = vector.precision
-    hess = hess + np.diag(prior)
-    slope = slope - prior * (vector.values - vector.start)
-    low, high = vector.low - vector.values, vector.high - vector.values
-    free = np.diagonal(hess) > 0.0
-    step = np.zeros(len(slope))
-    for _ in range(8):
-        size = np.sqrt(np.maximum(np.diagonal(hess), 1e-300))
-        scaled = hess / size / size[:, None]
-        scaled[np.diag_indices_from(scaled)] += damping + 1e-10
-        held = ~free
-        right = (slope - hess[:, held] @ step[held]) / size
-        if free.any():
-            step[free] = _solved(scaled[np.ix_(free, free)], right[free]) / size[free]
-        out = free & ((step < low) | (step > high))
-        if not out.any():
-            break
-        step[out] = np.clip(step[out], low[out], high[out])
-        free &= ~out
-    return np.clip(step, low, high)
-
-
-def _solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """By Cholesky's factors, or by least squares, many times the work, where rounding left the
-    matrix without: of a parameter of which one fold says all, little but rounding is left without
-    it.
-    """
-    try:
-        return scipy.linalg.cho_solve(scipy.linalg.cho_factor(matrix), right)
-    except np.linalg.LinAlgError:
-        return np.linalg.lstsq(matrix, right, rcond=1e-12)[0]
-    except (
-        ValueError
-    ):  # not finite: a simulation ran away beyond all numbers, and says nothing of where to go
-        return np.zeros_like(right)
 
 
 def start_steps(problem: Problem, lin: Linear, step: np.ndarray) -> list[np.ndarray]:
@@ -167,44 +125,58 @@ def fit(
     weights: Weights | None = None,
     glance: int | None = None,
 ) -> Fit:
-    """Fit the vector and all starts. weights: fixed ones (made anew along the way where None);
-    glance: rounds after which a fit that is only to be compared ends once a round gains little.
-    Codes: converged, stopped (rounds
-    are used up), stuck (no step lowers the loss), diverged (the start itself runs away).
+    """Fit the vector and all starts.
+
+    Args:
+        problem: stretches of each group of joints.
+        vector: where the values begin.
+        starts: where those of the stretches begin; the smoothed ones where None.
+        rounds: of steps at most.
+        weights: fixed ones; made anew along the way where None.
+        glance: rounds after which a fit that is only to be compared ends once a round gains little.
     """
     made = ready(problem, vector)
     starts = widened(made, starts_of(problem) if starts is None else starts)
     paths = simulated(made, starts)
-    own = weights is None
-    weights = weigh(problem, paths) if own else weights
-    now = Fit(vector, starts, weights, losses(problem, paths, weights), "stopped", 0)
-    damping = 1e-3
-    for k in range(rounds):
+    fixed = weights
+    weights = weigh(problem, paths) if fixed is None else fixed
+    begun = Fit(vector, starts, weights, losses(problem, paths, weights), "stopped", 0)
+
+    def around(point: Point) -> Callable[[float], Point]:
+        now = point.state[0]
         lin = linear(problem, now)
         n = normal(problem, lin.residual, lin.start, lin.shared)
-        taken = None
-        for _ in range(6):
-            step = bounded_step(n.hess.sum(0), n.slope.sum(0), now.vector, damping)
-            moves = start_steps(problem, lin, step)
-            trial = now.vector.at(now.vector.values + step)
-            moved = tuple(x + d for x, d in zip(now.starts, moves, strict=True))
-            at, loss, paths = settled(problem, lin, trial, (moved, now.starts))
-            if _cost(loss, trial) < _cost(now.loss, now.vector):
-                taken = replace(now, vector=trial, starts=at, loss=loss, rounds=k + 1)
-                break
-            damping = max(10.0 * damping, 1e-3)
-        if taken is None:
-            return replace(now, code="converged" if k and damping > 1e2 else "stuck", rounds=k)
-        fall = 1.0 - _cost(taken.loss, taken.vector) / max(_cost(now.loss, now.vector), 1e-300)
-        now, damping = taken, max(0.1 * damping, 1e-8)
-        if own:
-            weights = weigh(problem, paths)
-            now = replace(now, weights=weights, loss=losses(problem, paths, weights))
-        if fall < (CONVERGED if glance is None or k + 1 < glance else GOING_ON):
-            return replace(now, code="converged")
-    return now
+        hess, slope = n.hess.sum(0), n.slope.sum(0)
+        return lambda damping: _moved(problem, lin, now.vector.bounded_step(hess, slope, damping))
+
+    def taken(point: Point) -> Point:
+        now, paths = point.state
+        if fixed is not None:
+            return point
+        weights = weigh(problem, paths)
+        return _point(replace(now, weights=weights, loss=losses(problem, paths, weights)), paths)
+
+    def done(before: Point, after: Point, k: int) -> bool:
+        least = ENOUGH if glance is None or k < glance else GOING_ON
+        return before.loss - after.loss < least * max(before.loss, 1e-300)
+
+    found = fit_values(_point(begun, paths), around, rounds, done=done, taken=taken)
+    return replace(found.point.state[0], code=found.code, rounds=found.rounds)
 
 
-def _cost(loss: np.ndarray, vector: Vector) -> float:
-    off = vector.values - vector.start
-    return float(loss.sum() + 0.5 * np.sum(vector.precision * off * off))
+def _moved(problem: Problem, lin: Linear, step: np.ndarray) -> Point:
+    """Where a step of the parameters [P] leads, with starts that belong to it."""
+    now = lin.fit
+    moves = start_steps(problem, lin, step)
+    vector = now.vector.at(now.vector.values + step)
+    moved = tuple(x + d for x, d in zip(now.starts, moves, strict=True))
+    starts, loss, paths = settled(problem, lin, vector, (moved, now.starts))
+    return _point(replace(now, vector=vector, starts=starts, loss=loss), paths)
+
+
+def _point(fit: Fit, paths: Sequence[Path]) -> Point:
+    """A fit and its paths, with the loss and the prior's."""
+    off = fit.vector.values - fit.vector.start
+    return Point(
+        float(fit.loss.sum() + 0.5 * np.sum(fit.vector.precision * off * off)), (fit, paths)
+    )

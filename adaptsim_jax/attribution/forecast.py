@@ -16,11 +16,13 @@ from adaptsim_jax.attribution.estimate import refitted_start, usual
 from adaptsim_jax.attribution.linear import linear
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.paths import ready, residuals, simulated, starts_of, widened
-from adaptsim_jax.attribution.problem import Group, Problem
+from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.simulate import Path
 from adaptsim_jax.attribution.weights import Fit, Weights
+from adaptsim_jax.diagnosis.steps import Lanes, fit_starts
 
-ROUNDS = 6
+ROUNDS = 6  # of steps of the starts, at most
+LENGTHS = np.array([1.0, 0.3, 0.09])  # of a step, tried in turn
 
 
 @dataclass(frozen=True)
@@ -101,75 +103,76 @@ def fitted_starts(
     its start as one that nothing acts on, which needs no derivatives; no step is taken that does
     not gain.
     """
+    made = ready(problem, vector, rows)
+    begun = widened(made, starts_of(problem) if starts is None else starts)
+    ends = np.cumsum([len(x) for x in begun])[:-1]
+    every = np.concatenate(begun).T  # [W, S]
+
+    def by_group(some: np.ndarray, lanes: np.ndarray) -> list[np.ndarray]:
+        """Starts by group, those of some stretches as given."""
+        full = every.copy()
+        full[lanes] = some
+        return np.split(full.T, ends)
+
+    def evaluate(some: np.ndarray, lanes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        paths = simulated(made, by_group(some, lanes))
+        parts = zip(problem.groups, paths, strict=True)
+        left = np.concatenate([residuals(g, p)[..., : len(g.joints)] for g, p in parts], 2)[lanes]
+        # over all rows: a sum over some of them does not show a start that flings a joint away
+        return left, np.square(left).sum((1, 2))
+
+    def propose(some: np.ndarray, left: np.ndarray, lanes: np.ndarray) -> np.ndarray:
+        if roughly:
+            move = _along_a_line(problem, left, lanes, [len(x) for x in begun])
+        else:
+            move = _by_derivatives(problem, vector, by_group(some, lanes))[lanes]
+        return some + LENGTHS[:, None, None] * move
+
+    found = fit_starts(
+        Lanes(every, *evaluate(every, np.arange(len(every)))), propose, evaluate, rounds
+    )
+    starts = tuple(np.split(found.starts.T, ends))
+    return starts, simulated(made, starts)
+
+
+def _by_derivatives(problem: Problem, vector: Vector, starts: Sequence[np.ndarray]) -> np.ndarray:
+    """Change of starts [W, S] by least squares on the angles."""
     n, width = problem.joints, problem.groups[0].stretches.count
     weights = Weights(np.concatenate([np.ones(n), np.zeros(n)]), np.ones(width))
-    made = ready(problem, vector, rows)
-    starts = widened(made, starts_of(problem) if starts is None else starts)
-
-    def by_lane(
-        starts,
-        # over all rows: of a long stretch a sum over some of them does not see a start that flings
-        # a
-        # joint away
-    ):
-        paths = simulated(made, starts)
-        squares = [
-            np.square(residuals(g, p)[..., : len(g.joints)]).sum((1, 2))
-            for g, p in zip(problem.groups, paths, strict=True)
-        ]
-        return np.sum(squares, 0), paths
-
-    best, paths = by_lane(starts)
-    for _ in range(rounds):
-        if roughly:
-            moves = [
-                _along_a_line(g, p, len(x))
-                for g, p, x in zip(problem.groups, paths, starts, strict=True)
-            ]
-        else:
-            lin = linear(problem, Fit(vector, starts, weights, best, "", 0), entries=())
-            moves = [
-                refitted_start(x, r, usual(problem, g))
-                for g, x, r in zip(problem.groups, lin.start, lin.residual, strict=True)
-            ]
-        length, gained, fall = np.ones(width), np.zeros(width, bool), np.zeros(width)
-        for _ in range(3):
-            trial = tuple(x + length * d for x, d in zip(starts, moves, strict=True))
-            loss, there = by_lane(trial)
-            good = (loss < best) & ~gained
-
-            def pick(a, b, good=good):
-                return np.where(good, a, b)
-
-            starts = tuple(pick(a, b) for a, b in zip(trial, starts, strict=True))
-            paths = [
-                Path(*(pick(a, b) for a, b in zip(p, q, strict=True)))
-                for p, q in zip(there, paths, strict=True)
-            ]
-            fall = np.where(good, 1.0 - loss / np.maximum(best, 1e-300), fall)
-            best = pick(loss, best)
-            gained |= good
-            if gained.all():
-                break
-            length = np.where(gained, 0.0, 0.3 * length)
-        if np.max(fall) < 1e-4:
-            break
-    return starts, paths
+    fit = Fit(vector, tuple(starts), weights, np.zeros(width), "", 0)
+    lin = linear(problem, fit, entries=())
+    groups = zip(problem.groups, lin.start, lin.residual, strict=True)
+    return np.concatenate([refitted_start(x, r, usual(problem, g)) for g, x, r in groups]).T
 
 
-def _along_a_line(group: Group, path: Path, rows: int) -> np.ndarray:
-    """Change of starts [rows, W] by the straight line through what is left of the angles."""
-    n = len(group.joints)
-    left = residuals(group, path)[..., :n].transpose(1, 2, 0)  # [L+1, n, W]
-    seen = group.stretches.seen
-    time = (group.stretches.time - group.stretches.time[:1])[:, None, :] + 0.0 * left
+def _along_a_line(
+    problem: Problem, left: np.ndarray, lanes: np.ndarray, sizes: Sequence[int]
+) -> np.ndarray:
+    """Change of starts [B, S] by the straight line through what is left of the angles [B, L+1, n].
 
-    def total(z):
-        return (z * seen).sum(0)
+    lanes: the stretches; sizes: of each group's start.
+    """
+    out, at = [], 0
+    for group, size in zip(problem.groups, sizes, strict=True):
+        n, s = len(group.joints), group.stretches
+        own = left[..., at : at + n]
+        at += n
+        seen = s.seen.transpose(2, 0, 1)[lanes]
+        time = (s.time - s.time[:1]).T[lanes][..., None] + 0.0 * own
+        first, slope = _lines(time, own, seen)
+        moved = np.zeros((len(lanes), size))
+        moved[:, :n], moved[:, n : 2 * n] = first, slope
+        out.append(moved)
+    return np.concatenate(out, 1)
 
-    count, first, second = total(1.0 + 0.0 * left), total(time), total(time * time)
+
+def _lines(time: np.ndarray, z: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Value at no time and slope [B, n] of the lines through z [B, T, n] where it was seen."""
+
+    def total(x):
+        return (x * seen).sum(1)
+
+    count, first, second = total(1.0 + 0.0 * z), total(time), total(time * time)
     spread = np.maximum(count * second - first**2, 1e-12)
-    slope = (count * total(time * left) - first * total(left)) / spread
-    out = np.zeros((rows, left.shape[2]))
-    out[:n], out[n : 2 * n] = (total(left) - slope * first) / np.maximum(count, 1), slope
-    return out
+    slope = (count * total(time * z) - first * total(z)) / spread
+    return (total(z) - slope * first) / np.maximum(count, 1), slope

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.attribution.apart import apart, linear_part, part_of, put_back, touched
-from adaptsim_jax.attribution.estimate import bounded_step, fit, settled, start_steps
+from adaptsim_jax.attribution.estimate import fit, settled, start_steps
 from adaptsim_jax.attribution.linear import (
     Linear,
     Normal,
@@ -89,7 +89,7 @@ def held_out(
 
     def without(slope):
         return [
-            bounded_step(total - h, slope - s, vector, 1e-9)
+            vector.bounded_step(total - h, slope - s, 1e-9)
             for h, s in zip(n.hess, n.slope, strict=True)
         ]
 
@@ -254,7 +254,7 @@ def attempted(problem: Problem, base: Model, reach: Reach, score: Score) -> Begu
     )
     vector = base.fit.vector.with_entries(c.entries)
     n = normal(problem, wide.residual, wide.start, wide.shared)
-    step = bounded_step(n.hess.sum(0), n.slope.sum(0), vector, 1e-6)
+    step = vector.bounded_step(n.hess.sum(0), n.slope.sum(0), 1e-6)
     shapes = shape_entries(problem, reach, c)
     own = np.array([e.owner == c.effect for e in vector.entries])
     # what sets in at a size of its own is nothing at a fifth of it: then the others' step is

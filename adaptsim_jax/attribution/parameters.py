@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from adaptsim_jax.diagnosis.steps import bounded_step
 from adaptsim_jax.effects.joints import catalogue, forces
 from adaptsim_jax.effects.joints.catalogue import BODY, WIDEST
 
@@ -86,6 +87,13 @@ class Vector:
 
     def at(self, values: np.ndarray) -> "Vector":
         return replace(self, values=np.asarray(values, float))
+
+    def bounded_step(self, hess: np.ndarray, slope: np.ndarray, damping: float) -> np.ndarray:
+        """Step [P] by normal equations without the prior, which is added, within the bounds."""
+        prior = self.precision
+        slope = slope - prior * (self.values - self.start)
+        ends = self.low - self.values, self.high - self.values
+        return bounded_step(hess + np.diag(prior), slope, *ends, damping)
 
     def with_entries(
         self, added: Iterable[Entry], values: Sequence[float] | None = None

@@ -2,15 +2,14 @@
 the others.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from adaptsim_jax.diagnosis.problem import Problem
+from adaptsim_jax.diagnosis.steps import Point, bounded_step, fit_values
 
-DAMPING = (0.0, 1e-3, 1e-2, 1e-1, 1.0, 10.0)
-ENOUGH = 1e-4  # of the loss; a round that gains less ends the fit
 LEFT = 1.5  # times the noise, beyond which a fit is begun again from beside
 GROUPS = 4  # of starts that the declared fit may begin from, one after the other
 
@@ -48,18 +47,23 @@ def fitted(
     problem: Problem, names: Sequence[str], values: np.ndarray, rounds: int
 ) -> tuple[np.ndarray, float]:
     """`names` fitted from `values [P]` for at most so many rounds: values and the loss."""
-    values, loss = values.copy(), np.inf
-    for _ in range(rounds):
-        residual = problem.residuals(np.tile(values, (len(problem.trials), 1)))
-        loss = float(np.square(residual).sum())
+    count = len(problem.trials)
+
+    def at(values: np.ndarray) -> Point:
+        residual = problem.residuals(np.tile(values, (count, 1)))
+        return Point(float(np.square(residual).sum()), (values, residual))
+
+    def around(point: Point) -> Callable[[float], Point]:
+        values, residual = point.state
         columns = jacobian(problem, values, names)
-        better = _stepped(problem, names, values, residual, columns, loss)
-        if better is None:
-            break
-        gained, (values, loss) = loss - better[1], better
-        if gained < ENOUGH * loss:
-            break
-    return values, loss
+        hess = np.einsum("trk,trl->kl", columns, columns)
+        slope = np.einsum("trk,tr->k", columns, residual)
+        # far from the noise a step is trusted less
+        far = max(1.0, point.loss / max(problem.counts.sum(), 1))
+        return lambda damping: at(bounded(problem, names, values, hess, slope, damping * far))
+
+    found = fit_values(at(values.copy()), around, rounds, damping=0.0, relief=0.0)
+    return found.point.state[0], found.point.loss
 
 
 def settled(
@@ -86,27 +90,7 @@ def settled(
     return best
 
 
-def _stepped(problem, names, values, residual, columns, loss):
-    """A step that lowers the loss; None where there is none."""
-    hess = np.einsum("trk,trl->kl", columns, columns)
-    slope = np.einsum("trk,tr->k", columns, residual)
-    for more in DAMPING:
-        moved = bounded(
-            problem,
-            names,
-            values,
-            hess,
-            slope,
-            more * max(1.0, loss / max(problem.counts.sum(), 1)),
-        )
-        fresh = problem.residuals(np.tile(moved, (len(problem.trials), 1)))
-        now = float(np.square(fresh).sum())
-        if now < loss:
-            return moved, now
-    return None
-
-
-def bounded(problem: Problem, names, values, hess, slope, more: float = 0.0) -> np.ndarray:
+def bounded(problem: Problem, names, values, hess, slope, damping: float = 0.0) -> np.ndarray:
     """Gauss and Newton's step with priors, what would leave its bounds held at them; `values [P]`
     after it.
     """
@@ -116,19 +100,9 @@ def bounded(problem: Problem, names, values, hess, slope, more: float = 0.0) -> 
     low, high = (np.array([getattr(z, end) for z in q]) for end in ("low", "high"))
     prior = scale / np.array([z.prior for z in q])
     now, neutral = values[at], np.array([z.neutral for z in q])
-    a = hess + np.diag(prior**2) + more * np.diag(np.diag(hess) + 1e-9)
-    b = slope - prior**2 * (now - neutral) / scale
-    free, step = np.ones(len(at), bool), np.zeros(len(at))
-    for _ in range(len(at) + 1):
-        step[:] = np.where(free, 0.0, step)
-        if free.any():
-            rest = b[free] - a[np.ix_(free, ~free)] @ step[~free]
-            step[free] = np.linalg.solve(a[np.ix_(free, free)], rest)
-        out = free & ((now + scale * step < low) | (now + scale * step > high))
-        if not out.any():
-            break
-        step[out] = ((np.clip(now + scale * step, low, high) - now) / scale)[out]
-        free &= ~out
+    slope = slope - prior**2 * (now - neutral) / scale
+    ends = (low - now) / scale, (high - now) / scale
+    step = bounded_step(hess + np.diag(prior**2), slope, *ends, damping)
     moved = values.copy()
     moved[at] = np.clip(now + scale * step, low, high)
     return moved

@@ -10,6 +10,7 @@ import numpy as np
 from adaptsim_jax.diagnosis.folds import folds_of
 from adaptsim_jax.diagnosis.problem import Candidate, Problem, Quantity
 from adaptsim_jax.diagnosis.simulator import Simulator, Stretches, linearise, residuals
+from adaptsim_jax.diagnosis.steps import Lanes, best_of, fit_starts
 
 ROUNDS = 3  # of a start's fit from its anchor
 FRESH = 8  # slopes that an anchor is fitted by, one after the other
@@ -81,43 +82,30 @@ def settle(
     `which [B]` (all where None); by the derivatives `slope` of a point close by, where one is
     given, which costs a prediction a step.
     """
-    s = simulator.stretches
+    s, weight = simulator.stretches, pull(simulator.stretches)
     which = np.arange(s.count) if which is None else which
-    starts, r = starts.copy(), residuals(simulator, values, starts, which)
-    on = np.arange(len(which)) if starts.shape[1] else np.zeros(0, int)
-    weight = pull(s)
+    lengths = np.array([1.0, 0.3, 0.1] if slope is None else [1.0, 0.3])[:, None, None]
+    none = np.zeros((0, values.shape[1]))
 
-    def off(x, lanes):
-        return weight * (s.start[which[lanes]] - x) / s.scale
+    def off(starts, lanes):
+        return weight * (s.start[which[lanes]] - starts) / s.scale
 
-    def cost(left, x, lanes):
-        return np.square(left).sum(1) + np.square(off(x, lanes)).sum(1)
+    def evaluate(starts, lanes):
+        left = residuals(simulator, values[lanes], starts, which[lanes])
+        return left, np.square(left).sum(1) + np.square(off(starts, lanes)).sum(1)
 
-    for _ in range(rounds):
-        if not len(on):
-            break
+    def propose(starts, left, lanes):
         if slope is None:
-            here = slope_of(
-                s,
-                linearise(
-                    simulator, values[on], starts[on], which[on], np.zeros((0, values.shape[1]))
-                )[0],
-            )
+            by_start = linearise(simulator, values[lanes], starts, which[lanes], none)[0]
+            here = slope_of(s, by_start)
         else:
-            here = Slope(slope.by_start[on], slope.inverse[on])
-        down = np.einsum("brs,br->bs", here.by_start, r[on]) + weight * off(starts[on], on)
-        step = np.einsum("bst,bt->bs", here.inverse, down)
-        before, left = cost(r[on], starts[on], on), on
-        for length in (1.0, 0.3, 0.1) if slope is None else (1.0, 0.3):
-            tried = starts[left] + length * step[np.isin(on, left)] * s.scale
-            fresh = residuals(simulator, values[left], tried, which[left])
-            better = cost(fresh, tried, left) < cost(r[left], starts[left], left)
-            starts[left[better]], r[left[better]] = tried[better], fresh[better]
-            left = left[~better]
-            if not len(left):
-                break
-        on = on[before - cost(r[on], starts[on], on) > ENOUGH * before]
-    return Settled(starts, r)
+            here = Slope(slope.by_start[lanes], slope.inverse[lanes])
+        down = np.einsum("brs,br->bs", here.by_start, left) + weight * off(starts, lanes)
+        return starts + lengths * (np.einsum("bst,bt->bs", here.inverse, down) * s.scale)
+
+    begun = Lanes(starts, *evaluate(starts, np.arange(len(which))))
+    found = fit_starts(begun, propose, evaluate, rounds if starts.shape[1] else 0, ENOUGH)
+    return Settled(found.starts, found.left)
 
 
 @dataclass(frozen=True)
@@ -150,22 +138,19 @@ class Linearised:
         than another by where its starts were sought.
         """
         point, s = self.near(values.mean(0)), self.simulator.stretches
-        starts = point.starts.copy()
+        starts = point.starts
+
+        def evaluate(starts, lanes):
+            left = residuals(self.simulator, values[lanes], starts, lanes)
+            return left, np.square(left).sum(1)
+
         if starts.shape[1]:
-
-            def loss(x):
-                return np.square(residuals(self.simulator, values, x, np.arange(s.count))).sum(1)
-
-            least = loss(starts)
-            last = self.points[-1]
-            for begun in (s.start, *([] if last is point else [last.starts])):
-                now = loss(begun)
-                other = now < least
-                starts[other], least = begun[other], np.minimum(least, now)
-        return (
-            settle(self.simulator, values, starts, ROUNDS, None, point.slope).residual
-            * self.weight[:, None]
-        )
+            last = self.points[-1].starts
+            starts = best_of(
+                (starts, s.start, *([] if last is starts else [last])), evaluate
+            ).starts
+        found = settle(self.simulator, values, starts, ROUNDS, None, point.slope)
+        return found.residual * self.weight[:, None]
 
     def columns(self, values: np.ndarray, basis: np.ndarray) -> np.ndarray:
         """Derivatives `[W, R C, K]` along the rows of a basis, less what starts would take up."""

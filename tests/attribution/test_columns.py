@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from adaptsim_jax.attribution.estimate import bounded_step
 from adaptsim_jax.attribution.linear import _without_lost, linear
 from adaptsim_jax.attribution.parameters import INERTIA, Entry, Vector
 from adaptsim_jax.attribution.paths import run, starts_of
@@ -146,11 +145,11 @@ def test_a_step_is_found_where_rounding_left_no_positive_matrix():
     vector = Vector(
         tuple(Entry("a", str(k), (0,), 0.0, 0.0, -9.0, 9.0, "1") for k in range(2)), np.zeros(2)
     )
-    step = bounded_step(
-        np.array([[1e-14, 3e-14], [3e-14, 1e-14]]), np.array([1e-14, 2e-14]), vector, 1e-9
+    step = vector.bounded_step(
+        np.array([[1e-14, 3e-14], [3e-14, 1e-14]]), np.array([1e-14, 2e-14]), 1e-9
     )
     assert np.all(np.isfinite(step)) and np.all(np.abs(step) <= 9.0)
-    whole = bounded_step(np.array([[2.0, 0.5], [0.5, 1.0]]), np.array([1.0, 1.0]), vector, 0.0)
+    whole = vector.bounded_step(np.array([[2.0, 0.5], [0.5, 1.0]]), np.array([1.0, 1.0]), 0.0)
     np.testing.assert_allclose(
         whole, np.linalg.solve([[2.0, 0.5], [0.5, 1.0]], [1.0, 1.0]), rtol=1e-8
     )

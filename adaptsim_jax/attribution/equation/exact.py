@@ -2,7 +2,7 @@
 of them are needed then.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,9 +13,10 @@ from adaptsim_jax.attribution.equation.searched import Searched
 from adaptsim_jax.attribution.equation.solve import Rows, Solved, Sums, solved
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.score import Candidate, shape_entries
+from adaptsim_jax.diagnosis.steps import Point, bounded_step, fit_values
 from adaptsim_jax.effects.base import NINETY
 
-ROUNDS = 8
+ROUNDS = 8  # of steps of shapes, at most
 
 
 def exact(
@@ -24,7 +25,6 @@ def exact(
     """The vector of null and effects, shapes too, by Gauss and Newton's steps from the linear one,
     or from the values of a fit that is `near`, where that is better; standard errors [P].
     """
-    problem, balance = state.problem, state.balance
     entries, values = (
         list(whole.entries),
         list(np.array([*state.null.values]) + whole.step[: len(state.null)]),
@@ -36,46 +36,45 @@ def exact(
     vector = Vector(tuple(entries), np.array(values))
     vector = vector.at(np.clip(vector.values, vector.low, vector.high))
     for c in added:
-        vector = vector.with_entries(shape_entries(problem, state.reach, c))
+        vector = vector.with_entries(shape_entries(state.problem, state.reach, c))
 
-    def cost(v):
-        return _cost(state.rows, residual(problem, balance, v), v)
-
-    now = cost(vector)
+    point = _at(state, vector)
     if near is not None:
         known = {e.key: z for e, z in zip(near.entries, near.values, strict=True)}
-        close = vector.at(
-            np.array(
-                [known.get(e.key, z) for e, z in zip(vector.entries, vector.values, strict=True)]
-            )
+        pairs = zip(vector.entries, vector.values, strict=True)
+        close = _at(state, vector.at(np.array([known.get(e.key, z) for e, z in pairs])))
+        point = min(point, close, key=lambda p: p.loss)
+    fitted: list[Solved] = []
+
+    def around(point: Point) -> Callable[[float], Point]:
+        here = point.state
+        fitted[:] = [_linearised(state, here)]
+        hess, slope = fitted[0].hess, fitted[0].slope
+        ends = here.low - here.values, here.high - here.values
+        return lambda damping: _at(
+            state, here.at(here.values + bounded_step(hess, slope, *ends, damping))
         )
-        if (there := cost(close)) < now:
-            vector, now = close, there
-    fitted = None
-    for _ in range(ROUNDS):
-        table = Table(problem, balance, vector)
-        free = [i for i, e in enumerate(vector.entries) if e.low < e.high]
-        columns = np.zeros((*table.missing().shape, len(vector)))
-        columns[..., free] = table.stack([vector.entries[i] for i in free])
-        rows = replace(state.rows, missing=table.missing())
-        sums = Sums(rows)
-        sums.add("", columns)
-        fitted = solved(sums, [""], vector.entries, vector.values)
-        for length in (1.0, 0.5, 0.2, 0.05):
-            trial = vector.at(
-                np.clip(vector.values + length * fitted.step, vector.low, vector.high)
-            )
-            there = cost(trial)
-            if there < now:
-                break
-        else:
-            break
-        done = there > (1.0 - 1e-4) * now
-        vector, now = trial, there
-        if done:
-            break
-    error = fitted.error if fitted is not None else np.zeros(len(vector))
-    return vector, error
+
+    found = fit_values(point, around, ROUNDS, damping=0.0)
+    return found.point.state, fitted[0].error
+
+
+def _at(state: Searched, vector: Vector) -> Point:
+    """A vector with its loss."""
+    missing = residual(state.problem, state.balance, vector)
+    return Point(_cost(state.rows, missing, vector), vector)
+
+
+def _linearised(state: Searched, vector: Vector) -> Solved:
+    """The columns of a vector at its values, fitted."""
+    table = Table(state.problem, state.balance, vector)
+    free = [i for i, e in enumerate(vector.entries) if e.low < e.high]
+    missing = table.missing()
+    columns = np.zeros((*missing.shape, len(vector)))
+    columns[..., free] = table.stack([vector.entries[i] for i in free])
+    sums = Sums(replace(state.rows, missing=missing))
+    sums.add("", columns)
+    return solved(sums, [""], vector.entries, vector.values)
 
 
 def needed(

@@ -9,7 +9,6 @@ from functools import cached_property
 
 import numpy as np
 
-from adaptsim_jax.attribution.estimate import bounded_step
 from adaptsim_jax.attribution.parameters import Entry, Vector
 from adaptsim_jax.diagnosis.testing import Test, compare, jackknife, log_ratio, means, share
 
@@ -39,7 +38,8 @@ class Rows:
 @dataclass(frozen=True)
 class Solved:
     """A set of entries fitted. step [P] from the values at which its columns were made; by_fold [F,
-    P]; loss [B, n] of left-out blocks, over the squared size of what was missing; hess [P, P].
+    P]; loss [B, n] of left-out blocks, over the squared size of what was missing; hess [P, P] and slope [P]
+    of the loss, with the prior.
     """
 
     entries: tuple[Entry, ...]
@@ -48,6 +48,7 @@ class Solved:
     by_fold: np.ndarray
     loss: np.ndarray
     hess: np.ndarray = field(repr=False)
+    slope: np.ndarray = field(repr=False)
 
     def left_out(self, rows: "Rows") -> np.ndarray:
         """What is missing [K, n] of windows by the values of the other folds."""
@@ -187,17 +188,19 @@ def solved(sums: Sums, names: Sequence, entries: Sequence[Entry], now: np.ndarra
     )
     slope = np.concatenate([sums.product(i, None)[..., 0] for i in names], 1)
     total, all_slope = hess.sum(0), slope.sum(0)
-    step = bounded_step(total, all_slope, vector, 1e-9)
+    step = vector.bounded_step(total, all_slope, 1e-9)
     by_fold = np.stack(
         [
-            bounded_step(total - h, all_slope - s, vector, 1e-9)
+            vector.bounded_step(total - h, all_slope - s, 1e-9)
             for h, s in zip(hess, slope, strict=True)
         ]
     )
     columns = np.concatenate([sums.blocks[name][2] for name in names], 2)
     left = left_out(rows, columns, by_fold)
     loss = means(rows.clear * np.square(left / rows.size), rows.block)
-    return Solved(tuple(entries), columns, step, by_fold, loss, total + np.diag(vector.precision))
+    prior = vector.precision
+    pull = all_slope - prior * (vector.values - vector.start)
+    return Solved(tuple(entries), columns, step, by_fold, loss, total + np.diag(prior), pull)
 
 
 def left_out(rows: Rows, columns: np.ndarray, by_fold: np.ndarray) -> np.ndarray:

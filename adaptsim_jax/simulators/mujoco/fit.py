@@ -6,11 +6,12 @@ Derivatives are central differences of whole simulations, starts are eliminated 
 (the jackknife).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from adaptsim_jax.diagnosis.steps import ENOUGH, Point, best_of, bounded_step, fit_values
 from adaptsim_jax.diagnosis.testing import jackknife
 from adaptsim_jax.logs.log import Log
 from adaptsim_jax.mechanisms.spec import Source
@@ -21,10 +22,9 @@ from adaptsim_jax.simulators.mujoco.starts import fitted
 from adaptsim_jax.simulators.mujoco.stretches import Stretches, cut, late
 
 BUDGET = 4e6  # steps of one linearisation
-ROUNDS, TRIES = 10, 5
+ROUNDS = 10  # of steps of the numbers, at most
 FIRST, SETTLED = 8, 2
 """Rounds of starts before the first step, and after each."""
-CONVERGED = 1e-4  # of the loss a reading, that a round must take off
 FLOOR = 0.01  # of a weighted residual: less is not told from nothing
 EXACT = 1e-16  # mean square of what is left, below which nothing is
 # of weighted residuals and their derivatives: a stretch that runs away says nothing of where to go
@@ -72,41 +72,40 @@ def fitted_values(made: Stepped, stretches: Stretches, fields: Sequence[Field]) 
     plain = np.ones(stretches.measured.shape[2] - (1 if made.base >= 0 else 0))
     starts, off = fitted(*_at(made, stretches, fields, values), plain, FIRST)
     weight = _weights(off)
-    before, loss, damping, code = _rms(off, weight), _loss(off, weight), 1e-3, "stopped"
-    for _ in range(ROUNDS):
+    before = _rms(off, weight)
+
+    def around(point: Point) -> Callable[[float], Point]:
+        values, starts, _ = point.state
         lin = _linear(made, stretches, fields, values, starts, weight)
-        for _ in range(TRIES):
-            step = _bounded(lin.hess.sum(0), lin.slope.sum(0), fields, values, damping)
+        hess, slope = lin.hess.sum(0), lin.slope.sum(0)
+
+        def moved(damping: float) -> Point:
+            step = _bounded(hess, slope, fields, values, damping)
             trial = _at(made, stretches, fields, values + step)
             options = (starts + lin.start_steps(step), starts, np.zeros_like(starts))
-            new_starts, new = _better(trial, weight, options)
-            if _loss(new, weight) < loss:
-                break
-            damping *= 10.0
-        else:
-            again = _anew(_at(made, stretches, fields, values), weight, starts, off)
-            if loss - _loss(again[1], weight) < CONVERGED * off.size:
-                code = "stuck"
-                break
-            starts, off = again
-            loss, damping = _loss(off, weight), 1e-3
-            continue
-        fall = loss - _loss(new, weight)
-        values, starts, off, loss, damping = (
-            values + step,
-            new_starts,
-            new,
-            _loss(new, weight),
-            max(0.1 * damping, 1e-8),
-        )
-        if fall < CONVERGED * off.size or np.median(np.square(off).mean((1, 2))) < EXACT:
-            code = "converged"
-            break
+            return point_of(values + step, *_better(trial, weight, options))
+
+        return moved
+
+    def point_of(values: np.ndarray, starts: np.ndarray, off: np.ndarray) -> Point:
+        return Point(_loss(off, weight), (values, starts, off))
+
+    def stuck(point: Point) -> Point | None:
+        values, *rest = point.state
+        other = point_of(values, *_anew(_at(made, stretches, fields, values), weight, *rest))
+        return other if point.loss - other.loss >= ENOUGH * off.size else None
+
+    def done(old: Point, new: Point, k: int) -> bool:
+        exact = np.median(np.square(new.state[2]).mean((1, 2))) < EXACT
+        return bool(exact) or old.loss - new.loss < ENOUGH * off.size
+
+    found = fit_values(point_of(values, starts, off), around, ROUNDS, done=done, stuck=stuck)
+    values, starts, off = found.point.state
     lin = _linear(made, stretches, fields, values, starts, weight)
     spread = NINETY * _jackknife(lin, fields, values)
     low, high = (np.array([getattr(f, k) for f in fields]) for k in ("low", "high"))
     bounds = np.maximum(values - spread, low), np.minimum(values + spread, high)
-    return Fitted(tuple(fields), values, *bounds, before, _rms(off, weight), code)
+    return Fitted(tuple(fields), values, *bounds, before, _rms(off, weight), found.code)
 
 
 def _at(
@@ -138,12 +137,12 @@ def _better(
     trial: tuple[Stepped, Stretches], weight: np.ndarray, options: Sequence[np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
     """(starts, residual) of the options stretch by stretch the better, settled once more."""
-    lanes = np.arange(trial[1].count)
-    offs = [residual(*trial, predict(*trial, x, lanes), lanes) for x in options]
-    cost = np.stack([np.square(o * weight).sum((1, 2)) for o in offs])
-    best = np.argmin(cost, 0)
-    begin = np.stack(options)[best, lanes]
-    return fitted(*trial, weight, SETTLED, begin)
+
+    def evaluate(starts: np.ndarray, lanes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        off = residual(*trial, predict(*trial, starts, lanes), lanes)
+        return off, np.square(off * weight).sum((1, 2))
+
+    return fitted(*trial, weight, SETTLED, best_of(options, evaluate).starts)
 
 
 def _anew(
@@ -249,12 +248,8 @@ def _column(made, stretches, fields, values, p: int, starts) -> np.ndarray:
 
 def _bounded(hess, slope, fields, values, damping) -> np.ndarray:
     """Damped step [P] within the bounds."""
-    size = np.sqrt(np.maximum(np.diagonal(hess), 1e-300))
-    scaled = hess / size / size[:, None]
-    scaled[np.diag_indices_from(scaled)] += damping + 1e-10
-    step = np.linalg.lstsq(scaled, slope / size, rcond=1e-12)[0] / size
     low, high = (np.array([getattr(f, k) for f in fields]) for k in ("low", "high"))
-    return np.clip(values + step, low, high) - values
+    return bounded_step(hess, slope, low - values, high - values, damping)
 
 
 def _jackknife(lin: _Linear, fields, values) -> np.ndarray:

@@ -4,6 +4,7 @@ itself.
 
 import numpy as np
 
+from adaptsim_jax.diagnosis.steps import Lanes, best_of, bounded_step, fit_starts
 from adaptsim_jax.simulators.mujoco.build import Stepped
 from adaptsim_jax.simulators.mujoco.rollouts import (
     by_start,
@@ -15,7 +16,8 @@ from adaptsim_jax.simulators.mujoco.rollouts import (
 from adaptsim_jax.simulators.mujoco.stretches import Stretches
 
 ROUNDS = 6
-GAINED = 1e-4  # share of its sum of squares that a round must take off a stretch for another
+DAMPING = 1e-6  # share of the diagonal; a start that the readings do not fix stays near
+LENGTHS = 0.25 ** np.arange(4.0)  # of a step, tried in turn
 EXACT = 1e-18  # rad^2 (m^2) a reading: nothing is left to fit
 
 
@@ -38,51 +40,26 @@ def fitted(
     weight [C'] of each channel; begin: where the search begins (None: the measured starts). A start
     that the readings do not fix stays near there.
     """
-    width, size = stretches.count, start_size(made)
-    lanes = np.arange(width)
-    starts, damping = (
-        np.zeros((width, size)) if begin is None else begin.copy(),
-        np.full(width, 1e-6),
-    )
-    off = residual(made, stretches, predict(made, stretches, starts, lanes), lanes)
-    cost = _cost(off, weight)
-    for other in _others(made, stretches) if begin is None else ():
-        new = residual(made, stretches, predict(made, stretches, other, lanes), lanes)
-        better = _cost(new, weight) < cost
-        starts[better], off[better], cost[better] = (
-            other[better],
-            new[better],
-            _cost(new, weight)[better],
-        )
-    open_ = np.flatnonzero(cost > EXACT * off[0].size)
-    for _ in range(rounds):
-        if not len(open_):
-            break
-        base, slope = by_start(made, stretches, starts[open_], open_)
-        step = np.stack(
-            [_step(r, j, weight, d) for r, j, d in zip(base, slope, damping[open_], strict=True)]
-        )
-        before = cost[open_].copy()
-        length = np.ones(len(open_))
-        pending = np.arange(len(open_))
-        for _ in range(4):
-            trial = starts[open_[pending]] + length[pending, None] * step[pending]
-            new = residual(
-                made, stretches, predict(made, stretches, trial, open_[pending]), open_[pending]
-            )
-            gain = _cost(new, weight)
-            good = gain < cost[open_[pending]]
-            took = open_[pending[good]]
-            starts[took], off[took], cost[took] = trial[good], new[good], gain[good]
-            pending = pending[~good]
-            if not len(pending):
-                break
-            length[pending] *= 0.25
-        damping[open_] = np.maximum(0.1 * damping[open_], 1e-9)
-        damping[open_[pending]] *= 100.0
-        fall = 1.0 - cost[open_] / np.maximum(before, 1e-300)
-        open_ = open_[(fall > GAINED) & (cost[open_] > EXACT * off[0].size)]
-    return starts, off
+    lanes = np.arange(stretches.count)
+
+    def evaluate(starts: np.ndarray, lanes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        off = residual(made, stretches, predict(made, stretches, starts, lanes), lanes)
+        return off, np.square(off * weight).sum((1, 2))
+
+    def propose(starts: np.ndarray, off: np.ndarray, lanes: np.ndarray) -> np.ndarray:
+        _, slope = by_start(made, stretches, starts, lanes)
+        step = np.stack([_step(r, j, weight) for r, j in zip(off, slope, strict=True)])
+        return starts + LENGTHS[:, None, None] * step
+
+    if begin is None:
+        zero = np.zeros((stretches.count, start_size(made)))
+        begun = best_of((zero, *_others(made, stretches)), evaluate)
+    else:
+        begun = Lanes(begin, *evaluate(begin, lanes))
+    readings = begun.left[0].size
+    open_ = np.flatnonzero(begun.loss > EXACT * readings)
+    found = fit_starts(begun, propose, evaluate, rounds, lanes=open_)
+    return found.starts, found.left
 
 
 def _others(made: Stepped, stretches: Stretches) -> list[np.ndarray]:
@@ -98,19 +75,12 @@ def _others(made: Stepped, stretches: Stretches) -> list[np.ndarray]:
     return out
 
 
-def _cost(off: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """[W]"""
-    return np.square(off * weight).sum((1, 2))
+def _step(off: np.ndarray, slope: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Step [S] of one stretch's start.
 
-
-def _step(off: np.ndarray, slope: np.ndarray, weight: np.ndarray, damping: float) -> np.ndarray:
-    """Of one stretch's start. The derivative is of what is left (measured less predicted), so that
-    the step is against it.
+    The derivative is of what is left (measured less predicted), so that a step is against it.
     """
     r = (off * weight).reshape(-1)
     j = (slope * weight[:, None]).reshape(len(r), -1)
-    hess = j.T @ j
-    size = np.sqrt(np.maximum(np.diagonal(hess), 1e-12))
-    scaled = hess / size / size[:, None]
-    scaled[np.diag_indices_from(scaled)] += damping + 1e-10
-    return -np.linalg.solve(scaled + 1e-9 * np.eye(len(size)), (j.T @ r) / size) / size
+    free = np.full(j.shape[1], np.inf)
+    return bounded_step(j.T @ j, -(j.T @ r), -free, free, DAMPING)

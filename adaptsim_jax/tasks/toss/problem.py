@@ -20,6 +20,7 @@ import numpy as np
 
 from adaptsim_jax.diagnosis.fit import declared_fit
 from adaptsim_jax.diagnosis.problem import Candidate, Problem
+from adaptsim_jax.diagnosis.steps import Evaluate, Lanes, fit_starts
 from adaptsim_jax.tasks.toss import turns
 from adaptsim_jax.tasks.toss.catalogue import DECLARED, effects, quantities
 from adaptsim_jax.tasks.toss.read import Tossed
@@ -33,12 +34,9 @@ STEPS = np.repeat(
     [1e-4, 1e-3, 3e-3, 3e-2], 3
 )  # m, rad, m/s, rad/s of a start: where its columns are taken
 PRIOR = np.repeat([0.02, 0.2, 0.5, 5.0], 3)  # widths that keep finite what a window does not show
-ROUNDS, ENOUGH = (
-    12,
-    0.99,
-)  # of the anchor's fit; share of the square at which a round was not in vain
+ROUNDS, ENOUGH = 12, 0.01  # of the anchor's fit; share of the square that a round must take off
 DAMPING = (0.0, 0.01, 0.3, 10.0)
-AGAIN = ((1.0, 0.3), (1.0,))  # steps tried with the anchor's Jacobian at other values
+AGAIN, SHARES = 2, np.array([1.0, 0.3])  # rounds and steps with the anchor's Jacobian elsewhere
 FAR, FRESH = 1.3, 3  # of the anchor's square: above it, rounds with a Jacobian of its own
 SOME = 4  # tosses from which a beginning is chosen
 SETTLED = 4  # rounds of the fit that windows are weighed by
@@ -94,52 +92,43 @@ def inverse_of(columns: np.ndarray, more: float = 0.0) -> np.ndarray:
     return np.linalg.solve(gram, columns.transpose(0, 2, 1))
 
 
-def better(less, at, values, start, residual, steps) -> tuple[np.ndarray, np.ndarray]:
-    """Starts and residuals of windows `at [n]` after the best of `steps [S, n, 12]`; as they were
-    where none helps.
-    """
-    times = len(steps)
-    tried = moved(np.tile(start, (times, 1)), steps.reshape(-1, 12))
-    now = less(np.tile(at, times), np.tile(values, (times, 1)), tried)
-    size = np.square(np.concatenate([residual, now])).sum((1, 2)).reshape(times + 1, -1)
-    best = np.argmin(size, axis=0) * len(at) + np.arange(len(at))
-    return np.concatenate([start, tried])[best], np.concatenate([residual, now])[best]
+def evaluated(less, at: np.ndarray, values: np.ndarray) -> Evaluate:
+    """What starts of windows `at [n]` leave with `values [n, P]`."""
+
+    def evaluate(start: np.ndarray, lanes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        residual = less(at[lanes], values[lanes], start)
+        return residual, np.square(residual).sum((1, 2))
+
+    return evaluate
 
 
 def improved(
-    less, at, values, start, residual, rounds: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Starts `[n, 13]` of windows `at [n]` that fit `values [n, P]`, their residuals, and the
-    inverses `[n, 12, R 6]` last used.
-
-    Levenberg and Marquardt; windows are left alone once they gain no more.
+    less, at: np.ndarray, values: np.ndarray, begun: Lanes, rounds: int
+) -> tuple[Lanes, np.ndarray]:
+    """Starts of windows `at [n]` that fit `values [n, P]`, and the inverses `[n, 12, R 6]` last
+    used.
     """
-    start, residual = start.copy(), residual.copy()
-    inverse = np.zeros((len(start), 12, residual.shape[1] * 6))
-    on = np.arange(len(start))
-    for _ in range(rounds):
-        if not len(on):
-            break
-        columns = start_columns(less, at[on], values[on], start[on], residual[on])
-        inverse[on] = inverse_of(columns)
+    inverse = np.zeros((len(at), 12, begun.left.shape[1] * 6))
+
+    def propose(start: np.ndarray, residual: np.ndarray, lanes: np.ndarray) -> np.ndarray:
+        columns = start_columns(less, at[lanes], values[lanes], start, residual)
+        inverse[lanes] = inverse_of(columns)
         steps = [
-            np.einsum("wir,wr->wi", inverse_of(columns, more), flat(residual[on]))
-            for more in DAMPING
+            np.einsum("wir,wr->wi", inverse_of(columns, more), flat(residual)) for more in DAMPING
         ]
-        before = np.square(residual[on]).sum((1, 2))
-        start[on], residual[on] = better(
-            less, at[on], values[on], start[on], residual[on], np.array(steps)
-        )
-        on = on[np.square(residual[on]).sum((1, 2)) < ENOUGH * before]
-    return start, residual, inverse
+        return moved(np.broadcast_to(start, (len(steps), *start.shape)), np.array(steps))
+
+    found = fit_starts(begun, propose, evaluated(less, at, values), rounds, ENOUGH, every=True)
+    return found, inverse
 
 
 def anchored(
     less, at: np.ndarray, values: np.ndarray, start: np.ndarray
 ) -> tuple[Anchor, np.ndarray]:
     """Starts that fit `values [n, P]`, from guesses, and their residuals."""
-    start, residual, inverse = improved(less, at, values, start, less(at, values, start), ROUNDS)
-    return Anchor(start, inverse, np.square(residual).sum((1, 2))), residual
+    begun = Lanes(start, *evaluated(less, at, values)(start, np.arange(len(at))))
+    found, inverse = improved(less, at, values, begun, ROUNDS)
+    return Anchor(found.starts, inverse, found.loss), found.left
 
 
 def flat(z: np.ndarray) -> np.ndarray:
@@ -275,21 +264,21 @@ class Follow:
 
     def of(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Starts `[W, 13]` that fit `values [T, P]`, and residuals `[W, R, 6]` from them."""
-        own, start = values[self.windows.toss], self.anchor.start
-        at = np.arange(len(start))
-        residual = self.less(at, own, start)
-        for shares in AGAIN:
-            step = np.einsum("wir,wr->wi", self.anchor.inverse, flat(residual))
-            start, residual = better(
-                self.less, at, own, start, residual, np.array([share * step for share in shares])
-            )
+        own, at = values[self.windows.toss], np.arange(len(self.anchor.start))
+        evaluate = evaluated(self.less, at, own)
+
+        def propose(start: np.ndarray, residual: np.ndarray, lanes: np.ndarray) -> np.ndarray:
+            step = np.einsum("wir,wr->wi", self.anchor.inverse[lanes], flat(residual))
+            tries = SHARES[:, None, None] * step
+            return moved(np.broadcast_to(start, (len(tries), *start.shape)), tries)
+
+        begun = Lanes(self.anchor.start, *evaluate(self.anchor.start, at))
+        found = fit_starts(begun, propose, evaluate, AGAIN, 0.0, every=True)
         usual = np.maximum(self.anchor.square, self.windows.free)
-        far = np.flatnonzero(np.square(residual).sum((1, 2)) > FAR * usual)
-        start, residual = start.copy(), residual.copy()
-        start[far], residual[far], _ = improved(
-            self.less, far, own[far], start[far], residual[far], FRESH
-        )
-        return start, residual
+        far = np.flatnonzero(found.loss > FAR * usual)
+        fresh, _ = improved(self.less, far, own[far], Lanes(*(z[far] for z in found)), FRESH)
+        found.starts[far], found.left[far] = fresh.starts, fresh.left
+        return found.starts, found.left
 
     def left(self) -> np.ndarray:
         """Mean squares `[W]` of what the anchors leave, over the noise."""

@@ -1,0 +1,198 @@
+"""Gauss and Newton's steps: within bounds, damped, of values that all stretches share and of starts
+that each has for itself.
+
+Functions take arrays and callables and know no problem, so that every simulator is fitted by the
+same two loops (Levenberg, 1944; Marquardt, 1963).
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.linalg
+
+RIDGE = 1e-10  # of the diagonal, added always: two columns that are alike are no error
+MORE, FIRST = 10.0, 1e-3  # times the damping after a step in vain, and the least after one
+RELIEF, LEAST = 0.1, 1e-8  # times the damping after a step that gained, and the least after one
+GIVEN_UP = 1e2  # damping beyond which no step that could matter is left
+ENOUGH = 1e-4  # share of the loss that a round takes off, below which a fit has converged
+TRIES = 6  # dampings of a round
+
+
+def bounded_step(
+    hess: np.ndarray,
+    slope: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    damping: float = 0.0,
+) -> np.ndarray:
+    """Step [P] of damped normal equations that stays between its bounds.
+
+    What would leave a bound is held at it and the others are solved for again.
+
+    Args:
+        hess: curvature [P, P], with that of a prior; numbers without any do not move.
+        slope: fall of the loss by each number [P].
+        low: of the step [P], at most zero.
+        high: of the step [P], at least zero.
+        damping: share of the diagonal that is added to it.
+    """
+    free = np.diagonal(hess) > 0.0
+    size = np.sqrt(np.maximum(np.diagonal(hess), 1e-300))
+    scaled = hess / size / size[:, None]
+    scaled[np.diag_indices_from(scaled)] += damping + RIDGE
+    step = np.zeros(len(slope))
+    for _ in range(len(slope) + 1):
+        held = ~free
+        right = (slope - hess[:, held] @ step[held]) / size
+        if free.any():
+            step[free] = solve(scaled[np.ix_(free, free)], right[free]) / size[free]
+        out = free & ((step < low) | (step > high))
+        if not out.any():
+            break
+        step[out] = np.clip(step[out], low[out], high[out])
+        free &= ~out
+    return np.clip(step, low, high)
+
+
+def solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """By Cholesky's factors; by least squares, many times the work, where rounding left none.
+
+    Without the one fold that tells of a number, little but rounding is left of its row.
+    """
+    try:
+        return scipy.linalg.cho_solve(scipy.linalg.cho_factor(matrix), right)
+    except np.linalg.LinAlgError:
+        return np.linalg.lstsq(matrix, right, rcond=1e-12)[0]
+    except ValueError:  # a simulation ran away beyond all numbers: no way to go follows from it
+        return np.zeros_like(right)
+
+
+class Point(NamedTuple):
+    """Where a fit stands: its loss, and what the caller knows there (values, starts, paths)."""
+
+    loss: float
+    state: Any
+
+
+class Fitted(NamedTuple):
+    """Where a fit ended after so many rounds. code: converged, stopped (rounds are used up) or
+    stuck (no step lowers the loss).
+    """
+
+    point: Point
+    code: str
+    rounds: int
+
+
+def fell(before: Point, after: Point, rounds: int) -> bool:
+    """Whether a round gained so little that a fit has converged."""
+    return before.loss - after.loss < ENOUGH * max(before.loss, 1e-300)
+
+
+def fit_values(
+    point: Point,
+    around: Callable[[Point], Callable[[float], Point]],
+    rounds: int,
+    damping: float = FIRST,
+    relief: float = RELIEF,
+    done: Callable[[Point, Point, int], bool] = fell,
+    taken: Callable[[Point], Point | None] = lambda point: point,
+    stuck: Callable[[Point], Point | None] = lambda point: None,
+) -> Fitted:
+    """Damped steps of values, each from a linearisation, while they lower the loss.
+
+    Args:
+        point: where the fit begins.
+        around: linearises at a point; what it returns takes a step with a damping.
+        rounds: linearisations at most.
+        damping: of the first step.
+        relief: times the damping after a step that gained.
+        done: whether the second point after so many rounds is good enough for an end.
+        taken: what becomes of a point that was taken (new weights).
+        stuck: another point to go on from where no step helps, if there is one.
+    """
+    first = damping
+    for k in range(rounds):
+        step, trial = around(point), None
+        for _ in range(TRIES):
+            tried = step(damping)
+            if tried.loss < point.loss:
+                trial = tried
+                break
+            damping = max(MORE * damping, FIRST)
+        if trial is None:
+            other = stuck(point)
+            if other is None:
+                return Fitted(point, "converged" if k and damping > GIVEN_UP else "stuck", k)
+            point, damping = other, first
+            continue
+        ended = done(point, trial, k + 1)
+        point, damping = taken(trial), max(relief * damping, LEAST)
+        if ended:
+            return Fitted(point, "converged", k + 1)
+    return Fitted(point, "stopped", rounds)
+
+
+class Lanes(NamedTuple):
+    """Starts of stretches [W, S], what they leave [W, ...], and the loss of each [W]."""
+
+    starts: np.ndarray
+    left: np.ndarray
+    loss: np.ndarray
+
+
+Evaluate = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""Starts [B, S] of the stretches [B] to what they leave [B, ...] and the loss of each [B]."""
+
+
+def best_of(options: Sequence[np.ndarray], evaluate: Evaluate) -> Lanes:
+    """Of several starts [W, S] of all stretches, stretch by stretch the one with the least loss."""
+    lanes = np.arange(len(options[0]))
+    best = Lanes(options[0].copy(), *evaluate(options[0], lanes))
+    for starts in options[1:]:
+        left, loss = evaluate(starts, lanes)
+        better = loss < best.loss
+        for mine, other in zip(best, (starts, left, loss), strict=True):
+            mine[better] = other[better]
+    return best
+
+
+def fit_starts(
+    begun: Lanes,
+    propose: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
+    evaluate: Evaluate,
+    rounds: int,
+    enough: float = ENOUGH,
+    lanes: np.ndarray | None = None,
+    every: bool = False,
+) -> Lanes:
+    """Starts fitted with all values held, each stretch by itself until a round gains it little.
+
+    Args:
+        begun: where the fit begins.
+        propose: starts [B, S], what they leave and their stretches [B] to starts [T, B, S] to try,
+            the boldest first.
+        evaluate: what starts leave.
+        rounds: of proposals at most.
+        enough: share of its loss that a round must take off a stretch for another.
+        lanes: stretches that are fitted; all where None.
+        every: whether a stretch takes the best of all proposals, and not the first that lowers its
+            loss (where contact bends it, the first may be a small part of what can be had).
+    """
+    starts, left, loss = (z.copy() for z in begun)
+    on = np.arange(len(loss)) if lanes is None else lanes
+    for _ in range(rounds):
+        if not len(on):
+            break
+        before, rest = loss[on].copy(), np.arange(len(on))
+        for tried in propose(starts[on], left[on], on):
+            fresh, now = evaluate(tried[rest], on[rest])
+            good = now < loss[on[rest]]
+            took = on[rest[good]]
+            starts[took], left[took], loss[took] = tried[rest[good]], fresh[good], now[good]
+            rest = rest if every else rest[~good]
+            if not len(rest):
+                break
+        on = on[before - loss[on] > enough * before]
+    return Lanes(starts, left, loss)

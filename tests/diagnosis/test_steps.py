@@ -1,0 +1,74 @@
+"""Steps within bounds, and both loops, on problems whose answers are known."""
+
+import numpy as np
+import pytest
+
+from adaptsim_jax.diagnosis.steps import Lanes, Point, best_of, bounded_step, fit_starts, fit_values
+
+FREE = np.full(2, np.inf)
+HESS = np.array([[2.0, 0.8], [0.8, 1.0]])
+
+
+def test_a_free_step_solves_the_normal_equations():
+    slope = np.array([1.0, -1.0])
+    step = bounded_step(HESS, slope, -FREE, FREE)
+    np.testing.assert_allclose(step, np.linalg.solve(HESS, slope), rtol=1e-8)
+
+
+def test_what_meets_a_bound_is_held_there_and_the_others_are_solved_for_again():
+    step = bounded_step(HESS, np.array([3.0, 1.0]), -FREE, np.array([0.5, 9.0]))
+    np.testing.assert_allclose(step, [0.5, 1.0 - 0.8 * 0.5], rtol=1e-8)
+
+
+def test_a_number_without_curvature_does_not_move():
+    assert bounded_step(np.diag([2.0, 0.0]), np.array([1.0, 5.0]), -FREE, FREE)[1] == 0.0
+
+
+def rosenbrock(x):
+    left = np.array([10.0 * (x[1] - x[0] ** 2), 1.0 - x[0]])
+    return Point(0.5 * float(left @ left), x)
+
+
+def test_values_reach_the_end_of_a_curved_valley():
+    def around(point):
+        x = point.state
+        left = np.array([10.0 * (x[1] - x[0] ** 2), 1.0 - x[0]])
+        columns = np.array([[-20.0 * x[0], 10.0], [-1.0, 0.0]])
+        hess, slope = columns.T @ columns, -columns.T @ left
+        return lambda damping: rosenbrock(x + bounded_step(hess, slope, -FREE, FREE, damping))
+
+    found = fit_values(rosenbrock(np.array([-1.2, 1.0])), around, rounds=60)
+    np.testing.assert_allclose(found.point.state, [1.0, 1.0], atol=1e-6)
+    assert fit_values(found.point, around, rounds=0).code == "stopped"
+
+
+def test_a_fit_that_nothing_helps_is_stuck_unless_there_is_another_point():
+    def around(point):
+        return lambda damping: Point(max(2.0, point.loss - 1.0), None)
+
+    assert fit_values(Point(2.0, None), around, 5).code == "stuck"
+    others = iter([Point(5.0, None)])
+    found = fit_values(Point(2.0, None), around, 9, stuck=lambda point: next(others, None))
+    assert found.point.loss == 2.0 and found.rounds == 4
+
+
+@pytest.mark.parametrize("every", [False, True])
+def test_starts_of_stretches_are_fitted_each_by_itself(every):
+    rng = np.random.default_rng(0)
+    columns, truth = rng.normal(size=(5, 9, 2)), rng.normal(size=(5, 2))
+    seen = np.einsum("wrs,ws->wr", columns, truth)
+
+    def evaluate(starts, lanes):
+        left = seen[lanes] - np.einsum("wrs,ws->wr", columns[lanes], starts)
+        return left, np.square(left).sum(1)
+
+    def propose(starts, left, lanes):
+        step = np.einsum("wsr,wr->ws", np.linalg.pinv(columns[lanes]), left)
+        return starts + np.array([3.0, 1.0])[:, None, None] * step
+
+    begun = best_of((np.zeros((5, 2)), truth * [[1.0], [0.0], [0.0], [0.0], [0.0]]), evaluate)
+    assert begun.loss[0] == 0.0 < begun.loss[1]
+    found = fit_starts(Lanes(*begun), propose, evaluate, 3, every=every, lanes=np.arange(4))
+    np.testing.assert_allclose(found.starts[:4], truth[:4], atol=1e-8)
+    np.testing.assert_allclose(found.starts[4], 0.0)
+    assert begun.loss[1] > 0.0  # what was given stays as it was
