@@ -152,6 +152,7 @@ WITHIN = {
         "power",
         "experiment",
         "yardstick",
+        "verdict",
         "written",
         "rows",
         "simulated",

@@ -51,6 +51,7 @@ from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.run import Page, Run, command_of, plain
 from adaptsim_jax.diagnosis.schema import check
+from adaptsim_jax.diagnosis.verdict import with_effects
 from adaptsim_jax.diagnosis.written import cleared, write_all, write_partial
 from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.effects.joints.actuator import POSITION_GAIN, TORQUE_GAIN
@@ -189,16 +190,7 @@ def diagnose(
 def with_rows(report: dict[str, Any], rows: Sequence[dict[str, Any]]) -> None:
     """Put what had to be found before the search among the effects of a report, in place."""
     if rows:
-        report["effects"] = [*rows, *report["effects"]]
-        remains = report["verdict"] in ("structured_unattributed", "partly_explained")
-        if remains:
-            report["verdict"] = "partly_explained"
-        else:
-            report["verdict"] = report["verdict"]
-        if report["verdict"] == "within_noise":
-            report["verdict"] = "explained"
-        else:
-            report["verdict"] = report["verdict"]
+        with_effects(report, [*rows, *report["effects"]])
         sizes = [(row["where"], row["parameters"]["kp"]) for row in rows]
         where = ", ".join(f"{joint} {kp['value']:.3g} {kp['unit']}" for joint, kp in sizes)
         rest = report["message"].replace("Nothing need be added", "Nothing more need be added")

@@ -39,6 +39,7 @@ from adaptsim_jax.attribution.yardsticks import (
     predicts_nothing,
 )
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.verdict import with_effects
 from adaptsim_jax.effects.base import Reach
 
 NOTHING = "This model predicts nothing: by no yardstick does it do better than what needs no model, and no effect is named."
@@ -291,7 +292,7 @@ def report_of(
                 f"predicts nothing"
                 for row in report["effects"]
             ]
-            report["effects"], report["verdict"] = [], "structured_unattributed"
+            with_effects(report, [], left=True)
     evidence = evidence_of(problem, found, report)
     if e.said is not None:
         evidence |= curves(problem, e.said, found.final.fit.vector)

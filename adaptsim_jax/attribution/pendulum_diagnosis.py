@@ -32,6 +32,7 @@ from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.run import Run, command_of, plain
 from adaptsim_jax.diagnosis.schema import check, new_report
+from adaptsim_jax.diagnosis.verdict import with_effects
 from adaptsim_jax.diagnosis.written import cleared, write_all, write_partial
 from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.logs.local_motion import local_motion
@@ -225,8 +226,7 @@ def _of_unknown_masses(report: dict[str, Any], rig: Rig) -> None:
     other = f"torque_gain@{JOINTS[1 - JOINTS.index(effect['where'])]}"
     if other not in effect["alternatives"]:
         effect["alternatives"].append(other)
-    if report["verdict"] == "explained":
-        report["verdict"] = "explained_class"
+    with_effects(report, report["effects"])
     size = 1.0 / (1.0 + effect["parameters"]["gain"]["value"]) - 1.0
     report["notes"].append(
         f"{other.replace('@', ' at ')} of {size:.3g}, with masses and dampings {1.0 + size:.3g} "

@@ -25,7 +25,9 @@ from adaptsim_jax.attribution.sentences import (
     unused,
 )
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.rows import candidate_row, tested
 from adaptsim_jax.diagnosis.schema import new_report
+from adaptsim_jax.diagnosis.verdict import verdict_of
 from adaptsim_jax.effects.base import NINETY
 from adaptsim_jax.effects.joints.actuator import SATURATION
 from adaptsim_jax.effects.joints.friction import VISCOUS
@@ -46,8 +48,8 @@ def reported(
     named = found.named
     far = astray(problem, found.final, criteria, found.null)
     odd = _odd(problem, found, far, criteria)
-    kind = _kind(named, over, bool(odd), criteria)
     effects = [_effect(machine, problem, found, n) for n in named]
+    kind = verdict_of(effects, over > criteria.explained or bool(odd))
     log = machine.log
     data = {
         "trials": len(machine.tracks),
@@ -135,19 +137,6 @@ def _odd(
     return sorted(out, key=lambda row: -row[2])
 
 
-def _kind(named: tuple[Named, ...], over: float, odd: bool, criteria: Criteria) -> str:
-    remains = over > criteria.explained or odd
-    if not named:
-        if remains:
-            return "structured_unattributed"
-        return "within_noise"
-    if remains:
-        return "partly_explained"
-    if any(n.alternatives for n in named):
-        return "explained_class"
-    return "explained"
-
-
 def _effect(machine: Machine, problem: Problem, found: Selection, n: Named) -> dict[str, Any]:
     c, model = n.candidate, found.final
     spread = model.spread
@@ -187,11 +176,7 @@ def _effect(machine: Machine, problem: Problem, found: Selection, n: Named) -> d
         "parameters": numbers,
         "physics": problem.effect(c.effect).physics,
         "alternatives": [f"{a.effect}@{place(problem, a)}" for a in n.alternatives],
-        "held_out_gain": n.test.gain,
-        "p_value": n.test.p,
-        "better": n.test.better,
-        "folds": n.test.folds,
-        "size_over_scatter": min(n.steady, 1e3),
+        **tested(n),
     }
 
 
@@ -296,15 +281,7 @@ def _candidates(problem: Problem, found: Selection) -> list[dict[str, Any]]:
         other = "no clear gain on left-out trials"
 
     def row(c, gain, p, status, why):
-        return {
-            "name": c.effect,
-            "where": place(problem, c),
-            "held_out_gain": float(np.clip(gain, -1.0, 1.0)),
-            "p_value": float(p),
-            "accepted": status == "accepted",
-            "status": status,
-            "why": why,
-        }
+        return candidate_row(c.effect, place(problem, c), gain, p, status, why)
 
     rows = [row(n.candidate, n.test.gain, n.p, "accepted", "named") for n in found.named]
     for s in found.first:

@@ -15,6 +15,7 @@ from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.sentences import place
 from adaptsim_jax.attribution.yardsticks import Measure, needed
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.verdict import with_effects
 from adaptsim_jax.logs.noise.differences import difference_noise
 
 MOST_ROWS = 1500  # of a curve of the page
@@ -58,19 +59,11 @@ def judged_by_torque(
     balances = [w.balance for w in found.witnesses]
     floor = floor_of(problem, balances)
     over = float(np.median(after.error / np.maximum(floor, 1e-12)))
-    some = bool(found.named)
     worth = np.maximum(
         floor, criteria.torque.worth * after.still
     )  # below it nothing would be named
     remains = float(np.median(after.error / np.maximum(worth, 1e-12))) > criteria.explained
-    if some:
-        report["verdict"] = "partly_explained" if remains else "explained"
-    elif remains:
-        report["verdict"] = "structured_unattributed"
-    else:
-        report["verdict"] = "within_noise"
-    if report["verdict"] == "explained" and any(n.alternatives for n in found.named):
-        report["verdict"] = "explained_class"
+    with_effects(report, report["effects"], remains)
     report["error"] = _error(problem, found, before, after, floor)
     report["remaining"] = {
         "error": _pooled(after),

@@ -99,19 +99,6 @@ def left_by_fit(problem: Problem, model: Model) -> float:
     return float(np.sqrt(model.fit.loss / problem.counts.sum()))
 
 
-def verdict(named: tuple[Named, ...], over: float, criteria: Criteria) -> str:
-    """The kind of the verdict by the larger of both errors over the noise floor."""
-    if not named:
-        if over <= criteria.explained:
-            return "within_noise"
-        return "structured_unattributed"
-    if over > criteria.explained:
-        return "partly_explained"
-    if any(n.alternatives or n.candidate.same for n in named):
-        return "explained_class"
-    return "explained"
-
-
 def words(name: str) -> str:
     """An effect's name, with its place or without, as people write it."""
     return name.partition("@")[0].replace("_", " ")
@@ -190,13 +177,40 @@ def effect_row(problem: Problem, found: Finding, n: Named, **more: Any) -> dict[
         "parameters": numbers,
         "physics": e.physics,
         "shown_by": e.seen,
-        "alternatives": [*[f"{a.name}@{a.where}" for a in n.alternatives], *e.same],
+        "alternatives": alternatives(n),
+        **tested(n),
+        **more,
+    }
+
+
+def alternatives(n: Named) -> list[str]:
+    """What does as well in the place of an effect, found or declared so."""
+    return [*[f"{a.name}@{a.where}" for a in n.alternatives], *n.candidate.same]
+
+
+def tested(n: Named) -> dict[str, Any]:
+    """What a row of `effects` says of how an effect was tested."""
+    return {
         "held_out_gain": n.test.gain,
         "p_value": n.test.p,
         "better": n.test.better,
         "folds": n.test.folds,
         "size_over_scatter": min(n.steady, 1e3),
-        **more,
+    }
+
+
+def candidate_row(
+    name: str, where: str, gain: float, p: float, status: str, why: str
+) -> dict[str, Any]:
+    """A row of `candidates`."""
+    return {
+        "name": name,
+        "where": where,
+        "held_out_gain": float(np.clip(gain, -1.0, 1.0)),
+        "p_value": float(min(1.0, p)),
+        "accepted": status == "accepted",
+        "status": status,
+        "why": why,
     }
 
 
@@ -280,40 +294,23 @@ def candidate_rows(found: Finding, alpha: float = Criteria.alpha) -> list[dict[s
     """Every candidate, what the first score test said of it, and what became of it. alpha: the
     test's level.
     """
-    names = {n.candidate.name for n in found.named}
-    alike = {a.name for n in found.named for a in n.alternatives}
+    names = {n.candidate.key for n in found.named}
+    alike = {a.key for n in found.named for a in n.alternatives}
+    if names:
+        chosen = "predicts left-out trials less well than what was chosen"
+    else:
+        chosen = "not among the best few that were fitted"
     rows, refused = [], found.refused()
     for s in found.scores:
-        name = s.candidate.name
-        if name in names:
-            status = "accepted"
-        elif name in alike:
-            status = "look-alike"
-        else:
-            status = "rejected"
-        passed = s.p * len(found.scores) < alpha
-        if names:
-            chosen = "predicts left-out trials less well than what was chosen"
-        else:
-            chosen = "not among the best few that were fitted"
-        if passed:
-            rest = chosen
-        else:
-            rest = f"does not pass the score test (p {min(1.0, s.p * len(found.scores)):.2g}), and was not fitted"
-        why = {"accepted": "named", "look-alike": "does as well"}.get(status) or refused.get(
-            s.candidate.key, rest
-        )
-        rows.append(
-            {
-                "name": name,
-                "where": s.candidate.where,
-                "held_out_gain": float(np.clip(s.gain, -1.0, 1.0)),
-                "p_value": float(min(1.0, s.p * len(found.scores))),
-                "accepted": name in names,
-                "status": status,
-                "why": why,
-            }
-        )
+        key, p = s.candidate.key, min(1.0, s.p * len(found.scores))
+        status, why = "rejected", refused.get(key, chosen)
+        if key in names:
+            status, why = "accepted", "named"
+        elif key in alike:
+            status, why = "look-alike", "does as well"
+        elif key not in refused and p >= alpha:
+            why = f"does not pass the score test (p {p:.2g}), and was not fitted"
+        rows.append(candidate_row(s.candidate.name, s.candidate.where, s.gain, p, status, why))
     return rows
 
 

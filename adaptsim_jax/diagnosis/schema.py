@@ -48,16 +48,14 @@ VERDICTS = (
     "explained",
     "explained_class",
     "partly_explained",
-    "confounded_with_declared",
     "structured_unattributed",
     "within_noise",
-    "underpowered",
     "data_fault",
 )
-NAMELESS = ("within_noise", "underpowered", "data_fault")
+NAMELESS = ("within_noise", "data_fault")
 """Verdicts that name no effect: an effect beside one of them would contradict it."""
 
-STATUSES = ("accepted", "rejected", "confounded", "look-alike")
+STATUSES = ("accepted", "rejected", "look-alike")
 ERROR_KEYS = (
     "metric",
     "unit",

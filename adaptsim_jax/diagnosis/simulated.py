@@ -23,6 +23,7 @@ from adaptsim_jax.diagnosis.schema import check, new_report
 from adaptsim_jax.diagnosis.search import search
 from adaptsim_jax.diagnosis.simulator import Simulator, check_simulator
 from adaptsim_jax.diagnosis.starts import problem_of
+from adaptsim_jax.diagnosis.verdict import verdict_of, with_effects
 from adaptsim_jax.diagnosis.written import cleared, write_all
 from adaptsim_jax.diagnosis.yardstick import doing_nothing, skill
 from adaptsim_jax.mend.model_toml import Form, Value, added_effects
@@ -73,12 +74,7 @@ def diagnose_simulator(
     report["run"] = evidence["run"] = Run(command or f"diagnose_simulator({name})", began).told()
     report = check(report)
     if folder is not None:
-        model = mended_model(problem, found, name).text
-
-        values = {
-            q.name: float(z)
-            for q, z in zip(problem.quantities, found.final.fit.values, strict=True)
-        }
+        model, values = mended_model(problem, found, name).text, by_name(problem, found.final)
         mended = {
             file: partial(make, values) for file, make in getattr(simulator, "mended", {}).items()
         }
@@ -100,26 +96,33 @@ def reported(
     worst = max(over, rows.left_by_fit(problem, found.final))
     both = {"before": found.null, "after": found.final}
     tracks = {k: predictions(simulator, problem, m) for k, m in both.items()}
+    notes = getattr(simulator, "notes", lambda values: [])
+    effects = [rows.effect_row(problem, found, n) for n in found.named]
     report = new_report(
         "simulator",
         name,
-        rows.verdict(found.named, worst, criteria),
+        verdict_of(effects, worst > criteria.explained),
         message(found, worst, criteria),
         {
             "trials": len(s.names),
             "samples": int((s.seen > 0).any(2).sum()),
             "held_out_trials": len(np.unique(np.asarray(problem.fold))),
         },
-        effects=[rows.effect_row(problem, found, n) for n in found.named],
+        effects=effects,
         error=_error(simulator, both, tracks),
         candidates=rows.candidate_rows(found, criteria.alpha),
         declared={k: rows.declared_rows(problem, m, {}) for k, m in both.items()},
         not_established=rows.same_rows(found, "stretch"),
         power=power_rows(problem, found, criteria),
-        notes=few(problem),
+        notes=[*few(problem), *notes(by_name(problem, found.final))],
         next_experiment=telling(simulator, problem, found, proposals),
     )
     return report, {"audit": [], "held_out": _held_out(simulator, tracks, bool(found.named))}
+
+
+def by_name(problem: Problem, model: Model) -> dict[str, float]:
+    """Values of all quantities."""
+    return {q.name: float(model.fit.values[i]) for i, q in enumerate(problem.quantities)}
 
 
 def told_of_nothing(report: dict[str, Any], criteria: Criteria) -> None:
@@ -133,14 +136,8 @@ def told_of_nothing(report: dict[str, Any], criteria: Criteria) -> None:
     least = min(e["straight_line"], e["hold_still"])
     said = f"The model predicts nothing: it leaves {e['after']:.3g} times the noise, doing nothing leaves {least:.3g}."
     named = ", ".join(row["name"] for row in report["effects"])
-    report |= {
-        "message": f"{said}{f' Not named for that: {named}.' if named else ''}",
-        "effects": [],
-    }
-    if e["after"] > criteria.explained:
-        report["verdict"] = "structured_unattributed"
-    else:
-        report["verdict"] = "within_noise"
+    report["message"] = f"{said}{f' Not named for that: {named}.' if named else ''}"
+    with_effects(report, [], e["after"] > criteria.explained)
     for row in report["candidates"]:
         row |= {"accepted": False, "status": "rejected"} if row["accepted"] else {}
 

@@ -63,7 +63,8 @@ class Simulator(Protocol):
     """What is asked of a simulator. declared: names of quantities that are fitted whatever is
     found.
 
-    Optional: `linearise` (see that function), and `mended`: {file name: what makes its text of
+    Optional: `linearise` (see that function); `notes`: of quantities by name sentences for the
+    report; and `mended`: {file name: what makes its text of
     quantities by name}: files of the simulator's own that a diagnosis leaves beside `model.toml`;
     one that fails is a line of the report, which is written before.
     """

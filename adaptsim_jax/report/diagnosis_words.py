@@ -12,10 +12,8 @@ TONES = {
     "explained": "good",
     "explained_class": "good",
     "partly_explained": "open",
-    "confounded_with_declared": "open",
     "structured_unattributed": "open",
     "within_noise": "calm",
-    "underpowered": "open",
     "data_fault": "bad",
 }
 BASE = {
@@ -35,10 +33,8 @@ LABELS = {
     "explained": "explained",
     "explained_class": "explained up to a class",
     "partly_explained": "partly explained",
-    "confounded_with_declared": "confounded with declared parameters",
     "structured_unattributed": "structure without a name",
     "within_noise": "within noise",
-    "underpowered": "underpowered",
     "data_fault": "fault in the data",
 }
 MEANINGS = {
@@ -49,16 +45,11 @@ MEANINGS = {
     "partly_explained": "Each effect named held out by itself on trials without a part in finding "
     "it. More is left than the sensors' "
     "noise, and it has no name: the mended model is better, not complete.",
-    "confounded_with_declared": "Another declared value does the same as an effect along these "
-    "motions, "
-    "so neither can be held responsible.",
     "structured_unattributed": "What is left is more than chance leaves, yet no effect in the "
     "catalogue "
     "accounts for it. No name is forced on it.",
     "within_noise": "What is left looks like chance. Nothing needs to be added for motions like "
     "these.",
-    "underpowered": "An effect of a size that matters could hide in these data. "
-    "This is not evidence that the model is right.",
     "data_fault": "No model was judged: the findings below come first.",
 }
 NEXT = {
@@ -66,13 +57,10 @@ NEXT = {
     "explained_class": "Use the mended model for motions like these; other motions can tell the "
     "names apart.",
     "partly_explained": "Use the mended model for motions like these, and look where the rest sits.",
-    "confounded_with_declared": "Measure the declared value again and put it right in meta.toml, "
-    "or record motions that part the two.",
     "structured_unattributed": "Look where the structure sits: an effect of your own can be added "
     "for it (adaptsim new effect).",
     "within_noise": "Add no effect; take the fitted values (below, and in model.toml) for those of "
     "the file.",
-    "underpowered": "Record more trials, longer ones, or with more excitation; then run this again.",
     "data_fault": "Mend the recording as the audit says, then run this again.",
 }
 
@@ -155,11 +143,6 @@ def _verdict(report: Mapping) -> str:
         return ""
     if verdict == "partly_explained":
         return f"The declared model lacks {names}, and something more that has no name."
-    if verdict == "confounded_with_declared":
-        # Candidates that the declared parameters absorb are no suspects: the message says what is.
-        if not names:
-            return "A declared value is wrong, or an effect acts just like it."
-        return f"{names[:1].upper()}{names[1:]} cannot be told from the declared parameters."
     if verdict == "structured_unattributed":
         if names:
             found = f"{names[:1].upper()}{names[1:]} found, and"
@@ -170,7 +153,6 @@ def _verdict(report: Mapping) -> str:
         return f"{found} no candidate explains it."
     return {
         "within_noise": _nothing_more(report),
-        "underpowered": "These data cannot decide whether the declared model is complete.",
         "data_fault": "The data must be mended before a model can be judged.",
     }[verdict]
 
@@ -215,8 +197,6 @@ def status(candidate: Mapping, report: Mapping) -> str:
         for a in e.get("alternatives") or []
     ):
         return "look-alike"
-    if "confounded" in candidate["why"].lower():
-        return "confounded"
     return "rejected"
 
 

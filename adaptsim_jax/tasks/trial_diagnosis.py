@@ -17,6 +17,7 @@ from adaptsim_jax.diagnosis.finding import Finding
 from adaptsim_jax.diagnosis.problem import Candidate, Problem
 from adaptsim_jax.diagnosis.run import Page, Run, command_of
 from adaptsim_jax.diagnosis.schema import new_report
+from adaptsim_jax.diagnosis.verdict import verdict_of
 from adaptsim_jax.diagnosis.written import cleared
 from adaptsim_jax.mend.model_toml import Form
 
@@ -88,17 +89,18 @@ def reported(
         bool(found.named),
     )
     both = {"before": found.null, "after": found.final}
+    effects = [rows.effect_row(problem, found, n) for n in found.named]
     report = new_report(
         task,
         model,
-        rows.verdict(found.named, worst, criteria),
+        verdict_of(effects, worst > criteria.explained),
         rows.message(seen, found, over, worst),
         {
             "trials": len(seen.names),
             "samples": int(seen.mask.sum()),
             "held_out_trials": len(seen.names),
         },
-        effects=[rows.effect_row(problem, found, n) for n in found.named],
+        effects=effects,
         error=rows.error_table(seen, found, tracks),
         candidates=rows.candidate_rows(found),
         declared={k: rows.declared_rows(problem, m) for k, m in both.items()},

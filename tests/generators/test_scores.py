@@ -92,7 +92,7 @@ def test_the_first_place_counts_and_of_a_scale_of_the_torque_the_other_joint_too
 
 def test_a_confounded_effect_is_right_when_nothing_is_named():
     hidden = [("rotor_inertia", "joint1")]
-    assert judged(hidden, [], "confounded_with_declared", confounded=True)["hits"] == [True]
+    assert judged(hidden, [], "within_noise", confounded=True)["hits"] == [True]
     assert judged(hidden, [{"name": "bias", "where": "joint1"}], confounded=True)["wrong"] == 1
     assert judged(hidden, [], "structured_unattributed", confounded=True)["hits"] == [False]
 
@@ -123,7 +123,7 @@ def test_summary_counts_and_prints():
 def test_a_disguise_that_changes_the_verdict_is_seen():
     plain = judged([], [], "within_noise", "metamorphic", name="meta_1_plain")
     same = judged([], [], "within_noise", "metamorphic", name="meta_1_a", variant="shuffled")
-    other = judged([], [], "underpowered", "metamorphic", name="meta_1_b", variant="filtered")
+    other = judged([], [], "structured_unattributed", "metamorphic", name="meta_1_b", variant="filtered")
     records = [r | {"seconds": 1.0} for r in (plain, same, other)]
     assert summarise(records)["metamorphic"]["consistent"] == pytest.approx(0.5)
 

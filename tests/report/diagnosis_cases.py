@@ -102,7 +102,7 @@ REJECTED = [
         "below the least gain of 5 % declared beforehand",
     ),
     candidate(
-        "torque_gain", "joint1", 0.0, None, False, "declared masses absorb it", status="confounded"
+        "torque_gain", "joint1", 0.0, None, False, "declared masses absorb it", status="rejected"
     ),
     candidate(
         "encoder_offset", "joint2", 0.012, 0.74, False, "p-value above 0.05 after correction"
@@ -124,7 +124,7 @@ REJECTED = [
         None,
         False,
         "declared inertias absorb it",
-        status="confounded",
+        status="rejected",
     ),
     candidate("dead_zone", "joint2", -0.02, 1.0, False, "wrong sign: fitted width is negative"),
 ]
@@ -249,33 +249,6 @@ def partly_explained():
     )
 
 
-def confounded():
-    rows = [
-        candidate(
-            "torque_gain",
-            "joint1",
-            0.0,
-            None,
-            False,
-            "98.7 % of it lies in the span of the declared masses",
-            status="confounded",
-        ),
-        *REJECTED[:2],
-    ]
-    return new_report(
-        "pendulum",
-        "linearized",
-        "confounded_with_declared",
-        "A torque gain error at joint 1 would change the data as a change of m1 and m2 does; the "
-        "declared fit absorbs it.",
-        DATA,
-        error=errors(None, ceiling=4.0),
-        candidates=rows,
-        declared={"before": declared(loose=("m1", "m2")), "after": {}},
-        next_experiment="Weigh link 1 and put m1 under [known] in meta.toml, then run this again.",
-    )
-
-
 def structured():
     return new_report(
         "pendulum",
@@ -333,30 +306,6 @@ def within_noise():
     )
 
 
-def underpowered():
-    data = {"trials": 2, "samples": 240, "held_out_trials": ["trial_01"]}
-    error = {
-        "metric": "rmse of the joint angles",
-        "unit": "rad",
-        "before": 0.031,
-        "noise_floor": 0.024,
-    }
-    return new_report(
-        "pendulum",
-        "rigid_body",
-        "underpowered",
-        "Two trials of 1.2 s at 100 Hz: Coulomb friction of a size that doubles the error would be "
-        "found in 23 % of such recordings.",
-        data,
-        error=error,
-        declared={"before": declared(loose=("m1", "m2")), "after": {}},
-        next_experiment={
-            "message": "At least 6 trials of 4 s, with both joints moving at up to 3 rad/s.",
-            "csv": "next_experiment.csv",
-        },
-    )
-
-
 def data_fault():
     return new_report(
         "pendulum",
@@ -371,10 +320,8 @@ _MAKERS = {
     "explained": explained,
     "explained_class": explained_class,
     "partly_explained": partly_explained,
-    "confounded_with_declared": confounded,
     "structured_unattributed": structured,
     "within_noise": within_noise,
-    "underpowered": underpowered,
     "data_fault": data_fault,
 }
 
@@ -433,8 +380,6 @@ def evidence(verdict):
         found["held_out"] = [
             row | {"before": row["after"], "after": None} for row in held_out(True)
         ]
-    if verdict == "underpowered":
-        found["held_out"] = held_out(False, trials=1)
     return found
 
 

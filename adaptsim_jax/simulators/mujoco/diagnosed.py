@@ -13,7 +13,7 @@ import numpy as np
 
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.problem import Candidate, Quantity
-from adaptsim_jax.diagnosis.run import Page, plain
+from adaptsim_jax.diagnosis.run import Page
 from adaptsim_jax.diagnosis.simulated import diagnose_simulator
 from adaptsim_jax.diagnosis.simulator import STEP, Channel
 from adaptsim_jax.diagnosis.simulator import Stretches as Compared
@@ -67,6 +67,7 @@ class MujocoSimulator:
     channels: tuple[Channel, ...]
     stretches: Compared
     candidates: tuple[Candidate, ...]
+    remarks: tuple[str, ...] = ()
 
     def predict(self, values: np.ndarray, starts: np.ndarray, which: np.ndarray) -> np.ndarray:
         """See `diagnosis.simulator.Simulator`."""
@@ -81,6 +82,11 @@ class MujocoSimulator:
             )
         read = self.stretches.measured[which] - rollouts.residual(self.made, self.own, path, which)
         return as_read(self.fields, values, read, self.stretches.time[which])
+
+    def notes(self, values: Mapping[str, float]) -> list[str]:
+        """See `diagnosis.simulator.Simulator`."""
+        row = np.array([values[q.name] for q in self.quantities])
+        return [*coarse_step(self, row), *self.remarks]
 
     @property
     def mended(self) -> dict[str, Callable[[Mapping[str, float]], str]]:
@@ -146,7 +152,10 @@ def simulator(source: Source, log: Log, horizon: float | None = None) -> MujocoS
         f.name for r in found if r.candidate.name.startswith(DECLARED) for f in r.fields
     )
     wanted = tuple(r.candidate for r in found if r.candidate.quantities[0] not in declared)
-    return MujocoSimulator(made, own, fields, quantities, declared, channels, compared, wanted)
+    remarks = "simulated by MuJoCo at the file's own step", *log.notes, *source.notes, *made.notes
+    return MujocoSimulator(
+        made, own, fields, quantities, declared, channels, compared, wanted, remarks
+    )
 
 
 def _opening(channels: Sequence[Channel], made: Stepped) -> np.ndarray:
@@ -213,48 +222,13 @@ def diagnose(
     the report.
     """
     made = simulator(source, log, horizon)
-    notes = [
-        "simulated by MuJoCo at the file's own step",
-        *log.notes,
-        *source.notes,
-        *made.made.notes,
-    ]
-    coarse: dict[str, list[str]] = {}
-
-    def with_notes(report: dict[str, Any]) -> dict[str, Any]:
-        if not coarse:
-            coarse["told"] = coarse_step(made, _values(made, report))
-        report["notes"] = [
-            *(n for n in report.get("notes", ()) if n not in notes),
-            *coarse["told"],
-            *notes,
-        ]
-        return report
-
-    def told(folder: Path, report: dict[str, Any], evidence: dict[str, Any]) -> None:
-        (page or plain)(folder, with_notes(report), evidence)
-
-    name = Path(source.path).name
-    report = diagnose_simulator(
+    return diagnose_simulator(
         made,
         out=out,
         criteria=None if made.made.free < 0 else SHORT,
         exclude=exclude,
         progress=progress,
-        page=told,
-        name=name,
+        page=page,
+        name=Path(source.path).name,
         command=command,
-    )
-    if out is not None:
-        return report
-    return with_notes(report)
-
-
-def _values(made: MujocoSimulator, report: dict[str, Any]) -> np.ndarray:
-    """[P] as a report has them."""
-    found = {**report["declared"]["after"]}
-    for e in report["effects"]:
-        found |= e["parameters"]
-    return np.array(
-        [found[q.name]["value"] if q.name in found else q.neutral for q in made.quantities]
     )

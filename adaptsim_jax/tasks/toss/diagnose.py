@@ -14,6 +14,7 @@ from adaptsim_jax.diagnosis.models import Model
 from adaptsim_jax.diagnosis.problem import Candidate, Problem
 from adaptsim_jax.diagnosis.schema import new_report
 from adaptsim_jax.diagnosis.search import search
+from adaptsim_jax.diagnosis.verdict import verdict_of
 from adaptsim_jax.mend.model_toml import Form, Value, added_effects
 from adaptsim_jax.tasks.toss.body import mended_xml
 from adaptsim_jax.tasks.toss.catalogue import effects
@@ -112,17 +113,18 @@ def reported(
         for n in found.named
         for s in n.candidate.same
     ]
+    named = [parts.effect_row(problem, found, n) for n in found.named]
     report = new_report(
         "toss",
         _model(tossed),
-        parts.verdict(found.named, float(np.median(over["after"])), criteria),
+        verdict_of(named, float(np.median(over["after"])) > criteria.explained),
         message(found, over, error, whole, flown),
         {
             "trials": len(tossed.names),
             "samples": int(follow.windows.mask.sum()),
             "held_out_trials": len(tossed.names),
         },
-        effects=[parts.effect_row(problem, found, n) for n in found.named],
+        effects=named,
         error=error,
         candidates=parts.candidate_rows(found),
         declared={k: parts.declared_rows(problem, m, LOGS) for k, m in both},
