@@ -1,7 +1,7 @@
 """Backward: each effect tested beside all others, and against its look-alikes."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import TypeVar
 
@@ -10,40 +10,16 @@ from adaptsim_jax.attribution.held_out import Model, attempted, modelled, paired
 from adaptsim_jax.attribution.parameters import TILT, Vector
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.score import Candidate, Score, candidates, table
-from adaptsim_jax.attribution.stays import between_rows, steadiness, why_not
+from adaptsim_jax.attribution.stays import Simulated, between_rows, steadiness
 from adaptsim_jax.attribution.weights import losses
 from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.finding import Named, Step
+from adaptsim_jax.diagnosis.rules import Reason, refusal, step_reason
 from adaptsim_jax.diagnosis.testing import Test
 from adaptsim_jax.effects.base import Reach
 
 T = TypeVar("T")
-
-
-@dataclass(frozen=True)
-class Step:
-    """What the search did: action (added, refused, dropped, read, replaced, ended), candidate, its
-    test, why.
-    """
-
-    action: str
-    candidate: Candidate | None
-    score: Score | None
-    test: Test | None
-    why: str
-
-
-@dataclass(frozen=True)
-class Named:
-    """An effect that holds out. test: beside all others; alternatives: effects that do as well in
-    its place; z: size over scatter.
-    """
-
-    candidate: Candidate
-    test: Test
-    alternatives: tuple[Candidate, ...]
-    steady: float
-    p: float
 
 
 def scored(
@@ -166,7 +142,7 @@ def judged(
         sure |= {c.key for c, _, test, _ in tests if test.gain > criteria.apart}
         if read:
             c, test = read
-            trace.append(Step("read", c, None, test, "how rows are read, not an effect"))
+            trace.append(Step("read", c, test, step_reason(_read_code(problem, c))))
             model = replace(model, added=tuple(k for k in model.added if k is not c))
             continue
         also: list[tuple] = []
@@ -174,7 +150,7 @@ def judged(
             (_, _, less, _, _), *others = weakest = apart_in_turn(
                 sorted(failing, key=lambda f: f[0]), lambda f: f[1]
             )
-            trace += [Step("dropped", c, None, test, why) for _, c, _, test, why in weakest]
+            trace += [Step("dropped", c, test, why) for _, c, _, test, why in weakest]
             less = replace(
                 less, added=tuple(c for c in less.added if all(c is not f[1] for f in others))
             )
@@ -196,19 +172,13 @@ def judged(
                 break
             c, less, test = min(simpler, key=lambda s: s[2].gain)
             gone.add(c.key)
-            trace.append(
-                Step(
-                    "replaced",
-                    c,
-                    None,
-                    test,
-                    f"{less.added[-1].effect} has fewer parameters and does as well",
-                )
-            )
+            simpler_one = less.added[-1].effect
+            reason = step_reason("simpler_has_the_name", test.gain, one=simpler_one)
+            trace.append(Step("replaced", c, test, reason))
         own = fit(problem, less.fit.vector.without(also), less.fit.starts, rounds=criteria.rounds)
         model = modelled(problem, less.added, own)
     return model, tuple(
-        Named(c, test, tuple(other.added[-1] for other, _ in others), steady, test.p)
+        Named(c, test, steady, tuple(other.added[-1] for other, _ in others))
         for (c, _, test, steady), others in zip(tests, alike, strict=True)
     )
 
@@ -221,18 +191,15 @@ def of_members(problem: Problem, model: Model, criteria: Criteria, trace, say) -
     many = [c for c in model.added if c.sharing == "all" and len(c.joints) > 1]
     parts = [(c, one) for c in many for one in c.split()]
 
-    def tested(part: tuple[Candidate, Candidate]) -> tuple[float, Candidate, Test, str]:
+    def tested(part: tuple[Candidate, Candidate]) -> tuple[float, Candidate, Test, Reason | None]:
         c, one = part
         say(f"without {one.effect} at {where(problem, one)}")
         alone = replace(model, added=(*(k for k in model.added if k is not c), one))
         less = without(problem, alone, one, criteria)
         test = paired(problem, less.held.loss, model.held.loss)
-        return (
-            test.gain,
-            one,
-            test,
-            why_not(problem, model, less, one, test, steadiness(model, one), criteria),
-        )
+        steady = steadiness(model, one)
+        evidence = Simulated(problem, model, less, one, test, steady, criteria)
+        return test.gain, one, test, refusal(evidence)
 
     weak = sorted((t for t in parallel_map(tested, parts) if t[3]), key=lambda t: t[0])
     while weak:
@@ -241,10 +208,17 @@ def of_members(problem: Problem, model: Model, criteria: Criteria, trace, say) -
         )
         test = paired(problem, losses(problem, less.held.paths, model.fit.weights), model.held.loss)
         if test.p > criteria.confidence or test.gain < criteria.size * more(model, less):
-            trace += [Step("dropped", one, None, test, why) for _, one, test, why in weak]
+            trace += [Step("dropped", one, test, why) for _, one, test, why in weak]
             return less
         weak = weak[: len(weak) // 2]
     return model
+
+
+def _read_code(problem: Problem, c: Candidate) -> str:
+    """By which code an effect is how rows are read."""
+    if problem.effect(c.effect).shifts_time:
+        return "commands_between_rows"
+    return "rotors_are_steps"
 
 
 def trimmed(problem: Problem, model: Model, keys: Sequence[tuple], criteria: Criteria) -> Model:
@@ -267,7 +241,7 @@ def _weak(problem: Problem, model: Model, tests, criteria: Criteria):
     for c, less, test, steady in tests:
         if between_rows(problem, model, c, criteria) and test.p <= criteria.confidence:
             read = c, test
-        elif why := why_not(problem, model, less, c, test, steady, criteria):
+        elif why := refusal(Simulated(problem, model, less, c, test, steady, criteria)):
             failing.append((test.gain, c, less, test, why))
     return read, failing
 

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.attribution import inertias_told
-from adaptsim_jax.attribution.backward import Named
 from adaptsim_jax.attribution.held_out import Model, astray, held_error, over_floor
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import INERTIA, Entry
@@ -25,6 +24,7 @@ from adaptsim_jax.attribution.sentences import (
     unused,
 )
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.finding import Named
 from adaptsim_jax.diagnosis.rows import candidate_row, tested
 from adaptsim_jax.diagnosis.schema import new_report
 from adaptsim_jax.diagnosis.verdict import verdict_of
@@ -264,16 +264,7 @@ def _candidates(problem: Problem, found: Selection) -> list[dict[str, Any]]:
     """
     names = {(n.candidate.effect, n.candidate.joints) for n in found.named}
     alike = {(a.effect, a.joints) for n in found.named for a in n.alternatives}
-    why = {}
-    for s in found.trace:
-        if (
-            s.candidate is not None
-            and s.test is not None
-            and s.action in ("refused", "dropped", "replaced")
-        ):
-            why[s.candidate.effect, s.candidate.joints] = (
-                f"{s.action}: {s.why} (held-out gain {100 * s.test.gain:.1f} %, p {s.test.p:.2g})"
-            )
+    why = {key[:2]: words for key, words in found.refused().items()}
     total = max(found.stages[0].fit.total, 1e-12)
     if names:
         other = "predicts left-out trials less well than what was chosen"
@@ -283,8 +274,8 @@ def _candidates(problem: Problem, found: Selection) -> list[dict[str, Any]]:
     def row(c, gain, p, status, why):
         return candidate_row(c.effect, place(problem, c), gain, p, status, why)
 
-    rows = [row(n.candidate, n.test.gain, n.p, "accepted", "named") for n in found.named]
-    for s in found.first:
+    rows = [row(n.candidate, n.test.gain, n.test.p, "accepted", "named") for n in found.named]
+    for s in found.scores:
         key = s.candidate.effect, s.candidate.joints
         if key in names or (s.held_out <= 0.0 and key not in alike):
             continue
@@ -296,7 +287,7 @@ def _candidates(problem: Problem, found: Selection) -> list[dict[str, Any]]:
             row(
                 s.candidate,
                 s.held_out / total,
-                min(1.0, s.p * len(found.first)),
+                min(1.0, s.p * len(found.scores)),
                 status,
                 why.get(key, words),
             )

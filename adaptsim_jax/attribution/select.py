@@ -11,8 +11,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adaptsim_jax.attribution.backward import (
-    Named,
-    Step,
     from_afar,
     judged,
     more,
@@ -40,6 +38,8 @@ from adaptsim_jax.attribution.stays import eased, steady_each
 from adaptsim_jax.attribution.weights import losses
 from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.finding import Finding, Step
+from adaptsim_jax.diagnosis.rules import step_reason
 from adaptsim_jax.effects.base import Reach
 
 ROUNDS = 15  # of the declared model's fit
@@ -48,19 +48,13 @@ Hint = tuple[Vector, tuple[Candidate, ...]]
 """Values and effects of another witness, to go on from."""
 
 
-@dataclass(frozen=True)
-class Selection:
-    """What a search found. null: the declared model; stages: (model, added) in turn; final; trace;
-    scores at the declared model and at the final one; shorter: over the beginnings of stretches
-    only.
+@dataclass(frozen=True, kw_only=True)
+class Selection(Finding):
+    """What a search by simulated stretches found. stages: models on the way; last: scores at the
+    final one; shorter: over the beginnings of stretches only.
     """
 
-    null: Model
-    final: Model
-    named: tuple[Named, ...]
     stages: tuple[Model, ...]
-    trace: tuple[Step, ...]
-    first: tuple[Score, ...]
     last: tuple[Score, ...]
     reach: Reach
     shorter: bool = False
@@ -93,7 +87,8 @@ def select(
         scores = scored(problem, base, reach, True)
 
     def so_far(model):
-        return Selection(first, model, (), tuple(stages), tuple(trace), tuple(opening), (), reach)
+        found = (first, model, (), tuple(trace), tuple(opening))
+        return Selection(*found, stages=tuple(stages), last=(), reach=reach)
 
     keep(so_far(base))
     while len(base.added) < criteria.most_effects:
@@ -117,9 +112,8 @@ def select(
         if hint is not None:
             before = declared(problem, null, criteria)
         final = before
-    return Selection(
-        before, final, named, tuple(stages), tuple(trace), tuple(opening), tuple(scores), reach
-    )
+    found = (before, final, named, tuple(trace), tuple(opening))
+    return Selection(*found, stages=tuple(stages), last=tuple(scores), reach=reach)
 
 
 def _hinted(
@@ -133,7 +127,7 @@ def _hinted(
     test = paired(problem, base.held.loss, losses(problem, model.held.paths, base.fit.weights))
     if test.gain <= criteria.size or test.p > criteria.confidence:
         return None
-    trace += [Step("added", c, None, test, "along the measured motion") for c in added]
+    trace += [Step("added", c, test, step_reason("begin_from_other", test.gain)) for c in added]
     return _steady(problem, model, criteria)
 
 
@@ -226,8 +220,8 @@ def _forward(
     begun += _begun(problem, base, reach, _larger(problem, scores, [b[0] for b in begun]))
     best = _best(problem, base, begun, good, criteria, trace, say)
     if best is None:
-        why = f"{len(hopeful)} of {len(scores)} candidates pass the score test, none holds out"
-        trace.append(Step("ended", None, None, None, why))
+        reason = step_reason("score_test", passed=len(hopeful), of=len(scores))
+        trace.append(Step("ended", None, None, reason))
     return best
 
 
@@ -319,14 +313,14 @@ def _best(problem, base: Model, begun, good, criteria: Criteria, trace, say) -> 
     for (score, *_), model in zip(begun, parallel_map(fitted, begun), strict=True):
         test = paired(problem, base.held.loss, model.held.loss)
         passed = good(model, test)
-        why = f"fitted, leaves {model.fit.total / base.fit.total:.2f} of the loss"
-        trace.append(Step("tried" if passed else "refused", score.candidate, score, test, why))
+        reason = step_reason("forward_fit", model.fit.total / base.fit.total)
+        trace.append(Step("tried" if passed else "refused", score.candidate, test, reason))
         if passed and (best is None or _beats(problem, model, best[0], criteria)):
             best = model, score, test
     if best is None:
         return None
     model, score, test = best
-    trace.append(Step("added", score.candidate, score, test, ""))
+    trace.append(Step("added", score.candidate, test, None))
     # its own weights from here on: the residual has become smaller, and with it what matters in it
     again = fit(problem, model.fit.vector, model.fit.starts, rounds=criteria.rounds)
     acting, still = _acting(again.vector, score.candidate)

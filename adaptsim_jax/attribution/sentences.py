@@ -4,7 +4,6 @@ for granted.
 
 import numpy as np
 
-from adaptsim_jax.attribution.backward import Named
 from adaptsim_jax.attribution.equation.commands import STUCK
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, TILT
@@ -12,6 +11,7 @@ from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.score import Candidate
 from adaptsim_jax.attribution.select import Selection
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.finding import Named
 from adaptsim_jax.effects.joints.forces import ARMATURE
 from adaptsim_jax.effects.joints.friction import COULOMB, VISCOUS
 
@@ -127,8 +127,8 @@ def _closest(problem: Problem, found: Selection) -> str:
     """The candidates that a score test favours, where none holds out."""
     near = [
         s
-        for s in found.first
-        if s.p * len(found.first) < 0.01 and s.held_out > 0.05 * found.stages[0].fit.total
+        for s in found.scores
+        if s.p * len(found.scores) < 0.01 and s.held_out > 0.05 * found.stages[0].fit.total
     ][:3]
     names = ", ".join(
         f"{s.candidate.effect.replace('_', ' ')} at {place(problem, s.candidate)}" for s in near
@@ -256,8 +256,7 @@ def doubts(problem: Problem, found: Selection) -> list[str]:
     for s in found.trace:
         if s.action == "dropped" and s.candidate is not None and s.test is not None:
             name = f"{s.candidate.effect.replace('_', ' ')} at {place(problem, s.candidate)}"
-            shown = f"held-out gain {100 * s.test.gain:.1f} %, p {s.test.p:.2g}"
-            out.append(f"{name} was tried and dropped: {s.why} ({shown}).")
+            out.append(f"{name} was tried and dropped: {s.why} ({s.shown}).")
     return out
 
 

@@ -1,8 +1,7 @@
-"""Whether an effect stays in the model, beside all others, and if not, why: the rules of
-`backward.judged`.
-"""
+"""What simulated stretches show of an effect beside all others: evidence for the rules."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,64 +10,106 @@ from adaptsim_jax.attribution.parameters import DAMPING_STEP, Entry
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.score import Candidate
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.rules import Evidence
 from adaptsim_jax.diagnosis.testing import Test, attainable, jackknife
+from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.effects.joints.forces import ARMATURE
 from adaptsim_jax.effects.joints.friction import COULOMB, PRESLIDING, VISCOUS
 
 
-def why_not(
-    problem: Problem,
-    model: Model,
-    less: Model,
-    c: Candidate,
-    test: Test,
-    steady: float,
-    criteria: Criteria,
-) -> str:
-    """Why effect `c` of `model` does not stay, in words; empty if it stays.
+@dataclass(frozen=True)
+class Simulated(Evidence):
+    """Evidence of simulated stretches: a model and `less`, the one without a candidate, refitted."""
 
-    less: the model without it, refitted; test: of the two over left-out blocks; steady: its size
-    over its scatter (`steadiness`).
-    """
-    if test.p > attainable(criteria.confidence, test.parts):
-        return "left-out stretches do not confirm it"
-    least = criteria.size * len(c.entries)
-    if test.gain < least:
-        return f"takes less than {100 * least:.0f} % off the squared error"
-    if steady < criteria.steady:
-        return f"its size differs between trials: {steady:.1f} times its scatter"
-    if _at_bound(problem, model, c, criteria):
-        return "its value is at the end of what such a machine may have"
-    if _too_short(problem, model, c, criteria):
-        return (
-            f"a shift in time of less than {criteria.least_shift:g} sampling intervals: how "
-            f"rows are read, not an effect"
-        )
-    if _trifling(model, c, criteria):
-        return (
-            f"changes what the model file declares by less than {100 * criteria.least_change:.0f} %"
-        )
-    if _unseen(problem, model, c):
-        return (
-            "its bristles break away within the sensors' noise: friction that turns smoothly, "
-            "not an effect"
-        )
-    if eased(problem, less, model) < 0.0:
-        return "the simulated angles do not come nearer to the measured ones"
-    least = least_worth(problem, c, criteria)
-    if worth(problem, less, model) < least:
-        return (
-            f"takes less than {100 * least:.0f} % off the squared error of any joint's "
-            f"simulated angles"
-        )
-    return ""
+    problem: Problem
+    model: Model
+    less: Model
+    candidate: Candidate
+    test: Test
+    steadiness: float
+    criteria: Criteria
+    units = "stretches"
 
+    @property
+    def level(self) -> float:
+        return attainable(self.criteria.confidence, self.test.parts)
 
-def least_worth(problem: Problem, c: Candidate, criteria: Criteria) -> float:
-    """What `worth` an effect must have: more where it is no law."""
-    if problem.effect(c.effect).describes:
-        return criteria.described
-    return criteria.worth
+    @property
+    def gain(self) -> float:
+        return self.test.gain
+
+    @property
+    def price(self) -> float:
+        return self.criteria.size * len(self.candidate.entries)
+
+    @property
+    def least_steadiness(self) -> float:
+        return self.criteria.steady
+
+    @property
+    def effect(self) -> Effect:
+        return self.problem.effect(self.candidate.effect)
+
+    @property
+    def own(self) -> list[tuple[Entry, float]]:
+        """Its entries in the model, with their values."""
+        keys, vector = {e.key for e in self.candidate.entries}, self.model.fit.vector
+        both = zip(vector.entries, vector.values, strict=True)
+        return [(e, float(z)) for e, z in both if e.key in keys]
+
+    @property
+    def at_bound(self) -> bool:
+        names = {a.name for a in self.effect.amplitudes}
+        return any(e.at_bound(z, self.criteria.bound) for e, z in self.own if e.name in names)
+
+    @property
+    def unresolved_shift(self) -> float | None:
+        """The largest of that effect, at any joint."""
+        vector = self.model.fit.vector
+        times = [
+            abs(z) / self.problem.reach.dt
+            for e, z in zip(vector.entries, vector.values, strict=True)
+            if e.owner == self.candidate.effect and e.unit == "s"
+        ]
+        if not times or not self.effect.shifts_time:
+            return None
+        return max(times) if max(times) < self.criteria.least_shift else None
+
+    @property
+    def declared_change(self) -> float | None:
+        """None where the file declares nothing of it."""
+        own = [(e.off, z) for e, z in self.own]
+        if not own or any(off == 0.0 for off, _ in own):
+            return None
+        return max(abs(z - off) / abs(off) for off, z in own)
+
+    @property
+    def bend(self) -> float | None:
+        """At the joint where it is most; of a simulator whose friction turns with tanh(v / width),
+        say, no motion shows them.
+        """
+        if self.candidate.effect != PRESLIDING.name:
+            return None
+        problem, vector = self.problem, self.model.fit.vector
+        values = {e.key: z for e, z in zip(vector.entries, vector.values, strict=True)}
+
+        def bent(j):
+            least = 0.01 * float(problem.reach.torque[j])
+            level = max(values.get((COULOMB.name, "level", (j,)), 0.0), least)
+            soft = values.get((self.candidate.effect, "compliance", (j,)), 0.0)
+            return soft * level / max(problem.floor[j], 1e-12)
+
+        return max(bent(j) for j in self.candidate.joints)
+
+    @property
+    def nearer(self) -> float:
+        return eased(self.problem, self.less, self.model)
+
+    @property
+    def best_joint(self) -> tuple[float, float]:
+        criteria = self.criteria
+        least = criteria.described if self.effect.describes else criteria.worth
+        return worth(self.problem, self.less, self.model), least
 
 
 def worth(problem: Problem, less: Model, model: Model) -> float:
@@ -138,64 +179,6 @@ def in_step(
         if e.owner == ARMATURE.name
     ]
     return len(rotors) > 1 and all(heavier < shift * damps for heavier, damps in rotors)
-
-
-def _at_bound(problem: Problem, model: Model, c: Candidate, criteria: Criteria) -> bool:
-    """Whether an amplitude of it lies at an end of its range."""
-    keys = {
-        e.key for e in c.entries if e.name in {a.name for a in problem.effect(c.effect).amplitudes}
-    }
-    vector = model.fit.vector
-    return any(
-        e.key in keys and e.at_bound(z, criteria.bound)
-        for e, z in zip(vector.entries, vector.values, strict=True)
-    )
-
-
-def _too_short(problem: Problem, model: Model, c: Candidate, criteria: Criteria) -> bool:
-    """Whether it is a shift in time of less than the log resolves."""
-    times = [
-        abs(z)
-        for e, z in zip(model.fit.vector.entries, model.fit.vector.values, strict=True)
-        if e.owner == c.effect and e.unit == "s"
-    ]
-    shifts = problem.effect(c.effect).shifts_time
-    return bool(times) and shifts and max(times) < criteria.least_shift * problem.reach.dt
-
-
-def _unseen(problem: Problem, model: Model, c: Candidate) -> bool:
-    """Whether bristles bend by less than the noise of the angles before they break away, at every
-    joint (of a simulator whose friction turns with tanh(v / width), say): no motion shows them.
-    """
-    if c.effect != PRESLIDING.name:
-        return False
-    values = {
-        e.key: z for e, z in zip(model.fit.vector.entries, model.fit.vector.values, strict=True)
-    }
-
-    def level(j):
-        return max(
-            values.get((COULOMB.name, "level", (j,)), 0.0), 0.01 * float(problem.reach.torque[j])
-        )
-
-    bent = [
-        values.get((c.effect, "compliance", (j,)), 0.0) * level(j) / max(problem.floor[j], 1e-12)
-        for j in c.joints
-    ]
-    return max(bent) < 1.0
-
-
-def _trifling(model: Model, c: Candidate, criteria: Criteria) -> bool:
-    """Whether all that it does is to move what the file declares by a small share."""
-    keys = {e.key for e in c.entries}
-    own = [
-        (e.off, z)
-        for e, z in zip(model.fit.vector.entries, model.fit.vector.values, strict=True)
-        if e.key in keys
-    ]
-    return bool(own) and all(
-        off != 0.0 and abs(z - off) < criteria.least_change * abs(off) for off, z in own
-    )
 
 
 def steadiness(model: Model, c: Candidate) -> float:

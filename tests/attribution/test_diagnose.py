@@ -225,7 +225,7 @@ def test_over_the_beginnings_of_stretches_friction_is_found_too(tmp_path):
     )
     null, criteria = declared_vector(machine, problem), Criteria()
     model = declared(problem, null, criteria)
-    nothing = Selection(model, model, (), (model,), (), (), (), problem.reach)
+    nothing = Selection(model, model, (), (), (), stages=(model,), last=(), reach=problem.reach)
     found = select_shorter(problem, null, criteria, nothing)
     assert found.shorter and "coulomb" in {n.candidate.effect for n in found.named}
     assert over_floor(problem, found.final) < 0.2 * over_floor(problem, model)

@@ -12,6 +12,7 @@ from adaptsim_jax.attribution import backward
 from adaptsim_jax.attribution.parameters import Entry
 from adaptsim_jax.attribution.score import Candidate
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.rules import Reason
 from adaptsim_jax.diagnosis.testing import Test as Paired
 
 JOINTS = (0, 1, 2, 3)
@@ -53,7 +54,7 @@ def test_weak_joints_go_together_while_the_rest_predicts_as_well(most, stay, mon
         lambda p, m, c, criteria: replace(m, held=SimpleNamespace(loss=c.joints[0])),
     )
     monkeypatch.setattr(backward, "steadiness", lambda model, c: 9.0)
-    monkeypatch.setattr(backward, "why_not", lambda *a: "left-out stretches do not confirm it")
+    monkeypatch.setattr(backward, "refusal", lambda evidence: Reason("not_confirmed", 0.5, ""))
     monkeypatch.setattr(
         backward,
         "trimmed",

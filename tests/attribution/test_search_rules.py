@@ -10,10 +10,11 @@ import pytest
 from adaptsim_jax.attribution.equation import balance, search
 from adaptsim_jax.attribution.equation.searched import Searched, ranked
 from adaptsim_jax.attribution.equation.solve import compared, rows_of
-from adaptsim_jax.attribution.equation.stays import steadiness, why_not
+from adaptsim_jax.attribution.equation.stays import Balanced, steadiness
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, Entry, Vector
 from adaptsim_jax.attribution.score import Candidate
 from adaptsim_jax.diagnosis.criteria import Criteria, TorqueCriteria
+from adaptsim_jax.diagnosis.rules import refusal
 from adaptsim_jax.diagnosis.testing import false_discovery
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.effects.registry import effect_named
@@ -74,7 +75,7 @@ def test_of_two_numbers_one_that_is_somewhat_large_is_not_steady():
 
 
 @pytest.mark.parametrize(
-    ("follows", "told"), [(True, "how exactly speeds are read"), (False, "less than 3 %")]
+    ("follows", "told"), [(True, "gain_within_speed_error"), (False, "less_than_joint_torque")]
 )
 def test_a_controllers_gain_within_what_speeds_tell_is_no_name(follows, told):
     c = one("position_gain", "gain", low=-0.9)
@@ -83,6 +84,7 @@ def test_a_controllers_gain_within_what_speeds_tell_is_no_name(follows, told):
         commanded=False,
         follows=follows,
         limits=LIMITS,
+        criteria=Criteria(),
         carry=lambda c: 1.0,
         torque=np.ones(1),
         balance=SimpleNamespace(joints=1),
@@ -94,7 +96,7 @@ def test_a_controllers_gain_within_what_speeds_tell_is_no_name(follows, told):
         columns=np.ones((20, 1, 1)),
     )
     test = SimpleNamespace(p=1e-4, gain=0.3, overall=0.1)
-    assert told in why_not(state, solved, c, test, 0.02, 0.01)
+    assert refusal(Balanced(state, solved, c, test, 0.02, 0.01)).code == told
 
 
 @pytest.mark.parametrize(("friction_alone", "instead"), [(0.101, None), (0.3, "dead_zone")])
@@ -123,7 +125,7 @@ def test_one_effect_takes_the_place_of_two_only_where_neither_does_by_itself(
         problem=PROBLEM,
     )
     monkeypatch.setattr(search, "ranked", lambda state, now, some: list(some))
-    monkeypatch.setattr(search, "why_not", lambda *a: "")
+    monkeypatch.setattr(search, "refusal", lambda evidence: None)
     monkeypatch.setattr(search, "at_bound", lambda *a: False)
     found = search._one_for_two(
         state, [one("coulomb"), one("armature", "inertia")], [one("dead_zone", "width")], []

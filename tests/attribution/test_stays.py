@@ -9,8 +9,9 @@ import pytest
 
 from adaptsim_jax.attribution.parameters import Entry
 from adaptsim_jax.attribution.score import Candidate
-from adaptsim_jax.attribution.stays import between_rows, steadiness, why_not
+from adaptsim_jax.attribution.stays import Simulated, between_rows, steadiness
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.rules import refusal
 from adaptsim_jax.diagnosis.testing import Test as Paired
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.effects.registry import effect_named
@@ -45,31 +46,38 @@ def judged(delay=0.01, angles=0.5, test=GOOD, steady=27.0, floor=0.1, least=0.0,
         least=least,
         effect=lambda name: replace(the_effect(name), describes=describes),
     )
-    return why_not(problem, of(angles), of(1.0), candidate, test, steady, Criteria())
+    evidence = Simulated(problem, of(angles), of(1.0), candidate, test, steady, Criteria())
+    return refusal(evidence)
 
 
 def test_what_holds_out_stays():
-    assert judged() == ""
+    assert judged() is None
 
 
 @pytest.mark.parametrize(
     "change, says",
     [
-        ({"delay": 0.1 * DT}, "less than 0.25 sampling intervals"),
-        ({"test": Paired(0.4, 0.2, 4, 6, 24)}, "do not confirm"),
-        ({"test": Paired(0.005, 0.0001, 6, 6, 24)}, "less than 1 %"),
-        ({"steady": 1.2}, "1.2 times its scatter"),
-        ({"delay": 0.1}, "at the end of what such a machine may have"),
-        ({"delay": -0.1}, "at the end of what such a machine may have"),
-        ({"angles": 1.1}, "do not come nearer"),
-        ({"angles": 0.97}, "less than 10 % off the squared error of any joint"),
-        ({"angles": 0.9, "floor": 1.5}, "less than 10 % off the squared error of any joint"),
-        ({"angles": 0.9, "least": 1.5}, "less than 10 % off the squared error of any joint"),
-        ({"angles": 0.8, "describes": True}, "less than 50 % off the squared error of any joint"),
+        ({"delay": 0.1 * DT}, ("within_row", 0.1, "a shift in time of 0.1 sampling intervals")),
+        (
+            {"test": Paired(0.4, 0.2, 4, 6, 24)},
+            ("not_confirmed", 0.2, "left-out stretches do not confirm it"),
+        ),
+        ({"test": Paired(0.005, 0.0001, 6, 6, 24)}, ("too_little_gain", 0.005, "less than 1 %")),
+        ({"steady": 1.2}, ("unsteady", 1.2, "1.2 times its scatter")),
+        ({"delay": 0.1}, ("at_bound", 1.0, "at the end of what such a machine may have")),
+        ({"delay": -0.1}, ("at_bound", 1.0, "at the end of what such a machine may have")),
+        ({"angles": 1.1}, ("angles_not_nearer", -0.1, "do not come nearer")),
+        ({"angles": 0.97}, ("no_joint_improves", 0.06, "takes 6 % off the squared error")),
+        ({"angles": 0.9, "floor": 1.5}, ("no_joint_improves", 0.084, "takes 8 % off")),
+        ({"angles": 0.9, "least": 1.5}, ("no_joint_improves", 0.084, "takes 8 % off")),
+        ({"angles": 0.8, "describes": True}, ("no_joint_improves", 0.36, "takes 36 % off")),
     ],
 )
 def test_the_rule_that_failed_is_told(change, says):
-    assert says in judged(**change)
+    code, number, words = says
+    found = judged(**change)
+    assert found.code == code and found.number == pytest.approx(number, abs=0.01)
+    assert words in found.words
 
 
 @pytest.mark.parametrize(("floor", "stays"), [(1e-4, False), (1e-5, True)])
@@ -94,8 +102,11 @@ def test_bristles_that_bend_within_the_noise_are_no_effect(floor, stays):
         effect=the_effect,
     )
     candidate = Candidate("presliding", (0,), "joint", (entry,))
-    why = why_not(problem, of(2.0), of(9.0), candidate, GOOD, 27.0, Criteria())
-    assert (why == "") is stays and ("break away within" in why) is not stays
+    why = refusal(Simulated(problem, of(2.0), of(9.0), candidate, GOOD, 27.0, Criteria()))
+    if stays:
+        assert why is None
+    else:
+        assert why.code == "below_noise" and "break away within" in why.words
 
 
 @pytest.mark.parametrize(("rows", "read"), [(-0.7, False), (-0.5, True), (0.2, True), (0.3, False)])

@@ -123,7 +123,9 @@ def test_summary_counts_and_prints():
 def test_a_disguise_that_changes_the_verdict_is_seen():
     plain = judged([], [], "within_noise", "metamorphic", name="meta_1_plain")
     same = judged([], [], "within_noise", "metamorphic", name="meta_1_a", variant="shuffled")
-    other = judged([], [], "structured_unattributed", "metamorphic", name="meta_1_b", variant="filtered")
+    other = judged(
+        [], [], "structured_unattributed", "metamorphic", name="meta_1_b", variant="filtered"
+    )
     records = [r | {"seconds": 1.0} for r in (plain, same, other)]
     assert summarise(records)["metamorphic"]["consistent"] == pytest.approx(0.5)
 

@@ -11,7 +11,7 @@ from adaptsim_jax.attribution.diagnose import declared_vector, posed
 from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.equation.columns import Table
 from adaptsim_jax.attribution.equation.models import part_of
-from adaptsim_jax.attribution.equation.search import told_apart, within
+from adaptsim_jax.attribution.equation.search import told_apart, within, witness
 from adaptsim_jax.attribution.equation.searched import Searched
 from adaptsim_jax.attribution.linear import linear
 from adaptsim_jax.attribution.load import load
@@ -178,6 +178,26 @@ def test_the_balance_misses_the_same(posed_of, name):
             rows[key] = [mark(made.missing()), fitted]
         out.append(rows)
     check(f"balance_{name}", out, LOOSE)
+
+
+@pytest.mark.parametrize("name", ["motors", pytest.param("servos", marks=[pytest.mark.long])])
+def test_the_balance_is_searched_the_same(posed_of, name):
+    case, out = posed_of(name), []
+    commanded = case.machine.log.input_kind != "torque"
+    for b in balances(case.problem, case.machine.tracks):
+        own = within(part_of(case.null, b))
+        found = witness(case.problem, b, own, case.reach, Criteria(), commanded)
+        rows = [
+            [s.action, s.candidate.effect, list(s.candidate.joints), *(s.reason or ("", 0.0))[:2]]
+            for s in found.steps
+        ]
+        named = [
+            [n.candidate.effect, list(n.candidate.joints), n.test.gain, n.test.p, n.steady]
+            + [[a.effect, list(a.joints)] for a in n.alternatives]
+            for n in found.kept
+        ]
+        out.append({"trace": rows, "named": named, "final": list(found.final.values)})
+    check(f"search_balance_{name}", out, LOOSE)
 
 
 def test_mujoco_predicts_the_same(tmp_path: Path):

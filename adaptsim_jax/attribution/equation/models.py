@@ -7,12 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from adaptsim_jax.attribution.backward import Named
-from adaptsim_jax.attribution.backward import Step as Told
 from adaptsim_jax.attribution.equation.balance import Balance
 from adaptsim_jax.attribution.equation.search import (
     FACTOR,
-    Step,
     Witness,
     refitted,
     within,
@@ -30,6 +27,7 @@ from adaptsim_jax.attribution.simulate import Path
 from adaptsim_jax.attribution.weights import Fit, losses, weigh
 from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.finding import Named, Step
 from adaptsim_jax.effects.base import Reach
 
 ROUNDS = 3  # of the starts of stretches
@@ -52,11 +50,7 @@ class Said:
 
     @property
     def named(self) -> tuple[Named, ...]:
-        return tuple(
-            Named(k.candidate, k.test, k.alternatives, k.steady, k.test.p)
-            for w in self.witnesses
-            for k in w.kept
-        )
+        return tuple(n for w in self.witnesses for n in w.kept)
 
 
 def said(
@@ -116,8 +110,8 @@ def selection(problem: Problem, found: Said, null: Model, reach: Reach) -> Selec
     opening = sorted(
         (_score(s, null.fit.total) for s in _best_tried(steps)), key=lambda s: -s.held_out
     )
-    trace = tuple(Told(s.action, s.candidate, None, s.test, s.why) for s in steps)
-    return Selection(null, final, found.named, (null,), trace, tuple(opening), (), reach)
+    found_by = (null, final, found.named, tuple(steps), tuple(opening))
+    return Selection(*found_by, stages=(null,), last=(), reach=reach)
 
 
 def _best_tried(steps: Sequence[Step]) -> list[Step]:

@@ -18,41 +18,21 @@ from adaptsim_jax.attribution.equation.exact import exact, needed
 from adaptsim_jax.attribution.equation.searched import Searched, ranked
 from adaptsim_jax.attribution.equation.solve import Rows, Solved, compared
 from adaptsim_jax.attribution.equation.stays import (
+    Balanced,
     at_bound,
     only_read,
     steadiness,
-    why_not,
 )
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, TILT, Vector
 from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.score import Candidate, candidates
 from adaptsim_jax.diagnosis.criteria import Criteria
-from adaptsim_jax.diagnosis.testing import Test, false_discovery
+from adaptsim_jax.diagnosis.finding import Named, Step
+from adaptsim_jax.diagnosis.rules import refusal, step_reason
+from adaptsim_jax.diagnosis.testing import false_discovery
 from adaptsim_jax.effects.base import Reach
 
 FACTOR = 3.0  # within which a body's mass and moments are taken to be those of the file
-
-
-@dataclass(frozen=True)
-class Step:
-    """What the search did: action (added, refused, dropped, replaced), candidate, its test, why."""
-
-    action: str
-    candidate: Candidate
-    test: Test | None
-    why: str
-
-
-@dataclass(frozen=True)
-class Kept:
-    """An effect that stays: test beside all others; alternatives that do as well in its place;
-    amplitudes over their errors.
-    """
-
-    candidate: Candidate
-    test: Test
-    alternatives: tuple[Candidate, ...]
-    steady: float
 
 
 @dataclass(frozen=True)
@@ -66,7 +46,7 @@ class Witness:
     final: Vector
     errors: np.ndarray
     added: tuple[Candidate, ...]
-    kept: tuple[Kept, ...]
+    kept: tuple[Named, ...]
     steps: tuple[Step, ...]
     rows: Rows
     base: Solved = field(repr=False)
@@ -102,7 +82,7 @@ def witness(
         while (simpler := _one_for_two(state, added, every, steps)) is not None:
             added, quiet = _backward(state, simpler, steps, asked)
         stay, final, errors = needed(state, added, [c for c in added if c not in quiet])
-        why = "with all shapes fitted its interval includes none of it"
+        why = step_reason("shape_artefact")
         steps += [Step("dropped", c, None, why) for c in added if c not in stay]
     whole = state.set_of(added)
     kept = []
@@ -110,7 +90,7 @@ def witness(
         less = state.set_of([k for k in added if k is not c])
         test = compared(state.rows, less, whole, state.own(c))
         kept.append(
-            Kept(c, test, _alike(state, added, c, less, whole, every), steadiness(whole, c))
+            Named(c, test, steadiness(whole, c), _alike(state, added, c, less, whole, every))
         )
     base = state.set_of(())
     first = exact(state, (), base)[0]
@@ -199,7 +179,7 @@ def likely_first(state: Searched, every: Sequence[Candidate], steps: list[Step])
         if test.gain > state.limits.gain and test.p <= state.limits.level:
             added = [*added, *some]
             state.weigh(state.set_of(added))
-            steps += [Step("added", c, test, "at all joints") for c in some]
+            steps += [Step("added", c, test, step_reason("likely_first")) for c in some]
     return added
 
 
@@ -242,13 +222,13 @@ def _forward(state: Searched, added: list[Candidate], every, steps: list[Step]) 
                 least = state.criteria.described
             else:
                 least = state.limits.gain * len(c.entries)
-            why = why_not(state, more, c, test, least, state.limits.level)
+            why = refusal(Balanced(state, more, c, test, least, state.limits.level))
             steps.append(Step("refused" if why else "tried", c, test, why))
             value = test.gain * state.carry(c) - state.limits.gain * len(c.entries)
             if not why and (best is None or value > best[0]):
                 best = value, c, test
         if best is not None:
-            steps.append(Step("added", best[1], best[2], ""))
+            steps.append(Step("added", best[1], best[2], None))
             return best[1]
     return None
 
@@ -286,7 +266,7 @@ def _backward(
                 level = max(own.level, shown)
             else:
                 level = own.level
-            if why := why_not(state, whole, c, test, least, level):
+            if why := refusal(Balanced(state, whole, c, test, least, level)):
                 if likely and test.gain > 0.0 and len(like) > 1:
                     quiet.append(c)
                 else:
@@ -318,10 +298,10 @@ def _one_for_two(
             continue
         for k in _as_good(state, rest, (one, other), less, whole, every):
             test = compared(state.rows, less, more := state.set_of([*rest, k]), state.own(k))
-            if not why_not(
-                state, more, k, test, state.limits.gain * len(k.entries), state.limits.level
-            ):
-                steps.append(Step("replaced", k, test, f"{one.effect} and {other.effect} by one"))
+            price = state.limits.gain * len(k.entries)
+            if not refusal(Balanced(state, more, k, test, price, state.limits.level)):
+                reason = step_reason("one_for_two", one=one.effect, other=other.effect)
+                steps.append(Step("replaced", k, test, reason))
                 return [*rest, k]
     return None
 

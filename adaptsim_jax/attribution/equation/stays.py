@@ -1,6 +1,8 @@
-"""Whether an effect stays beside the others of a set, by what the torque along the motion says of
-left-out blocks, and if not, why.
+"""What the torque along the motion shows of an effect beside the others of a set: evidence for the
+rules.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -8,53 +10,81 @@ from adaptsim_jax.attribution.equation.searched import Searched
 from adaptsim_jax.attribution.equation.solve import Solved
 from adaptsim_jax.attribution.score import Candidate
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.rules import Evidence
 from adaptsim_jax.diagnosis.testing import Test
+from adaptsim_jax.effects.base import Traits
 
 
-def why_not(
-    state: Searched, whole: Solved, c: Candidate, test: Test, least: float, level: float
-) -> str:
-    """Why a candidate is not taken beside the others of a set; empty if it is."""
-    traits = state.problem.effect(c.effect).traits
-    if test.p > level:
-        return "left-out blocks do not confirm it"
-    if state.commanded and c.sharing != "common" and only_read(state, whole, c):
-        return "a joint that is late by so little is how its rows are read"
-    if (
-        state.follows
-        and traits.scales_drive
-        and np.max(np.abs(whole.step[_numbers(whole, c)])) < state.limits.share
-    ):
-        return (
-            f"a gain that is off by less than {100 * state.limits.share:g} % is how exactly "
-            f"speeds are read"
-        )
-    if test.gain * state.carry(c) < least:
-        return f"takes less than {100 * least:.0f} % off the squared missing torque"
-    if test.overall < 0.0:
-        return "the torques of all joints together are missed by more"
-    if steadiness(whole, c) < state.limits.steady:
-        return f"its size is only {steadiness(whole, c):.1f} times its error"
-    if at_bound(whole, c):
-        return "its value is at the end of what such a machine may have"
-    if state.follows and traits.at_parents:
-        least = state.limits.seen
-    else:
-        least = state.limits.worth
-    if (
-        not only_read(state, whole, c) and _worth(state, whole, c) < least
-    ):  # what is read so is no name, however small
-        return f"it is less than {100 * least:g} % of the joint's torque"
-    return ""
+@dataclass(frozen=True)
+class Balanced(Evidence):
+    """Evidence of the torque along the motion: a set of effects `whole`, with a candidate in it."""
 
+    state: Searched
+    whole: Solved
+    candidate: Candidate
+    test: Test
+    price: float
+    level: float
+    units = "blocks"
+    loss = "squared missing torque"
 
-def _worth(state: Searched, whole: Solved, c: Candidate) -> float:
-    """Root mean square of an effect's torque over that of the joint, at the joint where it is
-    most.
-    """
-    at = _numbers(whole, c)
-    force = np.sqrt(np.mean(np.square(whole.columns[..., at] @ whole.step[at]), 0))
-    return float(np.max(force / np.maximum(state.torque, 1e-300)))
+    @property
+    def criteria(self) -> Criteria:
+        return self.state.criteria
+
+    @property
+    def traits(self) -> Traits:
+        return self.state.problem.effect(self.candidate.effect).traits
+
+    @property
+    def gain(self) -> float:
+        return self.test.gain * self.state.carry(self.candidate)
+
+    @property
+    def steadiness(self) -> float:
+        return steadiness(self.whole, self.candidate)
+
+    @property
+    def least_steadiness(self) -> float:
+        return self.state.limits.steady
+
+    @property
+    def at_bound(self) -> bool:
+        return at_bound(self.whole, self.candidate)
+
+    @property
+    def read_so(self) -> bool:
+        """Whether it is a shift that may be how rows are read."""
+        return only_read(self.state, self.whole, self.candidate)
+
+    @property
+    def values(self) -> np.ndarray:
+        return self.whole.step[_numbers(self.whole, self.candidate)]
+
+    @property
+    def unresolved_shift(self) -> float | None:
+        """Of a single joint, or of some; that of all of them is fitted and not named."""
+        if self.candidate.sharing == "common" or not self.state.commanded or not self.read_so:
+            return None
+        return float(self.values[0]) / self.state.reach.dt
+
+    @property
+    def gain_error(self) -> float | None:
+        if not self.state.follows or not self.traits.scales_drive:
+            return None
+        return float(np.max(np.abs(self.values)))
+
+    @property
+    def torque_share(self) -> tuple[float, float] | None:
+        """Root mean squares; what is read so is no name, however small."""
+        if self.read_so:
+            return None
+        at = _numbers(self.whole, self.candidate)
+        force = self.whole.columns[..., at] @ self.whole.step[at]
+        size = np.sqrt(np.mean(np.square(force), 0))
+        share = float(np.max(size / np.maximum(self.state.torque, 1e-300)))
+        carried = self.state.follows and self.traits.at_parents
+        return share, self.state.limits.seen if carried else self.state.limits.worth
 
 
 def only_read(state: Searched, whole: Solved, c: Candidate) -> bool:
