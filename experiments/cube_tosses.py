@@ -15,8 +15,14 @@ import numpy as np
 
 from adaptsim_jax.report.diagnosis import write_diagnosis
 from adaptsim_jax.tasks.toss.diagnose import diagnose
-from adaptsim_jax.tasks.toss.flight import free_flight, words
-from adaptsim_jax.tasks.toss.predict import Span, predicted, values_of, whole_tosses
+from adaptsim_jax.tasks.toss.flight import (
+    Span,
+    free_flight,
+    predicted,
+    values_of,
+    whole_tosses,
+    words,
+)
 from adaptsim_jax.tasks.toss.read import Tossed, read
 from adaptsim_jax.tasks.toss.windows import LEAST, slide
 

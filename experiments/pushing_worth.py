@@ -35,7 +35,7 @@ from adaptsim_jax.core.files import atomic_file
 from adaptsim_jax.tasks.one_shot import best_actions
 from adaptsim_jax.tasks.pushing.config import SETTINGS
 from adaptsim_jax.tasks.pushing.diagnosis.diagnose import diagnose
-from adaptsim_jax.tasks.pushing.mended import of_model
+from adaptsim_jax.tasks.pushing.kind import of_model
 from experiments import pushing_worlds, pushing_worlds_3d
 
 # what acts in the target: as the slide has it, and as the generator of tracks has it

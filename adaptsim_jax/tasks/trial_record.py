@@ -14,8 +14,7 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.noise.differences import difference_noise
 from adaptsim_jax.logs.table import Table, read_table
 from adaptsim_jax.tasks import camera_record as record
-from adaptsim_jax.tasks.trial_clock import began
-from adaptsim_jax.tasks.trial_frozen import check_frozen
+from adaptsim_jax.tasks.trial_clock import began, check_frozen
 
 LEAST_ROWS, SLOWEST = 8, 0.06  # of one trial; s between its rows (20 Hz and some jitter)
 

@@ -8,11 +8,10 @@ import pytest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.camera_record import unit_like
 from adaptsim_jax.tasks.pushing import model
-from adaptsim_jax.tasks.pushing.hit import touch
+from adaptsim_jax.tasks.pushing.frame import touch
 from adaptsim_jax.tasks.pushing.slide import rollout
 from adaptsim_jax.tasks.scooping.measured import check_mirrored
-from adaptsim_jax.tasks.trial_clock import began, clock_rate
-from adaptsim_jax.tasks.trial_frozen import check_frozen
+from adaptsim_jax.tasks.trial_clock import began, check_frozen, clock_rate
 
 ACTIONS = np.array([[0.45, 0.1], [0.6, -0.2], [0.8, 0.0]])
 TIME = np.arange(80) / 60

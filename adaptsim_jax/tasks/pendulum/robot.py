@@ -31,7 +31,7 @@ def opened(session: Session, total: int) -> str:
 
 def policy_file(session: Session, policy: Any) -> dict[str, Any]:
     """What `policy.toml` holds beside the parameters."""
-    from adaptsim_jax.tasks.saved_policy import leaves_by_name
+    from adaptsim_jax.tasks.one_shot_naf import leaves_by_name
 
     return {"policy": leaves_by_name(policy)}
 
@@ -43,7 +43,7 @@ def show(
     the model beside it.
     """
     from adaptsim_jax.core import config
-    from adaptsim_jax.tasks.saved_policy import leaves_by_name
+    from adaptsim_jax.tasks.one_shot_naf import leaves_by_name
 
     model = session.options.get("model")
     for name, value in leaves_by_name(policy).items():

@@ -18,16 +18,15 @@ import numpy as np
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks import camera_record as record
+from adaptsim_jax.tasks.one_shot_naf import read_saved
 from adaptsim_jax.tasks.pushing import model
 from adaptsim_jax.tasks.pushing import task as pushing
 from adaptsim_jax.tasks.pushing.corrections import Told
-from adaptsim_jax.tasks.pushing.hit import check_hits
+from adaptsim_jax.tasks.pushing.deployed import make_aims
+from adaptsim_jax.tasks.pushing.frame import check_hits
 from adaptsim_jax.tasks.pushing.model import PushOptions
 from adaptsim_jax.tasks.pushing.task import PushingConfig, PushingPolicy, PushingTrajectory
-from adaptsim_jax.tasks.pushing.visits import make_aims
-from adaptsim_jax.tasks.saved_policy import read_saved
-from adaptsim_jax.tasks.trial_clock import began
-from adaptsim_jax.tasks.trial_frozen import check_frozen
+from adaptsim_jax.tasks.trial_clock import began, check_frozen
 
 COLUMNS = ("trial", "time", "x", "y")
 GAP = 0.1  # s; over it a sliding bottle strays some 3 mm from the line between two rows

@@ -14,12 +14,12 @@ from adaptsim_jax.tasks.one_shot import OneShot, World, best_actions
 from adaptsim_jax.tasks.one_shot_naf import naf_policies
 from adaptsim_jax.tasks.pushing import model, task
 from adaptsim_jax.tasks.pushing.corrections import Told
+from adaptsim_jax.tasks.pushing.deployed import make_aims
 from adaptsim_jax.tasks.pushing.engines import BACKENDS, make_backend
 from adaptsim_jax.tasks.pushing.goals import WORST, unseen
 from adaptsim_jax.tasks.pushing.model import PushOptions
 from adaptsim_jax.tasks.pushing.simulator import TWINS
 from adaptsim_jax.tasks.pushing.task import PushingConfig, PushingPolicy
-from adaptsim_jax.tasks.pushing.visits import make_aims
 
 SIMULATORS = {
     "planar": "planar model of the push (JAX)",

@@ -31,7 +31,7 @@ from adaptsim_jax.tasks.pushing.config import (
     pushing_space,
     wide_space,
 )
-from adaptsim_jax.tasks.pushing.corrections import nearer, with_gaps
+from adaptsim_jax.tasks.pushing.corrections import nearer, refine, search, with_gaps
 from adaptsim_jax.tasks.pushing.goals import (
     draw_goal,
     goal_lattice,
@@ -41,7 +41,6 @@ from adaptsim_jax.tasks.pushing.goals import (
     visit_goals,
 )
 from adaptsim_jax.tasks.pushing.model import PARAMETERS, PushOptions
-from adaptsim_jax.tasks.pushing.refine import refine, search
 from adaptsim_jax.tasks.pushing.simulator import POINTS, make_guide, make_simulator
 from adaptsim_jax.tasks.pushing.slide import Lacking
 

@@ -18,15 +18,14 @@ import numpy as np
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks import camera_record as record
-from adaptsim_jax.tasks.saved_policy import read_saved
+from adaptsim_jax.tasks.one_shot_naf import read_saved
 from adaptsim_jax.tasks.scooping import model
 from adaptsim_jax.tasks.scooping import task as scooping
 from adaptsim_jax.tasks.scooping.config import ScoopingConfig, ScoopingPolicy, ScoopingTrajectory
 from adaptsim_jax.tasks.scooping.corrections import Told
 from adaptsim_jax.tasks.scooping.model import ScoopOptions
-from adaptsim_jax.tasks.scooping.reach import check_reach
-from adaptsim_jax.tasks.trial_clock import began
-from adaptsim_jax.tasks.trial_frozen import check_frozen
+from adaptsim_jax.tasks.scooping.motion import check_reach
+from adaptsim_jax.tasks.trial_clock import began, check_frozen
 
 COLUMNS = ("trial", "time", "x", "y", "on")
 GAP = 0.1  # s without a row that can be filled

@@ -21,7 +21,6 @@ from adaptsim_jax.learners.naf_goals import make_goal_learner
 from adaptsim_jax.tasks.base import Task
 from adaptsim_jax.tasks.scooping import model
 from adaptsim_jax.tasks.scooping.bank import load_bank
-from adaptsim_jax.tasks.scooping.chance import bank_chance, bank_outcome, training_problem
 from adaptsim_jax.tasks.scooping.config import (
     SETTINGS,
     ScoopingConfig,
@@ -32,7 +31,12 @@ from adaptsim_jax.tasks.scooping.config import (
     scooping_space,
     wide_space,
 )
-from adaptsim_jax.tasks.scooping.deployed import make_choice
+from adaptsim_jax.tasks.scooping.deployed import (
+    bank_chance,
+    bank_outcome,
+    make_choice,
+    training_problem,
+)
 from adaptsim_jax.tasks.scooping.trial import (
     POINTS,
     draw_context,

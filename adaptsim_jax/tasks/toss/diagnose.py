@@ -18,9 +18,8 @@ from adaptsim_jax.diagnosis.verdict import verdict_of
 from adaptsim_jax.mend.model_toml import Form, Value, added_effects
 from adaptsim_jax.tasks.toss.body import mended_xml
 from adaptsim_jax.tasks.toss.catalogue import effects
-from adaptsim_jax.tasks.toss.flight import Flight, free_flight
+from adaptsim_jax.tasks.toss.flight import Flight, free_flight, whole_tosses
 from adaptsim_jax.tasks.toss.flight import words as flight_words
-from adaptsim_jax.tasks.toss.predict import whole_tosses
 from adaptsim_jax.tasks.toss.problem import Follow, prepare
 from adaptsim_jax.tasks.toss.read import Tossed, read
 from adaptsim_jax.tasks.trial_diagnosis import Diagnose, noted

@@ -17,7 +17,7 @@ from adaptsim_jax.tasks import camera_record as record
 from adaptsim_jax.tasks.toss import turns
 from adaptsim_jax.tasks.toss.body import Body, read_body
 from adaptsim_jax.tasks.toss.frame import check_blows
-from adaptsim_jax.tasks.trial_frozen import check_frozen
+from adaptsim_jax.tasks.trial_clock import check_frozen
 from adaptsim_jax.tasks.trial_record import read_meta
 
 PLACE, TURN = ("x", "y", "z"), ("qw", "qx", "qy", "qz")

@@ -11,6 +11,7 @@ from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.mend.model_toml import AddedEffect, Value
 from adaptsim_jax.mend.pendulum_model import ModelFile, write_model
+from adaptsim_jax.tasks.one_shot_naf import leaves_by_name
 from adaptsim_jax.tasks.pendulum.augmented_policy import (
     _ahead,
     along,
@@ -19,7 +20,6 @@ from adaptsim_jax.tasks.pendulum.augmented_policy import (
     plain_policy,
 )
 from adaptsim_jax.tasks.pendulum.controller import read_controller
-from adaptsim_jax.tasks.saved_policy import leaves_by_name
 
 THETA = {"m1": (1.5, "kg"), "m2": (1.4, "kg"), "b1": (1.2, "N m s/rad"), "b2": (1.8, "N m s/rad")}
 

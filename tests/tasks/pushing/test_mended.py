@@ -14,7 +14,7 @@ from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.pushing import planar, slide
 from adaptsim_jax.tasks.pushing.config import PushingConfig
-from adaptsim_jax.tasks.pushing.mended import of_model
+from adaptsim_jax.tasks.pushing.kind import of_model
 from adaptsim_jax.tasks.pushing.simulator import make_simulator
 from adaptsim_jax.tasks.registry import make_one_shot
 

@@ -15,9 +15,9 @@ from adaptsim_jax.space import Gaussian
 from adaptsim_jax.tasks.pushing import measured as pushing_measured
 from adaptsim_jax.tasks.pushing import planar
 from adaptsim_jax.tasks.pushing import task as pushing
+from adaptsim_jax.tasks.pushing.corrections import refine
 from adaptsim_jax.tasks.pushing.goals import GOAL_ANGLE, GOAL_CENTRE
 from adaptsim_jax.tasks.pushing.one_shot import make_pushing_one_shot
-from adaptsim_jax.tasks.pushing.refine import refine
 from adaptsim_jax.tasks.pushing.slide import Lacking
 from adaptsim_jax.tasks.pushing.task import PushingConfig, PushingPolicy
 

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.tasks.pushing import model
-from adaptsim_jax.tasks.pushing.corrections import Told, nearer
+from adaptsim_jax.tasks.pushing.corrections import Told, nearer, refine, search
 from adaptsim_jax.tasks.pushing.engines import make_backend
 from adaptsim_jax.tasks.pushing.engines.served import make_served, served_seconds
-from adaptsim_jax.tasks.pushing.refine import refine, search
 from adaptsim_jax.tasks.pushing.task import PushingConfig, make_pushing
 
 

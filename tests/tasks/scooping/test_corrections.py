@@ -11,9 +11,8 @@ from scipy import optimize
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.scooping import task as scooping
 from adaptsim_jax.tasks.scooping.bank import load_bank
-from adaptsim_jax.tasks.scooping.chance import expected_odds
 from adaptsim_jax.tasks.scooping.corrections import Doubt, Odds, Told, chances
-from adaptsim_jax.tasks.scooping.deployed import make_choice, make_probe
+from adaptsim_jax.tasks.scooping.deployed import expected_odds, make_choice, make_probe
 from adaptsim_jax.tasks.scooping.hydro import Numerics
 from adaptsim_jax.tasks.scooping.model import ScoopOptions
 from adaptsim_jax.tasks.scooping.one_shot import make_scooping_one_shot

@@ -13,7 +13,7 @@ from adaptsim_jax import cli
 from adaptsim_jax.commands.robot_recorded import recorded_scoops
 from adaptsim_jax.core import config, store
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.tasks.scooping import hydro, lacking, model, motion
+from adaptsim_jax.tasks.scooping import hydro, model, motion
 from adaptsim_jax.tasks.scooping.diagnosis import emulate, experiment, problem, simulate
 from adaptsim_jax.tasks.scooping.diagnosis.diagnose import diagnose
 from adaptsim_jax.tasks.scooping.diagnosis.read import assemble, read
@@ -290,7 +290,7 @@ def test_what_is_neutral_is_the_engine_itself():
     params, actions = model.draw(3, 4)
     values = dict(zip(("mu", "e", "g", "h"), params.T, strict=True))
     with jax.enable_x64(True):
-        own = jax.jit(jax.vmap(lacking.rollout))(values, actions)
+        own = jax.jit(jax.vmap(simulate.rollout))(values, actions)
         engine = jax.jit(jax.vmap(lambda p, a: hydro.rollout(p, a).piece))(params, actions)
     np.testing.assert_allclose(np.asarray(own)[:, :80], np.asarray(engine)[:, :80], atol=1e-9)
 

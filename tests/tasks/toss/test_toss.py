@@ -14,8 +14,7 @@ from adaptsim_jax.tasks.toss import turns
 from adaptsim_jax.tasks.toss.body import mended_xml, read_body
 from adaptsim_jax.tasks.toss.catalogue import EFFECTS, quantities
 from adaptsim_jax.tasks.toss.diagnose import diagnose
-from adaptsim_jax.tasks.toss.flight import free_flight
-from adaptsim_jax.tasks.toss.predict import values_of, whole_tosses
+from adaptsim_jax.tasks.toss.flight import free_flight, values_of, whole_tosses
 from adaptsim_jax.tasks.toss.read import read
 from adaptsim_jax.tasks.toss.simulate import poses
 from experiments.cube_tosses import slide_ends

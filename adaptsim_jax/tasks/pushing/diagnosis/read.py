@@ -13,8 +13,7 @@ from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks import trial_record
 from adaptsim_jax.tasks.pushing import model
-from adaptsim_jax.tasks.pushing.frame import check_each, check_frame, check_order
-from adaptsim_jax.tasks.pushing.hit import check_hits
+from adaptsim_jax.tasks.pushing.frame import check_each, check_frame, check_hits, check_order
 from adaptsim_jax.tasks.pushing.measured import FASTEST, SLIP, STILL, USUAL
 from adaptsim_jax.tasks.pushing.model import PushOptions
 from adaptsim_jax.tasks.pushing.planar import DEFAULT, DRAKE, PlanarCoefficients, check_options

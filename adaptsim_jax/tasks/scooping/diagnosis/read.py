@@ -22,7 +22,7 @@ from adaptsim_jax.tasks.scooping.measured import (
     check_way,
 )
 from adaptsim_jax.tasks.scooping.model import ScoopOptions, check_options
-from adaptsim_jax.tasks.scooping.reach import check_reach
+from adaptsim_jax.tasks.scooping.motion import check_reach
 
 QUIET = 0.05  # s; no blade within the bounds touches the piece so early
 ASIDE = 0.10  # m between place and first rows from which it is another frame

@@ -1,10 +1,15 @@
-"""Scoops simulated with the values of a diagnosis, in lots of `LANES`: so few stay in a processor's
-cache, and one program serves any number of them, a lot on each core. And what a camera tells of
-them.
+"""A scoop with what may be lacking in the declared one: the engine of `hydro` with an offset
+command, a tilted table, drag.
+
+With `NEUTRAL` it is `hydro.rollout`, number by number. Pure and traced in all values; the shape may
+be traced, too.
 """
 
-from collections.abc import Callable
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -14,13 +19,95 @@ import numpy as np
 
 from adaptsim_jax.core.parallel import cores
 from adaptsim_jax.tasks.camera_effects import happened, viewed
-from adaptsim_jax.tasks.scooping import lacking
+from adaptsim_jax.tasks.scooping import hydro, model
+from adaptsim_jax.tasks.scooping import hydro_contact as contact
+from adaptsim_jax.tasks.scooping import hydro_shapes as shapes
+from adaptsim_jax.tasks.scooping import motion as spatula
 from adaptsim_jax.tasks.scooping.diagnosis.catalogue import CAMERA, QUANTITIES
 from adaptsim_jax.tasks.scooping.diagnosis.read import Scooped
 from adaptsim_jax.tasks.scooping.hydro import Numerics
 from adaptsim_jax.tasks.scooping.model import SHAPES, ScoopOptions
 
 Array = Any
+
+NEUTRAL = {
+    "speed_scale": 0.0,
+    "lift_scale": 0.0,
+    "pitch_offset": 0.0,
+    "distance_offset": 0.0,
+    "start_x": 0.0,
+    "clearance": 0.0,
+    "tilt": 0.0,
+    "drag": 0.0,
+    "adhesion": 0.0,
+    "blade_friction": 0.0,
+}
+"""Shares of the declared speed, pitch rate and the blade's friction; rad; m, how far the blade
+starts farther, and the piece lies ahead; m more under the blade; rad, downhill ahead; 1/s on the
+table; m/s^2 towards the blade on it.
+"""
+NEAR = 1e-3  # m, over which drag and adhesion fade as a piece leaves table or blade
+
+
+def rollout(
+    values: Mapping[str, Array],
+    action: Array,
+    options: ScoopOptions = ScoopOptions(),  # noqa: B008
+    numerics: Numerics = Numerics(),  # noqa: B008
+) -> Array:
+    """Poses `[N + 1, 3]` (x m from where the piece lies, z m, angle rad) every `numerics.dt` s of
+    `action [3]` (rad, rad/s, m).
+
+    values: mu, e Pa, g, h m (`model.PARAMETERS`) and what differs from `NEUTRAL`. Where the motion
+    ceases to be finite it stays.
+    """
+    v = {**NEUTRAL, **values}
+    piece = shapes.body(v["g"], v["h"])
+    more = jnp.stack(
+        [v["pitch_offset"], jnp.zeros_like(v["mu"]), v["distance_offset"] + v["start_x"]]
+    )
+    sliding = replace(options, clearance=options.clearance + v["clearance"])
+    tip = spatula.motion(
+        action + more.astype(action.dtype),
+        hydro.steps_of(numerics),
+        sliding,
+        1.0 + v["speed_scale"],
+        1.0 + v["lift_scale"],
+    )
+    ground, blade = contact.table(v["mu"]), v["mu"] * (1.0 + v["blade_friction"])
+    rest = hydro.at_rest(piece, v["e"])
+
+    def one(carry, row):
+        state, lost = carry
+        now, after = row
+        surfaces = contact.together(
+            ground, contact.spatula(now, (after - now) / numerics.dt, blade)
+        )
+        pull = _pull(v, piece, rest.pose[1], state, now)
+        new, _ = hydro.step(piece, v["e"], state, surfaces, numerics, pull)
+        lost = lost | ~hydro.in_room(new)
+        # nothing of a lost step enters derivatives either
+        return (jax.tree.map(lambda a, b: jnp.where(lost, a, b), state, new), lost), state.pose
+
+    (end, _), poses = jax.lax.scan(one, (rest, jnp.zeros((), bool)), (tip[:-1], tip[1:]))
+    return jnp.concatenate([poses, end.pose[None]])
+
+
+def _pull(
+    v, piece: shapes.Body, rest: Array, state: hydro.PieceState, tip: Array
+) -> tuple[Array, Array]:
+    """Acceleration along and up: gravity on a tilted table, drag near the table, adhesion near the
+    blade.
+    """
+    x, z = state.pose[0], state.pose[1]
+    on_table = jnp.exp(-jnp.maximum(z - rest, 0.0) / NEAR)
+    ahead, above = spatula.seen_from_tip(tip, x, z)
+    over = jax.nn.sigmoid((-ahead) / NEAR) * jax.nn.sigmoid((piece.hz + 3.0 * NEAR - above) / NEAR)
+    stick_x, stick_z = spatula.turn(tip[2], jnp.zeros_like(x), -v["adhesion"] * over)
+    along = model.GRAVITY * jnp.sin(v["tilt"]) - v["drag"] * on_table * state.velocity[0] + stick_x
+    return along, -model.GRAVITY * jnp.cos(v["tilt"]) + stick_z
+
+
 NAMES = tuple(q.name for q in QUANTITIES)
 INDEX = {n: i for i, n in enumerate(NAMES)}
 OWN = np.array([i for i, n in enumerate(NAMES) if n not in CAMERA])
@@ -32,9 +119,9 @@ ROW = EVERY * Numerics().dt  # s between rows of simulated poses
 def _poses(values: Array, g: Array, action: Array, aside: Array, options: ScoopOptions) -> Array:
     """`[N, 2]` m: x from where the piece lies and z, every `ROW` s."""
     v = {n: values[i] for i, n in enumerate(NAMES)}
-    inner = {k: v[k] for k in ("mu", "h", *lacking.NEUTRAL)} | {"e": 10.0 ** v["log_e"], "g": g}
+    inner = {k: v[k] for k in ("mu", "h", *NEUTRAL)} | {"e": 10.0 ** v["log_e"], "g": g}
     inner["start_x"] = v["start_x"] + v["placed"] * aside[0]
-    return lacking.rollout(inner, action, options)[::EVERY, :2]
+    return rollout(inner, action, options)[::EVERY, :2]
 
 
 @lru_cache(maxsize=8)
