@@ -133,12 +133,8 @@ def of_a_mechanism(data: Path) -> bool:
     return data.exists()
 
 
-TRIALS = {"pushing": "pushing.diagnosis", "scooping": "scooping.diagnosis", "toss": "toss"}
-"""Tasks of short trials that a camera saw, and where they are read and diagnosed."""
-
-
 def of_trials(data: Path) -> str | None:
-    """Which of `TRIALS` DATA holds, a folder of them or a session of `adaptsim robot`; None where
+    """Which of the tasks of short trials DATA holds, a folder of them or a session of `adaptsim robot`; None where
     it is something else.
     """
     from adaptsim_jax.logs.declared import declared_task
@@ -146,7 +142,9 @@ def of_trials(data: Path) -> str | None:
     if (data / "robot.toml").exists():
         from adaptsim_jax.commands.robot_recorded import session_task
 
-        return session_task(data, ("pushing", "scooping"))
+        return session_task(data)
+    from adaptsim_jax.tasks.registry import TRIALS
+
     task = declared_task(data)
     if task in TRIALS:
         return task
@@ -196,29 +194,20 @@ def own_simulator(args: argparse.Namespace, without: list[str]) -> Judge:
 
 
 def trials(args: argparse.Namespace, without: list[str]) -> Judge:
-    """Measured pushes, scoops or tosses: effects judged one by one, the mended model, and the
-    trials that tell a class apart.
+    """Measured trials of a task: effects judged one by one, the mended model, and the trials that
+    tell a class apart.
     """
-    from importlib import import_module
-
-    data, task = Path(args.data), str(of_trials(Path(args.data)))
-    room = f"adaptsim_jax.tasks.{TRIALS[task]}"
-    if (data / "robot.toml").exists():
-        from adaptsim_jax.commands.robot_recorded import RECORDED
-
-        recorded = RECORDED[task](data, args.as_declared, without)
-    else:
-        recorded = import_module(f"{room}.read").read(data, args.as_declared, without)
     from adaptsim_jax.report.diagnosis import write_diagnosis
+    from adaptsim_jax.tasks.registry import TRIALS
 
+    data = Path(args.data)
+    kind = TRIALS[str(of_trials(data))]
+    read = kind.read
+    if (data / "robot.toml").exists():
+        from adaptsim_jax.commands.robot_recorded import recorded_trials as read
+    recorded = read(data, args.as_declared, without)
     asked = {"without": without, "as_declared": args.as_declared}
-    return partial(
-        import_module(f"{room}.diagnose").diagnose,
-        recorded,
-        page=write_diagnosis,
-        named=str(data),
-        asked=asked,
-    )
+    return partial(kind, recorded, page=write_diagnosis, named=str(data), asked=asked)
 
 
 def mechanism(args: argparse.Namespace, without: list[str]) -> Judge:

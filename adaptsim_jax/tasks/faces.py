@@ -112,6 +112,18 @@ class AdaptFace:
     deployed: Callable[[Any, Any, Any], Any] = lambda config, result, target: result
 
 
+class SessionTrials(NamedTuple):
+    """How trials of a session are read again, to be diagnosed: `head` and `rows(visit)` of the file
+    of actions, which of the task's options say how the trials were made, and `assemble(actions,
+    files, options, folder, as_declared=, without=) -> recording`.
+    """
+
+    head: str
+    rows: Callable[[dict[str, Any]], list[tuple]]
+    options: tuple[str, ...]
+    assemble: Callable[..., Any]
+
+
 @dataclass(frozen=True)
 class RobotFace:
     """Of `robot`. turn: what one ask and tell is called. `history`: of the turns recorded so far,
@@ -120,8 +132,8 @@ class RobotFace:
     deployed: the policy as it is deployed now, mended by what was recorded; tried: as the coming
     turn makes its trials with it. Both are the policy itself by default. again: a turn that the
     robot could not finish is asked again; else its start is given up, since the policy asked of it
-    would fail again. recorded: `(folder, as declared, names left out) -> recording` for `diagnose`;
-    None where sessions are not diagnosed.
+    would fail again. recorded: how trials are read again for `diagnose`; None where sessions are not
+    diagnosed.
     """
 
     turn: str
@@ -138,6 +150,7 @@ class RobotFace:
     deployed: Callable[[Any, Any, list], Any] = lambda session, policy, history: policy
     tried: Callable[[Any, Any, list], Any] = lambda session, policy, history: policy
     again: bool = True
+    recorded: Callable[[], SessionTrials] | None = None
 
 
 def config_of(session: Session) -> Any:

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from adaptsim_jax.tasks.base import Task, TaskKind
     from adaptsim_jax.tasks.engine import Backend
     from adaptsim_jax.tasks.one_shot import OneShot
+    from adaptsim_jax.tasks.trial_diagnosis import Diagnose
 
 TASKS: Registry[TaskKind] = Registry(
     "tasks",
@@ -26,6 +27,17 @@ TASKS: Registry[TaskKind] = Registry(
     },
     type="TaskKind",
 )
+
+TRIALS: Registry[Diagnose] = Registry(
+    "trials",
+    {
+        "pushing": "adaptsim_jax.tasks.pushing.diagnosis.diagnose:diagnose",
+        "scooping": "adaptsim_jax.tasks.scooping.diagnosis.diagnose:diagnose",
+        "toss": "adaptsim_jax.tasks.toss.diagnose:diagnose",
+    },
+    type="Diagnose",
+)
+"""Tasks of short trials that a camera saw, and how they are read and diagnosed."""
 
 
 def make_task(name: str, options: Mapping[str, Any], where: str = "config, [task]") -> Task:

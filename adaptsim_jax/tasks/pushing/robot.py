@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from adaptsim_jax.tasks.faces import (
     RobotFace,
+    SessionTrials,
     config_of,
     opened,
     print_parameters,
@@ -194,6 +195,25 @@ def _pushes(session: Session, state: Any) -> Pushes:
     return pushes_to_make(state.key, state.told, state.policy, config_of(session))
 
 
+def recorded() -> SessionTrials:
+    """The pushes of a session, for `diagnose`."""
+    from adaptsim_jax.tasks.pushing.diagnosis.read import assemble
+
+    def rows(visit):
+        return [(p["trial"], *p["action"]) for p in visit["pushes"]]
+
+    return SessionTrials("trial,speed,angle", rows, ("friction", "coefficients"), assemble)
+
+
 ROBOT = RobotFace(
-    TURN, opened("pushes"), policy_file, show, read, remember, comment, deployed, tried
+    TURN,
+    opened("pushes"),
+    policy_file,
+    show,
+    read,
+    remember,
+    comment,
+    deployed,
+    tried,
+    recorded=recorded,
 )

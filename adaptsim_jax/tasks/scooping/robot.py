@@ -4,11 +4,13 @@ and the tracks in one file.
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from adaptsim_jax.tasks.faces import (
     RobotFace,
+    SessionTrials,
     config_of,
     opened,
     print_parameters,
@@ -151,6 +153,26 @@ def _scoops(session: Session, state: Any) -> Scoops:
     return scoops_to_make(state.key, state.told, state.policy, config_of(session))
 
 
+def recorded() -> SessionTrials:
+    """The scoops of a session, for `diagnose`; each track is counted from where its piece lay."""
+    from adaptsim_jax.tasks.scooping.diagnosis.read import assemble
+
+    def rows(visit):
+        return [(s["trial"], *s["place"], *s["action"]) for s in visit["scoops"]]
+
+    head = "trial,place_x,place_y,pitch,rate,distance"
+    return SessionTrials(head, rows, ("clearance",), partial(assemble, own_frame=True))
+
+
 ROBOT = RobotFace(
-    TURN, opened("scoops"), policy_file, show, read, remember, comment, deployed, tried
+    TURN,
+    opened("scoops"),
+    policy_file,
+    show,
+    read,
+    remember,
+    comment,
+    deployed,
+    tried,
+    recorded=recorded,
 )

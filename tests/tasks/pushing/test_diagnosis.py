@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from adaptsim_jax import cli
-from adaptsim_jax.commands.robot_recorded import recorded_pushes
+from adaptsim_jax.commands.robot_recorded import recorded_trials
 from adaptsim_jax.core import config, store
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.pushing import model, slide
@@ -139,12 +139,12 @@ def test_a_session_is_read_from_the_files_that_were_told(tmp_path, tracks):
     )
     told = {"schema": 1, "run": str(run.path), "seed": 0, "starts": 1, "iterations": 1}
     config.write(session / "robot.toml", told)
-    pushed = recorded_pushes(session)
+    pushed = recorded_trials(session)
     assert pushed.coefficients == DRAKE
     np.testing.assert_allclose(pushed.actions, ACTIONS, atol=1e-9)
     file.write_text(file.read_text() + "\n")
     with pytest.raises(BadInput, match="is not the file that was told"):
-        recorded_pushes(session)
+        recorded_trials(session)
 
 
 def test_a_look_alike_that_no_push_shows_does_not_hide_one_that_some_push_does(tmp_path, tracks):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from adaptsim_jax import cli
-from adaptsim_jax.commands.robot_recorded import recorded_scoops
+from adaptsim_jax.commands.robot_recorded import recorded_trials
 from adaptsim_jax.core import config, store
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.scooping import hydro, model, motion
@@ -187,7 +187,7 @@ def test_a_session_is_read_from_the_files_that_were_told(tmp_path, tracks):
     )
     told = {"schema": 1, "run": str(run.path), "seed": 0, "starts": 1, "iterations": 1}
     config.write(session / "robot.toml", told)
-    scooped = recorded_scoops(session)
+    scooped = recorded_trials(session)
     assert scooped.options.clearance == 1e-4
     np.testing.assert_allclose(scooped.actions, ACTIONS, atol=1e-9)
     assert np.abs(scooped.aside).max() < 1e-9
