@@ -41,7 +41,7 @@ from adaptsim_jax.tasks.scooping.model import MESSAGES, ScoopOptions
 
 CHUNK, CANDIDATES = 2048, 256
 BATCH = 64  # trials side by side
-PLACES = len(model.SEEN_AT)
+PLACES = len(model.OBSERVED_AT)
 SEEDS = {"omega": 0, "wide": 1}
 CHANCE, TRACK = (128, 128, 128), (96, 96)  # hidden layers of the networks
 SIZE, PASSES, RATE, DECAY = 256, 60, 3e-3, 1e-2
@@ -156,7 +156,7 @@ def simulate(
     report: Report = silent,
 ) -> tuple[Trials, np.ndarray]:
     """The trials in the engine, in batches, and their codes `[N]`."""
-    rows = hydro.seen_rows(numerics)
+    rows = hydro.observed_rows(numerics)
 
     @jax.jit
     @jax.vmap
@@ -244,7 +244,7 @@ def near_points(bank: Bank, lot: int, options: ScoopOptions) -> tuple[np.ndarray
         *options.noise[:2],
         1e-3,
     )
-    return params, np.maximum(chosen, scooping_bank.LEAST)
+    return params, np.maximum(chosen, scooping_bank.MIN_SHARE)
 
 
 def add_near(

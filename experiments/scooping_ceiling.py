@@ -20,7 +20,7 @@ from scipy.stats import binomtest
 from adaptsim_jax import default_comparison, make_one_shot
 from adaptsim_jax.core import compile_cache
 from adaptsim_jax.core.files import output_folder, write_json
-from adaptsim_jax.tasks.one_shot import World, action_grid
+from adaptsim_jax.tasks.one_shot import TargetWorld, action_grid
 from adaptsim_jax.tasks.scooping.one_shot import GRID
 from adaptsim_jax.tasks.scooping.task import SETTINGS
 from adaptsim_jax.tasks.scooping.trial import success, test_contexts
@@ -30,7 +30,9 @@ ROUNDS = ((None, 6), (48, 24), (8, 96))
 PART = 24  # actions that are simulated at once
 
 
-def wins(world: World, params: np.ndarray, actions: np.ndarray, tests: np.ndarray) -> np.ndarray:
+def wins(
+    world: TargetWorld, params: np.ndarray, actions: np.ndarray, tests: np.ndarray
+) -> np.ndarray:
     """`[N, G]`: whether each of `actions [N, 3]` wins in each of `tests [G, 5]`."""
     done = []
     for at in range(0, len(actions), PART):
@@ -41,7 +43,7 @@ def wins(world: World, params: np.ndarray, actions: np.ndarray, tests: np.ndarra
     return np.concatenate(done)
 
 
-def halved(world: World, params: np.ndarray, actions: np.ndarray) -> list[dict]:
+def halved(world: TargetWorld, params: np.ndarray, actions: np.ndarray) -> list[dict]:
     """Each round's actions, the tests that they won `[N]` of how many, and the share before it."""
     share, first, rounds = np.zeros(len(actions)), 0, []
     spent = np.zeros((len(actions), 2))  # wins, tests

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.tasks.one_shot import OneShot, World
+from adaptsim_jax.tasks.one_shot import OneShot, TargetWorld
 
 TOGETHER = 10  # policies trained side by side: more do not fit into a core's cache
 
@@ -45,7 +45,7 @@ class Arena:
     time that a batch was scored.
     """
 
-    def __init__(self, one: OneShot, world: World, targets: np.ndarray):
+    def __init__(self, one: OneShot, world: TargetWorld, targets: np.ndarray):
         self.one, self.world = one, world
         self.targets = np.asarray(targets, np.float32)
         self.failed, self.made = np.zeros(len(targets), int), np.zeros(len(targets), int)

@@ -20,7 +20,7 @@ from adaptsim_jax.baselines.registry import LEARNED, ORACLE, learned_methods
 from adaptsim_jax.baselines.summary import bootstrap_interval, physical, row
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.progress import silent
-from adaptsim_jax.tasks.one_shot import OneShot, World
+from adaptsim_jax.tasks.one_shot import OneShot, TargetWorld
 
 
 def compare_learned(
@@ -143,7 +143,7 @@ def on_fresh(rewards: np.ndarray, fresh: np.ndarray) -> dict[str, Any]:
 
 
 def about(
-    one: OneShot, world: World, names: list[str], targets: np.ndarray, oracle: np.ndarray
+    one: OneShot, world: TargetWorld, names: list[str], targets: np.ndarray, oracle: np.ndarray
 ) -> dict[str, Any]:
     return {
         "simulator": one.simulator,

@@ -134,8 +134,8 @@ def of_a_mechanism(data: Path) -> bool:
 
 
 def of_trials(data: Path) -> str | None:
-    """Which of the tasks of short trials DATA holds, a folder of them or a session of `adaptsim robot`; None where
-    it is something else.
+    """Which task of short trials DATA holds, a folder of them or a session of `adaptsim robot`;
+    None where it is something else.
     """
     from adaptsim_jax.logs.declared import declared_task
 
@@ -306,6 +306,6 @@ def diagnose(data: str | Path | Log, **options: Any) -> dict[str, Any]:
 
         return of_mechanism(data, **options)
     from adaptsim_jax.attribution.pendulum_diagnosis import diagnose_pendulum
-    from adaptsim_jax.commands.task_reward import task_reward
+    from adaptsim_jax.tasks.pendulum.model_reward import task_reward
 
     return diagnose_pendulum(data, reward=task_reward, **options)

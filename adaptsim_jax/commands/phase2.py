@@ -17,7 +17,7 @@ from adaptsim_jax.core import config
 from adaptsim_jax.core.store import RunFolder
 from adaptsim_jax.report.figures import save
 from adaptsim_jax.report.film import write_film
-from adaptsim_jax.tasks.faces import View
+from adaptsim_jax.tasks.faces import AdaptView
 from adaptsim_jax.tasks.registry import TASKS, make_one_shot
 
 
@@ -99,7 +99,7 @@ def write_look(
         seed = run.config.get("seed", 0)
         return learned(task, task.preparation, seed, run.path, make=False)
 
-    look = kind.adapt.shown(View(task, made, *target, result, start, best, prepared))
+    look = kind.adapt.shown(AdaptView(task, made, *target, result, start, best, prepared))
     picture = save(look.figure, out / f"{kind.adapt.picture}.png")
     lines = [*look.notes, f"written: {picture}"]
     if film:

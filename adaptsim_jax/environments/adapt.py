@@ -15,13 +15,13 @@ from adaptsim_jax.environments.config import EnvironmentConfig
 from adaptsim_jax.environments.task import acting_of, environment_setting, task_of
 from adaptsim_jax.space import Gaussian
 from adaptsim_jax.tasks.base import Task
-from adaptsim_jax.tasks.faces import AdaptFace, Look, View
+from adaptsim_jax.tasks.faces import AdaptFace, AdaptView, Look
 
 NOMINAL = "told the file's own values, mean of 8 episodes"
 EPISODES = 8
 
 
-def shown(view: View) -> Look:
+def shown(view: AdaptView) -> Look:
     """Returns of all starts, beside that of the policy for the file's own values."""
     from matplotlib.ticker import MaxNLocator
 
@@ -55,7 +55,7 @@ def at_nominal(task: Task, config: EnvironmentConfig, episodes: int = EPISODES) 
     return float(np.nanmean(score(jax.random.split(key, episodes))))
 
 
-def clips_of(view: View) -> list[Any]:
+def clips_of(view: AdaptView) -> list[Any]:
     """An episode of the first and one of the best policy, from the same start in the same
     target.
     """

@@ -41,10 +41,10 @@ def effects(trial: str, origin: str, rises: bool) -> tuple[Candidate, ...]:
     A late start of the arm shifts all of a track in time, as a latency does: no trial tells them
     apart, only the arm's own log.
     """
-    seen = f"any {trial}"
+    observed = f"any {trial}"
 
     def make(name, quantities, physics, **more):
-        return Candidate(name, "measurement", quantities, physics, seen, **more)
+        return Candidate(name, "measurement", quantities, physics, observed, **more)
 
     return (
         make("camera_shift", ("shift_x", "shift_y"), "the camera's frame lies beside the arm's"),

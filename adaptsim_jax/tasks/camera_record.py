@@ -11,7 +11,7 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.table_checks import lost_digits
 
 
-class Seen(NamedTuple):
+class CameraTracks(NamedTuple):
     """Of one trial: rows `[R]` of the table, time `[R]` s, track `[R, 2]` m, and how its row k is
     named.
     """
@@ -37,11 +37,11 @@ def trials_of(
     where: str,
     asked: np.ndarray,
     most: float,
-) -> dict[int, Seen]:
+) -> dict[int, CameraTracks]:
     """The trials `asked [N]` by number. BadInput where one is missing, two have one track, or one
     lasts longer than `most` s.
     """
-    seen = {}
+    observed = {}
     for number in map(int, asked):
         rows = np.flatnonzero(columns["trial"] == number)
         if not len(rows):
@@ -51,18 +51,20 @@ def trials_of(
                 f"actions.csv"
             )
 
-        def told(k, rows=rows, number=number):
+        def trials(k, rows=rows, number=number):
             return f"{at(int(rows[k]))}: trial {number}"
 
         time = columns["time"][rows]
-        check_increasing(time, told)
+        check_increasing(time, trials)
         if time[-1] - time[0] > most:
             raise BadInput(
-                f"{told(-1)}: lasts {time[-1] - time[0]:.6g} s; is time in ms? write seconds"
+                f"{trials(-1)}: lasts {time[-1] - time[0]:.6g} s; is time in ms? write seconds"
             )
-        seen[number] = Seen(rows, time, np.stack([columns["x"][rows], columns["y"][rows]], 1), told)
-    check_different({n: trial.track for n, trial in seen.items()}, where)
-    return seen
+        observed[number] = CameraTracks(
+            rows, time, np.stack([columns["x"][rows], columns["y"][rows]], 1), trials
+        )
+    check_different({n: trial.track for n, trial in observed.items()}, where)
+    return observed
 
 
 def check_numbers(numbers: np.ndarray, at: Callable[[int], str], asked: np.ndarray) -> None:
@@ -95,7 +97,7 @@ def unit_like(size: float, usual: float) -> str:
 def check_unit(
     columns: Mapping[str, np.ndarray],
     at: Callable[[int], str],
-    far: float,
+    distant: float,
     what: str,
     usual: float = 0.0,
 ) -> None:
@@ -103,12 +105,12 @@ def check_unit(
     seen, 0 where that may be any.
     """
     for name in ("x", "y"):
-        for i in np.flatnonzero(np.abs(columns[name]) > far)[:1]:
+        for i in np.flatnonzero(np.abs(columns[name]) > distant)[:1]:
             mend = "is it in mm or cm? write metres"
             if usual:
                 same = columns["trial"] == columns["trial"][i]
                 x, y = columns["x"][same], columns["y"][same]
-                alone = np.sum(np.maximum(np.abs(x), np.abs(y)) > far) < 3
+                alone = np.sum(np.maximum(np.abs(x), np.abs(y)) > distant) < 3
                 unit = unit_like(float(np.median(np.hypot(x, y))), usual)
                 if alone:
                     mend = f"{mend}, or remove that row"
@@ -132,27 +134,27 @@ def check_different(tracks: Mapping[float, np.ndarray], where: str) -> None:
                 )
 
 
-def check_increasing(time: np.ndarray, told: Callable[[int], str]) -> None:
+def check_increasing(time: np.ndarray, trials: Callable[[int], str]) -> None:
     """BadInput at the first row of one trial's `time [T]` s that is not after the one before."""
     for k in np.flatnonzero(np.diff(time) <= 0)[:1] + 1:
         if lost := lost_digits(time):
-            raise BadInput(f"{told(0)}: {lost}")
+            raise BadInput(f"{trials(0)}: {lost}")
         word = "repeats" if time[k] == time[k - 1] else "runs backwards"
         raise BadInput(
-            f"{told(k)}: time {word} ({time[k - 1]:.9g} then {time[k]:.9g}); sort or remove such "
+            f"{trials(k)}: time {word} ({time[k - 1]:.9g} then {time[k]:.9g}); sort or remove such "
             f"rows"
         )
 
 
 def check_gaps(
-    time: np.ndarray, most: float, until: float, told: Callable[[int], str], again: str
+    time: np.ndarray, most: float, until: float, trials: Callable[[int], str], again: str
 ) -> None:
     """BadInput at the first gap of `time [T]` s longer than `most` that begins before `until`;
     again: the mend.
     """
     for k in np.flatnonzero((np.diff(time) > most) & (time[:-1] < until))[:1] + 1:
         raise BadInput(
-            f"{told(int(k))}: nothing was recorded from {time[k - 1]:.4g} to {time[k]:.4g} s; a "
+            f"{trials(int(k))}: nothing was recorded from {time[k - 1]:.4g} to {time[k]:.4g} s; a "
             f"gap of at most {most:g} s can be "
             f"filled: {again}"
         )
@@ -161,7 +163,7 @@ def check_gaps(
 def check_leaps(
     time: np.ndarray,
     track: np.ndarray,
-    told: Callable[[int], str],
+    trials: Callable[[int], str],
     body: str,
     fastest: float,
     slip: float = 0.0,
@@ -172,7 +174,7 @@ def check_leaps(
     leap = np.linalg.norm(np.diff(track, axis=0), axis=1)
     for k in np.flatnonzero(leap > fastest * np.diff(time) + slip)[:1] + 1:
         raise BadInput(
-            f"{told(int(k))}: {body} jumps {100 * leap[k - 1]:.0f} cm between two rows; remove "
+            f"{trials(int(k))}: {body} jumps {100 * leap[k - 1]:.0f} cm between two rows; remove "
             f"what is not it"
         )
 
@@ -184,23 +186,23 @@ upside down jump by pi.
 
 
 def unwrapped(
-    time: np.ndarray, yaw: np.ndarray, told: Callable[[int], str], body: str
+    time: np.ndarray, yaw: np.ndarray, trials: Callable[[int], str], body: str
 ) -> np.ndarray:
     """One trial's `yaw [T]` rad at `time [T]` s without jumps by whole turns; NaN where it was not
     seen. BadInput at the first row in another unit, or that jumps otherwise.
     """
-    seen = np.flatnonzero(~np.isnan(yaw))
-    for k in seen[np.abs(yaw[seen]) > WHOLE_TURNS][:1]:
+    observed = np.flatnonzero(~np.isnan(yaw))
+    for k in observed[np.abs(yaw[observed]) > WHOLE_TURNS][:1]:
         raise BadInput(
-            f"{told(int(k))}: yaw = {yaw[k]:.6g} rad is several turns; is it in degrees? write "
+            f"{trials(int(k))}: yaw = {yaw[k]:.6g} rad is several turns; is it in degrees? write "
             f"radians"
         )
     out = yaw.copy()
-    out[seen] = np.unwrap(yaw[seen])
-    leap = np.abs(np.diff(out[seen]))
-    for k in np.flatnonzero(leap > FASTEST_TURN * np.diff(time[seen]) + TURN_SLIP)[:1]:
+    out[observed] = np.unwrap(yaw[observed])
+    leap = np.abs(np.diff(out[observed]))
+    for k in np.flatnonzero(leap > FASTEST_TURN * np.diff(time[observed]) + TURN_SLIP)[:1]:
         raise BadInput(
-            f"{told(int(seen[k + 1]))}: {body} turns by {leap[k]:.2g} rad between two rows; empty "
+            f"{trials(int(observed[k + 1]))}: {body} turns by {leap[k]:.2g} rad between two rows; empty "
             f"the cells of yaw that are not it"
         )
     return out
@@ -221,7 +223,7 @@ def holes(time: np.ndarray) -> list[str]:
 
 
 def check_clock_set(
-    time: np.ndarray, places: np.ndarray, told: Callable[[int], str], body: str
+    time: np.ndarray, places: np.ndarray, trials: Callable[[int], str], body: str
 ) -> None:
     """BadInput where a body moves before and after a hole and stood still in it: the clock was set.
     `time [T]` s, `places [T, C]` m.
@@ -235,7 +237,7 @@ def check_clock_set(
         went = float(np.linalg.norm(places[k] - places[k - 1]))
         if gap * min(speeds) > STOOD and went < 0.3 * gap * min(speeds):
             raise BadInput(
-                f"{told(int(k))}: {body} moves by {min(speeds):.2g} m/s before and after a hole of "
+                f"{trials(int(k))}: {body} moves by {min(speeds):.2g} m/s before and after a hole of "
                 f"{gap:.3g} s, and by {went:.2g} m "
                 "in it: was the clock set? mend the times after it, or cut the trial there"
             )

@@ -167,7 +167,7 @@ class Parity(NamedTuple):
     lines: Callable[[dict[str, Any]], list[str]]
 
 
-class Run(NamedTuple):
+class EngineRun(NamedTuple):
     """outcome `[B, ...]` and code `[B]` of the trials, and seconds: the first call (compiling), and
     a trial of a warm call by the wall clock and by processor time.
     """
@@ -181,9 +181,9 @@ class Run(NamedTuple):
 
 def engines_and_pairs(
     names: Sequence[str],
-    run: Callable[[str], Run],
-    row: Callable[[Run], dict[str, Any]],
-    pair: Callable[[Run, Run], dict[str, Any]],
+    run: Callable[[str], EngineRun],
+    row: Callable[[EngineRun], dict[str, Any]],
+    pair: Callable[[EngineRun, EngineRun], dict[str, Any]],
     progress: Report,
 ) -> dict[str, Any]:
     """`{cores, engines, pairs}`: a row for each engine, or why it did not run, and one for each
@@ -204,19 +204,19 @@ def engines_and_pairs(
 
 def timed_run(
     simulate: Callable, batch: tuple, outcome: Callable, *, compiles: bool = True, wide: int = 0
-) -> Run:
+) -> EngineRun:
     """The outcomes of a batch, and how long it takes. An engine that compiles nothing is called
     once; `wide` trials are timed instead of the batch where an engine is made for many.
     """
     out, first, cpu = _timed(simulate, batch)
     found = outcome(np.asarray(out.state))
     if not compiles:
-        return Run(found, out.code, 0.0, first / len(batch[0]), cpu / len(batch[0]))
+        return EngineRun(found, out.code, 0.0, first / len(batch[0]), cpu / len(batch[0]))
     if wide:
         batch = tuple(np.resize(a, (wide, a.shape[1])) for a in batch)
         _timed(simulate, batch)
     _, seconds, cpu = _timed(simulate, batch)
-    return Run(found, out.code, first, seconds / len(batch[0]), cpu / len(batch[0]))
+    return EngineRun(found, out.code, first, seconds / len(batch[0]), cpu / len(batch[0]))
 
 
 def _timed(simulate: Callable, batch: tuple) -> tuple[Any, float, float]:
@@ -226,7 +226,7 @@ def _timed(simulate: Callable, batch: tuple) -> tuple[Any, float, float]:
     return out, time.perf_counter() - begin, time.process_time() - cpu
 
 
-def speed_row(run: Run, what: str, messages: Mapping[int, str]) -> dict[str, Any]:
+def speed_row(run: EngineRun, what: str, messages: Mapping[int, str]) -> dict[str, Any]:
     """Speed of one engine in `what` (pushes, trials) a second, and how many of its trials went
     wrong in which way.
     """

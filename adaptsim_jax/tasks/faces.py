@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 COLUMNS = 6  # iterations that a figure shows at most
 
 
-class View(NamedTuple):
+class AdaptView(NamedTuple):
     """An adaptation in a simulated target, as it is looked at.
 
     config: the task's options. target: its name; values `[D]` physical. result: of Phase 2. start:
@@ -105,7 +105,7 @@ class AdaptFace:
     """
 
     picture: str
-    shown: Callable[[View], Look]
+    shown: Callable[[AdaptView], Look]
     scene: Callable[[], Scene]
     before_after: Callable[[Any, Any, Any], Look] | None = None
     as_compared: Callable[[Any], bool] = lambda config: False

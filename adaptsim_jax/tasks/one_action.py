@@ -14,7 +14,7 @@ import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.base import Task
-from adaptsim_jax.tasks.one_shot import OneShot, World, action_grid, best_actions
+from adaptsim_jax.tasks.one_shot import OneShot, TargetWorld, action_grid, best_actions
 
 OWN = "own"  # the only engine: the task's rollouts
 NOISE = 0.1  # of half the range of actions: exploration
@@ -94,7 +94,7 @@ def one_action(
         tune=tune,
         inputs=lambda context, action: action,
         outputs=lambda outcome: jnp.atleast_1d(reward(outcome, jnp.zeros(0))),
-        worth=lambda seen, context: seen[0],
+        worth=lambda observed, context: observed[0],
         world=_worlds(task, tried, reward),
         oracle=lambda world, params: best_actions(
             world, params, lots, reward, (points,) * len(low_), rounds=6
@@ -128,7 +128,7 @@ def _shape(task: Task, low: np.ndarray, high: np.ndarray) -> tuple[int, ...]:
 
 def _worlds(
     task: Task, tried: Callable[..., Outcome], reward: Callable[[Outcome, Array], Array]
-) -> Callable[..., World]:
+) -> Callable[..., TargetWorld]:
     """The task's own simulator as the target; BadInput for any other."""
     rollouts = jax.jit(jax.vmap(tried))
     valued = jax.jit(jax.vmap(lambda outcome: task.reward(*outcome)))
@@ -137,13 +137,13 @@ def _worlds(
         outcomes = rollouts(*(jnp.asarray(x) for x in (params, contexts, actions)))
         return outcomes, np.asarray(~jnp.isfinite(valued(outcomes)), int)
 
-    def world(backend: str, /, **settings: Any) -> World:
+    def world(backend: str, /, **settings: Any) -> TargetWorld:
         if backend != OWN or settings:
             asked = ", ".join([backend, *settings])
             raise BadInput(
                 f"task {task.name} has no engine beside its own simulator ({asked}); leave target "
                 f"out"
             )
-        return World(OWN, run, {1: "its reward is not finite"})
+        return TargetWorld(OWN, run, {1: "its reward is not finite"})
 
     return world

@@ -21,7 +21,7 @@ Array = Any
 Outcome = Any  # a pytree
 
 
-class World(NamedTuple):
+class TargetWorld(NamedTuple):
     """Where policies are tried. `run(params [B, D], contexts [B, g], actions [B, d]) -> (outcomes
     [B, ...], codes [B])`.
 
@@ -67,9 +67,9 @@ class OneShot:
     inputs: Callable[[Array, Array], Array]  # (context, action) -> [p]: what an outcome depends on
     outputs: Callable[[Outcome], Array]  # outcome -> [k]: what of it is predicted
     worth: Callable[[Array, Array], Array]  # (predicted [k], context) -> []: the reward of it
-    world: Callable[..., World]  # (backend) -> World; BadInput for one that is not there
+    world: Callable[..., TargetWorld]  # (backend) -> World; BadInput for one that is not there
     oracle: Callable[
-        [World, np.ndarray], np.ndarray
+        [TargetWorld, np.ndarray], np.ndarray
     ]  # (world, params [D]) -> [G] rewards of the best actions
     engine: str  # the world that is the simulator
     simulator: str  # in words, as results.json says it
@@ -104,7 +104,7 @@ def action_grid(points: tuple[int, ...]) -> np.ndarray:
 
 
 def best_actions(
-    world: World,
+    world: TargetWorld,
     params: np.ndarray,
     contexts: np.ndarray,
     reward: Callable[[Outcome, Array], Array],

@@ -26,7 +26,7 @@ def naf_policies(
     budget: int,
     training: GoalConfig,
     policy: Callable[[jax.Array], Any],
-    seen: Callable[[jax.Array], jax.Array],
+    observed: Callable[[jax.Array], jax.Array],
     trials: Callable[[Any, jax.Array, Any], Trials],
 ) -> dict[str, Callable[..., Any]]:
     """The fields `act`, `explore`, `train_uniform` and `tune` of `OneShot`.
@@ -50,9 +50,9 @@ def naf_policies(
         )
 
     return dict(
-        act=lambda old, contexts: naf.greedy(old.weights, seen(contexts)),
+        act=lambda old, contexts: naf.greedy(old.weights, observed(contexts)),
         explore=lambda key, old, contexts: naf.act(
-            key, old.weights, seen(contexts), training.noise
+            key, old.weights, observed(contexts), training.noise
         ),
         train_uniform=train_uniform,
         tune=tune,
@@ -85,7 +85,7 @@ def read_saved(
             f"{path}: holds no policy of {what}; write it again with 'adaptsim robot next'"
         )
     act, learned = jax.jit(make_policy(config)), policy(jnp.asarray(weights, jnp.float32))
-    return lambda seen: np.asarray(act(learned, jnp.asarray(seen, jnp.float32)))
+    return lambda observed: np.asarray(act(learned, jnp.asarray(observed, jnp.float32)))
 
 
 def _count(naf: Any) -> int:

@@ -42,11 +42,11 @@ def began(time: np.ndarray, places: np.ndarray) -> tuple[float, float]:
     """When a body with `places [R, 2]` m at `time [R]` s has moved by `MOVED`, s, and its greatest
     speed from then on, m/s; NaN where it never does, or moves as it is first seen.
     """
-    far = np.linalg.norm(places - places[0], axis=1)
-    k = int(np.argmax(far > MOVED))
-    if k < 1 or len(time) < 8 or far[2] > MOVED / 2:
+    distant = np.linalg.norm(places - places[0], axis=1)
+    k = int(np.argmax(distant > MOVED))
+    if k < 1 or len(time) < 8 or distant[2] > MOVED / 2:
         return float("nan"), float("nan")
-    at = float(np.interp(MOVED, [far[k - 1], far[k]], [time[k - 1], time[k]]))
+    at = float(np.interp(MOVED, [distant[k - 1], distant[k]], [time[k - 1], time[k]]))
     # a few rows at least, so that noise is no speed
     step = max(3, round(WINDOW * at / float(np.median(np.diff(time)))))
     a, b = np.arange(max(k - 1, 0), len(time) - step), np.arange(max(k - 1, 0) + step, len(time))
@@ -55,11 +55,11 @@ def began(time: np.ndarray, places: np.ndarray) -> tuple[float, float]:
     return at, float(np.max(np.linalg.norm(places[b] - places[a], axis=1) / (time[b] - time[a])))
 
 
-def clock_rate(seen: Sequence[tuple[float, float]], touch: Touch) -> float | None:
+def clock_rate(observed: Sequence[tuple[float, float]], touch: Touch) -> float | None:
     """How many times too slow the clock is (below 1: too fast) by what `began` says of each trial
     `[T]`; None where it need not be.
     """
-    at, speed = np.asarray(seen, float).T
+    at, speed = np.asarray(observed, float).T
     known = np.isfinite(at) & np.isfinite(speed) & (at > 0) & (speed > 0)
     if 2 * known.sum() < len(known) or not known.any():
         return None
@@ -69,14 +69,14 @@ def clock_rate(seen: Sequence[tuple[float, float]], touch: Touch) -> float | Non
         return float(np.median(late[known])), float(np.median(slow[known]))
 
     by_time, by_speed = off(1.0)
-    least, most = sorted((by_time, by_speed))
-    if not (least > np.log(SLOW) or most < -np.log(SLOW)) or most - least > np.log(AGREE):
+    minimum, most = sorted((by_time, by_speed))
+    if not (minimum > np.log(SLOW) or most < -np.log(SLOW)) or most - minimum > np.log(AGREE):
         return None
 
     def cost(late, slow):
         return (late / ON_TIME) ** 2 + (slow / np.log(AGREE)) ** 2
 
-    clock = min(cost(by_time - r, by_speed - r) for r in np.linspace(least, most, 9))
+    clock = min(cost(by_time - r, by_speed - r) for r in np.linspace(minimum, most, 9))
     arm = min(cost(*off(float(f))) for f in ARMS)
     if clock < arm:
         return float(np.exp(by_time))
@@ -84,15 +84,15 @@ def clock_rate(seen: Sequence[tuple[float, float]], touch: Touch) -> float | Non
 
 
 def check_clock_rate(
-    seen: Sequence[tuple[float, float]], touch: Touch, where: str, body: str
+    observed: Sequence[tuple[float, float]], touch: Touch, where: str, body: str
 ) -> None:
     """BadInput, naming `where`, where the clock of the trials runs several times too slow or too
     fast.
     """
-    rate = clock_rate(seen, touch)
+    rate = clock_rate(observed, touch)
     if rate is None:
         return
-    at, speed = np.nanmedian(np.asarray(seen, float), axis=0)
+    at, speed = np.nanmedian(np.asarray(observed, float), axis=0)
     due, usual = float(np.median(touch.reached(1.0))), float(np.median(touch.speed(1.0)))
     if rate > 1:
         times, slow, mend = (rate, "slow", "divide")
@@ -111,7 +111,7 @@ BAR = 0.005
 """m that a body must go on for its standing still to be doubted."""
 SURE = 3.0
 """Standard deviations of a difference of two rows that count as noise."""
-LEAST = 0.05
+MIN_STEPS = 0.05
 """s at a track's end that are told: one row that repeats the last does no harm."""
 GRIP = 12.0
 """m/s^2 with which friction stops a body at most: a coefficient of 1.2."""
@@ -133,7 +133,11 @@ def repeats(places: np.ndarray) -> list[tuple[int, int]]:
 
 
 def check_frozen(
-    time: np.ndarray, places: np.ndarray, told: Callable[[int], str], body: str, grip: float = GRIP
+    time: np.ndarray,
+    places: np.ndarray,
+    trials: Callable[[int], str],
+    body: str,
+    grip: float = GRIP,
 ) -> None:
     """BadInput where a track `places [R, C]` m at `time [R]` s holds its value while the body must
     move. told: names a row; body: as messages call it; grip: m/s^2 that may stop it.
@@ -143,19 +147,19 @@ def check_frozen(
         return
     moved = np.linalg.norm(np.diff(places, axis=0), axis=1)
     blur = SURE * max(_noise(places), _step(places))
-    _check_held(time, moved, blur, told, body)
+    _check_held(time, moved, blur, trials, body)
     for first, last in runs:
         mend = (
             "a tracker that lost it repeats its last value: leave x and y empty in these rows, or "
             "remove them"
             "; if all is as declared, add --as-declared"
         )
-        stood = f"{told(first + 1)}: {body} stands still to the digit from {time[first]:.4g} to {time[last]:.4g} s and"
+        stood = f"{trials(first + 1)}: {body} stands still to the digit from {time[first]:.4g} to {time[last]:.4g} s and"
         if last + 1 < len(time):
             leap, then = moved[last], moved[last + 1 : last + 3]
             if len(then) and leap > 2.0 * then.max() + BAR + blur:
                 raise BadInput(f"{stood} then leaps {1e3 * leap:.0f} mm: {mend}")
-        elif time[last] - time[first] > LEAST:
+        elif time[last] - time[first] > MIN_STEPS:
             left = _left(time, moved, first, blur, grip)
             if left > STILL_GOING:
                 raise BadInput(
@@ -165,7 +169,7 @@ def check_frozen(
 
 
 def _check_held(
-    time: np.ndarray, moved: np.ndarray, blur: float, told: Callable[[int], str], body: str
+    time: np.ndarray, moved: np.ndarray, blur: float, trials: Callable[[int], str], body: str
 ) -> None:
     """BadInput where rows come faster than places do: each place stands in several rows, and then
     changes by several rows' worth.
@@ -179,7 +183,7 @@ def _check_held(
     if b - a >= 4 and np.mean(between == 0) >= HELD and between.max() > BAR + blur:
         every = round(len(between) / np.sum(between > 0))
         raise BadInput(
-            f"{told(a + 1)}: places of {body} change only once in {every} rows from {time[a]:.4g} "
+            f"{trials(a + 1)}: places of {body} change only once in {every} rows from {time[a]:.4g} "
             f"s on, though it moves: the "
             "tracker is slower than the log; keep the rows at which they change; if all is as "
             "declared, add --as-declared"
@@ -208,8 +212,8 @@ def _step(places: np.ndarray) -> float:
     """m, a third of the grid that places are rounded to; 0 where they are not."""
     d: np.ndarray = np.concatenate([np.diff(np.unique(np.round(column, 7))) for column in places.T])
     d = d[d > 1e-7]
-    least = float(d.min()) if len(d) >= 5 else 0.0
-    for step in least / np.arange(1.0, 5.0):  # a fast body may skip the nearest places
+    minimum = float(d.min()) if len(d) >= 5 else 0.0
+    for step in minimum / np.arange(1.0, 5.0):  # a fast body may skip the nearest places
         if step > 1e-4 and np.all(np.abs(d / step - np.round(d / step)) < 0.05):
             return float(step) / 3.0
     return 0.0

@@ -16,7 +16,7 @@ from adaptsim_jax.logs.table import Table, read_table
 from adaptsim_jax.tasks import camera_record as record
 from adaptsim_jax.tasks.trial_clock import began, check_frozen
 
-LEAST_ROWS, SLOWEST = 8, 0.06  # of one trial; s between its rows (20 Hz and some jitter)
+MIN_ROWS, SLOWEST = 8, 0.06  # of one trial; s between its rows (20 Hz and some jitter)
 
 
 class Size(NamedTuple):
@@ -35,7 +35,7 @@ PLACE = Size("noise", "m", 1e-4, 0.05, 0.0005)
 
 
 @dataclass(frozen=True)
-class Kind:
+class TrialKind:
     """What tracks of a task look like. trial, trials, body: as messages call them; far m: farther
     no body goes; fastest m/s, slip m: a row farther than this from the one before is another thing;
     moves m: less in all is no trial; ends s: later rows are left out; optional: columns that are
@@ -58,7 +58,7 @@ class Kind:
     usual: float = 0.0
 
 
-class Track(NamedTuple):
+class MeasuredTrack(NamedTuple):
     """Of one trial: times `[R]` s, places `[R, C]` m (angles rad, NaN where not seen), the file's
     name, and when the body began to move s and how fast m/s.
     """
@@ -69,7 +69,7 @@ class Track(NamedTuple):
     began: tuple[float, float]
 
 
-Tracks = dict[float, Track]
+Tracks = dict[float, MeasuredTrack]
 """By trial."""
 
 
@@ -113,7 +113,7 @@ def read_tracks(
     paths: Sequence[Path],
     numbers: np.ndarray,
     actions: Path,
-    kind: Kind,
+    kind: TrialKind,
     without: Sequence[str] = (),
     as_declared: bool = False,
 ) -> tuple[Tracks, tuple[str, ...]]:
@@ -159,7 +159,7 @@ def _read_tracks(
     table: Table,
     numbers,
     actions: Path,
-    kind: Kind,
+    kind: TrialKind,
     more,
     without: Sequence[str],
     free: bool,
@@ -180,55 +180,55 @@ def _read_tracks(
             continue
         i = np.flatnonzero(c["trial"] == n)
 
-        def told(k, i=i, n=n):
+        def reported(k, i=i, n=n):
             return f"{at(int(i[k]))}: trial {n:g}"
 
         if n in found:
-            raise BadInput(f"{told(0)}: has a track in {found[n].file} already; keep one")
+            raise BadInput(f"{reported(0)}: has a track in {found[n].file} already; keep one")
         t, p = c["time"][i], np.stack([c[name][i] for name in ("x", "y", *more)], 1)
-        record.check_increasing(t, told)
+        record.check_increasing(t, reported)
         if t[-1] - t[0] > 60.0:
             raise BadInput(
-                f"{told(-1)}: lasts {t[-1] - t[0]:.6g} s; is time in ms? write seconds since the "
+                f"{reported(-1)}: lasts {t[-1] - t[0]:.6g} s; is time in ms? write seconds since the "
                 f"arm's start"
             )
-        if np.sum((t >= 0.0) & (t <= kind.ends)) < LEAST_ROWS and t[0] > kind.ends / 2:
+        if np.sum((t >= 0.0) & (t <= kind.ends)) < MIN_ROWS and t[0] > kind.ends / 2:
             raise BadInput(
-                f"{told(0)}: begins at {t[0]:.9g} s; write seconds since the arm's start, subtract "
+                f"{reported(0)}: begins at {t[0]:.9g} s; write seconds since the arm's start, subtract "
                 f"that of each trial"
             )
-        if len(t) < LEAST_ROWS:
+        if len(t) < MIN_ROWS:
             raise BadInput(
-                f"{told(0)}: {len(t)} rows; {LEAST_ROWS} at least are needed, at 20 Hz or more"
+                f"{reported(0)}: {len(t)} rows; {MIN_ROWS} at least are needed, at 20 Hz or more"
             )
         if t[0] < -0.5:
             raise BadInput(
-                f"{told(0)}: begins {-t[0]:.3g} s before the arm's start; time 0 is where the arm "
+                f"{reported(0)}: begins {-t[0]:.3g} s before the arm's start; time 0 is where the arm "
                 f"starts"
             )
         if not free:
-            seen = t <= kind.ends
-            check_frozen(t[seen], p[seen, :2], told, kind.body)
-        record.check_leaps(t, p[:, :2], told, kind.body, kind.fastest, kind.slip)
+            observed = t <= kind.ends
+            check_frozen(t[observed], p[observed, :2], reported, kind.body)
+        record.check_leaps(t, p[:, :2], reported, kind.body, kind.fastest, kind.slip)
         if np.linalg.norm(p[:, :2] - p[0, :2], axis=1).max() < kind.moves:
             raise BadInput(
-                f"{told(-1)}: {kind.body} never moved: {kind.never}; leave it out (--without "
+                f"{reported(-1)}: {kind.body} never moved: {kind.never}; leave it out (--without "
                 f"{n:g}) or make it again"
             )
-        record.check_clock_set(t, p[:, :2], told, kind.body)
+        record.check_clock_set(t, p[:, :2], reported, kind.body)
         for j in (2 + more.index(name) for name in kind.angles if name in more):
-            p[:, j] = record.unwrapped(t, p[:, j], told, kind.body)
+            p[:, j] = record.unwrapped(t, p[:, j], reported, kind.body)
         keep = (t >= 0.0) & (t <= kind.ends)
-        if keep.sum() < LEAST_ROWS:
+        if keep.sum() < MIN_ROWS:
             raise BadInput(
-                f"{told(0)}: has {keep.sum()} rows within {kind.ends:g} s of the arm's start; "
+                f"{reported(0)}: has {keep.sum()} rows within {kind.ends:g} s of the arm's start; "
                 f"write seconds since that start"
             )
-        found[n] = Track(t[keep], p[keep], path.name, began(t, p[:, :2]))
+        found[n] = MeasuredTrack(t[keep], p[keep], path.name, began(t, p[:, :2]))
 
 
 def tracked(
-    numbers: np.ndarray, found: Tracks, where: Path, kind: Kind, serve: str
+    numbers: np.ndarray, found: Tracks, where: Path, kind: TrialKind, serve: str
 ) -> tuple[list[float], list[str]]:
     """The trials that have a track, and a note for each that has none. Raises BadInput where too
     few are left.
@@ -265,10 +265,10 @@ def check_starts(
     """BadInput at the first trial whose body stands farther than `most` m from where the others do,
     beside what is declared.
     """
-    apart = np.linalg.norm(aside - np.median(aside, 0), axis=1)
-    for k in np.flatnonzero(apart > most)[:1]:
+    distance = np.linalg.norm(aside - np.median(aside, 0), axis=1)
+    for k in np.flatnonzero(distance > most)[:1]:
         raise BadInput(
-            f"{where}: trial {names[k]:g}: {body} stands {100 * apart[k]:.0f} cm from where it is "
+            f"{where}: trial {names[k]:g}: {body} stands {100 * distance[k]:.0f} cm from where it is "
             f"declared, beside the other trials: "
             f"of another frame, or of another trial? mend it, or leave it out (--without "
             f"{names[k]:g})"
@@ -291,18 +291,18 @@ def padded(names: Sequence[float], found: Tracks) -> tuple[np.ndarray, np.ndarra
     return time, places, np.stack([np.arange(longest) < longest - k for k in short]).astype(float)
 
 
-def aside(names: Sequence[float], found: Tracks, starts: np.ndarray, quiet: float) -> np.ndarray:
+def aside(names: Sequence[float], found: Tracks, starts: np.ndarray, still: float) -> np.ndarray:
     """`[T, 2]` m from the declared `starts [T, 2]` to the mean of the rows before `quiet` s; 0
     where there are none.
     """
-    rows = [found[n].places[found[n].time < quiet, :2] for n in names]
+    rows = [found[n].places[found[n].time < still, :2] for n in names]
     return np.array(
         [r.mean(0) - s if len(r) else np.zeros(2) for r, s in zip(rows, starts, strict=True)]
     )
 
 
 def noise_of(
-    meta: Mapping[str, Any], time, places, mask, quiet: float, before: str, size: Size = PLACE
+    meta: Mapping[str, Any], time, places, mask, still: float, before: str, size: Size = PLACE
 ) -> tuple[float, str]:
     """Noise of a coordinate of `places [T, R, C]`, and where it is known from: declared, rows
     before `quiet` s, or third differences.
@@ -317,19 +317,19 @@ def noise_of(
                 f"{size.such:g}"
             )
         return float(given), "declared"
-    least = max(size.least, rounded(places[mask > 0]) / np.sqrt(12.0))
+    minimum = max(size.least, rounded(places[mask > 0]) / np.sqrt(12.0))
     total, count = 0.0, 0
     for t, p, m in zip(time, places, mask, strict=True):
-        r = p[(m > 0) & (t < quiet)]
+        r = p[(m > 0) & (t < still)]
         if len(r) > 1:
             total, count = (
                 total + float(np.square(r - r.mean(0)).sum()),
                 count + r.shape[1] * (len(r) - 1),
             )
     if count >= 20:
-        return max(float(np.sqrt(total / count)), least), f"rows before the {before}"
+        return max(float(np.sqrt(total / count)), minimum), f"rows before the {before}"
     rows = [p[m > 0] for p, m in zip(places, mask, strict=True)]
-    return max(float(difference_noise(rows, pooled=True)[0]), least), "third differences"
+    return max(float(difference_noise(rows, pooled=True)[0]), minimum), "third differences"
 
 
 def rounded(places: np.ndarray) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 
 from adaptsim_jax.space import Parameter, Space
 from adaptsim_jax.tasks.base import Task
-from adaptsim_jax.tasks.one_shot import OneShot, World, best_actions
+from adaptsim_jax.tasks.one_shot import OneShot, TargetWorld, best_actions
 
 SPACE = Space((Parameter("gain", 1.0, 2.0), Parameter("bias", -0.2, 0.2)))
 SETTINGS = {"wd": {"gain": 1.4, "bias": 0.1}, "ood-1": {"gain": 2.6, "bias": 0.1}}
@@ -29,7 +29,7 @@ def act(policy, contexts):
     return jnp.clip((contexts - policy[1]) / policy[0], -1.0, 1.0)
 
 
-def probe_world(breaks_above: float = np.inf) -> World:
+def probe_world(breaks_above: float = np.inf) -> TargetWorld:
     """Trials that land above `breaks_above` fail with code 7."""
 
     def run(params, contexts, actions):
@@ -37,7 +37,7 @@ def probe_world(breaks_above: float = np.inf) -> World:
         codes = np.where(outcomes[:, 0] > breaks_above, 7, 0)
         return np.where((codes == 0)[:, None], outcomes, np.nan), codes
 
-    return World("probe", run, {0: "fine", 7: "landed too far"})
+    return TargetWorld("probe", run, {0: "fine", 7: "landed too far"})
 
 
 def probe_task() -> Task:

@@ -13,7 +13,7 @@ from adaptsim_jax.baselines.arena import Arena
 from adaptsim_jax.baselines.bayesopt import BayesOptConfig, bayesopt
 from adaptsim_jax.baselines.config import default_comparison
 from adaptsim_jax.baselines.learned import Bout
-from adaptsim_jax.tasks.one_shot import World
+from adaptsim_jax.tasks.one_shot import TargetWorld
 from adaptsim_jax.tasks.registry import make_one_shot
 
 OPTIONS = {
@@ -49,7 +49,7 @@ class Recorder(Arena):
 def test_visits_probe_and_deployed_scoops_learn_of_it():
     one = make_one_shot("scooping", OPTIONS)
     arena = Recorder(
-        one, World("stand-in", stand_in, {0: "fine"}), np.array([[0.3, 5e4, 1.0, 0.02]])
+        one, TargetWorld("stand-in", stand_in, {0: "fine"}), np.array([[0.3, 5e4, 1.0, 0.02]])
     )
     arena.kept = []
     trip = bayesopt(Bout(CONFIG, arena, np.array([0])))

@@ -53,7 +53,7 @@ class MendedPolicy(NamedTuple):
 
 
 @dataclass(frozen=True)
-class World:
+class MendedWorld:
     """A mended model as a simulator of the task. goal, start: `[4]`; history: rows that its effects
     remember.
     """
@@ -82,7 +82,7 @@ class World:
         return self.judged(loop), loop
 
     @broadcasts
-    def judged(self, loop: Loop) -> PendulumTrajectory:
+    def evaluated(self, loop: Loop) -> PendulumTrajectory:
         """Angles from the goal at the task's samples, and the cost on the scale of its 1000
         samples.
         """
@@ -97,7 +97,9 @@ class World:
         )
 
 
-def make_world(given: ModelFile, largest: np.ndarray | None = None, history: int = 2) -> World:
+def make_world(
+    given: ModelFile, largest: np.ndarray | None = None, history: int = 2
+) -> MendedWorld:
     """The simulator of a mended model, its friction as of `fixed_effect`; `largest`: effect
     parameters `[E]` at which its memory is measured.
     """
@@ -109,11 +111,11 @@ def make_world(given: ModelFile, largest: np.ndarray | None = None, history: int
     if largest is None:
         largest = given.effect_vector(model.layout)
     rows = max(history, history_rows(model, np.asarray(largest, float), DT))
-    return World(model, goal, goal - [np.pi, 0.0, 0.0, 0.0], rows)
+    return MendedWorld(model, goal, goal - [np.pi, 0.0, 0.0, 0.0], rows)
 
 
 @broadcasts
-def command(world: World, policy: MendedPolicy, y, past, t) -> jax.Array:
+def command(world: MendedWorld, policy: MendedPolicy, y, past, t) -> jax.Array:
     """Torque `[2]` N m of a policy that sees `y: [4]` and its own `past: [H, 2]` commands (the
     newest last).
     """
@@ -166,7 +168,7 @@ def _inverse(model: Model, eff, wanted) -> jax.Array:
     return u
 
 
-class Affine(NamedTuple):
+class AffineLaw(NamedTuple):
     """Forces taken as `slope_q q + slope_v v + push` from the goal, and commands as `1 + gain` of
     themselves; `[n]`.
     """
@@ -178,7 +180,7 @@ class Affine(NamedTuple):
 
 
 @broadcasts
-def along(world: World, theta, eff, loop: Loop) -> Affine:
+def along(world: MendedWorld, theta, eff, loop: Loop) -> AffineLaw:
     """The effects' best affine stand-in along a motion (least squares; statistical
     linearization).
     """
@@ -197,12 +199,12 @@ def along(world: World, theta, eff, loop: Loop) -> Affine:
         fits.append(solve(normal, (design.T @ force[j])[:, None])[:, 0])
     a, b, c = jnp.stack(fits, 1)
     share = jnp.sum(change * u, 0) / (jnp.sum(u * u, 0) + 1e-9)
-    return Affine(a, b, c, jnp.maximum(share, -0.9))
+    return AffineLaw(a, b, c, jnp.maximum(share, -0.9))
 
 
 @broadcasts
 def lqr(
-    world: World, theta, eff, affine: Affine
+    world: MendedWorld, theta, eff, affine: AffineLaw
 ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array]:
     """Optimal gain `[2, 4]` and constant torque `[2]` of the model with affine forces, with its A,
     B and Riccati code.
@@ -229,12 +231,12 @@ def lqr(
     return gain, mm(transpose(B), s)[:, 0], A, B, code
 
 
-def plain_policy(world: World, theta, eff) -> MendedPolicy:
+def plain_policy(world: MendedWorld, theta, eff) -> MendedPolicy:
     """The LQR of the declared part alone: it knows nothing of the effects (but of added
     inertia).
     """
     n, rows = world.model.plant.joint_dim, world.history
-    nothing = Affine(*(jnp.zeros(n) for _ in range(4)))
+    nothing = AffineLaw(*(jnp.zeros(n) for _ in range(4)))
     gain, _, _, _, code = lqr(world, theta, eff, nothing)
     return MendedPolicy(
         gain,
@@ -251,7 +253,7 @@ def plain_policy(world: World, theta, eff) -> MendedPolicy:
 
 
 @broadcasts
-def train_policy(world: World, theta, eff) -> MendedPolicy:
+def train_policy(world: MendedWorld, theta, eff) -> MendedPolicy:
     """The cheapest in the model of: knowing nothing, affine stand-ins, cancelling half or all; each
     with prediction too.
     """
@@ -280,7 +282,7 @@ STIFFER = (16.0, 32.0, 64.0)  # times the damping that a motion's affine stand-i
 
 
 @broadcasts
-def descended(world: World, theta, eff) -> MendedPolicy:
+def descended(world: MendedWorld, theta, eff) -> MendedPolicy:
     """The cheapest after `polished` of `train_policy`'s and of gains for more damping.
 
     Dry friction brakes most, for its size, where a motion is slow; the affine stand-in, fitted
@@ -305,7 +307,7 @@ def descended(world: World, theta, eff) -> MendedPolicy:
 
 
 @broadcasts
-def polished(world: World, policy: MendedPolicy, theta, eff, steps: int = 6) -> MendedPolicy:
+def polished(world: MendedWorld, policy: MendedPolicy, theta, eff, steps: int = 6) -> MendedPolicy:
     """The policy after Levenberg-Marquardt steps on its gain and constant torque, in the model: the
     cost is a sum of squares.
 
@@ -344,16 +346,16 @@ def polished(world: World, policy: MendedPolicy, theta, eff, steps: int = 6) -> 
     return with_(z)
 
 
-def _with_zero(world: World, policy: MendedPolicy) -> MendedPolicy:
+def _with_zero(world: MendedWorld, policy: MendedPolicy) -> MendedPolicy:
     """The same, reading its encoders as the model says they err."""
     n = world.model.plant.joint_dim
     still = jnp.zeros((2, 2 * n))
-    said = sensed(world.model, policy.eff, still, jnp.zeros(n), DT)
-    return policy._replace(zero=said[:n])
+    text = sensed(world.model, policy.eff, still, jnp.zeros(n), DT)
+    return policy._replace(zero=text[:n])
 
 
 @broadcasts
-def _ahead(world: World, policy: MendedPolicy, A, B) -> MendedPolicy:
+def _ahead(world: MendedWorld, policy: MendedPolicy, A, B) -> MendedPolicy:
     """The same, acting on where the state will be when its command arrives (a predictor for a late
     input).
     """
@@ -367,7 +369,7 @@ def _ahead(world: World, policy: MendedPolicy, A, B) -> MendedPolicy:
 
 
 @broadcasts
-def _sensor_delay(world: World, eff) -> jax.Array:
+def _sensor_delay(world: MendedWorld, eff) -> jax.Array:
     """Sum of the time constants of the sensors, the later joint's."""
     layout, total = world.model.layout, jnp.zeros(world.model.plant.joint_dim)
     for effect in layout.placed("measurement"):

@@ -20,7 +20,7 @@ from adaptsim_jax.mend.pendulum_model import ModelFile, read_model
 from adaptsim_jax.tasks.pendulum.augmented_policy import (
     DT,
     MendedPolicy,
-    World,
+    MendedWorld,
     command,
     make_world,
 )
@@ -36,7 +36,7 @@ class Controller:
 
     period = DT
 
-    def __init__(self, world: World, policy: MendedPolicy):
+    def __init__(self, world: MendedWorld, policy: MendedPolicy):
         self.world, self.policy = world, policy
         self._law = jax.jit(lambda y, past, t: command(world, policy, y, past, t))
         self.reset()

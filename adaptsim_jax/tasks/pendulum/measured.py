@@ -106,9 +106,9 @@ def check_columns(columns: Mapping[str, np.ndarray], where: str) -> None:
     whole = _whole_angles(time, columns)
     track = Track(time - time[0], _pair(whole, "q"), _speeds(columns), _pair(columns, "tau"))
     plain = design(1.0, GRAVITY, -1.0)
-    if told := contradiction([track], plain, WORDS, chain=(-1, 0), zeros=(1,)):
+    if trials := contradiction([track], plain, WORDS, chain=(-1, 0), zeros=(1,)):
         raise BadInput(
-            f"{where}: the columns contradict a double pendulum: {told.says}; mend the file (rad, "
+            f"{where}: the columns contradict a double pendulum: {trials.says}; mend the file (rad, "
             f"N m, zero upright); {AS_DECLARED}"
         )
     motion = motion_of([track])
@@ -130,11 +130,11 @@ def check_policy(columns: Mapping[str, np.ndarray], gain: np.ndarray) -> str:
         v = np.gradient(gaussian_filter1d(q, 1.0, axis=0), time, axis=0)
     asked = -np.concatenate([q, v], 1) @ np.asarray(gain, float).T
     for j, name in enumerate(("tau1", "tau2")):
-        told = np.asarray(columns[name], float)
-        free = (np.abs(told) < 0.97 * np.abs(told).max()) & (time < HORIZON)
-        if free.sum() < 30 or np.ptp(told[free]) == 0.0:
+        trials = np.asarray(columns[name], float)
+        free = (np.abs(trials) < 0.97 * np.abs(trials).max()) & (time < HORIZON)
+        if free.sum() < 30 or np.ptp(trials[free]) == 0.0:
             continue
-        a, t = asked[free, j], told[free]
+        a, t = asked[free, j], trials[free]
         alike, share = float(np.corrcoef(a, t)[0, 1]), float(a @ t / max(a @ a, 1e-12))
         if alike < 0.8 or not 0.6 < share < 1.6:
             return (
@@ -191,10 +191,10 @@ def _check_speeds(time: np.ndarray, columns: Mapping[str, np.ndarray], where: st
     for name in ("1", "2"):
         if f"v{name}" not in columns:
             continue
-        told = velocity_agreement(time, columns[f"q{name}"], columns[f"v{name}"])
-        if told.enough and told.r2 > 0.9 and not 0.5 < told.gain < 2.0:
+        trials = velocity_agreement(time, columns[f"q{name}"], columns[f"v{name}"])
+        if trials.enough and trials.r2 > 0.9 and not 0.5 < trials.gain < 2.0:
             raise BadInput(
-                f"{where}: column v{name} is {told.gain:.3g} times the slope of q{name}; write rad "
+                f"{where}: column v{name} is {trials.gain:.3g} times the slope of q{name}; write rad "
                 f"and rad/s with the same sign, "
                 "or leave the velocities out"
             )

@@ -76,10 +76,10 @@ def read(session: Session, state: Any, path: Path) -> Any:
     if not session.as_declared:
         measured.check_columns(table.columns, str(path))
     if session.options.get("model") is None and (
-        told := measured.check_policy(table.columns, state.policy.gain)
+        trials := measured.check_policy(table.columns, state.policy.gain)
     ):
         print(
-            f"warning: {told}: another gain, late, cut off, or angles that froze? if so: adaptsim "
+            f"warning: {trials}: another gain, late, cut off, or angles that froze? if so: adaptsim "
             f"robot undo"
         )
     return found

@@ -14,7 +14,7 @@ from adaptsim_jax.tasks.base import Task
 from adaptsim_jax.tasks.pendulum.augmented import cheapest, mended_space
 from adaptsim_jax.tasks.pendulum.augmented_policy import (
     MendedPolicy,
-    World,
+    MendedWorld,
     make_world,
     plain_policy,
     train_policy,
@@ -69,12 +69,12 @@ def in_world(task: Task, given: ModelFile) -> tuple[np.ndarray, Task]:
     )
 
 
-def _linear(world: World, policy: PendulumPolicy, theta, eff) -> MendedPolicy:
+def _linear(world: MendedWorld, policy: PendulumPolicy, theta, eff) -> MendedPolicy:
     """A gain of the plain task as a law in this world: it knows no effect."""
     return plain_policy(world, theta, eff)._replace(gain=policy.gain, code=policy.code)
 
 
-def _same_effects(task: Task, given: ModelFile, world: World, empty: MendedPolicy):
+def _same_effects(task: Task, given: ModelFile, world: MendedWorld, empty: MendedPolicy):
     """Policies of a mended run act as they are; they must have been trained with this model's
     effects in mind.
     """

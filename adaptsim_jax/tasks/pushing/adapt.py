@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.tasks.faces import AdaptFace, Look, View
+from adaptsim_jax.tasks.faces import AdaptFace, AdaptView, Look
 from adaptsim_jax.tasks.pushing import task as pushing
 from adaptsim_jax.tasks.pushing.deployed import as_deployed
 from adaptsim_jax.tasks.pushing.simulator import make_guide, make_simulator
@@ -21,7 +21,7 @@ GOALS = ((0.78, 0.05), (0.93, -0.06))  # m: a near one on the left and a far one
 SYMBOLS = {"mu": "μ table", "e": "e (Pa)", "mu_p": "μ patch", "y_p": "patch y (m)"}
 
 
-class Shown(NamedTuple):
+class ShownPushes(NamedTuple):
     """Pushes of policies [P] at goals `[G, 2]` m: actions `[P, G, 2]`, tracks `[P, G, T, 2]` m,
     rewards `[P, G]`.
     """
@@ -39,7 +39,7 @@ class Shown(NamedTuple):
         return [Push(*each) for each in parts]
 
 
-def shown_pushes(config: Any, policies: Any, target: np.ndarray) -> Shown:
+def shown_pushes(config: Any, policies: Any, target: np.ndarray) -> ShownPushes:
     """What `policies [P]` do in `target [D]`."""
     simulate = make_guide(config) or make_simulator(config)
     goals, act = jnp.asarray(GOALS), pushing.make_policy(config)
@@ -53,10 +53,10 @@ def shown_pushes(config: Any, policies: Any, target: np.ndarray) -> Shown:
         tracks = jax.vmap(jax.vmap(one))(actions)
         return actions, tracks, pushing.push_reward(tracks[..., -1, :], goals[None])
 
-    return Shown(*map(np.asarray, (goals, *run(policies))))
+    return ShownPushes(*map(np.asarray, (goals, *run(policies))))
 
 
-def shown(view: View) -> Look:
+def shown(view: AdaptView) -> Look:
     """The start that holds the best visit."""
     from adaptsim_jax.report.parameters import axes_of
     from adaptsim_jax.tasks.pushing.figures import pushes_over_iterations
@@ -92,7 +92,7 @@ def before_after(config: Any, both: Any, target: np.ndarray) -> Look:
 
 
 def clips_of(
-    config: Any, target: np.ndarray, pushes: Shown, names: Sequence[tuple[int, str]]
+    config: Any, target: np.ndarray, pushes: ShownPushes, names: Sequence[tuple[int, str]]
 ) -> list[Any]:
     """Clips in the MuJoCo scene, a goal after the other, of policies by number, and what each is
     called.

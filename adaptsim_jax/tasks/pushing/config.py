@@ -11,7 +11,7 @@ from adaptsim_jax.learners.naf_goals import GoalConfig
 from adaptsim_jax.learners.naf_shared import SharedConfig
 from adaptsim_jax.space import Parameter, Space
 from adaptsim_jax.tasks.pushing import model
-from adaptsim_jax.tasks.pushing.corrections import Told
+from adaptsim_jax.tasks.pushing.corrections import PushRecord
 from adaptsim_jax.tasks.pushing.slide import Lacking
 
 # Paper, table A2: friction of the table, modulus of the bottle Pa, friction of the patch, its
@@ -118,7 +118,7 @@ class PushingPolicy(NamedTuple):
     weights: jax.Array
     tilt: jax.Array | None = None
     at: jax.Array | None = None
-    told: Told | None = None
+    told: PushRecord | None = None
 
 
 class PushingTrajectory(NamedTuple):

@@ -33,7 +33,7 @@ _STEPS, _AHEAD, _LEAP = (
 _DAMPING = (0.1, 0.3, 5.0)  # of the steps: at first, and its factors after a success and a failure
 
 
-class Told(NamedTuple):
+class PushRecord(NamedTuple):
     """Pushes made in the target: actions `[K, 2]` in [-1, 1], places `[K, 2]` m where their bottles
     ended, used `[K]` bool: whether a row counts.
     """
@@ -46,7 +46,7 @@ class Told(NamedTuple):
 def nearer(
     end: Callable[[jax.Array, jax.Array], jax.Array],
     mean: jax.Array,
-    told: Told,
+    given: PushRecord,
     guide: Callable[[jax.Array, jax.Array], jax.Array] | None = None,
 ) -> jax.Array:
     """E's `mean [D]` (unit coordinates) moved within Omega to where `end(u [D], action [2]) -> [2]`
@@ -57,13 +57,13 @@ def nearer(
     edge has none. Without pushes it is `mean` itself. `guide`: a cheaper simulator, alike, that
     slopes are taken from.
     """
-    used = told.used & jnp.isfinite(told.places).all(-1)
-    places = jnp.where(used[:, None], told.places, 0.0)
+    used = given.used & jnp.isfinite(given.places).all(-1)
+    places = jnp.where(used[:, None], given.places, 0.0)
     step = _AHEAD * jnp.eye(mean.shape[0], dtype=mean.dtype)
 
     def miss(u, end=end):
         gap = (
-            jnp.where(used[:, None], jax.vmap(lambda a: end(u, a))(told.actions) - places, 0.0)
+            jnp.where(used[:, None], jax.vmap(lambda a: end(u, a))(given.actions) - places, 0.0)
             / _BLUR
         )
         return (gap / (1.0 + jnp.sum(gap**2, -1, keepdims=True) / _LARGE**2) ** 0.25).reshape(-1)
@@ -90,17 +90,17 @@ def nearer(
 
 
 def with_gaps(
-    push: Callable[[jax.Array], jax.Array], told: Told
+    push: Callable[[jax.Array], jax.Array], given: PushRecord
 ) -> Callable[[jax.Array], jax.Array]:
     """`push(action [2] in [-1, 1]) -> [2]` m, mended by what the target's pushes differ from it by.
     Rows that are not used, or not finite, count for nothing; without any it is `push` itself.
     """
-    used = told.used & jnp.isfinite(told.places).all(-1)
-    gaps = jnp.where(used[:, None], told.places - jax.vmap(push)(told.actions), 0.0)
-    alike = _alike(told.actions, told.actions) * used[:, None] * used[None]
+    used = given.used & jnp.isfinite(given.places).all(-1)
+    gaps = jnp.where(used[:, None], given.places - jax.vmap(push)(given.actions), 0.0)
+    alike = _alike(given.actions, given.actions) * used[:, None] * used[None]
     spread = alike + jnp.diag(jnp.where(used, _DOUBT**2, 1.0))
     weights = jax.scipy.linalg.solve(spread, gaps, assume_a="pos")
-    return lambda action: push(action) + (_alike(action[None], told.actions) @ weights)[0]
+    return lambda action: push(action) + (_alike(action[None], given.actions) @ weights)[0]
 
 
 def _alike(a: jax.Array, b: jax.Array) -> jax.Array:
@@ -175,8 +175,8 @@ def search(
             for a in (actions, nearest)
         ]
     )
-    apart = jnp.sum((jax.vmap(jax.vmap(push))(found) - goals[None]) ** 2, -1)
-    return jnp.where(((apart[1] < apart[0]) & wide)[:, None], found[1], found[0])
+    distance = jnp.sum((jax.vmap(jax.vmap(push))(found) - goals[None]) ** 2, -1)
+    return jnp.where(((distance[1] < distance[0]) & wide)[:, None], found[1], found[0])
 
 
 def _guided(push: Push, goal: jax.Array, action: jax.Array, trials: int, guide: Push) -> jax.Array:
@@ -193,12 +193,12 @@ def _guided(push: Push, goal: jax.Array, action: jax.Array, trials: int, guide: 
         return first
 
     def one(carry, _):
-        tried, best, least = carry
+        tried, best, minimum = carry
         end = push(tried)
         off = jnp.sum((end - goal) ** 2)
-        better = off < least
+        better = off < minimum
         after = solve(jnp.where(jnp.isfinite(end), end - guide(tried), 0.0), tried)
-        return (after, jnp.where(better, tried, best), jnp.where(better, off, least)), None
+        return (after, jnp.where(better, tried, best), jnp.where(better, off, minimum)), None
 
     return jax.lax.scan(one, (first, first, jnp.asarray(jnp.inf, goal.dtype)), length=trials)[0][1]
 

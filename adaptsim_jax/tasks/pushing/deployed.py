@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from adaptsim_jax.tasks.base import Episode
 from adaptsim_jax.tasks.pushing import task as pushing
 from adaptsim_jax.tasks.pushing.config import PushingConfig, PushingPolicy
-from adaptsim_jax.tasks.pushing.corrections import Told
+from adaptsim_jax.tasks.pushing.corrections import PushRecord
 from adaptsim_jax.tasks.pushing.goals import sector_goals, unseen, visit_goals
 from adaptsim_jax.tasks.pushing.simulator import make_simulator
 from adaptsim_jax.tasks.pushing.task import make_choice
@@ -40,7 +40,7 @@ def as_deployed(config: PushingConfig, result: Any, target: Any) -> Any:
 
 def deployed(
     history: Episode, target: jax.Array, config: PushingConfig
-) -> tuple[PushingPolicy, Told]:
+) -> tuple[PushingPolicy, PushRecord]:
     """The policies `[N, I + 1]` of `history [N, I + 1]` in `target [D]` (physical), each told the
     pushes that all N starts made before its iteration; and all of these pushes. Those that failed
     (their places are not finite) do not count.
@@ -51,11 +51,11 @@ def deployed(
     choose, end = pushing.make_choice(config), _end(target, config)
 
     def pushed(policy, obs):
-        seen = obs[history.mean.shape[-1] :].reshape(
+        observed = obs[history.mean.shape[-1] :].reshape(
             config.trajectories, -1, 2
         )  # behind the mean of E: places, the goal, gaps
         actions = choose(
-            policy, unseen(seen[:, pushing.POINTS if config.observation == "points" else 1])
+            policy, unseen(observed[:, pushing.POINTS if config.observation == "points" else 1])
         )
         return actions, jax.vmap(end)(pushing.physical_action(actions))
 
@@ -64,13 +64,13 @@ def deployed(
         jnp.arange(turns)[None, :, None], (N, turns, config.trajectories)
     ).reshape(-1)
     places = places.reshape(-1, 2)
-    every = Told(actions.reshape(-1, 2), places, jnp.isfinite(places).all(-1))
+    every = PushRecord(actions.reshape(-1, 2), places, jnp.isfinite(places).all(-1))
 
     def at(i):
         return every._replace(used=every.used & (made < i))
 
-    told = jax.vmap(lambda _: jax.vmap(at)(jnp.arange(turns)))(jnp.arange(N))
-    return history.policy._replace(told=told), every
+    trials = jax.vmap(lambda _: jax.vmap(at)(jnp.arange(turns)))(jnp.arange(N))
+    return history.policy._replace(told=trials), every
 
 
 def tested(policies: PushingPolicy, target: jax.Array, config: PushingConfig) -> jax.Array:
@@ -112,8 +112,8 @@ def make_aims(config: PushingConfig) -> Callable[[jax.Array, PushingPolicy], jax
         actions = choose(policy, goals)
         made, used, taken = policy.told.actions, policy.told.used, []
         for part in range(parts):
-            apart = jnp.sum((actions[part][:, None] - made[None]) ** 2, -1)
-            best = jnp.argmax(jnp.min(jnp.where(used[None], apart, jnp.inf), 1))
+            distance = jnp.sum((actions[part][:, None] - made[None]) ** 2, -1)
+            best = jnp.argmax(jnp.min(jnp.where(used[None], distance, jnp.inf), 1))
             made, used = jnp.concatenate([made, actions[part][best][None]]), jnp.append(used, True)
             taken.append(goals[part][best])
         return jnp.stack(taken)

@@ -25,15 +25,15 @@ BETTER = 3.0
 """Times by which they must miss less in another frame."""
 SLIGHT, TURNED = 0.05, 0.35
 """rad by which all may be turned without a word; from which on that is refused."""
-ODD = 0.6
+OUTLIER = 0.6
 """rad by which one bottle may go elsewhere than the others, beside its push."""
-LEAST = 0.02
+MIN_WAY = 0.02
 """m that a bottle must have gone for its direction to say anything."""
 TURN_MEND = "give tracks in the arm's base frame (x ahead, y to the left)"
 
 
 @dataclass(frozen=True)
-class Told:
+class FrameFault:
     """What looks otherwise: `name`, `says`, `mend`; `slight`: no reason to refuse the tracks."""
 
     name: str
@@ -44,7 +44,7 @@ class Told:
 
 OTHERS = (
     (
-        Told(
+        FrameFault(
             "mirrored",
             "the bottles came out on the other side of the line than they were pushed to: the "
             "tracks look mirrored",
@@ -53,7 +53,7 @@ OTHERS = (
         lambda a: -a,
     ),
     (
-        Told(
+        FrameFault(
             "degrees",
             "the bottles went straight ahead whatever the angle: the robot looks to have taken the "
             "angles for degrees",
@@ -62,7 +62,7 @@ OTHERS = (
         np.radians,
     ),
     (
-        Told(
+        FrameFault(
             "in_degrees",
             "the bottles went much wider than they were pushed: the angles look to be other than "
             "in radians",
@@ -73,35 +73,35 @@ OTHERS = (
 )
 
 
-def frame_told(angles: np.ndarray, way: np.ndarray) -> Told | None:
+def frame_fault(angles: np.ndarray, way: np.ndarray) -> FrameFault | None:
     """What pushes at `angles [N]` rad say of the frame of bottles that went `way [N, 2]` m; None
     where all agrees.
     """
-    far = np.linalg.norm(way, axis=1) > LEAST
-    angles, went = np.asarray(angles, float)[far], np.arctan2(way[far, 1], way[far, 0])
+    distant = np.linalg.norm(way, axis=1) > MIN_WAY
+    angles, went = np.asarray(angles, float)[distant], np.arctan2(way[distant, 1], way[distant, 0])
     if not len(angles):
         return None
     missed = _rms(went - angles)
     turn = float(np.angle(np.mean(np.exp(1j * (went - angles)))))
     turned = _rms(went - angles - turn)
     if missed > SURE:
-        for told, frame in OTHERS:
+        for trials, frame in OTHERS:
             left = _rms(went - frame(angles))
             # pushes in about one direction do not tell a small turn apart from another frame
             if left * BETTER < missed and (left * BETTER < turned or abs(turn) > 0.5 * TURNED):
-                return told
+                return trials
     alike = turned < 0.5 * abs(turn)
     if alike and abs(turn) > SLIGHT and (len(angles) > 1 or abs(turn) > TURNED):
         what = f"the bottles went {abs(np.degrees(turn)):.0f} degrees to the {'left' if turn > 0 else 'right'} of their pushes"
         slight = abs(turn) < TURNED
-        return Told(
+        return FrameFault(
             "turned",
             f"{what}: {'is the frame turned a little' if slight else 'another frame'}?",
             TURN_MEND,
             slight,
         )
     if missed > 2.0 * TURNED:
-        return Told(
+        return FrameFault(
             "frame", "the bottles did not go where they were pushed: another frame?", TURN_MEND
         )
     return None
@@ -111,12 +111,14 @@ def check_frame(angles: np.ndarray, way: np.ndarray, where: str) -> str | None:
     """A sentence where the frame looks a little turned, else None. BadInput, naming `where`, where
     it looks another.
     """
-    told = frame_told(angles, way)
-    if told is None:
+    trials = frame_fault(angles, way)
+    if trials is None:
         return None
-    if told.slight:
-        return f"{told.says}; {told.mend}"
-    raise BadInput(f"{where}: {told.says}; {told.mend}; if all is as declared, add --as-declared")
+    if trials.slight:
+        return f"{trials.says}; {trials.mend}"
+    raise BadInput(
+        f"{where}: {trials.says}; {trials.mend}; if all is as declared, add --as-declared"
+    )
 
 
 def check_each(names: Sequence[float], angles: np.ndarray, way: np.ndarray, where: str) -> None:
@@ -124,12 +126,12 @@ def check_each(names: Sequence[float], angles: np.ndarray, way: np.ndarray, wher
     beside the angles of their pushes.
     """
     off = np.angle(np.exp(1j * (np.arctan2(way[:, 1], way[:, 0]) - np.asarray(angles, float))))
-    far = np.linalg.norm(way, axis=1) > LEAST
-    if np.sum(far) < 3:
+    distant = np.linalg.norm(way, axis=1) > MIN_WAY
+    if np.sum(distant) < 3:
         return
-    off = off - np.median(off[far])
-    alike = float(np.median(np.abs(off[far]))) < SURE
-    for k in np.flatnonzero(far & alike & (np.abs(off) > ODD))[:1]:
+    off = off - np.median(off[distant])
+    alike = float(np.median(np.abs(off[distant]))) < SURE
+    for k in np.flatnonzero(distant & alike & (np.abs(off) > OUTLIER))[:1]:
         raise BadInput(
             f"{where}: trial {names[k]:g}: the bottle went {abs(np.degrees(off[k])):.0f} degrees "
             f"to the "
@@ -144,19 +146,19 @@ def check_order(names: Sequence[float], angles: np.ndarray, way: np.ndarray, whe
     """BadInput where bottles went where other pushes of the file were made: two tracks exchanged,
     or all numbers off by one.
     """
-    far = np.linalg.norm(way, axis=1) > LEAST
+    distant = np.linalg.norm(way, axis=1) > MIN_WAY
     angles, went = np.asarray(angles, float), np.arctan2(way[:, 1], way[:, 0])
-    if np.sum(far) < 2:
+    if np.sum(distant) < 2:
         return
     mend = "give each track its own number; if all is as declared, add --as-declared"
     off = _wrapped(went - angles)
-    usual = float(np.median(off[far])) if np.sum(far) > 4 else 0.0
+    usual = float(np.median(off[distant])) if np.sum(distant) > 4 else 0.0
 
     def miss(i, j):
         return abs(_wrapped(went[i] - angles[j] - usual))
 
     def left(order):
-        return _rms((went - angles[order] - usual)[far])
+        return _rms((went - angles[order] - usual)[distant])
 
     own = np.arange(len(angles))
     for by in (-1, 1):
@@ -166,9 +168,9 @@ def check_order(names: Sequence[float], angles: np.ndarray, way: np.ndarray, whe
                 f"{where}: the bottles went where the {which} push was made: are the numbers off "
                 f"by one? {mend}"
             )
-    for i, j in itertools.combinations(np.flatnonzero(far).tolist(), 2):
-        as_told, exchanged = min(miss(i, i), miss(j, j)), max(miss(i, j), miss(j, i))
-        if as_told > SURE and BETTER * exchanged < as_told:
+    for i, j in itertools.combinations(np.flatnonzero(distant).tolist(), 2):
+        as_given, exchanged = min(miss(i, i), miss(j, j)), max(miss(i, j), miss(j, i))
+        if as_given > SURE and BETTER * exchanged < as_given:
             raise BadInput(
                 f"{where}: trials {names[i]:g} and {names[j]:g} went where the other was pushed: "
                 f"exchanged? {mend}"
@@ -213,7 +215,7 @@ def touch(actions: np.ndarray, starts: np.ndarray) -> Touch:
 
 
 def check_hits(
-    seen: Sequence[tuple[float, float]],
+    observed: Sequence[tuple[float, float]],
     actions: np.ndarray,
     starts: np.ndarray,
     where: str,
@@ -221,5 +223,5 @@ def check_hits(
 ) -> None:
     """BadInput where pushes contradict the rate of their clock; see `trial_clock`."""
     check_clock_rate(
-        seen, touch(np.asarray(actions, float), np.asarray(starts, float)), where, body
+        observed, touch(np.asarray(actions, float), np.asarray(starts, float)), where, body
     )

@@ -75,7 +75,7 @@ def physical_action(action: jax.Array) -> jax.Array:
     return (low + high).reshape(*lead, 2) / 2 + action * (high - low).reshape(*lead, 2) / 2
 
 
-def seen_goal(goal: jax.Array) -> jax.Array:
+def goal_input(goal: jax.Array) -> jax.Array:
     """A place on the table `[..., 2]` m in the network's coordinates; goals span [-1, 1]."""
     lead = (1,) * (goal.ndim - 1)
     return (goal - jnp.asarray(_MIDDLE, goal.dtype).reshape(*lead, 2)) / jnp.asarray(
@@ -84,7 +84,7 @@ def seen_goal(goal: jax.Array) -> jax.Array:
 
 
 def unseen(place: jax.Array) -> jax.Array:
-    """`seen_goal` undone: `[..., 2]` m."""
+    """`goal_input` undone: `[..., 2]` m."""
     lead = (1,) * (place.ndim - 1)
     return place * jnp.asarray(_HALF, place.dtype).reshape(*lead, 2) + jnp.asarray(
         _MIDDLE, place.dtype

@@ -21,7 +21,7 @@ from adaptsim_jax.tasks import camera_record as record
 from adaptsim_jax.tasks.one_shot_naf import read_saved
 from adaptsim_jax.tasks.pushing import model
 from adaptsim_jax.tasks.pushing import task as pushing
-from adaptsim_jax.tasks.pushing.corrections import Told
+from adaptsim_jax.tasks.pushing.corrections import PushRecord
 from adaptsim_jax.tasks.pushing.deployed import make_aims
 from adaptsim_jax.tasks.pushing.frame import check_hits
 from adaptsim_jax.tasks.pushing.model import PushOptions
@@ -32,7 +32,7 @@ COLUMNS = ("trial", "time", "x", "y")
 GAP = 0.1  # s; over it a sliding bottle strays some 3 mm from the line between two rows
 LATE = 0.1  # s; the plate cannot touch the bottle before 0.2 s
 ASIDE = 0.03  # m between where the bottle stood and where the task wants it
-FAR = 3.0  # m; nothing is pushed so far, so it is another unit
+MAX_DISTANCE = 3.0  # m; nothing is pushed so far, so it is another unit
 STILL = 0.005  # m; every push within the bounds moves the bottle farther
 USUAL = 0.7  # m from the arm's base at which bottles are seen
 FASTEST, SLIP = (
@@ -56,14 +56,14 @@ class Pushes(NamedTuple):
 
 
 def pushes_to_make(
-    key: jax.Array, told: Any, policy: PushingPolicy, config: PushingConfig
+    key: jax.Array, reported: Any, policy: PushingPolicy, config: PushingConfig
 ) -> Pushes:
     """The pushes of adaptation iteration `told` (from 0) of a session with `key`: always the same
     for the same session.
     """
-    goals = make_aims(config)(jax.random.fold_in(jax.random.fold_in(key, _GOALS), told), policy)
+    goals = make_aims(config)(jax.random.fold_in(jax.random.fold_in(key, _GOALS), reported), policy)
     actions = pushing.make_policy(config)(policy, goals)
-    numbers = int(told) * config.trajectories + np.arange(1, config.trajectories + 1)
+    numbers = int(reported) * config.trajectories + np.arange(1, config.trajectories + 1)
     return Pushes(numbers, np.asarray(goals), np.asarray(actions))
 
 
@@ -84,10 +84,10 @@ def corrected(
         return policy
     low, high = np.asarray(model.ACTION_LOW), np.asarray(model.ACTION_HIGH)
     own = (2.0 * np.asarray(actions, float) - low - high) / (high - low)
-    told = Told(
+    reported = PushRecord(
         jnp.asarray(own, jnp.float32), jnp.asarray(places, jnp.float32), jnp.ones(len(own), bool)
     )
-    return policy._replace(told=told)
+    return policy._replace(told=reported)
 
 
 def read_policy(path: str | Path) -> Callable[[Any], np.ndarray]:
@@ -119,13 +119,13 @@ def read_policy(path: str | Path) -> Callable[[Any], np.ndarray]:
     policy = PushingPolicy(weights, at=jnp.asarray(at, jnp.float32))
     if "told" in table:
         policy = corrected(
-            policy, replace(config, correct=True), *_told_columns(table["told"], path)
+            policy, replace(config, correct=True), *_table_columns(table["told"], path)
         )
     choose = jax.jit(pushing.make_policy(config))
     return lambda goal: np.asarray(choose(policy, jnp.asarray(goal, jnp.float32)))
 
 
-def _told_columns(table: Any, path: str | Path) -> tuple[np.ndarray, np.ndarray]:
+def _table_columns(table: Any, path: str | Path) -> tuple[np.ndarray, np.ndarray]:
     """Actions and places `[K, 2]` of a policy file's table `told`."""
     given = [table.get(name) if isinstance(table, dict) else None for name in ("actions", "places")]
     try:
@@ -175,18 +175,18 @@ def measured_trajectory(
     """
     record.check_columns(columns, COLUMNS, where, f"{', '.join(COLUMNS)} (s and m)")
     record.check_numbers(columns["trial"], at, pushes.numbers)
-    record.check_unit(columns, at, FAR, "push", USUAL)
+    record.check_unit(columns, at, MAX_DISTANCE, "push", USUAL)
     trials = record.trials_of(columns, at, where, pushes.numbers, 50 * config.duration).values()
     doubted = not as_declared and config.observation != "final"
     if doubted:
         starts = np.tile(model.START, (len(trials), 1))
         check_hits([began(t.time, t.track) for t in trials], pushes.actions, starts, where)
     places = []
-    for _, time, track, told in trials:
-        _check_time(time, told, config)
+    for _, time, track, reported in trials:
+        _check_time(time, reported, config)
         if doubted:
-            check_frozen(time, track, told, "the bottle")
-        _check_track(time, track, told, config)
+            check_frozen(time, track, reported, "the bottle")
+        _check_track(time, track, reported, config)
         places.append(_resampled(time, track, config))
     return pushing.measured(jnp.asarray(pushes.goals), jnp.asarray(np.stack(places), jnp.float32))
 
@@ -198,31 +198,31 @@ def _resampled(time: np.ndarray, track: np.ndarray, config: PushingConfig) -> np
     return np.stack([np.interp(grid, time, track[:, k]) for k in range(2)], 1)
 
 
-def _check_time(time: np.ndarray, told: Callable[[int], str], config: PushingConfig) -> None:
+def _check_time(time: np.ndarray, reported: Callable[[int], str], config: PushingConfig) -> None:
     """From the arm's start to the end of the trial, in s."""
     step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     last = config.duration - min(1.5 * step, GAP / 2) - 1e-6
     if time[-1] < last:
         raise BadInput(
-            f"{told(-1)}: ends at {time[-1]:.4g} s; record it for {config.duration:g} s from the "
+            f"{reported(-1)}: ends at {time[-1]:.4g} s; record it for {config.duration:g} s from the "
             f"arm's start"
         )
     if config.observation == "final":  # one row at the end serves
         if not np.any((time >= last) & (time <= config.duration + GAP)):
             raise BadInput(
-                f"{told(-1)}: no row at {config.duration:g} s; give where the bottle was then"
+                f"{reported(-1)}: no row at {config.duration:g} s; give where the bottle was then"
             )
         return
     if time[0] > LATE:
         start = "the arm's start as time 0"
         raise BadInput(
-            f"{told(0)}: begins at {time[0]:.9g} s; record from {start}, or subtract that time"
+            f"{reported(0)}: begins at {time[0]:.9g} s; record from {start}, or subtract that time"
         )
-    record.check_gaps(time, GAP, config.duration, told, "make that push again")
+    record.check_gaps(time, GAP, config.duration, reported, "make that push again")
 
 
 def _check_track(
-    time: np.ndarray, track: np.ndarray, told: Callable[[int], str], config: PushingConfig
+    time: np.ndarray, track: np.ndarray, reported: Callable[[int], str], config: PushingConfig
 ) -> None:
     """A bottle that stood where it should, then moved, and never jumped."""
     if config.observation == "final" and time[0] > LATE:
@@ -231,12 +231,12 @@ def _check_track(
     if aside > ASIDE:
         x, y = track[0]
         raise BadInput(
-            f"{told(0)}: the bottle stands at ({x:.3g}, {y:.3g}) m, {100 * aside:.0f} cm from "
+            f"{reported(0)}: the bottle stands at ({x:.3g}, {y:.3g}) m, {100 * aside:.0f} cm from "
             f"{model.START}, where the task "
             "starts: mend the frame (the arm's base), the unit, or the start"
         )
-    record.check_leaps(time, track, told, "the bottle", FASTEST, SLIP)
+    record.check_leaps(time, track, reported, "the bottle", FASTEST, SLIP)
     if np.linalg.norm(track - track[0], axis=1).max() < STILL:
         raise BadInput(
-            f"{told(-1)}: the bottle never moved; make that push again, or mend the tracking"
+            f"{reported(-1)}: the bottle never moved; make that push again, or mend the tracking"
         )

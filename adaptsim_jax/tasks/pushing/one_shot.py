@@ -10,10 +10,10 @@ import numpy as np
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.learners.naf_goals import GoalProblem, Trials, make_goal_learner
-from adaptsim_jax.tasks.one_shot import OneShot, World, best_actions
+from adaptsim_jax.tasks.one_shot import OneShot, TargetWorld, best_actions
 from adaptsim_jax.tasks.one_shot_naf import naf_policies
 from adaptsim_jax.tasks.pushing import model, task
-from adaptsim_jax.tasks.pushing.corrections import Told
+from adaptsim_jax.tasks.pushing.corrections import PushRecord
 from adaptsim_jax.tasks.pushing.deployed import make_aims
 from adaptsim_jax.tasks.pushing.engines import BACKENDS, make_backend
 from adaptsim_jax.tasks.pushing.goals import WORST, unseen
@@ -77,8 +77,8 @@ def make_pushing_one_shot(config: PushingConfig) -> OneShot:
         **policies,
         inputs=lambda goal, action: action,
         outputs=lambda points: task.seen_goal(points[-1]),
-        worth=lambda seen, goal: jnp.maximum(
-            0.0, 1.0 - jnp.linalg.norm(unseen(seen) - goal) / WORST
+        worth=lambda observed, goal: jnp.maximum(
+            0.0, 1.0 - jnp.linalg.norm(unseen(observed) - goal) / WORST
         ),
         world=world,
         oracle=oracle,
@@ -96,7 +96,7 @@ def make_pushing_one_shot(config: PushingConfig) -> OneShot:
 
 def pushing_world(
     backend: str, options: PushOptions = model.PAPER, /, bottle: str = "paper", **settings: Any
-) -> World:
+) -> TargetWorld:
     """The push in `backend` (planar, native, mjx, drake). Pushes that fail give not-a-number, hence
     reward 0.
 
@@ -127,7 +127,7 @@ def pushing_world(
             found.code
         )
 
-    return World(backend, run, dict(model.MESSAGES))
+    return TargetWorld(backend, run, dict(model.MESSAGES))
 
 
 def _reward(points: jax.Array, goal: jax.Array) -> jax.Array:
@@ -138,7 +138,7 @@ def _remember(
     policy: PushingPolicy, actions: jax.Array, points: jax.Array, used: jax.Array
 ) -> PushingPolicy:
     places = points[:, -1]
-    return policy._replace(told=Told(actions, places, used & jnp.isfinite(places).all(-1)))
+    return policy._replace(told=PushRecord(actions, places, used & jnp.isfinite(places).all(-1)))
 
 
 def _everywhere(space: Any, simulate: Any) -> GoalProblem:

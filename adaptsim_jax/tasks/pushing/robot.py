@@ -125,9 +125,9 @@ def comment(session: Session, before: Any, after: Any, trajectory: Any, done: bo
         trajectory.rewards,
         strict=True,
     ):
-        apart = 100 * np.linalg.norm(end - goal)
+        distance = 100 * np.linalg.norm(end - goal)
         print(
-            f"  trial {number}: came to {end[0]:.3f}, {end[1]:+.3f} m, {apart:.1f} cm from its "
+            f"  trial {number}: came to {end[0]:.3f}, {end[1]:+.3f} m, {distance:.1f} cm from its "
             f"goal: reward {float(reward):.3f}"
         )
     pushes = int(after.told) * config_of(session).trajectories

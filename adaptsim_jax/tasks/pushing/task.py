@@ -34,10 +34,10 @@ from adaptsim_jax.tasks.pushing.config import (
 from adaptsim_jax.tasks.pushing.corrections import nearer, refine, search, with_gaps
 from adaptsim_jax.tasks.pushing.goals import (
     draw_goal,
+    goal_input,
     goal_lattice,
     physical_action,
     push_reward,
-    seen_goal,
     visit_goals,
 )
 from adaptsim_jax.tasks.pushing.model import PARAMETERS, PushOptions
@@ -78,7 +78,7 @@ def make_choice(config: PushingConfig) -> Callable[[PushingPolicy, jax.Array], j
         return (lambda a: end(at, a), None if hint is None else lambda a: hint(at, a))
 
     def choose(policy, goal):
-        action = naf.greedy(policy.weights, seen_goal(goal))
+        action = naf.greedy(policy.weights, goal_input(goal))
         if config.refine == 0 or policy.at is None:
             return action
         goals, first = goal.reshape(-1, 2), action.reshape(-1, 2)
@@ -223,7 +223,7 @@ def _pretrain(
     def trial(key, u, action):
         return simulate(space.physical(u), physical_action(action))[-1]
 
-    problem = GoalProblem(draw_goal, seen_goal, trial, push_reward)
+    problem = GoalProblem(draw_goal, goal_input, trial, push_reward)
     learn = make_shared_learner(
         wide, problem, space.sample, lambda u: 2.0 * u - 1.0, config.shared, naf_rates(config)
     )
@@ -266,18 +266,18 @@ def observed(trajectory: PushingTrajectory, config: PushingConfig) -> jax.Array:
     held at 4.
     """
 
-    def told(points):
+    def given(points):
         if config.observation == "points":
             return points
         return points[:, -1:]
 
     if config.show_goal:
-        shown = [told(trajectory.points), trajectory.goals[:, None]]
+        shown = [given(trajectory.points), trajectory.goals[:, None]]
     else:
-        shown = [told(trajectory.points)]
-    seen = seen_goal(jnp.concatenate(shown, 1))
+        shown = [given(trajectory.points)]
+    seen = goal_input(jnp.concatenate(shown, 1))
     if config.show_gap:
-        gap = told(trajectory.points) - told(trajectory.expected)
+        gap = given(trajectory.points) - given(trajectory.expected)
         # millimetres tell as much as centimetres do when E is nearly right
         seen = jnp.concatenate([seen, jnp.arcsinh(gap / _SMALL)], 1)
     return jnp.clip(jnp.where(jnp.isfinite(seen), seen, 4.0), -4.0, 4.0).reshape(-1)
@@ -293,7 +293,7 @@ def _problem(space: Space, simulate: Callable) -> GoalProblem:
         params = space.physical(spaces.sample(key, dist))
         return simulate(params, physical_action(action))[-1]
 
-    return GoalProblem(draw_goal, seen_goal, trial, push_reward)
+    return GoalProblem(draw_goal, goal_input, trial, push_reward)
 
 
 def naf_rates(config: PushingConfig, tuning: bool = False) -> Any:

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.tasks.faces import AdaptFace, Look, View
+from adaptsim_jax.tasks.faces import AdaptFace, AdaptView, Look
 from adaptsim_jax.tasks.scooping import hydro
 from adaptsim_jax.tasks.scooping import task as scooping
 from adaptsim_jax.tasks.scooping.config import checked
@@ -40,7 +40,7 @@ def clips_of(config: Any, policies: Any, target: np.ndarray) -> list[Any]:
     return clips
 
 
-def shown(view: View) -> Look:
+def shown(view: AdaptView) -> Look:
     """The start that holds the best visit."""
     from adaptsim_jax.report.parameters import axes_of
     from adaptsim_jax.tasks.scooping import film

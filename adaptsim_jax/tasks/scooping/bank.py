@@ -40,7 +40,7 @@ BOXES = {
 """
 REACH = np.array([0.2, 0.25, 0.05])
 """How far beyond their range actions are tried, as a share of it: execution errors leave it."""
-LEAST = np.array([1e-3, -np.inf, 1e-3])  # a pitch of 0 has no edge, a distance of 0 no run-up
+MIN_SHARE = np.array([1e-3, -np.inf, 1e-3])  # a pitch of 0 has no edge, a distance of 0 no run-up
 PLACE_UNIT = 0.1  # m: places come out of the network in units of it
 
 Layers = Sequence[tuple[Any, Any]]
@@ -106,7 +106,7 @@ def points(count: int, seed: int, box: str = "omega") -> tuple[np.ndarray, np.nd
     )
     low, high = np.array(model.ACTION_LOW), np.array(model.ACTION_HIGH)
     wide = REACH * (high - low)
-    return params, np.maximum(low - wide + u[:, 4:] * (high - low + 2 * wide), LEAST)
+    return params, np.maximum(low - wide + u[:, 4:] * (high - low + 2 * wide), MIN_SHARE)
 
 
 def identity(options: ScoopOptions, numerics: Numerics) -> str:

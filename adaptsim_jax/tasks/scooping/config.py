@@ -13,7 +13,7 @@ from adaptsim_jax.learners.naf_goals import GoalConfig
 from adaptsim_jax.space import Parameter, Space
 from adaptsim_jax.tasks.scooping import hydro, model
 from adaptsim_jax.tasks.scooping.bank import BOXES as BANK_BOXES
-from adaptsim_jax.tasks.scooping.corrections import Told
+from adaptsim_jax.tasks.scooping.corrections import ScoopRecord
 from adaptsim_jax.tasks.scooping.hydro import Numerics
 from adaptsim_jax.tasks.scooping.model import ScoopOptions
 
@@ -93,7 +93,7 @@ class ScoopingPolicy(NamedTuple):
 
     weights: jax.Array
     at: jax.Array | None = None
-    told: Told | None = None
+    told: ScoopRecord | None = None
     probe: jax.Array | None = None
 
 

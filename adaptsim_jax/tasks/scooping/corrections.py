@@ -19,7 +19,7 @@ import numpy as np
 _STEPS = 30  # towards the mode: each of them comes nearer, whatever the outcomes
 
 
-class Told(NamedTuple):
+class ScoopRecord(NamedTuple):
     """Scoops made in the target: actions `[K, 3]` in [-1, 1] as asked for, won `[K]` (1 or 0), used
     `[K]` bool: whether a row counts.
     """
@@ -52,17 +52,17 @@ class Odds(NamedTuple):
 
 
 def chances(
-    told: Told, at_told: Odds, tried: jax.Array, at_tried: Odds, doubt: Doubt = Doubt()
+    trials: ScoopRecord, at_told: Odds, tried: jax.Array, at_tried: Odds, doubt: Doubt = Doubt()
 ) -> jax.Array:
     """`[A]`, chance of success of the actions `tried [A, 3]` as `outlook` has it. Unsure odds are
     drawn towards even, as their expected chance is.
     """
-    odds, variance = outlook(told, at_told, tried, at_tried, doubt)
+    odds, variance = outlook(trials, at_told, tried, at_tried, doubt)
     return jax.nn.sigmoid(odds / jnp.sqrt(1.0 + np.pi / 8.0 * variance))
 
 
 def outlook(
-    told: Told,
+    trials: ScoopRecord,
     at_told: Odds,
     tried: jax.Array,
     at_tried: Odds,
@@ -72,14 +72,16 @@ def outlook(
     the target, `told`, and their variance `[A]`; `at_told`, `at_tried`: the bank's odds of both.
     Rows that are not used count for nothing.
     """
-    used = told.used.astype(tried.dtype)
+    used = trials.used.astype(tried.dtype)
     prior, ways = _departures(at_told, doubt)
-    alike = _covariance(ways, told.actions, ways, told.actions, doubt) * used[:, None] * used[None]
-    pull = _mode(prior, alike, told.won, used)
+    alike = (
+        _covariance(ways, trials.actions, ways, trials.actions, doubt) * used[:, None] * used[None]
+    )
+    pull = _mode(prior, alike, trials.won, used)
     at_mode = jax.nn.sigmoid(prior + alike @ pull)
     root = jnp.sqrt(at_mode * (1.0 - at_mode) * used)
     there, tried_ways = _departures(at_tried, doubt)
-    across = _covariance(tried_ways, tried, ways, told.actions, doubt) * used[None]
+    across = _covariance(tried_ways, tried, ways, trials.actions, doubt) * used[None]
     known = jax.scipy.linalg.solve_triangular(
         _factor(root, alike), root[:, None] * across.T, lower=True
     )

@@ -18,7 +18,14 @@ from adaptsim_jax.tasks.scooping.config import (
     make_scooping_naf,
     scooping_space,
 )
-from adaptsim_jax.tasks.scooping.corrections import Doubt, Odds, Told, chances, lattice, outlook
+from adaptsim_jax.tasks.scooping.corrections import (
+    Doubt,
+    Odds,
+    ScoopRecord,
+    chances,
+    lattice,
+    outlook,
+)
 from adaptsim_jax.tasks.scooping.model import ScoopOptions
 from adaptsim_jax.tasks.scooping.trial import (
     CONTEXT,
@@ -26,7 +33,7 @@ from adaptsim_jax.tasks.scooping.trial import (
     executed,
     make_mjx_trial,
     make_trial,
-    seen_place,
+    place_input,
     success,
     test_contexts,
 )
@@ -60,7 +67,7 @@ def training_problem(
             draw_key, luck_key = jax.random.split(key)
             return success(simulate(draw(draw_key, context), action, draw_context(luck_key)))[None]
 
-        return GoalProblem(place, seen_place, real, reward)
+        return GoalProblem(place, place_input, real, reward)
     bank = load_bank(options, config.numerics)
     tests = jnp.asarray(test_contexts(max(checks, 1)))
     chances = jax.vmap(lambda p, a, luck: bank_chance(bank, p, executed(a, luck, options)))
@@ -75,7 +82,7 @@ def training_problem(
         params = jax.vmap(draw, (0, None))(jax.random.split(key, checks), context)
         return chances(params, jax.vmap(act)(tests[:, :2]), tests).mean()
 
-    return GoalProblem(place, seen_place, stored, reward, worth if checks else None)
+    return GoalProblem(place, place_input, stored, reward, worth if checks else None)
 
 
 def bank_chance(bank: Bank, params: jax.Array, action: jax.Array) -> jax.Array:
@@ -117,12 +124,12 @@ def make_choice(
     """
     naf = make_scooping_naf(config)
     if config.correct:
-        best = make_search(config, lambda *seen: chances(*seen, doubt=doubt))
+        best = make_search(config, lambda *observed: chances(*observed, doubt=doubt))
     else:
         best = None
 
     def choose(policy, contexts):
-        action = naf.greedy(policy.weights, seen_place(contexts))
+        action = naf.greedy(policy.weights, place_input(contexts))
         if best is not None and policy.told is not None:
             return jnp.where(
                 policy.told.used.any(), best(policy, action.reshape(-1, 3), policy.told), action
@@ -145,17 +152,17 @@ def make_probe(
     """
     naf, nothing = (
         make_scooping_naf(config),
-        Told(jnp.zeros((1, 3)), jnp.zeros(1), jnp.zeros(1, bool)),
+        ScoopRecord(jnp.zeros((1, 3)), jnp.zeros(1), jnp.zeros(1, bool)),
     )
 
-    def hoped(*seen):
-        odds, variance = outlook(*seen, doubt=doubt)
+    def hoped(*observed):
+        odds, variance = outlook(*observed, doubt=doubt)
         return odds + optimism * jnp.sqrt(variance)
 
     best = make_search(config, hoped)
 
     def probe(policy):
-        own = naf.greedy(policy.weights, seen_place(jnp.zeros((1, CONTEXT))))
+        own = naf.greedy(policy.weights, place_input(jnp.zeros((1, CONTEXT))))
         return policy._replace(told=None, probe=best(policy, own, policy.told or nothing))
 
     return probe
@@ -163,7 +170,7 @@ def make_probe(
 
 def make_search(
     config: ScoopingConfig, worth: Callable
-) -> Callable[[ScoopingPolicy, jax.Array, Told], jax.Array]:
+) -> Callable[[ScoopingPolicy, jax.Array, ScoopRecord], jax.Array]:
     """`best(policy, own [N, 3], told) -> [3]`: of even actions, `own` and those told of, the one of
     the highest `worth(told, at_told, tried, at_tried) -> [A]`.
     """
@@ -174,11 +181,11 @@ def make_search(
     others = jax.vmap(odds, (0, None), 1)
     known = jax.jit(others)(pieces, even)
 
-    def best(policy, own, told):
-        own = jnp.concatenate([told.actions, own])
+    def best(policy, own, trials):
+        own = jnp.concatenate([trials.actions, own])
         every, params = jnp.concatenate([own, even]), space.physical(policy.at)
         both = Odds(odds(params, every), jnp.concatenate([others(pieces, own), known]))
-        at_told = jax.tree.map(lambda x: x[: len(told.actions)], both)
-        return every[jnp.argmax(worth(told, at_told, every, both))]
+        at_told = jax.tree.map(lambda x: x[: len(trials.actions)], both)
+        return every[jnp.argmax(worth(trials, at_told, every, both))]
 
     return best

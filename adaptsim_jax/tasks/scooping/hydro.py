@@ -104,7 +104,7 @@ def steps_of(numerics: Numerics) -> int:
 
 
 def step(
-    piece: shapes.Body,
+    piece: shapes.PieceBody,
     modulus: Array,
     state: PieceState,
     surfaces: contact.Surfaces,
@@ -127,7 +127,7 @@ def step(
     )
 
 
-def at_rest(piece: shapes.Body, modulus: Array) -> PieceState:
+def at_rest(piece: shapes.PieceBody, modulus: Array) -> PieceState:
     """A piece that stands on the table, sunk in by its weight."""
     z = piece.hz - shapes.sink(piece, modulus, model.GRAVITY)
     zero = jnp.zeros_like(z)
@@ -171,7 +171,7 @@ def rollout(
     start = at_rest(piece, modulus)
     first = (start, jnp.zeros((), bool), jnp.zeros((), params.dtype))
     (end, lost, worst), poses = jax.lax.scan(one, first, (tip[:-1], tip[1:]))
-    ahead, above = spatula.seen_from_tip(tip[-1], end.pose[0], end.pose[1])
+    ahead, above = spatula.from_tip(tip[-1], end.pose[0], end.pose[1])
     code = jnp.where(worst > numerics.tolerance, model.UNSOLVED, model.FINE)
     code = jnp.where(fit, jnp.where(lost, model.DIVERGED, code), model.UNFIT)
     good = fit & ~lost
@@ -179,9 +179,9 @@ def rollout(
     return Scoop(jnp.concatenate([start.pose[None], poses]), tip, ahead, above, success, code)
 
 
-def seen_rows(numerics: Numerics) -> np.ndarray:
+def observed_rows(numerics: Numerics) -> np.ndarray:
     """`[8]`: the rows of a trial at which the piece is seen."""
-    return np.round(np.array(model.SEEN_AT) / numerics.dt).astype(int)
+    return np.round(np.array(model.OBSERVED_AT) / numerics.dt).astype(int)
 
 
 def in_room(state: PieceState) -> Array:

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.tasks.scooping import model
-from adaptsim_jax.tasks.scooping.hydro_shapes import Body, chord, field, half_width
+from adaptsim_jax.tasks.scooping.hydro_shapes import PieceBody, chord, field, half_width
 
 Array = Any
 
@@ -64,7 +64,11 @@ class Contacts(NamedTuple):
 
 
 def touch(
-    piece: Body, modulus: Array, pose: Array, surfaces: Surfaces, grid: tuple[tuple[int, int], ...]
+    piece: PieceBody,
+    modulus: Array,
+    pose: Array,
+    surfaces: Surfaces,
+    grid: tuple[tuple[int, int], ...],
 ) -> Contacts:
     """Contact points of all surfaces: for each a pair of `grid`, columns along it and points across
     half of the section.

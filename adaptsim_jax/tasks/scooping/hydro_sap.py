@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 
 from adaptsim_jax.tasks.scooping.hydro_contact import Contacts
-from adaptsim_jax.tasks.scooping.hydro_shapes import Body
+from adaptsim_jax.tasks.scooping.hydro_shapes import PieceBody
 
 Array = Any
 ROUNDS = 2  # of the line search, after its bounds are known
@@ -65,7 +65,7 @@ class Solve(NamedTuple):
 
 
 def springs(
-    c: Contacts, piece: Body, dt: float, tau: float, slip: float, near_rigid: float
+    c: Contacts, piece: PieceBody, dt: float, tau: float, slip: float, near_rigid: float
 ) -> Springs:
     """Contacts as regularised springs with damping time `tau` s.
 
@@ -100,7 +100,12 @@ def springs(
 
 
 def solve(
-    s: Springs, firsts: tuple[int, ...], piece: Body, free: Array, guess: Array, iterations: int
+    s: Springs,
+    firsts: tuple[int, ...],
+    piece: PieceBody,
+    free: Array,
+    guess: Array,
+    iterations: int,
 ) -> Solve:
     """The velocity `[3]` after a step, from `free [3]`, the velocity without contact, starting at
     `guess [3]`; `firsts`: the place of one point of each flat surface.
@@ -182,8 +187,10 @@ def _best_share(
         jnp.min(jnp.where(first < 0, 1.0, shares)),
     )
     guess = shares - first / second
-    far = jnp.where((guess > low) & (guess < high), jnp.abs(guess - shares), jnp.inf)
-    start = jnp.where(jnp.isfinite(jnp.min(far)), guess[jnp.argmin(far)], 0.5 * (low + high))
+    distant = jnp.where((guess > low) & (guess < high), jnp.abs(guess - shares), jnp.inf)
+    start = jnp.where(
+        jnp.isfinite(jnp.min(distant)), guess[jnp.argmin(distant)], 0.5 * (low + high)
+    )
 
     def one(_, bounds):
         low, high, share = bounds
@@ -249,7 +256,7 @@ def _stiffness(s: Springs, law: _Law) -> tuple[Array, Array, Array]:
     )
 
 
-def cost(s: Springs, piece: Body, free: Array, v: Array) -> Array:
+def cost(s: Springs, piece: PieceBody, free: Array, v: Array) -> Array:
     """What is minimised, kg m^2/s^2; the solver itself needs only its slopes."""
     law = _law(s, *_relative(s, v))
     mass = jnp.stack([piece.mass, piece.mass, piece.inertia])

@@ -22,7 +22,7 @@ Array = Any
 _TINY = 1e-12
 
 
-class Body(NamedTuple):
+class PieceBody(NamedTuple):
     """mass kg, inertia kg m^2 about y, g and half height hz m of one piece; each `[]`."""
 
     mass: Array
@@ -40,7 +40,7 @@ class Chord(NamedTuple):
     high: Array
 
 
-def body(g: Array, height: Array) -> Body:
+def body(g: Array, height: Array) -> PieceBody:
     """A solid piece of the food's density."""
     hz, r = height / 2, RADIUS
     volume = by_shape(g, 4 / 3 * jnp.pi * r * r * hz, 2 * jnp.pi * r * r * hz, 8 * r * r * hz)
@@ -48,7 +48,7 @@ def body(g: Array, height: Array) -> Body:
         g, (r * r + hz * hz) / 5, (3 * r * r + 4 * hz * hz) / 12, (r * r + hz * hz) / 3
     )
     mass = DENSITY * volume
-    return Body(mass, mass * square, g, hz)
+    return PieceBody(mass, mass * square, g, hz)
 
 
 def by_shape(g: Array, ellipsoid: Array, cylinder: Array, box: Array) -> Array:
@@ -56,7 +56,7 @@ def by_shape(g: Array, ellipsoid: Array, cylinder: Array, box: Array) -> Array:
     return jnp.where(g == ELLIPSOID, ellipsoid, jnp.where(g == CYLINDER, cylinder, box))
 
 
-def field(piece: Body, x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
+def field(piece: PieceBody, x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
     """`s`, and its slopes along x and z 1/m, at points of any shape inside the piece."""
     g, hz, r = piece.g, piece.hz, RADIUS
     scaled = jnp.sqrt((x / r) ** 2 + (y / r) ** 2 + (z / hz) ** 2 + _TINY)
@@ -81,7 +81,7 @@ def field(piece: Body, x: Array, y: Array, z: Array) -> tuple[Array, Array, Arra
     )
 
 
-def chord(piece: Body, x: Array, z: Array, tx: Array, tz: Array) -> Chord:
+def chord(piece: PieceBody, x: Array, z: Array, tx: Array, tz: Array) -> Chord:
     """Where the line through `(x, z)` along the unit vector `(tx, tz)` lies inside the piece."""
     r, hz = RADIUS, piece.hz
     a = (tx / r) ** 2 + (tz / hz) ** 2
@@ -105,14 +105,14 @@ def _slab(x: Array, t: Array, half: Array) -> Chord:
     return Chord(jnp.minimum(one, two), jnp.maximum(one, two))
 
 
-def half_width(piece: Body, x: Array, z: Array) -> Array:
+def half_width(piece: PieceBody, x: Array, z: Array) -> Array:
     """How far the piece reaches to either side of the plane of symmetry over `(x, z)`, m."""
     across = 1.0 - (x / RADIUS) ** 2
     inside = jnp.where(piece.g == ELLIPSOID, across - (z / piece.hz) ** 2, across)
     return jnp.where(piece.g == BOX, RADIUS, RADIUS * jnp.sqrt(jnp.maximum(inside, _TINY)))
 
 
-def sink(piece: Body, modulus: Array, gravity: float) -> Array:
+def sink(piece: PieceBody, modulus: Array, gravity: float) -> Array:
     """How deep a piece that lies on its underside sinks into a rigid table under its own weight, m.
 
     The field integrated over the section in closed form. Ellipsoid: e pi r^2 (d^2 - 2 d^3 / 3)

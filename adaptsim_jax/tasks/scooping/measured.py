@@ -22,7 +22,7 @@ from adaptsim_jax.tasks.one_shot_naf import read_saved
 from adaptsim_jax.tasks.scooping import model
 from adaptsim_jax.tasks.scooping import task as scooping
 from adaptsim_jax.tasks.scooping.config import ScoopingConfig, ScoopingPolicy, ScoopingTrajectory
-from adaptsim_jax.tasks.scooping.corrections import Told
+from adaptsim_jax.tasks.scooping.corrections import ScoopRecord
 from adaptsim_jax.tasks.scooping.model import ScoopOptions
 from adaptsim_jax.tasks.scooping.motion import check_reach
 from adaptsim_jax.tasks.trial_clock import began, check_frozen
@@ -30,12 +30,12 @@ from adaptsim_jax.tasks.trial_clock import began, check_frozen
 COLUMNS = ("trial", "time", "x", "y", "on")
 GAP = 0.1  # s without a row that can be filled
 LATE = 0.2  # s; the spatula cannot touch the piece before
-FAR = 2.0  # m; no piece goes so far, so it is another unit
+MAX_DISTANCE = 2.0  # m; no piece goes so far, so it is another unit
 FASTEST, SLIP = (
     3.0,
     0.03,
 )  # m/s and m: a row farther than this from the one before is another thing than the piece
-LEAST, AHEAD = (
+MIN_ROWS, AHEAD = (
     0.03,
     0.5,
 )  # m that a piece must have gone for its way to count; cosine of that way and the spatula's
@@ -56,17 +56,17 @@ class Scoops(NamedTuple):
 
 
 def scoops_to_make(
-    key: jax.Array, told: Any, policy: ScoopingPolicy, config: ScoopingConfig
+    key: jax.Array, given: Any, policy: ScoopingPolicy, config: ScoopingConfig
 ) -> Scoops:
     """The scoops of adaptation iteration `told` (from 0) of a session with `key`: always the same
     for the same session.
     """
     keys = jax.random.split(
-        jax.random.fold_in(jax.random.fold_in(key, _PLACES), told), config.trajectories
+        jax.random.fold_in(jax.random.fold_in(key, _PLACES), given), config.trajectories
     )
     places = jax.vmap(scooping.draw_context)(keys)[:, :2]
     actions = scooping.make_policy(config)(policy, places)
-    numbers = int(told) * config.trajectories + np.arange(1, config.trajectories + 1)
+    numbers = int(given) * config.trajectories + np.arange(1, config.trajectories + 1)
     return Scoops(numbers, np.asarray(places), np.asarray(actions))
 
 
@@ -80,10 +80,10 @@ def corrected(
         return policy
     low, high = np.asarray(model.ACTION_LOW), np.asarray(model.ACTION_HIGH)
     own = (2.0 * np.asarray(actions, float) - low - high) / (high - low)
-    told = Told(
+    given = ScoopRecord(
         jnp.asarray(own, jnp.float32), jnp.asarray(won, jnp.float32), jnp.ones(len(own), bool)
     )
-    return policy._replace(told=told)
+    return policy._replace(told=given)
 
 
 def policy_table(policy: ScoopingPolicy, config: ScoopingConfig) -> dict[str, Any]:
@@ -147,7 +147,7 @@ def measured_trajectory(
     """
     record.check_columns(columns, COLUMNS, where, f"{', '.join(COLUMNS)} (s, m, 0 or 1)")
     record.check_numbers(columns["trial"], at, scoops.numbers)
-    record.check_unit(columns, at, FAR, "scoop", USUAL)
+    record.check_unit(columns, at, MAX_DISTANCE, "scoop", USUAL)
     for i in np.flatnonzero(~np.isin(columns["on"], (0.0, 1.0)))[:1]:
         raise BadInput(
             f"{at(i)}: on = {columns['on'][i]:g}; write 1 where the piece lies on the spatula, "
@@ -158,19 +158,20 @@ def measured_trajectory(
         check_reach([began(t.time, t.track) for t in trials], scoops.actions, ScoopOptions(), where)
         check_mirrored(scoops.places[:, 1], np.array([t.track[0, 1] for t in trials]), where)
     points, lies = [], []
-    for rows, time, track, told in trials:
+    for rows, time, track, given in trials:
         if not as_declared:
-            check_frozen(time, track, told, "the piece")
-        _check_track(time, track, told)
+            check_frozen(time, track, given, "the piece")
+        _check_track(time, track, given)
         points.append(
-            np.stack([np.interp(model.SEEN_AT, time, track[:, k]) for k in range(2)], 1) - track[0]
+            np.stack([np.interp(model.OBSERVED_AT, time, track[:, k]) for k in range(2)], 1)
+            - track[0]
         )
         lies.append(columns["on"][rows[-1]])
     success = jnp.asarray(lies, jnp.float32)
     return ScoopingTrajectory(jnp.asarray(np.stack(points), jnp.float32), success, success.mean())
 
 
-def check_mirrored(declared: np.ndarray, seen: np.ndarray, where: str) -> None:
+def check_mirrored(declared: np.ndarray, observed: np.ndarray, where: str) -> None:
     """BadInput where pieces declared to lie `declared [N]` m to the left were seen as far to the
     right, `seen [N]`, from anywhere.
     """
@@ -179,9 +180,9 @@ def check_mirrored(declared: np.ndarray, seen: np.ndarray, where: str) -> None:
         return float(np.median(np.abs(v - np.median(v))))
 
     if (
-        len(seen) > 1
+        len(observed) > 1
         and np.ptp(declared) > WIDE
-        and spread(seen + declared) < 0.3 * spread(seen - declared)
+        and spread(observed + declared) < 0.3 * spread(observed - declared)
     ):
         raise BadInput(
             f"{where}: pieces lie to the right where they are declared to the left: tracks are "
@@ -194,18 +195,18 @@ def check_way(went: np.ndarray, where: str, names: Sequence[float]) -> None:
     """BadInput where pieces that went `went [N, 2 or more]` m did not go along the spatula's way:
     all, or one of them.
     """
-    far = np.linalg.norm(went[:, :2], axis=1) > LEAST
-    if not far.any():
+    distant = np.linalg.norm(went[:, :2], axis=1) > MIN_ROWS
+    if not distant.any():
         return
     ahead = np.cos(np.arctan2(went[:, 1], went[:, 0]))
-    middle = float(np.median(ahead[far]))
+    middle = float(np.median(ahead[distant]))
     if middle < AHEAD:
         raise BadInput(
             f"{where}: pieces go {np.degrees(np.arccos(np.clip(middle, -1, 1))):.0f} degrees off "
             f"the spatula's way: another frame? "
             "give tracks with x along it"
         )
-    for k in np.flatnonzero(far & (ahead < -AHEAD))[:1]:
+    for k in np.flatnonzero(distant & (ahead < -AHEAD))[:1]:
         raise BadInput(
             f"{where}: trial {names[k]:g}: the piece goes against the spatula's way, the others go "
             f"along it: the track of another "
@@ -213,17 +214,17 @@ def check_way(went: np.ndarray, where: str, names: Sequence[float]) -> None:
         )
 
 
-def _check_track(time: np.ndarray, track: np.ndarray, told: Callable[[int], str]) -> None:
+def _check_track(time: np.ndarray, track: np.ndarray, given: Callable[[int], str]) -> None:
     """A piece seen from the arm's start to the end of the trial, that never jumped."""
     if time[0] > LATE:
         raise BadInput(
-            f"{told(0)}: begins at {time[0]:.4g} s; record from the arm's start as time 0, or "
+            f"{given(0)}: begins at {time[0]:.4g} s; record from the arm's start as time 0, or "
             f"subtract that time"
         )
     if time[-1] < model.SECONDS - GAP / 2:
         raise BadInput(
-            f"{told(-1)}: ends at {time[-1]:.4g} s; record it for {model.SECONDS:g} s from the "
+            f"{given(-1)}: ends at {time[-1]:.4g} s; record it for {model.SECONDS:g} s from the "
             f"arm's start"
         )
-    record.check_gaps(time, GAP, model.SECONDS, told, "make that scoop again")
-    record.check_leaps(time, track, told, "the piece", FASTEST, SLIP)
+    record.check_gaps(time, GAP, model.SECONDS, given, "make that scoop again")
+    record.check_leaps(time, track, given, "the piece", FASTEST, SLIP)

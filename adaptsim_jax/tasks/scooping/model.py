@@ -43,7 +43,7 @@ RADIUS, DENSITY = 0.015, 1000.0
 """Half the width of every piece m, its density kg/m^3."""
 NECK_FRICTION = 0.15
 SECONDS = 1.0
-SEEN_AT = (0.0, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0)
+OBSERVED_AT = (0.0, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0)
 """Length of a trial, and when the piece is seen, s."""
 
 # The spatula, in the frame of its tip: x ahead, z up; see `motion`. Boxes by centre and half-size,

@@ -50,8 +50,8 @@ def unscaled(z: Array, shape: Array) -> tuple[Array, Array]:
     0.
     """
     v = z * jnp.asarray(RANGES, z.dtype)
-    least = jnp.asarray([1e-3, -1.0, 1e-3], z.dtype)
-    return jnp.stack([v[0], jnp.exp(v[1]), shape, v[2]]), jnp.maximum(v[3:], least)
+    minimum = jnp.asarray([1e-3, -1.0, 1e-3], z.dtype)
+    return jnp.stack([v[0], jnp.exp(v[1]), shape, v[2]]), jnp.maximum(v[3:], minimum)
 
 
 def smoothed(

@@ -86,7 +86,7 @@ def lowest(theta: Array) -> Array:
     return jnp.minimum(turn(theta, cx + hx, cz - hz)[1], turn(theta, cx - hx, cz - hz)[1])
 
 
-def seen_from_tip(pose: Array, x: Array, z: Array) -> tuple[Array, Array]:
+def from_tip(pose: Array, x: Array, z: Array) -> tuple[Array, Array]:
     """`(ahead, above)` m of a point `(x, z)` in the frame of the tip at `pose [..., 3]`."""
     return turn(-pose[..., 2], x - pose[..., 0], z - pose[..., 1])
 
@@ -115,7 +115,7 @@ def touch(actions: np.ndarray, options: ScoopOptions = ScoopOptions()) -> Touch:
 
 
 def check_reach(
-    seen: Sequence[tuple[float, float]], actions: np.ndarray, options: ScoopOptions, where: str
+    observed: Sequence[tuple[float, float]], actions: np.ndarray, options: ScoopOptions, where: str
 ) -> None:
     """BadInput where scoops contradict the rate of their clock; see `trial_clock`."""
-    check_clock_rate(seen, touch(actions, options), where, "the piece")
+    check_clock_rate(observed, touch(actions, options), where, "the piece")

@@ -9,12 +9,12 @@ import numpy as np
 
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.learners.naf_goals import Trials, make_goal_learner
-from adaptsim_jax.tasks.one_shot import OneShot, World, action_grid
+from adaptsim_jax.tasks.one_shot import OneShot, TargetWorld, action_grid
 from adaptsim_jax.tasks.one_shot_naf import naf_policies
 from adaptsim_jax.tasks.scooping import engines as backends
 from adaptsim_jax.tasks.scooping import interface, model, task
 from adaptsim_jax.tasks.scooping.config import ScoopingConfig, ScoopingPolicy, ScoopingTrajectory
-from adaptsim_jax.tasks.scooping.corrections import Told
+from adaptsim_jax.tasks.scooping.corrections import ScoopRecord
 from adaptsim_jax.tasks.scooping.deployed import make_choice, make_probe
 from adaptsim_jax.tasks.scooping.hydro import Numerics
 from adaptsim_jax.tasks.scooping.model import ScoopOptions
@@ -70,7 +70,7 @@ def make_scooping_one_shot(config: ScoopingConfig) -> OneShot:
         outputs=lambda outcome: jnp.stack(
             [outcome[-1, 0], jnp.clip(outcome[-1, 1] / HEIGHT_UNIT, -2.0, 2.0)]
         ),
-        worth=lambda seen, context: seen[0],
+        worth=lambda observed, context: observed[0],
         world=lambda backend, /, **settings: scooping_world(
             backend, options, config.numerics, **settings
         ),
@@ -95,7 +95,7 @@ def scooping_world(
     numerics: Numerics = Numerics(),  # noqa: B008
     /,
     **settings: Any,
-) -> World:
+) -> TargetWorld:
     """Scooping in `backend` (`backends.BACKENDS`). Trials that fail give not-a-number, hence reward
     0.
     """
@@ -104,7 +104,7 @@ def scooping_world(
     else:
         own = {}
     simulate = backends.make_backend(backend, options, **configs.over(own, settings)).simulate
-    rows = np.maximum(np.round(np.array(model.SEEN_AT) / interface.ROW).astype(int) - 1, 0)
+    rows = np.maximum(np.round(np.array(model.OBSERVED_AT) / interface.ROW).astype(int) - 1, 0)
     execute = jax.jit(jax.vmap(lambda a, c: task.executed(a, c, options)))
 
     def run(params, contexts, actions):
@@ -119,10 +119,10 @@ def scooping_world(
         lost = np.isin(found.code, (model.DIVERGED, model.UNFIT))
         return np.where(lost[:, None, None], np.nan, outcomes), np.where(lost, found.code, 0)
 
-    return World(backend, run, dict(model.MESSAGES))
+    return TargetWorld(backend, run, dict(model.MESSAGES))
 
 
-def best_shared_action(world: World, params: np.ndarray, tests: np.ndarray) -> np.ndarray:
+def best_shared_action(world: TargetWorld, params: np.ndarray, tests: np.ndarray) -> np.ndarray:
     """`[G]` rewards of the best single action in `params [D]`: nobody knows a trial's errors when
     choosing.
 
@@ -154,11 +154,11 @@ def _own_score(trajectory: ScoopingTrajectory) -> jax.Array:
 def _remember(
     policy: ScoopingPolicy, actions: jax.Array, outcomes: jax.Array, used: jax.Array
 ) -> ScoopingPolicy:
-    return policy._replace(told=Told(actions, task.success(outcomes), used))
+    return policy._replace(told=ScoopRecord(actions, task.success(outcomes), used))
 
 
 def _rewards(
-    world: World, params: np.ndarray, contexts: np.ndarray, actions: np.ndarray
+    world: TargetWorld, params: np.ndarray, contexts: np.ndarray, actions: np.ndarray
 ) -> np.ndarray:
     outcomes, _ = world.run(np.tile(params, (len(actions), 1)), contexts, actions)
     return np.asarray(task.success(jnp.asarray(outcomes)))

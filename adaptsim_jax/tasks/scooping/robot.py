@@ -76,7 +76,7 @@ def show(
         action = scoop_in_the_middle(policy, config_of(session))
         if policy.told is not None:
             print(f"its scoop is corrected by the {len(policy.told.used)} scoops told")
-        print(f"its scoop for a piece in the middle: {_said(action)}; for any other place (m):")
+        print(f"its scoop for a piece in the middle: {_in_words(action)}; for any other place (m):")
         print("  from adaptsim_jax.tasks.scooping.measured import read_policy")
         print(
             f"  pitch, rate, distance = read_policy({str(session.folder / 'best.toml')!r})([0.01, "
@@ -91,7 +91,7 @@ def show(
         else:
             probe = ""
         print(
-            f"  trial {number}: {_said(action)}   (piece at {place[0]:+.3f}, {place[1]:+.3f} "
+            f"  trial {number}: {_in_words(action)}   (piece at {place[0]:+.3f}, {place[1]:+.3f} "
             f"m{probe})"
         )
     write_actions(path, COLUMNS, zip(*scoops, strict=True))
@@ -137,7 +137,7 @@ def comment(session: Session, before: Any, after: Any, trajectory: Any, done: bo
     print_parameters(session, before, after)
 
 
-def _said(action: Any) -> str:
+def _in_words(action: Any) -> str:
     import math
 
     pitch, rate, distance = map(float, action)

@@ -28,7 +28,7 @@ RIM = ((1e4, 6e-3), (5e5, 1e-3))
 """(modulus Pa, radius of the rim m), twice; logarithmic in between and a little beyond. Of ten
 tried, nearest to `hydro`.
 """
-LEAST_RIM, SLACK = 5e-4, 1e-4
+MIN_RIM, SLACK = 5e-4, 1e-4
 IMPEDANCE = 0.5
 """Share of a contact's acceleration that MuJoCo's constraints take over; constant, so that springs
 are linear.
@@ -59,7 +59,7 @@ def rim(modulus: Array, hz: Array) -> Array:
     """Radius of the rounded rims of a flat piece `hz` m half as high, m."""
     (soft, wide), (stiff, sharp) = RIM
     u = jnp.clip(jnp.log(modulus / soft) / math.log(stiff / soft), -0.3, 1.3)
-    return jnp.minimum(jnp.maximum(wide + (sharp - wide) * u, LEAST_RIM), hz - SLACK)
+    return jnp.minimum(jnp.maximum(wide + (sharp - wide) * u, MIN_RIM), hz - SLACK)
 
 
 class Spring(NamedTuple):

@@ -45,7 +45,7 @@ from adaptsim_jax.tasks.scooping.trial import (
     make_trial,
     measured,
     observed,
-    seen_place,
+    place_input,
     success,
     test_contexts,
 )
@@ -125,7 +125,7 @@ def make_rollouts(config: ScoopingConfig, naf: NAF) -> tuple[Callable, Callable 
     def run(key, policy, params, outcome_of):
         contexts = jax.vmap(draw_context)(jax.random.split(key, N))
         every = jnp.concatenate([contexts, tests])
-        actions = naf.greedy(policy.weights, seen_place(every))
+        actions = naf.greedy(policy.weights, place_input(every))
         if policy.probe is not None:
             actions = actions.at[N - 1].set(policy.probe)
         return contexts, jax.vmap(outcome_of, (None, 0, 0))(params, actions, every)

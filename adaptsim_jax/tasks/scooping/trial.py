@@ -17,7 +17,7 @@ from adaptsim_jax.tasks.scooping.config import ScoopingTrajectory
 from adaptsim_jax.tasks.scooping.hydro import Numerics
 from adaptsim_jax.tasks.scooping.model import ScoopOptions
 
-POINTS = len(model.SEEN_AT)
+POINTS = len(model.OBSERVED_AT)
 PLACES = np.array([0.04, 0.03])
 """Half the box that pieces are placed in, 8 by 6 cm about its middle, m."""
 CONTEXT = 5
@@ -36,7 +36,7 @@ def draw_context(key: jax.Array) -> jax.Array:
     )
 
 
-def seen_place(context: jax.Array) -> jax.Array:
+def place_input(context: jax.Array) -> jax.Array:
     """What the policy sees of `contexts [..., >= 2]`: the place, in [-1, 1]."""
     lead = (1,) * (context.ndim - 1)
     return context[..., :2] / jnp.asarray(PLACES, context.dtype).reshape(*lead, 2)
@@ -57,7 +57,7 @@ def make_trial(
     from where the piece lay, and (success, height over the tip's plane m); not-a-number, success 0,
     where the engine reports a fault.
     """
-    rows = hydro.seen_rows(numerics)
+    rows = hydro.observed_rows(numerics)
 
     def trial(params, action, context):
         out = hydro.rollout(params, executed(action, context, options), options, numerics)
@@ -81,7 +81,7 @@ def make_mjx_trial(options: ScoopOptions) -> Callable[[jax.Array, jax.Array, jax
         jax.ensure_compile_time_eval()
     ):  # the model is kept, and must hold no tracers of a caller's program
         scoop = make_scoop(options)
-    rows = np.maximum(np.round(np.array(model.SEEN_AT) / ROW).astype(int) - 1, 0)
+    rows = np.maximum(np.round(np.array(model.OBSERVED_AT) / ROW).astype(int) - 1, 0)
 
     def trial(params, action, context):
         done = executed(action, context, options)

@@ -44,26 +44,26 @@ def check_blows(body: Body, time: Sequence, place: Sequence, turn: Sequence, whe
         ]
         dv, ds, r, axes = (np.concatenate([b[k] for b in blows]) for k in range(4))
         for name, frame in FRAMES.items() if len(dv) >= LEAST else ():
-            seen = np.concatenate([dv[:, :2] @ frame.T, dv[:, 2:]], 1)
+            observed = np.concatenate([dv[:, :2] @ frame.T, dv[:, 2:]], 1)
             left[name, inverse] = float(
-                np.median(np.linalg.norm(ds - _spun(body, r, seen, axes), axis=1))
+                np.median(np.linalg.norm(ds - _spun(body, r, observed, axes), axis=1))
             )
     if ("", False) not in left:
         return
-    (name, inverse), least = min(left.items(), key=lambda item: item[1])
-    if least * BETTER > left["", False]:
+    (name, inverse), minimum = min(left.items(), key=lambda item: item[1])
+    if minimum * BETTER > left["", False]:
         return
     if inverse:
-        said = ["quaternions turn from the world to the body, not from the body to the world"]
+        text = ["quaternions turn from the world to the body, not from the body to the world"]
     else:
-        said = []
-    said += [f"places look {name}, as against the quaternions"] if name else []
+        text = []
+    text += [f"places look {name}, as against the quaternions"] if name else []
     if inverse and not name:
         mend = "turn the signs of qx, qy, qz"
     else:
         mend = TURN_MEND
     raise BadInput(
-        f"{where}: by how bodies spin after they strike the plane, {' and '.join(said)}: {mend}; "
+        f"{where}: by how bodies spin after they strike the plane, {' and '.join(text)}: {mend}; "
         f"if all is as declared, add "
         "--as-declared"
     )

@@ -34,10 +34,10 @@ KEYS = (
     "source",
     "license",
 )
-LEAST_TRIALS, LEAST_ROWS, SLOWEST = 5, 20, 0.02  # tosses; rows of one; s between its rows
-FAR = 20.0  # m
+MIN_TRIALS, MIN_ROWS, SLOWEST = 5, 20, 0.02  # tosses; rows of one; s between its rows
+MAX_DISTANCE = 20.0  # m
 FASTEST, SPIN = 20.0, 100.0  # m/s, rad/s between two rows
-LEAST_NOISE, LEAST_TURN = 1e-5, 1e-4  # m, rad
+MIN_NOISE, MIN_TURN = 1e-5, 1e-4  # m, rad
 NORM = 0.02  # by which a quaternion may miss unit length
 STRUCK = 0.1  # of the body's size, by which a flight that strikes nothing leaves no parabola
 SUNK = 0.25  # of the body's size, below the plane
@@ -67,8 +67,8 @@ class Tossed:
                 f"no toss is named {unknown[0]!r}; --without takes of {', '.join(self.names)}"
             )
         keep = [k for k, name in enumerate(self.names) if name not in set(names)]
-        if len(keep) < LEAST_TRIALS:
-            raise BadInput(f"--without leaves {len(keep)} tosses; a diagnosis needs {LEAST_TRIALS}")
+        if len(keep) < MIN_TRIALS:
+            raise BadInput(f"--without leaves {len(keep)} tosses; a diagnosis needs {MIN_TRIALS}")
         return self.only(keep)
 
     def only(self, keep: Sequence[int]) -> "Tossed":
@@ -100,9 +100,9 @@ def read(folder: str | Path, as_declared: bool = False, without: Sequence[str] =
     notes: list[str] = []
     for path in files:
         _read_file(path, found, notes, as_declared)
-    if len(found) < LEAST_TRIALS:
+    if len(found) < MIN_TRIALS:
         raise BadInput(
-            f"{folder}: holds {len(found)} tosses; to judge effects {LEAST_TRIALS} are needed, 20 "
+            f"{folder}: holds {len(found)} tosses; to judge effects {MIN_TRIALS} are needed, 20 "
             f"to 30 serve"
         )
     names = tuple(found)
@@ -135,7 +135,7 @@ def _read_file(
         notes.append(
             f"columns {', '.join(table.ignored)} are not used: what moves is taken from the poses"
         )
-    record.check_unit(c, at, FAR, "toss")
+    record.check_unit(c, at, MAX_DISTANCE, "toss")
     norm = np.sqrt(sum(np.square(c[q]) for q in TURN))
     for i in np.flatnonzero(np.abs(norm - 1.0) > NORM)[:1]:
         raise BadInput(
@@ -149,43 +149,43 @@ def _read_file(
             i = np.flatnonzero(numbers == number)
         name = path.stem if number is None else f"{number:g}"
 
-        def told(k, i=i):
+        def trials(k, i=i):
             return at(int(i[k]))
 
         if name in found:
             raise BadInput(
-                f"{told(0)}: there is a toss named {name} already; number the tosses one by one"
+                f"{trials(0)}: there is a toss named {name} already; number the tosses one by one"
             )
         found[name] = _one(
             c["time"][i],
             np.stack([c[n][i] for n in PLACE], 1),
             np.stack([c[n][i] for n in TURN], 1) / norm[i, None],
-            told,
+            trials,
             as_declared,
         )
         notes += [f"toss {name}: {hole}" for hole in record.holes(found[name][0])]
 
 
 def _one(
-    time: np.ndarray, place: np.ndarray, turn: np.ndarray, told, as_declared: bool
+    time: np.ndarray, place: np.ndarray, turn: np.ndarray, trials, as_declared: bool
 ) -> tuple[np.ndarray, ...]:
-    record.check_increasing(time, told)
-    if len(time) < LEAST_ROWS or np.median(np.diff(time)) > SLOWEST:
+    record.check_increasing(time, trials)
+    if len(time) < MIN_ROWS or np.median(np.diff(time)) > SLOWEST:
         gap = np.median(np.diff(time)) if len(time) > 1 else 0.0
         raise BadInput(
-            f"{told(0)}: {len(time)} rows {gap:.2g} s apart; a toss needs {LEAST_ROWS} at 50 Hz or "
+            f"{trials(0)}: {len(time)} rows {gap:.2g} s apart; a toss needs {MIN_ROWS} at 50 Hz or "
             f"more, time in seconds"
         )
     if not as_declared:
-        check_frozen(time, place, told, "the body", grip=np.inf)  # a blow may stop it at once
+        check_frozen(time, place, trials, "the body", grip=np.inf)  # a blow may stop it at once
     gaps = np.diff(time)
-    record.check_leaps(time, place, told, "the body", FASTEST)
-    record.check_clock_set(time, place, told, "the body")
+    record.check_leaps(time, place, trials, "the body", FASTEST)
+    record.check_clock_set(time, place, trials, "the body")
     turn = turns.continuous(turn)
     spun = np.linalg.norm(turns.log(turns.times(turns.inverse(turn[:-1]), turn[1:])), axis=1)
     for k in np.flatnonzero((spun > SPIN * gaps) & (spun > 0.5))[:1] + 1:
         raise BadInput(
-            f"{told(k)}: the body turns by {spun[k - 1]:.2g} rad between two rows; remove what is "
+            f"{trials(k)}: the body turns by {spun[k - 1]:.2g} rad between two rows; remove what is "
             f"not it"
         )
     return time - time[0], place, turn
@@ -246,11 +246,11 @@ def _noise(meta: dict[str, Any], where: Path, place, turn) -> tuple[float, float
     """Of one coordinate, as declared or by third differences, which motion hardly has at these
     rates outside of impacts.
     """
-    seen = []
+    observed = []
     spins = [turns.log(turns.times(turns.inverse(q[:-1]), q[1:])) for q in turn]
     angles = [np.cumsum(np.pad(z, ((1, 0), (0, 0))), 0) for z in spins]
-    for rows, least in ((place, LEAST_NOISE), (angles, LEAST_TURN)):
-        seen.append(max(float(difference_noise(rows, pooled=True)[0]), least))
+    for rows, minimum in ((place, MIN_NOISE), (angles, MIN_TURN)):
+        observed.append(max(float(difference_noise(rows, pooled=True)[0]), minimum))
     source = "third differences"
     for i, (key, most) in enumerate((("noise", 0.02), ("noise_turn", 0.2))):
         if key in meta:
@@ -260,5 +260,5 @@ def _noise(meta: dict[str, Any], where: Path, place, turn) -> tuple[float, float
                 raise BadInput(
                     f"{where}: {key} = {brief(meta[key])} is no size in {unit}; write e.g. {usual}"
                 )
-            seen[i], source = value, "declared"
-    return seen[0], seen[1], source
+            observed[i], source = value, "declared"
+    return observed[0], observed[1], source

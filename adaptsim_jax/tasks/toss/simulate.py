@@ -84,9 +84,11 @@ def _recorded(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Simulated poses `[N, R, 3]`, `[N, R, 4]` as recorded."""
     frame, axes, off = (z[:, None] for z in _frames(v))
-    seen = (1.0 + v["scale"])[:, None, None] * turns.turned(frame, place + turns.turned(turn, off))
-    seen[..., 2] += v["height"][:, None]
-    return seen, turns.times(turns.times(frame, turn), axes)
+    observed = (1.0 + v["scale"])[:, None, None] * turns.turned(
+        frame, place + turns.turned(turn, off)
+    )
+    observed[..., 2] += v["height"][:, None]
+    return observed, turns.times(turns.times(frame, turn), axes)
 
 
 def _rolled(body: Body, names, values, state, time) -> tuple[np.ndarray, np.ndarray]:

@@ -17,7 +17,7 @@ from adaptsim_jax.tasks.one_shot_naf import leaves_by_name
 from adaptsim_jax.tasks.pushing import deployed as pushing_deployed
 from adaptsim_jax.tasks.pushing import planar
 from adaptsim_jax.tasks.pushing import task as pushing
-from adaptsim_jax.tasks.pushing.corrections import Told, nearer, refine, search, with_gaps
+from adaptsim_jax.tasks.pushing.corrections import PushRecord, nearer, refine, search, with_gaps
 from adaptsim_jax.tasks.pushing.goals import GOAL_CENTRE, sector_goals, unseen
 from adaptsim_jax.tasks.pushing.one_shot import make_pushing_one_shot
 from adaptsim_jax.tasks.pushing.task import PushingConfig
@@ -31,7 +31,7 @@ ACTIONS = jnp.array([[-0.5, 0.0], [0.0, 0.4], [0.6, -0.3], [0.9, 0.9]])
 
 
 def told(places, used=(True, True, True, False)):
-    return Told(ACTIONS, places, jnp.array(used))
+    return PushRecord(ACTIONS, places, jnp.array(used))
 
 
 def test_a_push_that_was_seen_is_expected_where_it_ended_and_far_ones_where_the_simulator_has_them():
@@ -66,7 +66,7 @@ def test_the_mean_moves_to_parameters_that_explain_the_pushes_and_stays_within_o
     def there(u):
         return jax.vmap(lambda a: end(u, a))(actions)
 
-    move = jax.jit(lambda places, used: nearer(end, mean, Told(actions, places, used)))
+    move = jax.jit(lambda places, used: nearer(end, mean, PushRecord(actions, places, used)))
     every = jnp.ones(12, bool)
 
     def off(u):

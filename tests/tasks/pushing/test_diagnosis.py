@@ -13,7 +13,7 @@ from adaptsim_jax.commands.robot_recorded import recorded_trials
 from adaptsim_jax.core import config, store
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.pushing import model, slide
-from adaptsim_jax.tasks.pushing.diagnosis.experiment import telling
+from adaptsim_jax.tasks.pushing.diagnosis.experiment import informative_pushes
 from adaptsim_jax.tasks.pushing.diagnosis.problem import prepare
 from adaptsim_jax.tasks.pushing.diagnosis.read import read
 from adaptsim_jax.tasks.pushing.model import HEIGHT
@@ -172,7 +172,10 @@ def test_a_look_alike_that_no_push_shows_does_not_hide_one_that_some_push_does(t
         )
 
     parallax, speed = (problem.effect("parallax"), near), (problem.effect("speed_scale"), fast)
-    both, one = telling(pushed, named(parallax, speed)), telling(pushed, named(parallax))
+    both, one = (
+        informative_pushes(pushed, named(parallax, speed)),
+        informative_pushes(pushed, named(parallax)),
+    )
     assert both["separates"] == ["camera_scale", "speed_scale"] and len(both["rows"]) == 3
     assert (
         one["message"].startswith("No push within the bounds tells camera scale and parallax apart")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.tasks.pushing.frame import check_frame, check_order, frame_told
+from adaptsim_jax.tasks.pushing.frame import check_frame, check_order, frame_fault
 
 ANGLES = {2: np.array([0.22, -0.13]), 12: np.linspace(-0.28, 0.28, 12)}
 FRAMES = {
@@ -30,7 +30,7 @@ def way(angles, seed=0, noise=0.01):
 def test_another_frame_is_refused(count, name):
     angles = ANGLES[count] * (0.05 if name == "in_degrees" else 1.0)
     went = FRAMES[name](angles)
-    assert frame_told(angles, way(went)).name in (name, "turned" if name == "frame" else name)
+    assert frame_fault(angles, way(went)).name in (name, "turned" if name == "frame" else name)
     with pytest.raises(BadInput, match=r"^tracks.csv: the bottles .*; .*--as-declared$"):
         check_frame(angles, way(went), "tracks.csv")
 
@@ -41,7 +41,7 @@ def test_pushes_that_go_where_they_should_are_not_doubted(seed, count):
     """Nor those of a plate that is not held square, whose bottles scatter by 2 degrees."""
     angles = np.random.default_rng([1, seed]).uniform(-0.3, 0.3, count)
     assert check_frame(angles, way(angles, seed, 0.03), "") is None or count > 1
-    told = frame_told(angles, way(angles, seed, 0.03))
+    told = frame_fault(angles, way(angles, seed, 0.03))
     assert told is None or told.slight
 
 
@@ -53,7 +53,7 @@ def test_a_robot_that_veers_is_taken_with_a_word():
 
 
 def test_bottles_that_hardly_moved_say_nothing():
-    assert frame_told(ANGLES[2], -0.01 * np.ones((2, 2))) is None
+    assert frame_fault(ANGLES[2], -0.01 * np.ones((2, 2))) is None
 
 
 @pytest.mark.parametrize("count", [2, 12])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.tasks.pushing import model
-from adaptsim_jax.tasks.pushing.corrections import Told, nearer, refine, search
+from adaptsim_jax.tasks.pushing.corrections import PushRecord, nearer, refine, search
 from adaptsim_jax.tasks.pushing.engines import make_backend
 from adaptsim_jax.tasks.pushing.engines.served import make_served, served_seconds
 from adaptsim_jax.tasks.pushing.task import PushingConfig, make_pushing
@@ -83,7 +83,7 @@ def test_slopes_of_a_guide_lead_to_parameters_that_the_simulator_explains():
 
     actions = jnp.asarray(np.random.default_rng(0).uniform(-1, 1, (6, 2)), jnp.float32)
     truth, mean = jnp.array([0.6, 0.4, 0.5, 0.5]), jnp.full(4, 0.5)
-    told = Told(actions, jax.vmap(lambda a: end(truth, a))(actions), jnp.ones(6, bool))
+    told = PushRecord(actions, jax.vmap(lambda a: end(truth, a))(actions), jnp.ones(6, bool))
     plain, guided = nearer(end, mean, told), nearer(end, mean, told, guide)
     np.testing.assert_array_equal(nearer(end, mean, told, end), plain)
 

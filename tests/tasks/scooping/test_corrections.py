@@ -11,7 +11,7 @@ from scipy import optimize
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.scooping import task as scooping
 from adaptsim_jax.tasks.scooping.bank import load_bank
-from adaptsim_jax.tasks.scooping.corrections import Doubt, Odds, Told, chances
+from adaptsim_jax.tasks.scooping.corrections import Doubt, Odds, ScoopRecord, chances
 from adaptsim_jax.tasks.scooping.deployed import expected_odds, make_choice, make_probe
 from adaptsim_jax.tasks.scooping.hydro import Numerics
 from adaptsim_jax.tasks.scooping.model import ScoopOptions
@@ -71,14 +71,16 @@ def test_chances_are_those_of_laplaces_approximation_found_by_another_optimiser(
     )
     mean = held(odds(jnp.asarray(asked)).expected) + across @ np.linalg.solve(K, g)
     want = 1 / (1 + np.exp(-mean / np.sqrt(1 + np.pi / 8 * variance)))
-    np.testing.assert_allclose(chance(Told(ACTIONS, WON, KNOWN), TRIED, DOUBT), want, rtol=2e-3)
+    np.testing.assert_allclose(
+        chance(ScoopRecord(ACTIONS, WON, KNOWN), TRIED, DOUBT), want, rtol=2e-3
+    )
 
 
 def test_rows_that_do_not_count_change_nothing():
-    one = chance(Told(ACTIONS, WON, KNOWN), TRIED, DOUBT)
-    other = Told(ACTIONS.at[3].set(-0.3), WON.at[3].set(0.0), KNOWN)
+    one = chance(ScoopRecord(ACTIONS, WON, KNOWN), TRIED, DOUBT)
+    other = ScoopRecord(ACTIONS.at[3].set(-0.3), WON.at[3].set(0.0), KNOWN)
     np.testing.assert_allclose(chance(other, TRIED, DOUBT), one, rtol=1e-5)
-    assert np.abs(chance(Told(ACTIONS, WON, KNOWN & False), TRIED, DOUBT) - one).max() > 0.05
+    assert np.abs(chance(ScoopRecord(ACTIONS, WON, KNOWN & False), TRIED, DOUBT) - one).max() > 0.05
 
 
 @pytest.mark.slow
@@ -90,7 +92,7 @@ def test_what_was_seen_outweighs_the_bank_where_it_was_seen_and_not_far_from_it(
     def sure(n):
         return Odds(jnp.full(n, 8.0 - 16.0 * won), jnp.zeros((n, 1)))
 
-    told = Told(jnp.zeros((32, 3)), jnp.full(32, won), jnp.ones(32, bool))
+    told = ScoopRecord(jnp.zeros((32, 3)), jnp.full(32, won), jnp.ones(32, bool))
     there, far = chances(told, sure(32), tried, sure(2), ALONE)
     assert abs(there - won) < 0.25 and abs(far - won) > 0.75
 
@@ -100,7 +102,7 @@ def test_one_scoop_tells_of_far_actions_what_pieces_have_in_common():
     speaks for all of its actions.
     """
     told, tried = (
-        Told(jnp.zeros((1, 3)), jnp.ones(1), jnp.ones(1, bool)),
+        ScoopRecord(jnp.zeros((1, 3)), jnp.ones(1), jnp.ones(1, bool)),
         jnp.array([[1.0, -1.0, 1.0]]),
     )
     lost = Odds(jnp.full(1, -2.0), jnp.full((1, 2), 3.0))
@@ -137,7 +139,7 @@ def test_a_policy_is_corrected_only_once_it_was_told_of_the_target():
         [jnp.tile(good, (16, 1)), jnp.asarray(2.0 * np.random.default_rng(0).random((48, 3)) - 1.0)]
     )
     won = (jnp.linalg.norm(actions - good, axis=-1) < 0.4).astype(jnp.float32)
-    found = act(policy._replace(told=Told(actions, won, jnp.ones(64, bool))), contexts)
+    found = act(policy._replace(told=ScoopRecord(actions, won, jnp.ones(64, bool))), contexts)
     assert found.shape == (3, 3) and jnp.linalg.norm(found - good, axis=-1).max() < 0.5
     np.testing.assert_array_equal(found[0], found[2])
     without = scooping.make_scooping(replace(config, correct=False)).init_policy(jax.random.key(2))
@@ -170,7 +172,7 @@ def test_probes_leave_what_was_lost():
     policy = scooping.make_scooping(config).init_policy(jax.random.key(2))
     probe, told = (
         jax.jit(make_probe(config)),
-        Told(jnp.zeros((8, 3)), jnp.zeros(8), jnp.zeros(8, bool)),
+        ScoopRecord(jnp.zeros((8, 3)), jnp.zeros(8), jnp.zeros(8, bool)),
     )
     for i in range(8):
         tried = probe(policy._replace(told=told))

@@ -61,7 +61,7 @@ def test_the_same_session_asks_for_the_same_scoops():
 
 def test_a_record_is_seen_from_where_the_piece_lay():
     got = told(record())
-    expected = 0.4 * np.clip(np.array(model.SEEN_AT) - 0.2, 0, 0.5)
+    expected = 0.4 * np.clip(np.array(model.OBSERVED_AT) - 0.2, 0, 0.5)
     np.testing.assert_allclose(got.points[:, :, 0], np.tile(expected, (2, 1)), atol=4e-3)
     np.testing.assert_allclose(got.points[:, :, 1], 0.0, atol=1e-6)
     assert got.success.tolist() == [1.0, 0.0] and float(got.tested) == 0.5

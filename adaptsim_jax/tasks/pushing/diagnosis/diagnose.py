@@ -13,7 +13,7 @@ from adaptsim_jax.diagnosis.problem import Problem
 from adaptsim_jax.diagnosis.search import search
 from adaptsim_jax.mend.model_toml import Form, Value, added_effects
 from adaptsim_jax.tasks.pushing.diagnosis.catalogue import effects_of, grain
-from adaptsim_jax.tasks.pushing.diagnosis.experiment import telling
+from adaptsim_jax.tasks.pushing.diagnosis.experiment import informative_pushes
 from adaptsim_jax.tasks.pushing.diagnosis.problem import TURNING, prepare, simulated
 from adaptsim_jax.tasks.pushing.diagnosis.read import KIND, Pushed, read
 from adaptsim_jax.tasks.pushing.planar import DRAKE
@@ -42,7 +42,7 @@ def judged(pushed: Pushed, effects, criteria: Criteria, progress, folder: Path |
         keep=rows.keeping(folder, "pushing", MODEL, problem),
     )
     turns = {"yaw": ("rad", p.noise_yaw)} if p.yaw is not None else {}
-    seen = rows.Seen(
+    observed = rows.Seen(
         KIND.trial,
         KIND.trials,
         p.names,
@@ -59,7 +59,7 @@ def judged(pushed: Pushed, effects, criteria: Criteria, progress, folder: Path |
     tracks = {k: simulated(p, p.options, p.coefficients, m.fit.vectors) for k, m in both.items()}
     noise = {"m": p.noise, "source": p.noise_source} | ({"rad": p.noise_yaw} if turns else {})
     report, evidence = reported(
-        "pushing", MODEL, seen, problem, found, tracks, criteria, list(p.notes), noise=noise
+        "pushing", MODEL, observed, problem, found, tracks, criteria, list(p.notes), noise=noise
     )
     report["message"] += _mirrored(pushed, problem, found, criteria)
     for row in report["effects"]:
@@ -67,7 +67,13 @@ def judged(pushed: Pushed, effects, criteria: Criteria, progress, folder: Path |
             row["ratio"], row["smooth_direction_rad"] = grain(
                 *(z["value"] for z in row["parameters"].values())
             )
-    return report, evidence, telling(pushed, found), mended_model(pushed, problem, found), {}
+    return (
+        report,
+        evidence,
+        informative_pushes(pushed, found),
+        mended_model(pushed, problem, found),
+        {},
+    )
 
 
 def _mirrored(pushed: Pushed, problem: Problem, found: Finding, criteria: Criteria) -> str:

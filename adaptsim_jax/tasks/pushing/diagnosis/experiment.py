@@ -13,10 +13,10 @@ from adaptsim_jax.tasks.pushing.diagnosis.problem import simulated
 from adaptsim_jax.tasks.pushing.diagnosis.read import Pushed
 
 SPEEDS, ANGLES, PUSHES = 5, 13, 3
-APART = 3.0  # times the camera's noise, between members, of a push worth making
+SEPARATION = 3.0  # times the camera's noise, between members, of a push worth making
 
 
-def telling(pushed: Pushed, found: Finding) -> dict[str, Any] | None:
+def informative_pushes(pushed: Pushed, found: Finding) -> dict[str, Any] | None:
     """message, separates (names) and rows (speed m/s, angle rad), none where no push of the grid
     tells them apart.
 
@@ -46,38 +46,38 @@ def telling(pushed: Pushed, found: Finding) -> dict[str, Any] | None:
         time=np.tile(time, (len(grid), 1)),
     )
 
-    def said(m):
+    def text(m):
         return simulated(
             many, pushed.options, pushed.coefficients, np.tile(m.fit.values, (len(grid), 1))
         )
 
-    own, sizes = said(found.final), pushed.sizes / pushed.noise
-    apart = np.array(
-        [np.sqrt(np.square((said(m) - own) / sizes).sum(-1).max(1)) for _, _, m in pairs]
+    own, sizes = text(found.final), pushed.sizes / pushed.noise
+    distance = np.array(
+        [np.sqrt(np.square((text(m) - own) / sizes).sum(-1).max(1)) for _, _, m in pairs]
     )
-    most = apart.max(1)
+    most = distance.max(1)
     shown = (
-        most >= APART * pushed.noise
+        most >= SEPARATION * pushed.noise
     )  # a scale of lengths may be a parallax as well, whatever is pushed
     i = int(np.argmin(np.where(shown | ~shown.any(), most, np.inf)))
     n, other, _ = pairs[i]
-    names, score = [n.candidate.name, other.name], apart[i]
+    names, score = [n.candidate.name, other.name], distance[i]
     words = f"{names[0].replace('_', ' ')} and {names[1].replace('_', ' ')}"
     if pushed.yaw is None:
-        told = f"{1e3 * score.max():.2g} mm"
+        trials = f"{1e3 * score.max():.2g} mm"
     else:
-        told = f"{score.max() / pushed.noise:.2g} times the noise"
-    if score.max() < APART * pushed.noise:
+        trials = f"{score.max() / pushed.noise:.2g} times the noise"
+    if score.max() < SEPARATION * pushed.noise:
         return {
             "message": f"No push within the bounds tells {words} apart: their tracks differ by "
-            f"{told} at most. Measure one of them "
+            f"{trials} at most. Measure one of them "
             "by itself.",
             "separates": names,
             "rows": [],
         }
     order = np.argsort(-score)[:PUSHES]
     return {
-        "message": f"Pushes whose tracks differ most, by up to {told}, between {words}.",
+        "message": f"Pushes whose tracks differ most, by up to {trials}, between {words}.",
         "separates": names,
         "rows": [tuple(map(float, grid[i])) for i in order],
     }

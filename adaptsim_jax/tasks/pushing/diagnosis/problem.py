@@ -28,7 +28,7 @@ ROUGH = 0.0025  # s, step of the scan for starts
 MARGIN = 0.05  # s simulated beyond the last row
 
 
-def seen(
+def observed(
     values: Array,
     push: dict[str, Array],
     options: PushOptions,
@@ -82,7 +82,7 @@ def _program(options: PushOptions, coefficients: PlanarCoefficients, step: float
 
     def make(turns):
         return partial(
-            seen, options=options, coefficients=coefficients, step=step, turns=turns, yaw=yaw
+            observed, options=options, coefficients=coefficients, step=step, turns=turns, yaw=yaw
         )
 
     flat, turning = (jax.jit(jax.vmap(make(turns))) for turns in (False, True))

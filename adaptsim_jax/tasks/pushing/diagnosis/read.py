@@ -18,12 +18,12 @@ from adaptsim_jax.tasks.pushing.measured import FASTEST, SLIP, STILL, USUAL
 from adaptsim_jax.tasks.pushing.model import PushOptions
 from adaptsim_jax.tasks.pushing.planar import DEFAULT, DRAKE, PlanarCoefficients, check_options
 
-QUIET = 0.15  # s; no plate within the bounds touches the bottle so early
+STILL_SPEED = 0.15  # s; no plate within the bounds touches the bottle so early
 ASIDE = 0.15  # m between start and first row from which it is another frame
 TURN = trial_record.Size("noise_yaw", "rad", 5e-3, 0.2, 0.01)
 """The least is what a step of 1 ms costs the turn of a bottle."""
 KEYS = ("schema", "task", "friction", "coefficients", "mass", "note", "noise", TURN.key)
-KIND = trial_record.Kind(
+KIND = trial_record.TrialKind(
     "push",
     "pushes",
     "the bottle",
@@ -118,18 +118,18 @@ def assemble(
     without: Sequence[str] = (),
 ) -> Pushed:
     """Pushes of an actions file and tracks' files; see `read`."""
-    table, told = trial_record.read_actions(
+    table, trials = trial_record.read_actions(
         actions, {"speed": "m/s", "angle": "rad"}, ("start_x", "start_y"), KIND.trials
     )
     c = table.columns
     for i, (speed, angle) in enumerate(zip(c["speed"], c["angle"], strict=True)):
         if not 0.1 <= speed <= 2.0:
             raise BadInput(
-                f"{told(i)}: speed {speed:g} is not within 0.1 to 2 m/s; is it in another unit?"
+                f"{trials(i)}: speed {speed:g} is not within 0.1 to 2 m/s; is it in another unit?"
             )
         if abs(angle) > 1.2:
             raise BadInput(
-                f"{told(i)}: angle {angle:g} rad is beyond any push; is it in degrees? write "
+                f"{trials(i)}: angle {angle:g} rad is beyond any push; is it in degrees? write "
                 f"radians"
             )
     numbers = c["trial"]
@@ -145,7 +145,7 @@ def assemble(
     time, places, mask = trial_record.padded(names, found)
     xy = places[..., :2]
     acts = np.stack([c["speed"], c["angle"]], 1)[at]
-    aside = trial_record.aside(names, found, starts, QUIET)
+    aside = trial_record.aside(names, found, starts, STILL_SPEED)
     _check_start(starts, aside, where)
     trial_record.check_starts(names, aside, ASIDE, KIND.body, where)
     ends = np.array([p[int(m.sum()) - 1] - p[0] for p, m in zip(xy, mask, strict=True)])
@@ -156,7 +156,7 @@ def assemble(
         check_frame(acts[:, 1], ends, str(where))  # a slight turn is an effect of the catalogue
         check_order(names, acts[:, 1], ends, str(where))
         check_each(names, acts[:, 1], ends, str(where))
-    noise, source = trial_record.noise_of(meta, time, xy, mask, QUIET, "hit")
+    noise, source = trial_record.noise_of(meta, time, xy, mask, STILL_SPEED, "hit")
     quantum = trial_record.rounded(xy[mask > 0])
     if quantum > 0.5 * noise:
         notes.append(f"places are rounded to {1e3 * quantum:.3g} mm, which is in the noise floor")
@@ -190,10 +190,14 @@ def _turns(
     turned = mask * ~np.isnan(yaw)
     out = np.zeros_like(yaw)
     for k, (t, z) in enumerate(zip(time, yaw, strict=True)):
-        if len(seen := np.flatnonzero(turned[k])):
-            first = seen[t[seen] < QUIET] if t[seen[0]] < QUIET else seen[:1]
-            out[k] = np.interp(t, t[seen], z[seen]) - z[first].mean()
-    noise, _ = trial_record.noise_of(meta, time, out[..., None], turned, QUIET, "hit", TURN)
+        if len(observed := np.flatnonzero(turned[k])):
+            first = (
+                observed[t[observed] < STILL_SPEED]
+                if t[observed[0]] < STILL_SPEED
+                else observed[:1]
+            )
+            out[k] = np.interp(t, t[observed], z[observed]) - z[first].mean()
+    noise, _ = trial_record.noise_of(meta, time, out[..., None], turned, STILL_SPEED, "hit", TURN)
     if noise > TURN.most:
         raise BadInput(
             f"{where}: yaw scatters by {noise:.2g} rad before the hit; is it in degrees? write "

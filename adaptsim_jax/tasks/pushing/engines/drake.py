@@ -32,7 +32,7 @@ class PushContact:
     resolution: float = 0.01  # m, of the bottle's pressure field
 
 
-class DrakeSettings(NamedTuple):
+class PushDrakeSettings(NamedTuple):
     """contact: numerics; threads: cores to run on (None: all); gravity m/s2, turned where the table
     is not level.
     """
@@ -268,4 +268,4 @@ def _sheet(drake: Any, inner: float, outer: float):
     )
 
 
-ENGINE = EngineKind(DrakeSettings, make_drake)
+ENGINE = EngineKind(PushDrakeSettings, make_drake)

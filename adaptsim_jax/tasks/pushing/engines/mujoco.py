@@ -26,7 +26,7 @@ of its own.
 AT_REST = 1e-4  # m/s and rad/s; such a bottle goes no further than a micrometre
 
 
-class NativeSettings(NamedTuple):
+class PushNativeSettings(NamedTuple):
     """elasticity: of plate and bottle; dt: s; threads: cores to run on (None: all); gravity: m/s2,
     turned where the table is not level.
     """
@@ -240,10 +240,10 @@ def _pose(state: np.ndarray) -> np.ndarray:
     return np.concatenate([state[..., 1:8], state[..., 12:18]], -1)
 
 
-NATIVE = EngineKind(NativeSettings, make_native)
+NATIVE = EngineKind(PushNativeSettings, make_native)
 
 
-class MJXSettings(NamedTuple):
+class PushMJXSettings(NamedTuple):
     """elasticity: of plate and bottle; dt: s."""
 
     elasticity: ElasticityMap = pushing.ELASTICITY
@@ -311,4 +311,4 @@ def make_push(options: PushOptions, elasticity: ElasticityMap, dt: float = 0.005
     return push
 
 
-MJX = EngineKind(MJXSettings, make_mjx)
+MJX = EngineKind(PushMJXSettings, make_mjx)

@@ -11,8 +11,8 @@ import numpy as np
 
 from adaptsim_jax.core.progress import Report, silent
 from adaptsim_jax.tasks.engine import (
+    EngineRun,
     Parity,
-    Run,
     engine_lines,
     engines_and_pairs,
     pair_lines,
@@ -55,7 +55,7 @@ def _backend(name: str, options: PushOptions):
     return make_backend("drake", options, contact=PushContact(dt=CEILING_STEP)).simulate
 
 
-def _run(simulate: Callable, batch: tuple, name: str) -> Run:
+def _run(simulate: Callable, batch: tuple, name: str) -> EngineRun:
     """Drake compiles nothing; the planar model is timed on a batch worth its while."""
     wide = PLANAR_BATCH if name == "planar" else 0
     return timed_run(
@@ -67,11 +67,11 @@ def _run(simulate: Callable, batch: tuple, name: str) -> Run:
     )
 
 
-def _row(run: Run) -> dict[str, Any]:
+def _row(run: EngineRun) -> dict[str, Any]:
     return speed_row(run, "pushes", pushing.MESSAGES)
 
 
-def _distances(a: Run, b: Run) -> dict[str, Any]:
+def _distances(a: EngineRun, b: EngineRun) -> dict[str, Any]:
     good = (a.code == pushing.FINE) & (b.code == pushing.FINE)
     if not good.any():
         return {"compared": 0}

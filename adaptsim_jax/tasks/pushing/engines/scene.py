@@ -104,8 +104,8 @@ def _held_where_fallen(state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if not fallen.any():
         return fallen, state
     last = np.where(fallen, tilted.argmax(1) if state.shape[1] else 0, state.shape[1])
-    kept = np.minimum(np.arange(state.shape[1]), last[:, None])
-    return fallen, np.take_along_axis(state, kept[:, :, None], 1)
+    good = np.minimum(np.arange(state.shape[1]), last[:, None])
+    return fallen, np.take_along_axis(state, good[:, :, None], 1)
 
 
 def model(options: PushOptions, dt: float, drawn: bool = False) -> Any:

@@ -82,12 +82,12 @@ class _Pool:
     def _start(self) -> None:
         while len(self.processes) < self.count:
             o = self.options
-            told = [o.friction, o.duration, o.mass, *o.com, *o.inertia, o.row, self.points]
+            trials = [o.friction, o.duration, o.mass, *o.com, *o.inertia, o.row, self.points]
             command = [
                 sys.executable,
                 "-m",
                 "adaptsim_jax.tasks.pushing.engines.served",
-                *map(str, told),
+                *map(str, trials),
             ]
             environment = os.environ | {"JAX_PLATFORMS": "cpu"}
             self.processes.append(
@@ -140,7 +140,7 @@ def _serve(words: list[str]) -> None:
     )
     points = int(numbers[9])
     simulate = make_backend("native", options, threads=1).simulate
-    kept = np.round(pushing.rows(options) * np.arange(1, points + 1) / points).astype(int) - 1
+    good = np.round(pushing.rows(options) * np.arange(1, points + 1) / points).astype(int) - 1
     requests, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # whatever prints must not mix with the answers
     while head := requests.read(8):
@@ -148,7 +148,7 @@ def _serve(words: list[str]) -> None:
         rows = np.frombuffer(_whole(requests, count * 48), np.float64).reshape(count, 6)
         found = simulate(rows[:, :4], rows[:, 4:], np.tile(pushing.START, (count, 1)))
         places = np.where(
-            (found.code == pushing.FINE)[:, None, None], found.state[:, kept, :2], np.nan
+            (found.code == pushing.FINE)[:, None, None], found.state[:, good, :2], np.nan
         )
         spent = np.array([time.process_time() - begin])
         answers.write(spent.tobytes() + np.ascontiguousarray(places, np.float32).tobytes())

@@ -10,7 +10,7 @@ import numpy as np
 from adaptsim_jax.diagnosis import rows
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.mend.model_toml import Form, Value, added_effects
-from adaptsim_jax.tasks.scooping.diagnosis.experiment import telling
+from adaptsim_jax.tasks.scooping.diagnosis.experiment import informative_scoops
 from adaptsim_jax.tasks.scooping.diagnosis.passes import CRITERIA, Found, diagnosed, effects_of
 from adaptsim_jax.tasks.scooping.diagnosis.read import KIND, Scooped, read
 from adaptsim_jax.tasks.scooping.model import SHAPES
@@ -24,7 +24,7 @@ def judged(scooped: Scooped, effects, criteria: Criteria, progress, folder: Path
     s, keep = scooped, partial(rows.keeping, folder, "scooping", MODEL)
     found = diagnosed(scooped, effects, criteria, rows.stepping(progress, 0.02), keep)
     known = np.any(found.scale > 0, -1) * 1.0
-    seen = rows.Seen(
+    observed = rows.Seen(
         KIND.trial,
         KIND.trials,
         s.names,
@@ -40,21 +40,21 @@ def judged(scooped: Scooped, effects, criteria: Criteria, progress, folder: Path
     report, evidence = reported(
         "scooping",
         MODEL,
-        seen,
+        observed,
         found.problem,
         found.selection,
         found.tracks,
         criteria,
-        [*s.notes, _told(found, known, s.mask)],
+        [*s.notes, _message(found, known, s.mask)],
         side,
         noise={"m": s.noise, "source": s.noise_source},
         piece={"shape": found.shape, "declared": s.shape is not None},
     )
     evidence["tracks"]["axes"] = [s.channels[i] for i in side]
-    return report, evidence, telling(scooped, found), mended_model(scooped, found), {}
+    return report, evidence, informative_scoops(scooped, found), mended_model(scooped, found), {}
 
 
-def _told(found: Found, known: np.ndarray, mask: np.ndarray) -> str:
+def _message(found: Found, known: np.ndarray, mask: np.ndarray) -> str:
     share = 100.0 * known.sum() / max(mask.sum(), 1.0)
     floor = float(np.median(1e3 / found.scale[found.scale > 0]))
     return (

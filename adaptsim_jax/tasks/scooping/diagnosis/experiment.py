@@ -17,11 +17,11 @@ PITCHES, RATES, DISTANCES, SCOOPS = 4, 3, 3, 3
 COPIES = 4
 # times what the copies of a scoop and the camera scatter by, between members, of a scoop worth
 # making
-APART = 3.0
+SEPARATION = 3.0
 PLACE = (0.03, 0.02)  # m: away from the middle, where a scale and a turn show
 
 
-def telling(scooped: Scooped, found: Found) -> dict[str, Any] | None:
+def informative_scoops(scooped: Scooped, found: Found) -> dict[str, Any] | None:
     """message, separates (names) and rows (place m, pitch rad, rate rad/s, distance m), none where
     no scoop of the grid tells.
 
@@ -46,7 +46,7 @@ def telling(scooped: Scooped, found: Found) -> dict[str, Any] | None:
         places=np.zeros((count, len(time), scooped.places.shape[-1])),
     )
 
-    def said(values):
+    def text(values):
         """Mean and scatter `[count, R, C]` over copies."""
         trials = np.repeat(np.arange(count), COPIES)
         every = np.tile(values, (len(trials), 1))
@@ -55,22 +55,22 @@ def telling(scooped: Scooped, found: Found) -> dict[str, Any] | None:
         out = out.reshape(count, COPIES, *out.shape[1:])
         return out.mean(1), out.std(1)
 
-    own, scatter = said(found.selection.final.fit.values)
+    own, scatter = text(found.selection.final.fit.values)
     scores, sizes = [], []
     for _, _, m in pairs:
-        other, wide = said(m.fit.values)
-        apart = np.abs(other - own)
-        clear = apart / np.sqrt(scooped.noise**2 + np.square(scatter) + np.square(wide))
+        other, wide = text(m.fit.values)
+        distance = np.abs(other - own)
+        clear = distance / np.sqrt(scooped.noise**2 + np.square(scatter) + np.square(wide))
         scores.append(np.sqrt(np.square(clear).sum(-1)).max(1))
-        sizes.append(np.sqrt(np.square(apart).sum(-1)).max(1))
+        sizes.append(np.sqrt(np.square(distance).sum(-1)).max(1))
     worst = int(np.argmin([s.max() for s in scores]))
     n, other, _ = pairs[worst]
     names, score = [n.candidate.name, other.name], scores[worst]
     words = f"{names[0].replace('_', ' ')} and {names[1].replace('_', ' ')}"
-    if score.max() < APART:
-        told = f"No scoop within the bounds tells {words} apart: tracks differ by {score.max():.1f} times what scoops scatter by"
+    if score.max() < SEPARATION:
+        given = f"No scoop within the bounds tells {words} apart: tracks differ by {score.max():.1f} times what scoops scatter by"
         return {
-            "message": f"{told}, at most. Measure one of them by itself.",
+            "message": f"{given}, at most. Measure one of them by itself.",
             "separates": names,
             "rows": [],
         }

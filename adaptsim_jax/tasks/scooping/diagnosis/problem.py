@@ -19,7 +19,7 @@ from adaptsim_jax.diagnosis.problem import Candidate, Problem, Quantity
 from adaptsim_jax.tasks.scooping.diagnosis.catalogue import QUANTITIES
 from adaptsim_jax.tasks.scooping.diagnosis.emulate import PLACE, REACH, Emulator, predicted
 from adaptsim_jax.tasks.scooping.diagnosis.read import Scooped
-from adaptsim_jax.tasks.scooping.diagnosis.simulate import INDEX, ROW, places, poses, seen
+from adaptsim_jax.tasks.scooping.diagnosis.simulate import INDEX, ROW, observed, places, poses
 
 Array = Any
 KNEE = 3.0  # times a row's scale, from which its residual counts by its root
@@ -50,7 +50,7 @@ def scales(scooped: Scooped, stray: np.ndarray) -> np.ndarray:
 @jax.jit
 def _residuals(values, weights, centre, width, start, aside, time, measured, scale):
     def one(values, weights, start, aside, time, measured, scale):
-        out = seen(values, predicted(weights, centre, width, values), start, aside, time)
+        out = observed(values, predicted(weights, centre, width, values), start, aside, time)
         return softened(scale * (measured - out[:, : measured.shape[1]])).reshape(-1)
 
     return jax.vmap(one)(values, weights, start, aside, time, measured, scale)

@@ -14,8 +14,8 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks import trial_record
 from adaptsim_jax.tasks.scooping import model
 from adaptsim_jax.tasks.scooping.measured import (
-    FAR,
     FASTEST,
+    MAX_DISTANCE,
     SLIP,
     USUAL,
     check_mirrored,
@@ -24,16 +24,16 @@ from adaptsim_jax.tasks.scooping.measured import (
 from adaptsim_jax.tasks.scooping.model import ScoopOptions, check_options
 from adaptsim_jax.tasks.scooping.motion import check_reach
 
-QUIET = 0.05  # s; no blade within the bounds touches the piece so early
+STILL_SPEED = 0.05  # s; no blade within the bounds touches the piece so early
 ASIDE = 0.10  # m between place and first rows from which it is another frame
 KEYS = ("schema", "task", "shape", "height", "clearance", "press", "repeats", "note", "noise")
 REPEATS = (5e-4, 2e-3, 1e-4)
 """How well an arm repeats a scoop: pitch rad, rate rad/s, distance m, one standard deviation."""
-KIND = trial_record.Kind(
+KIND = trial_record.TrialKind(
     "scoop",
     "scoops",
     "the piece",
-    far=FAR,
+    far=MAX_DISTANCE,
     fastest=FASTEST,
     slip=SLIP,
     moves=0.01,
@@ -104,7 +104,7 @@ def assemble(
     anywhere; each is moved to begin at its place.
     """
     needed = {"place_x": "m", "place_y": "m", **{k: unit for k, (_, _, unit) in _LIMITS.items()}}
-    table, told = trial_record.read_actions(actions, needed, (), KIND.trials)
+    table, trials = trial_record.read_actions(actions, needed, (), KIND.trials)
     c = table.columns
     for name, (low, high, unit) in _LIMITS.items():
         for i in np.flatnonzero((c[name] < low) | (c[name] > high))[:1]:
@@ -113,7 +113,7 @@ def assemble(
             else:
                 mend = "in mm? write metres"
             raise BadInput(
-                f"{told(i)}: {name} {c[name][i]:g} is not within {low:g} to {high:g} {unit}; is it "
+                f"{trials(i)}: {name} {c[name][i]:g} is not within {low:g} to {high:g} {unit}; is it "
                 f"{mend}"
             )
     numbers = c["trial"]
@@ -135,18 +135,18 @@ def assemble(
         check_mirrored(starts[:, 1], np.array([found[n].places[0, 1] for n in names]), str(where))
     trial_record.check_spacing(names, found)
     if own_frame:
-        apart = trial_record.aside(names, found, starts, QUIET)
-        for n, off in zip(names, apart, strict=True):
+        distance = trial_record.aside(names, found, starts, STILL_SPEED)
+        for n, off in zip(names, distance, strict=True):
             p = found[n].places
             found[n] = found[n]._replace(places=p - np.pad(off, (0, p.shape[1] - 2)))
         notes.append(
             "places are counted from where each piece lay: a shifted camera or piece would not show"
         )
     time, places, mask = trial_record.padded(names, found)
-    aside = trial_record.aside(names, found, starts, QUIET)
+    aside = trial_record.aside(names, found, starts, STILL_SPEED)
     if not as_declared:
         _check_frame(names, starts, aside, places, mask, where)
-    noise, source = trial_record.noise_of(meta, time, places, mask, QUIET, "blade came")
+    noise, source = trial_record.noise_of(meta, time, places, mask, STILL_SPEED, "blade came")
     quantum = trial_record.rounded(places[mask > 0])
     if quantum > 0.5 * noise:
         notes.append(f"places are rounded to {1e3 * quantum:.3g} mm, which is in the noise floor")

@@ -94,14 +94,14 @@ def rollout(
 
 
 def _pull(
-    v, piece: shapes.Body, rest: Array, state: hydro.PieceState, tip: Array
+    v, piece: shapes.PieceBody, rest: Array, state: hydro.PieceState, tip: Array
 ) -> tuple[Array, Array]:
     """Acceleration along and up: gravity on a tilted table, drag near the table, adhesion near the
     blade.
     """
     x, z = state.pose[0], state.pose[1]
     on_table = jnp.exp(-jnp.maximum(z - rest, 0.0) / NEAR)
-    ahead, above = spatula.seen_from_tip(tip, x, z)
+    ahead, above = spatula.from_tip(tip, x, z)
     over = jax.nn.sigmoid((-ahead) / NEAR) * jax.nn.sigmoid((piece.hz + 3.0 * NEAR - above) / NEAR)
     stick_x, stick_z = spatula.turn(tip[2], jnp.zeros_like(x), -v["adhesion"] * over)
     along = model.GRAVITY * jnp.sin(v["tilt"]) - v["drag"] * on_table * state.velocity[0] + stick_x
@@ -148,7 +148,7 @@ def poses(
         return np.concatenate(list(pool.map(lot, range(0, count, LANES))))
 
 
-def seen(values: Array, poses: Array, start: Array, aside: Array, time: Array) -> Array:
+def observed(values: Array, poses: Array, start: Array, aside: Array, time: Array) -> Array:
     """`[R, 3]` m: what the camera tells at `time [R]` of simulated `poses [N, 2]`."""
     v = {n: values[i] for i, n in enumerate(NAMES)}
     place = jnp.clip(happened(v, time) / ROW, 0.0, len(poses) - 1.0)
@@ -162,7 +162,7 @@ def seen(values: Array, poses: Array, start: Array, aside: Array, time: Array) -
     return jnp.concatenate([xy, ((1.0 + v["scale"]) * xz[:, 1] + v["shift_z"])[:, None]], 1)
 
 
-_view = jax.jit(jax.vmap(seen))
+_view = jax.jit(jax.vmap(observed))
 
 
 def places(

@@ -38,7 +38,7 @@ class ScoopContact:
     resolution: float = 0.01
 
 
-class DrakeSettings(NamedTuple):
+class ScoopDrakeSettings(NamedTuple):
     """contact: numerics; threads: cores to run on (None: all)."""
 
     contact: ScoopContact = ScoopContact()
@@ -219,10 +219,10 @@ class ScoopWorld:
         def of(body):
             return d.GeometrySet(plant.GetCollisionGeometriesForBody(body))
 
-        apart = d.CollisionFilterDeclaration().ExcludeBetween(
+        distance = d.CollisionFilterDeclaration().ExcludeBetween(
             of(self.blade), of(plant.world_body())
         )
-        graph.collision_filter_manager().Apply(apart)
+        graph.collision_filter_manager().Apply(distance)
 
 
-ENGINE = EngineKind(DrakeSettings, make_drake)
+ENGINE = EngineKind(ScoopDrakeSettings, make_drake)

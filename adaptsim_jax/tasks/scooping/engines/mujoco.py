@@ -25,7 +25,7 @@ BATCH = 128
 """Samples of a call; each needs a model of its own."""
 
 
-class NativeSettings(NamedTuple):
+class ScoopNativeSettings(NamedTuple):
     """dt: s; threads: cores to run on (None: all)."""
 
     dt: float = scene.DT
@@ -98,10 +98,10 @@ def write_piece(m: Any, piece: dict[str, np.ndarray]) -> None:
     m.dof_M0[:3] = 1.0 / piece["weights"]
 
 
-NATIVE = EngineKind(NativeSettings, make_native)
+NATIVE = EngineKind(ScoopNativeSettings, make_native)
 
 
-class MJXSettings(NamedTuple):
+class ScoopMJXSettings(NamedTuple):
     """dt: s; batch: trials side by side."""
 
     dt: float = scene.DT
@@ -183,4 +183,4 @@ def _with_piece(base: Any, piece: dict[str, Array], first: int) -> Any:
     )
 
 
-MJX = EngineKind(MJXSettings, make_mjx)
+MJX = EngineKind(ScoopMJXSettings, make_mjx)

@@ -16,8 +16,8 @@ from scipy.stats import binomtest
 
 from adaptsim_jax.core.progress import Report, silent
 from adaptsim_jax.tasks.engine import (
+    EngineRun,
     Parity,
-    Run,
     engine_lines,
     engines_and_pairs,
     pair_lines,
@@ -81,14 +81,14 @@ def _backend(name: str) -> Callable:
     return make_backend(name.split("_")[0], **_SETTINGS[name]).simulate
 
 
-def _run(simulate: Callable, batch: tuple, name: str) -> Run:
+def _run(simulate: Callable, batch: tuple, name: str) -> EngineRun:
     def outcome(state):
         return interface.outcome(state)[0]
 
     return timed_run(simulate, batch, outcome, compiles=not name.startswith("drake"))
 
 
-def _row(run: Run, shape: np.ndarray) -> dict[str, Any]:
+def _row(run: EngineRun, shape: np.ndarray) -> dict[str, Any]:
     def share(rows):
         if rows.any():
             return float(run.outcome[rows].mean())
@@ -99,7 +99,7 @@ def _row(run: Run, shape: np.ndarray) -> dict[str, Any]:
     return success | speed_row(run, "trials", model.MESSAGES)
 
 
-def _alike(a: Run, b: Run) -> dict[str, Any]:
+def _alike(a: EngineRun, b: EngineRun) -> dict[str, Any]:
     good = (a.code == model.FINE) & (b.code == model.FINE)
     count = int(good.sum())
     if not count:

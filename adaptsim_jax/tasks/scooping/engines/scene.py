@@ -111,10 +111,10 @@ def finished(positions: np.ndarray, good: np.ndarray, starts: np.ndarray) -> Tra
     """
     q = np.asarray(positions, float)
     with np.errstate(invalid="ignore"):
-        kept = np.all(np.isfinite(q), axis=(1, 2)) & np.all(
+        rows_at = np.all(np.isfinite(q), axis=(1, 2)) & np.all(
             np.abs(q[:, :, :2]) < np.array([2.0, 1.0]), axis=(1, 2)
         )
-    codes = np.where(good, np.where(kept, model.FINE, model.DIVERGED), model.UNFIT)
+    codes = np.where(good, np.where(rows_at, model.FINE, model.DIVERGED), model.UNFIT)
     q = np.where((codes == model.FINE)[:, None, None], q, 0.0)
     state = np.zeros((*q.shape[:2], interface.STATE))
     state[..., 0], state[..., 2], state[..., 3:] = q[..., 0], q[..., 1], q[..., 3:]

@@ -13,7 +13,7 @@ from adaptsim_jax.tasks.pendulum.augmented_policy import (
     DT,
     ROWS,
     MendedPolicy,
-    World,
+    MendedWorld,
     command,
     descended,
     make_world,
@@ -42,10 +42,10 @@ def task_reward(before: ModelFile, after: ModelFile) -> dict[str, Any] | None:
     return rewards | {"oracle": None, "cost": costs, "in": "the mended model"}
 
 
-class Trained:
+class TrainedLaw:
     """A policy trained on a model, with the world that it knows."""
 
-    def __init__(self, world: World, policy: MendedPolicy):
+    def __init__(self, world: MendedWorld, policy: MendedPolicy):
         self.world, self.policy = world, policy
 
     def law(self, y, past, t) -> jax.Array:
@@ -58,11 +58,11 @@ class Trained:
         return command(self.world, self.policy, y, past, t)
 
 
-def trained_policy(given: ModelFile) -> Trained:
+def trained_policy(given: ModelFile) -> TrainedLaw:
     """The task policy of a model; where it has effects, the best that descent finds in it."""
     world = make_world(given)
     theta, eff = _point(given, world)
-    return Trained(world, jax.jit(lambda theta, eff: descended(world, theta, eff))(theta, eff))
+    return TrainedLaw(world, jax.jit(lambda theta, eff: descended(world, theta, eff))(theta, eff))
 
 
 def cost_in(target: ModelFile, law: Law, history: int) -> jax.Array:
@@ -80,6 +80,6 @@ def cost_in(target: ModelFile, law: Law, history: int) -> jax.Array:
     return run(theta, eff)
 
 
-def _point(given: ModelFile, world: World) -> tuple[jax.Array, jax.Array]:
+def _point(given: ModelFile, world: MendedWorld) -> tuple[jax.Array, jax.Array]:
     theta = jnp.asarray(given.theta(world.model.plant), jnp.float32)
     return theta, jnp.asarray(given.effect_vector(world.model.layout), jnp.float32)
