@@ -94,6 +94,28 @@ def read_meta(path: Path, keys: Sequence[str]) -> dict[str, Any]:
     return meta
 
 
+def read_folder(
+    folder: str | Path,
+    keys: Sequence[str],
+    assemble: Callable[..., Any],
+    as_declared: bool,
+    without: Sequence[str],
+) -> Any:
+    """A folder of trials: actions.csv, tracks, and meta.toml of `keys`. Raises BadInput."""
+    folder = Path(folder)
+    meta = read_meta(folder / "meta.toml", keys)
+    files = (folder / "actions.csv", track_files(folder), meta, folder / "meta.toml")
+    return assemble(*files, as_declared, without)
+
+
+def rounding_notes(places: np.ndarray, noise: float) -> list[str]:
+    """A note where `places [N, C]` m are rounded to what is seen in the `noise` m."""
+    quantum = rounded(places)
+    if quantum <= 0.5 * noise:
+        return []
+    return [f"places are rounded to {1e3 * quantum:.3g} mm, which is in the noise floor"]
+
+
 def read_actions(
     path: Path, needed: Mapping[str, str], optional: Sequence[str], trials: str
 ) -> tuple[Table, Callable]:
@@ -143,8 +165,9 @@ def read_tracks(
                 f"was not seen, or take it "
                 "out of all files"
             )
+    wanted = _Wanted(numbers, actions, kind, more, without, as_declared)
     for path, table in tables:
-        _read_tracks(path, table, numbers, actions, kind, more, without, as_declared, found)
+        _read_tracks(path, table, wanted, found)
     record.check_different({n: track.places for n, track in found.items()}, place_of(paths))
     return found, more
 
@@ -154,77 +177,91 @@ def place_of(paths: Sequence[Path]) -> str:
     return str(paths[0] if len(paths) == 1 else paths[0].parent)
 
 
-def _read_tracks(
-    path: Path,
-    table: Table,
-    numbers,
-    actions: Path,
-    kind: TrialKind,
-    more,
-    without: Sequence[str],
-    free: bool,
-    found: Tracks,
-) -> None:
+class _Wanted(NamedTuple):
+    """What tracks are read for: numbers of the trials and the file of actions that lists them;
+    more: optional columns that all files have; without, free: as `read_tracks` has them.
+    """
+
+    numbers: np.ndarray
+    actions: Path
+    kind: TrialKind
+    more: tuple[str, ...]
+    without: Sequence[str]
+    free: bool
+
+
+def _read_tracks(path: Path, table: Table, wanted: _Wanted, found: Tracks) -> None:
     def at(i):
         return f"{path}: {table.row_word} {table.lines[i]}"
 
-    c = table.columns
+    c, kind = table.columns, wanted.kind
     record.check_columns(c, ("trial", "time", "x", "y"), path, "trial, time, x, y (s and m)")
-    for i in np.flatnonzero(~np.isin(c["trial"], numbers))[:1]:
+    for i in np.flatnonzero(~np.isin(c["trial"], wanted.numbers))[:1]:
         raise BadInput(
-            f"{at(i)}: trial {c['trial'][i]:g} is not in {actions.name}; add its {kind.trial} there"
+            f"{at(i)}: trial {c['trial'][i]:g} is not in {wanted.actions.name}; add its "
+            f"{kind.trial} there"
         )
     record.check_unit(c, at, kind.far, kind.trial, kind.usual)
     for n in np.unique(c["trial"]):
-        if f"{n:g}" in without:
+        if f"{n:g}" in wanted.without:
             continue
         i = np.flatnonzero(c["trial"] == n)
 
-        def reported(k, i=i, n=n):
+        def row(k, i=i, n=n):
             return f"{at(int(i[k]))}: trial {n:g}"
 
         if n in found:
-            raise BadInput(f"{reported(0)}: has a track in {found[n].file} already; keep one")
-        t, p = c["time"][i], np.stack([c[name][i] for name in ("x", "y", *more)], 1)
-        record.check_increasing(t, reported)
-        if t[-1] - t[0] > 60.0:
-            raise BadInput(
-                f"{reported(-1)}: lasts {t[-1] - t[0]:.6g} s; is time in ms? write seconds since the "
-                f"arm's start"
-            )
-        if np.sum((t >= 0.0) & (t <= kind.ends)) < MIN_ROWS and t[0] > kind.ends / 2:
-            raise BadInput(
-                f"{reported(0)}: begins at {t[0]:.9g} s; write seconds since the arm's start, subtract "
-                f"that of each trial"
-            )
-        if len(t) < MIN_ROWS:
-            raise BadInput(
-                f"{reported(0)}: {len(t)} rows; {MIN_ROWS} at least are needed, at 20 Hz or more"
-            )
-        if t[0] < -0.5:
-            raise BadInput(
-                f"{reported(0)}: begins {-t[0]:.3g} s before the arm's start; time 0 is where the arm "
-                f"starts"
-            )
-        if not free:
-            observed = t <= kind.ends
-            check_frozen(t[observed], p[observed, :2], reported, kind.body)
-        record.check_leaps(t, p[:, :2], reported, kind.body, kind.fastest, kind.slip)
-        if np.linalg.norm(p[:, :2] - p[0, :2], axis=1).max() < kind.moves:
-            raise BadInput(
-                f"{reported(-1)}: {kind.body} never moved: {kind.never}; leave it out (--without "
-                f"{n:g}) or make it again"
-            )
-        record.check_clock_set(t, p[:, :2], reported, kind.body)
-        for j in (2 + more.index(name) for name in kind.angles if name in more):
-            p[:, j] = record.unwrapped(t, p[:, j], reported, kind.body)
-        keep = (t >= 0.0) & (t <= kind.ends)
-        if keep.sum() < MIN_ROWS:
-            raise BadInput(
-                f"{reported(0)}: has {keep.sum()} rows within {kind.ends:g} s of the arm's start; "
-                f"write seconds since that start"
-            )
-        found[n] = MeasuredTrack(t[keep], p[keep], path.name, began(t, p[:, :2]))
+            raise BadInput(f"{row(0)}: has a track in {found[n].file} already; keep one")
+        t, p = c["time"][i], np.stack([c[name][i] for name in ("x", "y", *wanted.more)], 1)
+        found[n] = _read_track(t, p, row, wanted, path.name, f"{n:g}")
+
+
+def _read_track(
+    t: np.ndarray, p: np.ndarray, row: Callable, wanted: _Wanted, file: str, number: str
+) -> MeasuredTrack:
+    """The track of one trial at times `t [R]` s, `p [R, C]`; row: how messages call one."""
+    kind = wanted.kind
+    record.check_increasing(t, row)
+    _check_times(t, row, kind)
+    if not wanted.free:
+        observed = t <= kind.ends
+        check_frozen(t[observed], p[observed, :2], row, kind.body)
+    record.check_leaps(t, p[:, :2], row, kind.body, kind.fastest, kind.slip)
+    if np.linalg.norm(p[:, :2] - p[0, :2], axis=1).max() < kind.moves:
+        raise BadInput(
+            f"{row(-1)}: {kind.body} never moved: {kind.never}; leave it out (--without {number}) "
+            f"or make it again"
+        )
+    record.check_clock_set(t, p[:, :2], row, kind.body)
+    for j in (2 + wanted.more.index(name) for name in kind.angles if name in wanted.more):
+        p[:, j] = record.unwrapped(t, p[:, j], row, kind.body)
+    keep = (t >= 0.0) & (t <= kind.ends)
+    if keep.sum() < MIN_ROWS:
+        raise BadInput(
+            f"{row(0)}: has {keep.sum()} rows within {kind.ends:g} s of the arm's start; write "
+            f"seconds since that start"
+        )
+    return MeasuredTrack(t[keep], p[keep], file, began(t, p[:, :2]))
+
+
+def _check_times(t: np.ndarray, row: Callable, kind: TrialKind) -> None:
+    """BadInput where times `t [R]` s are not those of one trial since the arm's start."""
+    if t[-1] - t[0] > 60.0:
+        raise BadInput(
+            f"{row(-1)}: lasts {t[-1] - t[0]:.6g} s; is time in ms? write seconds since the arm's "
+            f"start"
+        )
+    if np.sum((t >= 0.0) & (t <= kind.ends)) < MIN_ROWS and t[0] > kind.ends / 2:
+        raise BadInput(
+            f"{row(0)}: begins at {t[0]:.9g} s; write seconds since the arm's start, subtract that "
+            f"of each trial"
+        )
+    if len(t) < MIN_ROWS:
+        raise BadInput(f"{row(0)}: {len(t)} rows; {MIN_ROWS} at least are needed, at 20 Hz or more")
+    if t[0] < -0.5:
+        raise BadInput(
+            f"{row(0)}: begins {-t[0]:.3g} s before the arm's start; time 0 is where the arm starts"
+        )
 
 
 def tracked(

@@ -47,7 +47,7 @@ def make_pushing_one_shot(config: PushingConfig) -> OneShot:
         return Trials(goals, actions, points[:, -1])
 
     policies: dict[str, Any] = naf_policies(
-        naf, learner, config.trials, config.training, PushingPolicy, task.seen_goal, trials
+        naf, learner, config.trials, config.training, PushingPolicy, task.goal_input, trials
     )
     policies["act"] = task.make_choice(config)
 
@@ -76,7 +76,7 @@ def make_pushing_one_shot(config: PushingConfig) -> OneShot:
         trajectory=lambda goals, points: task.of_points(goals, points),
         **policies,
         inputs=lambda goal, action: action,
-        outputs=lambda points: task.seen_goal(points[-1]),
+        outputs=lambda points: task.goal_input(points[-1]),
         worth=lambda observed, goal: jnp.maximum(
             0.0, 1.0 - jnp.linalg.norm(unseen(observed) - goal) / WORST
         ),
@@ -148,4 +148,4 @@ def _everywhere(space: Any, simulate: Any) -> GoalProblem:
         params = space.physical(space.sample(key))
         return simulate(params, task.physical_action(action))[-1]
 
-    return GoalProblem(task.draw_goal, task.seen_goal, trial, task.push_reward)
+    return GoalProblem(task.draw_goal, task.goal_input, trial, task.push_reward)

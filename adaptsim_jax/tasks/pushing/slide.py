@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -113,11 +113,12 @@ def rollout(
     heading = action[1] + v["heading_offset"]
     start = jnp.asarray(start) + jnp.stack([v["start_x"] + 0.0 * speed, v["start_y"] + 0.0 * speed])
     turns = not _is_zero(v["spin"])
-    advance = _make_step(v, speed, heading, start, options, coefficients, step, as_planar)
+    scheme = _Scheme(options, coefficients, step, as_planar)
+    numbers = _numbers(v, _Drive(speed, heading, start), scheme)
     per_row = round(ROW / step)
 
     def row(state, edges):
-        state, _ = jax.lax.scan(lambda s, e: (advance(s, e), None), state, edges)
+        state, _ = jax.lax.scan(lambda s, e: (_step(numbers, s, e), None), state, edges)
         return state, jnp.stack(state)
 
     still = 0.0 * speed + 0.0 * heading + 0.0 * sum(jnp.asarray(z) for z in v.values())
@@ -159,19 +160,71 @@ def edge_halfway(duration: float, step: float) -> np.ndarray:
     return edge_of(travel, rate, slope)
 
 
-def _make_step(
-    v,
-    speed,
-    heading,
-    start,
-    options: PushOptions,
-    c: PlanarCoefficients,
-    dt: float,
-    as_planar: bool,
-):
-    """`step((dx, dy, vx, vy), edge [6]) -> ...`: one step in time; with yaw and its rate where the
-    bottle turns.
+class _Scheme(NamedTuple):
+    """Steps of `dt` s; as_planar: semi-implicit Euler's, else half a drift, a kick, half a
+    drift.
     """
+
+    options: PushOptions
+    coefficients: PlanarCoefficients
+    dt: float
+    as_planar: bool
+
+    @property
+    def drifts(self) -> tuple[float, float]:
+        """s of drift before and after the kick."""
+        if self.as_planar:
+            return 0.0, self.dt
+        return self.dt / 2, self.dt / 2
+
+
+class _Drive(NamedTuple):
+    """The plate's speed m/s and heading rad, and where the bottle starts `[2]` m."""
+
+    speed: Array
+    heading: Array
+    start: Array
+
+
+class _Numbers(NamedTuple):
+    """What every step of a slide takes.
+
+    friction: of table, patch and plate; stiffness, damping of the plate's contact by the mass;
+    normal, across: directions of its face; forward, aside: shares of its motion along them; behind:
+    m that it begins behind the contact; pull: m/s2 downhill; spots: points of the sole and the
+    share of the load that each bears; light: mass over moment of inertia, 1/m2.
+    """
+
+    v: Mapping[str, Array]
+    scheme: _Scheme
+    drive: _Drive
+    friction: pushing.Frictions
+    stiffness: Array
+    damping: Array
+    normal: tuple[Array, Array]
+    across: tuple[Array, Array]
+    forward: Array
+    aside: Array
+    behind: Array
+    pull: tuple[Array, Array]
+    spots: list[tuple[float, float, Array]]
+    light: Array
+
+
+class _Touch(NamedTuple):
+    """Of plate and bottle in a step: force m/s2 by the mass, the most that it grips m/s, what
+    presses the sole m/s2, and the face's speed along itself over the bottle's m/s.
+    """
+
+    force: Array
+    grip: Array
+    pressed: Array
+    slip: Array
+
+
+def _numbers(v: Mapping[str, Array], drive: _Drive, scheme: _Scheme) -> _Numbers:
+    c, options = scheme.coefficients, scheme.options
+    speed, heading, start = drive
     friction = pushing.frictions(
         jnp.stack([jnp.asarray(v[n]) for n in pushing.PARAMETERS]), options.friction
     )
@@ -179,122 +232,149 @@ def _make_step(
     hit = jnp.exp(
         v["hardening"] * jnp.log((speed + pushing.PITCH_RATE * pushing.EDGE_DROP) / 0.7)
     ) / (1.0 + v["heavier"])
-    k, b = k * hit, b * hit
     along = (jnp.cos(heading), jnp.sin(heading))
     normal = (jnp.cos(heading + v["plate_turn"]), jnp.sin(heading + v["plate_turn"]))
     across = (-normal[1], normal[0])
     forward, aside = (along[0] * w[0] + along[1] * w[1] for w in (normal, across))
     behind = (pushing.START[0] - start[0]) * normal[0] + (pushing.START[1] - start[1]) * normal[1]
     behind -= (pushing.LINK_BACK - pushing.EDGE_RADIUS - pushing.RADIUS) * forward
-    points = pushing.sole().tolist()
-    g, d = pushing.GRAVITY, IMPEDANCE
+    g = pushing.GRAVITY
     pull = (g * jnp.sin(v["tilt_x"]), g * jnp.sin(v["tilt_y"]))
-    half = pushing.PATCH_SIDE / 2
-    other, turns = not _is_zero(v["other_mu"]), not _is_zero(v["spin"])
-    light = v["spin"] * 2.0 / pushing.RADIUS**2  # mass over moment of inertia, 1/m^2
+    light = v["spin"] * 2.0 / pushing.RADIUS**2
+    points = pushing.sole().tolist()
     spread = sum(a * a for a, _ in points) / len(points)
     spots = [
         (c.sole * a, c.sole * q, (1.0 + (v["com_x"] * a + v["com_y"] * q) / spread) / len(points))
         for a, q in points
     ]
-    before, after = (0.0, dt) if as_planar else (dt / 2, dt / 2)
-    # damping by the mean of the speeds before and after
-    if as_planar:
-        within = 1.0
-    else:
-        within = 1.0 / (1.0 + b * dt / 2)
+    contact = (k * hit, b * hit, normal, across, forward, aside, behind)
+    return _Numbers(v, scheme, drive, friction, *contact, pull, spots, light)
 
-    def friction_at(x, y):
-        """Of one point of the ground."""
 
-        def inside(z, size):
-            return jnp.clip((size - jnp.abs(z)) / pushing.PATCH_EDGE + 0.5, 0.0, 1.0)
+def _inside(z: Array, size: Array) -> Array:
+    return jnp.clip((size - jnp.abs(z)) / pushing.PATCH_EDGE + 0.5, 0.0, 1.0)
 
-        own = half + v["patch_size"]
-        on = inside(x - pushing.PATCH_X - v["patch_x"], own) * inside(y - v["y_p"], own)
-        mu = friction.table + on * (friction.patch - friction.table)
-        if other:
-            return (
-                mu + inside(x - v["other_x"], half) * inside(y - v["other_y"], half) * v["other_mu"]
-            )
+
+def _friction_at(n: _Numbers, x: Array, y: Array) -> Array:
+    """Of one point of the ground."""
+    v, half = n.v, pushing.PATCH_SIDE / 2
+    own = half + v["patch_size"]
+    on = _inside(x - pushing.PATCH_X - v["patch_x"], own) * _inside(y - v["y_p"], own)
+    mu = n.friction.table + on * (n.friction.patch - n.friction.table)
+    if _is_zero(v["other_mu"]):
         return mu
+    other = _inside(x - v["other_x"], half) * _inside(y - v["other_y"], half)
+    return mu + other * v["other_mu"]
 
-    def grained(vx, vy):
-        """B v: friction of greatest dissipation in an elliptic cone has its direction, and the size
-        sqrt(v B v) of the speed.
-        """
-        return (1.0 + v["grain_a"]) * vx + v["grain_b"] * vy, v["grain_b"] * vx + (
-            1.0 - v["grain_a"]
-        ) * vy
 
-    def step(state, edge):
-        dx, dy, vx, vy, *turning = state
-        dx, dy = dx + before * vx, dy + before * vy
-        x, y = start[0] + dx, start[1] + dy
-        size = jnp.sqrt(vx * vx + vy * vy + 1e-16)
-        local = [
-            share * jnp.maximum(friction_at(x + a, y + q) * (1.0 + v["speed_friction"] * size), 0.0)
-            for a, q, share in spots
-        ]
-        mu = sum(local)
-        at, rate, gain = (speed * edge[2 * i] + edge[2 * i + 1] for i in range(3))
-        out, over = vx * normal[0] + vy * normal[1], vx * across[0] + vy * across[1]
-        depth = at * forward + behind - (dx * normal[0] + dy * normal[1])
-        free = gain * forward + jnp.where(out > 0, mu * g, 0.0)
-        closing = rate * forward - out
-        if as_planar:
-            touching = jnp.where(depth > 0, 1.0, 0.0)
-        # the share of the step after the first touch: the damper's force begins at once, wherever a
-        # step begins
-        else:
-            touching = jnp.clip(0.5 + depth / (dt * jnp.maximum(jnp.abs(closing), 1e-3)), 0.0, 1.0)
-            depth = jnp.where(touching < 1.0, 0.5 * touching * dt * closing, depth)
-        force = touching * jnp.maximum(within * (b * closing + k * depth + d * free), 0.0)
-        grip = friction.plate * force * dt
-        pressed = jnp.maximum(g - c.lift * force, 0.0)
-        if turns:
-            yaw, rate_z = turning
-            yaw = yaw + before * rate_z
-            cx = jnp.cos(yaw) * v["com_x"] - jnp.sin(yaw) * v["com_y"]
-            cy = jnp.sin(yaw) * v["com_x"] + jnp.cos(yaw) * v["com_y"]
-            arm = (
-                pushing.RADIUS + cx * normal[0] + cy * normal[1]
-            )  # of the plate's grip about the centre of mass
-            drag = jnp.clip(
-                (rate * aside - over + pushing.RADIUS * rate_z) / (1.0 + light * arm * arm),
-                -grip,
-                grip,
-            )
-            # from here on the speed of the centre of mass
-            vx, vy = vx - rate_z * cy, vy + rate_z * cx
-            rate_z = rate_z + light * (dt * force * (cy * normal[0] - cx * normal[1]) - drag * arm)
-        else:
-            drag = jnp.clip(rate * aside - over, -grip, grip)
-        vx = vx + dt * (force * normal[0] + pull[0] - v["drag"] * vx) + drag * across[0]
-        vy = vy + dt * (force * normal[1] + pull[1] - v["drag"] * vy) + drag * across[1]
-        if not turns:
-            bx, by = grained(vx, vy)
-            share = dt * mu * pressed / jnp.sqrt(vx * bx + vy * by + 1e-16)
-            vx, vy = (jnp.where(share < 1.0, w - share * z, 0.0) for w, z in ((vx, bx), (vy, by)))
-            return dx + after * vx, dy + after * vy, vx, vy
-        # below the speed that a step's friction takes away it is viscous, so that no step turns a
-        # slip round
-        slow = jnp.square(dt * mu * pressed * (1.0 + v["spin"])) + 1e-16
-        fx = fy = moment = 0.0
-        for (a, q, _), held in zip(spots, local, strict=True):
-            lx, ly = a - cx, q - cy  # from the centre of mass
-            sx, sy = vx - rate_z * ly, vy + rate_z * lx
-            bx, by = grained(sx, sy)
-            by_slip = held * pressed * jax.lax.rsqrt(jnp.maximum(sx * bx + sy * by, slow))
-            px, py = by_slip * bx, by_slip * by
-            fx, fy, moment = fx + px, fy + py, moment + lx * py - ly * px
-        vx, vy, rate_z = vx - dt * fx, vy - dt * fy, rate_z - dt * light * moment
-        moves = (
-            vx * vx + vy * vy + jnp.square(pushing.RADIUS * rate_z) > 1e-12
-        )  # what is slower than 1e-6 m/s is at rest
-        vx, vy, rate_z = (jnp.where(moves, z, 0.0) for z in (vx, vy, rate_z))
-        turned = dt * rate_z * rate_z  # the mass goes round the axis
-        vx, vy = vx + rate_z * cy + turned * cx, vy - rate_z * cx + turned * cy  # the axis's again
-        return dx + after * vx, dy + after * vy, vx, vy, yaw + after * rate_z, rate_z
+def _grained(n: _Numbers, vx: Array, vy: Array) -> tuple[Array, Array]:
+    """B v: friction of greatest dissipation in an elliptic cone has its direction, and the size
+    sqrt(v B v) of the speed.
+    """
+    a, b = n.v["grain_a"], n.v["grain_b"]
+    return (1.0 + a) * vx + b * vy, b * vx + (1.0 - a) * vy
 
-    return step
+
+def _step(n: _Numbers, state: tuple[Array, ...], edge: Array) -> tuple[Array, ...]:
+    """`(dx, dy, vx, vy)` a step later; with yaw and its rate where the bottle turns. edge `[6]`: the
+    plate's.
+    """
+    dx, dy, vx, vy, *turning = state
+    before, _ = n.scheme.drifts
+    dx, dy = dx + before * vx, dy + before * vy
+    x, y = n.drive.start[0] + dx, n.drive.start[1] + dy
+    size = jnp.sqrt(vx * vx + vy * vy + 1e-16)
+    faster = 1.0 + n.v["speed_friction"] * size
+    local = [
+        share * jnp.maximum(_friction_at(n, x + a, y + q) * faster, 0.0) for a, q, share in n.spots
+    ]
+    touch = _touch(n, (dx, dy), (vx, vy), edge, sum(local))
+    if turning:
+        return _slid_and_turned(n, (dx, dy, vx, vy, *turning), touch, local)
+    return _slid(n, (dx, dy, vx, vy), touch, sum(local))
+
+
+def _touch(n: _Numbers, moved: Any, velocity: Any, edge: Array, mu: Array) -> _Touch:
+    """The plate's damped spring at where the bottle has `moved`, with its `velocity`."""
+    (dx, dy), (vx, vy), normal, across = moved, velocity, n.normal, n.across
+    dt, b, g = n.scheme.dt, n.damping, pushing.GRAVITY
+    at, rate, gain = (n.drive.speed * edge[2 * i] + edge[2 * i + 1] for i in range(3))
+    out, over = vx * normal[0] + vy * normal[1], vx * across[0] + vy * across[1]
+    depth = at * n.forward + n.behind - (dx * normal[0] + dy * normal[1])
+    free = gain * n.forward + jnp.where(out > 0, mu * g, 0.0)
+    closing = rate * n.forward - out
+    if n.scheme.as_planar:
+        within, touching = 1.0, jnp.where(depth > 0, 1.0, 0.0)
+    else:
+        # damping by the mean of the speeds before and after; and the share of the step after the
+        # first touch: the damper's force begins at once, wherever a step begins
+        within = 1.0 / (1.0 + b * dt / 2)
+        touching = jnp.clip(0.5 + depth / (dt * jnp.maximum(jnp.abs(closing), 1e-3)), 0.0, 1.0)
+        depth = jnp.where(touching < 1.0, 0.5 * touching * dt * closing, depth)
+    push = b * closing + n.stiffness * depth + IMPEDANCE * free
+    force = touching * jnp.maximum(within * push, 0.0)
+    grip = n.friction.plate * force * dt
+    pressed = jnp.maximum(g - n.scheme.coefficients.lift * force, 0.0)
+    return _Touch(force, grip, pressed, rate * n.aside - over)
+
+
+def _kicked(n: _Numbers, velocity: Any, force: Array, drag: Array) -> list[Array]:
+    """The velocity after all but the ground's friction acted for a step."""
+    return [
+        w + n.scheme.dt * (force * n.normal[i] + n.pull[i] - n.v["drag"] * w) + drag * n.across[i]
+        for i, w in enumerate(velocity)
+    ]
+
+
+def _slid(n: _Numbers, state: Any, touch: _Touch, mu: Array) -> tuple[Array, ...]:
+    dx, dy, *velocity = state
+    drag = jnp.clip(touch.slip, -touch.grip, touch.grip)
+    vx, vy = _kicked(n, velocity, touch.force, drag)
+    bx, by = _grained(n, vx, vy)
+    share = n.scheme.dt * mu * touch.pressed / jnp.sqrt(vx * bx + vy * by + 1e-16)
+    vx, vy = (jnp.where(share < 1.0, w - share * z, 0.0) for w, z in ((vx, bx), (vy, by)))
+    _, after = n.scheme.drifts
+    return dx + after * vx, dy + after * vy, vx, vy
+
+
+def _slid_and_turned(n: _Numbers, state: Any, touch: _Touch, local: list) -> tuple[Array, ...]:
+    dx, dy, vx, vy, yaw, rate_z = state
+    dt, (before, after), normal, light = n.scheme.dt, n.scheme.drifts, n.normal, n.light
+    yaw = yaw + before * rate_z
+    cx = jnp.cos(yaw) * n.v["com_x"] - jnp.sin(yaw) * n.v["com_y"]
+    cy = jnp.sin(yaw) * n.v["com_x"] + jnp.cos(yaw) * n.v["com_y"]
+    # of the plate's grip about the centre of mass
+    arm = pushing.RADIUS + cx * normal[0] + cy * normal[1]
+    drag = jnp.clip(
+        (touch.slip + pushing.RADIUS * rate_z) / (1.0 + light * arm * arm), -touch.grip, touch.grip
+    )
+    # from here on the speed of the centre of mass
+    vx, vy = vx - rate_z * cy, vy + rate_z * cx
+    turning = dt * touch.force * (cy * normal[0] - cx * normal[1]) - drag * arm
+    rate_z = rate_z + light * turning
+    vx, vy = _kicked(n, (vx, vy), touch.force, drag)
+    vx, vy, rate_z = _rubbed(n, (vx, vy, rate_z), (cx, cy), touch.pressed, local)
+    turned = dt * rate_z * rate_z  # the mass goes round the axis
+    vx, vy = vx + rate_z * cy + turned * cx, vy - rate_z * cx + turned * cy  # the axis's again
+    return dx + after * vx, dy + after * vy, vx, vy, yaw + after * rate_z, rate_z
+
+
+def _rubbed(n: _Numbers, motion: Any, centre: Any, pressed: Array, local: list) -> Any:
+    """Velocity and rate of turning after the ground's friction at each point of the sole.
+
+    Below the speed that a step's friction takes away it is viscous, so that no step turns a slip
+    round; what is slower than 1e-6 m/s then is at rest.
+    """
+    (vx, vy, rate_z), (cx, cy), dt = motion, centre, n.scheme.dt
+    slow = jnp.square(dt * sum(local) * pressed * (1.0 + n.v["spin"])) + 1e-16
+    fx = fy = moment = 0.0
+    for (a, q, _), friction in zip(n.spots, local, strict=True):
+        lx, ly = a - cx, q - cy  # from the centre of mass
+        sx, sy = vx - rate_z * ly, vy + rate_z * lx
+        bx, by = _grained(n, sx, sy)
+        by_slip = friction * pressed * jax.lax.rsqrt(jnp.maximum(sx * bx + sy * by, slow))
+        px, py = by_slip * bx, by_slip * by
+        fx, fy, moment = fx + px, fy + py, moment + lx * py - ly * px
+    vx, vy, rate_z = vx - dt * fx, vy - dt * fy, rate_z - dt * n.light * moment
+    moves = vx * vx + vy * vy + jnp.square(pushing.RADIUS * rate_z) > 1e-12
+    return tuple(jnp.where(moves, z, 0.0) for z in (vx, vy, rate_z))

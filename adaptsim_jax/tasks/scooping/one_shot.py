@@ -48,7 +48,7 @@ def make_scooping_one_shot(config: ScoopingConfig) -> OneShot:
         return Trials(contexts[:, :2], actions, task.success(outcomes)[:, None])
 
     policies: dict[str, Any] = naf_policies(
-        naf, learner, config.trials, config.training, ScoopingPolicy, task.seen_place, trials
+        naf, learner, config.trials, config.training, ScoopingPolicy, task.place_input, trials
     )
     policies["act"] = make_choice(config)
     tests, fresh = np.split(task.test_contexts(config.tests + config.fresh), [config.tests])

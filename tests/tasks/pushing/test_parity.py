@@ -44,8 +44,8 @@ def test_the_table_says_what_did_not_run(few, capsys):
 def test_pushes_that_went_wrong_are_left_out_and_counted():
     place = np.zeros((4, 2))
     code = np.array([pushing.FINE, pushing.FALLEN, pushing.FINE, pushing.UNFIT])
-    a = parity.Run(place, code, 0.0, 1.0, 1.0)
-    b = parity.Run(place + 0.003, np.zeros(4, int), 0.0, 1.0, 1.0)
+    a = parity.EngineRun(place, code, 0.0, 1.0, 1.0)
+    b = parity.EngineRun(place + 0.003, np.zeros(4, int), 0.0, 1.0, 1.0)
     row = parity._distances(a, b)
     assert row["compared"] == 2 and row["max_mm"] == pytest.approx(3 * 2**0.5)
     assert parity._row(a)["went_wrong"] == {pushing.MESSAGES[2]: 1, pushing.MESSAGES[3]: 1}

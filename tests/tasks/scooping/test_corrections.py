@@ -132,7 +132,7 @@ def test_a_policy_is_corrected_only_once_it_was_told_of_the_target():
     act, naf = jax.jit(make_choice(config)), scooping.make_scooping_naf(config)
     policy = scooping.make_scooping(config).init_policy(jax.random.key(2))
     contexts = jnp.asarray(scooping.test_contexts(3))
-    own = naf.greedy(policy.weights, scooping.seen_place(contexts))
+    own = naf.greedy(policy.weights, scooping.place_input(contexts))
     np.testing.assert_array_equal(act(policy, contexts), own)
     good = jnp.array([[-0.8, -0.8, 0.8]])
     actions = jnp.concatenate(

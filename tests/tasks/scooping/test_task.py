@@ -85,7 +85,7 @@ def test_rollout_is_the_engines_trial_of_the_policys_action():
     def both(key, params):
         contexts = jax.vmap(scooping.draw_context)(jax.random.split(key, 2))
         every = jnp.concatenate([contexts, jnp.asarray(scooping.test_contexts(2))])
-        actions = naf.greedy(policy.weights, scooping.seen_place(every))
+        actions = naf.greedy(policy.weights, scooping.place_input(every))
         return (
             task.rollout(key, policy, params),
             jax.vmap(trial, (None, 0, 0))(params, actions, every),
@@ -269,7 +269,7 @@ def test_a_training_keeps_its_best_policy():
     tests = jnp.asarray(scooping.test_contexts(SHORT.checks))
 
     def chance(policy, mean):
-        action = naf.greedy(policy.weights, scooping.seen_place(tests))
+        action = naf.greedy(policy.weights, scooping.place_input(tests))
         done = jax.vmap(lambda a, c: scooping.executed(a, c, ScoopOptions()))(action, tests)
         return jax.vmap(lambda a: scooping.bank_chance(bank, task.space.physical(mean), a))(
             done

@@ -2,7 +2,7 @@
 refused with its row.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -97,16 +97,7 @@ def read(folder: str | Path, as_declared: bool = False, without: Sequence[str] =
     """The pushes of a folder. as_declared: whatever their directions say of the frame; without:
     pushes whose tracks are not looked at. Raises BadInput.
     """
-    folder = Path(folder)
-    meta = trial_record.read_meta(folder / "meta.toml", KEYS)
-    return assemble(
-        folder / "actions.csv",
-        trial_record.track_files(folder),
-        meta,
-        folder / "meta.toml",
-        as_declared,
-        without,
-    )
+    return trial_record.read_folder(folder, KEYS, assemble, as_declared, without)
 
 
 def assemble(
@@ -122,16 +113,7 @@ def assemble(
         actions, {"speed": "m/s", "angle": "rad"}, ("start_x", "start_y"), KIND.trials
     )
     c = table.columns
-    for i, (speed, angle) in enumerate(zip(c["speed"], c["angle"], strict=True)):
-        if not 0.1 <= speed <= 2.0:
-            raise BadInput(
-                f"{trials(i)}: speed {speed:g} is not within 0.1 to 2 m/s; is it in another unit?"
-            )
-        if abs(angle) > 1.2:
-            raise BadInput(
-                f"{trials(i)}: angle {angle:g} rad is beyond any push; is it in degrees? write "
-                f"radians"
-            )
+    _check_actions(c, trials)
     numbers = c["trial"]
     found, more = trial_record.read_tracks(tracks, numbers, actions, KIND, without, as_declared)
     names, notes = trial_record.tracked(numbers, found, where, KIND, "12 to 24")
@@ -157,9 +139,7 @@ def assemble(
         check_order(names, acts[:, 1], ends, str(where))
         check_each(names, acts[:, 1], ends, str(where))
     noise, source = trial_record.noise_of(meta, time, xy, mask, STILL_SPEED, "hit")
-    quantum = trial_record.rounded(xy[mask > 0])
-    if quantum > 0.5 * noise:
-        notes.append(f"places are rounded to {1e3 * quantum:.3g} mm, which is in the noise floor")
+    notes += trial_record.rounding_notes(xy[mask > 0], noise)
     options = PushOptions(
         friction=meta.get("friction", "clean"), mass=float(meta.get("mass", model.NOMINAL_MASS))
     )
@@ -179,6 +159,20 @@ def assemble(
         tuple(notes),
         *(_turns(time, places[..., 2], mask, meta, where) if more else (None, None, 0.0)),
     )
+
+
+def _check_actions(c: Mapping[str, np.ndarray], trials: Callable) -> None:
+    """BadInput at a push that no arm makes."""
+    for i, (speed, angle) in enumerate(zip(c["speed"], c["angle"], strict=True)):
+        if not 0.1 <= speed <= 2.0:
+            raise BadInput(
+                f"{trials(i)}: speed {speed:g} is not within 0.1 to 2 m/s; is it in another unit?"
+            )
+        if abs(angle) > 1.2:
+            raise BadInput(
+                f"{trials(i)}: angle {angle:g} rad is beyond any push; is it in degrees? write "
+                f"radians"
+            )
 
 
 def _turns(

@@ -2,7 +2,7 @@
 refused with its row.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -79,16 +79,7 @@ def read(folder: str | Path, as_declared: bool = False, without: Sequence[str] =
     """The scoops of a folder. as_declared: whatever their places say of the frame; without: scoops
     whose tracks are not looked at. Raises BadInput.
     """
-    folder = Path(folder)
-    meta = trial_record.read_meta(folder / "meta.toml", KEYS)
-    return assemble(
-        folder / "actions.csv",
-        trial_record.track_files(folder),
-        meta,
-        folder / "meta.toml",
-        as_declared,
-        without,
-    )
+    return trial_record.read_folder(folder, KEYS, assemble, as_declared, without)
 
 
 def assemble(
@@ -106,16 +97,7 @@ def assemble(
     needed = {"place_x": "m", "place_y": "m", **{k: unit for k, (_, _, unit) in _LIMITS.items()}}
     table, trials = trial_record.read_actions(actions, needed, (), KIND.trials)
     c = table.columns
-    for name, (low, high, unit) in _LIMITS.items():
-        for i in np.flatnonzero((c[name] < low) | (c[name] > high))[:1]:
-            if name != "distance":
-                mend = "in degrees? write radians"
-            else:
-                mend = "in mm? write metres"
-            raise BadInput(
-                f"{trials(i)}: {name} {c[name][i]:g} is not within {low:g} to {high:g} {unit}; is it "
-                f"{mend}"
-            )
+    _check_actions(c, trials)
     numbers = c["trial"]
     found, more = trial_record.read_tracks(tracks, numbers, actions, KIND, without, as_declared)
     names, notes = trial_record.tracked(numbers, found, where, KIND, "12 to 24")
@@ -135,10 +117,7 @@ def assemble(
         check_mirrored(starts[:, 1], np.array([found[n].places[0, 1] for n in names]), str(where))
     trial_record.check_spacing(names, found)
     if own_frame:
-        distance = trial_record.aside(names, found, starts, STILL_SPEED)
-        for n, off in zip(names, distance, strict=True):
-            p = found[n].places
-            found[n] = found[n]._replace(places=p - np.pad(off, (0, p.shape[1] - 2)))
+        found |= _moved(names, found, starts)
         notes.append(
             "places are counted from where each piece lay: a shifted camera or piece would not show"
         )
@@ -147,9 +126,7 @@ def assemble(
     if not as_declared:
         _check_frame(names, starts, aside, places, mask, where)
     noise, source = trial_record.noise_of(meta, time, places, mask, STILL_SPEED, "blade came")
-    quantum = trial_record.rounded(places[mask > 0])
-    if quantum > 0.5 * noise:
-        notes.append(f"places are rounded to {1e3 * quantum:.3g} mm, which is in the noise floor")
+    notes += trial_record.rounding_notes(places[mask > 0], noise)
     if not more:
         notes.append(
             "no heights were seen (column z): a blade's lift and a piece's height show less"
@@ -171,6 +148,29 @@ def assemble(
         _repeats(meta, where),
         tuple(notes),
     )
+
+
+def _check_actions(c: Mapping[str, np.ndarray], trials: Callable) -> None:
+    """BadInput at a scoop that no arm makes."""
+    for name, (low, high, unit) in _LIMITS.items():
+        for i in np.flatnonzero((c[name] < low) | (c[name] > high))[:1]:
+            if name != "distance":
+                mend = "in degrees? write radians"
+            else:
+                mend = "in mm? write metres"
+            raise BadInput(
+                f"{trials(i)}: {name} {c[name][i]:g} is not within {low:g} to {high:g} {unit}; is it "
+                f"{mend}"
+            )
+
+
+def _moved(names: Sequence[float], found: trial_record.Tracks, starts: np.ndarray) -> Any:
+    """The tracks, each moved to begin at its place of `starts [T, 2]` m."""
+    moved = {}
+    for n, off in zip(names, trial_record.aside(names, found, starts, STILL_SPEED), strict=True):
+        p = found[n].places
+        moved[n] = found[n]._replace(places=p - np.pad(off, (0, p.shape[1] - 2)))
+    return moved
 
 
 def _piece(meta: dict[str, Any], where: Path) -> tuple[str | None, float | None]:
