@@ -121,5 +121,5 @@ class TaskKind:
     adapt: Any = None
     robot: Any = None
     symbols: Mapping[str, str] = field(default_factory=dict)
-    backends: Any = None
+    backends: Any = field(default_factory=dict)
     parity: Any = None

@@ -77,6 +77,6 @@ def make_backend(task: str, name: str, /, *options: Any, **settings: Any) -> Bac
     the name is unknown, or the engine absent or unable.
     """
     kind = TASKS[config.pick("task", task, TASKS)]
-    if kind.backends is None:
+    if not kind.backends:
         raise BadInput(f"task '{task}' has no engines beside its own simulator; use `make_task`")
     return kind.backends.make(name, *options, **settings)
