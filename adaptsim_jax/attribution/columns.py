@@ -15,7 +15,7 @@ import numpy as np
 
 from adaptsim_jax.attribution import drive as drives
 from adaptsim_jax.attribution.acting import BENT, OF_CONTROLLERS, Motion, actuated, carried, held_by
-from adaptsim_jax.attribution.drive_alone import Local, logged_alone
+from adaptsim_jax.attribution.drive import Local, logged_alone
 from adaptsim_jax.attribution.parameters import INERTIA, TILT, Entry, Vector
 from adaptsim_jax.attribution.problem import Group, Problem, group_inertia, off_value
 from adaptsim_jax.attribution.simulate import Path, command_rows

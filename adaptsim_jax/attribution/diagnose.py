@@ -246,14 +246,9 @@ def examined(
         known = MACHINE
     else:
         known = (*(e for e in MACHINE if e.name in fitted), *effects)
-    names = {e.name for e in known}
-    if strange := sorted(set(exclude) - names):
-        raise BadInput(
-            f"--exclude: {strange[0]!r} is no effect of a mechanism; it has "
-            f"{', '.join(sorted(names))}"
-        )
-    chosen = tuple(e for e in known if e.name not in exclude or e.name in fitted)
-    problem = posed(machine, chosen, horizon)
+    everywhere, at_joints = excluded_of(exclude, known, machine.tree.joint_names)
+    chosen = tuple(e for e in known if e.name not in everywhere or e.name in fitted)
+    problem = replace(posed(machine, chosen, horizon), excluded=at_joints)
 
     def step(note):
         return say(0.0, np.inf, note)  # how many follow, nobody knows
@@ -285,6 +280,28 @@ def examined(
             found = told_of(found, found.found.final, horizon)
         report, evidence = report_of(machine, found, criteria, horizon)
     return report, evidence, found
+
+
+def excluded_of(
+    exclude: Sequence[str], known: Sequence[Effect], joints: Sequence[str]
+) -> tuple[set[str], frozenset[tuple[str, int]]]:
+    """What `--exclude` names: effects (`coulomb`), and effects at a joint (`coulomb at elbow`).
+
+    Raises BadInput where there is no such effect, or no such joint.
+    """
+    names, everywhere, at_joints = {e.name for e in known}, set(), set()
+    for text in exclude:
+        name, _, joint = text.partition(" at ")
+        if name not in names:
+            listed = ", ".join(sorted(names))
+            raise BadInput(f"--exclude: {name!r} is no effect of a mechanism; it has {listed}")
+        if joint and joint not in joints:
+            raise BadInput(f"--exclude: no joint is named {joint!r}; it has {', '.join(joints)}")
+        if joint:
+            at_joints.add((name, list(joints).index(joint)))
+        else:
+            everywhere.add(name)
+    return everywhere, frozenset(at_joints)
 
 
 def posed(machine: Machine, effects: Sequence[Effect], horizon: float) -> Problem:

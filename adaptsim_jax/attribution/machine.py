@@ -9,8 +9,8 @@ from adaptsim_jax.attribution.problem import BEYOND_STOP, beyond_range
 from adaptsim_jax.attribution.stretches import Track
 from adaptsim_jax.effects.joints.actuator import ACTUATOR_LAG, DELAY
 from adaptsim_jax.logs.log import Log, check_left_out
-from adaptsim_jax.mechanisms.actuators import Actuator
 from adaptsim_jax.mechanisms.mjcf import Mechanism
+from adaptsim_jax.mechanisms.transmission import Actuator
 from adaptsim_jax.mechanisms.tree import Tree
 
 

@@ -17,8 +17,11 @@ from adaptsim_jax.attribution.problem import Problem, values_of
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import write_bytes
 from adaptsim_jax.diagnosis.testing import jackknife
+from adaptsim_jax.effects.actuator import ROTOR_INERTIA
 from adaptsim_jax.effects.base import NINETY, Effect
 from adaptsim_jax.effects.joints.catalogue import OWN
+from adaptsim_jax.effects.joints.forces import ARMATURE
+from adaptsim_jax.effects.joints.friction import COULOMB, PRESLIDING, STRIBECK, VISCOUS
 from adaptsim_jax.effects.registry import catalogue
 from adaptsim_jax.logs.log import Log
 from adaptsim_jax.logs.log_meta import Rig
@@ -27,28 +30,20 @@ from adaptsim_jax.mechanisms.mjcf import read_mechanism
 from adaptsim_jax.mend.model_toml import AddedEffect, Value
 from adaptsim_jax.mend.pendulum_model import ModelFile, read_model
 
-SAME = {
-    "quadratic_drag": ("drag",),
-    "spring": ("stiffness", "preload"),
-    "bias": ("torque",),
-    "cogging": ("sine", "cosine", "order"),
-    "hard_stop": ("stiffness", "angle", "side", "loss", "damping", "exponent"),
-    "load_friction": ("share",),
-    "torque_gain": ("gain",),
-    "saturation": ("cut", "peak"),
-    "dead_zone": ("width",),
-    "delay": ("delay", "before"),
-    "actuator_lag": ("lag", "before"),
-    "encoder_offset": ("offset",),
-    "sensor_lag": ("lag",),
-    "backlash": ("gap",),
-    "coulomb": ("level",),
-    "periodic_disturbance": ("sine", "cosine", "frequency"),
-    "friction_drift": ("viscous", "dry", "decay"),
-}
-"""Effects of the pendulum's catalogue that mechanisms have under the same name, with the parameters
-that both know.
-"""
+
+def _common() -> dict[str, tuple[str, ...]]:
+    """Parameters that both catalogues know, of effects with the same name and amplitudes."""
+    of_joints = {e.name: e for e in OWN}
+    out = {}
+    for e in catalogue("pendulum"):
+        other = of_joints.get(e.name)
+        if other and {p.name for p in e.amplitudes} == {p.name for p in other.amplitudes}:
+            known = {p.name for p in other.parameters}
+            out[e.name] = tuple(p.name for p in e.parameters if p.name in known)
+    return out
+
+
+SAME = _common()
 LINK = ("size", "stretch_y", "shift_y")
 RIGID, LINEAR = "rigid_body", "linearized"
 
@@ -165,14 +160,14 @@ def _declared_effects(given: ModelFile) -> dict[tuple[str, str], np.ndarray]:
 
     for e in given.effects:
         numbers = {k: v.value for k, v in e.parameters.items()}
-        if e.name == "rotor_inertia":
-            put("armature", "inertia", e.where, numbers["inertia"])
-        elif e.name == "stribeck":
-            put("coulomb", "level", e.where, numbers["level"])
+        if e.name == ROTOR_INERTIA.name:
+            put(ARMATURE.name, "inertia", e.where, numbers["inertia"])
+        elif e.name == STRIBECK.name:
+            put(COULOMB.name, "level", e.where, numbers["level"])
             for k in ("excess", "speed"):
-                put("stribeck", k, e.where, numbers[k])
-        elif e.name == "presliding":
-            put("coulomb", "level", e.where, numbers["level"])
+                put(STRIBECK.name, k, e.where, numbers[k])
+        elif e.name == PRESLIDING.name:
+            put(COULOMB.name, "level", e.where, numbers["level"])
             put(e.name, "compliance", e.where, numbers["deflection"] / max(numbers["level"], 1e-9))
         elif e.name in SAME:
             for k in SAME[e.name]:
@@ -239,7 +234,7 @@ def declared_values(rig: Rig, problem: Problem, model: Model) -> dict[str, Value
     by = _fitted(model)
     for k in range(2):
         held = (float(rig.known.get(f"b{k + 1}", 0.0)), 0.0, "N m s/rad")
-        out[f"b{k + 1}"] = _number(*by.get(("viscous", "damping", k), held))
+        out[f"b{k + 1}"] = _number(*by.get((VISCOUS.name, "damping", k), held))
     return out
 
 
@@ -276,27 +271,31 @@ def model_file(
             )
         )
 
-    for name, k in sorted({(owner, k) for owner, _, k in by if owner not in (INERTIA, "viscous")}):
+    for name, k in sorted(
+        {(owner, k) for owner, _, k in by if owner not in (INERTIA, VISCOUS.name)}
+    ):
         mine = {p: _number(*v) for (owner, p, j), v in by.items() if owner == name and j == k}
         where = JOINTS[k]
-        if name == "armature":
-            put("rotor_inertia", where, mine)
-        elif name == "stribeck":
+        if name == ARMATURE.name:
+            put(ROTOR_INERTIA.name, where, mine)
+        elif name == STRIBECK.name:
             put(
                 name,
                 where,
-                mine | {"level": _number(*by.get(("coulomb", "level", k), (0.0, 0.0, "N m")))},
+                mine | {"level": _number(*by.get((COULOMB.name, "level", k), (0.0, 0.0, "N m")))},
             )
         elif name == TILT:
             if k == 0:
-                put("tilt", "base", {"angle": mine["about_y"]})
-        elif name == "presliding" and ("coulomb", "level", k) in by:  # of all dry friction there
-            level, compliance = by["coulomb", "level", k], mine["compliance"]
+                put(TILT, "base", {"angle": mine["about_y"]})
+        elif (
+            name == PRESLIDING.name and (COULOMB.name, "level", k) in by
+        ):  # of all dry friction there
+            level, compliance = by[COULOMB.name, "level", k], mine["compliance"]
             bent = {x: level[0] * getattr(compliance, x) for x in ("value", "low", "high")}
             put(name, where, {"level": _number(*level), "deflection": Value(**bent, unit="rad")})
-        elif name == "coulomb" and {
-            ("stribeck", "excess", k),
-            ("presliding", "compliance", k),
+        elif name == COULOMB.name and {
+            (STRIBECK.name, "excess", k),
+            (PRESLIDING.name, "compliance", k),
         } & set(by):
             continue  # held by the other
         elif name in SAME or name in own:

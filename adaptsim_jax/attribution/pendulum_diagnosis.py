@@ -35,6 +35,7 @@ from adaptsim_jax.diagnosis.schema import check, new_report
 from adaptsim_jax.diagnosis.verdict import with_effects
 from adaptsim_jax.diagnosis.written import cleared, write_all, write_partial
 from adaptsim_jax.effects.base import Effect
+from adaptsim_jax.effects.joints.actuator import TORQUE_GAIN
 from adaptsim_jax.logs.local_motion import local_motion
 from adaptsim_jax.logs.log import Log
 from adaptsim_jax.logs.log_meta import Rig
@@ -219,7 +220,7 @@ def _of_unknown_masses(report: dict[str, Any], rig: Rig) -> None:
     by 1 / (1 + g), all masses and dampings being as many times less: put among the alternatives, in
     place.
     """
-    gains = [e for e in report["effects"] if e["name"] == "torque_gain" and e["where"] in JOINTS]
+    gains = [e for e in report["effects"] if e["name"] == TORQUE_GAIN.name and e["where"] in JOINTS]
     if rig.known or rig.model_file is not None or len(gains) != 1:
         return
     (effect,) = gains

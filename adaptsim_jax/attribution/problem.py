@@ -70,6 +70,7 @@ class Problem:
     unlike: tuple[
         int, ...
     ] = ()  # joints that are not as the model says in another way, where nothing is named
+    excluded: frozenset[tuple[str, int]] = frozenset()  # effects and joints that no search asks for
 
     @property
     def joints(self) -> int:

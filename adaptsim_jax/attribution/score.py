@@ -153,6 +153,7 @@ def candidates(problem: Problem, vector: Vector, reach: Reach) -> list[Candidate
             j
             for j in range(problem.joints)
             if (effect.name, j) not in taken
+            and (effect.name, j) not in problem.excluded
             and (j not in problem.unlike or effect.traits.shared)
             and (j in driven or not effect.on_actuator)
             and not (effect.pair and j in first)
@@ -213,7 +214,7 @@ def _of_model(problem: Problem, name: str, taken: set[tuple[str, int]]) -> list[
         return [
             Candidate(INERTIA, (j,), "joint", own(j))
             for j in bodies
-            if (INERTIA, j) not in taken and j not in problem.unlike
+            if (INERTIA, j) not in taken | problem.excluded and j not in problem.unlike
         ]
     weightless = not any(np.any(np.asarray(g.model.tree.gravity)) for g in problem.groups)
     if weightless or (TILT, 0) in taken:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from adaptsim_jax.effects.base import Effect as Effect
     from adaptsim_jax.effects.base import Parameter as Parameter
     from adaptsim_jax.effects.base import Relaxation as Relaxation
+    from adaptsim_jax.effects.base import Traits as Traits
     from adaptsim_jax.effects.registry import catalogue as catalogue
     from adaptsim_jax.effects.registry import effect_named as effect_named
     from adaptsim_jax.logs.log import Log as Log
@@ -34,6 +35,7 @@ __all__ = [
     "Parameter",
     "Plant",
     "Relaxation",
+    "Traits",
     "catalogue",
     "effect_named",
     "make_plant",
@@ -55,6 +57,7 @@ __getattr__ = lazily(
         "Log": "logs.log",
         "read_log": "logs.read",
         "Relaxation": "effects.base",
+        "Traits": "effects.base",
         "catalogue": "effects.registry",
         "effect_named": "effects.registry",
         "make_plant": "mechanisms.registry",

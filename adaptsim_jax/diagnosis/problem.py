@@ -29,7 +29,7 @@ class Candidate:
     """A candidate: `quantities` that are freed together. shapes: values of some of them to begin at
     where nothing acts until another moves (a patch has to lie somewhere). same: other effects that
     these trials cannot show apart whatever is done, `apart` what does. seen: what excites it.
-    absorbed: declared quantities that may take it up.
+    absorbed: declared quantities that may take it up. in_file: whether a model file holds it.
     """
 
     name: str
@@ -41,6 +41,7 @@ class Candidate:
     same: tuple[str, ...] = ()
     absorbed: tuple[str, ...] = ()
     apart: str = ""
+    in_file: bool = False
 
     @property
     def key(self) -> str:

@@ -74,14 +74,18 @@ def stepping(
 def check_exclude(
     exclude: tuple[str, ...], effects: tuple[Candidate, ...], trial: str
 ) -> tuple[Candidate, ...]:
-    """`effects` without those excluded. Raises BadInput where a name is none of them."""
-    known = {e.name for e in effects}
+    """`effects` without those excluded, by effect (`coulomb`) or effect and place (`coulomb at
+    elbow`). Raises BadInput where a name is none of them.
+    """
+    names = {e.name: e.name.partition(" at ")[0] for e in effects}
+    known = {*names, *names.values()}
     for name in exclude:
         if name not in known:
             raise BadInput(
-                f"--exclude: {name!r} is no effect of a {trial}; it has {', '.join(sorted(known))}"
+                f"--exclude: {name!r} is no effect of a {trial}; it has "
+                f"{', '.join(sorted(set(names.values())))}"
             )
-    return tuple(e for e in effects if e.name not in exclude)
+    return tuple(e for e in effects if not {e.name, names[e.name]} & set(exclude))
 
 
 def over_floor(model: Model) -> float:

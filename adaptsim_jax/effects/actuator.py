@@ -121,6 +121,7 @@ DELAY = Effect(
     jump=True,
     grid=_delays,
     formula="command(t - delay)",
+    title="command delay",
 )
 
 SATURATION = Effect(
@@ -177,7 +178,7 @@ DEAD_ZONE = Effect(
 TORQUE_GAIN = Effect(
     "torque_gain",
     "command",
-    (Parameter("gain", "1", -0.9, 2.0, 0.0),),
+    (Parameter("gain", "1", -0.9, 2.0, 0.0, factor=True),),
     torque_gain,
     "the torque constant is off by a share",
     "driven motion beside free swings",
@@ -200,4 +201,24 @@ ACTUATOR_LAG = Effect(
     jump=True,
     grid=_lags,
     formula="lag torque' = command - torque",
+)
+
+
+def rotor_inertia(p):
+    return p["inertia"]
+
+
+ROTOR_INERTIA = Effect(
+    "rotor_inertia",
+    "force",
+    (Parameter("inertia", "kg m^2", 0.0, 1.0, 0.0, sign=1),),
+    rotor_inertia,
+    "the motor's inertia times gear ratio squared, felt at its own joint only (large ratio: the "
+    "coupling through "
+    "the moving stator is smaller by the ratio and left out); at joint 1 a rigid body's own "
+    "inertia absorbs it",
+    "fast motion of both joints with the elbow straight and bent",
+    ("torque_gain",),
+    inertia=True,
+    formula="-inertia dv/dt, of its own joint only",
 )

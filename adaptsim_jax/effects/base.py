@@ -88,6 +88,7 @@ class Parameter:
     file says otherwise. `prior`: standard deviation about none of it, scaled as the bounds are (of
     mechanisms). `mjcf`: what of a joint (damping, frictionloss, armature, stiffness, preload), or of
     its actuator (gain, kp, delay, lag, limit), a model file changes to hold it; empty where none.
+    `factor`: a share more (0: none), which people read as a factor (1: none).
     """
 
     name: str
@@ -103,6 +104,7 @@ class Parameter:
     late: bool = False
     prior: float = float("inf")
     mjcf: str = ""
+    factor: bool = False
 
     def bounds(self, torque: float, speed: float = 1.0) -> tuple[float, float]:
         """Bounds for a rig whose torques are of size `torque` N m. Of a joint slower than 1 rad/s,
@@ -268,7 +270,8 @@ class Effect:
     `slack`: of a measurement effect, its parameter within which the reading does not tell the
     angle: stretches are also begun with the angle at either end of it.
     `describes`: it is no law but a form that fits many (of mechanisms it must take off
-    `Criteria.described`). `formula`: the physics in a line, for people. `traits`: what searches
+    `Criteria.described`). `formula`: the physics in a line, for people. `title`: its name in
+    reports, where the name with blanks says too little. `traits`: what searches
     ask of it; those below are derived.
     """
 
@@ -299,6 +302,7 @@ class Effect:
     )
     starts: Callable[[Reach, int], list[dict[str, float]]] | None = None
     formula: str = ""
+    title: str = ""
     traits: Traits = Traits()
 
     def __post_init__(self):

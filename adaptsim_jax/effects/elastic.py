@@ -59,6 +59,7 @@ SPRING = Effect(
     ("bias", "tilt", "encoder_offset", "hard_stop"),
     contains=("bias",),
     formula="preload - stiffness q (1 + bend q + hardening q^2)",
+    title="torsional spring",
 )
 
 HARD_STOP = Effect(

@@ -62,6 +62,7 @@ COULOMB = Effect(
     ("stribeck", "presliding", "load_friction", "dead_zone", "friction_drift"),
     formula="-level sign(v), or tanh(v / width); holds the joint where less than the level would "
     "move it",
+    title="Coulomb friction",
 )
 
 STRIBECK = Effect(
@@ -88,6 +89,7 @@ STRIBECK = Effect(
     contains=("coulomb",),
     grid=grids.speeds,
     formula="-(level + excess exp(-(v / speed)^2)) sign(v), or tanh(v / width)",
+    title="Stribeck friction",
 )
 
 QUADRATIC_DRAG = Effect(
@@ -126,6 +128,7 @@ LOAD_FRICTION = Effect(
     "high and low torque at like speeds",
     ("coulomb", "torque_gain"),
     formula="-share |command| sign(v), or tanh(v / width)",
+    title="load-dependent friction",
 )
 
 PRESLIDING = Effect(

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cache
 from importlib.metadata import EntryPoint
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +28,7 @@ STAND = (
     "elastic:HARD_STOP",
     "friction:LOAD_FRICTION",
     "friction:PRESLIDING",
-    "inertia:ROTOR_INERTIA",
+    "actuator:ROTOR_INERTIA",
     "base_motion:TILT",
     "base_motion:HEAVE",
     "base_motion:SWAY",
@@ -88,6 +89,12 @@ def of_other_packages(taken: Sequence[str] = ()) -> tuple[Effect, ...]:
         )
     found = [EFFECTS[name] for name in EFFECTS.others]
     return tuple(e for e in found if not e.memory)
+
+
+@cache
+def of_joints() -> dict[str, Effect]:
+    """Effects of the double pendulum and of any machine by name, for words about them."""
+    return {e.name: e for task in ("pendulum", "mechanism") for e in catalogue(task)}
 
 
 def effect_named(name: str, effects: tuple[Effect, ...]) -> Effect:

@@ -10,13 +10,13 @@ import mujoco
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.mechanisms.actuators import Actuator
 from adaptsim_jax.mechanisms.inertia_frames import frame_along, inertial_about, moved
 from adaptsim_jax.mechanisms.roles import BALL, FREE, JOINTS, TURNS, Roles, roles
 from adaptsim_jax.mechanisms.spec import Source, read_source
 from adaptsim_jax.mechanisms.transmission import (
     TENDON,
     WRAPPED,
+    Actuator,
     Added,
     Place,
     add_tendons,

@@ -1,5 +1,14 @@
 """Actuators of a compiled model as laws on the coordinates of a tree, and what springs and dampers
 of tendons and actuators add.
+
+All kinds of actuators are one law, MuJoCo's with affine bias: with `length = gear q` and
+`speed = gear v`,
+
+    force = gain ctrl + offset - kp length - kv speed
+
+and the joint gets gear times the force within forcerange. A motor has gain 1, kp = kv = 0; a
+position servo gain = kp, a velocity servo gain = kv; a dcmotor (volts) gain = K / R and
+kv = K^2 / R; `general` is any other. Ranges are nan where there is none.
 """
 
 from dataclasses import dataclass, field, replace
@@ -8,8 +17,31 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from adaptsim_jax.mechanisms.actuators import NO_RANGE, Actuator
 from adaptsim_jax.mechanisms.roles import JOINTS
+
+NO_RANGE = (float("nan"), float("nan"))
+
+
+@dataclass(frozen=True)
+class Actuator:
+    """One actuator. `joint` is an index into the tree; `delay` and `lag` (a first-order filter of
+    the command) in s; more: other joints that it pulls by a tendon, each with its own gear.
+    """
+
+    name: str
+    joint: int
+    kind: str
+    gear: float = 1.0
+    gain: float = 1.0
+    offset: float = 0.0
+    kp: float = 0.0
+    kv: float = 0.0
+    forcerange: tuple[float, float] = NO_RANGE
+    ctrlrange: tuple[float, float] = NO_RANGE
+    delay: float = 0.0
+    lag: float = 0.0
+    more: tuple[tuple[int, float], ...] = ()
+
 
 TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
 SINGLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))

@@ -7,13 +7,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from adaptsim_jax.effects.registry import of_joints
 from adaptsim_jax.report import diagnosis_format as fmt
 from adaptsim_jax.report import diagnosis_words as words
 
 FACTORS = {
-    "torque_gain": "gain",
-    "position_gain": "gain",
-    "encoder_scale": "scale",
     "camera_scale": "scale",
     "camera_scale_at_start": "scale_start",
     "length_scale": "scale",
@@ -21,7 +19,7 @@ FACTORS = {
     "lift_scale": "lift_scale",
     "clock_scale": "clock",
 }
-"""Parameters of effects that report.json has as a share more (0: none), and people read as a factor
+"""Parameters of effects on short trials that report.json has as a share more (0: none), and people read as a factor
 (1: none).
 """
 
@@ -50,7 +48,9 @@ def effect_rows(report: Mapping) -> list[dict[str, Any]]:
         rows.append(
             {
                 "title": words.effect_name(effect),
-                "fitted_as": words.plain(effect["name"]) if effect["alternatives"] else None,
+                "fitted_as": words.plain(words.name_and_place(effect["name"], "")[0])
+                if effect["alternatives"]
+                else None,
                 "physics": effect.get("physics"),
                 "parameters": parameters,
             }
@@ -65,6 +65,9 @@ def _held(name: str, p: Mapping[str, Any]) -> str:
 
 
 def _is_factor(effect: Mapping, name: str) -> bool:
+    known = of_joints().get(effect["name"])
+    if known is not None:
+        return any(p.factor for p in known.parameters if p.name == name)
     return FACTORS.get(effect["name"]) == name
 
 
@@ -83,7 +86,7 @@ def candidate_rows(report: Mapping) -> list[dict[str, Any]]:
     largest = max([row["held_out_gain"] or 0.0 for row in ladder], default=0.0)
     return [
         {
-            "name": words.plain(row["name"]),
+            "name": words.plain(words.name_and_place(row["name"], row["where"])[0]),
             "where": words.plain(row["where"]),
             "status": words.status(row, report),
             "gain": fmt.percent(row["held_out_gain"]),
@@ -167,7 +170,7 @@ def power_rows(report: Mapping) -> list[dict[str, str]]:
     """What would have been found: `power: [{name, where, size, unit, power}]`."""
     return [
         {
-            "name": words.plain(str(row["name"])),
+            "name": words.plain(words.name_and_place(str(row["name"]), "")[0]),
             "where": words.plain(str(row.get("where", ""))),
             "size": fmt.quantity(row["size"], row.get("unit")),
             "power": fmt.percent(row["power"]),

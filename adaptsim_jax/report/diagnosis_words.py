@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
 from adaptsim_jax.diagnosis.criteria import TELLS
+from adaptsim_jax.effects.registry import of_joints
 from adaptsim_jax.report import diagnosis_format as fmt
 
 TONES = {
@@ -65,24 +67,21 @@ NEXT = {
 }
 
 
-WHOLE = {
-    "coulomb": "Coulomb friction",
-    "stribeck": "Stribeck friction",
-    "load_friction": "load-dependent friction",
-    "delay": "command delay",
-    "spring": "torsional spring",
-}
-"""Names that say too little by themselves."""
-PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck", "lugre": "LuGre", "dahl": "Dahl"}
+@cache
+def proper_words() -> dict[str, str]:
+    """Names of people in those of effects, which keep their capitals."""
+    words = (word for e in of_joints().values() for word in e.title.split())
+    return {"lugre": "LuGre", "dahl": "Dahl"} | {w.lower(): w for w in words if w[:1].isupper()}
 
 
 def plain(name: str) -> str:
     """`command_delay` -> `command delay`; `coulomb` -> `Coulomb friction`; `joint1` -> `joint
     1`.
     """
-    if name in WHOLE:
-        return WHOLE[name]
-    text = " ".join(PROPER.get(word, word) for word in name.replace("_", " ").split())
+    known = of_joints().get(name)
+    if known is not None and known.title:
+        return known.title
+    text = " ".join(proper_words().get(word, word) for word in name.replace("_", " ").split())
     if text.startswith(("joint", "link", "body")) and text[-1:].isdigit() and " " not in text:
         stem = text.rstrip("0123456789")
         return f"{stem} {text[len(stem) :]}"
@@ -93,17 +92,20 @@ def effect_name(effect: Mapping) -> str:
     """`Coulomb friction at joint 1`; a class as `bias or spring at joint 1`, or `bias at joint 1 or
     tilt at base`.
     """
-    rivals = [_named(name, effect["where"]) for name in effect.get("alternatives") or []]
-    every = [(effect["name"], effect["where"]), *rivals]
+    some = [effect["name"], *(effect.get("alternatives") or [])]
+    every = [name_and_place(name, effect["where"]) for name in some]
     if len({where for _, where in every}) == 1:
         return _at(fmt.listing([plain(name) for name, _ in every], "or"), effect["where"])
     return fmt.listing([_at(plain(name), where) for name, where in every], "or")
 
 
-def _named(alternative: str, where: str) -> tuple[str, str]:
-    """`name@where` apart; a name alone is at `where`."""
-    name, _, place = alternative.partition("@")
-    return name, place or where
+def name_and_place(alternative: str, where: str) -> tuple[str, str]:
+    """Name and place of `name@where`, or of `name at where`; a name alone is at `where`."""
+    for between in ("@", " at "):
+        name, _, place = alternative.partition(between)
+        if place:
+            return name, place
+    return alternative, where
 
 
 NOWHERE = ("", "all", "whole", "command", "contact", "force", "measurement")
@@ -190,9 +192,9 @@ def status(candidate: Mapping, report: Mapping) -> str:
         return candidate["status"]
     if candidate["accepted"]:
         return "accepted"
-    here = (candidate["name"], candidate["where"])
+    here = name_and_place(candidate["name"], candidate["where"])
     if any(
-        here == _named(a, e["where"])
+        here == name_and_place(a, e["where"])
         for e in report["effects"]
         for a in e.get("alternatives") or []
     ):

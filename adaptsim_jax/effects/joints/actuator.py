@@ -59,7 +59,7 @@ BEFORE = Parameter(
 TORQUE_GAIN = Effect(
     "torque_gain",
     "force",
-    (Parameter("gain", "1", -0.9, 2.0, 0.0, mjcf="gain"),),
+    (Parameter("gain", "1", -0.9, 2.0, 0.0, factor=True, mjcf="gain"),),
     torque_gain,
     "the actuator's torque is off by a share",
     "driven motion beside free swings",
@@ -71,7 +71,7 @@ TORQUE_GAIN = Effect(
 POSITION_GAIN = Effect(
     "position_gain",
     "force",
-    (Parameter("gain", "1", -0.9, 2.0, 0.0, mjcf="kp"),),
+    (Parameter("gain", "1", -0.9, 2.0, 0.0, factor=True, mjcf="kp"),),
     position_gain,
     "the stiffness of the position controller is off by a share",
     "large position errors",
@@ -142,6 +142,7 @@ DELAY = Effect(
     grid=_late,
     formula="command(t - delay)",
     traits=Traits(shared=True, tried_first=1),
+    title="command delay",
 )
 
 ACTUATOR_LAG = Effect(

@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 
-from adaptsim_jax.effects import disturbance, elastic, grids, inertia
+from adaptsim_jax.effects import actuator, disturbance, elastic, grids
 from adaptsim_jax.effects.base import Effect, Parameter, Traits
 
 
@@ -60,6 +60,7 @@ SPRING = Effect(
     "a wide range of angles",
     ("bias", "position_gain", "encoder_offset"),
     formula="preload - stiffness q",
+    title="torsional spring",
 )
 
 BIAS = Effect(
@@ -131,7 +132,7 @@ ARMATURE = Effect(
     "armature",
     "force",
     (Parameter("inertia", "kg m^2", 0.0, 1.0, 0.0, sign=1, mjcf="armature"),),
-    inertia.rotor_inertia,
+    actuator.rotor_inertia,
     "the rotor's inertia times the gear ratio squared, felt at its own joint",
     "fast motion",
     ("torque_gain", "inertia"),

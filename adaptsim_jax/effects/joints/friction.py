@@ -69,6 +69,7 @@ COULOMB = Effect(
     ("stribeck", "load_friction", "asymmetric_coulomb"),
     formula="-level sign(v); holds the joint where less than the level would move it",
     traits=Traits(family=True, tried_first=2, resists=True),
+    title="Coulomb friction",
 )
 
 ASYMMETRIC_COULOMB = Effect(
@@ -81,6 +82,7 @@ ASYMMETRIC_COULOMB = Effect(
     ("coulomb", "bias"),
     formula="-difference: half of what friction upwards is more than downwards",
     traits=Traits(resists=True),
+    title="asymmetric Coulomb",
 )
 
 STRIBECK = Effect(
@@ -105,6 +107,7 @@ STRIBECK = Effect(
     grid=grids.speeds,
     formula="-excess exp(-(v / speed)^2) sign(v), beside what is there at speed",
     traits=Traits(resists=True),
+    title="Stribeck friction",
 )
 
 PRESLIDING = Effect(
@@ -131,6 +134,7 @@ LOAD_FRICTION = Effect(
     ("coulomb", "stribeck", "torque_gain"),
     formula="-share |torque| sign(v), beside what is there without load",
     traits=Traits(on_actuator=True, family=True, resists=True),
+    title="load-dependent friction",
 )
 
 QUADRATIC_DRAG = Effect(

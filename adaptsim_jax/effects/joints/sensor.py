@@ -54,7 +54,7 @@ ENCODER_OFFSET = Effect(
 ENCODER_SCALE = Effect(
     "encoder_scale",
     "measurement",
-    (Parameter("scale", "1", -0.5, 0.5, 0.0),),
+    (Parameter("scale", "1", -0.5, 0.5, 0.0, factor=True),),
     encoder_scale,
     "the reading is off by a share (a wrong gear ratio)",
     "wide angles under gravity",

@@ -10,13 +10,16 @@ import mujoco
 import numpy as np
 
 from adaptsim_jax.diagnosis.problem import Candidate, Quantity
+from adaptsim_jax.effects.base import Effect
+from adaptsim_jax.effects.joints.catalogue import MACHINE, TILT
+from adaptsim_jax.effects.joints.friction import VISCOUS
 from adaptsim_jax.logs.noise.differences import difference_noise
 from adaptsim_jax.simulators.mujoco.acting import BIAS, LATE, READ, SHIFT, TURN
 from adaptsim_jax.simulators.mujoco.build import Stepped
 from adaptsim_jax.simulators.mujoco.fields import DELAY, STRENGTH, Field, field
 from adaptsim_jax.simulators.mujoco.sensed import triple
 
-DECLARED = "viscous"
+DECLARED = VISCOUS.name
 """What is fitted whatever is named."""
 HEAVY, HEAVIER = (
     0.05,
@@ -72,7 +75,7 @@ def row(
 def quantity(f: Field) -> Quantity:
     """A field as the search has it."""
     stem = f.name.split("[")[0].split(".")[-1]
-    unit = UNITS.get(stem, UNITS.get(f.name.split(".")[0], "rad" if "tilt" in f.name else "1"))
+    unit = UNITS.get(stem, UNITS.get(f.name.split(".")[0], "rad" if TILT.name in f.name else "1"))
     return Quantity(f.name, unit, f.neutral, f.low, f.high, SIZE * f.scale, PRIOR * f.scale)
 
 
@@ -100,19 +103,11 @@ def _of_joints(made: Stepped, joints: Sequence[str]) -> Iterable[Row]:
         def of(what, size, name=name):
             return wide(field(model, f"joint:{name}.{what}"), size)
 
-        yield row("coulomb", name, of("frictionloss", weight[name]), ("dry friction", "reversals"))
-        yield row(
-            DECLARED,
-            name,
-            of("damping", weight[name]),
-            ("friction in proportion to speed", "fast motion"),
-        )
-        yield row(
-            "armature",
-            name,
-            of("armature", inertia),
-            ("a rotor's inertia", "fast changes of speed"),
-        )
+        sizes = {"frictionloss": weight[name], "damping": weight[name], "armature": inertia}
+        for what, size in sizes.items():
+            for effect in (e for e in MACHINE if _edits(e, what)):
+                told = (effect.physics, effect.excitation)
+                yield row(effect.name, name, of(what, size), told)
         off = Field(f"reading:{name}.offset", READ, (k,), 0, 0.0, -1.0, 1.0, TURNED)
         yield row(
             "angle offset",
@@ -120,6 +115,11 @@ def _of_joints(made: Stepped, joints: Sequence[str]) -> Iterable[Row]:
             off,
             ("the angle is read from another zero", "gravity, stops, and where it is driven to"),
         )
+
+
+def _edits(effect: Effect, what: str) -> bool:
+    """Whether an effect is that number of a joint, and nothing else."""
+    return [p.mjcf for p in effect.parameters] == [what] and not effect.on_actuator
 
 
 def _of_drives(model: mujoco.MjModel) -> Iterable[Row]:

@@ -149,7 +149,7 @@ def simulator(source: Source, log: Log, horizon: float | None = None) -> MujocoS
     )
     quantities = tuple(quantity(f) for f in fields)
     declared = tuple(
-        f.name for r in found if r.candidate.name.startswith(DECLARED) for f in r.fields
+        f.name for r in found if r.candidate.name.startswith(f"{DECLARED} at ") for f in r.fields
     )
     wanted = tuple(r.candidate for r in found if r.candidate.quantities[0] not in declared)
     remarks = "simulated by MuJoCo at the file's own step", *log.notes, *source.notes, *made.notes

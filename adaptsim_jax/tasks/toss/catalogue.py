@@ -84,6 +84,7 @@ EFFECTS = (
         ("size",),
         "the body is larger or smaller than declared",
         "impacts on corners, and rest",
+        in_file=True,
     ),
     _E(
         "inertia",
@@ -91,6 +92,7 @@ EFFECTS = (
         ("inertia",),
         "the body is harder or easier to turn than declared",
         "impacts off the centre",
+        in_file=True,
     ),
     _E(
         "centre_of_mass",
@@ -98,6 +100,7 @@ EFFECTS = (
         ("com_x", "com_y", "com_z"),
         "the centre of mass lies beside the declared one",
         "spinning flight",
+        in_file=True,
     ),
     _E(
         "drag",
@@ -113,6 +116,7 @@ EFFECTS = (
         ("tilt_x", "tilt_y"),
         "the table is not level",
         "flights, and slides in many directions",
+        in_file=True,
     ),
     _E(
         "length_scale",

@@ -29,8 +29,6 @@ CRITERIA = Criteria(
     rounds=3, glance=1
 )  # a simulation of strikes is rough: fits gain little after a few rounds
 LOGS = {"log_time": ("contact_time", "s")}
-HELD = ("body_size", "inertia", "centre_of_mass", "tilt")
-"""Effects that MJCF has a place for; the declared contact, too."""
 FOLLOWED = 1.5  # of the noise floor, up to which a window counts as followed
 MEASURE = {
     "clock_scale": "time the recording against another clock",
@@ -87,7 +85,7 @@ def beside(found: Finding, values: dict[str, float]) -> list[str]:
         f"not in this file: {n.candidate.name} "
         f"({', '.join(f'{q} = {values[q]:.4g}' for q in n.candidate.quantities)})"
         for n in found.named
-        if n.candidate.name not in HELD
+        if not n.candidate.in_file
     ]
 
 
