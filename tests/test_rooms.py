@@ -149,10 +149,8 @@ WITHIN = {
         "starts",
         "power",
         "experiment",
-        "yardstick",
-        "verdict",
-        "written",
         "rows",
+        "written",
         "simulated",
     ),
     "environments": (

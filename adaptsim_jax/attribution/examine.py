@@ -39,7 +39,7 @@ from adaptsim_jax.attribution.yardsticks import (
     predicts_nothing,
 )
 from adaptsim_jax.diagnosis.criteria import Criteria
-from adaptsim_jax.diagnosis.verdict import with_effects
+from adaptsim_jax.diagnosis.schema import with_effects
 from adaptsim_jax.effects.base import Reach
 
 NOTHING = "This model predicts nothing: by no yardstick does it do better than what needs no model, and no effect is named."

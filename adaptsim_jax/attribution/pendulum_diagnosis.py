@@ -31,8 +31,7 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.run import Run, command_of, plain
-from adaptsim_jax.diagnosis.schema import check, new_report
-from adaptsim_jax.diagnosis.verdict import with_effects
+from adaptsim_jax.diagnosis.schema import check, new_report, with_effects
 from adaptsim_jax.diagnosis.written import cleared, write_all, write_partial
 from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.effects.joints.actuator import TORQUE_GAIN

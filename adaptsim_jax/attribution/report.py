@@ -26,8 +26,7 @@ from adaptsim_jax.attribution.sentences import (
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Named
 from adaptsim_jax.diagnosis.rows import candidate_row, tested
-from adaptsim_jax.diagnosis.schema import new_report
-from adaptsim_jax.diagnosis.verdict import verdict_of
+from adaptsim_jax.diagnosis.schema import new_report, verdict_of
 from adaptsim_jax.effects.base import NINETY
 from adaptsim_jax.effects.joints.actuator import SATURATION
 from adaptsim_jax.effects.joints.friction import VISCOUS

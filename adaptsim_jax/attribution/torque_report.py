@@ -15,7 +15,7 @@ from adaptsim_jax.attribution.problem import Problem
 from adaptsim_jax.attribution.sentences import place
 from adaptsim_jax.attribution.yardsticks import Measure, needed
 from adaptsim_jax.diagnosis.criteria import Criteria
-from adaptsim_jax.diagnosis.verdict import with_effects
+from adaptsim_jax.diagnosis.schema import with_effects
 from adaptsim_jax.logs.noise.differences import difference_noise
 
 MOST_ROWS = 1500  # of a curve of the page

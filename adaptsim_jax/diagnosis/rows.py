@@ -1,11 +1,9 @@
-"""What a report says of short trials, whatever the task: verdict, effects, errors by trial,
+"""What a report says of short trials, whatever the task: words, effects, errors by trial,
 candidates, tracks for its page.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -15,13 +13,8 @@ from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Finding, Named
 from adaptsim_jax.diagnosis.models import Model, spread
 from adaptsim_jax.diagnosis.problem import Candidate, Problem
-from adaptsim_jax.diagnosis.run import Page, Run, plain
-from adaptsim_jax.diagnosis.schema import check, new_report
-from adaptsim_jax.diagnosis.written import cleared, write_all, write_partial
 from adaptsim_jax.effects.base import NINETY
-from adaptsim_jax.mend.model_toml import Form
 
-MODEL, NEXT = "model.toml", "next_experiment.csv"
 LOGS = {"log_e": ("e", "Pa")}
 DRAWS = 400  # of trials, for the interval of an error
 APART = 4.0  # times the median error of all trials: those beyond it, where they are few, are told
@@ -383,88 +376,3 @@ def plane_tracks(
         "before": cut(tracks["before"]),
         "after": cut(tracks["after"]) if mended else None,
     }
-
-
-def keeping(
-    folder: Path | None,
-    task: str,
-    model: str,
-    problem: Problem,
-    logs: Mapping[str, tuple[str, str]] = LOGS,
-) -> Callable[[Finding], None]:
-    """What leaves a readable report on disk as a search goes; nothing without a folder. logs: as of
-    `declared_rows`.
-    """
-    count = len(dict.fromkeys(problem.trials))
-    data = {"trials": count, "samples": int(problem.counts.sum()), "held_out_trials": count}
-
-    def keep(found: Finding) -> None:
-        final = found.final
-        values = [
-            f"{words(e.name)} "
-            f"({', '.join(f'{q} {final.fit.values[problem.index[q]]:.3g}' for q in e.quantities)})"
-            for e in final.added
-        ]
-        held = f"Left-out error {over_floor(found.null):.3g} times the noise as declared"
-        if values:
-            so_far = f", {over_floor(final):.3g} with {', '.join(values)}, not yet judged"
-        else:
-            so_far = ""
-        assert folder is not None
-        write_partial(
-            folder,
-            new_report(
-                task,
-                model,
-                "structured_unattributed",
-                f"{held}{so_far}.",
-                data,
-                error={
-                    "metric": "left-out error over the noise",
-                    "before": over_floor(found.null),
-                    "after": over_floor(final),
-                },
-                candidates=candidate_rows(found),
-                declared={
-                    k: declared_rows(problem, m, logs)
-                    for k, m in (("before", found.null), ("after", final))
-                },
-            ),
-        )
-
-    if folder is None:
-        return lambda found: None
-    return keep
-
-
-def finished(
-    report: dict[str, Any],
-    evidence: dict[str, Any],
-    run: Run,
-    plan: Mapping[str, Any] | None,
-    folder: Path | None,
-    model: Form,
-    columns: tuple[str, ...],
-    page: Page | None,
-    more: Mapping[str, Callable[[], str]] = MappingProxyType({}),
-) -> dict[str, Any]:
-    """The checked report; where there is a folder, it, its page, `model.toml` and
-    `next_experiment.csv` with `columns` are written, and the files `more` (name -> what makes its
-    text).
-    """
-    if plan is not None:
-        report["next_experiment"] = {k: plan[k] for k in ("message", "separates")} | (
-            {"csv": NEXT} if plan["rows"] else {}
-        )
-    report["run"] = evidence["run"] = run.told()
-    report = check(report)
-    if folder is not None:
-        files = {MODEL: model.text, **more}
-        if plan is not None and plan["rows"]:
-            table = [
-                ",".join([str(i), *(f"{x:.6f}" for x in row)])
-                for i, row in enumerate(plan["rows"], 1)
-            ]
-            files[NEXT] = lambda: "\n".join([",".join(("trial", *columns)), *table, ""])
-        write_all(cleared(folder), report, evidence, page or plain, files)
-    return report

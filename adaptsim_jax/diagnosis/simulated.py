@@ -19,13 +19,11 @@ from adaptsim_jax.diagnosis.models import Model
 from adaptsim_jax.diagnosis.power import power_rows
 from adaptsim_jax.diagnosis.problem import Problem
 from adaptsim_jax.diagnosis.run import Page, Run, plain
-from adaptsim_jax.diagnosis.schema import check, new_report
+from adaptsim_jax.diagnosis.schema import check, new_report, verdict_of, with_effects
 from adaptsim_jax.diagnosis.search import search
-from adaptsim_jax.diagnosis.simulator import Simulator, check_simulator
+from adaptsim_jax.diagnosis.simulator import Simulator, Stretches, check_simulator
 from adaptsim_jax.diagnosis.starts import problem_of
-from adaptsim_jax.diagnosis.verdict import verdict_of, with_effects
-from adaptsim_jax.diagnosis.written import cleared, write_all
-from adaptsim_jax.diagnosis.yardstick import doing_nothing, skill
+from adaptsim_jax.diagnosis.written import MODEL, cleared, keeping, write_all
 from adaptsim_jax.mend.model_toml import Form, Value, added_effects
 
 METRIC = "median over left-out stretches of the RMS error of a signal over its noise, starts fitted"
@@ -68,7 +66,7 @@ def diagnose_simulator(
     step = rows.stepping(progress, 0.02)
     step("starts")
     problem = problem_of(simulator, kept)
-    found = search(problem, criteria, step, keep=rows.keeping(folder, "simulator", name, problem))
+    found = search(problem, criteria, step, keep=keeping(folder, "simulator", name, problem))
     report, evidence = reported(simulator, problem, found, criteria, proposals or {}, name)
     told_of_nothing(report, criteria)
     report["run"] = evidence["run"] = Run(command or f"diagnose_simulator({name})", began).told()
@@ -78,7 +76,7 @@ def diagnose_simulator(
         mended = {
             file: partial(make, values) for file, make in getattr(simulator, "mended", {}).items()
         }
-        write_all(folder, report, evidence, page or plain, {rows.MODEL: model, **mended})
+        write_all(folder, report, evidence, page or plain, {MODEL: model, **mended})
     return report
 
 
@@ -259,3 +257,34 @@ def _held_out(
             }
         )
     return out
+
+
+def doing_nothing(stretches: Stretches) -> tuple[np.ndarray, np.ndarray]:
+    """RMS errors `[W, C]`, in each signal's unit, of a straight line through a stretch's own
+    readings, and of its mean.
+
+    Both are fitted to the stretch, as a model's start is: two numbers of a signal, and one.
+    """
+    seen, y = (stretches.seen > 0).astype(float), np.nan_to_num(stretches.measured)
+    count = np.maximum(seen.sum(1), 1.0)
+
+    def mean(z):
+        return (z * seen).sum(1) / count
+
+    t = (stretches.time - stretches.time.mean(1, keepdims=True))[..., None] * np.ones_like(y)
+    t = t - mean(t)[:, None]
+    still = y - mean(y)[:, None]
+    slope = mean(t * still) / np.maximum(mean(t * t), 1e-300)
+
+    def rms(z):
+        return np.sqrt(mean(np.square(z)))
+
+    return rms(still - slope[:, None] * t), rms(still)
+
+
+def skill(error: float, line: float, still: float) -> float | None:
+    """1 - error / the better of a straight line and holding still; None where nothing moved."""
+    least = min(line, still)
+    if least > 0.0:
+        return 1.0 - error / least
+    return None

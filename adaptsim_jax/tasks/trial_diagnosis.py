@@ -16,9 +16,8 @@ from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Finding
 from adaptsim_jax.diagnosis.problem import Candidate, Problem
 from adaptsim_jax.diagnosis.run import Page, Run, command_of
-from adaptsim_jax.diagnosis.schema import new_report
-from adaptsim_jax.diagnosis.verdict import verdict_of
-from adaptsim_jax.diagnosis.written import cleared
+from adaptsim_jax.diagnosis.schema import new_report, verdict_of
+from adaptsim_jax.diagnosis.written import cleared, finished
 from adaptsim_jax.mend.model_toml import Form
 
 
@@ -65,7 +64,7 @@ class Diagnose:
         run = Run(
             command_of(named if given else data, out=out, exclude=exclude, **(asked or {})), began
         )
-        return rows.finished(report, evidence, run, plan, folder, model, self.columns, page, more)
+        return finished(report, evidence, run, plan, folder, model, self.columns, page, more)
 
 
 def reported(

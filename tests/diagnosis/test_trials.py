@@ -15,13 +15,13 @@ from adaptsim_jax.diagnosis.rows import (
     Seen,
     _standing_out,
     error_table,
-    finished,
     message,
     over_floor,
 )
 from adaptsim_jax.diagnosis.run import Run
 from adaptsim_jax.diagnosis.schema import new_report
 from adaptsim_jax.diagnosis.search import search
+from adaptsim_jax.diagnosis.written import finished
 from adaptsim_jax.mend.model_toml import Form
 
 TRIALS, ROWS = 14, 60
@@ -168,7 +168,7 @@ def test_a_folder_gets_the_report_also_without_a_page_and_nothing_stays_of_an_ea
     counts = {"trials": 3, "samples": 3, "held_out_trials": 3}
     report = new_report("pushing", "the push", "within_noise", "Nothing.", counts)
     plan = {"message": "push fast", "separates": ["b", "d"], "rows": [[0.5, 0.1]]}
-    model, columns = Form("pushing", "the push", {}, []), ("speed", "angle")
+    model, columns = Form("pushing", "the push"), ("speed", "angle")
     told = finished(
         report,
         {},
@@ -183,7 +183,7 @@ def test_a_folder_gets_the_report_also_without_a_page_and_nothing_stays_of_an_ea
     assert (
         tmp_path / "next_experiment.csv"
     ).read_text() == "trial,speed,angle\n1,0.500000,0.100000\n"
-    assert (tmp_path / "model.toml").read_text() == "schema = 1\n" and not (
+    assert (tmp_path / "model.toml").read_text() == model.text() and not (
         tmp_path / "leading.toml"
     ).exists()
 

@@ -12,9 +12,9 @@ from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Finding
 from adaptsim_jax.diagnosis.models import Model
 from adaptsim_jax.diagnosis.problem import Candidate, Problem
-from adaptsim_jax.diagnosis.schema import new_report
+from adaptsim_jax.diagnosis.schema import new_report, verdict_of
 from adaptsim_jax.diagnosis.search import search
-from adaptsim_jax.diagnosis.verdict import verdict_of
+from adaptsim_jax.diagnosis.written import keeping
 from adaptsim_jax.mend.model_toml import Form, Value, added_effects
 from adaptsim_jax.tasks.toss.body import mended_xml
 from adaptsim_jax.tasks.toss.catalogue import effects
@@ -54,7 +54,7 @@ def judged(
     if progress is not None:
         progress(0.01, 1.0, "starts of the windows")
     problem, follow = prepare(tossed, considered)
-    keep = parts.keeping(folder, "toss", _model(tossed), problem, LOGS)
+    keep = keeping(folder, "toss", _model(tossed), problem, LOGS)
     found = search(problem, criteria, parts.stepping(progress, 0.05), keep=keep)
     report, evidence = reported(tossed, problem, follow, found, criteria)
     values = fitted(problem, found.final)

@@ -11,6 +11,7 @@ from adaptsim_jax.diagnosis.finding import Finding
 from adaptsim_jax.diagnosis.fit import fitted
 from adaptsim_jax.diagnosis.problem import Problem
 from adaptsim_jax.diagnosis.search import search
+from adaptsim_jax.diagnosis.written import keeping
 from adaptsim_jax.mend.model_toml import Form, Value, added_effects
 from adaptsim_jax.tasks.pushing.diagnosis.catalogue import effects_of, grain
 from adaptsim_jax.tasks.pushing.diagnosis.experiment import informative_pushes
@@ -39,7 +40,7 @@ def judged(pushed: Pushed, effects, criteria: Criteria, progress, folder: Path |
         problem,
         criteria,
         rows.stepping(progress, 0.05),
-        keep=rows.keeping(folder, "pushing", MODEL, problem),
+        keep=keeping(folder, "pushing", MODEL, problem),
     )
     turns = {"yaw": ("rad", p.noise_yaw)} if p.yaw is not None else {}
     observed = rows.Seen(

@@ -9,6 +9,7 @@ import numpy as np
 
 from adaptsim_jax.diagnosis import rows
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.written import keeping
 from adaptsim_jax.mend.model_toml import Form, Value, added_effects
 from adaptsim_jax.tasks.scooping.diagnosis.experiment import informative_scoops
 from adaptsim_jax.tasks.scooping.diagnosis.passes import CRITERIA, Found, diagnosed, effects_of
@@ -21,7 +22,7 @@ MODEL = "the hydroelastic scoop"
 
 def judged(scooped: Scooped, effects, criteria: Criteria, progress, folder: Path | None):
     """See `trial_diagnosis.Diagnose`."""
-    s, keep = scooped, partial(rows.keeping, folder, "scooping", MODEL)
+    s, keep = scooped, partial(keeping, folder, "scooping", MODEL)
     found = diagnosed(scooped, effects, criteria, rows.stepping(progress, 0.02), keep)
     known = np.any(found.scale > 0, -1) * 1.0
     observed = rows.Seen(
