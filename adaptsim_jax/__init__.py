@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 from adaptsim_jax.core.lazy import lazily
 
 if TYPE_CHECKING:
+    from adaptsim_jax.adaptation.asktell import Session as Session
     from adaptsim_jax.adaptation.phase1 import make_phase1 as make_phase1
     from adaptsim_jax.adaptation.phase1_config import Phase1Config as Phase1Config
     from adaptsim_jax.adaptation.phase1_config import Phase1Hyper as Phase1Hyper
     from adaptsim_jax.adaptation.presets import default_config as default_config
-    from adaptsim_jax.adaptation.session import Session as Session
     from adaptsim_jax.adaptation.training import TrainConfig as TrainConfig
     from adaptsim_jax.adaptation.training import Trained as Trained
     from adaptsim_jax.adaptation.training import adapt_run as adapt_run
@@ -89,7 +89,7 @@ __getattr__ = lazily(
         "Parameter": "space",
         "Phase1Config": "adaptation.phase1_config",
         "Phase1Hyper": "adaptation.phase1_config",
-        "Session": "adaptation.session",
+        "Session": "adaptation.asktell",
         "Space": "space",
         "Task": "tasks.base",
         "TaskKind": "tasks.base",

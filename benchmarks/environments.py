@@ -15,10 +15,11 @@ import jax
 import jax.numpy as jnp
 
 from adaptsim_jax.environments.config import EnvironmentConfig
-from adaptsim_jax.environments.interface import Play
-from adaptsim_jax.environments.rollout import visit
-from adaptsim_jax.environments.simulated import load
-from adaptsim_jax.environments.task import Law, acting_of, everywhere, play_in, setting_of
+from adaptsim_jax.environments.episodes import Play, visit
+from adaptsim_jax.environments.peers import load
+from adaptsim_jax.environments.policies import Law, acting_of, everywhere
+from adaptsim_jax.environments.setting import setting_of
+from adaptsim_jax.environments.task import play_in
 
 
 def timed(name: str, function, *args, steps: int) -> None:

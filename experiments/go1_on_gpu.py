@@ -26,9 +26,10 @@ from scipy.stats import qmc
 from adaptsim_jax.core.compile_cache import enable
 from adaptsim_jax.core.files import output_folder, write_json
 from adaptsim_jax.environments.config import EnvironmentConfig
-from adaptsim_jax.environments.rollout import visit
-from adaptsim_jax.environments.simulated import load
-from adaptsim_jax.environments.task import Law, Setting, acting_of, everywhere, setting_of
+from adaptsim_jax.environments.episodes import visit
+from adaptsim_jax.environments.peers import load
+from adaptsim_jax.environments.policies import Law, acting_of, everywhere
+from adaptsim_jax.environments.setting import Setting, setting_of
 from adaptsim_jax.environments.trainer import PPOTraining
 from adaptsim_jax.learners.ppo import PPOHyper
 

@@ -12,8 +12,9 @@ from curves import reward_against_trials
 from page import parser, rows_table, scored_row, train_config, write_page
 
 from adaptsim_jax import make_task
-from adaptsim_jax.baselines.adaptsim_row import adaptsim_means
-from adaptsim_jax.baselines.compare import find_bounds
+from adaptsim_jax.adaptation.phase1 import make_phase1
+from adaptsim_jax.baselines.compare_exact import find_bounds
+from adaptsim_jax.baselines.exact_methods import adaptsim_means
 from adaptsim_jax.baselines.problem import costs, pendulum_problem
 from adaptsim_jax.core.progress import progress
 from adaptsim_jax.report import figures as look
@@ -31,8 +32,7 @@ def main() -> None:
     bounds = find_bounds(problem, targets)
     with progress("initial distributions") as report:
         means = adaptsim_means(
-            task,
-            config.phase1,
+            make_phase1(task, config.phase1),
             [config.hyper],
             np.arange(args.seeds),
             targets,

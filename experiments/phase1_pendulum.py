@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax import TrainConfig, make_phase1, make_task
-from adaptsim_jax.adaptation.phase1 import Archive
+from adaptsim_jax.adaptation.phase1 import DistributionArchive
 from adaptsim_jax.adaptation.presets import PRESETS
 from adaptsim_jax.adaptation.sweep import TrainedMany, stack, starts_of, train_many, train_one
 from adaptsim_jax.core import config as configs
@@ -75,10 +75,10 @@ def load(out: Path):
     return name, phase1, TrainedMany(hyper, weights, None, None), with_policies(phase1, means)
 
 
-def with_policies(phase1, means: jax.Array) -> Archive:
+def with_policies(phase1, means: jax.Array) -> DistributionArchive:
     """Starts `[S, N, D]` with blank task policies: the pendulum's are solved anew at each visit."""
     blank = phase1.task.init_policy(jax.random.key(0))
-    return Archive(
+    return DistributionArchive(
         means, jax.tree.map(lambda x: jnp.broadcast_to(x, (*means.shape[:2], *x.shape)), blank)
     )
 

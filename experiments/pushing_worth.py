@@ -26,8 +26,8 @@ import numpy as np
 from adaptsim_jax import default_comparison, make_one_shot
 from adaptsim_jax.adaptation.phase1 import make_phase1
 from adaptsim_jax.adaptation.sweep import stack, train_many
-from adaptsim_jax.baselines.arena import Arena
-from adaptsim_jax.baselines.learned import Bout, phase2
+from adaptsim_jax.baselines.adapting import phase2
+from adaptsim_jax.baselines.arena import Arena, MethodRun
 from adaptsim_jax.baselines.summary import bootstrap_interval
 from adaptsim_jax.core import compile_cache
 from adaptsim_jax.core import config as configs
@@ -171,7 +171,7 @@ def main() -> None:
                     kept[model] = trained(config, one, seeds)
                 learned = time.process_time() - began
                 trip = phase2(
-                    Bout(config, Arena(one, target, WD[None]), seeds),
+                    MethodRun(config, Arena(one, target, WD[None]), seeds),
                     *kept[model],
                     config.starts,
                     args.iterations,

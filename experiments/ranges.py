@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from adaptsim_jax.adaptation.episode import StepPlan
 from adaptsim_jax.adaptation.phase1 import make_phase1
 from adaptsim_jax.adaptation.phase2 import adapt, draw_starts
 from adaptsim_jax.adaptation.training import TrainConfig, traced
@@ -99,8 +100,7 @@ def adaptsim_run(
             weights,
             first,
             aim,
-            iterations=iterations,
-            delta=hyper.delta,
+            StepPlan(iterations, hyper.delta),
         )
         return found.history.mean
 

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.baselines.problem import Problem
+from adaptsim_jax.baselines.problem import ExactProblem
 
 
 def reachable_values(start: float, delta: float, steps: int) -> np.ndarray:
@@ -27,7 +27,7 @@ def reachable_values(start: float, delta: float, steps: int) -> np.ndarray:
 
 
 def ceiling(
-    problem: Problem,
+    problem: ExactProblem,
     starts: np.ndarray,
     target: np.ndarray,
     goal: np.ndarray,

@@ -183,22 +183,25 @@ def run(out: Path, task: str, seeds: range, methods: list[str], small: bool) -> 
     if all(set(methods) <= set(found) for found in there.values()):
         return
     from adaptsim_jax.adaptation.prepared import learned
-    from adaptsim_jax.baselines.compare_steps import tried
+    from adaptsim_jax.baselines.arena import MethodRun
+    from adaptsim_jax.baselines.compare_steps import StepsComparison, deployed_by
     from adaptsim_jax.environments.config import EnvironmentConfig
     from adaptsim_jax.environments.task import environment_setting, task_of
 
     options, sizes = options_of(task, small), comparison(options_of(task, small), small)
     setting = environment_setting(configs.from_table(EnvironmentConfig, options, task))
-    made, programs = task_of(setting), {}
+    made = task_of(setting)
+    steps = StepsComparison(setting, list(TASKS[task]["targets"]), sizes)
     assert made.preparation is not None
     for seed, found in there.items():
         if not (left := [m for m in methods if m not in found]):
             continue
         with progress(f"{task}, seed {seed}") as report:
             ready = learned(made, made.preparation, seed, out / task / f"policy-{seed}", report)
-            for method, deployed in tried(
-                setting, ready, list(TASKS[task]["targets"]), left, sizes, seed, report, programs
-            ):
+            arena, shared = steps.arena(ready, seed), {}
+            for method in left:
+                asked = MethodRun(sizes, arena, np.array([seed]), report, shared)
+                deployed = deployed_by(method, asked)
                 found[method] = {
                     "trials": deployed.trials.tolist(),
                     "returns": deployed.returns.tolist(),

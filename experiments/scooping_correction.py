@@ -27,9 +27,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax import default_comparison, make_one_shot
-from adaptsim_jax.baselines.arena import Arena, Lanes, Seen, Trials, lanes
-from adaptsim_jax.baselines.learned import Bout, adaptsim, sysid_point
-from adaptsim_jax.baselines.memory import Memory
+from adaptsim_jax.baselines.adapting import adaptsim, sysid_point
+from adaptsim_jax.baselines.arena import Arena, MethodRun, Observed, TrialBatch
+from adaptsim_jax.baselines.lanes import Lanes, Memory, lanes
 from adaptsim_jax.core import compile_cache
 from adaptsim_jax.core.config import from_table
 from adaptsim_jax.core.files import output_folder, write_json
@@ -54,7 +54,7 @@ class Recorder(Arena):
         super().__init__(*given)
         self.kept: list[tuple] = []
 
-    def visit(self, keys, where, policies) -> Seen:
+    def visit(self, keys, where, policies) -> Observed:
         seen = super().visit(keys, where, policies)
         self.kept.append(
             (jax.tree.map(np.asarray, policies._replace(told=None, probe=None)), seen.trials)
@@ -104,7 +104,7 @@ def visits_of(method: str, out: Path, seeds: np.ndarray, pieces: np.ndarray) -> 
     if not path.exists():
         one = replace(make_one_shot("scooping", OPTIONS), probe=None)
         arena, begin = Recorder(one, one.world(one.engine), pieces), time.process_time()
-        METHODS[method][0](Bout(replace(CONFIG, iterations=8), arena, seeds))
+        METHODS[method][0](MethodRun(replace(CONFIG, iterations=8), arena, seeds))
         path.write_bytes(pickle.dumps(arena.kept))
         print(
             f"{method}: {len(arena.kept)} visits, {time.process_time() - begin:.0f} s of CPU time",
@@ -112,7 +112,8 @@ def visits_of(method: str, out: Path, seeds: np.ndarray, pieces: np.ndarray) -> 
         )
     # without what policies did not hold yet when the file was made
     return [
-        (ScoopingPolicy(p.weights, p.at), Trials(*t)) for p, t in pickle.loads(path.read_bytes())
+        (ScoopingPolicy(p.weights, p.at), TrialBatch(*t))
+        for p, t in pickle.loads(path.read_bytes())
     ]
 
 
@@ -132,7 +133,7 @@ def probed(arena: Arena, batch: Lanes, visits: list[tuple], optimism: float) -> 
         def both(old, new):
             return np.concatenate([old[:, :-1], new], 1)
 
-        now = Trials(
+        now = TrialBatch(
             trials.contexts,
             both(trials.actions, actions[:, -1:]),
             jax.tree.map(both, trials.outcomes, last),

@@ -25,16 +25,16 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import numpy as np
 
 from adaptsim_jax import default_comparison, make_one_shot
 from adaptsim_jax.adaptation.presets import pushing_native
-from adaptsim_jax.baselines.arena import Arena
+from adaptsim_jax.baselines.arena import Arena, MethodRun, Visits
 from adaptsim_jax.baselines.compare import stamped
-from adaptsim_jax.baselines.compare_learned import about, travelled, trip_rows
-from adaptsim_jax.baselines.learned import Bout, Trip
+from adaptsim_jax.baselines.compare_learned import about, run_method, visits_rows
 from adaptsim_jax.core import compile_cache
 from adaptsim_jax.core.files import atomic_file, output_folder, without_nan
 from adaptsim_jax.report.comparison import table, write_comparison
@@ -62,18 +62,18 @@ def run_some(
         return time.process_time() + served_seconds()
 
     begin, arena = clock(), Arena(one, world, targets)
-    trip = travelled(method, Bout(config, arena, np.array(seeds), cache=cache))
+    visits = run_method(method, MethodRun(config, arena, np.array(seeds), shared=cache))
     cpu = (clock() - begin) / len(seeds)
     for i, seed in enumerate(seeds):
-        some = {"means": trip.means, "fresh": trip.fresh}
+        some = {"means": visits.means, "fresh": visits.fresh}
         some = {key: value[:, i : i + 1] for key, value in some.items() if value is not None}
         counts = {
             "failed": arena.failed * (i == 0),
             "made": arena.made * (i == 0),
         }  # of all, told once
-        rewards = trip.rewards[:, i : i + 1]
+        rewards = visits.rewards[:, i : i + 1]
         with atomic_file(path_of(out, method, seed)) as file:
-            np.savez(file, rewards=rewards, spent=trip.spent, cpu=cpu, **counts, **some)
+            np.savez(file, rewards=rewards, spent=visits.spent, cpu=cpu, **counts, **some)
         print(
             f"{method}, seed {seed}: {rewards.max((2, 3))[:, 0].round(3)}, {cpu:.0f} s of CPU time",
             flush=True,
@@ -84,7 +84,7 @@ def path_of(out: Path, method: str, seed: int) -> Path:
     return out / f"{method}-seed{seed:03d}.npz"
 
 
-def rows_of(out: Path, method: str, names: list[str], oracle: np.ndarray, space) -> list[dict]:
+def rows_of(out: Path, method: str, names: list[str], oracle: np.ndarray, one) -> list[dict]:
     """Rows of all seeds of `method` that have a file."""
     parts = [np.load(path) for path in sorted(out.glob(f"{method}-seed*.npz"))]
     if not parts:
@@ -96,16 +96,9 @@ def rows_of(out: Path, method: str, names: list[str], oracle: np.ndarray, space)
     means, fresh = (
         together(key) if all(key in part for part in parts) else None for key in ("means", "fresh")
     )
-    trip = Trip(together("rewards"), means, parts[0]["spent"], fresh)
-    rows = trip_rows(
-        method,
-        names,
-        trip,
-        oracle,
-        space,
-        sum(p["failed"] for p in parts),
-        sum(p["made"] for p in parts),
-    )
+    visits = Visits(means, parts[0]["spent"], together("rewards"), fresh)
+    counts = SimpleNamespace(one=one, **{k: sum(p[k] for p in parts) for k in ("failed", "made")})
+    rows = visits_rows(method, names, visits, oracle, counts)
     return [row | {"cpu_seconds": float(sum(p["cpu"] for p in parts))} for row in rows]
 
 
@@ -218,15 +211,11 @@ def main() -> None:
                 cache = cache if len(missing) == len(seeds) else {}
                 run_some(out, method, missing, config, one, world, targets, cache)
                 jax.clear_caches()
-    rows = [
-        row
-        for method in METHODS
-        for row in rows_of(out, method, args.settings, oracle, one.task.space)
-    ]
+    rows = [row for method in METHODS for row in rows_of(out, method, args.settings, oracle, one)]
     command = shlex.join(["python", "experiments/table1_pushing.py", *sys.argv[1:]])
     results = (
         stamped(args.task, config, command)
-        | about(one, world, args.settings, targets, oracle)
+        | about(one, world.name, args.settings, targets, oracle)
         | {"rows": rows}
     )
     results = without_nan(results) if args.no_oracle else results

@@ -10,9 +10,8 @@ import jax
 import numpy as np
 from page import parser, write_page
 
-from adaptsim_jax.baselines.best_in_omega import best_in_omega
+from adaptsim_jax.baselines.bounds import best_in_omega, udr
 from adaptsim_jax.baselines.problem import pendulum_problem
-from adaptsim_jax.baselines.udr import udr
 from adaptsim_jax.tasks.pendulum.task import SETTINGS, pendulum_space
 
 RESTARTS = 5

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from adaptsim_jax.adaptation.sweep_spec import read_sweep
+from adaptsim_jax.adaptation.sweep_read import read_sweep
 from adaptsim_jax.logs.log_meta import read_log_meta
 from adaptsim_jax.logs.pendulum import read_pendulum_meta
 

@@ -24,7 +24,8 @@ import pytest
 
 import adaptsim_jax
 import adaptsim_jax.diagnosis
-from adaptsim_jax.baselines.registry import EXACT, LEARNED, PROBLEMS
+from adaptsim_jax.baselines.arena import Visits
+from adaptsim_jax.baselines.registry import EXACT, LEARNED, PROBLEMS, STEPS
 from adaptsim_jax.effects.base import PLACES, UNITS, Dry, Relaxation, of_the_engine
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.effects.registry import EFFECTS
@@ -299,17 +300,16 @@ def test_learner(name, real):
     assert info.loss.shape == (BATCH,)
 
 
-@pytest.mark.parametrize("baselines", [EXACT, LEARNED], ids=["exact", "learned"])
+@pytest.mark.parametrize("baselines", [EXACT, LEARNED, STEPS], ids=["exact", "learned", "steps"])
 def test_baselines(baselines):
-    given, back = {"exact": ("Run", "Visits"), "learned": ("Bout", "Trip")}[baselines.within]
     for name in baselines:
         signature = inspect.signature(baselines[name])
         first, *rest = signature.parameters.values()
         kinds = [getattr(a, "__name__", a) for a in (first.annotation, signature.return_annotation)]
-        assert kinds == [given, back], name
+        assert kinds == ["MethodRun", "Visits"], name
         assert all(p.default is not p.empty for p in rest), f"{name} is called with one argument"
         explained(sys.modules[baselines[name].__module__])
-    explained(getattr(sys.modules[baselines["adaptsim"].__module__], back), shapes=True)
+    explained(Visits, shapes=True)
 
 
 @pytest.mark.parametrize("name", PROBLEMS)

@@ -5,7 +5,7 @@ AdaptSim's policy chooses among steps of -delta, 0 and +delta and learns from tr
 Where the task policy and its rollout are differentiable, simulation also says how the return in the
 target changes with the mean of E, so that a network which gives steps of any size is trained by
 analytic policy gradient (as Freeman et al. 2021 and Wiedemann et al. 2023 do for control). Phase 2
-is AdaptSim's: visits in the target, of which trajectories are seen; the target itself is never
+is AdaptSim's: visits in the target, of which trajectories are observed; the target itself is never
 differentiated there.
 """
 
@@ -24,9 +24,10 @@ from adaptsim_jax.learners.flat import flat
 from adaptsim_jax.space import gaussian
 from adaptsim_jax.tasks.base import Task
 
-# what a slope by a parameter's whole range is held at, so that a target that all but falls does not
-# drown others
 _STEEPEST = 3.0
+"""What a slope by a parameter's whole range is held at, so that a target that all but falls does not
+drown others.
+"""
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ class AnalyticConfig:
         return self.trajectories // self.parallel
 
 
-class Steps(nn.Module):
+class StepNetwork(nn.Module):
     """`obs [..., obs_dim] -> [..., dim]` in (-1, 1)."""
 
     hidden: tuple[int, ...]
@@ -80,47 +81,57 @@ class Info(NamedTuple):
     lost: jax.Array
 
 
-class Analytic(NamedTuple):
-    """See `make_analytic`."""
+class Analytic:
+    """Training and adaptation as pure functions.
 
-    config: AnalyticConfig
-    init: Callable[[jax.Array], State]
-    run: Callable[[State, jax.Array], tuple[State, Info]]
-    adapt: Callable[..., jax.Array]
-
-
-def make_analytic(
-    task: Task, loss: Callable[[Any], jax.Array], config: AnalyticConfig = AnalyticConfig()
-) -> Analytic:
-    """Training and adaptation as pure functions. `loss(trajectory) -> []` is differentiated by the
-    mean of E through `task.train` and `task.rollout`; lower is better, and best free of the
-    target's own scale (a logarithm).
-
-    * `init(key) -> State`
-    * `run(state, numbers [U]) -> (state, info [U])`: updates of these numbers, of `config.updates`
-    * `adapt(weights, starts [N, D], target [D], iterations) -> means [N, iterations + 1, D]` (unit
-      coordinates; target physical)
+    `loss(trajectory) -> []` is differentiated by the mean of E through `task.train` and
+    `task.rollout`; lower is better, and best free of the target's own scale (a logarithm).
     """
-    _check(task, config)
-    space = task.space
-    weights_of, steps = flat(Steps(config.hidden, space.dim), space.dim + task.obs_dim)
-    adam = optax.scale_by_adam()
 
-    def trial(u, key, target):
-        policy = task.train(key, gaussian(space, u), task.init_policy(key))
-        trajectory = task.rollout(key, policy, target)
-        return loss(trajectory), task.observe(trajectory)
+    def __init__(
+        self,
+        task: Task,
+        loss: Callable[[Any], jax.Array],
+        config: AnalyticConfig = AnalyticConfig(),
+    ):
+        _check(task, config)
+        self.task, self.loss, self.config = task, loss, config
+        network = StepNetwork(config.hidden, task.space.dim)
+        self._weights_of, self._steps = flat(network, task.space.dim + task.obs_dim)
+        self._adam = optax.scale_by_adam()
 
-    def move(weights, u, seen):
-        obs = jnp.concatenate([2.0 * u - 1.0, jnp.where(jnp.isfinite(seen), seen, 0.0)])
-        return u + config.longest * steps(weights, obs)
-
-    def init(key):
+    def init(self, key: jax.Array) -> State:
+        """Before the first update."""
         key, net = jax.random.split(key)
-        weights = weights_of(net)
-        return State(key, weights, adam.init(weights))
+        weights = self._weights_of(net)
+        return State(key, weights, self._adam.init(weights))
 
-    def trajectory(weights, key, start, target):
+    def run(self, state: State, numbers: jax.Array) -> tuple[State, Info]:
+        """Updates of these `numbers [U]`, of `config.updates`."""
+        return jax.lax.scan(self._update, state, numbers)
+
+    def adapt(self, weights: jax.Array, starts: jax.Array, target: Any, iterations: int):
+        """Means `[N, iterations + 1, D]` (unit coordinates) from `starts [N, D]` in `target [D]`
+        (physical).
+        """
+
+        def one(u, _):
+            _, obs = self._trial(u, jax.random.key(0), target)
+            return jnp.clip(self._move(weights, u, obs), 0.0, 1.0), u
+
+        return jax.vmap(lambda u: jax.lax.scan(one, u, None, length=iterations + 1)[1])(starts)
+
+    def _trial(self, u, key, target):
+        task = self.task
+        policy = task.train(key, gaussian(task.space, u), task.init_policy(key))
+        trajectory = task.rollout(key, policy, target)
+        return self.loss(trajectory), task.observe(trajectory)
+
+    def _move(self, weights, u, obs):
+        whole = jnp.concatenate([2.0 * u - 1.0, jnp.where(jnp.isfinite(obs), obs, 0.0)])
+        return u + self.config.longest * self._steps(weights, whole)
+
+    def _trajectory(self, weights, key, start, target):
         """A surrogate whose derivative by the weights is that of the summed losses, and the losses
         `[horizon + 1]`.
 
@@ -131,52 +142,40 @@ def make_analytic(
 
         def one(u, _):
             at = jax.lax.stop_gradient(u)
-            (value, seen), slope = jax.value_and_grad(trial, has_aux=True)(at, key, target)
+            by_mean = jax.value_and_grad(self._trial, has_aux=True)
+            (value, obs), slope = by_mean(at, key, target)
             fine = jnp.isfinite(value) & jnp.all(jnp.isfinite(slope))
             slope = jnp.where(fine, jnp.clip(slope, -_STEEPEST, _STEEPEST), 0.0)
-            after = u + (move(weights, at, seen) - at)
+            after = u + (self._move(weights, at, obs) - at)
             # clipped in value alone, so that a step out of the box is unlearned
             held = after + jax.lax.stop_gradient(jnp.clip(after, 0.0, 1.0) - after)
-            return held, (
-                jnp.sum(jax.lax.stop_gradient(slope) * u),
-                jnp.where(fine, value, jnp.nan),
-            )
+            linear = jnp.sum(jax.lax.stop_gradient(slope) * u)
+            return held, (linear, jnp.where(fine, value, jnp.nan))
 
-        _, (surrogate, losses) = jax.lax.scan(one, start, None, length=config.horizon + 1)
+        _, (surrogate, losses) = jax.lax.scan(one, start, None, length=self.config.horizon + 1)
         return surrogate.mean(), losses
 
-    def update(state, number):
-        key = jax.random.fold_in(state.key, number)
-        keys = jax.random.split(key, config.parallel)
+    def _total(self, weights, keys):
+        """Of trajectories from fresh starts to fresh targets."""
 
-        def total(weights):
-            def one(key):
-                run_key, start_key, target_key = jax.random.split(key, 3)
-                target = draw_target(target_key, task, config.inside)
-                return trajectory(weights, run_key, space.sample(start_key), target)
+        def one(key):
+            run_key, start_key, target_key = jax.random.split(key, 3)
+            target = draw_target(target_key, self.task, self.config.inside)
+            start = self.task.space.sample(start_key)
+            return self._trajectory(weights, run_key, start, target)
 
-            surrogate, losses = jax.vmap(one)(keys)
-            return surrogate.mean(), losses
+        surrogate, losses = jax.vmap(one)(keys)
+        return surrogate.mean(), losses
 
-        grad, losses = jax.grad(total, has_aux=True)(state.weights)
+    def _update(self, state: State, number: jax.Array) -> tuple[State, Info]:
+        config = self.config
+        keys = jax.random.split(jax.random.fold_in(state.key, number), config.parallel)
+        grad, losses = jax.grad(self._total, has_aux=True)(state.weights, keys)
         rate = config.learning_rate * 0.5 * (1.0 + jnp.cos(jnp.pi * number / config.updates))
-        change, opt = cast(tuple[jax.Array, Any], adam.update(grad, state.opt))
-        info = Info(
-            jnp.nanmean(losses[:, 0]), jnp.nanmean(losses[:, -1]), jnp.mean(jnp.isnan(losses))
-        )
+        change, opt = cast(tuple[jax.Array, Any], self._adam.update(grad, state.opt))
+        ends = jnp.nanmean(losses[:, 0]), jnp.nanmean(losses[:, -1])
+        info = Info(*ends, jnp.mean(jnp.isnan(losses)))
         return State(state.key, state.weights - rate * change, opt), info
-
-    def run(state, numbers):
-        return jax.lax.scan(update, state, numbers)
-
-    def adapt(weights, starts, target, iterations):
-        def one(u, _):
-            _, seen = trial(u, jax.random.key(0), target)
-            return jnp.clip(move(weights, u, seen), 0.0, 1.0), u
-
-        return jax.vmap(lambda u: jax.lax.scan(one, u, None, length=iterations + 1)[1])(starts)
-
-    return Analytic(config, init, run, adapt)
 
 
 def _check(task: Task, config: AnalyticConfig) -> None:
@@ -185,10 +184,8 @@ def _check(task: Task, config: AnalyticConfig) -> None:
             f"task '{task.name}': a gradient by a category says nothing; leave categories out of "
             f"Omega"
         )
-    if (
-        min(config.trajectories, config.parallel, config.horizon) < 1
-        or config.trajectories % config.parallel
-    ):
+    sizes = (config.trajectories, config.parallel, config.horizon)
+    if min(sizes) < 1 or config.trajectories % config.parallel:
         raise BadInput(
             f"{config.trajectories} trajectories of {config.horizon} steps in updates of "
             f"{config.parallel}: give positive numbers, "

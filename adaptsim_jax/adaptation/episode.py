@@ -1,4 +1,11 @@
-"""One adaptation trajectory: the inner loop that Algorithms 1 and 2 share."""
+"""One adaptation trajectory: the inner loop that Algorithms 1 and 2 share; and how Phase 1 may lead it
+towards its target, for the adaptation policy to learn from where it comes.
+
+Steps of single parameters, chosen for what they earn at once, end where parameters make up for each
+other's errors; random exploration seldom leaves such places. In simulation the target's parameters
+are known, so some trajectories may be walked towards them. Only what is tried changes: rewards are
+the task's, and Phase 2 knows nothing of it.
+"""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -7,16 +14,45 @@ import jax
 import jax.numpy as jnp
 
 from adaptsim_jax import space as spaces
-from adaptsim_jax.adaptation.guided import Guide
-from adaptsim_jax.space import Gaussian
+from adaptsim_jax.learners.bdq import explore
+from adaptsim_jax.space import MINUS, PLUS, STAY, Gaussian, Space
 from adaptsim_jax.tasks.base import Task
+
+_ASTRAY = 0.3
+"""Share of a led trajectory's steps of single parameters that are random: others get a value, too."""
+
+
+class Guide(NamedTuple):
+    """share: of trajectories that are led; space: Omega."""
+
+    share: float
+    space: Space
+
+    def __call__(self, trajectory_key, step_key, action, mean, target, size) -> jax.Array:
+        """The action `[D]` to take at `mean [D]` (unit coordinates) with steps of `size`: `action`,
+        or one towards `target [D]` (physical), as `trajectory_key` has it for all of a trajectory.
+        """
+        led = jax.random.uniform(jax.random.fold_in(trajectory_key, 1)) < self.share
+        best = heading(self.space, mean, target, size)
+        towards = explore(jax.random.fold_in(step_key, 1), best, 3, _ASTRAY, 1.0)
+        return jnp.where(led, towards, action)
+
+
+def heading(space: Space, mean: jax.Array, target: jax.Array, size: jax.Array | float) -> jax.Array:
+    """`[D]` int32: the action that brings `mean [D]` nearer to `target [D]` (physical; its nearest
+    point of Omega).
+    """
+    gap = jnp.clip(space.unit(target), 0.0, 1.0) - mean
+    return jnp.where(jnp.abs(gap) < size / 2, STAY, jnp.where(gap < 0, MINUS, PLUS)).astype(
+        jnp.int32
+    )
 
 
 class Visit(NamedTuple):
     """A distribution tried in the target.
 
     mean: `[D]` unit coordinates, policy: the task policy trained there, obs: `[D + obs_dim]` as the
-    adaptation policy sees it, score: `[]` raw return, reward: `[]` scaled.
+    adaptation policy has it, score: `[]` raw return, reward: `[]` scaled.
     """
 
     mean: jax.Array
@@ -26,7 +62,7 @@ class Visit(NamedTuple):
     reward: jax.Array
 
 
-class Episode(NamedTuple):
+class AdaptationEpisode(NamedTuple):
     """`I` adaptation steps: `I + 1` visits, the start included, and the `[I, D]` actions between
     them.
     """
@@ -39,26 +75,43 @@ class Episode(NamedTuple):
     action: jax.Array
 
 
-def visit(
-    key, task: Task, dist: Gaussian, policy, target, reference, obs_noise: jax.Array | float = 0.0
-) -> Visit:
-    """Train (or fine-tune) the task policy on `dist`, run it in `target: [D]`, look at what came of
-    it.
+class StepPlan(NamedTuple):
+    """How an adaptation goes: `steps` of them, the i-th of `delta shrink^i`, a share of Omega's
+    ranges; noise: standard deviation of what is added to observations; guide: may lead it (both in
+    Phase 1 only).
     """
-    train_key, run_key, noise_key = jax.random.split(key, 3)
-    policy = task.train(train_key, dist, policy)
-    return look(run_key, noise_key, task, dist, policy, target, reference, obs_noise)
+
+    steps: int = 10
+    delta: jax.Array | float = 0.1
+    shrink: jax.Array | float = 1.0
+    noise: jax.Array | float = 0.0
+    guide: Guide | None = None
+
+    def size(self, number: jax.Array) -> jax.Array:
+        """Of the step after visit `number`."""
+        return self.delta * self.shrink**number
 
 
-def look(
-    run_key, noise_key, task: Task, dist: Gaussian, policy, target, reference, obs_noise
-) -> Visit:
-    """Run a trained `policy` in `target: [D]` and look at what came of it."""
+class Attempt(NamedTuple):
+    """A trained policy in a target: E, the policy, physical values `[D]` of the target, and what
+    its reward is scaled by.
+    """
+
+    dist: Gaussian
+    policy: Any
+    target: jax.Array
+    reference: Any
+
+
+def look(run_key, noise_key, task: Task, attempt: Attempt, noise: jax.Array | float = 0.0) -> Visit:
+    """Run the policy in its target and look at what came of it."""
+    dist, policy, target, reference = attempt
     trajectory = task.rollout(run_key, policy, target)
-    seen = task.observe(trajectory)
-    seen = seen + obs_noise * jax.random.normal(noise_key, seen.shape, seen.dtype)
-    obs = jnp.concatenate([2.0 * dist.mean - 1.0, seen])
-    return Visit(dist.mean, policy, obs, task.score(trajectory), task.reward(trajectory, reference))
+    obs = task.observe(trajectory)
+    obs = obs + noise * jax.random.normal(noise_key, obs.shape, obs.dtype)
+    whole = jnp.concatenate([2.0 * dist.mean - 1.0, obs])
+    score, reward = task.score(trajectory), task.reward(trajectory, reference)
+    return Visit(dist.mean, policy, whole, score, reward)
 
 
 def run_episode(
@@ -68,18 +121,9 @@ def run_episode(
     start: Gaussian,
     policy: Any,
     target: jax.Array,
-    *,
-    steps: int,
-    delta: jax.Array | float,
-    shrink: jax.Array | float = 1.0,
-    obs_noise: jax.Array | float = 0.0,
-    guide: Guide | None = None,
-) -> Episode:
-    """Adapt `start` to `target: [D]` (physical) for `steps` steps with `act(key, obs) -> action
-    [D]`.
-
-    Step i is of `delta shrink^i`. `guide` may lead the trajectory (Phase 1 only).
-    """
+    plan: StepPlan,
+) -> AdaptationEpisode:
+    """Adapt `start` to `target: [D]` (physical) with `act(key, obs) -> action [D]`."""
     reference, whole_key = task.reference(target), key
 
     # The visit stands once in the program, inside the scan: it is most of what there is to compile.
@@ -88,16 +132,15 @@ def run_episode(
         dist, policy = carry
         key, number = xs
         visit_key, act_key = jax.random.split(key)
-        now = visit(visit_key, task, dist, policy, target, reference, obs_noise)
-        action = act(act_key, now.obs)
-        if guide is not None:
-            action = guide(whole_key, act_key, action, dist.mean, target, delta * shrink**number)
-        return (spaces.step(task.space, dist, action, delta * shrink**number), now.policy), (
-            now,
-            action,
-        )
+        train_key, run_key, noise_key = jax.random.split(visit_key, 3)
+        policy = task.train(train_key, dist, policy)
+        attempt = Attempt(dist, policy, target, reference)
+        now = look(run_key, noise_key, task, attempt, plan.noise)
+        action, size = act(act_key, now.obs), plan.size(number)
+        if plan.guide is not None:
+            action = plan.guide(whole_key, act_key, action, dist.mean, target, size)
+        return (spaces.step(task.space, dist, action, size), policy), (now, action)
 
-    _, (visits, actions) = jax.lax.scan(
-        one, (start, policy), (jax.random.split(key, steps + 1), jnp.arange(steps + 1))
-    )
-    return Episode(*visits, actions[:-1])
+    rows = (jax.random.split(key, plan.steps + 1), jnp.arange(plan.steps + 1))
+    _, (visits, actions) = jax.lax.scan(one, (start, policy), rows)
+    return AdaptationEpisode(*visits, actions[:-1])

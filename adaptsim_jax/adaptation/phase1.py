@@ -17,22 +17,20 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.adaptation import reuse
-from adaptsim_jax.adaptation.episode import Episode, run_episode
-from adaptsim_jax.adaptation.guided import Guide
+from adaptsim_jax.adaptation.episode import AdaptationEpisode, Guide, StepPlan, run_episode
 from adaptsim_jax.adaptation.phase1_config import Phase1Config, Phase1Hyper, check
-from adaptsim_jax.adaptation.reuse import Pool
-from adaptsim_jax.adaptation.reuse_episode import run_reusing
+from adaptsim_jax.adaptation.reuse import Begun, Pool, run_reusing
 from adaptsim_jax.learners import replay as ring
 from adaptsim_jax.learners.bdq import BDQ, BDQConfig, BDQState, make_bdq
 from adaptsim_jax.learners.replay import Transition
 from adaptsim_jax.space import gaussian
 from adaptsim_jax.tasks.base import Task
 
-# gain (1 - r) at which the logarithm reaches 0: with a gain of 10 and 10, a hundredfold cost
 _LOST_ALL = 1e4
+"""gain (1 - r) at which the logarithm reaches 0: with a gain of 10 and 10, a hundredfold cost."""
 
 
-class Archive(NamedTuple):
+class DistributionArchive(NamedTuple):
     """S_E: simulation parameter distributions used, and their task policies; rings of `[archive,
     ...]`.
     """
@@ -49,7 +47,7 @@ class Phase1State(NamedTuple):
     key: jax.Array
     learner: BDQState
     replay: Transition
-    archive: Archive
+    archive: DistributionArchive
     pool: Pool | None = None
 
 
@@ -93,10 +91,7 @@ def make_phase1(task: Task, config: Phase1Config, over: Callable = jax.vmap) -> 
       vmapping
     """
     check(config, task)
-    if task.rehearse is None:
-        stage = task
-    else:
-        stage = replace(task, rollout=task.rehearse)
+    stage = replace(task, rollout=task.rehearse) if task.rehearse else task
     bdq = make_bdq(
         BDQConfig(
             obs_dim=task.space.dim + task.obs_dim,
@@ -109,18 +104,15 @@ def make_phase1(task: Task, config: Phase1Config, over: Callable = jax.vmap) -> 
 
     def init(key):
         key, net = jax.random.split(key)
-        return Phase1State(
-            key,
-            bdq.init(net),
-            _empty_replay(bdq, config),
-            _empty_archive(task, config),
-            _first_pool(net, task, config),
-        )
+        rings = _empty_replay(bdq, config), _empty_archive(task, config)
+        return Phase1State(key, bdq.init(net), *rings, _first_pool(net, task, config))
 
     def one_round(state, hyper, number):
         act_key, learn_key = jax.random.split(jax.random.fold_in(state.key, number))
         epsilon = _epsilon(config, hyper, number)
-        episodes, pool, reused = _collect(act_key, stage, bdq, config, hyper, state, epsilon, over)
+        episodes, pool, reused = _collect(
+            act_key, stage, (bdq, config), hyper, state, epsilon, over
+        )
         batch, shaped = _transitions(episodes, hyper)
         state = state._replace(
             replay=ring.write(state.replay, batch, number),
@@ -128,14 +120,8 @@ def make_phase1(task: Task, config: Phase1Config, over: Callable = jax.vmap) -> 
             pool=pool,
         )
         learner, stats = _learn(learn_key, bdq, config, hyper, state, number)
-        info = Phase1Info(
-            episodes.reward.mean(),
-            episodes.reward[:, -1].mean(),
-            shaped.mean(),
-            epsilon,
-            *stats,
-            *reused,
-        )
+        rewards = episodes.reward.mean(), episodes.reward[:, -1].mean(), shaped.mean()
+        info = Phase1Info(*rewards, epsilon, *stats, *reused)
         return state._replace(learner=learner), info
 
     def run(state, hyper, numbers):
@@ -156,10 +142,12 @@ def shape_reward(reward: jax.Array, hyper: Phase1Hyper) -> jax.Array:
     return jnp.where(jnp.isfinite(reward) & (reward >= hyper.threshold), shaped, 0.0)
 
 
-def _collect(key, task, bdq, config, hyper, state: Phase1State, epsilon, over):
+def _collect(key, task, phase, hyper, state: Phase1State, epsilon, over):
     """`parallel` exploring trajectories from fresh targets and fresh starts; leading axis
     `parallel`. Also the pool after them, and what Info says of reuse.
     """
+
+    bdq, config = phase
 
     def act(k, obs):
         return bdq.act(k, state.learner.online, obs, epsilon, hyper.independent)
@@ -169,31 +157,19 @@ def _collect(key, task, bdq, config, hyper, state: Phase1State, epsilon, over):
     def begin(key):
         target_key, start_key, run_key = jax.random.split(key, 3)
         target = draw_target(target_key, task, hyper.inside)
-        return (
-            run_key,
-            gaussian(task.space, task.space.sample(start_key)),
-            task.init_policy(run_key),
-            target,
-        )
+        start = gaussian(task.space, task.space.sample(start_key))
+        return Begun(run_key, start, task.init_policy(run_key), target)
 
-    sizes = {
-        "steps": config.horizon,
-        "delta": hyper.delta,
-        "shrink": hyper.shrink,
-        "obs_noise": hyper.obs_noise,
-    }
-    if config.guided:
-        sizes["guide"] = Guide(config.guided, task.space)
-    else:
-        sizes["guide"] = None
+    guide = Guide(config.guided, task.space) if config.guided else None
+    plan = StepPlan(config.horizon, hyper.delta, hyper.shrink, hyper.obs_noise, guide)
     if state.pool is None:
 
         def one(key):
-            run_key, start, policy, target = begin(key)
-            return run_episode(run_key, task, act, start, policy, target, **sizes)
+            begun = begin(key)
+            return run_episode(begun.keys, task, act, *begun[1:], plan)
 
         return over(one)(keys), None, ()
-    found = run_reusing(*jax.vmap(begin)(keys), task, act, state.pool, config.reuse, **sizes)
+    found = run_reusing(jax.vmap(begin)(keys), task, act, state.pool, config.reuse, plan)
     return found.episodes, found.pool, (found.budgets.mean(), found.reused.mean())
 
 
@@ -207,7 +183,7 @@ def draw_target(key, task: Task, inside) -> jax.Array:
     return jnp.where(jax.random.uniform(coin_key, far.shape) < inside, near, far)
 
 
-def _transitions(episodes: Episode, hyper: Phase1Hyper) -> tuple[Transition, jax.Array]:
+def _transitions(episodes: AdaptationEpisode, hyper: Phase1Hyper) -> tuple[Transition, jax.Array]:
     """Flatten visits `[parallel, horizon + 1]` to transitions `[parallel * horizon]`, rewarded by
     the visit after.
     """
@@ -257,9 +233,9 @@ def _empty_replay(bdq: BDQ, config: Phase1Config) -> Transition:
     return ring.empty(Transition(obs, action, jnp.zeros(()), obs, jnp.zeros(())), config.capacity)
 
 
-def _empty_archive(task: Task, config: Phase1Config) -> Archive:
+def _empty_archive(task: Task, config: Phase1Config) -> DistributionArchive:
     policy = jax.eval_shape(task.init_policy, jax.random.key(0))
-    return ring.empty(Archive(jnp.zeros(task.space.dim), policy), config.archive)
+    return ring.empty(DistributionArchive(jnp.zeros(task.space.dim), policy), config.archive)
 
 
 def _first_pool(key, task: Task, config: Phase1Config) -> Pool | None:
@@ -273,11 +249,13 @@ def _first_pool(key, task: Task, config: Phase1Config) -> Pool | None:
     )
 
 
-def _remember(archive: Archive, episodes: Episode, number) -> Archive:
+def _remember(
+    archive: DistributionArchive, episodes: AdaptationEpisode, number
+) -> DistributionArchive:
     """Add every distribution that an action was taken from, with its policy (Algorithm 1, line
     10).
     """
-    used = Archive(episodes.mean, episodes.policy)
+    used = DistributionArchive(episodes.mean, episodes.policy)
     return ring.write(
         archive, jax.tree.map(lambda x: x[:, :-1].reshape(-1, *x.shape[2:]), used), number
     )

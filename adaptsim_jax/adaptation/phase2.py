@@ -5,13 +5,15 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from adaptsim_jax.adaptation.episode import Episode, run_episode
-from adaptsim_jax.adaptation.phase1 import Archive
+from adaptsim_jax.adaptation.episode import AdaptationEpisode, StepPlan, run_episode
+from adaptsim_jax.adaptation.phase1 import DistributionArchive
 from adaptsim_jax.learners.bdq import BDQ
 from adaptsim_jax.space import gaussian
 from adaptsim_jax.tasks.base import Task
 
-NEAR = 0.6  # of Omega's ranges: how far apart means may be whose returns tell of each other
+RADIUS = (
+    0.6  # of Omega's ranges: how far from each other means may be whose returns tell of each other
+)
 
 
 class Phase2Result(NamedTuple):
@@ -20,17 +22,19 @@ class Phase2Result(NamedTuple):
     policy: the task policy with the highest raw return, or where the task has its doubts of single
         returns the highest expected one;
     mean: `[D]`, its distribution (unit coordinates); score, reward: `[]`, its raw return and scaled
-        reward; history: `Episode` with leading axis `[N]`, one for each initial distribution.
+        reward; history: `AdaptationEpisode` with leading axis `[N]`, one for each initial distribution.
     """
 
     policy: Any
     mean: jax.Array
     score: jax.Array
     reward: jax.Array
-    history: Episode
+    history: AdaptationEpisode
 
 
-def draw_starts(key: jax.Array, archive: Archive, used: jax.Array | int, count: int) -> Archive:
+def draw_starts(
+    key: jax.Array, archive: DistributionArchive, used: jax.Array | int, count: int
+) -> DistributionArchive:
     """`count` of the first `used` members of S_E, uniformly: leading axis `[count]`."""
     index = jax.random.randint(key, (count,), 0, used)
     return jax.tree.map(lambda x: x[index], archive)
@@ -41,32 +45,22 @@ def adapt(
     task: Task,
     bdq: BDQ,
     weights: jax.Array,
-    starts: Archive,
+    starts: DistributionArchive,
     target: jax.Array,
-    *,
-    iterations: int = 10,
-    delta: jax.Array | float = 0.1,
-    shrink: jax.Array | float = 1.0,
+    plan: StepPlan = StepPlan(),  # noqa: B008
 ) -> Phase2Result:
-    """Adapt each of the `N` starts for `iterations` greedy steps in `target: [D]` (physical
-    values).
+    """Adapt each of the `N` starts with greedy steps in `target: [D]` (physical values).
 
     Pure: vmap over targets, seeds (weights and starts together) or starts. A return that is not
     finite never wins.
     """
 
+    def act(_, obs):
+        return bdq.greedy(weights, obs)
+
     def one(key, start):
-        return run_episode(
-            key,
-            task,
-            lambda _, obs: bdq.greedy(weights, obs),
-            gaussian(task.space, start.mean),
-            start.policy,
-            target,
-            steps=iterations,
-            delta=delta,
-            shrink=shrink,
-        )
+        dist = gaussian(task.space, start.mean)
+        return run_episode(key, task, act, dist, start.policy, target, plan)
 
     history = jax.vmap(one)(jax.random.split(key, starts.mean.shape[0]), starts)
     return best_of(history, task.doubt)
@@ -92,18 +86,18 @@ def smoothed(mean: jax.Array, score: jax.Array, doubt: float) -> jax.Array:
     if doubt == 0:
         return score
     sound = jnp.isfinite(score)
-    on, told = sound.astype(mean.dtype), jnp.where(sound, score, 0.0)
-    apart = jnp.sum(jnp.square(mean[:, None] - mean[None]), -1)
-    alike = jnp.exp(-0.5 * apart / NEAR**2) * jnp.outer(on, on)
+    on, known = sound.astype(mean.dtype), jnp.where(sound, score, 0.0)
+    squares = jnp.sum(jnp.square(mean[:, None] - mean[None]), -1)
+    alike = jnp.exp(-0.5 * squares / RADIUS**2) * jnp.outer(on, on)
 
     def weigh(y):
         return jnp.linalg.solve(alike + doubt * jnp.eye(len(score)), y)
 
-    level = on @ weigh(told) / jnp.maximum(on @ weigh(on), 1e-9)
-    return jnp.where(sound, level + alike @ weigh(told - level * on), score)
+    level = on @ weigh(known) / jnp.maximum(on @ weigh(on), 1e-9)
+    return jnp.where(sound, level + alike @ weigh(known - level * on), score)
 
 
-def chosen_visit(history: Episode, doubt: float = 0.0) -> tuple[jax.Array, jax.Array]:
+def chosen_visit(history: AdaptationEpisode, doubt: float = 0.0) -> tuple[jax.Array, jax.Array]:
     """`(start, visit)`, each `[]`, of what is deployed of `history: [N, I + 1, ...]`: the highest
     of its smoothed returns.
     """
@@ -113,7 +107,7 @@ def chosen_visit(history: Episode, doubt: float = 0.0) -> tuple[jax.Array, jax.A
     )
 
 
-def best_of(history: Episode, doubt: float = 0.0) -> Phase2Result:
+def best_of(history: AdaptationEpisode, doubt: float = 0.0) -> Phase2Result:
     """The visit with the highest finite return, smoothed where there is `doubt`, over all of
     `history: [N, I + 1, ...]`.
     """

@@ -8,7 +8,7 @@ become anchors. A borrower is never an anchor, so a policy does not spread from 
 next. Distances are Euclidean between means in unit coordinates.
 
 All of it is for `P` distributions visited at the same time: each of them sees the pool as it was
-before.
+before. So trajectories that share a pool take their steps together.
 """
 
 from dataclasses import dataclass
@@ -17,8 +17,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from adaptsim_jax import space as spaces
+from adaptsim_jax.adaptation.episode import AdaptationEpisode, Attempt, StepPlan, look
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.learners import replay as ring
+from adaptsim_jax.space import Gaussian
+from adaptsim_jax.tasks.base import Task
 
 
 @dataclass(frozen=True)
@@ -26,7 +30,7 @@ class ReuseConfig:
     """threshold: D, 0 to reuse nothing and keep no pool. Budgets in trials: first: M; most: M_max,
     a policy that has had as many is not trained again; least: M_min; decay: alpha, so that a
     policy's j-th training has
-    `max(least, decay^(j - 1) first)`. capacity: anchors kept, the oldest go; together: policies
+    `max(least, decay^(j - 1) first)`. capacity: anchors that stay, the oldest go; together: policies
     trained at once.
     """
 
@@ -80,8 +84,8 @@ def shared_pool(config: ReuseConfig, mean: jax.Array, policy: Any) -> Pool:
     """
     pool = empty_pool(config, mean.shape[0], policy)
 
-    def put(kept, value):
-        return kept.at[0].set(value)
+    def put(old, value):
+        return old.at[0].set(value)
 
     return Pool(
         put(pool.mean, mean),
@@ -97,16 +101,16 @@ def lend(pool: Pool, config: ReuseConfig, means: jax.Array, own: Any) -> Loan:
     else `own [P, ...]`.
     """
     there = jnp.arange(config.capacity) < pool.count
-    apart = jnp.linalg.norm(means[:, None] - pool.mean[None], axis=-1)
-    apart = jnp.where(there[None], apart, jnp.inf)
-    nearest = jnp.argmin(apart, -1).astype(jnp.int32)
-    near = jnp.min(apart, -1) < config.threshold
+    distance = jnp.linalg.norm(means[:, None] - pool.mean[None], axis=-1)
+    distance = jnp.where(there[None], distance, jnp.inf)
+    nearest = jnp.argmin(distance, -1).astype(jnp.int32)
+    near = jnp.min(distance, -1) < config.threshold
     again = jnp.maximum(
         config.least, config.first * config.decay ** pool.taught[nearest].astype(means.dtype)
     )
     again = jnp.where(pool.spent[nearest] >= config.most, 0, jnp.round(again).astype(jnp.int32))
     budget = jnp.where(near, again, config.first).astype(jnp.int32)
-    policy = jax.tree.map(lambda kept, new: _where(near, kept[nearest], new), pool.policy, own)
+    policy = jax.tree.map(lambda old, new: _where(near, old[nearest], new), pool.policy, own)
     return Loan(policy, jnp.where(near, nearest, -1), budget)
 
 
@@ -115,7 +119,7 @@ def settle(pool: Pool, config: ReuseConfig, means: jax.Array, policies: Any, loa
     [P, D]`.
 
     Where several borrowed from one anchor at once, all their trainings count, and the first one's
-    policy is kept.
+    policy stays.
     """
     P, C = means.shape[0], config.capacity
     order = jnp.arange(P, dtype=jnp.int32)
@@ -125,7 +129,7 @@ def settle(pool: Pool, config: ReuseConfig, means: jax.Array, policies: Any, loa
     keeps = jnp.where(first[place] == order, place, C)
     pool = pool._replace(
         policy=jax.tree.map(
-            lambda kept, new: kept.at[keeps].set(new, mode="drop"), pool.policy, policies
+            lambda old, new: old.at[keeps].set(new, mode="drop"), pool.policy, policies
         ),
         taught=pool.taught.at[place].add(1, mode="drop"),
         spent=pool.spent.at[place].add(loan.budget, mode="drop"),
@@ -133,8 +137,8 @@ def settle(pool: Pool, config: ReuseConfig, means: jax.Array, policies: Any, loa
     new = loan.place < 0
     row = jnp.where(new, (pool.count + jnp.cumsum(new) - 1) % C, C)
 
-    def put(kept, value):
-        return kept.at[row].set(value, mode="drop")
+    def put(old, value):
+        return old.at[row].set(value, mode="drop")
 
     return Pool(
         put(pool.mean, means),
@@ -188,3 +192,54 @@ def check(config: ReuseConfig, parallel: int) -> None:
 
 def _where(mask: jax.Array, x: jax.Array, y: jax.Array) -> jax.Array:
     return jnp.where(mask.reshape(-1, *(1,) * (x.ndim - 1)), x, y)
+
+
+class Reusing(NamedTuple):
+    """episodes `[P, ...]`; pool: after all of them; budgets `[P, I + 1]` int32: trials that each
+    visit's policy was trained with; reused `[P, I + 1]` bool: whether it was lent.
+    """
+
+    episodes: AdaptationEpisode
+    pool: Pool
+    budgets: jax.Array
+    reused: jax.Array
+
+
+class Begun(NamedTuple):
+    """`P` trajectories before their first visit: keys, E, policies `[P, ...]` that are untrained
+    (what a visit far from every anchor starts from), and targets `[P, D]` (physical).
+    """
+
+    keys: jax.Array
+    dists: Gaussian
+    policies: Any
+    targets: jax.Array
+
+
+def run_reusing(
+    begun: Begun, task: Task, act: Any, pool: Pool, config: ReuseConfig, plan: StepPlan
+) -> Reusing:
+    """Adapt all trajectories to their targets with `act(key, obs) -> action [D]`, step by step."""
+    references = jax.vmap(task.reference)(begun.targets)
+
+    def look_at(run, noise, *attempt):
+        return look(run, noise, task, Attempt(*attempt), plan.noise)
+
+    def one(carry, number):
+        dists, pool = carry
+        parts = jax.vmap(lambda k: jax.random.split(jax.random.fold_in(k, number), 4))(begun.keys)
+        loan = lend(pool, config, dists.mean, begun.policies)
+        trained = train_loans(parts[:, 0], task.train_many, dists, loan, config.together)
+        pool = settle(pool, config, dists.mean, trained, loan)
+        attempts = (dists, trained, begun.targets, references)
+        now = jax.vmap(look_at)(parts[:, 1], parts[:, 2], *attempts)
+        action, size = jax.vmap(act)(parts[:, 3], now.obs), plan.size(number)
+        if plan.guide is not None:
+            lead = jax.vmap(plan.guide, (0, 0, 0, 0, 0, None))
+            action = lead(begun.keys, parts[:, 3], action, dists.mean, begun.targets, size)
+        after = jax.vmap(lambda d, a: spaces.step(task.space, d, a, size))(dists, action)
+        return (after, pool), (now, action, loan.budget, loan.place >= 0)
+
+    (_, pool), found = jax.lax.scan(one, (begun.dists, pool), jnp.arange(plan.steps + 1))
+    visits, actions, budgets, reused = jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), found)
+    return Reusing(AdaptationEpisode(*visits, actions[:, :-1]), pool, budgets, reused)

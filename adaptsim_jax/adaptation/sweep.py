@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.adaptation.episode import Episode
-from adaptsim_jax.adaptation.phase1 import Archive, Phase1, Phase1Hyper, Phase1Info
+from adaptsim_jax.adaptation.episode import AdaptationEpisode, StepPlan
+from adaptsim_jax.adaptation.phase1 import DistributionArchive, Phase1, Phase1Hyper, Phase1Info
 from adaptsim_jax.adaptation.phase2 import adapt, draw_starts
 from adaptsim_jax.adaptation.training import archive_size
 from adaptsim_jax.core.progress import silent
@@ -22,7 +22,7 @@ class TrainedMany(NamedTuple):
 
     hyper: Phase1Hyper
     weights: jax.Array
-    archive: Archive
+    archive: DistributionArchive
     info: Phase1Info
 
 
@@ -57,7 +57,7 @@ def train_many(
 
 def train_one(
     phase1: Phase1, seeds: jax.Array, hypers: Phase1Hyper
-) -> tuple[jax.Array, Archive, Phase1Info]:
+) -> tuple[jax.Array, DistributionArchive, Phase1Info]:
     """Target-network weights `[S, n]`, S_E and info of `seeds [S]` side by side; pure."""
     rounds = jnp.arange(phase1.config.rounds)
 
@@ -69,7 +69,9 @@ def train_one(
     return train(seeds, hypers)
 
 
-def starts_of(phase1: Phase1, trained: TrainedMany, seeds: np.ndarray, count: int) -> Archive:
+def starts_of(
+    phase1: Phase1, trained: TrainedMany, seeds: np.ndarray, count: int
+) -> DistributionArchive:
     """`[S, count, ...]`: for each run `count` members of its own S_E, drawn with its own seed."""
     used = archive_size(phase1, phase1.config.rounds)
 
@@ -82,11 +84,11 @@ def starts_of(phase1: Phase1, trained: TrainedMany, seeds: np.ndarray, count: in
 def adapt_many(
     phase1: Phase1,
     trained: TrainedMany,
-    starts: Archive,
+    starts: DistributionArchive,
     targets: jax.Array | np.ndarray,
     *,
     iterations: int = 10,
-) -> Episode:
+) -> AdaptationEpisode:
     """Phase 2 of every run in each of `targets [T, D]` (physical) from its `starts [S, N, ...]`:
     `[S, T, N, I + 1, ...]`.
     """
@@ -94,20 +96,10 @@ def adapt_many(
     @jax.jit
     def run(targets, trained, starts):
         def one_run(weights, hyper, start):
-            sizes = {"delta": hyper.delta, "shrink": hyper.shrink}
+            key, plan = jax.random.key(0), StepPlan(iterations, hyper.delta, hyper.shrink)
 
             def one_target(target):
-                key = jax.random.key(0)
-                return adapt(
-                    key,
-                    phase1.task,
-                    phase1.bdq,
-                    weights,
-                    start,
-                    target,
-                    iterations=iterations,
-                    **sizes,
-                ).history
+                return adapt(key, phase1.task, phase1.bdq, weights, start, target, plan).history
 
             return jax.vmap(one_target)(targets)
 

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.adaptation import sweep_devices as devices
+from adaptsim_jax.adaptation.episode import StepPlan
 from adaptsim_jax.adaptation.phase1 import Phase1, Phase1Hyper, make_phase1
 from adaptsim_jax.adaptation.phase2 import adapt, draw_starts
 from adaptsim_jax.adaptation.prepared import prepared
@@ -27,7 +28,7 @@ class Programs(NamedTuple):
     keys as plain numbers.
 
     `init(seeds) -> state`, `advance(state, hyper, numbers [n]) -> (state, (reward [n], finite
-    [n]))`, `finish(state, hyper, seeds, targets [T, D]) -> Found`; all but `numbers` and `targets`
+    [n]))`, `finish(state, hyper, seeds, targets [T, D]) -> MemberResult`; all but `numbers` and `targets`
     with leading axis `[width]`.
     """
 
@@ -39,7 +40,7 @@ class Programs(NamedTuple):
     finish: Callable
 
 
-class Found(NamedTuple):
+class MemberResult(NamedTuple):
     """Of a member: whole `[]`, whether its weights are finite; for each of `T` targets the best
     visit's reward `[T]` and mean of E `[T, D]` (physical), rewards of all visits `[T, N, I + 1]`.
     """
@@ -80,22 +81,13 @@ def make_programs(spec: SweepSpec, member: Member, width: int, split: devices.Sp
         starts = draw_starts(start_key, state.archive, used, spec.starts)
 
         def one(target):
-            result = adapt(
-                run_key,
-                task,
-                phase1.bdq,
-                weights,
-                starts,
-                target,
-                iterations=spec.iterations,
-                delta=hyper.delta,
-                shrink=hyper.shrink,
-            )
+            plan = StepPlan(spec.iterations, hyper.delta, hyper.shrink)
+            result = adapt(run_key, task, phase1.bdq, weights, starts, target, plan)
             best, rewards = judge(result, target)
             return best, task.space.physical(result.mean), rewards
 
         whole = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(weights)]))
-        return Found(whole, *jax.lax.map(one, targets))
+        return MemberResult(whole, *jax.lax.map(one, targets))
 
     def over(f, *batched):
         return devices.over_members(f, mesh, batched)
@@ -153,7 +145,7 @@ def run_batch(
         A row is plain data:
     reward: of each round's last steps; faulty: the first round whose loss was not finite, -1 where
         all were; whole, best, params,
-    rewards: see `Found`. state: host arrays of the last state, leaves `[width, ...]`.
+    rewards: see `MemberResult`. state: host arrays of the last state, leaves `[width, ...]`.
 
     `progress(rounds done, note)` is called between chunks; a checkpoint is written when the last
     one is `save_after` s old.
@@ -224,7 +216,7 @@ class _Curves:
         return made
 
 
-def _row(curves: _Curves, found: Found, i: int) -> dict[str, Any]:
+def _row(curves: _Curves, found: MemberResult, i: int) -> dict[str, Any]:
     finite = np.concatenate([x[i] for x in curves.finite])
     return {
         "reward": np.concatenate([x[i] for x in curves.reward]).astype(float).tolist(),

@@ -1,8 +1,11 @@
-"""A sweep on disk: what it is (`sweep.json`), who works on it (`lock`), finished batches
-(`parts/`), and checkpoints (`work/`).
+"""A sweep on disk: what it is (`sweep.json`), who works on it (`lock`), finished batches (`parts/`),
+checkpoints (`work/`), and its table: `results.csv` and `results.json`, with means and intervals by
+each swept value.
 """
 
 import contextlib
+import csv
+import io
 import json
 import os
 import shutil
@@ -12,14 +15,17 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from adaptsim_jax import __version__
 from adaptsim_jax.adaptation import sweep_plan as plans
-from adaptsim_jax.adaptation.sweep_plan import Batch, Plan
+from adaptsim_jax.adaptation.sweep_plan import MemberBatch, SweepPlan
 from adaptsim_jax.adaptation.sweep_spec import Sweep
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.core.files import output_errors, output_folder, write_json
+from adaptsim_jax.core.files import output_errors, output_folder, write_bytes, write_json
 from adaptsim_jax.core.store import SCHEMA, check_version
+from adaptsim_jax.report.sweep_explore import TRAINING, earned, interval
 
 HEAD = "sweep.json"
 
@@ -31,10 +37,10 @@ class SweepFolder:
 
     def __init__(self, path: Path, head: dict[str, Any]):
         self.path, self.head = path, head
-        self.plan: Plan = plans.from_table(head["plan"])
+        self.plan: SweepPlan = plans.from_table(head["plan"])
 
     @classmethod
-    def create(cls, path: Path, sweep: Sweep, plan: Plan) -> "SweepFolder":
+    def create(cls, path: Path, sweep: Sweep, plan: SweepPlan) -> "SweepFolder":
         """A new sweep in an empty or new folder."""
         head = described(sweep) | {"plan": plans.to_table(plan)}
         for name in ("parts", "work"):
@@ -79,23 +85,23 @@ class SweepFolder:
             )
         return folder
 
-    def part(self, batch: Batch) -> Path:
+    def part(self, batch: MemberBatch) -> Path:
         return self.path / "parts" / f"{batch.name}.json"
 
-    def work(self, batch: Batch, members: list[Any]) -> Path:
+    def work(self, batch: MemberBatch, members: list[Any]) -> Path:
         """Where the checkpoint of these members of a batch is kept."""
         return self.path / "work" / f"{batch.name}-{members[0].index}-{members[-1].index}"
 
-    def left(self) -> list[Batch]:
+    def left(self) -> list[MemberBatch]:
         """Batches without a part."""
         return [batch for batch in self.plan.batches if not self.part(batch).exists()]
 
-    def finish(self, batch: Batch, rows: list[dict[str, Any]]) -> None:
+    def finish(self, batch: MemberBatch, rows: list[dict[str, Any]]) -> None:
         """Keep the rows of a batch, whole or not at all; its checkpoints are of no use then."""
         write_json(self.part(batch), {"schema": SCHEMA, "rows": rows})
         self.clear(batch)
 
-    def clear(self, batch: Batch) -> None:
+    def clear(self, batch: MemberBatch) -> None:
         for old in (self.path / "work").glob(f"{batch.name}-*"):
             shutil.rmtree(old, ignore_errors=True)
 
@@ -155,3 +161,92 @@ def locked(path: Path) -> Iterator[None]:
         )
         file.flush()
         yield
+
+
+def write_results(folder: SweepFolder) -> dict[str, Any]:
+    """Write both files from the parts that are there; the same parts give the same bytes."""
+    rows = folder.rows()
+    found = {
+        "schema": SCHEMA,
+        "version": folder.head["version"],
+        "spec": folder.head["spec"],
+        "swept": folder.head["swept"],
+        "members": len(folder.head["members"]),
+        "done": sum(row["status"] == "done" for row in rows),
+        "failed": sum(row["status"] == "failed" for row in rows),
+        "summary": summary(rows, folder.head["swept"], folder.head["spec"]["targets"]),
+        "rows": rows,
+    }
+    write_json(folder.path / "results.json", found)
+    write_bytes(folder.path / "results.csv", _csv(found).encode())
+    return found
+
+
+def _csv(found: dict[str, Any]) -> str:
+    out, targets = io.StringIO(), found["spec"]["targets"]
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(
+        [
+            "member",
+            "seed",
+            *found["swept"],
+            "status",
+            "reason",
+            "train_reward",
+            *[f"reward_{t}" for t in targets],
+        ]
+    )
+    for row in found["rows"]:
+        values = [_cell(row["values"].get(key)) for key in found["swept"]]
+        rewards = [_cell(row.get("targets", {}).get(t, {}).get("reward")) for t in targets]
+        train = _cell(row.get("train_reward"))
+        writer.writerow(
+            [row["member"], row["seed"], *values, row["status"], row["reason"], train, *rewards]
+        )
+    return out.getvalue()
+
+
+def _cell(value: Any) -> Any:
+    if value is None:
+        return ""
+    if isinstance(value, list | dict | bool):
+        return json.dumps(value)
+    return value
+
+
+def summary(
+    rows: list[dict[str, Any]], swept: list[str], targets: list[str]
+) -> list[dict[str, Any]]:
+    """For each swept key, each of its values and each reward: the mean over the members that are
+    done, with the half width of its 95 % interval (Student's) and what it is an interval over:
+    seeds, each averaged over the other swept values first, since members of one seed go alike;
+    members where all are of one seed; half is None where there is but one.
+    """
+    done = [row for row in rows if row["status"] == "done"]
+    found = []
+    for key in swept or [""]:
+        levels: dict[str, list[dict[str, Any]]] = {}
+        for row in done:
+            levels.setdefault(json.dumps(row["values"].get(key)), []).append(row)
+        for level, some in levels.items():
+            for name in (TRAINING, *targets):
+                found.append(
+                    {"key": key, "value": json.loads(level), "reward": name}
+                    | _over_seeds(some, name)
+                )
+    return found
+
+
+def _over_seeds(rows: list[dict[str, Any]], name: str) -> dict[str, Any]:
+    pairs = [(row["seed"], earned(row, name)) for row in rows]
+    by_seed: dict[int, list[float]] = {}
+    for seed, reward in pairs:
+        if reward is not None:
+            by_seed.setdefault(seed, []).append(reward)
+    rewards = [r for some in by_seed.values() for r in some]
+    if len(by_seed) < 2:
+        return interval(rewards) | {"over": "members", "members": len(rewards)}
+    return interval([float(np.mean(some)) for some in by_seed.values()]) | {
+        "over": "seeds",
+        "members": len(rewards),
+    }

@@ -28,7 +28,7 @@ PER_CORE = (
 )
 
 
-class Batch(NamedTuple):
+class MemberBatch(NamedTuple):
     """Members `first` to `last` (not included) of group `group`, in the group's order; number: of
     the batch in the sweep.
     """
@@ -43,7 +43,7 @@ class Batch(NamedTuple):
         return f"part-{self.number:05d}"
 
 
-class Group(NamedTuple):
+class MemberGroup(NamedTuple):
     """Members (their indices) that differ in seeds and traced values alone; width: how many at
     once; member_bytes: of memory that one takes, as estimated; split: of the devices.
     """
@@ -54,9 +54,9 @@ class Group(NamedTuple):
     split: Split
 
 
-class Plan(NamedTuple):
-    groups: tuple[Group, ...]
-    batches: tuple[Batch, ...]
+class SweepPlan(NamedTuple):
+    groups: tuple[MemberGroup, ...]
+    batches: tuple[MemberBatch, ...]
 
 
 def grouped(sweep: Sweep) -> list[list[Member]]:
@@ -70,7 +70,7 @@ def grouped(sweep: Sweep) -> list[list[Member]]:
 
 def make_plan(
     sweep: Sweep, *, devices: int, at_once: int | None = None, memory: int | None = None
-) -> Plan:
+) -> SweepPlan:
     """Batches for `devices` devices of this machine (of all machines together); at_once: members a
     batch, where given; memory: bytes free on each machine, by default as found. BadInput where not
     even one member fits.
@@ -95,11 +95,11 @@ def make_plan(
         limit = at_once or min(fits, _useful(devices))
         split = choose_split(devices, min(limit, len(members)), apart)
         width = _width(len(members), limit, split.members)
-        groups.append(Group(tuple(m.index for m in members), width, each, split))
+        groups.append(MemberGroup(tuple(m.index for m in members), width, each, split))
         for first in range(0, len(members), width):
             last = min(first + width, len(members))
-            batches.append(Batch(len(batches), len(groups) - 1, first, last))
-    return Plan(tuple(groups), tuple(batches))
+            batches.append(MemberBatch(len(batches), len(groups) - 1, first, last))
+    return SweepPlan(tuple(groups), tuple(batches))
 
 
 def _useful(devices: int) -> int:
@@ -168,7 +168,7 @@ def _limit_of_container() -> int:
         return 2**62
 
 
-def to_table(plan: Plan) -> dict[str, Any]:
+def to_table(plan: SweepPlan) -> dict[str, Any]:
     """The plan as JSON has it."""
     return {
         "groups": [
@@ -184,15 +184,15 @@ def to_table(plan: Plan) -> dict[str, Any]:
     }
 
 
-def from_table(table: dict[str, Any]) -> Plan:
+def from_table(table: dict[str, Any]) -> SweepPlan:
     groups = [
-        Group(tuple(g["members"]), g["width"], g["member_bytes"], Split(*g["split"]))
+        MemberGroup(tuple(g["members"]), g["width"], g["member_bytes"], Split(*g["split"]))
         for g in table["groups"]
     ]
-    return Plan(tuple(groups), tuple(Batch(*b) for b in table["batches"]))
+    return SweepPlan(tuple(groups), tuple(MemberBatch(*b) for b in table["batches"]))
 
 
-def described(plan: Plan) -> Iterator[str]:
+def described(plan: SweepPlan) -> Iterator[str]:
     """A line for each group, for a person."""
     for i, group in enumerate(plan.groups):
         size = group.member_bytes / 1e6

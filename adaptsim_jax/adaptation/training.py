@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from adaptsim_jax.adaptation.episode import StepPlan
 from adaptsim_jax.adaptation.phase1 import (
     Phase1,
     Phase1Config,
@@ -116,17 +117,8 @@ def adapt_run(
     )
 
     def found(k, w, s, t, h):
-        return adapt(
-            k,
-            phase1.task,
-            phase1.bdq,
-            w,
-            s,
-            t,
-            iterations=iterations,
-            delta=h.delta,
-            shrink=h.shrink,
-        )
+        plan = StepPlan(iterations, h.delta, h.shrink)
+        return adapt(k, phase1.task, phase1.bdq, w, s, t, plan)
 
     weights = trained.state.learner.target
     return jax.jit(found)(run_key, weights, chosen, jnp.asarray(target, jnp.float32), trained.hyper)

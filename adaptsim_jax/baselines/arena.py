@@ -1,4 +1,4 @@
-"""Where the methods of the comparison meet their targets: batches of policies tried, observed and
+"""Where the methods of the comparison meet their targets, and what they give back: batches of policies tried, observed and
 scored, whatever the engine.
 
 A batch `[B]` holds every seed, target and start at once. Compiled code ends at the target's door,
@@ -7,6 +7,7 @@ its own trials showed; the mean reward over the test contexts is for the table a
 """
 
 from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -14,12 +15,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from adaptsim_jax.core.progress import silent
 from adaptsim_jax.tasks.one_shot import OneShot, TargetWorld
 
 TOGETHER = 10  # policies trained side by side: more do not fit into a core's cache
 
 
-class Trials(NamedTuple):
+class TrialBatch(NamedTuple):
     """`N` trials of each of `B`: contexts `[B, N, g]`, actions `[B, N, d]`, outcomes `[B, N,
     ...]`.
     """
@@ -29,14 +31,14 @@ class Trials(NamedTuple):
     outcomes: Any
 
 
-class Seen(NamedTuple):
+class Observed(NamedTuple):
     """What a policy's own trials showed: `obs [B, obs_dim]`, raw return `score [B]`, and the
     `trials` `[B, N]` themselves.
     """
 
     obs: np.ndarray
     score: np.ndarray
-    trials: Trials
+    trials: TrialBatch
 
 
 class Arena:
@@ -63,7 +65,7 @@ class Arena:
         self._act_tests = jax.jit(jax.vmap(one.act, (0, None)))
         self._explore = jax.jit(jax.vmap(one.explore))
         self._reward = jax.jit(jax.vmap(jax.vmap(one.reward)))
-        self._seen = jax.jit(jax.vmap(self._look))
+        self._observe = jax.jit(jax.vmap(self._look))
         self._train = jax.jit(jax.vmap(one.task.train))
 
     def _look(self, policy, contexts, outcomes):
@@ -103,20 +105,20 @@ class Arena:
         """`[B, count, g]` drawn as the task draws them."""
         return np.asarray(self._draw(keys, count))
 
-    def visit(self, keys, where: np.ndarray, policies) -> Seen:
+    def visit(self, keys, where: np.ndarray, policies) -> Observed:
         """Run each policy in its target `where [B]` for a visit's trials, and observe them."""
         contexts = np.asarray(self._aim(keys, policies))
         actions = np.asarray(self._act(policies, jnp.asarray(contexts)))
         outcomes = self.run(where, contexts, actions)
-        obs, score = self._seen(policies, jnp.asarray(contexts), outcomes)
-        return Seen(np.asarray(obs), np.asarray(score), Trials(contexts, actions, outcomes))
+        obs, score = self._observe(policies, jnp.asarray(contexts), outcomes)
+        return Observed(np.asarray(obs), np.asarray(score), TrialBatch(contexts, actions, outcomes))
 
-    def explored(self, keys, where: np.ndarray, policies, count: int) -> Trials:
+    def explored(self, keys, where: np.ndarray, policies, count: int) -> TrialBatch:
         """`count` trials of each policy with its learner's own noise."""
         parts = jax.vmap(jax.random.split)(keys)
         contexts = self.contexts(parts[:, 0], count)
         actions = np.asarray(self._explore(parts[:, 1], policies, jnp.asarray(contexts)))
-        return Trials(contexts, actions, self.run(where, contexts, actions))
+        return TrialBatch(contexts, actions, self.run(where, contexts, actions))
 
     def score(self, where: np.ndarray, policies) -> np.ndarray:
         """Mean reward `[B]` over the test contexts."""
@@ -149,39 +151,44 @@ class Arena:
         return jax.tree.map(lambda x: np.asarray(x).reshape(B, N, *np.shape(x)[1:]), outcomes)
 
 
-class Lanes(NamedTuple):
-    """A batch of `T x S x N` (targets, seeds, starts) laid out flat: `where [B]`, `seed [B]`, and a
-    key for each.
+class Visits(NamedTuple):
+    """What a method did, of T targets, S seeds, N starts and I + 1 visits.
+
+    * means `[T, S, N, I + 1, D]` of E in unit coordinates; None where it adapts no E
+    * spent: target trials of one target by one seed, cumulated over visits `[I + 1]`, or in all
+    * rewards `[T, S, N, I + 1]` of its policies over the test contexts; None where the comparison
+      works them out of the means (tasks whose policy is solved exactly)
+    * fresh: the same over the task's fresh contexts, None where it has none
     """
 
-    where: np.ndarray
-    seed: np.ndarray
-    keys: jax.Array
-    shape: tuple[int, int, int]
+    means: np.ndarray | None
+    spent: np.ndarray | int
+    rewards: np.ndarray | None = None
+    fresh: np.ndarray | None = None
 
-    def grid(self, flat: np.ndarray) -> np.ndarray:
-        """`[B, ...] -> [T, S, N, ...]`."""
-        return np.asarray(flat).reshape(*self.shape, *np.shape(flat)[1:])
-
-    def at(self, number: int) -> jax.Array:
-        """Keys `[B]` of a visit."""
-        return jax.vmap(jax.random.fold_in, (0, None))(self.keys, number)
+    @property
+    def target_trials(self) -> int:
+        return int(np.max(self.spent))
 
 
-def lanes(targets: int, seeds: np.ndarray, starts: int, label: int) -> Lanes:
-    """Every target, seed and start. `label` tells methods apart, so that no two of them share
-    randomness.
+@dataclass
+class MethodRun:
+    """What a method is given: the comparison's config, the arena of its targets, seeds `[S]`, a
+    report, and what several methods start from, such as UDR's policies.
     """
-    t, s, n = (
-        x.ravel()
-        for x in np.meshgrid(range(targets), range(len(seeds)), range(starts), indexing="ij")
-    )
 
-    def key(seed, lane):
-        return jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), label), lane)
+    config: Any
+    arena: Any
+    seeds: np.ndarray
+    report: Callable[..., None] = silent
+    shared: dict[str, Any] = field(default_factory=dict)
 
-    keys = jax.vmap(key)(jnp.asarray(np.asarray(seeds)[s], jnp.uint32), jnp.asarray(t * starts + n))
-    return Lanes(t, s, keys, (targets, len(seeds), starts))
+    @property
+    def targets(self) -> np.ndarray:
+        """`[T, D]`, physical."""
+        return self.arena.targets
 
-
-Progress = Callable[..., None]
+    @property
+    def problem(self) -> Any:
+        """Costs and policies of a task that is solved exactly (`problem.ExactProblem`)."""
+        return self.arena.problem

@@ -10,9 +10,9 @@ import numpy as np
 from scipy.stats import qmc
 
 from adaptsim_jax.baselines import gp
-from adaptsim_jax.baselines.arena import lanes
-from adaptsim_jax.baselines.learned import Bout, Trip, first_policies, two_keys
-from adaptsim_jax.baselines.memory import Memory
+from adaptsim_jax.baselines.adapting import first_policies
+from adaptsim_jax.baselines.arena import MethodRun, Visits
+from adaptsim_jax.baselines.lanes import Memory, lanes, two_keys
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.space import gaussian
 
@@ -33,39 +33,39 @@ class BayesOptConfig:
             )
 
 
-def bayesopt(bout: Bout) -> Trip:
-    """A task policy trained anew at each point, its return of a visit's trials told to a Gaussian
+def bayesopt(run: MethodRun) -> Visits:
+    """A task policy trained anew at each point, its return of a visit's trials returns to a Gaussian
     process.
 
     The row's iterations are points; a policy is scored as every other method's, over the test
     contexts.
     """
-    arena, config = bout.arena, bout.config.bayesopt
-    total = config.points or bout.config.starts * (bout.config.iterations + 1)
-    batch = lanes(len(arena.targets), bout.seeds, 1, label=7)
+    arena, config = run.arena, run.config.bayesopt
+    total = config.points or run.config.starts * (run.config.iterations + 1)
+    batch = lanes(len(arena.targets), run.seeds, 1, label=7)
     space, D = arena.one.task.space, arena.one.task.space.dim
     rngs = [
-        np.random.default_rng([7, int(bout.seeds[s]), int(t)])
+        np.random.default_rng([7, int(run.seeds[s]), int(t)])
         for t, s in zip(batch.where, batch.seed, strict=True)
     ]
     initial = min(config.initial, total)
     points = np.zeros((len(rngs), total, D))
     points[:, :initial] = [qmc.LatinHypercube(D, rng=rng).random(initial) for rng in rngs]
-    told, rewards = np.zeros((len(rngs), total)), np.zeros((len(rngs), total))
+    returns, rewards = np.zeros((len(rngs), total)), np.zeros((len(rngs), total))
     memory = Memory(arena, batch, total)
     for i in range(total):
         if i >= initial:
             for b, rng in enumerate(rngs):
-                points[b, i] = gp.propose(gp.fit(points[b, :i], told[b, :i], rng), rng)
+                points[b, i] = gp.propose(gp.fit(points[b, :i], returns[b, :i], rng), rng)
         train_keys, visit_keys = two_keys(batch.at(i))
         dists = jax.vmap(lambda m: gaussian(space, m))(jnp.asarray(points[:, i], jnp.float32))
         policies = arena.train(
-            train_keys, dists, first_policies(bout, batch, arena.untrained(train_keys))
+            train_keys, dists, first_policies(run, batch, arena.untrained(train_keys))
         )
-        seen = arena.visit(visit_keys, batch.where, memory.visiting(policies))
+        observed = arena.visit(visit_keys, batch.where, memory.visiting(policies))
         rewards[:, i] = arena.score(batch.where, memory.deployed(policies))
-        memory.add(seen.trials)
-        told[:, i] = seen.score
-        bout.report(i + 1, total)
+        memory.add(observed.trials)
+        returns[:, i] = observed.score
+        run.report(i + 1, total)
     spent = arena.one.trials * np.arange(1, total + 1)
-    return Trip(batch.grid(rewards), batch.grid(points), spent)
+    return Visits(batch.grid(points), spent, batch.grid(rewards))

@@ -1,28 +1,23 @@
-"""`adaptsim compare`: methods x settings x seeds, normalised as the paper's Table 1; the schema of
-results.json.
+"""`adaptsim compare`: methods x settings x seeds for any task; the schema of results.json.
+
+One harness serves all tasks. What differs between them is a `Comparison`: which rows there are, how
+a method meets its targets, and what its visits are worth (`compare_exact.py`, `compare_learned.py`,
+`compare_steps.py`). All seeds, targets and starts of a group advance together.
 """
 
 import sys
 from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import jax
-import jax.numpy as jnp
-import numpy as np
-
-from adaptsim_jax.baselines.adaptsim_row import best_over
-from adaptsim_jax.baselines.best_in_omega import Best, best_in_omega
-from adaptsim_jax.baselines.compare_learned import compare_learned
-from adaptsim_jax.baselines.compare_steps import compare_steps
+from adaptsim_jax.baselines.compare_exact import ExactComparison
+from adaptsim_jax.baselines.compare_learned import LearnedComparison
+from adaptsim_jax.baselines.compare_steps import StepsComparison, setting_from
 from adaptsim_jax.baselines.config import CompareConfig
-from adaptsim_jax.baselines.methods import Run, Visits
 from adaptsim_jax.baselines.parts import parts_of
-from adaptsim_jax.baselines.problem import Problem, costs, discrepancy
-from adaptsim_jax.baselines.registry import EXACT, PROBLEMS, exact_methods
-from adaptsim_jax.baselines.summary import normalised, physical, row
-from adaptsim_jax.baselines.udr import Udr, udr
+from adaptsim_jax.baselines.registry import PROBLEMS
+from adaptsim_jax.baselines.summary import plain
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.progress import silent
@@ -30,18 +25,7 @@ from adaptsim_jax.tasks.registry import make_one_shot, make_task
 
 SCHEMA = 1
 STEPS_TASK = "environment"  # policies over many steps
-
-
-class Bounds(NamedTuple):
-    """Costs `[T]` in the targets: of UDR (0), of the best in Omega (1), and of the target's own
-    optimal policy.
-    """
-
-    udr: Udr
-    best: Best
-    lower: np.ndarray
-    upper: np.ndarray
-    own: np.ndarray
+Comparison = ExactComparison | LearnedComparison | StepsComparison
 
 
 def compare(
@@ -55,155 +39,71 @@ def compare(
     are `summary.row`'s.
 
     `progress(done, total, note)` is called as methods advance; `command` is what made the table,
-    where a command line did. Costs are recomputed in double precision from the means of E that a
-    method visited, by one code for all methods. In the folder `out` what is done is kept as it
-    goes, and taken from there where it was stopped before; `parts.Parts.drop` removes it.
+    where a command line did. In the folder `out` what is done is kept as it goes, and taken from
+    there where it was stopped before; `parts.ComparisonParts.drop` removes it.
     """
-    made = make_task(task, config.train.task)
-    names = [configs.pick("setting", s, made.settings) for s in config.settings] or list(
-        made.settings
-    )
-    if task == STEPS_TASK:
-        rows, about = compare_steps(config.train.task, names, config, progress, out)
-        return stamped(task, config, command) | about | {"rows": rows}
-    if task not in PROBLEMS:
-        one = make_one_shot(task, config.train.task)
-        rows, about = compare_learned(one, names, config, progress, out)
-        return stamped(task, config, command) | about | {"rows": rows}
-    methods = _exact_methods(task, config)
-    targets = np.array([made.space.values(made.settings[name], name) for name in names])
-    problem = PROBLEMS[task](made.space)
-    progress(0, len(methods) + 1, "bounds")
-    bounds = find_bounds(problem, targets)
-    seeds = np.arange(config.seed, config.seed + config.seeds)
-    rows, total, parts = [], len(methods) + 1, parts_of(out, task, config)
-    for i, method in enumerate(methods):
-
-        def report(done, of, note="", i=i, method=method):
-            progress(1 + i + done / max(of, 1), total, f"{method} {note}".strip())
-
-        report(0, 1)
-        if method in EXACT:
-            run = Run(task, config.train.task, config, problem, targets, seeds, report)
-
-            def visited(m=method, r=run):
-                return visiting_rows(m, names, problem, targets, bounds, EXACT[m](r))
-
-            rows += parts.of(method, visited)
-        else:
-            rows += bound_rows(method, names, bounds, config.seeds)
-        report(1, 1)
-    about = _about(names, targets, bounds) | {"digest": parts.digest}
+    rows, about = compared(comparison_of(task, config), progress, out)
     return stamped(task, config, command) | about | {"rows": rows}
 
 
-def _exact_methods(task: str, config: CompareConfig) -> list[str]:
-    if config.target or config.target_options:
-        raise BadInput(
-            f"compare: targets of task '{task}' are always its own model; leave target out"
-        )
-    methods = [m.replace("-", "_") for m in config.methods] or list(exact_methods())
-    for method in methods:
-        if method not in exact_methods():
-            raise BadInput(
-                f"compare: method '{method}' is not for {task}; there is: "
-                f"{', '.join(exact_methods())}"
-            )
-    return methods
+def comparison_of(task: str, config: CompareConfig) -> Comparison:
+    """How methods are compared on `task`. BadInput names a setting or a target at fault."""
+    made = make_task(task, config.train.task)
+    chosen = [configs.pick("setting", s, made.settings) for s in config.settings]
+    names = chosen or list(made.settings)
+    if task == STEPS_TASK:
+        return StepsComparison(setting_from(config.train.task), names, config)
+    if task in PROBLEMS:
+        return ExactComparison(task, made, names, config)
+    return LearnedComparison(make_one_shot(task, config.train.task), names, config)
 
 
-def find_bounds(problem: Problem, targets: np.ndarray) -> Bounds:
-    """The normalisers of `targets [T, D]` (physical), computed anew: a second or so once
-    compiled.
+def compared(
+    comparison: Comparison, progress: Callable = silent, out: str | Path | None = None
+) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """Rows of all methods that are asked for, and what else results.json says of them. In `out`
+    each method's part is kept.
     """
-    best = best_in_omega(problem, targets)
-    policy = udr(problem)
-    with jax.enable_x64(True):
-        lower = np.array([float(problem.cost(t, policy.policy)) for t in targets])
-        own = np.array(
-            [float(problem.cost(t, problem.policy(t))) for t in jnp.asarray(targets, jnp.float64)]
-        )
-    if not np.all(lower > best.cost):
-        raise BadInput(
-            "compare: UDR is no worse than the best policy of Omega in a target, so rewards cannot "
-            "be normalised; widen Omega"
-        )
-    return Bounds(policy, best, lower, best.cost, own)
+    methods = wanted(comparison)
+    every = [*dict.fromkeys((*comparison.always, *methods))]
+    parts = parts_of(out, comparison.task_name, comparison.same, comparison.digest)
+    total = 1 + len(comparison.groups) * len(every)
+    progress(0, total, comparison.begins)
+    comparison.prepare(parts)
+    found: dict[str, list[Any]] = {method: [] for method in every}
+    for g, (word, seeds) in enumerate(comparison.groups):
+        for i, method in enumerate(every):
+
+            def report(done, of, note="", at=(g, i), name=f"{word}{method}"):
+                first = 1 + at[0] * len(every) + at[1]
+                progress(first + done / max(of, 1), total, f"{name} {note}".strip())
+
+            def record(method=method, seeds=seeds, report=report):
+                return plain(comparison.record(method, seeds, report))
+
+            report(0, 1)
+            found[method].append(parts.of(f"{word}{method}", record))
+            report(1, 1)
+    rows = [row for method in methods for row in comparison.rows(method, found)]
+    return rows, comparison.about(found) | {"digest": parts.digest}
 
 
-def visiting_rows(
-    method: str,
-    names: list[str],
-    problem: Problem,
-    targets: np.ndarray,
-    bounds: Bounds,
-    visits: Visits,
-) -> list[dict[str, Any]]:
-    """A row for each target from the means that a method visited, with the dynamics discrepancy at
-    each seed's best.
+def wanted(comparison: Comparison) -> list[str]:
+    """The rows that are asked for; where none is, all that can be run here, and a line for each
+    that cannot. BadInput names a method that the task has not.
     """
-    cost = costs(problem, visits.means, targets)
-    curves = normalised(best_over(cost), bounds.lower, bounds.upper)
-    oracle = np.maximum(normalised(bounds.own, bounds.lower, bounds.upper), 1.0)
+    asked = [method.replace("-", "_") for method in comparison.config.methods]
     out = []
-    for i, name in enumerate(names):
-        best, final = _best_means(visits.means[i], cost[i]), visits.means[i, :, :, -1]
-        apart = discrepancy(problem, best[None], targets[i : i + 1])[0]
-        extras = {
-            "discrepancy": {"mean": apart.mean(), "median": np.median(apart), "per_seed": apart},
-            "best_params": physical(problem.space, best),
-            "final_params": physical(problem.space, final.reshape(-1, final.shape[-1])),
-            "cost_ratio": {"best_mean": (best_over(cost[i]).min(axis=1) / bounds.upper[i]).mean()},
-            "failed": int(np.sum(~np.isfinite(cost[i]))),
-        }
-        out.append(
-            row(
-                method,
-                name,
-                curves[i],
-                oracle=oracle[i],
-                target_trials=visits.target_trials,
-                **extras,
-            )
-        )
+    for method in asked or comparison.methods:
+        lack = comparison.lack(method)
+        if not lack:
+            out.append(method)
+        elif asked:
+            hint = "; leave it out of --methods" if method in comparison.methods else ""
+            raise BadInput(f"compare: method '{method}' {lack}{hint}")
+        else:
+            print(f"compare: no row '{method}': it {lack}", file=sys.stderr)
     return out
-
-
-def _best_means(means: np.ndarray, cost: np.ndarray) -> np.ndarray:
-    """The mean `[S, D]` with the lowest cost that each seed visited, from `[S, N, I + 1, D]` and
-    `[S, N, I + 1]`.
-    """
-    flat = np.where(np.isfinite(cost), cost, np.inf).reshape(len(cost), -1)
-    return means.reshape(len(cost), -1, means.shape[-1])[np.arange(len(cost)), flat.argmin(axis=1)]
-
-
-def bound_rows(method: str, names: list[str], bounds: Bounds, seeds: int) -> list[dict[str, Any]]:
-    """The normalisers as rows: 0 and 1 by definition. UDR uses no target data; the best in Omega,
-    the target's model.
-    """
-    value, trials = (0.0, 0) if method == "udr" else (1.0, None)
-    oracle = np.maximum(normalised(bounds.own, bounds.lower, bounds.upper), 1.0)
-    return [
-        row(method, name, np.full((seeds, 1), value), oracle=oracle[i], target_trials=trials)
-        for i, name in enumerate(names)
-    ]
-
-
-def _about(names: list[str], targets: np.ndarray, bounds: Bounds) -> dict[str, Any]:
-    return {
-        "simulator": "exact propagation of the linearized model (JAX)",
-        "target_backend": "exact propagation of the linearized model (JAX, double precision)",
-        "settings": {
-            name: {
-                "params": [float(p) for p in target],
-                "udr_cost": float(bounds.lower[i]),
-                "best_cost": float(bounds.upper[i]),
-                "best_unit_mean": [float(u) for u in bounds.best.mean[i]],
-                "own_optimal_cost": float(bounds.own[i]),
-            }
-            for i, (name, target) in enumerate(zip(names, targets, strict=True))
-        },
-    }
 
 
 def stamped(task: str, config: CompareConfig, command: str | None = None) -> dict[str, Any]:

@@ -1,5 +1,4 @@
-"""`adaptsim compare` for tasks whose policies are learned: the methods tried in a world, and the
-rows of results.json.
+"""The comparison on tasks whose policies are learned: the methods tried in a world.
 
 Rewards are as the task gives them (for the push, as in the paper's Table 1, 20 cm is the most that
 counts): no normalising between UDR and the best of Omega. The oracle is what the best action for
@@ -7,120 +6,111 @@ each test context earns in the target itself.
 """
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.baselines.arena import Arena
+from adaptsim_jax.baselines.arena import Arena, MethodRun, Visits
 from adaptsim_jax.baselines.config import CompareConfig
-from adaptsim_jax.baselines.learned import Bout, Trip
-from adaptsim_jax.baselines.parts import parts_of
+from adaptsim_jax.baselines.parts import ComparisonParts, task_digest
 from adaptsim_jax.baselines.registry import LEARNED, ORACLE, learned_methods
 from adaptsim_jax.baselines.summary import bootstrap_interval, physical, row
-from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.core.progress import silent
-from adaptsim_jax.tasks.one_shot import OneShot, TargetWorld
+from adaptsim_jax.tasks.one_shot import OneShot
 
 
-def compare_learned(
-    one: OneShot,
-    names: list[str],
-    config: CompareConfig,
-    progress: Callable = silent,
-    out: str | Path | None = None,
-) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    """Rows of `config.methods` (all) in the settings `names`, and what else results.json says of
-    them.
-    In `out` each method's part is kept.
-    """
-    targets = np.array([one.task.space.values(one.task.settings[name], name) for name in names])
-    world = one.world(config.target or one.engine, **config.target_options)
-    methods = [m.replace("-", "_") for m in config.methods] or list(learned_methods())
-    for method in methods:
-        if method not in learned_methods():
-            raise BadInput(
-                f"compare: method '{method}' needs a task that is solved exactly; for "
-                f"{one.task.name} there is: "
-                f"{', '.join(learned_methods())}"
-            )
-    progress(0, len(methods) + 1, "oracle")
-    parts = parts_of(out, one.task.name, config)
-    oracle = np.array(
-        parts.of("oracle-rewards", lambda: [float(np.mean(one.oracle(world, t))) for t in targets])
-    )
-    seeds, rows, cache = np.arange(config.seed, config.seed + config.seeds), [], {}
-    for i, method in enumerate(methods):
+class LearnedComparison:
+    """All seeds of a method run together, in an arena that counts its trials."""
 
-        def report(done, of, note="", i=i, method=method):
-            progress(1 + i + done / max(of, 1), len(methods) + 1, f"{method} {note}".strip())
+    always, begins = (), "oracle"
+    oracle: np.ndarray
 
-        report(0, 1)
+    def __init__(self, one: OneShot, names: list[str], config: CompareConfig):
+        space, settings = one.task.space, one.task.settings
+        self.one, self.names, self.config, self.same = one, names, config, config
+        self.task_name, self.methods = one.task.name, learned_methods()
+        self.targets = np.array([space.values(settings[name], name) for name in names])
+        self.world = one.world(config.target or one.engine, **config.target_options)
+        self.groups = [("", np.arange(config.seed, config.seed + config.seeds))]
+        self.shared: dict[str, Any] = {}
+
+    def digest(self) -> str:
+        return task_digest(self.one.task, self.one.scored)
+
+    def lack(self, method: str) -> str:
+        if method in self.methods:
+            return ""
+        there = ", ".join(self.methods)
+        return f"needs a task that is solved exactly; for {self.task_name} there is: {there}"
+
+    def prepare(self, parts: ComparisonParts) -> None:
+        """What the best actions earn in each target."""
+
+        def best():
+            return [float(np.mean(self.one.oracle(self.world, t))) for t in self.targets]
+
+        self.oracle = np.array(parts.of("oracle-rewards", best))
+
+    def record(self, method: str, seeds: np.ndarray, report: Callable) -> list[dict[str, Any]]:
+        """The method's rows, one for each target."""
         if method == ORACLE:
-            curves = np.broadcast_to(oracle[:, None, None], (len(names), config.seeds, 1))
-            rows += [
+            curves = np.broadcast_to(self.oracle[:, None, None], (len(self.names), len(seeds), 1))
+            return [
                 row(method, n, c, oracle=o, target_trials=None)
-                for n, c, o in zip(names, curves, oracle, strict=True)
+                for n, c, o in zip(self.names, curves, self.oracle, strict=True)
             ]
-        else:
+        arena = Arena(self.one, self.world, self.targets)
+        visits = run_method(method, MethodRun(self.config, arena, seeds, report, self.shared))
+        return visits_rows(method, self.names, visits, self.oracle, arena)
 
-            def made(method=method, report=report):
-                arena = Arena(one, world, targets)
-                trip = travelled(method, Bout(config, arena, seeds, report, cache))
-                return trip_rows(
-                    method, names, trip, oracle, one.task.space, arena.failed, arena.made
-                )
+    def rows(self, method: str, found: dict[str, Any]) -> list[dict[str, Any]]:
+        return found[method][0]
 
-            rows += parts.of(method, made)
-        report(1, 1)
-    return rows, about(one, world, names, targets, oracle) | {"digest": parts.digest}
+    def about(self, found: dict[str, Any]) -> dict[str, Any]:
+        return about(self.one, self.world.name, self.names, self.targets, self.oracle)
 
 
-def travelled(method: str, bout: Bout) -> Trip:
+def run_method(method: str, run: MethodRun) -> Visits:
     """What `method` did, with what its policies earned in the fresh contexts."""
-    trip, fresh = LEARNED[method](bout), bout.arena.fresh
+    visits, fresh = LEARNED[method](run), run.arena.fresh
     if fresh:
-        return trip._replace(fresh=np.stack(fresh, -1).reshape(trip.rewards.shape))
-    return trip
+        return visits._replace(fresh=np.stack(fresh, -1).reshape(visits.rewards.shape))
+    return visits
 
 
-def trip_rows(
-    method: str,
-    names: list[str],
-    trip: Trip,
-    oracle: np.ndarray,
-    space: Any,
-    failed: np.ndarray,
-    made: np.ndarray,
+def visits_rows(
+    method: str, names: list[str], visits: Visits, oracle: np.ndarray, counts: Any
 ) -> list[dict[str, Any]]:
     """A row for each target: at each iteration the best of the distributions that a method adapts
     at once.
 
-    `oracle [T]`: rewards; `failed`, `made` `[T]`: trials, as the arena counted them.
+    `oracle [T]`: rewards; `counts.failed`, `counts.made` `[T]`: trials; `counts.one`: the task.
     """
     out = []
     for i, name in enumerate(names):
+        rewards: np.ndarray = visits.rewards[i]  # type: ignore[index]
+        curves = rewards.max(axis=1)
         extras: dict[str, Any] = {
-            "trials": trip.spent,
-            "failed": int(failed[i]),
-            "made": int(made[i]),
-            "of_oracle": trip.rewards[i].max(axis=1).max(axis=1).mean() / oracle[i]
-            if oracle[i]
-            else None,
+            "trials": visits.spent,
+            "failed": int(counts.failed[i]),
+            "made": int(counts.made[i]),
+            "of_oracle": curves.max(axis=1).mean() / oracle[i] if oracle[i] else None,
         }
-        if trip.means is not None:
-            S = trip.rewards.shape[1]
-            best = trip.rewards[i].reshape(S, -1).argmax(1)
-            flat = trip.means[i].reshape(S, -1, space.dim)[np.arange(S), best]
-            last = trip.means[i][:, :, -1].reshape(-1, space.dim)
-            extras |= {"best_params": physical(space, flat), "final_params": physical(space, last)}
-        if trip.fresh is not None:
-            extras["fresh"] = on_fresh(trip.rewards[i], trip.fresh[i])
-        curves = trip.rewards[i].max(axis=1)
-        out.append(
-            row(method, name, curves, oracle=oracle[i], target_trials=int(trip.spent[-1]), **extras)
-        )
+        if visits.means is not None:
+            extras |= _params(counts.one.task.space, rewards, visits.means[i])
+        if visits.fresh is not None:
+            extras["fresh"] = on_fresh(rewards, visits.fresh[i])
+        ends = {"oracle": oracle[i], "target_trials": visits.target_trials}
+        out.append(row(method, name, curves, **ends, **extras))
     return out
+
+
+def _params(space: Any, rewards: np.ndarray, means: np.ndarray) -> dict[str, Any]:
+    """Of each seed's best visit and of the last ones: the physical values that were adapted to."""
+    S = len(rewards)
+    best = rewards.reshape(S, -1).argmax(1)
+    flat = means.reshape(S, -1, space.dim)[np.arange(S), best]
+    last = means[:, :, -1].reshape(-1, space.dim)
+    return {"best_params": physical(space, flat), "final_params": physical(space, last)}
 
 
 def on_fresh(rewards: np.ndarray, fresh: np.ndarray) -> dict[str, Any]:
@@ -129,9 +119,9 @@ def on_fresh(rewards: np.ndarray, fresh: np.ndarray) -> dict[str, Any]:
     the mean of those; and the mean of the last iteration's.
     """
     S = len(rewards)
-    flat, kept = rewards.reshape(S, -1), fresh.reshape(S, -1)
+    flat, others = rewards.reshape(S, -1), fresh.reshape(S, -1)
     best = flat == flat.max(1, keepdims=True)
-    chosen = (kept * best).sum(1) / best.sum(1)
+    chosen = (others * best).sum(1) / best.sum(1)
     low, high = bootstrap_interval(chosen)
     return {
         "mean": chosen.mean(),
@@ -143,11 +133,12 @@ def on_fresh(rewards: np.ndarray, fresh: np.ndarray) -> dict[str, Any]:
 
 
 def about(
-    one: OneShot, world: TargetWorld, names: list[str], targets: np.ndarray, oracle: np.ndarray
+    one: OneShot, world: str, names: list[str], targets: np.ndarray, oracle: np.ndarray
 ) -> dict[str, Any]:
+    """What results.json says of the targets beside the rows."""
     return {
         "simulator": one.simulator,
-        "target_backend": world.name,
+        "target_backend": world,
         "reward": one.reward_unit,
         "oracle": one.oracle_means,
         "settings": {

@@ -1,4 +1,4 @@
-"""`adaptsim compare` for policies over many steps: every method in every target, by what it would
+"""The comparison of policies over many steps: every method in every target, by what it would
 deploy after so many target trials.
 
 A method that tries policies deploys the one whose own trials, smoothed over all means that it
@@ -11,124 +11,42 @@ import importlib.util
 import sys
 from collections.abc import Callable, Hashable, Iterator
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.adaptation.phase2 import smoothed
 from adaptsim_jax.adaptation.prepared import learned
+from adaptsim_jax.baselines.arena import MethodRun, Visits
 from adaptsim_jax.baselines.config import CompareConfig
-from adaptsim_jax.baselines.learned import Bout, Trip
-from adaptsim_jax.baselines.parts import parts_of
+from adaptsim_jax.baselines.parts import ComparisonParts
 from adaptsim_jax.baselines.registry import STEPS, steps_methods
 from adaptsim_jax.baselines.steps_arena import StepsArena
-from adaptsim_jax.baselines.summary import bootstrap_interval, plain, row
+from adaptsim_jax.baselines.summary import bootstrap_interval, plain, quartiles, row
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.core.progress import silent
 from adaptsim_jax.environments.config import EnvironmentConfig
-from adaptsim_jax.environments.task import Setting, environment_setting, task_of
+from adaptsim_jax.environments.setting import Setting
+from adaptsim_jax.environments.task import environment_setting, task_of
 
 BUDGETS = (0, 2, 5, 10, 20, 40)
-TRIED = (
-    "adaptsim",
-    "bayesopt",
-    "cma_es",
-    "gradient",
-)  # deploy the best of what they tried, by its own trials
+TRIED = ("adaptsim", "bayesopt", "cma_es", "gradient")
+"""Methods that deploy the best of what they tried, by its own trials."""
 BOUNDS = ("best_in_omega", "oracle")
-# of the upper bound: where UDR is nearer to it than this, a target tells methods apart by luck
-# alone
 ROOM = 0.02
+"""Of the upper bound: where UDR is nearer to it than this, a target separates methods by luck
+alone.
+"""
 
 
-def compare_steps(
-    options: dict[str, Any],
-    names: list[str],
-    config: CompareConfig,
-    progress: Callable = silent,
-    out: str | Path | None = None,
-) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    """Rows of `config.methods` (all) in the targets `names`, and what else results.json says. A
-    policy is trained for each seed. In `out` each seed's part of each method is kept.
-    """
-    setting = environment_setting(
-        configs.from_table(EnvironmentConfig, dict(options), "compare, [train.task]")
-    )
-    if setting.config.policy == "planned":
-        raise BadInput(
-            "compare: methods are compared by trained policies; set train.task.policy to 'knows' "
-            "or 'tuned'"
-        )
-    task = task_of(setting)
-    made = task.preparation
-    assert made is not None
-    methods = _wanted(config, setting)
-    every = [*dict.fromkeys(("udr", "oracle", *methods))]
-    seeds = range(config.seed, config.seed + config.seeds)
-    found: dict[str, list[Deployed]] = {method: [] for method in every}
-    programs: dict[Hashable, Any] = {}
-    parts = parts_of(out, task.name, replace(config, seeds=1, seed=0), made.digest())
-    for i, seed in enumerate(seeds):
-
-        def told(done, of, note="", i=i):
-            return progress(i + done / max(of, 1), len(seeds), f"seed {i + 1}: {note}")
-
-        there = {method: parts.get(f"seed-{seed}-{method}") for method in every}
-        if left := [method for method in every if there[method] is None]:
-            ready = learned(task, made, seed, None, told)
-            for method, deployed in tried(
-                setting, ready, names, left, config, seed, told, programs
-            ):
-                there[method] = parts.put(f"seed-{seed}-{method}", plain(list(deployed)))
-        for method, (trials, returns) in there.items():
-            found[method].append(
-                Deployed((np.array(trials), np.array(returns, float)))
-            )  # None is not a number
-    return rows_of(found, methods, names), _about(setting, names, found) | {"digest": parts.digest}
-
-
-def _wanted(config: CompareConfig, setting: Setting) -> list[str]:
-    """The rows that are asked for; where none is, all that can be run here, and a line for each
-    that cannot.
-    """
-    named = [configs.pick("method", m.replace("-", "_"), steps_methods()) for m in config.methods]
-    out = []
-    for method in named or steps_methods():
-        if not (lack := _lack(method, setting)):
-            out.append(method)
-        elif named:
-            raise BadInput(f"compare: method '{method}' {lack}; leave it out of --methods")
-        else:
-            print(f"compare: no row '{method}': it {lack}", file=sys.stderr)
-    return out
-
-
-def _lack(method: str, setting: Setting) -> str:
-    package = {"cma_es": "cma", "sbi": "sbi"}.get(method)
-    if package and importlib.util.find_spec(package) is None:
-        return f"needs the package {package} (pip install {package})"
-    if method in ("sbi", "gradient") and setting.config.policy != "knows":
-        return 'is for policy = "knows"'
-    if method == "cma_es" and setting.space.dim == 1:
-        return "needs two fields or more"
-    return ""
-
-
-class Deployed(tuple):
-    """`(trials [n], returns [T, n])` of one seed: what is deployed after so many target trials, and
-    its mean return in each target.
+class Deployed(NamedTuple):
+    """Of one seed: what is deployed after so many target `trials [n]`, and its mean `returns
+    [T, n]` in each target.
     """
 
-    @property
-    def trials(self) -> np.ndarray:
-        return self[0]
-
-    @property
-    def returns(self) -> np.ndarray:
-        return self[1]
+    trials: np.ndarray
+    returns: np.ndarray
 
     def at(self, budget: int) -> np.ndarray:
         """Returns `[T]` of what is deployed after at most `budget` trials; not a number where the
@@ -140,35 +58,113 @@ class Deployed(tuple):
         return np.full(len(self.returns), np.nan)
 
 
-def tried(
-    setting: Setting,
-    ready: Any,
-    names: list[str],
-    methods: list[str],
-    config: CompareConfig,
-    seed: int,
-    report: Callable,
-    programs: dict[Hashable, Any] | None = None,
-):
-    """`(method, Deployed)` one after the other, for one seed with its policy. programs: what other
-    seeds of it compiled.
+class StepsComparison:
+    """A policy is trained for each seed; the methods of a seed share it, and all seeds what is
+    compiled.
     """
-    cache: dict[str, Any] = {}
-    arena = StepsArena(setting, ready, names, config.steps.tests, seed, programs)
-    for k, method in enumerate(methods):
 
-        def told(done, of, note="", k=k, method=method):
-            report(k + done / max(of, 1), len(methods), f"{method} {note}".strip())
+    task_name, always, begins = "environment", ("udr", "oracle"), "policies"
 
-        told(0, 1)
-        arena.own, arena.scored = [], []
-        trip = STEPS[method](Bout(config, arena, np.array([seed]), told, cache))  # type: ignore[arg-type]
-        yield method, deployed_of(method, trip, arena)
+    def __init__(self, setting: Setting, names: list[str], config: CompareConfig):
+        if setting.config.policy == "planned":
+            raise BadInput(
+                "compare: methods are compared by trained policies; set train.task.policy to "
+                "'knows' or 'tuned'"
+            )
+        self.setting, self.names, self.config = setting, names, config
+        self.same = replace(config, seeds=1, seed=0)  # seeds are parts of their own
+        self.methods, self.task = steps_methods(), task_of(setting)
+        seeds = range(config.seed, config.seed + config.seeds)
+        self.groups = [(f"seed-{seed}-", np.array([seed])) for seed in seeds]
+        self.programs: dict[Hashable, Any] = {}
+        self.arenas: dict[int, tuple[StepsArena, dict[str, Any]]] = {}
+
+    def digest(self) -> str:
+        return self.task.preparation.digest()  # type: ignore[union-attr]
+
+    def lack(self, method: str) -> str:
+        configs.pick("method", method, self.methods)
+        package = {"cma_es": "cma", "sbi": "sbi"}.get(method)
+        if package and importlib.util.find_spec(package) is None:
+            return f"needs the package {package} (pip install {package})"
+        if method in ("sbi", "gradient") and self.setting.config.policy != "knows":
+            return 'is for policy = "knows"'
+        if method == "cma_es" and self.setting.space.dim == 1:
+            return "needs two fields or more"
+        return ""
+
+    def prepare(self, parts: ComparisonParts) -> None:
+        """Nothing: UDR and the oracle are methods, run for every seed."""
+
+    def record(self, method: str, seeds: np.ndarray, report: Callable) -> Deployed:
+        """What the method deploys, for one seed."""
+        seed = int(seeds[0])
+        if seed not in self.arenas:
+            prepared = learned(self.task, self.task.preparation, seed, None, report)  # type: ignore[arg-type]
+            self.arenas = {seed: (self.arena(prepared, seed), {})}  # of one seed at a time
+        arena, shared = self.arenas[seed]
+        return deployed_by(method, MethodRun(self.config, arena, seeds, report, shared))
+
+    def arena(self, prepared: Any, seed: int) -> StepsArena:
+        """Where the methods of a seed meet the targets, with the policy of that seed."""
+        tests = self.config.steps.tests
+        return StepsArena(self.setting, prepared, self.names, tests, seed, self.programs)
+
+    def rows(self, method: str, found: dict[str, Any]) -> list[dict[str, Any]]:
+        return rows_of(method, deployed_runs(found), self.names)
+
+    def about(self, found: dict[str, Any]) -> dict[str, Any]:
+        lower, upper = bounds_of(deployed_runs(found))
+        ends = [*zip(self.names, lower, upper, strict=True)]
+        if flat := [n for n, a, b in ends if b - a < 1.5 * ROOM * abs(b) + 1e-6]:
+            print(
+                f"compare: UDR is as good as the oracle in {', '.join(flat)}: nothing can be "
+                f"separated there",
+                file=sys.stderr,
+            )
+        sim, targets = self.setting.sim, self.setting.targets
+        fields = [f.name for f in self.setting.fields]
+
+        def setting(name, low, high):
+            values = map(float, targets[name].values)
+            params = dict(zip(fields, values, strict=True))
+            return {"params": params, "udr_return": float(low), "best_return": float(high)}
+
+        return {
+            "simulator": sim.name if sim.native is None else f"{sim.name} in MJX",
+            "target_backend": ", ".join(dict.fromkeys(targets[n].engine for n in self.names)),
+            "trials_axis": True,
+            "reward": "return of what is deployed: 0 UDR, 1 the oracle or the best in Omega",
+            "oracle": "the policy that knows E, trained on in the target",
+            "settings": {name: setting(name, low, high) for name, low, high in ends},
+        }
 
 
-def deployed_of(method: str, trip: Trip, arena: StepsArena) -> Deployed:
+def setting_from(options: dict[str, Any]) -> Setting:
+    """Of the options of an environment's task."""
+    table = configs.from_table(EnvironmentConfig, dict(options), "compare, [train.task]")
+    return environment_setting(table)
+
+
+def deployed_runs(found: dict[str, Any]) -> dict[str, list[Deployed]]:
+    """Parts as arrays; None is not a number."""
+
+    def one(part):
+        trials, returns = part
+        return Deployed(np.array(trials), np.array(returns, float))
+
+    return {method: [one(part) for part in parts] for method, parts in found.items()}
+
+
+def deployed_by(method: str, run: MethodRun) -> Deployed:
+    """What `method` deploys, for the one seed of `run`."""
+    run.arena.own, run.arena.scored = [], []
+    return deployed_of(method, STEPS[method](run), run.arena)
+
+
+def deployed_of(method: str, visits: Visits, arena: StepsArena) -> Deployed:
     """What a method would deploy after each number of trials, and its return."""
-    rewards = trip.rewards[:, 0]  # [T, N, I]
+    rewards = visits.rewards[:, 0]  # [T, N, I]
     T = len(rewards)
     trials = arena.one.trials
     if method in TRIED:
@@ -179,29 +175,32 @@ def deployed_of(method: str, trip: Trip, arena: StepsArena) -> Deployed:
                 T, -1
             )  # as they were made: all starts of a visit, then the next
 
-        told, tests = order(np.where(np.isfinite(own), own, -np.inf)), order(rewards)
+        own_returns, tests = order(np.where(np.isfinite(own), own, -np.inf)), order(rewards)
         best = np.array(
-            [[np.argmax(x) for x in _expected(told[t], trip, t, arena)] for t in range(T)]
+            [[np.argmax(x) for x in _expected(own_returns[t], visits, t, arena)] for t in range(T)]
         )
-        return Deployed(
-            (trials * np.arange(1, told.shape[1] + 1), np.take_along_axis(tests, best, 1))
-        )
+        spent = trials * np.arange(1, own_returns.shape[1] + 1)
+        return Deployed(spent, np.take_along_axis(tests, best, 1))
     if method.startswith("sysid"):
-        return Deployed((trials * np.arange(rewards.shape[2]), rewards[:, 0]))
-    return Deployed((np.asarray(trip.spent), rewards[:, 0]))
+        return Deployed(trials * np.arange(rewards.shape[2]), rewards[:, 0])
+    return Deployed(np.asarray(visits.spent), rewards[:, 0])
 
 
-def _expected(told: np.ndarray, trip: Trip, t: int, arena: StepsArena) -> Iterator[np.ndarray]:
-    """Of the returns `told [n]` in target t those that are expected after each visit: all so far,
+def _expected(
+    own_returns: np.ndarray, visits: Visits, t: int, arena: StepsArena
+) -> Iterator[np.ndarray]:
+    """Of the returns `own_returns [n]` in target t those that are expected after each visit: all so far,
     smoothed by `phase2.smoothed`.
     """
-    if trip.means is None:
-        yield from (told[: n + 1] for n in range(len(told)))
+    if visits.means is None:
+        yield from (own_returns[: n + 1] for n in range(len(own_returns)))
         return
-    means = jnp.asarray(np.moveaxis(trip.means[t, 0], 0, 1).reshape(len(told), -1), jnp.float32)
-    for n in range(len(told)):
+    means = jnp.asarray(
+        np.moveaxis(visits.means[t, 0], 0, 1).reshape(len(own_returns), -1), jnp.float32
+    )
+    for n in range(len(own_returns)):
         unknown = jnp.where(
-            jnp.arange(len(told)) <= n, jnp.asarray(told), -jnp.inf
+            jnp.arange(len(own_returns)) <= n, jnp.asarray(own_returns), -jnp.inf
         )  # one program for all
         yield np.asarray(smoothed(means, unknown, arena.setting.config.doubt))[: n + 1]
 
@@ -220,38 +219,26 @@ def bounds_of(found: dict[str, list[Deployed]]) -> tuple[np.ndarray, np.ndarray]
 
 
 def rows_of(
-    found: dict[str, list[Deployed]], methods: list[str], names: list[str]
+    method: str, found: dict[str, list[Deployed]], names: list[str]
 ) -> list[dict[str, Any]]:
-    """A row for each method and target: normalised returns of what is deployed at last, the curve
-    over trials, and at each budget.
+    """A row for each target: normalised returns of what is deployed at last, the curve over trials,
+    and at each budget.
     """
     lower, upper = bounds_of(found)
-    out = []
-    for method in methods:
-        runs = found[method]
-        for t, name in enumerate(names):
+    runs, out = found[method], []
+    spent = None if method in BOUNDS else int(runs[0].trials[-1])
+    for t, name in enumerate(names):
 
-            def norm(x, t=t):
-                return (np.asarray(x) - lower[t]) / (upper[t] - lower[t])
+        def norm(x, t=t):
+            return (np.asarray(x) - lower[t]) / (upper[t] - lower[t])
 
-            curves = norm([d.returns[t] for d in runs])
-            line = row(
-                method,
-                name,
-                curves[:, -1:],
-                oracle=1.0,
-                target_trials=None if method in BOUNDS else int(runs[0].trials[-1]),
-            )
-            line["curve"] = {
-                "median": np.median(curves, 0),
-                "mean": curves.mean(0),
-                "q25": np.percentile(curves, 25, axis=0),
-                "q75": np.percentile(curves, 75, axis=0),
-            }
-            line["trials"] = runs[0].trials
-            line["returns"] = [float(d.returns[t, -1]) for d in runs]
-            line["at"] = {str(b): _interval(norm([d.at(b)[t] for d in runs])) for b in BUDGETS}
-            out.append(plain(line))
+        curves = norm([d.returns[t] for d in runs])
+        line = row(method, name, curves[:, -1:], oracle=1.0, target_trials=spent)
+        line["curve"] = quartiles(curves)
+        line["trials"] = runs[0].trials
+        line["returns"] = [float(d.returns[t, -1]) for d in runs]
+        line["at"] = {str(b): _interval(norm([d.at(b)[t] for d in runs])) for b in BUDGETS}
+        out.append(plain(line))
     return out
 
 
@@ -260,38 +247,3 @@ def _interval(values: np.ndarray) -> dict[str, Any] | None:
         return None
     low, high = bootstrap_interval(values)
     return {"mean": float(values.mean()), "low": low, "high": high, "per_seed": values}
-
-
-def _about(setting: Setting, names: list[str], found: dict[str, list[Deployed]]) -> dict[str, Any]:
-    lower, upper = bounds_of(found)
-    if room := [
-        n for n, a, b in zip(names, lower, upper, strict=True) if b - a < 1.5 * ROOM * abs(b) + 1e-6
-    ]:
-        print(
-            f"compare: UDR is as good as the oracle in {', '.join(room)}: nothing can be told "
-            f"apart there",
-            file=sys.stderr,
-        )
-    return {
-        "simulator": f"{setting.sim.name} in MJX"
-        if setting.sim.native is not None
-        else setting.sim.name,
-        "target_backend": ", ".join(dict.fromkeys(setting.targets[n].engine for n in names)),
-        "trials_axis": True,
-        "reward": "return of what is deployed: 0 UDR, 1 the oracle or the best in Omega",
-        "oracle": "the policy that knows E, trained on in the target",
-        "settings": {
-            n: {
-                "params": dict(
-                    zip(
-                        [f.name for f in setting.fields],
-                        map(float, setting.targets[n].values),
-                        strict=True,
-                    )
-                ),
-                "udr_return": float(lower[t]),
-                "best_return": float(upper[t]),
-            }
-            for t, n in enumerate(names)
-        },
-    }

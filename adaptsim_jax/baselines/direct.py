@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from adaptsim_jax.baselines.arena import Trials, lanes
-from adaptsim_jax.baselines.learned import Bout, Trip
+from adaptsim_jax.baselines.arena import MethodRun, TrialBatch, Visits
+from adaptsim_jax.baselines.lanes import lane_keys, lanes
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.one_shot import OneShot, action_grid
 
@@ -41,42 +41,40 @@ class DirectConfig:
             raise BadInput(f"LearnInTarget sizes must be positive, got {self}")
 
 
-def udr(bout: Bout) -> Trip:
+def udr(run: MethodRun) -> Visits:
     """One policy for all of Omega; no target data."""
-    arena = bout.arena
-    batch = lanes(len(arena.targets), bout.seeds, 1, label=4)
-    policies = jax.tree.map(lambda x: x[batch.seed], udr_policies(bout))
-    return Trip(batch.grid(arena.score(batch.where, policies))[..., None], None, np.zeros(1, int))
+    arena = run.arena
+    batch = lanes(len(arena.targets), run.seeds, 1, label=4)
+    policies = jax.tree.map(lambda x: x[batch.seed], udr_policies(run))
+    return Visits(None, np.zeros(1, int), batch.grid(arena.score(batch.where, policies))[..., None])
 
 
-def udr_policies(bout: Bout) -> Any:
+def udr_policies(run: MethodRun) -> Any:
     """A UDR policy for each seed `[S, ...]`; trained once for all methods that start from it."""
-    if "udr" not in bout.cache:
+    if "udr" not in run.shared:
         keys = jax.vmap(lambda s: jax.random.fold_in(jax.random.key(s), 4))(
-            jnp.asarray(bout.seeds, jnp.uint32)
+            jnp.asarray(run.seeds, jnp.uint32)
         )
-        train = jax.jit(bout.arena.one.train_uniform)
+        train = jax.jit(run.arena.one.train_uniform)
         parts = []
         for i, key in enumerate(keys):
             parts.append(train(key))
-            bout.report(i + 1, len(keys), "UDR")
-        bout.cache["udr"] = jax.tree.map(lambda *x: jnp.stack(x), *parts)
-    return bout.cache["udr"]
+            run.report(i + 1, len(keys), "UDR")
+        run.shared["udr"] = jax.tree.map(lambda *x: jnp.stack(x), *parts)
+    return run.shared["udr"]
 
 
-def udr_target(bout: Bout) -> Trip:
+def udr_target(run: MethodRun) -> Visits:
     """UDR's policy, tuned on its own trials in the target, all of them so far, at each of the
     budgets.
     """
-    arena, budgets = bout.arena, bout.config.direct.budgets
-    batch = lanes(len(arena.targets), bout.seeds, 1, label=5)
-    policies = jax.tree.map(lambda x: x[batch.seed], udr_policies(bout))
+    arena, budgets = run.arena, run.config.direct.budgets
+    batch = lanes(len(arena.targets), run.seeds, 1, label=5)
+    policies = jax.tree.map(lambda x: x[batch.seed], udr_policies(run))
     tune = jax.jit(lambda *work: jax.lax.map(lambda w: arena.one.tune(*w), work))
     stored, rewards = _room(arena.one, len(batch.where), budgets[-1]), []
     for i, (before, budget) in enumerate(zip((0, *budgets), budgets, strict=False)):
-        explore_keys, tune_keys = (
-            jax.vmap(jax.random.fold_in, (0, None))(batch.at(i), j) for j in range(2)
-        )
+        explore_keys, tune_keys = lane_keys(batch.at(i), 2)
         if budget > before:
             stored = _keep(
                 stored, arena.explored(explore_keys, batch.where, policies, budget - before), before
@@ -84,22 +82,22 @@ def udr_target(bout: Bout) -> Trip:
             used = jnp.full(len(batch.where), budget)
             policies = tune(tune_keys, policies, *map(_device, stored), used)
         rewards.append(arena.score(batch.where, policies))
-        bout.report(i + 1, len(budgets))
-    return Trip(batch.grid(np.stack(rewards, -1)), None, np.array(budgets))
+        run.report(i + 1, len(budgets))
+    return Visits(None, np.array(budgets), batch.grid(np.stack(rewards, -1)))
 
 
-def learn_in_target(bout: Bout) -> Trip:
+def learn_in_target(run: MethodRun) -> Visits:
     """Random actions in the target, a small network from action to outcome, and the action that it
     thinks best.
     """
-    arena, config = bout.arena, bout.config.direct
-    batch = lanes(len(arena.targets), bout.seeds, 1, label=6)
+    arena, config = run.arena, run.config.direct
+    batch = lanes(len(arena.targets), run.seeds, 1, label=6)
     most = config.budgets[-1]
     split = jax.vmap(jax.random.split)(batch.keys)
     contexts = arena.contexts(split[:, 0], max(most, 1))
     shape = (max(most, 1), arena.one.action_dim)
     actions = np.asarray(jax.vmap(lambda k: jax.random.uniform(k, shape, minval=-1.0))(split[:, 1]))
-    stored = Trials(contexts, actions, arena.run(batch.where, contexts, actions))
+    stored = TrialBatch(contexts, actions, arena.run(batch.where, contexts, actions))
     choose = jax.jit(
         lambda *work: jax.lax.map(lambda w: predicted_best(arena.one, config)(*w), work)
     )
@@ -107,8 +105,8 @@ def learn_in_target(bout: Bout) -> Trip:
     for i, budget in enumerate(config.budgets):
         chosen = choose(batch.at(i), *map(_device, stored), jnp.full(len(batch.where), budget))
         rewards.append(arena.score_actions(batch.where, np.asarray(chosen)))
-        bout.report(i + 1, len(config.budgets))
-    return Trip(batch.grid(np.stack(rewards, -1)), None, np.array(config.budgets))
+        run.report(i + 1, len(config.budgets))
+    return Visits(None, np.array(config.budgets), batch.grid(np.stack(rewards, -1)))
 
 
 class Predictor(nn.Module):
@@ -126,7 +124,7 @@ def predicted_best(one: OneShot, config: DirectConfig) -> Callable:
     """`choose(key, contexts [N, g], actions [N, d], outcomes [N, ...], used []) -> [G + F, d]`:
     actions for the `scored` contexts.
 
-    Trials that failed are left out of the fit. Ties and a network without data fall to the first
+    TrialBatch that failed are left out of the fit. Ties and a network without data fall to the first
     action.
     """
     grid, tests = jnp.asarray(action_grid((config.grid,) * one.action_dim)), jnp.asarray(one.scored)
@@ -163,18 +161,18 @@ def predicted_best(one: OneShot, config: DirectConfig) -> Callable:
     return choose
 
 
-def _room(one: OneShot, B: int, most: int) -> Trials:
+def _room(one: OneShot, B: int, most: int) -> TrialBatch:
     """Empty places for `most` trials of each of `B`; of one, at least, so that shapes exist."""
     most = max(most, 1)
     context = jax.eval_shape(one.draw, jax.random.key(0))
-    return Trials(
+    return TrialBatch(
         np.zeros((B, most, *context.shape), np.float32),
         np.zeros((B, most, one.action_dim), np.float32),
         None,
     )
 
 
-def _keep(stored: Trials, new: Trials, at: int) -> Trials:
+def _keep(stored: TrialBatch, new: TrialBatch, at: int) -> TrialBatch:
     def put(kept, more):
         kept[:, at : at + more.shape[1]] = more
         return kept

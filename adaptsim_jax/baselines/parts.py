@@ -10,16 +10,22 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import jax
+import jax.numpy as jnp
+
 from adaptsim_jax import __version__
 from adaptsim_jax.baselines.config import CompareConfig
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.files import output_folder, write_json
+from adaptsim_jax.core.traced import digest_of, digest_of_arrays
+from adaptsim_jax.space import gaussian
+from adaptsim_jax.tasks.base import Task
 
 FOLDER = "unfinished"
 
 
 @dataclass(frozen=True)
-class Parts:
+class ComparisonParts:
     """Parts by name, of what has this `digest`, as JSON below `out`; where that is None nothing is
     kept.
     """
@@ -48,10 +54,10 @@ class Parts:
 
     def of(self, name: str, make: Callable[[], Any]) -> Any:
         """The part `name` as it was kept, or else what `make()` gives, which is kept."""
-        kept = self.get(name)
-        if kept is None:
+        there = self.get(name)
+        if there is None:
             return self.put(name, make())
-        return kept
+        return there
 
     def drop(self) -> None:
         """Remove them: what they were kept for is written."""
@@ -63,17 +69,22 @@ class Parts:
                 self.folder.parent.rmdir()
 
 
-def parts_of(out: str | Path | None, task: str, config: CompareConfig, learned: str = "") -> Parts:
+def parts_of(
+    out: str | Path | None,
+    task: str,
+    config: CompareConfig,
+    digest: Callable[[], str] | None = None,
+) -> ComparisonParts:
     """Parts in `out`, those of this configuration alone (its `methods` may be others), and a line
     where some are there.
 
-    `learned`: digest of what the task learns once.
+    `digest`: of what the task computes; asked for where parts are kept.
     """
     if out is None:
-        return Parts()
+        return ComparisonParts()
     out = Path(out)
-    about = {"version": __version__, "task": task, "learned": learned}
-    parts = Parts(
+    about = {"version": __version__, "task": task, "traced": digest() if digest else ""}
+    parts = ComparisonParts(
         out,
         configs.digest({"about": about, "config": configs.to_table(replace(config, methods=()))}),
     )
@@ -87,8 +98,21 @@ def parts_of(out: str | Path | None, task: str, config: CompareConfig, learned: 
     return parts
 
 
+def task_digest(task: Task, contexts: Any = None) -> str:
+    """Of what a task computes in training, rolling out and scoring, and of its test contexts."""
+
+    def run(key, mean, params):
+        policy = task.train(key, gaussian(task.space, mean), task.init_policy(key))
+        trajectory = task.rollout(key, policy, params)
+        reward = task.reward(trajectory, task.reference(params))
+        return task.observe(trajectory), task.score(trajectory), reward
+
+    zeros = jnp.zeros(task.space.dim)
+    return digest_of(run, jax.random.key(0), zeros, zeros) + digest_of_arrays(contexts)
+
+
 @contextlib.contextmanager
-def told_where_kept(out: Path) -> Iterator[None]:
+def report_unfinished(out: Path) -> Iterator[None]:
     """Where the work within fails, a line on what of it is kept."""
     try:
         yield

@@ -19,7 +19,7 @@ from adaptsim_jax.space import Space
 
 
 @dataclass(frozen=True)
-class Problem:
+class ExactProblem:
     """Pure functions on physical parameters `[D]`: `policy(params) -> policy`, `cost(params,
     policy) -> []`.
 
@@ -39,7 +39,7 @@ class Problem:
     slope: Callable[[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]
 
 
-def pendulum_problem(space: Space) -> Problem:
+def pendulum_problem(space: Space) -> ExactProblem:
     """The linearized double pendulum with LQR policies (paper, section 5.1); parameters m1, m2, b1,
     b2.
 
@@ -56,7 +56,7 @@ def pendulum_problem(space: Space) -> Problem:
     def cost_at(u, target):
         return pendulum.rollout(target, pendulum.optimal_gain(space.physical(u)).gain).cost
 
-    return Problem(
+    return ExactProblem(
         space=space,
         policy=lambda params: pendulum.optimal_gain(params).gain,
         cost=lambda params, gain: pendulum.rollout(params, gain).cost,
@@ -67,7 +67,7 @@ def pendulum_problem(space: Space) -> Problem:
     )
 
 
-def costs(problem: Problem, means: np.ndarray, targets: np.ndarray) -> np.ndarray:
+def costs(problem: ExactProblem, means: np.ndarray, targets: np.ndarray) -> np.ndarray:
     """Costs `[T, ...]` in each of `targets [T, D]` of the policies trained at `means [T, ..., D]`,
     in double precision.
     """
@@ -81,7 +81,7 @@ def costs(problem: Problem, means: np.ndarray, targets: np.ndarray) -> np.ndarra
         return np.asarray(out).reshape(means.shape[:-1])
 
 
-def discrepancy(problem: Problem, means: np.ndarray, targets: np.ndarray) -> np.ndarray:
+def discrepancy(problem: ExactProblem, means: np.ndarray, targets: np.ndarray) -> np.ndarray:
     """Dynamics discrepancy `[T, ...]` (rad) of section 5.3, for adapted `means [T, ..., D]` and
     `targets [T, D]`.
 

@@ -1,9 +1,9 @@
 """Baselines by name. Imports no JAX: commands list the names.
 
-Of a task whose policy is solved exactly, `(Run) -> Visits` (`methods.py`); of one whose policies
-are learned, `(Bout) -> Trip` (`learned.py`), also of one whose trials are episodes of many steps.
-Another package adds one by an entry point of the group `adaptsim.baselines`, called `exact.NAME`,
-`learned.NAME` or `steps.NAME`.
+A baseline is a function `(MethodRun) -> Visits` (`arena.py`). Of a task whose policy is solved
+exactly it gives the means of E that it visited; of one whose policies are learned, also of one whose
+trials are episodes of many steps, what its policies earned too. Another package adds one by an
+entry point of the group `adaptsim.baselines`, called `exact.NAME`, `learned.NAME` or `steps.NAME`.
 """
 
 from collections.abc import Callable
@@ -18,23 +18,23 @@ ORACLE = "oracle"  # what the best actions earn in the target itself, likewise
 EXACT: Registry[Callable[..., Any]] = Registry(
     "baselines",
     {
-        "adaptsim": f"{HERE}.methods:adaptsim",
-        "adaptsim_state": f"{HERE}.methods:adaptsim_state",
-        "adaptsim_analytic": f"{HERE}.methods:adaptsim_analytic",
-        "sysid_bayes": f"{HERE}.methods:sysid_bayes",
-        "sysid_bayes_state": f"{HERE}.methods:sysid_bayes_state",
-        "sysid_point": f"{HERE}.methods:sysid_point",
-        "sysid_point_state": f"{HERE}.methods:sysid_point_state",
-        "gradient": f"{HERE}.methods:descend",
+        "adaptsim": f"{HERE}.exact_methods:adaptsim",
+        "adaptsim_state": f"{HERE}.exact_methods:adaptsim_state",
+        "adaptsim_analytic": f"{HERE}.exact_methods:adaptsim_analytic",
+        "sysid_bayes": f"{HERE}.exact_methods:sysid_bayes",
+        "sysid_bayes_state": f"{HERE}.exact_methods:sysid_bayes_state",
+        "sysid_point": f"{HERE}.exact_methods:sysid_point",
+        "sysid_point_state": f"{HERE}.exact_methods:sysid_point_state",
+        "gradient": f"{HERE}.exact_methods:descend",
     },
     within="exact",
 )
 LEARNED: Registry[Callable[..., Any]] = Registry(
     "baselines",
     {
-        "adaptsim": f"{HERE}.learned:adaptsim",
-        "sysid_bayes": f"{HERE}.learned:sysid_bayes",
-        "sysid_point": f"{HERE}.learned:sysid_point",
+        "adaptsim": f"{HERE}.adapting:adaptsim",
+        "sysid_bayes": f"{HERE}.adapting:sysid_bayes",
+        "sysid_point": f"{HERE}.adapting:sysid_point",
         "bayesopt": f"{HERE}.bayesopt:bayesopt",
         "udr": f"{HERE}.direct:udr",
         "udr_target": f"{HERE}.direct:udr_target",
@@ -45,19 +45,19 @@ LEARNED: Registry[Callable[..., Any]] = Registry(
 STEPS: Registry[Callable[..., Any]] = Registry(
     "baselines",
     {
-        "adaptsim": f"{HERE}.learned:adaptsim",
-        "sysid_bayes": f"{HERE}.learned:sysid_bayes",
-        "sysid_point": f"{HERE}.learned:sysid_point",
+        "adaptsim": f"{HERE}.adapting:adaptsim",
+        "sysid_bayes": f"{HERE}.adapting:sysid_bayes",
+        "sysid_point": f"{HERE}.adapting:sysid_point",
         "bayesopt": f"{HERE}.bayesopt:bayesopt",
-        "cma_es": f"{HERE}.steps_methods:cma_es",
-        "sbi": f"{HERE}.steps_sbi:sbi",
-        "gradient": f"{HERE}.steps_gradient:gradient",
-        "fine_tune": f"{HERE}.steps_methods:fine_tune",
-        "nominal": f"{HERE}.steps_methods:nominal",
-        "udr": f"{HERE}.steps_methods:udr",
-        "udr_wide": f"{HERE}.steps_methods:udr_wide",
-        "best_in_omega": f"{HERE}.steps_methods:best_in_omega",
-        "oracle": f"{HERE}.steps_methods:oracle",
+        "cma_es": f"{HERE}.steps_search:cma_es",
+        "sbi": f"{HERE}.steps_search:sbi",
+        "gradient": f"{HERE}.steps_search:gradient",
+        "fine_tune": f"{HERE}.steps_trained:fine_tune",
+        "nominal": f"{HERE}.steps_trained:nominal",
+        "udr": f"{HERE}.steps_trained:udr",
+        "udr_wide": f"{HERE}.steps_trained:udr_wide",
+        "best_in_omega": f"{HERE}.steps_trained:best_in_omega",
+        "oracle": f"{HERE}.steps_trained:oracle",
     },
     within="steps",
 )

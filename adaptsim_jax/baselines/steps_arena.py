@@ -1,7 +1,7 @@
 """Where methods meet targets of many steps: the arena of `arena.py` for tasks whose trial is an
 episode of a policy.
 
-A visit's own trials and the episodes that score it are rolled out together; what a method is told
+A visit's own trials and the episodes that score it are rolled out together; what a method is given
 is its own trials alone.
 """
 
@@ -13,18 +13,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.baselines.arena import Seen, Trials
-from adaptsim_jax.environments.rollout import episode as one_episode
-from adaptsim_jax.environments.rollout import look
-from adaptsim_jax.environments.task import (
-    Prepared,
-    Setting,
-    Tuned,
-    acting_of,
-    network_acting,
-    play_in,
-    ready,
-)
+from adaptsim_jax.baselines.arena import Observed, TrialBatch
+from adaptsim_jax.environments.episodes import Play, look, make_play
+from adaptsim_jax.environments.episodes import episode as one_episode
+from adaptsim_jax.environments.policies import Prepared, Tuned, acting_of, network_acting
+from adaptsim_jax.environments.setting import Setting, environment
+from adaptsim_jax.environments.task import longest_delay, play_in, ready
 
 
 class One(NamedTuple):
@@ -38,7 +32,7 @@ class One(NamedTuple):
     probe: None = None
 
 
-class Told(NamedTuple):
+class Rolled(NamedTuple):
     """Of a batch of policies: `obs [B, C]` and return `score [B]` of their own trials, and the mean
     return of the tests `[B]`.
     """
@@ -67,32 +61,38 @@ class StepsArena:
         programs: dict[Hashable, Any] | None = None,
     ):
         self._programs = {} if programs is None else programs
-        self.setting, self.prepared, self.names, self.tests, self.seed = (
-            setting,
-            prepared,
-            names,
-            tests,
-            seed,
-        )
+        self.setting, self.prepared, self.names = setting, prepared, names
+        self.tests, self.seed = tests, seed
         self.one = One(ready(setting, prepared), setting.config.trials)
         self.targets = np.array(
             [setting.targets[name].values[: setting.space.dim] for name in names], np.float32
         )
-        self.failed, self.made, self.fresh = (
-            np.zeros(len(names), int),
-            np.zeros(len(names), int),
-            [],
-        )
+        self.failed, self.made = np.zeros(len(names), int), np.zeros(len(names), int)
         self.own: list[np.ndarray] = []
         self.scored: list[np.ndarray] = []
         self._train = self.program("train", lambda task, *of: jax.vmap(task.train)(*of))
         self.plays = {
-            name: self.kept(("play", name), partial(play_in, setting, setting.targets[name]))
+            name: self.shared(("play", name), partial(play_in, setting, setting.targets[name]))
             for name in names
         }
-        self._last: tuple[Any, Told] | None = None
+        self._last: tuple[Any, Rolled] | None = None
 
-    def kept(self, name: Hashable, make: Callable[[], Any]) -> Any:
+    @property
+    def all_values(self) -> list[np.ndarray]:
+        """Of each target `[F]`, fields that Omega lacks included."""
+        return [self.setting.targets[name].values for name in self.names]
+
+    @property
+    def obs_dim(self) -> int:
+        return int(self.setting.trainer.policy(self.prepared.learned).mean.shape[0])
+
+    def whole_play(self) -> Play:
+        """The simulator with all fields that any target has as arguments."""
+        setting = self.setting
+        sim = environment(setting.env, setting.fields, setting.config.length)
+        return make_play(sim, setting.fields, longest_delay(setting.fields, *self.all_values))
+
+    def shared(self, name: Hashable, make: Callable[[], Any]) -> Any:
         """What `make` makes, once for all seeds."""
         if name not in self._programs:
             self._programs[name] = make()
@@ -105,7 +105,7 @@ class StepsArena:
         def made():
             return jax.jit(lambda prepared, *args: function(ready(setting, prepared), *args))
 
-        return partial(self.kept(name, made), self.prepared)
+        return partial(self.shared(name, made), self.prepared)
 
     def train(self, keys, dists, policies):
         """Policies `[B, ...]` trained on `dists [B]`."""
@@ -115,21 +115,22 @@ class StepsArena:
         """Policies `[B, ...]` as the task starts them."""
         return jax.vmap(self.one.task.init_policy)(keys)
 
-    def visit(self, keys, where: np.ndarray, policies) -> Seen:
+    def visit(self, keys, where: np.ndarray, policies) -> Observed:
         """Run each policy in its target `where [B]` for a visit's trials, and observe them."""
-        told = self._told(where, policies)
-        self.own.append(told.score)
+        rolled = self._last_rolled(where, policies)
+        self.own.append(rolled.score)
         np.add.at(self.made, where, self.one.trials)
-        np.add.at(self.failed, where, np.where(np.isfinite(told.score), 0, self.one.trials))
-        return Seen(told.obs, told.score, Trials(None, None, None))  # type: ignore[arg-type]
+        np.add.at(self.failed, where, np.where(np.isfinite(rolled.score), 0, self.one.trials))
+        nothing: Any = None  # an episode has no trials of its own to mend by
+        return Observed(rolled.obs, rolled.score, TrialBatch(nothing, nothing, nothing))
 
     def score(self, where: np.ndarray, policies) -> np.ndarray:
         """Mean return `[B]` of the tests, the same starts for every policy."""
-        tests = self._told(where, policies).tests
+        tests = self._last_rolled(where, policies).tests
         self.scored.append(tests)
         return tests
 
-    def _told(self, where, policies) -> Told:
+    def _last_rolled(self, where, policies) -> Rolled:
         if self._last is not None and _same(self._last[0], policies):
             return self._last[1]
         parts = {}
@@ -144,17 +145,17 @@ class StepsArena:
         for rows, part in parts.values():
             for column, values in zip(columns, part, strict=True):
                 column[rows] = values
-        told = Told(*columns)
-        self._last = (policies, told)
-        return told
+        rolled = Rolled(*columns)
+        self._last = (policies, rolled)
+        return rolled
 
-    def _rolled(self, name: str, policies) -> Told:
+    def _rolled(self, name: str, policies) -> Rolled:
         own = isinstance(policies, Tuned)
-        run = self.kept(("run", name, own), lambda: jax.jit(self._runner(name, own)))
+        run = self.shared(("run", name, own), lambda: jax.jit(self._runner(name, own)))
         count = len(jax.tree.leaves(policies)[0])
         visits = jax.random.fold_in(jax.random.key(self.seed), len(self.own) + 1)
         keys = jax.random.split(visits, count)
-        return Told(*map(np.asarray, run(self.prepared, keys, policies)))
+        return Rolled(*map(np.asarray, run(self.prepared, keys, policies)))
 
     def _runner(self, name: str, own: bool):
         (play, values), setting = self.plays[name], self.setting

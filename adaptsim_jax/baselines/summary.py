@@ -74,14 +74,19 @@ def row(
         "best_iteration_mean": curves.mean(axis=0).max(),
         "mean_clipped": np.clip(best, 0.0, 1.0).mean(),
         "final_median": np.median(curves[:, -1]),
-        "curve": {
-            "median": np.median(curves, axis=0),
-            "q25": np.percentile(curves, 25, axis=0),
-            "q75": np.percentile(curves, 75, axis=0),
-            "mean": curves.mean(axis=0),
-        },
+        "curve": quartiles(curves),
     }
     return plain({**out, **extras})
+
+
+def quartiles(curves: np.ndarray) -> dict[str, np.ndarray]:
+    """Median, quartiles and mean `[I + 1]` over seeds of `curves [S, I + 1]`."""
+    return {
+        "median": np.median(curves, axis=0),
+        "q25": np.percentile(curves, 25, axis=0),
+        "q75": np.percentile(curves, 75, axis=0),
+        "mean": curves.mean(axis=0),
+    }
 
 
 def physical(space: Space, means: np.ndarray) -> np.ndarray:

@@ -9,10 +9,12 @@ stays within Omega.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import flax.linen as nn
 import jax
 import jax.numpy as jnp
+import optax
 
 from adaptsim_jax.baselines import mdn
 from adaptsim_jax.core.errors import BadInput
@@ -216,3 +218,65 @@ def within_omega(draws: jax.Array, told: jax.Array, least_std: float) -> tuple[G
     mean = jnp.where(few, jnp.clip(weights @ flat, 0.0, 1.0), weights @ points)
     std = jnp.sqrt(weights @ (points - mean[None]) ** 2)
     return Gaussian(mean, jnp.maximum(std, least_std)), share
+
+
+def mixture_estimator(dim: int, config: SysIdConfig) -> Estimator:
+    """Full-covariance mixture over unit coordinates; infers by drawing from it."""
+    network: Any = mdn.MixtureNetwork(dim, config.components, config.hidden)
+
+    def init(key: jax.Array, obs_dim: int) -> Any:
+        return network.init(key, jnp.zeros(obs_dim))
+
+    def loss(variables: dict, x: jax.Array, u: jax.Array) -> jax.Array:
+        return -mdn.log_prob(network.apply(variables, x), u)
+
+    def infer(key: jax.Array, variables: dict, x: jax.Array) -> jax.Array:
+        return mdn.sample(key, network.apply(variables, x), config.draws)
+
+    return Estimator(init, loss, infer)
+
+
+def make_sysid_bayes(task: Task, config: SysIdConfig = SysIdConfig()) -> Callable:
+    """`adapt(key, target [D] physical) -> Identified`; the policy follows the mean of the posterior
+    within Omega.
+    """
+    return make_sysid(task, mixture_estimator(task.space.dim, config), config)
+
+
+class PointNetwork(nn.Module):
+    """Observation `[obs]` (standardised) to unit coordinates `[dim]`, held within the box by a
+    sigmoid.
+    """
+
+    dim: int
+    hidden: tuple[int, ...] = (128, 128)
+
+    @nn.compact
+    def __call__(self, x: jax.Array) -> jax.Array:
+        for width in self.hidden:
+            x = nn.tanh(nn.Dense(width)(x))
+        return nn.sigmoid(nn.Dense(self.dim)(x))
+
+
+def point_estimator(dim: int, config: SysIdConfig) -> Estimator:
+    """Smooth-L1 regression; infers the one point that it regresses to."""
+    network: Any = PointNetwork(dim, config.hidden)
+
+    def init(key: jax.Array, obs_dim: int) -> Any:
+        return network.init(key, jnp.zeros(obs_dim))
+
+    def loss(variables: dict, x: jax.Array, u: jax.Array) -> jax.Array:
+        return jnp.mean(optax.huber_loss(network.apply(variables, x), u, delta=1.0))
+
+    def infer(key: jax.Array, variables: dict, x: jax.Array) -> jax.Array:
+        del key
+        return network.apply(variables, x)[None]
+
+    return Estimator(init, loss, infer)
+
+
+def make_sysid_point(task: Task, config: SysIdConfig = SysIdConfig()) -> Callable:
+    """`adapt(key, target [D] physical) -> Identified`; the policy is trained at the newest
+    point.
+    """
+    return make_sysid(task, point_estimator(task.space.dim, config), config)

@@ -66,15 +66,15 @@ def run(args: argparse.Namespace) -> int:
 
     said, args.task = args.task, task_word(args)
     from adaptsim_jax.baselines.compare import compare
-    from adaptsim_jax.baselines.parts import Parts, told_where_kept
+    from adaptsim_jax.baselines.parts import ComparisonParts, report_unfinished
     from adaptsim_jax.core.progress import progress
     from adaptsim_jax.report.comparison import table, write_comparison
 
     asked = config_of(args)
-    with output(args.out) as out, told_where_kept(out), progress(f"compare {said}") as report:
+    with output(args.out) as out, report_unfinished(out), progress(f"compare {said}") as report:
         results = compare(args.task, asked, report, shlex.join(["adaptsim", *sys.argv[1:]]), out)
         paths = [*write_comparison(results, out), *found_figure(results, asked.train.task, out)]
-        Parts(out, results["digest"]).drop()
+        ComparisonParts(out, results["digest"]).drop()
     if args.json:
         print_file(out / "results.json")
         return 0

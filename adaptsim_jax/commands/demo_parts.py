@@ -17,11 +17,12 @@ import numpy as np
 
 from adaptsim_jax.adaptation.phase2 import Phase2Result, best_visit
 from adaptsim_jax.adaptation.training import TrainConfig, Trained, adapt_run, train_run
-from adaptsim_jax.baselines.compare import compare, find_bounds, visiting_rows
+from adaptsim_jax.baselines.arena import Visits
+from adaptsim_jax.baselines.bounds import RewardMap, reward_map
+from adaptsim_jax.baselines.compare import compare
+from adaptsim_jax.baselines.compare_exact import ExactArena, find_bounds, visiting_rows
 from adaptsim_jax.baselines.config import CompareConfig
-from adaptsim_jax.baselines.methods import Visits
 from adaptsim_jax.baselines.problem import pendulum_problem
-from adaptsim_jax.baselines.reward_map import RewardMap, reward_map
 from adaptsim_jax.commands.adapt import describe
 from adaptsim_jax.commands.demo_config import FULL, TARGET, TASK, ContactConfig, DemoConfig
 from adaptsim_jax.commands.phase2 import phase2
@@ -118,12 +119,10 @@ def _compare(out: Path, adapted: list[Adapted], seed: int, config: DemoConfig, r
     task = adapted[0].trained.phase1.task
     problem = pendulum_problem(task.space)
     targets = np.array([task.space.values(task.settings[TARGET], TARGET)])
-    bounds = find_bounds(problem, targets)
+    arena, bounds = ExactArena(TASK, {}, problem, targets), find_bounds(problem, targets)
     means = np.stack([np.asarray(one.result.history.mean) for one in adapted])[None]
     visits = Visits(means, config.starts * (config.iterations + 1))
-    results["rows"] = (
-        visiting_rows("adaptsim", [TARGET], problem, targets, bounds, visits) + results["rows"]
-    )
+    results["rows"] = visiting_rows("adaptsim", [TARGET], arena, bounds, visits) + results["rows"]
     write_json(output_folder(out / "comparison") / "results.json", results)
     ends = float(bounds.lower[0]), float(bounds.upper[0])
     chart = reward_map(problem, targets[0], *ends, names=("m1", "m2"), limits=MAP_LIMITS)

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.adaptation.episode import Episode
+from adaptsim_jax.adaptation.episode import AdaptationEpisode
 from adaptsim_jax.adaptation.phase2 import Phase2Result, best_visit, chosen_visit, draw_starts
 from adaptsim_jax.adaptation.prepared import learned
 from adaptsim_jax.adaptation.training import adapt_run, archive_size
@@ -53,8 +53,9 @@ def as_compared(
     """Phase 2 with the visits and the corrections of `compare`. The best policy is that of the
     visit with the highest return, corrected by all trials that were made.
     """
-    from adaptsim_jax.baselines.arena import Arena, lanes
-    from adaptsim_jax.baselines.tour import tour
+    from adaptsim_jax.baselines.adapting import LanePolicies, adaptation_trace
+    from adaptsim_jax.baselines.arena import Arena
+    from adaptsim_jax.baselines.lanes import lanes
 
     one, phase1 = make_one_shot(task, options), trained.phase1
     arena = Arena(one, one.world(one.engine), np.asarray(target)[None])
@@ -67,14 +68,16 @@ def as_compared(
         return jnp.broadcast_to(x, (starts, *jnp.shape(x)))
 
     weights, hyper = each(trained.state.learner.target), jax.tree.map(each, trained.hyper)
-    return _as_deployed(arena, batch, tour(arena, batch, phase1, weights, hyper, first, iterations))
+    policies = LanePolicies(phase1, weights, hyper)
+    found = adaptation_trace(arena, batch, policies, first, iterations)
+    return _as_deployed(arena, batch, found)
 
 
 def _as_deployed(arena: Any, batch: Any, found: Any) -> Phase2Result:
-    """A tour of one target and seed, each policy with the trials that it is corrected by."""
+    """A trace of one target and seed, each policy with the trials that it is corrected by."""
     corrected = [found.memory.deployed(policies, i) for i, policies in enumerate(found.policies)]
     policies = jax.tree.map(lambda *x: jnp.stack(x, 1), *corrected)
-    history = Episode(
+    history = AdaptationEpisode(
         found.means, policies, found.obs, found.scores, found.rewards, found.actions[:, :-1]
     )
     start, visit = map(int, best_visit(found.scores))

@@ -140,7 +140,7 @@ def _check_same(run: RunFolder, table: dict[str, Any], folder: Path) -> None:
 
 
 def make_session(folder: Path, table: dict[str, Any]) -> Session:
-    from adaptsim_jax.adaptation.asktell import make_ask_tell
+    from adaptsim_jax.adaptation.asktell import AskTell
     from adaptsim_jax.adaptation.training import load_run
     from adaptsim_jax.tasks.registry import TASKS
 
@@ -152,7 +152,7 @@ def make_session(folder: Path, table: dict[str, Any]) -> Session:
         trained.state.learner.target,
         {k: float(getattr(trained.hyper, k)) for k in ("delta", "shrink")},
     )
-    loop = make_ask_tell(phase1.task, phase1.bdq, weights, iterations=table["iterations"], **sizes)
+    loop = AskTell(phase1.task, phase1.bdq, weights, iterations=table["iterations"], **sizes)
     return Session(folder, table, trained, loop, run.config.get("task", {}), TASKS[run.task])
 
 
@@ -190,7 +190,7 @@ def load(session: Session, folder: Path | None = None) -> tuple[Any, list[dict[s
     import jax
     import jax.numpy as jnp
 
-    from adaptsim_jax.adaptation.phase1 import Archive
+    from adaptsim_jax.adaptation.phase1 import DistributionArchive
     from adaptsim_jax.core import config, store
     from adaptsim_jax.core.errors import BadInput
 
@@ -209,7 +209,9 @@ def load(session: Session, folder: Path | None = None) -> tuple[Any, list[dict[s
     def like(key):
         count = session.table["starts"]
         policy = jax.vmap(task.init_policy)(jax.random.split(key, count))
-        return session.loop.init(key, Archive(jnp.zeros((count, task.space.dim)), policy))
+        return session.loop.init(
+            key, DistributionArchive(jnp.zeros((count, task.space.dim)), policy)
+        )
 
     state, _ = store.load_checkpoint(
         folder, jax.eval_shape(like, jax.random.key(0)), task=task.name

@@ -131,7 +131,7 @@ def _sweep(args: argparse.Namespace) -> int:
 
     from adaptsim_jax.adaptation import sweep_devices, sweep_plan
     from adaptsim_jax.adaptation.sweep_folder import locked
-    from adaptsim_jax.adaptation.sweep_spec import read_sweep
+    from adaptsim_jax.adaptation.sweep_read import read_sweep
     from adaptsim_jax.commands.common import output
 
     spec = args.words[0]
@@ -170,7 +170,7 @@ def _work(args: argparse.Namespace, sweep: Any, plan: Any, out: Path) -> int:
     folder = _folder(args, sweep, plan, out)
     with progress("sweep") as report:
         if args.ray is not None:
-            from adaptsim_jax.adaptation.sweep_cluster import run_on_ray
+            from adaptsim_jax.adaptation.sweep_run import run_on_ray
 
             run_on_ray(sweep, folder, args.ray or None, progress=report, save_after=args.save_every)
         else:
@@ -195,7 +195,7 @@ def _folder(args: argparse.Namespace, sweep: Any, plan: Any, out: Path) -> Any:
 
 
 def _finish(folder: Any, as_json: bool) -> int:
-    from adaptsim_jax.adaptation.sweep_results import write_results
+    from adaptsim_jax.adaptation.sweep_folder import write_results
     from adaptsim_jax.commands.common import next_step, print_file
     from adaptsim_jax.report.figures_sweep import draw
     from adaptsim_jax.report.sweep_page import write_sweep_page

@@ -12,7 +12,8 @@ import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.environments.config import EnvironmentConfig
-from adaptsim_jax.environments.task import acting_of, environment_setting, task_of
+from adaptsim_jax.environments.policies import acting_of
+from adaptsim_jax.environments.task import environment_setting, task_of
 from adaptsim_jax.space import Gaussian
 from adaptsim_jax.tasks.base import Task
 from adaptsim_jax.tasks.faces import AdaptFace, AdaptView, Look

@@ -9,12 +9,8 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.environments.planner import PlannerConfig
 from adaptsim_jax.environments.trainer import PPOTraining
 
-BESIDE = (
-    "phase1",
-    "hyper",
-    "seed",
-    "every",
-)  # tables of an env.toml that are of the run, not of the task
+OF_RUN = ("phase1", "hyper", "seed", "every")
+"""Tables of an env.toml that are of the run, not of the task."""
 
 
 @dataclass(frozen=True)
@@ -72,9 +68,9 @@ def read_env(path: str | Path) -> dict[str, Any]:
     at fault.
     """
     table = configs.read(path)
-    options = {key: value for key, value in table.items() if key not in BESIDE}
+    options = {key: value for key, value in table.items() if key not in OF_RUN}
     home, colon, thing = str(options.get("env", "")).rpartition(":")
     if colon and home.endswith(".py"):
         options["env"] = f"{(Path(path).parent / home).resolve()}:{thing}"
     configs.from_table(EnvironmentConfig, options, str(path))
-    return {key: table[key] for key in BESIDE if key in table} | {"task": options}
+    return {key: table[key] for key in OF_RUN if key in table} | {"task": options}

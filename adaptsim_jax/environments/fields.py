@@ -6,8 +6,7 @@ serves a simulation in a compiled program and a target in MuJoCo C. Nominal valu
 """
 
 import dataclasses
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -19,72 +18,66 @@ import numpy as np
 from adaptsim_jax.core.config import suggest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.given import brief, finite
+from adaptsim_jax.mechanisms.model_numbers import (
+    NumberName,
+    array_at,
+    element_names,
+    element_number,
+    parse,
+    place,
+)
 from adaptsim_jax.space import Parameter, Space
 
 
-class Kind(NamedTuple):
-    """An attribute: the array it stands in, what its rows are (`body`, `dof`, ...), its unit and
-    the least that makes sense.
+class Attribute(NamedTuple):
+    """A number that may be adapted: the name of its array in MuJoCo, where that is another, its
+    unit and the minimum that makes sense.
     """
 
-    array: str
-    rows: str
     unit: str
-    least: float = -np.inf
+    minimum: float = -np.inf
+    array: str = ""
 
 
-KINDS: dict[str, dict[str, Kind]] = {
+ATTRIBUTES: dict[str, dict[str, Attribute]] = {
     "body": {
-        "mass": Kind("body_mass", "body", "kg", 1e-9),
-        "inertia": Kind("body_inertia", "body", "kg m2", 1e-12),
-        "ipos": Kind("body_ipos", "body", "m"),
-        "pos": Kind("body_pos", "body", "m"),
+        "mass": Attribute("kg", 1e-9),
+        "inertia": Attribute("kg m2", 1e-12),
+        "ipos": Attribute("m"),
+        "pos": Attribute("m"),
     },
     "joint": {
-        "damping": Kind("dof_damping", "dof", "N s/m or N m s/rad", 0.0),
-        "frictionloss": Kind("dof_frictionloss", "dof", "N or N m", 0.0),
-        "armature": Kind("dof_armature", "dof", "kg or kg m2", 0.0),
-        "stiffness": Kind("jnt_stiffness", "joint", "N/m or N m/rad", 0.0),
-        "springref": Kind("qpos_spring", "qpos", "m or rad"),
+        "damping": Attribute("N s/m or N m s/rad", 0.0),
+        "frictionloss": Attribute("N or N m", 0.0),
+        "armature": Attribute("kg or kg m2", 0.0),
+        "stiffness": Attribute("N/m or N m/rad", 0.0),
+        "springref": Attribute("m or rad"),
     },
-    "geom": {
-        "friction": Kind("geom_friction", "geom", "1", 0.0),
-        "solref": Kind("geom_solref", "geom", "s, 1"),
-    },
+    "geom": {"friction": Attribute("1", 0.0), "solref": Attribute("s, 1")},
     "actuator": {
-        "gain": Kind("actuator_gainprm", "actuator", "of the actuator"),
-        "bias": Kind("actuator_biasprm", "actuator", "of the actuator"),
-        "gear": Kind("actuator_gear", "actuator", "1"),
+        "gain": Attribute("of the actuator", array="gainprm"),
+        "bias": Attribute("of the actuator", array="biasprm"),
+        "gear": Attribute("1"),
     },
     "tendon": {
-        "damping": Kind("tendon_damping", "tendon", "N s/m", 0.0),
-        "stiffness": Kind("tendon_stiffness", "tendon", "N/m", 0.0),
-        "frictionloss": Kind("tendon_frictionloss", "tendon", "N", 0.0),
+        "damping": Attribute("N s/m", 0.0),
+        "stiffness": Attribute("N/m", 0.0),
+        "frictionloss": Attribute("N", 0.0),
     },
     "option": {
-        "gravity": Kind("opt.gravity", "option", "m/s2"),
-        "wind": Kind("opt.wind", "option", "m/s"),
-        "density": Kind("opt.density", "option", "kg/m3", 0.0),
-        "viscosity": Kind("opt.viscosity", "option", "Pa s", 0.0),
+        "gravity": Attribute("m/s2"),
+        "wind": Attribute("m/s"),
+        "density": Attribute("kg/m3", 0.0),
+        "viscosity": Attribute("Pa s", 0.0),
     },
 }
-INTERFACE = {  # what lies between policy and model: unit, least, nominal
+INTERFACE = {  # what lies between policy and model: unit, minimum, nominal
     "delay": ("s", 0.0, 0.0),
     "action_scale": ("1", 0.0, 1.0),
     "observation_noise": ("of the observation", 0.0, 0.0),
 }
-LEAST_FRICTION = (
-    1e-6  # N or N m: MJX takes a row of friction 0 for one that holds whatever the load
-)
-_OBJECTS = {
-    "body": mujoco.mjtObj.mjOBJ_BODY,
-    "joint": mujoco.mjtObj.mjOBJ_JOINT,
-    "geom": mujoco.mjtObj.mjOBJ_GEOM,
-    "actuator": mujoco.mjtObj.mjOBJ_ACTUATOR,
-    "tendon": mujoco.mjtObj.mjOBJ_TENDON,
-}
-_COUNTS = {"body": "nbody", "joint": "njnt", "geom": "ngeom", "actuator": "nu", "tendon": "ntendon"}
-_FORM = re.compile(r"(?P<kind>\w+)(?::(?P<name>[^.\[\]]+))?\.(?P<attr>\w+)(?:\[(?P<index>\d+)\])?")
+MIN_FRICTION = 1e-6
+"""N or N m: MJX takes a row of friction 0 for one that holds whatever the load."""
 
 
 class Edit(NamedTuple):
@@ -96,19 +89,19 @@ class Edit(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Field:
-    """One number: its name, the value in the file, unit, the least that makes sense, and what it
+class ModelField:
+    """One number: its name, the value in the file, unit, the minimum that makes sense, and what it
     edits (nothing: the interface).
     """
 
     name: str
     nominal: float
     unit: str
-    least: float
+    minimum: float
     edits: tuple[Edit, ...] = ()
 
 
-def field_of(model: Any, name: str, where: str = "fields") -> Field:
+def field_of(model: Any, name: str, where: str = "fields") -> ModelField:
     """The field called `name` of `model`, an MjModel or gymnax's parameters. BadInput with the
     nearest names where the model has none.
 
@@ -117,40 +110,34 @@ def field_of(model: Any, name: str, where: str = "fields") -> Field:
     proportion.
     """
     if name in INTERFACE:
-        unit, least, nominal = INTERFACE[name]
-        return Field(name, nominal, unit, least)
+        unit, minimum, nominal = INTERFACE[name]
+        return ModelField(name, nominal, unit, minimum)
     if not isinstance(model, mujoco.MjModel):
         return _of_params(model, name, where)
-    form = _FORM.fullmatch(name)
-    if (
-        form is None
-        or form["kind"] not in KINDS
-        or (form["name"] is None) != (form["kind"] == "option")
-    ):
+    form = parse(name)
+    if form is None or form.kind not in ATTRIBUTES:
         raise BadInput(f"{where}: '{name}' is no field; {suggest(name, known_fields(model))}")
-    kinds = KINDS[form["kind"]]
-    if form["attr"] not in kinds:
-        raise BadInput(
-            f"{where}: '{name}': a {form['kind']} has {', '.join(kinds)}; name one of them"
-        )
-    kind = kinds[form["attr"]]
-    if form["name"] == "*":
-        return _of_all(model, form, name, where)
-    row = _row(model, form["kind"], form["name"], kind.rows, name, where)
-    array = _array(model, kind.array)
-    index = (*row, *_column(array, row, form["index"], name, where))
-    value = float(array[index])
-    return Field(name, value, kind.unit, kind.least, _edits(model, kind.array, index, value))
+    there = ATTRIBUTES[form.kind]
+    if form.attribute not in there:
+        raise BadInput(f"{where}: '{name}': a {form.kind} has {', '.join(there)}; name one of them")
+    if form.element == "*":
+        return _of_all(model, form.kind, name, where)
+    attribute = there[form.attribute]
+    element = _element(model, form, name, where)
+    array, row = place(model, form.kind, attribute.array or form.attribute, element)
+    numbers = np.asarray(array_at(model, array))
+    lead = () if form.element is None else (row,)
+    index = (*lead, *_column(numbers[lead], form.index, name, where))
+    value = float(numbers[index])
+    edits = _edits(model, array, index, value)
+    return ModelField(name, value, attribute.unit, attribute.minimum, edits)
 
 
-def _of_all(model: mujoco.MjModel, form: re.Match, name: str, where: str) -> Field:
-    every = [
-        field_of(model, name.replace(":*.", f":{one}."), where)
-        for one in _names(model, form["kind"])
-    ]
+def _of_all(model: mujoco.MjModel, kind: str, name: str, where: str) -> ModelField:
+    every = [field_of(model, name.replace(":*.", f":{one}."), where) for one in _names(model, kind)]
     if not every:
         raise BadInput(
-            f"{where}: '{name}': the model has no {form['kind']} with a name; name them in the MJCF"
+            f"{where}: '{name}': the model has no {kind} with a name; name them in the MJCF"
         )
     first = every[0]
 
@@ -168,7 +155,7 @@ def _of_all(model: mujoco.MjModel, form: re.Match, name: str, where: str) -> Fie
     return replace(first, name=name, edits=edits)
 
 
-def _of_params(params: Any, name: str, where: str) -> Field:
+def _of_params(params: Any, name: str, where: str) -> ModelField:
     """A number of gymnax's parameters, `params.g`."""
     head, _, last = name.partition(".")
     value = finite(getattr(params, last, None)) if head == "params" else None
@@ -177,7 +164,7 @@ def _of_params(params: Any, name: str, where: str) -> Field:
             f"{where}: '{name}' is no field of this environment; "
             f"{suggest(name, known_fields(params))}"
         )
-    return Field(name, value, "of the environment", -np.inf, (Edit(last, (), 1.0),))
+    return ModelField(name, value, "of the environment", -np.inf, (Edit(last, (), 1.0),))
 
 
 def _edits(
@@ -197,49 +184,35 @@ def _edits(
     return tuple(edits)
 
 
-def _array(model: Any, array: str) -> Any:
-    for part in array.split("."):
-        model = getattr(model, part)
-    return np.asarray(model)
-
-
-def _row(model, kind: str, name: str | None, rows: str, field: str, where: str) -> tuple[int, ...]:
-    if kind == "option":
-        return ()
-    found = mujoco.mj_name2id(model, _OBJECTS[kind], name)
+def _element(model: mujoco.MjModel, form: NumberName, name: str, where: str) -> int:
+    if form.element is None:
+        return 0
+    found = element_number(model, form.kind, form.element)
     if found < 0:
-        near = suggest(f"{kind}:{name}", [f"{kind}:{other}" for other in _names(model, kind)])
-        raise BadInput(f"{where}: '{field}': the model has no {kind} '{name}'; {near}")
-    if rows == "dof":
-        return (int(model.jnt_dofadr[found]),)
-    if rows == "qpos":
-        return (int(model.jnt_qposadr[found]),)
-    return (found,)
+        there = [f"{form.kind}:{other}" for other in _names(model, form.kind)]
+        near = suggest(f"{form.kind}:{form.element}", there)
+        raise BadInput(f"{where}: '{name}': the model has no {form.kind} '{form.element}'; {near}")
+    return found
 
 
-def _column(
-    array: np.ndarray, row: tuple[int, ...], index: str | None, name: str, where: str
-) -> tuple[int, ...]:
-    rest = array.shape[len(row) :]
-    if not rest:
+def _column(numbers: np.ndarray, index: int | None, name: str, where: str) -> tuple[int, ...]:
+    if not numbers.ndim:
         if index is not None:
             raise BadInput(f"{where}: '{name}' is one number; leave '[{index}]' out")
         return ()
-    number = int(index or 0)
-    if number >= rest[0]:
-        raise BadInput(f"{where}: '{name}': there are {rest[0]} of it; give [0] to [{rest[0] - 1}]")
+    count = len(numbers)
+    if (index or 0) >= count:
+        raise BadInput(f"{where}: '{name}': there are {count} of it; give [0] to [{count - 1}]")
     if index is None and not ("gain" in name or "friction" in name or "gear" in name):
         raise BadInput(
-            f"{where}: '{name}': there are {rest[0]} of it; write '{name}[0]' to "
-            f"'{name}[{rest[0] - 1}]'"
+            f"{where}: '{name}': there are {count} of it; write '{name}[0]' to "
+            f"'{name}[{count - 1}]'"
         )
-    return (number,)
+    return (index or 0,)
 
 
 def _names(model: mujoco.MjModel, kind: str) -> list[str]:
-    count = getattr(model, _COUNTS[kind])
-    found = [mujoco.mj_id2name(model, _OBJECTS[kind], i) for i in range(count)]
-    return [name for name in found if name]
+    return [name for name in element_names(model, kind) if name]
 
 
 def known_fields(model: Any) -> list[str]:
@@ -255,7 +228,7 @@ def known_fields(model: Any) -> list[str]:
         return names + [
             f"params.{name}" for name in own if finite(getattr(model, name)) is not None
         ]
-    for kind, attrs in KINDS.items():
+    for kind, attrs in ATTRIBUTES.items():
         if kind == "option":
             things = [""]
         else:
@@ -264,41 +237,29 @@ def known_fields(model: Any) -> list[str]:
     return names
 
 
-def values_of(fields: Sequence[Field]) -> np.ndarray:
+def values_of(fields: Sequence[ModelField]) -> np.ndarray:
     """Nominal values `[F]`."""
     return np.array([field.nominal for field in fields], np.float32)
 
 
-def edited(model: Any, fields: Sequence[Field], values: jax.Array) -> Any:
+def edited(model: Any, fields: Sequence[ModelField], values: jax.Array) -> Any:
     """`model`, an `mjx.Model`, with `values [F]` of `fields` in their places; pure, of one
     sample.
     """
     changed: dict[str, Any] = {}
     for i, field in enumerate(fields):
         for edit in field.edits:
-            if edit.array in changed:
-                array = changed[edit.array]
-            else:
-                array = jnp.asarray(_leaf(model, edit.array))
+            array = jnp.asarray(changed.get(edit.array, array_at(model, edit.array)))
             value = (edit.factor * values[i]).astype(array.dtype)
             if "frictionloss" in edit.array:
-                value = jnp.maximum(value, LEAST_FRICTION)
-            if edit.index:
-                changed[edit.array] = array.at[edit.index].set(value)
-            else:
-                changed[edit.array] = value
+                value = jnp.maximum(value, MIN_FRICTION)
+            changed[edit.array] = array.at[edit.index].set(value)
     if changed:
         return model.tree_replace(changed)
     return model
 
 
-def _leaf(model: Any, array: str) -> Any:
-    for part in array.split("."):
-        model = getattr(model, part)
-    return model
-
-
-def edit_native(model: mujoco.MjModel, fields: Sequence[Field], values: Any) -> mujoco.MjModel:
+def edit_native(model: mujoco.MjModel, fields: Sequence[ModelField], values: Any) -> mujoco.MjModel:
     """`model` itself with `values [F]` in their places, and what MuJoCo derives of them made
     anew.
     """
@@ -316,7 +277,7 @@ def edit_native(model: mujoco.MjModel, fields: Sequence[Field], values: Any) -> 
 
 def space_of(
     model: Any, ranges: Mapping[str, Any], where: str = "fields"
-) -> tuple[Space, tuple[Field, ...]]:
+) -> tuple[Space, tuple[ModelField, ...]]:
     """Omega over `ranges` (name: `[low, high]`, or `[low, high, "log"]`), and its fields. BadInput
     names the field and the mend.
     """
@@ -335,10 +296,45 @@ def space_of(
             raise BadInput(
                 f"{where}: '{name}' = {brief(given)}; give [low, high] or [low, high, \"log\"]"
             )
-        if ends[0] < field.least:  # type: ignore[operator]
+        if ends[0] < field.minimum:  # type: ignore[operator]
             raise BadInput(
-                f"{where}: '{name}' begins at {ends[0]} {field.unit}; its least is {field.least:g}"
+                f"{where}: '{name}' begins at {ends[0]} {field.unit}; its least is {field.minimum:g}"
             )
-        parameters.append(Parameter(name, *ends, field.unit, scale, field.least))  # type: ignore[arg-type]
+        parameters.append(Parameter(name, *ends, field.unit, scale, field.minimum))  # type: ignore[arg-type]
         fields.append(field)
     return Space(tuple(parameters)), tuple(fields)
+
+
+def domain_randomize(
+    native: mujoco.MjModel, ranges: Mapping[str, Any]
+) -> Callable[[Any, jax.Array], tuple[Any, Any]]:
+    """Fields by name, each drawn from its range for every environment.
+
+    Args:
+        native: the model that `ranges` names fields of.
+        ranges: for each name `[low, high]`, or `[low, high, "log"]`, as in env.toml; not those of
+                the interface, such as `delay`.
+
+    Returns:
+        `randomize(model, rng [B]) -> (models, in_axes)`: an `mjx.Model` whose edited arrays have a
+        leading axis `[B]`, and the pytree that says which, as `randomization_fn` of Playground's
+        and Brax's training takes it.
+    """
+    space, fields = space_of(native, ranges)
+    for field in fields:
+        if not field.edits:
+            raise BadInput(
+                f"domain_randomize: '{field.name}' is of the interface, not of the model; leave it "
+                f"out"
+            )
+    arrays = sorted({edit.array for field in fields for edit in field.edits})
+
+    def randomize(model: Any, rng: jax.Array) -> tuple[Any, Any]:
+        def one(key):
+            new = edited(model, fields, space.physical(space.sample(key)))
+            return {array: array_at(new, array) for array in arrays}
+
+        in_axes = jax.tree.map(lambda _: None, model).tree_replace(dict.fromkeys(arrays, 0))
+        return model.tree_replace(jax.vmap(one)(rng)), in_axes
+
+    return randomize

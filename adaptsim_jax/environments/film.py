@@ -11,15 +11,16 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from adaptsim_jax.environments.rollout import Acting
-from adaptsim_jax.environments.task import Setting, play_in
+from adaptsim_jax.environments.episodes import ActingPolicy
+from adaptsim_jax.environments.setting import Setting
+from adaptsim_jax.environments.task import play_in
 from adaptsim_jax.report.film import Moment, Scene, Stage
 
 FPS = 25.0  # frames a second of a film, as near as whole steps go
 
 
 def filmed_episode(
-    setting: Setting, acting: Acting, policy: Any, target: str
+    setting: Setting, acting: ActingPolicy, policy: Any, target: str
 ) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
     """`(qpos [T, nq], mocap [T, 3 n], s a row, the model's bytes)` of one episode of `policy` in
     the target, from a start that is the same for all policies.

@@ -13,25 +13,15 @@ from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.effects.joints import catalogue
 from adaptsim_jax.effects.joints.actuator import DELAY
+from adaptsim_jax.mechanisms.model_numbers import array_at, element_names, element_number, place
 from adaptsim_jax.mend.model_toml import Form, read_form
 
 HELD = {e.name for e in catalogue.OWN if e.in_mjcf and not e.shifts_commands}
-BODY, JOINT, ACTUATOR = (
-    mujoco.mjtObj.mjOBJ_BODY,
-    mujoco.mjtObj.mjOBJ_JOINT,
-    mujoco.mjtObj.mjOBJ_ACTUATOR,
-)
 SIMPLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
-WORDS = {BODY: ("body", "nbody"), JOINT: ("joint", "njnt"), ACTUATOR: ("actuator", "nu")}
-ARRAYS = {
-    BODY: ("body_mass", "body_ipos", "body_iquat", "body_inertia"),
-    JOINT: ("jnt_stiffness", "dof_damping", "dof_frictionloss", "dof_armature", "qpos_spring"),
-    ACTUATOR: (
-        "actuator_gainprm",
-        "actuator_biasprm",
-        "actuator_forcerange",
-        "actuator_forcelimited",
-    ),
+ATTRIBUTES = {
+    "body": ("mass", "ipos", "iquat", "inertia"),
+    "joint": ("stiffness", "damping", "frictionloss", "armature", "springref"),
+    "actuator": ("gainprm", "biasprm", "forcerange", "forcelimited"),
 }
 
 
@@ -67,7 +57,7 @@ def mended(env: Any, path: str | Path) -> Any:
     declared, found = (_compiled(path.parent / name) for name in (form.model, "model.xml"))
     native = copy.deepcopy(getattr(env, keeper))
     delay = _delay(form, native)
-    for kind in ARRAYS:
+    for kind in ATTRIBUTES:
         _copied(kind, native, declared, found, path)
     if not np.array_equal(declared.opt.gravity, found.opt.gravity):
         native.opt.gravity[:] = found.opt.gravity
@@ -113,16 +103,16 @@ def _delay(form: Form, native: mujoco.MjModel) -> float:
             )
     driven = {native.joint(native.actuator_trnid[i, 0]).name for i in range(native.nu)}
     if late and (set(late) != driven or np.ptp(list(late.values())) > 1e-9):
-        told = ", ".join(f"{joint} {value:g} s" for joint, value in late.items())
+        listed = ", ".join(f"{joint} {value:g} s" for joint, value in late.items())
         raise BadInput(
-            f"{form.path}: delays differ between actuators ({told}); an environment has one: give all "
+            f"{form.path}: delays differ between actuators ({listed}); an environment has one: give all "
             f"the same"
         )
     return max(late.values(), default=0.0)
 
 
 def _copied(
-    kind: mujoco.mjtObj,
+    kind: str,
     native: mujoco.MjModel,
     declared: mujoco.MjModel,
     found: mujoco.MjModel,
@@ -131,34 +121,25 @@ def _copied(
     """What `found` has otherwise than `declared` into `native`; of actuators, what it has otherwise
     than `native`.
     """
-    word, count = WORDS[kind]
-    for i in range(getattr(found, count)):
-        name = mujoco.mj_id2name(found, kind, i)
-        was = mujoco.mj_name2id(declared, kind, name) if name else -1
-        if was < 0 or (kind == JOINT and int(found.jnt_type[i]) not in SIMPLE):
+    for i, name in enumerate(element_names(found, kind)):
+        was = element_number(declared, kind, name) if name else -1
+        if was < 0 or (kind == "joint" and int(found.jnt_type[i]) not in SIMPLE):
             continue
-        own = mujoco.mj_name2id(native, kind, name)
-        for array in ARRAYS[kind]:
-            value = getattr(found, array)[_row(found, array, i)]
-            if kind == ACTUATOR and own >= 0:
-                other, at = (native, own)
-            else:
-                other, at = (declared, was)
-            if np.allclose(
-                value, getattr(other, array)[_row(other, array, at)], rtol=1e-9, atol=1e-12
-            ):
+        own = element_number(native, kind, str(name))
+        other, at = (native, own) if kind == "actuator" and own >= 0 else (declared, was)
+        for attribute in ATTRIBUTES[kind]:
+            value = _number(found, kind, attribute, i)[0]
+            there = _number(other, kind, attribute, at)[0]
+            if np.allclose(value, there, rtol=1e-9, atol=1e-12):
                 continue
             if own < 0:
-                known = [mujoco.mj_id2name(native, kind, k) for k in range(getattr(native, count))]
-                near = configs.suggest(name, [k for k in known if k])
-                raise BadInput(f"{path}: the environment's model has no {word} '{name}'; {near}")
-            getattr(native, array)[_row(native, array, own)] = value
+                known = [other for other in element_names(native, kind) if other]
+                near = configs.suggest(str(name), known)
+                raise BadInput(f"{path}: the environment's model has no {kind} '{name}'; {near}")
+            _number(native, kind, attribute, own)[...] = value
 
 
-def _row(model: mujoco.MjModel, array: str, number: int) -> int:
-    """Where the thing of that number stands in `array`."""
-    if array.startswith("dof"):
-        return int(model.jnt_dofadr[number])
-    if array.startswith("qpos"):
-        return int(model.jnt_qposadr[number])
-    return number
+def _number(model: mujoco.MjModel, kind: str, attribute: str, element: int) -> np.ndarray:
+    """`[1, ...]`, where it stands in the model."""
+    array, row = place(model, kind, attribute, element)
+    return array_at(model, array)[row : row + 1]

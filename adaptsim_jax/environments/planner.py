@@ -11,8 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.environments.interface import Live, Play
-from adaptsim_jax.environments.rollout import Acting
+from adaptsim_jax.environments.episodes import ActingPolicy, Live, Play
 from adaptsim_jax.space import Space
 
 
@@ -34,7 +33,7 @@ class PlannerConfig:
             )
 
 
-def make_planner(play: Play, space: Space, config: PlannerConfig) -> Acting:
+def make_planner(play: Play, space: Space, config: PlannerConfig) -> ActingPolicy:
     """Plans by the whole state of the target, in the world at `policy.mean` (unit coordinates
     `[D]`, other fields nominal).
     """
@@ -65,4 +64,4 @@ def make_planner(play: Play, space: Space, config: PlannerConfig) -> Acting:
         best = plans[jnp.argmax(jnp.nan_to_num(jax.vmap(worth)(plans), nan=-jnp.inf))]
         return best[0], moved @ best
 
-    return Acting(start, act)
+    return ActingPolicy(start, act)

@@ -8,9 +8,6 @@ are arguments, and one compiled step serves all of them.
 
 import contextlib
 import copy
-import importlib
-import importlib.util
-import inspect
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -21,16 +18,10 @@ import jax.numpy as jnp
 import mujoco
 from mujoco import mjx
 
-from adaptsim_jax.core.config import suggest
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.core.registry import function_named
-from adaptsim_jax.environments.fields import Field, edit_native, edited
+from adaptsim_jax.environments.fields import ModelField, edit_native, edited
 
 Physics = Callable[[Any, Any, Any, int], Any]  # (model, data, ctrl [nu], substeps) -> data
-OWN = {
-    "cartpole": "adaptsim_jax.environments.cartpole:make",
-    "arm": "adaptsim_jax.environments.arm:make",
-}
 
 
 @dataclass(frozen=True)
@@ -51,11 +42,10 @@ class Simulated:
     dt: float
     reset: Callable[[Any, jax.Array], Any]  # (model, key) -> state
     step: Callable[..., Any]  # (model, state, action [A], physics=None) -> state
-    seen: Callable[
-        [Any], tuple[jax.Array, jax.Array, jax.Array]
-    ]  # state -> obs [O], reward [], done [] (float)
+    # state -> obs [O], reward [], done [] (float)
+    observed: Callable[[Any], tuple[jax.Array, jax.Array, jax.Array]]
     data: Callable[[Any], Any]  # state -> mjx.Data, None where there is none
-    edit: Callable[[Any, tuple[Field, ...], jax.Array], Any] = edited
+    edit: Callable[[Any, tuple[ModelField, ...], jax.Array], Any] = edited
     interface: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -66,116 +56,14 @@ class Simulated:
         return self.native
 
 
-def load(name: str, options: dict[str, Any] | None = None, where: str = "env") -> Any:
-    """The environment called `name`: `cartpole` or `arm` of ours, `playground:NAME`, `brax:NAME`,
-    `gymnax:NAME`, `module:function` or `file.py:function`. options: given to it. BadInput says what
-    is missing, and how to get it.
-    """
-    home, colon, thing = OWN.get(name, name).rpartition(":")
-    options = dict(options or {})
-    if not colon:
-        known = [
-            *OWN,
-            "playground:NAME",
-            "brax:NAME",
-            "gymnax:NAME",
-            "module:function",
-            "file.py:function",
-        ]
-        raise BadInput(f"{where}: environment '{name}' is unknown; {suggest(name, known)}")
-    if home in _PEERS:
-        return _PEERS[home](thing, options, where)
-    made = function_named(f"{home}:{thing}", where)
-    try:
-        inspect.signature(made).bind(**options)
-    except TypeError as error:
-        raise BadInput(f"{where}: {name}: {error}; mend [options]") from None
-    return made(**options)
-
-
-def _playground(name: str, options: dict[str, Any], where: str) -> Any:
-    registry = _peer("mujoco_playground", "playground", where).registry
-    if name not in registry.ALL_ENVS:
-        raise BadInput(f"{where}: Playground has no '{name}'; {suggest(name, registry.ALL_ENVS)}")
-    known = registry.get_default_config(name)
-    for key in options:
-        if key not in known:
-            raise BadInput(
-                f"{where}: options.{key}: '{name}' has no such option; {suggest(key, known)}"
-            )
-    if "impl" in known:
-        options = {
-            "impl": "jax"
-        } | options  # Playground's own default is for GPUs, and twenty times slower on a CPU
-    if options.get("impl") == "warp":
-        _peer("warp", "warp-lang", f'{where}: impl = "warp"')
-        if jax.default_backend() == "cpu":
-            print(
-                f'{where}: impl = "warp" is slow on a CPU; set impl = "jax" in [options]',
-                file=sys.stderr,
-            )
-    return registry.load(name, config_overrides=options)
-
-
-def _brax(name: str, options: dict[str, Any], where: str) -> Any:
-    envs = _peer("brax.envs", "brax", where)
-    return envs.get_environment(name, **({"backend": "mjx"} | options))
-
-
-def _gymnax(name: str, options: dict[str, Any], where: str) -> Any:
-    gymnax = _peer("gymnax", "gymnax", where)
-    if name not in gymnax.registered_envs:
-        raise BadInput(f"{where}: gymnax has no '{name}'; {suggest(name, gymnax.registered_envs)}")
-    return gymnax.make(name, **options)[0]
-
-
-def _peer(module: str, package: str, where: str) -> Any:
-    try:
-        return importlib.import_module(module)
-    except ModuleNotFoundError as error:
-        raise BadInput(
-            f"{where}: needs {package} ({error.name} is missing); pip install {package}"
-        ) from None
-
-
-_PEERS: dict[str, Callable[[str, dict[str, Any], str], Any]] = {
-    "playground": _playground,
-    "brax": _brax,
-    "gymnax": _gymnax,
-}
-
-
 def simulated(
-    env: Any, fields: tuple[Field, ...] = (), length: int = 0, where: str = "env"
+    env: Any, fields: tuple[ModelField, ...] = (), length: int = 0, where: str = "env"
 ) -> Simulated:
     """`env` as pure functions of its model. fields: those that will be edited; where the file has
     one of them at 0, such as a dry friction, the model is built so that it can act. BadInput where
     `env` has no `reset` or `step`, or no model to edit.
     """
-    for name in ("reset", "step"):
-        if not callable(getattr(env, name, None)):
-            raise BadInput(
-                f"{where}: the environment has no {name}(...); see docs/howto/environment.md for "
-                f"what it needs"
-            )
-    holder = next((a for a in ("_mjx_model", "mjx_model", "sys") if hasattr(env, a)), None)
-    if holder is None:
-        raise BadInput(
-            f"{where}: the environment holds no mjx.Model (as mjx_model or sys), so it has no "
-            f"fields to adapt"
-        )
-    for name in ("action_size", "dt"):
-        if not hasattr(env, name):
-            raise BadInput(
-                f"{where}: the environment has no {name}; see docs/howto/environment.md for what "
-                f"it needs"
-            )
-    native = getattr(env, "mj_model", None) or getattr(getattr(env, "sys", None), "mj_model", None)
-    if native is None:
-        raise BadInput(
-            f"{where}: the environment holds no mujoco.MjModel (as mj_model) to find names in; add "
-            f"it"
-        )
+    holder, native = _models_of(env, where)
 
     def bound(model):
         one = copy.copy(env)
@@ -190,11 +78,8 @@ def simulated(
         with jax.numpy_rank_promotion("allow"), _physics(physics, type(env).__name__):
             return bound(model).step(state, action)
 
-    def seen(state):
-        if isinstance(state.obs, dict):
-            obs = state.obs["state"]
-        else:
-            obs = state.obs
+    def observed(state):
+        obs = state.obs["state"] if isinstance(state.obs, dict) else state.obs
         done = jnp.asarray(state.done, jnp.float32)
         return obs.astype(jnp.float32), jnp.asarray(state.reward, jnp.float32), done
 
@@ -207,10 +92,34 @@ def simulated(
         dt=float(env.dt),
         reset=reset,
         step=step,
-        seen=seen,
+        observed=observed,
         data=lambda state: getattr(state, "data", getattr(state, "pipeline_state", None)),
         interface=getattr(env, "interface", {}),
     )
+
+
+def _models_of(env: Any, where: str) -> tuple[str, mujoco.MjModel]:
+    """The name of the attribute that holds the `mjx.Model`, and the file's model."""
+
+    def wanted(lacks: str, mend: str = "see docs/howto/environment.md for what it needs"):
+        return BadInput(f"{where}: the environment {lacks}; {mend}")
+
+    for name in ("reset", "step"):
+        if not callable(getattr(env, name, None)):
+            raise wanted(f"has no {name}(...)")
+    holder = next((a for a in ("_mjx_model", "mjx_model", "sys") if hasattr(env, a)), None)
+    if holder is None:
+        raise BadInput(
+            f"{where}: the environment holds no mjx.Model (as mjx_model or sys), so it has no "
+            f"fields to adapt"
+        )
+    for name in ("action_size", "dt"):
+        if not hasattr(env, name):
+            raise wanted(f"has no {name}")
+    native = getattr(env, "mj_model", None) or getattr(getattr(env, "sys", None), "mj_model", None)
+    if native is None:
+        raise wanted("holds no mujoco.MjModel (as mj_model) to find names in", "add it")
+    return holder, native
 
 
 def _length(env: Any) -> int:
@@ -219,7 +128,7 @@ def _length(env: Any) -> int:
     return int(found or 1000)
 
 
-def _awake(model: Any, native: mujoco.MjModel, fields: tuple[Field, ...]) -> Any:
+def _awake(model: Any, native: mujoco.MjModel, fields: tuple[ModelField, ...]) -> Any:
     """`model` with room for dry friction where a field has some and the file has none: MJX lays its
     rows out when it is built.
     """

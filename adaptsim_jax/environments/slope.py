@@ -13,8 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.environments.interface import Play
-from adaptsim_jax.environments.rollout import Acting
+from adaptsim_jax.environments.episodes import ActingPolicy, Play
 
 EXPLODES = 10.0  # a return that would change by more than so many times itself over Omega
 SHORTEST = 5  # steps of a window
@@ -31,7 +30,7 @@ class Slope(NamedTuple):
     window: int
 
 
-def make_slope(play: Play, acting: Acting, policy_of: Callable[..., Any]) -> Callable:
+def make_slope(play: Play, acting: ActingPolicy, policy_of: Callable[..., Any]) -> Callable:
     """`slope(keys [N], mean [D], values [F], *more) -> Slope`: over N starts, with the longest
     window whose derivatives do not explode.
 

@@ -20,15 +20,13 @@ from mujoco import mjx, rollout
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.given import brief, finite
-from adaptsim_jax.environments.fields import Field, edit_native, field_of
+from adaptsim_jax.environments.fields import ModelField, edit_native, field_of
 
 ENGINE = {"engine": "mujoco", "integrator": "implicitfast", "steps": 2}
-SOLVED = (
-    100,
-    50,
-    # iterations of the solver and its line search at most: a file may say few of them, for MJX's
-    # speed
-)
+SOLVED = (100, 50)
+"""Iterations of the solver and its line search at most: a file may give few of them, for MJX's
+speed.
+"""
 INTEGRATORS = {
     "Euler": mujoco.mjtIntegrator.mjINT_EULER,
     "RK4": mujoco.mjtIntegrator.mjINT_RK4,
@@ -47,8 +45,8 @@ class Target(NamedTuple):
 
 
 def hidden_fields(
-    model: Any, targets: Mapping[str, Any], omega: tuple[Field, ...]
-) -> tuple[Field, ...]:
+    model: Any, targets: Mapping[str, Any], omega: tuple[ModelField, ...]
+) -> tuple[ModelField, ...]:
     """The fields that some target names and Omega does not have, in the order in which they
     come.
     """
@@ -65,7 +63,7 @@ def hidden_fields(
 
 
 def target_of(
-    name: str, table: Mapping[str, Any], fields: tuple[Field, ...], compiled: bool
+    name: str, table: Mapping[str, Any], fields: tuple[ModelField, ...], compiled: bool
 ) -> Target:
     """The target called `name`. compiled: there is a MuJoCo model, so that C can run it."""
     values = np.array([f.nominal for f in fields], np.float64)
@@ -73,22 +71,24 @@ def target_of(
         if field.name not in table:
             continue
         value = finite(table[field.name])
-        if value is None or value < field.least:
+        if value is None or value < field.minimum:
             what = f"targets.{name}: '{field.name}' = {brief(table[field.name])}"
-            raise BadInput(f"{what}; give a number of {field.least:g} {field.unit} or more")
+            raise BadInput(f"{what}; give a number of {field.minimum:g} {field.unit} or more")
         values[i] = value
-    said = {key: table.get(key, ENGINE[key]) for key in ENGINE}
-    engine = configs.pick("engine", str(said["engine"]), ("mujoco", "simulator"))
-    configs.pick("integrator", str(said["integrator"]), INTEGRATORS)
-    if type(said["steps"]) is not int or said["steps"] < 1:
+    options = {key: table.get(key, ENGINE[key]) for key in ENGINE}
+    engine = configs.pick("engine", str(options["engine"]), ("mujoco", "simulator"))
+    configs.pick("integrator", str(options["integrator"]), INTEGRATORS)
+    if type(options["steps"]) is not int or options["steps"] < 1:
         raise BadInput(
-            f"targets.{name}: steps = {brief(said['steps'])}; give a whole number of 1 or more"
+            f"targets.{name}: steps = {brief(options['steps'])}; give a whole number of 1 or more"
         )
-    return Target(values, engine if compiled else "simulator", said["integrator"], said["steps"])
+    return Target(
+        values, engine if compiled else "simulator", options["integrator"], options["steps"]
+    )
 
 
 def native_physics(
-    model: mujoco.MjModel, fields: tuple[Field, ...], target: Target, threads: int = 2
+    model: mujoco.MjModel, fields: tuple[ModelField, ...], target: Target, threads: int = 2
 ) -> Callable:
     """`physics(model, data, ctrl [nu], substeps) -> data`: MuJoCo C with the target's values,
     whatever the model that is given says.
@@ -100,10 +100,8 @@ def native_physics(
     edit_native(c, fields, target.values)
     c.opt.timestep = model.opt.timestep / target.steps
     c.opt.integrator = INTEGRATORS[target.integrator]
-    c.opt.iterations, c.opt.ls_iterations = (
-        max(c.opt.iterations, SOLVED[0]),
-        max(c.opt.ls_iterations, SOLVED[1]),
-    )
+    c.opt.iterations = max(c.opt.iterations, SOLVED[0])
+    c.opt.ls_iterations = max(c.opt.ls_iterations, SOLVED[1])
     nq, nv, held = c.nq, c.nv, 1 + c.nq + c.nv + c.na  # of a state: time, qpos, qvel, act
     pool, datas = rollout.Rollout(nthread=threads), [mujoco.MjData(c) for _ in range(threads)]
     spec = mujoco.mjtState.mjSTATE_FULLPHYSICS

@@ -13,8 +13,8 @@ import jax
 import jax.numpy as jnp
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.environments.interface import Live, Play
-from adaptsim_jax.learners.ppo import Batch, PPOConfig, PPOHyper, PPOState, carried, make_ppo
+from adaptsim_jax.environments.episodes import Live, Play
+from adaptsim_jax.learners.ppo import PPOConfig, PPOHyper, PPOState, Unroll, carried, make_ppo
 from adaptsim_jax.space import Space
 
 
@@ -39,8 +39,8 @@ class Trainer(NamedTuple):
     * `begin(key, learned) -> state`: ready to train from there
     * `train(key, state, worlds, rounds) -> (state, info)`: `rounds`, static, of training on
     * `learned(state) -> learned`; `policy(learned) -> policy`, any pytree
-    * `act(policy, obs [O], told [D]) -> action [A]` in [-1, 1]; told: E's mean, -1 to 1 over Omega
-    * `value(policy, obs [O], told [D]) -> []`, more where more is expected from there on, in a unit
+    * `act(policy, obs [O], mean [D]) -> action [A]` in [-1, 1]; mean: E's, -1 to 1 over Omega
+    * `value(policy, obs [O], mean [D]) -> []`, more where more is expected from there on, in a unit
       of its own
     """
 
@@ -89,7 +89,7 @@ class PPOTraining:
 
 
 class TrainerState(NamedTuple):
-    """The learner, environments `[B]` with the values `[B, F]` and what is told of them `[B, D]`,
+    """The learner, environments `[B]` with the values `[B, F]` and the mean that the policy is given `[B, D]`,
     discounted and plain rewards so far `[B]`, updates so far and in all; rates, which are arguments
     so that one compiled program serves all of them.
     """
@@ -97,12 +97,22 @@ class TrainerState(NamedTuple):
     ppo: PPOState
     live: Live
     values: jax.Array
-    told: jax.Array
+    mean: jax.Array
     carried: jax.Array
     gained: jax.Array
     number: jax.Array
     rounds: jax.Array
     hyper: PPOHyper
+
+
+class Fresh(NamedTuple):
+    """Environments `[B]` at the start of an episode, their values `[B, F]`, and the means `[B, D]`
+    that their policy is given.
+    """
+
+    live: Live
+    values: jax.Array
+    mean: jax.Array
 
 
 class TrainerInfo(NamedTuple):
@@ -135,14 +145,14 @@ def make_ppo_trainer(play: Play, space: Space, config: PPOTraining, obs_dim: int
     def fresh_one(key, worlds):
         """A fresh environment in a fresh world."""
         world_key, reset_key = jax.random.split(key)
-        values, told = draw(world_key, worlds)
-        return play.reset(play.world(values), reset_key), values, told
+        values, mean = draw(world_key, worlds)
+        return play.reset(play.world(values), reset_key), values, mean
 
     def begin(key, learned):
         """Nothing is simulated yet: the first round puts fresh environments in place of these."""
         centre, rest = jnp.full(D, 0.5), jnp.zeros(len(play.fields) - D)
-        told = Worlds(centre, centre, jnp.ones(()), rest)
-        blank = jax.eval_shape(jax.vmap(fresh_one, (0, None)), jax.random.split(key, B), told)
+        middle = Worlds(centre, centre, jnp.ones(()), rest)
+        blank = jax.eval_shape(jax.vmap(fresh_one, (0, None)), jax.random.split(key, B), middle)
         live, values, mean = jax.tree.map(lambda x: _blank(key, x), blank)
         if config.stagger:
             live = live._replace(time=jax.random.randint(key, (B,), 0, play.sim.length))
@@ -153,27 +163,24 @@ def make_ppo_trainer(play: Play, space: Space, config: PPOTraining, obs_dim: int
             learned, live, values, mean, zero, zero, count, count + config.rounds, rates
         )
 
-    def one_round(key, state: TrainerState, worlds: Worlds):
-        fresh_key, act_key, learn_key = jax.random.split(key, 3)
-        fresh, fresh_values, fresh_told = jax.vmap(fresh_one, (0, None))(
-            jax.random.split(fresh_key, B), worlds
-        )
-        first = state.number == 0
+    def started(key, state: TrainerState, worlds: Worlds) -> tuple[TrainerState, Fresh]:
+        """The state of a round at its start, and what takes the place of episodes that end in it."""
+        fresh = Fresh(*jax.vmap(fresh_one, (0, None))(jax.random.split(key, B), worlds))
+        first = jnp.broadcast_to(state.number == 0, (B,))
+        live = _choose(first, fresh.live, state.live)._replace(time=state.live.time)
+        values = jnp.where(first[:, None], fresh.values, state.values)
+        mean = jnp.where(first[:, None], fresh.mean, state.mean)
+        return state._replace(live=live, values=values, mean=mean), fresh
 
-        def choose(on, a, b):
-            return jax.tree.map(lambda x, y: jnp.where(_like(on, x), x, y), a, b)
-
-        every = jnp.broadcast_to(first, (B,))
-        clock = state.live.time
-        live = choose(every, fresh, state.live)._replace(time=clock)
-        values = jnp.where(every[:, None], fresh_values, state.values)
-        told = jnp.where(every[:, None], fresh_told, state.told)
-        world = jax.vmap(play.world)(values)
-        actor = ppo.actor(state.ppo)
+    def rolled(key, state: TrainerState, fresh: Fresh):
+        """`unroll` steps of all environments: `(live, gained, over)` at their end, and rows
+        `[unroll, B, ...]`.
+        """
+        world, actor = jax.vmap(play.world)(state.values), ppo.actor(state.ppo)
 
         def step(carry, key):
             live, gained, over = carry
-            action, log_prob = ppo.act(key, actor, live.obs, told)
+            action, log_prob = ppo.act(key, actor, live.obs, state.mean)
             after = jax.vmap(play.step)(world, live, action)
             reward = jnp.where(jnp.isfinite(after.reward), after.reward, 0.0)
             sound = jnp.isfinite(after.obs).all(-1) & jnp.isfinite(after.reward)
@@ -183,35 +190,34 @@ def make_ppo_trainer(play: Play, space: Space, config: PPOTraining, obs_dim: int
             stop = jnp.maximum(ended, cut) > 0
             total = gained + reward
             row = (live.obs, action, log_prob, reward, obs_after, ended, cut, total, stop)
-            live = choose(
-                stop, fresh, after
-            )  # for the rest of this batch; then it begins once more, in a fresh world
+            # for the rest of this batch; then it begins once more, in a fresh world
+            live = _choose(stop, fresh.live, after)
             return (live, jnp.where(stop, 0.0, total), over | stop), row
 
-        (live, gained, over), rows = jax.lax.scan(
-            step, (live, state.gained, jnp.zeros(B, bool)), jax.random.split(act_key, config.unroll)
-        )
+        begun = (state.live, state.gained, jnp.zeros(B, bool))
+        return jax.lax.scan(step, begun, jax.random.split(key, config.unroll))
+
+    def one_round(key, state: TrainerState, worlds: Worlds):
+        fresh_key, act_key, learn_key = jax.random.split(key, 3)
+        state, fresh = started(fresh_key, state, worlds)
+        (live, gained, over), rows = rolled(act_key, state, fresh)
         obs, action, log_prob, reward, obs_after, ended, cut, totals, stops = rows
-        cut = cut.at[-1].set(
-            jnp.maximum(cut[-1], over * (1.0 - ended[-1]))
-        )  # those begin anew, in another world
-        extra = jnp.broadcast_to(told, (config.unroll, *told.shape))
-        batch = Batch(obs, extra, action, log_prob, reward, obs_after, ended, cut, state.carried)
-        share = jnp.clip(state.number / state.rounds, 0.0, 1.0)
-        hyper = state.hyper
+        # what is over begins anew, in another world
+        cut = cut.at[-1].set(jnp.maximum(cut[-1], over * (1.0 - ended[-1])))
+        extra = jnp.broadcast_to(state.mean, (config.unroll, *state.mean.shape))
+        batch = Unroll(obs, extra, action, log_prob, reward, obs_after, ended, cut, state.carried)
+        hyper, share = state.hyper, jnp.clip(state.number / state.rounds, 0.0, 1.0)
         rate = hyper.learning_rate * (1.0 - (1.0 - config.decay) * share)
         learned, info = ppo.update(learn_key, state.ppo, batch, replace(hyper, learning_rate=rate))
-        _, kept = carried(batch, hyper.discount)
-        state = TrainerState(
-            learned,
-            choose(over, fresh, live),
-            jnp.where(over[:, None], fresh_values, values),
-            jnp.where(over[:, None], fresh_told, told),
-            jnp.where(over, 0.0, kept),
-            jnp.where(over, 0.0, gained),
-            state.number + 1,
-            state.rounds,
-            hyper,
+        _, discounted = carried(batch, hyper.discount)
+        state = state._replace(
+            ppo=learned,
+            live=_choose(over, fresh.live, live),
+            values=jnp.where(over[:, None], fresh.values, state.values),
+            mean=jnp.where(over[:, None], fresh.mean, state.mean),
+            carried=jnp.where(over, 0.0, discounted),
+            gained=jnp.where(over, 0.0, gained),
+            number=state.number + 1,
         )
         episode = jnp.sum(totals * stops) / jnp.sum(stops)
         return state, TrainerInfo(episode, reward.mean(), info.spread, info.kl)
@@ -233,5 +239,10 @@ def _blank(key: jax.Array, like: jax.ShapeDtypeStruct) -> jax.Array:
     return jnp.zeros(like.shape, like.dtype)
 
 
-def _like(on: jax.Array, x: jax.Array) -> jax.Array:
-    return on.reshape(*on.shape, *(1,) * (x.ndim - on.ndim))
+def _choose(on: jax.Array, a: Any, b: Any) -> Any:
+    """Of pytrees `[B, ...]`: `a` where `on [B]`, else `b`."""
+
+    def one(x, y):
+        return jnp.where(on.reshape(*on.shape, *(1,) * (x.ndim - on.ndim)), x, y)
+
+    return jax.tree.map(one, a, b)

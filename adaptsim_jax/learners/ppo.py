@@ -23,8 +23,10 @@ from adaptsim_jax.learners.bdq import ACTIVATIONS
 from adaptsim_jax.learners.flat import flat
 
 LOWEST, HIGHEST = -3.0, 0.5  # of the logarithm of the exploration's standard deviation
-FAR = 100.0  # standard deviations, beyond which a number has no more say in what scales it
-FIRST = 1024  # of the first numbers seen, by which it is told what is far
+MAX_DEVIATIONS = (
+    100.0  # standard deviations, beyond which a number has no more say in what scales it
+)
+FIRST = 1024  # of the first numbers, by which it is estimated what is an outlier
 
 
 @dataclass(frozen=True)
@@ -61,12 +63,16 @@ class PPOHyper:
     max_grad_norm: float = 1.0
 
 
-class Scale(NamedTuple):
+class RunningScale(NamedTuple):
     """Count, mean and sum of squares about it, of numbers seen so far."""
 
     count: jax.Array
     mean: jax.Array
     squares: jax.Array
+
+    @classmethod
+    def blank(cls, shape: int | tuple[int, ...]) -> "RunningScale":
+        return cls(jnp.zeros(()), jnp.zeros(shape), jnp.zeros(shape))
 
     @property
     def std(self) -> jax.Array:
@@ -86,11 +92,11 @@ class PPOState(NamedTuple):
 
     weights: jax.Array
     opt: optax.OptState
-    obs: Scale
-    gain: Scale
+    obs: RunningScale
+    gain: RunningScale
 
 
-class Batch(NamedTuple):
+class Unroll(NamedTuple):
     """`T` steps of `B` environments, `[T, B, ...]`: `after` is the observation that a step led to;
     ended: it was the last of its episode, and no reward follows; cut: what follows is another
     episode, but this one would have gone on. carried `[B]`: discounted rewards of the episode
@@ -119,7 +125,7 @@ class PPOInfo(NamedTuple):
     kl: jax.Array
 
 
-class Network(nn.Module):
+class ActorCritic(nn.Module):
     """`[..., O + X] -> mean [..., d], log std [d], value [...]`."""
 
     config: PPOConfig
@@ -169,30 +175,24 @@ def make_ppo(config: PPOConfig) -> PPO:
       discounted and in scaled rewards
     * `act(key, actor, obs, extra) -> (action [..., d], log_prob [...])`, with the exploration's
       noise, not clipped
-    * `update(key, state, batch, hyper) -> (state, info)`: one round of epochs over a `Batch`
+    * `update(key, state, batch, hyper) -> (state, info)`: one round of epochs over an `Unroll`
     """
     _check(config)
-    weights_of, network = flat(Network(config), config.obs_dim + config.extra_dim)
+    weights_of, network = flat(ActorCritic(config), config.obs_dim + config.extra_dim)
 
     def apply(weights, mean, std, obs, extra):
         lead = (1,) * (obs.ndim - 1)
-        seen = jnp.clip((obs - mean.reshape(*lead, -1)) / std.reshape(*lead, -1), -10.0, 10.0)
-        return network(weights, jnp.concatenate([seen, extra], -1))
+        scaled = jnp.clip((obs - mean.reshape(*lead, -1)) / std.reshape(*lead, -1), -10.0, 10.0)
+        return network(weights, jnp.concatenate([scaled, extra], -1))
 
     def init(key):
         weights = weights_of(key)
-
-        def blank(shape):
-            return Scale(jnp.zeros(()), jnp.zeros(shape), jnp.zeros(shape))
-
-        return PPOState(
-            weights, optax.scale_by_adam().init(weights), blank(config.obs_dim), blank(())
-        )
+        opt = optax.scale_by_adam().init(weights)
+        return PPOState(weights, opt, RunningScale.blank(config.obs_dim), RunningScale.blank(()))
 
     def actor(state):
-        return Actor(
-            state.weights, state.obs.mean, jnp.where(state.obs.count > 0, state.obs.std, 1.0)
-        )
+        std = jnp.where(state.obs.count > 0, state.obs.std, 1.0)
+        return Actor(state.weights, state.obs.mean, std)
 
     def deployed(actor: Actor, obs, extra):
         return jnp.clip(apply(actor.weights, actor.mean, actor.std, obs, extra)[0], -1.0, 1.0)
@@ -209,16 +209,16 @@ def make_ppo(config: PPOConfig) -> PPO:
 
     def update(key, state, batch, hyper):
         rewards, gain = _scaled(state.gain, batch, hyper.discount)
-        told = actor(state._replace(obs=state.obs))
-        values = value(told, batch.obs, batch.extra)
-        advantage = gae(rewards, values, value(told, batch.after, batch.extra), batch, hyper)
+        before = actor(state)
+        values = value(before, batch.obs, batch.extra)
+        advantage = gae(rewards, values, value(before, batch.after, batch.extra), batch, hyper)
         rows = jax.tree.map(
             lambda x: x.reshape(-1, *x.shape[2:]),
             (batch.obs, batch.extra, batch.action, batch.log_prob, advantage, advantage + values),
         )
 
         def loss(w, part):
-            return _loss(lambda o, e: apply(w, told.mean, told.std, o, e), part, hyper)
+            return _loss(lambda o, e: apply(w, before.mean, before.std, o, e), part, hyper)
 
         (weights, opt), infos = _epochs(key, config, loss, (state.weights, state.opt), rows, hyper)
         info = jax.tree.map(jnp.mean, infos)
@@ -228,7 +228,7 @@ def make_ppo(config: PPOConfig) -> PPO:
 
 
 def gae(
-    reward: jax.Array, value: jax.Array, after: jax.Array, batch: Batch, hyper: PPOHyper
+    reward: jax.Array, value: jax.Array, after: jax.Array, batch: Unroll, hyper: PPOHyper
 ) -> jax.Array:
     """Advantages `[T, B]` from rewards and values `[T, B]` before and `after` each step (Schulman
     et al. 2016).
@@ -244,7 +244,7 @@ def gae(
     return jax.lax.scan(back, jnp.zeros_like(delta[0]), (delta, on), reverse=True)[1]
 
 
-def carried(batch: Batch, discount: jax.Array | float) -> tuple[jax.Array, jax.Array]:
+def carried(batch: Unroll, discount: jax.Array | float) -> tuple[jax.Array, jax.Array]:
     """Discounted rewards of an episode so far: at each step `[T, B]`, and what the next batch
     begins with `[B]`.
     """
@@ -259,13 +259,17 @@ def carried(batch: Batch, discount: jax.Array | float) -> tuple[jax.Array, jax.A
     return every, rest
 
 
-def _scaled(gain: Scale, batch: Batch, discount) -> tuple[jax.Array, Scale]:
+def _scaled(gain: RunningScale, batch: Unroll, discount) -> tuple[jax.Array, RunningScale]:
     every, _ = carried(batch, discount)
     gain = _more(gain, every[..., None], last=())
-    return jnp.clip(batch.reward / jnp.maximum(gain.std, 1e-3), -FAR, FAR), gain
+    return jnp.clip(
+        batch.reward / jnp.maximum(gain.std, 1e-3), -MAX_DEVIATIONS, MAX_DEVIATIONS
+    ), gain
 
 
-def _more(scale: Scale, rows: jax.Array, last: tuple[int, ...] | None = None) -> Scale:
+def _more(
+    scale: RunningScale, rows: jax.Array, last: tuple[int, ...] | None = None
+) -> RunningScale:
     """`scale` with `rows [T, B, n]` added (Chan et al. 1979), as far as they are `_near`."""
     flat_rows = _near(scale, rows.reshape(-1, rows.shape[-1]))
     count, mean = jnp.asarray(flat_rows.shape[0], jnp.float32), flat_rows.mean(0)
@@ -273,17 +277,17 @@ def _more(scale: Scale, rows: jax.Array, last: tuple[int, ...] | None = None) ->
     if last is not None:
         mean, squares = mean.reshape(last), squares.reshape(last)
     total = scale.count + count
-    apart = mean - scale.mean
-    return Scale(
+    shift = mean - scale.mean
+    return RunningScale(
         total,
-        scale.mean + apart * count / total,
-        scale.squares + squares + jnp.square(apart) * scale.count * count / total,
+        scale.mean + shift * count / total,
+        scale.squares + squares + jnp.square(shift) * scale.count * count / total,
     )
 
 
-def _near(scale: Scale, rows: jax.Array) -> jax.Array:
-    """`rows [N, n]` at most `FAR` from the mean. A world that blows up goes to 1e27 before it is no
-    number: one such row would hide all else for good. What is rarer than one row in `FAR^2` stays
+def _near(scale: RunningScale, rows: jax.Array) -> jax.Array:
+    """`rows [N, n]` at most `MAX_DEVIATIONS` from the mean. A world that blows up goes to 1e27 before it is no
+    number: one such row would hide all else for good. What is rarer than one row in `MAX_DEVIATIONS^2` stays
     far; what is not widens the scale until it is near.
     """
 
@@ -298,7 +302,7 @@ def _near(scale: Scale, rows: jax.Array) -> jax.Array:
     centre, std = jax.lax.cond(
         scale.count == 0, at_first, lambda: (scale.mean.reshape(shape), scale.std.reshape(shape))
     )
-    return jnp.clip(rows, centre - FAR * std, centre + FAR * std)
+    return jnp.clip(rows, centre - MAX_DEVIATIONS * std, centre + MAX_DEVIATIONS * std)
 
 
 def _epochs(key, config: PPOConfig, loss, carry, rows, hyper):

@@ -7,8 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from adaptsim_jax.adaptation.asktell import make_ask_tell
-from adaptsim_jax.adaptation.phase1 import Archive
+from adaptsim_jax.adaptation.asktell import AskTell
+from adaptsim_jax.adaptation.episode import StepPlan
+from adaptsim_jax.adaptation.phase1 import DistributionArchive
 from adaptsim_jax.adaptation.phase2 import adapt
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.learners.bdq import BDQConfig, make_bdq
@@ -25,13 +26,15 @@ def made():
     bdq = make_bdq(BDQConfig(obs_dim=task.space.dim + task.obs_dim, branches=task.space.dim))
     weights = bdq.init(jax.random.key(3)).online
     means = jnp.array([[0.2, 0.8, 0.5, 0.5], [0.9, 0.1, 0.3, 0.6]])
-    starts = Archive(means, jax.vmap(task.init_policy)(jax.random.split(jax.random.key(0), 2)))
+    starts = DistributionArchive(
+        means, jax.vmap(task.init_policy)(jax.random.split(jax.random.key(0), 2))
+    )
     return task, bdq, weights, starts
 
 
 def told_all(made, trial):
     task, bdq, weights, starts = made
-    loop = make_ask_tell(task, bdq, weights, iterations=3)
+    loop = AskTell(task, bdq, weights, iterations=3)
     state, means, scores = loop.init(jax.random.key(1), starts), [], []
     for _ in range(loop.trials(state)):
         means.append(np.asarray(state.mean))
@@ -50,7 +53,7 @@ def test_visits_and_deploys_what_phase_2_does(made, doubt):
     task, bdq, weights, starts = made
     task = replace(task, doubt=doubt)
     state, means, scores = told_all((task, bdq, weights, starts), simulated)
-    result = adapt(jax.random.key(1), task, bdq, weights, starts, jnp.array(TARGET), iterations=3)
+    result = adapt(jax.random.key(1), task, bdq, weights, starts, jnp.array(TARGET), StepPlan(3))
     np.testing.assert_allclose(means, result.history.mean.reshape(-1, 4), atol=1e-6)
     # compiled alone or under vmap, the Riccati solution differs by rounding of single precision
     np.testing.assert_allclose(scores, result.history.score.reshape(-1), rtol=1e-4)
@@ -129,4 +132,4 @@ def test_a_trial_that_is_not_finite_never_wins(made):
 def test_no_iterations_are_refused(made):
     task, bdq, weights, _ = made
     with pytest.raises(BadInput, match="nothing would be adapted"):
-        make_ask_tell(task, bdq, weights, iterations=0)
+        AskTell(task, bdq, weights, iterations=0)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from adaptsim_jax.adaptation.guided import Guide, heading
+from adaptsim_jax.adaptation.episode import Guide, heading
 from adaptsim_jax.adaptation.phase1 import Phase1Config, Phase1Hyper, make_phase1
 from adaptsim_jax.adaptation.reuse import ReuseConfig
 from adaptsim_jax.adaptation.training import traced

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from adaptsim_jax.adaptation.episode import StepPlan
 from adaptsim_jax.adaptation.phase1 import Phase1Config, Phase1Hyper, make_phase1, shape_reward
 from adaptsim_jax.adaptation.phase1_config import POSITIVE, SHARES
 from adaptsim_jax.adaptation.phase2 import adapt, best_of, best_visit, draw_starts, smoothed
@@ -163,7 +164,7 @@ def test_best_of_skips_what_diverged():
     weights = jax.jit(phase1.init)(jax.random.key(0)).learner.online
     starts = draw_starts(jax.random.key(0), jax.jit(phase1.init)(jax.random.key(0)).archive, 1, 2)
     history = adapt(
-        jax.random.key(0), task, phase1.bdq, weights, starts, jnp.array([1.5, 2.5]), iterations=3
+        jax.random.key(0), task, phase1.bdq, weights, starts, jnp.array([1.5, 2.5]), StepPlan(3)
     ).history
     history = history._replace(score=history.score.at[0, 0].set(jnp.nan).at[1, 2].set(7.0))
     result = best_of(history)

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.baselines.problem import Problem
+from adaptsim_jax.baselines.problem import ExactProblem
 from adaptsim_jax.space import Parameter, Space
 from adaptsim_jax.tasks.base import Task
 
@@ -44,7 +44,7 @@ def probe_task() -> Task:
     )
 
 
-def probe_problem() -> Problem:
+def probe_problem() -> ExactProblem:
     """`cost = 1 + w (p - policy)^2`, policy = params: UDR is the centre, the best in Omega the
     target clipped to it.
     """
@@ -56,7 +56,7 @@ def probe_problem() -> Problem:
     def cost_at(u, target):
         return cost(target, SPACE.physical(u))
 
-    return Problem(
+    return ExactProblem(
         space=SPACE,
         policy=lambda params: params,
         cost=cost,

@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.baselines import gradient
-from adaptsim_jax.baselines.best_in_omega import best_in_omega
+from adaptsim_jax.baselines.bounds import best_in_omega, reward_map, udr
 from adaptsim_jax.baselines.problem import costs, discrepancy, pendulum_problem
-from adaptsim_jax.baselines.reward_map import reward_map
-from adaptsim_jax.baselines.udr import udr
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.pendulum.task import SETTINGS, PendulumConfig, pendulum_space
 from experiments.reachable import ceiling, reachable_values

@@ -9,8 +9,8 @@ import pytest
 
 from adaptsim_jax.adaptation.phase1 import Phase1Config
 from adaptsim_jax.adaptation.training import TrainConfig
-from adaptsim_jax.baselines.adaptsim_row import best_over
 from adaptsim_jax.baselines.compare import compare, stamped
+from adaptsim_jax.baselines.compare_exact import best_over
 from adaptsim_jax.baselines.config import CompareConfig
 from adaptsim_jax.baselines.mdn import FitConfig
 from adaptsim_jax.baselines.registry import exact_methods

@@ -12,12 +12,13 @@ import pytest
 
 from adaptsim_jax.adaptation.phase1 import Phase1Config
 from adaptsim_jax.adaptation.training import TrainConfig
-from adaptsim_jax.baselines.arena import Arena, lanes
+from adaptsim_jax.baselines.arena import Arena
 from adaptsim_jax.baselines.bayesopt import BayesOptConfig
-from adaptsim_jax.baselines.compare import compare
-from adaptsim_jax.baselines.compare_learned import compare_learned, on_fresh
+from adaptsim_jax.baselines.compare import compare, compared
+from adaptsim_jax.baselines.compare_learned import LearnedComparison, on_fresh
 from adaptsim_jax.baselines.config import CompareConfig, default_comparison
 from adaptsim_jax.baselines.direct import DirectConfig
+from adaptsim_jax.baselines.lanes import lanes
 from adaptsim_jax.baselines.mdn import FitConfig
 from adaptsim_jax.baselines.registry import learned_methods
 from adaptsim_jax.baselines.sysid import SysIdConfig
@@ -55,7 +56,7 @@ TINY = CompareConfig(
 
 @pytest.fixture(scope="module")
 def found():
-    return compare_learned(probes.probe(), ["wd", "ood-1"], TINY)
+    return compared(LearnedComparison(probes.probe(), ["wd", "ood-1"], TINY))
 
 
 def cell(found, method, setting):
@@ -103,11 +104,8 @@ def test_target_trials_are_counted(found):
 
 
 def test_the_same_numbers_again_and_other_methods_do_not_matter(found):
-    again, _ = compare_learned(
-        probes.probe(),
-        ["wd", "ood-1"],
-        CompareConfig(**{**vars(TINY), "methods": ("sysid_point",)}),
-    )
+    few = CompareConfig(**{**vars(TINY), "methods": ("sysid_point",)})
+    again, _ = compared(LearnedComparison(probes.probe(), ["wd", "ood-1"], few))
     assert again[1]["per_seed"] == cell(found, "sysid_point", "ood-1")["per_seed"]
 
 
@@ -115,7 +113,7 @@ def test_the_same_numbers_again_and_other_methods_do_not_matter(found):
 def found_fresh():
     few = CompareConfig(**{**vars(TINY), "methods": ("adaptsim", "udr", "learn_in_target")})
     one = replace(probes.probe(), fresh=np.array([[0.0], [1.0]], np.float32))
-    return compare_learned(one, ["wd", "ood-1"], few)
+    return compared(LearnedComparison(one, ["wd", "ood-1"], few))
 
 
 def test_fresh_contexts_score_what_others_chose_and_change_nothing_else(found, found_fresh):

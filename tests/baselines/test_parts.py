@@ -1,22 +1,24 @@
 """A comparison that fails late keeps what is done, and goes on there to the same results."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from adaptsim_jax.baselines import compare as exact
+from adaptsim_jax.baselines import compare_exact as exact
 from adaptsim_jax.baselines import compare_learned as learned
 from adaptsim_jax.baselines import compare_steps as steps
+from adaptsim_jax.baselines.arena import Visits
+from adaptsim_jax.baselines.compare import compared
 from adaptsim_jax.baselines.compare_steps import Deployed
 from adaptsim_jax.baselines.config import CompareConfig
-from adaptsim_jax.baselines.learned import Trip
-from adaptsim_jax.baselines.parts import FOLDER, Parts, parts_of
+from adaptsim_jax.baselines.parts import FOLDER, ComparisonParts, parts_of
 from adaptsim_jax.baselines.summary import row
 from adaptsim_jax.cli import main
-from tests.baselines.probe import SPACE
+from tests.baselines.probe import probe_task
 
 
 class Broken(Exception):
@@ -70,7 +72,7 @@ def test_other_methods_are_the_same_comparison_and_without_a_folder_nothing_is_k
     assert parts_of(str(tmp_path), "pendulum", CompareConfig()).get("udr") == [1]
     make = Counted([1])
     for _ in range(2):
-        assert Parts().of("udr", make) == [1]
+        assert ComparisonParts().of("udr", make) == [1]
     assert make.calls == 2
 
 
@@ -85,7 +87,7 @@ def test_the_command_goes_on_after_a_late_failure_to_the_same_results(
     )  # type: ignore[arg-type]
     monkeypatch.setattr(exact, "find_bounds", lambda *given: ends)
 
-    def rows(method, names, problem, targets, bounds, made):
+    def rows(method, names, arena, bounds, made):
         return [row(method, n, made, oracle=1.0, target_trials=3) for n in names]
 
     monkeypatch.setattr(exact, "visiting_rows", rows)
@@ -116,15 +118,16 @@ def test_the_command_goes_on_after_a_late_failure_to_the_same_results(
 
 
 def test_learned_policies_keep_each_method_and_the_oracle(tmp_path, monkeypatch):
-    trip = Trip(np.array([[[[0.1, 0.3]]]]), None, np.arange(1, 3))
-    first, second = Counted(trip), Counted(trip, 1)
+    visits = Visits(None, np.arange(1, 3), np.array([[[[0.1, 0.3]]]]))
+    first, second = Counted(visits), Counted(visits, 1)
     monkeypatch.setattr(learned, "LEARNED", {"udr": first, "adaptsim": second})
     arena = SimpleNamespace(fresh=[], failed=np.zeros(1, int), made=np.ones(1, int))
     monkeypatch.setattr(learned, "Arena", lambda *given: arena)
     oracle = Counted(np.array([0.5, 0.75], np.float32))
-    task = SimpleNamespace(space=SPACE, settings={"wd": {"a": 1.5, "b": 20.0}}, name="probe")
+    task = replace(probe_task(), settings={"wd": {"a": 1.5, "b": 20.0}})
     one = SimpleNamespace(
         task=task,
+        scored=np.zeros((1, 1)),
         engine="e",
         world=lambda *a, **k: SimpleNamespace(name="w"),
         oracle=oracle,
@@ -135,7 +138,7 @@ def test_learned_policies_keep_each_method_and_the_oracle(tmp_path, monkeypatch)
     config = CompareConfig(methods=("udr", "adaptsim", "oracle"), seeds=1)
 
     def run(out):
-        return learned.compare_learned(one, ["wd"], config, out=out)  # type: ignore[arg-type]
+        return compared(learned.LearnedComparison(one, ["wd"], config), out=out)  # type: ignore[arg-type]
 
     with pytest.raises(Broken):
         run(tmp_path)
@@ -158,13 +161,13 @@ def test_policies_over_many_steps_keep_each_seed_of_each_method(tmp_path, monkey
     )
     asked, fails = [], [(1, "oracle")]
 
-    def tried(setting, ready, names, methods, config, seed, report, programs):
-        for method in methods:
-            asked.append((seed, method))
-            if fails and fails[0] == (seed, method):
-                fails.pop()
-                raise Broken
-            yield method, Deployed((np.arange(2), returns[seed, method]))
+    def deployed_by(method, run):
+        seed = int(run.seeds[0])
+        asked.append((seed, method))
+        if fails and fails[0] == (seed, method):
+            fails.pop()
+            raise Broken
+        return Deployed(np.arange(2), returns[seed, method])
 
     trained = Counted(lambda task, made, seed, *rest: seed)
     setting = SimpleNamespace(
@@ -175,9 +178,9 @@ def test_policies_over_many_steps_keep_each_seed_of_each_method(tmp_path, monkey
         space=SimpleNamespace(dim=2),
     )
     for name, thing in (
-        ("tried", tried),
+        ("deployed_by", deployed_by),
+        ("StepsArena", lambda *given: None),
         ("learned", trained),
-        ("environment_setting", lambda config: setting),
         (
             "task_of",
             lambda s: SimpleNamespace(
@@ -189,7 +192,7 @@ def test_policies_over_many_steps_keep_each_seed_of_each_method(tmp_path, monkey
     config = CompareConfig(methods=("udr", "adaptsim"), seeds=3)
 
     def run(out, config=config):
-        return steps.compare_steps({}, ["dry"], config, out=out)
+        return compared(steps.StepsComparison(setting, ["dry"], config), out=out)  # type: ignore[arg-type]
 
     with pytest.raises(Broken):
         run(tmp_path)

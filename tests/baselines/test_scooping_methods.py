@@ -9,10 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from adaptsim_jax.baselines.arena import Arena
+from adaptsim_jax.baselines.arena import Arena, MethodRun
 from adaptsim_jax.baselines.bayesopt import BayesOptConfig, bayesopt
 from adaptsim_jax.baselines.config import default_comparison
-from adaptsim_jax.baselines.learned import Bout
 from adaptsim_jax.tasks.one_shot import TargetWorld
 from adaptsim_jax.tasks.registry import make_one_shot
 
@@ -52,7 +51,7 @@ def test_visits_probe_and_deployed_scoops_learn_of_it():
         one, TargetWorld("stand-in", stand_in, {0: "fine"}), np.array([[0.3, 5e4, 1.0, 0.02]])
     )
     arena.kept = []
-    trip = bayesopt(Bout(CONFIG, arena, np.array([0])))
+    trip = bayesopt(MethodRun(CONFIG, arena, np.array([0])))
     for policies, seen in arena.kept:
         own = jax.vmap(one.act)(policies._replace(probe=None), jnp.asarray(seen.trials.contexts))
         np.testing.assert_allclose(seen.trials.actions[:, 0], own[:, 0], atol=1e-5)

@@ -10,17 +10,19 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.adaptation.phase1_config import Phase1Config
-from adaptsim_jax.baselines import compare_steps, steps_methods
-from adaptsim_jax.baselines.compare_steps import tried
+from adaptsim_jax.baselines import compare_steps, steps_trained
+from adaptsim_jax.baselines.arena import MethodRun
+from adaptsim_jax.baselines.compare import wanted
+from adaptsim_jax.baselines.compare_steps import StepsComparison, deployed_by
 from adaptsim_jax.baselines.config import default_comparison
-from adaptsim_jax.baselines.learned import Bout
 from adaptsim_jax.baselines.registry import STEPS
 from adaptsim_jax.baselines.steps_arena import StepsArena
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.environments import task as environment_tasks
 from adaptsim_jax.environments.config import EnvironmentConfig
-from adaptsim_jax.environments.task import setting_of, task_of
+from adaptsim_jax.environments.setting import setting_of
+from adaptsim_jax.environments.task import task_of
 from adaptsim_jax.environments.trainer import PPOTraining
 from tests.environments.cart import Cart
 
@@ -65,18 +67,9 @@ def test_a_method_deploys_something_in_every_target(method, made):
     )
     config = configs.from_table(type(base), table, "test")
     said = []
-    found = dict(
-        tried(
-            setting,
-            prepared,
-            list(setting.targets),
-            [method],
-            config,
-            0,
-            lambda *told: said.append(told),
-        )
-    )
-    trials, returns = found[method]
+    arena = StepsComparison(setting, list(setting.targets), config).arena(prepared, 0)
+    run = MethodRun(config, arena, np.array([0]), lambda *told: said.append(told))
+    trials, returns = deployed_by(method, run)
     assert returns.shape == (2, len(trials)) and np.isfinite(returns).all() and said
     assert (returns >= 0.0).all() and (returns <= 25.0).all()  # a step is worth 1 at most
     counted = {
@@ -119,10 +112,10 @@ def test_a_policy_told_nothing_is_trained_with_the_luck_of_the_one_that_knows_e(
         raise Enough
 
     setting, seen = setting_of(Cart(), EnvironmentConfig()), []
-    bout = Bout(None, SimpleNamespace(setting=setting, targets=[None]), np.array([3]))  # type: ignore[arg-type]
+    bout = MethodRun(None, SimpleNamespace(setting=setting, targets=[None]), np.array([3]))  # type: ignore[arg-type]
     for where, train in (
         (environment_tasks, lambda: task_of(setting).preparation.make(jax.random.key(3))),  # type: ignore[union-attr]
-        (steps_methods, lambda: steps_methods.udr(bout)),
+        (steps_trained, lambda: steps_trained.udr(bout)),
     ):
         monkeypatch.setattr(where, "trained_in", begun)
         with pytest.raises(Enough):
@@ -138,7 +131,8 @@ def test_rows_that_cannot_be_run_are_told_before_anything_is_trained(monkeypatch
         setting_of(Cart(), EnvironmentConfig(policy="tuned")),
         default_comparison("environment"),
     )
-    assert set(compare_steps.steps_methods()) - set(compare_steps._wanted(base, setting)) == {
+    every = StepsComparison(setting, [], base)
+    assert set(compare_steps.steps_methods()) - set(wanted(every)) == {
         "cma_es",
         "sbi",
         "gradient",
@@ -151,4 +145,4 @@ def test_rows_that_cannot_be_run_are_told_before_anything_is_trained(monkeypatch
     with pytest.raises(
         BadInput, match="method 'gradient' is for policy = \"knows\"; leave it out of --methods"
     ):
-        compare_steps._wanted(replace(base, methods=("gradient",)), setting)
+        wanted(StepsComparison(setting, [], replace(base, methods=("gradient",))))

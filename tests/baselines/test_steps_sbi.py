@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.baselines import mdn
-from adaptsim_jax.baselines.steps_sbi import npe
-from adaptsim_jax.baselines.sysid import SysIdConfig, simulate
-from adaptsim_jax.baselines.sysid_bayes import mixture_estimator
+from adaptsim_jax.baselines.steps_search import npe
+from adaptsim_jax.baselines.sysid import SysIdConfig, mixture_estimator, simulate
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.space import Gaussian
 from adaptsim_jax.tasks.registry import make_task

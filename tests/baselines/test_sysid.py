@@ -10,9 +10,13 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.baselines.mdn import FitConfig
-from adaptsim_jax.baselines.sysid import SysIdConfig, simulate, within_omega
-from adaptsim_jax.baselines.sysid_bayes import make_sysid_bayes
-from adaptsim_jax.baselines.sysid_point import make_sysid_point
+from adaptsim_jax.baselines.sysid import (
+    SysIdConfig,
+    make_sysid_bayes,
+    make_sysid_point,
+    simulate,
+    within_omega,
+)
 from adaptsim_jax.core.errors import BadInput
 from tests.baselines.probe import SPACE, probe_task
 

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from adaptsim_jax.adaptation.episode import Episode
+from adaptsim_jax.adaptation.episode import AdaptationEpisode
 from adaptsim_jax.adaptation.phase2 import best_of
 from adaptsim_jax.cli import main
 from adaptsim_jax.commands import phase2
@@ -228,7 +228,7 @@ def three_visits(trained, *_, **__):
         jnp.zeros((1, 3, 2)),
         jnp.zeros((1, 2, 4)),
     )
-    return best_of(Episode(means, policies, obs, score, score, action))
+    return best_of(AdaptationEpisode(means, policies, obs, score, score, action))
 
 
 def test_adapt_leaves_a_figure_and_films_the_pushes_that_it_found(

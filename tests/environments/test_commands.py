@@ -11,12 +11,12 @@ import jax.numpy as jnp
 import mujoco
 import pytest
 
-from adaptsim_jax.adaptation.sweep_spec import read_sweep
+from adaptsim_jax.adaptation.sweep_read import read_sweep
 from adaptsim_jax.cli import main
 from adaptsim_jax.core.config import from_table
 from adaptsim_jax.environments.adapt import at_nominal
 from adaptsim_jax.environments.config import EnvironmentConfig, read_env
-from adaptsim_jax.environments.simulated import load
+from adaptsim_jax.environments.peers import load
 from adaptsim_jax.environments.task import environment_setting, task_of
 from tests.commands.test_examples import ROOT
 

@@ -15,7 +15,8 @@ from adaptsim_jax.adaptation import prepared
 from adaptsim_jax.core import traced
 from adaptsim_jax.environments.config import EnvironmentConfig
 from adaptsim_jax.environments.own import ModelEnvironment
-from adaptsim_jax.environments.task import digest, environment_task, setting_of
+from adaptsim_jax.environments.setting import digest, setting_of
+from adaptsim_jax.environments.task import environment_task
 from adaptsim_jax.environments.trainer import PPOTraining
 from tests.environments import small
 from tests.environments.cart import Cart

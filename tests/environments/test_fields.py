@@ -9,8 +9,14 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.environments.fields import edit_native, edited, field_of, known_fields, space_of
-from adaptsim_jax.environments.randomise import domain_randomize
+from adaptsim_jax.environments.fields import (
+    domain_randomize,
+    edit_native,
+    edited,
+    field_of,
+    known_fields,
+    space_of,
+)
 from adaptsim_jax.environments.simulated import simulated
 from tests.environments.small import make
 
@@ -122,7 +128,7 @@ def test_one_compiled_step_serves_all_values():
     def step(values):
         traced.append(1)
         model = sim.edit(sim.model, fields, values)
-        return sim.seen(sim.step(model, sim.reset(model, jax.random.key(0)), jnp.ones(1)))[0]
+        return sim.observed(sim.step(model, sim.reset(model, jax.random.key(0)), jnp.ones(1)))[0]
 
     light, heavy = (step(jnp.asarray(v, jnp.float32)) for v in ([0.5, 0.1], [2.0, 0.1]))
     assert len(traced) == 1 and light[1] > 3.5 * heavy[1] > 0

@@ -11,7 +11,7 @@ import pytest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.environments.config import EnvironmentConfig
 from adaptsim_jax.environments.mended import mended
-from adaptsim_jax.environments.task import setting_of
+from adaptsim_jax.environments.setting import setting_of
 from tests.environments import small
 
 ROBOT = """

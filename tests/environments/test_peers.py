@@ -11,8 +11,9 @@ import pytest
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.environments.config import EnvironmentConfig
-from adaptsim_jax.environments.simulated import load
-from adaptsim_jax.environments.task import play_in, setting_of
+from adaptsim_jax.environments.peers import load
+from adaptsim_jax.environments.setting import setting_of
+from adaptsim_jax.environments.task import play_in
 
 SAME = {"integrator": "Euler", "steps": 1}
 CARTPOLE = {"body:pole_1.mass": [0.05, 0.3], "actuator:slide.gear": [6.0, 14.0]}

@@ -11,24 +11,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from adaptsim_jax.adaptation.asktell import Session
+from adaptsim_jax.adaptation.episode import StepPlan
 from adaptsim_jax.adaptation.phase1 import make_phase1
 from adaptsim_jax.adaptation.phase1_config import Phase1Config, Phase1Hyper
 from adaptsim_jax.adaptation.phase2 import adapt, draw_starts
-from adaptsim_jax.adaptation.session import Session
 from adaptsim_jax.adaptation.training import Trained
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.environments.config import EnvironmentConfig
-from adaptsim_jax.environments.rollout import Acting, Rollout, Steps, look
-from adaptsim_jax.environments.task import (
-    Law,
-    environment_task,
-    everywhere,
-    ready,
-    setting_of,
-    starts_of,
-    task_of,
-    trained_in,
-)
+from adaptsim_jax.environments.episodes import ActingPolicy, EpisodeSteps, Rollout, look
+from adaptsim_jax.environments.policies import Law, everywhere, starts_of, trained_in
+from adaptsim_jax.environments.setting import setting_of
+from adaptsim_jax.environments.task import environment_task, ready, task_of
 from adaptsim_jax.environments.trainer import PPOTraining, Trainer, TrainerInfo
 from adaptsim_jax.learners.ppo import PPOHyper
 from tests.environments.cart import Cart, State
@@ -134,7 +128,7 @@ def test_phase_1_and_2_run_and_a_session_told_the_same_goes_the_same_way(made):
     start_key, _ = jax.random.split(jax.random.key(5))
     starts = draw_starts(start_key, state.archive, 60, 1)
     found = adapt(
-        jax.random.key(0), task, phase1.bdq, state.learner.target, starts, target, iterations=3
+        jax.random.key(0), task, phase1.bdq, state.learner.target, starts, target, StepPlan(3)
     )
     session, visits = Session(Trained(phase1, hyper, state, 2), starts=1, iterations=3, seed=5), []
     while not session.done:
@@ -162,8 +156,8 @@ def test_a_measured_episode_is_read_as_a_simulated_one(made):
         rng.uniform(size=25),
     )
     whole = look(
-        Steps(*(jnp.asarray(x, jnp.float32) for x in (obs, action, reward)), jnp.ones(25)),
-        Acting(None, None),
+        EpisodeSteps(*(jnp.asarray(x, jnp.float32) for x in (obs, action, reward)), jnp.ones(25)),
+        ActingPolicy(None, None),
     )  # type: ignore[arg-type]
     read = task.read(obs, action, reward)
     np.testing.assert_allclose(read.features, whole.features, rtol=1e-6)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.learners.ppo import Batch, PPOConfig, PPOHyper, _shuffled, carried, gae, make_ppo
+from adaptsim_jax.learners.ppo import PPOConfig, PPOHyper, Unroll, _shuffled, carried, gae, make_ppo
 
 T, B = 6, 4
 
@@ -29,7 +29,7 @@ def batch_of(rng, **changed):
         "cut": zeros,
         "carried": jnp.zeros(B),
     }
-    return Batch(**rows | changed)
+    return Unroll(**rows | changed)
 
 
 def test_advantages_are_the_discounted_sums_of_surprises():
@@ -100,7 +100,7 @@ def test_a_world_that_blows_up_does_not_hide_what_others_show(when):
         lambda: jnp.asarray(rng.normal(3.0, 2.0, (T, 64, 3)), jnp.float32),
         jnp.zeros((T, 64)),
     )
-    rest = Batch(
+    rest = Unroll(
         obs(), jnp.zeros((T, 64, 2)), zeros[..., None], zeros, zeros, obs(), zeros, zeros, zeros[0]
     )
     usual = [rest._replace(obs=obs(), reward=obs()[..., 0]) for _ in range(3)]
@@ -147,7 +147,7 @@ def test_it_finds_the_best_action_for_what_it_is_told():
             action, log_prob = ppo.act(act_key, ppo.actor(state), obs, told)
             reward = 1.0 - jnp.square(action - told)[..., 0]
             one, zero = jnp.ones((1, 128)), jnp.zeros((1, 128))
-            batch = Batch(obs, told, action, log_prob, reward, obs, one, zero, jnp.zeros(128))
+            batch = Unroll(obs, told, action, log_prob, reward, obs, one, zero, jnp.zeros(128))
             return ppo.update(update_key, state, batch, PPOHyper(learning_rate=3e-3))[
                 0
             ], reward.mean()

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from adaptsim_jax.adaptation.sweep_results import summary
+from adaptsim_jax.adaptation.sweep_folder import summary
 
 
 def made(

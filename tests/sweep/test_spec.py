@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from adaptsim_jax.adaptation.sweep_lines import Lines
 from adaptsim_jax.adaptation.sweep_plan import grouped, make_plan, member_bytes
-from adaptsim_jax.adaptation.sweep_spec import read_sweep
+from adaptsim_jax.adaptation.sweep_read import read_sweep
+from adaptsim_jax.adaptation.sweep_spec import Lines
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.registry import make_task
 from tests.sweep.small import SPEC, write

@@ -9,7 +9,6 @@ all that it names.
 
 import copy
 import fnmatch
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -18,6 +17,16 @@ import numpy as np
 
 from adaptsim_jax.core.config import suggest
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.mechanisms.model_numbers import (
+    KINDS,
+    OF_DOF,
+    OPTION,
+    array_at,
+    attributes,
+    element_names,
+    parse,
+    place,
+)
 
 DELAY = "command.delay"
 TILTS = ("world.tilt_x", "world.tilt_y")
@@ -34,15 +43,6 @@ position servo.
 """
 LATEST = 0.05  # s
 STEP = 0.01  # of a number, for its derivative: wide enough to see past single contacts
-FORM = re.compile(r"(?:(\w+):(.+?)|(option))\.(\w+)(?:\[(\d+)\])?")
-OF_DOF = ("damping", "armature", "frictionloss", "invweight0")
-KINDS = {
-    kind: (
-        f"{kind if kind != 'joint' else 'jnt'}_",
-        getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}"),
-    )
-    for kind in ("joint", "body", "geom", "actuator", "tendon", "site")
-}
 TYPICAL = {
     "armature": 0.01,
     "stiffness": 1.0,
@@ -88,24 +88,15 @@ def field(model: mujoco.MjModel, name: str) -> Field:
     if name in GROUND:
         high = 0.5 if name != GROUND[2] else 1.0
         return Field(name, name, (), 0, 0.0, -high, high, 0.002 if name != GROUND[2] else 5e-4)
-    found = FORM.fullmatch(name)
-    if found is None:
+    form = parse(name)
+    if form is None:
         raise BadInput(
             f"quantity {name!r}: write KIND:ELEMENT.FIELD, such as joint:elbow.damping, "
             f"body:torso.mass or option.gravity[2]"
         )
-    kind, element, option, what, index = found[1], found[2], found[3], found[4], int(found[5] or 0)
-    elements = (0,) if option else _elements(model, name, kind, element)
-    made = Field(
-        name,
-        f"{'opt' if option else kind}.{what}",
-        tuple(elements),
-        index,
-        0.0,
-        -np.inf,
-        np.inf,
-        1.0,
-    )
+    kind, element, what, index = form
+    elements = (0,) if element is None else tuple(_elements(model, name, kind, element))
+    made = Field(name, f"{kind}.{what}", elements, index or 0, 0.0, -np.inf, np.inf, 1.0)
     values = [_get(model, made, e) for e in made.elements]
     neutral = float(np.mean(values))
     low = 0.0 if what in POSITIVE else -np.inf
@@ -116,8 +107,7 @@ def field(model: mujoco.MjModel, name: str) -> Field:
 def _elements(model: mujoco.MjModel, name: str, kind: str, pattern: str) -> list[int]:
     if kind not in KINDS:
         raise BadInput(f"quantity {name!r}: {suggest(kind, KINDS)}")
-    count = getattr(model, {"joint": "njnt", "actuator": "nu"}.get(kind, f"n{kind}"))
-    names = [mujoco.mj_id2name(model, KINDS[kind][1], i) or f"{kind}{i}" for i in range(count)]
+    names = [n or f"{kind}{i}" for i, n in enumerate(element_names(model, kind))]
     some = [i for i, n in enumerate(names) if n == pattern] or [
         i for i, n in enumerate(names) if fnmatch.fnmatchcase(n, pattern)
     ]
@@ -131,29 +121,22 @@ def _elements(model: mujoco.MjModel, name: str, kind: str, pattern: str) -> list
 def _place(model: mujoco.MjModel, made: Field, element: int) -> tuple[np.ndarray, int, int]:
     """Array, row and column of a number. Raises BadInput where the model has no such field."""
     kind, what = made.field.split(".")
-    if kind == "opt":
-        array = getattr(model.opt, what, None)
-        if array is None:
-            raise BadInput(f"quantity {made.name!r}: MuJoCo's option has no {what!r}")
+    name, row = place(model, kind, what, element)
+    array = array_at(model, name)
+    if array is None and kind == OPTION:
+        raise BadInput(f"quantity {made.name!r}: MuJoCo's option has no {what!r}")
+    if kind == OPTION:
         return np.atleast_1d(array), made.index, -1
-    if kind == "joint" and what in OF_DOF:
-        return getattr(model, f"dof_{what}"), int(model.jnt_dofadr[element]), -1
-    if kind == "joint" and what == "springref":
-        return model.qpos_spring, int(model.jnt_qposadr[element]), -1
-    array = getattr(model, KINDS[kind][0] + what, None)
     if array is None:
-        known = sorted(
-            n.removeprefix(KINDS[kind][0]) for n in dir(model) if n.startswith(KINDS[kind][0])
-        )
         raise BadInput(
             f"quantity {made.name!r}: a {kind} has no {what!r}; "
-            f"{suggest(what, [*known, *OF_DOF, 'kp', 'kv'])}"
+            f"{suggest(what, [*attributes(model, kind), *OF_DOF, 'kp', 'kv'])}"
         )
     if array.ndim > 1 and made.index >= array.shape[1]:
         raise BadInput(
             f"quantity {made.name!r}: {what} has {array.shape[1]} numbers, counted from 0"
         )
-    return array, element, made.index if array.ndim > 1 else -1
+    return array, row, made.index if array.ndim > 1 else -1
 
 
 def _get(model: mujoco.MjModel, made: Field, element: int) -> float:
@@ -183,14 +166,12 @@ def _set(model: mujoco.MjModel, made: Field, element: int, value: float) -> None
         model.actuator_biasprm[element, 2] = -value
         if servo:
             model.actuator_gainprm[element, 0] = value
-    elif made.field.startswith("opt."):
-        array = np.array(np.atleast_1d(getattr(model.opt, made.field[4:])), float)
+    elif made.field.startswith(f"{OPTION}."):
+        what = made.field.removeprefix(f"{OPTION}.")
+        old = getattr(model.opt, what)
+        array = np.array(np.atleast_1d(old), float)
         array[made.index] = value
-        setattr(
-            model.opt,
-            made.field[4:],
-            array if np.ndim(getattr(model.opt, made.field[4:])) else float(array[0]),
-        )
+        setattr(model.opt, what, array if np.ndim(old) else float(array[0]))
     else:
         array, row, column = _place(model, made, element)
         array[row if column < 0 else (row, column)] = value

@@ -87,7 +87,7 @@ def _put(spec: mujoco.MjSpec, there: mujoco.MjModel, f: Field) -> None:
             geom.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
         return
     kind, what = f.field.split(".")
-    if kind == "opt":
+    if kind == "option":
         setattr(spec.option, what, getattr(there.opt, what))
         return
     listed = {

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from adaptsim_jax.baselines.methods import Run, Visits
+from adaptsim_jax.baselines.arena import MethodRun, Visits
 
 
-def random_search(run: Run) -> Visits:
+def random_search(run: MethodRun) -> Visits:
     """As many visits as AdaptSim makes, from the seeds' own draws."""
     shape = (len(run.targets), run.config.starts, run.config.iterations + 1, run.problem.space.dim)
     means = [np.random.default_rng(int(seed)).uniform(size=shape) for seed in run.seeds]

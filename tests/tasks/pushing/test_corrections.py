@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from adaptsim_jax.adaptation.episode import Episode
-from adaptsim_jax.baselines.arena import Arena, Trials, lanes
-from adaptsim_jax.baselines.memory import Memory
+from adaptsim_jax.adaptation.episode import AdaptationEpisode
+from adaptsim_jax.baselines.arena import Arena, TrialBatch
+from adaptsim_jax.baselines.lanes import Memory, lanes
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import without_nan
 from adaptsim_jax.tasks.one_shot_naf import leaves_by_name
@@ -127,7 +127,9 @@ def test_memory_shares_between_the_starts_of_a_seed_and_with_no_one_else():
     assert memory.deployed(policies) is policies
     lane = np.arange(8, dtype=np.float32)
     actions = np.broadcast_to(lane[:, None, None], (8, 2, 2))
-    memory.add(Trials(np.zeros((8, 2, 2), np.float32), actions, np.zeros((8, 2, 6, 2), np.float32)))
+    memory.add(
+        TrialBatch(np.zeros((8, 2, 2), np.float32), actions, np.zeros((8, 2, 6, 2), np.float32))
+    )
     there = memory.deployed(policies).told
     assert there.actions.shape == (8, 12, 2)
     np.testing.assert_array_equal(there.used, np.arange(12)[None].repeat(8, 0) < 4)
@@ -171,7 +173,7 @@ def test_pushes_that_fail_in_the_target_do_not_count_and_are_null_in_a_file(monk
     )  # to the left and to the right
     seen = jnp.concatenate([jnp.zeros((4, 6, 2)), goals[:, None]], 1).reshape(-1)
     obs = jnp.broadcast_to(jnp.concatenate([jnp.zeros(4), seen]), (1, 2, 4 + seen.size))
-    history = Episode(
+    history = AdaptationEpisode(
         jnp.full((1, 2, 4), 0.5),
         policies,
         obs,

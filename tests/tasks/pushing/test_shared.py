@@ -9,13 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from adaptsim_jax.adaptation.episode import StepPlan
 from adaptsim_jax.adaptation.phase1 import Phase1Config, make_phase1
 from adaptsim_jax.adaptation.phase2 import adapt, draw_starts
 from adaptsim_jax.adaptation.presets import pushing_sweep
 from adaptsim_jax.adaptation.reuse import ReuseConfig
 from adaptsim_jax.adaptation.training import traced
-from adaptsim_jax.baselines.arena import Arena, lanes
-from adaptsim_jax.baselines.learned import Bout, first_policies
+from adaptsim_jax.baselines.adapting import first_policies
+from adaptsim_jax.baselines.arena import Arena, MethodRun
+from adaptsim_jax.baselines.lanes import lanes
 from adaptsim_jax.learners.naf_goals import GoalConfig
 from adaptsim_jax.learners.naf_shared import SharedConfig
 from adaptsim_jax.space import Gaussian
@@ -105,9 +107,7 @@ def test_phase_1_lends_the_one_policy_to_every_visit_and_phase_2_tunes_it(made):
             state.learner.target,
             starts,
             target,
-            iterations=2,
-            delta=0.2,
-            shrink=0.5,
+            StepPlan(2, 0.2, 0.5),
         )
 
     found = jax.jit(run)(jax.random.key(2))
@@ -120,7 +120,7 @@ def test_phase_1_lends_the_one_policy_to_every_visit_and_phase_2_tunes_it(made):
 def test_baselines_start_from_one_shared_policy_a_seed():
     one = make_pushing_one_shot(SHORT)
     targets = np.tile(one.task.space.values(one.task.settings["wd"]), (2, 1))
-    bout = Bout(None, Arena(one, one.world("planar"), targets), np.array([3, 4]))
+    bout = MethodRun(None, Arena(one, one.world("planar"), targets), np.array([3, 4]))
     batch = lanes(2, bout.seeds, 1, label=2)
     policies = first_policies(bout, batch, None)
     same_seed = batch.seed[:, None] == batch.seed[None]

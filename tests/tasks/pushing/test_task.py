@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from adaptsim_jax.adaptation.episode import StepPlan
 from adaptsim_jax.adaptation.phase1 import Phase1Config, make_phase1
 from adaptsim_jax.adaptation.phase2 import adapt, draw_starts
 from adaptsim_jax.adaptation.presets import paper_pushing
@@ -193,7 +194,7 @@ def test_phase_1_and_2_with_reused_policies():
     starts = draw_starts(jax.random.key(1), state.archive, 24, 2)
     target = jnp.asarray(task.space.values(task.settings["ood-1"]), jnp.float32)
     found = jax.jit(
-        lambda k: adapt(k, task, phase1.bdq, state.learner.target, starts, target, iterations=2)
+        lambda k: adapt(k, task, phase1.bdq, state.learner.target, starts, target, StepPlan(2))
     )(jax.random.key(2))
     assert found.history.reward.shape == (2, 3) and 0 <= found.reward <= 1
 

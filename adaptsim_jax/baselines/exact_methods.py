@@ -1,66 +1,63 @@
-"""The baselines of tasks whose policy is solved exactly.
+"""The methods on tasks whose policy is solved exactly.
 
 Each returns the means of E that it visited in every target, for every seed.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.adaptation.analytic import AnalyticConfig, make_analytic
+from adaptsim_jax.adaptation.analytic import Analytic, AnalyticConfig
+from adaptsim_jax.adaptation.phase1 import Phase1, Phase1Hyper, make_phase1
+from adaptsim_jax.adaptation.sweep import adapt_many, stack, starts_of, train_many
 from adaptsim_jax.baselines import gradient
-from adaptsim_jax.baselines.adaptsim_row import adaptsim_means
-from adaptsim_jax.baselines.config import CompareConfig
-from adaptsim_jax.baselines.problem import Problem
-from adaptsim_jax.baselines.sysid_bayes import make_sysid_bayes
-from adaptsim_jax.baselines.sysid_point import make_sysid_point
+from adaptsim_jax.baselines.arena import MethodRun, Visits
+from adaptsim_jax.baselines.sysid import make_sysid_bayes, make_sysid_point
 from adaptsim_jax.core.progress import silent
 from adaptsim_jax.tasks.base import Task
 from adaptsim_jax.tasks.registry import make_task
 
 
-class Run(NamedTuple):
-    """What a method is given: the comparison's config, the targets `[T, D]` (physical), seeds
-    `[S]`, and a report.
-    """
-
-    task_name: str
-    task_options: dict
-    config: CompareConfig
-    problem: Problem
-    targets: np.ndarray
-    seeds: np.ndarray
-    report: Callable = silent
-
-
-class Visits(NamedTuple):
-    """`means [T, S, N, I + 1, D]` in unit coordinates, and target rollouts spent on one target by
-    one seed.
-    """
-
-    means: np.ndarray
-    target_trials: int
-
-
-def task_of(run: Run, late: bool) -> Task:
+def task_of(run: MethodRun, late: bool) -> Task:
     """The task as AdaptSim sees it; `late`: 12 points in the last 0.5 s only (the paper's State
     variants).
     """
-    return make_task(
-        run.task_name, {**run.task_options, "observation": "late"} if late else run.task_options
-    )
+    late_only = {"observation": "late"} if late else {}
+    return make_task(run.arena.task_name, {**run.arena.task_options, **late_only})
 
 
-def adaptsim(run: Run, late: bool = False) -> Visits:
+def adaptsim_means(
+    phase1: Phase1,
+    hypers: Sequence[Phase1Hyper],
+    seeds: np.ndarray,
+    targets: np.ndarray,
+    *,
+    starts: int = 2,
+    iterations: int = 10,
+    report: Callable = silent,
+) -> np.ndarray:
+    """Means visited `[H, T, S, N, iterations + 1, D]` for each of `hypers` (H), `targets [T, D]`
+    and `seeds [S]`.
+
+    One compiled Phase 1 serves all `H x S` runs, and one Phase 2 all targets. The N starts are
+    drawn from a run's own S_E, with its own seed.
+    """
+    every = np.tile(np.asarray(seeds), len(hypers))
+    many = stack([hyper for hyper in hypers for _ in seeds])
+    trained = train_many(phase1, many, every, progress=report)
+    first = starts_of(phase1, trained, every, starts)
+    means = np.asarray(adapt_many(phase1, trained, first, targets, iterations=iterations).mean)
+    return means.reshape(len(hypers), len(seeds), *means.shape[1:]).swapaxes(1, 2)
+
+
+def adaptsim(run: MethodRun, late: bool = False) -> Visits:
     """Phase 1 from scratch for every seed, Phase 2 in every target."""
     config = run.config
     means = adaptsim_means(
-        task_of(run, late),
-        config.train.phase1,
+        make_phase1(task_of(run, late), config.train.phase1),
         [config.train.hyper],
         run.seeds,
         run.targets,
@@ -71,21 +68,18 @@ def adaptsim(run: Run, late: bool = False) -> Visits:
     return Visits(means[0], config.starts * (config.iterations + 1))
 
 
-def adaptsim_analytic(run: Run) -> Visits:
+def adaptsim_analytic(run: MethodRun) -> Visits:
     """AdaptSim with steps of any size, whose policy is trained by the gradient of the logarithm of
     the cost through simulated adaptation; as many trajectories of it as Phase 1 has, as many target
     trials. Starts are drawn from Omega, as those in S_E are.
     """
-    config, made = run.config, make_task(run.task_name, run.task_options)
+    config, made = run.config, task_of(run, late=False)
     N, I, sizes = config.starts, config.iterations, config.train.phase1
-    analytic = make_analytic(
+    analytic = Analytic(
         made,
         lambda trajectory: jnp.log(trajectory.cost),
         AnalyticConfig(
-            sizes.trajectories,
-            sizes.parallel,
-            sizes.horizon,
-            sizes.hidden,
+            *(sizes.trajectories, sizes.parallel, sizes.horizon, sizes.hidden),
             inside=config.train.hyper.inside,
         ),
     )
@@ -105,13 +99,13 @@ def adaptsim_analytic(run: Run) -> Visits:
     return Visits(np.stack(means, 1), N * (I + 1))
 
 
-def sysid(run: Run, make: Callable, late: bool = False) -> Visits:
+def sysid(run: MethodRun, make: Callable, late: bool = False) -> Visits:
     """One SysID baseline; the observation is the plain one of the paper, standardised by the
     baseline itself.
     """
-    options = {k: v for k, v in run.task_options.items() if k in run.problem.space.names}
+    options = {k: v for k, v in run.arena.task_options.items() if k in run.problem.space.names}
     plain = {"scaling": "paper", "reference": "optimum", "observation": "late" if late else "full"}
-    task = make_task(run.task_name, options | plain)
+    task = make_task(run.arena.task_name, options | plain)
     config = replace(run.config.sysid, iterations=run.config.iterations)
     adapt = jax.jit(jax.vmap(make(task, config), in_axes=(0, None)))
     out = []
@@ -122,7 +116,7 @@ def sysid(run: Run, make: Callable, late: bool = False) -> Visits:
     return Visits(np.stack(out)[:, :, None], config.iterations + 1)
 
 
-def descend(run: Run) -> Visits:
+def descend(run: MethodRun) -> Visits:
     """Gradient descent from as many random starts as AdaptSim has. Its trials are gradients of the
     target's cost.
     """
@@ -140,21 +134,21 @@ def descend(run: Run) -> Visits:
     return Visits(means, N * (run.config.iterations + 1))
 
 
-def adaptsim_state(run: Run) -> Visits:
+def adaptsim_state(run: MethodRun) -> Visits:
     return adaptsim(run, late=True)
 
 
-def sysid_bayes(run: Run) -> Visits:
+def sysid_bayes(run: MethodRun) -> Visits:
     return sysid(run, make_sysid_bayes)
 
 
-def sysid_bayes_state(run: Run) -> Visits:
+def sysid_bayes_state(run: MethodRun) -> Visits:
     return sysid(run, make_sysid_bayes, late=True)
 
 
-def sysid_point(run: Run) -> Visits:
+def sysid_point(run: MethodRun) -> Visits:
     return sysid(run, make_sysid_point)
 
 
-def sysid_point_state(run: Run) -> Visits:
+def sysid_point_state(run: MethodRun) -> Visits:
     return sysid(run, make_sysid_point, late=True)

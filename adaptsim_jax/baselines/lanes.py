@@ -1,14 +1,59 @@
-"""The trials that a method has made in each target so far, for tasks whose deployed policies are
-mended by them.
+"""Batches of lanes: every target, seed and start at once; and the trials that a method has made in
+each target so far.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.baselines.arena import Arena, Lanes, Trials
+from adaptsim_jax.baselines.arena import Arena, TrialBatch
+
+
+class Lanes(NamedTuple):
+    """A batch of `T x S x N` (targets, seeds, starts) laid out flat: `where [B]`, `seed [B]`, and a
+    key for each.
+    """
+
+    where: np.ndarray
+    seed: np.ndarray
+    keys: jax.Array
+    shape: tuple[int, int, int]
+
+    def grid(self, flat: np.ndarray) -> np.ndarray:
+        """`[B, ...] -> [T, S, N, ...]`."""
+        return np.asarray(flat).reshape(*self.shape, *np.shape(flat)[1:])
+
+    def at(self, number: int) -> jax.Array:
+        """Keys `[B]` of a visit."""
+        return jax.vmap(jax.random.fold_in, (0, None))(self.keys, number)
+
+
+def lanes(targets: int, seeds: np.ndarray, starts: int, label: int) -> Lanes:
+    """Every target, seed and start. `label` tells methods apart, so that no two of them share
+    randomness.
+    """
+    t, s, n = (
+        x.ravel()
+        for x in np.meshgrid(range(targets), range(len(seeds)), range(starts), indexing="ij")
+    )
+
+    def key(seed, lane):
+        return jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), label), lane)
+
+    keys = jax.vmap(key)(jnp.asarray(np.asarray(seeds)[s], jnp.uint32), jnp.asarray(t * starts + n))
+    return Lanes(t, s, keys, (targets, len(seeds), starts))
+
+
+def two_keys(keys: jax.Array) -> tuple[jax.Array, jax.Array]:
+    parts = jax.vmap(jax.random.split)(keys)
+    return parts[:, 0], parts[:, 1]
+
+
+def lane_keys(keys: jax.Array, count: int) -> list[jax.Array]:
+    """`count` keys `[B]` of each of `keys [B]`, folded by their number."""
+    return [jax.vmap(jax.random.fold_in, (0, None))(keys, i) for i in range(count)]
 
 
 class Memory:
@@ -28,7 +73,7 @@ class Memory:
         else:
             self._probe = None
 
-    def add(self, trials: Trials) -> None:
+    def add(self, trials: TrialBatch) -> None:
         """A visit's trials `[B, N]`."""
         self._actions.append(trials.actions)
         self._outcomes.append(trials.outcomes)

@@ -1,4 +1,8 @@
-"""One episode of a policy in a world: its return, and what of it an adaptation sees."""
+"""An environment at work: what lies between a policy and a model, and episodes of a policy in a world.
+
+Actions may come late or scaled, observations with noise. Of an episode its return is kept, and what of
+it an adaptation observes.
+"""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -7,12 +11,109 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.environments.interface import Live, Play
+from adaptsim_jax.environments.fields import INTERFACE, ModelField
+from adaptsim_jax.environments.simulated import Physics, Simulated
+
+
+class Live(NamedTuple):
+    """An environment at work: its own `state`, actions so far `[L, A]` (the newest first), `key` of
+    what is drawn, `obs [O]` as the policy sees it, `reward []`, `done []`, and steps so far `time
+    []`.
+    """
+
+    state: Any
+    actions: jax.Array
+    key: jax.Array
+    obs: jax.Array
+    reward: jax.Array
+    done: jax.Array
+    time: jax.Array
+
+
+class SteppedModel(NamedTuple):
+    """A model with its fields in place, and its interface: what steps need, computed once an
+    episode.
+    """
+
+    model: Any
+    delay: jax.Array  # in steps
+    scale: jax.Array
+    noise: jax.Array
+
+
+class Play(NamedTuple):
+    """`world(values [F]) -> SteppedModel`, `reset(world, key) -> Live`, `step(world, live, action [A]) ->
+    Live`; pure, of one sample.
+    """
+
+    sim: Simulated
+    fields: tuple[ModelField, ...]
+    world: Callable[[jax.Array], SteppedModel]
+    reset: Callable[[SteppedModel, jax.Array], Live]
+    step: Callable[[SteppedModel, Live, jax.Array], Live]
+
+
+def make_play(
+    sim: Simulated,
+    fields: tuple[ModelField, ...],
+    longest: float = 0.0,
+    physics: Physics | None = None,
+) -> Play:
+    """`sim` with `fields`, those of the interface among them, as arguments. longest: s, the
+    greatest delay that may come.
+
+    A delay between two steps is a mean of both actions, weighted by how near they are; before the
+    first action there is 0.
+    """
+    names = [field.name for field in fields]
+    longest = max(longest, 0.0 if "delay" in names else sim.interface.get("delay", 0.0))
+    held = int(-(-longest // sim.dt)) + 2 if longest > 0 else 1
+
+    def own(values, name):
+        nominal = sim.interface.get(name, INTERFACE[name][2])
+        if name in names:
+            return values[names.index(name)]
+        return jnp.asarray(nominal, jnp.float32)
+
+    def world(values):
+        model = sim.edit(sim.model, fields, values)
+        return SteppedModel(
+            model,
+            own(values, "delay") / sim.dt,
+            own(values, "action_scale"),
+            own(values, "observation_noise"),
+        )
+
+    def view(world, state, actions, key, time):
+        obs, reward, done = sim.observed(state)
+        if "observation_noise" in {*names, *sim.interface}:
+            key, noise_key = jax.random.split(key)
+            obs = obs + world.noise * jax.random.normal(noise_key, obs.shape)
+        return Live(state, actions, key, obs, reward, done, time)
+
+    def reset(world, key):
+        state_key, key = jax.random.split(key)
+        state = sim.reset(world.model, state_key)
+        return view(world, state, jnp.zeros((held, sim.action_dim)), key, jnp.zeros((), jnp.int32))
+
+    def step(world, live, action):
+        actions = jnp.concatenate([jnp.clip(action, -1.0, 1.0)[None], live.actions[:-1]])
+        sent = actions[0]
+        if held > 1:
+            near = jnp.clip(
+                1.0 - jnp.abs(jnp.arange(held) - jnp.clip(world.delay, 0.0, held - 1.0)), 0.0, 1.0
+            )
+            sent = near @ actions
+        state = sim.step(world.model, live.state, world.scale * sent, physics=physics)
+        return view(world, state, actions, live.key, live.time + 1)
+
+    return Play(sim, fields, world, reset, step)
+
 
 WINDOWS, EARLY, LATE = 4, 8, 4
 
 
-class Acting(NamedTuple):
+class ActingPolicy(NamedTuple):
     """A policy at work: `start(policy) -> memory`, `act(key, policy, memory, live) -> (action [A],
     memory)`; pure. luck: `(obs [O]) -> []`, by how much a start is worth more than others, as a
     return.
@@ -34,7 +135,7 @@ class Rollout(NamedTuple):
     features: jax.Array
 
 
-class Steps(NamedTuple):
+class EpisodeSteps(NamedTuple):
     """Of one episode, `[T, ...]`: observation before each step, action, reward, and 1 while it goes
     on.
     """
@@ -46,8 +147,8 @@ class Steps(NamedTuple):
 
 
 def episode(
-    key: jax.Array, play: Play, acting: Acting, policy: Any, values: jax.Array
-) -> tuple[Steps, Live]:
+    key: jax.Array, play: Play, acting: ActingPolicy, policy: Any, values: jax.Array
+) -> tuple[EpisodeSteps, Live]:
     """One episode of `policy` in the world of `values [F]`: its steps, and the environment's
     end.
     """
@@ -59,7 +160,7 @@ def episode(
         live, memory, on = carry
         action, memory = acting.act(key, policy, memory, live)
         after = play.step(world, live, action)
-        row = Steps(live.obs, jnp.clip(action, -1.0, 1.0), on * after.reward, on)
+        row = EpisodeSteps(live.obs, jnp.clip(action, -1.0, 1.0), on * after.reward, on)
         return (after, memory, on * (1.0 - after.done)), row
 
     keys = jax.random.split(act_key, play.sim.length)
@@ -67,7 +168,7 @@ def episode(
     return steps, live
 
 
-def look(steps: Steps, acting: Acting) -> Rollout:
+def look(steps: EpisodeSteps, acting: ActingPolicy) -> Rollout:
     """What is kept of an episode: means, spreads and step changes of each observed channel and
     action in each of four quarters, and the observation at twelve moments, most of them early,
     where a policy has not yet forgotten where it began.
@@ -96,7 +197,7 @@ def look(steps: Steps, acting: Acting) -> Rollout:
 
 
 def visit(
-    key: jax.Array, play: Play, acting: Acting, policy: Any, values: jax.Array, trials: int
+    key: jax.Array, play: Play, acting: ActingPolicy, policy: Any, values: jax.Array, trials: int
 ) -> Rollout:
     """`trials` episodes from fresh starts, averaged."""
 

@@ -1,0 +1,176 @@
+"""The comparison on tasks whose policy is solved exactly, normalised as the paper's Table 1.
+
+Costs are recomputed in double precision from the means of E that a method visited, by one code for
+all methods.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax.baselines.arena import MethodRun, Visits
+from adaptsim_jax.baselines.bounds import Best, Udr, best_in_omega, udr
+from adaptsim_jax.baselines.config import CompareConfig
+from adaptsim_jax.baselines.parts import ComparisonParts, task_digest
+from adaptsim_jax.baselines.problem import ExactProblem, costs, discrepancy
+from adaptsim_jax.baselines.registry import EXACT, PROBLEMS, exact_methods
+from adaptsim_jax.baselines.summary import normalised, physical, row
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.tasks.base import Task
+
+EXACTLY = "exact propagation of the linearized model (JAX)"
+
+
+class Bounds(NamedTuple):
+    """Costs `[T]` in the targets: of UDR (0), of the best in Omega (1), and of the target's own
+    optimal policy.
+    """
+
+    udr: Udr
+    best: Best
+    lower: np.ndarray
+    upper: np.ndarray
+    own: np.ndarray
+
+    @property
+    def oracle(self) -> np.ndarray:
+        """Rewards `[T]` of the targets' own policies."""
+        return np.maximum(normalised(self.own, self.lower, self.upper), 1.0)
+
+
+class ExactArena(NamedTuple):
+    """What an exact method is given: the task by name with its options, what is solved, and the
+    targets `[T, D]` (physical).
+    """
+
+    task_name: str
+    task_options: dict[str, Any]
+    problem: ExactProblem
+    targets: np.ndarray
+
+
+class ExactComparison:
+    """All seeds of a method run together; a method says which means of E it visited."""
+
+    always, begins = (), "bounds"
+    bounds: Bounds
+
+    def __init__(self, task_name: str, task: Task, names: list[str], config: CompareConfig):
+        if config.target or config.target_options:
+            raise BadInput(
+                f"compare: targets of task '{task_name}' are always its own model; leave target out"
+            )
+        self.task_name, self.names, self.config, self.same = task_name, names, config, config
+        self.methods = exact_methods()
+        self.groups = [("", np.arange(config.seed, config.seed + config.seeds))]
+        self.digest = lambda: task_digest(task)
+        targets = np.array([task.space.values(task.settings[name], name) for name in names])
+        problem = PROBLEMS[task_name](task.space)
+        self.arena = ExactArena(task_name, config.train.task, problem, targets)
+
+    def lack(self, method: str) -> str:
+        if method in self.methods:
+            return ""
+        return f"is not for {self.task_name}; there is: {', '.join(self.methods)}"
+
+    def prepare(self, parts: ComparisonParts) -> None:
+        """The normalisers, computed anew: a second or so once compiled."""
+        self.bounds = find_bounds(self.arena.problem, self.arena.targets)
+
+    def record(self, method: str, seeds: np.ndarray, report: Callable) -> list[dict[str, Any]]:
+        """The method's rows, one for each target."""
+        if method not in EXACT:
+            return bound_rows(method, self.names, self.bounds, len(seeds))
+        visits = EXACT[method](MethodRun(self.config, self.arena, seeds, report))
+        return visiting_rows(method, self.names, self.arena, self.bounds, visits)
+
+    def rows(self, method: str, found: dict[str, Any]) -> list[dict[str, Any]]:
+        return found[method][0]
+
+    def about(self, found: dict[str, Any]) -> dict[str, Any]:
+        def setting(i: int) -> dict[str, Any]:
+            return {
+                "params": [float(p) for p in self.arena.targets[i]],
+                "udr_cost": float(self.bounds.lower[i]),
+                "best_cost": float(self.bounds.upper[i]),
+                "best_unit_mean": [float(u) for u in self.bounds.best.mean[i]],
+                "own_optimal_cost": float(self.bounds.own[i]),
+            }
+
+        return {
+            "simulator": EXACTLY,
+            "target_backend": EXACTLY.replace(")", ", double precision)"),
+            "settings": {name: setting(i) for i, name in enumerate(self.names)},
+        }
+
+
+def find_bounds(problem: ExactProblem, targets: np.ndarray) -> Bounds:
+    """The normalisers of `targets [T, D]` (physical)."""
+    best = best_in_omega(problem, targets)
+    policy = udr(problem)
+    with jax.enable_x64(True):
+        lower = np.array([float(problem.cost(t, policy.policy)) for t in targets])
+        own = np.array(
+            [float(problem.cost(t, problem.policy(t))) for t in jnp.asarray(targets, jnp.float64)]
+        )
+    if not np.all(lower > best.cost):
+        raise BadInput(
+            "compare: UDR is no worse than the best policy of Omega in a target, so rewards cannot "
+            "be normalised; widen Omega"
+        )
+    return Bounds(policy, best, lower, best.cost, own)
+
+
+def visiting_rows(
+    method: str, names: list[str], arena: ExactArena, bounds: Bounds, visits: Visits
+) -> list[dict[str, Any]]:
+    """A row for each target from the means that a method visited, with the dynamics discrepancy at
+    each seed's best.
+    """
+    problem, means = arena.problem, np.asarray(visits.means)
+    cost = costs(problem, means, arena.targets)
+    curves = normalised(best_over(cost), bounds.lower, bounds.upper)
+    out = []
+    for i, name in enumerate(names):
+        best, final = _best_means(means[i], cost[i]), means[i, :, :, -1]
+        gap = discrepancy(problem, best[None], arena.targets[i : i + 1])[0]
+        extras = {
+            "discrepancy": {"mean": gap.mean(), "median": np.median(gap), "per_seed": gap},
+            "best_params": physical(problem.space, best),
+            "final_params": physical(problem.space, final.reshape(-1, final.shape[-1])),
+            "cost_ratio": {"best_mean": (best_over(cost[i]).min(axis=1) / bounds.upper[i]).mean()},
+            "failed": int(np.sum(~np.isfinite(cost[i]))),
+        }
+        ends = {"oracle": bounds.oracle[i], "target_trials": visits.target_trials}
+        out.append(row(method, name, curves[i], **ends, **extras))
+    return out
+
+
+def best_over(costs: np.ndarray) -> np.ndarray:
+    """Cost of the best of the N distributions at each iteration, `[..., N, I + 1] -> [..., I + 1]`;
+    NaN never wins.
+    """
+    return np.min(np.where(np.isfinite(costs), costs, np.inf), axis=-2)
+
+
+def _best_means(means: np.ndarray, cost: np.ndarray) -> np.ndarray:
+    """The mean `[S, D]` with the lowest cost that each seed visited, from `[S, N, I + 1, D]` and
+    `[S, N, I + 1]`.
+    """
+    flat = np.where(np.isfinite(cost), cost, np.inf).reshape(len(cost), -1)
+    return means.reshape(len(cost), -1, means.shape[-1])[np.arange(len(cost)), flat.argmin(axis=1)]
+
+
+def bound_rows(method: str, names: list[str], bounds: Bounds, seeds: int) -> list[dict[str, Any]]:
+    """The normalisers as rows: 0 and 1 by definition. UDR uses no target data; the best in Omega,
+    the target's model.
+    """
+    value, trials = (0.0, 0) if method == "udr" else (1.0, None)
+    curves = np.full((seeds, 1), value)
+    return [
+        row(method, name, curves, oracle=bounds.oracle[i], target_trials=trials)
+        for i, name in enumerate(names)
+    ]
