@@ -30,7 +30,7 @@ from adaptsim_jax.attribution.score import Candidate, Score, shape_entries
 from adaptsim_jax.attribution.simulate import Path
 from adaptsim_jax.attribution.weights import WILD, Fit, Weights, losses
 from adaptsim_jax.diagnosis.criteria import Criteria
-from adaptsim_jax.diagnosis.folds import BLOCKS, blocks_of
+from adaptsim_jax.diagnosis.folds import BLOCKS, pieces
 from adaptsim_jax.diagnosis.testing import Test, jackknife, paired_test
 from adaptsim_jax.effects.base import Effect, Reach
 
@@ -155,7 +155,7 @@ def paired(problem: Problem, without: np.ndarray, with_: np.ndarray) -> Test:
     alone could not show what is not in each of them.
     """
     count = len(problem.fold)
-    block = blocks_of(problem.groups[0].stretches.trial[:count], BLOCKS)
+    block = pieces(problem.groups[0].stretches.trial[:count], BLOCKS)
     return paired_test(without[:count], with_[:count], problem.fold, block)
 
 

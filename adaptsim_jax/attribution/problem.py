@@ -20,7 +20,7 @@ from adaptsim_jax.attribution.parameters import (
     inertias,
 )
 from adaptsim_jax.attribution.stretches import Stretches, Track, cut, without_first_rows
-from adaptsim_jax.diagnosis.folds import folds_of
+from adaptsim_jax.diagnosis.folds import folds_of, names_of
 from adaptsim_jax.effects.base import Effect, Reach, unit_at
 from adaptsim_jax.effects.joints.catalogue import ETA, TILTS
 from adaptsim_jax.effects.joints.forces import ARMATURE, SPRING
@@ -105,7 +105,8 @@ def prepare(
         within_reach(tree, tracks), rub=np.zeros((n, 2))
     )  # sharp, as of real joints (`equation/rubbing.py`)
     stretches = without_first_rows(cut(tracks, horizon, most), look_back)
-    fold, _, names = folds_of(stretches.trial, stretches.names)
+    fold = folds_of(stretches.trial)
+    names = names_of(stretches.trial, fold, stretches.names)
     stretches = _padded(stretches)
     if actuator is None:
         actuator = np.stack(

@@ -1,41 +1,61 @@
-"""Which stretches are left out together, and which stand together in a test."""
+"""Which stretches or windows are left out together, and which stand together in a test.
+
+Folds and blocks are made of the trial of each, in the order of time, by the same functions for
+every objective.
+"""
 
 import numpy as np
 
-LEAST_TRIALS = 5  # of which each is a fold
-FOLDS, BLOCKS = 8, 24  # about so many of fewer trials; in a test
+TRIALS = 5  # from which on each trial is a fold: of fewer, none could show what it lacks
+FOLDS, BLOCKS = 8, 24  # about so many of fewer trials; in a test of stretches
+SPAN = 0.5  # s, of a block of windows, which overlap: much longer than what neighbours share
+FEWEST, MOST = 16, 60  # blocks of windows: enough for a level of 0.01, and no more than tell apart
+WINDOWS = 2  # of a piece, where a trial has them
 
 
-def folds_of(
-    trial: np.ndarray, names: tuple[str, ...]
-) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
-    """Fold `[W]` and test block `[W]` of each stretch, and the folds' names.
+def folds_of(trial: np.ndarray, least: int = 1) -> np.ndarray:
+    """Fold `[W]` of each stretch: trials, or of few trials about eight pieces of them.
 
-    Folds are trials, or of fewer than `LEAST_TRIALS` about eight blocks of consecutive stretches: a
-    few trials alone could not show what is not in each of them.
+    least: stretches of a piece.
     """
-    block = blocks_of(trial, BLOCKS)
-    trials = np.unique(trial)
-    if len(trials) >= LEAST_TRIALS:
-        return np.searchsorted(trials, trial), block, tuple(names[t] for t in trials)
-    fold = blocks_of(trial, FOLDS)
+    names = np.unique(trial)
+    if len(names) >= TRIALS:
+        return np.searchsorted(names, trial)
+    return pieces(trial, FOLDS, least)
+
+
+def names_of(trial: np.ndarray, fold: np.ndarray, names: tuple[str, ...]) -> tuple[str, ...]:
+    """What folds are called, by the names of the trials."""
     first = [int(np.flatnonzero(fold == k)[0]) for k in range(fold.max() + 1)]
+    if len(np.unique(trial)) >= TRIALS:
+        return tuple(names[trial[i]] for i in first)
     part = [k - int(fold[trial == trial[i]].min()) for k, i in enumerate(first)]
-    return (
-        fold,
-        block,
-        tuple(f"{names[trial[i]]} part {p + 1}" for i, p in zip(first, part, strict=True)),
-    )
+    return tuple(f"{names[trial[i]]} part {p + 1}" for i, p in zip(first, part, strict=True))
 
 
-def blocks_of(trial: np.ndarray, about: int) -> np.ndarray:
-    """Block `[W]` of each stretch: about so many blocks of consecutive stretches of one trial, at
+def blocks_of_windows(trial: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Block `[K]` of each window of the motion, of about `SPAN` s; time `[K]` s of their middles.
+
+    The balance has more blocks than stretches have, since windows are short and many.
+    """
+    if len(time) > 1:
+        hop = float(np.median(np.diff(time)[np.diff(trial) == 0]))
+    else:
+        hop = 1.0
+    return pieces(trial, int(np.clip(len(trial) * hop / SPAN, FEWEST, MOST)), WINDOWS)
+
+
+def pieces(trial: np.ndarray, about: int, least: int = 1) -> np.ndarray:
+    """Piece `[W]` of each stretch: about so many pieces of consecutive stretches of one trial, at
     least one a trial.
+
+    least: stretches of a piece, where a trial has them.
     """
     out, at = np.zeros(len(trial), int), 0
     for t in np.unique(trial):
         mine = np.flatnonzero(trial == t)
-        parts = max(1, min(len(mine), round(about * len(mine) / len(trial))))
+        most = max(1, len(mine) // least)
+        parts = max(1, min(most, round(about * len(mine) / len(trial))))
         for part in np.array_split(mine, parts):
             out[part], at = at, at + 1
     return out

@@ -23,6 +23,7 @@ from adaptsim_jax.diagnosis.schema import check, new_report, verdict_of, with_ef
 from adaptsim_jax.diagnosis.search import search
 from adaptsim_jax.diagnosis.simulator import Simulator, Stretches, check_simulator
 from adaptsim_jax.diagnosis.starts import problem_of
+from adaptsim_jax.diagnosis.testing import smallest_p
 from adaptsim_jax.diagnosis.written import MODEL, cleared, keeping, write_all
 from adaptsim_jax.mend.model_toml import Form, Value, added_effects
 
@@ -143,7 +144,7 @@ def told_of_nothing(report: dict[str, Any], criteria: Criteria) -> None:
 def few(problem: Problem) -> list[str]:
     """A note where so few stretches can show little, whatever they show."""
     count = len(np.unique(np.asarray(problem.block)))
-    least = 2.0**-count
+    least = smallest_p(count)
     if least <= 0.05:
         return []
     return [

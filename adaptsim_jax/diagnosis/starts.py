@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from adaptsim_jax.diagnosis.folds import folds_of
+from adaptsim_jax.diagnosis.folds import BLOCKS, folds_of, pieces
 from adaptsim_jax.diagnosis.problem import Candidate, Problem, Quantity
 from adaptsim_jax.diagnosis.simulator import Simulator, Stretches, linearise, residuals
 from adaptsim_jax.diagnosis.steps import Lanes, best_of, fit_starts
@@ -216,7 +216,7 @@ def problem_of(
     anchor = anchored(simulator, neutral)
     weight = weights(simulator, neutral, anchor.starts, *FAR)
     around = Linearised(simulator, [anchor], np.array([q.scale for q in quantities]), weight)
-    fold, block, _ = folds_of(s.trial, s.names)
+    fold, block = folds_of(s.trial), pieces(s.trial, BLOCKS)
     wanted = tuple(simulator.candidates if candidates is None else candidates)
     free = np.maximum((s.seen > 0).sum((1, 2)) - s.start.shape[1], 1)
     wanted = _begun_apart(wanted, quantities, around)

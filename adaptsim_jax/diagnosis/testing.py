@@ -94,9 +94,14 @@ def paired_test(
     return compare(by_fold, by_block)
 
 
+def smallest_p(blocks: int) -> float:
+    """What a sign-flip test over so many blocks shows at most, all of them better."""
+    return 2.0**-blocks
+
+
 def attainable(level: float, blocks: int, family: int = 1) -> float:
     """The level of a test that is one of `family`, at least what so few blocks can show."""
-    return max(level / family, 1.01 * 2.0**-blocks)
+    return max(level / family, 1.01 * smallest_p(blocks))
 
 
 def holm(p: Sequence[float], level: float, blocks: int) -> np.ndarray:

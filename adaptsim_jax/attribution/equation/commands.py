@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptsim_jax.attribution.equation.balance import Balance
-from adaptsim_jax.attribution.equation.solve import blocks_of, folds_of
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import Problem, values_of
+from adaptsim_jax.diagnosis.folds import WINDOWS, blocks_of_windows, folds_of
 from adaptsim_jax.diagnosis.testing import jackknife, log_ratio, means, sign_flip
 
 TOLD = (
@@ -153,7 +153,7 @@ def _regressed(balance: Balance, y: np.ndarray, columns: np.ndarray, clear: np.n
     by the others' coefficients.
     """
     weight = np.sqrt(clear)
-    fold = folds_of(balance.trial, balance.time)
+    fold = folds_of(balance.trial, WINDOWS)
     size = np.sqrt(np.mean(np.square(columns), 0)) + 1e-300
 
     def solve(some):
@@ -174,7 +174,7 @@ def _regressed(balance: Balance, y: np.ndarray, columns: np.ndarray, clear: np.n
 
 def _better(balance: Balance, before: np.ndarray, after: np.ndarray) -> float:
     """p that blocks are not better explained."""
-    block = blocks_of(balance.trial, balance.time)
+    block = blocks_of_windows(balance.trial, balance.time)
     left = [means(np.square(z), block) for z in (before, after)]
     return sign_flip(log_ratio(*left))
 

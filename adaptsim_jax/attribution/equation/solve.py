@@ -10,12 +10,9 @@ from functools import cached_property
 import numpy as np
 
 from adaptsim_jax.attribution.parameters import Entry, Vector
+from adaptsim_jax.diagnosis.folds import WINDOWS, blocks_of_windows, folds_of
 from adaptsim_jax.diagnosis.testing import Test, compare, jackknife, log_ratio, means, share
 
-FOLDS = 8  # of recordings of fewer trials than `TRIALS`
-TRIALS = 5
-BLOCK = 0.5  # s, of which a paired test takes one difference
-MOST_BLOCKS, LEAST_BLOCKS = 60, 16
 MEMORY = 1.0  # s, over which what is left of neighbours is taken to be alike at most
 
 
@@ -73,15 +70,12 @@ def rows_of(
     """Rows weighted by what is `left` [K, n] of the missing forces by the model so far, at least by
     sizes `least` [n].
     """
-    usual = _block_means(np.square(left) * clear, trial, time) / _block_means(clear, trial, time)
+    block = blocks_of_windows(trial, time)
+    usual = means(np.square(left) * clear, block) / means(clear, block)
     size = np.sqrt(np.maximum(np.median(usual, 0), np.square(least) + 1e-18))
     alike = _alike(left * np.sqrt(clear), trial, time)
     weight = np.sqrt(clear) / (size * np.sqrt(alike))
-    return Rows(missing, weight, size, clear, folds_of(trial, time), blocks_of(trial, time))
-
-
-def _block_means(z: np.ndarray, trial, time) -> np.ndarray:
-    return means(z, blocks_of(trial, time))
+    return Rows(missing, weight, size, clear, folds_of(trial, WINDOWS), block)
 
 
 def _alike(left: np.ndarray, trial: np.ndarray, time: np.ndarray) -> np.ndarray:
@@ -103,35 +97,6 @@ def _alike(left: np.ndarray, trial: np.ndarray, time: np.ndarray) -> np.ndarray:
         r = (z[lag:][same] * z[:-lag][same]).mean(0) / power
         alive &= r > 0.05
         out += 2.0 * np.where(alive, r, 0.0)
-    return out
-
-
-def folds_of(trial: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Trials, or of fewer than `TRIALS` about `FOLDS` blocks."""
-    names = np.unique(trial)
-    if len(names) >= TRIALS:
-        return np.searchsorted(names, trial)
-    return _pieces(trial, FOLDS)
-
-
-def blocks_of(trial: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Blocks of about `BLOCK` s: at least `LEAST_BLOCKS` in all, at most `MOST_BLOCKS`."""
-    if len(time) > 1:
-        hop = float(np.median(np.diff(time)[np.diff(trial) == 0]))
-    else:
-        hop = 1.0
-    about = int(np.clip(len(trial) * hop / BLOCK, LEAST_BLOCKS, MOST_BLOCKS))
-    return _pieces(trial, about)
-
-
-def _pieces(trial: np.ndarray, about: int) -> np.ndarray:
-    out, at = np.zeros(len(trial), int), 0
-    for t in np.unique(trial):
-        mine = np.flatnonzero(trial == t)
-        for part in np.array_split(
-            mine, max(1, min(len(mine) // 2 or 1, round(about * len(mine) / len(trial))))
-        ):
-            out[part], at = at, at + 1
     return out
 
 

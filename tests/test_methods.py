@@ -1,0 +1,43 @@
+"""Where each method of diagnosis lives, once: what is searched for is how a second one would look."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+import adaptsim_jax
+
+PACKAGE = Path(adaptsim_jax.__file__).parent
+# rooms that learn or plan have steps of their own, of policies
+ROOMS = ("attribution", "diagnosis", "logs", "simulators", "tasks/toss", "tasks/trial_record.py")
+FILES = [
+    f
+    for room in ROOMS
+    for f in ([PACKAGE / room] if room.endswith(".py") else sorted((PACKAGE / room).rglob("*.py")))
+]
+METHODS = {
+    "sign-flip test": ("diagnosis/testing.py", r"\[-1\.0, 1\.0\]|2\*\*count"),
+    "logarithms of losses": ("diagnosis/testing.py", r"np\.log\(\(\w+ \+ usual\)"),
+    "level of few blocks": ("diagnosis/testing.py", r"2\.0 ?\*\* ?-"),
+    "false discovery": ("diagnosis/testing.py", r"np\.arange\(1, len\(\w+\) \+ 1\) / "),
+    "jackknife": (
+        "diagnosis/testing.py",
+        r"\(\(?\w+(\(\w+\))? - 1\) / \w+(\(\w+\))? \* np\.square",
+    ),
+    "score test by clusters": ("diagnosis/testing.py", r"stats\.t\.sf"),
+    "bounded step": ("diagnosis/steps.py", r"\w+ = \w+ & \(\(step < low\)"),
+    "loop of damped steps": ("diagnosis/steps.py", r"damping = max\(|damping \*= "),
+    "loop of starts": ("diagnosis/steps.py", r"rest = .*~good"),
+    "pieces of trials": ("diagnosis/folds.py", r"in np\.array_split\(mine"),
+    "noise by differences": (
+        "logs/noise/differences.py",
+        r"np\.diff\([^()]+, (3|order)[,)]|0\.6745",
+    ),
+}
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_method_lives_in_one_file(method):
+    home, looks = METHODS[method]
+    found = {str(f.relative_to(PACKAGE)) for f in FILES if re.search(looks, f.read_text())}
+    assert found == {home}
