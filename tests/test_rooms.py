@@ -137,6 +137,7 @@ WITHIN = {
         "run",
         "schema",
         "criteria",
+        "recommended",
         "testing",
         "steps",
         "rules",

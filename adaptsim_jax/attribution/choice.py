@@ -21,6 +21,7 @@ OWN = 1e-6
 file's own simulation.
 """
 SAMPLE = 6  # stretches
+STRETCH = 0.5  # s of stretches, where nothing is asked for
 MOVED = 1e-3  # m, or of a quaternion's entries: by which a base that moves does
 
 
@@ -52,7 +53,11 @@ def choose(data: str | Path, model: str | Path | None, asked: str | None, horizo
                 f"model.xml beside it"
             )
         return Choice("tree", "")
-    source, log = read_source_and_log(data, model)
+    return chosen(*read_source_and_log(data, model), asked, horizon)
+
+
+def chosen(source: Source, log: Log, asked: str | None, horizon: float) -> Choice:
+    """The same of files that were read: one rule for `replay` and `diagnose`."""
     asked = asked or log.meta.simulator
     if asked:
         return Choice(asked, "as asked for", source, log)

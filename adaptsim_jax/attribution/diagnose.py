@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.attribution import model_toml
+from adaptsim_jax.attribution.choice import STRETCH
 from adaptsim_jax.attribution.conventions import channels, check_conventions, mechanism_trials
 from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.equation.commands import drive_gains
@@ -31,6 +32,7 @@ from adaptsim_jax.attribution.mend import (
 )
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, Entry, Vector
 from adaptsim_jax.attribution.problem import Problem, held, nuisances, own_inertia, prepare
+from adaptsim_jax.attribution.replay import follows, recommended
 from adaptsim_jax.attribution.report import reported
 from adaptsim_jax.attribution.select import Hint
 from adaptsim_jax.attribution.select import declared as fitted_null
@@ -49,6 +51,7 @@ from adaptsim_jax.attribution.yardsticks import NAMES, TORQUE, WHOLE
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.recommended import WHOLE_TRIALS
 from adaptsim_jax.diagnosis.run import Page, Run, command_of, plain
 from adaptsim_jax.diagnosis.schema import check, with_effects
 from adaptsim_jax.diagnosis.written import cleared, write_all, write_partial
@@ -61,7 +64,7 @@ from adaptsim_jax.mend.mjcf import mended_mjcf
 from adaptsim_jax.mend.model_toml import FILE as MODEL_FILE
 
 Progress = Callable[[float, float, str], None]
-HORIZON = 0.5  # s
+HORIZON = STRETCH
 LOOK_BACK = 0.012  # s, from a stretch's start: what a late sensor tells there is not compared
 MODEL = "model.xml"
 TOLD_GAIN = (
@@ -182,8 +185,27 @@ def diagnose(
             evidence,
             page or plain,
             {MODEL_FILE: text, **mjcf_files(machine, whole, criteria or Criteria())},
+            verifier(data, model, folder, declared, without),
         )
     return check(report)
+
+
+def verifier(
+    data: str | Path,
+    model: str | Path | None,
+    folder: Path,
+    declared: Machine,
+    without: Sequence[str],
+) -> Callable[[Path], dict[str, Any]]:
+    """What runs the files of `folder` beside the declared one: over whole trials, too, of a machine
+    that follows commands.
+    """
+    spans = {f"stretches of {STRETCH:g} s": STRETCH}
+    if follows(declared):
+        spans[WHOLE_TRIALS] = 0.0
+    if declared.gain_unknown:  # the file's motors say nothing of a voltage or a current
+        model = folder / model_toml.DECLARED
+    return recommended(data, model, "tree", spans, without)
 
 
 def with_rows(report: dict[str, Any], rows: Sequence[dict[str, Any]]) -> None:

@@ -4,7 +4,7 @@ model (`yardsticks.py`). The error is the root mean square over a stretch, joint
 """
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path as File
 from typing import Any
@@ -32,10 +32,12 @@ from adaptsim_jax.attribution.yardsticks import (
     predicts_nothing,
 )
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.diagnosis.recommended import Simulated, worse_joints
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.logs.quality.contradictions import AS_DECLARED
 from adaptsim_jax.simulators.mujoco.replay import replayed as mujoco_replayed
 
+WRITTEN = ("model.xml", "model.toml")  # what a diagnosis writes for simulation
 FAR = 1.0  # rad (m): a stretch of which any joint errs more has run away
 
 
@@ -214,6 +216,34 @@ def replay_files(
     return dataclasses.replace(
         found, notes=(*found.notes, *machine.log.notes, *machine.notes, *suspected(machine))
     )
+
+
+def recommended(
+    data: str | File,
+    declared: str | File | None,
+    simulator: str,
+    spans: Mapping[str, float],
+    without: Sequence[str] = (),
+) -> Callable[[File], dict[str, Any]]:
+    """What runs the files of a folder beside the declared one (`diagnosis.recommended`), as
+    `adaptsim replay` does. declared: None: as meta.toml says; without: trials that are left out.
+    """
+
+    def run(model: File | None, span: float) -> Simulated:
+        found = replay_files(model or declared, data, span, (STRETCHES,), simulator)
+        own = [k for k, name in enumerate(found.trial_names) if name not in without]
+        taken = np.isin(found.trial, own)
+        nothing = np.minimum(found.line, found.still)
+        units = tuple("rad" if kind == "hinge" else "m" for kind in found.kinds)
+        return Simulated(found.joint_names, units, found.error[taken], nothing[taken])
+
+    def verify(folder: File) -> dict[str, Any]:
+        files = [folder / name for name in WRITTEN if (folder / name).exists()]
+        if simulator == "mujoco":
+            files = [file for file in files if file.suffix == ".xml"]
+        return worse_joints(run, files, spans)
+
+    return verify
 
 
 def follows(machine: Machine) -> bool:

@@ -55,8 +55,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "--simulator",
         metavar="NAME",
         help="of a mechanism: tree (of joints), or mujoco itself (a base that moves, contact, "
-        "loops; a shorter catalogue); default: as meta.toml says, else tree where the base stands "
-        "still. One of your own: module:function or file.py:function, of DATA to a Simulator",
+        "loops; a shorter catalogue); default: as meta.toml says, else what replay takes. One of "
+        "your own: module:function or file.py:function, of DATA to a Simulator",
     )
     parser.add_argument("--json", action="store_true", help="print report.json")
     parser.add_argument(
@@ -215,14 +215,16 @@ def mechanism(args: argparse.Namespace, without: list[str]) -> Judge:
     from adaptsim_jax.logs.read import joined, read_source_and_log
 
     source, log = read_source_and_log(args.data, args.model)
-    from adaptsim_jax.attribution.choice import base_moves
+    from adaptsim_jax.attribution.choice import STRETCH, chosen
     from adaptsim_jax.diagnosis.run import command_of
     from adaptsim_jax.report.diagnosis import write_diagnosis
 
-    needed = "mujoco" if base_moves(log) or log.meta.channels else "tree"
-    if (args.simulator or log.meta.simulator or needed) == "mujoco":
+    horizon = args.horizon or STRETCH
+    if chosen(source, log, args.simulator, horizon).simulator == "mujoco":
+        from adaptsim_jax.attribution.replay import recommended
         from adaptsim_jax.simulators.mujoco.diagnosed import diagnose as by_mujoco
 
+        spans = {f"stretches of {horizon:g} s": horizon}
         if without:
             log = log.pick([t.name for t in log.trials if t.name not in without])
         command = partial(
@@ -242,6 +244,7 @@ def mechanism(args: argparse.Namespace, without: list[str]) -> Judge:
             progress=progress,
             horizon=args.horizon,
             command=command(out=out, exclude=exclude),
+            verify=recommended(args.data, args.model, "mujoco", spans, without),
         )
     joined(source, log)
     given = {} if args.horizon is None else {"horizon": args.horizon}

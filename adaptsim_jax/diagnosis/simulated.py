@@ -77,7 +77,9 @@ def diagnose_simulator(
         mended = {
             file: partial(make, values) for file, make in getattr(simulator, "mended", {}).items()
         }
-        write_all(folder, report, evidence, page or plain, {MODEL: model, **mended})
+        files = {MODEL: model, **mended}
+        verify = getattr(simulator, "verify", None)
+        write_all(folder, report, evidence, page or plain, files, verify)
     return report
 
 

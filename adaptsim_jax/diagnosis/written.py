@@ -52,9 +52,11 @@ def write_all(
     evidence: dict[str, Any],
     page: Page,
     files: Mapping[str, Callable[[], str]],
+    verify: Callable[[Path], dict[str, Any]] | None = None,
 ) -> None:
     """Report and page first, then each of the files (name -> what makes its text), then the page
-    again, which links them.
+    again, which links them. verify: runs the files of the folder beside the declared one, and
+    gives by file where it is worse (`report["files"]`).
 
     A file that cannot be made or written is one line of the report's warnings, and no reason to
     lose the rest.
@@ -65,6 +67,11 @@ def write_all(
             write_bytes(folder / name, text().encode())
         except Exception as error:  # whatever it is, hours of search must not go with it
             _told(report, evidence, f"{name} could not be written: {_line(error)}")
+    if verify is not None:
+        try:
+            report["files"] = verify(folder)
+        except Exception as error:
+            _told(report, evidence, f"the files that were written were not run: {_line(error)}")
     _page(folder, report, evidence, page)
 
 

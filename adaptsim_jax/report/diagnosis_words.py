@@ -130,9 +130,43 @@ def effect_names(report: Mapping) -> str:
 def headline(report: Mapping) -> str:
     """The verdict in a sentence, and in another that trials differ, where they do."""
     differ = (report.get("trials") or {}).get("headline")
+    words = _verdict(report)
     if differ:
-        return f"{_verdict(report)} But {differ}."
-    return _verdict(report)
+        words = f"{words} But {differ}."
+    if worse := worse_files(report):
+        words = f"{words} But {worse}."
+    return words
+
+
+def worse_files(report: Mapping) -> str:
+    """Which of the files that were written simulate a joint worse than the declared one, the joint at
+    which each is worst, and by how much; empty where none does.
+    """
+    parts = []
+    for name, rows in (report.get("files") or {}).items():
+        if rows:
+            row = rows[0]
+            after = fmt.quantity(row["after"], row["unit"])
+            before = fmt.quantity(row["before"], row["unit"])
+            rest = f" and {len(rows) - 1} more" if len(rows) > 1 else ""
+            parts.append(
+                f"{name} simulates {plain(row['joint'])}{rest} worse than the declared file: "
+                f"{after} for {before} over {row['over']}"
+            )
+    return "; ".join(parts)
+
+
+def _files(report: Mapping) -> str:
+    """Which file to take where one of them is worse than the declared one; empty where none is."""
+    files = report.get("files") or {}
+    good = [name for name, rows in files.items() if not rows]
+    if len(good) == len(files):
+        return ""
+    if good:
+        return f"Simulate with {fmt.listing(good)} alone: {worse_files(report)}."
+    return (
+        f"Keep the declared file for simulation: {worse_files(report)}. Look where the rest sits."
+    )
 
 
 def _verdict(report: Mapping) -> str:
@@ -267,6 +301,8 @@ def todo(report: Mapping) -> str:
             f"better than what needs no model. "
             "Look where the rest sits."
         )
+    if files := _files(report):
+        return files
     if report["verdict"] == "within_noise" and not report["declared"]["after"]:
         return "Add no effect, and keep the file's values: nothing was fitted."
     return NEXT[report["verdict"]] + (

@@ -3,7 +3,7 @@ simulate, diagnosed.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -68,6 +68,7 @@ class MujocoSimulator:
     stretches: Compared
     candidates: tuple[Candidate, ...]
     remarks: tuple[str, ...] = ()
+    verify: Callable[[Path], dict[str, Any]] | None = None  # runs the files that were written
 
     def predict(self, values: np.ndarray, starts: np.ndarray, which: np.ndarray) -> np.ndarray:
         """See `diagnosis.simulator.Simulator`."""
@@ -214,14 +215,15 @@ def diagnose(
     progress: Callable[[float, float, str], None] | None = None,
     page: Page | None = None,
     command: str | None = None,
+    verify: Callable[[Path], dict[str, Any]] | None = None,
 ) -> dict[str, Any]:
     """Which numbers of a model file hold out on left-out trials of a recording that MuJoCo
     simulates; the report.
 
     horizon: s of the stretches, None: as the base needs; command: what gives the same answer, for
-    the report.
+    the report; verify: runs the files that were written (`diagnosis.recommended`).
     """
-    made = simulator(source, log, horizon)
+    made = replace(simulator(source, log, horizon), verify=verify)
     return diagnose_simulator(
         made,
         out=out,

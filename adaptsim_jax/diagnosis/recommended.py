@@ -1,0 +1,72 @@
+"""Whether a file that a diagnosis wrote simulates its recording at least as well as the declared
+one, at every joint that moves.
+
+Effects and values are judged by stretches, or by torques along the motion. A user takes the file to
+simulate. So each file is run as `adaptsim replay` runs it, beside the declared one, before it is
+recommended.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from adaptsim_jax.core.errors import BadInput
+
+WHOLE_TRIALS = "whole trials"
+SLACK = 1.05  # times the declared file's error, up to which a joint counts as no worse
+RUN_AWAY = 1.0  # rad (m): of an error, from which on its size means nothing
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """A file over a recording: error [W, n] rad or m by stretch and joint, and nothing [W, n]: what
+    is left without a model.
+    """
+
+    joints: tuple[str, ...]
+    units: tuple[str, ...]
+    error: np.ndarray
+    nothing: np.ndarray
+
+
+def worse_joints(
+    run: Callable[[Path | None, float], Simulated],
+    files: Sequence[Path],
+    spans: Mapping[str, float],
+) -> dict[str, list[dict[str, Any]]]:
+    """By file the joints at which it simulates worse than the declared file, worst first: rows of
+    joint, over (of what), before, after, unit.
+
+    A joint has no say where the declared file does no better there than what needs no model.
+
+    Args:
+        run: simulates a file (None: the declared one) over stretches of so many seconds.
+        spans: s by name, 0 for whole trials.
+    """
+    out: dict[str, list[dict[str, Any]]] = {file.name: [] for file in files}
+    for over, span in spans.items():
+        before = run(None, span)
+        for file in files:
+            try:
+                after = run(file, span)
+            except BadInput:  # a file of another kind, which nothing here simulates
+                continue
+            out[file.name] += [{"over": over} | row for row in _worse(before, after)]
+    for rows in out.values():
+        rows.sort(key=lambda row: -row["after"] / row["before"])
+    return out
+
+
+def _worse(before: Simulated, after: Simulated) -> list[dict[str, Any]]:
+    def size(error):
+        return np.sqrt(np.mean(np.square(np.minimum(error, RUN_AWAY)), 0))
+
+    one, two, nothing = size(before.error), size(after.error), size(before.nothing)
+    return [
+        {"joint": name, "before": float(one[j]), "after": float(two[j]), "unit": before.units[j]}
+        for j, name in enumerate(before.joints)
+        if one[j] < nothing[j] and two[j] > SLACK * one[j]
+    ]
