@@ -48,6 +48,7 @@ MAGNET = Effect(
 '''
 ASKED = """
 import json, sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -106,7 +107,10 @@ brush, magnet = (next(c for c in own if c.effect == name) for name in ("brush", 
 final = finding(brush).final
 arm = mujoco.MjModel.from_xml_path(machine.mechanism.path)
 stepped = Stepped("", arm, np.arange(2), -1, arm.qpos0, ())
+at_elbow = replace(problem, excluded=frozenset({("magnet", 1)}))
+left = [c.joints for c in candidates(at_elbow, null, reach) if c.effect == "magnet"]
 print(json.dumps({
+    "left": left,
     "simulated": [[*k, v] for k, v in scores.items()],
     "balance": [[*k, v] for k, v in by_torque.items()],
     "excluded": [sorted(z) for z in excluded_of(["brush", "magnet at elbow"], MACHINE, machine.tree.joint_names)],
@@ -148,6 +152,7 @@ def test_both_judges_score_it_at_every_joint(answers, judge):
 def test_it_is_listed_and_excluded_by_name_and_place(answers):
     assert answers["listed"] == 0 and "a brush that rubs on one side" in answers["printed"]
     assert answers["excluded"] == [["brush"], [["magnet", 1]]]
+    assert answers["left"] == [[0]]
 
 
 def test_it_has_its_words(answers):

@@ -13,6 +13,7 @@ from adaptsim_jax import BadInput, Candidate, Quantity, Simulator, diagnose_simu
 from adaptsim_jax.cli import main
 from adaptsim_jax.core.registry import Registry
 from adaptsim_jax.diagnosis.fit import completed, jacobian
+from adaptsim_jax.diagnosis.rows import check_exclude
 from adaptsim_jax.diagnosis.schema import read_report
 from adaptsim_jax.diagnosis.starts import problem_of, settle
 from adaptsim_jax.simulators.registry import SIMULATORS, simulator_named
@@ -270,3 +271,14 @@ def test_a_simulator_is_known_by_its_entry_point(tmp_path, monkeypatch, capsys):
     assert main([*asked, "tanks", "--horizon", "1"]) == 2
     assert "--horizon: a simulator of your own reads DATA itself" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_an_effect_is_excluded_everywhere_or_at_a_place():
+    def candidate(name, where):
+        return Candidate(name, where, ("q",), "physics", "any motion")
+
+    every = tuple(candidate(f"coulomb at {joint}", joint) for joint in ("lift", "elbow"))
+    assert check_exclude(("coulomb",), every, "machine") == ()
+    assert check_exclude(("coulomb at lift",), every, "machine") == every[1:]
+    with pytest.raises(BadInput, match=r"'spring' is no effect of a machine; it has coulomb"):
+        check_exclude(("spring",), every, "machine")

@@ -13,7 +13,7 @@ from rich.console import Console
 
 from adaptsim_jax.diagnosis.schema import VERDICTS, ReportError, read_report
 from adaptsim_jax.report.diagnosis import print_summary, render, write_diagnosis
-from adaptsim_jax.report.diagnosis_words import headline
+from adaptsim_jax.report.diagnosis_words import effect_name, headline
 from tests.report.diagnosis_cases import REPORTS, evidence, held_out
 
 VOID = {"meta", "link", "br", "img", "hr", "input"}
@@ -268,3 +268,18 @@ def test_summary(written, verdict):
         )
     else:
         print_summary(REPORTS[verdict](), Console(file=io.StringIO(), width=30))
+
+
+@pytest.mark.parametrize(
+    ("effect", "words"),
+    [
+        ({"name": "coulomb at elbow"}, "Coulomb friction at elbow"),
+        ({"name": "coulomb"}, "Coulomb friction at elbow"),
+        (
+            {"name": "coulomb at elbow", "alternatives": ["payload at hand"]},
+            "Coulomb friction at elbow or payload at hand",
+        ),
+    ],
+)
+def test_a_place_is_said_once(effect, words):
+    assert effect_name({"where": "elbow"} | effect) == words
