@@ -101,7 +101,7 @@ def words(name: str) -> str:
     return name.partition("@")[0].replace("_", " ")
 
 
-def told(named: Sequence[Named], what: str) -> str:
+def named_words(named: Sequence[Named], what: str) -> str:
     """What is named and how it was tested, one sentence; what: the trials in words."""
     lines = [
         f"{words(n.candidate.name)} holds out in {n.test.better} of {n.test.folds} {what} "
@@ -131,7 +131,7 @@ def message(seen: Seen, found: Finding, over: float, worst: float) -> str:
             f" Some {seen.trials} are not followed: all together the fit leaves {worst:.1f} "
             f"times the noise floor."
         )
-    return f"{told(found.named, seen.trials)} {left}{_standing_out(seen, found.final)}"
+    return f"{named_words(found.named, seen.trials)} {left}{_standing_out(seen, found.final)}"
 
 
 def _standing_out(seen: Seen, model: Model) -> str:

@@ -69,7 +69,7 @@ def diagnose_simulator(
     problem = problem_of(simulator, kept)
     found = search(problem, criteria, step, keep=keeping(folder, "simulator", name, problem))
     report, evidence = reported(simulator, problem, found, criteria, proposals or {}, name)
-    told_of_nothing(report, criteria)
+    withhold_names(report, criteria)
     report["run"] = evidence["run"] = Run(command or f"diagnose_simulator({name})", began).told()
     report = check(report)
     if folder is not None:
@@ -126,7 +126,7 @@ def by_name(problem: Problem, model: Model) -> dict[str, float]:
     return {q.name: float(model.fit.values[i]) for i, q in enumerate(problem.quantities)}
 
 
-def told_of_nothing(report: dict[str, Any], criteria: Criteria) -> None:
+def withhold_names(report: dict[str, Any], criteria: Criteria) -> None:
     """Where no model does better than a straight line or holding still, that is said first, and
     nothing is named.
     """
@@ -165,7 +165,7 @@ def message(found: Finding, worst: float, criteria: Criteria) -> str:
         said = f"The declared model, fitted, predicts left-out stretches to {size(found.null)} times the noise."
         return f"{said} {'Nothing need be added.' if worst <= criteria.explained else 'No candidate holds out.'}"
     return (
-        f"{rows.told(found.named, 'folds')} Left-out error {size(found.null)} to "
+        f"{rows.named_words(found.named, 'folds')} Left-out error {size(found.null)} to "
         f"{size(found.final)} times the noise."
     )
 

@@ -168,7 +168,7 @@ def message(found: Finding, over, error: dict[str, Any], whole, flown: Flight | 
             text += " Nothing need be added."
     else:
         text = (
-            f"{parts.told(found.named, 'tosses')} Left-out error {size('before')} to "
+            f"{parts.named_words(found.named, 'tosses')} Left-out error {size('before')} to "
             f"{size('after')} mm; windows are left at "
             f"{floors['after']:.1f} times the noise floor (median)."
         )
