@@ -9,10 +9,11 @@ import jax
 import numpy as np
 
 from adaptsim_jax.attribution.commands_told import check_commands
-from adaptsim_jax.attribution.machine import Machine
+from adaptsim_jax.attribution.machine import Machine, actuator_of
 from adaptsim_jax.attribution.pace import amperes, check_pace, held_fast
 from adaptsim_jax.attribution.problem import drive_force
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.quality.audit import audit
 from adaptsim_jax.logs.quality.contradictions import (
     AS_DECLARED,
     NEAR,
@@ -22,7 +23,7 @@ from adaptsim_jax.logs.quality.contradictions import (
     late_finding,
     lateness,
 )
-from adaptsim_jax.logs.quality.findings import Finding
+from adaptsim_jax.logs.quality.findings import Audit, Finding
 from adaptsim_jax.logs.quality.hypotheses import (
     LEAST,
     MOST,
@@ -194,6 +195,17 @@ def mechanism_trials(machine: Machine) -> Differ | None:
     if found is None:
         return None
     return trials_differ([t.name for t in machine.tracks], *found)
+
+
+def check_signals(machine: Machine) -> Audit:
+    """What the audit of signals warns of in the trials that are diagnosed."""
+    tree, log = machine.tree, machine.log
+    slides = [name for j, name in enumerate(tree.joint_names) if tree.kinds[j] == "slide"]
+    efforts = None
+    if log.input_kind == "command":
+        names = [(k, actuator_of(machine.mechanism, n)) for k, n in enumerate(log.input_names)]
+        efforts = {tree.joint_names[a.joint]: k for k, a in names if a and not (a.kp or a.kv)}
+    return audit(log.pick([t.name for t in machine.tracks]), slides, efforts)
 
 
 def channels(machine: Machine) -> Channels:

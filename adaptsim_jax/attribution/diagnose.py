@@ -154,11 +154,12 @@ def diagnose(
     if unlike and report["verdict"] == "within_noise":
         report["unlike_file"] = unlike[0]
         report["message"] = f"{report['message']} {unlike[0]} {named_by(unlike[0])}"
-    report["warnings"] = [f.message for f in warned]
+    checked = check_signals(machine)
+    report["warnings"] = [*(f.message for f in warned), *checked.warnings]
+    report["notes"] += checked.limits
     add_trials(report, evidence, mechanism_trials(machine), channels(machine))
-    evidence["audit"] = [
-        {"severity": f.severity, "where": f.where, "message": f.message} for f in warned
-    ] + evidence["audit"]
+    checked = replace(checked, findings=(*warned, *checked.findings))
+    evidence["audit"] = checked.rows + evidence["audit"]
     command = command_of(
         data,
         out=out,

@@ -148,7 +148,7 @@ def _drives(mechanism: Mechanism, log: Log) -> _Drives:
     limits = np.tile([-np.inf, np.inf], (m, 1))
     by_joint: dict[int, list[tuple[int, Actuator]]] = {}
     for k, name in enumerate(log.input_names):
-        a = _actuator(mechanism, name)
+        a = actuator_of(mechanism, name)
         if a is not None:  # else of joints that are held, or on no joint of the tree, which is told
             limits[k] = _open(a.ctrlrange)
             by_joint.setdefault(a.joint, []).append((k, a))
@@ -204,7 +204,8 @@ def _differing(joint: str, actuators: Sequence[Actuator]) -> list[str]:
     return out
 
 
-def _actuator(mechanism: Mechanism, name: str) -> Actuator | None:
+def actuator_of(mechanism: Mechanism, name: str) -> Actuator | None:
+    """The actuator of this name, else that of the joint of this name."""
     by_name = {a.name: a for a in mechanism.actuators}
     return by_name.get(name) or next(
         (a for a in mechanism.actuators if mechanism.tree.joint_names[a.joint] == name), None

@@ -5,7 +5,7 @@ A finding of severity `fault` means that no diagnosis should be made of a double
 """
 
 import hashlib
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -20,19 +20,29 @@ LEAST_ROWS = 20
 """Rows with an angle, below which nothing is said of a joint of a trial."""
 
 
-def audit(log: Log, slides: Collection[str] = (), servos: Collection[str] = ()) -> Audit:
+INPUTS = {"torque": "tau", "command": "ctrl", "voltage": "u", "current": "i", "none": ""}
+"""Kind of a log's input -> stem of its columns."""
+UNITS = {"torque": "N m", "voltage": "V", "current": "A"}
+
+
+def audit(
+    log: Log, slides: Collection[str] = (), efforts: Mapping[str, int] | None = None
+) -> Audit:
     """Check every joint of every trial, then the log as a whole.
 
     Args:
         log: what was read; it is not changed.
         slides: joints that slide, logged in m.
-        servos: inputs that are targets of servos, not torques or forces.
+        efforts: joint -> the column of `u` that drives it; None: those of the same name. Targets of
+            servos are none.
 
     Returns:
         Findings, with rows and trials that should not be used.
     """
-    by_trial = {t.name: list(_signals(log, t, slides, servos)) for t in log.trials}
-    steps = _quantisation([s for own in by_trial.values() for s in own])
+    if efforts is None:
+        efforts = {name: k for k, name in enumerate(log.input_names) if name in log.driven}
+    by_trial = {t.name: list(_signals(log, t, slides, efforts)) for t in log.trials}
+    steps = _quantisation([s for own in by_trial.values() for s in own], log.input_kind)
     findings = [_quantised(*row) for row in steps.values() if row[1] > 0]
     sizes = {name: step for name, step, _ in steps.values()}
     valid, broken, still = {}, {}, []
@@ -57,11 +67,10 @@ def audit(log: Log, slides: Collection[str] = (), servos: Collection[str] = ()) 
 
 
 def _signals(
-    log: Log, trial: LogTrial, slides: Collection[str], servos: Collection[str]
+    log: Log, trial: LogTrial, slides: Collection[str], efforts: Mapping[str, int]
 ) -> Iterator[Signal]:
     """The joints of a trial that have angles enough, where they were read."""
     spans = [np.ptp(q[np.isfinite(q)]) if np.isfinite(q).any() else 0.0 for q in trial.q.T]
-    inputs = {name: k for k, name in enumerate(log.input_names) if name not in servos}
     told = trial.extra.get("tau_commanded")
     for j, joint in enumerate(log.joint_names):
         rows = np.isfinite(trial.q[:, j])
@@ -69,19 +78,18 @@ def _signals(
             rows &= np.isfinite(trial.v[:, j])
         if rows.sum() < LEAST_ROWS:
             continue
-        k = inputs.get(joint)
-        driven = k is not None and joint in log.driven
+        k = efforts.get(joint)
         yield Signal(
             trial.name,
             joint,
             log.column("q", joint),
             log.column("v", joint),
-            log.column("tau", joint),
+            log.column(INPUTS[log.input_kind], joint),
             "m" if joint in slides else "rad",
             trial.time[rows],
             trial.q[rows, j],
             None if trial.v is None else trial.v[rows, j],
-            trial.u[rows, k] if driven else None,
+            None if k is None else trial.u[rows, k],
             None if told is None or not np.isfinite(told[:, j]).all() else told[rows, j],
             trial.dt,
             log.meta.rig is not None or joint not in log.driven,
@@ -130,7 +138,7 @@ def _faults(trials: int, broken: dict[str, list[str]]) -> list[Finding]:
     return found
 
 
-def _quantisation(every: Sequence[Signal]) -> dict[str, tuple[str, float, str]]:
+def _quantisation(every: Sequence[Signal], kind: str) -> dict[str, tuple[str, float, str]]:
     """By column its name, step and unit.
 
     The step is the median over the trials in which a lattice shows, if that is most of them.
@@ -138,7 +146,7 @@ def _quantisation(every: Sequence[Signal]) -> dict[str, tuple[str, float, str]]:
     steps: dict[str, list[float]] = {}
     units: dict[str, str] = {}
     for s in every:
-        force = "N m" if s.unit == "rad" else "N"
+        force = "N" if kind == "torque" and s.unit == "m" else UNITS.get(kind, "")
         for name, x, unit in (
             (s.q_name, s.q, s.unit),
             (s.u_name, s.u, force),
@@ -156,7 +164,7 @@ def _quantisation(every: Sequence[Signal]) -> dict[str, tuple[str, float, str]]:
 
 
 def _quantised(name: str, step: float, unit: str) -> Finding:
-    text = f"{name} is quantised in steps of {step:.4g} {unit}"
+    text = f"{name} is quantised in steps of {step:.4g} {unit}".rstrip()
     return Finding("quantisation", "info", "", name, text, step)
 
 

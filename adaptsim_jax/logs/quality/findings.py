@@ -89,14 +89,21 @@ class Audit:
 
     @property
     def rows(self) -> list[dict[str, str]]:
-        """The findings as a page shows them."""
-
-        def where(f):
-            return " ".join(x for x in (f.trial, f.where) if x)
-
-        return [
-            {"severity": f.severity, "where": where(f), "message": f.message} for f in self.findings
-        ]
+        """The findings as a page shows them; what is only information once for all trials."""
+        out, known = [], {}
+        for f in self.findings:
+            where = f"{f.trial} {f.where}".strip()
+            if f.severity == "info" and (f.kind, f.where) in known:
+                known[f.kind, f.where].append(f.trial)
+                continue
+            row = {"severity": f.severity, "where": where, "message": f.message}
+            if f.severity == "info":
+                known[f.kind, f.where] = []
+            out.append((row, known.get((f.kind, f.where), [])))
+        for row, others in out:
+            if row["severity"] == "info" and others:
+                row["message"] += f" (and so in {len(others)} more)"
+        return [row for row, _ in out]
 
     def of(self, kind: str) -> tuple[Finding, ...]:
         """Findings of one kind."""

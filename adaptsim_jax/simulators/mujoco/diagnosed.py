@@ -18,6 +18,7 @@ from adaptsim_jax.diagnosis.simulated import diagnose_simulator
 from adaptsim_jax.diagnosis.simulator import STEP, Channel
 from adaptsim_jax.diagnosis.simulator import Stretches as Compared
 from adaptsim_jax.logs.log import Log
+from adaptsim_jax.logs.quality.audit import audit
 from adaptsim_jax.mechanisms.spec import Source
 from adaptsim_jax.simulators.mujoco import rollouts
 from adaptsim_jax.simulators.mujoco.acting import OUTSIDE, acting, as_read
@@ -153,7 +154,15 @@ def simulator(source: Source, log: Log, horizon: float | None = None) -> MujocoS
         f.name for r in found if r.candidate.name.startswith(f"{DECLARED} at ") for f in r.fields
     )
     wanted = tuple(r.candidate for r in found if r.candidate.quantities[0] not in declared)
-    remarks = "simulated by MuJoCo at the file's own step", *log.notes, *source.notes, *made.notes
+    checked = audit(log, _slides(made.model, log), {} if log.input_kind == "command" else None)
+    remarks = (
+        "simulated by MuJoCo at the file's own step",
+        *checked.warnings,
+        *log.notes,
+        *checked.limits,
+        *source.notes,
+        *made.notes,
+    )
     return MujocoSimulator(
         made, own, fields, quantities, declared, channels, compared, wanted, remarks
     )
@@ -171,11 +180,7 @@ def _channels(
     """Channels, and what was measured and seen of them; of a base three angles from the measured
     orientation.
     """
-    slides = {
-        n
-        for n in log.joint_names
-        if made.model.jnt_type[made.model.joint(n).id] == mujoco.mjtJoint.mjJNT_SLIDE
-    }
+    slides = _slides(made.model, log)
     units = {n: "m" if n in slides else "rad" for n in log.joint_names}
     named = [(f"q_{n}", units[n]) for n in log.joint_names]
     if rollouts.has_speeds(made, own):
@@ -203,6 +208,12 @@ def _channels(
         measured,
         seen,
     )
+
+
+def _slides(model: mujoco.MjModel, log: Log) -> set[str]:
+    """Joints of a log that slide."""
+    kinds = {n: model.jnt_type[model.joint(n).id] for n in log.joint_names}
+    return {n for n, kind in kinds.items() if kind == mujoco.mjtJoint.mjJNT_SLIDE}
 
 
 def diagnose(
