@@ -114,6 +114,7 @@ WITHIN = {
         "messages",
         "stamps",
         "trajectories",
+        "readers",
         "lerobot",
         "log_checks",
         "model_names",

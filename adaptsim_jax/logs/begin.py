@@ -13,7 +13,7 @@ import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import write_bytes
-from adaptsim_jax.logs import command_files, lerobot, ros
+from adaptsim_jax.logs import command_files, lerobot, readers, ros
 from adaptsim_jax.logs.beside import instead, strays
 from adaptsim_jax.logs.columns import NANOS, TIME, TRIAL, role
 from adaptsim_jax.logs.declared import SHORT_TRIALS
@@ -22,6 +22,7 @@ from adaptsim_jax.logs.inputs import PREFERRED, STEM
 from adaptsim_jax.logs.list_cells import stem_and_place
 from adaptsim_jax.logs.log import Log, ModelNames
 from adaptsim_jax.logs.read import META, names_of, read_log
+from adaptsim_jax.logs.readers import Wanted
 from adaptsim_jax.logs.restarts import cuts, naming, restarted
 from adaptsim_jax.logs.table import read_table
 from adaptsim_jax.logs.tables import (
@@ -159,7 +160,7 @@ def _columns(
     those that are chosen.
     """
     if data.is_dir() and lerobot.is_lerobot(data):
-        trial = lerobot.read_lerobot(data)[0]
+        trial = lerobot.read_lerobot(data, Wanted())[0]
         # numbers whose names do not fit are no joints until a person says which
         return (
             {
@@ -173,12 +174,15 @@ def _columns(
     if tables:
         return _table_columns(tables[0]), [], {}
     bags = ros.bags(data)
+    if not bags and (others := readers.found(data)):
+        reader, path = others[0]
+        return reader.read(path, Wanted(joints=tuple(joints)))[0].columns, [], {}
     if not bags:
-        read = f"{', '.join((*ENDINGS, *ros.ENDINGS))}, or a LeRobot data set"
+        read = f"{', '.join((*ENDINGS, *readers.endings()))}, or a LeRobot data set"
         raise BadInput(f"{data}: holds no recordings ({read}){instead(data)}")
     there, chosen = ros.bag_topics(bags[0], topics, joints)
     lines = [f"{topic.name}: {topic.kind}, {topic.count} messages" for topic in there]
-    return ros.read_bag(bags[0], topics | chosen).columns, lines, chosen
+    return ros.read_bag(bags[0], Wanted(topics | chosen)).columns, lines, chosen
 
 
 def _one_clock(

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.extras import need
+from adaptsim_jax.logs.readers import Reader, Wanted
 from adaptsim_jax.logs.table_checks import check_clock
 from adaptsim_jax.logs.tables import MIN_ROWS, RawTrial
 
@@ -36,8 +37,8 @@ def is_lerobot(folder: Path) -> bool:
     return (folder / "meta" / "info.json").is_file()
 
 
-def read_lerobot(folder: Path, out: Callable[[str], bool] = lambda name: False) -> list[RawTrial]:
-    """Every episode; of those that are `out`, by their name, no more than that. Raises `BadInput`:
+def read_lerobot(folder: Path, wanted: Wanted) -> list[RawTrial]:
+    """Every episode; of those that are left out, no more than that. Raises `BadInput`:
     no such features, damaged files, pyarrow missing.
     """
     info = _info(folder)
@@ -51,12 +52,11 @@ def read_lerobot(folder: Path, out: Callable[[str], bool] = lambda name: False) 
     files = sorted((folder / "data").rglob("*.parquet"))
     if not files:
         raise BadInput(f"{folder}: holds no data/**/*.parquet; download the data set whole")
-    wanted = [
-        name for name in (*STEMS, "timestamp", "frame_index", "episode_index") if name in features
-    ]
+    every = (*STEMS, "timestamp", "frame_index", "episode_index")
+    columns = [name for name in every if name in features]
     parts: dict[int, list[tuple[Path, dict[str, np.ndarray]]]] = {}
     for path in files:
-        for episode, table in _episodes(path, parquet, wanted):
+        for episode, table in _episodes(path, parquet, columns):
             parts.setdefault(episode, []).append((path, table))
     fps = info.get("fps")
 
@@ -65,7 +65,7 @@ def read_lerobot(folder: Path, out: Callable[[str], bool] = lambda name: False) 
 
     return [
         bare(episode)
-        if out(_name(episode))
+        if wanted.out(_name(episode))
         else _trial(folder, episode, parts[episode], features, fps)
         for episode in sorted(parts)
     ]
@@ -75,7 +75,7 @@ def _name(episode: int) -> str:
     return f"episode_{episode}"
 
 
-def check_named(folder: Path, trial: RawTrial, joints: Sequence[str]) -> None:
+def check_named(path: Path, trial: RawTrial, joints: Sequence[str]) -> None:
     """BadInput where numbers of a trial have no names that fit, and `[columns]` gives none either.
     joints: the model's.
     """
@@ -90,7 +90,7 @@ def check_named(folder: Path, trial: RawTrial, joints: Sequence[str]) -> None:
         )
         if joints and count not in (0, len(joints)) and not named:
             raise BadInput(
-                f"{folder}/meta/info.json: {vector} has {count} numbers without names, the model "
+                f"{path}/meta/info.json: {vector} has {count} numbers without names, the model "
                 f"{len(joints)} joint(s); write names "
                 f"there, in the order of the numbers, or say in meta.toml which number is which: "
                 f"[columns] and {stem}_{joints[0]} = "
@@ -104,7 +104,7 @@ def check_named(folder: Path, trial: RawTrial, joints: Sequence[str]) -> None:
             continue  # some have been given by [columns]: the others are left
         first = next(iter(joints), "JOINT")
         raise BadInput(
-            f"{folder}/meta/info.json: {trial.doubt[vector]}; write all {width} names there, in "
+            f"{path}/meta/info.json: {trial.doubt[vector]}; write all {width} names there, in "
             f"the order of the numbers, or say in "
             f'meta.toml which number is which: [columns] and {stem}_{first} = "{vector}[K]", K '
             f"from 0 to {width - 1}"
@@ -237,3 +237,10 @@ def _named(stem: str, names: list[str], values: np.ndarray) -> dict[str, np.ndar
             key, after = (here if end and stem == "q" else stem), ""
         out[f"{key}_{name.removesuffix(end)}{after}"] = values[:, j]
     return out
+
+
+READER = Reader(
+    read_lerobot,
+    find=lambda data: [data] if is_lerobot(data) else [],
+    check=check_named,
+)

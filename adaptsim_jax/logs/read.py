@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import fnmatch
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,7 +18,7 @@ import numpy as np
 
 from adaptsim_jax.core.config import suggest
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs import command_files, lerobot, ros
+from adaptsim_jax.logs import command_files, readers
 from adaptsim_jax.logs.assemble import assemble
 from adaptsim_jax.logs.beside import instead
 from adaptsim_jax.logs.followed import followed
@@ -135,77 +135,96 @@ def _meta(source: Path, given: LogMeta | str | Path | None) -> tuple[LogMeta, tu
 
 
 def read_raw(data: Path, meta: LogMeta, names: ModelNames | None = None) -> list[RawTrial]:
-    """The raw trials of a file or folder, by what kind it is: a LeRobot data set, bags, CSV and NPZ
-    files. names: the model's.
-    """
-    joints = names.joints if names else ()
+    """The raw trials of a file or folder, by what kind it is. names: the model's.
 
-    def out(name):
+    What is left out is not looked at; a file of one trial is called as its trial.
+    """
+
+    def out(name: str) -> bool:
         return any(fnmatch.fnmatchcase(name, pattern) for pattern in meta.exclude)
 
-    if data.is_dir() and lerobot.is_lerobot(data):
-        whole = lerobot.read_lerobot(data, out)
-        trials = _renamed([t for t in whole if t.columns], meta)
-        if trials:
-            lerobot.check_named(data, trials[0], joints)
-        return trials + [t for t in whole if not t.columns]
-    files = table_files(data)
+    others = readers.found(data)
+    whole = data.is_dir() and any(path == data for _, path in others)  # one data set
+    files, commands = ([], {}) if whole else _tables(data, meta)
+    if not files and not others:
+        raise _nothing(data)
+    gone = [path for path in (*files, *(p for _, p in others)) if not whole and out(_stem(path))]
+    files = [path for path in files if path not in gone]
+    others = [(reader, path) for reader, path in others if path not in gone]
+    wanted = _wanted(meta, names, out)
+    recorded: list[RawTrial] = []
+    for reader, path in others:
+        trials = reader.read(path, wanted)
+        if not files:  # in a folder of both, [columns] speaks of the tables
+            trials = _renamed(trials, meta)
+        if reader.check is not None and (first := [t for t in trials if t.columns]):
+            reader.check(path, first[0], wanted.joints)
+        recorded += trials
+    trials = _read_tables(data, files, commands, meta) + recorded
+    if len(files) < len(trials) and not whole:
+        trials = _names_apart(trials)
+    return trials + [RawTrial(_stem(path), str(path), {}, np.zeros(0, np.int64)) for path in gone]
+
+
+def _tables(data: Path, meta: LogMeta) -> tuple[list[Path], dict[str, Path]]:
+    """The tables of trials, and those that hold commands beside them."""
     folder = data if data.is_dir() else data.parent
+    files = table_files(data)
     commands = command_files.declared(meta.commands, folder, meta.path)
     files = [path for path in files if path not in commands.values()]
     if not commands and data.is_dir():
         command_files.check_suspected(files)
-    bags = ros.bags(data)
-    if not files and not bags:
-        if data.is_dir():
-            raise BadInput(
-                f"{data}: holds no .csv, .npz, .mcap or .bag file; put one file a trial "
-                f"there{instead(data)}"
-            )
-        raise BadInput(
-            f"{data}: a log ends in {', '.join((*ENDINGS, *ros.ENDINGS))}; convert this file, or "
-            f"give its folder"
-        )
-    # what is left out is not looked at; a file of one trial is called as its trial
-    gone = [path for path in (*files, *bags) if out(_stem(path))]
-    files, bags = ([path for path in some if path not in gone] for some in (files, bags))
-    # in a folder of both, [columns] speaks of the tables
-    if names:
-        actuators, slides = (names.actuators or (), names.slides)
-    else:
-        actuators, slides = ((), ())
-    servos = {
-        f"ctrl{k}": a.joint
-        for k, a in enumerate(actuators, 1)
-        if a.kind == "position" and a.joint not in slides
-    }
-    wanted = ros.Wanted(meta.ros, meta.ignore, joints, tuple(meta.columns.values()), servos)
-    recorded = [ros.read_bag(path, wanted) for path in bags]
-    tables = [
-        command_files.with_commands(trial, commands, meta.columns, meta.ignore)
-        for trial in read_files(
-            files,
-            meta.columns,
-            meta.ignore,
-            tuple(commands.values()),
-            "--without {}" if meta.rig else LEAVE_OUT,
-        )
-    ]
+    return files, commands
+
+
+def _read_tables(
+    data: Path, files: list[Path], commands: dict[str, Path], meta: LogMeta
+) -> list[RawTrial]:
+    """The trials of these files, with their commands."""
+    leave_out = "--without {}" if meta.rig else LEAVE_OUT
+    paths = tuple(commands.values())
+    read = read_files(files, meta.columns, meta.ignore, paths, leave_out)
+    trials = [command_files.with_commands(t, commands, meta.columns, meta.ignore) for t in read]
     if files and not data.is_dir() and not commands:
-        told = command_files.beside(data, table_files(folder))
-        tables = [replace(trial, notes=(*trial.notes, *told)) for trial in tables]
-    trials = tables + (recorded if files else _renamed(recorded, meta))
+        told = command_files.beside(data, table_files(data.parent))
+        trials = [replace(trial, notes=(*trial.notes, *told)) for trial in trials]
+    return trials
+
+
+def _nothing(data: Path) -> BadInput:
+    ends = (*ENDINGS, *readers.endings())
+    if not data.is_dir():
+        return BadInput(
+            f"{data}: a log ends in {', '.join(ends)}; convert this file, or give its folder"
+        )
+    return BadInput(
+        f"{data}: holds no .csv, .npz, .mcap or .bag file; put one file a trial there{instead(data)}"
+    )
+
+
+def _wanted(meta: LogMeta, names: ModelNames | None, out: Callable[[str], bool]) -> readers.Wanted:
+    """What readers are asked for."""
+    servos = {}
+    if names is not None:
+        for k, a in enumerate(names.actuators or (), 1):
+            if a.kind == "position" and a.joint not in names.slides:
+                servos[f"ctrl{k}"] = a.joint
+    joints = names.joints if names else ()
+    named = tuple(meta.columns.values())
+    return readers.Wanted(meta.ros, meta.ignore, joints, named, servos, out)
+
+
+def _names_apart(trials: list[RawTrial]) -> list[RawTrial]:
+    """The trials, those of one name called by their files."""
     called = Counter(trial.name for trial in trials)
     shared = Counter(trial.path for trial in trials)
 
-    def by_file(t):
-        if shared[t.path] > 1:
-            return f"{_stem(Path(t.path))}_{t.name}"
-        return Path(t.path).name
+    def by_file(trial: RawTrial) -> str:
+        if shared[trial.path] > 1:
+            return f"{_stem(Path(trial.path))}_{trial.name}"
+        return Path(trial.path).name
 
-    if len(files) < len(trials):
-        trials = [replace(t, name=by_file(t)) if called[t.name] > 1 else t for t in trials]
-    return trials + [RawTrial(_stem(path), str(path), {}, np.zeros(0, np.int64)) for path in gone]
+    return [replace(t, name=by_file(t)) if called[t.name] > 1 else t for t in trials]
 
 
 def _stem(path: Path) -> str:
@@ -219,7 +238,7 @@ def _renamed(trials: list[RawTrial], meta: LogMeta) -> list[RawTrial]:
     ours = {theirs: new for new, theirs in meta.columns.items()}
     for trial in trials:
         for theirs, new in ours.items():
-            if theirs not in trial.columns:
+            if trial.columns and theirs not in trial.columns:
                 near = suggest(theirs, trial.columns)
                 raise BadInput(
                     f"{trial.path}: has no column {theirs!r}, which [columns] gives to {new}; "

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,7 @@ from adaptsim_jax.logs.messages import (
 from adaptsim_jax.logs.quality.hypotheses import Track
 from adaptsim_jax.logs.quality.servo_fit import unexplained
 from adaptsim_jax.logs.quality.turns import followed_turns, without_turns
+from adaptsim_jax.logs.readers import Reader, Wanted
 from adaptsim_jax.logs.stamps import Stamped, stamped
 from adaptsim_jax.logs.tables import RawTrial
 from adaptsim_jax.logs.topics import choose
@@ -51,20 +52,6 @@ BETTER = 0.5
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """What is taken of a bag: `options` of `[ros]`; columns or joints that `ignore` names, `joints`
-    of the model (empty: not known) and the file's names that `[columns]` speaks of, which are kept
-    whatever they are called; servos: columns of commands that are targets -> their joints.
-    """
-
-    options: Mapping[str, str]
-    ignore: Collection[str] = ()
-    joints: Collection[str] = ()
-    named: Collection[str] = ()
-    servos: Mapping[str, str] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
 class Clock:
     """Of the state's messages: whether they are `stamped`, the `first` time and how `late` they
     arrive (median), in ns.
@@ -75,14 +62,13 @@ class Clock:
     late: int
 
 
-def read_bag(path: Path, options: Mapping[str, str] | Wanted) -> RawTrial:
+def read_bag(path: Path, wanted: Wanted) -> RawTrial:
     """One bag as a raw trial with columns `q_NAME`, `v_NAME`, `tau_NAME`, `target_NAME`, ... on one
     clock.
 
-    `options`: `state_topic`, `command_topic`, `trajectory` where chosen. Raises `BadInput`: no such
+    Options: `state_topic`, `command_topic`, `trajectory` where chosen. Raises `BadInput`: no such
     topic, a damaged bag, a library missing.
     """
-    wanted = options if isinstance(options, Wanted) else Wanted(options)
     with opened(path) as bag:
         state, command, notes = choose(
             path, bag.topics, wanted.options, lambda t: _known(bag, t, wanted.joints)
@@ -453,3 +439,6 @@ def _column(stem: str, name: str) -> str:
     if stem == "ctrl":
         return f"ctrl{name}"
     return f"{stem}_{name}"
+
+
+READER = Reader(lambda path, wanted: [read_bag(path, wanted)], ENDINGS, bags)

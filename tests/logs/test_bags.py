@@ -9,6 +9,7 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs import ros
 from adaptsim_jax.logs.log import ActuatorName, ModelNames
 from adaptsim_jax.logs.read import read_log
+from adaptsim_jax.logs.readers import Wanted
 from tests.logs.log_files import motion
 
 rosbag1 = pytest.importorskip("rosbags.rosbag1", reason="extra 'ros' is not installed")
@@ -340,4 +341,4 @@ def test_without_the_library_the_mend_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
     (tmp_path / "run.mcap").write_bytes(b"x")
     with pytest.raises(BadInput, match=r"needs rosbags; run: pip install 'adaptsim_jax\[ros\]'"):
-        ros.read_bag(tmp_path / "run.mcap", {})
+        ros.read_bag(tmp_path / "run.mcap", Wanted())
