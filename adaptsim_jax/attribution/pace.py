@@ -12,6 +12,7 @@ import numpy as np
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.log_units import TIME_UNITS, Affine
+from adaptsim_jax.logs.quality.commands import SMOOTH
 from adaptsim_jax.logs.quality.contradictions import AS_DECLARED, NEAR, POOR
 from adaptsim_jax.logs.quality.findings import Finding
 from adaptsim_jax.logs.quality.hypotheses import (
@@ -24,7 +25,6 @@ from adaptsim_jax.logs.quality.hypotheses import (
     motion_of,
     rubbing,
 )
-from adaptsim_jax.logs.quality.servo_fit import SMOOTH
 
 GOOD = 0.03
 """Share of the torque's square that another clock, or efforts of another scale, may leave to be

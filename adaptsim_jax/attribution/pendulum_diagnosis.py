@@ -35,9 +35,9 @@ from adaptsim_jax.diagnosis.schema import check, new_report, with_effects
 from adaptsim_jax.diagnosis.written import cleared, write_all, write_partial
 from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.effects.joints.actuator import TORQUE_GAIN
-from adaptsim_jax.logs.local_motion import local_motion
 from adaptsim_jax.logs.log import Log
 from adaptsim_jax.logs.log_meta import Rig
+from adaptsim_jax.logs.noise import local_motion
 from adaptsim_jax.logs.pendulum import check_known, read_pendulum
 from adaptsim_jax.logs.quality.audit import audit, usable
 from adaptsim_jax.logs.quality.pendulum_design import (

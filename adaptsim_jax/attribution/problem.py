@@ -25,8 +25,7 @@ from adaptsim_jax.effects.base import Effect, Reach, unit_at
 from adaptsim_jax.effects.joints.catalogue import ETA, TILTS
 from adaptsim_jax.effects.joints.forces import ARMATURE, SPRING
 from adaptsim_jax.effects.joints.friction import COULOMB, VISCOUS
-from adaptsim_jax.logs.local_motion import local_motion
-from adaptsim_jax.logs.noise.differences import difference_noise
+from adaptsim_jax.logs.noise import difference_noise, local_motion
 from adaptsim_jax.mechanisms import equations
 from adaptsim_jax.mechanisms.tree import Tree, subtrees, take
 

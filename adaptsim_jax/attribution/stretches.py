@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.local_motion import local_motion
+from adaptsim_jax.logs.noise import local_motion
 
 ROW = 4e-3  # s, of a row: a faster log is merged to about this
 PAST, FUTURE = (

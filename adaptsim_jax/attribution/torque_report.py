@@ -16,7 +16,8 @@ from adaptsim_jax.attribution.sentences import place
 from adaptsim_jax.attribution.yardsticks import Measure, needed
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.schema import with_effects
-from adaptsim_jax.logs.noise.differences import difference_noise
+from adaptsim_jax.diagnosis.verdict import with_effects
+from adaptsim_jax.logs.noise import difference_noise
 
 MOST_ROWS = 1500  # of a curve of the page
 # times, by which a body of a fit may differ from the file's before that is a finding of its own

@@ -1,11 +1,10 @@
-"""Arrays of a NumPy archive, rows first: `[T, 1]` and `[1, T]` are columns, `[n, T]` beside a
-column of T is turned to `[T, n]`.
-"""
+"""Lists and arrays of all joints in tables: cells of a CSV that hold lists, and NPZ archives."""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Collection, Mapping
+import re
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,9 +13,75 @@ import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.columns import role
-from adaptsim_jax.logs.file_bytes import read_bytes
-from adaptsim_jax.logs.list_cells import STEMS
+from adaptsim_jax.logs.csv_rows import read_bytes
 from adaptsim_jax.logs.table_checks import MIN_ROWS
+
+LIST = re.compile(r"\s*[\[({](.*)[\])}]\s*", re.DOTALL)
+STEMS = {
+    "positions": "q",
+    "joint_positions": "q",
+    "qpos": "q",
+    "angles": "q",
+    "joint_angles": "q",
+    "velocities": "v",
+    "joint_velocities": "v",
+    "qvel": "v",
+    "torques": "tau",
+    "joint_torques": "tau",
+    "efforts": "tau",
+    "joint_efforts": "tau",
+    "targets": "target",
+    "commands": "target",
+    "actions": "target",
+    "joint_targets": "target",
+}
+"""What lists of all joints are called -> our stem."""
+
+
+def is_list(cell: str) -> bool:
+    """Whether a cell holds a list."""
+    return LIST.fullmatch(cell) is not None
+
+
+def split(
+    path: str | Path, name: str, cells: Sequence[str], lines: Sequence[int]
+) -> dict[str, tuple[str, ...]]:
+    """A column's cells `[T]` by the name of the column; of lists `[T]` for each place by `name[0]`,
+    `name[1]`, ... BadInput at a list of another length.
+    """
+    first = next((cell for cell in cells if cell.strip()), "")
+    if not is_list(first):
+        return {name: tuple(cells)}
+    width, out = len(_parts(first)), []
+    for cell, line in zip(cells, lines, strict=True):
+        parts = _parts(cell) if cell.strip() else [""] * width
+        if len(parts) != width:
+            raise BadInput(
+                f"{path}: line {line}: column {name} holds a list of {len(parts)}, the first one "
+                f"of {width}; mend or remove that row"
+            )
+        out.append(parts)
+    return {part_name(name, k): tuple(column) for k, column in enumerate(zip(*out, strict=True))}
+
+
+def _parts(cell: str) -> list[str]:
+    found = LIST.fullmatch(cell)
+    inner = (found[1] if found else cell).strip()
+    return [part for part in re.split(r"\s*[,;]\s*|\s+", inner) if part]
+
+
+def part_name(name: str, place: int) -> str:
+    """How a place of a list is called until it has a joint."""
+    return f"{name}[{place}]"
+
+
+def stem_and_place(name: str) -> tuple[str, int] | None:
+    """The column and the place that `part_name` made a name of; None for another name."""
+    found = re.fullmatch(r"(.*)\[(\d+)\]", name)
+    if found:
+        return (found[1], int(found[2]))
+    return None
+
 
 MOST_TOLD = 6
 """Arrays whose shapes one line may list."""

@@ -20,7 +20,7 @@ from adaptsim_jax.logs.joint_columns import Columns, also_there, columns_of
 from adaptsim_jax.logs.log import Log, LogTrial, ModelNames
 from adaptsim_jax.logs.log_checks import check_log_units
 from adaptsim_jax.logs.log_meta import LogMeta, of_trial
-from adaptsim_jax.logs.quality.jitter import jitter
+from adaptsim_jax.logs.quality.consistency import jitter
 from adaptsim_jax.logs.scales import check_scales
 from adaptsim_jax.logs.tables import RawTrial
 

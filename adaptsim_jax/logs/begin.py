@@ -14,17 +14,17 @@ import numpy as np
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import write_bytes
 from adaptsim_jax.logs import command_files, lerobot, readers, ros
+from adaptsim_jax.logs.archive import stem_and_place
 from adaptsim_jax.logs.beside import instead, strays
 from adaptsim_jax.logs.columns import NANOS, TIME, TRIAL, role
 from adaptsim_jax.logs.declared import SHORT_TRIALS
 from adaptsim_jax.logs.guess import Guess, array_name, guess, is_clock, meta_text
 from adaptsim_jax.logs.inputs import PREFERRED, STEM
-from adaptsim_jax.logs.list_cells import stem_and_place
 from adaptsim_jax.logs.log import Log, ModelNames
 from adaptsim_jax.logs.read import META, names_of, read_log
 from adaptsim_jax.logs.readers import Wanted
-from adaptsim_jax.logs.restarts import cuts, naming, restarted
 from adaptsim_jax.logs.table import read_table
+from adaptsim_jax.logs.table_clocks import cuts, naming, pair, restarted, together
 from adaptsim_jax.logs.tables import (
     ENDINGS,
     cells_of,
@@ -33,7 +33,6 @@ from adaptsim_jax.logs.tables import (
     list_columns,
     table_files,
 )
-from adaptsim_jax.logs.two_part_time import pair, together
 
 MODELS = (".xml", ".mjcf", ".urdf")
 

@@ -14,8 +14,8 @@ import numpy as np
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.clock import Series, merge
 from adaptsim_jax.logs.columns import TIME, role
-from adaptsim_jax.logs.joined import COMMANDS, LINE
 from adaptsim_jax.logs.log_meta import of_trial
+from adaptsim_jax.logs.table_clocks import COMMANDS, LINE
 from adaptsim_jax.logs.tables import RawTrial, column_names, read_file
 
 WORDS = (

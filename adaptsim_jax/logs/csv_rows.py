@@ -1,4 +1,4 @@
-"""A CSV as rows of cells: which line names the columns, and rows that do not fit it."""
+"""The rows of a CSV file: its bytes, its delimiter, remarks above its header, and widths of rows."""
 
 from __future__ import annotations
 
@@ -11,6 +11,17 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from adaptsim_jax.core.errors import BadInput
+
+
+def read_bytes(path: Path) -> bytes:
+    """All of a file; BadInput where it cannot be read."""
+    try:
+        return path.read_bytes()
+    except OSError as e:
+        raise BadInput(
+            f"{path}: cannot be read ({e.strerror}); check the path and its permissions"
+        ) from None
+
 
 DELIMITERS = {",": "commas", ";": "semicolons", "\t": "tabs"}
 REMARKS = ("#", "%", "//")

@@ -15,8 +15,8 @@ from adaptsim_jax.logs.angles import flipped_joints, model_angles
 from adaptsim_jax.logs.joint_columns import Columns, also_there
 from adaptsim_jax.logs.log import ActuatorName, InputKind, ModelNames
 from adaptsim_jax.logs.log_meta import LogMeta
+from adaptsim_jax.logs.quality.commands import limited, within
 from adaptsim_jax.logs.quality.turns import followed_turns
-from adaptsim_jax.logs.sent import limited, within
 
 STEM = {"torque": "tau", "command": "target", "voltage": "u", "current": "i", "none": ""}
 PREFERRED: tuple[InputKind, ...] = ("torque", "command", "current", "voltage")

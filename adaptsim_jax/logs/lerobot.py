@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.extras import need
+from adaptsim_jax.logs.bag import need
 from adaptsim_jax.logs.readers import Reader, Wanted
 from adaptsim_jax.logs.table_checks import check_clock
 from adaptsim_jax.logs.tables import MIN_ROWS, RawTrial

@@ -18,25 +18,23 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.bag import Bag, Topic
-from adaptsim_jax.logs.bag_files import ENDINGS, bags, is_bag, opened
-from adaptsim_jax.logs.clock import Series, merge
+from adaptsim_jax.logs.bag import ENDINGS, Bag, Topic, bags, is_bag, opened
+from adaptsim_jax.logs.clock import Series, Stamped, merge, stamped
 from adaptsim_jax.logs.columns import role
 from adaptsim_jax.logs.messages import (
     ARRAYS,
     COMMANDED,
     STATES,
     TRAJECTORIES,
+    choose,
     nanoseconds,
     stamp_of,
 )
+from adaptsim_jax.logs.quality.commands import unexplained
 from adaptsim_jax.logs.quality.hypotheses import Track
-from adaptsim_jax.logs.quality.servo_fit import unexplained
 from adaptsim_jax.logs.quality.turns import followed_turns, without_turns
 from adaptsim_jax.logs.readers import Reader, Wanted
-from adaptsim_jax.logs.stamps import Stamped, stamped
 from adaptsim_jax.logs.tables import RawTrial
-from adaptsim_jax.logs.topics import choose
 from adaptsim_jax.logs.trajectories import followed, plan_of, sampled
 
 __all__ = ["ENDINGS", "Topic", "bag_topics", "bags", "is_bag", "read_bag"]

@@ -11,13 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.archive import check_lengths, read_archive
-from adaptsim_jax.logs.csv_rows import check_header, check_widths, is_number, rows_of
-from adaptsim_jax.logs.file_bytes import read_bytes
-from adaptsim_jax.logs.joined import apart
-from adaptsim_jax.logs.list_cells import part_name, split
+from adaptsim_jax.logs.archive import check_lengths, part_name, read_archive, split
+from adaptsim_jax.logs.csv_rows import check_header, check_widths, is_number, read_bytes, rows_of
 from adaptsim_jax.logs.table_checks import MIN_ROWS, check_missing, without_blank
-from adaptsim_jax.logs.two_part_time import joined_time
+from adaptsim_jax.logs.table_clocks import apart, joined_time
 
 NOTHING = ("", ".nan", "na", "n/a", "null", "none", "-")
 """What loggers write where they have no number, beside nan."""

@@ -12,16 +12,13 @@ from pathlib import Path
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.archive import read_archive
+from adaptsim_jax.logs.archive import STEMS, is_list, read_archive, stem_and_place
 from adaptsim_jax.logs.beside import left_out, strays
 from adaptsim_jax.logs.columns import NANOS, TIME, TRIAL, is_ignored, role
-from adaptsim_jax.logs.csv_rows import rows_of
-from adaptsim_jax.logs.file_bytes import read_bytes
-from adaptsim_jax.logs.list_cells import STEMS, is_list, stem_and_place
-from adaptsim_jax.logs.restarts import naming, restarted
+from adaptsim_jax.logs.csv_rows import read_bytes, rows_of
 from adaptsim_jax.logs.table import MIN_ROWS, Table, read_table
 from adaptsim_jax.logs.table_checks import check_clock
-from adaptsim_jax.logs.two_part_time import both, pair
+from adaptsim_jax.logs.table_clocks import both, naming, pair, restarted
 
 ENDINGS = (".csv", ".npz")
 LEAVE_OUT = '[trials] exclude = ["{}"]'
@@ -175,7 +172,9 @@ def read_file(
     if path.suffix.lower() == ".npz" and not any(named[column] in TIME for column in wanted):
         raise _no_time(path, header)
     here = {column: named[column] for column in wanted if column != labels}
-    table = _read(path, here or {"time": "time", "q1": "q1"})  # else it says what the header is
+    if not here and len(header) == 1 and len(header[0].split()) > 1:
+        here = {"time": "time", "q1": "q1"}  # so that it is told what the header is
+    table = _read(path, here)
     table = replace(table, ignored=tuple(c for c in table.ignored if c != labels))
     time = next((column for column in table.columns if column in TIME), None)
     if time is None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.noise.differences import difference_noise
+from adaptsim_jax.logs.noise import difference_noise
 from adaptsim_jax.logs.table import Table, read_table
 from adaptsim_jax.tasks import camera_record as record
 from adaptsim_jax.tasks.trial_clock import began, check_frozen

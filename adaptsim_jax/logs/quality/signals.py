@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptsim_jax.logs.noise.differences import difference_noise
+from adaptsim_jax.logs.noise import difference_noise
 from adaptsim_jax.logs.quality.consistency import command_agreement, velocity_agreement
 from adaptsim_jax.logs.quality.findings import Finding, Findings
 

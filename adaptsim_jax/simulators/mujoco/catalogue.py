@@ -13,7 +13,7 @@ from adaptsim_jax.diagnosis.problem import Candidate, Quantity
 from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.effects.joints.catalogue import MACHINE, TILT
 from adaptsim_jax.effects.joints.friction import VISCOUS
-from adaptsim_jax.logs.noise.differences import difference_noise
+from adaptsim_jax.logs.noise import difference_noise
 from adaptsim_jax.simulators.mujoco.acting import BIAS, LATE, READ, SHIFT, TURN
 from adaptsim_jax.simulators.mujoco.build import Stepped
 from adaptsim_jax.simulators.mujoco.fields import DELAY, STRENGTH, Field, field

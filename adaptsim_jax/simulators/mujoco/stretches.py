@@ -8,8 +8,8 @@ import mujoco
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.local_motion import local_motion
 from adaptsim_jax.logs.log import Log, LogTrial
+from adaptsim_jax.logs.noise import local_motion
 from adaptsim_jax.simulators.mujoco.build import Stepped
 from adaptsim_jax.simulators.mujoco.sensed import oriented, standing
 

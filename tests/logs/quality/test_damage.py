@@ -6,7 +6,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.local_motion import local_motion
+from adaptsim_jax.logs.noise import local_motion
 from adaptsim_jax.logs.pendulum import read_pendulum
 from adaptsim_jax.logs.quality.audit import audit, usable
 from tests.logs.measured_files import META, csv_text, table

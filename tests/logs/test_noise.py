@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from adaptsim_jax.logs.noise.differences import difference_noise
+from adaptsim_jax.logs.noise import difference_noise
 from adaptsim_jax.logs.pendulum import read_pendulum
 from tests.logs.measured_files import real_rig
 
