@@ -25,7 +25,7 @@ from adaptsim_jax.logs.quality.contradictions import (
 )
 from adaptsim_jax.logs.quality.findings import Audit, Finding
 from adaptsim_jax.logs.quality.hypotheses import (
-    LEAST,
+    MIN_BLOCKS,
     MOST,
     Design,
     Hypothesis,
@@ -117,7 +117,7 @@ def _weighed(machine: Machine, tracks: list[Track], declared: Design) -> tuple[F
     """
     motion = motion_of(tracks)
     if (
-        len(motion.q) < LEAST or not np.ptp(motion.tau, axis=0).any()
+        len(motion.q) < MIN_BLOCKS or not np.ptp(motion.tau, axis=0).any()
     ):  # a free swing says nothing of the torques' unit
         return ()
     if asked := amperes(machine, tracks, declared):

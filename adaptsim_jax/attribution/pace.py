@@ -16,7 +16,7 @@ from adaptsim_jax.logs.quality.commands import SMOOTH
 from adaptsim_jax.logs.quality.contradictions import AS_DECLARED, NEAR, POOR
 from adaptsim_jax.logs.quality.findings import Finding
 from adaptsim_jax.logs.quality.hypotheses import (
-    LEAST,
+    MIN_BLOCKS,
     MOST,
     Design,
     Motion,
@@ -77,7 +77,7 @@ def _paced(motion: Motion, design: Design) -> tuple[float, float, float] | None:
     """What another clock leaves, how many times slow this one runs by it, and what rotors leave in
     its place.
     """
-    if len(motion.q) < LEAST or not np.all(np.isfinite(motion.a)):
+    if len(motion.q) < MIN_BLOCKS or not np.all(np.isfinite(motion.a)):
         return None
     n = motion.q.shape[1]
     moving, weight = _parts(motion, design)
@@ -145,7 +145,7 @@ def amperes(machine: Machine, tracks: list[Track], design: Design) -> tuple[Find
     if machine.log.input_kind != "torque":
         return ()
     motion = _sharp(tracks)
-    if len(motion.q) < LEAST or not np.all(np.isfinite(motion.a)):
+    if len(motion.q) < MIN_BLOCKS or not np.all(np.isfinite(motion.a)):
         return ()
     names = machine.tree.joint_names
     moving, weight = _parts(motion, design)
@@ -184,7 +184,7 @@ def held_fast(machine: Machine, tracks: list[Track], design: Design) -> tuple[Fi
     motion = _sharp(tracks) if np.any(levels > 0) else None
     if (
         motion is None
-        or len(motion.q) < LEAST
+        or len(motion.q) < MIN_BLOCKS
         or not np.all(np.isfinite(motion.a))
         or not np.ptp(motion.tau, axis=0).any()
     ):

@@ -83,7 +83,7 @@ def stem_and_place(name: str) -> tuple[str, int] | None:
     return None
 
 
-MOST_TOLD = 6
+MAX_LISTED = 6
 """Arrays whose shapes one line may list."""
 
 
@@ -165,9 +165,9 @@ def _flat(name: str, array: np.ndarray) -> np.ndarray:
     """
     if array.ndim < 2 or not _is_column(array.shape):
         return array
-    told = role(name)
+    reported = role(name)
     joints = name.lower() in STEMS or (
-        told is not None and told.joint is None and told.stem not in ("time", "trial")
+        reported is not None and reported.joint is None and reported.stem not in ("time", "trial")
     )
     if joints:
         return array.reshape(-1, 1)
@@ -178,10 +178,10 @@ def check_lengths(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
     """BadInput where arrays `[T, ...]` have not one T."""
     if len({len(array) for array in arrays.values()}) < 2:
         return
-    some = list(arrays.items())[:MOST_TOLD]
+    some = list(arrays.items())[:MAX_LISTED]
     sizes = ", ".join(f"{name} {' x '.join(map(str, array.shape))}" for name, array in some)
-    if len(arrays) > MOST_TOLD:
-        more = f" and {len(arrays) - MOST_TOLD} more"
+    if len(arrays) > MAX_LISTED:
+        more = f" and {len(arrays) - MAX_LISTED} more"
     else:
         more = ""
     raise BadInput(

@@ -29,7 +29,7 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
     """The `Log` of these raw trials. Raises `BadInput` where a joint, column or unit does not fit
     the model.
     """
-    raw = [_without_ignored(trial, meta, model) for trial in _kept(path, raw, meta)]
+    raw = [_without_ignored(trial, meta, model) for trial in _selected(path, raw, meta)]
     names = model or _names_in(raw[0])
     _check_meta_names(names, raw, meta)
     trials = [columns_of(trial, names, meta) for trial in raw]
@@ -207,7 +207,7 @@ def _input_columns(trial: RawTrial, names: ModelNames, inputs: Inputs) -> tuple[
     return tuple(out)
 
 
-def _kept(path: str, raw: list[RawTrial], meta: LogMeta) -> list[RawTrial]:
+def _selected(path: str, raw: list[RawTrial], meta: LogMeta) -> list[RawTrial]:
     names = [trial.name for trial in raw]
     for key, patterns in (
         ("exclude", meta.exclude),
@@ -361,16 +361,18 @@ def _evened(trials: tuple[LogTrial, ...]) -> tuple[tuple[LogTrial, ...], tuple[s
     """The trials at even times where their rows were read evenly and only stamped unevenly, and a
     note on it.
     """
-    told = jitter([(t.time, t.q) for t in trials])
-    if told is None:
+    found = jitter([(t.time, t.q) for t in trials])
+    if found is None:
         return trials, ()
-    step = float(np.median([np.median(np.diff(time)) for time in told.times]))
+    step = float(np.median([np.median(np.diff(time)) for time in found.times]))
     note = (
-        f"stamps of rows jitter (by {1e3 * told.size:.2g} ms) and the angles do not "
-        f"({100 * told.share:.0f} % of it is not in "
+        f"stamps of rows jitter (by {1e3 * found.size:.2g} ms) and the angles do not "
+        f"({100 * found.share:.0f} % of it is not in "
         f"them): rows are taken as read evenly, every {1e3 * step:.4g} ms"
     )
-    return tuple(replace(t, time=time) for t, time in zip(trials, told.times, strict=True)), (note,)
+    return tuple(replace(t, time=time) for t, time in zip(trials, found.times, strict=True)), (
+        note,
+    )
 
 
 def _notes(raw: Sequence[RawTrial], trials: Sequence[LogTrial]) -> tuple[str, ...]:

@@ -57,8 +57,8 @@ def begin(data: Path, out: Path | None, model: Path | None, topics: dict[str, st
     one, or no data.
     """
     folder = _folder(data, out)
-    told = model or _only_model(data)
-    names = names_of(str(told))[1] if model else _names_beside(told)
+    file = model or _only_model(data)
+    names = names_of(str(file))[1] if model else _names_in_folder(file)
     tables = _state_files(data)
     columns, ros_topics, chosen = _columns(data, tables, topics, names.joints if names else ())
     if tables:
@@ -79,7 +79,7 @@ def begin(data: Path, out: Path | None, model: Path | None, topics: dict[str, st
     here = folder.resolve()
     text = meta_text(
         found,
-        model=_from(told, here) if told else None,
+        model=_from(file, here) if file else None,
         data=None if here == data.resolve() else _from(data, here),
         model_names=names,
         topics=ros_topics,
@@ -138,7 +138,7 @@ def _only_model(data: Path) -> Path | None:
     return None
 
 
-def _names_beside(model: Path | None) -> ModelNames | None:
+def _names_in_folder(model: Path | None) -> ModelNames | None:
     """What a model file that nobody named has; None where it cannot be read."""
     try:
         if model:

@@ -16,7 +16,7 @@ TEXTS = (".txt", ".tsv", ".dat", ".asc", ".log")
 """Those of tables under another name."""
 OTHERS = (".parquet", ".feather", ".h5", ".hdf5", ".json", ".jsonl", ".npy", ".pickle")
 """Those of tables that are not read."""
-MOST_TOLD = 4
+MAX_LISTED = 4
 """Names that one line lists."""
 
 
@@ -115,8 +115,8 @@ def _ending(folder: Path, endings: Sequence[str]) -> list[str]:
 
 def _some(names: Sequence[str]) -> str:
     """The first of these names, and how many more there are."""
-    if len(names) > MOST_TOLD:
-        more = f" and {len(names) - MOST_TOLD} more"
+    if len(names) > MAX_LISTED:
+        more = f" and {len(names) - MAX_LISTED} more"
     else:
         more = ""
-    return f"{', '.join(names[:MOST_TOLD])}{more}"
+    return f"{', '.join(names[:MAX_LISTED])}{more}"

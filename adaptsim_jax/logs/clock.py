@@ -18,17 +18,17 @@ FAR = 10**9
 
 @dataclass(frozen=True)
 class Stamped:
-    """`time [K]` ns of messages, `kept [K]`: those that have one; `stamped`: whether times are
-    their own; `late`: how long they are on their way (median, ns); `unstamped`, `far`: how many
+    """`time [K]` ns of messages, `selected [K]`: those that have one; `stamped`: whether times are
+    their own; `late`: how long they are on their way (median, ns); `unstamped`, `distant`: how many
     lack a stamp, or have one far from the others'.
     """
 
     time: np.ndarray
-    kept: np.ndarray
+    selected: np.ndarray
     stamped: bool
     late: int
     unstamped: int = 0
-    far: int = 0
+    distant: int = 0
 
     def notes(self, topic: str) -> tuple[str, ...]:
         """What a person should know of it."""
@@ -42,8 +42,8 @@ class Stamped:
         return (
             *out,
             *(
-                [f"topic {topic}: {self.far} stamps far from the others' {left}"]
-                if self.far
+                [f"topic {topic}: {self.distant} stamps far from the others' {left}"]
+                if self.distant
                 else []
             ),
         )
@@ -55,8 +55,8 @@ def stamped(arrived: np.ndarray, stamps: np.ndarray, group: np.ndarray | None = 
     others.
     """
     has = stamps > 0
-    far = has & _far(arrived, stamps, has)
-    good = has & ~far
+    distant = has & _far(arrived, stamps, has)
+    good = has & ~distant
     if (
         not good.any()
         or good.sum() <= len(stamps) / 2
@@ -65,12 +65,14 @@ def stamped(arrived: np.ndarray, stamps: np.ndarray, group: np.ndarray | None = 
         return Stamped(arrived, np.ones(len(arrived), bool), False, 0)
     late = int(np.median((arrived - stamps)[good]))
     time = np.where(good, stamps, arrived - late)
-    kept = good.copy()
+    selected = good.copy()
     for one in set(group.tolist()) if group is not None else ():
         here = group == one
         if not good[here].any():
-            kept |= here
-    return Stamped(time, kept, True, late, int(np.sum(~has & ~kept)), int(np.sum(far & ~kept)))
+            selected |= here
+    return Stamped(
+        time, selected, True, late, int(np.sum(~has & ~selected)), int(np.sum(distant & ~selected))
+    )
 
 
 def _far(arrived: np.ndarray, stamps: np.ndarray, has: np.ndarray) -> np.ndarray:
@@ -86,8 +88,8 @@ def _far(arrived: np.ndarray, stamps: np.ndarray, has: np.ndarray) -> np.ndarray
     width = min(2 * WINDOW + 1, len(at))
     first = np.clip(np.arange(len(at)) - width // 2, 0, len(at) - width)
     around = first[:, None] + np.arange(width)
-    apart = np.abs(when - np.median(when[around], axis=1))
-    out[at] = np.abs(off - np.median(off[around], axis=1)) > FAR + apart
+    separate = np.abs(when - np.median(when[around], axis=1))
+    out[at] = np.abs(off - np.median(off[around], axis=1)) > FAR + separate
     return out
 
 

@@ -109,14 +109,14 @@ def with_commands(
         return trial
     header = column_names(path)
     here = {ours: theirs for ours, theirs in rename.items() if theirs in header}
-    told, *others = read_file(path, path.stem, here, ignore)
+    reported, *others = read_file(path, path.stem, here, ignore)
     if others:
         raise BadInput(
             f"{path}: holds commands of {1 + len(others)} trials, as its clock or its column of "
             f"trials tells; write each a file"
         )
     commands = {}
-    for name, values in told.columns.items():
+    for name, values in reported.columns.items():
         found = role(name)
         if found is None or found.stem not in ("q", *COMMANDS):
             continue
@@ -128,12 +128,12 @@ def with_commands(
             f"target_JOINT"
         )
     time = next(name for name in trial.columns if name in TIME)
-    other = next(name for name in told.columns if name in TIME)
+    other = next(name for name in reported.columns if name in TIME)
     own = {n: x for n, x in trial.columns.items() if n != time and n not in commands}
     out, notes = merge(
         str(trial.path),
         [Series(trial.columns[time], own | {LINE: trial.lines.astype(float)})],
-        [Series(told.columns[other], commands)],
+        [Series(reported.columns[other], commands)],
     )
     lines = np.round(out.pop(LINE)).astype(np.int64)
     note = f"commands of {trial.name} taken from {path.name}, held from when they came"

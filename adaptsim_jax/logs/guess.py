@@ -107,20 +107,25 @@ def guess(
             bare = name
         else:
             bare = read.name
-        told = role(bare, joints)
-        named = told and (told.joint in joints or (told.stem == "ctrl" and told.joint in actuators))
-        known = told and (not isinstance(told.joint, str) or not joints or named)
+        found_role = role(bare, joints)
+        named = found_role and (
+            found_role.joint in joints
+            or (found_role.stem == "ctrl" and found_role.joint in actuators)
+        )
+        known = found_role and (not isinstance(found_role.joint, str) or not joints or named)
         if known:
             ours = bare
         else:
             ours = _ours(bare, joints) or _ours(name, joints) or _by_unit(read, joints)
-        if known and bare != name and told and told.stem == "time":
+        if known and bare != name and found_role and found_role.stem == "time":
             ours = "time"
         if ours is not None and ours not in names.values():
             names[name] = ours
-        elif told and isinstance(told.joint, str):
+        elif found_role and isinstance(found_role.joint, str):
             # ctrl_ACTUATOR is kept; a joint is left out by its name as the reader tells it
-            unknown.append(name if told.joint in actuators or bare != name else told.joint)
+            unknown.append(
+                name if found_role.joint in actuators or bare != name else found_role.joint
+            )
         else:
             ignored.append(name)
     if not any(role(ours, joints) and ours in TIME for ours in names.values()):
@@ -151,8 +156,8 @@ def array_name(name: str) -> str | None:
     """
     name = heading(name).name
     ours = name if role(name) else _ours(name, ())
-    told = role(ours) if ours else None
-    if told and told.joint is None and told.stem not in ("time", "trial"):
+    found_role = role(ours) if ours else None
+    if found_role and found_role.joint is None and found_role.stem not in ("time", "trial"):
         return ours
     return None
 

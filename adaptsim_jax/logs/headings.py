@@ -41,7 +41,7 @@ class Heading:
 
 
 @dataclass(frozen=True)
-class Said:
+class HeadingUnit:
     """What a heading says of the unit of a column. `column`: our name of it; `quantity`: None for
     commands of actuators; `fits`: whether a column of this quantity may be in this `unit`;
     `slides`: whether its joint does.
@@ -121,9 +121,9 @@ def _letter(name: str, unit: str, written: str, joints: tuple[str, ...]) -> bool
     return any(unit in units_of(quantity_of(told.stem, slides), slides) for slides in (False, True))
 
 
-def said(
+def heading_unit(
     column: str, written: str, found: Role, slides: bool | None, joints: Sequence[str] = ()
-) -> Said | None:
+) -> HeadingUnit | None:
     """What the heading `written` of our `column` says of its unit; None where nothing. slides: None
     where the joint is not known.
     """
@@ -135,14 +135,14 @@ def said(
             unit in units_of(quantity_of(found.stem, kind), kind) for kind in (False, True)
         )
         slides = goes and not turns
-    return Said(column, written, unit, quantity_of(found.stem, slides), slides)
+    return HeadingUnit(column, written, unit, quantity_of(found.stem, slides), slides)
 
 
-def lines(found: Sequence[Said]) -> dict[str, Said]:
+def lines(found: Sequence[HeadingUnit]) -> dict[str, HeadingUnit]:
     """The lines of `[units]` that headings come to: one for a quantity where they agree, else one
     for each column.
     """
-    out: dict[str, Said] = {}
+    out: dict[str, HeadingUnit] = {}
     both = {s.slides for s in found if s.quantity == "velocity"}
     for one in (s for s in found if s.fits):
         alike = {s.unit for s in found if s.fits and s.quantity == one.quantity}
@@ -156,7 +156,9 @@ def lines(found: Sequence[Said]) -> dict[str, Said]:
 
 
 def compared(
-    path: str, told: Sequence[tuple[Said, Affine, tuple[str, ...], str]], units: Mapping[str, Unit]
+    path: str,
+    told: Sequence[tuple[HeadingUnit, Affine, tuple[str, ...], str]],
+    units: Mapping[str, Unit],
 ) -> tuple[str, ...]:
     """Notes on columns whose headings say another unit than the one that is declared. told: of each
     column what its heading says, what it is read in, its words in `[units]`, its stem.
@@ -164,7 +166,7 @@ def compared(
     Raises `BadInput` where nothing is declared and the heading says no SI unit.
     """
     notes: list[str] = []
-    bare: list[Said] = []
+    bare: list[HeadingUnit] = []
     for one, unit, words, stem in told:
         own = declared(units, stem, words, slides=one.slides)
         if not one.fits:
@@ -190,10 +192,10 @@ def compared(
         key: one for key, one in every.items() if any(key in (o.quantity, o.column) for o in bare)
     }
     other = ((key, si_of(one.quantity, one.slides)) for key, one in mend.items())
-    says = " and ".join(f'{key} = "{one.unit}"' for key, one in mend.items())
+    statement = " and ".join(f'{key} = "{one.unit}"' for key, one in mend.items())
     else_ = " and ".join(f'{key} = "{name}"' if name else f"{key} = 1.0" for key, name in other)
     raise BadInput(
         f"{path}: the heading {bare[0].heading!r} says {bare[0].unit}, and no unit is declared for "
-        f"it; write {says} under [units] in "
+        f"it; write {statement} under [units] in "
         f"meta.toml, or {else_} if the heading is wrong"
     )

@@ -11,7 +11,7 @@ from adaptsim_jax.core.config import nearest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.angles import turns_of
 from adaptsim_jax.logs.columns import BASE, Role, role
-from adaptsim_jax.logs.headings import compared, said
+from adaptsim_jax.logs.headings import compared, heading_unit
 from adaptsim_jax.logs.log import ModelNames
 from adaptsim_jax.logs.log_meta import LogMeta
 from adaptsim_jax.logs.log_units import ANGLE_UNITS, Affine, column_unit, command_unit, declared
@@ -70,7 +70,7 @@ def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> Columns:
         name: str, found: Role, words: tuple[str, ...], unit: Affine, slides: bool = False
     ) -> None:
         written = meta.columns.get(name) or meta.columns.get(found.stem, name)
-        if one := said(name, written, found, slides, names.joints):
+        if one := heading_unit(name, written, found, slides, names.joints):
             headed.append((one, unit, words, found.stem))
 
     head(time, roles[time], (time,), Affine(scale))

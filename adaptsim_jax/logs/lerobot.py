@@ -188,8 +188,8 @@ def _trial(folder: Path, episode: int, parts: list, features: dict, fps: Any) ->
                 f"{name}[{k}]" if written else f"{stem}_{k + 1}": values[:, k] for k in range(width)
             }
             if written:
-                said = ", ".join(dict.fromkeys(written))
-                doubt[name] = f"names {len(written)} of the {width} numbers of {name} ({said})"
+                stated = ", ".join(dict.fromkeys(written))
+                doubt[name] = f"names {len(written)} of the {width} numbers of {name} ({stated})"
     return RawTrial(
         _name(episode), str(path), columns, np.arange(1, count + 1), "row", notes=notes, doubt=doubt
     )

@@ -61,11 +61,13 @@ def check_log_units(
             why = f"velocities and angles differ by a unit: suspected are {what}"
             raise BadInput(f"{trial.path}: {why} under [units] in meta.toml, or convert the file")
     slides = [j for j, joint in enumerate(names.joints) if joint in names.slides]
-    far = tuple(note for j in slides if (note := _far(trials, j, names, names.joints[j] in known)))
+    distant = tuple(
+        note for j in slides if (note := _far(trials, j, names, names.joints[j] in known))
+    )
     degrees = any(unit in ("deg", "degrees") for unit in (units or {}).values())
     if degrees:
-        return far
-    return far + tuple(
+        return distant
+    return distant + tuple(
         note for j in hinges if (note := _large(trials, j, names, names.joints[j] in known))
     )
 
@@ -103,11 +105,11 @@ def _far(trials: Sequence[LogTrial], j: int, names: ModelNames, known: bool) -> 
             f"{joint} slides as far as {reach:.3g} m: if that is no metres, write {ask} under "
             f"[units]"
         )
-    says = f"{joint} slides as far as {reach:.3g} m, {times:.2g} times its declared range of {limits[0]:g} to {limits[1]:g} m"
+    statement = f"{joint} slides as far as {reach:.3g} m, {times:.2g} times its declared range of {limits[0]:g} to {limits[1]:g} m"
     if times < FAR:
-        return f"{says}: if that is no metres, write {ask} under [units]"
+        return f"{statement}: if that is no metres, write {ask} under [units]"
     raise BadInput(
-        f"{trials[0].path}: {says}, as {' or '.join(WORDS[unit] for unit in units)} would; write "
+        f"{trials[0].path}: {statement}, as {' or '.join(WORDS[unit] for unit in units)} would; write "
         f"{ask} under [units] in meta.toml, "
         'or length = "m" if they are metres and the range is not the machine\'s'
     )
@@ -142,10 +144,10 @@ def _large(trials: Sequence[LogTrial], j: int, names: ModelNames, known: bool) -
     """
     reaches = np.array([np.nanmax(np.abs(t.q[:, j]), initial=0.0) for t in trials])
     reach = float(np.median(reaches))
-    odd = int(reaches.argmax())
-    if reaches[odd] > max(LARGE, ODD * reach):
+    outlier = int(reaches.argmax())
+    if reaches[outlier] > max(LARGE, ODD * reach):
         return (
-            f"angles of {names.joints[j]} reach {reaches[odd]:.3g} rad in {trials[odd].name}, "
+            f"angles of {names.joints[j]} reach {reaches[outlier]:.3g} rad in {trials[outlier].name}, "
             f"{reach:.2g} rad in the others: if they "
             "are degrees there, convert that file"
         )

@@ -119,23 +119,23 @@ def read_log_meta(path: str | Path) -> LogMeta:
     if raw.get("task") != "mechanism":
         what = f"is {brief(raw['task'])}" if "task" in raw else "is missing"
         raise BadInput(f'{path}: task {what}; write task = "mechanism" for a log of any mechanism')
-    told = tables(path, raw, TABLES)
-    angles = known(path, told["angles"], ANGLE_KEYS, "angles")
-    commands = known(path, told["commands"], COMMAND_KEYS, "commands")
-    trials = known(path, told["trials"], TRIAL_KEYS, "trials")
+    table = tables(path, raw, TABLES)
+    angles = known(path, table["angles"], ANGLE_KEYS, "angles")
+    commands = known(path, table["commands"], COMMAND_KEYS, "commands")
+    trials = known(path, table["trials"], TRIAL_KEYS, "trials")
     convention = angles.get("convention", {})
-    channels = _channels(path, told["channels"])
+    channels = _channels(path, table["channels"])
     return LogMeta(
         path=str(path),
-        model=_beside(path, raw, "model", 'write model = "robot.xml", relative to the folder'),
-        data=_beside(
+        model=_in_folder(path, raw, "model", 'write model = "robot.xml", relative to the folder'),
+        data=_in_folder(
             path, raw, "data", "give the file or folder of the data, relative to meta.toml"
         ),
         input=choice(path, raw, "input", INPUTS),
         ignore=_texts(path, "ignore", raw.get("ignore", [])),
-        columns=_columns(path, told["columns"])
+        columns=_columns(path, table["columns"])
         | {CHANNEL + ours: theirs for ours, theirs in channels.items()},
-        units={key: check_unit(path, key, value) for key, value in told["units"].items()},
+        units={key: check_unit(path, key, value) for key, value in table["units"].items()},
         convention=_conventions(
             path, {"": convention} if isinstance(convention, str) else convention
         ),
@@ -143,21 +143,21 @@ def read_log_meta(path: str | Path) -> LogMeta:
             path, "angles.zero", angles.get("zero", {}), "zero = {elbow = 3.14159}, in rad or m"
         ),
         reversed=_texts(path, "angles.reversed", angles.get("reversed", [])),
-        known=told["known"],
-        fit=told["fit"],
-        noise={key: not_negative(path, f"noise.{key}", std) for key, std in told["noise"].items()},
+        known=table["known"],
+        fit=table["fit"],
+        noise={key: not_negative(path, f"noise.{key}", std) for key, std in table["noise"].items()},
         exclude=_texts(path, "trials.exclude", trials.get("exclude", [])),
         group=_groups(path, trials.get("group", {})),
         payload=_payloads(path, trials.get("payload", {})),
         commands=_groups(
             path, trials.get("commands", {}), "commands", 'commands = {run = "control.csv"}'
         ),
-        ros=_ros(path, told["ros"]),
+        ros=_ros(path, table["ros"]),
         rate=_sizes(path, "rate", commands, "rate = {elbow = 3.0}, in rad/s or m/s"),
         within=_sizes(path, "within", commands, "within = {elbow = 0.1}, in rad or m"),
         hold={
             key: None if value is True else number(path, f"hold.{key}", value)
-            for key, value in told["hold"].items()
+            for key, value in table["hold"].items()
         },
         simulator=choice(path, raw, "simulator", SIMULATORS),
         channels=channels,
@@ -198,7 +198,7 @@ def _numbers(path: Path, key: str, value: Any, example: str) -> dict[str, float]
     return {name: number(path, f"{key}.{name}", given) for name, given in value.items()}
 
 
-def _beside(path: Path, raw: dict, key: str, mend: str) -> str | None:
+def _in_folder(path: Path, raw: dict, key: str, mend: str) -> str | None:
     if key not in raw:
         return None
     named = text(path, key, raw[key])

@@ -44,11 +44,11 @@ def _joint_state(m: Any) -> Said:
 
 def _joint_states(m: Any) -> Said:
     joints = list(getattr(m, "joints", ()))
-    said: dict[str, np.ndarray] = {}
+    stated: dict[str, np.ndarray] = {}
     for field, stem in FIELDS.items():
         if any(_given(joint, field) for joint in joints):
-            said[stem] = np.array([_number(getattr(joint, field, None)) for joint in joints])
-    return tuple(joint.name for joint in joints), said
+            stated[stem] = np.array([_number(getattr(joint, field, None)) for joint in joints])
+    return tuple(joint.name for joint in joints), stated
 
 
 def _given(joint: Any, field: str) -> bool:
@@ -60,21 +60,21 @@ def _given(joint: Any, field: str) -> bool:
 
 
 def _dynamic(m: Any) -> Said:
-    said = {stem: np.full(len(m.joint_names), np.nan) for stem in FIELDS.values()}
+    stated = {stem: np.full(len(m.joint_names), np.nan) for stem in FIELDS.values()}
     for j, values in enumerate(m.interface_values):
         for name, value in zip(values.interface_names, values.values, strict=False):
             if name in FIELDS:
-                said[FIELDS[name]][j] = value
-    return tuple(m.joint_names), {stem: x for stem, x in said.items() if np.isfinite(x).any()}
+                stated[FIELDS[name]][j] = value
+    return tuple(m.joint_names), {stem: x for stem, x in stated.items() if np.isfinite(x).any()}
 
 
 def _actual(m: Any) -> Said:
     point = _point(m, ("feedback", "actual"))
     if point is not None:
-        said = {"q": point.positions, "v": point.velocities, "tau": point.effort}
+        stated = {"q": point.positions, "v": point.velocities, "tau": point.effort}
     else:
-        said = {}
-    return tuple(m.joint_names), {stem: _numbers(x) for stem, x in said.items()}
+        stated = {}
+    return tuple(m.joint_names), {stem: _numbers(x) for stem, x in stated.items()}
 
 
 def _desired(m: Any) -> Said:
@@ -91,13 +91,15 @@ def _point(m: Any, names: tuple[str, ...]) -> Any:
 
 
 def _commanded(m: Any) -> Said:
-    names, said = _joint_state(m)
-    return names, {"target": said["q"]} if len(said["q"]) else {"tau_commanded": said["tau"]}
+    names, stated = _joint_state(m)
+    return names, {"target": stated["q"]} if len(stated["q"]) else {"tau_commanded": stated["tau"]}
 
 
 def _commanded_states(m: Any) -> Said:
-    names, said = _joint_states(m)
-    return names, {"target": said["q"]} if "q" in said else {"tau_commanded": said.get("tau", ())}
+    names, stated = _joint_states(m)
+    return names, {"target": stated["q"]} if "q" in stated else {
+        "tau_commanded": stated.get("tau", ())
+    }
 
 
 def _array(m: Any) -> Said:
@@ -258,8 +260,8 @@ def _state_topic(
         )
     measured = [topic for topic in states if not _is_command(topic)] or states
     state = max(measured, key=lambda topic: (knows(topic) if len(measured) > 1 else 0, topic.count))
-    told = f"state taken from topic {state.name} of {', '.join(topic.name for topic in states)}"
-    return state, (told,) if len(states) > 1 else ()
+    reported = f"state taken from topic {state.name} of {', '.join(topic.name for topic in states)}"
+    return state, (reported,) if len(states) > 1 else ()
 
 
 def _what(topic: Topic) -> str:

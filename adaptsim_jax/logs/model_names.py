@@ -113,14 +113,14 @@ def followed(log: Log, mechanism: Mechanism) -> Log:
         extra = {stem: values[:, at] for stem, values in t.extra.items()}
         return replace(t, q=t.q[:, at], v=None if t.v is None else t.v[:, at], u=u, extra=extra)
 
-    told, unlike = [], []
+    reported, unlike = [], []
     for f in followers:
         own = np.concatenate([t.q[:, where[f.joint]] for t in log.trials])
         led = f.offset + f.factor * np.concatenate([t.q[:, where[f.leader]] for t in log.trials])
-        apart, span = np.nanmax(np.abs(own - led)), np.nanmax(own) - np.nanmin(own)
-        if apart > APART * span:
-            told.append(
-                f"{f.joint} does not follow {f.leader} as the model says: by up to {apart:.2g} of "
+        separate, span = np.nanmax(np.abs(own - led)), np.nanmax(own) - np.nanmin(own)
+        if separate > APART * span:
+            reported.append(
+                f"{f.joint} does not follow {f.leader} as the model says: by up to {separate:.2g} of "
                 f"{span:.2g}; "
                 f"nothing is named at {f.leader}"
             )
@@ -131,7 +131,7 @@ def followed(log: Log, mechanism: Mechanism) -> Log:
         if name not in joints and name not in {f.joint for f in followers}
     ]
     if left:
-        told.append(f"angles of joints that are held are not used: {', '.join(left)}")
+        reported.append(f"angles of joints that are held are not used: {', '.join(left)}")
     if commanded or log.input_kind == "none":
         names = log.input_names
     else:
@@ -143,6 +143,6 @@ def followed(log: Log, mechanism: Mechanism) -> Log:
         trials=tuple(map(trial, log.trials)),
         input_names=names,
         driven=driven,
-        notes=(*log.notes, *told),
+        notes=(*log.notes, *reported),
         unlike=tuple(unlike),
     )

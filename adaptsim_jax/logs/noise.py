@@ -65,6 +65,6 @@ def local_motion(
 
 def _cubic(design: np.ndarray, target: np.ndarray, keep: np.ndarray) -> np.ndarray:
     """Coefficients `[T, 4]` of weighted least squares."""
-    kept = design * keep[..., None]
-    normal = np.swapaxes(kept, 1, 2) @ design + 1e-9 * np.eye(4)
-    return np.linalg.solve(normal, (np.swapaxes(kept, 1, 2) @ target[..., None]))[..., 0]
+    selected = design * keep[..., None]
+    normal = np.swapaxes(selected, 1, 2) @ design + 1e-9 * np.eye(4)
+    return np.linalg.solve(normal, (np.swapaxes(selected, 1, 2) @ target[..., None]))[..., 0]

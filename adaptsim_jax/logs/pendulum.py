@@ -88,8 +88,10 @@ def read_pendulum(folder: str | Path, *, without: Sequence[str] = ()) -> Log:
 def _of_the_rig(trial: RawTrial, meta: LogMeta) -> RawTrial:
     """The columns of a rig. BadInput where an angle or a torque is missing."""
     roles = {name: role(name, JOINTS) for name in trial.columns}
-    kept = {name: r for name, r in roles.items() if r is not None and r.stem in STEMS}
-    have = {(r.stem, JOINTS[r.joint - 1] if r.joint in (1, 2) else r.joint) for r in kept.values()}
+    selected = {name: r for name, r in roles.items() if r is not None and r.stem in STEMS}
+    have = {
+        (r.stem, JOINTS[r.joint - 1] if r.joint in (1, 2) else r.joint) for r in selected.values()
+    }
     for j, joint in enumerate(JOINTS, 1):
         if ("q", joint) not in have:
             raise _missing(trial, f"q{j}", ("q", JOINTS[0]) in have)
@@ -100,8 +102,8 @@ def _of_the_rig(trial: RawTrial, meta: LogMeta) -> RawTrial:
                 f"{trial.path}: column 'tau{j}' is missing; add it (N m), or write "
                 f"unactuated = [{j}] in meta.toml where that joint has no motor"
             )
-    others = tuple(name for name in trial.columns if name not in kept)
-    columns = {name: trial.columns[name] for name in kept}
+    others = tuple(name for name in trial.columns if name not in selected)
+    columns = {name: trial.columns[name] for name in selected}
     return replace(trial, columns=columns, ignored=(*trial.ignored, *others))
 
 
@@ -126,8 +128,8 @@ def _check_degrees(log: Log) -> None:
     fast = FAST * math.sqrt(max(geometry.get("g", GRAVITY), 1.0) / length)
     reach = np.array([np.nanmax(np.abs(t.q), axis=0) for t in log.trials])
     speed = np.array([_top_speed(t) for t in log.trials])
-    least, most = np.median(reach.min(1)), np.median(reach.max(1))
-    if least < NOT_ONE or most < WIDE or np.median(speed) < fast:
+    minimum, most = np.median(reach.min(1)), np.median(reach.max(1))
+    if minimum < NOT_ONE or most < WIDE or np.median(speed) < fast:
         return
     worst = int(np.argmax(speed))
     raise BadInput(

@@ -161,7 +161,7 @@ def read_raw(data: Path, meta: LogMeta, names: ModelNames | None = None) -> list
         recorded += trials
     trials = _read_tables(data, files, commands, meta) + recorded
     if len(files) < len(trials) and not whole:
-        trials = _names_apart(trials)
+        trials = _named_by_file(trials)
     return trials + [RawTrial(_stem(path), str(path), {}, np.zeros(0, np.int64)) for path in gone]
 
 
@@ -185,8 +185,8 @@ def _read_tables(
     read = read_files(files, meta.columns, meta.ignore, paths, leave_out)
     trials = [command_files.with_commands(t, commands, meta.columns, meta.ignore) for t in read]
     if files and not data.is_dir() and not commands:
-        told = command_files.beside(data, table_files(data.parent))
-        trials = [replace(trial, notes=(*trial.notes, *told)) for trial in trials]
+        notes = command_files.beside(data, table_files(data.parent))
+        trials = [replace(trial, notes=(*trial.notes, *notes)) for trial in trials]
     return trials
 
 
@@ -213,7 +213,7 @@ def _wanted(meta: LogMeta, names: ModelNames | None, out: Callable[[str], bool])
     return readers.Wanted(meta.ros, meta.ignore, joints, named, servos, out)
 
 
-def _names_apart(trials: list[RawTrial]) -> list[RawTrial]:
+def _named_by_file(trials: list[RawTrial]) -> list[RawTrial]:
     """The trials, those of one name called by their files."""
     called = Counter(trial.name for trial in trials)
     shared = Counter(trial.path for trial in trials)

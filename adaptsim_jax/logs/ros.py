@@ -71,8 +71,8 @@ def read_bag(path: Path, wanted: Wanted) -> RawTrial:
         state, command, notes = choose(
             path, bag.topics, wanted.options, lambda t: _known(bag, t, wanted.joints)
         )
-        series, clock, told = _state(bag, state)
-        notes += told
+        series, clock, reported = _state(bag, state)
+        notes += reported
         if not series:
             raise BadInput(
                 f"{path}: topic {state.name} has no message with positions; name another by "
@@ -81,16 +81,16 @@ def read_bag(path: Path, wanted: Wanted) -> RawTrial:
         series, left = _of_the_model(series, wanted)
         notes += left
         if command:
-            commands, told = _commands(path, bag, command, clock, series, wanted)
+            commands, reported = _commands(path, bag, command, clock, series, wanted)
         else:
-            commands, told = ([], ())
+            commands, reported = ([], ())
         commands, _ = _of_the_model(commands, wanted)
         commands = [_turned(s, series, wanted.servos) for s in commands]
-        notes += told
-    columns, told = merge(str(path), series, commands)
-    notes += told
-    columns, told = _without_zeros(columns)
-    notes += told
+        notes += reported
+    columns, reported = merge(str(path), series, commands)
+    notes += reported
+    columns, reported = _without_zeros(columns)
+    notes += reported
     rows = np.arange(1, len(columns["time"]) + 1)
     return RawTrial(
         path.stem if path.is_file() else path.name, str(path), columns, rows, "message", notes=notes
@@ -141,13 +141,13 @@ def _messages(bag: Bag, topic: Topic) -> tuple[np.ndarray, np.ndarray, list[Any]
 def _state(bag: Bag, topic: Topic) -> tuple[list[Series], Clock, tuple[str, ...]]:
     arrived, stamps, messages = _messages(bag, topic)
     read = STATES[topic.kind]
-    said = [(names if any(names) else (), values) for names, values in map(read, messages)]
+    stated = [(names if any(names) else (), values) for names, values in map(read, messages)]
     notes: list[str] = []
-    if twice := next((n for names, _ in said for n in names if names.count(n) > 1), None):
+    if twice := next((n for names, _ in stated for n in names if names.count(n) > 1), None):
         raise BadInput(
             f"{topic.name}: its messages name {twice!r} more than once; record names that differ"
         )
-    nameless = sum(not names and len(values.get("q", ())) > 0 for names, values in said)
+    nameless = sum(not names and len(values.get("q", ())) > 0 for names, values in stated)
     if nameless:
         notes.append(
             f"topic {topic.name}: names are empty in {nameless} messages, taken in the order of "
@@ -157,11 +157,11 @@ def _state(bag: Bag, topic: Topic) -> tuple[list[Series], Clock, tuple[str, ...]
         def numbers(values):
             return tuple(str(i) for i in range(1, len(values.get("q", ())) + 1))
 
-        said = [(names or numbers(values), values) for names, values in said]
-    whole = np.array([len(values.get("q", ())) == len(names) > 0 for names, values in said], bool)
+        stated = [(names or numbers(values), values) for names, values in stated]
+    whole = np.array([len(values.get("q", ())) == len(names) > 0 for names, values in stated], bool)
     some = sum(
         len(values.get("q", ())) > 0
-        for (_, values), here in zip(said, whole, strict=True)
+        for (_, values), here in zip(stated, whole, strict=True)
         if not here
     )
     if some and whole.any():
@@ -170,25 +170,25 @@ def _state(bag: Bag, topic: Topic) -> tuple[list[Series], Clock, tuple[str, ...]
             f"left out"
         )
     elif some:
-        one = next((names, values) for names, values in said if len(values.get("q", ())))
+        one = next((names, values) for names, values in stated if len(values.get("q", ())))
         raise BadInput(
             f"{topic.name}: its messages name {len(one[0])} joints and hold {len(one[1]['q'])} "
             f"positions; record it so that they agree"
         )
     sender = {
-        key: k for k, key in enumerate(dict.fromkeys(tuple(sorted(names)) for names, _ in said))
+        key: k for k, key in enumerate(dict.fromkeys(tuple(sorted(names)) for names, _ in stated))
     }
-    group = np.array([sender[tuple(sorted(names))] for names, _ in said])
+    group = np.array([sender[tuple(sorted(names))] for names, _ in stated])
     if len(arrived):
         times = stamped(arrived, stamps, group)
     else:
         times = Stamped(arrived, arrived > 0, False, 0)
     notes += times.notes(topic.name)
-    keep = times.kept & whole
+    keep = times.selected & whole
     first = int(times.time[keep].min()) if keep.any() else 0
     rows = [
         ((time - first) * 1e-9, *one)
-        for time, one, here in zip(times.time.tolist(), said, keep, strict=True)
+        for time, one, here in zip(times.time.tolist(), stated, keep, strict=True)
         if here
     ]
     late = times.late if times.stamped else 0
@@ -256,12 +256,12 @@ def _trajectory(
             return float(np.interp(at, own.time, own.columns[f"q_{joint}"]))
         return 0.0
 
-    told = wanted.options.get("trajectory")
-    if told is None and not any(t > plan.takes_over for plan in plans for t, *_ in plan.points):
+    reported = wanted.options.get("trajectory")
+    if reported is None and not any(t > plan.takes_over for plan in plans for t, *_ in plan.points):
         return followed(plans, angle, True), tuple(
             notes
         )  # points that give no time to move are commands as they come
-    made = {how: followed(plans, angle, how == "hold") for how in POINTS if told in (None, how)}
+    made = {how: followed(plans, angle, how == "hold") for how in POINTS if reported in (None, how)}
     if (
         "ramp" in made
         # a controller that steps with the states holds what it has from row to row; a faster one
@@ -273,23 +273,23 @@ def _trajectory(
         made["ramp"] = min(
             (each, made["ramp"]), key=lambda commands: _left(str(path), states, commands)
         )
-    how = told or "ramp"
+    how = reported or "ramp"
     why = "as controllers take it"
-    if told is None:
+    if reported is None:
         left = {h: _left(str(path), states, made[h]) for h in POINTS}
         best, other = sorted(POINTS, key=lambda h: left[h])
         if left[best] < BETTER * left[other]:
             how, why = best, "which the angles follow far better"
-    says = {
+    statement = {
         "ramp": "points are moved to from one to the next",
         "hold": "each point is held to the next",
     }[how]
-    if told is None:
+    if reported is None:
         mend = f'; write trajectory = "{"hold" if how == "ramp" else "ramp"}" under [ros] if not'
     else:
         mend = ""
     notes.append(
-        f"topic {topic.name}: {says}{'' if told else f', {why}'}, a new trajectory takes the place "
+        f"topic {topic.name}: {statement}{'' if reported else f', {why}'}, a new trajectory takes the place "
         f"of what is ahead{mend}"
     )
     return made[how], tuple(notes)
@@ -325,12 +325,12 @@ def _turned(command: Series, states: list[Series], servos: Mapping[str, str]) ->
     for name, values in command.columns.items():
         joint = servos.get(name) or name.removeprefix("target_")
         own = next((s for s in states if f"q_{joint}" in s.columns), None)
-        said = values[np.isfinite(values)]
+        stated = values[np.isfinite(values)]
         if (
             not (name in servos or name.startswith("target_"))
             or own is None
-            or len(said) < 4
-            or np.ptp(said) < np.pi
+            or len(stated) < 4
+            or np.ptp(stated) < np.pi
         ):
             continue
         here = np.isfinite(own.columns[f"q_{joint}"])
@@ -365,13 +365,13 @@ def _of_the_model(series: list[Series], wanted: Wanted) -> tuple[list[Series], t
             not isinstance(joint, str) or joint not in {*wanted.ignore, *strange}
         )
 
-    kept = [s.of({name for name in s.columns if keeps(name)}) for s in series]
+    selected = [s.of({name for name in s.columns if keeps(name)}) for s in series]
     out = sorted(strange - set(wanted.ignore))
     if out:
         notes = (f"joints that the model lacks are left out: {', '.join(out)}",)
     else:
         notes = ()
-    return [s for s in kept if s.columns], notes
+    return [s for s in selected if s.columns], notes
 
 
 def _without_zeros(columns: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
@@ -384,7 +384,7 @@ def _without_zeros(columns: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray
         for n, x in columns.items()
         if n.startswith("q_") and np.isfinite(x).any()
     )
-    for stem, told in (
+    for stem, reported in (
         ("tau_", "efforts are zero throughout: not taken for torques"),
         ("v_", "velocities are zero throughout though joints move: left out"),
     ):
@@ -393,7 +393,7 @@ def _without_zeros(columns: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray
         ]
         if own and not any(np.any(columns[name]) for name in own) and (stem == "tau_" or moves):
             columns = {name: values for name, values in columns.items() if name not in own}
-            notes = (*notes, told)
+            notes = (*notes, reported)
     return columns, notes
 
 

@@ -193,7 +193,9 @@ def check_scales(trials: Sequence[Columns], names: ModelNames) -> tuple[str, ...
         fill = ", LOW and HIGH its calibrated ends in rad (m)"
     else:
         fill = ""
-    says = f"{', '.join(found)}: {first.why}; write {lines} under [units]{fill}, or record angles"
+    statement = (
+        f"{', '.join(found)}: {first.why}; write {lines} under [units]{fill}, or record angles"
+    )
     if any(joint not in names.slides and reach(joint) > REACH for joint in found):
-        raise BadInput(f"{trials[0].raw.path}: {says}")
-    return (f"{says}; taken as declared",)
+        raise BadInput(f"{trials[0].raw.path}: {statement}")
+    return (f"{statement}; taken as declared",)

@@ -75,14 +75,14 @@ def _without_lost(
     columns `lost`.
     """
     there = [~np.isnan(table.columns[name]) for name in lost if name in table.columns]
-    kept = np.any(there, 0) if there else np.ones(len(table.lines), bool)
-    if kept.all() or not kept.any():
+    selected = np.any(there, 0) if there else np.ones(len(table.lines), bool)
+    if selected.all() or not selected.any():
         return table, dict(empty)
 
     def cut(columns):
-        return {name: values[kept] for name, values in columns.items()}
+        return {name: values[selected] for name, values in columns.items()}
 
-    return replace(table, columns=cut(table.columns), lines=table.lines[kept]), cut(empty)
+    return replace(table, columns=cut(table.columns), lines=table.lines[selected]), cut(empty)
 
 
 def _checked(
@@ -102,11 +102,11 @@ def _checked(
             f"{path}: has {n} data rows; a trial needs at least {least}, leave this file out"
         )
     columns, notes = without_blank(path, table.columns, least, ours)
-    columns, told = joined_time(path, columns, ours)
-    lines, notes = table.lines, (*table.notes, *notes, *told)
+    columns, reported = joined_time(path, columns, ours)
+    lines, notes = table.lines, (*table.notes, *notes, *reported)
     if not gaps and (joined := apart(path, columns, lines, ours)):
-        columns, lines, told = joined
-        notes = (*notes, *told)
+        columns, lines, reported = joined
+        notes = (*notes, *reported)
     filled = {
         name: np.where(np.isnan(values), 0.0, values)
         for name, values in columns.items()

@@ -53,12 +53,12 @@ def without_blank(
                 f"{path}: column {name} holds no number in any row; record it, or take the column "
                 f"out"
             )
-    kept = {name: values for name, values in columns.items() if name not in blank}
+    selected = {name: values for name, values in columns.items() if name not in blank}
     if blank:
         notes = (f"{', '.join(blank)} held no number in {Path(path).name}: taken as not recorded",)
     else:
         notes = ()
-    return kept, notes
+    return selected, notes
 
 
 def _is_optional(name: str) -> bool:
@@ -107,7 +107,7 @@ def _check_joined(
     often = [kind for kind, rows in kinds.most_common(4) if rows > 0.1 * count and any(kind)]
     if not often or not all(there[:, j].mean() > 0.05 for j in range(len(names))):
         return
-    said = "; ".join(
+    stated = "; ".join(
         f"{', '.join(n for n, here in zip(names, kind, strict=True) if here)} in {kinds[kind]} rows"
         for kind in often
     )
@@ -118,7 +118,7 @@ def _check_joined(
         return ", ".join(repr(w) for w in words)
 
     raise BadInput(
-        f"{path}: rows hold parts of a sample ({said}), as topics joined by time do; bring them "
+        f"{path}: rows hold parts of a sample ({stated}), as topics joined by time do; bring them "
         f"onto one clock, with pandas: "
         f"pd.merge_asof(df[[{clock!r}, {quote(first)}]].dropna(), df[[{clock!r}, "
         f"{quote(others)}]].dropna(), on={clock!r})"

@@ -120,8 +120,8 @@ def naming(cells: Mapping[str, Sequence[str]], time: np.ndarray) -> str | None:
         if len(column) != len(time):
             continue
         words = [set(column[part]) for part in parts]
-        said = {next(iter(w)).strip() for w in words if len(w) == 1}
-        if len(said) == len(parts) and "" not in said:
+        stated = {next(iter(w)).strip() for w in words if len(w) == 1}
+        if len(stated) == len(parts) and "" not in stated:
             return name
     return None
 
@@ -171,7 +171,7 @@ def apart(
     main = max(made[True], key=lambda series: len(series.time))
     made[True] = [s if s is main else s.of([n for n in s.columns if n != LINE]) for s in made[True]]
     out, notes = merge(str(path), made[True], made[False])
-    kept = {name: out[called[name]] for name in names}
+    selected = {name: out[called[name]] for name in names}
     held = [name for name in names if name not in states]
     acts = f", {', '.join(held)} held from when they came" if held else ""
     notes = (
@@ -179,4 +179,4 @@ def apart(
         f"{', '.join(angles)}{acts}",
         *notes,
     )
-    return {clock: out["time"]} | kept, np.round(out[LINE]).astype(np.int64), notes
+    return {clock: out["time"]} | selected, np.round(out[LINE]).astype(np.int64), notes

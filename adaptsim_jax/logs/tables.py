@@ -162,12 +162,12 @@ def read_file(
         for column in header
         if column in ours or column not in rename
     }
-    told = {
+    reported = {
         column
         for column in named
         if role(named[column]) is not None and not is_ignored(named[column], ignore)
     }
-    wanted = tuple(dict.fromkeys(column for column in header if column in told))
+    wanted = tuple(dict.fromkeys(column for column in header if column in reported))
     labels = next((column for column in wanted if named[column] in TRIAL), None)
     if path.suffix.lower() == ".npz" and not any(named[column] in TIME for column in wanted):
         raise _no_time(path, header)
@@ -193,8 +193,8 @@ def read_file(
         check_clock(path, clock, part.lines, part.row_word, mend)
         notes = part.notes
         if lists:
-            said = ", ".join(f"{theirs} taken as {stem}" for theirs, stem in lists.items())
-            notes = (*notes, f"cells hold lists, a number for each joint in order: {said}")
+            stated = ", ".join(f"{theirs} taken as {stem}" for theirs, stem in lists.items())
+            notes = (*notes, f"cells hold lists, a number for each joint in order: {stated}")
         trials.append(
             RawTrial(label, str(path), part.columns, part.lines, part.row_word, part.ignored, notes)
         )
@@ -207,12 +207,12 @@ def _restarted(path: Path, name: str, table: Table, time: np.ndarray) -> list[tu
     if not parts:
         return [(name, table)]
     who = naming(cells_of(path, table.lines), time)
-    told = f"the clock of {path.name} starts again: taken as {len(parts)} trials, {name}_1 to {name}_{len(parts)}"
+    reported = f"the clock of {path.name} starts again: taken as {len(parts)} trials, {name}_1 to {name}_{len(parts)}"
     if who:
         more = f'; [columns] trial = "{who}" in meta.toml calls them by that column'
     else:
         more = ""
-    table = replace(table, notes=(*table.notes, told + more))
+    table = replace(table, notes=(*table.notes, reported + more))
     return [(f"{name}_{k}", _rows(table, part)) for k, part in enumerate(parts, 1)]
 
 

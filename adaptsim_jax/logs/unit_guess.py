@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from adaptsim_jax.logs.columns import TIME, Role, role
-from adaptsim_jax.logs.headings import Said, lines, said
+from adaptsim_jax.logs.headings import HeadingUnit, heading_unit, lines
 from adaptsim_jax.logs.log import ModelNames
 from adaptsim_jax.logs.log_checks import HINT, INSIDE, LARGE, LONG, lengths_within, times_range
 from adaptsim_jax.logs.log_units import LENGTH_UNITS, TIME_UNITS
@@ -40,7 +40,7 @@ Units = dict[str, tuple[str | Scale | Question, str]]
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _Columns:
     """Columns as written by joint, as the columns name it: of joints that turn, and of those that
     slide. `name`: the joint's own.
     """
@@ -54,6 +54,12 @@ class _Seen:
 
     def reach(self, joint: int | str | None) -> float:
         return float(np.nanmax(np.abs(self.q[joint]), initial=0.0))
+
+    def reaches(self, joint: int | str | None) -> str:
+        """How far a joint moves, and how far its model lets it, in words."""
+        low, high = self.limits[joint]
+        far = f"{self.name[joint]} reaches {self.reach(joint):.4g}"
+        return f"{far}, its range in the model is {low:.3g} to {high:.3g}"
 
 
 def guess_units(
@@ -75,21 +81,21 @@ def guess_units(
     """
     roles = {name: found for name in columns if (found := role(name, joints)) is not None}
     scales = _scales(columns, roles, joints, lerobot, model)
-    told = [
+    reported = [
         one
         for name, found in roles.items()
-        if (one := _said(name, found, roles, headings or {}, model))
+        if (one := _of_heading(name, found, roles, headings or {}, model))
     ]
-    told = [
+    reported = [
         one
-        for one in told
+        for one in reported
         if one.quantity not in ("angle", "length") or str(roles[one.column].joint) not in scales
     ]
     out: Units = {}
-    for key, one in lines(told).items():
+    for key, one in lines(reported).items():
         differ = any(
             t.quantity == one.quantity and t.unit != one.unit and t.slides == one.slides
-            for t in told
+            for t in reported
             if t.fits
         )
         if one.quantity and differ:
@@ -98,11 +104,11 @@ def guess_units(
             also = ""
         if key != "time":
             out[key] = (one.unit, f"the heading says so ({one.heading}){also}")
-    for one in told:
+    for one in reported:
         if not one.fits:
             why = f"the heading says so ({one.heading}), but that is no unit of {one.quantity}"
             out[one.column] = (Question(one.unit), why)
-    out = _time(columns, next((one for one in told if one.quantity == "time"), None)) | out
+    out = _time(columns, next((one for one in reported if one.quantity == "time"), None)) | out
     out |= {scale.line.partition(" ")[0]: (scale, scale.why) for scale in scales.values()}
     time = next((columns[name] for name in TIME if name in columns), None)
     unit = out.get("time", ("s", ""))[0]
@@ -110,24 +116,26 @@ def guess_units(
         seconds = None
     else:
         seconds = time * TIME_UNITS[unit]
-    turning, sliding = (_seen(columns, roles, scales, model, kind) for kind in (False, True))
-    out = _lengths(out, told, seconds, sliding)
-    return _angles(out, told, seconds, turning, lerobot, model is None)
+    turning, sliding = (_by_joint(columns, roles, scales, model, kind) for kind in (False, True))
+    out = _lengths(out, reported, seconds, sliding)
+    return _angles(out, reported, seconds, turning, lerobot, model is None)
 
 
-def _said(
+def _of_heading(
     name: str,
     found: Role,
     roles: Mapping[str, Role],
     headings: Mapping[str, str],
     model: ModelNames | None,
-) -> Said | None:
+) -> HeadingUnit | None:
     j = _index(found, roles, model)
     if model is None or j is None:
         slides = None
     else:
         slides = model.joints[j] in model.slides
-    return said(name, headings.get(name, name), found, slides, model.joints if model else ())
+    return heading_unit(
+        name, headings.get(name, name), found, slides, model.joints if model else ()
+    )
 
 
 def _index(found: Role, roles: Mapping[str, Role], model: ModelNames | None) -> int | None:
@@ -161,14 +169,14 @@ def _scales(
     return scales_of(by_joint, tuple(by_joint), lerobot, ranges)
 
 
-def _seen(
+def _by_joint(
     columns: dict[str, np.ndarray],
     roles: dict[str, Role],
     scales: Mapping[str, Scale],
     model: ModelNames | None,
     slides: bool,
-) -> _Seen:
-    seen = _Seen({}, {}, {}, {})
+) -> _Columns:
+    observed = _Columns({}, {}, {}, {})
     servos = set()
     for name, found in roles.items():
         j = _index(found, roles, model)
@@ -179,22 +187,26 @@ def _seen(
             or (found.stem != "v" and str(found.joint) in scales)
         ):
             continue
-        {"q": seen.q, "v": seen.v, "target": seen.target}[found.stem][found.joint] = columns[name]
+        {"q": observed.q, "v": observed.v, "target": observed.target}[found.stem][found.joint] = (
+            columns[name]
+        )
         if model and j is not None:
-            seen.name[found.joint] = model.joints[j]
+            observed.name[found.joint] = model.joints[j]
         else:
-            seen.name[found.joint] = str(found.joint or name)
+            observed.name[found.joint] = str(found.joint or name)
         if model and j is not None:
             if limits := model.limits_of(j):
-                seen.limits[found.joint] = limits
+                observed.limits[found.joint] = limits
             if any(
                 a.kind == "position" and a.joint == model.joints[j] for a in model.actuators or ()
             ):
                 servos.add(found.joint)
-    return _Seen(seen.q, seen.v, seen.target, seen.name, seen.limits, frozenset(servos))
+    return _Columns(
+        observed.q, observed.v, observed.target, observed.name, observed.limits, frozenset(servos)
+    )
 
 
-def _time(columns: dict[str, np.ndarray], heading: Said | None) -> Units:
+def _time(columns: dict[str, np.ndarray], heading: HeadingUnit | None) -> Units:
     """The unit of time, by the heading, else by the interval of rows."""
     time = next((columns[name] for name in TIME if name in columns), None)
     if time is not None and len(time) > 2:
@@ -220,14 +232,16 @@ def _time(columns: dict[str, np.ndarray], heading: Said | None) -> Units:
     return {"time": (heading.unit, why)}
 
 
-def _lengths(out: Units, told: Sequence[Said], time: np.ndarray | None, seen: _Seen) -> Units:
+def _lengths(
+    out: Units, reported: Sequence[HeadingUnit], time: np.ndarray | None, observed: _Columns
+) -> Units:
     """With the unit of sliding joints' ways, by the headings, else by their speeds, ranges,
     sizes.
     """
-    if any(one.quantity == "length" and one.fits for one in told):
+    if any(one.quantity == "length" and one.fits for one in reported):
         return out
-    gain = None if time is None else _gain(time, seen.q, seen.v)
-    own = [one.scale for one in told if one.quantity == "velocity" and one.slides and one.fits]
+    gain = None if time is None else _gain(time, observed.q, observed.v)
+    own = [one.scale for one in reported if one.quantity == "velocity" and one.slides and one.fits]
     if gain is not None:  # of speeds in m/s, where no heading says otherwise
         for unit, scale in LENGTH_UNITS.items():
             if scale != 1.0 and _like(gain * (own[0] if own else 1.0), scale):
@@ -235,13 +249,15 @@ def _lengths(out: Units, told: Sequence[Said], time: np.ndarray | None, seen: _S
                     speeds = {}
                 else:
                     speeds = {
-                        f"v_{seen.name[j]}": ("m/s", "see length") for j in seen.v if j in seen.q
+                        f"v_{observed.name[j]}": ("m/s", "see length")
+                        for j in observed.v
+                        if j in observed.q
                     }
                 return out | {"length": (unit, "ways against speeds tell")} | speeds
         return out
-    for joint in seen.q:
-        reach, name = seen.reach(joint), seen.name[joint]
-        if (limits := seen.limits.get(joint)) and (
+    for joint in observed.q:
+        reach, name = observed.reach(joint), observed.name[joint]
+        if (limits := observed.limits.get(joint)) and (
             units := lengths_within(times_range(reach, limits))
         ):
             why = f"{name} reaches {reach:.4g}, its range in the model is {limits[0]:g} to {limits[1]:g} m"
@@ -264,20 +280,20 @@ def _lengths(out: Units, told: Sequence[Said], time: np.ndarray | None, seen: _S
 
 def _angles(
     out: Units,
-    told: Sequence[Said],
+    reported: Sequence[HeadingUnit],
     time: np.ndarray | None,
-    seen: _Seen,
+    observed: _Columns,
     lerobot: bool,
     unknown: bool,
 ) -> Units:
     """With the units of angles and of their speeds."""
-    gain = None if time is None else _gain(time, seen.q, seen.v)
-    angle = {one.scale for one in told if one.quantity == "angle" and one.fits}
+    gain = None if time is None else _gain(time, observed.q, observed.v)
+    angle = {one.scale for one in reported if one.quantity == "angle" and one.fits}
     speed = {
-        one.scale for one in told if one.quantity == "velocity" and one.fits and not one.slides
+        one.scale for one in reported if one.quantity == "velocity" and one.fits and not one.slides
     }
     if angle or speed:
-        return _by_headings(out, gain, angle, speed, seen)
+        return _by_headings(out, gain, angle, speed, observed)
     if gain is not None and _like(gain, DEGREE):
         return out | {
             "angle": ("deg", "speeds fit rad/s, angles are 57 times larger"),
@@ -287,11 +303,11 @@ def _angles(
         return out | {"velocity": ("deg/s", "speeds are 57 times the angles' slopes")}
     if gain is not None and _like(gain, 1 / RPM):
         return out | {"velocity": ("rpm", "speeds are 9.5 times the angles' slopes")}
-    return out | _by_size(time, seen, lerobot, unknown)
+    return out | _by_size(time, observed, lerobot, unknown)
 
 
 def _by_headings(
-    out: Units, gain: float | None, angle: set[float], speed: set[float], seen: _Seen
+    out: Units, gain: float | None, angle: set[float], speed: set[float], observed: _Columns
 ) -> Units:
     """What headings say of angles and speeds, with what follows for the others, and what
     contradicts them.
@@ -321,34 +337,33 @@ def _by_headings(
                 f"heading",
             )
         }
-    for joint, limits in seen.limits.items():
-        if joint in seen.q:
-            times = times_range(seen.reach(joint), limits)
+    for joint, limits in observed.limits.items():
+        if joint in observed.q:
+            times = times_range(observed.reach(joint), limits)
         else:
             times = 0.0
         if angle == {1.0} and times > HINT and times * DEGREE <= INSIDE and "angle" in out:
             unit, why = out["angle"]
-            far = f"{seen.name[joint]} reaches {seen.reach(joint):.4g}, its range in the model is {limits[0]:.3g} to {limits[1]:.3g}"
-            return out | {"angle": (unit, f"{why}, but {far} rad")}
+            return out | {"angle": (unit, f"{why}, but {observed.reaches(joint)} rad")}
     return out
 
 
-def _by_size(time: np.ndarray | None, seen: _Seen, lerobot: bool, unknown: bool) -> Units:
+def _by_size(time: np.ndarray | None, observed: _Columns, lerobot: bool, unknown: bool) -> Units:
     """Degrees, where something beside the size backs them; a question where the size is all there
     is. unknown: no model is known.
     """
     asked: Units = {}
-    for joint, q in seen.q.items():
-        reach = seen.reach(joint)
+    for joint, q in observed.q.items():
+        reach = observed.reach(joint)
         if reach <= LARGE:
             continue
-        limits = seen.limits.get(joint)
+        limits = observed.limits.get(joint)
         if (
             limits
             and times_range(reach, limits) > HINT
             and times_range(reach, limits) * DEGREE <= INSIDE
         ):
-            why = f"{seen.name[joint]} reaches {reach:.4g}, its range in the model is {limits[0]:.3g} to {limits[1]:.3g} rad"
+            why = f"{observed.reaches(joint)} rad"
             return {"angle": ("deg", why)}
         turns = f"angles reach {reach:.4g}; rad, if the joint turns {reach / (2 * np.pi):.2g} times"
         fast = (
@@ -356,7 +371,7 @@ def _by_size(time: np.ndarray | None, seen: _Seen, lerobot: bool, unknown: bool)
             and np.nanquantile(np.abs(np.gradient(q, time)), 0.99) > SWIFT
             and reach <= TURN
         )
-        if lerobot or (fast and (unknown or joint in seen.servos)):
+        if lerobot or (fast and (unknown or joint in observed.servos)):
             return {"angle": ("deg", turns)}
         asked = asked or {"angle": (Question("deg"), turns)}
     return asked
@@ -372,8 +387,12 @@ def _gain(time: np.ndarray, angles: dict, speeds: dict) -> float | None:
     for joint, v in speeds.items():
         q = angles.get(joint)
         if q is not None and np.isfinite(q).all() and np.isfinite(v).all() and len(q) > 20:
-            told = velocity_agreement(time, q, v)
-            gains += [told.gain] if told.enough and told.r2 > 0.9 and told.gain > 0 else []
+            reported = velocity_agreement(time, q, v)
+            gains += (
+                [reported.gain]
+                if reported.enough and reported.r2 > 0.9 and reported.gain > 0
+                else []
+            )
     if not gains or max(gains) > 1.2 * min(gains):
         return None
     return float(np.median(gains))

@@ -107,8 +107,9 @@ def test_a_gripper_has_a_scale_of_its_own(tmp_path, known):
     np.testing.assert_allclose(log.trials[0].u, np.column_stack([U, grip]), atol=1e-5)
     from adaptsim_jax.logs.guess import guess
     from adaptsim_jax.logs.lerobot import read_lerobot
+    from adaptsim_jax.logs.readers import Wanted
 
-    found = guess(read_lerobot(tmp_path / "set")[0].columns, model, lerobot=True)
+    found = guess(read_lerobot(tmp_path / "set", Wanted())[0].columns, model, lerobot=True)
     assert found.units["angle"][0] == "deg" and found.units["q_gripper"][0].known == known
 
 

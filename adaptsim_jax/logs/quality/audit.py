@@ -16,7 +16,7 @@ from adaptsim_jax.logs.quality.consistency import lattice_step
 from adaptsim_jax.logs.quality.findings import Audit, Finding
 from adaptsim_jax.logs.quality.signals import STILL, Signal
 
-LEAST_ROWS = 20
+MIN_ROWS = 20
 """Rows with an angle, below which nothing is said of a joint of a trial."""
 
 
@@ -71,12 +71,12 @@ def _signals(
 ) -> Iterator[Signal]:
     """The joints of a trial that have angles enough, where they were read."""
     spans = [np.ptp(q[np.isfinite(q)]) if np.isfinite(q).any() else 0.0 for q in trial.q.T]
-    told = trial.extra.get("tau_commanded")
+    reported = trial.extra.get("tau_commanded")
     for j, joint in enumerate(log.joint_names):
         rows = np.isfinite(trial.q[:, j])
         if trial.v is not None:
             rows &= np.isfinite(trial.v[:, j])
-        if rows.sum() < LEAST_ROWS:
+        if rows.sum() < MIN_ROWS:
             continue
         k = efforts.get(joint)
         yield Signal(
@@ -90,7 +90,9 @@ def _signals(
             trial.q[rows, j],
             None if trial.v is None else trial.v[rows, j],
             None if k is None else trial.u[rows, k],
-            None if told is None or not np.isfinite(told[:, j]).all() else told[rows, j],
+            None
+            if reported is None or not np.isfinite(reported[:, j]).all()
+            else reported[rows, j],
             trial.dt,
             log.meta.rig is not None or joint not in log.driven,
             max((s for i, s in enumerate(spans) if i != j), default=0.0),

@@ -97,7 +97,7 @@ FOLLOWS, NEAR_UNIT = 0.7, 0.4
 """Square of the correlation of angle and target from which on their sizes are compared; how far (in
 log) these may be from units'.
 """
-SPREAD, SURE, LEAST_TRIALS = 1.2, 8.0, 3
+SPREAD, SURE, MIN_TRIALS = 1.2, 8.0, 3
 """Ratio of gains between trials from which on they differ, in standard errors of their difference.
 """
 
@@ -272,7 +272,7 @@ def gains_by_trial(tracks: Sequence[Track], joint: int) -> np.ndarray | None:
     where trials do not differ in it, or where that cannot be told. Each trial has a gain of its
     own; what else acts is alike in all, or each trial's own where the whole of it is (a load).
     """
-    if len(tracks) < LEAST_TRIALS:
+    if len(tracks) < MIN_TRIALS:
         return None
     fits = [servo_gain([one(t, joint)]) for t in tracks]
     if any(fit is None for fit in fits):
@@ -283,11 +283,13 @@ def gains_by_trial(tracks: Sequence[Track], joint: int) -> np.ndarray | None:
     ):  # something else acts too, as a limit of force in the trials that reach it
         return None
     middle = float(np.median(gain))
-    apart = np.ptp(gain) / max(float(np.hypot(error[gain.argmax()], error[gain.argmin()])), 1e-12)
+    separate = np.ptp(gain) / max(
+        float(np.hypot(error[gain.argmax()], error[gain.argmin()])), 1e-12
+    )
     if (
         np.min(gain) <= 0
         or np.max(gain) / np.min(gain) < SPREAD
-        or apart < SURE
+        or separate < SURE
         or np.max(error / gain) > 0.1
     ):
         return None

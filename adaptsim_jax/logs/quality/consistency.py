@@ -156,7 +156,7 @@ def _refine(values: np.ndarray, guess: float) -> float:
     return 0.0
 
 
-LEAST_JITTER = 1e-3
+MIN_JITTER = 1e-3
 """Of an interval: a clock this even is even."""
 EVEN, SURE = 0.7, 10.0
 """Share of the stamps' unevenness that the angles must not follow for rows to count as even, and in
@@ -186,7 +186,7 @@ def jitter(trials: Sequence[tuple[np.ndarray, np.ndarray]]) -> Jitter | None:
     off = [time - e for (time, _), e in zip(trials, evens, strict=True)]
     step = float(np.median(np.concatenate([np.diff(time) for time, _ in trials])))
     size = float(np.std(np.concatenate(off)))
-    if size < LEAST_JITTER * step:
+    if size < MIN_JITTER * step:
         return None
     top = bottom = whole = 0.0
     count = 0

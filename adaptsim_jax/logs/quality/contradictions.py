@@ -14,7 +14,7 @@ import numpy as np
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.quality.findings import Finding
 from adaptsim_jax.logs.quality.hypotheses import (
-    LEAST,
+    MIN_BLOCKS,
     SHIFTS,
     Design,
     Hypothesis,
@@ -63,13 +63,13 @@ class Words:
 
 
 @dataclass(frozen=True)
-class Told:
-    """`left` of the torque's square as declared, `other` under the hypothesis; `says` what looks
+class Contradiction:
+    """`left` of the torque's square as declared, `other` under the hypothesis; `statement` what looks
     otherwise, `mend` what to write.
     """
 
     name: str
-    says: str
+    statement: str
     mend: str
     left: float
     other: float
@@ -95,7 +95,7 @@ def contradiction(
     more: Sequence[Hypothesis] = (),
     chain: Sequence[int] = (),
     zeros: Sequence[int] = (),
-) -> Told | None:
+) -> Contradiction | None:
     """The convention that the motion follows in place of the declared one; None where that does, or
     where none explains it.
 
@@ -104,7 +104,7 @@ def contradiction(
     turn off.
     """
     motion = motion_of(tracks)
-    if len(motion.q) < LEAST or not np.all(np.isfinite(motion.a)) or not _moves(motion):
+    if len(motion.q) < MIN_BLOCKS or not np.all(np.isfinite(motion.a)) or not _moves(motion):
         return None
     left = unexplained(motion, design)
     if left < HARDLY:
@@ -125,7 +125,7 @@ def contradiction(
         # inertias that are a little off look like lengths that are far off; but torques are then of
         # the right size
         return None
-    return Told(best[1].name, best[1].says, best[1].mend, left, best[0])
+    return Contradiction(best[1].name, best[1].says, best[1].mend, left, best[0])
 
 
 def _moves(motion: Motion) -> bool:
@@ -223,11 +223,14 @@ def hypotheses_of(
     for j, parent in enumerate(chain):
         if parent < 0:
             continue
-        said = f"{words.q[j]} looks absolute (measured from the world, not from the link before)"
+        stated = f"{words.q[j]} looks absolute (measured from the world, not from the link before)"
         mend = words.absolute(j, parent)
         out.append(
             Hypothesis(
-                "absolute_angle", said, mend, lambda m, j=j, parent=parent: _relative(m, j, parent)
+                "absolute_angle",
+                stated,
+                mend,
+                lambda m, j=j, parent=parent: _relative(m, j, parent),
             )
         )
     for j in zeros:
@@ -236,10 +239,10 @@ def hypotheses_of(
             (np.pi / 2, "a quarter turn"),
             (-np.pi / 2, "a quarter turn"),
         ):
-            said = f"{words.q[j]} looks to be zero {word} from where the model has its zero"
+            stated = f"{words.q[j]} looks to be zero {word} from where the model has its zero"
             own = np.where(np.arange(n) == j, turn, 0.0)
             mend = f"add {turn:.5g} rad to column {words.q[j]}"
-            out.append(Hypothesis("zero", said, mend, lambda m, own=own: replace(m, q=m.q + own)))
+            out.append(Hypothesis("zero", stated, mend, lambda m, own=own: replace(m, q=m.q + own)))
     out.append(
         Hypothesis(
             "gravity_missing",
@@ -253,7 +256,7 @@ def hypotheses_of(
     return out
 
 
-def _units(says: str, key: str, factors: Callable[[float], np.ndarray]) -> list[Hypothesis]:
+def _units(statement: str, key: str, factors: Callable[[float], np.ndarray]) -> list[Hypothesis]:
     """Angles in another unit than declared: `factors(factor)` `[n]` by which each joint's would
     have to be multiplied.
     """
@@ -261,7 +264,7 @@ def _units(says: str, key: str, factors: Callable[[float], np.ndarray]) -> list[
 
     def each(name, unit, factor, words):
         return Hypothesis(
-            name, f"{says} {words}", mend.format(unit), lambda m: _scaled(m, factors(factor))
+            name, f"{statement} {words}", mend.format(unit), lambda m: _scaled(m, factors(factor))
         )
 
     return [
@@ -304,7 +307,7 @@ def lateness(tracks: Sequence[Track], design: Design) -> Late | None:
     not, or where that cannot be told.
     """
     motion = motion_of(tracks)
-    if len(motion.q) < LEAST or not _moves(motion):
+    if len(motion.q) < MIN_BLOCKS or not _moves(motion):
         return None
     left = unexplained(motion, design)
     coarse = SHIFTS[::3]

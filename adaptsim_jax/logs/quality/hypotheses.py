@@ -20,7 +20,7 @@ SHARP = 0.01
 """s of a sharp block, which is no shorter than a row."""
 MOST = 1200
 """Blocks that are looked at, evenly drawn."""
-LEAST = 60
+MIN_BLOCKS = 60
 SHIFTS = np.arange(-60.0, 61.0, 1.0) * 1e-3
 """s by which the torque is moved."""
 

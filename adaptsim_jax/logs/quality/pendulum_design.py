@@ -88,19 +88,19 @@ def _alternatives(rig: Rig) -> list[Hypothesis]:
     out = []
     for factor, unit in FACTORS.items():
         right = f"{factor * l1:g}"
-        says = f"l1 = {l1:g} m is no length of this motion, {right} m is"
+        statement = f"l1 = {l1:g} m is no length of this motion, {right} m is"
         if unit:
-            says = f"{says} (was it given in {unit}?)"
+            statement = f"{statement} (was it given in {unit}?)"
         mend = f"write l1 = {right} under [geometry] in meta.toml, and l2 likewise"
-        out.append(Hypothesis("length", says, mend, design=design(factor * l1, g, down)))
+        out.append(Hypothesis("length", statement, mend, design=design(factor * l1, g, down)))
     if abs(g - GRAVITY) > 0.3 * GRAVITY:
-        says = f"g = {g:g} m/s^2 is not the gravity of this motion, {GRAVITY:g} is"
+        statement = f"g = {g:g} m/s^2 is not the gravity of this motion, {GRAVITY:g} is"
         mend = f"write g = {GRAVITY:g} under [geometry] in meta.toml"
-        out.append(Hypothesis("gravity", says, mend, design=design(l1, GRAVITY, down)))
+        out.append(Hypothesis("gravity", statement, mend, design=design(l1, GRAVITY, down)))
     other = "upright" if down > 0 else "hanging"
-    says = f"angles look to be zero when {other}"
+    statement = f"angles look to be zero when {other}"
     mend = f'write angle_zero = "{other}" in meta.toml'
-    out.append(Hypothesis("angle_zero", says, mend, design=design(l1, g, -down)))
+    out.append(Hypothesis("angle_zero", statement, mend, design=design(l1, g, -down)))
     return out
 
 
@@ -115,16 +115,16 @@ def check_conventions(log: Log) -> tuple[Finding, ...]:
     """What the motion says of the declared columns. Raises BadInput where it contradicts them, with
     what to write instead.
     """
-    told = _resting(log)
+    reported = _resting(log)
     if (found := of_rig(log)) is None:
-        return told
+        return reported
     more = _alternatives(log.meta.rig)
     if other := contradiction(*found, WORDS, more, chain=(-1, 0), zeros=(1,)):
         raise BadInput(f"{log.path}: {other.message}; {AS_DECLARED}")
     if (late := lateness(*found)) is None:
-        return told
+        return reported
     step = float(np.median([t.dt for t in log.trials]))
-    return told + late_finding(log.path, late, step, WORDS.tau)
+    return reported + late_finding(log.path, late, step, WORDS.tau)
 
 
 def _resting(log: Log) -> tuple[Finding, ...]:

@@ -18,9 +18,9 @@ PIECES = 4
 """Contiguous parts of a trial; every other one is fitted to while the rest judge."""
 WINDOW, STRIDE = 24, 6
 """Blocks of a window, and from one to the next."""
-LEAST_WINDOWS = 12
+MIN_WINDOWS = 12
 """Windows of a trial from which on it is judged."""
-LEAST_TRIALS = 3
+MIN_TRIALS = 3
 ROWS = 8 * MOST
 """Blocks of all trials that are looked at."""
 
@@ -62,14 +62,14 @@ def rows_of(tracks: Sequence[Track], design: Design) -> Rows | None:
     for t, part in enumerate(parts):
         *own, number = (z[:most] for z in part)
         count, mean = _windows(number)
-        if count < LEAST_WINDOWS or not all(np.all(np.isfinite(z)) for z in own):
+        if count < MIN_WINDOWS or not all(np.all(np.isfinite(z)) for z in own):
             continue
         motion.append(own)
         means.append(mean)
         trial.append(np.full(count, t))
         piece.append(np.arange(count) * PIECES // count)
         origin.append(np.full(len(number), t))
-    if len(motion) < LEAST_TRIALS:
+    if len(motion) < MIN_TRIALS:
         return None
     m = Motion(*(np.concatenate([part[k] for part in motion]) for k in range(4)))
     mean = sparse.csr_array(sparse.block_diag(means))
@@ -178,7 +178,7 @@ def jointly(
     trial's own motion does not fix.
     """
     p = rows.table.shape[2]
-    gram, right, kept = np.zeros((p, p)), np.zeros(p), []
+    gram, right, selected = np.zeros((p, p)), np.zeros(p), []
     if np.isinf(likely):
         doubt = 0.0
     else:
@@ -193,9 +193,9 @@ def jointly(
         both = np.linalg.solve(inner, c.T @ np.column_stack([a, b]))
         gram += a.T @ a - a.T @ c @ both[:, :-1]
         right += a.T @ b - a.T @ c @ both[:, -1]
-        kept.append(both)
+        selected.append(both)
     x = solved(gram, right)
-    return x, np.stack([both[:, -1] - both[:, :-1] @ x for both in kept])
+    return x, np.stack([both[:, -1] - both[:, :-1] @ x for both in selected])
 
 
 def least_squares(a: np.ndarray, b: np.ndarray) -> np.ndarray:

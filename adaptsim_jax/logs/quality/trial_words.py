@@ -74,13 +74,13 @@ def confirmed(differ: Differ, error: Mapping[str, Any]) -> Differ:
     own = _errors(error)
     usual = float(np.median(list(own.values()))) if own else 0.0
     spoilt = bool(floor) and usual > SPOILS * floor
-    odd = tuple(
+    outlier = tuple(
         o
         for o in differ.odd
         if own.get(o.trial, np.inf) > ODD * usual or (spoilt and o.times > SPOILS)
     )
     return Differ(
-        differ.names, differ.error, differ.kind, differ.size, differ.takes, differ.alike, odd
+        differ.names, differ.error, differ.kind, differ.size, differ.takes, differ.alike, outlier
     )
 
 
@@ -97,10 +97,10 @@ def headline(differ: Differ) -> str | None:
     """The end of a sentence; None where nothing differs."""
     if differ.kind and not differ.apart:
         return f"{_differs(differ.kind)} from trial to trial"
-    odd = sorted({*differ.apart, *(o.trial for o in differ.odd)})
-    if not odd:
+    outlier = sorted({*differ.apart, *(o.trial for o in differ.odd)})
+    if not outlier:
         return None
-    return f"{', '.join(odd[:6])} {'are' if len(odd) > 1 else 'is'} apart from the other trials"
+    return f"{', '.join(outlier[:6])} {'are' if len(outlier) > 1 else 'is'} apart from the other trials"
 
 
 def _differs(kind: str) -> str:
@@ -195,7 +195,7 @@ def _odd(o: Odd, channels: Channels) -> str:
 
 def _each(differ: Differ, i: int, error: Mapping[str, Any], channels: Channels) -> dict[str, Any]:
     name = differ.names[i]
-    odd = next((o for o in differ.odd if o.trial == name), None)
+    outlier = next((o for o in differ.odd if o.trial == name), None)
     size: Any = None
     if differ.kind and differ.size is not None and np.all(np.isfinite(differ.size[i])):
         if differ.kind == "load":
@@ -214,6 +214,6 @@ def _each(differ: Differ, i: int, error: Mapping[str, Any], channels: Channels) 
         "error": _errors(error).get(name),
         "unexplained_torque": unexplained,
         "size": size,
-        "odd": odd is not None or name in differ.apart,
-        "kind": odd.kind or None if odd else None,
+        "odd": outlier is not None or name in differ.apart,
+        "kind": outlier.kind or None if outlier else None,
     }

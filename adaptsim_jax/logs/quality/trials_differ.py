@@ -16,7 +16,7 @@ from scipy import stats
 
 from adaptsim_jax.logs.quality.hypotheses import Design, Track
 from adaptsim_jax.logs.quality.trial_windows import (
-    LEAST_TRIALS,
+    MIN_TRIALS,
     PIECES,
     Rows,
     fitted,
@@ -74,7 +74,7 @@ class Differ:
     spread, NaN where not judged; `kind`: what differs in all of them, empty for nothing; `size [T,
     S]` of it from the middle trial's (rad or m, N m, or a share of the torque that goes with it);
     `takes`: share of the unexplained torque's square that goes with it; `alike`: kinds that do
-    about as well; `odd`: trials apart from the rest.
+    about as well; `outlier`: trials apart from the rest.
     """
 
     names: tuple[str, ...]
@@ -95,10 +95,10 @@ class Differ:
         """Trials whose size is apart from those of the rest, where these are few."""
         if self.size is None:
             return ()
-        far = np.nanmax(np.abs(np.nan_to_num(self.size)), axis=1)
-        usual = float(np.median(far[np.isfinite(self.error)]))
-        few = far > np.maximum(TIMES * usual, 0.3 * far.max())
-        if 3 * few.sum() <= len(far):
+        distant = np.nanmax(np.abs(np.nan_to_num(self.size)), axis=1)
+        usual = float(np.median(distant[np.isfinite(self.error)]))
+        few = distant > np.maximum(TIMES * usual, 0.3 * distant.max())
+        if 3 * few.sum() <= len(distant):
             return tuple(n for n, x in zip(self.names, few, strict=True) if x)
         return ()
 
@@ -123,13 +123,15 @@ def trials_differ(names: Sequence[str], tracks: Sequence[Track], design: Design)
     whole[seen] = error
     apart = [int(t) for t in seen[_apart(error)]]
     rest = part_of(rows, np.flatnonzero(~np.isin(rows.trial, apart)))
-    if len(np.unique(rest.trial)) >= LEAST_TRIALS:
+    if len(np.unique(rest.trial)) >= MIN_TRIALS:
         common = _common(rest, len(names))
     else:
         common = ("", None, 0.0, ())
     usual = float(np.median(error))
-    odd = tuple(_reason(rows, rest, t, names[t], float(error[seen == t][0]) / usual) for t in apart)
-    return Differ(tuple(names), whole, *common, odd)
+    outlier = tuple(
+        _reason(rows, rest, t, names[t], float(error[seen == t][0]) / usual) for t in apart
+    )
+    return Differ(tuple(names), whole, *common, outlier)
 
 
 def _errors(rows: Rows, seen: np.ndarray) -> np.ndarray:
@@ -249,14 +251,14 @@ def _takes(rows: Rows, own: np.ndarray, shared: bool) -> float:
     """
     before = after = 0.0
     for half in (0, 1):
-        known, judged = part_of(rows, rows.half == half), part_of(rows, rows.half != half)
-        seen = np.intersect1d(known.trial, judged.trial)
+        known, tested = part_of(rows, rows.half == half), part_of(rows, rows.half != half)
+        seen = np.intersect1d(known.trial, tested.trial)
         x, mine = _numbers(known, own[rows.half == half], known.trial, seen, shared)
         more = np.einsum(
-            "kns,ks->kn", own[rows.half != half], mine[np.searchsorted(seen, judged.trial)]
+            "kns,ks->kn", own[rows.half != half], mine[np.searchsorted(seen, tested.trial)]
         )
-        after += float(np.sum((unexplained_of(judged, x) - more * rows.weight) ** 2))
-        before += float(np.sum(unexplained_of(judged, fitted(known)) ** 2))
+        after += float(np.sum((unexplained_of(tested, x) - more * rows.weight) ** 2))
+        before += float(np.sum(unexplained_of(tested, fitted(known)) ** 2))
     return 1.0 - after / max(before, 1e-300)
 
 

@@ -63,7 +63,7 @@ def without_turns(time: np.ndarray, q: np.ndarray) -> Turns:
     return Turns(out, int(np.count_nonzero(taken)), period, tuple(np.flatnonzero(unsure).tolist()))
 
 
-BESIDE = 0.25
+MIN_GAIN = 0.25
 """Share of the square of its distance from the angle that a target must lose by turns to be given
 them.
 """
@@ -84,7 +84,7 @@ def followed_turns(q: np.ndarray, target: np.ndarray) -> np.ndarray:
     first = np.maximum.accumulate(np.where(begins, np.arange(len(u)), 0))
     turns = np.round((angle - u) / TURN)[first]
     moved = u + TURN * turns
-    if not turns.any() or np.mean((moved - angle) ** 2) > BESIDE * np.mean((u - angle) ** 2):
+    if not turns.any() or np.mean((moved - angle) ** 2) > MIN_GAIN * np.mean((u - angle) ** 2):
         return target
     out = target.copy()
     out[here] = moved
