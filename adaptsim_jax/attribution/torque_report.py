@@ -16,7 +16,6 @@ from adaptsim_jax.attribution.sentences import place
 from adaptsim_jax.attribution.yardsticks import Measure, needed
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.schema import with_effects
-from adaptsim_jax.diagnosis.verdict import with_effects
 from adaptsim_jax.logs.noise import difference_noise
 
 MOST_ROWS = 1500  # of a curve of the page

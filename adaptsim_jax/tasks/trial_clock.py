@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.noise.differences import difference_noise
+from adaptsim_jax.logs.noise import difference_noise
 
 MOVED = 0.01
 """m from its first place at which a body counts as moving."""
