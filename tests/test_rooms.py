@@ -96,6 +96,7 @@ WITHIN = {
         "log",
         "table_checks",
         "noise",
+        "smoother",
         "quality",
         "clock",
         "table_clocks",
