@@ -12,7 +12,12 @@ import numpy as np
 
 from adaptsim_jax.attribution import model_toml
 from adaptsim_jax.attribution.choice import STRETCH
-from adaptsim_jax.attribution.conventions import channels, check_conventions, mechanism_trials
+from adaptsim_jax.attribution.conventions import (
+    channels,
+    check_conventions,
+    check_signals,
+    mechanism_trials,
+)
 from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.equation.commands import drive_gains
 from adaptsim_jax.attribution.equation.search import FACTOR
