@@ -30,7 +30,7 @@ METHODS = {
     "loop of starts": ("diagnosis/steps.py", r"rest = .*~good"),
     "pieces of trials": ("diagnosis/folds.py", r"in np\.array_split\(mine"),
     "noise by differences": (
-        "logs/noise/differences.py",
+        "logs/noise.py",
         r"np\.diff\([^()]+, (3|order)[,)]|0\.6745",
     ),
 }
