@@ -88,14 +88,15 @@ def ready(problem: Problem, vector: Vector, rows: np.ndarray | None = None) -> t
     out = []
     with jax.enable_x64(True):
         for group in problem.groups:
-            at = values_of(problem, group, vector)
-            if rows is None:
-                values = at
-            else:
-                values = values_of(problem, group, vector, rows)
-            values = values._replace(ease=ease(group, values))
+            at = values = _eased(group, values_of(problem, group, vector))
+            if rows is not None:
+                values = _eased(group, values_of(problem, group, vector, rows))
             out.append(Ready(group, at, values, scheme(group, at, values)))
     return tuple(out)
+
+
+def _eased(group: Group, values: Values) -> Values:
+    return values._replace(ease=ease(group, values))
 
 
 def ease(group: Group, values: Values) -> np.ndarray:
