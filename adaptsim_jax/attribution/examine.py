@@ -27,7 +27,7 @@ from adaptsim_jax.attribution.torque_report import (
     curves,
     held_missing,
     judged_by_torque,
-    quiet_notes,
+    unnamed_notes,
 )
 from adaptsim_jax.attribution.yardsticks import (
     STRETCHES,
@@ -157,9 +157,11 @@ def examine(
     if judge == TORQUE:
         found = selection(problem, words, declared, reach)
         keep(found)
-        if follows and not each:
-            words = confirmed(problem, words, found.final, criteria)
-            if words is not free:
+        if not follows or not each:
+            known = words
+            null_of = None if follows else declared
+            words = confirmed(problem, words, found.final, criteria, null_of)
+            if words is not known:
                 found = selection(problem, words, declared, reach)
         if follows and not many:
             found = _polished(problem, found, reach, criteria, say, bool(asked))
@@ -273,7 +275,7 @@ def report_of(
     report = reported(machine, problem, found, criteria, horizon)
     if e.judge == TORQUE and e.said is not None and not e.simulated:
         judged_by_torque(report, problem, e.said, e.before[TORQUE], e.after[TORQUE], criteria)
-        report["notes"] += [*quiet_notes(problem, e.said), *bound_notes(problem, e.said)]
+        report["notes"] += [*unnamed_notes(problem, e.said), *bound_notes(problem, e.said)]
     report["yardsticks"] = {
         "judge": e.judge,
         "why": e.why,

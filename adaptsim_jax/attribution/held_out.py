@@ -25,7 +25,7 @@ from adaptsim_jax.attribution.linear import (
 )
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.paths import residuals, run
-from adaptsim_jax.attribution.problem import Problem
+from adaptsim_jax.attribution.problem import Problem, moving
 from adaptsim_jax.attribution.score import Candidate, Score, shape_entries
 from adaptsim_jax.attribution.simulate import Path
 from adaptsim_jax.attribution.weights import WILD, Fit, Weights, losses
@@ -167,6 +167,13 @@ def held_error(problem: Problem, model: Model) -> np.ndarray:
 def over_floor(problem: Problem, model: Model) -> float:
     """The same over the noise floor, median."""
     return float(np.median(held_error(problem, model) / _noise(problem)))
+
+
+def most_over_floor(problem: Problem, error: np.ndarray) -> float:
+    """Held-out error [W, n] over the noise floor, median over stretches, at the joint that moves at
+    which it is most.
+    """
+    return float(np.max(np.median(error, 0) / _noise(problem), where=moving(problem), initial=0.0))
 
 
 def _noise(problem: Problem) -> np.ndarray:

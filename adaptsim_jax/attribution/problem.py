@@ -3,7 +3,7 @@ values of a parameter vector.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import jax
 import numpy as np
@@ -70,6 +70,8 @@ class Problem:
         int, ...
     ] = ()  # joints that are not as the model says in another way, where nothing is named
     excluded: frozenset[tuple[str, int]] = frozenset()  # effects and joints that no search asks for
+    # (effect, parameter) -> [n]: the most that leaves half of the torque
+    most: dict[tuple[str, str], np.ndarray] = field(default_factory=dict)
 
     @property
     def joints(self) -> int:
@@ -145,6 +147,7 @@ def prepare(
         bool(np.any(stretches.seen_v)),
         as_declared,
         noise(tracks),
+        most=passing(tracks, actuator, gear, ties),
     )
 
 
@@ -283,8 +286,8 @@ def _reach(
 ) -> Reach:
     torque, peak, speed, low, high = [], [], [], [], []
     for track in tracks:
-        q, v = local_motion(track.time, track.q, track.v)
-        u = drive_force(actuator, gear, ties, q, v, np.nan_to_num(track.u))
+        u, v = _driven(track, actuator, gear, ties)
+        q, _ = local_motion(track.time, track.q, track.v)
         torque.append(np.quantile(np.abs(u), 0.998, axis=0))
         peak.append(np.abs(u).max(0))
         speed.append(np.quantile(np.abs(v), 0.9, axis=0))
@@ -304,6 +307,49 @@ def _reach(
         dt,
         np.ones(len(torque)),
     )
+
+
+MOVES = 10.0  # times its noise, by which a joint that moves does
+
+
+def moving(problem: Problem) -> np.ndarray:
+    """Which joints [n] move in the log."""
+    span = problem.reach.q_high - problem.reach.q_low
+    return span > MOVES * problem.floor[: problem.joints]
+
+
+HALVED = 40  # times that a bound on what passes is bisected
+
+
+def passing(
+    tracks: Sequence[Track],
+    actuator: np.ndarray,
+    gear: np.ndarray,
+    ties: np.ndarray | None = None,
+) -> dict[tuple[str, str], np.ndarray]:
+    """How far a limit may cut and how wide a dead zone may be [n], so that half of the torque that
+    the log has at a joint still passes.
+
+    What cuts off nearly all rows makes both sides of a balance vanish, and would explain anything.
+    """
+    size = np.abs(np.concatenate([_driven(t, actuator, gear, ties)[0] for t in tracks]))
+    half, peak = 0.5 * size.mean(0), size.max(0)
+    low, high = np.zeros_like(peak), peak.copy()
+    least, widest = low.copy(), high.copy()
+    for _ in range(HALVED):
+        limit, zone = 0.5 * (least + high), 0.5 * (low + widest)
+        passes = np.minimum(size, limit).mean(0) > half
+        least, high = np.where(passes, least, limit), np.where(passes, limit, high)
+        passes = np.maximum(size - zone, 0.0).mean(0) > half
+        low, widest = np.where(passes, zone, low), np.where(passes, widest, zone)
+    cut = 1.0 - high / np.where(peak > 0.0, peak, 1.0)
+    return {("saturation", "cut"): cut, ("dead_zone", "width"): low}
+
+
+def _driven(track: Track, actuator: np.ndarray, gear: np.ndarray, ties: np.ndarray | None):
+    """Forces of the declared actuators [T, n] along a track, and its speeds [T, n]."""
+    q, v = local_motion(track.time, track.q, track.v)
+    return drive_force(actuator, gear, ties, q, v, np.nan_to_num(track.u)), v
 
 
 def scaled_reach(problem: Problem, inertia: np.ndarray, gravity: np.ndarray) -> Reach:

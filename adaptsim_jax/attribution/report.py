@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.attribution import inertias_told
-from adaptsim_jax.attribution.held_out import Model, astray, held_error, over_floor
+from adaptsim_jax.attribution.held_out import Model, astray, held_error, most_over_floor, over_floor
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import INERTIA, Entry
 from adaptsim_jax.attribution.power import power_rows
@@ -48,7 +48,8 @@ def reported(
     far = astray(problem, found.final, criteria, found.null)
     odd = _odd(problem, found, far, criteria)
     effects = [_effect(machine, problem, found, n) for n in named]
-    kind = verdict_of(effects, over > criteria.explained or bool(odd))
+    remains = most_over_floor(problem, after) > criteria.explained
+    kind = verdict_of(effects, remains or bool(odd))
     log = machine.log
     data = {
         "trials": len(machine.tracks),

@@ -5,6 +5,7 @@ for granted.
 import numpy as np
 
 from adaptsim_jax.attribution.equation.commands import STUCK
+from adaptsim_jax.attribution.held_out import most_over_floor
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, TILT
 from adaptsim_jax.attribution.problem import Problem
@@ -88,13 +89,14 @@ def _found(
 
     median = np.median(after, 0) / np.maximum(problem.floor[: problem.joints], 1e-12)
     worst = int(np.argmax(median))
-    if over > explained and problem.joints > 1:
+    remains = most_over_floor(problem, after) > explained
+    if remains and problem.joints > 1:
         many = f", most of it at {problem.joint_names[worst]}"
     else:
         many = ""
     if not found.named:
         told = f"{_model(problem, found)} simulates left-out stretches to {size(after)} {unit}, {over:.1f} times the noise floor"
-        if over <= explained:
+        if not remains:
             if odd:
                 return f"{told}."
             return f"{told}. Nothing need be added."

@@ -64,13 +64,8 @@ class Simulated(Evidence):
 
     @property
     def unresolved_shift(self) -> float | None:
-        """The largest of that effect, at any joint."""
-        vector = self.model.fit.vector
-        times = [
-            abs(z) / self.problem.reach.dt
-            for e, z in zip(vector.entries, vector.values, strict=True)
-            if e.owner == self.candidate.effect and e.unit == "s"
-        ]
+        """The largest at its own joints."""
+        times = [abs(z) / self.problem.reach.dt for e, z in self.own if e.unit == "s"]
         if not times or not self.effect.shifts_time:
             return None
         return max(times) if max(times) < self.criteria.least_shift else None

@@ -11,7 +11,7 @@ from adaptsim_jax.attribution.equation.balance import Balance, residual
 from adaptsim_jax.attribution.equation.models import Said
 from adaptsim_jax.attribution.equation.windows import GRID, SPAN
 from adaptsim_jax.attribution.parameters import INERTIA, Vector
-from adaptsim_jax.attribution.problem import Problem
+from adaptsim_jax.attribution.problem import Problem, moving
 from adaptsim_jax.attribution.sentences import place
 from adaptsim_jax.attribution.yardsticks import Measure, needed
 from adaptsim_jax.diagnosis.criteria import Criteria
@@ -59,10 +59,9 @@ def judged_by_torque(
     balances = [w.balance for w in found.witnesses]
     floor = floor_of(problem, balances)
     over = float(np.median(after.error / np.maximum(floor, 1e-12)))
-    worth = np.maximum(
-        floor, criteria.torque.worth * after.still
-    )  # below it nothing would be named
-    remains = float(np.median(after.error / np.maximum(worth, 1e-12))) > criteria.explained
+    # below a share of the torque nothing would be named
+    least = np.maximum(criteria.explained * floor, criteria.torque.worth * after.still)
+    remains = bool(np.any(moving(problem) & (after.error > np.maximum(least, 1e-12))))
     with_effects(report, report["effects"], remains)
     report["error"] = _error(problem, found, before, after, floor)
     report["remaining"] = {
@@ -160,18 +159,16 @@ def message(problem: Problem, found: Said, before: Measure, after: Measure) -> s
     )
 
 
-def quiet_notes(problem: Problem, found: Said) -> list[str]:
-    """What is fitted at like drives and not shown by itself at each."""
-    by: dict[str, list[str]] = {}
+def unnamed_notes(problem: Problem, found: Said) -> list[str]:
+    """What is fitted, since it predicts, and has no name, by effect and reason."""
+    by: dict[tuple[str, str], list[str]] = {}
     for w in found.witnesses:
-        for c in w.added:
-            if all(k.candidate is not c for k in w.kept):
-                by.setdefault(c.effect, []).append(place(problem, c))
+        for c, why in w.unnamed:
+            if c in w.added:
+                by.setdefault((c.effect, why), []).append(place(problem, c))
     return [
-        f"{name.replace('_', ' ')} at {', '.join(where)} is fitted, since like joints have it, "
-        "but could not be shown by itself in these data."
-        for name, where in by.items()
-        if name != "delay"
+        f"{name.replace('_', ' ')} at {', '.join(where)} is fitted and not named: {why}."
+        for (name, why), where in by.items()
     ]
 
 

@@ -20,7 +20,8 @@ from adaptsim_jax.attribution.equation.solve import Rows, Solved, compared
 from adaptsim_jax.attribution.equation.stays import (
     Balanced,
     at_bound,
-    only_read,
+    nameless,
+    read_so,
     steadiness,
 )
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, TILT, Vector
@@ -35,10 +36,15 @@ from adaptsim_jax.effects.base import Reach
 FACTOR = 3.0  # within which a body's mass and moments are taken to be those of the file
 
 
+AS_LOGGED = "loggers pair torques with angles as early or late as this"
+OF_LIKE_JOINTS = "like joints have it, but it could not be shown by itself in these data"
+
+
 @dataclass(frozen=True)
 class Witness:
     """What the balance of a group of joints says. null, final: vectors of its entries; added:
-    effects in it; kept: those that hold out by themselves; steps; rows, base and whole: the sums.
+    effects in it; kept: those that have a name; unnamed: those that have none, and why; steps; rows,
+    base and whole: the sums.
     """
 
     balance: Balance
@@ -47,6 +53,7 @@ class Witness:
     errors: np.ndarray
     added: tuple[Candidate, ...]
     kept: tuple[Named, ...]
+    unnamed: tuple[tuple[Candidate, str], ...]
     steps: tuple[Step, ...]
     rows: Rows
     base: Solved = field(repr=False)
@@ -78,15 +85,24 @@ def witness(
     asked = Counter(k.effect for c in added for k in c.split() if driven & set(k.joints))
     stay: list[Candidate] | None = None
     while stay is None or len(stay) < len(added):  # what stands beside one that goes is judged anew
-        added, quiet = _backward(state, added if stay is None else stay, steps, asked)
+        added, unnamed = _backward(state, added if stay is None else stay, steps, asked)
         while (simpler := _one_for_two(state, added, every, steps)) is not None:
-            added, quiet = _backward(state, simpler, steps, asked)
-        stay, final, errors = needed(state, added, [c for c in added if c not in quiet])
+            added, unnamed = _backward(state, simpler, steps, asked)
+        stay, final, errors = needed(state, added, [c for c in added if c not in unnamed])
         why = step_reason("shape_artefact")
         steps += [Step("dropped", c, None, why) for c in added if c not in stay]
     whole = state.set_of(added)
     kept = []
-    for c in (c for c in added if c not in quiet and not only_read(state, whole, c)):
+    for c in added:
+        if read_so(state, whole, c):
+            if not commanded:
+                unnamed[c] = AS_LOGGED
+            continue
+        if c in unnamed:
+            continue
+        if why := nameless(state, whole, c):
+            unnamed[c] = why
+            continue
         less = state.set_of([k for k in added if k is not c])
         test = compared(state.rows, less, whole, state.own(c))
         kept.append(
@@ -101,6 +117,7 @@ def witness(
         errors,
         tuple(added),
         tuple(kept),
+        tuple(unnamed.items()),
         tuple(steps),
         state.rows,
         base,
@@ -209,7 +226,7 @@ def _forward(state: Searched, added: list[Candidate], every, steps: list[Step]) 
     def shifts(c):
         return state.problem.effect(c.effect).shifts_commands
 
-    late = {j for c in added if shifts(c) and not only_read(state, now, c) for j in c.joints}
+    late = {j for c in added if shifts(c) and not read_so(state, now, c) for j in c.joints}
     free = [c for c in _open(state, added, every) if not shifts(c) or not late & set(c.joints)]
     for laws in (True, False):
         some = [c for c in free if state.problem.effect(c.effect).describes is not laws]
@@ -235,9 +252,9 @@ def _forward(state: Searched, added: list[Candidate], every, steps: list[Step]) 
 
 def _backward(
     state: Searched, added: Sequence[Candidate], steps: list[Step], asked: Mapping[str, int]
-) -> tuple[list[Candidate], list[Candidate]]:
+) -> tuple[list[Candidate], dict[Candidate, str]]:
     """Effects that do not hold out beside the others go, the weakest first; and which of those that
-    stay are not shown by themselves: what like drives have together, and takes something off here
+    stay are not shown by themselves, and why: what like drives have together, and takes something off here
     too, is fitted everywhere and named where it holds out alone. asked: of each effect at how many
     driven joints it was looked for.
     """
@@ -253,7 +270,7 @@ def _backward(
             )
             for c in added
         ]
-        failing, quiet = [], []
+        failing, unnamed = [], {}
         for c, test in tests:
             if state.problem.effect(c.effect).describes:
                 least = state.criteria.described
@@ -268,11 +285,11 @@ def _backward(
                 level = own.level
             if why := refusal(Balanced(state, whole, c, test, least, level)):
                 if likely and test.gain > 0.0 and len(like) > 1:
-                    quiet.append(c)
+                    unnamed[c] = OF_LIKE_JOINTS
                 else:
                     failing.append((test.gain, c, test, why))
         if not failing:
-            return added, quiet
+            return added, unnamed
         _, c, test, why = min(failing, key=lambda f: f[0])
         steps.append(Step("dropped", c, test, why))
         added = [k for k in added if k is not c]

@@ -55,7 +55,7 @@ class Balanced(Evidence):
     @property
     def read_so(self) -> bool:
         """Whether it is a shift that may be how rows are read."""
-        return only_read(self.state, self.whole, self.candidate)
+        return read_so(self.state, self.whole, self.candidate)
 
     @property
     def values(self) -> np.ndarray:
@@ -76,27 +76,56 @@ class Balanced(Evidence):
 
     @property
     def torque_share(self) -> tuple[float, float] | None:
-        """Root mean squares; what is read so is no name, however small."""
-        if self.read_so:
+        """Root mean squares. What predicts stays in the model of a machine that is driven by torque,
+        and has no name (`nameless`); of one that follows commands, whose command errors show
+        trifles that no motion does, it goes.
+        """
+        if self.read_so or not self.state.follows:
             return None
-        at = _numbers(self.whole, self.candidate)
-        force = self.whole.columns[..., at] @ self.whole.step[at]
-        size = np.sqrt(np.mean(np.square(force), 0))
-        share = float(np.max(size / np.maximum(self.state.torque, 1e-300)))
-        carried = self.state.follows and self.traits.at_parents
-        return share, self.state.limits.seen if carried else self.state.limits.worth
+        return share_of_torque(self.state, self.whole, self.candidate)
 
 
-def only_read(state: Searched, whole: Solved, c: Candidate) -> bool:
-    """A shift of all commands by less than a row, or of measured torques by as much as loggers pair
-    them with angles: how rows are read, and no effect.
+def share_of_torque(state: Searched, whole: Solved, c: Candidate) -> tuple[float, float]:
+    """Root mean square of an effect's torque over that of the joint at which it is most, and the
+    least of that by which it has a name.
     """
-    if not state.problem.effect(c.effect).shifts_commands:
+    at = _numbers(whole, c)
+    force = whole.columns[..., at] @ whole.step[at]
+    size = np.sqrt(np.mean(np.square(force), 0))
+    share = float(np.max(size / np.maximum(state.torque, 1e-300)))
+    carried = state.follows and state.problem.effect(c.effect).traits.at_parents
+    return share, state.limits.seen if carried else state.limits.worth
+
+
+def nameless(state: Searched, whole: Solved, c: Candidate) -> str:
+    """Why an effect that is in the model has no name; empty where it has one."""
+    if read_so(state, whole, c):
+        return ""  # how rows are read is told in words of its own, however small
+    share, least = share_of_torque(state, whole, c)
+    return f"it is {100 * share:.1f} % of the joint's torque" if share < least else ""
+
+
+def read_so(state: Searched, whole: Solved, c: Candidate) -> bool:
+    """Whether it is a shift of all commands by less than a row, or of measured torques by as much as
+    loggers pair them with angles: how rows are read, and no effect. A delay and a lag of the same
+    joints are one filter: their sum counts.
+    """
+    if not _shifts(state, c.effect):
         return False
-    value = float(whole.step[_numbers(whole, c)][0]) / state.reach.dt
+    value = sum(
+        z
+        for e, z in zip(whole.entries, whole.step, strict=True)
+        if set(e.joints) == set(c.joints) and _shifts(state, e.owner)
+    )
+    value = float(value) / state.reach.dt
     if not state.commanded:
         return abs(value) < state.limits.paired
     return -state.criteria.within_row < value < state.criteria.least_shift
+
+
+def _shifts(state: Searched, effect: str) -> bool:
+    problem = state.problem
+    return problem.offers(effect) and problem.effect(effect).shifts_commands
 
 
 def _numbers(whole: Solved, c: Candidate) -> list[int]:
