@@ -1,0 +1,119 @@
+"""What one objective names and another may refute, what leaves at least half of the torque, and what
+is fitted without a name: each rule on numbers made for it.
+"""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from adaptsim_jax.attribution.equation import confirmed
+from adaptsim_jax.attribution.equation.confirmed import harmed, telling
+from adaptsim_jax.attribution.equation.stays import nameless, read_so
+from adaptsim_jax.attribution.held_out import most_over_floor
+from adaptsim_jax.attribution.parameters import Entry
+from adaptsim_jax.attribution.problem import passing
+from adaptsim_jax.attribution.score import Candidate
+from adaptsim_jax.attribution.stays import _too_short
+from adaptsim_jax.attribution.stretches import Track
+from adaptsim_jax.diagnosis.criteria import Criteria
+
+TRIALS, EACH = 6, 10  # stretches of each
+DT = 0.01  # s
+
+
+def problem() -> Any:
+    """Three joints, noise of 1 mrad; the last stands still."""
+    trial = np.repeat(np.arange(TRIALS), EACH)
+    return SimpleNamespace(
+        joints=3,
+        fold=trial,
+        floor=np.full(6, 1e-3),
+        groups=(SimpleNamespace(stretches=SimpleNamespace(trial=trial)),),
+        reach=SimpleNamespace(q_low=np.zeros(3), q_high=np.array([1.0, 1.0, 1e-3]), dt=DT),
+        effect=lambda name: SimpleNamespace(shifts_time=True),
+    )
+
+
+def model(*errors: float) -> Any:
+    """One that leaves these errors [rad] by joint, a little more or less from stretch to stretch."""
+    wave = 1.0 + 0.1 * np.sin(np.arange(TRIALS * EACH))[:, None]
+    return SimpleNamespace(
+        held=SimpleNamespace(squared=np.square(np.hstack([errors, errors]) * wave))
+    )
+
+
+@pytest.fixture(autouse=True)
+def a_line_that_leaves_ten_mrad(monkeypatch):
+    both = 2 * (np.full((TRIALS * EACH, 3), 0.01),)
+    monkeypatch.setattr(confirmed, "without_a_model", lambda problem: both)
+
+
+def test_simulation_tells_something_near_its_noise_or_better_than_a_line():
+    assert telling(problem(), model(0.002, 0.008, 0.02), Criteria()) == [True, True, False]
+
+
+def test_a_joint_that_is_simulated_worse_with_a_name_has_a_veto_where_it_tells_anything():
+    null, less = model(0.005, 0.005, 0.05), model(0.004, 0.004, 0.04)
+
+    def worse(*errors):
+        return harmed(problem(), null, less, model(*errors), range(3), Criteria())
+
+    assert worse(0.006, 0.004, 0.08) == [0]  # a ruler that tells nothing has no say
+    assert worse(0.00406, 0.003, 0.04) == []  # right names leave up to 1.5 % more
+    assert harmed(problem(), null, less, model(0.006, 0.004, 0.04), [1], Criteria()) == []
+
+
+def test_half_of_the_torque_passes_a_limit_and_a_dead_zone():
+    time = np.arange(2000) * DT
+    torque = np.stack([3.0 * np.sin(time), 0.0 * time], 1)
+    law = np.array([[1.0] * 2, [0.0] * 2, [0.0] * 2, [0.0] * 2, [-np.inf] * 2, [np.inf] * 2])
+    most = passing([Track("a", time, 0.0 * torque, None, torque)], law, np.ones(2))
+    size = np.abs(torque[:, 0])
+    limit, zone = 3.0 * (1.0 - most["saturation", "cut"][0]), most["dead_zone", "width"][0]
+    assert np.minimum(size, limit).mean() == pytest.approx(0.5 * size.mean(), rel=1e-3)
+    assert np.maximum(size - zone, 0.0).mean() == pytest.approx(0.5 * size.mean(), rel=1e-3)
+    assert most["dead_zone", "width"][1] == 0.0  # of a joint that nothing drives
+
+
+def shift(effect: str, name: str, joint: int = 0) -> Candidate:
+    entry = Entry(effect, name, (joint,), 0.0, 0.0, -0.1, 0.1, "s")
+    return Candidate(effect, (joint,), "common", (entry,))
+
+
+def test_of_a_delay_and_a_lag_of_the_same_joints_the_sum_is_how_a_log_is_read():
+    delay, lag = shift("delay", "delay"), shift("actuator_lag", "lag")
+    state: Any = SimpleNamespace(
+        commanded=False,
+        follows=False,
+        reach=problem().reach,
+        limits=Criteria().torque,
+        torque=np.ones(1),
+        problem=SimpleNamespace(
+            offers=lambda name: True, effect=lambda name: SimpleNamespace(shifts_commands=True)
+        ),
+    )
+
+    def whole(*steps):
+        entries = tuple(e for c in (delay, lag) for e in c.entries)
+        columns = np.full((20, 1, 2), 0.1)
+        return SimpleNamespace(entries=entries, step=np.array(steps), columns=columns)
+
+    assert read_so(state, whole(-0.0185, 0.0117), delay)
+    assert read_so(state, whole(-0.0185, 0.0117), lag)
+    assert not read_so(state, whole(0.0117, 0.0117), lag)
+    assert "less than 3 %" in nameless(state, whole(0.02, 0.02), delay)
+
+
+def test_a_long_delay_at_one_joint_does_not_shield_a_short_one_at_another():
+    long, short = shift("delay", "delay", 0), shift("delay", "delay", 1)
+    vector = SimpleNamespace(entries=long.entries + short.entries, values=np.array([0.03, 0.001]))
+    found: Any = SimpleNamespace(fit=SimpleNamespace(vector=vector))
+    assert _too_short(problem(), found, short, Criteria())
+    assert not _too_short(problem(), found, long, Criteria())
+
+
+def test_what_is_left_is_left_at_the_worst_joint_that_moves():
+    error = np.tile([1e-3, 8e-3, 0.05], (TRIALS * EACH, 1))
+    assert most_over_floor(problem(), error) == pytest.approx(8.0)
