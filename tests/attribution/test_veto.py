@@ -15,7 +15,7 @@ from adaptsim_jax.attribution.held_out import most_over_floor
 from adaptsim_jax.attribution.parameters import Entry
 from adaptsim_jax.attribution.problem import passing
 from adaptsim_jax.attribution.score import Candidate
-from adaptsim_jax.attribution.stays import _too_short
+from adaptsim_jax.attribution.stays import Simulated
 from adaptsim_jax.attribution.stretches import Track
 from adaptsim_jax.diagnosis.criteria import Criteria
 
@@ -110,8 +110,12 @@ def test_a_long_delay_at_one_joint_does_not_shield_a_short_one_at_another():
     long, short = shift("delay", "delay", 0), shift("delay", "delay", 1)
     vector = SimpleNamespace(entries=long.entries + short.entries, values=np.array([0.03, 0.001]))
     found: Any = SimpleNamespace(fit=SimpleNamespace(vector=vector))
-    assert _too_short(problem(), found, short, Criteria())
-    assert not _too_short(problem(), found, long, Criteria())
+
+    def unresolved(c):
+        test: Any = None
+        return Simulated(problem(), found, found, c, test, 9.0, Criteria()).unresolved_shift
+
+    assert unresolved(short) == pytest.approx(0.1) and unresolved(long) is None
 
 
 def test_what_is_left_is_left_at_the_worst_joint_that_moves():
