@@ -24,7 +24,7 @@ from adaptsim_jax.attribution.weights import losses
 from adaptsim_jax.attribution.yardsticks import WORTH
 from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.diagnosis.criteria import Criteria
-from adaptsim_jax.diagnosis.folds import BLOCKS, blocks_of
+from adaptsim_jax.diagnosis.folds import BLOCKS, pieces
 from adaptsim_jax.diagnosis.testing import paired_test
 
 HARM = 0.1
@@ -139,7 +139,7 @@ def harmed(
     """
     tells = telling(problem, null, criteria)
     count = len(problem.fold)
-    block = blocks_of(problem.groups[0].stretches.trial[:count], BLOCKS)
+    block = pieces(problem.groups[0].stretches.trial[:count], BLOCKS)
     one, two = (np.square(held_error(problem, m)) for m in (less, more))
     out = []
     for j in joints:
