@@ -70,7 +70,7 @@ class Problem:
         int, ...
     ] = ()  # joints that are not as the model says in another way, where nothing is named
     excluded: frozenset[tuple[str, int]] = frozenset()  # effects and joints that no search asks for
-    # (effect, parameter) -> [n]: the most that leaves half of the torque
+    # (effect, parameter) -> lower and upper end [2, n] that leave half of the torque
     most: dict[tuple[str, str], np.ndarray] = field(default_factory=dict)
 
     @property
@@ -327,8 +327,8 @@ def passing(
     gear: np.ndarray,
     ties: np.ndarray | None = None,
 ) -> dict[tuple[str, str], np.ndarray]:
-    """How far a limit may cut and how wide a dead zone may be [n], so that half of the torque that
-    the log has at a joint still passes.
+    """Ends of ranges [2, n] of what an actuator does less, so that half of the torque that the log
+    has at a joint still passes.
 
     What cuts off nearly all rows makes both sides of a balance vanish, and would explain anything.
     """
@@ -343,7 +343,13 @@ def passing(
         passes = np.maximum(size - zone, 0.0).mean(0) > half
         low, widest = np.where(passes, zone, low), np.where(passes, widest, zone)
     cut = 1.0 - high / np.where(peak > 0.0, peak, 1.0)
-    return {("saturation", "cut"): cut, ("dead_zone", "width"): low}
+    least, half = np.full_like(cut, -np.inf), np.full_like(cut, 0.5)
+    return {
+        ("saturation", "cut"): np.stack([least, cut]),
+        ("dead_zone", "width"): np.stack([least, low]),
+        ("load_friction", "share"): np.stack([least, half]),
+        ("torque_gain", "gain"): np.stack([-half, -least]),
+    }
 
 
 def _driven(track: Track, actuator: np.ndarray, gear: np.ndarray, ties: np.ndarray | None):

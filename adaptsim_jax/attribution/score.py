@@ -88,8 +88,6 @@ def entries_of(
             start = off_value(problem, effect.name, p.name, j[0])
             low, high = min(e[0] for e in ends), max(e[1] for e in ends)
             low = 0.0 if p.sign > 0 else low
-            if (most := problem.most.get((effect.name, p.name))) is not None:
-                high = min(high, max(float(most[k]) for k in j))
             prior = p.prior * max(e[1] for e in ends) / p.high
             unit = unit_at(p.unit, problem.kinds[j[0]])
             out.append(
@@ -168,10 +166,7 @@ def candidates(problem: Problem, vector: Vector, reach: Reach) -> list[Candidate
         follows = np.array([np.any(g.actuator[2] != 0.0) for g in problem.groups]).any()
         if effect.traits.of_controller and not follows:
             continue
-        grids = [
-            (j, [z for z in effect.grid_points(reach, j) if _passes(problem, effect.name, z, j)])
-            for j in free
-        ]
+        grids = [(j, effect.grid_points(reach, j)) for j in free]
         if effect.place == "drive":
             rotors = [
                 j
@@ -202,12 +197,6 @@ def candidates(problem: Problem, vector: Vector, reach: Reach) -> list[Candidate
                     Candidate(effect.name, tuple(free), "common", make(free, True), _fixed(point))
                 )
     return out
-
-
-def _passes(problem: Problem, effect: str, point, joint: int) -> bool:
-    """Whether a grid point leaves half of the torque, where it is of an effect that takes some."""
-    most = {p: z for (name, p), z in problem.most.items() if name == effect}
-    return all(value <= most[p][joint] for p, value in point.items() if p in most)
 
 
 def _of_model(problem: Problem, name: str, taken: set[tuple[str, int]]) -> list[Candidate]:

@@ -73,7 +73,7 @@ def witness(
     commanded: the input is a command, which may be late at each joint, and no measured torque.
     """
     state = Searched(problem, balance, null, reach, criteria, commanded)
-    every = told_apart(state)
+    every = [z for c in told_apart(state) if (z := _within(problem, c)) is not None]
     steps: list[Step] = []
     added = likely_first(state, every, steps)
     while len(added) < 3 * balance.joints + criteria.most_effects:
@@ -142,6 +142,19 @@ def told_apart(state: Searched) -> list[Candidate]:
         and c.shaped().get("speed", np.inf) > slowest * max(speed[j] for j in c.joints)
         and (state.commanded or not (c.sharing == "joint" and effect(c.effect).place == "command"))
     ]
+
+
+def _within(problem: Problem, c: Candidate) -> Candidate | None:
+    """An effect in a range that leaves half of the torque; None where its shape does not."""
+    shape, entries = c.shaped(), []
+    for e in c.entries:
+        if (most := problem.most.get((c.effect, e.name))) is not None:
+            low, high = (z[list(e.joints)] for z in most)
+            if not low.min() <= shape.get(e.name, e.start) <= high.max():
+                return None
+            e = replace(e, low=max(e.low, float(low.min())), high=min(e.high, float(high.max())))
+        entries.append(e)
+    return replace(c, entries=tuple(entries))
 
 
 def refitted(problem: Problem, found: Witness, added: Sequence[Candidate]) -> Witness:

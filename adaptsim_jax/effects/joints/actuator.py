@@ -59,7 +59,7 @@ BEFORE = Parameter(
 TORQUE_GAIN = Effect(
     "torque_gain",
     "force",
-    (Parameter("gain", "1", -0.5, 2.0, 0.0, factor=True, mjcf="gain"),),
+    (Parameter("gain", "1", -0.9, 2.0, 0.0, factor=True, mjcf="gain"),),
     torque_gain,
     "the actuator's torque is off by a share",
     "driven motion beside free swings",

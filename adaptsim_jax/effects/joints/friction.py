@@ -127,7 +127,7 @@ PRESLIDING = Effect(
 LOAD_FRICTION = Effect(
     "load_friction",
     "force",
-    (Parameter("share", "1", 0.0, 0.5, 0.0, sign=1),),
+    (Parameter("share", "1", 0.0, 3.0, 0.0, sign=1),),
     load_friction,
     "dry friction that grows with the torque that the joint carries",
     "high and low torque at like speeds",
