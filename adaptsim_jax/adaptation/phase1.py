@@ -19,7 +19,7 @@ import numpy as np
 from adaptsim_jax.adaptation import reuse
 from adaptsim_jax.adaptation.episode import AdaptationEpisode, Guide, StepPlan, run_episode
 from adaptsim_jax.adaptation.phase1_config import Phase1Config, Phase1Hyper, check
-from adaptsim_jax.adaptation.reuse import Begun, Pool, run_reusing
+from adaptsim_jax.adaptation.reuse import BegunTrajectories, Pool, run_reusing
 from adaptsim_jax.learners import replay as ring
 from adaptsim_jax.learners.bdq import BDQ, BDQConfig, BDQState, make_bdq
 from adaptsim_jax.learners.replay import Transition
@@ -158,7 +158,7 @@ def _collect(key, task, phase, hyper, state: Phase1State, epsilon, over):
         target_key, start_key, run_key = jax.random.split(key, 3)
         target = draw_target(target_key, task, hyper.inside)
         start = gaussian(task.space, task.space.sample(start_key))
-        return Begun(run_key, start, task.init_policy(run_key), target)
+        return BegunTrajectories(run_key, start, task.init_policy(run_key), target)
 
     guide = Guide(config.guided, task.space) if config.guided else None
     plan = StepPlan(config.horizon, hyper.delta, hyper.shrink, hyper.obs_noise, guide)

@@ -205,7 +205,7 @@ class Reusing(NamedTuple):
     reused: jax.Array
 
 
-class Begun(NamedTuple):
+class BegunTrajectories(NamedTuple):
     """`P` trajectories before their first visit: keys, E, policies `[P, ...]` that are untrained
     (what a visit far from every anchor starts from), and targets `[P, D]` (physical).
     """
@@ -217,7 +217,7 @@ class Begun(NamedTuple):
 
 
 def run_reusing(
-    begun: Begun, task: Task, act: Any, pool: Pool, config: ReuseConfig, plan: StepPlan
+    begun: BegunTrajectories, task: Task, act: Any, pool: Pool, config: ReuseConfig, plan: StepPlan
 ) -> Reusing:
     """Adapt all trajectories to their targets with `act(key, obs) -> action [D]`, step by step."""
     references = jax.vmap(task.reference)(begun.targets)

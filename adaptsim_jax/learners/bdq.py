@@ -74,7 +74,7 @@ class BDQInfo(NamedTuple):
     grad_norm: jax.Array
 
 
-class Network(nn.Module):
+class BranchingNetwork(nn.Module):
     """`obs [..., obs_dim] -> Q [..., branches, bins]`."""
 
     config: BDQConfig
@@ -121,7 +121,7 @@ def make_bdq(config: BDQConfig) -> BDQ:
       ...]`
     """
     _check(config)
-    weights_of, q_values = flat(Network(config), config.obs_dim)
+    weights_of, q_values = flat(BranchingNetwork(config), config.obs_dim)
 
     def init(key):
         online = weights_of(key)

@@ -83,7 +83,7 @@ class Quadratic(NamedTuple):
         )
 
 
-class Network(nn.Module):
+class QuadraticNetwork(nn.Module):
     """`obs [..., obs_dim] -> Quadratic`."""
 
     config: NAFConfig
@@ -132,7 +132,7 @@ def make_naf(config: NAFConfig) -> NAF:
       ...]`, actions float
     """
     _check(config)
-    weights_of, quadratic = flat(Network(config), config.obs_dim)
+    weights_of, quadratic = flat(QuadraticNetwork(config), config.obs_dim)
 
     def fresh(weights):
         return NAFState(weights, optax.scale_by_adam().init(weights))

@@ -19,7 +19,7 @@ from adaptsim_jax.baselines.registry import STEPS
 from adaptsim_jax.baselines.steps_arena import StepsArena
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.environments import task as environment_tasks
+from adaptsim_jax.environments import policies
 from adaptsim_jax.environments.config import EnvironmentConfig
 from adaptsim_jax.environments.setting import setting_of
 from adaptsim_jax.environments.task import task_of
@@ -114,7 +114,7 @@ def test_a_policy_told_nothing_is_trained_with_the_luck_of_the_one_that_knows_e(
     setting, seen = setting_of(Cart(), EnvironmentConfig()), []
     bout = MethodRun(None, SimpleNamespace(setting=setting, targets=[None]), np.array([3]))  # type: ignore[arg-type]
     for where, train in (
-        (environment_tasks, lambda: task_of(setting).preparation.make(jax.random.key(3))),  # type: ignore[union-attr]
+        (policies, lambda: task_of(setting).preparation.make(jax.random.key(3))),  # type: ignore[union-attr]
         (steps_trained, lambda: steps_trained.udr(bout)),
     ):
         monkeypatch.setattr(where, "trained_in", begun)
