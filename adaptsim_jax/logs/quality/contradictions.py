@@ -84,7 +84,7 @@ class Contradiction:
         return (
             f"the columns contradict the declared model, which leaves {share(self.left)} of the "
             f"torque's square unexplained: "
-            f"{self.says} ({share(self.other)} is left then); {self.mend}"
+            f"{self.statement} ({share(self.other)} is left then); {self.mend}"
         )
 
 

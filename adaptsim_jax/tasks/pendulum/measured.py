@@ -108,7 +108,7 @@ def check_columns(columns: Mapping[str, np.ndarray], where: str) -> None:
     plain = design(1.0, GRAVITY, -1.0)
     if trials := contradiction([track], plain, WORDS, chain=(-1, 0), zeros=(1,)):
         raise BadInput(
-            f"{where}: the columns contradict a double pendulum: {trials.says}; mend the file (rad, "
+            f"{where}: the columns contradict a double pendulum: {trials.statement}; mend the file (rad, "
             f"N m, zero upright); {AS_DECLARED}"
         )
     motion = motion_of([track])
