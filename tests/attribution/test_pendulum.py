@@ -65,7 +65,14 @@ def test_on_a_real_rig_friction_holds_out_and_the_files_say_the_same(tmp_path):
         "model.xml",
     ):  # the second has a look-alike for what MJCF cannot hold
         assert held_out[mended]["median"] < 0.7 * held_out["declared.xml"]["median"]
-    if {e["name"] for e in report["effects"]} <= {"viscous", "coulomb", "armature", "spring", TILT, INERTIA}:
+    if {e["name"] for e in report["effects"]} <= {
+        "viscous",
+        "coulomb",
+        "armature",
+        "spring",
+        TILT,
+        INERTIA,
+    }:
         assert held_out["model.xml"]["median"] == pytest.approx(
             held_out["model.toml"]["median"], rel=0.05
         )
