@@ -9,14 +9,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.fit import Fit, completed, fitted, jacobian, settled
 from adaptsim_jax.diagnosis.problem import Candidate, Problem
-from adaptsim_jax.diagnosis.testing import Test, jackknife, paired_test
-
-LAGS = 40  # rows over which residuals are asked whether they hang together
+from adaptsim_jax.diagnosis.testing import Test, correlated_rows, jackknife, paired_test, score_f
 
 
 @dataclass(frozen=True)
@@ -94,21 +91,6 @@ def spread(model: Model) -> np.ndarray:
     return jackknife(np.unique(model.fit.vectors, axis=0))  # trials of one fold have the same
 
 
-def together(problem: Problem, residual: np.ndarray) -> float:
-    """Rows over which residuals hang together: the sum of their autocorrelation while it is above
-    the noise, at least 1.
-    """
-    r = residual.reshape(len(residual), -1, problem.channels)
-    power = float(np.square(r).sum())
-    total = 1.0
-    for lag in range(1, min(LAGS, r.shape[1] - 1)):
-        rho = float((r[:, lag:] * r[:, :-lag]).sum()) / max(power, 1e-12)
-        if rho < 0.05:
-            break
-        total += 2.0 * rho
-    return total
-
-
 def scored(problem: Problem, base: Model) -> list[Score]:
     """Every candidate that is not in the model, the best of its shapes, likeliest first."""
     remaining = [c for c in problem.effects if c not in base.added]
@@ -142,7 +124,7 @@ class _Left:
         self.gram = np.linalg.inv(self.inner.T @ self.inner + 1e-9 * np.eye(self.inner.shape[1]))
         self.rest = self.freed(fit.residual.reshape(-1))
         self.count = float(problem.counts.sum())
-        self.lasting = together(problem, fit.residual)
+        self.lasting = correlated_rows(problem.by_channel(fit.residual))
 
     def freed(self, z: np.ndarray) -> np.ndarray:
         """Less what the fitted quantities take up."""
@@ -155,9 +137,8 @@ class _Left:
         ridge = (1e-6 + 1e-9 * np.trace(square)) * np.eye(len(square))
         gain = float(slope @ np.linalg.solve(square + ridge, slope))
         k, free, loss = len(c.quantities), len(self.fit.free), self.fit.loss
-        rest = max(self.count / self.lasting - free - k, 2.0)
-        variance = self.lasting * max(loss - gain, 1e-9) / max(self.count - free - k, 1.0)
-        p = float(min(1.0, len(c.shapes) * stats.f.sf(gain / k / variance, k, rest)))
+        p = score_f(gain, loss, self.count, k, free, self.lasting)
+        p = min(1.0, len(c.shapes) * p)
         return Score(c, dict(shape), gain / max(loss, 1e-12), p)
 
     def columns_of(self, c: Candidate, shape: Mapping[str, float]) -> np.ndarray:

@@ -10,8 +10,9 @@ from scipy import stats
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Finding
 from adaptsim_jax.diagnosis.fit import jacobian
-from adaptsim_jax.diagnosis.models import begun_at, together
+from adaptsim_jax.diagnosis.models import begun_at
 from adaptsim_jax.diagnosis.problem import Candidate, Problem
+from adaptsim_jax.diagnosis.testing import correlated_rows
 
 
 def power_rows(problem: Problem, found: Finding, criteria: Criteria) -> list[dict[str, Any]]:
@@ -25,7 +26,7 @@ def power_rows(problem: Problem, found: Finding, criteria: Criteria) -> list[dic
     """
     model, fit = found.final, found.final.fit
     count = float(problem.counts.sum())
-    left = max(fit.loss / count, 1e-12) * together(problem, fit.residual)
+    left = max(fit.loss / count, 1e-12) * correlated_rows(problem.by_channel(fit.residual))
     level = stats.chi2.isf(criteria.alpha / max(len(problem.effects), 1), 1)
     out = []
     for e in problem.effects:

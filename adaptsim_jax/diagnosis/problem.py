@@ -99,5 +99,9 @@ class Problem:
         """Places of quantities by name."""
         return np.array([self.index[n] for n in names], int)
 
+    def by_channel(self, residual: np.ndarray) -> np.ndarray:
+        """Residuals `[T, R]` as rows of channels `[T, rows, C]`."""
+        return residual.reshape(len(residual), -1, self.channels)
+
     def effect(self, name: str) -> Candidate:
         return next(e for e in self.effects if e.name == name)

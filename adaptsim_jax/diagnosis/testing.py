@@ -12,6 +12,8 @@ from scipy import stats
 
 EXACT = 14  # parts up to which the sign-flip test takes all patterns of signs
 SIGNS = 10_000  # patterns of signs that are drawn for more parts
+LAGS = 40  # rows over which residuals are asked at most whether they hang together
+CORRELATED = 0.05  # autocorrelation below which they do not
 USUAL = 0.1
 """Share of the median loss that is added to each: a unit that hardly moved shows little, however
 much it gained.
@@ -144,6 +146,35 @@ def jackknife(values: np.ndarray) -> np.ndarray:
     """Standard errors [...] of what was fitted [F, ...] without each fold (Tukey, 1958)."""
     count = len(values)
     return np.sqrt((count - 1) / count * np.square(values - values.mean(0)).sum(0))
+
+
+def correlated_rows(residual: np.ndarray) -> float:
+    """Rows over which residuals [T, R, C] hang together: one and twice the sum of their
+    autocorrelation while it is above the noise.
+    """
+    power, total = float(np.square(residual).sum()), 1.0
+    for lag in range(1, min(LAGS, residual.shape[1] - 1)):
+        rho = float((residual[:, lag:] * residual[:, :-lag]).sum()) / max(power, 1e-12)
+        if rho < CORRELATED:
+            break
+        total += 2.0 * rho
+    return total
+
+
+def score_f(gain: float, loss: float, count: float, added: int, fitted: int, rows: float) -> float:
+    """p of an F test that what a step takes off is chance, where units are few.
+
+    Args:
+        gain: what the step takes off of the sum of squares.
+        loss: sum of squares before it.
+        count: of residuals.
+        added: numbers of the step.
+        fitted: numbers of the model before it.
+        rows: over which residuals hang together (`correlated_rows`).
+    """
+    rest = max(count / rows - fitted - added, 2.0)
+    variance = rows * max(loss - gain, 1e-9) / max(count - fitted - added, 1.0)
+    return float(stats.f.sf(gain / added / variance, added, rest))
 
 
 def score_p(slope: np.ndarray) -> float:
