@@ -84,7 +84,7 @@ def compared(
             report(0, 1)
             found[method].append(parts.of(f"{word}{method}", record))
             report(1, 1)
-    rows = [row for method in methods for row in comparison.rows(method, found)]
+    rows = [row for one in methods for row in comparison.rows(one, found)]
     return rows, comparison.about(found) | {"digest": parts.digest}
 
 

@@ -52,16 +52,16 @@ def search(
     opening = scores = scored(problem, model)
     trace: list[Step] = []
 
-    def so_far() -> Finding:
+    def so_far(null: Model, model: Model) -> Finding:
         return Finding(null, model, (), tuple(trace), tuple(opening))
 
-    keep(so_far())
+    keep(so_far(null, model))
     while len(model.added) < criteria.most_effects and not within_noise(problem, model, criteria):
         better = forward_step(problem, model, scores, criteria, trace, say)
         if better is None:
             break
         model, null = _refitted(problem, better, criteria), _updated(problem, null)
-        keep(so_far())
+        keep(so_far(null, model))
         scores = scored(problem, model)
     model, rows, bare = backward_elimination(problem, model, criteria, trace, say)
     # a declared fit reached by way of an effect may lie in a better minimum than the first

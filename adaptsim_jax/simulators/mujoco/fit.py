@@ -100,12 +100,12 @@ def fitted_values(made: Stepped, stretches: Stretches, fields: Sequence[Field]) 
         return bool(exact) or old.loss - new.loss < ENOUGH * off.size
 
     found = fit_values(point_of(values, starts, off), around, ROUNDS, done=done, stuck=stuck)
-    values, starts, off = found.point.state
+    values, starts, left = found.point.state
     lin = _linear(made, stretches, fields, values, starts, weight)
     spread = NINETY * _jackknife(lin, fields, values)
     low, high = (np.array([getattr(f, k) for f in fields]) for k in ("low", "high"))
     bounds = np.maximum(values - spread, low), np.minimum(values + spread, high)
-    return Fitted(tuple(fields), values, *bounds, before, _rms(off, weight), found.code)
+    return Fitted(tuple(fields), values, *bounds, before, _rms(left, weight), found.code)
 
 
 def _at(
