@@ -211,7 +211,10 @@ def diagnosis(peer_python: str) -> dict[str, Any]:
 
 def apart(part: str, given: dict[str, Any], peer_python: str, seconds: float) -> dict[str, Any]:
     """`measure` in a process of its own, at most for so long; what went wrong is the row's note."""
-    flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count={given.get('devices', 1)}"
+    flags = (
+        f"{os.environ.get('XLA_FLAGS', '')} "
+        f"--xla_force_host_platform_device_count={given.get('devices', 1)}"
+    )
     command = [
         sys.executable,
         __file__,

@@ -134,7 +134,10 @@ def effects() -> str:
     ]
     for task, (title, text) in OF.items():
         rows = [_effect(effect) for effect in listed(task)]
-        head = "| effect | what it is | parameters | shown by | taken for |\n| --- | --- | --- | --- | --- |\n"
+        head = (
+            "| effect | what it is | parameters | shown by | taken for |\n| --- | --- | --- | --- "
+            "| --- |\n"
+        )
         parts.append(f"## {title}\n\n{text}\n\n{head}" + "\n".join(rows))
     return "\n\n".join(parts) + "\n"
 

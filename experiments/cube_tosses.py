@@ -46,7 +46,7 @@ XML = """<mujoco>
     </body>
   </worldbody>
 </mujoco>
-"""
+"""  # noqa: E501
 
 
 def cube() -> str:

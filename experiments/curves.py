@@ -36,7 +36,7 @@ def against(
             label=look.label(method),
             **look.style(method),
         )
-    look.quiet(ax)
+    look.style_axes(ax)
     ax.set_ylim(bottom, 1.08)
     ax.set_xticks(places, ticks)
     ax.set_xlabel(xlabel, fontsize=9)
@@ -63,7 +63,7 @@ def reward_against_trials(
                 label=r["method"],
                 linewidth=1.7,
             )
-        look.quiet(ax)
+        look.style_axes(ax)
         ax.set_title(look.setting(setting), fontsize=9, color=look.INK)
         ax.set_ylim(bottom, 1.05)
         ax.set_xlabel("target rollouts", fontsize=8.5)

@@ -147,7 +147,8 @@ def main() -> None:
         found |= {"ppo_steps_per_second": steps / spent, "steps_seconds_return": rows}
         write_json(args.out / "result.json", found)
         print(
-            f"{steps:>12,} steps  {spent:7.1f} s  {steps / spent:.3g} steps/s  return {rows[-1][2]}",
+            f"{steps:>12,} steps  {spent:7.1f} s  {steps / spent:.3g} steps/s  return "
+            f"{rows[-1][2]}",
             flush=True,
         )
     found["return"] = evaluated(setting, trainer.learned(state), args.tests)

@@ -59,7 +59,7 @@ ZERO = dict.fromkeys(
 )
 
 
-def simulate(lanes, rate=500):
+def simulate(lanes, rate=500):  # noqa: PLR0915
     """Places m and yaw rad `[B, N, 3]` every `1 / rate` s of all lanes: dict of arrays `[B]` (mu,
     e, mu_p, y_p, speed, angle, and of `ZERO`).
     """

@@ -333,7 +333,7 @@ def show(out: Path) -> list[Path]:
                     label=look.label(method),
                     **look.style(method),
                 )
-        look.quiet(ax)
+        look.style_axes(ax)
         ax.set_title(task, fontsize=9)
         ax.set_xlabel("target trials")
     axes[0].set_ylim(max(lowest - 0.1, LEAST), 1.1)

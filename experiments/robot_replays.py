@@ -79,7 +79,10 @@ def main() -> None:
                 found.error if found.base is None else np.concatenate([found.error, found.base], 1)
             )
             within += choice.simulator == "mujoco" and float(np.median(error)) < 1e-6
-            line = f"{choice.simulator} ({choice.why}) median {np.median(error):.1e} largest {np.max(error):.1e}"
+            line = (
+                f"{choice.simulator} ({choice.why}) median {np.median(error):.1e} largest "
+                f"{np.max(error):.1e}"
+            )
         except BadInput as error:
             line = f"refused: {error}"
         print(f"{path.stem}: {line}, {time.monotonic() - began:.1f} s", flush=True)

@@ -91,7 +91,10 @@ def line(row: dict) -> str:
     least, most = row["interval"]
     sure = "" if least <= 0.0 <= most else " *"
     what = f"{row['quantity']}, {QUANTITIES[row['quantity']].text}"
-    numbers = f"{row['low']:.2f} | {row['high']:.2f} | {row['difference']:+.2f} | {least:+.2f} .. {most:+.2f}{sure}"
+    numbers = (
+        f"{row['low']:.2f} | {row['high']:.2f} | {row['difference']:+.2f} | {least:+.2f} .. "
+        f"{most:+.2f}{sure}"
+    )
     return f"| {row['shape']} | {what} | {numbers} |"
 
 

@@ -23,7 +23,10 @@ BLADE, NECK = ((-0.0501, 0.0002), (0.05, 0.0006)), ((-0.1083, 0.0048), (0.01, 0.
 COLUMNS, ACROSS, NECK_MU = (6, 8, 2, 4), 2, 0.15
 SHAPES = ("ellipsoid", "cylinder", "box")
 REPEATS = (5e-4, 2e-3, 1e-4)  # rad, rad/s, m: how well the arm repeats an action
-OWN = "speed_scale lift_scale pitch_offset distance_offset start_x start_y clearance tilt drag adhesion blade_friction".split()
+OWN = (
+    "speed_scale lift_scale pitch_offset distance_offset start_x start_y clearance tilt drag "
+    "adhesion blade_friction"
+).split()
 SEEN = "shift_x shift_y shift_z scale turn latency clock near foot_x foot_y".split()
 
 

@@ -21,14 +21,14 @@ from adaptsim_jax.attribution.diagnose import diagnose
 BELT = """<mujoco><worldbody><body name="carriage">
 <joint name="belt" type="slide" axis="1 0 0" damping="4" frictionloss="{rub}"/>
 <geom type="box" size=".05 .05 .03" mass="{mass}"/></body></worldbody>
-<actuator><position name="belt" joint="belt" kp="{kp}" kv="20" forcerange="-{limit} {limit}"/></actuator></mujoco>"""
+<actuator><position name="belt" joint="belt" kp="{kp}" kv="20" forcerange="-{limit} {limit}"/></actuator></mujoco>"""  # noqa: E501
 ARM = """<mujoco><worldbody><body name="upper"><joint name="shoulder" axis="0 1 0" damping=".05" armature=".02"/>
 <geom type="capsule" fromto="0 0 0 0 0 -.4" size=".03" mass="1.5"/><body name="fore" pos="0 0 -.4">
 <joint name="elbow" axis="0 1 0" damping=".03" armature=".01" frictionloss="{rub}" stiffness="{spring}"/>
 <geom type="capsule" fromto="0 0 0 0 0 -.35" size=".025" mass=".9"/><geom type="sphere" pos="0 0 -.35" size=".03" mass="{load}"/>
 </body></body></worldbody><actuator>
 <position name="shoulder" joint="shoulder" kp="60" kv="3" forcerange="-{limit} {limit}"/>
-<position name="elbow" joint="elbow" kp="{kp}" kv="1.5"/></actuator></mujoco>"""
+<position name="elbow" joint="elbow" kp="{kp}" kv="1.5"/></actuator></mujoco>"""  # noqa: E501
 HOBBY = """<mujoco><option integrator="implicitfast"/><worldbody><body name="turret" pos="0 0 .1">
 <joint name="pan" axis="0 0 1" damping=".1" armature=".01" frictionloss=".03"/><geom type="cylinder" size=".04 .03" mass=".3"/>
 <body name="upper" pos="0 0 .05"><joint name="lift" axis="0 1 0" damping=".1" armature=".01" frictionloss=".03"/>
@@ -40,7 +40,7 @@ HOBBY = """<mujoco><option integrator="implicitfast"/><worldbody><body name="tur
 </body></body></body></body></worldbody><actuator>
 <position name="pan" joint="pan" kp="20" kv=".6" forcerange="-3 3"/><position name="lift" joint="lift" kp="20" kv=".6"
 forcerange="-{limit} {limit}"/><position name="elbow" joint="elbow" kp="{kp}" kv=".6" forcerange="-3 3"/>
-<position name="wrist" joint="wrist" kp="15" kv=".4" forcerange="-3 3"/></actuator></mujoco>"""
+<position name="wrist" joint="wrist" kp="15" kv=".4" forcerange="-3 3"/></actuator></mujoco>"""  # noqa: E501
 
 
 @dataclass(frozen=True)

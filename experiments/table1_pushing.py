@@ -116,7 +116,7 @@ def oracle_of(out: Path, one, world, targets: np.ndarray, without: bool) -> np.n
     return np.load(kept)
 
 
-def main() -> None:
+def main() -> None:  # noqa: PLR0915
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -43,7 +43,10 @@ def main() -> None:
         cells = " | ".join(f"{r:.4f}" if r < 1e3 else f"{r:.0e}" for r in ratios)
         ends = ", ".join(f"{s:.6f}" for s in spread)
         lines.append(f"| {name} | {cells} | {ends} | {np.abs(result.policy).max():.0f} |")
-    text = f"{RESTARTS} restarts of BFGS each, at most 300 iterations, 512 Sobol points of Omega, double precision."
+    text = (
+        f"{RESTARTS} restarts of BFGS each, at most 300 iterations, 512 Sobol points of Omega, "
+        "double precision."
+    )
     write_page(args.out, "udr_bound", "UDR as the lower bound", [text, "\n".join(lines)], data)
 
 

@@ -121,7 +121,10 @@ def test_documents_import_what_there_is():
 
 def test_importing_the_package_loads_no_library():
     """Of what is slow to import: `import adaptsim_jax` takes 0.02 s so, and 1 s with JAX."""
-    code = "import adaptsim_jax, adaptsim_jax.diagnosis, sys; print([m for m in ('jax', 'numpy', 'scipy') if m in sys.modules])"
+    code = (
+        "import adaptsim_jax, adaptsim_jax.diagnosis, sys; print([m for m in ('jax', 'numpy', "
+        "'scipy') if m in sys.modules])"
+    )
     assert (
         subprocess.run(
             [sys.executable, "-c", code], capture_output=True, text=True, check=True

@@ -5,7 +5,8 @@ JAX.
 SUMMARIES = {
     "demo": "the tour: train, adapt, close the loop on sample data; a few minutes on two cores",
     "train": "Phase 1: learn how to adapt simulation parameters, in simulation",
-    "sweep": "many runs of Phase 1 and 2: hyper-parameters x seeds, on all devices or many machines",
+    "sweep": "many runs of Phase 1 and 2: hyper-parameters x seeds, on all devices or many "
+    "machines",
     "adapt": "Phase 2: adapt a trained run to a target",
     "compare": "methods x settings x seeds, as in Table 1 of the paper",
     "init": "a meta.toml for recordings of a mechanism, guesses marked as such",

@@ -15,7 +15,7 @@ EXAMPLES = """
   adaptsim adapt runs/p --target ood-2 --video     a run of the push: figures, and a film of its first and best policy
   adaptsim adapt runs/s --target ood-1 --video     the same of scooping
   adaptsim adapt runs/e --target dry --video       a run of an env.toml: returns, and a film of its first and best policy
-"""
+"""  # noqa: E501
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

@@ -121,7 +121,7 @@ def print_file(path: Path) -> None:
     print(path.read_text(encoding="utf-8"), end="")
 
 
-# ---------------------------------------------------------------- --horizon S: how long simulated stretches are
+# ---------------------------------------------------------------- lengths of stretches
 
 LONGEST = 1e4
 """s that no stretch reaches."""

@@ -13,7 +13,7 @@ EXAMPLES = """
   adaptsim completion bash > ~/.local/share/bash-completion/completions/adaptsim
   adaptsim completion zsh > ~/.zfunc/_adaptsim          with fpath+=~/.zfunc before compinit in ~/.zshrc
   adaptsim completion fish > ~/.config/fish/completions/adaptsim.fish
-"""
+"""  # noqa: E501
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

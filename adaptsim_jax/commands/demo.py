@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
         from adaptsim_jax.commands.demo_config import FULL, SHORT
         from adaptsim_jax.commands.demo_tour import demo
 
-        tour = demo(out, args.seed, report, FULL if args.full else SHORT, apart=cores() > 1)
+        tour = demo(out, args.seed, report, FULL if args.full else SHORT, two_processes=cores() > 1)
     _show(tour, out)
     return 0
 

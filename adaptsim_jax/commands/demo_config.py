@@ -106,7 +106,7 @@ def commands(out: Path, seed: int, config: DemoConfig) -> dict[str, str]:
     sizes = {"starts": config.starts, "iterations": config.iterations}
     asked = replace(default_comparison(TASK), train=config.train, sysid=config.sysid, **sizes)
     methods = ",".join(name.replace("_", "-") for name in ("adaptsim", *config.baselines))
-    told = {
+    lines = {
         "train": f"adaptsim train {TASK} --run {again('run')} --seed "
         f"{seed}{_changes(config.train, default_config(TASK), 'seed')}",
         "adapt": f"adaptsim adapt {again('run')} --target {TARGET} --seed {seed} "
@@ -121,13 +121,13 @@ def commands(out: Path, seed: int, config: DemoConfig) -> dict[str, str]:
     }
     for task, sized in (("pushing", config.push), ("scooping", config.scoop)):
         changed = _changes(sized.train(task, seed), default_config(task), "seed")
-        told[f"train_{task}"] = f"adaptsim train {task} --run {again(task)} --seed {seed}{changed}"
-        told[f"adapt_{task}"] = (
+        lines[f"train_{task}"] = f"adaptsim train {task} --run {again(task)} --seed {seed}{changed}"
+        lines[f"adapt_{task}"] = (
             f"adaptsim adapt {again(task)} --target {sized.target} --seed {seed} --starts "
             f"{sized.starts} "
             f"--iterations {sized.iterations} --video"
         )
-    return told
+    return lines
 
 
 def _changes(config: Any, default: Any, *but: str) -> str:

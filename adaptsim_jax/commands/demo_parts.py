@@ -55,14 +55,14 @@ class Pendulum(NamedTuple):
 
 
 def pendulum_part(
-    out: Path, seed: int, config: DemoConfig, say: Callable[[str], Report]
+    out: Path, seed: int, config: DemoConfig, report_of: Callable[[str], Report]
 ) -> Pendulum:
     """Everything that the tour shows of the pendulum; runs and the comparison lie in `out`."""
     adapted = [
-        _adapt(out, replace(config.train, seed=seed + i), config, i, say("pendulum"))
+        _adapt(out, replace(config.train, seed=seed + i), config, i, report_of("pendulum"))
         for i in range(config.seeds)
     ]
-    return Pendulum(adapted, *_compare(out, adapted, seed, config, say("baselines")))
+    return Pendulum(adapted, *_compare(out, adapted, seed, config, report_of("baselines")))
 
 
 def run_folder(path: Path, train: TrainConfig, task: str) -> RunFolder:

@@ -29,7 +29,7 @@ class Diagnosed(NamedTuple):
     held_out: list[dict[str, Any]]
 
 
-class Tour(NamedTuple):
+class DemoResult(NamedTuple):
     """What the tour found: adapted pendulum runs, their comparison (as results.json) and reward
     map, the push, the scoop, the diagnosis, where it was asked for the report on the second sample,
     and what to type for the same.
@@ -50,8 +50,8 @@ def demo(
     seed: int = 0,
     progress: Parts = silent_parts,
     config: DemoConfig = SHORT,
-    apart: bool = False,
-) -> Tour:
+    two_processes: bool = False,
+) -> DemoResult:
     """Run the tour into the folder `out`; returns what it found after writing `out/index.html`.
 
     apart: the push and the scoop in a process beside this one, for two cores. Raises BadInput where
@@ -60,7 +60,7 @@ def demo(
     from adaptsim_jax.report.demo_page import write_demo
 
     out = output_folder(out)
-    if apart:
+    if two_processes:
         with worker_process(contact_parts, out, seed, config, report=progress) as other:
             first = own_parts(out, seed, config, progress)
             push, scoop = other.result()
@@ -69,7 +69,7 @@ def demo(
         push, scoop = contact_parts(out, seed, config, progress)
     pendulum, diagnosis, double = first
     progress("page", 0, 1)
-    tour = Tour(*pendulum, push, scoop, diagnosis, double, commands(out, seed, config))
+    tour = DemoResult(*pendulum, push, scoop, diagnosis, double, commands(out, seed, config))
     write_demo(tour, out)
     progress("page", 1, 1)
     return tour
@@ -79,37 +79,39 @@ def own_parts(
     out: Path, seed: int, config: DemoConfig, progress: Parts
 ) -> tuple[Pendulum, Diagnosed, Any]:
     """The pendulum and what is diagnosed."""
-    say = _named(progress)
-    pendulum = pendulum_part(out, seed, config, say)
-    hinge = diagnosed(HINGE, out / "diagnosis", say("diagnosis"))
+    report_of = _named(progress)
+    pendulum = pendulum_part(out, seed, config, report_of)
+    hinge = diagnosed(HINGE, out / "diagnosis", report_of("diagnosis"))
     return (
         pendulum,
         hinge,
-        diagnosed(PENDULUM, out / "double", say("double")).report if config.double else None,
+        diagnosed(PENDULUM, out / "double", report_of("double")).report if config.double else None,
     )
 
 
 def diagnosed(data: Path, out: Path, report: Report) -> Diagnosed:
     """Diagnose a sample into the folder `out`."""
-    kept: dict[str, Any] = {}
+    shown: dict[str, Any] = {}
 
     def page(folder: Path, found: dict[str, Any], evidence: dict[str, Any]) -> None:
         write_diagnosis(folder, found, evidence)
-        kept.update(evidence)
+        shown.update(evidence)
 
     report(0, 1, "reading")
     found = diagnose(data, out=output_folder(out), progress=report, page=page)
     report(1, 1, f"verdict: {found['verdict'].replace('_', ' ')}")
-    return Diagnosed(found, list(kept.get("held_out") or [])[:1])
+    return Diagnosed(found, list(shown.get("held_out") or [])[:1])
 
 
 def contact_parts(
     out: Path, seed: int, config: DemoConfig, progress: Parts
 ) -> tuple[Before, Before]:
     """The push and the scoop."""
-    say = _named(progress)
-    push = contact_part(out, "push", "pushing", seed, config.push, config.films, say("push"))
-    scoop = contact_part(out, "scoop", "scooping", seed, config.scoop, config.films, say("scoop"))
+    report_of = _named(progress)
+    push = contact_part(out, "push", "pushing", seed, config.push, config.films, report_of("push"))
+    scoop = contact_part(
+        out, "scoop", "scooping", seed, config.scoop, config.films, report_of("scoop")
+    )
     return push, scoop
 
 

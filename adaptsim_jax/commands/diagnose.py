@@ -28,7 +28,7 @@ EXAMPLES = """
   adaptsim diagnose logs/walk --out out11 --simulator mujoco     a base that moves, contact: by MuJoCo itself
   adaptsim diagnose logs/tanks --out out12 --simulator tanks.py:of_folder       a simulator of your own
   adaptsim diagnose run.mcap --model robot.urdf --out out5                  a log by itself, and a better robot.xml back
-"""
+"""  # noqa: E501
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -92,7 +92,7 @@ def run(args: argparse.Namespace) -> int:
     from adaptsim_jax.core.progress import progress
 
     data = Path(args.data)
-    check_apart(data, Path(args.out))
+    check_folders(data, Path(args.out))
     if "jax" not in sys.modules:  # else a Python program called us, which may have compiled already
         process.small_steps()
     named = args.simulator not in (None, "tree", "mujoco")
@@ -108,10 +108,10 @@ def run(args: argparse.Namespace) -> int:
     judge = read(args, split_names(args.without))  # refused before anything is written
     with output(args.out) as out, progress("diagnose") as report:
         result = judge(out=out, exclude=tuple(args.exclude), progress=report)
-    return say(args, result, out, replays=task is None and not named)
+    return print_answer(args, result, out, replays=task is None and not named)
 
 
-def check_apart(data: Path, out: Path) -> None:
+def check_folders(data: Path, out: Path) -> None:
     """BadInput where the report would lie among the recordings, and be taken for one of them the
     next time.
     """
@@ -259,7 +259,7 @@ def mechanism(args: argparse.Namespace, without: list[str]) -> Judge:
     )
 
 
-def say(args: argparse.Namespace, result: dict[str, Any], out: Path, replays: bool) -> int:
+def print_answer(args: argparse.Namespace, result: dict[str, Any], out: Path, replays: bool) -> int:
     """The summary for a person and what to do next, or all of the report as JSON; replays: whether
     `replay` takes the model.
     """
@@ -289,8 +289,8 @@ def diagnose(data: str | Path | Log, **options: Any) -> dict[str, Any]:
     """Which effects recorded trials show that their declared model lacks.
 
     Args:
-        data: a folder with `meta.toml`, one log (with `model=`), or the log of a double pendulum that
-                was read.
+        data: a folder with `meta.toml`, one log (with `model=`), or the log of a double pendulum
+            that was read.
         options: `out` (folder for report, page and mended models), `model`, `exclude`, `without`,
             `effects`, `criteria`, `progress`, `as_declared`, as far as the data's task has them
             (`attribution.diagnose.diagnose`, `attribution.pendulum_diagnosis.diagnose_pendulum`).

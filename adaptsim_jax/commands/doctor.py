@@ -1,5 +1,5 @@
 """`adaptsim doctor`: each backend is tried with a computation whose answer is known, and what an
-adaptation trajectory of Phase 1 costs on this machine in each engine that a task can be simulated in.
+adaptation trajectory of Phase 1 costs on this machine in each engine of a task.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ EXAMPLES = """
   adaptsim doctor
   adaptsim doctor --json > doctor.json     for a report of a fault
   adaptsim doctor --costs                  and what a trajectory of Phase 1 costs here in each engine; some minutes
-"""
+"""  # noqa: E501
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
 PACKAGES = tuple("jax jaxlib flax optax numpy scipy mujoco mujoco-mjx matplotlib drake".split())
 
 _SCENE = """<mujoco><option timestep="0.002"/><worldbody><body><joint name="hinge" type="hinge" axis="0 1 0"/>
-<geom type="capsule" fromto="0 0 0 0 0 -1" size="0.05" mass="1"/></body></worldbody></mujoco>"""
+<geom type="capsule" fromto="0 0 0 0 0 -1" size="0.05" mass="1"/></body></worldbody></mujoco>"""  # noqa: E501
 
 
 def examine() -> dict[str, Any]:

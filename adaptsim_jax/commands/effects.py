@@ -11,13 +11,13 @@ from adaptsim_jax.effects.registry import ALSO, catalogue
 CATALOGUES = ("pendulum", *ALSO)
 LEGEND = """
 Formulas: q, v angle and velocity of the joint, t time; a force adds to the joint's torque.
-Amplitude: zero switches the effect off. Shape: how it acts. Torque scale: what the joint's torque exceeds 0.2 % of the time."""
+Amplitude: zero switches the effect off. Shape: how it acts. Torque scale: what the joint's torque exceeds 0.2 % of the time."""  # noqa: E501
 EXAMPLES = """
   adaptsim effects                           physics, parameters, bounds, look-alikes, what shows each
   adaptsim effects mechanism --brief         of any MJCF or URDF, a line for each; likewise pushing, scooping, toss
   adaptsim effects pendulum --name stribeck  one of them
   adaptsim effects --json                    for a program
-"""
+"""  # noqa: E501
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -90,21 +90,21 @@ def of_trials(effects: Any, quantities: Any) -> list[dict[str, Any]]:
 def describe(effect: Any) -> dict[str, Any]:
     """An effect of the catalogue as plain data; bounds are for a torque scale of 1 N m."""
 
-    def told(*names):
+    def table(*names):
         return {name: getattr(effect, name) for name in names}
 
     parameters = {"parameters": [_parameter(parameter) for parameter in effect.parameters]}
-    head = told("name", "place", "scope", "physics", "formula")
-    return head | parameters | told("look_alikes", "contains", "excitation", "smooth")
+    head = table("name", "place", "scope", "physics", "formula")
+    return head | parameters | table("look_alikes", "contains", "excitation", "smooth")
 
 
 def _parameter(parameter: Any) -> dict[str, Any]:
     sign = {1: "positive", -1: "negative", 0: "either"}[parameter.sign]
     sign = "positive" if parameter.low >= 0 else sign
     role = "shape" if parameter.off is None else "amplitude"
-    told = ("unit", "low", "high", "default", "off", "meaning")
+    table = ("unit", "low", "high", "default", "off", "meaning")
     return {"name": parameter.name, "role": role, "sign": sign} | {
-        name: getattr(parameter, name) for name in told
+        name: getattr(parameter, name) for name in table
     }
 
 

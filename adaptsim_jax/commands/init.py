@@ -12,7 +12,7 @@ EXAMPLES = """
   adaptsim init logs --model robot.xml                      writes logs/meta.toml
   adaptsim init run.mcap --model robot.urdf --out rig       writes rig/meta.toml, which names the bag
   adaptsim init run.mcap --out rig --command-topic /arm/commands
-"""
+"""  # noqa: E501
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
         args.data, args.out, args.model, {key: name for key, name in topics.items() if name}
     )
     if args.json:
-        print(json.dumps(_told(begun), indent=1))
+        print(json.dumps(_answer(begun), indent=1))
         return 0
     print(f"wrote {begun.path}")
     print(f"{len(_guesses(begun.text))} guesses in it: check each line marked 'guess'")
@@ -77,7 +77,7 @@ def _guesses(text: str) -> list[str]:
     return [line for line in text.splitlines()[1:] if "guess" in line]
 
 
-def _told(begun: Any) -> dict[str, Any]:
+def _answer(begun: Any) -> dict[str, Any]:
     """The file, its lines that are guesses, and the log as it reads (None, and what is to be
     mended, where it does not).
     """

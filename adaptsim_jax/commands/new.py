@@ -69,7 +69,7 @@ EXAMPLES = """
   adaptsim new engine late                   writes late.py, the pendulum in other physics
   adaptsim new environment hopper            writes hopper.toml, hopper.py and hopper.xml: fields, reward, MJCF
   adaptsim new baseline hill_climb           writes hill_climb.py, a row of `adaptsim compare`
-"""
+"""  # noqa: E501
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

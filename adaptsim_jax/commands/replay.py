@@ -17,7 +17,7 @@ EXAMPLES = """
   adaptsim replay robot.urdf run.mcap --out replay        with a figure of measured against simulated
   adaptsim replay robot.xml logs/robot --simulator mujoco    by MuJoCo itself, at the file's own step
   adaptsim replay robot.xml logs/robot --fit body:tool.mass 'geom:*foot*.friction[0]'    these numbers fitted by MuJoCo
-"""
+"""  # noqa: E501
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -77,19 +77,19 @@ def run(args: argparse.Namespace) -> int:
         args.yardstick, ("stretches", args.yardstick)
     )
     found = replay_files(args.model, args.data, args.horizon, asked, args.simulator)
-    told = {"model": args.model, "data": args.data, **found.told()}
+    answer = {"model": args.model, "data": args.data, **found.told()}
     if args.out is not None:
-        from adaptsim_jax.report.replay_figure import save
+        from adaptsim_jax.report.diagnosis_figures import save_replay
 
         folder = output_folder(args.out)
-        write_json(folder / "replay.json", told)
-        save(found, folder / "replay.png")
+        write_json(folder / "replay.json", answer)
+        save_replay(found, folder / "replay.png")
     if args.json:
-        print(json.dumps(told, indent=2))
+        print(json.dumps(answer, indent=2))
     else:
         from adaptsim_jax.commands.common import next_step
 
-        _print(told)
+        _print(answer)
         if (Path(args.model).parent / "report.json").exists():  # what `diagnose` wrote
             next_step(
                 f"replay {shlex.quote(args.model)} OTHER    over a recording that had no part in "
@@ -116,7 +116,7 @@ def _fit(args: argparse.Namespace) -> int:
         )
     source, log = read_source_and_log(args.data, args.model)
     found = fit(source, log, args.fit, args.horizon or 0.5)
-    told = {
+    answer = {
         "model": args.model,
         "data": args.data,
         "fitted": found.told(),
@@ -125,11 +125,11 @@ def _fit(args: argparse.Namespace) -> int:
         "code": found.code,
     }
     if args.out is not None:
-        write_json(output_folder(args.out) / "fitted.json", told)
+        write_json(output_folder(args.out) / "fitted.json", answer)
     if args.json:
-        print(json.dumps(told, indent=2))
+        print(json.dumps(answer, indent=2))
         return 0
-    for name, row in told["fitted"].items():
+    for name, row in answer["fitted"].items():
         print(
             f"{name} = {row['value']:.6g} [{row['low']:.6g}, {row['high']:.6g}] (file "
             f"{row['file']:.6g})"
@@ -141,7 +141,7 @@ def _fit(args: argparse.Namespace) -> int:
     return 0
 
 
-def _print(told: dict) -> None:
+def _print(answer: dict) -> None:
     from rich.box import HEAVY_HEAD
     from rich.console import Console
     from rich.table import Table
@@ -149,7 +149,7 @@ def _print(told: dict) -> None:
     from adaptsim_jax.report.diagnosis_format import quantity
 
     console = Console()
-    title = f"error over {told['horizon']:g} s, {told['stretches']} stretches"
+    title = f"error over {answer['horizon']:g} s, {answer['stretches']} stretches"
     # a program or a file gets columns without a frame
     if console.is_terminal:
         box = HEAVY_HEAD
@@ -180,21 +180,21 @@ def _print(told: dict) -> None:
             f"{100 * row['ran_away']:.0f} %",
         )
 
-    table.add_row("all", *size(told, told["unit"]))
-    for name, row in told["joints"].items():
+    table.add_row("all", *size(answer, answer["unit"]))
+    for name, row in answer["joints"].items():
         table.add_row(name, *size(row, row["unit"]))
-    for name, row in told["trials"].items():
-        table.add_row(f"trial {name}", *size(row, told["unit"]))
+    for name, row in answer["trials"].items():
+        table.add_row(f"trial {name}", *size(row, answer["unit"]))
     console.print(table)
-    for name, measure in told["yardsticks"].items():
+    for name, measure in answer["yardsticks"].items():
         if name != "stretches":
             console.print(_measured(name, measure, box))
-    if told["predicts_nothing"]:
+    if answer["predicts_nothing"]:
         print(
             "This model predicts nothing: by no yardstick does it do better than what needs no "
             "model."
         )
-    for note in told["notes"]:
+    for note in answer["notes"]:
         print(f"note: {note}")
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from adaptsim_jax import __version__
 from adaptsim_jax.commands import robot_session as sessions
-from adaptsim_jax.commands.robot_session import SESSION, UNDO, Session
+from adaptsim_jax.commands.robot_session import SESSION, UNDO, RobotSession
 
 EXAMPLES = """
   adaptsim robot new runs/a --dir robot          start from a trained run
@@ -25,7 +25,7 @@ upright], tau1, tau2 [N m], and v1, v2 [rad/s] where measured. Of the push: all 
 columns trial, time [s since the arm's start], x, y [m, arm's base frame] of the bottle. Of scooping likewise: trial, time, x, y of
 the piece [m, x along the spatula's way], and on, 1 where it lies on the spatula. Where the robot cannot finish a pendulum's
 policy, that has no return and its start is given up; pushes and scoops that failed are asked again.
-"""
+"""  # noqa: E501
 STEPS = ("new", "next", "record", "undo")
 
 
@@ -156,18 +156,22 @@ def new(args: argparse.Namespace) -> dict[str, Any]:
         return ask(args, session)
 
 
-def stands(session: Session) -> dict[str, Any]:
+def stands(session: RobotSession) -> dict[str, Any]:
     """How many turns are told, and what the last and the best of them returned."""
     import math
 
     state, history = sessions.load(session)
     best = float(state.best_score)
-    told = {"told": len(history), "of": session.loop.trials(state), "turn": session.kind.robot.turn}
+    reported = {
+        "told": len(history),
+        "of": session.loop.trials(state),
+        "turn": session.kind.robot.turn,
+    }
     last = history[-1]["score"] if history else None
-    return told | {"last_return": last, "best_return": best if math.isfinite(best) else None}
+    return reported | {"last_return": last, "best_return": best if math.isfinite(best) else None}
 
 
-def ask(args: argparse.Namespace, session: Session) -> dict[str, Any]:
+def ask(args: argparse.Namespace, session: RobotSession) -> dict[str, Any]:
     """Say and write what to run now; when all is told, the best policy."""
     import math
 
@@ -178,7 +182,8 @@ def ask(args: argparse.Namespace, session: Session) -> dict[str, Any]:
     done = len(history) >= total
     if done and not math.isfinite(state.best_score):
         print(
-            f"all {total} {session.kind.robot.turn}s are told, and none of them was finished: there is "
+            f"all {total} {session.kind.robot.turn}s are told, and none of them was finished: "
+            "there is "
             f"no best policy"
         )
         print(
@@ -207,14 +212,15 @@ def ask(args: argparse.Namespace, session: Session) -> dict[str, Any]:
     print(f"written: {path}")
     if done:
         print(
-            f"all {total} {session.kind.robot.turn}s are told; best return {float(state.best_score):.6g}"
+            f"all {total} {session.kind.robot.turn}s are told; best return "
+            f"{float(state.best_score):.6g}"
         )
     else:
         print(f"then: adaptsim robot record FILE --dir {args.dir}")
     return stands(session) | {"done": done, "params": params, "policy": str(path)}
 
 
-def record(args: argparse.Namespace, session: Session) -> None:
+def record(args: argparse.Namespace, session: RobotSession) -> None:
     """Take what was measured."""
     from adaptsim_jax.commands.adapt import number
     from adaptsim_jax.core.errors import BadInput
@@ -247,7 +253,7 @@ def record(args: argparse.Namespace, session: Session) -> None:
     session.kind.robot.comment(session, tried, state, trajectory, len(after) >= total)
 
 
-def failed(args: argparse.Namespace, session: Session) -> None:
+def failed(args: argparse.Namespace, session: RobotSession) -> None:
     """The robot could not finish: asked again, or without a return and its start given up, as the
     task says.
     """
@@ -277,7 +283,7 @@ def failed(args: argparse.Namespace, session: Session) -> None:
         print(f"{turn} {len(history) + 1} of {total} failed: no return{rest}")
 
 
-def undo(args: argparse.Namespace, session: Session) -> None:
+def undo(args: argparse.Namespace, session: RobotSession) -> None:
     """Take the last record back; the session is then as it was before it, to the same bits."""
     import shutil
 
@@ -304,7 +310,7 @@ def undo(args: argparse.Namespace, session: Session) -> None:
     print(f"taken back: {what}, of {session.kind.robot.turn} {len(earlier) + 1}")
 
 
-def _not_done(session: Session) -> tuple[Any, list[dict[str, Any]], int]:
+def _not_done(session: RobotSession) -> tuple[Any, list[dict[str, Any]], int]:
     """State, history and number of turns. BadInput where all are told."""
     from adaptsim_jax.core.errors import BadInput
 
@@ -316,7 +322,7 @@ def _not_done(session: Session) -> tuple[Any, list[dict[str, Any]], int]:
     return state, history, total
 
 
-def _tried(session: Session, state: Any, history: list[dict[str, Any]]) -> Any:
+def _tried(session: RobotSession, state: Any, history: list[dict[str, Any]]) -> Any:
     """The state with its policy as the coming turn makes its trials."""
     return state._replace(policy=session.kind.robot.tried(session, state.policy, history))
 

@@ -25,7 +25,7 @@ SPEC.toml, for instance:
   [grid]
   hyper.delta = [0.1, 0.15]
   hyper.learner.learning_rate = [3e-4, 1e-3]
-"""
+"""  # noqa: E501
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -197,7 +197,7 @@ def _folder(args: argparse.Namespace, sweep: Any, plan: Any, out: Path) -> Any:
 def _finish(folder: Any, as_json: bool) -> int:
     from adaptsim_jax.adaptation.sweep_folder import write_results
     from adaptsim_jax.commands.common import next_step, print_file
-    from adaptsim_jax.report.figures_sweep import draw
+    from adaptsim_jax.report.sweep_figures import draw
     from adaptsim_jax.report.sweep_page import write_sweep_page
 
     found = write_results(folder)

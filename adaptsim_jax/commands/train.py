@@ -18,7 +18,7 @@ EXAMPLES = """
   adaptsim train pendulum --run runs/d --model out/model.toml      on the model that `adaptsim diagnose` mended
   adaptsim train examples/env.toml --run runs/e                    an environment: Playground's, gymnax's, or your own
   adaptsim train pushing --run runs/m --model out/model.toml       likewise; adapt, compare and robot then go by it
-"""
+"""  # noqa: E501
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,13 +48,16 @@ def run(args: argparse.Namespace) -> int:
     from adaptsim_jax.commands.common import task_word
     from adaptsim_jax.core.files import one_writer
 
-    said, args.task = args.task, task_word(args)
+    text, args.task = args.task, task_word(args)
     from adaptsim_jax.adaptation.training import train_run
     from adaptsim_jax.core.progress import progress
 
-    args.resume_hint = f"continue with: adaptsim train {shlex.quote(said)} --run {shlex.quote(args.folder)} --resume"
+    args.resume_hint = (
+        f"continue with: adaptsim train {shlex.quote(text)} --run {shlex.quote(args.folder)} "
+        "--resume"
+    )
     folder = _folder(args)
-    with one_writer(folder.path), progress(f"train {said}") as report:
+    with one_writer(folder.path), progress(f"train {text}") as report:
         trained = train_run(config_of(folder.config, args), folder, report)
     settings = list(trained.phase1.task.settings)
     target = "ood-1" if "ood-1" in settings else settings[0]

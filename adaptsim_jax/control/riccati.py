@@ -29,7 +29,8 @@ Array = Any
 CONVERGED, INACCURATE, NOT_STABILISING, NOT_FINITE = 0, 1, 2, 3
 _MESSAGES = {
     CONVERGED: "converged: the residual is at rounding level",
-    INACCURATE: "inaccurate: the residual is above rounding level; the solution is usable with care",
+    INACCURATE: "inaccurate: the residual is above rounding level; the solution is usable with "
+    "care",
     NOT_STABILISING: "no stabilising solution found: is (A, B) stabilisable and (A, Q) detectable?",
     NOT_FINITE: "not finite: the input or an intermediate value is NaN or overflowed",
 }

@@ -73,7 +73,10 @@ class Worker:
                 kind, value = pipe.recv()
             except (EOFError, OSError):
                 self._process.join()
-                ended = f"a process of this command ended with code {self._process.exitcode}; run it again"
+                ended = (
+                    f"a process of this command ended with code {self._process.exitcode}; run it "
+                    "again"
+                )
                 self._answer.put((_FAILED, RuntimeError(ended)))
                 return
             if kind != _REPORTED:

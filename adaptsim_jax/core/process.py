@@ -19,7 +19,10 @@ from importlib import metadata
 from adaptsim_jax.core.errors import BadInput
 
 _forked_after_use = [False]
-_BRANCHES = "branches that are not taken may hold numbers that do not exist, and what ran away is told by its code"
+_BRANCHES = (
+    "branches that are not taken may hold numbers that do not exist, and what ran away is told by "
+    "its code"
+)
 PUT_OFF = {
     "JAX_ENABLE_X64": "adaptsim computes in single precision",
     "JAX_DEBUG_NANS": _BRANCHES,
@@ -66,12 +69,12 @@ def computing() -> list[str]:
                 "it off"
             )
         return []
-    told = []
+    lines = []
     for name, why in PUT_OFF.items():
         if os.environ.get(name, "").strip().lower() not in _OFF:
             os.environ[name] = "0"
-            told.append(f"{name} is set and is not heeded: {why}")
-    return told
+            lines.append(f"{name} is set and is not heeded: {why}")
+    return lines
 
 
 def legible_streams() -> None:

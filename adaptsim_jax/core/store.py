@@ -157,7 +157,7 @@ def check_version(path: Path, table: dict[str, Any]) -> None:
     """BadInput where a file of ours, which says `schema` and `version`, is of another minor
     version: within one it keeps its meaning.
     """
-    version = table.get("version", "0.1")
+    version = table.get("version", "0.1" if table.get("schema") == SCHEMA else None)
     same = isinstance(version, str) and version.split(".")[:2] == __version__.split(".")[:2]
     if table.get("schema") != SCHEMA or not same:
         raise BadInput(

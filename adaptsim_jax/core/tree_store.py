@@ -93,11 +93,12 @@ def _compare(wanted: list[tuple[Any, Any]], leaves: list[dict[str, Any]], where:
     except (TypeError, KeyError):
         raise BadInput(f"{where}: the list of arrays is damaged; start the run anew") from None
     if paths != [entry["path"] for entry in leaves]:
-        odd = [path for path in paths if path not in stored] + [
+        unmatched = [path for path in paths if path not in stored] + [
             path for path in stored if path not in paths
         ]
         raise BadInput(
-            f"{where}: holds other arrays than are needed (at {odd[:3]}); use the config it was "
+            f"{where}: holds other arrays than are needed (at {unmatched[:3]}); use the "
+            "config it was "
             f"made with"
         )
     for path, (_, leaf) in zip(paths, wanted, strict=True):

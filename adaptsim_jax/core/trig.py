@@ -63,10 +63,10 @@ def _series(x: jax.Array) -> tuple[jax.Array, jax.Array]:
     )  # beyond a million: wrong, but a sine
     square = rest * rest
     sin, cos = rest * _horner(square, SINE), _horner(square, COSINE)
-    odd = turns - 2.0 * jnp.floor(0.5 * turns) == 1.0
+    swapped = turns - 2.0 * jnp.floor(0.5 * turns) == 1.0
     back = turns - 4.0 * jnp.floor(0.25 * turns) >= 2.0
-    first, second = jnp.where(odd, cos, sin), jnp.where(odd, sin, cos)
-    return jnp.where(back, -first, first), jnp.where(back != odd, -second, second)
+    first, second = jnp.where(swapped, cos, sin), jnp.where(swapped, sin, cos)
+    return jnp.where(back, -first, first), jnp.where(back != swapped, -second, second)
 
 
 def _horner(x: jax.Array, terms: tuple[float, ...]) -> jax.Array:

@@ -86,8 +86,9 @@ class Parameter:
     An `optional` one may be left out of a `model.toml`: it is `default` there. `meaning`: what it
     is, where its name does not say. A `late` one a mended pendulum keeps at its default unless its
     file says otherwise. `prior`: standard deviation about none of it, scaled as the bounds are (of
-    mechanisms). `mjcf`: what of a joint (damping, frictionloss, armature, stiffness, preload), or of
-    its actuator (gain, kp, delay, lag, limit), a model file changes to hold it; empty where none.
+    mechanisms). `mjcf`: what of a joint (damping, frictionloss, armature, stiffness, preload), or
+    of its actuator (gain, kp, delay, lag, limit), a model file changes to hold it; empty where
+    none.
     `factor`: a share more (0: none), which people read as a factor (1: none).
     """
 

@@ -34,7 +34,7 @@ def shown(view: AdaptView) -> Look:
         ax.plot(range(len(row)), row, label=f"AdaptSim, start {start}", **mark)
     nominal = at_nominal(view.task, view.config)
     ax.axhline(nominal, color=look.INK, linestyle="--", linewidth=1.0, label=NOMINAL)
-    look.quiet(ax)
+    look.style_axes(ax)
     ax.xaxis.set_major_locator(MaxNLocator(6, integer=True))
     ax.set_xlabel("iteration")
     ax.set_ylabel(f"return in {view.target}")

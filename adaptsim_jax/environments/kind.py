@@ -12,11 +12,17 @@ from adaptsim_jax.tasks.base import Task, TaskKind
 TRAIN = {
     "every": 5,
     "phase1": {
-        "trajectories": 1000, "parallel": 50, "horizon": 10, "updates": 400, "capacity": 10000, "archive": 2000,
-        "hidden": [64, 64], "guided": 0.3,
+        "trajectories": 1000,
+        "parallel": 50,
+        "horizon": 10,
+        "updates": 400,
+        "capacity": 10000,
+        "archive": 2000,
+        "hidden": [64, 64],
+        "guided": 0.3,
     },
     "hyper": {"delta": 0.2, "shrink": 0.8, "gain": 2.0},
-}  # fmt: skip
+}
 
 
 def make_environment(config: EnvironmentConfig) -> Task:

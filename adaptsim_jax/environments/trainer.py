@@ -126,7 +126,9 @@ class TrainerInfo(NamedTuple):
     kl: jax.Array
 
 
-def make_ppo_trainer(play: Play, space: Space, config: PPOTraining, obs_dim: int) -> Trainer:
+def make_ppo_trainer(  # noqa: PLR0915  (a factory: its inner functions are short)
+    play: Play, space: Space, config: PPOTraining, obs_dim: int
+) -> Trainer:
     """PPO in the worlds of `play`, whose first fields are those of `space` (Omega), the rest after
     them.
     """

@@ -53,6 +53,25 @@ def joint_names(model: mujoco.MjModel) -> tuple[str, ...]:
     return tuple(out)
 
 
+def _check_names(
+    hold: Mapping[str, float | None], names: tuple[str, ...], path, where: str
+) -> None:
+    for name in hold:
+        if name not in names:
+            raise BadInput(
+                f"{where}: [hold] names {name!r}, which {path} has not; {suggest(name, names)}"
+            )
+
+
+def _asked(hold, name: str, leads, at: np.ndarray) -> np.ndarray:
+    """Where a joint is held that was asked to be, or whose leader was."""
+    if leads is None or name in hold:
+        given = hold.get(name)
+        return at if given is None else np.array([given])
+    given = hold[leads.leader]
+    return at if given is None else np.array([leads.offset + leads.factor * given])
+
+
 def roles(
     source: Source,
     hold: Mapping[str, float | None],
@@ -67,12 +86,7 @@ def roles(
     """
     model = source.model
     names = joint_names(model)
-    for name in hold:
-        if name not in names:
-            raise BadInput(
-                f"{where}: [hold] names {name!r}, which {source.path} has not; "
-                f"{suggest(name, names)}"
-            )
+    _check_names(hold, names, source.path, where)
     hold = dict(_fixed(model)) | dict(hold)
     have = [n for n in names if n not in hold and (logged is None or n in logged)]
     pose, pose_name = pose_of(model)
@@ -91,19 +105,7 @@ def roles(
             held[name] = at
             told["looped"].append(name)
         elif name in hold or (leads and leads.leader in hold):
-            if leads is None or name in hold:
-                given = hold.get(name)
-            else:
-                given = hold[leads.leader]
-            if given is not None:
-                at = np.array(
-                    [
-                        given
-                        if leads is None or name in hold
-                        else leads.offset + leads.factor * given
-                    ]
-                )
-            held[name] = at
+            at = held[name] = _asked(hold, name, leads, at)
             told["asked"].append(f"{name} = {at[0]:.4g}")
         elif kind == BALL:
             if not all(f"{name}_{axis}" in have for axis in TURNS):
@@ -118,10 +120,7 @@ def roles(
             told["looped"].append(name)
     followers = {n: f for n, f in followers.items() if f.leader not in held and n not in held}
     if len(held) + len(followers) >= model.njnt:
-        if loops:
-            what = "every joint is in a loop that closes"
-        else:
-            what = "every joint is held"
+        what = "every joint is in a loop that closes" if loops else "every joint is held"
         raise BadInput(
             f"{source.path}: {what}, so that nothing of a tree moves; take --simulator mujoco, or "
             f"log a joint that does"

@@ -149,6 +149,29 @@ def read_actuators(
     return tuple(out), tuple(idle)
 
 
+def _kind(gain: float, offset: float, kp: float, kv: float) -> str:
+    """What MJCF calls an actuator with this affine law."""
+    if offset == 0 and kp == 0 and kv == 0:
+        return "motor"
+    if offset == 0 and kp == gain:
+        return "position"
+    if offset == 0 and kp == 0 and kv == gain:
+        return "velocity"
+    return "general"
+
+
+def _motor_law(model: mujoco.MjModel, k: int, shared: dict[str, Any]) -> tuple[Actuator, str]:
+    """The law of a DC motor; see `_law`."""
+    gain, bias, dyn = model.actuator_gainprm[k], model.actuator_biasprm[k], model.actuator_dynprm[k]
+    why = ""
+    if np.any(gain[2:]) or np.any(bias) or np.any(dyn):
+        why = f"is a dcmotor with more than motorconst and resistance ({_dcmotor(model, k)})"
+    if not gain[0] > 0:
+        return Actuator("", 0, "dcmotor", **shared), why
+    law = {"gain": gain[1] / gain[0], "kv": gain[1] ** 2 / gain[0]}
+    return Actuator("", 0, "dcmotor", **law, **shared), why
+
+
 def _law(model: mujoco.MjModel, k: int) -> tuple[Actuator, str]:
     """The law of an actuator without where it acts, and what of it a tree has not ('' where it has
     all).
@@ -173,16 +196,7 @@ def _law(model: mujoco.MjModel, k: int) -> tuple[Actuator, str]:
         "delay": float(model.actuator_delay[k]),
     }
     if gaintype == int(mujoco.mjtGain.mjGAIN_DCMOTOR):
-        more = bool(np.any(gain[2:]) or np.any(bias) or np.any(dyn))
-        if more:
-            why = f"is a dcmotor with more than motorconst and resistance ({_dcmotor(model, k)})"
-        else:
-            why = ""
-        if not gain[0] > 0:
-            return Actuator("", 0, "dcmotor", **shared), why
-        return Actuator(
-            "", 0, "dcmotor", gain=gain[1] / gain[0], kv=gain[1] ** 2 / gain[0], **shared
-        ), why
+        return _motor_law(model, k, shared)
     why = ["is a plugin's"] if model.actuator_plugin[k] >= 0 else []
     lagged = dyntype in (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
     if not lagged and dyntype != int(mujoco.mjtDyn.mjDYN_NONE):
@@ -196,15 +210,7 @@ def _law(model: mujoco.MjModel, k: int) -> tuple[Actuator, str]:
         offset, kp, kv = (float(bias[0]), float(-bias[1]), float(-bias[2]))
     else:
         offset, kp, kv = (0.0, 0.0, 0.0)
-    plain = offset == 0
-    if plain and kp == 0 and kv == 0:
-        kind = "motor"
-    elif plain and kp == gain[0]:
-        kind = "position"
-    elif plain and kp == 0 and kv == gain[0]:
-        kind = "velocity"
-    else:
-        kind = "general"
+    kind = _kind(gain[0], offset, kp, kv)
     lag = float(dyn[0]) if lagged else 0.0
     return Actuator(
         "", 0, kind, gain=float(gain[0]), offset=offset, kp=kp, kv=kv, lag=lag, **shared

@@ -3,6 +3,7 @@ need.
 """
 
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -161,6 +162,40 @@ def _check_joint(where: str, joint: Any, links: dict[str, Any]) -> None:
             )
 
 
+def _carrying(weighed: set[str], above: Callable[[str], str | None], most: int) -> set[str]:
+    """Bodies that weigh something, and those that carry one of them."""
+    carries = set()
+    for own in weighed:
+        link: str | None = own
+        for _ in range(most):
+            if link is None:
+                break
+            carries.add(link)
+            link = above(link)
+    return carries
+
+
+def _bodies(
+    where: str, links: dict[str, Any], head: Callable[[str], str | None]
+) -> dict[str, list[str]]:
+    """Links by the one that moves them; those that stand still lose their inertia."""
+    bodies: dict[str, list[str]] = {}
+    for name, link in links.items():
+        own = head(name)
+        if own is not None:
+            bodies.setdefault(own, []).append(name)
+            continue
+        for inertial in link.findall("inertial"):
+            link.remove(inertial)
+    for name in (n for names in bodies.values() for n in names):
+        if _mass(links[name]) < 0.0:
+            raise BadInput(
+                f"{where}: link '{name}' has a negative mass ({_mass(links[name]):g}); mend its "
+                f"sign"
+            )
+    return bodies
+
+
 def _inertias(
     where: str, links: dict[str, Any], joints: list, compiler: dict, notes: list[str]
 ) -> tuple[str, ...]:
@@ -184,29 +219,9 @@ def _inertias(
             link = up
         return None
 
-    for name, link in links.items():
-        if head(name) is None:
-            for inertial in link.findall("inertial"):
-                link.remove(inertial)
-    bodies: dict[str, list[str]] = {}
-    for name in links:
-        if (own := head(name)) is not None:
-            bodies.setdefault(own, []).append(name)
-    if negative := [n for names in bodies.values() for n in names if _mass(links[n]) < 0.0]:
-        raise BadInput(
-            f"{where}: link '{negative[0]}' has a negative mass ({_mass(links[negative[0]]):g}); "
-            f"mend its sign"
-        )
+    bodies = _bodies(where, links, head)
     weighed = {own for own, names in bodies.items() if any(_mass(links[n]) > 0 for n in names)}
-    carries = set()
-    for own in weighed:
-        link = own
-        for _ in range(len(links)):
-            carries.add(link)
-            up = head(parent[link][0])
-            if up is None:
-                break
-            link = up
+    carries = _carrying(weighed, lambda link: head(parent[link][0]), len(links))
     if bare := [own for own in bodies if own not in carries]:
         raise BadInput(
             f"{where}: no mass for link{'s' if len(bare) > 1 else ''} {', '.join(bare)}, nor for "

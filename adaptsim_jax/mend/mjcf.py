@@ -14,7 +14,7 @@ from adaptsim_jax.mechanisms.inertia_frames import central, in_frame, inertial_a
 from adaptsim_jax.mechanisms.mjcf import Mechanism, rotation_of
 from adaptsim_jax.mechanisms.spec import compiled, read_source, read_spec, without_shapes
 
-LEAST_MOMENT = 1e-9  # kg m^2
+MIN_MOMENT = 1e-9  # kg m^2
 
 
 @dataclass(frozen=True)
@@ -46,9 +46,12 @@ def mended_mjcf(mechanism: Mechanism, changes: Changes) -> str:
     try:
         return _mended(mechanism, changes)
     except BadInput:
-        told = "written without shapes, sensors and keys: the meshes that this file names could not be read"
+        note = (
+            "written without shapes, sensors and keys: the meshes that this file names could not "
+            "be read"
+        )
         return _mended(
-            mechanism, replace(changes, comments=[*changes.comments, told]), shapes=False
+            mechanism, replace(changes, comments=[*changes.comments, note]), shapes=False
         )
 
 
@@ -77,23 +80,10 @@ def edited(path: str | os.PathLike, edit: Callable[[mujoco.MjSpec], Sequence[str
 def _put_all(spec: mujoco.MjSpec, mechanism: Mechanism, changes: Changes) -> None:
     if changes.inertial is not None:
         _put_inertias(spec, mechanism, np.asarray(changes.inertial))
-    tree = mechanism.tree
     for joint in spec.joints:
         for key, table in changes.joints.items():
-            if joint.name not in table:
-                continue
-            value = float(table[joint.name])
-            if key == "springref":
-                turns = joint.type == mujoco.mjtJoint.mjJNT_HINGE and spec.compiler.degree
-                put_field(joint, key, float(np.rad2deg(value)) if turns else value)
-            elif (
-                joint.name in tree.joint_names
-            ):  # what followers, tendons and actuators add stays with them
-                more = value - float(
-                    np.asarray(getattr(tree, key))[tree.joint_names.index(joint.name)]
-                )
-                now = float(np.ravel(getattr(joint, key))[0])
-                put_field(joint, key, value if more + now == value else max(0.0, now + more))
+            if joint.name in table:
+                _put_joint(spec, mechanism, joint, key, float(table[joint.name]))
     if changes.gravity is not None:
         spec.option.gravity = np.asarray(changes.gravity, float)
     for joint, gear in changes.motors.items():
@@ -107,6 +97,18 @@ def _put_all(spec: mujoco.MjSpec, mechanism: Mechanism, changes: Changes) -> Non
         for key, table in changes.actuators.items():
             if actuator.name in table and actuator.name not in changes.motors:
                 _put_actuator(actuator, key, float(table[actuator.name]), step)
+
+
+def _put_joint(spec: mujoco.MjSpec, mechanism: Mechanism, joint, key: str, value: float) -> None:
+    tree = mechanism.tree
+    if key == "springref":
+        turns = joint.type == mujoco.mjtJoint.mjJNT_HINGE and spec.compiler.degree
+        put_field(joint, key, float(np.rad2deg(value)) if turns else value)
+    elif joint.name in tree.joint_names:
+        # what followers, tendons and actuators add stays with them
+        own = np.asarray(getattr(tree, key))[tree.joint_names.index(joint.name)]
+        more, now = value - float(own), float(np.ravel(getattr(joint, key))[0])
+        put_field(joint, key, value if more + now == value else max(0.0, now + more))
 
 
 def _put_actuator(actuator, key: str, value: float, step: float) -> None:
@@ -162,17 +164,18 @@ def _put_inertias(spec, mechanism: Mechanism, inertial: np.ndarray) -> None:
     their own.
     """
     tree, frames = mechanism.tree, mechanism.frames
-    kept = _kept(spec, mechanism)
+    held_bodies = _held_bodies(spec, mechanism)
     for j, name in enumerate(tree.body_names):
         if tree.massless[j] or np.allclose(inertial[j], tree.inertial[j], rtol=0, atol=0):
             continue
         others = [
             b
             for b in spec.bodies
-            if frames.carrier.get(b.name, -1) == j and b.name not in kept and b.name != name
+            if frames.carrier.get(b.name, -1) == j and b.name not in held_bodies and b.name != name
         ]
         left = inertial[j] - sum(
-            (kept[b] for b in kept if frames.carrier.get(b, -1) == j and b != name), np.zeros(10)
+            (held_bodies[b] for b in held_bodies if frames.carrier.get(b, -1) == j and b != name),
+            np.zeros(10),
         )
         if not _possible(left):
             continue
@@ -186,7 +189,7 @@ def _put_inertias(spec, mechanism: Mechanism, inertial: np.ndarray) -> None:
             in_frame(left, inverse((frames.place[name], frames.rotation[name])))
         )
         value, vector = np.linalg.eigh(0.5 * (about + about.T))
-        value = np.maximum(value, LEAST_MOMENT)
+        value = np.maximum(value, MIN_MOMENT)
         value[-1] = min(
             value[-1], value[0] + value[1]
         )  # rounding must not break the triangle inequality
@@ -197,7 +200,7 @@ def _put_inertias(spec, mechanism: Mechanism, inertial: np.ndarray) -> None:
         put_inertia(body, mass, com, quaternion, value)
 
 
-def _kept(spec, mechanism: Mechanism) -> dict[str, np.ndarray]:
+def _held_bodies(spec, mechanism: Mechanism) -> dict[str, np.ndarray]:
     """Bodies behind joints that are held, which must go on weighing something: inertial parameters
     [10] in their joint's frame.
     """
@@ -228,7 +231,7 @@ def _possible(inertial: np.ndarray) -> bool:
     """Whether a body may have such inertial parameters."""
     if inertial[0] <= 0.0:
         return False
-    return bool(np.linalg.eigvalsh(central(inertial)[2]).min() > -LEAST_MOMENT)
+    return bool(np.linalg.eigvalsh(central(inertial)[2]).min() > -MIN_MOMENT)
 
 
 def commented(xml: str, comments: Sequence[str]) -> str:

@@ -1,5 +1,4 @@
-"""`model.toml`: a declared model with fitted numbers and the effects added to it, one form for every
-task.
+"""`model.toml`: a declared model with fitted numbers and added effects, one form for every task.
 
     schema = 2
     task = "mechanism"              # or pendulum, pushing, scooping, toss, simulator

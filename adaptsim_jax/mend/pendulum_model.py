@@ -4,7 +4,7 @@
     angle_zero = "hanging"          # or "upright"
     [geometry]                      # l1, l2 in m, g in m/s^2
     [known]                         # parameters that were not fitted
-    [trial_clock]                   # s by trial's name: shifts of the clock of what goes on between trials
+    [trial_clock]                   # s by trial's name: shifts of a clock that runs between trials
     [covariance]                    # names, matrix: of all that was fitted
 
 The rest is as every `model.toml` has it (`model_toml.py`).

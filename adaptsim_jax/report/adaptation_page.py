@@ -1,13 +1,13 @@
 """A page that shows an adaptation beside its baselines: one self-contained HTML file."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from adaptsim_jax.core.files import write_bytes
-from adaptsim_jax.report import comparison_explore, explore
+from adaptsim_jax.report import explore
 from adaptsim_jax.report import figures as look
-from adaptsim_jax.report.templating import filled
+from adaptsim_jax.report.explore import Plot, View, explorer, filled, numbers, shown
 
 
 def write_adaptation_page(results: Mapping[str, Any], path: Path) -> Path:
@@ -24,7 +24,7 @@ def render(results: Mapping[str, Any]) -> str:
     settings = list(dict.fromkeys(r["setting"] for r in rows))
     methods = list(dict.fromkeys(r["method"] for r in rows))
     cells = {(r["method"], r["setting"]): _cell(r) for r in rows}
-    curves = comparison_explore.rewards(results)
+    curves = _rewards(results)
     if "reward" not in results:
         words = _CURVES
     elif "trials_axis" in results:
@@ -72,8 +72,14 @@ _NORMALISED = (
     "iteration, system identification "
     "one."
 )
-_BESIDE = {False: "Beside each mean its 95 % interval over seeds.", True: "One seed, no interval."}
-_TARGETS = " Targets: WD is within Omega, the box of parameters that may be simulated; OOD are outside of it."
+_INTERVAL = {
+    False: "Beside each mean its 95 % interval over seeds.",
+    True: "One seed, no interval.",
+}
+_TARGETS = (
+    " Targets: WD is within Omega, the box of parameters that may be simulated; OOD are outside "
+    "of it."
+)
 
 
 def headline(rows: list[Mapping[str, Any]], what: str = "Normalized reward") -> str:
@@ -81,7 +87,7 @@ def headline(rows: list[Mapping[str, Any]], what: str = "Normalized reward") -> 
     ran.
     """
     by = {(r["method"], r["setting"]): r["mean"] for r in rows}
-    told = []
+    parts = []
     for setting in dict.fromkeys(r["setting"] for r in rows):
         ours = by.get(("adaptsim", setting))
         known = [by.get((m, setting), None) for m in ("sysid_bayes", "sysid_point")]
@@ -89,22 +95,22 @@ def headline(rows: list[Mapping[str, Any]], what: str = "Normalized reward") -> 
         if ours is None:
             continue
         if known:
-            beside = f" (system identification {max(known):.2f})"
+            note = f" (system identification {max(known):.2f})"
         else:
-            beside = ""
-        told.append(f"{look.setting(setting)} {ours:.2f}{beside}")
-    if not told:
+            note = ""
+        parts.append(f"{look.setting(setting)} {ours:.2f}{note}")
+    if not parts:
         return f"{what}s of the methods that ran"
-    return f"{what} of AdaptSim: " + ", ".join(told)
+    return f"{what} of AdaptSim: " + ", ".join(parts)
 
 
 def _scale(results: Mapping[str, Any]) -> str:
-    beside = _BESIDE[look.one_seed(results["rows"])]
+    note = _INTERVAL[look.one_seed(results["rows"])]
     if any(r["setting"] in look.SETTINGS for r in results["rows"]):
-        beside += _TARGETS
+        note += _TARGETS
     if "reward" in results:
-        return f"{look.reward_of(results, long=True)}. {beside}"
-    return _NORMALISED.format(beside=beside, starts=results["starts"])
+        return f"{look.reward_of(results, long=True)}. {note}"
+    return _NORMALISED.format(beside=note, starts=results["starts"])
 
 
 def _cell(r: Mapping[str, Any]) -> dict[str, str]:
@@ -124,3 +130,137 @@ def _cell(r: Mapping[str, Any]) -> dict[str, str]:
         "spread": spread,
         "final": number(r["final_mean"]),
     }
+
+
+# ---------------------------------------------------------------- plots to explore, setting by
+# setting
+
+
+def _rewards(results: Mapping[str, Any]) -> str:
+    """Two plots for each setting, of the rows that have a curve over iterations; empty where none
+    has.
+    """
+    rows = [r for r in results["rows"] if len(r["curve"]["median"]) > 1]
+    settings = list(dict.fromkeys(r["setting"] for r in rows))
+    bottom, what, axis = look.least(results), look.reward_of(results), look.axis_of(results)
+    views = {}
+    for i, name in enumerate(settings):
+        mine = [r for r in results["rows"] if r["setting"] == name]
+        views[(i,)] = View(
+            [
+                _curves([r for r in rows if r["setting"] == name], bottom, what, axis),
+                _seeds(mine, bottom, axis),
+            ]
+        )
+    height = 380 + 10 * max(0, len({r["method"] for r in rows}) - 5)  # more names in the legend
+    plots = [
+        Plot(f"reward over {axis}", height),
+        Plot("best reward of each seed, by method", height),
+    ]
+    if rows:
+        return explorer({"setting": [look.setting(s) for s in settings]}, views, plots)
+    return ""
+
+
+def _curves(
+    rows: Sequence[Mapping[str, Any]], bottom: float, what: str, axis: str
+) -> dict[str, Any]:
+    """Median over seeds with its quartiles, a line a method. No value is drawn where the policy
+    destabilised the target.
+    """
+    data: list[dict[str, Any]] = []
+    most = 0
+    for r in rows:
+        name, style = shown(look.label(r["method"])), look.style(r["method"])
+        if axis == look.ITERATIONS:
+            x = list(range(len(r["curve"]["median"])))
+        else:
+            x = r["trials"]
+        most = max(most, x[-1])
+        common = {"type": "scatter", "mode": "lines", "x": x, "legendgroup": name, "name": name}
+        if len(r["per_seed"]) > 1:
+            low, high = (
+                [bottom - 10 if v is None else v for v in r["curve"][key]] for key in ("q25", "q75")
+            )
+            edge = common | {"line": {"width": 0}, "hoverinfo": "skip", "showlegend": False}
+            data.append(edge | {"y": numbers(low)})
+            data.append(
+                edge | {"y": numbers(high), "fill": "tonexty", "fillcolor": f"{style['color']}/18"}
+            )
+        dash = "dash" if style["linestyle"] == "--" else "solid"
+        line = {"color": style["color"], "width": 2.2, "dash": dash}
+        middle = [None if v is None else round(v, 4) for v in r["curve"]["median"]]
+        data.append(common | {"y": middle, "line": line, "hovertemplate": "%{y:.3f}"})
+    layout = {
+        "xaxis": {
+            "title": {"text": axis},
+            "tickformat": "d",
+            **({"dtick": 1} if most < 8 else {"nticks": 8}),
+        },
+        "yaxis": {"title": {"text": what.replace(" (", "<br>(")}, "range": [bottom, 1.08]},
+        "hovermode": "x unified",
+        "title": {"text": f"over {axis}"},
+    }
+    return {"data": data, "layout": layout}
+
+
+def _seeds(rows: Sequence[Mapping[str, Any]], bottom: float, axis: str) -> dict[str, Any]:
+    """Best iteration, or what is deployed at last: every seed as a dot, and the mean with its 95 %
+    interval where there are seeds to take one over.
+    """
+    data: list[dict[str, Any]] = []
+    names = [shown(look.label(r["method"])) for r in rows]
+    for r, name in zip(rows, names, strict=True):
+        colour, seeds = (
+            look.colour(r["method"]),
+            [(i, v) for i, v in enumerate(r["per_seed"]) if v is not None],
+        )
+        common = {"type": "scatter", "mode": "markers", "name": name, "showlegend": False}
+        dots = {
+            "x": [round(v, 4) for _, v in seeds],
+            "y": [name] * len(seeds),
+            "text": [f"seed {i}" for i, _ in seeds],
+        }
+        dots |= {
+            "marker": {"color": colour, "size": 7, "opacity": 0.45},
+            "hovertemplate": "%{x:.3f}, %{text}",
+        }
+        data.append(common | dots)
+        if r["mean"] is not None and len(r["per_seed"]) > 1:
+            mean = {
+                "x": [round(r["mean"], 4)],
+                "y": [name],
+                "marker": {"color": colour, "size": 10, "symbol": "diamond"},
+            }
+            if r["low"] is not None and r["high"] is not None:
+                bar = {
+                    "array": [round(r["high"] - r["mean"], 4)],
+                    "arrayminus": [round(r["mean"] - r["low"], 4)],
+                }
+                mean["error_x"] = bar | {
+                    "type": "data",
+                    "symmetric": False,
+                    "color": colour,
+                    "thickness": 2.2,
+                }
+            data.append(common | mean | {"hovertemplate": "%{x:.3f}, mean"})
+    found = [v for r in rows for v in r["per_seed"] if v is not None]
+    left = bottom if found and min(found) < bottom else None
+    if axis == look.ITERATIONS:
+        best = "best-iteration reward"
+    else:
+        best = "normalized return of what is deployed at last"
+    layout = {
+        "xaxis": {"title": {"text": best}, **({} if left is None else {"range": [left, 1.08]})},
+        "yaxis": {
+            "categoryorder": "array",
+            "categoryarray": names[::-1],
+            "range": [-0.6, len(names) - 0.4],
+        },
+        "title": {
+            "text": "every seed, and the mean"
+            if any(len(r["per_seed"]) > 1 for r in rows)
+            else "one seed"
+        },
+    }
+    return {"data": data, "layout": layout}

@@ -65,7 +65,8 @@ def _over_seeds(across) -> list[str]:
         across(lambda r: _spread(r, "mean", "low", "high")),
         "Median [quartiles] of the best iteration:",
         across(lambda r: _spread(r, "median", "q25", "q75")),
-        "Mean over seeds at the last iteration, and in brackets the best mean of any one iteration:",
+        "Mean over seeds at the last iteration, and in brackets the best mean of any one "
+        "iteration:",
         across(lambda r: f"{_number(r['final_mean'])} ({_number(r['best_iteration_mean'])})"),
     ]
 

@@ -27,7 +27,7 @@ def learning_curves(metrics: Sequence[Sequence[Mapping[str, Any]]]) -> Figure:
         ax.plot(
             steps, [row["shaped"] for row in rows], color=SHADES[i % len(SHADES)], linewidth=1.5
         )
-    look.quiet(ax)
+    look.style_axes(ax)
     ax.set_ylim(0, 1)
     ax.set_xlabel("adaptation steps in simulation (thousands)", fontsize=9)
     ax.set_ylabel("mean reward while learning", fontsize=9)
@@ -74,7 +74,7 @@ def recording_explained(trial: Mapping[str, Any], channel: str) -> Figure:
         top.plot(time[rows], simulated, color=colour, linewidth=1.3, label=f"{name} model")
         low.plot(time[rows], 1e3 * (measured - simulated), color=colour, linewidth=1.2)
     for ax in (top, low):
-        look.quiet(ax)
+        look.style_axes(ax)
     top.set_ylabel("angle (rad)", fontsize=8.5)
     low.set_ylabel("off by (mrad)", fontsize=8.5)
     low.set_xlabel("time (s)", fontsize=8.5)
@@ -103,7 +103,7 @@ def errors_by_trial(error: Mapping[str, Any]) -> Figure:
         ax.plot(1e3 * after, k, "o", color=MENDED, label="mended model" if k == 0 else None)
     if (floor := error.get("noise_floor")) is not None:
         ax.axvline(1e3 * floor, color="#2f855a", linestyle="--", linewidth=1.3, label="noise alone")
-    look.quiet(ax)
+    look.style_axes(ax)
     ax.set_yticks(range(len(trials)), [str(row["trial"]).replace("_", " ") for row in trials])
     ax.invert_yaxis()
     ax.set_xlim(0, None)

@@ -15,14 +15,14 @@ from adaptsim_jax.report import comparison, demo_figures
 from adaptsim_jax.report import diagnosis_format as fmt
 from adaptsim_jax.report import diagnosis_words as words
 from adaptsim_jax.report import figures as look
-from adaptsim_jax.report.templating import filled
+from adaptsim_jax.report.explore import filled
 
 INK = {"adaptsim": "after", "sysid_bayes": "before", "sysid_point": "floor"}
 
 
 def write_demo(tour: Any, out: Path) -> None:
     """Write `figures/*.png`, `comparison/table.md` and, last of all, `index.html` into `out`; see
-    `demo_tour.Tour`.
+    `demo_tour.DemoResult`.
     """
     pictures = drawn(tour)
     folder = output_folder(out / "figures")
@@ -166,12 +166,12 @@ def diagnosis_words(report: Mapping[str, Any]) -> dict[str, Any]:
 def summary(tour: Any, out: Path) -> list[tuple[str, str]]:
     """`(what, words)` for the terminal: results first, then where things lie."""
     rows = {row["method"]: row for row in tour.results["rows"]}
-    seen = diagnosis_words(tour.diagnosis.report)
-    if seen["after"] is None:
-        error = seen["before"]
+    observed = diagnosis_words(tour.diagnosis.report)
+    if observed["after"] is None:
+        error = observed["before"]
     else:
-        error = f"{seen['before']} -> {seen['after']}"
-    told = [
+        error = f"{observed['before']} -> {observed['after']}"
+    reported = [
         f"{look.label(name)} {_reward(rows[name]['mean'])}"
         for name in demo_figures.CURVES
         if name in rows
@@ -185,11 +185,11 @@ def summary(tour: Any, out: Path) -> list[tuple[str, str]]:
     return [
         (
             f"pendulum in {look.SETTINGS[setting_of(tour)]}",
-            f"reward {', '.join(told)} (0: UDR, 1: best in Omega)",
+            f"reward {', '.join(reported)} (0: UDR, 1: best in Omega)",
         ),
         ("push", changed(tour.push)),
         ("scoop", changed(tour.scoop)),
-        ("diagnosed", f"{seen['headline']} Error on left-out trials {error}"),
+        ("diagnosed", f"{observed['headline']} Error on left-out trials {error}"),
         ("all on one page", str(out / "index.html")),
         ("trained runs", str(out / "runs")),
         ("diagnosis", str(out / "diagnosis" / "report.html")),

@@ -35,10 +35,7 @@ from adaptsim_jax.report import diagnosis_explore, explore
 from adaptsim_jax.report import diagnosis_figures as figures
 from adaptsim_jax.report import diagnosis_format as fmt
 from adaptsim_jax.report import diagnosis_rows as rows_of
-from adaptsim_jax.report import diagnosis_svg as svg
 from adaptsim_jax.report import diagnosis_words as words
-from adaptsim_jax.report import diagnosis_yardsticks as yardsticks
-from adaptsim_jax.report.templating import filled
 
 MOST_LINES = 6
 """Warnings, and notes, that the terminal shows."""
@@ -84,17 +81,17 @@ def render(report: dict[str, Any], evidence: Mapping[str, Any], out: Path | None
         "mended": mended,
         "error": error,
         "data": _data_words(report["data"]),
-        "yardsticks": yardsticks.rows(report),
-        "judged": yardsticks.why(report),
-        "torque_figures": yardsticks.torque_figures(evidence),
-        "friction_figures": yardsticks.friction_figures(evidence),
+        "yardsticks": rows_of.measure_rows(report),
+        "judged": rows_of.why_judge(report),
+        "torque_figures": figures.torque_figures(evidence),
+        "friction_figures": figures.friction_figures(evidence),
         "effects": rows_of.effect_rows(report),
         "improvement": words.improvement(error),
         "errors": _error_rows(error),
         "error_figures": _error_figures(error),
         "above": above,
         "differ": rows_of.trial_rows(report),
-        "above_from": figures.seen_from(evidence.get("tracks") or {}),
+        "above_from": figures.view_side(evidence.get("tracks") or {}),
         "traces": traces,
         "trials_left_out": left_out,
         "power": rows_of.power_rows(report),
@@ -113,7 +110,7 @@ def render(report: dict[str, Any], evidence: Mapping[str, Any], out: Path | None
         "reward": report.get("task_reward"),
         "script": explore.script(bool(traces or above)),
     }
-    return filled("diagnosis.html.j2", **page)
+    return explore.filled("diagnosis.html.j2", **page)
 
 
 def _data_words(data: Mapping) -> str:
@@ -171,7 +168,7 @@ def _error_figures(error: Mapping) -> list[str]:
             "overall" if index == 0 else row["name"], row["unit"], row["pair"], dots, like
         )
         label = f"error of {row['name']}: declared {row['before']}, mended {row['after']}"
-        pictures.append(svg.draw(paint, 1.4 if one else 1.75, label))
+        pictures.append(figures.draw(paint, 1.4 if one else 1.75, label))
     return pictures
 
 

@@ -11,9 +11,9 @@ import numpy as np
 
 from adaptsim_jax.report import diagnosis_figures as figures
 from adaptsim_jax.report import diagnosis_format as fmt
-from adaptsim_jax.report.diagnosis_svg import thin
+from adaptsim_jax.report.diagnosis_figures import thin
 from adaptsim_jax.report.diagnosis_words import plain
-from adaptsim_jax.report.explore import Columns, Plot, View, explorer, points, shown
+from adaptsim_jax.report.explore import Plot, SharedColumns, View, explorer, points, shown
 
 COLOURS = {"measured": "--measured", "before": "--before", "after": "--after"}
 NAMES = {"measured": "measured", "before": "declared model", "after": "mended model"}
@@ -32,17 +32,22 @@ def held_out(trials: Sequence[Mapping], error: Mapping) -> tuple[str, int]:
     ):  # what a reader looks for comes first: where the declared model is furthest off
         channels.sort(key=lambda c: -((error["per_channel"].get(c) or {}).get("before") or 0.0))
     models = 2 if trials[0].get("after") is None else 3
-    most, kept = points([len(trial["time"]) for trial in trials], 1 + models * len(channels))
-    columns, views = Columns(), {}
-    for i, trial in enumerate(trials[:kept]):
+    most, shown_trials = points(
+        [len(trial["time"]) for trial in trials], 1 + models * len(channels)
+    )
+    columns, views = SharedColumns(), {}
+    for i, trial in enumerate(trials[:shown_trials]):
         time = columns.add(thin(trial["time"], most=most)[0])
         for j, channel in enumerate(channels):
             if channel in trial["measured"]:
                 figure = _residual(trial, channel, columns, time, most)
                 views[i, j] = View([figure], _note(trial, channel, error, len(trial["time"]), most))
-    choices = {"trial": [str(trial["trial"]) for trial in trials[:kept]], _kind(channels): channels}
+    choices = {
+        "trial": [str(trial["trial"]) for trial in trials[:shown_trials]],
+        _kind(channels): channels,
+    }
     label = "measured and simulated over time, and beneath it the error, measured minus simulated"
-    return explorer(choices, views, [Plot(label, 460)], columns), len(trials) - kept
+    return explorer(choices, views, [Plot(label, 460)], columns), len(trials) - shown_trials
 
 
 def _kind(channels: Sequence[str]) -> str:
@@ -57,7 +62,7 @@ def _kind(channels: Sequence[str]) -> str:
 
 
 def _residual(
-    trial: Mapping, channel: str, columns: Columns, time: str, most: int
+    trial: Mapping, channel: str, columns: SharedColumns, time: str, most: int
 ) -> dict[str, Any]:
     stages = [stage for stage in ("before", "after") if channel in (trial.get(stage) or {})]
     measured, *simulated = thin(
@@ -72,14 +77,14 @@ def _residual(
     factor, name = fmt.scaled(unit, max((figures.percentile(rest) for rest in left), default=0.0))
     sizes = [size for rest in left if (size := figures.percentile(rest)) > 0]
     step = max(min(sizes, default=0.0) / 300, figures.percentile(measured) / 1e7) or None
-    seen = columns.add(measured, step)
+    observed = columns.add(measured, step)
     hover = {"hovertemplate": f"%{{y:.5~g}} {fmt.unit_name(unit)}"}
-    data: list[dict[str, Any]] = [_line(time, seen, "measured", 5, opacity=0.6, **hover)]
+    data: list[dict[str, Any]] = [_line(time, observed, "measured", 5, opacity=0.6, **hover)]
     for stage, values in zip(stages, simulated, strict=True):
         drawn = columns.add(values, step)
         data.append(_line(time, drawn, stage, 1.6, legendgroup=stage, **hover))
         below = _line(
-            time, {"minus": [seen, drawn], "times": factor}, stage, 1.4, legendgroup=stage
+            time, {"minus": [observed, drawn], "times": factor}, stage, 1.4, legendgroup=stage
         )
         below |= {"yaxis": "y2", "showlegend": False, "name": f"{NAMES[stage]}: error"}
         below |= {"hovertemplate": f"%{{y:.4~g}} {name}"}
@@ -154,17 +159,18 @@ def tracks(found: Mapping) -> str:
     """
     x, y = found.get("axes") or ("x", "y")
     all_of = {key: [np.asarray(t, float) for t in found.get(key) or []] for key in COLOURS}
-    most, kept = points(
+    most, shown_trials = points(
         [max(map(len, some)) for some in zip(*filter(None, all_of.values()), strict=False)], 6
     )
-    columns, data = Columns(), []
+    columns, data = SharedColumns(), []
     for key, some in all_of.items():
         if not some:
             continue
         rows = [
-            np.vstack([np.stack(thin(*t.T, most=most), 1), [[np.nan, np.nan]]]) for t in some[:kept]
+            np.vstack([np.stack(thin(*t.T, most=most), 1), [[np.nan, np.nan]]])
+            for t in some[:shown_trials]
         ]
-        path, ends = np.vstack(rows), np.array([t[-1] for t in some[:kept]])
+        path, ends = np.vstack(rows), np.array([t[-1] for t in some[:shown_trials]])
         width, opacity = (5, 0.6) if key == "measured" else (1.4, 0.95)
         step = float(np.nanmax(np.ptp(ends, axis=0), initial=0.0)) / 1e4 or None
         along, up = (columns.add(path[:, k], step) for k in (0, 1))
@@ -194,7 +200,7 @@ def tracks(found: Mapping) -> str:
         "yaxis": {"title": {"text": f"{y}, m"}, "scaleanchor": "x"},
     }
     trials = max(map(len, all_of.values()))
-    note = f"the first {kept} of {trials} trials" if kept < trials else ""
+    note = f"the first {shown_trials} of {trials} trials" if shown_trials < trials else ""
     view = View([{"data": data, "layout": layout}], note)
     if data:
         return explorer({}, {(): view}, [Plot("tracks, measured and simulated", 480)], columns)

@@ -1,16 +1,130 @@
-"""What the page of a diagnosis draws: each function paints one figure of what it is given."""
+"""What the page of a diagnosis and a replay draw, as small inline SVG that follows the page's
+colours, light or dark, and its font.
+"""
 
 from __future__ import annotations
 
+import io
+import re
 from collections.abc import Callable, Mapping
-from typing import Any
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from adaptsim_jax.report import diagnosis_format as fmt
-from adaptsim_jax.report.diagnosis_svg import AFTER, BEFORE, CEILING, FLOOR, INK
+from adaptsim_jax.report import figures as look
+
+if TYPE_CHECKING:
+    from adaptsim_jax.attribution.replay import Replay
+
+INK, MUTED, GRID = look.INK, look.MUTED, look.GRID
+MEASURED, BEFORE, AFTER = "#7b8794", "#c4540a", "#1767b0"
+FLOOR, CEILING = "#2f855a", "#8a4bbf"
+THEMED = {
+    INK: "ink",
+    MUTED: "muted",
+    GRID: "grid",
+    MEASURED: "measured",
+    BEFORE: "before",
+    AFTER: "after",
+    FLOOR: "floor",
+    CEILING: "ceiling",
+}
+"""Colour in the figure -> CSS variable of the page. The hex values are the light theme."""
+
+STYLE: Any = {
+    "svg.fonttype": "none",
+    "text.parse_math": False,
+    "font.size": 10.0,
+    "font.family": ["DejaVu Sans"],
+    "text.color": INK,
+    "axes.edgecolor": MUTED,
+    "axes.labelcolor": INK,
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.unicode_minus": True,
+    "axes.titlesize": 10.5,
+    "axes.titlelocation": "left",
+    "grid.color": GRID,
+    "grid.linewidth": 0.7,
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "xtick.labelsize": 9.0,
+    "ytick.labelsize": 9.0,
+    "legend.frameon": False,
+    "legend.fontsize": 9.0,
+    "lines.linewidth": 1.4,
+    "figure.constrained_layout.use": True,
+    "path.simplify_threshold": 0.3,
+}
+WIDTH = 5.0
+"""Inches (72 to an inch in SVG): a phone's width and not far from half a page, so text keeps its
+size.
+"""
+
+
+def draw(paint: Callable[[Figure], None], height: float, label: str) -> str:
+    """The SVG of what `paint` draws on a transparent figure; `label` is for those who do not see
+    it.
+    """
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH, height))
+        FigureCanvasSVG(figure)
+        paint(figure)
+        buffer = io.StringIO()
+        figure.savefig(
+            buffer, format="svg", transparent=True, metadata={"Date": None, "Creator": None}
+        )
+    return themed(buffer.getvalue(), label)
+
+
+def themed(svg: str, label: str) -> str:
+    """Inline form: no prolog, colours as CSS variables, two decimals, ids that cannot clash on one
+    page.
+    """
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r"<metadata>.*?</metadata>\s*", "", svg, flags=re.S)
+    svg = re.sub(r'<g id="[^"]*"', "<g", svg)
+    for colour, name in THEMED.items():
+        svg = svg.replace(colour, f"var(--{name})")
+    # of places, not of what is written
+    svg = re.sub(
+        r"-?\d+\.\d{3,}(?!\d*</text>)",
+        lambda found: f"{float(found.group()):.2f}".rstrip("0").rstrip("."),
+        svg,
+    )
+    svg = re.sub(r"font: (?:normal )?([\d.]+px) [^;\"]*", r"font-size: \1", svg)
+    head = re.search(r'viewBox="[^"]*"', svg)
+    box = head.group() if head else ""
+    opening = f'<svg {box} role="img" aria-label="{escape(label)}" xmlns:xlink="http://www.w3.org/1999/xlink">'
+    return re.sub(r"<svg[^>]*>", lambda _: opening, svg, count=1)
+
+
+def thin(*columns: np.ndarray, most: int = 700) -> list[np.ndarray]:
+    """Every column at no more than `most` rows, evenly taken; a gap (NaN) within a stride stays a
+    gap.
+    """
+    arrays = [np.asarray(column, dtype=float) for column in columns]
+    stride = max(1, -(-len(arrays[0]) // most))  # rounded up
+    if stride == 1:
+        return arrays
+    taken = []
+    for column in arrays:
+        whole = column[: len(column) // stride * stride].reshape(-1, stride)
+        taken.append(np.where(np.isnan(whole).any(axis=1), np.nan, whole[:, 0]))
+    return taken
+
+
+# ---------------------------------------------------------------- errors
 
 Paint = Callable[[Figure], None]
 UNITS = {"q": "rad", "v": "rad/s", "tau": "N·m"}
@@ -80,7 +194,7 @@ def error_pair(
     return paint
 
 
-def seen_from(tracks: Mapping) -> str:
+def view_side(tracks: Mapping) -> str:
     """Where tracks are looked at from, by their `axes`."""
     if "z" in (tracks.get("axes") or ()):
         return "the side"
@@ -107,3 +221,118 @@ def percentile(values: np.ndarray) -> float:
     if finite.size:
         return float(np.percentile(finite, 99.0))
     return 0.0
+
+
+# ---------------------------------------------------------------- torque and friction
+
+MOST_POINTS = 900  # of a figure's curve
+
+
+def torque_figures(evidence: Mapping[str, Any]) -> list[str]:
+    """Torque measured, by the file and as fitted, over time, a picture a joint."""
+    return [
+        draw(
+            _over_time(row),
+            2.2,
+            f"torque at {row['joint']} over time: measured, by the file, as fitted",
+        )
+        for row in evidence.get("torque") or []
+    ]
+
+
+def friction_figures(evidence: Mapping[str, Any]) -> list[str]:
+    """What resists against speed, points, and the model of it, a picture a joint."""
+    return [
+        draw(_against_speed(row), 2.2, f"torque that resists at {row['joint']} against its speed")
+        for row in evidence.get("friction") or []
+    ]
+
+
+def _some(count: int) -> np.ndarray:
+    return np.unique(np.linspace(0, count - 1, min(count, MOST_POINTS)).astype(int))
+
+
+def _over_time(row: Mapping[str, Any]):
+    def paint(figure: Figure) -> None:
+        ax = figure.subplots()
+        at = _some(len(row["time"]))
+        for key, colour, width, label in (
+            ("measured", MEASURED, 2.2, "measured"),
+            ("file", BEFORE, 0.9, "file"),
+            ("fitted", AFTER, 0.9, "fitted"),
+        ):
+            ax.plot(
+                np.asarray(row["time"])[at],
+                np.asarray(row[key])[at],
+                color=colour,
+                linewidth=width,
+                label=label,
+            )
+        ax.set(title=row["joint"], xlabel="s", ylabel=row["unit"])
+
+    return paint
+
+
+def _against_speed(row: Mapping[str, Any]):
+    def paint(figure: Figure) -> None:
+        ax = figure.subplots()
+        at = _some(len(row["speed"]))
+        speed, missing = np.asarray(row["speed"])[at], np.asarray(row["missing"])[at]
+        order = np.argsort(speed)
+        ax.plot(speed, missing, ".", color=MEASURED, markersize=2.2, label="along the motion")
+        ax.plot(
+            speed[order],
+            np.asarray(row["modelled"])[at][order],
+            color=AFTER,
+            linewidth=1.2,
+            label="fitted",
+        )
+        ax.set(
+            title=row["joint"],
+            xlabel="rad/s" if row["unit"] == "N m" else "m/s",
+            ylabel=row["unit"],
+        )
+
+    return paint
+
+
+# ---------------------------------------------------------------- replay
+
+MOST_JOINTS, MOST_STRETCHES = 6, 16
+PANEL = (9.0, 1.7)  # inches, of a joint
+
+
+def save_replay(found: Replay, path: Path) -> None:
+    """Of the first trial: a panel for each joint (the worst first where there are many), measured
+    and simulated, stretch after stretch.
+    """
+    joints = sorted(np.argsort(-np.median(found.error, 0))[:MOST_JOINTS])
+    lanes = np.flatnonzero(found.trial == found.trial[0])[:MOST_STRETCHES]
+    width, height = PANEL
+    figure, panels = look.new_figure(width, height * len(joints) + 0.8, len(joints), sharex=True)
+    for axis, j in zip(panels, joints, strict=True):
+        for w in lanes:
+            observed = found.seen[w, :, j] > 0
+            axis.plot(
+                found.time[w, observed],
+                found.measured[w, observed, j],
+                color=MEASURED,
+                linewidth=2.2,
+            )
+            axis.plot(found.time[w], found.simulated[w, :, j], color=BEFORE, linewidth=1.0)
+        unit = "rad" if found.kinds[j] == "hinge" else "m"
+        look.style_axes(axis)
+        axis.set_ylabel(f"{found.joint_names[j]} [{unit}]", fontsize=8)
+        error = 1e3 * np.median(found.error[:, j])
+        axis.set_title(f"median error {error:.3g} m{unit}", fontsize=8, loc="right", pad=2)
+    panels[-1].set_xlabel(f"time in trial {found.trial_names[found.trial[0]]} [s]")
+    measured, simulated = panels[0].get_lines()[:2]
+    figure.legend(
+        [measured, simulated],
+        ["measured", "simulated"],
+        loc="outside upper left",
+        ncols=2,
+        frameon=False,
+        fontsize=8,
+    )
+    look.save(figure, path)

@@ -4,6 +4,7 @@ after.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -60,8 +61,8 @@ def effect_rows(report: Mapping) -> list[dict[str, Any]]:
 
 def _held(name: str, p: Mapping[str, Any]) -> str:
     """A parameter that was chosen, not fitted."""
-    said = p.get("meaning")
-    return name.replace("_", " ") + (f" ({said})" if said else "")
+    meaning = p.get("meaning")
+    return name.replace("_", " ") + (f" ({meaning})" if meaning else "")
 
 
 def _is_factor(effect: Mapping, name: str) -> bool:
@@ -183,12 +184,12 @@ def trial_rows(report: Mapping) -> list[dict[str, Any]]:
     """Trials with their own errors, where some of them differ: the odd ones first, then by
     error.
     """
-    told = report.get("trials") or {}
-    if not told.get("headline"):
+    reported = report.get("trials") or {}
+    if not reported.get("headline"):
         return []
     unit = report["error"]["unit"]
     rows = sorted(
-        told["each"],
+        reported["each"],
         key=lambda row: (not row["odd"], -(row["error"] or row["unexplained_torque"] or 0.0)),
     )
 
@@ -215,3 +216,67 @@ def audit_rows(evidence: Mapping) -> list[dict[str, str]]:
         for row in evidence.get("audit") or []
     ]
     return sorted(rows, key=lambda row: order.get(row["severity"], 2))
+
+
+# ---------------------------------------------------------------- does the model predict at all
+
+NAMES = {
+    "stretches": "simulated stretches of {span:.3g} s",
+    "whole": "whole simulated trials",
+    "torque": "torque along the measured motion",
+}
+
+
+def measure_rows(report: Mapping[str, Any]) -> list[dict[str, str]]:
+    """A row for each yardstick and joint: what is left of the declared and of the mended model,
+    what needs no model leaves, and skills.
+    """
+    reported = report.get("yardsticks") or {}
+    out = []
+    for name in NAMES:
+        first = (reported.get("declared") or {}).get(name)
+        if first is None:
+            continue
+        last = (reported.get("mended") or {}).get(name) or first
+        torque = name == "torque"
+        if torque:
+            error, base = ("missing", "constant")
+        else:
+            error, base = ("error", "straight_line")
+        title = NAMES[name].format(span=first["span_s"]) + (
+            ", the judge" if reported.get("judge") == name else ""
+        )
+        for joint, row in first["joints"].items():
+            mended, unit = last["joints"][joint], row["unit"]
+            out.append(
+                {
+                    "yardstick": title,
+                    "joint": joint,
+                    "before": fmt.quantity(row[error], unit),
+                    "after": fmt.quantity(mended[error], unit),
+                    "base": fmt.quantity(row[base], unit),
+                    "skill_before": _skill(row["skill"]),
+                    "skill_after": _skill(mended["skill"]),
+                }
+            )
+            title = ""
+    return out
+
+
+def _skill(value: float | None) -> str:
+    if value is None or not math.isfinite(value):
+        return fmt.DASH
+    return f"{value:.2f}".replace("-", "−")
+
+
+def why_judge(report: Mapping[str, Any]) -> str:
+    """Which yardstick judged, and why."""
+    reported = report.get("yardsticks") or {}
+    judge: str = reported.get("judge") or ""
+    if judge in NAMES:
+        return f"Judged by {NAMES[judge].format(span=_span(reported, judge))}: {reported['why']}."
+    return ""
+
+
+def _span(reported: Mapping[str, Any], judge: Any) -> float:
+    return float(((reported.get("declared") or {}).get(judge) or {}).get("span_s") or 0.0)

@@ -58,7 +58,8 @@ NEXT = {
     "explained": "Use the mended model, and test it on motions that it has not seen.",
     "explained_class": "Use the mended model for motions like these; other motions can tell the "
     "names apart.",
-    "partly_explained": "Use the mended model for motions like these, and look where the rest sits.",
+    "partly_explained": "Use the mended model for motions like these, and look where the rest "
+    "sits.",
     "structured_unattributed": "Look where the structure sits: an effect of your own can be added "
     "for it (adaptsim new effect).",
     "within_noise": "Add no effect; take the fitted values (below, and in model.toml) for those of "

@@ -1,5 +1,7 @@
-"""Plots to explore in a page: figures as plain JSON, drawn by Plotly, which lies packed in the
-page, so that no network is needed.
+"""What every page is made of: templates, and plots to explore.
+
+Plots are figures as plain JSON, drawn by Plotly, which lies packed in the page, so that no network
+is needed.
 
     html = explorer({"trial": ["01", "02"], "joint": ["elbow"]}, {(0, 0): View([figure]), (1, 0):
     View([figure])}, [Plot(...)])
@@ -32,19 +34,24 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import jinja2
 import numpy as np
 
-from adaptsim_jax.report.templating import filled
+from adaptsim_jax.report import diagnosis_format as fmt
+from adaptsim_jax.report import diagnosis_words as words
 
 MOST_POINTS = 2000
 """Points of one trace."""
-LEAST_POINTS = 200
+MIN_POINTS = 200
 """Points to which traces are thinned before whole trials are left out."""
 MOST_NUMBERS = 300_000
 """Numbers of one explorer, of some nine characters each: with Plotly's 2 MB a page stays far below
 6 MB.
 """
-MISSING = "The plots to explore need the package plotly, which was not there when this page was made: pip install plotly."
+MISSING = (
+    "The plots to explore need the package plotly, which was not there when this page was made: "
+    "pip install plotly."
+)
 
 
 @dataclass(frozen=True)
@@ -64,7 +71,7 @@ class View:
 
 
 @dataclass(frozen=True)
-class Columns:
+class SharedColumns:
     """Numbers by name that traces refer to; `add` returns the reference."""
 
     values: dict[str, list[float | None]] = field(default_factory=dict)
@@ -79,7 +86,7 @@ def explorer(
     choices: Mapping[str, Sequence[str]],
     views: Mapping[tuple[int, ...], View],
     plots: Sequence[Plot],
-    columns: Columns | None = None,
+    columns: SharedColumns | None = None,
 ) -> str:
     """The HTML of plots side by side with a selector for each of `choices` that leaves a choice;
     `views` by the option of each.
@@ -174,13 +181,36 @@ def points(lengths: Sequence[int], series: int) -> tuple[int, int]:
     numbers a sample are kept, so that all of them stay within `MOST_NUMBERS`.
     """
 
-    def total(most, kept):
-        return series * sum(min(n, most) for n in lengths[:kept])
+    def total(most, trials):
+        return series * sum(min(n, most) for n in lengths[:trials])
 
-    kept = len(lengths)
-    while kept > 1 and total(LEAST_POINTS, kept) > MOST_NUMBERS:
-        kept -= 1
+    trials = len(lengths)
+    while trials > 1 and total(MIN_POINTS, trials) > MOST_NUMBERS:
+        trials -= 1
     most = MOST_POINTS
-    while most > LEAST_POINTS and total(most, kept) > MOST_NUMBERS:
-        most = max(LEAST_POINTS, int(0.9 * most))
-    return most, kept
+    while most > MIN_POINTS and total(most, trials) > MOST_NUMBERS:
+        most = max(MIN_POINTS, int(0.9 * most))
+    return most, trials
+
+
+# ---------------------------------------------------------------- templates
+
+
+@cache
+def _environment() -> jinja2.Environment:
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("adaptsim_jax.report"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    for name in ("quantity", "number", "percent", "p_value", "between", "listing", "count"):
+        environment.filters[name] = getattr(fmt, name)
+    environment.filters["plain"] = words.plain
+    return environment
+
+
+def filled(template: str, **values: Any) -> str:
+    """The text of a template of this room with these values in it."""
+    return _environment().get_template(template).render(**values)

@@ -117,7 +117,7 @@ def marker(method: str) -> str:
     return MARKERS.get(method.removesuffix("_state"), "o")
 
 
-def quiet(ax: Axes) -> None:
+def style_axes(ax: Axes) -> None:
     """Light grid, no frame at the top and right, small ticks."""
     ax.spines[["top", "right"]].set_visible(False)
     ax.spines[["left", "bottom"]].set_color(MUTED)

@@ -38,7 +38,7 @@ def reward_over_iterations(results: Mapping[str, Any], methods: Sequence[str] = 
                 bottom,
                 by.get(r["method"]),
             )
-        look.quiet(ax)
+        look.style_axes(ax)
         ax.axhline(1, color=look.INK, linewidth=0.8, linestyle=":")
         ax.set_title(look.setting(setting), fontsize=9, color=look.INK)
         ax.set_ylim(bottom, 1.08)
@@ -98,7 +98,7 @@ def rewards(results: Mapping[str, Any]) -> Figure:
     for ax, setting in zip(axes, settings, strict=True):
         for r in (r for r in rows if r["setting"] == setting):
             _dots(ax, len(methods) - 1 - methods.index(r["method"]), r, left)
-        look.quiet(ax)
+        look.style_axes(ax)
         ax.grid(False, axis="y")
         ax.axvline(1, color=look.INK, linewidth=0.8, linestyle=":")
         ax.set_xlim(left, 1.08)
@@ -194,7 +194,7 @@ def curves_by(rows: Sequence[Mapping[str, Any]], names: Sequence[str], title: st
     for i, (r, name) in enumerate(zip(rows, names, strict=True)):
         line = {"color": shades[i % len(shades)], "linestyle": ["-", "--", "-.", ":"][i % 4]}
         _curve(ax, r["curve"], line, name, -0.4)
-    look.quiet(ax)
+    look.style_axes(ax)
     ax.set_ylim(-0.4, 1.08)
     ax.set_xlabel("adaptation iteration", fontsize=9)
     ax.set_ylabel(look.REWARD.replace(" (", "\n("), fontsize=9)

@@ -44,7 +44,7 @@ def parameters_over_iterations(
     """
     plots = np.atleast_1d(figure.subplots(len(axes), 1, sharex=True))
     for k, (ax, axis) in enumerate(zip(plots, axes, strict=True)):
-        look.quiet(ax)
+        look.style_axes(ax)
         if axis.log:
             ax.set_yscale("log")
             ax.yaxis.set_minor_locator(NullLocator())
@@ -118,7 +118,7 @@ def _dots(
     axis: Axis,
     target: float,
 ) -> None:
-    look.quiet(ax)
+    look.style_axes(ax)
     ax.grid(False, axis="y")
     if axis.log:
         ax.set_xscale("log")

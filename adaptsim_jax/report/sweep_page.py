@@ -11,10 +11,10 @@ from typing import Any
 
 from adaptsim_jax.core.files import write_bytes
 from adaptsim_jax.report import diagnosis_format as fmt
-from adaptsim_jax.report import explore, sweep_explore
+from adaptsim_jax.report import explore, sweep_figures
 from adaptsim_jax.report import figures as look
-from adaptsim_jax.report.sweep_explore import TRAINING, earned, interval
-from adaptsim_jax.report.templating import filled
+from adaptsim_jax.report.explore import filled
+from adaptsim_jax.report.sweep_figures import TRAINING, earned, interval
 
 MOST_MEMBERS = 1000
 """Rows of the table of members; results.csv has them all."""
@@ -31,11 +31,11 @@ def write_sweep_page(found: Mapping[str, Any], out: Path) -> Path:
 def render(found: Mapping[str, Any]) -> str:
     """The page as text, of a sweep that is finished or still runs."""
     rewards = [TRAINING, *found["spec"]["targets"]]
-    groups = sweep_explore.groups(found)
+    groups = sweep_figures.groups(found)
     combinations = [
         _combination(name, rows, found["swept"], rewards) for name, rows in groups.items()
     ]
-    over, curves = sweep_explore.over_values(found), sweep_explore.curves(groups)
+    over, curves = sweep_figures.over_values(found), sweep_figures.curves(groups)
     return filled(
         "sweep.html.j2",
         found=found,

@@ -202,7 +202,8 @@ def unwrapped(
     leap = np.abs(np.diff(out[observed]))
     for k in np.flatnonzero(leap > FASTEST_TURN * np.diff(time[observed]) + TURN_SLIP)[:1]:
         raise BadInput(
-            f"{trials(int(observed[k + 1]))}: {body} turns by {leap[k]:.2g} rad between two rows; empty "
+            f"{trials(int(observed[k + 1]))}: {body} turns by {leap[k]:.2g} rad between two "
+            "rows; empty "
             f"the cells of yaw that are not it"
         )
     return out
@@ -237,7 +238,8 @@ def check_clock_set(
         went = float(np.linalg.norm(places[k] - places[k - 1]))
         if gap * min(speeds) > STOOD and went < 0.3 * gap * min(speeds):
             raise BadInput(
-                f"{trials(int(k))}: {body} moves by {min(speeds):.2g} m/s before and after a hole of "
+                f"{trials(int(k))}: {body} moves by {min(speeds):.2g} m/s before and after a "
+                "hole of "
                 f"{gap:.3g} s, and by {went:.2g} m "
                 "in it: was the clock set? mend the times after it, or cut the trial there"
             )

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from adaptsim_jax.tasks.base import Task
 
 if TYPE_CHECKING:
-    from adaptsim_jax.commands.robot_session import Session
+    from adaptsim_jax.commands.robot_session import RobotSession
     from adaptsim_jax.report.film import Scene
 
 COLUMNS = 6  # iterations that a figure shows at most
@@ -134,7 +134,7 @@ class RobotFace:
     robot could not finish is asked again; else its start is given up, since the policy asked of it
     would fail again. recorded: how trials are read again for `diagnose`; None where sessions are not
     diagnosed.
-    """
+    """  # noqa: E501
 
     turn: str
     opened: Callable[[Any, int], str]  # (session, turns) -> what a new session consists of
@@ -153,24 +153,24 @@ class RobotFace:
     recorded: Callable[[], SessionTrials] | None = None
 
 
-def config_of(session: Session) -> Any:
+def config_of(session: RobotSession) -> Any:
     """The task's configuration with which the session's run was trained."""
     from adaptsim_jax.core import config
 
     return config.from_table(session.kind.config, session.options, str(session.table["run"]))
 
 
-def opened(trials: str) -> Callable[[Session, int], str]:
+def opened(trials: str) -> Callable[[RobotSession, int], str]:
     """What says of what a new session consists; trials: what those of an iteration are called."""
 
-    def words(session: Session, total: int) -> str:
+    def words(session: RobotSession, total: int) -> str:
         return f"session of {total} iterations of {config_of(session).trajectories} {trials}"
 
     return words
 
 
 def remembered(
-    session: Session, mean: Any, name: str, keys: tuple[str, ...], trials: Iterable[tuple]
+    session: RobotSession, mean: Any, name: str, keys: tuple[str, ...], trials: Iterable[tuple]
 ) -> dict[str, Any]:
     """The parameters and the trials of an iteration, for figures and for people: of each its number
     and what `keys` call.
@@ -186,13 +186,13 @@ def remembered(
     return {"params": physical(session, mean), name: rows}
 
 
-def physical(session: Session, mean: Any) -> dict[str, float]:
+def physical(session: RobotSession, mean: Any) -> dict[str, float]:
     """Parameters by name at the mean `[D]` of E."""
     space = session.trained.phase1.task.space
     return dict(zip(space.names, map(float, space.physical(mean)), strict=True))
 
 
-def print_parameters(session: Session, before: Any, after: Any) -> None:
+def print_parameters(session: RobotSession, before: Any, after: Any) -> None:
     """Print which parameters are believed in now, and which of them moved."""
     fresh = int(after.told) % (session.table["iterations"] + 1) == 0
     was, now = physical(session, before.mean), physical(session, after.mean)

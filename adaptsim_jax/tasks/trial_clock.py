@@ -154,7 +154,10 @@ def check_frozen(
             "remove them"
             "; if all is as declared, add --as-declared"
         )
-        stood = f"{trials(first + 1)}: {body} stands still to the digit from {time[first]:.4g} to {time[last]:.4g} s and"
+        stood = (
+            f"{trials(first + 1)}: {body} stands still to the digit from {time[first]:.4g} to "
+            f"{time[last]:.4g} s and"
+        )
         if last + 1 < len(time):
             leap, then = moved[last], moved[last + 1 : last + 3]
             if len(then) and leap > 2.0 * then.max() + BAR + blur:
@@ -183,7 +186,8 @@ def _check_held(
     if b - a >= 4 and np.mean(between == 0) >= HELD and between.max() > BAR + blur:
         every = round(len(between) / np.sum(between > 0))
         raise BadInput(
-            f"{trials(a + 1)}: places of {body} change only once in {every} rows from {time[a]:.4g} "
+            f"{trials(a + 1)}: places of {body} change only once in {every} rows from "
+            f"{time[a]:.4g} "
             f"s on, though it moves: the "
             "tracker is slower than the log; keep the rows at which they change; if all is as "
             "declared, add --as-declared"

@@ -305,7 +305,8 @@ def check_starts(
     distance = np.linalg.norm(aside - np.median(aside, 0), axis=1)
     for k in np.flatnonzero(distance > most)[:1]:
         raise BadInput(
-            f"{where}: trial {names[k]:g}: {body} stands {100 * distance[k]:.0f} cm from where it is "
+            f"{where}: trial {names[k]:g}: {body} stands {100 * distance[k]:.0f} cm from "
+            "where it is "
             f"declared, beside the other trials: "
             f"of another frame, or of another trial? mend it, or leave it out (--without "
             f"{names[k]:g})"

@@ -73,7 +73,10 @@ def test_there_are_examples_of_every_command():
 
 
 def test_commands_of_several_lines_and_of_sessions_are_found():
-    text = "    adaptsim train pendulum --run a \\\n      --seed 3     as it was\n\n$ adaptsim robot next\nadaptsim: no\n"
+    text = (
+        "    adaptsim train pendulum --run a \\\n      --seed 3     as it was\n\n$ adaptsim robot "
+        "next\nadaptsim: no\n"
+    )
     assert lines(text) == ["train pendulum --run a --seed 3", "robot next"]
 
 

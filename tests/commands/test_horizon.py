@@ -14,7 +14,7 @@ from adaptsim_jax.diagnosis.run import command_of
 from tests.logs.log_files import folder, motion, named
 
 SERVO = """<mujoco><option timestep="0.01"/><worldbody><body><joint name="arm" axis="0 1 0" damping="0.1"/>
-<geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.02" mass="0.5"/></body></worldbody></mujoco>"""
+<geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.02" mass="0.5"/></body></worldbody></mujoco>"""  # noqa: E501
 
 
 @pytest.mark.parametrize("command", ["diagnose", "replay"])

@@ -12,7 +12,10 @@ from adaptsim_jax.cli import main, parse
 from adaptsim_jax.commands import SUMMARIES
 
 CODE = "import sys; from adaptsim_jax.cli import main; code = main(sys.argv[1:]); "
-LOADED = "print(code, sorted({'jax', 'numpy', 'scipy', 'mujoco', 'matplotlib', 'rich'} & set(sys.modules)))"
+LOADED = (
+    "print(code, sorted({'jax', 'numpy', 'scipy', 'mujoco', 'matplotlib', 'rich'} & "
+    "set(sys.modules)))"
+)
 
 
 def python(*arguments, **env):

@@ -51,6 +51,9 @@ def test_other_systems_are_left_alone(monkeypatch):
 
 
 def test_garbage_is_looked_for_rarely():
-    code = "import gc; from adaptsim_jax.core import process; process.collect_rarely(); print(gc.get_threshold()[0])"
+    code = (
+        "import gc; from adaptsim_jax.core import process; process.collect_rarely(); "
+        "print(gc.get_threshold()[0])"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert int(done.stdout) == process.YOUNG

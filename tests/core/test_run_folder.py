@@ -92,9 +92,9 @@ def test_what_is_not_a_run_is_refused(tmp_path):
     for text, says in (
         ("schema = ", "not TOML"),
         ("a = 1", "written by adaptsim_jax None"),
-        ('schema = 1\nversion = "0.1.0"', "is missing"),
+        ('schema = 1\nversion = "0.2.0"', "is missing"),
         ('schema = 1\nversion = "7.0.0"\ntask = "pendulum"\n[config]', "install that version"),
-        ('schema = 1\nversion = "0.1.0"\ntask = "pushing"\n[config]', "is of task 'pushing'"),
+        ('schema = 1\nversion = "0.2.0"\ntask = "pushing"\n[config]', "is of task 'pushing'"),
     ):
         (tmp_path / store.CONFIG).write_text(text)
         with pytest.raises(BadInput, match=says):

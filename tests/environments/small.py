@@ -20,7 +20,7 @@ MJCF = """
     <motor name="motor" joint="slide" gear="4" ctrlrange="-1 1"/>
   </actuator>
 </mujoco>
-"""
+"""  # noqa: E501
 FIELDS = {"body:cart.mass": (0.5, 2.0, "log"), "joint:slide.damping": (0.1, 2.0)}
 
 

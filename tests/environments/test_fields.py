@@ -24,7 +24,7 @@ SERVO = """
 <mujoco><worldbody><body name="arm"><joint name="hinge" damping="0.1"/><geom name="link" type="capsule" size=".02"
   fromto="0 0 0 .3 0 0" mass=".5"/></body></worldbody>
   <actuator><position name="servo" joint="hinge" kp="7" ctrlrange="-1 1"/></actuator></mujoco>
-"""
+"""  # noqa: E501
 NAMES = {  # of SERVO: what each name reads there
     "body:arm.mass": 0.5,
     "joint:hinge.damping": 0.1,

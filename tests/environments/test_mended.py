@@ -19,7 +19,7 @@ ROBOT = """
   <joint name="{joint}" type="slide" axis="1 0 0" damping="{damping}" frictionloss="{dry}" armature="{armature}"/>
   <geom type="box" size="0.1 0.1 0.1" mass="{mass}"/></body></worldbody>
 <actuator><motor name="motor" joint="{joint}" gear="4" ctrlrange="-1 1"/></actuator></mujoco>
-"""
+"""  # noqa: E501
 AS_DECLARED = {"damping": 0.4, "dry": 0, "armature": 0, "mass": 1}
 FOUND = {"damping": 0.7, "dry": 0.3, "armature": 0.05, "mass": 1.2}
 

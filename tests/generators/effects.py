@@ -9,16 +9,42 @@ from dataclasses import dataclass
 import numpy as np
 
 EFFECTS = (
-    "coulomb", "stribeck", "quadratic_drag", "spring", "bias", "tilt", "encoder_offset", "torque_gain", "delay",
-    "actuator_lag", "saturation", "dead_zone", "presliding", "backlash", "cogging", "rotor_inertia",
-    "friction_drift", "periodic_disturbance", "hard_stop", "load_friction", "sensor_lag",
-)  # fmt: skip
+    "coulomb",
+    "stribeck",
+    "quadratic_drag",
+    "spring",
+    "bias",
+    "tilt",
+    "encoder_offset",
+    "torque_gain",
+    "delay",
+    "actuator_lag",
+    "saturation",
+    "dead_zone",
+    "presliding",
+    "backlash",
+    "cogging",
+    "rotor_inertia",
+    "friction_drift",
+    "periodic_disturbance",
+    "hard_stop",
+    "load_friction",
+    "sensor_lag",
+)
 
 # Inner step [s]: friction and contact need short steps, smooth forces do not.
 STEP = {
-    "coulomb": 2.5e-4, "stribeck": 2.5e-4, "load_friction": 2.5e-4, "presliding": 2.5e-4, "hard_stop": 2.5e-4,
-    "backlash": 2.5e-4, "delay": 5e-4, "cogging": 5e-4, "actuator_lag": 2.5e-4, "sensor_lag": 2.5e-4,
-}  # fmt: skip
+    "coulomb": 2.5e-4,
+    "stribeck": 2.5e-4,
+    "load_friction": 2.5e-4,
+    "presliding": 2.5e-4,
+    "hard_stop": 2.5e-4,
+    "backlash": 2.5e-4,
+    "delay": 5e-4,
+    "cogging": 5e-4,
+    "actuator_lag": 2.5e-4,
+    "sensor_lag": 2.5e-4,
+}
 SMOOTH_STEP = 1.25e-3
 
 
@@ -112,12 +138,28 @@ LARGEST = {
 SMALLEST = {"actuator_lag": 5e-4, "sensor_lag": 5e-4}
 
 UNITS = {
-    "coulomb": "N m", "stribeck": "N m", "quadratic_drag": "N m s2/rad2", "spring": "N m/rad", "bias": "N m",
-    "tilt": "rad", "encoder_offset": "rad", "torque_gain": "1", "delay": "s", "actuator_lag": "s",
-    "saturation": "1 (share of peak cut off)", "dead_zone": "N m", "presliding": "N m", "backlash": "rad",
-    "cogging": "N m", "rotor_inertia": "kg m2", "friction_drift": "N m s/rad", "periodic_disturbance": "N m",
-    "hard_stop": "N m/rad", "load_friction": "1", "sensor_lag": "s",
-}  # fmt: skip
+    "coulomb": "N m",
+    "stribeck": "N m",
+    "quadratic_drag": "N m s2/rad2",
+    "spring": "N m/rad",
+    "bias": "N m",
+    "tilt": "rad",
+    "encoder_offset": "rad",
+    "torque_gain": "1",
+    "delay": "s",
+    "actuator_lag": "s",
+    "saturation": "1 (share of peak cut off)",
+    "dead_zone": "N m",
+    "presliding": "N m",
+    "backlash": "rad",
+    "cogging": "N m",
+    "rotor_inertia": "kg m2",
+    "friction_drift": "N m s/rad",
+    "periodic_disturbance": "N m",
+    "hard_stop": "N m/rad",
+    "load_friction": "1",
+    "sensor_lag": "s",
+}
 
 
 class Table:

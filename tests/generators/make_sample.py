@@ -15,7 +15,7 @@ NOTE = """# Sample recording
 NumPy (code in `tests/generators`, which shares nothing with the package), adds sensor noise, and writes what a logger
 would have written: 4 trials of 4 s at 200 Hz. The rig has an effect that its declared model lacks:
 {effect} of {value:.3g} {unit} at {where}.
-"""
+"""  # noqa: E501
 
 
 def main(folder: Path = FOLDER) -> None:

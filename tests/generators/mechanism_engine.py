@@ -100,7 +100,7 @@ def _sensed(effects: tuple[Effect, ...], q: np.ndarray, v: np.ndarray):
     return q, v
 
 
-def simulate(plant: Plant, drive: Drive, effects: tuple[Effect, ...] = ()) -> Run:
+def simulate(plant: Plant, drive: Drive, effects: tuple[Effect, ...] = ()) -> Run:  # noqa: C901, PLR0912, PLR0915
     """Step all trials to their last row."""
     m, (trials, rows) = plant.model, drive.rows.shape
     n, steps, at, on = (

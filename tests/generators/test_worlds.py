@@ -137,14 +137,20 @@ def test_declared_truth_is_the_mass_matrix_and_gravity_of_the_world():
 # What the second engine may differ by, as a share of what the effect changes, with the reason.
 ENGINE_TOLERANCE = {
     "": 1e-7,  # RK4 in both; absolute [rad]
-    "rotor_inertia": 1e-6, "spring": 1e-6, "tilt": 1e-5, "torque_gain": 1e-6, "saturation": 1e-6, "bias": 1e-6,
+    "rotor_inertia": 1e-6,
+    "spring": 1e-6,
+    "tilt": 1e-5,
+    "torque_gain": 1e-6,
+    "saturation": 1e-6,
+    "bias": 1e-6,
     "quadratic_drag": 5e-3,  # MuJoCo steps implicitly to first order at 0.1 ms
-    "cogging": 0.03, "actuator_lag": 0.03,  # the same, with a first-order filter
+    "cogging": 0.03,
+    "actuator_lag": 0.03,  # the same, with a first-order filter
     "delay": 0.03,  # rounded to MuJoCo's 0.1 ms steps
     "presliding": 0.03,  # both LuGre, first order in time there
     "coulomb": 0.03,  # a soft constraint there, tanh(v / 1 mrad/s) here
     "stribeck": 0.3,  # LuGre there: a bristle of 1 mrad and its damping come with it
-}  # fmt: skip
+}
 
 
 @pytest.mark.slow

@@ -28,7 +28,7 @@ XML = """<mujoco>
     </body>
   </worldbody>
 </mujoco>
-"""
+"""  # noqa: E501
 SIZES = {
     "speed_friction": (0.4, 0.8),
     "grain": (0.3, 0.5),

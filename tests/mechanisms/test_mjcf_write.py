@@ -13,7 +13,7 @@ ARM = """<mujoco><compiler angle="radian"/><worldbody>
   <body name="lower" pos="0 0 -0.4" quat="0.9 0.1 0.2 0"><joint name="elbow" axis="1 1 0"/>
     <inertial pos="0 0 -0.1" mass="0.5" diaginertia="0.004 0.004 0.001"/>
     <body name="tool" pos="0 0 -0.2"><inertial pos="0 0 0" mass="0.1" diaginertia="1e-4 1e-4 1e-4"/></body></body></body>
-</worldbody><actuator><position name="drive" joint="shoulder" kp="20" kv="1"/></actuator></mujoco>"""
+</worldbody><actuator><position name="drive" joint="shoulder" kp="20" kv="1"/></actuator></mujoco>"""  # noqa: E501
 
 
 def test_what_is_written_is_read_back(tmp_path):

@@ -23,7 +23,7 @@ GRIPPER = f"""<mujoco><compiler angle="radian"/><worldbody>
 <tendon><fixed name="both"><joint joint="left" coef="0.5"/><joint joint="right" coef="0.5"/></fixed></tendon>
 <equality><joint joint1="left" joint2="right" polycoef="0.004 0.8 0 0 0"/></equality>
 <actuator><position name="swing" joint="arm" kp="20" kv="1"/><velocity name="brake" joint="arm" kv="2"/>
-<position name="grip" tendon="both" kp="60" kv="2" forcerange="-9 9"/></actuator></mujoco>"""
+<position name="grip" tendon="both" kp="60" kv="2" forcerange="-9 9"/></actuator></mujoco>"""  # noqa: E501
 
 
 def written(path, text):
@@ -172,7 +172,10 @@ def test_a_loop_that_closes_is_told_and_what_is_in_it_held(tmp_path):
 
 
 def test_a_ball_is_three_hinges_in_turn(tmp_path):
-    text = f'<mujoco><worldbody><body><joint name="hip" type="ball"/>{BODY.format(mass=1)}</body></worldbody></mujoco>'
+    text = (
+        '<mujoco><worldbody><body><joint name="hip" '
+        f'type="ball"/>{BODY.format(mass=1)}</body></worldbody></mujoco>'
+    )
     made = read_mechanism(written(tmp_path / "robot.xml", text))
     assert (
         made.tree.joint_names == ("hip_x", "hip_y", "hip_z")

@@ -102,7 +102,10 @@ def test_mass_bias_and_gravity_agree_with_mujoco(tmp_path, seed):
 
 
 def test_subtrees_share_no_body(tmp_path):
-    leg = '<body name="{0}" pos="0 {1} 0"><joint name="{0}" axis="0 1 0"/><inertial pos="0 0 -1" mass="1" diaginertia="1 1 1"/></body>'
+    leg = (
+        '<body name="{0}" pos="0 {1} 0"><joint name="{0}" axis="0 1 0"/><inertial pos="0 0 -1" '
+        'mass="1" diaginertia="1 1 1"/></body>'
+    )
     path = tmp_path / "legs.xml"
     path.write_text(
         f"<mujoco><worldbody>{leg.format('a', 0)}{leg.format('b', 1)}</worldbody></mujoco>"

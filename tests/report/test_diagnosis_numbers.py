@@ -5,8 +5,8 @@ page.
 import numpy as np
 import pytest
 
+from adaptsim_jax.report import diagnosis_figures as svg
 from adaptsim_jax.report import diagnosis_format as fmt
-from adaptsim_jax.report import diagnosis_svg as svg
 from adaptsim_jax.report import diagnosis_words as words
 from adaptsim_jax.report.diagnosis_explore import held_out
 from adaptsim_jax.report.diagnosis_rows import declared_rows, effect_rows

@@ -12,7 +12,7 @@ import pytest
 
 from adaptsim_jax.report import diagnosis_explore, explore, sweep_page
 from adaptsim_jax.report.diagnosis import render
-from adaptsim_jax.report.explore import Columns, Plot, View
+from adaptsim_jax.report.explore import Plot, SharedColumns, View
 from tests.report.diagnosis_cases import REPORTS, evidence
 from tests.report.sweep_cases import made
 from tests.report.test_diagnosis_page import Page
@@ -128,7 +128,7 @@ def test_thinned_traces_say_so():
 
 def test_names_cannot_end_the_script_nor_be_read_as_markup():
     odd = "</script><b>a</b>&amp;"
-    columns = Columns()
+    columns = SharedColumns()
     html = explore.explorer(
         {odd: [odd, "b"]}, {(0,): View([{"data": []}], odd)}, [Plot(odd)], columns
     )

@@ -18,7 +18,10 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine"),
 ]
-CHOOSE = "Object.assign(document.querySelectorAll('#held-out select')[{}], {{value: '1'}}).dispatchEvent(new Event('change'))"
+CHOOSE = (
+    "Object.assign(document.querySelectorAll('#held-out select')[{}], {{value: "
+    "'1'}}).dispatchEvent(new Event('change'))"
+)
 PLOTS = {"diagnosis": 1, "comparison": 2, "sweep": 2}
 
 
@@ -45,7 +48,10 @@ def pages(tmp_path_factory, results) -> dict[str, Path]:  # noqa: F811
 def test_plots_are_drawn_and_nothing_is_fetched(browser, pages, name, dark):
     browser.show(pages[name], dark=dark)
     assert browser.run("document.querySelectorAll('.js-plotly-plot').length") == PLOTS[name]
-    drawn = "[...document.querySelectorAll('.js-plotly-plot')].every(p => p.querySelectorAll('.scatterlayer path').length > 0)"
+    drawn = (
+        "[...document.querySelectorAll('.js-plotly-plot')].every(p => "
+        "p.querySelectorAll('.scatterlayer path').length > 0)"
+    )
     assert browser.run(drawn)
     assert browser.errors == []
     assert [url for url in browser.asked if not url.startswith(("file:", "data:", "blob:"))] == []

@@ -29,7 +29,10 @@ from adaptsim_jax.tasks.pendulum.task import PendulumTrajectory
 NEEDED = ("time", "q1", "q2", "tau1", "tau2")
 COLUMNS = (*NEEDED, "v1", "v2")
 START = (-np.pi, 0.0)
-SHORT = f"run the policy for {HORIZON} s; where the robot cannot, tell that: adaptsim robot record --failed"
+SHORT = (
+    f"run the policy for {HORIZON} s; where the robot cannot, tell that: adaptsim robot record "
+    "--failed"
+)
 GAP = 0.06
 """s without a row that can be filled: the arm strays some 0.02 rad from the line between two rows
 then.
@@ -108,7 +111,8 @@ def check_columns(columns: Mapping[str, np.ndarray], where: str) -> None:
     plain = design(1.0, GRAVITY, -1.0)
     if trials := contradiction([track], plain, WORDS, chain=(-1, 0), zeros=(1,)):
         raise BadInput(
-            f"{where}: the columns contradict a double pendulum: {trials.statement}; mend the file (rad, "
+            f"{where}: the columns contradict a double pendulum: {trials.statement}; mend the "
+            "file (rad, "
             f"N m, zero upright); {AS_DECLARED}"
         )
     motion = motion_of([track])
@@ -194,7 +198,8 @@ def _check_speeds(time: np.ndarray, columns: Mapping[str, np.ndarray], where: st
         trials = velocity_agreement(time, columns[f"q{name}"], columns[f"v{name}"])
         if trials.enough and trials.r2 > 0.9 and not 0.5 < trials.gain < 2.0:
             raise BadInput(
-                f"{where}: column v{name} is {trials.gain:.3g} times the slope of q{name}; write rad "
+                f"{where}: column v{name} is {trials.gain:.3g} times the slope of q{name}; "
+                "write rad "
                 f"and rad/s with the same sign, "
                 "or leave the velocities out"
             )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from adaptsim_jax.tasks.faces import RobotFace
 
 if TYPE_CHECKING:
-    from adaptsim_jax.commands.robot_session import Session
+    from adaptsim_jax.commands.robot_session import RobotSession
 
 TURN = "trial"
 HOW = (
@@ -21,15 +21,15 @@ GAIN = "torque = -gain @ [q1, q2, v1, v2];"
 CONTROLLER = """every 5 ms, the torque that this policy's controller says (it is more than its gain):
   from adaptsim_jax.tasks.pendulum.controller import read_controller
   controller = read_controller({folder!r})
-  torque = controller([q1, q2, v1, v2], t)   # rad with zero upright, rad/s, s since the start; N m"""
+  torque = controller([q1, q2, v1, v2], t)   # rad with zero upright, rad/s, s since the start; N m"""  # noqa: E501
 
 
-def opened(session: Session, total: int) -> str:
+def opened(session: RobotSession, total: int) -> str:
     """What a new session consists of."""
     return f"session of {total} trials"
 
 
-def policy_file(session: Session, policy: Any) -> dict[str, Any]:
+def policy_file(session: RobotSession, policy: Any) -> dict[str, Any]:
     """What `policy.toml` holds beside the parameters."""
     from adaptsim_jax.tasks.one_shot_naf import leaves_by_name
 
@@ -37,7 +37,7 @@ def policy_file(session: Session, policy: Any) -> dict[str, Any]:
 
 
 def show(
-    session: Session, state: Any, policy: Any, history: list[dict[str, Any]], done: bool
+    session: RobotSession, state: Any, policy: Any, history: list[dict[str, Any]], done: bool
 ) -> None:
     """Print the policy, and how to run it while trials are left; a mended model's controller needs
     the model beside it.
@@ -60,7 +60,7 @@ def show(
         print(HOW.format(law=CONTROLLER.format(folder=str(session.folder))))
 
 
-def read(session: Session, state: Any, path: Path) -> Any:
+def read(session: RobotSession, state: Any, path: Path) -> Any:
     """The trajectory of a measured trial."""
     from adaptsim_jax.logs.table import read_table
     from adaptsim_jax.tasks.pendulum import measured
@@ -79,7 +79,8 @@ def read(session: Session, state: Any, path: Path) -> Any:
         trials := measured.check_policy(table.columns, state.policy.gain)
     ):
         print(
-            f"warning: {trials}: another gain, late, cut off, or angles that froze? if so: adaptsim "
+            f"warning: {trials}: another gain, late, cut off, or angles that froze? if so: "
+            "adaptsim "
             f"robot undo"
         )
     return found

@@ -92,7 +92,10 @@ def frame_fault(angles: np.ndarray, way: np.ndarray) -> FrameFault | None:
                 return trials
     alike = turned < 0.5 * abs(turn)
     if alike and abs(turn) > SLIGHT and (len(angles) > 1 or abs(turn) > TURNED):
-        what = f"the bottles went {abs(np.degrees(turn)):.0f} degrees to the {'left' if turn > 0 else 'right'} of their pushes"
+        what = (
+            f"the bottles went {abs(np.degrees(turn)):.0f} degrees to the "
+            f"{'left' if turn > 0 else 'right'} of their pushes"
+        )
         slight = abs(turn) < TURNED
         return FrameFault(
             "turned",

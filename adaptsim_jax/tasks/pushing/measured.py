@@ -40,8 +40,18 @@ FASTEST, SLIP = (
     0.03,
 )  # m/s and m: a row farther than this from the one before is another thing than the bottle
 _SIMULATOR = (
-    "simulator", "pretrain", "refine", "coefficients", "friction", "duration", "mu", "e", "mu_p", "y_p", "mended",
-)  # fmt: skip  # options of it
+    "simulator",
+    "pretrain",
+    "refine",
+    "coefficients",
+    "friction",
+    "duration",
+    "mu",
+    "e",
+    "mu_p",
+    "y_p",
+    "mended",
+)  # options of it
 _GOALS = 0x60A15  # tells the goals' keys from those that policies are trained with
 
 
@@ -204,7 +214,8 @@ def _check_time(time: np.ndarray, reported: Callable[[int], str], config: Pushin
     last = config.duration - min(1.5 * step, GAP / 2) - 1e-6
     if time[-1] < last:
         raise BadInput(
-            f"{reported(-1)}: ends at {time[-1]:.4g} s; record it for {config.duration:g} s from the "
+            f"{reported(-1)}: ends at {time[-1]:.4g} s; record it for {config.duration:g} s "
+            "from the "
             f"arm's start"
         )
     if config.observation == "final":  # one row at the end serves

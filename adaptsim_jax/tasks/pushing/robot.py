@@ -18,18 +18,18 @@ from adaptsim_jax.tasks.faces import (
 )
 
 if TYPE_CHECKING:
-    from adaptsim_jax.commands.robot_session import Session
+    from adaptsim_jax.commands.robot_session import RobotSession
     from adaptsim_jax.tasks.pushing.measured import Pushes
 
 TURN = "iteration"
 COLUMNS = ("goal_x", "goal_y", "speed", "angle")  # of actions.csv, after the trial
 HOW = """for each, with the bottle standing at x = 0.56, y = 0 m: push at that speed and angle, and track the bottle for {duration:g} s
-write one CSV for all of them with columns trial, time, x, y (s since the arm's start; m in the arm's base frame)"""
+write one CSV for all of them with columns trial, time, x, y (s since the arm's start; m in the arm's base frame)"""  # noqa: E501
 ENOUGH = 6  # pushes from which a diagnosis may say something; 12 to 24 serve
 GRID = 24  # goals in best_actions.csv
 
 
-def deployed(session: Session, policy: Any, history: list[dict[str, Any]]) -> Any:
+def deployed(session: RobotSession, policy: Any, history: list[dict[str, Any]]) -> Any:
     """The policy as it would be deployed now, corrected by the pushes told so far where the task
     does that.
     """
@@ -40,7 +40,7 @@ def deployed(session: Session, policy: Any, history: list[dict[str, Any]]) -> An
     return corrected(policy, config_of(session), actions, places)
 
 
-def tried(session: Session, policy: Any, history: list[dict[str, Any]]) -> Any:
+def tried(session: RobotSession, policy: Any, history: list[dict[str, Any]]) -> Any:
     """The policy as the coming iteration makes its pushes: E's own, or what is deployed now
     (`task.visits`).
     """
@@ -49,7 +49,7 @@ def tried(session: Session, policy: Any, history: list[dict[str, Any]]) -> Any:
     return policy
 
 
-def policy_file(session: Session, policy: Any) -> dict[str, Any]:
+def policy_file(session: RobotSession, policy: Any) -> dict[str, Any]:
     """What `policy.toml` holds beside the parameters; `measured.read_policy` reads it."""
     from adaptsim_jax.tasks.pushing.measured import policy_table
 
@@ -57,7 +57,7 @@ def policy_file(session: Session, policy: Any) -> dict[str, Any]:
 
 
 def show(
-    session: Session, state: Any, policy: Any, history: list[dict[str, Any]], done: bool
+    session: RobotSession, state: Any, policy: Any, history: list[dict[str, Any]], done: bool
 ) -> None:
     """Print the pushes to make and write them to actions.csv; when all is told, the best policy's
     over the sector of goals.
@@ -78,7 +78,7 @@ def show(
     print(HOW.format(duration=config_of(session).duration))
 
 
-def read(session: Session, state: Any, path: Path) -> Any:
+def read(session: RobotSession, state: Any, path: Path) -> Any:
     """The trajectory of the pushes that were asked for."""
     import numpy as np
 
@@ -107,13 +107,13 @@ def read(session: Session, state: Any, path: Path) -> Any:
     return make_expectation(config)(found, state.policy)
 
 
-def remember(session: Session, before: Any, trajectory: Any) -> dict[str, Any]:
+def remember(session: RobotSession, before: Any, trajectory: Any) -> dict[str, Any]:
     """The pushes and what came of them."""
     rows = zip(*_pushes(session, before), trajectory.points, trajectory.rewards, strict=True)
     return remembered(session, before.mean, "pushes", ("goal", "action", "points", "reward"), rows)
 
 
-def comment(session: Session, before: Any, after: Any, trajectory: Any, done: bool) -> None:
+def comment(session: RobotSession, before: Any, after: Any, trajectory: Any, done: bool) -> None:
     """How far each bottle ended from its goal, and which parameters are believed in now."""
     import numpy as np
 
@@ -141,7 +141,7 @@ def comment(session: Session, before: Any, after: Any, trajectory: Any, done: bo
     print_parameters(session, before, after)
 
 
-def _best(session: Session, policy: Any) -> None:
+def _best(session: RobotSession, policy: Any) -> None:
     from adaptsim_jax.tasks.pushing.measured import pushes_over_sector
 
     path = session.folder / "best_actions.csv"
@@ -155,7 +155,7 @@ def _best(session: Session, policy: Any) -> None:
     print(f"  speed, angle = read_policy({str(session.folder / 'best.toml')!r})([0.85, 0.02])")
 
 
-def _figure(session: Session, history: list[dict[str, Any]]) -> Path:
+def _figure(session: RobotSession, history: list[dict[str, Any]]) -> Path:
     """The pushes as they were measured, a row a start, and the parameters of the start that holds
     the best.
     """
@@ -189,7 +189,7 @@ def _figure(session: Session, history: list[dict[str, Any]]) -> Path:
     return look.save(figure, session.folder / "pushes.png")
 
 
-def _pushes(session: Session, state: Any) -> Pushes:
+def _pushes(session: RobotSession, state: Any) -> Pushes:
     from adaptsim_jax.tasks.pushing.measured import pushes_to_make
 
     return pushes_to_make(state.key, state.told, state.policy, config_of(session))

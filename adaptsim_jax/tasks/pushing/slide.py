@@ -278,7 +278,7 @@ def _grained(n: _Numbers, vx: Array, vy: Array) -> tuple[Array, Array]:
 def _step(n: _Numbers, state: tuple[Array, ...], edge: Array) -> tuple[Array, ...]:
     """`(dx, dy, vx, vy)` a step later; with yaw and its rate where the bottle turns. edge `[6]`: the
     plate's.
-    """
+    """  # noqa: E501
     dx, dy, vx, vy, *turning = state
     before, _ = n.scheme.drifts
     dx, dy = dx + before * vx, dy + before * vy

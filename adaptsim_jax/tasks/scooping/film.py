@@ -165,7 +165,7 @@ def scene_xml(params: Any) -> str:
 <geom type="box" size="{hx} {model.BLADE_HALF_WIDTH} {hz}" pos="{bx} 0 {bz}" rgba="0.71 0.32 0.18 1" {look}/>
 <geom type="box" size="{kx} {model.NECK_HALF_WIDTH} {kz}" pos="{nx} 0 {nz}" quat="{c} 0 {s} 0" rgba="0.71 0.32 0.18 1" {look}/>
 <geom type="capsule" fromto="{grip}" size="0.006" rgba="0.35 0.33 0.31 1" {look}/></body>
-</worldbody></mujoco>"""
+</worldbody></mujoco>"""  # noqa: E501
 
 
 SCENE = Scene(

@@ -19,17 +19,17 @@ from adaptsim_jax.tasks.faces import (
 )
 
 if TYPE_CHECKING:
-    from adaptsim_jax.commands.robot_session import Session
+    from adaptsim_jax.commands.robot_session import RobotSession
     from adaptsim_jax.tasks.scooping.measured import Scoops
 
 TURN = "iteration"
 COLUMNS = ("place_x", "place_y", "pitch", "rate", "distance")  # of actions.csv, after the trial
 HOW = """for each, lay the piece at that place (m from the middle of a box of 8 x 6 cm, x along the spatula's way), start at
 that pitch and distance, scoop with that pitch rate at 0.25 s, and track the piece for {seconds:g} s; write one CSV for all of them
-with columns trial, time, x, y, on (s since the arm's start; m; 1 where the piece lies on the spatula, else 0)"""
+with columns trial, time, x, y, on (s since the arm's start; m; 1 where the piece lies on the spatula, else 0)"""  # noqa: E501
 
 
-def deployed(session: Session, policy: Any, history: list[dict[str, Any]]) -> Any:
+def deployed(session: RobotSession, policy: Any, history: list[dict[str, Any]]) -> Any:
     """The policy as it would be deployed now, corrected by the scoops told so far where the task
     does that.
     """
@@ -41,7 +41,7 @@ def deployed(session: Session, policy: Any, history: list[dict[str, Any]]) -> An
     )
 
 
-def tried(session: Session, policy: Any, history: list[dict[str, Any]]) -> Any:
+def tried(session: RobotSession, policy: Any, history: list[dict[str, Any]]) -> Any:
     """The policy as the coming iteration makes its scoops: where it is corrected, the last of them
     is a probe.
     """
@@ -55,7 +55,7 @@ def tried(session: Session, policy: Any, history: list[dict[str, Any]]) -> Any:
     return policy
 
 
-def policy_file(session: Session, policy: Any) -> dict[str, Any]:
+def policy_file(session: RobotSession, policy: Any) -> dict[str, Any]:
     """What `policy.toml` holds beside the parameters; `measured.read_policy` reads it."""
     from adaptsim_jax.tasks.scooping.measured import policy_table
 
@@ -63,7 +63,7 @@ def policy_file(session: Session, policy: Any) -> dict[str, Any]:
 
 
 def show(
-    session: Session, state: Any, policy: Any, history: list[dict[str, Any]], done: bool
+    session: RobotSession, state: Any, policy: Any, history: list[dict[str, Any]], done: bool
 ) -> None:
     """Print the scoops to make and write them to actions.csv; when all is told, how the best policy
     is used.
@@ -99,7 +99,7 @@ def show(
     print(HOW.format(seconds=SECONDS))
 
 
-def read(session: Session, state: Any, path: Path) -> Any:
+def read(session: RobotSession, state: Any, path: Path) -> Any:
     """The trajectory of the scoops that were asked for."""
     import numpy as np
 
@@ -120,7 +120,7 @@ def read(session: Session, state: Any, path: Path) -> Any:
     return found
 
 
-def remember(session: Session, before: Any, trajectory: Any) -> dict[str, Any]:
+def remember(session: RobotSession, before: Any, trajectory: Any) -> dict[str, Any]:
     """The scoops and what came of them."""
     rows = zip(*_scoops(session, before), trajectory.points, trajectory.success, strict=True)
     return remembered(
@@ -128,7 +128,7 @@ def remember(session: Session, before: Any, trajectory: Any) -> dict[str, Any]:
     )
 
 
-def comment(session: Session, before: Any, after: Any, trajectory: Any, done: bool) -> None:
+def comment(session: RobotSession, before: Any, after: Any, trajectory: Any, done: bool) -> None:
     """Which scoops succeeded, and which parameters are believed in now."""
     for number, success in zip(_scoops(session, before).numbers, trajectory.success, strict=True):
         print(f"  trial {number}: {'on the spatula' if success > 0.5 else 'not on the spatula'}")
@@ -147,7 +147,7 @@ def _in_words(action: Any) -> str:
     )
 
 
-def _scoops(session: Session, state: Any) -> Scoops:
+def _scoops(session: RobotSession, state: Any) -> Scoops:
     from adaptsim_jax.tasks.scooping.measured import scoops_to_make
 
     return scoops_to_make(state.key, state.told, state.policy, config_of(session))

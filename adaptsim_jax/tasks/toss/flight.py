@@ -1,6 +1,6 @@
 """What flights say: of the recording's clock, its lengths and gravity; and of whole tosses, which are
 simulated from starts that are fitted to their first rows alone.
-"""
+"""  # noqa: E501
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

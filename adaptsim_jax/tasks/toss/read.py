@@ -185,7 +185,8 @@ def _one(
     spun = np.linalg.norm(turns.log(turns.times(turns.inverse(turn[:-1]), turn[1:])), axis=1)
     for k in np.flatnonzero((spun > SPIN * gaps) & (spun > 0.5))[:1] + 1:
         raise BadInput(
-            f"{trials(k)}: the body turns by {spun[k - 1]:.2g} rad between two rows; remove what is "
+            f"{trials(k)}: the body turns by {spun[k - 1]:.2g} rad between two rows; remove "
+            "what is "
             f"not it"
         )
     return time - time[0], place, turn

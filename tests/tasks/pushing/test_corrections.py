@@ -34,7 +34,7 @@ def told(places, used=(True, True, True, False)):
     return PushRecord(ACTIONS, places, jnp.array(used))
 
 
-def test_a_push_that_was_seen_is_expected_where_it_ended_and_far_ones_where_the_simulator_has_them():
+def test_an_observed_push_is_expected_where_it_ended_and_far_ones_where_simulated():
     off = jnp.array([0.03, -0.02])
     mended = with_gaps(simulated, told(jax.vmap(simulated)(ACTIONS) + off[None]))
     for action in ACTIONS[:3]:

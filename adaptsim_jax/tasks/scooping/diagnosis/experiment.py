@@ -68,7 +68,10 @@ def informative_scoops(scooped: Scooped, found: Found) -> dict[str, Any] | None:
     names, score = [n.candidate.name, other.name], scores[worst]
     words = f"{names[0].replace('_', ' ')} and {names[1].replace('_', ' ')}"
     if score.max() < SEPARATION:
-        given = f"No scoop within the bounds tells {words} apart: tracks differ by {score.max():.1f} times what scoops scatter by"
+        given = (
+            f"No scoop within the bounds tells {words} apart: tracks differ by {score.max():.1f} "
+            "times what scoops scatter by"
+        )
         return {
             "message": f"{given}, at most. Measure one of them by itself.",
             "separates": names,

@@ -159,7 +159,8 @@ def _check_actions(c: Mapping[str, np.ndarray], trials: Callable) -> None:
             else:
                 mend = "in mm? write metres"
             raise BadInput(
-                f"{trials(i)}: {name} {c[name][i]:g} is not within {low:g} to {high:g} {unit}; is it "
+                f"{trials(i)}: {name} {c[name][i]:g} is not within {low:g} to {high:g} "
+                f"{unit}; is it "
                 f"{mend}"
             )
 

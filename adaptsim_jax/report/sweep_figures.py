@@ -1,20 +1,23 @@
-"""What the page of a sweep lets its reader explore: rewards over each swept value, and learning
+"""Figures of a sweep, for its page and as pictures: rewards over each swept value, and learning
 curves by combination of values.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from adaptsim_jax.report import figures as look
-from adaptsim_jax.report.explore import Columns, Plot, View, explorer, shown
-from adaptsim_jax.report.figures_sweep import COLOURS
+from adaptsim_jax.report.explore import Plot, SharedColumns, View, explorer, shown
 
 TRAINING = "training"
 """The reward of Phase 1's last tenth of rounds, beside those in targets."""
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+MARKERS = "os^Dvp*"
 MOST_DRAWN = 10
 """Combinations whose medians are drawn together; all have a plot of their own, up to
 `MOST_CHOICES`.
@@ -82,16 +85,25 @@ def _rows(found: Mapping[str, Any], key: str) -> list[Mapping[str, Any]]:
     return [r for r in found["summary"] if r["key"] == key and r["mean"] is not None]
 
 
+def _values(rows: Sequence[Mapping[str, Any]]) -> tuple[list[Any], bool, bool]:
+    """The values that were swept, in order where they are numbers; whether they are; whether they
+    span so much that an axis is to be logarithmic.
+    """
+    values = list({repr(r["value"]): r["value"] for r in rows}.values())
+    if not all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
+        return values, False, False
+    values = sorted(values)
+    return values, True, len(values) > 2 and min(values) > 0 and max(values) / min(values) >= 20
+
+
 def _over_note(found: Mapping[str, Any], key: str) -> str:
-    least, over = min(((r["count"], r["over"]) for r in _rows(found, key)), default=(0, "members"))
-    return f"means with 95 % intervals over {least} {over}, the other values averaged over"
+    fewest, over = min(((r["count"], r["over"]) for r in _rows(found, key)), default=(0, "members"))
+    return f"means with 95 % intervals over {fewest} {over}, the other values averaged over"
 
 
 def _over(found: Mapping[str, Any], key: str) -> dict[str, Any]:
     rows = _rows(found, key)
-    values = list({repr(r["value"]): r["value"] for r in rows}.values())
-    plain = all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
-    values = sorted(values) if plain else values
+    values, plain, log = _values(rows)
     data = []
     for i, name in enumerate(dict.fromkeys(r["reward"] for r in rows)):
         mine = {repr(r["value"]): r for r in rows if r["reward"] == name}
@@ -123,7 +135,7 @@ def _over(found: Mapping[str, Any], key: str) -> dict[str, Any]:
         if plain
         else {"title": {"text": shown(key)}, "type": "category"}
     )
-    if plain and len(values) > 2 and min(values) > 0 and max(values) / min(values) >= 20:
+    if log:
         axis |= {"type": "log", "exponentformat": "power"}
     if plain and len(values) <= 6:
         axis |= {"tickmode": "array", "tickvals": values, "ticktext": [f"{v:g}" for v in values]}
@@ -144,7 +156,7 @@ def curves(members: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
     found = {name: curve for name, curve in found.items() if curve.size}
     if not found:
         return ""
-    columns, views = Columns(), {}
+    columns, views = SharedColumns(), {}
     best = sorted(
         found, key=lambda name: -float(np.nan_to_num(np.nanmean(found[name][:, -20:]), nan=-np.inf))
     )
@@ -197,7 +209,7 @@ def _layout(title: str, rounds: int) -> dict[str, Any]:
 
 
 def _medians(
-    found: Mapping[str, np.ndarray], rounds: Mapping[int, str], columns: Columns
+    found: Mapping[str, np.ndarray], rounds: Mapping[int, str], columns: SharedColumns
 ) -> dict[str, Any]:
     data: list[dict[str, Any]] = []
     for i, (name, curve) in enumerate(found.items()):
@@ -235,7 +247,7 @@ def _medians(
 
 
 def _seeds(
-    rows: Sequence[Mapping], curve: np.ndarray, rounds: Mapping[int, str], columns: Columns
+    rows: Sequence[Mapping], curve: np.ndarray, rounds: Mapping[int, str], columns: SharedColumns
 ) -> dict[str, Any]:
     some = [row for row in rows if row.get("curve")]
     data = []
@@ -251,3 +263,89 @@ def _seeds(
     else:
         title = f"the first 30 of {len(some)} seeds"
     return {"data": data, "layout": _layout(title, curve.shape[1])}
+
+
+# ---------------------------------------------------------------- pictures
+
+
+def draw(found: dict[str, Any], out: Path) -> list[Path]:
+    """A figure for each swept key of `results.json`, and one of the learning curves; returns the
+    files.
+    """
+    files = [
+        look.save(_picture_over(found, key), out / f"reward_{key.replace('.', '_')}.png")
+        for key in found["swept"]
+    ]
+    if any(row.get("curve") for row in found["rows"]):
+        files.append(look.save(_picture_of_curves(found), out / "curves.png"))
+    return [Path(f) for f in files]
+
+
+def _picture_over(found: Mapping[str, Any], key: str) -> Figure:
+    """Mean rewards over the values of `key` with 95 % intervals: a line for each target, or one for
+    Phase 1 where there is none.
+    """
+    figure, (axes,) = look.new_figure(6.4, 4.0)
+    wanted = found["spec"]["targets"] or ["training"]
+    rows = [r for r in _rows(found, key) if r["reward"] in wanted]
+    values, plain, log = _values(rows)
+    names = list(dict.fromkeys(r["reward"] for r in rows))
+    for i, name in enumerate(names):
+        mine = {repr(r["value"]): r for r in rows if r["reward"] == name}
+        some = [v for v in values if repr(v) in mine]
+        if plain:
+            x = np.array(some, float)
+        else:
+            x = np.array([values.index(v) for v in some], float)
+        mean = [mine[repr(v)]["mean"] for v in some]
+        half = [mine[repr(v)]["half"] or 0.0 for v in some]
+        colour, mark = COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)]
+        axes.errorbar(
+            x,
+            mean,
+            half,
+            capsize=3,
+            color=colour,
+            marker=mark,
+            markersize=4,
+            label=look.setting(name),
+        )
+    if not plain:
+        axes.set_xticks(range(len(values)), [str(v) for v in values])
+    elif log:
+        axes.set_xscale("log")
+    fewest, over = min(((r["count"], r["over"]) for r in rows), default=(0, "members"))
+    axes.set_xlabel(
+        f"{key} (means with 95 % intervals over {fewest} {over}, other values averaged over)",
+        fontsize=8,
+    )
+    axes.set_ylabel("reward")
+    axes.grid(color=look.GRID)
+    if names:
+        axes.legend(fontsize=8)
+    return figure
+
+
+def _picture_of_curves(found: Mapping[str, Any], most: int = 6) -> Figure:
+    """Rewards of Phase 1 over rounds: median and quartiles over seeds, for each combination of
+    values (the first `most`).
+    """
+    figure, (axes,) = look.new_figure(6.4, 4.0)
+    members = groups(found)
+    for i, (name, rows) in enumerate(list(members.items())[:most]):
+        curve = _matrix(rows)
+        if not curve.size:
+            continue
+        low, mid, high = np.nanpercentile(curve, [25, 50, 75], axis=0)
+        colour, x = COLOURS[i % len(COLOURS)], np.arange(1, curve.shape[1] + 1)
+        axes.plot(x, mid, color=colour, linewidth=1.2, label=name)
+        axes.fill_between(x, low, high, color=colour, alpha=0.2, linewidth=0)
+    if len(members) > most:
+        more = f"; {len(members) - most} more combinations not drawn"
+    else:
+        more = ""
+    axes.set_xlabel(f"round (median and quartiles over seeds{more})")
+    axes.set_ylabel("reward of the last step")
+    axes.grid(color=look.GRID)
+    axes.legend(fontsize=8)
+    return figure
