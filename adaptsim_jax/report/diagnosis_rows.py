@@ -22,7 +22,7 @@ FACTORS = {
 }
 """Parameters of effects on short trials that report.json has as a share more (0: none), and people read as a factor
 (1: none).
-"""
+"""  # noqa: E501
 
 
 def effect_rows(report: Mapping) -> list[dict[str, Any]]:
