@@ -1,4 +1,4 @@
-"""Where each method of diagnosis lives, once: what is searched for is how a second one would look."""
+"""Where each method of diagnosis lives, once: what is searched for is how a second one would look."""  # noqa: E501
 
 import re
 from pathlib import Path

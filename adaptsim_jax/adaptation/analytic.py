@@ -27,7 +27,7 @@ from adaptsim_jax.tasks.base import Task
 _STEEPEST = 3.0
 """What a slope by a parameter's whole range is held at, so that a target that all but falls does not
 drown others.
-"""
+"""  # noqa: E501
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ Steps of single parameters, chosen for what they earn at once, end where paramet
 other's errors; random exploration seldom leaves such places. In simulation the target's parameters
 are known, so some trajectories may be walked towards them. Only what is tried changes: rewards are
 the task's, and Phase 2 knows nothing of it.
-"""
+"""  # noqa: E501
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -19,7 +19,7 @@ from adaptsim_jax.space import MINUS, PLUS, STAY, Gaussian, Space
 from adaptsim_jax.tasks.base import Task
 
 _ASTRAY = 0.3
-"""Share of a led trajectory's steps of single parameters that are random: others get a value, too."""
+"""Share of a led trajectory's steps of single parameters that are random: others get a value, too."""  # noqa: E501
 
 
 class Guide(NamedTuple):

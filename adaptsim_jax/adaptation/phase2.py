@@ -23,7 +23,7 @@ class Phase2Result(NamedTuple):
         returns the highest expected one;
     mean: `[D]`, its distribution (unit coordinates); score, reward: `[]`, its raw return and scaled
         reward; history: `AdaptationEpisode` with leading axis `[N]`, one for each initial distribution.
-    """
+    """  # noqa: E501
 
     policy: Any
     mean: jax.Array

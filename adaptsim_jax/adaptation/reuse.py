@@ -32,7 +32,7 @@ class ReuseConfig:
     policy's j-th training has
     `max(least, decay^(j - 1) first)`. capacity: anchors that stay, the oldest go; together: policies
     trained at once.
-    """
+    """  # noqa: E501
 
     threshold: float = 0.0
     first: int = 10_000

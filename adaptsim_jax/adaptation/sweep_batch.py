@@ -30,7 +30,7 @@ class Programs(NamedTuple):
     `init(seeds) -> state`, `advance(state, hyper, numbers [n]) -> (state, (reward [n], finite
     [n]))`, `finish(state, hyper, seeds, targets [T, D]) -> MemberResult`; all but `numbers` and `targets`
     with leading axis `[width]`.
-    """
+    """  # noqa: E501
 
     phase1: Phase1
     mesh: Any

@@ -1,7 +1,7 @@
 """A sweep on disk: what it is (`sweep.json`), who works on it (`lock`), finished batches (`parts/`),
 checkpoints (`work/`), and its table: `results.csv` and `results.json`, with means and intervals by
 each swept value.
-"""
+"""  # noqa: E501
 
 import contextlib
 import csv

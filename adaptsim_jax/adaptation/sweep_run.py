@@ -5,7 +5,7 @@ Batches may be shared out by Ray (the extra `[cluster]`): on this machine, or on
 shares the sweep's folder. A batch is one task of Ray's. Where its worker dies the task is run again,
 from the batch's last checkpoint; only this process writes parts, each once, so that nothing is lost
 and nothing counts twice.
-"""
+"""  # noqa: E501
 
 import importlib
 import os

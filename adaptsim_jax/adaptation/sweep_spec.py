@@ -1,6 +1,6 @@
 """What a sweep is to do: members, each a configuration and a seed; and on which line of its SPEC.toml
 a key stands, so that every fault is named with its line.
-"""
+"""  # noqa: E501
 
 import re
 import tomllib

@@ -15,7 +15,7 @@ EXAMPLES = """
   adaptsim compare examples/env.toml --out env --seeds 3     an environment's policies, by return against target trials
   adaptsim compare pushing --out drake --seeds 1 --settings ood-1 --methods udr-target,oracle --target drake
 A comparison that was stopped, or that failed, goes on with the same command: what was done is kept in DIR/unfinished.
-"""
+"""  # noqa: E501
 METHODS = (
     "pendulum: adaptsim, adaptsim-state, adaptsim-analytic, sysid-bayes, sysid-bayes-state, "
     "sysid-point, sysid-point-state, "

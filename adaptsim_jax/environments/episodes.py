@@ -2,7 +2,7 @@
 
 Actions may come late or scaled, observations with noise. Of an episode its return is kept, and what of
 it an adaptation observes.
-"""
+"""  # noqa: E501
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -44,7 +44,7 @@ class SteppedModel(NamedTuple):
 class Play(NamedTuple):
     """`world(values [F]) -> SteppedModel`, `reset(world, key) -> Live`, `step(world, live, action [A]) ->
     Live`; pure, of one sample.
-    """
+    """  # noqa: E501
 
     sim: Simulated
     fields: tuple[ModelField, ...]

@@ -298,9 +298,11 @@ def space_of(
             )
         if ends[0] < field.minimum:  # type: ignore[operator]
             raise BadInput(
-                f"{where}: '{name}' begins at {ends[0]} {field.unit}; its least is {field.minimum:g}"
+                f"{where}: '{name}' begins at {ends[0]} {field.unit}; its least is "
+                f"{field.minimum:g}"
             )
-        parameters.append(Parameter(name, *ends, field.unit, scale, field.minimum))  # type: ignore[arg-type]
+        # type: ignore[arg-type]
+        parameters.append(Parameter(name, *ends, field.unit, scale, field.minimum))
         fields.append(field)
     return Space(tuple(parameters)), tuple(fields)
 

@@ -105,7 +105,8 @@ def _delay(form: Form, native: mujoco.MjModel) -> float:
     if late and (set(late) != driven or np.ptp(list(late.values())) > 1e-9):
         listed = ", ".join(f"{joint} {value:g} s" for joint, value in late.items())
         raise BadInput(
-            f"{form.path}: delays differ between actuators ({listed}); an environment has one: give all "
+            f"{form.path}: delays differ between actuators ({listed}); an environment has "
+            "one: give all "
             f"the same"
         )
     return max(late.values(), default=0.0)

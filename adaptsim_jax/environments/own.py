@@ -127,7 +127,7 @@ CARTPOLE = """
   </worldbody>
   <actuator><motor name="motor" joint="slide" gear="10" ctrlrange="-1 1"/></actuator>
 </mujoco>
-"""
+"""  # noqa: E501
 
 
 CARTPOLE_FIELDS = {
@@ -184,7 +184,7 @@ ARM = """
     <motor name="elbow" joint="elbow" gear="2" ctrlrange="-1 1"/>
   </actuator>
 </mujoco>
-"""
+"""  # noqa: E501
 
 
 ARM_FIELDS = {

@@ -2,7 +2,7 @@
 
 Parameters of gymnax's environments are arguments already, named `params.g`, `params.m`, ...; there is
 no MuJoCo model.
-"""
+"""  # noqa: E501
 
 import importlib
 import importlib.util

@@ -25,7 +25,7 @@ from adaptsim_jax.space import Space
 BLIND = 0.5
 """Of training, at its start: given E at once, a policy stops at worse ways to swing up than one that
 is given nothing.
-"""
+"""  # noqa: E501
 
 
 FORM = 3  # of what is learned: what was learned in another is learned anew

@@ -1,6 +1,6 @@
 """`environment_task`: an environment, named fields as Omega, a trainer; a `Task` for Phase 1, Phase 2
 and the baselines.
-"""
+"""  # noqa: E501
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace

@@ -92,7 +92,7 @@ class TrainerState(NamedTuple):
     """The learner, environments `[B]` with the values `[B, F]` and the mean that the policy is given `[B, D]`,
     discounted and plain rewards so far `[B]`, updates so far and in all; rates, which are arguments
     so that one compiled program serves all of them.
-    """
+    """  # noqa: E501
 
     ppo: PPOState
     live: Live
@@ -166,7 +166,7 @@ def make_ppo_trainer(  # noqa: PLR0915  (a factory: its inner functions are shor
         )
 
     def started(key, state: TrainerState, worlds: Worlds) -> tuple[TrainerState, Fresh]:
-        """The state of a round at its start, and what takes the place of episodes that end in it."""
+        """The state of a round at its start, and what takes the place of episodes that end in it."""  # noqa: E501
         fresh = Fresh(*jax.vmap(fresh_one, (0, None))(jax.random.split(key, B), worlds))
         first = jnp.broadcast_to(state.number == 0, (B,))
         live = _choose(first, fresh.live, state.live)._replace(time=state.live.time)

@@ -289,7 +289,7 @@ def _near(scale: RunningScale, rows: jax.Array) -> jax.Array:
     """`rows [N, n]` at most `MAX_DEVIATIONS` from the mean. A world that blows up goes to 1e27 before it is no
     number: one such row would hide all else for good. What is rarer than one row in `MAX_DEVIATIONS^2` stays
     far; what is not widens the scale until it is near.
-    """
+    """  # noqa: E501
 
     def at_first():
         some = rows[:: max(1, rows.shape[0] // FIRST)]
