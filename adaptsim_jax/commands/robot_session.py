@@ -16,7 +16,7 @@ PLACES = ("run", "run_from_here")
 """Keys of robot.toml that say where the run is, as a whole path and from the session's folder."""
 
 
-class Session(NamedTuple):
+class RobotSession(NamedTuple):
     """A session on disk: where it is, how it was started, the learned adaptation policy at work,
     the task's options, and the task as the registry holds it (`TaskKind`).
     """
@@ -30,7 +30,7 @@ class Session(NamedTuple):
     as_declared: bool = False  # what the record contradicts is taken all the same
 
 
-def open_session(folder: Path, moved: str | None = None) -> Session:
+def open_session(folder: Path, moved: str | None = None) -> RobotSession:
     """The session in `folder`; `moved`: where its run is now, which is written down once that run
     is known to be the one.
     """
@@ -139,7 +139,7 @@ def _check_same(run: RunFolder, table: dict[str, Any], folder: Path) -> None:
         )
 
 
-def make_session(folder: Path, table: dict[str, Any]) -> Session:
+def make_session(folder: Path, table: dict[str, Any]) -> RobotSession:
     from adaptsim_jax.adaptation.asktell import AskTell
     from adaptsim_jax.adaptation.training import load_run
     from adaptsim_jax.tasks.registry import TASKS
@@ -153,10 +153,10 @@ def make_session(folder: Path, table: dict[str, Any]) -> Session:
         {k: float(getattr(trained.hyper, k)) for k in ("delta", "shrink")},
     )
     loop = AskTell(phase1.task, phase1.bdq, weights, iterations=table["iterations"], **sizes)
-    return Session(folder, table, trained, loop, run.config.get("task", {}), TASKS[run.task])
+    return RobotSession(folder, table, trained, loop, run.config.get("task", {}), TASKS[run.task])
 
 
-def keep(session: Session, state: Any, history: list[dict[str, Any]]) -> None:
+def keep(session: RobotSession, state: Any, history: list[dict[str, Any]]) -> None:
     """Keep what is about to be recorded over, for `undo`."""
     save(session, state, history, session.folder / UNDO / str(len(history)))
 
@@ -171,7 +171,7 @@ def _bound(table: dict[str, Any]) -> str:
 
 
 def save(
-    session: Session, state: Any, history: list[dict[str, Any]], folder: Path | None = None
+    session: RobotSession, state: Any, history: list[dict[str, Any]], folder: Path | None = None
 ) -> None:
     from adaptsim_jax.core import store
 
@@ -185,7 +185,7 @@ def save(
     )
 
 
-def load(session: Session, folder: Path | None = None) -> tuple[Any, list[dict[str, Any]]]:
+def load(session: RobotSession, folder: Path | None = None) -> tuple[Any, list[dict[str, Any]]]:
     """State and history of the session, or of the record before in `folder`."""
     import jax
     import jax.numpy as jnp
