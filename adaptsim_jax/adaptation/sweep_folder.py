@@ -25,7 +25,7 @@ from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import output_errors, output_folder, write_bytes, write_json
 from adaptsim_jax.core.store import SCHEMA, check_version
-from adaptsim_jax.report.sweep_explore import TRAINING, earned, interval
+from adaptsim_jax.report.sweep_figures import TRAINING, earned, interval
 
 HEAD = "sweep.json"
 
