@@ -41,7 +41,7 @@ class Parameter:
         if not self.low < self.high:
             raise BadInput(
                 f"parameter {self.name}: low {self.low} is not below high {self.high}; swap or "
-                f"widen them"
+                "widen them"
             )
         if self.scale == "log" and self.low <= 0:
             raise BadInput(f"parameter {self.name}: a log scale needs low > 0, got {self.low}")

@@ -93,7 +93,7 @@ def main() -> None:
     except ValueError as problem:
         parser.error(
             f"--case: {problem}; give SUITE:SEED of {', '.join(sorted(SUITES))}, such as "
-            f"outside:17091"
+            "outside:17091"
         )
     print(f"{'recording':22} {'cache':6} {'wall s':>7} {'CPU s':>7}  verdict", flush=True)
     with tempfile.TemporaryDirectory() as scratch:

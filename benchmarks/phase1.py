@@ -67,7 +67,7 @@ def speed(peer_python: str) -> None:
     print(f"NumPy/SciPy + PyTorch loop: {rate:,.0f} steps/s, {per_cpu:,.0f} a CPU second")
     print(
         f"ratio compiled: {steps / warm / rate:.0f} by wall, {steps / cpu / per_cpu:.0f} by CPU "
-        f"time"
+        "time"
     )
     print(
         f"ratio with imports and compile: {steps / whole / rate:.0f} by wall, "
@@ -116,8 +116,8 @@ def together(counts: list[int]) -> None:
         rate = count * SIZES.trajectories * SIZES.horizon / seconds
         print(
             f"{count} seeds on the {jax.default_backend()}: compiled in {compiled:.1f} s, "
-            f"{seconds / count:.4f} s a seed, "
-            f"{rate:,.0f} steps/s, reward {float(reward.mean()):.3f}",
+            f"{seconds / count:.4f} s a seed, {rate:,.0f} steps/s, reward "
+            f"{float(reward.mean()):.3f}",
             flush=True,
         )
 

@@ -58,8 +58,7 @@ def main() -> None:
         ratio = scipy_each / each
         print(
             f"ours, batch {count:5d}: {1e6 * each:7.2f} us a system (float32), {ratio:6.1f} times "
-            f"SciPy; "
-            f"first call {first:.2f} s"
+            f"SciPy; first call {first:.2f} s"
         )
 
 

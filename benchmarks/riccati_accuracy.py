@@ -75,7 +75,7 @@ def differences(ours: Callable, theirs: Callable, systems: tuple) -> tuple[np.nd
 def main(count: int = 10_000) -> None:
     print(
         f"{'family':36s} {'systems':>8s} {'largest':>9s} {'99 %':>9s} {'median':>9s}  codes 0, 1, "
-        f"2, 3"
+        "2, 3"
     )
     worst = 0.0
     with jax.enable_x64(True):

@@ -87,8 +87,8 @@ def main() -> None:
             total[key] += len(some)
         print(
             f"{seed} {robot} {kind}: right {len(names & truth)} of {len(truth)}, wrong "
-            f"{sorted(names - truth)}, missed "
-            f"{sorted(truth - names)}, inertia {far:.2f}, {time.process_time() - began:.0f} s",
+            f"{sorted(names - truth)}, missed {sorted(truth - names)}, inertia {far:.2f}, "
+            f"{time.process_time() - began:.0f} s",
             flush=True,
         )
     print(total)

@@ -156,9 +156,8 @@ def main() -> None:
         whole = 1e3 * whole_tosses(scored, np.tile(values, (len(scored.names), 1)))
         print(
             f"{name:30s} friction {values[0]:.3f}, slide ends ({len(ends)}): mean "
-            f"{ends.mean():.1f}, median {np.median(ends):.1f} mm; "
-            f"whole tosses ({len(whole)}): mean {whole.mean():.1f}, median {np.median(whole):.1f} "
-            f"mm",
+            f"{ends.mean():.1f}, median {np.median(ends):.1f} mm; whole tosses ({len(whole)}): "
+            f"mean {whole.mean():.1f}, median {np.median(whole):.1f} mm",
             flush=True,
         )
 

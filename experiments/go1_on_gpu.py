@@ -128,7 +128,7 @@ def main() -> None:
     found["bare_steps_per_second"] = bare(setting, args.parallel, args.unroll)
     print(
         f"{found['device']}: {found['bare_steps_per_second']:.3g} steps/s of {args.parallel} "
-        f"environments",
+        "environments",
         flush=True,
     )
     trainer, worlds = setting.trainer, everywhere(setting)

@@ -45,8 +45,7 @@ def main() -> None:
     look.save(figure, args.out / "m2_range.png")
     parts = [
         f"{args.seeds} seeds. Each range has its own normalisers: UDR over that Omega is 0, the "
-        f"best policy in it is 1. "
-        "AdaptSim's Phase 1 is run anew for each range and seed."
+        "best policy in it is 1. AdaptSim's Phase 1 is run anew for each range and seed."
     ]
     for name, found in rows.items():
         parts += [f"## {look.label(name)}", rows_table(found, "range of m2")]

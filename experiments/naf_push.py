@@ -93,8 +93,8 @@ def main() -> None:
             share = rewards.mean(1) / best
             print(
                 f"{name:11} {budget:6} trials: reward {rewards.mean():.3f}, "
-                f"{rewards.mean() / best.mean():.3f} of the best, "
-                f"worst policy {share.min():.3f}; {1e3 * cpu:.0f} ms of CPU a policy",
+                f"{rewards.mean() / best.mean():.3f} of the best, worst policy {share.min():.3f}; "
+                f"{1e3 * cpu:.0f} ms of CPU a policy",
                 flush=True,
             )
 

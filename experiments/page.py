@@ -72,8 +72,8 @@ def scored_row(
 def rows_table(rows: Sequence[Mapping[str, Any]], first: str) -> str:
     """Rows with their spread over seeds; `first` heads the column of names."""
     lines = [
-        f"| {first} | mean of best [95 %] | median of best [quartiles] | worst seed | last, mean | "
-        f"target rollouts | failed |",
+        f"| {first} | mean of best [95 %] | median of best [quartiles] | worst seed | last, mean "
+        "| target rollouts | failed |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for r in rows:
@@ -85,8 +85,7 @@ def rows_table(rows: Sequence[Mapping[str, Any]], first: str) -> str:
         worst = "fails" if None in r["per_seed"] else f"{min(r['per_seed']):.2f}"
         lines.append(
             f"| {r['method']} | {n['mean']} [{n['low']}, {n['high']}] | {n['median']} [{n['q25']}, "
-            f"{n['q75']}] | {worst} "
-            f"| {n['final_mean']} | {r['target_trials']} | {r['failed']} |"
+            f"{n['q75']}] | {worst} | {n['final_mean']} | {r['target_trials']} | {r['failed']} |"
         )
     return "\n".join(lines)
 

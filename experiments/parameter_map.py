@@ -31,7 +31,7 @@ def main() -> None:
     if not source.is_file():
         raise SystemExit(
             f"{source}: no such file; run `adaptsim compare pendulum --out DIR` and give "
-            f"DIR/results.json"
+            "DIR/results.json"
         )
     results = json.loads(source.read_text())
     args.out.mkdir(parents=True, exist_ok=True)
@@ -69,8 +69,7 @@ def text(results, rows, setting) -> str:
     target = np.array(setting["params"])
     lines = [
         f"{results['seeds']} seeds; marks are the parameters of each seed's best policy, colours "
-        f"the largest reward over the "
-        "dampings of Omega. The white box is Omega.",
+        "the largest reward over the dampings of Omega. The white box is Omega.",
         "",
         "| method | distance to the target (m1, m2), kg, median | dynamics discrepancy, rad, "
         "median | reward, mean |",

@@ -29,7 +29,7 @@ def main() -> None:
     if not args.results.is_file():
         raise SystemExit(
             f"{args.results}: no such file; run `adaptsim compare pushing --out DIR`, give "
-            f"DIR/results.json"
+            "DIR/results.json"
         )
     results = json.loads(args.results.read_text())
     if not any(row.get("best_params") for row in results["rows"]):

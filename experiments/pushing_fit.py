@@ -66,7 +66,7 @@ def observe(backend: Backend, seed: int, samples: int) -> Reference:
     if good.sum() < 8:
         raise BadInput(
             f"calibration: {good.sum()} of {samples} pushes of {backend.name} are usable; give 8 "
-            f"or more"
+            "or more"
         )
     params, actions, starts = (np.asarray(a)[good] for a in batch)
     return Reference(params, actions, starts, np.asarray(out.state)[good, :, :2])

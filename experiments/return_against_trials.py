@@ -322,7 +322,7 @@ def show(out: Path) -> list[Path]:
                 text.append(
                     f"| {look.label(method)} | "
                     f"{' | '.join('' if m is None else f'{round(m, 2) + 0.0:.2f}' for m in means)} "
-                    f"|"
+                    "|"
                 )
                 drawn = [(b, m) for b, m in zip(BUDGETS, means, strict=True) if m is not None]
                 lowest = min([lowest, *[m for _, m in drawn]])

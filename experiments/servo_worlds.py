@@ -191,8 +191,8 @@ def main() -> None:
         over = " to ".join(f"{error[k] / error['noise_floor']:.2g}" for k in ("before", "after"))
         took = time.monotonic() - began
         print(
-            f"| {folder.name} | {world.hidden} | {told(report, world.hidden)} | {named} | {over} | "
-            f"{took:.0f} |",
+            f"| {folder.name} | {world.hidden} | {told(report, world.hidden)} | {named} | {over} "
+            f"| {took:.0f} |",
             flush=True,
         )
 

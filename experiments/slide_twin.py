@@ -84,8 +84,7 @@ def main() -> None:
         touching = apart[:, (ROWS >= 28) & (ROWS < 42)]
         print(
             f"{name:14s} while the plate touches RMS {np.sqrt((touching**2).mean()):.1f} mm; end: "
-            f"median "
-            f"{np.median(apart[:, -1]):.1f}, 90 % {np.quantile(apart[:, -1], 0.9):.1f} mm"
+            f"median {np.median(apart[:, -1]):.1f}, 90 % {np.quantile(apart[:, -1], 0.9):.1f} mm"
         )
 
     jac: Any = columns

@@ -49,8 +49,7 @@ def main() -> None:
     look.save(figure, args.out / "step_size.png")
     text = (
         f"{args.seeds} seeds; Phase 1 anew for each step size and seed. Curves: median and "
-        f"quartiles over seeds of the better "
-        "of two distributions at each iteration."
+        "quartiles over seeds of the better of two distributions at each iteration."
     )
     write_page(
         args.out,

@@ -71,9 +71,8 @@ def failures(results) -> str:
         if r["method"] in VISITED and None not in r["per_seed"] and np.min(r["per_seed"]) < 0.5
     ]
     return (
-        f"Visits whose cost was not finite: {'; '.join(bad) or 'none'}. "
-        f"Rows with a seed below 0.5 at its best iteration (worst seed): "
-        f"{'; '.join(worst) or 'none'}."
+        f"Visits whose cost was not finite: {'; '.join(bad) or 'none'}. Rows with a seed below 0.5 "
+        f"at its best iteration (worst seed): {'; '.join(worst) or 'none'}."
     )
 
 

@@ -93,8 +93,7 @@ def examined(machine: Machine, judge: Machine) -> None:
     share = np.concatenate(shares)
     print(
         f"  judged on {[t.name for t in judge.tracks]}: missing torque, share of the file's "
-        f"{np.round(share, 3)}, "
-        f"mean {share.mean():.3f}"
+        f"{np.round(share, 3)}, mean {share.mean():.3f}"
     )
 
 

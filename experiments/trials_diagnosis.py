@@ -53,7 +53,7 @@ def main(folder):
         f"{share(lambda r: r[2] and not r[3])}, wrong {share(lambda r: r[3])}"
     )
     print(
-        f"unattributed or partly "
+        "unattributed or partly "
         f"{share(lambda r: r[1] in ('structured_unattributed', 'partly_explained'))}"
     )
     seconds = [r[5] for r in rows]

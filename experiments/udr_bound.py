@@ -29,8 +29,8 @@ def main() -> None:
         "task's start only": udr(single, restarts=RESTARTS),
     }
     lines = [
-        "Cost of UDR over the cost of the best policy of Omega, in each setting. Below 1 the bound "
-        "is above the upper one.",
+        "Cost of UDR over the cost of the best policy of Omega, in each setting. Below 1 the "
+        "bound is above the upper one.",
         "",
         "| mean cost | " + " | ".join(names) + " | restarts, cost over the lowest | largest gain |",
         "| --- |" + " --- |" * (len(names) + 2),

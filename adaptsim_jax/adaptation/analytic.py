@@ -182,14 +182,13 @@ def _check(task: Task, config: AnalyticConfig) -> None:
     if task.space.is_categorical.any():
         raise BadInput(
             f"task '{task.name}': a gradient by a category says nothing; leave categories out of "
-            f"Omega"
+            "Omega"
         )
     sizes = (config.trajectories, config.parallel, config.horizon)
     if min(sizes) < 1 or config.trajectories % config.parallel:
         raise BadInput(
             f"{config.trajectories} trajectories of {config.horizon} steps in updates of "
-            f"{config.parallel}: give positive numbers, "
-            "the last a divisor of the first"
+            f"{config.parallel}: give positive numbers, the last a divisor of the first"
         )
     if not 0.0 < config.longest <= 1.0 or not config.learning_rate > 0.0:
         given = f"longest = {config.longest}, learning_rate = {config.learning_rate}"

@@ -200,7 +200,10 @@ class Session:
         iterations: int = 10,
         seed: int = 0,
     ):
-        self.trained = run if isinstance(run, Trained) else load_run(RunFolder.open(run))
+        if isinstance(run, Trained):
+            self.trained = run
+        else:
+            self.trained = load_run(RunFolder.open(run))
         phase1, hyper = self.trained.phase1, self.trained.hyper
         self.task = phase1.task
         measured = replace(self.task, score=lambda t: t[0], observe=lambda t: t[1])
@@ -260,7 +263,7 @@ class Session:
         if self.task.read is None:
             raise BadInput(
                 f"observed: task '{self.task.name}' is told by its own measurements; see `adaptsim "
-                f"robot`"
+                "robot`"
             )
         trajectory = self.task.read(obs, action, reward)
         return float(self.task.score(trajectory)), np.asarray(self.task.observe(trajectory))

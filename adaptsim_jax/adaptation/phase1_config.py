@@ -114,7 +114,7 @@ def check(config: Phase1Config, task: Task) -> None:
     if config.reuse.threshold > 0 and task.train_many is None:
         raise BadInput(
             f"task '{task.name}' trains each policy anew at no cost; set phase1.reuse.threshold to "
-            f"0"
+            "0"
         )
     if config.trajectories % config.parallel:
         raise BadInput(

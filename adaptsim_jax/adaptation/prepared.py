@@ -61,7 +61,7 @@ def learned(
             if place == own:
                 raise BadInput(
                     f"{folder}: the environment (or JAX, which traces it) was changed since its "
-                    f"policy was trained; train in another folder"
+                    "policy was trained; train in another folder"
                 )
             continue
         tree, _ = store.load_checkpoint(place, like, task=task.name)
@@ -87,7 +87,7 @@ def _report_reuse(place: Path) -> None:
     trained = datetime.fromtimestamp((place / store.MANIFEST).stat().st_mtime)
     print(
         f"prepared: the policy trained on {trained:%Y-%m-%d %H:%M} is taken again, for the "
-        f"environment, its fields, the training and the seed are the same (to train anew, remove "
+        "environment, its fields, the training and the seed are the same (to train anew, remove "
         f"{place})",
         file=sys.stderr,
     )

@@ -177,7 +177,7 @@ def check(config: ReuseConfig, parallel: int) -> None:
     if not 0 <= config.least <= config.first <= config.most:
         raise BadInput(
             f"reuse: budgets least {config.least}, first {config.first}, most {config.most} must "
-            f"not decrease; reorder them"
+            "not decrease; reorder them"
         )
     if config.capacity < parallel:
         raise BadInput(

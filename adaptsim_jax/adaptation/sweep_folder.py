@@ -81,7 +81,7 @@ class SweepFolder:
         if changed:
             raise BadInput(
                 f"{path}: this sweep was started otherwise ({'; '.join(changed)}); ask for the "
-                f"same, or name another"
+                "same, or name another"
             )
         return folder
 

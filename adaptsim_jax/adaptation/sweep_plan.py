@@ -85,8 +85,7 @@ def make_plan(
         if fits < 1:
             raise BadInput(
                 f"a member of this sweep takes about {each / 1e9:.1f} GB and {memory / 1e9:.1f} GB "
-                f"are free; give a smaller "
-                "phase1.capacity, phase1.archive or phase1.parallel"
+                "are free; give a smaller phase1.capacity, phase1.archive or phase1.parallel"
             )
         if config.phase1.reuse.threshold > 0:
             apart = 0
@@ -203,6 +202,6 @@ def described(plan: SweepPlan) -> Iterator[str]:
             over = ""
         yield (
             f"program {i + 1}: {len(group.members)} members, {batches} "
-            f"batch{'es' * (batches != 1)} of {group.width}{over}; about "
-            f"{size:.0f} MB a member, {size * group.width / 1e3:.2f} GB a batch"
+            f"batch{'es' * (batches != 1)} of {group.width}{over}; about {size:.0f} MB a member, "
+            f"{size * group.width / 1e3:.2f} GB a batch"
         )

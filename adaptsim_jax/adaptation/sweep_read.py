@@ -63,7 +63,7 @@ def _spec(table: dict[str, Any], lines: Lines, path: str) -> SweepSpec:
     if spec.random.count < 0 or (spec.random.count == 0) != (not spec.random.values):
         raise BadInput(
             f"{lines.where('random')}: random needs count, at least 1, and [random.values] with a "
-            f"range for each key"
+            "range for each key"
         )
     return spec
 
@@ -75,7 +75,7 @@ def seeds_of(spec: SweepSpec, lines: Lines | None = None) -> list[int]:
     if not seeds or len(set(seeds)) < len(seeds) or not all(0 <= s <= MAX_SEED for s in seeds):
         raise BadInput(
             f"{where}: seeds = {brief(spec.seeds)}: give a number of at least 1, or a list of "
-            f"different seeds"
+            "different seeds"
         )
     return seeds
 
@@ -99,7 +99,7 @@ def _base(spec: SweepSpec, lines: Lines, folder: Path, env: dict[str, Any]) -> T
             if table.get("task", spec.task) != spec.task and isinstance(table.get("config"), dict):
                 raise BadInput(
                     f"{spec.config}: is of task '{table['task']}', not '{spec.task}'; name another "
-                    f"file"
+                    "file"
                 )
             if isinstance(table.get("config"), dict):
                 table = table["config"]
@@ -186,7 +186,7 @@ def _grid_axis(key: str, values: Any, lines: Lines) -> Axis:
     if not isinstance(values, list) or not values:
         raise BadInput(
             f"{lines.where(f'grid.{key}')}: key '{key}' is {brief(values)}; a list of values is "
-            f"wanted"
+            "wanted"
         )
     return [{key: value, "": {key: f"grid.{key}"}} for value in values]
 
@@ -195,7 +195,7 @@ def _list_entry(entry: Any, i: int, lines: Lines) -> dict[str, Any]:
     if not isinstance(entry, dict) or not entry:
         raise BadInput(
             f"{lines.where(f'list.{i}')}: entry {i} of list is {brief(entry)}; write [[list]] and "
-            f"keys below it"
+            "keys below it"
         )
     flat = configs.flatten(entry)
     return flat | {"": {key: f"list.{i}.{key}" for key in flat}}

@@ -242,7 +242,7 @@ def _ray_gpus(ray: Any, address: str | None) -> int:
     except (ConnectionError, ValueError) as error:
         raise BadInput(
             f"--ray {address}: {' '.join(str(error).split())[:200]}; start it with `ray start "
-            f"--head`"
+            "--head`"
         ) from None
     except Exception as error:  # of no class of its own
         if "timed out during startup" not in str(error):

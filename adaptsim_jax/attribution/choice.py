@@ -50,7 +50,7 @@ def choose(data: str | Path, model: str | Path | None, asked: str | None, horizo
         if asked == "mujoco":
             raise BadInput(
                 f"{model or data}: simulator mujoco wants a model file (MJCF or URDF); give "
-                f"model.xml beside it"
+                "model.xml beside it"
             )
         return Choice("tree", "")
     return chosen(*read_source_and_log(data, model), asked, horizon)

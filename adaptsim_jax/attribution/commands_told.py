@@ -53,8 +53,7 @@ def _check_units(machine: Machine) -> None:
             lines = f'q_{names[j]} = "{told[0]}" and target_{names[j]} = "{told[1]}"'
             raise BadInput(
                 f"{log.path}: the targets of {names[j]} look to be in {told[1]} where its angles "
-                f"are in {told[0]}; write {lines} "
-                f"under [units] in meta.toml; {AS_DECLARED}"
+                f"are in {told[0]}; write {lines} under [units] in meta.toml; {AS_DECLARED}"
             )
 
 
@@ -80,8 +79,8 @@ def _check_order(machine: Machine, tracks: list[Track], driven: list[int]) -> No
     lines = ", ".join(f'{columns[j][0]} = "{columns[k][1]}"' for j, k in moved)
     raise BadInput(
         f"{log.path}: the commands are in another order than the actuators: {says} (which leaves "
-        f"{float(f'{min(times, 9999.0):.2g}'):g} times less of the motion unexplained); "
-        f"exchange them, under [columns] in meta.toml: {lines}; {AS_DECLARED}"
+        f"{float(f'{min(times, 9999.0):.2g}'):g} times less of the motion unexplained); exchange "
+        f"them, under [columns] in meta.toml: {lines}; {AS_DECLARED}"
     )
 
 
@@ -112,10 +111,9 @@ def _cut(joint: str, told: Cut, unit: str) -> str:
         )
     return (
         f"the targets of {joint} are not what acted: it moves as if they were cut {says} on their "
-        f"way (of its acceleration "
-        f"{100 * told.left:.0f} % is unexplained as recorded, {100 * told.other:.2g} % so); log "
-        f"what was sent, or write {line} under "
-        "[commands] in meta.toml"
+        f"way (of its acceleration {100 * told.left:.0f} % is unexplained as recorded, "
+        f"{100 * told.other:.2g} % so); log what was sent, or write {line} under [commands] in "
+        "meta.toml"
     )
 
 
@@ -130,8 +128,7 @@ def _gains(machine: Machine, joint: int, gains: np.ndarray) -> Finding:
         more = f", and {len(size) - MOST_TRIALS} more"
     text = (
         f"what the commands of {name} do differs from trial to trial, its actuator's gain or what "
-        f"it moves: times that of "
-        f"{machine.tracks[0].name}: {told}{more}; diagnose trials of one gain (--without), or give "
-        f"each its own model"
+        f"it moves: times that of {machine.tracks[0].name}: {told}{more}; diagnose trials of one "
+        "gain (--without), or give each its own model"
     )
     return Finding("gain_by_trial", "warn", "", name, text, float(np.max(gains) / np.min(gains)))

@@ -416,7 +416,7 @@ def declared_vector(machine: Machine, problem: Problem) -> Vector:
         if key not in ("inertias", "damping", "factor"):
             raise BadInput(
                 f"{meta.path}: [{table}] {key} is unknown; use inertias or damping (true, false, "
-                f"or a list of names), or factor"
+                "or a list of names), or factor"
             )
     factor_of(meta)
     inertia, damping = meta.fit.get("inertias", True), meta.fit.get("damping", True)

@@ -291,7 +291,7 @@ def report_of(
         if report["effects"]:
             report["not_established"] += [
                 f"{row['name'].replace('_', ' ')} at {row['where']}: better than a model that "
-                f"predicts nothing"
+                "predicts nothing"
                 for row in report["effects"]
             ]
             with_effects(report, [], left=True)
@@ -311,18 +311,14 @@ def _witnesses(e: Examined) -> list[str]:
         if skills[1] < skills[0] - 0.05:
             notes.append(
                 f"Simulated stretches disagree: skill against a straight line {skills[0]:.2f} "
-                f"without "
-                f"and {skills[1]:.2f} with what is named; "
-                "they tell little here."
+                f"without and {skills[1]:.2f} with what is named; they tell little here."
             )
     elif e.found.named and torque[0] is not None and torque[1] is not None:
         shares = [float(np.mean(m.error / np.maximum(m.still, 1e-300))) for m in torque]
         if shares[1] > CONTRADICTED * shares[0]:
             notes.append(
                 f"The torque along the motion disagrees: {100 * shares[0]:.0f} % of it is missing "
-                f"without "
-                f"and {100 * shares[1]:.0f} % with "
-                "what is named."
+                f"without and {100 * shares[1]:.0f} % with what is named."
             )
     return notes
 

@@ -127,8 +127,8 @@ def sentence(problem: Problem, model: Model, rows: dict[str, dict[str, Any]]) ->
         alone = "no mass, centre of mass or inertia of a body"
     return [
         f"Of {len(own)} inertial parameters these data fix {count} "
-        f"combination{'' if count == 1 else 's'}{which}; by itself "
-        f"{alone}. What they do not fix stays near what was declared."
+        f"combination{'' if count == 1 else 's'}{which}; by itself {alone}. What they do not fix "
+        "stays near what was declared."
     ]
 
 
@@ -172,8 +172,8 @@ def named_by(unlike: str) -> str:
     else:
         key, like = ("damping", "a bearing or a grease that is not the file's")
     return (
-        f"{like[:1].upper()}{like[1:]} looks so: with {key} = false under [fit] in meta.toml it "
-        f"is named as an effect."
+        f"{like[:1].upper()}{like[1:]} looks so: with {key} = false under [fit] in meta.toml it is "
+        "named as an effect."
     )
 
 

@@ -33,19 +33,19 @@ def load(data: str | Path, model: str | Path | None = None) -> Machine:
         if given.get("task") == "simulator":
             raise BadInput(
                 f"{model}: holds numbers of a simulator, which it does not bring; give the "
-                f"model.xml beside it"
+                "model.xml beside it"
             )
         if given.get("task") != "mechanism" or not isinstance(beside, str):
             raise BadInput(
                 f"{model}: is no model of a mechanism; give the model.toml that diagnose wrote, or "
-                f"an MJCF or URDF file"
+                "an MJCF or URDF file"
             )
         made = _joined(data, Path(model).parent / beside)
         return model_toml.applied(given, str(model), made)
     if model is None:
         raise BadInput(
             f"{data}: a double pendulum's masses are not declared; give a model.xml or model.toml "
-            f"of it"
+            "of it"
         )
     log = read_pendulum(data)
     return pendulum_machine(usable(log, audit(log)), model)
@@ -57,8 +57,7 @@ def _joined(data: str | Path, model: str | Path | None) -> Machine:
     if base_moves(log):
         raise BadInput(
             f"{log.path}: the base moves, which a tree of joints has not; simulate it by MuJoCo "
-            f"(adaptsim replay, --fit), or ignore "
-            "base_x .. base_qz where it stood still"
+            "(adaptsim replay, --fit), or ignore base_x .. base_qz where it stood still"
         )
     made = machine(*joined(source, log))
     if turns_of_balls(source, log):

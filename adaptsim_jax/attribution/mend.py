@@ -141,7 +141,7 @@ def lost(machine: Machine, problem: Problem, found: Selection) -> list[str]:
     if gone:
         return [
             f"model.xml cannot hold {'; '.join(told)}: only model.toml has the whole of the mended "
-            f"model."
+            "model."
         ]
     return []
 
@@ -166,7 +166,7 @@ def gains_told(machine: Machine) -> list[str]:
     each = ", ".join(f"{name} {value:.4g} N m/{unit}" for name, value in found.items())
     return [
         f"Torque over input, fitted: {each}. By these data only its ratios to inertias and "
-        f"friction are fixed."
+        "friction are fixed."
     ]
 
 
@@ -294,8 +294,7 @@ def _lost(problem: Problem, model: Model, named: Model) -> list[str]:
     vector = named.fit.vector
     return [
         f"not held by this file, see model.toml: {e.owner} at "
-        f"{', '.join(problem.joint_names[j] for j in e.joints)}, "
-        f"{e.name} = {value:.6g} {e.unit}"
+        f"{', '.join(problem.joint_names[j] for j in e.joints)}, {e.name} = {value:.6g} {e.unit}"
         for c in gone
         for e, value in zip(vector.entries, vector.values, strict=True)
         if e.owner == c.effect and set(e.joints) <= set(c.joints)

@@ -73,7 +73,10 @@ def _effects(problem: Problem, model: Model) -> tuple[AddedEffect, ...]:
     for e, value in zip(model.fit.vector.entries, model.fit.vector.values, strict=True):
         if e.owner == INERTIA:
             continue
-        places = ["base"] if e.owner == TILT else [problem.joint_names[j] for j in e.joints]
+        if e.owner == TILT:
+            places = ["base"]
+        else:
+            places = [problem.joint_names[j] for j in e.joints]
         for place in places:
             by.setdefault((e.owner, place), {})[e.name] = Value(float(value), unit=e.unit)
     return tuple(AddedEffect(name, place, values) for (name, place), values in by.items())

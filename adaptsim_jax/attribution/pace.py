@@ -60,9 +60,8 @@ def check_pace(machine: Machine, tracks: list[Track], design: Design) -> tuple[F
     size = max(factor, 1.0 / factor)
     line = f"time = {float(f'{_seconds(machine) / factor:.3g}'):g}"
     says = (
-        f"time runs too {how}, {size:.3g} times: with the declared masses gravity moves "
-        f"the machine in {step / factor:.3g} s from row to row, not in "
-        f"{step:.3g} s{counted}"
+        f"time runs too {how}, {size:.3g} times: with the declared masses gravity moves the "
+        f"machine in {step / factor:.3g} s from row to row, not in {step:.3g} s{counted}"
     )
     mend = f"write {line} under [units] in meta.toml (seconds a unit), or mend the stamps"
     if as_is > TIMES * left and as_is > POOR:
@@ -201,8 +200,8 @@ def held_fast(machine: Machine, tracks: list[Track], design: Design) -> tuple[Fi
             )
             text = (
                 f"{machine.mechanism.path} declares friction of {levels[j]:g} {unit} at {name}, "
-                f"{levels[j] / most:.2g} times what its "
-                "motion leaves for it: a placeholder? Put in a measured friction, or 0"
+                f"{levels[j] / most:.2g} times what its motion leaves for it: a placeholder? Put "
+                "in a measured friction, or 0"
             )
             out.append(Finding("friction", "warn", "", name, text, float(levels[j])))
     return tuple(out)

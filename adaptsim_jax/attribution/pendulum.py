@@ -60,8 +60,8 @@ def pendulum_machine(log: Log, model: str | Path, effects: Sequence[Effect] = ()
         names = mechanism.tree.joint_names
         if len(names) != 2:
             raise BadInput(
-                f"{model}: has {len(names)} joints, but {log.path} is of a double "
-                f"pendulum; give one of 2"
+                f"{model}: has {len(names)} joints, but {log.path} is of a double pendulum; give "
+                "one of 2"
             )
         theirs: dict[str, str] = dict(zip(JOINTS, names, strict=True))
         inputs = tuple(theirs[n] for n in log.input_names)
@@ -91,7 +91,7 @@ def declared_model(rig: Rig, effects: Sequence[Effect] | None = None) -> ModelFi
         if there != here:
             raise BadInput(
                 f"{given.path}: {key} = {there!r}, but meta.toml of the recording says {here!r}; "
-                f"mend one"
+                "mend one"
             )
     for key in set(given.geometry) & set(rig.geometry):
         if abs(given.geometry[key] - rig.geometry[key]) > 1e-9 * abs(given.geometry[key]):
@@ -121,7 +121,7 @@ def left_out(given: ModelFile) -> list[str]:
         if rest:
             out.append(
                 f"{e.name} at {e.where} is simulated without its {' and '.join(rest)}, which "
-                f"diagnose has"
+                "diagnose has"
             )
     return out
 
@@ -154,7 +154,7 @@ def _declared_effects(given: ModelFile) -> dict[tuple[str, str], np.ndarray]:
         if where not in JOINTS:
             raise BadInput(
                 f"{given.path}: {effect} at {where} has no counterpart in a mechanism; take it out "
-                f"to replay the rest"
+                "to replay the rest"
             )
         out.setdefault((effect, parameter), np.zeros(2))[JOINTS.index(where)] = value
 
@@ -178,7 +178,7 @@ def _declared_effects(given: ModelFile) -> dict[tuple[str, str], np.ndarray]:
         else:
             raise BadInput(
                 f"{given.path}: {e.name} is no effect of a mechanism; take it out to replay the "
-                f"rest"
+                "rest"
             )
     return out
 

@@ -250,8 +250,8 @@ def _of_unknown_masses(report: dict[str, Any], rig: Rig) -> None:
     size = 1.0 / (1.0 + effect["parameters"]["gain"]["value"]) - 1.0
     report["notes"].append(
         f"{other.replace('@', ' at ')} of {size:.3g}, with masses and dampings {1.0 + size:.3g} "
-        f"times those told here, makes the same "
-        "motion: no mass is known; give what is known of them under [known] in meta.toml."
+        "times those told here, makes the same motion: no mass is known; give what is known of "
+        "them under [known] in meta.toml."
     )
 
 

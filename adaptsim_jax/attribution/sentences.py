@@ -107,8 +107,8 @@ def _found(
         c, t = n.candidate, n.test
         lines.append(
             f"{c.effect.replace('_', ' ')} at {place(problem, c)} holds out in {t.better} of "
-            f"{t.folds} "
-            f"(takes {100 * t.gain:.0f} % off the squared error beside all others, p {t.p:.2g})"
+            f"{t.folds} (takes {100 * t.gain:.0f} % off the squared error beside all others, p "
+            f"{t.p:.2g})"
         )
     told = "; ".join(lines)
     told = told[:1].upper() + told[1:]
@@ -175,9 +175,9 @@ def standing(machine: Machine) -> list[str]:
     if not told:
         return []
     return [
-        f"These joints hardly move though they are told to, as a share of what is asked: "
-        f"{', '.join(told)}. Nothing is said of their "
-        "gains. A brake, a servo without power, or the column of another joint looks like that."
+        "These joints hardly move though they are told to, as a share of what is asked: "
+        f"{', '.join(told)}. Nothing is said of their gains. A brake, a servo without power, or "
+        "the column of another joint looks like that."
     ]
 
 
@@ -207,8 +207,7 @@ def read_so(problem: Problem, found: Selection) -> list[str]:
     )
     rotors = (
         "All rotors differ from the file's by what damps them in a small part of a row: as a "
-        "simulator's or a controller's steps "
-        "make it. Read so; no effect is named for it."
+        "simulator's or a controller's steps make it. Read so; no effect is named for it."
     )
     return [*_early_commands(problem, found), *_implicit(found), *([rotors] if read else [])]
 
@@ -223,8 +222,8 @@ def _implicit(found: Selection) -> list[str]:
     steps = sorted(steps, key=abs)[-1:]  # groups of joints that share no body have one each
     return [
         f"What damps the joints, controllers' kv too, acts by the speed {abs(z):.2g} ms "
-        f"{'later' if z > 0 else 'earlier'}: "
-        f"as the steps of a simulator or of a controller make it. {READ}"
+        f"{'later' if z > 0 else 'earlier'}: as the steps of a simulator or of a controller make "
+        f"it. {READ}"
         for z in steps
     ]
 
@@ -247,9 +246,9 @@ def _early_commands(problem: Problem, found: Selection) -> list[str]:
             else f"Commands act {late}. Read so; no effect is named for it."
         ]
     return [
-        "a delay below zero is the log's, not the machine's: commands were logged late, or changed "
-        "between two rows (of a controller "
-        "that runs faster than its log, half of the difference of both intervals)"
+        "a delay below zero is the log's, not the machine's: commands were logged late, or "
+        "changed between two rows (of a controller that runs faster than its log, half of the "
+        "difference of both intervals)"
     ]
 
 
@@ -268,6 +267,5 @@ def shorter(found: Selection, criteria: Criteria, horizon: float) -> list[str]:
         return []
     return [
         f"Over {horizon:g} s no fit of an effect held out; what is named was found, and tested, "
-        f"over the first "
-        f"{criteria.beginning * horizon:.2g} s of each stretch"
+        f"over the first {criteria.beginning * horizon:.2g} s of each stretch"
     ]

@@ -68,7 +68,9 @@ class Simulated(Evidence):
         times = [abs(z) / self.problem.reach.dt for e, z in self.own if e.unit == "s"]
         if not times or not self.effect.shifts_time:
             return None
-        return max(times) if max(times) < self.criteria.least_shift else None
+        if max(times) < self.criteria.least_shift:
+            return max(times)
+        return None
 
     @property
     def declared_change(self) -> float | None:

@@ -113,7 +113,7 @@ def cut(
     if not total:
         raise BadInput(
             f"no trial has an unbroken stretch of {horizon:g} s; give a shorter --horizon or "
-            f"longer trials"
+            "longer trials"
         )
     share = min(1.0, most / total)
     fine = min(stride * float(np.median(np.diff(tracks[k].time))) for k, stride, *_ in pieces)

@@ -152,10 +152,9 @@ def message(problem: Problem, found: Said, before: Measure, after: Measure) -> s
     worst = int(np.argmax(after.error / np.maximum(after.still, 1e-300)))
     return (
         f"{names}: held out by the torque along the measured motion, of which {share(before)} is "
-        f"missing without and "
-        f"{share(after)} with (left-out blocks, mean over joints; most is left at "
-        f"{problem.joint_names[worst]}, "
-        f"{after.error[worst]:.3g} of {after.still[worst]:.3g} {after.units[worst]})."
+        f"missing without and {share(after)} with (left-out blocks, mean over joints; most is left "
+        f"at {problem.joint_names[worst]}, {after.error[worst]:.3g} of {after.still[worst]:.3g} "
+        f"{after.units[worst]})."
     )
 
 
@@ -186,11 +185,9 @@ def bound_notes(problem: Problem, found: Said) -> list[str]:
         return []
     return [
         f"The fit of the bodies moved by {', '.join(at)} ends at {FAR:g} times (or a third of) "
-        f"what the model file says, "
-        "and is held there: "
-        "a rotor, a gain of the torques, a payload or friction that is not in the catalogue would "
-        "explain it; "
-        "`[fit] factor` in meta.toml widens it."
+        "what the model file says, and is held there: a rotor, a gain of the torques, a payload "
+        "or friction that is not in the catalogue would explain it; `[fit] factor` in meta.toml "
+        "widens it."
     ]
 
 

@@ -161,7 +161,7 @@ def headline(
     if follows and min(skill.get(TORQUE, -1.0), skill.get(STRETCHES, -1.0)) >= TELLS:
         return (
             TORQUE,
-            f"it follows commands, and of the torque that its command errors come to the model "
+            "it follows commands, and of the torque that its command errors come to the model "
             f"tells {100 * skill[TORQUE]:.0f} %",
         )
     if skill.get(STRETCHES, -1.0) >= TELLS:

@@ -99,7 +99,10 @@ def wanted(comparison: Comparison) -> list[str]:
         if not lack:
             out.append(method)
         elif asked:
-            hint = "; leave it out of --methods" if method in comparison.methods else ""
+            if method in comparison.methods:
+                hint = "; leave it out of --methods"
+            else:
+                hint = ""
             raise BadInput(f"compare: method '{method}' {lack}{hint}")
         else:
             print(f"compare: no row '{method}': it {lack}", file=sys.stderr)

@@ -118,8 +118,8 @@ def find_bounds(problem: ExactProblem, targets: np.ndarray) -> Bounds:
         )
     if not np.all(lower > best.cost):
         raise BadInput(
-            "compare: UDR is no worse than the best policy of Omega in a target, so rewards cannot "
-            "be normalised; widen Omega"
+            "compare: UDR is no worse than the best policy of Omega in a target, so rewards "
+            "cannot be normalised; widen Omega"
         )
     return Bounds(policy, best, lower, best.cost, own)
 

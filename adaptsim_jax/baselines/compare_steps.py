@@ -119,7 +119,7 @@ class StepsComparison:
         if flat := [n for n, a, b in ends if b - a < 1.5 * ROOM * abs(b) + 1e-6]:
             print(
                 f"compare: UDR is as good as the oracle in {', '.join(flat)}: nothing can be "
-                f"separated there",
+                "separated there",
                 file=sys.stderr,
             )
         sim, targets = self.setting.sim, self.setting.targets

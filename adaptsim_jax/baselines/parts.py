@@ -91,8 +91,8 @@ def parts_of(
     if there := len(list(parts.folder.glob("*.json"))):  # type: ignore[union-attr]
         print(
             f"compare: {out / FOLDER} holds {there} part{'s' * (there > 1)} of the same "
-            f"comparison, which was stopped; "
-            "going on from there (to begin anew, remove that folder)",
+            "comparison, which was stopped; going on from there (to begin anew, remove that "
+            "folder)",
             file=sys.stderr,
         )
     return parts

@@ -58,7 +58,7 @@ class SysIdConfig:
         if self.simulations < 20:
             raise BadInput(
                 f"SysID simulations = {self.simulations}: too few to fit a network; give at least "
-                f"20"
+                "20"
             )
 
 

@@ -141,7 +141,7 @@ def stretch(text: str) -> float:
     if not 0.0 < (value := _seconds(text)) < LONGEST:
         raise argparse.ArgumentTypeError(
             f"'{text}' is no length of a stretch; give seconds above 0 (whole trials: --yardstick "
-            f"whole)"
+            "whole)"
         )
     return value
 

@@ -18,11 +18,9 @@ A comparison that was stopped, or that failed, goes on with the same command: wh
 """  # noqa: E501
 METHODS = (
     "pendulum: adaptsim, adaptsim-state, adaptsim-analytic, sysid-bayes, sysid-bayes-state, "
-    "sysid-point, sysid-point-state, "
-    "gradient, udr, best-in-omega; pushing and scooping: adaptsim, sysid-bayes, sysid-point, "
-    "bayesopt, udr, udr-target, "
-    "learn-in-target, oracle; an env.toml: adaptsim, sysid-bayes, sysid-point, sbi, bayesopt, "
-    "cma-es, gradient, fine-tune, "
+    "sysid-point, sysid-point-state, gradient, udr, best-in-omega; pushing and scooping: "
+    "adaptsim, sysid-bayes, sysid-point, bayesopt, udr, udr-target, learn-in-target, oracle; an "
+    "env.toml: adaptsim, sysid-bayes, sysid-point, sbi, bayesopt, cma-es, gradient, fine-tune, "
     "nominal, udr, udr-wide, best-in-omega, oracle"
 )
 ENGINES = "pushing: planar, native, mjx or drake; scooping: hydro, native, mjx or drake"

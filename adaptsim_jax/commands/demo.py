@@ -42,9 +42,9 @@ def run(args: argparse.Namespace) -> int:
     again = f"adaptsim demo{' --full' * args.full} --out {shlex.quote(args.out)} --seed {args.seed}"
     args.resume_hint = f"continue with: {again}"
     print(
-        "A pendulum, a push and a scoop are adapted to targets that the simulator is wrong about, "
-        "and a recording is diagnosed: "
-        f"{'a long while' if args.full else 'some minutes'} on two cores.",
+        "A pendulum, a push and a scoop are adapted to targets that the simulator is wrong "
+        f"about, and a recording is diagnosed: {'a long while' if args.full else 'some minutes'} "
+        "on two cores.",
         flush=True,
     )
     if "jax" not in sys.modules:  # else a Python program called us, which may have compiled already

@@ -124,8 +124,7 @@ def commands(out: Path, seed: int, config: DemoConfig) -> dict[str, str]:
         lines[f"train_{task}"] = f"adaptsim train {task} --run {again(task)} --seed {seed}{changed}"
         lines[f"adapt_{task}"] = (
             f"adaptsim adapt {again(task)} --target {sized.target} --seed {seed} --starts "
-            f"{sized.starts} "
-            f"--iterations {sized.iterations} --video"
+            f"{sized.starts} --iterations {sized.iterations} --video"
         )
     return lines
 

@@ -186,7 +186,10 @@ def contact_part(
     kind = TASKS[task_name]
     made = configs.from_table(kind.config, options, str(folder.path))
     look = kind.adapt.before_after(made, both, np.asarray(target))
-    path = write_film(kind.adapt.scene(), look.clips(), out / name)[0] if film else None
+    if film:
+        path = write_film(kind.adapt.scene(), look.clips(), out / name)[0]
+    else:
+        path = None
     before, after = float(result.history.reward[start, 0]), float(result.reward)
     report(1, 1, f"reward {before:.2f} before, {after:.2f} after")
     return Before(

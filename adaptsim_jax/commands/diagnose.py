@@ -178,7 +178,7 @@ def own_simulator(args: argparse.Namespace, without: list[str]) -> Judge:
         if getattr(args, option):
             raise BadInput(
                 f"--{option.replace('_', '-')}: a simulator of your own reads DATA itself; leave "
-                f"the option out"
+                "the option out"
             )
     simulator = simulator_named(args.simulator)(Path(args.data))
     command = partial(command_of, args.data, simulator=args.simulator)
@@ -280,7 +280,7 @@ def print_answer(args: argparse.Namespace, result: dict[str, Any], out: Path, re
         which = "mended" if result["effects"] else "fitted"
         next_step(
             f"replay {shlex.quote(str(model))} {shlex.quote(args.data)}    the {which} model over "
-            f"a recording"
+            "a recording"
         )
     return 0
 

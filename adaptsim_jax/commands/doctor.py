@@ -215,7 +215,7 @@ def _faults(found: dict[str, Any]) -> list[str]:
     if versions["mujoco"] != versions["mujoco-mjx"]:
         faults.append(
             f"mujoco {versions['mujoco']} with mujoco-mjx {versions['mujoco-mjx']}: install one "
-            f"version"
+            "version"
         )
     return faults
 

@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     if begun.unused:
         print(
             f"columns that are not used: {', '.join(begun.unused)}; name those that matter under "
-            f"[columns]"
+            "[columns]"
         )
     if begun.log is None:
         print(f"to mend before it reads: {begun.to_mend}")

@@ -94,12 +94,12 @@ def run(args: argparse.Namespace) -> int:
     if not (args.name.isidentifier() and args.name.islower()) or keyword.iskeyword(args.name):
         raise BadInput(
             f"'{args.name}' is no name for a file of Python; use letters in lower case, digits and "
-            f"_"
+            "_"
         )
     if args.name in _names(args.kind):
         raise BadInput(
             f"{args.kind} '{args.name}' is there already, and two of one name are refused; give "
-            f"another NAME"
+            "another NAME"
         )
     paths = [args.dir / f"{args.name}{suffix}" for suffix in KINDS[args.kind]]
     for path in paths:

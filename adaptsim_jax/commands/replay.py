@@ -93,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
         if (Path(args.model).parent / "report.json").exists():  # what `diagnose` wrote
             next_step(
                 f"replay {shlex.quote(args.model)} OTHER    over a recording that had no part in "
-                f"the diagnosis"
+                "the diagnosis"
             )
         else:
             next_step(

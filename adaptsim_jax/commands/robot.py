@@ -183,8 +183,7 @@ def ask(args: argparse.Namespace, session: RobotSession) -> dict[str, Any]:
     if done and not math.isfinite(state.best_score):
         print(
             f"all {total} {session.kind.robot.turn}s are told, and none of them was finished: "
-            "there is "
-            f"no best policy"
+            "there is no best policy"
         )
         print(
             "train where the robot can follow (a softer target, narrower ranges), or take records "
@@ -242,7 +241,7 @@ def record(args: argparse.Namespace, session: RobotSession) -> None:
         if entry["score"] and trial.get("score") == entry["score"]:
             print(
                 f"warning: {turn} {earlier} had the same return to the last digit: the same "
-                f"recording? then: adaptsim robot undo"
+                "recording? then: adaptsim robot undo"
             )
             break
     after = [*history, entry | session.kind.robot.remember(session, tried, trajectory)]

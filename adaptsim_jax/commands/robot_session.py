@@ -65,7 +65,7 @@ def located(folder: Path, moved: str | None = None) -> dict[str, Any]:
         if type(table.get(name)) is not kind:
             raise BadInput(
                 f"{folder / SESSION}: key '{name}' is missing or no {kind.__name__}; restore the "
-                f"file"
+                "file"
             )
     told = table["run"]
     if moved is not None:
@@ -75,8 +75,7 @@ def located(folder: Path, moved: str | None = None) -> dict[str, Any]:
         if "run_from_here" not in table or not near.is_dir():
             raise BadInput(
                 f"{told}: no such run folder, which the session in {folder} goes by; if it was "
-                f"moved, say where it is: "
-                f"adaptsim robot next --dir {folder} --run RUN"
+                f"moved, say where it is: adaptsim robot next --dir {folder} --run RUN"
             )
         return table | {"run": str(near.resolve())}
     return table
@@ -106,10 +105,9 @@ def run_of(path: str) -> RunFolder:
     if TASKS.named(run.task, "task").robot is None:
         able = ", ".join(name for name, kind in TASKS.items() if kind.robot is not None)
         raise BadInput(
-            f"{path}: a run of task '{run.task}'; robot takes runs of {able} in this "
-            f"version. For "
+            f"{path}: a run of task '{run.task}'; robot takes runs of {able} in this version. For "
             f"{run.task} use 'adaptsim adapt', or from Python adaptsim_jax.adaptation.asktell with "
-            f"recorded trajectories"
+            "recorded trajectories"
         )
     return run
 
@@ -133,9 +131,8 @@ def _check_same(run: RunFolder, table: dict[str, Any], folder: Path) -> None:
         was = began.get("step") if isinstance(began, dict) else began
         raise BadInput(
             f"{run.path}: was trained on, or anew, since the session in {folder} began (checkpoint "
-            f"of round {was} then, another "
-            f"of round {now['step']} now); put that checkpoint back, or start another session with "
-            f"'adaptsim robot new'"
+            f"of round {was} then, another of round {now['step']} now); put that checkpoint back, "
+            "or start another session with 'adaptsim robot new'"
         )
 
 

@@ -94,7 +94,7 @@ def _of_model(args: argparse.Namespace) -> dict[str, Any]:
     if kind.of_model is None:
         raise BadInput(
             f"--model: policies of task '{args.task}' are trained on no mended model yet; leave it "
-            f"out"
+            "out"
         )
     if table.get("task") != args.task:
         raise BadInput(
@@ -104,7 +104,7 @@ def _of_model(args: argparse.Namespace) -> dict[str, Any]:
     for name in options.pop("left_out", ()):
         print(
             f"{args.model}: {name} is of the measurement, not of the simulator; it is left out: "
-            f"mend what measures"
+            "mend what measures"
         )
     return options
 

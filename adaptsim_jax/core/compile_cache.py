@@ -66,7 +66,7 @@ def enable() -> str | None:
         disable()
         return (
             f"no compile cache: {path} cannot be written ({error.strerror}); set {VARIABLE} to "
-            f"another folder"
+            "another folder"
         )
     os.environ["JAX_COMPILATION_CACHE_DIR"] = str(path)
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", MIN_COMPILE_S)

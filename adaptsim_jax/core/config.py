@@ -212,7 +212,7 @@ def _typed(hint: Any, value: Any, where: str, key: str) -> Any:
             return value
         raise BadInput(
             f"{where}: key '{key}' is {brief(value)}; one of {list(typing.get_args(hint))} is "
-            f"wanted"
+            "wanted"
         )
     if origin in (types.UnionType, typing.Union):
         return _first_fit(typing.get_args(hint), value, where, key)

@@ -78,11 +78,11 @@ def output_errors(path: str | os.PathLike) -> Iterator[None]:
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             raise BadInput(
                 f"{path}: no space left on the disk; free some, or name another folder, and run "
-                f"again"
+                "again"
             ) from error
         raise BadInput(
             f"{path}: cannot be written ({error.strerror or error}); name a folder that you may "
-            f"write to"
+            "write to"
         ) from error
 
 

@@ -48,9 +48,8 @@ def check_process() -> None:
     """
     if _forked_after_use[0]:
         raise BadInput(
-            "this worker was forked from a process that had used JAX, and would hang: make workers "
-            "by "
-            "multiprocessing.get_context('spawn'), or use JAX in the workers alone"
+            "this worker was forked from a process that had used JAX, and would hang: make "
+            "workers by multiprocessing.get_context('spawn'), or use JAX in the workers alone"
         )
 
 

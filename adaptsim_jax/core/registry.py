@@ -48,7 +48,7 @@ class Registry(Mapping[str, Thing], Generic[Thing]):
             if name in self.own or name in found:
                 raise BadInput(
                     f"entry point {point.name} = {point.value} of {self.group}: there is another "
-                    f"of that name; rename it"
+                    "of that name; rename it"
                 )
             found[name] = point
         return found
@@ -72,13 +72,12 @@ class Registry(Mapping[str, Thing], Generic[Thing]):
             why = " ".join(f"{error.__class__.__name__}: {error}".split())
             raise BadInput(
                 f"entry point {point.name} = {point.value} of {self.group} does not load: {why}; "
-                f"mend or uninstall it"
+                "mend or uninstall it"
             ) from error
         if self.type and self.type not in {c.__name__ for c in thing.__class__.__mro__}:
             raise BadInput(
                 f"entry point {point.name} = {point.value} of {self.group} is a "
-                f"{thing.__class__.__name__}, not a {self.type}; "
-                f"name the {self.type}"
+                f"{thing.__class__.__name__}, not a {self.type}; name the {self.type}"
             )
         return thing
 

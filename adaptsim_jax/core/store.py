@@ -97,8 +97,8 @@ def load_checkpoint(folder: str | os.PathLike, like: Any, *, task: str) -> tuple
     manifest = read_manifest(folder)
     if manifest["task"] != task:
         raise BadInput(
-            f"{folder}: this checkpoint is of task '{manifest['task']}', not '{task}'; "
-            f"name the task it was made for, or another run folder"
+            f"{folder}: this checkpoint is of task '{manifest['task']}', not '{task}'; name the "
+            "task it was made for, or another run folder"
         )
     path = folder / manifest["payload"]
     try:
@@ -161,9 +161,8 @@ def check_version(path: Path, table: dict[str, Any]) -> None:
     same = isinstance(version, str) and version.split(".")[:2] == __version__.split(".")[:2]
     if table.get("schema") != SCHEMA or not same:
         raise BadInput(
-            f"{path}: written by adaptsim_jax {version} (schema {table.get('schema')}), "
-            f"this is {__version__} (schema {SCHEMA}); install that version to use it, or start "
-            f"anew"
+            f"{path}: written by adaptsim_jax {version} (schema {table.get('schema')}), this is "
+            f"{__version__} (schema {SCHEMA}); install that version to use it, or start anew"
         )
 
 
@@ -233,8 +232,8 @@ class RunFolder:
         changed = config.differences(run.config, table)
         if changed:
             raise BadInput(
-                f"{run.path / CONFIG}: this run was started otherwise ({'; '.join(changed)}); "
-                f"ask for the same, or name another folder"
+                f"{run.path / CONFIG}: this run was started otherwise ({'; '.join(changed)}); ask "
+                "for the same, or name another folder"
             )
         output_folder(path)
         return run

@@ -97,9 +97,8 @@ def _compare(wanted: list[tuple[Any, Any]], leaves: list[dict[str, Any]], where:
             path for path in stored if path not in paths
         ]
         raise BadInput(
-            f"{where}: holds other arrays than are needed (at {unmatched[:3]}); use the "
-            "config it was "
-            f"made with"
+            f"{where}: holds other arrays than are needed (at {unmatched[:3]}); use the config it "
+            "was made with"
         )
     for path, (_, leaf) in zip(paths, wanted, strict=True):
         entry, want = stored[path], _describe(leaf)
@@ -109,7 +108,7 @@ def _compare(wanted: list[tuple[Any, Any]], leaves: list[dict[str, Any]], where:
             if entry.get(what) != want[what]:
                 raise BadInput(
                     f"{where}: {path} has {what} {entry.get(what)}, this run needs {want[what]}; "
-                    f"use the config it was made with"
+                    "use the config it was made with"
                 )
 
 

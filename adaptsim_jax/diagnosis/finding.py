@@ -21,14 +21,16 @@ class Step(NamedTuple):
     @property
     def why(self) -> str:
         """Words."""
-        return self.reason.words if self.reason else ""
+        if self.reason:
+            return self.reason.words
+        return ""
 
     @property
     def shown(self) -> str:
         """Its test, in words."""
-        return (
-            f"held-out gain {100 * self.test.gain:.1f} %, p {self.test.p:.2g}" if self.test else ""
-        )
+        if self.test:
+            return f"held-out gain {100 * self.test.gain:.1f} %, p {self.test.p:.2g}"
+        return ""
 
 
 @dataclass(frozen=True)

@@ -104,9 +104,8 @@ def words(name: str) -> str:
 def named_words(named: Sequence[Named], what: str) -> str:
     """What is named and how it was tested, one sentence; what: the trials in words."""
     lines = [
-        f"{words(n.candidate.name)} holds out in {n.test.better} of {n.test.folds} {what} "
-        f"(takes {100 * n.test.gain:.0f} % off the squared error beside all others, p "
-        f"{n.test.p:.2g})"
+        f"{words(n.candidate.name)} holds out in {n.test.better} of {n.test.folds} {what} (takes "
+        f"{100 * n.test.gain:.0f} % off the squared error beside all others, p {n.test.p:.2g})"
         for n in named
     ]
     text = "; ".join(lines)
@@ -128,8 +127,8 @@ def message(seen: Seen, found: Finding, over: float, worst: float) -> str:
     left = f"Left-out error {size(found.null)} to {size(found.final)} mm, {over:.1f} times the noise floor."
     if worst > 1.5 >= over:
         left += (
-            f" Some {seen.trials} are not followed: all together the fit leaves {worst:.1f} "
-            f"times the noise floor."
+            f" Some {seen.trials} are not followed: all together the fit leaves {worst:.1f} times "
+            "the noise floor."
         )
     return f"{named_words(found.named, seen.trials)} {left}{_standing_out(seen, found.final)}"
 

@@ -133,31 +133,41 @@ def rule(stage: str, words: str):
 @rule(MODEL, "left-out {e.units} do not confirm it")
 def not_confirmed(e: Evidence) -> float | None:
     """The paired test over what was left out has a p above its level."""
-    return e.test.p if e.test.p > e.level else None
+    if e.test.p > e.level:
+        return e.test.p
+    return None
 
 
 @rule(MODEL, "takes less than {e.price:.0%} off the {e.loss}")
 def too_little_gain(e: Evidence) -> float | None:
     """It takes less off the left-out loss than its numbers cost."""
-    return e.gain if e.gain < e.price else None
+    if e.gain < e.price:
+        return e.gain
+    return None
 
 
 @rule(MODEL, "the torques of all joints together are missed by more")
 def others_missed_more(e: Evidence) -> float | None:
     """It helps at its own joints, and all joints together are missed by more."""
-    return e.test.overall if e.test.overall < 0.0 else None
+    if e.test.overall < 0.0:
+        return e.test.overall
+    return None
 
 
 @rule(NAME, "its size differs between {e.units}: {n:.1f} times its scatter")
 def unsteady(e: Evidence) -> float | None:
     """Its size is not many times its scatter between folds (jackknife)."""
-    return e.steadiness if e.steadiness < e.least_steadiness else None
+    if e.steadiness < e.least_steadiness:
+        return e.steadiness
+    return None
 
 
 @rule(MODEL, "its value is at the end of what such a machine may have")
 def at_bound(e: Evidence) -> float | None:
     """Its value lies at the end of its range: it wants what no machine has."""
-    return 1.0 if e.at_bound else None
+    if e.at_bound:
+        return 1.0
+    return None
 
 
 @rule(NAME, "a shift in time of {n:.2g} sampling intervals: how rows are read, not an effect")
@@ -173,21 +183,27 @@ def within_row(e: Evidence) -> float | None:
 def gain_within_speed_error(e: Evidence) -> float | None:
     """It is a controller's gain that is off by no more than speeds are."""
     off = e.gain_error
-    return off if off is not None and off < e.criteria.torque.share else None
+    if off is not None and off < e.criteria.torque.share:
+        return off
+    return None
 
 
 @rule(NAME, "changes what the model file declares by less than {e.criteria.least_change:.0%}")
 def declared_hardly_changes(e: Evidence) -> float | None:
     """It changes what the file declares by a small share."""
     change = e.declared_change
-    return change if change is not None and change < e.criteria.least_change else None
+    if change is not None and change < e.criteria.least_change:
+        return change
+    return None
 
 
 @rule(NAME, "changes its quantities by less than what matters of them")
 def less_than_matters(e: Evidence) -> float | None:
     """It changes each of its quantities by a small part of the size that matters."""
     change = e.scaled_change
-    return change if change is not None and change < e.criteria.matters else None
+    if change is not None and change < e.criteria.matters:
+        return change
+    return None
 
 
 @rule(NAME, "it is {n:.1%} of the joint's torque")
@@ -196,7 +212,9 @@ def less_than_joint_torque(e: Evidence) -> float | None:
     if e.torque_share is None:
         return None
     share, least = e.torque_share
-    return share if share < least else None
+    if share < least:
+        return share
+    return None
 
 
 @rule(
@@ -206,27 +224,35 @@ def less_than_joint_torque(e: Evidence) -> float | None:
 )
 def below_noise(e: Evidence) -> float | None:
     """What it does to an angle is below the noise of its sensor."""
-    return e.bend if e.bend is not None and e.bend < 1.0 else None
+    if e.bend is not None and e.bend < 1.0:
+        return e.bend
+    return None
 
 
 @rule(MODEL, "without it {n:.2f} times the noise is left, which lacks nothing")
 def nothing_lacking_without(e: Evidence) -> float | None:
     """The model without it leaves no more than the noise."""
     left = e.left_without
-    return left if left is not None and left < e.criteria.quiet else None
+    if left is not None and left < e.criteria.quiet:
+        return left
+    return None
 
 
 @rule(MODEL, "takes {n:.0%} off what is beyond the noise, of which it may be a part")
 def not_beyond_noise(e: Evidence) -> float | None:
     """It takes too little off the error beyond the noise to be what the model lacks."""
     share = e.beyond_noise
-    return share if share is not None and share < e.criteria.beyond else None
+    if share is not None and share < e.criteria.beyond:
+        return share
+    return None
 
 
 @rule(MODEL, "the simulated angles do not come nearer to the measured ones")
 def angles_not_nearer(e: Evidence) -> float | None:
     """Simulated angles come no nearer, whatever the estimator's weights see."""
-    return e.nearer if e.nearer is not None and e.nearer < 0.0 else None
+    if e.nearer is not None and e.nearer < 0.0:
+        return e.nearer
+    return None
 
 
 @rule(MODEL, "takes {n:.0%} off the squared error of the joint's angles where it is most")
@@ -235,7 +261,9 @@ def no_joint_improves(e: Evidence) -> float | None:
     if e.best_joint is None:
         return None
     share, least = e.best_joint
-    return share if share < least else None
+    if share < least:
+        return share
+    return None
 
 
 STEPS = {

@@ -109,10 +109,14 @@ def verdict(named: bool, left: bool, alike: bool = False) -> str:
     alike: whether something else does as well in the place of a name.
     """
     if left:
-        return "partly_explained" if named else "structured_unattributed"
+        if named:
+            return "partly_explained"
+        return "structured_unattributed"
     if not named:
         return "within_noise"
-    return "explained_class" if alike else "explained"
+    if alike:
+        return "explained_class"
+    return "explained"
 
 
 def verdict_of(effects: Sequence[dict[str, Any]], left: bool) -> str:

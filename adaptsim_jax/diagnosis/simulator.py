@@ -122,7 +122,7 @@ def check_simulator(simulator: Simulator) -> None:
     if one.shape != shape:
         raise BadInput(
             f"simulator: predict gives shape {one.shape}; {shape} is wanted (stretches, rows, "
-            f"channels)"
+            "channels)"
         )
     gone = np.flatnonzero(~np.isfinite(np.where(s.seen > 0, one, 0.0)).all((1, 2)))
     if len(gone) == s.count:
@@ -132,8 +132,8 @@ def check_simulator(simulator: Simulator) -> None:
         )
     if not np.array_equal(one, two, equal_nan=True):
         raise BadInput(
-            "simulator: predict gives two answers to one question; fix its seed, or pass its state "
-            "as a start"
+            "simulator: predict gives two answers to one question; fix its seed, or pass its "
+            "state as a start"
         )
 
 

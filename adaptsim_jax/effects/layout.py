@@ -57,7 +57,7 @@ class Layout:
                 return i
         raise BadInput(
             f"effect {name!r} at {where!r} is not in the catalogue; `adaptsim effects` lists what "
-            f"is"
+            "is"
         )
 
     def off(self) -> np.ndarray:

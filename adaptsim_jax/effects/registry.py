@@ -85,7 +85,7 @@ def of_other_packages(taken: Sequence[str] = ()) -> tuple[Effect, ...]:
         point = EFFECTS.others[both[0]]
         raise BadInput(
             f"entry point {point.name} = {point.value} of {EFFECTS.group}: there is another of "
-            f"that name; rename it"
+            "that name; rename it"
         )
     found = [EFFECTS[name] for name in EFFECTS.others]
     return tuple(e for e in found if not e.memory)

@@ -149,7 +149,7 @@ def _of_all(model: mujoco.MjModel, kind: str, name: str, where: str) -> ModelFie
     if not all(np.isfinite(ratio(f)) and (first.nominal or not f.nominal) for f in every):
         raise BadInput(
             f"{where}: '{name}': the first is 0 and another is not, so there is no proportion; "
-            f"name them one by one"
+            "name them one by one"
         )
     edits = tuple(e._replace(factor=e.factor * ratio(f)) for f in every for e in f.edits)
     return replace(first, name=name, edits=edits)
@@ -327,7 +327,7 @@ def domain_randomize(
         if not field.edits:
             raise BadInput(
                 f"domain_randomize: '{field.name}' is of the interface, not of the model; leave it "
-                f"out"
+                "out"
             )
     arrays = sorted({edit.array for field in fields for edit in field.edits})
 

@@ -44,14 +44,14 @@ def mended(env: Any, path: str | Path) -> Any:
     if table.get("task") != "mechanism":
         raise BadInput(
             f"{path}: task = {table.get('task')!r}; give the model.toml that `adaptsim diagnose` "
-            f"wrote of a robot"
+            "wrote of a robot"
         )
     holder = next((a for a in ("_mjx_model", "mjx_model") if a in vars(env)), None)
     keeper = next((a for a in ("_mj_model", "mj_model") if a in vars(env)), None)
     if holder is None or keeper is None:
         raise BadInput(
             f"{path}: {type(env).__name__} holds no mj_model and mjx_model of its own, so it "
-            f"cannot be mended"
+            "cannot be mended"
         )
     form = read_form(table, str(path), OWN)
     declared, found = (_compiled(path.parent / name) for name in (form.model, "model.xml"))
@@ -73,7 +73,7 @@ def _compiled(path: Path) -> mujoco.MjModel:
     if not path.exists():
         raise BadInput(
             f"{path}: no such file; keep it beside model.toml, as `adaptsim diagnose --out` wrote "
-            f"it"
+            "it"
         )
     try:
         return mujoco.MjModel.from_xml_path(str(path))
@@ -88,26 +88,28 @@ def _delay(form: Form, native: mujoco.MjModel) -> float:
     late: dict[str, float] = {}
     for k, effect in enumerate(form.effects):
         if effect.name == DELAY.name:
-            value = effect.parameters["delay"].value if "delay" in effect.parameters else None
+            if "delay" in effect.parameters:
+                value = effect.parameters["delay"].value
+            else:
+                value = None
             if value is None or value < 0:
                 raise BadInput(
                     f"{form.path}: effects[{k}]: a delay of {value} s; give 0 or more, or delete "
-                    f"the effect"
+                    "the effect"
                 )
             late[effect.where] = value
         elif effect.name not in HELD:
             raise BadInput(
                 f"{form.path}: effects[{k}]: no field of a model says '{effect.name}' of "
                 f"{effect.where}; delete it from the file to go on without, or train where it is "
-                f"simulated"
+                "simulated"
             )
     driven = {native.joint(native.actuator_trnid[i, 0]).name for i in range(native.nu)}
     if late and (set(late) != driven or np.ptp(list(late.values())) > 1e-9):
         listed = ", ".join(f"{joint} {value:g} s" for joint, value in late.items())
         raise BadInput(
-            f"{form.path}: delays differ between actuators ({listed}); an environment has "
-            "one: give all "
-            f"the same"
+            f"{form.path}: delays differ between actuators ({listed}); an environment has one: "
+            "give all the same"
         )
     return max(late.values(), default=0.0)
 
@@ -127,7 +129,10 @@ def _copied(
         if was < 0 or (kind == "joint" and int(found.jnt_type[i]) not in SIMPLE):
             continue
         own = element_number(native, kind, str(name))
-        other, at = (native, own) if kind == "actuator" and own >= 0 else (declared, was)
+        if kind == "actuator" and own >= 0:
+            other, at = (native, own)
+        else:
+            other, at = (declared, was)
         for attribute in ATTRIBUTES[kind]:
             value = _number(found, kind, attribute, i)[0]
             there = _number(other, kind, attribute, at)[0]

@@ -59,7 +59,10 @@ class ModelEnvironment:
     ):
         text = str(mjcf).lstrip()
         inline = text.startswith("<")
-        read = mujoco.MjModel.from_xml_string if inline else mujoco.MjModel.from_xml_path
+        if inline:
+            read = mujoco.MjModel.from_xml_string
+        else:
+            read = mujoco.MjModel.from_xml_path
         try:
             self.mj_model = read(str(mjcf))
         except ValueError as error:

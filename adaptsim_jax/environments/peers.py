@@ -127,7 +127,7 @@ def from_gymnax(env: Any, params: Any, length: int = 0) -> Simulated:
     if not hasattr(space, "low"):
         raise BadInput(
             f"env: {env.name} chooses among {getattr(space, 'n', 'some')} actions; one with "
-            f"actions on a continuum is wanted"
+            "actions on a continuum is wanted"
         )
     size = int(np.prod(space.shape, dtype=int))
     low, high = (

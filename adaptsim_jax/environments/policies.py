@@ -194,7 +194,7 @@ def shaken(setting: Setting) -> Callable[[jax.Array], np.ndarray]:
             at = dict(zip(setting.space.names, values, strict=True))
             raise BadInput(
                 f"env: the return is not finite under random actions at {at}; mend the reward, or "
-                f"narrow that range"
+                "narrow that range"
             )
         return np.asarray(found.features)
 
@@ -218,7 +218,7 @@ def check_pure(play: Play, values: np.ndarray) -> None:
     if digest_of(run, *given) != digest_of(run, *given):
         raise BadInput(
             f"env: {play.sim.name} is not pure: called twice alike, reset and step do not do the "
-            f"same; draw from the key alone, and keep what changes in the state"
+            "same; draw from the key alone, and keep what changes in the state"
         )
 
 
@@ -239,5 +239,5 @@ def check_fields(names: Sequence[str], features: Callable[[jax.Array], np.ndarra
     if still:
         raise BadInput(
             f"fields: nothing that is seen follows from '{still[0]}' anywhere in its range; leave "
-            f"it out, or widen it"
+            "it out, or widen it"
         )

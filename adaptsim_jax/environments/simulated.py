@@ -111,7 +111,7 @@ def _models_of(env: Any, where: str) -> tuple[str, mujoco.MjModel]:
     if holder is None:
         raise BadInput(
             f"{where}: the environment holds no mjx.Model (as mjx_model or sys), so it has no "
-            f"fields to adapt"
+            "fields to adapt"
         )
     for name in ("action_size", "dt"):
         if not hasattr(env, name):

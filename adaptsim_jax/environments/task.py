@@ -213,7 +213,7 @@ def measured(setting: Setting, obs: Any, action: Any, reward: Any, acting: Actin
         if x.shape != shape or not 1 <= t <= T or not np.isfinite(x).all():
             raise BadInput(
                 f"{name}: the shape is {x.shape}; {shape} of finite numbers is wanted, of 1 to {T} "
-                f"steps"
+                "steps"
             )
     full = [np.concatenate([x, np.zeros((T - t, *x.shape[1:]), np.float32)]) for x in rows]
     on = jnp.asarray(np.arange(T) < t, jnp.float32)

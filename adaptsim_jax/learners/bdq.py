@@ -194,7 +194,7 @@ def _check(config: BDQConfig) -> None:
     ):
         raise BadInput(
             f"BDQ sizes {config}: each must be positive, with two bins or more and one hidden "
-            f"layer or more"
+            "layer or more"
         )
     if config.activation not in ACTIVATIONS:
         raise BadInput(f"BDQ activation {config.activation!r} is none of {', '.join(ACTIVATIONS)}")

@@ -203,7 +203,7 @@ def _check(config: NAFConfig) -> None:
     if config.reach < 1.0 or config.log_diagonal <= 0.0:
         raise BadInput(
             f"NAF reach {config.reach} must be at least 1, else the box's corners are out of "
-            f"reach; log_diagonal positive"
+            "reach; log_diagonal positive"
         )
     if config.activation not in ACTIVATIONS:
         raise BadInput(f"NAF activation {config.activation!r} is none of {', '.join(ACTIVATIONS)}")

@@ -44,7 +44,7 @@ class SharedConfig:
         if self.candidates > self.trials:
             raise BadInput(
                 f"{self.candidates} candidates of {self.trials} trials: give at most as many as "
-                f"there are"
+                "there are"
             )
 
 

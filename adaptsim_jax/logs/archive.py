@@ -100,7 +100,7 @@ class Archive:
     def notes(self) -> tuple[str, ...]:
         """What was done to read it, a line each."""
         return (
-            f"arrays with a row for each joint turned to a row for each sample: "
+            "arrays with a row for each joint turned to a row for each sample: "
             f"{', '.join(self.turned)}",
         ) * bool(self.turned)
 

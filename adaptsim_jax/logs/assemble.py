@@ -89,7 +89,7 @@ def _moving(
         if any(columns.base is None and not columns.channels for columns in trials):
             raise BadInput(
                 f"{path}: the model has no joint but its base's; log base_x, base_y, base_z (m) "
-                f"and base_qw .. base_qz"
+                "and base_qw .. base_qz"
             )
         return [], {}
     for columns, here in zip(trials, have, strict=True):
@@ -136,8 +136,8 @@ def _no_angle(columns: Columns, names: ModelNames, j: int, here: Mapping[int, np
         )
     have = [names.joints[k] for k in here]
     mend = (
-        f"record it in every trial, or write [hold] and {joint} = 0.0 in meta.toml, in rad or m"
-        f" (this trial has {', '.join(have)})"
+        f"record it in every trial, or write [hold] and {joint} = 0.0 in meta.toml, in rad or m "
+        f"(this trial has {', '.join(have)})"
     )
     raise BadInput(
         f"{raw.path}: no angle of the model's joint '{joint}' (column q{j + 1} or q_{joint}); "
@@ -161,7 +161,7 @@ def _strange(
         return ()
     return (
         f"nothing is logged of {', '.join(bare)}, held; {', '.join(left)} is left out: if it is "
-        f"the same, name it by [columns]",
+        "the same, name it by [columns]",
     )
 
 
@@ -173,7 +173,7 @@ def _numbered(trial: RawTrial, names: ModelNames, kept: Sequence[int]) -> tuple[
     if len(kept) == len(names.joints) or not any(isinstance(r.joint, int) for r in roles):
         return ()
     return (
-        f"columns go by number, in the model's order of joints: "
+        "columns go by number, in the model's order of joints: "
         f"{', '.join(names.joints[j] for j in kept)}",
     )
 
@@ -253,7 +253,7 @@ def _names_in(trial: RawTrial) -> ModelNames:
     if not joints:
         raise BadInput(
             f"{trial.path}: has no angle column; add q1, q2, ... or q_NAME (rad), or name them by "
-            f"[columns]"
+            "[columns]"
         )
     return ModelNames(joints)
 
@@ -315,8 +315,7 @@ def _trial(
             joint = names.joints[j]
             raise BadInput(
                 f"{raw.path}: the angle of joint '{joint}' holds no number in any row; record it, "
-                f"or write [hold] and "
-                f"{joint} = 0.0 in meta.toml"
+                f"or write [hold] and {joint} = 0.0 in meta.toml"
             )
     speeds = columns.by_joint.get("v", {})
     if not set(speeds) & set(kept):
@@ -325,7 +324,7 @@ def _trial(
         lacks = next(names.joints[j] for j in kept if j not in speeds)
         raise BadInput(
             f"{raw.path}: has velocities, but none of joint '{lacks}'; add column v_{lacks}, or "
-            f"leave all out"
+            "leave all out"
         )
     q = model_angles(columns.stacked("q", n), names, meta)[:, at]
     if speeds:
@@ -367,8 +366,8 @@ def _evened(trials: tuple[LogTrial, ...]) -> tuple[tuple[LogTrial, ...], tuple[s
     step = float(np.median([np.median(np.diff(time)) for time in found.times]))
     note = (
         f"stamps of rows jitter (by {1e3 * found.size:.2g} ms) and the angles do not "
-        f"({100 * found.share:.0f} % of it is not in "
-        f"them): rows are taken as read evenly, every {1e3 * step:.4g} ms"
+        f"({100 * found.share:.0f} % of it is not in them): rows are taken as read evenly, every "
+        f"{1e3 * step:.4g} ms"
     )
     return tuple(replace(t, time=time) for t, time in zip(trials, found.times, strict=True)), (
         note,

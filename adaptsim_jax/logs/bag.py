@@ -116,8 +116,7 @@ class McapBag:
             return _ros_decoder(self.path, schema, encoding)
         raise BadInput(
             f"{self.path}: topic {channel.topic} is in {encoding or 'no known encoding'}; record "
-            f"it as a ROS message, in JSON or "
-            "in protobuf"
+            "it as a ROS message, in JSON or in protobuf"
         )
 
 

@@ -116,7 +116,7 @@ def _folder(data: Path, out: Path | None) -> Path:
     ):
         raise BadInput(
             f"{out}: lies in the data's folder; leave --out away to write there, or name a folder "
-            f"elsewhere"
+            "elsewhere"
         )
     if out is not None and out.exists() and not out.is_dir():
         raise BadInput(f"{out}: is a file; name a folder by --out")

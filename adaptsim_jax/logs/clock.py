@@ -163,7 +163,7 @@ def merge(
     if len(clock) < MIN_ROWS:
         raise BadInput(
             f"{path}: its topics share {len(clock)} rows; a trial needs at least {MIN_ROWS}, "
-            f"record joints and commands together"
+            "record joints and commands together"
         )
     out = {"time": clock - clock[0]}
     for series in states:
@@ -191,7 +191,7 @@ def merge(
     if len(states) > 1:
         notes.append(
             f"{len(states)} publishers of joint states brought onto the clock of the one with most "
-            f"messages"
+            "messages"
         )
     cut = len(main.time) - len(clock)
     if cut:
@@ -229,8 +229,7 @@ def _check_set_back(path: str, time: np.ndarray) -> None:
         if there > 4 and there > DENSE * ((high - low) / usual + 1.0):
             raise BadInput(
                 f"{path}: message {k + 2}: the clock was set back by {back:.4g} s; cut the bag "
-                f"there, and take the parts for "
-                "two trials"
+                "there, and take the parts for two trials"
             )
 
 

@@ -93,7 +93,7 @@ def declared(commands: Mapping[str, str], folder: Path, meta: str) -> dict[str, 
         if not out[trial].is_file():
             raise BadInput(
                 f"{meta}: trials.commands: {name!r} does not exist in {folder}; give a file's name "
-                f"there"
+                "there"
             )
     return out
 
@@ -113,7 +113,7 @@ def with_commands(
     if others:
         raise BadInput(
             f"{path}: holds commands of {1 + len(others)} trials, as its clock or its column of "
-            f"trials tells; write each a file"
+            "trials tells; write each a file"
         )
     commands = {}
     for name, values in reported.columns.items():
@@ -125,7 +125,7 @@ def with_commands(
     if not commands:
         raise BadInput(
             f"{path}: holds no commands; name its columns by [columns] in meta.toml, as target1 or "
-            f"target_JOINT"
+            "target_JOINT"
         )
     time = next(name for name in trial.columns if name in TIME)
     other = next(name for name in reported.columns if name in TIME)

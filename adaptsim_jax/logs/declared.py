@@ -31,7 +31,9 @@ def declared_task(folder: str | Path) -> str | None:
         task = tomllib.loads(text).get("task")
     except (OSError, ValueError):
         return None
-    return task if isinstance(task, str) else None
+    if isinstance(task, str):
+        return task
+    return None
 
 
 def known(

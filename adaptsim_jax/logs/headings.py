@@ -175,7 +175,7 @@ def compared(
             else:
                 notes += [
                     f"the heading {one.heading!r} says {one.unit}, no unit of {one.quantity}: not "
-                    f"taken"
+                    "taken"
                 ]
         elif unit.offset or abs(unit.scale / one.scale - 1.0) > CLOSE:
             if own is None:
@@ -196,6 +196,5 @@ def compared(
     else_ = " and ".join(f'{key} = "{name}"' if name else f"{key} = 1.0" for key, name in other)
     raise BadInput(
         f"{path}: the heading {bare[0].heading!r} says {bare[0].unit}, and no unit is declared for "
-        f"it; write {statement} under [units] in "
-        f"meta.toml, or {else_} if the heading is wrong"
+        f"it; write {statement} under [units] in meta.toml, or {else_} if the heading is wrong"
     )

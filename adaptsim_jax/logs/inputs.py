@@ -97,7 +97,7 @@ def _complete(columns: Columns, kind: str, names: tuple[str, ...], u: np.ndarray
         where = f"{columns.raw.row_word} {columns.raw.lines[row]}"
         raise BadInput(
             f"{columns.raw.path}: {where}: no {kind} of {names[k]} (and {len(bad) - 1} more); "
-            f"remove such rows"
+            "remove such rows"
         )
 
 
@@ -143,8 +143,8 @@ def choose_inputs(
         if actuator.joint in lacking and not set(actuator.joints) & set(driven):
             raise BadInput(
                 f"{first.raw.path}: no {kind} of joint '{actuator.joint}', which has a motor in "
-                f"the model; add column "
-                f"{stem}_{actuator.joint}, or take actuator '{actuator.name}' out of the model"
+                f"the model; add column {stem}_{actuator.joint}, or take actuator "
+                f"'{actuator.name}' out of the model"
             )
     if lacking:
         notes = (*notes, f"no {kind} column, taken as free to move: {', '.join(lacking)}")
@@ -175,8 +175,7 @@ def _driven(trials: list[Columns], stem: str, names: ModelNames) -> tuple[str, .
             joint = names.joints[min(differ)]
             raise BadInput(
                 f"{columns.raw.path}: joint '{joint}' has a {stem} column in some trials only; add "
-                f"{stem}_{joint} to all "
-                "(0 where nothing was applied)"
+                f"{stem}_{joint} to all (0 where nothing was applied)"
             )
     return tuple(joint for j, joint in enumerate(names.joints) if j in here)
 
@@ -273,8 +272,8 @@ def _no_command(columns: Columns, actuator: ActuatorName, names: ModelNames) -> 
         column = f"ctrl_{actuator.name}"
     raise BadInput(
         f"{path}: no command for actuator '{actuator.name}' of joint '{joint}'; add column "
-        f"{column}, or hold the joint: "
-        f"[hold] and {joint} = 0.0 in meta.toml{also_there(columns.raw, 'target', joint)}"
+        f"{column}, or hold the joint: [hold] and {joint} = 0.0 in "
+        f"meta.toml{also_there(columns.raw, 'target', joint)}"
     )
 
 

@@ -96,8 +96,8 @@ def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> Columns:
         if (found.stem, j) in taken:
             raise BadInput(
                 f"{trial.path}: columns {taken[found.stem, j]!r} and {name!r} are both "
-                f"{found.stem} of joint "
-                f"{names.joints[j]!r}; keep one, or write ignore = [{name!r}] in meta.toml"
+                f"{found.stem} of joint {names.joints[j]!r}; keep one, or write ignore = "
+                f"[{name!r}] in meta.toml"
             )
         taken[found.stem, j] = name
         slides = names.joints[j] in names.slides
@@ -164,8 +164,8 @@ def _unsure(trial: str, joint: str, seconds: np.ndarray, turns: Turns) -> tuple[
         return ()
     at = seconds[turns.unsure[0]] - seconds[0]
     return (
-        f"{trial}: the angle of {joint} wraps, and may have turned further in "
-        f"{len(turns.unsure)} gap(s), first at {at:.3g} s",
+        f"{trial}: the angle of {joint} wraps, and may have turned further in {len(turns.unsure)} "
+        f"gap(s), first at {at:.3g} s",
     )
 
 
@@ -210,15 +210,14 @@ def _base(trial: RawTrial, roles: dict[str, Role]) -> np.ndarray | None:
     if missing := [name for name in BASE if name not in named]:
         raise BadInput(
             f"{trial.path}: has base_{next(iter(named))}, but no base_{missing[0]}; add it, or "
-            f"ignore all of them"
+            "ignore all of them"
         )
     pose = np.stack([trial.columns[named[name]] for name in BASE], 1)
     size = np.linalg.norm(pose[:, 3:], axis=1)
     if bad := np.flatnonzero(np.abs(size - 1.0) > 0.05).tolist():
         raise BadInput(
             f"{trial.path}: {trial.row_word} {trial.lines[bad[0]]}: base_qw .. base_qz have length "
-            f"{size[bad[0]]:.3g}; write unit "
-            "quaternions"
+            f"{size[bad[0]]:.3g}; write unit quaternions"
         )
     pose[:, 3:] /= size[:, None]
     flips = np.cumprod(

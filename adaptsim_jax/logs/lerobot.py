@@ -46,7 +46,7 @@ def read_lerobot(folder: Path, wanted: Wanted) -> list[RawTrial]:
     if "observation.state" not in features:
         raise BadInput(
             f"{folder}/meta/info.json: has no feature 'observation.state' (joint angles); convert "
-            f"the data to CSV"
+            "the data to CSV"
         )
     parquet = need(folder, "pyarrow.parquet", "lerobot")
     files = sorted((folder / "data").rglob("*.parquet"))

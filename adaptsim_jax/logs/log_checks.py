@@ -103,7 +103,7 @@ def _far(trials: Sequence[LogTrial], j: int, names: ModelNames, known: bool) -> 
     if limits is None:
         return (
             f"{joint} slides as far as {reach:.3g} m: if that is no metres, write {ask} under "
-            f"[units]"
+            "[units]"
         )
     statement = f"{joint} slides as far as {reach:.3g} m, {times:.2g} times its declared range of {limits[0]:g} to {limits[1]:g} m"
     if times < FAR:
@@ -147,9 +147,9 @@ def _large(trials: Sequence[LogTrial], j: int, names: ModelNames, known: bool) -
     outlier = int(reaches.argmax())
     if reaches[outlier] > max(LARGE, ODD * reach):
         return (
-            f"angles of {names.joints[j]} reach {reaches[outlier]:.3g} rad in {trials[outlier].name}, "
-            f"{reach:.2g} rad in the others: if they "
-            "are degrees there, convert that file"
+            f"angles of {names.joints[j]} reach {reaches[outlier]:.3g} rad in "
+            f"{trials[outlier].name}, {reach:.2g} rad in the others: if they are degrees there, "
+            "convert that file"
         )
     speeds = [np.nanquantile(np.abs(t.v[:, j]), 0.99) for t in trials if t.v is not None]
     if known or reach < LARGE or (speeds and np.median(speeds) < FAST):

@@ -221,7 +221,7 @@ def _columns(path: Path, table: dict) -> dict[str, str]:
                 if len(names) != 2:
                     raise BadInput(
                         f"{path}: columns.{key} names {len(names)} columns; name one, or two: "
-                        f"whole seconds, and nanoseconds"
+                        "whole seconds, and nanoseconds"
                     )
                 out |= {key: names[0], NANOS: names[1]}
                 continue

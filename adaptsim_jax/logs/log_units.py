@@ -334,8 +334,7 @@ def _of_range(where: str, word: str, limits: tuple[float, float] | None) -> Affi
     if made is None:
         raise BadInput(
             f"{where} is in per cent of a range that the model does not declare; write {word} = "
-            f"{{percent = [LOW, HIGH]}}, what 0 "
-            "and 100 are in rad or m, under [units]"
+            f"{{percent = [LOW, HIGH]}}, what 0 and 100 are in rad or m, under [units]"
         )
     return made
 

@@ -254,8 +254,7 @@ def _state_topic(
         kinds = ", ".join(f"{topic.name} ({_what(topic)})" for topic in topics) or "none"
         raise BadInput(
             f"{path}: has no topic of sensor_msgs/JointState, nor of another message of joint "
-            f"states that is read "
-            f"(foxglove.JointStates in JSON or protobuf, DynamicJointState, "
+            "states that is read (foxglove.JointStates in JSON or protobuf, DynamicJointState, "
             f"JointTrajectoryControllerState); record one (topics: {kinds})"
         )
     measured = [topic for topic in states if not _is_command(topic)] or states

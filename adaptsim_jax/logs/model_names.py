@@ -120,9 +120,8 @@ def followed(log: Log, mechanism: Mechanism) -> Log:
         separate, span = np.nanmax(np.abs(own - led)), np.nanmax(own) - np.nanmin(own)
         if separate > APART * span:
             reported.append(
-                f"{f.joint} does not follow {f.leader} as the model says: by up to {separate:.2g} of "
-                f"{span:.2g}; "
-                f"nothing is named at {f.leader}"
+                f"{f.joint} does not follow {f.leader} as the model says: by up to {separate:.2g} "
+                f"of {span:.2g}; nothing is named at {f.leader}"
             )
             unlike.append(f.leader)
     left = [

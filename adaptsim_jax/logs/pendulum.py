@@ -99,8 +99,8 @@ def _of_the_rig(trial: RawTrial, meta: LogMeta) -> RawTrial:
     for j, joint in enumerate(JOINTS, 1):
         if (stem, joint) not in have and j not in meta.rig.unactuated:
             raise BadInput(
-                f"{trial.path}: column 'tau{j}' is missing; add it (N m), or write "
-                f"unactuated = [{j}] in meta.toml where that joint has no motor"
+                f"{trial.path}: column 'tau{j}' is missing; add it (N m), or write unactuated = "
+                f"[{j}] in meta.toml where that joint has no motor"
             )
     others = tuple(name for name in trial.columns if name not in selected)
     columns = {name: trial.columns[name] for name in selected}
@@ -200,7 +200,7 @@ def _model(path: Path, raw: dict) -> tuple[str, str | None]:
     if not where.is_file():
         raise BadInput(
             f"{path}: model file {file!r} does not exist beside it; give its path relative to the "
-            f"folder"
+            "folder"
         )
     base = value or read(where).get("model")
     if not isinstance(base, str) or base not in MECHANISMS:

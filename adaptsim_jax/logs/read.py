@@ -103,7 +103,7 @@ def _declared(
     if not source.exists():
         raise BadInput(
             f"{source}: does not exist; give a folder with meta.toml, or a file (.csv, .npz, "
-            f".mcap, .bag)"
+            ".mcap, .bag)"
         )
     return source, *_meta(source, meta)
 

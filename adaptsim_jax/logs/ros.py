@@ -76,7 +76,7 @@ def read_bag(path: Path, wanted: Wanted) -> RawTrial:
         if not series:
             raise BadInput(
                 f"{path}: topic {state.name} has no message with positions; name another by "
-                f"state_topic"
+                "state_topic"
             )
         series, left = _of_the_model(series, wanted)
         notes += left
@@ -151,7 +151,7 @@ def _state(bag: Bag, topic: Topic) -> tuple[list[Series], Clock, tuple[str, ...]
     if nameless:
         notes.append(
             f"topic {topic.name}: names are empty in {nameless} messages, taken in the order of "
-            f"the model's joints"
+            "the model's joints"
         )
 
         def numbers(values):
@@ -167,13 +167,13 @@ def _state(bag: Bag, topic: Topic) -> tuple[list[Series], Clock, tuple[str, ...]
     if some and whole.any():
         notes.append(
             f"topic {topic.name}: {some} messages with another number of positions than of names "
-            f"left out"
+            "left out"
         )
     elif some:
         one = next((names, values) for names, values in stated if len(values.get("q", ())))
         raise BadInput(
             f"{topic.name}: its messages name {len(one[0])} joints and hold {len(one[1]['q'])} "
-            f"positions; record it so that they agree"
+            "positions; record it so that they agree"
         )
     sender = {
         key: k for k, key in enumerate(dict.fromkeys(tuple(sorted(names)) for names, _ in stated))
@@ -217,7 +217,7 @@ def _commands(
         if clock.stamped and clock.late:
             notes.append(
                 f"topic {topic.name} has no stamps: its arrival is taken, less the delay of the "
-                f"state's messages"
+                "state's messages"
             )
         notes.append(
             f"topic {topic.name} names no joints: taken in the order of the model's actuators"
@@ -289,8 +289,8 @@ def _trajectory(
     else:
         mend = ""
     notes.append(
-        f"topic {topic.name}: {statement}{'' if reported else f', {why}'}, a new trajectory takes the place "
-        f"of what is ahead{mend}"
+        f"topic {topic.name}: {statement}{'' if reported else f', {why}'}, a new trajectory takes "
+        f"the place of what is ahead{mend}"
     )
     return made[how], tuple(notes)
 

@@ -190,8 +190,8 @@ def _no_number(cell: str, cells: tuple[str, ...]) -> str:
             apart = None
     if apart and decimal:
         return (
-            "thousands or decimals behind a comma; write thousands without one (1234.5), "
-            "decimals with a point (1.2345)"
+            "thousands or decimals behind a comma; write thousands without one (1234.5), decimals "
+            "with a point (1.2345)"
         )
     if decimal:
         return "a decimal comma; write decimals with a point"

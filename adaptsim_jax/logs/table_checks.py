@@ -51,7 +51,7 @@ def without_blank(
         if not _is_optional(ours.get(name, name)):
             raise BadInput(
                 f"{path}: column {name} holds no number in any row; record it, or take the column "
-                f"out"
+                "out"
             )
     selected = {name: values for name, values in columns.items() if name not in blank}
     if blank:
@@ -119,10 +119,8 @@ def _check_joined(
 
     raise BadInput(
         f"{path}: rows hold parts of a sample ({stated}), as topics joined by time do; bring them "
-        f"onto one clock, with pandas: "
-        f"pd.merge_asof(df[[{clock!r}, {quote(first)}]].dropna(), df[[{clock!r}, "
-        f"{quote(others)}]].dropna(), on={clock!r})"
-        f".dropna().to_csv(...)"
+        f"onto one clock, with pandas: pd.merge_asof(df[[{clock!r}, {quote(first)}]].dropna(), "
+        f"df[[{clock!r}, {quote(others)}]].dropna(), on={clock!r}).dropna().to_csv(...)"
     )
 
 
@@ -183,8 +181,7 @@ def lost_digits(time: np.ndarray) -> str:
         return ""
     return (
         f"time has lost its digits: it was kept in float32, whose steps are {lost:g} here; save it "
-        f"as float64, or "
-        "take the first time off before saving"
+        "as float64, or take the first time off before saving"
     )
 
 
@@ -221,6 +218,5 @@ def check_time_unit(path: str | Path, time: np.ndarray, scale: float, mend: str 
     if step < FASTEST and scale != 1.0:
         raise BadInput(
             f"{path}: a row every {step:.3g} s by the declared unit of time; write the unit that "
-            f"the file has under [units] in "
-            "meta.toml"
+            "the file has under [units] in meta.toml"
         )

@@ -175,7 +175,7 @@ def apart(
     held = [name for name in names if name not in states]
     acts = f", {', '.join(held)} held from when they came" if held else ""
     notes = (
-        f"rows hold parts of a sample, as topics in one file do: taken at the times of "
+        "rows hold parts of a sample, as topics in one file do: taken at the times of "
         f"{', '.join(angles)}{acts}",
         *notes,
     )

@@ -267,7 +267,7 @@ def _no_time(path: Path, header: list[str]) -> BadInput:
     if found := pair(header):
         return BadInput(
             f"{path}: column 'time' is missing; it seems to have two parts, write {both(*found)} "
-            f"in meta.toml"
+            "in meta.toml"
         )
     if header:
         some = f" (there are {', '.join(header[:8])}{', ...' if len(header) > 8 else ''})"
@@ -301,9 +301,9 @@ def _read(path: Path, named: Mapping[str, str]) -> Table:
         if one and one.joint is not None:
             parts = sum((stem_and_place(c) or ("",))[0] == part[0] for c in table.columns)
             raise BadInput(
-                f"{path}: column {part[0]!r} is one joint's and has shape "
-                f"({len(table.lines)}, {parts}); save one number for each row, or call it "
-                f"{one.stem} for a number of each joint"
+                f"{path}: column {part[0]!r} is one joint's and has shape ({len(table.lines)}, "
+                f"{parts}); save one number for each row, or call it {one.stem} for a number of "
+                "each joint"
             )
     return replace(
         table, columns={_ours(name, named): values for name, values in table.columns.items()}
@@ -345,7 +345,7 @@ def _labelled(path: Path, column: str, table: Table) -> list[tuple[str, Table]]:
         if not label:
             raise BadInput(
                 f"{path}: {table.row_word} {table.lines[rows[0]]}: column {column} is empty; name "
-                f"the trial"
+                "the trial"
             )
         parts.append((_plain(label), _rows(table, rows)))
     return parts

@@ -334,7 +334,7 @@ def _by_headings(
             key: (
                 unit,
                 f"{why}, but speeds are {times:.3g} times what the angles' slopes are by their "
-                f"heading",
+                "heading",
             )
         }
     for joint, limits in observed.limits.items():
@@ -388,11 +388,10 @@ def _gain(time: np.ndarray, angles: dict, speeds: dict) -> float | None:
         q = angles.get(joint)
         if q is not None and np.isfinite(q).all() and np.isfinite(v).all() and len(q) > 20:
             reported = velocity_agreement(time, q, v)
-            gains += (
-                [reported.gain]
-                if reported.enough and reported.r2 > 0.9 and reported.gain > 0
-                else []
-            )
+            if reported.enough and reported.r2 > 0.9 and reported.gain > 0:
+                gains += [reported.gain]
+            else:
+                gains += []
     if not gains or max(gains) > 1.2 * min(gains):
         return None
     return float(np.median(gains))

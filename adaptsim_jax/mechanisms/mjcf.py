@@ -88,8 +88,7 @@ def mechanism_of(
     if len(walk.kinds) - len(role.followers) > MOST_JOINTS:
         raise BadInput(
             f"{source.path}: {len(walk.kinds) - len(role.followers)} joints move, more than "
-            f"{MOST_JOINTS}; hold some: [hold] in "
-            f"meta.toml, {walk.names[-1]} = 0.0"
+            f"{MOST_JOINTS}; hold some: [hold] in meta.toml, {walk.names[-1]} = 0.0"
         )
     tree = _tree(model, walk, source.weightless)
     leader, factor, offset = walk.followed(role)
@@ -113,7 +112,7 @@ def mechanism_of(
     ]:
         added.beyond.append(
             f"gravity compensation within the force limits of {len(bounded)} joints ({bounded[0]}, "
-            f"...)"
+            "...)"
         )
     return Mechanism(
         tree,

@@ -67,9 +67,13 @@ def _asked(hold, name: str, leads, at: np.ndarray) -> np.ndarray:
     """Where a joint is held that was asked to be, or whose leader was."""
     if leads is None or name in hold:
         given = hold.get(name)
-        return at if given is None else np.array([given])
+        if given is None:
+            return at
+        return np.array([given])
     given = hold[leads.leader]
-    return at if given is None else np.array([leads.offset + leads.factor * given])
+    if given is None:
+        return at
+    return np.array([leads.offset + leads.factor * given])
 
 
 def roles(
@@ -120,10 +124,13 @@ def roles(
             told["looped"].append(name)
     followers = {n: f for n, f in followers.items() if f.leader not in held and n not in held}
     if len(held) + len(followers) >= model.njnt:
-        what = "every joint is in a loop that closes" if loops else "every joint is held"
+        if loops:
+            what = "every joint is in a loop that closes"
+        else:
+            what = "every joint is held"
         raise BadInput(
             f"{source.path}: {what}, so that nothing of a tree moves; take --simulator mujoco, or "
-            f"log a joint that does"
+            "log a joint that does"
         )
     return Roles(
         held, followers, (*_told(told, pose_name), *_folds_told(followers)), (*beyond, *loops)
@@ -161,11 +168,11 @@ def _told(told: dict[str, list[str]], pose: str) -> tuple[str, ...]:
     if told["unlogged"]:
         out.append(
             f"held {pose}, as no log has them: {', '.join(told['unlogged'])} (another value: "
-            f"[hold] in meta.toml)"
+            "[hold] in meta.toml)"
         )
     if told["asked"]:
         out.append(
-            f"held where [hold], an equality or a log that never moves has them: "
+            "held where [hold], an equality or a log that never moves has them: "
             f"{', '.join(told['asked'])}"
         )
     if told["looped"]:

@@ -44,7 +44,7 @@ def read_source(path: str | os.PathLike) -> Source:
     if spec.flexes:
         raise BadInput(
             f"{where}: flex '{_name(spec.flexes[0])}' is a soft body, which is not modelled; "
-            f"remove it"
+            "remove it"
         )
     if urdf is None:
         return Source(where, kind, model)
@@ -97,7 +97,7 @@ def compiled(where: str, spec: mujoco.MjSpec) -> mujoco.MjModel:
         if "Error opening file" in text or "mesh" in text.lower():
             raise BadInput(
                 f"{where}: MuJoCo cannot compile it: {text}; give the bodies an <inertial>, then "
-                f"no mesh is needed"
+                "no mesh is needed"
             ) from None
         raise BadInput(f"{where}: MuJoCo cannot compile it: {text}; mend the file") from None
 

@@ -264,7 +264,7 @@ def take(tree: Tree, indices: Sequence[int]) -> Tree:
     if missing:
         raise ValueError(
             f"joints {tuple(indices)} hang on {[tree.joint_names[i] for i in missing]}; take those "
-            f"as well"
+            "as well"
         )
     if any(new.get(tree.parent[i], -1) > new[i] for i in indices):
         raise ValueError(f"indices {tuple(indices)} must name a joint after its parent")

@@ -52,7 +52,7 @@ def is_urdf(where: str, text: str) -> bool:
     if tag not in ("robot", "mujoco"):
         raise BadInput(
             f"{where}: its root is <{tag}>; give an MJCF file, whose root is <mujoco>, or a URDF, "
-            f"whose root is <robot>"
+            "whose root is <robot>"
         )
     return tag == "robot"
 
@@ -66,7 +66,7 @@ def urdf_for_mujoco(where: str, text: str) -> Urdf:
         if isinstance(element.tag, str) and "xacro" in element.tag:
             raise BadInput(
                 f"{where}: holds xacro commands; expand it first (xacro robot.urdf.xacro > "
-                f"robot.urdf)"
+                "robot.urdf)"
             )
     links = {link.get("name", ""): link for link in robot.findall("link")}
     joints = robot.findall("joint")
@@ -131,7 +131,7 @@ def _mimics(where: str, joints: list) -> tuple[Follower, ...]:
         if leader not in names or leader == name:
             raise BadInput(
                 f"{where}: joint '{name}' mimics {brief(leader)}, which is no other joint that "
-                f"moves; mend the name"
+                "moves; mend the name"
             )
         factor = _number(where, name, mimic, "multiplier", 1.0)
         if factor == 0.0:
@@ -158,7 +158,7 @@ def _check_joint(where: str, joint: Any, links: dict[str, Any]) -> None:
                 named = f" {brief(element.get('link'))}"
             raise BadInput(
                 f"{where}: joint '{name}' has a {end} link{named} that the file lacks; add it or "
-                f"mend the name"
+                "mend the name"
             )
 
 
@@ -191,7 +191,7 @@ def _bodies(
         if _mass(links[name]) < 0.0:
             raise BadInput(
                 f"{where}: link '{name}' has a negative mass ({_mass(links[name]):g}); mend its "
-                f"sign"
+                "sign"
             )
     return bodies
 
@@ -225,8 +225,7 @@ def _inertias(
     if bare := [own for own in bodies if own not in carries]:
         raise BadInput(
             f"{where}: no mass for link{'s' if len(bare) > 1 else ''} {', '.join(bare)}, nor for "
-            f"what it carries; give each that "
-            "moves an <inertial> with mass and inertia"
+            "what it carries; give each that moves an <inertial> with mass and inertia"
         )
     odd = [
         name
@@ -237,9 +236,8 @@ def _inertias(
     if odd:
         compiler["balanceinertia"] = "true"
         notes.append(
-            f"moments of inertia that no body can have (the largest is more than the other two "
-            f"together), balanced as MuJoCo does: "
-            f"{', '.join(odd)}"
+            "moments of inertia that no body can have (the largest is more than the other two "
+            f"together), balanced as MuJoCo does: {', '.join(odd)}"
         )
     out = [own for own in bodies if own not in weighed]
     for own in out:
@@ -278,7 +276,7 @@ def _point(where: str, links: dict[str, Any], names: list[str], compiler: dict) 
             ]
             raise BadInput(
                 f"{where}: link '{name}' has negative moments of inertia ({', '.join(told)}); mend "
-                f"their sign"
+                "their sign"
             )
         if moments[0] + moments[1] < moments[2] * (1.0 - TINY):
             odd.append(name)
@@ -320,8 +318,7 @@ def _placeholders(joints: list) -> list[str]:
         if friction > 0.0 and friction >= effort > 0.0:
             told.append(
                 f"joint '{joint.get('name')}' declares friction of {friction:g}, as much as its "
-                f"effort limit: it could not move; "
-                "put in a measured friction, or 0"
+                "effort limit: it could not move; put in a measured friction, or 0"
             )
     return told
 

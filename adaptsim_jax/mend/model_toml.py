@@ -108,7 +108,7 @@ def check_schema(table: Mapping[str, Any], where: str) -> None:
     if schema == 1:
         raise BadInput(
             f"{where}: schema = 1 was written by adaptsim_jax 0.1, this version reads {SCHEMA}; "
-            f"run `adaptsim diagnose` again"
+            "run `adaptsim diagnose` again"
         )
     if "schema" not in table:
         raise BadInput(f"{where}: key 'schema' is missing; {RENEW}")
@@ -200,8 +200,8 @@ def _value(where: str, key: str, given: Any) -> Value:
         )
         if not low <= value <= high:
             raise BadInput(
-                f"{where}: {key} = {value:g} is outside its own interval [{low:g}, {high:g}]; "
-                f"mend one of them"
+                f"{where}: {key} = {value:g} is outside its own interval [{low:g}, {high:g}]; mend "
+                "one of them"
             )
         ends = [low, high]
     if not isinstance(table.get("unit", ""), str):

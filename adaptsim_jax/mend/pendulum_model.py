@@ -229,7 +229,7 @@ def _effect(
         if p.sign > 0 and value.value < 0:
             raise BadInput(
                 f"{where}: {at} = {value.value:g} {p.unit} is negative, which this effect cannot "
-                f"be; mend it"
+                "be; mend it"
             )
     return replace(given, parameters=values)
 

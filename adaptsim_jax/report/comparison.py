@@ -79,7 +79,7 @@ def _by_trials(results: Mapping[str, Any], across) -> list[str]:
     spent = max(r["trials"][-1] for r in rows)  # of more trials nothing is known
     budgets = [b for b in rows[0]["at"] if int(b) <= spent]
     parts = [
-        f"What is deployed after all "
+        "What is deployed after all "
         f"trials{' (one seed, no interval)' if one else ', mean over seeds [95 % interval]'}:",
         across(lambda r: _number(r["mean"]) if one else _spread(r, "mean", "low", "high")),
         "The return itself, mean over seeds:" if not one else "The return itself:",
@@ -150,9 +150,8 @@ def _discrepancies(rows, across) -> list[str]:
     if not any("discrepancy" in r for r in rows):
         return []
     return [
-        "Dynamics discrepancy at the best policy (rad, absolute differences of both joints summed "
-        "over the 12 observed "
-        "points; median over seeds):",
+        "Dynamics discrepancy at the best policy (rad, absolute differences of both joints "
+        "summed over the 12 observed points; median over seeds):",
         across(_discrepancy),
     ]
 

@@ -200,7 +200,10 @@ def tracks(found: Mapping) -> str:
         "yaxis": {"title": {"text": f"{y}, m"}, "scaleanchor": "x"},
     }
     trials = max(map(len, all_of.values()))
-    note = f"the first {shown_trials} of {trials} trials" if shown_trials < trials else ""
+    if shown_trials < trials:
+        note = f"the first {shown_trials} of {trials} trials"
+    else:
+        note = ""
     view = View([{"data": data, "layout": layout}], note)
     if data:
         return explorer({}, {(): view}, [Plot("tracks, measured and simulated", 480)], columns)

@@ -216,8 +216,8 @@ def _nothing_more(report: Mapping) -> str:
             unlike = ""
         return f"The declared model{unlike} explains these data to within the noise."
     return (
-        f"The declared model leaves {before / floor:.0f} times the sensors' noise, and nothing "
-        f"in it but chance was found."
+        f"The declared model leaves {before / floor:.0f} times the sensors' noise, and nothing in "
+        "it but chance was found."
     )
 
 
@@ -266,8 +266,7 @@ def not_established(report: Mapping) -> list[str]:
         else:
             named = f"{len(loose)} numbers listed under Declared parameters"
         lines.append(
-            f"The value{'' if one else 's'} of {named}: "
-            f"these motions show only "
+            f"The value{'' if one else 's'} of {named}: these motions show only "
             f"{'a combination of it with others' if one else 'combinations of them'}."
         )
     if report["verdict"] in (
@@ -299,8 +298,7 @@ def todo(report: Mapping) -> str:
     if report["effects"] and (skill := _skill(report)) < TELLS:
         return (
             f"Do not rely on the mended model yet: at best it is {100 * max(skill, 0.0):.0f} % "
-            f"better than what needs no model. "
-            "Look where the rest sits."
+            "better than what needs no model. Look where the rest sits."
         )
     if files := _files(report):
         return files

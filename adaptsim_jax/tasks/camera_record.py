@@ -48,7 +48,7 @@ def trials_of(
             known = ", ".join(map(str, asked))
             raise BadInput(
                 f"{where}: trial {number} is missing; record trials {known} into one file, see "
-                f"actions.csv"
+                "actions.csv"
             )
 
         def trials(k, rows=rows, number=number):
@@ -130,7 +130,7 @@ def check_different(tracks: Mapping[float, np.ndarray], where: str) -> None:
             if len(a) == len(b) and np.any(a != a[0]) and np.array_equal(a, b, equal_nan=True):
                 raise BadInput(
                     f"{where}: trials {other:g} and {name:g} have the same track, to the digit; "
-                    f"give each its own"
+                    "give each its own"
                 )
 
 
@@ -142,7 +142,7 @@ def check_increasing(time: np.ndarray, trials: Callable[[int], str]) -> None:
         word = "repeats" if time[k] == time[k - 1] else "runs backwards"
         raise BadInput(
             f"{trials(k)}: time {word} ({time[k - 1]:.9g} then {time[k]:.9g}); sort or remove such "
-            f"rows"
+            "rows"
         )
 
 
@@ -155,8 +155,7 @@ def check_gaps(
     for k in np.flatnonzero((np.diff(time) > most) & (time[:-1] < until))[:1] + 1:
         raise BadInput(
             f"{trials(int(k))}: nothing was recorded from {time[k - 1]:.4g} to {time[k]:.4g} s; a "
-            f"gap of at most {most:g} s can be "
-            f"filled: {again}"
+            f"gap of at most {most:g} s can be filled: {again}"
         )
 
 
@@ -175,7 +174,7 @@ def check_leaps(
     for k in np.flatnonzero(leap > fastest * np.diff(time) + slip)[:1] + 1:
         raise BadInput(
             f"{trials(int(k))}: {body} jumps {100 * leap[k - 1]:.0f} cm between two rows; remove "
-            f"what is not it"
+            "what is not it"
         )
 
 
@@ -195,16 +194,15 @@ def unwrapped(
     for k in observed[np.abs(yaw[observed]) > WHOLE_TURNS][:1]:
         raise BadInput(
             f"{trials(int(k))}: yaw = {yaw[k]:.6g} rad is several turns; is it in degrees? write "
-            f"radians"
+            "radians"
         )
     out = yaw.copy()
     out[observed] = np.unwrap(yaw[observed])
     leap = np.abs(np.diff(out[observed]))
     for k in np.flatnonzero(leap > FASTEST_TURN * np.diff(time[observed]) + TURN_SLIP)[:1]:
         raise BadInput(
-            f"{trials(int(observed[k + 1]))}: {body} turns by {leap[k]:.2g} rad between two "
-            "rows; empty "
-            f"the cells of yaw that are not it"
+            f"{trials(int(observed[k + 1]))}: {body} turns by {leap[k]:.2g} rad between two rows; "
+            "empty the cells of yaw that are not it"
         )
     return out
 
@@ -238,8 +236,7 @@ def check_clock_set(
         went = float(np.linalg.norm(places[k] - places[k - 1]))
         if gap * min(speeds) > STOOD and went < 0.3 * gap * min(speeds):
             raise BadInput(
-                f"{trials(int(k))}: {body} moves by {min(speeds):.2g} m/s before and after a "
-                "hole of "
-                f"{gap:.3g} s, and by {went:.2g} m "
-                "in it: was the clock set? mend the times after it, or cut the trial there"
+                f"{trials(int(k))}: {body} moves by {min(speeds):.2g} m/s before and after a hole "
+                f"of {gap:.3g} s, and by {went:.2g} m in it: was the clock set? mend the times "
+                "after it, or cut the trial there"
             )

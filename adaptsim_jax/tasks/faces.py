@@ -66,7 +66,9 @@ class AdaptView(NamedTuple):
         import numpy as np
 
         reported = getattr(self.result.policy, "told", None)
-        return None if reported is None else int(np.sum(reported.used))
+        if reported is None:
+            return None
+        return int(np.sum(reported.used))
 
 
 def picked(count: int, best: int) -> list[int]:

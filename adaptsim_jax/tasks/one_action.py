@@ -120,8 +120,7 @@ def _shape(task: Task, low: np.ndarray, high: np.ndarray) -> tuple[int, ...]:
         sizes = ", ".join(str(x.shape) for x in leaves)
         raise BadInput(
             f"task {task.name}: its policy has arrays of shapes {sizes} and is not one action of "
-            f"{len(low)} numbers; give "
-            "low and high for each, or a `OneShot` of its own"
+            f"{len(low)} numbers; give low and high for each, or a `OneShot` of its own"
         )
     return leaves[0].shape
 
@@ -142,7 +141,7 @@ def _worlds(
             asked = ", ".join([backend, *settings])
             raise BadInput(
                 f"task {task.name} has no engine beside its own simulator ({asked}); leave target "
-                f"out"
+                "out"
             )
         return TargetWorld(OWN, run, {1: "its reward is not finite"})
 

@@ -50,7 +50,7 @@ def make_task(name: str, options: Mapping[str, Any], where: str = "config, [task
         if kind.augmented is None:
             raise BadInput(
                 f"{where}: a mended model of task '{name}' is not in this version yet; leave "
-                f"'model' out"
+                "'model' out"
             )
         return kind.augmented(dict(options), where)
     return kind.make(config.from_table(kind.config, dict(options), where))

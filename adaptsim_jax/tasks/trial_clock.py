@@ -100,10 +100,9 @@ def check_clock_rate(
         times, slow, mend = (1 / rate, "fast", "multiply")
     raise BadInput(
         f"{where}: {body} begins to move at {at:.2g} s and goes {speed:.2g} m/s, where the arm as "
-        f"commanded reaches it at {due:.2g} s "
-        f"and gives it {usual:.2g} m/s: time looks about {times:.2g} times too {slow} (frames "
-        f"counted at another rate than the "
-        f"camera's?); {mend} column time by {times:.2g}; if all is as declared, add --as-declared"
+        f"commanded reaches it at {due:.2g} s and gives it {usual:.2g} m/s: time looks about "
+        f"{times:.2g} times too {slow} (frames counted at another rate than the camera's?); {mend} "
+        f"column time by {times:.2g}; if all is as declared, add --as-declared"
     )
 
 
@@ -151,8 +150,7 @@ def check_frozen(
     for first, last in runs:
         mend = (
             "a tracker that lost it repeats its last value: leave x and y empty in these rows, or "
-            "remove them"
-            "; if all is as declared, add --as-declared"
+            "remove them; if all is as declared, add --as-declared"
         )
         stood = (
             f"{trials(first + 1)}: {body} stands still to the digit from {time[first]:.4g} to "
@@ -187,10 +185,8 @@ def _check_held(
         every = round(len(between) / np.sum(between > 0))
         raise BadInput(
             f"{trials(a + 1)}: places of {body} change only once in {every} rows from "
-            f"{time[a]:.4g} "
-            f"s on, though it moves: the "
-            "tracker is slower than the log; keep the rows at which they change; if all is as "
-            "declared, add --as-declared"
+            f"{time[a]:.4g} s on, though it moves: the tracker is slower than the log; keep the "
+            "rows at which they change; if all is as declared, add --as-declared"
         )
 
 

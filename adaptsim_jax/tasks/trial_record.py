@@ -162,8 +162,7 @@ def read_tracks(
         if have:
             raise BadInput(
                 f"{lack[0]}: no column {name!r}, which {have[0].name} has; add it, empty where it "
-                f"was not seen, or take it "
-                "out of all files"
+                "was not seen, or take it out of all files"
             )
     wanted = _Wanted(numbers, actions, kind, more, without, as_declared)
     for path, table in tables:
@@ -230,7 +229,7 @@ def _read_track(
     if np.linalg.norm(p[:, :2] - p[0, :2], axis=1).max() < kind.moves:
         raise BadInput(
             f"{row(-1)}: {kind.body} never moved: {kind.never}; leave it out (--without {number}) "
-            f"or make it again"
+            "or make it again"
         )
     record.check_clock_set(t, p[:, :2], row, kind.body)
     for j in (2 + wanted.more.index(name) for name in kind.angles if name in wanted.more):
@@ -239,7 +238,7 @@ def _read_track(
     if keep.sum() < MIN_ROWS:
         raise BadInput(
             f"{row(0)}: has {keep.sum()} rows within {kind.ends:g} s of the arm's start; write "
-            f"seconds since that start"
+            "seconds since that start"
         )
     return MeasuredTrack(t[keep], p[keep], file, began(t, p[:, :2]))
 
@@ -249,12 +248,12 @@ def _check_times(t: np.ndarray, row: Callable, kind: TrialKind) -> None:
     if t[-1] - t[0] > 60.0:
         raise BadInput(
             f"{row(-1)}: lasts {t[-1] - t[0]:.6g} s; is time in ms? write seconds since the arm's "
-            f"start"
+            "start"
         )
     if np.sum((t >= 0.0) & (t <= kind.ends)) < MIN_ROWS and t[0] > kind.ends / 2:
         raise BadInput(
             f"{row(0)}: begins at {t[0]:.9g} s; write seconds since the arm's start, subtract that "
-            f"of each trial"
+            "of each trial"
         )
     if len(t) < MIN_ROWS:
         raise BadInput(f"{row(0)}: {len(t)} rows; {MIN_ROWS} at least are needed, at 20 Hz or more")
@@ -291,8 +290,7 @@ def check_spacing(names: Sequence[float], found: Tracks) -> None:
         if step > SLOWEST:
             raise BadInput(
                 f"{found[n].file}: trial {n:g}: rows {step:.2g} s apart; 20 Hz at least are "
-                f"needed: record it so, or mend time where "
-                "the camera did"
+                "needed: record it so, or mend time where the camera did"
             )
 
 
@@ -305,11 +303,9 @@ def check_starts(
     distance = np.linalg.norm(aside - np.median(aside, 0), axis=1)
     for k in np.flatnonzero(distance > most)[:1]:
         raise BadInput(
-            f"{where}: trial {names[k]:g}: {body} stands {100 * distance[k]:.0f} cm from "
-            "where it is "
-            f"declared, beside the other trials: "
-            f"of another frame, or of another trial? mend it, or leave it out (--without "
-            f"{names[k]:g})"
+            f"{where}: trial {names[k]:g}: {body} stands {100 * distance[k]:.0f} cm from where it "
+            "is declared, beside the other trials: of another frame, or of another trial? mend "
+            f"it, or leave it out (--without {names[k]:g})"
         )
 
 

@@ -20,10 +20,9 @@ def ended(code: str, **more: str) -> subprocess.CompletedProcess:
 def test_this_xla_takes_the_flags_and_gives_the_same_numbers():
     """An unknown flag ends the process, so that one must compile something."""
     code = (
-        "from adaptsim_jax.core import process; print(process.small_steps()); import "
-        "jax, jax.numpy as jnp;"
-        "print(jax.jit(lambda x: jax.lax.fori_loop(0, 50, lambda i, x: jnp.sin(x) + x[::-1], "
-        "x))(jnp.ones(3))[0])"
+        "from adaptsim_jax.core import process; print(process.small_steps()); import jax, "
+        "jax.numpy as jnp;print(jax.jit(lambda x: jax.lax.fori_loop(0, 50, lambda i, x: "
+        "jnp.sin(x) + x[::-1], x))(jnp.ones(3))[0])"
     )
     flagged, plain = ended(code), ended(code.replace("process.small_steps()", "True"))
     assert flagged.returncode == 0, flagged.stderr

@@ -25,10 +25,8 @@ from adaptsim_jax.effects.registry import catalogue
 
 NAMES = (
     "coulomb stribeck quadratic_drag spring bias tilt encoder_offset torque_gain delay "
-    "actuator_lag saturation dead_zone "
-    "presliding backlash cogging rotor_inertia friction_drift periodic_disturbance hard_stop "
-    "load_friction sensor_lag "
-    "heave sway"
+    "actuator_lag saturation dead_zone presliding backlash cogging rotor_inertia friction_drift "
+    "periodic_disturbance hard_stop load_friction sensor_lag heave sway"
 ).split()
 REACH = Reach(
     np.array([0.9, 0.35]),

@@ -109,6 +109,6 @@ def measured(name):
     if not folder.is_dir():
         pytest.skip(
             f"real recording {folder.name} is not at hand: set ADAPTSIM_DATA to the folder that "
-            f"holds it"
+            "holds it"
         )
     return folder

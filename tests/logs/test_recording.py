@@ -304,9 +304,9 @@ def test_known_parameters_are_checked_by_whoever_has_their_names():
 def test_reading_does_not_import_jax(tmp_path):
     write(tmp_path, {"t": gentle()})
     code = (
-        "import sys; from adaptsim_jax.logs.pendulum import read_pendulum;"
-        "from adaptsim_jax.logs.quality.audit import audit;"
-        f"audit(read_pendulum({str(tmp_path)!r})); sys.exit('jax' in sys.modules)"
+        "import sys; from adaptsim_jax.logs.pendulum import read_pendulum;from "
+        f"adaptsim_jax.logs.quality.audit import audit;audit(read_pendulum({str(tmp_path)!r})); "
+        "sys.exit('jax' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 

@@ -202,8 +202,8 @@ def explained_class():
         "pendulum",
         "linearized",
         "explained_class",
-        "A constant torque at joint 1 is missing. A bias, a tilted base and an encoder offset all "
-        "give it near upright.",
+        "A constant torque at joint 1 is missing. A bias, a tilted base and an encoder offset "
+        "all give it near upright.",
         DATA,
         effects=[effect],
         error=errors(0.25),
@@ -254,8 +254,8 @@ def structured():
         "pendulum",
         "rigid_body",
         "structured_unattributed",
-        "After Coulomb friction at joint 1, 38 % of the rest at joint 2 repeats between trials and "
-        "goes with position; no candidate explains it.",
+        "After Coulomb friction at joint 1, 38 % of the rest at joint 2 repeats between trials "
+        "and goes with position; no candidate explains it.",
         DATA,
         effects=[coulomb()],
         error=errors(0.55, ceiling=2.0),
@@ -300,8 +300,8 @@ def within_noise():
             {"name": "command_delay", "where": "joint1", "size": 0.004, "unit": "s", "power": 0.71},
         ],
         not_established=[
-            "Coulomb friction at joint 1 below 4 mN·m: it would have been found in fewer than 8 of "
-            "10 recordings."
+            "Coulomb friction at joint 1 below 4 mN·m: it would have been found in fewer than 8 "
+            "of 10 recordings."
         ],
     )
 

@@ -20,8 +20,7 @@ from tests.simulators.robots import quadruped, record, walk
 
 ARRAYS = (
     "dof_damping dof_frictionloss dof_armature body_mass body_inertia body_ipos geom_friction "
-    "geom_solref geom_solimp geom_pos "
-    "geom_quat actuator_gainprm actuator_biasprm"
+    "geom_solref geom_solimp geom_pos geom_quat actuator_gainprm actuator_biasprm"
 ).split()
 
 

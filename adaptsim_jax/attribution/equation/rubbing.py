@@ -25,8 +25,7 @@ from adaptsim_jax.mechanisms.tree import Tree
 
 GIVES = (
     "Dry friction gives as MuJoCo's does (solreffriction, solimpfriction), as in a simulator's "
-    "log: it is simulated so, and no "
-    "effect is named for it."
+    "log: it is simulated so, and no effect is named for it."
 )
 
 

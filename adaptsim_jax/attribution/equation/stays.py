@@ -102,7 +102,9 @@ def nameless(state: Searched, whole: Solved, c: Candidate) -> str:
     if read_so(state, whole, c):
         return ""  # how rows are read is told in words of its own, however small
     share, least = share_of_torque(state, whole, c)
-    return f"it is {100 * share:.1f} % of the joint's torque" if share < least else ""
+    if share < least:
+        return f"it is {100 * share:.1f} % of the joint's torque"
+    return ""
 
 
 def read_so(state: Searched, whole: Solved, c: Candidate) -> bool:

@@ -180,8 +180,8 @@ TORQUE_COUPLING = Effect(
         ),
     ),
     torque_coupling,
-    "the drives of a joint and of the one before it act on both (a belt, a differential, a "
-    "motor at the base)",
+    "the drives of a joint and of the one before it act on both (a belt, a differential, a motor "
+    "at the base)",
     "torques at both joints that differ",
     ("torque_gain", "friction_coupling"),
     pair=True,

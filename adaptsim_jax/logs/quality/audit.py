@@ -56,7 +56,7 @@ def audit(
     if len(still) == len(log.trials):
         text = (
             f"no trial moves by more than {STILL:g} rad (m): nothing can be learned from this "
-            f"recording"
+            "recording"
         )
         findings.append(Finding("no_motion", "fault", "", "recording", text, float(len(still))))
     exclude = tuple(t.name for t in log.trials if t.name in broken or t.name in still)
@@ -118,7 +118,7 @@ def _audit_trial(
     if own and all(np.ptp(s.q) < STILL for s in own):
         text = (
             f"the machine hardly moves (under {STILL:g} rad or m): nothing can be learned from "
-            f"this trial"
+            "this trial"
         )
         most = max(float(np.ptp(s.q)) for s in own)
         found.append(Finding("no_motion", "warn", trial.name, "joints", text, most))
@@ -160,7 +160,10 @@ def _quantisation(every: Sequence[Signal], kind: str) -> dict[str, tuple[str, fl
     out = {}
     for name, sizes in sorted(steps.items()):
         positive = [size for size in sizes if size > 0]
-        step = float(np.median(positive)) if 2 * len(positive) > len(sizes) else 0.0
+        if 2 * len(positive) > len(sizes):
+            step = float(np.median(positive))
+        else:
+            step = 0.0
         out[name] = (name, step, units[name])
     return out
 

@@ -83,8 +83,8 @@ class Contradiction:
 
         return (
             f"the columns contradict the declared model, which leaves {share(self.left)} of the "
-            f"torque's square unexplained: "
-            f"{self.statement} ({share(self.other)} is left then); {self.mend}"
+            f"torque's square unexplained: {self.statement} ({share(self.other)} is left then); "
+            f"{self.mend}"
         )
 
 
@@ -159,8 +159,8 @@ def hypotheses_of(
             Hypothesis(
                 "angles_swapped",
                 f"the angles of {pair} look swapped",
-                f"exchange columns {words.q[i]} and {words.q[j]}, and so "
-                f"{words.v[i]} and {words.v[j]}",
+                f"exchange columns {words.q[i]} and {words.q[j]}, and so {words.v[i]} and "
+                f"{words.v[j]}",
                 _ordered(order, list(range(n))),
             )
         )
@@ -248,8 +248,7 @@ def hypotheses_of(
             "gravity_missing",
             "gravity is missing from the torques",
             f"add the gravity torque that the drives hold to {', '.join(words.tau)}, or declare "
-            f"that there is none (g = 0) if the "
-            "axes stand upright",
+            "that there is none (g = 0) if the axes stand upright",
             gravity=False,
         )
     )
@@ -356,7 +355,7 @@ def late_finding(
         return ()  # a torque that is not held from row to row looks half a row late
     text = (
         f"the motion follows the torque about {ms} late, at all joints alike: a delay of the "
-        f"commands or of the sensors' readings "
-        f"(if these are logged late, take {ms} off the times of the angles)"
+        f"commands or of the sensors' readings (if these are logged late, take {ms} off the times "
+        "of the angles)"
     )
     return (Finding("late_motion", "warn", "", names, text, late.seconds),)

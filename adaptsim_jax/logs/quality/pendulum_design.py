@@ -79,7 +79,9 @@ def torques(log: Log, trial: LogTrial) -> np.ndarray:
 
 
 def _down(rig: Rig) -> float:
-    return 1.0 if rig.angle_zero == "hanging" else -1.0
+    if rig.angle_zero == "hanging":
+        return 1.0
+    return -1.0
 
 
 def _alternatives(rig: Rig) -> list[Hypothesis]:

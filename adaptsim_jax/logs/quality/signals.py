@@ -60,8 +60,8 @@ def check_sampling(trial: str, time: np.ndarray) -> Findings:
     if gaps.size:
         at = time[gaps[0]]
         text = (
-            f"{gaps.size} gap(s) over 5 intervals, the longest {dt.max():.3g} s, "
-            f"first at {at:.3g} s"
+            f"{gaps.size} gap(s) over 5 intervals, the longest {dt.max():.3g} s, first at {at:.3g} "
+            "s"
         )
         found.append(Finding("gap", "warn", trial, f"time {at:.3g} s", text, float(dt.max())))
     if rate < 45:
@@ -172,7 +172,7 @@ def check_saturation(s: Signal, steps: dict[str, float]) -> Findings:
             if share > 0.01 and np.sum(at) >= 2:
                 text = (
                     f"{name} rests at its {word} value {extreme:.4g} in {share:.0%} of the rows: "
-                    f"clipped?"
+                    "clipped?"
                 )
                 found.append(s.finding("saturation", severity, name, text, share))
     return found
@@ -256,7 +256,7 @@ def check_stale(s: Signal, step: float) -> Findings:
         return []
     text = (
         f"{s.q_name} repeats its value in {share:.0%} of the rows while turning: rows outrun the "
-        f"sensor"
+        "sensor"
     )
     return [s.finding("stale", "warn", s.q_name, text, share)]
 
@@ -272,7 +272,7 @@ def check_timestamps(own: Sequence[Signal]) -> Findings:
         return []
     text = (
         f"angles do not follow {share:.0%} of the unevenness of time: rows are stamped late, not "
-        f"when read"
+        "when read"
     )
     return [own[0].finding("timestamps", "warn", "time", text, share)]
 

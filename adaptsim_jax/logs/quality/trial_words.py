@@ -114,8 +114,8 @@ def sentences(differ: Differ, channels: Channels) -> list[str]:
         alike = [_alike(k) for k in differ.alike]
         out.append(
             f"{_differs(differ.kind)} from trial to trial, "
-            f"{_spread(differ.kind, differ.size, channels)}: that is "
-            f"{100 * differ.takes:.0f} % of what the model leaves unexplained"
+            f"{_spread(differ.kind, differ.size, channels)}: that is {100 * differ.takes:.0f} % of "
+            "what the model leaves unexplained"
             + (f" ({' or '.join(alike)} would do as well)" if alike else "")
             + ", or an effect without a name that acts otherwise in each trial"
             + f"; {_mend(differ)}"
@@ -139,8 +139,7 @@ def _mend(differ: Differ) -> str:
     if differ.kind == "zero":
         return (
             "zero the encoders once for all trials, or subtract what report.json says under "
-            "trials; sizes of effects are not sure "
-            "until then"
+            "trials; sizes of effects are not sure until then"
         )
     if differ.kind == "load":
         return "diagnose trials of one load at a time, by --without"
@@ -171,9 +170,8 @@ def _amount(kind: str, size: float, hinge: bool) -> str:
 
 def _odd(o: Odd, channels: Channels) -> str:
     why = (
-        "nothing simple explains it: did a drive trip, a sensor drop out, are its columns or units "
-        "other, or does an effect act that "
-        "the other trials hardly show?"
+        "nothing simple explains it: did a drive trip, a sensor drop out, are its columns or "
+        "units other, or does an effect act that the other trials hardly show?"
     )
     if o.kind == "load":
         why = f"it looks to carry another load ({100 * o.size[0]:+.2g} % of the torque)"
@@ -188,8 +186,7 @@ def _odd(o: Odd, channels: Channels) -> str:
         why = f"its {what} look otherwise, by {_amount(o.kind, o.size[k], channels.hinges[k])} in {names[k]}"
     return (
         f"{o.trial} does not follow the model of the other trials ({o.times:.0f} times as much "
-        f"torque is unexplained): {why}; "
-        f"leave it out: --without {o.trial}"
+        f"torque is unexplained): {why}; leave it out: --without {o.trial}"
     )
 
 

@@ -102,7 +102,7 @@ def stepped(source: Source, log: Log) -> Stepped:
     if turns := turns_of_balls(source, log):
         raise BadInput(
             f"{source.path}: '{turns[0]}' is one turn of a ball joint, which --simulator mujoco "
-            f"does not read; take tree"
+            "does not read; take tree"
         )
     if felt and free >= 0:
         notes.append(

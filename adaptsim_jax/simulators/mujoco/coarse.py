@@ -53,6 +53,6 @@ def told(made: MujocoSimulator, values: np.ndarray) -> list[str]:
         return []
     return [
         f"The file's step of {step:g} ms is coarse for this log: half of it changes what is "
-        f"predicted by {size:.2g} times the noise. "
-        "What is named may be the step's; try a smaller timestep."
+        f"predicted by {size:.2g} times the noise. What is named may be the step's; try a smaller "
+        "timestep."
     ]

@@ -92,10 +92,13 @@ def field(model: mujoco.MjModel, name: str) -> Field:
     if form is None:
         raise BadInput(
             f"quantity {name!r}: write KIND:ELEMENT.FIELD, such as joint:elbow.damping, "
-            f"body:torso.mass or option.gravity[2]"
+            "body:torso.mass or option.gravity[2]"
         )
     kind, element, what, index = form
-    elements = (0,) if element is None else tuple(_elements(model, name, kind, element))
+    if element is None:
+        elements = (0,)
+    else:
+        elements = tuple(_elements(model, name, kind, element))
     made = Field(name, f"{kind}.{what}", elements, index or 0, 0.0, -np.inf, np.inf, 1.0)
     values = [_get(model, made, e) for e in made.elements]
     neutral = float(np.mean(values))

@@ -93,7 +93,9 @@ def fitted_values(made: Stepped, stretches: Stretches, fields: Sequence[Field]) 
     def stuck(point: Point) -> Point | None:
         values, *rest = point.state
         other = point_of(values, *_anew(_at(made, stretches, fields, values), weight, *rest))
-        return other if point.loss - other.loss >= ENOUGH * off.size else None
+        if point.loss - other.loss >= ENOUGH * off.size:
+            return other
+        return None
 
     def done(old: Point, new: Point, k: int) -> bool:
         exact = np.median(np.square(new.state[2]).mean((1, 2))) < EXACT

@@ -54,7 +54,7 @@ def mended_mjcf(made: Stepped, fields: Sequence[Field], values: Mapping[str, flo
             elif f.field in OUTSIDE:
                 comments.append(
                     f"not in this file: {f.name} = {values[f.name]:.6g}, which is of the log or "
-                    f"the controller"
+                    "the controller"
                 )
         return comments
 
@@ -81,7 +81,7 @@ def _put(spec: mujoco.MjSpec, there: mujoco.MjModel, f: Field) -> None:
             if geom.type in SHAPED:
                 raise BadInput(
                     f"{f.name}: the ground '{geom.name}' is a mesh or a height field; move it by "
-                    f"hand"
+                    "hand"
                 )
             geom.pos, geom.quat = there.geom_pos[geom.id], there.geom_quat[geom.id]
             geom.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT

@@ -59,7 +59,7 @@ def cut(made: Stepped, log: Log, horizon: float, most: int) -> Stretches:
     if not pieces:
         raise BadInput(
             f"{log.path}: no trial has an unbroken stretch of {horizon:g} s; give a shorter "
-            f"--horizon or longer trials"
+            "--horizon or longer trials"
         )
     keep = np.unique(np.linspace(0, len(pieces) - 1, min(most, len(pieces))).round().astype(int))
     chosen = [pieces[i] for i in keep]
@@ -146,7 +146,7 @@ def inputs_of(model: mujoco.MjModel, log: Log, trial: LogTrial) -> np.ndarray:
     if log.input_kind in ("voltage", "current"):
         raise BadInput(
             f"{log.path}: volts or amperes have no simulator mujoco; give torques or commands, or "
-            f"--simulator tree"
+            "--simulator tree"
         )
     out = np.zeros((len(trial.time), model.nv))
     for k, name in enumerate(log.input_names):

@@ -311,7 +311,7 @@ def parity_lines(found: dict[str, Any]) -> list[str]:
     """The results of `pendulum_parity` for a person."""
     lines = [
         f"{found['task']}: {found['samples']} random samples of {found['seconds']:g} s, double "
-        f"precision;",
+        "precision;",
         f"differences of the final state from {found['reference']} MuJoCo, median and largest",
         "",
         f"{'backend':12} {'angle [rad]':>19} {'velocity [rad/s]':>19} {'diverged':>9}",

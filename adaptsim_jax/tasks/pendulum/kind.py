@@ -21,18 +21,18 @@ def augmented(options: dict[str, Any], where: str) -> Task:
     if options:
         raise BadInput(
             f"{where}: unknown key '{next(iter(options))}'; with a mended model there is: "
-            f"reward_gain"
+            "reward_gain"
         )
     if not isinstance(given, Mapping) or given.get("task") != "pendulum":
         raise BadInput(
             f"{where}: 'model' is no mended model of task 'pendulum'; use `adaptsim train pendulum "
-            f"--model FILE`"
+            "--model FILE`"
         )
     gain = finite(reward_gain)
     if gain is None or gain <= 0:
         raise BadInput(
             f"{where}: reward_gain = {brief(reward_gain)} must be a positive number; leave it out "
-            f"for 10"
+            "for 10"
         )
     return make_mended_pendulum(model_of(given, f"{where}, model"), gain)
 

@@ -111,9 +111,8 @@ def check_columns(columns: Mapping[str, np.ndarray], where: str) -> None:
     plain = design(1.0, GRAVITY, -1.0)
     if trials := contradiction([track], plain, WORDS, chain=(-1, 0), zeros=(1,)):
         raise BadInput(
-            f"{where}: the columns contradict a double pendulum: {trials.statement}; mend the "
-            "file (rad, "
-            f"N m, zero upright); {AS_DECLARED}"
+            f"{where}: the columns contradict a double pendulum: {trials.statement}; mend the file "
+            f"(rad, N m, zero upright); {AS_DECLARED}"
         )
     motion = motion_of([track])
     found = linear_fit(motion, lambda m, gravity: plain(m, gravity) * USUAL, first=len(USUAL))
@@ -143,7 +142,7 @@ def check_policy(columns: Mapping[str, np.ndarray], gain: np.ndarray) -> str:
         if alike < 0.8 or not 0.6 < share < 1.6:
             return (
                 f"{name} is not what the policy asks for (correlation {alike:.2f}, {share:.2g} "
-                f"times as large)"
+                "times as large)"
             )
     return ""
 
@@ -185,8 +184,7 @@ def _check_release(time: np.ndarray, columns: Mapping[str, np.ndarray], where: s
     if release > REST:
         raise BadInput(
             f"{where}: the arm rests for its first {release:.3g} s: the recording began before it "
-            f"was let go; remove the rows "
-            "before that"
+            "was let go; remove the rows before that"
         )
 
 
@@ -198,10 +196,8 @@ def _check_speeds(time: np.ndarray, columns: Mapping[str, np.ndarray], where: st
         trials = velocity_agreement(time, columns[f"q{name}"], columns[f"v{name}"])
         if trials.enough and trials.r2 > 0.9 and not 0.5 < trials.gain < 2.0:
             raise BadInput(
-                f"{where}: column v{name} is {trials.gain:.3g} times the slope of q{name}; "
-                "write rad "
-                f"and rad/s with the same sign, "
-                "or leave the velocities out"
+                f"{where}: column v{name} is {trials.gain:.3g} times the slope of q{name}; write "
+                "rad and rad/s with the same sign, or leave the velocities out"
             )
 
 
@@ -216,7 +212,6 @@ def _check_start(first: np.ndarray, where: str) -> None:
         )
     raise BadInput(
         f"{where}: starts at q1 = {first[0]:.3g}, q2 = {first[1]:.3g} rad; the task starts "
-        f"hanging, "
-        f"at q1 = -3.14, q2 = 0 with zero upright: mend the zero of the angles, their unit, or the "
-        f"start"
+        "hanging, at q1 = -3.14, q2 = 0 with zero upright: mend the zero of the angles, their "
+        "unit, or the start"
     )

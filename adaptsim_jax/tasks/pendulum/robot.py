@@ -80,8 +80,7 @@ def read(session: RobotSession, state: Any, path: Path) -> Any:
     ):
         print(
             f"warning: {trials}: another gain, late, cut off, or angles that froze? if so: "
-            "adaptsim "
-            f"robot undo"
+            "adaptsim robot undo"
         )
     return found
 

@@ -36,8 +36,8 @@ def in_world(task: Task, given: ModelFile) -> tuple[np.ndarray, Task]:
         if name not in task.space.names:
             raise BadInput(
                 f"{given.path}: its parameter {name!r} is none of the run's "
-                f"({', '.join(task.space.names)}); "
-                f"train on this model: adaptsim train pendulum --model {given.path}"
+                f"({', '.join(task.space.names)}); train on this model: adaptsim train pendulum "
+                f"--model {given.path}"
             )
     params = np.array([values.get(p.name, p.low) for p in task.space.parameters])
     empty = jax.eval_shape(task.init_policy, jax.random.key(0))
@@ -83,7 +83,7 @@ def _same_effects(task: Task, given: ModelFile, world: MendedWorld, empty: Mende
     )
     if not alike or empty.eff.shape[0] != world.model.layout.size:
         raise BadInput(
-            f"{given.path}: has other effects than the model that this run was trained on; "
-            f"train on this one: adaptsim train pendulum --model {given.path}"
+            f"{given.path}: has other effects than the model that this run was trained on; train "
+            f"on this one: adaptsim train pendulum --model {given.path}"
         )
     return lambda policy: policy

@@ -141,7 +141,10 @@ def before_after(pushes: Mapping[str, Sequence[Push]], patch: float) -> Figure:
         draw_push(ax, push)
         ax.set_title(f"goal {g + 1}, {who}", fontsize=9.5, color=look.INK, pad=4)
         off = 100 * float(np.linalg.norm(np.asarray(push.track)[-1] - push.goal))
-        words = f"{off:.1f} cm from the goal" if np.isfinite(off) else "the push failed"
+        if np.isfinite(off):
+            words = f"{off:.1f} cm from the goal"
+        else:
+            words = "the push failed"
         ax.set_xlabel(words, fontsize=8.5, color=look.INK, labelpad=4)
     axes[0].set_ylabel("x (m), away from the arm", fontsize=8.5, color=look.MUTED)
     return figure

@@ -55,8 +55,8 @@ OTHERS = (
     (
         FrameFault(
             "degrees",
-            "the bottles went straight ahead whatever the angle: the robot looks to have taken the "
-            "angles for degrees",
+            "the bottles went straight ahead whatever the angle: the robot looks to have taken "
+            "the angles for degrees",
             "give the robot radians, and push again",
         ),
         np.radians,
@@ -137,11 +137,9 @@ def check_each(names: Sequence[float], angles: np.ndarray, way: np.ndarray, wher
     for k in np.flatnonzero(distant & alike & (np.abs(off) > OUTLIER))[:1]:
         raise BadInput(
             f"{where}: trial {names[k]:g}: the bottle went {abs(np.degrees(off[k])):.0f} degrees "
-            f"to the "
-            f"{'left' if off[k] > 0 else 'right'} of its push, the others did not: the track of "
-            f"another push, or of another frame? "
-            f"mend it, or leave it out (--without {names[k]:g}); if all is as declared, add "
-            f"--as-declared"
+            f"to the {'left' if off[k] > 0 else 'right'} of its push, the others did not: the "
+            "track of another push, or of another frame? mend it, or leave it out (--without "
+            f"{names[k]:g}); if all is as declared, add --as-declared"
         )
 
 

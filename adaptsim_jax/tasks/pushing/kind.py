@@ -27,7 +27,7 @@ def of_model(table: dict[str, Any], where: str) -> dict[str, Any]:
     if (mass := form.own.get("mass", PAPER.mass)) != PAPER.mass:
         raise BadInput(
             f"{where}: mass = {brief(mass)}; policies are trained for a bottle of {PAPER.mass} kg "
-            f"only"
+            "only"
         )
     for name in PARAMETERS:
         if name not in form.declared:

@@ -124,7 +124,7 @@ def read_policy(path: str | Path) -> Callable[[Any], np.ndarray]:
     if not isinstance(at, list) or np.shape(at) != (pushing.pushing_space(config).dim,):
         raise BadInput(
             f"{path}: the mean of E, policy.at, is missing; write it again with 'adaptsim robot "
-            f"next'"
+            "next'"
         )
     policy = PushingPolicy(weights, at=jnp.asarray(at, jnp.float32))
     if "told" in table:
@@ -145,7 +145,7 @@ def _table_columns(table: Any, path: str | Path) -> tuple[np.ndarray, np.ndarray
     if actions.shape != places.shape or not np.isfinite([actions, places]).all():
         raise BadInput(
             f"{path}: told: actions and places must be pairs of numbers; write it again with "
-            f"'adaptsim robot next'"
+            "'adaptsim robot next'"
         )
     return actions, places
 
@@ -214,9 +214,8 @@ def _check_time(time: np.ndarray, reported: Callable[[int], str], config: Pushin
     last = config.duration - min(1.5 * step, GAP / 2) - 1e-6
     if time[-1] < last:
         raise BadInput(
-            f"{reported(-1)}: ends at {time[-1]:.4g} s; record it for {config.duration:g} s "
-            "from the "
-            f"arm's start"
+            f"{reported(-1)}: ends at {time[-1]:.4g} s; record it for {config.duration:g} s from "
+            "the arm's start"
         )
     if config.observation == "final":  # one row at the end serves
         if not np.any((time >= last) & (time <= config.duration + GAP)):
@@ -243,8 +242,8 @@ def _check_track(
         x, y = track[0]
         raise BadInput(
             f"{reported(0)}: the bottle stands at ({x:.3g}, {y:.3g}) m, {100 * aside:.0f} cm from "
-            f"{model.START}, where the task "
-            "starts: mend the frame (the arm's base), the unit, or the start"
+            f"{model.START}, where the task starts: mend the frame (the arm's base), the unit, or "
+            "the start"
         )
     record.check_leaps(time, track, reported, "the bottle", FASTEST, SLIP)
     if np.linalg.norm(track - track[0], axis=1).max() < STILL:

@@ -128,13 +128,13 @@ def check_options(options: PushOptions) -> PushOptions:
         if len(values) != 3 or not all(math.isfinite(v) and abs(v) <= high for v in values):
             raise BadInput(
                 f"pushing, {name} = {values}: needs three finite numbers of at most {high}; check "
-                f"its unit"
+                "its unit"
             )
     a, b, c = o.inertia
     if min(a, b, c) <= 0 or 2 * max(a, b, c) > (a + b + c) * (1 + 1e-9):
         raise BadInput(
             f"pushing, inertia = {o.inertia}: no body has it (needs a + b >= c > 0); use "
-            f"cylinder_inertia"
+            "cylinder_inertia"
         )
     return options
 

@@ -53,8 +53,7 @@ def check_options(options: PushOptions) -> PushOptions:
     if min(options.inertia) < 0.03 or max(map(abs, options.com[:2])) > 1e-3:
         raise BadInput(
             f"pushing, inertia = {options.inertia}, com = {options.com}: this bottle turns or "
-            f"tips, and the planar model "
-            "only slides; use backend native, mjx or drake"
+            "tips, and the planar model only slides; use backend native, mjx or drake"
         )
     return pushing.check_options(options)
 

@@ -134,7 +134,7 @@ def comment(session: RobotSession, before: Any, after: Any, trajectory: Any, don
     if pushes >= ENOUGH:
         print(
             f"what the simulator lacks, by the {pushes} pushes: adaptsim diagnose {session.folder} "
-            f"--out OUT"
+            "--out OUT"
         )
     if done:
         return

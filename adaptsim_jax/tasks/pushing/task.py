@@ -314,17 +314,17 @@ def _checked(config: PushingConfig) -> PushOptions:
     if config.mended != Lacking() and config.simulator != "planar":
         raise BadInput(
             f"pushing, simulator = {config.simulator}: a mended push is simulated by the planar "
-            f"model; leave simulator out"
+            "model; leave simulator out"
         )
     if len(config.fitted) not in (0, len(PARAMETERS)):
         raise BadInput(
             f"pushing, fitted = {list(config.fitted)}: give {', '.join(PARAMETERS)}, or leave it "
-            f"out"
+            "out"
         )
     if min(config.refine, *config.rehearsal) < 0:
         raise BadInput(
             f"pushing, refine = {config.refine}, rehearsal = {config.rehearsal}: give numbers of "
-            f"pushes, 0 for none"
+            "pushes, 0 for none"
         )
     if config.correct and not config.refine:
         raise BadInput(
@@ -333,8 +333,7 @@ def _checked(config: PushingConfig) -> PushOptions:
     if config.visits == "deployed" and not (config.correct and config.show_gap):
         raise BadInput(
             "pushing, visits = deployed: only corrected actions differ from E's own, and f tells "
-            "them by the gap; set correct "
-            "and show_gap"
+            "them by the gap; set correct and show_gap"
         )
     if config.show_gap and not config.pretrain:
         raise BadInput(
@@ -343,7 +342,7 @@ def _checked(config: PushingConfig) -> PushOptions:
         )
     if config.refine and not config.pretrain:
         raise BadInput(
-            "pushing, refine: only a policy made with pretrain = true knows the mean of E to try a "
-            "push at; set it"
+            "pushing, refine: only a policy made with pretrain = true knows the mean of E to try "
+            "a push at; set it"
         )
     return planar.check_options(PushOptions(friction=config.friction, duration=config.duration))

@@ -123,7 +123,7 @@ def read_bank(path: Path = PATH) -> tuple[dict[str, Any], dict[str, np.ndarray]]
     if not path.exists():
         raise BadInput(
             f"{path.name}: the bank is not there; make it with `python "
-            f"experiments/scooping_bank.py`"
+            "experiments/scooping_bank.py`"
         )
     with np.load(path, allow_pickle=False) as file:
         return json.loads(str(file["about"])), {
@@ -137,10 +137,8 @@ def load_bank(options: ScoopOptions, numerics: Numerics, path: Path = PATH) -> B
     if about["identity"] != identity(options, numerics):
         raise BadInput(
             f"scooping: the bank was made with clearance = {about['clearance']} m and the numerics "
-            f"of its day, not with these "
-            "options; use source = rehearsal = 'simulator', correct = false, or make another bank "
-            "with "
-            "`python experiments/scooping_bank.py`"
+            "of its day, not with these options; use source = rehearsal = 'simulator', correct = "
+            "false, or make another bank with `python experiments/scooping_bank.py`"
         )
 
     def layers(name):

@@ -154,7 +154,7 @@ def checked(config: ScoopingConfig) -> ScoopOptions:
     if config.checks < 0:
         raise BadInput(
             f"scooping, checks = {config.checks}: give 0 to keep the last policy of a training, or "
-            f"more"
+            "more"
         )
     if config.learning_rate <= 0:
         raise BadInput(
@@ -163,13 +163,12 @@ def checked(config: ScoopingConfig) -> ScoopOptions:
     if len(config.camera) != 2 or config.camera[1] < 0:
         raise BadInput(
             f"scooping, camera = {config.camera}: give a mean and a standard deviation of at least "
-            f"0, in m"
+            "0, in m"
         )
     if config.correct and config.simulator != "bank":
         raise BadInput(
-            f"scooping, correct: what is deployed is corrected by the bank, and simulator = "
-            f"'{config.simulator}' does without; set "
-            "correct = false"
+            "scooping, correct: what is deployed is corrected by the bank, and simulator = "
+            f"'{config.simulator}' does without; set correct = false"
         )
     hydro.check_numerics(config.numerics)
     _check_covered(config)
@@ -187,6 +186,5 @@ def _check_covered(config: ScoopingConfig) -> None:
         if given[0] < low or given[1] > high:
             raise BadInput(
                 f"scooping, {name} = {list(given)}: the bank holds pieces of {low:g} to {high:g}; "
-                f"stay within, or use "
-                "simulator = 'hydro', correct = false"
+                "stay within, or use simulator = 'hydro', correct = false"
             )

@@ -89,7 +89,7 @@ def check_numerics(numerics: Numerics) -> Numerics:
     if n.relaxation < 0 or n.slip <= 0 or n.near_rigid < 0 or n.tolerance <= 0:
         raise BadInput(
             f"scooping, {n}: relaxation and near_rigid must be at least 0, slip and tolerance "
-            f"positive"
+            "positive"
         )
     if n.iterations < 1 or len(n.grid) != 4 or min(min(pair) for pair in n.grid) < 1:
         raise BadInput(

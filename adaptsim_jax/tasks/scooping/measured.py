@@ -124,7 +124,7 @@ def read_policy(path: str | Path) -> Callable[[Any], np.ndarray]:
     if not isinstance(action, list) or np.shape(action) != (3,) or not np.all(np.isfinite(action)):
         raise BadInput(
             f"{path}: policy.corrected must be three numbers; write it again with 'adaptsim robot "
-            f"next'"
+            "next'"
         )
     return lambda place: np.broadcast_to(
         np.asarray(action, np.float32), (*np.shape(place)[:-1], 3)
@@ -151,7 +151,7 @@ def measured_trajectory(
     for i in np.flatnonzero(~np.isin(columns["on"], (0.0, 1.0)))[:1]:
         raise BadInput(
             f"{at(i)}: on = {columns['on'][i]:g}; write 1 where the piece lies on the spatula, "
-            f"else 0"
+            "else 0"
         )
     trials = record.trials_of(columns, at, where, scoops.numbers, 50 * model.SECONDS).values()
     if not as_declared:
@@ -186,8 +186,7 @@ def check_mirrored(declared: np.ndarray, observed: np.ndarray, where: str) -> No
     ):
         raise BadInput(
             f"{where}: pieces lie to the right where they are declared to the left: tracks are "
-            f"mirrored; turn the sign of y (or of "
-            "place_y); if all is as declared, add --as-declared"
+            "mirrored; turn the sign of y (or of place_y); if all is as declared, add --as-declared"
         )
 
 
@@ -203,14 +202,12 @@ def check_way(went: np.ndarray, where: str, names: Sequence[float]) -> None:
     if middle < AHEAD:
         raise BadInput(
             f"{where}: pieces go {np.degrees(np.arccos(np.clip(middle, -1, 1))):.0f} degrees off "
-            f"the spatula's way: another frame? "
-            "give tracks with x along it"
+            "the spatula's way: another frame? give tracks with x along it"
         )
     for k in np.flatnonzero(distant & (ahead < -AHEAD))[:1]:
         raise BadInput(
             f"{where}: trial {names[k]:g}: the piece goes against the spatula's way, the others go "
-            f"along it: the track of another "
-            "frame? mend it, or leave that trial out"
+            "along it: the track of another frame? mend it, or leave that trial out"
         )
 
 
@@ -219,12 +216,12 @@ def _check_track(time: np.ndarray, track: np.ndarray, given: Callable[[int], str
     if time[0] > LATE:
         raise BadInput(
             f"{given(0)}: begins at {time[0]:.4g} s; record from the arm's start as time 0, or "
-            f"subtract that time"
+            "subtract that time"
         )
     if time[-1] < model.SECONDS - GAP / 2:
         raise BadInput(
             f"{given(-1)}: ends at {time[-1]:.4g} s; record it for {model.SECONDS:g} s from the "
-            f"arm's start"
+            "arm's start"
         )
     record.check_gaps(time, GAP, model.SECONDS, given, "make that scoop again")
     record.check_leaps(time, track, given, "the piece", FASTEST, SLIP)

@@ -80,7 +80,7 @@ def show(
         print("  from adaptsim_jax.tasks.scooping.measured import read_policy")
         print(
             f"  pitch, rate, distance = read_policy({str(session.folder / 'best.toml')!r})([0.01, "
-            f"0.02])"
+            "0.02])"
         )
         return
     scoops = _scoops(session, state)

@@ -94,7 +94,7 @@ def read_body(path: str | Path) -> Body:
     if source != "mjcf":
         raise BadInput(
             f"{path}: a tossed body is declared in MJCF (a free joint and a plane); write it as "
-            f"MJCF"
+            "MJCF"
         )
     model = compiled(str(path), spec)
     _check(path, model)
@@ -155,7 +155,7 @@ def _check(path: str | Path, model: mujoco.MjModel) -> None:
     if model.njnt != 1 or model.jnt_type[0] != mujoco.mjtJoint.mjJNT_FREE:
         raise BadInput(
             f"{path}: has {model.njnt} joints that move it; a toss needs one body with a "
-            f"<freejoint/>"
+            "<freejoint/>"
         )
     planes = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
     if len(planes) != 1 or model.geom_bodyid[planes[0]] != 0:
@@ -166,7 +166,7 @@ def _check(path: str | Path, model: mujoco.MjModel) -> None:
     if not level:
         raise BadInput(
             f"{path}: the plane is not z = 0; give poses and the plane in one frame with z upwards "
-            f"from it"
+            "from it"
         )
     gravity = np.array(model.opt.gravity)
     if np.any(gravity[:2]) and abs(gravity[2]) < 1.0:

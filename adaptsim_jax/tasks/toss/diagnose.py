@@ -159,8 +159,7 @@ def message(found: Finding, over, error: dict[str, Any], whole, flown: Flight | 
     if not found.named:
         text = (
             f"The declared body, fitted, predicts windows of left-out tosses to {size('before')} "
-            f"mm, {floors['before']:.1f} times "
-            "the noise floor (median over windows)."
+            f"mm, {floors['before']:.1f} times the noise floor (median over windows)."
         )
         if floors["before"] > FOLLOWED:
             text += " No effect of the catalogue holds out."
@@ -169,14 +168,14 @@ def message(found: Finding, over, error: dict[str, Any], whole, flown: Flight | 
     else:
         text = (
             f"{parts.named_words(found.named, 'tosses')} Left-out error {size('before')} to "
-            f"{size('after')} mm; windows are left at "
-            f"{floors['after']:.1f} times the noise floor (median)."
+            f"{size('after')} mm; windows are left at {floors['after']:.1f} times the noise floor "
+            "(median)."
         )
     if whole["before"] is not None:
         after = f" to {1e3 * whole['after']:.3g}" if found.named else ""
         text += (
             f" Whole tosses from their flight alone: {1e3 * whole['before']:.3g}{after} mm "
-            f"(median)."
+            "(median)."
         )
     if flown is not None:
         said = flight_words(flown)

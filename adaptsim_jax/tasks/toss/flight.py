@@ -81,9 +81,8 @@ def words(found: Flight) -> str:
     fast = "fast" if found.clock > 0 else "slow"
     return (
         f"{falls} where {found.declared:.2f} is declared: lengths {100 * abs(found.scale):.1f} % "
-        f"too {long}, a clock "
-        f"{100 * abs(found.clock):.1f} % {fast}, or another gravity; flight alone does not tell "
-        f"which."
+        f"too {long}, a clock {100 * abs(found.clock):.1f} % {fast}, or another gravity; flight "
+        "alone does not tell which."
     )
 
 

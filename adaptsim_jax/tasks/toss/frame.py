@@ -64,8 +64,7 @@ def check_blows(body: Body, time: Sequence, place: Sequence, turn: Sequence, whe
         mend = TURN_MEND
     raise BadInput(
         f"{where}: by how bodies spin after they strike the plane, {' and '.join(text)}: {mend}; "
-        f"if all is as declared, add "
-        "--as-declared"
+        "if all is as declared, add --as-declared"
     )
 
 

@@ -102,8 +102,8 @@ def read(folder: str | Path, as_declared: bool = False, without: Sequence[str] =
         _read_file(path, found, notes, as_declared)
     if len(found) < MIN_TRIALS:
         raise BadInput(
-            f"{folder}: holds {len(found)} tosses; to judge effects {MIN_TRIALS} are needed, 20 "
-            f"to 30 serve"
+            f"{folder}: holds {len(found)} tosses; to judge effects {MIN_TRIALS} are needed, 20 to "
+            "30 serve"
         )
     names = tuple(found)
     time, place, turn = (tuple(found[n][k] for n in names) for k in range(3))
@@ -174,7 +174,7 @@ def _one(
         gap = np.median(np.diff(time)) if len(time) > 1 else 0.0
         raise BadInput(
             f"{trials(0)}: {len(time)} rows {gap:.2g} s apart; a toss needs {MIN_ROWS} at 50 Hz or "
-            f"more, time in seconds"
+            "more, time in seconds"
         )
     if not as_declared:
         check_frozen(time, place, trials, "the body", grip=np.inf)  # a blow may stop it at once
@@ -185,9 +185,8 @@ def _one(
     spun = np.linalg.norm(turns.log(turns.times(turns.inverse(turn[:-1]), turn[1:])), axis=1)
     for k in np.flatnonzero((spun > SPIN * gaps) & (spun > 0.5))[:1] + 1:
         raise BadInput(
-            f"{trials(k)}: the body turns by {spun[k - 1]:.2g} rad between two rows; remove "
-            "what is "
-            f"not it"
+            f"{trials(k)}: the body turns by {spun[k - 1]:.2g} rad between two rows; remove what "
+            "is not it"
         )
     return time - time[0], place, turn
 
@@ -207,19 +206,19 @@ def _check_frame(body: Body, names, time, place, turn, where: Path) -> None:
     if spread(swapped) < 0.3 * spread(low) and spread(low) > 0.05 * body.size:
         raise BadInput(
             f"{where}: bodies lie on the plane only where quaternions have w last; name the "
-            f"columns so that qw is the scalar"
+            "columns so that qw is the scalar"
         )
     if sunk < -SUNK * body.size:
         raise BadInput(
             f"{where}: bodies go {-1e3 * sunk:.3g} mm below the plane z = 0 (median of the "
-            f"tosses); give poses in a frame whose "
-            "z is upwards from the plane, in m, and the body's size in the model"
+            "tosses); give poses in a frame whose z is upwards from the plane, in m, and the "
+            "body's size in the model"
         )
     if min(floats, float(np.median([z.min() for z in low]))) > body.size:
         raise BadInput(
             f"{where}: bodies never come nearer to the plane z = 0 than "
-            f"{1e3 * min(floats, sunk):.3g} mm; give poses in a frame "
-            "whose z is upwards from the plane"
+            f"{1e3 * min(floats, sunk):.3g} mm; give poses in a frame whose z is upwards from the "
+            "plane"
         )
 
     for name, t, p, z in zip(names, time, place, low, strict=True):
@@ -227,14 +226,14 @@ def _check_frame(body: Body, names, time, place, turn, where: Path) -> None:
         if z.min() > body.size and np.abs(p[:, 2] - fall(t)).max() > STRUCK * body.size:
             raise BadInput(
                 f"{where}: toss {name}: the body strikes something {1e3 * z.min():.3g} mm above "
-                f"the plane z = 0, the others come down "
-                f"to it: of another frame? mend it, or leave it out (--without {name})"
+                "the plane z = 0, the others come down to it: of another frame? mend it, or leave "
+                f"it out (--without {name})"
             )
         if z.min() < -2.0 * SUNK * body.size:
             raise BadInput(
                 f"{where}: toss {name}: the body goes {-1e3 * z.min():.3g} mm below the plane z = "
-                f"0, the others do not: of another "
-                f"frame? mend it, or leave it out (--without {name})"
+                "0, the others do not: of another frame? mend it, or leave it out (--without "
+                f"{name})"
             )
 
 

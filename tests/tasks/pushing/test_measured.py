@@ -147,8 +147,8 @@ BAD = {
     "infinite": (changed(3, np.inf, 90), "line 92: column y is inf; remove such rows"),
     "a gap": (
         lambda rows: np.delete(rows, range(FRAMES + 20, FRAMES + 30), 0),
-        "line 103: trial 4: nothing was recorded from 0.3167 to 0.5 s; a gap of at most 0.1 s can "
-        "be filled",
+        "line 103: trial 4: nothing was recorded from 0.3167 to 0.5 s; a gap of at most 0.1 s "
+        "can be filled",
     ),
     "too short": (
         lambda rows: rows[rows[:, 1] < 1.0],

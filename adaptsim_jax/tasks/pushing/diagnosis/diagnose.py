@@ -94,8 +94,7 @@ def _mirrored(pushed: Pushed, problem: Problem, found: Finding, criteria: Criter
     left = (loss / problem.counts.sum()) ** 0.5
     return (
         f" Yaw looks mirrored: turned the other way it is followed to {left:.1f} times the noise "
-        f"floor; give it positive to the left "
-        "(seen from above)."
+        "floor; give it positive to the left (seen from above)."
     )
 
 

@@ -171,7 +171,7 @@ def _check_actions(c: Mapping[str, np.ndarray], trials: Callable) -> None:
         if abs(angle) > 1.2:
             raise BadInput(
                 f"{trials(i)}: angle {angle:g} rad is beyond any push; is it in degrees? write "
-                f"radians"
+                "radians"
             )
 
 
@@ -185,17 +185,16 @@ def _turns(
     out = np.zeros_like(yaw)
     for k, (t, z) in enumerate(zip(time, yaw, strict=True)):
         if len(observed := np.flatnonzero(turned[k])):
-            first = (
-                observed[t[observed] < STILL_SPEED]
-                if t[observed[0]] < STILL_SPEED
-                else observed[:1]
-            )
+            if t[observed[0]] < STILL_SPEED:
+                first = observed[t[observed] < STILL_SPEED]
+            else:
+                first = observed[:1]
             out[k] = np.interp(t, t[observed], z[observed]) - z[first].mean()
     noise, _ = trial_record.noise_of(meta, time, out[..., None], turned, STILL_SPEED, "hit", TURN)
     if noise > TURN.most:
         raise BadInput(
             f"{where}: yaw scatters by {noise:.2g} rad before the hit; is it in degrees? write "
-            f"radians"
+            "radians"
         )
     return out, turned, noise
 
@@ -207,6 +206,6 @@ def _check_start(starts, aside, where: Path) -> None:
         x, y = np.median(aside + starts, 0)
         raise BadInput(
             f"{where}: bottles stand at ({x:.3g}, {y:.3g}) m, {100 * off:.0f} cm from where they "
-            f"are declared: another frame? "
-            "give tracks in the arm's base frame, or start_x, start_y in actions.csv"
+            "are declared: another frame? give tracks in the arm's base frame, or start_x, "
+            "start_y in actions.csv"
         )

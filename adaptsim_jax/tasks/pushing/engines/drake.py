@@ -77,7 +77,7 @@ def _check(contact: PushContact, options: PushOptions) -> None:
     ):
         raise BadInput(
             f"backend drake, dt = {contact.dt} s: must divide the row of {options.row} s and be at "
-            f"most 0.01 s; use 0.002"
+            "most 0.01 s; use 0.002"
         )
 
 

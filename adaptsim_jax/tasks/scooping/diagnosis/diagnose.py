@@ -60,8 +60,8 @@ def _message(found: Found, known: np.ndarray, mask: np.ndarray) -> str:
     floor = float(np.median(1e3 / found.scale[found.scale > 0]))
     return (
         f"the piece moves like {'an ' if found.shape == SHAPES[0] else 'a '}{found.shape}; "
-        f"{share:.0f} % of the rows can be told "
-        f"beforehand, half of them to {floor:.2g} mm: errors are over what each row can be told to"
+        f"{share:.0f} % of the rows can be told beforehand, half of them to {floor:.2g} mm: errors "
+        "are over what each row can be told to"
     )
 
 

@@ -159,9 +159,8 @@ def _check_actions(c: Mapping[str, np.ndarray], trials: Callable) -> None:
             else:
                 mend = "in mm? write metres"
             raise BadInput(
-                f"{trials(i)}: {name} {c[name][i]:g} is not within {low:g} to {high:g} "
-                f"{unit}; is it "
-                f"{mend}"
+                f"{trials(i)}: {name} {c[name][i]:g} is not within {low:g} to {high:g} {unit}; is "
+                f"it {mend}"
             )
 
 
@@ -181,7 +180,7 @@ def _piece(meta: dict[str, Any], where: Path) -> tuple[str | None, float | None]
     if height is not None and not (isinstance(height, int | float) and 0.01 <= height <= 0.035):
         raise BadInput(
             f"{where}: height = {height!r} is no height of a piece within 0.01 to 0.035 m; write "
-            f"e.g. 0.02"
+            "e.g. 0.02"
         )
     return shape, None if height is None else float(height)
 
@@ -203,8 +202,8 @@ def _check_frame(names, starts, aside, places, mask, where: Path) -> None:
         x, y = np.median(aside, 0)
         raise BadInput(
             f"{where}: pieces lie ({x:.3g}, {y:.3g}) m from where they are declared: another "
-            f"frame? give tracks from the middle of "
-            "the box that place_x, place_y count from, x along the spatula's way"
+            "frame? give tracks from the middle of the box that place_x, place_y count from, x "
+            "along the spatula's way"
         )
     trial_record.check_starts(names, aside, ASIDE, KIND.body, where)
     check_way(

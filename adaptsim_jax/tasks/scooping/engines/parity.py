@@ -128,7 +128,7 @@ def parity_lines(found: dict[str, Any]) -> list[str]:
 
     return [
         f"scooping: {found['samples']} random trials of {found['seconds']:g} s; share that ended "
-        f"alike, with 95 % intervals",
+        "alike, with 95 % intervals",
         "",
         *pair_lines(found, 36, f"{'alike':>6} {'interval':>14}", "trial", interval),
         "",
