@@ -50,8 +50,9 @@ def profile(t):
 ZERO = dict.fromkeys(
     "speed_scale speed_offset heading_offset start_x start_y hardening plate_turn tilt_x tilt_y "
     "speed_friction drag grain grain_angle patch_x patch_size other_x other_y other_mu shift_x "
-    "shift_y scale scale_start turn turn_start latency clock ridge ridge_x bowl gradient lens "
-    "heading_gain side_speed swerve warm scatter com_x com_y light heavier near foot_x foot_y".split(),
+    "shift_y scale scale_start turn turn_start latency clock ridge ridge_x bowl gradient "
+    "lens heading_gain side_speed swerve warm scatter com_x com_y light heavier near foot_x "
+    "foot_y".split(),
     0.0,
 )
 

@@ -211,9 +211,7 @@ def servo_notes(machine: Machine, declared: Machine, off: tuple[Servo, ...]) -> 
 
     each = ", ".join(
         f"{machine.tree.joint_names[s.joint]} {kp(machine, s.joint):.3g} {_unit(machine, s.joint)} "
-        f"(file {kp(declared, s.joint):.4g}"
-        + ("" if s.scale else "; only a ratio is told")
-        + ")"
+        f"(file {kp(declared, s.joint):.4g}" + ("" if s.scale else "; only a ratio is told") + ")"
         for s in off
     )
     return [
