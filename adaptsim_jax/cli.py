@@ -13,6 +13,7 @@ import errno
 import os
 import sys
 import traceback
+from functools import partial
 
 from adaptsim_jax.commands import SUMMARIES
 from adaptsim_jax.commands.parser import Parser, command_parser, top_parser
@@ -31,6 +32,10 @@ _OUTSIDE = (
     errno.ENAMETOOLONG,
     errno.EFBIG,
 )
+
+
+def _print_help(parser: argparse.ArgumentParser, _: argparse.Namespace) -> None:
+    parser.print_help()
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -92,7 +97,7 @@ def parse(argv: list[str]) -> argparse.Namespace:
             raise BadInput(
                 f"'{unknown[0]}' stands before the command; write 'adaptsim COMMAND {unknown[0]}'"
             )
-        options.run = lambda _: parser.print_help()
+        options.run = partial(_print_help, parser)
         return options
     name, *after = argv
     if name not in SUMMARIES:

@@ -5,6 +5,7 @@ all methods.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -66,7 +67,7 @@ class ExactComparison:
         self.task_name, self.names, self.config, self.same = task_name, names, config, config
         self.methods = exact_methods()
         self.groups = [("", np.arange(config.seed, config.seed + config.seeds))]
-        self.digest = lambda: task_digest(task)
+        self.digest = partial(task_digest, task)
         targets = np.array([task.space.values(task.settings[name], name) for name in names])
         problem = PROBLEMS[task_name](task.space)
         self.arena = ExactArena(task_name, config.train.task, problem, targets)

@@ -4,6 +4,7 @@ can be written.
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -180,6 +181,7 @@ def finished(
                 ",".join([str(i), *(f"{x:.6f}" for x in row)])
                 for i, row in enumerate(plan["rows"], 1)
             ]
-            files[NEXT] = lambda: "\n".join([",".join(("trial", *columns)), *table, ""])
+            text = "\n".join([",".join(("trial", *columns)), *table, ""])
+            files[NEXT] = partial(str, text)
         write_all(cleared(folder), report, evidence, page or plain, files)
     return report

@@ -169,11 +169,16 @@ def _physics(physics: Physics | None, name: str) -> Iterator[None]:
     peer: Any = sys.modules.get("mujoco_playground._src.mjx_env")
     theirs, plain = None if peer is None else peer.step, mjx.step
     _ACTING.append(counted)
-    mjx.step = lambda model, data: counted(model, data, data.ctrl, 1)
+
+    def mjx_step(model, data):
+        return counted(model, data, data.ctrl, 1)
+
+    def peer_step(model, data, action, n_substeps=1):
+        return counted(model, data, action, n_substeps)
+
+    mjx.step = mjx_step
     if peer is not None:
-        peer.step = lambda model, data, action, n_substeps=1: counted(
-            model, data, action, n_substeps
-        )
+        peer.step = peer_step
     try:
         yield
     finally:
