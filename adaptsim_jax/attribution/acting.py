@@ -155,12 +155,12 @@ class Forces(NamedTuple):
     yielding: Any
 
 
-def forces(model: Model, values: Values, q, v, u, t, seen=None) -> Forces:
+def forces(model: Model, values: Values, q, v, u, t, observed=None) -> Forces:
     """All that acts on the joints besides their own dynamics. seen: angles and speeds as the
     controllers have them, where they are other than q and v.
     """
-    seen_q, seen_v = seen or (q, v)
-    tau, pull = actuated(values, seen_q, seen_v, u)
+    observed_q, observed_v = observed or (q, v)
+    tau, pull = actuated(values, observed_q, observed_v, u)
 
     def gravity(q):
         return equations.gravity_force(model.tree, values.inertial, q, values.gravity)

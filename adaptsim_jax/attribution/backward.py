@@ -94,8 +94,8 @@ def compared(
     fitted = refit(problem, vector, starts, joints, most, weights, 2 * criteria.glance)
     other = modelled(problem, added, fitted, weights, like)
     left = most - fitted.rounds
-    far = paired(problem, other.held.loss, model.held.loss).gain > criteria.apart
-    if far or left <= 0 or fitted.code == "stuck":
+    separable = paired(problem, other.held.loss, model.held.loss).gain > criteria.apart
+    if separable or left <= 0 or fitted.code == "stuck":
         return other
     fitted = refit(problem, fitted.vector, fitted.starts, joints, left, weights)
     return modelled(problem, added, fitted, weights, like)

@@ -90,8 +90,10 @@ def _force(group_tree, values, path: Path, time, rub, p, direction, effect: Effe
 
     ties = None if values.ties is None else values.ties[:, :, None]
     lanes = values._replace(actuator=values.actuator[:, :, None], gear=wide(values.gear), ties=ties)
-    seen = {k: jax.tree.map(wide, z) for k, z in values.effects.items() if k in OF_CONTROLLERS}
-    lanes = lanes._replace(effects=seen)
+    controllers = {
+        k: jax.tree.map(wide, z) for k, z in values.effects.items() if k in OF_CONTROLLERS
+    }
+    lanes = lanes._replace(effects=controllers)
     u = jnp.moveaxis(path.u, 0, 1)
     tau, pull = actuated(lanes, q, v, u)
 
@@ -416,13 +418,13 @@ class Columns:
             p = self.at(effect, shape) | {parameter: np.full(self.n, shape[parameter])}
             local, carries = self._carries()
             with jax.enable_x64(True):
-                seen = np.array(
+                observed = np.array(
                     logged_alone(local, p, carries, jnp.diff(self.time, axis=0), effect)
                 )
-            there = ~np.tile(self.gives, 2)[:, None] & (np.abs(seen) < FAR)
-            seen = np.where(there, seen, 0.0)
-            seen[0] /= shape[parameter]
-            self._made[key] = seen
+            there = ~np.tile(self.gives, 2)[:, None] & (np.abs(observed) < FAR)
+            observed = np.where(there, observed, 0.0)
+            observed[0] /= shape[parameter]
+            self._made[key] = observed
         return self._made[key]
 
     def _carries(self):

@@ -28,10 +28,10 @@ def check_commands(machine: Machine) -> tuple[Finding, ...]:
     found = []
     for j in driven:
         stiff, damped = -machine.actuator[2, j], -machine.actuator[3, j]
-        if stiff > 0 and (told := cut(tracks, j, max(damped, 0.0) / stiff / machine.gear[j])):
+        if stiff > 0 and (limited := cut(tracks, j, max(damped, 0.0) / stiff / machine.gear[j])):
             raise BadInput(
                 f"{machine.log.path}: "
-                f"{_cut(machine.tree.joint_names[j], told, machine.tree.unit(j))}; {AS_DECLARED}"
+                f"{_cut(machine.tree.joint_names[j], limited, machine.tree.unit(j))}; {AS_DECLARED}"
             )
         gains = gains_by_trial(tracks, j)
         if gains is not None:
@@ -47,38 +47,38 @@ def _check_units(machine: Machine) -> None:
             continue
         j, k = a.joint, log.input_names.index(a.name)
         slides = machine.tree.kinds[j] == "slide"
-        if told := other_unit(
+        if unit_found := other_unit(
             [t.q[:, j] for t in log.trials], [t.u[:, k] for t in log.trials], slides
         ):
-            lines = f'q_{names[j]} = "{told[0]}" and target_{names[j]} = "{told[1]}"'
+            lines = f'q_{names[j]} = "{unit_found[0]}" and target_{names[j]} = "{unit_found[1]}"'
             raise BadInput(
-                f"{log.path}: the targets of {names[j]} look to be in {told[1]} where its angles "
-                f"are in {told[0]}; write {lines} under [units] in meta.toml; {AS_DECLARED}"
+                f"{log.path}: the targets of {names[j]} look to be in {unit_found[1]} where its angles "
+                f"are in {unit_found[0]}; write {lines} under [units] in meta.toml; {AS_DECLARED}"
             )
 
 
 def _check_order(machine: Machine, tracks: list[Track], driven: list[int]) -> None:
-    told = exchanged(tracks, driven)
-    if told is None:
+    swapped = exchanged(tracks, driven)
+    if swapped is None:
         return
     names, log = machine.tree.joint_names, machine.log
-    moved = [(j, k) for j, k in zip(driven, told.order, strict=True) if j != k]
+    moved = [(j, k) for j, k in zip(driven, swapped.order, strict=True) if j != k]
     times = float(
         np.exp(
             np.mean(
                 [
                     np.log(a / max(b, 1e-6))
-                    for a, b in zip(told.left, told.other, strict=True)
+                    for a, b in zip(swapped.left, swapped.other, strict=True)
                     if a != b
                 ]
             )
         )
     )
-    says = ", ".join(f"{names[j]} moves as that of {names[k]} says" for j, k in moved)
+    pairs = ", ".join(f"{names[j]} moves as that of {names[k]} says" for j, k in moved)
     columns = {j: _columns(machine, j) for j, _ in moved}
     lines = ", ".join(f'{columns[j][0]} = "{columns[k][1]}"' for j, k in moved)
     raise BadInput(
-        f"{log.path}: the commands are in another order than the actuators: {says} (which leaves "
+        f"{log.path}: the commands are in another order than the actuators: {pairs} (which leaves "
         f"{float(f'{min(times, 9999.0):.2g}'):g} times less of the motion unexplained); exchange "
         f"them, under [columns] in meta.toml: {lines}; {AS_DECLARED}"
     )
@@ -87,32 +87,35 @@ def _check_order(machine: Machine, tracks: list[Track], driven: list[int]) -> No
 def _columns(machine: Machine, joint: int) -> tuple[str, str]:
     """Our name of the column of a joint's command, and the file's."""
     log, name = machine.log, machine.tree.joint_names[joint]
-    for k, told in enumerate(log.input_names):
-        own = next((a for a in machine.mechanism.actuators if a.name == told), None)
-        if (own is not None and own.joint == joint) or told == name:
+    for k, column in enumerate(log.input_names):
+        own = next((a for a in machine.mechanism.actuators if a.name == column), None)
+        if (own is not None and own.joint == joint) or column == name:
             if k < len(log.input_columns):
                 theirs = log.input_columns[k]
             else:
                 theirs = f"ctrl{k + 1}"
             return (
-                f"target_{name}" if theirs.startswith("target") else f"ctrl_{told}"
+                f"target_{name}" if theirs.startswith("target") else f"ctrl_{column}"
             ), log.meta.columns.get(theirs, theirs)
     return f"ctrl_{name}", f"ctrl_{name}"
 
 
-def _cut(joint: str, told: Cut, unit: str) -> str:
-    size = float(f"{told.size:.3g}")
-    if told.how == "rate":
-        says, line = f"by a rate limit of about {size:g} {unit}/s", f"rate = {{{joint} = {size:g}}}"
+def _cut(joint: str, limit: Cut, unit: str) -> str:
+    size = float(f"{limit.size:.3g}")
+    if limit.how == "rate":
+        phrase, line = (
+            f"by a rate limit of about {size:g} {unit}/s",
+            f"rate = {{{joint} = {size:g}}}",
+        )
     else:
-        says, line = (
+        phrase, line = (
             f"to within about {size:g} {unit} of the angle",
             f"within = {{{joint} = {size:g}}}",
         )
     return (
-        f"the targets of {joint} are not what acted: it moves as if they were cut {says} on their "
-        f"way (of its acceleration {100 * told.left:.0f} % is unexplained as recorded, "
-        f"{100 * told.other:.2g} % so); log what was sent, or write {line} under [commands] in "
+        f"the targets of {joint} are not what acted: it moves as if they were cut {phrase} on their "
+        f"way (of its acceleration {100 * limit.left:.0f} % is unexplained as recorded, "
+        f"{100 * limit.other:.2g} % so); log what was sent, or write {line} under [commands] in "
         "meta.toml"
     )
 

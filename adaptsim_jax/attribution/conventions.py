@@ -78,20 +78,20 @@ def check_conventions(machine: Machine) -> tuple[Finding, ...]:
     what to write instead.
     """
     tree, log = machine.tree, machine.log
-    told = check_commands(machine)
+    warnings = check_commands(machine)
     found = of_machine(machine)
     if found is None:
-        return told
+        return warnings
     tracks, declared = found
     program = _program(tree.n)
     more = []
     for factor, unit in FACTORS.items():
         asked = f" (was it written in {unit}?)" if unit else ""
-        says = f"lengths {factor:g} times those of {machine.mechanism.path} fit the motion{asked}"
+        phrase = f"lengths {factor:g} times those of {machine.mechanism.path} fit the motion{asked}"
         more.append(
             Hypothesis(
                 "length",
-                says,
+                phrase,
                 "write it in metres",
                 design=_design(_resized(tree, factor), program),
             )
@@ -101,9 +101,9 @@ def check_conventions(machine: Machine) -> tuple[Finding, ...]:
     if other := contradiction(tracks, declared, words, more, _chain(tree), zeros):
         raise BadInput(f"{log.path}: {other.message}; {AS_DECLARED}")
     if log.input_kind in ("none", "torque"):
-        told += check_pace(machine, tracks, declared)
-        told += held_fast(machine, tracks, declared)
-    warned = told + (() if machine.gain_unknown else _weighed(machine, tracks, declared))
+        warnings += check_pace(machine, tracks, declared)
+        warnings += held_fast(machine, tracks, declared)
+    warned = warnings + (() if machine.gain_unknown else _weighed(machine, tracks, declared))
     late = lateness(tracks, declared)
     step = float(np.median([np.median(np.diff(t.time)) for t in tracks]))
     if late is None:
@@ -131,18 +131,18 @@ def _weighed(machine: Machine, tracks: list[Track], declared: Design) -> tuple[F
     else:
         unit = ""
     times = f"{float(f'{found.scale:.2g}'):g} times those that the masses of {machine.mechanism.path} need"
-    says = f"the torques that make this motion are {times}{unit}"
+    phrase = f"the torques that make this motion are {times}{unit}"
     mend = f"write masses in kg and torques in N m, or {_torque_unit(machine, found.scale)}"
     if angle := _angle_unit(machine, motion, declared, found.left):
-        says = f"{says}; they are of the right size if the angles are in {angle[0]}"
+        phrase = f"{phrase}; they are of the right size if the angles are in {angle[0]}"
         keys = [key for key, unit in machine.log.meta.units.items() if unit in ("deg", "rad")] or [
             "angle"
         ]
         lines = " and ".join(f'{key} = "{angle[1]}"' for key in keys)
         mend = f"write {lines} under [units] in meta.toml; or else {mend}"
     if 1.0 / WILD < found.scale < WILD:
-        return (Finding("masses", "warn", "", "masses", f"{says}; {mend}", found.scale),)
-    raise BadInput(f"{machine.log.path}: {says}; {mend}; {AS_DECLARED}")
+        return (Finding("masses", "warn", "", "masses", f"{phrase}; {mend}", found.scale),)
+    raise BadInput(f"{machine.log.path}: {phrase}; {mend}; {AS_DECLARED}")
 
 
 def _torque_unit(machine: Machine, scale: float) -> str:

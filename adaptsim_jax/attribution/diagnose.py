@@ -120,8 +120,8 @@ def diagnose(
         keep = None
     else:
 
-        def keep(so_far):
-            return write_partial(folder, so_far)
+        def keep(partial):
+            return write_partial(folder, partial)
 
     while True:
         if off and yardstick is None:
@@ -180,10 +180,14 @@ def diagnose(
     )
     report["run"] = evidence["run"] = Run(command, began).told()
     if folder is not None:
-        told = {k: report[k] for k in ("verdict", "message")} | {"data": str(data)} | report["run"]
+        summary = (
+            {k: report[k] for k in ("verdict", "message")} | {"data": str(data)} | report["run"]
+        )
 
         def text():
-            return model_toml.text_of(problem, found.final, told, gains(machine), servos(machine))
+            return model_toml.text_of(
+                problem, found.final, summary, gains(machine), servos(machine)
+            )
 
         write_all(
             folder,
@@ -286,7 +290,7 @@ def examined(
     ):  # of stretches that run away, which the search expects
         null = narrow(declared_vector(machine, problem))
 
-        def so_far(found):
+        def partial(found):
             if keep:
                 return keep(reported(machine, problem, found, criteria, horizon))
             return None
@@ -294,7 +298,7 @@ def examined(
         factor = factor_of(machine.log.meta) if torques else None
         hint = first(problem, null) if first else None
         found = examine(
-            machine, problem, null, criteria, horizon, step, so_far, yardstick, factor, hint
+            machine, problem, null, criteria, horizon, step, partial, yardstick, factor, hint
         )
         if filed is not None:
             before = posed(filed, chosen, horizon)

@@ -99,8 +99,8 @@ def parts_of(drive: Drive, giving, x) -> Parts:
 
 def acting(model: Model, values: Values, drive: Drive, at: Parts, u, t) -> Forces:
     """`forces` on the rotors of joints whose drives give, on the joints elsewhere."""
-    seen = at.q + drive.control * at.ahead, at.v + drive.control * at.rate
-    return forces(model, values, at.q, at.v, u, t, seen)
+    observed = at.q + drive.control * at.ahead, at.v + drive.control * at.rate
+    return forces(model, values, at.q, at.v, u, t, observed)
 
 
 def accelerations(model: Model, values: Values, drive: Drive, at: Parts, force, inertia, more):
@@ -193,12 +193,12 @@ def logged_alone(local, p, carries, dt, effect: Effect):
     def of(z):
         return z[0] + drive.link[None] * (z[1] - z[0])
 
-    def seen(*how):
+    def observed(*how):
         return jnp.concatenate([of(z) for z in _moved(drive, local, *how)], 1)
 
     one, none = jnp.ones_like(carries[:, 0]), jnp.zeros_like(carries[:, 0])
-    swings = (seen(0.0 * carries, dt, some) for some in ((one, none), (none, one)))
-    return jnp.stack([seen(carries, dt), *swings])
+    swings = (observed(0.0 * carries, dt, some) for some in ((one, none), (none, one)))
+    return jnp.stack([observed(carries, dt), *swings])
 
 
 def _shared(local: Local, ahead):

@@ -157,8 +157,8 @@ def fit(
         return _point(replace(now, weights=weights, loss=losses(problem, paths, weights)), paths)
 
     def done(before: Point, after: Point, k: int) -> bool:
-        least = ENOUGH if glance is None or k < glance else GOING_ON
-        return before.loss - after.loss < least * max(before.loss, 1e-300)
+        minimum = ENOUGH if glance is None or k < glance else GOING_ON
+        return before.loss - after.loss < minimum * max(before.loss, 1e-300)
 
     found = fit_values(_point(begun, paths), around, rounds, done=done, taken=taken)
     return replace(found.point.state[0], code=found.code, rounds=found.rounds)

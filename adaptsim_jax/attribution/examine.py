@@ -85,10 +85,10 @@ def examine(
     nothing.
     """
     if factor is not None and tells(machine):
-        told = balances(problem, machine.tracks)
+        balanced = balances(problem, machine.tracks)
     else:
-        told = ()
-    if not told or factor is None:
+        balanced = ()
+    if not balanced or factor is None:
         found = by_simulation(problem, null, criteria, say, keep, hint)
         before, after = (_simulated(problem, m, horizon) for m in (found.null, found.final))
         commanded = np.any(held(machine.actuator))
@@ -108,10 +108,12 @@ def examine(
         def part(b):
             return within(part_of(filed(null) if follows else null, b), factor)
 
-        problem, told = rubbing(problem, machine.tree, told, part, reach, criteria, commanded)
+        problem, balanced = rubbing(
+            problem, machine.tree, balanced, part, reach, criteria, commanded
+        )
 
         def search(vector):
-            return said(problem, told, vector, reach, criteria, commanded, factor)
+            return said(problem, balanced, vector, reach, criteria, commanded, factor)
 
         if follows and len(filed(null)) < len(null):
             words, free, each = searched(problem, search, null, criteria)
@@ -133,11 +135,11 @@ def examine(
             f"the torque along the motion tells nothing ({error})",
         )
     before = _simulated(problem, declared, horizon) | {
-        TORQUE: of_torque(problem, told, words.null, held_missing(words)[0])
+        TORQUE: of_torque(problem, balanced, words.null, held_missing(words)[0])
     }
-    usual: Any = of_torque(problem, told, free.null, held_missing(free)[0])
+    usual: Any = of_torque(problem, balanced, free.null, held_missing(free)[0])
     if follows:  # a late command hides all that its errors tell until it is named
-        named: Any = of_torque(problem, told, words.final, held_missing(words)[1])
+        named: Any = of_torque(problem, balanced, words.final, held_missing(words)[1])
         usual = max(usual, named, key=lambda m: m.skill)
     judge, why = headline(before | {TORQUE: usual}, follows, asked)
     many = problem.joints > (criteria.torque.whole if follows else criteria.torque.simulated)
@@ -166,7 +168,7 @@ def examine(
         if follows and not many:
             found = _polished(problem, found, reach, criteria, say, bool(asked))
         after = _simulated(problem, found.final, horizon)
-        after[TORQUE] = of_torque(problem, told, words.final, held_missing(words)[1])
+        after[TORQUE] = of_torque(problem, balanced, words.final, held_missing(words)[1])
         by_torque = Examined(problem, found, words, before, after, judge, why, follows)
         good = over_floor(problem, found.final) < (criteria.near if follows else criteria.explained)
         if (
@@ -188,10 +190,10 @@ def examine(
         hint = start.with_entries([e for e, _ in effects], [z for _, z in effects]), words.added
     found = by_simulation(problem, null, criteria, say, keep, hint)
     before = _simulated(problem, found.null, horizon) | {
-        TORQUE: of_torque(problem, told, found.null.fit.vector)
+        TORQUE: of_torque(problem, balanced, found.null.fit.vector)
     }
     after = _simulated(problem, found.final, horizon) | {
-        TORQUE: of_torque(problem, told, found.final.fit.vector)
+        TORQUE: of_torque(problem, balanced, found.final.fit.vector)
     }
     if by_torque is not None and not follows and _worth(after) < _worth(by_torque.after):
         return by_torque
@@ -224,8 +226,8 @@ def _polished(
     trace, known = list(found.trace), {n.candidate.key: n for n in found.named}
     final, stay = judged(problem, whole, reach, criteria, trace, say, rivals=False)
     named = tuple(replace(n, alternatives=known[n.candidate.key].alternatives) for n in stay)
-    kept = found.final if good and len(stay) == len(known) else final
-    return replace(found, final=kept, named=named, trace=tuple(trace))
+    selected = found.final if good and len(stay) == len(known) else final
+    return replace(found, final=selected, named=named, trace=tuple(trace))
 
 
 def tells(machine: Machine) -> bool:

@@ -42,18 +42,18 @@ class Forecast:
 def forecast(problem: Problem, vector: Vector) -> Forecast:
     """Simulate all stretches at a vector."""
     starts, paths = fitted_starts(problem, vector)
-    measured, seen = observed(problem)
+    measured, mask = observed(problem)
     out = np.zeros_like(measured)
     for group, path in zip(problem.groups, paths, strict=True):
         angles = path.sensed[:, : len(group.joints)].transpose(2, 0, 1)[: len(out)]
         out[..., list(group.joints)] = np.clip(np.nan_to_num(angles, nan=1e6), -1e6, 1e6)
-    return Forecast(rms(measured - out, seen), measured, out, seen, starts, tuple(paths))
+    return Forecast(rms(measured - out, mask), measured, out, mask, starts, tuple(paths))
 
 
 def observed(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
     """Measured angles of the stretches [W, L+1, n], and where they were read (1) or not (0)."""
     count, rows = len(problem.fold), problem.groups[0].stretches.rows + 1
-    measured, seen = (
+    measured, mask = (
         np.zeros((count, rows, problem.joints)),
         np.zeros((count, rows, problem.joints)),
     )
@@ -63,31 +63,31 @@ def observed(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
             return z.transpose(2, 0, 1)[:count]
 
         own = list(group.joints)
-        measured[..., own], seen[..., own] = swap(group.stretches.q), swap(group.stretches.seen)
-    return measured, seen
+        measured[..., own], mask[..., own] = swap(group.stretches.q), swap(group.stretches.seen)
+    return measured, mask
 
 
-def rms(off: np.ndarray, seen: np.ndarray) -> np.ndarray:
+def rms(off: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """[W, n] of what is off [W, L+1, n] where it was seen."""
-    return np.sqrt(np.square(off * seen).sum(1) / np.maximum(seen.sum(1), 1))
+    return np.sqrt(np.square(off * mask).sum(1) / np.maximum(mask.sum(1), 1))
 
 
 def without_a_model(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
     """What a straight line through each stretch leaves of its angles [W, n], and holding still at
     their mean.
     """
-    measured, seen = observed(problem)
+    measured, mask = observed(problem)
     time = problem.groups[0].stretches.time.T[: len(measured), :, None] + 0.0 * measured
-    count = np.maximum(seen.sum(1, keepdims=True), 1)
+    count = np.maximum(mask.sum(1, keepdims=True), 1)
 
     def mean(z):
-        return (z * seen).sum(1, keepdims=True) / count
+        return (z * mask).sum(1, keepdims=True) / count
 
     t, q = time - mean(time), measured - mean(measured)
-    slope = (t * q * seen).sum(1, keepdims=True) / np.maximum(
-        (t * t * seen).sum(1, keepdims=True), 1e-300
+    slope = (t * q * mask).sum(1, keepdims=True) / np.maximum(
+        (t * t * mask).sum(1, keepdims=True), 1e-300
     )
-    return rms(q - slope * t, seen), rms(q, seen)
+    return rms(q - slope * t, mask), rms(q, mask)
 
 
 def fitted_starts(
@@ -157,20 +157,20 @@ def _along_a_line(
         n, s = len(group.joints), group.stretches
         own = left[..., at : at + n]
         at += n
-        seen = s.seen.transpose(2, 0, 1)[lanes]
+        mask = s.seen.transpose(2, 0, 1)[lanes]
         time = (s.time - s.time[:1]).T[lanes][..., None] + 0.0 * own
-        first, slope = _lines(time, own, seen)
+        first, slope = _lines(time, own, mask)
         moved = np.zeros((len(lanes), size))
         moved[:, :n], moved[:, n : 2 * n] = first, slope
         out.append(moved)
     return np.concatenate(out, 1)
 
 
-def _lines(time: np.ndarray, z: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _lines(time: np.ndarray, z: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Value at no time and slope [B, n] of the lines through z [B, T, n] where it was seen."""
 
     def total(x):
-        return (x * seen).sum(1)
+        return (x * mask).sum(1)
 
     count, first, second = total(1.0 + 0.0 * z), total(time), total(time * time)
     spread = np.maximum(count * second - first**2, 1e-12)

@@ -104,10 +104,10 @@ def held_out(
         steps[:, at] = both[np.argmin(length, 0), folds][:, at]
 
     # of what no other fold has seen (a stop, an angle) nothing is known without it
-    def told(h):
+    def reported(h):
         return np.diagonal(h) + vector.precision
 
-    alone = np.array([told(total - h) < ALONE * told(total) for h in n.hess])
+    alone = np.array([reported(total - h) < ALONE * reported(total) for h in n.hess])
     steps = np.where(alone, np.array([e.off for e in vector.entries]) - vector.values, steps)
     fold = padded_fold(problem, len(now.loss))
     rows = np.where(
@@ -132,20 +132,20 @@ def held_out(
             part, linear_part(part, lin, own, at, some), own, options, rows[:, at], refine=2
         )[2]
         known |= dict(zip(some, paths, strict=True))
-    kept = [known[k] for k in groups]
-    loss = losses(problem, kept, weights)
+    selected = [known[k] for k in groups]
+    loss = losses(problem, selected, weights)
     width, joints = len(loss), problem.joints
     squared = np.zeros((width, 2 * joints))
-    for group, path in zip(problem.groups, kept, strict=True):
+    for group, path in zip(problem.groups, selected, strict=True):
         r = residuals(group, path)
-        seen = (
+        observed = (
             np.concatenate([group.stretches.seen, group.stretches.seen_v], 1)
             .transpose(2, 0, 1)
             .sum(1)
         )
         j = np.array(group.joints)
-        squared[:, [*j, *(joints + j)]] = np.square(r).sum(1) / np.maximum(seen, 1)
-    return HeldOut(loss, squared, now.vector.values + steps, n, tuple(kept))
+        squared[:, [*j, *(joints + j)]] = np.square(r).sum(1) / np.maximum(observed, 1)
+    return HeldOut(loss, squared, now.vector.values + steps, n, tuple(selected))
 
 
 def paired(problem: Problem, without: np.ndarray, with_: np.ndarray) -> Test:
@@ -188,9 +188,11 @@ def astray(
     leaves more now and then, though it is the right effect).
     """
     error = held_error(problem, model)
-    far = error > criteria.odd * np.maximum(_noise(problem), np.median(error, 0))
+    outlying = error > criteria.odd * np.maximum(_noise(problem), np.median(error, 0))
     return np.any(
-        far if null is None else far & (error > (1.0 - criteria.left) * held_error(problem, null)),
+        outlying
+        if null is None
+        else outlying & (error > (1.0 - criteria.left) * held_error(problem, null)),
         1,
     )
 

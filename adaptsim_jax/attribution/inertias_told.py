@@ -156,12 +156,12 @@ def otherwise(rows: dict[str, dict[str, Any]]) -> list[str]:
             and not row["low"] <= row["file"] <= row["high"]
         ):
             off[name] = abs(row["value"] - row["file"]) / size
-    told = [
+    different = [
         f"{name} {fixed[name]['value']:.3g} {fixed[name]['unit']} (file {fixed[name]['file']:.3g})"
         for name in sorted(off, key=lambda n: -off[n])[:3]
     ]
-    if told:
-        return [f"Unlike the model file, by these data: {', '.join(told)}."]
+    if different:
+        return [f"Unlike the model file, by these data: {', '.join(different)}."]
     return []
 
 
@@ -231,7 +231,7 @@ def _body(machine: Machine, values: np.ndarray, slope: np.ndarray, j: int) -> li
     """Mass, centre of mass and inertia about it, in the axes of the model file's body."""
     frames, name = machine.mechanism.frames, machine.tree.body_names[j]
     frame = inverse((frames.place[name], frames.rotation[name]))
-    told = np.stack([_central(v, frame) for v in values])
+    central = np.stack([_central(v, frame) for v in values])
     size = STEP * np.maximum(np.abs(slope).max(1), 1e-12)
     change = np.stack(
         [
@@ -242,7 +242,7 @@ def _body(machine: Machine, values: np.ndarray, slope: np.ndarray, j: int) -> li
     )
     by = change @ slope
     return [
-        Quantity(f"{what} of {name}", UNITS[k], told[:, k], by[k], False)
+        Quantity(f"{what} of {name}", UNITS[k], central[:, k], by[k], False)
         for k, what in enumerate(OF_BODY)
     ]
 

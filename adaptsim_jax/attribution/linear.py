@@ -73,10 +73,10 @@ def linear(
         like is not None and unchanged(problem, k, fit, like.fit)
         for k in range(len(problem.groups))
     ]
-    anew = [k for k, known in enumerate(same) if not known]
+    changed = [k for k, known in enumerate(same) if not known]
     with jax.enable_x64(True):
-        made = ready(replace(problem, groups=tuple(problem.groups[k] for k in anew)), fit.vector)
-        fresh = iter(zip(made, widened(made, [fit.starts[k] for k in anew]), strict=True))
+        made = ready(replace(problem, groups=tuple(problem.groups[k] for k in changed)), fit.vector)
+        fresh = iter(zip(made, widened(made, [fit.starts[k] for k in changed]), strict=True))
         for k, known in enumerate(same):
             if like is not None and known:
                 residual.append(like.residual[k])

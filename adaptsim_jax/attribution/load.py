@@ -29,18 +29,18 @@ def load(data: str | Path, model: str | Path | None = None) -> Machine:
         if model is None or Path(model).suffix.lower() != ".toml":
             return _joined(data, model)
         given = read_model_table(model)
-        beside = given.get("model")
+        model_name = given.get("model")
         if given.get("task") == "simulator":
             raise BadInput(
                 f"{model}: holds numbers of a simulator, which it does not bring; give the "
                 "model.xml beside it"
             )
-        if given.get("task") != "mechanism" or not isinstance(beside, str):
+        if given.get("task") != "mechanism" or not isinstance(model_name, str):
             raise BadInput(
                 f"{model}: is no model of a mechanism; give the model.toml that diagnose wrote, or "
                 "an MJCF or URDF file"
             )
-        made = _joined(data, Path(model).parent / beside)
+        made = _joined(data, Path(model).parent / model_name)
         return model_toml.applied(given, str(model), made)
     if model is None:
         raise BadInput(

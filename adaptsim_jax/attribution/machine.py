@@ -85,8 +85,8 @@ def machine(mechanism: Mechanism, log: Log) -> Machine:
     # with
     if unknown:
         first = _gain(mechanism.tree, tracks)
-        told = {a.joint: a.gear * a.gain for a in mechanism.actuators}
-        law[0] = [first if told.get(j, 1.0) == 1.0 else told[j] for j in range(n)]
+        gains = {a.joint: a.gear * a.gain for a in mechanism.actuators}
+        law[0] = [first if gains.get(j, 1.0) == 1.0 else gains[j] for j in range(n)]
         for a in mechanism.actuators:
             low, high = (a.gear * z for z in a.forcerange)
             law[4:, a.joint] = -np.inf if np.isnan(low) else low, np.inf if np.isnan(high) else high
@@ -220,10 +220,10 @@ def _open(limits: tuple[float, ...]) -> tuple[float, float]:
 
 def _far(tree: Tree, tracks: Sequence[Track]) -> tuple[str, ...]:
     """Declared ranges that the motion goes far beyond, so that the machine cannot have them."""
-    far = beyond_range(tree, tracks)
+    excess = beyond_range(tree, tracks)
     names = [
-        f"{tree.joint_names[j]} (by {far[j]:.2g} {tree.unit(int(j))})"
-        for j in np.flatnonzero(far > BEYOND_STOP)
+        f"{tree.joint_names[j]} (by {excess[j]:.2g} {tree.unit(int(j))})"
+        for j in np.flatnonzero(excess > BEYOND_STOP)
     ]
     if names:
         return (f"the declared range of {', '.join(names)}, which the motion goes beyond",)

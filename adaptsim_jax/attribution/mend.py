@@ -134,13 +134,13 @@ def lost(machine: Machine, problem: Problem, found: Selection) -> list[str]:
         if not _holds(machine, problem, model, c)
         and (c.key in keys or not problem.effect(c.effect).shifts_commands)
     ]
-    told = [
+    lines = [
         f"{c.effect.replace('_', ' ')} at {', '.join(problem.joint_names[j] for j in c.joints)}"
         for c in gone
     ]
     if gone:
         return [
-            f"model.xml cannot hold {'; '.join(told)}: only model.toml has the whole of the mended "
+            f"model.xml cannot hold {'; '.join(lines)}: only model.toml has the whole of the mended "
             "model."
         ]
     return []
@@ -289,8 +289,8 @@ def _actuators(machine: Machine, problem: Problem, model: Model) -> dict[str, di
 
 def _lost(problem: Problem, model: Model, named: Model) -> list[str]:
     """A line for each effect that the file cannot hold."""
-    kept = {c.key for c in model.added}
-    gone = [c for c in named.added if c.key not in kept]
+    retained = {c.key for c in model.added}
+    gone = [c for c in named.added if c.key not in retained]
     vector = named.fit.vector
     return [
         f"not held by this file, see model.toml: {e.owner} at "

@@ -43,7 +43,7 @@ OWN = ("friction", "inertial", "gain", "servo")
 def text_of(
     problem: Problem,
     model: Model,
-    told: Mapping[str, Any],
+    summary: Mapping[str, Any],
     gains: Mapping[str, float] | None = None,
     servos: Mapping[str, float] | None = None,
 ) -> str:
@@ -64,7 +64,7 @@ def text_of(
         own["gain"] = dict(gains)
     if servos:
         own["servo"] = dict(servos)
-    form = Form("mechanism", DECLARED, {}, _effects(problem, model), own, dict(told))
+    form = Form("mechanism", DECLARED, {}, _effects(problem, model), own, dict(summary))
     return form.text("`adaptsim replay model.toml DATA` simulates all of it")
 
 
@@ -113,7 +113,7 @@ def applied(given: Mapping[str, Any], path: str, machine: Machine) -> Machine:
             )
         law[:3, joints.index(name)] *= times
         law[3, joints.index(name)] = 0.0
-    filed = numbers_of(tree) | machine.declared
+    declared = numbers_of(tree) | machine.declared
     out, gravity = dict(machine.declared), np.asarray(tree.gravity, float)
     for k, effect in enumerate(form.effects):
         name, joint = effect.name, effect.where
@@ -133,7 +133,7 @@ def applied(given: Mapping[str, Any], path: str, machine: Machine) -> Machine:
             )
         for p in (p for p in known[name].parameters if p.name in numbers):
             rest = p.default if p.off is None else p.off
-            start = filed.get((name, p.name), np.full(len(joints), rest))
+            start = declared.get((name, p.name), np.full(len(joints), rest))
             column = np.array(out.get((name, p.name), start), float)
             column[joints.index(joint)] = numbers[p.name]
             out[name, p.name] = column

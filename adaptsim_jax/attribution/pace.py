@@ -59,16 +59,16 @@ def check_pace(machine: Machine, tracks: list[Track], design: Design) -> tuple[F
     how = "slow" if factor > 1 else "fast"
     size = max(factor, 1.0 / factor)
     line = f"time = {float(f'{_seconds(machine) / factor:.3g}'):g}"
-    says = (
+    phrase = (
         f"time runs too {how}, {size:.3g} times: with the declared masses gravity moves the "
         f"machine in {step / factor:.3g} s from row to row, not in {step:.3g} s{counted}"
     )
     mend = f"write {line} under [units] in meta.toml (seconds a unit), or mend the stamps"
     if as_is > TIMES * left and as_is > POOR:
-        raise BadInput(f"{machine.log.path}: {says}; {mend}; {AS_DECLARED}")
+        raise BadInput(f"{machine.log.path}: {phrase}; {mend}; {AS_DECLARED}")
     if not all(t.path.endswith(".parquet") for t in machine.log.trials) or not even:
         return ()
-    text = f"{says}; {mend}. Or the rotors have inertia that the model lacks: one joint alone cannot tell the two apart"
+    text = f"{phrase}; {mend}. Or the rotors have inertia that the model lacks: one joint alone cannot tell the two apart"
     return (Finding("pace", "warn", "", "time", text, factor),)
 
 
@@ -85,13 +85,13 @@ def _paced(motion: Motion, design: Design) -> tuple[float, float, float] | None:
     if np.max(spread) < 1e-6:
         return None
 
-    def told(columns):
+    def describe(columns):
         return (columns / spread[None, :, None]).reshape(len(motion.q) * n, -1)
 
     y = (rest / spread).reshape(-1)
-    rubs = told(rubbing(motion)[:, :, [4 * j + k for j in range(n) for k in (0, 1, 2)]])
-    rotors = told(motion.a[:, :, None] * np.eye(n))
-    pace = told(moving[:, :, None])
+    rubs = describe(rubbing(motion)[:, :, [4 * j + k for j in range(n) for k in (0, 1, 2)]])
+    rotors = describe(motion.a[:, :, None] * np.eye(n))
+    pace = describe(moving[:, :, None])
     as_is = _left(y - pace[:, 0], np.concatenate([rubs, rotors], 1))[0]
     left, x = _left(y, np.concatenate([pace, rubs], 1))
     return left, float(np.sqrt(x[0])) if x[0] > 0 else 0.0, as_is
@@ -162,10 +162,10 @@ def amperes(machine: Machine, tracks: list[Track], design: Design) -> tuple[Find
         return ()
     if max(need.values()) < 1.5 * min(need.values()):
         return ()  # of one scale all: a unit
-    told = ", ".join(f"{float(f'{x:.2g}'):g} at {names[j]}" for j, x in need.items())
+    factors = ", ".join(f"{float(f'{x:.2g}'):g} at {names[j]}" for j, x in need.items())
     lines = ", ".join(f'i_{names[j]} = "{_column(machine, j)}"' for j in need)
     text = (
-        f"the masses of {machine.mechanism.path} need {told} times the logged efforts: are these "
+        f"the masses of {machine.mechanism.path} need {factors} times the logged efforts: are these "
         f"currents (A), not torques? "
         f'Then write input = "current" and, under [columns], {lines} in meta.toml, or the efforts '
         f"in N m"

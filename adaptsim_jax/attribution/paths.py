@@ -173,6 +173,6 @@ def residuals(group: Group, path: Path) -> np.ndarray:
     """
     s = group.stretches
     measured = np.concatenate([s.q, s.v], 1)
-    seen = np.concatenate([s.seen, s.seen_v], 1)
+    mask = np.concatenate([s.seen, s.seen_v], 1)
     off = np.where(np.isfinite(path.sensed), measured - path.sensed, 1e3)
-    return (np.clip(off, -1e3, 1e3) * seen).transpose(2, 0, 1)
+    return (np.clip(off, -1e3, 1e3) * mask).transpose(2, 0, 1)

@@ -251,10 +251,10 @@ def _fitted(model: Model) -> dict[tuple[str, str, int], tuple[float, float, str]
 
 
 def model_file(
-    rig: Rig, problem: Problem, model: Model, told: Mapping[str, object]
+    rig: Rig, problem: Problem, model: Model, summary: Mapping[str, object]
 ) -> tuple[ModelFile, list[str]]:
     """A fitted model as `model.toml` holds it, and a line for each effect that it cannot hold.
-    told: of its provenance.
+    summary: of its provenance.
     """
     declared, by = declared_values(rig, problem, model), _fitted(model)
     effects, lost = [], []
@@ -313,7 +313,7 @@ def model_file(
         declared,
         tuple(effects),
         {k: float(v) for k, v in rig.known.items()},
-        provenance=dict(told),
+        provenance=dict(summary),
         library=tuple(library.values()) if own else (),
     )
     return file, lost

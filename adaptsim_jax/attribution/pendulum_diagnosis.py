@@ -108,14 +108,14 @@ def diagnose_pendulum(
     )
     folder = None if out is None else cleared(output_folder(out))
     if checked.fault:
-        data_told = {
+        data_summary = {
             "trials": len(log.trials),
             "samples": log.samples,
             "held_out_trials": 0,
         }
-        report = new_report(rig.task, rig.model, "data_fault", checked.message, data_told)
-        told = {"warnings": checked.warnings, "notes": [*log.notes, *checked.limits]}
-        return _written(report | told, {"audit": checked.rows}, run, folder, page, {})
+        report = new_report(rig.task, rig.model, "data_fault", checked.message, data_summary)
+        remarks = {"warnings": checked.warnings, "notes": [*log.notes, *checked.limits]}
+        return _written(report | remarks, {"audit": checked.rows}, run, folder, page, {})
     log = usable(log, checked)
     if not as_declared:
         checked = replace(checked, findings=checked.findings + check_conventions(log))
@@ -134,7 +134,7 @@ def diagnose_pendulum(
             say,
             in_the_plane,
             effects,
-            None if folder is None else lambda so_far: write_partial(folder, so_far),
+            None if folder is None else lambda partial: write_partial(folder, partial),
             STRETCHES,
             torques=rig.model == LINEAR,
         )
@@ -227,9 +227,9 @@ def _unbroken(q: np.ndarray) -> list[np.ndarray]:
 
     Parts are of `LEAST_ROWS` or more, else the longest.
     """
-    seen = np.all(np.isfinite(q), axis=1)
-    parts = np.split(np.arange(len(seen)), np.flatnonzero(np.diff(seen)) + 1)
-    parts = [rows for rows in parts if seen[rows[0]]]
+    observed = np.all(np.isfinite(q), axis=1)
+    parts = np.split(np.arange(len(observed)), np.flatnonzero(np.diff(observed)) + 1)
+    parts = [rows for rows in parts if observed[rows[0]]]
     longest = max(map(len, parts), default=0)
     return [rows for rows in parts if len(rows) >= min(LEAST_ROWS, longest)]
 

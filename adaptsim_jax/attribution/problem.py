@@ -172,15 +172,17 @@ def beyond_range(tree: Tree, tracks: Sequence[Track]) -> np.ndarray:
     """
     low, high = np.asarray(tree.range, float).T
     q = np.concatenate([t.q for t in tracks])
-    far = np.maximum(np.nanquantile(q, 0.99, axis=0) - high, low - np.nanquantile(q, 0.01, axis=0))
-    return np.where(tree.limited, far, -np.inf)
+    excess = np.maximum(
+        np.nanquantile(q, 0.99, axis=0) - high, low - np.nanquantile(q, 0.01, axis=0)
+    )
+    return np.where(tree.limited, excess, -np.inf)
 
 
 def within_reach(tree: Tree, tracks: Sequence[Track]) -> Tree:
     """The same where only those limits count that the motion may feel: not those that it stays away
     from, nor those that it goes far beyond, which the machine cannot have.
     """
-    far = beyond_range(tree, tracks)
+    excess = beyond_range(tree, tracks)
     q = np.concatenate([t.q for t in tracks])
     low, high = np.asarray(tree.range, float).T
     near = np.maximum(np.nanmax(q, axis=0) - high, low - np.nanmin(q, axis=0)) > -NEAR_STOP
@@ -188,7 +190,7 @@ def within_reach(tree: Tree, tracks: Sequence[Track]) -> Tree:
         tree,
         limited=tuple(
             bool(a and b and c <= BEYOND_STOP)
-            for a, b, c in zip(tree.limited, near, far, strict=True)
+            for a, b, c in zip(tree.limited, near, excess, strict=True)
         ),
     )
 
@@ -208,10 +210,10 @@ def beginnings(problem: Problem, share: float) -> Problem:
     """The same of which only the first share of each stretch was seen."""
 
     def begun(g: Group) -> Group:
-        s, seen, seen_v = g.stretches, g.stretches.seen.copy(), g.stretches.seen_v.copy()
+        s, mask, mask_v = g.stretches, g.stretches.seen.copy(), g.stretches.seen_v.copy()
         last = max(2, round(share * s.rows))
-        seen[last + 1 :] = seen_v[last + 1 :] = 0
-        return replace(g, stretches=replace(s, seen=seen, seen_v=seen_v))
+        mask[last + 1 :] = mask_v[last + 1 :] = 0
+        return replace(g, stretches=replace(s, seen=mask, seen_v=mask_v))
 
     return replace(problem, groups=tuple(begun(g) for g in problem.groups))
 
@@ -275,9 +277,9 @@ def drive_force(
     actuator: np.ndarray, gear: np.ndarray, ties: np.ndarray | None, q, v, u
 ) -> np.ndarray:
     """Forces [T, n] of the declared actuators on the joints, at q, v [T, n] under u [T, n]."""
-    gain, bias, per_q, per_v, least, most = actuator
+    gain, bias, per_q, per_v, lowest, most = actuator
     moment = np.diag(gear) + (0.0 if ties is None else ties)
-    force = np.clip(gain * u + bias + per_q * (q @ moment.T) + per_v * (v @ moment.T), least, most)
+    force = np.clip(gain * u + bias + per_q * (q @ moment.T) + per_v * (v @ moment.T), lowest, most)
     return force @ moment
 
 
@@ -335,20 +337,20 @@ def passing(
     size = np.abs(np.concatenate([_driven(t, actuator, gear, ties)[0] for t in tracks]))
     half, peak = 0.5 * size.mean(0), size.max(0)
     low, high = np.zeros_like(peak), peak.copy()
-    least, widest = low.copy(), high.copy()
+    lowest, widest = low.copy(), high.copy()
     for _ in range(HALVED):
-        limit, zone = 0.5 * (least + high), 0.5 * (low + widest)
+        limit, zone = 0.5 * (lowest + high), 0.5 * (low + widest)
         passes = np.minimum(size, limit).mean(0) > half
-        least, high = np.where(passes, least, limit), np.where(passes, limit, high)
+        lowest, high = np.where(passes, lowest, limit), np.where(passes, limit, high)
         passes = np.maximum(size - zone, 0.0).mean(0) > half
         low, widest = np.where(passes, zone, low), np.where(passes, widest, zone)
     cut = 1.0 - high / np.where(peak > 0.0, peak, 1.0)
-    least, half = np.full_like(cut, -np.inf), np.full_like(cut, 0.5)
+    lowest, half = np.full_like(cut, -np.inf), np.full_like(cut, 0.5)
     return {
-        ("saturation", "cut"): np.stack([least, cut]),
-        ("dead_zone", "width"): np.stack([least, low]),
-        ("load_friction", "share"): np.stack([least, half]),
-        ("torque_gain", "gain"): np.stack([-half, -least]),
+        ("saturation", "cut"): np.stack([lowest, cut]),
+        ("dead_zone", "width"): np.stack([lowest, low]),
+        ("load_friction", "share"): np.stack([lowest, half]),
+        ("torque_gain", "gain"): np.stack([-half, -lowest]),
     }
 
 

@@ -259,7 +259,7 @@ def by_mujoco(choice: Choice, horizon: float) -> Replay:
     if source is None or log is None:
         raise ValueError("a choice of mujoco has read its files")
     found = mujoco_replayed(source, log, horizon)
-    told = (
+    remarks = (
         *_shorter(horizon, found.span),
         f"simulated by MuJoCo at the file's own step: {choice.why}",
     )
@@ -274,19 +274,19 @@ def by_mujoco(choice: Choice, horizon: float) -> Replay:
         len(names),
         found.error,
     )
-    measured, seen, simulated = s.measured[..., :n], s.seen[..., :n].astype(float), found.simulated
+    measured, mask, simulated = s.measured[..., :n], s.seen[..., :n].astype(float), found.simulated
     if found.base is not None:
         base = np.median(found.base, 0)
-        told = (
-            *told,
+        remarks = (
+            *remarks,
             f"the base errs by {base[0]:.3g} m and {base[1]:.3g} rad (medians over stretches)",
         )
     if s.count < found.total:
-        told = (*told, f"{s.count} of {found.total} stretches, evenly spread")
+        remarks = (*remarks, f"{s.count} of {found.total} stretches, evenly spread")
     if not n and found.base is not None:  # nothing but a body that flies
         names, kinds, error = ("base, place", "base, turn"), ("slide", "hinge"), found.base
-        measured = simulated = seen = np.zeros((*s.time.shape, 2))
-    line, still = lines_of(s.time, measured, seen)
+        measured = simulated = mask = np.zeros((*s.time.shape, 2))
+    line, still = lines_of(s.time, measured, mask)
     return Replay(
         names,
         kinds,
@@ -296,24 +296,24 @@ def by_mujoco(choice: Choice, horizon: float) -> Replay:
         s.time,
         measured,
         simulated,
-        seen,
+        mask,
         found.span,
-        (*told, *log.notes, *source.notes, *found.made.notes),
+        (*remarks, *log.notes, *source.notes, *found.made.notes),
         line,
         still,
     )
 
 
 def lines_of(
-    time: np.ndarray, measured: np.ndarray, seen: np.ndarray
+    time: np.ndarray, measured: np.ndarray, mask: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """What a straight line and holding still leave [W, n] of angles [W, L, n] where they were seen,
     rms.
     """
-    count = np.maximum(seen.sum(1), 1)
+    count = np.maximum(mask.sum(1), 1)
 
     def mean(z):
-        return (z * seen).sum(1) / count
+        return (z * mask).sum(1) / count
 
     off = measured - mean(measured)[:, None]
     t = time[..., None] - mean(np.broadcast_to(time[..., None], measured.shape))[:, None]

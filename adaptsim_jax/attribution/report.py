@@ -45,11 +45,11 @@ def reported(
     floor = float(np.median(noise))
     over = over_floor(problem, found.final)
     named = found.named
-    far = astray(problem, found.final, criteria, found.null)
-    odd = _odd(problem, found, far, criteria)
+    astray_count = astray(problem, found.final, criteria, found.null)
+    outliers = _odd(problem, found, astray_count, criteria)
     effects = [_effect(machine, problem, found, n) for n in named]
     remains = most_over_floor(problem, after) > criteria.explained
-    kind = verdict_of(effects, remains or bool(odd))
+    kind = verdict_of(effects, remains or bool(outliers))
     log = machine.log
     data = {
         "trials": len(machine.tracks),
@@ -73,7 +73,7 @@ def reported(
         "mechanism",
         Path(machine.mechanism.path).name,
         kind,
-        message(problem, found, before, after, over, odd, int(far.sum()), criteria),
+        message(problem, found, before, after, over, outliers, int(astray_count.sum()), criteria),
         data,
         effects=effects,
         error=_error(problem, found, before, after, noise, floor, horizon),
@@ -113,7 +113,7 @@ def evidence_of(problem: Problem, found: Selection, report: Mapping[str, Any]) -
 
 
 def _odd(
-    problem: Problem, found: Selection, far: np.ndarray, criteria: Criteria
+    problem: Problem, found: Selection, outlying: np.ndarray, criteria: Criteria
 ) -> list[tuple[str, str, float]]:
     """Trials of which much is left, however little on the whole: name, joint, times the noise floor
     (median over its stretches, or over those that are `far` [W] off where there are a few such).
@@ -125,8 +125,8 @@ def _odd(
     out = []
     for k, name in enumerate(problem.folds):
         mine = problem.fold == k
-        if far.sum() >= criteria.few and np.any(mine & far):
-            some = mine & far
+        if outlying.sum() >= criteria.few and np.any(mine & outlying):
+            some = mine & outlying
         else:
             some = mine
         if np.any(some):

@@ -86,11 +86,11 @@ def select(
         stages.append(base)
         scores = scored(problem, base, reach, True)
 
-    def so_far(model):
+    def partial(model):
         found = (first, model, (), tuple(trace), tuple(opening))
         return Selection(*found, stages=tuple(stages), last=(), reach=reach)
 
-    keep(so_far(base))
+    keep(partial(base))
     while len(base.added) < criteria.most_effects:
         better = _forward(problem, base, scores, family, reach, criteria, trace, say)
         better = better or _now_and_then(problem, base, reach, criteria, trace, say)
@@ -102,10 +102,10 @@ def select(
             break
         base = better
         stages.append(base)
-        keep(so_far(base))
+        keep(partial(base))
         scores = scored(problem, base, reach, True)
-    beside = replace(problem, least=criteria.beside * np.median(held_error(problem, first), 0))
-    final, named = judged(beside, base, reach, criteria, trace, say)
+    alongside = replace(problem, least=criteria.beside * np.median(held_error(problem, first), 0))
+    final, named = judged(alongside, base, reach, criteria, trace, say)
     before = first
     if final.fit.vector.index().keys() == first.fit.vector.index().keys():
         # by way of what went a fit may end elsewhere
@@ -184,9 +184,9 @@ def select_shorter(
     starts, loss, _ = settled(
         problem, found.null.lin, vector, (near.final.fit.starts, found.null.fit.starts), refine=3
     )
-    kept = replace(found.null.fit, vector=vector, starts=starts, loss=loss, code="stopped")
+    retained = replace(found.null.fit, vector=vector, starts=starts, loss=loss, code="stopped")
     refitted = fit(problem, vector, starts, rounds=criteria.rounds)
-    models = [modelled(problem, near.final.added, f) for f in (kept, refitted)]
+    models = [modelled(problem, near.final.added, f) for f in (retained, refitted)]
     final = min(models, key=lambda m: over_floor(problem, m))
     if eased(problem, found.null, final) < 0.0:
         return found
@@ -249,15 +249,17 @@ def _now_and_then(problem, base: Model, reach, criteria: Criteria, trace, say) -
     few motions come to), where all else is explained and a few stretches are far off. Among all
     stretches these have next to no weight, and a score test sees few.
     """
-    far = astray(problem, base, criteria)
-    if far.sum() < criteria.few or over_floor(problem, base) > criteria.explained:
+    outlying = astray(problem, base, criteria)
+    if outlying.sum() < criteria.few or over_floor(problem, base) > criteria.explained:
         return None
-    plain = modelled(problem, base.added, evenly_weighted(problem, base.fit, np.flatnonzero(far)))
+    plain = modelled(
+        problem, base.added, evenly_weighted(problem, base.fit, np.flatnonzero(outlying))
+    )
     every = candidates(problem, base.fit.vector, reach)
     scores = {s.candidate.key: s for s in table(problem, plain.lin, every)}
 
     def left(begun):
-        return float(np.median(begun[-1][: len(far)][far]))
+        return float(np.median(begun[-1][: len(outlying)][outlying]))
 
     hopeful = [s for s in scores.values() if s.held_out > criteria.size * plain.fit.total][
         : criteria.tried
@@ -272,7 +274,9 @@ def _now_and_then(problem, base: Model, reach, criteria: Criteria, trace, say) -
     def good(model, test):
         return (
             test.p < criteria.confidence
-            and np.median(held_error(problem, model)[far] / held_error(problem, plain)[far])
+            and np.median(
+                held_error(problem, model)[outlying] / held_error(problem, plain)[outlying]
+            )
             < criteria.left
         )
 
@@ -345,5 +349,5 @@ def _beats(problem: Problem, model: Model, other: Model, criteria: Criteria) -> 
     """
     small, large = sorted((other, model), key=lambda m: len(m.fit.vector))
     test = paired(problem, small.held.loss, large.held.loss)
-    least = criteria.size * max(1, more(large, small))
-    return (large if test.gain > least and test.p < criteria.confidence else small) is model
+    minimum = criteria.size * max(1, more(large, small))
+    return (large if test.gain > minimum and test.p < criteria.confidence else small) is model

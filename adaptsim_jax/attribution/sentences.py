@@ -38,33 +38,33 @@ def message(
     before: np.ndarray,
     after: np.ndarray,
     over: float,
-    odd: list[tuple[str, str, float]],
-    far: int,
+    outliers: list[tuple[str, str, float]],
+    outlying: int,
     criteria: Criteria,
 ) -> str:
     """What was found, in a few sentences. odd: trials of which much is left; far: stretches that
     are far off.
     """
-    told = _found(problem, found, before, after, over, bool(odd), criteria.explained)
-    if not odd:
-        return told
-    worst, joint, times = odd[0]
-    if far >= criteria.few:
-        few = f"in {far} of {len(problem.fold)} stretches "
+    text = _found(problem, found, before, after, over, bool(outliers), criteria.explained)
+    if not outliers:
+        return text
+    worst, joint, times = outliers[0]
+    if outlying >= criteria.few:
+        few = f"in {outlying} of {len(problem.fold)} stretches "
     else:
         few = ""
-    if len(odd) > 0.5 * len(problem.folds):
+    if len(outliers) > 0.5 * len(problem.folds):
         if few:
             return (
-                f"{told} But {few}up to {times:.0f} times the noise floor is left, at {joint}, "
+                f"{text} But {few}up to {times:.0f} times the noise floor is left, at {joint}, "
                 f"most in {worst}."
             )
-        return told
-    names = ", ".join(name for name, _, _ in odd[:4]) + (
-        f" and {len(odd) - 4} more" if len(odd) > 4 else ""
+        return text
+    names = ", ".join(name for name, _, _ in outliers[:4]) + (
+        f" and {len(outliers) - 4} more" if len(outliers) > 4 else ""
     )
     more = f"But {few}of {names} up to {times:.0f} times the noise floor is left, at {joint}: see what is particular to "
-    return f"{told} {more}{'it' if len(odd) == 1 else 'them'}, or run again --without."
+    return f"{text} {more}{'it' if len(outliers) == 1 else 'them'}, or run again --without."
 
 
 def _found(
@@ -73,7 +73,7 @@ def _found(
     before: np.ndarray,
     after: np.ndarray,
     over: float,
-    odd: bool,
+    outliers: bool,
     explained: float,
 ) -> str:
     kinds = set(problem.kinds)
@@ -95,13 +95,13 @@ def _found(
     else:
         many = ""
     if not found.named:
-        told = f"{_model(problem, found)} simulates left-out stretches to {size(after)} {unit}, {over:.1f} times the noise floor"
+        text = f"{_model(problem, found)} simulates left-out stretches to {size(after)} {unit}, {over:.1f} times the noise floor"
         if not remains:
-            if odd:
-                return f"{told}."
-            return f"{told}. Nothing need be added."
+            if outliers:
+                return f"{text}."
+            return f"{text}. Nothing need be added."
         at = f"{many} ({median[worst]:.0f} times)" if many else ""
-        return f"{told}{at}. No effect of the catalogue holds out.{_closest(problem, found)}"
+        return f"{text}{at}. No effect of the catalogue holds out.{_closest(problem, found)}"
     lines = []
     for n in found.named:
         c, t = n.candidate, n.test
@@ -110,10 +110,10 @@ def _found(
             f"{t.folds} (takes {100 * t.gain:.0f} % off the squared error beside all others, p "
             f"{t.p:.2g})"
         )
-    told = "; ".join(lines)
-    told = told[:1].upper() + told[1:]
+    text = "; ".join(lines)
+    text = text[:1].upper() + text[1:]
     rest = f"Left-out error {size(before)} to {size(after)} {unit}; what remains is {over:.1f} times the noise floor"
-    return f"{told}. {rest}{many}."
+    return f"{text}. {rest}{many}."
 
 
 def _model(problem: Problem, found: Selection) -> str:
@@ -159,7 +159,7 @@ def standing(machine: Machine) -> list[str]:
     def of(rows):
         return np.sqrt(np.mean([np.ma.masked_invalid(z).var(0).filled(0.0) for z in rows], 0))
 
-    seen = np.all([np.isfinite(t.q).any(0) for t in machine.tracks], 0)  # in every trial
+    observed = np.all([np.isfinite(t.q).any(0) for t in machine.tracks], 0)  # in every trial
     moves = of([t.q for t in machine.tracks])
     asked = (
         of([t.u for t in machine.tracks])
@@ -168,15 +168,15 @@ def standing(machine: Machine) -> list[str]:
         / np.where(kp > 0, kp, np.inf)
     )
     names = machine.tree.joint_names
-    told = [
+    lines = [
         f"{names[j]} ({moves[j] / asked[j]:.0%})"
-        for j in np.flatnonzero(seen & (moves < STUCK * asked))
+        for j in np.flatnonzero(observed & (moves < STUCK * asked))
     ]
-    if not told:
+    if not lines:
         return []
     return [
         "These joints hardly move though they are told to, as a share of what is asked: "
-        f"{', '.join(told)}. Nothing is said of their gains. A brake, a servo without power, or "
+        f"{', '.join(lines)}. Nothing is said of their gains. A brake, a servo without power, or "
         "the column of another joint looks like that."
     ]
 
@@ -237,9 +237,12 @@ def _early_commands(problem: Problem, found: Selection) -> list[str]:
     if not delays or (named and min(delays) >= 0.0):
         return []
     if not named:
-        at, apart = 1e3 * min(delays), f"their row (rows are {1e3 * problem.reach.dt:.3g} ms apart)"
-        early = f"{-at:.2g} ms before {apart}: they changed between rows, by a faster controller, or were logged that late"
-        late = f"{at:.2g} ms after {apart}, or angles were logged that late: less than the log resolves"
+        at, spacing = (
+            1e3 * min(delays),
+            f"their row (rows are {1e3 * problem.reach.dt:.3g} ms apart)",
+        )
+        early = f"{-at:.2g} ms before {spacing}: they changed between rows, by a faster controller, or were logged that late"
+        late = f"{at:.2g} ms after {spacing}, or angles were logged that late: less than the log resolves"
         return [
             f"Commands act {early}. {READ}"
             if at < 0.0

@@ -57,13 +57,13 @@ def calibrated(machine: Machine, horizon: float) -> tuple[Machine, tuple[Servo, 
     ]
     file = {s.joint: -machine.actuator[2, s.joint] * machine.gear[s.joint] ** 2 for s in found}
 
-    def far(s):
+    def distance(s):
         return s.apart > TOLD and not _near(s.kp / file[s.joint])
 
     off = [
         s
         for s in found
-        if s.p < LEVEL and MISSED * s.error < s.file and s.left < LESS * s.file and far(s)
+        if s.p < LEVEL and MISSED * s.error < s.file and s.left < LESS * s.file and distance(s)
     ]
     return with_gains(machine, off), tuple(off)
 
@@ -162,9 +162,9 @@ def servo_rows(
             "low": kp * max(1 + gain - 1.64 * wide, 0.0),
             "high": kp * (1 + gain + 1.64 * wide),
         }
-        told = f"the position controller's stiffness; the file says {file:.4g}"
+        text = f"the position controller's stiffness; the file says {file:.4g}"
         if not s.scale:
-            told += (
+            text += (
                 ". Only ratios to it are fixed by these data: no weight or inertia gives the "
                 "scale at this joint"
             )
@@ -173,7 +173,7 @@ def servo_rows(
                 "name": GAIN,
                 "where": name,
                 "joints": [name],
-                "parameters": {"kp": ends | {"unit": _unit(machine, s.joint), "meaning": told}},
+                "parameters": {"kp": ends | {"unit": _unit(machine, s.joint), "meaning": text}},
                 "physics": "the stiffness of the position controller is not the file's",
                 "alternatives": [],
                 "held_out_gain": 1.0 - (s.left / s.file) ** 2,

@@ -91,8 +91,8 @@ class Simulated(Evidence):
         values = {e.key: z for e, z in zip(vector.entries, vector.values, strict=True)}
 
         def bent(j):
-            least = 0.01 * float(problem.reach.torque[j])
-            level = max(values.get((COULOMB.name, "level", (j,)), 0.0), least)
+            minimum = 0.01 * float(problem.reach.torque[j])
+            level = max(values.get((COULOMB.name, "level", (j,)), 0.0), minimum)
             soft = values.get((self.candidate.effect, "compliance", (j,)), 0.0)
             return soft * level / max(problem.floor[j], 1e-12)
 
@@ -105,8 +105,8 @@ class Simulated(Evidence):
     @property
     def best_joint(self) -> tuple[float, float]:
         criteria = self.criteria
-        least = criteria.described if self.effect.describes else criteria.worth
-        return worth(self.problem, self.less, self.model), least
+        minimum = criteria.described if self.effect.describes else criteria.worth
+        return worth(self.problem, self.less, self.model), minimum
 
 
 def worth(problem: Problem, less: Model, model: Model) -> float:

@@ -35,10 +35,10 @@ def rates(stop: Any) -> tuple[Any, Any]:
     return stiffness, jnp.where(direct, -ratio / most, 2.0 / (most * safe))
 
 
-def impedance(stop: Any, far: Any) -> Any:
+def impedance(stop: Any, depth: Any) -> Any:
     """Share d of the reference that a joint `far` [..] rad (m) beyond its range gets."""
     first, last, width, middle, power = (stop[..., k] for k in (2, 3, 4, 5, 6))
-    x = jnp.clip(far / jnp.maximum(width, 1e-12), 0.0, 1.0)
+    x = jnp.clip(depth / jnp.maximum(width, 1e-12), 0.0, 1.0)
     low = x**power / jnp.maximum(middle, 1e-9) ** (power - 1.0)
     high = 1.0 - (1.0 - x) ** power / jnp.maximum(1.0 - middle, 1e-9) ** (power - 1.0)
     return jnp.clip(first + jnp.where(x <= middle, low, high) * (last - first), 1e-4, 1.0 - 1e-4)
@@ -58,11 +58,11 @@ def hold_within(tree: Tree, q: Any, v: Any) -> tuple[Any, Any, Any, Any]:
     q, v, stop = q[at], v[at], stop[:, None, :]
     above, below = q - high, low - q
     side = jnp.where(above > below, -1.0, 1.0)
-    far = jnp.maximum(above, below)
+    depth = jnp.maximum(above, below)
     stiffness, damping = rates(stop)
-    share = impedance(stop, jnp.maximum(far, 0.0))
-    reference = -damping * side * v + stiffness * share * jnp.maximum(far, 0.0)
-    return side, reference, (1.0 - share) / share * stop[..., 7], far > 0.0
+    share = impedance(stop, jnp.maximum(depth, 0.0))
+    reference = -damping * side * v + stiffness * share * jnp.maximum(depth, 0.0)
+    return side, reference, (1.0 - share) / share * stop[..., 7], depth > 0.0
 
 
 @jax.jit

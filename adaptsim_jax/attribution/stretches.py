@@ -147,13 +147,13 @@ def _whole(track: Track, stride: int, rows: int, dt: float) -> list[int]:
     span = stride * rows
     begins, at = [], 0
     broken = np.flatnonzero(np.diff(track.time) > max(5.0 * dt, 0.05))
-    seen = np.isfinite(track.q).mean(1)
+    observed = np.isfinite(track.q).mean(1)
     while at + span < len(track.time):
         inside = broken[(broken >= at) & (broken < at + span)]
         if len(inside):
             at = int(inside[-1]) + 1
             continue
-        if seen[at : at + span + 1].mean() > 0.5:
+        if observed[at : at + span + 1].mean() > 0.5:
             begins.append(at)
         at += span
     return begins
@@ -165,8 +165,8 @@ def without_first_rows(stretches: Stretches, span: float) -> Stretches:
     """
     since = stretches.time - stretches.time[:1]
     dt = np.median(np.diff(stretches.time, axis=0), axis=0)
-    seen = ((since > span - 0.5 * dt) | (dt > 0.5 * span))[:, None]
-    return replace(stretches, seen=stretches.seen * seen, seen_v=stretches.seen_v * seen)
+    mask = ((since > span - 0.5 * dt) | (dt > 0.5 * span))[:, None]
+    return replace(stretches, seen=stretches.seen * mask, seen_v=stretches.seen_v * mask)
 
 
 def _integral(time: np.ndarray, u: np.ndarray) -> np.ndarray:

@@ -29,8 +29,8 @@ def held_missing(found: Said) -> tuple[dict[int, np.ndarray], dict[int, np.ndarr
     """
     out: tuple[dict[int, np.ndarray], dict[int, np.ndarray]] = ({}, {})
     for k, w in enumerate(found.witnesses):
-        for kept, solved in zip(out, (w.base, w.whole), strict=True):
-            kept[k] = solved.left_out(w.rows)
+        for shares, solved in zip(out, (w.base, w.whole), strict=True):
+            shares[k] = solved.left_out(w.rows)
     return out
 
 
@@ -60,8 +60,8 @@ def judged_by_torque(
     floor = floor_of(problem, balances)
     over = float(np.median(after.error / np.maximum(floor, 1e-12)))
     # below a share of the torque nothing would be named
-    least = np.maximum(criteria.explained * floor, criteria.torque.worth * after.still)
-    remains = bool(np.any(moving(problem) & (after.error > np.maximum(least, 1e-12))))
+    minimum = np.maximum(criteria.explained * floor, criteria.torque.worth * after.still)
+    remains = bool(np.any(moving(problem) & (after.error > np.maximum(minimum, 1e-12))))
     with_effects(report, report["effects"], remains)
     report["error"] = _error(problem, found, before, after, floor)
     report["remaining"] = {
@@ -142,8 +142,8 @@ def message(problem: Problem, found: Said, before: Measure, after: Measure) -> s
         return f"{100 * _pooled(m):.0f} %"
 
     if not found.named:
-        said = f"The declared model, fitted, misses {share(before)} of the torque along the measured motion."
-        return f"{said} No effect of the catalogue holds out."
+        text = f"The declared model, fitted, misses {share(before)} of the torque along the measured motion."
+        return f"{text} No effect of the catalogue holds out."
     by: dict[str, list[str]] = {}
     for n in found.named:
         by.setdefault(n.candidate.effect.replace("_", " "), []).append(place(problem, n.candidate))
@@ -198,7 +198,7 @@ def curves(problem: Problem, found: Said, final: Vector) -> dict[str, list[dict[
     over_time, friction = [], []
     for w in found.witnesses:
         b = w.balance
-        told = needed(problem, b)
+        torques = needed(problem, b)
         left = [residual(problem, b, v) for v in (Vector((), np.zeros(0)), final)]
         rubbing = {e.name for e in problem.effects if e.traits.resists}
         bare = final.at(
@@ -211,7 +211,7 @@ def curves(problem: Problem, found: Said, final: Vector) -> dict[str, list[dict[
         )
         resists = residual(problem, b, bare)
         speed = b.averaged(b.v)
-        some = np.unique(np.linspace(0, len(told) - 1, min(MOST_ROWS, len(told))).astype(int))
+        some = np.unique(np.linspace(0, len(torques) - 1, min(MOST_ROWS, len(torques))).astype(int))
         clock = b.time + np.concatenate(
             [[0.0], np.cumsum(np.where(np.diff(b.trial) != 0, b.time[:-1] - b.time[1:] + 0.5, 0.0))]
         )
@@ -222,9 +222,9 @@ def curves(problem: Problem, found: Said, final: Vector) -> dict[str, list[dict[
                     "joint": problem.joint_names[j],
                     "unit": unit,
                     "time": clock[some],
-                    "measured": told[some, k],
-                    "file": (told + left[0])[some, k],
-                    "fitted": (told + left[1])[some, k],
+                    "measured": torques[some, k],
+                    "file": (torques + left[0])[some, k],
+                    "fitted": (torques + left[1])[some, k],
                 }
             )
             friction.append(

@@ -74,8 +74,8 @@ class Counted(NamedTuple):
 
 def counted(problem: Problem, group: Group, weights: Weights) -> Counted:
     s, at = group.stretches, picked(problem)
-    seen = np.concatenate([s.seen, s.seen_v], 1).transpose(2, 0, 1)[:, at]
-    weight = _own(weights, group, problem.joints) * np.sqrt(weights.stretch)[:, None, None] * seen
+    mask = np.concatenate([s.seen, s.seen_v], 1).transpose(2, 0, 1)[:, at]
+    weight = _own(weights, group, problem.joints) * np.sqrt(weights.stretch)[:, None, None] * mask
     channels = np.flatnonzero(np.any(weight != 0.0, axis=(0, 1)))
     return Counted(at, channels, weight[..., channels])
 
@@ -108,8 +108,8 @@ def weigh(problem: Problem, paths: Sequence[Path]) -> Weights:
     channel, share, over = np.zeros(2 * n), np.zeros((width, 2 * n)), []
     for group, path in zip(problem.groups, paths, strict=True):
         r = residuals(group, path)
-        seen = np.concatenate([group.stretches.seen, group.stretches.seen_v], 1).transpose(2, 0, 1)
-        count = seen.sum(1)
+        mask = np.concatenate([group.stretches.seen, group.stretches.seen_v], 1).transpose(2, 0, 1)
+        count = mask.sum(1)
         rms = np.sqrt(np.square(r).sum(1) / np.maximum(count, 1))
         j = np.array(group.joints)
         for k, at in enumerate([*j, *(n + j)]):

@@ -135,9 +135,9 @@ def needed(problem: Problem, balance: Balance) -> np.ndarray:
     the declared bodies' motion takes.
     """
     values = values_of(problem, balance.group, Vector((), np.zeros(0)))
-    told = balance.averaged(actuator_force(balance, values)[0])
+    averaged = balance.averaged(actuator_force(balance, values)[0])
     takes = balance.regressor @ values.inertial[..., 0].ravel()
-    return np.where(np.any(told != 0.0, 0), told, takes)
+    return np.where(np.any(averaged != 0.0, 0), averaged, takes)
 
 
 def headline(
@@ -173,13 +173,13 @@ def headline(
         )
     if skill.get(TORQUE, -1.0) > max(skill.get(STRETCHES, -1.0), 0.0):
         if STRETCHES in skill:
-            beside = f"; simulated stretches of it are {words(STRETCHES)}"
+            suffix = f"; simulated stretches of it are {words(STRETCHES)}"
         else:
-            beside = ""
+            suffix = ""
         return (
             TORQUE,
             f"the declared model, fitted, tells {100 * skill[TORQUE]:.0f} % of the torque along "
-            f"the motion{beside}",
+            f"the motion{suffix}",
         )
     return STRETCHES, "no yardstick tells much"
 

@@ -26,22 +26,22 @@ def telling(
     for n in found.named:
         for rival, model in zip(n.alternatives, n.models, strict=True):
             tried = {f"{name}": other for name, other in proposals.items()} or {"": simulator}
-            apart = {
+            separation = {
                 (key, trial): size
                 for key, sim in tried.items()
                 for trial, size in _distances(sim, found.final, model).items()
             }
-            (key, trial), size = max(apart.items(), key=lambda item: item[1])
+            (key, trial), size = max(separation.items(), key=lambda item: item[1])
             if key:
                 where = f"proposal {key}"
             else:
                 where = f"motions like those of trial {trial}"
             pair = f"{n.candidate.name} and {rival.name}"
-            said = f"{pair} differ most in {where}: by {size:.2g} times the noise over a stretch."
+            text = f"{pair} differ most in {where}: by {size:.2g} times the noise over a stretch."
             if size < TELLING:
-                said += " That is hardly seen: another kind of experiment is needed."
+                text += " That is hardly seen: another kind of experiment is needed."
             return {
-                "message": said,
+                "message": text,
                 "separates": [n.candidate.name, rival.name],
                 "distance": size,
                 "proposal": key or trial,

@@ -59,8 +59,8 @@ def fitted(
         hess = np.einsum("trk,trl->kl", columns, columns)
         slope = np.einsum("trk,tr->k", columns, residual)
         # far from the noise a step is trusted less
-        far = max(1.0, point.loss / max(problem.counts.sum(), 1))
-        return lambda damping: at(bounded(problem, names, values, hess, slope, damping * far))
+        excess = max(1.0, point.loss / max(problem.counts.sum(), 1))
+        return lambda damping: at(bounded(problem, names, values, hess, slope, damping * excess))
 
     found = fit_values(at(values.copy()), around, rounds, damping=0.0, relief=0.0)
     return found.point.state[0], found.point.loss

@@ -120,10 +120,10 @@ def message(seen: Seen, found: Finding, over: float, worst: float) -> str:
 
     if not found.named:
         left = f"{size(found.null)} mm, {over:.1f} times the noise floor"
-        said = f"The declared {seen.trial}, fitted, predicts left-out tracks to {left}."
+        text = f"The declared {seen.trial}, fitted, predicts left-out tracks to {left}."
         if worst <= 1.5:
-            return f"{said} Nothing need be added."
-        return f"{said} No effect of the catalogue holds out.{_standing_out(seen, found.null)}"
+            return f"{text} Nothing need be added."
+        return f"{text} No effect of the catalogue holds out.{_standing_out(seen, found.null)}"
     left = f"Left-out error {size(found.null)} to {size(found.final)} mm, {over:.1f} times the noise floor."
     if worst > 1.5 >= over:
         left += (
@@ -136,11 +136,11 @@ def message(seen: Seen, found: Finding, over: float, worst: float) -> str:
 def _standing_out(seen: Seen, model: Model) -> str:
     """A sentence on a few trials that are predicted far worse than the others."""
     error = np.sqrt(model.fit.held)
-    odd = np.flatnonzero(error > APART * np.median(error))
-    if not 0 < len(odd) <= len(error) / 4:
+    outliers = np.flatnonzero(error > APART * np.median(error))
+    if not 0 < len(outliers) <= len(error) / 4:
         return ""
-    names, times = [seen.names[k] for k in odd], np.max(error[odd]) / np.median(error)
-    one = len(odd) == 1
+    names, times = [seen.names[k] for k in outliers], np.max(error[outliers]) / np.median(error)
+    one = len(outliers) == 1
     which = f"{(seen.trial if one else seen.trials).capitalize()} {', '.join(names)} {'stands' if one else 'stand'} out"
     asked = "is its track right?" if one else "are their tracks right?"
     return (
@@ -243,8 +243,8 @@ def error_rows(
         "noise_floor": floor,
         "ceiling": None,
         "per_channel": {
-            c: {"unit": unit, **{k: whole(v) for k, v in each.items()}, "noise_floor": least}
-            for c, (unit, least, each) in channels.items()
+            c: {"unit": unit, **{k: whole(v) for k, v in each.items()}, "noise_floor": minimum}
+            for c, (unit, minimum, each) in channels.items()
         },
         "per_trial": [
             {

@@ -211,8 +211,8 @@ def less_than_joint_torque(e: Evidence) -> float | None:
     """It is a small share of its joint's torque."""
     if e.torque_share is None:
         return None
-    share, least = e.torque_share
-    if share < least:
+    share, minimum = e.torque_share
+    if share < minimum:
         return share
     return None
 
@@ -260,8 +260,8 @@ def no_joint_improves(e: Evidence) -> float | None:
     """No joint's simulated angles come enough nearer."""
     if e.best_joint is None:
         return None
-    share, least = e.best_joint
-    if share < least:
+    share, minimum = e.best_joint
+    if share < minimum:
         return share
     return None
 

@@ -52,16 +52,16 @@ def search(
     opening = scores = scored(problem, model)
     trace: list[Step] = []
 
-    def so_far(null: Model, model: Model) -> Finding:
+    def partial(null: Model, model: Model) -> Finding:
         return Finding(null, model, (), tuple(trace), tuple(opening))
 
-    keep(so_far(null, model))
+    keep(partial(null, model))
     while len(model.added) < criteria.most_effects and not within_noise(problem, model, criteria):
         better = forward_step(problem, model, scores, criteria, trace, say)
         if better is None:
             break
         model, null = _refitted(problem, better, criteria), _updated(problem, null)
-        keep(so_far(null, model))
+        keep(partial(null, model))
         scores = scored(problem, model)
     model, rows, bare = backward_elimination(problem, model, criteria, trace, say)
     # a declared fit reached by way of an effect may lie in a better minimum than the first
@@ -182,9 +182,9 @@ def likely(problem: Problem, model: Model, less: Model, gone: Candidate) -> list
     """Effects that may do as well as what `less` lacks: one step in its place takes off a part of
     what it does.
     """
-    least = LIKELY * (1.0 - model.fit.loss / less.fit.loss)
+    minimum = LIKELY * (1.0 - model.fit.loss / less.fit.loss)
     known = (gone, *model.added)
-    return [s for s in scored(problem, less) if s.candidate not in known and s.gain >= least]
+    return [s for s in scored(problem, less) if s.candidate not in known and s.gain >= minimum]
 
 
 def within_noise(problem: Problem, model: Model, criteria: Criteria) -> bool:

@@ -62,11 +62,11 @@ def diagnose_simulator(
     began = time.monotonic()
     check_simulator(simulator)
     criteria = criteria or Criteria()
-    kept = rows.check_exclude(tuple(exclude), simulator.candidates, "simulator")
+    retained = rows.check_exclude(tuple(exclude), simulator.candidates, "simulator")
     folder = None if out is None else cleared(output_folder(out))
     step = rows.stepping(progress, 0.02)
     step("starts")
-    problem = problem_of(simulator, kept)
+    problem = problem_of(simulator, retained)
     found = search(problem, criteria, step, keep=keeping(folder, "simulator", name, problem))
     report, evidence = reported(simulator, problem, found, criteria, proposals or {}, name)
     withhold_names(report, criteria)
@@ -134,10 +134,10 @@ def withhold_names(report: dict[str, Any], criteria: Criteria) -> None:
     if not skills or max(skills) >= 0.0:
         return
     e = report["error"]
-    least = min(e["straight_line"], e["hold_still"])
-    said = f"The model predicts nothing: it leaves {e['after']:.3g} times the noise, doing nothing leaves {least:.3g}."
+    lowest = min(e["straight_line"], e["hold_still"])
+    text = f"The model predicts nothing: it leaves {e['after']:.3g} times the noise, doing nothing leaves {lowest:.3g}."
     named = ", ".join(row["name"] for row in report["effects"])
-    report["message"] = f"{said}{f' Not named for that: {named}.' if named else ''}"
+    report["message"] = f"{text}{f' Not named for that: {named}.' if named else ''}"
     with_effects(report, [], e["after"] > criteria.explained)
     for row in report["candidates"]:
         row |= {"accepted": False, "status": "rejected"} if row["accepted"] else {}
@@ -146,12 +146,12 @@ def withhold_names(report: dict[str, Any], criteria: Criteria) -> None:
 def few(problem: Problem) -> list[str]:
     """A note where so few stretches can show little, whatever they show."""
     count = len(np.unique(np.asarray(problem.block)))
-    least = smallest_p(count)
-    if least <= 0.05:
+    minimum = smallest_p(count)
+    if minimum <= 0.05:
         return []
     return [
         f"Only {count} stretches are compared: a paired test over so few shows no more than p = "
-        f"{least:.2g}. Cut more, or record more."
+        f"{minimum:.2g}. Cut more, or record more."
     ]
 
 
@@ -162,8 +162,8 @@ def message(found: Finding, worst: float, criteria: Criteria) -> str:
         return f"{rows.over_floor(m):.3g}"
 
     if not found.named:
-        said = f"The declared model, fitted, predicts left-out stretches to {size(found.null)} times the noise."
-        return f"{said} {'Nothing need be added.' if worst <= criteria.explained else 'No candidate holds out.'}"
+        text = f"The declared model, fitted, predicts left-out stretches to {size(found.null)} times the noise."
+        return f"{text} {'Nothing need be added.' if worst <= criteria.explained else 'No candidate holds out.'}"
     return (
         f"{rows.named_words(found.named, 'folds')} Left-out error {size(found.null)} to "
         f"{size(found.final)} times the noise."
@@ -240,11 +240,11 @@ def _held_out(
         if not len(mine):
             continue
 
-        def seen(z, w, c):
+        def observed(z, w, c):
             return np.append(np.where(s.seen[w, :, c] > 0, z[w, :, c], np.nan), np.nan)
 
-        def flat(z, c, mine=mine, seen=seen):
-            return np.concatenate([seen(z, w, c) for w in mine])
+        def flat(z, c, mine=mine, observed=observed):
+            return np.concatenate([observed(z, w, c) for w in mine])
 
         def of(z, flat=flat):
             return {ch.name: flat(z, c) for c, ch in enumerate(simulator.channels)}
@@ -268,11 +268,11 @@ def doing_nothing(stretches: Stretches) -> tuple[np.ndarray, np.ndarray]:
 
     Both are fitted to the stretch, as a model's start is: two numbers of a signal, and one.
     """
-    seen, y = (stretches.seen > 0).astype(float), np.nan_to_num(stretches.measured)
-    count = np.maximum(seen.sum(1), 1.0)
+    mask, y = (stretches.seen > 0).astype(float), np.nan_to_num(stretches.measured)
+    count = np.maximum(mask.sum(1), 1.0)
 
     def mean(z):
-        return (z * seen).sum(1) / count
+        return (z * mask).sum(1) / count
 
     t = (stretches.time - stretches.time.mean(1, keepdims=True))[..., None] * np.ones_like(y)
     t = t - mean(t)[:, None]
@@ -287,7 +287,7 @@ def doing_nothing(stretches: Stretches) -> tuple[np.ndarray, np.ndarray]:
 
 def skill(error: float, line: float, still: float) -> float | None:
     """1 - error / the better of a straight line and holding still; None where nothing moved."""
-    least = min(line, still)
-    if least > 0.0:
-        return 1.0 - error / least
+    lowest = min(line, still)
+    if lowest > 0.0:
+        return 1.0 - error / lowest
     return None

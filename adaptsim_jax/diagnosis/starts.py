@@ -158,21 +158,23 @@ class Linearised:
         if not len(basis):
             return np.zeros((s.count, s.measured[0].size, 0))
         point, count = self.near(values), s.count
-        anew = bool(np.any(np.abs(point.values - values) > NEAR * self.scale))
-        rows = np.tile(values if anew else point.values, (count, 1))
-        if anew:
+        moved = bool(np.any(np.abs(point.values - values) > NEAR * self.scale))
+        rows = np.tile(values if moved else point.values, (count, 1))
+        if moved:
             starts = settle(self.simulator, rows, point.starts, ROUNDS, None, point.slope).starts
         else:
             starts = point.starts
-        known = {} if anew else point.columns
+        known = {} if moved else point.columns
         fresh = [row for row in basis if row.tobytes() not in known]
-        if anew or fresh:
+        if moved or fresh:
             asked = np.array(fresh).reshape(-1, basis.shape[1])
-            far = anew and bool(np.any(np.abs(point.sloped - values) > NEAR_STARTS * self.scale))
-            by_start, by_value = linearise(
-                self.simulator, rows, starts, np.arange(count), asked, starts_too=far
+            resloped = moved and bool(
+                np.any(np.abs(point.sloped - values) > NEAR_STARTS * self.scale)
             )
-            if far:
+            by_start, by_value = linearise(
+                self.simulator, rows, starts, np.arange(count), asked, starts_too=resloped
+            )
+            if resloped:
                 point = Point(
                     values.copy(),
                     starts,
@@ -180,14 +182,14 @@ class Linearised:
                     taken_up(by_start, pull(s)),
                     values.copy(),
                 )
-            elif anew:
+            elif moved:
                 point = replace(point, values=values.copy(), starts=starts, columns={})
-            if anew:
+            if moved:
                 self.points.append(point)
                 del self.points[1 : max(1, len(self.points) - KEPT)]
             known = point.columns
-            kept = without(point.taken, by_value)
-            known.update({row.tobytes(): kept[..., k] for k, row in enumerate(fresh)})
+            retained = without(point.taken, by_value)
+            known.update({row.tobytes(): retained[..., k] for k, row in enumerate(fresh)})
         return np.stack([known[row.tobytes()] for row in basis], -1) * self.weight[:, None, None]
 
 
@@ -238,7 +240,7 @@ def problem_of(
 
 
 def weights(
-    simulator: Simulator, values: np.ndarray, starts: np.ndarray, far: float, power: float
+    simulator: Simulator, values: np.ndarray, starts: np.ndarray, threshold: float, power: float
 ) -> np.ndarray:
     """Weights `[W]` of stretches by what they leave: less than 1 for those that leave more than
     `far` times the usual.
@@ -248,7 +250,7 @@ def weights(
         residuals(simulator, np.tile(values, (s.count, 1)), starts, np.arange(s.count))
     )
     size = np.sqrt(left.sum(1) / np.maximum((s.seen > 0).sum((1, 2)), 1))
-    return np.maximum(size / max(far * float(np.median(size)), 1.0), 1.0) ** -power
+    return np.maximum(size / max(threshold * float(np.median(size)), 1.0), 1.0) ** -power
 
 
 def anchored(simulator: Simulator, values: np.ndarray, begun: np.ndarray | None = None) -> Point:
@@ -317,14 +319,14 @@ def _begun_apart(
     columns = around.columns(
         np.array([q.neutral for q in quantities]), np.diag([q.scale for q in quantities])[plain]
     )
-    seen = {
+    mask = {
         quantities[i].name
         for i, shown in zip(plain, np.any(np.abs(columns) > 1e-9, (0, 1)), strict=True)
         if shown
     }
     out = []
     for c in wanted:
-        if any(c.shapes) or seen & set(c.quantities):
+        if any(c.shapes) or mask & set(c.quantities):
             out.append(c)
             continue
         own = [quantities[index[name]] for name in c.quantities]

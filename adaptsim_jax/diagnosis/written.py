@@ -42,9 +42,9 @@ def write_partial(folder: Path, report: Mapping[str, Any]) -> None:
     """`report.json` of a search that goes on, which says so; where it cannot be written the search
     goes on without it.
     """
-    told = {**report, "message": f"{UNFINISHED} {report['message']}", "unfinished": True}
+    partial = {**report, "message": f"{UNFINISHED} {report['message']}", "unfinished": True}
     with suppress(Exception):  # whatever it is, minutes of search must not go with it
-        write_json(folder / "report.json", check(told))
+        write_json(folder / "report.json", check(partial))
 
 
 def write_all(
@@ -123,9 +123,9 @@ def keeping(
         ]
         held = f"Left-out error {over_floor(found.null):.3g} times the noise as declared"
         if values:
-            so_far = f", {over_floor(final):.3g} with {', '.join(values)}, not yet judged"
+            progress = f", {over_floor(final):.3g} with {', '.join(values)}, not yet judged"
         else:
-            so_far = ""
+            progress = ""
         assert folder is not None
         write_partial(
             folder,
@@ -133,7 +133,7 @@ def keeping(
                 task,
                 model,
                 "structured_unattributed",
-                f"{held}{so_far}.",
+                f"{held}{progress}.",
                 data,
                 error={
                     "metric": "left-out error over the noise",

@@ -58,24 +58,24 @@ def run_loop(model: Model, theta, eff, law: Law, start, rows: int, dt: float, hi
     step = jnp.full((1,), dt, start.dtype)
 
     def row(carry, k):
-        x, memory, past, seen, said = carry
+        x, memory, past, states, readings = carry
         t = k * dt
-        seen = jnp.concatenate([seen[1:], x[None]])
-        y = sensed(model, eff, seen, said[1], dt)
-        said = jnp.concatenate([said[1:], y[None, :n]])
+        states = jnp.concatenate([states[1:], x[None]])
+        y = sensed(model, eff, states, readings[1], dt)
+        readings = jnp.concatenate([readings[1:], y[None, :n]])
         u = law(y, past, t)
         past = jnp.concatenate([past[1:], u[None]])
         applied = arrived(model, eff, past, dt)
         new, memory = row_step(
             model, theta, eff, x[:, None], memory, applied[:, None], t[None], step
         )
-        return (jnp.concatenate(new), memory, past, seen, said), Loop(x, y, u)
+        return (jnp.concatenate(new), memory, past, states, readings), Loop(x, y, u)
 
     past = jnp.zeros((history, model.plant.command_dim), start.dtype)
-    seen = jnp.broadcast_to(start, (history, *start.shape))
-    first = sensed(model, eff, seen, start[:n], dt)[:n]
-    said = jnp.broadcast_to(first, (history + 1, n))
-    carry = (start, memory, past, seen, said)
+    states = jnp.broadcast_to(start, (history, *start.shape))
+    first = sensed(model, eff, states, start[:n], dt)[:n]
+    readings = jnp.broadcast_to(first, (history + 1, n))
+    carry = (start, memory, past, states, readings)
     return jax.lax.scan(row, carry, jnp.arange(rows, dtype=start.dtype))[1]
 
 
@@ -90,13 +90,13 @@ def arrived(model: Model, eff, past, dt: float) -> jax.Array:
 
 
 @broadcasts
-def sensed(model: Model, eff, seen, first, dt: float) -> jax.Array:
+def sensed(model: Model, eff, states, first, dt: float) -> jax.Array:
     """What the sensors say `[S]` of the last of `seen: [H, S]` states, having said angles `first:
     [n]` at the first.
     """
     n = model.plant.joint_dim
-    q, v = seen[:, :n, None], seen[:, n:, None]
-    t = dt * jnp.arange(seen.shape[0], dtype=seen.dtype)[:, None, None]
+    q, v = states[:, :n, None], states[:, n:, None]
+    t = dt * jnp.arange(states.shape[0], dtype=states.dtype)[:, None, None]
     for effect in model.layout.placed("measurement"):
         q, v = effect.apply(model.layout.params(effect, eff, 1), t, q, v, first[:, None])
     return jnp.concatenate([q[-1, :, 0], v[-1, :, 0]])

@@ -188,11 +188,11 @@ def _creeping(v, torque, level, width, inertia, h):
     goal = v + (torque - (1.0 - late) * level * jnp.tanh(v / width)) / mass
     way = jnp.where(goal < 0, -1.0, 1.0)
     goal = way * goal
-    least = jnp.maximum(goal - most / mass, 0.0)
+    minimum = jnp.maximum(goal - most / mass, 0.0)
 
     def limited(z):
         return jnp.where(
-            z > goal, goal, jnp.where(z < least, least, z)
+            z > goal, goal, jnp.where(z < minimum, minimum, z)
         )  # at rest too its slope is that of `z`
 
     speed = width * jnp.arctanh(jnp.minimum(mass * goal / (most + mass * width), 0.999))

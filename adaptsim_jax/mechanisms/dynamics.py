@@ -224,7 +224,7 @@ def passive_force(tree: Tree, q: Array, v: Array) -> jax.Array:
         return lifted(x, 1, q.ndim - 1, q.dtype)
 
     x = q - of(tree.springref)
-    fast, far = jnp.abs(v), jnp.abs(x)
+    fast, distance = jnp.abs(v), jnp.abs(x)
     drag = (
         of(tree.damping)
         + of(tree.damping_poly[:, 0]) * fast
@@ -232,8 +232,8 @@ def passive_force(tree: Tree, q: Array, v: Array) -> jax.Array:
     )
     pull = (
         of(tree.stiffness)
-        + of(tree.stiffness_poly[:, 0]) * far
-        + of(tree.stiffness_poly[:, 1]) * far**2
+        + of(tree.stiffness_poly[:, 0]) * distance
+        + of(tree.stiffness_poly[:, 1]) * distance**2
     )
     return -drag * v - pull * x
 

@@ -24,8 +24,8 @@ def frame_along(axis: np.ndarray) -> np.ndarray:
     """
     whole = np.round(axis)
     axis = whole if np.abs(axis - whole).max() < 1e-12 else axis
-    least = int(np.argmin(np.abs(axis)))
-    first = np.eye(3)[least] - axis[least] * axis
+    smallest = int(np.argmin(np.abs(axis)))
+    first = np.eye(3)[smallest] - axis[smallest] * axis
     first = first / np.linalg.norm(first)
     return np.stack([first, np.cross(axis, first), axis], axis=1) + 0.0
 

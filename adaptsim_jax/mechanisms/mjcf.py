@@ -314,11 +314,11 @@ def _tree(model: mujoco.MjModel, walk: _Walk, weightless: Collection[str]) -> Tr
         [model.jnt_solref[joint], model.jnt_solimp[joint], model.dof_invweight0[dof][:, None]], 1
     )
     if off & int(mujoco.mjtDisableBit.mjDSBL_REFSAFE):
-        least = 0.0
+        minimum = 0.0
     else:
-        least = 2 * model.opt.timestep
-    stop[:, 0] = np.where(stop[:, 0] > 0, np.maximum(stop[:, 0], least), stop[:, 0])
-    rub = _rubs(model.dof_solref[dof], model.dof_solimp[dof], model.dof_invweight0[dof], least)
+        minimum = 2 * model.opt.timestep
+    stop[:, 0] = np.where(stop[:, 0] > 0, np.maximum(stop[:, 0], minimum), stop[:, 0])
+    rub = _rubs(model.dof_solref[dof], model.dof_solimp[dof], model.dof_invweight0[dof], minimum)
     return make_tree(
         walk.kinds,
         walk.parent,
@@ -346,7 +346,7 @@ def _tree(model: mujoco.MjModel, walk: _Walk, weightless: Collection[str]) -> Tr
     )
 
 
-def _rubs(solref: np.ndarray, solimp: np.ndarray, weight: np.ndarray, least: float) -> np.ndarray:
+def _rubs(solref: np.ndarray, solimp: np.ndarray, weight: np.ndarray, minimum: float) -> np.ndarray:
     """How dry friction gives [n, 2], as of `Tree` (MuJoCo's documentation, "Computation",
     constraint model: friction loss has no position, so that its impedance is the first of `solimp`
     and its reference acceleration -b v). least: of a time constant, s.
@@ -354,7 +354,7 @@ def _rubs(solref: np.ndarray, solimp: np.ndarray, weight: np.ndarray, least: flo
     time, ratio, most = solref[:, 0], solref[:, 1], solimp[:, 1]
     direct = time <= 0
     rate = np.where(
-        direct, -ratio / most, 2.0 / (most * np.where(direct, 1.0, np.maximum(time, least)))
+        direct, -ratio / most, 2.0 / (most * np.where(direct, 1.0, np.maximum(time, minimum)))
     )
     share = np.clip(solimp[:, 0], 1e-4, 1.0 - 1e-4)
     return np.stack([rate, (1.0 - share) / share * weight], 1)

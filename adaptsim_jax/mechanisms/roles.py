@@ -97,31 +97,31 @@ def roles(
     followers, beyond = _followers(source, have, set(hold))
     looped, loops = _loops(model)
     held: dict[str, np.ndarray] = {}
-    told: dict[str, list[str]] = {"welded": [], "unlogged": [], "asked": [], "looped": []}
+    dropped: dict[str, list[str]] = {"welded": [], "unlogged": [], "asked": [], "looped": []}
     for k in range(model.njnt):
         name, kind = model.joint(k).name, int(model.jnt_type[k])
         at = pose[model.jnt_qposadr[k] :][: {FREE: 7, BALL: 4}.get(kind, 1)].copy()
         leads = followers.get(name)
         if kind == FREE:
             held[name] = at
-            told["welded"].append(name)
+            dropped["welded"].append(name)
         elif k in looped:
             held[name] = at
-            told["looped"].append(name)
+            dropped["looped"].append(name)
         elif name in hold or (leads and leads.leader in hold):
             at = held[name] = _asked(hold, name, leads, at)
-            told["asked"].append(f"{name} = {at[0]:.4g}")
+            dropped["asked"].append(f"{name} = {at[0]:.4g}")
         elif kind == BALL:
             if not all(f"{name}_{axis}" in have for axis in TURNS):
                 held[name] = at
-                told["unlogged"].append(f"{name} (a ball)")
+                dropped["unlogged"].append(f"{name} (a ball)")
         elif name not in have and (leads is None or leads.leader not in have):
             held[name] = at
-            told["unlogged"].append(f"{name} = {at[0]:.4g}")
+            dropped["unlogged"].append(f"{name} = {at[0]:.4g}")
     for name, f in followers.items():
         if f.leader in held and name not in held:
             held[name] = f.offset + f.factor * held[f.leader]
-            told["looped"].append(name)
+            dropped["looped"].append(name)
     followers = {n: f for n, f in followers.items() if f.leader not in held and n not in held}
     if len(held) + len(followers) >= model.njnt:
         if loops:
@@ -133,7 +133,7 @@ def roles(
             "log a joint that does"
         )
     return Roles(
-        held, followers, (*_told(told, pose_name), *_folds_told(followers)), (*beyond, *loops)
+        held, followers, (*_told(dropped, pose_name), *_folds_told(followers)), (*beyond, *loops)
     )
 
 
@@ -159,24 +159,24 @@ def pose_of(model: mujoco.MjModel) -> tuple[np.ndarray, str]:
     return model.qpos0, "as the file has them"
 
 
-def _told(told: dict[str, list[str]], pose: str) -> tuple[str, ...]:
+def _told(dropped: dict[str, list[str]], pose: str) -> tuple[str, ...]:
     out = []
-    if told["welded"]:
+    if dropped["welded"]:
         out.append(
-            f"welded to the world, as no pose of it is simulated: {', '.join(told['welded'])}"
+            f"welded to the world, as no pose of it is simulated: {', '.join(dropped['welded'])}"
         )
-    if told["unlogged"]:
+    if dropped["unlogged"]:
         out.append(
-            f"held {pose}, as no log has them: {', '.join(told['unlogged'])} (another value: "
+            f"held {pose}, as no log has them: {', '.join(dropped['unlogged'])} (another value: "
             "[hold] in meta.toml)"
         )
-    if told["asked"]:
+    if dropped["asked"]:
         out.append(
             "held where [hold], an equality or a log that never moves has them: "
-            f"{', '.join(told['asked'])}"
+            f"{', '.join(dropped['asked'])}"
         )
-    if told["looped"]:
-        out.append(f"held {pose}, as a loop closes over them: {', '.join(told['looped'])}")
+    if dropped["looped"]:
+        out.append(f"held {pose}, as a loop closes over them: {', '.join(dropped['looped'])}")
     return tuple(out)
 
 
@@ -242,21 +242,21 @@ def _followers(
     model = source.model
     near, beyond = _near(source)
     out: dict[str, Follower] = {}
-    seen: set[str] = set()
+    visited: set[str] = set()
     driven = {
         model.joint(int(model.actuator_trnid[k, 0])).name
         for k in range(model.nu)
         if model.actuator_trntype[k] in JOINTS
     }
     for start in sorted(near, key=lambda n: (n not in hold, n not in have, n not in driven)):
-        if start in seen:
+        if start in visited:
             continue
-        seen.add(start)
+        visited.add(start)
         reached = [(start, 1.0, 0.0)]
         for name, factor, offset in reached:
             for other, f, o in near[name]:
-                if other not in seen:
-                    seen.add(other)
+                if other not in visited:
+                    visited.add(other)
                     reached.append((other, f * factor, o + f * offset))
                     out[other] = Follower(other, start, f * factor, o + f * offset)
     return out, beyond
@@ -265,12 +265,12 @@ def _followers(
 def _loops(model: mujoco.MjModel) -> tuple[set[int], list[str]]:
     """Joints in loops that equalities close, and a sentence on each such equality."""
     looped: set[int] = set()
-    told = []
+    lines = []
     for e in range(model.neq):
         kind = int(model.eq_type[e])
         if not model.eq_active0[e] or kind not in (CONNECT, WELD):
             if model.eq_active0[e] and kind not in (TIE, int(mujoco.mjtEq.mjEQ_TENDON)):
-                told.append(f"an equality of {mujoco.mjtEq(kind).name[5:].lower()}s")
+                lines.append(f"an equality of {mujoco.mjtEq(kind).name[5:].lower()}s")
             continue
         ends = [int(k) for k in (model.eq_obj1id[e], model.eq_obj2id[e])]
         if model.eq_objtype[e] == int(mujoco.mjtObj.mjOBJ_SITE):
@@ -284,11 +284,11 @@ def _loops(model: mujoco.MjModel) -> tuple[set[int], list[str]]:
                 if model.jnt_bodyid[k] == b and model.jnt_type[k] != FREE
             }
         what = "connects" if kind == CONNECT else "welds"
-        told.append(
+        lines.append(
             f"a loop: an equality {what} {model.body(max(ends[0], 0)).name} and "
             f"{model.body(max(ends[1], 0)).name}"
         )
-    return looped, told
+    return looped, lines
 
 
 def upwards(model: mujoco.MjModel, body: int) -> list[int]:

@@ -110,11 +110,11 @@ def acting(
         answer = effect.apply(
             params(effect), motion_of(model, theta, jnp.stack(x[:n]), jnp.stack(x[n:]), u, t, w)
         )
-        said = {"force": answer.force if isinstance(answer, (Dry, Relaxation)) else answer}
+        fields = {"force": answer.force if isinstance(answer, (Dry, Relaxation)) else answer}
         if isinstance(answer, Dry):
-            said |= {"level": answer.level, "blur": answer.level * answer.width}
+            fields |= {"level": answer.level, "blur": answer.level * answer.width}
         total = total._replace(
-            **{field: getattr(total, field) + said[field] for field in said if field in only}
+            **{field: getattr(total, field) + fields[field] for field in fields if field in only}
         )
     return total
 
@@ -168,15 +168,15 @@ def _sorted(model: Model, theta, eff, x, u, t) -> tuple[list, list, bool]:
 
     def answer(effect):
         q, v = jnp.split(jnp.stack(x), 2)
-        said = effect.apply(
+        response = effect.apply(
             model.layout.params(effect, eff, 1),
             motion_of(model, theta, q, v, u, t, jnp.zeros_like(q)),
         )
-        rubs = isinstance(said, Dry)
+        rubs = isinstance(response, Dry)
         dry.extend([effect] if rubs else [])
-        wide.extend([effect] if rubs and not isinstance(said.width, float) else [])
+        wide.extend([effect] if rubs and not isinstance(response.width, float) else [])
         smooth.extend(
-            [] if rubs and isinstance(said.force, float) and said.force == 0.0 else [effect]
+            [] if rubs and isinstance(response.force, float) and response.force == 0.0 else [effect]
         )
 
     for effect in model.layout.placed("force"):

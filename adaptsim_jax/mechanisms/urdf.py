@@ -98,7 +98,7 @@ def _once(robot: Any) -> list[str]:
     """Elements of which a link or joint may have one: of several the first counts, as in ROS' own
     parser.
     """
-    told = []
+    lines = []
     for owner in (*robot.findall("link"), *robot.findall("link/inertial"), *robot.findall("joint")):
         for tag in ("origin", "mass", "inertia", "inertial", "axis", "limit", "dynamics", "mimic"):
             for extra in owner.findall(tag)[1:]:
@@ -107,8 +107,8 @@ def _once(robot: Any) -> list[str]:
                     (k.get("name") for k in robot.findall("link") if k.find("inertial") is owner),
                     "",
                 )
-                told.append(f"<{tag}> stands twice in '{name}': the first counts, as in ROS")
-    return told
+                lines.append(f"<{tag}> stands twice in '{name}': the first counts, as in ROS")
+    return lines
 
 
 def _number(where: str, joint: str, element: Any, key: str, default: float) -> float:
@@ -227,17 +227,17 @@ def _inertias(
             f"{where}: no mass for link{'s' if len(bare) > 1 else ''} {', '.join(bare)}, nor for "
             "what it carries; give each that moves an <inertial> with mass and inertia"
         )
-    odd = [
+    outliers = [
         name
         for own in bodies
         if own in weighed
         for name in _point(where, links, bodies[own], compiler)
     ]
-    if odd:
+    if outliers:
         compiler["balanceinertia"] = "true"
         notes.append(
             "moments of inertia that no body can have (the largest is more than the other two "
-            f"together), balanced as MuJoCo does: {', '.join(odd)}"
+            f"together), balanced as MuJoCo does: {', '.join(outliers)}"
         )
     out = [own for own in bodies if own not in weighed]
     for own in out:
@@ -251,7 +251,7 @@ def _point(where: str, links: dict[str, Any], names: list[str], compiler: dict) 
     """Masses without moments, as points; negative moments are named. Returns the links whose
     moments no body can have.
     """
-    odd = []
+    outliers = []
     for name in names:
         inertial, inertia = links[name].find("inertial"), links[name].find("inertial/inertia")
         if _mass(links[name]) <= 0.0:
@@ -271,16 +271,16 @@ def _point(where: str, links: dict[str, Any], names: list[str], compiler: dict) 
         if compiler.get("balanceinertia") == "true":
             continue
         if moments[0] < -TINY * abs(moments[2]):
-            told = [f"{k} = {given[k]:g}" for k in ("ixx", "iyy", "izz") if given[k] < 0.0] or [
+            lines = [f"{k} = {given[k]:g}" for k in ("ixx", "iyy", "izz") if given[k] < 0.0] or [
                 f"{moments[0]:.3g} about a main axis"
             ]
             raise BadInput(
-                f"{where}: link '{name}' has negative moments of inertia ({', '.join(told)}); mend "
+                f"{where}: link '{name}' has negative moments of inertia ({', '.join(lines)}); mend "
                 "their sign"
             )
         if moments[0] + moments[1] < moments[2] * (1.0 - TINY):
-            odd.append(name)
-    return odd
+            outliers.append(name)
+    return outliers
 
 
 def _inertial(mass: float, moment: float) -> Any:
@@ -304,7 +304,7 @@ def _placeholders(joints: list) -> list[str]:
     """Friction as large as the effort limit holds a joint for ever: a number that was put in for
     want of one.
     """
-    told = []
+    lines = []
     for joint in joints:
         limit, dynamics = joint.find("limit"), joint.find("dynamics")
         try:
@@ -316,11 +316,11 @@ def _placeholders(joints: list) -> list[str]:
         except ValueError:
             continue
         if friction > 0.0 and friction >= effort > 0.0:
-            told.append(
+            lines.append(
                 f"joint '{joint.get('name')}' declares friction of {friction:g}, as much as its "
                 "effort limit: it could not move; put in a measured friction, or 0"
             )
-    return told
+    return lines
 
 
 def _free_world(robot: Any, links: dict[str, Any], joints: list) -> None:

@@ -282,14 +282,14 @@ def tilting(balance: Balance, inertial: np.ndarray, way: np.ndarray) -> np.ndarr
 
 
 def actuator_force(
-    balance: Balance, values: Values, told: tuple[np.ndarray, np.ndarray] | None = None
+    balance: Balance, values: Values, reported: tuple[np.ndarray, np.ndarray] | None = None
 ) -> Driven:
     """Force of the actuators and the part of it that follows command and angle, [n, T], by the law
     of `values`. Controllers see what is logged, an encoder's offset included. told: u and jump,
     where not those that were logged.
     """
     b, values = balance, values._replace(effects={})
-    u, jump = (b.u, b.jump) if told is None else told
+    u, jump = (b.u, b.jump) if reported is None else reported
     law = np.asarray(values.actuator)
     with jax.enable_x64(True):
         if values.ties is None and np.any(np.isfinite(law[4:6])):
@@ -436,7 +436,7 @@ def residual(
 def acting(balance: Balance, values: Values) -> tuple[np.ndarray, np.ndarray]:
     """Force of actuators and effects [K, n], and what actuators do over what they were told [n]."""
     now = actuator_force(balance, values)
-    acts = told = driven = balance.averaged(now[0])
+    acts = reported = driven = balance.averaged(now[0])
     for effect in balance.group.model.effects:
         p = {k: z[:, 0] for k, z in values.effects.get(effect.name, {}).items()}
         on = any(np.any(p[a.name] != a.off) for a in effect.amplitudes if a.name in p)
@@ -444,15 +444,17 @@ def acting(balance: Balance, values: Values) -> tuple[np.ndarray, np.ndarray]:
             force = force_of(balance, values, effect, p, now)
             acts = acts + force
             driven = driven + force if effect.scales_torque else driven
-    return acts, in_proportion(told, driven)
+    return acts, in_proportion(reported, driven)
 
 
-def in_proportion(told: np.ndarray, driven: np.ndarray) -> np.ndarray:
+def in_proportion(reported: np.ndarray, driven: np.ndarray) -> np.ndarray:
     """What actuators do [K, n] over what they were told, root mean squares [n]."""
 
     def size(z):
         return np.sqrt(np.mean(np.square(z), 0))
 
     return np.where(
-        size(told) > 0, np.maximum(size(driven) / np.maximum(size(told), 1e-300), LEAST_GAIN), 1.0
+        size(reported) > 0,
+        np.maximum(size(driven) / np.maximum(size(reported), 1e-300), LEAST_GAIN),
+        1.0,
     )

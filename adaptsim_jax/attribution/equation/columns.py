@@ -69,8 +69,8 @@ class Table:
         """What the motion takes of an actuator, by the model: of what was told the noise would be
         read as a gain.
         """
-        told = self._kept("told", lambda: self.balance.averaged(self.driven()[0]))
-        needed = told + self.missing() - self.explained
+        averaged = self._kept("told", lambda: self.balance.averaged(self.driven()[0]))
+        needed = averaged + self.missing() - self.explained
         return needed / self.scale * np.isin(self.balance.group.joints, entry.joints)
 
     def _of(self, entry: Entry, shape: Mapping[str, float] | None) -> np.ndarray:

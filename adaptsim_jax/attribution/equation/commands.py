@@ -109,15 +109,15 @@ def servos(problem: Problem, balance: Balance) -> list[Servo]:
             float(np.sqrt(np.average(np.square(z), weights=balance.clear[:, k])))
             for z in (error, left, file)
         ]
-        apart = abs(x[0] - 1.0 / kp) / spread[0] if scale else np.inf
-        found.append((k, j, x, scale, apart, sizes, p))
+        separation = abs(x[0] - 1.0 / kp) / spread[0] if scale else np.inf
+        found.append((k, j, x, scale, separation, sizes, p))
     # times the file's, where a joint does not tell its own
     if usual:
         like = float(np.median(usual))
     else:
         like = 1.0
     made = []
-    for k, j, x, scale, apart, (error, left, file), p in found:
+    for k, j, x, scale, separation, (error, left, file), p in found:
         kp = 1.0 / x[0] if scale else like * -law[2, k] * gear[k] ** 2
         rubs, drags, turns = (max(kp * z, 0.0) for z in (x[2], x[1], x[3]))
         made.append(
@@ -129,7 +129,7 @@ def servos(problem: Problem, balance: Balance) -> list[Servo]:
                 turns,
                 kp * x[4],
                 bool(scale),
-                float(apart),
+                float(separation),
                 error,
                 left,
                 file,
@@ -187,19 +187,25 @@ def drive_gains(problem: Problem, balance: Balance) -> dict[int, float | None]:
     values = values_of(problem, balance.group, Vector((), np.zeros(0)))
     takes = balance.regressor @ values.inertial[..., 0].ravel()
     takes = takes + np.asarray(balance.group.model.tree.armature) * balance.acceleration
-    told, speed, sign = (
+    averaged, speed, sign = (
         balance.averaged(balance.u),
         balance.averaged(balance.v),
         balance.averaged(balance.sign),
     )
     out: dict[int, float | None] = {}
     for k, j in enumerate(balance.group.joints):
-        if not np.any(told[:, k]):
+        if not np.any(averaged[:, k]):
             continue
         columns = np.stack(
-            [takes[:, k], speed[:, k], sign[:, k], balance.acceleration[:, k], np.ones(len(told))],
+            [
+                takes[:, k],
+                speed[:, k],
+                sign[:, k],
+                balance.acceleration[:, k],
+                np.ones(len(averaged)),
+            ],
             1,
         )
-        x, spread, _ = _regressed(balance, told[:, k], columns, balance.clear[:, k])
+        x, spread, _ = _regressed(balance, averaged[:, k], columns, balance.clear[:, k])
         out[int(j)] = 1.0 / x[0] if x[0] > SURE * spread[0] else None
     return out

@@ -103,12 +103,12 @@ def _told_apart(problem: Problem, found: Said, whole: Model, criteria: Criteria)
         if good
     }
 
-    def apart(k):
+    def separable(k):
         return replace(
             k, alternatives=tuple(o for o in k.alternatives if (k.candidate.key, o.key) in alike)
         )
 
-    witnesses = tuple(replace(w, kept=tuple(apart(k) for k in w.kept)) for w in found.witnesses)
+    witnesses = tuple(replace(w, kept=tuple(separable(k) for k in w.kept)) for w in found.witnesses)
     if pairs:
         return replace(found, witnesses=witnesses)
     return found
@@ -137,14 +137,14 @@ def harmed(
     """Those of `joints` that `more` simulates worse than `less`, beyond its own test, where stretches
     tell anything.
     """
-    tells = telling(problem, null, criteria)
+    informative = telling(problem, null, criteria)
     count = len(problem.fold)
     block = pieces(problem.groups[0].stretches.trial[:count], BLOCKS)
     one, two = (np.square(held_error(problem, m)) for m in (less, more))
     out = []
     for j in joints:
         test = paired_test(two[:, j], one[:, j], problem.fold, block)
-        if tells[j] and test.gain > HARM and test.p <= criteria.confidence:
+        if informative[j] and test.gain > HARM and test.p <= criteria.confidence:
             out.append(j)
     return out
 

@@ -32,7 +32,7 @@ GIVES = (
 def rubbing(
     problem: Problem,
     tree: Tree,
-    told: Sequence[Balance],
+    balances: Sequence[Balance],
     part,
     reach: Reach,
     criteria: Criteria,
@@ -44,10 +44,10 @@ def rubbing(
     """
     rub = np.asarray(tree.rub, float)
     if not np.any(rub):
-        return problem, tuple(told)
+        return problem, tuple(balances)
     soft = giving(problem, tree)
-    other = tuple(given(b, soft) for b in told)
-    pairs = zip(told, other, strict=True)
+    other = tuple(given(b, soft) for b in balances)
+    pairs = zip(balances, other, strict=True)
     joints = [
         z for p in pairs for z in gains(problem, soft, *p, part(p[0]), reach, criteria, commanded).T
     ]
@@ -56,7 +56,7 @@ def rubbing(
     gives = any(shows) and np.mean([z.mean() for z in joints]) > 0.0
     if gives:
         return (soft, other)
-    return (problem, tuple(told))
+    return (problem, tuple(balances))
 
 
 def giving(problem: Problem, tree: Tree) -> Problem:

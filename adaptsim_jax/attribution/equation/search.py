@@ -249,10 +249,10 @@ def _forward(state: Searched, added: list[Candidate], every, steps: list[Step]) 
             more = state.set_of([*added, c])
             test = compared(state.rows, now, more, state.own(c))
             if not laws:
-                least = state.criteria.described
+                minimum = state.criteria.described
             else:
-                least = state.limits.gain * len(c.entries)
-            why = refusal(Balanced(state, more, c, test, least, state.limits.level))
+                minimum = state.limits.gain * len(c.entries)
+            why = refusal(Balanced(state, more, c, test, minimum, state.limits.level))
             steps.append(Step("refused" if why else "tried", c, test, why))
             value = test.gain * state.carry(c) - state.limits.gain * len(c.entries)
             if not why and (best is None or value > best[0]):
@@ -286,9 +286,9 @@ def _backward(
         failing, unnamed = [], {}
         for c, test in tests:
             if state.problem.effect(c.effect).describes:
-                least = state.criteria.described
+                minimum = state.criteria.described
             else:
-                least = own.gain * len(c.entries)
+                minimum = own.gain * len(c.entries)
             like = [t.p for k, t in tests if k.effect == c.effect]
             likely = _likely(state, c)
             if likely:
@@ -296,7 +296,7 @@ def _backward(
                 level = max(own.level, shown)
             else:
                 level = own.level
-            if why := refusal(Balanced(state, whole, c, test, least, level)):
+            if why := refusal(Balanced(state, whole, c, test, minimum, level)):
                 if likely and test.gain > 0.0 and len(like) > 1:
                     unnamed[c] = OF_LIKE_JOINTS
                 else:

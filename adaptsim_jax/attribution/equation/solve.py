@@ -64,7 +64,7 @@ def rows_of(
     left: np.ndarray,
     trial: np.ndarray,
     time: np.ndarray,
-    least: np.ndarray,
+    minimum: np.ndarray,
     clear: np.ndarray,
 ) -> Rows:
     """Rows weighted by what is `left` [K, n] of the missing forces by the model so far, at least by
@@ -72,7 +72,7 @@ def rows_of(
     """
     block = blocks_of_windows(trial, time)
     usual = means(np.square(left) * clear, block) / means(clear, block)
-    size = np.sqrt(np.maximum(np.median(usual, 0), np.square(least) + 1e-18))
+    size = np.sqrt(np.maximum(np.median(usual, 0), np.square(minimum) + 1e-18))
     alike = _alike(left * np.sqrt(clear), trial, time)
     weight = np.sqrt(clear) / (size * np.sqrt(alike))
     return Rows(missing, weight, size, clear, folds_of(trial, WINDOWS), block)

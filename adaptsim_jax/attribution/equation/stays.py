@@ -101,8 +101,8 @@ def nameless(state: Searched, whole: Solved, c: Candidate) -> str:
     """Why an effect that is in the model has no name; empty where it has one."""
     if read_so(state, whole, c):
         return ""  # how rows are read is told in words of its own, however small
-    share, least = share_of_torque(state, whole, c)
-    if share < least:
+    share, minimum = share_of_torque(state, whole, c)
+    if share < minimum:
         return f"it is {100 * share:.1f} % of the joint's torque"
     return ""
 

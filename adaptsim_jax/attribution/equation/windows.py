@@ -69,9 +69,9 @@ def runs_of(tracks: Sequence[Track], noise: np.ndarray, span: float = SPAN) -> t
     out = []
     total = sum(time[-1] - time[0] for _, time, *_ in made)
     hop = max(HOP * span, total / MOST)
-    for k, time, q, v, speed, u, jump, seen in made:
+    for k, time, q, v, speed, u, jump, mask in made:
         dt, row = time[1] - time[0], float(np.median(np.diff(tracks[k].time)))
-        mean, at = _windows(time, seen, max(span, LEAST_ROWS * dt), hop)
+        mean, at = _windows(time, mask, max(span, LEAST_ROWS * dt), hop)
         if not len(at):
             continue
         rough = noise / dt * np.sqrt(12.0 / _rows(dt) ** 3)  # of a slope through so many rows
@@ -110,16 +110,16 @@ def _even(track: Track) -> tuple[np.ndarray, ...]:
     dt = float(np.median(steps))
     time = np.arange(track.time[0], track.time[-1], dt)
     nearest = np.clip(np.searchsorted(track.time, time), 1, len(track.time) - 1)
-    seen = (track.time[nearest] - track.time[nearest - 1] < max(5.0 * dt, 0.05)).astype(float)
+    mask = (track.time[nearest] - track.time[nearest - 1] < max(5.0 * dt, 0.05)).astype(float)
     columns = []
     for z in track.q.T:
         there = np.isfinite(z)
         if there.sum() < 2:
             columns.append(np.zeros_like(time))
-            seen[:] = 0.0
+            mask[:] = 0.0
             continue
         columns.append(np.interp(time, track.time[there], z[there]))
-        seen *= np.interp(time, track.time, there.astype(float)) > 0.5
+        mask *= np.interp(time, track.time, there.astype(float)) > 0.5
     q, v, speed = _local(np.stack(columns), dt, _rows(dt))
     u = np.where(np.isfinite(track.u), track.u, 0.0)
     area = np.concatenate(
@@ -138,7 +138,7 @@ def _even(track: Track) -> tuple[np.ndarray, ...]:
         speed[:, some],
         middle.T[:, some],
         jump.T[:, some],
-        seen[some],
+        mask[some],
     )
 
 
@@ -159,7 +159,7 @@ def _local(q: np.ndarray, dt: float, rows: int) -> tuple[np.ndarray, np.ndarray,
 
 
 def _windows(
-    time: np.ndarray, seen: np.ndarray, span: float, hop: float
+    time: np.ndarray, mask: np.ndarray, span: float, hop: float
 ) -> tuple[scipy.sparse.csr_matrix, np.ndarray]:
     """Means over windows [K, T] of (1 + cos)^2's shape, and their middles [K]."""
     dt = time[1] - time[0]
@@ -167,7 +167,7 @@ def _windows(
     shape = np.square(1.0 + np.cos(2.0 * np.pi * (np.arange(1, wide) / wide - 0.5)))
     shape /= shape.sum()
     begins = np.arange(0, len(time) - wide, hop)
-    whole = np.concatenate([[0.0], np.cumsum(seen)])
+    whole = np.concatenate([[0.0], np.cumsum(mask)])
     if len(begins):
         begins = begins[whole[begins + wide] - whole[begins] > wide - 0.5]
     rows = np.repeat(np.arange(len(begins)), wide - 1)

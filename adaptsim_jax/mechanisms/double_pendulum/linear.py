@@ -206,8 +206,8 @@ def _propagate_plain(
 
 def _stability(F: Array) -> Array:
     """UNSTABLE where a far power of `F` has grown beyond `F`'s own size."""
-    far = lax.fori_loop(0, 4, lambda _, X: mm(X, X), F)
-    return jnp.where(norm(far) < 1.0, OK, UNSTABLE)
+    power = lax.fori_loop(0, 4, lambda _, X: mm(X, X), F)
+    return jnp.where(norm(power) < 1.0, OK, UNSTABLE)
 
 
 @cache

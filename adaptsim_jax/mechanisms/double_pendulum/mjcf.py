@@ -21,8 +21,8 @@ def links_of(theta: np.ndarray, l1: float) -> tuple[np.ndarray, np.ndarray, np.n
     p1, p3, h1, h2 = (float(z) for z in theta[:4])
     p3 = max(p3, 1e-9)
     rest = max(p1 - p3, 1.1 * (l1 * h2) ** 2 / p3, 1e-9)  # I1 + m1 c1^2 + m2 l1^2
-    least, most = 1.02 * h2 * h2 / p3, 0.98 * rest / l1**2
-    m2 = np.sqrt(max(least, 1e-3 * most) * most)
+    lowest, most = 1.02 * h2 * h2 / p3, 0.98 * rest / l1**2
+    m2 = np.sqrt(max(lowest, 1e-3 * most) * most)
     first, own = h1 - m2 * l1, rest - m2 * l1**2  # m1 c1, I1 + m1 c1^2
     m1 = max(2.0 * first * first / own, 0.5 * m2)
     centre = np.array([first / m1, h2 / m2])

@@ -134,12 +134,12 @@ def _compiled(where: str, spec: mujoco.MjSpec) -> mujoco.MjModel:
 
 def _weld(spec: mujoco.MjSpec, values, logged: bool, notes: list[str]) -> None:
     """Free joints go, but for that of the base where its pose was logged."""
-    kept = False
+    retained = False
     for joint in list(spec.joints):
         if joint.type != mujoco.mjtJoint.mjJNT_FREE:
             continue
-        if logged and not kept:
-            kept = True
+        if logged and not retained:
+            retained = True
             continue
         body = joint.parent
         at = values[joint.name]
@@ -156,7 +156,7 @@ def _weld(spec: mujoco.MjSpec, values, logged: bool, notes: list[str]) -> None:
 
 def _hold(spec: mujoco.MjSpec, source: Source, log: Log, values, notes: list[str]) -> None:
     """A stiff equality for each joint that stands still."""
-    told = []
+    lines = []
     turns = turns_of_balls(source, log)
     tied = _tied(source.model, [n for n in (*log.joint_names, *log.meta.hold) if n not in turns])
     for joint in spec.joints:
@@ -175,9 +175,9 @@ def _hold(spec: mujoco.MjSpec, source: Source, log: Log, values, notes: list[str
         data = np.zeros(len(lock.data))
         data[0] = value - rest
         lock.data, lock.solref, lock.solimp = data, STIFF, HARD
-        told.append(f"{name} = {value:.4g}")
-    if told:
-        notes.append(f"held, as no log has them or [hold] says so: {', '.join(told)}")
+        lines.append(f"{name} = {value:.4g}")
+    if lines:
+        notes.append(f"held, as no log has them or [hold] says so: {', '.join(lines)}")
     if loose := sorted(tied - set(log.joint_names) - set(log.meta.hold)):
         notes.append(f"not logged, moved by what they are tied to: {', '.join(loose)}")
 

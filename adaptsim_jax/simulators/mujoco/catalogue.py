@@ -58,7 +58,7 @@ def row(
     effect: str,
     where: str,
     fields: Field | Iterable[Field],
-    told: tuple[str, str],
+    texts: tuple[str, str],
     same: tuple[str, ...] = (),
 ) -> Row:
     """An effect at a place; told: its physics and what shows it; same: effects that no such
@@ -66,9 +66,12 @@ def row(
     """
     fields = (fields,) if isinstance(fields, Field) else tuple(fields)
     name = f"{effect} at {where}" if where else effect
-    apart = "a look at the machine" if same else ""
+    separated_by = "a look at the machine" if same else ""
     return Row(
-        fields, Candidate(name, where, tuple(f.name for f in fields), *told, same=same, apart=apart)
+        fields,
+        Candidate(
+            name, where, tuple(f.name for f in fields), *texts, same=same, apart=separated_by
+        ),
     )
 
 
@@ -106,8 +109,8 @@ def _of_joints(made: Stepped, joints: Sequence[str]) -> Iterable[Row]:
         sizes = {"frictionloss": weight[name], "damping": weight[name], "armature": inertia}
         for what, size in sizes.items():
             for effect in (e for e in MACHINE if _edits(e, what)):
-                told = (effect.physics, effect.excitation)
-                yield row(effect.name, name, of(what, size), told)
+                texts = (effect.physics, effect.excitation)
+                yield row(effect.name, name, of(what, size), texts)
         off = Field(f"reading:{name}.offset", READ, (k,), 0, 0.0, -1.0, 1.0, TURNED)
         yield row(
             "angle offset",
@@ -211,6 +214,6 @@ def _scales(model: mujoco.MjModel, joints: Sequence[str]) -> dict[str, float]:
     return out
 
 
-def noise_of(measured: np.ndarray, seen: np.ndarray) -> np.ndarray:
+def noise_of(measured: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """Noise [C] of channels [W, L, C], where they were `seen`."""
-    return difference_noise(np.where(seen, measured, np.nan))
+    return difference_noise(np.where(mask, measured, np.nan))

@@ -42,8 +42,8 @@ def change(made: MujocoSimulator, values: np.ndarray) -> float:
     off = np.where(s.seen[which] > 0, np.nan_to_num(off / noise), 0.0).reshape(len(which), -1)
     by_start = linearise(made, rows, starts, which, np.zeros((0, len(values))))[0]
     left = without(taken_up(by_start), off[..., None])[..., 0]
-    seen = (s.seen[which] > 0).reshape(len(which), -1).sum(1)
-    return float(np.median(np.sqrt(np.square(left).sum(1) / np.maximum(seen, 1))))
+    counts = (s.seen[which] > 0).reshape(len(which), -1).sum(1)
+    return float(np.median(np.sqrt(np.square(left).sum(1) / np.maximum(counts, 1))))
 
 
 def told(made: MujocoSimulator, values: np.ndarray) -> list[str]:

@@ -32,17 +32,17 @@ def contact_rows(made: Stepped) -> Iterable[Row]:
         yield from _of_touch(model, (*grounds(model), *touch), _effective(model, touch))
         if made.free >= 0:
             turned = [field(model, name) for name in GROUND[:2]]
-            told = ("what it stands on is not level", "standing, walking")
+            texts = ("what it stands on is not level", "standing, walking")
             slopes: list[Any] = [
                 dict(zip(GROUND[:2], SLOPE * np.array([np.cos(w), np.sin(w)]), strict=True))
                 for w in WAYS
             ]
             yield _tried_at(
-                row("tilted", "ground", turned, told, ("a log's frame turned",)), slopes
+                row("tilted", "ground", turned, texts, ("a log's frame turned",)), slopes
             )
-            told = ("what it stands on lies higher or lower", "every step")
+            texts = ("what it stands on lies higher or lower", "every step")
             levels = [{GROUND[2]: z} for z in (-LEVEL, LEVEL)]
-            yield _tried_at(row("height", "ground", field(model, GROUND[2]), told), levels)
+            yield _tried_at(row("height", "ground", field(model, GROUND[2]), texts), levels)
     if made.free >= 0:
         k = int(np.flatnonzero(model.jnt_qposadr == made.free)[0])
         weight = float(model.body_mass.sum()) * 9.81
@@ -89,10 +89,10 @@ def _of_touch(model: mujoco.MjModel, every: tuple[int, ...], feet: list[int]) ->
             0.01 * value,
         )
 
-    def of_wide(effect: str, f: Field, told: tuple[str, str], same: tuple[str, ...] = ()) -> Row:
+    def of_wide(effect: str, f: Field, texts: tuple[str, str], same: tuple[str, ...] = ()) -> Row:
         """Tried at sizes, too: where contacts chatter a derivative says little."""
         sizes = [{f.name: float(np.clip(share * f.neutral, f.low, f.high))} for share in WIDE]
-        return _tried_at(row(effect, "all contacts", f, told, same), sizes)
+        return _tried_at(row(effect, "all contacts", f, texts, same), sizes)
 
     dims = int(model.geom_condim[list(every)].max())
     if model.geom_friction[feet, 0].any():  # of none there is no share

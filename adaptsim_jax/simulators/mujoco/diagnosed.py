@@ -120,11 +120,11 @@ class MujocoSimulator:
         read = self.predict(every_value, every_start, np.tile(which, 1 + width + len(basis)))
         read = read.reshape(1 + width + len(basis), b, -1)
         noise = np.tile([c.noise for c in self.channels], self.stretches.time.shape[1])
-        seen = self.stretches.seen[which].reshape(b, -1) > 0
+        mask = self.stretches.seen[which].reshape(b, -1) > 0
         size = np.concatenate(
             [np.full(width, STEP), DIFF * np.sign(basis.sum(1) if len(basis) else np.zeros(0))]
         )
-        slope = np.where(seen, (read[1:] - read[0]) / noise / size[:, None, None], 0.0)
+        slope = np.where(mask, (read[1:] - read[0]) / noise / size[:, None, None], 0.0)
         both = np.moveaxis(np.clip(np.nan_to_num(slope), -WILD, WILD), 0, -1)
         return both[..., :width], both[..., width:]
 
@@ -139,7 +139,7 @@ def simulator(source: Source, log: Log, horizon: float | None = None) -> MujocoS
     cost = (rollouts.start_size(made) + len(fields)) * horizon / float(made.model.opt.timestep)
     own = cut(made, log, horizon, int(np.clip(BUDGET / cost, *STRETCHES)))
     felt = made.free >= 0 > made.base
-    channels, measured, seen = _channels(made, own, log)
+    channels, measured, mask = _channels(made, own, log)
     starts = np.zeros((own.count, rollouts.start_size(made)))
     if made.base < 0:  # a logged pose is nearer than what stiff contact lets a fit find
         starts, _ = fitted(made, own, _opening(channels, made), OPENING[felt])
@@ -147,7 +147,7 @@ def simulator(source: Source, log: Log, horizon: float | None = None) -> MujocoS
     scale = np.concatenate([np.full(nv, TURNED), np.full(nv, SPED), np.full(na, SPED)])
     prior = prior_of(made.model, made.free) if felt else None
     compared = Compared(
-        own.trial, own.names, own.time, measured, seen.astype(float), starts, scale, prior
+        own.trial, own.names, own.time, measured, mask.astype(float), starts, scale, prior
     )
     quantities = tuple(quantity(f) for f in fields)
     declared = tuple(
@@ -185,17 +185,17 @@ def _channels(
     named = [(f"q_{n}", units[n]) for n in log.joint_names]
     if rollouts.has_speeds(made, own):
         named += [(f"v_{n}", f"{units[n]}/s") for n in log.joint_names]
-    measured, seen = own.measured, own.seen
+    measured, mask = own.measured, own.seen
     named += [(r.name, r.unit) for r in made.read]
-    noise = noise_of(measured, seen)
+    noise = noise_of(measured, mask)
     if made.base >= 0:
         named += [*((f"base_{c}", "m") for c in "xyz"), *((f"base_turn_{c}", "rad") for c in "xyz")]
         turn = 2.0 * float(np.mean(noise[-4:]))
         noise = np.append(noise[:-4], [turn] * 3)
         measured = np.concatenate([measured[..., :-4], np.zeros((*measured.shape[:2], 3))], -1)
-        seen = np.concatenate([seen[..., :-4], seen[..., -3:]], -1)
+        mask = np.concatenate([mask[..., :-4], mask[..., -3:]], -1)
     if made.free >= 0:  # contact makes accelerations jump, from which no start is found
-        own_spread = np.nanstd(np.where(seen, measured, np.nan), axis=(0, 1))
+        own_spread = np.nanstd(np.where(mask, measured, np.nan), axis=(0, 1))
         rough = [
             len(named) - len(made.read) + k
             for k, r in enumerate(made.read)
@@ -206,7 +206,7 @@ def _channels(
     return (
         tuple(Channel(n, u, float(z)) for (n, u), z in zip(named, noise, strict=True)),
         measured,
-        seen,
+        mask,
     )
 
 

@@ -187,7 +187,7 @@ def with_values(
     it.
     """
     out = copy.copy(model)
-    anew = False
+    recompute = False
     for made, value in zip(fields, values, strict=True):
         if (
             value == made.neutral
@@ -201,7 +201,7 @@ def with_values(
             continue
         if made.name in GROUND:
             _move_ground(out, made.name, value)
-            anew = True  # else a geom that lay in its body's frame is taken to lie there still
+            recompute = True  # else a geom that lay in its body's frame is taken to lie there still
             continue
         for element in made.elements:
             if made.field == "body.mass" and out.body_mass[element] > 0:
@@ -210,8 +210,8 @@ def with_values(
             if made.name.startswith(CONTACT):
                 own = min(_get(model, made, element) * value / made.neutral, made.high)
             _set(out, made, element, own)
-        anew |= made.field.split(".")[-1] in CONSTANTS
-    if anew:
+        recompute |= made.field.split(".")[-1] in CONSTANTS
+    if recompute:
         mujoco.mj_setConst(out, mujoco.MjData(out))
     return out
 

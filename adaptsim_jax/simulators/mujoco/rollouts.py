@@ -167,14 +167,14 @@ def residual(
     """Measured less predicted [B, L, C'], 0 where nothing was read; a base's orientation as three
     angles. A run that blew up is off by a large number.
     """
-    measured, seen = stretches.measured[lanes], stretches.seen[lanes]
+    measured, mask = stretches.measured[lanes], stretches.seen[lanes]
     if made.base >= 0:
         turn = _between(measured[..., -4:], predicted[..., -4:])
         off = np.concatenate([measured[..., :-4] - predicted[..., :-4], turn], -1)
-        seen = np.concatenate([seen[..., :-4], seen[..., -4:-3].repeat(3, -1)], -1)
+        mask = np.concatenate([mask[..., :-4], mask[..., -4:-3].repeat(3, -1)], -1)
     else:
         off = measured - predicted
-    return np.where(seen, np.where(np.isfinite(off), np.clip(off, -1e3, 1e3), 1e3), 0.0)
+    return np.where(mask, np.where(np.isfinite(off), np.clip(off, -1e3, 1e3), 1e3), 0.0)
 
 
 def has_speeds(made: Stepped, stretches: Stretches) -> bool:

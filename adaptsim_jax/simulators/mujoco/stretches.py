@@ -115,9 +115,9 @@ def _whole(trial: LogTrial, horizon: float) -> list[tuple[int, int]]:
     dt, out, at = trial.dt, [], 0
     gaps = np.flatnonzero(np.diff(trial.time) > max(5.0 * dt, 0.05))
     if trial.q.shape[1]:
-        seen = np.isfinite(trial.q).mean(1)
+        observed = np.isfinite(trial.q).mean(1)
     else:
-        seen = np.ones(len(trial.time))
+        observed = np.ones(len(trial.time))
     while at < len(trial.time) - 1:
         end = int(np.searchsorted(trial.time, trial.time[at] + horizon - 0.5 * dt))
         inside = gaps[(gaps >= at) & (gaps < min(end, len(trial.time) - 1))]
@@ -126,7 +126,7 @@ def _whole(trial: LogTrial, horizon: float) -> list[tuple[int, int]]:
             continue
         if end > len(trial.time) - 1:
             break
-        if end > at and seen[at : end + 1].mean() > 0.5:
+        if end > at and observed[at : end + 1].mean() > 0.5:
             out.append((at, end))
         at = max(end, at + 1)
     return out
@@ -190,14 +190,14 @@ def _lane(
     ]
     measured = np.concatenate(channels, 1)
     qpos, qvel = _start(made, trial, motion, begin)
-    at, seen = np.clip((trial.time[live] - start) / h, 0, steps), np.isfinite(measured) & here
+    at, mask = np.clip((trial.time[live] - start) / h, 0, steps), np.isfinite(measured) & here
     if made.read:  # a sensor is read where a step begins, and none begins at the end
         last = measured.shape[1] - (7 if made.base >= 0 else 0)
-        seen[:, last - len(made.read) : last] &= (at <= steps - 1 + 1e-6)[:, None]
+        mask[:, last - len(made.read) : last] &= (at <= steps - 1 + 1e-6)[:, None]
     return {
         "time": trial.time[live] - trial.time[0],
         "measured": np.nan_to_num(measured),
-        "seen": seen,
+        "seen": mask,
         "at": at,
         "control": control,
         "past": past,
