@@ -14,7 +14,7 @@ not lead the fit.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -36,7 +36,9 @@ STEPS = np.repeat(
 PRIOR = np.repeat([0.02, 0.2, 0.5, 5.0], 3)  # widths that keep finite what a window does not show
 ROUNDS, ENOUGH = 12, 0.01  # of the anchor's fit; share of the square that a round must take off
 DAMPING = (0.0, 0.01, 0.3, 10.0)
-AGAIN, SHARES = 2, np.array([1.0, 0.3])  # rounds and steps with the anchor's Jacobian elsewhere
+# lengths of steps, round by round, tried with the anchor's Jacobian elsewhere: a short step in the
+# second would bring windows just below FAR, where they are left without a Jacobian of their own
+AGAIN = ((1.0, 0.3), (1.0,))
 FAR, FRESH = 1.3, 3  # of the anchor's square: above it, rounds with a Jacobian of its own
 SOME = 4  # tosses from which a beginning is chosen
 SETTLED = 4  # rounds of the fit that windows are weighed by
@@ -267,13 +269,15 @@ class Follow:
         own, at = values[self.windows.toss], np.arange(len(self.anchor.start))
         evaluate = evaluated(self.less, at, own)
 
-        def propose(start: np.ndarray, residual: np.ndarray, lanes: np.ndarray) -> np.ndarray:
+        def propose(lengths: np.ndarray, start, residual, lanes) -> np.ndarray:
             step = np.einsum("wir,wr->wi", self.anchor.inverse[lanes], flat(residual))
-            tries = SHARES[:, None, None] * step
+            tries = lengths[:, None, None] * step
             return moved(np.broadcast_to(start, (len(tries), *start.shape)), tries)
 
-        begun = Lanes(self.anchor.start, *evaluate(self.anchor.start, at))
-        found = fit_starts(begun, propose, evaluate, AGAIN, 0.0, every=True)
+        found = Lanes(self.anchor.start, *evaluate(self.anchor.start, at))
+        for lengths in AGAIN:
+            tried = partial(propose, np.array(lengths))
+            found = fit_starts(found, tried, evaluate, 1, 0.0, every=True)
         usual = np.maximum(self.anchor.square, self.windows.free)
         far = np.flatnonzero(found.loss > FAR * usual)
         fresh, _ = improved(self.less, far, own[far], Lanes(*(z[far] for z in found)), FRESH)

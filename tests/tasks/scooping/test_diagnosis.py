@@ -9,7 +9,7 @@ import jax
 import numpy as np
 import pytest
 
-from adaptsim_jax import cli
+from adaptsim_jax import __version__, cli
 from adaptsim_jax.commands.robot_recorded import recorded_trials
 from adaptsim_jax.core import config, store
 from adaptsim_jax.core.errors import BadInput
@@ -185,8 +185,8 @@ def test_a_session_is_read_from_the_files_that_were_told(tmp_path, tracks):
         config_hash="x",
         extra={"history": [visit]},
     )
-    told = {"schema": 1, "run": str(run.path), "seed": 0, "starts": 1, "iterations": 1}
-    config.write(session / "robot.toml", told)
+    table = {"schema": store.SCHEMA, "version": __version__, "run": str(run.path)}
+    config.write(session / "robot.toml", table | {"seed": 0, "starts": 1, "iterations": 1})
     scooped = recorded_trials(session)
     assert scooped.options.clearance == 1e-4
     np.testing.assert_allclose(scooped.actions, ACTIONS, atol=1e-9)
