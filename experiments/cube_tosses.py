@@ -24,7 +24,7 @@ from adaptsim_jax.tasks.toss.flight import (
     words,
 )
 from adaptsim_jax.tasks.toss.read import Tossed, read
-from adaptsim_jax.tasks.toss.windows import LEAST, slide
+from adaptsim_jax.tasks.toss.windows import MIN_ROWS, slide
 
 HALVES = {"fitted": range(30), "scored": range(30, 60)}
 MASS, SIDE, FRICTION, RESTITUTION, INERTIA = (
@@ -109,7 +109,7 @@ def slides(tossed: Tossed) -> tuple[list[Span], list[int]]:
     rows = zip(tossed.time, tossed.place, tossed.turn, strict=True)
     begins = [(t, slide(*z), len(z[0])) for t, z in enumerate(rows)]
     spans = [(t, a, b) for t, a, b in begins if a is not None]
-    return spans, [LEAST] * len(spans)
+    return spans, [MIN_ROWS] * len(spans)
 
 
 def slide_ends(tossed: Tossed, values: np.ndarray) -> np.ndarray:

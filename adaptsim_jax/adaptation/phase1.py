@@ -177,10 +177,10 @@ def draw_target(key, task: Task, inside) -> jax.Array:
     """Physical values `[D]`, each from Omega with probability `inside`, else from the task's box of
     targets.
     """
-    near_key, far_key, coin_key = jax.random.split(key, 3)
+    near_key, anywhere_key, coin_key = jax.random.split(key, 3)
     near = task.space.physical(task.space.sample(near_key))
-    far = task.targets.physical(task.targets.sample(far_key))
-    return jnp.where(jax.random.uniform(coin_key, far.shape) < inside, near, far)
+    anywhere = task.targets.physical(task.targets.sample(anywhere_key))
+    return jnp.where(jax.random.uniform(coin_key, anywhere.shape) < inside, near, anywhere)
 
 
 def _transitions(episodes: AdaptationEpisode, hyper: Phase1Hyper) -> tuple[Transition, jax.Array]:

@@ -16,7 +16,7 @@ from adaptsim_jax.core.progress import Report, silent
 from adaptsim_jax.tasks.base import Preparation, Task
 
 FOLDER = "prepared"
-KEPT = 64  # preparations kept beside compiled programs; the oldest go
+MAX_PREPARED = 64  # preparations kept beside compiled programs; the oldest go
 
 
 def prepared(
@@ -99,7 +99,7 @@ def _keep(place: Path, tree, task: str, digest: str) -> None:
         others = sorted(place.parent.glob("*/" + store.MANIFEST), key=lambda p: p.stat().st_mtime)
     else:
         others = []
-    for old in others[:-KEPT]:
+    for old in others[:-MAX_PREPARED]:
         for part in old.parent.iterdir():
             part.unlink(missing_ok=True)
         old.parent.rmdir()

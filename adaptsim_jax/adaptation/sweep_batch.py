@@ -160,8 +160,8 @@ def run_batch(
         "curves": _Curves().shapes(width, phase1.config.rounds),
     }
     if (folder / MANIFEST).exists():
-        kept, done = load_checkpoint(folder, like, task=spec.task)
-        state, curves = devices.put(kept["state"], mesh), _Curves.of(kept["curves"], done)
+        restored, done = load_checkpoint(folder, like, task=spec.task)
+        state, curves = devices.put(restored["state"], mesh), _Curves.of(restored["curves"], done)
     total, saved = phase1.config.rounds, time.monotonic()
     every = members[0].config.every
     size = max(

@@ -88,11 +88,11 @@ def make_plan(
                 "are free; give a smaller phase1.capacity, phase1.archive or phase1.parallel"
             )
         if config.phase1.reuse.threshold > 0:
-            apart = 0
+            shareable = 0
         else:
-            apart = config.phase1.parallel
+            shareable = config.phase1.parallel
         limit = at_once or min(fits, _useful(devices))
-        split = choose_split(devices, min(limit, len(members)), apart)
+        split = choose_split(devices, min(limit, len(members)), shareable)
         width = _width(len(members), limit, split.members)
         groups.append(MemberGroup(tuple(m.index for m in members), width, each, split))
         for first in range(0, len(members), width):

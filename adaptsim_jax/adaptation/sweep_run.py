@@ -222,18 +222,18 @@ def _ray() -> Any:
 def _ray_gpus(ray: Any, address: str | None) -> int:
     """Join or start Ray; how many GPUs it has."""
     # a worker needs this process's settings (the compile cache among them), and none of its devices
-    kept = {
+    variables = {
         k: v
         for k, v in os.environ.items()
         if k.startswith(("JAX_", "PYTHONPATH", "OPENBLAS", "OMP", "XLA_FLAGS"))
     }
-    kept["XLA_FLAGS"] = " ".join(
-        w for w in kept.get("XLA_FLAGS", "").split() if "device_count" not in w
+    variables["XLA_FLAGS"] = " ".join(
+        w for w in variables.get("XLA_FLAGS", "").split() if "device_count" not in w
     )
     settings = {
         "log_to_driver": False,
         "configure_logging": False,
-        "runtime_env": {"env_vars": kept},
+        "runtime_env": {"env_vars": variables},
     }
     try:
         ray.init(address=address, **settings) if address else ray.init(

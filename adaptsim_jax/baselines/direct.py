@@ -131,8 +131,8 @@ def predicted_best(one: OneShot, config: DirectConfig) -> Callable:
 
     def choose(key, contexts, actions, outcomes, used):
         x, y = jax.vmap(one.inputs)(contexts, actions), jax.vmap(one.outputs)(outcomes)
-        told = (jnp.arange(len(x)) < used) & jnp.isfinite(y).all(-1)
-        y = jnp.where(told[:, None], y, 0.0)
+        present = (jnp.arange(len(x)) < used) & jnp.isfinite(y).all(-1)
+        y = jnp.where(present[:, None], y, 0.0)
         network: Any = Predictor(config.hidden, y.shape[-1])
         rates = optax.adamw(
             optax.cosine_decay_schedule(config.rate, config.updates), weight_decay=config.decay
@@ -141,7 +141,7 @@ def predicted_best(one: OneShot, config: DirectConfig) -> Callable:
 
         def loss(w):
             wrong = jnp.square(jax.vmap(lambda r: network.apply(w, r))(x) - y).sum(-1)
-            return jnp.sum(wrong * told) / jnp.maximum(jnp.sum(told), 1)
+            return jnp.sum(wrong * present) / jnp.maximum(jnp.sum(present), 1)
 
         def one_update(_, carry):
             w, opt = carry
@@ -173,9 +173,9 @@ def _room(one: OneShot, B: int, most: int) -> TrialBatch:
 
 
 def _keep(stored: TrialBatch, new: TrialBatch, at: int) -> TrialBatch:
-    def put(kept, more):
-        kept[:, at : at + more.shape[1]] = more
-        return kept
+    def put(rows, more):
+        rows[:, at : at + more.shape[1]] = more
+        return rows
 
     if stored.outcomes is None:
         most = stored.actions.shape[1]

@@ -119,6 +119,6 @@ def _cost(logs: np.ndarray, x: np.ndarray, z: np.ndarray) -> tuple[float, np.nda
     slopes += [np.sum(inner * kernel), 2.0 * noise**2 * np.trace(inner)]
     centre = np.log([0.5] * D + [1.0, 0.2])
     width = np.array([0.75] * D + [1.0, 1.0])
-    apart = (logs - centre) / width
-    cost = 0.5 * z @ weights + np.log(np.diag(chol)).sum() + 0.5 * apart @ apart
-    return float(cost), np.array(slopes) + apart / width
+    deviation = (logs - centre) / width
+    cost = 0.5 * z @ weights + np.log(np.diag(chol)).sum() + 0.5 * deviation @ deviation
+    return float(cost), np.array(slopes) + deviation / width

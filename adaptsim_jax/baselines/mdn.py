@@ -131,7 +131,7 @@ def fit(
     Pure, jit- and vmap-able: any network whose loss is per sample will do (mixture or point
     regression).
     """
-    kept = x.shape[0] - max(int(config.held_out * x.shape[0]), 1)
+    training = x.shape[0] - max(int(config.held_out * x.shape[0]), 1)
     checks = max(config.updates // config.check_every, 1)
     schedule = optax.cosine_decay_schedule(config.rate, checks * config.check_every, alpha=0.01)
     optimiser = optax.chain(optax.clip_by_global_norm(config.clip), optax.adam(schedule))
@@ -141,7 +141,7 @@ def fit(
 
     def update(carry, step_key):
         v, opt = carry
-        rows = jax.random.randint(step_key, (config.batch,), 0, kept)
+        rows = jax.random.randint(step_key, (config.batch,), 0, training)
         gradient = jax.grad(mean_loss)(v, x[rows], theta[rows])
         change, opt = optimiser.update(gradient, opt, v)
         return (optax.apply_updates(v, change), opt), None
@@ -149,7 +149,7 @@ def fit(
     def check(carry, check_key):
         state, best, best_loss = carry
         state, _ = jax.lax.scan(update, state, jax.random.split(check_key, config.check_every))
-        now = mean_loss(state[0], x[kept:], theta[kept:])
+        now = mean_loss(state[0], x[training:], theta[training:])
         better = now < best_loss  # a NaN is never better
         best = jax.tree.map(lambda a, b: jnp.where(better, a, b), state[0], best)
         return (state, best, jnp.where(better, now, best_loss)), now

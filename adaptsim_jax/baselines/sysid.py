@@ -149,8 +149,8 @@ def _iterate(key, state, target, task, estimator, config, fit_config) -> tuple[S
     real_key, *keys = jax.random.split(key, 5)
     real = task.observe(task.rollout(real_key, state.policy, target))
     *keys, train_key = keys
-    told, info = infer(keys, state, real, task, estimator, config, fit_config)
-    return told._replace(policy=task.train(train_key, told.dist, state.policy)), info
+    inferred, info = infer(keys, state, real, task, estimator, config, fit_config)
+    return inferred._replace(policy=task.train(train_key, inferred.dist, state.policy)), info
 
 
 def infer(
@@ -175,10 +175,10 @@ def infer(
     kept = state.kept.at[state.count].set(draws)
     used = kept if config.pool else draws[None]
     if config.pool:
-        told = jnp.arange(kept.shape[0]) <= state.count
+        marked = jnp.arange(kept.shape[0]) <= state.count
     else:
-        told = jnp.ones(1, bool)
-    dist, inside = within_omega(used, told, config.least_std)
+        marked = jnp.ones(1, bool)
+    dist, inside = within_omega(used, marked, config.least_std)
     info = Info(state.dist.mean, state.dist.std, real, fitted.best_loss, inside)
     return State(dist, state.policy, fitted.variables, kept, state.count + 1), info
 
@@ -199,15 +199,17 @@ def simulate(
     return jax.vmap(observe)(jnp.resize(keys, (config.simulations,)), u), u
 
 
-def within_omega(draws: jax.Array, told: jax.Array, least_std: float) -> tuple[Gaussian, jax.Array]:
-    """Gaussian E from posterior draws `[I, n, D]` of the iterations marked in `told [I]`; also the
+def within_omega(
+    draws: jax.Array, marked: jax.Array, least_std: float
+) -> tuple[Gaussian, jax.Array]:
+    """Gaussian E from posterior draws `[I, n, D]` of the iterations marked in `marked [I]`; also the
     share inside Omega.
 
     Draws outside the box are dropped (the posterior is truncated to Omega). Where hardly any is
     inside, as with targets far outside of Omega, the mean of all is clipped to the box instead.
     """
     flat = draws.reshape(-1, draws.shape[-1])
-    used = jnp.repeat(told, draws.shape[1])
+    used = jnp.repeat(marked, draws.shape[1])
     inside = jnp.all((flat >= 0.0) & (flat <= 1.0), axis=-1) & used
     share = jnp.sum(inside) / jnp.sum(used)
     few = share < 0.01

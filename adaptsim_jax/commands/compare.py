@@ -62,14 +62,14 @@ def run(args: argparse.Namespace) -> int:
     """Table 1 of the paper for one task."""
     from adaptsim_jax.commands.common import output, print_file, task_word
 
-    said, args.task = args.task, task_word(args)
+    words, args.task = args.task, task_word(args)
     from adaptsim_jax.baselines.compare import compare
     from adaptsim_jax.baselines.parts import ComparisonParts, report_unfinished
     from adaptsim_jax.core.progress import progress
     from adaptsim_jax.report.comparison import table, write_comparison
 
     asked = config_of(args)
-    with output(args.out) as out, report_unfinished(out), progress(f"compare {said}") as report:
+    with output(args.out) as out, report_unfinished(out), progress(f"compare {words}") as report:
         results = compare(args.task, asked, report, shlex.join(["adaptsim", *sys.argv[1:]]), out)
         paths = [*write_comparison(results, out), *found_figure(results, asked.train.task, out)]
         ComparisonParts(out, results["digest"]).drop()

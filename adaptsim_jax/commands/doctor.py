@@ -273,8 +273,8 @@ def measure(task: str, config: Any) -> dict[str, Any]:
                 policy_key, gaussian(made.space, made.space.sample(mean_key)), policy
             )
         target = made.targets.physical(made.targets.sample(target_key))
-        seen = (made.rehearse or made.rollout)(run_key, policy, target)
-        return made.observe(seen), made.reward(seen, made.reference(target))
+        trajectory = (made.rehearse or made.rollout)(run_key, policy, target)
+        return made.observe(trajectory), made.reward(trajectory, made.reference(target))
 
     keys = jax.random.split(jax.random.key(0), VISITS)
     begin = time.perf_counter()

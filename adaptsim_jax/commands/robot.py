@@ -289,20 +289,22 @@ def undo(args: argparse.Namespace, session: RobotSession) -> None:
     from adaptsim_jax.core.errors import BadInput
 
     _, history = sessions.load(session)
-    kept = sorted(
+    snapshots = sorted(
         (session.folder / UNDO).glob("*"),
         key=lambda path: int(path.name) if path.name.isdigit() else -1,
     )
-    kept = [path for path in kept if path.name.isdigit() and int(path.name) < len(history)]
-    if not kept:
+    snapshots = [
+        path for path in snapshots if path.name.isdigit() and int(path.name) < len(history)
+    ]
+    if not snapshots:
         if not history:
             what = "nothing was recorded yet"
         else:
             what = "it was recorded by a version that kept no way back"
         raise BadInput(f"{session.folder}: no record can be taken back: {what}")
-    state, earlier = sessions.load(session, kept[-1])
+    state, earlier = sessions.load(session, snapshots[-1])
     sessions.save(session, state, earlier)
-    shutil.rmtree(kept[-1])
+    shutil.rmtree(snapshots[-1])
     (session.folder / "best.toml").unlink(missing_ok=True)
     gone = history[len(earlier)]
     what = gone["file"] or "a failure"

@@ -67,15 +67,15 @@ def located(folder: Path, moved: str | None = None) -> dict[str, Any]:
                 f"{folder / SESSION}: key '{name}' is missing or no {kind.__name__}; restore the "
                 "file"
             )
-    told = table["run"]
+    run_folder = table["run"]
     if moved is not None:
         return table | {"was": _was(table)} | places(str(Path(moved).resolve()), folder)
-    if not Path(told).is_dir():
+    if not Path(run_folder).is_dir():
         near = folder / str(table.get("run_from_here", ""))
         if "run_from_here" not in table or not near.is_dir():
             raise BadInput(
-                f"{told}: no such run folder, which the session in {folder} goes by; if it was "
-                f"moved, say where it is: adaptsim robot next --dir {folder} --run RUN"
+                f"{run_folder}: no such run folder, which the session in {folder} goes by; if it "
+                f"was moved, say where it is: adaptsim robot next --dir {folder} --run RUN"
             )
         return table | {"run": str(near.resolve())}
     return table

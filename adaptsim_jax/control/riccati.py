@@ -174,16 +174,16 @@ def _care_batch(A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array, A
     P = P * scale
     PA, PGP = mm(P, A), mm(P, mm(G, P))
     terms = norm(Q) + 2 * norm(PA) + norm(PGP)
-    return _judged(P, norm(PA + transpose(PA) - PGP + Q) / terms, settled)
+    return _with_code(P, norm(PA + transpose(PA) - PGP + Q) / terms, settled)
 
 
 def _dare_batch(A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array, Array]:
     P, settled = _doubling(A, symmetric(mm(B, solve(R, transpose(B)))), Q)
     terms = norm(Q) + norm(P) + norm(mm(transpose(A), mm(P, A)))
-    return _judged(P, norm(dare_residual(A, B, Q, R, P)) / terms, settled)
+    return _with_code(P, norm(dare_residual(A, B, Q, R, P)) / terms, settled)
 
 
-def _judged(P: Array, residual: Array, settled: Array) -> tuple[Array, Array, Array]:
+def _with_code(P: Array, residual: Array, settled: Array) -> tuple[Array, Array, Array]:
     """Result code by the relative residual; a float here, since it shares a derivative rule with
     P.
     """

@@ -131,17 +131,19 @@ class _PartLines:
                 self.began[part] = now
             if done >= total and part not in self.over:
                 self.over.add(part)
-                self._say(
+                self._report(
                     part, f"done in {clock(now - self.began[part])}" + (f", {note}" if note else "")
                 )
             elif done < total and (first or now >= self.next[part]):
                 known = done > 0 and note and not math.isinf(total)
-                self._say(part, f"{100 * done / total:.0f} %, {note}" if known else note or "begun")
+                self._report(
+                    part, f"{100 * done / total:.0f} %, {note}" if known else note or "begun"
+                )
             else:
                 return
             self.next[part] = now + PART_LINE_EVERY
 
-    def _say(self, part: str, words: str) -> None:
+    def _report(self, part: str, words: str) -> None:
         print(f"{self.titles[part]:{self.width}}  {words}", file=self.stream, flush=True)
 
     def close(self) -> None:

@@ -47,7 +47,7 @@ def _two(mean: Array, precision: Array, low: float, high: float) -> Array:
     """The mean where it lies inside, else the best point of the four edges: on each the other
     action is a clip.
     """
-    best, least = mean, jnp.where(jnp.all((mean >= low) & (mean <= high), -1), -1.0, jnp.inf)
+    best, lowest = mean, jnp.where(jnp.all((mean >= low) & (mean <= high), -1), -1.0, jnp.inf)
     for i, j in ((0, 1), (1, 0)):
         slope = precision[..., 0, 1] / precision[..., j, j]
         for bound in (low, high):
@@ -55,8 +55,8 @@ def _two(mean: Array, precision: Array, low: float, high: float) -> Array:
             free = jnp.clip(mean[..., j] - slope * (fixed - mean[..., i]), low, high)
             action = jnp.stack((fixed, free) if i == 0 else (free, fixed), -1)
             loss = _loss(action - mean, precision)
-            best = jnp.where((loss < least)[..., None], action, best)
-            least = jnp.minimum(loss, least)
+            best = jnp.where((loss < lowest)[..., None], action, best)
+            lowest = jnp.minimum(loss, lowest)
     return best
 
 

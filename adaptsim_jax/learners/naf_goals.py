@@ -157,8 +157,8 @@ def make_goal_learner(
             state = one(number, carry[0])
             value = valued(at(_CHECKS), state.learner.online)  # the same checks in all rounds
             better = (value > carry[2]) & (number < rounds)
-            kept = jnp.where(better[:, None], state.learner.online, carry[1])
-            return state, kept, jnp.where(better, value, carry[2])
+            selected = jnp.where(better[:, None], state.learner.online, carry[1])
+            return state, selected, jnp.where(better, value, carry[2])
 
         return jax.lax.fori_loop(
             0, longest, checked, (begin, weights, valued(at(_CHECKS), weights))
@@ -210,18 +210,18 @@ def _batches(
         trials = fetch(first)
         goals = trials.goal
     else:
-        anew = relabelled < config.relabel
+        redrawn = relabelled < config.relabel
         goals = jax.vmap(problem.draw)(jax.random.split(goal_key, shape[0] * shape[1])).reshape(
             *shape, -1
         )
-        goals = jnp.where(anew[..., None], goals, jnp.take(stored.goal, first, axis=0))
+        goals = jnp.where(redrawn[..., None], goals, jnp.take(stored.goal, first, axis=0))
         # candidates lie a stride apart, so that they are of all ages: one random number finds all
         # of them
         stride = jnp.maximum(filled // config.candidates, 1)
         index = (first[..., None] + stride * jnp.arange(config.candidates)[None, None]) % filled
         likely = _likely(naf, problem, config, weights, stored, index, goals, done, level)
         near = 1.0 - (1.0 - config.near) * (1.0 - done)
-        trials = fetch(jnp.where(anew & (chosen < near), likely, first))
+        trials = fetch(jnp.where(redrawn & (chosen < near), likely, first))
     reward = _over(problem.reward, 2)(trials.outcome, goals)
     obs = _over(problem.see, 2)(goals)
     nothing = jnp.zeros((*shape, 0), obs.dtype)  # one step: no next observation

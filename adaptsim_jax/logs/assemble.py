@@ -34,13 +34,15 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
     _check_meta_names(names, raw, meta)
     trials = [columns_of(trial, names, meta) for trial in raw]
     scales = check_scales(trials, names)
-    kept, held = _moving(path, trials, names, meta)
-    inputs = choose_inputs(path, trials, names, meta, [names.joints[j] for j in kept])
-    log_trials = tuple(_trial(columns, names, meta, inputs, kept) for columns in trials)
+    retained, held = _moving(path, trials, names, meta)
+    inputs = choose_inputs(path, trials, names, meta, [names.joints[j] for j in retained])
+    log_trials = tuple(_trial(columns, names, meta, inputs, retained) for columns in trials)
     log_trials, evened = _evened(log_trials)
     headed = tuple(dict.fromkeys(note for columns in trials for note in columns.notes))
     known = {names.joints[j] for columns in trials for j in columns.declared}
-    suspected = headed + scales + check_log_units(log_trials, names.only(kept), meta.units, known)
+    suspected = (
+        headed + scales + check_log_units(log_trials, names.only(retained), meta.units, known)
+    )
     turns = [columns.raw.name for columns in trials if columns.turns]
     if turns:
         turned = (
@@ -51,7 +53,7 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
     return Log(
         path=path,
         meta=meta,
-        joint_names=tuple(names.joints[j] for j in kept),
+        joint_names=tuple(names.joints[j] for j in retained),
         trials=log_trials,
         input_kind=inputs.kind,
         input_names=inputs.names,
@@ -59,7 +61,7 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
         input_columns=_input_columns(raw[0], names, inputs),
         notes=inputs.notes
         + _strange(raw[0], names, held)
-        + _numbered(raw[0], names, kept)
+        + _numbered(raw[0], names, retained)
         + _notes(raw, log_trials)
         + turned
         + evened
@@ -107,7 +109,7 @@ def _moving(
     angles = [model_angles(columns.stacked("q", n), names, meta) for columns in trials]
     every = np.concatenate(angles)
     some: np.ndarray = np.any(np.isfinite(every), axis=0)
-    kept, held = [], {}
+    retained, held = [], {}
     for j, joint in enumerate(names.joints):
         middle = float(np.nanmedian(every[:, j])) if some[j] else None
         still = some[j] and float(np.nanmax(every[:, j]) - np.nanmin(every[:, j])) == 0.0
@@ -121,10 +123,10 @@ def _moving(
         elif still and meta.rig is None:  # of a pendulum a sensor is stuck then
             held[joint] = middle
         else:
-            kept.append(j)
-    if not kept:
+            retained.append(j)
+    if not retained:
         raise BadInput(f"{path}: no joint moves in any trial; log one that does")
-    return kept, held
+    return retained, held
 
 
 def _no_angle(columns: Columns, names: ModelNames, j: int, here: Mapping[int, np.ndarray]) -> None:
@@ -165,16 +167,16 @@ def _strange(
     )
 
 
-def _numbered(trial: RawTrial, names: ModelNames, kept: Sequence[int]) -> tuple[str, ...]:
+def _numbered(trial: RawTrial, names: ModelNames, retained: Sequence[int]) -> tuple[str, ...]:
     """Which joints columns that go by number are taken for, where the model has more."""
     roles = [
         r for name in trial.columns if (r := role(name, names.joints)) is not None and r.stem == "q"
     ]
-    if len(kept) == len(names.joints) or not any(isinstance(r.joint, int) for r in roles):
+    if len(retained) == len(names.joints) or not any(isinstance(r.joint, int) for r in roles):
         return ()
     return (
         "columns go by number, in the model's order of joints: "
-        f"{', '.join(names.joints[j] for j in kept)}",
+        f"{', '.join(names.joints[j] for j in retained)}",
     )
 
 
@@ -220,12 +222,12 @@ def _selected(path: str, raw: list[RawTrial], meta: LogMeta) -> list[RawTrial]:
                     f"{meta.path}: trials.{key} names {pattern!r}, no trial of {path}; "
                     f"{suggest(pattern, names)}"
                 )
-    kept = [
+    retained = [
         trial for trial in raw if not any(fnmatch.fnmatchcase(trial.name, p) for p in meta.exclude)
     ]
-    if not kept:
+    if not retained:
         raise BadInput(f"{meta.path}: trials.exclude leaves no trial; keep one")
-    return kept
+    return retained
 
 
 def _without_ignored(trial: RawTrial, meta: LogMeta, model: ModelNames | None) -> RawTrial:
@@ -306,11 +308,11 @@ def _words(name: str, names: ModelNames) -> tuple[str, ...]:
 
 
 def _trial(
-    columns: Columns, names: ModelNames, meta: LogMeta, inputs: Inputs, kept: Sequence[int]
+    columns: Columns, names: ModelNames, meta: LogMeta, inputs: Inputs, retained: Sequence[int]
 ) -> LogTrial:
-    raw, n, at = columns.raw, len(names.joints), np.asarray(kept, int)
+    raw, n, at = columns.raw, len(names.joints), np.asarray(retained, int)
     here = columns.by_joint.get("q", {})
-    for j in kept:
+    for j in retained:
         if not np.isfinite(here[j]).any():
             joint = names.joints[j]
             raise BadInput(
@@ -318,10 +320,10 @@ def _trial(
                 f"or write [hold] and {joint} = 0.0 in meta.toml"
             )
     speeds = columns.by_joint.get("v", {})
-    if not set(speeds) & set(kept):
+    if not set(speeds) & set(retained):
         speeds = {}
-    if speeds and not set(kept) <= set(speeds):
-        lacks = next(names.joints[j] for j in kept if j not in speeds)
+    if speeds and not set(retained) <= set(speeds):
+        lacks = next(names.joints[j] for j in retained if j not in speeds)
         raise BadInput(
             f"{raw.path}: has velocities, but none of joint '{lacks}'; add column v_{lacks}, or "
             "leave all out"
@@ -379,9 +381,9 @@ def _notes(raw: Sequence[RawTrial], trials: Sequence[LogTrial]) -> tuple[str, ..
     ignored = sorted({column for trial in raw for column in trial.ignored if column.strip()})
     if ignored:
         notes.append(f"columns ignored: {', '.join(ignored)}")
-    kept = sorted({stem for trial in trials for stem in trial.extra})
-    if kept:
-        notes.append(f"columns kept beside the input: {', '.join(kept)}")
+    retained = sorted({stem for trial in trials for stem in trial.extra})
+    if retained:
+        notes.append(f"columns kept beside the input: {', '.join(retained)}")
     if any(trial.v is None for trial in trials):
         notes.append(
             "some trials have no velocities"

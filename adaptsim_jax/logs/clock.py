@@ -12,7 +12,7 @@ from adaptsim_jax.logs.table_checks import MIN_ROWS
 
 WINDOW = 10
 """Messages on each side by which a stamp is judged."""
-FAR = 10**9
+MAX_OFFSET = 10**9
 """ns by which a stamp's distance from its arrival may differ from those of its neighbours."""
 
 
@@ -55,7 +55,7 @@ def stamped(arrived: np.ndarray, stamps: np.ndarray, group: np.ndarray | None = 
     others.
     """
     has = stamps > 0
-    distant = has & _far(arrived, stamps, has)
+    distant = has & _distant(arrived, stamps, has)
     good = has & ~distant
     if (
         not good.any()
@@ -75,7 +75,7 @@ def stamped(arrived: np.ndarray, stamps: np.ndarray, group: np.ndarray | None = 
     )
 
 
-def _far(arrived: np.ndarray, stamps: np.ndarray, has: np.ndarray) -> np.ndarray:
+def _distant(arrived: np.ndarray, stamps: np.ndarray, has: np.ndarray) -> np.ndarray:
     """Which stamps are far off: those whose distance from their arrival is not that of the stamps
     around them. A simulated clock may run at another pace, so that the neighbours alone judge, by
     so much more as they are apart.
@@ -89,7 +89,7 @@ def _far(arrived: np.ndarray, stamps: np.ndarray, has: np.ndarray) -> np.ndarray
     first = np.clip(np.arange(len(at)) - width // 2, 0, len(at) - width)
     around = first[:, None] + np.arange(width)
     separate = np.abs(when - np.median(when[around], axis=1))
-    out[at] = np.abs(off - np.median(off[around], axis=1)) > FAR + separate
+    out[at] = np.abs(off - np.median(off[around], axis=1)) > MAX_OFFSET + separate
     return out
 
 

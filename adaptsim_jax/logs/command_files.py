@@ -71,7 +71,7 @@ def _key(trial: str) -> str:
     return f'"{trial}"'
 
 
-def beside(path: Path, files: Sequence[Path]) -> tuple[str, ...]:
+def likely_commands(path: Path, files: Sequence[Path]) -> tuple[str, ...]:
     """A note where a single file is read and another one beside it seems to hold its commands."""
     found = suspected(files).get(path.stem)
     if found is None:

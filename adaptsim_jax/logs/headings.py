@@ -68,8 +68,8 @@ def heading(written: str, joints: Iterable[str] = ()) -> Heading:
     name has no unit in it.
     """
     joints = tuple(joints)
-    told = role(written, joints)
-    if told is not None and told.joint in joints:
+    known = role(written, joints)
+    if known is not None and known.joint in joints:
         return Heading(written)
     for found in reversed(list(_BRACKETS.finditer(written))):
         name = (written[: found.start()] + written[found.end() :]).strip(" _")
@@ -115,10 +115,12 @@ def _joined(words: Sequence[str]) -> str:
 
 def _letter(name: str, unit: str, written: str, joints: tuple[str, ...]) -> bool:
     """Whether one letter at the end is a unit (`i1_A`), not the name of a joint (`position_A`)."""
-    told = role(name, joints)
-    if told is None or (not joints and role(written) is not None):
+    known = role(name, joints)
+    if known is None or (not joints and role(written) is not None):
         return False
-    return any(unit in units_of(quantity_of(told.stem, slides), slides) for slides in (False, True))
+    return any(
+        unit in units_of(quantity_of(known.stem, slides), slides) for slides in (False, True)
+    )
 
 
 def heading_unit(
@@ -157,17 +159,17 @@ def lines(found: Sequence[HeadingUnit]) -> dict[str, HeadingUnit]:
 
 def compared(
     path: str,
-    told: Sequence[tuple[HeadingUnit, Affine, tuple[str, ...], str]],
+    headed: Sequence[tuple[HeadingUnit, Affine, tuple[str, ...], str]],
     units: Mapping[str, Unit],
 ) -> tuple[str, ...]:
-    """Notes on columns whose headings say another unit than the one that is declared. told: of each
+    """Notes on columns whose headings say another unit than the one that is declared. headed: of each
     column what its heading says, what it is read in, its words in `[units]`, its stem.
 
     Raises `BadInput` where nothing is declared and the heading says no SI unit.
     """
     notes: list[str] = []
     bare: list[HeadingUnit] = []
-    for one, unit, words, stem in told:
+    for one, unit, words, stem in headed:
         own = declared(units, stem, words, slides=one.slides)
         if not one.fits:
             if own:
@@ -187,7 +189,7 @@ def compared(
                 )
     if not bare:
         return tuple(notes)
-    every = lines([one for one, *_ in told])
+    every = lines([one for one, *_ in headed])
     mend = {
         key: one for key, one in every.items() if any(key in (o.quantity, o.column) for o in bare)
     }

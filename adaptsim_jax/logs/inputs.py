@@ -37,25 +37,25 @@ class Inputs:
     notes: tuple[str, ...] = ()
 
     def of(
-        self, columns: Columns, names: ModelNames, meta: LogMeta, kept: np.ndarray
+        self, columns: Columns, names: ModelNames, meta: LogMeta, selected: np.ndarray
     ) -> np.ndarray:
-        """`u [T, m]` of one trial in SI units; kept: numbers of the joints that move."""
+        """`u [T, m]` of one trial in SI units; selected: numbers of the joints that move."""
         if self.kind == "none":
             return np.zeros((len(columns.time), 0))
         if self.kind != "command":
             u = columns.stacked(self.stem, len(names.joints))
             u[:, [joint not in self.driven for joint in names.joints]] = 0.0
             _complete(columns, self.kind, names.joints, u)
-            return np.where(flipped_joints(names, meta), -u, u)[:, kept]
+            return np.where(flipped_joints(names, meta), -u, u)[:, selected]
         angles = model_angles(columns.stacked("target", len(names.joints)), names, meta)
         out = []
         for index, actuator in enumerate(self.actuators):
-            told = columns.ctrl.get(
+            command = columns.ctrl.get(
                 actuator.name, columns.ctrl.get(index, columns.ctrl.get(actuator.joint))
             )
-            if told is None and _told(columns, actuator, index, names):
-                told = angles[:, names.joints.index(actuator.joint)]
-            out.append(np.zeros(len(columns.time)) if told is None else told)
+            if command is None and _has_command(columns, actuator, index, names):
+                command = angles[:, names.joints.index(actuator.joint)]
+            out.append(np.zeros(len(columns.time)) if command is None else command)
         u = np.stack(
             [_sent(columns, names, meta, *one) for one in zip(self.actuators, out, strict=True)],
             axis=1,
@@ -65,23 +65,23 @@ class Inputs:
 
 
 def _sent(
-    columns: Columns, names: ModelNames, meta: LogMeta, actuator: ActuatorName, told: np.ndarray
+    columns: Columns, names: ModelNames, meta: LogMeta, actuator: ActuatorName, command: np.ndarray
 ) -> np.ndarray:
     """A command `[T]` that is an angle: with the whole turns of the angle of its joint, and cut as
     `[commands]` says.
     """
     if (j := _servo(actuator, names)) is None:
-        return told
+        return command
     q = model_angles(columns.stacked("q", len(names.joints)), names, meta)[:, j]
     if not np.isfinite(q).any():  # of a joint that is held
-        return told
+        return command
     if actuator.kind == "position" and actuator.joint not in names.slides:
-        told = followed_turns(q, told)
+        command = followed_turns(q, command)
     if actuator.joint in meta.rate:
-        told = limited(columns.time, told, q, meta.rate[actuator.joint])
+        command = limited(columns.time, command, q, meta.rate[actuator.joint])
     if actuator.joint in meta.within:
-        return within(told, q, meta.within[actuator.joint])
-    return told
+        return within(command, q, meta.within[actuator.joint])
+    return command
 
 
 def _complete(columns: Columns, kind: str, names: tuple[str, ...], u: np.ndarray) -> None:
@@ -129,7 +129,7 @@ def choose_inputs(
             )
     first = trials[0]
     if kind == "none":
-        _motors_told(first, names, meta, moving)
+        _check_motor_commands(first, names, meta, moving)
         return Inputs(kind, "", (), ())
     notes = _notes(kind, kinds, meta)
     if kind == "command":
@@ -206,7 +206,7 @@ def _commands(
     for columns in trials:
         _check_ctrl(columns, actuators)
         for index, actuator in enumerate(actuators):
-            if _told(columns, actuator, index, names) or not (
+            if _has_command(columns, actuator, index, names) or not (
                 actuator.kind == "other" or set(actuator.joints) & set(moving)
             ):
                 continue
@@ -214,7 +214,7 @@ def _commands(
                 a for a in actuators if a is not actuator and set(a.joints) & set(actuator.joints)
             ]
             if actuator.kind == "other" or any(
-                _told(columns, a, actuators.index(a), names) for a in others
+                _has_command(columns, a, actuators.index(a), names) for a in others
             ):
                 idle[actuator.name] = None
                 continue
@@ -245,7 +245,7 @@ def _servo(actuator: ActuatorName, names: ModelNames) -> int | None:
     return None
 
 
-def _told(columns: Columns, actuator: ActuatorName, index: int, names: ModelNames) -> bool:
+def _has_command(columns: Columns, actuator: ActuatorName, index: int, names: ModelNames) -> bool:
     """Whether a trial has what an actuator was told: its own column, or a servo the target of its
     joint.
     """
@@ -315,7 +315,9 @@ def _check_ctrl(columns: Columns, actuators: tuple[ActuatorName, ...]) -> None:
             )
 
 
-def _motors_told(columns: Columns, names: ModelNames, meta: LogMeta, moving: Sequence[str]) -> None:
+def _check_motor_commands(
+    columns: Columns, names: ModelNames, meta: LogMeta, moving: Sequence[str]
+) -> None:
     needed = [a for a in names.actuators or () if set(a.joints) & set(moving)]
     if needed and meta.input != "none":
         a = needed[0]

@@ -72,9 +72,9 @@ class ModelNames:
         """`parents`, those of a serial chain where none are given."""
         return self.parents or tuple(range(-1, len(self.joints) - 1))
 
-    def only(self, kept: Sequence[int]) -> ModelNames:
+    def only(self, selected: Sequence[int]) -> ModelNames:
         """The same of the joints with these numbers."""
-        place = {j: i for i, j in enumerate(kept)}
+        place = {j: i for i, j in enumerate(selected)}
 
         def before(j: int) -> int:
             while (j := self.parent_of[j]) >= 0:
@@ -82,14 +82,14 @@ class ModelNames:
                     return place[j]
             return -1
 
-        joints = tuple(self.joints[j] for j in kept)
+        joints = tuple(self.joints[j] for j in selected)
         return ModelNames(
             joints,
             tuple(s for s in self.slides if s in joints),
-            tuple(before(j) for j in kept),
+            tuple(before(j) for j in selected),
             self.actuators,
             self.tied,
-            tuple(self.ranges[j] for j in kept if self.ranges),
+            tuple(self.ranges[j] for j in selected if self.ranges),
         )
 
 

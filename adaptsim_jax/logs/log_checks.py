@@ -18,9 +18,9 @@ LARGE = 4 * np.pi
 """Angle in rad beyond which degrees are suspected where no speeds tell."""
 FAST = 20.0
 """rad/s beyond which such angles may be degrees where speeds agree with them."""
-ODD = 15.0
+OUTLIER = 15.0
 """Times that one trial's angles may reach as far as those of the others."""
-FAR, HINT = 20.0, 3.0
+DISTANT, HINT = 20.0, 3.0
 """Times its declared range that a joint may move, before its unit is doubted, and before that is
 hinted at.
 """
@@ -62,7 +62,7 @@ def check_log_units(
             raise BadInput(f"{trial.path}: {why} under [units] in meta.toml, or convert the file")
     slides = [j for j, joint in enumerate(names.joints) if joint in names.slides]
     distant = tuple(
-        note for j in slides if (note := _far(trials, j, names, names.joints[j] in known))
+        note for j in slides if (note := _distance_note(trials, j, names, names.joints[j] in known))
     )
     degrees = any(unit in ("deg", "degrees") for unit in (units or {}).values())
     if degrees:
@@ -89,7 +89,7 @@ def times_range(reach: float, limits: tuple[float, float] | None) -> float:
     return 0.0
 
 
-def _far(trials: Sequence[LogTrial], j: int, names: ModelNames, known: bool) -> str:
+def _distance_note(trials: Sequence[LogTrial], j: int, names: ModelNames, known: bool) -> str:
     """A note on ways too long for metres; BadInput where the declared range is surely passed, and
     no unit is declared.
     """
@@ -106,7 +106,7 @@ def _far(trials: Sequence[LogTrial], j: int, names: ModelNames, known: bool) -> 
             "[units]"
         )
     statement = f"{joint} slides as far as {reach:.3g} m, {times:.2g} times its declared range of {limits[0]:g} to {limits[1]:g} m"
-    if times < FAR:
+    if times < DISTANT:
         return f"{statement}: if that is no metres, write {ask} under [units]"
     raise BadInput(
         f"{trials[0].path}: {statement}, as {' or '.join(WORDS[unit] for unit in units)} would; write "
@@ -145,7 +145,7 @@ def _large(trials: Sequence[LogTrial], j: int, names: ModelNames, known: bool) -
     reaches = np.array([np.nanmax(np.abs(t.q[:, j]), initial=0.0) for t in trials])
     reach = float(np.median(reaches))
     outlier = int(reaches.argmax())
-    if reaches[outlier] > max(LARGE, ODD * reach):
+    if reaches[outlier] > max(LARGE, OUTLIER * reach):
         return (
             f"angles of {names.joints[j]} reach {reaches[outlier]:.3g} rad in "
             f"{trials[outlier].name}, {reach:.2g} rad in the others: if they are degrees there, "

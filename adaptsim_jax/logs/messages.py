@@ -31,18 +31,18 @@ TRAJECTORIES = (TRAJECTORY, GOAL)
 CONTROLLERS = (CONTROLLER, PR2)
 FIELDS = {"position": "q", "velocity": "v", "effort": "tau"}
 
-Said = tuple[tuple[str, ...], Mapping[str, Any]]
+Fields = tuple[tuple[str, ...], Mapping[str, Any]]
 """Names of joints (none where the message gives none), and their values by stem of our columns."""
 
 
-def _joint_state(m: Any) -> Said:
+def _joint_state(m: Any) -> Fields:
     def get(field):
         return _numbers(getattr(m, field, ()))
 
     return tuple(getattr(m, "name", ())), {stem: get(field) for field, stem in FIELDS.items()}
 
 
-def _joint_states(m: Any) -> Said:
+def _joint_states(m: Any) -> Fields:
     joints = list(getattr(m, "joints", ()))
     stated: dict[str, np.ndarray] = {}
     for field, stem in FIELDS.items():
@@ -59,7 +59,7 @@ def _given(joint: Any, field: str) -> bool:
         return getattr(joint, field, None) is not None
 
 
-def _dynamic(m: Any) -> Said:
+def _dynamic(m: Any) -> Fields:
     stated = {stem: np.full(len(m.joint_names), np.nan) for stem in FIELDS.values()}
     for j, values in enumerate(m.interface_values):
         for name, value in zip(values.interface_names, values.values, strict=False):
@@ -68,7 +68,7 @@ def _dynamic(m: Any) -> Said:
     return tuple(m.joint_names), {stem: x for stem, x in stated.items() if np.isfinite(x).any()}
 
 
-def _actual(m: Any) -> Said:
+def _actual(m: Any) -> Fields:
     point = _point(m, ("feedback", "actual"))
     if point is not None:
         stated = {"q": point.positions, "v": point.velocities, "tau": point.effort}
@@ -77,7 +77,7 @@ def _actual(m: Any) -> Said:
     return tuple(m.joint_names), {stem: _numbers(x) for stem, x in stated.items()}
 
 
-def _desired(m: Any) -> Said:
+def _desired(m: Any) -> Fields:
     point = _point(m, ("reference", "desired"))
     return tuple(m.joint_names), {"target": _numbers(point.positions) if point is not None else ()}
 
@@ -90,19 +90,19 @@ def _point(m: Any, names: tuple[str, ...]) -> Any:
     return next((point for point in points if len(point.positions)), None)
 
 
-def _commanded(m: Any) -> Said:
+def _commanded(m: Any) -> Fields:
     names, stated = _joint_state(m)
     return names, {"target": stated["q"]} if len(stated["q"]) else {"tau_commanded": stated["tau"]}
 
 
-def _commanded_states(m: Any) -> Said:
+def _commanded_states(m: Any) -> Fields:
     names, stated = _joint_states(m)
     return names, {"target": stated["q"]} if "q" in stated else {
         "tau_commanded": stated.get("tau", ())
     }
 
 
-def _array(m: Any) -> Said:
+def _array(m: Any) -> Fields:
     values = np.atleast_1d(_numbers(m.data))
     return tuple(str(i) for i in range(1, len(values) + 1)), {"ctrl": values}
 
@@ -122,7 +122,7 @@ def _numbers(values: Any) -> np.ndarray:
         return np.array([_number(value) for value in values])
 
 
-Read = Callable[[Any], Said]
+Read = Callable[[Any], Fields]
 STATES: dict[str, Read] = {
     STATE: _joint_state,
     DYNAMIC: _dynamic,

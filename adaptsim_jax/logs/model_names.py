@@ -85,7 +85,7 @@ def _kind(model, k: int) -> str:
     return "velocity"
 
 
-APART = 0.05
+MISMATCH = 0.05
 """Share of its motion by which a follower's readings may differ from where its leader has it,
 before that is told.
 """
@@ -118,7 +118,7 @@ def followed(log: Log, mechanism: Mechanism) -> Log:
         own = np.concatenate([t.q[:, where[f.joint]] for t in log.trials])
         led = f.offset + f.factor * np.concatenate([t.q[:, where[f.leader]] for t in log.trials])
         separate, span = np.nanmax(np.abs(own - led)), np.nanmax(own) - np.nanmin(own)
-        if separate > APART * span:
+        if separate > MISMATCH * span:
             reported.append(
                 f"{f.joint} does not follow {f.leader} as the model says: by up to {separate:.2g} "
                 f"of {span:.2g}; nothing is named at {f.leader}"

@@ -185,7 +185,7 @@ def _read_tables(
     read = read_files(files, meta.columns, meta.ignore, paths, leave_out)
     trials = [command_files.with_commands(t, commands, meta.columns, meta.ignore) for t in read]
     if files and not data.is_dir() and not commands:
-        notes = command_files.beside(data, table_files(data.parent))
+        notes = command_files.likely_commands(data, table_files(data.parent))
         trials = [replace(trial, notes=(*trial.notes, *notes)) for trial in trials]
     return trials
 

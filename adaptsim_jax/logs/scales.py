@@ -24,7 +24,7 @@ REACH = 4 * np.pi
 """rad beyond which numbers that nobody declared are no radians."""
 END = 1e-4
 """Of 100, what single precision and text leave of it."""
-LEAST = 20
+MIN_SAMPLES = 20
 CUT = 3
 """Rows in which an angle is exactly 1, from which on it is taken to be cut there."""
 TURN = 400.0
@@ -57,13 +57,13 @@ def scale_of(
         x = np.concatenate([np.asarray(v, float)[np.isfinite(v)] for v in values])
     else:
         x = np.zeros(0)
-    if len(x) < LEAST or np.ptp(x) == 0:
+    if len(x) < MIN_SAMPLES or np.ptp(x) == 0:
         return None
     low, high = float(x.min()), float(x.max())
     whole = bool(np.all(x == np.round(x)))
     if whole:
         # a setpoint of 100 is a round number; steps of an encoder go far beyond degrees
-        if low >= 0 and TURN < high < 2**16 and len(np.unique(x)) > LEAST:
+        if low >= 0 and TURN < high < 2**16 and len(np.unique(x)) > MIN_SAMPLES:
             steps = next(2**k for k in (12, 14, 16) if high < 2**k)
             line = f"{key} = {{ticks = {steps}, zero = {steps // 2}}}"
             return Scale(
@@ -100,7 +100,7 @@ def share_of(key: str, angles: Sequence[np.ndarray]) -> Scale | None:
     else:
         x = np.zeros(0)
     if (
-        len(x) < LEAST
+        len(x) < MIN_SAMPLES
         or np.max(np.abs(x)) > 1.0
         or np.sum(np.abs(x) == 1.0) < CUT
         or np.ptp(x) == 0

@@ -121,8 +121,8 @@ def posterior(
     parts = [(k, w, y) for k, (w, y) in enumerate(zip(weights, data, strict=True)) if w is not None]
     quad = sum(float(np.sum(w * y * (y - mean[:, k]))) for k, w, y in parts)
     # The quadratic form exceeds the residual's part of it; rounding may not.
-    at_least = sum(float(np.sum(w * (y - mean[:, k]) ** 2)) for k, w, y in parts)
-    return mean, factor, max(quad, at_least, 1e-300)
+    bound = sum(float(np.sum(w * (y - mean[:, k]) ** 2)) for k, w, y in parts)
+    return mean, factor, max(quad, bound, 1e-300)
 
 
 def _factor(bands: np.ndarray) -> np.ndarray:
@@ -197,9 +197,9 @@ def estimate(time: np.ndarray, y: np.ndarray) -> tuple[float, float]:
     fits = [fit_window(time[w], y[w]) for w in windows]
     # A window at rest in a quantised channel shows no noise at all: it says nothing about the
     # moving sensor.
-    telling = [f for f in fits if f[0] > 0] or fits
-    return float(np.median([std for std, _ in telling])), float(
-        np.mean([hidden for _, hidden in telling])
+    informative = [f for f in fits if f[0] > 0] or fits
+    return float(np.median([std for std, _ in informative])), float(
+        np.mean([hidden for _, hidden in informative])
     )
 
 

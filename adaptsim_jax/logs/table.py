@@ -14,7 +14,7 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.archive import check_lengths, part_name, read_archive, split
 from adaptsim_jax.logs.csv_rows import check_header, check_widths, is_number, read_bytes, rows_of
 from adaptsim_jax.logs.table_checks import MIN_ROWS, check_missing, without_blank
-from adaptsim_jax.logs.table_clocks import apart, joined_time
+from adaptsim_jax.logs.table_clocks import joined_time, split_clock
 
 NOTHING = ("", ".nan", "na", "n/a", "null", "none", "-")
 """What loggers write where they have no number, beside nan."""
@@ -45,12 +45,12 @@ class Table:
 def read_table(
     path: str | Path,
     wanted: tuple[str, ...],
-    least: int = MIN_ROWS,
+    min_rows: int = MIN_ROWS,
     ours: Mapping[str, str] | None = None,
     lost: tuple[str, ...] = (),
     gaps: tuple[str, ...] = (),
 ) -> Table:
-    """Read the columns named in `wanted` (those that are there) of `least` rows or more, list the
+    """Read the columns named in `wanted` (those that are there) of `min_rows` rows or more, list the
     others.
 
     ours: what a column is to us where the file names it otherwise; arrays [T, n] are then n columns
@@ -65,7 +65,7 @@ def read_table(
     else:
         table, empty = _read_csv(path, wanted)
     table, empty = _without_lost(table, empty, lost)
-    return _checked(path, table, least, ours or {}, empty, gaps)
+    return _checked(path, table, min_rows, ours or {}, empty, gaps)
 
 
 def _without_lost(
@@ -88,7 +88,7 @@ def _without_lost(
 def _checked(
     path: Path,
     table: Table,
-    least: int,
+    min_rows: int,
     ours: Mapping[str, str],
     empty: Mapping[str, np.ndarray],
     gaps: tuple[str, ...],
@@ -97,14 +97,14 @@ def _checked(
     without a number but in `gaps`.
     """
     n = len(table.lines)
-    if n < least:
+    if n < min_rows:
         raise BadInput(
-            f"{path}: has {n} data rows; a trial needs at least {least}, leave this file out"
+            f"{path}: has {n} data rows; a trial needs at least {min_rows}, leave this file out"
         )
-    columns, notes = without_blank(path, table.columns, least, ours)
+    columns, notes = without_blank(path, table.columns, min_rows, ours)
     columns, reported = joined_time(path, columns, ours)
     lines, notes = table.lines, (*table.notes, *notes, *reported)
-    if not gaps and (joined := apart(path, columns, lines, ours)):
+    if not gaps and (joined := split_clock(path, columns, lines, ours)):
         columns, lines, reported = joined
         notes = (*notes, *reported)
     filled = {
@@ -181,21 +181,21 @@ def _no_number(cell: str, cells: tuple[str, ...]) -> str:
     """What a cell is that is no number, and its mend, by what the column's other cells look
     like.
     """
-    apart, decimal = THOUSANDS.fullmatch(cell.strip()), DECIMAL_COMMA.fullmatch(cell.strip())
-    if apart and decimal:
+    thousands, decimal = THOUSANDS.fullmatch(cell.strip()), DECIMAL_COMMA.fullmatch(cell.strip())
+    if thousands and decimal:
         others = [c.strip() for c in cells if "," in c]
         if any("." in c for c in cells):
             decimal = None
         elif any(not THOUSANDS.fullmatch(c) for c in others):
-            apart = None
-    if apart and decimal:
+            thousands = None
+    if thousands and decimal:
         return (
             "thousands or decimals behind a comma; write thousands without one (1234.5), decimals "
             "with a point (1.2345)"
         )
     if decimal:
         return "a decimal comma; write decimals with a point"
-    if apart:
+    if thousands:
         return "with its thousands apart; write 1234.5, nothing between the digits"
     if DATE.match(cell.strip()):
         return (

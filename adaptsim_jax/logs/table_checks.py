@@ -36,7 +36,7 @@ JOINED = 0.3
 
 
 def without_blank(
-    path: str | Path, columns: Mapping[str, np.ndarray], least: int, ours: Mapping[str, str]
+    path: str | Path, columns: Mapping[str, np.ndarray], min_rows: int, ours: Mapping[str, str]
 ) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
     """`columns [T]` (NaN where a cell is missing) without optional ones that hold nothing, and a
     note on these.
@@ -45,7 +45,9 @@ def without_blank(
     BadInput where a column that is needed holds nothing.
     """
     blank = [
-        name for name, values in columns.items() if len(values) >= least and np.isnan(values).all()
+        name
+        for name, values in columns.items()
+        if len(values) >= min_rows and np.isnan(values).all()
     ]
     for name in blank:
         if not _is_optional(ours.get(name, name)):

@@ -134,7 +134,7 @@ COMMANDS = ("target", "ctrl", "tau_commanded", "u", "i")
 LINE = "q_line of the file"
 
 
-def apart(
+def split_clock(
     path: str | Path, columns: Mapping[str, np.ndarray], lines: np.ndarray, ours: Mapping[str, str]
 ) -> tuple[dict[str, np.ndarray], np.ndarray, tuple[str, ...]] | None:
     """`columns [T]` (NaN where a cell is missing) with their lines on the clock of the states, and

@@ -58,8 +58,8 @@ class _Columns:
     def reaches(self, joint: int | str | None) -> str:
         """How far a joint moves, and how far its model lets it, in words."""
         low, high = self.limits[joint]
-        far = f"{self.name[joint]} reaches {self.reach(joint):.4g}"
-        return f"{far}, its range in the model is {low:.3g} to {high:.3g}"
+        reached = f"{self.name[joint]} reaches {self.reach(joint):.4g}"
+        return f"{reached}, its range in the model is {low:.3g} to {high:.3g}"
 
 
 def guess_units(

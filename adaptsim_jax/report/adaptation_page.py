@@ -142,7 +142,7 @@ def _rewards(results: Mapping[str, Any]) -> str:
     """
     rows = [r for r in results["rows"] if len(r["curve"]["median"]) > 1]
     settings = list(dict.fromkeys(r["setting"] for r in rows))
-    bottom, what, axis = look.least(results), look.reward_of(results), look.axis_of(results)
+    bottom, what, axis = look.lower_limit(results), look.reward_of(results), look.axis_of(results)
     views = {}
     for i, name in enumerate(settings):
         mine = [r for r in results["rows"] if r["setting"] == name]

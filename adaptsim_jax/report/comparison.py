@@ -45,11 +45,11 @@ def table(results: Mapping[str, Any]) -> str:
     def across(cell):
         return _grid(head, methods, cell, settings, cells)
 
-    told = _by_trials(results, across) if "trials_axis" in results else None
+    by_trials = _by_trials(results, across) if "trials_axis" in results else None
     parts = [
         f"{look.reward_of(results, long=True)}, {look.seeds(results['seeds'])}, "
         f"{results['iterations']} iterations, {results['starts']} initial distributions.",
-        *(told or (_of_one(across) if look.one_seed(rows) else _over_seeds(across))),
+        *(by_trials or (_of_one(across) if look.one_seed(rows) else _over_seeds(across))),
         *_fresh(rows, across),
         *_discrepancies(rows, across),
         *_failures(rows),

@@ -65,7 +65,7 @@ def axis_of(results) -> str:
     return ITERATIONS
 
 
-def least(results) -> float:
+def lower_limit(results) -> float:
     """Where axes of rewards begin: normalised ones go below 0, a task's own do not."""
     if "reward" in results and "trials_axis" not in results:
         return -0.02
@@ -155,10 +155,10 @@ def svg(figure: Figure) -> str:
     width = figure.get_size_inches()[0] * 96
     # wide ones scroll on a phone
     if width > 600:
-        least = min(width, 640.0)
+        min_width = min(width, 640.0)
     else:
-        least = 0.0
-    style = f"width: 100%; height: auto; max-width: {width:.0f}px; min-width: {least:.0f}px"
+        min_width = 0.0
+    style = f"width: 100%; height: auto; max-width: {width:.0f}px; min-width: {min_width:.0f}px"
     size = re.compile(
         r'<svg ([^>]*?)\bheight="[^"]*"([^>]*?)\bwidth="[^"]*"|<svg '
         r'([^>]*?)\bwidth="[^"]*"([^>]*?)\bheight="[^"]*"'

@@ -15,7 +15,7 @@ def reward_over_iterations(results: Mapping[str, Any], methods: Sequence[str] = 
     """A panel a setting: median over seeds of the best distribution's reward at each iteration,
     with its quartiles.
     """
-    bottom = look.least(results)
+    bottom = look.lower_limit(results)
     rows = [
         r
         for r in results["rows"]
@@ -83,7 +83,7 @@ def rewards(results: Mapping[str, Any]) -> Figure:
     """Table 1 as dots: mean over seeds of the best-iteration reward with its 95 % interval (of one
     seed none), and every seed.
     """
-    left = look.least(results)
+    left = look.lower_limit(results)
     # 0 and 1 by definition where normalised
     if "reward" in results:
         known = ()
@@ -104,8 +104,8 @@ def rewards(results: Mapping[str, Any]) -> Figure:
         ax.set_xlim(left, 1.08)
         ax.set_title(look.setting(setting), fontsize=9, color=look.INK)
     axes[0].set_yticks(range(len(methods))[::-1], [look.label(m) for m in methods])
-    told = ("" if "trials_axis" in results else "best-iteration ") + look.reward_of(results)
-    figure.supxlabel(told if len(settings) > 2 else told.replace(" (", "\n("), fontsize=8.5)
+    caption = ("" if "trials_axis" in results else "best-iteration ") + look.reward_of(results)
+    figure.supxlabel(caption if len(settings) > 2 else caption.replace(" (", "\n("), fontsize=8.5)
     return figure
 
 

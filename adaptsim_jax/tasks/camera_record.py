@@ -19,7 +19,7 @@ class CameraTracks(NamedTuple):
     rows: np.ndarray
     time: np.ndarray
     track: np.ndarray
-    told: Callable[[int], str]
+    row_name: Callable[[int], str]
 
 
 def check_columns(

@@ -61,7 +61,7 @@ class AdaptView(NamedTuple):
         shown = picked(count, self.best)
         return shown, [f"iteration {i}" + (" (best)" if i == self.best else "") for i in shown]
 
-    def trials_told(self) -> int | None:
+    def trials_reported(self) -> int | None:
         """How many trials the deployed policy is corrected by; None where it is not."""
         import numpy as np
 

@@ -33,7 +33,7 @@ class Diagnose:
     recording: type
     read: Callable[[Any], Any]
     effects: Callable[[Any], tuple[Candidate, ...]]
-    judged: Callable[..., tuple[dict, dict, dict | None, Form, Mapping[str, Callable[[], str]]]]
+    assess: Callable[..., tuple[dict, dict, dict | None, Form, Mapping[str, Callable[[], str]]]]
     criteria: Criteria
     columns: tuple[str, ...] = ()
 
@@ -58,7 +58,7 @@ class Diagnose:
         recorded = data if given else self.read(data)
         effects = rows.check_exclude(exclude, self.effects(recorded), self.trial)
         folder = None if out is None else cleared(output_folder(out))
-        report, evidence, plan, model, more = self.judged(
+        report, evidence, plan, model, more = self.assess(
             recorded, effects, criteria or self.criteria, progress, folder
         )
         run = Run(
@@ -70,7 +70,7 @@ class Diagnose:
 def reported(
     task: str,
     model: str,
-    seen: rows.Seen,
+    observed: rows.Seen,
     problem: Problem,
     found: Finding,
     tracks: Mapping[str, np.ndarray],
@@ -93,24 +93,24 @@ def reported(
         task,
         model,
         verdict_of(effects, worst > criteria.explained),
-        rows.message(seen, found, over, worst),
+        rows.message(observed, found, over, worst),
         {
-            "trials": len(seen.names),
-            "samples": int(seen.mask.sum()),
-            "held_out_trials": len(seen.names),
+            "trials": len(observed.names),
+            "samples": int(observed.mask.sum()),
+            "held_out_trials": len(observed.names),
         },
         effects=effects,
-        error=rows.error_table(seen, found, tracks),
+        error=rows.error_table(observed, found, tracks),
         candidates=rows.candidate_rows(found),
         declared={k: rows.declared_rows(problem, m) for k, m in both.items()},
-        not_established=rows.same_rows(found, seen.trial),
+        not_established=rows.same_rows(found, observed.trial),
         notes=notes,
         **more,
     )
     return report, {
         "audit": noted(notes),
-        "held_out": rows.held_out(seen, tracks, mended),
-        "tracks": rows.plane_tracks(seen, tracks, mended, axes),
+        "held_out": rows.held_out(observed, tracks, mended),
+        "tracks": rows.plane_tracks(observed, tracks, mended, axes),
     }
 
 

@@ -26,7 +26,7 @@ class Size(NamedTuple):
 
     key: str
     unit: str
-    least: float
+    smallest: float
     most: float
     such: float
 
@@ -36,7 +36,7 @@ PLACE = Size("noise", "m", 1e-4, 0.05, 0.0005)
 
 @dataclass(frozen=True)
 class TrialKind:
-    """What tracks of a task look like. trial, trials, body: as messages call them; far m: farther
+    """What tracks of a task look like. trial, trials, body: as messages call them; reach m: farther
     no body goes; fastest m/s, slip m: a row farther than this from the one before is another thing;
     moves m: less in all is no trial; ends s: later rows are left out; optional: columns that are
     read where they are there, of these `angles` in rad, with empty cells where they were not seen;
@@ -46,13 +46,13 @@ class TrialKind:
     trial: str
     trials: str
     body: str
-    far: float
+    reach: float
     fastest: float
     slip: float
     moves: float
     never: str
     ends: float
-    least: int = 5
+    min_trials: int = 5
     optional: tuple[str, ...] = ()
     angles: tuple[str, ...] = ()
     usual: float = 0.0
@@ -122,7 +122,7 @@ def read_actions(
     """The table of an actions file, and how its row i is named; needed: columns beside `trial` with
     their units. Raises BadInput.
     """
-    table = read_table(path, ("trial", *needed, *optional), least=1)
+    table = read_table(path, ("trial", *needed, *optional), min_rows=1)
     words = ", ".join(["trial", *[f"{n} ({u})" for n, u in needed.items()]])
     record.check_columns(table.columns, ("trial", *needed), path, words)
     numbers = table.columns["trial"]
@@ -151,7 +151,7 @@ def read_tracks(
     found: Tracks = {}
     columns = ("trial", "time", "x", "y", *kind.optional)
     tables = [
-        (path, read_table(path, columns, least=1, lost=("x", "y"), gaps=kind.angles))
+        (path, read_table(path, columns, min_rows=1, lost=("x", "y"), gaps=kind.angles))
         for path in paths
     ]
     more = tuple(c for c in kind.optional if all(c in t.columns for _, t in tables))
@@ -200,7 +200,7 @@ def _read_tracks(path: Path, table: Table, wanted: _Wanted, found: Tracks) -> No
             f"{at(i)}: trial {c['trial'][i]:g} is not in {wanted.actions.name}; add its "
             f"{kind.trial} there"
         )
-    record.check_unit(c, at, kind.far, kind.trial, kind.usual)
+    record.check_unit(c, at, kind.reach, kind.trial, kind.usual)
     for n in np.unique(c["trial"]):
         if f"{n:g}" in wanted.without:
             continue
@@ -270,10 +270,10 @@ def tracked(
     few are left.
     """
     names = [n for n in numbers if n in found]
-    if len(names) < kind.least:
+    if len(names) < kind.min_trials:
         raise BadInput(
-            f"{where}: {len(names)} {kind.trials} have a track; to judge effects {kind.least} are "
-            f"needed, {serve} serve"
+            f"{where}: {len(names)} {kind.trials} have a track; to judge effects "
+            f"{kind.min_trials} are needed, {serve} serve"
         )
     gaps = [f"trial {n:g}: {hole}" for n in names for hole in record.holes(found[n].time)]
     return names, [
@@ -351,7 +351,7 @@ def noise_of(
                 f"{size.such:g}"
             )
         return float(given), "declared"
-    minimum = max(size.least, rounded(places[mask > 0]) / np.sqrt(12.0))
+    minimum = max(size.smallest, rounded(places[mask > 0]) / np.sqrt(12.0))
     total, count = 0.0, 0
     for t, p, m in zip(time, places, mask, strict=True):
         r = p[(m > 0) & (t < still)]

@@ -103,7 +103,7 @@ def of_pendulum(source: Path) -> list[str]:
     kept = usable(recording, checked)
     said += [f.message for f in check_conventions(kept)]
     found = pendulum_trials(kept)
-    return said + (list(sentences(found, CHANNELS)) if found is not None and found.told else [])
+    return said + (list(sentences(found, CHANNELS)) if found is not None and found.differs else [])
 
 
 def of_mechanism(source: Path) -> list[str]:
@@ -116,7 +116,7 @@ def of_mechanism(source: Path) -> list[str]:
     machine = scaled(machine, HORIZON)
     found = mechanism_trials(machine)
     return said + (
-        list(sentences(found, channels(machine))) if found is not None and found.told else []
+        list(sentences(found, channels(machine))) if found is not None and found.differs else []
     )
 
 

@@ -230,7 +230,7 @@ def write_record(folder: Path, recording: Recording) -> Path:
 
 
 def read_push_record(path: Path) -> Read:
-    table = read_table(path, pushes.COLUMNS, least=1)
+    table = read_table(path, pushes.COLUMNS, min_rows=1)
 
     def at(i):
         return f"{path}: {table.row_word} {table.lines[i]}"
@@ -244,7 +244,7 @@ def read_push_record(path: Path) -> Read:
 
 
 def read_scoop_record(path: Path) -> Read:
-    table = read_table(path, scoops.COLUMNS, least=1)
+    table = read_table(path, scoops.COLUMNS, min_rows=1)
 
     def at(i):
         return f"{path}: {table.row_word} {table.lines[i]}"

@@ -31,8 +31,8 @@ def test_files_that_are_not_read_are_told(tmp_path):
 def test_remarks_above_the_header_are_no_rows_and_lines_keep_their_numbers(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("# logger v2\n# rate: 100\n#time,q1\n0,1\n0.1,2\n")
-    table = read_table(path, ("time", "q1"), least=1)
+    table = read_table(path, ("time", "q1"), min_rows=1)
     assert list(table.columns["q1"]) == [1, 2] and list(table.lines) == [4, 5]
     path.write_text("logger v2\ntime,q1\n0,1\n")
     with pytest.raises(BadInput, match="remove the lines above the columns' names"):
-        read_table(path, ("time", "q1"), least=1)
+        read_table(path, ("time", "q1"), min_rows=1)

@@ -17,7 +17,7 @@ less.
 """
 ALIKE = 6.0
 """Rows that what is left stays alike over."""
-LEAST = 30
+MIN_ROWS = 30
 """Blocks below which nothing is said."""
 
 
@@ -29,7 +29,7 @@ def unexplained(tracks: Sequence[Track]) -> float:
     rows = [_rows(track) for track in tracks]
     a = np.concatenate([r[0] for r in rows])
     columns = np.concatenate([r[1] for r in rows])
-    if len(a) < LEAST or np.std(a) < 1e-9 or np.std(columns[:, 0]) < 1e-12:
+    if len(a) < MIN_ROWS or np.std(a) < 1e-9 or np.std(columns[:, 0]) < 1e-12:
         return float("nan")
     size = np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-12)
     x, *_ = np.linalg.lstsq(columns / size, a, rcond=1e-9)
@@ -44,7 +44,7 @@ def servo_gain(tracks: Sequence[Track]) -> tuple[float, float, float] | None:
     """
     rows = [_rows(track) for track in tracks]
     a, columns = (np.concatenate([r[k] for r in rows]) for k in (0, 1))
-    if len(a) < LEAST or np.std(a) < 1e-9 or np.std(columns[:, 0]) < 1e-12:
+    if len(a) < MIN_ROWS or np.std(a) < 1e-9 or np.std(columns[:, 0]) < 1e-12:
         return None
     size = np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-12)
     whole = columns / size
@@ -89,7 +89,7 @@ CUT_TRIALS, ROW, NEARLY = 4, 5e-3, 2.0
 """Trials, and s of a row, in which a cut is looked for; times what counts that a coarse look may
 leave.
 """
-POOR, CUT, APART = 0.03, 0.3, 0.7
+POOR, CUT, DISTINCT = 0.03, 0.3, 0.7
 """A command is doubted from this share on; one cut on its way is told where it leaves this share of
 that, and this share of what a limit of force leaves.
 """
@@ -197,7 +197,7 @@ def cut(tracks: Sequence[Track], joint: int, damping: float) -> Cut | None:
     found = {how: _best(some, read[how], *ends[how]) for how in read}
     best = min(rough, key=lambda how: found[how][1])
     size, left = found[best]
-    if left > CUT * base or left > APART * found["force"][1]:
+    if left > CUT * base or left > DISTINCT * found["force"][1]:
         return None
     return Cut(best, size, base, left)
 

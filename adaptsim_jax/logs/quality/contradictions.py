@@ -32,8 +32,8 @@ POOR = 0.15
 GOOD, TIMES = 0.1, 5.0
 """Another convention is told where it leaves less than GOOD, and TIMES less than the declared one.
 """
-HARDLY, FAR = 0.03, 10.0
-"""So it is from this share on, where another leaves FAR times less: many parameters explain much of
+HARDLY, CLEARLY = 0.03, 10.0
+"""So it is from this share on, where another leaves CLEARLY times less: many parameters explain much of
 anything.
 """
 MOST_SWAPPED = 8
@@ -115,7 +115,7 @@ def contradiction(
         # of two that do alike the first, which is the simpler, stands
         if best is None or other < 0.8 * best[0]:
             best = other, h
-    if best is None or best[0] > GOOD or best[0] * (TIMES if left >= POOR else FAR) > left:
+    if best is None or best[0] > GOOD or best[0] * (TIMES if left >= POOR else CLEARLY) > left:
         return None
     if (
         left < POOR
@@ -125,7 +125,7 @@ def contradiction(
         # inertias that are a little off look like lengths that are far off; but torques are then of
         # the right size
         return None
-    return Contradiction(best[1].name, best[1].says, best[1].mend, left, best[0])
+    return Contradiction(best[1].name, best[1].statement, best[1].mend, left, best[0])
 
 
 def _moves(motion: Motion) -> bool:

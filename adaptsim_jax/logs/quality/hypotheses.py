@@ -60,7 +60,7 @@ class Hypothesis:
     """
 
     name: str
-    says: str
+    statement: str
     mend: str
     motion: Callable[[Motion], Motion] = lambda m: m
     design: Design | None = None

@@ -20,7 +20,7 @@ class Signal:
     """One joint of one trial, in the rows in which its angle was read.
 
     `trial`, `joint` and the columns `q_name`, `v_name`, `u_name` by their names; `time [K]` s;
-    `q [K]` in `unit`; `v [K]` or None; `u [K]` or None: force or torque; `told [K]` or None: what
+    `q [K]` in `unit`; `v [K]` or None; `u [K]` or None: force or torque; `command [K]` or None: what
     it was commanded; `row`: the trial's sampling interval in s; `free`: whether nothing but a
     motor with no brake or gear holds the joint; `others`: range of the trial's other joints.
     """
@@ -35,7 +35,7 @@ class Signal:
     q: np.ndarray
     v: np.ndarray | None
     u: np.ndarray | None
-    told: np.ndarray | None
+    command: np.ndarray | None
     row: float
     free: bool
     others: float
@@ -232,9 +232,9 @@ def check_derived(s: Signal) -> Findings:
 
 def check_command(s: Signal) -> Findings:
     """Measured against commanded torque: gain and lag, where both were recorded."""
-    if s.told is None or s.u is None:
+    if s.command is None or s.u is None:
         return []
-    a = command_agreement(s.time, s.told, s.u)
+    a = command_agreement(s.time, s.command, s.u)
     if not a.enough or a.lag <= -4 * s.row:
         return []
     how = f"gain {a.gain:.3f} and lag {a.lag * 1e3:.3g} ms (r2 {a.r2:.3f})"

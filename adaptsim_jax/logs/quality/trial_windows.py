@@ -145,9 +145,9 @@ def solved(gram: np.ndarray, right: np.ndarray) -> np.ndarray:
     return np.linalg.solve(scaled + 1e-9 * np.eye(len(gram)), right / size) / size
 
 
-def normal(rows: Rows, keep: np.ndarray, least: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Normal equations of the first `least` columns (0: all) over rows `keep [K]`."""
-    table = rows.table[keep][:, :, : least or None]
+def normal(rows: Rows, keep: np.ndarray, width: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Normal equations of the first `width` columns (0: all) over rows `keep [K]`."""
+    table = rows.table[keep][:, :, : width or None]
     a = (table * rows.weight[:, None]).reshape(-1, table.shape[2])
     return a.T @ a, a.T @ (rows.tau[keep] * rows.weight).ravel()
 
@@ -171,7 +171,7 @@ def of_motion(rows: Rows, fine: Motion) -> Rows:
 
 
 def jointly(
-    rows: Rows, own: np.ndarray, label: np.ndarray, seen: np.ndarray, likely: float = np.inf
+    rows: Rows, own: np.ndarray, label: np.ndarray, labels: np.ndarray, likely: float = np.inf
 ) -> tuple[np.ndarray, np.ndarray]:
     """Parameters `[P]` and numbers `[T, S]` of each label's own, together by least squares; those
     of a label are eliminated first. likely: size of a number before anything was seen, for what a
@@ -183,7 +183,7 @@ def jointly(
         doubt = 0.0
     else:
         doubt = np.mean(np.square(unexplained_of(rows, fitted(rows)))) / likely**2
-    for t in seen:
+    for t in labels:
         here = label == t
         a = (rows.table[here] * rows.weight[:, None]).reshape(-1, p)
         c = (own[here] * rows.weight[:, None]).reshape(-1, own.shape[2])
@@ -198,5 +198,5 @@ def jointly(
     return x, np.stack([both[:, -1] - both[:, :-1] @ x for both in selected])
 
 
-def least_squares(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def regress(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return solved(a.T @ a, a.T @ b)

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.logs.quality.trials_differ import Differ, Odd
+from adaptsim_jax.logs.quality.trials_differ import Differ, OutlierTrial
 
 LOUD = 3.0
 """Times the sensors' noise that must be left, on left-out trials, for a difference between trials
 to be told of.
 """
-ODD = 2.0
+UNUSUAL = 2.0
 """Times the middle trial's error that an odd trial's must be in the final model."""
 SPOILS = 30.0
 """Times the middle trial's unexplained torque with which a trial spoils the fit of all, where
@@ -53,7 +53,7 @@ def add_trials(
         "differ": differ.kind or None,
         "alike": list(differ.alike),
         "takes": differ.takes if differ.kind else None,
-        "leave_out": sorted({*differ.apart, *(o.trial for o in differ.odd)}),
+        "leave_out": sorted({*differ.outlying, *(o.trial for o in differ.outliers)}),
         "headline": headline(differ),
         "warnings": lines,
         "each": [_each(differ, i, report["error"], channels) for i in range(len(differ.names))],
@@ -76,8 +76,8 @@ def confirmed(differ: Differ, error: Mapping[str, Any]) -> Differ:
     spoilt = bool(floor) and usual > SPOILS * floor
     outlier = tuple(
         o
-        for o in differ.odd
-        if own.get(o.trial, np.inf) > ODD * usual or (spoilt and o.times > SPOILS)
+        for o in differ.outliers
+        if own.get(o.trial, np.inf) > UNUSUAL * usual or (spoilt and o.times > SPOILS)
     )
     return Differ(
         differ.names, differ.error, differ.kind, differ.size, differ.takes, differ.alike, outlier
@@ -95,9 +95,9 @@ def _errors(error: Mapping[str, Any]) -> dict[str, float]:
 
 def headline(differ: Differ) -> str | None:
     """The end of a sentence; None where nothing differs."""
-    if differ.kind and not differ.apart:
+    if differ.kind and not differ.outlying:
         return f"{_differs(differ.kind)} from trial to trial"
-    outlier = sorted({*differ.apart, *(o.trial for o in differ.odd)})
+    outlier = sorted({*differ.outlying, *(o.trial for o in differ.outliers)})
     if not outlier:
         return None
     return f"{', '.join(outlier[:6])} {'are' if len(outlier) > 1 else 'is'} apart from the other trials"
@@ -120,7 +120,7 @@ def sentences(differ: Differ, channels: Channels) -> list[str]:
             + ", or an effect without a name that acts otherwise in each trial"
             + f"; {_mend(differ)}"
         )
-    out += [_odd(o, channels) for o in differ.odd]
+    out += [_outlier_words(o, channels) for o in differ.outliers]
     return out
 
 
@@ -134,8 +134,8 @@ def _alike(kind: str) -> str:
 
 
 def _mend(differ: Differ) -> str:
-    if differ.apart:
-        return f"leave the odd ones out: --without {','.join(differ.apart)}"
+    if differ.outlying:
+        return f"leave the odd ones out: --without {','.join(differ.outlying)}"
     if differ.kind == "zero":
         return (
             "zero the encoders once for all trials, or subtract what report.json says under "
@@ -168,7 +168,7 @@ def _amount(kind: str, size: float, hinge: bool) -> str:
     return f"{size:.2g} N m"
 
 
-def _odd(o: Odd, channels: Channels) -> str:
+def _outlier_words(o: OutlierTrial, channels: Channels) -> str:
     why = (
         "nothing simple explains it: did a drive trip, a sensor drop out, are its columns or "
         "units other, or does an effect act that the other trials hardly show?"
@@ -192,7 +192,7 @@ def _odd(o: Odd, channels: Channels) -> str:
 
 def _each(differ: Differ, i: int, error: Mapping[str, Any], channels: Channels) -> dict[str, Any]:
     name = differ.names[i]
-    outlier = next((o for o in differ.odd if o.trial == name), None)
+    outlier = next((o for o in differ.outliers if o.trial == name), None)
     size: Any = None
     if differ.kind and differ.size is not None and np.all(np.isfinite(differ.size[i])):
         if differ.kind == "load":
@@ -211,6 +211,6 @@ def _each(differ: Differ, i: int, error: Mapping[str, Any], channels: Channels) 
         "error": _errors(error).get(name),
         "unexplained_torque": unexplained,
         "size": size,
-        "odd": outlier is not None or name in differ.apart,
+        "odd": outlier is not None or name in differ.outlying,
         "kind": outlier.kind or None if outlier else None,
     }

@@ -21,11 +21,11 @@ from adaptsim_jax.logs.quality.trial_windows import (
     Rows,
     fitted,
     jointly,
-    least_squares,
     normal,
     of_motion,
     over_blocks,
     part_of,
+    regress,
     rows_of,
     solved,
     unexplained_of,
@@ -44,7 +44,7 @@ LIKELY, WIDEST = 0.1, 0.1
 """rad: size of zeros before anything is seen, and the longest step of their fit."""
 SMALL = 1e-3
 """rad by which a zero is moved to see what that does."""
-APART, TIMES, SHARE = 4.0, 3.0, 0.02
+DEVIATIONS, TIMES, SHARE = 4.0, 3.0, 0.02
 """An odd trial: robust standard deviations and times that its error is above the others', and least
 share of its torque's square.
 """
@@ -57,7 +57,7 @@ reason.
 
 
 @dataclass(frozen=True)
-class Odd:
+class OutlierTrial:
     """A trial apart from the others: its unexplained torque is `times` theirs. `kind`: what of it
     is otherwise, by `size [S]` (see `Differ`); empty where none of the kinds explains it.
     """
@@ -83,15 +83,15 @@ class Differ:
     size: np.ndarray | None = None
     takes: float = 0.0
     alike: tuple[str, ...] = ()
-    odd: tuple[Odd, ...] = ()
+    outliers: tuple[OutlierTrial, ...] = ()
 
     @property
-    def told(self) -> bool:
+    def differs(self) -> bool:
         """Whether there is anything to say."""
-        return bool(self.kind or self.odd)
+        return bool(self.kind or self.outliers)
 
     @property
-    def apart(self) -> tuple[str, ...]:
+    def outlying(self) -> tuple[str, ...]:
         """Trials whose size is apart from those of the rest, where these are few."""
         if self.size is None:
             return ()
@@ -117,34 +117,34 @@ def trials_differ(names: Sequence[str], tracks: Sequence[Track], design: Design)
     rows = rows_of(tracks, design)
     if rows is None:
         return None
-    seen = np.unique(rows.trial)
-    error = _errors(rows, seen)
+    observed = np.unique(rows.trial)
+    error = _errors(rows, observed)
     whole = np.full(len(names), np.nan)
-    whole[seen] = error
-    apart = [int(t) for t in seen[_apart(error)]]
-    rest = part_of(rows, np.flatnonzero(~np.isin(rows.trial, apart)))
+    whole[observed] = error
+    outlying = [int(t) for t in observed[_are_outliers(error)]]
+    rest = part_of(rows, np.flatnonzero(~np.isin(rows.trial, outlying)))
     if len(np.unique(rest.trial)) >= MIN_TRIALS:
         common = _common(rest, len(names))
     else:
         common = ("", None, 0.0, ())
     usual = float(np.median(error))
     outlier = tuple(
-        _reason(rows, rest, t, names[t], float(error[seen == t][0]) / usual) for t in apart
+        _reason(rows, rest, t, names[t], float(error[observed == t][0]) / usual) for t in outlying
     )
     return Differ(tuple(names), whole, *common, outlier)
 
 
-def _errors(rows: Rows, seen: np.ndarray) -> np.ndarray:
+def _errors(rows: Rows, observed: np.ndarray) -> np.ndarray:
     """RMS by trial of what parameters from the other trials leave, with or without smooth forces,
     odd trials counting less.
     """
     plain = rows.rigid + 3 * rows.tau.shape[1]
-    return np.minimum(*(_left_out(rows, seen, least) for least in (plain, 0)))
+    return np.minimum(*(_left_out(rows, observed, width) for width in (plain, 0)))
 
 
-def _left_out(rows: Rows, seen: np.ndarray, least: int) -> np.ndarray:
-    worth = np.ones(len(seen))
-    grams = [normal(rows, rows.trial == t, least) for t in seen]
+def _left_out(rows: Rows, observed: np.ndarray, width: int) -> np.ndarray:
+    worth = np.ones(len(observed))
+    grams = [normal(rows, rows.trial == t, width) for t in observed]
     error = worth
     for _ in range(ROUNDS):
         gram = sum(w * g[0] for w, g in zip(worth, grams, strict=True))
@@ -160,21 +160,21 @@ def _left_out(rows: Rows, seen: np.ndarray, least: int) -> np.ndarray:
                         ** 2
                     )
                 )
-                for t, w, g in zip(seen, worth, grams, strict=True)
+                for t, w, g in zip(observed, worth, grams, strict=True)
             ]
         )
         worth = 1.0 / np.square(np.maximum(1.0, error / max(float(np.median(error)), 1e-12)))
     return error
 
 
-def _apart(error: np.ndarray) -> np.ndarray:
+def _are_outliers(error: np.ndarray) -> np.ndarray:
     """Trials whose error is far above the others', by the median and the median absolute deviation
     of its logarithm.
     """
     log = np.log(np.maximum(error, 1e-12))
     middle = float(np.median(log))
     spread = 1.4826 * float(np.median(np.abs(log - middle)))
-    return (log - middle > np.maximum(APART * spread, np.log(TIMES))) & (error**2 > SHARE)
+    return (log - middle > np.maximum(DEVIATIONS * spread, np.log(TIMES))) & (error**2 > SHARE)
 
 
 def kinds(n: int) -> dict[str, Columns]:
@@ -209,13 +209,13 @@ def _common(rows: Rows, count: int) -> tuple[str, np.ndarray | None, float, tupl
     """The kind that takes most of what is unexplained in trials, its size by trial `[count, S]`,
     what it takes, and kinds alike.
     """
-    seen, x = np.unique(rows.trial), fitted(rows)
+    observed, x = np.unique(rows.trial), fitted(rows)
     own = {name: columns(rows, x) for name, columns in kinds(rows.tau.shape[1]).items()}
     takes = {}
     for name, columns in own.items():
         shared = name != "torque_scale"
         # pieces of a trial do not fix every number of a load by itself
-        if name == "load" or _steady(rows, columns, seen, shared):
+        if name == "load" or _steady(rows, columns, observed, shared):
             takes[name] = _takes(rows, columns, shared)
     found = {name: t for name, t in takes.items() if t >= TAKES[name]}
     if not found:
@@ -231,15 +231,15 @@ def _common(rows: Rows, count: int) -> tuple[str, np.ndarray | None, float, tupl
     size = np.full((count, own[best].shape[2]), np.nan)
 
     def plain():
-        return _numbers(rows, own[best], rows.trial, seen, best != "torque_scale")[1]
+        return _numbers(rows, own[best], rows.trial, observed, best != "torque_scale")[1]
 
-    size[seen] = _refined_zeros(rows, seen) if best == "zero" else plain()
+    size[observed] = _refined_zeros(rows, observed) if best == "zero" else plain()
     alike = tuple(
         n for n, t in found.items() if n != best and ALIKE * (1.0 - t) < 1.0 - found[best]
     )
     return (
         best,
-        _told(best, rows, own[best], x, size - np.nanmedian(size, axis=0)),
+        _as_reported(best, rows, own[best], x, size - np.nanmedian(size, axis=0)),
         found[best],
         alike,
     )
@@ -252,10 +252,10 @@ def _takes(rows: Rows, own: np.ndarray, shared: bool) -> float:
     before = after = 0.0
     for half in (0, 1):
         known, tested = part_of(rows, rows.half == half), part_of(rows, rows.half != half)
-        seen = np.intersect1d(known.trial, tested.trial)
-        x, mine = _numbers(known, own[rows.half == half], known.trial, seen, shared)
+        observed = np.intersect1d(known.trial, tested.trial)
+        x, mine = _numbers(known, own[rows.half == half], known.trial, observed, shared)
         more = np.einsum(
-            "kns,ks->kn", own[rows.half != half], mine[np.searchsorted(seen, tested.trial)]
+            "kns,ks->kn", own[rows.half != half], mine[np.searchsorted(observed, tested.trial)]
         )
         after += float(np.sum((unexplained_of(tested, x) - more * rows.weight) ** 2))
         before += float(np.sum(unexplained_of(tested, fitted(known)) ** 2))
@@ -263,52 +263,58 @@ def _takes(rows: Rows, own: np.ndarray, shared: bool) -> float:
 
 
 def _numbers(
-    rows: Rows, own, label: np.ndarray, seen: np.ndarray, shared: bool
+    rows: Rows, own, label: np.ndarray, observed: np.ndarray, shared: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Parameters `[P]` and numbers `[T, S]` of each label's own. shared: together; else the numbers
     after the parameters, since all torques and all parameters may shrink alike.
     """
     if shared:
-        return jointly(rows, own, label, seen)
+        return jointly(rows, own, label, observed)
     x = fitted(rows)
     left, weighed = unexplained_of(rows, x), own * rows.weight[:, None]
     return x, np.stack(
         [
-            least_squares(weighed[label == t].reshape(-1, own.shape[2]), left[label == t].ravel())
-            for t in seen
+            regress(weighed[label == t].reshape(-1, own.shape[2]), left[label == t].ravel())
+            for t in observed
         ]
     )
 
 
-def _refined_zeros(rows: Rows, seen: np.ndarray) -> np.ndarray:
+def _refined_zeros(rows: Rows, observed: np.ndarray) -> np.ndarray:
     """Zeros `[T, n]` together with the parameters, by Gauss and Newton's steps: wide zeros move the
     parameters too.
     """
     n = rows.tau.shape[1]
-    size, now = np.zeros((len(seen), n)), rows
+    size, now = np.zeros((len(observed), n)), rows
     for _ in range(ROUNDS):
-        _, step = jointly(now, _moved(now, fitted(now)), now.trial, seen, LIKELY)
+        _, step = jointly(now, _moved(now, fitted(now)), now.trial, observed, LIKELY)
         size = size + np.clip(step - np.median(step, axis=0), -WIDEST, WIDEST)
         own = np.zeros((int(rows.origin.max()) + 1, n))
-        own[seen] = size
+        own[observed] = size
         now = of_motion(rows, replace(rows.fine, q=rows.fine.q - own[rows.origin]))
     return size
 
 
-def _steady(rows: Rows, own: np.ndarray, seen: np.ndarray, shared: bool) -> bool:
+def _steady(rows: Rows, own: np.ndarray, observed: np.ndarray, shared: bool) -> bool:
     """Whether a trial's numbers agree between its pieces and differ between trials: an analysis of
     variance for each number.
     """
     label = rows.trial * PIECES + rows.piece
-    table = _numbers(rows, own, label, np.unique(label), shared)[1].reshape(len(seen), PIECES, -1)
+    table = _numbers(rows, own, label, np.unique(label), shared)[1].reshape(
+        len(observed), PIECES, -1
+    )
     middle = table.mean(1)
-    between = PIECES * np.sum((middle - middle.mean(0)) ** 2, 0) / (len(seen) - 1)
-    within = np.sum((table - middle[:, None]) ** 2, (0, 1)) / (len(seen) * (PIECES - 1))
-    p = stats.f.sf(between / np.maximum(within, 1e-300), len(seen) - 1, len(seen) * (PIECES - 1))
+    between = PIECES * np.sum((middle - middle.mean(0)) ** 2, 0) / (len(observed) - 1)
+    within = np.sum((table - middle[:, None]) ** 2, (0, 1)) / (len(observed) * (PIECES - 1))
+    p = stats.f.sf(
+        between / np.maximum(within, 1e-300), len(observed) - 1, len(observed) * (PIECES - 1)
+    )
     return bool(np.min(p) < ALPHA / (4 * table.shape[2]))
 
 
-def _told(name: str, rows: Rows, own: np.ndarray, x: np.ndarray, size: np.ndarray) -> np.ndarray:
+def _as_reported(
+    name: str, rows: Rows, own: np.ndarray, x: np.ndarray, size: np.ndarray
+) -> np.ndarray:
     """Sizes as they are told: of a load, as a share of the torque of the whole mechanism."""
     if name != "load":
         return size
@@ -322,20 +328,20 @@ def _told(name: str, rows: Rows, own: np.ndarray, x: np.ndarray, size: np.ndarra
     return out
 
 
-def _reason(rows: Rows, rest: Rows, t: int, name: str, times: float) -> Odd:
+def _reason(rows: Rows, rest: Rows, t: int, name: str, times: float) -> OutlierTrial:
     """What of trial `t` is otherwise than in `rest`: the kind that takes most of its error in
     pieces not fitted to.
     """
     mine = part_of(rows, rows.trial == t)
     x = fitted(rest)
     left = unexplained_of(mine, x)
-    best = Odd(name, times)
+    best = OutlierTrial(name, times)
     most = OWN
     for kind, columns in kinds(rows.fine.q.shape[1]).items():
         own = columns(mine, x) * rows.weight[:, None]
 
         def fit(keep, own=own):
-            return least_squares(own[keep].reshape(-1, own.shape[2]), left[keep].ravel())
+            return regress(own[keep].reshape(-1, own.shape[2]), left[keep].ravel())
 
         after = sum(
             float(np.sum((left[mine.half != h] - own[mine.half != h] @ fit(mine.half == h)) ** 2))
@@ -345,10 +351,10 @@ def _reason(rows: Rows, rest: Rows, t: int, name: str, times: float) -> Odd:
         if takes > most:
             size = np.full((t + 1, own.shape[2]), np.nan)
             size[t] = fit(np.ones(len(left), bool))
-            shown = _told(kind, mine, columns(mine, x), x, size)[t]
+            shown = _as_reported(kind, mine, columns(mine, x), x, size)[t]
             if (kind == "load" and np.min(shown) < LIGHTEST) or (
                 kind == "zero" and np.max(np.abs(shown)) > np.pi
             ):
                 continue
-            best, most = Odd(name, times, kind, tuple(float(z) for z in shown)), takes
+            best, most = OutlierTrial(name, times, kind, tuple(float(z) for z in shown)), takes
     return best

@@ -72,7 +72,7 @@ def shown(view: AdaptView) -> Look:
         target=list(view.values),
     )
     notes = ()
-    if (count := view.trials_told()) is not None:
+    if (count := view.trials_reported()) is not None:
         notes = (
             f"actions are corrected by the pushes made before, the best policy's by all {count}",
         )

@@ -34,10 +34,12 @@ TURN_MEND = "give tracks in the arm's base frame (x ahead, y to the left)"
 
 @dataclass(frozen=True)
 class FrameFault:
-    """What looks otherwise: `name`, `says`, `mend`; `slight`: no reason to refuse the tracks."""
+    """What looks otherwise: `name`, `statement`, `mend`; `slight`: no reason to refuse the
+    tracks.
+    """
 
     name: str
-    says: str
+    statement: str
     mend: str
     slight: bool = False
 
@@ -118,9 +120,9 @@ def check_frame(angles: np.ndarray, way: np.ndarray, where: str) -> str | None:
     if trials is None:
         return None
     if trials.slight:
-        return f"{trials.says}; {trials.mend}"
+        return f"{trials.statement}; {trials.mend}"
     raise BadInput(
-        f"{where}: {trials.says}; {trials.mend}; if all is as declared, add --as-declared"
+        f"{where}: {trials.statement}; {trials.mend}; if all is as declared, add --as-declared"
     )
 
 

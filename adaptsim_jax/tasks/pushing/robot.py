@@ -88,7 +88,7 @@ def read(session: RobotSession, state: Any, path: Path) -> Any:
     from adaptsim_jax.tasks.pushing.model import START
     from adaptsim_jax.tasks.pushing.task import make_expectation
 
-    table = read_table(path, measured.COLUMNS, least=1, lost=("x", "y"))
+    table = read_table(path, measured.COLUMNS, min_rows=1, lost=("x", "y"))
 
     def at(i):
         return f"{path}: {table.row_word} {table.lines[i]}"

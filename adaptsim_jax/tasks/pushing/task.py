@@ -275,12 +275,12 @@ def observed(trajectory: PushingTrajectory, config: PushingConfig) -> jax.Array:
         shown = [given(trajectory.points), trajectory.goals[:, None]]
     else:
         shown = [given(trajectory.points)]
-    seen = goal_input(jnp.concatenate(shown, 1))
+    observed = goal_input(jnp.concatenate(shown, 1))
     if config.show_gap:
         gap = given(trajectory.points) - given(trajectory.expected)
         # millimetres tell as much as centimetres do when E is nearly right
-        seen = jnp.concatenate([seen, jnp.arcsinh(gap / _SMALL)], 1)
-    return jnp.clip(jnp.where(jnp.isfinite(seen), seen, 4.0), -4.0, 4.0).reshape(-1)
+        observed = jnp.concatenate([observed, jnp.arcsinh(gap / _SMALL)], 1)
+    return jnp.clip(jnp.where(jnp.isfinite(observed), observed, 4.0), -4.0, 4.0).reshape(-1)
 
 
 def _obs_dim(config: PushingConfig) -> int:

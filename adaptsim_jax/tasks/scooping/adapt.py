@@ -57,7 +57,7 @@ def shown(view: AdaptView) -> Look:
         target=list(view.values),
     )
     notes = ()
-    if (count := view.trials_told()) is not None:
+    if (count := view.trials_reported()) is not None:
         notes = (f"scoops are corrected by those made before, the best policy's by all {count}",)
     visits = [0, view.best] if view.best else [0]
     return Look(figure, lambda: [clips[i] for i in visits], notes)

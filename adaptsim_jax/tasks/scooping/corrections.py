@@ -52,18 +52,18 @@ class Odds(NamedTuple):
 
 
 def chances(
-    trials: ScoopRecord, at_told: Odds, tried: jax.Array, at_tried: Odds, doubt: Doubt = Doubt()
+    trials: ScoopRecord, at_reported: Odds, tried: jax.Array, at_tried: Odds, doubt: Doubt = Doubt()
 ) -> jax.Array:
     """`[A]`, chance of success of the actions `tried [A, 3]` as `outlook` has it. Unsure odds are
     drawn towards even, as their expected chance is.
     """
-    odds, variance = outlook(trials, at_told, tried, at_tried, doubt)
+    odds, variance = outlook(trials, at_reported, tried, at_tried, doubt)
     return jax.nn.sigmoid(odds / jnp.sqrt(1.0 + np.pi / 8.0 * variance))
 
 
 def outlook(
     trials: ScoopRecord,
-    at_told: Odds,
+    at_reported: Odds,
     tried: jax.Array,
     at_tried: Odds,
     doubt: Doubt = Doubt(),
@@ -73,7 +73,7 @@ def outlook(
     Rows that are not used count for nothing.
     """
     used = trials.used.astype(tried.dtype)
-    prior, ways = _departures(at_told, doubt)
+    prior, ways = _departures(at_reported, doubt)
     alike = (
         _covariance(ways, trials.actions, ways, trials.actions, doubt) * used[:, None] * used[None]
     )

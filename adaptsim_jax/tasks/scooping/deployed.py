@@ -185,7 +185,7 @@ def make_search(
         own = jnp.concatenate([trials.actions, own])
         every, params = jnp.concatenate([own, even]), space.physical(policy.at)
         both = Odds(odds(params, every), jnp.concatenate([others(pieces, own), known]))
-        at_told = jax.tree.map(lambda x: x[: len(trials.actions)], both)
-        return every[jnp.argmax(worth(trials, at_told, every, both))]
+        at_reported = jax.tree.map(lambda x: x[: len(trials.actions)], both)
+        return every[jnp.argmax(worth(trials, at_reported, every, both))]
 
     return best

@@ -106,7 +106,7 @@ def read(session: RobotSession, state: Any, path: Path) -> Any:
     from adaptsim_jax.logs.table import read_table
     from adaptsim_jax.tasks.scooping import measured
 
-    table = read_table(path, measured.COLUMNS, least=1, lost=("x", "y"))
+    table = read_table(path, measured.COLUMNS, min_rows=1, lost=("x", "y"))
 
     def at(i):
         return f"{path}: {table.row_word} {table.lines[i]}"

@@ -140,8 +140,8 @@ def observed(trajectory: ScoopingTrajectory) -> jax.Array:
     """`[obs_dim]`: places along and across the table in units of 15 cm; far out they are held at
     4.
     """
-    seen = trajectory.points / _SPAN
-    return jnp.clip(jnp.where(jnp.isfinite(seen), seen, 4.0), -4.0, 4.0).reshape(-1)
+    shown = trajectory.points / _SPAN
+    return jnp.clip(jnp.where(jnp.isfinite(shown), shown, 4.0), -4.0, 4.0).reshape(-1)
 
 
 def test_contexts(count: int) -> np.ndarray:

@@ -19,7 +19,7 @@ from adaptsim_jax.mend.mjcf import edited, put_inertia
 
 SIZED = ("BOX", "SPHERE", "CAPSULE", "CYLINDER", "ELLIPSOID")
 LONGEST_STEP = 0.004  # s; an impact lasts some ms
-LEAST_FRICTION = 1e-5  # MuJoCo takes none that is smaller
+MIN_FRICTION = 1e-5  # MuJoCo takes none that is smaller
 
 
 @dataclass(frozen=True)
@@ -192,7 +192,7 @@ def with_values(body: Body, values: Mapping[str, float]) -> mujoco.MjModel:
     """
     m = copy.copy(body.model)
     g, b = body.geoms, body.at
-    m.geom_friction[g, 0] = max(values["friction"], LEAST_FRICTION)
+    m.geom_friction[g, 0] = max(values["friction"], MIN_FRICTION)
     m.geom_solref[g, 0] = 10.0 ** values["log_time"]
     m.geom_solref[g, 1] = values["damping"]
     grown = 1.0 + values["size"]

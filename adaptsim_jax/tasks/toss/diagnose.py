@@ -43,7 +43,7 @@ MEASURE = {
 }
 
 
-def judged(
+def assess(
     tossed: Tossed,
     considered: tuple[Candidate, ...],
     criteria: Criteria,
@@ -58,7 +58,7 @@ def judged(
     found = search(problem, criteria, parts.stepping(progress, 0.05), keep=keep)
     report, evidence = reported(tossed, problem, follow, found, criteria)
     values = fitted(problem, found.final)
-    xml = {XML: lambda: mended_xml(tossed.body, values, beside(found, values))}
+    xml = {XML: lambda: mended_xml(tossed.body, values, not_in_file(found, values))}
     return report, evidence, None, mended_model(problem, found, values), xml
 
 
@@ -79,7 +79,7 @@ def mended_model(problem: Problem, found: Finding, values: dict[str, float]) -> 
     return Form("toss", XML, declared, effects)
 
 
-def beside(found: Finding, values: dict[str, float]) -> list[str]:
+def not_in_file(found: Finding, values: dict[str, float]) -> list[str]:
     """What was named and MJCF cannot hold, a line each."""
     return [
         f"not in this file: {n.candidate.name} "
@@ -178,8 +178,8 @@ def message(found: Finding, over, error: dict[str, Any], whole, flown: Flight | 
             "(median)."
         )
     if flown is not None:
-        said = flight_words(flown)
-        text += f" {said[:1].upper()}{said[1:]}"
+        flown_words = flight_words(flown)
+        text += f" {flown_words[:1].upper()}{flown_words[1:]}"
     return text
 
 
@@ -279,4 +279,4 @@ def _from_above(follow: Follow, tracks, mended: bool) -> dict[str, Any]:
     }
 
 
-diagnose = Diagnose("toss", Tossed, read, lambda tossed: effects(tossed.body), judged, CRITERIA)
+diagnose = Diagnose("toss", Tossed, read, lambda tossed: effects(tossed.body), assess, CRITERIA)

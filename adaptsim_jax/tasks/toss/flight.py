@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptsim_jax.tasks.toss.catalogue import quantities
-from adaptsim_jax.tasks.toss.problem import anchored, seen_less
+from adaptsim_jax.tasks.toss.problem import anchored, scaled_residual
 from adaptsim_jax.tasks.toss.read import Tossed
 from adaptsim_jax.tasks.toss.simulate import poses
-from adaptsim_jax.tasks.toss.windows import CLEAR, LEAST, flight, gathered
+from adaptsim_jax.tasks.toss.windows import CLEAR, MIN_ROWS, flight, gathered
 
 DRAWS = 2000
 
@@ -55,7 +55,7 @@ def free_flight(tossed: Tossed) -> Flight | None:
     corners, found = tossed.body.corners(), []
     for time, place, turn in zip(tossed.time, tossed.place, tossed.turn, strict=True):
         rows = flight(place, turn, corners, CLEAR * tossed.body.size)
-        if rows >= LEAST:
+        if rows >= MIN_ROWS:
             found.append(2.0 * np.polyfit(time[:rows], place[:rows], 2)[0])
     if not found:
         return None
@@ -105,7 +105,7 @@ def predicted(
     whole = gathered(tossed, list(spans))
 
     def less(at, v, start):
-        return seen_less(tossed, first, names, at, v, start)
+        return scaled_residual(tossed, first, names, at, v, start)
 
     anchor, _ = anchored(less, np.arange(len(spans)), values, first.start)
     place, _ = poses(tossed.body, names, values, anchor.start, whole.time)
@@ -117,7 +117,7 @@ def flights(tossed: Tossed) -> tuple[list[Span], list[int]]:
     corners, spans, rows = tossed.body.corners(), [], []
     for t, (place, turn) in enumerate(zip(tossed.place, tossed.turn, strict=True)):
         count = flight(place, turn, corners, CLEAR * tossed.body.size)
-        if LEAST <= count < len(place):
+        if MIN_ROWS <= count < len(place):
             spans.append((t, 0, len(place)))
             rows.append(count)
     return spans, rows

@@ -16,7 +16,7 @@ from adaptsim_jax.tasks.toss.body import Body
 
 STEP = 0.3  # m/s by which a speed must change from row to row for a blow
 ALONE = 0.2  # of the body's size, by which the corner must be lower than the others
-LEAST = 5  # blows that say something
+MIN_BLOWS = 5  # blows that say something
 BETTER = 1.7  # times by which another frame must explain the changes of spin better
 TURN_MEND = "give places and turns in one frame: x, y, z right-handed with z upwards from the plane"
 FRAMES = {
@@ -43,7 +43,7 @@ def check_blows(body: Body, time: Sequence, place: Sequence, turn: Sequence, whe
             for t, p, q in zip(time, place, turn, strict=True)
         ]
         dv, ds, r, axes = (np.concatenate([b[k] for b in blows]) for k in range(4))
-        for name, frame in FRAMES.items() if len(dv) >= LEAST else ():
+        for name, frame in FRAMES.items() if len(dv) >= MIN_BLOWS else ():
             observed = np.concatenate([dv[:, :2] @ frame.T, dv[:, 2:]], 1)
             left[name, inverse] = float(
                 np.median(np.linalg.norm(ds - _spun(body, r, observed, axes), axis=1))

@@ -37,9 +37,9 @@ PRIOR = np.repeat([0.02, 0.2, 0.5, 5.0], 3)  # widths that keep finite what a wi
 ROUNDS, ENOUGH = 12, 0.01  # of the anchor's fit; share of the square that a round must take off
 DAMPING = (0.0, 0.01, 0.3, 10.0)
 # lengths of steps, round by round, tried with the anchor's Jacobian elsewhere: a short step in the
-# second would bring windows just below FAR, where they are left without a Jacobian of their own
+# second would bring windows just below DISTANT, where they are left without a Jacobian of their own
 AGAIN = ((1.0, 0.3), (1.0,))
-FAR, FRESH = 1.3, 3  # of the anchor's square: above it, rounds with a Jacobian of its own
+DISTANT, FRESH = 1.3, 3  # of the anchor's square: above it, rounds with a Jacobian of its own
 SOME = 4  # tosses from which a beginning is chosen
 SETTLED = 4  # rounds of the fit that windows are weighed by
 # of what the declared model leaves of a window (mean square), from where on more of it counts by
@@ -62,7 +62,9 @@ class Anchor:
     square: np.ndarray
 
 
-def seen_less(tossed: Tossed, windows: Windows, names, at: np.ndarray, values, start) -> np.ndarray:
+def scaled_residual(
+    tossed: Tossed, windows: Windows, names, at: np.ndarray, values, start
+) -> np.ndarray:
     """Measured minus simulated over the noise `[N, R, 6]` of windows `at [N]`; values `[N, P]`,
     start `[N, 13]`. Turns by the vector from the simulated to the measured, in the body's axes.
     """
@@ -165,7 +167,7 @@ def begun(tossed: Tossed, windows: Windows, points: np.ndarray) -> np.ndarray:
     names = tuple(z.name for z in quantities(tossed.body))
 
     def less(w, v, start):
-        return seen_less(tossed, windows, names, w, v, start)
+        return scaled_residual(tossed, windows, names, w, v, start)
 
     anchor, _ = anchored(less, at, np.repeat(points, len(few), 0), windows.start[at])
     left = (anchor.square / windows.free[at]).reshape(len(points), -1)
@@ -261,8 +263,8 @@ class Follow:
     anchor: Anchor
 
     def less(self, at, values, start) -> np.ndarray:
-        """`seen_less` of windows `at [N]`."""
-        return seen_less(self.tossed, self.windows, self.names, at, values, start)
+        """`scaled_residual` of windows `at [N]`."""
+        return scaled_residual(self.tossed, self.windows, self.names, at, values, start)
 
     def of(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Starts `[W, 13]` that fit `values [T, P]`, and residuals `[W, R, 6]` from them."""
@@ -279,9 +281,11 @@ class Follow:
             tried = partial(propose, np.array(lengths))
             found = fit_starts(found, tried, evaluate, 1, 0.0, every=True)
         usual = np.maximum(self.anchor.square, self.windows.free)
-        far = np.flatnonzero(found.loss > FAR * usual)
-        fresh, _ = improved(self.less, far, own[far], Lanes(*(z[far] for z in found)), FRESH)
-        found.starts[far], found.left[far] = fresh.starts, fresh.left
+        distant = np.flatnonzero(found.loss > DISTANT * usual)
+        fresh, _ = improved(
+            self.less, distant, own[distant], Lanes(*(z[distant] for z in found)), FRESH
+        )
+        found.starts[distant], found.left[distant] = fresh.starts, fresh.left
         return found.starts, found.left
 
     def left(self) -> np.ndarray:
@@ -298,7 +302,7 @@ def follower(tossed: Tossed, windows: Windows, values: np.ndarray) -> Follow:
     names = tuple(z.name for z in quantities(tossed.body))
 
     def less(at, v, start):
-        return seen_less(tossed, windows, names, at, v, start)
+        return scaled_residual(tossed, windows, names, at, v, start)
 
     count = len(windows.toss)
     anchor, _ = anchored(less, np.arange(count), np.tile(values, (count, 1)), windows.start)

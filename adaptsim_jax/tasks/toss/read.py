@@ -122,7 +122,7 @@ def _read_file(
     """The tosses of a file into `found`: one by the file's name, or as many as its column `trial`
     numbers.
     """
-    table = read_table(path, ("trial", *COLUMNS), least=1)
+    table = read_table(path, ("trial", *COLUMNS), min_rows=1)
 
     def at(i):
         return f"{path}: {table.row_word} {table.lines[i]}"

@@ -15,7 +15,7 @@ from mujoco import rollout
 
 from adaptsim_jax.core.parallel import cores
 from adaptsim_jax.tasks.toss import turns
-from adaptsim_jax.tasks.toss.body import LEAST_FRICTION, Body, with_values
+from adaptsim_jax.tasks.toss.body import MIN_FRICTION, Body, with_values
 from adaptsim_jax.tasks.toss.catalogue import CHUNKED
 
 AT_ONCE = 256  # simulations in memory
@@ -143,7 +143,7 @@ def _in_chunks(body: Body, names, values, full, count: int, pool) -> np.ndarray:
         twice = 2.0 * np.arctan2(slip[:, 1], slip[:, 0])
         grain = v["grain_a"] * np.cos(twice) + v["grain_b"] * np.sin(twice)
         friction = v["friction"] * np.maximum(
-            (1.0 + v["speed_friction"] * speed) * (1.0 + grain), LEAST_FRICTION
+            (1.0 + v["speed_friction"] * speed) * (1.0 + grain), MIN_FRICTION
         )
         hard = np.maximum(np.abs(full[:, 10]), SLOW) / USUAL
         damping = np.clip(v["damping"] * hard ** v["rebound"], 0.01, 5.0)

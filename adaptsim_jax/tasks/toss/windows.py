@@ -20,7 +20,7 @@ LENGTH = 0.12  # s
 FLAT, LIES = 0.026, 2e-3  # rad, m: how near to its last pose a body that slides on a face lies
 SETTLED = 2  # rows after it first does
 SLIDES = 0.1  # m/s; slower is rest
-LEAST = 8  # rows of a window
+MIN_ROWS = 8  # rows of a window
 BEGIN = 5  # rows from which a start is guessed
 STILL = (
     0.02  # m/s; rows after the last that is faster say nothing more than one second of them does
@@ -64,15 +64,15 @@ def cut(tossed: Tossed, length: float = LENGTH) -> Windows:
         moving = np.flatnonzero(speed > STILL)
         stop = min(len(time), (int(moving[-1]) if len(moving) else 0) + 2 + REST)
         begin = min(flight(place, turn, corners, CLEAR * tossed.body.size) - BEFORE, stop)
-        if begin >= LEAST:
+        if begin >= MIN_ROWS:
             spans.append((t, 0, begin))
         else:
             begin = 0
         last = slide(time, place, turn)
-        if last is not None and stop - last >= LEAST and last - begin >= LEAST:
+        if last is not None and stop - last >= MIN_ROWS and last - begin >= MIN_ROWS:
             spans.append((t, last, stop))
             stop = last
-        if stop - begin >= LEAST:
+        if stop - begin >= MIN_ROWS:
             count = max(1, round((time[stop - 1] - time[begin]) / length))
         else:
             count = 0
@@ -80,11 +80,11 @@ def cut(tossed: Tossed, length: float = LENGTH) -> Windows:
         edges = [begin]
         for edge in np.round(np.linspace(begin, stop, count + 1)[1:-1]).astype(int):
             near = np.arange(
-                max(edge - ASIDE, edges[-1] + LEAST), min(edge + ASIDE + 1, stop - LEAST + 1)
+                max(edge - ASIDE, edges[-1] + MIN_ROWS), min(edge + ASIDE + 1, stop - MIN_ROWS + 1)
             )
             if len(near):
                 edges.append(int(near[np.argmin(smooth[near])]))
-        spans += [(t, a, b) for a, b in itertools.pairwise([*edges, stop]) if b - a >= LEAST]
+        spans += [(t, a, b) for a, b in itertools.pairwise([*edges, stop]) if b - a >= MIN_ROWS]
     return gathered(tossed, sorted(spans))
 
 
@@ -99,9 +99,9 @@ def slide(time: np.ndarray, place: np.ndarray, turn: np.ndarray) -> int | None:
     )
     away = np.flatnonzero(~lies)
     begin = (int(away[-1]) + 1 if len(away) else 0) + SETTLED
-    if len(place) - begin < 2 * LEAST:
+    if len(place) - begin < 2 * MIN_ROWS:
         return None
-    ahead = begin + LEAST - 1
+    ahead = begin + MIN_ROWS - 1
     speed = np.linalg.norm(place[ahead, :2] - place[begin, :2]) / (time[ahead] - time[begin])
     if speed > SLIDES:
         return begin

@@ -29,7 +29,7 @@ def tripped(c, at=1.0):
 @pytest.mark.parametrize("seed", range(6))
 def test_trials_of_one_machine_are_not_doubted(tmp_path, seed):
     found = differ_of(tmp_path, arm(count=COUNT, seed=seed))
-    assert found is not None and not found.told
+    assert found is not None and not found.differs
 
 
 @pytest.mark.parametrize("size", [0.01, 0.1])
@@ -55,7 +55,7 @@ def test_a_trial_apart_is_named_and_offered_to_be_left_out(tmp_path):
         "tau2": weak["tau2"] * 2.0,
     }  # half of what was logged did act
     found = differ_of(tmp_path, trials)
-    assert [o.trial for o in found.odd] == ["03", "06"] and found.kind == ""
+    assert [o.trial for o in found.outliers] == ["03", "06"] and found.kind == ""
     assert (
         "nothing simple explains it" in sentences(found, CHANNELS)[0]
         and "--without 03" in sentences(found, CHANNELS)[0]
@@ -72,8 +72,8 @@ def test_a_trial_of_other_columns_is_no_load_and_no_zero(tmp_path, kind):
         "degrees": {k: np.degrees(x) if k[0] in "qv" else x for k, x in trials[3].items()},
         "joints": {k if k == "time" else k[:-1] + swap[k[-1]]: x for k, x in trials[3].items()},
     }[kind]
-    (odd,) = differ_of(tmp_path, trials).odd
-    assert odd.trial == "03" and odd.kind == ""
+    (outliers,) = differ_of(tmp_path, trials).outliers
+    assert outliers.trial == "03" and outliers.kind == ""
 
 
 def test_a_trial_that_spoils_the_fit_of_all_stays_odd(tmp_path):
@@ -82,10 +82,10 @@ def test_a_trial_that_spoils_the_fit_of_all_stays_odd(tmp_path):
     found = differ_of(tmp_path, trials)
     rows = [{"trial": f"{k:02d}", "before": 0.1, "after": 0.1} for k in range(COUNT)]
     error = {"unit": "rad", "before": 0.1, "after": 0.1, "noise_floor": 2e-4, "per_trial": rows}
-    assert found.odd[0].times > 30.0 and confirmed(found, error).odd == found.odd
+    assert found.outliers[0].times > 30.0 and confirmed(found, error).outliers == found.outliers
     assert not confirmed(
         found, error | {"noise_floor": 0.01}
-    ).odd  # no fit is spoilt that leaves ten times the noise
+    ).outliers  # no fit is spoilt that leaves ten times the noise
 
 
 def test_what_the_mended_model_explains_is_not_told(tmp_path):
@@ -94,9 +94,9 @@ def test_what_the_mended_model_explains_is_not_told(tmp_path):
     found = differ_of(tmp_path, trials)
     rows = [{"trial": f"{k:02d}", "before": 0.1, "after": 1e-3} for k in range(COUNT)]
     error = {"unit": "rad", "before": 0.1, "after": 1e-3, "noise_floor": 9e-4, "per_trial": rows}
-    assert not confirmed(found, error).told
+    assert not confirmed(found, error).differs
     error |= {"noise_floor": 1e-4}  # much is left, though not in that trial
-    assert not confirmed(found, error).odd
+    assert not confirmed(found, error).outliers
     rows[3]["after"] = 0.05
     report, evidence = {"error": error, "warnings": ["first"]}, {}
     add_trials(report, evidence, found, CHANNELS)

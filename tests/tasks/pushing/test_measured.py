@@ -55,7 +55,7 @@ def moved(rows, by):
 
 
 def take(path, config=CONFIG):
-    table = read_table(path, measured.COLUMNS, least=1)
+    table = read_table(path, measured.COLUMNS, min_rows=1)
 
     def at(i):
         return f"{path}: {table.row_word} {table.lines[i]}"

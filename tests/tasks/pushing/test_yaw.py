@@ -75,7 +75,7 @@ def test_turns_are_read_from_any_marker_without_whole_turns_and_drop_outs(world,
     declared = read(changed(world, tmp_path / "declared", lambda z: z, "noise_yaw = 0.02\n"))
     assert declared.noise_yaw == 0.02
     smooth = read(changed(world, tmp_path / "smooth", lambda z: np.where(np.isnan(z), z, 0.5)))
-    assert smooth.noise_yaw == TURN.least
+    assert smooth.noise_yaw == TURN.smallest
 
 
 @pytest.mark.parametrize(

@@ -33,7 +33,7 @@ mirrored.
 """
 
 
-def judged(pushed: Pushed, effects, criteria: Criteria, progress, folder: Path | None):
+def assess(pushed: Pushed, effects, criteria: Criteria, progress, folder: Path | None):
     """See `trial_diagnosis.Diagnose`."""
     p, problem = pushed, prepare(pushed, pushed.options, pushed.coefficients, effects)
     found = search(
@@ -122,7 +122,7 @@ diagnose = Diagnose(
     Pushed,
     read,
     lambda pushed: effects_of(pushed.yaw is not None),
-    judged,
+    assess,
     CRITERIA,
     ("speed", "angle"),
 )

@@ -27,7 +27,7 @@ KIND = trial_record.TrialKind(
     "push",
     "pushes",
     "the bottle",
-    far=3.0,
+    reach=3.0,
     fastest=FASTEST,
     slip=SLIP,
     moves=2 * STILL,

@@ -20,7 +20,7 @@ from adaptsim_jax.tasks.trial_diagnosis import Diagnose, reported
 MODEL = "the hydroelastic scoop"
 
 
-def judged(scooped: Scooped, effects, criteria: Criteria, progress, folder: Path | None):
+def assess(scooped: Scooped, effects, criteria: Criteria, progress, folder: Path | None):
     """See `trial_diagnosis.Diagnose`."""
     s, keep = scooped, partial(keeping, folder, "scooping", MODEL)
     found = diagnosed(scooped, effects, criteria, rows.stepping(progress, 0.02), keep)
@@ -86,7 +86,7 @@ diagnose = Diagnose(
     Scooped,
     read,
     effects_of,
-    judged,
+    assess,
     CRITERIA,
     ("place_x", "place_y", "pitch", "rate", "distance"),
 )

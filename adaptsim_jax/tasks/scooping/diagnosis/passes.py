@@ -54,7 +54,7 @@ OMEGA = SHAPES[:2]
 one plane a box moves so much like a cylinder that it would take up a pitch or a clearance: it has
 to be declared.
 """
-Say = Callable[[str], None]
+Report = Callable[[str], None]
 Keep = Callable[[Problem], Callable[[Finding], None]]
 Owned = Callable[[tuple[Candidate, ...], np.ndarray], Model]
 
@@ -88,15 +88,16 @@ def effects_of(scooped: Scooped) -> tuple[Candidate, ...]:
     """The candidates of a recording: a shift in height only where it was seen, another height or
     shape only where one was declared.
     """
-    seen = scooped.places.shape[-1] > 2
+    observed = scooped.places.shape[-1] > 2
     own = tuple(
-        replace(e, quantities=SHIFTS) if seen and e.name == "camera_shift" else e for e in EFFECTS
+        replace(e, quantities=SHIFTS) if observed and e.name == "camera_shift" else e
+        for e in EFFECTS
     )
     return (*own, *[HEIGHT] * (scooped.height is not None), *[SHAPE] * (scooped.shape is not None))
 
 
 def diagnosed(
-    scooped: Scooped, effects: tuple[Candidate, ...], criteria: Criteria, say: Say, keep: Keep
+    scooped: Scooped, effects: tuple[Candidate, ...], criteria: Criteria, report: Report, keep: Keep
 ) -> Found:
     """What the selection finds: with the declared shape, or with the likeliest where none was
     declared or another holds out. keep: makes what is told of it as it goes.
@@ -108,10 +109,10 @@ def diagnosed(
         declared = ("mu", "log_e")
     free = SHAPE in effects
     effects = tuple(e for e in effects if e is not SHAPE)
-    bases = _bases(scooped, quantities, declared, free, say)
+    bases = _bases(scooped, quantities, declared, free, report)
 
     def run(base):
-        return _passes(scooped, base, effects, declared, quantities, criteria, say, keep)
+        return _passes(scooped, base, effects, declared, quantities, criteria, report, keep)
 
     def fit(shape):
         return next((b for b in bases if b.shape == shape), None) or _fitted(
@@ -164,9 +165,9 @@ def _alike(scooped: Scooped, one: Found, other: Found) -> tuple[np.ndarray, np.n
     return mean(one), mean(other)
 
 
-def _bases(scooped: Scooped, quantities, declared, free: bool, say: Say) -> list[_Base]:
+def _bases(scooped: Scooped, quantities, declared, free: bool, report: Report) -> list[_Base]:
     """Shapes with which the declared scoop fits about as well as with any, likeliest first."""
-    say("shape")
+    report("shape")
     if scooped.shape is None:
         shapes = OMEGA
     elif free:
@@ -178,7 +179,7 @@ def _bases(scooped: Scooped, quantities, declared, free: bool, say: Say) -> list
     found = []
     for shape, (points, loss) in starts.items():
         if loss <= RIVAL * best:
-            say(shape)
+            report(shape)
             found.append(_fitted(scooped, shape, quantities, declared, points))
     return sorted(found, key=lambda b: b.loss)
 
@@ -218,29 +219,29 @@ def _passes(
     declared,
     quantities,
     criteria: Criteria,
-    say: Say,
+    report: Report,
     keep: Keep,
 ) -> Found:
     """Effects selected about the declared fit, then about what was found, until nothing changes."""
-    least, names = widths(base.shape), ()
+    lowest, names = widths(base.shape), ()
     centre, width = base.values, widths()
     for turn in range(PASSES):
-        say(f"pass {turn + 1}")
+        report(f"pass {turn + 1}")
         emulator = emulate(scooped, base.shape, centre, width, turn)
         problem = prepare(scooped, emulator, effects, declared, quantities, centre)
-        found = search(problem, criteria, say, alike=False, keep=keep(problem))
+        found = search(problem, criteria, report, alike=False, keep=keep(problem))
         fit = found.final.fit
         now = tuple(e.name for e in found.final.added)
         moved = np.max(np.abs(fit.values - centre)[OWN] / width)
         centre = fit.values
-        settled = turn > 0 or np.allclose(least, width)
+        settled = turn > 0 or np.allclose(lowest, width)
         if now == names and moved < 2.5 and settled:
             break
         names = now
         width = _narrowed(base.shape, found.final, problem.neutral, declared)
     own, _ = _owned(scooped, base.shape, emulator.width, declared, quantities, criteria)
-    return _judged(
-        scooped, base.shape, scales(scooped, emulator.stray), problem, found, criteria, own, say
+    return _by_engine(
+        scooped, base.shape, scales(scooped, emulator.stray), problem, found, criteria, own, report
     )
 
 
@@ -261,20 +262,20 @@ def _owned(
         free = {*declared, *(q for e in effects for q in e.quantities)}
         drawn = np.array([quantities[i].name in free for i in OWN])
 
-        def far(to):
+        def outside(to):
             return np.max(drawn * np.abs(values[OWN] - to.centre) / to.width) > 1.0
 
         wide = width
         for turn in range(OWNED):
             emulator = made.get(tuple(drawn))
-            if emulator is None or far(emulator):
+            if emulator is None or outside(emulator):
                 size = np.maximum(widths(shape), 0.6 * np.abs(values - neutral)[OWN])
                 wide = np.where([quantities[i].name in declared for i in OWN], wide, size)
                 emulator = made[tuple(drawn)] = emulate(scooped, shape, values, wide, turn, drawn)
             problem = prepare(scooped, emulator, effects, declared, quantities, values)
             model = finished(problem, effects, values, criteria.rounds)
             values = model.fit.values
-            if not far(emulator):
+            if not outside(emulator):
                 break
             wide = np.minimum(wide, _narrowed(shape, model, neutral, declared))
         return replace(model, fit=replace(model.fit, loss=model.fit.loss / problem.counts.sum()))
@@ -286,15 +287,15 @@ def _narrowed(shape: str, model: Model, neutral: np.ndarray, declared) -> np.nda
     """Widths `[O]` of draws about a fitted model: of the declared values by how well they are
     known, of others by their size.
     """
-    least = widths(shape)
-    width = np.maximum(least, 0.6 * np.abs(model.fit.values - neutral)[OWN])
+    lowest = widths(shape)
+    width = np.maximum(lowest, 0.6 * np.abs(model.fit.values - neutral)[OWN])
     for n in declared:
         i = INDEX[n]
-        width[PLACE[i]] = np.clip(2.0 * spread(model)[i], least[PLACE[i]], FIRST[n])
+        width[PLACE[i]] = np.clip(2.0 * spread(model)[i], lowest[PLACE[i]], FIRST[n])
     return width
 
 
-def _judged(
+def _by_engine(
     scooped: Scooped,
     shape: str,
     scale,
@@ -302,7 +303,7 @@ def _judged(
     found: Finding,
     criteria: Criteria,
     own: Owned,
-    say: Say,
+    report: Report,
 ) -> Found:
     """What the emulator names, tested once more by the engine: each beside the others, then against
     what may do as well in its place.
@@ -310,7 +311,7 @@ def _judged(
     What does not hold out is dropped. The best in a place is named, others that predict left-out
     scoops as well are its class.
     """
-    say("by the engine")
+    report("by the engine")
     whole = replace(problem, quantities=quantities_of(scooped))
     known: dict[frozenset[str], tuple[Model, np.ndarray]] = {}
     trace = list(found.trace)
@@ -322,11 +323,11 @@ def _judged(
                 model = own(tuple(effects), values)
             else:
                 model = found.null
-            judged, tracks = _simulated(scooped, shape, scale, problem, model.fit)
-            known[key] = Model(tuple(effects), judged), tracks
+            simulated, tracks = _simulated(scooped, shape, scale, problem, model.fit)
+            known[key] = Model(tuple(effects), simulated), tracks
         return known[key][0]
 
-    def told(model: Model, named: list[Named]) -> Found:
+    def found_with(model: Model, named: list[Named]) -> Found:
         tracks = {
             k: known[frozenset(e.name for e in m.added)][1]
             for k, m in (("before", null), ("after", model))
@@ -368,7 +369,7 @@ def _judged(
             named.append(Named(e, test, steady, others, tuple(m for _, m in alike)))
         else:
             break
-    return told(model, named)
+    return found_with(model, named)
 
 
 def _holding(problem: Problem, model: Model, emulated: Model, null, fit, criteria: Criteria, trace):

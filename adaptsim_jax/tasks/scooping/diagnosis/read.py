@@ -33,7 +33,7 @@ KIND = trial_record.TrialKind(
     "scoop",
     "scoops",
     "the piece",
-    far=MAX_DISTANCE,
+    reach=MAX_DISTANCE,
     fastest=FASTEST,
     slip=SLIP,
     moves=0.01,
