@@ -105,7 +105,7 @@ def test_returns_are_normalised_between_udr_and_the_oracle_and_written(tmp_path)
     assert "after all target trials" in page and '"title":{"text":"target trials"}' in page.replace(
         ": ", ":"
     )
-    assert look.least(results) < -0.2 and "0 UDR" in look.reward_of(
+    assert look.lower_limit(results) < -0.2 and "0 UDR" in look.reward_of(
         results
     )  # what is below UDR is seen to be
 

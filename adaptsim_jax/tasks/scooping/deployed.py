@@ -172,7 +172,7 @@ def make_search(
     config: ScoopingConfig, worth: Callable
 ) -> Callable[[ScoopingPolicy, jax.Array, ScoopRecord], jax.Array]:
     """`best(policy, own [N, 3], told) -> [3]`: of even actions, `own` and those told of, the one of
-    the highest `worth(told, at_told, tried, at_tried) -> [A]`.
+    the highest `worth(told, at_reported, tried, at_tried) -> [A]`.
     """
     space, options = scooping_space(config), checked(config)
     bank, even = load_bank(options, config.numerics), jnp.asarray(lattice(TRIED), jnp.float32)
