@@ -29,7 +29,7 @@ import numpy as np
 from adaptsim_jax import default_comparison, make_one_shot
 from adaptsim_jax.baselines.adapting import adaptsim, sysid_point
 from adaptsim_jax.baselines.arena import Arena, MethodRun, Observed, TrialBatch
-from adaptsim_jax.baselines.lanes import Lanes, Memory, lanes
+from adaptsim_jax.baselines.lanes import Memory, RunLanes, lanes
 from adaptsim_jax.core import compile_cache
 from adaptsim_jax.core.config import from_table
 from adaptsim_jax.core.files import output_folder, write_json
@@ -117,7 +117,7 @@ def visits_of(method: str, out: Path, seeds: np.ndarray, pieces: np.ndarray) -> 
     ]
 
 
-def probed(arena: Arena, batch: Lanes, visits: list[tuple], optimism: float) -> list[tuple]:
+def probed(arena: Arena, batch: RunLanes, visits: list[tuple], optimism: float) -> list[tuple]:
     """The same visits with their last scoops replaced by probes; E goes where it went."""
     probe = make_probe(from_table(ScoopingConfig, OPTIONS, "correction"), Doubt(), optimism)
     memory, found, act = (
@@ -147,7 +147,7 @@ def replace_one(arena: Arena, probe) -> Arena:
     return Arena(replace(arena.one, probe=probe), arena.world, arena.targets)
 
 
-def deployed(arena: Arena, batch: Lanes, visits: list[tuple], name: str) -> np.ndarray:
+def deployed(arena: Arena, batch: RunLanes, visits: list[tuple], name: str) -> np.ndarray:
     """Actions `[LATE, B, G, d]` in the test contexts at the last visits, by the doubt `name`."""
     doubt = (
         None

@@ -18,7 +18,7 @@ from adaptsim_jax.adaptation.phase1 import DistributionArchive, Phase1, Phase1Hy
 from adaptsim_jax.adaptation.sweep import TrainedMany, stack, starts_of, train_many, train_one
 from adaptsim_jax.baselines import sysid
 from adaptsim_jax.baselines.arena import Arena, MethodRun, Visits
-from adaptsim_jax.baselines.lanes import Lanes, Memory, lane_keys, lanes, two_keys
+from adaptsim_jax.baselines.lanes import Memory, RunLanes, lane_keys, lanes, two_keys
 from adaptsim_jax.core.progress import silent
 from adaptsim_jax.space import gaussian, step
 
@@ -100,7 +100,7 @@ def identify(run: MethodRun, estimator: Callable, label: int) -> Visits:
     return Visits(batch.grid(np.stack(means, 1)), spent, batch.grid(np.stack(rewards, -1)))
 
 
-def first_policies(run: MethodRun, batch: Lanes, blank: Any) -> Any:
+def first_policies(run: MethodRun, batch: RunLanes, blank: Any) -> Any:
     """What a method's first training in each lane goes on from: `blank [B, ...]`, or the seed's own
     policy for all of Omega where the task makes one, the same for all methods but AdaptSim, whose
     Phase 1 makes its own in the same way.
@@ -153,7 +153,7 @@ class AdaptationTrace(NamedTuple):
 
 def adaptation_trace(
     arena: Arena,
-    batch: Lanes,
+    batch: RunLanes,
     adapting: LanePolicies,
     first: DistributionArchive,
     iterations: int,

@@ -11,7 +11,7 @@ import numpy as np
 from adaptsim_jax.baselines.arena import Arena, TrialBatch
 
 
-class Lanes(NamedTuple):
+class RunLanes(NamedTuple):
     """A batch of `T x S x N` (targets, seeds, starts) laid out flat: `where [B]`, `seed [B]`, and a
     key for each.
     """
@@ -30,7 +30,7 @@ class Lanes(NamedTuple):
         return jax.vmap(jax.random.fold_in, (0, None))(self.keys, number)
 
 
-def lanes(targets: int, seeds: np.ndarray, starts: int, label: int) -> Lanes:
+def lanes(targets: int, seeds: np.ndarray, starts: int, label: int) -> RunLanes:
     """Every target, seed and start. `label` tells methods apart, so that no two of them share
     randomness.
     """
@@ -43,7 +43,7 @@ def lanes(targets: int, seeds: np.ndarray, starts: int, label: int) -> Lanes:
         return jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), label), lane)
 
     keys = jax.vmap(key)(jnp.asarray(np.asarray(seeds)[s], jnp.uint32), jnp.asarray(t * starts + n))
-    return Lanes(t, s, keys, (targets, len(seeds), starts))
+    return RunLanes(t, s, keys, (targets, len(seeds), starts))
 
 
 def two_keys(keys: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -61,7 +61,7 @@ class Memory:
     starts) share what they saw.
     """
 
-    def __init__(self, arena: Arena, batch: Lanes, visits: int):
+    def __init__(self, arena: Arena, batch: RunLanes, visits: int):
         self._one, self._batch, self._visits = arena.one, batch, visits
         self._actions, self._outcomes = [], []
         if arena.one.remember:

@@ -107,7 +107,7 @@ def moments(mixture: Mixture) -> tuple[jax.Array, jax.Array]:
     return mean, within + jnp.einsum("k,ki,kj->ij", weights, offset, offset)
 
 
-class Fit(NamedTuple):
+class DensityFit(NamedTuple):
     """A fitted network and what a diagnostic needs: losses on the held-out part `[checks]`, and the
     best of them.
     """
@@ -124,7 +124,7 @@ def fit(
     x: jax.Array,
     theta: jax.Array,
     config: FitConfig,
-) -> Fit:
+) -> DensityFit:
     """Fit `variables` to pairs `x [n, obs]`, `theta [n, D]` by minimising the mean of
     `loss(variables, x_i, theta_i)`.
 
@@ -159,7 +159,7 @@ def fit(
     (_, best, best_loss), losses = jax.lax.scan(
         check, (start, variables, first), jax.random.split(key, checks)
     )
-    return Fit(best, losses, best_loss)
+    return DensityFit(best, losses, best_loss)
 
 
 def standardise(x: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.environments.fields import INTERFACE, ModelField
-from adaptsim_jax.environments.simulated import Physics, Simulated
+from adaptsim_jax.environments.simulated import Physics, SimulatedTask
 
 
 class Live(NamedTuple):
@@ -46,7 +46,7 @@ class Play(NamedTuple):
     Live`; pure, of one sample.
     """  # noqa: E501
 
-    sim: Simulated
+    sim: SimulatedTask
     fields: tuple[ModelField, ...]
     world: Callable[[jax.Array], SteppedModel]
     reset: Callable[[SteppedModel, jax.Array], Live]
@@ -54,7 +54,7 @@ class Play(NamedTuple):
 
 
 def make_play(
-    sim: Simulated,
+    sim: SimulatedTask,
     fields: tuple[ModelField, ...],
     longest: float = 0.0,
     physics: Physics | None = None,

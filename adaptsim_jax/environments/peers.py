@@ -19,7 +19,7 @@ from adaptsim_jax.core.config import suggest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.registry import function_named
 from adaptsim_jax.environments.fields import ModelField
-from adaptsim_jax.environments.simulated import Simulated
+from adaptsim_jax.environments.simulated import SimulatedTask
 
 OWN = {
     "cartpole": "adaptsim_jax.environments.own:cartpole",
@@ -106,7 +106,7 @@ _PEERS: dict[str, Callable[[str, dict[str, Any], str], Any]] = {
 }
 
 
-class Moment(NamedTuple):
+class GymnaxMoment(NamedTuple):
     """gymnax's own state, and what its last step gave."""
 
     state: Any
@@ -116,7 +116,7 @@ class Moment(NamedTuple):
     done: jax.Array
 
 
-def from_gymnax(env: Any, params: Any, length: int = 0) -> Simulated:
+def from_gymnax(env: Any, params: Any, length: int = 0) -> SimulatedTask:
     """`env` with `params` as its model; actions in [-1, 1] are laid over its own. BadInput where
     its actions are not a continuum.
 
@@ -136,7 +136,7 @@ def from_gymnax(env: Any, params: Any, length: int = 0) -> Simulated:
 
     def moment(state, key, obs, reward, done):
         obs = jnp.asarray(obs, jnp.float32).reshape(-1)
-        return Moment(
+        return GymnaxMoment(
             state, key, obs, jnp.asarray(reward, jnp.float32), jnp.asarray(done, jnp.float32)
         )
 
@@ -162,7 +162,7 @@ def from_gymnax(env: Any, params: Any, length: int = 0) -> Simulated:
         changed = {e.array: e.factor * values[i] for i, f in enumerate(fields) for e in f.edits}
         return params.replace(**changed)
 
-    return Simulated(
+    return SimulatedTask(
         name=env.name,
         native=None,
         model=params,

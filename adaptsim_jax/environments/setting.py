@@ -17,7 +17,7 @@ from adaptsim_jax.environments.episodes import (
 )
 from adaptsim_jax.environments.fields import ModelField, space_of
 from adaptsim_jax.environments.peers import from_gymnax
-from adaptsim_jax.environments.simulated import Simulated, simulated
+from adaptsim_jax.environments.simulated import SimulatedTask, simulated
 from adaptsim_jax.environments.targets import Target, hidden_fields, target_of
 from adaptsim_jax.environments.trainer import Trainer, make_ppo_trainer
 from adaptsim_jax.space import Space
@@ -38,7 +38,7 @@ class Setting(NamedTuple):
 
     config: EnvironmentConfig
     env: Any
-    sim: Simulated
+    sim: SimulatedTask
     space: Space
     fields: tuple[ModelField, ...]
     play: Play
@@ -86,7 +86,7 @@ def compiled(trainer: Trainer) -> Trainer:
 
 def environment(
     env: Any, fields: tuple[ModelField, ...] = (), length: int = 0, where: str = "env"
-) -> Simulated:
+) -> SimulatedTask:
     """`env`, over an `mjx.Model` or of gymnax, as pure functions of its model; BadInput as
     `simulated`.
     """

@@ -25,7 +25,7 @@ Physics = Callable[[Any, Any, Any, int], Any]  # (model, data, ctrl [nu], subste
 
 
 @dataclass(frozen=True)
-class Simulated:
+class SimulatedTask:
     """Pure functions of one sample. `model`: a pytree, of which `edit` replaces the fields; actions
     lie in [-1, 1].
 
@@ -58,7 +58,7 @@ class Simulated:
 
 def simulated(
     env: Any, fields: tuple[ModelField, ...] = (), length: int = 0, where: str = "env"
-) -> Simulated:
+) -> SimulatedTask:
     """`env` as pure functions of its model. fields: those that will be edited; where the file has
     one of them at 0, such as a dry friction, the model is built so that it can act. BadInput where
     `env` has no `reset` or `step`, or no model to edit.
@@ -83,7 +83,7 @@ def simulated(
         done = jnp.asarray(state.done, jnp.float32)
         return obs.astype(jnp.float32), jnp.asarray(state.reward, jnp.float32), done
 
-    return Simulated(
+    return SimulatedTask(
         name=type(env).__name__,
         native=native,
         model=_awake(getattr(env, holder), native, fields),

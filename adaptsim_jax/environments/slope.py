@@ -19,7 +19,7 @@ EXPLODES = 10.0  # a return that would change by more than so many times itself 
 SHORTEST = 5  # steps of a window
 
 
-class Slope(NamedTuple):
+class ReturnSlope(NamedTuple):
     """The mean return `score []` over the starts, its derivative by E's mean `gradient [D]` (unit
     coordinates), and the window [steps] that it was taken over; 0 where none is short enough, and
     the gradient 0.
@@ -31,7 +31,7 @@ class Slope(NamedTuple):
 
 
 def make_slope(play: Play, acting: ActingPolicy, policy_of: Callable[..., Any]) -> Callable:
-    """`slope(keys [N], mean [D], values [F], *more) -> Slope`: over N starts, with the longest
+    """`slope(keys [N], mean [D], values [F], *more) -> ReturnSlope`: over N starts, with the longest
     window whose derivatives do not explode.
 
     Args:
@@ -68,16 +68,16 @@ def make_slope(play: Play, acting: ActingPolicy, policy_of: Callable[..., Any]) 
 
         return jax.vmap(one)(keys)
 
-    def slope(keys: jax.Array, mean: Any, values: Any, *more: Any) -> Slope:
+    def slope(keys: jax.Array, mean: Any, values: Any, *more: Any) -> ReturnSlope:
         window = play.sim.length
         mean, values = (jnp.asarray(x, jnp.float32) for x in (mean, values))
         while True:
             gradients, scores = (np.asarray(x) for x in every(keys, mean, values, window, *more))
             steep = np.abs(gradients).max()  # not a number, where one of them is
             if steep <= EXPLODES * (np.abs(scores).mean() + 1e-6):
-                return Slope(float(scores.mean()), gradients.mean(0), window)
+                return ReturnSlope(float(scores.mean()), gradients.mean(0), window)
             if window <= SHORTEST:
-                return Slope(float(scores.mean()), np.zeros(gradients.shape[1]), 0)
+                return ReturnSlope(float(scores.mean()), np.zeros(gradients.shape[1]), 0)
             window = max(window // 2, SHORTEST)
 
     return slope

@@ -16,7 +16,7 @@ from adaptsim_jax.logs.angles import model_angles
 from adaptsim_jax.logs.beside import copies, unread
 from adaptsim_jax.logs.columns import is_ignored, role
 from adaptsim_jax.logs.inputs import Inputs, choose_inputs
-from adaptsim_jax.logs.joint_columns import Columns, also_there, columns_of
+from adaptsim_jax.logs.joint_columns import JointColumns, also_there, columns_of
 from adaptsim_jax.logs.log import Log, LogTrial, ModelNames
 from adaptsim_jax.logs.log_checks import check_log_units
 from adaptsim_jax.logs.log_meta import LogMeta, of_trial
@@ -73,7 +73,7 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
 
 
 def _moving(
-    path: str, trials: list[Columns], names: ModelNames, meta: LogMeta
+    path: str, trials: list[JointColumns], names: ModelNames, meta: LogMeta
 ) -> tuple[list[int], dict[str, float | None]]:
     """Numbers of the joints that have angles and move, and where the others are held (None: nothing
     of them is logged).
@@ -129,7 +129,9 @@ def _moving(
     return retained, held
 
 
-def _no_angle(columns: Columns, names: ModelNames, j: int, here: Mapping[int, np.ndarray]) -> None:
+def _no_angle(
+    columns: JointColumns, names: ModelNames, j: int, here: Mapping[int, np.ndarray]
+) -> None:
     raw, joint = columns.raw, names.joints[j]
     if not here:
         raise BadInput(
@@ -308,7 +310,7 @@ def _words(name: str, names: ModelNames) -> tuple[str, ...]:
 
 
 def _trial(
-    columns: Columns, names: ModelNames, meta: LogMeta, inputs: Inputs, retained: Sequence[int]
+    columns: JointColumns, names: ModelNames, meta: LogMeta, inputs: Inputs, retained: Sequence[int]
 ) -> LogTrial:
     raw, n, at = columns.raw, len(names.joints), np.asarray(retained, int)
     here = columns.by_joint.get("q", {})

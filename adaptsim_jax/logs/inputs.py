@@ -12,7 +12,7 @@ import numpy as np
 from adaptsim_jax.core.config import nearest, suggest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.angles import flipped_joints, model_angles
-from adaptsim_jax.logs.joint_columns import Columns, also_there
+from adaptsim_jax.logs.joint_columns import JointColumns, also_there
 from adaptsim_jax.logs.log import ActuatorName, InputKind, ModelNames
 from adaptsim_jax.logs.log_meta import LogMeta
 from adaptsim_jax.logs.quality.commands import limited, within
@@ -37,7 +37,7 @@ class Inputs:
     notes: tuple[str, ...] = ()
 
     def of(
-        self, columns: Columns, names: ModelNames, meta: LogMeta, selected: np.ndarray
+        self, columns: JointColumns, names: ModelNames, meta: LogMeta, selected: np.ndarray
     ) -> np.ndarray:
         """`u [T, m]` of one trial in SI units; selected: numbers of the joints that move."""
         if self.kind == "none":
@@ -65,7 +65,11 @@ class Inputs:
 
 
 def _sent(
-    columns: Columns, names: ModelNames, meta: LogMeta, actuator: ActuatorName, command: np.ndarray
+    columns: JointColumns,
+    names: ModelNames,
+    meta: LogMeta,
+    actuator: ActuatorName,
+    command: np.ndarray,
 ) -> np.ndarray:
     """A command `[T]` that is an angle: with the whole turns of the angle of its joint, and cut as
     `[commands]` says.
@@ -84,7 +88,7 @@ def _sent(
     return command
 
 
-def _complete(columns: Columns, kind: str, names: tuple[str, ...], u: np.ndarray) -> None:
+def _complete(columns: JointColumns, kind: str, names: tuple[str, ...], u: np.ndarray) -> None:
     bad = np.argwhere(np.isnan(u))
     for k in np.flatnonzero(np.isnan(u).all(0))[:1]:
         raise BadInput(
@@ -102,7 +106,7 @@ def _complete(columns: Columns, kind: str, names: tuple[str, ...], u: np.ndarray
 
 
 def choose_inputs(
-    path: str, trials: list[Columns], names: ModelNames, meta: LogMeta, moving: Sequence[str]
+    path: str, trials: list[JointColumns], names: ModelNames, meta: LogMeta, moving: Sequence[str]
 ) -> Inputs:
     """Which columns drive the model in all trials; moving: its joints that move, of which alone
     something is needed.
@@ -151,7 +155,7 @@ def choose_inputs(
     return Inputs(kind, stem, tuple(moving), driven, notes=notes)
 
 
-def _kinds(columns: Columns) -> set[str]:
+def _kinds(columns: JointColumns) -> set[str]:
     have = {kind for kind, stem in STEM.items() if stem in columns.by_joint}
     have |= {"torque"} if "tau_commanded" in columns.by_joint else set()
     return have | ({"command"} if columns.ctrl else set())
@@ -167,7 +171,7 @@ def _notes(kind: str, kinds: list[set[str]], meta: LogMeta) -> tuple[str, ...]:
     )
 
 
-def _driven(trials: list[Columns], stem: str, names: ModelNames) -> tuple[str, ...]:
+def _driven(trials: list[JointColumns], stem: str, names: ModelNames) -> tuple[str, ...]:
     """Joints with a column of `stem`, the same in all trials."""
     here = set(trials[0].by_joint[stem])
     for columns in trials[1:]:
@@ -181,7 +185,7 @@ def _driven(trials: list[Columns], stem: str, names: ModelNames) -> tuple[str, .
 
 
 def _commands(
-    trials: list[Columns], names: ModelNames, notes: tuple[str, ...], moving: Sequence[str]
+    trials: list[JointColumns], names: ModelNames, notes: tuple[str, ...], moving: Sequence[str]
 ) -> Inputs:
     """A command for each actuator of the model; where the model's are not known, for each joint
     with a column.
@@ -245,7 +249,9 @@ def _servo(actuator: ActuatorName, names: ModelNames) -> int | None:
     return None
 
 
-def _has_command(columns: Columns, actuator: ActuatorName, index: int, names: ModelNames) -> bool:
+def _has_command(
+    columns: JointColumns, actuator: ActuatorName, index: int, names: ModelNames
+) -> bool:
     """Whether a trial has what an actuator was told: its own column, or a servo the target of its
     joint.
     """
@@ -253,7 +259,7 @@ def _has_command(columns: Columns, actuator: ActuatorName, index: int, names: Mo
     return bool(own) or _servo(actuator, names) in columns.by_joint.get("target", {})
 
 
-def _no_command(columns: Columns, actuator: ActuatorName, names: ModelNames) -> None:
+def _no_command(columns: JointColumns, actuator: ActuatorName, names: ModelNames) -> None:
     path, joint = columns.raw.path, actuator.joint
     if (
         actuator.kind == "motor"
@@ -277,7 +283,7 @@ def _no_command(columns: Columns, actuator: ActuatorName, names: ModelNames) -> 
     )
 
 
-def _ctrl_joints(columns: Columns, names: ModelNames) -> tuple[str, ...]:
+def _ctrl_joints(columns: JointColumns, names: ModelNames) -> tuple[str, ...]:
     out = []
     for key in columns.ctrl:
         if isinstance(key, int) and 0 <= key < len(names.joints):
@@ -293,7 +299,7 @@ def _ctrl_joints(columns: Columns, names: ModelNames) -> tuple[str, ...]:
     return tuple(joint for joint in names.joints if joint in out)
 
 
-def _check_ctrl(columns: Columns, actuators: tuple[ActuatorName, ...]) -> None:
+def _check_ctrl(columns: JointColumns, actuators: tuple[ActuatorName, ...]) -> None:
     known = [name for a in actuators for name in (a.name, a.joint) if name]
     for key in columns.ctrl:
         if isinstance(key, int) and not 0 <= key < len(actuators):
@@ -316,7 +322,7 @@ def _check_ctrl(columns: Columns, actuators: tuple[ActuatorName, ...]) -> None:
 
 
 def _check_motor_commands(
-    columns: Columns, names: ModelNames, meta: LogMeta, moving: Sequence[str]
+    columns: JointColumns, names: ModelNames, meta: LogMeta, moving: Sequence[str]
 ) -> None:
     needed = [a for a in names.actuators or () if set(a.joints) & set(moving)]
     if needed and meta.input != "none":

@@ -21,7 +21,7 @@ from adaptsim_jax.logs.tables import RawTrial
 
 
 @dataclass(frozen=True)
-class Columns:
+class JointColumns:
     """One trial's columns in SI units by stem and joint: `by_joint[stem] [T]` of each joint's
     index; `ctrl` by actuator.
 
@@ -53,7 +53,7 @@ class Columns:
         return out
 
 
-def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> Columns:
+def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> JointColumns:
     """The columns of a trial by joint. Raises `BadInput`: no such joint, two columns for one, a
     wrong unit, an absurd value.
     """
@@ -138,7 +138,7 @@ def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> Columns:
         not np.array_equal(targets[j], u, equal_nan=True)
         for j, u in by_joint.get("target", {}).items()
     )
-    return Columns(
+    return JointColumns(
         trial,
         from_zero(seconds),
         by_joint | {"q": whole} | ({"target": targets} if targets else {}),

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.joint_columns import Columns
+from adaptsim_jax.logs.joint_columns import JointColumns
 from adaptsim_jax.logs.log import ModelNames
 
 SIGNED, UNSIGNED, STEPS, SHARE = "signed", "unsigned", "steps", "share"
@@ -146,7 +146,7 @@ def scales_of(
     return found
 
 
-def check_scales(trials: Sequence[Columns], names: ModelNames) -> tuple[str, ...]:
+def check_scales(trials: Sequence[JointColumns], names: ModelNames) -> tuple[str, ...]:
     """Notes on joints whose angles are declared as angles and look like another scale. BadInput
     where nothing is declared and they can be no angles.
     """

@@ -49,7 +49,7 @@ class Prior:
 
 
 @dataclass(frozen=True)
-class Fit:
+class NoiseFit:
     """`std`: noise std; `log_ratio`: log of the walk's variance per median step over the noise
     variance.
     """
@@ -171,13 +171,13 @@ def detrend(time: np.ndarray, y: np.ndarray, order: int) -> np.ndarray:
     return y - basis @ np.linalg.lstsq(basis, y, rcond=None)[0]
 
 
-def fit_noise(time: np.ndarray, y: np.ndarray, order: int) -> Fit:
+def fit_noise(time: np.ndarray, y: np.ndarray, order: int) -> NoiseFit:
     """Maximum-likelihood noise std and log signal-to-noise ratio of one signal `y: [T]`."""
     prior = make_prior(time, order)
     centred = detrend(time, y, order)
     scale = float(np.std(centred))
     if scale <= 1e-12 * float(np.max(np.abs(y)) + 1e-300):
-        return Fit(0.0, LOG_RATIO[0])
+        return NoiseFit(0.0, LOG_RATIO[0])
     weights = [np.ones(len(y))] + [None] * (order - 1)
     data = [centred / scale] + [None] * (order - 1)
 
@@ -186,7 +186,7 @@ def fit_noise(time: np.ndarray, y: np.ndarray, order: int) -> Fit:
 
     best = minimise(objective, LOG_RATIO, 0.1)
     variance = cost(prior, best, weights, data, len(y))[1]
-    return Fit(scale * math.sqrt(variance), best)
+    return NoiseFit(scale * math.sqrt(variance), best)
 
 
 def estimate(time: np.ndarray, y: np.ndarray) -> tuple[float, float]:

@@ -28,7 +28,7 @@ EMPTY = "is empty; remove it or record the trial again"
 
 
 @dataclass(frozen=True)
-class Table:
+class LogTable:
     """`columns`: name -> `[T]` float64 as written (no unit applied); `lines`: `[T]` line (or row)
     numbers.
 
@@ -49,7 +49,7 @@ def read_table(
     ours: Mapping[str, str] | None = None,
     lost: tuple[str, ...] = (),
     gaps: tuple[str, ...] = (),
-) -> Table:
+) -> LogTable:
     """Read the columns named in `wanted` (those that are there) of `min_rows` rows or more, list the
     others.
 
@@ -69,8 +69,8 @@ def read_table(
 
 
 def _without_lost(
-    table: Table, empty: Mapping[str, np.ndarray], lost: tuple[str, ...]
-) -> tuple[Table, dict[str, np.ndarray]]:
+    table: LogTable, empty: Mapping[str, np.ndarray], lost: tuple[str, ...]
+) -> tuple[LogTable, dict[str, np.ndarray]]:
     """The table, and which cells are empty, without the rows that hold a number in none of the
     columns `lost`.
     """
@@ -87,12 +87,12 @@ def _without_lost(
 
 def _checked(
     path: Path,
-    table: Table,
+    table: LogTable,
     min_rows: int,
     ours: Mapping[str, str],
     empty: Mapping[str, np.ndarray],
     gaps: tuple[str, ...],
-) -> Table:
+) -> LogTable:
     """The table without optional columns that hold nothing. BadInput for too few rows, and cells
     without a number but in `gaps`.
     """
@@ -131,7 +131,7 @@ def _decode(path: Path) -> str:
         raise BadInput(f"{path}: line {line}: not UTF-8 text; save it as plain UTF-8 CSV") from None
 
 
-def _read_csv(path: Path, wanted: tuple[str, ...]) -> tuple[Table, dict[str, np.ndarray]]:
+def _read_csv(path: Path, wanted: tuple[str, ...]) -> tuple[LogTable, dict[str, np.ndarray]]:
     """The table, NaN where a cell is empty, and those cells by column."""
     rows, lines = rows_of(path, _decode(path))
     if not rows:
@@ -147,7 +147,7 @@ def _read_csv(path: Path, wanted: tuple[str, ...]) -> tuple[Table, dict[str, np.
             columns[part], blank = _numbers(path, name, own, lines)
             if blank is not None:
                 empty[part] = blank
-    return Table(columns, np.asarray(lines, dtype=np.int64), _others(header, wanted)), empty
+    return LogTable(columns, np.asarray(lines, dtype=np.int64), _others(header, wanted)), empty
 
 
 def _others(names: list[str], wanted: tuple[str, ...]) -> tuple[str, ...]:
@@ -205,7 +205,7 @@ def _no_number(cell: str, cells: tuple[str, ...]) -> str:
     return "not a number; mend or remove that row"
 
 
-def _read_npz(path: Path, wanted: tuple[str, ...], lists: bool) -> Table:
+def _read_npz(path: Path, wanted: tuple[str, ...], lists: bool) -> LogTable:
     """Arrays by column name, each `[T]`; lists: those `[T, n]` are columns by `part_name`."""
     archive = read_archive(path, wanted)
     arrays = {name: archive.arrays[name] for name in wanted if name in archive.arrays}
@@ -223,4 +223,4 @@ def _read_npz(path: Path, wanted: tuple[str, ...], lists: bool) -> Table:
         columns |= {part: x.astype(np.float64) for part, x in parts.items()}
     n = max(map(len, arrays.values()), default=0)
     others = _others(list(archive.arrays), wanted)
-    return Table(columns, np.arange(1, n + 1), others, row_word="row", notes=archive.notes)
+    return LogTable(columns, np.arange(1, n + 1), others, row_word="row", notes=archive.notes)

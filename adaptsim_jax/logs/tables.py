@@ -16,7 +16,7 @@ from adaptsim_jax.logs.archive import STEMS, is_list, read_archive, stem_and_pla
 from adaptsim_jax.logs.beside import left_out, strays
 from adaptsim_jax.logs.columns import NANOS, TIME, TRIAL, is_ignored, role
 from adaptsim_jax.logs.csv_rows import read_bytes, rows_of
-from adaptsim_jax.logs.table import MIN_ROWS, Table, read_table
+from adaptsim_jax.logs.table import MIN_ROWS, LogTable, read_table
 from adaptsim_jax.logs.table_checks import check_clock
 from adaptsim_jax.logs.table_clocks import both, naming, pair, restarted
 
@@ -201,7 +201,9 @@ def read_file(
     return trials
 
 
-def _restarted(path: Path, name: str, table: Table, time: np.ndarray) -> list[tuple[str, Table]]:
+def _restarted(
+    path: Path, name: str, table: LogTable, time: np.ndarray
+) -> list[tuple[str, LogTable]]:
     """The table, cut where its clock starts again."""
     parts = restarted(time)
     if not parts:
@@ -221,7 +223,7 @@ def _mend(
     header: list[str],
     theirs: str,
     rename: Mapping[str, str],
-    table: Table,
+    table: LogTable,
     time: np.ndarray,
 ) -> str:
     """What meta.toml may say of a clock that does not increase; nothing where that is not known.
@@ -290,7 +292,7 @@ def column_names(path: Path) -> list[str]:
     return rows[0]
 
 
-def _read(path: Path, named: Mapping[str, str]) -> Table:
+def _read(path: Path, named: Mapping[str, str]) -> LogTable:
     """`read_table` of the columns in `named` (theirs -> ours); of lists and arrays `[T, n]` by
     place: `q` gives q1 to qn.
     """
@@ -335,7 +337,7 @@ def _csv_rows(path: Path, most: int | None = None) -> tuple[list[list[str]], lis
     return rows_of(path, read_bytes(path).decode("utf-8-sig", errors="replace"), most)
 
 
-def _labelled(path: Path, column: str, table: Table) -> list[tuple[str, Table]]:
+def _labelled(path: Path, column: str, table: LogTable) -> list[tuple[str, LogTable]]:
     """The table cut by its column of trial names, in the order in which they appear."""
     labels = cells_of(path, table.lines)[column]
     parts = []
@@ -351,7 +353,7 @@ def _labelled(path: Path, column: str, table: Table) -> list[tuple[str, Table]]:
     return parts
 
 
-def _rows(table: Table, rows: np.ndarray | slice) -> Table:
+def _rows(table: LogTable, rows: np.ndarray | slice) -> LogTable:
     columns = {name: values[rows] for name, values in table.columns.items()}
     return replace(table, columns=columns, lines=table.lines[rows])
 

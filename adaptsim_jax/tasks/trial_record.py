@@ -12,7 +12,7 @@ import numpy as np
 from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.noise import difference_noise
-from adaptsim_jax.logs.table import Table, read_table
+from adaptsim_jax.logs.table import LogTable, read_table
 from adaptsim_jax.tasks import camera_record as record
 from adaptsim_jax.tasks.trial_clock import began, check_frozen
 
@@ -118,7 +118,7 @@ def rounding_notes(places: np.ndarray, noise: float) -> list[str]:
 
 def read_actions(
     path: Path, needed: Mapping[str, str], optional: Sequence[str], trials: str
-) -> tuple[Table, Callable]:
+) -> tuple[LogTable, Callable]:
     """The table of an actions file, and how its row i is named; needed: columns beside `trial` with
     their units. Raises BadInput.
     """
@@ -189,7 +189,7 @@ class _Wanted(NamedTuple):
     free: bool
 
 
-def _read_tracks(path: Path, table: Table, wanted: _Wanted, found: Tracks) -> None:
+def _read_tracks(path: Path, table: LogTable, wanted: _Wanted, found: Tracks) -> None:
     def at(i):
         return f"{path}: {table.row_word} {table.lines[i]}"
 

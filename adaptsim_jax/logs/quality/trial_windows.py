@@ -26,7 +26,7 @@ ROWS = 8 * MOST
 
 
 @dataclass(frozen=True)
-class Rows:
+class WindowRows:
     """Means over windows of all trials: `table [K, n, P]` of the design's columns (the first
     `rigid`), friction and smooth forces; `tau [K, n]`, `trial [K]`, `piece [K]`, `weight [n]` 1/N
     m. `mean [K, N]` takes them from blocks, whose motion is `fine` and whose trial `origin [N]`.
@@ -52,7 +52,7 @@ class Rows:
         return np.asarray(self.mean @ x.reshape(len(x), -1)).reshape(-1, *x.shape[1:])
 
 
-def rows_of(tracks: Sequence[Track], design: Design) -> Rows | None:
+def rows_of(tracks: Sequence[Track], design: Design) -> WindowRows | None:
     """Windows of trials that are long enough; None where there are too few of these, or they do not
     move.
     """
@@ -81,7 +81,7 @@ def rows_of(tracks: Sequence[Track], design: Design) -> Rows | None:
         design(Motion(*(z[:1] for z in (m.q, m.v, m.a, m.tau))), True).shape[2],
         np.concatenate(trial),
     )
-    made = Rows(
+    made = WindowRows(
         m,
         design,
         np.concatenate(origin),
@@ -133,7 +133,7 @@ def over_blocks(design: Design, motion: Motion) -> np.ndarray:
     return np.concatenate([design(cut(i), True) for i in range(0, len(motion.q), MOST)])
 
 
-def part_of(rows: Rows, pick: np.ndarray) -> Rows:
+def part_of(rows: WindowRows, pick: np.ndarray) -> WindowRows:
     cut = {k: getattr(rows, k)[pick] for k in ("mean", "table", "tau", "trial", "piece")}
     return replace(rows, **cut)
 
@@ -145,24 +145,24 @@ def solved(gram: np.ndarray, right: np.ndarray) -> np.ndarray:
     return np.linalg.solve(scaled + 1e-9 * np.eye(len(gram)), right / size) / size
 
 
-def normal(rows: Rows, keep: np.ndarray, width: int = 0) -> tuple[np.ndarray, np.ndarray]:
+def normal(rows: WindowRows, keep: np.ndarray, width: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """Normal equations of the first `width` columns (0: all) over rows `keep [K]`."""
     table = rows.table[keep][:, :, : width or None]
     a = (table * rows.weight[:, None]).reshape(-1, table.shape[2])
     return a.T @ a, a.T @ (rows.tau[keep] * rows.weight).ravel()
 
 
-def fitted(rows: Rows) -> np.ndarray:
+def fitted(rows: WindowRows) -> np.ndarray:
     """Parameters `[P]` by least squares."""
     return solved(*normal(rows, np.arange(len(rows.trial))))
 
 
-def unexplained_of(rows: Rows, x: np.ndarray) -> np.ndarray:
+def unexplained_of(rows: WindowRows, x: np.ndarray) -> np.ndarray:
     """Weighed residual `[K, n]` of the first columns, as many as `x` has."""
     return (rows.tau - rows.table[:, :, : len(x)] @ x) * rows.weight
 
 
-def of_motion(rows: Rows, fine: Motion) -> Rows:
+def of_motion(rows: WindowRows, fine: Motion) -> WindowRows:
     """The same of another motion."""
     table = np.concatenate(
         [over_blocks(rows.design, fine), rubbing(fine)[:, :, :-1], _smooth(fine)], 2
@@ -171,7 +171,7 @@ def of_motion(rows: Rows, fine: Motion) -> Rows:
 
 
 def jointly(
-    rows: Rows, own: np.ndarray, label: np.ndarray, labels: np.ndarray, likely: float = np.inf
+    rows: WindowRows, own: np.ndarray, label: np.ndarray, labels: np.ndarray, likely: float = np.inf
 ) -> tuple[np.ndarray, np.ndarray]:
     """Parameters `[P]` and numbers `[T, S]` of each label's own, together by least squares; those
     of a label are eliminated first. likely: size of a number before anything was seen, for what a

@@ -18,7 +18,7 @@ from adaptsim_jax.logs.quality.hypotheses import Design, Track
 from adaptsim_jax.logs.quality.trial_windows import (
     MIN_TRIALS,
     PIECES,
-    Rows,
+    WindowRows,
     fitted,
     jointly,
     normal,
@@ -103,7 +103,7 @@ class Differ:
         return ()
 
 
-Columns = Callable[[Rows, np.ndarray], np.ndarray]
+Columns = Callable[[WindowRows, np.ndarray], np.ndarray]
 """`(rows, parameters [P]) -> [K, n, S]`: torque by unit of each number that a trial has of its own.
 """
 
@@ -134,7 +134,7 @@ def trials_differ(names: Sequence[str], tracks: Sequence[Track], design: Design)
     return Differ(tuple(names), whole, *common, outlier)
 
 
-def _errors(rows: Rows, observed: np.ndarray) -> np.ndarray:
+def _errors(rows: WindowRows, observed: np.ndarray) -> np.ndarray:
     """RMS by trial of what parameters from the other trials leave, with or without smooth forces,
     odd trials counting less.
     """
@@ -142,7 +142,7 @@ def _errors(rows: Rows, observed: np.ndarray) -> np.ndarray:
     return np.minimum(*(_left_out(rows, observed, width) for width in (plain, 0)))
 
 
-def _left_out(rows: Rows, observed: np.ndarray, width: int) -> np.ndarray:
+def _left_out(rows: WindowRows, observed: np.ndarray, width: int) -> np.ndarray:
     worth = np.ones(len(observed))
     grams = [normal(rows, rows.trial == t, width) for t in observed]
     error = worth
@@ -191,7 +191,7 @@ def kinds(n: int) -> dict[str, Columns]:
     }
 
 
-def _moved(rows: Rows, x: np.ndarray) -> np.ndarray:
+def _moved(rows: WindowRows, x: np.ndarray) -> np.ndarray:
     """Torque by rad that each joint's angle reads too much."""
     n, own = rows.fine.q.shape[1], x[: rows.rigid]
     out = []
@@ -205,7 +205,7 @@ def _moved(rows: Rows, x: np.ndarray) -> np.ndarray:
     return np.stack(out, 2)
 
 
-def _common(rows: Rows, count: int) -> tuple[str, np.ndarray | None, float, tuple[str, ...]]:
+def _common(rows: WindowRows, count: int) -> tuple[str, np.ndarray | None, float, tuple[str, ...]]:
     """The kind that takes most of what is unexplained in trials, its size by trial `[count, S]`,
     what it takes, and kinds alike.
     """
@@ -245,7 +245,7 @@ def _common(rows: Rows, count: int) -> tuple[str, np.ndarray | None, float, tupl
     )
 
 
-def _takes(rows: Rows, own: np.ndarray, shared: bool) -> float:
+def _takes(rows: WindowRows, own: np.ndarray, shared: bool) -> float:
     """Share of the square of what is left in half of the pieces that goes with numbers of each
     trial's own from the other half.
     """
@@ -263,7 +263,7 @@ def _takes(rows: Rows, own: np.ndarray, shared: bool) -> float:
 
 
 def _numbers(
-    rows: Rows, own, label: np.ndarray, observed: np.ndarray, shared: bool
+    rows: WindowRows, own, label: np.ndarray, observed: np.ndarray, shared: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Parameters `[P]` and numbers `[T, S]` of each label's own. shared: together; else the numbers
     after the parameters, since all torques and all parameters may shrink alike.
@@ -280,7 +280,7 @@ def _numbers(
     )
 
 
-def _refined_zeros(rows: Rows, observed: np.ndarray) -> np.ndarray:
+def _refined_zeros(rows: WindowRows, observed: np.ndarray) -> np.ndarray:
     """Zeros `[T, n]` together with the parameters, by Gauss and Newton's steps: wide zeros move the
     parameters too.
     """
@@ -295,7 +295,7 @@ def _refined_zeros(rows: Rows, observed: np.ndarray) -> np.ndarray:
     return size
 
 
-def _steady(rows: Rows, own: np.ndarray, observed: np.ndarray, shared: bool) -> bool:
+def _steady(rows: WindowRows, own: np.ndarray, observed: np.ndarray, shared: bool) -> bool:
     """Whether a trial's numbers agree between its pieces and differ between trials: an analysis of
     variance for each number.
     """
@@ -313,7 +313,7 @@ def _steady(rows: Rows, own: np.ndarray, observed: np.ndarray, shared: bool) -> 
 
 
 def _as_reported(
-    name: str, rows: Rows, own: np.ndarray, x: np.ndarray, size: np.ndarray
+    name: str, rows: WindowRows, own: np.ndarray, x: np.ndarray, size: np.ndarray
 ) -> np.ndarray:
     """Sizes as they are told: of a load, as a share of the torque of the whole mechanism."""
     if name != "load":
@@ -328,7 +328,7 @@ def _as_reported(
     return out
 
 
-def _reason(rows: Rows, rest: Rows, t: int, name: str, times: float) -> OutlierTrial:
+def _reason(rows: WindowRows, rest: WindowRows, t: int, name: str, times: float) -> OutlierTrial:
     """What of trial `t` is otherwise than in `rest`: the kind that takes most of its error in
     pieces not fitted to.
     """

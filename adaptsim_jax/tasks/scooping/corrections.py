@@ -69,8 +69,8 @@ def outlook(
     doubt: Doubt = Doubt(),
 ) -> tuple[jax.Array, jax.Array]:
     """Log odds of success `[A]` of the actions `tried [A, 3]` by the bank and by what was seen in
-    the target, `told`, and their variance `[A]`; `at_reported`, `at_tried`: the bank's odds of both.
-    Rows that are not used count for nothing.
+    the target, `told`, and their variance `[A]`; `at_reported`, `at_tried`: the bank's odds of
+    both. Rows that are not used count for nothing.
     """
     used = trials.used.astype(tried.dtype)
     prior, ways = _departures(at_reported, doubt)

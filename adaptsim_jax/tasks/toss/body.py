@@ -23,7 +23,7 @@ MIN_FRICTION = 1e-5  # MuJoCo takes none that is smaller
 
 
 @dataclass(frozen=True)
-class Body:
+class TossedBody:
     """model: compiled, contacts taken from the body's own geoms; at: its number; geoms: its geoms'
     numbers; friction, contact_time (s), damping: as the file declares them; sized: whether all of
     its shapes have a size that can be scaled.
@@ -88,7 +88,7 @@ def _outer(m: mujoco.MjModel, g: int) -> np.ndarray:
     return m.geom_pos[g] + points @ rotation_of(m.geom_quat[g]).T
 
 
-def read_body(path: str | Path) -> Body:
+def read_body(path: str | Path) -> TossedBody:
     """The declared body of a file. Raises BadInput that names the file and what to write."""
     spec, source = read_spec(path)
     if source != "mjcf":
@@ -120,7 +120,7 @@ def read_body(path: str | Path) -> Body:
     model.geom_sameframe[:] = 0
     kinds = {mujoco.mjtGeom(int(t)).name.removeprefix("mjGEOM_") for t in model.geom_type[geoms]}
     friction = float(model.geom_friction[touching[0], 0])
-    return Body(
+    return TossedBody(
         model,
         str(path),
         at,
@@ -186,7 +186,7 @@ def _check(path: str | Path, model: mujoco.MjModel) -> None:
         )
 
 
-def with_values(body: Body, values: Mapping[str, float]) -> mujoco.MjModel:
+def with_values(body: TossedBody, values: Mapping[str, float]) -> mujoco.MjModel:
     """A model with these values of the catalogue's quantities that are the model's own (what they
     are: `catalogue`).
     """
@@ -208,13 +208,13 @@ def with_values(body: Body, values: Mapping[str, float]) -> mujoco.MjModel:
     return m
 
 
-def gravity(body: Body, values: Mapping[str, float]) -> np.ndarray:
+def gravity(body: TossedBody, values: Mapping[str, float]) -> np.ndarray:
     """Gravity `[3]` m/s^2 on a table that is not level: its direction in the plane's frame."""
     x, y = np.sin(values["tilt_x"]), np.sin(values["tilt_y"])
     return body.gravity * np.array([x, y, -np.sqrt(1.0 - x * x - y * y)])
 
 
-def mended_xml(body: Body, values: Mapping[str, float], comments: Sequence[str] = ()) -> str:
+def mended_xml(body: TossedBody, values: Mapping[str, float], comments: Sequence[str] = ()) -> str:
     """The file as MJCF text with what MJCF can hold of `values`; comments say the rest. Raises
     BadInput where MuJoCo refuses it.
     """

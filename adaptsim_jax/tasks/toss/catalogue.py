@@ -6,7 +6,7 @@ import math
 
 from adaptsim_jax.diagnosis.problem import Candidate, Quantity
 from adaptsim_jax.tasks.camera_effects import quantity as _q
-from adaptsim_jax.tasks.toss.body import Body
+from adaptsim_jax.tasks.toss.body import TossedBody
 
 DECLARED = ("friction", "log_time", "damping")
 CHUNKED = ("speed_friction", "grain_a", "grain_b", "rebound")
@@ -40,7 +40,7 @@ OWN = (
 )
 
 
-def quantities(body: Body) -> tuple[Quantity, ...]:
+def quantities(body: TossedBody) -> tuple[Quantity, ...]:
     """The declared numbers, which begin where the file has them, and those of the effects."""
     shortest = math.log10(2.0 * body.step)  # MuJoCo takes no shorter time constant
     begin = max(math.log10(body.contact_time), shortest)
@@ -167,6 +167,6 @@ has no time of its own.
 """
 
 
-def effects(body: Body) -> tuple[Candidate, ...]:
+def effects(body: TossedBody) -> tuple[Candidate, ...]:
     """The effects that this body can have: shapes without a size cannot be scaled."""
     return tuple(e for e in EFFECTS if body.sized or e.name != "body_size")

@@ -12,7 +12,7 @@ import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.toss import turns
-from adaptsim_jax.tasks.toss.body import Body
+from adaptsim_jax.tasks.toss.body import TossedBody
 
 STEP = 0.3  # m/s by which a speed must change from row to row for a blow
 ALONE = 0.2  # of the body's size, by which the corner must be lower than the others
@@ -32,7 +32,9 @@ FRAMES = {
 """Frames of the places, as seen from that of the turns."""
 
 
-def check_blows(body: Body, time: Sequence, place: Sequence, turn: Sequence, where: str) -> None:
+def check_blows(
+    body: TossedBody, time: Sequence, place: Sequence, turn: Sequence, where: str
+) -> None:
     """BadInput, naming `where`, where the blows of all tosses are explained in another frame, or
     with turns the other way round.
     """
@@ -69,7 +71,7 @@ def check_blows(body: Body, time: Sequence, place: Sequence, turn: Sequence, whe
 
 
 def _blows(
-    body: Body, time: np.ndarray, place: np.ndarray, turn: np.ndarray
+    body: TossedBody, time: np.ndarray, place: np.ndarray, turn: np.ndarray
 ) -> tuple[np.ndarray, ...]:
     """Of each blow of a toss: changes of the centre's velocity and of the spin `[B, 3]` (world),
     the lowest corner from the centre `[B, 3]` m, and the turn `[B, 4]` then.
@@ -101,7 +103,7 @@ def _blows(
     return dv[at][alone], ds[at][alone], r[alone], turn[row][alone]
 
 
-def _spun(body: Body, r: np.ndarray, dv: np.ndarray, turn: np.ndarray) -> np.ndarray:
+def _spun(body: TossedBody, r: np.ndarray, dv: np.ndarray, turn: np.ndarray) -> np.ndarray:
     """Changes of spin `[B, 3]` by blows at `r` that change the centre's velocity by `dv`."""
     m = body.model
     axes = turns.times(turn, np.broadcast_to(m.body_iquat[body.at], turn.shape))

@@ -15,7 +15,7 @@ from adaptsim_jax.logs.noise import difference_noise
 from adaptsim_jax.logs.table import read_table
 from adaptsim_jax.tasks import camera_record as record
 from adaptsim_jax.tasks.toss import turns
-from adaptsim_jax.tasks.toss.body import Body, read_body
+from adaptsim_jax.tasks.toss.body import TossedBody, read_body
 from adaptsim_jax.tasks.toss.frame import check_blows
 from adaptsim_jax.tasks.trial_clock import check_frozen
 from adaptsim_jax.tasks.trial_record import read_meta
@@ -57,7 +57,7 @@ class Tossed:
     noise: float
     noise_turn: float
     noise_source: str
-    body: Body
+    body: TossedBody
     notes: tuple[str, ...] = ()
 
     def without(self, names: Sequence[str]) -> "Tossed":
@@ -191,7 +191,7 @@ def _one(
     return time - time[0], place, turn
 
 
-def _check_frame(body: Body, names, time, place, turn, where: Path) -> None:
+def _check_frame(body: TossedBody, names, time, place, turn, where: Path) -> None:
     """Another frame, another body, another order of the quaternion: told before anything is
     fitted.
     """

@@ -15,7 +15,7 @@ from mujoco import rollout
 
 from adaptsim_jax.core.parallel import cores
 from adaptsim_jax.tasks.toss import turns
-from adaptsim_jax.tasks.toss.body import MIN_FRICTION, Body, with_values
+from adaptsim_jax.tasks.toss.body import MIN_FRICTION, TossedBody, with_values
 from adaptsim_jax.tasks.toss.catalogue import CHUNKED
 
 AT_ONCE = 256  # simulations in memory
@@ -27,7 +27,7 @@ USUAL, SLOW = (
 
 
 def poses(
-    body: Body, names: Sequence[str], values: np.ndarray, start: np.ndarray, time: np.ndarray
+    body: TossedBody, names: Sequence[str], values: np.ndarray, start: np.ndarray, time: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Places `[N, R, 3]` m and quaternions `[N, R, 4]` as recorded at `time [N, R]` s since each
     start; `values [N, P]` of `names`.
@@ -91,7 +91,7 @@ def _recorded(
     return observed, turns.times(turns.times(frame, turn), axes)
 
 
-def _rolled(body: Body, names, values, state, time) -> tuple[np.ndarray, np.ndarray]:
+def _rolled(body: TossedBody, names, values, state, time) -> tuple[np.ndarray, np.ndarray]:
     """Poses `[N, R, 3]`, `[N, R, 4]` of the simulation at `time [N, R]` s, between whose steps is
     interpolated.
     """
@@ -130,7 +130,7 @@ def _run(
     return rollout.rollout(models, pool, full, nstep=count, skip_checks=False)[0]
 
 
-def _in_chunks(body: Body, names, values, full, count: int, pool) -> np.ndarray:
+def _in_chunks(body: TossedBody, names, values, full, count: int, pool) -> np.ndarray:
     """As `_run`, with friction and damping of what the body does at each chunk's start: slip of the
     point below its middle at the plane's height, and speed towards or away from the plane.
     """
