@@ -31,8 +31,8 @@ class ReturnSlope(NamedTuple):
 
 
 def make_slope(play: Play, acting: ActingPolicy, policy_of: Callable[..., Any]) -> Callable:
-    """`slope(keys [N], mean [D], values [F], *more) -> ReturnSlope`: over N starts, with the longest
-    window whose derivatives do not explode.
+    """`slope(keys [N], mean [D], values [F], *more) -> ReturnSlope`: over N starts, with the
+    longest window whose derivatives do not explode.
 
     Args:
         play: a simulation, not MuJoCo C. acting, policy_of: of the task's policies,
