@@ -36,8 +36,8 @@ STEPS = np.repeat(
 PRIOR = np.repeat([0.02, 0.2, 0.5, 5.0], 3)  # widths that keep finite what a window does not show
 ROUNDS, ENOUGH = 12, 0.01  # of the anchor's fit; share of the square that a round must take off
 DAMPING = (0.0, 0.01, 0.3, 10.0)
-# lengths of steps, round by round, tried with the anchor's Jacobian elsewhere: a short step in the
-# second would bring windows just below DISTANT, where they are left without a Jacobian of their own
+# lengths of steps, round by round, tried with the anchor's Jacobian elsewhere; a short one in the
+# second gains a little, and rounds with a Jacobian of their own then end in a worse minimum
 AGAIN = ((1.0, 0.3), (1.0,))
 DISTANT, FRESH = 1.3, 3  # of the anchor's square: above it, rounds with a Jacobian of its own
 SOME = 4  # tosses from which a beginning is chosen
