@@ -1,20 +1,20 @@
 """Score `adaptsim diagnose` on worlds of pushes, scoops or tosses: a line a world, and the tally.
 
-python experiments/pushing_worlds.py --suite singles --seed 5 --out worlds/      or
-experiments/scooping_worlds.py python experiments/trials_diagnosis.py worlds/
+# or experiments/scooping_worlds.py
+python experiments/pushing_worlds.py --suite singles --seed 5 --out worlds/
+python experiments/trials_diagnosis.py worlds/
 """
 
 import json
 import sys
 import time
-from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 
-from adaptsim_jax.commands.diagnose import TRIALS
 from adaptsim_jax.core import process
 from adaptsim_jax.logs.declared import declared_task
+from adaptsim_jax.tasks.registry import TRIALS
 
 
 def main(folder):
@@ -22,7 +22,7 @@ def main(folder):
     rows = []
     for path in sorted(p for p in Path(folder).iterdir() if (p / "truth.json").exists()):
         truth = json.loads((path / "truth.json").read_text())["kind"]
-        judge = import_module(f"adaptsim_jax.tasks.{TRIALS[declared_task(path)]}.diagnose").diagnose
+        judge = TRIALS[declared_task(path)]
         began = time.monotonic()
         report = judge(path)
         names = [e["name"] for e in report["effects"]]
