@@ -124,9 +124,8 @@ def of_trials(task: str) -> Callable[[Path], list[str]]:
     def said(source: Path) -> list[str]:
         from importlib import import_module
 
-        from adaptsim_jax.commands.diagnose import TRIALS
-
-        import_module(f"adaptsim_jax.tasks.{TRIALS[task]}.read").read(source)
+        room = task if task == "toss" else f"{task}.diagnosis"
+        import_module(f"adaptsim_jax.tasks.{room}.read").read(source)
         return []
 
     return said
