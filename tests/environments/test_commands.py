@@ -105,13 +105,14 @@ def test_it_trains_adapts_is_filmed_and_compared(tmp_path, monkeypatch, capsys):
 
 def test_what_the_file_says_is_a_line_of_the_figure():
     options = {"env": "tests.environments.cart:Cart", "length": 5}
-    setting = environment_setting(from_table(EnvironmentConfig, options, "env.toml"))
+    config = from_table(EnvironmentConfig, options, "env.toml")
+    setting = environment_setting(config)
     task = replace(
         task_of(setting),
         rollout=lambda key, policy, params: Told(policy.mean @ jnp.array([10.0, 1.0])),
     )
     # nominal: 1 kg of 0.5 to 2 (log), 0.4 N s/m of 0.1 to 2
-    assert at_nominal(task, options) == pytest.approx(10 * 0.5 + 0.3 / 1.9, abs=1e-4)
+    assert at_nominal(task, config) == pytest.approx(10 * 0.5 + 0.3 / 1.9, abs=1e-4)
 
 
 @pytest.mark.parametrize(

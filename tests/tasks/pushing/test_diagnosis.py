@@ -168,7 +168,13 @@ def test_a_look_alike_that_no_push_shows_does_not_hide_one_that_some_push_does(t
     def named(*others):
         return SimpleNamespace(
             final=scaled,
-            named=(SimpleNamespace(effect=problem.effect("camera_scale"), alternatives=others),),
+            named=(
+                SimpleNamespace(
+                    candidate=problem.effect("camera_scale"),
+                    alternatives=tuple(candidate for candidate, _ in others),
+                    models=tuple(fitted for _, fitted in others),
+                ),
+            ),
         )
 
     parallax, speed = (problem.effect("parallax"), near), (problem.effect("speed_scale"), fast)
