@@ -22,21 +22,21 @@ from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.equation.commands import drive_gains
 from adaptsim_jax.attribution.equation.search import FACTOR
 from adaptsim_jax.attribution.estimate import fit
-from adaptsim_jax.attribution.examine import Examined, examine, report_of, told_of
+from adaptsim_jax.attribution.examine import Examined, examine, report_of, with_null
 from adaptsim_jax.attribution.inertias_told import named_by, otherwise
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.mend import (
     changes,
     declared_changes,
+    gain_notes,
     gains,
-    gains_told,
     holdable,
     lost,
     servos,
 )
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, Entry, Vector
-from adaptsim_jax.attribution.problem import Problem, held, nuisances, own_inertia, prepare
+from adaptsim_jax.attribution.problem import TreeProblem, held, nuisances, own_inertia, prepare
 from adaptsim_jax.attribution.replay import follows, recommended
 from adaptsim_jax.attribution.report import reported
 from adaptsim_jax.attribution.select import Hint
@@ -72,7 +72,7 @@ Progress = Callable[[float, float, str], None]
 HORIZON = STRETCH
 LOOK_BACK = 0.012  # s, from a stretch's start: what a late sensor tells there is not compared
 MODEL = "model.xml"
-TOLD_GAIN = (
+ESTIMATED_GAIN = (
     0.1  # prior's standard deviation of a drive's gain about the one that weight and inertia gave
 )
 LEFT = 0.5  # of what a joint weighs, at least, that damping by another speed leaves it
@@ -151,7 +151,7 @@ def diagnose(
     problem, found = whole.problem, whole.found
     damped_by_file(report["declared"]["after"], declared, off)
     unlike = otherwise(report["declared"]["after"])
-    report["notes"] += [*unlike, *gains_told(machine), *lost(machine, problem, found)]
+    report["notes"] += [*unlike, *gain_notes(machine), *lost(machine, problem, found)]
     report["notes"] += servo_notes(machine, declared, off)
     with_rows(
         report, servo_rows(machine, declared, off, found.final.fit.vector, found.final.spread)
@@ -257,7 +257,7 @@ def examined(
     keep: Callable[[dict[str, Any]], None] | None = None,
     yardstick: str | None = None,
     torques: bool = True,
-    first: Callable[[Problem, Vector], Hint] | None = None,
+    first: Callable[[TreeProblem, Vector], Hint] | None = None,
     filed: Machine | None = None,
 ) -> tuple[dict[str, Any], dict[str, Any], Examined]:
     """Report, evidence for its page, and what was found of a machine. narrow: of the vector that is
@@ -302,13 +302,13 @@ def examined(
         )
         if filed is not None:
             before = posed(filed, chosen, horizon)
-            found = told_of(
+            found = with_null(
                 found, fitted_null(before, declared_vector(filed, before), criteria), horizon
             )
         elif (
             not found.found.named
         ):  # how rows are read is no mend: the declared model is what it is with it
-            found = told_of(found, found.found.final, horizon)
+            found = with_null(found, found.found.final, horizon)
         report, evidence = report_of(machine, found, criteria, horizon)
     return report, evidence, found
 
@@ -335,7 +335,7 @@ def excluded_of(
     return everywhere, frozenset(at_joints)
 
 
-def posed(machine: Machine, effects: Sequence[Effect], horizon: float) -> Problem:
+def posed(machine: Machine, effects: Sequence[Effect], horizon: float) -> TreeProblem:
     """The problem of a machine in stretches of `horizon` s."""
     problem = prepare(
         machine.tree,
@@ -411,7 +411,7 @@ def by_torque(machine: Machine) -> np.ndarray | None:
     return law
 
 
-def declared_vector(machine: Machine, problem: Problem) -> Vector:
+def declared_vector(machine: Machine, problem: TreeProblem) -> Vector:
     """What is fitted whatever is named: inertias and damping unless `[fit]` in meta.toml says
     otherwise, and the gain of volts.
     """
@@ -458,7 +458,7 @@ def declared_vector(machine: Machine, problem: Problem) -> Vector:
     if machine.gain_unknown:
         # free, gain and inertias shrink together
         if machine.gain_told:
-            prior = TOLD_GAIN
+            prior = ESTIMATED_GAIN
         else:
             prior = np.inf
         gain = [

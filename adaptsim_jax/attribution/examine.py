@@ -8,25 +8,31 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.attribution.backward import judged
+from adaptsim_jax.attribution.backward import backward_elimination
 from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.equation.confirmed import confirmed
-from adaptsim_jax.attribution.equation.filed import filed, searched
-from adaptsim_jax.attribution.equation.models import Said, model_of, part_of, said, selection
+from adaptsim_jax.attribution.equation.filed import searched, without_bodies
+from adaptsim_jax.attribution.equation.models import (
+    TorqueSearch,
+    model_of,
+    part_of,
+    said,
+    selection,
+)
 from adaptsim_jax.attribution.equation.rubbing import friction_notes, rubbing
 from adaptsim_jax.attribution.equation.search import FACTOR, within
 from adaptsim_jax.attribution.estimate import fit
-from adaptsim_jax.attribution.held_out import Model, held_error, modelled, over_floor
+from adaptsim_jax.attribution.held_out import FittedTree, held_error, modelled, over_floor
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import Vector
-from adaptsim_jax.attribution.problem import Problem, held, own_inertia, scaled_reach
+from adaptsim_jax.attribution.problem import TreeProblem, held, own_inertia, scaled_reach
 from adaptsim_jax.attribution.report import evidence_of, reported
 from adaptsim_jax.attribution.select import ROUNDS, Hint, Selection, select, select_shorter
 from adaptsim_jax.attribution.torque_report import (
     bound_notes,
     curves,
     held_missing,
-    judged_by_torque,
+    report_torque,
     unnamed_notes,
 )
 from adaptsim_jax.attribution.yardsticks import (
@@ -55,9 +61,9 @@ class Examined:
     the final one, which of them judged and why.
     """
 
-    problem: Problem
+    problem: TreeProblem
     found: Selection
-    said: Said | None
+    said: TorqueSearch | None
     before: dict[str, Any]  # Measure by yardstick, None where it tells nothing
     after: dict[str, Any]
     judge: str
@@ -67,7 +73,7 @@ class Examined:
 
 def examine(
     machine: Machine,
-    problem: Problem,
+    problem: TreeProblem,
     null: Vector,
     criteria: Criteria,
     horizon: float,
@@ -84,7 +90,7 @@ def examine(
     None: the balance of torques is not looked at; hint: as of `select`, where the balance says
     nothing.
     """
-    if factor is not None and tells(machine):
+    if factor is not None and informative(machine):
         balanced = balances(problem, machine.tracks)
     else:
         balanced = ()
@@ -106,7 +112,7 @@ def examine(
         commanded = machine.log.input_kind != "torque"
 
         def part(b):
-            return within(part_of(filed(null) if follows else null, b), factor)
+            return within(part_of(without_bodies(null) if follows else null, b), factor)
 
         problem, balanced = rubbing(
             problem, machine.tree, balanced, part, reach, criteria, commanded
@@ -115,7 +121,7 @@ def examine(
         def search(vector):
             return said(problem, balanced, vector, reach, criteria, commanded, factor)
 
-        if follows and len(filed(null)) < len(null):
+        if follows and len(without_bodies(null)) < len(null):
             words, free, each = searched(problem, search, null, criteria)
         else:
             words = free = search(null)
@@ -201,7 +207,7 @@ def examine(
 
 
 def _polished(
-    problem: Problem,
+    problem: TreeProblem,
     found: Selection,
     reach: Reach,
     criteria: Criteria,
@@ -224,13 +230,13 @@ def _polished(
     if not several or (not asked and over_floor(problem, whole) >= criteria.near):
         return replace(found, final=whole)
     trace, known = list(found.trace), {n.candidate.key: n for n in found.named}
-    final, stay = judged(problem, whole, reach, criteria, trace, say, rivals=False)
+    final, stay = backward_elimination(problem, whole, reach, criteria, trace, say, rivals=False)
     named = tuple(replace(n, alternatives=known[n.candidate.key].alternatives) for n in stay)
     selected = found.final if good and len(stay) == len(known) else final
     return replace(found, final=selected, named=named, trace=tuple(trace))
 
 
-def tells(machine: Machine) -> bool:
+def informative(machine: Machine) -> bool:
     """Whether the torque along the motion is known, up to a gain: that of a servo by its command
     error, where its gains are the file's.
     """
@@ -242,7 +248,7 @@ def _clipped(vector: Vector, values: np.ndarray) -> np.ndarray:
 
 
 def by_simulation(
-    problem: Problem, null: Vector, criteria: Criteria, say, keep, hint=None
+    problem: TreeProblem, null: Vector, criteria: Criteria, say, keep, hint=None
 ) -> Selection:
     """The search by simulated stretches; over their beginnings where the whole names nothing and
     far more than noise is left. hint: as of
@@ -259,11 +265,11 @@ def _worth(measures: dict[str, Measure | None]) -> float:
     return sum(m.skill for m in measures.values() if m is not None)
 
 
-def _simulated(problem: Problem, model: Model, horizon: float) -> dict[str, Any]:
+def _simulated(problem: TreeProblem, model: FittedTree, horizon: float) -> dict[str, Any]:
     return {STRETCHES: of_simulation(problem, held_error(problem, model), STRETCHES, horizon)}
 
 
-def told_of(e: Examined, null: Model, horizon: float) -> Examined:
+def with_null(e: Examined, null: FittedTree, horizon: float) -> Examined:
     """With `null` as the model of which the report says what it leaves."""
     before = e.before | _simulated(e.problem, null, horizon)
     return replace(e, found=replace(e.found, null=null), before=before)
@@ -276,7 +282,7 @@ def report_of(
     problem, found = e.problem, e.found
     report = reported(machine, problem, found, criteria, horizon)
     if e.judge == TORQUE and e.said is not None and not e.simulated:
-        judged_by_torque(report, problem, e.said, e.before[TORQUE], e.after[TORQUE], criteria)
+        report_torque(report, problem, e.said, e.before[TORQUE], e.after[TORQUE], criteria)
         report["notes"] += [*unnamed_notes(problem, e.said), *bound_notes(problem, e.said)]
     report["yardsticks"] = {
         "judge": e.judge,

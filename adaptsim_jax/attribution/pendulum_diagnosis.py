@@ -61,7 +61,7 @@ LINKS = (
     "b1",
     "b2",
 )  # of which base parameters are made, and which may be known
-LEAST_ROWS = 64  # of a part of a trial between rows without angles, that is regressed by itself
+MIN_ROWS = 64  # of a part of a trial between rows without angles, that is regressed by itself
 
 
 def diagnose_pendulum(
@@ -225,13 +225,13 @@ def _scatter(time: np.ndarray, x: np.ndarray) -> float:
 def _unbroken(q: np.ndarray) -> list[np.ndarray]:
     """The rows of a trial, or of its parts between rows that have no angles `q [T, n]`.
 
-    Parts are of `LEAST_ROWS` or more, else the longest.
+    Parts are of `MIN_ROWS` or more, else the longest.
     """
     observed = np.all(np.isfinite(q), axis=1)
     parts = np.split(np.arange(len(observed)), np.flatnonzero(np.diff(observed)) + 1)
     parts = [rows for rows in parts if observed[rows[0]]]
     longest = max(map(len, parts), default=0)
-    return [rows for rows in parts if len(rows) >= min(LEAST_ROWS, longest)]
+    return [rows for rows in parts if len(rows) >= min(MIN_ROWS, longest)]
 
 
 def _of_unknown_masses(report: dict[str, Any], rig: Rig) -> None:

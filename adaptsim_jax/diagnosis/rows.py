@@ -17,11 +17,13 @@ from adaptsim_jax.effects.base import NINETY
 
 LOGS = {"log_e": ("e", "Pa")}
 DRAWS = 400  # of trials, for the interval of an error
-APART = 4.0  # times the median error of all trials: those beyond it, where they are few, are told
+OUTLYING = (
+    4.0  # times the median error of all trials: those beyond it, where they are few, are told
+)
 
 
 @dataclass(frozen=True)
-class Seen:
+class Recorded:
     """What was recorded of T trials of at most R rows, C coordinates each.
 
     trial, trials: as messages call them. names `[T]`; time, mask `[T, R]`; places `[T, R, C]` m, of
@@ -112,7 +114,7 @@ def named_words(named: Sequence[Named], what: str) -> str:
     return f"{text[:1].upper()}{text[1:]}."
 
 
-def message(seen: Seen, found: Finding, over: float, worst: float) -> str:
+def message(seen: Recorded, found: Finding, over: float, worst: float) -> str:
     """What was found, in a few sentences."""
 
     def size(m):
@@ -133,10 +135,10 @@ def message(seen: Seen, found: Finding, over: float, worst: float) -> str:
     return f"{named_words(found.named, seen.trials)} {left}{_standing_out(seen, found.final)}"
 
 
-def _standing_out(seen: Seen, model: Model) -> str:
+def _standing_out(seen: Recorded, model: Model) -> str:
     """A sentence on a few trials that are predicted far worse than the others."""
     error = np.sqrt(model.fit.held)
-    outliers = np.flatnonzero(error > APART * np.median(error))
+    outliers = np.flatnonzero(error > OUTLYING * np.median(error))
     if not 0 < len(outliers) <= len(error) / 4:
         return ""
     names, times = [seen.names[k] for k in outliers], np.max(error[outliers]) / np.median(error)
@@ -265,7 +267,7 @@ def error_rows(
     }
 
 
-def error_table(seen: Seen, found: Finding, tracks: Mapping[str, np.ndarray]) -> dict[str, Any]:
+def error_table(seen: Recorded, found: Finding, tracks: Mapping[str, np.ndarray]) -> dict[str, Any]:
     """Left-out errors before and after, by channel and by trial; tracks: `before` and `after` `[T,
     R, C]` m, of left-out trials.
     """
@@ -339,7 +341,9 @@ def declared_rows(
     return out
 
 
-def held_out(seen: Seen, tracks: Mapping[str, np.ndarray], mended: bool) -> list[dict[str, Any]]:
+def held_out(
+    seen: Recorded, tracks: Mapping[str, np.ndarray], mended: bool
+) -> list[dict[str, Any]]:
     """Each trial over time, measured and simulated while left out, for the page."""
     out = []
     for i, name in enumerate(seen.names):
@@ -363,7 +367,7 @@ def held_out(seen: Seen, tracks: Mapping[str, np.ndarray], mended: bool) -> list
 
 
 def plane_tracks(
-    seen: Seen, tracks: Mapping[str, np.ndarray], mended: bool, axes: tuple[int, int] = (0, 1)
+    seen: Recorded, tracks: Mapping[str, np.ndarray], mended: bool, axes: tuple[int, int] = (0, 1)
 ) -> dict[str, Any]:
     """Tracks `[n, 2]` m of all trials in a plane of two coordinates, for the page."""
 

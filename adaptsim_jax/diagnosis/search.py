@@ -28,13 +28,13 @@ from adaptsim_jax.diagnosis.testing import Test, attainable
 CLOSE = 1.5  # of the named model's loss, up to which a look-alike is fitted to the end
 LIKELY = 0.1  # of what a name takes off, which one step of a look-alike must take off in its place
 
-Say = Callable[[str], None]
+Progress = Callable[[str], None]
 
 
 def search(
     problem: Problem,
     criteria: Criteria,
-    say: Say = lambda note: None,
+    say: Progress = lambda note: None,
     alike: bool = True,
     keep: Callable[[Finding], None] = lambda found: None,
 ) -> Finding:
@@ -88,7 +88,7 @@ def forward_step(
     scores: list[Score],
     criteria: Criteria,
     trace: list[Step],
-    say: Say,
+    say: Progress,
 ) -> Model | None:
     """The best model with one candidate more that predicts left-out trials better; None where none
     does. Of those whose score test passes some are fitted at a glance, and the best to the end.
@@ -128,7 +128,7 @@ def _forward_refusal(test: Test, criteria: Criteria) -> Reason | None:
 
 
 def backward_elimination(
-    problem: Problem, model: Model, criteria: Criteria, trace: list[Step], say: Say
+    problem: Problem, model: Model, criteria: Criteria, trace: list[Step], say: Progress
 ) -> tuple[Model, list["LeftOut"], list[Model]]:
     """Effects that do not hold out beside all others go, the weakest first.
 
@@ -157,7 +157,7 @@ def backward_elimination(
         model = weakest.less
 
 
-def look_alikes(e: "LeftOut", say: Say) -> list[tuple[Candidate, Model]]:
+def look_alikes(e: "LeftOut", say: Progress) -> list[tuple[Candidate, Model]]:
     """Effects that do as well in the place of one, each with its model."""
     problem, criteria, found = e.problem, e.criteria, []
     for s in likely(problem, e.model, e.less, e.candidate):

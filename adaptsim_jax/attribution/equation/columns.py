@@ -9,7 +9,7 @@ import numpy as np
 
 from adaptsim_jax.attribution.equation.balance import (
     GAIN,
-    LEAST_GAIN,
+    MIN_GAIN,
     Balance,
     acting,
     actuator_force,
@@ -21,21 +21,21 @@ from adaptsim_jax.attribution.equation.balance import (
     tilting,
 )
 from adaptsim_jax.attribution.parameters import INERTIA, TILT, Entry, Vector
-from adaptsim_jax.attribution.problem import Problem, values_of
+from adaptsim_jax.attribution.problem import TreeProblem, values_of
 from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.effects.joints.catalogue import ETA, TILTS
 
 STEP = 0.02  # share of a value, by which it is moved for a difference
-LEAST = 1e-4
+MIN_STEP = 1e-4
 OFF = 0.03  # of the usual torque, by which friction may be off
 
 
-class Table:
+class EffectTable:
     """Columns [K, n] of entries of a vector and of candidates, made when asked for. About the
     values of `vector`.
     """
 
-    def __init__(self, problem: Problem, balance: Balance, vector: Vector):
+    def __init__(self, problem: TreeProblem, balance: Balance, vector: Vector):
         self.problem, self.balance, self.vector = problem, balance, vector
         self.values = values_of(problem, balance.group, vector)
         self.place = {j: k for k, j in enumerate(balance.group.joints)}
@@ -46,7 +46,7 @@ class Table:
             own = self.values.effects[GAIN]["gain"][:, 0]
         else:
             own = np.zeros(balance.joints)
-        self.scale = np.maximum(1.0 + own, LEAST_GAIN)
+        self.scale = np.maximum(1.0 + own, MIN_GAIN)
         self._made: dict = {}
 
     def missing(self) -> np.ndarray:
@@ -167,7 +167,7 @@ class Table:
             np.mean(np.square(self.balance.acceleration), 0)
         )  # of a joint that nothing drives
         return np.maximum(
-            0.5 * np.abs(here[name]), OFF * np.where(torque > 0.0, torque, own + LEAST)
+            0.5 * np.abs(here[name]), OFF * np.where(torque > 0.0, torque, own + MIN_STEP)
         )
 
     def _paired(self, effect: Effect, entry: Entry, shape) -> np.ndarray:
@@ -184,7 +184,7 @@ class Table:
         """Of an entry of the vector that does not act linearly."""
         at = self.vector.index()[entry.key]
         value = self.vector.values[at]
-        size = max(STEP * abs(value), LEAST)
+        size = max(STEP * abs(value), MIN_STEP)
         size = -size if value + size > entry.high else size
         effect = self.problem.effect(entry.owner)
         if effect.scales_torque or effect.place == "measurement":
