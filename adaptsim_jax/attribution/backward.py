@@ -122,13 +122,13 @@ def from_afar(
 
 
 def backward_elimination(
-    problem, model: FittedTree, reach, criteria: Criteria, trace, say, rivals: bool = True
+    problem, model: FittedTree, reach, criteria: Criteria, trace, notify, rivals: bool = True
 ) -> tuple[FittedTree, tuple[Named, ...]]:
     """Backward: effects that do not hold out beside the others go, the weakest first and with it
     those that are not beside it; the rest against their look-alikes, of which the simplest has the
     name (unless rivals are not asked for).
     """
-    model = of_members(problem, model, criteria, trace, say)
+    model = of_members(problem, model, criteria, trace, notify)
     gone: set[tuple] = set()
     sure: set[tuple] = (
         set()
@@ -138,7 +138,7 @@ def backward_elimination(
         def tested(
             c: JointCandidate, model=model
         ) -> tuple[JointCandidate, FittedTree, Test, float]:
-            say(f"without {c.effect} at {where(problem, c)}")
+            notify(f"without {c.effect} at {where(problem, c)}")
             less = without(problem, model, c, criteria)
             return c, less, paired(problem, less.held.loss, model.held.loss), steadiness(model, c)
 
@@ -165,7 +165,7 @@ def backward_elimination(
             also = [key for f in others for key in keys_of(model, f[1])]
         else:
             others_of = partial(
-                look_alikes, problem, model, reach=reach, criteria=criteria, say=say
+                look_alikes, problem, model, reach=reach, criteria=criteria, notify=notify
             )
             alike = [others_of(less, c) if rivals else [] for c, less, _, _ in tests]
             simpler = [
@@ -192,7 +192,7 @@ def backward_elimination(
 
 
 def of_members(
-    problem: TreeProblem, model: FittedTree, criteria: Criteria, trace, say
+    problem: TreeProblem, model: FittedTree, criteria: Criteria, trace, notify
 ) -> FittedTree:
     """The model whose effects at many joints are at those that show it: each joint is tested beside
     all else, as if it were an effect of its own. Those that do not hold out go together; where that
@@ -205,7 +205,7 @@ def of_members(
         part: tuple[JointCandidate, JointCandidate],
     ) -> tuple[float, JointCandidate, Test, Reason | None]:
         c, one = part
-        say(f"without {one.effect} at {where(problem, one)}")
+        notify(f"without {one.effect} at {where(problem, one)}")
         alone = replace(model, added=(*(k for k in model.added if k is not c), one))
         less = without(problem, alone, one, criteria)
         test = paired(problem, less.held.loss, model.held.loss)
@@ -261,7 +261,13 @@ def _weak(problem: TreeProblem, model: FittedTree, tests, criteria: Criteria):
 
 
 def look_alikes(
-    problem, model: FittedTree, less: FittedTree, c: JointCandidate, reach, criteria: Criteria, say
+    problem,
+    model: FittedTree,
+    less: FittedTree,
+    c: JointCandidate,
+    reach,
+    criteria: Criteria,
+    notify,
 ) -> list[tuple[FittedTree, Test]]:
     """Models with effects that do as well as `c` in its place (the last that each has), and the
     test of the model against them: of those that gain most without it at its joints or those beside
@@ -284,7 +290,7 @@ def look_alikes(
     gap = max(criteria.gap, 1.0 - (1.0 - gained) ** criteria.alike)
 
     def instead(score: CandidateScore) -> tuple[FittedTree, Test]:
-        say(f"{score.candidate.effect} in place of {c.effect}")
+        notify(f"{score.candidate.effect} in place of {c.effect}")
         touched = (*c.joints, *score.candidate.joints)
         added = (*less.added, score.candidate)
 

@@ -105,10 +105,10 @@ def diagnose(
     began, asked = time.monotonic(), horizon
     if yardstick is not None and yardstick not in NAMES:
         raise BadInput(f"--yardstick {yardstick}: is no yardstick; use {', '.join(NAMES)}")
-    say = progress or (lambda done, total, note: None)
-    say(0.02, 1.0, "reading")
+    notify = progress or (lambda done, total, note: None)
+    notify(0.02, 1.0, "reading")
     machine = load(data, model).without(without)
-    say(0.03, 1.0, "conventions")
+    notify(0.03, 1.0, "conventions")
     warned = () if as_declared else check_conventions(machine)
     if yardstick == WHOLE:
         horizon = 0.98 * min(float(t.time[-1] - t.time[0]) for t in machine.tracks)
@@ -133,7 +133,7 @@ def diagnose(
             criteria or Criteria(),
             span,
             exclude,
-            say,
+            notify,
             effects=effects,
             keep=keep,
             yardstick=yardstick,
@@ -141,12 +141,12 @@ def diagnose(
             first=(lambda problem, null, off=off: friction_first(problem, null, off))
             if off
             else None,
-            filed=declared if off else None,
+            by_file=declared if off else None,
         )
         stays = still_off(machine, off, whole.found.final.fit.vector)
         if len(stays) == len(off):
             break
-        say(0.05, 1.0, "again with the gains of the file, to which the fit came back")
+        notify(0.05, 1.0, "again with the gains of the file, to which the fit came back")
         machine, off = with_gains(declared, stays), stays
     problem, found = whole.problem, whole.found
     damped_by_file(report["declared"]["after"], declared, off)
@@ -178,7 +178,7 @@ def diagnose(
         if machine.log.meta.simulator == "mujoco" or machine.log.meta.channels
         else None,
     )
-    report["run"] = evidence["run"] = Run(command, began).told()
+    report["run"] = evidence["run"] = Run(command, began).as_dict()
     if folder is not None:
         summary = (
             {k: report[k] for k in ("verdict", "message")} | {"data": str(data)} | report["run"]
@@ -233,7 +233,7 @@ def mjcf_files(
 ) -> dict[str, Callable[[], str]]:
     """What makes the text of `declared.xml` and of `model.xml`."""
     problem, found = whole.problem, whole.found
-    by_torque = whole.said if whole.judge == TORQUE else None
+    by_torque = whole.by_torque if whole.judge == TORQUE else None
 
     def made():
         return changes(
@@ -251,20 +251,20 @@ def examined(
     criteria: Criteria,
     horizon: float,
     exclude: Sequence[str] = (),
-    say: Progress = lambda done, total, note: None,
+    notify: Progress = lambda done, total, note: None,
     narrow: Callable[[Vector], Vector] = lambda vector: vector,
     effects: Sequence[Effect] | None = None,
     keep: Callable[[dict[str, Any]], None] | None = None,
     yardstick: str | None = None,
     torques: bool = True,
     first: Callable[[TreeProblem, Vector], Hint] | None = None,
-    filed: Machine | None = None,
+    by_file: Machine | None = None,
 ) -> tuple[dict[str, Any], dict[str, Any], Examined]:
     """Report, evidence for its page, and what was found of a machine. narrow: of the vector that is
     fitted, what is kept; effects: the catalogue, ours where None (of another, what is always fitted
     is ours); keep: told of the report so far, as the search goes; yardstick: by which to judge, the
     one that tells most where None; torques: whether their balance is looked at; first: makes what
-    the search goes on from; filed: the machine by the gains of its file, where `machine` has
+    the search goes on from; by_file: the machine by the gains of its file, where `machine` has
     others: what the declared model leaves is told of it.
     """
     # whatever is named
@@ -282,9 +282,9 @@ def examined(
     problem = replace(posed(machine, chosen, horizon), excluded=at_joints)
 
     def step(note):
-        return say(0.0, np.inf, note)  # how many follow, nobody knows
+        return notify(0.0, np.inf, note)  # how many follow, nobody knows
 
-    say(0.05, 1.0, "declared model")
+    notify(0.05, 1.0, "declared model")
     with np.errstate(
         over="ignore", invalid="ignore"
     ):  # of stretches that run away, which the search expects
@@ -300,10 +300,10 @@ def examined(
         found = examine(
             machine, problem, null, criteria, horizon, step, partial, yardstick, factor, hint
         )
-        if filed is not None:
-            before = posed(filed, chosen, horizon)
+        if by_file is not None:
+            before = posed(by_file, chosen, horizon)
             found = with_null(
-                found, fitted_null(before, declared_vector(filed, before), criteria), horizon
+                found, fitted_null(before, declared_vector(by_file, before), criteria), horizon
             )
         elif (
             not found.found.named
@@ -369,7 +369,7 @@ def scaled(machine: Machine, horizon: float) -> Machine:
     if not machine.gain_unknown:
         return machine
     if (law := by_torque(machine)) is not None:
-        return replace(machine, actuator=law, gain_told=True)
+        return replace(machine, actuator=law, gain_estimated=True)
     problem = prepare(
         machine.tree,
         machine.tracks,
@@ -457,7 +457,7 @@ def declared_vector(machine: Machine, problem: TreeProblem) -> Vector:
             vector = vector.with_entries([step])
     if machine.gain_unknown:
         # free, gain and inertias shrink together
-        if machine.gain_told:
+        if machine.gain_estimated:
             prior = ESTIMATED_GAIN
         else:
             prior = np.inf

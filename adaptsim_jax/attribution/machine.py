@@ -36,7 +36,7 @@ class Machine:
     )  # [n] where the search for an unknown gain begins
     ties: np.ndarray | None = None
     beyond: tuple[str, ...] = ()
-    gain_told: bool = False  # whether weight and inertia of the file's bodies gave an unknown gain
+    gain_estimated: bool = False  # whether weight and inertia of the file's bodies gave it
     servo_times: dict[int, float] = field(
         default_factory=dict
     )  # of kp in the file, by joint, where it had to be found

@@ -79,7 +79,7 @@ def holdable(
 
 
 def _held_by_torque(
-    machine: Machine, problem: TreeProblem, found: Selection, said: TorqueSearch
+    machine: Machine, problem: TreeProblem, found: Selection, searched: TorqueSearch
 ) -> FittedTree:
     model = found.final
     gone = [c for c in model.added if not _holds(machine, problem, model, c)]
@@ -90,10 +90,10 @@ def _held_by_torque(
     dry = {j for c in rubbing for j in c.joints if (COULOMB.name, j) not in there}
     level = [
         c
-        for c in candidates(problem, said.null, found.reach)
+        for c in candidates(problem, searched.null, found.reach)
         if c.effect == COULOMB.name and c.sharing == "joint"
     ]
-    rest = without(problem, said, gone, [c for c in level if c.joints[0] in dry])
+    rest = without(problem, searched, gone, [c for c in level if c.joints[0] in dry])
     fit = replace(model.fit, vector=rest.final)
     return replace(model, added=rest.added, fit=fit)
 

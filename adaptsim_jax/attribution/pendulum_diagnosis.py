@@ -96,8 +96,8 @@ def diagnose_pendulum(
         contradict what is declared of them.
     """
     began = time.monotonic()
-    say = progress or (lambda done, total, note: None)
-    say(0.02, 1.0, "reading")
+    notify = progress or (lambda done, total, note: None)
+    notify(0.02, 1.0, "reading")
     log = data if isinstance(data, Log) else read_pendulum(data, without=without)
     log = log.without([name for name in without if name in {t.name for t in log.trials}])
     rig, path = log.meta.rig, log.path
@@ -131,7 +131,7 @@ def diagnose_pendulum(
             criteria or Criteria(),
             HORIZON,
             tuple(exclude),
-            say,
+            notify,
             in_the_plane,
             effects,
             None if folder is None else lambda partial: write_partial(folder, partial),
@@ -156,7 +156,7 @@ def diagnose_pendulum(
         _of_unknown_masses(report, rig)
         add_trials(report, evidence, pendulum_trials(log), CHANNELS)
         evidence["audit"] += checked.rows
-        provenance = {k: report[k] for k in ("verdict", "message")} | {"data": path} | run.told()
+        provenance = {k: report[k] for k in ("verdict", "message")} | {"data": path} | run.as_dict()
         null, _ = model_file(rig, problem, found.null, {})
         file, lost = model_file(rig, problem, found.final, provenance)
         report["notes"] += lost
@@ -259,7 +259,7 @@ def _written(
     report, evidence, run: Run, folder: Path | None, page: Page | None, files
 ) -> dict[str, Any]:
     """With how it was run, checked, and written where a folder is given."""
-    report["run"] = evidence["run"] = run.told()
+    report["run"] = evidence["run"] = run.as_dict()
     if folder is not None:
         write_all(folder, report, evidence, page or plain, files)
     return check(report)

@@ -64,7 +64,7 @@ class Replay:
     still: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     measures: Mapping[str, Measure | None] = field(default_factory=dict)
 
-    def told(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Any]:
         """What `--json` prints."""
         hinge = [j for j, k in enumerate(self.kinds) if k == "hinge"]
         main = hinge or list(range(len(self.kinds)))
@@ -95,7 +95,7 @@ class Replay:
                 name: some(self.error[:, j]) | {"unit": unit(j)} | beside(j)
                 for j, name in enumerate(self.joint_names)
             },
-            "yardsticks": {name: m.told() for name, m in self.measures.items() if m is not None},
+            "yardsticks": {name: m.as_dict() for name, m in self.measures.items() if m is not None},
             "predicts_nothing": predicts_nothing(self.measures),
             "trials": {
                 name: some(self.error[self.trial == k][:, main])

@@ -64,7 +64,7 @@ def select(
     problem: TreeProblem,
     null: Vector,
     criteria: Criteria,
-    say: Callable[[str], None] = lambda note: None,
+    notify: Callable[[str], None] = lambda note: None,
     keep: "Callable[[Selection], None]" = lambda found: None,
     hint: Hint | None = None,
 ) -> Selection:
@@ -74,7 +74,7 @@ def select(
     declared model.
     """
     base = first = declared(problem, null, criteria, roughly=hint is not None)
-    say("candidates")
+    notify("candidates")
     reach = scaled_reach(problem, *own_inertia(problem, base.fit.vector))
     trace: list[Step] = []
     stages = [first]
@@ -92,12 +92,12 @@ def select(
 
     keep(partial(base))
     while len(base.added) < criteria.most_effects:
-        better = _forward(problem, base, scores, family, reach, criteria, trace, say)
-        better = better or _now_and_then(problem, base, reach, criteria, trace, say)
+        better = _forward(problem, base, scores, family, reach, criteria, trace, notify)
+        better = better or _now_and_then(problem, base, reach, criteria, trace, notify)
         if better is None:  # no law holds out any more: what only describes
             if base is not first:
                 forms = scored(problem, base, reach, False)
-            better = _forward(problem, base, forms, family, reach, criteria, trace, say)
+            better = _forward(problem, base, forms, family, reach, criteria, trace, notify)
         if better is None:
             break
         base = better
@@ -105,7 +105,7 @@ def select(
         keep(partial(base))
         scores = scored(problem, base, reach, True)
     alongside = replace(problem, least=criteria.beside * np.median(held_error(problem, first), 0))
-    final, named = backward_elimination(alongside, base, reach, criteria, trace, say)
+    final, named = backward_elimination(alongside, base, reach, criteria, trace, notify)
     before = first
     if final.fit.vector.index().keys() == first.fit.vector.index().keys():
         # by way of what went a fit may end elsewhere
@@ -167,7 +167,7 @@ def select_shorter(
     null: Vector,
     criteria: Criteria,
     found: Selection,
-    say: Callable[[str], None] = lambda note: None,
+    notify: Callable[[str], None] = lambda note: None,
 ) -> Selection:
     """A search over the beginnings of the stretches, where one over the whole named nothing and far
     more than noise is left.
@@ -178,7 +178,7 @@ def select_shorter(
     """
     short = beginnings(problem, criteria.beginning)
     near = select(
-        short, null, replace(criteria, beginning=1.0), say
+        short, null, replace(criteria, beginning=1.0), notify
     )  # beginnings have none of their own
     if not near.named:
         return found
@@ -196,7 +196,7 @@ def select_shorter(
 
 
 def _forward(
-    problem, base: FittedTree, scores, family: int, reach, criteria: Criteria, trace, say
+    problem, base: FittedTree, scores, family: int, reach, criteria: Criteria, trace, notify
 ) -> FittedTree | None:
     """The best candidate that gains held out, fitted; None where none does. family: how many
     candidates there are in all.
@@ -220,7 +220,7 @@ def _forward(
     begun = begun[:first] + sorted(begun[first:], key=lambda b: b[3].sum())
     begun = begun[: criteria.tried]
     begun += _begun(problem, base, reach, _larger(problem, scores, [b[0] for b in begun]))
-    best = _best(problem, base, begun, good, criteria, trace, say)
+    best = _best(problem, base, begun, good, criteria, trace, notify)
     if best is None:
         reason = step_reason("score_test", passed=len(hopeful), of=len(scores))
         trace.append(Step("ended", None, None, reason))
@@ -247,7 +247,7 @@ def _begun(problem, base: FittedTree, reach, scores) -> list[tuple]:
 
 
 def _now_and_then(
-    problem, base: FittedTree, reach, criteria: Criteria, trace, say
+    problem, base: FittedTree, reach, criteria: Criteria, trace, notify
 ) -> FittedTree | None:
     """The same of effects that act now and then only (a limit that few torques reach, a stop that
     few motions come to), where all else is explained and a few stretches are far off. Among all
@@ -291,12 +291,12 @@ def _now_and_then(
         good,
         criteria,
         trace,
-        say,
+        notify,
     )
 
 
 def _best(
-    problem, base: FittedTree, begun, good, criteria: Criteria, trace, say
+    problem, base: FittedTree, begun, good, criteria: Criteria, trace, notify
 ) -> FittedTree | None:
     """Of candidates (score, vector, starts, loss), fitted, the best that is good(model, its test
     against the base).
@@ -305,7 +305,7 @@ def _best(
 
     def fitted(start) -> FittedTree:
         score, vector, starts, _ = start
-        say(f"{score.candidate.effect} at {where(problem, score.candidate)}")
+        notify(f"{score.candidate.effect} at {where(problem, score.candidate)}")
         joints, glance = score.candidate.joints, 2 * criteria.glance
 
         def settle(vector, starts):

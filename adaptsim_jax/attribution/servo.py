@@ -58,7 +58,7 @@ def calibrated(machine: Machine, horizon: float) -> tuple[Machine, tuple[Servo, 
     file = {s.joint: -machine.actuator[2, s.joint] * machine.gear[s.joint] ** 2 for s in found}
 
     def distance(s):
-        return s.apart > SIGNIFICANT and not _near(s.kp / file[s.joint])
+        return s.separation > SIGNIFICANT and not _near(s.kp / file[s.joint])
 
     off = [
         s

@@ -43,7 +43,7 @@ class SimulatedEvidence(Evidence):
         return self.criteria.size * len(self.candidate.entries)
 
     @property
-    def least_steadiness(self) -> float:
+    def min_steadiness(self) -> float:
         return self.criteria.steady
 
     @property

@@ -28,7 +28,7 @@ def held_missing(found: TorqueSearch) -> tuple[dict[int, np.ndarray], dict[int, 
     declared model, fitted, and of the final.
     """
     out: tuple[dict[int, np.ndarray], dict[int, np.ndarray]] = ({}, {})
-    for k, w in enumerate(found.witnesses):
+    for k, w in enumerate(found.searches):
         for shares, solved in zip(out, (w.base, w.whole), strict=True):
             shares[k] = solved.left_out(w.rows)
     return out
@@ -56,7 +56,7 @@ def report_torque(
     criteria: Criteria,
 ) -> None:
     """Put errors, verdict, message and remains in terms of torques into a report, in place."""
-    balances = [w.balance for w in found.witnesses]
+    balances = [w.balance for w in found.searches]
     floor = floor_of(problem, balances)
     over = float(np.median(after.error / np.maximum(floor, 1e-12)))
     # below a share of the torque nothing would be named
@@ -120,16 +120,16 @@ def _error(
 
 
 def _trials(found: TorqueSearch) -> list[tuple[int, str]]:
-    if not found.witnesses:
+    if not found.searches:
         return []
-    b = found.witnesses[0].balance
+    b = found.searches[0].balance
     return [(int(t), b.names[int(t)]) for t in np.unique(b.trial)]
 
 
 def _share(found: TorqueSearch, trial: int, which: int, base: np.ndarray) -> float:
     shares = []
     for k, left in held_missing(found)[which].items():
-        b = found.witnesses[k].balance
+        b = found.searches[k].balance
         own = np.sqrt(np.mean(np.square(left[b.trial == trial]), 0))
         shares += list(own / base[list(b.group.joints)])
     return float(np.mean(shares))
@@ -161,7 +161,7 @@ def message(problem: TreeProblem, found: TorqueSearch, before: Measure, after: M
 def unnamed_notes(problem: TreeProblem, found: TorqueSearch) -> list[str]:
     """What is fitted, since it predicts, and has no name, by effect and reason."""
     by: dict[tuple[str, str], list[str]] = {}
-    for w in found.witnesses:
+    for w in found.searches:
         for c, why in w.unnamed:
             if c in w.added:
                 by.setdefault((c.effect, why), []).append(place(problem, c))
@@ -176,7 +176,7 @@ def bound_notes(problem: TreeProblem, found: TorqueSearch) -> list[str]:
     at = sorted(
         {
             problem.joint_names[e.joints[0]]
-            for w in found.witnesses
+            for w in found.searches
             for e, z in zip(w.final.entries, w.final.values, strict=True)
             if e.owner == INERTIA and abs(z) > 0.98 * e.high
         }
@@ -198,7 +198,7 @@ def curves(
     a final vector.
     """
     over_time, friction = [], []
-    for w in found.witnesses:
+    for w in found.searches:
         b = w.balance
         torques = needed(problem, b)
         left = [residual(problem, b, v) for v in (Vector((), np.zeros(0)), final)]

@@ -56,7 +56,7 @@ class Measure:
             return float(np.mean(np.maximum(some, -1.0)))
         return float("nan")
 
-    def told(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Any]:
         """For a report or a program: by joint, and over all of them."""
         if self.name != TORQUE:
             words = ("error", "straight_line", "hold_still")

@@ -70,7 +70,7 @@ def diagnose_simulator(
     found = search(problem, criteria, step, keep=keeping(folder, "simulator", name, problem))
     report, evidence = reported(simulator, problem, found, criteria, proposals or {}, name)
     withhold_names(report, criteria)
-    report["run"] = evidence["run"] = Run(command or f"diagnose_simulator({name})", began).told()
+    report["run"] = evidence["run"] = Run(command or f"diagnose_simulator({name})", began).as_dict()
     report = check(report)
     if folder is not None:
         model, values = mended_model(problem, found, name).text, by_name(problem, found.final)

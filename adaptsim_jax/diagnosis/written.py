@@ -172,7 +172,7 @@ def finished(
         report["next_experiment"] = {k: plan[k] for k in ("message", "separates")} | (
             {"csv": NEXT} if plan["rows"] else {}
         )
-    report["run"] = evidence["run"] = run.told()
+    report["run"] = evidence["run"] = run.as_dict()
     report = check(report)
     if folder is not None:
         files = {MODEL: model.text, **more}

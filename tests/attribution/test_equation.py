@@ -12,7 +12,7 @@ from adaptsim_jax.attribution.equation import commands
 from adaptsim_jax.attribution.equation.balance import balances, in_proportion, residual
 from adaptsim_jax.attribution.equation.columns import EffectTable
 from adaptsim_jax.attribution.equation.commands import Servo
-from adaptsim_jax.attribution.equation.models import said
+from adaptsim_jax.attribution.equation.models import search_balances
 from adaptsim_jax.attribution.equation.windows import runs_of
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.parameters import Entry, Vector
@@ -102,7 +102,7 @@ def test_an_actuator_that_does_nothing_leaves_as_much_as_it_was_told():
 def test_friction_is_found_in_seconds_and_nothing_beside(tmp_path):
     machine, problem, told = prepared(record(tmp_path / "rub", friction=0.2, trials=4, held=False))
     null = declared_vector(machine, problem)
-    found = said(
+    found = search_balances(
         problem, told, null, scaled_reach(problem, *own_inertia(problem, null)), Criteria(), False
     )
     (named,) = found.named

@@ -12,7 +12,7 @@ from adaptsim_jax.attribution.equation import filed as filed_module
 from adaptsim_jax.attribution.equation.balance import balances, inside
 from adaptsim_jax.attribution.equation.filed import enough, without_bodies
 from adaptsim_jax.attribution.equation.limits import left_of
-from adaptsim_jax.attribution.equation.models import model_of, said
+from adaptsim_jax.attribution.equation.models import model_of, search_balances
 from adaptsim_jax.attribution.equation.solve import compared
 from adaptsim_jax.attribution.equation.windows import runs_of
 from adaptsim_jax.attribution.load import load
@@ -62,7 +62,7 @@ def searched(folder):
     null, told = declared_vector(machine, problem), balances(problem, machine.tracks)
     reach = scaled_reach(problem, *own_inertia(problem, null))
     return problem, *(
-        said(problem, told, vector, reach, Criteria(), True)
+        search_balances(problem, told, vector, reach, Criteria(), True)
         for vector in (null, without_bodies(null))
     )
 

@@ -194,7 +194,7 @@ def test_the_balance_is_searched_the_same(posed_of, name):
         named = [
             [n.candidate.effect, list(n.candidate.joints), n.test.gain, n.test.p, n.steady]
             + [[a.effect, list(a.joints)] for a in n.alternatives]
-            for n in found.kept
+            for n in found.named
         ]
         out.append({"trace": rows, "named": named, "final": list(found.final.values)})
     check(f"search_balance_{name}", out, LOOSE)

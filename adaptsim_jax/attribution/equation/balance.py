@@ -52,7 +52,7 @@ class Balance:
 
     q, v, a, u, jump [n, T]: the motion of all runs one after the other; ahead, width [n, T]: the
     speed that dry friction goes by, and below which it is not told from zero; row [T] s
-    (`windows.Run`); clock [T] s; mean [K, T]
+    (`windows.EvenTrial`); clock [T] s; mean [K, T]
     averages over windows; runs: the rows of each.
     """
 

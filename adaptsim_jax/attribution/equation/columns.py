@@ -51,13 +51,13 @@ class EffectTable:
 
     def missing(self) -> np.ndarray:
         """Force that is missing [K, n]."""
-        return self._kept(
+        return self._cached(
             "missing", lambda: residual(self.problem, self.balance, self.vector, self._acting())
         )
 
     def driven(self) -> tuple[np.ndarray, np.ndarray]:
         """`actuator_force`."""
-        return self._kept("driven", lambda: actuator_force(self.balance, self.values))
+        return self._cached("driven", lambda: actuator_force(self.balance, self.values))
 
     def of(self, entry: Entry, shape: Mapping[str, float] | None = None) -> np.ndarray:
         """Column [K, n] of an entry, at the shapes of a candidate where it is one's."""
@@ -69,7 +69,7 @@ class EffectTable:
         """What the motion takes of an actuator, by the model: of what was told the noise would be
         read as a gain.
         """
-        averaged = self._kept("told", lambda: self.balance.averaged(self.driven()[0]))
+        averaged = self._cached("told", lambda: self.balance.averaged(self.driven()[0]))
         needed = averaged + self.missing() - self.explained
         return needed / self.scale * np.isin(self.balance.group.joints, entry.joints)
 
@@ -121,7 +121,7 @@ class EffectTable:
         def slope():
             return -read_wrong(self.balance, self.values.inertial[..., 0], *of, slope=True)
 
-        return self._kept((effect.name, entry.joints), slope)
+        return self._cached((effect.name, entry.joints), slope)
 
     def _at(self, effect: Effect, shape: Mapping[str, float]) -> dict[str, np.ndarray]:
         """Parameters [n] of an effect as they are, those of `shape` laid over its shapes."""
@@ -198,13 +198,13 @@ class EffectTable:
         def act(p):
             return force_of(self.balance, self.values, effect, p, self.driven())
 
-        now, share = self._kept((effect.name, "now"), lambda: act(here)), self._acting()[1]
+        now, share = self._cached((effect.name, "now"), lambda: act(here)), self._acting()[1]
         return (act(here | {entry.name: here[entry.name] + size * own}) - now) / size / share
 
     def _acting(self) -> tuple[np.ndarray, np.ndarray]:
-        return self._kept("acting", lambda: acting(self.balance, self.values))
+        return self._cached("acting", lambda: acting(self.balance, self.values))
 
-    def _kept(self, key: Hashable, make: Callable[[], Any]) -> Any:
+    def _cached(self, key: Hashable, make: Callable[[], Any]) -> Any:
         if key not in self._made:
             self._made[key] = make()
         return self._made[key]

@@ -38,7 +38,7 @@ LESS = 0.7
 class Servo:
     """Of a joint: kp [N m/rad], D [N m s/rad], coulomb [N m], rotor [kg m^2] beside the file's,
     bias [N m]; scale: whether kp itself is told, and
-    not only what is over it; apart: standard errors between 1/kp and the file's, infinite where
+    not only what is over it; separation: standard errors between 1/kp and the file's, infinite where
     other joints give the scale; error: rms of the command error [rad] where the joint moves, and
     what is left of it by these gains and by the file's; p of a test over blocks of the one against
     the other.
@@ -51,7 +51,7 @@ class Servo:
     rotor: float
     bias: float
     scale: bool
-    apart: float
+    separation: float
     error: float
     left: float
     file: float

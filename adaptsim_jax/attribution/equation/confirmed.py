@@ -103,7 +103,7 @@ def _separable(
         return test.p > criteria.confidence or test.gain < criteria.gap
 
     pairs = [
-        (k.candidate, other) for w in found.witnesses for k in w.kept for other in k.alternatives
+        (k.candidate, other) for w in found.searches for k in w.named for other in k.alternatives
     ]
     alike = {
         (c.key, o.key)
@@ -116,9 +116,9 @@ def _separable(
             k, alternatives=tuple(o for o in k.alternatives if (k.candidate.key, o.key) in alike)
         )
 
-    witnesses = tuple(replace(w, kept=tuple(separable(k) for k in w.kept)) for w in found.witnesses)
+    searches = tuple(replace(w, named=tuple(separable(k) for k in w.named)) for w in found.searches)
     if pairs:
-        return replace(found, witnesses=witnesses)
+        return replace(found, searches=searches)
     return found
 
 
@@ -161,7 +161,7 @@ def harmed(
 
 def _shown(found: TorqueSearch, c: JointCandidate) -> list[int]:
     """Joints of the machine at which an effect shows."""
-    for w in found.witnesses:
+    for w in found.searches:
         if any(k is c for k in w.added):
             return [w.balance.group.joints[k] for k in w.state.own(c)]
     return list(c.joints)
@@ -186,9 +186,9 @@ def _gone(less: TorqueSearch) -> TorqueSearch:
     """What is found less, without the names that are no longer in it."""
 
     def names(w):
-        return tuple(k for k in w.kept if any(k.candidate is c for c in w.added))
+        return tuple(k for k in w.named if any(k.candidate is c for c in w.added))
 
-    return replace(less, witnesses=tuple(replace(w, kept=names(w)) for w in less.witnesses))
+    return replace(less, searches=tuple(replace(w, named=names(w)) for w in less.searches))
 
 
 def _gain(

@@ -73,7 +73,7 @@ def enough(
     """Whether the file's bodies predict as well as fitted ones: what was found with both, and the
     models of it.
     """
-    d = np.concatenate([_worse(*both) for both in zip(*(s.witnesses for s in found), strict=True)])
+    d = np.concatenate([_worse(*both) for both in zip(*(s.searches for s in found), strict=True)])
     if share(d) < criteria.torque.gain:
         return True
     own, other = models

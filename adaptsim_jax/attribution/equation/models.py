@@ -39,21 +39,21 @@ class TorqueSearch:
     errors [P] of the final one.
     """
 
-    witnesses: tuple[GroupSearch, ...]
+    searches: tuple[GroupSearch, ...]
     null: Vector
     final: Vector
     errors: np.ndarray
 
     @property
     def added(self) -> tuple[JointCandidate, ...]:
-        return tuple(c for w in self.witnesses for c in w.added)
+        return tuple(c for w in self.searches for c in w.added)
 
     @property
     def named(self) -> tuple[Named, ...]:
-        return tuple(n for w in self.witnesses for n in w.kept)
+        return tuple(n for w in self.searches for n in w.named)
 
 
-def said(
+def search_balances(
     problem: TreeProblem,
     balances: Sequence[Balance],
     null: Vector,
@@ -77,15 +77,15 @@ def said(
     return merged(null, found)
 
 
-def merged(null: Vector, witnesses: Sequence[GroupSearch]) -> TorqueSearch:
+def merged(null: Vector, searches: Sequence[GroupSearch]) -> TorqueSearch:
     """The vectors of the groups as those of the whole machine."""
-    first = null.at(_values(null, [w.null for w in witnesses]))
-    entries = [e for w in witnesses for e in w.final.entries if e.key not in null.index()]
+    first = null.at(_values(null, [w.null for w in searches]))
+    entries = [e for w in searches for e in w.final.entries if e.key not in null.index()]
     final = null.with_entries(entries)
-    final = final.at(_values(final, [w.final for w in witnesses]))
-    error = {e.key: s for w in witnesses for e, s in zip(w.final.entries, w.errors, strict=True)}
+    final = final.at(_values(final, [w.final for w in searches]))
+    error = {e.key: s for w in searches for e, s in zip(w.final.entries, w.errors, strict=True)}
     return TorqueSearch(
-        tuple(witnesses), first, final, np.array([error.get(e.key, 0.0) for e in final.entries])
+        tuple(searches), first, final, np.array([error.get(e.key, 0.0) for e in final.entries])
     )
 
 
@@ -110,7 +110,7 @@ def selection(
     what was tried. null: the declared model.
     """
     final = model_of(problem, found, found.final, found.added)
-    steps = [s for w in found.witnesses for s in w.steps]
+    steps = [s for w in found.searches for s in w.steps]
     opening = sorted(
         (_score(s, null.fit.total) for s in _best_tried(steps)), key=lambda s: -s.held_out
     )
@@ -171,13 +171,13 @@ def _folded(problem: TreeProblem, found: TorqueSearch, vector: Vector) -> np.nda
     """Values [F, P] without each fold: of the same pieces of the trials as far as balances and
     stretches are cut alike.
     """
-    if found.witnesses:
-        count = max(len(w.whole.by_fold) for w in found.witnesses)
+    if found.searches:
+        count = max(len(w.whole.by_fold) for w in found.searches)
     else:
         count = 1
     out = np.repeat(vector.values[None], max(count, problem.fold.max() + 1), 0)
     index = vector.index()
-    for w in found.witnesses:
+    for w in found.searches:
         solved = w.base if len(vector) == len(found.null) else w.whole
         for i, e in enumerate(solved.entries):
             if e.key in index:
@@ -213,7 +213,7 @@ def _held(
 def curvature(found: TorqueSearch, vector: Vector) -> np.ndarray:
     """Of the balance's loss by the values of a vector [P, P], with the prior."""
     out, index = np.diag(np.maximum(vector.precision, 1e-12)), vector.index()
-    for w in found.witnesses:
+    for w in found.searches:
         solved = w.base if len(vector) == len(found.null) else w.whole
         at = [(i, index[e.key]) for i, e in enumerate(solved.entries) if e.key in index]
         here, there = [i for i, _ in at], [j for _, j in at]
@@ -229,7 +229,7 @@ def without(
 ) -> TorqueSearch:
     """Refitted without some effects, with others in their place."""
     out = []
-    for w in found.witnesses:
+    for w in found.searches:
         joints = set(w.balance.group.joints)
         less = [c for c in w.added if c not in gone] + [
             c for c in instead if set(c.joints) <= joints

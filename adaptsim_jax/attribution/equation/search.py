@@ -43,7 +43,7 @@ OF_LIKE_JOINTS = "like joints have it, but it could not be shown by itself in th
 @dataclass(frozen=True)
 class GroupSearch:
     """What the balance of a group of joints says. null, final: vectors of its entries; added:
-    effects in it; kept: those that have a name; unnamed: those that have none, and why; steps; rows,
+    effects in it; named: those that have a name; unnamed: those that have none, and why; steps; rows,
     base and whole: the sums.
     """
 
@@ -52,7 +52,7 @@ class GroupSearch:
     final: Vector
     errors: np.ndarray
     added: tuple[JointCandidate, ...]
-    kept: tuple[Named, ...]
+    named: tuple[Named, ...]
     unnamed: tuple[tuple[JointCandidate, str], ...]
     steps: tuple[Step, ...]
     rows: ForceRows
@@ -81,7 +81,7 @@ def search_group(
         if best is None:
             break
         added = [*added, best]
-    driven = {j for j, k in state.local.items() if np.any(state.told[:, k])}
+    driven = {j for j, k in state.local.items() if np.any(state.averaged[:, k])}
     asked = Counter(k.effect for c in added for k in c.split() if driven & set(k.joints))
     stay: list[JointCandidate] | None = None
     while stay is None or len(stay) < len(added):  # what stands beside one that goes is judged anew
@@ -92,7 +92,7 @@ def search_group(
         why = step_reason("shape_artefact")
         steps += [Step("dropped", c, None, why) for c in added if c not in stay]
     whole = state.set_of(added)
-    kept = []
+    named = []
     for c in added:
         if read_so(state, whole, c):
             if not commanded:
@@ -105,7 +105,7 @@ def search_group(
             continue
         less = state.set_of([k for k in added if k is not c])
         test = compared(state.rows, less, whole, state.own(c))
-        kept.append(
+        named.append(
             Named(c, test, steadiness(whole, c), _alike(state, added, c, less, whole, every))
         )
     base = state.set_of(())
@@ -116,7 +116,7 @@ def search_group(
         final,
         errors,
         tuple(added),
-        tuple(kept),
+        tuple(named),
         tuple(unnamed.items()),
         tuple(steps),
         state.rows,

@@ -47,14 +47,14 @@ class Searched:
         self.follows = bool(np.any(held(self.table.values.actuator[..., 0])))
         self.base = self.table.stack(null.entries)
         missing = self.table.missing()
-        self.told = balance.averaged(self.table.driven()[0])
-        torque = np.sqrt(np.mean(np.square(self.told), 0))
+        self.averaged = balance.averaged(self.table.driven()[0])
+        torque = np.sqrt(np.mean(np.square(self.averaged), 0))
         size = np.sqrt(np.mean(np.square(missing), 0))
-        taken = self.told + missing  # by the motion, where nothing is told of what acts
+        taken = self.averaged + missing  # by the motion, where nothing is told of what acts
         self.torque = np.where(torque > 0, torque, np.sqrt(np.mean(np.square(taken), 0)))
-        self.least = np.maximum(MIN_OF_TORQUE * torque, MIN_OF_MISSING * size)
+        self.minimum = np.maximum(MIN_OF_TORQUE * torque, MIN_OF_MISSING * size)
         self.rows = rows_of(
-            missing, missing, balance.trial, balance.time, self.least, balance.clear
+            missing, missing, balance.trial, balance.time, self.minimum, balance.clear
         )
         self._summed()
         self.weigh(self.set_of(()))
@@ -69,7 +69,7 @@ class Searched:
             left,
             self.balance.trial,
             self.balance.time,
-            self.least,
+            self.minimum,
             self.balance.clear,
         )
         self._summed()
@@ -90,8 +90,8 @@ class Searched:
         changed = [i for i, e in enumerate(entries) if e.owner in self.bends]
         if not changed:
             return found
-        driven = self.told + found.columns[..., changed] @ found.step[changed]
-        return replace(found, loss=found.loss / np.square(in_proportion(self.told, driven)))
+        driven = self.averaged + found.columns[..., changed] @ found.step[changed]
+        return replace(found, loss=found.loss / np.square(in_proportion(self.averaged, driven)))
 
     def settled(self, added: Sequence[JointCandidate], c: JointCandidate) -> JointCandidate:
         """A shift with its column made at the value that it comes to: a lag of 60 ms scaled to one

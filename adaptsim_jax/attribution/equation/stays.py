@@ -45,7 +45,7 @@ class Balanced(Evidence):
         return steadiness(self.whole, self.candidate)
 
     @property
-    def least_steadiness(self) -> float:
+    def min_steadiness(self) -> float:
         return self.state.limits.steady
 
     @property

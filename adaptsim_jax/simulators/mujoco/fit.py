@@ -47,7 +47,7 @@ class Fitted:
     after: float
     code: str
 
-    def told(self) -> dict[str, dict[str, float]]:
+    def as_dict(self) -> dict[str, dict[str, float]]:
         """By name: value, low, high, file."""
         return {
             f.name: {"value": float(v), "low": float(a), "high": float(b), "file": f.neutral}
