@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from adaptsim_jax.attribution.diagnose import declared_vector, diagnose
-from adaptsim_jax.attribution.equation.models import said
+from adaptsim_jax.attribution.equation.models import search_balances
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.parameters import INERTIA
 from adaptsim_jax.attribution.problem import own_inertia, scaled_reach
@@ -38,7 +38,7 @@ def named_by_witness(folder: Path) -> tuple[set[tuple[str, int]], float]:
     machine = load(folder, None)
     problem, told = prepared(machine)
     null = declared_vector(machine, problem)
-    found = said(
+    found = search_balances(
         problem, told, null, scaled_reach(problem, *own_inertia(problem, null)), Criteria(), False
     )
     eta = [

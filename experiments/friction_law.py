@@ -16,7 +16,7 @@ import numpy as np
 
 from adaptsim_jax.attribution.diagnose import declared_vector
 from adaptsim_jax.attribution.equation.balance import balances
-from adaptsim_jax.attribution.equation.filed import filed
+from adaptsim_jax.attribution.equation.filed import without_bodies
 from adaptsim_jax.attribution.equation.models import part_of
 from adaptsim_jax.attribution.equation.rubbing import gains, given, giving, rubbing
 from adaptsim_jax.attribution.equation.search import within
@@ -37,7 +37,7 @@ def shown(folder: Path) -> str:
     told, soft = balances(problem, machine.tracks), giving(problem, machine.tree)
 
     def part(b):
-        return within(part_of(filed(null) if np.any(held(machine.actuator)) else null, b))
+        return within(part_of(without_bodies(null) if np.any(held(machine.actuator)) else null, b))
 
     how = reach, Criteria(), machine.log.input_kind != "torque"
     joints = [z for b in told for z in gains(problem, soft, b, given(b, soft), part(b), *how).T]

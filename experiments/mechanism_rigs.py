@@ -44,7 +44,7 @@ def told(found: Replay) -> dict:
         "median": float(np.median(found.error)),
         "rms": float(np.sqrt(np.mean(found.error**2))),
         "joints": np.median(found.error, 0).tolist(),
-        "ran_away": found.told()["ran_away"],
+        "ran_away": found.as_dict()["ran_away"],
     }
 
 

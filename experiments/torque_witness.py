@@ -16,7 +16,7 @@ import numpy as np
 
 from adaptsim_jax.attribution.diagnose import declared_vector, factor_of
 from adaptsim_jax.attribution.equation.balance import balances, residual
-from adaptsim_jax.attribution.equation.models import said
+from adaptsim_jax.attribution.equation.models import search_balances
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import INERTIA, Vector
@@ -46,7 +46,9 @@ def examined(machine: Machine, judge: Machine) -> None:
     null = declared_vector(machine, problem)
     reach = scaled_reach(problem, *own_inertia(problem, null))
     commanded = machine.log.input_kind != "torque"
-    found = said(problem, told, null, reach, Criteria(), commanded, factor_of(machine.log.meta))
+    found = search_balances(
+        problem, told, null, reach, Criteria(), commanded, factor_of(machine.log.meta)
+    )
     print(
         f"{machine.log.path}: {[t.name for t in machine.tracks]}, "
         f"{time.process_time() - began:.0f} s"

@@ -44,7 +44,7 @@ class Values(NamedTuple):
     ease: Any = 1.0
 
 
-class Motion(NamedTuple):
+class JointMotion(NamedTuple):
     """What a force effect sees, `[n, ...]` each: q, v, the actuator's force u (N m), time [1, ...]
     s, `pull`: the part of u that follows the command and the angle, `target`: the command,
     `gravity(q)`: force of gravity.
@@ -62,14 +62,14 @@ class Motion(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Model:
+class ActingModel:
     """A tree and the effects that may act on its joints (static: what is compiled)."""
 
     tree: Tree
     effects: tuple[Effect, ...]
 
 
-jax.tree_util.register_dataclass(Model, data_fields=["tree"], meta_fields=["effects"])
+jax.tree_util.register_dataclass(ActingModel, data_fields=["tree"], meta_fields=["effects"])
 
 
 def sensed_offset(values: Values):
@@ -155,7 +155,7 @@ class Forces(NamedTuple):
     yielding: Any
 
 
-def forces(model: Model, values: Values, q, v, u, t, observed=None) -> Forces:
+def forces(model: ActingModel, values: Values, q, v, u, t, observed=None) -> Forces:
     """All that acts on the joints besides their own dynamics. seen: angles and speeds as the
     controllers have them, where they are other than q and v.
     """
@@ -165,7 +165,7 @@ def forces(model: Model, values: Values, q, v, u, t, observed=None) -> Forces:
     def gravity(q):
         return equations.gravity_force(model.tree, values.inertial, q, values.gravity)
 
-    motion = Motion(q, v, tau, t, jnp.zeros_like(q), gravity, t, pull, u + jnp.zeros_like(q))
+    motion = JointMotion(q, v, tau, t, jnp.zeros_like(q), gravity, t, pull, u + jnp.zeros_like(q))
     nothing = jnp.zeros(jnp.broadcast_shapes(tau.shape, jnp.shape(values.inertial[:, 0])), q.dtype)
     smooth, level, inertia, yielding = tau + nothing, nothing, nothing, nothing
     held_up = compensation(model.tree, q)
@@ -200,12 +200,12 @@ def _where_on(effect: Effect, p, added, total):
     return jax.lax.cond(jnp.any(jnp.stack(on)), added, lambda z: z, total)
 
 
-def rough(model: Model, values: Values) -> bool:
+def rough(model: ActingModel, values: Values) -> bool:
     """Whether anything may rub dry."""
     return any(rubs_dry(e)[0] for e in model.effects if _on(e, values))
 
 
-def bristles(model: Model, values: Values) -> bool:
+def bristles(model: ActingModel, values: Values) -> bool:
     """Whether dry friction yields anywhere."""
     return any(rubs_dry(e)[1] for e in model.effects if _on(e, values))
 
@@ -223,7 +223,7 @@ def rubs_dry(effect: Effect) -> tuple[bool, bool]:
     number, answers = jax.ShapeDtypeStruct((1, 1), np.float32), []
 
     def ask(p, z):
-        answers.append(effect.apply(p, Motion(z, z, z, z, z, lambda q: q, z, z, z)))
+        answers.append(effect.apply(p, JointMotion(z, z, z, z, z, lambda q: q, z, z, z)))
         return z
 
     jax.eval_shape(ask, {p.name: number for p in effect.parameters}, number)
@@ -231,7 +231,7 @@ def rubs_dry(effect: Effect) -> tuple[bool, bool]:
     return dry, dry and not isinstance(answers[0].yielding, float)
 
 
-def bent_at(model: Model, values: Values, x, u, t):
+def bent_at(model: ActingModel, values: Values, x, u, t):
     """Deflection [n, W] of bristles at the start of stretches that begin at x [2n or more, W]: bent
     as by the motion just before.
     """

@@ -7,11 +7,11 @@ import numpy as np
 
 from adaptsim_jax.attribution.linear import Linear, inside
 from adaptsim_jax.attribution.parameters import Entry, Vector
-from adaptsim_jax.attribution.problem import Problem
+from adaptsim_jax.attribution.problem import TreeProblem
 from adaptsim_jax.attribution.weights import group_losses
 
 
-def touched(problem: Problem, entries: Iterable[Entry], joints: Sequence[int]) -> list[int]:
+def touched(problem: TreeProblem, entries: Iterable[Entry], joints: Sequence[int]) -> list[int]:
     """Numbers of the groups that a change at `joints` touches: all of them where groups share a
     value.
     """
@@ -21,7 +21,7 @@ def touched(problem: Problem, entries: Iterable[Entry], joints: Sequence[int]) -
     return sorted({owner[j] for j in joints})
 
 
-def apart(problem: Problem, entries: Sequence[Entry]) -> list[list[int]]:
+def by_group(problem: TreeProblem, entries: Sequence[Entry]) -> list[list[int]]:
     """Numbers of the entries, by what is fitted apart: a group of joints each, or all where groups
     share a value.
     """
@@ -31,8 +31,8 @@ def apart(problem: Problem, entries: Sequence[Entry]) -> list[list[int]]:
 
 
 def part_of(
-    problem: Problem, vector: Vector, some: Sequence[int]
-) -> tuple[Problem, Vector, list[int]]:
+    problem: TreeProblem, vector: Vector, some: Sequence[int]
+) -> tuple[TreeProblem, Vector, list[int]]:
     """The problem of some groups only, their entries, and the numbers of these."""
     part = replace(problem, groups=tuple(problem.groups[k] for k in some))
     at = inside(vector.entries, part.groups)
@@ -52,7 +52,7 @@ def put_back(
 
 
 def linear_part(
-    part: Problem, lin: Linear, own: Vector, at: Sequence[int], some: Sequence[int]
+    part: TreeProblem, lin: Linear, own: Vector, at: Sequence[int], some: Sequence[int]
 ) -> Linear:
     """Of a linearised fit what `part_of` has taken."""
 

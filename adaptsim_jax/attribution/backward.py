@@ -6,11 +6,11 @@ from functools import partial
 from typing import TypeVar
 
 from adaptsim_jax.attribution.estimate import fit
-from adaptsim_jax.attribution.held_out import Model, attempted, modelled, paired, refit
+from adaptsim_jax.attribution.held_out import FittedTree, attempted, modelled, paired, refit
 from adaptsim_jax.attribution.parameters import TILT, Vector
-from adaptsim_jax.attribution.problem import Problem
-from adaptsim_jax.attribution.score import Candidate, Score, candidates, table
-from adaptsim_jax.attribution.stays import Simulated, between_rows, steadiness
+from adaptsim_jax.attribution.problem import TreeProblem
+from adaptsim_jax.attribution.score import CandidateScore, JointCandidate, candidates, table
+from adaptsim_jax.attribution.stays import SimulatedEvidence, between_rows, steadiness
 from adaptsim_jax.attribution.weights import losses
 from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.diagnosis.criteria import Criteria
@@ -23,20 +23,24 @@ T = TypeVar("T")
 
 
 def scored(
-    problem: Problem, model: Model, reach: Reach, laws: bool, near: Candidate | None = None
-) -> list[Score]:
+    problem: TreeProblem,
+    model: FittedTree,
+    reach: Reach,
+    laws: bool,
+    near: JointCandidate | None = None,
+) -> list[CandidateScore]:
     """Scores of all candidates that are laws, or of those that only describe. near: of those alone
     that act beside it.
     """
     every = candidates(problem, model.fit.vector, reach)
     if near is not None:
-        every = [c for c in every if beside(c, near)]
+        every = [c for c in every if adjacent(c, near)]
     return table(
         problem, model.lin, [c for c in every if problem.effect(c.effect).describes is not laws]
     )
 
 
-def more(large: Model, small: Model) -> int:
+def more(large: FittedTree, small: FittedTree) -> int:
     """Fitted parameters that one model has more than another."""
 
     def fitted(m):
@@ -45,7 +49,7 @@ def more(large: Model, small: Model) -> int:
     return fitted(large) - fitted(small)
 
 
-def keys_of(model: Model, c: Candidate) -> list[tuple]:
+def keys_of(model: FittedTree, c: JointCandidate) -> list[tuple]:
     """Keys of an effect's entries in a model, shapes too."""
     return [
         e.key
@@ -54,23 +58,25 @@ def keys_of(model: Model, c: Candidate) -> list[tuple]:
     ]
 
 
-def beside(c: Candidate, other: Candidate) -> bool:
+def adjacent(c: JointCandidate, other: JointCandidate) -> bool:
     """Whether two effects act at the same joints or at ones next to each other in number, where one
     may stand in for the other.
     """
     return any(abs(j - k) < 2 for j in c.joints for k in other.joints)
 
 
-def apart_in_turn(some: Sequence[T], effect: Callable[[T], Candidate]) -> list[T]:
+def separable_in_turn(some: Sequence[T], effect: Callable[[T], JointCandidate]) -> list[T]:
     """The first, and each later one that is beside none taken before it: these may go at once."""
     taken: list[T] = []
     for one in some:
-        if not any(beside(effect(one), effect(other)) for other in taken):
+        if not any(adjacent(effect(one), effect(other)) for other in taken):
             taken.append(one)
     return taken
 
 
-def without(problem: Problem, model: Model, gone: Candidate, criteria: Criteria) -> Model:
+def without(
+    problem: TreeProblem, model: FittedTree, gone: JointCandidate, criteria: Criteria
+) -> FittedTree:
     """The model without one of its effects, refitted under the same weights."""
     vector = model.fit.vector.without(keys_of(model, gone))
     less = tuple(c for c in model.added if c is not gone)
@@ -78,15 +84,15 @@ def without(problem: Problem, model: Model, gone: Candidate, criteria: Criteria)
 
 
 def compared(
-    problem: Problem,
-    model: Model,
+    problem: TreeProblem,
+    model: FittedTree,
     added,
-    like: Model,
+    like: FittedTree,
     vector: Vector,
     starts,
     joints,
     criteria: Criteria,
-) -> Model:
+) -> FittedTree:
     """Another model, refitted under the weights of `model` as far as it takes to compare them: to
     the end where it might do as well. like: one that is the same but at `joints`.
     """
@@ -102,8 +108,8 @@ def compared(
 
 
 def from_afar(
-    problem: Problem, settle: Callable[..., Model], vector: Vector, starts, rounds: int
-) -> Model:
+    problem: TreeProblem, settle: Callable[..., FittedTree], vector: Vector, starts, rounds: int
+) -> FittedTree:
     """settle(vector, starts), which fits under given weights; where that is stuck at once, also
     after a fit by weights of its own: what weighs after a good fit is a narrow valley from afar. Of
     both the one that leaves less.
@@ -115,22 +121,24 @@ def from_afar(
     return min(found, settle(near.vector, near.starts), key=lambda m: m.fit.total)
 
 
-def judged(
-    problem, model: Model, reach, criteria: Criteria, trace, say, rivals: bool = True
-) -> tuple[Model, tuple[Named, ...]]:
+def backward_elimination(
+    problem, model: FittedTree, reach, criteria: Criteria, trace, notify, rivals: bool = True
+) -> tuple[FittedTree, tuple[Named, ...]]:
     """Backward: effects that do not hold out beside the others go, the weakest first and with it
     those that are not beside it; the rest against their look-alikes, of which the simplest has the
     name (unless rivals are not asked for).
     """
-    model = of_members(problem, model, criteria, trace, say)
+    model = of_members(problem, model, criteria, trace, notify)
     gone: set[tuple] = set()
     sure: set[tuple] = (
         set()
     )  # effects that were far from going: they are tested again once nothing else goes
     while True:
 
-        def tested(c: Candidate, model=model) -> tuple[Candidate, Model, Test, float]:
-            say(f"without {c.effect} at {where(problem, c)}")
+        def tested(
+            c: JointCandidate, model=model
+        ) -> tuple[JointCandidate, FittedTree, Test, float]:
+            notify(f"without {c.effect} at {where(problem, c)}")
             less = without(problem, model, c, criteria)
             return c, less, paired(problem, less.held.loss, model.held.loss), steadiness(model, c)
 
@@ -147,7 +155,7 @@ def judged(
             continue
         also: list[tuple] = []
         if failing:
-            (_, _, less, _, _), *others = weakest = apart_in_turn(
+            (_, _, less, _, _), *others = weakest = separable_in_turn(
                 sorted(failing, key=lambda f: f[0]), lambda f: f[1]
             )
             trace += [Step("dropped", c, test, why) for _, c, _, test, why in weakest]
@@ -157,7 +165,7 @@ def judged(
             also = [key for f in others for key in keys_of(model, f[1])]
         else:
             others_of = partial(
-                look_alikes, problem, model, reach=reach, criteria=criteria, say=say
+                look_alikes, problem, model, reach=reach, criteria=criteria, notify=notify
             )
             alike = [others_of(less, c) if rivals else [] for c, less, _, _ in tests]
             simpler = [
@@ -183,7 +191,9 @@ def judged(
     )
 
 
-def of_members(problem: Problem, model: Model, criteria: Criteria, trace, say) -> Model:
+def of_members(
+    problem: TreeProblem, model: FittedTree, criteria: Criteria, trace, notify
+) -> FittedTree:
     """The model whose effects at many joints are at those that show it: each joint is tested beside
     all else, as if it were an effect of its own. Those that do not hold out go together; where that
     predicts worse, the weaker half.
@@ -191,14 +201,16 @@ def of_members(problem: Problem, model: Model, criteria: Criteria, trace, say) -
     many = [c for c in model.added if c.sharing == "all" and len(c.joints) > 1]
     parts = [(c, one) for c in many for one in c.split()]
 
-    def tested(part: tuple[Candidate, Candidate]) -> tuple[float, Candidate, Test, Reason | None]:
+    def tested(
+        part: tuple[JointCandidate, JointCandidate],
+    ) -> tuple[float, JointCandidate, Test, Reason | None]:
         c, one = part
-        say(f"without {one.effect} at {where(problem, one)}")
+        notify(f"without {one.effect} at {where(problem, one)}")
         alone = replace(model, added=(*(k for k in model.added if k is not c), one))
         less = without(problem, alone, one, criteria)
         test = paired(problem, less.held.loss, model.held.loss)
         steady = steadiness(model, one)
-        evidence = Simulated(problem, model, less, one, test, steady, criteria)
+        evidence = SimulatedEvidence(problem, model, less, one, test, steady, criteria)
         return test.gain, one, test, refusal(evidence)
 
     weak = sorted((t for t in parallel_map(tested, parts) if t[3]), key=lambda t: t[0])
@@ -214,14 +226,16 @@ def of_members(problem: Problem, model: Model, criteria: Criteria, trace, say) -
     return model
 
 
-def _read_code(problem: Problem, c: Candidate) -> str:
+def _read_code(problem: TreeProblem, c: JointCandidate) -> str:
     """By which code an effect is how rows are read."""
     if problem.effect(c.effect).shifts_time:
         return "commands_between_rows"
     return "rotors_are_steps"
 
 
-def trimmed(problem: Problem, model: Model, keys: Sequence[tuple], criteria: Criteria) -> Model:
+def trimmed(
+    problem: TreeProblem, model: FittedTree, keys: Sequence[tuple], criteria: Criteria
+) -> FittedTree:
     """The model without some entries of its effects, refitted; as it is where there are none."""
     if not keys:
         return model
@@ -233,7 +247,7 @@ def trimmed(problem: Problem, model: Model, keys: Sequence[tuple], criteria: Cri
     return modelled(problem, added, own)
 
 
-def _weak(problem: Problem, model: Model, tests, criteria: Criteria):
+def _weak(problem: TreeProblem, model: FittedTree, tests, criteria: Criteria):
     """Of tested effects (candidate, model without it, test, steadiness) one that is only how rows
     are read, with its test, and those that do not stay.
     """
@@ -241,14 +255,20 @@ def _weak(problem: Problem, model: Model, tests, criteria: Criteria):
     for c, less, test, steady in tests:
         if between_rows(problem, model, c, criteria) and test.p <= criteria.confidence:
             read = c, test
-        elif why := refusal(Simulated(problem, model, less, c, test, steady, criteria)):
+        elif why := refusal(SimulatedEvidence(problem, model, less, c, test, steady, criteria)):
             failing.append((test.gain, c, less, test, why))
     return read, failing
 
 
 def look_alikes(
-    problem, model: Model, less: Model, c: Candidate, reach, criteria: Criteria, say
-) -> list[tuple[Model, Test]]:
+    problem,
+    model: FittedTree,
+    less: FittedTree,
+    c: JointCandidate,
+    reach,
+    criteria: Criteria,
+    notify,
+) -> list[tuple[FittedTree, Test]]:
     """Models with effects that do as well as `c` in its place (the last that each has), and the
     test of the model against them: of those that gain most without it at its joints or those beside
     them, and of those that it is mistaken for. What describes without a law is no rival of one: it
@@ -269,8 +289,8 @@ def look_alikes(
     gained = paired(problem, less.held.loss, model.held.loss).gain
     gap = max(criteria.gap, 1.0 - (1.0 - gained) ** criteria.alike)
 
-    def instead(score: Score) -> tuple[Model, Test]:
-        say(f"{score.candidate.effect} in place of {c.effect}")
+    def instead(score: CandidateScore) -> tuple[FittedTree, Test]:
+        notify(f"{score.candidate.effect} in place of {c.effect}")
         touched = (*c.joints, *score.candidate.joints)
         added = (*less.added, score.candidate)
 
@@ -288,7 +308,7 @@ def look_alikes(
     ]
 
 
-def where(problem: Problem, c: Candidate) -> str:
+def where(problem: TreeProblem, c: JointCandidate) -> str:
     if c.effect == TILT:
         return "base"
     return ", ".join(problem.joint_names[j] for j in c.joints)

@@ -14,10 +14,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.attribution import drive as drives
-from adaptsim_jax.attribution.acting import BENT, OF_CONTROLLERS, Motion, actuated, carried, held_by
+from adaptsim_jax.attribution.acting import (
+    BENT,
+    OF_CONTROLLERS,
+    JointMotion,
+    actuated,
+    carried,
+    held_by,
+)
 from adaptsim_jax.attribution.drive import Local, logged_alone
 from adaptsim_jax.attribution.parameters import INERTIA, TILT, Entry, Vector
-from adaptsim_jax.attribution.problem import Group, Problem, group_inertia, off_value
+from adaptsim_jax.attribution.problem import Group, TreeProblem, group_inertia, off_value
 from adaptsim_jax.attribution.simulate import Path, command_rows
 from adaptsim_jax.effects.base import Dry, Effect
 from adaptsim_jax.effects.joints.catalogue import ETA, TILTS
@@ -26,7 +33,7 @@ from adaptsim_jax.mechanisms import equations
 
 STEP = 1e-3  # s, by which a delay or a lag is moved for its derivative
 NEAR = 0.02  # of a value, by which it is moved at most
-FAR = 1e3  # rad (rad/s): drives that would run away so far are not looked at
+RUNAWAY = 1e3  # rad (rad/s): drives that would run away so far are not looked at
 SLIDING = 0.99  # of its level, that dry friction takes over a row in which the joint slides
 STILL = 1e-3  # of the largest dry friction: below it, the direction is taken from the motion
 
@@ -102,7 +109,9 @@ def _force(group_tree, values, path: Path, time, rub, p, direction, effect: Effe
             group_tree, values.inertial[:, :, None], q, values.gravity[:, None]
         )
 
-    motion = Motion(q, v, tau, 0.5 * (time[1:] + time[:-1])[None], 0.0 * q, gravity, None, pull, u)
+    motion = JointMotion(
+        q, v, tau, 0.5 * (time[1:] + time[:-1])[None], 0.0 * q, gravity, None, pull, u
+    )
     turned = jnp.where(jnp.abs(rub[0]) > 0, rub[1], _mean_sign(path.x, n))
 
     def act(value):
@@ -230,12 +239,12 @@ def _sides(model, values, path: Path) -> tuple[Path, Path]:
     )
 
 
-class Columns:
+class GroupColumns:
     """Columns of a group at a point: force columns [W, L, n, K] or output columns [W, L+1, 2n, K]
     on demand, by entry.
     """
 
-    def __init__(self, problem: Problem, group: Group, vector: Vector, values, path: Path):
+    def __init__(self, problem: TreeProblem, group: Group, vector: Vector, values, path: Path):
         self.problem, self.group, self.vector, self.values, self.path = (
             problem,
             group,
@@ -421,7 +430,7 @@ class Columns:
                 observed = np.array(
                     logged_alone(local, p, carries, jnp.diff(self.time, axis=0), effect)
                 )
-            there = ~np.tile(self.gives, 2)[:, None] & (np.abs(observed) < FAR)
+            there = ~np.tile(self.gives, 2)[:, None] & (np.abs(observed) < RUNAWAY)
             observed = np.where(there, observed, 0.0)
             observed[0] /= shape[parameter]
             self._made[key] = observed
@@ -432,10 +441,10 @@ class Columns:
         if "carries" not in self._made:
             plain = jax.tree.map(np.asarray, self.values)
             rotor = plain.effects[ARMATURE.name]["inertia"][:, 0]
-            link = np.maximum(group_inertia(plain, self.group)[0] - rotor, drives.LEAST)
+            link = np.maximum(group_inertia(plain, self.group)[0] - rotor, drives.MIN_INERTIA)
             held = (np.asarray(z)[:, 0] + np.zeros(self.n) for z in held_by(plain))
             local = Local(
-                *(z[:, None, None] for z in (np.maximum(rotor, drives.LEAST), link, *held))
+                *(z[:, None, None] for z in (np.maximum(rotor, drives.MIN_INERTIA), link, *held))
             )
             y = self._regressed()
             self._made["carries"] = (

@@ -22,21 +22,21 @@ from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.equation.commands import drive_gains
 from adaptsim_jax.attribution.equation.search import FACTOR
 from adaptsim_jax.attribution.estimate import fit
-from adaptsim_jax.attribution.examine import Examined, examine, report_of, told_of
+from adaptsim_jax.attribution.examine import Examined, examine, report_of, with_null
 from adaptsim_jax.attribution.inertias_told import named_by, otherwise
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.mend import (
     changes,
     declared_changes,
+    gain_notes,
     gains,
-    gains_told,
     holdable,
     lost,
     servos,
 )
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, Entry, Vector
-from adaptsim_jax.attribution.problem import Problem, held, nuisances, own_inertia, prepare
+from adaptsim_jax.attribution.problem import TreeProblem, held, nuisances, own_inertia, prepare
 from adaptsim_jax.attribution.replay import follows, recommended
 from adaptsim_jax.attribution.report import reported
 from adaptsim_jax.attribution.select import Hint
@@ -72,7 +72,7 @@ Progress = Callable[[float, float, str], None]
 HORIZON = STRETCH
 LOOK_BACK = 0.012  # s, from a stretch's start: what a late sensor tells there is not compared
 MODEL = "model.xml"
-TOLD_GAIN = (
+ESTIMATED_GAIN = (
     0.1  # prior's standard deviation of a drive's gain about the one that weight and inertia gave
 )
 LEFT = 0.5  # of what a joint weighs, at least, that damping by another speed leaves it
@@ -105,10 +105,10 @@ def diagnose(
     began, asked = time.monotonic(), horizon
     if yardstick is not None and yardstick not in NAMES:
         raise BadInput(f"--yardstick {yardstick}: is no yardstick; use {', '.join(NAMES)}")
-    say = progress or (lambda done, total, note: None)
-    say(0.02, 1.0, "reading")
+    notify = progress or (lambda done, total, note: None)
+    notify(0.02, 1.0, "reading")
     machine = load(data, model).without(without)
-    say(0.03, 1.0, "conventions")
+    notify(0.03, 1.0, "conventions")
     warned = () if as_declared else check_conventions(machine)
     if yardstick == WHOLE:
         horizon = 0.98 * min(float(t.time[-1] - t.time[0]) for t in machine.tracks)
@@ -133,7 +133,7 @@ def diagnose(
             criteria or Criteria(),
             span,
             exclude,
-            say,
+            notify,
             effects=effects,
             keep=keep,
             yardstick=yardstick,
@@ -141,17 +141,17 @@ def diagnose(
             first=(lambda problem, null, off=off: friction_first(problem, null, off))
             if off
             else None,
-            filed=declared if off else None,
+            by_file=declared if off else None,
         )
         stays = still_off(machine, off, whole.found.final.fit.vector)
         if len(stays) == len(off):
             break
-        say(0.05, 1.0, "again with the gains of the file, to which the fit came back")
+        notify(0.05, 1.0, "again with the gains of the file, to which the fit came back")
         machine, off = with_gains(declared, stays), stays
     problem, found = whole.problem, whole.found
     damped_by_file(report["declared"]["after"], declared, off)
     unlike = otherwise(report["declared"]["after"])
-    report["notes"] += [*unlike, *gains_told(machine), *lost(machine, problem, found)]
+    report["notes"] += [*unlike, *gain_notes(machine), *lost(machine, problem, found)]
     report["notes"] += servo_notes(machine, declared, off)
     with_rows(
         report, servo_rows(machine, declared, off, found.final.fit.vector, found.final.spread)
@@ -178,7 +178,7 @@ def diagnose(
         if machine.log.meta.simulator == "mujoco" or machine.log.meta.channels
         else None,
     )
-    report["run"] = evidence["run"] = Run(command, began).told()
+    report["run"] = evidence["run"] = Run(command, began).as_dict()
     if folder is not None:
         summary = (
             {k: report[k] for k in ("verdict", "message")} | {"data": str(data)} | report["run"]
@@ -233,7 +233,7 @@ def mjcf_files(
 ) -> dict[str, Callable[[], str]]:
     """What makes the text of `declared.xml` and of `model.xml`."""
     problem, found = whole.problem, whole.found
-    by_torque = whole.said if whole.judge == TORQUE else None
+    by_torque = whole.by_torque if whole.judge == TORQUE else None
 
     def made():
         return changes(
@@ -251,20 +251,20 @@ def examined(
     criteria: Criteria,
     horizon: float,
     exclude: Sequence[str] = (),
-    say: Progress = lambda done, total, note: None,
+    notify: Progress = lambda done, total, note: None,
     narrow: Callable[[Vector], Vector] = lambda vector: vector,
     effects: Sequence[Effect] | None = None,
     keep: Callable[[dict[str, Any]], None] | None = None,
     yardstick: str | None = None,
     torques: bool = True,
-    first: Callable[[Problem, Vector], Hint] | None = None,
-    filed: Machine | None = None,
+    first: Callable[[TreeProblem, Vector], Hint] | None = None,
+    by_file: Machine | None = None,
 ) -> tuple[dict[str, Any], dict[str, Any], Examined]:
     """Report, evidence for its page, and what was found of a machine. narrow: of the vector that is
     fitted, what is kept; effects: the catalogue, ours where None (of another, what is always fitted
     is ours); keep: told of the report so far, as the search goes; yardstick: by which to judge, the
     one that tells most where None; torques: whether their balance is looked at; first: makes what
-    the search goes on from; filed: the machine by the gains of its file, where `machine` has
+    the search goes on from; by_file: the machine by the gains of its file, where `machine` has
     others: what the declared model leaves is told of it.
     """
     # whatever is named
@@ -282,9 +282,9 @@ def examined(
     problem = replace(posed(machine, chosen, horizon), excluded=at_joints)
 
     def step(note):
-        return say(0.0, np.inf, note)  # how many follow, nobody knows
+        return notify(0.0, np.inf, note)  # how many follow, nobody knows
 
-    say(0.05, 1.0, "declared model")
+    notify(0.05, 1.0, "declared model")
     with np.errstate(
         over="ignore", invalid="ignore"
     ):  # of stretches that run away, which the search expects
@@ -300,15 +300,15 @@ def examined(
         found = examine(
             machine, problem, null, criteria, horizon, step, partial, yardstick, factor, hint
         )
-        if filed is not None:
-            before = posed(filed, chosen, horizon)
-            found = told_of(
-                found, fitted_null(before, declared_vector(filed, before), criteria), horizon
+        if by_file is not None:
+            before = posed(by_file, chosen, horizon)
+            found = with_null(
+                found, fitted_null(before, declared_vector(by_file, before), criteria), horizon
             )
         elif (
             not found.found.named
         ):  # how rows are read is no mend: the declared model is what it is with it
-            found = told_of(found, found.found.final, horizon)
+            found = with_null(found, found.found.final, horizon)
         report, evidence = report_of(machine, found, criteria, horizon)
     return report, evidence, found
 
@@ -335,7 +335,7 @@ def excluded_of(
     return everywhere, frozenset(at_joints)
 
 
-def posed(machine: Machine, effects: Sequence[Effect], horizon: float) -> Problem:
+def posed(machine: Machine, effects: Sequence[Effect], horizon: float) -> TreeProblem:
     """The problem of a machine in stretches of `horizon` s."""
     problem = prepare(
         machine.tree,
@@ -369,7 +369,7 @@ def scaled(machine: Machine, horizon: float) -> Machine:
     if not machine.gain_unknown:
         return machine
     if (law := by_torque(machine)) is not None:
-        return replace(machine, actuator=law, gain_told=True)
+        return replace(machine, actuator=law, gain_estimated=True)
     problem = prepare(
         machine.tree,
         machine.tracks,
@@ -411,7 +411,7 @@ def by_torque(machine: Machine) -> np.ndarray | None:
     return law
 
 
-def declared_vector(machine: Machine, problem: Problem) -> Vector:
+def declared_vector(machine: Machine, problem: TreeProblem) -> Vector:
     """What is fitted whatever is named: inertias and damping unless `[fit]` in meta.toml says
     otherwise, and the gain of volts.
     """
@@ -457,8 +457,8 @@ def declared_vector(machine: Machine, problem: Problem) -> Vector:
             vector = vector.with_entries([step])
     if machine.gain_unknown:
         # free, gain and inertias shrink together
-        if machine.gain_told:
-            prior = TOLD_GAIN
+        if machine.gain_estimated:
+            prior = ESTIMATED_GAIN
         else:
             prior = np.inf
         gain = [

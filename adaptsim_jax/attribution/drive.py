@@ -14,14 +14,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.attribution.acting import Forces, Model, Values, forces
+from adaptsim_jax.attribution.acting import ActingModel, Forces, Values, forces
 from adaptsim_jax.effects.base import Drive, Effect
 from adaptsim_jax.mechanisms import equations
 
-LEAST = 1e-9  # kg m^2: of a rotor that a step of a fit made nothing of
+MIN_INERTIA = 1e-9  # kg m^2: of a rotor that a step of a fit made nothing of
 
 
-def drive_of(model: Model, values: Values) -> Drive:
+def drive_of(model: ActingModel, values: Values) -> Drive:
     """What the effects of the place `drive` come to: springs and plays in a row, of those that have
     a compliance.
     """
@@ -37,7 +37,7 @@ def drive_of(model: Model, values: Values) -> Drive:
     return Drive(*(sum(some) for some in zip(*parts, strict=True)))
 
 
-def compliant(model: Model, values: Values) -> np.ndarray:
+def compliant(model: ActingModel, values: Values) -> np.ndarray:
     """[n], whether a joint's drive gives."""
     some = [e for e in model.effects if e.place == "drive" and e.name in values.effects]
     each = [
@@ -46,7 +46,7 @@ def compliant(model: Model, values: Values) -> np.ndarray:
     return np.any([np.zeros(model.tree.n, bool), *each], axis=0)
 
 
-def gives(model: Model, values: Values) -> bool:
+def gives(model: ActingModel, values: Values) -> bool:
     """Whether any drive does."""
     return bool(np.any(compliant(model, values)))
 
@@ -97,13 +97,15 @@ def parts_of(drive: Drive, giving, x) -> Parts:
     )
 
 
-def acting(model: Model, values: Values, drive: Drive, at: Parts, u, t) -> Forces:
+def acting(model: ActingModel, values: Values, drive: Drive, at: Parts, u, t) -> Forces:
     """`forces` on the rotors of joints whose drives give, on the joints elsewhere."""
     observed = at.q + drive.control * at.ahead, at.v + drive.control * at.rate
     return forces(model, values, at.q, at.v, u, t, observed)
 
 
-def accelerations(model: Model, values: Values, drive: Drive, at: Parts, force, inertia, more):
+def accelerations(
+    model: ActingModel, values: Values, drive: Drive, at: Parts, force, inertia, more
+):
     """(of the rotors, of the links) [n, .] under force [n, .] on the rotors and `more` [n, .] on
     the links.
     """
@@ -119,7 +121,7 @@ def accelerations(model: Model, values: Values, drive: Drive, at: Parts, force, 
         jnp.where(give, 0.0, inertia),
         values.gravity,
     )
-    return jnp.where(give, (force - spring) / jnp.maximum(inertia, LEAST), link), link
+    return jnp.where(give, (force - spring) / jnp.maximum(inertia, MIN_INERTIA), link), link
 
 
 def rates(drive: Drive, giving, at: Parts, rotor, link):
@@ -130,7 +132,7 @@ def rates(drive: Drive, giving, at: Parts, rotor, link):
     )
 
 
-def answers(model: Model, values: Values, drive: Drive, at: Parts, inertia):
+def answers(model: ActingModel, values: Values, drive: Drive, at: Parts, inertia):
     """Accelerations [n, n, .] of the rotors (of the joints, where these are rigid) under a force of
     1 at one: second axis.
     """
@@ -142,12 +144,12 @@ def answers(model: Model, values: Values, drive: Drive, at: Parts, inertia):
     n = len(inertia)
     own = (
         jnp.eye(n).reshape((n, n) + (1,) * (inertia.ndim - 1))
-        * (1.0 / jnp.maximum(inertia, LEAST))[None]
+        * (1.0 / jnp.maximum(inertia, MIN_INERTIA))[None]
     )
     return jnp.where(give[:, None] | give[None], own, whole)
 
 
-def at_rest(model: Model, values: Values, x0, u, t):
+def at_rest(model: ActingModel, values: Values, x0, u, t):
     """Start [4n, W] of stretches that begin at x0 [2n, W] with springs that yield by what they
     carry there.
     """

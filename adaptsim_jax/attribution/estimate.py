@@ -12,9 +12,9 @@ import numpy as np
 from adaptsim_jax.attribution.linear import Linear, linear, normal
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.paths import at_ends, ready, residuals, simulated, starts_of, widened
-from adaptsim_jax.attribution.problem import Group, Problem
+from adaptsim_jax.attribution.problem import Group, TreeProblem
 from adaptsim_jax.attribution.simulate import Path
-from adaptsim_jax.attribution.weights import Fit, Weights, group_losses, losses, weigh
+from adaptsim_jax.attribution.weights import TreeFit, Weights, group_losses, losses, weigh
 from adaptsim_jax.diagnosis.steps import ENOUGH, Point, fit_values
 
 GOING_ON = 0.03  # share of the loss that a round must take off a fit that is only to be compared
@@ -27,7 +27,7 @@ def _as_long(x: np.ndarray, rows: int) -> np.ndarray:
     return np.concatenate([x, np.zeros((rows - len(x), *x.shape[1:]))])
 
 
-def start_steps(problem: Problem, lin: Linear, step: np.ndarray) -> list[np.ndarray]:
+def start_steps(problem: TreeProblem, lin: Linear, step: np.ndarray) -> list[np.ndarray]:
     """Change of the starts [2n, W] that goes with a step of the parameters: [P], or [W, P] for each
     stretch.
     """
@@ -38,7 +38,7 @@ def start_steps(problem: Problem, lin: Linear, step: np.ndarray) -> list[np.ndar
     return out
 
 
-def usual(problem: Problem, group: Group) -> np.ndarray:
+def usual(problem: TreeProblem, group: Group) -> np.ndarray:
     """How far a start [2n] may be off as easily as a row by what is left of it: an angle by the
     range of the motion, a speed by the usual one. A servo forgets at which speed it began before
     the second row, and any would do.
@@ -63,7 +63,7 @@ def refitted_start(start: np.ndarray, left: np.ndarray, size: np.ndarray) -> np.
 
 
 def settled(
-    problem: Problem,
+    problem: TreeProblem,
     lin: Linear,
     vector: Vector,
     options: Sequence[Sequence[np.ndarray]],
@@ -117,14 +117,14 @@ def _better(new: tuple, old: tuple) -> tuple:
 
 
 def fit(
-    problem: Problem,
+    problem: TreeProblem,
     vector: Vector,
     starts: Sequence[np.ndarray] | None = None,
     *,
     rounds: int = 12,
     weights: Weights | None = None,
     glance: int | None = None,
-) -> Fit:
+) -> TreeFit:
     """Fit the vector and all starts.
 
     Args:
@@ -140,7 +140,7 @@ def fit(
     paths = simulated(made, starts)
     fixed = weights
     weights = weigh(problem, paths) if fixed is None else fixed
-    begun = Fit(vector, starts, weights, losses(problem, paths, weights), "stopped", 0)
+    begun = TreeFit(vector, starts, weights, losses(problem, paths, weights), "stopped", 0)
 
     def around(point: Point) -> Callable[[float], Point]:
         now = point.state[0]
@@ -164,7 +164,7 @@ def fit(
     return replace(found.point.state[0], code=found.code, rounds=found.rounds)
 
 
-def _moved(problem: Problem, lin: Linear, step: np.ndarray) -> Point:
+def _moved(problem: TreeProblem, lin: Linear, step: np.ndarray) -> Point:
     """Where a step of the parameters [P] leads, with starts that belong to it."""
     now = lin.fit
     moves = start_steps(problem, lin, step)
@@ -174,7 +174,7 @@ def _moved(problem: Problem, lin: Linear, step: np.ndarray) -> Point:
     return _point(replace(now, vector=vector, starts=starts, loss=loss), paths)
 
 
-def _point(fit: Fit, paths: Sequence[Path]) -> Point:
+def _point(fit: TreeFit, paths: Sequence[Path]) -> Point:
     """A fit and its paths, with the loss and the prior's."""
     off = fit.vector.values - fit.vector.start
     return Point(

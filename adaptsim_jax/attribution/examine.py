@@ -8,25 +8,31 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.attribution.backward import judged
+from adaptsim_jax.attribution.backward import backward_elimination
 from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.equation.confirmed import confirmed
-from adaptsim_jax.attribution.equation.filed import filed, searched
-from adaptsim_jax.attribution.equation.models import Said, model_of, part_of, said, selection
+from adaptsim_jax.attribution.equation.filed import searched, without_bodies
+from adaptsim_jax.attribution.equation.models import (
+    TorqueSearch,
+    model_of,
+    part_of,
+    search_balances,
+    selection,
+)
 from adaptsim_jax.attribution.equation.rubbing import friction_notes, rubbing
 from adaptsim_jax.attribution.equation.search import FACTOR, within
 from adaptsim_jax.attribution.estimate import fit
-from adaptsim_jax.attribution.held_out import Model, held_error, modelled, over_floor
+from adaptsim_jax.attribution.held_out import FittedTree, held_error, modelled, over_floor
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import Vector
-from adaptsim_jax.attribution.problem import Problem, held, own_inertia, scaled_reach
+from adaptsim_jax.attribution.problem import TreeProblem, held, own_inertia, scaled_reach
 from adaptsim_jax.attribution.report import evidence_of, reported
 from adaptsim_jax.attribution.select import ROUNDS, Hint, Selection, select, select_shorter
 from adaptsim_jax.attribution.torque_report import (
     bound_notes,
     curves,
     held_missing,
-    judged_by_torque,
+    report_torque,
     unnamed_notes,
 )
 from adaptsim_jax.attribution.yardsticks import (
@@ -55,9 +61,9 @@ class Examined:
     the final one, which of them judged and why.
     """
 
-    problem: Problem
+    problem: TreeProblem
     found: Selection
-    said: Said | None
+    by_torque: TorqueSearch | None
     before: dict[str, Any]  # Measure by yardstick, None where it tells nothing
     after: dict[str, Any]
     judge: str
@@ -67,11 +73,11 @@ class Examined:
 
 def examine(
     machine: Machine,
-    problem: Problem,
+    problem: TreeProblem,
     null: Vector,
     criteria: Criteria,
     horizon: float,
-    say: Callable[[str], None],
+    notify: Callable[[str], None],
     keep: Callable[[Selection], None] = lambda found: None,
     asked: str | None = None,
     factor: float | None = FACTOR,
@@ -84,12 +90,12 @@ def examine(
     None: the balance of torques is not looked at; hint: as of `select`, where the balance says
     nothing.
     """
-    if factor is not None and tells(machine):
+    if factor is not None and informative(machine):
         balanced = balances(problem, machine.tracks)
     else:
         balanced = ()
     if not balanced or factor is None:
-        found = by_simulation(problem, null, criteria, say, keep, hint)
+        found = by_simulation(problem, null, criteria, notify, keep, hint)
         before, after = (_simulated(problem, m, horizon) for m in (found.null, found.final))
         commanded = np.any(held(machine.actuator))
         if factor is not None:
@@ -99,23 +105,23 @@ def examine(
         if commanded:
             why = f"it follows commands; over {horizon:g} s a straight line says less"
         return Examined(problem, found, None, before, after, STRETCHES, why)
-    say("balance of torques")
+    notify("balance of torques")
     follows = bool(np.any(held(machine.actuator)))
     reach = scaled_reach(problem, *own_inertia(problem, null))
     try:
         commanded = machine.log.input_kind != "torque"
 
         def part(b):
-            return within(part_of(filed(null) if follows else null, b), factor)
+            return within(part_of(without_bodies(null) if follows else null, b), factor)
 
         problem, balanced = rubbing(
             problem, machine.tree, balanced, part, reach, criteria, commanded
         )
 
         def search(vector):
-            return said(problem, balanced, vector, reach, criteria, commanded, factor)
+            return search_balances(problem, balanced, vector, reach, criteria, commanded, factor)
 
-        if follows and len(filed(null)) < len(null):
+        if follows and len(without_bodies(null)) < len(null):
             words, free, each = searched(problem, search, null, criteria)
         else:
             words = free = search(null)
@@ -123,7 +129,7 @@ def examine(
         bare = len(words.null) < len(null)
         declared = model_of(problem, words, words.null, ())
     except (ValueError, np.linalg.LinAlgError) as error:  # the other witness goes on by itself
-        found = by_simulation(problem, null, criteria, say, keep)
+        found = by_simulation(problem, null, criteria, notify, keep)
         before, after = (_simulated(problem, m, horizon) for m in (found.null, found.final))
         return Examined(
             problem,
@@ -166,7 +172,7 @@ def examine(
             if words is not known:
                 found = selection(problem, words, declared, reach)
         if follows and not many:
-            found = _polished(problem, found, reach, criteria, say, bool(asked))
+            found = _polished(problem, found, reach, criteria, notify, bool(asked))
         after = _simulated(problem, found.final, horizon)
         after[TORQUE] = of_torque(problem, balanced, words.final, held_missing(words)[1])
         by_torque = Examined(problem, found, words, before, after, judge, why, follows)
@@ -188,7 +194,7 @@ def examine(
         ]
         start = null.at(_clipped(null, words.final.values[: len(null)]))
         hint = start.with_entries([e for e, _ in effects], [z for _, z in effects]), words.added
-    found = by_simulation(problem, null, criteria, say, keep, hint)
+    found = by_simulation(problem, null, criteria, notify, keep, hint)
     before = _simulated(problem, found.null, horizon) | {
         TORQUE: of_torque(problem, balanced, found.null.fit.vector)
     }
@@ -201,11 +207,11 @@ def examine(
 
 
 def _polished(
-    problem: Problem,
+    problem: TreeProblem,
     found: Selection,
     reach: Reach,
     criteria: Criteria,
-    say: Callable[[str], None],
+    notify: Callable[[str], None],
     asked: bool,
 ) -> Selection:
     """With the final values fitted by simulation, since along the motion a time or a gain is only
@@ -216,7 +222,7 @@ def _polished(
     several, good = len(found.named) > 1, over_floor(problem, found.final) <= criteria.explained
     if good and not several:
         return found
-    say("fit by simulation")
+    notify("fit by simulation")
     again = found.final.fit
     if not good:
         again = fit(problem, again.vector, again.starts, rounds=ROUNDS)
@@ -224,13 +230,13 @@ def _polished(
     if not several or (not asked and over_floor(problem, whole) >= criteria.near):
         return replace(found, final=whole)
     trace, known = list(found.trace), {n.candidate.key: n for n in found.named}
-    final, stay = judged(problem, whole, reach, criteria, trace, say, rivals=False)
+    final, stay = backward_elimination(problem, whole, reach, criteria, trace, notify, rivals=False)
     named = tuple(replace(n, alternatives=known[n.candidate.key].alternatives) for n in stay)
     selected = found.final if good and len(stay) == len(known) else final
     return replace(found, final=selected, named=named, trace=tuple(trace))
 
 
-def tells(machine: Machine) -> bool:
+def informative(machine: Machine) -> bool:
     """Whether the torque along the motion is known, up to a gain: that of a servo by its command
     error, where its gains are the file's.
     """
@@ -242,15 +248,15 @@ def _clipped(vector: Vector, values: np.ndarray) -> np.ndarray:
 
 
 def by_simulation(
-    problem: Problem, null: Vector, criteria: Criteria, say, keep, hint=None
+    problem: TreeProblem, null: Vector, criteria: Criteria, notify, keep, hint=None
 ) -> Selection:
     """The search by simulated stretches; over their beginnings where the whole names nothing and
     far more than noise is left. hint: as of
     `select`.
     """
-    found = select(problem, null, criteria, say, keep, hint)
+    found = select(problem, null, criteria, notify, keep, hint)
     if not found.named and over_floor(problem, found.final) > criteria.odd:
-        found = select_shorter(problem, null, criteria, found, say)
+        found = select_shorter(problem, null, criteria, found, notify)
     return found
 
 
@@ -259,11 +265,11 @@ def _worth(measures: dict[str, Measure | None]) -> float:
     return sum(m.skill for m in measures.values() if m is not None)
 
 
-def _simulated(problem: Problem, model: Model, horizon: float) -> dict[str, Any]:
+def _simulated(problem: TreeProblem, model: FittedTree, horizon: float) -> dict[str, Any]:
     return {STRETCHES: of_simulation(problem, held_error(problem, model), STRETCHES, horizon)}
 
 
-def told_of(e: Examined, null: Model, horizon: float) -> Examined:
+def with_null(e: Examined, null: FittedTree, horizon: float) -> Examined:
     """With `null` as the model of which the report says what it leaves."""
     before = e.before | _simulated(e.problem, null, horizon)
     return replace(e, found=replace(e.found, null=null), before=before)
@@ -275,18 +281,21 @@ def report_of(
     """The report, and the arrays behind its page."""
     problem, found = e.problem, e.found
     report = reported(machine, problem, found, criteria, horizon)
-    if e.judge == TORQUE and e.said is not None and not e.simulated:
-        judged_by_torque(report, problem, e.said, e.before[TORQUE], e.after[TORQUE], criteria)
-        report["notes"] += [*unnamed_notes(problem, e.said), *bound_notes(problem, e.said)]
+    if e.judge == TORQUE and e.by_torque is not None and not e.simulated:
+        report_torque(report, problem, e.by_torque, e.before[TORQUE], e.after[TORQUE], criteria)
+        report["notes"] += [
+            *unnamed_notes(problem, e.by_torque),
+            *bound_notes(problem, e.by_torque),
+        ]
     report["yardsticks"] = {
         "judge": e.judge,
         "why": e.why,
         **{
-            name: {k: m.told() for k, m in ms.items() if m is not None}
+            name: {k: m.as_dict() for k, m in ms.items() if m is not None}
             for name, ms in (("declared", e.before), ("mended", e.after))
         },
     }
-    report["notes"] += [*_witnesses(e), *friction_notes(problem)]
+    report["notes"] += [*_disagreement(e), *friction_notes(problem)]
     if predicts_nothing(e.after):
         report["message"] = f"{NOTHING} {report['message']}"
         report["yardsticks"]["predicts_nothing"] = True
@@ -298,12 +307,12 @@ def report_of(
             ]
             with_effects(report, [], left=True)
     evidence = evidence_of(problem, found, report)
-    if e.said is not None:
-        evidence |= curves(problem, e.said, found.final.fit.vector)
+    if e.by_torque is not None:
+        evidence |= curves(problem, e.by_torque, found.final.fit.vector)
     return report, evidence
 
 
-def _witnesses(e: Examined) -> list[str]:
+def _disagreement(e: Examined) -> list[str]:
     """Where the two witnesses disagree, by numbers; and by which one it was judged."""
     notes = [f"Judged by {_WORDS[e.judge]}: {e.why}."]
     torque: tuple[Any, Any] = (e.before.get(TORQUE), e.after.get(TORQUE))

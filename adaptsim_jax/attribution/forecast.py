@@ -16,10 +16,10 @@ from adaptsim_jax.attribution.estimate import refitted_start, usual
 from adaptsim_jax.attribution.linear import linear
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.paths import ready, residuals, simulated, starts_of, widened
-from adaptsim_jax.attribution.problem import Problem
+from adaptsim_jax.attribution.problem import TreeProblem
 from adaptsim_jax.attribution.simulate import Path
-from adaptsim_jax.attribution.weights import Fit, Weights
-from adaptsim_jax.diagnosis.steps import Lanes, fit_starts
+from adaptsim_jax.attribution.weights import TreeFit, Weights
+from adaptsim_jax.diagnosis.steps import StretchLanes, fit_starts
 
 ROUNDS = 6  # of steps of the starts, at most
 LENGTHS = np.array([1.0, 0.3, 0.09])  # of a step, tried in turn
@@ -39,7 +39,7 @@ class Forecast:
     paths: tuple[Path, ...]
 
 
-def forecast(problem: Problem, vector: Vector) -> Forecast:
+def forecast(problem: TreeProblem, vector: Vector) -> Forecast:
     """Simulate all stretches at a vector."""
     starts, paths = fitted_starts(problem, vector)
     measured, mask = observed(problem)
@@ -50,7 +50,7 @@ def forecast(problem: Problem, vector: Vector) -> Forecast:
     return Forecast(rms(measured - out, mask), measured, out, mask, starts, tuple(paths))
 
 
-def observed(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+def observed(problem: TreeProblem) -> tuple[np.ndarray, np.ndarray]:
     """Measured angles of the stretches [W, L+1, n], and where they were read (1) or not (0)."""
     count, rows = len(problem.fold), problem.groups[0].stretches.rows + 1
     measured, mask = (
@@ -72,7 +72,7 @@ def rms(off: np.ndarray, mask: np.ndarray) -> np.ndarray:
     return np.sqrt(np.square(off * mask).sum(1) / np.maximum(mask.sum(1), 1))
 
 
-def without_a_model(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+def without_a_model(problem: TreeProblem) -> tuple[np.ndarray, np.ndarray]:
     """What a straight line through each stretch leaves of its angles [W, n], and holding still at
     their mean.
     """
@@ -91,7 +91,7 @@ def without_a_model(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
 
 
 def fitted_starts(
-    problem: Problem,
+    problem: TreeProblem,
     vector: Vector,
     rows: np.ndarray | None = None,
     rounds: int = ROUNDS,
@@ -129,24 +129,26 @@ def fitted_starts(
         return some + LENGTHS[:, None, None] * move
 
     found = fit_starts(
-        Lanes(every, *evaluate(every, np.arange(len(every)))), propose, evaluate, rounds
+        StretchLanes(every, *evaluate(every, np.arange(len(every)))), propose, evaluate, rounds
     )
     starts = tuple(np.split(found.starts.T, ends))
     return starts, simulated(made, starts)
 
 
-def _by_derivatives(problem: Problem, vector: Vector, starts: Sequence[np.ndarray]) -> np.ndarray:
+def _by_derivatives(
+    problem: TreeProblem, vector: Vector, starts: Sequence[np.ndarray]
+) -> np.ndarray:
     """Change of starts [W, S] by least squares on the angles."""
     n, width = problem.joints, problem.groups[0].stretches.count
     weights = Weights(np.concatenate([np.ones(n), np.zeros(n)]), np.ones(width))
-    fit = Fit(vector, tuple(starts), weights, np.zeros(width), "", 0)
+    fit = TreeFit(vector, tuple(starts), weights, np.zeros(width), "", 0)
     lin = linear(problem, fit, entries=())
     groups = zip(problem.groups, lin.start, lin.residual, strict=True)
     return np.concatenate([refitted_start(x, r, usual(problem, g)) for g, x, r in groups]).T
 
 
 def _along_a_line(
-    problem: Problem, left: np.ndarray, lanes: np.ndarray, sizes: Sequence[int]
+    problem: TreeProblem, left: np.ndarray, lanes: np.ndarray, sizes: Sequence[int]
 ) -> np.ndarray:
     """Change of starts [B, S] by the straight line through what is left of the angles [B, L+1, n].
 

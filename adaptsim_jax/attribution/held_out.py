@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.attribution.apart import apart, linear_part, part_of, put_back, touched
+from adaptsim_jax.attribution.apart import by_group, linear_part, part_of, put_back, touched
 from adaptsim_jax.attribution.estimate import fit, settled, start_steps
 from adaptsim_jax.attribution.linear import (
     Linear,
@@ -25,10 +25,10 @@ from adaptsim_jax.attribution.linear import (
 )
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.paths import residuals, run
-from adaptsim_jax.attribution.problem import Problem, moving
-from adaptsim_jax.attribution.score import Candidate, Score, shape_entries
+from adaptsim_jax.attribution.problem import TreeProblem, moving
+from adaptsim_jax.attribution.score import CandidateScore, JointCandidate, shape_entries
 from adaptsim_jax.attribution.simulate import Path
-from adaptsim_jax.attribution.weights import WILD, Fit, Weights, losses
+from adaptsim_jax.attribution.weights import WILD, TreeFit, Weights, losses
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.folds import BLOCKS, pieces
 from adaptsim_jax.diagnosis.testing import Test, jackknife, paired_test
@@ -51,14 +51,14 @@ class HeldOut:
 
 
 @dataclass(frozen=True)
-class Model:
+class FittedTree:
     """A set of effects fitted, its linearisation and its held-out prediction. hess [P, P]: the
     curvature, prior and all, of a model that was fitted along the measured motion, and has no
     linearisation.
     """
 
-    added: tuple[Candidate, ...]
-    fit: Fit
+    added: tuple[JointCandidate, ...]
+    fit: TreeFit
     lin: Any  # Linear; None where `hess` is told
     held: HeldOut
     hess: np.ndarray | None = None
@@ -70,7 +70,10 @@ class Model:
 
 
 def held_out(
-    problem: Problem, lin: Linear, weights: Weights | None = None, like: Model | None = None
+    problem: TreeProblem,
+    lin: Linear,
+    weights: Weights | None = None,
+    like: FittedTree | None = None,
 ) -> HeldOut:
     """Each fold predicted with parameters from the others. like: a model whose predictions are
     taken for the groups of joints in which it is the same.
@@ -99,7 +102,7 @@ def held_out(
         np.arange(len(n.hess)),
         np.zeros_like(both[0]),
     )
-    for at in apart(problem, vector.entries):
+    for at in by_group(problem, vector.entries):
         length = np.einsum("mfp,pq,mfq->mf", both[..., at], hess[np.ix_(at, at)], both[..., at])
         steps[:, at] = both[np.argmin(length, 0), folds][:, at]
 
@@ -120,7 +123,7 @@ def held_out(
         )
     ]
     groups = range(len(problem.groups))
-    free = len(apart(problem, vector.entries)) == len(
+    free = len(by_group(problem, vector.entries)) == len(
         groups
     )  # else a shared value ties the folds' parameters together
     some = [k for k in groups if not (free and like and unchanged(problem, k, now, like.fit))]
@@ -148,7 +151,7 @@ def held_out(
     return HeldOut(loss, squared, now.vector.values + steps, n, tuple(selected))
 
 
-def paired(problem: Problem, without: np.ndarray, with_: np.ndarray) -> Test:
+def paired(problem: TreeProblem, without: np.ndarray, with_: np.ndarray) -> Test:
     """One model against another by their held-out losses [W] (one-sided: is the second better?):
     logarithms of each stretch's ratio, averaged over a fold or a block, so that no stretch that
     runs away decides for its trial. The test takes blocks of consecutive stretches: a few trials
@@ -159,29 +162,29 @@ def paired(problem: Problem, without: np.ndarray, with_: np.ndarray) -> Test:
     return paired_test(without[:count], with_[:count], problem.fold, block)
 
 
-def held_error(problem: Problem, model: Model) -> np.ndarray:
+def held_error(problem: TreeProblem, model: FittedTree) -> np.ndarray:
     """Held-out error of each stretch and joint [W, n], rad or m."""
     return np.sqrt(model.held.squared[: len(problem.fold), : problem.joints])
 
 
-def over_floor(problem: Problem, model: Model) -> float:
+def over_floor(problem: TreeProblem, model: FittedTree) -> float:
     """The same over the noise floor, median."""
     return float(np.median(held_error(problem, model) / _noise(problem)))
 
 
-def most_over_floor(problem: Problem, error: np.ndarray) -> float:
+def most_over_floor(problem: TreeProblem, error: np.ndarray) -> float:
     """Held-out error [W, n] over the noise floor, median over stretches, at the joint that moves at
     which it is most.
     """
     return float(np.max(np.median(error, 0) / _noise(problem), where=moving(problem), initial=0.0))
 
 
-def _noise(problem: Problem) -> np.ndarray:
+def _noise(problem: TreeProblem) -> np.ndarray:
     return np.maximum(problem.floor[: problem.joints], 1e-12)
 
 
 def astray(
-    problem: Problem, model: Model, criteria: Criteria, null: Model | None = None
+    problem: TreeProblem, model: FittedTree, criteria: Criteria, null: FittedTree | None = None
 ) -> np.ndarray:
     """Stretches [W] of which much more is left than of most; and, where the declared model `null`
     is given, nearly as much as that leaves there (dry friction that a simulator lets creep, say,
@@ -197,7 +200,7 @@ def astray(
     )
 
 
-def evenly_weighted(problem: Problem, fitted: Fit, some: np.ndarray) -> Fit:
+def evenly_weighted(problem: TreeProblem, fitted: TreeFit, some: np.ndarray) -> TreeFit:
     """A fit in whose weights some stretches count as any other, up to those that are far off among
     them.
     """
@@ -208,28 +211,28 @@ def evenly_weighted(problem: Problem, fitted: Fit, some: np.ndarray) -> Fit:
 
 
 def modelled(
-    problem: Problem,
-    added: Sequence[Candidate],
-    fitted: Fit,
+    problem: TreeProblem,
+    added: Sequence[JointCandidate],
+    fitted: TreeFit,
     weights: Weights | None = None,
-    like: Model | None = None,
-) -> Model:
+    like: FittedTree | None = None,
+) -> FittedTree:
     """A fit linearised and predicting. like: a model from which it differs in some groups of joints
     only: of the others its numbers are taken.
     """
     lin = linear(problem, fitted, like=like and like.lin)
-    return Model(tuple(added), fitted, lin, held_out(problem, lin, weights, like))
+    return FittedTree(tuple(added), fitted, lin, held_out(problem, lin, weights, like))
 
 
 def refit(
-    problem: Problem,
+    problem: TreeProblem,
     vector: Vector,
     starts,
     joints: Sequence[int],
     rounds: int,
     weights: Weights | None,
     glance: int | None = None,
-) -> Fit:
+) -> TreeFit:
     """A fit after something changed at `joints`: only in the groups of joints that this touches,
     where no value is shared.
     """
@@ -246,14 +249,14 @@ def refit(
 Begun = tuple[Vector, tuple[np.ndarray, ...], np.ndarray]
 
 
-def attempted(problem: Problem, base: Model, reach: Reach, score: Score) -> Begun:
+def attempted(problem: TreeProblem, base: FittedTree, reach: Reach, score: CandidateScore) -> Begun:
     """The base with a candidate added, one step on: vector, starts, and loss [W] of the best of a
     few lengths of the step.
     """
     c = score.candidate
     some = touched(problem, (*base.fit.vector.entries, *c.entries), c.joints)
     if len(some) < len(problem.groups):
-        return _attempted_apart(problem, base, reach, score, some)
+        return _attempted_by_group(problem, base, reach, score, some)
     columns = candidate_columns(problem, base.lin, [(e, c.shaped()) for e in c.entries])
     wide = replace(
         base.lin,
@@ -285,8 +288,8 @@ def attempted(problem: Problem, base: Model, reach: Reach, score: Score) -> Begu
     return best
 
 
-def _attempted_apart(
-    problem: Problem, base: Model, reach: Reach, score: Score, some: Sequence[int]
+def _attempted_by_group(
+    problem: TreeProblem, base: FittedTree, reach: Reach, score: CandidateScore, some: Sequence[int]
 ) -> Begun:
     """The same in the groups that the candidate touches, the others being as they are."""
     part, own, at = part_of(problem, base.fit.vector, some)
@@ -299,8 +302,8 @@ def _attempted_apart(
 
 
 def placed(
-    problem: Problem, base: Model, reach: Reach, c: Candidate
-) -> list[tuple[Candidate, Begun]]:
+    problem: TreeProblem, base: FittedTree, reach: Reach, c: JointCandidate
+) -> list[tuple[JointCandidate, Begun]]:
     """The base with an effect put in at each of its `starts`, nothing else changed, as `attempted`
     has it. Where the base is far off, only this shows what an effect does that acts now and then.
     """

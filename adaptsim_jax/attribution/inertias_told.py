@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.attribution.held_out import Model
+from adaptsim_jax.attribution.held_out import FittedTree
 from adaptsim_jax.attribution.linear import normal
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import INERTIA
-from adaptsim_jax.attribution.problem import Problem
+from adaptsim_jax.attribution.problem import TreeProblem
 from adaptsim_jax.diagnosis.testing import jackknife
 from adaptsim_jax.effects.base import NINETY
 from adaptsim_jax.effects.joints.catalogue import ETA
@@ -58,7 +58,7 @@ of what is near zero there, of the largest one of its unit times itself.
 
 
 @dataclass(frozen=True)
-class Quantity:
+class InertialQuantity:
     """A number of all inertial coordinates: name, unit, value [2 + F] (the fit's, of each fold, the
     model file's), slope [P] by the vector.
     """
@@ -70,7 +70,9 @@ class Quantity:
     combined: bool
 
 
-def told(machine: Machine, problem: Problem, model: Model) -> dict[str, dict[str, Any]]:
+def inertia_rows(
+    machine: Machine, problem: TreeProblem, model: FittedTree
+) -> dict[str, dict[str, Any]]:
     """Rows of `declared` in the report: combinations by joint, then bodies; `identifiable` where
     the data fix the value.
     """
@@ -98,7 +100,7 @@ def told(machine: Machine, problem: Problem, model: Model) -> dict[str, dict[str
     return rows
 
 
-def sentence(problem: Problem, model: Model, rows: dict[str, dict[str, Any]]) -> list[str]:
+def sentence(problem: TreeProblem, model: FittedTree, rows: dict[str, dict[str, Any]]) -> list[str]:
     """What the data fix of the inertial parameters, in words; nothing where none was fitted."""
     own = [i for i, e in enumerate(model.fit.vector.entries) if e.owner == INERTIA]
     if not own or not rows:
@@ -177,7 +179,7 @@ def named_by(unlike: str) -> str:
     )
 
 
-def spreads(problem: Problem, model: Model) -> tuple[np.ndarray, np.ndarray]:
+def spreads(problem: TreeProblem, model: FittedTree) -> tuple[np.ndarray, np.ndarray]:
     """Covariance [P, P] of the vector by data and prior together, and the prior's standard
     deviations [P] (0 where it has none).
     """
@@ -194,7 +196,7 @@ def spreads(problem: Problem, model: Model) -> tuple[np.ndarray, np.ndarray]:
     return left, prior
 
 
-def quantities(machine: Machine, problem: Problem, model: Model) -> list[Quantity]:
+def quantities(machine: Machine, problem: TreeProblem, model: FittedTree) -> list[InertialQuantity]:
     """All that is told of inertias, joints first."""
     tree, vector = machine.tree, model.fit.vector
     file = np.where([e.owner == INERTIA for e in vector.entries], 0.0, vector.values)
@@ -227,7 +229,9 @@ def _of_group(group, place: dict, numbers: np.ndarray) -> tuple[np.ndarray, np.n
     return value, slope
 
 
-def _body(machine: Machine, values: np.ndarray, slope: np.ndarray, j: int) -> list[Quantity]:
+def _body(
+    machine: Machine, values: np.ndarray, slope: np.ndarray, j: int
+) -> list[InertialQuantity]:
     """Mass, centre of mass and inertia about it, in the axes of the model file's body."""
     frames, name = machine.mechanism.frames, machine.tree.body_names[j]
     frame = inverse((frames.place[name], frames.rotation[name]))
@@ -242,7 +246,7 @@ def _body(machine: Machine, values: np.ndarray, slope: np.ndarray, j: int) -> li
     )
     by = change @ slope
     return [
-        Quantity(f"{what} of {name}", UNITS[k], central[:, k], by[k], False)
+        InertialQuantity(f"{what} of {name}", UNITS[k], central[:, k], by[k], False)
         for k, what in enumerate(OF_BODY)
     ]
 
@@ -252,7 +256,7 @@ def _central(inertial: np.ndarray, frame: Frame) -> np.ndarray:
     return np.array([mass, *com, *np.diagonal(about), about[0, 1], about[0, 2], about[1, 2]])
 
 
-def _carried(machine: Machine, found: dict, j: int) -> list[Quantity]:
+def _carried(machine: Machine, found: dict, j: int) -> list[InertialQuantity]:
     """What joint j moves, with every joint at zero, about its own axis: linear in all inertial
     parameters.
     """
@@ -266,7 +270,7 @@ def _carried(machine: Machine, found: dict, j: int) -> list[Quantity]:
     name = tree.joint_names[j]
 
     def make(what, unit, row):
-        return Quantity(f"{what} {name}", unit, np.asarray(total) @ row, row @ slope, True)
+        return InertialQuantity(f"{what} {name}", unit, np.asarray(total) @ row, row @ slope, True)
 
     unit = np.eye(10)
     if tree.kinds[j] == "slide":

@@ -11,12 +11,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.attribution.columns import Columns, Shapes
+from adaptsim_jax.attribution.columns import GroupColumns, Shapes
 from adaptsim_jax.attribution.parameters import Entry
 from adaptsim_jax.attribution.paths import ready, residuals, widened
-from adaptsim_jax.attribution.problem import Group, Problem
+from adaptsim_jax.attribution.problem import Group, TreeProblem
 from adaptsim_jax.attribution.simulate import Path, linearise, respond, responded_start
-from adaptsim_jax.attribution.weights import Counted, Fit, counted
+from adaptsim_jax.attribution.weights import Counted, TreeFit, counted
 
 LOST = 1e30
 """Derivatives of a stretch from which on it says nothing: far beyond any that a weight and a unit
@@ -30,11 +30,11 @@ class Linear:
     P]; weights in all of them.
     """
 
-    fit: Fit
+    fit: TreeFit
     residual: tuple[np.ndarray, ...]
     start: tuple[np.ndarray, ...]
     shared: tuple[np.ndarray, ...]
-    paths: tuple[Columns, ...]
+    paths: tuple[GroupColumns, ...]
     slopes: tuple[tuple[np.ndarray, np.ndarray], ...]
     counted: tuple[Counted, ...]
 
@@ -45,7 +45,7 @@ def inside(entries: Sequence[Entry], groups: Iterable[Group]) -> list[int]:
     return [i for i, e in enumerate(entries) if set(e.joints) & joints]
 
 
-def unchanged(problem: Problem, k: int, new: Fit, old: Fit) -> bool:
+def unchanged(problem: TreeProblem, k: int, new: TreeFit, old: TreeFit) -> bool:
     """Whether all that a group depends on is the same in two fits."""
 
     def own(f):
@@ -62,7 +62,10 @@ def unchanged(problem: Problem, k: int, new: Fit, old: Fit) -> bool:
 
 
 def linear(
-    problem: Problem, fit: Fit, entries: Sequence[Entry] | None = None, like: "Linear | None" = None
+    problem: TreeProblem,
+    fit: TreeFit,
+    entries: Sequence[Entry] | None = None,
+    like: "Linear | None" = None,
 ) -> Linear:
     """Linearise a fit, by the starts and by `entries` (those of its vector where None). like: a fit
     linearised, of which what is the same is taken.
@@ -94,7 +97,7 @@ def linear(
                 np.array(np.asarray(z).transpose(3, 0, 1, 2), order="C") for z in (a, f)
             )
             slope = (by_state, by_force)
-            own = Columns(problem, group, fit.vector, jax.tree.map(jnp.asarray, values), path)
+            own = GroupColumns(problem, group, fit.vector, jax.tree.map(jnp.asarray, values), path)
             mine = counted(problem, group, fit.weights)
             residual.append(mine.flat(residuals(group, path)))
             n, g = len(group.joints), how.giving
@@ -141,7 +144,7 @@ def _without_lost(*by_lane: np.ndarray) -> None:
 
 
 def _output(
-    made: Columns, slope: tuple[np.ndarray, np.ndarray], entries, mine: Counted
+    made: GroupColumns, slope: tuple[np.ndarray, np.ndarray], entries, mine: Counted
 ) -> np.ndarray:
     """Output columns [W, R, K]; zero, at no cost, for entries of other groups."""
     own = inside([e for e, _ in entries], [made.group])
@@ -160,7 +163,7 @@ def _output(
 
 
 def candidate_columns(
-    problem: Problem, lin: Linear, entries: Sequence[tuple[Entry, Shapes | None]]
+    problem: TreeProblem, lin: Linear, entries: Sequence[tuple[Entry, Shapes | None]]
 ) -> list[np.ndarray]:
     """Output columns [W, R, K] of more parameters, by group, weighted as those of `lin`. Those of
     drives that would give are freed of how these swing from a start that nobody knows.
@@ -208,7 +211,7 @@ class Normal:
     slope: np.ndarray
 
 
-def normal(problem: Problem, residual: Sequence[np.ndarray], start, shared) -> Normal:
+def normal(problem: TreeProblem, residual: Sequence[np.ndarray], start, shared) -> Normal:
     """Summed over groups, by fold."""
     count, folds = shared[0].shape[2], len(problem.folds)
     hess, slope = np.zeros((folds, count, count)), np.zeros((folds, count))
@@ -228,7 +231,7 @@ def rows(columns: np.ndarray) -> np.ndarray:
     return columns.reshape(columns.shape[0] * columns.shape[1], columns.shape[2])
 
 
-def padded_fold(problem: Problem, width: int) -> np.ndarray:
+def padded_fold(problem: TreeProblem, width: int) -> np.ndarray:
     if width > len(problem.fold):
         return np.concatenate([problem.fold, np.full(width - len(problem.fold), -1)])
     return problem.fold

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from adaptsim_jax.attribution.problem import BEYOND_STOP, beyond_range
-from adaptsim_jax.attribution.stretches import Track
+from adaptsim_jax.attribution.stretches import JointTrack
 from adaptsim_jax.effects.joints.actuator import ACTUATOR_LAG, DELAY
 from adaptsim_jax.logs.log import Log, check_left_out
 from adaptsim_jax.mechanisms.mjcf import Mechanism
@@ -24,7 +24,7 @@ class Machine:
 
     mechanism: Mechanism
     log: Log
-    tracks: tuple[Track, ...]
+    tracks: tuple[JointTrack, ...]
     actuator: np.ndarray
     gear: np.ndarray
     gain_unknown: bool
@@ -36,7 +36,7 @@ class Machine:
     )  # [n] where the search for an unknown gain begins
     ties: np.ndarray | None = None
     beyond: tuple[str, ...] = ()
-    gain_told: bool = False  # whether weight and inertia of the file's bodies gave an unknown gain
+    gain_estimated: bool = False  # whether weight and inertia of the file's bodies gave it
     servo_times: dict[int, float] = field(
         default_factory=dict
     )  # of kp in the file, by joint, where it had to be found
@@ -76,7 +76,7 @@ def machine(mechanism: Mechanism, log: Log) -> Machine:
     else:
         drives = _torques(mechanism, log)
     tracks = tuple(
-        Track(trial.name, trial.time, trial.q, trial.v, drives.input(trial.u), trial.group)
+        JointTrack(trial.name, trial.time, trial.q, trial.v, drives.input(trial.u), trial.group)
         for trial in log.trials
     )
     law, gear = drives.law, drives.gear
@@ -99,7 +99,7 @@ def machine(mechanism: Mechanism, log: Log) -> Machine:
         mechanism.beyond
         + (mechanism.drives_beyond if commanded else ())
         + drives.beyond
-        + _far(mechanism.tree, tracks)
+        + _out_of_range(mechanism.tree, tracks)
     )
     return Machine(
         mechanism, log, tracks, law, gear, unknown, declared, ties=drives.ties, beyond=beyond
@@ -218,7 +218,7 @@ def _open(limits: tuple[float, ...]) -> tuple[float, float]:
     return -np.inf if np.isnan(low) else low, np.inf if np.isnan(high) else high
 
 
-def _far(tree: Tree, tracks: Sequence[Track]) -> tuple[str, ...]:
+def _out_of_range(tree: Tree, tracks: Sequence[JointTrack]) -> tuple[str, ...]:
     """Declared ranges that the motion goes far beyond, so that the machine cannot have them."""
     excess = beyond_range(tree, tracks)
     names = [

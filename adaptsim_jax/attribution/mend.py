@@ -6,12 +6,12 @@ import numpy as np
 
 from adaptsim_jax.attribution.acting import rubs_dry
 from adaptsim_jax.attribution.backward import without as without_simulated
-from adaptsim_jax.attribution.equation.models import Said, without
-from adaptsim_jax.attribution.held_out import Model, attempted, modelled, refit
+from adaptsim_jax.attribution.equation.models import TorqueSearch, without
+from adaptsim_jax.attribution.held_out import FittedTree, attempted, modelled, refit
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import TILT
-from adaptsim_jax.attribution.problem import Problem, values_of
-from adaptsim_jax.attribution.score import Candidate, candidates, table
+from adaptsim_jax.attribution.problem import TreeProblem, values_of
+from adaptsim_jax.attribution.score import JointCandidate, candidates, table
 from adaptsim_jax.attribution.select import Selection
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.base import Effect
@@ -36,11 +36,11 @@ def levelled(effect: Effect) -> bool:
 
 def holdable(
     machine: Machine,
-    problem: Problem,
+    problem: TreeProblem,
     found: Selection,
     criteria: Criteria,
-    by_torque: Said | None = None,
-) -> Model:
+    by_torque: TorqueSearch | None = None,
+) -> FittedTree:
     """The final model, refitted without what the model file cannot hold; in its place stands a
     look-alike from its class, and Coulomb friction for other dry friction. by_torque: refitted to
     the balance of torques where that has judged.
@@ -78,7 +78,9 @@ def holdable(
     return model
 
 
-def _held_by_torque(machine: Machine, problem: Problem, found: Selection, said: Said) -> Model:
+def _held_by_torque(
+    machine: Machine, problem: TreeProblem, found: Selection, searched: TorqueSearch
+) -> FittedTree:
     model = found.final
     gone = [c for c in model.added if not _holds(machine, problem, model, c)]
     if not gone:
@@ -88,15 +90,15 @@ def _held_by_torque(machine: Machine, problem: Problem, found: Selection, said: 
     dry = {j for c in rubbing for j in c.joints if (COULOMB.name, j) not in there}
     level = [
         c
-        for c in candidates(problem, said.null, found.reach)
+        for c in candidates(problem, searched.null, found.reach)
         if c.effect == COULOMB.name and c.sharing == "joint"
     ]
-    rest = without(problem, said, gone, [c for c in level if c.joints[0] in dry])
+    rest = without(problem, searched, gone, [c for c in level if c.joints[0] in dry])
     fit = replace(model.fit, vector=rest.final)
     return replace(model, added=rest.added, fit=fit)
 
 
-def _holds(machine: Machine, problem: Problem, model: Model, c: Candidate) -> bool:
+def _holds(machine: Machine, problem: TreeProblem, model: FittedTree, c: JointCandidate) -> bool:
     effect = problem.effect(c.effect)
     if effect.held_by_file:
         return True
@@ -123,7 +125,7 @@ def _holds(machine: Machine, problem: Problem, model: Model, c: Candidate) -> bo
     )
 
 
-def lost(machine: Machine, problem: Problem, found: Selection) -> list[str]:
+def lost(machine: Machine, problem: TreeProblem, found: Selection) -> list[str]:
     """A note on the effects that `model.xml` cannot hold; a shift of commands that is no name is
     how a log was read.
     """
@@ -158,7 +160,7 @@ def servos(machine: Machine) -> dict[str, float]:
     return {machine.tree.joint_names[j]: times for j, times in machine.servo_times.items()}
 
 
-def gains_told(machine: Machine) -> list[str]:
+def gain_notes(machine: Machine) -> list[str]:
     """A note on torque over input, where that had to be found."""
     if not (found := gains(machine)):
         return []
@@ -170,7 +172,9 @@ def gains_told(machine: Machine) -> list[str]:
     ]
 
 
-def changes(machine: Machine, problem: Problem, model: Model, named: Model) -> Changes:
+def changes(
+    machine: Machine, problem: TreeProblem, model: FittedTree, named: FittedTree
+) -> Changes:
     """The changes that `model.xml` gets of a `holdable` model, with comments on what is `named`
     besides.
     """
@@ -219,7 +223,7 @@ def declared_changes(machine: Machine) -> Changes:
     return Changes(actuators={"gain": _found_gain(machine)}, motors=_motors(machine))
 
 
-def _motors(machine: Machine, model: Model | None = None) -> dict[str, float]:
+def _motors(machine: Machine, model: FittedTree | None = None) -> dict[str, float]:
     """Motors [N m per V or A] of driven joints for which the file has none, where the gain had to
     be found.
     """
@@ -249,7 +253,9 @@ def _found_gain(machine: Machine) -> dict[str, float]:
     }
 
 
-def _actuators(machine: Machine, problem: Problem, model: Model) -> dict[str, dict[str, float]]:
+def _actuators(
+    machine: Machine, problem: TreeProblem, model: FittedTree
+) -> dict[str, dict[str, float]]:
     """Changes of actuators by name, for `mjcf_write.Changes`."""
     by_joint: dict[int, list[str]] = {}
     for a in machine.mechanism.actuators:
@@ -287,7 +293,7 @@ def _actuators(machine: Machine, problem: Problem, model: Model) -> dict[str, di
     return out
 
 
-def _lost(problem: Problem, model: Model, named: Model) -> list[str]:
+def _lost(problem: TreeProblem, model: FittedTree, named: FittedTree) -> list[str]:
     """A line for each effect that the file cannot hold."""
     retained = {c.key for c in model.added}
     gone = [c for c in named.added if c.key not in retained]

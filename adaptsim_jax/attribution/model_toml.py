@@ -18,10 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.attribution.held_out import Model
+from adaptsim_jax.attribution.held_out import FittedTree
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import INERTIA, TILT
-from adaptsim_jax.attribution.problem import Problem, numbers_of, tilted, values_of
+from adaptsim_jax.attribution.problem import TreeProblem, numbers_of, tilted, values_of
 from adaptsim_jax.attribution.stops import with_inertial
 from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
@@ -41,8 +41,8 @@ OWN = ("friction", "inertial", "gain", "servo")
 
 
 def text_of(
-    problem: Problem,
-    model: Model,
+    problem: TreeProblem,
+    model: FittedTree,
     summary: Mapping[str, Any],
     gains: Mapping[str, float] | None = None,
     servos: Mapping[str, float] | None = None,
@@ -68,7 +68,7 @@ def text_of(
     return form.text("`adaptsim replay model.toml DATA` simulates all of it")
 
 
-def _effects(problem: Problem, model: Model) -> tuple[AddedEffect, ...]:
+def _effects(problem: TreeProblem, model: FittedTree) -> tuple[AddedEffect, ...]:
     by: dict[tuple[str, str], dict[str, Value]] = {}
     for e, value in zip(model.fit.vector.entries, model.fit.vector.values, strict=True):
         if e.owner == INERTIA:

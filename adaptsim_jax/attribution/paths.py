@@ -9,9 +9,9 @@ import jax
 import numpy as np
 
 from adaptsim_jax.attribution.acting import Values, bristles, held_by, rough
-from adaptsim_jax.attribution.drive import LEAST, drive_of, gives
+from adaptsim_jax.attribution.drive import MIN_INERTIA, drive_of, gives
 from adaptsim_jax.attribution.parameters import Vector
-from adaptsim_jax.attribution.problem import Group, Problem, group_inertia, values_of
+from adaptsim_jax.attribution.problem import Group, TreeProblem, group_inertia, values_of
 from adaptsim_jax.attribution.simulate import Path, Scheme, simulate, with_drives
 from adaptsim_jax.attribution.stops import inverse_weight, limited, rates
 from adaptsim_jax.effects.base import Drive
@@ -22,7 +22,7 @@ MOST_SUBSTEPS = 12
 TURNS = 4.0  # steps in which friction that gives turns, at least
 
 
-def starts_of(problem: Problem) -> tuple[np.ndarray, ...]:
+def starts_of(problem: TreeProblem) -> tuple[np.ndarray, ...]:
     """Smoothed starts, by group."""
     return tuple(g.stretches.start for g in problem.groups)
 
@@ -44,11 +44,13 @@ def scheme(group: Group, at: Values, some: Values | None = None) -> Scheme:
         drive = Drive(*(np.asarray(z)[:, 0] for z in drive_of(group.model, at)))
         soft = drive.compliance > 0.0
         both = np.where(
-            soft, 1.0 / np.maximum(rotor, LEAST) + 1.0 / np.maximum(inertia - rotor, LEAST), 0.0
+            soft,
+            1.0 / np.maximum(rotor, MIN_INERTIA) + 1.0 / np.maximum(inertia - rotor, MIN_INERTIA),
+            0.0,
         )
         both = both / np.where(soft, drive.compliance, 1.0)
         fastest = max(fastest, float(np.sqrt(both).max()), float((drive.damping * both).max()))
-        inertia = np.where(soft, np.maximum(rotor, LEAST), inertia)
+        inertia = np.where(soft, np.maximum(rotor, MIN_INERTIA), inertia)
         giving = np.flatnonzero(soft)
     ends = np.asarray(group.model.tree.stop)[limited(group.model.tree)]
     if len(ends):
@@ -83,7 +85,9 @@ class Ready(NamedTuple):
     how: Scheme
 
 
-def ready(problem: Problem, vector: Vector, rows: np.ndarray | None = None) -> tuple[Ready, ...]:
+def ready(
+    problem: TreeProblem, vector: Vector, rows: np.ndarray | None = None
+) -> tuple[Ready, ...]:
     """By group; rows [W, P]: other parameters for each stretch."""
     out = []
     with jax.enable_x64(True):
@@ -150,7 +154,7 @@ def at_ends(made: Sequence[Ready]) -> list[tuple[np.ndarray, ...]]:
     ]
 
 
-def run(problem: Problem, vector: Vector, starts: Sequence[np.ndarray]) -> list[Path]:
+def run(problem: TreeProblem, vector: Vector, starts: Sequence[np.ndarray]) -> list[Path]:
     """Simulated paths by group."""
     made = ready(problem, vector)
     return simulated(made, widened(made, starts))

@@ -9,11 +9,11 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from adaptsim_jax.attribution.held_out import Model
+from adaptsim_jax.attribution.held_out import FittedTree
 from adaptsim_jax.attribution.machine import Machine, machine
 from adaptsim_jax.attribution.model_toml import DECLARED
 from adaptsim_jax.attribution.parameters import INERTIA, TILT, Vector
-from adaptsim_jax.attribution.problem import Problem, values_of
+from adaptsim_jax.attribution.problem import TreeProblem, values_of
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import write_bytes
 from adaptsim_jax.diagnosis.testing import jackknife
@@ -214,7 +214,7 @@ def base_parameters(inertial: np.ndarray, l1: float, down: float) -> np.ndarray:
     return np.array([i1 + m2 * l1**2 + i2, i2, down * m1y + m2 * l1, down * m2y])
 
 
-def declared_values(rig: Rig, problem: Problem, model: Model) -> dict[str, Value]:
+def declared_values(rig: Rig, problem: TreeProblem, model: FittedTree) -> dict[str, Value]:
     """Declared parameters of a fitted model under their names in `model.toml`, with 90 % intervals
     from its folds (jackknife).
     """
@@ -242,7 +242,7 @@ def _number(value: float, spread: float, unit: str) -> Value:
     return Value(float(value), float(value - NINETY * spread), float(value + NINETY * spread), unit)
 
 
-def _fitted(model: Model) -> dict[tuple[str, str, int], tuple[float, float, str]]:
+def _fitted(model: FittedTree) -> dict[tuple[str, str, int], tuple[float, float, str]]:
     """Value, standard deviation and unit of each fitted number by owner, name and joint."""
     rows = zip(model.fit.vector.entries, model.fit.vector.values, model.spread, strict=True)
     return {
@@ -251,7 +251,7 @@ def _fitted(model: Model) -> dict[tuple[str, str, int], tuple[float, float, str]
 
 
 def model_file(
-    rig: Rig, problem: Problem, model: Model, summary: Mapping[str, object]
+    rig: Rig, problem: TreeProblem, model: FittedTree, summary: Mapping[str, object]
 ) -> tuple[ModelFile, list[str]]:
     """A fitted model as `model.toml` holds it, and a line for each effect that it cannot hold.
     summary: of its provenance.

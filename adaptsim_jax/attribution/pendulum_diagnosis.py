@@ -61,7 +61,7 @@ LINKS = (
     "b1",
     "b2",
 )  # of which base parameters are made, and which may be known
-LEAST_ROWS = 64  # of a part of a trial between rows without angles, that is regressed by itself
+MIN_ROWS = 64  # of a part of a trial between rows without angles, that is regressed by itself
 
 
 def diagnose_pendulum(
@@ -96,8 +96,8 @@ def diagnose_pendulum(
         contradict what is declared of them.
     """
     began = time.monotonic()
-    say = progress or (lambda done, total, note: None)
-    say(0.02, 1.0, "reading")
+    notify = progress or (lambda done, total, note: None)
+    notify(0.02, 1.0, "reading")
     log = data if isinstance(data, Log) else read_pendulum(data, without=without)
     log = log.without([name for name in without if name in {t.name for t in log.trials}])
     rig, path = log.meta.rig, log.path
@@ -131,7 +131,7 @@ def diagnose_pendulum(
             criteria or Criteria(),
             HORIZON,
             tuple(exclude),
-            say,
+            notify,
             in_the_plane,
             effects,
             None if folder is None else lambda partial: write_partial(folder, partial),
@@ -156,7 +156,7 @@ def diagnose_pendulum(
         _of_unknown_masses(report, rig)
         add_trials(report, evidence, pendulum_trials(log), CHANNELS)
         evidence["audit"] += checked.rows
-        provenance = {k: report[k] for k in ("verdict", "message")} | {"data": path} | run.told()
+        provenance = {k: report[k] for k in ("verdict", "message")} | {"data": path} | run.as_dict()
         null, _ = model_file(rig, problem, found.null, {})
         file, lost = model_file(rig, problem, found.final, provenance)
         report["notes"] += lost
@@ -225,13 +225,13 @@ def _scatter(time: np.ndarray, x: np.ndarray) -> float:
 def _unbroken(q: np.ndarray) -> list[np.ndarray]:
     """The rows of a trial, or of its parts between rows that have no angles `q [T, n]`.
 
-    Parts are of `LEAST_ROWS` or more, else the longest.
+    Parts are of `MIN_ROWS` or more, else the longest.
     """
     observed = np.all(np.isfinite(q), axis=1)
     parts = np.split(np.arange(len(observed)), np.flatnonzero(np.diff(observed)) + 1)
     parts = [rows for rows in parts if observed[rows[0]]]
     longest = max(map(len, parts), default=0)
-    return [rows for rows in parts if len(rows) >= min(LEAST_ROWS, longest)]
+    return [rows for rows in parts if len(rows) >= min(MIN_ROWS, longest)]
 
 
 def _of_unknown_masses(report: dict[str, Any], rig: Rig) -> None:
@@ -259,7 +259,7 @@ def _written(
     report, evidence, run: Run, folder: Path | None, page: Page | None, files
 ) -> dict[str, Any]:
     """With how it was run, checked, and written where a folder is given."""
-    report["run"] = evidence["run"] = run.told()
+    report["run"] = evidence["run"] = run.as_dict()
     if folder is not None:
         write_all(folder, report, evidence, page or plain, files)
     return check(report)

@@ -7,8 +7,8 @@ from typing import Any
 
 from scipy import stats
 
-from adaptsim_jax.attribution.problem import Problem
-from adaptsim_jax.attribution.score import Score
+from adaptsim_jax.attribution.problem import TreeProblem
+from adaptsim_jax.attribution.score import CandidateScore
 from adaptsim_jax.attribution.sentences import place
 from adaptsim_jax.diagnosis.criteria import Criteria
 
@@ -16,7 +16,7 @@ SURE = 0.8  # share of recordings like this one in which the size that is told w
 
 
 def power_rows(
-    problem: Problem, scores: Sequence[Score], criteria: Criteria
+    problem: TreeProblem, scores: Sequence[CandidateScore], criteria: Criteria
 ) -> list[dict[str, Any]]:
     """Rows of `power` of candidates that act linearly through one number: the size that `SURE` of
     recordings like this one would show.

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import jax
 import numpy as np
 
-from adaptsim_jax.attribution.acting import Model, Values
+from adaptsim_jax.attribution.acting import ActingModel, Values
 from adaptsim_jax.attribution.parameters import (
     DAMPING_STEP,
     INERTIA,
@@ -19,7 +19,7 @@ from adaptsim_jax.attribution.parameters import (
     inertia_entries,
     inertias,
 )
-from adaptsim_jax.attribution.stretches import Stretches, Track, cut, without_first_rows
+from adaptsim_jax.attribution.stretches import JointStretches, JointTrack, cut, without_first_rows
 from adaptsim_jax.diagnosis.folds import folds_of, names_of
 from adaptsim_jax.effects.base import Effect, Reach, unit_at
 from adaptsim_jax.effects.joints.catalogue import ETA, TILTS
@@ -38,9 +38,9 @@ class Group:
     mechanism; folds [W].
     """
 
-    model: Model
+    model: ActingModel
     joints: tuple[int, ...]
-    stretches: Stretches
+    stretches: JointStretches
     actuator: np.ndarray  # [6, n]
     gear: np.ndarray  # [n]
     inertias: Inertias
@@ -48,7 +48,7 @@ class Group:
 
 
 @dataclass(frozen=True)
-class Problem:
+class TreeProblem:
     """A recording ready to be fitted. reach: what it covers, by joint; fold [W] of each stretch,
     the same in all groups.
     """
@@ -87,7 +87,7 @@ class Problem:
 
 def prepare(
     tree: Tree,
-    tracks: Sequence[Track],
+    tracks: Sequence[JointTrack],
     effects: Sequence[Effect],
     actuator: np.ndarray | None = None,
     gear: np.ndarray | None = None,
@@ -96,7 +96,7 @@ def prepare(
     declared: Mapping[tuple[str, str], np.ndarray] | None = None,
     look_back: float = 0.0,
     ties: np.ndarray | None = None,
-) -> Problem:
+) -> TreeProblem:
     """Cut and grouped. actuator [6, n]: gain, bias, per angle, per speed, lowest and highest force
     (None: torques); gear [n]; look_back: s from each stretch's start whose readings do not count;
     ties [n, n]: see `acting.Values`.
@@ -124,7 +124,7 @@ def prepare(
         own = None if ties is None else ties[np.ix_(joints, joints)]
         groups.append(
             Group(
-                Model(part, tuple(effects)),
+                ActingModel(part, tuple(effects)),
                 tuple(joints),
                 stretches.of(joints),
                 part_of(actuator),
@@ -136,7 +136,7 @@ def prepare(
     as_declared = numbers_of(tree)
     as_declared[DAMPING_STEP, "damping"] = np.asarray(tree.damping) - actuator[3] * gear**2
     as_declared |= dict(declared or {})
-    return Problem(
+    return TreeProblem(
         tuple(groups),
         tuple(tree.joint_names),
         tuple(tree.kinds),
@@ -166,7 +166,7 @@ NEAR_STOP = 0.05  # rad (m): from its range, within which a joint's motion may f
 BEYOND_STOP = 0.1  # rad (m): beyond its range, where a joint that stops there is not found
 
 
-def beyond_range(tree: Tree, tracks: Sequence[Track]) -> np.ndarray:
+def beyond_range(tree: Tree, tracks: Sequence[JointTrack]) -> np.ndarray:
     """How far [n] the motion goes beyond the declared ranges, at its 99th percentile; -inf for
     joints without.
     """
@@ -178,7 +178,7 @@ def beyond_range(tree: Tree, tracks: Sequence[Track]) -> np.ndarray:
     return np.where(tree.limited, excess, -np.inf)
 
 
-def within_reach(tree: Tree, tracks: Sequence[Track]) -> Tree:
+def within_reach(tree: Tree, tracks: Sequence[JointTrack]) -> Tree:
     """The same where only those limits count that the motion may feel: not those that it stays away
     from, nor those that it goes far beyond, which the machine cannot have.
     """
@@ -206,7 +206,7 @@ def tied(groups: list[tuple[int, ...]], ties: np.ndarray | None) -> list[tuple[i
     return groups
 
 
-def beginnings(problem: Problem, share: float) -> Problem:
+def beginnings(problem: TreeProblem, share: float) -> TreeProblem:
     """The same of which only the first share of each stretch was seen."""
 
     def begun(g: Group) -> Group:
@@ -233,7 +233,7 @@ def _nameless(tree: Tree) -> Tree:
     )
 
 
-def _padded(stretches: Stretches) -> Stretches:
+def _padded(stretches: JointStretches) -> JointStretches:
     """The last stretch again, unseen, until there is a multiple of `LANES`."""
     short = -stretches.count % LANES
     if not short:
@@ -246,7 +246,7 @@ def _padded(stretches: Stretches) -> Stretches:
     return wide
 
 
-def noise(tracks: Sequence[Track]) -> np.ndarray:
+def noise(tracks: Sequence[JointTrack]) -> np.ndarray:
     """Sensor noise [2n] of angles and speeds, from what local cubics leave (a robust standard
     deviation); 0 where not logged.
     """
@@ -284,7 +284,10 @@ def drive_force(
 
 
 def _reach(
-    tracks: Sequence[Track], actuator: np.ndarray, gear: np.ndarray, ties: np.ndarray | None = None
+    tracks: Sequence[JointTrack],
+    actuator: np.ndarray,
+    gear: np.ndarray,
+    ties: np.ndarray | None = None,
 ) -> Reach:
     torque, peak, speed, low, high = [], [], [], [], []
     for track in tracks:
@@ -314,7 +317,7 @@ def _reach(
 MOVES = 10.0  # times its noise, by which a joint that moves does
 
 
-def moving(problem: Problem) -> np.ndarray:
+def moving(problem: TreeProblem) -> np.ndarray:
     """Which joints [n] move in the log."""
     span = problem.reach.q_high - problem.reach.q_low
     return span > MOVES * problem.floor[: problem.joints]
@@ -324,7 +327,7 @@ HALVED = 40  # times that a bound on what passes is bisected
 
 
 def passing(
-    tracks: Sequence[Track],
+    tracks: Sequence[JointTrack],
     actuator: np.ndarray,
     gear: np.ndarray,
     ties: np.ndarray | None = None,
@@ -354,13 +357,13 @@ def passing(
     }
 
 
-def _driven(track: Track, actuator: np.ndarray, gear: np.ndarray, ties: np.ndarray | None):
+def _driven(track: JointTrack, actuator: np.ndarray, gear: np.ndarray, ties: np.ndarray | None):
     """Forces of the declared actuators [T, n] along a track, and its speeds [T, n]."""
     q, v = local_motion(track.time, track.q, track.v)
     return drive_force(actuator, gear, ties, q, v, np.nan_to_num(track.u)), v
 
 
-def scaled_reach(problem: Problem, inertia: np.ndarray, gravity: np.ndarray) -> Reach:
+def scaled_reach(problem: TreeProblem, inertia: np.ndarray, gravity: np.ndarray) -> Reach:
     """The reach with torque scales [n] that are not zero where a joint has no actuator: those of
     its own motion and weight.
     """
@@ -373,7 +376,7 @@ def scaled_reach(problem: Problem, inertia: np.ndarray, gravity: np.ndarray) -> 
     )
 
 
-def nuisances(problem: Problem, inertia: bool = True, damping: bool = True) -> Vector:
+def nuisances(problem: TreeProblem, inertia: bool = True, damping: bool = True) -> Vector:
     """The vector of the declared model: inertial parameters of all bodies, and viscous friction at
     every joint.
     """
@@ -404,7 +407,7 @@ def nuisances(problem: Problem, inertia: bool = True, damping: bool = True) -> V
     return vector
 
 
-def off_value(problem: Problem, effect: str, parameter: str, joint: int) -> float:
+def off_value(problem: TreeProblem, effect: str, parameter: str, joint: int) -> float:
     """What the declared model has of a parameter: what its file says, or none of it."""
     given = problem.declared.get((effect, parameter))
     if given is not None:
@@ -416,7 +419,7 @@ def off_value(problem: Problem, effect: str, parameter: str, joint: int) -> floa
 
 
 def values_of(
-    problem: Problem, group: Group, vector: Vector, rows: np.ndarray | None = None
+    problem: TreeProblem, group: Group, vector: Vector, rows: np.ndarray | None = None
 ) -> Values:
     """Values of a group at `vector`; rows [W, P]: other values for each stretch."""
     n, width = len(group.joints), 1 if rows is None else len(rows)
@@ -468,7 +471,7 @@ def tilted(gravity: np.ndarray, about_x: float, about_y: float) -> np.ndarray:
     return turn_y @ turn_x @ gravity
 
 
-def own_inertia(problem: Problem, vector: Vector) -> tuple[np.ndarray, np.ndarray]:
+def own_inertia(problem: TreeProblem, vector: Vector) -> tuple[np.ndarray, np.ndarray]:
     """What each joint feels of inertia, 1 / diag(M^-1) [n], and the largest force of gravity [n],
     at middle and start angles.
     """

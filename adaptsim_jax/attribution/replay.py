@@ -20,7 +20,7 @@ from adaptsim_jax.attribution.forecast import forecast, without_a_model
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import Vector
-from adaptsim_jax.attribution.problem import Problem, prepare
+from adaptsim_jax.attribution.problem import TreeProblem, prepare
 from adaptsim_jax.attribution.yardsticks import (
     NAMES,
     STRETCHES,
@@ -32,13 +32,13 @@ from adaptsim_jax.attribution.yardsticks import (
     predicts_nothing,
 )
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.diagnosis.recommended import Simulated, worse_joints
+from adaptsim_jax.diagnosis.recommended import FileReplay, worse_joints
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.logs.quality.contradictions import AS_DECLARED
 from adaptsim_jax.simulators.mujoco.replay import replayed as mujoco_replayed
 
 WRITTEN = ("model.xml", "model.toml")  # what a diagnosis writes for simulation
-FAR = 1.0  # rad (m): a stretch of which any joint errs more has run away
+RUNAWAY = 1.0  # rad (m): a stretch of which any joint errs more has run away
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Replay:
     still: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     measures: Mapping[str, Measure | None] = field(default_factory=dict)
 
-    def told(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Any]:
         """What `--json` prints."""
         hinge = [j for j, k in enumerate(self.kinds) if k == "hinge"]
         main = hinge or list(range(len(self.kinds)))
@@ -76,7 +76,7 @@ class Replay:
             return "m"
 
         def some(e):
-            return {"median": _median(e), "rms": _rms(e), "ran_away": float(np.mean(e > FAR))}
+            return {"median": _median(e), "rms": _rms(e), "ran_away": float(np.mean(e > RUNAWAY))}
 
         def beside(j):
             return {
@@ -95,7 +95,7 @@ class Replay:
                 name: some(self.error[:, j]) | {"unit": unit(j)} | beside(j)
                 for j, name in enumerate(self.joint_names)
             },
-            "yardsticks": {name: m.told() for name, m in self.measures.items() if m is not None},
+            "yardsticks": {name: m.as_dict() for name, m in self.measures.items() if m is not None},
             "predicts_nothing": predicts_nothing(self.measures),
             "trials": {
                 name: some(self.error[self.trial == k][:, main])
@@ -172,7 +172,7 @@ def _shorter(horizon: float, span: float) -> tuple[str, ...]:
     return ()
 
 
-def replayed(problem: Problem, vector: Vector, horizon: float) -> Replay:
+def replayed(problem: TreeProblem, vector: Vector, horizon: float) -> Replay:
     """Of a prepared problem at the values of `vector`."""
     found = forecast(problem, vector)
     s, count = problem.groups[0].stretches, len(problem.fold)
@@ -229,13 +229,13 @@ def recommended(
     `adaptsim replay` does. declared: None: as meta.toml says; without: trials that are left out.
     """
 
-    def run(model: File | None, span: float) -> Simulated:
+    def run(model: File | None, span: float) -> FileReplay:
         found = replay_files(model or declared, data, span, (STRETCHES,), simulator)
         own = [k for k, name in enumerate(found.trial_names) if name not in without]
         taken = np.isin(found.trial, own)
         nothing = np.minimum(found.line, found.still)
         units = tuple("rad" if kind == "hinge" else "m" for kind in found.kinds)
-        return Simulated(found.joint_names, units, found.error[taken], nothing[taken])
+        return FileReplay(found.joint_names, units, found.error[taken], nothing[taken])
 
     def verify(folder: File) -> dict[str, Any]:
         files = [folder / name for name in WRITTEN if (folder / name).exists()]

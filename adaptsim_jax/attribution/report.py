@@ -7,11 +7,17 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.attribution import inertias_told
-from adaptsim_jax.attribution.held_out import Model, astray, held_error, most_over_floor, over_floor
+from adaptsim_jax.attribution.held_out import (
+    FittedTree,
+    astray,
+    held_error,
+    most_over_floor,
+    over_floor,
+)
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import INERTIA, Entry
 from adaptsim_jax.attribution.power import power_rows
-from adaptsim_jax.attribution.problem import Problem
+from adaptsim_jax.attribution.problem import TreeProblem
 from adaptsim_jax.attribution.select import Selection
 from adaptsim_jax.attribution.sentences import (
     doubts,
@@ -37,7 +43,7 @@ def _numbers(error: np.ndarray) -> float:
 
 
 def reported(
-    machine: Machine, problem: Problem, found: Selection, criteria: Criteria, horizon: float
+    machine: Machine, problem: TreeProblem, found: Selection, criteria: Criteria, horizon: float
 ) -> dict[str, Any]:
     """The report."""
     before, after = held_error(problem, found.null), held_error(problem, found.final)
@@ -46,7 +52,7 @@ def reported(
     over = over_floor(problem, found.final)
     named = found.named
     astray_count = astray(problem, found.final, criteria, found.null)
-    outliers = _odd(problem, found, astray_count, criteria)
+    outliers = _outliers(problem, found, astray_count, criteria)
     effects = [_effect(machine, problem, found, n) for n in named]
     remains = most_over_floor(problem, after) > criteria.explained
     kind = verdict_of(effects, remains or bool(outliers))
@@ -106,14 +112,16 @@ def reported(
     )
 
 
-def evidence_of(problem: Problem, found: Selection, report: Mapping[str, Any]) -> dict[str, Any]:
+def evidence_of(
+    problem: TreeProblem, found: Selection, report: Mapping[str, Any]
+) -> dict[str, Any]:
     """The arrays behind the page of a report."""
     notes = [{"severity": "info", "where": "", "message": note} for note in report["notes"]]
     return {"held_out": _held_out(problem, found), "audit": notes}
 
 
-def _odd(
-    problem: Problem, found: Selection, outlying: np.ndarray, criteria: Criteria
+def _outliers(
+    problem: TreeProblem, found: Selection, outlying: np.ndarray, criteria: Criteria
 ) -> list[tuple[str, str, float]]:
     """Trials of which much is left, however little on the whole: name, joint, times the noise floor
     (median over its stretches, or over those that are `far` [W] off where there are a few such).
@@ -137,7 +145,7 @@ def _odd(
     return sorted(out, key=lambda row: -row[2])
 
 
-def _effect(machine: Machine, problem: Problem, found: Selection, n: Named) -> dict[str, Any]:
+def _effect(machine: Machine, problem: TreeProblem, found: Selection, n: Named) -> dict[str, Any]:
     c, model = n.candidate, found.final
     spread = model.spread
     numbers = {}
@@ -161,7 +169,7 @@ def _effect(machine: Machine, problem: Problem, found: Selection, n: Named) -> d
     if c.effect == INERTIA:  # as a person knows it, and not in the coordinates of the fit
         body = next(iter(c.joints))
         of = f" of {machine.tree.body_names[body]}"
-        rows = inertias_told.told(machine, problem, model)
+        rows = inertias_told.inertia_rows(machine, problem, model)
         numbers = {
             key.removesuffix(of).replace(" ", "_"): {
                 k: row[k] for k in ("value", "low", "high", "unit")
@@ -202,7 +210,7 @@ def with_limits(numbers: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]
 
 
 def _error(
-    problem: Problem, found: Selection, before, after, noise, floor: float, horizon: float
+    problem: TreeProblem, found: Selection, before, after, noise, floor: float, horizon: float
 ) -> dict[str, Any]:
     rng = np.random.default_rng(0)
 
@@ -258,7 +266,7 @@ def _error(
     }
 
 
-def _candidates(problem: Problem, found: Selection) -> list[dict[str, Any]]:
+def _candidates(problem: TreeProblem, found: Selection) -> list[dict[str, Any]]:
     """What is named, with what it takes off beside all others; then what was scored about the
     declared model, best first.
     """
@@ -295,7 +303,7 @@ def _candidates(problem: Problem, found: Selection) -> list[dict[str, Any]]:
     return rows[:40]
 
 
-def _declared(machine: Machine, problem: Problem, model: Model) -> dict[str, Any]:
+def _declared(machine: Machine, problem: TreeProblem, model: FittedTree) -> dict[str, Any]:
     """Fitted inertias, as a person knows them (`inertias_told`), and dampings."""
     late = (
         Criteria.least_shift * problem.reach.dt
@@ -315,10 +323,10 @@ def _declared(machine: Machine, problem: Problem, model: Model) -> dict[str, Any
         for e, row in _numbers_of(model)
         if e.owner == VISCOUS.name
     }
-    return inertias_told.told(machine, problem, model) | dampings
+    return inertias_told.inertia_rows(machine, problem, model) | dampings
 
 
-def _coordinates(problem: Problem, model: Model) -> dict[str, Any]:
+def _coordinates(problem: TreeProblem, model: FittedTree) -> dict[str, Any]:
     """Inertias in the fit's own coordinates, without unit, about the declared ones."""
     return {
         f"{e.name} of {problem.joint_names[e.joints[0]]}": row
@@ -327,7 +335,7 @@ def _coordinates(problem: Problem, model: Model) -> dict[str, Any]:
     }
 
 
-def _numbers_of(model: Model) -> list[tuple[Entry, dict[str, Any]]]:
+def _numbers_of(model: FittedTree) -> list[tuple[Entry, dict[str, Any]]]:
     out = []
     for e, value, spread in zip(
         model.fit.vector.entries, model.fit.vector.values, model.spread, strict=True
@@ -347,7 +355,7 @@ def _numbers_of(model: Model) -> list[tuple[Entry, dict[str, Any]]]:
     return out
 
 
-def _held_out(problem: Problem, found: Selection) -> list[Mapping[str, Any]]:
+def _held_out(problem: TreeProblem, found: Selection) -> list[Mapping[str, Any]]:
     """Measured angles and those predicted of left-out folds, trial by trial, stretches one after
     the other.
     """

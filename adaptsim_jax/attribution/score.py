@@ -14,7 +14,7 @@ import numpy as np
 
 from adaptsim_jax.attribution.linear import Linear, candidate_columns, padded_fold, project, rows
 from adaptsim_jax.attribution.parameters import INERTIA, TILT, Entry, Vector, inertia_entries
-from adaptsim_jax.attribution.problem import Problem, off_value
+from adaptsim_jax.attribution.problem import TreeProblem, off_value
 from adaptsim_jax.diagnosis.testing import score_p
 from adaptsim_jax.effects.base import Effect, Reach, unit_at
 from adaptsim_jax.effects.joints.catalogue import TILTS
@@ -26,7 +26,7 @@ BEYOND = 1.5
 
 
 @dataclass(frozen=True)
-class Candidate:
+class JointCandidate:
     """An effect at some joints; sharing: `joint`, `all` (own values at each) or `common` (one
     value); shape: fixed shapes by joint's number and parameter, where scored.
     """
@@ -44,7 +44,7 @@ class Candidate:
     def shaped(self) -> dict[str, float]:
         return dict(self.shape)
 
-    def at(self, entries: Sequence[Entry]) -> "Candidate":
+    def at(self, entries: Sequence[Entry]) -> "JointCandidate":
         """With some of its entries, at their joints alone."""
         joints = tuple(dict.fromkeys(j for e in entries for j in e.joints))
         return replace(
@@ -54,7 +54,7 @@ class Candidate:
             sharing="joint" if len(joints) == 1 else self.sharing,
         )
 
-    def split(self) -> "list[Candidate]":
+    def split(self) -> "list[JointCandidate]":
         """One a joint, where it has own values at each of several."""
         if self.sharing != "all":
             return [self]
@@ -62,13 +62,13 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class Score:
+class CandidateScore:
     """Of a candidate at its best shape: amplitudes [K], first-order fall of the loss, of the
     held-out loss, robust p, share of folds in which it gains; scatter: cluster-robust standard
     error of its only amplitude, 0 where it has several.
     """
 
-    candidate: Candidate
+    candidate: JointCandidate
     amplitude: np.ndarray
     gain: float
     held_out: float
@@ -78,7 +78,7 @@ class Score:
 
 
 def entries_of(
-    problem: Problem, reach: Reach, effect: Effect, joints: Sequence[int], shared: bool
+    problem: TreeProblem, reach: Reach, effect: Effect, joints: Sequence[int], shared: bool
 ) -> tuple[Entry, ...]:
     """Amplitude entries of an effect at joints."""
     out = []
@@ -98,7 +98,9 @@ def entries_of(
     return tuple(out)
 
 
-def shape_entries(problem: Problem, reach: Reach, candidate: Candidate) -> tuple[Entry, ...]:
+def shape_entries(
+    problem: TreeProblem, reach: Reach, candidate: JointCandidate
+) -> tuple[Entry, ...]:
     """Entries of the shapes that are fitted once an effect is in the model, at the values it was
     scored with.
     """
@@ -140,7 +142,7 @@ def shape_entries(problem: Problem, reach: Reach, candidate: Candidate) -> tuple
     return tuple(out)
 
 
-def candidates(problem: Problem, vector: Vector, reach: Reach) -> list[Candidate]:
+def candidates(problem: TreeProblem, vector: Vector, reach: Reach) -> list[JointCandidate]:
     """All that may be added to the vector: each effect at each joint, at all of them, with one
     value for all; a tilted base.
     """
@@ -188,18 +190,22 @@ def candidates(problem: Problem, vector: Vector, reach: Reach) -> list[Candidate
             if j in problem.unlike:
                 continue
             for point in points:
-                out.append(Candidate(effect.name, (j,), "joint", make([j], False), _fixed(point)))
+                out.append(
+                    JointCandidate(effect.name, (j,), "joint", make([j], False), _fixed(point))
+                )
         if len(free) > 1 and effect.traits.family and not effect.shapes:
-            out.append(Candidate(effect.name, tuple(free), "all", make(free, False)))
+            out.append(JointCandidate(effect.name, tuple(free), "all", make(free, False)))
         if len(free) > 1 and effect.traits.shared:
             for point in grids[0][1]:
                 out.append(
-                    Candidate(effect.name, tuple(free), "common", make(free, True), _fixed(point))
+                    JointCandidate(
+                        effect.name, tuple(free), "common", make(free, True), _fixed(point)
+                    )
                 )
     return out
 
 
-def _of_model(problem: Problem, name: str, taken: set[tuple[str, int]]) -> list[Candidate]:
+def _of_model(problem: TreeProblem, name: str, taken: set[tuple[str, int]]) -> list[JointCandidate]:
     """What frees parameters of the model itself: the direction of gravity, where there is any; the
     inertia of a body with a mass.
     """
@@ -212,7 +218,7 @@ def _of_model(problem: Problem, name: str, taken: set[tuple[str, int]]) -> list[
             return inertia_entries(np.arange(j + 1) == j)
 
         return [
-            Candidate(INERTIA, (j,), "joint", own(j))
+            JointCandidate(INERTIA, (j,), "joint", own(j))
             for j in bodies
             if (INERTIA, j) not in taken | problem.excluded and j not in problem.unlike
         ]
@@ -223,14 +229,16 @@ def _of_model(problem: Problem, name: str, taken: set[tuple[str, int]]) -> list[
     entries = tuple(
         Entry(TILT, t, everywhere, 0.0, 0.0, -0.5, 0.5, "rad", prior=1.0) for t in TILTS
     )
-    return [Candidate(TILT, everywhere, "common", entries)]
+    return [JointCandidate(TILT, everywhere, "common", entries)]
 
 
 def _fixed(point) -> tuple[tuple[str, float], ...]:
     return tuple(sorted((k, float(z)) for k, z in point.items()))
 
 
-def table(problem: Problem, lin: Linear, many: Sequence[Candidate]) -> list[Score]:
+def table(
+    problem: TreeProblem, lin: Linear, many: Sequence[JointCandidate]
+) -> list[CandidateScore]:
     """The best shape of each candidate (effect, joints, sharing), sorted by what it gains held
     out.
     """
@@ -242,7 +250,7 @@ def table(problem: Problem, lin: Linear, many: Sequence[Candidate]) -> list[Scor
     sums = _Sums(problem, lin, at)
     for first in range(0, at, 64):
         sums.add(candidate_columns(problem, lin, pairs[first : first + 64]), first)
-    best: dict[tuple, Score] = {}
+    best: dict[tuple, CandidateScore] = {}
     for c, cols in zip(many, where, strict=True):
         score = sums.score(c, np.array(cols))
         if c.key not in best or score.held_out > best[c.key].held_out:
@@ -258,7 +266,7 @@ class _Sums:
     candidate's own columns lie.
     """
 
-    def __init__(self, problem: Problem, lin: Linear, count: int):
+    def __init__(self, problem: TreeProblem, lin: Linear, count: int):
         self.problem, self.lin = problem, lin
         width = len(lin.residual[0])
         self.fold = padded_fold(problem, width)
@@ -315,14 +323,14 @@ class _Sums:
                 ]
         return out
 
-    def _most(self, c: Candidate) -> float:
+    def _most(self, c: JointCandidate) -> float:
         """What an amplitude that does not act linearly may be, of that at which it is scored."""
         scored = at_scored(self.problem, c)
         if scored is None:
             return np.inf
         return BEYOND * abs(scored - c.entries[0].start)
 
-    def score(self, c: Candidate, cols: np.ndarray) -> Score:
+    def score(self, c: JointCandidate, cols: np.ndarray) -> CandidateScore:
         slope, curve = self.slope[:, cols], self._curve(cols)
         folds = range(len(curve))
         by_fold = np.stack([slope[self.fold == k].sum(0) for k in folds])
@@ -339,12 +347,12 @@ class _Sums:
             scatter = float(np.sqrt(np.square(slope).sum()) / max(bend[0, 0], 1e-300))
         else:
             scatter = 0.0
-        return Score(
+        return CandidateScore(
             c, amplitude, gain, float(np.sum(each)), p, float(np.mean(np.array(each) > 0)), scatter
         )
 
 
-def at_scored(problem: Problem, c: Candidate) -> float | None:
+def at_scored(problem: TreeProblem, c: JointCandidate) -> float | None:
     """The amplitude at which a candidate that does not act linearly is scored; None where it acts
     so.
     """
@@ -354,7 +362,7 @@ def at_scored(problem: Problem, c: Candidate) -> float | None:
     return None
 
 
-def _solved(c: Candidate, bend: np.ndarray, total: np.ndarray, most: float) -> np.ndarray:
+def _solved(c: JointCandidate, bend: np.ndarray, total: np.ndarray, most: float) -> np.ndarray:
     """Amplitudes within their bounds and none above `most`; those that would leave them at once are
     left out.
     """

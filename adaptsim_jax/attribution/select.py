@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adaptsim_jax.attribution.backward import (
+    backward_elimination,
     from_afar,
-    judged,
     more,
     scored,
     trimmed,
@@ -20,7 +20,7 @@ from adaptsim_jax.attribution.backward import (
 )
 from adaptsim_jax.attribution.estimate import fit, settled
 from adaptsim_jax.attribution.held_out import (
-    Model,
+    FittedTree,
     astray,
     attempted,
     evenly_weighted,
@@ -32,8 +32,8 @@ from adaptsim_jax.attribution.held_out import (
     refit,
 )
 from adaptsim_jax.attribution.parameters import Vector
-from adaptsim_jax.attribution.problem import Problem, beginnings, own_inertia, scaled_reach
-from adaptsim_jax.attribution.score import Candidate, Score, candidates, table
+from adaptsim_jax.attribution.problem import TreeProblem, beginnings, own_inertia, scaled_reach
+from adaptsim_jax.attribution.score import CandidateScore, JointCandidate, candidates, table
 from adaptsim_jax.attribution.stays import eased, steady_each
 from adaptsim_jax.attribution.weights import losses
 from adaptsim_jax.core.parallel import parallel_map
@@ -44,7 +44,7 @@ from adaptsim_jax.effects.base import Reach
 
 ROUNDS = 15  # of the declared model's fit
 
-Hint = tuple[Vector, tuple[Candidate, ...]]
+Hint = tuple[Vector, tuple[JointCandidate, ...]]
 """Values and effects of another witness, to go on from."""
 
 
@@ -54,17 +54,17 @@ class Selection(Finding):
     final one; shorter: over the beginnings of stretches only.
     """
 
-    stages: tuple[Model, ...]
-    last: tuple[Score, ...]
+    stages: tuple[FittedTree, ...]
+    last: tuple[CandidateScore, ...]
     reach: Reach
     shorter: bool = False
 
 
 def select(
-    problem: Problem,
+    problem: TreeProblem,
     null: Vector,
     criteria: Criteria,
-    say: Callable[[str], None] = lambda note: None,
+    notify: Callable[[str], None] = lambda note: None,
     keep: "Callable[[Selection], None]" = lambda found: None,
     hint: Hint | None = None,
 ) -> Selection:
@@ -74,7 +74,7 @@ def select(
     declared model.
     """
     base = first = declared(problem, null, criteria, roughly=hint is not None)
-    say("candidates")
+    notify("candidates")
     reach = scaled_reach(problem, *own_inertia(problem, base.fit.vector))
     trace: list[Step] = []
     stages = [first]
@@ -92,12 +92,12 @@ def select(
 
     keep(partial(base))
     while len(base.added) < criteria.most_effects:
-        better = _forward(problem, base, scores, family, reach, criteria, trace, say)
-        better = better or _now_and_then(problem, base, reach, criteria, trace, say)
+        better = _forward(problem, base, scores, family, reach, criteria, trace, notify)
+        better = better or _now_and_then(problem, base, reach, criteria, trace, notify)
         if better is None:  # no law holds out any more: what only describes
             if base is not first:
                 forms = scored(problem, base, reach, False)
-            better = _forward(problem, base, forms, family, reach, criteria, trace, say)
+            better = _forward(problem, base, forms, family, reach, criteria, trace, notify)
         if better is None:
             break
         base = better
@@ -105,7 +105,7 @@ def select(
         keep(partial(base))
         scores = scored(problem, base, reach, True)
     alongside = replace(problem, least=criteria.beside * np.median(held_error(problem, first), 0))
-    final, named = judged(alongside, base, reach, criteria, trace, say)
+    final, named = backward_elimination(alongside, base, reach, criteria, trace, notify)
     before = first
     if final.fit.vector.index().keys() == first.fit.vector.index().keys():
         # by way of what went a fit may end elsewhere
@@ -117,8 +117,8 @@ def select(
 
 
 def _hinted(
-    problem: Problem, base: Model, hint: Hint, criteria: Criteria, trace: list[Step]
-) -> Model | None:
+    problem: TreeProblem, base: FittedTree, hint: Hint, criteria: Criteria, trace: list[Step]
+) -> FittedTree | None:
     """What another witness has found, fitted; None where it does not predict better than the
     base.
     """
@@ -131,7 +131,7 @@ def _hinted(
     return _steady(problem, model, criteria)
 
 
-def _steady(problem: Problem, model: Model, criteria: Criteria) -> Model:
+def _steady(problem: TreeProblem, model: FittedTree, criteria: Criteria) -> FittedTree:
     """Without the joints at which an effect that was put in at many differs between folds by as
     much as it is.
     """
@@ -145,7 +145,9 @@ def _steady(problem: Problem, model: Model, criteria: Criteria) -> Model:
     return trimmed(problem, model, gone, criteria)
 
 
-def declared(problem: Problem, null: Vector, criteria: Criteria, roughly: bool = False) -> Model:
+def declared(
+    problem: TreeProblem, null: Vector, criteria: Criteria, roughly: bool = False
+) -> FittedTree:
     """The declared model fitted; where that leaves far more than noise, also by way of the
     stretches' beginnings, over which a fit has fewer minima: of both the one that predicts better.
     roughly: only as far as another is to be compared with it.
@@ -161,11 +163,11 @@ def declared(problem: Problem, null: Vector, criteria: Criteria, roughly: bool =
 
 
 def select_shorter(
-    problem: Problem,
+    problem: TreeProblem,
     null: Vector,
     criteria: Criteria,
     found: Selection,
-    say: Callable[[str], None] = lambda note: None,
+    notify: Callable[[str], None] = lambda note: None,
 ) -> Selection:
     """A search over the beginnings of the stretches, where one over the whole named nothing and far
     more than noise is left.
@@ -176,7 +178,7 @@ def select_shorter(
     """
     short = beginnings(problem, criteria.beginning)
     near = select(
-        short, null, replace(criteria, beginning=1.0), say
+        short, null, replace(criteria, beginning=1.0), notify
     )  # beginnings have none of their own
     if not near.named:
         return found
@@ -194,8 +196,8 @@ def select_shorter(
 
 
 def _forward(
-    problem, base: Model, scores, family: int, reach, criteria: Criteria, trace, say
-) -> Model | None:
+    problem, base: FittedTree, scores, family: int, reach, criteria: Criteria, trace, notify
+) -> FittedTree | None:
     """The best candidate that gains held out, fitted; None where none does. family: how many
     candidates there are in all.
     """
@@ -218,14 +220,14 @@ def _forward(
     begun = begun[:first] + sorted(begun[first:], key=lambda b: b[3].sum())
     begun = begun[: criteria.tried]
     begun += _begun(problem, base, reach, _larger(problem, scores, [b[0] for b in begun]))
-    best = _best(problem, base, begun, good, criteria, trace, say)
+    best = _best(problem, base, begun, good, criteria, trace, notify)
     if best is None:
         reason = step_reason("score_test", passed=len(hopeful), of=len(scores))
         trace.append(Step("ended", None, None, reason))
     return best
 
 
-def _larger(problem: Problem, scores, tried: list[Score]) -> list[Score]:
+def _larger(problem: TreeProblem, scores, tried: list[CandidateScore]) -> list[CandidateScore]:
     """Of what is not tried what has some of it as a special case at the same joints."""
     done = {(s.candidate.effect, s.candidate.joints) for s in tried}
 
@@ -239,12 +241,14 @@ def _larger(problem: Problem, scores, tried: list[Score]) -> list[Score]:
     ]
 
 
-def _begun(problem, base: Model, reach, scores) -> list[tuple]:
+def _begun(problem, base: FittedTree, reach, scores) -> list[tuple]:
     """(score, vector, starts, loss) of the base with each candidate added, one step on."""
     return parallel_map(lambda score: (score, *attempted(problem, base, reach, score)), scores)
 
 
-def _now_and_then(problem, base: Model, reach, criteria: Criteria, trace, say) -> Model | None:
+def _now_and_then(
+    problem, base: FittedTree, reach, criteria: Criteria, trace, notify
+) -> FittedTree | None:
     """The same of effects that act now and then only (a limit that few torques reach, a stop that
     few motions come to), where all else is explained and a few stretches are far off. Among all
     stretches these have next to no weight, and a score test sees few.
@@ -287,19 +291,21 @@ def _now_and_then(problem, base: Model, reach, criteria: Criteria, trace, say) -
         good,
         criteria,
         trace,
-        say,
+        notify,
     )
 
 
-def _best(problem, base: Model, begun, good, criteria: Criteria, trace, say) -> Model | None:
+def _best(
+    problem, base: FittedTree, begun, good, criteria: Criteria, trace, notify
+) -> FittedTree | None:
     """Of candidates (score, vector, starts, loss), fitted, the best that is good(model, its test
     against the base).
     """
     weights = base.fit.weights
 
-    def fitted(start) -> Model:
+    def fitted(start) -> FittedTree:
         score, vector, starts, _ = start
-        say(f"{score.candidate.effect} at {where(problem, score.candidate)}")
+        notify(f"{score.candidate.effect} at {where(problem, score.candidate)}")
         joints, glance = score.candidate.joints, 2 * criteria.glance
 
         def settle(vector, starts):
@@ -332,7 +338,7 @@ def _best(problem, base: Model, begun, good, criteria: Criteria, trace, say) -> 
     return modelled(problem, (*base.added, acting), again)
 
 
-def _acting(vector: Vector, c: Candidate) -> tuple[Candidate, list[tuple]]:
+def _acting(vector: Vector, c: JointCandidate) -> tuple[JointCandidate, list[tuple]]:
     """A candidate at the joints where it does anything, and the keys of its entries at the
     others.
     """
@@ -343,7 +349,7 @@ def _acting(vector: Vector, c: Candidate) -> tuple[Candidate, list[tuple]]:
     return c.at([e for e in c.entries if e not in still]), [e.key for e in still]
 
 
-def _beats(problem: Problem, model: Model, other: Model, criteria: Criteria) -> bool:
+def _beats(problem: TreeProblem, model: FittedTree, other: FittedTree, criteria: Criteria) -> bool:
     """Whether a model is to be taken instead of another: the one with fewer parameters, unless the
     larger holds out better by `size` for each that it has more.
     """

@@ -8,8 +8,8 @@ from adaptsim_jax.attribution.equation.commands import STUCK
 from adaptsim_jax.attribution.held_out import most_over_floor
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, TILT
-from adaptsim_jax.attribution.problem import Problem
-from adaptsim_jax.attribution.score import Candidate
+from adaptsim_jax.attribution.problem import TreeProblem
+from adaptsim_jax.attribution.score import JointCandidate
 from adaptsim_jax.attribution.select import Selection
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Named
@@ -23,7 +23,7 @@ READ = "Read so; no effect is named for it. model.toml keeps it, for which model
 SOFT = 5.0
 
 
-def place(problem: Problem, c: Candidate) -> str:
+def place(problem: TreeProblem, c: JointCandidate) -> str:
     """Where a candidate acts, in words."""
     if c.effect == TILT:
         return "base"
@@ -33,7 +33,7 @@ def place(problem: Problem, c: Candidate) -> str:
 
 
 def message(
-    problem: Problem,
+    problem: TreeProblem,
     found: Selection,
     before: np.ndarray,
     after: np.ndarray,
@@ -68,7 +68,7 @@ def message(
 
 
 def _found(
-    problem: Problem,
+    problem: TreeProblem,
     found: Selection,
     before: np.ndarray,
     after: np.ndarray,
@@ -116,7 +116,7 @@ def _found(
     return f"{text}. {rest}{many}."
 
 
-def _model(problem: Problem, found: Selection) -> str:
+def _model(problem: TreeProblem, found: Selection) -> str:
     if any(e.owner in (INERTIA, VISCOUS.name) for e in found.final.fit.vector.entries):
         return "The declared model, fitted,"
     read = read_so(problem, found)
@@ -125,7 +125,7 @@ def _model(problem: Problem, found: Selection) -> str:
     return "The model file as it is"
 
 
-def _closest(problem: Problem, found: Selection) -> str:
+def _closest(problem: TreeProblem, found: Selection) -> str:
     """The candidates that a score test favours, where none holds out."""
     near = [
         s
@@ -181,7 +181,9 @@ def standing(machine: Machine) -> list[str]:
     ]
 
 
-def soft_friction(problem: Problem, named: tuple[Named, ...], kind: str, over: float) -> list[str]:
+def soft_friction(
+    problem: TreeProblem, named: tuple[Named, ...], kind: str, over: float
+) -> list[str]:
     """That a simulated log may be the reason why a little more is left, where friction is not
     simulated as soft as the file has it.
     """
@@ -199,7 +201,7 @@ def soft_friction(problem: Problem, named: tuple[Named, ...], kind: str, over: f
     ]
 
 
-def read_so(problem: Problem, found: Selection) -> list[str]:
+def read_so(problem: TreeProblem, found: Selection) -> list[str]:
     """What was fitted as a way in which rows are read, or steps made."""
     read = any(
         s.action == "read" and s.candidate is not None and s.candidate.effect == ARMATURE.name
@@ -228,7 +230,7 @@ def _implicit(found: Selection) -> list[str]:
     ]
 
 
-def _early_commands(problem: Problem, found: Selection) -> list[str]:
+def _early_commands(problem: TreeProblem, found: Selection) -> list[str]:
     """What a delay below zero means, or one within a row."""
     reads = {e.name for e in problem.effects if e.pairs_rows}.__contains__
     vector = found.final.fit.vector
@@ -255,7 +257,7 @@ def _early_commands(problem: Problem, found: Selection) -> list[str]:
     ]
 
 
-def doubts(problem: Problem, found: Selection) -> list[str]:
+def doubts(problem: TreeProblem, found: Selection) -> list[str]:
     out = []
     for s in found.trace:
         if s.action == "dropped" and s.candidate is not None and s.test is not None:

@@ -18,16 +18,16 @@ from adaptsim_jax.attribution.equation.commands import (
     LESS,
     LEVEL,
     MISSED,
+    SIGNIFICANT,
     TIMES,
-    TOLD,
     Servo,
     servos,
 )
 from adaptsim_jax.attribution.forecast import without_a_model
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import Entry, Vector
-from adaptsim_jax.attribution.problem import Problem, own_inertia, prepare, scaled_reach
-from adaptsim_jax.attribution.score import Candidate, entries_of
+from adaptsim_jax.attribution.problem import TreeProblem, own_inertia, prepare, scaled_reach
+from adaptsim_jax.attribution.score import JointCandidate, entries_of
 from adaptsim_jax.effects.joints.actuator import POSITION_GAIN
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.effects.joints.friction import COULOMB, VISCOUS
@@ -58,7 +58,7 @@ def calibrated(machine: Machine, horizon: float) -> tuple[Machine, tuple[Servo, 
     file = {s.joint: -machine.actuator[2, s.joint] * machine.gear[s.joint] ** 2 for s in found}
 
     def distance(s):
-        return s.apart > TOLD and not _near(s.kp / file[s.joint])
+        return s.separation > SIGNIFICANT and not _near(s.kp / file[s.joint])
 
     off = [
         s
@@ -127,8 +127,8 @@ def servo_entries(off: tuple[Servo, ...]) -> list[Entry]:
 
 
 def friction_first(
-    problem: Problem, null: Vector, off: tuple[Servo, ...]
-) -> tuple[Vector, tuple[Candidate, ...]]:
+    problem: TreeProblem, null: Vector, off: tuple[Servo, ...]
+) -> tuple[Vector, tuple[JointCandidate, ...]]:
     """Values and effects from which a search goes on where servos have gains of their own: dry
     friction as the command errors show it, at each of them. Geared servos rub, and without it no
     gain is right.
@@ -139,7 +139,7 @@ def friction_first(
     joints = tuple(s.joint for s in off)
     entries = entries_of(problem, reach, problem.effect(RUBS), joints, False)
     levels = [float(np.clip(s.coulomb, e.low, e.high)) for s, e in zip(off, entries, strict=True)]
-    rubs = Candidate(RUBS, joints, "all" if len(joints) > 1 else "joint", entries)
+    rubs = JointCandidate(RUBS, joints, "all" if len(joints) > 1 else "joint", entries)
     return null.with_entries(entries, levels), (rubs,)
 
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from adaptsim_jax.attribution import drive as drives
 from adaptsim_jax.attribution import stops
-from adaptsim_jax.attribution.acting import Model, Values, bent_at, carried, forces, held_by
+from adaptsim_jax.attribution.acting import ActingModel, Values, bent_at, carried, forces, held_by
 from adaptsim_jax.mechanisms import equations
 
 SWEEPS = 3  # of Gauss and Seidel over the joints
@@ -58,7 +58,7 @@ class Scheme:
         return len(self.giving) > 0
 
 
-class Rows(NamedTuple):
+class DrivenRows(NamedTuple):
     """What drives the rows: u [L, n, W] mean command, t [L, W] s, dt [L, W] s."""
 
     u: Any
@@ -74,7 +74,7 @@ def _implicit(hold, part, v):
     return part * (damping + part * stiffness), -part * stiffness * v
 
 
-class Moving(NamedTuple):
+class SchemeEquations(NamedTuple):
     """Equations of motion in the coordinates of a scheme: forces(x, t), accelerations(x, force,
     inertia) of what friction rubs on, rates(x, force, inertia), answers(x, inertia) `[n, n, .]`,
     speeds(x) of what friction rubs on.
@@ -87,7 +87,7 @@ class Moving(NamedTuple):
     speeds: Any
 
 
-def _rigid(model: Model, values: Values, u) -> Moving:
+def _rigid(model: ActingModel, values: Values, u) -> SchemeEquations:
     """Of states [2n, W]."""
     n = model.tree.n
 
@@ -99,7 +99,7 @@ def _rigid(model: Model, values: Values, u) -> Moving:
     def speeds(x):
         return x[n:]
 
-    return Moving(
+    return SchemeEquations(
         lambda x, t: forces(model, values, x[:n], x[n:], u, t),
         accelerate,
         lambda x, force, inertia: jnp.concatenate([speeds(x), accelerate(x, force, inertia)]),
@@ -108,7 +108,7 @@ def _rigid(model: Model, values: Values, u) -> Moving:
     )
 
 
-def _giving(model: Model, values: Values, u, giving, pushed) -> Moving:
+def _giving(model: ActingModel, values: Values, u, giving, pushed) -> SchemeEquations:
     """Of states [2n + 2G, W] where the drives of the joints `giving` [G] give, under forces
     `pushed` [G, W] on their links besides.
     """
@@ -121,7 +121,7 @@ def _giving(model: Model, values: Values, u, giving, pushed) -> Moving:
     def both(x, force, inertia):
         return drives.accelerations(model, values, drive, parts(x), force, inertia, more)
 
-    return Moving(
+    return SchemeEquations(
         lambda x, t: drives.acting(model, values, drive, parts(x), u, t),
         lambda x, force, inertia: both(x, force, inertia)[0],
         lambda x, force, inertia: drives.rates(drive, giving, parts(x), *both(x, force, inertia)),
@@ -130,7 +130,7 @@ def _giving(model: Model, values: Values, u, giving, pushed) -> Moving:
     )
 
 
-def _held(moving: Moving, model: Model, values: Values, x, t, extra, bent, h, hold):
+def _held(moving: SchemeEquations, model: ActingModel, values: Values, x, t, extra, bent, h, hold):
     """Dry friction [n, W] held over a step of h s, the deflection of bristles by its end, from that
     before, bent [n, W], and the force of the ends of declared ranges [n, W]. hold: stiffness and
     damping that are stepped implicitly, None where none are.
@@ -185,7 +185,7 @@ def _held(moving: Moving, model: Model, values: Values, x, t, extra, bent, h, ho
     return rub, -act.yielding * rub, stop
 
 
-def row_step(model: Model, values: Values, x, u, t, dt, extra, scheme: Scheme):
+def row_step(model: ActingModel, values: Values, x, u, t, dt, extra, scheme: Scheme):
     """State after a row, [2n, W] (2G more where drives give, then n of the deflection of bristles),
     and the mean dry friction over it [n, W]. extra [n, W] N m on the joints, and [G, W] on the
     links whose drives give.
@@ -251,7 +251,7 @@ def row_step(model: Model, values: Values, x, u, t, dt, extra, scheme: Scheme):
     return jax.lax.fori_loop(0, scheme.substeps, substep, (x, jnp.zeros_like(extra)))
 
 
-def command_rows(model: Model, values: Values, stamp, command, past: int, rows: int):
+def command_rows(model: ActingModel, values: Values, stamp, command, past: int, rows: int):
     """The command [L, n, W] as it reaches the joints: effects of the place `command` act on a
     longer piece of it.
     """
@@ -263,7 +263,7 @@ def command_rows(model: Model, values: Values, stamp, command, past: int, rows: 
     return u[past : past + rows]
 
 
-def measure(model: Model, values: Values, time, x, u):
+def measure(model: ActingModel, values: Values, time, x, u):
     """What the sensors say [L+1, 2n, W] of states x [L+1, 2n, W] at time [L+1, W] s under commands
     u [L, n, W].
     """
@@ -291,7 +291,7 @@ class Path(NamedTuple):
 
 
 @jax.jit
-def simulate(model: Model, values: Values, time, stamp, command, x0, scheme: Scheme) -> Path:
+def simulate(model: ActingModel, values: Values, time, stamp, command, x0, scheme: Scheme) -> Path:
     """Stretches from x0 [2n, W], [4n, W] where drives give."""
     drive, begin = _begin(model, values, time, stamp, command, x0, scheme)
     nothing = jnp.zeros_like(x0[: model.tree.n + len(scheme.giving)])
@@ -305,7 +305,7 @@ def simulate(model: Model, values: Values, time, stamp, command, x0, scheme: Sch
 
 
 @jax.jit
-def linearise(model: Model, values: Values, time, stamp, command, x0, scheme: Scheme):
+def linearise(model: ActingModel, values: Values, time, stamp, command, x0, scheme: Scheme):
     """(Path, derivatives of each row's end by its start [L, S, S, W] and by a force held over the
     row [L, S, F, W]).
 
@@ -330,7 +330,7 @@ def linearise(model: Model, values: Values, time, stamp, command, x0, scheme: Sc
     return path, slopes[:, :, :states], slopes[:, :, states:]
 
 
-def _path(model: Model, values: Values, time, states, rub, u, scheme: Scheme) -> Path:
+def _path(model: ActingModel, values: Values, time, states, rub, u, scheme: Scheme) -> Path:
     n, count = model.tree.n, len(scheme.giving)
     x = states[:, : 2 * n]
     ahead = x[:, :0]
@@ -341,11 +341,11 @@ def _path(model: Model, values: Values, time, states, rub, u, scheme: Scheme) ->
     return Path(x, measure(model, values, time, x, u), rub, u, ahead)
 
 
-def _begin(model: Model, values: Values, time, stamp, command, x0, scheme: Scheme):
+def _begin(model: ActingModel, values: Values, time, stamp, command, x0, scheme: Scheme):
     """What drives the rows, and the state that they begin at."""
     rows, n = len(time) - 1, model.tree.n
     u = command_rows(model, values, stamp, command, scheme.past, rows)
-    drive = Rows(u, time[:-1], jnp.diff(time, axis=0))
+    drive = DrivenRows(u, time[:-1], jnp.diff(time, axis=0))
     begin = x0
     if scheme.gives:
         begin = jnp.concatenate([x0[: 2 * n], x0[2 * n + scheme.giving], x0[3 * n + scheme.giving]])
@@ -355,7 +355,7 @@ def _begin(model: Model, values: Values, time, stamp, command, x0, scheme: Schem
 
 
 @partial(jax.jit, static_argnames="past")
-def with_drives(model: Model, values: Values, time, stamp, command, x0, past: int):
+def with_drives(model: ActingModel, values: Values, time, stamp, command, x0, past: int):
     """Starts [4n, W] of stretches that begin at x0 [2n, W] where drives give: at rest in their
     springs.
     """

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptsim_jax.attribution.held_out import Model, held_error
+from adaptsim_jax.attribution.held_out import FittedTree, held_error
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, Entry
-from adaptsim_jax.attribution.problem import Problem
-from adaptsim_jax.attribution.score import Candidate
+from adaptsim_jax.attribution.problem import TreeProblem
+from adaptsim_jax.attribution.score import JointCandidate
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.rules import Evidence
 from adaptsim_jax.diagnosis.testing import Test, attainable, jackknife
@@ -18,13 +18,13 @@ from adaptsim_jax.effects.joints.friction import COULOMB, PRESLIDING, VISCOUS
 
 
 @dataclass(frozen=True)
-class Simulated(Evidence):
+class SimulatedEvidence(Evidence):
     """Evidence of simulated stretches: a model and `less`, the one without a candidate, refitted."""
 
-    problem: Problem
-    model: Model
-    less: Model
-    candidate: Candidate
+    problem: TreeProblem
+    model: FittedTree
+    less: FittedTree
+    candidate: JointCandidate
     test: Test
     steadiness: float
     criteria: Criteria
@@ -43,7 +43,7 @@ class Simulated(Evidence):
         return self.criteria.size * len(self.candidate.entries)
 
     @property
-    def least_steadiness(self) -> float:
+    def min_steadiness(self) -> float:
         return self.criteria.steady
 
     @property
@@ -109,7 +109,7 @@ class Simulated(Evidence):
         return worth(self.problem, self.less, self.model), minimum
 
 
-def worth(problem: Problem, less: Model, model: Model) -> float:
+def worth(problem: TreeProblem, less: FittedTree, model: FittedTree) -> float:
     """Share of the squared held-out error of one joint's angles that a model takes off another's,
     at the joint where it is most: of the median stretch or of the ninth decile. An error within the
     noise floor counts as the floor, and so does one that is next to nothing beside what the
@@ -122,7 +122,7 @@ def worth(problem: Problem, less: Model, model: Model) -> float:
     return float(np.max((before - after) / np.maximum(before, floor)))
 
 
-def eased(problem: Problem, less: Model, model: Model) -> float:
+def eased(problem: TreeProblem, less: FittedTree, model: FittedTree) -> float:
     """Share of the held-out error of the angles that a model takes off another's, geometric mean
     over joints: of the median stretch, or of the ninth decile where it is more (an effect that acts
     now and then).
@@ -135,7 +135,9 @@ def eased(problem: Problem, less: Model, model: Model) -> float:
     )
 
 
-def between_rows(problem: Problem, model: Model, c: Candidate, criteria: Criteria) -> bool:
+def between_rows(
+    problem: TreeProblem, model: FittedTree, c: JointCandidate, criteria: Criteria
+) -> bool:
     """Whether it is how commands are read: at all driven joints they act early, by no more than
     those of a controller that is faster than its log (half of the difference of both intervals), or
     late by less than the log resolves; or, where no `damping_step` is fitted, rotors differ by what
@@ -158,7 +160,7 @@ def between_rows(problem: Problem, model: Model, c: Candidate, criteria: Criteri
 
 
 def in_step(
-    problem: Problem, entries: Sequence[Entry], values: np.ndarray, criteria: Criteria
+    problem: TreeProblem, entries: Sequence[Entry], values: np.ndarray, criteria: Criteria
 ) -> bool:
     """Whether all rotors that are fitted, of two joints or more, differ from the file's by less
     than their damping times the shift in time that the log resolves: damping that acts that much
@@ -178,12 +180,12 @@ def in_step(
     return len(rotors) > 1 and all(heavier < shift * damps for heavier, damps in rotors)
 
 
-def steadiness(model: Model, c: Candidate) -> float:
+def steadiness(model: FittedTree, c: JointCandidate) -> float:
     """An effect's amplitude over its scatter between folds: the largest of its amplitudes'."""
     return float(np.max(steady_each(model, c)))
 
 
-def steady_each(model: Model, c: Candidate) -> np.ndarray:
+def steady_each(model: FittedTree, c: JointCandidate) -> np.ndarray:
     """The amplitudes of an effect [K] over their scatter between folds (jackknife, all other values
     held).
 

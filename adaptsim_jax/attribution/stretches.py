@@ -18,11 +18,11 @@ PAST, FUTURE = (
     0.25,
     0.06,
 )  # s of command before and after a stretch, for effects that move or filter it
-LEAST_ROWS = 8
+MIN_ROWS = 8
 
 
 @dataclass(frozen=True)
-class Track:
+class JointTrack:
     """One recorded trial of `n` joints: time [T] s, q [T, n] rad or m (NaN: missing), v [T, n] or
     None, u [T, n] (torque in N m, or what the joint's actuator was told), group: trials of one kind
     (a payload, a zero).
@@ -37,7 +37,7 @@ class Track:
 
 
 @dataclass(frozen=True)
-class Stretches:
+class JointStretches:
     """W stretches of L rows. trial [W]; time [L+1, W] s since the trial began; q, v [L+1, n, W] as
     measured, with `seen` and `seen_v` 1 or 0; start [2n, W] smoothed state; command [H+L+F, n, W]
     with `stamp` [H+L+F, W] s; past H rows.
@@ -67,19 +67,19 @@ class Stretches:
     def count(self) -> int:
         return len(self.trial)
 
-    def pick(self, keep: np.ndarray) -> "Stretches":
+    def pick(self, keep: np.ndarray) -> "JointStretches":
         """Those stretches alone."""
         lanes = {
             k: getattr(self, k)[..., keep]
             for k in ("trial", "time", "q", "v", "seen", "seen_v", "start", "stamp", "command")
         }
-        return Stretches(**lanes, past=self.past, names=self.names)
+        return JointStretches(**lanes, past=self.past, names=self.names)
 
-    def of(self, joints: Sequence[int]) -> "Stretches":
+    def of(self, joints: Sequence[int]) -> "JointStretches":
         """The same stretches of some joints alone."""
         j = list(joints)
         n = self.joints
-        return Stretches(
+        return JointStretches(
             self.trial,
             self.time,
             self.q[:, j],
@@ -95,8 +95,8 @@ class Stretches:
 
 
 def cut(
-    tracks: Sequence[Track], horizon: float = 0.5, most: int = 10_000, row: float = ROW
-) -> Stretches:
+    tracks: Sequence[JointTrack], horizon: float = 0.5, most: int = 10_000, row: float = ROW
+) -> JointStretches:
     """Stretches of `horizon` s of all tracks, side by side; none over a gap in time. At most about
     `most`, evenly spread.
 
@@ -106,7 +106,7 @@ def cut(
     for k, track in enumerate(tracks):
         dt = float(np.median(np.diff(track.time)))
         stride = max(1, round(row / dt))
-        rows = max(LEAST_ROWS, round(horizon / (stride * dt)))
+        rows = max(MIN_ROWS, round(horizon / (stride * dt)))
         length, width = max(length, rows), max(width, stride * dt)
         pieces.append((k, stride, rows, _whole(track, stride, rows, dt)))
     total = sum(len(begins) for *_, begins in pieces)
@@ -135,12 +135,12 @@ def cut(
         return np.stack([lane[key] for lane in lanes], -1)
 
     keys = ("trial", "time", "q", "v", "seen", "seen_v", "start", "stamp", "command")
-    return Stretches(
+    return JointStretches(
         **{key: stack(key) for key in keys}, past=past, names=tuple(t.name for t in tracks)
     )
 
 
-def _whole(track: Track, stride: int, rows: int, dt: float) -> list[int]:
+def _whole(track: JointTrack, stride: int, rows: int, dt: float) -> list[int]:
     """First samples of consecutive stretches without a gap in time, in which at least half of the
     angles were read.
     """
@@ -159,7 +159,7 @@ def _whole(track: Track, stride: int, rows: int, dt: float) -> list[int]:
     return begins
 
 
-def without_first_rows(stretches: Stretches, span: float) -> Stretches:
+def without_first_rows(stretches: JointStretches, span: float) -> JointStretches:
     """The same with the readings of the first `span` s unseen, where rows are short enough: a late
     sensor tells there of what came before the start, which is not simulated.
     """
@@ -179,7 +179,7 @@ def _integral(time: np.ndarray, u: np.ndarray) -> np.ndarray:
 
 def _lane(
     k,
-    track: Track,
+    track: JointTrack,
     motion,
     integral,
     begin: int,

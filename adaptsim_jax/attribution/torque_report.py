@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.attribution.equation.balance import Balance, residual
-from adaptsim_jax.attribution.equation.models import Said
+from adaptsim_jax.attribution.equation.models import TorqueSearch
 from adaptsim_jax.attribution.equation.windows import GRID, SPAN
 from adaptsim_jax.attribution.parameters import INERTIA, Vector
-from adaptsim_jax.attribution.problem import Problem, moving
+from adaptsim_jax.attribution.problem import TreeProblem, moving
 from adaptsim_jax.attribution.sentences import place
 from adaptsim_jax.attribution.yardsticks import Measure, needed
 from adaptsim_jax.diagnosis.criteria import Criteria
@@ -20,21 +20,21 @@ from adaptsim_jax.logs.noise import difference_noise
 
 MOST_ROWS = 1500  # of a curve of the page
 # times, by which a body of a fit may differ from the file's before that is a finding of its own
-FAR = 3.0
+MOVED = 3.0
 
 
-def held_missing(found: Said) -> tuple[dict[int, np.ndarray], dict[int, np.ndarray]]:
+def held_missing(found: TorqueSearch) -> tuple[dict[int, np.ndarray], dict[int, np.ndarray]]:
     """What is missing of the torque in windows that were left out [K, n], by balance: of the
     declared model, fitted, and of the final.
     """
     out: tuple[dict[int, np.ndarray], dict[int, np.ndarray]] = ({}, {})
-    for k, w in enumerate(found.witnesses):
+    for k, w in enumerate(found.searches):
         for shares, solved in zip(out, (w.base, w.whole), strict=True):
             shares[k] = solved.left_out(w.rows)
     return out
 
 
-def floor_of(problem: Problem, balances: Sequence[Balance]) -> np.ndarray:
+def floor_of(problem: TreeProblem, balances: Sequence[Balance]) -> np.ndarray:
     """Noise of the torques in a window [n]: of what is told, by third differences; at least a
     thousandth of it.
     """
@@ -47,16 +47,16 @@ def floor_of(problem: Problem, balances: Sequence[Balance]) -> np.ndarray:
     return out
 
 
-def judged_by_torque(
+def report_torque(
     report: dict[str, Any],
-    problem: Problem,
-    found: Said,
+    problem: TreeProblem,
+    found: TorqueSearch,
     before: Measure,
     after: Measure,
     criteria: Criteria,
 ) -> None:
     """Put errors, verdict, message and remains in terms of torques into a report, in place."""
-    balances = [w.balance for w in found.witnesses]
+    balances = [w.balance for w in found.searches]
     floor = floor_of(problem, balances)
     over = float(np.median(after.error / np.maximum(floor, 1e-12)))
     # below a share of the torque nothing would be named
@@ -87,7 +87,7 @@ def _pooled(m: Measure) -> float:
 
 
 def _error(
-    problem: Problem, found: Said, before: Measure, after: Measure, floor: np.ndarray
+    problem: TreeProblem, found: TorqueSearch, before: Measure, after: Measure, floor: np.ndarray
 ) -> dict[str, Any]:
     def pair(a, b):
         return {"before": float(a), "after": float(b) if found.added else None}
@@ -119,23 +119,23 @@ def _error(
     }
 
 
-def _trials(found: Said) -> list[tuple[int, str]]:
-    if not found.witnesses:
+def _trials(found: TorqueSearch) -> list[tuple[int, str]]:
+    if not found.searches:
         return []
-    b = found.witnesses[0].balance
+    b = found.searches[0].balance
     return [(int(t), b.names[int(t)]) for t in np.unique(b.trial)]
 
 
-def _share(found: Said, trial: int, which: int, base: np.ndarray) -> float:
+def _share(found: TorqueSearch, trial: int, which: int, base: np.ndarray) -> float:
     shares = []
     for k, left in held_missing(found)[which].items():
-        b = found.witnesses[k].balance
+        b = found.searches[k].balance
         own = np.sqrt(np.mean(np.square(left[b.trial == trial]), 0))
         shares += list(own / base[list(b.group.joints)])
     return float(np.mean(shares))
 
 
-def message(problem: Problem, found: Said, before: Measure, after: Measure) -> str:
+def message(problem: TreeProblem, found: TorqueSearch, before: Measure, after: Measure) -> str:
     """What was found, in a few sentences."""
 
     def share(m):
@@ -158,10 +158,10 @@ def message(problem: Problem, found: Said, before: Measure, after: Measure) -> s
     )
 
 
-def unnamed_notes(problem: Problem, found: Said) -> list[str]:
+def unnamed_notes(problem: TreeProblem, found: TorqueSearch) -> list[str]:
     """What is fitted, since it predicts, and has no name, by effect and reason."""
     by: dict[tuple[str, str], list[str]] = {}
-    for w in found.witnesses:
+    for w in found.searches:
         for c, why in w.unnamed:
             if c in w.added:
                 by.setdefault((c.effect, why), []).append(place(problem, c))
@@ -171,12 +171,12 @@ def unnamed_notes(problem: Problem, found: Said) -> list[str]:
     ]
 
 
-def bound_notes(problem: Problem, found: Said) -> list[str]:
+def bound_notes(problem: TreeProblem, found: TorqueSearch) -> list[str]:
     """Bodies whose fit ends where a body of the file's kind ends: what would explain it."""
     at = sorted(
         {
             problem.joint_names[e.joints[0]]
-            for w in found.witnesses
+            for w in found.searches
             for e, z in zip(w.final.entries, w.final.values, strict=True)
             if e.owner == INERTIA and abs(z) > 0.98 * e.high
         }
@@ -184,19 +184,21 @@ def bound_notes(problem: Problem, found: Said) -> list[str]:
     if not at:
         return []
     return [
-        f"The fit of the bodies moved by {', '.join(at)} ends at {FAR:g} times (or a third of) "
+        f"The fit of the bodies moved by {', '.join(at)} ends at {MOVED:g} times (or a third of) "
         "what the model file says, and is held there: a rotor, a gain of the torques, a payload "
         "or friction that is not in the catalogue would explain it; `[fit] factor` in meta.toml "
         "widens it."
     ]
 
 
-def curves(problem: Problem, found: Said, final: Vector) -> dict[str, list[dict[str, Any]]]:
+def curves(
+    problem: TreeProblem, found: TorqueSearch, final: Vector
+) -> dict[str, list[dict[str, Any]]]:
     """Of the page: torque measured and modelled over time by joint, and friction against speed, of
     a final vector.
     """
     over_time, friction = [], []
-    for w in found.witnesses:
+    for w in found.searches:
         b = w.balance
         torques = needed(problem, b)
         left = [residual(problem, b, v) for v in (Vector((), np.zeros(0)), final)]

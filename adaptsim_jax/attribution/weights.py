@@ -10,7 +10,7 @@ import numpy as np
 
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.paths import residuals
-from adaptsim_jax.attribution.problem import Group, Problem
+from adaptsim_jax.attribution.problem import Group, TreeProblem
 from adaptsim_jax.attribution.simulate import Path
 
 SAMPLES = 48  # of a stretch that enter the sums, evenly spread
@@ -26,7 +26,7 @@ class Weights:
 
 
 @dataclass(frozen=True)
-class Fit:
+class TreeFit:
     """A model fitted: its vector, starts by group [2n, W] (see `simulate`), weights, loss by
     stretch [W], and how it ended.
     """
@@ -72,7 +72,7 @@ class Counted(NamedTuple):
         return self.weigh(self.pick(z))
 
 
-def counted(problem: Problem, group: Group, weights: Weights) -> Counted:
+def counted(problem: TreeProblem, group: Group, weights: Weights) -> Counted:
     s, at = group.stretches, picked(problem)
     mask = np.concatenate([s.seen, s.seen_v], 1).transpose(2, 0, 1)[:, at]
     weight = _own(weights, group, problem.joints) * np.sqrt(weights.stretch)[:, None, None] * mask
@@ -80,12 +80,12 @@ def counted(problem: Problem, group: Group, weights: Weights) -> Counted:
     return Counted(at, channels, weight[..., channels])
 
 
-def losses(problem: Problem, paths: Sequence[Path], weights: Weights) -> np.ndarray:
+def losses(problem: TreeProblem, paths: Sequence[Path], weights: Weights) -> np.ndarray:
     """Half the weighted sum of squares of each stretch [W], over the samples that count."""
     return np.sum(group_losses(problem, paths, weights), 0)
 
 
-def group_losses(problem: Problem, paths: Sequence[Path], weights: Weights) -> list[np.ndarray]:
+def group_losses(problem: TreeProblem, paths: Sequence[Path], weights: Weights) -> list[np.ndarray]:
     """The same of each group of joints by itself, [W] each."""
     out = []
     for group, path in zip(problem.groups, paths, strict=True):
@@ -94,13 +94,13 @@ def group_losses(problem: Problem, paths: Sequence[Path], weights: Weights) -> l
     return out
 
 
-def picked(problem: Problem) -> np.ndarray:
+def picked(problem: TreeProblem) -> np.ndarray:
     """Rows of a stretch that enter the sums."""
     rows = problem.groups[0].stretches.rows
     return np.unique(np.linspace(0, rows, min(SAMPLES, rows + 1)).round().astype(int))
 
 
-def weigh(problem: Problem, paths: Sequence[Path]) -> Weights:
+def weigh(problem: TreeProblem, paths: Sequence[Path]) -> Weights:
     """Weights from the residuals themselves, by medians over stretches, so that none that ran away
     decides.
     """

@@ -20,8 +20,8 @@ from adaptsim_jax.attribution.equation.balance import NOTHING, Balance, actuator
 from adaptsim_jax.attribution.equation.windows import SPAN
 from adaptsim_jax.attribution.forecast import without_a_model
 from adaptsim_jax.attribution.parameters import Vector
-from adaptsim_jax.attribution.problem import Problem, values_of
-from adaptsim_jax.diagnosis.criteria import TELLS
+from adaptsim_jax.attribution.problem import TreeProblem, values_of
+from adaptsim_jax.diagnosis.criteria import USEFUL_SKILL
 
 STRETCHES, WHOLE, TORQUE = "stretches", "whole", "torque"
 NAMES = (STRETCHES, WHOLE, TORQUE)
@@ -56,7 +56,7 @@ class Measure:
             return float(np.mean(np.maximum(some, -1.0)))
         return float("nan")
 
-    def told(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Any]:
         """For a report or a program: by joint, and over all of them."""
         if self.name != TORQUE:
             words = ("error", "straight_line", "hold_still")
@@ -84,7 +84,7 @@ class Measure:
         }
 
 
-def of_simulation(problem: Problem, error: np.ndarray, name: str, span: float) -> Measure:
+def of_simulation(problem: TreeProblem, error: np.ndarray, name: str, span: float) -> Measure:
     """Of simulated stretches or trials, medians over them of error [W, n]."""
     line, still = without_a_model(problem)
 
@@ -98,7 +98,7 @@ def of_simulation(problem: Problem, error: np.ndarray, name: str, span: float) -
 
 
 def of_torque(
-    problem: Problem,
+    problem: TreeProblem,
     balances: Sequence[Balance],
     vector: Vector,
     missing: Mapping[int, np.ndarray] | None = None,
@@ -130,7 +130,7 @@ def of_torque(
     return Measure(TORQUE, SPAN, error, line, still, problem.joint_names, units)
 
 
-def needed(problem: Problem, balance: Balance) -> np.ndarray:
+def needed(problem: TreeProblem, balance: Balance) -> np.ndarray:
     """Torque [K, n] that a model has to tell: what actuators were told; of joints without one, what
     the declared bodies' motion takes.
     """
@@ -158,13 +158,13 @@ def headline(
             return f"{100 * skill[k]:.0f} % better than a straight line"
         return "no better than a straight line"
 
-    if follows and min(skill.get(TORQUE, -1.0), skill.get(STRETCHES, -1.0)) >= TELLS:
+    if follows and min(skill.get(TORQUE, -1.0), skill.get(STRETCHES, -1.0)) >= USEFUL_SKILL:
         return (
             TORQUE,
             "it follows commands, and of the torque that its command errors come to the model "
             f"tells {100 * skill[TORQUE]:.0f} %",
         )
-    if skill.get(STRETCHES, -1.0) >= TELLS:
+    if skill.get(STRETCHES, -1.0) >= USEFUL_SKILL:
         return STRETCHES, f"over stretches the declared model, fitted, is {words(STRETCHES)}"
     if follows and WHOLE in skill:
         return (

@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
         args.yardstick, ("stretches", args.yardstick)
     )
     found = replay_files(args.model, args.data, args.horizon, asked, args.simulator)
-    answer = {"model": args.model, "data": args.data, **found.told()}
+    answer = {"model": args.model, "data": args.data, **found.as_dict()}
     if args.out is not None:
         from adaptsim_jax.report.diagnosis_figures import save_replay
 
@@ -119,7 +119,7 @@ def _fit(args: argparse.Namespace) -> int:
     answer = {
         "model": args.model,
         "data": args.data,
-        "fitted": found.told(),
+        "fitted": found.as_dict(),
         "before": found.before,
         "after": found.after,
         "code": found.code,

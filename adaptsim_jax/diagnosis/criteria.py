@@ -6,7 +6,7 @@ import numpy as np
 
 # skill against what needs no model, from which on a model tells one thing from another, and is
 # worth using
-TELLS = 0.35
+USEFUL_SKILL = 0.35
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,10 @@ from adaptsim_jax.diagnosis.problem import Problem
 from adaptsim_jax.diagnosis.simulator import Simulator, linearise
 from adaptsim_jax.diagnosis.starts import settle, taken_up, without
 
-TELLING = 3.0  # noises, over a whole stretch, from which on a difference is seen
+VISIBLE = 3.0  # noises, over a whole stretch, from which on a difference is seen
 
 
-def telling(
+def discriminating(
     simulator: Simulator, problem: Problem, found: Finding, proposals: Mapping[str, Simulator]
 ) -> dict[str, Any] | None:
     """Where a named effect has a look-alike: which of the proposals parts the two most, or which
@@ -38,7 +38,7 @@ def telling(
                 where = f"motions like those of trial {trial}"
             pair = f"{n.candidate.name} and {rival.name}"
             text = f"{pair} differ most in {where}: by {size:.2g} times the noise over a stretch."
-            if size < TELLING:
+            if size < VISIBLE:
                 text += " That is hardly seen: another kind of experiment is needed."
             return {
                 "message": text,

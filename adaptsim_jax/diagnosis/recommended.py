@@ -21,7 +21,7 @@ RUN_AWAY = 1.0  # rad (m): of an error, from which on its size means nothing
 
 
 @dataclass(frozen=True)
-class Simulated:
+class FileReplay:
     """A file over a recording: error [W, n] rad or m by stretch and joint, and nothing [W, n]: what
     is left without a model.
     """
@@ -33,7 +33,7 @@ class Simulated:
 
 
 def worse_joints(
-    run: Callable[[Path | None, float], Simulated],
+    run: Callable[[Path | None, float], FileReplay],
     files: Sequence[Path],
     spans: Mapping[str, float],
 ) -> dict[str, list[dict[str, Any]]]:
@@ -60,7 +60,7 @@ def worse_joints(
     return out
 
 
-def _worse(before: Simulated, after: Simulated) -> list[dict[str, Any]]:
+def _worse(before: FileReplay, after: FileReplay) -> list[dict[str, Any]]:
     def size(error):
         return np.sqrt(np.mean(np.square(np.minimum(error, RUN_AWAY)), 0))
 

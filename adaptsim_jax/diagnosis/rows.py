@@ -17,11 +17,13 @@ from adaptsim_jax.effects.base import NINETY
 
 LOGS = {"log_e": ("e", "Pa")}
 DRAWS = 400  # of trials, for the interval of an error
-APART = 4.0  # times the median error of all trials: those beyond it, where they are few, are told
+OUTLYING = (
+    4.0  # times the median error of all trials: those beyond it, where they are few, are told
+)
 
 
 @dataclass(frozen=True)
-class Seen:
+class Recorded:
     """What was recorded of T trials of at most R rows, C coordinates each.
 
     trial, trials: as messages call them. names `[T]`; time, mask `[T, R]`; places `[T, R, C]` m, of
@@ -112,36 +114,38 @@ def named_words(named: Sequence[Named], what: str) -> str:
     return f"{text[:1].upper()}{text[1:]}."
 
 
-def message(seen: Seen, found: Finding, over: float, worst: float) -> str:
+def message(recorded: Recorded, found: Finding, over: float, worst: float) -> str:
     """What was found, in a few sentences."""
 
     def size(m):
-        return f"{1e3 * seen.noise * over_floor(m):.3g}"
+        return f"{1e3 * recorded.noise * over_floor(m):.3g}"
 
     if not found.named:
         left = f"{size(found.null)} mm, {over:.1f} times the noise floor"
-        text = f"The declared {seen.trial}, fitted, predicts left-out tracks to {left}."
+        text = f"The declared {recorded.trial}, fitted, predicts left-out tracks to {left}."
         if worst <= 1.5:
             return f"{text} Nothing need be added."
-        return f"{text} No effect of the catalogue holds out.{_standing_out(seen, found.null)}"
+        return f"{text} No effect of the catalogue holds out.{_standing_out(recorded, found.null)}"
     left = f"Left-out error {size(found.null)} to {size(found.final)} mm, {over:.1f} times the noise floor."
     if worst > 1.5 >= over:
         left += (
-            f" Some {seen.trials} are not followed: all together the fit leaves {worst:.1f} times "
+            f" Some {recorded.trials} are not followed: all together the fit leaves {worst:.1f} times "
             "the noise floor."
         )
-    return f"{named_words(found.named, seen.trials)} {left}{_standing_out(seen, found.final)}"
+    return (
+        f"{named_words(found.named, recorded.trials)} {left}{_standing_out(recorded, found.final)}"
+    )
 
 
-def _standing_out(seen: Seen, model: Model) -> str:
+def _standing_out(recorded: Recorded, model: Model) -> str:
     """A sentence on a few trials that are predicted far worse than the others."""
     error = np.sqrt(model.fit.held)
-    outliers = np.flatnonzero(error > APART * np.median(error))
+    outliers = np.flatnonzero(error > OUTLYING * np.median(error))
     if not 0 < len(outliers) <= len(error) / 4:
         return ""
-    names, times = [seen.names[k] for k in outliers], np.max(error[outliers]) / np.median(error)
+    names, times = [recorded.names[k] for k in outliers], np.max(error[outliers]) / np.median(error)
     one = len(outliers) == 1
-    which = f"{(seen.trial if one else seen.trials).capitalize()} {', '.join(names)} {'stands' if one else 'stand'} out"
+    which = f"{(recorded.trial if one else recorded.trials).capitalize()} {', '.join(names)} {'stands' if one else 'stand'} out"
     asked = "is its track right?" if one else "are their tracks right?"
     return (
         f" {which} with up to {times:.0f} times the error of the others: {asked} --without "
@@ -265,25 +269,29 @@ def error_rows(
     }
 
 
-def error_table(seen: Seen, found: Finding, tracks: Mapping[str, np.ndarray]) -> dict[str, Any]:
+def error_table(
+    recorded: Recorded, found: Finding, tracks: Mapping[str, np.ndarray]
+) -> dict[str, Any]:
     """Left-out errors before and after, by channel and by trial; tracks: `before` and `after` `[T,
     R, C]` m, of left-out trials.
     """
     held = {"before": found.null.fit.held, "after": found.final.fit.held}
-    size = {k: seen.noise * np.sqrt(v) for k, v in held.items()}
+    size = {k: recorded.noise * np.sqrt(v) for k, v in held.items()}
 
     def one(k, c):
         return np.sqrt(
-            (np.square(tracks[k][..., c] - seen.places[..., c]) * seen.rows[..., c]).sum(1)
-            / np.maximum(seen.rows[..., c].sum(1), 1)
+            (np.square(tracks[k][..., c] - recorded.places[..., c]) * recorded.rows[..., c]).sum(1)
+            / np.maximum(recorded.rows[..., c].sum(1), 1)
         )
 
-    units = {n: ("m", seen.noise) for n in seen.channels} | dict(seen.others)
-    channels = {n: (*units[n], {k: one(k, c) for k in held}) for c, n in enumerate(seen.channels)}
-    metric = f"median over left-out {seen.trials} of the RMS error of a coordinate of the track"
-    if seen.others:
-        metric += f", {', '.join(seen.others)} by its noise for a length's"
-    return error_rows(metric, seen.noise, seen.noise_source, seen.names, size, channels)
+    units = {n: ("m", recorded.noise) for n in recorded.channels} | dict(recorded.others)
+    channels = {
+        n: (*units[n], {k: one(k, c) for k in held}) for c, n in enumerate(recorded.channels)
+    }
+    metric = f"median over left-out {recorded.trials} of the RMS error of a coordinate of the track"
+    if recorded.others:
+        metric += f", {', '.join(recorded.others)} by its noise for a length's"
+    return error_rows(metric, recorded.noise, recorded.noise_source, recorded.names, size, channels)
 
 
 def candidate_rows(found: Finding, alpha: float = Criteria.alpha) -> list[dict[str, Any]]:
@@ -339,22 +347,24 @@ def declared_rows(
     return out
 
 
-def held_out(seen: Seen, tracks: Mapping[str, np.ndarray], mended: bool) -> list[dict[str, Any]]:
+def held_out(
+    recorded: Recorded, tracks: Mapping[str, np.ndarray], mended: bool
+) -> list[dict[str, Any]]:
     """Each trial over time, measured and simulated while left out, for the page."""
     out = []
-    for i, name in enumerate(seen.names):
-        k = seen.mask[i] > 0
+    for i, name in enumerate(recorded.names):
+        k = recorded.mask[i] > 0
 
         def channels(z, i=i, k=k):
-            return {n: z[i][k, c] for c, n in enumerate(seen.channels)}
+            return {n: z[i][k, c] for c, n in enumerate(recorded.channels)}
 
         out.append(
             {
                 "trial": name,
                 "unit": "m",
-                "units": {n: unit for n, (unit, _) in seen.others.items()},
-                "time": seen.time[i][k],
-                "measured": channels(seen.places),
+                "units": {n: unit for n, (unit, _) in recorded.others.items()},
+                "time": recorded.time[i][k],
+                "measured": channels(recorded.places),
                 "before": channels(tracks["before"]),
                 "after": channels(tracks["after"]) if mended else None,
             }
@@ -363,15 +373,18 @@ def held_out(seen: Seen, tracks: Mapping[str, np.ndarray], mended: bool) -> list
 
 
 def plane_tracks(
-    seen: Seen, tracks: Mapping[str, np.ndarray], mended: bool, axes: tuple[int, int] = (0, 1)
+    recorded: Recorded,
+    tracks: Mapping[str, np.ndarray],
+    mended: bool,
+    axes: tuple[int, int] = (0, 1),
 ) -> dict[str, Any]:
     """Tracks `[n, 2]` m of all trials in a plane of two coordinates, for the page."""
 
     def cut(z):
-        return [z[i][seen.mask[i] > 0][:, list(axes)] for i in range(len(seen.names))]
+        return [z[i][recorded.mask[i] > 0][:, list(axes)] for i in range(len(recorded.names))]
 
     return {
-        "measured": cut(seen.places),
+        "measured": cut(recorded.places),
         "before": cut(tracks["before"]),
         "after": cut(tracks["after"]) if mended else None,
     }

@@ -39,7 +39,7 @@ class Evidence:
     gain: float
     price: float
     steadiness: float
-    least_steadiness: float
+    min_steadiness: float
     units = "trials"
     loss = "squared error"
 
@@ -157,7 +157,7 @@ def others_missed_more(e: Evidence) -> float | None:
 @rule(NAME, "its size differs between {e.units}: {n:.1f} times its scatter")
 def unsteady(e: Evidence) -> float | None:
     """Its size is not many times its scatter between folds (jackknife)."""
-    if e.steadiness < e.least_steadiness:
+    if e.steadiness < e.min_steadiness:
         return e.steadiness
     return None
 

@@ -22,7 +22,7 @@ class Run(NamedTuple):
     began: float
     seed: int = 0
 
-    def told(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Any]:
         """`report["run"]`, at its end."""
         return {
             "version": adaptsim_jax.__version__,

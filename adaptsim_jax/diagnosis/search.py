@@ -28,13 +28,13 @@ from adaptsim_jax.diagnosis.testing import Test, attainable
 CLOSE = 1.5  # of the named model's loss, up to which a look-alike is fitted to the end
 LIKELY = 0.1  # of what a name takes off, which one step of a look-alike must take off in its place
 
-Say = Callable[[str], None]
+Progress = Callable[[str], None]
 
 
 def search(
     problem: Problem,
     criteria: Criteria,
-    say: Say = lambda note: None,
+    notify: Progress = lambda note: None,
     alike: bool = True,
     keep: Callable[[Finding], None] = lambda found: None,
 ) -> Finding:
@@ -43,11 +43,11 @@ def search(
     Args:
         problem: residuals and columns of what is diagnosed.
         criteria: what counts as an effect.
-        say: told what is tried.
+        notify: told what is tried.
         alike: whether look-alikes of what is named are sought.
         keep: told of what is found, as it goes.
     """
-    say("declared model")
+    notify("declared model")
     model = null = declared(problem, criteria)
     opening = scores = scored(problem, model)
     trace: list[Step] = []
@@ -57,16 +57,16 @@ def search(
 
     keep(partial(null, model))
     while len(model.added) < criteria.most_effects and not within_noise(problem, model, criteria):
-        better = forward_step(problem, model, scores, criteria, trace, say)
+        better = forward_step(problem, model, scores, criteria, trace, notify)
         if better is None:
             break
         model, null = _refitted(problem, better, criteria), _updated(problem, null)
         keep(partial(null, model))
         scores = scored(problem, model)
-    model, rows, bare = backward_elimination(problem, model, criteria, trace, say)
+    model, rows, bare = backward_elimination(problem, model, criteria, trace, notify)
     # a declared fit reached by way of an effect may lie in a better minimum than the first
     null = min((null, *bare), key=lambda m: m.fit.loss)
-    named = tuple(_named(e, look_alikes(e, say) if alike else []) for e in rows)
+    named = tuple(_named(e, look_alikes(e, notify) if alike else []) for e in rows)
     if named:
         model, null = _refitted(problem, model, criteria), _updated(problem, null)
     return Finding(null, model, named, tuple(trace), tuple(opening))
@@ -88,7 +88,7 @@ def forward_step(
     scores: list[Score],
     criteria: Criteria,
     trace: list[Step],
-    say: Say,
+    notify: Progress,
 ) -> Model | None:
     """The best model with one candidate more that predicts left-out trials better; None where none
     does. Of those whose score test passes some are fitted at a glance, and the best to the end.
@@ -97,7 +97,7 @@ def forward_step(
     passing = [s for s in scores if s.p * family < criteria.alpha]
     glances = []
     for s in sorted(passing, key=lambda s: -s.gain)[: criteria.tried]:
-        say(s.candidate.name.replace("_", " "))
+        notify(s.candidate.name.replace("_", " "))
         values, loss = added(problem, base, s, criteria.glance)
         glances.append((loss, values, s.candidate))
     glances.sort(key=lambda g: g[0])
@@ -128,7 +128,7 @@ def _forward_refusal(test: Test, criteria: Criteria) -> Reason | None:
 
 
 def backward_elimination(
-    problem: Problem, model: Model, criteria: Criteria, trace: list[Step], say: Say
+    problem: Problem, model: Model, criteria: Criteria, trace: list[Step], notify: Progress
 ) -> tuple[Model, list["LeftOut"], list[Model]]:
     """Effects that do not hold out beside all others go, the weakest first.
 
@@ -139,7 +139,7 @@ def backward_elimination(
     while True:
         rows = []
         for c in model.added:
-            say(f"without {c.name.replace('_', ' ')}")
+            notify(f"without {c.name.replace('_', ' ')}")
             less = without(problem, model, c, 2 * criteria.rounds)
             rows.append(evidence(problem, model, less, c, criteria))
         bare += [e.less for e in rows if not e.less.added]
@@ -157,11 +157,11 @@ def backward_elimination(
         model = weakest.less
 
 
-def look_alikes(e: "LeftOut", say: Say) -> list[tuple[Candidate, Model]]:
+def look_alikes(e: "LeftOut", notify: Progress) -> list[tuple[Candidate, Model]]:
     """Effects that do as well in the place of one, each with its model."""
     problem, criteria, found = e.problem, e.criteria, []
     for s in likely(problem, e.model, e.less, e.candidate):
-        say(f"{s.candidate.name.replace('_', ' ')} in its place")
+        notify(f"{s.candidate.name.replace('_', ' ')} in its place")
         values, loss = added(problem, e.less, s, 2 * criteria.glance)
         if loss > CLOSE * e.model.fit.loss:
             continue
@@ -214,7 +214,7 @@ class LeftOut(Evidence):
         return self.criteria.size
 
     @property
-    def least_steadiness(self) -> float:
+    def min_steadiness(self) -> float:
         return self.criteria.steady
 
     @property

@@ -13,7 +13,7 @@ import numpy as np
 from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.diagnosis import rows
 from adaptsim_jax.diagnosis.criteria import Criteria
-from adaptsim_jax.diagnosis.experiment import telling
+from adaptsim_jax.diagnosis.experiment import discriminating
 from adaptsim_jax.diagnosis.finding import Finding
 from adaptsim_jax.diagnosis.models import Model
 from adaptsim_jax.diagnosis.power import power_rows
@@ -70,7 +70,7 @@ def diagnose_simulator(
     found = search(problem, criteria, step, keep=keeping(folder, "simulator", name, problem))
     report, evidence = reported(simulator, problem, found, criteria, proposals or {}, name)
     withhold_names(report, criteria)
-    report["run"] = evidence["run"] = Run(command or f"diagnose_simulator({name})", began).told()
+    report["run"] = evidence["run"] = Run(command or f"diagnose_simulator({name})", began).as_dict()
     report = check(report)
     if folder is not None:
         model, values = mended_model(problem, found, name).text, by_name(problem, found.final)
@@ -116,7 +116,7 @@ def reported(
         not_established=rows.same_rows(found, "stretch"),
         power=power_rows(problem, found, criteria),
         notes=[*few(problem), *notes(by_name(problem, found.final))],
-        next_experiment=telling(simulator, problem, found, proposals),
+        next_experiment=discriminating(simulator, problem, found, proposals),
     )
     return report, {"audit": [], "held_out": _held_out(simulator, tracks, bool(found.named))}
 

@@ -16,7 +16,7 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.diagnosis.problem import Candidate, Quantity
 
-LEAST = 3  # stretches
+MIN_STRETCHES = 3  # stretches
 STEP = 1e-2  # of a quantity's scale, to either side, by which a derivative is taken
 
 
@@ -107,9 +107,9 @@ def check_simulator(simulator: Simulator) -> None:
     ):
         if x.shape != wanted:
             raise BadInput(f"simulator: stretches.{what} has shape {x.shape}; {wanted} is wanted")
-    if s.count < LEAST:
+    if s.count < MIN_STRETCHES:
         raise BadInput(
-            f"simulator: {s.count} stretches are too few to leave any out; give at least {LEAST}"
+            f"simulator: {s.count} stretches are too few to leave any out; give at least {MIN_STRETCHES}"
         )
     if len(gone := np.argwhere((s.seen > 0) & ~np.isfinite(s.measured))):
         w, r, c = gone[0]

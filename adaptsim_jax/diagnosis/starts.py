@@ -10,16 +10,19 @@ import numpy as np
 from adaptsim_jax.diagnosis.folds import BLOCKS, folds_of, pieces
 from adaptsim_jax.diagnosis.problem import Candidate, Problem, Quantity
 from adaptsim_jax.diagnosis.simulator import Simulator, Stretches, linearise, residuals
-from adaptsim_jax.diagnosis.steps import Lanes, best_of, fit_starts
+from adaptsim_jax.diagnosis.steps import StretchLanes, best_of, fit_starts
 
 ROUNDS = 3  # of a start's fit from its anchor
 FRESH = 8  # slopes that an anchor is fitted by, one after the other
 ENOUGH = 1e-3  # of a stretch's loss; a step that gains less is its last
 SETTLED = 0.05  # of a stretch's loss; a slope that gains less is an anchor's last
 DRAWS, LEFT = 12, 1.3  # of starts where fits are caught: those that leave so many times the noise
-FAR = 1.5, 1  # times the usual error, beyond which a stretch counts less, and by which power
+DOWNWEIGHTED = (
+    1.5,
+    1,
+)  # times the usual error, beyond which a stretch counts less, and by which power
 CAUGHT = 1.25, 4  # the same of a model with names
-KEPT = 6  # points that are remembered with all their columns
+REMEMBERED = 6  # points that are remembered with all their columns
 NEAR, NEAR_STARTS = (
     0.3,
     1.0,
@@ -35,7 +38,7 @@ class Settled:
 
 
 @dataclass(frozen=True)
-class Slope:
+class StartSlope:
     """Derivatives by starts `[B, R C, S]` and the inverse of their squares `[B, S, S]`."""
 
     by_start: np.ndarray
@@ -43,7 +46,7 @@ class Slope:
 
 
 @dataclass(frozen=True)
-class Point:
+class LinearPoint:
     """Where a problem was linearised: values `[P]`, the starts that belong to them, their slope,
     what they take up (`taken_up`), the values `[P]` at which that slope was taken; columns: by row
     of a basis.
@@ -51,7 +54,7 @@ class Point:
 
     values: np.ndarray
     starts: np.ndarray
-    slope: Slope
+    slope: StartSlope
     taken: np.ndarray
     sloped: np.ndarray
     columns: dict[bytes, np.ndarray] = field(default_factory=dict)
@@ -64,10 +67,10 @@ def pull(stretches: Stretches) -> np.ndarray:
     return stretches.scale / stretches.prior
 
 
-def slope_of(stretches: Stretches, by_start: np.ndarray) -> Slope:
+def slope_of(stretches: Stretches, by_start: np.ndarray) -> StartSlope:
     gram = np.einsum("brs,brt->bst", by_start, by_start) + np.diag(pull(stretches) ** 2)
     floor = 1e-9 * (1.0 + np.trace(gram, axis1=1, axis2=2))[:, None, None] * np.eye(gram.shape[1])
-    return Slope(by_start, np.linalg.inv(gram + floor))
+    return StartSlope(by_start, np.linalg.inv(gram + floor))
 
 
 def settle(
@@ -76,7 +79,7 @@ def settle(
     starts: np.ndarray,
     rounds: int,
     which: np.ndarray | None = None,
-    slope: Slope | None = None,
+    slope: StartSlope | None = None,
 ) -> Settled:
     """Starts fitted by Gauss and Newton's damped steps with values `[B, P]` held, of stretches
     `which [B]` (all where None); by the derivatives `slope` of a point close by, where one is
@@ -99,11 +102,11 @@ def settle(
             by_start = linearise(simulator, values[lanes], starts, which[lanes], none)[0]
             here = slope_of(s, by_start)
         else:
-            here = Slope(slope.by_start[lanes], slope.inverse[lanes])
+            here = StartSlope(slope.by_start[lanes], slope.inverse[lanes])
         down = np.einsum("brs,br->bs", here.by_start, left) + weight * off(starts, lanes)
         return starts + lengths * (np.einsum("bst,bt->bs", here.inverse, down) * s.scale)
 
-    begun = Lanes(starts, *evaluate(starts, np.arange(len(which))))
+    begun = StretchLanes(starts, *evaluate(starts, np.arange(len(which))))
     found = fit_starts(begun, propose, evaluate, rounds if starts.shape[1] else 0, ENOUGH)
     return Settled(found.starts, found.left)
 
@@ -115,11 +118,11 @@ class Linearised:
     """
 
     simulator: Simulator
-    points: list[Point]
+    points: list[LinearPoint]
     scale: np.ndarray
     weight: np.ndarray
 
-    def near(self, values: np.ndarray) -> Point:
+    def near(self, values: np.ndarray) -> LinearPoint:
         away = [np.square((p.values - values) / self.scale).sum() for p in self.points]
         return self.points[int(np.argmin(away))]
 
@@ -129,7 +132,7 @@ class Linearised:
         """
         if self.simulator.stretches.start.shape[1]:
             self.points.append(anchored(self.simulator, values, self.near(values).starts))
-            del self.points[1 : max(1, len(self.points) - KEPT)]
+            del self.points[1 : max(1, len(self.points) - REMEMBERED)]
             self.weight[:] = weights(self.simulator, values, self.points[-1].starts, *CAUGHT)
 
     def residual(self, values: np.ndarray) -> np.ndarray:
@@ -175,7 +178,7 @@ class Linearised:
                 self.simulator, rows, starts, np.arange(count), asked, starts_too=resloped
             )
             if resloped:
-                point = Point(
+                point = LinearPoint(
                     values.copy(),
                     starts,
                     slope_of(s, by_start),
@@ -186,7 +189,7 @@ class Linearised:
                 point = replace(point, values=values.copy(), starts=starts, columns={})
             if moved:
                 self.points.append(point)
-                del self.points[1 : max(1, len(self.points) - KEPT)]
+                del self.points[1 : max(1, len(self.points) - REMEMBERED)]
             known = point.columns
             retained = without(point.taken, by_value)
             known.update({row.tobytes(): retained[..., k] for k, row in enumerate(fresh)})
@@ -216,12 +219,12 @@ def problem_of(
     s, quantities = simulator.stretches, simulator.quantities
     neutral = np.array([q.neutral for q in quantities])
     anchor = anchored(simulator, neutral)
-    weight = weights(simulator, neutral, anchor.starts, *FAR)
+    weight = weights(simulator, neutral, anchor.starts, *DOWNWEIGHTED)
     around = Linearised(simulator, [anchor], np.array([q.scale for q in quantities]), weight)
     fold, block = folds_of(s.trial), pieces(s.trial, BLOCKS)
     wanted = tuple(simulator.candidates if candidates is None else candidates)
     free = np.maximum((s.seen > 0).sum((1, 2)) - s.start.shape[1], 1)
-    wanted = _begun_apart(wanted, quantities, around)
+    wanted = _started_separately(wanted, quantities, around)
     return Problem(
         quantities,
         tuple(simulator.declared),
@@ -253,7 +256,9 @@ def weights(
     return np.maximum(size / max(threshold * float(np.median(size)), 1.0), 1.0) ** -power
 
 
-def anchored(simulator: Simulator, values: np.ndarray, begun: np.ndarray | None = None) -> Point:
+def anchored(
+    simulator: Simulator, values: np.ndarray, begun: np.ndarray | None = None
+) -> LinearPoint:
     """Starts fitted from `begun [W, S]` (their first guesses where None) with values `[P]`: each
     slope is used for a few steps before it is taken anew.
     """
@@ -278,7 +283,7 @@ def anchored(simulator: Simulator, values: np.ndarray, begun: np.ndarray | None 
             on, before = on[again], before[again]
         if not len(on):
             break
-    return Point(values, starts, slope_of(s, by_start), taken_up(by_start, pull(s)), values)
+    return LinearPoint(values, starts, slope_of(s, by_start), taken_up(by_start, pull(s)), values)
 
 
 def _shaken(simulator, rows, starts, by_start, before, on, draw) -> np.ndarray:
@@ -308,7 +313,7 @@ def _shaken(simulator, rows, starts, by_start, before, on, draw) -> np.ndarray:
     return again
 
 
-def _begun_apart(
+def _started_separately(
     wanted: Sequence[Candidate], quantities: Sequence[Quantity], around: Linearised
 ) -> tuple[Candidate, ...]:
     """A candidate of which nothing follows to first order where it is neutral (a lag of 0, a

@@ -13,7 +13,10 @@ import scipy.linalg
 
 RIDGE = 1e-10  # of the diagonal, added always: two columns that are alike are no error
 MORE, FIRST = 10.0, 1e-3  # times the damping after a step in vain, and the least after one
-RELIEF, LEAST = 0.1, 1e-8  # times the damping after a step that gained, and the least after one
+RELIEF, MIN_DAMPING = (
+    0.1,
+    1e-8,
+)  # times the damping after a step that gained, and the least after one
 GIVEN_UP = 1e2  # damping beyond which no step that could matter is left
 ENOUGH = 1e-4  # share of the loss that a round takes off, below which a fit has converged
 TRIES = 6  # dampings of a round
@@ -75,7 +78,7 @@ class Point(NamedTuple):
     state: Any
 
 
-class Fitted(NamedTuple):
+class FitEnd(NamedTuple):
     """Where a fit ended after so many rounds. code: converged, stopped (rounds are used up) or
     stuck (no step lowers the loss).
     """
@@ -99,7 +102,7 @@ def fit_values(
     done: Callable[[Point, Point, int], bool] = fell,
     taken: Callable[[Point], Point | None] = lambda point: point,
     stuck: Callable[[Point], Point | None] = lambda point: None,
-) -> Fitted:
+) -> FitEnd:
     """Damped steps of values, each from a linearisation, while they lower the loss.
 
     Args:
@@ -124,17 +127,17 @@ def fit_values(
         if trial is None:
             other = stuck(point)
             if other is None:
-                return Fitted(point, "converged" if k and damping > GIVEN_UP else "stuck", k)
+                return FitEnd(point, "converged" if k and damping > GIVEN_UP else "stuck", k)
             point, damping = other, first
             continue
         ended = done(point, trial, k + 1)
-        point, damping = taken(trial), max(relief * damping, LEAST)
+        point, damping = taken(trial), max(relief * damping, MIN_DAMPING)
         if ended:
-            return Fitted(point, "converged", k + 1)
-    return Fitted(point, "stopped", rounds)
+            return FitEnd(point, "converged", k + 1)
+    return FitEnd(point, "stopped", rounds)
 
 
-class Lanes(NamedTuple):
+class StretchLanes(NamedTuple):
     """Starts of stretches [W, S], what they leave [W, ...], and the loss of each [W]."""
 
     starts: np.ndarray
@@ -146,10 +149,10 @@ Evaluate = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 """Starts [B, S] of the stretches [B] to what they leave [B, ...] and the loss of each [B]."""
 
 
-def best_of(options: Sequence[np.ndarray], evaluate: Evaluate) -> Lanes:
+def best_of(options: Sequence[np.ndarray], evaluate: Evaluate) -> StretchLanes:
     """Of several starts [W, S] of all stretches, stretch by stretch the one with the least loss."""
     lanes = np.arange(len(options[0]))
-    best = Lanes(options[0].copy(), *evaluate(options[0], lanes))
+    best = StretchLanes(options[0].copy(), *evaluate(options[0], lanes))
     for starts in options[1:]:
         left, loss = evaluate(starts, lanes)
         better = loss < best.loss
@@ -159,14 +162,14 @@ def best_of(options: Sequence[np.ndarray], evaluate: Evaluate) -> Lanes:
 
 
 def fit_starts(
-    begun: Lanes,
+    begun: StretchLanes,
     propose: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
     evaluate: Evaluate,
     rounds: int,
     enough: float = ENOUGH,
     lanes: np.ndarray | None = None,
     every: bool = False,
-) -> Lanes:
+) -> StretchLanes:
     """Starts fitted with all values held, each stretch by itself until a round gains it little.
 
     Args:
@@ -195,4 +198,4 @@ def fit_starts(
             if not len(rest):
                 break
         on = on[before - loss[on] > enough * before]
-    return Lanes(starts, left, loss)
+    return StretchLanes(starts, left, loss)

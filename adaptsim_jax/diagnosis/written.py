@@ -67,12 +67,12 @@ def write_all(
         try:
             write_bytes(folder / name, text().encode())
         except Exception as error:  # whatever it is, hours of search must not go with it
-            _told(report, evidence, f"{name} could not be written: {_line(error)}")
+            _noted(report, evidence, f"{name} could not be written: {_line(error)}")
     if verify is not None:
         try:
             report["files"] = verify(folder)
         except Exception as error:
-            _told(report, evidence, f"the files that were written were not run: {_line(error)}")
+            _noted(report, evidence, f"the files that were written were not run: {_line(error)}")
     _page(folder, report, evidence, page)
 
 
@@ -83,11 +83,11 @@ def _page(folder: Path, report: dict[str, Any], evidence: dict[str, Any], page: 
     except BadInput:
         raise
     except Exception as error:  # a drawing that fails leaves the numbers
-        _told(report, evidence, f"report.html could not be written: {_line(error)}")
+        _noted(report, evidence, f"report.html could not be written: {_line(error)}")
         write_json(folder / "report.json", check(report))
 
 
-def _told(report: dict[str, Any], evidence: dict[str, Any], line: str) -> None:
+def _noted(report: dict[str, Any], evidence: dict[str, Any], line: str) -> None:
     if line in report.setdefault("warnings", []):
         return
     report["warnings"].append(line)
@@ -172,7 +172,7 @@ def finished(
         report["next_experiment"] = {k: plan[k] for k in ("message", "separates")} | (
             {"csv": NEXT} if plan["rows"] else {}
         )
-    report["run"] = evidence["run"] = run.told()
+    report["run"] = evidence["run"] = run.as_dict()
     report = check(report)
     if folder is not None:
         files = {MODEL: model.text, **more}

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.effects.base import Effect
-from adaptsim_jax.mechanisms.stepping import Model, row_step
+from adaptsim_jax.mechanisms.stepping import PlantModel, row_step
 
 Law = Callable[
     [jax.Array, jax.Array, jax.Array], jax.Array
@@ -47,7 +47,9 @@ class Loop(NamedTuple):
 
 
 @broadcasts
-def run_loop(model: Model, theta, eff, law: Law, start, rows: int, dt: float, history: int) -> Loop:
+def run_loop(
+    model: PlantModel, theta, eff, law: Law, start, rows: int, dt: float, history: int
+) -> Loop:
     """Run `law` for `rows` rows of `dt` s from `start: [S]`; theta `[P]`, eff `[E]`. Before the
     start nothing was commanded and nothing moved. `history`: rows of the past that effects and law
     see (`history_rows`).
@@ -80,7 +82,7 @@ def run_loop(model: Model, theta, eff, law: Law, start, rows: int, dt: float, hi
 
 
 @broadcasts
-def arrived(model: Model, eff, past, dt: float) -> jax.Array:
+def arrived(model: PlantModel, eff, past, dt: float) -> jax.Array:
     """Torque `[U]` that reaches the joints in the row of the last of `past: [H, U]` commands."""
     u = jnp.concatenate([past, past[-1:]])[:, :, None]
     t = dt * jnp.arange(u.shape[0], dtype=u.dtype)[:, None, None]
@@ -90,7 +92,7 @@ def arrived(model: Model, eff, past, dt: float) -> jax.Array:
 
 
 @broadcasts
-def sensed(model: Model, eff, states, first, dt: float) -> jax.Array:
+def sensed(model: PlantModel, eff, states, first, dt: float) -> jax.Array:
     """What the sensors say `[S]` of the last of `seen: [H, S]` states, having said angles `first:
     [n]` at the first.
     """
@@ -102,7 +104,7 @@ def sensed(model: Model, eff, states, first, dt: float) -> jax.Array:
     return jnp.concatenate([q[-1, :, 0], v[-1, :, 0]])
 
 
-def history_rows(model: Model, eff: np.ndarray, dt: float) -> int:
+def history_rows(model: PlantModel, eff: np.ndarray, dt: float) -> int:
     """Rows of the past that command and measurement effects depend on at the largest parameters
     `eff: [E]`.
     """
@@ -116,7 +118,7 @@ def history_rows(model: Model, eff: np.ndarray, dt: float) -> int:
 
 
 @broadcasts
-def response(model: Model, effect: Effect, eff, dt: float) -> jax.Array:
+def response(model: PlantModel, effect: Effect, eff, dt: float) -> jax.Array:
     """Torque per unit `[LONGEST, U]` in each row after a command of one row, large enough to pass
     any dead zone.
     """
@@ -130,7 +132,7 @@ def response(model: Model, effect: Effect, eff, dt: float) -> jax.Array:
 
 
 @broadcasts
-def group_delay(model: Model, eff, dt: float) -> jax.Array:
+def group_delay(model: PlantModel, eff, dt: float) -> jax.Array:
     """Time `[]` s by which commands arrive late: the centre of the response to one row's command,
     the later joint's.
     """

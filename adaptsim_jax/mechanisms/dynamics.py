@@ -44,7 +44,7 @@ from adaptsim_jax.mechanisms.lanes import (
     times,
 )
 from adaptsim_jax.mechanisms.spatial import (
-    Body,
+    InertialBody,
     Pair,
     cross_motion,
     cross_wrench,
@@ -68,10 +68,10 @@ class Still(NamedTuple):
 
     pose: Pose
     screw: Pair
-    body: Body
+    body: InertialBody
 
 
-class Moving(NamedTuple):
+class BodyMotion(NamedTuple):
     """Of each body: velocity and acceleration (less gravity), the same of the body before it, and
     the wrench that it needs.
     """
@@ -349,7 +349,7 @@ def _still(tree: Tree, inertial: Any, q: jax.Array) -> Still:
             ),
         )
     if inertial is None:
-        return Still(pose, screw, Body(0, ZERO, (ZERO, ZERO, ZERO)))
+        return Still(pose, screw, InertialBody(0, ZERO, (ZERO, ZERO, ZERO)))
     rows = lifted(inertial, 2, q.ndim - 1, q.dtype)
     if any(tree.massless):
         rows = rows * _mask(~np.array(tree.massless), rows[0])
@@ -361,7 +361,7 @@ def _still(tree: Tree, inertial: Any, q: jax.Array) -> Still:
 
 def _moving(
     tree: Tree, still: Still, v: Array | None, a: Array | None, gravity: jax.Array
-) -> Moving:
+) -> BodyMotion:
     """gravity [3, ...]."""
     nothing: Pair = (ZERO, ZERO)
     batch = gravity.ndim - 1
@@ -385,7 +385,7 @@ def _moving(
     def without(pair, own):
         return (minus(pair[0], own[0]), minus(pair[1], own[1]))
 
-    return Moving(
+    return BodyMotion(
         velocity, acceleration, without(velocity, along), without(acceleration, rate), wrench
     )
 
@@ -445,7 +445,7 @@ def _outer(a: Pair, b: Pair) -> Entry:
     return out
 
 
-def _mass(tree: Tree, still: Still, whole: Body, like: jax.Array) -> jax.Array:
+def _mass(tree: Tree, still: Still, whole: InertialBody, like: jax.Array) -> jax.Array:
     """whole: for each joint all that it carries, as one body."""
     lower = _table(
         _outer(momentum(whole, still.screw), still.screw), tree.n, like
@@ -670,7 +670,7 @@ def _inverse_mass_jvp(primals, tangents):
 _inverse_mass.defjvp(_inverse_mass_jvp, symbolic_zeros=True)
 
 
-def _mass_by_q(tree: Tree, still: Still, whole: Body, like: jax.Array) -> jax.Array:
+def _mass_by_q(tree: Tree, still: Still, whole: InertialBody, like: jax.Array) -> jax.Array:
     """`[n, n, n, ...]`: derivative of the mass matrix's entry i, j by the angle k. Only what lies
     between two joints, or is carried by both, changes it: with j carrying i, either k is between
     (then joint j's screw turns against the rest), or i carries k.

@@ -133,7 +133,10 @@ def roles(
             "log a joint that does"
         )
     return Roles(
-        held, followers, (*_told(dropped, pose_name), *_folds_told(followers)), (*beyond, *loops)
+        held,
+        followers,
+        (*_held_notes(dropped, pose_name), *_fold_notes(followers)),
+        (*beyond, *loops),
     )
 
 
@@ -159,7 +162,7 @@ def pose_of(model: mujoco.MjModel) -> tuple[np.ndarray, str]:
     return model.qpos0, "as the file has them"
 
 
-def _told(dropped: dict[str, list[str]], pose: str) -> tuple[str, ...]:
+def _held_notes(dropped: dict[str, list[str]], pose: str) -> tuple[str, ...]:
     out = []
     if dropped["welded"]:
         out.append(
@@ -180,7 +183,7 @@ def _told(dropped: dict[str, list[str]], pose: str) -> tuple[str, ...]:
     return tuple(out)
 
 
-def _folds_told(followers: Mapping[str, Follower]) -> tuple[str, ...]:
+def _fold_notes(followers: Mapping[str, Follower]) -> tuple[str, ...]:
     each = [
         f"{f.joint} = {f'{f.offset:.4g} + ' if f.offset else ''}{f.factor:.4g} {f.leader}"
         for f in followers.values()

@@ -27,7 +27,7 @@ from adaptsim_jax.mechanisms.lanes import (
 Pair = tuple[Vector, Vector]
 
 
-class Body(NamedTuple):
+class InertialBody(NamedTuple):
     """Mass, first moment and moments of inertia about the point."""
 
     mass: Entry
@@ -58,21 +58,21 @@ def cross_wrench(m: Pair, x: Pair) -> Pair:
     return plus(cross(m[0], x[0]), cross(m[1], x[1])), cross(m[0], x[1])
 
 
-def momentum(body: Body, m: Pair) -> Pair:
+def momentum(body: InertialBody, m: Pair) -> Pair:
     """Inertia times motion."""
     return plus(apply(body.inertia, m[0]), cross(body.moment, m[1])), plus(
         times(body.mass, m[1]), cross(m[0], body.moment)
     )
 
 
-def turned(rotation: Rows, mass: Entry, moment: Vector, inertia: Rows) -> Body:
+def turned(rotation: Rows, mass: Entry, moment: Vector, inertia: Rows) -> InertialBody:
     """A body given in the axes of a frame of this rotation, in the world's."""
     half = product(rotation, inertia)
     six = [dot(half[r], rotation[c]) for r in range(3) for c in range(r, 3)]
-    return Body(mass, apply(rotation, moment), symmetric(*six))
+    return InertialBody(mass, apply(rotation, moment), symmetric(*six))
 
 
-def moved(body: Body, d: Vector) -> Body:
+def moved(body: InertialBody, d: Vector) -> InertialBody:
     """The same body about a point from which the old one is `d` away."""
     h, inertia = body.moment, body.inertia
     md = plus(h, times(body.mass, d))  # h d' + d h' + m d d' = h d' + d md'
@@ -82,10 +82,10 @@ def moved(body: Body, d: Vector) -> Body:
         return sub(inertia[r][c], add(mul(h[r], d[c]), mul(d[r], md[c])))
 
     six = [add(entry(r, c), much) if r == c else entry(r, c) for r in range(3) for c in range(r, 3)]
-    return Body(body.mass, md, symmetric(*six))
+    return InertialBody(body.mass, md, symmetric(*six))
 
 
-def swirl(body: Body, m: Pair) -> tuple[Rows, Vector]:
+def swirl(body: InertialBody, m: Pair) -> tuple[Rows, Vector]:
     """`K [3, 3]` and the linear momentum `p`: for any motion (a, b), V x* I (a, b) + (a, b) x* I V
     + I ((a, b) x V) is the wrench (K a, 2 a x p), where V is `m` (the b falls out by Jacobi's
     identity).

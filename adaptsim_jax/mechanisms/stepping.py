@@ -25,22 +25,22 @@ Sum = Any  # an array `[n, ...]`, or None
 
 
 @dataclass(frozen=True)
-class Model:
+class PlantModel:
     """A plant and the effects that may act on it."""
 
     plant: Plant
     layout: Layout
 
 
-jax.tree_util.register_dataclass(Model, data_fields=["plant"], meta_fields=["layout"])
+jax.tree_util.register_dataclass(PlantModel, data_fields=["plant"], meta_fields=["layout"])
 
 
-def make_model(plant: Plant, effects: tuple) -> Model:
+def make_model(plant: Plant, effects: tuple) -> PlantModel:
     """A model with all instances of `effects` on the plant's joints."""
-    return Model(plant, Layout(tuple(effects), plant.joints))
+    return PlantModel(plant, Layout(tuple(effects), plant.joints))
 
 
-def motion_of(model: Model, theta, q, v, u, t, memory) -> Motion:
+def motion_of(model: PlantModel, theta, q, v, u, t, memory) -> Motion:
     """What effects see at `q, v, u: [n, ...]` and `t: [...]` or a scalar."""
     return Motion(q, v, u, _lift(t, q), memory, lambda q: model.plant.gravity_force(theta, q))
 
@@ -60,7 +60,7 @@ def _lift(z, like):
     return z
 
 
-class Acting(NamedTuple):
+class ActingSums(NamedTuple):
     """Sums over the effects at a state, `[n, ...]` each: smooth force, dry friction (N m), inertia
     (kg m^2), and the friction times the width within which it turns (W); None for what was not
     asked for.
@@ -77,7 +77,7 @@ RUBBING = ("level", "blur")
 
 
 def acting(
-    model: Model,
+    model: PlantModel,
     theta,
     eff,
     memory,
@@ -85,8 +85,8 @@ def acting(
     u,
     t,
     effects: list | None = None,
-    only: tuple[str, ...] = Acting._fields,
-) -> Acting:
+    only: tuple[str, ...] = ActingSums._fields,
+) -> ActingSums:
     """What the force effects do at `x`, `[S, ...]` or as many `[...]`. effects: others are left
     out, none where None; only: fields that are wanted.
     """
@@ -96,7 +96,7 @@ def acting(
     effects = every if effects is None else effects
     x = [jnp.asarray(z) for z in x]
     zero = jnp.zeros((n, *x[0].shape), x[0].dtype)
-    total = Acting(*(zero if field in only else None for field in Acting._fields))
+    total = ActingSums(*(zero if field in only else None for field in ActingSums._fields))
 
     def params(effect):
         return model.layout.params(effect, eff, jnp.ndim(x[0]))
@@ -119,7 +119,7 @@ def acting(
     return total
 
 
-def remember(model: Model, theta, eff, memory, x, u, t, h) -> tuple[jax.Array, ...]:
+def remember(model: PlantModel, theta, eff, memory, x, u, t, h) -> tuple[jax.Array, ...]:
     """The effects' memories after `h` s at a constant state (S times `[W]`)."""
     n = model.plant.joint_dim
     out = []
@@ -131,7 +131,7 @@ def remember(model: Model, theta, eff, memory, x, u, t, h) -> tuple[jax.Array, .
     return tuple(out)
 
 
-def row_step(model: Model, theta, eff, x, memory, u, t, h):
+def row_step(model: PlantModel, theta, eff, x, memory, u, t, h):
     """States and memories after a row of `h: [W]` s from `x`, S times `[W]`: Runge-Kutta 4,
     memories relaxed exactly by half a row on each side of it (Strang splitting). A state at a time,
     since stacking them costs more than the dynamics do.
@@ -160,7 +160,7 @@ def row_step(model: Model, theta, eff, x, memory, u, t, h):
     return end, remember(model, theta, eff, memory, end, u, t + h, 0.5 * h)
 
 
-def _sorted(model: Model, theta, eff, x, u, t) -> tuple[list, list, bool]:
+def _sorted(model: PlantModel, theta, eff, x, u, t) -> tuple[list, list, bool]:
     """The force effects that push smoothly or add inertia, and those that rub dry (some do both),
     whether all without a width.
     """
@@ -187,7 +187,9 @@ def _sorted(model: Model, theta, eff, x, u, t) -> tuple[list, list, bool]:
     return smooth, dry, not wide
 
 
-def _dry_force(model: Model, theta, eff, memory, x, u, t, h, smooth: list, dry: list, sharp: bool):
+def _dry_force(
+    model: PlantModel, theta, eff, memory, x, u, t, h, smooth: list, dry: list, sharp: bool
+):
     """Mean force of dry friction over a step of `h: [W]` s and its rise over the step, `[n, W]`
     both.
 

@@ -15,7 +15,7 @@ from adaptsim_jax.core.given import brief
 MOVING = ("revolute", "continuous", "prismatic")
 SIX = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 TINY = 1e-6
-LEAST = 1e-12
+MIN_INERTIA = 1e-12
 """kg, kg m^2: more than MuJoCo's least, and nothing beside any machine."""
 
 
@@ -243,7 +243,7 @@ def _inertias(
     for own in out:
         for inertial in links[own].findall("inertial"):
             links[own].remove(inertial)
-        links[own].append(_inertial(LEAST, LEAST))
+        links[own].append(_inertial(MIN_INERTIA, MIN_INERTIA))
     return tuple(out)
 
 
@@ -265,7 +265,7 @@ def _point(where: str, links: dict[str, Any], names: list[str], compiler: dict) 
             line = k[1] == k[2] and not any(
                 given[other] for other in SIX if k[1] in other[1:]
             )  # a point, or along a rod
-            inertia.set(k, f"{LEAST:g}" if line else repr(given[k]))
+            inertia.set(k, f"{MIN_INERTIA:g}" if line else repr(given[k]))
         xx, xy, xz, yy, yz, zz = (given[k] for k in SIX)
         moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         if compiler.get("balanceinertia") == "true":

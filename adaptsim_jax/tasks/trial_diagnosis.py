@@ -70,7 +70,7 @@ class Diagnose:
 def reported(
     task: str,
     model: str,
-    observed: rows.Seen,
+    observed: rows.Recorded,
     problem: Problem,
     found: Finding,
     tracks: Mapping[str, np.ndarray],

@@ -10,8 +10,8 @@ from adaptsim_jax.attribution.linear import linear
 from adaptsim_jax.attribution.parameters import Entry
 from adaptsim_jax.attribution.paths import run, starts_of
 from adaptsim_jax.attribution.problem import nuisances, prepare, values_of
-from adaptsim_jax.attribution.stretches import Track
-from adaptsim_jax.attribution.weights import Fit, weigh
+from adaptsim_jax.attribution.stretches import JointTrack
+from adaptsim_jax.attribution.weights import TreeFit, weigh
 from adaptsim_jax.effects.base import Dry, Effect, Parameter
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.mechanisms.mjcf import read_mechanism
@@ -28,7 +28,7 @@ def pushed(tmp_path, torque, compliance, level=LEVEL, more=()):
     (tmp_path / "arm.xml").write_text(XML)
     time = np.arange(250) / 250.0
     tracks = [
-        Track(str(k), time, np.zeros((250, 1)), None, np.broadcast_to(u, (250,))[:, None])
+        JointTrack(str(k), time, np.zeros((250, 1)), None, np.broadcast_to(u, (250,))[:, None])
         for k, u in enumerate(torque)
     ]
     effects = (*(e for e in MACHINE if e.name in ("viscous", "coulomb", "presliding")), *more)
@@ -82,7 +82,7 @@ def test_the_linearised_path_follows_the_bristles(tmp_path):
         tmp_path, (0.3 * np.sin(5.0 * time), 0.1 * np.cos(9.0 * time)), 0.05, level=5.0
     )
     starts = starts_of(problem)
-    fit = Fit(
+    fit = TreeFit(
         vector, starts, weigh(problem, run(problem, vector, starts)), np.zeros(0), "stopped", 0
     )
     fit = replace(

@@ -19,8 +19,8 @@ from adaptsim_jax.attribution.problem import (
     values_of,
 )
 from adaptsim_jax.attribution.score import candidates
-from adaptsim_jax.attribution.stretches import Track
-from adaptsim_jax.attribution.weights import Fit, weigh
+from adaptsim_jax.attribution.stretches import JointTrack
+from adaptsim_jax.attribution.weights import TreeFit, weigh
 from adaptsim_jax.diagnosis.testing import score_p
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.mechanisms.mjcf import read_mechanism
@@ -50,12 +50,12 @@ def fitted(request, tmp_path_factory):
     path.write_text(XML)
     time = np.arange(500) / 250.0
     q = np.stack([0.4 * np.sin(3.0 * time), 0.5 * np.cos(4.0 * time)], 1)
-    tracks = [Track(str(k), time, q, None, q[:, ::-1] + 0.1 * k) for k in range(5)]
+    tracks = [JointTrack(str(k), time, q, None, q[:, ::-1] + 0.1 * k) for k in range(5)]
     effects = tuple(e for e in MACHINE if e.name in ("viscous", *NAMES) or e.place == "model")
     problem = prepare(read_mechanism(path).tree, tracks, effects, LAWS[request.param])
     vector, starts = nuisances(problem, inertia=False), starts_of(problem)
     paths = run(problem, vector, starts)
-    return problem, Fit(
+    return problem, TreeFit(
         vector,
         starts,
         weigh(problem, paths),

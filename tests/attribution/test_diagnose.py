@@ -33,7 +33,7 @@ def test_dry_friction_is_named_and_the_model_file_holds_it(tmp_path):
     assert report["remaining"]["times_floor"] < 1.5
     model = mujoco.MjModel.from_xml_path(str(out / "model.xml"))
     assert model.dof_frictionloss[0] == pytest.approx(0.15, rel=0.05)
-    assert replay_files(out / "model.xml", data).told()["median"] == pytest.approx(
+    assert replay_files(out / "model.xml", data).as_dict()["median"] == pytest.approx(
         report["error"]["after"], rel=0.15
     )
     assert (out / "report.html").exists()
@@ -247,7 +247,7 @@ def test_torques_that_change_between_rows_are_no_effect(tmp_path):
     assert (report["verdict"], report["effects"]) == ("within_noise", [])
     (note,) = [n for n in report["notes"] if "before their row" in n]
     assert 4.0 < float(note.split()[2]) < 6.0 and "10 ms apart" in note
-    told = replay_files(tmp_path / "out" / "model.toml", data).told()["median"]
+    told = replay_files(tmp_path / "out" / "model.toml", data).as_dict()["median"]
     assert told == pytest.approx(report["error"]["after"], rel=0.15)
 
 
@@ -284,7 +284,7 @@ def test_a_gain_of_volts_that_was_found_is_told_and_stands_in_the_model(tmp_path
         file.write('[units]\nu1 = "V"\n')
     report = diagnose(data, out=out, exclude=OTHERS)
     assert any(note.startswith("Torque over input, fitted: hinge 0.0") for note in report["notes"])
-    told = replay_files(out / "model.toml", data).told()["median"]
+    told = replay_files(out / "model.toml", data).as_dict()["median"]
     assert told == pytest.approx(report["error"]["after"], rel=0.5) and told < 2e-3
 
 

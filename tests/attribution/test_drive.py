@@ -13,8 +13,8 @@ from adaptsim_jax.attribution.parameters import Entry
 from adaptsim_jax.attribution.paths import ready, residuals, run, starts_of, widened
 from adaptsim_jax.attribution.problem import nuisances, own_inertia, prepare, scaled_reach
 from adaptsim_jax.attribution.score import candidates, table
-from adaptsim_jax.attribution.stretches import Track
-from adaptsim_jax.attribution.weights import Fit, losses, weigh
+from adaptsim_jax.attribution.stretches import JointTrack
+from adaptsim_jax.attribution.weights import TreeFit, losses, weigh
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.mechanisms.mjcf import read_mechanism
@@ -62,7 +62,7 @@ def declared(tmp_path, trials: int, link: float, rows: int = 121, noise: float =
             for z in (q, v)
         ]
         tracks.append(
-            Track(
+            JointTrack(
                 str(k), DT * np.arange(rows), seen[0], seen[1], np.stack([torque, 0.0 * torque], 1)
             )
         )
@@ -102,7 +102,9 @@ def test_derivatives_are_those_of_the_simulation(tmp_path):
     (start,) = widened(ready(problem, vector), starts_of(problem))
     (path,) = run(problem, vector, (start,))
     weights = replace(weigh(problem, [path]), channel=np.ones(4), stretch=np.ones(start.shape[1]))
-    lin = linear(problem, Fit(vector, (start,), weights, losses(problem, [path], weights), "", 0))
+    lin = linear(
+        problem, TreeFit(vector, (start,), weights, losses(problem, [path], weights), "", 0)
+    )
 
     def off(v, s):
         return lin.counted[0].flat(residuals(problem.groups[0], run(problem, v, (s,))[0]))

@@ -10,16 +10,16 @@ from adaptsim_jax.attribution import servo
 from adaptsim_jax.attribution.diagnose import declared_vector, examined, scaled
 from adaptsim_jax.attribution.equation import commands
 from adaptsim_jax.attribution.equation.balance import balances, in_proportion, residual
-from adaptsim_jax.attribution.equation.columns import Table
+from adaptsim_jax.attribution.equation.columns import EffectTable
 from adaptsim_jax.attribution.equation.commands import Servo
-from adaptsim_jax.attribution.equation.models import said
+from adaptsim_jax.attribution.equation.models import search_balances
 from adaptsim_jax.attribution.equation.windows import runs_of
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.parameters import Entry, Vector
 from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
-from adaptsim_jax.attribution.stretches import Track
+from adaptsim_jax.attribution.stretches import JointTrack
 from adaptsim_jax.attribution.yardsticks import headline, of_torque, predicts_nothing
-from adaptsim_jax.diagnosis.criteria import TELLS, Criteria, TorqueCriteria
+from adaptsim_jax.diagnosis.criteria import USEFUL_SKILL, Criteria, TorqueCriteria
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from experiments.mechanism_rigs import RIGS
 from tests.attribution.pendulum import record
@@ -50,7 +50,7 @@ def prepared(folder, model=None):
 def test_speed_and_acceleration_of_a_sine_are_its_own():
     time = np.arange(0.0, 8.0, 0.004)
     q = np.stack([np.sin(3.0 * time), 0.3 * np.cos(2.0 * time)], 1)
-    (run,) = runs_of([Track("a", time, q, None, np.zeros_like(q))], np.full(2, 1e-6))
+    (run,) = runs_of([JointTrack("a", time, q, None, np.zeros_like(q))], np.full(2, 1e-6))
 
     def weigh(z):
         return run.averaged(z)
@@ -84,7 +84,7 @@ def test_columns_are_slopes_of_what_is_missing(tmp_path):
             Entry("encoder_scale", "scale", (0,), 0.0, 0.0, -0.5, 0.5, "1"),
         ]
     )
-    table = Table(problem, balance, vector)
+    table = EffectTable(problem, balance, vector)
     for k, entry in enumerate(vector.entries):
         step = np.zeros(len(vector))
         step[k] = 1e-4
@@ -102,7 +102,7 @@ def test_an_actuator_that_does_nothing_leaves_as_much_as_it_was_told():
 def test_friction_is_found_in_seconds_and_nothing_beside(tmp_path):
     machine, problem, told = prepared(record(tmp_path / "rub", friction=0.2, trials=4, held=False))
     null = declared_vector(machine, problem)
-    found = said(
+    found = search_balances(
         problem, told, null, scaled_reach(problem, *own_inertia(problem, null)), Criteria(), False
     )
     (named,) = found.named
@@ -201,7 +201,7 @@ def test_a_late_command_does_not_hide_what_command_errors_tell(tmp_path):
     folder = servo_log(tmp_path / "servo", **own, late=2)
     (folder / "model.xml").write_text(SERVO.format(**own))
     report, _, whole = examined(load(folder, None), Criteria(), 0.5)
-    assert whole.before["torque"].skill < TELLS and whole.judge == "torque"
+    assert whole.before["torque"].skill < USEFUL_SKILL and whole.judge == "torque"
     assert [e["name"] for e in report["effects"]] == ["delay"]
     assert report["effects"][0]["parameters"]["delay"]["value"] == pytest.approx(0.04, abs=0.001)
 

@@ -10,16 +10,16 @@ import pytest
 from adaptsim_jax.attribution.diagnose import declared_vector, diagnose
 from adaptsim_jax.attribution.equation import filed as filed_module
 from adaptsim_jax.attribution.equation.balance import balances, inside
-from adaptsim_jax.attribution.equation.filed import enough, filed
+from adaptsim_jax.attribution.equation.filed import enough, without_bodies
 from adaptsim_jax.attribution.equation.limits import left_of
-from adaptsim_jax.attribution.equation.models import model_of, said
+from adaptsim_jax.attribution.equation.models import model_of, search_balances
 from adaptsim_jax.attribution.equation.solve import compared
 from adaptsim_jax.attribution.equation.windows import runs_of
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, Entry, Vector
 from adaptsim_jax.attribution.paths import run, starts_of
 from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
-from adaptsim_jax.attribution.stretches import Track
+from adaptsim_jax.attribution.stretches import JointTrack
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from tests.attribution.servo_logs import servo_log
@@ -62,7 +62,8 @@ def searched(folder):
     null, told = declared_vector(machine, problem), balances(problem, machine.tracks)
     reach = scaled_reach(problem, *own_inertia(problem, null))
     return problem, *(
-        said(problem, told, vector, reach, Criteria(), True) for vector in (null, filed(null))
+        search_balances(problem, told, vector, reach, Criteria(), True)
+        for vector in (null, without_bodies(null))
     )
 
 
@@ -82,7 +83,7 @@ def test_damping_by_another_speed_leaves_a_joint_some_of_its_weight(tmp_path):
         machine.gear,
         declared=machine.declared,
     )
-    vector = filed(declared_vector(machine, problem))
+    vector = without_bodies(declared_vector(machine, problem))
     (entry,) = vector.entries
     assert -0.25 / 200 < entry.low < 0.0 < entry.high == pytest.approx(0.25 / 200)
 
@@ -120,7 +121,7 @@ def test_bodies_of_a_machine_of_many_joints_are_not_fitted(joints, vectors, monk
 def test_speeds_are_those_of_the_motion_where_a_stiff_controller_shows_them():
     time = np.arange(0.0, 8.0, 0.005)
     q = np.stack([np.sin(2 * np.pi * 1.2 * time)], 1)
-    (run,) = runs_of([Track("a", time, q, None, np.zeros_like(q))], np.full(1, 1e-6))
+    (run,) = runs_of([JointTrack("a", time, q, None, np.zeros_like(q))], np.full(1, 1e-6))
     true = 2 * np.pi * 1.2 * np.cos(2 * np.pi * 1.2 * run.time)
     assert (
         np.abs(run.v[0] - true)[20:-20].max() < 1e-4 * np.abs(true).max()

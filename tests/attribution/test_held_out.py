@@ -147,7 +147,7 @@ def test_where_nothing_is_named_the_final_model_is_the_declared_one(tmp_path, mo
         vector = null.at(null.values + 0.01)
         return modelled(problem, (), fit(problem, vector, rounds=0)), ()
 
-    monkeypatch.setattr(search, "judged", all_gone)
+    monkeypatch.setattr(search, "backward_elimination", all_gone)
     found = search.select(problem, null, Criteria(most_effects=1))
     assert not found.final.added
     np.testing.assert_array_equal(found.final.fit.vector.values, found.null.fit.vector.values)

@@ -10,7 +10,7 @@ import pytest
 
 from adaptsim_jax.attribution import backward
 from adaptsim_jax.attribution.parameters import Entry
-from adaptsim_jax.attribution.score import Candidate
+from adaptsim_jax.attribution.score import JointCandidate
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.rules import Reason
 from adaptsim_jax.diagnosis.testing import Test as Paired
@@ -71,7 +71,7 @@ def test_weak_joints_go_together_while_the_rest_predicts_as_well(most, stay, mon
         "paired",
         lambda p, less, whole: worse(less[0]) if isinstance(less, tuple) else alone(less),
     )
-    whole = Small((Candidate("coulomb", JOINTS, "all", ENTRIES),))
+    whole = Small((JointCandidate("coulomb", JOINTS, "all", ENTRIES),))
     trace: list = []
     problem = SimpleNamespace(joint_names=("a", "b", "c", "d"))
     left = backward.of_members(problem, whole, Criteria(), trace, lambda text: None)

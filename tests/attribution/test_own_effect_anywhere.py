@@ -59,14 +59,14 @@ from adaptsim_jax import cli
 from adaptsim_jax.attribution import mend
 from adaptsim_jax.attribution.diagnose import declared_vector, excluded_of, posed
 from adaptsim_jax.attribution.equation.balance import balances
-from adaptsim_jax.attribution.equation.columns import Table
-from adaptsim_jax.attribution.equation.search import told_apart
+from adaptsim_jax.attribution.equation.columns import EffectTable
+from adaptsim_jax.attribution.equation.search import separable_candidates
 from adaptsim_jax.attribution.linear import linear
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.paths import run, starts_of
 from adaptsim_jax.attribution.problem import own_inertia, scaled_reach
 from adaptsim_jax.attribution.score import candidates, table
-from adaptsim_jax.attribution.weights import Fit, losses, weigh
+from adaptsim_jax.attribution.weights import TreeFit, losses, weigh
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.report.diagnosis_words import effect_name
@@ -84,17 +84,17 @@ own = [c for c in candidates(problem, null, reach) if c.effect in ("brush", "mag
 starts = starts_of(problem)
 paths = run(problem, null, starts)
 weights = weigh(problem, paths)
-lin = linear(problem, Fit(null, starts, weights, losses(problem, paths, weights), "", 0))
+lin = linear(problem, TreeFit(null, starts, weights, losses(problem, paths, weights), "", 0))
 scores = {(s.candidate.effect, *s.candidate.joints): s.gain for s in table(problem, lin, own)}
 
 (balance,) = balances(problem, machine.tracks)
 state = SimpleNamespace(
     problem=problem, null=null, reach=reach, commanded=False, limits=Criteria().torque, balance=balance
 )
-columns = Table(problem, balance, null)
+columns = EffectTable(problem, balance, null)
 by_torque = {
     (c.effect, *c.joints): float(np.abs(columns.stack(c.entries)).max())
-    for c in told_apart(state)
+    for c in separable_candidates(state)
     if c.effect in ("brush", "magnet")
 }
 

@@ -9,10 +9,10 @@ import pytest
 
 from adaptsim_jax.attribution.acting import Values, actuated
 from adaptsim_jax.attribution.parameters import Entry, Vector, inertial_of, inertias, pseudo_inertia
-from adaptsim_jax.attribution.problem import Group, Problem, beginnings, nuisances, prepare
-from adaptsim_jax.attribution.score import Candidate
+from adaptsim_jax.attribution.problem import Group, TreeProblem, beginnings, nuisances, prepare
+from adaptsim_jax.attribution.score import JointCandidate
 from adaptsim_jax.attribution.select import _acting
-from adaptsim_jax.attribution.stretches import Track, cut
+from adaptsim_jax.attribution.stretches import JointTrack, cut
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.diagnosis.testing import sign_flip
 from adaptsim_jax.effects.base import unit_at
@@ -29,7 +29,7 @@ def track(rows=600, rate=250.0, gap=None):
     if gap is not None:
         time[gap:] += 1.0
     q = np.stack([np.sin(3.0 * time), np.cos(2.0 * time)], 1)
-    return Track("a", time, q, None, np.stack([time, -time], 1))
+    return JointTrack("a", time, q, None, np.stack([time, -time], 1))
 
 
 def test_pseudo_inertia_and_back():
@@ -121,7 +121,7 @@ def test_of_a_stretch_only_the_beginning_is_seen():
         np.ones(2),
         inertias(ROD[None]),
     )
-    whole = Problem(
+    whole = TreeProblem(
         (group,),
         ("a", "b"),
         ("hinge",) * 2,
@@ -140,7 +140,7 @@ def test_of_a_stretch_only_the_beginning_is_seen():
 
 def test_an_effect_at_all_joints_is_told_where_it_acts():
     entries = tuple(Entry("coulomb", "level", (j,), 0.0, 0.0, 0.0, 1.0, "N m") for j in range(3))
-    everywhere = Candidate("coulomb", (0, 1, 2), "all", entries)
+    everywhere = JointCandidate("coulomb", (0, 1, 2), "all", entries)
     acting, still = _acting(Vector(entries, np.array([0.0, 0.2, 0.0])), everywhere)
     assert (acting.joints, acting.sharing, still) == (
         (1,),
@@ -195,7 +195,9 @@ def test_a_joint_that_nothing_drives_may_have_friction_though_its_file_has_none(
         np.array([[1.0, 0.0, 0.0, 0.3, 0.1, 0.0, 0.0, 0.1, 0.0, 0.01]]),
     )
     time = np.arange(0.0, 4.0, 0.005)
-    track = Track("swing", time, 0.5 * np.sin(5.0 * time)[:, None], None, np.zeros((len(time), 1)))
+    track = JointTrack(
+        "swing", time, 0.5 * np.sin(5.0 * time)[:, None], None, np.zeros((len(time), 1))
+    )
     problem = prepare(tree, (track,), tuple(e for e in MACHINE if e.name == "viscous"))
     (high,) = (e.high for e in nuisances(problem).entries if e.owner == "viscous")
     assert high > 0.1

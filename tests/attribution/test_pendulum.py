@@ -57,7 +57,8 @@ def test_on_a_real_rig_friction_holds_out_and_the_files_say_the_same(tmp_path):
     assert report["verdict"] == "partly_explained"
     assert "coulomb" in {e["name"] for e in report["effects"]}
     held_out = {
-        m: replay(load(folder, tmp_path / m).without([t.name for t in some])).told() for m in FILES
+        m: replay(load(folder, tmp_path / m).without([t.name for t in some])).as_dict()
+        for m in FILES
     }
     assert set(held_out["model.toml"]["trials"]) == set(others)
     for mended in (

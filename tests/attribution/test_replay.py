@@ -18,7 +18,7 @@ def data(tmp_path_factory):
 def test_the_true_model_errs_by_the_noise_and_the_declared_one_by_more(data):
     true = data.parent / "true.xml"
     true.write_text(XML.format(damping=0.02, friction=0.15, mass=1.0))
-    right, declared = replay_files(true, data).told(), replay_files(None, data).told()
+    right, declared = replay_files(true, data).as_dict(), replay_files(None, data).as_dict()
     assert right["median"] < 4e-4  # the noise is 2e-4
     assert declared["median"] > 10.0 * right["median"]
     assert (

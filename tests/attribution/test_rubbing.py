@@ -5,8 +5,8 @@ import pytest
 
 from adaptsim_jax.attribution.diagnose import declared_vector, diagnose
 from adaptsim_jax.attribution.equation.balance import balances, ramp
-from adaptsim_jax.attribution.equation.columns import Table
-from adaptsim_jax.attribution.equation.filed import filed
+from adaptsim_jax.attribution.equation.columns import EffectTable
+from adaptsim_jax.attribution.equation.filed import without_bodies
 from adaptsim_jax.attribution.equation.models import part_of
 from adaptsim_jax.attribution.equation.rubbing import giving, rubbing
 from adaptsim_jax.attribution.forecast import fitted_starts
@@ -47,7 +47,7 @@ def prepared(folder):
 def shown(folder) -> bool:
     """Whether the log shows that friction gives."""
     machine, problem = prepared(folder)
-    null = filed(declared_vector(machine, problem))
+    null = without_bodies(declared_vector(machine, problem))
     reach = scaled_reach(problem, *own_inertia(problem, null))
     told = balances(problem, machine.tracks)
     return (
@@ -120,12 +120,12 @@ def test_columns_of_a_joint_that_nothing_drives_are_finite(tmp_path):
     soft = giving(problem, machine.tree)
     (balance,) = balances(soft, machine.tracks)
     assert problem.reach.torque[1] == 0.0
-    vector = filed(declared_vector(machine, problem))
+    vector = without_bodies(declared_vector(machine, problem))
     reach = scaled_reach(problem, *own_inertia(problem, vector))
     entries = [
         c.entries[0]
         for c in candidates(soft, vector, reach)
         if c.effect == "coulomb" and c.sharing == "joint"
     ]
-    column = Table(soft, balance, vector).stack(entries)
+    column = EffectTable(soft, balance, vector).stack(entries)
     assert np.isfinite(column).all() and np.all(np.ptp(column, axis=0).diagonal() > 0.0)

@@ -12,7 +12,7 @@ from adaptsim_jax.attribution.equation.searched import Searched, ranked
 from adaptsim_jax.attribution.equation.solve import compared, rows_of
 from adaptsim_jax.attribution.equation.stays import Balanced, nameless, steadiness
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, Entry, Vector
-from adaptsim_jax.attribution.score import Candidate
+from adaptsim_jax.attribution.score import JointCandidate
 from adaptsim_jax.diagnosis.criteria import Criteria, TorqueCriteria
 from adaptsim_jax.diagnosis.rules import refusal
 from adaptsim_jax.diagnosis.testing import false_discovery
@@ -27,7 +27,7 @@ PROBLEM = SimpleNamespace(effect=lambda name: effect_named(name, MACHINE), offer
 
 def one(effect, name="level", low=0.0, shape=()):
     entry = Entry(effect, name, (0,), 0.0, 0.0, low, 9.0, "N m", np.inf)
-    return Candidate(effect, (0,), "joint", (entry,), shape)
+    return JointCandidate(effect, (0,), "joint", (entry,), shape)
 
 
 def test_an_arm_that_meets_its_stop_tells_how_late_damping_acts(tmp_path, monkeypatch):
@@ -65,7 +65,7 @@ def test_joints_that_were_asked_count_in_the_false_discovery_rate():
 def test_of_two_numbers_one_that_is_somewhat_large_is_not_steady():
     c = one("cogging", "sine")
     entries = (*c.entries, Entry("cogging", "cosine", (0,), 0.0, 0.0, -9.0, 9.0, "N m", np.inf))
-    c = Candidate("cogging", (0,), "joint", entries)
+    c = JointCandidate("cogging", (0,), "joint", entries)
     solved = SimpleNamespace(entries=entries, step=np.array([1.2, 0.6]), error=np.ones(2))
     assert (
         steadiness(solved, c)

@@ -7,7 +7,7 @@ import numpy as np
 from adaptsim_jax.attribution.forecast import forecast
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import prepare
-from adaptsim_jax.attribution.stretches import Track
+from adaptsim_jax.attribution.stretches import JointTrack
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.mechanisms.mjcf import read_mechanism
 
@@ -24,7 +24,7 @@ def test_a_start_is_not_flung_away_for_what_is_left_elsewhere(tmp_path):
     measured = (
         0.3 * np.sin(2.0 * (time - 0.08))[:, None] + 0.01 * np.sign(np.cos(2.0 * time))[:, None]
     )
-    tracks = [Track("whole", time, measured, None, target)]
+    tracks = [JointTrack("whole", time, measured, None, target)]
     problem = prepare(read_mechanism(path).tree, tracks, (MACHINE[0],), LAW, np.ones(1), 19.0)
     found = forecast(problem, Vector((), np.zeros(0)))
     off = np.abs(found.measured - found.simulated)

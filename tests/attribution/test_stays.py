@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.attribution.parameters import Entry
-from adaptsim_jax.attribution.score import Candidate
-from adaptsim_jax.attribution.stays import Simulated, between_rows, steadiness
+from adaptsim_jax.attribution.score import JointCandidate
+from adaptsim_jax.attribution.stays import SimulatedEvidence, between_rows, steadiness
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.rules import refusal
 from adaptsim_jax.diagnosis.testing import Test as Paired
@@ -29,7 +29,7 @@ def judged(delay=0.01, angles=0.5, test=GOOD, steady=27.0, floor=0.1, least=0.0,
     floor.
     """
     entry = Entry("delay", "delay", (0,), 0.0, 0.0, -0.1, 0.1, "s")
-    candidate = Candidate("delay", (0,), "joint", (entry,))
+    candidate = JointCandidate("delay", (0,), "joint", (entry,))
     vector: Any = SimpleNamespace(entries=(entry,), values=np.array([delay]))
 
     def of(size):
@@ -46,7 +46,7 @@ def judged(delay=0.01, angles=0.5, test=GOOD, steady=27.0, floor=0.1, least=0.0,
         least=least,
         effect=lambda name: replace(the_effect(name), describes=describes),
     )
-    evidence = Simulated(problem, of(angles), of(1.0), candidate, test, steady, Criteria())
+    evidence = SimulatedEvidence(problem, of(angles), of(1.0), candidate, test, steady, Criteria())
     return refusal(evidence)
 
 
@@ -101,8 +101,8 @@ def test_bristles_that_bend_within_the_noise_are_no_effect(floor, stays):
         least=0.0,
         effect=the_effect,
     )
-    candidate = Candidate("presliding", (0,), "joint", (entry,))
-    why = refusal(Simulated(problem, of(2.0), of(9.0), candidate, GOOD, 27.0, Criteria()))
+    candidate = JointCandidate("presliding", (0,), "joint", (entry,))
+    why = refusal(SimulatedEvidence(problem, of(2.0), of(9.0), candidate, GOOD, 27.0, Criteria()))
     if stays:
         assert why is None
     else:
@@ -120,7 +120,9 @@ def test_commands_between_rows_are_how_rows_are_read(rows, read):
     )
     assert (
         bool(
-            between_rows(problem, model, Candidate("delay", (0, 1), "common", (entry,)), Criteria())
+            between_rows(
+                problem, model, JointCandidate("delay", (0, 1), "common", (entry,)), Criteria()
+            )
         )
         is read
     )
@@ -139,6 +141,6 @@ def test_steadiness_is_that_of_an_effect_all_else_held():
             vectors=np.zeros((2, 2)), normal=SimpleNamespace(hess=hess, slope=slope)
         ),
     )
-    assert steadiness(model, Candidate("coulomb", (0,), "joint", entries[:1])) == pytest.approx(
-        50.0, rel=1e-3
-    )
+    assert steadiness(
+        model, JointCandidate("coulomb", (0,), "joint", entries[:1])
+    ) == pytest.approx(50.0, rel=1e-3)

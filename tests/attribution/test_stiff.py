@@ -12,7 +12,7 @@ from adaptsim_jax.attribution.parameters import Entry
 from adaptsim_jax.attribution.paths import run, scheme, starts_of
 from adaptsim_jax.attribution.problem import nuisances, prepare, values_of
 from adaptsim_jax.attribution.simulate import simulate
-from adaptsim_jax.attribution.stretches import Track
+from adaptsim_jax.attribution.stretches import JointTrack
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.mechanisms.mjcf import read_mechanism
 
@@ -29,7 +29,7 @@ def arm(tmp_path_factory):
     path.write_text(XML)
     time = np.arange(60) / 30.0
     target = np.stack([0.6 * np.sin(3.0 * time), 0.8 * np.sin(5.0 * time)], 1)
-    tracks = [Track(str(k), time, 0.9**k * target, None, 0.9**k * target) for k in range(5)]
+    tracks = [JointTrack(str(k), time, 0.9**k * target, None, 0.9**k * target) for k in range(5)]
     effects = tuple(e for e in MACHINE if e.name in ("viscous", "coulomb", "presliding"))
     problem = prepare(read_mechanism(path).tree, tracks, effects, LAW)
     rub = [Entry("coulomb", "level", (j,), 0.1, 0.0, 0.0, 1.0, "N m") for j in (0, 1)]

@@ -6,8 +6,8 @@ import pytest
 
 from adaptsim_jax.attribution.diagnose import declared_vector, diagnose
 from adaptsim_jax.attribution.equation.balance import balances
-from adaptsim_jax.attribution.equation.filed import filed
-from adaptsim_jax.attribution.equation.models import said
+from adaptsim_jax.attribution.equation.filed import without_bodies
+from adaptsim_jax.attribution.equation.models import search_balances
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.parameters import DAMPING_STEP
 from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
@@ -38,9 +38,11 @@ def test_a_simulators_steps_are_no_effect_of_either_arm(tmp_path):
         machine.gear,
         declared=machine.declared,
     )
-    null = filed(declared_vector(machine, problem))
+    null = without_bodies(declared_vector(machine, problem))
     reach = scaled_reach(problem, *own_inertia(problem, null))
-    found = said(problem, balances(problem, machine.tracks), null, reach, Criteria(), True)
+    found = search_balances(
+        problem, balances(problem, machine.tracks), null, reach, Criteria(), True
+    )
     assert not {n.candidate.effect for n in found.named} & {
         "position_gain",
         "torque_gain",

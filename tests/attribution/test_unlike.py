@@ -10,7 +10,7 @@ import numpy as np
 from adaptsim_jax.attribution.diagnose import declared_vector
 from adaptsim_jax.attribution.equation.balance import NOTHING, balances
 from adaptsim_jax.attribution.equation.commands import servos
-from adaptsim_jax.attribution.equation.filed import filed
+from adaptsim_jax.attribution.equation.filed import without_bodies
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.problem import held, own_inertia, scaled_reach
 from adaptsim_jax.attribution.score import candidates
@@ -47,7 +47,7 @@ def test_followers_that_do_not_follow_are_known_by_their_leader(tmp_path):
 def test_nothing_is_sought_at_a_joint_that_is_unlike_the_model_but_what_all_share(tmp_path):
     machine, problem = prepared(finger_log(tmp_path / "log"))
     problem = replace(problem, unlike=(1,))
-    null = filed(declared_vector(machine, problem))
+    null = without_bodies(declared_vector(machine, problem))
     reach = scaled_reach(problem, *own_inertia(problem, null))
     here = {
         c.effect for c in candidates(problem, null, reach) if 1 in c.joints and c.effect != "tilt"

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.attribution.equation import confirmed
-from adaptsim_jax.attribution.equation.confirmed import harmed, telling
+from adaptsim_jax.attribution.equation.confirmed import harmed, informative_joints
 from adaptsim_jax.attribution.equation.stays import nameless, read_so
 from adaptsim_jax.attribution.held_out import most_over_floor
 from adaptsim_jax.attribution.parameters import Entry
 from adaptsim_jax.attribution.problem import passing
-from adaptsim_jax.attribution.score import Candidate
-from adaptsim_jax.attribution.stays import Simulated
-from adaptsim_jax.attribution.stretches import Track
+from adaptsim_jax.attribution.score import JointCandidate
+from adaptsim_jax.attribution.stays import SimulatedEvidence
+from adaptsim_jax.attribution.stretches import JointTrack
 from adaptsim_jax.diagnosis.criteria import Criteria
 
 TRIALS, EACH = 6, 10  # stretches of each
@@ -51,7 +51,11 @@ def a_line_that_leaves_ten_mrad(monkeypatch):
 
 
 def test_simulation_tells_something_near_its_noise_or_better_than_a_line():
-    assert telling(problem(), model(0.002, 0.008, 0.02), Criteria()) == [True, True, False]
+    assert informative_joints(problem(), model(0.002, 0.008, 0.02), Criteria()) == [
+        True,
+        True,
+        False,
+    ]
 
 
 def test_a_joint_that_is_simulated_worse_with_a_name_has_a_veto_where_it_tells_anything():
@@ -69,7 +73,7 @@ def test_half_of_the_torque_passes_a_limit_and_a_dead_zone():
     time = np.arange(2000) * DT
     torque = np.stack([3.0 * np.sin(time), 0.0 * time], 1)
     law = np.array([[1.0] * 2, [0.0] * 2, [0.0] * 2, [0.0] * 2, [-np.inf] * 2, [np.inf] * 2])
-    most = passing([Track("a", time, 0.0 * torque, None, torque)], law, np.ones(2))
+    most = passing([JointTrack("a", time, 0.0 * torque, None, torque)], law, np.ones(2))
     size = np.abs(torque[:, 0])
     limit, zone = 3.0 * (1.0 - most["saturation", "cut"][1][0]), most["dead_zone", "width"][1][0]
     assert np.minimum(size, limit).mean() == pytest.approx(0.5 * size.mean(), rel=1e-3)
@@ -77,9 +81,9 @@ def test_half_of_the_torque_passes_a_limit_and_a_dead_zone():
     assert most["dead_zone", "width"][1][1] == 0.0  # of a joint that nothing drives
 
 
-def shift(effect: str, name: str, joint: int = 0) -> Candidate:
+def shift(effect: str, name: str, joint: int = 0) -> JointCandidate:
     entry = Entry(effect, name, (joint,), 0.0, 0.0, -0.1, 0.1, "s")
-    return Candidate(effect, (joint,), "common", (entry,))
+    return JointCandidate(effect, (joint,), "common", (entry,))
 
 
 def test_of_a_delay_and_a_lag_of_the_same_joints_the_sum_is_how_a_log_is_read():
@@ -113,7 +117,7 @@ def test_a_long_delay_at_one_joint_does_not_shield_a_short_one_at_another():
 
     def unresolved(c):
         test: Any = None
-        return Simulated(problem(), found, found, c, test, 9.0, Criteria()).unresolved_shift
+        return SimulatedEvidence(problem(), found, found, c, test, 9.0, Criteria()).unresolved_shift
 
     assert unresolved(short) == pytest.approx(0.1) and unresolved(long) is None
 

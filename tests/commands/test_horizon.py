@@ -50,7 +50,7 @@ def test_a_replay_tells_how_long_its_stretches_really_are(tmp_path, simulator, h
     )
     (tmp_path / "arm.xml").write_text(SERVO)
     found = replay_files(tmp_path / "arm.xml", log, horizon, ("stretches",), simulator)
-    told = found.told()
+    told = found.as_dict()
     np.testing.assert_allclose(told["horizon"], span, rtol=1e-6)
     np.testing.assert_allclose(np.ptp(found.time[0]), span, atol=0.03)
     assert any(

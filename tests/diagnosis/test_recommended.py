@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.diagnosis.recommended import WHOLE_TRIALS, Simulated, worse_joints
+from adaptsim_jax.diagnosis.recommended import WHOLE_TRIALS, FileReplay, worse_joints
 from adaptsim_jax.report.diagnosis_words import headline, todo
 
 SPANS = {"stretches of 0.5 s": 0.5, WHOLE_TRIALS: 0.0}
@@ -23,7 +23,7 @@ def run(table):
         name = file.name if file else "declared"
         if name not in table:
             raise BadInput("no such file")
-        return Simulated(
+        return FileReplay(
             ("a", "b", "c"),
             ("rad",) * 3,
             np.array([table[name][span]]),

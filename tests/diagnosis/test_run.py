@@ -30,6 +30,6 @@ def test_the_report_names_the_command_that_repeats_it():
 
 
 def test_a_run_tells_its_seconds_when_it_is_over():
-    told = Run("adaptsim diagnose logs", time.monotonic() - 5.0, seed=2).told()
+    told = Run("adaptsim diagnose logs", time.monotonic() - 5.0, seed=2).as_dict()
     assert told["version"] == adaptsim_jax.__version__ and told["seed"] == 2
     assert told["command"] == "adaptsim diagnose logs" and 5.0 <= told["seconds"] < 6.0

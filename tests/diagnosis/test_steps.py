@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from adaptsim_jax.diagnosis.steps import Lanes, Point, best_of, bounded_step, fit_starts, fit_values
+from adaptsim_jax.diagnosis.steps import (
+    Point,
+    StretchLanes,
+    best_of,
+    bounded_step,
+    fit_starts,
+    fit_values,
+)
 
 FREE = np.full(2, np.inf)
 HESS = np.array([[2.0, 0.8], [0.8, 1.0]])
@@ -68,7 +75,7 @@ def test_starts_of_stretches_are_fitted_each_by_itself(every):
 
     begun = best_of((np.zeros((5, 2)), truth * [[1.0], [0.0], [0.0], [0.0], [0.0]]), evaluate)
     assert begun.loss[0] == 0.0 < begun.loss[1]
-    found = fit_starts(Lanes(*begun), propose, evaluate, 3, every=every, lanes=np.arange(4))
+    found = fit_starts(StretchLanes(*begun), propose, evaluate, 3, every=every, lanes=np.arange(4))
     np.testing.assert_allclose(found.starts[:4], truth[:4], atol=1e-8)
     np.testing.assert_allclose(found.starts[4], 0.0)
     assert begun.loss[1] > 0.0  # what was given stays as it was

@@ -12,7 +12,7 @@ from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.fit import fitted, settled
 from adaptsim_jax.diagnosis.problem import Candidate, Problem, Quantity
 from adaptsim_jax.diagnosis.rows import (
-    Seen,
+    Recorded,
     _standing_out,
     error_table,
     message,
@@ -208,7 +208,7 @@ def test_the_message_and_the_table_tell_one_error():
     model = SimpleNamespace(fit=SimpleNamespace(held=np.square([1.0, 2.0, 10.0, 20.0])))
     found = SimpleNamespace(named=(), null=model, final=model)
     rows = np.zeros((4, 3, 2))
-    seen = Seen(
+    seen = Recorded(
         "push",
         "pushes",
         tuple("abcd"),

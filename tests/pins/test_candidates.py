@@ -12,10 +12,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from adaptsim_jax.attribution.equation.search import told_apart
+from adaptsim_jax.attribution.equation.search import separable_candidates
 from adaptsim_jax.attribution.problem import nuisances, own_inertia, prepare, scaled_reach
 from adaptsim_jax.attribution.score import candidates
-from adaptsim_jax.attribution.stretches import Track
+from adaptsim_jax.attribution.stretches import JointTrack
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.mechanisms.tree import make_tree
@@ -34,12 +34,12 @@ TORQUE = [1.0, 0.0, 0.0, 0.0, -np.inf, np.inf]
 NONE = [0.0, 0.0, 0.0, 0.0, -np.inf, np.inf]
 
 
-def a_track(n: int) -> Track:
+def a_track(n: int) -> JointTrack:
     """Sums of two sines at each joint, 3 s at 200 Hz."""
     time, k = np.arange(600) / 200.0, np.arange(n)
     q = 0.6 * np.sin((2.0 + 0.7 * k) * time[:, None]) + 0.2 * np.sin((5.0 + k) * time[:, None] + k)
     u = 0.8 * np.cos((3.0 + 0.4 * k) * time[:, None])
-    return Track("a", time, q, None, u)
+    return JointTrack("a", time, q, None, u)
 
 
 def a_tree(parents, kinds=None, **values):
@@ -122,7 +122,7 @@ def of_machine(name: str) -> dict[str, list[list[str]]]:
                 balance=SimpleNamespace(group=g),
             )
             title = f"balance of {list(g.joints)}, {'commands' if commanded else 'torques'}"
-            out[title] = grouped(told_apart(state))
+            out[title] = grouped(separable_candidates(state))
     return out
 
 

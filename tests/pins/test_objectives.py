@@ -9,17 +9,17 @@ import pytest
 
 from adaptsim_jax.attribution.diagnose import declared_vector, posed
 from adaptsim_jax.attribution.equation.balance import balances
-from adaptsim_jax.attribution.equation.columns import Table
+from adaptsim_jax.attribution.equation.columns import EffectTable
 from adaptsim_jax.attribution.equation.models import part_of
-from adaptsim_jax.attribution.equation.search import told_apart, within, witness
+from adaptsim_jax.attribution.equation.search import search_group, separable_candidates, within
 from adaptsim_jax.attribution.equation.searched import Searched
 from adaptsim_jax.attribution.linear import linear
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.paths import run, starts_of
-from adaptsim_jax.attribution.problem import Problem, own_inertia, scaled_reach
-from adaptsim_jax.attribution.score import Candidate, candidate_columns, candidates, table
-from adaptsim_jax.attribution.weights import Fit, losses, weigh
+from adaptsim_jax.attribution.problem import TreeProblem, own_inertia, scaled_reach
+from adaptsim_jax.attribution.score import JointCandidate, candidate_columns, candidates, table
+from adaptsim_jax.attribution.weights import TreeFit, losses, weigh
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.starts import problem_of
 from adaptsim_jax.effects.joints.catalogue import MACHINE
@@ -46,7 +46,7 @@ class Posed:
     """A machine's problem by simulation and by the balance, and the vector that is fitted."""
 
     machine: Any
-    problem: Problem
+    problem: TreeProblem
     null: Vector
     reach: Any
 
@@ -97,7 +97,7 @@ def three(case: Posed) -> dict[str, Vector]:
     }
 
 
-def told(c: Candidate) -> list[Any]:
+def told(c: JointCandidate) -> list[Any]:
     """A candidate as it is stored."""
     rows = [
         [e.owner, e.name, list(e.joints), e.start, e.off, e.low, e.high, e.unit, e.prior]
@@ -122,7 +122,7 @@ def test_simulated_stretches_leave_the_same(posed_of, name):
         paths = run(case.problem, vector, starts)
         weights = weigh(case.problem, paths)
         loss = losses(case.problem, paths, weights)
-        lin = linear(case.problem, Fit(vector, starts, weights, loss, "", 0))
+        lin = linear(case.problem, TreeFit(vector, starts, weights, loss, "", 0))
         groups = zip(lin.residual, lin.start, lin.shared, strict=True)
         out[key] = [
             [mark(loss), mark(r), mark(by_start), [mark(z) for z in np.moveaxis(shared, -1, 0)]]
@@ -138,7 +138,7 @@ def test_columns_and_scores_of_candidates_are_the_same(posed_of, name):
     starts = starts_of(case.problem)
     paths = run(case.problem, case.null, starts)
     weights = weigh(case.problem, paths)
-    fit = Fit(case.null, starts, weights, losses(case.problem, paths, weights), "", 0)
+    fit = TreeFit(case.null, starts, weights, losses(case.problem, paths, weights), "", 0)
     lin = linear(case.problem, fit)
     every = candidates(case.problem, case.null, case.reach)
     pairs = [(e, c.shaped()) for c in every for e in c.entries]
@@ -167,13 +167,13 @@ def test_the_balance_misses_the_same(posed_of, name):
         own = within(part_of(case.null, b))
         commanded = case.machine.log.input_kind != "torque"
         state = Searched(case.problem, b, own, case.reach, Criteria(), commanded)
-        every = told_apart(state)
+        every = separable_candidates(state)
         rows = {"windows": [mark(b.clear), mark(b.trial), mark(b.time)], "offered": []}
         for c in every:
             columns = [mark(state.table.of(e, c.shaped())) for e in c.entries]
             rows["offered"].append([c.effect, list(c.joints), c.sharing, dict(c.shape), columns])
         for key, vector in three(case).items():
-            made = Table(case.problem, b, part_of(vector, b))
+            made = EffectTable(case.problem, b, part_of(vector, b))
             fitted = [mark(made.of(e)) for e in made.vector.entries]
             rows[key] = [mark(made.missing()), fitted]
         out.append(rows)
@@ -186,7 +186,7 @@ def test_the_balance_is_searched_the_same(posed_of, name):
     commanded = case.machine.log.input_kind != "torque"
     for b in balances(case.problem, case.machine.tracks):
         own = within(part_of(case.null, b))
-        found = witness(case.problem, b, own, case.reach, Criteria(), commanded)
+        found = search_group(case.problem, b, own, case.reach, Criteria(), commanded)
         rows = [
             [s.action, s.candidate.effect, list(s.candidate.joints), *(s.reason or ("", 0.0))[:2]]
             for s in found.steps
@@ -194,7 +194,7 @@ def test_the_balance_is_searched_the_same(posed_of, name):
         named = [
             [n.candidate.effect, list(n.candidate.joints), n.test.gain, n.test.p, n.steady]
             + [[a.effect, list(a.joints)] for a in n.alternatives]
-            for n in found.kept
+            for n in found.named
         ]
         out.append({"trace": rows, "named": named, "final": list(found.final.values)})
     check(f"search_balance_{name}", out, LOOSE)

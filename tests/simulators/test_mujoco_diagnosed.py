@@ -10,7 +10,7 @@ from adaptsim_jax import cli
 from adaptsim_jax.attribution.replay import replay_files
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.read import read_source_and_log
-from adaptsim_jax.simulators.mujoco.coarse import change, halved, told
+from adaptsim_jax.simulators.mujoco.coarse import change, halved, step_notes
 from adaptsim_jax.simulators.mujoco.diagnosed import diagnose, simulator
 from tests.simulators.robots import quadruped, record, walk
 from tests.simulators.test_mujoco import ARM, swing
@@ -216,10 +216,10 @@ def test_a_coarse_step_is_told_and_a_fine_one_is_not(tmp_path):
         halved(made).made.model.opt.timestep == 0.002
         and 0.0 < change(halved(made), values) < 0.7 * size
     )
-    assert bool(told(made, values)) == (size >= 1.0)
+    assert bool(step_notes(made, values)) == (size >= 1.0)
     (data / "model.xml").write_text(
         (data / "model.xml").read_text().replace('timestep="0.004"', 'timestep="0.02"')
     )
     coarse = simulator(*read_source_and_log(data))
-    (line,) = told(coarse, values)
+    (line,) = step_notes(coarse, values)
     assert "step of 20 ms is coarse" in line

@@ -12,12 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.sparse
 
-from adaptsim_jax.attribution.acting import Motion, Values, actuated
+from adaptsim_jax.attribution.acting import JointMotion, Values, actuated
 from adaptsim_jax.attribution.equation.limits import limited
 from adaptsim_jax.attribution.equation.windows import SPAN, runs_of
 from adaptsim_jax.attribution.parameters import Vector
-from adaptsim_jax.attribution.problem import Group, Problem, group_inertia, held, values_of
-from adaptsim_jax.attribution.stretches import Track
+from adaptsim_jax.attribution.problem import Group, TreeProblem, group_inertia, held, values_of
+from adaptsim_jax.attribution.stretches import JointTrack
 from adaptsim_jax.effects.base import Dry, Effect
 from adaptsim_jax.effects.joints.actuator import TORQUE_GAIN
 from adaptsim_jax.mechanisms import dynamics, equations
@@ -25,7 +25,7 @@ from adaptsim_jax.mechanisms.tree import Tree
 
 GAIN = TORQUE_GAIN.name
 """Effects that change what an actuator does by what it was told."""
-LEAST_GAIN = 0.02
+MIN_GAIN = 0.02
 At = Mapping[str, np.ndarray]  # parameters of an effect, [n] each
 Driven = tuple[np.ndarray, np.ndarray]
 # rad (m): from the end of a range, within which it may push, since an encoder's zero may be off; at
@@ -34,7 +34,7 @@ AT_END = 0.05
 OF_RANGE = 0.02  # of its width
 CUT = 0.05  # of a joint's usual force, from which on what a limit cuts of spikes is not told
 NEAR = 0.98  # of an actuator's limit, from which on it is at it
-LEAST_CLEAR = 0.03  # weight of a window in which a joint does not move
+MIN_CLEAR = 0.03  # weight of a window in which a joint does not move
 PUSHED = (
     0.01  # of a window: from which share on, in which what pushes is not told, it does not count
 )
@@ -46,13 +46,13 @@ SOMEWHAT = 2048  # rows that one compiled program takes
 class Balance:
     """Of a group of n joints in K windows: regressor [K, n, 10 n] (N m by inertial parameter),
     acceleration [K, n], trial [K], time [K], clear [K, n]: whether a joint moved, was not at the
-    end of its range, and its force is told by the rows (`_told`); known [K, n]: what acts whatever
+    end of its range, and its force is told by the rows (`_reported`); known [K, n]: what acts whatever
     is fitted, which is what holds bodies up against gravity, less what bodies of joints that follow
     others take.
 
     q, v, a, u, jump [n, T]: the motion of all runs one after the other; ahead, width [n, T]: the
     speed that dry friction goes by, and below which it is not told from zero; row [T] s
-    (`windows.Run`); clock [T] s; mean [K, T]
+    (`windows.EvenTrial`); clock [T] s; mean [K, T]
     averages over windows; runs: the rows of each.
     """
 
@@ -92,7 +92,7 @@ class Balance:
 
 
 def balances(
-    problem: Problem, tracks: tuple[Track, ...], span: float = SPAN, trusted: bool = True
+    problem: TreeProblem, tracks: tuple[JointTrack, ...], span: float = SPAN, trusted: bool = True
 ) -> tuple[Balance, ...]:
     """By group of joints; none of a group whose trials hold no window. trusted: the law of the
     file's actuators says where they are at their limits, and windows there do not count; else only
@@ -101,7 +101,7 @@ def balances(
     out = []
     for group in problem.groups:
         own = list(group.joints)
-        part = [Track(t.name, t.time, t.q[:, own], None, t.u[:, own], t.group) for t in tracks]
+        part = [JointTrack(t.name, t.time, t.q[:, own], None, t.u[:, own], t.group) for t in tracks]
         runs = runs_of(part, problem.floor[own], span)
         if not runs:
             continue
@@ -140,10 +140,10 @@ def balances(
         )
         sure = (
             inside(group.model.tree, q)
-            & _told(made, values, trusted)
+            & _reported(made, values, trusted)
             & ~np.isin(own, problem.unlike)[:, None]
         )
-        moves = np.maximum(mean @ np.concatenate([r.clear for r in runs], 1).T, LEAST_CLEAR)
+        moves = np.maximum(mean @ np.concatenate([r.clear for r in runs], 1).T, MIN_CLEAR)
         out.append(replace(made, clear=np.where(mean @ (~sure).T < PUSHED, moves, NOTHING)))
     return tuple(out)
 
@@ -155,7 +155,7 @@ def inside(tree: Tree, q: np.ndarray) -> np.ndarray:
     return ~np.asarray(tree.limited)[:, None] | ((q > low + near) & (q < high - near))
 
 
-def _told(balance: Balance, values: Values, trusted: bool) -> np.ndarray:
+def _reported(balance: Balance, values: Values, trusted: bool) -> np.ndarray:
     """Where [n, T] limits cut little of the spikes of a force after each command (how much they cut
     hangs on what is between rows), and no controller's force is at them: it is the difference of
     two much larger ones there, and none where a joint chatters.
@@ -318,7 +318,7 @@ def _acted(tree, inertial, effect: Effect, p, q, v, tau, t, pull, u, ahead, widt
     def gravity(q):
         return equations.gravity_force(tree, inertial, q, jnp.asarray(tree.gravity))
 
-    answer = effect.apply(p, Motion(q, v, tau, t, jnp.zeros_like(q), gravity, t, pull, u))
+    answer = effect.apply(p, JointMotion(q, v, tau, t, jnp.zeros_like(q), gravity, t, pull, u))
     if isinstance(answer, Dry):
         rate, more = jnp.asarray(tree.rub).T[..., None]
         sign = ramp(ahead, width, more * jnp.abs(answer.level) / jnp.maximum(rate, 1e-9))
@@ -400,7 +400,7 @@ def force_of(balance: Balance, values: Values, effect: Effect, p: At, driven: Dr
 
 
 def residual(
-    problem: Problem,
+    problem: TreeProblem,
     balance: Balance,
     vector: Vector,
     acts: tuple[np.ndarray, np.ndarray] | None = None,
@@ -455,6 +455,6 @@ def in_proportion(reported: np.ndarray, driven: np.ndarray) -> np.ndarray:
 
     return np.where(
         size(reported) > 0,
-        np.maximum(size(driven) / np.maximum(size(reported), 1e-300), LEAST_GAIN),
+        np.maximum(size(driven) / np.maximum(size(reported), 1e-300), MIN_GAIN),
         1.0,
     )

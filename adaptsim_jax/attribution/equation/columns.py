@@ -9,7 +9,7 @@ import numpy as np
 
 from adaptsim_jax.attribution.equation.balance import (
     GAIN,
-    LEAST_GAIN,
+    MIN_GAIN,
     Balance,
     acting,
     actuator_force,
@@ -21,21 +21,21 @@ from adaptsim_jax.attribution.equation.balance import (
     tilting,
 )
 from adaptsim_jax.attribution.parameters import INERTIA, TILT, Entry, Vector
-from adaptsim_jax.attribution.problem import Problem, values_of
+from adaptsim_jax.attribution.problem import TreeProblem, values_of
 from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.effects.joints.catalogue import ETA, TILTS
 
 STEP = 0.02  # share of a value, by which it is moved for a difference
-LEAST = 1e-4
+MIN_STEP = 1e-4
 OFF = 0.03  # of the usual torque, by which friction may be off
 
 
-class Table:
+class EffectTable:
     """Columns [K, n] of entries of a vector and of candidates, made when asked for. About the
     values of `vector`.
     """
 
-    def __init__(self, problem: Problem, balance: Balance, vector: Vector):
+    def __init__(self, problem: TreeProblem, balance: Balance, vector: Vector):
         self.problem, self.balance, self.vector = problem, balance, vector
         self.values = values_of(problem, balance.group, vector)
         self.place = {j: k for k, j in enumerate(balance.group.joints)}
@@ -46,18 +46,18 @@ class Table:
             own = self.values.effects[GAIN]["gain"][:, 0]
         else:
             own = np.zeros(balance.joints)
-        self.scale = np.maximum(1.0 + own, LEAST_GAIN)
+        self.scale = np.maximum(1.0 + own, MIN_GAIN)
         self._made: dict = {}
 
     def missing(self) -> np.ndarray:
         """Force that is missing [K, n]."""
-        return self._kept(
+        return self._cached(
             "missing", lambda: residual(self.problem, self.balance, self.vector, self._acting())
         )
 
     def driven(self) -> tuple[np.ndarray, np.ndarray]:
         """`actuator_force`."""
-        return self._kept("driven", lambda: actuator_force(self.balance, self.values))
+        return self._cached("driven", lambda: actuator_force(self.balance, self.values))
 
     def of(self, entry: Entry, shape: Mapping[str, float] | None = None) -> np.ndarray:
         """Column [K, n] of an entry, at the shapes of a candidate where it is one's."""
@@ -69,7 +69,7 @@ class Table:
         """What the motion takes of an actuator, by the model: of what was told the noise would be
         read as a gain.
         """
-        averaged = self._kept("told", lambda: self.balance.averaged(self.driven()[0]))
+        averaged = self._cached("told", lambda: self.balance.averaged(self.driven()[0]))
         needed = averaged + self.missing() - self.explained
         return needed / self.scale * np.isin(self.balance.group.joints, entry.joints)
 
@@ -121,7 +121,7 @@ class Table:
         def slope():
             return -read_wrong(self.balance, self.values.inertial[..., 0], *of, slope=True)
 
-        return self._kept((effect.name, entry.joints), slope)
+        return self._cached((effect.name, entry.joints), slope)
 
     def _at(self, effect: Effect, shape: Mapping[str, float]) -> dict[str, np.ndarray]:
         """Parameters [n] of an effect as they are, those of `shape` laid over its shapes."""
@@ -167,7 +167,7 @@ class Table:
             np.mean(np.square(self.balance.acceleration), 0)
         )  # of a joint that nothing drives
         return np.maximum(
-            0.5 * np.abs(here[name]), OFF * np.where(torque > 0.0, torque, own + LEAST)
+            0.5 * np.abs(here[name]), OFF * np.where(torque > 0.0, torque, own + MIN_STEP)
         )
 
     def _paired(self, effect: Effect, entry: Entry, shape) -> np.ndarray:
@@ -184,7 +184,7 @@ class Table:
         """Of an entry of the vector that does not act linearly."""
         at = self.vector.index()[entry.key]
         value = self.vector.values[at]
-        size = max(STEP * abs(value), LEAST)
+        size = max(STEP * abs(value), MIN_STEP)
         size = -size if value + size > entry.high else size
         effect = self.problem.effect(entry.owner)
         if effect.scales_torque or effect.place == "measurement":
@@ -198,13 +198,13 @@ class Table:
         def act(p):
             return force_of(self.balance, self.values, effect, p, self.driven())
 
-        now, share = self._kept((effect.name, "now"), lambda: act(here)), self._acting()[1]
+        now, share = self._cached((effect.name, "now"), lambda: act(here)), self._acting()[1]
         return (act(here | {entry.name: here[entry.name] + size * own}) - now) / size / share
 
     def _acting(self) -> tuple[np.ndarray, np.ndarray]:
-        return self._kept("acting", lambda: acting(self.balance, self.values))
+        return self._cached("acting", lambda: acting(self.balance, self.values))
 
-    def _kept(self, key: Hashable, make: Callable[[], Any]) -> Any:
+    def _cached(self, key: Hashable, make: Callable[[], Any]) -> Any:
         if key not in self._made:
             self._made[key] = make()
         return self._made[key]

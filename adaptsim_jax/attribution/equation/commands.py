@@ -13,11 +13,11 @@ import numpy as np
 
 from adaptsim_jax.attribution.equation.balance import Balance
 from adaptsim_jax.attribution.parameters import Vector
-from adaptsim_jax.attribution.problem import Problem, values_of
+from adaptsim_jax.attribution.problem import TreeProblem, values_of
 from adaptsim_jax.diagnosis.folds import WINDOWS, blocks_of_windows, folds_of
 from adaptsim_jax.diagnosis.testing import jackknife, log_ratio, means, sign_flip
 
-TOLD = (
+SIGNIFICANT = (
     2.5  # 1/kp over its standard error, from which on it is told; and its distance from the file's
 )
 SURE = 6.0  # the same of a drive's gain, which everything hangs on
@@ -38,7 +38,7 @@ LESS = 0.7
 class Servo:
     """Of a joint: kp [N m/rad], D [N m s/rad], coulomb [N m], rotor [kg m^2] beside the file's,
     bias [N m]; scale: whether kp itself is told, and
-    not only what is over it; apart: standard errors between 1/kp and the file's, infinite where
+    not only what is over it; separation: standard errors between 1/kp and the file's, infinite where
     other joints give the scale; error: rms of the command error [rad] where the joint moves, and
     what is left of it by these gains and by the file's; p of a test over blocks of the one against
     the other.
@@ -51,14 +51,14 @@ class Servo:
     rotor: float
     bias: float
     scale: bool
-    apart: float
+    separation: float
     error: float
     left: float
     file: float
     p: float
 
 
-def servos(problem: Problem, balance: Balance) -> list[Servo]:
+def servos(problem: TreeProblem, balance: Balance) -> list[Servo]:
     """Gains of the joints of a group whose actuators are told where to be."""
     values = values_of(problem, balance.group, Vector((), np.zeros(0)))
     law = values.actuator[:, :, 0]
@@ -90,7 +90,7 @@ def servos(problem: Problem, balance: Balance) -> list[Servo]:
     found = []
     for k, j, error, columns, kp, kv in out:
         x, spread, left = _regressed(balance, error, columns, balance.clear[:, k])
-        scale = x[0] > TOLD * spread[0] and 1.0 / x[0] < 1e5
+        scale = x[0] > SIGNIFICANT * spread[0] and 1.0 / x[0] < 1e5
         if scale:
             usual.append(1.0 / (x[0] * kp))
         needs = takes[:, k] + balance.group.model.tree.frictionloss[k] * sign[:, k]
@@ -179,7 +179,7 @@ def _better(balance: Balance, before: np.ndarray, after: np.ndarray) -> float:
     return sign_flip(log_ratio(*left))
 
 
-def drive_gains(problem: Problem, balance: Balance) -> dict[int, float | None]:
+def drive_gains(problem: TreeProblem, balance: Balance) -> dict[int, float | None]:
     """Torque over volts or amperes of the driven joints of a group, from told = (forces that the
     motion takes, by the file's bodies) / gain
     + friction and rotor over it; None where these do not give the scale.

@@ -13,12 +13,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from adaptsim_jax.attribution.backward import apart_in_turn
-from adaptsim_jax.attribution.equation.models import Said, model_of, without
+from adaptsim_jax.attribution.backward import separable_in_turn
+from adaptsim_jax.attribution.equation.models import TorqueSearch, model_of, without
 from adaptsim_jax.attribution.forecast import without_a_model
-from adaptsim_jax.attribution.held_out import Model, held_error, over_floor, paired
-from adaptsim_jax.attribution.problem import Problem
-from adaptsim_jax.attribution.score import Candidate
+from adaptsim_jax.attribution.held_out import FittedTree, held_error, over_floor, paired
+from adaptsim_jax.attribution.problem import TreeProblem
+from adaptsim_jax.attribution.score import JointCandidate
 from adaptsim_jax.attribution.stays import eased, worth
 from adaptsim_jax.attribution.weights import losses
 from adaptsim_jax.attribution.yardsticks import WORTH
@@ -34,8 +34,12 @@ without. Over 27 reports right names left 1.5 % of the error more at most, wrong
 
 
 def confirmed(
-    problem: Problem, found: Said, whole: Model, criteria: Criteria, null: Model | None = None
-) -> Said:
+    problem: TreeProblem,
+    found: TorqueSearch,
+    whole: FittedTree,
+    criteria: Criteria,
+    null: FittedTree | None = None,
+) -> TorqueSearch:
     """Without the effects that simulation does not bear out, the weakest first and with it those
     that are not beside it, refitted by the balance. One that takes far more than the least off is
     not asked again; where all together take nothing off, none is asked (closed testing; Marcus,
@@ -44,7 +48,7 @@ def confirmed(
     """
     sure: set[tuple] = set()
     near = null is None or over_floor(problem, null) <= criteria.near
-    if not near and not any(telling(problem, null, criteria)):
+    if not near and not any(informative_joints(problem, null, criteria)):
         return found
     if near and len(found.named) > 1:
         bare = _gone(without(problem, found, [n.candidate for n in found.named], []))
@@ -53,7 +57,9 @@ def confirmed(
             return bare
     while found.named:
 
-        def weighed(c: Candidate, found=found, whole=whole) -> tuple[float, bool, Candidate, Said]:
+        def weighed(
+            c: JointCandidate, found=found, whole=whole
+        ) -> tuple[float, bool, JointCandidate, TorqueSearch]:
             less = without(problem, found, [c], [])
             model = model_of(problem, less, less.final, less.added, whole.fit.starts)
             gain, stays = _gain(problem, model, whole, criteria)
@@ -69,10 +75,10 @@ def confirmed(
         if not weak and not near:
             return found
         if not weak:
-            return _told_apart(problem, found, whole, criteria)
+            return _separable(problem, found, whole, criteria)
         if near:
             sure |= {c.key for gain, stays, c, _ in tests if stays and gain > criteria.apart}
-        gone = apart_in_turn(sorted(weak, key=lambda w: w[0]), lambda w: w[1])
+        gone = separable_in_turn(sorted(weak, key=lambda w: w[0]), lambda w: w[1])
         found = _gone(
             gone[0][2] if len(gone) == 1 else without(problem, found, [c for _, c, _ in gone], [])
         )
@@ -80,12 +86,14 @@ def confirmed(
     return found
 
 
-def _told_apart(problem: Problem, found: Said, whole: Model, criteria: Criteria) -> Said:
+def _separable(
+    problem: TreeProblem, found: TorqueSearch, whole: FittedTree, criteria: Criteria
+) -> TorqueSearch:
     """With those alternatives of each effect alone that simulate left-out stretches as well in its
     place.
     """
 
-    def as_well(pair: tuple[Candidate, Candidate]) -> bool:
+    def as_well(pair: tuple[JointCandidate, JointCandidate]) -> bool:
         c, other = pair
         instead = without(problem, found, [c], [other])
         model = model_of(problem, instead, instead.final, instead.added, whole.fit.starts)
@@ -95,7 +103,7 @@ def _told_apart(problem: Problem, found: Said, whole: Model, criteria: Criteria)
         return test.p > criteria.confidence or test.gain < criteria.gap
 
     pairs = [
-        (k.candidate, other) for w in found.witnesses for k in w.kept for other in k.alternatives
+        (k.candidate, other) for w in found.searches for k in w.named for other in k.alternatives
     ]
     alike = {
         (c.key, o.key)
@@ -108,13 +116,15 @@ def _told_apart(problem: Problem, found: Said, whole: Model, criteria: Criteria)
             k, alternatives=tuple(o for o in k.alternatives if (k.candidate.key, o.key) in alike)
         )
 
-    witnesses = tuple(replace(w, kept=tuple(separable(k) for k in w.kept)) for w in found.witnesses)
+    searches = tuple(replace(w, named=tuple(separable(k) for k in w.named)) for w in found.searches)
     if pairs:
-        return replace(found, witnesses=witnesses)
+        return replace(found, searches=searches)
     return found
 
 
-def telling(problem: Problem, null: Model | None, criteria: Criteria) -> list[bool]:
+def informative_joints(
+    problem: TreeProblem, null: FittedTree | None, criteria: Criteria
+) -> list[bool]:
     """At which joints simulated stretches of the declared model `null` tell anything: they come
     within a few times the noise, or beat what needs no model.
     """
@@ -127,17 +137,17 @@ def telling(problem: Problem, null: Model | None, criteria: Criteria) -> list[bo
 
 
 def harmed(
-    problem: Problem,
-    null: Model | None,
-    less: Model,
-    more: Model,
+    problem: TreeProblem,
+    null: FittedTree | None,
+    less: FittedTree,
+    more: FittedTree,
     joints: Iterable[int],
     criteria: Criteria,
 ) -> list[int]:
     """Those of `joints` that `more` simulates worse than `less`, beyond its own test, where stretches
     tell anything.
     """
-    informative = telling(problem, null, criteria)
+    informative = informative_joints(problem, null, criteria)
     count = len(problem.fold)
     block = pieces(problem.groups[0].stretches.trial[:count], BLOCKS)
     one, two = (np.square(held_error(problem, m)) for m in (less, more))
@@ -149,17 +159,21 @@ def harmed(
     return out
 
 
-def _shown(found: Said, c: Candidate) -> list[int]:
+def _shown(found: TorqueSearch, c: JointCandidate) -> list[int]:
     """Joints of the machine at which an effect shows."""
-    for w in found.witnesses:
+    for w in found.searches:
         if any(k is c for k in w.added):
             return [w.balance.group.joints[k] for k in w.state.own(c)]
     return list(c.joints)
 
 
 def _harmful(
-    problem: Problem, found: Said, null: Model | None, whole: Model, criteria: Criteria
-) -> Candidate | None:
+    problem: TreeProblem,
+    found: TorqueSearch,
+    null: FittedTree | None,
+    whole: FittedTree,
+    criteria: Criteria,
+) -> JointCandidate | None:
     """Of the names at joints that all of them together harm the one that gains least."""
     worse = set(harmed(problem, null, null or whole, whole, range(problem.joints), criteria))
     some = [n for n in found.named if worse & set(_shown(found, n.candidate))]
@@ -168,16 +182,18 @@ def _harmful(
     return min(some, key=lambda n: n.test.gain).candidate
 
 
-def _gone(less: Said) -> Said:
+def _gone(less: TorqueSearch) -> TorqueSearch:
     """What is found less, without the names that are no longer in it."""
 
     def names(w):
-        return tuple(k for k in w.kept if any(k.candidate is c for c in w.added))
+        return tuple(k for k in w.named if any(k.candidate is c for c in w.added))
 
-    return replace(less, witnesses=tuple(replace(w, kept=names(w)) for w in less.witnesses))
+    return replace(less, searches=tuple(replace(w, named=names(w)) for w in less.searches))
 
 
-def _gain(problem: Problem, less: Model, whole: Model, criteria: Criteria) -> tuple[float, bool]:
+def _gain(
+    problem: TreeProblem, less: FittedTree, whole: FittedTree, criteria: Criteria
+) -> tuple[float, bool]:
     """Share of the left-out loss that an effect takes off, and whether it stays."""
     test = paired(problem, losses(problem, less.held.paths, whole.fit.weights), whole.held.loss)
     holds = test.p <= criteria.confidence and test.gain > criteria.size

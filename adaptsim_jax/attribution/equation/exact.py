@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from adaptsim_jax.attribution.equation.balance import residual
-from adaptsim_jax.attribution.equation.columns import Table
+from adaptsim_jax.attribution.equation.columns import EffectTable
 from adaptsim_jax.attribution.equation.searched import Searched
-from adaptsim_jax.attribution.equation.solve import Rows, Solved, Sums, solved
+from adaptsim_jax.attribution.equation.solve import ForceRows, Solved, Sums, solved
 from adaptsim_jax.attribution.parameters import Vector
-from adaptsim_jax.attribution.score import Candidate, shape_entries
+from adaptsim_jax.attribution.score import JointCandidate, shape_entries
 from adaptsim_jax.diagnosis.steps import Point, bounded_step, fit_values
 from adaptsim_jax.effects.base import NINETY
 
@@ -20,7 +20,7 @@ ROUNDS = 8  # of steps of shapes, at most
 
 
 def exact(
-    state: Searched, added: Sequence[Candidate], whole: Solved, near: Vector | None = None
+    state: Searched, added: Sequence[JointCandidate], whole: Solved, near: Vector | None = None
 ) -> tuple[Vector, np.ndarray]:
     """The vector of null and effects, shapes too, by Gauss and Newton's steps from the linear one,
     or from the values of a fit that is `near`, where that is better; standard errors [P].
@@ -67,7 +67,7 @@ def _at(state: Searched, vector: Vector) -> Point:
 
 def _linearised(state: Searched, vector: Vector) -> Solved:
     """The columns of a vector at its values, fitted."""
-    table = Table(state.problem, state.balance, vector)
+    table = EffectTable(state.problem, state.balance, vector)
     free = [i for i, e in enumerate(vector.entries) if e.low < e.high]
     missing = table.missing()
     columns = np.zeros((*missing.shape, len(vector)))
@@ -78,8 +78,8 @@ def _linearised(state: Searched, vector: Vector) -> Solved:
 
 
 def needed(
-    state: Searched, added: Sequence[Candidate], asked: Sequence[Candidate]
-) -> tuple[list[Candidate], Vector, np.ndarray]:
+    state: Searched, added: Sequence[JointCandidate], asked: Sequence[JointCandidate]
+) -> tuple[list[JointCandidate], Vector, np.ndarray]:
     """Effects without those of `asked` that only made up for a shape on a grid: with all shapes
     fitted their interval includes none of them, and the rest leaves as little. With the vector of
     these and its errors, as of `exact`.
@@ -98,7 +98,7 @@ def needed(
     return added, final, errors
 
 
-def _sure(final: Vector, errors: np.ndarray, c: Candidate) -> float:
+def _sure(final: Vector, errors: np.ndarray, c: JointCandidate) -> float:
     """Of its amplitudes the farthest from none, in standard errors."""
     keys = {e.key for e in c.entries}
     rows = zip(final.entries, final.values, errors, strict=True)
@@ -110,7 +110,7 @@ def _left(state: Searched, vector: Vector) -> np.ndarray:
     return np.square(residual(state.problem, state.balance, vector) * state.rows.weight).sum(0)
 
 
-def _cost(rows: Rows, missing: np.ndarray, vector: Vector) -> float:
+def _cost(rows: ForceRows, missing: np.ndarray, vector: Vector) -> float:
     off = vector.values - vector.start
     finite = np.isfinite(vector.precision)
     prior = float(np.sum((vector.precision * off * off)[finite]))

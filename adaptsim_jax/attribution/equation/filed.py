@@ -11,11 +11,11 @@ from collections.abc import Callable
 import numpy as np
 
 from adaptsim_jax.attribution.equation.confirmed import confirmed
-from adaptsim_jax.attribution.equation.models import Said, model_of
-from adaptsim_jax.attribution.equation.search import Witness
-from adaptsim_jax.attribution.held_out import Model, over_floor, paired
+from adaptsim_jax.attribution.equation.models import TorqueSearch, model_of
+from adaptsim_jax.attribution.equation.search import GroupSearch
+from adaptsim_jax.attribution.held_out import FittedTree, over_floor, paired
 from adaptsim_jax.attribution.parameters import Vector
-from adaptsim_jax.attribution.problem import Problem
+from adaptsim_jax.attribution.problem import TreeProblem
 from adaptsim_jax.attribution.weights import losses
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.testing import log_ratio, means, share
@@ -24,14 +24,14 @@ from adaptsim_jax.effects.joints.catalogue import OWN
 FITTED = tuple(e.name for e in OWN if e.traits.fitted)
 
 
-def filed(null: Vector) -> Vector:
+def without_bodies(null: Vector) -> Vector:
     """The entries without bodies and damping, which stay as the file has them."""
     return null.without([e.key for e in null.entries if e.owner in FITTED])
 
 
 def searched(
-    problem: Problem, search: Callable[[Vector], Said], null: Vector, criteria: Criteria
-) -> tuple[Said, Said, bool]:
+    problem: TreeProblem, search: Callable[[Vector], TorqueSearch], null: Vector, criteria: Criteria
+) -> tuple[TorqueSearch, TorqueSearch, bool]:
     """`(found, usual, asked)`: what is found with the file's bodies or with fitted ones; what is
     found with fitted ones, where these were sought; whether simulation was asked of each name.
     search: along the motion, with the entries of a vector fitted.
@@ -43,7 +43,7 @@ def searched(
     a few). A command error shows more than any motion does, and it is enough that left-out
     stretches are simulated as well, or to within the noise.
     """
-    held = search(filed(null))
+    held = search(without_bodies(null))
     model, own = model_of(problem, held, held.final, held.added), None
     if over_floor(problem, model) <= criteria.explained:
         own = confirmed(problem, held, model, criteria)
@@ -65,12 +65,15 @@ def searched(
 
 
 def enough(
-    problem: Problem, found: tuple[Said, Said], models: tuple[Model, Model], criteria: Criteria
+    problem: TreeProblem,
+    found: tuple[TorqueSearch, TorqueSearch],
+    models: tuple[FittedTree, FittedTree],
+    criteria: Criteria,
 ) -> bool:
     """Whether the file's bodies predict as well as fitted ones: what was found with both, and the
     models of it.
     """
-    d = np.concatenate([_worse(*both) for both in zip(*(s.witnesses for s in found), strict=True)])
+    d = np.concatenate([_worse(*both) for both in zip(*(s.searches for s in found), strict=True)])
     if share(d) < criteria.torque.gain:
         return True
     own, other = models
@@ -80,7 +83,7 @@ def enough(
     return test.gain <= criteria.size or test.p > criteria.confidence
 
 
-def _worse(held: Witness, free: Witness) -> np.ndarray:
+def _worse(held: GroupSearch, free: GroupSearch) -> np.ndarray:
     """Logarithms [B] of what the first leaves of left-out blocks over what the second does."""
     rows = free.rows
     loss = [

@@ -10,21 +10,21 @@ import numpy as np
 from adaptsim_jax.attribution.equation.balance import Balance
 from adaptsim_jax.attribution.equation.search import (
     FACTOR,
-    Witness,
+    GroupSearch,
     refitted,
+    search_group,
     within,
-    witness,
 )
 from adaptsim_jax.attribution.forecast import fitted_starts
-from adaptsim_jax.attribution.held_out import HeldOut, Model
+from adaptsim_jax.attribution.held_out import FittedTree, HeldOut
 from adaptsim_jax.attribution.linear import Normal
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.paths import residuals
-from adaptsim_jax.attribution.problem import Problem
-from adaptsim_jax.attribution.score import Candidate, Score
+from adaptsim_jax.attribution.problem import TreeProblem
+from adaptsim_jax.attribution.score import CandidateScore, JointCandidate
 from adaptsim_jax.attribution.select import Selection
 from adaptsim_jax.attribution.simulate import Path
-from adaptsim_jax.attribution.weights import Fit, losses, weigh
+from adaptsim_jax.attribution.weights import TreeFit, losses, weigh
 from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Named, Step
@@ -34,56 +34,58 @@ ROUNDS = 3  # of the starts of stretches
 
 
 @dataclass(frozen=True)
-class Said:
+class TorqueSearch:
     """What the balances of all groups of joints say. null, final: vectors of the whole machine;
     errors [P] of the final one.
     """
 
-    witnesses: tuple[Witness, ...]
+    searches: tuple[GroupSearch, ...]
     null: Vector
     final: Vector
     errors: np.ndarray
 
     @property
-    def added(self) -> tuple[Candidate, ...]:
-        return tuple(c for w in self.witnesses for c in w.added)
+    def added(self) -> tuple[JointCandidate, ...]:
+        return tuple(c for w in self.searches for c in w.added)
 
     @property
     def named(self) -> tuple[Named, ...]:
-        return tuple(n for w in self.witnesses for n in w.kept)
+        return tuple(n for w in self.searches for n in w.named)
 
 
-def said(
-    problem: Problem,
+def search_balances(
+    problem: TreeProblem,
     balances: Sequence[Balance],
     null: Vector,
     reach: Reach,
     criteria: Criteria,
     commanded: bool,
     factor: float = FACTOR,
-) -> Said:
+) -> TorqueSearch:
     """Search the balances of all groups. null: what is fitted whatever is named; commanded, factor:
-    as of `witness`, `within`.
+    as of `search_group`, `within`.
     """
 
     def own(b):
         return within(part_of(null, b), factor)
 
     found = tuple(
-        parallel_map(lambda b: witness(problem, b, own(b), reach, criteria, commanded), balances)
+        parallel_map(
+            lambda b: search_group(problem, b, own(b), reach, criteria, commanded), balances
+        )
     )
     return merged(null, found)
 
 
-def merged(null: Vector, witnesses: Sequence[Witness]) -> Said:
+def merged(null: Vector, searches: Sequence[GroupSearch]) -> TorqueSearch:
     """The vectors of the groups as those of the whole machine."""
-    first = null.at(_values(null, [w.null for w in witnesses]))
-    entries = [e for w in witnesses for e in w.final.entries if e.key not in null.index()]
+    first = null.at(_values(null, [w.null for w in searches]))
+    entries = [e for w in searches for e in w.final.entries if e.key not in null.index()]
     final = null.with_entries(entries)
-    final = final.at(_values(final, [w.final for w in witnesses]))
-    error = {e.key: s for w in witnesses for e, s in zip(w.final.entries, w.errors, strict=True)}
-    return Said(
-        tuple(witnesses), first, final, np.array([error.get(e.key, 0.0) for e in final.entries])
+    final = final.at(_values(final, [w.final for w in searches]))
+    error = {e.key: s for w in searches for e, s in zip(w.final.entries, w.errors, strict=True)}
+    return TorqueSearch(
+        tuple(searches), first, final, np.array([error.get(e.key, 0.0) for e in final.entries])
     )
 
 
@@ -101,12 +103,14 @@ def part_of(null: Vector, balance: Balance) -> Vector:
     return Vector(tuple(null.entries[i] for i in at), null.values[at])
 
 
-def selection(problem: Problem, found: Said, null: Model, reach: Reach) -> Selection:
+def selection(
+    problem: TreeProblem, found: TorqueSearch, null: FittedTree, reach: Reach
+) -> Selection:
     """As a search by simulation hands it on: models that predict stretches, effects that are named,
     what was tried. null: the declared model.
     """
     final = model_of(problem, found, found.final, found.added)
-    steps = [s for w in found.witnesses for s in w.steps]
+    steps = [s for w in found.searches for s in w.steps]
     opening = sorted(
         (_score(s, null.fit.total) for s in _best_tried(steps)), key=lambda s: -s.held_out
     )
@@ -124,20 +128,22 @@ def _best_tried(steps: Sequence[Step]) -> list[Step]:
     return list(best.values())
 
 
-def _score(step: Step, total: float) -> Score:
+def _score(step: Step, total: float) -> CandidateScore:
     test = step.test
     assert test is not None  # of `_best_tried`
     share = test.better / max(test.folds, 1)
-    return Score(step.candidate, np.zeros(0), test.gain * total, test.gain * total, test.p, share)
+    return CandidateScore(
+        step.candidate, np.zeros(0), test.gain * total, test.gain * total, test.p, share
+    )
 
 
 def model_of(
-    problem: Problem,
-    found: Said,
+    problem: TreeProblem,
+    found: TorqueSearch,
     vector: Vector,
-    added: Sequence[Candidate],
+    added: Sequence[JointCandidate],
     starts: Sequence[np.ndarray] | None = None,
-) -> Model:
+) -> FittedTree:
     """A vector with how it simulates stretches, each from starts fitted to it, with the values of
     the folds that it is not in. starts: from which these are fitted, of a model that is nearly the
     same.
@@ -151,8 +157,8 @@ def model_of(
     starts, paths = fitted_starts(problem, vector, rows, rounds, roughly=True, starts=starts)
     weights = weigh(problem, paths)
     loss = losses(problem, paths, weights)
-    fit = Fit(vector, starts, weights, loss, "converged", 0)
-    return Model(
+    fit = TreeFit(vector, starts, weights, loss, "converged", 0)
+    return FittedTree(
         tuple(added),
         fit,
         None,
@@ -161,17 +167,17 @@ def model_of(
     )
 
 
-def _folded(problem: Problem, found: Said, vector: Vector) -> np.ndarray:
+def _folded(problem: TreeProblem, found: TorqueSearch, vector: Vector) -> np.ndarray:
     """Values [F, P] without each fold: of the same pieces of the trials as far as balances and
     stretches are cut alike.
     """
-    if found.witnesses:
-        count = max(len(w.whole.by_fold) for w in found.witnesses)
+    if found.searches:
+        count = max(len(w.whole.by_fold) for w in found.searches)
     else:
         count = 1
     out = np.repeat(vector.values[None], max(count, problem.fold.max() + 1), 0)
     index = vector.index()
-    for w in found.witnesses:
+    for w in found.searches:
         solved = w.base if len(vector) == len(found.null) else w.whole
         for i, e in enumerate(solved.entries):
             if e.key in index:
@@ -181,7 +187,7 @@ def _folded(problem: Problem, found: Said, vector: Vector) -> np.ndarray:
 
 
 def _held(
-    problem: Problem, paths: tuple[Path, ...], loss: np.ndarray, vectors: np.ndarray
+    problem: TreeProblem, paths: tuple[Path, ...], loss: np.ndarray, vectors: np.ndarray
 ) -> HeldOut:
     n = problem.joints
     squared = np.zeros((len(loss), 2 * n))
@@ -204,10 +210,10 @@ def _held(
     )
 
 
-def curvature(found: Said, vector: Vector) -> np.ndarray:
+def curvature(found: TorqueSearch, vector: Vector) -> np.ndarray:
     """Of the balance's loss by the values of a vector [P, P], with the prior."""
     out, index = np.diag(np.maximum(vector.precision, 1e-12)), vector.index()
-    for w in found.witnesses:
+    for w in found.searches:
         solved = w.base if len(vector) == len(found.null) else w.whole
         at = [(i, index[e.key]) for i, e in enumerate(solved.entries) if e.key in index]
         here, there = [i for i, _ in at], [j for _, j in at]
@@ -216,11 +222,14 @@ def curvature(found: Said, vector: Vector) -> np.ndarray:
 
 
 def without(
-    problem: Problem, found: Said, gone: Sequence[Candidate], instead: Sequence[Candidate]
-) -> Said:
+    problem: TreeProblem,
+    found: TorqueSearch,
+    gone: Sequence[JointCandidate],
+    instead: Sequence[JointCandidate],
+) -> TorqueSearch:
     """Refitted without some effects, with others in their place."""
     out = []
-    for w in found.witnesses:
+    for w in found.searches:
         joints = set(w.balance.group.joints)
         less = [c for c in w.added if c not in gone] + [
             c for c in instead if set(c.joints) <= joints

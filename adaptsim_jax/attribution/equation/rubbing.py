@@ -14,10 +14,10 @@ from dataclasses import replace
 import numpy as np
 
 from adaptsim_jax.attribution.equation.balance import Balance, ahead_of
-from adaptsim_jax.attribution.equation.search import likely_first, told_apart
+from adaptsim_jax.attribution.equation.search import likely_first, separable_candidates
 from adaptsim_jax.attribution.equation.searched import Searched
 from adaptsim_jax.attribution.parameters import Vector
-from adaptsim_jax.attribution.problem import Problem
+from adaptsim_jax.attribution.problem import TreeProblem
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.testing import log_ratio, means, share, sign_flip
 from adaptsim_jax.effects.base import Reach
@@ -30,14 +30,14 @@ GIVES = (
 
 
 def rubbing(
-    problem: Problem,
+    problem: TreeProblem,
     tree: Tree,
     balances: Sequence[Balance],
     part,
     reach: Reach,
     criteria: Criteria,
     commanded: bool,
-) -> tuple[Problem, tuple[Balance, ...]]:
+) -> tuple[TreeProblem, tuple[Balance, ...]]:
     """Problem and balances with dry friction as the motion shows it. tree: of the whole machine,
     with the softness of its file; part: of a balance, the entries that are always fitted. One law
     holds for all joints, and one joint may show it.
@@ -59,7 +59,7 @@ def rubbing(
     return (problem, tuple(balances))
 
 
-def giving(problem: Problem, tree: Tree) -> Problem:
+def giving(problem: TreeProblem, tree: Tree) -> TreeProblem:
     """The same with dry friction that gives as the file has it."""
     rub = np.asarray(tree.rub, float)
 
@@ -71,7 +71,7 @@ def giving(problem: Problem, tree: Tree) -> Problem:
     return replace(problem, groups=tuple(of(g) for g in problem.groups))
 
 
-def friction_notes(problem: Problem) -> list[str]:
+def friction_notes(problem: TreeProblem) -> list[str]:
     """That dry friction gives, where it does."""
     gives = any(np.any(g.model.tree.rub) for g in problem.groups)
     if gives:
@@ -79,7 +79,7 @@ def friction_notes(problem: Problem) -> list[str]:
     return []
 
 
-def given(balance: Balance, soft: Problem) -> Balance:
+def given(balance: Balance, soft: TreeProblem) -> Balance:
     """A balance of the same motion with friction that gives. soft: of `giving`."""
     group = next(g for g in soft.groups if g.joints == balance.group.joints)
     return replace(balance, group=group, ahead=ahead_of(group.model.tree, balance.ahead, balance.a))
@@ -102,7 +102,10 @@ def gains(
     sharp, gives = (
         Searched(p, b, null, reach, criteria, commanded) for p, b in ((problem, one), (soft, other))
     )
-    left = [s.set_of(likely_first(s, told_apart(s), [])).left_out(s.rows) for s in (sharp, gives)]
+    left = [
+        s.set_of(likely_first(s, separable_candidates(s), [])).left_out(s.rows)
+        for s in (sharp, gives)
+    ]
     rows = sharp.rows
     loss = [means(rows.clear * np.square(z / rows.size), rows.block) for z in left]
     return log_ratio(*loss)

@@ -12,11 +12,11 @@ from itertools import combinations
 
 import numpy as np
 
-from adaptsim_jax.attribution.backward import beside
+from adaptsim_jax.attribution.backward import adjacent
 from adaptsim_jax.attribution.equation.balance import Balance
 from adaptsim_jax.attribution.equation.exact import exact, needed
 from adaptsim_jax.attribution.equation.searched import Searched, ranked
-from adaptsim_jax.attribution.equation.solve import Rows, Solved, compared
+from adaptsim_jax.attribution.equation.solve import ForceRows, Solved, compared
 from adaptsim_jax.attribution.equation.stays import (
     Balanced,
     at_bound,
@@ -25,8 +25,8 @@ from adaptsim_jax.attribution.equation.stays import (
     steadiness,
 )
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, TILT, Vector
-from adaptsim_jax.attribution.problem import Problem
-from adaptsim_jax.attribution.score import Candidate, candidates
+from adaptsim_jax.attribution.problem import TreeProblem
+from adaptsim_jax.attribution.score import JointCandidate, candidates
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Named, Step
 from adaptsim_jax.diagnosis.rules import refusal, step_reason
@@ -41,9 +41,9 @@ OF_LIKE_JOINTS = "like joints have it, but it could not be shown by itself in th
 
 
 @dataclass(frozen=True)
-class Witness:
+class GroupSearch:
     """What the balance of a group of joints says. null, final: vectors of its entries; added:
-    effects in it; kept: those that have a name; unnamed: those that have none, and why; steps; rows,
+    effects in it; named: those that have a name; unnamed: those that have none, and why; steps; rows,
     base and whole: the sums.
     """
 
@@ -51,29 +51,29 @@ class Witness:
     null: Vector
     final: Vector
     errors: np.ndarray
-    added: tuple[Candidate, ...]
-    kept: tuple[Named, ...]
-    unnamed: tuple[tuple[Candidate, str], ...]
+    added: tuple[JointCandidate, ...]
+    named: tuple[Named, ...]
+    unnamed: tuple[tuple[JointCandidate, str], ...]
     steps: tuple[Step, ...]
-    rows: Rows
+    rows: ForceRows
     base: Solved = field(repr=False)
     whole: Solved = field(repr=False)
     state: "Searched" = field(repr=False)
 
 
-def witness(
-    problem: Problem,
+def search_group(
+    problem: TreeProblem,
     balance: Balance,
     null: Vector,
     reach: Reach,
     criteria: Criteria,
     commanded: bool = False,
-) -> Witness:
+) -> GroupSearch:
     """Search the balance of a group. null: entries of the group that are fitted whatever is named;
     commanded: the input is a command, which may be late at each joint, and no measured torque.
     """
     state = Searched(problem, balance, null, reach, criteria, commanded)
-    every = [z for c in told_apart(state) if (z := _within(problem, c)) is not None]
+    every = [z for c in separable_candidates(state) if (z := _within(problem, c)) is not None]
     steps: list[Step] = []
     added = likely_first(state, every, steps)
     while len(added) < 3 * balance.joints + criteria.most_effects:
@@ -81,9 +81,9 @@ def witness(
         if best is None:
             break
         added = [*added, best]
-    driven = {j for j, k in state.local.items() if np.any(state.told[:, k])}
+    driven = {j for j, k in state.local.items() if np.any(state.averaged[:, k])}
     asked = Counter(k.effect for c in added for k in c.split() if driven & set(k.joints))
-    stay: list[Candidate] | None = None
+    stay: list[JointCandidate] | None = None
     while stay is None or len(stay) < len(added):  # what stands beside one that goes is judged anew
         added, unnamed = _backward(state, added if stay is None else stay, steps, asked)
         while (simpler := _one_for_two(state, added, every, steps)) is not None:
@@ -92,7 +92,7 @@ def witness(
         why = step_reason("shape_artefact")
         steps += [Step("dropped", c, None, why) for c in added if c not in stay]
     whole = state.set_of(added)
-    kept = []
+    named = []
     for c in added:
         if read_so(state, whole, c):
             if not commanded:
@@ -105,18 +105,18 @@ def witness(
             continue
         less = state.set_of([k for k in added if k is not c])
         test = compared(state.rows, less, whole, state.own(c))
-        kept.append(
+        named.append(
             Named(c, test, steadiness(whole, c), _alike(state, added, c, less, whole, every))
         )
     base = state.set_of(())
     first = exact(state, (), base)[0]
-    return Witness(
+    return GroupSearch(
         balance,
         first,
         final,
         errors,
         tuple(added),
-        tuple(kept),
+        tuple(named),
         tuple(unnamed.items()),
         tuple(steps),
         state.rows,
@@ -126,7 +126,7 @@ def witness(
     )
 
 
-def told_apart(state: Searched) -> list[Candidate]:
+def separable_candidates(state: Searched) -> list[JointCandidate]:
     """Candidates of which a group's balance can tell."""
     joints, speed, slowest = (
         set(state.balance.group.joints),
@@ -144,7 +144,7 @@ def told_apart(state: Searched) -> list[Candidate]:
     ]
 
 
-def _within(problem: Problem, c: Candidate) -> Candidate | None:
+def _within(problem: TreeProblem, c: JointCandidate) -> JointCandidate | None:
     """An effect in a range that leaves half of the torque; None where its shape does not."""
     shape, entries = c.shaped(), []
     for e in c.entries:
@@ -157,14 +157,16 @@ def _within(problem: Problem, c: Candidate) -> Candidate | None:
     return replace(c, entries=tuple(entries))
 
 
-def refitted(problem: Problem, found: Witness, added: Sequence[Candidate]) -> Witness:
+def refitted(
+    problem: TreeProblem, found: GroupSearch, added: Sequence[JointCandidate]
+) -> GroupSearch:
     """With other effects, fitted as the search fits them; nothing is judged."""
     whole = found.state.set_of(added)
     final, errors = exact(found.state, added, whole, found.final)
     return replace(found, final=final, errors=errors, added=tuple(added), whole=whole)
 
 
-def _of_group(c: Candidate, joints: set[int]) -> Candidate:
+def _of_group(c: JointCandidate, joints: set[int]) -> JointCandidate:
     """Of an effect with one value for all joints of the machine the one for those of a group: a
     late computer is late for each.
     """
@@ -174,17 +176,19 @@ def _of_group(c: Candidate, joints: set[int]) -> Candidate:
     return replace(c, joints=own, entries=tuple(replace(e, joints=own) for e in c.entries))
 
 
-def _trusted(c: Candidate, wide: float) -> Candidate:
+def _trusted(c: JointCandidate, wide: float) -> JointCandidate:
     """With what is known beforehand of how far such a thing is off."""
     return replace(c, entries=tuple(replace(e, prior=min(e.prior, wide)) for e in c.entries))
 
 
-def likely_first(state: Searched, every: Sequence[Candidate], steps: list[Step]) -> list[Candidate]:
+def likely_first(
+    state: Searched, every: Sequence[JointCandidate], steps: list[Step]
+) -> list[JointCandidate]:
     """What all joints are likely to have, each kind at all of them as one candidate; joint by joint
     it is judged in the end, since one hides another (a file's damping and rotors that are not
     there: dry friction that is).
     """
-    added: list[Candidate] = []
+    added: list[JointCandidate] = []
     stepped = any(
         e.owner == DAMPING_STEP for e in state.null.entries
     )  # which is nearly rotors at all of them already
@@ -213,24 +217,26 @@ def likely_first(state: Searched, every: Sequence[Candidate], steps: list[Step])
     return added
 
 
-def _likely(state: Searched, c: Candidate) -> bool:
+def _likely(state: Searched, c: JointCandidate) -> bool:
     """Whether like drives have it, so that it was put in at all joints: real joints rub."""
     traits = state.problem.effect(c.effect).traits
     return traits.family and traits.tried_first > 0
 
 
-def _taken(added: Sequence[Candidate]) -> set[tuple[str, int]]:
+def _taken(added: Sequence[JointCandidate]) -> set[tuple[str, int]]:
     return {(c.effect, j) for c in added for j in c.joints}
 
 
 def _open(
-    state: Searched, added: Sequence[Candidate], every: Sequence[Candidate]
-) -> list[Candidate]:
+    state: Searched, added: Sequence[JointCandidate], every: Sequence[JointCandidate]
+) -> list[JointCandidate]:
     taken = _taken(added)
     return [c for c in every if not any((c.effect, j) in taken for j in c.joints)]
 
 
-def _forward(state: Searched, added: list[Candidate], every, steps: list[Step]) -> Candidate | None:
+def _forward(
+    state: Searched, added: list[JointCandidate], every, steps: list[Step]
+) -> JointCandidate | None:
     """The candidate that takes most off where it was left out, of all joints at which it shows, for
     the numbers that it has.
     """
@@ -264,8 +270,8 @@ def _forward(state: Searched, added: list[Candidate], every, steps: list[Step]) 
 
 
 def _backward(
-    state: Searched, added: Sequence[Candidate], steps: list[Step], asked: Mapping[str, int]
-) -> tuple[list[Candidate], dict[Candidate, str]]:
+    state: Searched, added: Sequence[JointCandidate], steps: list[Step], asked: Mapping[str, int]
+) -> tuple[list[JointCandidate], dict[JointCandidate, str]]:
     """Effects that do not hold out beside the others go, the weakest first; and which of those that
     stay are not shown by themselves, and why: what like drives have together, and takes something off here
     too, is fitted everywhere and named where it holds out alone. asked: of each effect at how many
@@ -309,8 +315,8 @@ def _backward(
 
 
 def _one_for_two(
-    state: Searched, added: Sequence[Candidate], every, steps: list[Step]
-) -> list[Candidate] | None:
+    state: Searched, added: Sequence[JointCandidate], every, steps: list[Step]
+) -> list[JointCandidate] | None:
     """The set with one effect in the place of two of a joint, which forward steps took for it; None
     where none does as well, or one of the two does by itself (a trifle beside it does not make it
     another).
@@ -337,15 +343,15 @@ def _one_for_two(
 
 
 def _alike(
-    state: Searched, added, c: Candidate, less: Solved, whole: Solved, every
-) -> tuple[Candidate, ...]:
+    state: Searched, added, c: JointCandidate, less: Solved, whole: Solved, every
+) -> tuple[JointCandidate, ...]:
     """Effects that do nearly as well in its place."""
     return tuple(_as_good(state, [k for k in added if k is not c], (c,), less, whole, every))
 
 
 def _as_good(
-    state: Searched, rest, gone: Sequence[Candidate], less: Solved, whole: Solved, every
-) -> list[Candidate]:
+    state: Searched, rest, gone: Sequence[JointCandidate], less: Solved, whole: Solved, every
+) -> list[JointCandidate]:
     """Single effects that do nearly as well beside `rest` as those that are gone from it: others at
     their joints, the same at joints beside. less, whole: without them, and with.
     """
@@ -353,7 +359,7 @@ def _as_good(
     near = [
         k
         for k in _open(state, rest, every)
-        if any(beside(k, c) or k.effect == c.effect == INERTIA for c in gone)
+        if any(adjacent(k, c) or k.effect == c.effect == INERTIA for c in gone)
     ]
     others = [k for k in near if (k.effect in names) != bool(joints & set(k.joints))]
     others = [k for k in others if not state.problem.effect(k.effect).describes]
@@ -368,7 +374,7 @@ def _as_good(
     return out
 
 
-def _gap(state: Searched, gone: Sequence[Candidate], less: Solved, whole: Solved) -> float:
+def _gap(state: Searched, gone: Sequence[JointCandidate], less: Solved, whole: Solved) -> float:
     """Share of the loss by which what stands in the place of `gone` may be worse and still do as
     well.
     """

@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.attribution.equation.balance import GAIN, Balance, in_proportion
-from adaptsim_jax.attribution.equation.columns import Table
+from adaptsim_jax.attribution.equation.columns import EffectTable
 from adaptsim_jax.attribution.equation.solve import Solved, Sums, rows_of, solved
 from adaptsim_jax.attribution.parameters import Vector
-from adaptsim_jax.attribution.problem import Problem, held
-from adaptsim_jax.attribution.score import Candidate
+from adaptsim_jax.attribution.problem import TreeProblem, held
+from adaptsim_jax.attribution.score import JointCandidate
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.base import Reach
 from adaptsim_jax.mechanisms.tree import ancestors
 
-LEAST_SHIFT = 1e-4  # s, of which a column is made
-LEAST_OF_TORQUE, LEAST_OF_MISSING = 0.03, 0.15
+MIN_SHIFT = 1e-4  # s, of which a column is made
+MIN_OF_TORQUE, MIN_OF_MISSING = 0.03, 0.15
 """Of the torque, and of what the file misses of it: a joint that is missed by less does not
 outweigh the others for that.
 """
@@ -32,7 +32,7 @@ class Searched:
 
     def __init__(
         self,
-        problem: Problem,
+        problem: TreeProblem,
         balance: Balance,
         null: Vector,
         reach: Reach,
@@ -41,20 +41,20 @@ class Searched:
     ):
         self.problem, self.balance, self.reach, self.criteria = problem, balance, reach, criteria
         self.commanded, self.limits = commanded, criteria.torque
-        self.table = Table(problem, balance, null)
+        self.table = EffectTable(problem, balance, null)
         self.null = null
         self.bends = {e.name for e in problem.effects if e.scales_torque} - {GAIN}
         self.follows = bool(np.any(held(self.table.values.actuator[..., 0])))
         self.base = self.table.stack(null.entries)
         missing = self.table.missing()
-        self.told = balance.averaged(self.table.driven()[0])
-        torque = np.sqrt(np.mean(np.square(self.told), 0))
+        self.averaged = balance.averaged(self.table.driven()[0])
+        torque = np.sqrt(np.mean(np.square(self.averaged), 0))
         size = np.sqrt(np.mean(np.square(missing), 0))
-        taken = self.told + missing  # by the motion, where nothing is told of what acts
+        taken = self.averaged + missing  # by the motion, where nothing is told of what acts
         self.torque = np.where(torque > 0, torque, np.sqrt(np.mean(np.square(taken), 0)))
-        self.least = np.maximum(LEAST_OF_TORQUE * torque, LEAST_OF_MISSING * size)
+        self.minimum = np.maximum(MIN_OF_TORQUE * torque, MIN_OF_MISSING * size)
         self.rows = rows_of(
-            missing, missing, balance.trial, balance.time, self.least, balance.clear
+            missing, missing, balance.trial, balance.time, self.minimum, balance.clear
         )
         self._summed()
         self.weigh(self.set_of(()))
@@ -69,7 +69,7 @@ class Searched:
             left,
             self.balance.trial,
             self.balance.time,
-            self.least,
+            self.minimum,
             self.balance.clear,
         )
         self._summed()
@@ -78,7 +78,7 @@ class Searched:
         self.sums = Sums(self.rows)
         self.sums.add("", self.base)
 
-    def set_of(self, added: Sequence[Candidate]) -> Solved:
+    def set_of(self, added: Sequence[JointCandidate]) -> Solved:
         names: list[Any] = [""]
         entries, now = list(self.null.entries), list(self.null.values)
         for c in added:
@@ -90,10 +90,10 @@ class Searched:
         changed = [i for i, e in enumerate(entries) if e.owner in self.bends]
         if not changed:
             return found
-        driven = self.told + found.columns[..., changed] @ found.step[changed]
-        return replace(found, loss=found.loss / np.square(in_proportion(self.told, driven)))
+        driven = self.averaged + found.columns[..., changed] @ found.step[changed]
+        return replace(found, loss=found.loss / np.square(in_proportion(self.averaged, driven)))
 
-    def settled(self, added: Sequence[Candidate], c: Candidate) -> Candidate:
+    def settled(self, added: Sequence[JointCandidate], c: JointCandidate) -> JointCandidate:
         """A shift with its column made at the value that it comes to: a lag of 60 ms scaled to one
         of 3 ms is none of 3 ms.
         """
@@ -101,11 +101,11 @@ class Searched:
             return c
         for _ in range(2):
             value = float(self.set_of([*added, c]).step[-1]) + c.entries[0].start
-            if abs(value) >= LEAST_SHIFT:
+            if abs(value) >= MIN_SHIFT:
                 c = replace(c, shape=((c.shape[0][0], value),))
         return c
 
-    def own(self, *some: Candidate) -> list[int]:
+    def own(self, *some: JointCandidate) -> list[int]:
         """Local numbers of the joints at which effects show: a body, and where it is, at all that
         carry it.
         """
@@ -122,12 +122,12 @@ class Searched:
         }
         return sorted(shows)
 
-    def carry(self, c: Candidate) -> float:
+    def carry(self, c: JointCandidate) -> float:
         """How many joints tell of one at which an effect is: of a body all that carry it."""
         return len(self.own(c)) / len(c.joints)
 
 
-def ranked(state: Searched, now: Solved, some: Sequence[Candidate]) -> list[Candidate]:
+def ranked(state: Searched, now: Solved, some: Sequence[JointCandidate]) -> list[JointCandidate]:
     """Candidates by what they gain held out at first order, the best shape of each."""
     if not some:
         return []
@@ -152,7 +152,7 @@ def ranked(state: Searched, now: Solved, some: Sequence[Candidate]) -> list[Cand
     blocks = [state.table.stack(c.entries, c.shaped()) for c in some]
     wide = weigh(np.concatenate(blocks, 2))
     freed = wide - a @ (inverse @ (a.T @ wide))
-    best: dict[tuple, tuple[float, Candidate]] = {}
+    best: dict[tuple, tuple[float, JointCandidate]] = {}
     at = 0
     for c, block in zip(some, blocks, strict=True):
         own = freed[:, at : at + block.shape[2]]
@@ -164,7 +164,7 @@ def ranked(state: Searched, now: Solved, some: Sequence[Candidate]) -> list[Cand
     return [c for gain, c in sorted(best.values(), key=lambda z: -z[0]) if gain > 0.0]
 
 
-def _gain(columns: np.ndarray, y: np.ndarray, fold: np.ndarray, c: Candidate) -> float:
+def _gain(columns: np.ndarray, y: np.ndarray, fold: np.ndarray, c: JointCandidate) -> float:
     """Half the squares that amplitudes of the other folds take off each."""
     folds, count = fold.max() + 1, columns.shape[1]
     hess, slope = np.zeros((folds, count, count)), np.zeros((folds, count))

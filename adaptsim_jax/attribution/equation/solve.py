@@ -17,7 +17,7 @@ MEMORY = 1.0  # s, over which what is left of neighbours is taken to be alike at
 
 
 @dataclass(frozen=True)
-class Rows:
+class ForceRows:
     """Missing forces [K, n] with their weights [K, n] (one over their size, and over the root of
     how many neighbours say the same; less
     where a joint hardly moves: what holds it is anything up to the level of its friction), size
@@ -47,7 +47,7 @@ class Solved:
     hess: np.ndarray = field(repr=False)
     slope: np.ndarray = field(repr=False)
 
-    def left_out(self, rows: "Rows") -> np.ndarray:
+    def left_out(self, rows: "ForceRows") -> np.ndarray:
         """What is missing [K, n] of windows by the values of the other folds."""
         return left_out(rows, self.columns, self.by_fold)
 
@@ -66,7 +66,7 @@ def rows_of(
     time: np.ndarray,
     minimum: np.ndarray,
     clear: np.ndarray,
-) -> Rows:
+) -> ForceRows:
     """Rows weighted by what is `left` [K, n] of the missing forces by the model so far, at least by
     sizes `least` [n].
     """
@@ -75,7 +75,7 @@ def rows_of(
     size = np.sqrt(np.maximum(np.median(usual, 0), np.square(minimum) + 1e-18))
     alike = _alike(left * np.sqrt(clear), trial, time)
     weight = np.sqrt(clear) / (size * np.sqrt(alike))
-    return Rows(missing, weight, size, clear, folds_of(trial, WINDOWS), block)
+    return ForceRows(missing, weight, size, clear, folds_of(trial, WINDOWS), block)
 
 
 def _alike(left: np.ndarray, trial: np.ndarray, time: np.ndarray) -> np.ndarray:
@@ -105,7 +105,7 @@ class Sums:
     names.
     """
 
-    def __init__(self, rows: Rows):
+    def __init__(self, rows: ForceRows):
         self.rows = rows
         self.order = np.argsort(rows.fold, kind="stable")
         counts = np.bincount(rows.fold)
@@ -168,7 +168,7 @@ def solved(sums: Sums, names: Sequence, entries: Sequence[Entry], now: np.ndarra
     return Solved(tuple(entries), columns, step, by_fold, loss, total + np.diag(prior), pull)
 
 
-def left_out(rows: Rows, columns: np.ndarray, by_fold: np.ndarray) -> np.ndarray:
+def left_out(rows: ForceRows, columns: np.ndarray, by_fold: np.ndarray) -> np.ndarray:
     """What columns [K, n, P] leave of the missing forces [K, n] of each fold, at the values [F, P]
     that go without it.
     """
@@ -179,7 +179,7 @@ def left_out(rows: Rows, columns: np.ndarray, by_fold: np.ndarray) -> np.ndarray
     return left
 
 
-def compared(rows: Rows, without: Solved, with_: Solved, joints: Sequence[int]) -> Test:
+def compared(rows: ForceRows, without: Solved, with_: Solved, joints: Sequence[int]) -> Test:
     """The second set of entries against the first, by left-out blocks; joints: the local numbers of
     those concerned, each by what it usually leaves: one that neither set explains does not outweigh
     the others. The gain is a mean over blocks.

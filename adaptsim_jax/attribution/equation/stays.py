@@ -8,7 +8,7 @@ import numpy as np
 
 from adaptsim_jax.attribution.equation.searched import Searched
 from adaptsim_jax.attribution.equation.solve import Solved
-from adaptsim_jax.attribution.score import Candidate
+from adaptsim_jax.attribution.score import JointCandidate
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.rules import Evidence
 from adaptsim_jax.diagnosis.testing import Test
@@ -21,7 +21,7 @@ class Balanced(Evidence):
 
     state: Searched
     whole: Solved
-    candidate: Candidate
+    candidate: JointCandidate
     test: Test
     price: float
     level: float
@@ -45,7 +45,7 @@ class Balanced(Evidence):
         return steadiness(self.whole, self.candidate)
 
     @property
-    def least_steadiness(self) -> float:
+    def min_steadiness(self) -> float:
         return self.state.limits.steady
 
     @property
@@ -85,7 +85,7 @@ class Balanced(Evidence):
         return share_of_torque(self.state, self.whole, self.candidate)
 
 
-def share_of_torque(state: Searched, whole: Solved, c: Candidate) -> tuple[float, float]:
+def share_of_torque(state: Searched, whole: Solved, c: JointCandidate) -> tuple[float, float]:
     """Root mean square of an effect's torque over that of the joint at which it is most, and the
     least of that by which it has a name.
     """
@@ -97,7 +97,7 @@ def share_of_torque(state: Searched, whole: Solved, c: Candidate) -> tuple[float
     return share, state.limits.seen if carried else state.limits.worth
 
 
-def nameless(state: Searched, whole: Solved, c: Candidate) -> str:
+def nameless(state: Searched, whole: Solved, c: JointCandidate) -> str:
     """Why an effect that is in the model has no name; empty where it has one."""
     if read_so(state, whole, c):
         return ""  # how rows are read is told in words of its own, however small
@@ -107,7 +107,7 @@ def nameless(state: Searched, whole: Solved, c: Candidate) -> str:
     return ""
 
 
-def read_so(state: Searched, whole: Solved, c: Candidate) -> bool:
+def read_so(state: Searched, whole: Solved, c: JointCandidate) -> bool:
     """Whether it is a shift of all commands by less than a row, or of measured torques by as much as
     loggers pair them with angles: how rows are read, and no effect. A delay and a lag of the same
     joints are one filter: their sum counts.
@@ -130,12 +130,12 @@ def _shifts(state: Searched, effect: str) -> bool:
     return problem.offers(effect) and problem.effect(effect).shifts_commands
 
 
-def _numbers(whole: Solved, c: Candidate) -> list[int]:
+def _numbers(whole: Solved, c: JointCandidate) -> list[int]:
     keys = {e.key for e in c.entries}
     return [i for i, e in enumerate(whole.entries) if e.key in keys]
 
 
-def steadiness(whole: Solved, c: Candidate) -> float:
+def steadiness(whole: Solved, c: JointCandidate) -> float:
     """Its amplitudes over their standard errors, root mean square: a torque of two numbers has
     twice the chance that one is large.
     """
@@ -143,6 +143,6 @@ def steadiness(whole: Solved, c: Candidate) -> float:
     return float(np.sqrt(np.mean(np.square(whole.step[at] / np.maximum(whole.error[at], 1e-300)))))
 
 
-def at_bound(whole: Solved, c: Candidate, share: float = Criteria.bound) -> bool:
+def at_bound(whole: Solved, c: JointCandidate, share: float = Criteria.bound) -> bool:
     entries = [(whole.entries[i], whole.step[i]) for i in _numbers(whole, c)]
     return any(e.at_bound(e.start + step, share) for e, step in entries)

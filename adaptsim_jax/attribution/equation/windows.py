@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse
 
-from adaptsim_jax.attribution.stretches import Track
+from adaptsim_jax.attribution.stretches import JointTrack
 
 SPAN = 0.16  # s, of a window: half of its weight lies in the middle third
-LEAST_ROWS = 12  # of a window
+MIN_ROWS = 12  # of a window
 GRID = 4e-3  # s: faster logs are read at about this
 HOP = 0.25  # of a window, from one to the next
 MOST = 3000  # windows of a recording: of longer ones they lie farther apart
@@ -30,7 +30,7 @@ DOUBT = 3.0  # times the noise of a speed, likewise
 
 
 @dataclass(frozen=True)
-class Run:
+class EvenTrial:
     """A trial on an even grid: time [T] s, q, v, a [n, T], u [n, T] what the actuators were told in
     the mean over the `row` s about a row, jump [n, T] by which that changes at it, smooth [n, T] a
     speed with less noise, width [n] below
@@ -58,12 +58,14 @@ class Run:
         return (self.mean @ flat.T).T.reshape(*z.shape[:-1], -1)
 
 
-def runs_of(tracks: Sequence[Track], noise: np.ndarray, span: float = SPAN) -> tuple[Run, ...]:
+def runs_of(
+    tracks: Sequence[JointTrack], noise: np.ndarray, span: float = SPAN
+) -> tuple[EvenTrial, ...]:
     """Trials on grids, with their windows. noise [n] of the angles; span: s of a window.
 
     Windows that lie over a gap in time, or over rows without an angle, are left out.
     """
-    made = [(k, *_even(t)) for k, t in enumerate(tracks) if len(t.time) > LEAST_ROWS]
+    made = [(k, *_even(t)) for k, t in enumerate(tracks) if len(t.time) > MIN_ROWS]
     speeds = np.concatenate([np.abs(m[3]) for m in made], 1)
     usual = np.quantile(speeds, 0.95, axis=1)
     out = []
@@ -71,14 +73,14 @@ def runs_of(tracks: Sequence[Track], noise: np.ndarray, span: float = SPAN) -> t
     hop = max(HOP * span, total / MOST)
     for k, time, q, v, speed, u, jump, mask in made:
         dt, row = time[1] - time[0], float(np.median(np.diff(tracks[k].time)))
-        mean, at = _windows(time, mask, max(span, LEAST_ROWS * dt), hop)
+        mean, at = _windows(time, mask, max(span, MIN_ROWS * dt), hop)
         if not len(at):
             continue
         rough = noise / dt * np.sqrt(12.0 / _rows(dt) ** 3)  # of a slope through so many rows
         width = np.maximum(np.maximum(CREEP * usual, DOUBT * rough), 1e-9)
         moves = np.square(np.tanh(v / np.maximum(CLEAR * usual, width)[:, None]))
         out.append(
-            Run(
+            EvenTrial(
                 k,
                 time,
                 q,
@@ -102,7 +104,7 @@ def _rows(dt: float) -> int:
     return max(5, 2 * round(0.1 * SPAN / dt) + 1)
 
 
-def _even(track: Track) -> tuple[np.ndarray, ...]:
+def _even(track: JointTrack) -> tuple[np.ndarray, ...]:
     """time, q, v, speed, u, jump on an even grid, and where rows were read (1) or not (0); v is
     smooth, and speed is true.
     """

@@ -10,7 +10,7 @@ import numpy as np
 
 from adaptsim_jax.simulators.mujoco.build import Stepped
 from adaptsim_jax.simulators.mujoco.fields import DELAY, Field
-from adaptsim_jax.simulators.mujoco.stretches import Stretches, late
+from adaptsim_jax.simulators.mujoco.stretches import MujocoStretches, late
 
 SHIFT, WIND = "command.offset", "wind"
 READ, BIAS, TURN, LATE = "reading.offset", "imu.bias", "imu.turn", "imu.late"
@@ -51,7 +51,7 @@ def acting(made: Stepped, fields: Sequence[Field], values: np.ndarray) -> Acting
 
 
 def control_of(
-    made: Stepped, stretches: Stretches, lanes: np.ndarray, by: Acting | None
+    made: Stepped, stretches: MujocoStretches, lanes: np.ndarray, by: Acting | None
 ) -> tuple[np.ndarray, int]:
     """(controls [B, S, ...], what of MuJoCo's state they are). Commands between steps are a mix of
     both.

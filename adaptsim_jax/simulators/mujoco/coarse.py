@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from adaptsim_jax.simulators.mujoco.diagnosed import MujocoSimulator
 
 SAMPLE = 8  # stretches
-TOLD = 1.0  # of the noise, from which on it is told
+NOTABLE = 1.0  # of the noise, from which on it is told
 
 
 def halved(made: MujocoSimulator) -> MujocoSimulator:
@@ -46,10 +46,10 @@ def change(made: MujocoSimulator, values: np.ndarray) -> float:
     return float(np.median(np.sqrt(np.square(left).sum(1) / np.maximum(counts, 1))))
 
 
-def told(made: MujocoSimulator, values: np.ndarray) -> list[str]:
+def step_notes(made: MujocoSimulator, values: np.ndarray) -> list[str]:
     """One line where the step is coarse, none where it is fine enough."""
     size, step = change(made, values), 1e3 * float(made.made.model.opt.timestep)
-    if size < TOLD:
+    if size < NOTABLE:
         return []
     return [
         f"The file's step of {step:g} ms is coarse for this log: half of it changes what is "

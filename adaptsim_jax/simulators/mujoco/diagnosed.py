@@ -24,13 +24,13 @@ from adaptsim_jax.simulators.mujoco import rollouts
 from adaptsim_jax.simulators.mujoco.acting import OUTSIDE, acting, as_read
 from adaptsim_jax.simulators.mujoco.build import Stepped, stepped
 from adaptsim_jax.simulators.mujoco.catalogue import DECLARED, noise_of, quantity, rows, sensor_rows
-from adaptsim_jax.simulators.mujoco.coarse import told as coarse_step
+from adaptsim_jax.simulators.mujoco.coarse import step_notes as coarse_step
 from adaptsim_jax.simulators.mujoco.contact import contact_rows
 from adaptsim_jax.simulators.mujoco.fields import Field, with_values
 from adaptsim_jax.simulators.mujoco.mended import mended_mjcf
 from adaptsim_jax.simulators.mujoco.sensed import prior_of
 from adaptsim_jax.simulators.mujoco.starts import fitted
-from adaptsim_jax.simulators.mujoco.stretches import Stretches, cut
+from adaptsim_jax.simulators.mujoco.stretches import MujocoStretches, cut
 
 HORIZON, TOUCHED = 0.5, 0.24  # s; where a base moves, for contact makes longer stretches chaotic
 BUDGET = 5e5  # steps of one linearisation
@@ -61,7 +61,7 @@ class MujocoSimulator:
     """
 
     made: Stepped
-    own: Stretches
+    own: MujocoStretches
     fields: tuple[Field, ...]
     quantities: tuple[Quantity, ...]
     declared: tuple[str, ...]
@@ -175,7 +175,7 @@ def _opening(channels: Sequence[Channel], made: Stepped) -> np.ndarray:
 
 
 def _channels(
-    made: Stepped, own: Stretches, log: Log
+    made: Stepped, own: MujocoStretches, log: Log
 ) -> tuple[tuple[Channel, ...], np.ndarray, np.ndarray]:
     """Channels, and what was measured and seen of them; of a base three angles from the measured
     orientation.

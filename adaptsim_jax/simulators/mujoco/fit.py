@@ -19,7 +19,7 @@ from adaptsim_jax.simulators.mujoco.build import Stepped, stepped
 from adaptsim_jax.simulators.mujoco.fields import DELAY, Field, field, with_values
 from adaptsim_jax.simulators.mujoco.rollouts import by_start, predict, residual, start_size
 from adaptsim_jax.simulators.mujoco.starts import fitted
-from adaptsim_jax.simulators.mujoco.stretches import Stretches, cut, late
+from adaptsim_jax.simulators.mujoco.stretches import MujocoStretches, cut, late
 
 BUDGET = 4e6  # steps of one linearisation
 ROUNDS = 10  # of steps of the numbers, at most
@@ -47,7 +47,7 @@ class Fitted:
     after: float
     code: str
 
-    def told(self) -> dict[str, dict[str, float]]:
+    def as_dict(self) -> dict[str, dict[str, float]]:
         """By name: value, low, high, file."""
         return {
             f.name: {"value": float(v), "low": float(a), "high": float(b), "file": f.neutral}
@@ -66,7 +66,7 @@ def fit(source: Source, log: Log, names: Sequence[str], horizon: float = 0.5) ->
     return fitted_values(made, cut(made, log, horizon, max(12, int(BUDGET / cost))), fields)
 
 
-def fitted_values(made: Stepped, stretches: Stretches, fields: Sequence[Field]) -> Fitted:
+def fitted_values(made: Stepped, stretches: MujocoStretches, fields: Sequence[Field]) -> Fitted:
     """The same of stretches."""
     values = np.array([f.neutral for f in fields])
     plain = np.ones(stretches.measured.shape[2] - (1 if made.base >= 0 else 0))
@@ -92,7 +92,7 @@ def fitted_values(made: Stepped, stretches: Stretches, fields: Sequence[Field]) 
 
     def stuck(point: Point) -> Point | None:
         values, *rest = point.state
-        other = point_of(values, *_anew(_at(made, stretches, fields, values), weight, *rest))
+        other = point_of(values, *_restarted(_at(made, stretches, fields, values), weight, *rest))
         if point.loss - other.loss >= ENOUGH * off.size:
             return other
         return None
@@ -111,8 +111,8 @@ def fitted_values(made: Stepped, stretches: Stretches, fields: Sequence[Field]) 
 
 
 def _at(
-    made: Stepped, stretches: Stretches, fields: Sequence[Field], values: np.ndarray
-) -> tuple[Stepped, Stretches]:
+    made: Stepped, stretches: MujocoStretches, fields: Sequence[Field], values: np.ndarray
+) -> tuple[Stepped, MujocoStretches]:
     """Model and stretches with these numbers; a delay moves the commands."""
     delay = [float(v) for f, v in zip(fields, values, strict=True) if f.name == DELAY]
     own = [(f, v) for f, v in zip(fields, values, strict=True) if f.name != DELAY]
@@ -136,7 +136,7 @@ def _weights(off: np.ndarray) -> np.ndarray:
 
 
 def _better(
-    trial: tuple[Stepped, Stretches], weight: np.ndarray, options: Sequence[np.ndarray]
+    trial: tuple[Stepped, MujocoStretches], weight: np.ndarray, options: Sequence[np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
     """(starts, residual) of the options stretch by stretch the better, settled once more."""
 
@@ -147,8 +147,8 @@ def _better(
     return fitted(*trial, weight, SETTLED, best_of(options, evaluate).starts)
 
 
-def _anew(
-    at: tuple[Stepped, Stretches], weight: np.ndarray, starts: np.ndarray, off: np.ndarray
+def _restarted(
+    at: tuple[Stepped, MujocoStretches], weight: np.ndarray, starts: np.ndarray, off: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """(starts, residual), those of stretches that are nearer when their starts are sought from the
     measured ones again.

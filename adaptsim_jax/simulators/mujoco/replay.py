@@ -11,7 +11,7 @@ from adaptsim_jax.mechanisms.spec import Source
 from adaptsim_jax.simulators.mujoco.build import Stepped, stepped
 from adaptsim_jax.simulators.mujoco.rollouts import start_size
 from adaptsim_jax.simulators.mujoco.starts import fitted, position_weight
-from adaptsim_jax.simulators.mujoco.stretches import Stretches, cut
+from adaptsim_jax.simulators.mujoco.stretches import MujocoStretches, cut
 
 BUDGET = 6e6  # steps of one linearisation of all starts
 FEWEST = 8  # stretches, whatever they cost
@@ -25,7 +25,7 @@ class Replayed:
     """
 
     made: Stepped
-    stretches: Stretches
+    stretches: MujocoStretches
     error: np.ndarray
     base: np.ndarray | None
     simulated: np.ndarray

@@ -15,7 +15,7 @@ from mujoco import rollout
 
 from adaptsim_jax.simulators.mujoco.acting import Acting, control_of
 from adaptsim_jax.simulators.mujoco.build import Stepped
-from adaptsim_jax.simulators.mujoco.stretches import Stretches, dofs
+from adaptsim_jax.simulators.mujoco.stretches import MujocoStretches, dofs
 
 FULL = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
 STEP = 1e-5
@@ -31,7 +31,7 @@ def start_size(made: Stepped) -> int:
 
 def predict(
     made: Stepped,
-    stretches: Stretches,
+    stretches: MujocoStretches,
     starts: np.ndarray,
     lanes: np.ndarray,
     models: Sequence[mujoco.MjModel] = (),
@@ -56,7 +56,7 @@ def predict(
     return np.concatenate(parts)
 
 
-def _predict(made: Stepped, stretches: Stretches, starts, lanes, models, by) -> np.ndarray:
+def _predict(made: Stepped, stretches: MujocoStretches, starts, lanes, models, by) -> np.ndarray:
     model = made.model
     threads = max(1, len(os.sched_getaffinity(0)))
     states = initial_states(made, stretches, starts, lanes)
@@ -85,7 +85,7 @@ def quietly() -> Iterator[None]:
 
 
 def initial_states(
-    made: Stepped, stretches: Stretches, starts: np.ndarray, lanes: np.ndarray
+    made: Stepped, stretches: MujocoStretches, starts: np.ndarray, lanes: np.ndarray
 ) -> np.ndarray:
     """Full states [B, nstate] of starts."""
     model, data = made.model, mujoco.MjData(made.model)
@@ -122,7 +122,11 @@ def initial_states(
 
 
 def read(
-    made: Stepped, stretches: Stretches, path: np.ndarray, sensed: np.ndarray, lanes: np.ndarray
+    made: Stepped,
+    stretches: MujocoStretches,
+    path: np.ndarray,
+    sensed: np.ndarray,
+    lanes: np.ndarray,
 ) -> np.ndarray:
     """Channels [B, L, C] of paths [B, S+1, nstate] and sensors [B, S, nsensordata], between steps
     along straight lines.
@@ -162,7 +166,7 @@ def read(
 
 
 def residual(
-    made: Stepped, stretches: Stretches, predicted: np.ndarray, lanes: np.ndarray
+    made: Stepped, stretches: MujocoStretches, predicted: np.ndarray, lanes: np.ndarray
 ) -> np.ndarray:
     """Measured less predicted [B, L, C'], 0 where nothing was read; a base's orientation as three
     angles. A run that blew up is off by a large number.
@@ -177,7 +181,7 @@ def residual(
     return np.where(mask, np.where(np.isfinite(off), np.clip(off, -1e3, 1e3), 1e3), 0.0)
 
 
-def has_speeds(made: Stepped, stretches: Stretches) -> bool:
+def has_speeds(made: Stepped, stretches: MujocoStretches) -> bool:
     """Whether speeds of the joints are among the channels."""
     return stretches.measured.shape[2] - len(made.read) - (7 if made.base >= 0 else 0) == 2 * len(
         made.angle
@@ -197,7 +201,7 @@ def _between(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def by_start(
-    made: Stepped, stretches: Stretches, starts: np.ndarray, lanes: np.ndarray
+    made: Stepped, stretches: MujocoStretches, starts: np.ndarray, lanes: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """(residual [B, L, C'], its derivative [B, L, C', 2 nv + na] by the starts), by forward
     differences.

@@ -4,7 +4,7 @@ itself.
 
 import numpy as np
 
-from adaptsim_jax.diagnosis.steps import Lanes, best_of, bounded_step, fit_starts
+from adaptsim_jax.diagnosis.steps import StretchLanes, best_of, bounded_step, fit_starts
 from adaptsim_jax.simulators.mujoco.build import Stepped
 from adaptsim_jax.simulators.mujoco.rollouts import (
     by_start,
@@ -13,7 +13,7 @@ from adaptsim_jax.simulators.mujoco.rollouts import (
     residual,
     start_size,
 )
-from adaptsim_jax.simulators.mujoco.stretches import Stretches
+from adaptsim_jax.simulators.mujoco.stretches import MujocoStretches
 
 ROUNDS = 6
 DAMPING = 1e-6  # share of the diagonal; a start that the readings do not fix stays near
@@ -21,7 +21,7 @@ LENGTHS = 0.25 ** np.arange(4.0)  # of a step, tried in turn
 EXACT = 1e-18  # rad^2 (m^2) a reading: nothing is left to fit
 
 
-def position_weight(made: Stepped, stretches: Stretches) -> np.ndarray:
+def position_weight(made: Stepped, stretches: MujocoStretches) -> np.ndarray:
     """[C'] one for angles and the base's pose, zero for speeds: a replay counts positions alone."""
     n = len(made.angle)
     speeds = np.zeros(n) if has_speeds(made, stretches) else np.zeros(0)
@@ -30,7 +30,7 @@ def position_weight(made: Stepped, stretches: Stretches) -> np.ndarray:
 
 def fitted(
     made: Stepped,
-    stretches: Stretches,
+    stretches: MujocoStretches,
     weight: np.ndarray,
     rounds: int = ROUNDS,
     begin: np.ndarray | None = None,
@@ -55,14 +55,14 @@ def fitted(
         zero = np.zeros((stretches.count, start_size(made)))
         begun = best_of((zero, *_others(made, stretches)), evaluate)
     else:
-        begun = Lanes(begin, *evaluate(begin, lanes))
+        begun = StretchLanes(begin, *evaluate(begin, lanes))
     readings = begun.left[0].size
     open_ = np.flatnonzero(begun.loss > EXACT * readings)
     found = fit_starts(begun, propose, evaluate, rounds, lanes=open_)
     return found.starts, found.left
 
 
-def _others(made: Stepped, stretches: Stretches) -> list[np.ndarray]:
+def _others(made: Stepped, stretches: MujocoStretches) -> list[np.ndarray]:
     """Starts that may be nearer than smoothed speeds, which blur where a joint sticks: speeds by
     the rows just before, and rest.
     """

@@ -17,7 +17,7 @@ PAST = 0.1  # s of command before a stretch, for actuators that remember
 
 
 @dataclass(frozen=True)
-class Stretches:
+class MujocoStretches:
     """W stretches of S steps of a model. trial [W]; time [W, L] s since the trial began, of L rows
     with `seen` [W, L, C] readings `measured` [W, L, C] of C channels (angles in the log's order,
     then speeds where they are logged, sensors, the seven of a base); at [W, L]: rows in steps since
@@ -48,7 +48,7 @@ class Stretches:
         return self.control.shape[1]
 
 
-def cut(made: Stepped, log: Log, horizon: float, most: int) -> Stretches:
+def cut(made: Stepped, log: Log, horizon: float, most: int) -> MujocoStretches:
     """Stretches of `horizon` s of all trials, at most about `most`, evenly spread; none over a gap
     in time.
 
@@ -80,7 +80,7 @@ def cut(made: Stepped, log: Log, horizon: float, most: int) -> Stretches:
         return np.stack([lane[key] for lane in lanes])
 
     keys = ("time", "measured", "seen", "at", "control", "past", "qpos", "qvel", "act", "before")
-    return Stretches(
+    return MujocoStretches(
         np.array([k for k, *_ in chosen]),
         **{k: stack(k) for k in keys},
         names=tuple(t.name for t in log.trials),

@@ -23,7 +23,7 @@ from adaptsim_jax.mechanisms.closed_loop import (
     sensed,
 )
 from adaptsim_jax.mechanisms.double_pendulum.linear import HORIZON, SAMPLES, SNAPSHOTS, transition
-from adaptsim_jax.mechanisms.stepping import Model, acting, make_model
+from adaptsim_jax.mechanisms.stepping import PlantModel, acting, make_model
 from adaptsim_jax.mend.pendulum_model import ModelFile
 from adaptsim_jax.tasks.pendulum.task import PendulumTrajectory
 
@@ -58,7 +58,7 @@ class MendedWorld:
     remember.
     """
 
-    model: Model
+    model: PlantModel
     goal: np.ndarray
     start: np.ndarray
     history: int
@@ -132,7 +132,7 @@ def command(world: MendedWorld, policy: MendedPolicy, y, past, t) -> jax.Array:
 
 
 @broadcasts
-def modelled_force(model: Model, theta, eff, x, u, t) -> jax.Array:
+def modelled_force(model: PlantModel, theta, eff, x, u, t) -> jax.Array:
     """Force of all force effects `[n, T]` at states `x: [S, T]`, dry friction by a smooth sign."""
     n = model.plant.joint_dim
     way = jnp.tanh(x[n:] / SLIDING)
@@ -142,7 +142,7 @@ def modelled_force(model: Model, theta, eff, x, u, t) -> jax.Array:
 
 
 @broadcasts
-def _static(model: Model, eff, u) -> jax.Array:
+def _static(model: PlantModel, eff, u) -> jax.Array:
     """Command effects that do not remember, on `u: [T, U]`."""
     t = DT * jnp.arange(u.shape[0], dtype=u.dtype)[:, None, None]
     u = u[:, :, None]
@@ -158,7 +158,7 @@ def _remembers(effect) -> bool:
     return any(p.unit == "s" for p in effect.parameters)
 
 
-def _inverse(model: Model, eff, wanted) -> jax.Array:
+def _inverse(model: PlantModel, eff, wanted) -> jax.Array:
     """The command after which the static command effects give `wanted: [U]`, by a few fixed-point
     steps.
     """

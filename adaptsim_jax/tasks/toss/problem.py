@@ -20,7 +20,7 @@ import numpy as np
 
 from adaptsim_jax.diagnosis.fit import declared_fit
 from adaptsim_jax.diagnosis.problem import Candidate, Problem
-from adaptsim_jax.diagnosis.steps import Evaluate, Lanes, fit_starts
+from adaptsim_jax.diagnosis.steps import Evaluate, StretchLanes, fit_starts
 from adaptsim_jax.tasks.toss import turns
 from adaptsim_jax.tasks.toss.catalogue import DECLARED, effects, quantities
 from adaptsim_jax.tasks.toss.read import Tossed
@@ -107,8 +107,8 @@ def evaluated(less, at: np.ndarray, values: np.ndarray) -> Evaluate:
 
 
 def improved(
-    less, at: np.ndarray, values: np.ndarray, begun: Lanes, rounds: int
-) -> tuple[Lanes, np.ndarray]:
+    less, at: np.ndarray, values: np.ndarray, begun: StretchLanes, rounds: int
+) -> tuple[StretchLanes, np.ndarray]:
     """Starts of windows `at [n]` that fit `values [n, P]`, and the inverses `[n, 12, R 6]` last
     used.
     """
@@ -130,7 +130,7 @@ def anchored(
     less, at: np.ndarray, values: np.ndarray, start: np.ndarray
 ) -> tuple[Anchor, np.ndarray]:
     """Starts that fit `values [n, P]`, from guesses, and their residuals."""
-    begun = Lanes(start, *evaluated(less, at, values)(start, np.arange(len(at))))
+    begun = StretchLanes(start, *evaluated(less, at, values)(start, np.arange(len(at))))
     found, inverse = improved(less, at, values, begun, ROUNDS)
     return Anchor(found.starts, inverse, found.loss), found.left
 
@@ -276,14 +276,14 @@ class Follow:
             tries = lengths[:, None, None] * step
             return moved(np.broadcast_to(start, (len(tries), *start.shape)), tries)
 
-        found = Lanes(self.anchor.start, *evaluate(self.anchor.start, at))
+        found = StretchLanes(self.anchor.start, *evaluate(self.anchor.start, at))
         for lengths in AGAIN:
             tried = partial(propose, np.array(lengths))
             found = fit_starts(found, tried, evaluate, 1, 0.0, every=True)
         usual = np.maximum(self.anchor.square, self.windows.free)
         distant = np.flatnonzero(found.loss > DISTANT * usual)
         fresh, _ = improved(
-            self.less, distant, own[distant], Lanes(*(z[distant] for z in found)), FRESH
+            self.less, distant, own[distant], StretchLanes(*(z[distant] for z in found)), FRESH
         )
         found.starts[distant], found.left[distant] = fresh.starts, fresh.left
         return found.starts, found.left

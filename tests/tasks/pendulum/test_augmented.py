@@ -163,7 +163,7 @@ def test_bad_options_and_targets_are_told():
     with pytest.raises(BadInput, match="no mended model"):
         make_task("pendulum", {"model": 3})
     with pytest.raises(BadInput, match="missing"):
-        make_task("pendulum", {"model": {"task": "pendulum", "schema": 1}})
+        make_task("pendulum", {"model": {"task": "pendulum", "schema": 2}})
     for gain in (float("nan"), 0, 10**400):
         with pytest.raises(BadInput, match=r"reward_gain = .* must be a positive number"):
             make_task("pendulum", {"model": {"task": "pendulum"}, "reward_gain": gain})

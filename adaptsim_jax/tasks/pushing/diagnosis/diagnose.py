@@ -43,7 +43,7 @@ def assess(pushed: Pushed, effects, criteria: Criteria, progress, folder: Path |
         keep=keeping(folder, "pushing", MODEL, problem),
     )
     turns = {"yaw": ("rad", p.noise_yaw)} if p.yaw is not None else {}
-    observed = rows.Seen(
+    observed = rows.Recorded(
         KIND.trial,
         KIND.trials,
         p.names,

@@ -25,7 +25,7 @@ def assess(scooped: Scooped, effects, criteria: Criteria, progress, folder: Path
     s, keep = scooped, partial(keeping, folder, "scooping", MODEL)
     found = diagnosed(scooped, effects, criteria, rows.stepping(progress, 0.02), keep)
     known = np.any(found.scale > 0, -1) * 1.0
-    observed = rows.Seen(
+    observed = rows.Recorded(
         KIND.trial,
         KIND.trials,
         s.names,
