@@ -84,6 +84,7 @@ def command(monkeypatch):
     [
         (BadInput("a.csv: row 3: text; write a number"), 2, "a.csv: row 3: text; write a number"),
         (BadInput("two\nlines"), 2, "two lines"),
+        (BadInput("there are 0\x1e0, q\u20281"), 2, "there are 0\\x1e0, q\\u20281"),
         (
             OSError(errno.ENOSPC, "No space left", "f"),
             2,
