@@ -6,7 +6,7 @@ import signal
 
 
 def run() -> int:
-    """The exit code of the command line; never returns where Ctrl-C comes before `cli.main` can say
+    """The exit code of the command line. Never returns where Ctrl-C comes before `cli.main` can say
     so, or after it has ended.
     """
     heeded = (

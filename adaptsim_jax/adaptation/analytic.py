@@ -85,7 +85,7 @@ class Analytic:
     """Training and adaptation as pure functions.
 
     `loss(trajectory) -> []` is differentiated by the mean of E through `task.train` and
-    `task.rollout`; lower is better, and best free of the target's own scale (a logarithm).
+    `task.rollout`. Lower is better, and best free of the target's own scale (a logarithm).
     """
 
     def __init__(

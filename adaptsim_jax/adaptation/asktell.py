@@ -163,8 +163,8 @@ def _choose(on: jax.Array, new: Any, old: Any) -> Any:
 
 
 class Asked(NamedTuple):
-    """What to run now: `params`, E's mean by name in SI units; `policy`, the task's own, a pytree;
-    number of the trial, from 1, of how many; act: `(obs [O]) -> action`, of tasks whose policies
+    """What to run now: `params`, E's mean by name in SI units; `policy`, the task's own, a pytree.
+    Number of the trial, from 1, of how many; act: `(obs [O]) -> action`, of tasks whose policies
     are called at each step, else None.
     """
 

@@ -47,8 +47,8 @@ class Phase1Config:
 class Phase1Hyper:
     """What one sweep may vary: each leaf a scalar, or `[S]` under vmap.
 
-    delta: adaptation step, a fraction of the range; step i is `delta shrink^i`. threshold: the
-    sparse reward's; rewards below it count as 0.
+    delta: adaptation step, a fraction of the range. Step i is `delta shrink^i`. threshold: the
+    sparse reward's. Rewards below it count as 0.
     gain: rewards `r` become `1 - gain (1 - r)` first, which sharpens them near the optimum. soft:
     where 1, a curve instead of the line, informative however bad the policy is: `1 / (1 + gain (1 -
     r))`, and for a share `far` of it a logarithm, which still tells bad from worse where the

@@ -94,7 +94,7 @@ def default_config(task: str) -> TrainConfig:
 
 def pushing_sweep() -> TrainConfig:
     """Phase 1 of the push for many seeds: one task policy for all of Omega is made first and serves
-    every visit, moved to the mean of E; each action is corrected there by 8 simulated pushes (in
+    every visit, moved to the mean of E. Each action is corrected there by 8 simulated pushes (in
     Phase 1 by 3), in place of a training at E.
 
     So steps cost little, and what a visit shows depends on the mean of E alone, and not on which

@@ -3,7 +3,7 @@ fixed size.
 
 A pool holds task policies, each *anchored* at the mean of the distribution that it was trained for
 first. A distribution within `threshold` of an anchor borrows that policy and trains it further with
-a shrinking budget, or not at all once the policy has had enough; others train one of their own and
+a shrinking budget, or not at all once the policy has had enough. Others train one of their own and
 become anchors. A borrower is never an anchor, so a policy does not spread from one borrower to the
 next. Distances are Euclidean between means in unit coordinates.
 

@@ -1,4 +1,4 @@
-"""One batch of a sweep: members that share a program, trained and adapted side by side; killed and
+"""One batch of a sweep: members that share a program, trained and adapted side by side. Killed and
 taken up to the same bits.
 """
 
@@ -41,7 +41,7 @@ class Programs(NamedTuple):
 
 
 class MemberResult(NamedTuple):
-    """Of a member: whole `[]`, whether its weights are finite; for each of `T` targets the best
+    """Of a member: whole `[]`, whether its weights are finite. For each of `T` targets the best
     visit's reward `[T]` and mean of E `[T, D]` (physical), rewards of all visits `[T, N, I + 1]`.
     """
 

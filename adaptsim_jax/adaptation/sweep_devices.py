@@ -120,7 +120,7 @@ def first() -> bool:
 
 
 def join(coordinator: str | None, processes: int | None, index: int | None) -> None:
-    """Become one of `processes` programs that run a sweep together; without arguments what SLURM
+    """Become one of `processes` programs that run a sweep together. Without arguments what SLURM
     (or another launcher that JAX knows) says is taken. To be called before anything is computed.
     """
     jax.distributed.initialize(coordinator, processes, index)

@@ -220,7 +220,7 @@ def summary(
     """For each swept key, each of its values and each reward: the mean over the members that are
     done, with the half width of its 95 % interval (Student's) and what it is an interval over:
     seeds, each averaged over the other swept values first, since members of one seed go alike;
-    members where all are of one seed; half is None where there is but one.
+    members where all are of one seed. Half is None where there is but one.
     """
     done = [row for row in rows if row["status"] == "done"]
     found = []

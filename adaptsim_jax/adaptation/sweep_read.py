@@ -112,7 +112,7 @@ def _base(spec: SweepSpec, lines: Lines, folder: Path, env: dict[str, Any]) -> T
 
 def leaves(table: dict[str, Any], base: dict[str, Any]) -> dict[str, Any]:
     """Values by dotted key, whether they were written as `"hyper.delta" = 1`, `hyper.delta = 1` or
-    in a nested table; never taken apart further than the configuration `base` is nested.
+    in a nested table. Never taken apart further than the configuration `base` is nested.
     """
     flat = {}
     for name, value in table.items():

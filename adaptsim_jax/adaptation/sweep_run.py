@@ -3,7 +3,7 @@ with their reasons.
 
 Batches may be shared out by Ray (the extra `[cluster]`): on this machine, or on a cluster that
 shares the sweep's folder. A batch is one task of Ray's. Where its worker dies the task is run again,
-from the batch's last checkpoint; only this process writes parts, each once, so that nothing is lost
+from the batch's last checkpoint. Only this process writes parts, each once, so that nothing is lost
 and nothing counts twice.
 """  # noqa: E501
 

@@ -95,7 +95,7 @@ _KEY = re.compile(r"""\s*((?:"[^"]*"|'[^']*'|[\w-]+)(?:\s*\.\s*(?:"[^"]*"|'[^']*
 
 
 class Lines:
-    """Lines, counted from 1, of the keys of a TOML text by their dotted names; entries of
+    """Lines, counted from 1, of the keys of a TOML text by their dotted names. Entries of
     `[[name]]` are `name.0`, `name.1`, ...
     """
 

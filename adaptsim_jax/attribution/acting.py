@@ -25,7 +25,7 @@ BENT = 0.05  # s of motion before a stretch, by which bristles are taken to be b
 
 
 class Values(NamedTuple):
-    """Numbers of a model of n joints; every leaf has a last axis of 1, or of one number a stretch.
+    """Numbers of a model of n joints. Every leaf has a last axis of 1, or of one number a stretch.
 
     inertial [n, 10, .]; gravity [3, .] m/s^2; actuator [6, n, .]: gain, bias, bias per angle, bias
     per speed, lowest and highest force, before the gear [n, .]; effects {name: {parameter: [n,

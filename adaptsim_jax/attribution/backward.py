@@ -125,7 +125,7 @@ def backward_elimination(
     problem, model: FittedTree, reach, criteria: Criteria, trace, notify, rivals: bool = True
 ) -> tuple[FittedTree, tuple[Named, ...]]:
     """Backward: effects that do not hold out beside the others go, the weakest first and with it
-    those that are not beside it; the rest against their look-alikes, of which the simplest has the
+    those that are not beside it. The rest against their look-alikes, of which the simplest has the
     name (unless rivals are not asked for).
     """
     model = of_members(problem, model, criteria, trace, notify)

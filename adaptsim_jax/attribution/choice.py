@@ -27,7 +27,7 @@ MOVED = 1e-3  # m, or of a quaternion's entries: by which a base that moves does
 
 @dataclass(frozen=True)
 class Choice:
-    """simulator: tree or mujoco; why, in a sentence ('' where nothing needs to be said); file and
+    """simulator: tree or mujoco; why, in a sentence ('' where nothing needs to be said). File and
     log where they were read.
     """
 

@@ -93,8 +93,8 @@ def diagnose(
     effects: Sequence[Effect] | None = None,
     yardstick: str | None = None,
 ) -> dict[str, Any]:
-    """Diagnose a recording (a folder with `task = "mechanism"`, or a log file with `model`);
-    returns the report and, with `out`, writes it with `model.xml`. exclude: effects that are not
+    """Diagnose a recording (a folder with `task = "mechanism"`, or a log file with `model`).
+    Returns the report and, with `out`, writes it with `model.xml`. exclude: effects that are not
     considered; without: trials left out; as_declared: conventions that the motion contradicts are
     taken all the same; effects: the catalogue, ours where None; yardstick: stretches, whole or
     torque, where not the one that tells most is to judge.

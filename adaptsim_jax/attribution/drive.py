@@ -175,7 +175,7 @@ FINE = 8  # steps of a row
 
 
 class Local(NamedTuple):
-    """One joint by itself, [n, 1, 1] each: inertia of rotor and link kg m^2; what its controller
+    """One joint by itself, [n, 1, 1] each: inertia of rotor and link kg m^2. What its controller
     answers, N m/rad and N m s/rad.
     """
 

@@ -130,7 +130,7 @@ def fit(
     Args:
         problem: stretches of each group of joints.
         vector: where the values begin.
-        starts: where those of the stretches begin; the smoothed ones where None.
+        starts: where those of the stretches begin. The smoothed ones where None.
         rounds: of steps at most.
         weights: fixed ones; made anew along the way where None.
         glance: rounds after which a fit that is only to be compared ends once a round gains little.

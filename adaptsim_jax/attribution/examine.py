@@ -250,7 +250,7 @@ def _clipped(vector: Vector, values: np.ndarray) -> np.ndarray:
 def by_simulation(
     problem: TreeProblem, null: Vector, criteria: Criteria, notify, keep, hint=None
 ) -> Selection:
-    """The search by simulated stretches; over their beginnings where the whole names nothing and
+    """The search by simulated stretches. Over their beginnings where the whole names nothing and
     far more than noise is left. hint: as of
     `select`.
     """

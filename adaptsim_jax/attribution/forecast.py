@@ -100,7 +100,7 @@ def fitted_starts(
 ) -> tuple[tuple[np.ndarray, ...], Sequence[Path]]:
     """Starts by plain least squares on the angles, from the smoothed ones or those given, and the
     paths from there. rows [W, P]: other values for each stretch; roughly: a path is taken to follow
-    its start as one that nothing acts on, which needs no derivatives; no step is taken that does
+    its start as one that nothing acts on, which needs no derivatives. No step is taken that does
     not gain.
     """
     made = ready(problem, vector, rows)

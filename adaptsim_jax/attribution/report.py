@@ -267,7 +267,7 @@ def _error(
 
 
 def _candidates(problem: TreeProblem, found: Selection) -> list[dict[str, Any]]:
-    """What is named, with what it takes off beside all others; then what was scored about the
+    """What is named, with what it takes off beside all others. Then what was scored about the
     declared model, best first.
     """
     names = {(n.candidate.effect, n.candidate.joints) for n in found.named}

@@ -2,7 +2,7 @@
 it?
 
 For each candidate at each of its shapes the columns that it adds are freed of what the stretches'
-starts and the fitted parameters explain; what is left is regressed on the residual. Stretches are
+starts and the fitted parameters explain. What is left is regressed on the residual. Stretches are
 clusters: the variance of a score is taken from the scores of the stretches themselves (White, 1980;
 Liang and Zeger, 1986), so that a model that is wrong otherwise gives no small p by itself.
 """
@@ -206,7 +206,7 @@ def candidates(problem: TreeProblem, vector: Vector, reach: Reach) -> list[Joint
 
 
 def _of_model(problem: TreeProblem, name: str, taken: set[tuple[str, int]]) -> list[JointCandidate]:
-    """What frees parameters of the model itself: the direction of gravity, where there is any; the
+    """What frees parameters of the model itself: the direction of gravity, where there is any. The
     inertia of a body with a mass.
     """
     if name == INERTIA:

@@ -173,7 +173,7 @@ def select_shorter(
     more than noise is left.
 
     A joint that friction holds still, or a motion that runs away, has as many minima as it has
-    turns; over a short while it has few (progressive horizons in multiple shooting). What is named
+    turns. Over a short while it has few (progressive horizons in multiple shooting). What is named
     there is put into the whole, refitted only if that predicts better.
     """
     short = beginnings(problem, criteria.beginning)

@@ -2,7 +2,7 @@
 reference acceleration.
 
 MuJoCo's documentation, "Computation", constraint model: of a joint r beyond its range at the speed
-v the reference acceleration is -b v - k d(r) r with the impedance d; b, k and d come from `solref`
+v the reference acceleration is -b v - k d(r) r with the impedance d. B, k and d come from `solref`
 and `solimp`.
 """
 

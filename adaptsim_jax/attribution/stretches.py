@@ -1,6 +1,6 @@
 """Recordings cut into short stretches with a free start each (multiple shooting; Bock, 1981).
 
-Stretches lie along the last axis of every array and have equal numbers of rows; a shorter one is
+Stretches lie along the last axis of every array and have equal numbers of rows. A shorter one is
 padded with rows of no duration. A row is one sample of the log, or the mean over several where the
 log is faster than needed.
 """

@@ -1,13 +1,13 @@
 """Three yardsticks of a model beside each other, each with a zero: what needs no model at all
 leaves as much.
 
-Stretches and whole trials are simulated, and set against a straight line and holding still; the
+Stretches and whole trials are simulated, and set against a straight line and holding still. The
 torque along the measured motion is set
 against a torque that never changes. Skill = 1 - error / the better of these: 1 is perfect, 0 is
 worth nothing, below it the model is worse
 than none. Which of them tells most depends on the machine: over 0.5 s a slow arm moves along a
 straight line, whatever its model; a joint with much friction and little inertia says all in its
-torque; what follows commands shows over whole trials.
+torque. What follows commands shows over whole trials.
 """
 
 from collections.abc import Mapping, Sequence

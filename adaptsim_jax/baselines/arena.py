@@ -3,7 +3,7 @@ scored, whatever the engine.
 
 A batch `[B]` holds every seed, target and start at once. Compiled code ends at the target's door,
 so that a target may be Drake as well as a model in JAX. What a method is told of a target is what
-its own trials showed; the mean reward over the test contexts is for the table alone.
+its own trials showed. The mean reward over the test contexts is for the table alone.
 """
 
 from collections.abc import Callable, Hashable

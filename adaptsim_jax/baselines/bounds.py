@@ -37,7 +37,7 @@ def udr(problem: ExactProblem, *, samples_log2: int = 9, restarts: int = 3, seed
     precision.
 
     BFGS with the exact gradient through the rollout, from the mean of the optimal policies and from
-    scattered ones, in units of their spread; each run goes on until the gradient of the logarithm
+    scattered ones, in units of their spread. Each run goes on until the gradient of the logarithm
     of the cost is nil.
     """
     if samples_log2 < 4 or restarts < 1:
@@ -89,7 +89,7 @@ def best_in_omega(
     """For each of `targets [T, D]` (physical): all of a grid with `points` a side, then refined
     from the best `starts`.
 
-    Double precision. The policies of the grid are solved once for all targets; the refinement is
+    Double precision. The policies of the grid are solved once for all targets. The refinement is
     L-BFGS-B within the box, with the gradient through the Riccati solve and the rollout (the
     valleys are too narrow for a pattern search).
     """

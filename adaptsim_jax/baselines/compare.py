@@ -89,7 +89,7 @@ def compared(
 
 
 def wanted(comparison: Comparison) -> list[str]:
-    """The rows that are asked for; where none is, all that can be run here, and a line for each
+    """The rows that are asked for. Where none is, all that can be run here, and a line for each
     that cannot. BadInput names a method that the task has not.
     """
     asked = [method.replace("-", "_") for method in comparison.config.methods]

@@ -49,7 +49,7 @@ class Deployed(NamedTuple):
     returns: np.ndarray
 
     def at(self, budget: int) -> np.ndarray:
-        """Returns `[T]` of what is deployed after at most `budget` trials; not a number where the
+        """Returns `[T]` of what is deployed after at most `budget` trials. Not a number where the
         method deploys nothing so early.
         """
         there = np.flatnonzero(self.trials <= budget)

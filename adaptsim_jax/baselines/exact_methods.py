@@ -70,7 +70,7 @@ def adaptsim(run: MethodRun, late: bool = False) -> Visits:
 
 def adaptsim_analytic(run: MethodRun) -> Visits:
     """AdaptSim with steps of any size, whose policy is trained by the gradient of the logarithm of
-    the cost through simulated adaptation; as many trajectories of it as Phase 1 has, as many target
+    the cost through simulated adaptation. As many trajectories of it as Phase 1 has, as many target
     trials. Starts are drawn from Omega, as those in S_E are.
     """
     config, made = run.config, task_of(run, late=False)

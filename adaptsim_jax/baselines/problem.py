@@ -1,7 +1,7 @@
 """A task whose policy is solved exactly: what the bounds, the gradient baseline and the scoring
 need of it.
 
-Learners run in single precision; every number of the comparison is recomputed here in double
+Learners run in single precision. Every number of the comparison is recomputed here in double
 precision from the means of E that a method visited, so that all methods are scored by the same
 code.
 """
@@ -87,7 +87,7 @@ def discrepancy(problem: ExactProblem, means: np.ndarray, targets: np.ndarray) -
 
     The paper says "total variations between trajectories in the target environment and in the
     environment with adapted parameters" and no more. Here: the policy trained at the mean runs in
-    both; the absolute differences of both joint angles are summed over the 12 observed points.
+    both. The absolute differences of both joint angles are summed over the 12 observed points.
     """
 
     def one(u, target):

@@ -1,7 +1,7 @@
 """Where methods meet targets of many steps: the arena of `arena.py` for tasks whose trial is an
 episode of a policy.
 
-A visit's own trials and the episodes that score it are rolled out together; what a method is given
+A visit's own trials and the episodes that score it are rolled out together. What a method is given
 is its own trials alone.
 """
 
@@ -48,7 +48,7 @@ class StepsArena:
 
     own: of each visit the returns of its own trials `[B]`; scored: of each scoring the means over
     the tests `[B]`. programs: what was compiled for the same setting, names and sizes with another
-    seed's policy, by name; it serves all of them, because what a seed learned is an argument.
+    seed's policy, by name. It serves all of them, because what a seed learned is an argument.
     """
 
     def __init__(

@@ -8,7 +8,7 @@
   observation is not finite are masked.
 * Gradient ascent on the return, through the policy that knows E and a simulation of the target
   itself. No method for a robot, for it needs the target's own model: a row that shows what slopes
-  are worth where they can be had. Each mean is tried in the target, which counts; where it returned
+  are worth where they can be had. Each mean is tried in the target, which counts. Where it returned
   less than the best so far, the stride is halved from there.
 """
 
@@ -138,7 +138,7 @@ def cma_es(run: MethodRun) -> Visits:
 
 
 def gradient(run: MethodRun) -> Visits:
-    """A visit in the target for each mean; its slope from four starts in the simulator with all of
+    """A visit in the target for each mean. Its slope from four starts in the simulator with all of
     the target's values.
     """
     arena: StepsArena = run.arena

@@ -34,7 +34,7 @@ def task_word(args: argparse.Namespace) -> str:
 
 @contextlib.contextmanager
 def output(path: str | Path) -> Iterator[Path]:
-    """The folder `path` to write into, made if need be; where the work fails before it wrote
+    """The folder `path` to write into, made if need be. Where the work fails before it wrote
     anything, it is gone again.
     """
     from adaptsim_jax.core.files import output_folder
@@ -56,7 +56,7 @@ def read_target(text: str, task: Any) -> tuple[str, Any, Any]:
 
     The parameters stand at the top of the file or under `[params]`; all are checked against
     physical ranges. A `model.toml` is a target with effects of its own: `world` is then `task` with
-    that model to act in, else None; so it is where a setting has more than parameters of Omega.
+    that model to act in, else None. So it is where a setting has more than parameters of Omega.
     """
     if text in task.settings:
         world = None if task.world is None else task.world(text)

@@ -54,7 +54,7 @@ class ContactConfig:
 @dataclass(frozen=True)
 class DemoConfig:
     """Sizes of the tour: of the pendulum seeds of every method, N, iterations, Phase 1 and SysID's
-    budgets, and which baselines; of the push and the scoop; whether they are filmed, and whether
+    budgets, and which baselines; of the push and the scoop. Whether they are filmed, and whether
     the double pendulum's sample is diagnosed beside the hinge's.
     """
 

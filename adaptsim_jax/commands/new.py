@@ -129,7 +129,7 @@ def _names(kind: str) -> tuple[str, ...]:
 
 
 def _make_known(kind: str, name: str, folder: Path) -> None:
-    """A pyproject.toml whose entry points make the object one of ours; the lines for it where there
+    """A pyproject.toml whose entry points make the object one of ours. The lines for it where there
     is a file already.
     """
     from adaptsim_jax.core.files import write_bytes

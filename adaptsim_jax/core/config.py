@@ -286,7 +286,7 @@ def _level(
     table: dict[str, Any], hint: Any, parents: typing.Sequence[str], where: str
 ) -> dict[str, Any]:
     """The nested table that `parents` lead to. In a field of any keys (`dict`) it is made where it
-    is missing; whoever reads that field checks the keys.
+    is missing. Whoever reads that field checks the keys.
     """
     path = ""
     for name in parents:

@@ -2,9 +2,9 @@
 flags, memory.
 
 Three settings are for programs that trace and compile a lot. XLA's flags: by default a loop's body
-runs as one small kernel after another, and asking for each takes longer than running it; loops
+runs as one small kernel after another, and asking for each takes longer than running it. Loops
 compiled into one kernel each take a quarter to a third of the time off `adaptsim diagnose`. Memory:
-XLA on a CPU asks the C library for every array and gives it back after use; one arena that keeps
+XLA on a CPU asks the C library for every array and gives it back after use. One arena that keeps
 what it has is faster, and smaller at its peak. Garbage: rare searches.
 """
 

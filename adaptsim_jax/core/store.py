@@ -254,7 +254,7 @@ class RunFolder:
         return (self.checkpoint / MANIFEST).exists()
 
     def append_metrics(self, rows: list[dict[str, Any]]) -> None:
-        """Append one JSON line a row, null for what is not finite, and sync them; call it before
+        """Append one JSON line a row, null for what is not finite, and sync them. Call it before
         `save`, which records the length.
         """
         text = "".join(json.dumps(without_nan(row), allow_nan=False) + "\n" for row in rows)

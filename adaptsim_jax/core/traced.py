@@ -1,6 +1,6 @@
 """Digests of what a function computes: of its jaxpr with all constants, not of its text.
 
-A comment or another name of a variable changes nothing; another constant does, in the function
+A comment or another name of a variable changes nothing. Another constant does, in the function
 itself or in any that it calls.
 """
 

@@ -4,7 +4,7 @@ compute them again.
 XLA calls the C library for the sine of each single double, which was a quarter of the time of a
 pendulum's Jacobian, and, as it fuses them into whatever uses them, of a derivative along many
 directions nine tenths were sines of the same angles. In a derivative along many directions what XLA
-fuses is computed for each of them; a branch is not fused into, so what goes through one (`once`) is
+fuses is computed for each of them. A branch is not fused into, so what goes through one (`once`) is
 computed before.
 """
 

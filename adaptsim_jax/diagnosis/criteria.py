@@ -28,7 +28,7 @@ class TorqueCriteria:
         Panda's wrist: 400 N m of 0.8), and the speeds that this follows from are true to 0.1 or 0.2
         %.
     discovery: share of false ones among what like drives have (Benjamini and Hochberg, 1995).
-    paired: of the log's sampling interval; measured torques of all joints that are late or early by
+    paired: of the log's sampling interval. Measured torques of all joints that are late or early by
         less are how a logger pairs them with angles (of the cycle before, filtered), not an effect.
     simulated: joints up to which the search goes on by simulation where what the torque shows
         simulates to more than the noise (of more it takes minutes); of both results the one with
@@ -76,11 +76,11 @@ class Criteria:
     alike: share of what an effect gains (in logarithms) by which an alternative may be worse all
         the same.
     steady: an effect's size over its scatter between folds, of mechanisms with all else held.
-    bound: share of the end of a value's range within which it lies at it; an effect there is not
+    bound: share of the end of a value's range within which it lies at it. An effect there is not
         named: it wants what no machine has.
-    least_shift: of the log's sampling interval; a shift in time below it is how rows are read, not
+    least_shift: of the log's sampling interval. A shift in time below it is how rows are read, not
         an effect.
-    within_row: of the log's sampling interval; commands that act this much early at most, at all
+    within_row: of the log's sampling interval. Commands that act this much early at most, at all
         joints, changed between two rows (of a controller faster than its log): read so, not an
         effect.
     least_change: share of a value that the model file declares (armature, dry friction) below which
@@ -88,10 +88,10 @@ class Criteria:
     most_effects: at which the search ends.
     tried, rounds: candidates that are fitted each time, and for how many rounds at most.
     glance: rounds by which candidates are sorted (of mechanisms twice as many, and on while they
-        gain); the best is fitted whole.
+        gain). The best is fitted whole.
     behind: share of the loss by which a candidate may be worse at a glance than the best one and
         still be fitted.
-    matters: of the size that matters of a quantity (its scale); an effect that changes all of its
+    matters: of the size that matters of a quantity (its scale). An effect that changes all of its
         quantities by less is no name.
     apart: share of the held-out loss by which a model that is only compared must be worse for its
         fit to end early.
@@ -99,7 +99,7 @@ class Criteria:
     quiet: what a model of short trials leaves over the noise, below which it lacks nothing; 0:
         always goes on.
     beyond: where a fit of short trials leaves more than `quiet`, the share that an effect must take
-        off of the squared error beyond the noise (0.9: it is three times what is left); what is
+        off of the squared error beyond the noise (0.9: it is three times what is left). What is
         smaller may name a part of that. 0: no such rule.
     near: the same of a machine that follows commands, up to which what its command errors show is
         enough, and nothing is fitted by simulation.

@@ -38,7 +38,7 @@ class Model:
 
 def paired(without: np.ndarray, with_: np.ndarray, problem: Problem | None = None) -> Test:
     """Whether the second model predicts trials better: mean squares `[T]` of each. Logarithms of
-    the ratio are averaged over the problem's folds, and over its blocks for the test; over trials
+    the ratio are averaged over the problem's folds, and over its blocks for the test. Over trials
     where it has none.
     """
     if problem is None:
@@ -48,7 +48,7 @@ def paired(without: np.ndarray, with_: np.ndarray, problem: Problem | None = Non
 
 def beats(problem: Problem, model: Model, other: Model, criteria: Criteria) -> bool:
     """Whether a model is to be taken instead of another: the one with fewer quantities, unless the
-    larger holds out better; among equals the better.
+    larger holds out better. Among equals the better.
     """
     if len(model.fit.free) == len(other.fit.free):
         return paired(other.fit.held, model.fit.held, problem).gain > 0.0

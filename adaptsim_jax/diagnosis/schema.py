@@ -9,7 +9,7 @@ it finds them; all but the last two are checked:
     candidates[i].status  one of `STATUSES`
     not_established       [sentence]
     warnings, notes       [sentence]                                        of the audit and the
-    reader; the terminal shows them too trials                {differ, leave_out, headline, each:
+    reader. The terminal shows them too trials                {differ, leave_out, headline, each:
     [{trial, error, unexplained_torque, size, odd}]}    `quality.trial_words` task_reward
     {before, after, oracle}                           in [0, 1]
     error.stretch_s            length of the stretches that errors are simulated over
@@ -19,8 +19,8 @@ it finds them; all but the last two are checked:
 
 `error.ceiling` is in `error.unit`, as its neighbours are: the held-out error of the declared model
 with smooth forces of any shape added (`sysid.evaluate.flexible`; `error.ceiling_groups` says what
-they follow). It names nothing and has many parameters to learn, so a named effect may do better;
-one that does much worse has left something out. `candidates[i].held_out_gain` is the share of the
+they follow). It names nothing and has many parameters to learn, so a named effect may do better.
+One that does much worse has left something out. `candidates[i].held_out_gain` is the share of the
 held-out residual that the candidate removes. A number that does not exist is null. In `declared`, a
 parameter that the data do not fix has `identifiable` false; the page shows no number for it.
 """

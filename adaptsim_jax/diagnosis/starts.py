@@ -207,13 +207,13 @@ def problem_of(
     Args:
         simulator: see `simulator.Simulator`.
         candidates: those that are considered, the simulator's own where None.
-        begun: points `[N, P]` from which the declared fit may begin; the neutral one where None.
+        begun: points `[N, P]` from which the declared fit may begin. The neutral one where None.
 
     A stretch that is far worse followed than others (its start is caught at another contact) counts
     less, so that it does not decide.
 
     Returns:
-        A problem whose trials are the stretches; folds are their trials, or blocks of these where
+        A problem whose trials are the stretches. Folds are their trials, or blocks of these where
         there are fewer than five.
     """
     s, quantities = simulator.stretches, simulator.quantities

@@ -34,7 +34,7 @@ def bounded_step(
     What would leave a bound is held at it and the others are solved for again.
 
     Args:
-        hess: curvature [P, P], with that of a prior; numbers without any do not move.
+        hess: curvature [P, P], with that of a prior. Numbers without any do not move.
         slope: fall of the loss by each number [P].
         low: of the step [P], at most zero.
         high: of the step [P], at least zero.
@@ -107,7 +107,7 @@ def fit_values(
 
     Args:
         point: where the fit begins.
-        around: linearises at a point; what it returns takes a step with a damping.
+        around: linearises at a point. What it returns takes a step with a damping.
         rounds: linearisations at most.
         damping: of the first step.
         relief: times the damping after a step that gained.

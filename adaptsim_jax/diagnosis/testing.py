@@ -88,8 +88,8 @@ def paired_test(
     Args:
         before: losses [U] of units by the first model, left out.
         after: losses [U] by the second.
-        fold: which are left out together [U]; each unit where None.
-        block: which stand together in the test [U]; each unit where None.
+        fold: which are left out together [U]. Each unit where None.
+        block: which stand together in the test [U]. Each unit where None.
     """
     ratio = log_ratio(before, after)
     by_fold, by_block = (ratio if unit is None else means(ratio, unit) for unit in (fold, block))

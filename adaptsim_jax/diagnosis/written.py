@@ -39,7 +39,7 @@ def cleared(folder: Path) -> Path:
 
 
 def write_partial(folder: Path, report: Mapping[str, Any]) -> None:
-    """`report.json` of a search that goes on, which says so; where it cannot be written the search
+    """`report.json` of a search that goes on, which says so. Where it cannot be written the search
     goes on without it.
     """
     partial = {**report, "message": f"{UNFINISHED} {report['message']}", "unfinished": True}

@@ -1,6 +1,6 @@
 """Effects between the command that was recorded and the torque that reached the joint.
 
-Commands are held from their row to the next; what an effect returns is each row's mean, so impulses
+Commands are held from their row to the next. What an effect returns is each row's mean, so impulses
 are exact. `t: [T, ...]` s and `u: [T, ...]` N m have time first, parameters are `[1, ...]`; the
 last row lasts no time.
 """

@@ -209,7 +209,7 @@ class Reach:
 class Traits:
     """What searches, reports and model files ask of an effect, whatever its name (of mechanisms).
 
-    - on_actuator: a force that changes what an actuator gives; none at joints without one.
+    - on_actuator: a force that changes what an actuator gives. None at joints without one.
     - of_controller: only joints that a position controller holds have it.
     - scales_drive: a share more of what the drive gives.
     - shared: tried with one value for all joints too, as of one computer that commands them.
@@ -251,7 +251,7 @@ class Effect:
     - command: `apply(p, t [T, ...], u [T, ...]) -> u'`: a whole trial's command, each value held to
       the next row;
     - force: `apply(p, motion) -> force [n, ...]`, or `Dry` friction, or a `Relaxation` where
-      `memory` is true; where `inertia` is true, `apply(p) -> kg m^2` added to the joint;
+      `memory` is true. Where `inertia` is true, `apply(p) -> kg m^2` added to the joint;
     - drive: `apply(p) -> Drive` (`attribution/drive.py`) between a joint's rotor and its link, of
       mechanisms only;
     - measurement: `apply(p, t [T, ...], q [T, ...], v [T, ...], first [...]) -> (q', v')`: what the

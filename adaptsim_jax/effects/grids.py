@@ -45,7 +45,7 @@ def decays(reach, joint):
 
 def stiff_stops(reach, joint):
     """Stops as hard as most are, where the motion ends and a little before. One that is hit hard
-    throws the model so far off that a linear score makes it soft and puts it well inside; from
+    throws the model so far off that a linear score makes it soft and puts it well inside. From
     there no fit finds the way to it.
     """
     low, high = float(reach.q_low[joint]), float(reach.q_high[joint])

@@ -62,7 +62,7 @@ def make_play(
     """`sim` with `fields`, those of the interface among them, as arguments. longest: s, the
     greatest delay that may come.
 
-    A delay between two steps is a mean of both actions, weighted by how near they are; before the
+    A delay between two steps is a mean of both actions, weighted by how near they are. Before the
     first action there is 0.
     """
     names = [field.name for field in fields]

@@ -314,7 +314,7 @@ def domain_randomize(
 
     Args:
         native: the model that `ranges` names fields of.
-        ranges: for each name `[low, high]`, or `[low, high, "log"]`, as in env.toml; not those of
+        ranges: for each name `[low, high]`, or `[low, high, "log"]`, as in env.toml. Not those of
                 the interface, such as `delay`.
 
     Returns:

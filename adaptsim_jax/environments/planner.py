@@ -2,7 +2,7 @@
 "Predictive sampling").
 
 At every step the plan so far and noisy copies of it are rolled out in the simulator from where the
-target is; the best is gone on with, and its first action made.
+target is. The best is gone on with, and its first action made.
 """
 
 from dataclasses import dataclass

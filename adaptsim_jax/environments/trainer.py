@@ -59,7 +59,7 @@ class PPOTraining:
     has made `unroll` steps.
 
     decay: the learning rate falls to this share of its start. stagger: episodes end at different
-    times, so that an update sees all of them; else all begin together.
+    times, so that an update sees all of them. Else all begin together.
     """
 
     steps: int = 3_000_000

@@ -63,7 +63,7 @@ def _two(mean: Array, precision: Array, low: float, high: float) -> Array:
 def _many(mean: Array, precision: Array, low: float, high: float) -> Array:
     """Rounds of two monotone moves until the active set settles.
 
-    A sweep of coordinate ascent takes up and lets go of bounds; then all free actions move together
+    A sweep of coordinate ascent takes up and lets go of bounds. Then all free actions move together
     to where they would be best with the others held, as far as the first bound that they meet.
     """
     d = mean.shape[-1]

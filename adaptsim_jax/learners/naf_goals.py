@@ -103,7 +103,7 @@ def make_goal_learner(
       n]`: `P` policies together, each for its own number of rounds, with a new replay and
       optimiser. `longest`, the largest of them, may be traced: it sets the time taken.
     * `tune(key, weights [n], trials [N], used [], updates) -> weights [n]`: one policy from the
-      first `used` of given trials, made anywhere; none where there are none
+      first `used` of given trials, made anywhere. None where there are none
     """
     _check(config)
     shapes = jax.eval_shape(problem.draw, jax.random.key(0))

@@ -1,7 +1,7 @@
 """One NAF for a whole box of contexts: it sees the context beside the goal, so that training at a
 new context starts near its end.
 
-Actions are tried at many contexts beforehand (`trials` uniform ones each); batches then pair a
+Actions are tried at many contexts beforehand (`trials` uniform ones each). Batches then pair a
 context with a goal and learn from the trial, among some candidates, that serves the goal well and
 lies near what the network would do, as `naf_goals` does for one context. The context enters the
 first layer only by its bias. A network for one context is therefore the same network without the

@@ -100,7 +100,7 @@ def begin(data: Path, out: Path | None, model: Path | None, topics: dict[str, st
 
 
 def _folder(data: Path, out: Path | None) -> Path:
-    """The folder that meta.toml goes to; never one that has it, nor the data's own unless nothing
+    """The folder that meta.toml goes to. Never one that has it, nor the data's own unless nothing
     else is named.
     """
     if not data.exists():
@@ -187,7 +187,7 @@ def _columns(
 def _one_clock(
     path: Path, columns: dict[str, np.ndarray]
 ) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """Columns of the first trial alone, with one time; our name -> the file's of those that are
+    """Columns of the first trial alone, with one time. Our name -> the file's of those that are
     told by how they go together: the two parts of a time, and what names the trials where the clock
     starts again.
     """

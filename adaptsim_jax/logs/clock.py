@@ -51,7 +51,7 @@ class Stamped:
 
 def stamped(arrived: np.ndarray, stamps: np.ndarray, group: np.ndarray | None = None) -> Stamped:
     """Times of messages that arrived at `arrived [K]` ns with stamps `[K]` (0: none). group [K]:
-    who sends; a sender of whom no message has a stamp counts by arrival, less the delay of the
+    who sends. A sender of whom no message has a stamp counts by arrival, less the delay of the
     others.
     """
     has = stamps > 0
@@ -134,7 +134,7 @@ def merge(
     The clock is that of the state series with most rows, over the time that all state series share.
     Other states are interpolated between their rows. A command, or an effort, acts from its own
     time to the next one's: a row has the mean of what acts until the next row, so that nothing is
-    taken to wait for a row; before the first command rows are cut off. A joint's gap of more than
+    taken to wait for a row. Before the first command rows are cut off. A joint's gap of more than
     10 of its intervals is NaN; one that speaks fewer than `RARE` times stays where it was last.
     """
     notes: list[str] = []

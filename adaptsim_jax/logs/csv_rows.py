@@ -30,7 +30,7 @@ REMARKS = ("#", "%", "//")
 
 def rows_of(path: Path, text: str, most: int | None = None) -> tuple[list[list[str]], list[int]]:
     """The first `most` rows (None: all) of a CSV that hold anything, from its header on, and their
-    lines; cells as they are but for the header's.
+    lines. Cells as they are but for the header's.
     """
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     above, text, delimiter = _from_header(text)
@@ -65,7 +65,7 @@ def _header(row: list[str]) -> list[str]:
 def _from_header(text: str) -> tuple[int, str, str]:
     """How many lines stand above the header, the text from it on, and what parts its cells.
 
-    The header is the first line that is no remark; where that one holds numbers, the last remark of
+    The header is the first line that is no remark. Where that one holds numbers, the last remark of
     as many names.
     """
     remarks, at, above, first = [], 0, 0, ""

@@ -64,7 +64,7 @@ class HeadingUnit:
 
 
 def heading(written: str, joints: Iterable[str] = ()) -> Heading:
-    """A column's heading as its file writes it. joints: the model's, where known; a joint's own
+    """A column's heading as its file writes it. joints: the model's, where known. A joint's own
     name has no unit in it.
     """
     joints = tuple(joints)

@@ -151,7 +151,7 @@ class Log:
     model's actuators are not known); `driven`: joints that have an input column, torque is 0 at the
     others. `notes`: what a person should know of how the files were read, a line each. `held`:
     joints that stand still in all trials, or that `[hold]` names, and where they were (None:
-    nothing was logged); they are not among `joint_names`. `input_columns [m]`: the column that each
+    nothing was logged). They are not among `joint_names`. `input_columns [m]`: the column that each
     actuator's command was read from. `unlike`: joints whose followers do not follow as the model
     says.
     """

@@ -73,8 +73,8 @@ def check_log_units(
 
 
 def lengths_within(times: float) -> tuple[str, ...]:
-    """Units of length that bring a sliding joint, which moves `times` as far as its range, into it;
-    metres are not asked about.
+    """Units of length that bring a sliding joint, which moves `times` as far as its range, into it.
+    Metres are not asked about.
     """
     return tuple(
         unit for unit in ("mm", "cm") if times >= HINT and times * LENGTH_UNITS[unit] <= INSIDE
@@ -139,7 +139,7 @@ def speed_mistake(joints: Iterable[Agreement]) -> str:
 
 
 def _large(trials: Sequence[LogTrial], j: int, names: ModelNames, known: bool) -> str:
-    """A note on angles that may be degrees; where a unit is declared, on a trial that is unlike the
+    """A note on angles that may be degrees. Where a unit is declared, on a trial that is unlike the
     others alone.
     """
     reaches = np.array([np.nanmax(np.abs(t.q[:, j]), initial=0.0) for t in trials])

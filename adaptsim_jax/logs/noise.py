@@ -15,8 +15,8 @@ def difference_noise(
 
     Args:
         parts: unbroken runs of rows [T, ...] at even steps, NaN where nothing was read.
-        order: of the differences; a motion that is a polynomial of lower degree leaves none.
-        robust: by the median of their sizes, which impacts hardly move; else by their mean square.
+        order: of the differences. A motion that is a polynomial of lower degree leaves none.
+        robust: by the median of their sizes, which impacts hardly move. Else by their mean square.
         pooled: whether all channels have one noise, [1].
     """
     rows = [np.diff(z, order, axis=0) for z in parts]

@@ -62,7 +62,7 @@ def read_pendulum(folder: str | Path, *, without: Sequence[str] = ()) -> Log:
 
     Args:
         folder: holds `meta.toml` and a file for each trial.
-        without: trials that are left out; their files are not looked at.
+        without: trials that are left out. Their files are not looked at.
 
     Returns:
         The log, with `meta.rig`. Raises `BadInput` naming file, row or key, and the mend.

@@ -3,7 +3,7 @@ travel, an encoder's steps.
 
 LeRobot writes arms in degrees or in -100 to 100 of each joint's calibrated range, and grippers in 0
 to 100 of their travel (https://github.com/huggingface/lerobot, motors/motors_bus.py,
-`MotorNormMode`); what is cut at the ends of such a range ends at exactly 100. Steps are whole
+`MotorNormMode`). What is cut at the ends of such a range ends at exactly 100. Steps are whole
 numbers. Nothing is converted here: it is told, and refused where the numbers can be nothing else.
 """
 

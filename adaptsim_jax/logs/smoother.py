@@ -223,8 +223,8 @@ def smoothed(
 
     Args:
         time: [T] s.
-        q: [T, n] rad. v: [T, n] rad/s, or None; it counts where it agrees with the angles.
-        noise: [2, n], standard deviations of both; that of speeds is 0 where none were measured.
+        q: [T, n] rad. v: [T, n] rad/s, or None. It counts where it agrees with the angles.
+        noise: [2, n], standard deviations of both. That of speeds is 0 where none were measured.
 
     Returns:
         Positions in rad and speeds in rad/s.
@@ -240,7 +240,7 @@ def smoothed(
 def _smooth_joint(
     time: np.ndarray, q: np.ndarray, v: np.ndarray | None, sq: float, sv: float
 ) -> np.ndarray:
-    """Angle and speed `[T, 2]`; speeds are dropped where they make the angles fit worse than their
+    """Angle and speed `[T, 2]`. Speeds are dropped where they make the angles fit worse than their
     noise allows (a lagging filter, a wrong scale).
     """
     order, levels = _intensity(time, q, sq)

@@ -88,7 +88,7 @@ def cuts(time: np.ndarray) -> list[slice]:
 
 def restarted(time: np.ndarray) -> list[slice]:
     """The rows of each trial where `time [T]` starts again at about its first value, and increases
-    between; none where it never does, or does anything else.
+    between. None where it never does, or does anything else.
     """
     parts = cuts(time)
     if len(parts) < 2 or not np.all(np.isfinite(time)):

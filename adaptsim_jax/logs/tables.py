@@ -226,7 +226,7 @@ def _mend(
     table: LogTable,
     time: np.ndarray,
 ) -> str:
-    """What meta.toml may say of a clock that does not increase; nothing where that is not known.
+    """What meta.toml may say of a clock that does not increase. Nothing where that is not known.
     theirs: its column.
     """
     found = pair(header)

@@ -2,7 +2,7 @@
 effects, row by row.
 
 A law sees what the sensors say and its own past commands, decides a torque, and holds it for a row.
-Command and measurement effects are functions of whole sequences; here they get the last rows only,
+Command and measurement effects are functions of whole sequences. Here they get the last rows only,
 as many as they remember.
 """
 

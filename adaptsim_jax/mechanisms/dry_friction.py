@@ -18,7 +18,7 @@ STIFF = 30.0  # steps in time constants, beyond which it is not smooth
 
 
 def typical_speed(v, end):
-    """The speed at which what grows with its square is at its mean, straight from `v` to `end`; the
+    """The speed at which what grows with its square is at its mean, straight from `v` to `end`. The
     way of most of it.
     """
     mean = (v**2 + v * end + end**2) / 3.0

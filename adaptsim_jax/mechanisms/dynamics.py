@@ -5,7 +5,7 @@ Arrays are `[n, ...batch]` with the batch last, and all is sums and products ove
 joints at once, so that it vectorises, and compiles in about the same time for two joints and for
 twelve. Vectors are in the world's axes, motions and wrenches about the first joint of each branch.
 Inverse dynamics are the recursive Newton-Euler algorithm and the mass matrix comes from composite
-bodies (Featherstone, "Rigid Body Dynamics Algorithms", 2008); derivatives are analytic (Singh,
+bodies (Featherstone, "Rigid Body Dynamics Algorithms", 2008). Derivatives are analytic (Singh,
 Russell and Wensing, "Efficient analytical derivatives of rigid-body dynamics using spatial vector
 algebra", RA-L 7(2), 2022; Carpentier and Mansard, 2018), so that a derivative along many directions
 costs a small matrix product each.

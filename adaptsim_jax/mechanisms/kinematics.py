@@ -88,7 +88,7 @@ def chain(tree: Tree, q: jax.Array) -> list[Pose]:
 
 
 def together(poses: list[Pose], like: jax.Array) -> Pose:
-    """All joints' poses as one, with entries `[n, ...]`; an entry that is the same known number for
+    """All joints' poses as one, with entries `[n, ...]`. An entry that is the same known number for
     all of them stays one.
     """
 

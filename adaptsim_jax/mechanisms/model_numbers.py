@@ -2,7 +2,7 @@
 `option.gravity[2]`.
 
 A name is KIND:ELEMENT.ATTRIBUTE with MuJoCo's own words, and `[i]` where there are several numbers.
-Here is what such a name means and where the number stands; which of them may be fitted or adapted,
+Here is what such a name means and where the number stands. Which of them may be fitted or adapted,
 and within which bounds, is for whoever asks.
 """
 

@@ -27,7 +27,7 @@ Rows = Sequence[Any] | jax.Array  # one a state or joint, stacked or not
 
 @dataclass(frozen=True)
 class Plant:
-    """A model as pure functions of `(constants, theta, ...)`; a pytree whose leaves are numbers, so
+    """A model as pure functions of `(constants, theta, ...)`. A pytree whose leaves are numbers, so
     that two plants of the same kind but other geometry share one compiled program.
 
     mass(constants, theta, q [n, ...]) -> rows of entries, each a number or `[...]`;

@@ -214,7 +214,7 @@ def _dry_force(
         mean_of = mean_friction
 
     def rub(at, late):
-        """Friction as at a state of the step and its level as at a speed; the state in the middle
+        """Friction as at a state of the step and its level as at a speed. The state in the middle
         of the step under it, and the speed that is typical of the step.
         """
         z, speed, force = at

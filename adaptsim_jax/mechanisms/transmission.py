@@ -6,8 +6,8 @@ All kinds of actuators are one law, MuJoCo's with affine bias: with `length = ge
 
     force = gain ctrl + offset - kp length - kv speed
 
-and the joint gets gear times the force within forcerange. A motor has gain 1, kp = kv = 0; a
-position servo gain = kp, a velocity servo gain = kv; a dcmotor (volts) gain = K / R and
+and the joint gets gear times the force within forcerange. A motor has gain 1, kp = kv = 0. A
+position servo gain = kp, a velocity servo gain = kv. A dcmotor (volts) gain = K / R and
 kv = K^2 / R; `general` is any other. Ranges are nan where there is none.
 """
 

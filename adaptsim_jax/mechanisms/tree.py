@@ -4,7 +4,7 @@
 on the joint's axis and its z axis *along* the joint's axis; `place` and `rotation` say where it is
 in the frame of the body before it (of the world, where `parent` is -1) at q = 0. So a hinge turns
 the frame about its own z, and a slide moves it along it. Bodies without joints are part of the body
-that they are welded to; a body with several joints is the last of a series of bodies of which the
+that they are welded to. A body with several joints is the last of a series of bodies of which the
 others weigh nothing.
 
 **Inertial parameters** of a body, about the origin and in the axes of its joint's frame: `m, m cx,
@@ -12,12 +12,12 @@ m cy, m cz` (kg, kg m), then `Ixx, Ixy, Ixz, Iyy, Iyz, Izz` (kg m^2), the moment
 and `Ixy = -sum m x y`. Dynamics are linear in them.
 
 Arrays are numpy in double precision until a function of `dynamics.py` casts them to the type of
-`q`; they may carry lanes on trailing axes, as if each mechanism of a batch had its own.
+`q`. They may carry lanes on trailing axes, as if each mechanism of a batch had its own.
 
 **Followers.** A joint that follows another (a mimic, an equality of two joints) is no coordinate of
 its own: `whole` then is the tree of all joints, and says which coordinate each of them goes with.
 The fields of the tree itself are those of its coordinates, each at the joint that it is named
-after; what followers have of friction, inertia of rotors and springs is added to theirs.
+after. What followers have of friction, inertia of rotors and springs is added to theirs.
 """
 
 from collections.abc import Sequence
@@ -301,7 +301,7 @@ def folded(tree: Tree, leader: Sequence[int], factor: Any, offset: Any) -> Tree:
 
     leader [m]: the joint that each follows (itself where it follows none); factor, offset [m]: it
     is at offset + factor * (its leader's angle). What is linear in the joints' own motion is added
-    up; a spring of a follower keeps its force (its rest moves the leader's). Raises ValueError
+    up. A spring of a follower keeps its force (its rest moves the leader's). Raises ValueError
     where a leader follows another.
     """
     m = tree.n

@@ -200,7 +200,7 @@ def _inertias(
     where: str, links: dict[str, Any], joints: list, compiler: dict, notes: list[str]
 ) -> tuple[str, ...]:
     """Links that are fixed to each other are one body. Of those that move, the links that weigh
-    nothing but carry something, and points without moments, get as little as MuJoCo reads; what
+    nothing but carry something, and points without moments, get as little as MuJoCo reads. What
     stands still needs nothing. Raises BadInput where the last of a chain weighs nothing, or moments
     are negative.
     """

@@ -38,7 +38,7 @@ class Changes:
 
 
 def mended_mjcf(mechanism: Mechanism, changes: Changes) -> str:
-    """The model file as MJCF text with `changes` in it; without its shapes where their meshes are
+    """The model file as MJCF text with `changes` in it. Without its shapes where their meshes are
     not there, as it was read.
 
     Raises BadInput where MuJoCo refuses the result.

@@ -91,7 +91,7 @@ class Form:
 def added_effects(
     effects: Iterable[Any], values: Mapping[str, float], units: Mapping[str, str]
 ) -> tuple[AddedEffect, ...]:
-    """Effects with their quantities, of `values` by name; each effect has a name, a place `where`
+    """Effects with their quantities, of `values` by name. Each effect has a name, a place `where`
     and the names of its `quantities`.
     """
     return tuple(

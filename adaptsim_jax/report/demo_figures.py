@@ -18,7 +18,7 @@ SHOWN = 2.0  # s of a recording
 def learning_curves(metrics: Sequence[Sequence[Mapping[str, Any]]]) -> Figure:
     """Mean reward that is learned from, a line for each run's `metrics.jsonl`.
 
-    It lies in [0, 1]; the task's own reward has no lower end, and a few hopeless starts would hide
+    It lies in [0, 1]. The task's own reward has no lower end, and a few hopeless starts would hide
     all the rest.
     """
     figure, (ax,) = look.new_figure(4.6, 2.9)

@@ -8,7 +8,7 @@ terminal.
 missing:
 
     held_out         [{trial, time [T] s, measured {channel: [T]}, before {...}, after {...} or
-                     None, units {channel: unit}}], NaN where windows join; the first trial is
+                     None, units {channel: unit}}], NaN where windows join. The first trial is
                      shown, the others fold out
     tracks           {measured [[T, 2] m], before [...], after [...] or None} of trials on a table,
     seen from above torque           [{joint, unit, time [n] s, measured, file, fitted [n]}] along

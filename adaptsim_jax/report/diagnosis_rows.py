@@ -27,7 +27,7 @@ FACTORS = {
 
 def effect_rows(report: Mapping) -> list[dict[str, Any]]:
     """Each effect: `title`, `fitted_as` in a class, `physics` where given, parameters with
-    intervals; not those that a finer shape would have and that stayed at zero.
+    intervals. Not those that a finer shape would have and that stayed at zero.
     """
     rows = []
     for effect in report["effects"]:

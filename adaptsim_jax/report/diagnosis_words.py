@@ -141,7 +141,7 @@ def headline(report: Mapping) -> str:
 
 def worse_files(report: Mapping) -> str:
     """Which of the files that were written simulate a joint worse than the declared one, the joint at
-    which each is worst, and by how much; empty where none does.
+    which each is worst, and by how much. Empty where none does.
     """  # noqa: E501
     parts = []
     for name, rows in (report.get("files") or {}).items():

@@ -1,4 +1,4 @@
-"""Films of trials: rendered by MuJoCo off screen, or drawn where no OpenGL works; a scene a task
+"""Films of trials: rendered by MuJoCo off screen, or drawn where no OpenGL works. A scene a task
 says what is seen.
 
 MuJoCo chooses its OpenGL when it is imported, and a driver that does not fit may end the process.
@@ -267,7 +267,7 @@ def _start(writer: Any) -> None:
 
 def _gif(frames: Iterable[np.ndarray], path: str, fps: float) -> None:
     """One palette for all, or still parts flicker; of the widest cover, or small marks lose their
-    colour; no dithering, which would crawl. It is taken from a few pictures at once.
+    colour. No dithering, which would crawl. It is taken from a few pictures at once.
     """
     from PIL import Image
 

@@ -69,7 +69,7 @@ def groups(found: Mapping[str, Any]) -> dict[str, list[Mapping[str, Any]]]:
 
 
 def over_values(found: Mapping[str, Any]) -> str:
-    """Mean rewards over the values of each swept key with 95 % intervals, a line a reward; empty
+    """Mean rewards over the values of each swept key with 95 % intervals, a line a reward. Empty
     where nothing was swept.
     """
     views = {
@@ -86,7 +86,7 @@ def _rows(found: Mapping[str, Any], key: str) -> list[Mapping[str, Any]]:
 
 
 def _values(rows: Sequence[Mapping[str, Any]]) -> tuple[list[Any], bool, bool]:
-    """The values that were swept, in order where they are numbers; whether they are; whether they
+    """The values that were swept, in order where they are numbers; whether they are. Whether they
     span so much that an axis is to be logarithmic.
     """
     values = list({repr(r["value"]): r["value"] for r in rows}.values())

@@ -33,7 +33,7 @@ class Preparation(NamedTuple):
     * `blank(key) -> prepared`: a pytree of arrays with its structure and shapes
     * `make(key, report) -> prepared`: not pure, may take minutes; `report(done, total, note)`
     * `ready(prepared) -> Task`: the task with it
-    * digest() -> str: of all that it depends on beside the seed; it may take seconds
+    * digest() -> str: of all that it depends on beside the seed. It may take seconds
     """
 
     blank: Callable[[Array], Any]

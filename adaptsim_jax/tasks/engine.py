@@ -127,7 +127,7 @@ def steps_a_row(what: str, dt: float, row: float, usual: float) -> int:
 
 
 def filled_batches(count: int, size: int) -> list[tuple[slice, np.ndarray]]:
-    """Where each batch of `size` goes, and its samples; the last one is filled up, so that one size
+    """Where each batch of `size` goes, and its samples. The last one is filled up, so that one size
     is compiled.
     """
     return [

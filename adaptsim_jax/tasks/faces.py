@@ -133,7 +133,7 @@ class RobotFace:
 
     deployed: the policy as it is deployed now, mended by what was recorded; tried: as the coming
     turn makes its trials with it. Both are the policy itself by default. again: a turn that the
-    robot could not finish is asked again; else its start is given up, since the policy asked of it
+    robot could not finish is asked again. Else its start is given up, since the policy asked of it
     would fail again. recorded: how trials are read again for `diagnose`; None where sessions are not
     diagnosed.
     """  # noqa: E501

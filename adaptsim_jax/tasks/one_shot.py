@@ -1,5 +1,5 @@
 """Tasks with one decision a trial: a policy sees a context (a goal, where a piece lies) and chooses
-an action; the trial is open loop.
+an action. The trial is open loop.
 
 What the baselines need of such a task beyond `Task`, so that they know nothing of what is pushed or
 scooped. Targets are *worlds*: the task's own simulator, or any other engine, that run trials one by

@@ -64,8 +64,8 @@ def read_saved(
 ):
     """`act(seen [2] or [N, 2]) -> actions` of a `best.toml` or `policy.toml`.
 
-    kind: of the task's configuration, which has `hidden`; policy: of its policies, made of weights;
-    make_naf(config) and make_policy(config): the task's own; what: the task in a message. Raises
+    kind: of the task's configuration, which has `hidden`; policy: of its policies, made of weights.
+    Make_naf(config) and make_policy(config): the task's own; what: the task in a message. Raises
     BadInput where the file holds no policy of this task.
     """
     table = configs.read(path)

@@ -95,7 +95,7 @@ def balances(
     problem: TreeProblem, tracks: tuple[JointTrack, ...], span: float = SPAN, trusted: bool = True
 ) -> tuple[Balance, ...]:
     """By group of joints; none of a group whose trials hold no window. trusted: the law of the
-    file's actuators says where they are at their limits, and windows there do not count; else only
+    file's actuators says where they are at their limits, and windows there do not count. Else only
     those at stops.
     """
     out = []
@@ -350,8 +350,8 @@ def ramp(v, width, wide):
 def effect_force(
     balance: Balance, values: Values, effect: Effect, p: At, driven: Driven
 ) -> np.ndarray:
-    """Mean force [K, n] of a force effect at parameters p {name: [n]} along the measured motion;
-    dry friction against it. driven: `actuator_force` of these values.
+    """Mean force [K, n] of a force effect at parameters p {name: [n]} along the measured motion.
+    Dry friction against it. driven: `actuator_force` of these values.
     """
     if effect.inertia:
         with jax.enable_x64(True):

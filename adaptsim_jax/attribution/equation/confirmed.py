@@ -42,7 +42,7 @@ def confirmed(
 ) -> TorqueSearch:
     """Without the effects that simulation does not bear out, the weakest first and with it those
     that are not beside it, refitted by the balance. One that takes far more than the least off is
-    not asked again; where all together take nothing off, none is asked (closed testing; Marcus,
+    not asked again. Where all together take nothing off, none is asked (closed testing; Marcus,
     Peritz and Gabriel, 1976). whole: the model of all that is found; null: the declared model of a
     machine that is driven by torque, whose stretches may tell nothing.
     """

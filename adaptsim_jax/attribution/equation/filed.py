@@ -32,8 +32,8 @@ def without_bodies(null: Vector) -> Vector:
 def searched(
     problem: TreeProblem, search: Callable[[Vector], TorqueSearch], null: Vector, criteria: Criteria
 ) -> tuple[TorqueSearch, TorqueSearch, bool]:
-    """`(found, usual, asked)`: what is found with the file's bodies or with fitted ones; what is
-    found with fitted ones, where these were sought; whether simulation was asked of each name.
+    """`(found, usual, asked)`: what is found with the file's bodies or with fitted ones. What is
+    found with fitted ones, where these were sought. Whether simulation was asked of each name.
     search: along the motion, with the entries of a vector fitted.
 
     Fitted bodies (hundreds of numbers of a humanoid) are not sought where the file's simulate

@@ -48,7 +48,7 @@ def left_of(
     asked: np.ndarray, spike: np.ndarray, limit: np.ndarray, slow: np.ndarray, row: np.ndarray
 ) -> np.ndarray:
     """Mean force that a limit leaves of one `asked` for, with spikes. A command that is held jumps
-    from row to row by so much as the joint moves, and the force with it (`spike`); within about
+    from row to row by so much as the joint moves, and the force with it (`spike`). Within about
     `slow` s (inertia over damping) the joint has the speed that this asks for, and the force is
     down again. Where limits cut a spike that takes longer: with m the mean, the force begins a = m
     + peak - limit above the limit and falls by (limit - m) / slow + spike / row a second. m is

@@ -96,7 +96,7 @@ def gains(
     commanded: bool,
 ) -> np.ndarray:
     """Logarithms [B, n] of what sharp friction leaves of left-out blocks over what the giving one
-    does; each with what all joints are likely to have (a delay of commands, friction at each
+    does. Each with what all joints are likely to have (a delay of commands, friction at each
     joint).
     """
     sharp, gives = (

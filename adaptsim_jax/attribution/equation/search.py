@@ -184,7 +184,7 @@ def _trusted(c: JointCandidate, wide: float) -> JointCandidate:
 def likely_first(
     state: Searched, every: Sequence[JointCandidate], steps: list[Step]
 ) -> list[JointCandidate]:
-    """What all joints are likely to have, each kind at all of them as one candidate; joint by joint
+    """What all joints are likely to have, each kind at all of them as one candidate. Joint by joint
     it is judged in the end, since one hides another (a file's damping and rotors that are not
     there: dry friction that is).
     """

@@ -2,7 +2,7 @@
 over.
 
 Both sides of the equations of motion are weighed with the same window, so that what a filter would
-round off (dry friction) is rounded off on both. An acceleration is a difference of speeds; summed
+round off (dry friction) is rounded off on both. An acceleration is a difference of speeds. Summed
 by parts it is the window's own slope times the speed, so no second derivative of a noisy angle is
 taken by itself (the weak form; Bortz, Messenger and Dukic, 2023; DIDIM's parallel filters: Gautier,
 Janot and Vandanjon, 2013).

@@ -2,7 +2,7 @@
 over the range of motion.
 
 What no law of the catalogue describes (a magnet, a cable, a cam, a worn spot) would otherwise be
-given the name of the law that is least unlike it. They are tried once no law holds out any more; a
+given the name of the law that is least unlike it. They are tried once no law holds out any more. A
 law with fewer parameters has the name wherever it does as well.
 """
 

@@ -26,8 +26,8 @@ def stribeck(p, m):
 
 
 def presliding(p, m):
-    """Bristles that bend before the joint slides (Dahl, 1968; the integrator has their state);
-    their own damping, which LuGre's model (Canudas de Wit et al., 1995) adds, is not modelled.
+    """Bristles that bend before the joint slides (Dahl, 1968; the integrator has their state).
+    Their own damping, which LuGre's model (Canudas de Wit et al., 1995) adds, is not modelled.
     """
     return Dry(0.0 * m.q, yielding=p["compliance"] + 0.0 * m.q)
 

@@ -31,7 +31,7 @@ def audit(
     """Check every joint of every trial, then the log as a whole.
 
     Args:
-        log: what was read; it is not changed.
+        log: what was read. It is not changed.
         slides: joints that slide, logged in m.
         efforts: joint -> the column of `u` that drives it; None: those of the same name. Targets of
             servos are none.

@@ -270,7 +270,7 @@ def _forced(track: Track, size: float, damping: float) -> np.ndarray:
 def gains_by_trial(tracks: Sequence[Track], joint: int) -> np.ndarray | None:
     """What a joint's command does in each trial `[T]`, over what it does in the middle one; None
     where trials do not differ in it, or where that cannot be told. Each trial has a gain of its
-    own; what else acts is alike in all, or each trial's own where the whole of it is (a load).
+    own. What else acts is alike in all, or each trial's own where the whole of it is (a load).
     """
     if len(tracks) < MIN_TRIALS:
         return None

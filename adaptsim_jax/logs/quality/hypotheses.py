@@ -176,7 +176,7 @@ def unexplained(motion: Motion, design: Design, gravity: bool = True) -> float:
 
 
 def linear_fit(motion: Motion, design: Design, gravity: bool = True, first: int = 0) -> LinearFit:
-    """The best parameters that are at least 0, the joints weighed alike; one without a drive as the
+    """The best parameters that are at least 0, the joints weighed alike. One without a drive as the
     others in the middle. first: columns of the design whose scale is asked for (0: all).
     """
     k, n = motion.q.shape

@@ -173,7 +173,7 @@ def of_motion(rows: WindowRows, fine: Motion) -> WindowRows:
 def jointly(
     rows: WindowRows, own: np.ndarray, label: np.ndarray, labels: np.ndarray, likely: float = np.inf
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Parameters `[P]` and numbers `[T, S]` of each label's own, together by least squares; those
+    """Parameters `[P]` and numbers `[T, S]` of each label's own, together by least squares. Those
     of a label are eliminated first. likely: size of a number before anything was seen, for what a
     trial's own motion does not fix.
     """

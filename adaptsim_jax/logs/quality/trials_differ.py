@@ -4,7 +4,7 @@ that differ from trial to trial.
 The torque that moves a mechanism is linear in its parameters (`quality.hypotheses`), and in small
 changes of an angle's zero, of a load, of a torque's scale or of a constant torque. Each of these is
 given to every trial by itself, fitted to some pieces of the trials and judged on the others, so
-that what a model lacks alike in all trials is taken for nothing; smooth forces of each joint's own
+that what a model lacks alike in all trials is taken for nothing. Smooth forces of each joint's own
 angle and speed, alike in all trials, stand for what it lacks. NumPy and SciPy alone.
 """
 

@@ -1,7 +1,7 @@
 """Double pendulum linearized about upright (paper, section 5.1), propagated exactly.
 
 Unit links with point masses at their ends; `params: [4]` are `m1, m2` (kg) and the viscous joint
-dampings `b1, b2` (N m s/rad); the state is `(q1, q2, v1, v2)` (rad, rad/s) with q2 relative to link
+dampings `b1, b2` (N m s/rad). The state is `(q1, q2, v1, v2)` (rad, rad/s) with q2 relative to link
 1 and zero upright. Between samples the closed loop is a matrix power, so a cost over 1000 samples
 takes a dozen products instead of 1000 steps.
 """

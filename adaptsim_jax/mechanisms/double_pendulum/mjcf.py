@@ -14,7 +14,7 @@ def links_of(theta: np.ndarray, l1: float) -> tuple[np.ndarray, np.ndarray, np.n
     """Masses, centres along the links and moments about the centres [2] each (kg, m, kg m^2) of
     base parameters [6].
 
-    Many links share one theta; these are in the middle of what is physical: the second mass between
+    Many links share one theta. These are in the middle of what is physical: the second mass between
     the least that its own moments allow and the most that the first link's do. Base parameters that
     no two bodies have are moved to the nearest that some have.
     """

@@ -24,7 +24,7 @@ from adaptsim_jax.mechanisms.plant import Plant
 
 def base_parameters(mass, l1, com, inertia, damping):
     """`theta [6, ...] = p1, p3, h1, h2, b1, b2` of both links' masses kg, centres along the links
-    m, moments about these kg m^2 and dampings N m s/rad, and the length l1 m; many of these share
+    m, moments about these kg m^2 and dampings N m s/rad, and the length l1 m. Many of these share
     one theta.
     """
     (m1, m2), (c1, c2), (I1, I2) = mass, com, inertia

@@ -1,7 +1,7 @@
 """The model that is stepped: the user's file, its base welded where no pose of it was logged, and
 held what stands still.
 
-A joint that nothing was logged of is held where `roles.roles` has it; one in a loop that closes, or
+A joint that nothing was logged of is held where `roles.roles` has it. One in a loop that closes, or
 tied to others, moves as the model says.
 """
 

@@ -32,7 +32,7 @@ def halved(made: MujocoSimulator) -> MujocoSimulator:
 
 def change(made: MujocoSimulator, values: np.ndarray) -> float:
     """RMS change of predictions over the noise by half the step, with values [P], less what starts
-    would take up; the median of a few stretches.
+    would take up. The median of a few stretches.
     """
     s = made.stretches
     which = np.unique(np.linspace(0, s.count - 1, SAMPLE).round().astype(int))

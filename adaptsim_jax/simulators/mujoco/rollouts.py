@@ -73,7 +73,7 @@ def _predict(made: Stepped, stretches: MujocoStretches, starts, lanes, models, b
 
 @contextlib.contextmanager
 def quietly() -> Iterator[None]:
-    """Without MuJoCo's warnings of runs that blow up, which it prints and writes into a file; they
+    """Without MuJoCo's warnings of runs that blow up, which it prints and writes into a file. They
     are seen in the numbers.
     """
     before = mujoco.get_mju_user_warning()

@@ -88,7 +88,7 @@ def cut(made: Stepped, log: Log, horizon: float, most: int) -> MujocoStretches:
 
 
 def _felt(made: Stepped, log: Log) -> dict[int, tuple[np.ndarray, np.ndarray]]:
-    """By trial the orientation [T, 4] and rate [T, 3] of a base that only its IMU tells of; empty
+    """By trial the orientation [T, 4] and rate [T, 3] of a base that only its IMU tells of. Empty
     where its pose is logged.
     """
     if made.free < 0 or made.base >= 0:
@@ -209,7 +209,7 @@ def _lane(
 
 
 def _start(made: Stepped, trial: LogTrial, motion, begin: int) -> tuple[np.ndarray, np.ndarray]:
-    """qpos [nq] and qvel [nv] from the measured motion; what was not logged as the loops and
+    """qpos [nq] and qvel [nv] from the measured motion. What was not logged as the loops and
     equalities of the model have it.
     """
     model, data = made.model, mujoco.MjData(made.model)

@@ -8,7 +8,7 @@ The reward is 1 at the reference's cost. Of a linearized model that is the cost 
 policy, which no other beats by much. Of a rigid body it is not: a gain that is optimal near the
 goal is far from the best for a swing-up from hanging, and policies trained at other parameters cost
 less in half of the cases. There the reference is the cheapest of the target's own policy and of
-those of `SPREAD` points of Omega; rewards above 1 still occur, but are rare.
+those of `SPREAD` points of Omega. Rewards above 1 still occur, but are rare.
 """
 
 from collections.abc import Mapping

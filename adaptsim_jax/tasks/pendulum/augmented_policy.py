@@ -285,7 +285,7 @@ STIFFER = (16.0, 32.0, 64.0)  # times the damping that a motion's affine stand-i
 def descended(world: MendedWorld, theta, eff) -> MendedPolicy:
     """The cheapest after `polished` of `train_policy`'s and of gains for more damping.
 
-    Dry friction brakes most, for its size, where a motion is slow; the affine stand-in, fitted
+    Dry friction brakes most, for its size, where a motion is slow. The affine stand-in, fitted
     where it is fast, hardly damps.
     """
     policy = train_policy(world, theta, eff)

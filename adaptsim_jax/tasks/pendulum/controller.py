@@ -30,7 +30,7 @@ POLICY, MODEL = "policy.toml", "model.toml"
 
 class Controller:
     """Call it once every `period` s with the state `[4]` (q1, q2 in rad with zero upright, v1, v2
-    in rad/s) and the time since the start [s]; it returns the torque `[2]` N m to hold until the
+    in rad/s) and the time since the start [s]. It returns the torque `[2]` N m to hold until the
     next call. `reset()` before each trial.
     """
 

@@ -268,7 +268,7 @@ def pendulum_parity(
     """Final states of every backend against native MuJoCo, after `steps` steps of 1 ms, in double
     precision.
 
-    Returns `{task, samples, seconds, reference, rows}`; a row has the median and largest difference
+    Returns `{task, samples, seconds, reference, rows}`. A row has the median and largest difference
     over samples of angles (rad) and velocities (rad/s), how many samples diverged, or why it did
     not run.
     """

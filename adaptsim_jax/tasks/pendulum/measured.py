@@ -62,7 +62,7 @@ def measured_trajectory(
 
     `columns` of `[T]`: `time` s, `q1`, `q2` rad with zero upright, `tau1`, `tau2` N m (each held to
     the next row), and optionally `v1`, `v2` rad/s, else differences of the angles. It must last the
-    task's 2.5 s; the cost is the task's sum over 1000 samples, of angles and velocities
+    task's 2.5 s. The cost is the task's sum over 1000 samples, of angles and velocities
     interpolated. Whole turns are taken out of the angles, and +pi is the same start as -pi. `lines
     [T]`: what rows are called in messages. Raises BadInput that names `where`.
     """

@@ -39,7 +39,7 @@ def policy_file(session: RobotSession, policy: Any) -> dict[str, Any]:
 def show(
     session: RobotSession, state: Any, policy: Any, history: list[dict[str, Any]], done: bool
 ) -> None:
-    """Print the policy, and how to run it while trials are left; a mended model's controller needs
+    """Print the policy, and how to run it while trials are left. A mended model's controller needs
     the model beside it.
     """
     from adaptsim_jax.core import config

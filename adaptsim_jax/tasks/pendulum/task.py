@@ -151,7 +151,7 @@ def best_in_space(space: Space, halvings: int = 4):
     """A search of Omega for the mean whose gain is cheapest in a target: `params [D] -> (u [D],
     cost [])`.
 
-    The gains of a grid of three values a parameter are solved here, once; the cheapest of them, or
+    The gains of a grid of three values a parameter are solved here, once. The cheapest of them, or
     the target itself clipped into the box, starts a pattern search whose step halves from a quarter
     of the range. Within 2e-3 of a dense search for 99 % of wide targets (`tests/tasks`): enough to
     scale rewards, not to report them.

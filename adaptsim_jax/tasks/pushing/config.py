@@ -45,9 +45,9 @@ class PushingConfig:
     refine: pushes simulated at the mean of E that each action is corrected by before it is made
     (`refine`), with `pretrain` only; 0: actions are the network's own. correct: what is deployed is
     searched for in the simulator as mended by the pushes made in the target so far, near E's mean
-    and over the actions (`corrections`); a visit's own pushes are not, nor is anything in Phase 1.
+    and over the actions (`corrections`). A visit's own pushes are not, nor is anything in Phase 1.
     visits: an iteration's pushes are E's own for `goals`, or `deployed`, those that would be
-    deployed then for goals drawn over the whole sector; the adaptation policy is shown as their
+    deployed then for goals drawn over the whole sector. The adaptation policy is shown as their
     goals where E's mean expects them (`compare` and `robot`; Phase 1 knows only the former).
     rehearsal: tests and refine that Phase 1 makes do with, where not 0. simulator: where policies
     are trained, refined and corrected: the planar model, or the MuJoCo scene itself in processes of
@@ -56,9 +56,9 @@ class PushingConfig:
     of `native`). coefficients: the planar model as a twin of that scene or of Drake's.
     friction, duration: of the model, see `tasks.pushing.model.PushOptions`. mu, e, mu_p, y_p:
     Omega.
-    mended: what measured pushes showed that the planar model lacks; it is then a slide in two
+    mended: what measured pushes showed that the planar model lacks. It is then a slide in two
     dimensions (`slide`, in steps of 2.5 ms). fitted: mu, e Pa, mu_p, y_p m as fitted to them, the
-    setting `fitted`; both of a model.toml of `adaptsim diagnose`.
+    setting `fitted`. Both of a model.toml of `adaptsim diagnose`.
     """
 
     observation: Literal["points", "final"] = "points"

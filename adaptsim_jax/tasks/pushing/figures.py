@@ -99,7 +99,7 @@ def table_top(ax: Any, patch: float | None, along: tuple[float, float]) -> None:
 
 
 def draw_push(ax: Any, push: Push) -> None:
-    """The bottle where it stood (dashed), its way, where it ended, and a cross at the goal; clipped
+    """The bottle where it stood (dashed), its way, where it ended, and a cross at the goal. Clipped
     to the table top.
     """
     track, goal = np.asarray(push.track), np.asarray(push.goal)

@@ -19,7 +19,7 @@ OWN = ("friction", "mass", "coefficients")
 
 
 def of_model(table: dict[str, Any], where: str) -> dict[str, Any]:
-    """Options `friction`, `coefficients`, `mended` and `fitted` of a model file's table; under
+    """Options `friction`, `coefficients`, `mended` and `fitted` of a model file's table. Under
     `left_out` the names of effects that are of the measurement alone (a camera that is late or
     turned) and so none of the simulator's. Raises BadInput with the key.
     """

@@ -1,7 +1,7 @@
 """The bottle push (paper, section V-B and appendix): what every backend of it shares.
 
 A plate at the end of an arm runs along a straight line at yaw `angle`, hits a standing bottle low,
-and stops; the bottle slides on over a table with a square patch of other friction. Positions in m
+and stops. The bottle slides on over a table with a square patch of other friction. Positions in m
 in the arm's base frame, table top at z = 0.
 
 Sample parameters `params: [4]` are `PARAMETERS`; an action `[2]` is (speed m/s, angle rad).

@@ -3,7 +3,7 @@ scenes.
 
 The paper's bottle hardly turns, so it stays on the line of the push: state (s, v) along it. The
 plate's edge is prescribed, meets the bottle as the MuJoCo scenes do (a damped spring softened by
-its impedance), and lifts some of its weight; each point of the sole has the friction of what it
+its impedance), and lifts some of its weight. Each point of the sole has the friction of what it
 stands on.
 """
 

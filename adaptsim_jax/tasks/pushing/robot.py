@@ -59,7 +59,7 @@ def policy_file(session: RobotSession, policy: Any) -> dict[str, Any]:
 def show(
     session: RobotSession, state: Any, policy: Any, history: list[dict[str, Any]], done: bool
 ) -> None:
-    """Print the pushes to make and write them to actions.csv; when all is told, the best policy's
+    """Print the pushes to make and write them to actions.csv. When all is told, the best policy's
     over the sector of goals.
     """
     if done:

@@ -3,7 +3,7 @@ it beside the declared.
 
 The bottle is a disc at (x, y), which turns only where its inertia is not declared to be too large
 for that (`spin`): friction at the sole's points then couples force and moment (Goyal, Ruina and
-Papadopoulos, 1991). The plate's face is a line with a normal; it meets the bottle along that normal
+Papadopoulos, 1991). The plate's face is a line with a normal. It meets the bottle along that normal
 as in `planar` (the same damped spring, the same lift) and drags it across by friction. Where
 nothing acts sideways the motion is that of `planar`, where asked for with its step of 5 ms. A
 measured slide follows no step, and that one ends 5 mm from the converged motion (median; 28 mm at
@@ -51,13 +51,13 @@ class Lacking:
 
     speed_scale 1, speed_offset m/s, heading_offset rad; start_x, start_y m beside the declared
     start; hardening, the power of the hit's speed by which the contact is stiffer and more damped;
-    heavier: share of the mass beyond the declared; plate_turn rad of the face against its motion;
-    tilt_x, tilt_y rad, positive downhill towards +x, +y; speed_friction s/m, the growth of friction
-    with speed, of its size; drag 1/s of speed by itself; grain_a, grain_b: friction larger by about
+    heavier: share of the mass beyond the declared; plate_turn rad of the face against its motion.
+    Tilt_x, tilt_y rad, positive downhill towards +x, +y; speed_friction s/m, the growth of friction
+    with speed, of its size; drag 1/s of speed by itself. Grain_a, grain_b: friction larger by about
     that share along x than along y, and along the diagonal; patch_x m and patch_size m (half the
     growth of its side); other_x, other_y m and other_mu of a second patch, as large as the
     declared, and what it adds; spin: a solid cylinder's moment of inertia about the vertical over
-    the bottle's (0: it does not turn); com_x, com_y m of its centre of mass from its axis, as it
+    the bottle's (0: it does not turn). Com_x, com_y m of its centre of mass from its axis, as it
     stands.
     """
 
@@ -97,13 +97,13 @@ def rollout(
     step: float = STEP,
     as_planar: bool = False,
 ) -> Array:
-    """`[rows + 1, 4]`: x, y m and vx, vy m/s at 0, 5 ms, 10 ms, ...; pure, jit, vmap and
+    """`[rows + 1, 4]`: x, y m and vx, vy m/s at 0, 5 ms, 10 ms, .... Pure, jit, vmap and
     differentiate it. With `spin` other than a plain 0, `[rows + 1, 6]`: yaw rad and its rate rad/s
     as well.
 
     values: mu, e (Pa), mu_p, y_p (m), and any of `NEUTRAL`; action `[2]` (m/s, rad). `options`,
         `coefficients`, `step` static.
-    as_planar: semi-implicit Euler's steps as `planar` makes them (`step` 5 ms); else half a drift,
+    as_planar: semi-implicit Euler's steps as `planar` makes them (`step` 5 ms). Else half a drift,
         a kick, half a drift, and where `coefficients` are `planar.DRAKE`, `DRAKE` stands for them.
     """
     if not as_planar and isinstance(coefficients.lift, float) and coefficients == planar.DRAKE:
@@ -363,7 +363,7 @@ def _rubbed(n: _Numbers, motion: Any, centre: Any, pressed: Array, local: list) 
     """Velocity and rate of turning after the ground's friction at each point of the sole.
 
     Below the speed that a step's friction takes away it is viscous, so that no step turns a slip
-    round; what is slower than 1e-6 m/s then is at rest.
+    round. What is slower than 1e-6 m/s then is at rest.
     """
     (vx, vy, rate_z), (cx, cy), dt = motion, centre, n.scheme.dt
     slow = jnp.square(dt * sum(local) * pressed * (1.0 + n.v["spin"])) + 1e-16

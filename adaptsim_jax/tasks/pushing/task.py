@@ -196,7 +196,7 @@ def make_expectation(
 
 
 def moved(policy: PushingPolicy, mean: jax.Array) -> PushingPolicy:
-    """The policy for another mean of E `[D]` (unit coordinates), before any training there; as it
+    """The policy for another mean of E `[D]` (unit coordinates), before any training there. As it
     is, if it knows no other.
     """
     if policy.tilt is None or policy.at is None:
@@ -239,7 +239,7 @@ def measured(
     goals: jax.Array, places: jax.Array, tested: jax.Array | None = None
 ) -> PushingTrajectory:
     """The trajectory of `N` pushes for `goals [N, 2]` m from the bottle's `places [N, T, 2]` m at
-    even times, from any backend or from a camera; the last row is the end.
+    even times, from any backend or from a camera. The last row is the end.
     """
     return of_points(goals, _points(places), tested)
 

@@ -77,7 +77,7 @@ def forward(layers: Layers, x: jax.Array) -> jax.Array:
 
 def features(params: jax.Array, action: jax.Array) -> jax.Array:
     """`[9]`: friction, log modulus, height and the action, each about [-1, 1] over Omega and the
-    actions; a 1 for the shape.
+    actions. A 1 for the shape.
     """
     low, high = np.array(model.LOW), np.array(model.HIGH)
     low[1], high[1] = np.log(low[1]), np.log(high[1])

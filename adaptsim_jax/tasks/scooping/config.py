@@ -42,7 +42,7 @@ class ScoopingConfig:
     1 learns from, likewise. lucks: execution errors that a trial of the bank is averaged over.
     checks: places and errors that the best of a training's policies is chosen by, in the bank; 0
     keeps the last one. correct: what is deployed is the best action by the bank at E's mean as
-    mended by the scoops made in the target so far (`corrections`); a visit's own scoops are not,
+    mended by the scoops made in the target so far (`corrections`). A visit's own scoops are not,
     nor is anything in Phase 1. trials: M of the paper; training: how;
     hidden, learning_rate: of the NAF. clearance, noise: difficulty, see
     `tasks.scooping.model.ScoopOptions`. camera: mean along the motion and standard deviation of the

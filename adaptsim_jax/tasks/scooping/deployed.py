@@ -104,8 +104,8 @@ def expected_odds(
 
 
 def bank_outcome(bank: Bank, params: jax.Array, action: jax.Array, won: jax.Array) -> jax.Array:
-    """An outcome `[9, 2]` as `make_trial`'s, of a trial of the bank that ended as `won []` says;
-    the last height is 0.
+    """An outcome `[9, 2]` as `make_trial`'s, of a trial of the bank that ended as `won []` says.
+    The last height is 0.
     """
     x = bank.places(params, action, won)
     places = jnp.stack([x, jnp.zeros_like(x)], -1)

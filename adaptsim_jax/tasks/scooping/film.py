@@ -23,7 +23,7 @@ STRIP = (0.1, 0.3, 0.4, 0.5, 0.7, 1.0)  # s, of a film strip
 @dataclass(frozen=True)
 class ScoopClip:
     """One trial: `piece [T, 3]` and `tip [T, 3]`, each x, z m and angle rad (nose down), over
-    `model.SECONDS`; `params [4]`; whether the piece lay on the spatula at the end; a line of text.
+    `model.SECONDS`; `params [4]`. Whether the piece lay on the spatula at the end. A line of text.
     """
 
     piece: Any

@@ -28,7 +28,7 @@ Array = Any
 class Surfaces(NamedTuple):
     """`S` rigid strips, each a line in the plane of symmetry that is wide to both sides.
 
-    origin, tangent `[2, S]`: `origin + s tangent` for s from `low [S]` to `high [S]` m; the normal
+    origin, tangent `[2, S]`: `origin + s tangent` for s from `low [S]` to `high [S]` m. The normal
     is the tangent turned up by a right angle. about `[2, S]` m, velocity `[2, S]` m/s, spin `[S]`
     rad/s: rigid motion, the velocity being that of `about`. friction `[S]`: the pair's Coulomb
     coefficient.

@@ -2,7 +2,7 @@
 of symmetry.
 
 A soft body carries a pressure field p = e s, where s rises from 0 on its surface to 1 at its core
-(Elandt et al. 2019). s is Drake's: for an ellipsoid one less the scaled radius; for a cylinder or a
+(Elandt et al. 2019). s is Drake's: for an ellipsoid one less the scaled radius. For a cylinder or a
 box the distance to the surface by the smallest half size. Shape `g` and height are traced, so one
 program serves every piece.
 
@@ -32,7 +32,7 @@ class PieceBody(NamedTuple):
 
 
 class Chord(NamedTuple):
-    """Where a line crosses a piece in the plane of symmetry: from `low` to `high` m along it; equal
+    """Where a line crosses a piece in the plane of symmetry: from `low` to `high` m along it. Equal
     where it misses.
     """
 

@@ -3,7 +3,7 @@ it shares.
 
 A thin blade, pitched nose down, slides along the table under a piece that stands there, and is
 pitched up. The piece is an ellipsoid, a cylinder or a box with a soft surface. Nothing depends on
-where the piece stands, so lengths along the table are counted from where it stood; everything is
+where the piece stands, so lengths along the table are counted from where it stood. Everything is
 symmetric about the vertical plane of the motion.
 
 Sample parameters `params: [4]` are `PARAMETERS`; an action `[3]` is (initial pitch rad, pitch rate
@@ -75,7 +75,7 @@ MESSAGES = {
 class ScoopOptions:
     """What is not adapted.
 
-    clearance: height of the blade's lower edge over the table while it slides, m; the arm presses
+    clearance: height of the blade's lower edge over the table while it slides, m. The arm presses
         it down, a real blade bends. noise: half-widths of the uniform error with which pitch (rad),
         rate (rad/s) and distance (m) are executed.
     press: speed at which the arm sinks while sliding, m/s; 0 in the paper, 0.01 in the release.

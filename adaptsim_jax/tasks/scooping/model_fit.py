@@ -1,7 +1,7 @@
 """A smoothed chance of success, and its gradient.
 
 The engine's derivatives are exact, and right for as long as a motion is not chaotic. That of a
-round piece may not be at all; a flat bottom with the blade's edge under it is, every contact
+round piece may not be at all. A flat bottom with the blade's edge under it is, every contact
 multiplies the derivative, and by the end of a trial it may be 1e10 times what a change of any size
 that matters does (`experiments/scooping_gradient.py`, which fits a modulus to the early part of a
 track with the engine's own derivative). So the chance of success, which a step decides at the end,

@@ -52,7 +52,7 @@ def motion(
     lift: Array = 1.0,
 ) -> Array:
     """The tip's poses `[steps + 1, 3]` (x m from the piece's centre, z m, pitch rad) at even times
-    for `action [3]`; pure, and as precise as `action`. speed, lift: times the declared speed
+    for `action [3]`. Pure, and as precise as `action`. speed, lift: times the declared speed
     forward and pitch rate.
 
     The link moves with the splines' velocity; the tip hangs ahead of and below it, and turns with

@@ -65,7 +65,7 @@ def policy_file(session: RobotSession, policy: Any) -> dict[str, Any]:
 def show(
     session: RobotSession, state: Any, policy: Any, history: list[dict[str, Any]], done: bool
 ) -> None:
-    """Print the scoops to make and write them to actions.csv; when all is told, how the best policy
+    """Print the scoops to make and write them to actions.csv. When all is told, how the best policy
     is used.
     """
     from adaptsim_jax.tasks.scooping.model import SECONDS

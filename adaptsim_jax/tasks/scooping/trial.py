@@ -54,7 +54,7 @@ def make_trial(
     options: ScoopOptions, numerics: Numerics
 ) -> Callable[[jax.Array, jax.Array, jax.Array], jax.Array]:
     """`trial(params [4], action [3], context [5]) -> outcome [9, 2]` in the engine: eight places m
-    from where the piece lay, and (success, height over the tip's plane m); not-a-number, success 0,
+    from where the piece lay, and (success, height over the tip's plane m). Not-a-number, success 0,
     where the engine reports a fault.
     """
     rows = hydro.observed_rows(numerics)

@@ -49,7 +49,7 @@ def free_flight(tossed: Tossed) -> Flight | None:
     """Parabolas through each toss before it first comes near the plane; None where no toss flies
     long enough.
 
-    The point that is recorded is taken for the centre of mass; the median over tosses bears some
+    The point that is recorded is taken for the centre of mass. The median over tosses bears some
     that were touched or spin about another point.
     """
     corners, found = tossed.body.corners(), []

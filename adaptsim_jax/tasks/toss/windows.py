@@ -1,10 +1,10 @@
 """Tosses cut into windows that begin anew: over a few impacts a toss can no longer be told, over
 one it can.
 
-Where a corner strikes, a turn by a milliradian more decides over which edge the body goes; after
+Where a corner strikes, a turn by a milliradian more decides over which edge the body goes. After
 two or three impacts simulations from starts that no camera could tell apart lie centimetres apart.
 So each toss is cut into windows of some tenth of a second, each with a start of its own that is
-fitted beside everything else; what the parameters say is judged over windows, never through such a
+fitted beside everything else. What the parameters say is judged over windows, never through such a
 fork.
 """
 
@@ -110,7 +110,7 @@ def slide(time: np.ndarray, place: np.ndarray, turn: np.ndarray) -> int | None:
 
 def jolts(time: np.ndarray, place: np.ndarray, turn: np.ndarray, size: float) -> np.ndarray:
     """The largest change of velocity `[R]` m/s over the rows from which a start at each row would
-    be guessed; turning at `size` m.
+    be guessed. Turning at `size` m.
     """
     gaps = np.diff(time)[:, None]
     speed = np.diff(place, axis=0) / gaps

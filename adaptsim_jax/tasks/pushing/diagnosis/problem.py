@@ -62,7 +62,7 @@ def observed(
 
 def at_times(places: Array, rates: Array, time: Array) -> Array:
     """`[R, C]` at times `[R]` s between `places` and their `rates` `[N, C]` at the rows of
-    `slide.rollout`, by Hermite's cubics; held before and after.
+    `slide.rollout`, by Hermite's cubics. Held before and after.
     """
     place = jnp.clip(time / slide.ROW, 0.0, len(places) - 1.0)
     k = jnp.clip(jnp.floor(place).astype(int), 0, len(places) - 2)

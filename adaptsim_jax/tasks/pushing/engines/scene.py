@@ -53,7 +53,7 @@ def finished(state: Any, batch: PushBatch) -> Trajectory:
     """`state [B, T, 13]` with a code for each sample, and finite whatever the code.
 
     A fallen bottle stays as it was when it had tilted too far (the MuJoCo scene lets it through the
-    table after that); one without a motion stands at its start.
+    table after that). One without a motion stands at its start.
     """
     state = np.asarray(state)
     finite = np.isfinite(state).all((1, 2))

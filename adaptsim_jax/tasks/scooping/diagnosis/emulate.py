@@ -5,7 +5,7 @@ A scoop is chaotic from where the blade's edge is under a flat bottom: friction 
 millionth moves one piece in two by a millimetre, so that the engine's exact derivatives say
 nothing. What can be told beforehand is the mean over neighbours. Each scoop is therefore simulated
 at `DRAWS` points around a centre, all values drawn at once and the action executed as an arm
-repeats it. Its poses are regressed on the values, row by row; what they stray by about the
+repeats it. Its poses are regressed on the values, row by row. What they stray by about the
 regression is a row's own uncertainty.
 """
 

@@ -1,7 +1,7 @@
 """Scoops as a `Problem` over their emulator: what a camera would see of each, less what it saw,
 over what can be told beforehand.
 
-A row's scale is the camera's noise and what the scoop strays by about its emulator; rows where it
+A row's scale is the camera's noise and what the scoop strays by about its emulator. Rows where it
 strays too far are left out. What then still departs (a piece that went the other way at the lip)
 counts by its root, as in Huber's estimate: one scoop must not outvote the others.
 """

@@ -92,7 +92,7 @@ def assemble(
     own_frame: bool = False,
 ) -> Scooped:
     """Scoops of an actions file and tracks' files; see `read`. own_frame: tracks count from
-    anywhere; each is moved to begin at its place.
+    anywhere. Each is moved to begin at its place.
     """
     needed = {"place_x": "m", "place_y": "m", **{k: unit for k, (_, _, unit) in _LIMITS.items()}}
     table, trials = trial_record.read_actions(actions, needed, (), KIND.trials)

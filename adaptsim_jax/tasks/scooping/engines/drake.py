@@ -2,7 +2,7 @@
 stand-in for reality.
 
 The same motion, masses and shapes as `hydro`, with Drake's own meshes of the pressure field. The
-spatula is driven to the motion by stiff implicit PD control on three joints; it does not touch the
+spatula is driven to the motion by stiff implicit PD control on three joints. It does not touch the
 table, above which the motion keeps it.
 """
 
