@@ -332,10 +332,12 @@ def passing(
     gear: np.ndarray,
     ties: np.ndarray | None = None,
 ) -> dict[tuple[str, str], np.ndarray]:
-    """Ends of ranges [2, n] of what an actuator does less, so that half of the torque that the log
-    has at a joint still passes.
+    """Ends of ranges [2, n] of what an actuator does otherwise, so that a joint keeps most of the
+    rows and between half and twice of the torque that the log has there.
 
     What cuts off nearly all rows makes both sides of a balance vanish, and would explain anything.
+    A limit leaves half of the rows and half of the torque whole, a dead zone three quarters of the
+    rows and half of the torque.
     """
     size = np.abs(np.concatenate([_driven(t, actuator, gear, ties)[0] for t in tracks]))
     half, peak = 0.5 * size.mean(0), size.max(0)
@@ -347,13 +349,15 @@ def passing(
         lowest, high = np.where(passes, lowest, limit), np.where(passes, limit, high)
         passes = np.maximum(size - zone, 0.0).mean(0) > half
         low, widest = np.where(passes, zone, low), np.where(passes, widest, zone)
+    high = np.maximum(high, np.median(size, 0))
+    low = np.minimum(low, np.quantile(size, 0.25, axis=0))
     cut = 1.0 - high / np.where(peak > 0.0, peak, 1.0)
     lowest, half = np.full_like(cut, -np.inf), np.full_like(cut, 0.5)
     return {
         ("saturation", "cut"): np.stack([lowest, cut]),
         ("dead_zone", "width"): np.stack([lowest, low]),
         ("load_friction", "share"): np.stack([lowest, half]),
-        ("torque_gain", "gain"): np.stack([-half, -lowest]),
+        ("torque_gain", "gain"): np.stack([-half, 2.0 * half]),
     }
 
 
