@@ -70,7 +70,7 @@ class TreeProblem:
         int, ...
     ] = ()  # joints that are not as the model says in another way, where nothing is named
     excluded: frozenset[tuple[str, int]] = frozenset()  # effects and joints that no search asks for
-    # (effect, parameter) -> lower and upper end [2, n] that leave half of the torque
+    # (effect, parameter) -> lower and upper end [2, n] that leave most of the rows
     most: dict[tuple[str, str], np.ndarray] = field(default_factory=dict)
 
     @property
@@ -323,39 +323,24 @@ def moving(problem: TreeProblem) -> np.ndarray:
     return span > MOVES * problem.floor[: problem.joints]
 
 
-HALVED = 40  # times that a bound on what passes is bisected
-
-
 def passing(
     tracks: Sequence[JointTrack],
     actuator: np.ndarray,
     gear: np.ndarray,
     ties: np.ndarray | None = None,
 ) -> dict[tuple[str, str], np.ndarray]:
-    """Ends of ranges [2, n] of what an actuator does otherwise, so that a joint keeps most of the
-    rows and between half and twice of the torque that the log has there.
+    """Ends of ranges [2, n] of what an actuator does otherwise: a limit cuts at most half of the
+    rows, a dead zone swallows at most a quarter, a gain leaves between half and twice the torque.
 
     What cuts off nearly all rows makes both sides of a balance vanish, and would explain anything.
-    A limit leaves half of the rows and half of the torque whole, a dead zone three quarters of the
-    rows and half of the torque.
     """
     size = np.abs(np.concatenate([_driven(t, actuator, gear, ties)[0] for t in tracks]))
-    half, peak = 0.5 * size.mean(0), size.max(0)
-    low, high = np.zeros_like(peak), peak.copy()
-    lowest, widest = low.copy(), high.copy()
-    for _ in range(HALVED):
-        limit, zone = 0.5 * (lowest + high), 0.5 * (low + widest)
-        passes = np.minimum(size, limit).mean(0) > half
-        lowest, high = np.where(passes, lowest, limit), np.where(passes, limit, high)
-        passes = np.maximum(size - zone, 0.0).mean(0) > half
-        low, widest = np.where(passes, zone, low), np.where(passes, widest, zone)
-    high = np.maximum(high, np.median(size, 0))
-    low = np.minimum(low, np.quantile(size, 0.25, axis=0))
-    cut = 1.0 - high / np.where(peak > 0.0, peak, 1.0)
+    peak, limit, zone = size.max(0), np.median(size, 0), np.quantile(size, 0.25, axis=0)
+    cut = 1.0 - limit / np.where(peak > 0.0, peak, 1.0)
     lowest, half = np.full_like(cut, -np.inf), np.full_like(cut, 0.5)
     return {
         ("saturation", "cut"): np.stack([lowest, cut]),
-        ("dead_zone", "width"): np.stack([lowest, low]),
+        ("dead_zone", "width"): np.stack([lowest, zone]),
         ("load_friction", "share"): np.stack([lowest, half]),
         ("torque_gain", "gain"): np.stack([-half, 2.0 * half]),
     }

@@ -145,7 +145,7 @@ def separable_candidates(state: Searched) -> list[JointCandidate]:
 
 
 def _within(problem: TreeProblem, c: JointCandidate) -> JointCandidate | None:
-    """An effect in a range that leaves half of the torque; None where its shape does not."""
+    """An effect in a range that leaves most of the rows; None where its shape does not."""
     shape, entries = c.shaped(), []
     for e in c.entries:
         if (most := problem.most.get((c.effect, e.name))) is not None:
