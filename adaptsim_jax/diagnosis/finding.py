@@ -49,7 +49,8 @@ class Named:
 @dataclass(frozen=True)
 class Finding:
     """null: the declared model, fitted; final: with what was found; named: effects that hold out;
-    trace: all that the search did; scores: of candidates at the declared model, likeliest first.
+    trace: all that the search did; scores: of candidates at the declared model, likeliest first;
+    stages: models on the way forward; unnamed: effects in the final model without a name, and why.
     """
 
     null: Any
@@ -57,6 +58,8 @@ class Finding:
     named: tuple[Named, ...]
     trace: tuple[Step, ...]
     scores: tuple[Any, ...]
+    stages: tuple[Any, ...] = ()
+    unnamed: tuple[tuple[Any, Reason], ...] = ()
 
     def refused(self) -> dict[Hashable, str]:
         """Why what was fitted did not stay, by the candidate's key: the last that was found."""

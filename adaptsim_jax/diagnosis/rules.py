@@ -1,13 +1,13 @@
-"""Why an effect is refused beside all others: one list of rules for all searches, each with a code.
+"""Why an effect is refused beside all others: one list of rules for all objectives, each with a code.
 
-A rule asks an `Evidence` for a number and returns it where it fails. What does not apply to a
-search, a machine or an effect has no number there (None). Words are made in one place, from the
+A rule asks an `Evidence` for a number and returns it where it fails. What does not apply to an
+objective, a machine or an effect has no number there (None). Words are made in one place, from the
 code and the number.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.testing import Test
@@ -25,14 +25,16 @@ class Reason(NamedTuple):
 
 
 class Evidence:
-    """What is known of an effect beside all others of a model; a search gives its own.
+    """What is known of an effect beside all others of a model; each objective gives its own.
 
-    test: of the model against the one without it. level: up to which its p holds. gain: the share
+    candidate: the effect; less: the model without it, refitted. test: of the model against the one without it. level: up to which its p holds. gain: the share
     of the loss that it takes off, all joints that carry it together. price: the least of that.
     steadiness: its size over its scatter, and the least of it. units, loss: what is left out, and
     of what an error is, in words.
     """
 
+    candidate: Any
+    less: Any
     criteria: Criteria
     test: Test
     level: float
@@ -42,6 +44,11 @@ class Evidence:
     min_steadiness: float
     units = "trials"
     loss = "squared error"
+
+    @property
+    def stays_unnamed(self) -> bool:
+        """Whether it stays in the model though it fails a rule, and has no name for that."""
+        return False
 
     @property
     def at_bound(self) -> bool:

@@ -20,10 +20,10 @@ from adaptsim_jax.diagnosis.power import power_rows
 from adaptsim_jax.diagnosis.problem import Problem
 from adaptsim_jax.diagnosis.run import Page, Run, plain
 from adaptsim_jax.diagnosis.schema import check, new_report, verdict_of, with_effects
-from adaptsim_jax.diagnosis.search import search
 from adaptsim_jax.diagnosis.simulator import Simulator, Stretches, check_simulator
 from adaptsim_jax.diagnosis.starts import problem_of
 from adaptsim_jax.diagnosis.testing import smallest_p
+from adaptsim_jax.diagnosis.trials import search_trials
 from adaptsim_jax.diagnosis.written import MODEL, cleared, keeping, write_all
 from adaptsim_jax.mend.model_toml import Form, Value, added_effects
 
@@ -67,7 +67,7 @@ def diagnose_simulator(
     step = rows.stepping(progress, 0.02)
     step("starts")
     problem = problem_of(simulator, retained)
-    found = search(problem, criteria, step, keep=keeping(folder, "simulator", name, problem))
+    found = search_trials(problem, criteria, step, keep=keeping(folder, "simulator", name, problem))
     report, evidence = reported(simulator, problem, found, criteria, proposals or {}, name)
     withhold_names(report, criteria)
     report["run"] = evidence["run"] = Run(command or f"diagnose_simulator({name})", began).as_dict()

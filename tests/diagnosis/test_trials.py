@@ -20,7 +20,7 @@ from adaptsim_jax.diagnosis.rows import (
 )
 from adaptsim_jax.diagnosis.run import Run
 from adaptsim_jax.diagnosis.schema import new_report
-from adaptsim_jax.diagnosis.search import search
+from adaptsim_jax.diagnosis.trials import search_trials
 from adaptsim_jax.diagnosis.written import finished
 from adaptsim_jax.mend.model_toml import Form
 
@@ -56,14 +56,14 @@ def problem(truth, seed=0, trials=TRIALS):
 
 @pytest.mark.parametrize("seed", range(5))
 def test_nothing_is_named_where_nothing_lacks(seed):
-    found = search(problem((0.7, 0.0, 0.0, 0.0), seed), Criteria())
+    found = search_trials(problem((0.7, 0.0, 0.0, 0.0), seed), Criteria())
     assert not found.named
     assert abs(found.final.fit.values[0] - 0.7) < 0.2
     assert 0.8 < found.final.fit.held.mean() < 1.2
 
 
 def test_an_effect_is_named_and_its_size_found():
-    found = search(problem((0.7, 0.0, 0.8, 0.0)), Criteria())
+    found = search_trials(problem((0.7, 0.0, 0.8, 0.0)), Criteria())
     (named,) = found.named
     assert named.candidate.name == "c"
     assert not named.alternatives
@@ -71,7 +71,9 @@ def test_an_effect_is_named_and_its_size_found():
 
 
 def test_five_trials_can_show_an_effect_at_any_level_if_all_are_better():
-    (named,) = search(problem((0.7, 0.0, 0.8, 0.0), trials=5), Criteria(confidence=0.01)).named
+    (named,) = search_trials(
+        problem((0.7, 0.0, 0.8, 0.0), trials=5), Criteria(confidence=0.01)
+    ).named
     assert named.candidate.name == "c" and named.test.better == named.test.folds == 5
     assert 0.01 < named.test.p < 0.05
 
@@ -86,20 +88,20 @@ def test_an_effect_at_its_bound_is_not_named_and_says_so():
             lacks.quantities[3],
         ),
     )
-    found = search(narrow, Criteria())
+    found = search_trials(narrow, Criteria())
     assert not found.named and [s.reason.code for s in found.trace if s.action == "dropped"] == [
         "at_bound"
     ]
     endless = replace(
         lacks, quantities=tuple(replace(q, low=-np.inf, high=np.inf) for q in lacks.quantities)
     )
-    assert [n.candidate.name for n in search(endless, Criteria()).named] == ["c"]
+    assert [n.candidate.name for n in search_trials(endless, Criteria()).named] == ["c"]
 
 
 @pytest.mark.parametrize(("matters", "names"), [(0.5, ["c"]), (9.0, [])])
 def test_what_changes_less_than_matters_is_not_named(matters, names):
     """0.8 is eight times the scale of 0.1."""
-    found = search(problem((0.7, 0.0, 0.8, 0.0)), Criteria(matters=matters))
+    found = search_trials(problem((0.7, 0.0, 0.8, 0.0)), Criteria(matters=matters))
     assert [n.candidate.name for n in found.named] == names
     assert names or "less_than_matters" in [s.reason.code for s in found.trace if s.reason]
 
@@ -107,12 +109,12 @@ def test_what_changes_less_than_matters_is_not_named(matters, names):
 def test_a_model_that_is_taken_is_fitted_on_with_starts_found_anew():
     told = []
     lacks = replace(problem((0.7, 0.0, 0.8, 0.0)), anew=told.append)
-    (named,) = search(lacks, Criteria()).named
+    (named,) = search_trials(lacks, Criteria()).named
     assert named.candidate.name == "c" and len(told) == 2 and abs(told[0][2] - 0.8) < 0.2
 
 
 def test_two_effects_that_do_the_same_are_told_as_a_class():
-    found = search(problem((0.7, 0.8, 0.0, 0.0)), Criteria())
+    found = search_trials(problem((0.7, 0.8, 0.0, 0.0)), Criteria())
     (named,) = found.named
     assert {named.candidate.name, *[e.name for e in named.alternatives]} == {"b", "d"}
 
@@ -125,17 +127,17 @@ def test_an_effect_smaller_than_what_no_effect_explains_is_not_named():
     for size, names in ((1.5, []), (4.5, ["c"])):
         linear = problem((0.7, 0.0, size, 0.0))
         odd = replace(linear, residuals=lambda values, r=linear.residuals: r(values) + other)
-        assert [n.candidate.name for n in search(odd, Criteria()).named] == ["c"]
+        assert [n.candidate.name for n in search_trials(odd, Criteria()).named] == ["c"]
         assert [
-            n.candidate.name for n in search(odd, Criteria(beyond=0.9, quiet=1.14)).named
+            n.candidate.name for n in search_trials(odd, Criteria(beyond=0.9, quiet=1.14)).named
         ] == names
 
 
 def test_what_is_missing_from_a_model_that_leaves_the_noise_is_not_named():
     """Beside a large effect, one that a hundred rows show and no eye would."""
     small = problem((0.7, 0.4, 4.5, 0.0))
-    assert len(search(small, Criteria()).named) == 2
-    assert [n.candidate.name for n in search(small, Criteria(quiet=1.14)).named] == ["c"]
+    assert len(search_trials(small, Criteria()).named) == 2
+    assert [n.candidate.name for n in search_trials(small, Criteria(quiet=1.14)).named] == ["c"]
 
 
 def test_a_fit_that_leaves_structure_is_begun_again_from_beside():

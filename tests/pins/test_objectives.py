@@ -1,6 +1,6 @@
 """Residuals, columns and candidates of each objective, at fixed vectors."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +19,10 @@ from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.paths import run, starts_of
 from adaptsim_jax.attribution.problem import TreeProblem, own_inertia, scaled_reach
 from adaptsim_jax.attribution.score import JointCandidate, candidate_columns, candidates, table
+from adaptsim_jax.attribution.select import Selection, select
 from adaptsim_jax.attribution.weights import TreeFit, losses, weigh
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.finding import Finding
 from adaptsim_jax.diagnosis.starts import problem_of
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.logs.read import read_source_and_log
@@ -53,16 +55,16 @@ class Posed:
 
 @pytest.fixture(scope="module")
 def posed_of(tmp_path_factory):
-    """`posed_of(name)`, made once each; with `few` of a short catalogue."""
-    known: dict[tuple[str, bool], Posed] = {}
+    """`posed_of(name)`, made once each; with those effects of the catalogue that are in `few`."""
+    known: dict[tuple[str, tuple[str, ...] | None], Posed] = {}
     machines: dict[str, Any] = {}
 
-    def make(name: str, few: bool = False) -> Posed:
+    def make(name: str, few: tuple[str, ...] | None = None) -> Posed:
         if name not in machines:
             machines[name] = load(record(tmp_path_factory.mktemp("pins") / name, name), None)
         if (name, few) not in known:
             machine = machines[name]
-            effects = tuple(e for e in MACHINE if e.name in FEW or not few)
+            effects = tuple(e for e in MACHINE if not few or e.name in few)
             problem = posed(machine, effects, HORIZON)
             null = declared_vector(machine, problem)
             reach = scaled_reach(problem, *own_inertia(problem, null))
@@ -116,7 +118,7 @@ def test_candidates_are_the_same_in_the_same_order(posed_of, name):
 
 @pytest.mark.parametrize("name", TIERS)
 def test_simulated_stretches_leave_the_same(posed_of, name):
-    case, out = posed_of(name, few=True), {}
+    case, out = posed_of(name, FEW), {}
     for key, vector in three(case).items():
         starts = starts_of(case.problem)
         paths = run(case.problem, vector, starts)
@@ -198,6 +200,68 @@ def test_the_balance_is_searched_the_same(posed_of, name):
         ]
         out.append({"trace": rows, "named": named, "final": list(found.final.values)})
     check(f"search_balance_{name}", out, LOOSE)
+
+
+def steps_of(found: Finding) -> list[list[Any]]:
+    """The trace of a search: action, effect, joints, code and number."""
+    return [
+        [
+            s.action,
+            s.candidate.effect if s.candidate else "",
+            list(s.candidate.joints) if s.candidate else [],
+            *(s.reason or ("", 0.0))[:2],
+        ]
+        for s in found.trace
+    ]
+
+
+SOME = ("viscous", "coulomb", "armature", "stribeck", "delay", "torque_gain", "torque_limit")
+LOW = Criteria(alpha=0.5, size=1e-4, confidence=0.4, worth=0.0)
+"""A few stretches show little: levels at which searches go on."""
+TREES: dict[str, tuple[str, tuple[str, ...], Criteria]] = {
+    "nothing": ("motors", FEW, Criteria()),
+    "friction": ("motors", SOME, LOW),
+    "replaced": ("motors", SOME, replace(LOW, gap=0.9, confidence=0.9)),
+    "rotor": ("urdf", SOME, replace(LOW, confidence=0.6, steady=0.5)),
+    "rare": ("motors", SOME, replace(LOW, odd=1.1, few=1, explained=1e3, left=2.0, confidence=1.0)),
+    "forms": ("motors", ("viscous", "angle_torque"), replace(LOW, described=0.01)),
+    "servos": ("servos", FEW, LOW),
+}
+"""Machine, effects of the catalogue, and criteria of searches by simulated stretches."""
+
+
+def tree_of(found: Selection) -> dict[str, Any]:
+    """What a search by simulated stretches found."""
+    named = [
+        [n.candidate.effect, list(n.candidate.joints), n.test.gain, n.test.p, n.steady]
+        + [[a.effect, list(a.joints)] for a in n.alternatives]
+        for n in found.named
+    ]
+    return {
+        "trace": steps_of(found),
+        "named": named,
+        "scores": [[s.candidate.effect, list(s.candidate.joints), s.p] for s in found.scores],
+        "final": list(found.final.fit.vector.values),
+        "last": [[s.candidate.effect, list(s.candidate.joints), s.p] for s in found.last],
+        "stages": [[c.effect for c in m.added] for m in found.stages],
+    }
+
+
+@pytest.mark.parametrize("name", TREES)
+def test_stretches_are_searched_the_same(posed_of, name):
+    machine, effects, criteria = TREES[name]
+    case = posed_of(machine, effects)
+    check(f"search_tree_{name}", tree_of(select(case.problem, case.null, criteria)), LOOSE)
+
+
+def test_a_search_that_goes_on_from_another_is_the_same(posed_of):
+    case = posed_of("motors", SOME)
+    every = candidates(case.problem, case.null, case.reach)
+    rubs = next(c for c in every if c.effect == "coulomb" and c.sharing == "all")
+    vector = case.null.with_entries(rubs.entries, [0.05, 0.1])
+    criteria = replace(LOW, steady=0.0)
+    found = select(case.problem, case.null, criteria, hint=(vector, (rubs,)))
+    check("search_tree_hint", tree_of(found), LOOSE)
 
 
 def test_mujoco_predicts_the_same(tmp_path: Path):

@@ -9,8 +9,8 @@ import pytest
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Finding
 from adaptsim_jax.diagnosis.problem import Candidate
-from adaptsim_jax.diagnosis.search import search
 from adaptsim_jax.diagnosis.starts import problem_of
+from adaptsim_jax.diagnosis.trials import search_trials
 from adaptsim_jax.logs.read import read_source_and_log
 from adaptsim_jax.simulators.mujoco.diagnosed import simulator
 from tests.diagnosis.test_simulator import recorded
@@ -71,7 +71,7 @@ def told(found: Finding) -> dict[str, Any]:
 @pytest.mark.parametrize("name", LINEAR)
 def test_a_linear_problem_is_searched_the_same(name):
     truth, more, criteria = LINEAR[name]
-    check(f"search_linear_{name}", told(search(problem(truth, **more), criteria)), LOOSE)
+    check(f"search_linear_{name}", told(search_trials(problem(truth, **more), criteria)), LOOSE)
 
 
 def test_an_effect_at_its_bound_is_refused_the_same():
@@ -79,7 +79,7 @@ def test_an_effect_at_its_bound_is_refused_the_same():
     quantities = tuple(replace(q, high=0.3) if q.name == "c" else q for q in lacks.quantities)
     check(
         "search_linear_bound",
-        told(search(replace(lacks, quantities=quantities), Criteria())),
+        told(search_trials(replace(lacks, quantities=quantities), Criteria())),
         LOOSE,
     )
 
@@ -89,7 +89,7 @@ def test_tanks_are_searched_the_same(name):
     hidden, more = TANKS[name]
     check(
         f"search_tanks_{name}",
-        told(search(problem_of(recorded(hidden, **more)), Criteria())),
+        told(search_trials(problem_of(recorded(hidden, **more)), Criteria())),
         LOOSE,
     )
 
@@ -97,13 +97,13 @@ def test_tanks_are_searched_the_same(name):
 def test_a_twin_of_a_leak_is_its_class():
     tanks = recorded({"leak": 0.004}, seed=6)
     twin = Candidate("evaporation", "tank 1", ("leak",), "the same by another name", "nothing")
-    found = search(problem_of(tanks, (*tanks.candidates, twin)), Criteria())
+    found = search_trials(problem_of(tanks, (*tanks.candidates, twin)), Criteria())
     check("search_tanks_twin", told(found), LOOSE)
 
 
 @pytest.mark.long
 def test_mujoco_is_searched_the_same(tmp_path):
     made = simulator(*read_source_and_log(record(tmp_path / "log", "servos")))
-    found = search(problem_of(made), Criteria())
+    found = search_trials(problem_of(made), Criteria())
     assert np.isfinite(found.final.fit.loss)
     check("search_mujoco_servos", told(found), LOOSE)

@@ -13,7 +13,7 @@ from adaptsim_jax.diagnosis.finding import Finding
 from adaptsim_jax.diagnosis.models import Model
 from adaptsim_jax.diagnosis.problem import Candidate, Problem
 from adaptsim_jax.diagnosis.schema import new_report, verdict_of
-from adaptsim_jax.diagnosis.search import search
+from adaptsim_jax.diagnosis.trials import search_trials
 from adaptsim_jax.diagnosis.written import keeping
 from adaptsim_jax.mend.model_toml import Form, Value, added_effects
 from adaptsim_jax.tasks.toss.body import mended_xml
@@ -55,7 +55,7 @@ def assess(
         progress(0.01, 1.0, "starts of the windows")
     problem, follow = prepare(tossed, considered)
     keep = keeping(folder, "toss", _model(tossed), problem, LOGS)
-    found = search(problem, criteria, parts.stepping(progress, 0.05), keep=keep)
+    found = search_trials(problem, criteria, parts.stepping(progress, 0.05), keep=keep)
     report, evidence = reported(tossed, problem, follow, found, criteria)
     values = fitted(problem, found.final)
     xml = {XML: lambda: mended_xml(tossed.body, values, not_in_file(found, values))}

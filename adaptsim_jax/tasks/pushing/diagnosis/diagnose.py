@@ -10,7 +10,7 @@ from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Finding
 from adaptsim_jax.diagnosis.fit import fitted
 from adaptsim_jax.diagnosis.problem import Problem
-from adaptsim_jax.diagnosis.search import search
+from adaptsim_jax.diagnosis.trials import search_trials
 from adaptsim_jax.diagnosis.written import keeping
 from adaptsim_jax.mend.model_toml import Form, Value, added_effects
 from adaptsim_jax.tasks.pushing.diagnosis.catalogue import effects_of, grain
@@ -36,7 +36,7 @@ mirrored.
 def assess(pushed: Pushed, effects, criteria: Criteria, progress, folder: Path | None):
     """See `trial_diagnosis.Diagnose`."""
     p, problem = pushed, prepare(pushed, pushed.options, pushed.coefficients, effects)
-    found = search(
+    found = search_trials(
         problem,
         criteria,
         rows.stepping(progress, 0.05),

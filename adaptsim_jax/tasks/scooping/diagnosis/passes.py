@@ -23,7 +23,7 @@ from adaptsim_jax.diagnosis.models import (
 from adaptsim_jax.diagnosis.problem import Candidate, Problem
 from adaptsim_jax.diagnosis.rows import left_by_fit
 from adaptsim_jax.diagnosis.rules import step_reason
-from adaptsim_jax.diagnosis.search import does_as_well, likely, search, steadiness
+from adaptsim_jax.diagnosis.trials import does_as_well, likely, search_trials, steadiness
 from adaptsim_jax.tasks.scooping.diagnosis.catalogue import EFFECTS, HEIGHT, SHAPE, SHIFTS
 from adaptsim_jax.tasks.scooping.diagnosis.emulate import PLACE, Emulator, emulate, widths
 from adaptsim_jax.tasks.scooping.diagnosis.problem import (
@@ -229,7 +229,7 @@ def _passes(
         report(f"pass {turn + 1}")
         emulator = emulate(scooped, base.shape, centre, width, turn)
         problem = prepare(scooped, emulator, effects, declared, quantities, centre)
-        found = search(problem, criteria, report, alike=False, keep=keep(problem))
+        found = search_trials(problem, criteria, report, alike=False, keep=keep(problem))
         fit = found.final.fit
         now = tuple(e.name for e in found.final.added)
         moved = np.max(np.abs(fit.values - centre)[OWN] / width)
