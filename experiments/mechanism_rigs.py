@@ -22,14 +22,14 @@ from pathlib import Path
 
 import numpy as np
 
-from adaptsim_jax.attribution.diagnose import HORIZON, diagnose, examined
+from adaptsim_jax.attribution.diagnose import HORIZON, Beginning, diagnose, examined
+from adaptsim_jax.attribution.examine import reported
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.model_toml import DECLARED
 from adaptsim_jax.attribution.pendulum import declared_machine, in_the_plane
 from adaptsim_jax.attribution.pendulum_diagnosis import first_parameters
 from adaptsim_jax.attribution.replay import Replay, replay
 from adaptsim_jax.diagnosis import read_pendulum
-from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.logs.quality.audit import audit, usable
 
 RIGS = Path(__file__).parent / "rigs"
@@ -69,7 +69,8 @@ def left_out(rig: str, trial: str) -> dict:
     theta = first_parameters(rest)
     with tempfile.TemporaryDirectory() as folder:
         machine = declared_machine(rest, theta, Path(folder) / DECLARED)
-        report, _, whole_run = examined(machine, Criteria(), HORIZON, narrow=in_the_plane)
+        whole_run = examined(machine, beginning=Beginning(in_the_plane))
+        report, _ = reported(whole_run)
         found = whole_run.found
         one = whole.pick([trial])
         test = declared_machine(usable(one, audit(one)), theta, Path(folder) / "one.xml")

@@ -29,6 +29,8 @@ METHODS = {
     "loop of damped steps": ("diagnosis/steps.py", r"damping = max\(|damping \*= "),
     "loop of starts": ("diagnosis/steps.py", r"rest = .*~good"),
     "pieces of trials": ("diagnosis/folds.py", r"in np\.array_split\(mine"),
+    "rows of candidates": ("diagnosis/report.py", r'"status": status'),
+    "interval of an error": ("diagnosis/report.py", r"np\.quantile\(\[np\.median"),
     "noise by differences": (
         "logs/noise.py",
         r"np\.diff\([^()]+, (3|order)[,)]|0\.6745",

@@ -142,6 +142,7 @@ WITHIN = {
         "simulator",
         "starts",
         "power",
+        "report",
         "experiment",
         "rows",
         "written",

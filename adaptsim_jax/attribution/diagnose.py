@@ -4,7 +4,8 @@ better model file.
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,14 @@ from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.equation.commands import drive_gains
 from adaptsim_jax.attribution.equation.search import FACTOR
 from adaptsim_jax.attribution.estimate import fit
-from adaptsim_jax.attribution.examine import Examined, examine, report_of, with_null
+from adaptsim_jax.attribution.examine import (
+    Examined,
+    Inquiry,
+    examine,
+    reported,
+    so_far,
+    with_null,
+)
 from adaptsim_jax.attribution.inertias_told import named_by, otherwise
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.machine import Machine
@@ -38,7 +46,6 @@ from adaptsim_jax.attribution.mend import (
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, Entry, Vector
 from adaptsim_jax.attribution.problem import TreeProblem, held, nuisances, own_inertia, prepare
 from adaptsim_jax.attribution.replay import follows, recommended
-from adaptsim_jax.attribution.report import reported
 from adaptsim_jax.attribution.select import Hint
 from adaptsim_jax.attribution.select import declared as fitted_null
 from adaptsim_jax.attribution.servo import (
@@ -57,18 +64,20 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.recommended import WHOLE_TRIALS
-from adaptsim_jax.diagnosis.run import Page, Run, command_of, plain
-from adaptsim_jax.diagnosis.schema import check, with_effects
-from adaptsim_jax.diagnosis.written import cleared, write_all, write_partial
+from adaptsim_jax.diagnosis.run import Page, Run, command_of
+from adaptsim_jax.diagnosis.schema import with_effects
+from adaptsim_jax.diagnosis.written import Output, cleared, finished, write_partial
 from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.effects.joints.actuator import POSITION_GAIN, TORQUE_GAIN
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.effects.joints.friction import VISCOUS
+from adaptsim_jax.logs.quality.findings import Finding as SignalFinding
 from adaptsim_jax.logs.quality.trial_words import add_trials
 from adaptsim_jax.mend.mjcf import mended_mjcf
 from adaptsim_jax.mend.model_toml import FILE as MODEL_FILE
 
 Progress = Callable[[float, float, str], None]
+Keep = Callable[[dict[str, Any]], None]
 HORIZON = STRETCH
 LOOK_BACK = 0.012  # s, from a stretch's start: what a late sensor tells there is not compared
 MODEL = "model.xml"
@@ -102,69 +111,29 @@ def diagnose(
     Raises BadInput where the data or the model cannot be read, or the data contradict what is
     declared of their columns.
     """
-    began, asked = time.monotonic(), horizon
+    began = time.monotonic()
     if yardstick is not None and yardstick not in NAMES:
         raise BadInput(f"--yardstick {yardstick}: is no yardstick; use {', '.join(NAMES)}")
     notify = progress or (lambda done, total, note: None)
     notify(0.02, 1.0, "reading")
-    machine = load(data, model).without(without)
+    declared = load(data, model).without(without)
     notify(0.03, 1.0, "conventions")
-    warned = () if as_declared else check_conventions(machine)
-    if yardstick == WHOLE:
-        horizon = 0.98 * min(float(t.time[-1] - t.time[0]) for t in machine.tracks)
-    machine = scaled(machine, horizon)
-    declared = machine
-    machine, off = calibrated(declared, horizon)
-    folder = None if out is None else cleared(output_folder(out))
-    if folder is None:
-        keep = None
-    else:
-
-        def keep(partial):
-            return write_partial(folder, partial)
-
-    while True:
-        if off and yardstick is None:
-            span = span_of(machine, off, horizon)
-        else:
-            span = horizon
-        report, evidence, whole = examined(
-            machine,
-            criteria or Criteria(),
-            span,
-            exclude,
-            notify,
-            effects=effects,
-            keep=keep,
-            yardstick=yardstick,
-            narrow=lambda vector, off=off: vector.with_entries(servo_entries(off)),
-            first=(lambda problem, null, off=off: friction_first(problem, null, off))
-            if off
-            else None,
-            by_file=declared if off else None,
-        )
-        stays = still_off(machine, off, whole.found.final.fit.vector)
-        if len(stays) == len(off):
-            break
-        notify(0.05, 1.0, "again with the gains of the file, to which the fit came back")
-        machine, off = with_gains(declared, stays), stays
-    problem, found = whole.problem, whole.found
-    damped_by_file(report["declared"]["after"], declared, off)
-    unlike = otherwise(report["declared"]["after"])
-    report["notes"] += [*unlike, *gain_notes(machine), *lost(machine, problem, found)]
-    report["notes"] += servo_notes(machine, declared, off)
-    with_rows(
-        report, servo_rows(machine, declared, off, found.final.fit.vector, found.final.spread)
+    warned = () if as_declared else check_conventions(declared)
+    whole_trials = 0.98 * min(float(t.time[-1] - t.time[0]) for t in declared.tracks)
+    setting = Setting(
+        criteria or Criteria(),
+        whole_trials if yardstick == WHOLE else horizon,
+        tuple(exclude),
+        effects,
+        yardstick,
     )
-    if unlike and report["verdict"] == "within_noise":
-        report["unlike_file"] = unlike[0]
-        report["message"] = f"{report['message']} {unlike[0]} {named_by(unlike[0])}"
-    checked = check_signals(machine)
-    report["warnings"] = [*(f.message for f in warned), *checked.warnings]
-    report["notes"] += checked.limits
-    add_trials(report, evidence, mechanism_trials(machine), channels(machine))
-    checked = replace(checked, findings=(*warned, *checked.findings))
-    evidence["audit"] = checked.rows + evidence["audit"]
+    declared = scaled(declared, setting.horizon)
+    folder = None if out is None else cleared(output_folder(out))
+    keep = None if folder is None else partial(write_partial, folder)
+    machine, off, found = _with_own_gains(declared, setting, notify, keep)
+    report, evidence = reported(found)
+    _of_the_file(report, machine, declared, off, found)
+    _of_the_signals(report, evidence, machine, warned)
     command = command_of(
         data,
         out=out,
@@ -173,31 +142,105 @@ def diagnose(
         without=without,
         as_declared=as_declared,
         yardstick=yardstick,
-        horizon=None if asked == HORIZON else asked,
-        simulator="tree"
-        if machine.log.meta.simulator == "mujoco" or machine.log.meta.channels
-        else None,
+        horizon=None if horizon == HORIZON else horizon,
+        simulator=_simulator_asked(machine),
     )
-    report["run"] = evidence["run"] = Run(command, began).as_dict()
+    run = Run(command, began)
+    output = Output(folder, page)
     if folder is not None:
-        summary = (
-            {k: report[k] for k in ("verdict", "message")} | {"data": str(data)} | report["run"]
-        )
+        files = _files(report, machine, found, {"data": str(data), **run.as_dict()})
+        verify = verifier(data, model, folder, declared, without)
+        output = replace(output, files=files, verify=verify)
+    return finished(report, evidence, run, output)
 
-        def text():
-            return model_toml.text_of(
-                problem, found.final, summary, gains(machine), servos(machine)
-            )
 
-        write_all(
-            folder,
-            report,
-            evidence,
-            page or plain,
-            {MODEL_FILE: text, **mjcf_files(machine, whole, criteria or Criteria())},
-            verifier(data, model, folder, declared, without),
-        )
-    return check(report)
+def _with_own_gains(
+    declared: Machine, setting: "Setting", notify: Progress, keep: Keep | None
+) -> tuple[Machine, dict[int, float], Examined]:
+    """The machine with the kp that its motion shows, factors on the file's by joint, and what was
+    found of it. A joint whose fit comes back to the file's kp keeps that.
+    """
+    machine, off = calibrated(declared, setting.horizon)
+    while True:
+        found = _examined_with(machine, off, declared, setting, notify, keep)
+        stays = still_off(machine, off, found.found.final.fit.vector)
+        if len(stays) == len(off):
+            return machine, off, found
+        notify(0.05, 1.0, "again with the gains of the file, to which the fit came back")
+        machine, off = with_gains(declared, stays), stays
+
+
+def _examined_with(
+    machine: Machine,
+    off: dict[int, float],
+    declared: Machine,
+    setting: "Setting",
+    notify: Progress,
+    keep: Keep | None,
+) -> Examined:
+    if not off:
+        return examined(machine, setting, Beginning(), notify, keep)
+    if setting.objective is None:
+        setting = replace(setting, horizon=span_of(machine, off, setting.horizon))
+    beginning = Beginning(
+        lambda vector: vector.with_entries(servo_entries(off)),
+        lambda problem, null: friction_first(problem, null, off),
+        declared,
+    )
+    return examined(machine, setting, beginning, notify, keep)
+
+
+def _of_the_file(
+    report: dict[str, Any],
+    machine: Machine,
+    declared: Machine,
+    off: dict[int, float],
+    e: Examined,
+) -> None:
+    """Put into a report how the machine differs from its model file, in place."""
+    damped_by_file(report["declared"]["after"], declared, off)
+    unlike = otherwise(report["declared"]["after"])
+    report["notes"] += [*unlike, *gain_notes(machine), *lost(machine, e.problem, e.found)]
+    report["notes"] += servo_notes(machine, declared, off)
+    final = e.found.final
+    with_rows(report, servo_rows(machine, declared, off, final.fit.vector, final.spread))
+    if unlike and report["verdict"] == "within_noise":
+        report["unlike_file"] = unlike[0]
+        report["message"] = f"{report['message']} {unlike[0]} {named_by(unlike[0])}"
+
+
+def _of_the_signals(
+    report: dict[str, Any],
+    evidence: dict[str, Any],
+    machine: Machine,
+    warned: tuple[SignalFinding, ...],
+) -> None:
+    """Put into a report, and what its page gets, what the signals say of themselves, in place."""
+    checked = check_signals(machine)
+    report["warnings"] = [*(f.message for f in warned), *checked.warnings]
+    report["notes"] += checked.limits
+    add_trials(report, evidence, mechanism_trials(machine), channels(machine))
+    checked = replace(checked, findings=(*warned, *checked.findings))
+    evidence["audit"] = checked.rows + evidence["audit"]
+
+
+def _simulator_asked(machine: Machine) -> str | None:
+    """The simulator that the command has to name, for meta.toml says another."""
+    meta = machine.log.meta
+    return "tree" if meta.simulator == "mujoco" or meta.channels else None
+
+
+def _files(
+    report: dict[str, Any], machine: Machine, e: Examined, run: dict[str, Any]
+) -> dict[str, Callable[[], str]]:
+    """What makes the text of each file that holds the model."""
+    summary = {k: report[k] for k in ("verdict", "message")} | run
+
+    def text():
+        final = e.found.final
+        return model_toml.text_of(e.problem, final, summary, gains(machine), servos(machine))
+
+    return {MODEL_FILE: text, **mjcf_files(e)}
 
 
 def verifier(
@@ -228,89 +271,113 @@ def with_rows(report: dict[str, Any], rows: Sequence[dict[str, Any]]) -> None:
         report["message"] = f"kp is not the file's: {where}. {rest}"
 
 
-def mjcf_files(
-    machine: Machine, whole: Examined, criteria: Criteria
-) -> dict[str, Callable[[], str]]:
+def mjcf_files(e: Examined) -> dict[str, Callable[[], str]]:
     """What makes the text of `declared.xml` and of `model.xml`."""
-    problem, found = whole.problem, whole.found
-    by_torque = whole.by_torque if whole.judge == TORQUE else None
+    machine, problem, found = e.inquiry.machine, e.problem, e.found
+    by_torque = e.by_torque if e.judge == TORQUE else None
 
-    def made():
-        return changes(
-            machine, problem, holdable(machine, problem, found, criteria, by_torque), found.final
-        )
+    def mended():
+        held = holdable(machine, problem, found, e.inquiry.criteria, by_torque)
+        return mended_mjcf(machine.mechanism, changes(machine, problem, held, found.final))
 
     return {
         model_toml.DECLARED: lambda: mended_mjcf(machine.mechanism, declared_changes(machine)),
-        MODEL: lambda: mended_mjcf(machine.mechanism, made()),
+        MODEL: mended,
     }
 
 
+@dataclass(frozen=True)
+class Setting:
+    """What a diagnosis is asked for.
+
+    Args:
+        criteria: what counts as an effect.
+        horizon: s, of simulated stretches.
+        exclude: effects that are not considered.
+        effects: the catalogue, ours where None; of another, what is always fitted is ours.
+        objective: the one that is to judge, the one that tells most where None.
+        torques: whether the balance of torques is looked at.
+    """
+
+    criteria: Criteria = field(default_factory=Criteria)
+    horizon: float = HORIZON
+    exclude: tuple[str, ...] = ()
+    effects: Sequence[Effect] | None = None
+    objective: str | None = None
+    torques: bool = True
+
+
+@dataclass(frozen=True)
+class Beginning:
+    """With what a search begins.
+
+    Args:
+        narrow: what stays of the vector that is fitted whatever is named.
+        first: makes values and effects that the search goes on from.
+        by_file: the machine by the gains of its file, where others were found: what the declared
+            model leaves is reported of it.
+    """
+
+    narrow: Callable[[Vector], Vector] = lambda vector: vector
+    first: Callable[[TreeProblem, Vector], Hint] | None = None
+    by_file: Machine | None = None
+
+
+@np.errstate(over="ignore", invalid="ignore")  # of stretches that run away, as a search expects
 def examined(
     machine: Machine,
-    criteria: Criteria,
-    horizon: float,
-    exclude: Sequence[str] = (),
+    setting: Setting = Setting(),
+    beginning: Beginning = Beginning(),
     notify: Progress = lambda done, total, note: None,
-    narrow: Callable[[Vector], Vector] = lambda vector: vector,
-    effects: Sequence[Effect] | None = None,
-    keep: Callable[[dict[str, Any]], None] | None = None,
-    yardstick: str | None = None,
-    torques: bool = True,
-    first: Callable[[TreeProblem, Vector], Hint] | None = None,
-    by_file: Machine | None = None,
-) -> tuple[dict[str, Any], dict[str, Any], Examined]:
-    """Report, evidence for its page, and what was found of a machine. narrow: of the vector that is
-    fitted, what is kept; effects: the catalogue, ours where None (of another, what is always fitted
-    is ours); keep: told of the report so far, as the search goes; yardstick: by which to judge, the
-    one that tells most where None; torques: whether their balance is looked at; first: makes what
-    the search goes on from; by_file: the machine by the gains of its file, where `machine` has
-    others: what the declared model leaves is told of it.
-    """
-    # whatever is named
+    keep: Keep | None = None,
+) -> Examined:
+    """What was found of a machine. keep: called with the report so far, as the search goes."""
+    chosen, at_joints = _catalogue_of(machine, setting)
+    problem = replace(posed(machine, chosen, setting.horizon), excluded=at_joints)
+    notify(0.05, 1.0, "declared model")
+    null = beginning.narrow(declared_vector(machine, problem))
+    inquiry = Inquiry(
+        machine,
+        problem,
+        null,
+        setting.criteria,
+        setting.horizon,
+        lambda note: notify(0.0, np.inf, note),  # how many follow, nobody knows
+        asked=setting.objective,
+        factor=factor_of(machine.log.meta) if setting.torques else None,
+        hint=beginning.first(problem, null) if beginning.first else None,
+    )
+    found = examine(inquiry if keep is None else _kept(inquiry, keep))
+    if beginning.by_file is not None:
+        before = posed(beginning.by_file, chosen, setting.horizon)
+        vector = declared_vector(beginning.by_file, before)
+        return with_null(found, fitted_null(before, vector, setting.criteria))
+    if not found.found.named:
+        # how rows are read is no mend: the declared model is what it is with it
+        return with_null(found, found.found.final)
+    return found
+
+
+def _kept(inquiry: Inquiry, keep: Keep) -> Inquiry:
+    """An inquiry that gives the report so far to `keep`."""
+    return replace(inquiry, keep=lambda found: keep(so_far(inquiry, found)))
+
+
+def _catalogue_of(
+    machine: Machine, setting: Setting
+) -> tuple[tuple[Effect, ...], frozenset[tuple[str, int]]]:
+    """Effects that are considered or always fitted, and those that are left out at a joint."""
     fitted = {VISCOUS.name}
     if machine.gain_unknown:
         fitted.add(TORQUE_GAIN.name)
     if machine.servo_times:
         fitted.add(POSITION_GAIN.name)
-    if effects is None:
-        known = MACHINE
-    else:
-        known = (*(e for e in MACHINE if e.name in fitted), *effects)
-    everywhere, at_joints = excluded_of(exclude, known, machine.tree.joint_names)
+    known = MACHINE
+    if setting.effects is not None:
+        known = (*(e for e in MACHINE if e.name in fitted), *setting.effects)
+    everywhere, at_joints = excluded_of(setting.exclude, known, machine.tree.joint_names)
     chosen = tuple(e for e in known if e.name not in everywhere or e.name in fitted)
-    problem = replace(posed(machine, chosen, horizon), excluded=at_joints)
-
-    def step(note):
-        return notify(0.0, np.inf, note)  # how many follow, nobody knows
-
-    notify(0.05, 1.0, "declared model")
-    with np.errstate(
-        over="ignore", invalid="ignore"
-    ):  # of stretches that run away, which the search expects
-        null = narrow(declared_vector(machine, problem))
-
-        def partial(found):
-            if keep:
-                return keep(reported(machine, problem, found, criteria, horizon))
-            return None
-
-        factor = factor_of(machine.log.meta) if torques else None
-        hint = first(problem, null) if first else None
-        found = examine(
-            machine, problem, null, criteria, horizon, step, partial, yardstick, factor, hint
-        )
-        if by_file is not None:
-            before = posed(by_file, chosen, horizon)
-            found = with_null(
-                found, fitted_null(before, declared_vector(by_file, before), criteria), horizon
-            )
-        elif (
-            not found.found.named
-        ):  # how rows are read is no mend: the declared model is what it is with it
-            found = with_null(found, found.found.final, horizon)
-        report, evidence = report_of(machine, found, criteria, horizon)
-    return report, evidence, found
+    return chosen, at_joints
 
 
 def excluded_of(

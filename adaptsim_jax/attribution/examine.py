@@ -1,15 +1,15 @@
-"""Which yardstick tells, and by it which effects: the balance of torques along the motion,
-simulation, and each as the other's witness.
+"""Which objective judges, and by it which effects: the balance of torques along the motion, or
+simulated stretches, each checked by the other.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from adaptsim_jax.attribution.backward import backward_elimination
-from adaptsim_jax.attribution.equation.balance import balances
+from adaptsim_jax.attribution.equation.balance import Balance, balances
 from adaptsim_jax.attribution.equation.confirmed import confirmed
 from adaptsim_jax.attribution.equation.filed import searched, without_bodies
 from adaptsim_jax.attribution.equation.models import (
@@ -26,15 +26,9 @@ from adaptsim_jax.attribution.held_out import FittedTree, held_error, modelled, 
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import TreeProblem, held, own_inertia, scaled_reach
-from adaptsim_jax.attribution.report import evidence_of, reported
+from adaptsim_jax.attribution.report import account_of, evidence_of
 from adaptsim_jax.attribution.select import ROUNDS, Hint, Selection, select, select_shorter
-from adaptsim_jax.attribution.torque_report import (
-    bound_notes,
-    curves,
-    held_missing,
-    report_torque,
-    unnamed_notes,
-)
+from adaptsim_jax.attribution.torque_report import TorqueFound, by_torque, curves, held_missing
 from adaptsim_jax.attribution.yardsticks import (
     STRETCHES,
     TORQUE,
@@ -45,7 +39,7 @@ from adaptsim_jax.attribution.yardsticks import (
     predicts_nothing,
 )
 from adaptsim_jax.diagnosis.criteria import Criteria
-from adaptsim_jax.diagnosis.schema import with_effects
+from adaptsim_jax.diagnosis.report import Account, report_of, withhold_names
 from adaptsim_jax.effects.base import Reach
 
 NOTHING = "This model predicts nothing: by no yardstick does it do better than what needs no model, and no effect is named."
@@ -55,182 +49,276 @@ CONTRADICTED = (
 
 
 @dataclass(frozen=True)
-class Examined:
-    """problem, what was found, what the balance of torques says (None where it cannot), yardsticks
-    of the declared model, fitted, and of
-    the final one, which of them judged and why.
+class Inquiry:
+    """A machine whose recording is examined, and how.
+
+    Args:
+        machine, problem: the machine, and its stretches of `horizon` s.
+        null: what is fitted whatever is named.
+        criteria: what counts as an effect.
+        horizon: s.
+        notify: called with what is done; keep: with what a search has found so far.
+        asked: the objective that is to judge, where it is not the one that tells most.
+        factor: within which bodies are those of the file along the motion; None: the balance of
+            torques is not looked at.
+        hint: what the search of stretches goes on from where the balance says nothing.
     """
 
+    machine: Machine
     problem: TreeProblem
+    null: Vector
+    criteria: Criteria
+    horizon: float
+    notify: Callable[[str], None] = lambda note: None
+    keep: Callable[[Selection], None] = lambda found: None
+    asked: str | None = None
+    factor: float | None = FACTOR
+    hint: Hint | None = None
+
+    @property
+    def follows(self) -> bool:
+        """Whether an actuator follows commands."""
+        return bool(np.any(held(self.machine.actuator)))
+
+    @property
+    def many(self) -> bool:
+        """Whether there are too many joints for stretches to be searched."""
+        torque = self.criteria.torque
+        return self.problem.joints > (torque.whole if self.follows else torque.simulated)
+
+    def simulated(self, model: FittedTree) -> dict[str, Any]:
+        """What a model leaves of simulated stretches, by objective."""
+        error = held_error(self.problem, model)
+        return {STRETCHES: of_simulation(self.problem, error, STRETCHES, self.horizon)}
+
+
+@dataclass(frozen=True)
+class Examined:
+    """What was found, by which objective, and why by that one.
+
+    Args:
+        inquiry: what was examined.
+        found: effects by the objective that judged.
+        by_torque: what the balance of torques says, None where it cannot.
+        before, after: measures by objective of the declared model, fitted, and of the final one,
+            None where one tells nothing.
+        judge, why: the objective, and why.
+        simulated: whether errors are reported of simulated stretches, whoever judged.
+    """
+
+    inquiry: Inquiry
     found: Selection
     by_torque: TorqueSearch | None
-    before: dict[str, Any]  # Measure by yardstick, None where it tells nothing
+    before: dict[str, Any]
     after: dict[str, Any]
     judge: str
     why: str
-    simulated: bool = False  # errors are told of simulated stretches, whoever judged
+    simulated: bool = False
+
+    @property
+    def problem(self) -> TreeProblem:
+        return self.inquiry.problem
 
 
-def examine(
-    machine: Machine,
-    problem: TreeProblem,
-    null: Vector,
-    criteria: Criteria,
-    horizon: float,
-    notify: Callable[[str], None],
-    keep: Callable[[Selection], None] = lambda found: None,
-    asked: str | None = None,
-    factor: float | None = FACTOR,
-    hint: Hint | None = None,
-) -> Examined:
-    """Judge by the yardstick that tells most of the declared model, before anything is named
-    (command errors also with what they name: a late command hides all else of them). null: what is
-    fitted whatever is named;
-    asked: another yardstick; factor: within which bodies are those of the file along the motion,
-    None: the balance of torques is not looked at; hint: as of `select`, where the balance says
-    nothing.
+@dataclass(frozen=True)
+class Balanced:
+    """The balances of a machine's torques, searched.
+
+    Args:
+        balances: of each group of joints.
+        reach: what the data cover.
+        words: the search whose names count; free: that with bodies fitted, where both were made.
+        declared: the fitted declared model.
+        each: whether bodies were chosen joint by joint.
+        bare: whether bodies and damping are the file's.
     """
-    if factor is not None and informative(machine):
-        balanced = balances(problem, machine.tracks)
-    else:
-        balanced = ()
-    if not balanced or factor is None:
-        found = by_simulation(problem, null, criteria, notify, keep, hint)
-        before, after = (_simulated(problem, m, horizon) for m in (found.null, found.final))
-        commanded = np.any(held(machine.actuator))
-        if factor is not None:
-            why = "no torque is known along the motion"
-        else:
-            why = "stretches are this task's yardstick"
-        if commanded:
-            why = f"it follows commands; over {horizon:g} s a straight line says less"
-        return Examined(problem, found, None, before, after, STRETCHES, why)
-    notify("balance of torques")
-    follows = bool(np.any(held(machine.actuator)))
-    reach = scaled_reach(problem, *own_inertia(problem, null))
+
+    balances: tuple[Balance, ...]
+    reach: Reach
+    words: TorqueSearch
+    free: TorqueSearch
+    declared: FittedTree
+    each: bool
+    bare: bool
+
+    def measure(self, problem: TreeProblem, search: TorqueSearch, final: bool) -> Measure:
+        """How much torque a search's declared or final model leaves missing."""
+        vector = search.final if final else search.null
+        made = of_torque(problem, self.balances, vector, held_missing(search)[final])
+        assert made is not None
+        return made
+
+
+def examine(inquiry: Inquiry) -> Examined:
+    """Judge by the objective that tells most of the declared model, before anything is named.
+
+    Command errors count with what they name, since a late command hides all else of them.
+    """
+    q, balanced = inquiry, ()
+    if q.factor is not None and informative(q.machine):
+        balanced = balances(q.problem, q.machine.tracks)
+    if not balanced:
+        return _by_stretches(q, _why_stretches(q))
+    q.notify("balance of torques")
     try:
-        commanded = machine.log.input_kind != "torque"
-
-        def part(b):
-            return within(part_of(without_bodies(null) if follows else null, b), factor)
-
-        problem, balanced = rubbing(
-            problem, machine.tree, balanced, part, reach, criteria, commanded
-        )
-
-        def search(vector):
-            return search_balances(problem, balanced, vector, reach, criteria, commanded, factor)
-
-        if follows and len(without_bodies(null)) < len(null):
-            words, free, each = searched(problem, search, null, criteria)
-        else:
-            words = free = search(null)
-            each = False
-        bare = len(words.null) < len(null)
-        declared = model_of(problem, words, words.null, ())
-    except (ValueError, np.linalg.LinAlgError) as error:  # the other witness goes on by itself
-        found = by_simulation(problem, null, criteria, notify, keep)
-        before, after = (_simulated(problem, m, horizon) for m in (found.null, found.final))
-        return Examined(
-            problem,
-            found,
-            None,
-            before,
-            after,
-            STRETCHES,
-            f"the torque along the motion tells nothing ({error})",
-        )
-    before = _simulated(problem, declared, horizon) | {
-        TORQUE: of_torque(problem, balanced, words.null, held_missing(words)[0])
-    }
-    usual: Any = of_torque(problem, balanced, free.null, held_missing(free)[0])
-    if follows:  # a late command hides all that its errors tell until it is named
-        named: Any = of_torque(problem, balanced, words.final, held_missing(words)[1])
-        usual = max(usual, named, key=lambda m: m.skill)
-    judge, why = headline(before | {TORQUE: usual}, follows, asked)
-    many = problem.joints > (criteria.torque.whole if follows else criteria.torque.simulated)
-    if follows and many and judge != TORQUE and not asked:
-        judge, why = (
-            TORQUE,
-            f"of {problem.joints} joints that follow commands stretches are not searched",
-        )
-    if bare and judge == TORQUE:
-        sought = len(free.null) > len(words.null)
-        if sought:
-            other = "fitted ones tell left-out torques no better"
-        else:
-            other = "fitted ones were not sought"
-        why = f"{why}; bodies and damping are the file's: {other}"
-    by_torque = None
+        q, balanced, reach = _with_friction_law(q, balanced)
+        torques = _search_torques(q, balanced, reach)
+    except (ValueError, np.linalg.LinAlgError) as error:  # the other objective goes on by itself
+        why = f"the torque along the motion tells nothing ({error})"
+        return _by_stretches(replace(q, hint=None), why)
+    before = q.simulated(torques.declared)
+    before[TORQUE] = torques.measure(q.problem, torques.words, final=False)
+    judge, why = _objective(q, torques, before)
+    words, by_torque = torques.words, None
     if judge == TORQUE:
-        found = selection(problem, words, declared, reach)
-        keep(found)
-        if not follows or not each:
-            known = words
-            null_of = None if follows else declared
-            words = confirmed(problem, words, found.final, criteria, null_of)
-            if words is not known:
-                found = selection(problem, words, declared, reach)
-        if follows and not many:
-            found = _polished(problem, found, reach, criteria, notify, bool(asked))
-        after = _simulated(problem, found.final, horizon)
-        after[TORQUE] = of_torque(problem, balanced, words.final, held_missing(words)[1])
-        by_torque = Examined(problem, found, words, before, after, judge, why, follows)
-        good = over_floor(problem, found.final) < (criteria.near if follows else criteria.explained)
-        if (
-            asked or good or many
-        ):  # of very many joints stretches are not searched: what is left is told
+        by_torque = _by_torque(q, torques, before, why)
+        near = q.criteria.near if q.follows else q.criteria.explained
+        # of very many joints stretches are not searched: what is left is reported
+        if q.asked or q.many or over_floor(q.problem, by_torque.found.final) < near:
             return by_torque
+        words = by_torque.by_torque
         judge, why = (
             STRETCHES,
-            f"what {_SHOWN[follows]} shows leaves far more than noise in simulated stretches",
+            f"what {_SHOWN[q.follows]} shows leaves far more than noise in simulated stretches",
         )
-    hint = None
-    if words.added and not follows:
-        effects = [
-            (e, z)
-            for e, z in zip(words.final.entries, words.final.values, strict=True)
-            if e.key not in null.index()
-        ]
-        start = null.at(_clipped(null, words.final.values[: len(null)]))
-        hint = start.with_entries([e for e, _ in effects], [z for _, z in effects]), words.added
-    found = by_simulation(problem, null, criteria, notify, keep, hint)
-    before = _simulated(problem, found.null, horizon) | {
-        TORQUE: of_torque(problem, balanced, found.null.fit.vector)
-    }
-    after = _simulated(problem, found.final, horizon) | {
-        TORQUE: of_torque(problem, balanced, found.final.fit.vector)
-    }
-    if by_torque is not None and not follows and _worth(after) < _worth(by_torque.after):
+    found = by_simulation(replace(q, hint=_hint_of(q, words)))
+    before, after = (
+        q.simulated(m) | {TORQUE: of_torque(q.problem, torques.balances, m.fit.vector)}
+        for m in (found.null, found.final)
+    )
+    if by_torque is not None and not q.follows and _worth(after) < _worth(by_torque.after):
         return by_torque
-    return Examined(problem, found, words, before, after, judge, why)
+    return Examined(q, found, words, before, after, judge, why)
 
 
-def _polished(
-    problem: TreeProblem,
-    found: Selection,
-    reach: Reach,
-    criteria: Criteria,
-    notify: Callable[[str], None],
-    asked: bool,
-) -> Selection:
+def _why_stretches(q: Inquiry) -> str:
+    """Why stretches judge where there is no balance."""
+    if q.follows:
+        return f"it follows commands; over {q.horizon:g} s a straight line says less"
+    if q.factor is not None:
+        return "no torque is known along the motion"
+    return "stretches are this task's yardstick"
+
+
+def _by_stretches(q: Inquiry, why: str) -> Examined:
+    found = by_simulation(q)
+    before, after = (q.simulated(m) for m in (found.null, found.final))
+    return Examined(q, found, None, before, after, STRETCHES, why)
+
+
+def _null_of(q: Inquiry, balance: Balance) -> Vector:
+    """What is fitted of a group, with bodies within the factor of the file's."""
+    assert q.factor is not None
+    vector = without_bodies(q.null) if q.follows else q.null
+    return within(part_of(vector, balance), q.factor)
+
+
+def _with_friction_law(
+    q: Inquiry, balanced: Sequence[Balance]
+) -> tuple[Inquiry, Sequence[Balance], Reach]:
+    """With the law of friction that the balances show, and what the data cover."""
+    problem, reach = q.problem, scaled_reach(q.problem, *own_inertia(q.problem, q.null))
+    commanded = q.machine.log.input_kind != "torque"
+    problem, balanced = rubbing(
+        problem,
+        q.machine.tree,
+        balanced,
+        lambda b: _null_of(q, b),
+        reach,
+        q.criteria,
+        commanded,
+    )
+    return replace(q, problem=problem), balanced, reach
+
+
+def _search_torques(q: Inquiry, balanced: Sequence[Balance], reach: Reach) -> Balanced:
+    """Search the balances, with bodies of the file and fitted ones where commands are followed."""
+    commanded = q.machine.log.input_kind != "torque"
+
+    def search(vector):
+        return search_balances(q.problem, balanced, vector, reach, q.criteria, commanded, q.factor)
+
+    each = False
+    if q.follows and len(without_bodies(q.null)) < len(q.null):
+        words, free, each = searched(q.problem, search, q.null, q.criteria)
+    else:
+        words = free = search(q.null)
+    bare = len(words.null) < len(q.null)
+    declared = model_of(q.problem, words, words.null, ())
+    return Balanced(tuple(balanced), reach, words, free, declared, each, bare)
+
+
+def _objective(q: Inquiry, torques: Balanced, before: dict[str, Any]) -> tuple[str, str]:
+    """The objective that judges, and why. before: measures of the declared model."""
+    words, free = torques.words, torques.free
+    usual = torques.measure(q.problem, free, final=False)
+    if q.follows:  # a late command hides all that its errors tell until it is named
+        named = torques.measure(q.problem, words, final=True)
+        usual = max(usual, named, key=lambda m: m.skill)
+    judge, why = headline(before | {TORQUE: usual}, q.follows, q.asked)
+    if q.follows and q.many and judge != TORQUE and not q.asked:
+        judge = TORQUE
+        why = f"of {q.problem.joints} joints that follow commands stretches are not searched"
+    if torques.bare and judge == TORQUE:
+        other = "fitted ones were not sought"
+        if len(free.null) > len(words.null):
+            other = "fitted ones tell left-out torques no better"
+        why = f"{why}; bodies and damping are the file's: {other}"
+    return judge, why
+
+
+def _by_torque(q: Inquiry, torques: Balanced, before: dict[str, Any], why: str) -> Examined:
+    """What the balance names, confirmed by simulated stretches where it can be."""
+    problem, words = q.problem, torques.words
+    found = selection(problem, words, torques.declared, torques.reach)
+    q.keep(found)
+    if not q.follows or not torques.each:
+        null_of = None if q.follows else torques.declared
+        words = confirmed(problem, torques.words, found.final, q.criteria, null_of)
+        if words is not torques.words:
+            found = selection(problem, words, torques.declared, torques.reach)
+    if q.follows and not q.many:
+        found = _polished(q, found, torques.reach)
+    after = q.simulated(found.final)
+    after[TORQUE] = torques.measure(problem, words, final=True)
+    return Examined(q, found, words, before, after, TORQUE, why, q.follows)
+
+
+def _hint_of(q: Inquiry, words: TorqueSearch) -> Hint | None:
+    """Values and effects of the balance, from which the search of stretches goes on."""
+    if not words.added or q.follows:
+        return None
+    known = q.null.index()
+    pairs = zip(words.final.entries, words.final.values, strict=True)
+    added = [(e, z) for e, z in pairs if e.key not in known]
+    values = np.clip(words.final.values[: len(q.null)], q.null.low, q.null.high)
+    start = q.null.at(values)
+    return start.with_entries([e for e, _ in added], [z for _, z in added]), words.added
+
+
+def _polished(q: Inquiry, found: Selection, reach: Reach) -> Selection:
     """With the final values fitted by simulation, since along the motion a time or a gain is only
-    so exact, and each of several names held against the others there. Values of the motion stay
-    where they simulate to within the noise, with all names. Where what is fitted leaves so much
-    that stretches will be searched (unless this yardstick was asked for), nothing more is asked.
+    so exact, and each of several names held against the others there.
+
+    Values of the motion stay where they simulate to within the noise, with all names. Where what is
+    fitted leaves so much that stretches will be torques (unless the balance was asked for),
+    nothing more is asked.
     """
+    problem, criteria = q.problem, q.criteria
     several, good = len(found.named) > 1, over_floor(problem, found.final) <= criteria.explained
     if good and not several:
         return found
-    notify("fit by simulation")
+    q.notify("fit by simulation")
     again = found.final.fit
     if not good:
         again = fit(problem, again.vector, again.starts, rounds=ROUNDS)
     whole = modelled(problem, tuple(n.candidate for n in found.named), again)
-    if not several or (not asked and over_floor(problem, whole) >= criteria.near):
+    if not several or (not q.asked and over_floor(problem, whole) >= criteria.near):
         return replace(found, final=whole)
     trace, known = list(found.trace), {n.candidate.key: n for n in found.named}
-    final, stay = backward_elimination(problem, whole, reach, criteria, trace, notify, rivals=False)
+    final, stay = backward_elimination(
+        problem, whole, reach, criteria, trace, q.notify, rivals=False
+    )
     named = tuple(replace(n, alternatives=known[n.candidate.key].alternatives) for n in stay)
     selected = found.final if good and len(stay) == len(known) else final
     return replace(found, final=selected, named=named, trace=tuple(trace))
@@ -243,20 +331,13 @@ def informative(machine: Machine) -> bool:
     return not machine.servo_times
 
 
-def _clipped(vector: Vector, values: np.ndarray) -> np.ndarray:
-    return np.clip(values, vector.low, vector.high)
-
-
-def by_simulation(
-    problem: TreeProblem, null: Vector, criteria: Criteria, notify, keep, hint=None
-) -> Selection:
-    """The search by simulated stretches. Over their beginnings where the whole names nothing and
-    far more than noise is left. hint: as of
-    `select`.
+def by_simulation(q: Inquiry) -> Selection:
+    """The search by simulated stretches, over their beginnings where the whole names nothing and
+    far more than noise is left.
     """
-    found = select(problem, null, criteria, notify, keep, hint)
-    if not found.named and over_floor(problem, found.final) > criteria.odd:
-        found = select_shorter(problem, null, criteria, found, notify)
+    found = select(q.problem, q.null, q.criteria, q.notify, q.keep, q.hint)
+    if not found.named and over_floor(q.problem, found.final) > q.criteria.odd:
+        found = select_shorter(q.problem, q.null, q.criteria, found, q.notify)
     return found
 
 
@@ -265,51 +346,47 @@ def _worth(measures: dict[str, Measure | None]) -> float:
     return sum(m.skill for m in measures.values() if m is not None)
 
 
-def _simulated(problem: TreeProblem, model: FittedTree, horizon: float) -> dict[str, Any]:
-    return {STRETCHES: of_simulation(problem, held_error(problem, model), STRETCHES, horizon)}
-
-
-def with_null(e: Examined, null: FittedTree, horizon: float) -> Examined:
+def with_null(e: Examined, null: FittedTree) -> Examined:
     """With `null` as the model of which the report says what it leaves."""
-    before = e.before | _simulated(e.problem, null, horizon)
+    before = e.before | e.inquiry.simulated(null)
     return replace(e, found=replace(e.found, null=null), before=before)
 
 
-def report_of(
-    machine: Machine, e: Examined, criteria: Criteria, horizon: float
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The report, and the arrays behind its page."""
-    problem, found = e.problem, e.found
-    report = reported(machine, problem, found, criteria, horizon)
+def account(e: Examined) -> Account:
+    """What the objective that judged contributes to the report, and what both say of the models."""
+    q = e.inquiry
+    made = account_of(q.machine, e.problem, e.found, q.criteria, q.horizon)
     if e.judge == TORQUE and e.by_torque is not None and not e.simulated:
-        report_torque(report, problem, e.by_torque, e.before[TORQUE], e.after[TORQUE], criteria)
-        report["notes"] += [
-            *unnamed_notes(problem, e.by_torque),
-            *bound_notes(problem, e.by_torque),
-        ]
-    report["yardsticks"] = {
-        "judge": e.judge,
-        "why": e.why,
-        **{
-            name: {k: m.as_dict() for k, m in ms.items() if m is not None}
-            for name, ms in (("declared", e.before), ("mended", e.after))
-        },
-    }
-    report["notes"] += [*_disagreement(e), *friction_notes(problem)]
+        torques = TorqueFound(e.by_torque, e.before[TORQUE], e.after[TORQUE])
+        made = by_torque(made, e.problem, torques, q.criteria)
+    measures: dict[str, Any] = {"judge": e.judge, "why": e.why}
+    for name, each in (("declared", e.before), ("mended", e.after)):
+        measures[name] = {k: m.as_dict() for k, m in each.items() if m is not None}
     if predicts_nothing(e.after):
-        report["message"] = f"{NOTHING} {report['message']}"
-        report["yardsticks"]["predicts_nothing"] = True
-        if report["effects"]:
-            report["not_established"] += [
-                f"{row['name'].replace('_', ' ')} at {row['where']}: better than a model that "
-                "predicts nothing"
-                for row in report["effects"]
-            ]
-            with_effects(report, [], left=True)
-    evidence = evidence_of(problem, found, report)
+        measures["predicts_nothing"] = True
+    notes = [*made.more["notes"], *_disagreement(e), *friction_notes(e.problem)]
+    return replace(made, more={**made.more, "yardsticks": measures, "notes": notes})
+
+
+@np.errstate(over="ignore", invalid="ignore")  # of stretches that run away
+def reported(
+    e: Examined, change: Callable[[Account], Account] = lambda made: made
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The report, and the arrays behind its page. change: of the account, what a task says
+    otherwise.
+    """
+    report = report_of(e.found, change(account(e)))
+    if predicts_nothing(e.after):
+        withhold_names(report, NOTHING, left=True)
+    evidence = evidence_of(e.problem, e.found, report)
     if e.by_torque is not None:
-        evidence |= curves(problem, e.by_torque, found.final.fit.vector)
+        evidence |= curves(e.problem, e.by_torque, e.found.final.fit.vector)
     return report, evidence
+
+
+def so_far(q: Inquiry, found: Selection) -> dict[str, Any]:
+    """The report on what a search has found until now."""
+    return report_of(found, account_of(q.machine, q.problem, found, q.criteria, q.horizon))
 
 
 def _disagreement(e: Examined) -> list[str]:

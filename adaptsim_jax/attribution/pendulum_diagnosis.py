@@ -5,13 +5,16 @@ whose masses nobody declared.
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.attribution.diagnose import HORIZON, Page, Progress, examined, mjcf_files
+from adaptsim_jax.attribution.diagnose import Beginning, Progress, Setting, examined, mjcf_files
+from adaptsim_jax.attribution.examine import Examined, reported
+from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.model_toml import DECLARED
 from adaptsim_jax.attribution.pendulum import (
     JOINTS,
@@ -30,15 +33,15 @@ from adaptsim_jax.attribution.yardsticks import STRETCHES
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.diagnosis.criteria import Criteria
-from adaptsim_jax.diagnosis.run import Run, command_of, plain
-from adaptsim_jax.diagnosis.schema import check, new_report, with_effects
-from adaptsim_jax.diagnosis.written import cleared, write_all, write_partial
+from adaptsim_jax.diagnosis.run import Page, Run, command_of
+from adaptsim_jax.diagnosis.schema import new_report, with_effects
+from adaptsim_jax.diagnosis.written import Output, cleared, finished, write_partial
 from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.effects.joints.actuator import TORQUE_GAIN
 from adaptsim_jax.logs.log import Log
 from adaptsim_jax.logs.log_meta import Rig
 from adaptsim_jax.logs.pendulum import check_known, read_pendulum
-from adaptsim_jax.logs.quality.audit import audit, usable
+from adaptsim_jax.logs.quality.audit import Audit, audit, usable
 from adaptsim_jax.logs.quality.consistency import lattice_step
 from adaptsim_jax.logs.quality.pendulum_design import (
     CHANNELS,
@@ -107,74 +110,85 @@ def diagnose_pendulum(
         began,
     )
     folder = None if out is None else cleared(output_folder(out))
+    output = Output(folder, page)
     if checked.fault:
-        data_summary = {
-            "trials": len(log.trials),
-            "samples": log.samples,
-            "held_out_trials": 0,
-        }
-        report = new_report(rig.task, rig.model, "data_fault", checked.message, data_summary)
-        remarks = {"warnings": checked.warnings, "notes": [*log.notes, *checked.limits]}
-        return _written(report | remarks, {"audit": checked.rows}, run, folder, page, {})
+        counts = {"trials": len(log.trials), "samples": log.samples, "held_out_trials": 0}
+        report = new_report(rig.task, rig.model, "data_fault", checked.message, counts)
+        report |= {"warnings": checked.warnings, "notes": [*log.notes, *checked.limits]}
+        return finished(report, {"audit": checked.rows}, run, output)
     log = usable(log, checked)
     if not as_declared:
         checked = replace(checked, findings=checked.findings + check_conventions(log))
+    setting = Setting(
+        criteria or Criteria(),
+        exclude=tuple(exclude),
+        effects=effects,
+        objective=STRETCHES,
+        torques=rig.model == LINEAR,
+    )
+    keep = None if folder is None else partial(write_partial, folder)
     with TemporaryDirectory() as spare:
-        if rig.model_file is None:
-            machine = declared_machine(log, first_parameters(log), Path(spare) / DECLARED)
-        else:
-            known = own_catalogue(rig.task, effects or ())
-            declared_model(rig, known)  # BadInput where it is of another rig
-            machine = pendulum_machine(log, rig.model_file, effects or ())
-        report, evidence, whole = examined(
-            machine,
-            criteria or Criteria(),
-            HORIZON,
-            tuple(exclude),
-            notify,
-            in_the_plane,
-            effects,
-            None if folder is None else lambda partial: write_partial(folder, partial),
-            STRETCHES,
-            torques=rig.model == LINEAR,
+        machine = _machine(log, effects, Path(spare))
+        found = examined(machine, setting, Beginning(in_the_plane), notify, keep)
+        report, evidence = _reported(log, found, checked)
+        provenance = {k: report[k] for k in ("verdict", "message")}
+        null, _ = model_file(rig, found.problem, found.found.null, {})
+        file, lost = model_file(
+            rig, found.problem, found.found.final, provenance | {"data": path} | run.as_dict()
         )
-        problem, found = whole.problem, whole.found
-        report |= {"task": rig.task, "model": rig.model}
-
-        def rows(model):
-            return {
-                k: asdict(v) | {"identifiable": v.fitted}
-                for k, v in declared_values(rig, problem, model).items()
-            }
-
-        report["declared"] = {"before": rows(found.null), "after": rows(found.final)}
-        report["warnings"] = [
-            *checked.warnings,
-            *doubted(rig.known, declared_values(rig, problem, found.final)),
-        ]
-        report["notes"] += checked.limits
-        _of_unknown_masses(report, rig)
-        add_trials(report, evidence, pendulum_trials(log), CHANNELS)
-        evidence["audit"] += checked.rows
-        provenance = {k: report[k] for k in ("verdict", "message")} | {"data": path} | run.as_dict()
-        null, _ = model_file(rig, problem, found.null, {})
-        file, lost = model_file(rig, problem, found.final, provenance)
         report["notes"] += lost
-        if reward is not None and found.named:
-            try:
-                report |= {"task_reward": worth} if (worth := reward(null, file)) else {}
-            except (
-                Exception
-            ) as error:  # policies are trained for it: the search must not go with them
-                report["warnings"].append(
-                    f"what it is worth to the task is not known: {' '.join(str(error).split())}"
-                )
-        files = {}
-        if folder is not None:
-            files = {"model.toml": lambda: text_of(file)}
-            if rig.model != LINEAR:  # which no MJCF can say
-                files |= mjcf_files(machine, whole, criteria or Criteria())
-        return _written(report, evidence, run, folder, page, files)
+        if reward is not None and found.found.named:
+            _add_reward(report, lambda: reward(null, file))
+        files = {"model.toml": lambda: text_of(file)}
+        if rig.model != LINEAR:  # which no MJCF can say
+            files |= mjcf_files(found)
+        return finished(report, evidence, run, replace(output, files=files))
+
+
+def _machine(log: Log, effects: Sequence[Effect] | None, spare: Path) -> Machine:
+    """The rig as a mechanism: by its mended model, or as declared (written to the folder `spare`).
+
+    Raises BadInput where its model is of another rig.
+    """
+    rig = log.meta.rig
+    if rig.model_file is None:
+        return declared_machine(log, first_parameters(log), spare / DECLARED)
+    declared_model(rig, own_catalogue(rig.task, effects or ()))
+    return pendulum_machine(log, rig.model_file, effects or ())
+
+
+def _reported(log: Log, e: Examined, checked: Audit) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The report in the rig's own numbers, and the arrays behind its page."""
+    rig, problem = log.meta.rig, e.problem
+
+    def rows(model):
+        return {
+            k: asdict(v) | {"identifiable": v.fitted}
+            for k, v in declared_values(rig, problem, model).items()
+        }
+
+    report, evidence = reported(
+        e, lambda made: replace(made, task=rig.task, model=rig.model, declared=rows)
+    )
+    report["warnings"] = [
+        *checked.warnings,
+        *doubted(rig.known, declared_values(rig, problem, e.found.final)),
+    ]
+    report["notes"] += checked.limits
+    _of_unknown_masses(report, rig)
+    add_trials(report, evidence, pendulum_trials(log), CHANNELS)
+    evidence["audit"] += checked.rows
+    return report, evidence
+
+
+def _add_reward(report: dict[str, Any], reward: Callable[[], dict[str, Any] | None]) -> None:
+    """Put into a report what the mended model is worth to the task, if that is known, in place."""
+    try:
+        if worth := reward():
+            report["task_reward"] = worth
+    except Exception as error:  # policies are trained for it: the search must not go with them
+        why = " ".join(str(error).split())
+        report["warnings"].append(f"what it is worth to the task is not known: {why}")
 
 
 def first_parameters(log: Log) -> np.ndarray:
@@ -253,13 +267,3 @@ def _of_unknown_masses(report: dict[str, Any], rig: Rig) -> None:
         "times those told here, makes the same motion: no mass is known; give what is known of "
         "them under [known] in meta.toml."
     )
-
-
-def _written(
-    report, evidence, run: Run, folder: Path | None, page: Page | None, files
-) -> dict[str, Any]:
-    """With how it was run, checked, and written where a folder is given."""
-    report["run"] = evidence["run"] = run.as_dict()
-    if folder is not None:
-        write_all(folder, report, evidence, page or plain, files)
-    return check(report)

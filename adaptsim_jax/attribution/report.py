@@ -1,10 +1,14 @@
-"""The report on a mechanism, and the arrays behind its page."""
+"""What simulated stretches of a mechanism contribute to its report, and the arrays behind its
+page.
+"""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy import stats
 
 from adaptsim_jax.attribution import inertias_told
 from adaptsim_jax.attribution.held_out import (
@@ -16,12 +20,14 @@ from adaptsim_jax.attribution.held_out import (
 )
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import INERTIA, Entry
-from adaptsim_jax.attribution.power import power_rows
 from adaptsim_jax.attribution.problem import TreeProblem
+from adaptsim_jax.attribution.score import CandidateScore
 from adaptsim_jax.attribution.select import Selection
 from adaptsim_jax.attribution.sentences import (
+    Remains,
     doubts,
-    message,
+    headline,
+    label,
     place,
     read_so,
     shorter,
@@ -30,107 +36,135 @@ from adaptsim_jax.attribution.sentences import (
     unused,
 )
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.experiment import separated_by
 from adaptsim_jax.diagnosis.finding import Named
-from adaptsim_jax.diagnosis.rows import candidate_row, tested
-from adaptsim_jax.diagnosis.schema import new_report, verdict_of
+from adaptsim_jax.diagnosis.report import Account, Errors, Label, Scored, error_rows, remarks
 from adaptsim_jax.effects.base import NINETY
 from adaptsim_jax.effects.joints.actuator import SATURATION
 from adaptsim_jax.effects.joints.friction import VISCOUS
 
+LISTED = 40  # candidates of the report's table
+SURE = 0.8  # share of recordings like this one in which the size that is reported would be found
 
-def _numbers(error: np.ndarray) -> float:
-    return float(np.median(error))
 
-
-def reported(
+def account_of(
     machine: Machine, problem: TreeProblem, found: Selection, criteria: Criteria, horizon: float
-) -> dict[str, Any]:
-    """The report."""
-    before, after = held_error(problem, found.null), held_error(problem, found.final)
-    noise = problem.floor[: problem.joints]
-    floor = float(np.median(noise))
-    over = over_floor(problem, found.final)
-    named = found.named
-    astray_count = astray(problem, found.final, criteria, found.null)
-    outliers = _outliers(problem, found, astray_count, criteria)
-    effects = [_effect(machine, problem, found, n) for n in named]
-    remains = most_over_floor(problem, after) > criteria.explained
-    kind = verdict_of(effects, remains or bool(outliers))
-    log = machine.log
-    data = {
-        "trials": len(machine.tracks),
-        "samples": log.samples,
-        "held_out_trials": len(np.unique(problem.fold)),
-    }
-    remaining = {
-        "error": _numbers(after),
-        "times_floor": over,
-        "joints": {
-            name: {
-                "error": float(np.median(after[:, j])),
-                "times_floor": float(np.median(after[:, j]) / max(noise[j], 1e-12)),
-            }
-            for j, name in enumerate(problem.joint_names)
-        },
-    }
-    after_rows = _declared(machine, problem, found.final)
-    fixed = inertias_told.sentence(problem, found.final, after_rows)
-    return new_report(
+) -> Account:
+    """What the report says where simulated stretches judge."""
+    remains = _remains(problem, found, criteria)
+    left, log = remains.left or bool(remains.outliers), machine.log
+    declared = partial(_declared, machine, problem)
+    return Account(
         "mechanism",
         Path(machine.mechanism.path).name,
-        kind,
-        message(problem, found, before, after, over, outliers, int(astray_count.sum()), criteria),
-        data,
-        effects=effects,
-        error=_error(problem, found, before, after, noise, floor, horizon),
-        candidates=_candidates(problem, found),
-        power=power_rows(problem, found.last, criteria),
-        declared={"before": _declared(machine, problem, found.null), "after": after_rows},
-        fit_coordinates={
-            "before": _coordinates(problem, found.null),
-            "after": _coordinates(problem, found.final),
+        {
+            "trials": len(machine.tracks),
+            "samples": log.samples,
+            "held_out_trials": len(np.unique(problem.fold)),
         },
-        not_established=doubts(problem, found),
-        remaining=remaining,
-        notes=[
-            *log.notes,
-            *machine.notes,
-            *unused(machine),
-            *standing(machine),
-            *fixed,
-            *soft_friction(problem, named, kind, over),
-            *read_so(problem, found),
-            *shorter(found, criteria, horizon),
-        ],
-        stages=[
-            {
-                "added": [f"{c.effect} at {place(problem, c)}" for c in m.added],
-                "error": _numbers(held_error(problem, m)),
-            }
-            for m in (*found.stages, found.final)
-        ],
+        partial(label, problem),
+        [_effect(machine, problem, found, n) for n in found.named],
+        _scored(problem, found),
+        headline(problem, found, remains, criteria),
+        left,
+        _error(problem, remains, horizon),
+        declared,
+        {
+            "power": power_rows(problem, found.last, criteria),
+            "fit_coordinates": {
+                "before": _coordinates(problem, found.null),
+                "after": _coordinates(problem, found.final),
+            },
+            "not_established": doubts(problem, found),
+            "remaining": _remaining(problem, remains),
+            "notes": [
+                *log.notes,
+                *machine.notes,
+                *unused(machine),
+                *standing(machine),
+                *inertias_told.sentence(problem, found.final, declared(found.final)),
+                *soft_friction(problem, found.named, left, remains.over),
+                *read_so(problem, found),
+                *shorter(found, criteria, horizon),
+            ],
+            "stages": [
+                {
+                    "added": [f"{c.effect} at {place(problem, c)}" for c in m.added],
+                    "error": float(np.median(held_error(problem, m))),
+                }
+                for m in (*found.stages, found.final)
+            ],
+            "next_experiment": next_experiment(problem, found),
+        },
     )
+
+
+def next_experiment(problem: TreeProblem, found: Selection) -> dict[str, Any] | None:
+    """Where a name has a look-alike: which joints to move, and how, to see either by itself.
+
+    What shows an effect stands in its record; a joint's speed is that of the recording, so that it
+    can be seen what was missing.
+    """
+    speeds = dict(zip(problem.joint_names, found.reach.speed, strict=True))
+    units = dict(zip(problem.joint_names, problem.kinds, strict=True))
+
+    def shown_by(called: Label) -> str:
+        if called.where not in speeds:
+            return f"{called.where}: {problem.effect(called.name).excitation}"
+        unit = "rad/s" if units[called.where] == "hinge" else "m/s"
+        here = f"here mostly below {speeds[called.where]:.2g} {unit}"
+        return f"{called.where} ({here}): {problem.effect(called.name).excitation}"
+
+    text = "{} does no better in this recording than {}. To separate them record, of {}."
+    return separated_by(found, partial(label, problem), lambda z: z.words, shown_by, text)
+
+
+def _remains(problem: TreeProblem, found: Selection, criteria: Criteria) -> Remains:
+    after = held_error(problem, found.final)
+    outlying = astray(problem, found.final, criteria, found.null)
+    return Remains(
+        held_error(problem, found.null),
+        after,
+        problem.floor[: problem.joints],
+        over_floor(problem, found.final),
+        most_over_floor(problem, after) > criteria.explained,
+        _outliers(problem, after, outlying, criteria),
+        int(outlying.sum()),
+    )
+
+
+def _remaining(problem: TreeProblem, remains: Remains) -> dict[str, Any]:
+    median = np.median(remains.after, 0)
+    times = median / np.maximum(remains.noise, 1e-12)
+    return {
+        "error": float(np.median(remains.after)),
+        "times_floor": remains.over,
+        "joints": by_joint(problem, median, times),
+    }
+
+
+def by_joint(problem: TreeProblem, error: np.ndarray, times: np.ndarray) -> dict[str, Any]:
+    """Rows of `remaining`: error [n] and how many times the noise floor [n] that is."""
+    return {
+        name: {"error": float(error[j]), "times_floor": float(times[j])}
+        for j, name in enumerate(problem.joint_names)
+    }
 
 
 def evidence_of(
     problem: TreeProblem, found: Selection, report: Mapping[str, Any]
 ) -> dict[str, Any]:
     """The arrays behind the page of a report."""
-    notes = [{"severity": "info", "where": "", "message": note} for note in report["notes"]]
-    return {"held_out": _held_out(problem, found), "audit": notes}
+    return {"held_out": _held_out(problem, found), "audit": remarks(report["notes"])}
 
 
 def _outliers(
-    problem: TreeProblem, found: Selection, outlying: np.ndarray, criteria: Criteria
+    problem: TreeProblem, after: np.ndarray, outlying: np.ndarray, criteria: Criteria
 ) -> list[tuple[str, str, float]]:
     """Trials of which much is left, however little on the whole: name, joint, times the noise floor
-    (median over its stretches, or over those that are `far` [W] off where there are a few such).
+    (median over its stretches, or over those that are `outlying` [W] where there are a few such).
     """
-    noise, after = (
-        np.maximum(problem.floor[: problem.joints], 1e-12),
-        held_error(problem, found.final),
-    )
-    out = []
+    noise, out = np.maximum(problem.floor[: problem.joints], 1e-12), []
     for k, name in enumerate(problem.folds):
         mine = problem.fold == k
         if outlying.sum() >= criteria.few and np.any(mine & outlying):
@@ -146,45 +180,42 @@ def _outliers(
 
 
 def _effect(machine: Machine, problem: TreeProblem, found: Selection, n: Named) -> dict[str, Any]:
+    """What a row of `effects` says of a name besides its test."""
     c, model = n.candidate, found.final
-    spread = model.spread
-    numbers = {}
-    for i, e in enumerate(model.fit.vector.entries):
-        if e.owner == c.effect and set(e.joints) <= set(c.joints):
-            value, width = float(model.fit.vector.values[i]), NINETY * float(spread[i])
-            own = len(e.joints) == 1 and len(c.joints) > 1
-            if own:
-                key = f"{e.name}[{problem.joint_names[e.joints[0]]}]"
-            else:
-                key = e.name
-            low, high = (
-                max(value - width, min(e.low, value)),
-                min(value + width, max(e.high, value)),
-            )
-            numbers[key] = {"value": value, "low": low, "high": high, "unit": e.unit}
-            held = next(p for p in problem.effect(c.effect).parameters if p.name == e.name)
-            if held.held and held.meaning:
-                numbers[key]["meaning"] = held.meaning
-    numbers = with_limits(numbers) if c.effect == SATURATION.name else numbers
-    if c.effect == INERTIA:  # as a person knows it, and not in the coordinates of the fit
-        body = next(iter(c.joints))
-        of = f" of {machine.tree.body_names[body]}"
-        rows = inertias_told.inertia_rows(machine, problem, model)
-        numbers = {
-            key.removesuffix(of).replace(" ", "_"): {
-                k: row[k] for k in ("value", "low", "high", "unit")
-            }
-            for key, row in rows.items()
-            if key.endswith(of) and not row["combination"]
+    effect, numbers = problem.effect(c.effect), {}
+    for e, row in _numbers_of(model):
+        if e.owner != c.effect or not set(e.joints) <= set(c.joints):
+            continue
+        key = e.name
+        if len(e.joints) == 1 and len(c.joints) > 1:
+            key = f"{e.name}[{problem.joint_names[e.joints[0]]}]"
+        value = row["value"]
+        numbers[key] = row | {
+            "low": max(row["low"], min(e.low, value)),
+            "high": min(row["high"], max(e.high, value)),
         }
+        parameter = next(p for p in effect.parameters if p.name == e.name)
+        if parameter.held and parameter.meaning:
+            numbers[key]["meaning"] = parameter.meaning
+    if c.effect == SATURATION.name:
+        numbers = with_limits(numbers)
+    if c.effect == INERTIA:
+        numbers = _of_a_body(machine, problem, model, next(iter(c.joints)))
+    joints = [problem.joint_names[j] for j in c.joints]
+    return {"joints": joints, "parameters": numbers, "physics": effect.physics}
+
+
+def _of_a_body(
+    machine: Machine, problem: TreeProblem, model: FittedTree, body: int
+) -> dict[str, dict[str, Any]]:
+    """A body's inertia as a person knows it, and not in the coordinates of the fit."""
+    of = f" of {machine.tree.body_names[body]}"
     return {
-        "name": c.effect,
-        "where": place(problem, c),
-        "joints": [problem.joint_names[j] for j in c.joints],
-        "parameters": numbers,
-        "physics": problem.effect(c.effect).physics,
-        "alternatives": [f"{a.effect}@{place(problem, a)}" for a in n.alternatives],
-        **tested(n),
+        key.removesuffix(of).replace(" ", "_"): {
+            k: row[k] for k in ("value", "low", "high", "unit")
+        }
+        for key, row in inertias_told.inertia_rows(machine, problem, model).items()
+        if key.endswith(of) and not row["combination"]
     }
 
 
@@ -209,98 +240,76 @@ def with_limits(numbers: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]
     return limits | numbers
 
 
-def _error(
-    problem: TreeProblem, found: Selection, before, after, noise, floor: float, horizon: float
-) -> dict[str, Any]:
-    rng = np.random.default_rng(0)
-
-    def pair(pick):
-        return {
-            "before": float(np.median(pick(before))),
-            "after": float(np.median(pick(after))),
-        }
-
-    channels = {}
-    for j, name in enumerate(problem.joint_names):
-        unit = "rad" if problem.kinds[j] == "hinge" else "m"
-        channels[name] = {
-            "unit": unit,
-            **pair(lambda e, j=j: e[:, j]),
-            "noise_floor": float(noise[j]),
-        }
-    per_trial = []
-    for k, name in enumerate(problem.folds):
-        mine = problem.fold == k
-        if mine.any():
-            own = {
-                n: pair(lambda e, j=j, mine=mine: e[mine][:, j])
-                for j, n in enumerate(problem.joint_names)
-            }
-            per_trial.append(
-                {"trial": name, **pair(lambda e, mine=mine: e[mine]), "per_channel": own}
-            )
-    draws = rng.integers(0, len(before), (400, len(before)))
-
-    def interval(e):
-        return [float(z) for z in np.quantile([np.median(e[d]) for d in draws], [0.025, 0.975])]
-
-    kinds = set(problem.kinds)
-    if kinds == {"hinge"}:
-        unit = "rad"
-    elif kinds == {"slide"}:
-        unit = "m"
-    else:
-        unit = "1"
-    return {
-        "metric": f"median over left-out stretches of {horizon:g} s and joints of the RMS error of "
-        f"simulated angles, starts fitted",
-        "unit": unit,
-        "stretch_s": horizon,
-        **pair(lambda e: e),
-        "noise_floor": floor,
-        "ceiling": None,
-        "per_channel": channels,
-        "per_trial": per_trial,
-        "noise_floor_source": "third differences of the angles",
-        "intervals": {"before": interval(before), "after": interval(after)},
+def _error(problem: TreeProblem, remains: Remains, horizon: float) -> dict[str, Any]:
+    both = {"before": remains.before, "after": remains.after}
+    channels = {
+        name: Errors(
+            "rad" if problem.kinds[j] == "hinge" else "m",
+            float(remains.noise[j]),
+            {k: e[:, j] for k, e in both.items()},
+        )
+        for j, name in enumerate(problem.joint_names)
     }
+    units = {errors.unit for errors in channels.values()}
+    unit = units.pop() if len(units) == 1 else "1"
+    metric = (
+        f"median over left-out stretches of {horizon:g} s and joints of the RMS error of simulated "
+        "angles, starts fitted"
+    )
+    whole = Errors(unit, float(np.median(remains.noise)), both)
+    source = "third differences of the angles"
+    table = error_rows(metric, source, problem.folds, whole, channels, problem.fold)
+    return table | {"stretch_s": horizon}
 
 
-def _candidates(problem: TreeProblem, found: Selection) -> list[dict[str, Any]]:
+def _scored(problem: TreeProblem, found: Selection) -> list[Scored]:
     """What is named, with what it takes off beside all others. Then what was scored about the
     declared model, best first.
     """
-    names = {(n.candidate.effect, n.candidate.joints) for n in found.named}
-    alike = {(a.effect, a.joints) for n in found.named for a in n.alternatives}
-    why = {key[:2]: words for key, words in found.refused().items()}
+    named = {label(problem, n.candidate) for n in found.named}
+    alike = {label(problem, a) for n in found.named for a in n.alternatives}
     total = max(found.stages[0].fit.total, 1e-12)
-    if names:
+    if named:
         other = "predicts left-out trials less well than what was chosen"
     else:
         other = "no clear gain on left-out trials"
-
-    def row(c, gain, p, status, why):
-        return candidate_row(c.effect, place(problem, c), gain, p, status, why)
-
-    rows = [row(n.candidate, n.test.gain, n.test.p, "accepted", "named") for n in found.named]
+    rows = [Scored(n.candidate, n.test.gain, n.test.p, "named") for n in found.named]
     for s in found.scores:
-        key = s.candidate.effect, s.candidate.joints
-        if key in names or (s.held_out <= 0.0 and key not in alike):
-            continue
-        if key in alike:
-            status, words = ("look-alike", "does as well")
-        else:
-            status, words = ("rejected", other)
-        rows.append(
-            row(
-                s.candidate,
-                s.held_out / total,
-                min(1.0, s.p * len(found.scores)),
-                status,
-                why.get(key, words),
-            )
-        )
-    return rows[:40]
+        called = label(problem, s.candidate)
+        if called not in named and (s.held_out > 0.0 or called in alike):
+            p = s.p * len(found.scores)
+            rows.append(Scored(s.candidate, s.held_out / total, p, other))
+    return rows[:LISTED]
+
+
+def power_rows(
+    problem: TreeProblem, scores: Sequence[CandidateScore], criteria: Criteria
+) -> list[dict[str, Any]]:
+    """Rows of `power` of candidates that act linearly through one number: the size that `SURE` of
+    recordings like this one would show.
+
+    Args:
+        problem: the recording as it was fitted.
+        scores: of candidates about the final model, with `scatter`, the cluster-robust standard
+                error of an amplitude.
+        criteria: its level is corrected for the number of candidates, as in the score test.
+
+    Returns:
+        `{name, where, size, unit, power}`, sizes in the unit of the amplitude, by name and place.
+    """
+    level = criteria.alpha / max(len(scores), 1)
+    times = float(stats.norm.isf(level / 2) + stats.norm.isf(1.0 - SURE))
+    rows = [
+        {
+            **label(problem, s.candidate)._asdict(),
+            "size": times * s.scatter,
+            "unit": s.candidate.entries[0].unit,
+            "power": SURE,
+        }
+        for s in scores
+        if s.scatter > 0.0 and not problem.effect(s.candidate.effect).jump
+    ]
+    return sorted(rows, key=lambda row: (row["name"], row["where"]))
 
 
 def _declared(machine: Machine, problem: TreeProblem, model: FittedTree) -> dict[str, Any]:

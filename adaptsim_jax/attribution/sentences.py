@@ -2,10 +2,11 @@
 for granted.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from adaptsim_jax.attribution.equation.commands import STUCK
-from adaptsim_jax.attribution.held_out import most_over_floor
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, TILT
 from adaptsim_jax.attribution.problem import TreeProblem
@@ -13,6 +14,7 @@ from adaptsim_jax.attribution.score import JointCandidate
 from adaptsim_jax.attribution.select import Selection
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Named
+from adaptsim_jax.diagnosis.report import Headline, Label, named_words
 from adaptsim_jax.effects.joints.forces import ARMATURE
 from adaptsim_jax.effects.joints.friction import COULOMB, VISCOUS
 
@@ -21,6 +23,11 @@ READ = "Read so; no effect is named for it. model.toml keeps it, for which model
 # times the noise floor: what the Coulomb friction of a simulator that lets a held joint creep may
 # leave
 SOFT = 5.0
+
+
+def label(problem: TreeProblem, c: JointCandidate) -> Label:
+    """How a report calls a candidate."""
+    return Label(c.effect, place(problem, c))
 
 
 def place(problem: TreeProblem, c: JointCandidate) -> str:
@@ -32,50 +39,32 @@ def place(problem: TreeProblem, c: JointCandidate) -> str:
     return ", ".join(problem.joint_names[j] for j in c.joints)
 
 
-def message(
-    problem: TreeProblem,
-    found: Selection,
-    before: np.ndarray,
-    after: np.ndarray,
-    over: float,
-    outliers: list[tuple[str, str, float]],
-    outlying: int,
-    criteria: Criteria,
-) -> str:
-    """What was found, in a few sentences. odd: trials of which much is left; far: stretches that
-    are far off.
+@dataclass(frozen=True)
+class Remains:
+    """What models leave of left-out stretches.
+
+    Args:
+        before, after: `[W, n]` rad or m, of the declared and of the final model.
+        noise: `[n]` rad or m, the noise floor of each joint.
+        over: times the noise floor that the final model leaves.
+        left: whether that is more than noise at a joint that moves.
+        outliers: trials of which much is left: name, joint, times the noise floor.
+        outlying: number of stretches that are far off.
     """
-    text = _found(problem, found, before, after, over, bool(outliers), criteria.explained)
-    if not outliers:
-        return text
-    worst, joint, times = outliers[0]
-    if outlying >= criteria.few:
-        few = f"in {outlying} of {len(problem.fold)} stretches "
-    else:
-        few = ""
-    if len(outliers) > 0.5 * len(problem.folds):
-        if few:
-            return (
-                f"{text} But {few}up to {times:.0f} times the noise floor is left, at {joint}, "
-                f"most in {worst}."
-            )
-        return text
-    names = ", ".join(name for name, _, _ in outliers[:4]) + (
-        f" and {len(outliers) - 4} more" if len(outliers) > 4 else ""
-    )
-    more = f"But {few}of {names} up to {times:.0f} times the noise floor is left, at {joint}: see what is particular to "
-    return f"{text} {more}{'it' if len(outliers) == 1 else 'them'}, or run again --without."
+
+    before: np.ndarray
+    after: np.ndarray
+    noise: np.ndarray
+    over: float
+    left: bool
+    outliers: list[tuple[str, str, float]]
+    outlying: int
 
 
-def _found(
-    problem: TreeProblem,
-    found: Selection,
-    before: np.ndarray,
-    after: np.ndarray,
-    over: float,
-    outliers: bool,
-    explained: float,
-) -> str:
+def headline(
+    problem: TreeProblem, found: Selection, remains: Remains, criteria: Criteria
+) -> Headline:
+    """Sentences of the message where simulated stretches judge."""
     kinds = set(problem.kinds)
     if kinds == {"hinge"}:
         unit = "mrad"
@@ -83,37 +72,42 @@ def _found(
         unit = "mm"
     else:
         unit = "10^-3 rad or m"
+    sizes = [f"{1e3 * np.median(e):.3g}" for e in (remains.before, remains.after)]
+    times = np.median(remains.after, 0) / np.maximum(remains.noise, 1e-12)
+    worst, over = int(np.argmax(times)), f"{remains.over:.1f} times the noise floor"
+    most = ""
+    if remains.left and problem.joints > 1:
+        most = f", most of it at {problem.joint_names[worst]}"
+    at = f"{most} ({times[worst]:.0f} times)" if most else ""
+    declared = (
+        f"{_model(problem, found)} simulates left-out stretches to {sizes[1]} {unit}, {over}{at}."
+    )
+    named = named_words(found.named, lambda c: label(problem, c).words)
+    mended = (
+        f"{named} Left-out error {sizes[0]} to {sizes[1]} {unit}; what remains is {over}{most}."
+    )
+    more = _outliers(problem, remains, criteria)
+    if remains.left and not found.named:
+        more = f"{_closest(problem, found)}{more}"
+    return Headline(declared, mended, more, none=Headline.none if remains.left else "")
 
-    def size(e):
-        return f"{1e3 * np.median(e):.3g}"
 
-    median = np.median(after, 0) / np.maximum(problem.floor[: problem.joints], 1e-12)
-    worst = int(np.argmax(median))
-    remains = most_over_floor(problem, after) > explained
-    if remains and problem.joints > 1:
-        many = f", most of it at {problem.joint_names[worst]}"
-    else:
-        many = ""
-    if not found.named:
-        text = f"{_model(problem, found)} simulates left-out stretches to {size(after)} {unit}, {over:.1f} times the noise floor"
-        if not remains:
-            if outliers:
-                return f"{text}."
-            return f"{text}. Nothing need be added."
-        at = f"{many} ({median[worst]:.0f} times)" if many else ""
-        return f"{text}{at}. No effect of the catalogue holds out.{_closest(problem, found)}"
-    lines = []
-    for n in found.named:
-        c, t = n.candidate, n.test
-        lines.append(
-            f"{c.effect.replace('_', ' ')} at {place(problem, c)} holds out in {t.better} of "
-            f"{t.folds} (takes {100 * t.gain:.0f} % off the squared error beside all others, p "
-            f"{t.p:.2g})"
-        )
-    text = "; ".join(lines)
-    text = text[:1].upper() + text[1:]
-    rest = f"Left-out error {size(before)} to {size(after)} {unit}; what remains is {over:.1f} times the noise floor"
-    return f"{text}. {rest}{many}."
+def _outliers(problem: TreeProblem, remains: Remains, criteria: Criteria) -> str:
+    """A sentence on trials of which much is left."""
+    if not remains.outliers:
+        return ""
+    (worst, joint, times), count = remains.outliers[0], len(remains.outliers)
+    few = ""
+    if remains.outlying >= criteria.few:
+        few = f"in {remains.outlying} of {len(problem.fold)} stretches "
+    left = f"up to {times:.0f} times the noise floor is left, at {joint}"
+    if count > 0.5 * len(problem.folds):
+        return f" But {few}{left}, most in {worst}." if few else ""
+    names = ", ".join(name for name, _, _ in remains.outliers[:4])
+    if count > 4:
+        names += f" and {count - 4} more"
+    them = "it" if count == 1 else "them"
+    return f" But {few}of {names} {left}: see what is particular to {them}, or run again --without."
 
 
 def _model(problem: TreeProblem, found: Selection) -> str:
@@ -132,9 +126,7 @@ def _closest(problem: TreeProblem, found: Selection) -> str:
         for s in found.scores
         if s.p * len(found.scores) < 0.01 and s.held_out > 0.05 * found.stages[0].fit.total
     ][:3]
-    names = ", ".join(
-        f"{s.candidate.effect.replace('_', ' ')} at {place(problem, s.candidate)}" for s in near
-    )
+    names = ", ".join(label(problem, s.candidate).words for s in near)
     if near:
         return f" Closest by a linear test, though no fit bears them out: {names}."
     return ""
@@ -182,18 +174,14 @@ def standing(machine: Machine) -> list[str]:
 
 
 def soft_friction(
-    problem: TreeProblem, named: tuple[Named, ...], kind: str, over: float
+    problem: TreeProblem, named: tuple[Named, ...], left: bool, over: float
 ) -> list[str]:
     """That a simulated log may be the reason why a little more is left, where friction is not
     simulated as soft as the file has it.
     """
     if any(np.any(g.model.tree.rub) for g in problem.groups):
         return []
-    if (
-        kind != "partly_explained"
-        or over > SOFT
-        or all(n.candidate.effect != COULOMB.name for n in named)
-    ):
+    if not left or over > SOFT or all(n.candidate.effect != COULOMB.name for n in named):
         return []
     return [
         "Where MuJoCo made these logs, its own Coulomb friction, which is a little soft "
@@ -261,7 +249,7 @@ def doubts(problem: TreeProblem, found: Selection) -> list[str]:
     out = []
     for s in found.trace:
         if s.action == "dropped" and s.candidate is not None and s.test is not None:
-            name = f"{s.candidate.effect.replace('_', ' ')} at {place(problem, s.candidate)}"
+            name = label(problem, s.candidate).words
             out.append(f"{name} was tried and dropped: {s.why} ({s.shown}).")
     return out
 

@@ -1,8 +1,9 @@
-"""What a report says where the torque along the measured motion is the yardstick: errors, verdict,
-message, and the page's curves.
+"""What the torque along the measured motion contributes to a report, where it judges: errors,
+headline, notes, and the page's curves.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,15 +13,27 @@ from adaptsim_jax.attribution.equation.models import TorqueSearch
 from adaptsim_jax.attribution.equation.windows import GRID, SPAN
 from adaptsim_jax.attribution.parameters import INERTIA, Vector
 from adaptsim_jax.attribution.problem import TreeProblem, moving
-from adaptsim_jax.attribution.sentences import place
+from adaptsim_jax.attribution.report import by_joint
+from adaptsim_jax.attribution.sentences import label, place
 from adaptsim_jax.attribution.yardsticks import Measure, needed
 from adaptsim_jax.diagnosis.criteria import Criteria
-from adaptsim_jax.diagnosis.schema import with_effects
+from adaptsim_jax.diagnosis.report import Account, Headline, words
 from adaptsim_jax.logs.noise import difference_noise
 
 MOST_ROWS = 1500  # of a curve of the page
 # times, by which a body of a fit may differ from the file's before that is a finding of its own
 MOVED = 3.0
+
+
+@dataclass(frozen=True)
+class TorqueFound:
+    """What the balances say, and how much torque is missing of the declared model, fitted, and of
+    the final one.
+    """
+
+    found: TorqueSearch
+    before: Measure
+    after: Measure
 
 
 def held_missing(found: TorqueSearch) -> tuple[dict[int, np.ndarray], dict[int, np.ndarray]]:
@@ -47,35 +60,32 @@ def floor_of(problem: TreeProblem, balances: Sequence[Balance]) -> np.ndarray:
     return out
 
 
-def report_torque(
-    report: dict[str, Any],
-    problem: TreeProblem,
-    found: TorqueSearch,
-    before: Measure,
-    after: Measure,
-    criteria: Criteria,
-) -> None:
-    """Put errors, verdict, message and remains in terms of torques into a report, in place."""
-    balances = [w.balance for w in found.searches]
-    floor = floor_of(problem, balances)
-    over = float(np.median(after.error / np.maximum(floor, 1e-12)))
+def by_torque(
+    account: Account, problem: TreeProblem, e: TorqueFound, criteria: Criteria
+) -> Account:
+    """An account with headline, errors and remains in terms of torques."""
+    found, after = e.found, e.after
+    floor = floor_of(problem, [w.balance for w in found.searches])
+    times = after.error / np.maximum(floor, 1e-12)
     # below a share of the torque nothing would be named
     minimum = np.maximum(criteria.explained * floor, criteria.torque.worth * after.still)
-    remains = bool(np.any(moving(problem) & (after.error > np.maximum(minimum, 1e-12))))
-    with_effects(report, report["effects"], remains)
-    report["error"] = _error(problem, found, before, after, floor)
-    report["remaining"] = {
+    remaining = {
         "error": _pooled(after),
-        "times_floor": over,
-        "joints": {
-            n: {
-                "error": float(after.error[j]),
-                "times_floor": float(after.error[j] / max(floor[j], 1e-12)),
-            }
-            for j, n in enumerate(problem.joint_names)
-        },
+        "times_floor": float(np.median(times)),
+        "joints": by_joint(problem, after.error, times),
     }
-    report["message"] = message(problem, found, before, after)
+    notes = [
+        *account.more["notes"],
+        *unnamed_notes(problem, found),
+        *bound_notes(problem, found),
+    ]
+    return replace(
+        account,
+        headline=headline(problem, e),
+        left=bool(np.any(moving(problem) & (after.error > np.maximum(minimum, 1e-12)))),
+        error=_error(problem, e, floor),
+        more={**account.more, "remaining": remaining, "notes": notes},
+    )
 
 
 def _pooled(m: Measure) -> float:
@@ -86,9 +96,9 @@ def _pooled(m: Measure) -> float:
     return 0.0
 
 
-def _error(
-    problem: TreeProblem, found: TorqueSearch, before: Measure, after: Measure, floor: np.ndarray
-) -> dict[str, Any]:
+def _error(problem: TreeProblem, e: TorqueFound, floor: np.ndarray) -> dict[str, Any]:
+    found, before, after = e.found, e.before, e.after
+
     def pair(a, b):
         return {"before": float(a), "after": float(b) if found.added else None}
 
@@ -135,26 +145,22 @@ def _share(found: TorqueSearch, trial: int, which: int, base: np.ndarray) -> flo
     return float(np.mean(shares))
 
 
-def message(problem: TreeProblem, found: TorqueSearch, before: Measure, after: Measure) -> str:
-    """What was found, in a few sentences."""
-
-    def share(m):
-        return f"{100 * _pooled(m):.0f} %"
-
-    if not found.named:
-        text = f"The declared model, fitted, misses {share(before)} of the torque along the measured motion."
-        return f"{text} No effect of the catalogue holds out."
+def headline(problem: TreeProblem, e: TorqueFound) -> Headline:
+    """Sentences of the message."""
+    before, after = (f"{100 * _pooled(m):.0f} %" for m in (e.before, e.after))
     by: dict[str, list[str]] = {}
-    for n in found.named:
-        by.setdefault(n.candidate.effect.replace("_", " "), []).append(place(problem, n.candidate))
+    for n in e.found.named:
+        name, where = label(problem, n.candidate)
+        by.setdefault(words(name), []).append(where)
     names = "; ".join(f"{name} at {', '.join(where)}" for name, where in by.items())
-    names = names[:1].upper() + names[1:]
-    worst = int(np.argmax(after.error / np.maximum(after.still, 1e-300)))
-    return (
-        f"{names}: held out by the torque along the measured motion, of which {share(before)} is "
-        f"missing without and {share(after)} with (left-out blocks, mean over joints; most is left "
-        f"at {problem.joint_names[worst]}, {after.error[worst]:.3g} of {after.still[worst]:.3g} "
-        f"{after.units[worst]})."
+    worst = int(np.argmax(e.after.error / np.maximum(e.after.still, 1e-300)))
+    return Headline(
+        f"The declared model, fitted, misses {before} of the torque along the measured motion.",
+        f"{names[:1].upper()}{names[1:]}: held out by the torque along the measured motion, of which "
+        f"{before} is missing without and {after} with (left-out blocks, mean over joints; most is "
+        f"left at {problem.joint_names[worst]}, {e.after.error[worst]:.3g} of "
+        f"{e.after.still[worst]:.3g} {e.after.units[worst]}).",
+        enough=Headline.none,
     )
 
 
@@ -166,7 +172,7 @@ def unnamed_notes(problem: TreeProblem, found: TorqueSearch) -> list[str]:
             if c in w.added:
                 by.setdefault((c.effect, why), []).append(place(problem, c))
     return [
-        f"{name.replace('_', ' ')} at {', '.join(where)} is fitted and not named: {why}."
+        f"{words(name)} at {', '.join(where)} is fitted and not named: {why}."
         for (name, why), where in by.items()
     ]
 

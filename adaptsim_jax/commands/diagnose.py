@@ -206,8 +206,8 @@ def trials(args: argparse.Namespace, without: list[str]) -> Judge:
     if (data / "robot.toml").exists():
         from adaptsim_jax.commands.robot_recorded import recorded_trials as read
     recorded = read(data, args.as_declared, without)
-    asked = {"without": without, "as_declared": args.as_declared}
-    return partial(kind, recorded, page=write_diagnosis, named=str(data), asked=asked)
+    asked = {"data": str(data), "without": without, "as_declared": args.as_declared}
+    return partial(kind, recorded, page=write_diagnosis, asked=asked)
 
 
 def mechanism(args: argparse.Namespace, without: list[str]) -> Judge:

@@ -1,6 +1,8 @@
-"""The next experiment, from predictions alone: which stretches part the look-alikes most."""
+"""The next experiment: which stretches separate look-alikes most, or what shows each of them by
+itself.
+"""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -8,6 +10,7 @@ import numpy as np
 from adaptsim_jax.diagnosis.finding import Finding
 from adaptsim_jax.diagnosis.models import Model
 from adaptsim_jax.diagnosis.problem import Problem
+from adaptsim_jax.diagnosis.report import Label
 from adaptsim_jax.diagnosis.simulator import Simulator, linearise
 from adaptsim_jax.diagnosis.starts import settle, taken_up, without
 
@@ -45,6 +48,34 @@ def discriminating(
                 "separates": [n.candidate.name, rival.name],
                 "distance": size,
                 "proposal": key or trial,
+            }
+    return None
+
+
+def separated_by(
+    found: Finding,
+    label: Callable[[Any], Label],
+    called: Callable[[Label], str],
+    shown_by: Callable[[Label], str],
+    text: str,
+) -> dict[str, Any] | None:
+    """Where a named effect has a look-alike: what shows either by itself; None where every name
+    stands alone, or nothing is known to show it.
+
+    Args:
+        found: names and their look-alikes.
+        label: how a candidate is called; called: the same in a sentence.
+        shown_by: what shows an effect, '' where nothing is known to.
+        text: the message, with places for both and for what shows them.
+    """
+    for n in found.named:
+        same = [Label(*s.split("@")) for s in getattr(n.candidate, "same", ())]
+        own, rivals = label(n.candidate), [*map(label, n.alternatives), *same]
+        advice = dict.fromkeys(words for x in (own, *rivals) if (words := shown_by(x)))
+        if rivals and advice:
+            return {
+                "message": text.format(called(own), called(rivals[0]), "; or ".join(advice)),
+                "separates": [own.name, rivals[0].name],
             }
     return None
 

@@ -1,6 +1,5 @@
 """What a search found: records that every search hands on, from which a report is made."""
 
-from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -61,10 +60,10 @@ class Finding:
     stages: tuple[Any, ...] = ()
     unnamed: tuple[tuple[Any, Reason], ...] = ()
 
-    def refused(self) -> dict[Hashable, str]:
-        """Why what was fitted did not stay, by the candidate's key: the last that was found."""
-        out = {}
-        for s in self.trace:
-            if s.test is not None and s.action in ("refused", "dropped", "replaced"):
-                out[s.candidate.key] = f"{s.action}: {s.why} ({s.shown})"
-        return out
+    def refused(self) -> list[tuple[Any, str]]:
+        """What was fitted and did not stay, and why, in the order of the search."""
+        return [
+            (s.candidate, f"{s.action}: {s.why} ({s.shown})")
+            for s in self.trace
+            if s.test is not None and s.action in ("refused", "dropped", "replaced")
+        ]

@@ -1,5 +1,5 @@
-"""What a report says of short trials, whatever the task: words, effects, errors by trial,
-candidates, tracks for its page.
+"""What short trials contribute to a report, whatever the task: sentences, numbers of effects,
+errors by trial, tracks for its page.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -13,13 +13,15 @@ from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Finding, Named
 from adaptsim_jax.diagnosis.models import Model, spread
 from adaptsim_jax.diagnosis.problem import Candidate, Problem
+from adaptsim_jax.diagnosis.report import Errors, Headline, Label, Scored, error_rows, words
+from adaptsim_jax.diagnosis.report import named_words as of_any
 from adaptsim_jax.effects.base import NINETY
 
 LOGS = {"log_e": ("e", "Pa")}
-DRAWS = 400  # of trials, for the interval of an error
 OUTLYING = (
     4.0  # times the median error of all trials: those beyond it, where they are few, are told
 )
+FOLLOWED = 1.5  # times the noise floor, up to which trials count as followed
 
 
 @dataclass(frozen=True)
@@ -98,43 +100,41 @@ def left_by_fit(problem: Problem, model: Model) -> float:
     return float(np.sqrt(model.fit.loss / problem.counts.sum()))
 
 
-def words(name: str) -> str:
-    """An effect's name, with its place or without, as people write it."""
-    return name.partition("@")[0].replace("_", " ")
+def label(c: Candidate) -> Label:
+    """How a report calls a candidate."""
+    return Label(c.name, c.where)
 
 
-def named_words(named: Sequence[Named], what: str) -> str:
-    """What is named and how it was tested, one sentence; what: the trials in words."""
-    lines = [
-        f"{words(n.candidate.name)} holds out in {n.test.better} of {n.test.folds} {what} (takes "
-        f"{100 * n.test.gain:.0f} % off the squared error beside all others, p {n.test.p:.2g})"
-        for n in named
-    ]
-    text = "; ".join(lines)
-    return f"{text[:1].upper()}{text[1:]}."
+def named_words(named: Sequence[Named], folds: str) -> str:
+    """What is named and how it was tested, one sentence; folds: the trials in words."""
+    return of_any(named, lambda c: words(c.name), folds)
 
 
-def message(recorded: Recorded, found: Finding, over: float, worst: float) -> str:
-    """What was found, in a few sentences."""
+def headline(recorded: Recorded, found: Finding, over: float, worst: float) -> Headline:
+    """What declared trials leave, and what those leave that have what is named; over: left-out
+    error over the noise floor, worst: of these or of all trials together.
+    """
 
     def size(m):
         return f"{1e3 * recorded.noise * over_floor(m):.3g}"
 
-    if not found.named:
-        left = f"{size(found.null)} mm, {over:.1f} times the noise floor"
-        text = f"The declared {recorded.trial}, fitted, predicts left-out tracks to {left}."
-        if worst <= 1.5:
-            return f"{text} Nothing need be added."
-        return f"{text} No effect of the catalogue holds out.{_standing_out(recorded, found.null)}"
-    left = f"Left-out error {size(found.null)} to {size(found.final)} mm, {over:.1f} times the noise floor."
-    if worst > 1.5 >= over:
-        left += (
+    declared = (
+        f"The declared {recorded.trial}, fitted, predicts left-out tracks to {size(found.null)} mm, "
+        f"{over:.1f} times the noise floor."
+    )
+    mended = (
+        f"{named_words(found.named, recorded.trials)} Left-out error {size(found.null)} to "
+        f"{size(found.final)} mm, {over:.1f} times the noise floor."
+    )
+    if worst > FOLLOWED >= over:
+        mended += (
             f" Some {recorded.trials} are not followed: all together the fit leaves {worst:.1f} times "
             "the noise floor."
         )
-    return (
-        f"{named_words(found.named, recorded.trials)} {left}{_standing_out(recorded, found.final)}"
-    )
+    more = ""
+    if found.named or worst > FOLLOWED:
+        more = _standing_out(recorded, found.final if found.named else found.null)
+    return Headline(declared, mended, more)
 
 
 def _standing_out(recorded: Recorded, model: Model) -> str:
@@ -160,58 +160,21 @@ def interval(problem: Problem, model: Model, name: str) -> tuple[float, float, f
     return value, value - width, value + width
 
 
-def effect_row(problem: Problem, found: Finding, n: Named, **more: Any) -> dict[str, Any]:
-    """A row of `effects`; more: keys beside."""
-    e, numbers = n.candidate, {}
-    for name in e.quantities:
-        value, low, high = interval(problem, found.final, name)
-        numbers[name] = {
-            "value": value,
-            "low": low,
-            "high": high,
-            "unit": problem.quantities[problem.index[name]].unit,
-        }
-    return {
-        "name": e.name,
-        "where": e.where,
-        "parameters": numbers,
-        "physics": e.physics,
-        "shown_by": e.seen,
-        "alternatives": alternatives(n),
-        **tested(n),
-        **more,
-    }
-
-
-def alternatives(n: Named) -> list[str]:
-    """What does as well in the place of an effect, found or declared so."""
-    return [*[f"{a.name}@{a.where}" for a in n.alternatives], *n.candidate.same]
-
-
-def tested(n: Named) -> dict[str, Any]:
-    """What a row of `effects` says of how an effect was tested."""
-    return {
-        "held_out_gain": n.test.gain,
-        "p_value": n.test.p,
-        "better": n.test.better,
-        "folds": n.test.folds,
-        "size_over_scatter": min(n.steady, 1e3),
-    }
-
-
-def candidate_row(
-    name: str, where: str, gain: float, p: float, status: str, why: str
-) -> dict[str, Any]:
-    """A row of `candidates`."""
-    return {
-        "name": name,
-        "where": where,
-        "held_out_gain": float(np.clip(gain, -1.0, 1.0)),
-        "p_value": float(min(1.0, p)),
-        "accepted": status == "accepted",
-        "status": status,
-        "why": why,
-    }
+def effect_rows(problem: Problem, found: Finding) -> list[dict[str, Any]]:
+    """What the rows of `effects` say of each name besides its test: numbers, physics, what shows
+    it.
+    """
+    rows = []
+    for n in found.named:
+        e, numbers = n.candidate, {}
+        for name in e.quantities:
+            value, low, high = interval(problem, found.final, name)
+            unit = problem.quantities[problem.index[name]].unit
+            numbers[name] = {"value": value, "low": low, "high": high, "unit": unit}
+        rows.append(
+            {"parameters": numbers, "physics": e.physics, "shown_by": e.seen, "same": e.same}
+        )
+    return rows
 
 
 def same_rows(found: Finding, trial: str) -> list[str]:
@@ -223,60 +186,16 @@ def same_rows(found: Finding, trial: str) -> list[str]:
     ]
 
 
-def error_rows(
-    metric: str,
-    floor: float,
-    source: str,
-    names: Sequence[str],
-    size: Mapping[str, np.ndarray],
-    channels: Mapping[str, tuple[str, float, Mapping[str, np.ndarray]]],
-) -> dict[str, Any]:
-    """The table `error`, in m. size: `before`, `after` `[T]` of each left-out trial; channels:
-    unit, floor and the same of each.
-    """
-    count = len(names)
-    draws = np.random.default_rng(0).integers(0, count, (DRAWS, count))
-
-    def whole(e, at=slice(None)):
-        return float(np.median(e[at]))
-
-    return {
-        "metric": metric,
-        "unit": "m",
-        **{k: whole(v) for k, v in size.items()},
-        "noise_floor": floor,
-        "ceiling": None,
-        "per_channel": {
-            c: {"unit": unit, **{k: whole(v) for k, v in each.items()}, "noise_floor": minimum}
-            for c, (unit, minimum, each) in channels.items()
-        },
-        "per_trial": [
-            {
-                "trial": name,
-                **{k: float(v[i]) for k, v in size.items()},
-                "per_channel": {
-                    c: {k: float(v[i]) for k, v in each.items()}
-                    for c, (_, _, each) in channels.items()
-                },
-            }
-            for i, name in enumerate(names)
-        ],
-        "noise_floor_source": source,
-        "intervals": {
-            k: [float(z) for z in np.quantile([whole(v, d) for d in draws], [0.025, 0.975])]
-            for k, v in size.items()
-        },
-    }
-
-
 def error_table(
     recorded: Recorded, found: Finding, tracks: Mapping[str, np.ndarray]
 ) -> dict[str, Any]:
     """Left-out errors before and after, by channel and by trial; tracks: `before` and `after` `[T,
     R, C]` m, of left-out trials.
     """
-    held = {"before": found.null.fit.held, "after": found.final.fit.held}
-    size = {k: recorded.noise * np.sqrt(v) for k, v in held.items()}
+    size = {
+        k: recorded.noise * np.sqrt(m.fit.held)
+        for k, m in (("before", found.null), ("after", found.final))
+    }
 
     def one(k, c):
         return np.sqrt(
@@ -286,35 +205,26 @@ def error_table(
 
     units = {n: ("m", recorded.noise) for n in recorded.channels} | dict(recorded.others)
     channels = {
-        n: (*units[n], {k: one(k, c) for k in held}) for c, n in enumerate(recorded.channels)
+        n: Errors(*units[n], {k: one(k, c) for k in size}) for c, n in enumerate(recorded.channels)
     }
     metric = f"median over left-out {recorded.trials} of the RMS error of a coordinate of the track"
     if recorded.others:
         metric += f", {', '.join(recorded.others)} by its noise for a length's"
-    return error_rows(metric, recorded.noise, recorded.noise_source, recorded.names, size, channels)
+    whole = Errors("m", recorded.noise, size)
+    return error_rows(metric, recorded.noise_source, recorded.names, whole, channels)
 
 
-def candidate_rows(found: Finding, alpha: float = Criteria.alpha) -> list[dict[str, Any]]:
-    """Every candidate, what the first score test said of it, and what became of it. alpha: the
-    test's level.
-    """
-    names = {n.candidate.key for n in found.named}
-    alike = {a.key for n in found.named for a in n.alternatives}
-    if names:
+def scored(found: Finding, alpha: float = Criteria.alpha) -> list[Scored]:
+    """Every candidate, and what the first score test said of it. alpha: the test's level."""
+    if found.named:
         chosen = "predicts left-out trials less well than what was chosen"
     else:
         chosen = "not among the best few that were fitted"
-    rows, refused = [], found.refused()
+    rows = []
     for s in found.scores:
-        key, p = s.candidate.key, min(1.0, s.p * len(found.scores))
-        status, why = "rejected", refused.get(key, chosen)
-        if key in names:
-            status, why = "accepted", "named"
-        elif key in alike:
-            status, why = "look-alike", "does as well"
-        elif key not in refused and p >= alpha:
-            why = f"does not pass the score test (p {p:.2g}), and was not fitted"
-        rows.append(candidate_row(s.candidate.name, s.candidate.where, s.gain, p, status, why))
+        p = min(1.0, s.p * len(found.scores))
+        failed = f"does not pass the score test (p {p:.2g}), and was not fitted"
+        rows.append(Scored(s.candidate, s.gain, p, failed if p >= alpha else chosen))
     return rows
 
 

@@ -18,13 +18,20 @@ from adaptsim_jax.diagnosis.finding import Finding
 from adaptsim_jax.diagnosis.models import Model
 from adaptsim_jax.diagnosis.power import power_rows
 from adaptsim_jax.diagnosis.problem import Problem
-from adaptsim_jax.diagnosis.run import Page, Run, plain
-from adaptsim_jax.diagnosis.schema import check, new_report, verdict_of, with_effects
+from adaptsim_jax.diagnosis.report import (
+    Account,
+    Errors,
+    Headline,
+    error_rows,
+    report_of,
+    withhold_names,
+)
+from adaptsim_jax.diagnosis.run import Page, Run
 from adaptsim_jax.diagnosis.simulator import Simulator, Stretches, check_simulator
 from adaptsim_jax.diagnosis.starts import problem_of
 from adaptsim_jax.diagnosis.testing import smallest_p
 from adaptsim_jax.diagnosis.trials import search_trials
-from adaptsim_jax.diagnosis.written import MODEL, cleared, keeping, write_all
+from adaptsim_jax.diagnosis.written import MODEL, Output, cleared, finished, keeping
 from adaptsim_jax.mend.model_toml import Form, Value, added_effects
 
 METRIC = "median over left-out stretches of the RMS error of a signal over its noise, starts fitted"
@@ -69,18 +76,12 @@ def diagnose_simulator(
     problem = problem_of(simulator, retained)
     found = search_trials(problem, criteria, step, keep=keeping(folder, "simulator", name, problem))
     report, evidence = reported(simulator, problem, found, criteria, proposals or {}, name)
-    withhold_names(report, criteria)
-    report["run"] = evidence["run"] = Run(command or f"diagnose_simulator({name})", began).as_dict()
-    report = check(report)
-    if folder is not None:
-        model, values = mended_model(problem, found, name).text, by_name(problem, found.final)
-        mended = {
-            file: partial(make, values) for file, make in getattr(simulator, "mended", {}).items()
-        }
-        files = {MODEL: model, **mended}
-        verify = getattr(simulator, "verify", None)
-        write_all(folder, report, evidence, page or plain, files, verify)
-    return report
+    run = Run(command or f"diagnose_simulator({name})", began)
+    values = by_name(problem, found.final)
+    own = {file: partial(make, values) for file, make in getattr(simulator, "mended", {}).items()}
+    files = {MODEL: mended_model(problem, found, name).text, **own}
+    output = Output(folder, page, files, getattr(simulator, "verify", None))
+    return finished(report, evidence, run, output)
 
 
 def reported(
@@ -93,31 +94,34 @@ def reported(
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """The report, and the arrays behind its page."""
     s = simulator.stretches
-    over = rows.over_floor(found.final)
-    worst = max(over, rows.left_by_fit(problem, found.final))
+    worst = max(rows.over_floor(found.final), rows.left_by_fit(problem, found.final))
     both = {"before": found.null, "after": found.final}
     tracks = {k: predictions(simulator, problem, m) for k, m in both.items()}
     notes = getattr(simulator, "notes", lambda values: [])
-    effects = [rows.effect_row(problem, found, n) for n in found.named]
-    report = new_report(
+    account = Account(
         "simulator",
         name,
-        verdict_of(effects, worst > criteria.explained),
-        message(found, worst, criteria),
         {
             "trials": len(s.names),
             "samples": int((s.seen > 0).any(2).sum()),
             "held_out_trials": len(np.unique(np.asarray(problem.fold))),
         },
-        effects=effects,
-        error=_error(simulator, both, tracks),
-        candidates=rows.candidate_rows(found, criteria.alpha),
-        declared={k: rows.declared_rows(problem, m, {}) for k, m in both.items()},
-        not_established=rows.same_rows(found, "stretch"),
-        power=power_rows(problem, found, criteria),
-        notes=[*few(problem), *notes(by_name(problem, found.final))],
-        next_experiment=discriminating(simulator, problem, found, proposals),
+        rows.label,
+        rows.effect_rows(problem, found),
+        rows.scored(found, criteria.alpha),
+        headline(found),
+        worst > criteria.explained,
+        _error(simulator, both, tracks),
+        lambda model: rows.declared_rows(problem, model, {}),
+        {
+            "not_established": rows.same_rows(found, "stretch"),
+            "power": power_rows(problem, found, criteria),
+            "notes": [*few(problem), *notes(by_name(problem, found.final))],
+            "next_experiment": discriminating(simulator, problem, found, proposals),
+        },
     )
+    report = report_of(found, account)
+    check_skill(report, criteria)
     return report, {"audit": [], "held_out": _held_out(simulator, tracks, bool(found.named))}
 
 
@@ -126,21 +130,18 @@ def by_name(problem: Problem, model: Model) -> dict[str, float]:
     return {q.name: float(model.fit.values[i]) for i, q in enumerate(problem.quantities)}
 
 
-def withhold_names(report: dict[str, Any], criteria: Criteria) -> None:
-    """Where no model does better than a straight line or holding still, that is said first, and
-    nothing is named.
-    """
-    skills = [z for z in report["error"]["skill"].values() if z is not None]
+def check_skill(report: dict[str, Any], criteria: Criteria) -> None:
+    """Withhold names where no model does better than a straight line or holding still, in place."""
+    e = report["error"]
+    skills = [z for z in e["skill"].values() if z is not None]
     if not skills or max(skills) >= 0.0:
         return
-    e = report["error"]
     lowest = min(e["straight_line"], e["hold_still"])
-    text = f"The model predicts nothing: it leaves {e['after']:.3g} times the noise, doing nothing leaves {lowest:.3g}."
-    named = ", ".join(row["name"] for row in report["effects"])
-    report["message"] = f"{text}{f' Not named for that: {named}.' if named else ''}"
-    with_effects(report, [], e["after"] > criteria.explained)
-    for row in report["candidates"]:
-        row |= {"accepted": False, "status": "rejected"} if row["accepted"] else {}
+    why = (
+        f"The model predicts nothing: it leaves {e['after']:.3g} times the noise, doing nothing "
+        f"leaves {lowest:.3g}; no effect is named."
+    )
+    withhold_names(report, why, e["after"] > criteria.explained)
 
 
 def few(problem: Problem) -> list[str]:
@@ -155,18 +156,18 @@ def few(problem: Problem) -> list[str]:
     ]
 
 
-def message(found: Finding, worst: float, criteria: Criteria) -> str:
-    """What was found, in a few sentences."""
+def headline(found: Finding) -> Headline:
+    """Sentences of the message."""
 
     def size(m):
         return f"{rows.over_floor(m):.3g}"
 
-    if not found.named:
-        text = f"The declared model, fitted, predicts left-out stretches to {size(found.null)} times the noise."
-        return f"{text} {'Nothing need be added.' if worst <= criteria.explained else 'No candidate holds out.'}"
-    return (
+    return Headline(
+        f"The declared model, fitted, predicts left-out stretches to {size(found.null)} times the "
+        "noise.",
         f"{rows.named_words(found.named, 'folds')} Left-out error {size(found.null)} to "
-        f"{size(found.final)} times the noise."
+        f"{size(found.final)} times the noise.",
+        none="No candidate holds out.",
     )
 
 
@@ -213,19 +214,18 @@ def _error(
         for k, m in both.items()
     }
     channels = {
-        c.name: (c.unit, c.noise, {k: rms(k, i) for k in both})
+        c.name: Errors(c.unit, c.noise, {k: rms(k, i) for k in both})
         for i, c in enumerate(simulator.channels)
     }
-    table = rows.error_rows(
-        METRIC, 1.0, "declared noise", [s.names[k] for k in some], size, channels
-    )
+    names = [s.names[k] for k in some]
+    table = error_rows(METRIC, "declared noise", names, Errors("1", 1.0, size), channels)
     table |= {k: rows.over_floor(m) for k, m in both.items()}
     noise = np.array([c.noise for c in simulator.channels])
     line, still = (
         float(np.median(np.sqrt(np.square(z / noise).mean(1)))) for z in doing_nothing(s)
     )
     zero = {"straight_line": line, "hold_still": still}
-    return table | zero | {"unit": "1", "skill": {k: skill(table[k], line, still) for k in both}}
+    return table | zero | {"skill": {k: skill(table[k], line, still) for k in both}}
 
 
 def _held_out(

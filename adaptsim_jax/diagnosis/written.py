@@ -2,21 +2,21 @@
 can be written.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import write_bytes, write_json
 from adaptsim_jax.diagnosis.finding import Finding
 from adaptsim_jax.diagnosis.problem import Problem
-from adaptsim_jax.diagnosis.rows import LOGS, candidate_rows, declared_rows, over_floor, words
+from adaptsim_jax.diagnosis.report import Account, Headline, report_of, words
+from adaptsim_jax.diagnosis.rows import LOGS, declared_rows, label, over_floor, scored
 from adaptsim_jax.diagnosis.run import Page, Run, plain
-from adaptsim_jax.diagnosis.schema import check, new_report
-from adaptsim_jax.mend.model_toml import Form
+from adaptsim_jax.diagnosis.schema import check
 
 MODEL, NEXT = "model.toml", "next_experiment.csv"
 OF_OTHERS = (
@@ -101,6 +101,53 @@ def _line(error: Exception) -> str:
     return f"{type(error).__name__}: {text}"
 
 
+@dataclass(frozen=True)
+class Output:
+    """Where a diagnosis is written, and with what.
+
+    Args:
+        folder: None: nothing is written.
+        page: writes the report and its page; a plain `report.json` where None.
+        files: what makes the text of each further file, by name.
+        verify: runs the files that were written (`write_all`).
+    """
+
+    folder: Path | None
+    page: Page | None = None
+    files: Mapping[str, Callable[[], str]] = field(default_factory=dict)
+    verify: Callable[[Path], dict[str, Any]] | None = None
+
+
+def finished(
+    report: dict[str, Any], evidence: dict[str, Any], run: Run, output: Output
+) -> dict[str, Any]:
+    """The checked report with how it was run; where there is a folder, all of it is written."""
+    report["run"] = evidence["run"] = run.as_dict()
+    report = check(report)
+    if output.folder is not None:
+        page = output.page or plain
+        write_all(output.folder, report, evidence, page, output.files, output.verify)
+    return check(report)
+
+
+def planned(
+    report: dict[str, Any], plan: Mapping[str, Any] | None, columns: Sequence[str]
+) -> dict[str, Callable[[], str]]:
+    """Put a plan of trials into a report as its next experiment, in place; the file that holds its
+    rows, if it has any, with `columns`.
+    """
+    if plan is None:
+        return {}
+    report["next_experiment"] = {k: plan[k] for k in ("message", "separates")}
+    if not plan["rows"]:
+        return {}
+    report["next_experiment"]["csv"] = NEXT
+    table = [",".join(("trial", *columns))]
+    for i, row in enumerate(plan["rows"], 1):
+        table.append(",".join([str(i), *(f"{x:.6f}" for x in row)]))
+    return {NEXT: partial(str, "\n".join([*table, ""]))}
+
+
 def keeping(
     folder: Path | None,
     task: str,
@@ -111,77 +158,39 @@ def keeping(
     """What leaves a readable report on disk as a search goes; nothing without a folder. logs: as of
     `declared_rows`.
     """
+    if folder is None:
+        return lambda found: None
     count = len(dict.fromkeys(problem.trials))
     data = {"trials": count, "samples": int(problem.counts.sum()), "held_out_trials": count}
 
     def keep(found: Finding) -> None:
+        write_partial(folder, report_of(found, _so_far(found)))
+
+    def _so_far(found: Finding) -> Account:
         final = found.final
         values = [
             f"{words(e.name)} "
             f"({', '.join(f'{q} {final.fit.values[problem.index[q]]:.3g}' for q in e.quantities)})"
             for e in final.added
         ]
-        held = f"Left-out error {over_floor(found.null):.3g} times the noise as declared"
+        said = f"Left-out error {over_floor(found.null):.3g} times the noise as declared"
         if values:
-            progress = f", {over_floor(final):.3g} with {', '.join(values)}, not yet judged"
-        else:
-            progress = ""
-        assert folder is not None
-        write_partial(
-            folder,
-            new_report(
-                task,
-                model,
-                "structured_unattributed",
-                f"{held}{progress}.",
-                data,
-                error={
-                    "metric": "left-out error over the noise",
-                    "before": over_floor(found.null),
-                    "after": over_floor(final),
-                },
-                candidates=candidate_rows(found),
-                declared={
-                    k: declared_rows(problem, m, logs)
-                    for k, m in (("before", found.null), ("after", final))
-                },
-            ),
+            said += f", {over_floor(final):.3g} with {', '.join(values)}, not yet judged"
+        return Account(
+            task,
+            model,
+            data,
+            label,
+            [],
+            scored(found),
+            Headline(f"{said}.", "", none=""),
+            True,
+            {
+                "metric": "left-out error over the noise",
+                "before": over_floor(found.null),
+                "after": over_floor(final),
+            },
+            lambda m: declared_rows(problem, m, logs),
         )
 
-    if folder is None:
-        return lambda found: None
     return keep
-
-
-def finished(
-    report: dict[str, Any],
-    evidence: dict[str, Any],
-    run: Run,
-    plan: Mapping[str, Any] | None,
-    folder: Path | None,
-    model: Form,
-    columns: tuple[str, ...],
-    page: Page | None,
-    more: Mapping[str, Callable[[], str]] = MappingProxyType({}),
-) -> dict[str, Any]:
-    """The checked report; where there is a folder, it, its page, `model.toml` and
-    `next_experiment.csv` with `columns` are written, and the files `more` (name -> what makes its
-    text).
-    """
-    if plan is not None:
-        report["next_experiment"] = {k: plan[k] for k in ("message", "separates")} | (
-            {"csv": NEXT} if plan["rows"] else {}
-        )
-    report["run"] = evidence["run"] = run.as_dict()
-    report = check(report)
-    if folder is not None:
-        files = {MODEL: model.text, **more}
-        if plan is not None and plan["rows"]:
-            table = [
-                ",".join([str(i), *(f"{x:.6f}" for x in row)])
-                for i, row in enumerate(plan["rows"], 1)
-            ]
-            text = "\n".join([",".join(("trial", *columns)), *table, ""])
-            files[NEXT] = partial(str, text)
-        write_all(cleared(folder), report, evidence, page or plain, files)
-    return report

@@ -15,9 +15,9 @@ from adaptsim_jax.diagnosis import rows
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Finding
 from adaptsim_jax.diagnosis.problem import Candidate, Problem
+from adaptsim_jax.diagnosis.report import Account, remarks, report_of
 from adaptsim_jax.diagnosis.run import Page, Run, command_of
-from adaptsim_jax.diagnosis.schema import new_report, verdict_of
-from adaptsim_jax.diagnosis.written import cleared, finished
+from adaptsim_jax.diagnosis.written import MODEL, Output, cleared, finished, planned
 from adaptsim_jax.mend.model_toml import Form
 
 
@@ -46,13 +46,13 @@ class Diagnose:
         exclude: tuple[str, ...] = (),
         progress: Callable[[float, float, str], None] | None = None,
         page: Page | None = None,
-        named: str = "DATA",
         asked: Mapping[str, Any] | None = None,
     ) -> dict[str, Any]:
-        """The report on a folder of trials (or on a recording of them); with `out` it is written
-        there, with `model.toml`, and with `next_experiment.csv` where names cannot be told apart.
-        exclude: effects that are not considered; named, asked: what a recording came of, and what
-        of `command_of` it was read with. Raises BadInput.
+        """The report on a folder of trials, or on a recording of them.
+
+        With `out` it is written there, with `model.toml`, and with `next_experiment.csv` where
+        names cannot be separated. exclude: effects that are not considered; asked: of a recording,
+        what of `command_of` it was read with. Raises BadInput.
         """
         began, given = time.monotonic(), isinstance(data, self.recording)
         recorded = data if given else self.read(data)
@@ -61,66 +61,69 @@ class Diagnose:
         report, evidence, plan, model, more = self.assess(
             recorded, effects, criteria or self.criteria, progress, folder
         )
-        run = Run(
-            command_of(named if given else data, out=out, exclude=exclude, **(asked or {})), began
-        )
-        return finished(report, evidence, run, plan, folder, model, self.columns, page, more)
+        read = {"data": "DATA"} if given else {"data": data}
+        command = command_of(out=out, exclude=exclude, **(read | dict(asked or {})))
+        files = {MODEL: model.text, **more, **planned(report, plan, self.columns)}
+        return finished(report, evidence, Run(command, began), Output(folder, page, files))
+
+
+@dataclass(frozen=True)
+class TracksFound:
+    """A search over tracks that a camera saw, and what it was given.
+
+    Args:
+        task, model: their names in the report.
+        recorded: the tracks.
+        problem, found: what was searched, and what was found.
+        tracks: `before` and `after` `[T, R, C]` m of left-out trials.
+        notes: of the recording.
+    """
+
+    task: str
+    model: str
+    recorded: rows.Recorded
+    problem: Problem
+    found: Finding
+    tracks: Mapping[str, np.ndarray]
+    notes: list[str]
+
+    @property
+    def worst(self) -> float:
+        """What the final model leaves over the noise floor, of left-out trials or of all, whichever
+        is more.
+        """
+        over = rows.over_floor(self.found.final)
+        return max(over, rows.left_by_fit(self.problem, self.found.final))
 
 
 def reported(
-    task: str,
-    model: str,
-    observed: rows.Recorded,
-    problem: Problem,
-    found: Finding,
-    tracks: Mapping[str, np.ndarray],
-    criteria: Criteria,
-    notes: list[str],
-    axes: tuple[int, int] = (0, 1),
-    **more: Any,
+    made: TracksFound, criteria: Criteria, axes: tuple[int, int] = (0, 1), **more: Any
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The report on tracks, with the keys `more`, and the arrays behind its page. tracks: `before`
-    and `after` `[T, R, C]` m of left-out trials, shown in a plane of two axes.
+    """The report on tracks, with the keys `more`, and the arrays behind its page, which shows a
+    plane of two axes.
     """
-    over, worst, mended = (
-        rows.over_floor(found.final),
-        worst_left(problem, found),
-        bool(found.named),
-    )
-    both = {"before": found.null, "after": found.final}
-    effects = [rows.effect_row(problem, found, n) for n in found.named]
-    report = new_report(
-        task,
-        model,
-        verdict_of(effects, worst > criteria.explained),
-        rows.message(observed, found, over, worst),
+    recorded, found, mended = made.recorded, made.found, bool(made.found.named)
+    over, worst = rows.over_floor(found.final), made.worst
+    count = len(recorded.names)
+    account = Account(
+        made.task,
+        made.model,
+        {"trials": count, "samples": int(recorded.mask.sum()), "held_out_trials": count},
+        rows.label,
+        rows.effect_rows(made.problem, found),
+        rows.scored(found),
+        rows.headline(recorded, found, over, worst),
+        worst > criteria.explained,
+        rows.error_table(recorded, found, made.tracks),
+        lambda model: rows.declared_rows(made.problem, model),
         {
-            "trials": len(observed.names),
-            "samples": int(observed.mask.sum()),
-            "held_out_trials": len(observed.names),
+            "not_established": rows.same_rows(found, recorded.trial),
+            "notes": made.notes,
+            **more,
         },
-        effects=effects,
-        error=rows.error_table(observed, found, tracks),
-        candidates=rows.candidate_rows(found),
-        declared={k: rows.declared_rows(problem, m) for k, m in both.items()},
-        not_established=rows.same_rows(found, observed.trial),
-        notes=notes,
-        **more,
     )
-    return report, {
-        "audit": noted(notes),
-        "held_out": rows.held_out(observed, tracks, mended),
-        "tracks": rows.plane_tracks(observed, tracks, mended, axes),
+    return report_of(found, account), {
+        "audit": remarks(made.notes),
+        "held_out": rows.held_out(recorded, made.tracks, mended),
+        "tracks": rows.plane_tracks(recorded, made.tracks, mended, axes),
     }
-
-
-def worst_left(problem: Problem, found: Finding) -> float:
-    """What the final model leaves over the noise floor, of left-out trials or of all, whichever is
-    more.
-    """
-    return max(rows.over_floor(found.final), rows.left_by_fit(problem, found.final))
-
-
-def noted(notes: list[str]) -> list[dict[str, str]]:
-    """Notes as rows of a page's audit."""
-    return [{"severity": "info", "where": "", "message": note} for note in notes]

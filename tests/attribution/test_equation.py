@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.attribution import servo
-from adaptsim_jax.attribution.diagnose import declared_vector, examined, scaled
+from adaptsim_jax.attribution.diagnose import Setting, declared_vector, examined, scaled
 from adaptsim_jax.attribution.equation import commands
 from adaptsim_jax.attribution.equation.balance import balances, in_proportion, residual
 from adaptsim_jax.attribution.equation.columns import EffectTable
 from adaptsim_jax.attribution.equation.commands import Servo
 from adaptsim_jax.attribution.equation.models import search_balances
 from adaptsim_jax.attribution.equation.windows import runs_of
+from adaptsim_jax.attribution.examine import reported
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.parameters import Entry, Vector
 from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
@@ -141,7 +142,8 @@ def test_a_dead_model_is_refused_by_yardstick_verdict_and_search(tmp_path):
     machine, problem, told = prepared(folder)
     assert of_torque(problem, told, NOTHING).skill <= -0.9
     others = [e.name for e in MACHINE if e.name not in ("viscous", "coulomb", "torque_gain")]
-    report, _, whole = examined(machine, Criteria(), 0.5, others)
+    whole = examined(machine, Setting(exclude=tuple(others)))
+    report, _ = reported(whole)
     assert predicts_nothing(whole.after) and headline(whole.before, False)[0] == "stretches"
     assert report["effects"] == [] and report["message"].startswith("This model predicts nothing")
 
@@ -181,7 +183,8 @@ def test_command_errors_judge_a_servo_whose_gains_are_the_files(friction, tmp_pa
     folder = servo_log(tmp_path / "servo", 30.0, 2.0, friction)
     (folder / "model.xml").write_text(SERVO.format(kp=30.0, kv=2.0, friction=0.0, limit=""))
     machine, kept = load(folder, None), []
-    report, _, whole = examined(machine, Criteria(), 0.5, keep=kept.append)
+    whole = examined(machine, keep=kept.append)
+    report, _ = reported(whole)
     assert whole.judge == "torque" and report["error"]["unit"] == "rad"
     assert (
         "coulomb" in {e["name"] for e in kept[0]["effects"]} or not friction
@@ -200,7 +203,8 @@ def test_a_late_command_does_not_hide_what_command_errors_tell(tmp_path):
     own = {"kp": 300.0, "kv": 8.0, "friction": 0.0, "limit": 'forcerange="-4 4"'}
     folder = servo_log(tmp_path / "servo", **own, late=2)
     (folder / "model.xml").write_text(SERVO.format(**own))
-    report, _, whole = examined(load(folder, None), Criteria(), 0.5)
+    whole = examined(load(folder, None))
+    report, _ = reported(whole)
     assert whole.before["torque"].skill < USEFUL_SKILL and whole.judge == "torque"
     assert [e["name"] for e in report["effects"]] == ["delay"]
     assert report["effects"][0]["parameters"]["delay"]["value"] == pytest.approx(0.04, abs=0.001)
@@ -285,7 +289,7 @@ def test_what_the_torque_shows_of_a_real_servo_is_held_against_its_motion(tmp_pa
         (tmp_path / file.name).symlink_to(file)
     skill = {}
     for criteria in (Criteria(torque=TorqueCriteria(simulated=0)), Criteria()):
-        _, _, whole = examined(scaled(load(tmp_path, None), 0.5), criteria, 0.5)
+        whole = examined(scaled(load(tmp_path, None), 0.5), Setting(criteria))
         skill[whole.judge] = {k: m.skill for k, m in whole.after.items()}
     assert skill["torque"]["stretches"] < -0.9 and skill["stretches"]["stretches"] > 0.0
     assert sum(skill["stretches"].values()) > sum(skill["torque"].values())

@@ -104,8 +104,8 @@ def test_friction_that_is_simulated_soft_is_not_said_to_leave_a_rest():
     def group(rub):
         return SimpleNamespace(model=SimpleNamespace(tree=SimpleNamespace(rub=np.array([rub]))))
 
-    assert soft_friction(SimpleNamespace(groups=[group(0.0)]), named, "partly_explained", 2.0)
-    assert not soft_friction(SimpleNamespace(groups=[group(0.01)]), named, "partly_explained", 2.0)
+    assert soft_friction(SimpleNamespace(groups=[group(0.0)]), named, True, 2.0)
+    assert not soft_friction(SimpleNamespace(groups=[group(0.01)]), named, True, 2.0)
 
 
 def test_where_nothing_was_fitted_no_fitted_value_is_recommended():

@@ -9,19 +9,21 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.experiment import separated_by
 from adaptsim_jax.diagnosis.fit import fitted, settled
 from adaptsim_jax.diagnosis.problem import Candidate, Problem, Quantity
 from adaptsim_jax.diagnosis.rows import (
     Recorded,
     _standing_out,
     error_table,
-    message,
+    headline,
+    label,
     over_floor,
 )
 from adaptsim_jax.diagnosis.run import Run
 from adaptsim_jax.diagnosis.schema import new_report
 from adaptsim_jax.diagnosis.trials import search_trials
-from adaptsim_jax.diagnosis.written import finished
+from adaptsim_jax.diagnosis.written import MODEL, Output, cleared, finished, planned
 from adaptsim_jax.mend.model_toml import Form
 
 TRIALS, ROWS = 14, 60
@@ -170,17 +172,10 @@ def test_a_folder_gets_the_report_also_without_a_page_and_nothing_stays_of_an_ea
     counts = {"trials": 3, "samples": 3, "held_out_trials": 3}
     report = new_report("pushing", "the push", "within_noise", "Nothing.", counts)
     plan = {"message": "push fast", "separates": ["b", "d"], "rows": [[0.5, 0.1]]}
-    model, columns = Form("pushing", "the push"), ("speed", "angle")
-    told = finished(
-        report,
-        {},
-        Run("adaptsim diagnose logs", time.monotonic()),
-        plan,
-        tmp_path,
-        model,
-        columns,
-        None,
-    )
+    model = Form("pushing", "the push")
+    files = {MODEL: model.text, **planned(report, plan, ("speed", "angle"))}
+    run = Run("adaptsim diagnose logs", time.monotonic())
+    told = finished(report, {}, run, Output(cleared(tmp_path), files=files))
     assert json.loads((tmp_path / "report.json").read_text())["run"] == told["run"]
     assert (
         tmp_path / "next_experiment.csv"
@@ -224,4 +219,25 @@ def test_the_message_and_the_table_tell_one_error():
     assert error_table(seen, found, {"before": rows, "after": rows})["before"] == pytest.approx(
         3e-3
     )
-    assert "to 3 mm, 6.0 times the noise floor" in message(seen, found, over_floor(model), 7.0)
+    assert (
+        "to 3 mm, 6.0 times the noise floor"
+        in headline(seen, found, over_floor(model), 7.0).declared
+    )
+
+
+def test_the_next_experiment_shows_one_of_a_class_by_itself():
+    """What shows the name, and what shows its look-alike, each once; none for a name that stands
+    alone.
+    """
+    found = search_trials(problem((0.7, 0.5, 0.0, 0.0)), Criteria())
+    shown = {"b": "fast motion", "d": "slow motion"}.get
+
+    def plan(finding):
+        text = "{} or {}: record {}."
+        return separated_by(finding, label, lambda z: z.words, lambda z: shown(z.name, ""), text)
+
+    assert plan(found) == {
+        "message": "b at force or d at force: record fast motion; or slow motion.",
+        "separates": ["b", "d"],
+    }
+    assert plan(search_trials(problem((0.7, 0.0, 0.8, 0.0)), Criteria())) is None

@@ -9,10 +9,20 @@ import numpy as np
 
 from adaptsim_jax.diagnosis import rows as parts
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.experiment import separated_by
 from adaptsim_jax.diagnosis.finding import Finding
 from adaptsim_jax.diagnosis.models import Model
 from adaptsim_jax.diagnosis.problem import Candidate, Problem
-from adaptsim_jax.diagnosis.schema import new_report, verdict_of
+from adaptsim_jax.diagnosis.report import (
+    Account,
+    Errors,
+    Headline,
+    error_rows,
+    remarks,
+    report_of,
+    words,
+)
+from adaptsim_jax.diagnosis.rows import FOLLOWED
 from adaptsim_jax.diagnosis.trials import search_trials
 from adaptsim_jax.diagnosis.written import keeping
 from adaptsim_jax.mend.model_toml import Form, Value, added_effects
@@ -22,14 +32,13 @@ from adaptsim_jax.tasks.toss.flight import Flight, free_flight, whole_tosses
 from adaptsim_jax.tasks.toss.flight import words as flight_words
 from adaptsim_jax.tasks.toss.problem import Follow, prepare
 from adaptsim_jax.tasks.toss.read import Tossed, read
-from adaptsim_jax.tasks.trial_diagnosis import Diagnose, noted
+from adaptsim_jax.tasks.trial_diagnosis import Diagnose
 
 XML = "model.xml"
 CRITERIA = Criteria(
     rounds=3, glance=1
 )  # a simulation of strikes is rough: fits gain little after a few rounds
 LOGS = {"log_time": ("contact_time", "s")}
-FOLLOWED = 1.5  # of the noise floor, up to which a window counts as followed
 MEASURE = {
     "clock_scale": "time the recording against another clock",
     "length_scale": "record two marks whose distance is known",
@@ -98,103 +107,93 @@ def reported(
     tossed: Tossed, problem: Problem, follow: Follow, found: Finding, criteria: Criteria
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """The report, and the arrays behind its page."""
-    over = {"before": left(follow, found.null), "after": left(follow, found.final)}
     both = (("before", found.null), ("after", found.final))
+    over = {k: left(follow, m) for k, m in both}
     tracks = {k: follow.simulated(m.fit.vectors) for k, m in both}
     error = _error(tossed, follow, tracks)
-    flown = free_flight(tossed)
-    whole = {k: whole_tosses(tossed, m.fit.vectors) for k, m in both}
-    whole = {k: float(np.median(z)) if len(z) else None for k, z in whole.items()}
-    classes = [
-        f"{parts.words(n.candidate.name)} or {parts.words(s)}"
-        for n in found.named
-        for s in n.candidate.same
-    ]
-    named = [parts.effect_row(problem, found, n) for n in found.named]
-    report = new_report(
-        "toss",
-        _model(tossed),
-        verdict_of(named, float(np.median(over["after"])) > criteria.explained),
-        message(found, over, error, whole, flown),
-        {
-            "trials": len(tossed.names),
-            "samples": int(follow.windows.mask.sum()),
-            "held_out_trials": len(tossed.names),
-        },
-        effects=named,
-        error=error,
-        candidates=parts.candidate_rows(found),
-        declared={k: parts.declared_rows(problem, m, LOGS) for k, m in both},
-        not_established=[f"{words}: no toss tells them apart." for words in classes],
-        notes=list(tossed.notes),
-        noise={"m": tossed.noise, "rad": tossed.noise_turn, "source": tossed.noise_source},
-        windows={
+    flown, thrown = free_flight(tossed), {k: whole_tosses(tossed, m.fit.vectors) for k, m in both}
+    whole = {k: float(np.median(z)) if len(z) else None for k, z in thrown.items()}
+    more = {
+        "not_established": _classes(found),
+        "notes": list(tossed.notes),
+        "noise": {"m": tossed.noise, "rad": tossed.noise_turn, "source": tossed.noise_source},
+        "windows": {
             "count": len(follow.windows.toss),
             "over_noise": {k: float(np.median(v)) for k, v in over.items()},
             "followed": {k: float(np.mean(v <= FOLLOWED)) for k, v in over.items()},
         },
-        whole_tosses={"unit": "m", **whole},
-        free_flight=None if flown is None else _flight(flown),
-        next_experiment=_next(found),
+        "whole_tosses": {"unit": "m", **whole},
+        "free_flight": None if flown is None else _flight(flown),
+        "next_experiment": separated_by(
+            found,
+            parts.label,
+            lambda label: words(label.name),
+            lambda label: MEASURE.get(label.name, ""),
+            "{} and {} are told apart by themselves: {}.",
+        ),
+    }
+    count = len(tossed.names)
+    account = Account(
+        "toss",
+        _model(tossed),
+        {"trials": count, "samples": int(follow.windows.mask.sum()), "held_out_trials": count},
+        parts.label,
+        parts.effect_rows(problem, found),
+        parts.scored(found),
+        headline(found, more["windows"]["over_noise"], error, whole, flown),
+        float(np.median(over["after"])) > criteria.explained,
+        error,
+        lambda model: parts.declared_rows(problem, model, LOGS),
+        more,
     )
     evidence = {
-        "audit": noted(list(tossed.notes)),
+        "audit": remarks(tossed.notes),
         "held_out": _held_out(tossed, follow, tracks, bool(found.named)),
         "tracks": _from_above(follow, tracks, bool(found.named)),
     }
-    return report, evidence
+    return report_of(found, account), evidence
+
+
+def _classes(found: Finding) -> list[str]:
+    return [
+        f"{words(n.candidate.name)} or {words(s)}: no toss tells them apart."
+        for n in found.named
+        for s in n.candidate.same
+    ]
 
 
 def _model(tossed: Tossed) -> str:
     return f"a free body over a plane, by MuJoCo ({Path(tossed.body.path).name})"
 
 
-def message(found: Finding, over, error: dict[str, Any], whole, flown: Flight | None) -> str:
-    """What was found, in a few sentences."""
+def headline(
+    found: Finding, over: dict[str, float], error: dict[str, Any], whole, flown: Flight | None
+) -> Headline:
+    """Sentences of the message. over: what is left of windows over the noise; whole: errors [m] of
+    whole tosses, None where there is none.
+    """
 
     def size(k):
         return f"{1e3 * error[k]:.3g}"
 
-    floors = {k: float(np.median(v)) for k, v in over.items()}
-    if not found.named:
-        text = (
-            f"The declared body, fitted, predicts windows of left-out tosses to {size('before')} "
-            f"mm, {floors['before']:.1f} times the noise floor (median over windows)."
-        )
-        if floors["before"] > FOLLOWED:
-            text += " No effect of the catalogue holds out."
-        else:
-            text += " Nothing need be added."
-    else:
-        text = (
-            f"{parts.named_words(found.named, 'tosses')} Left-out error {size('before')} to "
-            f"{size('after')} mm; windows are left at {floors['after']:.1f} times the noise floor "
-            "(median)."
-        )
+    declared = (
+        f"The declared body, fitted, predicts windows of left-out tosses to {size('before')} "
+        f"mm, {over['before']:.1f} times the noise floor (median over windows)."
+    )
+    mended = (
+        f"{parts.named_words(found.named, 'tosses')} Left-out error {size('before')} to "
+        f"{size('after')} mm; windows are left at {over['after']:.1f} times the noise floor "
+        "(median)."
+    )
+    more = ""
     if whole["before"] is not None:
         after = f" to {1e3 * whole['after']:.3g}" if found.named else ""
-        text += (
-            f" Whole tosses from their flight alone: {1e3 * whole['before']:.3g}{after} mm "
-            "(median)."
-        )
+        before = f"{1e3 * whole['before']:.3g}"
+        more += f" Whole tosses from their flight alone: {before}{after} mm (median)."
     if flown is not None:
         flown_words = flight_words(flown)
-        text += f" {flown_words[:1].upper()}{flown_words[1:]}"
-    return text
-
-
-def _next(found: Finding) -> dict[str, Any] | None:
-    """What to measure by itself where names cannot be told apart."""
-    for n in found.named:
-        rivals = [a.name for a in n.alternatives] + [s.partition("@")[0] for s in n.candidate.same]
-        advice = [MEASURE[name] for name in (n.candidate.name, *rivals) if name in MEASURE]
-        if rivals and advice:
-            names = " and ".join(map(parts.words, (n.candidate.name, rivals[0])))
-            return {
-                "message": f"{names} are told apart by themselves: {'; or '.join(advice)}.",
-                "separates": [n.candidate.name, rivals[0]],
-            }
-    return None
+        more += f" {flown_words[:1].upper()}{flown_words[1:]}"
+    return Headline(declared, mended, more)
 
 
 def _flight(flown: Flight) -> dict[str, Any]:
@@ -220,15 +219,16 @@ def _error(tossed: Tossed, follow: Follow, tracks: dict[str, np.ndarray]) -> dic
             each = off.sum(1)[:, channel]
         return np.sqrt(np.bincount(w.toss, each, trials) / rows)
 
-    both = ("before", "after")
-    return parts.error_rows(
+    def errors(channel: int | None) -> Errors:
+        return Errors("m", tossed.noise, {k: rms(k, channel) for k in ("before", "after")})
+
+    return error_rows(
         "median over left-out tosses of the RMS error of a coordinate, over windows with fitted "
         "starts",
-        tossed.noise,
         tossed.noise_source,
         tossed.names,
-        {k: rms(k, None) for k in both},
-        {name: ("m", tossed.noise, {k: rms(k, c) for k in both}) for c, name in enumerate("xyz")},
+        errors(None),
+        {name: errors(c) for c, name in enumerate("xyz")},
     )
 
 

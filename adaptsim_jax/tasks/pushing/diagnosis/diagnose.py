@@ -18,7 +18,7 @@ from adaptsim_jax.tasks.pushing.diagnosis.experiment import informative_pushes
 from adaptsim_jax.tasks.pushing.diagnosis.problem import TURNING, prepare, simulated
 from adaptsim_jax.tasks.pushing.diagnosis.read import KIND, Pushed, read
 from adaptsim_jax.tasks.pushing.planar import DRAKE
-from adaptsim_jax.tasks.trial_diagnosis import Diagnose, reported, worst_left
+from adaptsim_jax.tasks.trial_diagnosis import Diagnose, TracksFound, reported
 
 MODEL = "the planar push with lateral motion"
 CRITERIA = Criteria(quiet=1.14, beyond=0.9, tried=6)
@@ -59,29 +59,24 @@ def assess(pushed: Pushed, effects, criteria: Criteria, progress, folder: Path |
     both = {"before": found.null, "after": found.final}
     tracks = {k: simulated(p, p.options, p.coefficients, m.fit.vectors) for k, m in both.items()}
     noise = {"m": p.noise, "source": p.noise_source} | ({"rad": p.noise_yaw} if turns else {})
-    report, evidence = reported(
-        "pushing", MODEL, observed, problem, found, tracks, criteria, list(p.notes), noise=noise
-    )
-    report["message"] += _mirrored(pushed, problem, found, criteria)
+    made = TracksFound("pushing", MODEL, observed, problem, found, tracks, list(p.notes))
+    report, evidence = reported(made, criteria, noise=noise)
+    report["message"] += _mirrored(pushed, made, criteria)
     for row in report["effects"]:
         if row["name"] == "grain":
             row["ratio"], row["smooth_direction_rad"] = grain(
                 *(z["value"] for z in row["parameters"].values())
             )
-    return (
-        report,
-        evidence,
-        informative_pushes(pushed, found),
-        mended_model(pushed, problem, found),
-        {},
-    )
+    plan = informative_pushes(pushed, found)
+    return report, evidence, plan, mended_model(pushed, problem, found), {}
 
 
-def _mirrored(pushed: Pushed, problem: Problem, found: Finding, criteria: Criteria) -> str:
+def _mirrored(pushed: Pushed, made: TracksFound, criteria: Criteria) -> str:
     """A sentence where a bottle that turns would be followed far better if it turned the other
     way.
     """
-    if pushed.yaw is None or worst_left(problem, found) <= criteria.explained:
+    problem, found = made.problem, made.found
+    if pushed.yaw is None or made.worst <= criteria.explained:
         return ""
     other = prepare(
         replace(pushed, yaw=-pushed.yaw), pushed.options, pushed.coefficients, problem.effects

@@ -15,7 +15,7 @@ from adaptsim_jax.tasks.scooping.diagnosis.experiment import informative_scoops
 from adaptsim_jax.tasks.scooping.diagnosis.passes import CRITERIA, Found, diagnosed, effects_of
 from adaptsim_jax.tasks.scooping.diagnosis.read import KIND, Scooped, read
 from adaptsim_jax.tasks.scooping.model import SHAPES
-from adaptsim_jax.tasks.trial_diagnosis import Diagnose, reported
+from adaptsim_jax.tasks.trial_diagnosis import Diagnose, TracksFound, reported
 
 MODEL = "the hydroelastic scoop"
 
@@ -38,15 +38,13 @@ def assess(scooped: Scooped, effects, criteria: Criteria, progress, folder: Path
         known,
     )
     side = (0, 2) if len(s.channels) > 2 else (0, 1)
+    notes = [*s.notes, _message(found, known, s.mask)]
+    made = TracksFound(
+        "scooping", MODEL, observed, found.problem, found.selection, found.tracks, notes
+    )
     report, evidence = reported(
-        "scooping",
-        MODEL,
-        observed,
-        found.problem,
-        found.selection,
-        found.tracks,
+        made,
         criteria,
-        [*s.notes, _message(found, known, s.mask)],
         side,
         noise={"m": s.noise, "source": s.noise_source},
         piece={"shape": found.shape, "declared": s.shape is not None},

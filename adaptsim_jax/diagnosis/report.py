@@ -1,0 +1,269 @@
+"""The one report of a diagnosis, whatever was diagnosed: from a finding, and what its judge
+contributes.
+
+A judge (simulated stretches, the torque along the motion, short trials, a simulator) says how
+candidates are called, what a row of an effect has, and how large errors are. Verdict, message, rows
+and tables are made here.
+"""
+
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from adaptsim_jax.diagnosis.finding import Finding, Named
+from adaptsim_jax.diagnosis.schema import new_report, verdict_of, with_effects
+
+DRAWS = 400  # of trials, for the interval of an error
+COVERED = [0.025, 0.975]  # quantiles of the interval of an error
+
+
+class Label(NamedTuple):
+    """How a report calls a candidate: its name, and where it acts."""
+
+    name: str
+    where: str
+
+    @property
+    def words(self) -> str:
+        """Name and place in a sentence."""
+        return f"{words(self.name)} at {self.where}"
+
+    @property
+    def alternative(self) -> str:
+        """As `alternatives` lists it."""
+        return f"{self.name}@{self.where}"
+
+
+class Scored(NamedTuple):
+    """A row of `candidates`: share of the error that it takes off, p, and why it is not named
+    where neither a look-alike nor a fit says so.
+    """
+
+    candidate: Any
+    gain: float
+    p: float
+    why: str
+
+
+@dataclass(frozen=True)
+class Headline:
+    """Sentences of the message. declared: what the declared model leaves; mended: the same, with
+    what is named; more: what follows; enough, none: where nothing is named, and no more than noise
+    is left, or more.
+    """
+
+    declared: str
+    mended: str
+    more: str = ""
+    enough: str = "Nothing need be added."
+    none: str = "No effect of the catalogue holds out."
+
+
+@dataclass(frozen=True)
+class Account:
+    """What a judge contributes to the report of a finding.
+
+    Args:
+        task, model: their names in the report.
+        data: counts of `trials`, `samples` and `held_out_trials`.
+        label: how a candidate is called.
+        effects: of each name `parameters`, `physics` and keys of the judge's own; `same`, where
+            there is one, lists what no such recording tells apart from it.
+        scores: of all candidates, as the table lists them.
+        headline: sentences of the message.
+        left: whether more than noise is left.
+        error: the table of errors before and after.
+        declared: rows of the declared quantities of a model.
+        more: further keys of the report.
+    """
+
+    task: str
+    model: str
+    data: Mapping[str, int]
+    label: Callable[[Any], Label]
+    effects: Sequence[Mapping[str, Any]]
+    scores: Sequence[Scored]
+    headline: Headline
+    left: bool
+    error: Mapping[str, Any]
+    declared: Callable[[Any], dict[str, Any]]
+    more: Mapping[str, Any] = field(default_factory=dict)
+
+
+def report_of(found: Finding, account: Account) -> dict[str, Any]:
+    """The report (`diagnosis.schema`)."""
+    effects = [
+        effect_row(n, account.label, own)
+        for n, own in zip(found.named, account.effects, strict=True)
+    ]
+    return new_report(
+        account.task,
+        account.model,
+        verdict_of(effects, account.left),
+        message(found, account),
+        account.data,
+        effects=effects,
+        error=account.error,
+        candidates=candidate_rows(found, account.label, account.scores),
+        declared={
+            "before": account.declared(found.null),
+            "after": account.declared(found.final),
+        },
+        **account.more,
+    )
+
+
+def message(found: Finding, account: Account) -> str:
+    """What was found, in a few sentences."""
+    said = account.headline
+    if found.named:
+        return f"{said.mended}{said.more}"
+    return f"{said.declared} {said.none if account.left else said.enough}".rstrip() + said.more
+
+
+def words(name: str) -> str:
+    """An effect's name, with its place or without, as people write it."""
+    return name.partition("@")[0].replace("_", " ")
+
+
+def sentence(text: str) -> str:
+    """With a capital letter, and a full stop."""
+    return f"{text[:1].upper()}{text[1:]}."
+
+
+def named_words(named: Sequence[Named], called: Callable[[Any], str], folds: str = "") -> str:
+    """What is named and how it was tested, one sentence. called: a candidate in words; folds: what
+    was left out, in words.
+    """
+    return sentence(
+        "; ".join(
+            f"{called(n.candidate)} holds out in {n.test.better} of {n.test.folds}"
+            f"{folds and f' {folds}'} (takes {100 * n.test.gain:.0f} % off the squared error beside "
+            f"all others, p {n.test.p:.2g})"
+            for n in named
+        )
+    )
+
+
+def effect_row(n: Named, label: Callable[[Any], Label], own: Mapping[str, Any]) -> dict[str, Any]:
+    """A row of `effects`: what is named, its numbers, and how it was tested."""
+    rest = {k: v for k, v in own.items() if k != "same"}
+    alternatives = [label(a).alternative for a in n.alternatives]
+    return {
+        **label(n.candidate)._asdict(),
+        "alternatives": [*alternatives, *own.get("same", ())],
+        "held_out_gain": n.test.gain,
+        "p_value": n.test.p,
+        "better": n.test.better,
+        "folds": n.test.folds,
+        "size_over_scatter": min(n.steady, 1e3),
+        **rest,
+    }
+
+
+def candidate_rows(
+    found: Finding, label: Callable[[Any], Label], scores: Sequence[Scored]
+) -> list[dict[str, Any]]:
+    """Every candidate that was scored, and what became of it."""
+    fate: dict[Hashable, tuple[str, str]] = {
+        label(c): ("rejected", why) for c, why in found.refused()
+    }
+    fate |= {label(a): ("look-alike", "does as well") for n in found.named for a in n.alternatives}
+    fate |= {label(n.candidate): ("accepted", "named") for n in found.named}
+    rows = []
+    for candidate, gain, p, otherwise in scores:
+        called = label(candidate)
+        status, why = fate.get(called, ("rejected", otherwise))
+        rows.append(
+            {
+                **called._asdict(),
+                "held_out_gain": float(np.clip(gain, -1.0, 1.0)),
+                "p_value": float(min(1.0, p)),
+                "accepted": status == "accepted",
+                "status": status,
+                "why": why,
+            }
+        )
+    return rows
+
+
+class Errors(NamedTuple):
+    """Errors of left-out trials or stretches: unit, noise floor, and `before` and `after` `[W]` or
+    `[W, n]`.
+    """
+
+    unit: str
+    floor: float
+    both: Mapping[str, np.ndarray]
+
+
+def error_rows(
+    metric: str,
+    source: str,
+    names: Sequence[str],
+    whole: Errors,
+    channels: Mapping[str, Errors],
+    trial: np.ndarray | None = None,
+) -> dict[str, Any]:
+    """The table `error`: medians over all, by channel, and by trial.
+
+    Args:
+        metric, source: what the errors are, and where their noise floor comes from, in words.
+        names: of the trials.
+        whole: errors over all channels.
+        channels: errors of each.
+        trial: `[W]`, of which trial each error is; None: one of each.
+    """
+    trial = np.arange(len(names)) if trial is None else trial
+    count = len(trial)
+    draws = np.random.default_rng(0).integers(0, count, (DRAWS, count))
+
+    def medians(errors: Errors, at: Any = slice(None)) -> dict[str, float]:
+        return {k: float(np.median(v[at])) for k, v in errors.both.items()}
+
+    def of_trial(name: str, mine: np.ndarray) -> dict[str, Any]:
+        each = {c: medians(errors, mine) for c, errors in channels.items()}
+        return {"trial": name, **medians(whole, mine), "per_channel": each}
+
+    return {
+        "metric": metric,
+        "unit": whole.unit,
+        **medians(whole),
+        "noise_floor": whole.floor,
+        "ceiling": None,
+        "per_channel": {
+            c: {"unit": errors.unit, **medians(errors), "noise_floor": errors.floor}
+            for c, errors in channels.items()
+        },
+        "per_trial": [
+            of_trial(name, trial == k) for k, name in enumerate(names) if np.any(trial == k)
+        ],
+        "noise_floor_source": source,
+        "intervals": {
+            k: [float(z) for z in np.quantile([np.median(v[d]) for d in draws], COVERED)]
+            for k, v in whole.both.items()
+        },
+    }
+
+
+def withhold_names(report: dict[str, Any], why: str, left: bool) -> None:
+    """Put a report's names among what is not established, since its model predicts nothing, in
+    place. why: a sentence that says so; left: whether more than noise is left.
+    """
+    report["message"] = f"{why} {report['message']}"
+    if not report["effects"]:
+        return
+    doubt = "better than a model that predicts nothing"
+    doubted = [f"{words(row['name'])} at {row['where']}: {doubt}" for row in report["effects"]]
+    report["not_established"] = [*report["not_established"], *doubted]
+    with_effects(report, [], left)
+    for row in report["candidates"]:
+        if row["accepted"]:
+            row |= {"accepted": False, "status": "rejected", "why": doubt}
+
+
+def remarks(notes: Sequence[str]) -> list[dict[str, str]]:
+    """Notes as rows of a page's audit."""
+    return [{"severity": "info", "where": "", "message": note} for note in notes]
