@@ -86,6 +86,7 @@ WITHIN = {
         "closed_loop",
     ),
     "logs": (
+        "criteria",
         "columns",
         "csv_rows",
         "beside",

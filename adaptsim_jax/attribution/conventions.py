@@ -16,16 +16,14 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.quality.audit import audit
 from adaptsim_jax.logs.quality.contradictions import (
     AS_DECLARED,
-    NEAR,
-    POOR,
     Words,
     contradiction,
     late_finding,
     lateness,
 )
+from adaptsim_jax.logs.quality.criteria import BLOCK, CONTRADICTION
 from adaptsim_jax.logs.quality.findings import Audit, Finding
 from adaptsim_jax.logs.quality.hypotheses import (
-    MIN_BLOCKS,
     MOST,
     Design,
     Hypothesis,
@@ -44,7 +42,7 @@ FACTORS = {1e-3: "millimetres", 1e-2: "centimetres", 1e-1: None, 10.0: None, 1e3
 UNITS = {1e-3: "masses in grams, or torques in kN m", 1e3: "masses in tonnes, or torques in mN m"}
 WILD = 30.0
 """Times that all torques are those of the declared masses from which on that is refused; below
-`NEAR` not a word is said.
+`same_size` not a word is said.
 """
 ANGLES = (
     (180.0 / np.pi, "radians, not degrees", "rad"),
@@ -117,16 +115,19 @@ def _weighed(machine: Machine, tracks: list[Track], declared: Design) -> tuple[F
     """
     motion = motion_of(tracks)
     if (
-        len(motion.q) < MIN_BLOCKS or not np.ptp(motion.tau, axis=0).any()
+        len(motion.q) < BLOCK.enough or not np.ptp(motion.tau, axis=0).any()
     ):  # a free swing says nothing of the torques' unit
         return ()
     if asked := amperes(machine, tracks, declared):
         return asked
     found = linear_fit(motion, declared, first=machine.tree.n)
-    if found.left > POOR or 1.0 / NEAR < found.scale < NEAR:
+    if (
+        found.left > CONTRADICTION.doubted
+        or 1.0 / CONTRADICTION.same_size < found.scale < CONTRADICTION.same_size
+    ):
         return ()
     near = min(UNITS, key=lambda u: abs(np.log(found.scale / u)))
-    if 1.0 / NEAR < found.scale / near < NEAR:
+    if 1.0 / CONTRADICTION.same_size < found.scale / near < CONTRADICTION.same_size:
         unit = f" ({UNITS[near]}?)"
     else:
         unit = ""
@@ -182,7 +183,10 @@ def _angle_unit(
             declared,
             first=machine.tree.n,
         )
-        if other.left <= SAME * left + SLIGHT and 1.0 / NEAR < other.scale < NEAR:
+        if (
+            other.left <= SAME * left + SLIGHT
+            and 1.0 / CONTRADICTION.same_size < other.scale < CONTRADICTION.same_size
+        ):
             return words, unit
     return None
 

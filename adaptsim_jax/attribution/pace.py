@@ -12,12 +12,10 @@ import numpy as np
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.log_units import TIME_UNITS, Affine
-from adaptsim_jax.logs.quality.commands import SMOOTH
-from adaptsim_jax.logs.quality.contradictions import AS_DECLARED, NEAR, POOR
+from adaptsim_jax.logs.quality.contradictions import AS_DECLARED
+from adaptsim_jax.logs.quality.criteria import BLOCK, COMMAND, CONTRADICTION
 from adaptsim_jax.logs.quality.findings import Finding
 from adaptsim_jax.logs.quality.hypotheses import (
-    MIN_BLOCKS,
-    MOST,
     Design,
     Motion,
     Track,
@@ -64,7 +62,7 @@ def check_pace(machine: Machine, tracks: list[Track], design: Design) -> tuple[F
         f"machine in {step / factor:.3g} s from row to row, not in {step:.3g} s{counted}"
     )
     mend = f"write {line} under [units] in meta.toml (seconds a unit), or mend the stamps"
-    if as_is > TIMES * left and as_is > POOR:
+    if as_is > TIMES * left and as_is > CONTRADICTION.doubted:
         raise BadInput(f"{machine.log.path}: {phrase}; {mend}; {AS_DECLARED}")
     if not all(t.path.endswith(".parquet") for t in machine.log.trials) or not even:
         return ()
@@ -76,7 +74,7 @@ def _paced(motion: Motion, design: Design) -> tuple[float, float, float] | None:
     """What another clock leaves, how many times slow this one runs by it, and what rotors leave in
     its place.
     """
-    if len(motion.q) < MIN_BLOCKS or not np.all(np.isfinite(motion.a)):
+    if len(motion.q) < BLOCK.enough or not np.all(np.isfinite(motion.a)):
         return None
     n = motion.q.shape[1]
     moving, weight = _parts(motion, design)
@@ -124,7 +122,7 @@ def _sharp(tracks: list[Track]) -> Motion:
     """Short blocks of as many trials as a design takes: exact where motion is fast."""
     parts: list[tuple[np.ndarray, ...]] = []
     for track in tracks:
-        room = MOST - sum(len(p[0]) for p in parts)
+        room = BLOCK.most - sum(len(p[0]) for p in parts)
         parts.append(tuple(x[:room] for x in blocks(track, sharp=True)[:4]))
     return Motion(*(np.concatenate([p[k] for p in parts]) for k in range(4)))
 
@@ -133,7 +131,7 @@ def _smoothed(columns: np.ndarray) -> np.ndarray:
     """Both sides of an equation `[K, P]` over some blocks: the same equation, with less of the
     sensors' noise.
     """
-    mean = np.ones(SMOOTH) / SMOOTH
+    mean = np.ones(COMMAND.smooth) / COMMAND.smooth
     return np.stack([np.convolve(c, mean, "valid") for c in columns.T], 1)
 
 
@@ -144,7 +142,7 @@ def amperes(machine: Machine, tracks: list[Track], design: Design) -> tuple[Find
     if machine.log.input_kind != "torque":
         return ()
     motion = _sharp(tracks)
-    if len(motion.q) < MIN_BLOCKS or not np.all(np.isfinite(motion.a)):
+    if len(motion.q) < BLOCK.enough or not np.all(np.isfinite(motion.a)):
         return ()
     names = machine.tree.joint_names
     moving, weight = _parts(motion, design)
@@ -155,10 +153,12 @@ def amperes(machine: Machine, tracks: list[Track], design: Design) -> tuple[Find
         columns = np.column_stack([motion.tau[:, j], -rubs, -motion.a[:, j]])
         whole = _smoothed(np.column_stack([moving[:, j] + weight[:, j], columns]))
         left, x = _left(whole[:, 0], whole[:, 1:])
-        if left > POOR or x[0] <= 0:
+        if left > CONTRADICTION.doubted or x[0] <= 0:
             return ()
         need[j] = float(x[0])
-    if len(need) < 2 or not all(x > NEAR or x < 1.0 / NEAR for x in need.values()):
+    if len(need) < 2 or not all(
+        x > CONTRADICTION.same_size or x < 1.0 / CONTRADICTION.same_size for x in need.values()
+    ):
         return ()
     if max(need.values()) < 1.5 * min(need.values()):
         return ()  # of one scale all: a unit
@@ -183,7 +183,7 @@ def held_fast(machine: Machine, tracks: list[Track], design: Design) -> tuple[Fi
     motion = _sharp(tracks) if np.any(levels > 0) else None
     if (
         motion is None
-        or len(motion.q) < MIN_BLOCKS
+        or len(motion.q) < BLOCK.enough
         or not np.all(np.isfinite(motion.a))
         or not np.ptp(motion.tau, axis=0).any()
     ):

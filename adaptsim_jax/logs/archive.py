@@ -13,8 +13,8 @@ import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.columns import role
+from adaptsim_jax.logs.criteria import TABLE
 from adaptsim_jax.logs.csv_rows import read_bytes
-from adaptsim_jax.logs.table_checks import MIN_ROWS
 
 LIST = re.compile(r"\s*[\[({](.*)[\])}]\s*", re.DOTALL)
 STEMS = {
@@ -156,7 +156,7 @@ def _has_rows(shape: tuple[int, ...], lengths: Collection[int]) -> bool:
     """Whether an array has the samples along its second axis, as columns of these lengths tell."""
     if len(shape) != 2 or 1 in shape or not shape[0] < shape[1]:
         return False
-    return shape[1] in lengths and (shape[0] not in lengths or shape[0] < MIN_ROWS)
+    return shape[1] in lengths and (shape[0] not in lengths or shape[0] < TABLE.min_rows)
 
 
 def _flat(name: str, array: np.ndarray) -> np.ndarray:

@@ -8,12 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.table_checks import MIN_ROWS
-
-WINDOW = 10
-"""Messages on each side by which a stamp is judged."""
-MAX_OFFSET = 10**9
-"""ns by which a stamp's distance from its arrival may differ from those of its neighbours."""
+from adaptsim_jax.logs.criteria import CLOCK, TABLE
 
 
 @dataclass(frozen=True)
@@ -82,29 +77,19 @@ def _distant(arrived: np.ndarray, stamps: np.ndarray, has: np.ndarray) -> np.nda
     """
     at = np.flatnonzero(has)
     out = np.zeros(len(stamps), bool)
-    if len(at) < 5:
+    if len(at) < CLOCK.min_stamps:
         return out
     off, when = (arrived - stamps)[at], arrived[at]
-    width = min(2 * WINDOW + 1, len(at))
+    width = min(2 * CLOCK.window + 1, len(at))
     first = np.clip(np.arange(len(at)) - width // 2, 0, len(at) - width)
     around = first[:, None] + np.arange(width)
     separate = np.abs(when - np.median(when[around], axis=1))
-    out[at] = np.abs(off - np.median(off[around], axis=1)) > MAX_OFFSET + separate
+    out[at] = np.abs(off - np.median(off[around], axis=1)) > CLOCK.max_offset + separate
     return out
 
 
 HELD = ("tau", "target", "ctrl", "u", "i")
 """Stems of columns that hold from their row to the next; others are interpolated."""
-RARE = 5
-"""Messages below which a joint tells no motion: it stays where it was."""
-LATE = 10
-"""Rows of its own, as a multiple of their median spacing, after which a series has a gap."""
-
-
-DENSE = 1.5
-"""Rows in a stretch of time, as a multiple of what the usual spacing leaves, from which on two
-stretches lie over each other.
-"""
 
 
 @dataclass(frozen=True)
@@ -135,7 +120,7 @@ def merge(
     Other states are interpolated between their rows. A command, or an effort, acts from its own
     time to the next one's: a row has the mean of what acts until the next row, so that nothing is
     taken to wait for a row. Before the first command rows are cut off. A joint's gap of more than
-    10 of its intervals is NaN; one that speaks fewer than `RARE` times stays where it was last.
+    10 of its intervals is NaN; one that speaks fewer than `rare` times stays where it was last.
     """
     notes: list[str] = []
     states = [_sorted(path, series, notes) for series in states]
@@ -149,7 +134,7 @@ def merge(
         for series in states
         if series is main or not set(series.columns) <= set(main.columns)
     ]
-    rare = [series for series in states if len(series.time) < RARE and series is not main]
+    rare = [series for series in states if len(series.time) < CLOCK.rare and series is not main]
     for series in rare:
         joints = sorted({name.partition("_")[2] for name in series.columns})
         notes.append(
@@ -160,9 +145,9 @@ def merge(
     stop = min(series.time[-1] for series in often)
     rows = (main.time >= start) & (main.time <= stop)
     clock = main.time[rows]
-    if len(clock) < MIN_ROWS:
+    if len(clock) < TABLE.min_rows:
         raise BadInput(
-            f"{path}: its topics share {len(clock)} rows; a trial needs at least {MIN_ROWS}, "
+            f"{path}: its topics share {len(clock)} rows; a trial needs at least {TABLE.min_rows}, "
             "record joints and commands together"
         )
     out = {"time": clock - clock[0]}
@@ -222,11 +207,11 @@ def _check_set_back(path: str, time: np.ndarray) -> None:
     """
     steps = np.diff(time)
     usual = float(np.median(steps[steps > 0])) if np.any(steps > 0) else 0.0
-    for k in np.flatnonzero(steps < -2.0 * usual):
+    for k in np.flatnonzero(steps < -CLOCK.set_back * usual):
         high, back = time[k], time[k] - time[k + 1]
         low = max(time[k + 1], time[: k + 1].min())  # what was passed before and is passed again
         there = int(np.sum((time >= low) & (time <= high)))
-        if there > 4 and there > DENSE * ((high - low) / usual + 1.0):
+        if there > CLOCK.min_overlap and there > CLOCK.dense * ((high - low) / usual + 1.0):
             raise BadInput(
                 f"{path}: message {k + 2}: the clock was set back by {back:.4g} s; cut the bag "
                 "there, and take the parts for two trials"
@@ -274,6 +259,6 @@ def _onto(clock: np.ndarray, time: np.ndarray, values: np.ndarray, *, hold: bool
     out = np.interp(clock, time, values)
     if len(time) > 1:
         after = np.minimum(np.searchsorted(time, clock), len(time) - 1)
-        wide = np.concatenate([[False], np.diff(time) > LATE * np.median(np.diff(time))])
+        wide = np.concatenate([[False], np.diff(time) > CLOCK.gap * np.median(np.diff(time))])
         out[wide[after] & (clock != time[after])] = np.nan
     return out

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.columns import Role, role
+from adaptsim_jax.logs.criteria import UNIT
 from adaptsim_jax.logs.log_units import (
     Affine,
     Unit,
@@ -26,8 +27,6 @@ from adaptsim_jax.logs.log_units import (
 _BRACKETS = re.compile(r"\s*[\[({]([^\[\](){}]*)[\])}]")
 _SEPARATORS = re.compile(r"[\s_./-]+")
 _SECONDS = ("s", "sec", "second")
-CLOSE = 1e-6
-"""Share by which two scales of one unit may differ."""
 
 
 @dataclass(frozen=True)
@@ -179,7 +178,7 @@ def compared(
                     f"the heading {one.heading!r} says {one.unit}, no unit of {one.quantity}: not "
                     "taken"
                 ]
-        elif unit.offset or abs(unit.scale / one.scale - 1.0) > CLOSE:
+        elif unit.offset or abs(unit.scale / one.scale - 1.0) > UNIT.close:
             if own is None:
                 bare.append(one)
             elif isinstance(own, str):

@@ -11,6 +11,7 @@ from adaptsim_jax.core.config import nearest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.angles import turns_of
 from adaptsim_jax.logs.columns import BASE, Role, role
+from adaptsim_jax.logs.criteria import TABLE
 from adaptsim_jax.logs.headings import compared, heading_unit
 from adaptsim_jax.logs.log import ModelNames
 from adaptsim_jax.logs.log_meta import LogMeta
@@ -214,7 +215,7 @@ def _base(trial: RawTrial, roles: dict[str, Role]) -> np.ndarray | None:
         )
     pose = np.stack([trial.columns[named[name]] for name in BASE], 1)
     size = np.linalg.norm(pose[:, 3:], axis=1)
-    if bad := np.flatnonzero(np.abs(size - 1.0) > 0.05).tolist():
+    if bad := np.flatnonzero(np.abs(size - 1.0) > TABLE.unit_quaternion).tolist():
         raise BadInput(
             f"{trial.path}: {trial.row_word} {trial.lines[bad[0]]}: base_qw .. base_qz have length "
             f"{size[bad[0]]:.3g}; write unit quaternions"

@@ -18,9 +18,10 @@ import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.bag import need
+from adaptsim_jax.logs.criteria import TABLE
 from adaptsim_jax.logs.readers import Reader, Wanted
 from adaptsim_jax.logs.table_checks import check_clock
-from adaptsim_jax.logs.tables import MIN_ROWS, RawTrial
+from adaptsim_jax.logs.tables import RawTrial
 
 STEMS = {
     "observation.state": "q",
@@ -151,9 +152,9 @@ def _trial(folder: Path, episode: int, parts: list, features: dict, fps: Any) ->
     path = parts[0][0]
     arrays = {name: np.concatenate([table[name] for _, table in parts]) for name in parts[0][1]}
     count = len(arrays["observation.state"])
-    if count < MIN_ROWS:
+    if count < TABLE.min_rows:
         raise BadInput(
-            f"{path}: episode {episode} has {count} rows; a trial needs at least {MIN_ROWS}, write "
+            f"{path}: episode {episode} has {count} rows; a trial needs at least {TABLE.min_rows}, write "
             f'[trials] and exclude = ["{_name(episode)}"] in meta.toml'
         )
     notes: tuple[str, ...] = ()

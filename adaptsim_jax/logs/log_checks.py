@@ -10,24 +10,11 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.criteria import UNIT
 from adaptsim_jax.logs.log import LogTrial, ModelNames
 from adaptsim_jax.logs.log_units import LENGTH_UNITS
 from adaptsim_jax.logs.quality.consistency import Agreement, velocity_agreement
 
-LARGE = 4 * np.pi
-"""Angle in rad beyond which degrees are suspected where no speeds tell."""
-FAST = 20.0
-"""rad/s beyond which such angles may be degrees where speeds agree with them."""
-OUTLIER = 15.0
-"""Times that one trial's angles may reach as far as those of the others."""
-DISTANT, HINT = 20.0, 3.0
-"""Times its declared range that a joint may move, before its unit is doubted, and before that is
-hinted at.
-"""
-INSIDE = 1.2
-"""Times its declared range that a joint may move in the unit that is suspected instead."""
-LONG = 10.0
-"""m that a sliding joint without a range may move, before millimetres are hinted at."""
 WORDS = {"mm": "millimetres", "cm": "centimetres"}
 MISTAKES = {
     math.pi / 180: (
@@ -40,8 +27,6 @@ MISTAKES = {
     1e-3: 'v1, v2 in rad/ms; write velocity = "rad/ms"',
 }
 """Times that speeds are the slopes of the angles -> the unit that explains it."""
-ALIKE = 0.1
-"""How far (in log) a speed may be from a known mistake and still be taken for it."""
 
 
 def check_log_units(
@@ -77,7 +62,9 @@ def lengths_within(times: float) -> tuple[str, ...]:
     Metres are not asked about.
     """
     return tuple(
-        unit for unit in ("mm", "cm") if times >= HINT and times * LENGTH_UNITS[unit] <= INSIDE
+        unit
+        for unit in ("mm", "cm")
+        if times >= UNIT.hint and times * LENGTH_UNITS[unit] <= UNIT.inside
     )
 
 
@@ -97,7 +84,7 @@ def _distance_note(trials: Sequence[LogTrial], j: int, names: ModelNames, known:
     limits, joint = names.limits_of(j), names.joints[j]
     times = times_range(reach, limits)
     units = lengths_within(times)
-    if known or (limits and not units) or (not limits and reach < LONG):
+    if known or (limits and not units) or (not limits and reach < UNIT.long):
         return ""
     ask = " or ".join(f'length = "{unit}"' for unit in units or ("mm",))
     if limits is None:
@@ -106,7 +93,7 @@ def _distance_note(trials: Sequence[LogTrial], j: int, names: ModelNames, known:
             "[units]"
         )
     statement = f"{joint} slides as far as {reach:.3g} m, {times:.2g} times its declared range of {limits[0]:g} to {limits[1]:g} m"
-    if times < DISTANT:
+    if times < UNIT.distant:
         return f"{statement}: if that is no metres, write {ask} under [units]"
     raise BadInput(
         f"{trials[0].path}: {statement}, as {' or '.join(WORDS[unit] for unit in units)} would; write "
@@ -123,17 +110,17 @@ def _speed_suspect(trial: LogTrial, hinges: Sequence[int]) -> str:
     return speed_mistake(
         velocity_agreement(trial.time[rows], trial.q[rows, j], trial.v[rows, j])
         for j, rows in here.items()
-        if rows.sum() > 20
+        if rows.sum() > UNIT.min_rows
     )
 
 
 def speed_mistake(joints: Iterable[Agreement]) -> str:
     """The mistake in a unit that speeds of all joints that move enough agree on, or nothing."""
-    gains = [a.gain for a in joints if a.enough and a.r2 > 0.9]
+    gains = [a.gain for a in joints if a.enough and a.r2 > UNIT.related]
     if not gains or min(gains) <= 0:
         return ""
     for size, what in MISTAKES.items():
-        if all(abs(math.log(gain / size)) < ALIKE for gain in gains):
+        if all(abs(math.log(gain / size)) < UNIT.alike for gain in gains):
             return what
     return ""
 
@@ -145,14 +132,14 @@ def _large(trials: Sequence[LogTrial], j: int, names: ModelNames, known: bool) -
     reaches = np.array([np.nanmax(np.abs(t.q[:, j]), initial=0.0) for t in trials])
     reach = float(np.median(reaches))
     outlier = int(reaches.argmax())
-    if reaches[outlier] > max(LARGE, OUTLIER * reach):
+    if reaches[outlier] > max(UNIT.large, UNIT.outlier * reach):
         return (
             f"angles of {names.joints[j]} reach {reaches[outlier]:.3g} rad in "
             f"{trials[outlier].name}, {reach:.2g} rad in the others: if they are degrees there, "
             "convert that file"
         )
     speeds = [np.nanquantile(np.abs(t.v[:, j]), 0.99) for t in trials if t.v is not None]
-    if known or reach < LARGE or (speeds and np.median(speeds) < FAST):
+    if known or reach < UNIT.large or (speeds and np.median(speeds) < UNIT.fast):
         return ""
     if trials[0].path.endswith(".parquet"):
         more = "; LeRobot may write per cent of a range, too"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from adaptsim_jax.logs.criteria import UNIT
 from adaptsim_jax.logs.log import ActuatorName, ModelNames
 
 if TYPE_CHECKING:
@@ -85,12 +86,6 @@ def _kind(model, k: int) -> str:
     return "velocity"
 
 
-MISMATCH = 0.05
-"""Share of its motion by which a follower's readings may differ from where its leader has it,
-before that is told.
-"""
-
-
 def followed(log: Log, mechanism: Mechanism) -> Log:
     """The log with the mechanism's joints alone, in its order."""
     joints = mechanism.tree.joint_names
@@ -118,7 +113,7 @@ def followed(log: Log, mechanism: Mechanism) -> Log:
         own = np.concatenate([t.q[:, where[f.joint]] for t in log.trials])
         led = f.offset + f.factor * np.concatenate([t.q[:, where[f.leader]] for t in log.trials])
         separate, span = np.nanmax(np.abs(own - led)), np.nanmax(own) - np.nanmin(own)
-        if separate > MISMATCH * span:
+        if separate > UNIT.follower * span:
             reported.append(
                 f"{f.joint} does not follow {f.leader} as the model says: by up to {separate:.2g} "
                 f"of {span:.2g}; nothing is named at {f.leader}"

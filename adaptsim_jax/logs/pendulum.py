@@ -19,6 +19,7 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.given import brief
 from adaptsim_jax.logs.assemble import assemble
 from adaptsim_jax.logs.columns import role
+from adaptsim_jax.logs.criteria import UNIT
 from adaptsim_jax.logs.declared import (
     MISSING,
     SHORT_TRIALS,
@@ -51,10 +52,6 @@ REQUIRED = {
 }
 TABLES = ("geometry", "known", "noise", "units")
 KEYS = (*REQUIRED, *TABLES, "model_file", "torque", "unactuated", *TEXT_KEYS)
-WIDE, FAST = 10.0, 15.0
-"""Angles in rad, and speeds over sqrt(g / l), that no pendulum on a bench reaches together."""
-NOT_ONE = 5.0
-"""rad that the other joint reaches, too, where not one of them alone is in degrees."""
 
 
 def read_pendulum(folder: str | Path, *, without: Sequence[str] = ()) -> Log:
@@ -125,11 +122,11 @@ def _check_degrees(log: Log) -> None:
         return
     geometry = log.meta.rig.geometry
     length = min(geometry.get("l1", 0.3), geometry.get("l2", 0.3))
-    fast = FAST * math.sqrt(max(geometry.get("g", GRAVITY), 1.0) / length)
+    fast = UNIT.swinging * math.sqrt(max(geometry.get("g", GRAVITY), 1.0) / length)
     reach = np.array([np.nanmax(np.abs(t.q), axis=0) for t in log.trials])
     speed = np.array([_top_speed(t) for t in log.trials])
     minimum, most = np.median(reach.min(1)), np.median(reach.max(1))
-    if minimum < NOT_ONE or most < WIDE or np.median(speed) < fast:
+    if minimum < UNIT.both or most < UNIT.wide or np.median(speed) < fast:
         return
     worst = int(np.argmax(speed))
     raise BadInput(

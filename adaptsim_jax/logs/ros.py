@@ -21,6 +21,7 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.bag import ENDINGS, Bag, Topic, bags, is_bag, opened
 from adaptsim_jax.logs.clock import Series, Stamped, merge, stamped
 from adaptsim_jax.logs.columns import role
+from adaptsim_jax.logs.criteria import CLOCK, TABLE
 from adaptsim_jax.logs.messages import (
     ARRAYS,
     COMMANDED,
@@ -39,14 +40,10 @@ from adaptsim_jax.logs.trajectories import followed, plan_of, sampled
 
 __all__ = ["ENDINGS", "Topic", "bag_topics", "bags", "is_bag", "read_bag"]
 
-FIRST = 20
-"""Messages of a topic that are looked at to know its joints."""
 POINTS = ("ramp", "hold")
 """How the points of a trajectory command: moved to (as controllers do), or each held until the
 next.
 """
-BETTER = 0.5
-"""Share of what the other reading of a trajectory leaves that decides between the two."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +117,7 @@ def _known(bag: Bag, topic: Topic, joints: Collection[str]) -> int:
     if read is None:
         return 0
     if joints:
-        first = itertools.islice(bag.messages(topic.name), FIRST)
+        first = itertools.islice(bag.messages(topic.name), CLOCK.first)
     else:
         first = ()
     return len(set(joints) & {name for _, m in first for name in read(m)[0]})
@@ -206,7 +203,7 @@ def _commands(
     if topic.kind not in TRAJECTORIES:
         # a stamp of another clock, or of another computer's, says nothing beside those of the
         # states
-        own &= np.abs(stamps - came) < 10**9
+        own &= np.abs(stamps - came) < CLOCK.max_offset
     if np.mean(own) <= 0.5:
         own[:] = False
 
@@ -278,7 +275,7 @@ def _trajectory(
     if reported is None:
         left = {h: _left(str(path), states, made[h]) for h in POINTS}
         best, other = sorted(POINTS, key=lambda h: left[h])
-        if left[best] < BETTER * left[other]:
+        if left[best] < CLOCK.better * left[other]:
             how, why = best, "which the angles follow far better"
     statement = {
         "ramp": "points are moved to from one to the next",
@@ -380,7 +377,7 @@ def _without_zeros(columns: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray
     """
     notes: tuple[str, ...] = ()
     moves = any(
-        np.nanmax(x) - np.nanmin(x) > 1e-3
+        np.nanmax(x) - np.nanmin(x) > TABLE.moving
         for n, x in columns.items()
         if n.startswith("q_") and np.isfinite(x).any()
     )

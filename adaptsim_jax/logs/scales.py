@@ -15,20 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.criteria import UNIT
 from adaptsim_jax.logs.joint_columns import JointColumns
 from adaptsim_jax.logs.log import ModelNames
 
 SIGNED, UNSIGNED, STEPS, SHARE = "signed", "unsigned", "steps", "share"
 GRIPPERS = ("gripper", "jaw", "finger", "claw", "hand")
-REACH = 4 * np.pi
-"""rad beyond which numbers that nobody declared are no radians."""
-END = 1e-4
-"""Of 100, what single precision and text leave of it."""
-MIN_SAMPLES = 20
-CUT = 3
-"""Rows in which an angle is exactly 1, from which on it is taken to be cut there."""
-TURN = 400.0
-"""Whole numbers up to here may be degrees."""
 
 
 @dataclass(frozen=True)
@@ -57,22 +49,22 @@ def scale_of(
         x = np.concatenate([np.asarray(v, float)[np.isfinite(v)] for v in values])
     else:
         x = np.zeros(0)
-    if len(x) < MIN_SAMPLES or np.ptp(x) == 0:
+    if len(x) < UNIT.min_samples or np.ptp(x) == 0:
         return None
     low, high = float(x.min()), float(x.max())
     whole = bool(np.all(x == np.round(x)))
     if whole:
         # a setpoint of 100 is a round number; steps of an encoder go far beyond degrees
-        if low >= 0 and TURN < high < 2**16 and len(np.unique(x)) > MIN_SAMPLES:
+        if low >= 0 and UNIT.degrees < high < 2**16 and len(np.unique(x)) > UNIT.min_samples:
             steps = next(2**k for k in (12, 14, 16) if high < 2**k)
             line = f"{key} = {{ticks = {steps}, zero = {steps // 2}}}"
             return Scale(
                 STEPS, f"whole numbers up to {high:.0f} look like an encoder's steps", line, True
             )
         return None
-    ends = abs(high - 100.0) < END or abs(low + 100.0) < END
-    inside = high <= 100.0 + END and low >= -100.0 - END
-    if gripper and inside and low >= -1.0 and high > REACH:
+    ends = abs(high - 100.0) < UNIT.end or abs(low + 100.0) < UNIT.end
+    inside = high <= 100.0 + UNIT.end and low >= -100.0 - UNIT.end
+    if gripper and inside and low >= -1.0 and high > UNIT.large:
         if limits:
             line = f'{key} = "percent"'
         else:
@@ -85,8 +77,8 @@ def scale_of(
         )
     if not (ends and inside):
         return None
-    why = f"values end at exactly {'100' if abs(high - 100.0) < END else '-100'}: per cent of the joint's range, as LeRobot writes it"
-    if low < -END:
+    why = f"values end at exactly {'100' if abs(high - 100.0) < UNIT.end else '-100'}: per cent of the joint's range, as LeRobot writes it"
+    if low < -UNIT.end:
         return Scale(SIGNED, why, f"{key} = {{from = [-100, 100], to = [LOW, HIGH]}}", False)
     return Scale(UNSIGNED, why, f"{key} = {{percent = [LOW, HIGH]}}", False)
 
@@ -100,9 +92,9 @@ def share_of(key: str, angles: Sequence[np.ndarray]) -> Scale | None:
     else:
         x = np.zeros(0)
     if (
-        len(x) < MIN_SAMPLES
+        len(x) < UNIT.min_samples
         or np.max(np.abs(x)) > 1.0
-        or np.sum(np.abs(x) == 1.0) < CUT
+        or np.sum(np.abs(x) == 1.0) < UNIT.cut
         or np.ptp(x) == 0
         or np.all(x == np.round(x))
     ):
@@ -196,6 +188,6 @@ def check_scales(trials: Sequence[JointColumns], names: ModelNames) -> tuple[str
     statement = (
         f"{', '.join(found)}: {first.why}; write {lines} under [units]{fill}, or record angles"
     )
-    if any(joint not in names.slides and reach(joint) > REACH for joint in found):
+    if any(joint not in names.slides and reach(joint) > UNIT.large for joint in found):
         raise BadInput(f"{trials[0].raw.path}: {statement}")
     return (f"{statement}; taken as declared",)

@@ -15,24 +15,10 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
 from scipy.optimize import minimize_scalar
 
+from adaptsim_jax.logs.criteria import SMOOTHER
+
 LOG_RATIO = (-22.0, 10.0)
 """Natural-log range searched for the signal-to-noise ratio of one step; beyond it nothing changes.
-"""
-
-
-WINDOW = 300
-"""Samples a window: long enough to tell noise from motion, short enough for the motion to be of one
-kind.
-"""
-COARSE = 0.0
-"""Log signal-to-noise ratio of one step above which a smoother prior (white snap) is tried as well.
-"""
-ROUGH = 2.5
-"""Log ratio above which white jerk is too rough a prior for the sampling, and white snap is used.
-"""
-DIFFERENT = 1.4
-"""The two priors' estimates further apart than this: the motion between two samples hides the
-noise.
 """
 
 
@@ -193,7 +179,7 @@ def estimate(time: np.ndarray, y: np.ndarray) -> tuple[float, float]:
     """Noise std of one signal `y: [T]` at `time: [T]` s, and the share of its windows that hide the
     noise.
     """
-    windows = np.array_split(np.arange(len(y)), max(1, len(y) // WINDOW))
+    windows = np.array_split(np.arange(len(y)), max(1, len(y) // SMOOTHER.window))
     fits = [fit_window(time[w], y[w]) for w in windows]
     # A window at rest in a quantised channel shows no noise at all: it says nothing about the
     # moving sensor.
@@ -208,12 +194,12 @@ def fit_window(time: np.ndarray, y: np.ndarray) -> tuple[float, bool]:
     priors).
     """
     jerk = fit_noise(time, y, 3)
-    if jerk.log_ratio < COARSE or jerk.std == 0:
+    if jerk.log_ratio < SMOOTHER.coarse or jerk.std == 0:
         return jerk.std, False
     snap = fit_noise(time, y, 4)
-    if snap.std > DIFFERENT * jerk.std:
+    if snap.std > SMOOTHER.different * jerk.std:
         return float(np.sqrt(snap.std * jerk.std)), True
-    return (snap.std if jerk.log_ratio > ROUGH else jerk.std), False
+    return (snap.std if jerk.log_ratio > SMOOTHER.rough else jerk.std), False
 
 
 def smoothed(
@@ -250,7 +236,7 @@ def _smooth_joint(
         return alone
     both = _states(prior, q, sq, v, sv)
     usual = max(sq**2, float(np.mean((q - alone[:, 0]) ** 2)))
-    if np.mean((q - both[:, 0]) ** 2) > 1.3 * usual:
+    if np.mean((q - both[:, 0]) ** 2) > SMOOTHER.speeds_off * usual:
         return alone
     return both
 
@@ -259,9 +245,9 @@ def _intensity(time: np.ndarray, q: np.ndarray, std: float) -> tuple[int, np.nda
     """Order of the walk and its intensity `[T - 1]` over the noise, by maximum likelihood per
     window.
     """
-    windows = np.array_split(np.arange(len(q)), max(1, len(q) // WINDOW))
+    windows = np.array_split(np.arange(len(q)), max(1, len(q) // SMOOTHER.window))
     logs = np.array([_level(time[w], q[w], std, 3) for w in windows])
-    order = 4 if np.median(logs) > ROUGH else 3
+    order = 4 if np.median(logs) > SMOOTHER.rough else 3
     if order == 4:
         logs = np.array([_level(time[w], q[w], std, 4) for w in windows])
     # Windows of another median step are brought to the step of the whole trial.

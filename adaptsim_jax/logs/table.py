@@ -12,8 +12,9 @@ import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.archive import check_lengths, part_name, read_archive, split
+from adaptsim_jax.logs.criteria import TABLE
 from adaptsim_jax.logs.csv_rows import check_header, check_widths, is_number, read_bytes, rows_of
-from adaptsim_jax.logs.table_checks import MIN_ROWS, check_missing, without_blank
+from adaptsim_jax.logs.table_checks import check_missing, without_blank
 from adaptsim_jax.logs.table_clocks import joined_time, split_clock
 
 NOTHING = ("", ".nan", "na", "n/a", "null", "none", "-")
@@ -45,7 +46,7 @@ class LogTable:
 def read_table(
     path: str | Path,
     wanted: tuple[str, ...],
-    min_rows: int = MIN_ROWS,
+    min_rows: int = TABLE.min_rows,
     ours: Mapping[str, str] | None = None,
     lost: tuple[str, ...] = (),
     gaps: tuple[str, ...] = (),

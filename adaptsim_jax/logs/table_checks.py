@@ -15,24 +15,12 @@ import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.columns import TIME, role
+from adaptsim_jax.logs.criteria import TABLE
 
-MIN_ROWS = 20
 OPTIONAL = ("v", "tau_commanded", "target")
 """Stems of columns that a reader can do without: where they hold nothing they count as not there.
 """
-EPOCH = 1e6
-"""Times beyond this (s) are clock time: they are counted from the trial's first row, to lose no
-digit.
-"""
-LIMIT = 1e5
-"""Magnitude in SI units beyond which a value is damage, not data."""
-SLOWEST = 0.25
-"""Sampling interval in s beyond which no motion is sampled at all."""
-FASTEST = 2e-5
-"""Sampling interval in s below which a declared unit of time is doubted."""
 SMALLER = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-JOINED = 0.3
-"""Share of rows that lack something from which on a table counts as joined of topics."""
 
 
 def without_blank(
@@ -103,11 +91,11 @@ def _check_joined(
     names = [name for name in columns if name != clock]
     there = np.stack([np.isfinite(columns[name]) for name in names], 1)
     lacking = ~there.all(1)
-    if count < 2 or lacking.mean() < JOINED:
+    if count < 2 or lacking.mean() < TABLE.joined:
         return
     kinds = Counter(map(tuple, there[lacking].tolist()))
-    often = [kind for kind, rows in kinds.most_common(4) if rows > 0.1 * count and any(kind)]
-    if not often or not all(there[:, j].mean() > 0.05 for j in range(len(names))):
+    often = [kind for kind, rows in kinds.most_common(4) if rows > TABLE.kind * count and any(kind)]
+    if not often or not all(there[:, j].mean() > TABLE.seldom for j in range(len(names))):
         return
     stated = "; ".join(
         f"{', '.join(n for n, here in zip(names, kind, strict=True) if here)} in {kinds[kind]} rows"
@@ -132,7 +120,7 @@ def check_size(
     values: np.ndarray,
     lines: np.ndarray,
     row_word: str,
-    limit: float = LIMIT,
+    limit: float = TABLE.limit,
 ) -> np.ndarray:
     """`values [T]` in SI units. BadInput at the first of them that is beyond `limit`."""
     bad = np.flatnonzero(np.abs(values) > limit)
@@ -145,7 +133,7 @@ def check_size(
 
 def from_zero(time: np.ndarray) -> np.ndarray:
     """Times `[T]` s as they are, clock times from the first of them."""
-    if abs(time[0]) > EPOCH:
+    if abs(time[0]) > TABLE.epoch:
         return time - time[0]
     return time
 
@@ -192,11 +180,11 @@ def single_precision(time: np.ndarray) -> float:
     0.
     """
     size = float(np.max(np.abs(time), initial=0.0))
-    if not 1e4 < size < 1e30:
+    if not TABLE.single < size < 1e30:
         return 0.0
     step = float(np.spacing(np.float32(size)))
     exact = np.array_equal(time, np.asarray(time, np.float32).astype(float))
-    if exact and np.mean(np.diff(time) == 0) > 0.2:
+    if exact and np.mean(np.diff(time) == 0) > TABLE.repeated:
         return step
     return 0.0
 
@@ -210,14 +198,14 @@ def check_time_unit(path: str | Path, time: np.ndarray, scale: float, mend: str 
     if len(time) < 2:
         return
     step = float(np.median(np.diff(time)))
-    if step > SLOWEST:
-        unit = next((u for u, size in SMALLER.items() if step * size <= SLOWEST), None)
+    if step > TABLE.slowest:
+        unit = next((u for u, size in SMALLER.items() if step * size <= TABLE.slowest), None)
         if unit is None:
             raise BadInput(f"{path}: a row every {step:.3g} s; record at 50 Hz or more")
         word = {"ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}[unit]
         how = mend or f'write time = "{unit}" under [units] in meta.toml, or convert the file'
         raise BadInput(f"{path}: a row every {step:.3g} s: time is suspected in {word}; {how}")
-    if step < FASTEST and scale != 1.0:
+    if step < TABLE.fastest and scale != 1.0:
         raise BadInput(
             f"{path}: a row every {step:.3g} s by the declared unit of time; write the unit that "
             "the file has under [units] in meta.toml"

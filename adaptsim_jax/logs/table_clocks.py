@@ -12,7 +12,7 @@ import numpy as np
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.clock import Series, merge
 from adaptsim_jax.logs.columns import NANOS, TIME, role
-from adaptsim_jax.logs.table_checks import MIN_ROWS
+from adaptsim_jax.logs.criteria import TABLE
 
 PAIRS = {
     "nsec": "sec",
@@ -76,10 +76,6 @@ def both(seconds: str, nanos: str) -> str:
     return f'[columns] time = ["{seconds}", "{nanos}"]'
 
 
-NEAR = 2.0
-"""Steps from its first value within which a clock starts again."""
-
-
 def cuts(time: np.ndarray) -> list[slice]:
     """The rows between steps back of `time [T]`."""
     edges = [0, *(np.flatnonzero(np.diff(time) < 0) + 1).tolist(), len(time)]
@@ -95,11 +91,11 @@ def restarted(time: np.ndarray) -> list[slice]:
         return []
     steps = np.diff(time)
     if np.any(steps > 0):
-        near = NEAR * float(np.median(steps[steps > 0]))
+        near = TABLE.restart * float(np.median(steps[steps > 0]))
     else:
         near = 0.0
     whole = (
-        len(time[part]) >= MIN_ROWS
+        len(time[part]) >= TABLE.min_rows
         and np.all(np.diff(time[part]) > 0)
         and abs(time[part][0] - time[0]) <= near
         for part in parts
@@ -114,7 +110,7 @@ def naming(cells: Mapping[str, Sequence[str]], time: np.ndarray) -> str | None:
     another one after each; None where none does.
     """
     parts = cuts(time)
-    if len(parts) < 2 or min(len(time[part]) for part in parts) < MIN_ROWS:
+    if len(parts) < 2 or min(len(time[part]) for part in parts) < TABLE.min_rows:
         return None
     for name, column in cells.items():
         if len(column) != len(time):
@@ -126,10 +122,6 @@ def naming(cells: Mapping[str, Sequence[str]], time: np.ndarray) -> str | None:
     return None
 
 
-JOINED = 0.3
-"""Share of rows that lack something from which on a table counts as joined of topics."""
-SELDOM = 0.05
-"""Share of rows that states must have at least."""
 COMMANDS = ("target", "ctrl", "tau_commanded", "u", "i")
 LINE = "q_line of the file"
 
@@ -150,7 +142,11 @@ def split_clock(
     whole = np.all(list(there.values()), axis=0)
     states = [name for name in names if roles[name].stem not in COMMANDS]
     angles = [name for name in names if roles[name].stem == "q"]
-    if np.mean(~whole) < JOINED or not angles or any(there[n].mean() < SELDOM for n in states):
+    if (
+        np.mean(~whole) < TABLE.joined
+        or not angles
+        or any(there[n].mean() < TABLE.seldom for n in states)
+    ):
         return None
     if np.any(np.diff(columns[clock]) < 0):
         return None

@@ -16,7 +16,7 @@ from adaptsim_jax.logs.archive import STEMS, is_list, read_archive, stem_and_pla
 from adaptsim_jax.logs.beside import left_out, strays
 from adaptsim_jax.logs.columns import NANOS, TIME, TRIAL, is_ignored, role
 from adaptsim_jax.logs.csv_rows import read_bytes, rows_of
-from adaptsim_jax.logs.table import MIN_ROWS, LogTable, read_table
+from adaptsim_jax.logs.table import LogTable, read_table
 from adaptsim_jax.logs.table_checks import check_clock
 from adaptsim_jax.logs.table_clocks import both, naming, pair, restarted
 
@@ -25,7 +25,6 @@ LEAVE_OUT = '[trials] exclude = ["{}"]'
 """What a meta.toml says of a trial to leave out."""
 __all__ = [
     "ENDINGS",
-    "MIN_ROWS",
     "RawTrial",
     "column_names",
     "read_file",

@@ -13,20 +13,16 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from adaptsim_jax.logs.columns import TIME, Role, role
+from adaptsim_jax.logs.criteria import TABLE, UNIT
 from adaptsim_jax.logs.headings import HeadingUnit, heading_unit, lines
 from adaptsim_jax.logs.log import ModelNames
-from adaptsim_jax.logs.log_checks import HINT, INSIDE, LARGE, LONG, lengths_within, times_range
+from adaptsim_jax.logs.log_checks import lengths_within, times_range
 from adaptsim_jax.logs.log_units import LENGTH_UNITS, TIME_UNITS
 from adaptsim_jax.logs.quality.consistency import velocity_agreement
-from adaptsim_jax.logs.scales import TURN, Scale, scales_of
-from adaptsim_jax.logs.table_checks import FASTEST, SLOWEST
+from adaptsim_jax.logs.scales import Scale, scales_of
 
 DEGREE = np.pi / 180
 RPM = 2 * np.pi / 60
-SWIFT = 60.0
-"""A second, and more: of a joint that stays within a turn if these are degrees, and is no wheel."""
-ALIKE = 0.1
-"""How far (in log) two scales may be apart and still be the same."""
 
 
 @dataclass(frozen=True)
@@ -216,13 +212,13 @@ def _time(columns: dict[str, np.ndarray], heading: HeadingUnit | None) -> Units:
     if step is None:
         name = None
     else:
-        name = next((n for n, s in TIME_UNITS.items() if step * s <= SLOWEST), "ns")
+        name = next((n for n, s in TIME_UNITS.items() if step * s <= TABLE.slowest), "ns")
     if heading is None:
         if name in (None, "s"):
             return {}
         return {"time": (name, f"a row every {step:.4g}")}
     why = f"the heading says so ({heading.heading})"
-    if step is not None and not FASTEST <= step * heading.scale <= SLOWEST:
+    if step is not None and not TABLE.fastest <= step * heading.scale <= TABLE.slowest:
         why += (
             f", but a row every {step:.4g} "
             f"{'looks like ' + str(name) if name != heading.unit else 'looks like a larger unit'}"
@@ -268,7 +264,7 @@ def _lengths(
                     why if sure else f"{why}: {' or '.join(units)}?",
                 )
             }
-        if limits is None and reach > LONG:
+        if limits is None and reach > UNIT.long:
             return out | {
                 "length": (
                     Question("mm"),
@@ -342,7 +338,12 @@ def _by_headings(
             times = times_range(observed.reach(joint), limits)
         else:
             times = 0.0
-        if angle == {1.0} and times > HINT and times * DEGREE <= INSIDE and "angle" in out:
+        if (
+            angle == {1.0}
+            and times > UNIT.hint
+            and times * DEGREE <= UNIT.inside
+            and "angle" in out
+        ):
             unit, why = out["angle"]
             return out | {"angle": (unit, f"{why}, but {observed.reaches(joint)} rad")}
     return out
@@ -355,21 +356,21 @@ def _by_size(time: np.ndarray | None, observed: _Columns, lerobot: bool, unknown
     asked: Units = {}
     for joint, q in observed.q.items():
         reach = observed.reach(joint)
-        if reach <= LARGE:
+        if reach <= UNIT.large:
             continue
         limits = observed.limits.get(joint)
         if (
             limits
-            and times_range(reach, limits) > HINT
-            and times_range(reach, limits) * DEGREE <= INSIDE
+            and times_range(reach, limits) > UNIT.hint
+            and times_range(reach, limits) * DEGREE <= UNIT.inside
         ):
             why = f"{observed.reaches(joint)} rad"
             return {"angle": ("deg", why)}
         turns = f"angles reach {reach:.4g}; rad, if the joint turns {reach / (2 * np.pi):.2g} times"
         fast = (
             time is not None
-            and np.nanquantile(np.abs(np.gradient(q, time)), 0.99) > SWIFT
-            and reach <= TURN
+            and np.nanquantile(np.abs(np.gradient(q, time)), 0.99) > UNIT.swift
+            and reach <= UNIT.degrees
         )
         if lerobot or (fast and (unknown or joint in observed.servos)):
             return {"angle": ("deg", turns)}
@@ -378,7 +379,7 @@ def _by_size(time: np.ndarray | None, observed: _Columns, lerobot: bool, unknown
 
 
 def _like(gain: float, scale: float) -> bool:
-    return abs(np.log(gain / scale)) < ALIKE
+    return abs(np.log(gain / scale)) < UNIT.alike
 
 
 def _gain(time: np.ndarray, angles: dict, speeds: dict) -> float | None:
@@ -386,12 +387,15 @@ def _gain(time: np.ndarray, angles: dict, speeds: dict) -> float | None:
     gains = []
     for joint, v in speeds.items():
         q = angles.get(joint)
-        if q is not None and np.isfinite(q).all() and np.isfinite(v).all() and len(q) > 20:
+        if (
+            q is not None
+            and np.isfinite(q).all()
+            and np.isfinite(v).all()
+            and len(q) > UNIT.min_rows
+        ):
             reported = velocity_agreement(time, q, v)
-            if reported.enough and reported.r2 > 0.9 and reported.gain > 0:
-                gains += [reported.gain]
-            else:
-                gains += []
-    if not gains or max(gains) > 1.2 * min(gains):
+            if reported.enough and reported.r2 > UNIT.related and reported.gain > 0:
+                gains.append(reported.gain)
+    if not gains or max(gains) > UNIT.agree * min(gains):
         return None
     return float(np.median(gains))

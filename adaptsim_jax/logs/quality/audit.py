@@ -13,12 +13,9 @@ import numpy as np
 from adaptsim_jax.logs.log import Log, LogTrial
 from adaptsim_jax.logs.quality import signals
 from adaptsim_jax.logs.quality.consistency import lattice_step
+from adaptsim_jax.logs.quality.criteria import SIGNAL
 from adaptsim_jax.logs.quality.findings import Audit, Finding
-from adaptsim_jax.logs.quality.signals import STILL, Signal
-
-MIN_ROWS = 20
-"""Rows with an angle, below which nothing is said of a joint of a trial."""
-
+from adaptsim_jax.logs.quality.signals import Signal
 
 INPUTS = {"torque": "tau", "command": "ctrl", "voltage": "u", "current": "i", "none": ""}
 """Kind of a log's input -> stem of its columns."""
@@ -55,7 +52,7 @@ def audit(
     findings += _faults(len(log.trials), broken)
     if len(still) == len(log.trials):
         text = (
-            f"no trial moves by more than {STILL:g} rad (m): nothing can be learned from this "
+            f"no trial moves by more than {SIGNAL.still:g} rad (m): nothing can be learned from this "
             "recording"
         )
         findings.append(Finding("no_motion", "fault", "", "recording", text, float(len(still))))
@@ -76,7 +73,7 @@ def _signals(
         rows = np.isfinite(trial.q[:, j])
         if trial.v is not None:
             rows &= np.isfinite(trial.v[:, j])
-        if rows.sum() < MIN_ROWS:
+        if rows.sum() < SIGNAL.min_rows:
             continue
         k = efforts.get(joint)
         yield Signal(
@@ -115,9 +112,9 @@ def _audit_trial(
         found += signals.check_command(s) + signals.check_excitation(s)
         valid[np.searchsorted(trial.time, s.time[~(moving & smooth)])] = False
         wrong += [s.q_name] * stuck + [s.v_name] * contradicts
-    if own and all(np.ptp(s.q) < STILL for s in own):
+    if own and all(np.ptp(s.q) < SIGNAL.still for s in own):
         text = (
-            f"the machine hardly moves (under {STILL:g} rad or m): nothing can be learned from "
+            f"the machine hardly moves (under {SIGNAL.still:g} rad or m): nothing can be learned from "
             "this trial"
         )
         most = max(float(np.ptp(s.q)) for s in own)

@@ -9,16 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from adaptsim_jax.logs.quality.criteria import COMMAND
 from adaptsim_jax.logs.quality.hypotheses import Track, blocks
-
-SMOOTH = 3
-"""Blocks over which both sides of the equation are averaged, so that noise of the angles counts
-less.
-"""
-ALIKE = 6.0
-"""Rows that what is left stays alike over."""
-MIN_ROWS = 30
-"""Blocks below which nothing is said."""
 
 
 def unexplained(tracks: Sequence[Track]) -> float:
@@ -29,7 +21,7 @@ def unexplained(tracks: Sequence[Track]) -> float:
     rows = [_rows(track) for track in tracks]
     a = np.concatenate([r[0] for r in rows])
     columns = np.concatenate([r[1] for r in rows])
-    if len(a) < MIN_ROWS or np.std(a) < 1e-9 or np.std(columns[:, 0]) < 1e-12:
+    if len(a) < COMMAND.min_blocks or np.std(a) < 1e-9 or np.std(columns[:, 0]) < 1e-12:
         return float("nan")
     size = np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-12)
     x, *_ = np.linalg.lstsq(columns / size, a, rcond=1e-9)
@@ -44,15 +36,17 @@ def servo_gain(tracks: Sequence[Track]) -> tuple[float, float, float] | None:
     """
     rows = [_rows(track) for track in tracks]
     a, columns = (np.concatenate([r[k] for r in rows]) for k in (0, 1))
-    if len(a) < MIN_ROWS or np.std(a) < 1e-9 or np.std(columns[:, 0]) < 1e-12:
+    if len(a) < COMMAND.min_blocks or np.std(a) < 1e-9 or np.std(columns[:, 0]) < 1e-12:
         return None
     size = np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-12)
     whole = columns / size
     gram = whole.T @ whole + 1e-9 * len(a) * np.eye(whole.shape[1])
     x = np.linalg.solve(gram, whole.T @ a)
     left = a - whole @ x
-    spread = float(np.sum(left**2)) / max(len(a) / ALIKE - whole.shape[1], 1.0) / ALIKE
-    error = np.sqrt(spread * ALIKE * np.linalg.inv(gram)[0, 0])
+    spread = (
+        float(np.sum(left**2)) / max(len(a) / COMMAND.alike - whole.shape[1], 1.0) / COMMAND.alike
+    )
+    error = np.sqrt(spread * COMMAND.alike * np.linalg.inv(gram)[0, 0])
     return (
         float(x[0] / size[0]),
         float(error / size[0]),
@@ -63,7 +57,7 @@ def servo_gain(tracks: Sequence[Track]) -> tuple[float, float, float] | None:
 def _rows(track: Track) -> tuple[np.ndarray, np.ndarray]:
     """Accelerations `[K]` and columns `[K, 6]` of one trial."""
     here = np.isfinite(track.q[:, 0]) & np.isfinite(track.tau[:, 0])
-    if here.sum() < 12:
+    if here.sum() < COMMAND.min_rows:
         return np.zeros(0), np.zeros((0, 6))
     whole = Track(
         track.time[here], track.q[here], None if track.v is None else track.v[here], track.tau[here]
@@ -71,35 +65,12 @@ def _rows(track: Track) -> tuple[np.ndarray, np.ndarray]:
     q, v, a, u, _ = blocks(whole, sharp=True)
     q, v, a, u = (x[:, 0] for x in (q, v, a, u))
     table = np.stack([u, q, v, np.sin(q), np.cos(q), np.ones_like(q), a], 1)
-    if len(table) < 2 * SMOOTH:
+    if len(table) < 2 * COMMAND.smooth:
         return np.zeros(0), np.zeros((0, 6))
-    mean = np.stack([np.convolve(c, np.ones(SMOOTH) / SMOOTH, "valid") for c in table.T], 1)
+    mean = np.stack(
+        [np.convolve(c, np.ones(COMMAND.smooth) / COMMAND.smooth, "valid") for c in table.T], 1
+    )
     return mean[:, -1], mean[:, :-1]
-
-
-MOST_JOINTS = 12
-"""Up to which every command is tried on every joint."""
-FEW = 6
-"""Trials that are looked at, evenly drawn."""
-EXCHANGED = 4.0
-"""Times less that each exchanged joint must leave under the other's command, in the mean."""
-KNOWN = 0.3
-"""Share of the acceleration that a command may leave to be believed."""
-CUT_TRIALS, ROW, NEARLY = 4, 5e-3, 2.0
-"""Trials, and s of a row, in which a cut is looked for; times what counts that a coarse look may
-leave.
-"""
-POOR, CUT, DISTINCT = 0.03, 0.3, 0.7
-"""A command is doubted from this share on; one cut on its way is told where it leaves this share of
-that, and this share of what a limit of force leaves.
-"""
-FOLLOWS, NEAR_UNIT = 0.7, 0.4
-"""Square of the correlation of angle and target from which on their sizes are compared; how far (in
-log) these may be from units'.
-"""
-SPREAD, SURE, MIN_TRIALS = 1.2, 8.0, 3
-"""Ratio of gains between trials from which on they differ, in standard errors of their difference.
-"""
 
 
 @dataclass(frozen=True)
@@ -125,7 +96,7 @@ class Cut:
     other: float
 
 
-def drawn(tracks: Sequence[Track], count: int = FEW) -> list[Track]:
+def drawn(tracks: Sequence[Track], count: int = COMMAND.trials) -> list[Track]:
     """Some of the trials, evenly."""
     keep = np.unique(np.linspace(0, len(tracks) - 1, min(count, len(tracks))).round().astype(int))
     return [tracks[k] for k in keep]
@@ -142,7 +113,7 @@ def exchanged(tracks: Sequence[Track], joints: Sequence[int]) -> Exchanged | Non
     """Which joints' commands look exchanged, of tracks whose torque is the command; None for none.
     joints: those that have one.
     """
-    if not 2 <= len(joints) <= MOST_JOINTS:
+    if not 2 <= len(joints) <= COMMAND.most_joints:
         return None
     some = drawn(tracks)
     left = np.array(
@@ -157,8 +128,8 @@ def exchanged(tracks: Sequence[Track], joints: Sequence[int]) -> Exchanged | Non
         return None
     own, other = left[moved, moved], left[moved, order[moved]]
     if (
-        np.max(other) > KNOWN
-        or np.mean(np.log(own / np.maximum(other, 1e-6))) < np.log(EXCHANGED)
+        np.max(other) > COMMAND.believed
+        or np.mean(np.log(own / np.maximum(other, 1e-6))) < np.log(COMMAND.exchanged)
         or np.any(own < other)
     ):
         return None
@@ -173,11 +144,11 @@ def cut(tracks: Sequence[Track], joint: int, damping: float) -> Cut | None:
     """
     some = [
         _thinned(one(t, joint))
-        for t in drawn(tracks, CUT_TRIALS)
+        for t in drawn(tracks, COMMAND.cut_trials)
         if np.all(np.isfinite(t.q[:, joint]))
     ]
     base = unexplained(some) if some else float("nan")
-    if not base > POOR:
+    if not base > COMMAND.doubted:
         return None
     off = np.concatenate([np.abs(t.tau[:, 0] - t.q[:, 0]) for t in some])
     speeds = np.concatenate([np.abs(_speed(t)) for t in some])
@@ -192,12 +163,12 @@ def cut(tracks: Sequence[Track], joint: int, damping: float) -> Cut | None:
     ends["force"] = float(off.max()) * np.array([0.01, 1.0])
     rough = {how: _best(some, read[how], *ends[how], rounds=1)[1] for how in ("rate", "within")}
     best = min(rough, key=lambda how: rough[how])
-    if rough[best] > NEARLY * CUT * base:
+    if rough[best] > COMMAND.cut_coarse * COMMAND.cut * base:
         return None
     found = {how: _best(some, read[how], *ends[how]) for how in read}
     best = min(rough, key=lambda how: found[how][1])
     size, left = found[best]
-    if left > CUT * base or left > DISTINCT * found["force"][1]:
+    if left > COMMAND.cut * base or left > COMMAND.cut_distinct * found["force"][1]:
         return None
     return Cut(best, size, base, left)
 
@@ -212,7 +183,7 @@ def other_unit(
     a = np.concatenate([x[k] - x[k].mean() for x, k in zip(q, here, strict=True) if k.any()])
     u = np.concatenate([x[k] - x[k].mean() for x, k in zip(target, here, strict=True) if k.any()])
     power = float(a @ a) * float(u @ u)
-    if power == 0.0 or float(a @ u) < np.sqrt(FOLLOWS * power):
+    if power == 0.0 or float(a @ u) < np.sqrt(COMMAND.follows * power):
         return None
     size = float(np.sqrt((a @ a) / (u @ u)))
     if slides:
@@ -221,14 +192,14 @@ def other_unit(
         units = ({"deg": np.pi / 180, "rev": 2 * np.pi}, "rad")
     for unit, scale in units[0].items():
         for pair, times in (((units[1], unit), scale), ((unit, units[1]), 1.0 / scale)):
-            if abs(np.log(size / times)) < NEAR_UNIT:
+            if abs(np.log(size / times)) < COMMAND.unit:
                 return pair
     return None
 
 
 def _thinned(track: Track) -> Track:
-    """Rows of about `ROW` s: a limit is followed row by row, and acts over many."""
-    k = max(1, round(ROW / float(np.median(np.diff(track.time)))))
+    """Rows of about `cut_row` s: a limit is followed row by row, and acts over many."""
+    k = max(1, round(COMMAND.cut_row / float(np.median(np.diff(track.time)))))
     return Track(
         track.time[::k], track.q[::k], None if track.v is None else track.v[::k], track.tau[::k]
     )
@@ -272,14 +243,14 @@ def gains_by_trial(tracks: Sequence[Track], joint: int) -> np.ndarray | None:
     where trials do not differ in it, or where that cannot be told. Each trial has a gain of its
     own. What else acts is alike in all, or each trial's own where the whole of it is (a load).
     """
-    if len(tracks) < MIN_TRIALS:
+    if len(tracks) < COMMAND.min_trials:
         return None
     fits = [servo_gain([one(t, joint)]) for t in tracks]
     if any(fit is None for fit in fits):
         return None
     gain, error, left = np.array([fit for fit in fits if fit is not None]).T
     if (
-        np.max(left) > POOR
+        np.max(left) > COMMAND.doubted
     ):  # something else acts too, as a limit of force in the trials that reach it
         return None
     middle = float(np.median(gain))
@@ -288,9 +259,9 @@ def gains_by_trial(tracks: Sequence[Track], joint: int) -> np.ndarray | None:
     )
     if (
         np.min(gain) <= 0
-        or np.max(gain) / np.min(gain) < SPREAD
-        or separate < SURE
-        or np.max(error / gain) > 0.1
+        or np.max(gain) / np.min(gain) < COMMAND.gain_ratio
+        or separate < COMMAND.gain_errors
+        or np.max(error / gain) > COMMAND.gain_error
     ):
         return None
     return gain / middle

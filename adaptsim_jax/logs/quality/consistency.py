@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptsim_jax.logs.noise import difference_noise
+from adaptsim_jax.logs.quality.criteria import AGREEMENT, JITTER
 
 
 @dataclass(frozen=True)
@@ -27,9 +28,6 @@ class Agreement:
 
 
 NOT_ENOUGH = Agreement(1.0, 0.0, 0.0, False, False)
-SPAN = 0.1
-"""Stretch in s over which slopes are taken: long enough for the noise of the angle to average out.
-"""
 
 
 def velocity_agreement(time: np.ndarray, q: np.ndarray, v: np.ndarray) -> Agreement:
@@ -43,15 +41,17 @@ def velocity_agreement(time: np.ndarray, q: np.ndarray, v: np.ndarray) -> Agreem
     """
     dt = np.diff(time)
     area = np.concatenate([[0.0], np.cumsum(0.5 * (v[1:] + v[:-1]) * dt)])
-    span = min(max(8, round(SPAN / float(np.median(dt)))), len(time) // 4)
+    span = min(
+        max(AGREEMENT.min_span, round(AGREEMENT.span / float(np.median(dt)))), len(time) // 4
+    )
     width = time[span:] - time[:-span]
     mean_v, slope = (area[span:] - area[:-span]) / width, (q[span:] - q[:-span]) / width
     bend = (v[span:] - v[:-span]) / width
     if np.std(slope) == 0 or np.std(mean_v) == 0:
         return NOT_ENOUGH
     (inverse, lead, _), spread, r2 = _regress(mean_v, bend, slope, span)
-    loud = bool(np.std(slope) > 6.0 * _angle_noise(q) / float(np.median(width)))
-    if inverse == 0 or r2 < 0.5:
+    loud = bool(np.std(slope) > AGREEMENT.loud * _angle_noise(q) / float(np.median(width)))
+    if inverse == 0 or r2 < AGREEMENT.related:
         return Agreement(0.0, 0.0, r2, False, loud)
     return Agreement(1 / inverse, lead / inverse, r2, True, loud, spread / inverse**2)
 
@@ -80,7 +80,7 @@ def _regress(
     for _ in range(3):
         coef = np.linalg.lstsq(design[keep] / scale, target[keep], rcond=None)[0]
         residual = np.abs(target - design / scale @ coef)
-        keep = residual <= max(6.0 * 1.4826 * float(np.median(residual[keep])), 1e-12)
+        keep = residual <= max(AGREEMENT.trimmed * 1.4826 * float(np.median(residual[keep])), 1e-12)
     rest = float(np.var(target[keep] - design[keep] / scale @ coef))
     total = float(np.var(target[keep]))
     # Overlapping stretches repeat each other: one in `span` is independent.
@@ -89,7 +89,7 @@ def _regress(
 
 
 def command_agreement(
-    time: np.ndarray, command: np.ndarray, measured: np.ndarray, most: int = 40
+    time: np.ndarray, command: np.ndarray, measured: np.ndarray, most: int = AGREEMENT.late_rows
 ) -> Agreement:
     """measured = gain command(t - lag) + offset; lag in s: the best of `most` samples and a
     parabola.
@@ -97,7 +97,7 @@ def command_agreement(
     if np.std(command) < 1e-9 or np.std(measured) < 1e-9 or len(time) <= 3 * most:
         return NOT_ENOUGH
     n = len(time)
-    lags = np.arange(-5, most + 1)
+    lags = np.arange(-AGREEMENT.early_rows, most + 1)
     body = slice(most, n - most)
     shifted = np.stack([np.roll(command, k)[body] for k in lags], axis=1)
     shifted = shifted - shifted.mean(axis=0)
@@ -112,7 +112,7 @@ def command_agreement(
         shift = 0.5 * (left - right) / curve if curve < 0 else 0.0
     gain = float(shifted[:, best] @ y / power[best])
     lag = float((lags[best] + shift) * np.median(np.diff(time)))
-    return Agreement(gain, lag, float(r2[best]), bool(r2[best] > 0.3))
+    return Agreement(gain, lag, float(r2[best]), bool(r2[best] > AGREEMENT.command_related))
 
 
 def lattice_step(x: np.ndarray) -> float:
@@ -151,17 +151,12 @@ def _refine(values: np.ndarray, guess: float) -> float:
         step, start = np.polyfit(index, values, 1)
     off = np.abs(values - (start + step * index)) / step
     single = np.mean(np.diff(index) == 0)
-    if np.mean(off > 0.15) < 0.02 and single < 0.05:
+    outliers = np.mean(off > AGREEMENT.lattice_off)
+    if outliers < AGREEMENT.lattice_outliers and single < AGREEMENT.lattice_same:
         return float(step)
     return 0.0
 
 
-MIN_JITTER = 1e-3
-"""Of an interval: a clock this even is even."""
-EVEN, SURE = 0.7, 10.0
-"""Share of the stamps' unevenness that the angles must not follow for rows to count as even, and in
-standard errors of it.
-"""
 STENCIL = (-2, -1, 1, 2)
 
 
@@ -186,13 +181,13 @@ def jitter(trials: Sequence[tuple[np.ndarray, np.ndarray]]) -> Jitter | None:
     off = [time - e for (time, _), e in zip(trials, evens, strict=True)]
     step = float(np.median(np.concatenate([np.diff(time) for time, _ in trials])))
     size = float(np.std(np.concatenate(off)))
-    if size < MIN_JITTER * step:
+    if size < JITTER.even * step:
         return None
     top = bottom = whole = 0.0
     count = 0
     for (time, q), e, d in zip(trials, evens, off, strict=True):
         for j in range(q.shape[1]):
-            if len(time) < 10 or not np.all(np.isfinite(q[:, j])):
+            if len(time) < JITTER.min_rows or not np.all(np.isfinite(q[:, j])):
                 continue
             missed = _missed(time, q[:, j])
             x = _missed(time, -np.gradient(q[:, j], e) * d)
@@ -203,11 +198,11 @@ def jitter(trials: Sequence[tuple[np.ndarray, np.ndarray]]) -> Jitter | None:
             bottom += gain * float(x @ x)
             whole += gain * float(missed @ missed)
             count += len(x)
-    if not bottom > 0.0 or count < 50:
+    if not bottom > 0.0 or count < JITTER.min_count:
         return None
     share = top / bottom
     error = np.sqrt(max(whole - share * top, 1e-300) / count / bottom)
-    if share < EVEN or share > 2.0 - EVEN or share < SURE * error:
+    if share < JITTER.share or share > 2.0 - JITTER.share or share < JITTER.errors * error:
         return None
     return Jitter(tuple(e for e in evens if e is not None), size, share)
 
@@ -228,7 +223,7 @@ def even(time: np.ndarray) -> np.ndarray | None:
         return None
     slope, begin = np.polyfit(place, time, 1)
     out = begin + slope * place
-    if np.max(np.abs(time - out)) < 2.0 * step:
+    if np.max(np.abs(time - out)) < JITTER.off * step:
         return out
     return None
 

@@ -12,9 +12,9 @@ from itertools import combinations
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.quality.criteria import BLOCK, CONTRADICTION
 from adaptsim_jax.logs.quality.findings import Finding
 from adaptsim_jax.logs.quality.hypotheses import (
-    MIN_BLOCKS,
     SHIFTS,
     Design,
     Hypothesis,
@@ -26,23 +26,6 @@ from adaptsim_jax.logs.quality.hypotheses import (
 )
 
 AS_DECLARED = "if all is as declared, add --as-declared"
-POOR = 0.15
-"""Share of the torque's square left unexplained from which on the declared convention is doubted.
-"""
-GOOD, TIMES = 0.1, 5.0
-"""Another convention is told where it leaves less than GOOD, and TIMES less than the declared one.
-"""
-HARDLY, CLEARLY = 0.03, 10.0
-"""So it is from this share on, where another leaves CLEARLY times less: many parameters explain much of
-anything.
-"""
-MOST_SWAPPED = 8
-"""Joints up to which every pair is tried."""
-SURE = 0.7
-"""Share of what is left at no shift that the best shift may leave."""
-NEAR = 4.0
-"""Times the declared torques up to which those that the motion needs are of their size."""
-SHORTEST = 1e-3
 
 
 @dataclass(frozen=True)
@@ -104,23 +87,31 @@ def contradiction(
     turn off.
     """
     motion = motion_of(tracks)
-    if len(motion.q) < MIN_BLOCKS or not np.all(np.isfinite(motion.a)) or not _moves(motion):
+    if len(motion.q) < BLOCK.enough or not np.all(np.isfinite(motion.a)) or not _moves(motion):
         return None
     left = unexplained(motion, design)
-    if left < HARDLY:
+    if left < CONTRADICTION.hardly:
         return None
     best: tuple[float, Hypothesis] | None = None
     for h in (*hypotheses_of(words, chain, zeros), *more):
         other = unexplained(h.motion(motion), h.design or design, h.gravity)
         # of two that do alike the first, which is the simpler, stands
-        if best is None or other < 0.8 * best[0]:
+        if best is None or other < CONTRADICTION.simpler * best[0]:
             best = other, h
-    if best is None or best[0] > GOOD or best[0] * (TIMES if left >= POOR else CLEARLY) > left:
+    if (
+        best is None
+        or best[0] > CONTRADICTION.explains
+        or best[0]
+        * (CONTRADICTION.times if left >= CONTRADICTION.doubted else CONTRADICTION.clearly)
+        > left
+    ):
         return None
     if (
-        left < POOR
+        left < CONTRADICTION.doubted
         and best[1] in more
-        and 1.0 / NEAR < linear_fit(motion, design, first=motion.tau.shape[1]).scale < NEAR
+        and 1.0 / CONTRADICTION.same_size
+        < linear_fit(motion, design, first=motion.tau.shape[1]).scale
+        < CONTRADICTION.same_size
     ):
         # inertias that are a little off look like lengths that are far off; but torques are then of
         # the right size
@@ -130,7 +121,8 @@ def contradiction(
 
 def _moves(motion: Motion) -> bool:
     return bool(
-        np.all(np.std(motion.q, axis=0) > 1e-3) and np.any(np.std(motion.tau, axis=0) > 1e-9)
+        np.all(np.std(motion.q, axis=0) > BLOCK.moving)
+        and np.any(np.std(motion.tau, axis=0) > 1e-9)
     )
 
 
@@ -140,7 +132,7 @@ def hypotheses_of(
     """Those of the columns, for `n` joints."""
     n = len(words.joints)
     out = []
-    for i, j in combinations(range(n), 2) if n <= MOST_SWAPPED else ():
+    for i, j in combinations(range(n), 2) if n <= CONTRADICTION.most_swapped else ():
         order = list(range(n))
         order[i], order[j] = j, i
         pair = f"{words.joints[i]} and {words.joints[j]}"
@@ -306,7 +298,7 @@ def lateness(tracks: Sequence[Track], design: Design) -> Late | None:
     not, or where that cannot be told.
     """
     motion = motion_of(tracks)
-    if len(motion.q) < MIN_BLOCKS or not _moves(motion):
+    if len(motion.q) < BLOCK.enough or not _moves(motion):
         return None
     left = unexplained(motion, design)
     coarse = SHIFTS[::3]
@@ -319,7 +311,11 @@ def lateness(tracks: Sequence[Track], design: Design) -> Late | None:
     if 0 < i < len(fine) - 1:
         a, b, c = found[i - 1 : i + 2]
         best += 0.5e-3 * (a - c) / max(a - 2 * b + c, 1e-15)
-    if found[i] > min(SURE * left, POOR) or abs(best) < SHORTEST or k in (0, len(coarse) - 1):
+    if (
+        found[i] > min(CONTRADICTION.late_left * left, CONTRADICTION.doubted)
+        or abs(best) < CONTRADICTION.min_shift
+        or k in (0, len(coarse) - 1)
+    ):
         return None
     return Late(float(best), left, float(found[i]))
 
@@ -332,7 +328,7 @@ def late_finding(
     then a warning too. `step` s between rows.
     """
     ms, names = f"{1e3 * abs(late.seconds):.2g} ms", ", ".join(columns)
-    if late.seconds > 0.75 * step:
+    if late.seconds > CONTRADICTION.ahead_rows * step:
         count = f"{late.seconds / step:.1f}".removesuffix(".0")
         rows = "1 row" if count == "1" else f"{count} rows"
         what = f"the motion is {ms} ahead of the torque that makes it: {names} are logged about {ms} ({rows}) late"

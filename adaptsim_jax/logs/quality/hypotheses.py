@@ -14,13 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import nnls
 
-BLOCK = 0.03
-"""s over which readings are averaged."""
-SHARP = 0.01
-"""s of a sharp block, which is no shorter than a row."""
-MOST = 1200
-"""Blocks that are looked at, evenly drawn."""
-MIN_BLOCKS = 60
+from adaptsim_jax.logs.quality.criteria import BLOCK
+
 SHIFTS = np.arange(-60.0, 61.0, 1.0) * 1e-3
 """s by which the torque is moved."""
 
@@ -72,7 +67,9 @@ def motion_of(tracks: Sequence[Track], shift: float = 0.0) -> Motion:
     parts = [blocks(t, shift) for t in tracks]
     joined = [np.concatenate([p[k] for p in parts]) for k in range(4)]
     if len(joined[0]):
-        keep = np.unique(np.linspace(0, len(joined[0]) - 1, min(MOST, len(joined[0]))).astype(int))
+        keep = np.unique(
+            np.linspace(0, len(joined[0]) - 1, min(BLOCK.most, len(joined[0]))).astype(int)
+        )
     else:
         keep = []
     return Motion(*(x[keep] for x in joined))
@@ -87,8 +84,8 @@ def blocks(track: Track, shift: float = 0.0, sharp: bool = False) -> tuple[np.nd
     """
     time = track.time
     step = float(np.median(np.diff(time)))
-    size = max(SHARP, step) if sharp else max(BLOCK, 3.0 * step)
-    edges = np.arange(time[0] + 0.05, time[-1] - 0.05, size)
+    size = max(BLOCK.sharp, step) if sharp else max(BLOCK.mean, BLOCK.min_rows * step)
+    edges = np.arange(time[0] + BLOCK.edge, time[-1] - BLOCK.edge, size)
     n = track.q.shape[1]
     if len(edges) < 8:
         return *(np.zeros((0, n)),) * 4, np.zeros(0, int)
@@ -105,7 +102,7 @@ def blocks(track: Track, shift: float = 0.0, sharp: bool = False) -> tuple[np.nd
         [np.diff(np.interp(edges + shift, time, held[:, j])) / size for j in range(n)], 1
     )
     # a hole within or beside a block says nothing of it
-    gap = np.flatnonzero(np.diff(time) > 4.0 * step)
+    gap = np.flatnonzero(np.diff(time) > BLOCK.gap * step)
     whole = np.ones(len(edges) - 1, bool)
     for g in gap:
         whole &= (edges[1:] + 2 * size < time[g]) | (edges[:-1] - 2 * size > time[g + 1])
@@ -151,7 +148,7 @@ def rubbing(motion: Motion) -> np.ndarray:
     sign.
     """
     k, n = motion.q.shape
-    loud = np.maximum(0.02 * np.max(np.abs(motion.v), axis=0), 1e-9)
+    loud = np.maximum(BLOCK.slow * np.max(np.abs(motion.v), axis=0), 1e-9)
     joints = np.zeros((k, n, 4 * n))
     for j in range(n):
         joints[:, j, 4 * j] = motion.v[:, j]

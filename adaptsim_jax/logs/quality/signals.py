@@ -7,12 +7,8 @@ import numpy as np
 
 from adaptsim_jax.logs.noise import difference_noise
 from adaptsim_jax.logs.quality.consistency import command_agreement, velocity_agreement
+from adaptsim_jax.logs.quality.criteria import SIGNAL
 from adaptsim_jax.logs.quality.findings import Finding, Findings
-
-MOVES = 0.2
-"""Range in rad (rad/s) from which on a joint is taken to move."""
-STILL = 0.02
-"""Range in rad (m) below which a trial teaches nothing."""
 
 
 @dataclass(frozen=True)
@@ -52,19 +48,19 @@ def check_sampling(trial: str, time: np.ndarray) -> Findings:
     rate = 1.0 / step
     text = f"sampled at {rate:.4g} Hz (median)"
     found = [Finding("sampling", "info", trial, "time", text, rate)]
-    jitter = float(np.std(dt[dt <= 5 * step]) / step)
-    if jitter > 0.05:
+    jitter = float(np.std(dt[dt <= SIGNAL.gap * step]) / step)
+    if jitter > SIGNAL.jitter:
         text = f"sampling interval varies by {jitter:.0%} (std)"
         found.append(Finding("jitter", "info", trial, "time", text, jitter))
-    gaps = np.flatnonzero(dt > 5 * step)
+    gaps = np.flatnonzero(dt > SIGNAL.gap * step)
     if gaps.size:
         at = time[gaps[0]]
         text = (
-            f"{gaps.size} gap(s) over 5 intervals, the longest {dt.max():.3g} s, first at {at:.3g} "
+            f"{gaps.size} gap(s) over {SIGNAL.gap:g} intervals, the longest {dt.max():.3g} s, first at {at:.3g} "
             "s"
         )
         found.append(Finding("gap", "warn", trial, f"time {at:.3g} s", text, float(dt.max())))
-    if rate < 45:
+    if rate < SIGNAL.min_rate:
         text = f"sampled at {rate:.3g} Hz: below 50 Hz fast effects cannot be told apart"
         found.append(Finding("slow_sampling", "warn", trial, "time", text, rate))
     return found
@@ -88,8 +84,8 @@ def check_frozen(s: Signal, step: float) -> tuple[Findings, np.ndarray, bool]:
     """
     keep = np.ones(len(s.q), bool)
     if np.ptp(s.q) == 0:
-        spins = s.v is not None and np.ptp(s.v) > MOVES
-        if not spins and not (s.free and s.others > MOVES):
+        spins = s.v is not None and np.ptp(s.v) > SIGNAL.moving
+        if not spins and not (s.free and s.others > SIGNAL.moving):
             return [], keep, False
         text = (
             f"{s.q_name} is constant ({s.q[0]:.4g} {s.unit}) over the trial while it moves: stuck"
@@ -115,18 +111,18 @@ def _frozen_runs(time: np.ndarray, q: np.ndarray, step: float) -> list[tuple[int
     """
     starts, lengths = runs(q)
     noise = max(step, float(difference_noise([q], 2)))
-    bad = []
+    bad, side = [], SIGNAL.frozen_sides
     for start, length in zip(starts, lengths, strict=True):
         end = start + length
-        if length < 5 or start < 4 or end + 4 > len(q):
+        if length < SIGNAL.frozen_rows or start < side or end + side > len(q):
             continue
         span = time[end - 1] - time[start]
-        before = (q[start] - q[start - 4]) / (time[start] - time[start - 4])
-        after = (q[end + 3] - q[end]) / (time[end + 3] - time[end])
+        before = (q[start] - q[start - side]) / (time[start] - time[start - side])
+        after = (q[end + side - 1] - q[end]) / (time[end + side - 1] - time[end])
         expected = 0.0
         if before * after > 0:
             expected = span * min(abs(before), abs(after))
-        if min(expected, 2 * abs(q[end] - q[end - 1])) > 10 * noise:
+        if min(expected, 2 * abs(q[end] - q[end - 1])) > SIGNAL.frozen_steps * noise:
             bad.append((int(start), int(length)))
     return bad
 
@@ -147,12 +143,14 @@ def _lone_outliers(time: np.ndarray, q: np.ndarray, step: float) -> np.ndarray:
     sides.
     """
     dt = np.diff(time)
-    even = np.stack([dt[:-3], dt[1:-2], dt[2:-1], dt[3:]]).max(axis=0) < 2 * np.median(dt)
+    even = np.stack([dt[:-3], dt[1:-2], dt[2:-1], dt[3:]]).max(
+        axis=0
+    ) < SIGNAL.spike_gap * np.median(dt)
     miss = q[2:-2] - (4 * (q[1:-3] + q[3:-1]) - q[:-4] - q[4:]) / 6
     usual = max(1.4826 * float(np.median(np.abs(miss))), step, 1e-9)
     left, right = q[2:-2] - q[1:-3], q[2:-2] - q[3:-1]
-    out = (np.abs(miss) > 30 * usual) & (left * right > 0)
-    out &= np.minimum(np.abs(left), np.abs(right)) > 0.5 * np.abs(miss)
+    out = (np.abs(miss) > SIGNAL.spike * usual) & (left * right > 0)
+    out &= np.minimum(np.abs(left), np.abs(right)) > SIGNAL.spike_sides * np.abs(miss)
     return np.flatnonzero(out & even) + 2
 
 
@@ -163,13 +161,17 @@ def check_saturation(s: Signal, steps: dict[str, float]) -> Findings:
     if s.free:
         columns.append((s.q_name, s.q, "warn"))
     for name, x, severity in columns:
-        if x is None or np.ptp(x) == 0 or np.mean(np.isin(x, (x.max(), x.min()))) > 0.9:
+        if (
+            x is None
+            or np.ptp(x) == 0
+            or np.mean(np.isin(x, (x.max(), x.min()))) > SIGNAL.two_valued
+        ):
             continue
         starts, lengths = _cut_runs(s.time, x, steps.get(name, 0.0))
         for extreme, word in ((x.max(), "largest"), (x.min(), "smallest")):
-            at = (x[starts] == extreme) & (lengths >= 5)
+            at = (x[starts] == extreme) & (lengths >= SIGNAL.cut_rows)
             share = float(lengths[at].sum()) / len(x)
-            if share > 0.01 and np.sum(at) >= 2:
+            if share > SIGNAL.cut_share and np.sum(at) >= SIGNAL.cut_runs:
                 text = (
                     f"{name} rests at its {word} value {extreme:.4g} in {share:.0%} of the rows: "
                     "clipped?"
@@ -186,7 +188,7 @@ def _cut_runs(time: np.ndarray, x: np.ndarray, step: float) -> tuple[np.ndarray,
     ends = np.minimum(starts + lengths, len(x) - 1)
     before = np.maximum(starts - 3, 0)
     speed = np.abs(x[starts] - x[before]) / np.maximum(time[starts] - time[before], 1e-12)
-    cut = speed * (time[ends] - time[starts]) > 20 * step
+    cut = speed * (time[ends] - time[starts]) > SIGNAL.cut_steps * step
     return starts[cut], lengths[cut]
 
 
@@ -197,18 +199,18 @@ def check_velocity(s: Signal) -> tuple[Findings, bool]:
     slope, name = f"d({s.q_name})/dt", s.v_name
     a = velocity_agreement(s.time, s.q, s.v)
     if not a.enough:
-        if not (a.loud and np.ptp(s.q) > MOVES):
+        if not (a.loud and np.ptp(s.q) > SIGNAL.moving):
             return [], False
         text = f"{name} is unrelated to {slope} (explains {a.r2:.0%} of it)"
         return [s.finding("velocity", "warn", name, text, a.r2)], True
-    found, wrong = [], not 0.5 < a.gain < 2.0
+    found, wrong = [], not SIGNAL.min_gain < a.gain < SIGNAL.max_gain
     if wrong:
         text = f"{name} is {a.gain:.3g} times {slope}: wrong sign, unit or gear ratio"
         found.append(s.finding("velocity", "warn", name, text, a.gain))
-    elif abs(a.gain - 1) > max(0.03, 5 * a.spread):
+    elif abs(a.gain - 1) > max(SIGNAL.gain_error, SIGNAL.gain_errors * a.spread):
         text = f"{name} is {a.gain:.3f} times {slope}"
         found.append(s.finding("velocity_scale", "warn", name, text, a.gain))
-    if abs(a.lag) > 0.5 * s.row and abs(a.lag) > 1e-3:
+    if abs(a.lag) > max(SIGNAL.lag_rows * s.row, SIGNAL.lag):
         how = "a filter, or a backward difference"
         text = f"{name} lags {slope} by {a.lag * 1e3:.3g} ms ({how})"
         found.append(s.finding("velocity_lag", "info", name, text, a.lag))
@@ -221,8 +223,8 @@ def check_derived(s: Signal) -> Findings:
         return []
     slope = np.diff(s.q) / np.diff(s.time)
     for side, v in (("backward", s.v[1:]), ("forward", s.v[:-1])):
-        near = np.median(np.abs(v - slope)) < 0.005 * np.std(v)
-        if near and np.corrcoef(v, slope)[0, 1] > 0.999:
+        near = np.median(np.abs(v - slope)) < SIGNAL.derived_miss * np.std(v)
+        if near and np.corrcoef(v, slope)[0, 1] > SIGNAL.derived_corr:
             text = (
                 f"{s.v_name} is the {side} difference of {s.q_name}: it measures nothing of its own"
             )
@@ -235,11 +237,12 @@ def check_command(s: Signal) -> Findings:
     if s.command is None or s.u is None:
         return []
     a = command_agreement(s.time, s.command, s.u)
-    if not a.enough or a.lag <= -4 * s.row:
+    if not a.enough or a.lag <= SIGNAL.command_early * s.row:
         return []
     how = f"gain {a.gain:.3f} and lag {a.lag * 1e3:.3g} ms (r2 {a.r2:.3f})"
     severity = "info"
-    if not 0.7 < a.gain < 1.4 or a.lag > 0.02:
+    expected = SIGNAL.command_min_gain < a.gain < SIGNAL.command_max_gain
+    if not expected or a.lag > SIGNAL.command_lag:
         severity = "warn"
     text = f"{s.u_name} follows its command with {how}"
     return [s.finding("command", severity, s.u_name, text, a.lag)]
@@ -248,11 +251,11 @@ def check_command(s: Signal) -> Findings:
 def check_stale(s: Signal, step: float) -> Findings:
     """Rows that repeat the angle of the row before although the joint turns."""
     q = s.q
-    turning = np.abs(q[2:] - q[:-2]) > 6 * max(step, 1e-12)
-    if turning.sum() < 50:
+    turning = np.abs(q[2:] - q[:-2]) > SIGNAL.stale_steps * max(step, 1e-12)
+    if turning.sum() < SIGNAL.stale_rows:
         return []
     share = float(np.mean((q[1:-1] == q[:-2])[turning] | (q[1:-1] == q[2:])[turning]))
-    if share <= 0.05:
+    if share <= SIGNAL.stale_share:
         return []
     text = (
         f"{s.q_name} repeats its value in {share:.0%} of the rows while turning: rows outrun the "
@@ -266,9 +269,9 @@ def check_timestamps(own: Sequence[Signal]) -> Findings:
 
     `value` is the share of the unevenness that they do not follow (1: they were read evenly).
     """
-    shares = [_not_followed(s.time, s.q) for s in own if np.ptp(s.q) > STILL]
+    shares = [_not_followed(s.time, s.q) for s in own if np.ptp(s.q) > SIGNAL.still]
     share, spread = min(shares, key=lambda pair: pair[1], default=(0.0, 0.0))
-    if share < max(0.3, 6.0 * spread):
+    if share < max(SIGNAL.stamp_share, SIGNAL.stamp_errors * spread):
         return []
     text = (
         f"angles do not follow {share:.0%} of the unevenness of time: rows are stamped late, not "
@@ -280,10 +283,10 @@ def check_timestamps(own: Sequence[Signal]) -> Findings:
 def _not_followed(time: np.ndarray, q: np.ndarray) -> tuple[float, float]:
     """Share of the unevenness of time that an angle does not follow, and its standard error."""
     dt = np.diff(time)
-    if np.std(dt) < 0.1 * float(np.median(dt)):
+    if np.std(dt) < SIGNAL.stamp_jitter * float(np.median(dt)):
         return 0.0, 0.0
     turn = np.diff(q)
-    width = np.ones(min(21, len(dt) // 2))
+    width = np.ones(min(SIGNAL.stamp_rows, len(dt) // 2))
     speed = np.convolve(turn, width, "same") / np.convolve(dt, width, "same")
     expected = speed * (dt - np.convolve(dt, width / len(width), "same"))
     extra = turn - speed * dt
@@ -294,7 +297,7 @@ def _not_followed(time: np.ndarray, q: np.ndarray) -> tuple[float, float]:
 def check_excitation(s: Signal) -> Findings:
     """Range of angle, speed and torque, and how often the joint turns round."""
     w = np.gradient(s.q, s.time) if s.v is None else s.v
-    loud = 0.02 * float(np.max(np.abs(w)) or 1.0)
+    loud = SIGNAL.slow * float(np.max(np.abs(w)) or 1.0)
     signs = np.sign(w[np.abs(w) > loud])
     turns = int(np.sum(signs[1:] != signs[:-1]))
     torque = "" if s.u is None else f"torque range {np.ptp(s.u):.3g}, "

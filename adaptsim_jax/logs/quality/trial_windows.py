@@ -12,16 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from adaptsim_jax.logs.quality.hypotheses import MOST, Design, Motion, Track, blocks, rubbing
+from adaptsim_jax.logs.quality.criteria import BLOCK, TRIAL
+from adaptsim_jax.logs.quality.hypotheses import Design, Motion, Track, blocks, rubbing
 
 PIECES = 4
 """Contiguous parts of a trial; every other one is fitted to while the rest judge."""
 WINDOW, STRIDE = 24, 6
 """Blocks of a window, and from one to the next."""
-MIN_WINDOWS = 12
-"""Windows of a trial from which on it is judged."""
-MIN_TRIALS = 3
-ROWS = 8 * MOST
+ROWS = 8 * BLOCK.most
 """Blocks of all trials that are looked at."""
 
 
@@ -62,19 +60,19 @@ def rows_of(tracks: Sequence[Track], design: Design) -> WindowRows | None:
     for t, part in enumerate(parts):
         *own, number = (z[:most] for z in part)
         count, mean = _windows(number)
-        if count < MIN_WINDOWS or not all(np.all(np.isfinite(z)) for z in own):
+        if count < TRIAL.min_windows or not all(np.all(np.isfinite(z)) for z in own):
             continue
         motion.append(own)
         means.append(mean)
         trial.append(np.full(count, t))
         piece.append(np.arange(count) * PIECES // count)
         origin.append(np.full(len(number), t))
-    if len(motion) < MIN_TRIALS:
+    if len(motion) < TRIAL.min_trials:
         return None
     m = Motion(*(np.concatenate([part[k] for part in motion]) for k in range(4)))
     mean = sparse.csr_array(sparse.block_diag(means))
     spread = np.std(m.tau, axis=0)
-    if not np.all(np.std(m.q, axis=0) > 1e-3) or not np.any(spread > 1e-9):
+    if not np.all(np.std(m.q, axis=0) > BLOCK.moving) or not np.any(spread > 1e-9):
         return None
     weight = 1.0 / np.maximum(spread, 1e-3 * spread.max())
     width, trials = (
@@ -128,9 +126,9 @@ def over_blocks(design: Design, motion: Motion) -> np.ndarray:
     """`design` over any number of rows."""
 
     def cut(i):
-        return Motion(*(z[i : i + MOST] for z in (motion.q, motion.v, motion.a, motion.tau)))
+        return Motion(*(z[i : i + BLOCK.most] for z in (motion.q, motion.v, motion.a, motion.tau)))
 
-    return np.concatenate([design(cut(i), True) for i in range(0, len(motion.q), MOST)])
+    return np.concatenate([design(cut(i), True) for i in range(0, len(motion.q), BLOCK.most)])
 
 
 def part_of(rows: WindowRows, pick: np.ndarray) -> WindowRows:

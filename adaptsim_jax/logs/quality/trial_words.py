@@ -8,18 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from adaptsim_jax.logs.quality.criteria import TRIAL
 from adaptsim_jax.logs.quality.trials_differ import Differ, OutlierTrial
 
-LOUD = 3.0
-"""Times the sensors' noise that must be left, on left-out trials, for a difference between trials
-to be told of.
-"""
-UNUSUAL = 2.0
-"""Times the middle trial's error that an odd trial's must be in the final model."""
-SPOILS = 30.0
-"""Times the middle trial's unexplained torque with which a trial spoils the fit of all, where
-errors are as many times the noise.
-"""
 KINDS = {
     "zero": "the zeros of the angles",
     "torque_scale": "the scale of the torques",
@@ -69,15 +60,15 @@ def confirmed(differ: Differ, error: Mapping[str, Any]) -> Differ:
     that it simulates as the others, unless that is because the trial spoiled the fit of all.
     """
     left, floor = error.get("after") or error.get("before"), error.get("noise_floor")
-    if left is not None and floor and left < LOUD * floor:
+    if left is not None and floor and left < TRIAL.noises * floor:
         return Differ(differ.names, differ.error)
     own = _errors(error)
     usual = float(np.median(list(own.values()))) if own else 0.0
-    spoilt = bool(floor) and usual > SPOILS * floor
+    spoilt = bool(floor) and usual > TRIAL.spoils * floor
     outlier = tuple(
         o
         for o in differ.outliers
-        if own.get(o.trial, np.inf) > UNUSUAL * usual or (spoilt and o.times > SPOILS)
+        if own.get(o.trial, np.inf) > TRIAL.unusual * usual or (spoilt and o.times > TRIAL.spoils)
     )
     return Differ(
         differ.names, differ.error, differ.kind, differ.size, differ.takes, differ.alike, outlier
@@ -155,7 +146,7 @@ def _spread(kind: str, size: np.ndarray, channels: Channels) -> str:
         (n, w, _amount(kind, w, h)) for n, w, h in zip(names, wide, channels.hinges, strict=True)
     ]
     most = max(w for _, w, _ in parts)
-    return "by about " + ", ".join(f"{a} in {n}" for n, w, a in parts if w > 0.1 * most)
+    return "by about " + ", ".join(f"{a} in {n}" for n, w, a in parts if w > TRIAL.shown * most)
 
 
 def _amount(kind: str, size: float, hinge: bool) -> str:

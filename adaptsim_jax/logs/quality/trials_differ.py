@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
+from adaptsim_jax.logs.quality.criteria import TRIAL
 from adaptsim_jax.logs.quality.hypotheses import Design, Track
 from adaptsim_jax.logs.quality.trial_windows import (
-    MIN_TRIALS,
     PIECES,
     WindowRows,
     fitted,
@@ -31,29 +31,21 @@ from adaptsim_jax.logs.quality.trial_windows import (
     unexplained_of,
 )
 
-TAKES = {"zero": 0.5, "torque_scale": 0.75, "torque_offset": 0.5, "load": 0.85}
+TAKES = {
+    "zero": TRIAL.takes_zero,
+    "torque_scale": TRIAL.takes_scale,
+    "torque_offset": TRIAL.takes_offset,
+    "load": TRIAL.takes_load,
+}
 """Share of the unexplained torque's square that a difference must take away in pieces that it was
 not fitted to. Drives that saturate or play have another scale in every trial by themselves.
 """
-ALPHA = 1e-4
-"""Family-wise level of the test between trials."""
-ALIKE = 0.8
-"""Share of the rest that a kind must leave of what another leaves to be told in its place."""
 ROUNDS = 4
-LIKELY, WIDEST = 0.1, 0.1
-"""rad: size of zeros before anything is seen, and the longest step of their fit."""
+"""Refits: sizes no longer change in three digits."""
+ZERO = 0.1
+"""rad: size of zeros before anything is observed, and the longest step of their fit."""
 SMALL = 1e-3
 """rad by which a zero is moved to see what that does."""
-DEVIATIONS, TIMES, SHARE = 4.0, 3.0, 0.02
-"""An odd trial: robust standard deviations and times that its error is above the others', and least
-share of its torque's square.
-"""
-LIGHTEST = -0.5
-"""Share of a mechanism's torque that a load may take off it: what looks lighter is no load."""
-OWN = 0.8
-"""Share of an odd trial's error that a difference of its own must take away to be told for its
-reason.
-"""
 
 
 @dataclass(frozen=True)
@@ -97,7 +89,7 @@ class Differ:
             return ()
         distant = np.nanmax(np.abs(np.nan_to_num(self.size)), axis=1)
         usual = float(np.median(distant[np.isfinite(self.error)]))
-        few = distant > np.maximum(TIMES * usual, 0.3 * distant.max())
+        few = distant > np.maximum(TRIAL.times * usual, TRIAL.outlying * distant.max())
         if 3 * few.sum() <= len(distant):
             return tuple(n for n, x in zip(self.names, few, strict=True) if x)
         return ()
@@ -123,7 +115,7 @@ def trials_differ(names: Sequence[str], tracks: Sequence[Track], design: Design)
     whole[observed] = error
     outlying = [int(t) for t in observed[_are_outliers(error)]]
     rest = part_of(rows, np.flatnonzero(~np.isin(rows.trial, outlying)))
-    if len(np.unique(rest.trial)) >= MIN_TRIALS:
+    if len(np.unique(rest.trial)) >= TRIAL.min_trials:
         common = _common(rest, len(names))
     else:
         common = ("", None, 0.0, ())
@@ -174,7 +166,9 @@ def _are_outliers(error: np.ndarray) -> np.ndarray:
     log = np.log(np.maximum(error, 1e-12))
     middle = float(np.median(log))
     spread = 1.4826 * float(np.median(np.abs(log - middle)))
-    return (log - middle > np.maximum(DEVIATIONS * spread, np.log(TIMES))) & (error**2 > SHARE)
+    return (log - middle > np.maximum(TRIAL.deviations * spread, np.log(TRIAL.times))) & (
+        error**2 > TRIAL.error
+    )
 
 
 def kinds(n: int) -> dict[str, Columns]:
@@ -227,7 +221,7 @@ def _common(rows: WindowRows, count: int) -> tuple[str, np.ndarray | None, float
     ) in (
         found.items()
     ):  # the first, which is the commonest, stands where another does about as well
-        best = name if 1.0 - t < ALIKE * (1.0 - found[best]) else best
+        best = name if 1.0 - t < TRIAL.alike * (1.0 - found[best]) else best
     size = np.full((count, own[best].shape[2]), np.nan)
 
     def plain():
@@ -235,7 +229,7 @@ def _common(rows: WindowRows, count: int) -> tuple[str, np.ndarray | None, float
 
     size[observed] = _refined_zeros(rows, observed) if best == "zero" else plain()
     alike = tuple(
-        n for n, t in found.items() if n != best and ALIKE * (1.0 - t) < 1.0 - found[best]
+        n for n, t in found.items() if n != best and TRIAL.alike * (1.0 - t) < 1.0 - found[best]
     )
     return (
         best,
@@ -287,8 +281,8 @@ def _refined_zeros(rows: WindowRows, observed: np.ndarray) -> np.ndarray:
     n = rows.tau.shape[1]
     size, now = np.zeros((len(observed), n)), rows
     for _ in range(ROUNDS):
-        _, step = jointly(now, _moved(now, fitted(now)), now.trial, observed, LIKELY)
-        size = size + np.clip(step - np.median(step, axis=0), -WIDEST, WIDEST)
+        _, step = jointly(now, _moved(now, fitted(now)), now.trial, observed, ZERO)
+        size = size + np.clip(step - np.median(step, axis=0), -ZERO, ZERO)
         own = np.zeros((int(rows.origin.max()) + 1, n))
         own[observed] = size
         now = of_motion(rows, replace(rows.fine, q=rows.fine.q - own[rows.origin]))
@@ -309,7 +303,7 @@ def _steady(rows: WindowRows, own: np.ndarray, observed: np.ndarray, shared: boo
     p = stats.f.sf(
         between / np.maximum(within, 1e-300), len(observed) - 1, len(observed) * (PIECES - 1)
     )
-    return bool(np.min(p) < ALPHA / (4 * table.shape[2]))
+    return bool(np.min(p) < TRIAL.level / (4 * table.shape[2]))
 
 
 def _as_reported(
@@ -336,7 +330,7 @@ def _reason(rows: WindowRows, rest: WindowRows, t: int, name: str, times: float)
     x = fitted(rest)
     left = unexplained_of(mine, x)
     best = OutlierTrial(name, times)
-    most = OWN
+    most = TRIAL.takes_outlier
     for kind, columns in kinds(rows.fine.q.shape[1]).items():
         own = columns(mine, x) * rows.weight[:, None]
 
@@ -352,7 +346,7 @@ def _reason(rows: WindowRows, rest: WindowRows, t: int, name: str, times: float)
             size = np.full((t + 1, own.shape[2]), np.nan)
             size[t] = fit(np.ones(len(left), bool))
             shown = _as_reported(kind, mine, columns(mine, x), x, size)[t]
-            if (kind == "load" and np.min(shown) < LIGHTEST) or (
+            if (kind == "load" and np.min(shown) < TRIAL.lightest) or (
                 kind == "zero" and np.max(np.abs(shown)) > np.pi
             ):
                 continue

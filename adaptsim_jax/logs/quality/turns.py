@@ -6,15 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adaptsim_jax.logs.quality.criteria import WRAP
+
 TURN = 2.0 * np.pi
-NEAR = 1.0
-"""rad by which a jump between neighbouring rows may miss a whole turn."""
-SHARE = 0.35
-"""The same across a gap, as a share of the period: the motion within it is only guessed."""
-LONGEST = 0.25
-"""s of a gap across which the speeds on both sides still foretell the motion."""
-GAP = 2.5
-"""Sampling intervals from which on two rows are no neighbours."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +32,7 @@ def without_turns(time: np.ndarray, q: np.ndarray) -> Turns:
     if len(q) < 4:
         return Turns(q, 0, TURN)
     jump, dt = np.diff(q), np.diff(time)
-    gap = dt > GAP * np.median(dt)
+    gap = dt > WRAP.gap * np.median(dt)
     period = _other_period(q, ~gap) or TURN
     near = jump - period * np.round(jump / period)
     speed = np.where(gap, np.nan, near / dt)
@@ -47,26 +41,22 @@ def without_turns(time: np.ndarray, q: np.ndarray) -> Turns:
     miss = np.abs(jump - np.where(gap, expected, 0.0) - turns * period)
     within = _within_one_period(q, period)
     counted = np.where(
-        gap, within & (miss < SHARE * period) & (dt < LONGEST), miss < min(NEAR, SHARE * period)
+        gap,
+        within & (miss < WRAP.share * period) & (dt < WRAP.longest),
+        miss < min(WRAP.near, WRAP.share * period),
     )
     taken = np.where(counted, turns, 0.0)
     between = ~gap & (
-        np.abs(near) > 0.25 * period
+        np.abs(near) > WRAP.jump * period
     )  # an encoder that wraps jumps by its period, or hardly moves
     if np.sum(between) >= np.count_nonzero(taken):
         taken = np.where(gap, taken, 0.0)
-    moved = np.abs(expected) > 0.25 * period
-    unsure = gap & within & ~counted & (moved | (np.abs(jump) > 0.5 * period))
+    moved = np.abs(expected) > WRAP.jump * period
+    unsure = gap & within & ~counted & (moved | (np.abs(jump) > WRAP.half * period))
     if not taken.any():
         return Turns(q, 0, period, tuple(np.flatnonzero(unsure).tolist()))
     out = q - period * np.concatenate([[0.0], np.cumsum(taken)])
     return Turns(out, int(np.count_nonzero(taken)), period, tuple(np.flatnonzero(unsure).tolist()))
-
-
-MIN_GAIN = 0.25
-"""Share of the square of its distance from the angle that a target must lose by turns to be given
-them.
-"""
 
 
 def followed_turns(q: np.ndarray, target: np.ndarray) -> np.ndarray:
@@ -78,13 +68,13 @@ def followed_turns(q: np.ndarray, target: np.ndarray) -> np.ndarray:
     if len(here) < 4:
         return target
     angle, u = q[here], target[here]
-    begins = np.concatenate([[True], np.abs(np.diff(u)) > 0.5 * TURN])
-    if begins.sum() > 1 and np.ptp(u) > 1.1 * TURN:  # what counts anew stays within a turn
+    begins = np.concatenate([[True], np.abs(np.diff(u)) > WRAP.half * TURN])
+    if begins.sum() > 1 and np.ptp(u) > WRAP.turn * TURN:  # what counts anew stays within a turn
         return target
     first = np.maximum.accumulate(np.where(begins, np.arange(len(u)), 0))
     turns = np.round((angle - u) / TURN)[first]
     moved = u + TURN * turns
-    if not turns.any() or np.mean((moved - angle) ** 2) > MIN_GAIN * np.mean((u - angle) ** 2):
+    if not turns.any() or np.mean((moved - angle) ** 2) > WRAP.gain * np.mean((u - angle) ** 2):
         return target
     out = target.copy()
     out[here] = moved
@@ -116,9 +106,10 @@ def _within_one_period(q: np.ndarray, period: float) -> bool:
     """Whether the angle never leaves one period from -period/2 or from 0, and comes near both of
     its ends.
     """
-    slack, low, high = 0.01 * period, float(q.min()), float(q.max())
+    near, slack = WRAP.jump * period, WRAP.slack * period
+    low, high = float(q.min()), float(q.max())
     return any(
-        start - slack <= low < start + 0.25 * period and end - 0.25 * period < high <= end + slack
+        start - slack <= low < start + near and end - near < high <= end + slack
         for start, end in ((-0.5 * period, 0.5 * period), (0.0, period))
     )
 
@@ -129,11 +120,15 @@ def _other_period(q: np.ndarray, near: np.ndarray) -> float | None:
     """
     step = np.abs(np.diff(q))[near]
     span = float(np.ptp(q))
-    high = step > 0.8 * span
-    if span < 0.5 or np.sum(high) < 2 or np.mean(high) > 0.1:
+    high = step > WRAP.other_jump * span
+    if span < WRAP.other_span or np.sum(high) < 2 or np.mean(high) > WRAP.other_rare:
         return None
     jumps, rest = step[high], step[~high]
-    if np.max(rest) > 0.3 * span or abs(span - TURN) < 0.05 * TURN or np.ptp(jumps) > 0.2 * span:
+    if (
+        np.max(rest) > WRAP.other_rest * span
+        or abs(span - TURN) < WRAP.other_same * TURN
+        or np.ptp(jumps) > WRAP.other_alike * span
+    ):
         return None
     # the step that was made beside the jump is about as long as its neighbours
     return float(np.median(jumps + np.median(rest)))

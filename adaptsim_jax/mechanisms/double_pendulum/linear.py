@@ -30,7 +30,7 @@ LATE_SNAPSHOTS = tuple(
 )  # last 0.5 s
 COST_CEILING = 1e20  # what an overflowing cost is reported as
 
-OK, UNSTABLE, OVERFLOW = 0, 1, 2
+OK, UNSTABLE, OVERFLOW = range(3)
 """Codes of `rollout`. UNSTABLE: the closed loop is; its cost over the horizon is finite and exact.
 OVERFLOW: within the horizon, or input that is not finite; the cost is a ceiling.
 """

@@ -12,8 +12,9 @@ from scipy.ndimage import gaussian_filter1d
 from adaptsim_jax.core.constants import GRAVITY
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.quality.consistency import velocity_agreement
-from adaptsim_jax.logs.quality.contradictions import AS_DECLARED, POOR, contradiction
-from adaptsim_jax.logs.quality.hypotheses import MIN_BLOCKS, Track, linear_fit, motion_of
+from adaptsim_jax.logs.quality.contradictions import AS_DECLARED, contradiction
+from adaptsim_jax.logs.quality.criteria import BLOCK, CONTRADICTION
+from adaptsim_jax.logs.quality.hypotheses import Track, linear_fit, motion_of
 from adaptsim_jax.logs.quality.pendulum_design import WORDS, design
 from adaptsim_jax.logs.quality.turns import TURN, without_turns
 from adaptsim_jax.logs.table_checks import check_clock, check_time_unit
@@ -116,7 +117,11 @@ def check_columns(columns: Mapping[str, np.ndarray], where: str) -> None:
         )
     motion = motion_of([track])
     found = linear_fit(motion, lambda m, gravity: plain(m, gravity) * USUAL, first=len(USUAL))
-    if len(motion.q) >= MIN_BLOCKS and found.left < POOR and not 1.0 / WILD < found.scale < WILD:
+    if (
+        len(motion.q) >= BLOCK.enough
+        and found.left < CONTRADICTION.doubted
+        and not 1.0 / WILD < found.scale < WILD
+    ):
         raise BadInput(
             f"{where}: the torques are {float(f'{found.scale:.2g}'):g} times those of links of 1 m "
             f"and 1 kg; write N m; {AS_DECLARED}"
