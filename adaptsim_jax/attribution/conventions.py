@@ -24,7 +24,6 @@ from adaptsim_jax.logs.quality.contradictions import (
 from adaptsim_jax.logs.quality.criteria import BLOCK, CONTRADICTION
 from adaptsim_jax.logs.quality.findings import Audit, Finding
 from adaptsim_jax.logs.quality.hypotheses import (
-    MOST,
     Design,
     Hypothesis,
     Motion,
@@ -246,7 +245,7 @@ def _design(tree: Tree, program) -> Design:
         k, n = m.q.shape
 
         def fill(x):
-            return np.concatenate([x, np.zeros((MOST - k, n))]).T
+            return np.concatenate([x, np.zeros((BLOCK.most - k, n))]).T
 
         pull = np.asarray(tree.gravity) * (1.0 if gravity else 0.0)
         table = np.asarray(program(tree, fill(m.q), fill(m.v), fill(m.a), pull))[:, :, :k].reshape(

@@ -14,7 +14,7 @@ from adaptsim_jax.logs.log import Log, LogTrial
 from adaptsim_jax.logs.quality import signals
 from adaptsim_jax.logs.quality.consistency import lattice_step
 from adaptsim_jax.logs.quality.criteria import SIGNAL
-from adaptsim_jax.logs.quality.findings import Audit, Finding
+from adaptsim_jax.logs.quality.findings import Audit, Finding, finding
 from adaptsim_jax.logs.quality.signals import Signal
 
 INPUTS = {"torque": "tau", "command": "ctrl", "voltage": "u", "current": "i", "none": ""}
@@ -51,11 +51,8 @@ def audit(
         still += [f.trial for f in found if f.kind == "no_motion"]
     findings += _faults(len(log.trials), broken)
     if len(still) == len(log.trials):
-        text = (
-            f"no trial moves by more than {SIGNAL.still:g} rad (m): nothing can be learned from this "
-            "recording"
-        )
-        findings.append(Finding("no_motion", "fault", "", "recording", text, float(len(still))))
+        count = float(len(still))
+        findings.append(finding("recording_still", "", "recording", count, still=SIGNAL.still))
     exclude = tuple(t.name for t in log.trials if t.name in broken or t.name in still)
     if log.meta.rig is None:
         findings = [replace(f, severity="warn") if f.severity == "fault" else f for f in findings]
@@ -113,12 +110,8 @@ def _audit_trial(
         valid[np.searchsorted(trial.time, s.time[~(moving & smooth)])] = False
         wrong += [s.q_name] * stuck + [s.v_name] * contradicts
     if own and all(np.ptp(s.q) < SIGNAL.still for s in own):
-        text = (
-            f"the machine hardly moves (under {SIGNAL.still:g} rad or m): nothing can be learned from "
-            "this trial"
-        )
         most = max(float(np.ptp(s.q)) for s in own)
-        found.append(Finding("no_motion", "warn", trial.name, "joints", text, most))
+        found.append(finding("no_motion", trial.name, "joints", most, still=SIGNAL.still))
     return found, valid, wrong
 
 
@@ -132,8 +125,7 @@ def _faults(trials: int, broken: dict[str, list[str]]) -> list[Finding]:
         what = "contradicts the angle's slope"
         if channel.startswith("q"):
             what = "stands still"
-        text = f"{channel} {what} in {count} of {trials} trials: check its sensor, sign and unit"
-        found.append(Finding("channel", "fault", "", channel, text, float(count)))
+        found.append(finding("channel", "", channel, count, what=what, trials=trials))
     return found
 
 
@@ -166,8 +158,7 @@ def _quantisation(every: Sequence[Signal], kind: str) -> dict[str, tuple[str, fl
 
 
 def _quantised(name: str, step: float, unit: str) -> Finding:
-    text = f"{name} is quantised in steps of {step:.4g} {unit}".rstrip()
-    return Finding("quantisation", "info", "", name, text, step)
+    return finding("quantisation", "", name, step, unit=f" {unit}" if unit else "")
 
 
 def without_copies(log: Log) -> Log:

@@ -7,13 +7,15 @@ one that turns most of the torque from unexplained into explained. Nothing is ad
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.quality.criteria import BLOCK, CONTRADICTION
-from adaptsim_jax.logs.quality.findings import Finding
+from adaptsim_jax.logs.quality.findings import Finding, finding
 from adaptsim_jax.logs.quality.hypotheses import (
     SHIFTS,
     Design,
@@ -22,10 +24,21 @@ from adaptsim_jax.logs.quality.hypotheses import (
     Track,
     linear_fit,
     motion_of,
+    stated,
     unexplained,
 )
 
+TURNS = ((np.pi, "half a turn"), (np.pi / 2, "a quarter turn"), (-np.pi / 2, "a quarter turn"))
 AS_DECLARED = "if all is as declared, add --as-declared"
+
+
+class JointWords(NamedTuple):
+    """How one joint and its columns are called."""
+
+    joint: str
+    q: str
+    v: str
+    tau: str
 
 
 @dataclass(frozen=True)
@@ -43,6 +56,10 @@ class Words:
     swap: str
     reverse: Callable[[int], str]
     absolute: Callable[[int, int], str]
+
+    def of(self, j: int) -> JointWords:
+        """The columns of one joint."""
+        return JointWords(self.joints[j], self.q[j], self.v[j], self.tau[j])
 
 
 @dataclass(frozen=True)
@@ -129,139 +146,88 @@ def _moves(motion: Motion) -> bool:
 def hypotheses_of(
     words: Words, chain: Sequence[int] = (), zeros: Sequence[int] = ()
 ) -> list[Hypothesis]:
-    """Those of the columns, for `n` joints."""
+    """Those of the columns, for `n` joints; `chain`, `zeros`: see `contradiction`."""
     n = len(words.joints)
-    out = []
-    for i, j in combinations(range(n), 2) if n <= CONTRADICTION.most_swapped else ():
-        order = list(range(n))
-        order[i], order[j] = j, i
-        pair = f"{words.joints[i]} and {words.joints[j]}"
-        out.append(
-            Hypothesis("joints_swapped", f"{pair} look swapped", words.swap, _ordered(order, order))
-        )
-        out.append(
-            Hypothesis(
-                "torques_swapped",
-                f"the torques of {pair} look swapped",
-                f"exchange columns {words.tau[i]} and {words.tau[j]}",
-                _ordered(list(range(n)), order),
-            )
-        )
-        out.append(
-            Hypothesis(
-                "angles_swapped",
-                f"the angles of {pair} look swapped",
-                f"exchange columns {words.q[i]} and {words.q[j]}, and so {words.v[i]} and "
-                f"{words.v[j]}",
-                _ordered(order, list(range(n))),
-            )
-        )
+    torques = ", ".join(words.tau)
+    pairs = combinations(range(n), 2) if n <= CONTRADICTION.most_swapped else ()
+    out = [h for i, j in pairs for h in _swapped(words, i, j)]
     if n > 1:
-        out.append(
-            Hypothesis(
-                "torques_turned",
-                "all torques have the other sign",
-                f"turn the sign of columns {', '.join(words.tau)}",
-                lambda m: replace(m, tau=-m.tau),
-            )
-        )
+        turned = stated("torques_turned", lambda m: replace(m, tau=-m.tau), torques=torques)
+        out.append(turned)
     for j in range(n):
-        sign = np.where(np.arange(n) == j, -1.0, 1.0)
-        turned = f"the other sign is seen in {words.q[j]}"
-        out.append(
-            Hypothesis(
-                "torque_turned",
-                f"{words.tau[j]} has the other sign",
-                f"turn the sign of column {words.tau[j]}",
-                lambda m, sign=sign: replace(m, tau=m.tau * sign),
-            )
-        )
-        out.append(
-            Hypothesis(
-                "angle_turned",
-                turned,
-                f"turn the signs of columns {words.q[j]} and {words.v[j]}",
-                lambda m, sign=sign: _scaled(m, sign),
-            )
-        )
-        whole = f"{words.joints[j]} looks to be counted the other way round than the rest"
-        out.append(
-            Hypothesis(
-                "joint_reversed",
-                whole,
-                words.reverse(j),
-                lambda m, sign=sign: replace(_scaled(m, sign), tau=m.tau * sign),
-            )
-        )
-        if n > 1:
-            small = np.where(np.arange(n) == j, 1e-3, 1.0)
-            unit = f'write {words.tau[j]} = "mNm" under [units] in meta.toml'
-            out.append(
-                Hypothesis(
-                    "torque_unit",
-                    f"{words.tau[j]} looks to be in mN m",
-                    unit,
-                    lambda m, small=small: replace(m, tau=m.tau * small),
-                )
-            )
-        if words.hinges[j]:
-
-            def own(factor, j=j):
-                return np.where(np.arange(n) == j, factor, 1.0)
-
-            out += _units(f"{words.q[j]} looks to be", words.q[j], own)
+        out += _of_joint(words, j)
     if n > 1 and all(words.hinges):
         out += _units("all angles look to be", "angle", lambda factor: np.full(n, factor))
     for j, parent in enumerate(chain):
-        if parent < 0:
-            continue
-        stated = f"{words.q[j]} looks absolute (measured from the world, not from the link before)"
-        mend = words.absolute(j, parent)
-        out.append(
-            Hypothesis(
-                "absolute_angle",
-                stated,
-                mend,
-                lambda m, j=j, parent=parent: _relative(m, j, parent),
-            )
-        )
+        if parent >= 0:
+            facts = {"first": words.of(j), "absolute": words.absolute(j, parent)}
+            motion = partial(_relative, j=j, parent=parent)
+            out.append(stated("absolute_angle", motion, **facts))
     for j in zeros:
-        for turn, word in (
-            (np.pi, "half a turn"),
-            (np.pi / 2, "a quarter turn"),
-            (-np.pi / 2, "a quarter turn"),
-        ):
-            stated = f"{words.q[j]} looks to be zero {word} from where the model has its zero"
-            own = np.where(np.arange(n) == j, turn, 0.0)
-            mend = f"add {turn:.5g} rad to column {words.q[j]}"
-            out.append(Hypothesis("zero", stated, mend, lambda m, own=own: replace(m, q=m.q + own)))
-    out.append(
-        Hypothesis(
-            "gravity_missing",
-            "gravity is missing from the torques",
-            f"add the gravity torque that the drives hold to {', '.join(words.tau)}, or declare "
-            "that there is none (g = 0) if the axes stand upright",
-            gravity=False,
-        )
-    )
+        for radians, turn in TURNS:
+            moved = partial(_moved, by=np.where(np.arange(n) == j, radians, 0.0))
+            out.append(stated("zero", moved, first=words.of(j), turn=turn, radians=radians))
+    out.append(replace(stated("gravity_missing", torques=torques), gravity=False))
     return out
 
 
-def _units(statement: str, key: str, factors: Callable[[float], np.ndarray]) -> list[Hypothesis]:
-    """Angles in another unit than declared: `factors(factor)` `[n]` by which each joint's would
-    have to be multiplied.
-    """
-    mend = f'write {key} = "{{}}" under [units] in meta.toml'
+def _swapped(words: Words, i: int, j: int) -> list[Hypothesis]:
+    """Joints `i` and `j` exchanged, with all their columns, with their torques or angles alone."""
+    own = list(range(len(words.joints)))
+    order = own.copy()
+    order[i], order[j] = j, i
+    facts = {
+        "pair": f"{words.joints[i]} and {words.joints[j]}",
+        "first": words.of(i),
+        "second": words.of(j),
+        "swap": words.swap,
+    }
+    return [
+        stated("joints_swapped", _ordered(order, order), **facts),
+        stated("torques_swapped", _ordered(own, order), **facts),
+        stated("angles_swapped", _ordered(order, own), **facts),
+    ]
 
-    def each(name, unit, factor, words):
-        return Hypothesis(
-            name, f"{statement} {words}", mend.format(unit), lambda m: _scaled(m, factors(factor))
-        )
+
+def _of_joint(words: Words, j: int) -> list[Hypothesis]:
+    """Signs and units of the columns of joint `j`."""
+    n = len(words.joints)
+    facts = {"first": words.of(j), "reverse": words.reverse(j)}
+
+    def own(factor: float) -> np.ndarray:
+        return np.where(np.arange(n) == j, factor, 1.0)
+
+    def scaled(factor: float, m: Motion) -> Motion:
+        return replace(m, tau=m.tau * own(factor))
+
+    out = [
+        stated("torque_turned", partial(scaled, -1.0), **facts),
+        stated("angle_turned", lambda m: _scaled(m, own(-1.0)), **facts),
+        stated("joint_reversed", lambda m: scaled(-1.0, _scaled(m, own(-1.0))), **facts),
+    ]
+    if n > 1:
+        out.append(stated("torque_unit", partial(scaled, 1e-3), **facts))
+    if words.hinges[j]:
+        out += _units(f"{words.q[j]} looks to be", words.q[j], own)
+    return out
+
+
+def _units(what: str, key: str, factors: Callable[[float], np.ndarray]) -> list[Hypothesis]:
+    """Angles in another unit than declared.
+
+    Args:
+        what: the beginning of the statement.
+        key: of `[units]`.
+        factors: `factors(factor)` `[n]`, by which each joint's would have to be multiplied.
+    """
+
+    def each(code: str, factor: float) -> Hypothesis:
+        return stated(code, lambda m: _scaled(m, factors(factor)), what=what, key=key)
 
     return [
-        each("degrees", "deg", np.pi / 180.0, "in degrees"),
-        each("radians", "rad", 180.0 / np.pi, "in radians already, and to be taken for degrees"),
-        each("revolutions", "rev", 2 * np.pi, "in revolutions"),
+        each("degrees", np.pi / 180.0),
+        each("radians", 180.0 / np.pi),
+        each("revolutions", 2 * np.pi),
     ]
 
 
@@ -271,6 +237,10 @@ def _ordered(q: list[int], tau: list[int]):
 
 def _scaled(m: Motion, size: np.ndarray) -> Motion:
     return replace(m, q=m.q * size, v=m.v * size, a=m.a * size)
+
+
+def _moved(m: Motion, by: np.ndarray) -> Motion:
+    return replace(m, q=m.q + by)
 
 
 def _relative(m: Motion, j: int, parent: int) -> Motion:
@@ -336,22 +306,8 @@ def late_finding(
             f"move {names} up by {rows} against time and the angles, or bring both onto one clock"
         )
         if names_late_logs:
-            return (
-                Finding(
-                    "late_torque",
-                    "warn",
-                    "",
-                    names,
-                    f"{what}; {mend}, or take the delay below zero that is named",
-                    late.seconds,
-                ),
-            )
+            return (finding("late_torque", "", names, late.seconds, ahead=what, mend=mend),)
         raise BadInput(f"{path}: {what}; {mend}; {AS_DECLARED}")
     if late.seconds > 0.0:
         return ()  # a torque that is not held from row to row looks half a row late
-    text = (
-        f"the motion follows the torque about {ms} late, at all joints alike: a delay of the "
-        f"commands or of the sensors' readings (if these are logged late, take {ms} off the times "
-        "of the angles)"
-    )
-    return (Finding("late_motion", "warn", "", names, text, late.seconds),)
+    return (finding("late_motion", "", names, late.seconds, ms=ms),)

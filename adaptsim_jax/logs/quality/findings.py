@@ -1,8 +1,16 @@
-"""What the checks of a recording say, for whoever reads it: records alone."""
+"""What the checks of a recording say: records, and their words by code (`words.toml`)."""
 
+import tomllib
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+
+WORDS: dict[str, Any] = tomllib.loads(
+    Path(__file__).with_name("words.toml").read_text(encoding="utf-8")
+)
+"""`finding`, `hypothesis` and `difference` by code."""
 
 
 @dataclass(frozen=True)
@@ -22,6 +30,21 @@ class Finding:
 
 
 Findings = list[Finding]
+
+
+def finding(code: str, trial: str, where: str, value: float, **facts: Any) -> Finding:
+    """A finding in the words of its code.
+
+    Args:
+        code: in `words.toml`.
+        trial: its name, empty for the recording.
+        where: channel, joint or time.
+        value: the number that the words explain, which they call `value`.
+        facts: what else the words name.
+    """
+    words = WORDS["finding"][code]
+    text = words["text"].format(where=where, value=value, **facts)
+    return Finding(words.get("kind", code), words["severity"], trial, where, text, float(value))
 
 
 @dataclass(frozen=True)

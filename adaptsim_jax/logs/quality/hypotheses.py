@@ -10,11 +10,13 @@ and SciPy alone.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.optimize import nnls
 
 from adaptsim_jax.logs.quality.criteria import BLOCK
+from adaptsim_jax.logs.quality.findings import WORDS
 
 SHIFTS = np.arange(-60.0, 61.0, 1.0) * 1e-3
 """s by which the torque is moved."""
@@ -48,6 +50,11 @@ Design = Callable[[Motion, bool], np.ndarray]
 """
 
 
+def as_logged(motion: Motion) -> Motion:
+    """The motion as it was logged."""
+    return motion
+
+
 @dataclass(frozen=True)
 class Hypothesis:
     """What may be otherwise than declared. `motion`: the motion as it would be then; `design` where
@@ -57,9 +64,21 @@ class Hypothesis:
     name: str
     statement: str
     mend: str
-    motion: Callable[[Motion], Motion] = lambda m: m
+    motion: Callable[[Motion], Motion] = as_logged
     design: Design | None = None
     gravity: bool = True
+
+
+def stated(
+    code: str,
+    motion: Callable[[Motion], Motion] = as_logged,
+    design: Design | None = None,
+    **facts: Any,
+) -> Hypothesis:
+    """A hypothesis in the words of its code (`words.toml`), which name the `facts`."""
+    words = WORDS["hypothesis"][code]
+    texts = (words[key].format(**facts) for key in ("statement", "mend"))
+    return Hypothesis(code, *texts, motion, design)
 
 
 def motion_of(tracks: Sequence[Track], shift: float = 0.0) -> Motion:

@@ -17,8 +17,8 @@ from adaptsim_jax.logs.quality.contradictions import (
     late_finding,
     lateness,
 )
-from adaptsim_jax.logs.quality.findings import Finding
-from adaptsim_jax.logs.quality.hypotheses import Design, Hypothesis, Motion, Track
+from adaptsim_jax.logs.quality.findings import Finding, finding
+from adaptsim_jax.logs.quality.hypotheses import Design, Hypothesis, Motion, Track, stated
 from adaptsim_jax.logs.quality.trial_words import Channels
 from adaptsim_jax.logs.quality.trials_differ import Differ, trials_differ
 
@@ -89,20 +89,16 @@ def _alternatives(rig: Rig) -> list[Hypothesis]:
     l1, g, down = rig.geometry["l1"], rig.geometry.get("g", GRAVITY), _down(rig)
     out = []
     for factor, unit in FACTORS.items():
-        right = f"{factor * l1:g}"
-        statement = f"l1 = {l1:g} m is no length of this motion, {right} m is"
-        if unit:
-            statement = f"{statement} (was it given in {unit}?)"
-        mend = f"write l1 = {right} under [geometry] in meta.toml, and l2 likewise"
-        out.append(Hypothesis("length", statement, mend, design=design(factor * l1, g, down)))
+        facts = {
+            "l1": l1,
+            "right": f"{factor * l1:g}",
+            "unit": f" (was it given in {unit}?)" if unit else "",
+        }
+        out.append(stated("length", design=design(factor * l1, g, down), **facts))
     if abs(g - GRAVITY) > 0.3 * GRAVITY:
-        statement = f"g = {g:g} m/s^2 is not the gravity of this motion, {GRAVITY:g} is"
-        mend = f"write g = {GRAVITY:g} under [geometry] in meta.toml"
-        out.append(Hypothesis("gravity", statement, mend, design=design(l1, GRAVITY, down)))
+        out.append(stated("gravity", design=design(l1, GRAVITY, down), g=g, earth=GRAVITY))
     other = "upright" if down > 0 else "hanging"
-    statement = f"angles look to be zero when {other}"
-    mend = f'write angle_zero = "{other}" in meta.toml'
-    out.append(Hypothesis("angle_zero", statement, mend, design=design(l1, g, -down)))
+    out.append(stated("angle_zero", design=design(l1, g, -down), other=other))
     return out
 
 
@@ -142,7 +138,6 @@ def _resting(log: Log) -> tuple[Finding, ...]:
             continue
         tilt = max(abs(math.remainder(x, math.pi)) for x in (q[0, 0], q[0].sum()))
         if tilt > 0.6:
-            at = f"q = {q[0, 0]:.3g}, {q[0, 1]:.3g} rad"
-            text = f"at rest without torque at {at}, which gravity forbids: check angle_zero"
-            return (Finding("angle_zero", "warn", trial.name, "meta.toml", text, tilt),)
+            facts = {"q1": q[0, 0], "q2": q[0, 1]}
+            return (finding("angle_zero", trial.name, "meta.toml", tilt, **facts),)
     return ()

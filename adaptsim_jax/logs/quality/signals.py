@@ -8,7 +8,7 @@ import numpy as np
 from adaptsim_jax.logs.noise import difference_noise
 from adaptsim_jax.logs.quality.consistency import command_agreement, velocity_agreement
 from adaptsim_jax.logs.quality.criteria import SIGNAL
-from adaptsim_jax.logs.quality.findings import Finding, Findings
+from adaptsim_jax.logs.quality.findings import Findings, finding
 
 
 @dataclass(frozen=True)
@@ -36,33 +36,24 @@ class Signal:
     free: bool
     others: float
 
-    def finding(self, kind: str, severity: str, where: str, text: str, value: float) -> Finding:
-        """A finding of this trial."""
-        return Finding(kind, severity, self.trial, where, text, float(value))
-
 
 def check_sampling(trial: str, time: np.ndarray) -> Findings:
     """Sampling rate, jitter, gaps longer than five intervals, of one trial."""
     dt = np.diff(time)
     step = float(np.median(dt))
     rate = 1.0 / step
-    text = f"sampled at {rate:.4g} Hz (median)"
-    found = [Finding("sampling", "info", trial, "time", text, rate)]
+    found = [finding("sampling", trial, "time", rate)]
     jitter = float(np.std(dt[dt <= SIGNAL.gap * step]) / step)
     if jitter > SIGNAL.jitter:
-        text = f"sampling interval varies by {jitter:.0%} (std)"
-        found.append(Finding("jitter", "info", trial, "time", text, jitter))
+        found.append(finding("jitter", trial, "time", jitter))
     gaps = np.flatnonzero(dt > SIGNAL.gap * step)
     if gaps.size:
         at = time[gaps[0]]
-        text = (
-            f"{gaps.size} gap(s) over {SIGNAL.gap:g} intervals, the longest {dt.max():.3g} s, first at {at:.3g} "
-            "s"
-        )
-        found.append(Finding("gap", "warn", trial, f"time {at:.3g} s", text, float(dt.max())))
+        longest, rows = float(dt.max()), SIGNAL.gap
+        where = f"time {at:.3g} s"
+        found.append(finding("gap", trial, where, longest, count=gaps.size, rows=rows, at=at))
     if rate < SIGNAL.min_rate:
-        text = f"sampled at {rate:.3g} Hz: below 50 Hz fast effects cannot be told apart"
-        found.append(Finding("slow_sampling", "warn", trial, "time", text, rate))
+        found.append(finding("slow_sampling", trial, "time", rate))
     return found
 
 
@@ -87,21 +78,15 @@ def check_frozen(s: Signal, step: float) -> tuple[Findings, np.ndarray, bool]:
         spins = s.v is not None and np.ptp(s.v) > SIGNAL.moving
         if not spins and not (s.free and s.others > SIGNAL.moving):
             return [], keep, False
-        text = (
-            f"{s.q_name} is constant ({s.q[0]:.4g} {s.unit}) over the trial while it moves: stuck"
-        )
-        return [s.finding("stuck", "warn", s.q_name, text, s.q[0])], keep, True
+        return [finding("stuck", s.trial, s.q_name, s.q[0], unit=s.unit)], keep, True
     bad = _frozen_runs(s.time, s.q, step)
     if not bad:
         return [], keep, False
     for start, length in bad:
         keep[start : start + length] = False
     lost = sum(length for _, length in bad)
-    text = (
-        f"{s.q_name} froze {len(bad)} time(s) while moving ({lost} samples, the first at "
-        f"{s.time[bad[0][0]]:.3g} s)"
-    )
-    return [s.finding("frozen", "warn", s.q_name, text, lost)], keep, False
+    facts = {"count": len(bad), "at": s.time[bad[0][0]]}
+    return [finding("frozen", s.trial, s.q_name, lost, **facts)], keep, False
 
 
 def _frozen_runs(time: np.ndarray, q: np.ndarray, step: float) -> list[tuple[int, int]]:
@@ -134,8 +119,7 @@ def check_spikes(s: Signal, step: float) -> tuple[Findings, np.ndarray]:
     if not bad.size:
         return [], keep
     keep[bad] = False
-    text = f"{s.q_name} has {bad.size} lone outlier(s), the first at {s.time[bad[0]]:.3g} s"
-    return [s.finding("spike", "warn", s.q_name, text, bad.size)], keep
+    return [finding("spike", s.trial, s.q_name, bad.size, at=s.time[bad[0]])], keep
 
 
 def _lone_outliers(time: np.ndarray, q: np.ndarray, step: float) -> np.ndarray:
@@ -157,10 +141,10 @@ def _lone_outliers(time: np.ndarray, q: np.ndarray, step: float) -> np.ndarray:
 def check_saturation(s: Signal, steps: dict[str, float]) -> Findings:
     """A torque, or the angle of a free joint, that rests at its largest or smallest value."""
     found = []
-    columns = [(s.u_name, s.u, "info")]
+    columns = [(s.u_name, s.u, "cut_force")]
     if s.free:
-        columns.append((s.q_name, s.q, "warn"))
-    for name, x, severity in columns:
+        columns.append((s.q_name, s.q, "cut_angle"))
+    for name, x, code in columns:
         if (
             x is None
             or np.ptp(x) == 0
@@ -172,11 +156,8 @@ def check_saturation(s: Signal, steps: dict[str, float]) -> Findings:
             at = (x[starts] == extreme) & (lengths >= SIGNAL.cut_rows)
             share = float(lengths[at].sum()) / len(x)
             if share > SIGNAL.cut_share and np.sum(at) >= SIGNAL.cut_runs:
-                text = (
-                    f"{name} rests at its {word} value {extreme:.4g} in {share:.0%} of the rows: "
-                    "clipped?"
-                )
-                found.append(s.finding("saturation", severity, name, text, share))
+                facts = {"end": word, "extreme": extreme}
+                found.append(finding(code, s.trial, name, share, **facts))
     return found
 
 
@@ -201,19 +182,15 @@ def check_velocity(s: Signal) -> tuple[Findings, bool]:
     if not a.enough:
         if not (a.loud and np.ptp(s.q) > SIGNAL.moving):
             return [], False
-        text = f"{name} is unrelated to {slope} (explains {a.r2:.0%} of it)"
-        return [s.finding("velocity", "warn", name, text, a.r2)], True
+        return [finding("velocity_unrelated", s.trial, name, a.r2, slope=slope)], True
     found, wrong = [], not SIGNAL.min_gain < a.gain < SIGNAL.max_gain
     if wrong:
-        text = f"{name} is {a.gain:.3g} times {slope}: wrong sign, unit or gear ratio"
-        found.append(s.finding("velocity", "warn", name, text, a.gain))
+        found.append(finding("velocity_wrong", s.trial, name, a.gain, slope=slope))
     elif abs(a.gain - 1) > max(SIGNAL.gain_error, SIGNAL.gain_errors * a.spread):
-        text = f"{name} is {a.gain:.3f} times {slope}"
-        found.append(s.finding("velocity_scale", "warn", name, text, a.gain))
+        found.append(finding("velocity_scale", s.trial, name, a.gain, slope=slope))
     if abs(a.lag) > max(SIGNAL.lag_rows * s.row, SIGNAL.lag):
-        how = "a filter, or a backward difference"
-        text = f"{name} lags {slope} by {a.lag * 1e3:.3g} ms ({how})"
-        found.append(s.finding("velocity_lag", "info", name, text, a.lag))
+        ms = 1e3 * a.lag
+        found.append(finding("velocity_lag", s.trial, name, a.lag, slope=slope, ms=ms))
     return found, wrong
 
 
@@ -225,10 +202,8 @@ def check_derived(s: Signal) -> Findings:
     for side, v in (("backward", s.v[1:]), ("forward", s.v[:-1])):
         near = np.median(np.abs(v - slope)) < SIGNAL.derived_miss * np.std(v)
         if near and np.corrcoef(v, slope)[0, 1] > SIGNAL.derived_corr:
-            text = (
-                f"{s.v_name} is the {side} difference of {s.q_name}: it measures nothing of its own"
-            )
-            return [s.finding("velocity_derived", "info", s.v_name, text, 1.0)]
+            facts = {"side": side, "angle": s.q_name}
+            return [finding("velocity_derived", s.trial, s.v_name, 1.0, **facts)]
     return []
 
 
@@ -239,13 +214,10 @@ def check_command(s: Signal) -> Findings:
     a = command_agreement(s.time, s.command, s.u)
     if not a.enough or a.lag <= SIGNAL.command_early * s.row:
         return []
-    how = f"gain {a.gain:.3f} and lag {a.lag * 1e3:.3g} ms (r2 {a.r2:.3f})"
-    severity = "info"
     expected = SIGNAL.command_min_gain < a.gain < SIGNAL.command_max_gain
-    if not expected or a.lag > SIGNAL.command_lag:
-        severity = "warn"
-    text = f"{s.u_name} follows its command with {how}"
-    return [s.finding("command", severity, s.u_name, text, a.lag)]
+    code = "command" if expected and a.lag <= SIGNAL.command_lag else "command_off"
+    facts = {"gain": a.gain, "ms": 1e3 * a.lag, "r2": a.r2}
+    return [finding(code, s.trial, s.u_name, a.lag, **facts)]
 
 
 def check_stale(s: Signal, step: float) -> Findings:
@@ -257,11 +229,7 @@ def check_stale(s: Signal, step: float) -> Findings:
     share = float(np.mean((q[1:-1] == q[:-2])[turning] | (q[1:-1] == q[2:])[turning]))
     if share <= SIGNAL.stale_share:
         return []
-    text = (
-        f"{s.q_name} repeats its value in {share:.0%} of the rows while turning: rows outrun the "
-        "sensor"
-    )
-    return [s.finding("stale", "warn", s.q_name, text, share)]
+    return [finding("stale", s.trial, s.q_name, share)]
 
 
 def check_timestamps(own: Sequence[Signal]) -> Findings:
@@ -273,11 +241,7 @@ def check_timestamps(own: Sequence[Signal]) -> Findings:
     share, spread = min(shares, key=lambda pair: pair[1], default=(0.0, 0.0))
     if share < max(SIGNAL.stamp_share, SIGNAL.stamp_errors * spread):
         return []
-    text = (
-        f"angles do not follow {share:.0%} of the unevenness of time: rows are stamped late, not "
-        "when read"
-    )
-    return [own[0].finding("timestamps", "warn", "time", text, share)]
+    return [finding("timestamps", own[0].trial, "time", share)]
 
 
 def _not_followed(time: np.ndarray, q: np.ndarray) -> tuple[float, float]:
@@ -300,9 +264,10 @@ def check_excitation(s: Signal) -> Findings:
     loud = SIGNAL.slow * float(np.max(np.abs(w)) or 1.0)
     signs = np.sign(w[np.abs(w) > loud])
     turns = int(np.sum(signs[1:] != signs[:-1]))
-    torque = "" if s.u is None else f"torque range {np.ptp(s.u):.3g}, "
-    text = (
-        f"{s.joint}: range {np.ptp(s.q):.3g} {s.unit}, top speed {np.max(np.abs(w)):.3g} "
-        f"{s.unit}/s, {torque}{turns} reversals"
-    )
-    return [s.finding("excitation", "info", s.joint, text, turns)]
+    facts = {
+        "range": np.ptp(s.q),
+        "unit": s.unit,
+        "speed": np.max(np.abs(w)),
+        "torque": "" if s.u is None else f"torque range {np.ptp(s.u):.3g}, ",
+    }
+    return [finding("excitation", s.trial, s.joint, turns, **facts)]

@@ -9,14 +9,10 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.logs.quality.criteria import TRIAL
+from adaptsim_jax.logs.quality.findings import WORDS
 from adaptsim_jax.logs.quality.trials_differ import Differ, OutlierTrial
 
-KINDS = {
-    "zero": "the zeros of the angles",
-    "torque_scale": "the scale of the torques",
-    "torque_offset": "a constant part of the torques",
-    "load": "the load",
-}
+DIFFERENCES: dict[str, dict[str, str]] = WORDS["difference"]
 
 
 @dataclass(frozen=True)
@@ -87,24 +83,20 @@ def _errors(error: Mapping[str, Any]) -> dict[str, float]:
 def headline(differ: Differ) -> str | None:
     """The end of a sentence; None where nothing differs."""
     if differ.kind and not differ.outlying:
-        return f"{_differs(differ.kind)} from trial to trial"
+        return f"{DIFFERENCES[differ.kind]['differs']} from trial to trial"
     outlier = sorted({*differ.outlying, *(o.trial for o in differ.outliers)})
     if not outlier:
         return None
     return f"{', '.join(outlier[:6])} {'are' if len(outlier) > 1 else 'is'} apart from the other trials"
 
 
-def _differs(kind: str) -> str:
-    return f"{KINDS[kind]} {'differ' if kind == 'zero' else 'differs'}"
-
-
 def sentences(differ: Differ, channels: Channels) -> list[str]:
     """A warning for what differs in all trials, and one for each odd trial."""
     out = []
     if differ.kind and differ.size is not None:
-        alike = [_alike(k) for k in differ.alike]
+        alike = [DIFFERENCES[kind]["alike"] for kind in differ.alike]
         out.append(
-            f"{_differs(differ.kind)} from trial to trial, "
+            f"{DIFFERENCES[differ.kind]['differs']} from trial to trial, "
             f"{_spread(differ.kind, differ.size, channels)}: that is {100 * differ.takes:.0f} % of "
             "what the model leaves unexplained"
             + (f" ({' or '.join(alike)} would do as well)" if alike else "")
@@ -115,26 +107,10 @@ def sentences(differ: Differ, channels: Channels) -> list[str]:
     return out
 
 
-def _alike(kind: str) -> str:
-    return {
-        "zero": "zeros",
-        "torque_scale": "a scale of the torques",
-        "torque_offset": "a constant torque",
-        "load": "another load",
-    }[kind] + " of each trial's own"
-
-
 def _mend(differ: Differ) -> str:
     if differ.outlying:
         return f"leave the odd ones out: --without {','.join(differ.outlying)}"
-    if differ.kind == "zero":
-        return (
-            "zero the encoders once for all trials, or subtract what report.json says under "
-            "trials; sizes of effects are not sure until then"
-        )
-    if differ.kind == "load":
-        return "diagnose trials of one load at a time, by --without"
-    return "mend the torques' log; sizes of effects are not sure until then"
+    return DIFFERENCES[differ.kind]["mend"]
 
 
 def _spread(kind: str, size: np.ndarray, channels: Channels) -> str:
@@ -169,12 +145,9 @@ def _outlier_words(o: OutlierTrial, channels: Channels) -> str:
     elif o.kind:
         names = channels.q if o.kind == "zero" else channels.tau
         k = int(np.argmax(np.abs(o.size)))
-        what = {
-            "zero": "zeros",
-            "torque_scale": "torques' scale",
-            "torque_offset": "constant torques",
-        }[o.kind]
-        why = f"its {what} look otherwise, by {_amount(o.kind, o.size[k], channels.hinges[k])} in {names[k]}"
+        what = DIFFERENCES[o.kind]["own"]
+        amount = _amount(o.kind, o.size[k], channels.hinges[k])
+        why = f"its {what} look otherwise, by {amount} in {names[k]}"
     return (
         f"{o.trial} does not follow the model of the other trials ({o.times:.0f} times as much "
         f"torque is unexplained): {why}; leave it out: --without {o.trial}"
