@@ -12,29 +12,12 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.columns import role
+from adaptsim_jax.logs.columns import key_of, role
 from adaptsim_jax.logs.criteria import TABLE
 from adaptsim_jax.logs.csv_rows import read_bytes
 
 LIST = re.compile(r"\s*[\[({](.*)[\])}]\s*", re.DOTALL)
-STEMS = {
-    "positions": "q",
-    "joint_positions": "q",
-    "qpos": "q",
-    "angles": "q",
-    "joint_angles": "q",
-    "velocities": "v",
-    "joint_velocities": "v",
-    "qvel": "v",
-    "torques": "tau",
-    "joint_torques": "tau",
-    "efforts": "tau",
-    "joint_efforts": "tau",
-    "targets": "target",
-    "commands": "target",
-    "actions": "target",
-    "joint_targets": "target",
-}
+STEMS = key_of("lists")
 """What lists of all joints are called -> our stem."""
 
 

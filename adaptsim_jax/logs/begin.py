@@ -18,7 +18,7 @@ from adaptsim_jax.logs.archive import stem_and_place
 from adaptsim_jax.logs.beside import instead, strays
 from adaptsim_jax.logs.columns import NANOS, TIME, TRIAL, role
 from adaptsim_jax.logs.declared import SHORT_TRIALS
-from adaptsim_jax.logs.guess import Guess, array_name, guess, is_clock, meta_text
+from adaptsim_jax.logs.guess import Draft, Guess, array_name, guess, is_clock, meta_text
 from adaptsim_jax.logs.inputs import PREFERRED, STEM
 from adaptsim_jax.logs.log import Log, ModelNames
 from adaptsim_jax.logs.read import META, names_of, read_log
@@ -77,19 +77,17 @@ def begin(data: Path, out: Path | None, model: Path | None, topics: dict[str, st
         ),
     )
     here = folder.resolve()
-    text = meta_text(
-        found,
+    commands = command_files.suspected(table_files(data) if data.is_dir() else [])
+    draft = Draft(
         model=_from(file, here) if file else None,
         data=None if here == data.resolve() else _from(data, here),
-        model_names=names,
+        names=names,
         topics=ros_topics,
         ros=chosen,
         kinds=_kinds(found, columns, names),
-        commands={
-            t: p.name
-            for t, p in command_files.suspected(table_files(data) if data.is_dir() else []).items()
-        },
+        commands={trial: path.name for trial, path in commands.items()},
     )
+    text = meta_text(found, draft)
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / META
     write_bytes(path, text.encode())

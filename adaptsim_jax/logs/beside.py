@@ -8,14 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from adaptsim_jax.logs.columns import SPELLINGS
 from adaptsim_jax.logs.csv_rows import is_number
 
-PACKED = (".gz", ".zip", ".xz", ".bz2", ".7z", ".tar", ".xlsx", ".xls", ".ods", ".mat", ".pkl")
-"""Endings of files that may hold a trial and are not read."""
-TEXTS = (".txt", ".tsv", ".dat", ".asc", ".log")
-"""Those of tables under another name."""
-OTHERS = (".parquet", ".feather", ".h5", ".hdf5", ".json", ".jsonl", ".npy", ".pickle")
-"""Those of tables that are not read."""
+UNREAD = SPELLINGS["unread"]
+"""Endings of files that are not read: `packed`, `texts`, `others`."""
 MAX_LISTED = 4
 """Names that one line lists."""
 
@@ -81,7 +78,7 @@ def unread(folder: str | Path) -> tuple[str, ...]:
         and (holds(p, "*.csv") or holds(p, "*.npz"))
         and not (p / "report.json").exists()
     )
-    packed = _ending(folder, PACKED)
+    packed = _ending(folder, UNREAD["packed"])
     if packed:
         notes = [f"not read: {_some(packed)}; unpack, or export as CSV"]
     else:
@@ -95,9 +92,9 @@ def instead(folder: Path) -> str:
     '' where nothing does.
     """
     notes = list(unread(folder))
-    if folder.is_dir() and (texts := _ending(folder, TEXTS)):
+    if folder.is_dir() and (texts := _ending(folder, UNREAD["texts"])):
         notes.append(f"not read: {_some(texts)}; rename those that are tables to .csv")
-    if folder.is_dir() and (others := _ending(folder, OTHERS)):
+    if folder.is_dir() and (others := _ending(folder, UNREAD["others"])):
         notes.append(f"not read: {_some(others)}; export as CSV")
     return "".join(f"; {note}" for note in notes)
 

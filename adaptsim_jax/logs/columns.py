@@ -5,57 +5,33 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
+
+SPELLINGS: dict[str, dict[str, list[str]]] = tomllib.loads(
+    Path(__file__).with_name("spellings.toml").read_text(encoding="utf-8")
+)
+"""How loggers call columns, files and units."""
+
+
+def key_of(table: str) -> dict[str, str]:
+    """Each word of a table of `SPELLINGS` -> its key, such as our stem."""
+    return {word: key for key, words in SPELLINGS[table].items() for word in words}
+
 
 TIME = ("time", "t", "timestamp", "time_s", "stamp")
 NANOS = "time_nanos"
 """The column of nanoseconds that are added to a time of whole seconds."""
 TRIAL = ("trial", "episode", "episode_index")
-STEMS = {
-    "q": ("q", "pos", "position"),
-    "v": ("v", "vel", "velocity", "qd", "dq"),
-    "tau": ("tau", "torque", "effort"),
-    "target": ("target",),
-    "ctrl": ("ctrl",),
-    "u": ("u", "voltage"),
-    "i": ("i", "current"),
-}
-"""Our stem -> the words that open a column's name."""
 BASE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 """Columns `base_x` .. `base_qz`: where a free base is (m), and its orientation as a unit
 quaternion.
 """
 CHANNEL = "channel:"
 """What opens our name of a column that `[channels]` gives to a sensor of the model."""
-NOT_JOINTS = (
-    "d",
-    "des",
-    "desired",
-    "cmd",
-    "command",
-    "commanded",
-    "ref",
-    "reference",
-    "target",
-    "goal",
-    "error",
-    "err",
-    "raw",
-    "filtered",
-    "std",
-    "min",
-    "max",
-    "limit",
-    "s",
-    "rad",
-    "deg",
-    "m",
-    "ff",
-    "measured",
-)
-"""What follows a stem without being a joint's name: such columns are told, not refused."""
-_STEM_OF = {word: stem for stem, words in STEMS.items() for word in words}
+_STEM_OF = key_of("stems")
 _PATTERN = re.compile(
     rf"({'|'.join(sorted(_STEM_OF, key=len, reverse=True))})(?:_?(\d+)|[_./ ](.+))?"
 )
@@ -112,7 +88,12 @@ def role(name: str, joints: Iterable[str] = ()) -> Role | None:
     letter = (
         stem == "ctrl" and who is not None and len(str(who)) == 1
     )  # an actuator may well be called m
-    if isinstance(who, str) and who not in joints and who.lower() in NOT_JOINTS and not letter:
+    if (
+        isinstance(who, str)
+        and who not in joints
+        and who.lower() in SPELLINGS["words"]["not_joints"]
+        and not letter
+    ):
         return None
     if commanded:
         if stem == "tau":

@@ -13,37 +13,25 @@ import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.clock import Series, merge
-from adaptsim_jax.logs.columns import TIME, role
+from adaptsim_jax.logs.columns import SPELLINGS, TIME, role
 from adaptsim_jax.logs.log_meta import of_trial
 from adaptsim_jax.logs.table_clocks import COMMANDS, LINE
 from adaptsim_jax.logs.tables import RawTrial, column_names, read_file
 
-WORDS = (
-    "control",
-    "controls",
-    "command",
-    "commands",
-    "cmd",
-    "action",
-    "actions",
-    "target",
-    "targets",
-    "setpoint",
-    "setpoints",
-)
-STATE_WORDS = ("state", "states", "motor", "joint", "joints", "measured", "log", "data", "feedback")
+WORDS, STATE_WORDS = (set(SPELLINGS["words"][key]) for key in ("commands", "states"))
+"""In the names of files of commands, and of states."""
 
 
 def suspected(files: Sequence[Path]) -> dict[str, Path]:
     """Trials (stems of files) whose commands seem to lie in another of these files, by its name:
     `run_state.csv`, `run_control.csv`.
     """
-    commands = [path for path in files if _tokens(path) & set(WORDS)]
+    commands = [path for path in files if _tokens(path) & WORDS]
     states = [path for path in files if path not in commands]
     found = {}
     for path in commands:
-        rest = _tokens(path) - set(WORDS)
-        alike = [s for s in states if _tokens(s) - set(STATE_WORDS) == rest]
+        rest = _tokens(path) - WORDS
+        alike = [s for s in states if _tokens(s) - STATE_WORDS == rest]
         if len(alike) == 1 or (len(states) == len(commands) == 1):
             found[(alike or states)[0].stem] = path
     return found

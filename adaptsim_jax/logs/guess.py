@@ -8,50 +8,21 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from adaptsim_jax.core.config import dumps, nearest
-from adaptsim_jax.logs.columns import STEMS, TIME, role
+from adaptsim_jax.logs.columns import SPELLINGS, TIME, key_of, role
 from adaptsim_jax.logs.headings import Heading, heading
 from adaptsim_jax.logs.log import ModelNames
 from adaptsim_jax.logs.log_units import quantity_of, units_of
 from adaptsim_jax.logs.scales import Scale
 from adaptsim_jax.logs.unit_guess import Question, Units, guess_units
 
-WORDS = {word: stem for stem, words in STEMS.items() for word in words} | {
-    "angle": "q",
-    "angles": "q",
-    "positions": "q",
-    "qpos": "q",
-    "theta": "q",
-    "state": "q",
-    "speed": "v",
-    "velocities": "v",
-    "qvel": "v",
-    "omega": "v",
-    "rate": "v",
-    "efforts": "tau",
-    "torques": "tau",
-    "moment": "tau",
-    "force": "tau",
-    "command": "target",
-    "cmd": "target",
-    "desired": "target",
-    "des": "target",
-    "goal": "target",
-    "reference": "target",
-    "commands": "target",
-    "targets": "target",
-    "actions": "target",
-    "ref": "target",
-    "setpoint": "target",
-    "action": "target",
-    "control": "ctrl",
-    "volts": "u",
-    "amps": "i",
-}
+WORDS = key_of("stems") | key_of("guesses")
 STEM_OF_UNIT = {
     unit: stem
     for stem in ("q", "v", "tau", "u", "i")
@@ -59,18 +30,6 @@ STEM_OF_UNIT = {
     for unit in units_of(quantity_of(stem, slides), slides)
 }
 TARGETS = {word for word, stem in WORDS.items() if stem == "target"}
-CLOCKS = (
-    "time",
-    "times",
-    "timestamp",
-    "timestamps",
-    "stamp",
-    "stamps",
-    "t",
-    "ts",
-    "seconds",
-    "clock",
-)
 
 
 @dataclass(frozen=True)
@@ -164,7 +123,7 @@ def array_name(name: str) -> str | None:
 
 def is_clock(name: str) -> bool:
     """Whether a column is called as a time."""
-    return bool(set(_tokens(name)) & set(CLOCKS))
+    return bool(set(_tokens(name)) & set(SPELLINGS["words"]["clocks"]))
 
 
 def _tokens(name: str) -> list[str]:
@@ -249,102 +208,54 @@ def _increases(values: np.ndarray) -> bool:
     return bool(np.all(np.diff(values) > 0))
 
 
-# ---------------------------------------------------------------- the text
+@dataclass(frozen=True)
+class Draft:
+    """What a `meta.toml` says beside its guesses.
 
-
-def meta_text(
-    found: Guess,
-    *,
-    model: str | None,
-    data: str | None,
-    model_names: ModelNames | None,
-    topics: Sequence[str] = (),
-    ros: dict[str, str] | None = None,
-    kinds: Sequence[str] = (),
-    commands: Mapping[str, str] | None = None,
-) -> str:
-    """A `meta.toml` with these guesses. `topics`: lines about a bag's topics; `kinds`: input kinds
-    that the columns allow; commands: trial -> the file that seems to hold its commands.
+    `model`, `data`: relative paths, None where there is none; `names`: of the model, where known;
+    `topics`: lines about a bag's topics; `ros`: those that are chosen; `kinds`: input kinds that
+    the columns allow; `commands`: trial -> the file that seems to hold its commands.
     """
 
-    def line(key, value):
-        return dumps({key: value}).strip()
+    model: str | None = None
+    data: str | None = None
+    names: ModelNames | None = None
+    topics: Sequence[str] = ()
+    ros: Mapping[str, str] = field(default_factory=dict)
+    kinds: Sequence[str] = ()
+    commands: Mapping[str, str] = field(default_factory=dict)
 
-    lines = [
-        "# Written by 'adaptsim init' from the data. What is marked 'guess' was not declared by "
-        "anyone: check it.",
-        line("task", "mechanism"),
-        line("model", model)
-        if model
-        else '# model = "robot.xml"   # MJCF or URDF, relative to this folder; or give --model',
-    ]
-    if model and model_names:
-        lines.append(f"# joints of the model, in its order: {', '.join(model_names.joints)}")
-    if data:
-        lines.append(line("data", data))
-    if len(kinds) > 1:
-        lines.append(
-            f"{line('input', kinds[0])}   # guess: the data also have columns of "
-            f"{', '.join(kinds[1:])}"
-        )
-    if found.unknown_joints:
-        lines.append(
-            line("ignore", list(found.unknown_joints)) + "   # guess: joints that the model lacks"
-        )
-    if found.columns:
-        lines += ["", "[columns]   # guess: our name = the file's name"]
-        lines += [line(ours, theirs) for ours, theirs in found.columns.items()]
-    if found.ignored:
-        lines += ["", f"# columns that are not used: {', '.join(found.ignored)}"]
-    lines += ["", "[units]   # s, rad, rad/s, N m, m, N, V, A where nothing else is said"]
-    for key, (unit, why) in found.units.items():
-        if isinstance(unit, Scale):
-            lines.append(
-                f"{'' if unit.known else '# '}{unit.line}   # guess: "
-                f"{why}{'' if unit.known else '; fill LOW and HIGH (rad, m)'}"
-            )
-        elif isinstance(unit, Question):
-            lines.append(f"# {line(key, unit.unit)}   # guess, not taken: {why}")
-        else:
-            lines.append(f"{line(key, unit)}   # guess: {why}")
-    only_slides = model_names is not None and set(model_names.joints) <= set(model_names.slides)
-    if (
-        "angle" not in found.units
-        and not only_slides
-        and not any(isinstance(unit, Scale) for unit, _ in found.units.values())
-    ):
-        lines.append('# angle = "rad"   # guess: the numbers look like radians')
-    lines += [
-        "",
-        "[angles]",
-        'convention = "relative"   # guess: each angle counts from the link before it; "absolute": '
-        "from the world",
-        "# zero = {elbow = 1.5708}   # what the log shows (rad or m) where the model's joint is at "
-        "0; guess: 0 for all",
-        '# reversed = ["elbow"]   # joints that the log counts the other way round; guess: none',
-    ]
-    if topics:
-        lines += [
-            "",
-            "[ros]",
-            *(line(key, value) + "   # guess" for key, value in (ros or {}).items()),
-            *(f"# {t}" for t in topics),
-        ]
-    given = ", ".join(f'"{trial}" = "{file}"' for trial, file in (commands or {}).items())
-    if given:
-        lines += [
-            "",
-            "[trials]",
-            f"commands = {{{given}}}   # guess: files of commands, by their names",
-        ]
-    else:
-        lines += []
-    lines += [
-        "",
-        "# [noise]   # standard deviations in SI units, where known",
-        "# q = 1e-4",
-        "# [trials]",
-        '# exclude = ["trial_03"]   # trials that went wrong',
-        "# payload = {trial_04 = 0.2}   # kg at the tip",
-    ]
-    return "\n".join(lines) + "\n"
+
+def meta_text(found: Guess, draft: Draft) -> str:
+    """A `meta.toml` with these guesses (`meta.toml.j2`)."""
+    import jinja2
+
+    units = [_unit_line(key, unit, why) for key, (unit, why) in found.units.items()]
+    only_slides = draft.names is not None and set(draft.names.joints) <= set(draft.names.slides)
+    scaled = any(isinstance(unit, Scale) for unit, _ in found.units.values())
+    if "angle" not in found.units and not only_slides and not scaled:
+        units.append('# angle = "rad"   # guess: the numbers look like radians')
+    template = jinja2.Template(
+        Path(__file__).with_name("meta.toml.j2").read_text(encoding="utf-8"),
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    return template.render(found=found, draft=draft, units=units, line=_line)
+
+
+def _line(key: str, value: Any) -> str:
+    """A line of TOML."""
+    return dumps({key: value}).strip()
+
+
+def _unit_line(key: str, unit: str | Scale | Question, why: str) -> str:
+    """A line of `[units]`, a remark where a person must decide."""
+    if isinstance(unit, Question):
+        return f"# {_line(key, unit.unit)}   # guess, not taken: {why}"
+    if not isinstance(unit, Scale):
+        return f"{_line(key, unit)}   # guess: {why}"
+    if unit.known:
+        return f"{unit.line}   # guess: {why}"
+    return f"# {unit.line}   # guess: {why}; fill LOW and HIGH (rad, m)"

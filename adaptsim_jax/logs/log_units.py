@@ -14,6 +14,7 @@ import numpy as np
 from adaptsim_jax.core.config import suggest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.given import brief, finite
+from adaptsim_jax.logs.columns import key_of
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 ANGLE_UNITS = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "rev": 2 * math.pi}
@@ -49,44 +50,7 @@ QUANTITIES = {
     "voltage": VOLT_UNITS,
     "current": AMPERE_UNITS,
 }
-SPELT = {
-    "seconds": "s",
-    "second": "s",
-    "secs": "s",
-    "sec": "s",
-    "milliseconds": "ms",
-    "msec": "ms",
-    "microseconds": "us",
-    "usec": "us",
-    "nanoseconds": "ns",
-    "nsec": "ns",
-    "radians": "rad",
-    "radian": "rad",
-    "degrees": "deg",
-    "degree": "deg",
-    "°": "deg",
-    "revolutions": "rev",
-    "turns": "rev",
-    "meters": "m",
-    "metres": "m",
-    "centimeters": "cm",
-    "centimetres": "cm",
-    "millimeters": "mm",
-    "millimetres": "mm",
-    "volts": "V",
-    "volt": "V",
-    "amperes": "A",
-    "amps": "A",
-    "newtons": "N",
-    "N-m": "Nm",
-    "mN-m": "mNm",
-    "radps": "rad/s",
-    "degps": "deg/s",
-    "dps": "deg/s",
-    "°/s": "deg/s",
-    "mps": "m/s",
-    "minute": "min",
-}
+SPELT = key_of("units")
 """Units written out, as people do; `degrees/s` is read too."""
 HINGE = {
     "q": "angle",

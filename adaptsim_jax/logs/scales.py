@@ -15,12 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.columns import SPELLINGS
 from adaptsim_jax.logs.criteria import UNIT
 from adaptsim_jax.logs.joint_columns import JointColumns
 from adaptsim_jax.logs.log import ModelNames
 
 SIGNED, UNSIGNED, STEPS, SHARE = "signed", "unsigned", "steps", "share"
-GRIPPERS = ("gripper", "jaw", "finger", "claw", "hand")
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ def share_of(key: str, angles: Sequence[np.ndarray]) -> Scale | None:
 
 def is_gripper(joint: str) -> bool:
     """Whether a joint's name is that of a gripper."""
-    return any(word in joint.lower() for word in GRIPPERS)
+    return any(word in joint.lower() for word in SPELLINGS["words"]["grippers"])
 
 
 def scales_of(
