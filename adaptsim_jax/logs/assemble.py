@@ -14,7 +14,7 @@ from adaptsim_jax.core.config import suggest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.angles import model_angles
 from adaptsim_jax.logs.beside import copies, unread
-from adaptsim_jax.logs.columns import is_ignored, role
+from adaptsim_jax.logs.columns import is_ignored, role, roles_of
 from adaptsim_jax.logs.inputs import Inputs, choose_inputs
 from adaptsim_jax.logs.joint_columns import JointColumns, also_there, columns_of
 from adaptsim_jax.logs.log import Log, LogTrial, ModelNames
@@ -80,13 +80,12 @@ def _moving(
 
     Raises BadInput where no joint has angles, or one has in some trials only.
     """
-    n = len(names.joints)
     if unknown := [name for name in meta.hold if name not in names.joints]:
         raise BadInput(
             f"{meta.path}: [hold] names {unknown[0]!r}, no joint of the model; "
             f"{suggest(unknown[0], names.joints)}"
         )
-    have = [columns.by_joint.get("q", {}) for columns in trials]
+    n, have = len(names.joints), trials[0].by_joint.get("q", {})
     if not n:
         if any(columns.base is None and not columns.channels for columns in trials):
             raise BadInput(
@@ -94,18 +93,7 @@ def _moving(
                 "and base_qw .. base_qz"
             )
         return [], {}
-    for columns, here in zip(trials, have, strict=True):
-        if not here:
-            _no_angle(columns, names, 0, here)
-        spoken = {
-            j
-            for rows in columns.by_joint.values()
-            for j, x in rows.items()
-            if len(np.unique(x[np.isfinite(x)])) > 1
-        }
-        for j in sorted(set().union(*have, spoken) - set(here)):
-            if names.joints[j] not in meta.hold:
-                _no_angle(columns, names, j, here)
+    _check_angles(trials, names, meta)
     angles = [model_angles(columns.stacked("q", n), names, meta) for columns in trials]
     every = np.concatenate(angles)
     some: np.ndarray = np.any(np.isfinite(every), axis=0)
@@ -114,11 +102,9 @@ def _moving(
         middle = float(np.nanmedian(every[:, j])) if some[j] else None
         still = some[j] and float(np.nanmax(every[:, j]) - np.nanmin(every[:, j])) == 0.0
         if joint in meta.hold:
-            if meta.hold[joint] is None:
-                held[joint] = middle
-            else:
-                held[joint] = meta.hold[joint]
-        elif j not in have[0]:
+            given = meta.hold[joint]
+            held[joint] = middle if given is None else given
+        elif j not in have:
             held[joint] = None
         elif still and meta.rig is None:  # of a pendulum a sensor is stuck then
             held[joint] = middle
@@ -127,6 +113,23 @@ def _moving(
     if not retained:
         raise BadInput(f"{path}: no joint moves in any trial; log one that does")
     return retained, held
+
+
+def _check_angles(trials: list[JointColumns], names: ModelNames, meta: LogMeta) -> None:
+    """BadInput where a trial lacks the angle of a joint that others, or its own columns, have."""
+    have = [columns.by_joint.get("q", {}) for columns in trials]
+    for columns, here in zip(trials, have, strict=True):
+        if not here:
+            _no_angle(columns, names, 0, here)
+        moves = {
+            j
+            for rows in columns.by_joint.values()
+            for j, x in rows.items()
+            if len(np.unique(x[np.isfinite(x)])) > 1
+        }
+        for j in sorted(set().union(*have, moves) - set(here)):
+            if names.joints[j] not in meta.hold:
+                _no_angle(columns, names, j, here)
 
 
 def _no_angle(
@@ -156,11 +159,7 @@ def _strange(
     another name?
     """
     bare = [name for name, value in held.items() if value is None]
-    left = [
-        name
-        for name in trial.ignored
-        if (r := role(name, names.joints)) is not None and r.stem == "q"
-    ]
+    left = [n for n, r in roles_of(trial.ignored, names.joints).items() if r.stem == "q"]
     if not bare or not left:
         return ()
     return (
@@ -171,10 +170,9 @@ def _strange(
 
 def _numbered(trial: RawTrial, names: ModelNames, retained: Sequence[int]) -> tuple[str, ...]:
     """Which joints columns that go by number are taken for, where the model has more."""
-    roles = [
-        r for name in trial.columns if (r := role(name, names.joints)) is not None and r.stem == "q"
-    ]
-    if len(retained) == len(names.joints) or not any(isinstance(r.joint, int) for r in roles):
+    roles = roles_of(trial.columns, names.joints).values()
+    numbered = any(r.stem == "q" and isinstance(r.joint, int) for r in roles)
+    if len(retained) == len(names.joints) or not numbered:
         return ()
     return (
         "columns go by number, in the model's order of joints: "
@@ -188,15 +186,9 @@ def _input_columns(trial: RawTrial, names: ModelNames, inputs: Inputs) -> tuple[
         stems = ("ctrl", "target")
     else:
         stems = (inputs.stem,)
-    roles = {
-        name: r
-        for name in trial.columns
-        if (r := role(name, names.joints)) is not None and r.stem in stems
-    }
-    if any(r.joint == 0 for name in trial.columns if (r := role(name, names.joints)) is not None):
-        base = 0
-    else:
-        base = 1
+    every = roles_of(trial.columns, names.joints)
+    roles = {name: r for name, r in every.items() if r.stem in stems}
+    base = 0 if any(r.joint == 0 for r in every.values()) else 1
     place = {joint: k + base for k, joint in enumerate(names.joints)}
     out = []
     for index, name in enumerate(inputs.names):

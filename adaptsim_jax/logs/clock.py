@@ -141,38 +141,20 @@ def merge(
             f"{', '.join(joints)}: {len(series.time)} messages in all, taken to stay as they say"
         )
     often = [series for series in states if not any(series is other for other in rare)]
-    start = max(series.time[0] for series in (*often, *commands))
-    stop = min(series.time[-1] for series in often)
-    rows = (main.time >= start) & (main.time <= stop)
+    rows = _shared_rows(path, main, often, commands)
     clock = main.time[rows]
-    if len(clock) < TABLE.min_rows:
-        raise BadInput(
-            f"{path}: its topics share {len(clock)} rows; a trial needs at least {TABLE.min_rows}, "
-            "record joints and commands together"
-        )
     out = {"time": clock - clock[0]}
     for series in states:
-        for name, values in series.columns.items():
-            if series is main:
-                out[name] = values[rows]
-            elif name in out:
-                continue
-            else:
-                seldom = any(series is other for other in rare)
-                acts = name.split("_")[0] in HELD and not seldom
-                if acts:
-                    out[name] = _acting(clock, series.time, values, False)
-                else:
-                    out[name] = _onto(clock, series.time, values, hold=seldom)
+        seldom = any(series is other for other in rare)
+        own = series.of([name for name in series.columns if name not in out])
+        out |= _at_rows(series, rows) if series is main else _states_on(clock, own, seldom)
     for name in [n for series in rare for n in series.columns if n.startswith("q_")]:
         if any(n.startswith("v_") for n in out):
             out.setdefault(f"v{name[1:]}", np.zeros(len(clock)))
     for series in commands:
-        out |= {
-            name: _acting(clock, series.time, values, series.straight)
-            for name, values in series.columns.items()
-            if name not in out
-        }
+        for name, values in series.columns.items():
+            if name not in out:
+                out[name] = _acting(clock, series.time, values, series.straight)
     if len(states) > 1:
         notes.append(
             f"{len(states)} publishers of joint states brought onto the clock of the one with most "
@@ -182,6 +164,35 @@ def merge(
     if cut:
         notes.append(f"{cut} rows cut off where not all joints and commands are there")
     return out, tuple(dict.fromkeys(notes))
+
+
+def _shared_rows(
+    path: str, main: Series, states: list[Series], commands: list[Series]
+) -> np.ndarray:
+    """Rows `[K]` of the main series in the time that all share; BadInput for too few of them."""
+    start = max(series.time[0] for series in (*states, *commands))
+    stop = min(series.time[-1] for series in states)
+    rows = (main.time >= start) & (main.time <= stop)
+    if (count := int(rows.sum())) < TABLE.min_rows:
+        raise BadInput(
+            f"{path}: its topics share {count} rows; a trial needs at least {TABLE.min_rows}, "
+            "record joints and commands together"
+        )
+    return rows
+
+
+def _at_rows(series: Series, rows: np.ndarray) -> dict[str, np.ndarray]:
+    return {name: values[rows] for name, values in series.columns.items()}
+
+
+def _states_on(clock: np.ndarray, series: Series, seldom: bool) -> dict[str, np.ndarray]:
+    """Columns of another series at the rows of `clock [T]`; seldom: they stay where they were."""
+    return {
+        name: _acting(clock, series.time, values, False)
+        if name.split("_")[0] in HELD and not seldom
+        else _onto(clock, series.time, values, hold=seldom)
+        for name, values in series.columns.items()
+    }
 
 
 def _sorted(path: str, series: Series, notes: list[str]) -> Series:

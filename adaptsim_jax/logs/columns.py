@@ -102,6 +102,12 @@ def role(name: str, joints: Iterable[str] = ()) -> Role | None:
     return Role(stem, who)
 
 
+def roles_of(names: Iterable[str], joints: Iterable[str] = ()) -> dict[str, Role]:
+    """The roles of those columns that are ours, by name; `joints`: the model's."""
+    joints = tuple(joints)
+    return {name: found for name in names if (found := role(name, joints)) is not None}
+
+
 def is_ignored(name: str, ignore: Iterable[str], joints: Iterable[str] = ()) -> bool:
     """Whether `ignore` leaves this column out, by its own name or by that of its joint."""
     found = role(name, joints)

@@ -7,7 +7,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class TableCriteria:
-    """Rows, cells and time of a table (`table_checks.py`, `table_clocks.py`, `joint_columns.py`)."""
+    """Rows, cells and times of a table (`table_checks.py`, `table_clocks.py`)."""
 
     min_rows: int = 20  # of a trial: fewer tell no motion
     epoch: float = 1e6  # s: beyond are clock times, counted from the first row to lose no digit

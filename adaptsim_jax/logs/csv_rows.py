@@ -1,4 +1,4 @@
-"""The rows of a CSV file: its bytes, its delimiter, remarks above its header, and widths of rows."""
+"""The rows of a CSV file: its delimiter, remarks above its header, and widths of rows."""
 
 from __future__ import annotations
 
@@ -154,7 +154,8 @@ def check_widths(path: Path, rows: Sequence[list[str]], lines: Sequence[int]) ->
     elif len(row) > n and any(_in_thousands(a, b) for a, b in itertools.pairwise(row)):
         why = "commas between thousands suspected: write 1234.5, nothing between the digits"
     elif usual > n and often > len(rows) / 2 and any(row[n:]):
-        why = f"as {often} lines have: remove what stands above the columns' names, or begin it with #"
+        above = "remove what stands above the columns' names, or begin it with #"
+        why = f"as {often} lines have: {above}"
     else:
         why = "complete or remove that line"
     raise BadInput(

@@ -55,36 +55,15 @@ def guess(
     file's name of a list or array, whose places are columns by our name.
     """
     joints = model.joints if model else ()
-    actuators = {a.name for a in (model.actuators or ())} if model else set()
     names: dict[str, str] = {}
     ignored: list[str] = []
     unknown: list[str] = []
     for name in columns:
-        read = heading(name, joints)
-        # `time_s` is ours as it is
-        if role(name) is not None and role(name) == role(read.name):
-            bare = name
-        else:
-            bare = read.name
-        found_role = role(bare, joints)
-        named = found_role and (
-            found_role.joint in joints
-            or (found_role.stem == "ctrl" and found_role.joint in actuators)
-        )
-        known = found_role and (not isinstance(found_role.joint, str) or not joints or named)
-        if known:
-            ours = bare
-        else:
-            ours = _ours(bare, joints) or _ours(name, joints) or _by_unit(read, joints)
-        if known and bare != name and found_role and found_role.stem == "time":
-            ours = "time"
+        ours, left_out = _named(name, model)
         if ours is not None and ours not in names.values():
             names[name] = ours
-        elif found_role and isinstance(found_role.joint, str):
-            # ctrl_ACTUATOR is kept; a joint is left out by its name as the reader tells it
-            unknown.append(
-                name if found_role.joint in actuators or bare != name else found_role.joint
-            )
+        elif left_out:
+            unknown.append(left_out)
         else:
             ignored.append(name)
     if not any(role(ours, joints) and ours in TIME for ours in names.values()):
@@ -107,6 +86,30 @@ def guess(
         ignored=tuple(ignored),
         unknown_joints=tuple(dict.fromkeys(unknown)),
     )
+
+
+def _named(name: str, model: ModelNames | None) -> tuple[str | None, str]:
+    """Our name of a column, None for none, and what `ignore` calls one of no joint of the model."""
+    joints = model.joints if model else ()
+    actuators = {a.name for a in (model.actuators or ())} if model else set()
+    read = heading(name, joints)
+    # `time_s` is ours as it is
+    own = role(name) is not None and role(name) == role(read.name)
+    bare = name if own else read.name
+    found = role(bare, joints)
+    if found is None:
+        return _ours(bare, joints) or _ours(name, joints) or _by_unit(read, joints), ""
+    driven = found.stem == "ctrl" and found.joint in actuators
+    if not isinstance(found.joint, str):
+        left_out = ""
+    else:
+        # ctrl_ACTUATOR is kept; a joint is left out by its name as the reader tells it
+        left_out = name if found.joint in actuators or bare != name else found.joint
+    if left_out and joints and not (found.joint in joints or driven):
+        return _ours(bare, joints) or _ours(name, joints) or _by_unit(read, joints), left_out
+    if bare != name and found.stem == "time":
+        return "time", left_out
+    return bare, left_out
 
 
 def array_name(name: str) -> str | None:

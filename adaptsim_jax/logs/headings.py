@@ -161,7 +161,7 @@ def compared(
     headed: Sequence[tuple[HeadingUnit, Affine, tuple[str, ...], str]],
     units: Mapping[str, Unit],
 ) -> tuple[str, ...]:
-    """Notes on columns whose headings say another unit than the one that is declared. headed: of each
+    """Notes on columns whose headings say another unit than the declared one. headed: of each
     column what its heading says, what it is read in, its words in `[units]`, its stem.
 
     Raises `BadInput` where nothing is declared and the heading says no SI unit.

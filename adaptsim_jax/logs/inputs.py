@@ -223,20 +223,29 @@ def _commands(
                 idle[actuator.name] = None
                 continue
             _no_command(columns, actuator, names)
-        for j in columns.by_joint.get("target", {}):
-            if names.joints[j] in moving and not any(
-                names.joints[j] in a.joints for a in actuators
-            ):
-                raise BadInput(
-                    f"{columns.raw.path}: joint '{names.joints[j]}' has a target, but no actuator "
-                    f"in the model; add "
-                    f'<position joint="{names.joints[j]}" .../> to it, or write ignore = '
-                    f'["{columns.named["target", j]}"] in meta.toml'
-                )
+        _check_targets(columns, actuators, names, moving)
     if idle:
         notes = (*notes, f"no command logged, taken as 0: {', '.join(idle)}")
     driven = tuple(j for j in moving if any(j in a.joints for a in actuators))
     return Inputs("command", "target", tuple(a.name for a in actuators), driven, actuators, notes)
+
+
+def _check_targets(
+    columns: JointColumns,
+    actuators: tuple[ActuatorName, ...],
+    names: ModelNames,
+    moving: Sequence[str],
+) -> None:
+    """BadInput where a joint that moves has a target, and no actuator."""
+    driven = {joint for actuator in actuators for joint in actuator.joints}
+    for j in columns.by_joint.get("target", {}):
+        joint = names.joints[j]
+        if joint in moving and joint not in driven:
+            raise BadInput(
+                f"{columns.raw.path}: joint '{joint}' has a target, but no actuator in the model; "
+                f'add <position joint="{joint}" .../> to it, or write ignore = '
+                f'["{columns.named["target", j]}"] in meta.toml'
+            )
 
 
 def _servo(actuator: ActuatorName, names: ModelNames) -> int | None:

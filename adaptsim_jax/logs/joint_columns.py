@@ -10,9 +10,9 @@ import numpy as np
 from adaptsim_jax.core.config import nearest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.angles import turns_of
-from adaptsim_jax.logs.columns import BASE, Role, role
+from adaptsim_jax.logs.columns import BASE, Role, roles_of
 from adaptsim_jax.logs.criteria import TABLE
-from adaptsim_jax.logs.headings import compared, heading_unit
+from adaptsim_jax.logs.headings import HeadingUnit, compared, heading_unit
 from adaptsim_jax.logs.log import ModelNames
 from adaptsim_jax.logs.log_meta import LogMeta
 from adaptsim_jax.logs.log_units import ANGLE_UNITS, Affine, column_unit, command_unit, declared
@@ -54,109 +54,130 @@ class JointColumns:
         return out
 
 
+@dataclass
+class _Converter:
+    """Columns of one trial made SI one by one: what is known of them so far.
+
+    `ctrl`, `by_joint`, `written`, `named`, `scaled`, `declared`: as of `JointColumns`; `headed`:
+    what headings say of units, beside what is taken.
+    """
+
+    trial: RawTrial
+    names: ModelNames
+    meta: LogMeta
+    zero_based: bool
+    by_joint: dict[str, dict[int, np.ndarray]] = field(default_factory=dict)
+    ctrl: dict[int | str, np.ndarray] = field(default_factory=dict)
+    written: dict[tuple[str, int], np.ndarray] = field(default_factory=dict)
+    named: dict[tuple[str, int], str] = field(default_factory=dict)
+    scaled: dict[int, bool] = field(default_factory=dict)
+    declared: set[int] = field(default_factory=set)
+    headed: list[tuple[HeadingUnit, Affine, tuple[str, ...], str]] = field(default_factory=list)
+
+    def time(self, name: str, found: Role) -> np.ndarray:
+        """Times `[T]` s."""
+        where = f"{self.trial.path}: column {name}"
+        scale = column_unit(where, self.meta.units, "time", (name,), slides=False).scale
+        self._head(name, found, (name,), Affine(scale))
+        seconds = self.trial.columns[name] * scale
+        check_time_unit(self.trial.path, seconds, scale)
+        return seconds
+
+    def command(self, name: str, found: Role) -> None:
+        """A column of commands to an actuator."""
+        place = _place(found, self.zero_based)
+        words = found.words(name, _actuator(place, self.names))
+        unit = command_unit(f"{self.trial.path}: column {name}", self.meta.units, words)
+        self._head(name, found, words, unit)
+        self.ctrl[place] = unit.of(self.trial.columns[name])
+
+    def joint(self, name: str, found: Role) -> None:
+        """A column of a joint."""
+        trial, names, units = self.trial, self.names, self.meta.units
+        stem, j = found.stem, _joint(trial, name, found, names, self.zero_based)
+        joint = names.joints[j]
+        if (stem, j) in self.named:
+            raise BadInput(
+                f"{trial.path}: columns {self.named[stem, j]!r} and {name!r} are both {stem} of "
+                f"joint {joint!r}; keep one, or write ignore = [{name!r}] in meta.toml"
+            )
+        self.named[stem, j] = name
+        slides, words = joint in names.slides, found.words(name, joint)
+        where, limits = f"{trial.path}: column {name}", names.limits_of(j)
+        unit = column_unit(where, units, stem, words, slides=slides, limits=limits)
+        self._head(name, found, words, unit, slides)
+        if stem == "q" and declared(units, "q", words, slides=slides) is not None:
+            self.declared.add(j)
+        if stem in ("q", "target"):
+            self.written[stem, j] = trial.columns[name]
+            self.scaled[j] = self.scaled.get(j, False) or unit.scale not in ANGLE_UNITS.values()
+        values = unit.of(trial.columns[name])
+        check_size(trial.path, name, values, trial.lines, trial.row_word)
+        self.by_joint.setdefault(stem, {})[j] = values
+
+    def _head(
+        self, name: str, found: Role, words: tuple[str, ...], unit: Affine, slides: bool = False
+    ) -> None:
+        columns = self.meta.columns
+        written = columns.get(name) or columns.get(found.stem, name)
+        if one := heading_unit(name, written, found, slides, self.names.joints):
+            self.headed.append((one, unit, words, found.stem))
+
+
 def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> JointColumns:
     """The columns of a trial by joint. Raises `BadInput`: no such joint, two columns for one, a
     wrong unit, an absurd value.
     """
-    roles = {
-        name: found for name in trial.columns if (found := role(name, names.joints)) is not None
-    }
-    zero_based = _zero_based(roles.values())
+    roles = roles_of(trial.columns, names.joints)
+    made = _Converter(trial, names, meta, _zero_based(roles.values()))
     time = next(name for name, r in roles.items() if r.stem == "time")
-    where = f"{trial.path}: column {time}"
-    scale = column_unit(where, meta.units, "time", (time,), slides=False).scale
-    headed = []
-
-    def head(
-        name: str, found: Role, words: tuple[str, ...], unit: Affine, slides: bool = False
-    ) -> None:
-        written = meta.columns.get(name) or meta.columns.get(found.stem, name)
-        if one := heading_unit(name, written, found, slides, names.joints):
-            headed.append((one, unit, words, found.stem))
-
-    head(time, roles[time], (time,), Affine(scale))
-    seconds = trial.columns[time] * scale
-    check_time_unit(trial.path, seconds, scale)
-    by_joint: dict[str, dict[int, np.ndarray]] = {}
-    ctrl: dict[int | str, np.ndarray] = {}
-    taken: dict[tuple[str, int], str] = {}
-    written: dict[tuple[str, int], np.ndarray] = {}
-    scaled: dict[int, bool] = {}
-    known: set[int] = set()
+    seconds = made.time(time, roles[time])
     for name, found in roles.items():
-        if found.stem in ("time", "trial", "base", "channel"):
-            continue
         if found.stem == "ctrl":
-            place = _place(found, zero_based)
-            words = found.words(name, _actuator(place, names))
-            unit = command_unit(f"{trial.path}: column {name}", meta.units, words)
-            head(name, found, words, unit)
-            ctrl[place] = unit.of(trial.columns[name])
-            continue
-        j = _joint(trial, name, found, names, zero_based)
-        if (found.stem, j) in taken:
-            raise BadInput(
-                f"{trial.path}: columns {taken[found.stem, j]!r} and {name!r} are both "
-                f"{found.stem} of joint {names.joints[j]!r}; keep one, or write ignore = "
-                f"[{name!r}] in meta.toml"
-            )
-        taken[found.stem, j] = name
-        slides = names.joints[j] in names.slides
-        words = found.words(name, names.joints[j])
-        unit = column_unit(
-            f"{trial.path}: column {name}",
-            meta.units,
-            found.stem,
-            words,
-            slides=slides,
-            limits=names.limits_of(j),
-        )
-        head(name, found, words, unit, slides)
-        if found.stem == "q" and declared(meta.units, "q", words, slides=slides) is not None:
-            known.add(j)
-        if found.stem in ("q", "target"):
-            written[found.stem, j] = trial.columns[name]
-            scaled[j] = scaled.get(j, False) or unit.scale not in ANGLE_UNITS.values()
-        values = check_size(
-            trial.path, name, unit.of(trial.columns[name]), trial.lines, trial.row_word
-        )
-        by_joint.setdefault(found.stem, {})[j] = values
-    notes = compared(trial.path, headed, meta.units)
-    angles = by_joint.get("q", {})
-    whole = {}
-    for j, q in angles.items():
-        whole[j] = q
-        if names.joints[j] not in names.slides:
-            counted = turns_of(seconds, q)
-            whole[j] = counted.q
-            notes = (*notes, *_unsure(trial.name, names.joints[j], seconds, counted))
+            made.command(name, found)
+        elif found.stem not in ("time", "trial", "base", "channel"):
+            made.joint(name, found)
+    notes = compared(trial.path, made.headed, meta.units)
+    angles, commanded = (made.by_joint.get(stem, {}) for stem in ("q", "target"))
+    whole, unsure = _without_turns(trial, names, seconds, angles)
     targets = {
         j: followed_turns(whole[j], u) if j in whole and names.turns_to(j) else u
-        for j, u in by_joint.get("target", {}).items()
+        for j, u in commanded.items()
     }
-    turns = any(not np.array_equal(whole[j], q, equal_nan=True) for j, q in angles.items())
-    turns |= any(
-        not np.array_equal(targets[j], u, equal_nan=True)
-        for j, u in by_joint.get("target", {}).items()
-    )
+    channels = {
+        str(r.joint): trial.columns[name] for name, r in roles.items() if r.stem == "channel"
+    }
     return JointColumns(
         trial,
         from_zero(seconds),
-        by_joint | {"q": whole} | ({"target": targets} if targets else {}),
-        ctrl,
-        turns,
-        written,
-        taken,
-        scaled,
+        made.by_joint | {"q": whole} | ({"target": targets} if targets else {}),
+        made.ctrl,
+        _changed(whole, angles) or _changed(targets, commanded),
+        made.written,
+        made.named,
+        made.scaled,
         _base(trial, roles),
-        {
-            str(found.joint): trial.columns[name]
-            for name, found in roles.items()
-            if found.stem == "channel"
-        },
-        frozenset(known),
-        notes,
+        channels,
+        frozenset(made.declared),
+        (*notes, *unsure),
     )
+
+
+def _changed(after: dict[int, np.ndarray], before: dict[int, np.ndarray]) -> bool:
+    return any(not np.array_equal(after[j], x, equal_nan=True) for j, x in before.items())
+
+
+def _without_turns(
+    trial: RawTrial, names: ModelNames, seconds: np.ndarray, angles: dict[int, np.ndarray]
+) -> tuple[dict[int, np.ndarray], list[str]]:
+    """Angles without jumps of whole turns, and notes on gaps in which more may be hidden."""
+    whole, notes = dict(angles), []
+    for j, q in angles.items():
+        if names.joints[j] not in names.slides:
+            counted = turns_of(seconds, q)
+            whole[j] = counted.q
+            notes += _unsure(trial.name, names.joints[j], seconds, counted)
+    return whole, notes
 
 
 def _unsure(trial: str, joint: str, seconds: np.ndarray, turns: Turns) -> tuple[str, ...]:
@@ -257,6 +278,9 @@ def _joint(trial: RawTrial, name: str, found: Role, names: ModelNames, zero_base
         return 0
     index = joint if zero_based else joint - 1
     if not 0 <= index < n:
-        mend = f'name joints of the model only ({", ".join(names.joints)}), or write ignore = ["{name}"] in meta.toml'
+        mend = (
+            f"name joints of the model only ({', '.join(names.joints)}), or write ignore = "
+            f'["{name}"] in meta.toml'
+        )
         raise BadInput(f"{trial.path}: column {name!r}: the model has {n} joint(s); {mend}")
     return index

@@ -154,7 +154,8 @@ def _trial(folder: Path, episode: int, parts: list, features: dict, fps: Any) ->
     count = len(arrays["observation.state"])
     if count < TABLE.min_rows:
         raise BadInput(
-            f"{path}: episode {episode} has {count} rows; a trial needs at least {TABLE.min_rows}, write "
+            f"{path}: episode {episode} has {count} rows; a trial needs at least "
+            f"{TABLE.min_rows}, write "
             f'[trials] and exclude = ["{_name(episode)}"] in meta.toml'
         )
     notes: tuple[str, ...] = ()

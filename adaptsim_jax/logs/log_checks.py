@@ -92,12 +92,16 @@ def _distance_note(trials: Sequence[LogTrial], j: int, names: ModelNames, known:
             f"{joint} slides as far as {reach:.3g} m: if that is no metres, write {ask} under "
             "[units]"
         )
-    statement = f"{joint} slides as far as {reach:.3g} m, {times:.2g} times its declared range of {limits[0]:g} to {limits[1]:g} m"
+    declared = f"{limits[0]:g} to {limits[1]:g} m"
+    statement = (
+        f"{joint} slides as far as {reach:.3g} m, {times:.2g} times its declared range of "
+        f"{declared}"
+    )
     if times < UNIT.distant:
         return f"{statement}: if that is no metres, write {ask} under [units]"
     raise BadInput(
-        f"{trials[0].path}: {statement}, as {' or '.join(WORDS[unit] for unit in units)} would; write "
-        f"{ask} under [units] in meta.toml, "
+        f"{trials[0].path}: {statement}, as {' or '.join(WORDS[unit] for unit in units)} would; "
+        f"write {ask} under [units] in meta.toml, "
         'or length = "m" if they are metres and the range is not the machine\'s'
     )
 

@@ -204,7 +204,10 @@ def choose(
     if wanted := options.get("command_topic"):
         command = by_name[wanted]
         if not _commands_of(command):
-            kinds = "JointState, JointTrajectory, JointTrajectoryControllerState, Float64MultiArray, Float64"
+            kinds = (
+                "JointState, JointTrajectory, JointTrajectoryControllerState, "
+                "Float64MultiArray, Float64"
+            )
             raise BadInput(
                 f"{path}: topic {wanted} is {_what(command)}; commands are read of {kinds}"
             )

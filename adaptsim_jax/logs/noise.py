@@ -1,4 +1,4 @@
-"""What neighbouring rows tell of a motion: its noise by differences, its angle and speed by cubics."""
+"""Neighbouring rows of a motion: its noise by differences, angle and speed by cubics."""
 
 from collections.abc import Sequence
 from math import comb

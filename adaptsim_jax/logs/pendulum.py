@@ -130,9 +130,9 @@ def _check_degrees(log: Log) -> None:
         return
     worst = int(np.argmax(speed))
     raise BadInput(
-        f"{log.trials[worst].path}: angles reach {reach[worst].max():.3g} and speeds {speed[worst]:.3g}: "
-        f'degrees are suspected instead of radians; write angle = "deg", or "rad" if they are, '
-        f"under [units] in meta.toml, or convert the file"
+        f"{log.trials[worst].path}: angles reach {reach[worst].max():.3g} and speeds "
+        f'{speed[worst]:.3g}: degrees are suspected instead of radians; write angle = "deg", or "rad" if '
+        f"they are, under [units] in meta.toml, or convert the file"
     )
 
 

@@ -197,7 +197,8 @@ def _nothing(data: Path) -> BadInput:
             f"{data}: a log ends in {', '.join(ends)}; convert this file, or give its folder"
         )
     return BadInput(
-        f"{data}: holds no .csv, .npz, .mcap or .bag file; put one file a trial there{instead(data)}"
+        f"{data}: holds no .csv, .npz, .mcap or .bag file; put one file a trial "
+        f"there{instead(data)}"
     )
 
 

@@ -77,7 +77,8 @@ def scale_of(
         )
     if not (ends and inside):
         return None
-    why = f"values end at exactly {'100' if abs(high - 100.0) < UNIT.end else '-100'}: per cent of the joint's range, as LeRobot writes it"
+    end = "100" if abs(high - 100.0) < UNIT.end else "-100"
+    why = f"values end at exactly {end}: per cent of the joint's range, as LeRobot writes it"
     if low < -UNIT.end:
         return Scale(SIGNED, why, f"{key} = {{from = [-100, 100], to = [LOW, HIGH]}}", False)
     return Scale(UNSIGNED, why, f"{key} = {{percent = [LOW, HIGH]}}", False)

@@ -1,4 +1,4 @@
-"""Angle and speed of a motion by an integrated random walk: where the fit of undeclared masses begins.
+"""Angle and speed of a motion by an integrated random walk, where fits of masses begin.
 
 The signal's m-th derivative is white noise of intensity `s^2` (m = 3: white jerk, the quintic
 smoothing spline; Wahba 1978, and Sarkka 2013, ch. 8 for the same posterior by filtering). States

@@ -51,8 +51,7 @@ def read_table(
     lost: tuple[str, ...] = (),
     gaps: tuple[str, ...] = (),
 ) -> LogTable:
-    """Read the columns named in `wanted` (those that are there) of `min_rows` rows or more, list the
-    others.
+    """Read the columns in `wanted` that are there, of `min_rows` rows or more; list the others.
 
     ours: what a column is to us where the file names it otherwise; arrays [T, n] are then n columns
     by `list_cells.part_name`. Optional columns that hold nothing count as not there. lost:

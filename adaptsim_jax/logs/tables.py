@@ -208,7 +208,10 @@ def _restarted(
     if not parts:
         return [(name, table)]
     who = naming(cells_of(path, table.lines), time)
-    reported = f"the clock of {path.name} starts again: taken as {len(parts)} trials, {name}_1 to {name}_{len(parts)}"
+    last = f"{name}_{len(parts)}"
+    reported = (
+        f"the clock of {path.name} starts again: taken as {len(parts)} trials, {name}_1 to {last}"
+    )
     if who:
         more = f'; [columns] trial = "{who}" in meta.toml calls them by that column'
     else:

@@ -256,7 +256,8 @@ def _lengths(
         if (limits := observed.limits.get(joint)) and (
             units := lengths_within(times_range(reach, limits))
         ):
-            why = f"{name} reaches {reach:.4g}, its range in the model is {limits[0]:g} to {limits[1]:g} m"
+            low, high = limits
+            why = f"{name} reaches {reach:.4g}, its range in the model is {low:g} to {high:g} m"
             sure = len(units) == 1
             return out | {
                 "length": (

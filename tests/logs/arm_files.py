@@ -7,7 +7,10 @@ from pathlib import Path
 import numpy as np
 
 L1, RATE = 0.35, 100.0
-META = 'task = "pendulum"\nmodel = "rigid_body"\nangle_zero = "hanging"\n\n[geometry]\nl1 = {l1}\nl2 = 0.3\ng = 9.81\n'
+META = (
+    'task = "pendulum"\nmodel = "rigid_body"\nangle_zero = "hanging"\n\n'
+    "[geometry]\nl1 = {l1}\nl2 = 0.3\ng = 9.81\n"
+)
 
 
 def _acceleration(q, v, tau, coulomb=0.0):

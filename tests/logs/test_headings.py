@@ -21,8 +21,10 @@ NAMES = ModelNames(ARM)
 M = motion(2)
 SMALL = 0.1 * M["q"]
 DEG = 180 / np.pi
-MJCF = """<mujoco><worldbody><body><joint name="shoulder" axis="0 1 0"/><geom size="0.1" pos="0 0 -0.2"/><body pos="0 0 -0.4">
-  <joint name="elbow" axis="0 1 0"/><geom size="0.1" pos="0 0 -0.2"/></body></body></worldbody></mujoco>"""
+MJCF = """<mujoco><worldbody><body>
+  <joint name="shoulder" axis="0 1 0"/><geom size="0.1" pos="0 0 -0.2"/>
+  <body pos="0 0 -0.4"><joint name="elbow" axis="0 1 0"/><geom size="0.1" pos="0 0 -0.2"/></body>
+</body></worldbody></mujoco>"""
 
 
 @pytest.mark.parametrize(

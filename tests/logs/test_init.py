@@ -21,7 +21,8 @@ URDF = """<robot name="arm">
 """
 LINK = """<link name="{name}_link"><inertial><origin xyz="0 0 -0.1"/><mass value="1"/>
   <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
-  <joint name="{name}" type="continuous"><parent link="{parent}"/><child link="{name}_link"/><axis xyz="0 1 0"/></joint>"""
+  <joint name="{name}" type="continuous"><parent link="{parent}"/>
+  <child link="{name}_link"/><axis xyz="0 1 0"/></joint>"""
 
 
 def model(path):

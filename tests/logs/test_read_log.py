@@ -128,7 +128,10 @@ def test_a_sliding_joint_is_in_metres_where_angles_are_in_degrees(tmp_path):
 
 
 def test_absolute_angles_zeros_and_reversed_joints(tmp_path):
-    meta = '[angles]\nconvention = "absolute"\nzero = {shoulder = 3.0, elbow = 3.0}\nreversed = ["elbow"]\n'
+    meta = (
+        '[angles]\nconvention = "absolute"\nzero = {shoulder = 3.0, elbow = 3.0}\n'
+        'reversed = ["elbow"]\n'
+    )
     logged = {
         "time": M["time"],
         "q1": M["q"][:, 0] + 3.0,
@@ -198,7 +201,10 @@ def test_meta_says_which_of_several_inputs_counts(tmp_path):
 
 
 def test_groups_payloads_and_excluded_trials(tmp_path):
-    meta = '[trials]\nexclude = ["bad*"]\npayload = {heavy_1 = 0.2}\n[trials.group]\nloaded = ["heavy_*"]\n'
+    meta = (
+        '[trials]\nexclude = ["bad*"]\npayload = {heavy_1 = 0.2}\n'
+        '[trials.group]\nloaded = ["heavy_*"]\n'
+    )
     c = numbered(M, "q", "tau")
     log = read_log(folder(tmp_path, meta, bad_1=c, heavy_1=c, heavy_2=c, light=c), ARM)
     assert [(t.name, t.group, t.payload) for t in log.trials] == [

@@ -19,7 +19,8 @@ from tests.logs.log_files import folder, write_csv
 TIME = np.arange(300) * 0.01
 SWING = np.sin(2 * np.pi * TIME)
 DEG = 180 / np.pi
-SLIDER = """<mujoco><worldbody><body><joint name="belt" type="slide" axis="1 0 0" {}/><geom size="0.1"/></body></worldbody>
+SLIDER = """<mujoco><worldbody><body>
+  <joint name="belt" type="slide" axis="1 0 0" {}/><geom size="0.1"/></body></worldbody>
   <actuator><position joint="belt" kp="100" kv="10"/></actuator></mujoco>"""
 RANGE = 'range="-.4 .4"'
 

@@ -1,6 +1,8 @@
-"""What the motion says of recorded commands: that they moved other joints than they are said to,
-that they were cut on their way, or that what they do differs from trial to trial. By `servo_gain` and
-`unexplained`: no model of the mechanism is needed, so that servos are judged too.
+"""What the motion says of recorded commands.
+
+They may have moved other joints than they are said to, may have been cut on their way, or do
+something else in each trial. `servo_gain` and `unexplained` need no model of the mechanism, so
+that servos are judged too.
 """
 
 from collections.abc import Callable, Sequence

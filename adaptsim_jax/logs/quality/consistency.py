@@ -1,4 +1,4 @@
-"""Do two records agree: velocity with d(angle)/dt, measured with commanded torque, stamps with angles."""
+"""Whether two records agree: velocity and slope, two torques, stamps and angles."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

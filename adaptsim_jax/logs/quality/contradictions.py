@@ -64,8 +64,10 @@ class Words:
 
 @dataclass(frozen=True)
 class Contradiction:
-    """`left` of the torque's square as declared, `other` under the hypothesis; `statement` what looks
-    otherwise, `mend` what to write.
+    """What the motion follows in place of the declared convention.
+
+    `left`: share of the torque's square as declared; `other`: under the hypothesis; `statement`:
+    what looks otherwise; `mend`: what to write.
     """
 
     name: str
@@ -301,7 +303,10 @@ def late_finding(
     if late.seconds > CONTRADICTION.ahead_rows * step:
         count = f"{late.seconds / step:.1f}".removesuffix(".0")
         rows = "1 row" if count == "1" else f"{count} rows"
-        what = f"the motion is {ms} ahead of the torque that makes it: {names} are logged about {ms} ({rows}) late"
+        what = (
+            f"the motion is {ms} ahead of the torque that makes it: {names} are logged about "
+            f"{ms} ({rows}) late"
+        )
         mend = (
             f"move {names} up by {rows} against time and the angles, or bring both onto one clock"
         )

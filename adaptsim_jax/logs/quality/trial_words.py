@@ -87,7 +87,8 @@ def headline(differ: Differ) -> str | None:
     outlier = sorted({*differ.outlying, *(o.trial for o in differ.outliers)})
     if not outlier:
         return None
-    return f"{', '.join(outlier[:6])} {'are' if len(outlier) > 1 else 'is'} apart from the other trials"
+    verb = "are" if len(outlier) > 1 else "is"
+    return f"{', '.join(outlier[:6])} {verb} apart from the other trials"
 
 
 def sentences(differ: Differ, channels: Channels) -> list[str]:
