@@ -131,8 +131,8 @@ def _check_degrees(log: Log) -> None:
     worst = int(np.argmax(speed))
     raise BadInput(
         f"{log.trials[worst].path}: angles reach {reach[worst].max():.3g} and speeds "
-        f'{speed[worst]:.3g}: degrees are suspected instead of radians; write angle = "deg", or "rad" if '
-        f"they are, under [units] in meta.toml, or convert the file"
+        f'{speed[worst]:.3g}: degrees are suspected instead of radians; write angle = "deg", or '
+        f'"rad" if they are, under [units] in meta.toml, or convert the file'
     )
 
 
