@@ -53,13 +53,8 @@ WITHIN = {
     ),
     "effects": (
         "base",
-        "grids",
-        "friction",
         "elastic",
         "disturbance",
-        "actuator",
-        "sensor",
-        "base_motion",
         "layout",
         "registry",
         "joints",

@@ -17,8 +17,8 @@ from adaptsim_jax.attribution.problem import TreeProblem, values_of
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import write_bytes
 from adaptsim_jax.diagnosis.testing import jackknife
-from adaptsim_jax.effects.actuator import ROTOR_INERTIA
 from adaptsim_jax.effects.base import NINETY, Effect
+from adaptsim_jax.effects.joints.actuator import PENDULUM_ROTOR_INERTIA
 from adaptsim_jax.effects.joints.catalogue import OWN
 from adaptsim_jax.effects.joints.forces import ARMATURE
 from adaptsim_jax.effects.joints.friction import COULOMB, PRESLIDING, STRIBECK, VISCOUS
@@ -160,7 +160,7 @@ def _declared_effects(given: ModelFile) -> dict[tuple[str, str], np.ndarray]:
 
     for e in given.effects:
         numbers = {k: v.value for k, v in e.parameters.items()}
-        if e.name == ROTOR_INERTIA.name:
+        if e.name == PENDULUM_ROTOR_INERTIA.name:
             put(ARMATURE.name, "inertia", e.where, numbers["inertia"])
         elif e.name == STRIBECK.name:
             put(COULOMB.name, "level", e.where, numbers["level"])
@@ -277,7 +277,7 @@ def model_file(
         mine = {p: _number(*v) for (owner, p, j), v in by.items() if owner == name and j == k}
         where = JOINTS[k]
         if name == ARMATURE.name:
-            put(ROTOR_INERTIA.name, where, mine)
+            put(PENDULUM_ROTOR_INERTIA.name, where, mine)
         elif name == STRIBECK.name:
             put(
                 name,

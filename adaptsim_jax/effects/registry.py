@@ -17,35 +17,38 @@ if TYPE_CHECKING:
 
 HERE = "adaptsim_jax.effects"
 STAND = (
-    "friction:COULOMB",
-    "friction:STRIBECK",
-    "friction:QUADRATIC_DRAG",
+    "joints.friction:COULOMB",
+    "joints.friction:STRIBECK",
+    "joints.friction:QUADRATIC_DRAG",
     "elastic:SPRING",
     "disturbance:BIAS",
     "disturbance:COGGING",
-    "friction:FRICTION_DRIFT",
+    "joints.friction:FRICTION_DRIFT",
     "disturbance:PERIODIC_DISTURBANCE",
     "elastic:HARD_STOP",
-    "friction:LOAD_FRICTION",
-    "friction:PRESLIDING",
-    "actuator:ROTOR_INERTIA",
-    "base_motion:TILT",
-    "base_motion:HEAVE",
-    "base_motion:SWAY",
-    "actuator:DELAY",
-    "actuator:SATURATION",
-    "actuator:DEAD_ZONE",
-    "actuator:TORQUE_GAIN",
-    "actuator:ACTUATOR_LAG",
-    "sensor:ENCODER_OFFSET",
-    "sensor:SENSOR_LAG",
-    "sensor:BACKLASH",
+    "joints.friction:LOAD_FRICTION",
+    "joints.friction:PRESLIDING",
+    "joints.actuator:ROTOR_INERTIA",
+    "disturbance:TILT",
+    "disturbance:HEAVE",
+    "disturbance:SWAY",
+    "joints.actuator:DELAY",
+    "joints.actuator:SATURATION",
+    "joints.actuator:DEAD_ZONE",
+    "joints.actuator:TORQUE_GAIN",
+    "joints.actuator:ACTUATOR_LAG",
+    "joints.sensor:ENCODER_OFFSET",
+    "joints.sensor:SENSOR_LAG",
+    "joints.sensor:BACKLASH",
 )
-"""File and constant of each effect of the double pendulum; the constant is its name."""
+"""File and name of each effect of the double pendulum; its constant is `PENDULUM_` and the name."""
 EFFECTS: Registry[Effect] = Registry(
     "effects",
     type="Effect",
-    own={text.partition(":")[2].lower(): f"{HERE}.{text}" for text in STAND},
+    own={
+        name.lower(): f"{HERE}.{file}:PENDULUM_{name}"
+        for file, _, name in (text.partition(":") for text in STAND)
+    },
 )
 ALSO = {
     "mechanism": "adaptsim_jax.effects.joints.catalogue:MACHINE",

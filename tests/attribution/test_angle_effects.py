@@ -8,7 +8,7 @@ import pytest
 
 from adaptsim_jax.attribution.diagnose import diagnose
 from adaptsim_jax.effects.base import Motion
-from adaptsim_jax.effects.joints.by_angle import BY_ANGLE, NODES, angle_friction, angle_torque
+from adaptsim_jax.effects.joints.forces import BY_ANGLE, NODES, angle_friction, angle_torque
 from tests.generators.mechanism_worlds import write_world
 
 NODE = np.linspace(-0.5, 1.5, NODES)  # rad

@@ -5,7 +5,7 @@ between rows too.
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.effects.sensor import backlash
+from adaptsim_jax.effects.joints.sensor import backlash
 
 
 def read(rate: float, gap: float = 0.1):

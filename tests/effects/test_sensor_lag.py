@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from adaptsim_jax.effects.sensor import sensor_lag
+from adaptsim_jax.effects.joints.sensor import sensor_lag
 
 
 def lagged(begin: float, lag: float, accel: float):

@@ -1,14 +1,233 @@
-"""Between what a joint of any machine was told and the torque that its actuator gives."""
+"""Between the command that was recorded and the torque that reaches a joint.
 
+Of the double pendulum these are effects on its commands, held from their row to the next. What an
+effect returns is each row's mean, so impulses are exact: `t: [T, ...]` s and `u: [T, ...]` N m have
+time first, parameters are `[1, ...]`, the last row lasts no time. Of any machine an actuator's own
+law makes the torque, so that gains and limits are forces there.
+"""
+
+import jax
 import jax.numpy as jnp
 
-from adaptsim_jax.effects.actuator import actuator_lag, delay
 from adaptsim_jax.effects.base import Effect, Parameter, Traits
+
+
+def _durations(t):
+    return jnp.concatenate([jnp.diff(t, axis=0), jnp.zeros_like(t[:1])])
+
+
+def torque_gain(p, t, u):
+    return (1.0 + p["gain"]) * u
+
+
+def saturation(p, t, u):
+    """The limit is written as a share cut off the largest command, so that no cut changes nothing.
+    With softness the knee is round: `u / (1 + |u / level|^n)^(1/n)`, n = 1 / softness.
+    """
+    level = (1.0 - p["cut"]) * p["peak"]
+    sharp = jnp.clip(u, -level, level)
+    n = 1.0 / jnp.maximum(p["softness"], 0.02)
+    over = jnp.abs(u) / level
+    most = jnp.maximum(over, 1.0)  # what is raised to n stays within 1
+    round_ = u / (most * (most**-n + (over / most) ** n) ** (1.0 / n))
+    share = jnp.where(p["softness"] > 0.0, jnp.clip(p["cut"] / 1e-3, 0.0, 1.0), 0.0)
+    return sharp + share * (round_ - sharp)
+
+
+def dead_zone(p, t, u):
+    return u - jnp.clip(u, -p["width"], p["width"])
+
+
+def delay(p, t, u):
+    """Exact mean of the shifted command over each row, through its running integral (differentiable
+    in the delay).
+    """
+    duration = _durations(t)
+    integral = jnp.concatenate([jnp.zeros_like(u[:1]), jnp.cumsum(u * duration, 0)[:-1]])
+    t, late = jnp.broadcast_arrays(t, t - p["delay"] * jnp.ones_like(u))
+    arrived = _integral_at(t, u, integral, late, p["before"] * u[:1])
+    mean = jnp.diff(arrived, axis=0) / jnp.where(duration > 0, duration, 1.0)[:-1]
+    return jnp.concatenate([jnp.where(duration[:-1] > 0, mean, u[:-1]), u[-1:]])
+
+
+def _integral_at(t, u, integral, at, before):
+    """Running integral of the held command at times `at`, with a command `before: [1, ...]` ahead
+    of the first row.
+    """
+
+    def one(t, u, integral, at, before):
+        row = jnp.clip(
+            jnp.searchsorted(t, at, side="left") - 1, 0, len(t) - 1
+        )  # left: a knot belongs to the row before
+        return integral[row] + jnp.where(at < t[0], before[0], u[row]) * (at - t[row])
+
+    flat = [z.reshape(z.shape[0], -1) for z in (t, u, integral, at, before)]
+    return jax.vmap(one, 1, 1)(*flat).reshape(u.shape)
+
+
+def actuator_lag(p, t, u):
+    """First-order lag, from a share of the first command on: exact state at each row, exact mean
+    over it.
+    """
+    duration = _durations(t) * jnp.ones_like(u)
+    lag = jnp.maximum(p["lag"], 1e-9)
+    keep = jnp.exp(-duration / lag)
+
+    def row(state, now):
+        u, keep = now
+        return u + (state - u) * keep, state
+
+    _, state = jax.lax.scan(row, (p["before"] * u[:1])[0], (u, keep))
+    share = p["lag"] * (1.0 - keep) / jnp.where(duration > 0, duration, 1.0)
+    return u + (state - u) * share
+
+
+def _delays(reach, joint):
+    return [{"delay": s} for s in (0.002, 0.005, 0.01, 0.02, 0.04)]
+
+
+def short_lags(reach, joint):
+    return [{"lag": s} for s in (0.002, 0.005, 0.01, 0.02, 0.04)]
+
+
+def _pendulum_cuts(reach, joint):
+    return [{"cut": s, "peak": float(reach.peak[joint])} for s in (0.1, 0.2, 0.35, 0.5, 0.65)]
+
+
+def _pendulum_widths(reach, joint):
+    return [{"width": float(reach.torque[joint]) * s} for s in (0.005, 0.015, 0.04, 0.1)]
+
+
+UNKNOWN_BEFORE = Parameter(
+    "before",
+    "1",
+    0.0,
+    1.0,
+    0.0,
+    None,
+    optional=True,
+    meaning="torque as a trial begins, over its first command",
+)
+"""No log says what was commanded before it began."""
+
+PENDULUM_DELAY = Effect(
+    "delay",
+    "command",
+    (Parameter("delay", "s", 0.0, 0.1, 0.0, sign=1), UNKNOWN_BEFORE),
+    delay,
+    "commands reach the joint late",
+    "fast changes of command",
+    ("actuator_lag", "sensor_lag"),
+    smooth=False,
+    jump=True,
+    grid=_delays,
+    formula="command(t - delay)",
+    title="command delay",
+)
+
+PENDULUM_SATURATION = Effect(
+    "saturation",
+    "command",
+    (
+        Parameter("cut", "1", 0.0, 0.95, 0.0, sign=1, meaning="share cut off the largest command"),
+        Parameter(
+            "peak",
+            "N m",
+            0.0,
+            1e9,
+            1e9,
+            None,
+            held=True,
+            meaning="the largest command recorded; not fitted",
+        ),
+        Parameter(
+            "softness",
+            "1",
+            0.0,
+            0.7,
+            0.0,
+            None,
+            optional=True,
+            meaning="of the knee; 0 is sharp",
+            late=True,
+        ),
+    ),
+    saturation,
+    "torque cannot exceed a limit: (1 - cut) of the largest command",
+    "commands near and below the limit",
+    ("torque_gain",),
+    smooth=False,
+    jump=True,
+    grid=_pendulum_cuts,
+    formula="command within +-(1 - cut) peak, the knee round where there is softness",
+)
+
+PENDULUM_DEAD_ZONE = Effect(
+    "dead_zone",
+    "command",
+    (Parameter("width", "N m", 0.0, 0.9, 0.0, sign=1),),
+    dead_zone,
+    "commands below a width move nothing, larger ones lose it",
+    "small and large commands of both signs",
+    ("coulomb", "torque_gain"),
+    smooth=False,
+    jump=True,
+    grid=_pendulum_widths,
+    formula="command less width, zero within +-width",
+)
+
+PENDULUM_TORQUE_GAIN = Effect(
+    "torque_gain",
+    "command",
+    (Parameter("gain", "1", -0.9, 2.0, 0.0, factor=True),),
+    torque_gain,
+    "the torque constant is off by a share",
+    "driven motion beside free swings",
+    (
+        "load_friction",
+        "rotor_inertia",
+        "torque_gain",
+    ),  # of another joint: all forces have one common scale
+    formula="(1 + gain) command",
+)
+
+PENDULUM_ACTUATOR_LAG = Effect(
+    "actuator_lag",
+    "command",
+    (Parameter("lag", "s", 0.0, 0.2, 0.0, sign=1), UNKNOWN_BEFORE),
+    actuator_lag,
+    "the torque follows the command as a first-order lag",
+    "fast changes of command",
+    ("delay", "sensor_lag"),
+    jump=True,
+    grid=short_lags,
+    formula="lag torque' = command - torque",
+)
+
+
+def rotor_inertia(p):
+    return p["inertia"]
+
+
+PENDULUM_ROTOR_INERTIA = Effect(
+    "rotor_inertia",
+    "force",
+    (Parameter("inertia", "kg m^2", 0.0, 1.0, 0.0, sign=1),),
+    rotor_inertia,
+    "the motor's inertia times gear ratio squared, felt at its own joint only (large ratio: the "
+    "coupling through the moving stator is smaller by the ratio and left out); at joint 1 a "
+    "rigid body's own inertia absorbs it",
+    "fast motion of both joints with the elbow straight and bent",
+    ("torque_gain",),
+    inertia=True,
+    formula="-inertia dv/dt, of its own joint only",
+)
+
 
 LATEST = 0.05  # s
 
 
-def torque_gain(p, m):
+def torque_gain_force(p, m):
     return p["gain"] * m.u
 
 
@@ -16,13 +235,13 @@ def position_gain(p, m):
     return p["gain"] * m.pull
 
 
-def saturation(p, m):
+def saturation_force(p, m):
     """The limit is a share cut off the largest force, so that no cut changes nothing."""
     limit = (1.0 - p["cut"]) * p["peak"]
     return jnp.clip(m.u, -limit, limit) - m.u
 
 
-def dead_zone(p, m):
+def dead_zone_force(p, m):
     return -jnp.clip(m.u, -p["width"], p["width"])
 
 
@@ -60,7 +279,7 @@ TORQUE_GAIN = Effect(
     "torque_gain",
     "force",
     (Parameter("gain", "1", -0.9, 2.0, 0.0, factor=True, mjcf="gain"),),
-    torque_gain,
+    torque_gain_force,
     "the actuator's torque is off by a share",
     "driven motion beside free swings",
     ("torque_gain", "position_gain", "load_friction", "inertia"),
@@ -105,7 +324,7 @@ SATURATION = Effect(
             meaning="the largest torque; not fitted",
         ),
     ),
-    saturation,
+    saturation_force,
     "the torque cannot exceed a limit",
     "torques near and below the limit",
     ("torque_gain",),
@@ -120,7 +339,7 @@ DEAD_ZONE = Effect(
     "dead_zone",
     "force",
     (Parameter("width", "N m", 0.0, 0.9, 0.0, sign=1),),
-    dead_zone,
+    dead_zone_force,
     "torques below a width move nothing, larger ones lose it",
     "small and large torques",
     ("coulomb", "torque_gain"),

@@ -1,11 +1,11 @@
 """The effects that any joint of a machine may have, in the order in which searches ask for them.
 
 What acts on the torque is a force here, since the torque of a joint may be made by an actuator's
-own law from a command. The double pendulum's own are beside this folder.
+own law from a command.
 """
 
 from adaptsim_jax.effects.base import Effect, Parameter, Traits, of_the_engine
-from adaptsim_jax.effects.joints import actuator, by_angle, drives, forces, friction, sensor
+from adaptsim_jax.effects.joints import actuator, drives, forces, friction, sensor
 from adaptsim_jax.effects.registry import of_other_packages
 
 TILTS = ("about_x", "about_y")
@@ -75,7 +75,7 @@ OWN: tuple[Effect, ...] = (
     sensor.ENCODER_SCALE,
     sensor.SENSOR_DELAY,
     sensor.SENSOR_LAG,
-    *by_angle.BY_ANGLE,
+    *forces.BY_ANGLE,
     *drives.DRIVES,
     sensor.BACKLASH,
     TILT,

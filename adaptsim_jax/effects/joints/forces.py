@@ -1,9 +1,18 @@
-"""Springs, stops, rotors, ripples and couplings at a joint of any machine."""
+"""Springs, stops, rotors, ripples and couplings at a joint of any machine.
+
+Torque and dry friction that depend on the joint's angle in whatever way are linear between nodes
+over the range of motion. What no law of the catalogue describes (a magnet, a cable, a cam, a worn
+spot) would otherwise be given the name of the law that is least unlike it. They are tried once no
+law holds out any more. A law with fewer parameters has the name wherever it does as well.
+"""
 
 import jax.numpy as jnp
 
-from adaptsim_jax.effects import actuator, disturbance, elastic, grids
-from adaptsim_jax.effects.base import Effect, Parameter, Traits
+from adaptsim_jax.effects import disturbance, elastic
+from adaptsim_jax.effects.base import Dry, Effect, Parameter, Traits
+from adaptsim_jax.effects.joints.actuator import rotor_inertia
+
+NODES = 10  # of a range of motion: a spot of a tenth of it shows
 
 
 def spring(p, m):
@@ -48,6 +57,49 @@ def _stops(reach, joint):
     return upper + [{"angle": low + d, "side": -1.0, "stiffness": k} for d, k in hard]
 
 
+def _between(p, q):
+    """Value [n, ...] at angles q of what is linear between the nodes, and constant beyond them."""
+    x = (NODES - 1) * jnp.clip((q - p["low"]) / (p["high"] - p["low"]), 0.0, 1.0)
+    parts = [p[f"at{k}"] * jnp.maximum(0.0, 1.0 - jnp.abs(x - k)) for k in range(NODES)]
+    return sum(parts, start=jnp.zeros(()))
+
+
+def angle_torque(p, m):
+    return _between(p, m.q)
+
+
+def angle_friction(p, m):
+    return Dry(_between(p, m.q))
+
+
+def _parameters() -> tuple[Parameter, ...]:
+    """A weak prior, so that a level which is the same everywhere is Coulomb's, and a node that no
+    motion passes has none.
+    """
+    nodes = [
+        Parameter(f"at{k}", "N m", -1.0, 1.0, 0.0, meaning=f"at node {k}", prior=0.3)
+        for k in range(NODES)
+    ]
+    ends = [
+        Parameter(
+            name,
+            "rad",
+            -1e9,
+            1e9,
+            at,
+            None,
+            held=True,
+            meaning=f"angle of the {which} node; not fitted",
+        )
+        for name, at, which in (("low", -1.0, "first"), ("high", 1.0, "last"))
+    ]
+    return (*nodes, *ends)
+
+
+def _range(reach, joint):
+    return [{"low": float(reach.q_low[joint]), "high": float(reach.q_high[joint])}]
+
+
 SPRING = Effect(
     "spring",
     "force",
@@ -86,7 +138,7 @@ COGGING = Effect(
     "torque ripple periodic in the joint's angle (magnets, gear teeth)",
     "slow sweeps over many periods",
     ("spring",),
-    grid=grids.orders,
+    grid=disturbance.orders,
     formula="sine sin(order q) + cosine cos(order q)",
 )
 
@@ -102,7 +154,7 @@ PERIODIC_DISTURBANCE = Effect(
     "a torque periodic in time that starts with each trial: a fan, a neighbouring machine",
     "long trials whose commands leave that frequency free",
     ("cogging",),
-    grid=grids.frequencies,
+    grid=disturbance.frequencies,
     formula="sine sin(2 pi frequency t) + cosine cos(2 pi frequency t), t since the trial began",
     traits=Traits(in_balance=False),
 )
@@ -122,7 +174,7 @@ HARD_STOP = Effect(
     "an end stop beyond an angle",
     "motion into the stop, and well inside it",
     ("spring",),
-    grid=grids.stops,
+    grid=elastic.stops,
     starts=_stops,
     formula="-side stiffness max(0, side (q - angle)) (1 + loss depth')",
     traits=Traits(in_balance=False),
@@ -132,7 +184,7 @@ ARMATURE = Effect(
     "armature",
     "force",
     (Parameter("inertia", "kg m^2", 0.0, 1.0, 0.0, sign=1, mjcf="armature"),),
-    actuator.rotor_inertia,
+    rotor_inertia,
     "the rotor's inertia times the gear ratio squared, felt at its own joint",
     "fast motion",
     ("torque_gain", "inertia"),
@@ -199,4 +251,31 @@ FRICTION_COUPLING = Effect(
     ("torque_coupling", "viscous"),
     pair=True,
     formula="-damping v(before); on the joint before: -damping v",
+)
+
+BY_ANGLE: tuple[Effect, ...] = (
+    Effect(
+        "angle_torque",
+        "force",
+        _parameters(),
+        angle_torque,
+        "a torque that depends on the angle in a way of its own (a magnet, a cable, a cam)",
+        "slow and fast passes over the whole range",
+        ("cogging", "spring", "bias", "hard_stop"),
+        grid=_range,
+        describes=True,
+        formula=f"linear in q between {NODES} nodes from low to high, constant beyond",
+    ),
+    Effect(
+        "angle_friction",
+        "force",
+        _parameters(),
+        angle_friction,
+        "dry friction whose level depends on the angle (a worn spot, a bent shaft)",
+        "reversals all over the range",
+        ("coulomb", "stribeck", "load_friction", "asymmetric_coulomb"),
+        grid=_range,
+        describes=True,
+        formula="-level(q) sign(v), level linear between nodes, beside what is there anywhere",
+    ),
 )

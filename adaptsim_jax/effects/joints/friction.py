@@ -1,17 +1,177 @@
-"""Friction and drag at a joint of any machine."""
+"""Friction and drag at a joint: of the double pendulum, then of any machine."""
+
+from dataclasses import replace
 
 import jax.numpy as jnp
 
-from adaptsim_jax.effects import friction, grids
-from adaptsim_jax.effects.base import Dry, Effect, Parameter, Traits
+from adaptsim_jax.effects.base import Dry, Effect, Motion, Parameter, Relaxation, Traits
+
+
+def speeds(reach, joint):
+    top = float(reach.speed[joint])
+    return [{"speed": top * s} for s in (0.05, 0.1, 0.2, 0.4)]
+
+
+def deflections(reach, joint):
+    span = float(reach.q_high[joint] - reach.q_low[joint])
+    fitting = [d for d in (0.005, 0.012, 0.03, 0.07) if d < 0.3 * span] or [0.1 * span + 1e-3]
+    return [{"deflection": d, "damping": s} for d in fitting for s in (0.0, 0.01)]
+
+
+def decays(reach, joint):
+    return [{"decay": reach.duration * s} for s in (0.1, 0.2, 0.4, 1.0)]
+
+
+WIDTH = Parameter(
+    "width",
+    "rad/s",
+    0.0,
+    0.2,
+    0.0,
+    None,
+    optional=True,
+    meaning="within which it turns; 0 is sharp",
+    late=True,
+)
+
+
+def coulomb(p, m: Motion):
+    return Dry(p["level"] + 0.0 * m.q, width=p.get("width", 0.0))
+
+
+def stribeck_and_level(p, m: Motion):
+    """Bo and Pavelescu's (1982) Gaussian fall from break-away to sliding friction."""
+    return Dry(p["level"] + p["excess"] * jnp.exp(-jnp.square(m.v / p["speed"])), width=p["width"])
+
+
+def quadratic_drag(p, m: Motion):
+    return -p["drag"] * m.v * jnp.abs(m.v)
+
+
+def friction_drift(p, m: Motion):
+    """Friction that is there when the trial begins and fades as the joint warms."""
+    fade = jnp.exp(-m.t / p["decay"])
+    return Dry(p["dry"] * fade + 0.0 * m.q, -p["viscous"] * fade * m.v)
+
+
+def load_friction(p, m: Motion):
+    return Dry(p["share"] * jnp.abs(m.u), width=p.get("width", 0.0))
+
+
+def bristle(p, m: Motion):
+    """Dahl (1968): a bristle bends before the joint slides; memory is its deflection over the
+    break-away deflection. With damping it is LuGre (Canudas de Wit et al., 1995): the bristle's
+    rate resists too.
+    """
+    speed = jnp.abs(m.v)
+    rate = (m.v - speed * m.memory) / p["deflection"]
+    force = -p["level"] * (m.memory + p["damping"] * rate)
+    return Relaxation(force, m.v / jnp.sqrt(speed**2 + 1e-12), speed / p["deflection"])
+
+
+PENDULUM_COULOMB = Effect(
+    "coulomb",
+    "force",
+    (Parameter("level", "N m", 0.0, 1.0, 0.0, sign=1), WIDTH),
+    coulomb,
+    "dry friction: a constant torque against the motion",
+    "reversals, and both slow and fast motion",
+    ("stribeck", "presliding", "load_friction", "dead_zone", "friction_drift"),
+    formula="-level sign(v), or tanh(v / width); holds the joint where less than the level would "
+    "move it",
+    title="Coulomb friction",
+)
+
+PENDULUM_STRIBECK = Effect(
+    "stribeck",
+    "force",
+    (
+        Parameter("level", "N m", 0.0, 1.0, 0.0, sign=1),
+        Parameter("excess", "N m", 0.0, 2.0, 0.0, sign=1, meaning="how much more at rest"),
+        Parameter(
+            "speed",
+            "rad/s",
+            0.02,
+            20.0,
+            0.5,
+            None,
+            meaning="at which the excess has fallen to a third",
+        ),
+        WIDTH,
+    ),
+    stribeck_and_level,
+    "dry friction that is higher at creeping speed",
+    "long stretches of slow motion beside fast ones",
+    ("coulomb", "presliding"),
+    contains=("coulomb",),
+    grid=speeds,
+    formula="-(level + excess exp(-(v / speed)^2)) sign(v), or tanh(v / width)",
+    title="Stribeck friction",
+)
+
+PENDULUM_QUADRATIC_DRAG = Effect(
+    "quadratic_drag",
+    "force",
+    (Parameter("drag", "N m s^2/rad^2", 0.0, 1.0, 0.0, sign=1),),
+    quadratic_drag,
+    "air drag or turbulent oil: torque with the square of speed",
+    "a wide range of speeds",
+    ("coulomb", "friction_drift"),
+    formula="-drag v |v|",
+)
+
+PENDULUM_FRICTION_DRIFT = Effect(
+    "friction_drift",
+    "force",
+    (
+        Parameter("viscous", "N m s/rad", -1.0, 1.0, 0.0),
+        Parameter("dry", "N m", -1.0, 1.0, 0.0),
+        Parameter("decay", "s", 0.05, 100.0, 2.0, None, meaning="time to fall to a third"),
+    ),
+    friction_drift,
+    "friction that changes as the joint warms up within a trial",
+    "the same motion early and late in a trial",
+    ("coulomb", "quadratic_drag"),
+    grid=decays,
+    formula="-(dry sign(v) + viscous v) exp(-t / decay), t since the trial began",
+)
+
+PENDULUM_LOAD_FRICTION = Effect(
+    "load_friction",
+    "force",
+    (Parameter("share", "1", 0.0, 1.0, 0.0, sign=1), WIDTH),
+    load_friction,
+    "gear friction in proportion to the torque that the joint carries",
+    "high and low torque at like speeds",
+    ("coulomb", "torque_gain"),
+    formula="-share |command| sign(v), or tanh(v / width)",
+    title="load-dependent friction",
+)
+
+PENDULUM_PRESLIDING = Effect(
+    "presliding",
+    "force",
+    (
+        Parameter("level", "N m", 0.0, 1.0, 0.0, sign=1),
+        Parameter("deflection", "rad", 1e-3, 0.5, 0.02, None, meaning="at which it breaks away"),
+        Parameter(
+            "damping", "s", 0.0, 0.1, 0.0, None, meaning="of the bristle; 0 is Dahl, more is LuGre"
+        ),
+    ),
+    bristle,
+    "friction that acts as a spring before the joint slides (Dahl, LuGre)",
+    "many small reversals of less than the break-away deflection",
+    ("coulomb", "stribeck", "backlash"),
+    memory=True,
+    smooth=False,
+    contains=("coulomb",),
+    grid=deflections,
+    formula="-level (z + damping z'), z' = (v - |v| z) / deflection",
+)
 
 
 def viscous(p, m):
     return -p["damping"] * m.v
-
-
-def coulomb(p, m):
-    return Dry(p["level"] + 0.0 * m.q)
 
 
 def asymmetric(p, m):
@@ -30,10 +190,6 @@ def presliding(p, m):
     Their own damping, which LuGre's model (Canudas de Wit et al., 1995) adds, is not modelled.
     """
     return Dry(0.0 * m.q, yielding=p["compliance"] + 0.0 * m.q)
-
-
-def load_friction(p, m):
-    return Dry(p["share"] * jnp.abs(m.u))
 
 
 def _bristles(reach, joint):
@@ -104,7 +260,7 @@ STRIBECK = Effect(
     "dry friction that is higher at creeping speed (Bo and Pavelescu, 1982)",
     "long stretches of slow motion beside fast ones",
     ("coulomb", "load_friction"),
-    grid=grids.speeds,
+    grid=speeds,
     formula="-excess exp(-(v / speed)^2) sign(v), beside what is there at speed",
     traits=Traits(resists=True),
     title="Stribeck friction",
@@ -137,31 +293,11 @@ LOAD_FRICTION = Effect(
     title="load-dependent friction",
 )
 
-QUADRATIC_DRAG = Effect(
-    "quadratic_drag",
-    "force",
-    (Parameter("drag", "N m s^2/rad^2", 0.0, 2.0, 0.0, sign=1),),
-    friction.quadratic_drag,
-    "air drag or turbulent oil: torque with the square of speed",
-    "a wide range of speeds",
-    ("viscous", "coulomb"),
-    formula="-drag v |v|",
+QUADRATIC_DRAG = replace(
+    PENDULUM_QUADRATIC_DRAG,
+    parameters=(Parameter("drag", "N m s^2/rad^2", 0.0, 2.0, 0.0, sign=1),),
+    look_alikes=("viscous", "coulomb"),
     traits=Traits(family=True, resists=True),
 )
 
-FRICTION_DRIFT = Effect(
-    "friction_drift",
-    "force",
-    (
-        Parameter("viscous", "N m s/rad", -1.0, 1.0, 0.0),
-        Parameter("dry", "N m", -1.0, 1.0, 0.0),
-        Parameter("decay", "s", 0.05, 100.0, 2.0, None, meaning="time to fall to a third"),
-    ),
-    friction.friction_drift,
-    "friction that changes as the joint warms up within a trial",
-    "the same motion early and late in a trial",
-    ("coulomb", "quadratic_drag"),
-    grid=grids.decays,
-    formula="-(dry sign(v) + viscous v) exp(-t / decay), t since the trial began",
-    traits=Traits(in_balance=False),
-)
+FRICTION_DRIFT = replace(PENDULUM_FRICTION_DRIFT, traits=Traits(in_balance=False))
