@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.effects.base import Effect
-from adaptsim_jax.mechanisms.stepping import PlantModel, row_step
+from adaptsim_jax.mechanisms.stepping import Instant, PlantModel, Sample, row_step
 
 Law = Callable[
     [jax.Array, jax.Array, jax.Array], jax.Array
@@ -46,14 +46,20 @@ class Loop(NamedTuple):
     command: jax.Array
 
 
-@broadcasts
-def run_loop(
-    model: PlantModel, theta, eff, law: Law, start, rows: int, dt: float, history: int
-) -> Loop:
-    """Run `law` for `rows` rows of `dt` s from `start: [S]`; theta `[P]`, eff `[E]`. Before the
-    start nothing was commanded and nothing moved. `history`: rows of the past that effects and law
-    see (`history_rows`).
+class Course(NamedTuple):
+    """How long a loop runs: `rows` of `dt` s, and the rows of the past that effects and law see
+    (`history`, by `history_rows`).
     """
+
+    rows: int
+    dt: float
+    history: int
+
+
+@broadcasts
+def run_loop(sample: Sample, law: Law, start, course: Course) -> Loop:
+    """Run `law` from `start: [S]`. Before the start nothing was commanded and nothing moved."""
+    model, eff, dt, history = sample.model, sample.eff, course.dt, course.history
     n = model.plant.joint_dim
     start = jnp.asarray(start)
     memory = tuple(jnp.zeros((n, 1), start.dtype) for e in model.layout.placed("force") if e.memory)
@@ -68,9 +74,8 @@ def run_loop(
         u = law(y, past, t)
         past = jnp.concatenate([past[1:], u[None]])
         applied = arrived(model, eff, past, dt)
-        new, memory = row_step(
-            model, theta, eff, x[:, None], memory, applied[:, None], t[None], step
-        )
+        at = Instant(x[:, None], memory, applied[:, None], t[None])
+        new, memory = row_step(sample, at, step)
         return (jnp.concatenate(new), memory, past, states, readings), Loop(x, y, u)
 
     past = jnp.zeros((history, model.plant.command_dim), start.dtype)
@@ -78,7 +83,7 @@ def run_loop(
     first = sensed(model, eff, states, start[:n], dt)[:n]
     readings = jnp.broadcast_to(first, (history + 1, n))
     carry = (start, memory, past, states, readings)
-    return jax.lax.scan(row, carry, jnp.arange(rows, dtype=start.dtype))[1]
+    return jax.lax.scan(row, carry, jnp.arange(course.rows, dtype=start.dtype))[1]
 
 
 @broadcasts

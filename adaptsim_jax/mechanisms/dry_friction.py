@@ -6,6 +6,8 @@ turns as tanh(v / width), and what it holds creeps. Neither is stiff here: the m
 motion over the step, whatever the step.
 """
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 
@@ -78,9 +80,8 @@ def _in_parts(v, torque, level, width, inertia, h):
 
     def part(v, _):
         share, sharp, _ = _sharp(v, torque, level, inertia, h)
-        mean = sharp + _of_width(
-            v, torque, level, width, inertia, jnp.where(h > 0, h, 1.0), share, sharp
-        )
+        step = _Step(v, torque, level, width, inertia, jnp.where(h > 0, h, 1.0))
+        mean = sharp + _of_width(step, share, sharp)
         return v + h * (torque + mean) / inertia, mean
 
     means = jax.lax.scan(part, v, length=PARTS)[1]
@@ -104,10 +105,22 @@ def _sharp(v, torque, level, inertia, h):
     return share, first * share + (1.0 - share) * then, 6.0 * share * (1.0 - share) * (then - first)
 
 
-def _of_width(v, torque, level, width, inertia, h, share, sharp):
+class _Step(NamedTuple):
+    """A joint over `h` s, as of `mean_friction`."""
+
+    v: jax.Array
+    torque: jax.Array
+    level: jax.Array
+    width: jax.Array
+    inertia: jax.Array
+    h: jax.Array
+
+
+def _of_width(step: _Step, share, sharp):
     """What the width adds to the mean of sharp friction: by the motion under the sharp one where
     the width is soon passed, and under a smooth force where it is not.
     """
+    v, torque, level, width, inertia, h = step
     safe, strong = (
         jnp.where(width > 0, jnp.maximum(width, 1e-6), 1e-3),
         jnp.maximum(level, 1e-9),

@@ -124,19 +124,20 @@ def roles(
             dropped["looped"].append(name)
     followers = {n: f for n, f in followers.items() if f.leader not in held and n not in held}
     if len(held) + len(followers) >= model.njnt:
-        if loops:
-            what = "every joint is in a loop that closes"
-        else:
-            what = "every joint is held"
-        raise BadInput(
-            f"{source.path}: {what}, so that nothing of a tree moves; take --simulator mujoco, or "
-            "log a joint that does"
-        )
+        raise _nothing_moves(source, bool(loops))
     return Roles(
         held,
         followers,
         (*_held_notes(dropped, pose_name), *_fold_notes(followers)),
         (*beyond, *loops),
+    )
+
+
+def _nothing_moves(source: Source, looped: bool) -> BadInput:
+    what = "every joint is in a loop that closes" if looped else "every joint is held"
+    return BadInput(
+        f"{source.path}: {what}, so that nothing of a tree moves; take --simulator mujoco, or log a "
+        "joint that does"
     )
 
 

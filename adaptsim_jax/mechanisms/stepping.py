@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from adaptsim_jax.effects.base import Dry, Motion, Relaxation
+from adaptsim_jax.effects.base import Dry, Effect, Motion, Relaxation
 from adaptsim_jax.effects.layout import Layout
 from adaptsim_jax.mechanisms.dry_friction import (
     mean_friction,
@@ -40,9 +40,38 @@ def make_model(plant: Plant, effects: tuple) -> PlantModel:
     return PlantModel(plant, Layout(tuple(effects), plant.joints))
 
 
-def motion_of(model: PlantModel, theta, q, v, u, t, memory) -> Motion:
-    """What effects see at `q, v, u: [n, ...]` and `t: [...]` or a scalar."""
-    return Motion(q, v, u, _lift(t, q), memory, lambda q: model.plant.gravity_force(theta, q))
+class Sample(NamedTuple):
+    """A model with its numbers: `theta [P]` of the plant, `eff [E]` of the effects (`Layout`)."""
+
+    model: PlantModel
+    theta: Any
+    eff: Any
+
+    def params(self, effect: Effect, trailing: int) -> dict[str, jax.Array]:
+        """`{name: [n, 1, ...]}` of one effect, with `trailing` axes to broadcast over."""
+        return self.model.layout.params(effect, self.eff, trailing)
+
+
+class Instant(NamedTuple):
+    """Where a mechanism is: state `x`, S times `[W]` or `[S, W]`, memories of effects, the torque
+    `u: [n, W]` N m and the time `t: [W]` s or a scalar.
+    """
+
+    x: Any
+    memory: tuple
+    u: Any
+    t: Any
+
+
+def motion_of(sample: Sample, at: Instant, memory) -> Motion:
+    """What an effect with this memory `[n, ...]` sees."""
+    n, x = sample.model.plant.joint_dim, jnp.stack(at.x)
+    q = x[:n]
+
+    def gravity(q):
+        return sample.model.plant.gravity_force(sample.theta, q)
+
+    return Motion(q, x[n:], at.u, _lift(at.t, q), memory, gravity)
 
 
 def relax(answer: Relaxation, w, h):
@@ -77,39 +106,32 @@ RUBBING = ("level", "blur")
 
 
 def acting(
-    model: PlantModel,
-    theta,
-    eff,
-    memory,
-    x,
-    u,
-    t,
-    effects: list | None = None,
+    sample: Sample,
+    at: Instant,
+    effects: list[Effect] | None = None,
     only: tuple[str, ...] = ActingSums._fields,
 ) -> ActingSums:
-    """What the force effects do at `x`, `[S, ...]` or as many `[...]`. effects: others are left
-    out, none where None; only: fields that are wanted.
+    """What the force effects do at an instant.
+
+    Args:
+        sample: model and parameters.
+        at: its state is `[S, ...]` or S times `[...]`.
+        effects: others are left out, none where None.
+        only: fields that are wanted.
     """
-    n = model.plant.joint_dim
-    every = list(model.layout.placed("force"))
-    memories = dict(zip((e.name for e in every if e.memory), memory, strict=True))
+    every = list(sample.model.layout.placed("force"))
+    memories = dict(zip((e.name for e in every if e.memory), at.memory, strict=True))
     effects = every if effects is None else effects
-    x = [jnp.asarray(z) for z in x]
-    zero = jnp.zeros((n, *x[0].shape), x[0].dtype)
+    at = at._replace(x=[jnp.asarray(z) for z in at.x])
+    first = at.x[0]
+    zero = jnp.zeros((sample.model.plant.joint_dim, *first.shape), first.dtype)
     total = ActingSums(*(zero if field in only else None for field in ActingSums._fields))
-
-    def params(effect):
-        return model.layout.params(effect, eff, jnp.ndim(x[0]))
-
     if "inertia" in only:  # numbers that no state changes: zero where the effect is off
-        total = total._replace(
-            inertia=sum([e.apply(params(e)) for e in effects if e.inertia], total.inertia)
-        )
+        own = [e.apply(sample.params(e, first.ndim)) for e in effects if e.inertia]
+        total = total._replace(inertia=sum(own, total.inertia))
     for effect in (e for e in effects if not e.inertia):
-        w = memories.get(effect.name, zero)
-        answer = effect.apply(
-            params(effect), motion_of(model, theta, jnp.stack(x[:n]), jnp.stack(x[n:]), u, t, w)
-        )
+        motion = motion_of(sample, at, memories.get(effect.name, zero))
+        answer = effect.apply(sample.params(effect, first.ndim), motion)
         fields = {"force": answer.force if isinstance(answer, (Dry, Relaxation)) else answer}
         if isinstance(answer, Dry):
             fields |= {"level": answer.level, "blur": answer.level * answer.width}
@@ -119,59 +141,63 @@ def acting(
     return total
 
 
-def remember(model: PlantModel, theta, eff, memory, x, u, t, h) -> tuple[jax.Array, ...]:
-    """The effects' memories after `h` s at a constant state (S times `[W]`)."""
-    n = model.plant.joint_dim
+def remember(sample: Sample, at: Instant, h) -> tuple[jax.Array, ...]:
+    """The effects' memories after `h` s at a constant state."""
+    effects = [e for e in sample.model.layout.placed("force") if e.memory]
     out = []
-    for effect, w in zip(
-        (e for e in model.layout.placed("force") if e.memory), memory, strict=True
-    ):
-        motion = motion_of(model, theta, jnp.stack(x[:n]), jnp.stack(x[n:]), u, t, w)
-        out.append(relax(effect.apply(model.layout.params(effect, eff, 1), motion), w, h))
+    for effect, w in zip(effects, at.memory, strict=True):
+        motion = motion_of(sample, at, w)
+        out.append(relax(effect.apply(sample.params(effect, 1), motion), w, h))
     return tuple(out)
 
 
-def row_step(model: PlantModel, theta, eff, x, memory, u, t, h):
-    """States and memories after a row of `h: [W]` s from `x`, S times `[W]`: Runge-Kutta 4,
-    memories relaxed exactly by half a row on each side of it (Strang splitting). A state at a time,
-    since stacking them costs more than the dynamics do.
+def row_step(sample: Sample, at: Instant, h) -> tuple[list, tuple[jax.Array, ...]]:
+    """States and memories after a row of `h: [W]` s.
+
+    Runge-Kutta 4, memories relaxed exactly by half a row on each side of it (Strang splitting). A
+    state at a time, S times `[W]`, since stacking them costs more than the dynamics do.
     """
-    kind = jnp.result_type(x[0])
+    plant = sample.model.plant
+    kind = jnp.result_type(at.x[0])
     stages = (jnp.array([0.0, 0.5, 0.5, 1.0], kind), jnp.array([1.0, 2.0, 2.0, 1.0], kind) / 6.0)
-    x = list(x)
-    smooth, dry, sharp = _sorted(model, theta, eff, x, u, t)
-    memory = remember(model, theta, eff, memory, x, u, t, 0.5 * h)
-    rub = rise = jnp.zeros((model.plant.joint_dim, *x[0].shape), kind)
-    if dry:
-        rub, rise = _dry_force(model, theta, eff, memory, jnp.stack(x), u, t, h, smooth, dry, sharp)
+    x = list(at.x)
+    by = _by_kind(sample, at)
+    at = at._replace(memory=remember(sample, at, 0.5 * h))
+    rub = rise = jnp.zeros((plant.joint_dim, *x[0].shape), kind)
+    if by.dry:
+        rub, rise = _dry_force(sample, at, h, by)
 
     def stage(inner, ab):
         slope, total = inner
         a, b = ab
-        at = [z + a * h * d for z, d in zip(x, slope, strict=True)]
-        act = acting(model, theta, eff, memory, at, u, t + a * h, smooth, PUSHING)
+        here = [z + a * h * d for z, d in zip(x, slope, strict=True)]
+        act = acting(sample, at._replace(x=here, t=at.t + a * h), by.smooth, PUSHING)
         force = act.force + (rub + (a - 0.5) * rise)
-        slope = model.plant.rates(theta, at, u, force, act.inertia)
+        slope = plant.rates(sample.theta, here, at.u, force, act.inertia)
         return (slope, [t + b * d for t, d in zip(total, slope, strict=True)]), None
 
     zero = [jnp.zeros_like(z) for z in x]
     (_, total), _ = jax.lax.scan(stage, (zero, zero), stages)
     end = [z + h * t for z, t in zip(x, total, strict=True)]
-    return end, remember(model, theta, eff, memory, end, u, t + h, 0.5 * h)
+    return end, remember(sample, at._replace(x=end, t=at.t + h), 0.5 * h)
 
 
-def _sorted(model: PlantModel, theta, eff, x, u, t) -> tuple[list, list, bool]:
-    """The force effects that push smoothly or add inertia, and those that rub dry (some do both),
-    whether all without a width.
+class _ByKind(NamedTuple):
+    """Force effects that push smoothly or add inertia, those that rub dry (some do both), and
+    whether none of these has a width.
     """
+
+    smooth: list[Effect]
+    dry: list[Effect]
+    sharp: bool
+
+
+def _by_kind(sample: Sample, at: Instant) -> _ByKind:
     smooth, dry, wide = [], [], []
 
     def answer(effect):
-        q, v = jnp.split(jnp.stack(x), 2)
-        response = effect.apply(
-            model.layout.params(effect, eff, 1),
-            motion_of(model, theta, q, v, u, t, jnp.zeros_like(q)),
-        )
+        motion = motion_of(sample, at, jnp.zeros_like(jnp.stack(at.x)[: len(at.x) // 2]))
+        response = effect.apply(sample.params(effect, 1), motion)
         rubs = isinstance(response, Dry)
         dry.extend([effect] if rubs else [])
         wide.extend([effect] if rubs and not isinstance(response.width, float) else [])
@@ -179,17 +205,15 @@ def _sorted(model: PlantModel, theta, eff, x, u, t) -> tuple[list, list, bool]:
             [] if rubs and isinstance(response.force, float) and response.force == 0.0 else [effect]
         )
 
-    for effect in model.layout.placed("force"):
+    for effect in sample.model.layout.placed("force"):
         if effect.inertia:
             smooth.append(effect)
         else:
             jax.eval_shape(lambda effect=effect: answer(effect))
-    return smooth, dry, not wide
+    return _ByKind(smooth, dry, not wide)
 
 
-def _dry_force(
-    model: PlantModel, theta, eff, memory, x, u, t, h, smooth: list, dry: list, sharp: bool
-):
+def _dry_force(sample: Sample, at: Instant, h, by: _ByKind) -> tuple[jax.Array, jax.Array]:
     """Mean force of dry friction over a step of `h: [W]` s and its rise over the step, `[n, W]`
     both.
 
@@ -199,53 +223,22 @@ def _dry_force(
     through the inverse mass: a sweep of Gauss-Seidel at the start of the step, from the forces that
     would stop all of them at once, and one from there in its middle.
     """
-    n, plant = model.plant.joint_dim, model.plant
+    n = sample.model.plant.joint_dim
+    x = jnp.stack(at.x)
     v, wide = x[n:], _lift(h, x[:n])
-    unit = (
-        jnp.eye(n, dtype=x.dtype).reshape((n, n) + (1,) * (x.ndim - 1))
-        + jnp.zeros_like(x[:n])[None]
-    )
 
-    if sharp:
-
-        def mean_of(v, torque, level, _, *inert):
-            return sharp_friction(v, torque, level, *inert)
-    else:
-        mean_of = mean_friction
-
-    def rub(at, late):
+    def rub(state, late):
         """Friction as at a state of the step and its level as at a speed. The state in the middle
         of the step under it, and the speed that is typical of the step.
         """
-        z, speed, force = at
-        now = t + late * h
-        act = acting(model, theta, eff, memory, z, u, now, smooth, PUSHING)
-        rough = acting(
-            model, theta, eff, memory, jnp.concatenate([z[:n], speed]), u, now, dry, RUBBING
-        )
-        inertia, level = act.inertia, rough.level
-        width = jnp.where(
-            late > 0, rough.blur / jnp.maximum(level, 1e-9), 0.0
-        )  # only once: it is most of the work
-        free = plant.deriv(theta, z, u, act.force, inertia)[n:]
-        mass = plant.mass_matrix(theta, z[:n])
-        answer = jnp.stack(
-            [jnp.stack(solve_mass(mass, inertia, unit[j])) for j in range(n)]
-        )  # [force, acceleration]
-        stop = free + v / jnp.where(wide > 0, wide, 1.0)
-        hold = within(-(sum(mass[:, k] * stop[None, k] for k in range(n)) + inertia * stop), level)
-        force = jnp.where(late > 0, force, hold)
-
-        def turn(rubs, j):
-            """One joint's, the others' given."""
-            force, rise = rubs
-            own = answer[j, j]
-            torque = (free[j] + sum(answer[k, j] * force[k] for k in range(n))) / own - force[j]
-            mean, slope = mean_of(v[j], torque, level[j], width[j], 1.0 / own, h)
-            return (force.at[j].set(mean), rise.at[j].set(slope)), None
-
-        (force, rise), _ = jax.lax.scan(turn, (force, jnp.zeros_like(force)), jnp.arange(n))
-        end = v + wide * (free + sum(answer[k] * force[None, k] for k in range(n)))
+        z, speed, force = state
+        pull = _pulled(sample, at._replace(x=z, t=at.t + late * h), speed, by)
+        # only once: it is most of the work
+        pull = pull._replace(width=jnp.where(late > 0, pull.width, 0.0))
+        force = jnp.where(late > 0, force, _holding(pull, v, wide))
+        force, rise = _sweep(pull, v, force, h, by.sharp)
+        own = sum(pull.answer[k] * force[None, k] for k in range(n))
+        end = v + wide * (pull.free + own)
         half = 0.5 * (v + end)
         middle = jnp.concatenate([x[:n] + 0.25 * wide * (v + half), half])
         return (middle, typical_speed(v, end), force), rise
@@ -257,3 +250,59 @@ def _dry_force(
         rub, (x, v, jnp.zeros_like(v)), jnp.array([0.0, 0.5], x.dtype)
     )
     return force, rise[-1]
+
+
+class _Pull(NamedTuple):
+    """What dry friction meets at a state, `[n, W]` each: accelerations `free` of it, `inertia` that
+    effects add, `level` N m and `width` rad/s of friction. `mass [n, n, W]`, and `answer [force,
+    acceleration, W]`, its inverse.
+    """
+
+    free: jax.Array
+    mass: jax.Array
+    inertia: jax.Array
+    answer: jax.Array
+    level: jax.Array
+    width: jax.Array
+
+
+def _pulled(sample: Sample, at: Instant, speed: jax.Array, by: _ByKind) -> _Pull:
+    """At an instant, with the level of friction as at a `speed [n, W]`."""
+    plant, x = sample.model.plant, at.x
+    n = plant.joint_dim
+    unit = (
+        jnp.eye(n, dtype=x.dtype).reshape((n, n) + (1,) * (x.ndim - 1))
+        + jnp.zeros_like(x[:n])[None]
+    )
+    act = acting(sample, at, by.smooth, PUSHING)
+    rough = acting(sample, at._replace(x=jnp.concatenate([x[:n], speed])), by.dry, RUBBING)
+    width = rough.blur / jnp.maximum(rough.level, 1e-9)
+    free = plant.deriv(sample.theta, x, at.u, act.force, act.inertia)[n:]
+    mass = plant.mass_matrix(sample.theta, x[:n])
+    answer = jnp.stack([jnp.stack(solve_mass(mass, act.inertia, unit[j])) for j in range(n)])
+    return _Pull(free, mass, act.inertia, answer, rough.level, width)
+
+
+def _holding(pull: _Pull, v: jax.Array, wide: jax.Array) -> jax.Array:
+    """Forces `[n, W]`, within the levels, that would stop all joints within the step."""
+    stop = pull.free + v / jnp.where(wide > 0, wide, 1.0)
+    pushed = sum(pull.mass[:, k] * stop[None, k] for k in range(len(stop)))
+    return within(-(pushed + pull.inertia * stop), pull.level)
+
+
+def _sweep(pull: _Pull, v: jax.Array, force: jax.Array, h, sharp: bool) -> tuple:
+    """Mean and rise of each joint's friction `[n, W]` after one sweep, the others' given."""
+
+    def turn(rubs, j):
+        force, rise = rubs
+        own = pull.answer[j, j]
+        others = sum(pull.answer[k, j] * force[k] for k in range(len(force)))
+        torque = (pull.free[j] + others) / own - force[j]
+        if sharp:
+            mean, slope = sharp_friction(v[j], torque, pull.level[j], 1.0 / own, h)
+        else:
+            mean, slope = mean_friction(v[j], torque, pull.level[j], pull.width[j], 1.0 / own, h)
+        return (force.at[j].set(mean), rise.at[j].set(slope)), None
+
+    start = (force, jnp.zeros_like(force))
+    return jax.lax.scan(turn, start, jnp.arange(len(force)))[0]

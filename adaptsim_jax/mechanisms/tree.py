@@ -152,17 +152,25 @@ def make_tree(
     rotation: Any,
     inertial: Any,
     *,
-    gravity: Any = (0.0, 0.0, -9.81),
     joint_names: Sequence[str] = (),
     body_names: Sequence[str] = (),
-    limited: Sequence[bool] = (),
     **values: Any,
 ) -> Tree:
-    """A tree from arrays as `Tree` has them; what is not given is zero, and `range` without limits.
+    """A tree from arrays as `Tree` has them.
 
-    Raises ValueError where sizes do not agree or a joint comes before its parent.
+    Args:
+        kinds: [n], `hinge` or `slide`.
+        parent: [n], the joint before each, -1 for none.
+        place, rotation, inertial: `[n, 3]`, `[n, 3, 3]`, `[n, 10]`.
+        joint_names, body_names: numbered where not given.
+        values: other fields of `Tree`. Gravity is -9.81 along z where not given, no joint is
+            limited, all else is zero.
+
+    Returns:
+        The tree. Raises ValueError where sizes do not agree or a joint comes before its parent.
     """
     n = len(kinds)
+    gravity, limited = values.pop("gravity", (0.0, 0.0, -9.81)), values.pop("limited", ())
     if any(k not in ("hinge", "slide") for k in kinds):
         raise ValueError(f"kinds {tuple(kinds)} must be 'hinge' or 'slide'")
     if len(parent) != n or any(not -1 <= p < i for i, p in enumerate(parent)):

@@ -16,7 +16,7 @@ from adaptsim_jax.core.constants import GRAVITY
 from adaptsim_jax.mechanisms.double_pendulum.linear import linearized
 from adaptsim_jax.mechanisms.double_pendulum.plant import base_parameters
 from adaptsim_jax.mechanisms.registry import make_plant
-from adaptsim_jax.mechanisms.stepping import make_model, row_step
+from adaptsim_jax.mechanisms.stepping import Instant, Sample, make_model, row_step
 
 LINKS = dict(
     mass=(1.3, 0.7), length=(0.8, 0.5), com=(0.35, 0.3), inertia=(0.07, 0.02), damping=(0.15, 0.08)
@@ -60,7 +60,11 @@ def simulated(plant, theta, q, v, tau, dt):
 
     def row(x, held):
         u, h = held
-        x, _ = row_step(model, theta, jnp.zeros(0), list(x[:, None]), (), u[:, None], 0.0, h[None])
+        x, _ = row_step(
+            Sample(model, theta, jnp.zeros(0)),
+            Instant(list(x[:, None]), (), u[:, None], 0.0),
+            h[None],
+        )
         x = jnp.stack(x)[:, 0]
         return x, x
 

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from adaptsim_jax.effects.registry import catalogue
 from adaptsim_jax.mechanisms.dry_friction import mean_friction
 from adaptsim_jax.mechanisms.registry import make_plant
-from adaptsim_jax.mechanisms.stepping import make_model, row_step
+from adaptsim_jax.mechanisms.stepping import Instant, Sample, make_model, row_step
 
 INERTIA, LEVEL, STEP = 0.01, 0.1, 5e-3
 
@@ -131,13 +131,8 @@ def _slide(parts: int, x64: bool):
         zero, x = jnp.zeros((2, 1)), [jnp.array([z]) for z in START]
         step = jax.jit(
             lambda x: row_step(
-                model,
-                theta,
-                jnp.asarray(eff),
-                x,
-                (),
-                zero,
-                jnp.zeros((1,)),
+                Sample(model, theta, jnp.asarray(eff)),
+                Instant(x, (), zero, jnp.zeros((1,))),
                 jnp.full((1,), STEP / parts),
             )[0]
         )

@@ -15,6 +15,7 @@ import numpy as np
 from adaptsim_jax.control.riccati import solve_care
 from adaptsim_jax.control.small_matrix import mm, solve, transpose
 from adaptsim_jax.mechanisms.closed_loop import (
+    Course,
     Loop,
     broadcasts,
     group_delay,
@@ -23,7 +24,7 @@ from adaptsim_jax.mechanisms.closed_loop import (
     sensed,
 )
 from adaptsim_jax.mechanisms.double_pendulum.linear import HORIZON, SAMPLES, SNAPSHOTS, transition
-from adaptsim_jax.mechanisms.stepping import PlantModel, acting, make_model
+from adaptsim_jax.mechanisms.stepping import Instant, PlantModel, Sample, acting, make_model
 from adaptsim_jax.mend.pendulum_model import ModelFile
 from adaptsim_jax.tasks.pendulum.task import PendulumTrajectory
 
@@ -69,17 +70,10 @@ class MendedWorld:
         def law(y, past, t):
             return command(self, policy, y, past, t)
 
-        loop = run_loop(
-            self.model,
-            theta,
-            eff,
-            law,
-            jnp.asarray(self.start, jnp.float32),
-            ROWS,
-            DT,
-            self.history,
-        )
-        return self.judged(loop), loop
+        sample = Sample(self.model, theta, eff)
+        start = jnp.asarray(self.start, jnp.float32)
+        loop = run_loop(sample, law, start, Course(ROWS, DT, self.history))
+        return self.evaluated(loop), loop
 
     @broadcasts
     def evaluated(self, loop: Loop) -> PendulumTrajectory:
@@ -137,7 +131,7 @@ def modelled_force(model: PlantModel, theta, eff, x, u, t) -> jax.Array:
     n = model.plant.joint_dim
     way = jnp.tanh(x[n:] / SLIDING)
     memory = tuple(way for e in model.layout.placed("force") if e.memory)
-    act = acting(model, theta, eff, memory, x, u, t)
+    act = acting(Sample(model, theta, eff), Instant(x, memory, u, t))
     return act.force - act.level * way
 
 
@@ -213,7 +207,8 @@ def lqr(
     goal = jnp.asarray(world.goal, jnp.float32)
     zeros = jnp.zeros((n, 1))
     memory = tuple(zeros for e in model.layout.placed("force") if e.memory)
-    inertia = acting(model, theta, eff, memory, goal[:, None], zeros, jnp.zeros(1)).inertia
+    at = Instant(goal[:, None], memory, zeros, jnp.zeros(1))
+    inertia = acting(Sample(model, theta, eff), at).inertia
 
     def deriv(gap, u):
         force = affine.slope_q * gap[:n] + affine.slope_v * gap[n:] + affine.push

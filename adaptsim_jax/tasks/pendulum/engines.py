@@ -20,7 +20,7 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.progress import Report, silent
 from adaptsim_jax.mechanisms.closed_loop import broadcasts
 from adaptsim_jax.mechanisms.double_pendulum.plant import base_parameters, rigid_pendulum
-from adaptsim_jax.mechanisms.stepping import make_model, row_step
+from adaptsim_jax.mechanisms.stepping import Instant, Sample, make_model, row_step
 from adaptsim_jax.tasks.engine import (
     EngineKind,
     Engines,
@@ -106,10 +106,11 @@ def make_rigid_body(dt: float):
         m1, m2, l1, _, c1, c2, i1, i2, b1, b2 = params.T
         theta = base_parameters((m1, m2), l1, (c1, c2), (i1, i2), (b1, b2))
         model = make_model(replace(plant, constants={**plant.constants, "l1": l1}), ())
+        sample = Sample(model, theta, jnp.zeros(0))
         step = jnp.full_like(l1, dt)
 
         def row(x, u):
-            x, _ = row_step(model, theta, jnp.zeros(0), x, (), u, 0.0, step)
+            x, _ = row_step(sample, Instant(x, (), u, 0.0), step)
             return x, jnp.stack(x)
 
         states = jax.lax.scan(row, list(initial.T), jnp.transpose(commands, (1, 2, 0)))[1]

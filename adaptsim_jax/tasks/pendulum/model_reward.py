@@ -7,7 +7,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from adaptsim_jax.mechanisms.closed_loop import Law, run_loop
+from adaptsim_jax.mechanisms.closed_loop import Course, Law, run_loop
+from adaptsim_jax.mechanisms.stepping import Sample
 from adaptsim_jax.mend.pendulum_model import ModelFile
 from adaptsim_jax.tasks.pendulum.augmented_policy import (
     DT,
@@ -73,9 +74,8 @@ def cost_in(target: ModelFile, law: Law, history: int) -> jax.Array:
     @jax.jit
     def run(theta, eff):
         start = jnp.asarray(world.start, jnp.float32)
-        return world.judged(
-            run_loop(world.model, theta, eff, law, start, ROWS, DT, world.history)
-        ).cost
+        sample = Sample(world.model, theta, eff)
+        return world.evaluated(run_loop(sample, law, start, Course(ROWS, DT, world.history))).cost
 
     return run(theta, eff)
 
