@@ -136,8 +136,8 @@ def roles(
 def _nothing_moves(source: Source, looped: bool) -> BadInput:
     what = "every joint is in a loop that closes" if looped else "every joint is held"
     return BadInput(
-        f"{source.path}: {what}, so that nothing of a tree moves; take --simulator mujoco, or log a "
-        "joint that does"
+        f"{source.path}: {what}, so that nothing of a tree moves; take --simulator mujoco, or log "
+        "a joint that does"
     )
 
 
