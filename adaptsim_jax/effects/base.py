@@ -80,16 +80,17 @@ class Parameter:
     """One number of an effect. `off` is the value without effect (None for a shape: a speed, an
     order, an angle).
 
-    low and high are in `unit`, times the rig's torque scale where the unit holds N m (`UNITS`), so
-    one entry serves a finger and an excavator, and wider for slow joints (`bounds`). `sign` is +1
-    where only positive values are that effect. A `held` shape is chosen on the grid and not fitted.
-    An `optional` one may be left out of a `model.toml`: it is `default` there. `meaning`: what it
-    is, where its name does not say. A `late` one a mended pendulum keeps at its default unless its
-    file says otherwise. `prior`: standard deviation about none of it, scaled as the bounds are (of
-    mechanisms). `mjcf`: what of a joint (damping, frictionloss, armature, stiffness, preload), or
-    of its actuator (gain, kp, delay, lag, limit), a model file changes to hold it; empty where
-    none.
-    `factor`: a share more (0: none), which people read as a factor (1: none).
+    - `low`, `high`: Bounds in `unit`, times the rig's torque scale where the unit holds N m
+      (`UNITS`). So one entry serves a finger and an excavator. Wider for slow joints (`bounds`).
+    - `sign`: It is +1 where only positive values are that effect.
+    - `held`: A shape that is chosen on the grid and not fitted.
+    - `optional`: It may be left out of a `model.toml`, and is `default` there.
+    - `meaning`: What it is, where its name does not say.
+    - `late`: A mended pendulum keeps it at its default unless its file says otherwise.
+    - `prior`: Standard deviation about none of it, scaled as the bounds are (of mechanisms).
+    - `mjcf`: What of a joint (damping, frictionloss, armature, stiffness, preload), or of its
+      actuator (gain, kp, delay, lag, limit), a model file changes to hold it; empty where none.
+    - `factor`: A share more (0: none), which people read as a factor (1: none).
     """
 
     name: str
@@ -121,9 +122,13 @@ class Parameter:
 
 
 class Motion(NamedTuple):
-    """What a force effect sees: `q, v, u: [n, ...]` (rad, rad/s, N m), `t: [1, ...]` s since the
-    trial began, its own `memory: [n, ...]`, `gravity(q) -> [n, ...]` of the plant, and `clock: [1,
-    ...]` s, the time of what goes on whether a trial runs or not (None: the same as `t`).
+    """What a force effect is given.
+
+    - `q, v, u [n, ...]`: Angle, speed and command, rad, rad/s, N m.
+    - `t [1, ...]`: Time since the trial began, s.
+    - `memory [n, ...]`: The effect's own.
+    - `gravity(q) -> [n, ...]`: Of the plant.
+    - `clock [1, ...]`: Time of what goes on whether a trial runs or not, s. None: the same as `t`.
     """
 
     q: jax.Array
@@ -177,11 +182,13 @@ class Relaxation(NamedTuple):
 
 
 class Drive(NamedTuple):
-    """What an effect of the place `drive` says of joints, [n, .] each.
+    """What an effect of the place `drive` says of joints, `[n, .]` each.
 
-    compliance rad/(N m), 0: rigid; damping s, that of a dashpot beside the spring over its
-    stiffness; gap rad; link: 1 where the log's encoder is on the link's side, 0 on the rotor's;
-    control: the same of the encoder that the controller has.
+    - `compliance`: Of its spring, rad/(N m). 0: rigid.
+    - `damping`: Of a dashpot beside the spring, over its stiffness, s.
+    - `gap`: Its play, rad.
+    - `link`: 1 where the log's encoder is on the link's side, 0 on the rotor's.
+    - `control`: The same of the encoder that the controller has.
     """
 
     compliance: jax.Array
@@ -209,18 +216,18 @@ class Reach:
 class Traits:
     """What searches, reports and model files ask of an effect, whatever its name (of mechanisms).
 
-    - on_actuator: a force that changes what an actuator gives. None at joints without one.
-    - of_controller: only joints that a position controller holds have it.
-    - scales_drive: a share more of what the drive gives.
-    - shared: tried with one value for all joints too, as of one computer that commands them.
-    - family: tried at all joints at once too, with own values, as of like drives.
-    - tried_first: its place among what the balance adds at all joints before all else; 0: none.
-    - prior: standard deviation of its amplitudes beforehand, in the balance of torques.
-    - in_balance: whether the balance of torques shows it; None: forces and commands, no sensors.
-    - at_parents: it shows at all joints that carry its own.
-    - resists: it opposes the motion, whatever the time and the torque's direction.
-    - fitted: its parameters are fitted whatever is named.
-    - offered: whether a search may add it.
+    - on_actuator: A force that changes what an actuator gives. None at joints without one.
+    - of_controller: Only joints that a position controller holds have it.
+    - scales_drive: A share more of what the drive gives.
+    - shared: Tried with one value for all joints too, as of one computer that commands them.
+    - family: Tried at all joints at once too, with own values, as of like drives.
+    - tried_first: Its place among what the balance adds at all joints before all else; 0: none.
+    - prior: Standard deviation of its amplitudes beforehand, in the balance of torques.
+    - in_balance: Whether the balance of torques shows it; None: forces and commands, no sensors.
+    - at_parents: It shows at all joints that carry its own.
+    - resists: It opposes the motion, whatever the time and the torque's direction.
+    - fitted: Its parameters are fitted whatever is named.
+    - offered: Whether a search may add it.
     """
 
     on_actuator: bool = False
@@ -251,7 +258,7 @@ class Effect:
     - command: `apply(p, t [T, ...], u [T, ...]) -> u'`: a whole trial's command, each value held to
       the next row;
     - force: `apply(p, motion) -> force [n, ...]`, or `Dry` friction, or a `Relaxation` where
-      `memory` is true. Where `inertia` is true, `apply(p) -> kg m^2` added to the joint;
+      `memory` is true. Where `inertia` is true, `apply(p) -> kg m^2` added to the joint.
     - drive: `apply(p) -> Drive` (`attribution/drive.py`) between a joint's rotor and its link, of
       mechanisms only;
     - measurement: `apply(p, t [T, ...], q [T, ...], v [T, ...], first [...]) -> (q', v')`: what the
@@ -261,19 +268,23 @@ class Effect:
 
     `p` maps parameter names to arrays that broadcast, of the rank of `u` or `q`. `grid(reach,
     joint) -> [{shape: value}, ...]` lists the fixed shapes at which the effect is scored; with
-    `jump` the amplitude is on the grid too, as it does not act linearly. `starts(reach, joint) ->
-    [{parameter: value}, ...]`: where plain fits of it start as well, if a linear score is a poor
-    guide. `look_alikes`: what it is mistaken for at its joint, or itself, at another. `contains`
-    names effects that this one includes as a special case (of mechanisms it is tried where one of
-    these is). `pair`: its force is on the joint and on the one before it, too. `carried`: a
-    measurement effect that is also given the torque [N m] which the joint's drive carries,
-    `apply(p, t, q, v, first, torque)`.
-    `slack`: of a measurement effect, its parameter within which the reading does not tell the
-    angle: stretches are also begun with the angle at either end of it.
-    `describes`: it is no law but a form that fits many (of mechanisms it must take off
-    `Criteria.described`). `formula`: the physics in a line, for people. `title`: its name in
-    reports, where the name with blanks says too little. `traits`: what searches
-    ask of it; those below are derived.
+    `jump` the amplitude is on the grid too, as it does not act linearly.
+
+    - `starts(reach, joint) -> [{parameter: value}, ...]`: Where plain fits of it start as well, if
+      a linear score is a poor guide.
+    - `look_alikes`: What it is mistaken for at its joint, or itself, at another. `contains` names
+      effects that this one includes as a special case (of mechanisms it is tried where one of these
+      is).
+    - `pair`: Its force is on the joint and on the one before it, too.
+    - `carried`: A measurement effect that is also given the torque [N m] which the joint's drive
+      carries, `apply(p, t, q, v, first, torque)`.
+    - `slack`: Of a measurement effect, its parameter within which the reading does not tell the
+      angle: stretches are also begun with the angle at either end of it.
+    - `describes`: It is no law but a form that fits many (of mechanisms it must take off
+      `Criteria.described`).
+    - `formula`: The physics in a line, for people.
+    - `title`: Its name in reports, where the name with blanks says too little.
+    - `traits`: What searches ask of it; those below are derived.
     """
 
     name: str

@@ -13,9 +13,11 @@ from adaptsim_jax.logs.criteria import CLOCK, TABLE
 
 @dataclass(frozen=True)
 class Stamped:
-    """`time [K]` ns of messages, `selected [K]`: those that have one; `stamped`: whether times are
-    their own; `late`: how long they are on their way (median, ns); `unstamped`, `distant`: how many
-    lack a stamp, or have one far from the others'.
+    """`time [K]` ns of messages, `selected [K]`: those that have one.
+
+    - `stamped`: Whether times are their own.
+    - `late`: How long they are on their way (median, ns).
+    - `unstamped`, `distant`: How many lack a stamp, or have one far from the others'.
     """
 
     time: np.ndarray
@@ -45,9 +47,11 @@ class Stamped:
 
 
 def stamped(arrived: np.ndarray, stamps: np.ndarray, group: np.ndarray | None = None) -> Stamped:
-    """Times of messages that arrived at `arrived [K]` ns with stamps `[K]` (0: none). group [K]:
-    who sends. A sender of whom no message has a stamp counts by arrival, less the delay of the
-    others.
+    """Times of messages that arrived at `arrived [K]` ns with stamps `[K]` (0: none).
+
+    Args:
+        group [K]: Who sends. A sender of whom no message has a stamp counts by arrival, less the
+            delay of the others.
     """
     has = stamps > 0
     distant = has & _distant(arrived, stamps, has)
@@ -94,9 +98,10 @@ HELD = ("tau", "target", "ctrl", "u", "i")
 
 @dataclass(frozen=True)
 class Series:
-    """`time [K]` s in the order of arrival, `columns`: name -> `[K]`; `reordered`: its names
-    changed their order; `straight`: of commands, whether they are moved to from row to row, not
-    held.
+    """`time [K]` s in the order of arrival, `columns`: name -> `[K]`.
+
+    - `reordered`: Its names changed their order.
+    - `straight`: Of commands, whether they are moved to from row to row, not held.
     """
 
     time: np.ndarray
@@ -186,7 +191,11 @@ def _at_rows(series: Series, rows: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _states_on(clock: np.ndarray, series: Series, seldom: bool) -> dict[str, np.ndarray]:
-    """Columns of another series at the rows of `clock [T]`; seldom: they stay where they were."""
+    """Columns of another series at the rows of `clock [T]`.
+
+    Args:
+        seldom: They stay where they were.
+    """
     return {
         name: _acting(clock, series.time, values, False)
         if name.split("_")[0] in HELD and not seldom

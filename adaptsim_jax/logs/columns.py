@@ -62,8 +62,10 @@ class Role:
 
 
 def role(name: str, joints: Iterable[str] = ()) -> Role | None:
-    """The role that a column's name tells; None for a column that is none of ours. `joints`: the
-    model's, where known.
+    """The role that a column's name tells; None for a column that is none of ours.
+
+    Args:
+        joints: The model's, where known.
     """
     if name in TIME:
         return Role("time")
@@ -103,7 +105,11 @@ def role(name: str, joints: Iterable[str] = ()) -> Role | None:
 
 
 def roles_of(names: Iterable[str], joints: Iterable[str] = ()) -> dict[str, Role]:
-    """The roles of those columns that are ours, by name; `joints`: the model's."""
+    """The roles of those columns that are ours, by name.
+
+    Args:
+        joints: The model's.
+    """
     joints = tuple(joints)
     return {name: found for name in names if (found := role(name, joints)) is not None}
 

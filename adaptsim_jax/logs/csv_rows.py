@@ -117,8 +117,10 @@ def is_number(cell: str) -> bool:
 def check_header(
     path: Path, header: list[str], line: int, wanted: tuple[str, ...], more: bool
 ) -> None:
-    """BadInput where a header names no columns, or one of those `wanted` twice. more: whether the
-    rows below it have more cells.
+    """BadInput where a header names no columns, or one of those `wanted` twice.
+
+    Args:
+        more: Whether the rows below it have more cells.
     """
     if all(is_number(cell) for cell in header):
         names = [name for name in wanted if not is_number(name)] or ["time", "q1", "tau1"]

@@ -91,7 +91,11 @@ def number(path: Path, key: str, value: Any) -> float:
 def not_negative(
     path: Path, key: str, value: Any, what: str = "a standard deviation in SI units"
 ) -> float:
-    """A number that is not below 0; what: what is to be given."""
+    """A number that is not below 0.
+
+    Args:
+        what: What is to be given.
+    """
     if (found := number(path, key, value)) < 0:
         raise BadInput(f"{path}: {key} = {found:g} is negative; give {what}")
     return found

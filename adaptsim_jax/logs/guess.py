@@ -34,8 +34,11 @@ TARGETS = {word for word, stem in WORDS.items() if stem == "target"}
 
 @dataclass(frozen=True)
 class Guess:
-    """`columns`: our name -> the file's, those that need it; `units`: see `unit_guess.guess_units`;
-    `ignored`: columns.
+    """What the columns of a trial seem to be.
+
+    - `columns`: Our name -> the file's, those that need it.
+    - `units`: See `unit_guess.guess_units`.
+    - `ignored`: Columns.
     """
 
     columns: dict[str, str]
@@ -50,9 +53,12 @@ def guess(
     lerobot: bool = False,
     lists: Mapping[str, str] | None = None,
 ) -> Guess:
-    """What the columns of one trial (by the file's names, as written) seem to be. `model`: its
-    joints, where known; lerobot: whether they are of a LeRobot data set; lists: our stem -> the
-    file's name of a list or array, whose places are columns by our name.
+    """What the columns of one trial (by the file's names, as written) seem to be.
+
+    Args:
+        model: Its joints, where known.
+        lerobot: Whether they are of a LeRobot data set.
+        lists: Our stem -> the file's name of a list or array, whose places are columns by our name.
     """
     joints = model.joints if model else ()
     names: dict[str, str] = {}
@@ -215,9 +221,12 @@ def _increases(values: np.ndarray) -> bool:
 class Draft:
     """What a `meta.toml` says beside its guesses.
 
-    `model`, `data`: relative paths, None where there is none; `names`: of the model, where known;
-    `topics`: lines about a bag's topics; `ros`: those that are chosen; `kinds`: input kinds that
-    the columns allow; `commands`: trial -> the file that seems to hold its commands.
+    - `model`, `data`: Relative paths, None where there is none.
+    - `names`: Of the model, where known.
+    - `topics`: Lines about a bag's topics.
+    - `ros`: Those that are chosen.
+    - `kinds`: Input kinds that the columns allow.
+    - `commands`: Trial -> the file that seems to hold its commands.
     """
 
     model: str | None = None

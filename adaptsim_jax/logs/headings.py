@@ -41,9 +41,12 @@ class Heading:
 
 @dataclass(frozen=True)
 class HeadingUnit:
-    """What a heading says of the unit of a column. `column`: our name of it; `quantity`: None for
-    commands of actuators; `fits`: whether a column of this quantity may be in this `unit`;
-    `slides`: whether its joint does.
+    """What a heading says of the unit of a column.
+
+    - `column`: Our name of it.
+    - `quantity`: None for commands of actuators.
+    - `fits`: Whether a column of this quantity may be in this `unit`.
+    - `slides`: Whether its joint does.
     """
 
     column: str
@@ -63,8 +66,10 @@ class HeadingUnit:
 
 
 def heading(written: str, joints: Iterable[str] = ()) -> Heading:
-    """A column's heading as its file writes it. joints: the model's, where known. A joint's own
-    name has no unit in it.
+    """A column's heading as its file writes it.
+
+    Args:
+        joints: The model's, where known. A joint's own name has no unit in it.
     """
     joints = tuple(joints)
     known = role(written, joints)
@@ -125,8 +130,10 @@ def _letter(name: str, unit: str, written: str, joints: tuple[str, ...]) -> bool
 def heading_unit(
     column: str, written: str, found: Role, slides: bool | None, joints: Sequence[str] = ()
 ) -> HeadingUnit | None:
-    """What the heading `written` of our `column` says of its unit; None where nothing. slides: None
-    where the joint is not known.
+    """What the heading `written` of our `column` says of its unit; None where nothing.
+
+    Args:
+        slides: None where the joint is not known.
     """
     unit = heading(written, joints).unit
     if unit is None or found.stem in ("trial", "base", "channel"):
@@ -161,10 +168,13 @@ def compared(
     headed: Sequence[tuple[HeadingUnit, Affine, tuple[str, ...], str]],
     units: Mapping[str, Unit],
 ) -> tuple[str, ...]:
-    """Notes on columns whose headings say another unit than the declared one. headed: of each
-    column what its heading says, what it is read in, its words in `[units]`, its stem.
+    """Notes on columns whose headings say another unit than the declared one.
 
     Raises `BadInput` where nothing is declared and the heading says no SI unit.
+
+    Args:
+        headed: Of each column what its heading says, what it is read in, its words in `[units]`,
+            its stem.
     """
     notes: list[str] = []
     bare: list[HeadingUnit] = []

@@ -39,7 +39,11 @@ class Inputs:
     def of(
         self, columns: JointColumns, names: ModelNames, meta: LogMeta, selected: np.ndarray
     ) -> np.ndarray:
-        """`u [T, m]` of one trial in SI units; selected: numbers of the joints that move."""
+        """`u [T, m]` of one trial in SI units.
+
+        Args:
+            selected: Numbers of the joints that move.
+        """
         if self.kind == "none":
             return np.zeros((len(columns.time), 0))
         if self.kind != "command":
@@ -108,10 +112,12 @@ def _complete(columns: JointColumns, kind: str, names: tuple[str, ...], u: np.nd
 def choose_inputs(
     path: str, trials: list[JointColumns], names: ModelNames, meta: LogMeta, moving: Sequence[str]
 ) -> Inputs:
-    """Which columns drive the model in all trials; moving: its joints that move, of which alone
-    something is needed.
+    """Which columns drive the model in all trials.
 
     Raises `BadInput` where trials differ or a motor has no column.
+
+    Args:
+        moving: Its joints that move, of which alone something is needed.
     """
     kinds = [_kinds(columns) for columns in trials]
     kind: InputKind = meta.input or next(

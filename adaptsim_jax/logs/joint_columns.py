@@ -26,11 +26,14 @@ class JointColumns:
     """One trial's columns in SI units by stem and joint: `by_joint[stem] [T]` of each joint's
     index; `ctrl` by actuator.
 
-    `turns`: whether whole turns were taken out of angles. `written`: (stem, joint) -> `[T]` as the
-    file has it, of angles and targets; `named`: (stem, joint) -> its column; `scaled`: joints whose
-    angles are declared in a scale that is no unit of angle; `base [T, 7]`: place and orientation of
-    a free base; `channels`: by sensor of the model `[T]`; `declared`: joints for whose angles
-    `[units]` has a unit; `notes`: what is to be told of headings.
+    - `turns`: Whether whole turns were taken out of angles.
+    - `written`: (stem, joint) -> `[T]` as the file has it, of angles and targets.
+    - `named`: (stem, joint) -> its column.
+    - `scaled`: Joints whose angles are declared in a scale that is no unit of angle.
+    - `base [T, 7]`: Place and orientation of a free base.
+    - `channels`: By sensor of the model `[T]`.
+    - `declared`: Joints for whose angles `[units]` has a unit.
+    - `notes`: What is to be told of headings.
     """
 
     raw: RawTrial

@@ -78,7 +78,9 @@ def _name(episode: int) -> str:
 
 def check_named(path: Path, trial: RawTrial, joints: Sequence[str]) -> None:
     """BadInput where numbers of a trial have no names that fit, and `[columns]` gives none either.
-    joints: the model's.
+
+    Args:
+        joints: The model's.
     """
     for vector, stem in STEMS.items():
         count = sum(

@@ -17,9 +17,11 @@ InputKind = Literal["torque", "command", "voltage", "current", "none"]
 
 @dataclass(frozen=True)
 class ActuatorName:
-    """An actuator of the model and the joint that it drives; `kind`: motor, position, velocity,
-    general, dcmotor, tendon (on several joints) or other (on none: a site, a body); `moves`: all
-    joints that it drives, those tied to them included.
+    """An actuator of the model and the joint that it drives.
+
+    - `kind`: Motor, position, velocity, general, dcmotor, tendon (on several joints) or other (on
+      none: a site, a body).
+    - `moves`: All joints that it drives, those tied to them included.
     """
 
     name: str
@@ -36,13 +38,13 @@ class ActuatorName:
 class ModelNames:
     """What a reader of logs must know of a model.
 
-    `joints`: hinge and slide joints in the model's order; `slides`: those that slide (logged in m,
-        not rad);
-    `parents`: for each joint the index of the joint before it in the tree, -1 for none (empty: a
-        serial chain);
-    `actuators`: in the model's order, None where nothing is known of them; `tied`: joints that go
-        with others, and with which;
-    `ranges`: of each joint in rad or m, None where it has none (empty: not known).
+    - `joints`: Hinge and slide joints in the model's order.
+    - `slides`: Those that slide (logged in m, not rad).
+    - `parents`: For each joint the index of the joint before it in the tree, -1 for none (empty: a
+      serial chain).
+    - `actuators`: In the model's order, None where nothing is known of them.
+    - `tied`: Joints that go with others, and with which.
+    - `ranges`: Of each joint in rad or m, None where it has none (empty: not known).
     """
 
     joints: tuple[str, ...]
@@ -97,14 +99,18 @@ class ModelNames:
 class LogTrial:
     """One trial of `T` rows and `n` joints, in the model's order of joints.
 
-    `time [T]`: s, increasing, unevenly spaced; `q [T, n]`: rad (hinge) or m (slide), NaN where a
-    value is missing; `v [T, n]`: rad/s or m/s, None where no speed was logged; `u [T, m]`: the
-    input, which holds from its row to the next: N m or N (torque), what the actuators were told
-    (command), V, A. `extra`: other quantities of the file by their stem (`tau_commanded`, `target`,
-    ...), each `[T, n]` and NaN for joints without; `group`: trials that belong together; `payload`:
-    kg at the tip; `base [T, 7]`: m and a unit quaternion (w first) of a free base, None where not
-    logged; `channels`: by sensor of the model (`gyro[0]`) what `[channels]` compares with it `[T]`,
-    in the sensor's unit.
+    - `time [T]`: s, increasing, unevenly spaced.
+    - `q [T, n]`: rad (hinge) or m (slide), NaN where a value is missing.
+    - `v [T, n]`: rad/s or m/s, None where no speed was logged.
+    - `u [T, m]`: The input, which holds from its row to the next: N m or N (torque), what the
+      actuators were told (command), V, A.
+    - `extra`: Other quantities of the file by their stem (`tau_commanded`, `target`, ...), each
+      `[T, n]` and NaN for joints without.
+    - `group`: Trials that belong together.
+    - `payload`: kg at the tip.
+    - `base [T, 7]`: m and a unit quaternion (w first) of a free base, None where not logged.
+    - `channels`: By sensor of the model (`gyro[0]`) what `[channels]` compares with it `[T]`, in
+      the sensor's unit.
     """
 
     name: str
@@ -147,13 +153,14 @@ class LogTrial:
 class Log:
     """Trials of one mechanism and what its `meta.toml` declares.
 
-    `input_names [m]`: joints (torque, voltage, current), or actuators (command; joints where the
-    model's actuators are not known); `driven`: joints that have an input column, torque is 0 at the
-    others. `notes`: what a person should know of how the files were read, a line each. `held`:
-    joints that stand still in all trials, or that `[hold]` names, and where they were (None:
-    nothing was logged). They are not among `joint_names`. `input_columns [m]`: the column that each
-    actuator's command was read from. `unlike`: joints whose followers do not follow as the model
-    says.
+    - `input_names [m]`: Joints (torque, voltage, current), or actuators (command; joints where the
+      model's actuators are not known).
+    - `driven`: Joints that have an input column, torque is 0 at the others.
+    - `notes`: What a person should know of how the files were read, a line each.
+    - `held`: Joints that stand still in all trials, or that `[hold]` names, and where they were
+      (None: nothing was logged). They are not among `joint_names`.
+    - `input_columns [m]`: The column that each actuator's command was read from.
+    - `unlike`: Joints whose followers do not follow as the model says.
     """
 
     path: str

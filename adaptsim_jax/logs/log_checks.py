@@ -35,10 +35,13 @@ def check_log_units(
     units: Mapping[str, object] | None = None,
     known: Collection[str] = (),
 ) -> tuple[str, ...]:
-    """Notes about suspicious units. units: as declared; angles that are degrees already are not
-    asked about; known: joints for whose angles or ways a unit is declared.
+    """Notes about suspicious units.
 
     Raises `BadInput` naming the trial and the line for meta.toml where the data are sure.
+
+    Args:
+        units: As declared; angles that are degrees already are not asked about.
+        known: Joints for whose angles or ways a unit is declared.
     """
     hinges = [j for j, joint in enumerate(names.joints) if joint not in names.slides]
     for trial in trials:

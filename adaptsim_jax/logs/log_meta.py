@@ -46,9 +46,12 @@ TRAJECTORY = ("ramp", "hold")
 class Rig:
     """A double pendulum that its `meta.toml` declares in place of a model file.
 
-    `model`: rigid_body or linearized; `angle_zero`: where both angles are 0, hanging or upright;
-    `geometry`: l1, l2 in m and g in m/s^2; `known`: declared parameters; `model_file`: path of a
-    mended model; `unactuated`: joints without a motor, counted from 1.
+    - `model`: The base model, rigid_body or linearized.
+    - `angle_zero`: Where both angles are 0, hanging or upright.
+    - `geometry`: l1, l2 in m and g in m/s^2.
+    - `known`: Declared parameters.
+    - `model_file`: Path of a mended model.
+    - `unactuated`: Joints without a motor, counted from 1.
     """
 
     model: str
@@ -64,20 +67,26 @@ class Rig:
 class LogMeta:
     """What `meta.toml` declares of a log.
 
-    `model`, `data`: whole paths, None where not named; `input`: which columns drive the model,
-    None: told by the columns; `ignore`: columns, or joints with all their columns, that are left
-    out; `columns`: our name -> the file's name; `units`: column, stem or quantity -> unit;
-    `convention`: joint or column -> "relative" or "absolute", "" for all; `zero`: joint or column
-    -> what the log shows (rad or m) where the model's joint is at 0; `reversed`: joints that the
-    log counts the other way round; `known`, `fit`: as written, names of the MJCF; `noise`: column,
-    stem or quantity -> standard deviation in SI units; `exclude`: trials left out; `group`,
-    `payload`: trial -> group, kg (patterns like `kp100_*` may stand for several trials); `rate`,
-    `within`: joint -> what a target is cut to before it is sent, by a rate (rad/s, m/s)
-    or to within a distance of the angle (rad, m); `commands`: trial -> the file beside the data
-    that holds its commands; `hold`: joint -> rad or m that it is held at (None: where the log or
-    the file has it); `simulator`: tree or mujoco, None: by what the model needs; `channels`: a
-    sensor of the model, `gyro[0]` -> the column that it is compared with (among `columns`, too);
-    `rig`: of a double pendulum, whose `meta.toml` is another (`logs/pendulum.py`).
+    - `model`, `data`: Whole paths, None where not named.
+    - `input`: Which columns drive the model. None: the columns decide.
+    - `ignore`: Columns, or joints with all their columns, that are left out.
+    - `columns`: Our name -> the file's name.
+    - `units`: Column, stem or quantity -> unit.
+    - `convention`: Joint or column -> "relative" or "absolute", "" for all.
+    - `zero`: Joint or column -> what the log shows (rad or m) where the model's joint is at 0.
+    - `reversed`: Joints that the log counts the other way round.
+    - `known`, `fit`: As written, names of the MJCF.
+    - `noise`: Column, stem or quantity -> standard deviation in SI units.
+    - `exclude`: Trials left out.
+    - `group`, `payload`: Trial -> group, kg (patterns like `kp100_*` may stand for several trials).
+    - `rate`, `within`: Joint -> what a target is cut to before it is sent, by a rate (rad/s, m/s)
+      or to within a distance of the angle (rad, m).
+    - `commands`: Trial -> the file beside the data that holds its commands.
+    - `hold`: Joint -> rad or m that it is held at (None: where the log or the file has it).
+    - `simulator`: The one of tree and mujoco, None: by what the model needs.
+    - `channels`: A sensor of the model, `gyro[0]` -> the column that it is compared with (among
+      `columns`, too).
+    - `rig`: Of a double pendulum, whose `meta.toml` is another (`logs/pendulum.py`).
     """
 
     path: str = ""

@@ -152,8 +152,10 @@ def quantity_of(stem: str, slides: bool) -> str | None:
 
 
 def units_of(quantity: str | None, slides: bool) -> Mapping[str, float]:
-    """Units that a column of a joint may be in, by what each is in SI; quantity: by `quantity_of`,
-    None for any.
+    """Units that a column of a joint may be in, by what each is in SI.
+
+    Args:
+        quantity: By `quantity_of`, None for any.
     """
     if quantity is None:
         return _EVERY
@@ -226,11 +228,14 @@ def column_unit(
     slides: bool,
     limits: tuple[float, float] | None = None,
 ) -> Affine:
-    """What makes a column of quantity `stem` SI; `words`: the names that `[units]` may give it,
-    closest first; limits: the joint's range in the model, of which per cent are taken.
+    """What makes a column of quantity `stem` SI.
 
     A velocity, and a target, follow the angle of their joint unless they are declared. BadInput
     where the declared unit belongs to another quantity; `where` opens its message.
+
+    Args:
+        words: The names that `[units]` may give it, closest first.
+        limits: The joint's range in the model, of which per cent are taken.
     """
     quantity = quantity_of(stem, slides)
     if quantity is None:

@@ -186,7 +186,10 @@ def choose(
     knows: Callable[[Topic], int] = lambda topic: 0,
 ) -> tuple[Topic, Topic | None, tuple[str, ...]]:
     """The topics of the state and of the commands (None: there is none), by `options` where these
-    name them, and notes. knows: how many joints of the model a topic speaks of.
+    name them, and notes.
+
+    Args:
+        knows: How many joints of the model a topic speaks of.
     """
     by_name = {topic.name: topic for topic in topics}
     for key in ("state_topic", "command_topic"):

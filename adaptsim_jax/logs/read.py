@@ -40,13 +40,16 @@ def read_log(
 ) -> Log:
     """Read a log.
 
-    `source`: a folder (with `meta.toml`, else SI units and the usual names are assumed; one CSV or
-    NPZ a trial), or one file (CSV, NPZ, a ROS 1 or 2 bag, MCAP), or a LeRobot data set's folder.
-    `model`: the joints of the model by name and in order, with `ModelNames` also those that slide
-    and the actuators; None: those of the model that meta.toml names, else the data's own joints.
-    `meta`: what stands in place of the folder's `meta.toml`, or its path.
-
     Raises `BadInput`, one line that names the file, the row, column or key, and the mend.
+
+    Args:
+        source: A folder (with `meta.toml`, else SI units and the usual names are assumed; one CSV
+            or NPZ a trial), or one file (CSV, NPZ, a ROS 1 or 2 bag, MCAP), or a LeRobot data set's
+            folder.
+        model: The joints of the model by name and in order, with `ModelNames` also those that slide
+            and the actuators; None: those of the model that meta.toml names, else the data's own
+            joints.
+        meta: What stands in place of the folder's `meta.toml`, or its path.
     """
     source, meta, notes = _declared(source, meta)
     if model is not None and not isinstance(model, ModelNames):
@@ -134,9 +137,12 @@ def _meta(source: Path, given: LogMeta | str | Path | None) -> tuple[LogMeta, tu
 
 
 def read_raw(data: Path, meta: LogMeta, names: ModelNames | None = None) -> list[RawTrial]:
-    """The raw trials of a file or folder, by what kind it is. names: the model's.
+    """The raw trials of a file or folder, by what kind it is.
 
     What is left out is not looked at; a file of one trial is called as its trial.
+
+    Args:
+        names: The model's.
     """
 
     def out(name: str) -> bool:

@@ -18,10 +18,12 @@ from adaptsim_jax.logs.tables import RawTrial
 class Wanted:
     """What is asked of a reader.
 
-    `options`: of `[ros]`; `ignore`: columns or joints that are left out; `joints`: the model's,
-    empty where not known; `named`: the file's names that `[columns]` speaks of; `servos`: columns
-    of commands that are targets -> their joints; `out`: whether a trial of this name is left out,
-    and may come without its columns.
+    - `options`: Of `[ros]`.
+    - `ignore`: Columns or joints that are left out.
+    - `joints`: The model's, empty where not known.
+    - `named`: The file's names that `[columns]` speaks of.
+    - `servos`: Columns of commands that are targets -> their joints.
+    - `out`: Whether a trial of this name is left out, and may come without its columns.
     """
 
     options: Mapping[str, str] = field(default_factory=dict)
@@ -36,9 +38,10 @@ class Wanted:
 class Reader:
     """Reads one kind of file, or folder, as raw trials of named columns.
 
-    `read`: `(path, wanted) -> trials`, columns as written; `BadInput` names file, row and mend;
-    `endings`: of its files, as `.jsonl`; `find`: what of a path it reads, those files where None;
-    `check`: `(path, trial, joints)`, after `[columns]` has named the columns of the first trial.
+    - `read`: `(path, wanted) -> trials`, columns as written; `BadInput` names file, row and mend.
+    - `endings`: Of its files, as `.jsonl`.
+    - `find`: What of a path it reads, those files where None.
+    - `check`: `(path, trial, joints)`, after `[columns]` has named the columns of the first trial.
     """
 
     read: Callable[[Path, Wanted], list[RawTrial]]

@@ -98,7 +98,10 @@ def bag_topics(
     path: Path, options: Mapping[str, str], joints: Collection[str] = ()
 ) -> tuple[tuple[Topic, ...], dict[str, str]]:
     """All topics of a bag, and those that `read_bag` takes with these options, by `state_topic` and
-    `command_topic`; joints: the model's.
+    `command_topic`.
+
+    Args:
+        joints: The model's.
     """
     with opened(path) as bag:
         topics = bag.topics

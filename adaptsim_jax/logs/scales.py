@@ -42,8 +42,12 @@ def scale_of(
     limits: tuple[float, float] | None = None,
 ) -> Scale | None:
     """The scale that all values of a joint (its angles, its targets) betray; None where they may
-    well be angles. key: what [units] calls them; gripper: whether it is one of a LeRobot data set;
-    limits: its range in the model.
+    well be angles.
+
+    Args:
+        key: What [units] calls them.
+        gripper: Whether it is one of a LeRobot data set.
+        limits: Its range in the model.
     """
     if len(values):
         x = np.concatenate([np.asarray(v, float)[np.isfinite(v)] for v in values])

@@ -48,8 +48,9 @@ def make_prior(time: np.ndarray, order: int, intensity: np.ndarray | None = None
     """Precision of the `order`-times integrated random walk on `time: [T]` s (any spacing,
     increasing).
 
-    `intensity: [T - 1]` scales the walk's variance step by step, for signals that are rough in
-    places only.
+    Args:
+        intensity: `[T - 1]`, scales the walk's variance step by step, for signals that are rough
+            in places only.
     """
     dt = np.diff(time)
     step = float(np.median(dt))

@@ -53,11 +53,15 @@ def read_table(
 ) -> LogTable:
     """Read the columns in `wanted` that are there, of `min_rows` rows or more; list the others.
 
-    ours: what a column is to us where the file names it otherwise; arrays [T, n] are then n columns
-    by `list_cells.part_name`. Optional columns that hold nothing count as not there. lost:
-    columns of which a row may hold none, as cameras write frames in which they saw nothing: such
-    rows are left out. gaps: columns of which any cell may be empty, which is NaN then. Raises
-    `BadInput`.
+    Raises `BadInput`.
+
+    Args:
+        ours: What a column is to us where the file names it otherwise; arrays [T, n] are then n
+            columns by `list_cells.part_name`. Optional columns that hold nothing count as not
+            there.
+        lost: Columns of which a row may hold none, as cameras write frames in which they saw
+            nothing: such rows are left out.
+        gaps: Columns of which any cell may be empty, which is NaN then.
     """
     path = Path(path)
     if path.suffix.lower() == ".npz":
@@ -206,7 +210,11 @@ def _no_number(cell: str, cells: tuple[str, ...]) -> str:
 
 
 def _read_npz(path: Path, wanted: tuple[str, ...], lists: bool) -> LogTable:
-    """Arrays by column name, each `[T]`; lists: those `[T, n]` are columns by `part_name`."""
+    """Arrays by column name, each `[T]`.
+
+    Args:
+        lists: Those `[T, n]` are columns by `part_name`.
+    """
     archive = read_archive(path, wanted)
     arrays = {name: archive.arrays[name] for name in wanted if name in archive.arrays}
     for name, array in arrays.items():

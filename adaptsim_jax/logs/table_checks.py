@@ -29,8 +29,10 @@ def without_blank(
     """`columns [T]` (NaN where a cell is missing) without optional ones that hold nothing, and a
     note on these.
 
-    ours: what a column is to us where the file names it otherwise.
     BadInput where a column that is needed holds nothing.
+
+    Args:
+        ours: What a column is to us where the file names it otherwise.
     """
     blank = [
         name
@@ -65,7 +67,10 @@ def check_missing(
     ours: Mapping[str, str] | None = None,
 ) -> None:
     """BadInput at the first cell that is no finite number. `empty[name] [T]`: cells that hold
-    nothing at all; ours: what a column is to us where the file names it otherwise.
+    nothing at all.
+
+    Args:
+        ours: What a column is to us where the file names it otherwise.
     """
     bad = {name: ~np.isfinite(values) for name, values in columns.items()}
     bad = {name: rows for name, rows in bad.items() if rows.any()}
@@ -144,7 +149,8 @@ def check_clock(
     """BadInput at the first row at which `time [T]` does not increase, with what clocks and files
     do to cause it.
 
-    mend: what to do, where more is known than that rows are out of order.
+    Args:
+        mend: What to do, where more is known than that rows are out of order.
     """
     bad = np.flatnonzero(np.diff(time) <= 0)
     if not bad.size:
@@ -193,7 +199,8 @@ def check_time_unit(path: str | Path, time: np.ndarray, scale: float, mend: str 
     """BadInput where `time [T]`, which `scale` made seconds, is of another unit: rows are too far
     apart, or too near.
 
-    mend: what to do; a line of [units] in meta.toml by default.
+    Args:
+        mend: What to do; a line of [units] in meta.toml by default.
     """
     if len(time) < 2:
         return

@@ -49,10 +49,12 @@ def together(seconds: np.ndarray, nanos: np.ndarray) -> np.ndarray:
 def joined_time(
     path: str | Path, columns: Mapping[str, np.ndarray], ours: Mapping[str, str]
 ) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
-    """`columns [T]` with one time where there are two parts of it, and a note on that. ours: what a
-    column is to us.
+    """`columns [T]` with one time where there are two parts of it, and a note on that.
 
     BadInput where what is given for nanoseconds is no part of a second.
+
+    Args:
+        ours: What a column is to us.
     """
     clock = next((name for name in columns if ours.get(name, name) in TIME), None)
     nanos = next((name for name in columns if ours.get(name, name) == NANOS), None)
@@ -130,8 +132,10 @@ def split_clock(
     path: str | Path, columns: Mapping[str, np.ndarray], lines: np.ndarray, ours: Mapping[str, str]
 ) -> tuple[dict[str, np.ndarray], np.ndarray, tuple[str, ...]] | None:
     """`columns [T]` (NaN where a cell is missing) with their lines on the clock of the states, and
-    what was done; None where rows are whole, or hold too little. ours: what a column is to us where
-    the file names it otherwise.
+    what was done; None where rows are whole, or hold too little.
+
+    Args:
+        ours: What a column is to us where the file names it otherwise.
     """
     roles = {name: found for name in columns if (found := role(ours.get(name, name))) is not None}
     clock = next((name for name in columns if ours.get(name, name) in TIME), None)

@@ -38,9 +38,10 @@ class RawTrial:
     """One trial as its file has it: `columns`: name -> `[T]` float64, no unit applied, NaN where a
     value is missing.
 
-    `lines [T]`: line (or row, message) numbers for what is said of a row; `ignored`: names of
-    columns that are not ours; `doubt`: vector -> what is wrong with its names, so that its columns
-    (`vector[0]`, ...) are joints only by `[columns]`.
+    - `lines [T]`: Line (or row, message) numbers for what is said of a row.
+    - `ignored`: Names of columns that are not ours.
+    - `doubt`: Vector -> what is wrong with its names, so that its columns (`vector[0]`, ...) are
+      joints only by `[columns]`.
     """
 
     name: str
@@ -75,11 +76,15 @@ def read_files(
     others: tuple[Path, ...] = (),
     leave_out: str = LEAVE_OUT,
 ) -> list[RawTrial]:
-    """Every trial of these files; `rename`: our name -> the file's; `ignore`: columns or joints
-    left out; others: files of commands, whose columns `rename` may name too; leave_out: how a file
-    is left out, with `{}` for its name.
+    """Every trial of these files.
 
     Raises `BadInput` naming file and line.
+
+    Args:
+        rename: Our name -> the file's.
+        ignore: Columns or joints left out.
+        others: Files of commands, whose columns `rename` may name too.
+        leave_out: How a file is left out, with `{}` for its name.
     """
     stems = [path.stem for path in files]
     elsewhere = {name for path in others for name in column_names(path)}
@@ -229,7 +234,9 @@ def _mend(
     time: np.ndarray,
 ) -> str:
     """What meta.toml may say of a clock that does not increase. Nothing where that is not known.
-    theirs: its column.
+
+    Args:
+        theirs: Its column.
     """
     found = pair(header)
     if found and theirs in found and NANOS not in rename:

@@ -39,8 +39,10 @@ class Plan:
 
 
 def plan_of(message: Any, stamped: float | None, comes: float) -> Plan:
-    """A message of a trajectory or of an action's goal. stamped: its own time, None where it has
-    none and so begins as it comes.
+    """A message of a trajectory or of an action's goal.
+
+    Args:
+        stamped: Its own time, None where it has none and so begins as it comes.
     """
     inner = message.goal.trajectory if hasattr(message, "goal") else message
     begin = comes if stamped is None else stamped
@@ -56,8 +58,11 @@ def plan_of(message: Any, stamped: float | None, comes: float) -> Plan:
 
 
 def followed(plans: Sequence[Plan], angle: Angle, hold: bool) -> list[Series]:
-    """What is commanded to each joint. hold: each point from its time to the next, else moved to
-    meanwhile. angle: where a joint is before its first command.
+    """What is commanded to each joint.
+
+    Args:
+        hold: Each point from its time to the next, else moved to meanwhile.
+        angle: Where a joint is before its first command.
     """
     plans = sorted(plans, key=lambda plan: plan.takes_over)
     joints = dict.fromkeys(joint for plan in plans for joint in plan.joints)

@@ -352,7 +352,10 @@ def _by_headings(
 
 def _by_size(time: np.ndarray | None, observed: _Columns, lerobot: bool, unknown: bool) -> Units:
     """Degrees, where something beside the size backs them; a question where the size is all there
-    is. unknown: no model is known.
+    is.
+
+    Args:
+        unknown: No model is known.
     """
     asked: Units = {}
     for joint, q in observed.q.items():

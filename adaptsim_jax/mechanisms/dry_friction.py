@@ -43,7 +43,10 @@ def mean_friction(v, torque, level, width, inertia, h):
     `torque` [N m]; all `[...]`.
 
     Its mean and its rise over the step, a line with the same first moment: so both speed and angle
-    are right after a step in which the joint turns. width [rad/s]: 0 is sharp.
+    are right after a step in which the joint turns.
+
+    Args:
+        width [rad/s]: 0 is sharp.
     """
 
     def sharp():

@@ -240,8 +240,10 @@ def passive_force(tree: Tree, q: Array, v: Array) -> jax.Array:
 
 def _wholly(tree: Tree, inertial: Any, change: bool = False) -> tuple[Tree, Any]:
     """The tree of all joints, and the inertial parameters of all bodies with those of the
-    coordinates' own in their place. change: these are tangents, so that followers, which stay as
-    they are, have none.
+    coordinates' own in their place.
+
+    Args:
+        change: These are tangents, so that followers, which stay as they are, have none.
     """
     if tree.whole is None:
         return tree, inertial
@@ -495,7 +497,10 @@ def _derivatives(
 
 def _body_regressor(w: Vector, dw: Vector, a: Vector) -> list[tuple[Vector, Vector]]:
     """Force and moment about the origin, in the body's own axes, for one unit of each inertial
-    parameter; `a`: of the origin.
+    parameter.
+
+    Args:
+        a: Of the origin.
     """
     out: list[tuple[Vector, Vector]] = [(a, ZERO)]
     for unit in IDENTITY:

@@ -33,9 +33,10 @@ OFF = {
 
 @dataclass(frozen=True)
 class Frames:
-    """Where MJCF's own bodies are: `carrier` is the coordinate whose body each is part of (-1: the
-    base, or a follower), and `place [3]`, `rotation [3, 3]` its frame in that joint's frame (in the
-    world at the base).
+    """Where MJCF's own bodies are, by name.
+
+    - `carrier`: The coordinate whose body each is part of (-1: the base, or a follower).
+    - `place [3]`, `rotation [3, 3]`: Its frame in that joint's frame (in the world at the base).
     """
 
     carrier: dict[str, int]
@@ -45,10 +46,14 @@ class Frames:
 
 @dataclass(frozen=True)
 class Mechanism:
-    """What a file says. `source` is mjcf or urdf; `notes` are sentences on how it was read;
-    `beyond` on what the file has and a tree has not, of the mechanism itself, and `drives_beyond`
-    of its actuators; `force_limits [n, 2]` bound what all actuators of a joint together do (nan:
-    nothing does); `roles`: what each joint of the file became.
+    """What a file says.
+
+    - `source`: The one of mjcf and urdf.
+    - `notes`: Sentences on how it was read.
+    - `beyond`: What the file has and a tree has not, of the mechanism itself, a sentence each.
+    - `drives_beyond`: The same of its actuators.
+    - `force_limits [n, 2]`: Of all actuators of a joint together (nan: nothing bounds them).
+    - `roles`: What each joint of the file became.
     """
 
     tree: Tree
@@ -78,9 +83,12 @@ def mechanism_of(
     logged: Collection[str] | None = None,
     where: str = "",
 ) -> Mechanism:
-    """The tree of a file. hold, logged, where: see `roles.roles`.
+    """The tree of a file.
 
     Raises BadInput, naming the file, the joint or element, and the mend.
+
+    Args:
+        hold, logged, where: See `roles.roles`.
     """
     model = source.model
     role = roles(source, hold or {}, logged, where)
@@ -129,12 +137,11 @@ def mechanism_of(
 
 
 class _Walk:
-    """The bodies of a model, from the base outwards: joints that move with their frames, and what
-    each carries.
+    """The bodies of a model, from the base outwards: joints that move, and what each carries.
 
-    Lists by joint of the tree of all joints: kinds, parent, names, body_names, place, rotation,
-    file (its number in the file, of a ball with which of its three turns); inertial and gravcomp
-    [m, 10].
+    Lists by joint of the tree of all joints: kinds, parent, names, body_names, place, rotation.
+    Also `file` (its number in the file, of a ball with which of its three turns), and
+    `inertial`, `gravcomp [m, 10]`.
     """
 
     def __init__(self, model: mujoco.MjModel, role: Roles):
@@ -347,9 +354,14 @@ def _tree(model: mujoco.MjModel, walk: _Walk, weightless: Collection[str]) -> Tr
 
 
 def _rubs(solref: np.ndarray, solimp: np.ndarray, weight: np.ndarray, minimum: float) -> np.ndarray:
-    """How dry friction gives [n, 2], as of `Tree` (MuJoCo's documentation, "Computation",
-    constraint model: friction loss has no position, so that its impedance is the first of `solimp`
-    and its reference acceleration -b v). least: of a time constant, s.
+    """How dry friction gives `[n, 2]`, as of `Tree`.
+
+    Friction loss has no position, so that its impedance is the first of `solimp` and its reference
+    acceleration is -b v (MuJoCo's documentation, "Computation", constraint model).
+
+    Args:
+        solref, solimp, weight: Of `n` joints.
+        minimum: Of a time constant, s.
     """
     time, ratio, most = solref[:, 0], solref[:, 1], solimp[:, 1]
     direct = time <= 0

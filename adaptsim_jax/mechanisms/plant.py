@@ -27,13 +27,16 @@ Rows = Sequence[Any] | jax.Array  # one a state or joint, stacked or not
 
 @dataclass(frozen=True)
 class Plant:
-    """A model as pure functions of `(constants, theta, ...)`. A pytree whose leaves are numbers, so
-    that two plants of the same kind but other geometry share one compiled program.
+    """A model as pure functions of `(constants, theta, ...)`.
 
-    mass(constants, theta, q [n, ...]) -> rows of entries, each a number or `[...]`;
-    gravity(constants, theta, q) -> [n, ...]; push(constants, theta, q, v) -> [n, ...]: all forces
-    but the input; momentum_push(constants, theta, q, v) -> [n, ...]: what changes the momentum
-    `mass v` beside the input, for the regression.
+    A pytree whose leaves are numbers, so that two plants of the same kind but other geometry share
+    one compiled program.
+
+    - `mass(constants, theta, q [n, ...])`: Rows of entries, each a number or `[...]`.
+    - `gravity(constants, theta, q)`: `[n, ...]`.
+    - `push(constants, theta, q, v)`: `[n, ...]`, all forces but the input.
+    - `momentum_push(constants, theta, q, v)`: `[n, ...]`, what changes the momentum `mass v` beside
+      the input. It is for the regression.
     """
 
     name: str
@@ -95,8 +98,9 @@ class Plant:
     ):
         """Start value `[P]` by linear regression on momentum balances over `interval` s.
 
-        motions: per trial `(time [T], q [T, n], v [T, n], torque [T, n])`, smoothed. Balances over
-        intervals need no acceleration, which noise would drown.
+        Args:
+            motions: Per trial `(time [T], q [T, n], v [T, n], torque [T, n])`, smoothed. Balances
+                over intervals need no acceleration, which noise would drown.
         """
         return self._regressed([_balances(self, *m, interval) for m in motions])
 

@@ -28,9 +28,12 @@ HOME = "home"
 
 @dataclass(frozen=True)
 class Roles:
-    """held: values (rad, m) by name of the joint, a free joint's or ball's as `qpos`; followers by
-    name; notes: what was done, a sentence each; beyond: what of the file a tree has not, a sentence
-    each.
+    """What each joint of a model file became.
+
+    - `held`: Values (rad, m) by name of the joint, a free joint's or ball's as `qpos`.
+    - `followers`: By name.
+    - `notes`: What was done, a sentence each.
+    - `beyond`: What of the file a tree has not, a sentence each.
     """
 
     held: dict[str, np.ndarray]
@@ -82,11 +85,14 @@ def roles(
     logged: Collection[str] | None,
     where: str = "",
 ) -> Roles:
-    """Of all joints. hold: joints to hold, with their value (None: as the file has it); logged:
-    names (of `joint_names`) of which there is a log, None: all; where: the file that `hold` comes
-    from.
+    """Of all joints.
 
     Raises BadInput where `hold` names no joint, or nothing is left that moves.
+
+    Args:
+        hold: Joints to hold, with their value (None: as the file has it).
+        logged: Names (of `joint_names`) of which there is a log, None: all.
+        where: The file that `hold` comes from.
     """
     model = source.model
     names = joint_names(model)

@@ -15,9 +15,12 @@ from adaptsim_jax.mechanisms.urdf import Follower, is_urdf, urdf_for_mujoco
 
 @dataclass(frozen=True)
 class Source:
-    """A model file, compiled. kind: mjcf or urdf; mimics: joints of a URDF that follow others;
-    weightless: links of a URDF without any inertia; notes: what was done to read it, a sentence
-    each.
+    """A model file, compiled.
+
+    - `kind`: The one of mjcf and urdf.
+    - `mimics`: Joints of a URDF that follow others.
+    - `weightless`: Links of a URDF without any inertia.
+    - `notes`: What was done to read it, a sentence each.
     """
 
     path: str

@@ -53,8 +53,12 @@ class Sample(NamedTuple):
 
 
 class Instant(NamedTuple):
-    """Where a mechanism is: state `x`, S times `[W]` or `[S, W]`, memories of effects, the torque
-    `u: [n, W]` N m and the time `t: [W]` s or a scalar.
+    """Where a mechanism is.
+
+    - `x`: Its state, S times `[W]` or `[S, W]`.
+    - `memory`: Of effects that have one.
+    - `u [W]`: The torque, N m.
+    - `t`: The time, `[W]` s or a scalar.
     """
 
     x: Any
@@ -90,9 +94,12 @@ def _lift(z, like):
 
 
 class ActingSums(NamedTuple):
-    """Sums over the effects at a state, `[n, ...]` each: smooth force, dry friction (N m), inertia
-    (kg m^2), and the friction times the width within which it turns (W); None for what was not
-    asked for.
+    """Sums over the effects at a state, `[n, ...]` each; None for what was not asked for.
+
+    - `force`: Smooth force, N m.
+    - `level`: Of dry friction, N m.
+    - `inertia`: What effects add, kg m^2.
+    - `blur`: The level times the width within which friction turns, W.
     """
 
     force: Sum
@@ -214,14 +221,15 @@ def _by_kind(sample: Sample, at: Instant) -> _ByKind:
 
 
 def _dry_force(sample: Sample, at: Instant, h, by: _ByKind) -> tuple[jax.Array, jax.Array]:
-    """Mean force of dry friction over a step of `h: [W]` s and its rise over the step, `[n, W]`
-    both.
+    """Mean force of dry friction over a step of `h: [W]` s, and its rise over it, `[n, W]` both.
 
-    Each joint moves as under constant torque: it slides, or slides and turns round, or slides until
+    Each joint moves as under constant torque. It slides, or slides and turns round, or slides until
     it stops and is then held by just the force that holds it. So joints stick without creeping
-    whatever the step, and nothing is stiff, unlike with a smoothed sign. Joints act on each other
-    through the inverse mass: a sweep of Gauss-Seidel at the start of the step, from the forces that
-    would stop all of them at once, and one from there in its middle.
+    whatever the step, and nothing is stiff, unlike with a smoothed sign.
+
+    Joints act on each other through the inverse mass. A sweep of Gauss-Seidel at the start of the
+    step begins with the forces that would stop all of them at once. One in its middle goes on from
+    there.
     """
     n = sample.model.plant.joint_dim
     x = jnp.stack(at.x)
@@ -253,9 +261,12 @@ def _dry_force(sample: Sample, at: Instant, h, by: _ByKind) -> tuple[jax.Array, 
 
 
 class _Pull(NamedTuple):
-    """What dry friction meets at a state, `[n, W]` each: accelerations `free` of it, `inertia` that
-    effects add, `level` N m and `width` rad/s of friction. `mass [n, n, W]`, and `answer [force,
-    acceleration, W]`, its inverse.
+    """What dry friction meets at a state, `[n, W]` each.
+
+    - `free`: Accelerations without it.
+    - `inertia`: What effects add, kg m^2.
+    - `level`, `width`: Of friction, N m and rad/s.
+    - `mass [n, n, W]`, and `answer [force, acceleration, W]`: Its inverse.
     """
 
     free: jax.Array

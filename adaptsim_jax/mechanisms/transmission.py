@@ -24,8 +24,11 @@ NO_RANGE = (float("nan"), float("nan"))
 
 @dataclass(frozen=True)
 class Actuator:
-    """One actuator. `joint` is an index into the tree; `delay` and `lag` (a first-order filter of
-    the command) in s; more: other joints that it pulls by a tendon, each with its own gear.
+    """One actuator.
+
+    - `joint`: An index into the tree.
+    - `delay`, `lag`: Of the command, s. The lag is a first-order filter's.
+    - `more`: Other joints that it pulls by a tendon, each with its own gear.
     """
 
     name: str
@@ -63,9 +66,11 @@ class Place:
 
 @dataclass
 class Added:
-    """What acts on the coordinates besides the joints' own: armature, damping, frictionloss,
-    stiffness [n] and the force of these springs at zero, pull [n]; beyond: what a tree has not, a
-    sentence each.
+    """What acts on the coordinates besides the joints' own.
+
+    - `armature`, `damping`, `frictionloss`, `stiffness`: `[n]`.
+    - `pull [n]`: The force of these springs at zero.
+    - `beyond`: What a tree has not, a sentence each.
     """
 
     armature: np.ndarray

@@ -46,12 +46,15 @@ class Shape:
 
 @dataclass(frozen=True)
 class Whole:
-    """All joints of a tree of which some follow others: joint k is at `offset[k] + factor[k] *
-    q[leader[k]]`.
+    """All joints of a tree of which some follow others.
 
-    tree: of all joints, each a coordinate; leader [m] the coordinate that each goes with, own [n]
-    the joint that each coordinate is (static); factor [m] in units of the joint over those of its
-    leader, offset [m] rad or m.
+    Joint k is at `offset[k] + factor[k] * q[leader[k]]`.
+
+    - `tree`: Of all joints, each a coordinate.
+    - `leader [m]`: The coordinate that each goes with (static).
+    - `own [n]`: The joint that each coordinate is (static).
+    - `factor [m]`: In units of the joint over those of its leader.
+    - `offset [m]`: Rad or m.
     """
 
     tree: "Tree"
@@ -70,16 +73,20 @@ jax.tree_util.register_dataclass(
 class Tree:
     """See the module's text. `n` joints; joint i moves body i. SI units; angles in rad.
 
-    place [n, 3] m, rotation [n, 3, 3], gravity [3] m/s^2 in the world; inertial [n, 10]; damping N
-    m s/rad (N s/m for a slide), armature kg m^2 (kg), frictionloss N m (N), stiffness N m/rad (N/m)
-    about springref rad (m), each [n]. `damping_poly` and `stiffness_poly` [n, 2] are MuJoCo's
-    higher coefficients: the force is -(d + d1 |v| + d2 v^2) v, and so with q - springref. range [n,
-    2] rad or m, of use where `limited`; stop [n, 8] what a limit does there: MuJoCo's two numbers
-    of `solref`, five of `solimp`, and the joint's inverse weight (1 / (kg m^2) or 1 / kg). rub [n,
-    2] how dry friction gives, zeros where it is sharp: the rate 1/s at which it ends a speed, and
-    what it adds to the joint's inverse weight. gravcomp [n, 10]: inertial parameters of what is
-    held up against gravity, where `compensated`. linear: its equations of motion are those about
-    rest at zero (`equations.py`).
+    - `place [n, 3]` m, `rotation [n, 3, 3]`, `inertial [n, 10]`. `gravity [3]` m/s^2 in the world.
+    - `damping [n]`: N m s/rad (N s/m for a slide).
+    - `armature [n]`: kg m^2 (kg). `frictionloss [n]`: N m (N).
+    - `stiffness [n]`: N m/rad (N/m) about `springref` rad (m).
+    - `damping_poly`, `stiffness_poly [n, 2]`: MuJoCo's higher coefficients. The force is
+      -(d + d1 |v| + d2 v^2) v, and so with q - springref.
+    - `range [n, 2]`: Rad or m, of use where `limited`.
+    - `stop [n, 8]`: What a limit does there. MuJoCo's two numbers of `solref`, five of `solimp`,
+      and the joint's inverse weight (1 / (kg m^2) or 1 / kg).
+    - `rub [n, 2]`: How dry friction gives, zeros where it is sharp. The rate 1/s at which it ends
+      a speed, and what it adds to the joint's inverse weight.
+    - `gravcomp [n, 10]`: Inertial parameters of what is held up against gravity, where
+      `compensated`.
+    - `linear`: Its equations of motion are those about rest at zero (`equations.py`).
     """
 
     joint_names: tuple[str, ...]
@@ -307,10 +314,13 @@ def _taken(whole: Whole, new: dict[int, int]) -> Whole | None:
 def folded(tree: Tree, leader: Sequence[int], factor: Any, offset: Any) -> Tree:
     """`tree` of m joints with those that follow others taken out of its coordinates.
 
-    leader [m]: the joint that each follows (itself where it follows none); factor, offset [m]: it
-    is at offset + factor * (its leader's angle). What is linear in the joints' own motion is added
-    up. A spring of a follower keeps its force (its rest moves the leader's). Raises ValueError
-    where a leader follows another.
+    Raises ValueError where a leader follows another.
+
+    Args:
+        leader [m]: The joint that each follows (itself where it follows none).
+        factor, offset [m]: It is at offset + factor * (its leader's angle). What is linear in the
+            joints' own motion is added up. A spring of a follower keeps its force (its rest moves
+            the leader's).
     """
     m = tree.n
     if any(leader[leader[k]] != leader[k] for k in range(m)):

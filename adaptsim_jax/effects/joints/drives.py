@@ -1,7 +1,8 @@
 """The drive between an actuator and its joint: how it winds up, and its play.
 
-Far below its resonance as an encoder on the motor's side sees it (the torque decides); at any
-speed, with the rotor's own motion, where the joint has an armature (`attribution/drive.py`).
+As an encoder on the motor's side has it far below the resonance, where the torque decides. And
+at any speed, with the rotor's own motion, where the joint has an armature
+(`attribution/drive.py`).
 """
 
 import jax.numpy as jnp
@@ -44,9 +45,10 @@ def drive_compliance(p, t, q, v, first, torque):
 
 
 def drive_play(p, t, q, v, first, torque):
-    """The encoder is on the motor's side of a drive with play, whose motor lies against the side
-    towards which it pulls, and crosses at once where the torque turns: its own inertia is not
-    modelled.
+    """Play in a drive, with the encoder on the motor's side.
+
+    The motor lies against the side towards which it pulls, and crosses at once where the torque
+    turns. Its own inertia is not modelled.
     """
     side = jnp.clip(torque / jnp.maximum(p["width"], 1e-12), -1.0, 1.0)
     return q + 0.5 * p["gap"] * side, v + 0.5 * p["gap"] * _rate(side, t)

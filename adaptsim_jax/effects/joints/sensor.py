@@ -16,11 +16,11 @@ def encoder_offset(p, t, q, v, first):
 
 
 def sensor_lag(p, t, q, v, first):
-    """First-order filter of angle and velocity, which start as if the motion had gone on at its
-    first acceleration (a lag of 26 ms on a rig that accelerates by 50 rad/s^2 would otherwise start
-    34 mrad off), or velocity where a trial begins.
+    """First-order filter of angle and velocity, exact for a velocity that is linear between rows.
 
-    Between rows the velocity is taken to change linearly, for which the filter is exact.
+    Both start as if the motion had gone on at its first acceleration, or velocity where a trial
+    begins. A lag of 26 ms on a rig that accelerates by 50 rad/s^2 would otherwise start 34 mrad
+    off.
     """
     lag = jnp.maximum(p["lag"], 1e-9)
     duration = jnp.diff(t, axis=0) * jnp.ones_like(q[1:])

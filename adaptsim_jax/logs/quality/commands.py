@@ -113,7 +113,9 @@ def one(track: Track, joint: int, command: np.ndarray | None = None) -> Track:
 
 def exchanged(tracks: Sequence[Track], joints: Sequence[int]) -> Exchanged | None:
     """Which joints' commands look exchanged, of tracks whose torque is the command; None for none.
-    joints: those that have one.
+
+    Args:
+        joints: Those that have one.
     """
     if not 2 <= len(joints) <= COMMAND.most_joints:
         return None
@@ -141,8 +143,11 @@ def exchanged(tracks: Sequence[Track], joints: Sequence[int]) -> Exchanged | Non
 
 def cut(tracks: Sequence[Track], joint: int, damping: float) -> Cut | None:
     """Whether the target of a servo's joint reached it cut: by a rate, or to within some distance
-    of the angle. damping: of the servo, over its stiffness, s; a limit of force is another thing,
-    and where it explains as much nothing is told.
+    of the angle.
+
+    Args:
+        damping: Of the servo, over its stiffness, s; a limit of force is another thing, and where
+            it explains as much nothing is told.
     """
     some = [
         _thinned(one(t, joint))

@@ -14,9 +14,9 @@ class Agreement:
     """`second = gain first(t - lag)`, and a constant; `r2`: the share of the variance that this
     explains.
 
-    `enough`: there is signal enough to judge by, and they are related; `loud`: there is signal
-        enough.
-    `spread`: standard error of the gain.
+    - `enough`: There is signal enough to judge by, and they are related.
+    - `loud`: There is signal enough.
+    - `spread`: Standard error of the gain.
     """
 
     gain: float

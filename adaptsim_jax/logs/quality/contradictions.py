@@ -66,8 +66,10 @@ class Words:
 class Contradiction:
     """What the motion follows in place of the declared convention.
 
-    `left`: share of the torque's square as declared; `other`: under the hypothesis; `statement`:
-    what looks otherwise; `mend`: what to write.
+    - `left`: Share of the torque's square as declared.
+    - `other`: Under the hypothesis.
+    - `statement`: What looks otherwise.
+    - `mend`: What to write.
     """
 
     name: str
@@ -101,9 +103,10 @@ def contradiction(
     """The convention that the motion follows in place of the declared one; None where that does, or
     where none explains it.
 
-    more: hypotheses of the mechanism itself (lengths, zeros); chain [n]: the joint whose angle a
-    joint's may have been added to, -1 for none; zeros: joints whose zero may be a quarter or half a
-    turn off.
+    Args:
+        more: Hypotheses of the mechanism itself (lengths, zeros).
+        chain [n]: The joint whose angle a joint's may have been added to, -1 for none.
+        zeros: Joints whose zero may be a quarter or half a turn off.
     """
     motion = motion_of(tracks)
     if len(motion.q) < BLOCK.enough or not np.all(np.isfinite(motion.a)) or not _moves(motion):

@@ -49,10 +49,10 @@ def finding(code: str, trial: str, where: str, value: float, **facts: Any) -> Fi
 
 @dataclass(frozen=True)
 class Audit:
-    """Findings of all trials; `valid[name]: [T]` bool, the rows to use; `exclude`: trials not to
-    use at all.
+    """Findings of all trials; `valid[name]: [T]` bool, the rows to use.
 
-    `quantisation`: channel -> step (rad, rad/s, N m; 0 where none is seen).
+    - `exclude`: Trials not to use at all.
+    - `quantisation`: Channel -> step (rad, rad/s, N m; 0 where none is seen).
     """
 
     findings: tuple[Finding, ...]

@@ -98,8 +98,9 @@ def blocks(track: Track, shift: float = 0.0, sharp: bool = False) -> tuple[np.nd
     """Block means `q, v, a, tau [K, n]` of one trial, none beside a gap in time, and their numbers
     `[K]`.
 
-    sharp: short blocks, with accelerations from the speeds at their ends: exact where motion is
-    fast, and as rough as the sensors.
+    Args:
+        sharp: Short blocks, with accelerations from the speeds at their ends: exact where motion is
+            fast, and as rough as the sensors.
     """
     time = track.time
     step = float(np.median(np.diff(time)))
@@ -193,7 +194,10 @@ def unexplained(motion: Motion, design: Design, gravity: bool = True) -> float:
 
 def linear_fit(motion: Motion, design: Design, gravity: bool = True, first: int = 0) -> LinearFit:
     """The best parameters that are at least 0, the joints weighed alike. One without a drive as the
-    others in the middle. first: columns of the design whose scale is asked for (0: all).
+    others in the middle.
+
+    Args:
+        first: Columns of the design whose scale is asked for (0: all).
     """
     k, n = motion.q.shape
     columns, joints = design(motion, gravity), rubbing(motion)

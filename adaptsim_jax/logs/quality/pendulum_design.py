@@ -38,8 +38,10 @@ CHANNELS = Channels(WORDS.q, WORDS.tau, WORDS.hinges)
 
 
 def design(l1: float, gravity: float, down: float) -> Design:
-    """Base parameters of `mechanisms.double_pendulum.plant`; `down`: 1 where zero angle hangs, -1
-    where it stands upright.
+    """Base parameters of `mechanisms.double_pendulum.plant`.
+
+    Args:
+        down: 1 where zero angle hangs, -1 where it stands upright.
     """
 
     def columns(m: Motion, with_gravity: bool) -> np.ndarray:

@@ -15,10 +15,13 @@ from adaptsim_jax.logs.quality.findings import Findings, finding
 class Signal:
     """One joint of one trial, in the rows in which its angle was read.
 
-    `trial`, `joint` and the columns `q_name`, `v_name`, `u_name` by their names. `time [K]` s.
-    `q [K]` in `unit`. `v [K]` or None. `u [K]` or None: force or torque. `command [K]` or None:
-    what it was commanded. `row`: the trial's sampling interval in s. `free`: whether nothing but
-    a motor with no brake or gear holds the joint. `others`: range of the trial's other joints.
+    `trial`, `joint` and the columns `q_name`, `v_name`, `u_name` by their names. `time [K]` s. `q
+    [K]` in `unit`. `v [K]` or None. `u [K]` or None: force or torque. `command [K]` or None: what
+    it was commanded.
+
+    - `row`: The trial's sampling interval in s.
+    - `free`: Whether nothing but a motor with no brake or gear holds the joint.
+    - `others`: Range of the trial's other joints.
     """
 
     trial: str

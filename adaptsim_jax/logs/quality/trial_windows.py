@@ -172,8 +172,11 @@ def jointly(
     rows: WindowRows, own: np.ndarray, label: np.ndarray, labels: np.ndarray, likely: float = np.inf
 ) -> tuple[np.ndarray, np.ndarray]:
     """Parameters `[P]` and numbers `[T, S]` of each label's own, together by least squares. Those
-    of a label are eliminated first. likely: size of a number before anything was seen, for what a
-    trial's own motion does not fix.
+    of a label are eliminated first.
+
+    Args:
+        likely: Size of a number before anything was seen, for what a trial's own motion does not
+            fix.
     """
     p = rows.table.shape[2]
     gram, right, selected = np.zeros((p, p)), np.zeros(p), []

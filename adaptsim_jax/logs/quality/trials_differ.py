@@ -62,11 +62,14 @@ class OutlierTrial:
 
 @dataclass(frozen=True)
 class Differ:
-    """What differs between trials. `error [T]`: RMS of the unexplained torque over the torque's
-    spread, NaN where not judged; `kind`: what differs in all of them, empty for nothing; `size [T,
-    S]` of it from the middle trial's (rad or m, N m, or a share of the torque that goes with it);
-    `takes`: share of the unexplained torque's square that goes with it; `alike`: kinds that do
-    about as well; `outlier`: trials apart from the rest.
+    """What differs between trials.
+
+    - `error [T]`: RMS of the unexplained torque over the torque's spread, NaN where not judged.
+    - `kind`: What differs in all of them, empty for nothing; `size [T, S]` of it from the middle
+      trial's (rad or m, N m, or a share of the torque that goes with it).
+    - `takes`: Share of the unexplained torque's square that goes with it.
+    - `alike`: Kinds that do about as well.
+    - `outlier`: Trials apart from the rest.
     """
 
     names: tuple[str, ...]
@@ -103,8 +106,10 @@ Columns = Callable[[WindowRows, np.ndarray], np.ndarray]
 def trials_differ(names: Sequence[str], tracks: Sequence[Track], design: Design) -> Differ | None:
     """What differs between trials, and which of them are apart; None where that cannot be told.
 
-    names, tracks `[T]`; design: torque by unit of each of the mechanism's parameters, as of
-    `hypotheses.unexplained`.
+    Args:
+        names, tracks: `[T]`.
+        design: Torque by unit of each of the mechanism's parameters, as of
+            `hypotheses.unexplained`.
     """
     rows = rows_of(tracks, design)
     if rows is None:
@@ -259,8 +264,11 @@ def _takes(rows: WindowRows, own: np.ndarray, shared: bool) -> float:
 def _numbers(
     rows: WindowRows, own, label: np.ndarray, observed: np.ndarray, shared: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Parameters `[P]` and numbers `[T, S]` of each label's own. shared: together; else the numbers
-    after the parameters, since all torques and all parameters may shrink alike.
+    """Parameters `[P]` and numbers `[T, S]` of each label's own.
+
+    Args:
+        shared: Together; else the numbers after the parameters, since all torques and all
+            parameters may shrink alike.
     """
     if shared:
         return jointly(rows, own, label, observed)
