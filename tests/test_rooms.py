@@ -106,8 +106,6 @@ WITHIN = {
         "trajectories",
         "readers",
         "lerobot",
-        "log_checks",
-        "model_names",
         "joint_columns",
         "scales",
         "unit_guess",

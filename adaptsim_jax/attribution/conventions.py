@@ -13,6 +13,7 @@ from adaptsim_jax.attribution.machine import Machine, actuator_of
 from adaptsim_jax.attribution.pace import amperes, check_pace, held_fast
 from adaptsim_jax.attribution.problem import drive_force
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.criteria import BLOCK, CONTRADICTION
 from adaptsim_jax.logs.quality.audit import audit
 from adaptsim_jax.logs.quality.contradictions import (
     AS_DECLARED,
@@ -21,7 +22,6 @@ from adaptsim_jax.logs.quality.contradictions import (
     late_finding,
     lateness,
 )
-from adaptsim_jax.logs.quality.criteria import BLOCK, CONTRADICTION
 from adaptsim_jax.logs.quality.findings import Audit, Finding
 from adaptsim_jax.logs.quality.hypotheses import (
     Design,

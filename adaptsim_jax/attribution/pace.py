@@ -11,9 +11,9 @@ import numpy as np
 
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.criteria import BLOCK, COMMAND, CONTRADICTION
 from adaptsim_jax.logs.log_units import TIME_UNITS, Affine
 from adaptsim_jax.logs.quality.contradictions import AS_DECLARED
-from adaptsim_jax.logs.quality.criteria import BLOCK, COMMAND, CONTRADICTION
 from adaptsim_jax.logs.quality.findings import Finding
 from adaptsim_jax.logs.quality.hypotheses import (
     Design,

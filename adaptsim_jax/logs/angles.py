@@ -5,16 +5,17 @@ counted the other way round.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 
+from adaptsim_jax.logs.criteria import WRAP
 from adaptsim_jax.logs.log import ModelNames
 from adaptsim_jax.logs.log_meta import LogMeta
-from adaptsim_jax.logs.quality.turns import Turns, without_turns
 
 V = TypeVar("V")
+TURN = 2.0 * np.pi
 
 
 def model_angles(
@@ -61,3 +62,126 @@ def _declared(table: Mapping[str, V], index: int, joint: str, default: V) -> V:
     """What `[angles]` gives a joint, by its name or by that of its column."""
     words = (joint, f"q_{joint}", f"q{index + 1}", *(("q",) if index == 0 else ()))
     return next((table[word] for word in words if word in table), default)
+
+
+@dataclass(frozen=True)
+class Turns:
+    """`q [T]` without jumps of whole periods, `count` of them taken out, `period` in rad; `unsure`:
+    rows before a gap in which an encoder that wraps may have counted more than can be told.
+    """
+
+    q: np.ndarray
+    count: int
+    period: float
+    unsure: tuple[int, ...] = ()
+
+
+def without_turns(time: np.ndarray, q: np.ndarray) -> Turns:
+    """Take jumps of whole periods out of `q [T]` rad at `time [T]` s, both finite.
+
+    A period is a turn, or what an encoder that starts anew elsewhere betrays: jumps alike, as far
+    as its whole range.
+    """
+    if len(q) < 4:
+        return Turns(q, 0, TURN)
+    jump, dt = np.diff(q), np.diff(time)
+    gap = dt > WRAP.gap * np.median(dt)
+    period = _other_period(q, ~gap) or TURN
+    near = jump - period * np.round(jump / period)
+    speed = np.where(gap, np.nan, near / dt)
+    expected = _mean_of_sides(speed) * dt
+    turns = np.round((jump - np.where(gap, expected, 0.0)) / period)
+    miss = np.abs(jump - np.where(gap, expected, 0.0) - turns * period)
+    within = _within_one_period(q, period)
+    counted = np.where(
+        gap,
+        within & (miss < WRAP.share * period) & (dt < WRAP.longest),
+        miss < min(WRAP.near, WRAP.share * period),
+    )
+    taken = np.where(counted, turns, 0.0)
+    between = ~gap & (
+        np.abs(near) > WRAP.jump * period
+    )  # an encoder that wraps jumps by its period, or hardly moves
+    if np.sum(between) >= np.count_nonzero(taken):
+        taken = np.where(gap, taken, 0.0)
+    moved = np.abs(expected) > WRAP.jump * period
+    unsure = gap & within & ~counted & (moved | (np.abs(jump) > WRAP.half * period))
+    if not taken.any():
+        return Turns(q, 0, period, tuple(np.flatnonzero(unsure).tolist()))
+    out = q - period * np.concatenate([[0.0], np.cumsum(taken)])
+    return Turns(out, int(np.count_nonzero(taken)), period, tuple(np.flatnonzero(unsure).tolist()))
+
+
+def followed_turns(q: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """A target `[T]` rad with the whole turns of the angle `q [T]` that it commands, from which
+    turns were taken out: it jumps where the driver counts anew, at rows of its own. Both may be
+    NaN; as it is where turns do not bring it to the angle.
+    """
+    here = np.flatnonzero(np.isfinite(q) & np.isfinite(target))
+    if len(here) < 4:
+        return target
+    angle, u = q[here], target[here]
+    begins = np.concatenate([[True], np.abs(np.diff(u)) > WRAP.half * TURN])
+    if begins.sum() > 1 and np.ptp(u) > WRAP.turn * TURN:  # what counts anew stays within a turn
+        return target
+    first = np.maximum.accumulate(np.where(begins, np.arange(len(u)), 0))
+    turns = np.round((angle - u) / TURN)[first]
+    moved = u + TURN * turns
+    if not turns.any() or np.mean((moved - angle) ** 2) > WRAP.gain * np.mean((u - angle) ** 2):
+        return target
+    out = target.copy()
+    out[here] = moved
+    return out
+
+
+def _mean_of_sides(speed: np.ndarray) -> np.ndarray:
+    """For each step the mean of the speeds just before and after it, of three steps each; 0 where
+    there are none.
+    """
+    n = len(speed)
+    padded = np.concatenate([np.full(3, np.nan), speed, np.full(3, np.nan)])
+    before = np.stack([padded[k : k + n] for k in range(3)])
+    after = np.stack([padded[4 + k : 4 + k + n] for k in range(3)])
+    sides = []
+    for side in (before, after):
+        here = np.isfinite(side)
+        sides.append(
+            np.where(
+                here.any(0), np.where(here, side, 0.0).sum(0) / np.maximum(here.sum(0), 1), np.nan
+            )
+        )
+    first, second = sides
+    both = np.where(np.isfinite(first), first, second), np.where(np.isfinite(second), second, first)
+    return np.nan_to_num(0.5 * (both[0] + both[1]))
+
+
+def _within_one_period(q: np.ndarray, period: float) -> bool:
+    """Whether the angle never leaves one period from -period/2 or from 0, and comes near both of
+    its ends.
+    """
+    near, slack = WRAP.jump * period, WRAP.slack * period
+    low, high = float(q.min()), float(q.max())
+    return any(
+        start - slack <= low < start + near and end - near < high <= end + slack
+        for start, end in ((-0.5 * period, 0.5 * period), (0.0, period))
+    )
+
+
+def _other_period(q: np.ndarray, near: np.ndarray) -> float | None:
+    """A period that is no turn: several jumps alike between neighbouring rows (`near [T-1]`), far
+    beyond all other steps, and nearly as wide as the angle's range.
+    """
+    step = np.abs(np.diff(q))[near]
+    span = float(np.ptp(q))
+    high = step > WRAP.other_jump * span
+    if span < WRAP.other_span or np.sum(high) < 2 or np.mean(high) > WRAP.other_rare:
+        return None
+    jumps, rest = step[high], step[~high]
+    if (
+        np.max(rest) > WRAP.other_rest * span
+        or abs(span - TURN) < WRAP.other_same * TURN
+        or np.ptp(jumps) > WRAP.other_alike * span
+    ):
+        return None
+    # the step that was made beside the jump is about as long as its neighbours
+    return float(np.median(jumps + np.median(rest)))

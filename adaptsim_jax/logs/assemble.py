@@ -18,10 +18,9 @@ from adaptsim_jax.logs.columns import is_ignored, role, roles_of
 from adaptsim_jax.logs.inputs import Inputs, choose_inputs
 from adaptsim_jax.logs.joint_columns import JointColumns, also_there, columns_of
 from adaptsim_jax.logs.log import Log, LogTrial, ModelNames
-from adaptsim_jax.logs.log_checks import check_log_units
 from adaptsim_jax.logs.log_meta import LogMeta, of_trial
 from adaptsim_jax.logs.quality.consistency import jitter
-from adaptsim_jax.logs.scales import check_scales
+from adaptsim_jax.logs.scales import check_log_units, check_scales
 from adaptsim_jax.logs.tables import RawTrial
 
 

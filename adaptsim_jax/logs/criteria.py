@@ -1,4 +1,4 @@
-"""Every number by which readers of logs decide, each with its unit and reason."""
+"""Every number by which logs are read and checked, each with its unit and reason."""
 
 from dataclasses import dataclass
 
@@ -42,7 +42,7 @@ class ClockCriteria:
 
 @dataclass(frozen=True)
 class UnitCriteria:
-    """Units that a log betrays (`log_checks.py`, `unit_guess.py`, `scales.py`, `headings.py`)."""
+    """Units that a log betrays (`scales.py`, `unit_guess.py`, `headings.py`)."""
 
     large: float = 4.0 * np.pi  # rad beyond which degrees are suspected where no speeds tell
     fast: float = 20.0  # rad/s beyond which such angles may be degrees though speeds agree
@@ -78,7 +78,193 @@ class SmootherCriteria:
     speeds_off: float = 1.3  # of the angles' squared misfit, above which speeds are dropped
 
 
+@dataclass(frozen=True)
+class SignalCriteria:
+    """Of one joint of one trial (`quality/signals.py`, `quality/audit.py`)."""
+
+    min_rows: int = 20  # rows with an angle: fewer say nothing of a joint
+    moving: float = 0.2  # rad, or rad/s: range from which on a joint is taken to move
+    still: float = 0.02  # rad, or m: range below which a trial teaches nothing
+    gap: float = 5.0  # sampling intervals: longer ones are gaps, not jitter
+    jitter: float = 0.05  # of an interval (std): a loop without a real-time clock has less
+    min_rate: float = 45.0  # Hz: 50 Hz with its own jitter still passes
+    frozen_rows: int = 5  # equal readings in a row: fewer are the encoder's steps
+    frozen_sides: int = 4  # rows before and after a run, for the speed there
+    frozen_steps: float = 10.0  # noises that the angle should have moved in the meantime
+    spike: float = 30.0  # usual misses of the cubic through the neighbours
+    spike_sides: float = 0.5  # of that miss, by which it sticks out from both neighbours
+    spike_gap: float = 2.0  # sampling intervals: across longer ones no cubic is drawn
+    two_valued: float = 0.9  # of the rows at the ends: a relay rests there and is not cut
+    cut_rows: int = 5  # rows at an end: fewer are the top of a curve
+    cut_runs: int = 2  # runs at an end: a single one may be chance
+    cut_share: float = 0.01  # of the rows: less changes nothing
+    cut_steps: float = 20.0  # of its resolution, that the signal would have gone on
+    min_gain: float = 0.5  # speed over slope: below it is another unit, sign or gear
+    max_gain: float = 2.0  # the same above
+    gain_error: float = 0.03  # scale of a speed that filters and windows leave
+    gain_errors: float = 5.0  # standard errors of that scale
+    lag_rows: float = 0.5  # sampling intervals: less is how differences are taken
+    lag: float = 1e-3  # s: less changes no fit
+    derived_miss: float = 0.005  # of the speed (std): a difference of angles misses less
+    derived_corr: float = 0.999  # correlation of both: measured speeds have noise of their own
+    command_early: float = -4.0  # sampling intervals: what comes earlier is no answer
+    command_min_gain: float = 0.7  # measured over commanded torque, below which a warning says so
+    command_max_gain: float = 1.4  # the same above
+    command_lag: float = 0.02  # s: slower than current loops are
+    stale_steps: float = 6.0  # resolutions over two rows: the joint surely turns
+    stale_rows: int = 50  # such rows: fewer give no share
+    stale_share: float = 0.05  # of these that repeat a reading: chance alone makes fewer
+    stamp_jitter: float = 0.1  # of an interval (std): more even stamps say nothing
+    stamp_rows: int = 21  # rows over which the speed is averaged
+    stamp_share: float = 0.3  # of the unevenness of time, that angles do not follow
+    stamp_errors: float = 6.0  # standard errors of that share
+    slow: float = 0.02  # of the top speed: slower rows are not counted as turning round
+
+
+@dataclass(frozen=True)
+class AgreementCriteria:
+    """When two records are related (`consistency.py`)."""
+
+    span: float = 0.1  # s, over which slopes are taken: the noise of the angle averages out
+    min_span: int = 8  # rows of it, where rows are few
+    related: float = 0.5  # R2 of speed and slope: below it they are unrelated
+    loud: float = 6.0  # noises of the slope, that the motion must be
+    trimmed: float = 6.0  # robust standard deviations: a wrap or a lost row is beyond
+    command_related: float = 0.3  # R2 of command and measured torque
+    early_rows: int = 5  # rows by which a command may look early
+    late_rows: int = 40  # rows by which it may be late: 40 ms at 1 kHz, 0.8 s at 50 Hz
+    lattice_off: float = 0.15  # of a step: a value is on the lattice within it
+    lattice_outliers: float = 0.02  # of the values, that may be off it
+    lattice_same: float = 0.05  # of the steps that round to none: a finer lattice has more
+
+
+@dataclass(frozen=True)
+class JitterCriteria:
+    """When rows count as evenly sampled, whatever their stamps say (`consistency.py`)."""
+
+    even: float = 1e-3  # of an interval: a clock this even is even
+    share: float = 0.7  # of the stamps' unevenness, that the angles must not follow
+    errors: float = 10.0  # standard errors of that share
+    min_rows: int = 10  # of a trial
+    min_count: int = 50  # rows of all trials
+    off: float = 2.0  # sampling intervals: stamps farther from even are no jitter
+
+
+@dataclass(frozen=True)
+class BlockCriteria:
+    """Averages in which motion and torque are compared (`hypotheses.py`)."""
+
+    mean: float = 0.03  # s: noise of 1 kHz encoders averages out, motion stays
+    min_rows: float = 3.0  # sampling intervals of a block
+    sharp: float = 0.01  # s of a sharp block, which is no shorter than a row
+    edge: float = 0.05  # s at each end of a trial, where differences are one-sided
+    gap: float = 4.0  # sampling intervals: blocks beside longer gaps are left out
+    most: int = 1200  # blocks that are looked at, evenly drawn: a second of work
+    enough: int = 60  # blocks: below, so many parameters explain anything
+    slow: float = 0.02  # of the top speed, within which dry friction turns
+    moving: float = 1e-3  # rad (std): of less motion nothing is said
+
+
+@dataclass(frozen=True)
+class ContradictionCriteria:
+    """When another convention is named instead of the declared one (`contradictions.py`)."""
+
+    doubted: float = 0.15  # of the torque's square, left as declared: friction alone leaves less
+    explains: float = 0.1  # the same, that another convention may leave
+    times: float = 5.0  # less than the declared one leaves
+    hardly: float = 0.03  # below it the declared convention stands
+    clearly: float = 10.0  # times less, below `doubted`: many parameters explain much of anything
+    simpler: float = 0.8  # of what a simpler convention leaves, that a later one may
+    same_size: float = 4.0  # times the declared torques: lengths are then right, inertias are off
+    most_swapped: int = 8  # joints, up to which every pair is tried: 28 pairs
+    late_left: float = 0.7  # of what no shift leaves, that the best shift may
+    min_shift: float = 1e-3  # s: the step of the shifts
+    ahead_rows: float = 0.75  # rows: a torque not held between rows looks half a row late
+
+
+@dataclass(frozen=True)
+class CommandCriteria:
+    """What recorded commands did to the motion (`commands.py`)."""
+
+    smooth: int = 3  # blocks over which both sides are averaged: noise of angles counts less
+    alike: float = 6.0  # rows that what is left stays alike over: they are not independent
+    min_blocks: int = 30  # below it nothing is said
+    min_rows: int = 12  # of a trial with angle and command
+    most_joints: int = 12  # up to which every command is tried on every joint
+    trials: int = 6  # that are looked at, evenly drawn
+    exchanged: float = 4.0  # times less that exchanged joints leave under the other's command
+    believed: float = 0.3  # of the acceleration, that a command may leave
+    cut_trials: int = 4  # in which a cut is looked for: each size is tried on all of them
+    cut_row: float = 5e-3  # s: a limit is followed row by row, and acts over many
+    cut_coarse: float = 2.0  # times `cut`, that a coarse look may leave
+    doubted: float = 0.03  # of the acceleration, from which on a command is doubted
+    cut: float = 0.3  # of that share, which a command cut on its way may leave
+    cut_distinct: float = 0.7  # of what a limit of force leaves: both look alike
+    follows: float = 0.7  # squared correlation of angle and target, to compare their sizes
+    unit: float = 0.4  # in log: sizes of a unit's factor, 57 or 1000, are much farther apart
+    gain_ratio: float = 1.2  # of two trials' gains: less is how friction changes
+    gain_errors: float = 8.0  # standard errors of their difference
+    gain_error: float = 0.1  # of a gain (standard error): a wider one says nothing
+    min_trials: int = 3  # to have a middle one
+
+
+@dataclass(frozen=True)
+class TrialCriteria:
+    """Whether trials are of one machine (`trials_differ.py`, `trial_windows.py`, `trial_words.py`).
+
+    The `takes_` are shares of the unexplained torque's square, in pieces that were not fitted to.
+    """
+
+    takes_zero: float = 0.5  # of a difference of angles' zeros
+    takes_scale: float = 0.75  # of torques: drives that saturate or play differ by themselves
+    takes_offset: float = 0.5  # of a constant torque
+    takes_load: float = 0.85  # of all inertias: so many numbers explain much of anything
+    takes_outlier: float = 0.8  # of one outlier trial's error, to be named as its reason
+    level: float = 1e-4  # of the test between trials, family-wise
+    alike: float = 0.8  # of what another kind leaves: a later kind must leave less
+    deviations: float = 4.0  # robust standard deviations of an outlier trial's error
+    times: float = 3.0  # that its error is above the others'
+    error: float = 0.02  # of its torque's square: less is no fault
+    outlying: float = 0.3  # of the largest size, from which on a trial stands out
+    lightest: float = -0.5  # of the torque: what takes more off the mechanism is no load
+    min_trials: int = 3  # to have a middle one
+    min_windows: int = 12  # of a trial, from which on it is judged
+    noises: float = 3.0  # that must be left on left-out trials, for a difference to matter
+    unusual: float = 2.0  # middle errors in the final model, of an outlier trial
+    spoils: float = 30.0  # middle errors of a trial, and noises of all, that spoil a fit
+    shown: float = 0.1  # of the widest spread, from which on a joint is listed
+
+
+@dataclass(frozen=True)
+class TurnCriteria:
+    """Whole turns that an encoder leaves out (`turns.py`)."""
+
+    near: float = 1.0  # rad by which a jump between rows may miss a whole turn
+    share: float = 0.35  # of the period, across a gap: the motion within it is only guessed
+    longest: float = 0.25  # s of a gap across which speeds on both sides foretell the motion
+    gap: float = 2.5  # sampling intervals, from which on two rows are no neighbours
+    jump: float = 0.25  # of the period: an encoder that wraps jumps by it, or hardly moves
+    half: float = 0.5  # of the period: a larger step may be a turn the other way
+    slack: float = 0.01  # of the period, by which its ends may be passed
+    gain: float = 0.25  # of a target's squared distance from the angle, that turns must leave
+    turn: float = 1.1  # turns: what counts anew stays within one
+    other_span: float = 0.5  # rad: a smaller range shows no period
+    other_jump: float = 0.8  # of the range, that a jump of another period is
+    other_rare: float = 0.1  # of the steps, that may be such jumps
+    other_rest: float = 0.3  # of the range, that all other steps stay within
+    other_same: float = 0.05  # of a turn: a range this near to one is a turn
+    other_alike: float = 0.2  # of the range, by which jumps may differ
+
+
 TABLE = TableCriteria()
 CLOCK = ClockCriteria()
 UNIT = UnitCriteria()
 SMOOTHER = SmootherCriteria()
+SIGNAL = SignalCriteria()
+AGREEMENT = AgreementCriteria()
+JITTER = JitterCriteria()
+BLOCK = BlockCriteria()
+CONTRADICTION = ContradictionCriteria()
+COMMAND = CommandCriteria()
+TRIAL = TrialCriteria()
+WRAP = TurnCriteria()

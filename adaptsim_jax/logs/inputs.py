@@ -11,12 +11,11 @@ import numpy as np
 
 from adaptsim_jax.core.config import nearest, suggest
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.angles import flipped_joints, model_angles
+from adaptsim_jax.logs.angles import flipped_joints, followed_turns, model_angles
 from adaptsim_jax.logs.joint_columns import JointColumns, also_there
 from adaptsim_jax.logs.log import ActuatorName, InputKind, ModelNames
 from adaptsim_jax.logs.log_meta import LogMeta
 from adaptsim_jax.logs.quality.commands import limited, within
-from adaptsim_jax.logs.quality.turns import followed_turns
 
 STEM = {"torque": "tau", "command": "target", "voltage": "u", "current": "i", "none": ""}
 PREFERRED: tuple[InputKind, ...] = ("torque", "command", "current", "voltage")

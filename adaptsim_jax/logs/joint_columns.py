@@ -9,14 +9,13 @@ import numpy as np
 
 from adaptsim_jax.core.config import nearest
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.angles import turns_of
+from adaptsim_jax.logs.angles import Turns, followed_turns, turns_of
 from adaptsim_jax.logs.columns import BASE, Role, roles_of
 from adaptsim_jax.logs.criteria import TABLE
 from adaptsim_jax.logs.headings import HeadingUnit, compared, heading_unit
 from adaptsim_jax.logs.log import ModelNames
 from adaptsim_jax.logs.log_meta import LogMeta
 from adaptsim_jax.logs.log_units import ANGLE_UNITS, Affine, column_unit, command_unit, declared
-from adaptsim_jax.logs.quality.turns import Turns, followed_turns
 from adaptsim_jax.logs.table_checks import check_size, check_time_unit, from_zero
 from adaptsim_jax.logs.tables import RawTrial
 

@@ -21,9 +21,8 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs import command_files, readers
 from adaptsim_jax.logs.assemble import assemble
 from adaptsim_jax.logs.beside import instead
-from adaptsim_jax.logs.log import Log, ModelNames
+from adaptsim_jax.logs.log import Log, ModelNames, followed, model_names
 from adaptsim_jax.logs.log_meta import LogMeta, read_log_meta
-from adaptsim_jax.logs.model_names import followed, model_names
 from adaptsim_jax.logs.tables import ENDINGS, LEAVE_OUT, RawTrial, read_files, table_files
 
 if TYPE_CHECKING:

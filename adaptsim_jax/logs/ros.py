@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.angles import followed_turns, without_turns
 from adaptsim_jax.logs.bag import ENDINGS, Bag, Topic, bags, is_bag, opened
 from adaptsim_jax.logs.clock import Series, Stamped, merge, stamped
 from adaptsim_jax.logs.columns import role
@@ -33,7 +34,6 @@ from adaptsim_jax.logs.messages import (
 )
 from adaptsim_jax.logs.quality.commands import unexplained
 from adaptsim_jax.logs.quality.hypotheses import Track
-from adaptsim_jax.logs.quality.turns import followed_turns, without_turns
 from adaptsim_jax.logs.readers import Reader, Wanted
 from adaptsim_jax.logs.tables import RawTrial
 from adaptsim_jax.logs.trajectories import followed, plan_of, sampled

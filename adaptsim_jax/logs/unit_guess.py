@@ -16,10 +16,9 @@ from adaptsim_jax.logs.columns import TIME, Role, role
 from adaptsim_jax.logs.criteria import TABLE, UNIT
 from adaptsim_jax.logs.headings import HeadingUnit, heading_unit, lines
 from adaptsim_jax.logs.log import ModelNames
-from adaptsim_jax.logs.log_checks import lengths_within, times_range
 from adaptsim_jax.logs.log_units import LENGTH_UNITS, TIME_UNITS
 from adaptsim_jax.logs.quality.consistency import velocity_agreement
-from adaptsim_jax.logs.scales import Scale, scales_of
+from adaptsim_jax.logs.scales import Scale, lengths_within, scales_of, times_range
 
 DEGREE = np.pi / 180
 RPM = 2 * np.pi / 60

@@ -10,8 +10,8 @@ import pytest
 from adaptsim_jax.attribution.commands_told import check_commands
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.criteria import COMMAND
 from adaptsim_jax.logs.quality.commands import cut, unexplained
-from adaptsim_jax.logs.quality.criteria import COMMAND
 from adaptsim_jax.logs.quality.hypotheses import Track
 from tests.faults.servo_files import log, model, noisy, sines, steps, swung
 

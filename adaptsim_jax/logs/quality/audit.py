@@ -10,10 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from adaptsim_jax.logs.criteria import SIGNAL
 from adaptsim_jax.logs.log import Log, LogTrial
 from adaptsim_jax.logs.quality import signals
 from adaptsim_jax.logs.quality.consistency import lattice_step
-from adaptsim_jax.logs.quality.criteria import SIGNAL
 from adaptsim_jax.logs.quality.findings import Audit, Finding, finding
 from adaptsim_jax.logs.quality.signals import Signal
 

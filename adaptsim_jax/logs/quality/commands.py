@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from adaptsim_jax.logs.quality.criteria import COMMAND
+from adaptsim_jax.logs.criteria import COMMAND
 from adaptsim_jax.logs.quality.hypotheses import Track, blocks
 
 

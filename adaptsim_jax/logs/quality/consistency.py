@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adaptsim_jax.logs.criteria import AGREEMENT, JITTER
 from adaptsim_jax.logs.noise import difference_noise
-from adaptsim_jax.logs.quality.criteria import AGREEMENT, JITTER
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.quality.criteria import BLOCK, CONTRADICTION
+from adaptsim_jax.logs.criteria import BLOCK, CONTRADICTION
 from adaptsim_jax.logs.quality.findings import Finding, finding
 from adaptsim_jax.logs.quality.hypotheses import (
     SHIFTS,

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import nnls
 
-from adaptsim_jax.logs.quality.criteria import BLOCK
+from adaptsim_jax.logs.criteria import BLOCK
 from adaptsim_jax.logs.quality.findings import WORDS
 
 SHIFTS = np.arange(-60.0, 61.0, 1.0) * 1e-3

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adaptsim_jax.logs.criteria import SIGNAL
 from adaptsim_jax.logs.noise import difference_noise
 from adaptsim_jax.logs.quality.consistency import command_agreement, velocity_agreement
-from adaptsim_jax.logs.quality.criteria import SIGNAL
 from adaptsim_jax.logs.quality.findings import Findings, finding
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from adaptsim_jax.logs.quality.criteria import BLOCK, TRIAL
+from adaptsim_jax.logs.criteria import BLOCK, TRIAL
 from adaptsim_jax.logs.quality.hypotheses import Design, Motion, Track, blocks, rubbing
 
 PIECES = 4

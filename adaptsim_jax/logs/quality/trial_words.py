@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.logs.quality.criteria import TRIAL
+from adaptsim_jax.logs.criteria import TRIAL
 from adaptsim_jax.logs.quality.findings import WORDS
 from adaptsim_jax.logs.quality.trials_differ import Differ, OutlierTrial
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from adaptsim_jax.logs.quality.criteria import TRIAL
+from adaptsim_jax.logs.criteria import TRIAL
 from adaptsim_jax.logs.quality.hypotheses import Design, Track
 from adaptsim_jax.logs.quality.trial_windows import (
     PIECES,

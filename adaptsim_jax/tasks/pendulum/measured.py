@@ -11,12 +11,12 @@ from scipy.ndimage import gaussian_filter1d
 
 from adaptsim_jax.core.constants import GRAVITY
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.angles import TURN, without_turns
+from adaptsim_jax.logs.criteria import BLOCK, CONTRADICTION
 from adaptsim_jax.logs.quality.consistency import velocity_agreement
 from adaptsim_jax.logs.quality.contradictions import AS_DECLARED, contradiction
-from adaptsim_jax.logs.quality.criteria import BLOCK, CONTRADICTION
 from adaptsim_jax.logs.quality.hypotheses import Track, linear_fit, motion_of
 from adaptsim_jax.logs.quality.pendulum_design import WORDS, design
-from adaptsim_jax.logs.quality.turns import TURN, without_turns
 from adaptsim_jax.logs.table_checks import check_clock, check_time_unit
 from adaptsim_jax.mechanisms.double_pendulum.linear import (
     HORIZON,
