@@ -63,7 +63,6 @@ WITHIN = {
         "lanes",
         "model_numbers",
         "tree",
-        "spatial",
         "kinematics",
         "dynamics",
         "equations",

@@ -25,7 +25,7 @@ from adaptsim_jax.effects.joints.friction import COULOMB, PRESLIDING, STRIBECK, 
 from adaptsim_jax.effects.registry import catalogue
 from adaptsim_jax.logs.log import Log
 from adaptsim_jax.logs.log_meta import Rig
-from adaptsim_jax.mechanisms.double_pendulum.mjcf import JOINTS, double_pendulum_mjcf
+from adaptsim_jax.mechanisms.double_pendulum.plant import JOINTS, double_pendulum_mjcf
 from adaptsim_jax.mechanisms.mjcf import read_mechanism
 from adaptsim_jax.mend.model_toml import AddedEffect, Value
 from adaptsim_jax.mend.pendulum_model import ModelFile, read_model

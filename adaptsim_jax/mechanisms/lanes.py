@@ -1,14 +1,17 @@
-"""Arithmetic on short vectors whose entries are lanes, with zeros and ones that are known before
-tracing.
+"""Short vectors whose entries are lanes, and motions, wrenches and inertias made of them.
 
-An entry is either an array (a scalar, or lanes on any trailing axes) or one of the Python integers
--1, 0 and 1, which stand for what the geometry of a mechanism makes exactly so. Sums and products
-with those integers cost nothing: a planar arm gets planar formulas without being told that it is
-planar. Vectors are sequences of 3 entries, matrices of 3 rows.
+An entry is an array (a scalar, or lanes on any trailing axes), or one of the Python integers -1, 0
+and 1. These stand for what the geometry of a mechanism makes exactly so. Sums and products with
+them cost nothing: a planar arm gets planar formulas without a word that it is planar. Vectors are
+sequences of 3 entries, matrices of 3 rows.
+
+A motion is (angular, linear of the point), a wrench (moment about the point, force). Both are pairs
+of vectors in the world's axes. Products are those of Featherstone, "Rigid Body Dynamics
+Algorithms", 2008, chapter 2.
 """
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -118,3 +121,85 @@ def stacked(entries: Sequence[Entry], like: jax.Array) -> jax.Array:
     """`[k, ...]` of `k` entries, of the common shape of them and of `like`."""
     shape = jnp.broadcast_shapes(like.shape, *(jnp.shape(x) for x in entries))
     return jnp.stack([jnp.broadcast_to(jnp.asarray(x, like.dtype), shape) for x in entries])
+
+
+Pair = tuple[Vector, Vector]
+
+
+class InertialBody(NamedTuple):
+    """Mass, first moment and moments of inertia about the point."""
+
+    mass: Entry
+    moment: Vector
+    inertia: Rows
+
+
+def plus_pair(a: Pair, b: Pair) -> Pair:
+    return plus(a[0], b[0]), plus(a[1], b[1])
+
+
+def times_pair(s: Entry, a: Pair) -> Pair:
+    return times(s, a[0]), times(s, a[1])
+
+
+def dot_pair(a: Pair, b: Pair) -> Entry:
+    """Power of a wrench on a motion."""
+    return add(dot(a[0], b[0]), dot(a[1], b[1]))
+
+
+def cross_motion(m: Pair, x: Pair) -> Pair:
+    """Rate of the motion `x` that moves along with `m`."""
+    return cross(m[0], x[0]), plus(cross(m[0], x[1]), cross(m[1], x[0]))
+
+
+def cross_wrench(m: Pair, x: Pair) -> Pair:
+    """Rate of the wrench `x` that moves along with `m`."""
+    return plus(cross(m[0], x[0]), cross(m[1], x[1])), cross(m[0], x[1])
+
+
+def momentum(body: InertialBody, m: Pair) -> Pair:
+    """Inertia times motion."""
+    return plus(apply(body.inertia, m[0]), cross(body.moment, m[1])), plus(
+        times(body.mass, m[1]), cross(m[0], body.moment)
+    )
+
+
+def turned(rotation: Rows, mass: Entry, moment: Vector, inertia: Rows) -> InertialBody:
+    """A body given in the axes of a frame of this rotation, in the world's."""
+    half = product(rotation, inertia)
+    six = [dot(half[r], rotation[c]) for r in range(3) for c in range(r, 3)]
+    return InertialBody(mass, apply(rotation, moment), symmetric(*six))
+
+
+def moved(body: InertialBody, d: Vector) -> InertialBody:
+    """The same body about a point from which the old one is `d` away."""
+    h, inertia = body.moment, body.inertia
+    md = plus(h, times(body.mass, d))  # h d' + d h' + m d d' = h d' + d md'
+    much = add(dot(h, d), dot(md, d))
+
+    def entry(r, c):
+        return sub(inertia[r][c], add(mul(h[r], d[c]), mul(d[r], md[c])))
+
+    six = [add(entry(r, c), much) if r == c else entry(r, c) for r in range(3) for c in range(r, 3)]
+    return InertialBody(body.mass, md, symmetric(*six))
+
+
+def swirl(body: InertialBody, m: Pair) -> tuple[Rows, Vector]:
+    """`K [3, 3]` and the linear momentum `p`: for any motion (a, b), V x* I (a, b) + (a, b) x* I V
+    + I ((a, b) x V) is the wrench (K a, 2 a x p), where V is `m` (the b falls out by Jacobi's
+    identity).
+    """
+    omega, u = m
+    push = plus(times(body.mass, u), cross(omega, body.moment))
+    spin: list[list[Entry]] = [[0] * 3 for _ in range(3)]
+    columns = [[row[c] for row in body.inertia] for c in range(3)]
+    around = [cross(omega, column) for column in columns]  # [omega] J, by columns
+    along = dot(body.moment, u)
+    own = apply(body.inertia, omega)
+    skew = ((0, sub(0, own[2]), own[1]), (own[2], 0, sub(0, own[0])), (sub(0, own[1]), own[0], 0))
+    for r in range(3):
+        for c in range(3):
+            both = add(around[c][r], around[r][c])
+            both = sub(sub(both, skew[r][c]), mul(2.0, mul(u[r], body.moment[c])))
+            spin[r][c] = add(both, mul(2.0, along)) if r == c else both
+    return tuple(tuple(row) for row in spin), push

@@ -16,7 +16,7 @@ from adaptsim_jax.attribution.problem import tilted
 from adaptsim_jax.attribution.replay import replay
 from adaptsim_jax.logs.pendulum import read_pendulum
 from adaptsim_jax.mechanisms import dynamics
-from adaptsim_jax.mechanisms.double_pendulum.mjcf import double_pendulum_mjcf
+from adaptsim_jax.mechanisms.double_pendulum.plant import double_pendulum_mjcf
 from adaptsim_jax.mechanisms.mjcf import read_mechanism
 from adaptsim_jax.mechanisms.registry import make_plant
 from tests.logs.measured_files import real_rig

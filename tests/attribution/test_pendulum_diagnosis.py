@@ -32,7 +32,7 @@ from adaptsim_jax.logs.pendulum import read_pendulum
 from adaptsim_jax.logs.quality.audit import audit, usable
 from adaptsim_jax.mechanisms import dynamics, equations
 from adaptsim_jax.mechanisms.double_pendulum.linear import linearized
-from adaptsim_jax.mechanisms.double_pendulum.mjcf import double_pendulum_mjcf
+from adaptsim_jax.mechanisms.double_pendulum.plant import double_pendulum_mjcf
 from adaptsim_jax.mechanisms.mjcf import read_mechanism
 from tests.attribution.small_rig import TRUE, make_trials, written
 from tests.generators import Spec, make_datasets, write_dataset

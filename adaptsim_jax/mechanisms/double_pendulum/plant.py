@@ -180,3 +180,61 @@ def hold(
     for i, name in enumerate(names):
         if name in known:
             low[i] = high[i] = known[name]
+
+
+JOINTS = ("joint1", "joint2")
+THIN = 1e-2  # of a link's moment about its joint's axis: the moment about its own length
+
+
+def links_of(theta: np.ndarray, l1: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Masses, centres along the links and moments about the centres [2] each (kg, m, kg m^2) of
+    base parameters [6].
+
+    Many links share one theta. These are in the middle of what is physical: the second mass between
+    the least that its own moments allow and the most that the first link's do. Base parameters that
+    no two bodies have are moved to the nearest that some have.
+    """
+    p1, p3, h1, h2 = (float(z) for z in theta[:4])
+    p3 = max(p3, 1e-9)
+    rest = max(p1 - p3, 1.1 * (l1 * h2) ** 2 / p3, 1e-9)  # I1 + m1 c1^2 + m2 l1^2
+    lowest, most = 1.02 * h2 * h2 / p3, 0.98 * rest / l1**2
+    m2 = np.sqrt(max(lowest, 1e-3 * most) * most)
+    first, own = h1 - m2 * l1, rest - m2 * l1**2  # m1 c1, I1 + m1 c1^2
+    m1 = max(2.0 * first * first / own, 0.5 * m2)
+    centre = np.array([first / m1, h2 / m2])
+    mass = np.array([m1, m2])
+    return mass, centre, np.array([own, p3]) - mass * centre**2
+
+
+def double_pendulum_mjcf(theta: np.ndarray, geometry: Mapping[str, float], angle_zero: str) -> str:
+    """MJCF text of base parameters `theta [6] = p1, p3, h1, h2, b1, b2` (`plant.py`), geometry `l1`
+    m and `g` m/s^2.
+
+    Joints `joint1` and `joint2` (relative) turn about the world's y axis; at zero the links hang or
+    stand as `angle_zero` says. Links are thin: a body that is as thick as long has no less of a
+    moment than its thickness gives it, however it is fitted.
+    """
+    mass, centre, moment = links_of(theta, float(geometry["l1"]))
+    down = -1.0 if angle_zero == "hanging" else 1.0
+    link = []
+    for k in range(2):
+        damping = max(float(theta[4 + k]), 0.0)
+        link.append(
+            f'<joint name="{JOINTS[k]}" type="hinge" axis="0 1 0" damping="{damping:.9g}"/>'
+            f'<inertial pos="0 0 {down * centre[k]:.9g}" mass="{mass[k]:.9g}" '
+            f'diaginertia="{moment[k]:.9g} {moment[k]:.9g} {THIN * moment[k]:.9g}"/>'
+        )
+    return (
+        '<mujoco model="double_pendulum">\n'
+        '  <compiler angle="radian" inertiafromgeom="false"/>\n'
+        f'  <option timestep="0.001" gravity="0 0 {-float(geometry.get("g", GRAVITY)):.9g}" '
+        f'integrator="implicitfast"/>\n'
+        "  <worldbody>\n"
+        f'    <body name="link1">{link[0]}\n'
+        f'      <body name="link2" pos="0 0 {down * float(geometry["l1"]):.9g}">{link[1]}</body>\n'
+        "    </body>\n"
+        "  </worldbody>\n"
+        "  <actuator>\n"
+        + "".join(f'    <motor name="{name}" joint="{name}"/>\n' for name in JOINTS)
+        + "  </actuator>\n</mujoco>\n"
+    )
