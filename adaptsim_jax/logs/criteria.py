@@ -64,6 +64,7 @@ class UnitCriteria:
     wide: float = 10.0  # rad that no pendulum on a bench reaches at such speeds
     swinging: float = 15.0  # speeds over sqrt(g / l) of these
     both: float = 5.0  # rad that its other joint reaches too, or one alone is in degrees
+    gravity: float = 0.3  # of the earth's, by which a declared g may differ unasked
     follower: float = 0.05  # of its motion, by which a follower's readings may be off
 
 
@@ -136,6 +137,17 @@ class AgreementCriteria:
     lattice_off: float = 0.15  # of a step: a value is on the lattice within it
     lattice_outliers: float = 0.02  # of the values, that may be off it
     lattice_same: float = 0.05  # of the steps that round to none: a finer lattice has more
+
+
+@dataclass(frozen=True)
+class RestCriteria:
+    """Where a pendulum rests without torque (`quality/pendulum_design.py`)."""
+
+    rows: int = 20  # at the beginning of a trial
+    still: float = 0.003  # rad of range: an encoder's steps
+    torque: float = 1e-3  # N m: what a drive that is off shows
+    moves: float = 0.02  # rad of range in the whole trial, or it is stuck
+    tilt: float = 0.6  # rad from hanging and from upright: friction holds less
 
 
 @dataclass(frozen=True)
@@ -262,6 +274,7 @@ UNIT = UnitCriteria()
 SMOOTHER = SmootherCriteria()
 SIGNAL = SignalCriteria()
 AGREEMENT = AgreementCriteria()
+REST = RestCriteria()
 JITTER = JitterCriteria()
 BLOCK = BlockCriteria()
 CONTRADICTION = ContradictionCriteria()

@@ -8,6 +8,7 @@ import numpy as np
 
 from adaptsim_jax.core.constants import GRAVITY
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.criteria import REST, UNIT
 from adaptsim_jax.logs.log import Log, LogTrial
 from adaptsim_jax.logs.log_meta import Rig
 from adaptsim_jax.logs.quality.contradictions import (
@@ -97,7 +98,7 @@ def _alternatives(rig: Rig) -> list[Hypothesis]:
             "unit": f" (was it given in {unit}?)" if unit else "",
         }
         out.append(stated("length", design=design(factor * l1, g, down), **facts))
-    if abs(g - GRAVITY) > 0.3 * GRAVITY:
+    if abs(g - GRAVITY) > UNIT.gravity * GRAVITY:
         out.append(stated("gravity", design=design(l1, GRAVITY, down), g=g, earth=GRAVITY))
     other = "upright" if down > 0 else "hanging"
     out.append(stated("angle_zero", design=design(l1, g, -down), other=other))
@@ -133,13 +134,13 @@ def _resting(log: Log) -> tuple[Finding, ...]:
     if rig is None or rig.model != "rigid_body" or rig.geometry.get("g", GRAVITY) == 0:
         return ()
     for trial in log.trials:
-        q = trial.q[: min(20, len(trial.time))]
+        q = trial.q[: min(REST.rows, len(trial.time))]
         torque = torques(log, trial)[: len(q)]
-        still = np.all(np.ptp(q, axis=0) < 0.003) and np.all(np.abs(torque) < 1e-3)
-        if not still or np.ptp(trial.q) < 0.02:
+        still = np.all(np.ptp(q, axis=0) < REST.still) and np.all(np.abs(torque) < REST.torque)
+        if not still or np.ptp(trial.q) < REST.moves:
             continue
         tilt = max(abs(math.remainder(x, math.pi)) for x in (q[0, 0], q[0].sum()))
-        if tilt > 0.6:
+        if tilt > REST.tilt:
             facts = {"q1": q[0, 0], "q2": q[0, 1]}
             return (finding("angle_zero", trial.name, "meta.toml", tilt, **facts),)
     return ()
