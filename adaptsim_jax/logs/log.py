@@ -220,7 +220,15 @@ def model_names(source: Source) -> ModelNames:
     """
     import mujoco
 
-    from adaptsim_jax.mechanisms.roles import BALL, FREE, JOINTS, TURNS, joint_names, ties
+    from adaptsim_jax.mechanisms.roles import (
+        BALL,
+        FREE,
+        JOINTS,
+        TURNS,
+        joint_names,
+        tendon_joints,
+        ties,
+    )
 
     model = source.model
     joints = joint_names(model)
@@ -243,11 +251,7 @@ def model_names(source: Source) -> ModelNames:
         trn, target = int(model.actuator_trntype[k]), int(model.actuator_trnid[k, 0])
         moved = [model.joint(target).name] if trn in JOINTS else []
         if trn == int(mujoco.mjtTrn.mjTRN_TENDON):
-            rows = range(
-                model.tendon_adr[target], model.tendon_adr[target] + model.tendon_num[target]
-            )
-            own = [w for w in rows if model.wrap_type[w] == int(mujoco.mjtWrap.mjWRAP_JOINT)]
-            moved = [model.joint(int(model.wrap_objid[w])).name for w in own]
+            moved = [model.joint(k).name for k in tendon_joints(model, target)]
         moves = tuple(
             dict.fromkeys(
                 other for name in moved for other in (name, *tied.get(name, ())) if other in joints

@@ -171,34 +171,24 @@ def _by_joint(
     model: ModelNames | None,
     slides: bool,
 ) -> _Columns:
-    observed = _Columns({}, {}, {}, {})
-    servos = set()
+    by_stem: dict[str, dict[int | str | None, np.ndarray]] = {"q": {}, "v": {}, "target": {}}
+    names, limits, servos = {}, {}, set()
     for name, found in roles.items():
-        j = _index(found, roles, model)
-        goes = model is not None and j is not None and model.joints[j] in model.slides
-        if (
-            found.stem not in ("q", "v", "target")
-            or goes != slides
-            or (found.stem != "v" and str(found.joint) in scales)
-        ):
+        joint, j = found.joint, _index(found, roles, model)
+        own = model.joints[j] if model is not None and j is not None else None
+        goes = model is not None and own in model.slides
+        scaled = found.stem != "v" and str(joint) in scales
+        if found.stem not in by_stem or goes != slides or scaled:
             continue
-        {"q": observed.q, "v": observed.v, "target": observed.target}[found.stem][found.joint] = (
-            columns[name]
-        )
-        if model and j is not None:
-            observed.name[found.joint] = model.joints[j]
-        else:
-            observed.name[found.joint] = str(found.joint or name)
-        if model and j is not None:
-            if limits := model.limits_of(j):
-                observed.limits[found.joint] = limits
-            if any(
-                a.kind == "position" and a.joint == model.joints[j] for a in model.actuators or ()
-            ):
-                servos.add(found.joint)
-    return _Columns(
-        observed.q, observed.v, observed.target, observed.name, observed.limits, frozenset(servos)
-    )
+        by_stem[found.stem][joint] = columns[name]
+        names[joint] = own or str(joint or name)
+        if model is None or j is None:
+            continue
+        if bounds := model.limits_of(j):
+            limits[joint] = bounds
+        if any(a.kind == "position" and a.joint == own for a in model.actuators or ()):
+            servos.add(joint)
+    return _Columns(*by_stem.values(), names, limits, frozenset(servos))
 
 
 def _time(columns: dict[str, np.ndarray], heading: HeadingUnit | None) -> Units:

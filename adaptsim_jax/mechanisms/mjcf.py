@@ -11,11 +11,10 @@ import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.mechanisms.inertia_frames import frame_along, inertial_about, moved
-from adaptsim_jax.mechanisms.roles import BALL, FREE, JOINTS, TURNS, Roles, roles
+from adaptsim_jax.mechanisms.roles import BALL, FREE, JOINTS, TURNS, Roles, roles, tendon_joints
 from adaptsim_jax.mechanisms.spec import Source, read_source
 from adaptsim_jax.mechanisms.transmission import (
     TENDON,
-    WRAPPED,
     Actuator,
     Added,
     Place,
@@ -398,10 +397,7 @@ def _force_limits(model: mujoco.MjModel, tree: Tree, place: Place) -> np.ndarray
         if model.actuator_trntype[k] in JOINTS:
             driven.add(target)
         elif model.actuator_trntype[k] == TENDON:
-            rows = range(
-                model.tendon_adr[target], model.tendon_adr[target] + model.tendon_num[target]
-            )
-            driven |= {int(model.wrap_objid[i]) for i in rows if model.wrap_type[i] == WRAPPED}
+            driven |= set(tendon_joints(model, target))
     out = np.zeros((tree.n, 2))
     bounded = np.zeros(tree.n, bool)
     for k in sorted(driven):

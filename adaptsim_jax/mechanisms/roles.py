@@ -23,6 +23,7 @@ CONNECT, WELD, TIE = (
 )
 JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 TURNS = "xyz"  # a ball is three hinges, which turn about these axes one after the other
+WRAPPED = int(mujoco.mjtWrap.mjWRAP_JOINT)
 HOME = "home"
 
 
@@ -54,6 +55,13 @@ def joint_names(model: mujoco.MjModel) -> tuple[str, ...]:
         elif model.jnt_type[k] != FREE:
             out.append(name)
     return tuple(out)
+
+
+def tendon_joints(model: mujoco.MjModel, tendon: int) -> list[int]:
+    """Numbers of the joints that a tendon goes over."""
+    first = model.tendon_adr[tendon]
+    rows = range(first, first + model.tendon_num[tendon])
+    return [int(model.wrap_objid[w]) for w in rows if model.wrap_type[w] == WRAPPED]
 
 
 def _check_names(

@@ -17,7 +17,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from adaptsim_jax.mechanisms.roles import JOINTS
+from adaptsim_jax.mechanisms.roles import JOINTS, WRAPPED
 
 NO_RANGE = (float("nan"), float("nan"))
 
@@ -48,7 +48,6 @@ class Actuator:
 
 TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
 SINGLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
-WRAPPED = int(mujoco.mjtWrap.mjWRAP_JOINT)
 FIXED, AFFINE = int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE)
 UNCLAMPED = int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
 
