@@ -8,6 +8,7 @@ of the actuator's force, sensors directly.
 
 from collections.abc import Mapping, Sequence
 from functools import partial
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -83,11 +84,26 @@ def _bent(path: Path, yielding, rub, bristly, n: int):
     return jnp.where(slides, level * turned - mean / jnp.where(yielding > 0, yielding, 1.0), 0.0)
 
 
-@partial(jax.jit, static_argnames=("effect", "parameter"))
-def _force(group_tree, values, path: Path, time, rub, p, direction, effect: Effect, parameter: str):
+class Way(NamedTuple):
+    """Which number of which effect is changed."""
+
+    effect: Effect
+    parameter: str
+
+
+class Point(NamedTuple):
+    """Parameters {name: [n]} of an effect, and the size [n] of a change of one of them."""
+
+    p: Any
+    size: Any
+
+
+@partial(jax.jit, static_argnames="way")
+def _force(group_tree, values, path: Path, time, rub, point: Point, way: Way):
     """Change of the force [n, L, W] per unit of a parameter at every joint, or of a pair's [n, n,
-    L, W], the parameter's joint first; p {name: [n]}, direction: 1, or a jump's size [n].
+    L, W], the parameter's joint first; the size is where a jump ends.
     """
+    (p, direction), (effect, parameter) = point, way
     n = path.x.shape[1] // 2
     dt = jnp.diff(time, axis=0)
     q, v, a = _middle(path, dt)
@@ -132,8 +148,8 @@ def _force(group_tree, values, path: Path, time, rub, p, direction, effect: Effe
             direction != p[parameter], direction - p[parameter], 1.0
         )[:, None, None]
 
-    def along(way):
-        return jax.jvp(act, (p[parameter],), (way,))[1]
+    def along(ways):
+        return jax.jvp(act, (p[parameter],), (ways,))[1]
 
     if effect.pair:
         return jax.vmap(along)(jnp.eye(n))
@@ -167,10 +183,12 @@ def _gravity(tree, inertial, way, path: Path, time):
     return equations.gravity_force(tree, inertial[:, :, None], q, way)
 
 
-@partial(jax.jit, static_argnames=("past", "effect", "parameter"))
-def _command(
-    model, values, stamp, command, path: Path, p, size, past: int, effect: Effect, parameter: str
-):
+@partial(jax.jit, static_argnames=("past", "way"))
+def _command(model, values, sent, path: Path, point: Point, past: int, way: Way):
+    """Change of the force [n, L, W] per unit of a parameter of what acts on commands; sent: times
+    and values of these.
+    """
+    (p, size), (effect, parameter), (stamp, command) = point, way, sent
     rows = path.u.shape[0]
     changed = dict(values.effects)
     changed[effect.name] = {k: z[:, None] for k, z in p.items()}
@@ -202,12 +220,13 @@ def _answered(values, x, u, p, effect: str, parameter: str):
     return jax.jvp(force, (p[parameter],), (jnp.ones_like(p[parameter]),))[1]
 
 
-@partial(jax.jit, static_argnames=("effect", "parameter"))
-def _sensed(time, x, read, torque, p, size, effect: Effect, parameter: str):
+@partial(jax.jit, static_argnames="way")
+def _sensed(time, x, read, torque, point: Point, way: Way):
     """Change of the outputs ([L+1, n, W] twice) per unit of a sensor's parameter at every joint;
     read [n, W]: what it gave first; torque [L+1, n, W] of the drives, for an effect that they
     matter to.
     """
+    (p, size), (effect, parameter) = point, way
     n = x.shape[1] // 2
     also = (torque,) if effect.carried else ()
 
@@ -313,41 +332,20 @@ class GroupColumns:
         size = p[parameter] + np.where(small, np.minimum(STEP, NEAR * p[parameter]), STEP)
         if shape and parameter in shape and effect.jump:
             size = np.full(self.n, float(shape[parameter]))
+        way, step = Way(effect, parameter), size - p[parameter]
         with jax.enable_x64(True):
             if effect.place == "force":
-                return "pair" if effect.pair else "force", np.asarray(
-                    _force(
-                        g.model.tree,
-                        self.values,
-                        self.rotor,
-                        self.time,
-                        self.rub,
-                        p,
-                        size,
-                        effect,
-                        parameter,
-                    )
-                )
+                tree, point = g.model.tree, Point(p, size)
+                made = _force(tree, self.values, self.rotor, self.time, self.rub, point, way)
+                return "pair" if effect.pair else "force", np.asarray(made)
             if effect.place == "command":
                 s = g.stretches
-                step = size - p[parameter]
-                return "force", np.asarray(
-                    _command(
-                        g.model,
-                        self.values,
-                        s.stamp,
-                        s.command,
-                        self.path,
-                        p,
-                        step,
-                        s.past,
-                        effect,
-                        parameter,
-                    )
-                )
+                sent, point = (s.stamp, s.command), Point(p, step)
+                made = _command(g.model, self.values, sent, self.path, point, s.past, way)
+                return "force", np.asarray(made)
             torque = self.torque() if effect.carried else None
             x, read = self.path.x, self.values.read
-            dq, dv = _sensed(self.time, x, read, torque, p, size - p[parameter], effect, parameter)
+            dq, dv = _sensed(self.time, x, read, torque, Point(p, step), way)
             return "output", np.concatenate([np.asarray(dq), np.asarray(dv)], 1)
 
     def torque(self) -> np.ndarray:

@@ -45,6 +45,8 @@ def _common() -> dict[str, tuple[str, ...]]:
 
 SAME = _common()
 LINK = ("size", "stretch_y", "shift_y")
+Fitted = Mapping[tuple[str, str, int], tuple[float, float, str]]
+"""Value, standard deviation and unit of each fitted number by owner, name and joint."""
 RIGID, LINEAR = "rigid_body", "linearized"
 
 
@@ -242,12 +244,38 @@ def _number(value: float, spread: float, unit: str) -> Value:
     return Value(float(value), float(value - NINETY * spread), float(value + NINETY * spread), unit)
 
 
-def _fitted(model: FittedTree) -> dict[tuple[str, str, int], tuple[float, float, str]]:
+def _fitted(model: FittedTree) -> Fitted:
     """Value, standard deviation and unit of each fitted number by owner, name and joint."""
     rows = zip(model.fit.vector.entries, model.fit.vector.values, model.spread, strict=True)
     return {
         (e.owner, e.name, j): (float(v), float(s), e.unit) for e, v, s in rows for j in e.joints
     }
+
+
+def _in_the_file(name: str, k: int, by: Fitted) -> tuple[str, str, dict[str, Value]]:
+    """Name, place and numbers that an effect at a joint has in `model.toml`."""
+    mine = {p: _number(*v) for (owner, p, j), v in by.items() if owner == name and j == k}
+    where = JOINTS[k]
+    if name == ARMATURE.name:
+        return PENDULUM_ROTOR_INERTIA.name, where, mine
+    if name == STRIBECK.name:
+        level = _number(*by.get((COULOMB.name, "level", k), (0.0, 0.0, "N m")))
+        return name, where, mine | {"level": level}
+    if name == TILT:
+        return name, "base", {"angle": mine["about_y"]}
+    if name == PRESLIDING.name and (COULOMB.name, "level", k) in by:  # of all dry friction there
+        level, compliance = by[COULOMB.name, "level", k], mine["compliance"]
+        bent = {x: level[0] * getattr(compliance, x) for x in ("value", "low", "high")}
+        return name, where, {"level": _number(*level), "deflection": Value(**bent, unit="rad")}
+    return name, where, mine
+
+
+def _in_another(name: str, k: int, by: Fitted) -> bool:
+    """Whether the numbers of an effect at a joint stand in the file with another effect's."""
+    if name == TILT:
+        return k > 0
+    friction = {(STRIBECK.name, "excess", k), (PRESLIDING.name, "compliance", k)}
+    return name == COULOMB.name and not friction.isdisjoint(by)
 
 
 def model_file(
@@ -260,56 +288,29 @@ def model_file(
     effects, lost = [], []
     library = {e.name: e for e in own_catalogue(rig.task, problem.effects)}
     own = set(library) - {e.name for e in catalogue(rig.task)}
-
-    def put(name: str, where: str, mine: Mapping[str, Value]) -> None:
-        parameters = library[name].parameters
-        effects.append(
-            AddedEffect(
-                name,
-                where,
-                {p.name: mine.get(p.name, _number(p.default, 0.0, p.unit)) for p in parameters},
-            )
-        )
-
-    for name, k in sorted(
-        {(owner, k) for owner, _, k in by if owner not in (INERTIA, VISCOUS.name)}
-    ):
-        mine = {p: _number(*v) for (owner, p, j), v in by.items() if owner == name and j == k}
-        where = JOINTS[k]
-        if name == ARMATURE.name:
-            put(PENDULUM_ROTOR_INERTIA.name, where, mine)
-        elif name == STRIBECK.name:
-            put(
-                name,
-                where,
-                mine | {"level": _number(*by.get((COULOMB.name, "level", k), (0.0, 0.0, "N m")))},
-            )
-        elif name == TILT:
-            if k == 0:
-                put(TILT, "base", {"angle": mine["about_y"]})
-        elif (
-            name == PRESLIDING.name and (COULOMB.name, "level", k) in by
-        ):  # of all dry friction there
-            level, compliance = by[COULOMB.name, "level", k], mine["compliance"]
-            bent = {x: level[0] * getattr(compliance, x) for x in ("value", "low", "high")}
-            put(name, where, {"level": _number(*level), "deflection": Value(**bent, unit="rad")})
-        elif name == COULOMB.name and {
-            (STRIBECK.name, "excess", k),
-            (PRESLIDING.name, "compliance", k),
-        } & set(by):
-            continue  # held by the other
-        elif name in SAME or name in own:
-            put(name, where, mine)
+    translated = {ARMATURE.name, STRIBECK.name, TILT, *SAME, *own}
+    found = {(owner, k) for owner, _, k in by if owner not in (INERTIA, VISCOUS.name)}
+    for name, k in sorted(found):
+        if _in_another(name, k, by):
+            continue
+        dry = (COULOMB.name, "level", k) in by
+        if name in translated or (name == PRESLIDING.name and dry):
+            held_by, where, mine = _in_the_file(name, k, by)
+            parameters = library[held_by].parameters
+            numbers = {
+                p.name: mine.get(p.name, _number(p.default, 0.0, p.unit)) for p in parameters
+            }
+            effects.append(AddedEffect(held_by, where, numbers))
         else:
             lost.append(
-                f"model.toml cannot hold {name} at {where}; model.xml says what of it MJCF can hold"
+                f"model.toml cannot hold {name} at {JOINTS[k]}; model.xml says what of it MJCF can "
+                "hold"
             )
-    given = {k: float(v) for k, v in rig.geometry.items()}
     file = ModelFile(
         rig.task,
         rig.model,
         rig.angle_zero,
-        given,
+        {k: float(v) for k, v in rig.geometry.items()},
         declared,
         tuple(effects),
         {k: float(v) for k, v in rig.known.items()},

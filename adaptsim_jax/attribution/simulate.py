@@ -130,11 +130,24 @@ def _giving(model: ActingModel, values: Values, u, giving, pushed) -> SchemeEqua
     )
 
 
-def _held(moving: SchemeEquations, model: ActingModel, values: Values, x, t, extra, bent, h, hold):
-    """Dry friction [n, W] held over a step of h s, the deflection of bristles by its end, from that
-    before, bent [n, W], and the force of the ends of declared ranges [n, W]. hold: stiffness and
-    damping that are stepped implicitly, None where none are.
+class Substep(NamedTuple):
+    """A step within a row: at t [1, W] s, over h [W] s, under extra [n, W] N m; bent [n, W] rad, the
+    deflection of bristles when it begins; hold: stiffness and damping [n, W] that are stepped
+    implicitly, None where none are.
     """
+
+    t: Any
+    h: Any
+    extra: Any
+    bent: Any
+    hold: Any
+
+
+def _held(moving: SchemeEquations, model: ActingModel, values: Values, x, step: Substep):
+    """Dry friction [n, W] held over a step, the deflection of bristles by its end [n, W], and the
+    force of the ends of declared ranges [n, W].
+    """
+    t, h, extra, bent, hold = step
     v = moving.speeds(x)
     n = len(v)
     act = moving.forces(x, t)
@@ -185,11 +198,45 @@ def _held(moving: SchemeEquations, model: ActingModel, values: Values, x, t, ext
     return rub, -act.yielding * rub, stop
 
 
-def row_step(model: ActingModel, values: Values, x, u, t, dt, extra, scheme: Scheme):
-    """State after a row, [2n, W] (2G more where drives give, then n of the deflection of bristles),
-    and the mean dry friction over it [n, W]. extra [n, W] N m on the joints, and [G, W] on the
-    links whose drives give.
+def _advanced(moving: SchemeEquations, x, now, wide, pushed, hold):
+    """State after a step of `wide` [1, W] s from x at `now` [1, W] s, by the stages of the method.
+    pushed: forces [n, W] that are held over it, a pair; hold: as of `Substep`.
     """
+    extra, held = pushed
+    n = len(extra)
+
+    def slope(x, at, k, less):
+        act = moving.forces(x, now + at)
+        force, inertia = act.smooth + extra + held, act.inertia
+        if not hold:
+            return moving.rates(x, force, inertia)
+        # what is solved for is k + less * (k of the stage before), which spares its product
+        # with the mass matrix
+        rate = x[n:] - less * k[:n]
+        more, pull = _implicit(hold, IMPLICIT * wide, rate)
+        a = (
+            moving.accelerations(x, force + pull + less * more * k[n:], inertia + more)
+            - less * k[n:]
+        )
+        return jnp.concatenate([rate + IMPLICIT * wide * a, a])
+
+    def stage(carry, part):
+        k, total = carry
+        on, less, weight = part
+        k = slope(x + on * wide * k, on * wide, k, less)
+        return (k, total + weight * k), None
+
+    stages = jnp.asarray(ROSENBROCK if hold else RUNGE_KUTTA, x.dtype)
+    (_, total), _ = jax.lax.scan(stage, (jnp.zeros_like(x), jnp.zeros_like(x)), stages)
+    return x + wide * total
+
+
+def row_step(model: ActingModel, values: Values, x, row: DrivenRows, extra, scheme: Scheme):
+    """State after a row, [2n, W] (2G more where drives give, then n of the deflection of bristles),
+    and the mean dry friction over it [n, W]. row: what drives it, u [n, W], t and dt [W]; extra
+    [n, W] N m on the joints, and [G, W] on the links whose drives give.
+    """
+    u, t, dt = row
     n = model.tree.n
     moves = 2 * (n + len(scheme.giving))
     h = dt / scheme.substeps
@@ -212,38 +259,13 @@ def row_step(model: ActingModel, values: Values, x, u, t, dt, extra, scheme: Sch
         bent = whole[moves:] if len(whole) > moves else still
 
         def rubs():
-            return _held(moving, model, values, x, now, extra, bent, h, hold)
+            return _held(moving, model, values, x, Substep(now, h, extra, bent, hold))
 
         if any(model.tree.limited):
             rub, yielded, stop = rubs()
         else:
             rub, yielded, stop = jax.lax.cond(scheme.rough, rubs, lambda: (still, still, still))
-        held = rub + stop
-
-        def slope(x, at, k, less):
-            act = moving.forces(x, now + at)
-            force, inertia = act.smooth + extra + held, act.inertia
-            if not hold:
-                return moving.rates(x, force, inertia)
-            # what is solved for is k + less * (k of the stage before), which spares its product
-            # with the mass matrix
-            rate = x[n:] - less * k[:n]
-            more, pull = _implicit(hold, IMPLICIT * wide, rate)
-            a = (
-                moving.accelerations(x, force + pull + less * more * k[n:], inertia + more)
-                - less * k[n:]
-            )
-            return jnp.concatenate([rate + IMPLICIT * wide * a, a])
-
-        def stage(carry, part):
-            k, total = carry
-            on, less, weight = part
-            k = slope(x + on * wide * k, on * wide, k, less)
-            return (k, total + weight * k), None
-
-        stages = jnp.asarray(ROSENBROCK if hold else RUNGE_KUTTA, x.dtype)
-        (_, total), _ = jax.lax.scan(stage, (jnp.zeros_like(x), jnp.zeros_like(x)), stages)
-        after = x + wide * total
+        after = _advanced(moving, x, now, wide, (extra, rub + stop), hold)
         if len(whole) > moves:
             after = jnp.concatenate([after, yielded])
         return after, rubbed + rub / scheme.substeps
@@ -297,7 +319,7 @@ def simulate(model: ActingModel, values: Values, time, stamp, command, x0, schem
     nothing = jnp.zeros_like(x0[: model.tree.n + len(scheme.giving)])
 
     def row(x, now):
-        new, rub = row_step(model, values, x, now.u, now.t, now.dt, nothing, scheme)
+        new, rub = row_step(model, values, x, now, nothing, scheme)
         return new, (x, rub)
 
     last, (x, rub) = jax.lax.scan(row, begin, drive)
@@ -319,7 +341,7 @@ def linearise(model: ActingModel, values: Values, time, stamp, command, x0, sche
 
     def row(x, now):
         def end(x, extra):
-            return row_step(model, values, x, now.u, now.t, now.dt, extra, scheme)
+            return row_step(model, values, x, now, extra, scheme)
 
         along = jax.vmap(lambda a, b: jax.jvp(end, (x, zero), (a, b)), out_axes=(None, 0))
         (new, rub), (slopes, _) = along(ways[:, :states], ways[:, states:])

@@ -7,6 +7,7 @@ log is faster than needed.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -123,13 +124,15 @@ def cut(
         keep = np.unique(
             np.linspace(0, len(begins) - 1, max(1, round(share * len(begins)))).round().astype(int)
         )
-        motion = local_motion(tracks[k].time, tracks[k].q, tracks[k].v)
-        integral = _integral(tracks[k].time, tracks[k].u)
+        trial = _Trial(
+            k,
+            tracks[k],
+            local_motion(tracks[k].time, tracks[k].q, tracks[k].v),
+            _integral(tracks[k].time, tracks[k].u),
+        )
+        size = _Size(stride, rows, length, past, future)
         chosen = [begins[i] for i in keep] if len(begins) else []
-        lanes += [
-            _lane(k, tracks[k], motion, integral, b, stride, rows, length, past, future)
-            for b in chosen
-        ]
+        lanes += [_lane(trial, b, size) for b in chosen]
 
     def stack(key):
         return np.stack([lane[key] for lane in lanes], -1)
@@ -177,18 +180,32 @@ def _integral(time: np.ndarray, u: np.ndarray) -> np.ndarray:
     )
 
 
-def _lane(
-    k,
-    track: JointTrack,
-    motion,
-    integral,
-    begin: int,
-    stride: int,
-    rows: int,
-    length: int,
-    past: int,
-    future: int,
-):
+class _Trial(NamedTuple):
+    """A trial by its number, with its smoothed motion (angles and speeds [T, n]) and the running
+    integral of its command [T, n].
+    """
+
+    number: int
+    track: JointTrack
+    motion: tuple[np.ndarray, np.ndarray]
+    integral: np.ndarray
+
+
+class _Size(NamedTuple):
+    """Samples from row to row of a stretch, its own rows, those of the longest one, and the rows of
+    its command before it and after it.
+    """
+
+    stride: int
+    rows: int
+    length: int
+    past: int
+    future: int
+
+
+def _lane(trial: _Trial, begin: int, size: _Size) -> dict[str, np.ndarray | int]:
+    """The arrays of a stretch that begins at a sample of a trial."""
+    (k, track, motion, integral), (stride, rows, length, past, future) = trial, size
     at = begin + stride * np.minimum(np.arange(length + 1), rows)
     time = track.time[at]
     live = (np.arange(length + 1) <= rows)[:, None]
@@ -199,7 +216,7 @@ def _lane(
     command = _means(track.time, np.where(np.isfinite(track.u), track.u, 0.0), integral, edges)
     q = track.q[at]
     v = np.full_like(q, np.nan) if track.v is None else track.v[at]
-    (q0, v0), first = motion, begin
+    q0, v0 = motion
     return {
         "trial": k,
         "time": time - track.time[0],
@@ -207,7 +224,7 @@ def _lane(
         "v": np.where(np.isfinite(v), v, 0.0),
         "seen": np.isfinite(q) * live,
         "seen_v": np.isfinite(v) * live,
-        "start": np.concatenate([q0[first], v0[first]]),
+        "start": np.concatenate([q0[begin], v0[begin]]),
         "stamp": edges[:-1] - track.time[0],
         "command": command,
     }

@@ -68,16 +68,7 @@ def stepped(source: Source, log: Log) -> Stepped:
     felt = not logged and feels(spec, log.meta.channels)
     _weld(spec, values, logged or felt, notes)
     _hold(spec, source, log, values, notes)
-    for mimic in source.mimics:
-        tie = spec.add_equality(
-            name=f"mimic_{mimic.joint}",
-            type=mujoco.mjtEq.mjEQ_JOINT,
-            name1=mimic.joint,
-            name2=mimic.leader,
-        )
-        data = np.zeros(len(tie.data))
-        data[:2] = mimic.offset, mimic.factor
-        tie.data, tie.solref, tie.solimp = data, STIFF, HARD  # of a URDF, which is exact
+    _tie(spec, source)
     for key in list(spec.keys):
         spec.delete(key)
     for body in spec.bodies:
@@ -87,13 +78,6 @@ def stepped(source: Source, log: Log) -> Stepped:
         mujoco.mjtDisableBit.mjDSBL_AUTORESET
     )  # a run that blows up shall be seen
     at = {model.joint(k).name: int(model.jnt_qposadr[k]) for k in range(model.njnt)}
-    whole = model.qpos0.copy()
-    for k in range(model.njnt):
-        adr, width = int(model.jnt_qposadr[k]), {FREE: 7, BALL: 4}.get(int(model.jnt_type[k]), 1)
-        whole[adr : adr + width] = values[model.joint(k).name][:width]
-    for name, value in log.held.items():
-        if value is not None and name in at:
-            whole[at[name]] = value
     free = next(
         (int(model.jnt_qposadr[k]) for k in range(model.njnt) if model.jnt_type[k] == FREE), -1
     )
@@ -109,19 +93,42 @@ def stepped(source: Source, log: Log) -> Stepped:
             "no pose of the base is logged: it is estimated with each start from gyro, "
             "accelerometer and feet that stand"
         )
-    angle = [at[name] for name in log.joint_names]
-    read = readings(model, log.meta.channels, log.meta.path)
-    moves = free if logged or felt else -1
     return Stepped(
         source.path,
         model,
-        np.array(angle, int),
+        np.array([at[name] for name in log.joint_names], int),
         free if logged else -1,
-        whole,
+        _whole_pose(model, log, values, at),
         tuple(notes),
-        moves,
-        read,
+        free if logged or felt else -1,
+        readings(model, log.meta.channels, log.meta.path),
     )
+
+
+def _tie(spec: mujoco.MjSpec, source: Source) -> None:
+    """A stiff equality for each joint of a URDF that mimics another, which is exact."""
+    for mimic in source.mimics:
+        tie = spec.add_equality(
+            name=f"mimic_{mimic.joint}",
+            type=mujoco.mjtEq.mjEQ_JOINT,
+            name1=mimic.joint,
+            name2=mimic.leader,
+        )
+        data = np.zeros(len(tie.data))
+        data[:2] = mimic.offset, mimic.factor
+        tie.data, tie.solref, tie.solimp = data, STIFF, HARD
+
+
+def _whole_pose(model: mujoco.MjModel, log: Log, values, at: dict[str, int]) -> np.ndarray:
+    """The pose [nq] at which everything is held or begins. at: place of each joint in it."""
+    whole = model.qpos0.copy()
+    for k in range(model.njnt):
+        adr, width = int(model.jnt_qposadr[k]), {FREE: 7, BALL: 4}.get(int(model.jnt_type[k]), 1)
+        whole[adr : adr + width] = values[model.joint(k).name][:width]
+    for name, value in log.held.items():
+        if value is not None and name in at:
+            whole[at[name]] = value
+    return whole
 
 
 def _compiled(where: str, spec: mujoco.MjSpec) -> mujoco.MjModel:

@@ -72,7 +72,9 @@ def cut(made: Stepped, log: Log, horizon: float, most: int) -> MujocoStretches:
     felt = _felt(made, log)
     inputs = [inputs_of(model, log, trial) for trial in log.trials]
     lanes = [
-        _lane(made, log.trials[k], (*motion[k], felt.get(k)), inputs[k], b, e, rows, max(steps, 1))
+        _lane(
+            made, log.trials[k], (*motion[k], felt.get(k)), inputs[k], (b, e), (rows, max(steps, 1))
+        )
         for k, b, e in chosen
     ]
 
@@ -161,11 +163,13 @@ def _lane(
     trial: LogTrial,
     motion,
     u: np.ndarray,
-    begin: int,
-    end: int,
-    rows: int,
-    steps: int,
+    ends: tuple[int, int],
+    size: tuple[int, int],
 ) -> dict:
+    """The arrays of a stretch between two rows of a trial; size: rows and steps of the longest
+    one.
+    """
+    (begin, end), (rows, steps) = ends, size
     h = float(made.model.opt.timestep)
     live = begin + np.minimum(np.arange(rows), end - begin)
     here = (np.arange(rows) <= end - begin)[:, None]
