@@ -174,6 +174,16 @@ def begun(tossed: Tossed, windows: Windows, points: np.ndarray) -> np.ndarray:
     return points[int(np.argmin(np.log1p(left).mean(1)))]
 
 
+def softening(square: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Factors `[W]` of residuals, so that their squares add up to the loss, and of columns, so that
+    its slope is theirs. square `[W]`: mean squares of windows, in units of their weight.
+    """
+    size = np.maximum(square / USUAL, 1e-12)
+    loss = 2.0 * (np.sqrt(1.0 + size) - 1.0)
+    share = np.sqrt(loss / size)
+    return share, 1.0 / np.sqrt(1.0 + size) / share
+
+
 def posed(follow: "Follow", known: tuple[Candidate, ...], weight: np.ndarray) -> Problem:
     """The problem with windows' mean squares in units of `weight [W]`."""
     tossed, windows = follow.tossed, follow.windows
@@ -189,13 +199,8 @@ def posed(follow: "Follow", known: tuple[Candidate, ...], weight: np.ndarray) ->
         return out.reshape(trials, most * z.shape[1], *z.shape[2:])
 
     def softened(residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Factors `[W]` of residuals, so that their squares add up to the loss, and of columns, so
-        that its slope is theirs.
-        """
-        size = np.maximum(np.square(residual).sum((1, 2)) / windows.free / weight / USUAL, 1e-12)
-        loss = 2.0 * (np.sqrt(1.0 + size) - 1.0)
-        share = np.sqrt(loss / size)
-        return scale * share, scale / np.sqrt(1.0 + size) / share
+        by_row, by_column = softening(np.square(residual).sum((1, 2)) / windows.free / weight)
+        return scale * by_row, scale * by_column
 
     @lru_cache(maxsize=4)
     def followed(key: bytes) -> tuple[np.ndarray, np.ndarray]:

@@ -4,6 +4,7 @@ noise.
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache, partial
 from typing import Any
 
@@ -26,6 +27,13 @@ WIDTHS = (8, 40)  # numbers of columns that are compiled
 ASIDE = 0.2  # of a quantity's scale, to either side of where a column is taken
 ROUGH = 0.0025  # s, step of the scan for starts
 MARGIN = 0.05  # s simulated beyond the last row
+BEGINNINGS = (
+    (0.07, 0.13, 0.25),
+    (4.2, 5.0, 5.6, 6.4),
+    (0.15, 0.6),
+    (-0.12, -0.06, 0.0, 0.06, 0.12),
+)
+"""Values of mu, log_e, mu_p and y_p from which the declared fit may begin."""
 
 
 def observed(
@@ -111,9 +119,7 @@ def prepare(
 ) -> Problem:
     """The problem of a recording, simulated up to its last row."""
     last = np.ceil((float(pushed.time.max()) + MARGIN) / 0.05) * 0.05
-    options = PushOptions(
-        **{**options.__dict__, "duration": float(np.round(max(last, model.PUSH_ENDS), 3))}
-    )
+    options = replace(options, duration=float(np.round(max(last, model.PUSH_ENDS), 3)))
     simulate, rough = (
         _program(options, coefficients, z, pushed.yaw is not None) for z in (step, ROUGH)
     )
@@ -123,14 +129,7 @@ def prepare(
     count = len(pushed.names)
 
     def free(z: np.ndarray) -> np.ndarray:
-        """`[..., R, C]` less what a turn of the marker, which each push has of its own, takes
-        up.
-        """
-        turn = z[..., 2:]
-        z[..., 2:] -= (
-            known[..., 2:] * (turn.sum(-2) / np.maximum(known[..., 2:].sum(-2), 1))[..., None, :]
-        )
-        return z
+        return _without_marker_turn(z, known)
 
     def residuals(values: np.ndarray) -> np.ndarray:
         out = simulate(values, pushes)
@@ -159,7 +158,7 @@ def prepare(
         r = free(weight * (places - out.reshape(len(rows), *places.shape)))
         return np.square(r).reshape(len(rows), -1).sum(1)
 
-    problem = Problem(
+    return Problem(
         QUANTITIES,
         DECLARED,
         tuple(effects),
@@ -167,20 +166,34 @@ def prepare(
         columns,
         known.sum((1, 2)) - known[..., 2:].any(1).sum(-1),
         pushed.names,
-        np.zeros((0, 0)),
+        _starts(),
         scan,
         channels=len(pushed.channels),
         again=DECLARED,
     )
+
+
+def _without_marker_turn(z: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """`z [..., R, C]` less what a turn of the marker, which each push has of its own, takes up, in
+    place; known `[T, R, C]`: what was measured.
+    """
+    turn = z[..., 2:]
+    z[..., 2:] -= (
+        known[..., 2:] * (turn.sum(-2) / np.maximum(known[..., 2:].sum(-2), 1))[..., None, :]
+    )
+    return z
+
+
+def _starts() -> np.ndarray:
+    """Points `[S, P]` from which the declared fit may begin."""
+    neutral, names = np.array([q.neutral for q in QUANTITIES]), [q.name for q in QUANTITIES]
+    at = [names.index(name) for name in DECLARED]
     starts = []
-    for values in itertools.product(
-        (0.07, 0.13, 0.25), (4.2, 5.0, 5.6, 6.4), (0.15, 0.6), (-0.12, -0.06, 0.0, 0.06, 0.12)
-    ):
-        start = problem.neutral
-        start[problem.at(DECLARED)] = values
+    for values in itertools.product(*BEGINNINGS):
+        start = neutral.copy()
+        start[at] = values
         starts.append(start)
-    object.__setattr__(problem, "starts", np.array(starts))
-    return problem
+    return np.array(starts)
 
 
 def simulated(

@@ -9,7 +9,7 @@ counts by its root, as in Huber's estimate: one scoop must not outvote the other
 import itertools
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -47,23 +47,48 @@ def scales(scooped: Scooped, stray: np.ndarray) -> np.ndarray:
     return scooped.mask[..., None] * known / np.sqrt(scooped.noise**2 + np.square(wide))
 
 
+class Emulated(NamedTuple):
+    """An emulator's weights `[T, ...]`, and centre and width `[O]` of what it knows."""
+
+    weights: Array
+    centre: Array
+    width: Array
+
+
+class Measured(NamedTuple):
+    """Of T scoops where each began, its camera's time, what was measured `[T, R, C]` m, and one
+    over the scale of each row.
+    """
+
+    start: Array
+    aside: Array
+    time: Array
+    places: Array
+    scale: Array
+
+
 @jax.jit
-def _residuals(values, weights, centre, width, start, aside, time, measured, scale):
-    def one(values, weights, start, aside, time, measured, scale):
-        out = observed(values, predicted(weights, centre, width, values), start, aside, time)
-        return softened(scale * (measured - out[:, : measured.shape[1]])).reshape(-1)
+def _residuals(values, emulated: Emulated, measured: Measured):
+    """`[T, R C]` at values `[T, P]`."""
 
-    return jax.vmap(one)(values, weights, start, aside, time, measured, scale)
+    def one(values, weights, m: Measured):
+        path = predicted(weights, emulated.centre, emulated.width, values)
+        out = observed(values, path, m.start, m.aside, m.time)
+        return softened(m.scale * (m.places - out[:, : m.places.shape[1]])).reshape(-1)
+
+    return jax.vmap(one)(values, emulated.weights, measured)
 
 
 @jax.jit
-def _columns(values, basis, *rest):
-    every = jnp.broadcast_to(values, (len(rest[0]), len(values)))
+def _columns(values, basis, emulated: Emulated, measured: Measured):
+    """`[T, R C, K]` at values `[P]` along the rows of `basis [K, P]`."""
+    every = jnp.broadcast_to(values, (len(measured.time), len(values)))
 
     def push(b):
-        return jax.jvp(
-            lambda v: _residuals(v, *rest), (every,), (jnp.broadcast_to(b, every.shape),)
-        )[1]
+        def residuals(v):
+            return _residuals(v, emulated, measured)
+
+        return jax.jvp(residuals, (every,), (jnp.broadcast_to(b, every.shape),))[1]
 
     return -jax.vmap(push, out_axes=-1)(basis)
 
@@ -93,31 +118,20 @@ def prepare(
     def single(a):
         return jnp.asarray(np.asarray(a, np.float32))
 
-    rest = tuple(
-        map(
-            single,
-            (
-                emulator.weights,
-                emulator.centre,
-                emulator.width,
-                scooped.starts,
-                scooped.aside,
-                scooped.time,
-                scooped.places,
-                scale,
-            ),
-        )
-    )
+    emulated = Emulated(*map(single, (emulator.weights, emulator.centre, emulator.width)))
+    seen = (scooped.starts, scooped.aside, scooped.time, scooped.places, scale)
+    measured = Measured(*map(single, seen))
     neutral = np.array([q.neutral for q in quantities])
     begin = np.where([q.name in declared for q in quantities], start, neutral)
 
     def residuals(values: np.ndarray) -> np.ndarray:
-        return np.asarray(_residuals(single(values), *rest), float)
+        return np.asarray(_residuals(single(values), emulated, measured), float)
 
     def columns(values: np.ndarray, basis: np.ndarray) -> np.ndarray:
         wide = np.zeros((len(quantities), len(quantities)))  # one program for any number
         wide[: len(basis)] = basis
-        return np.asarray(_columns(single(values), single(wide), *rest), float)[..., : len(basis)]
+        made = _columns(single(values), single(wide), emulated, measured)
+        return np.asarray(made, float)[..., : len(basis)]
 
     return Problem(
         quantities,
