@@ -283,6 +283,8 @@ STEPS = {
     "shape_artefact": "with all shapes fitted its interval includes none of it",
     "one_for_two": "{one} and {other} by one",
     "simpler_has_the_name": "{one} has fewer parameters and does as well",
+    "as_logged": "loggers pair torques with angles as early or late as this",
+    "of_like_joints": "like joints have it, but it could not be shown by itself in these data",
     "commands_between_rows": "how rows are read, not an effect",
     "rotors_are_steps": "how rows are read, not an effect",
     "engine_bears_out": "dropped by the engine",

@@ -10,7 +10,7 @@ import pytest
 
 from adaptsim_jax.attribution.equation import confirmed
 from adaptsim_jax.attribution.equation.confirmed import harmed, informative_joints
-from adaptsim_jax.attribution.equation.stays import nameless, read_so
+from adaptsim_jax.attribution.equation.stays import Balanced, read_so
 from adaptsim_jax.attribution.held_out import most_over_floor
 from adaptsim_jax.attribution.parameters import Entry
 from adaptsim_jax.attribution.problem import passing
@@ -18,6 +18,7 @@ from adaptsim_jax.attribution.score import JointCandidate
 from adaptsim_jax.attribution.stays import SimulatedEvidence
 from adaptsim_jax.attribution.stretches import JointTrack
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.rules import refusal
 
 TRIALS, EACH = 6, 10  # stretches of each
 DT = 0.01  # s
@@ -108,7 +109,11 @@ def test_of_a_delay_and_a_lag_of_the_same_joints_the_sum_is_how_a_log_is_read():
     assert read_so(state, whole(-0.0185, 0.0117), delay)
     assert read_so(state, whole(-0.0185, 0.0117), lag)
     assert not read_so(state, whole(0.0117, 0.0117), lag)
-    assert "% of the joint's torque" in nameless(state, whole(0.02, 0.02), delay)
+    state.criteria, test = Criteria(), SimpleNamespace(p=0.0, gain=1.0, overall=0.0)
+    state.carry, errors = lambda c: 1.0, {"error": np.full(2, 1e-6)}
+    late = SimpleNamespace(**vars(whole(0.02, 0.02)), **errors)
+    evidence = Balanced(state, late, delay, test, 0.02, 0.01, naming=True)
+    assert "% of the joint's torque" in refusal(evidence).words
 
 
 def test_a_long_delay_at_one_joint_does_not_shield_a_short_one_at_another():

@@ -219,12 +219,9 @@ SOME = ("viscous", "coulomb", "armature", "stribeck", "delay", "torque_gain", "t
 LOW = Criteria(alpha=0.5, size=1e-4, confidence=0.4, worth=0.0)
 """A few stretches show little: levels at which searches go on."""
 TREES: dict[str, tuple[str, tuple[str, ...], Criteria]] = {
-    "nothing": ("motors", FEW, Criteria()),
-    "friction": ("motors", SOME, LOW),
     "replaced": ("motors", SOME, replace(LOW, gap=0.9, confidence=0.9)),
     "rotor": ("urdf", SOME, replace(LOW, confidence=0.6, steady=0.5)),
     "rare": ("motors", SOME, replace(LOW, odd=1.1, few=1, explained=1e3, left=2.0, confidence=1.0)),
-    "forms": ("motors", ("viscous", "angle_torque"), replace(LOW, described=0.01)),
     "servos": ("servos", FEW, LOW),
 }
 """Machine, effects of the catalogue, and criteria of searches by simulated stretches."""
@@ -247,7 +244,9 @@ def tree_of(found: Selection) -> dict[str, Any]:
     }
 
 
-@pytest.mark.parametrize("name", TREES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.long] if n == "rare" else []) for n in TREES]
+)
 def test_stretches_are_searched_the_same(posed_of, name):
     machine, effects, criteria = TREES[name]
     case = posed_of(machine, effects)

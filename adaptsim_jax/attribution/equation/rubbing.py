@@ -14,7 +14,8 @@ from dataclasses import replace
 import numpy as np
 
 from adaptsim_jax.attribution.equation.balance import Balance, ahead_of
-from adaptsim_jax.attribution.equation.search import likely_first, separable_candidates
+from adaptsim_jax.attribution.equation.objective import likely_first
+from adaptsim_jax.attribution.equation.search import separable_candidates
 from adaptsim_jax.attribution.equation.searched import Searched
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import TreeProblem
@@ -103,7 +104,7 @@ def gains(
         Searched(p, b, null, reach, criteria, commanded) for p, b in ((problem, one), (soft, other))
     )
     left = [
-        s.set_of(likely_first(s, separable_candidates(s), [])).left_out(s.rows)
+        s.set_of(likely_first(s, separable_candidates(s))[0]).left_out(s.rows)
         for s in (sharp, gives)
     ]
     rows = sharp.rows

@@ -105,6 +105,11 @@ class Searched:
                 c = replace(c, shape=((c.shape[0][0], value),))
         return c
 
+    def likely(self, c: JointCandidate) -> bool:
+        """Whether like drives have it, so that it was put in at all joints: real joints rub."""
+        traits = self.problem.effect(c.effect).traits
+        return traits.family and traits.tried_first > 0
+
     def own(self, *some: JointCandidate) -> list[int]:
         """Local numbers of the joints at which effects show: a body, and where it is, at all that
         carry it.

@@ -3,6 +3,7 @@ rules.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +18,12 @@ from adaptsim_jax.effects.base import Traits
 
 @dataclass(frozen=True)
 class Balanced(Evidence):
-    """Evidence of the torque along the motion: a set of effects `whole`, with a candidate in it."""
+    """Evidence of the torque along the motion: a set of effects `whole`, with a candidate in it.
+
+    less, model: without it and with it (`BalanceModel`); alike: joints at which what like drives
+    have is in the set; naming: whether it is asked about a name, and no more about its place in the
+    set.
+    """
 
     state: Searched
     whole: Solved
@@ -25,6 +31,10 @@ class Balanced(Evidence):
     test: Test
     price: float
     level: float
+    less: Any = None
+    model: Any = None
+    alike: int = 0
+    naming: bool = False
     units = "blocks"
     loss = "squared missing torque"
 
@@ -58,6 +68,13 @@ class Balanced(Evidence):
         return read_so(self.state, self.whole, self.candidate)
 
     @property
+    def stays_unnamed(self) -> bool:
+        """What like drives have together, and takes something off here too, is fitted everywhere
+        and named where it holds out alone.
+        """
+        return self.alike > 1 and self.test.gain > 0.0
+
+    @property
     def values(self) -> np.ndarray:
         return self.whole.step[_numbers(self.whole, self.candidate)]
 
@@ -77,10 +94,10 @@ class Balanced(Evidence):
     @property
     def torque_share(self) -> tuple[float, float] | None:
         """Root mean squares. What predicts stays in the model of a machine that is driven by torque,
-        and has no name (`nameless`); of one that follows commands, whose command errors show
+        and has no name; of one that follows commands, whose command errors show
         trifles that no motion does, it goes.
         """
-        if self.read_so or not self.state.follows:
+        if self.read_so or not (self.naming or self.state.follows):
             return None
         return share_of_torque(self.state, self.whole, self.candidate)
 
@@ -95,16 +112,6 @@ def share_of_torque(state: Searched, whole: Solved, c: JointCandidate) -> tuple[
     share = float(np.max(size / np.maximum(state.torque, 1e-300)))
     carried = state.follows and state.problem.effect(c.effect).traits.at_parents
     return share, state.limits.seen if carried else state.limits.worth
-
-
-def nameless(state: Searched, whole: Solved, c: JointCandidate) -> str:
-    """Why an effect that is in the model has no name; empty where it has one."""
-    if read_so(state, whole, c):
-        return ""  # how rows are read is told in words of its own, however small
-    share, minimum = share_of_torque(state, whole, c)
-    if share < minimum:
-        return f"it is {100 * share:.1f} % of the joint's torque"
-    return ""
 
 
 def read_so(state: Searched, whole: Solved, c: JointCandidate) -> bool:
