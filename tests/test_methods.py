@@ -28,6 +28,10 @@ METHODS = {
     "bounded step": ("diagnosis/steps.py", r"\w+ = \w+ & \(\(step < low\)"),
     "loop of damped steps": ("diagnosis/steps.py", r"damping = max\(|damping \*= "),
     "loop of starts": ("diagnosis/steps.py", r"rest = .*~good"),
+    "search for effects": (
+        "diagnosis/search.py",
+        r'Step\("added", (best|better|score)|while len\((\w+\.)?added\) <',
+    ),
     "pieces of trials": ("diagnosis/folds.py", r"in np\.array_split\(mine"),
     "rows of candidates": ("diagnosis/report.py", r'"status": status'),
     "interval of an error": ("diagnosis/report.py", r"np\.quantile\(\[np\.median"),

@@ -122,6 +122,7 @@ WITHIN = {
         "criteria",
         "recommended",
         "testing",
+        "alternatives",
         "steps",
         "rules",
         "finding",

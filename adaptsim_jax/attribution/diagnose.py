@@ -46,7 +46,6 @@ from adaptsim_jax.attribution.mend import (
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, Entry, Vector
 from adaptsim_jax.attribution.problem import TreeProblem, held, nuisances, own_inertia, prepare
 from adaptsim_jax.attribution.replay import follows, recommended
-from adaptsim_jax.attribution.select import Hint
 from adaptsim_jax.attribution.select import declared as fitted_null
 from adaptsim_jax.attribution.servo import (
     calibrated,
@@ -59,6 +58,7 @@ from adaptsim_jax.attribution.servo import (
     still_off,
     with_gains,
 )
+from adaptsim_jax.attribution.tree_objective import Hint
 from adaptsim_jax.attribution.yardsticks import NAMES, TORQUE, WHOLE
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import output_folder

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.attribution.backward import backward_elimination
 from adaptsim_jax.attribution.equation.balance import Balance, balances
 from adaptsim_jax.attribution.equation.confirmed import confirmed
 from adaptsim_jax.attribution.equation.filed import searched, without_bodies
@@ -27,8 +26,9 @@ from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import TreeProblem, held, own_inertia, scaled_reach
 from adaptsim_jax.attribution.report import account_of, evidence_of
-from adaptsim_jax.attribution.select import ROUNDS, Hint, Selection, select, select_shorter
+from adaptsim_jax.attribution.select import Selection, select, select_shorter
 from adaptsim_jax.attribution.torque_report import TorqueFound, by_torque, curves, held_missing
+from adaptsim_jax.attribution.tree_objective import ROUNDS, Hint, TreeObjective
 from adaptsim_jax.attribution.yardsticks import (
     STRETCHES,
     TORQUE,
@@ -39,7 +39,9 @@ from adaptsim_jax.attribution.yardsticks import (
     predicts_nothing,
 )
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.finding import Named
 from adaptsim_jax.diagnosis.report import Account, report_of, withhold_names
+from adaptsim_jax.diagnosis.search import backward_elimination
 from adaptsim_jax.effects.base import Reach
 
 NOTHING = "This model predicts nothing: by no yardstick does it do better than what needs no model, and no effect is named."
@@ -316,10 +318,11 @@ def _polished(q: Inquiry, found: Selection, reach: Reach) -> Selection:
     if not several or (not q.asked and over_floor(problem, whole) >= criteria.near):
         return replace(found, final=whole)
     trace, known = list(found.trace), {n.candidate.key: n for n in found.named}
-    final, stay = backward_elimination(
-        problem, whole, reach, criteria, trace, q.notify, rivals=False
+    objective = TreeObjective(problem, whole, reach, criteria, q.notify, alike=False)
+    final, stay = backward_elimination(objective, whole, trace)
+    named = tuple(
+        Named(e.candidate, e.test, e.steadiness, known[e.candidate.key].alternatives) for e in stay
     )
-    named = tuple(replace(n, alternatives=known[n.candidate.key].alternatives) for n in stay)
     selected = found.final if good and len(stay) == len(known) else final
     return replace(found, final=selected, named=named, trace=tuple(trace))
 

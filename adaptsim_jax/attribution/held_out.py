@@ -136,19 +136,22 @@ def held_out(
         )[2]
         known |= dict(zip(some, paths, strict=True))
     selected = [known[k] for k in groups]
-    loss = losses(problem, selected, weights)
-    width, joints = len(loss), problem.joints
-    squared = np.zeros((width, 2 * joints))
-    for group, path in zip(problem.groups, selected, strict=True):
-        r = residuals(group, path)
-        observed = (
-            np.concatenate([group.stretches.seen, group.stretches.seen_v], 1)
-            .transpose(2, 0, 1)
-            .sum(1)
-        )
-        j = np.array(group.joints)
-        squared[:, [*j, *(joints + j)]] = np.square(r).sum(1) / np.maximum(observed, 1)
+    loss, squared = losses(problem, selected, weights), squared_error(problem, selected)
     return HeldOut(loss, squared, now.vector.values + steps, n, tuple(selected))
+
+
+def squared_error(problem: TreeProblem, paths: Sequence[Path]) -> np.ndarray:
+    """Mean square [W, 2n] over each stretch of what paths by group miss, angles and speeds."""
+    n, columns = problem.joints, []
+    for group, path in zip(problem.groups, paths, strict=True):
+        seen = np.concatenate([group.stretches.seen, group.stretches.seen_v], 1)
+        count = seen.transpose(2, 0, 1).sum(1)
+        columns.append(np.square(residuals(group, path)).sum(1) / np.maximum(count, 1))
+    out = np.zeros((len(columns[0]), 2 * n))
+    for group, own in zip(problem.groups, columns, strict=True):
+        j = np.array(group.joints)
+        out[:, [*j, *(n + j)]] = own
+    return out
 
 
 def paired(problem: TreeProblem, without: np.ndarray, with_: np.ndarray) -> Test:

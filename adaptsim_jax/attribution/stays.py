@@ -35,16 +35,8 @@ class SimulatedEvidence(Evidence):
         return attainable(self.criteria.confidence, self.test.parts)
 
     @property
-    def gain(self) -> float:
-        return self.test.gain
-
-    @property
     def price(self) -> float:
         return self.criteria.size * len(self.candidate.entries)
-
-    @property
-    def min_steadiness(self) -> float:
-        return self.criteria.steady
 
     @property
     def effect(self) -> Effect:
@@ -56,6 +48,15 @@ class SimulatedEvidence(Evidence):
         keys, vector = {e.key for e in self.candidate.entries}, self.model.fit.vector
         both = zip(vector.entries, vector.values, strict=True)
         return [(e, float(z)) for e, z in both if e.key in keys]
+
+    @property
+    def between_rows(self) -> bool:
+        held = self.test.p <= self.criteria.confidence
+        return held and between_rows(self.problem, self.model, self.candidate, self.criteria)
+
+    @property
+    def shifts_time(self) -> bool:
+        return self.effect.shifts_time
 
     @property
     def at_bound(self) -> bool:

@@ -90,9 +90,23 @@ class Objective:
         return False
 
     def reduced(self, model: Model, refused: Refused) -> tuple[Model, Sequence[Step]]:
-        """The model without what is refused: without the weakest, which others may stand in for."""
-        weakest, reason = min(refused, key=lambda r: r[0].test.gain)
-        return weakest.less, (Step("dropped", weakest.candidate, weakest.test, reason),)
+        """The model without the weakest that is refused, and with it those that are not beside it:
+        each takes a fit.
+        """
+        gone: list[tuple[Evidence, Reason]] = []
+        for e, reason in sorted(refused, key=lambda r: r[0].test.gain):
+            if not any(self.adjacent(e.candidate, other.candidate) for other, _ in gone):
+                gone.append((e, reason))
+        steps = [Step("dropped", e.candidate, e.test, reason) for e, reason in gone]
+        return self.without(model, [e for e, _ in gone]), steps
+
+    def adjacent(self, candidate: Any, other: Any) -> bool:
+        """Whether one may take up what another does, so that both do not go at once."""
+        return True
+
+    def without(self, model: Model, gone: Sequence[Evidence]) -> Model:
+        """The model without some effects, the first of which is the weakest."""
+        return gone[0].less
 
     def simpler(self, model: Model, rows: Sequence[Evidence]) -> tuple[Model, Sequence[Step]]:
         """A model that does as well by fewer numbers, and what was replaced; itself where none is."""

@@ -5,15 +5,17 @@ objective, a machine or an effect has no number there (None). Words are made in 
 code and the number.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.testing import Test
 
-MODEL, NAME = "model", "name"
-"""Stages: what fails the first does not stay in the model; what fails the second has no name."""
+READING, MODEL, NAME = "reading", "model", "name"
+"""Stages: what fails the first is how rows are read, and stays fitted; what fails the second does
+not stay in the model; what fails the third has no name.
+"""
 
 
 class Reason(NamedTuple):
@@ -27,10 +29,9 @@ class Reason(NamedTuple):
 class Evidence:
     """What is known of an effect beside all others of a model; each objective gives its own.
 
-    candidate: the effect; less: the model without it, refitted. test: of the model against the one without it. level: up to which its p holds. gain: the share
-    of the loss that it takes off, all joints that carry it together. price: the least of that.
-    steadiness: its size over its scatter, and the least of it. units, loss: what is left out, and
-    of what an error is, in words.
+    candidate: the effect; less: the model without it, refitted; test: of the model against that;
+    level: up to which its p holds; price: the least of its gain; steadiness: its size over its
+    scatter; units, loss: what is left out, and of what an error is, in words.
     """
 
     candidate: Any
@@ -38,12 +39,30 @@ class Evidence:
     criteria: Criteria
     test: Test
     level: float
-    gain: float
     price: float
     steadiness: float
-    min_steadiness: float
     units = "trials"
     loss = "squared error"
+
+    @property
+    def gain(self) -> float:
+        """The share of the loss that it takes off, all joints that carry it together."""
+        return self.test.gain
+
+    @property
+    def min_steadiness(self) -> float:
+        """The least of its size over its scatter."""
+        return self.criteria.steady
+
+    @property
+    def between_rows(self) -> bool:
+        """Whether it is how rows are read, which stays fitted."""
+        return False
+
+    @property
+    def shifts_time(self) -> bool:
+        """Whether it acts by a shift in time."""
+        return False
 
     @property
     def stays_unnamed(self) -> bool:
@@ -96,6 +115,11 @@ class Evidence:
         return None
 
     @property
+    def harmed_joints(self) -> int:
+        """At how many joints simulated angles are missed by more, where simulation tells anything."""
+        return 0
+
+    @property
     def nearer(self) -> float | None:
         """The share by which simulated angles come nearer, all joints together."""
         return None
@@ -135,6 +159,22 @@ def rule(stage: str, words: str):
         return fails
 
     return known
+
+
+@rule(READING, "how rows are read, not an effect")
+def commands_between_rows(e: Evidence) -> float | None:
+    """All commands act early or late by less than a row tells."""
+    if e.between_rows and e.shifts_time:
+        return 0.0
+    return None
+
+
+@rule(READING, "how rows are read, not an effect")
+def rotors_are_steps(e: Evidence) -> float | None:
+    """All rotors are what damping does that acts a part of a row earlier."""
+    if e.between_rows and not e.shifts_time:
+        return 0.0
+    return None
 
 
 @rule(MODEL, "left-out {e.units} do not confirm it")
@@ -254,6 +294,14 @@ def not_beyond_noise(e: Evidence) -> float | None:
     return None
 
 
+@rule(MODEL, "simulated stretches are missed by more with it at {n:.0f} joints")
+def harms_joints(e: Evidence) -> float | None:
+    """A joint at which simulation tells anything is simulated worse with it."""
+    if e.harmed_joints:
+        return float(e.harmed_joints)
+    return None
+
+
 @rule(MODEL, "the simulated angles do not come nearer to the measured ones")
 def angles_not_nearer(e: Evidence) -> float | None:
     """Simulated angles come no nearer, whatever the estimator's weights see."""
@@ -285,16 +333,15 @@ STEPS = {
     "simpler_has_the_name": "{one} has fewer parameters and does as well",
     "as_logged": "loggers pair torques with angles as early or late as this",
     "of_like_joints": "like joints have it, but it could not be shown by itself in these data",
-    "commands_between_rows": "how rows are read, not an effect",
-    "rotors_are_steps": "how rows are read, not an effect",
+    "all_names_together": "all names together take nothing off simulated stretches",
     "engine_bears_out": "dropped by the engine",
 }
 """Words of what a search does besides refusals, by code."""
 
 
-def refusal(evidence: Evidence) -> Reason | None:
-    """The first rule that an effect fails; None where it stays."""
-    for one in RULES:
+def refusal(evidence: Evidence, stages: Sequence[str] = (READING, MODEL, NAME)) -> Reason | None:
+    """The first rule of some stages that an effect fails; None where it stays."""
+    for one in (r for r in RULES if r.stage in stages):
         number = one.fails(evidence)
         if number is not None:
             words = one.words.format(e=evidence, n=number).replace("%", " %")

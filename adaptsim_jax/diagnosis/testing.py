@@ -107,10 +107,10 @@ def attainable(level: float, blocks: int, family: int = 1) -> float:
 
 
 def holm(p: Sequence[float], level: float, blocks: int) -> np.ndarray:
-    """Which of several effects hold out at a common level (Holm's step-down, 1979).
+    """Level [K] up to which the p of each of several effects holds (Holm's step-down, 1979).
 
-    The smallest p is held against the level over all, the next over all but one; after the first
-    that fails, none holds.
+    The smallest p is held against the level over all, the next over all but one. From the first
+    that fails on none holds, and the level is 0.
 
     Args:
         p: of each effect [K].
@@ -118,11 +118,12 @@ def holm(p: Sequence[float], level: float, blocks: int) -> np.ndarray:
         blocks: of each test; with few of them no p can be smaller than all better shows.
     """
     p = np.asarray(p, float)
-    out, order = np.zeros(len(p), bool), np.argsort(p, kind="stable")
+    out, order = np.zeros(len(p)), np.argsort(p, kind="stable")
     for rank, k in enumerate(order):
-        if p[k] > attainable(level, blocks, len(p) - rank):
+        own = attainable(level, blocks, len(p) - rank)
+        if p[k] > own:
             break
-        out[k] = True
+        out[k] = own
     return out
 
 

@@ -25,7 +25,7 @@ from adaptsim_jax.diagnosis.objective import Attempt, Objective, Round
 from adaptsim_jax.diagnosis.problem import Candidate, Problem
 from adaptsim_jax.diagnosis.rules import Evidence, Reason, step_reason
 from adaptsim_jax.diagnosis.search import Keep, search
-from adaptsim_jax.diagnosis.testing import Test, attainable
+from adaptsim_jax.diagnosis.testing import Test, attainable, holm
 
 CLOSE = 1.5  # of the named model's loss, up to which a look-alike is fitted to the end
 LIKELY = 0.1  # of what a name takes off, which one step of a look-alike must take off in its place
@@ -115,9 +115,7 @@ class TrialObjective(Objective):
         return finished(self.problem, model.added, model.fit.values, self.criteria.rounds)
 
     def evidence(self, model: Model, candidates: Sequence[Candidate]) -> list[Evidence]:
-        """Levels of the paired tests are Holm's: the smallest p is held against the level over all
-        effects, the next over all but one.
-        """
+        """Levels of the paired tests are Holm's, over all effects of the model."""
         rows = []
         for c in candidates:
             self.notify(f"without {c.name.replace('_', ' ')}")
@@ -126,11 +124,9 @@ class TrialObjective(Objective):
             steady = steadiness(self.problem, model, c)
             level = self.criteria.confidence
             rows.append(LeftOut(self.problem, model, less, c, self.criteria, test, level, steady))
-        by_p = sorted(range(len(rows)), key=lambda k: rows[k].test.p)
-        for rank, k in enumerate(by_p):
-            level = attainable(self.criteria.confidence, rows[k].test.parts, len(rows) - rank)
-            rows[k] = replace(rows[k], level=level)
-        return rows
+        blocks = min((e.test.parts for e in rows), default=1)
+        levels = holm([e.test.p for e in rows], self.criteria.confidence, blocks)
+        return [replace(e, level=level) for e, level in zip(rows, levels, strict=True)]
 
     def in_place_of(self, e: "LeftOut") -> Iterator[Attempt]:
         problem, criteria = self.problem, self.criteria
@@ -192,16 +188,8 @@ class LeftOut(Evidence):
     steadiness: float
 
     @property
-    def gain(self) -> float:
-        return self.test.gain
-
-    @property
     def price(self) -> float:
         return self.criteria.size
-
-    @property
-    def min_steadiness(self) -> float:
-        return self.criteria.steady
 
     @property
     def at_bound(self) -> bool:

@@ -7,7 +7,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from adaptsim_jax.attribution import select as search
 from adaptsim_jax.attribution.backward import more
 from adaptsim_jax.attribution.estimate import fit
 from adaptsim_jax.attribution.held_out import attempted, modelled, refit
@@ -16,7 +15,9 @@ from adaptsim_jax.attribution.parameters import Entry, Vector
 from adaptsim_jax.attribution.paths import run
 from adaptsim_jax.attribution.problem import nuisances, own_inertia, prepare, scaled_reach
 from adaptsim_jax.attribution.score import candidates, table
+from adaptsim_jax.attribution.select import select
 from adaptsim_jax.attribution.weights import losses
+from adaptsim_jax.diagnosis import search
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from tests.attribution.pendulum import record
@@ -143,11 +144,11 @@ def test_where_nothing_is_named_the_final_model_is_the_declared_one(tmp_path, mo
     problem = prepare(machine.tree, machine.tracks, FEW, declared=machine.declared)
     null = nuisances(problem, inertia=False)
 
-    def all_gone(problem, model, *rest):
+    def all_gone(objective, model, trace):
         vector = null.at(null.values + 0.01)
-        return modelled(problem, (), fit(problem, vector, rounds=0)), ()
+        return modelled(problem, (), fit(problem, vector, rounds=0)), []
 
     monkeypatch.setattr(search, "backward_elimination", all_gone)
-    found = search.select(problem, null, Criteria(most_effects=1))
+    found = select(problem, null, Criteria(most_effects=1))
     assert not found.final.added
     np.testing.assert_array_equal(found.final.fit.vector.values, found.null.fit.vector.values)

@@ -4,11 +4,12 @@ predicts as well.
 
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from adaptsim_jax.attribution import backward
+from adaptsim_jax.attribution import tree_objective
 from adaptsim_jax.attribution.parameters import Entry
 from adaptsim_jax.attribution.score import JointCandidate
 from adaptsim_jax.diagnosis.criteria import Criteria
@@ -21,7 +22,7 @@ ENTRIES = tuple(Entry("coulomb", "level", (j,), 0.0, 0.0, 0.0, 9.0, "N m", np.in
 
 @dataclass(frozen=True)
 class Small:
-    """A model as far as `of_members` looks at it."""
+    """A model as far as `members` looks at it."""
 
     added: tuple
     held: SimpleNamespace = field(default_factory=lambda: SimpleNamespace(loss=0, paths=()))
@@ -49,31 +50,34 @@ def test_weak_joints_go_together_while_the_rest_predicts_as_well(most, stay, mon
         return Paired(0.5 if n > most else 0.0, 1e-4 if n > most else 0.5, 6, 6, 60)
 
     monkeypatch.setattr(
-        backward,
+        tree_objective,
         "without",
         lambda p, m, c, criteria: replace(m, held=SimpleNamespace(loss=c.joints[0])),
     )
-    monkeypatch.setattr(backward, "steadiness", lambda model, c: 9.0)
-    monkeypatch.setattr(backward, "refusal", lambda evidence: Reason("not_confirmed", 0.5, ""))
+    monkeypatch.setattr(tree_objective, "steadiness", lambda model, c: 9.0)
     monkeypatch.setattr(
-        backward,
+        tree_objective, "refusal", lambda evidence, stages: Reason("not_confirmed", 0.5, "")
+    )
+    monkeypatch.setattr(
+        tree_objective,
         "trimmed",
         lambda *a: replace(m := trim(*a), held=SimpleNamespace(loss=0, paths=gone(m))),
     )
-    monkeypatch.setattr(backward, "losses", lambda problem, paths, weights: (paths,))
-    monkeypatch.setattr(backward, "more", lambda large, small: 1)
+    monkeypatch.setattr(tree_objective, "losses", lambda problem, paths, weights: (paths,))
+    monkeypatch.setattr(tree_objective, "more", lambda large, small: 1)
 
     def alone(joint):
         return Paired(0.001 * (joint + 1), 0.5, 3, 6, 60)
 
     monkeypatch.setattr(
-        backward,
+        tree_objective,
         "paired",
         lambda p, less, whole: worse(less[0]) if isinstance(less, tuple) else alone(less),
     )
     whole = Small((JointCandidate("coulomb", JOINTS, "all", ENTRIES),))
-    trace: list = []
-    problem = SimpleNamespace(joint_names=("a", "b", "c", "d"))
-    left = backward.of_members(problem, whole, Criteria(), trace, lambda text: None)
+    problem: Any = SimpleNamespace(joint_names=("a", "b", "c", "d"))
+    reach: Any = None
+    judge = tree_objective.TreeObjective(problem, whole, reach, Criteria())
+    left, trace = judge.members(whole)
     assert tuple(j for c in left.added for j in c.joints) == stay
     assert len(trace) == len(JOINTS) - len(stay)

@@ -11,8 +11,8 @@ from adaptsim_jax.attribution.acting import Values, actuated
 from adaptsim_jax.attribution.parameters import Entry, Vector, inertial_of, inertias, pseudo_inertia
 from adaptsim_jax.attribution.problem import Group, TreeProblem, beginnings, nuisances, prepare
 from adaptsim_jax.attribution.score import JointCandidate
-from adaptsim_jax.attribution.select import _acting
 from adaptsim_jax.attribution.stretches import JointTrack, cut
+from adaptsim_jax.attribution.tree_objective import acting_joints
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.diagnosis.testing import sign_flip
 from adaptsim_jax.effects.base import unit_at
@@ -141,13 +141,13 @@ def test_of_a_stretch_only_the_beginning_is_seen():
 def test_an_effect_at_all_joints_is_told_where_it_acts():
     entries = tuple(Entry("coulomb", "level", (j,), 0.0, 0.0, 0.0, 1.0, "N m") for j in range(3))
     everywhere = JointCandidate("coulomb", (0, 1, 2), "all", entries)
-    acting, still = _acting(Vector(entries, np.array([0.0, 0.2, 0.0])), everywhere)
+    acting, still = acting_joints(Vector(entries, np.array([0.0, 0.2, 0.0])), everywhere)
     assert (acting.joints, acting.sharing, still) == (
         (1,),
         "joint",
         [entries[0].key, entries[2].key],
     )
-    assert _acting(Vector(entries, np.zeros(3)), everywhere) == (everywhere, [])
+    assert acting_joints(Vector(entries, np.zeros(3)), everywhere) == (everywhere, [])
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,6 @@ from scipy.optimize import least_squares
 import adaptsim_jax
 from adaptsim_jax import diagnose
 from adaptsim_jax.attribution import pendulum_diagnosis
-from adaptsim_jax.attribution.backward import of_members
 from adaptsim_jax.attribution.diagnose import declared_vector
 from adaptsim_jax.attribution.estimate import fit
 from adaptsim_jax.attribution.held_out import modelled, over_floor
@@ -25,6 +24,7 @@ from adaptsim_jax.attribution.pendulum import LINK, base_parameters, declared_ma
 from adaptsim_jax.attribution.pendulum_diagnosis import first_parameters
 from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
 from adaptsim_jax.attribution.score import candidates
+from adaptsim_jax.attribution.tree_objective import TreeObjective
 from adaptsim_jax.diagnosis import Effect, Parameter, catalogue, read_model
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.joints.catalogue import ETA, MACHINE
@@ -92,8 +92,7 @@ def test_an_effect_at_all_joints_stays_where_it_is(tmp_path):
     ]
     assert [c.joints for c in both.split()] == [(0,), (1,)]
     model = modelled(problem, (both,), fit(problem, null.with_entries(both.entries), rounds=8))
-    trace: list = []
-    less = of_members(problem, model, Criteria(), trace, lambda note: None)
+    less, trace = TreeObjective(problem, model, reach, Criteria()).members(model)
     assert [(c.effect, c.joints, c.sharing) for c in less.added] == [("coulomb", (1,), "joint")]
     assert [s.candidate.joints for s in trace] == [(0,)]
     values = {

@@ -11,7 +11,7 @@ from adaptsim_jax.attribution.parameters import Entry
 from adaptsim_jax.attribution.score import JointCandidate
 from adaptsim_jax.attribution.stays import SimulatedEvidence, between_rows, steadiness
 from adaptsim_jax.diagnosis.criteria import Criteria
-from adaptsim_jax.diagnosis.rules import refusal
+from adaptsim_jax.diagnosis.rules import MODEL, NAME, refusal
 from adaptsim_jax.diagnosis.testing import Test as Paired
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.effects.registry import effect_named
@@ -47,7 +47,7 @@ def judged(delay=0.01, angles=0.5, test=GOOD, steady=27.0, floor=0.1, least=0.0,
         effect=lambda name: replace(the_effect(name), describes=describes),
     )
     evidence = SimulatedEvidence(problem, of(angles), of(1.0), candidate, test, steady, Criteria())
-    return refusal(evidence)
+    return refusal(evidence, (MODEL, NAME))
 
 
 def test_what_holds_out_stays():
@@ -102,7 +102,8 @@ def test_bristles_that_bend_within_the_noise_are_no_effect(floor, stays):
         effect=the_effect,
     )
     candidate = JointCandidate("presliding", (0,), "joint", (entry,))
-    why = refusal(SimulatedEvidence(problem, of(2.0), of(9.0), candidate, GOOD, 27.0, Criteria()))
+    evidence = SimulatedEvidence(problem, of(2.0), of(9.0), candidate, GOOD, 27.0, Criteria())
+    why = refusal(evidence, (MODEL, NAME))
     if stays:
         assert why is None
     else:

@@ -7,15 +7,15 @@ from adaptsim_jax.diagnosis.testing import attainable, holm, jackknife, paired_t
 
 
 def test_holms_step_down_stops_at_the_first_that_fails():
-    assert list(holm([0.001, 0.02, 0.03], 0.05, 20)) == [True, True, True]
-    assert list(holm([0.03, 0.04], 0.05, 20)) == [False, False]  # 0.04 alone would hold
-    assert list(holm([0.04, 0.01, 0.03], 0.05, 20)) == [False, True, False]
+    assert list(holm([0.001, 0.02, 0.03], 0.06, 20)) == [0.02, 0.03, 0.06]
+    assert list(holm([0.03, 0.04], 0.05, 20)) == [0.0, 0.0]  # 0.04 alone would hold
+    assert list(holm([0.04, 0.01, 0.03], 0.06, 20)) == [0.0, 0.02, 0.0]
 
 
 def test_a_level_is_never_below_what_so_few_blocks_can_show():
     assert attainable(0.05, 20, 2) == 0.025
     assert attainable(0.05, 4) > 2.0**-4
-    assert holm([2.0**-4], 0.05, 4).all()
+    assert holm([2.0**-4], 0.05, 4)[0] > 2.0**-4
 
 
 def test_the_jackknife_of_a_mean_is_its_standard_error():

@@ -8,12 +8,12 @@ may be simulated worse with a name than without. Where it tells nothing it has n
 simulate worse with right frictions.
 """
 
-from collections.abc import Iterable
-from dataclasses import replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from adaptsim_jax.attribution.backward import separable_in_turn
+from adaptsim_jax.attribution.backward import adjacent
 from adaptsim_jax.attribution.equation.models import TorqueSearch, model_of, without
 from adaptsim_jax.attribution.forecast import without_a_model
 from adaptsim_jax.attribution.held_out import FittedTree, held_error, over_floor, paired
@@ -24,8 +24,12 @@ from adaptsim_jax.attribution.weights import losses
 from adaptsim_jax.attribution.yardsticks import WORTH
 from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.finding import Step
 from adaptsim_jax.diagnosis.folds import BLOCKS, pieces
-from adaptsim_jax.diagnosis.testing import paired_test
+from adaptsim_jax.diagnosis.objective import Objective
+from adaptsim_jax.diagnosis.rules import Evidence, refusal, step_reason
+from adaptsim_jax.diagnosis.search import backward_elimination
+from adaptsim_jax.diagnosis.testing import Test, paired_test
 
 HARM = 0.1
 """Of the squared error of a joint's angles (5 % of the error), that may be left more with a name than
@@ -40,86 +44,186 @@ def confirmed(
     criteria: Criteria,
     null: FittedTree | None = None,
 ) -> TorqueSearch:
-    """Without the effects that simulation does not bear out, the weakest first and with it those
-    that are not beside it, refitted by the balance. One that takes far more than the least off is
-    not asked again. Where all together take nothing off, none is asked (closed testing; Marcus,
-    Peritz and Gabriel, 1976). whole: the model of all that is found; null: the declared model of a
-    machine that is driven by torque, whose stretches may tell nothing.
+    """Without the names that simulation does not bear out, refitted by the balance.
+
+    Args:
+        problem: stretches that are simulated.
+        found: by the balance.
+        whole: the model of all that is found.
+        criteria: what counts as an effect.
+        null: the declared model of a machine that is driven by torque, whose stretches may tell
+            nothing.
     """
-    sure: set[tuple] = set()
     near = null is None or over_floor(problem, null) <= criteria.near
     if not near and not any(informative_joints(problem, null, criteria)):
         return found
-    if near and len(found.named) > 1:
-        bare = _gone(without(problem, found, [n.candidate for n in found.named], []))
-        model = model_of(problem, bare, bare.final, bare.added, whole.fit.starts)
-        if _gain(problem, model, whole, criteria)[0] <= criteria.size:
-            return bare
-    while found.named:
-
-        def weighed(
-            c: JointCandidate, found=found, whole=whole
-        ) -> tuple[float, bool, JointCandidate, TorqueSearch]:
-            less = without(problem, found, [c], [])
-            model = model_of(problem, less, less.final, less.added, whole.fit.starts)
-            gain, stays = _gain(problem, model, whole, criteria)
-            if not near:
-                stays = not any(harmed(problem, null, model, whole, _shown(found, c), criteria))
-            return gain, stays, c, less
-
-        asked = [n.candidate for n in found.named if n.candidate.key not in sure]
-        tests = parallel_map(weighed, asked)
-        weak = [(gain, c, less) for gain, stays, c, less in tests if not stays]
-        if not weak and not near and (together := _harmful(problem, found, null, whole, criteria)):
-            weak = [z[:1] + z[2:] for z in tests if z[2] is together]
-        if not weak and not near:
-            return found
-        if not weak:
-            return _separable(problem, found, whole, criteria)
-        if near:
-            sure |= {c.key for gain, stays, c, _ in tests if stays and gain > criteria.apart}
-        gone = separable_in_turn(sorted(weak, key=lambda w: w[0]), lambda w: w[1])
-        found = _gone(
-            gone[0][2] if len(gone) == 1 else without(problem, found, [c for _, c, _ in gone], [])
-        )
-        whole = model_of(problem, found, found.final, found.added, whole.fit.starts)
-    return found
+    objective = SimulatedNames(problem, criteria, null, near)
+    trace: list[Step] = []
+    model, _ = backward_elimination(objective, NamedModel(found, whole), trace)
+    left = objective.separable(model) if near else model.found
+    return replace(left, vetoes=(*found.vetoes, *trace))
 
 
-def _separable(
-    problem: TreeProblem, found: TorqueSearch, whole: FittedTree, criteria: Criteria
-) -> TorqueSearch:
-    """With those alternatives of each effect alone that simulate left-out stretches as well in its
-    place.
+@dataclass(frozen=True)
+class NamedModel:
+    """What a balance found, and how that simulates stretches. Its effects are those with a name."""
+
+    found: TorqueSearch
+    whole: FittedTree
+
+    @property
+    def added(self) -> tuple[JointCandidate, ...]:
+        return tuple(n.candidate for n in self.found.named)
+
+
+@dataclass(frozen=True)
+class SimulatedName(Evidence):
+    """Evidence of stretches, simulated with and without a name, both as the balance fits them.
+
+    near: whether stretches tell all that there is; harmed: joints that are simulated worse with it,
+    where they do not.
     """
 
-    def as_well(pair: tuple[JointCandidate, JointCandidate]) -> bool:
-        c, other = pair
-        instead = without(problem, found, [c], [other])
-        model = model_of(problem, instead, instead.final, instead.added, whole.fit.starts)
-        test = paired(
-            problem, losses(problem, model.held.paths, whole.fit.weights), whole.held.loss
-        )
-        return test.p > criteria.confidence or test.gain < criteria.gap
+    problem: TreeProblem
+    model: NamedModel
+    less: NamedModel
+    candidate: JointCandidate
+    criteria: Criteria
+    test: Test
+    near: bool
+    harmed: Sequence[int] = ()
+    units = "stretches"
+    steadiness = np.inf
+    min_steadiness = 0.0
+    at_bound = False
 
-    pairs = [
-        (k.candidate, other) for w in found.searches for k in w.named for other in k.alternatives
-    ]
-    alike = {
-        (c.key, o.key)
-        for (c, o), good in zip(pairs, parallel_map(as_well, pairs), strict=True)
-        if good
-    }
+    @property
+    def level(self) -> float:
+        return self.criteria.confidence if self.near else 1.0
 
-    def separable(k):
-        return replace(
-            k, alternatives=tuple(o for o in k.alternatives if (k.candidate.key, o.key) in alike)
-        )
+    @property
+    def price(self) -> float:
+        return self.criteria.size if self.near else -np.inf
 
-    searches = tuple(replace(w, named=tuple(separable(k) for k in w.named)) for w in found.searches)
-    if pairs:
-        return replace(found, searches=searches)
-    return found
+    @property
+    def harmed_joints(self) -> int:
+        return len(self.harmed)
+
+    @property
+    def nearer(self) -> float | None:
+        if not self.near:
+            return None
+        return eased(self.problem, self.less.whole, self.model.whole)
+
+    @property
+    def best_joint(self) -> tuple[float, float] | None:
+        if not self.near:
+            return None
+        return worth(self.problem, self.less.whole, self.model.whole), self.criteria.worth
+
+
+@dataclass(frozen=True)
+class SimulatedNames(Objective):
+    """Names of a balance as simulated stretches bear them out; nothing is added.
+
+    near: whether stretches tell all that there is; null: as of `confirmed`.
+    """
+
+    problem: TreeProblem
+    criteria: Criteria
+    null: FittedTree | None
+    near: bool
+    _certain: set = field(default_factory=set)
+
+    def model(self, found: TorqueSearch, like: FittedTree) -> NamedModel:
+        """What is found, simulated from starts of a model that is nearly the same."""
+        whole = model_of(self.problem, found, found.final, found.added, like.fit.starts)
+        return NamedModel(found, whole)
+
+    def less(self, model: NamedModel, gone: Sequence[JointCandidate]) -> NamedModel:
+        """Without some names, refitted by the balance."""
+        return self.model(_gone(without(self.problem, model.found, gone, [])), model.whole)
+
+    def members(self, model: NamedModel) -> tuple[NamedModel, Sequence[Step]]:
+        """Where all names together take nothing off, none is asked (closed testing; Marcus, Peritz
+        and Gabriel, 1976).
+        """
+        if not self.near or len(model.added) < 2:
+            return model, ()
+        bare = self.less(model, model.added)
+        test = self.test(bare.whole, model.whole)
+        if test.gain > self.criteria.size:
+            return model, ()
+        reason = step_reason("all_names_together", test.gain)
+        return bare, [Step("dropped", c, test, reason) for c in model.added]
+
+    def test(self, less: FittedTree, whole: FittedTree) -> Test:
+        loss = losses(self.problem, less.held.paths, whole.fit.weights)
+        return paired(self.problem, loss, whole.held.loss)
+
+    def evidence(self, model: NamedModel, candidates: Sequence[JointCandidate]) -> list[Evidence]:
+        """One that takes far more than the least off is not asked again."""
+
+        def one(c: JointCandidate) -> SimulatedName:
+            less = self.less(model, [c])
+            test, worse = self.test(less.whole, model.whole), []
+            if not self.near:
+                shown = _shown(model.found, c)
+                worse = harmed(
+                    self.problem, self.null, less.whole, model.whole, shown, self.criteria
+                )
+            return SimulatedName(
+                self.problem, model, less, c, self.criteria, test, self.near, worse
+            )
+
+        rows = parallel_map(one, [c for c in candidates if c.key not in self._certain])
+        if not self.near:
+            return rows if any(e.harmed for e in rows) else self._together(model, rows)
+        sure = [e for e in rows if e.gain > self.criteria.apart and refusal(e) is None]
+        self._certain.update(e.candidate.key for e in sure)
+        return rows
+
+    def _together(self, model: NamedModel, rows: list[SimulatedName]) -> list[Evidence]:
+        """Where no name harms a joint by itself and all of them together do: of those at such joints
+        the one that the balance gains least by is taken to.
+        """
+        null, whole, joints = self.null or model.whole, model.whole, range(self.problem.joints)
+        worse = set(harmed(self.problem, self.null, null, whole, joints, self.criteria))
+        some = [n for n in model.found.named if worse & set(_shown(model.found, n.candidate))]
+        if not some:
+            return list(rows)
+        least = min(some, key=lambda n: n.test.gain).candidate
+        return [replace(e, harmed=tuple(worse)) if e.candidate is least else e for e in rows]
+
+    def adjacent(self, candidate: JointCandidate, other: JointCandidate) -> bool:
+        return adjacent(candidate, other)
+
+    def without(self, model: NamedModel, gone: Sequence[Evidence]) -> NamedModel:
+        return gone[0].less if len(gone) == 1 else self.less(model, [e.candidate for e in gone])
+
+    def separable(self, model: NamedModel) -> TorqueSearch:
+        """With those alternatives of each name alone that simulate left-out stretches as well in its
+        place.
+        """
+        found, whole = model.found, model.whole
+
+        def as_well(pair: tuple[JointCandidate, JointCandidate]) -> bool:
+            instead = without(self.problem, found, [pair[0]], [pair[1]])
+            test = self.test(self.model(instead, whole).whole, whole)
+            return test.p > self.criteria.confidence or test.gain < self.criteria.gap
+
+        pairs = [(n.candidate, other) for n in found.named for other in n.alternatives]
+        if not pairs:
+            return found
+        good = parallel_map(as_well, pairs)
+        alike = {(c.key, o.key) for (c, o), g in zip(pairs, good, strict=True) if g}
+
+        def separated(n):
+            others = tuple(o for o in n.alternatives if (n.candidate.key, o.key) in alike)
+            return replace(n, alternatives=others)
+
+        searches = [replace(w, named=tuple(separated(n) for n in w.named)) for w in found.searches]
+        return replace(found, searches=tuple(searches))
 
 
 def informative_joints(
@@ -167,21 +271,6 @@ def _shown(found: TorqueSearch, c: JointCandidate) -> list[int]:
     return list(c.joints)
 
 
-def _harmful(
-    problem: TreeProblem,
-    found: TorqueSearch,
-    null: FittedTree | None,
-    whole: FittedTree,
-    criteria: Criteria,
-) -> JointCandidate | None:
-    """Of the names at joints that all of them together harm the one that gains least."""
-    worse = set(harmed(problem, null, null or whole, whole, range(problem.joints), criteria))
-    some = [n for n in found.named if worse & set(_shown(found, n.candidate))]
-    if not some:
-        return None
-    return min(some, key=lambda n: n.test.gain).candidate
-
-
 def _gone(less: TorqueSearch) -> TorqueSearch:
     """What is found less, without the names that are no longer in it."""
 
@@ -189,17 +278,3 @@ def _gone(less: TorqueSearch) -> TorqueSearch:
         return tuple(k for k in w.named if any(k.candidate is c for c in w.added))
 
     return replace(less, searches=tuple(replace(w, named=names(w)) for w in less.searches))
-
-
-def _gain(
-    problem: TreeProblem, less: FittedTree, whole: FittedTree, criteria: Criteria
-) -> tuple[float, bool]:
-    """Share of the left-out loss that an effect takes off, and whether it stays."""
-    test = paired(problem, losses(problem, less.held.paths, whole.fit.weights), whole.held.loss)
-    holds = test.p <= criteria.confidence and test.gain > criteria.size
-    stays = (
-        holds
-        and eased(problem, less, whole) > 0.0
-        and worth(problem, less, whole) >= criteria.worth
-    )
-    return test.gain, stays

@@ -17,8 +17,9 @@ from adaptsim_jax.attribution.held_out import FittedTree, over_floor, paired
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import TreeProblem
 from adaptsim_jax.attribution.weights import losses
+from adaptsim_jax.diagnosis.alternatives import preferred
 from adaptsim_jax.diagnosis.criteria import Criteria
-from adaptsim_jax.diagnosis.testing import log_ratio, means, share
+from adaptsim_jax.diagnosis.testing import log_ratio, share
 from adaptsim_jax.effects.joints.catalogue import OWN
 
 FITTED = tuple(e.name for e in OWN if e.traits.fitted)
@@ -80,14 +81,10 @@ def enough(
     if over_floor(problem, own) <= criteria.explained:
         return True
     test = paired(problem, own.held.loss, losses(problem, other.held.paths, own.fit.weights))
-    return test.gain <= criteria.size or test.p > criteria.confidence
+    return not preferred(test, criteria.size, criteria.confidence)
 
 
 def _worse(held: GroupSearch, free: GroupSearch) -> np.ndarray:
     """Logarithms [B] of what the first leaves of left-out blocks over what the second does."""
-    rows = free.rows
-    loss = [
-        means(rows.clear * np.square(w.whole.left_out(w.rows) / rows.size), rows.block).mean(1)
-        for w in (held, free)
-    ]
+    loss = [free.rows.loss(w.whole.left_out(w.rows)).mean(1) for w in (held, free)]
     return log_ratio(*loss)

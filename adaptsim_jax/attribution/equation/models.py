@@ -16,14 +16,12 @@ from adaptsim_jax.attribution.equation.search import (
     within,
 )
 from adaptsim_jax.attribution.forecast import fitted_starts
-from adaptsim_jax.attribution.held_out import FittedTree, HeldOut
+from adaptsim_jax.attribution.held_out import FittedTree, HeldOut, squared_error
 from adaptsim_jax.attribution.linear import Normal
 from adaptsim_jax.attribution.parameters import Vector
-from adaptsim_jax.attribution.paths import residuals
 from adaptsim_jax.attribution.problem import TreeProblem
 from adaptsim_jax.attribution.score import CandidateScore, JointCandidate
 from adaptsim_jax.attribution.select import Selection
-from adaptsim_jax.attribution.simulate import Path
 from adaptsim_jax.attribution.weights import TreeFit, losses, weigh
 from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.diagnosis.criteria import Criteria
@@ -36,13 +34,14 @@ ROUNDS = 3  # of the starts of stretches
 @dataclass(frozen=True)
 class TorqueSearch:
     """What the balances of all groups of joints say. null, final: vectors of the whole machine;
-    errors [P] of the final one.
+    errors [P] of the final one; vetoes: how names went that simulation does not bear out.
     """
 
     searches: tuple[GroupSearch, ...]
     null: Vector
     final: Vector
     errors: np.ndarray
+    vetoes: tuple[Step, ...] = ()
 
     @property
     def added(self) -> tuple[JointCandidate, ...]:
@@ -114,7 +113,7 @@ def selection(
     opening = sorted(
         (_score(s, null.fit.total) for s in _best_tried(steps)), key=lambda s: -s.held_out
     )
-    found_by = (null, final, found.named, tuple(steps), tuple(opening))
+    found_by = (null, final, found.named, (*steps, *found.vetoes), tuple(opening))
     return Selection(*found_by, stages=(null,), last=(), reach=reach)
 
 
@@ -158,13 +157,10 @@ def model_of(
     weights = weigh(problem, paths)
     loss = losses(problem, paths, weights)
     fit = TreeFit(vector, starts, weights, loss, "converged", 0)
-    return FittedTree(
-        tuple(added),
-        fit,
-        None,
-        _held(problem, tuple(paths), loss, vectors),
-        curvature(found, vector),
-    )
+    folds, size = vectors.shape
+    nothing = Normal(np.zeros((folds, size, size)), np.zeros((folds, size)))
+    held = HeldOut(loss, squared_error(problem, paths), vectors, nothing, tuple(paths))
+    return FittedTree(tuple(added), fit, None, held, curvature(found, vector))
 
 
 def _folded(problem: TreeProblem, found: TorqueSearch, vector: Vector) -> np.ndarray:
@@ -184,30 +180,6 @@ def _folded(problem: TreeProblem, found: TorqueSearch, vector: Vector) -> np.nda
                 off = solved.by_fold[:, i] - solved.step[i]
                 out[: len(off), index[e.key]] += off
     return np.clip(out, vector.low, vector.high)
-
-
-def _held(
-    problem: TreeProblem, paths: tuple[Path, ...], loss: np.ndarray, vectors: np.ndarray
-) -> HeldOut:
-    n = problem.joints
-    squared = np.zeros((len(loss), 2 * n))
-    for group, path in zip(problem.groups, paths, strict=True):
-        r = residuals(group, path)
-        count = (
-            np.concatenate([group.stretches.seen, group.stretches.seen_v], 1)
-            .transpose(2, 0, 1)
-            .sum(1)
-        )
-        j = np.array(group.joints)
-        squared[:, [*j, *(n + j)]] = np.square(r).sum(1) / np.maximum(count, 1)
-    folds, size = vectors.shape
-    return HeldOut(
-        loss,
-        squared,
-        vectors,
-        Normal(np.zeros((folds, size, size)), np.zeros((folds, size))),
-        paths,
-    )
 
 
 def curvature(found: TorqueSearch, vector: Vector) -> np.ndarray:

@@ -18,6 +18,7 @@ from adaptsim_jax.attribution.equation.solve import Solved, compared
 from adaptsim_jax.attribution.equation.stays import Balanced, at_bound, read_so
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, Vector
 from adaptsim_jax.attribution.score import JointCandidate
+from adaptsim_jax.diagnosis.alternatives import preferred
 from adaptsim_jax.diagnosis.finding import Step
 from adaptsim_jax.diagnosis.objective import Attempt, Objective, Round
 from adaptsim_jax.diagnosis.rules import Evidence, Reason, refusal, step_reason
@@ -226,7 +227,7 @@ class BalanceObjective(Objective):
     def unnamed(self, e: Balanced) -> Reason | None:
         """How rows are read; what like joints have and could not be shown by itself; a trifle."""
         if e.read_so:
-            return step_reason("commands_between_rows" if e.state.commanded else "as_logged")
+            return step_reason("as_logged")
         if refusal(e):
             return step_reason("of_like_joints")
         return refusal(replace(e, naming=True))
@@ -265,7 +266,7 @@ def likely_first(
         less, more = state.set_of(added), state.set_of([*added, *some])
         joints = sorted({k for c in some for k in state.own(c)})
         test = compared(state.rows, less, more, joints)
-        if test.gain > state.limits.gain and test.p <= state.limits.level:
+        if preferred(test, state.limits.gain, state.limits.level):
             added = [*added, *some]
             state.weigh(state.set_of(added))
             steps += [Step("added", c, test, step_reason("likely_first")) for c in some]

@@ -19,8 +19,9 @@ from adaptsim_jax.attribution.equation.search import separable_candidates
 from adaptsim_jax.attribution.equation.searched import Searched
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import TreeProblem
+from adaptsim_jax.diagnosis.alternatives import preferred
 from adaptsim_jax.diagnosis.criteria import Criteria
-from adaptsim_jax.diagnosis.testing import log_ratio, means, share, sign_flip
+from adaptsim_jax.diagnosis.testing import compare, log_ratio
 from adaptsim_jax.effects.base import Reach
 from adaptsim_jax.mechanisms.tree import Tree
 
@@ -53,7 +54,8 @@ def rubbing(
         z for p in pairs for z in gains(problem, soft, *p, part(p[0]), reach, criteria, commanded).T
     ]
     limits = criteria.torque
-    shows = [share(z) > limits.gain and sign_flip(z) * len(joints) <= limits.level for z in joints]
+    tests = [compare(z, z) for z in joints]
+    shows = [preferred(t, limits.gain, limits.level, len(joints)) for t in tests]
     gives = any(shows) and np.mean([z.mean() for z in joints]) > 0.0
     if gives:
         return (soft, other)
@@ -107,6 +109,4 @@ def gains(
         s.set_of(likely_first(s, separable_candidates(s))[0]).left_out(s.rows)
         for s in (sharp, gives)
     ]
-    rows = sharp.rows
-    loss = [means(rows.clear * np.square(z / rows.size), rows.block) for z in left]
-    return log_ratio(*loss)
+    return log_ratio(*(sharp.rows.loss(z) for z in left))

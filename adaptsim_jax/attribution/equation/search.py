@@ -66,7 +66,7 @@ def search_group(
         final.added,
         tuple(replace(n, models=()) for n in found.named),
         # how commands are read is told in words of its own
-        tuple((c, r.words) for c, r in found.unnamed if r.code != "commands_between_rows"),
+        tuple((c, r.words) for c, r in found.unnamed if not (commanded and r.code == "as_logged")),
         found.trace,
         state.rows,
         found.null.whole,

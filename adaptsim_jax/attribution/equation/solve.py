@@ -31,6 +31,10 @@ class ForceRows:
     fold: np.ndarray
     block: np.ndarray
 
+    def loss(self, left: np.ndarray) -> np.ndarray:
+        """Mean squares [B, n] of what is left [K, n] in each block, over the sizes."""
+        return means(self.clear * np.square(left / self.size), self.block)
+
 
 @dataclass(frozen=True)
 class Solved:
@@ -162,7 +166,7 @@ def solved(sums: Sums, names: Sequence, entries: Sequence[Entry], now: np.ndarra
     )
     columns = np.concatenate([sums.blocks[name][2] for name in names], 2)
     left = left_out(rows, columns, by_fold)
-    loss = means(rows.clear * np.square(left / rows.size), rows.block)
+    loss = rows.loss(left)
     prior = vector.precision
     pull = all_slope - prior * (vector.values - vector.start)
     return Solved(tuple(entries), columns, step, by_fold, loss, total + np.diag(prior), pull)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from adaptsim_jax.diagnosis.alternatives import preferred
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Finding, Named, Step
 from adaptsim_jax.diagnosis.fit import Fit, mean_square
@@ -133,7 +134,7 @@ def diagnosed(
     own, rival = fit(scooped.shape), run(bases[0])
     found = run(own)
     test = paired(*_alike(scooped, found, rival))
-    if test.gain < criteria.size or test.p > criteria.confidence:
+    if not preferred(test, criteria.size, criteria.confidence):
         return found
     named = Named(SHAPE, paired(own.held, bases[0].held), np.inf)
     score = Score(SHAPE, {}, max(1.0 - bases[0].loss / own.loss, 0.0), test.p)
