@@ -9,7 +9,7 @@ from adaptsim_jax.diagnosis.testing import attainable, holm, jackknife, paired_t
 def test_holms_step_down_stops_at_the_first_that_fails():
     assert list(holm([0.001, 0.02, 0.03], 0.06, 20)) == [0.02, 0.03, 0.06]
     assert list(holm([0.03, 0.04], 0.05, 20)) == [0.0, 0.0]  # 0.04 alone would hold
-    assert list(holm([0.04, 0.01, 0.03], 0.06, 20)) == [0.0, 0.02, 0.0]
+    assert list(holm([0.04, 0.01, 0.035], 0.06, 20)) == [0.0, 0.02, 0.0]
 
 
 def test_a_level_is_never_below_what_so_few_blocks_can_show():
