@@ -334,7 +334,7 @@ STEPS = {
     "as_logged": "loggers pair torques with angles as early or late as this",
     "of_like_joints": "like joints have it, but it could not be shown by itself in these data",
     "all_names_together": "all names together take nothing off simulated stretches",
-    "engine_bears_out": "dropped by the engine",
+    "better_in_its_place": "{one} predicts better in its place",
 }
 """Words of what a search does besides refusals, by code."""
 

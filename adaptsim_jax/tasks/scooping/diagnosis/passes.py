@@ -9,24 +9,22 @@ import numpy as np
 
 from adaptsim_jax.diagnosis.alternatives import preferred
 from adaptsim_jax.diagnosis.criteria import Criteria
-from adaptsim_jax.diagnosis.finding import Finding, Named, Step
+from adaptsim_jax.diagnosis.finding import Finding, Named
 from adaptsim_jax.diagnosis.fit import Fit, mean_square
 from adaptsim_jax.diagnosis.models import (
     Model,
     Score,
-    added,
-    beats,
     finished,
     paired,
     spread,
-    without,
 )
 from adaptsim_jax.diagnosis.problem import Candidate, Problem
 from adaptsim_jax.diagnosis.rows import left_by_fit
-from adaptsim_jax.diagnosis.rules import step_reason
-from adaptsim_jax.diagnosis.trials import does_as_well, likely, search_trials, steadiness
+from adaptsim_jax.diagnosis.search import backward_elimination, what_may_be_said
+from adaptsim_jax.diagnosis.trials import search_trials
 from adaptsim_jax.tasks.scooping.diagnosis.catalogue import EFFECTS, HEIGHT, SHAPE, SHIFTS
 from adaptsim_jax.tasks.scooping.diagnosis.emulate import PLACE, Emulator, emulate, widths
+from adaptsim_jax.tasks.scooping.diagnosis.engine_objective import EngineObjective
 from adaptsim_jax.tasks.scooping.diagnosis.problem import (
     begun,
     prepare,
@@ -306,12 +304,7 @@ def _by_engine(
     own: Owned,
     report: Report,
 ) -> Found:
-    """What the emulator names, tested once more by the engine: each beside the others, then against
-    what may do as well in its place.
-
-    What does not hold out is dropped. The best in a place is named, others that predict left-out
-    scoops as well are its class.
-    """
+    """What the emulator names, tested once more by the engine (`engine_objective.py`)."""
     report("by the engine")
     whole = replace(problem, quantities=quantities_of(scooped))
     known: dict[frozenset[str], tuple[Model, np.ndarray]] = {}
@@ -328,69 +321,17 @@ def _by_engine(
             known[key] = Model(tuple(effects), simulated), tracks
         return known[key][0]
 
-    def found_with(model: Model, named: list[Named]) -> Found:
-        tracks = {
-            k: known[frozenset(e.name for e in m.added)][1]
-            for k, m in (("before", null), ("after", model))
-        }
-        selection = replace(found, null=null, final=model, named=tuple(named), trace=tuple(trace))
-        return Found(selection, whole, shape, scale, tracks)
-
     null = fit((), found.null.fit.values)
-    emulated = found.final
-    model = fit(emulated.added, emulated.fit.values)
-    for turn in range(PASSES):
-        model, emulated, rows = _holding(problem, model, emulated, null, fit, criteria, trace)
-        named: list[Named] = []
-        for e, rough, less, test in rows:
-            tries = [
-                (*added(problem, rough, s, 2 * criteria.glance), s)
-                for s in likely(problem, emulated, rough, e)
-            ]
-            rivals = [
-                (s.candidate, values, fit((*less.added, s.candidate), values))
-                for values, _, s in sorted(tries, key=lambda t: t[1])[: criteria.tried]
-            ]
-            better = None
-            for rival in rivals:
-                if beats(problem, rival[2], better[2] if better else model, criteria):
-                    better = rival
-            if better and turn < PASSES - 1:
-                model, emulated = (
-                    better[2],
-                    finished(problem, (*rough.added, better[0]), better[1], criteria.rounds),
-                )
-                break
-            alike = [
-                (other, m)
-                for other, _, m in rivals
-                if does_as_well(paired(m.fit.held, model.fit.held), criteria)
-            ]
-            steady, others = steadiness(problem, model, e), tuple(other for other, _ in alike)
-            named.append(Named(e, test, steady, others, tuple(m for _, m in alike)))
-        else:
-            break
-    return found_with(model, named)
-
-
-def _holding(problem: Problem, model: Model, emulated: Model, null, fit, criteria: Criteria, trace):
-    """The model of the effects that hold out beside the others by the engine, as emulated, and for
-    each the models without it.
-    """
-    while True:
-        rows = []
-        for e in model.added:
-            rough = without(problem, emulated, e, criteria.rounds)
-            if rough.added:
-                less = fit(rough.added, rough.fit.values)
-            else:
-                less = null
-            rows.append((e, rough, less, paired(less.fit.held, model.fit.held)))
-        failing = [r for r in rows if r[3].gain < criteria.size or r[3].p > criteria.confidence]
-        if not failing:
-            return model, emulated, rows
-        e, emulated, model, test = min(failing, key=lambda r: r[3].gain)
-        trace.append(Step("dropped", e, test, step_reason("engine_bears_out", test.gain)))
+    objective = EngineObjective(problem, criteria, fit, null)
+    model, rows = backward_elimination(objective, objective.model(found.final), trace)
+    named, _ = what_may_be_said(objective, rows, alike=True)
+    final = model.model
+    tracks = {
+        k: known[frozenset(e.name for e in m.added)][1]
+        for k, m in (("before", null), ("after", final))
+    }
+    selection = replace(found, null=null, final=final, named=named, trace=tuple(trace))
+    return Found(selection, whole, shape, scale, tracks)
 
 
 def _simulated(scooped: Scooped, shape: str, scale, problem, fit: Fit) -> tuple[Fit, np.ndarray]:
