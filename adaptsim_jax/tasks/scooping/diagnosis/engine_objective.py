@@ -8,6 +8,7 @@ as well are its class.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +34,7 @@ class EngineModel:
     """
 
     model: Model
-    emulated: Model | None
+    emulated: Any
     begun: np.ndarray
 
     @property
