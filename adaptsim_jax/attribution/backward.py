@@ -2,6 +2,8 @@
 
 from collections.abc import Callable, Sequence
 
+import numpy as np
+
 from adaptsim_jax.attribution.estimate import fit
 from adaptsim_jax.attribution.held_out import FittedTree, modelled, paired, refit
 from adaptsim_jax.attribution.parameters import TILT, Vector
@@ -60,24 +62,33 @@ def without(
     """The model without one of its effects, refitted under the same weights."""
     vector = model.fit.vector.without(keys_of(model, gone))
     less = tuple(c for c in model.added if c is not gone)
-    return compared(problem, model, less, model, vector, model.fit.starts, gone.joints, criteria)
+    begun = vector, model.fit.starts
+    return compared(problem, model, less, model, begun, gone.joints, criteria)
 
 
 def compared(
     problem: TreeProblem,
     model: FittedTree,
-    added,
+    added: Sequence[JointCandidate],
     like: FittedTree,
-    vector: Vector,
-    starts,
-    joints,
+    begun: tuple[Vector, Sequence[np.ndarray]],
+    joints: Sequence[int],
     criteria: Criteria,
 ) -> FittedTree:
     """Another model, refitted under the weights of `model` as far as it takes to compare them: to
-    the end where it might do as well. like: one that is the same but at `joints`.
+    the end where it might do as well.
+
+    Args:
+        problem: stretches.
+        model: what it is compared with.
+        added: its effects.
+        like: a model that is the same but at `joints`.
+        begun: vector and starts from which it is fitted.
+        joints: at which it is another.
+        criteria: rounds, and from which difference on a fit ends early.
     """
     weights, most = model.fit.weights, criteria.rounds
-    fitted = refit(problem, vector, starts, joints, most, weights, 2 * criteria.glance)
+    fitted = refit(problem, *begun, joints, most, weights, 2 * criteria.glance)
     other = modelled(problem, added, fitted, weights, like)
     left = most - fitted.rounds
     separable = paired(problem, other.held.loss, model.held.loss).gain > criteria.apart

@@ -384,7 +384,8 @@ class TreeObjective(Objective):
             touched, added = (*c.joints, *score.candidate.joints), (*less.added, score.candidate)
 
             def settle(vector, starts):
-                return compared(problem, e.model, added, less, vector, starts, touched, criteria)
+                begun = vector, starts
+                return compared(problem, e.model, added, less, begun, touched, criteria)
 
             vector, starts, _ = attempted(problem, less, self.reach, score)
             other = from_afar(problem, settle, vector, starts, criteria.rounds)

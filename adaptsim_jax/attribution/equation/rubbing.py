@@ -49,15 +49,18 @@ def rubbing(
         return problem, tuple(balances)
     soft = giving(problem, tree)
     other = tuple(given(b, soft) for b in balances)
-    pairs = zip(balances, other, strict=True)
-    joints = [
-        z for p in pairs for z in gains(problem, soft, *p, part(p[0]), reach, criteria, commanded).T
-    ]
+
+    def searched(p: TreeProblem, b: Balance, null: Vector) -> Searched:
+        return Searched(p, b, null, reach, criteria, commanded)
+
+    joints = []
+    for sharp, gives in zip(balances, other, strict=True):
+        null = part(sharp)
+        joints += list(gains(searched(problem, sharp, null), searched(soft, gives, null)).T)
     limits = criteria.torque
     tests = [compare(z, z) for z in joints]
     shows = [preferred(t, limits.gain, limits.level, len(joints)) for t in tests]
-    gives = any(shows) and np.mean([z.mean() for z in joints]) > 0.0
-    if gives:
+    if any(shows) and np.mean([z.mean() for z in joints]) > 0.0:
         return (soft, other)
     return (problem, tuple(balances))
 
@@ -88,23 +91,11 @@ def given(balance: Balance, soft: TreeProblem) -> Balance:
     return replace(balance, group=group, ahead=ahead_of(group.model.tree, balance.ahead, balance.a))
 
 
-def gains(
-    problem,
-    soft,
-    one: Balance,
-    other: Balance,
-    null: Vector,
-    reach,
-    criteria: Criteria,
-    commanded: bool,
-) -> np.ndarray:
+def gains(sharp: Searched, gives: Searched) -> np.ndarray:
     """Logarithms [B, n] of what sharp friction leaves of left-out blocks over what the giving one
     does. Each with what all joints are likely to have (a delay of commands, friction at each
     joint).
     """
-    sharp, gives = (
-        Searched(p, b, null, reach, criteria, commanded) for p, b in ((problem, one), (soft, other))
-    )
     left = [
         s.set_of(likely_first(s, separable_candidates(s))[0]).left_out(s.rows)
         for s in (sharp, gives)
