@@ -205,7 +205,7 @@ def main() -> None:
     args = parser.parse_args()
     from adaptsim_jax.core.errors import BadInput
     from adaptsim_jax.logs.read import read_source_and_log
-    from adaptsim_jax.simulators.mujoco.diagnosed import diagnose
+    from adaptsim_jax.simulators.mujoco.diagnosed import diagnose, simulator
 
     for seed in args.seeds:
         for world in args.worlds:
@@ -217,7 +217,7 @@ def main() -> None:
             low = record(model, data, truth["delay"], args.imu, rng)
             began, busy = time.monotonic(), time.process_time()
             try:
-                report = diagnose(*read_source_and_log(data), out=data / "out")
+                report = diagnose(simulator(*read_source_and_log(data)), out=data / "out")
                 named = [
                     {
                         "name": e["name"],

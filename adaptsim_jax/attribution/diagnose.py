@@ -112,21 +112,15 @@ def diagnose(
     declared of their columns.
     """
     began = time.monotonic()
-    if yardstick is not None and yardstick not in NAMES:
-        raise BadInput(f"--yardstick {yardstick}: is no yardstick; use {', '.join(NAMES)}")
+    setting = Setting(criteria or Criteria(), horizon, tuple(exclude), effects, yardstick)
     notify = progress or (lambda done, total, note: None)
     notify(0.02, 1.0, "reading")
     declared = load(data, model).without(without)
     notify(0.03, 1.0, "conventions")
     warned = () if as_declared else check_conventions(declared)
-    whole_trials = 0.98 * min(float(t.time[-1] - t.time[0]) for t in declared.tracks)
-    setting = Setting(
-        criteria or Criteria(),
-        whole_trials if yardstick == WHOLE else horizon,
-        tuple(exclude),
-        effects,
-        yardstick,
-    )
+    if yardstick == WHOLE:
+        span = 0.98 * min(float(t.time[-1] - t.time[0]) for t in declared.tracks)
+        setting = replace(setting, horizon=span)
     declared = scaled(declared, setting.horizon)
     folder = None if out is None else cleared(output_folder(out))
     keep = None if folder is None else partial(write_partial, folder)
@@ -146,11 +140,12 @@ def diagnose(
         simulator=_simulator_asked(machine),
     )
     run = Run(command, began)
-    output = Output(folder, page)
-    if folder is not None:
-        files = _files(report, machine, found, {"data": str(data), **run.as_dict()})
-        verify = verifier(data, model, folder, declared, without)
-        output = replace(output, files=files, verify=verify)
+    output = Output(
+        folder,
+        page,
+        _files(report, machine, found, {"data": str(data), **run.as_dict()}),
+        None if folder is None else verifier(data, model, folder, declared, without),
+    )
     return finished(report, evidence, run, output)
 
 
@@ -305,6 +300,11 @@ class Setting:
     effects: Sequence[Effect] | None = None
     objective: str | None = None
     torques: bool = True
+
+    def __post_init__(self) -> None:
+        if self.objective is not None and self.objective not in NAMES:
+            named = f"--yardstick {self.objective}"
+            raise BadInput(f"{named}: is no yardstick; use {', '.join(NAMES)}")
 
 
 @dataclass(frozen=True)

@@ -64,6 +64,8 @@ LINKS = (
     "b1",
     "b2",
 )  # of which base parameters are made, and which may be known
+Reward = Callable[[ModelFile, ModelFile], dict[str, Any] | None]
+"""What a mended model is worth to the task, of the declared and the mended model."""
 MIN_ROWS = 64  # of a part of a trial between rows without angles, that is regressed by itself
 
 
@@ -78,7 +80,7 @@ def diagnose_pendulum(
     page: Page | None = None,
     as_declared: bool = False,
     effects: Sequence[Effect] | None = None,
-    reward: Callable[[ModelFile, ModelFile], dict[str, Any] | None] | None = None,
+    reward: Reward | None = None,
 ) -> dict[str, Any]:
     """Which effects a recorded double pendulum has that a rigid body lacks.
 
@@ -126,16 +128,29 @@ def diagnose_pendulum(
         objective=STRETCHES,
         torques=rig.model == LINEAR,
     )
+    return _searched(log, checked, setting, notify, reward, run, output)
+
+
+def _searched(
+    log: Log,
+    checked: Audit,
+    setting: Setting,
+    notify: Progress,
+    reward: Reward | None,
+    run: Run,
+    output: Output,
+) -> dict[str, Any]:
+    """The report on a recording that is sound, written. See `diagnose_pendulum`."""
+    rig, folder = log.meta.rig, output.folder
     keep = None if folder is None else partial(write_partial, folder)
     with TemporaryDirectory() as spare:
-        machine = _machine(log, effects, Path(spare))
+        machine = _machine(log, setting.effects, Path(spare))
         found = examined(machine, setting, Beginning(in_the_plane), notify, keep)
         report, evidence = _reported(log, found, checked)
         provenance = {k: report[k] for k in ("verdict", "message")}
+        provenance |= {"data": log.path} | run.as_dict()
         null, _ = model_file(rig, found.problem, found.found.null, {})
-        file, lost = model_file(
-            rig, found.problem, found.found.final, provenance | {"data": path} | run.as_dict()
-        )
+        file, lost = model_file(rig, found.problem, found.found.final, provenance)
         report["notes"] += lost
         if reward is not None and found.found.named:
             _add_reward(report, lambda: reward(null, file))

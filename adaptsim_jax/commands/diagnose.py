@@ -6,6 +6,7 @@ import argparse
 import shlex
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -223,6 +224,7 @@ def mechanism(args: argparse.Namespace, without: list[str]) -> Judge:
     if chosen(source, log, args.simulator, horizon).simulator == "mujoco":
         from adaptsim_jax.attribution.replay import recommended
         from adaptsim_jax.simulators.mujoco.diagnosed import diagnose as by_mujoco
+        from adaptsim_jax.simulators.mujoco.diagnosed import simulator
 
         spans = {f"stretches of {horizon:g} s": horizon}
         if without:
@@ -235,16 +237,14 @@ def mechanism(args: argparse.Namespace, without: list[str]) -> Judge:
             simulator=args.simulator,
             horizon=args.horizon,
         )
+        verify = recommended(args.data, args.model, "mujoco", spans, without)
         return lambda out, exclude, progress: by_mujoco(
-            source,
-            log,
+            replace(simulator(source, log, args.horizon), verify=verify),
             page=write_diagnosis,
             out=out,
             exclude=exclude,
             progress=progress,
-            horizon=args.horizon,
             command=command(out=out, exclude=exclude),
-            verify=recommended(args.data, args.model, "mujoco", spans, without),
         )
     joined(source, log)
     given = {} if args.horizon is None else {"horizon": args.horizon}

@@ -65,7 +65,7 @@ def test_a_payload_is_named_and_its_size_found(tmp_path):
         )
         == 0
     )
-    report = diagnose(*read_source_and_log(data))
+    report = diagnose(simulator(*read_source_and_log(data)))
     (effect,) = report["effects"]
     assert effect["name"] == "payload at lower" and report["error"]["after"] < 1.2
     assert effect["parameters"]["body:lower.mass"]["value"] == pytest.approx(0.6, rel=0.02)
@@ -78,7 +78,7 @@ def test_a_payload_is_named_and_its_size_found(tmp_path):
 
 
 def test_an_arm_that_is_as_its_file_has_it_lacks_nothing(tmp_path):
-    report = diagnose(*read_source_and_log(swung(tmp_path / "log", damping=0.2)))
+    report = diagnose(simulator(*read_source_and_log(swung(tmp_path / "log", damping=0.2))))
     assert report["verdict"] == "within_noise" and not report["effects"]
     assert report["declared"]["after"]["joint:elbow.damping"]["value"] == pytest.approx(
         0.2, rel=0.05
@@ -133,7 +133,7 @@ def slid(folder, truth: str, *, pose: bool = True, trials: int = 6):
 
 @pytest.mark.long
 def test_a_floor_that_is_more_slippery_is_named(tmp_path):
-    report = diagnose(*read_source_and_log(slid(tmp_path / "log", BOX.format(mu=0.35))))
+    report = diagnose(simulator(*read_source_and_log(slid(tmp_path / "log", BOX.format(mu=0.35)))))
     (effect,) = report["effects"]
     assert effect["name"] == "floor friction at all contacts"
     assert effect["parameters"]["contact.friction[0]"]["value"] == pytest.approx(0.35, rel=0.05)

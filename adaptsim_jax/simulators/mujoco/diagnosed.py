@@ -3,7 +3,7 @@ simulate, diagnosed.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -217,24 +217,17 @@ def _slides(model: mujoco.MjModel, log: Log) -> set[str]:
 
 
 def diagnose(
-    source: Source,
-    log: Log,
+    made: MujocoSimulator,
     *,
     out: str | Path | None = None,
-    horizon: float | None = None,
     exclude: Sequence[str] = (),
     progress: Callable[[float, float, str], None] | None = None,
     page: Page | None = None,
     command: str | None = None,
-    verify: Callable[[Path], dict[str, Any]] | None = None,
 ) -> dict[str, Any]:
     """Which numbers of a model file hold out on left-out trials of a recording that MuJoCo
-    simulates; the report.
-
-    horizon: s of the stretches, None: as the base needs; command: what gives the same answer, for
-    the report; verify: runs the files that were written (`diagnosis.recommended`).
+    simulates; the report. command: what gives the same answer, for the report.
     """
-    made = replace(simulator(source, log, horizon), verify=verify)
     return diagnose_simulator(
         made,
         out=out,
@@ -242,6 +235,6 @@ def diagnose(
         exclude=exclude,
         progress=progress,
         page=page,
-        name=Path(source.path).name,
+        name=Path(made.made.path).name,
         command=command,
     )

@@ -147,11 +147,8 @@ def prepare(
         rows = np.repeat((values + moves).reshape(2 * width, -1), count, 0)
         out = np.asarray(simulate(rows, every(2 * width)), float)
         up, down = out.reshape(2, width, *places.shape)[:, : len(basis)]
-        return (
-            free(weight * (up - down) / (2 * ASIDE))
-            .reshape(len(basis), count, -1)
-            .transpose(1, 2, 0)
-        )
+        slopes = free(weight * (up - down) / (2 * ASIDE))
+        return slopes.reshape(len(basis), count, -1).transpose(1, 2, 0)
 
     def scan(rows: np.ndarray) -> np.ndarray:
         out = np.asarray(rough(np.repeat(rows, count, 0), every(len(rows))), float)
