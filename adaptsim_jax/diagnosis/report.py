@@ -153,13 +153,13 @@ def effect_row(n: Named, label: Callable[[Any], Label], own: Mapping[str, Any]) 
     alternatives = [label(a).alternative for a in n.alternatives]
     return {
         **label(n.candidate)._asdict(),
+        **rest,
         "alternatives": [*alternatives, *own.get("same", ())],
         "held_out_gain": n.test.gain,
         "p_value": n.test.p,
         "better": n.test.better,
         "folds": n.test.folds,
         "size_over_scatter": min(n.steady, 1e3),
-        **rest,
     }
 
 
