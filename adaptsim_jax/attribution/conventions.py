@@ -24,9 +24,9 @@ from adaptsim_jax.logs.quality.contradictions import (
 )
 from adaptsim_jax.logs.quality.findings import Audit, Finding
 from adaptsim_jax.logs.quality.hypotheses import (
+    BlockMeans,
     Design,
     Hypothesis,
-    Motion,
     Track,
     linear_fit,
     motion_of,
@@ -167,7 +167,7 @@ def _torque_unit(machine: Machine, scale: float) -> str:
 
 
 def _angle_unit(
-    machine: Machine, motion: Motion, declared: Design, left: float
+    machine: Machine, motion: BlockMeans, declared: Design, left: float
 ) -> tuple[str, str] | None:
     """In words, and for `[units]`, the unit of all angles of hinges that brings the torques to
     their size, explaining no less.
@@ -241,7 +241,7 @@ def _program(n: int):
 def _design(tree: Tree, program) -> Design:
     """A body's declared inertia as one column, and an armature at each joint."""
 
-    def columns(m: Motion, gravity: bool) -> np.ndarray:
+    def columns(m: BlockMeans, gravity: bool) -> np.ndarray:
         k, n = m.q.shape
 
         def fill(x):

@@ -16,8 +16,8 @@ from adaptsim_jax.logs.log_units import TIME_UNITS, Affine
 from adaptsim_jax.logs.quality.contradictions import AS_DECLARED
 from adaptsim_jax.logs.quality.findings import Finding
 from adaptsim_jax.logs.quality.hypotheses import (
+    BlockMeans,
     Design,
-    Motion,
     Track,
     blocks,
     motion_of,
@@ -70,7 +70,7 @@ def check_pace(machine: Machine, tracks: list[Track], design: Design) -> tuple[F
     return (Finding("pace", "warn", "", "time", text, factor),)
 
 
-def _paced(motion: Motion, design: Design) -> tuple[float, float, float] | None:
+def _paced(motion: BlockMeans, design: Design) -> tuple[float, float, float] | None:
     """What another clock leaves, how many times slow this one runs by it, and what rotors leave in
     its place.
     """
@@ -102,7 +102,7 @@ def _seconds(machine: Machine) -> float:
     return TIME_UNITS.get(unit, 1.0)
 
 
-def _parts(motion: Motion, design: Design) -> tuple[np.ndarray, np.ndarray]:
+def _parts(motion: BlockMeans, design: Design) -> tuple[np.ndarray, np.ndarray]:
     """Torque `[K, n]` of the declared masses that motion needs, and that gravity does."""
     n = motion.q.shape[1]
     whole, moving = (design(motion, gravity)[:, :, :n].sum(2) for gravity in (True, False))
@@ -118,13 +118,13 @@ def _left(y: np.ndarray, columns: np.ndarray) -> tuple[float, np.ndarray]:
     ), x / size
 
 
-def _sharp(tracks: list[Track]) -> Motion:
+def _sharp(tracks: list[Track]) -> BlockMeans:
     """Short blocks of as many trials as a design takes: exact where motion is fast."""
     parts: list[tuple[np.ndarray, ...]] = []
     for track in tracks:
         room = BLOCK.most - sum(len(p[0]) for p in parts)
         parts.append(tuple(x[:room] for x in blocks(track, sharp=True)[:4]))
-    return Motion(*(np.concatenate([p[k] for p in parts]) for k in range(4)))
+    return BlockMeans(*(np.concatenate([p[k] for p in parts]) for k in range(4)))
 
 
 def _smoothed(columns: np.ndarray) -> np.ndarray:

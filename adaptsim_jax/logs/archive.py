@@ -111,10 +111,12 @@ def read_archive(path: Path, wanted: Collection[str] | None = None) -> Archive:
     turned = tuple(
         name for name, x in arrays.items() if x is not None and _has_rows(x.shape, lengths)
     )
-    out = {
-        name: x if x is None else x.T if name in turned else _flat(name, x)
-        for name, x in arrays.items()
-    }
+    out = dict(arrays)
+    for name, x in arrays.items():
+        if name in turned:
+            out[name] = x.T
+        elif x is not None:
+            out[name] = _flat(name, x)
     return Archive(out, turned)
 
 

@@ -18,9 +18,9 @@ from adaptsim_jax.logs.criteria import BLOCK, CONTRADICTION
 from adaptsim_jax.logs.quality.findings import Finding, finding
 from adaptsim_jax.logs.quality.hypotheses import (
     SHIFTS,
+    BlockMeans,
     Design,
     Hypothesis,
-    Motion,
     Track,
     linear_fit,
     motion_of,
@@ -141,7 +141,7 @@ def contradiction(
     return Contradiction(best[1].name, best[1].statement, best[1].mend, left, best[0])
 
 
-def _moves(motion: Motion) -> bool:
+def _moves(motion: BlockMeans) -> bool:
     return bool(
         np.all(np.std(motion.q, axis=0) > BLOCK.moving)
         and np.any(np.std(motion.tau, axis=0) > 1e-9)
@@ -202,7 +202,7 @@ def _of_joint(words: Words, j: int) -> list[Hypothesis]:
     def own(factor: float) -> np.ndarray:
         return np.where(np.arange(n) == j, factor, 1.0)
 
-    def scaled(factor: float, m: Motion) -> Motion:
+    def scaled(factor: float, m: BlockMeans) -> BlockMeans:
         return replace(m, tau=m.tau * own(factor))
 
     out = [
@@ -237,18 +237,18 @@ def _units(what: str, key: str, factors: Callable[[float], np.ndarray]) -> list[
 
 
 def _ordered(q: list[int], tau: list[int]):
-    return lambda m: Motion(m.q[:, q], m.v[:, q], m.a[:, q], m.tau[:, tau])
+    return lambda m: BlockMeans(m.q[:, q], m.v[:, q], m.a[:, q], m.tau[:, tau])
 
 
-def _scaled(m: Motion, size: np.ndarray) -> Motion:
+def _scaled(m: BlockMeans, size: np.ndarray) -> BlockMeans:
     return replace(m, q=m.q * size, v=m.v * size, a=m.a * size)
 
 
-def _moved(m: Motion, by: np.ndarray) -> Motion:
+def _moved(m: BlockMeans, by: np.ndarray) -> BlockMeans:
     return replace(m, q=m.q + by)
 
 
-def _relative(m: Motion, j: int, parent: int) -> Motion:
+def _relative(m: BlockMeans, j: int, parent: int) -> BlockMeans:
     def less(x: np.ndarray) -> np.ndarray:
         out = x.copy()
         out[:, j] -= x[:, parent]

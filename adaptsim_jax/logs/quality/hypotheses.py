@@ -23,7 +23,7 @@ SHIFTS = np.arange(-60.0, 61.0, 1.0) * 1e-3
 
 
 @dataclass(frozen=True)
-class Motion:
+class BlockMeans:
     """Block means `q, v, a, tau [K, n]` in SI units."""
 
     q: np.ndarray
@@ -44,13 +44,13 @@ class Track:
     tau: np.ndarray
 
 
-Design = Callable[[Motion, bool], np.ndarray]
+Design = Callable[[BlockMeans, bool], np.ndarray]
 """`(motion, gravity) -> [K, n, P]`: torque at each joint by unit of each parameter that is at least
 0.
 """
 
 
-def as_logged(motion: Motion) -> Motion:
+def as_logged(motion: BlockMeans) -> BlockMeans:
     """The motion as it was logged."""
     return motion
 
@@ -64,14 +64,14 @@ class Hypothesis:
     name: str
     statement: str
     mend: str
-    motion: Callable[[Motion], Motion] = as_logged
+    motion: Callable[[BlockMeans], BlockMeans] = as_logged
     design: Design | None = None
     gravity: bool = True
 
 
 def stated(
     code: str,
-    motion: Callable[[Motion], Motion] = as_logged,
+    motion: Callable[[BlockMeans], BlockMeans] = as_logged,
     design: Design | None = None,
     **facts: Any,
 ) -> Hypothesis:
@@ -81,7 +81,7 @@ def stated(
     return Hypothesis(code, *texts, motion, design)
 
 
-def motion_of(tracks: Sequence[Track], shift: float = 0.0) -> Motion:
+def motion_of(tracks: Sequence[Track], shift: float = 0.0) -> BlockMeans:
     """Block means of all trials, with the torque of `shift` s later taken to act."""
     parts = [blocks(t, shift) for t in tracks]
     joined = [np.concatenate([p[k] for p in parts]) for k in range(4)]
@@ -91,7 +91,7 @@ def motion_of(tracks: Sequence[Track], shift: float = 0.0) -> Motion:
         )
     else:
         keep = []
-    return Motion(*(x[keep] for x in joined))
+    return BlockMeans(*(x[keep] for x in joined))
 
 
 def blocks(track: Track, shift: float = 0.0, sharp: bool = False) -> tuple[np.ndarray, ...]:
@@ -163,7 +163,7 @@ def _means(time: np.ndarray, x: np.ndarray, edges: np.ndarray) -> np.ndarray:
     return np.stack(out, 1)
 
 
-def rubbing(motion: Motion) -> np.ndarray:
+def rubbing(motion: BlockMeans) -> np.ndarray:
     """`[K, n, 4 n]`: torque of each joint's damping, its dry friction, and a constant of either
     sign.
     """
@@ -187,12 +187,14 @@ class LinearFit:
     scale: float
 
 
-def unexplained(motion: Motion, design: Design, gravity: bool = True) -> float:
+def unexplained(motion: BlockMeans, design: Design, gravity: bool = True) -> float:
     """Share of the torque's square that the best parameters leave, the joints weighed alike."""
     return linear_fit(motion, design, gravity).left
 
 
-def linear_fit(motion: Motion, design: Design, gravity: bool = True, first: int = 0) -> LinearFit:
+def linear_fit(
+    motion: BlockMeans, design: Design, gravity: bool = True, first: int = 0
+) -> LinearFit:
     """The best parameters that are at least 0, the joints weighed alike. One without a drive as the
     others in the middle.
 

@@ -19,7 +19,7 @@ from adaptsim_jax.logs.quality.contradictions import (
     lateness,
 )
 from adaptsim_jax.logs.quality.findings import Finding, finding
-from adaptsim_jax.logs.quality.hypotheses import Design, Hypothesis, Motion, Track, stated
+from adaptsim_jax.logs.quality.hypotheses import BlockMeans, Design, Hypothesis, Track, stated
 from adaptsim_jax.logs.quality.trial_words import Channels
 from adaptsim_jax.logs.quality.trials_differ import Differ, trials_differ
 
@@ -45,7 +45,7 @@ def design(l1: float, gravity: float, down: float) -> Design:
         down: 1 where zero angle hangs, -1 where it stands upright.
     """
 
-    def columns(m: Motion, with_gravity: bool) -> np.ndarray:
+    def columns(m: BlockMeans, with_gravity: bool) -> np.ndarray:
         (q1, q2), (v1, v2), (a1, a2) = m.q.T, m.v.T, m.a.T
         c, s, zero = np.cos(q2), np.sin(q2), np.zeros(len(q1))
         pull = down * gravity if with_gravity else 0.0

@@ -13,7 +13,7 @@ import numpy as np
 from scipy import sparse
 
 from adaptsim_jax.logs.criteria import BLOCK, TRIAL
-from adaptsim_jax.logs.quality.hypotheses import Design, Motion, Track, blocks, rubbing
+from adaptsim_jax.logs.quality.hypotheses import BlockMeans, Design, Track, blocks, rubbing
 
 PIECES = 4
 """Contiguous parts of a trial; every other one is fitted to while the rest judge."""
@@ -30,7 +30,7 @@ class WindowRows:
     m. `mean [K, N]` takes them from blocks, whose motion is `fine` and whose trial `origin [N]`.
     """
 
-    fine: Motion
+    fine: BlockMeans
     design: Design
     origin: np.ndarray
     mean: sparse.csr_array
@@ -69,14 +69,14 @@ def rows_of(tracks: Sequence[Track], design: Design) -> WindowRows | None:
         origin.append(np.full(len(number), t))
     if len(motion) < TRIAL.min_trials:
         return None
-    m = Motion(*(np.concatenate([part[k] for part in motion]) for k in range(4)))
+    m = BlockMeans(*(np.concatenate([part[k] for part in motion]) for k in range(4)))
     mean = sparse.csr_array(sparse.block_diag(means))
     spread = np.std(m.tau, axis=0)
     if not np.all(np.std(m.q, axis=0) > BLOCK.moving) or not np.any(spread > 1e-9):
         return None
     weight = 1.0 / np.maximum(spread, 1e-3 * spread.max())
     width, trials = (
-        design(Motion(*(z[:1] for z in (m.q, m.v, m.a, m.tau))), True).shape[2],
+        design(BlockMeans(*(z[:1] for z in (m.q, m.v, m.a, m.tau))), True).shape[2],
         np.concatenate(trial),
     )
     made = WindowRows(
@@ -111,7 +111,7 @@ def _windows(number: np.ndarray) -> tuple[int, sparse.csr_array]:
     return len(begins), mean
 
 
-def _smooth(m: Motion) -> np.ndarray:
+def _smooth(m: BlockMeans) -> np.ndarray:
     """`[K, n, 8 n]`: forces of each joint's own angle and speed, for what the model lacks in all
     trials alike.
     """
@@ -122,11 +122,13 @@ def _smooth(m: Motion) -> np.ndarray:
     return np.concatenate([z[:, :, None] * np.eye(n) for z in shapes], 2)
 
 
-def over_blocks(design: Design, motion: Motion) -> np.ndarray:
+def over_blocks(design: Design, motion: BlockMeans) -> np.ndarray:
     """`design` over any number of rows."""
 
     def cut(i):
-        return Motion(*(z[i : i + BLOCK.most] for z in (motion.q, motion.v, motion.a, motion.tau)))
+        return BlockMeans(
+            *(z[i : i + BLOCK.most] for z in (motion.q, motion.v, motion.a, motion.tau))
+        )
 
     return np.concatenate([design(cut(i), True) for i in range(0, len(motion.q), BLOCK.most)])
 
@@ -160,7 +162,7 @@ def unexplained_of(rows: WindowRows, x: np.ndarray) -> np.ndarray:
     return (rows.tau - rows.table[:, :, : len(x)] @ x) * rows.weight
 
 
-def of_motion(rows: WindowRows, fine: Motion) -> WindowRows:
+def of_motion(rows: WindowRows, fine: BlockMeans) -> WindowRows:
     """The same of another motion."""
     table = np.concatenate(
         [over_blocks(rows.design, fine), rubbing(fine)[:, :, :-1], _smooth(fine)], 2
