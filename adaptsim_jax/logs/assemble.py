@@ -5,7 +5,7 @@ units.
 from __future__ import annotations
 
 import fnmatch
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -79,11 +79,7 @@ def _moving(
 
     Raises BadInput where no joint has angles, or one has in some trials only.
     """
-    if unknown := [name for name in meta.hold if name not in names.joints]:
-        raise BadInput(
-            f"{meta.path}: [hold] names {unknown[0]!r}, no joint of the model; "
-            f"{suggest(unknown[0], names.joints)}"
-        )
+    _check_named(meta, "[hold]", meta.hold, names.joints, "no joint of the model")
     n, have = len(names.joints), trials[0].by_joint.get("q", {})
     if not n:
         if any(columns.base is None and not columns.channels for columns in trials):
@@ -209,12 +205,8 @@ def _selected(path: str, raw: list[RawTrial], meta: LogMeta) -> list[RawTrial]:
         ("group", meta.group),
         ("payload", meta.payload),
     ):
-        for pattern in patterns:
-            if not fnmatch.filter(names, pattern):
-                raise BadInput(
-                    f"{meta.path}: trials.{key} names {pattern!r}, no trial of {path}; "
-                    f"{suggest(pattern, names)}"
-                )
+        there = [pattern for pattern in patterns if fnmatch.filter(names, pattern)]
+        _check_named(meta, f"trials.{key}", patterns, there, f"no trial of {path}", names)
     retained = [
         trial for trial in raw if not any(fnmatch.fnmatchcase(trial.name, p) for p in meta.exclude)
     ]
@@ -253,6 +245,30 @@ def _names_in(trial: RawTrial) -> ModelNames:
     return ModelNames(joints)
 
 
+def _check_named(
+    meta: LogMeta,
+    key: str,
+    given: Iterable[str],
+    known: Sequence[str],
+    what: str,
+    near: Sequence[str] | None = None,
+) -> None:
+    """BadInput at the first name under a key of meta.toml that is none of `known`.
+
+    Args:
+        meta: Of the log.
+        key: As it is called in the message.
+        given: The names that stand there.
+        known: Those that may.
+        what: What another one is.
+        near: Among which the nearest is suggested, `known` where None.
+    """
+    for name in given:
+        if name not in known:
+            others = known if near is None else near
+            raise BadInput(f"{meta.path}: {key} names {name!r}, {what}; {suggest(name, others)}")
+
+
 def _check_meta_names(names: ModelNames, raw: list[RawTrial], meta: LogMeta) -> None:
     columns = [name for trial in raw for name in trial.columns]
     known = (*names.joints, *dict.fromkeys(columns), "q", "")
@@ -261,21 +277,10 @@ def _check_meta_names(names: ModelNames, raw: list[RawTrial], meta: LogMeta) -> 
         ("zero", meta.zero),
         ("reversed", meta.reversed),
     ):
-        for name in given:
-            if name not in known:
-                joints = suggest(
-                    name, (*names.joints, *(c for c in dict.fromkeys(columns) if c.startswith("q")))
-                )
-                raise BadInput(
-                    f"{meta.path}: angles.{key} names {name!r}, no joint and no column; {joints}"
-                )
+        near = (*names.joints, *(c for c in dict.fromkeys(columns) if c.startswith("q")))
+        _check_named(meta, f"angles.{key}", given, known, "no joint and no column", near)
     for key, given in (("rate", meta.rate), ("within", meta.within)):
-        for name in given:
-            if name not in names.joints:
-                raise BadInput(
-                    f"{meta.path}: commands.{key} names {name!r}, no joint; "
-                    f"{suggest(name, names.joints)}"
-                )
+        _check_named(meta, f"commands.{key}", given, names.joints, "no joint")
     quantities = ("time", "angle", "velocity", "torque", "length", "force", "voltage", "current")
     stems = ("q", "v", "tau", "target", "ctrl", "u", "i", "tau_commanded")
     words = {w for name in dict.fromkeys(columns) for w in _words(name, names)}

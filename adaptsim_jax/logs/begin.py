@@ -16,7 +16,7 @@ from adaptsim_jax.core.files import write_bytes
 from adaptsim_jax.logs import command_files, lerobot, readers, ros
 from adaptsim_jax.logs.archive import stem_and_place
 from adaptsim_jax.logs.beside import instead, strays
-from adaptsim_jax.logs.columns import NANOS, TIME, TRIAL, role
+from adaptsim_jax.logs.columns import NANOS, TIME, TRIAL, roles_of
 from adaptsim_jax.logs.declared import SHORT_TRIALS
 from adaptsim_jax.logs.guess import Draft, Guess, array_name, guess, is_clock, meta_text
 from adaptsim_jax.logs.inputs import PREFERRED, STEM
@@ -293,9 +293,7 @@ def _kinds(found: Guess, columns: dict[str, np.ndarray], names: ModelNames | Non
     theirs = set(found.columns.values()) | set(found.ignored)
 
     def of(ours: Iterable[str]) -> list[str]:
-        stems = {
-            r.stem for name in ours if (r := role(name, names.joints if names else ())) is not None
-        }
+        stems = {r.stem for r in roles_of(ours, names.joints if names else ()).values()}
         return [
             kind
             for kind in PREFERRED

@@ -18,7 +18,7 @@ from adaptsim_jax.core.constants import GRAVITY
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.given import brief
 from adaptsim_jax.logs.assemble import assemble
-from adaptsim_jax.logs.columns import role
+from adaptsim_jax.logs.columns import roles_of
 from adaptsim_jax.logs.criteria import UNIT
 from adaptsim_jax.logs.declared import (
     MISSING,
@@ -84,8 +84,8 @@ def read_pendulum(folder: str | Path, *, without: Sequence[str] = ()) -> Log:
 
 def _of_the_rig(trial: RawTrial, meta: LogMeta) -> RawTrial:
     """The columns of a rig. BadInput where an angle or a torque is missing."""
-    roles = {name: role(name, JOINTS) for name in trial.columns}
-    selected = {name: r for name, r in roles.items() if r is not None and r.stem in STEMS}
+    roles = roles_of(trial.columns, JOINTS)
+    selected = {name: r for name, r in roles.items() if r.stem in STEMS}
     have = {
         (r.stem, JOINTS[r.joint - 1] if r.joint in (1, 2) else r.joint) for r in selected.values()
     }

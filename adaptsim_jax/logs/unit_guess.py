@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from adaptsim_jax.logs.columns import TIME, Role, role
+from adaptsim_jax.logs.columns import TIME, Role, roles_of
 from adaptsim_jax.logs.criteria import TABLE, UNIT
 from adaptsim_jax.logs.headings import HeadingUnit, heading_unit, lines
 from adaptsim_jax.logs.log import ModelNames
@@ -74,7 +74,7 @@ def guess_units(
         model: what else is known of the model.
         headings: our name -> what the file calls it.
     """
-    roles = {name: found for name in columns if (found := role(name, joints)) is not None}
+    roles = roles_of(columns, joints)
     scales = _scales(columns, roles, joints, lerobot, model)
     reported = [
         one
