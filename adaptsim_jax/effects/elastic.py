@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from adaptsim_jax.effects.base import Effect, Motion, Parameter
 
 STIFF = 30.0  # N m/rad for each N m of the rig's torque: as hard as most stops are
-HERTZ_DEPTH = 0.1  # rad
+HERTZ_DEPTH = 0.1  # rad, at which stiffness is defined whatever the exponent
 
 
 def stops(reach, joint):

@@ -15,9 +15,9 @@ from adaptsim_jax.logs.clock import Series
 from adaptsim_jax.logs.messages import nanoseconds
 
 FINE = 16
-"""Pieces into which a spline between two points is cut."""
+"""Pieces into which a spline between two points is cut: a controller's rows are no shorter."""
 STEP = 1e-9
-"""s that a step takes."""
+"""s that a step takes: less than any row."""
 Angle = Callable[[str, float], float]
 """Where a joint is measured to be at a time (s)."""
 

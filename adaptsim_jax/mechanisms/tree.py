@@ -29,7 +29,7 @@ import numpy as np
 
 Array = Any
 
-MOST_JOINTS = 64
+MOST_JOINTS = 64  # a humanoid with hands; programs grow with the joints
 EXACT = 1e-14  # rotations by quarter turns come out of a quaternion this close to -1, 0 and 1
 
 

@@ -16,9 +16,9 @@ from adaptsim_jax.logs.criteria import BLOCK, TRIAL
 from adaptsim_jax.logs.quality.hypotheses import BlockMeans, Design, Track, blocks, rubbing
 
 PIECES = 4
-"""Contiguous parts of a trial; every other one is fitted to while the rest judge."""
+"""Contiguous parts of a trial: every other one is fitted to while the rest judge."""
 WINDOW, STRIDE = 24, 6
-"""Blocks of a window, and from one to the next."""
+"""Blocks of a window (0.24 s: noise of accelerations averages out), and to the next one."""
 ROWS = 8 * BLOCK.most
 """Blocks of all trials that are looked at."""
 

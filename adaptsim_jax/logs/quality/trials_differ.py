@@ -45,7 +45,7 @@ ROUNDS = 4
 ZERO = 0.1
 """rad: size of zeros before anything is observed, and the longest step of their fit."""
 SMALL = 1e-3
-"""rad by which a zero is moved to see what that does."""
+"""rad by which a zero is moved for its derivative: gravity is linear over it."""
 
 
 @dataclass(frozen=True)
