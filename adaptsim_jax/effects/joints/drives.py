@@ -34,6 +34,9 @@ SIDES = (
         meaning="the same of the controller's encoder",
     ),
 )
+DASHPOT = Parameter(
+    "damping", "s", 0.0, 0.5, 0.01, None, meaning="a dashpot beside the spring, over its stiffness"
+)
 
 
 def drive_compliance(p, t, q, v, first, torque):
@@ -139,15 +142,7 @@ DRIVE_ELASTICITY = Effect(
     "drive",
     (
         Parameter("compliance", "rad/(N m)", 0.0, 3.0, 0.0, sign=1),
-        Parameter(
-            "damping",
-            "s",
-            0.0,
-            0.5,
-            0.01,
-            None,
-            meaning="a dashpot beside the spring, over its stiffness",
-        ),
+        DASHPOT,
         *SIDES,
     ),
     drive_elasticity,
@@ -168,15 +163,7 @@ DRIVE_BACKLASH = Effect(
     (
         Parameter("gap", "rad", 0.0, 0.4, 0.0, sign=1),
         Parameter("compliance", "rad/(N m)", 0.0, 3.0, 0.0, None),
-        Parameter(
-            "damping",
-            "s",
-            0.0,
-            0.5,
-            0.01,
-            None,
-            meaning="a dashpot beside the spring, over its stiffness",
-        ),
+        DASHPOT,
         *SIDES,
     ),
     drive_backlash,

@@ -6,6 +6,8 @@ spot) would otherwise be given the name of the law that is least unlike it. They
 law holds out any more. A law with fewer parameters has the name wherever it does as well.
 """
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 
 from adaptsim_jax.effects import disturbance, elastic
@@ -115,15 +117,10 @@ SPRING = Effect(
     title="torsional spring",
 )
 
-BIAS = Effect(
-    "bias",
-    "force",
-    (Parameter("torque", "N m", -1.0, 1.0, 0.0),),
-    disturbance.bias,
-    "a constant torque: the torque sensor's zero, a cable's pull",
-    "a wide range of angles",
-    ("encoder_offset", "tilt", "spring", "asymmetric_coulomb"),
-    formula="torque",
+BIAS = replace(
+    disturbance.PENDULUM_BIAS,
+    physics="a constant torque: the torque sensor's zero, a cable's pull",
+    look_alikes=("encoder_offset", "tilt", "spring", "asymmetric_coulomb"),
 )
 
 COGGING = Effect(
@@ -142,19 +139,9 @@ COGGING = Effect(
     formula="sine sin(order q) + cosine cos(order q)",
 )
 
-PERIODIC_DISTURBANCE = Effect(
-    "periodic_disturbance",
-    "force",
-    (
-        Parameter("sine", "N m", -1.0, 1.0, 0.0),
-        Parameter("cosine", "N m", -1.0, 1.0, 0.0),
-        Parameter("frequency", "Hz", 0.05, 60.0, 2.0, None),
-    ),
-    disturbance.periodic_disturbance,
-    "a torque periodic in time that starts with each trial: a fan, a neighbouring machine",
-    "long trials whose commands leave that frequency free",
-    ("cogging",),
-    grid=disturbance.frequencies,
+PERIODIC_DISTURBANCE = replace(
+    disturbance.PENDULUM_PERIODIC_DISTURBANCE,
+    physics="a torque periodic in time that starts with each trial: a fan, a neighbouring machine",
     formula="sine sin(2 pi frequency t) + cosine cos(2 pi frequency t), t since the trial began",
     traits=Traits(in_balance=False),
 )

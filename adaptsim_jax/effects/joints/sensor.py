@@ -4,6 +4,8 @@ First those of the double pendulum, then those of any machine. `t, q, v: [T, ...
 parameters `[1, ...]`.
 """
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 
@@ -169,15 +171,10 @@ def encoder_scale(p, t, q, v, first):
     return (1.0 + p["scale"]) * q, (1.0 + p["scale"]) * v
 
 
-ENCODER_OFFSET = Effect(
-    "encoder_offset",
-    "measurement",
-    (Parameter("offset", "rad", -0.8, 0.8, 0.0),),
-    encoder_offset,
-    "the encoder's zero is not the model's",
-    "wide angles under gravity",
-    ("bias", "tilt"),
-    formula="reading = q + offset",
+ENCODER_OFFSET = replace(
+    PENDULUM_ENCODER_OFFSET,
+    excitation="wide angles under gravity",
+    look_alikes=("bias", "tilt"),
     traits=Traits(in_balance=True, at_parents=True, prior=0.03),
 )
 
@@ -205,32 +202,26 @@ SENSOR_DELAY = Effect(
     traits=Traits(shared=True),
 )
 
-SENSOR_LAG = Effect(
-    "sensor_lag",
-    "measurement",
-    (Parameter("lag", "s", 0.0, 0.1, 0.0, sign=1),),
-    sensor_lag,
-    "angle and speed come through a first-order filter",
-    "fast motion",
-    ("sensor_delay", "delay"),
-    jump=True,
+SENSOR_LAG = replace(
+    PENDULUM_SENSOR_LAG,
+    physics="angle and speed come through a first-order filter",
+    look_alikes=("sensor_delay", "delay"),
     grid=lags,
     formula="lag reading' = q - reading",
     traits=Traits(shared=True),
 )
 
-BACKLASH = Effect(
-    "backlash",
-    "measurement",
-    (Parameter("gap", "rad", 0.0, 0.4, 0.0, sign=1),),
-    backlash,
-    "play between the link and what its encoder turns with",
-    "many reversals",
-    ("coulomb",),
-    jump=True,
+
+def _shares_of_range(reach, joint):
+    span = float(reach.q_high[joint] - reach.q_low[joint])
+    return [{"gap": share * span} for share in (0.01, 0.04, 0.15)]
+
+
+BACKLASH = replace(
+    PENDULUM_BACKLASH,
+    excitation="many reversals",
+    look_alikes=("coulomb",),
+    smooth=True,
     slack="gap",
-    grid=lambda reach, joint: [
-        {"gap": g * float(reach.q_high[joint] - reach.q_low[joint])} for g in (0.01, 0.04, 0.15)
-    ],
-    formula="reading follows q at a distance of at most gap / 2",
+    grid=_shares_of_range,
 )
