@@ -8,7 +8,7 @@ from functools import cache
 import jax
 import numpy as np
 
-from adaptsim_jax.attribution.commands_told import check_commands
+from adaptsim_jax.attribution.command_checks import check_commands
 from adaptsim_jax.attribution.machine import Machine, actuator_of
 from adaptsim_jax.attribution.pace import amperes, check_pace, held_fast
 from adaptsim_jax.attribution.problem import drive_force

@@ -31,9 +31,9 @@ from adaptsim_jax.attribution.examine import (
     so_far,
     with_null,
 )
-from adaptsim_jax.attribution.inertias_told import named_by, otherwise
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.machine import Machine
+from adaptsim_jax.attribution.measures import NAMES, TORQUE, WHOLE
 from adaptsim_jax.attribution.mend import (
     changes,
     declared_changes,
@@ -44,6 +44,7 @@ from adaptsim_jax.attribution.mend import (
     servos,
 )
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, Entry, Vector
+from adaptsim_jax.attribution.physical_inertias import named_by, otherwise
 from adaptsim_jax.attribution.problem import TreeProblem, held, nuisances, own_inertia, prepare
 from adaptsim_jax.attribution.replay import follows, recommended
 from adaptsim_jax.attribution.select import declared as fitted_null
@@ -59,7 +60,6 @@ from adaptsim_jax.attribution.servo import (
     with_gains,
 )
 from adaptsim_jax.attribution.tree_objective import Hint
-from adaptsim_jax.attribution.yardsticks import NAMES, TORQUE, WHOLE
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.diagnosis.criteria import Criteria

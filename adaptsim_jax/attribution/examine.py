@@ -23,13 +23,7 @@ from adaptsim_jax.attribution.equation.search import FACTOR, within
 from adaptsim_jax.attribution.estimate import fit
 from adaptsim_jax.attribution.held_out import FittedTree, held_error, modelled, over_floor
 from adaptsim_jax.attribution.machine import Machine
-from adaptsim_jax.attribution.parameters import Vector
-from adaptsim_jax.attribution.problem import TreeProblem, held, own_inertia, scaled_reach
-from adaptsim_jax.attribution.report import account_of, evidence_of
-from adaptsim_jax.attribution.select import Selection, select, select_shorter
-from adaptsim_jax.attribution.torque_report import TorqueFound, by_torque, curves, held_missing
-from adaptsim_jax.attribution.tree_objective import ROUNDS, Hint, TreeObjective
-from adaptsim_jax.attribution.yardsticks import (
+from adaptsim_jax.attribution.measures import (
     STRETCHES,
     TORQUE,
     Measure,
@@ -38,6 +32,12 @@ from adaptsim_jax.attribution.yardsticks import (
     of_torque,
     predicts_nothing,
 )
+from adaptsim_jax.attribution.parameters import Vector
+from adaptsim_jax.attribution.problem import TreeProblem, held, own_inertia, scaled_reach
+from adaptsim_jax.attribution.report import account_of, evidence_of
+from adaptsim_jax.attribution.select import Selection, select, select_shorter
+from adaptsim_jax.attribution.torque_report import TorqueFound, by_torque, curves, held_missing
+from adaptsim_jax.attribution.tree_objective import ROUNDS, Hint, TreeObjective
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Named
 from adaptsim_jax.diagnosis.report import Account, report_of, withhold_names

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.attribution.apart import by_group, linear_part, part_of, put_back, touched
 from adaptsim_jax.attribution.estimate import fit, settled, start_steps
+from adaptsim_jax.attribution.joint_groups import by_group, linear_part, part_of, put_back, touched
 from adaptsim_jax.attribution.linear import (
     Linear,
     Normal,

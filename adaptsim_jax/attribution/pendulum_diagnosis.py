@@ -15,6 +15,7 @@ import numpy as np
 from adaptsim_jax.attribution.diagnose import Beginning, Progress, Setting, examined, mjcf_files
 from adaptsim_jax.attribution.examine import Examined, reported
 from adaptsim_jax.attribution.machine import Machine
+from adaptsim_jax.attribution.measures import STRETCHES
 from adaptsim_jax.attribution.model_toml import DECLARED
 from adaptsim_jax.attribution.pendulum import (
     JOINTS,
@@ -29,7 +30,6 @@ from adaptsim_jax.attribution.pendulum import (
     own_catalogue,
     pendulum_machine,
 )
-from adaptsim_jax.attribution.yardsticks import STRETCHES
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.diagnosis.criteria import Criteria

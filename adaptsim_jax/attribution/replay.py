@@ -1,6 +1,6 @@
 """The yardstick: any model over recordings, simulated (`forecast.py`) and in the torque along the
 measured motion, beside what needs no
-model (`yardsticks.py`). The error is the root mean square over a stretch, joint by joint.
+model (`measures.py`). The error is the root mean square over a stretch, joint by joint.
 """
 
 import dataclasses
@@ -19,9 +19,7 @@ from adaptsim_jax.attribution.equation.rubbing import giving
 from adaptsim_jax.attribution.forecast import forecast, without_a_model
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.machine import Machine
-from adaptsim_jax.attribution.parameters import Vector
-from adaptsim_jax.attribution.problem import TreeProblem, prepare
-from adaptsim_jax.attribution.yardsticks import (
+from adaptsim_jax.attribution.measures import (
     NAMES,
     STRETCHES,
     TORQUE,
@@ -31,6 +29,8 @@ from adaptsim_jax.attribution.yardsticks import (
     of_torque,
     predicts_nothing,
 )
+from adaptsim_jax.attribution.parameters import Vector
+from adaptsim_jax.attribution.problem import TreeProblem, prepare
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.diagnosis.recommended import FileReplay, worse_joints
 from adaptsim_jax.effects.joints.catalogue import MACHINE
@@ -46,7 +46,7 @@ class Replay:
     """error [W, n] rad or m by stretch and joint; trial [W]; measured and simulated angles [W, L+1,
     n]; time [W, L+1] s; notes: what the reader says of the recording, and what its motion
     contradicts of the declared columns; line, still [W, n]: what a straight line and holding still
-    leave; measures: the yardsticks (`yardsticks.py`).
+    leave; measures: the yardsticks (`measures.py`).
     """
 
     joint_names: tuple[str, ...]

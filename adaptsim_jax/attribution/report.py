@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from adaptsim_jax.attribution import inertias_told
+from adaptsim_jax.attribution import physical_inertias
 from adaptsim_jax.attribution.held_out import (
     FittedTree,
     astray,
@@ -82,7 +82,7 @@ def account_of(
                 *machine.notes,
                 *unused(machine),
                 *standing(machine),
-                *inertias_told.sentence(problem, found.final, declared(found.final)),
+                *physical_inertias.sentence(problem, found.final, declared(found.final)),
                 *soft_friction(problem, found.named, left, remains.over),
                 *read_so(problem, found),
                 *shorter(found, criteria, horizon),
@@ -214,7 +214,7 @@ def _of_a_body(
         key.removesuffix(of).replace(" ", "_"): {
             k: row[k] for k in ("value", "low", "high", "unit")
         }
-        for key, row in inertias_told.inertia_rows(machine, problem, model).items()
+        for key, row in physical_inertias.inertia_rows(machine, problem, model).items()
         if key.endswith(of) and not row["combination"]
     }
 
@@ -313,7 +313,7 @@ def power_rows(
 
 
 def _declared(machine: Machine, problem: TreeProblem, model: FittedTree) -> dict[str, Any]:
-    """Fitted inertias, as a person knows them (`inertias_told`), and dampings."""
+    """Fitted inertias, as a person knows them (`physical_inertias`), and dampings."""
     late = (
         Criteria.least_shift * problem.reach.dt
     )  # s, which nobody can tell of commands: so much damping, times kp
@@ -332,7 +332,7 @@ def _declared(machine: Machine, problem: TreeProblem, model: FittedTree) -> dict
         for e, row in _numbers_of(model)
         if e.owner == VISCOUS.name
     }
-    return inertias_told.inertia_rows(machine, problem, model) | dampings
+    return physical_inertias.inertia_rows(machine, problem, model) | dampings
 
 
 def _coordinates(problem: TreeProblem, model: FittedTree) -> dict[str, Any]:

@@ -11,11 +11,11 @@ import numpy as np
 from adaptsim_jax.attribution.equation.balance import Balance, residual
 from adaptsim_jax.attribution.equation.models import TorqueSearch
 from adaptsim_jax.attribution.equation.windows import GRID, SPAN
+from adaptsim_jax.attribution.measures import Measure, needed
 from adaptsim_jax.attribution.parameters import INERTIA, Vector
 from adaptsim_jax.attribution.problem import TreeProblem, moving
 from adaptsim_jax.attribution.report import by_joint
 from adaptsim_jax.attribution.sentences import label, place
-from adaptsim_jax.attribution.yardsticks import Measure, needed
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.report import Account, Headline, words
 from adaptsim_jax.logs.noise import difference_noise

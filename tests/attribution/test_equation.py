@@ -16,10 +16,10 @@ from adaptsim_jax.attribution.equation.models import search_balances
 from adaptsim_jax.attribution.equation.windows import runs_of
 from adaptsim_jax.attribution.examine import reported
 from adaptsim_jax.attribution.load import load
+from adaptsim_jax.attribution.measures import headline, of_torque, predicts_nothing
 from adaptsim_jax.attribution.parameters import Entry, Vector
 from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
 from adaptsim_jax.attribution.stretches import JointTrack
-from adaptsim_jax.attribution.yardsticks import headline, of_torque, predicts_nothing
 from adaptsim_jax.diagnosis.criteria import USEFUL_SKILL, Criteria, TorqueCriteria
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from experiments.mechanism_rigs import RIGS

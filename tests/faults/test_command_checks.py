@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from adaptsim_jax.attribution.commands_told import check_commands
+from adaptsim_jax.attribution.command_checks import check_commands
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.criteria import COMMAND

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from adaptsim_jax.attribution.inertias_told import OF_BODY, _body, _carried, otherwise
+from adaptsim_jax.attribution.physical_inertias import OF_BODY, _body, _carried, otherwise
 from adaptsim_jax.mechanisms.mjcf import read_mechanism
 
 XML = """<mujoco><compiler angle="radian"/><worldbody><body name="upper" pos="0 0 1" euler="0.3 0 0">
