@@ -17,7 +17,7 @@ from functools import partial
 
 from adaptsim_jax.commands import SUMMARIES
 from adaptsim_jax.commands.parser import Parser, command_parser, top_parser
-from adaptsim_jax.core import compile_cache, process
+from adaptsim_jax.core import process
 from adaptsim_jax.core.config import nearest, suggest
 from adaptsim_jax.core.errors import BadInput
 
@@ -132,8 +132,8 @@ def _set_up_cache(args: argparse.Namespace) -> None:
     if "jax" in sys.modules:
         return
     if getattr(args, "no_cache", False):
-        compile_cache.disable()
-    elif trouble := compile_cache.enable():
+        process.disable_cache()
+    elif trouble := process.enable_cache():
         print(f"adaptsim: {trouble}", file=sys.stderr)
 
 

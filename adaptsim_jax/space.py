@@ -14,8 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.core.config import suggest
-from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.core.given import brief, finite
+from adaptsim_jax.core.errors import BadInput, brief, finite
 
 Scale = Literal["linear", "log", "categorical"]
 

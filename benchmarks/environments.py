@@ -14,11 +14,10 @@ import time
 import jax
 import jax.numpy as jnp
 
-from adaptsim_jax.environments.config import EnvironmentConfig
 from adaptsim_jax.environments.episodes import Play, visit
 from adaptsim_jax.environments.peers import load
 from adaptsim_jax.environments.policies import Law, acting_of, everywhere
-from adaptsim_jax.environments.setting import setting_of
+from adaptsim_jax.environments.setting import EnvironmentConfig, setting_of
 from adaptsim_jax.environments.task import play_in
 
 

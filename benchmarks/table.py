@@ -131,18 +131,18 @@ def phase1(devices: int, seeds: int, peer_python: str) -> dict[str, Any]:
     import jax
     import numpy as np
 
-    from adaptsim_jax.adaptation import sweep_devices
+    from adaptsim_jax.adaptation import sweep_plan
     from adaptsim_jax.adaptation.presets import paper_pendulum
     from adaptsim_jax.adaptation.sweep_batch import make_programs
     from adaptsim_jax.adaptation.sweep_spec import Member, SweepSpec
 
     config = paper_pendulum()
     member = Member(0, {}, config)
-    split = sweep_devices.choose_split(devices, seeds, config.phase1.parallel)
+    split = sweep_plan.choose_split(devices, seeds, config.phase1.parallel)
     programs = make_programs(SweepSpec("pendulum"), member, seeds, split)
 
     def put(x, batched=True):
-        return sweep_devices.put(x, programs.mesh, batched)
+        return sweep_plan.put(x, programs.mesh, batched)
 
     hyper = put(jax.tree.map(lambda x: np.full(seeds, x, np.float32), config.hyper))
     begin = time.perf_counter()

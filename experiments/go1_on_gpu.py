@@ -23,13 +23,12 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.stats import qmc
 
-from adaptsim_jax.core.compile_cache import enable
 from adaptsim_jax.core.files import output_folder, write_json
-from adaptsim_jax.environments.config import EnvironmentConfig
+from adaptsim_jax.core.process import enable_cache
 from adaptsim_jax.environments.episodes import visit
 from adaptsim_jax.environments.peers import load
 from adaptsim_jax.environments.policies import Law, acting_of, everywhere
-from adaptsim_jax.environments.setting import Setting, setting_of
+from adaptsim_jax.environments.setting import EnvironmentConfig, Setting, setting_of
 from adaptsim_jax.environments.trainer import PPOTraining
 from adaptsim_jax.learners.ppo import PPOHyper
 
@@ -117,7 +116,7 @@ def main() -> None:
     )
     parser.add_argument("--tests", type=int, default=256, help="episodes that score the policy")
     args = parser.parse_args()
-    enable()
+    enable_cache()
     output_folder(args.out)
     setting = setting_for(args)
     found: dict[str, Any] = {

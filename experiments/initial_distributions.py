@@ -13,9 +13,9 @@ from page import parser, rows_table, scored_row, train_config, write_page
 
 from adaptsim_jax import make_task
 from adaptsim_jax.adaptation.phase1 import make_phase1
+from adaptsim_jax.baselines.bounds import costs, pendulum_problem
 from adaptsim_jax.baselines.compare_exact import find_bounds
 from adaptsim_jax.baselines.exact_methods import adaptsim_means
-from adaptsim_jax.baselines.problem import costs, pendulum_problem
 from adaptsim_jax.core.progress import progress
 from adaptsim_jax.report import figures as look
 

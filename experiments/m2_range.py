@@ -10,8 +10,8 @@ from curves import against
 from page import parser, rows_table, scored_row, sysid_config, train_config, write_page
 from ranges import adaptsim_over_ranges, sysid_over_ranges
 
+from adaptsim_jax.baselines.bounds import costs, pendulum_problem
 from adaptsim_jax.baselines.compare_exact import find_bounds
-from adaptsim_jax.baselines.problem import costs, pendulum_problem
 from adaptsim_jax.baselines.sysid import make_sysid_bayes, make_sysid_point
 from adaptsim_jax.core.progress import progress
 from adaptsim_jax.report import figures as look

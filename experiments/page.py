@@ -13,7 +13,7 @@ import numpy as np
 
 from adaptsim_jax import TrainConfig
 from adaptsim_jax.adaptation.presets import PRESETS
-from adaptsim_jax.baselines.summary import normalised, plain, row
+from adaptsim_jax.baselines.results import normalised, plain, row
 from adaptsim_jax.baselines.sysid import SysIdConfig
 from adaptsim_jax.core.files import output_folder, write_bytes, write_json
 

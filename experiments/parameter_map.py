@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 from page import parser, write_page
 
-from adaptsim_jax.baselines.bounds import reward_map
-from adaptsim_jax.baselines.problem import pendulum_problem
+from adaptsim_jax.baselines.bounds import pendulum_problem, reward_map
 from adaptsim_jax.report import figures as look
 from adaptsim_jax.report import figures_comparison as draw
 from adaptsim_jax.tasks.pendulum.task import PendulumConfig, pendulum_space

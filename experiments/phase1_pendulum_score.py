@@ -11,9 +11,8 @@ import numpy as np
 from phase1_pendulum import ITERATIONS, load, with_policies
 from reachable import ceiling
 
-from adaptsim_jax.adaptation.sweep import adapt_many
-from adaptsim_jax.baselines.bounds import best_in_omega, udr
-from adaptsim_jax.baselines.problem import costs, pendulum_problem
+from adaptsim_jax.adaptation.phase2 import adapt_many
+from adaptsim_jax.baselines.bounds import best_in_omega, costs, pendulum_problem, udr
 
 
 def tuning_targets(outside: int = 64, inside: int = 32) -> np.ndarray:

@@ -25,12 +25,12 @@ import numpy as np
 
 from adaptsim_jax import default_comparison, make_one_shot
 from adaptsim_jax.adaptation.phase1 import make_phase1
-from adaptsim_jax.adaptation.sweep import stack, train_many
+from adaptsim_jax.adaptation.phase2 import stack, train_many
 from adaptsim_jax.baselines.adapting import phase2
 from adaptsim_jax.baselines.arena import Arena, MethodRun
-from adaptsim_jax.baselines.summary import bootstrap_interval
-from adaptsim_jax.core import compile_cache
+from adaptsim_jax.baselines.results import bootstrap_interval
 from adaptsim_jax.core import config as configs
+from adaptsim_jax.core import process
 from adaptsim_jax.core.files import atomic_file
 from adaptsim_jax.tasks.one_shot import best_actions
 from adaptsim_jax.tasks.pushing.config import SETTINGS
@@ -128,7 +128,7 @@ def main() -> None:
         "--tracks-seed", type=int, default=9203, help="of the pushes that are diagnosed"
     )
     args = parser.parse_args()
-    compile_cache.enable()
+    process.enable_cache()
     config = replace(default_comparison("pushing"), seeds=args.seeds, iterations=args.iterations)
     phase1 = replace(config.train.phase1, trajectories=args.trajectories)
     config = replace(config, train=replace(config.train, phase1=phase1))

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.baselines.problem import ExactProblem
+from adaptsim_jax.baselines.bounds import ExactProblem
 
 
 def reachable_values(start: float, delta: float, steps: int) -> np.ndarray:

@@ -182,10 +182,10 @@ def run(out: Path, task: str, seeds: range, methods: list[str], small: bool) -> 
     }
     if all(set(methods) <= set(found) for found in there.values()):
         return
-    from adaptsim_jax.adaptation.prepared import learned
+    from adaptsim_jax.adaptation.training import learned
     from adaptsim_jax.baselines.arena import MethodRun
     from adaptsim_jax.baselines.compare_steps import StepsComparison, deployed_by
-    from adaptsim_jax.environments.config import EnvironmentConfig
+    from adaptsim_jax.environments.setting import EnvironmentConfig
     from adaptsim_jax.environments.task import environment_setting, task_of
 
     options, sizes = options_of(task, small), comparison(options_of(task, small), small)
@@ -250,7 +250,7 @@ def against(out: Path, budget: int = 10) -> list[str]:
     method's, `+` and `-` where the 95 % interval of its mean over seeds is without 0; in how many
     targets outside of Omega it is above, and as good (not `-`).
     """
-    from adaptsim_jax.baselines.summary import bootstrap_interval
+    from adaptsim_jax.baselines.results import bootstrap_interval
     from adaptsim_jax.report import figures as look
 
     text = []

@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from adaptsim_jax.core import compile_cache
+from adaptsim_jax.core import process
 from adaptsim_jax.core.files import atomic_file
 from adaptsim_jax.core.progress import Report, progress, silent
 from adaptsim_jax.tasks.scooping import bank as scooping_bank
@@ -318,7 +318,7 @@ def main() -> None:
     )
     parser.add_argument("--out", type=Path, default=scooping_bank.PATH)
     args = parser.parse_args()
-    compile_cache.enable()
+    process.enable_cache()
     args.keep.mkdir(parents=True, exist_ok=True)
     options, numerics = ScoopOptions(clearance=args.clearance), Numerics()
     counts = {"omega": args.omega, "wide": args.wide}

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.stats import binomtest
 
 from adaptsim_jax import default_comparison, make_one_shot
-from adaptsim_jax.core import compile_cache
+from adaptsim_jax.core import process
 from adaptsim_jax.core.files import output_folder, write_json
 from adaptsim_jax.tasks.one_shot import TargetWorld, action_grid
 from adaptsim_jax.tasks.scooping.one_shot import GRID
@@ -92,7 +92,7 @@ def main() -> None:
     parser.add_argument("--target", default="hydro", help="engine; default hydro, ours")
     parser.add_argument("--settings", nargs="+", default=list(SETTINGS), choices=SETTINGS)
     args = parser.parse_args()
-    compile_cache.enable()
+    process.enable_cache()
     out = output_folder(Path(args.out))
     world = make_one_shot("scooping", dict(default_comparison("scooping").train.task)).world(
         args.target

@@ -28,9 +28,16 @@ import numpy as np
 
 from adaptsim_jax import default_comparison, make_one_shot
 from adaptsim_jax.baselines.adapting import adaptsim, sysid_point
-from adaptsim_jax.baselines.arena import Arena, MethodRun, Observed, TrialBatch
-from adaptsim_jax.baselines.lanes import Memory, RunLanes, lanes
-from adaptsim_jax.core import compile_cache
+from adaptsim_jax.baselines.arena import (
+    Arena,
+    Memory,
+    MethodRun,
+    Observed,
+    RunLanes,
+    TrialBatch,
+    lanes,
+)
+from adaptsim_jax.core import process
 from adaptsim_jax.core.config import from_table
 from adaptsim_jax.core.files import output_folder, write_json
 from adaptsim_jax.tasks.scooping.corrections import Doubt
@@ -183,7 +190,7 @@ def main() -> None:
     parser.add_argument("--visits", nargs="+", default=["own", "1"])
     parser.add_argument("--doubts", nargs="+", default=["network", "search", "1,0.5,1,3"])
     args = parser.parse_args()
-    compile_cache.enable()
+    process.enable_cache()
     out, seeds = output_folder(Path(args.out)), np.arange(100, 100 + args.seeds)
     pieces = targets()[[i for rows in PIECES.values() for i in rows]]
     one = make_one_shot("scooping", OPTIONS)

@@ -25,7 +25,7 @@ import numpy as np
 
 from adaptsim_jax import default_config, make_phase1, make_task
 from adaptsim_jax.adaptation.phase1 import Phase1Config
-from adaptsim_jax.core import compile_cache
+from adaptsim_jax.core import process
 from adaptsim_jax.core.files import write_json
 
 WAYS = {
@@ -95,7 +95,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=200)
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
-    compile_cache.enable()
+    process.enable_cache()
     base = default_config("scooping").phase1
     lent = replace(
         base.reuse, threshold=args.near, first=args.trials, most=args.trials, least=args.trials // 2

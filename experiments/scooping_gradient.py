@@ -22,7 +22,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.core import compile_cache
+from adaptsim_jax.core import process
 from adaptsim_jax.core.files import write_json
 from adaptsim_jax.tasks.scooping import model
 from adaptsim_jax.tasks.scooping.bank import load_bank
@@ -233,7 +233,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
-    compile_cache.enable()
+    process.enable_cache()
     with jax.enable_x64(True):
         fits = [row for case in CASES for row in moduli(case, args.seed)]
         times = horizon(args.samples, args.seed)

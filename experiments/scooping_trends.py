@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from adaptsim_jax.core import compile_cache
+from adaptsim_jax.core import process
 from adaptsim_jax.core.files import write_json
 from adaptsim_jax.tasks.scooping import engines as backends
 from adaptsim_jax.tasks.scooping import interface, model
@@ -111,7 +111,7 @@ def main() -> None:
     parser.add_argument("--quantities", nargs="+", default=list(QUANTITIES), choices=QUANTITIES)
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
-    compile_cache.enable()
+    process.enable_cache()
     simulate, rows = engine(args.backend), []
     print(
         "| shape | quantity | success, low | high | difference | 95 % interval (* excludes 0) "

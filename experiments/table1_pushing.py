@@ -35,7 +35,7 @@ from adaptsim_jax.adaptation.presets import pushing_native
 from adaptsim_jax.baselines.arena import Arena, MethodRun, Visits
 from adaptsim_jax.baselines.compare import stamped
 from adaptsim_jax.baselines.compare_learned import about, run_method, visits_rows
-from adaptsim_jax.core import compile_cache
+from adaptsim_jax.core import process
 from adaptsim_jax.core.files import atomic_file, output_folder, without_nan
 from adaptsim_jax.report.comparison import table, write_comparison
 from adaptsim_jax.tasks.pushing.engines.served import served_seconds
@@ -171,7 +171,7 @@ def main() -> None:  # noqa: PLR0915
         "--starts", type=int, default=2, help="distributions that AdaptSim adapts side by side"
     )
     args = parser.parse_args()
-    compile_cache.enable()
+    process.enable_cache()
     out = output_folder(Path(args.out))
     sizes = {
         "iterations": args.iterations,

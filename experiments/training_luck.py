@@ -18,10 +18,9 @@ import numpy as np
 from scipy.stats import qmc
 
 from adaptsim_jax.core import config as configs
-from adaptsim_jax.environments.config import EnvironmentConfig
 from adaptsim_jax.environments.episodes import visit
 from adaptsim_jax.environments.policies import Tuned, everywhere, network_acting, trained_in
-from adaptsim_jax.environments.setting import BLIND, Setting
+from adaptsim_jax.environments.setting import BLIND, EnvironmentConfig, Setting
 from adaptsim_jax.environments.task import environment_setting
 from adaptsim_jax.environments.trainer import Worlds
 from experiments.return_against_trials import options_of

@@ -10,8 +10,7 @@ import jax
 import numpy as np
 from page import parser, write_page
 
-from adaptsim_jax.baselines.bounds import best_in_omega, udr
-from adaptsim_jax.baselines.problem import pendulum_problem
+from adaptsim_jax.baselines.bounds import best_in_omega, pendulum_problem, udr
 from adaptsim_jax.tasks.pendulum.task import SETTINGS, pendulum_space
 
 RESTARTS = 5

@@ -20,7 +20,7 @@ import optax
 
 from adaptsim_jax.adaptation.phase1 import draw_target
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.learners.flat import flat
+from adaptsim_jax.learners.bdq import flat
 from adaptsim_jax.space import gaussian
 from adaptsim_jax.tasks.base import Task
 
@@ -63,7 +63,7 @@ class StepNetwork(nn.Module):
         return jnp.tanh(nn.Dense(self.dim, kernel_init=nn.initializers.zeros)(obs))
 
 
-class State(NamedTuple):
+class AnalyticState(NamedTuple):
     """What the next update needs. weights: flat `[n]`."""
 
     key: jax.Array
@@ -71,7 +71,7 @@ class State(NamedTuple):
     opt: Any
 
 
-class Info(NamedTuple):
+class AnalyticInfo(NamedTuple):
     """Of one update, each `[]`: the loss at the first and at the last visit, means over the finite,
     and the share that were not.
     """
@@ -100,13 +100,13 @@ class Analytic:
         self._weights_of, self._steps = flat(network, task.space.dim + task.obs_dim)
         self._adam = optax.scale_by_adam()
 
-    def init(self, key: jax.Array) -> State:
+    def init(self, key: jax.Array) -> AnalyticState:
         """Before the first update."""
         key, net = jax.random.split(key)
         weights = self._weights_of(net)
-        return State(key, weights, self._adam.init(weights))
+        return AnalyticState(key, weights, self._adam.init(weights))
 
-    def run(self, state: State, numbers: jax.Array) -> tuple[State, Info]:
+    def run(self, state: AnalyticState, numbers: jax.Array) -> tuple[AnalyticState, AnalyticInfo]:
         """Updates of these `numbers [U]`, of `config.updates`."""
         return jax.lax.scan(self._update, state, numbers)
 
@@ -167,15 +167,17 @@ class Analytic:
         surrogate, losses = jax.vmap(one)(keys)
         return surrogate.mean(), losses
 
-    def _update(self, state: State, number: jax.Array) -> tuple[State, Info]:
+    def _update(
+        self, state: AnalyticState, number: jax.Array
+    ) -> tuple[AnalyticState, AnalyticInfo]:
         config = self.config
         keys = jax.random.split(jax.random.fold_in(state.key, number), config.parallel)
         grad, losses = jax.grad(self._total, has_aux=True)(state.weights, keys)
         rate = config.learning_rate * 0.5 * (1.0 + jnp.cos(jnp.pi * number / config.updates))
         change, opt = cast(tuple[jax.Array, Any], self._adam.update(grad, state.opt))
         ends = jnp.nanmean(losses[:, 0]), jnp.nanmean(losses[:, -1])
-        info = Info(*ends, jnp.mean(jnp.isnan(losses)))
-        return State(state.key, state.weights - rate * change, opt), info
+        info = AnalyticInfo(*ends, jnp.mean(jnp.isnan(losses)))
+        return AnalyticState(state.key, state.weights - rate * change, opt), info
 
 
 def _check(task: Task, config: AnalyticConfig) -> None:

@@ -17,9 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax import space as spaces
-from adaptsim_jax.adaptation.phase1 import DistributionArchive
+from adaptsim_jax.adaptation.phase1 import DistributionArchive, archive_size
 from adaptsim_jax.adaptation.phase2 import best_visit, draw_starts, smoothed
-from adaptsim_jax.adaptation.training import Trained, archive_size, load_run
+from adaptsim_jax.adaptation.training import Trained, load_run
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.store import RunFolder
 from adaptsim_jax.learners.bdq import BDQ

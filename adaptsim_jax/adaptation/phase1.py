@@ -83,7 +83,7 @@ class Phase1(NamedTuple):
 def make_phase1(task: Task, config: Phase1Config, over: Callable = jax.vmap) -> Phase1:
     """Check the sizes and return Phase 1 as functions that the caller jits and vmaps. over: maps
     the function of one of the parallel trajectories over all of them, where no policies are reused
-    (`sweep_devices.spread` shares them out among devices).
+    (`sweep_plan.spread` shares them out among devices).
 
     * `init(key) -> Phase1State`
     * `round(state, hyper, number []) -> (state, info)`
@@ -128,6 +128,11 @@ def make_phase1(task: Task, config: Phase1Config, over: Callable = jax.vmap) -> 
         return jax.lax.scan(lambda s, n: one_round(s, hyper, n), state, numbers)
 
     return Phase1(task, config, bdq, init, one_round, run)
+
+
+def archive_size(phase1: Phase1, rounds: int) -> int:
+    """How many members S_E has after `rounds` rounds."""
+    return min(phase1.config.archive, rounds * phase1.config.parallel * phase1.config.horizon)
 
 
 def shape_reward(reward: jax.Array, hyper: Phase1Hyper) -> jax.Array:

@@ -20,7 +20,7 @@ class Phase1Config:
     horizon: adaptation steps of each; updates: gradient steps after each round; batch: transitions
     in each; capacity: of the replay, in transitions; archive: size of S_E, distributions; warmup:
     rounds before the first update; reuse: of task policies, for tasks whose training is dear.
-    guided: share of trajectories that are led towards their target (`guided`).
+    guided: share of trajectories that are led towards their target.
     """
 
     trajectories: int = 20_000

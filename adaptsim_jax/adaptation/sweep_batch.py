@@ -11,13 +11,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.adaptation import sweep_devices as devices
+from adaptsim_jax.adaptation import sweep_plan as devices
 from adaptsim_jax.adaptation.episode import StepPlan
-from adaptsim_jax.adaptation.phase1 import Phase1, Phase1Hyper, make_phase1
+from adaptsim_jax.adaptation.phase1 import Phase1, Phase1Hyper, archive_size, make_phase1
 from adaptsim_jax.adaptation.phase2 import adapt, draw_starts
-from adaptsim_jax.adaptation.prepared import prepared
 from adaptsim_jax.adaptation.sweep_spec import Member, SweepSpec
-from adaptsim_jax.adaptation.training import archive_size
+from adaptsim_jax.adaptation.training import prepared
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.store import MANIFEST, load_checkpoint, save_checkpoint
 from adaptsim_jax.tasks.registry import make_task

@@ -12,8 +12,7 @@ from adaptsim_jax.adaptation.presets import PRESETS, default_config, with_defaul
 from adaptsim_jax.adaptation.sweep_spec import MOST, Draws, Lines, Member, Range, Sweep, SweepSpec
 from adaptsim_jax.adaptation.training import TrainConfig
 from adaptsim_jax.core import config as configs
-from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.core.given import MAX_SEED, brief
+from adaptsim_jax.core.errors import MAX_SEED, BadInput, brief
 from adaptsim_jax.tasks.base import Task
 from adaptsim_jax.tasks.registry import TASKS, make_task
 
@@ -40,7 +39,7 @@ def _environment(table: dict[str, Any], lines: Lines, folder: Path) -> dict[str,
     named = table.get("task")
     if not (isinstance(named, str) and named.endswith(".toml")):
         return None
-    from adaptsim_jax.environments.config import read_env
+    from adaptsim_jax.environments.setting import read_env
 
     with lines.blamed("task"):
         return read_env(folder / named)

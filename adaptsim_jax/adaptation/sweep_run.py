@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.adaptation import sweep_devices as devices
+from adaptsim_jax.adaptation import sweep_plan as devices
 from adaptsim_jax.adaptation.sweep_batch import Programs, halved, make_programs, run_batch
 from adaptsim_jax.adaptation.sweep_folder import SweepFolder
 from adaptsim_jax.adaptation.sweep_plan import MemberBatch

@@ -15,10 +15,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.adaptation.phase1 import DistributionArchive, Phase1, Phase1Hyper, make_phase1
-from adaptsim_jax.adaptation.sweep import TrainedMany, stack, starts_of, train_many, train_one
+from adaptsim_jax.adaptation.phase2 import TrainedMany, stack, starts_of, train_many, train_one
 from adaptsim_jax.baselines import sysid
-from adaptsim_jax.baselines.arena import Arena, MethodRun, Visits
-from adaptsim_jax.baselines.lanes import Memory, RunLanes, lane_keys, lanes, two_keys
+from adaptsim_jax.baselines.arena import (
+    Arena,
+    Memory,
+    MethodRun,
+    RunLanes,
+    Visits,
+    lane_keys,
+    lanes,
+    two_keys,
+)
 from adaptsim_jax.core.progress import silent
 from adaptsim_jax.space import gaussian, step
 

@@ -15,9 +15,8 @@ from adaptsim_jax.baselines.compare_exact import ExactComparison
 from adaptsim_jax.baselines.compare_learned import LearnedComparison
 from adaptsim_jax.baselines.compare_steps import StepsComparison, setting_from
 from adaptsim_jax.baselines.config import CompareConfig
-from adaptsim_jax.baselines.parts import parts_of
 from adaptsim_jax.baselines.registry import PROBLEMS
-from adaptsim_jax.baselines.summary import plain
+from adaptsim_jax.baselines.results import parts_of, plain
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.progress import silent
@@ -36,11 +35,11 @@ def compare(
     out: str | Path | None = None,
 ) -> dict[str, Any]:
     """All of `config.methods` in all of `config.settings`: the table of results.json, whose rows
-    are `summary.row`'s.
+    are `results.row`'s.
 
     `progress(done, total, note)` is called as methods advance; `command` is what made the table,
     where a command line did. In the folder `out` what is done is kept as it goes, and taken from
-    there where it was stopped before; `parts.ComparisonParts.drop` removes it.
+    there where it was stopped before; `results.ComparisonParts.drop` removes it.
     """
     rows, about = compared(comparison_of(task, config), progress, out)
     return stamped(task, config, command) | about | {"rows": rows}

@@ -13,12 +13,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.baselines.arena import MethodRun, Visits
-from adaptsim_jax.baselines.bounds import Best, Udr, best_in_omega, udr
+from adaptsim_jax.baselines.bounds import (
+    Best,
+    ExactProblem,
+    Udr,
+    best_in_omega,
+    costs,
+    discrepancy,
+    udr,
+)
 from adaptsim_jax.baselines.config import CompareConfig
-from adaptsim_jax.baselines.parts import ComparisonParts, task_digest
-from adaptsim_jax.baselines.problem import ExactProblem, costs, discrepancy
 from adaptsim_jax.baselines.registry import EXACT, PROBLEMS, exact_methods
-from adaptsim_jax.baselines.summary import normalised, physical, row
+from adaptsim_jax.baselines.results import ComparisonParts, normalised, physical, row, task_digest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.base import Task
 

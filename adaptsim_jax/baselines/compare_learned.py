@@ -12,9 +12,14 @@ import numpy as np
 
 from adaptsim_jax.baselines.arena import Arena, MethodRun, Visits
 from adaptsim_jax.baselines.config import CompareConfig
-from adaptsim_jax.baselines.parts import ComparisonParts, task_digest
 from adaptsim_jax.baselines.registry import LEARNED, ORACLE, learned_methods
-from adaptsim_jax.baselines.summary import bootstrap_interval, physical, row
+from adaptsim_jax.baselines.results import (
+    ComparisonParts,
+    bootstrap_interval,
+    physical,
+    row,
+    task_digest,
+)
 from adaptsim_jax.tasks.one_shot import OneShot
 
 

@@ -17,17 +17,21 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.adaptation.phase2 import smoothed
-from adaptsim_jax.adaptation.prepared import learned
+from adaptsim_jax.adaptation.training import learned
 from adaptsim_jax.baselines.arena import MethodRun, Visits
 from adaptsim_jax.baselines.config import CompareConfig
-from adaptsim_jax.baselines.parts import ComparisonParts
 from adaptsim_jax.baselines.registry import STEPS, steps_methods
+from adaptsim_jax.baselines.results import (
+    ComparisonParts,
+    bootstrap_interval,
+    plain,
+    quartiles,
+    row,
+)
 from adaptsim_jax.baselines.steps_arena import StepsArena
-from adaptsim_jax.baselines.summary import bootstrap_interval, plain, quartiles, row
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.environments.config import EnvironmentConfig
-from adaptsim_jax.environments.setting import Setting
+from adaptsim_jax.environments.setting import EnvironmentConfig, Setting
 from adaptsim_jax.environments.task import environment_setting, task_of
 
 BUDGETS = (0, 2, 5, 10, 20, 40)

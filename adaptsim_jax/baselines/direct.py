@@ -12,8 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from adaptsim_jax.baselines.arena import MethodRun, TrialBatch, Visits
-from adaptsim_jax.baselines.lanes import lane_keys, lanes
+from adaptsim_jax.baselines.arena import MethodRun, TrialBatch, Visits, lane_keys, lanes
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.one_shot import OneShot, action_grid
 

@@ -5,6 +5,7 @@ Each returns the means of E that it visited in every target, for every seed.
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,13 +13,82 @@ import numpy as np
 
 from adaptsim_jax.adaptation.analytic import Analytic, AnalyticConfig
 from adaptsim_jax.adaptation.phase1 import Phase1, Phase1Hyper, make_phase1
-from adaptsim_jax.adaptation.sweep import adapt_many, stack, starts_of, train_many
-from adaptsim_jax.baselines import gradient
+from adaptsim_jax.adaptation.phase2 import adapt_many, stack, starts_of, train_many
 from adaptsim_jax.baselines.arena import MethodRun, Visits
 from adaptsim_jax.baselines.sysid import make_sysid_bayes, make_sysid_point
 from adaptsim_jax.core.progress import silent
 from adaptsim_jax.tasks.base import Task
 from adaptsim_jax.tasks.registry import make_task
+
+Slope = Callable[[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]
+LONGEST_MOVE = 0.25  # of the range, for any parameter in one step
+
+
+class DescentState(NamedTuple):
+    """What the next step needs: `u [D]` in unit coordinates, the gradient there `[D]`, and the
+    stride `[]`.
+    """
+
+    u: jax.Array
+    gradient: jax.Array
+    stride: jax.Array
+
+
+class DescentInfo(NamedTuple):
+    """What was seen at the mean that a step arrived at: `u [D]`, the cost there `[]`, the projected
+    gradient's norm `[]`.
+    """
+
+    u: jax.Array
+    cost: jax.Array
+    stationarity: jax.Array
+
+
+def init(slope: Slope, u: jax.Array, target: jax.Array) -> tuple[DescentState, DescentInfo]:
+    """Evaluate the first mean `u [D]` in `target [D]` (physical). `slope(u, target) -> (cost [],
+    gradient [D])`.
+    """
+    cost, gradient = _log_slope(slope, u, target)
+    return DescentState(u, gradient, 0.1 / jnp.maximum(jnp.max(jnp.abs(gradient)), 1e-12)), _info(
+        u, cost, gradient
+    )
+
+
+def step(slope: Slope, state: DescentState, target: jax.Array) -> tuple[DescentState, DescentInfo]:
+    """One projected gradient step on the logarithm of the cost, which makes strides free of its
+    unit.
+
+    The stride is Barzilai and Borwein's (1988): one evaluation a step, no line search, not
+    monotone.
+    """
+    longest = LONGEST_MOVE / jnp.maximum(jnp.max(jnp.abs(state.gradient)), 1e-12)
+    u = jnp.clip(state.u - jnp.minimum(state.stride, longest) * state.gradient, 0.0, 1.0)
+    cost, gradient = _log_slope(slope, u, target)
+    moved, turned = u - state.u, gradient - state.gradient
+    curvature = jnp.sum(moved * turned)
+    stride = jnp.where(
+        curvature > 1e-12, jnp.sum(moved**2) / jnp.maximum(curvature, 1e-12), 2.0 * state.stride
+    )
+    return DescentState(u, gradient, stride), _info(u, cost, gradient)
+
+
+def descend(slope: Slope, u: jax.Array, target: jax.Array, iterations: int = 10) -> DescentInfo:
+    """`init` and `iterations` steps: `DescentInfo` with a leading axis `[iterations + 1]`. Pure; vmap over
+    starts and targets.
+    """
+    state, first = init(slope, u, target)
+    _, rest = jax.lax.scan(lambda s, _: step(slope, s, target), state, None, length=iterations)
+    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, rest)
+
+
+def _log_slope(slope: Slope, u: jax.Array, target: jax.Array) -> tuple[jax.Array, jax.Array]:
+    cost, gradient = slope(u, target)
+    gradient = gradient / cost
+    return cost, jnp.where(jnp.isfinite(gradient), gradient, 0.0)
+
+
+def _info(u: jax.Array, cost: jax.Array, gradient: jax.Array) -> DescentInfo:
+    return DescentInfo(u, cost, jnp.linalg.norm(jnp.clip(u - gradient, 0.0, 1.0) - u))
 
 
 def task_of(run: MethodRun, late: bool) -> Task:
@@ -116,7 +186,7 @@ def sysid(run: MethodRun, make: Callable, late: bool = False) -> Visits:
     return Visits(np.stack(out)[:, :, None], config.iterations + 1)
 
 
-def descend(run: MethodRun) -> Visits:
+def gradient(run: MethodRun) -> Visits:
     """Gradient descent from as many random starts as AdaptSim has. Its trials are gradients of the
     target's cost.
     """
@@ -127,7 +197,7 @@ def descend(run: MethodRun) -> Visits:
         )
 
         def one(u, target):
-            return gradient.descend(run.problem.slope, u, target, run.config.iterations).u
+            return descend(run.problem.slope, u, target, run.config.iterations).u
 
         over = jax.jit(jax.vmap(jax.vmap(jax.vmap(one, (0, None)), (0, None)), (None, 0)))
         means = np.asarray(over(starts, jnp.asarray(run.targets, jnp.float64)))

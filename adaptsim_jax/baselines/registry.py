@@ -25,7 +25,7 @@ EXACT: Registry[Callable[..., Any]] = Registry(
         "sysid_bayes_state": f"{HERE}.exact_methods:sysid_bayes_state",
         "sysid_point": f"{HERE}.exact_methods:sysid_point",
         "sysid_point_state": f"{HERE}.exact_methods:sysid_point_state",
-        "gradient": f"{HERE}.exact_methods:descend",
+        "gradient": f"{HERE}.exact_methods:gradient",
     },
     within="exact",
 )
@@ -62,7 +62,7 @@ STEPS: Registry[Callable[..., Any]] = Registry(
     within="steps",
 )
 PROBLEMS: Registry[Callable[..., Any]] = Registry(
-    "problems", {"pendulum": f"{HERE}.problem:pendulum_problem"}
+    "problems", {"pendulum": f"{HERE}.bounds:pendulum_problem"}
 )
 
 

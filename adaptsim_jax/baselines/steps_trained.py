@@ -13,8 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.stats import qmc
 
-from adaptsim_jax.baselines.arena import MethodRun, Visits
-from adaptsim_jax.baselines.lanes import lanes
+from adaptsim_jax.baselines.arena import MethodRun, Visits, lanes
 from adaptsim_jax.baselines.steps_arena import StepsArena
 from adaptsim_jax.environments.policies import Law, Tuned, everywhere, trained_in
 from adaptsim_jax.environments.setting import compiled

@@ -75,7 +75,7 @@ class Estimator(NamedTuple):
     infer: Callable
 
 
-class State(NamedTuple):
+class SysIdState(NamedTuple):
     """What the next iteration needs: E, the policy trained on it, the network, the draws kept so
     far `[I, n, D]`.
     """
@@ -87,7 +87,7 @@ class State(NamedTuple):
     count: jax.Array
 
 
-class Info(NamedTuple):
+class SysIdInfo(NamedTuple):
     """For people and tests: E in use `mean, std [D]`, the target's observation, the fit's held-out
     loss, share inside.
     """
@@ -101,11 +101,11 @@ class Info(NamedTuple):
 
 class Identified(NamedTuple):
     """Means of E visited, `[iterations + 1, D]` (unit coordinates, from the start at the centre),
-    and each step's Info.
+    and each step's SysIdInfo.
     """
 
     means: jax.Array
-    info: Info
+    info: SysIdInfo
 
 
 def make_sysid(task: Task, estimator: Estimator, config: SysIdConfig) -> Callable:
@@ -128,24 +128,28 @@ def make_sysid(task: Task, estimator: Estimator, config: SysIdConfig) -> Callabl
     return adapt
 
 
-def start(key: jax.Array, task: Task, estimator: Estimator, config: SysIdConfig) -> State:
+def start(key: jax.Array, task: Task, estimator: Estimator, config: SysIdConfig) -> SysIdState:
     """Before any data of the target: E at the centre of Omega, a policy trained there."""
     policy_key, train_key, net_key = jax.random.split(key, 3)
     state = untrained(net_key, policy_key, task, estimator, config)
     return state._replace(policy=task.train(train_key, state.dist, state.policy))
 
 
-def untrained(net_key, policy_key, task: Task, estimator: Estimator, config: SysIdConfig) -> State:
+def untrained(
+    net_key, policy_key, task: Task, estimator: Estimator, config: SysIdConfig
+) -> SysIdState:
     """The same with the policy as the task starts it."""
     D = task.space.dim
     dist = Gaussian(jnp.full(D, 0.5), jnp.full(D, config.least_std))
     variables = estimator.init(net_key, task.obs_dim)
     draws = jax.eval_shape(estimator.infer, net_key, variables, jnp.zeros(task.obs_dim)).shape
     kept = jnp.zeros((config.iterations, *draws))
-    return State(dist, task.init_policy(policy_key), variables, kept, jnp.zeros((), int))
+    return SysIdState(dist, task.init_policy(policy_key), variables, kept, jnp.zeros((), int))
 
 
-def _iterate(key, state, target, task, estimator, config, fit_config) -> tuple[State, Info]:
+def _iterate(
+    key, state, target, task, estimator, config, fit_config
+) -> tuple[SysIdState, SysIdInfo]:
     real_key, *keys = jax.random.split(key, 5)
     real = task.observe(task.rollout(real_key, state.policy, target))
     *keys, train_key = keys
@@ -154,8 +158,8 @@ def _iterate(key, state, target, task, estimator, config, fit_config) -> tuple[S
 
 
 def infer(
-    keys, state: State, real: jax.Array, task, estimator, config, fit_config
-) -> tuple[State, Info]:
+    keys, state: SysIdState, real: jax.Array, task, estimator, config, fit_config
+) -> tuple[SysIdState, SysIdInfo]:
     """E after `real [obs]` was observed of `state.policy` in the target, the policy as it was;
     `keys [3]`.
     """
@@ -179,8 +183,8 @@ def infer(
     else:
         marked = jnp.ones(1, bool)
     dist, inside = within_omega(used, marked, config.least_std)
-    info = Info(state.dist.mean, state.dist.std, real, fitted.best_loss, inside)
-    return State(dist, state.policy, fitted.variables, kept, state.count + 1), info
+    info = SysIdInfo(state.dist.mean, state.dist.std, real, fitted.best_loss, inside)
+    return SysIdState(dist, state.policy, fitted.variables, kept, state.count + 1), info
 
 
 def simulate(

@@ -19,7 +19,7 @@ EXAMPLES = """
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    from adaptsim_jax.commands.common import positive
+    from adaptsim_jax.commands.parser import positive
 
     parser.add_argument("folder", metavar="RUN", help="a run folder of `adaptsim train`")
     parser.add_argument(
@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
     import jax
 
     from adaptsim_jax.adaptation.training import load_run
-    from adaptsim_jax.commands.common import next_step, output, print_file, read_target
+    from adaptsim_jax.commands.parser import next_step, output, print_file, read_target
     from adaptsim_jax.commands.phase2 import phase2, write_look
     from adaptsim_jax.core.files import write_json
 

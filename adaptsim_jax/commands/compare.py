@@ -27,7 +27,7 @@ ENGINES = "pushing: planar, native, mjx or drake; scooping: hydro, native, mjx o
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    from adaptsim_jax.commands.common import positive, settable
+    from adaptsim_jax.commands.parser import positive, settable
 
     parser.add_argument(
         "task", metavar="TASK", help="pendulum, pushing, scooping, one of your own, or an env.toml"
@@ -60,11 +60,11 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Table 1 of the paper for one task."""
-    from adaptsim_jax.commands.common import output, print_file, task_word
+    from adaptsim_jax.commands.parser import output, print_file, task_word
 
     words, args.task = args.task, task_word(args)
     from adaptsim_jax.baselines.compare import compare
-    from adaptsim_jax.baselines.parts import ComparisonParts, report_unfinished
+    from adaptsim_jax.baselines.results import ComparisonParts, report_unfinished
     from adaptsim_jax.core.progress import progress
     from adaptsim_jax.report.comparison import table, write_comparison
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from adaptsim_jax.commands.common import TASKS
+from adaptsim_jax.commands.parser import TASKS
 
 FILES = ("DATA", "DIR", "FILE", "MODEL", "RUN", "RUN|FILE", "SPEC.toml | show DIR")
 """What the help calls an argument that is a file or a folder."""

@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from adaptsim_jax.commands.common import stretch
+from adaptsim_jax.commands.parser import stretch
 from adaptsim_jax.core.errors import BadInput
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Close the loop on a folder of measured data."""
-    from adaptsim_jax.commands.common import output
+    from adaptsim_jax.commands.parser import output
     from adaptsim_jax.core import process
     from adaptsim_jax.core.progress import progress
 
@@ -141,7 +141,7 @@ def of_trials(data: Path) -> str | None:
     from adaptsim_jax.logs.declared import declared_task
 
     if (data / "robot.toml").exists():
-        from adaptsim_jax.commands.robot_recorded import session_task
+        from adaptsim_jax.commands.robot_session import session_task
 
         return session_task(data)
     from adaptsim_jax.tasks.registry import TRIALS
@@ -205,7 +205,7 @@ def trials(args: argparse.Namespace, without: list[str]) -> Judge:
     kind = TRIALS[str(of_trials(data))]
     read = kind.read
     if (data / "robot.toml").exists():
-        from adaptsim_jax.commands.robot_recorded import recorded_trials as read
+        from adaptsim_jax.commands.robot_session import recorded_trials as read
     recorded = read(data, args.as_declared, without)
     asked = {"data": str(data), "without": without, "as_declared": args.as_declared}
     return partial(kind, recorded, page=write_diagnosis, asked=asked)
@@ -263,7 +263,7 @@ def print_answer(args: argparse.Namespace, result: dict[str, Any], out: Path, re
     """The summary for a person and what to do next, or all of the report as JSON; replays: whether
     `replay` takes the model.
     """
-    from adaptsim_jax.commands.common import next_step, print_file
+    from adaptsim_jax.commands.parser import next_step, print_file
 
     if args.json:
         print_file(out / "report.json")

@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from adaptsim_jax import __version__
-from adaptsim_jax.core import compile_cache
+from adaptsim_jax.core import process
 
 EXAMPLES = """
   adaptsim doctor
@@ -35,7 +35,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """0 where everything that the core needs works here, else 1."""
-    from adaptsim_jax.commands.common import next_step
+    from adaptsim_jax.commands.parser import next_step
 
     found = examine()
     rows = costs() if args.costs else iter(())
@@ -68,7 +68,7 @@ def examine() -> dict[str, Any]:
     """
     versions = {name: _version(name) for name in PACKAGES}
     backends = {name: _try(trial) for name, trial in _TRIALS.items()}
-    files, size = compile_cache.size()
+    files, size = process.cache_size()
     found = {
         "schema": 1,
         "adaptsim_jax": __version__,
@@ -80,7 +80,7 @@ def examine() -> dict[str, Any]:
         "versions": versions,
         "devices": _devices(),
         "backends": backends,
-        "compile_cache": {"folder": str(compile_cache.folder()), "files": files, "bytes": size},
+        "compile_cache": {"folder": str(process.cache_folder()), "files": files, "bytes": size},
     }
     found["faults"] = _faults(found)
     return found
@@ -109,7 +109,7 @@ def show(found: dict[str, Any]) -> None:
     cache = found["compile_cache"]
     console.print(
         f"cache      {cache['folder']} ({cache['files']} files, {cache['bytes'] / 1e6:.1f} MB); "
-        f"{compile_cache.VARIABLE} names another, removing it is safe"
+        f"{process.CACHE_VARIABLE} names another, removing it is safe"
     )
     for fault in found["faults"]:
         console.print(f"[red]fault[/red]      {escape(fault)}")

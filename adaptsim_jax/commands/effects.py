@@ -35,7 +35,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """List the catalogue of a task."""
-    from adaptsim_jax.commands.common import next_step
+    from adaptsim_jax.commands.parser import next_step
     from adaptsim_jax.core.config import pick
 
     effects = listed(pick("task", args.task, CATALOGUES))

@@ -40,7 +40,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Writes the file and says how the data read with it."""
-    from adaptsim_jax.commands.common import next_step
+    from adaptsim_jax.commands.parser import next_step
     from adaptsim_jax.logs.begin import begin
 
     topics = {"state_topic": args.state_topic, "command_topic": args.command_topic}

@@ -14,7 +14,7 @@ EXAMPLES = """
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    from adaptsim_jax.commands.common import positive
+    from adaptsim_jax.commands.parser import positive
 
     parser.add_argument("task", metavar="TASK", help="pendulum, pushing or scooping")
     parser.add_argument(
@@ -25,7 +25,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Final-state differences of the backends over random parameters, commands and starts."""
-    from adaptsim_jax.commands.common import check_task
+    from adaptsim_jax.commands.parser import check_task
     from adaptsim_jax.core.errors import BadInput
     from adaptsim_jax.core.progress import progress
 
@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps(found, indent=1))
         return 0
-    from adaptsim_jax.commands.common import next_step
+    from adaptsim_jax.commands.parser import next_step
 
     print("\n".join(parity.lines(found)))
     next_step(f"train {args.task} --run runs/a")

@@ -3,12 +3,156 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import importlib
-from typing import NoReturn
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NoReturn
 
 from adaptsim_jax import __version__
-from adaptsim_jax.commands import SUMMARIES, common
-from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.commands import SUMMARIES
+from adaptsim_jax.core import config
+from adaptsim_jax.core.errors import MAX_SEED, BadInput
+from adaptsim_jax.tasks.registry import TASKS
+
+
+def check_task(task: str) -> str:
+    """`task` if it is known; BadInput with the nearest name otherwise."""
+    return config.pick("task", task, TASKS)
+
+
+def task_word(args: argparse.Namespace) -> str:
+    """The task that `args.task` names, a task's own name or an env.toml: its table is then
+    `args.env`, else empty.
+    """
+    args.env = {}
+    if args.task.endswith(".toml"):
+        from adaptsim_jax.environments.setting import read_env
+
+        args.env = read_env(args.task)
+        return "environment"
+    return check_task(args.task)
+
+
+@contextlib.contextmanager
+def output(path: str | Path) -> Iterator[Path]:
+    """The folder `path` to write into, made if need be. Where the work fails before it wrote
+    anything, it is gone again.
+    """
+    from adaptsim_jax.core.files import output_folder
+
+    new = not Path(path).exists()
+    out = output_folder(path)
+    try:
+        yield out
+    except BaseException:
+        if new:
+            with contextlib.suppress(OSError):  # not empty: what is there is whole
+                out.rmdir()
+        raise
+
+
+def read_target(text: str, task: Any) -> tuple[str, Any, Any]:
+    """`(name, params [D], world)` of a target: a setting of `task`, or a TOML file that names every
+    parameter.
+
+    The parameters stand at the top of the file or under `[params]`; all are checked against
+    physical ranges. A `model.toml` is a target with effects of its own: `world` is then `task` with
+    that model to act in, else None. So it is where a setting has more than parameters of Omega.
+    """
+    if text in task.settings:
+        world = None if task.world is None else task.world(text)
+        return text, task.space.values(task.settings[text], text), world
+    path = Path(text)
+    if not path.exists():
+        known = (*task.settings, "a TOML file of parameters")
+        raise BadInput(f"unknown target '{text}', and no such file; {config.suggest(text, known)}")
+    table = config.read(path)
+    if "declared" in table and "schema" in table:
+        from adaptsim_jax.mend.pendulum_model import model_of
+        from adaptsim_jax.tasks.pendulum.target import in_world
+
+        return path.stem, *in_world(task, model_of(table, str(path)))
+    if "params" in table:
+        for key in table:
+            if key != "params":
+                raise BadInput(f"{path}: unknown key '{key}' beside [params]; remove it")
+        table = table["params"]
+        if not isinstance(table, dict):
+            raise BadInput(
+                f"{path}: 'params' is not a table; write [params] and a line for each parameter"
+            )
+    return path.stem, task.space.values(table, str(path)), None
+
+
+def settable(parser: argparse.ArgumentParser | argparse._ArgumentGroup, example: str = "") -> None:
+    """The option `--set`, by which one key of a config is changed."""
+    text = f"change one key of the config{example}; repeatable"
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=text)
+
+
+def seed(text: str) -> int:
+    """A seed of JAX: an integer in [0, 2^32)."""
+    return _whole(text, 0, MAX_SEED)
+
+
+def positive(text: str) -> int:
+    """A count of at least one."""
+    return _whole(text, 1, 10**9)
+
+
+def _whole(text: str, low: int, high: int) -> int:
+    try:
+        value = int(text)
+    except ValueError:
+        value = low - 1
+    if not low <= value <= high:
+        raise argparse.ArgumentTypeError(
+            f"'{text}' is not a whole number from {low} to {high}; try {low}"
+        )
+    return value
+
+
+def next_step(command: str) -> None:
+    """The line that says what a person may do now; the last of a command's output."""
+    print(f"next: adaptsim {command}")
+
+
+def print_file(path: Path) -> None:
+    """What `--json` prints of a command that writes its answer to a file."""
+    print(path.read_text(encoding="utf-8"), end="")
+
+
+# ---------------------------------------------------------------- lengths of stretches
+
+LONGEST = 1e4
+"""s that no stretch reaches."""
+
+
+def length(text: str) -> float:
+    """Seconds, or 0 for whole trials."""
+    if not 0.0 <= (value := _seconds(text)) < LONGEST:
+        raise argparse.ArgumentTypeError(
+            f"'{text}' is no length of time; give seconds, or 0 for whole trials"
+        )
+    return value
+
+
+def stretch(text: str) -> float:
+    """Seconds above 0."""
+    if not 0.0 < (value := _seconds(text)) < LONGEST:
+        raise argparse.ArgumentTypeError(
+            f"'{text}' is no length of a stretch; give seconds above 0 (whole trials: --yardstick "
+            "whole)"
+        )
+    return value
+
+
+def _seconds(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return -1.0
 
 
 class Parser(argparse.ArgumentParser):
@@ -41,7 +185,7 @@ def command_parser(name: str) -> Parser:
 def _declare(parser: argparse.ArgumentParser, module) -> None:
     module.arguments(parser)
     shared = parser.add_argument_group("shared by all commands")
-    shared.add_argument("--seed", type=common.seed, metavar="N", help="random seed (default 0)")
+    shared.add_argument("--seed", type=seed, metavar="N", help="random seed (default 0)")
     shared.add_argument("--no-cache", action="store_true", help="keep no compiled programs on disk")
     parser.set_defaults(run=module.run)
 

@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.adaptation.episode import AdaptationEpisode
+from adaptsim_jax.adaptation.phase1 import archive_size
 from adaptsim_jax.adaptation.phase2 import Phase2Result, best_visit, chosen_visit, draw_starts
-from adaptsim_jax.adaptation.prepared import learned
-from adaptsim_jax.adaptation.training import adapt_run, archive_size
+from adaptsim_jax.adaptation.training import adapt_run, learned
 from adaptsim_jax.core import config
 from adaptsim_jax.core.store import RunFolder
 from adaptsim_jax.report.figures import save
@@ -54,8 +54,7 @@ def as_compared(
     visit with the highest return, corrected by all trials that were made.
     """
     from adaptsim_jax.baselines.adapting import LanePolicies, adaptation_trace
-    from adaptsim_jax.baselines.arena import Arena
-    from adaptsim_jax.baselines.lanes import lanes
+    from adaptsim_jax.baselines.arena import Arena, lanes
 
     one, phase1 = make_one_shot(task, options), trained.phase1
     arena = Arena(one, one.world(one.engine), np.asarray(target)[None])

@@ -8,7 +8,7 @@ import shlex
 import sys
 from pathlib import Path
 
-from adaptsim_jax.commands.common import length
+from adaptsim_jax.commands.parser import length
 
 EXAMPLES = """
   adaptsim replay robot.xml logs/robot                    error over stretches of 0.5 s, as declared
@@ -87,7 +87,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps(answer, indent=2))
     else:
-        from adaptsim_jax.commands.common import next_step
+        from adaptsim_jax.commands.parser import next_step
 
         _print(answer)
         if (Path(args.model).parent / "report.json").exists():  # what `diagnose` wrote

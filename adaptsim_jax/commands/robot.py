@@ -30,7 +30,7 @@ STEPS = ("new", "next", "record", "undo")
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    from adaptsim_jax.commands.common import positive
+    from adaptsim_jax.commands.parser import positive
 
     parser.add_argument("step", metavar="new|next|record|undo", help="start, ask, tell, take back")
     parser.add_argument(
@@ -118,8 +118,8 @@ def new(args: argparse.Namespace) -> dict[str, Any]:
     """Start a session in an empty folder."""
     import jax
 
+    from adaptsim_jax.adaptation.phase1 import archive_size
     from adaptsim_jax.adaptation.phase2 import draw_starts
-    from adaptsim_jax.adaptation.training import archive_size
     from adaptsim_jax.core import config, files
     from adaptsim_jax.core.errors import BadInput
     from adaptsim_jax.core.files import one_writer

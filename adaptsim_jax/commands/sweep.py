@@ -29,7 +29,7 @@ SPEC.toml, for instance:
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    from adaptsim_jax.commands.common import positive
+    from adaptsim_jax.commands.parser import positive
 
     parser.add_argument(
         "words", nargs="+", metavar="SPEC.toml | show DIR", help="what to run, or the sweep to show"
@@ -129,17 +129,17 @@ def _set_up_devices(args: argparse.Namespace) -> None:
 def _sweep(args: argparse.Namespace) -> int:
     import jax
 
-    from adaptsim_jax.adaptation import sweep_devices, sweep_plan
+    from adaptsim_jax.adaptation import sweep_plan
     from adaptsim_jax.adaptation.sweep_folder import locked
     from adaptsim_jax.adaptation.sweep_read import read_sweep
-    from adaptsim_jax.commands.common import output
+    from adaptsim_jax.commands.parser import output
 
     spec = args.words[0]
     sweep = read_sweep(spec)
     if args.hosts:
         where = None if args.hosts == "slurm" else args.hosts
-        sweep_devices.join(where, args.processes, args.process)
-    first = sweep_devices.first()
+        sweep_plan.join(where, args.processes, args.process)
+    first = sweep_plan.first()
     devices, at_once = len(jax.devices()), args.at_once
     if args.ray is not None:  # a batch goes to a worker, which has a device of its own
         devices, at_once = 1, at_once or sweep_plan.PER_CORE
@@ -163,7 +163,7 @@ def _sweep(args: argparse.Namespace) -> int:
 
 
 def _work(args: argparse.Namespace, sweep: Any, plan: Any, out: Path) -> int:
-    from adaptsim_jax.adaptation import sweep_devices
+    from adaptsim_jax.adaptation import sweep_plan
     from adaptsim_jax.adaptation.sweep_run import run_sweep
     from adaptsim_jax.core.progress import progress
 
@@ -175,14 +175,14 @@ def _work(args: argparse.Namespace, sweep: Any, plan: Any, out: Path) -> int:
             run_on_ray(sweep, folder, args.ray or None, progress=report, save_after=args.save_every)
         else:
             run_sweep(sweep, folder, progress=report, save_after=args.save_every)
-    if sweep_devices.first():
+    if sweep_plan.first():
         return _finish(folder, args.json)
     return 0
 
 
 def _folder(args: argparse.Namespace, sweep: Any, plan: Any, out: Path) -> Any:
-    from adaptsim_jax.adaptation.sweep_devices import agreed, first
     from adaptsim_jax.adaptation.sweep_folder import HEAD, SweepFolder
+    from adaptsim_jax.adaptation.sweep_plan import agreed, first
     from adaptsim_jax.core.errors import BadInput
 
     there = first() and (out / HEAD).exists()
@@ -196,7 +196,7 @@ def _folder(args: argparse.Namespace, sweep: Any, plan: Any, out: Path) -> Any:
 
 def _finish(folder: Any, as_json: bool) -> int:
     from adaptsim_jax.adaptation.sweep_folder import write_results
-    from adaptsim_jax.commands.common import next_step, print_file
+    from adaptsim_jax.commands.parser import next_step, print_file
     from adaptsim_jax.report.sweep_figures import draw
     from adaptsim_jax.report.sweep_page import write_sweep_page
 

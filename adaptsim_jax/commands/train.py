@@ -22,7 +22,7 @@ EXAMPLES = """
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    from adaptsim_jax.commands.common import settable
+    from adaptsim_jax.commands.parser import settable
 
     parser.add_argument(
         "task", metavar="TASK", help="pendulum, pushing, scooping, one of your own, or an env.toml"
@@ -45,7 +45,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Phase 1 into a run folder."""
-    from adaptsim_jax.commands.common import task_word
+    from adaptsim_jax.commands.parser import task_word
     from adaptsim_jax.core.files import one_writer
 
     text, args.task = args.task, task_word(args)

@@ -234,3 +234,18 @@ def _dare_jvp(primals: Any, tangents: Any) -> Any:
     operator = jnp.eye(A.size, dtype=A.dtype) - jnp.kron(closed.T, closed.T)
     dP = jnp.linalg.solve(operator, S.reshape(-1)).reshape(S.shape)
     return (P, residual, code), (symmetric(dP), jnp.zeros_like(residual), jnp.zeros_like(code))
+
+
+class LqrGain(NamedTuple):
+    """`gain: [m, n]` of the law `u = -gain x`, and the Riccati result `code: []` (0 is good)."""
+
+    gain: Array
+    code: Array
+
+
+def lqr_gain(A: Array, B: Array, Q: Array, R: Array) -> LqrGain:
+    """Gain that minimises the integral of `x'Qx + u'Ru` under `dx/dt = A x + B u`. As in
+    `solve_care`.
+    """
+    P, _, code = solve_care(A, B, Q, R)
+    return LqrGain(solve(R, mm(transpose(B), P)), code)

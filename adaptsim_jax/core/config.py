@@ -14,8 +14,7 @@ import typing
 from pathlib import Path
 from typing import Any, TypeVar
 
-from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.core.given import brief, finite
+from adaptsim_jax.core.errors import BadInput, brief, finite
 
 T = TypeVar("T")
 

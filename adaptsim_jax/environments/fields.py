@@ -16,8 +16,7 @@ import mujoco
 import numpy as np
 
 from adaptsim_jax.core.config import suggest
-from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.core.given import brief, finite
+from adaptsim_jax.core.errors import BadInput, brief, finite
 from adaptsim_jax.mechanisms.model_numbers import (
     NumberName,
     array_at,

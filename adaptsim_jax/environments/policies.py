@@ -16,9 +16,8 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.progress import silent
 from adaptsim_jax.core.traced import digest_of
 from adaptsim_jax.environments.episodes import ActingPolicy, Play, Rollout, Shown, visit, whitened
-from adaptsim_jax.environments.planner import make_planner
 from adaptsim_jax.environments.setting import BLIND, Setting, obs_dim_of
-from adaptsim_jax.environments.trainer import Trainer, Worlds
+from adaptsim_jax.environments.trainer import Trainer, Worlds, make_planner
 
 PAIRS, CHUNK = 512, 10
 

@@ -18,8 +18,7 @@ import numpy as np
 from mujoco import mjx, rollout
 
 from adaptsim_jax.core import config as configs
-from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.core.given import brief, finite
+from adaptsim_jax.core.errors import BadInput, brief, finite
 from adaptsim_jax.environments.fields import ModelField, edit_native, field_of
 
 ENGINE = {"engine": "mujoco", "integrator": "implicitfast", "steps": 2}

@@ -14,7 +14,6 @@ from scipy.stats import qmc
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.progress import silent
-from adaptsim_jax.environments.config import EnvironmentConfig
 from adaptsim_jax.environments.episodes import (
     ActingPolicy,
     EpisodeSteps,
@@ -36,7 +35,14 @@ from adaptsim_jax.environments.policies import (
     prepared_of,
     visit_shape,
 )
-from adaptsim_jax.environments.setting import Setting, digest, environment, obs_dim_of, setting_of
+from adaptsim_jax.environments.setting import (
+    EnvironmentConfig,
+    Setting,
+    digest,
+    environment,
+    obs_dim_of,
+    setting_of,
+)
 from adaptsim_jax.environments.targets import Target, native_physics
 from adaptsim_jax.environments.trainer import Worlds
 from adaptsim_jax.space import Space

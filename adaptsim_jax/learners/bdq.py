@@ -8,16 +8,31 @@ traced (`BDQHyper`), so that one compiled step serves a sweep.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
+from jax.flatten_util import ravel_pytree
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.learners.flat import flat
 from adaptsim_jax.learners.replay import Transition
+
+
+def flat(
+    network: nn.Module, obs_dim: int
+) -> tuple[Callable[[jax.Array], jax.Array], Callable[..., Any]]:
+    """`init(key) -> weights [n]` and `apply(weights, obs [..., obs_dim])` of a network."""
+    example = jnp.zeros((1, obs_dim))
+    # shapes only: running the initialisation here would compile it operation by operation
+    shapes = jax.eval_shape(network.init, jax.random.key(0), example)
+    unravel = ravel_pytree(jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), shapes))[1]
+    return lambda key: ravel_pytree(network.init(key, example))[
+        0
+    ], lambda weights, obs: network.apply(unravel(weights), obs)
+
 
 ACTIVATIONS: dict[str, Callable[[jax.Array], jax.Array]] = {
     "elu": nn.elu,

@@ -18,8 +18,7 @@ import jax.numpy as jnp
 import optax
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.learners.bdq import ACTIVATIONS
-from adaptsim_jax.learners.flat import flat
+from adaptsim_jax.learners.bdq import ACTIVATIONS, flat
 from adaptsim_jax.learners.naf_box import box_maximiser
 
 

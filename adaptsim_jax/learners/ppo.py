@@ -19,8 +19,7 @@ import numpy as np
 import optax
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.learners.bdq import ACTIVATIONS
-from adaptsim_jax.learners.flat import flat
+from adaptsim_jax.learners.bdq import ACTIVATIONS, flat
 
 LOWEST, HIGHEST = -3.0, 0.5  # of the logarithm of the exploration's standard deviation
 MAX_DEVIATIONS = (

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from adaptsim_jax.core.config import suggest
-from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.core.given import brief, finite
+from adaptsim_jax.core.errors import BadInput, brief, finite
 
 TEXT_KEYS = ("name", "description", "note", "source", "license")
 """What a person may write about any recording."""

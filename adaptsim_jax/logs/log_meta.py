@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from adaptsim_jax.core.config import read, suggest
-from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.core.given import brief
+from adaptsim_jax.core.errors import BadInput, brief
 from adaptsim_jax.logs.columns import CHANNEL, NANOS, TIME
 from adaptsim_jax.logs.declared import TEXT_KEYS, choice, known, not_negative, number, tables, text
 from adaptsim_jax.logs.log_units import Unit, check_unit

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.core.config import suggest
-from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.core.given import brief, finite
+from adaptsim_jax.core.errors import BadInput, brief, finite
 from adaptsim_jax.logs.columns import key_of
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}

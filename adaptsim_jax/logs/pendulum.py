@@ -15,8 +15,7 @@ import numpy as np
 
 from adaptsim_jax.core.config import read, suggest
 from adaptsim_jax.core.constants import GRAVITY
-from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.core.given import brief
+from adaptsim_jax.core.errors import BadInput, brief
 from adaptsim_jax.logs.assemble import assemble
 from adaptsim_jax.logs.columns import roles_of
 from adaptsim_jax.logs.criteria import UNIT

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.core.given import brief
+from adaptsim_jax.core.errors import BadInput, brief
 
 MOVING = ("revolute", "continuous", "prismatic")
 SIX = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")

@@ -19,8 +19,7 @@ from typing import Any
 
 from adaptsim_jax import __version__
 from adaptsim_jax.core import config
-from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.core.given import brief, finite
+from adaptsim_jax.core.errors import BadInput, brief, finite
 
 FILE = "model.toml"
 SCHEMA = 2

@@ -11,11 +11,17 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.adaptation.episode import StepPlan
-from adaptsim_jax.adaptation.phase1 import Phase1Config, Phase1Hyper, make_phase1, shape_reward
+from adaptsim_jax.adaptation.phase1 import (
+    Phase1Config,
+    Phase1Hyper,
+    archive_size,
+    make_phase1,
+    shape_reward,
+)
 from adaptsim_jax.adaptation.phase1_config import POSITIVE, SHARES
 from adaptsim_jax.adaptation.phase2 import adapt, best_of, best_visit, draw_starts, smoothed
 from adaptsim_jax.adaptation.presets import paper_pendulum
-from adaptsim_jax.adaptation.training import TrainConfig, archive_size, traced
+from adaptsim_jax.adaptation.training import TrainConfig, traced
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.learners.bdq import BDQHyper
 from tests.adaptation.toy import make_toy

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.baselines.problem import ExactProblem
+from adaptsim_jax.baselines.bounds import ExactProblem
 from adaptsim_jax.space import Parameter, Space
 from adaptsim_jax.tasks.base import Task
 

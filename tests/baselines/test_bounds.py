@@ -7,9 +7,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from adaptsim_jax.baselines import gradient
-from adaptsim_jax.baselines.bounds import best_in_omega, reward_map, udr
-from adaptsim_jax.baselines.problem import costs, discrepancy, pendulum_problem
+from adaptsim_jax.baselines import exact_methods
+from adaptsim_jax.baselines.bounds import (
+    best_in_omega,
+    costs,
+    discrepancy,
+    pendulum_problem,
+    reward_map,
+    udr,
+)
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.pendulum.task import SETTINGS, PendulumConfig, pendulum_space
 from experiments.reachable import ceiling, reachable_values
@@ -48,7 +54,9 @@ def test_costs_and_discrepancy_are_per_target():
 )
 def test_descent_reaches_the_best_and_stays_in_the_box(target, goal):
     with jax.enable_x64(True):
-        run = jax.jit(lambda u: gradient.descend(probe_problem().slope, u, jnp.asarray(target), 25))
+        run = jax.jit(
+            lambda u: exact_methods.descend(probe_problem().slope, u, jnp.asarray(target), 25)
+        )
         info = run(jnp.array([0.9, 0.1]))
     u, stationarity = np.asarray(info.u), np.asarray(info.stationarity)
     assert np.all((u >= 0) & (u <= 1))

@@ -14,7 +14,7 @@ from adaptsim_jax.baselines.compare_exact import best_over
 from adaptsim_jax.baselines.config import CompareConfig
 from adaptsim_jax.baselines.mdn import FitConfig
 from adaptsim_jax.baselines.registry import exact_methods
-from adaptsim_jax.baselines.summary import bootstrap_interval, normalised, plain, row
+from adaptsim_jax.baselines.results import bootstrap_interval, normalised, plain, row
 from adaptsim_jax.baselines.sysid import SysIdConfig
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.report.comparison import write_comparison

@@ -12,13 +12,12 @@ import pytest
 
 from adaptsim_jax.adaptation.phase1 import Phase1Config
 from adaptsim_jax.adaptation.training import TrainConfig
-from adaptsim_jax.baselines.arena import Arena
+from adaptsim_jax.baselines.arena import Arena, lanes
 from adaptsim_jax.baselines.bayesopt import BayesOptConfig
 from adaptsim_jax.baselines.compare import compare, compared
 from adaptsim_jax.baselines.compare_learned import LearnedComparison, on_fresh
 from adaptsim_jax.baselines.config import CompareConfig, default_comparison
 from adaptsim_jax.baselines.direct import DirectConfig
-from adaptsim_jax.baselines.lanes import lanes
 from adaptsim_jax.baselines.mdn import FitConfig
 from adaptsim_jax.baselines.registry import learned_methods
 from adaptsim_jax.baselines.sysid import SysIdConfig

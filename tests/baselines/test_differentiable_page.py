@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from adaptsim_jax.baselines.problem import pendulum_problem
+from adaptsim_jax.baselines.bounds import pendulum_problem
 from adaptsim_jax.tasks.pendulum.task import SETTINGS, pendulum_space
 
 PAGE = Path(__file__).parents[2] / "docs" / "howto" / "differentiable.md"

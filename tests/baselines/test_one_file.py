@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.baselines.arena import MethodRun, Visits
-from adaptsim_jax.baselines.lanes import lanes, two_keys
+from adaptsim_jax.baselines.arena import lanes, two_keys
 from adaptsim_jax.space import gaussian
 
 

@@ -15,8 +15,7 @@ from adaptsim_jax.baselines.arena import Visits
 from adaptsim_jax.baselines.compare import compared
 from adaptsim_jax.baselines.compare_steps import Deployed
 from adaptsim_jax.baselines.config import CompareConfig
-from adaptsim_jax.baselines.parts import FOLDER, ComparisonParts, parts_of
-from adaptsim_jax.baselines.summary import row
+from adaptsim_jax.baselines.results import FOLDER, ComparisonParts, parts_of, row
 from adaptsim_jax.cli import main
 from tests.baselines.probe import probe_task
 

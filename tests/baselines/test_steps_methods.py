@@ -20,8 +20,7 @@ from adaptsim_jax.baselines.steps_arena import StepsArena
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.environments import policies
-from adaptsim_jax.environments.config import EnvironmentConfig
-from adaptsim_jax.environments.setting import setting_of
+from adaptsim_jax.environments.setting import EnvironmentConfig, setting_of
 from adaptsim_jax.environments.task import task_of
 from adaptsim_jax.environments.trainer import PPOTraining
 from tests.environments.cart import Cart

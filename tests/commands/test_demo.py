@@ -15,11 +15,10 @@ from adaptsim_jax.adaptation.training import TrainConfig, load_run
 from adaptsim_jax.baselines.mdn import FitConfig
 from adaptsim_jax.baselines.sysid import SysIdConfig
 from adaptsim_jax.cli import main
-from adaptsim_jax.commands import demo_parts, demo_tour
+from adaptsim_jax.commands import demo_tour
 from adaptsim_jax.commands.demo import TITLES, _show
 from adaptsim_jax.commands.demo_config import SHORT, DemoConfig
-from adaptsim_jax.commands.demo_parts import Before
-from adaptsim_jax.commands.demo_tour import Diagnosed, demo
+from adaptsim_jax.commands.demo_tour import Before, Diagnosed, demo
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.store import RunFolder
 from adaptsim_jax.tasks.pushing.task import pushing_space
@@ -189,7 +188,7 @@ def test_a_tour_killed_before_its_first_config_is_taken_up(tmp_path, monkeypatch
         raise KeyboardInterrupt
 
     (tmp_path / "runs" / "seed-5").mkdir(parents=True)
-    monkeypatch.setattr(demo_parts, "train_run", train)
+    monkeypatch.setattr(demo_tour, "train_run", train)
     for _ in range(2):  # first in the empty folder, then in the one that has its config
         with pytest.raises(KeyboardInterrupt):
             demo(tmp_path, 5, config=SIZES)
@@ -222,7 +221,7 @@ def test_a_push_and_a_scoop_before_and_after(task, tmp_path):
     """The real thing on the smallest sizes: a run folder, a result that agrees with what is
     shown.
     """
-    from adaptsim_jax.commands.demo_parts import contact_part
+    from adaptsim_jax.commands.demo_tour import contact_part
 
     told = []
 

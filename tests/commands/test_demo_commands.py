@@ -10,8 +10,8 @@ from adaptsim_jax.baselines.config import CompareConfig
 from adaptsim_jax.cli import parse
 from adaptsim_jax.commands import compare as compare_command
 from adaptsim_jax.commands import train as train_command
-from adaptsim_jax.commands.common import task_word
 from adaptsim_jax.commands.demo_config import FULL, HINGE, PENDULUM, SHORT, commands
+from adaptsim_jax.commands.parser import task_word
 from tests.commands.test_demo import SIZES
 
 

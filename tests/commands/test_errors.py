@@ -11,7 +11,7 @@ import pytest
 
 from adaptsim_jax.cli import main
 from adaptsim_jax.commands import parser
-from adaptsim_jax.commands.common import check_task
+from adaptsim_jax.commands.parser import check_task
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.registry import TASKS
 

@@ -13,7 +13,7 @@ from adaptsim_jax.adaptation.presets import PRESETS
 from adaptsim_jax.baselines.registry import exact_methods, learned_methods
 from adaptsim_jax.cli import parse
 from adaptsim_jax.commands import SUMMARIES
-from adaptsim_jax.commands.common import task_word
+from adaptsim_jax.commands.parser import task_word
 from adaptsim_jax.tasks.pushing import engines as pushing
 from adaptsim_jax.tasks.scooping import engines as scooping
 

@@ -13,8 +13,7 @@ import pytest
 
 from adaptsim_jax.cli import main
 from adaptsim_jax.commands import SUMMARIES
-from adaptsim_jax.commands.common import TASKS
-from adaptsim_jax.commands.parser import command_parser
+from adaptsim_jax.commands.parser import TASKS, command_parser
 from adaptsim_jax.logs.read import read_with_model
 
 ROOT = Path(__file__).parents[2]

@@ -9,12 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jax.test_util import check_grads
 
-from adaptsim_jax.control.lqr import lqr_gain
 from adaptsim_jax.control.riccati import (
     CONVERGED,
     INACCURATE,
     NOT_FINITE,
     NOT_STABILISING,
+    lqr_gain,
     riccati_message,
     solve_care,
     solve_dare,

@@ -14,9 +14,9 @@ import pytest
 from adaptsim_jax.adaptation.sweep_read import read_sweep
 from adaptsim_jax.cli import main
 from adaptsim_jax.core.config import from_table
-from adaptsim_jax.environments.adapt import at_nominal
-from adaptsim_jax.environments.config import EnvironmentConfig, read_env
+from adaptsim_jax.environments.kind import at_nominal
 from adaptsim_jax.environments.peers import load
+from adaptsim_jax.environments.setting import EnvironmentConfig, read_env
 from adaptsim_jax.environments.task import environment_setting, task_of
 from tests.commands.test_examples import ROOT
 

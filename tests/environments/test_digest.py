@@ -11,11 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from adaptsim_jax.adaptation import prepared
+from adaptsim_jax.adaptation import training
 from adaptsim_jax.core import traced
-from adaptsim_jax.environments.config import EnvironmentConfig
 from adaptsim_jax.environments.own import ModelEnvironment
-from adaptsim_jax.environments.setting import digest, setting_of
+from adaptsim_jax.environments.setting import EnvironmentConfig, digest, setting_of
 from adaptsim_jax.environments.task import environment_task
 from adaptsim_jax.environments.trainer import PPOTraining
 from tests.environments import small
@@ -122,7 +121,7 @@ def test_a_policy_that_is_taken_again_is_reported(tmp_path, monkeypatch, capsys)
     def again(env):
         task = environment_task(env)
         trained = task.preparation._replace(make=lambda key, report: blank(key))  # type: ignore[union-attr]
-        return prepared.learned(task, trained, 0, None)
+        return training.learned(task, trained, 0, None)
 
     first = again(Cart())
     assert not capsys.readouterr().err

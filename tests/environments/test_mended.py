@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.environments.config import EnvironmentConfig
 from adaptsim_jax.environments.mended import mended
-from adaptsim_jax.environments.setting import setting_of
+from adaptsim_jax.environments.setting import EnvironmentConfig, setting_of
 from tests.environments import small
 
 ROBOT = """

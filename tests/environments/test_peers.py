@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.environments.config import EnvironmentConfig
 from adaptsim_jax.environments.peers import load
-from adaptsim_jax.environments.setting import setting_of
+from adaptsim_jax.environments.setting import EnvironmentConfig, setting_of
 from adaptsim_jax.environments.task import play_in
 
 SAME = {"integrator": "Euler", "steps": 1}

@@ -7,10 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from adaptsim_jax.environments.config import EnvironmentConfig
+from adaptsim_jax.baselines.steps_search import make_slope
 from adaptsim_jax.environments.policies import Law, acting_of
-from adaptsim_jax.environments.setting import setting_of
-from adaptsim_jax.environments.slope import make_slope
+from adaptsim_jax.environments.setting import EnvironmentConfig, setting_of
 from adaptsim_jax.environments.trainer import PPOTraining
 from tests.environments import small
 from tests.environments.cart import Cart

@@ -11,8 +11,7 @@ import pytest
 from mujoco import mjx
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.environments.config import EnvironmentConfig
-from adaptsim_jax.environments.setting import setting_of
+from adaptsim_jax.environments.setting import EnvironmentConfig, setting_of
 from adaptsim_jax.environments.task import play_in
 from tests.environments.small import make
 

@@ -18,10 +18,9 @@ from adaptsim_jax.adaptation.phase1_config import Phase1Config, Phase1Hyper
 from adaptsim_jax.adaptation.phase2 import adapt, draw_starts
 from adaptsim_jax.adaptation.training import Trained
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.environments.config import EnvironmentConfig
 from adaptsim_jax.environments.episodes import ActingPolicy, EpisodeSteps, Rollout, look
 from adaptsim_jax.environments.policies import Law, everywhere, starts_of, trained_in
-from adaptsim_jax.environments.setting import setting_of
+from adaptsim_jax.environments.setting import EnvironmentConfig, setting_of
 from adaptsim_jax.environments.task import environment_task, ready, task_of
 from adaptsim_jax.environments.trainer import PPOTraining, Trainer, TrainerInfo
 from adaptsim_jax.learners.ppo import PPOHyper

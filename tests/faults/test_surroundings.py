@@ -102,8 +102,8 @@ def test_without_a_home_the_cache_is_elsewhere(tmp_path):
         "import pwd\n"
         "def nobody(*_): raise KeyError('no such user')\n"
         "pwd.getpwuid = pwd.getpwnam = nobody\n"
-        "from adaptsim_jax.cli import main; from adaptsim_jax.core import compile_cache\n"
-        "code = main(['effects', 'pendulum']); print(compile_cache.folder()); raise "
+        "from adaptsim_jax.cli import main; from adaptsim_jax.core import process\n"
+        "code = main(['effects', 'pendulum']); print(process.cache_folder()); raise "
         "SystemExit(code)"
     )
     bare = {

@@ -5,7 +5,7 @@ hold.
 import numpy as np
 import pytest
 
-from adaptsim_jax.baselines.summary import row
+from adaptsim_jax.baselines.results import row
 from adaptsim_jax.report import figures as look
 from adaptsim_jax.report import figures_comparison as draw
 from adaptsim_jax.report.adaptation_page import headline, render, write_adaptation_page

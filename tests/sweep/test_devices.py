@@ -8,7 +8,7 @@ import socket
 import numpy as np
 import pytest
 
-from adaptsim_jax.adaptation.sweep_devices import choose_split
+from adaptsim_jax.adaptation.sweep_plan import choose_split
 from tests.sweep.small import SPEC, run, start, write
 
 FEW = (

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from adaptsim_jax.control.lqr import LqrGain, lqr_gain
+from adaptsim_jax.control.riccati import LqrGain, lqr_gain
 from adaptsim_jax.control.small_matrix import batch_last, eye_like, mm, mv, norm, transpose
 from adaptsim_jax.core.constants import GRAVITY
 

@@ -3,8 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.core.given import brief, finite
+from adaptsim_jax.core.errors import BadInput, brief, finite
 from adaptsim_jax.mend.pendulum_model import model_of
 from adaptsim_jax.tasks.base import Task, TaskKind
 from adaptsim_jax.tasks.pendulum.augmented import make_mended_pendulum

@@ -2,8 +2,7 @@
 
 from typing import Any
 
-from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.core.given import brief
+from adaptsim_jax.core.errors import BadInput, brief
 from adaptsim_jax.mend.model_toml import RENEW, read_form
 from adaptsim_jax.tasks.base import TaskKind
 from adaptsim_jax.tasks.pushing.adapt import ADAPT, SYMBOLS

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.core.given import brief, finite
+from adaptsim_jax.core.errors import BadInput, brief, finite
 from adaptsim_jax.logs.noise import difference_noise
 from adaptsim_jax.logs.table import read_table
 from adaptsim_jax.tasks import camera_record as record

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.adaptation.episode import AdaptationEpisode
-from adaptsim_jax.baselines.arena import Arena, TrialBatch
-from adaptsim_jax.baselines.lanes import Memory, lanes
+from adaptsim_jax.baselines.arena import Arena, Memory, TrialBatch, lanes
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import without_nan
 from adaptsim_jax.tasks.one_shot_naf import leaves_by_name

@@ -16,8 +16,7 @@ from adaptsim_jax.adaptation.presets import pushing_sweep
 from adaptsim_jax.adaptation.reuse import ReuseConfig
 from adaptsim_jax.adaptation.training import traced
 from adaptsim_jax.baselines.adapting import first_policies
-from adaptsim_jax.baselines.arena import Arena, MethodRun
-from adaptsim_jax.baselines.lanes import lanes
+from adaptsim_jax.baselines.arena import Arena, MethodRun, lanes
 from adaptsim_jax.learners.naf_goals import GoalConfig
 from adaptsim_jax.learners.naf_shared import SharedConfig
 from adaptsim_jax.space import Gaussian

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from adaptsim_jax import __version__, cli
-from adaptsim_jax.commands.robot_recorded import recorded_trials
+from adaptsim_jax.commands.robot_session import recorded_trials
 from adaptsim_jax.core import config, store
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.scooping import hydro, model, motion
