@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax import make_phase1, make_task
-from adaptsim_jax.adaptation.presets import PRESETS
+from adaptsim_jax.adaptation.presets import preset
 from adaptsim_jax.adaptation.training import traced
 from adaptsim_jax.tasks.pushing import model
 from adaptsim_jax.tasks.pushing.config import PushingConfig
@@ -27,8 +27,8 @@ from adaptsim_jax.tasks.pushing.simulator import make_simulator
 
 
 def phase1(engine: str, trajectories: int = 40, seed: int = 0) -> dict:
-    """Phase 1 as `PRESETS["native-pushing"]` but for its sizes: seconds and rewards."""
-    config = PRESETS["native-pushing"]()
+    """Phase 1 as `preset("native-pushing")` but for its sizes: seconds and rewards."""
+    config = preset("native-pushing")
     options = config.task | {"simulator": engine, "shared": {"contexts": 50, "trials": 32}}
     parallel = trajectories // 2
     reuse = replace(config.phase1.reuse, capacity=parallel, together=parallel)

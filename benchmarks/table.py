@@ -132,11 +132,11 @@ def phase1(devices: int, seeds: int, peer_python: str) -> dict[str, Any]:
     import numpy as np
 
     from adaptsim_jax.adaptation import sweep_plan
-    from adaptsim_jax.adaptation.presets import paper_pendulum
+    from adaptsim_jax.adaptation.presets import preset
     from adaptsim_jax.adaptation.sweep_batch import make_programs
     from adaptsim_jax.adaptation.sweep_spec import Member, SweepSpec
 
-    config = paper_pendulum()
+    config = preset("paper-pendulum")
     member = Member(0, {}, config)
     split = sweep_plan.choose_split(devices, seeds, config.phase1.parallel)
     programs = make_programs(SweepSpec("pendulum"), member, seeds, split)

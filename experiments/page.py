@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax import TrainConfig
-from adaptsim_jax.adaptation.presets import PRESETS
+from adaptsim_jax.adaptation.presets import PRESETS, preset
 from adaptsim_jax.baselines.results import normalised, plain, row
 from adaptsim_jax.baselines.sysid import SysIdConfig
 from adaptsim_jax.core.files import output_folder, write_bytes, write_json
@@ -47,7 +47,7 @@ def parser(doc: str | None, seeds: int = 20) -> argparse.ArgumentParser:
 def train_config(args: argparse.Namespace) -> TrainConfig:
     from dataclasses import replace
 
-    config = TrainConfig() if args.config == "recommended" else PRESETS[args.config]()
+    config = TrainConfig() if args.config == "recommended" else preset(args.config)
     if args.trajectories:
         config = replace(config, phase1=replace(config.phase1, trajectories=args.trajectories))
     return config

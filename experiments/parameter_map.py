@@ -40,8 +40,7 @@ def main() -> None:
     found = reward_map(
         pendulum_problem(space),
         np.array(setting["params"]),
-        setting["udr_cost"],
-        setting["best_cost"],
+        (setting["udr_cost"], setting["best_cost"]),
         limits=((0.9, 2.1), (0.2, 2.1)),
         points=41,
     )

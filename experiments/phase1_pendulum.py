@@ -21,7 +21,7 @@ import numpy as np
 from adaptsim_jax import TrainConfig, make_phase1, make_task
 from adaptsim_jax.adaptation.phase1 import DistributionArchive
 from adaptsim_jax.adaptation.phase2 import TrainedMany, stack, starts_of, train_many, train_one
-from adaptsim_jax.adaptation.presets import PRESETS
+from adaptsim_jax.adaptation.presets import PRESETS, preset
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.files import atomic_file
 from adaptsim_jax.core.progress import progress
@@ -30,7 +30,7 @@ STARTS, ITERATIONS = 2, 10
 
 
 def config_of(name: str) -> TrainConfig:
-    return TrainConfig() if name == "recommended" else PRESETS[name]()
+    return TrainConfig() if name == "recommended" else preset(name)
 
 
 def phase1_of(config: TrainConfig):

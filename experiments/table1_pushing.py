@@ -31,7 +31,7 @@ import jax
 import numpy as np
 
 from adaptsim_jax import default_comparison, make_one_shot
-from adaptsim_jax.adaptation.presets import pushing_native
+from adaptsim_jax.adaptation.presets import preset
 from adaptsim_jax.baselines.arena import Arena, MethodRun, Visits
 from adaptsim_jax.baselines.compare import stamped
 from adaptsim_jax.baselines.compare_learned import about, run_method, visits_rows
@@ -181,7 +181,7 @@ def main() -> None:  # noqa: PLR0915
     }
     config = replace(default_comparison(args.task), **sizes)
     if args.simulator == "native":
-        config = replace(config, train=pushing_native())
+        config = replace(config, train=preset("native-pushing"))
     visits = args.sysid_visits
     if visits is None:
         visits = 50 if args.simulator == "native" else 0

@@ -3,9 +3,9 @@ in simulation.
 
 AdaptSim's policy chooses among steps of -delta, 0 and +delta and learns from trials what they earn.
 Where the task policy and its rollout are differentiable, simulation also says how the return in the
-target changes with the mean of E, so that a network which gives steps of any size is trained by
-analytic policy gradient (as Freeman et al. 2021 and Wiedemann et al. 2023 do for control). Phase 2
-is AdaptSim's: visits in the target, of which trajectories are observed; the target itself is never
+target changes with the mean of E. A network which gives steps of any size is then trained by
+analytic policy gradient, as Freeman et al. (2021) and Wiedemann et al. (2023) do for control.
+Phase 2 is AdaptSim's: visits in the target, of which trajectories are observed; the target itself is never
 differentiated there.
 """
 
@@ -32,9 +32,9 @@ drown others.
 
 @dataclass(frozen=True)
 class AnalyticConfig:
-    """Sizes, static under jit. trajectories: of adaptation in all; parallel: in one update;
-    horizon: steps of each; longest: step, a share of a parameter's range; learning_rate: Adam's at
-    the start, it falls to 0 as a cosine; inside: as `Phase1Hyper.inside`.
+    """Sizes, static under jit. trajectories: Of adaptation in all. parallel: In one update.
+    horizon: Steps of each. longest: Step, a share of a parameter's range; learning_rate: Adam's at
+    the start, it falls to 0 as a cosine. inside: As `Phase1Hyper.inside`.
     """
 
     trajectories: int = 20_000
@@ -64,7 +64,7 @@ class StepNetwork(nn.Module):
 
 
 class AnalyticState(NamedTuple):
-    """What the next update needs. weights: flat `[n]`."""
+    """What the next update needs. weights: Flat `[n]`."""
 
     key: jax.Array
     weights: jax.Array

@@ -40,10 +40,10 @@ class Tried(NamedTuple):
 class AskState(NamedTuple):
     """What the next call needs.
 
-    told: `[]` int32, trials so far; mean: `[D]` unit coordinates and policy: what to run now;
+    told: `[]` int32, trials so far; mean: `[D]` unit coordinates and policy: What to run now;
     starts: `[N, ...]`; best_*: of the trial with the highest raw return so far, or where the task
-        has its doubts of single returns of that with the highest expected one (`phase2.smoothed`);
-        tried: what that is chosen from, else empty.
+        has its doubts of single returns of that with the highest expected one (`phase2.smoothed`).
+        tried: What that is chosen from, else empty.
     """
 
     key: jax.Array
@@ -186,10 +186,10 @@ class Session:
             session.tell(episode_return, observation)
 
     Args:
-        run: the folder of `adaptsim train`, or a `Trained`.
+        run: The folder of `adaptsim train`, or a `Trained`.
         starts, iterations: `starts (iterations + 1)` trials in all, each of `task.trials` episodes
                 whose returns are averaged.
-        seed: of the starts, drawn from the run's own S_E.
+        seed: Of the starts, drawn from the run's own S_E.
     """
 
     def __init__(

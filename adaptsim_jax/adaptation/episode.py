@@ -51,7 +51,7 @@ def heading(space: Space, mean: jax.Array, target: jax.Array, size: jax.Array | 
 class Visit(NamedTuple):
     """A distribution tried in the target.
 
-    mean: `[D]` unit coordinates, policy: the task policy trained there, obs: `[D + obs_dim]` as the
+    mean: `[D]` unit coordinates, policy: The task policy trained there, obs: `[D + obs_dim]` as the
     adaptation policy has it, score: `[]` raw return, reward: `[]` scaled.
     """
 
@@ -77,7 +77,7 @@ class AdaptationEpisode(NamedTuple):
 
 class StepPlan(NamedTuple):
     """How an adaptation goes: `steps` of them, the i-th of `delta shrink^i`, a share of Omega's
-    ranges; noise: standard deviation of what is added to observations; guide: may lead it (both in
+    ranges. noise: Standard deviation of what is added to observations. guide: May lead it (both in
     Phase 1 only).
     """
 

@@ -4,8 +4,8 @@ function.
 A *round* runs `parallel` adaptation trajectories of `horizon` steps side by side, writes them to
 the replay and to the set S_E, and then trains. Everything that a sweep varies is a traced leaf of
 `Phase1Hyper`; sizes are `Phase1Config`. The round number is an argument and not part of the state,
-so that it stays unbatched under `vmap` (see `replay`), and each round draws its randomness from
-`(state.key, round)` alone: however a run is cut into calls, it gives the same bits.
+so that it stays unbatched under `vmap` (see `replay`). Each round draws its randomness from
+`(state.key, round)` alone. However a run is cut into calls, it gives the same bits.
 """
 
 from collections.abc import Callable
@@ -81,7 +81,7 @@ class Phase1(NamedTuple):
 
 
 def make_phase1(task: Task, config: Phase1Config, over: Callable = jax.vmap) -> Phase1:
-    """Check the sizes and return Phase 1 as functions that the caller jits and vmaps. over: maps
+    """Check the sizes and return Phase 1 as functions that the caller jits and vmaps. over: Maps
     the function of one of the parallel trajectories over all of them, where no policies are reused
     (`sweep_plan.spread` shares them out among devices).
 

@@ -16,11 +16,11 @@ from adaptsim_jax.tasks.base import Task
 class Phase1Config:
     """Sizes, static under jit.
 
-    trajectories: how many adaptation trajectories in all, K / horizon; parallel: how many at once;
-    horizon: adaptation steps of each; updates: gradient steps after each round; batch: transitions
-    in each; capacity: of the replay, in transitions; archive: size of S_E, distributions; warmup:
-    rounds before the first update; reuse: of task policies, for tasks whose training is dear.
-    guided: share of trajectories that are led towards their target.
+    trajectories: How many adaptation trajectories in all, K / horizon. parallel: How many at once.
+    horizon: Adaptation steps of each. updates: Gradient steps after each round. batch: Transitions
+    in each. capacity: Of the replay, in transitions. archive: Size of S_E, distributions. warmup:
+    Rounds before the first update. reuse: Of task policies, for tasks whose training is dear.
+    guided: Share of trajectories that are led towards their target.
     """
 
     trajectories: int = 20_000
@@ -47,16 +47,16 @@ class Phase1Config:
 class Phase1Hyper:
     """What one sweep may vary: each leaf a scalar, or `[S]` under vmap.
 
-    delta: adaptation step, a fraction of the range. Step i is `delta shrink^i`. threshold: the
+    delta: Adaptation step, a fraction of the range. Step i is `delta shrink^i`. threshold: The
     sparse reward's. Rewards below it count as 0.
-    gain: rewards `r` become `1 - gain (1 - r)` first, which sharpens them near the optimum. soft:
-    where 1, a curve instead of the line, informative however bad the policy is: `1 / (1 + gain (1 -
+    gain: Rewards `r` become `1 - gain (1 - r)` first, which sharpens them near the optimum. soft:
+    Where 1, a curve instead of the line, informative however bad the policy is: `1 / (1 + gain (1 -
     r))`, and for a share `far` of it a logarithm, which still tells bad from worse where the
     hyperbola is flat. epsilon falls linearly from `epsilon_start` to `epsilon_end` over the first
-    `epsilon_share` of the rounds. rate_end: over the last half
-    the learning rate falls linearly to this share of its start. obs_noise: standard deviation of
+    `epsilon_share` of the rounds. rate_end: Over the last half
+    the learning rate falls linearly to this share of its start. obs_noise: Standard deviation of
     noise on the observation, in training only.
-    independent: 1 lets each branch explore by itself. inside: for each parameter of a target, the
+    independent: 1 lets each branch explore by itself. inside: For each parameter of a target, the
     probability of being drawn from Omega and not from the task's wider box of targets. terminal: 1
     ends the return at the horizon, as the paper's equation 2 does; 0 bootstraps through it.
     """

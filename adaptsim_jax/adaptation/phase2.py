@@ -29,7 +29,7 @@ RADIUS = (
 class Phase2Result(NamedTuple):
     """The best policy found, and how it was found.
 
-    policy: the task policy with the highest raw return, or where the task has its doubts of single
+    policy: The task policy with the highest raw return, or where the task has its doubts of single
         returns the highest expected one;
     mean: `[D]`, its distribution (unit coordinates); score, reward: `[]`, its raw return and scaled
         reward; history: `AdaptationEpisode` with leading axis `[N]`, one for each initial distribution.
@@ -90,7 +90,7 @@ def smoothed(mean: jax.Array, score: jax.Array, doubt: float) -> jax.Array:
     process over `mean [N, D]` (unit coordinates) of a fixed length, since visits are too few to fit
     one.
 
-    doubt: variance of a visit's return by luck, over that by E's mean; 0 leaves returns as they
+    doubt: Variance of a visit's return by luck, over that by E's mean; 0 leaves returns as they
     are. What is not finite stays so.
     """
     if doubt == 0:

@@ -28,9 +28,9 @@ from adaptsim_jax.tasks.base import Task
 @dataclass(frozen=True)
 class ReuseConfig:
     """threshold: D, 0 to reuse nothing and keep no pool. Budgets in trials: first: M; most: M_max,
-    a policy that has had as many is not trained again; least: M_min; decay: alpha, so that a
+    a policy that has had as many is not trained again; least: M_min. decay: Alpha, so that a
     policy's j-th training has
-    `max(least, decay^(j - 1) first)`. capacity: anchors that stay, the oldest go; together: policies
+    `max(least, decay^(j - 1) first)`. capacity: Anchors that stay, the oldest go. together: Policies
     trained at once.
     """  # noqa: E501
 
@@ -44,9 +44,9 @@ class ReuseConfig:
 
 
 class Pool(NamedTuple):
-    """Anchors `mean [C, D]` and their `policy [C, ...]`; taught `[C]` int32: j, distributions that
-    the policy was trained with; spent `[C]` int32: trials that it has had in all; count `[]` int32:
-    anchors ever made.
+    """Anchors `mean [C, D]` and their `policy [C, ...]`. taught `[C]` int32: J, distributions that
+    the policy was trained with. spent `[C]` int32: Trials that it has had in all. count `[]` int32:
+    Anchors ever made.
     """
 
     mean: jax.Array
@@ -58,7 +58,7 @@ class Pool(NamedTuple):
 
 class Loan(NamedTuple):
     """policy `[P, ...]` to go on from; place `[P]` int32 of its anchor in the pool, -1 for one of
-    its own; budget `[P]` int32: trials to train it with now.
+    its own. budget `[P]` int32: Trials to train it with now.
     """
 
     policy: Any
@@ -195,7 +195,7 @@ def _where(mask: jax.Array, x: jax.Array, y: jax.Array) -> jax.Array:
 
 
 class Reusing(NamedTuple):
-    """episodes `[P, ...]`; pool: after all of them; budgets `[P, I + 1]` int32: trials that each
+    """episodes `[P, ...]`. pool: After all of them. budgets `[P, I + 1]` int32: Trials that each
     visit's policy was trained with; reused `[P, I + 1]` bool: whether it was lent.
     """
 

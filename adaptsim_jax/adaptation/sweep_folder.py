@@ -31,7 +31,7 @@ HEAD = "sweep.json"
 
 
 class SweepFolder:
-    """The folder of a sweep; made by `create` or `reopen`, read by `load`. head: what `sweep.json`
+    """The folder of a sweep; made by `create` or `reopen`, read by `load`. head: What `sweep.json`
     holds.
     """
 
@@ -217,10 +217,11 @@ def _cell(value: Any) -> Any:
 def summary(
     rows: list[dict[str, Any]], swept: list[str], targets: list[str]
 ) -> list[dict[str, Any]]:
-    """For each swept key, each of its values and each reward: the mean over the members that are
-    done, with the half width of its 95 % interval (Student's) and what it is an interval over:
-    seeds, each averaged over the other swept values first, since members of one seed go alike;
-    members where all are of one seed. Half is None where there is but one.
+    """For each swept key, each of its values and each reward, the mean over the members that are
+    done. Beside it stands the half width of its 95 % interval (Student's), None of a single one.
+
+    The interval is over seeds, each averaged over the other swept values first, since members of
+    one seed go alike. Where all are of one seed it is over members.
     """
     done = [row for row in rows if row["status"] == "done"]
     found = []

@@ -141,7 +141,7 @@ PER_CORE = (
 
 
 class MemberBatch(NamedTuple):
-    """Members `first` to `last` (not included) of group `group`, in the group's order; number: of
+    """Members `first` to `last` (not included) of group `group`, in the group's order. number: Of
     the batch in the sweep.
     """
 
@@ -156,8 +156,8 @@ class MemberBatch(NamedTuple):
 
 
 class MemberGroup(NamedTuple):
-    """Members (their indices) that differ in seeds and traced values alone; width: how many at
-    once; member_bytes: of memory that one takes, as estimated; split: of the devices.
+    """Members (their indices) that differ in seeds and traced values alone. width: How many at
+    once. member_bytes: Of memory that one takes, as estimated. split: Of the devices.
     """
 
     members: tuple[int, ...]
@@ -183,8 +183,8 @@ def grouped(sweep: Sweep) -> list[list[Member]]:
 def make_plan(
     sweep: Sweep, *, devices: int, at_once: int | None = None, memory: int | None = None
 ) -> SweepPlan:
-    """Batches for `devices` devices of this machine (of all machines together); at_once: members a
-    batch, where given; memory: bytes free on each machine, by default as found. BadInput where not
+    """Batches for `devices` devices of this machine (of all machines together). at_once: Members a
+    batch, where given. memory: Bytes free on each machine, by default as found. BadInput where not
     even one member fits.
     """
     memory = free_memory() if memory is None else memory
@@ -226,9 +226,9 @@ def _width(count: int, limit: int, along: int) -> int:
 
 
 def member_bytes(task: Task, config: Phase1Config) -> int:
-    """Bytes that a member takes while it is trained, by the shapes of what it holds: its state
-    twice (before and after a round), a round's trajectories, and the batches that a round learns
-    from.
+    """Bytes that a member takes while it is trained, by the shapes of what it holds. That is
+    its state twice (before and after a round), a round's trajectories, and the batches that a round
+    learns from.
     """
     phase1 = make_phase1(task, config)
     state = jax.eval_shape(phase1.init, jax.random.key(0))

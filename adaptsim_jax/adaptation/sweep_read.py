@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.adaptation.phase1_config import check
-from adaptsim_jax.adaptation.presets import PRESETS, default_config, with_defaults
+from adaptsim_jax.adaptation.presets import default_config, preset, presets_of, with_defaults
 from adaptsim_jax.adaptation.sweep_spec import MOST, Draws, Lines, Member, Range, Sweep, SweepSpec
 from adaptsim_jax.adaptation.training import TrainConfig
 from adaptsim_jax.core import config as configs
@@ -18,9 +18,9 @@ from adaptsim_jax.tasks.registry import TASKS, make_task
 
 
 def read_sweep(path: str | Path) -> Sweep:
-    """The sweep in the TOML file `path`. BadInput names the line of an unknown key (with the
-    nearest known one), of a value of the wrong type or outside of its bounds, and of values that do
-    not fit each other, before anything is run.
+    """The sweep in the TOML file `path`. Before anything is run BadInput names the line of an
+    unknown key, with the nearest known one. It also names that of a value of the wrong type or
+    outside of its bounds, and of values that do not fit each other.
     """
     table = configs.read(path, "no such file; name the SPEC.toml of a sweep")
     lines = Lines(str(path), Path(path).read_bytes().decode("utf-8-sig"))
@@ -80,7 +80,7 @@ def seeds_of(spec: SweepSpec, lines: Lines | None = None) -> list[int]:
 
 
 def _base(spec: SweepSpec, lines: Lines, folder: Path, env: dict[str, Any]) -> TrainConfig:
-    """The configuration that members start from; env: the table of an env.toml, empty for other
+    """The configuration that members start from. env: The table of an env.toml, empty for other
     tasks.
     """
     if spec.preset and spec.config:
@@ -89,9 +89,8 @@ def _base(spec: SweepSpec, lines: Lines, folder: Path, env: dict[str, Any]) -> T
     if env:
         base = configs.from_table(TrainConfig, with_defaults(spec.task, env), "env.toml")
     if spec.preset:
-        names = [name for name in PRESETS if name.endswith(f"-{spec.task}")]
         with lines.blamed("preset"):
-            base = PRESETS[configs.pick("preset", spec.preset, names)]()
+            base = preset(configs.pick("preset", spec.preset, presets_of(spec.task)))
     if spec.config:
         with lines.blamed("config"):
             table = configs.read(folder / spec.config)

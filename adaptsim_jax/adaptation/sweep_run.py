@@ -174,7 +174,7 @@ def run_on_ray(
     save_after: float = 30.0,
     cpus: float = 1.0,
 ) -> None:
-    """All batches that are left, `cpus` cores each; address: of a cluster that runs (`auto`: of
+    """All batches that are left, `cpus` cores each. address: Of a cluster that runs (`auto`: of
     this machine's), else one is started here for as long as this lasts. BadInput where Ray is
     absent or does not answer.
     """

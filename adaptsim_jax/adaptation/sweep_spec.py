@@ -20,7 +20,7 @@ Entries = list[Any]  # a field of the spec is called `list`, and hides the type 
 
 @dataclass(frozen=True)
 class Draws:
-    """`[random]`: count: how many draws; seed: of them; values: for each key a table, `{low,
+    """`[random]`: count: How many draws. seed: Of them. values: For each key a table, `{low,
     high}`, with `scale = "log"` or `integer = true` where wanted, or `{choice = [...]}`.
     """
 
@@ -47,10 +47,10 @@ class SweepSpec:
     """SPEC.toml as it stands.
 
     task, or an env.toml from this file's folder; preset or config (a file of `adaptsim train`):
-    where members start from, else the task's default; set: changed in all.
-    Members are grid x random x list x seeds. grid: key = [values]; list: tables of keys that belong
-    together; seeds: how many (0, 1, ...) or which. targets: settings of the task to adapt to (none:
-    Phase 1 alone), from `starts` members of S_E for `iterations` steps. keep: leave each member's
+    where members start from, else the task's default. set: Changed in all.
+    Members are grid x random x list x seeds. grid: Key = [values]. list: Tables of keys that belong
+    together. seeds: How many (0, 1, ...) or which. targets: Settings of the task to adapt to (none:
+    Phase 1 alone), from `starts` members of S_E for `iterations` steps. keep: Leave each member's
     run folder, for `adaptsim adapt`.
     """
 
@@ -69,7 +69,7 @@ class SweepSpec:
 
 
 class Member(NamedTuple):
-    """One run of the sweep: values: what it differs by, by dotted key; config: all that it is run
+    """One run of the sweep: values: What it differs by, by dotted key. config: All that it is run
     with, its seed too.
     """
 
@@ -79,7 +79,7 @@ class Member(NamedTuple):
 
 
 class Sweep(NamedTuple):
-    """A spec, read and checked, with its members in order; swept: the keys that members differ
+    """A spec, read and checked, with its members in order. swept: The keys that members differ
     by.
     """
 

@@ -46,8 +46,8 @@ def prepared(
     """`task` with what it learns once, where it learns anything.
 
     Args:
-        seed: with the task's own digest it says what was learned.
-        folder: of the run that keeps it; None: it is kept with the compiled programs, for whoever
+        seed: With the task's own digest it says what was learned.
+        folder: Of the run that keeps it; None: it is kept with the compiled programs, for whoever
                 asks for the same.
         make: False where it must be there already.
 
@@ -126,9 +126,9 @@ def _keep(place: Path, tree, task: str, digest: str) -> None:
 class TrainConfig:
     """Everything that a run needs to be run again.
 
-    seed: of the run; every: rounds between checkpoints; task: options of the task, see its config
-        class;
-    phase1: sizes; hyper: rates.
+    seed: Of the run. every: Rounds between checkpoints. task: Options of the task, see its config
+        class.
+    phase1: Sizes. hyper: Rates.
     """
 
     seed: int = 0

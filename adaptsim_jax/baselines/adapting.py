@@ -146,8 +146,8 @@ class AdaptationTrace(NamedTuple):
 
     * means `[..., D]` in unit coordinates; obs `[..., D + obs_dim]` as the adaptation policy has
       them; actions `[..., D]` that it took then, the last of which is not done
-    * scores: raw returns of the visits; rewards of what is deployed
-    * policies as trained, a `[B, ...]` a visit; memory: of all trials
+    * scores: Raw returns of the visits; rewards of what is deployed
+    * policies as trained, a `[B, ...]` a visit. memory: Of all trials
     """
 
     means: np.ndarray

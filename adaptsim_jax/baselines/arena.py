@@ -155,10 +155,10 @@ class Visits(NamedTuple):
     """What a method did, of T targets, S seeds, N starts and I + 1 visits.
 
     * means `[T, S, N, I + 1, D]` of E in unit coordinates; None where it adapts no E
-    * spent: target trials of one target by one seed, cumulated over visits `[I + 1]`, or in all
+    * spent: Target trials of one target by one seed, cumulated over visits `[I + 1]`, or in all
     * rewards `[T, S, N, I + 1]` of its policies over the test contexts; None where the comparison
       works them out of the means (tasks whose policy is solved exactly)
-    * fresh: the same over the task's fresh contexts, None where it has none
+    * fresh: The same over the task's fresh contexts, None where it has none
     """
 
     means: np.ndarray | None

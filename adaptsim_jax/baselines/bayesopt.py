@@ -131,7 +131,7 @@ def _cost(logs: np.ndarray, x: np.ndarray, z: np.ndarray) -> tuple[float, np.nda
 
 @dataclass(frozen=True)
 class BayesOptConfig:
-    """initial: points of a Latin hypercube before the first choice; points: in all, 0 for as many
+    """initial: points of a Latin hypercube before the first choice. points: In all, 0 for as many
     visits as AdaptSim makes.
     """
 

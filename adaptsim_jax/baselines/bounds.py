@@ -248,20 +248,19 @@ class RewardMap(NamedTuple):
 def reward_map(
     problem: ExactProblem,
     target: np.ndarray,
-    lower: float,
-    upper: float,
+    ends: tuple[float, float],
     *,
     names: tuple[str, str] = ("m1", "m2"),
     limits: tuple[tuple[float, float], tuple[float, float]] | None = None,
     points: int = 31,
     others: int = 5,
 ) -> RewardMap:
-    """Evaluate in double precision; `lower`, `upper` are the costs of UDR and of the best in Omega
-    in `target [D]`.
+    """Evaluate in double precision; `ends` are the costs of UDR and of the best in Omega in
+    `target [D]`.
 
     `limits` are physical; the other parameters take `others` values each within Omega.
     """
-    space = problem.space
+    space, (lower, upper) = problem.space, ends
     axes = [space.names.index(name) for name in names]
     boxes = np.array([(space.parameters[a].low, space.parameters[a].high) for a in axes])
     x, y = (np.linspace(low, high, points) for low, high in (boxes if limits is None else limits))

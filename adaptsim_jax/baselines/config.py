@@ -18,9 +18,9 @@ from adaptsim_jax.core.errors import BadInput
 class StepsConfig:
     """Budgets of the methods for policies over many steps.
 
-    tests: episodes that score a policy. together, epochs, rate: of fine-tuning in the target,
-    episodes of an update, epochs over them, and the learning rate. points: of the search for the
-    best in Omega. share: of the training's rounds that an oracle goes on for. sigma: of CMA-ES at
+    tests: Episodes that score a policy. together, epochs, rate: Of fine-tuning in the target,
+    episodes of an update, epochs over them, and the learning rate. points: Of the search for the
+    best in Omega. share: Of the training's rounds that an oracle goes on for. sigma: Of CMA-ES at
     its start, as a share of each range.
     """
 
@@ -42,12 +42,12 @@ class StepsConfig:
 class CompareConfig:
     """What `adaptsim compare` runs. `methods`, `settings`: empty means all.
 
-    starts: N, distributions that AdaptSim and the gradient adapt at once; iterations: of every
-    method, after the first visit; train: Phase 1 of AdaptSim; sysid: budgets of the SysID rows (its
+    starts: N, distributions that AdaptSim and the gradient adapt at once. iterations: Of every
+    method, after the first visit; train: Phase 1 of AdaptSim. sysid: Budgets of the SysID rows (its
     `iterations` are replaced).
-    For tasks whose policies are learned: target: the engine that targets run in (empty: the task's
-    own simulator), with target_options of its own; direct: budgets of UDR+Target and LearnInTarget;
-    bayesopt: of BayesOpt; steps: where a trial is an episode of many steps. options: what baselines
+    For tasks whose policies are learned: target: The engine that targets run in (empty: the task's
+    own simulator), with target_options of its own. direct: Budgets of UDR+Target and LearnInTarget.
+    bayesopt: Of BayesOpt. steps: Where a trial is an episode of many steps. options: What baselines
     of other packages are given.
     """
 

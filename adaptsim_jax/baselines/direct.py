@@ -19,8 +19,8 @@ from adaptsim_jax.tasks.one_shot import OneShot, action_grid
 
 @dataclass(frozen=True)
 class DirectConfig:
-    """budgets: target trials in all after which a policy is scored. LearnInTarget: hidden: width of
-    its one layer; updates with AdamW (rate, decay) on all trials so far; grid: actions a side that
+    """budgets: target trials in all after which a policy is scored. LearnInTarget: hidden: Width of
+    its one layer; updates with AdamW (rate, decay) on all trials so far. grid: Actions a side that
     its policy chooses among.
     """
 

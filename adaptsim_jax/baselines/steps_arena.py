@@ -22,7 +22,7 @@ from adaptsim_jax.environments.task import longest_delay, play_in, ready
 
 
 class One(NamedTuple):
-    """What `learned.py` asks of a task: the task itself, episodes of a visit; nothing is mended or
+    """What `learned.py` asks of a task: The task itself, episodes of a visit; nothing is mended or
     probed.
     """
 
@@ -47,7 +47,7 @@ class StepsArena:
     that score a policy.
 
     own: of each visit the returns of its own trials `[B]`; scored: of each scoring the means over
-    the tests `[B]`. programs: what was compiled for the same setting, names and sizes with another
+    the tests `[B]`. programs: What was compiled for the same setting, names and sizes with another
     seed's policy, by name. It serves all of them, because what a seed learned is an argument.
     """
 

@@ -50,7 +50,7 @@ def make_slope(play: Play, acting: ActingPolicy, policy_of: Callable[..., Any]) 
     longest window whose derivatives do not explode.
 
     Args:
-        play: a simulation, not MuJoCo C. acting, policy_of: of the task's policies,
+        play: A simulation, not MuJoCo C. acting, policy_of: Of the task's policies,
             `policy_of(mean, *more) -> policy`.
     """
 

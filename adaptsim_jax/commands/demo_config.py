@@ -23,7 +23,7 @@ PENDULUM = Path(__file__).parents[1] / "logs" / "sample" / "recording"
 @dataclass(frozen=True)
 class ContactConfig:
     """Sizes of the push or the scoop: the target, Phase 1's trajectories, how many at once and
-    updates a round, starts N and iterations; options: of the task, over its default ones.
+    updates a round, starts N and iterations. options: Of the task, over its default ones.
     """
 
     target: str

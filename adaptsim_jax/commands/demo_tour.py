@@ -60,7 +60,7 @@ class Adapted(NamedTuple):
 
 
 class Pendulum(NamedTuple):
-    """adapted: a run a seed; results: the comparison, as results.json; reward_map: around the
+    """adapted: a run a seed. results: The comparison, as results.json. reward_map: Around the
     target.
     """
 
@@ -140,7 +140,7 @@ def _compare(out: Path, adapted: list[Adapted], seed: int, config: DemoConfig, r
     results["rows"] = visiting_rows("adaptsim", [TARGET], arena, bounds, visits) + results["rows"]
     write_json(output_folder(out / "comparison") / "results.json", results)
     ends = float(bounds.lower[0]), float(bounds.upper[0])
-    chart = reward_map(problem, targets[0], *ends, names=("m1", "m2"), limits=MAP_LIMITS)
+    chart = reward_map(problem, targets[0], ends, names=("m1", "m2"), limits=MAP_LIMITS)
     report(1, 1)
     return results, chart
 
@@ -148,11 +148,11 @@ def _compare(out: Path, adapted: list[Adapted], seed: int, config: DemoConfig, r
 class Before(NamedTuple):
     """What adaptation changed.
 
-    learned: trajectories of Phase 1. found: as `result.json` of `adaptsim adapt` has it. start: the
+    learned: Trajectories of Phase 1. found: As `result.json` of `adaptsim adapt` has it. start: The
         one whose best visit is deployed.
-    trials: made in the target in all. before, after: rewards, by the task's tests, of that start's
+    trials: Made in the target in all. before, after: Rewards, by the task's tests, of that start's
         first and of the deployed policy.
-    figure: of both policies; ends: how their trials ended, in words; film: its path, where there
+    figure: Of both policies. ends: How their trials ended, in words. film: Its path, where there
         is one.
     """
 
@@ -221,7 +221,7 @@ def contact_part(
 
 
 class Diagnosed(NamedTuple):
-    """report: as report.json; held_out: measured and simulated angles of a trial, as the page of a
+    """report: as report.json. held_out: Measured and simulated angles of a trial, as the page of a
     diagnosis is given them.
     """
 

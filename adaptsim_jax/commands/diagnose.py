@@ -260,7 +260,7 @@ def mechanism(args: argparse.Namespace, without: list[str]) -> Judge:
 
 
 def print_answer(args: argparse.Namespace, result: dict[str, Any], out: Path, replays: bool) -> int:
-    """The summary for a person and what to do next, or all of the report as JSON; replays: whether
+    """The summary for a person and what to do next, or all of the report as JSON. replays: Whether
     `replay` takes the model.
     """
     from adaptsim_jax.commands.parser import next_step, print_file
@@ -289,7 +289,7 @@ def diagnose(data: str | Path | Log, **options: Any) -> dict[str, Any]:
     """Which effects recorded trials show that their declared model lacks.
 
     Args:
-        data: a folder with `meta.toml`, one log (with `model=`), or the log of a double pendulum
+        data: A folder with `meta.toml`, one log (with `model=`), or the log of a double pendulum
             that was read.
         options: `out` (folder for report, page and mended models), `model`, `exclude`, `without`,
             `effects`, `criteria`, `progress`, `as_declared`, as far as the data's task has them

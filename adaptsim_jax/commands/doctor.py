@@ -225,23 +225,14 @@ def _faults(found: dict[str, Any]) -> list[str]:
 VISITS = 16  # at once; a GPU does more in the same time
 
 
-def engines() -> dict[str, dict[str, Callable[[], Any]]]:
-    """For each task its engines, each with the configuration that Phase 1 would be run with."""
-    from adaptsim_jax.adaptation.presets import PRESETS, default_config
-
-    return {
-        "pendulum": {"exact": lambda: default_config("pendulum")},
-        "pushing": {
-            "planar": lambda: default_config("pushing"),
-            "native": PRESETS["native-pushing"],
-            "mjx": PRESETS["mjx-pushing"],
-        },
-        "scooping": {
-            "bank": lambda: default_config("scooping"),
-            "hydro": PRESETS["hydro-scooping"],
-            "mjx": PRESETS["mjx-scooping"],
-        },
-    }
+ENGINES = {
+    "pendulum": {"exact": ""},
+    "pushing": {"planar": "", "native": "native-pushing", "mjx": "mjx-pushing"},
+    "scooping": {"bank": "", "hydro": "hydro-scooping", "mjx": "mjx-scooping"},
+}
+"""For each task its engines, each with the preset that Phase 1 would be run with; empty: the task's
+default.
+"""
 
 
 def costs(wanted: tuple[str, ...] = ()) -> Iterator[dict[str, Any]]:
@@ -249,9 +240,19 @@ def costs(wanted: tuple[str, ...] = ()) -> Iterator[dict[str, Any]]:
     seconds a trajectory, the visits alone, without what is learned from them and the training of
     task policies; and seconds to compile a visit.
     """
-    for task, rows in engines().items():
-        for engine, config in rows.items() if not wanted or task in wanted else ():
-            yield {"task": task, "engine": engine} | measure(task, config())
+    for task in wanted or ENGINES:
+        for engine in ENGINES[task]:
+            yield {"task": task, "engine": engine} | measure(task, config_of(task, engine))
+
+
+def config_of(task: str, engine: str) -> Any:
+    """What Phase 1 would be run with in an engine."""
+    from adaptsim_jax.adaptation.presets import default_config, preset
+
+    name = ENGINES[task][engine]
+    if name:
+        return preset(name)
+    return default_config(task)
 
 
 def measure(task: str, config: Any) -> dict[str, Any]:

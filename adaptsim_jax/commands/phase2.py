@@ -91,7 +91,7 @@ def write_look(
     run: RunFolder, task: Any, target: tuple[str, Any], result: Phase2Result, out: Path, film: bool
 ) -> list[str]:
     """Draw the start that holds the best visit into `out`, and film it; lines for a person, notes
-    and a file each. target: its name and values `[D]`.
+    and a file each. target: Its name and values `[D]`.
     """
     kind = TASKS[run.task]
     made = config.from_table(kind.config, run.config.get("task", {}), str(run.path))

@@ -157,12 +157,12 @@ def _start_table(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def _preset_table(args: argparse.Namespace) -> dict[str, Any]:
-    from adaptsim_jax.adaptation.presets import PRESETS
+    from adaptsim_jax.adaptation.presets import preset, presets_of
     from adaptsim_jax.core import config
     from adaptsim_jax.core.errors import BadInput
 
-    names = [name for name in PRESETS if name.endswith(f"-{args.task}")]
+    names = presets_of(args.task)
     if args.preset not in names:
         known = " or ".join(names) if names else f"none of {args.task}'s"
         raise BadInput(f"--preset: '{args.preset}' is unknown; there is {known}")
-    return config.to_table(PRESETS[args.preset]())
+    return config.to_table(preset(args.preset))

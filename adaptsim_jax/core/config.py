@@ -54,7 +54,7 @@ def pick(kind: str, name: str, known: typing.Iterable[str]) -> str:
 
 
 def read(path: str | Path, missing: str = "no such file; check the name") -> dict[str, Any]:
-    """The table in a TOML file; BadInput with the line where it is not TOML. missing: what is said
+    """The table in a TOML file; BadInput with the line where it is not TOML. missing: What is said
     where there is no file.
     """
     try:
@@ -91,8 +91,8 @@ def dumps(table: dict[str, Any], heading: str = "") -> str:
     """TOML text of nested tables of numbers, strings, booleans and lists; None is left out.
 
     Args:
-        table: lists of tables become `[[arrays of tables]]`; paths become strings.
-        heading: what stands above it, a comment for each line.
+        table: Lists of tables become `[[arrays of tables]]`; paths become strings.
+        heading: What stands above it, a comment for each line.
     """
     import tomlkit  # a command that writes no TOML does not wait for it
 

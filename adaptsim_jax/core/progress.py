@@ -154,7 +154,7 @@ class _Bars:
     """Rich bars, open from the first row on; the library is loaded only when there is something to
     show.
 
-    time: the name of rich's column that tells it; width: of a bar.
+    time: The name of rich's column that tells it. width: Of a bar.
     """
 
     def __init__(self, time: str, width: int = 40):

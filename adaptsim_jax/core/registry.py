@@ -28,8 +28,8 @@ class Registry(Mapping[str, Thing], Generic[Thing]):
     """Things of one kind by name, in an order that does not change: ours as listed, then those of
     other packages by name.
 
-    kind: also names the group of entry points; within: a part of it, whose entry points are called
-    `within.name`; type: what each thing is, by the name of its class, where they are all of one.
+    kind: Also names the group of entry points. within: A part of it, whose entry points are called
+    `within.name`. type: What each thing is, by the name of its class, where they are all of one.
     """
 
     def __init__(self, kind: str, own: Mapping[str, str], within: str = "", type: str = ""):
@@ -82,7 +82,7 @@ class Registry(Mapping[str, Thing], Generic[Thing]):
         return thing
 
     def named(self, name: str, what: str) -> Thing:
-        """The thing called `name`; BadInput with the nearest name where there is none. what: it in
+        """The thing called `name`; BadInput with the nearest name where there is none. what: It in
         words, `task`.
         """
         if name not in self:
@@ -91,7 +91,7 @@ class Registry(Mapping[str, Thing], Generic[Thing]):
 
 
 def function_named(text: str, where: str) -> Callable[..., Any]:
-    """The function that `module:function` or `path/to/file.py:function` names; where: the option or
+    """The function that `module:function` or `path/to/file.py:function` names. where: The option or
     key that has it, for BadInput.
     """
     home, _, name = text.rpartition(":")

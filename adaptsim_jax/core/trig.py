@@ -18,7 +18,7 @@ Tree = TypeVar("Tree")
 
 
 def once(values: Tree, asked: jax.Array) -> Tree:
-    """`values` as they are, a pytree of floats. asked: any array but an empty one that does not
+    """`values` as they are, a pytree of floats. asked: Any array but an empty one that does not
     depend on the direction (a derivative's values do, those of the function itself do not).
     """
     first = jax.lax.stop_gradient(jnp.ravel(asked)[0])

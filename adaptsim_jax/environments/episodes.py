@@ -59,7 +59,7 @@ def make_play(
     longest: float = 0.0,
     physics: Physics | None = None,
 ) -> Play:
-    """`sim` with `fields`, those of the interface among them, as arguments. longest: s, the
+    """`sim` with `fields`, those of the interface among them, as arguments. longest: S, the
     greatest delay that may come.
 
     A delay between two steps is a mean of both actions, weighted by how near they are. Before the
@@ -169,9 +169,9 @@ def episode(
 
 
 def look(steps: EpisodeSteps, acting: ActingPolicy) -> Rollout:
-    """What is kept of an episode: means, spreads and step changes of each observed channel and
-    action in each of four quarters, and the observation at twelve moments, most of them early,
-    where a policy has not yet forgotten where it began.
+    """Features of an episode: means, spreads and step changes of each observed channel and action
+    in each of four quarters. Added to them is the observation at twelve moments. Most of them are
+    early, where a policy has not yet forgotten where it began.
     """
     T = steps.obs.shape[0]
     rows = jnp.concatenate([steps.obs, steps.action], -1)

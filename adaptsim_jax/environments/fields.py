@@ -8,6 +8,7 @@ serves a simulation in a compiled program and a target in MuJoCo C. Nominal valu
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -15,7 +16,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from adaptsim_jax.core.config import suggest
+from adaptsim_jax.core.config import read, suggest
 from adaptsim_jax.core.errors import BadInput, brief, finite
 from adaptsim_jax.mechanisms.model_numbers import (
     NumberName,
@@ -39,36 +40,8 @@ class Attribute(NamedTuple):
 
 
 ATTRIBUTES: dict[str, dict[str, Attribute]] = {
-    "body": {
-        "mass": Attribute("kg", 1e-9),
-        "inertia": Attribute("kg m2", 1e-12),
-        "ipos": Attribute("m"),
-        "pos": Attribute("m"),
-    },
-    "joint": {
-        "damping": Attribute("N s/m or N m s/rad", 0.0),
-        "frictionloss": Attribute("N or N m", 0.0),
-        "armature": Attribute("kg or kg m2", 0.0),
-        "stiffness": Attribute("N/m or N m/rad", 0.0),
-        "springref": Attribute("m or rad"),
-    },
-    "geom": {"friction": Attribute("1", 0.0), "solref": Attribute("s, 1")},
-    "actuator": {
-        "gain": Attribute("of the actuator", array="gainprm"),
-        "bias": Attribute("of the actuator", array="biasprm"),
-        "gear": Attribute("1"),
-    },
-    "tendon": {
-        "damping": Attribute("N s/m", 0.0),
-        "stiffness": Attribute("N/m", 0.0),
-        "frictionloss": Attribute("N", 0.0),
-    },
-    "option": {
-        "gravity": Attribute("m/s2"),
-        "wind": Attribute("m/s"),
-        "density": Attribute("kg/m3", 0.0),
-        "viscosity": Attribute("Pa s", 0.0),
-    },
+    kind: {name: Attribute(**row) for name, row in rows.items()}
+    for kind, rows in read(Path(__file__).with_name("attributes.toml")).items()
 }
 INTERFACE = {  # what lies between policy and model: unit, minimum, nominal
     "delay": ("s", 0.0, 0.0),
@@ -312,8 +285,8 @@ def domain_randomize(
     """Fields by name, each drawn from its range for every environment.
 
     Args:
-        native: the model that `ranges` names fields of.
-        ranges: for each name `[low, high]`, or `[low, high, "log"]`, as in env.toml. Not those of
+        native: The model that `ranges` names fields of.
+        ranges: For each name `[low, high]`, or `[low, high, "log"]`, as in env.toml. Not those of
                 the interface, such as `delay`.
 
     Returns:

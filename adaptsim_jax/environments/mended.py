@@ -13,6 +13,7 @@ from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.effects.joints import catalogue
 from adaptsim_jax.effects.joints.actuator import DELAY
+from adaptsim_jax.environments import fields
 from adaptsim_jax.mechanisms.model_numbers import array_at, element_names, element_number, place
 from adaptsim_jax.mend.model_toml import Form, read_form
 
@@ -20,19 +21,20 @@ HELD = {e.name for e in catalogue.OWN if e.in_mjcf and not e.shifts_commands}
 SIMPLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 ATTRIBUTES = {
     "body": ("mass", "ipos", "iquat", "inertia"),
-    "joint": ("stiffness", "damping", "frictionloss", "armature", "springref"),
+    "joint": tuple(fields.ATTRIBUTES["joint"]),
     "actuator": ("gainprm", "biasprm", "forcerange", "forcelimited"),
 }
 
 
 def mended(env: Any, path: str | Path) -> Any:
-    """A copy of `env` with what a diagnosis changed in its robot: each number that `model.xml` has
-    otherwise than `declared.xml`, by the names of bodies, joints and actuators, and a delay, which
-    becomes the environment's own.
+    """A copy of `env` with what a diagnosis changed in its robot.
+
+    That is each number that `model.xml` has otherwise than `declared.xml`, by the names of bodies,
+    joints and actuators. A delay becomes the environment's own.
 
     Args:
-        env: holds an `mjx.Model` and the `mujoco.MjModel` that it was made of.
-        path: of `model.toml`, with `declared.xml` and `model.xml` beside it, as `diagnose --out`
+        env: Holds an `mjx.Model` and the `mujoco.MjModel` that it was made of.
+        path: Of `model.toml`, with `declared.xml` and `model.xml` beside it, as `diagnose --out`
                 writes them.
 
     Returns:

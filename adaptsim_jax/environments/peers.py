@@ -29,7 +29,7 @@ OWN = {
 
 def load(name: str, options: dict[str, Any] | None = None, where: str = "env") -> Any:
     """The environment called `name`: `cartpole` or `arm` of ours, `playground:NAME`, `brax:NAME`,
-    `gymnax:NAME`, `module:function` or `file.py:function`. options: given to it. BadInput says what
+    `gymnax:NAME`, `module:function` or `file.py:function`. options: Given to it. BadInput says what
     is missing, and how to get it.
     """
     home, colon, thing = OWN.get(name, name).rpartition(":")

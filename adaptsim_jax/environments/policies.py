@@ -38,9 +38,11 @@ class Tuned(NamedTuple):
 
 
 class Prepared(NamedTuple):
-    """What is made once: what the trainer learned (None where nothing is), how what is seen is
-    shown to the adaptation, and what starts are worth `[3]`: mean and standard deviation of the
-    policy's value of them, and the return that a unit of it is worth.
+    """What is made once.
+
+    learned: What the trainer learned, None where nothing is. shown: How features become the
+    observation of the adaptation. starts: What starts are worth. These are the mean and the
+    standard deviation of the policy's value of them, and the return that a unit of it is worth.
     """
 
     learned: Any
@@ -103,7 +105,7 @@ def trained_in(
     """What the trainer has learned after `rounds` in `worlds` from `learned`: in chunks, so that
     progress shows.
 
-    blind: for this share of the rounds, the first, no world is told.
+    blind: For this share of the rounds, the first, no world is told.
     """
     begin_key, key = jax.random.split(key)
     state = trainer.begin(begin_key, learned)

@@ -31,20 +31,20 @@ class EnvironmentConfig:
     """Options of the task.
 
     env: `cartpole`, `arm`, `playground:NAME`, `brax:NAME`, `gymnax:NAME`, `module:function`,
-        `file.py:function`; options: given to it.
+        `file.py:function`. options: Given to it.
     fields: Omega, a range `[low, high]` or `[low, high, "log"]` for each number by name
         (docs/howto/environment.md).
-    wide: how far beyond Omega, as a share of each range, Phase 1 draws its targets. trials:
-        episodes of a visit, each counted.
-    length: steps of an episode, 0 for the environment's own.
+    wide: How far beyond Omega, as a share of each range, Phase 1 draws its targets. trials:
+        Episodes of a visit, each counted.
+    length: Steps of an episode, 0 for the environment's own.
     policy: `knows` E's mean, trained once; `tuned` from it at each visit for `tune` updates;
         `planned` by sampling, not trained.
-    spread: of E's samples when a policy is tuned, as a share of each range. training: PPO. planner:
-        of `planned`.
-    references: policies that a target's reward is scaled with. components: of what is observed.
-    doubt: variance of a visit's return by luck, over that by E's mean; 0 deploys what returned most
+    spread: Of E's samples when a policy is tuned, as a share of each range. training: PPO. planner:
+        Of `planned`.
+    references: Policies that a target's reward is scaled with. components: Of what is observed.
+    doubt: Variance of a visit's return by luck, over that by E's mean; 0 deploys what returned most
         once.
-    targets: for each by name a table of values of any field, Omega's or not, and of the engine
+    targets: For each by name a table of values of any field, Omega's or not, and of the engine
         (`environments/targets.py`).
     """
 

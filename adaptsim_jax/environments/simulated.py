@@ -29,8 +29,8 @@ class SimulatedTask:
     """Pure functions of one sample. `model`: a pytree, of which `edit` replaces the fields; actions
     lie in [-1, 1].
 
-    native: the file's model, None where there is none (gymnax). length: steps of an episode, of
-    `dt` s each. interface: nominal values of its fields, where they are others than usual (a delay
+    native: The file's model, None where there is none (gymnax). length: Steps of an episode, of
+    `dt` s each. interface: Nominal values of its fields, where they are others than usual (a delay
     that was measured).
     """
 
@@ -59,7 +59,7 @@ class SimulatedTask:
 def simulated(
     env: Any, fields: tuple[ModelField, ...] = (), length: int = 0, where: str = "env"
 ) -> SimulatedTask:
-    """`env` as pure functions of its model. fields: those that will be edited; where the file has
+    """`env` as pure functions of its model. fields: Those that will be edited; where the file has
     one of them at 0, such as a dry friction, the model is built so that it can act. BadInput where
     `env` has no `reset` or `step`, or no model to edit.
     """

@@ -64,7 +64,7 @@ def hidden_fields(
 def target_of(
     name: str, table: Mapping[str, Any], fields: tuple[ModelField, ...], compiled: bool
 ) -> Target:
-    """The target called `name`. compiled: there is a MuJoCo model, so that C can run it."""
+    """The target called `name`. compiled: There is a MuJoCo model, so that C can run it."""
     values = np.array([f.nominal for f in fields], np.float64)
     for i, field in enumerate(fields):
         if field.name not in table:

@@ -62,7 +62,7 @@ def environment_task(
     gymnax.
 
     Args:
-        env: such as `mujoco_playground.registry.load(...)`, a `ModelEnvironment`, or a name as in
+        env: Such as `mujoco_playground.registry.load(...)`, a `ModelEnvironment`, or a name as in
                 env.toml.
         fields: Omega: for each name `[low, high]` or `[low, high, "log"]`. By default `env.fields`.
         config, options: `EnvironmentConfig`, and what of it differs.
@@ -251,8 +251,9 @@ def _wider(space: Space, fields: tuple[ModelField, ...], share: float) -> Space:
 
 
 def play_in(setting: Setting, target: Target) -> tuple[Play, jax.Array]:
-    """The environment as the target steps it, in MuJoCo C or, where the target says so, in the
-    simulator, and its values `[F]`: of the fields that Omega lacks, those that the target changes.
+    """The environment as the target steps it, and its values `[F]`. It steps in MuJoCo C or, where
+    the target says so, in the simulator. Of the fields that Omega lacks, those that the target
+    changes have a value.
     """
     D = setting.space.dim
     held = [i for i, f in enumerate(setting.fields) if i < D or target.values[i] != f.nominal]

@@ -1,8 +1,8 @@
 """Policies over many steps: the protocol `Trainer`, and PPO in worlds drawn from a box.
 
-One program trains what differs only in numbers: a policy that knows E's mean (every world is told
-to it), one for all of Omega that is told nothing (UDR), one at a single point (nominal values, an
-oracle in its target).
+One program trains what differs only in numbers. A policy may know E's mean (every world is told to
+it). It may be one for all of Omega that is told nothing (UDR). It may be one at a single point
+(nominal values, an oracle in its target).
 """
 
 from collections.abc import Callable
@@ -14,14 +14,14 @@ import jax.numpy as jnp
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.environments.episodes import ActingPolicy, Live, Play
-from adaptsim_jax.learners.ppo import PPOConfig, PPOHyper, PPOState, Unroll, carried, make_ppo
+from adaptsim_jax.learners.ppo import PPO, PPOConfig, PPOHyper, PPOState, Unroll, carried, make_ppo
 from adaptsim_jax.space import Space
 
 
 @dataclass(frozen=True)
 class PlannerConfig:
-    """samples: plans tried at each step; horizon: steps ahead; knots: of a plan, between which
-    actions are interpolated; noise: standard deviation of what is added to them.
+    """samples: plans tried at each step. horizon: Steps ahead. knots: Of a plan, between which
+    actions are interpolated. noise: Standard deviation of what is added to them.
     """
 
     samples: int = 16
@@ -72,7 +72,7 @@ def make_planner(play: Play, space: Space, config: PlannerConfig) -> ActingPolic
 
 class Worlds(NamedTuple):
     """Where a trainer's worlds are drawn: unit coordinates between low and high `[D]`; known `[]`:
-    1 where the policy is told them, 0 where it is told the middle of Omega; rest `[R]`: values of
+    1 where the policy is told them, 0 where it is told the middle of Omega. rest `[R]`: Values of
     the fields that are not of Omega, the same for all.
     """
 
@@ -110,7 +110,7 @@ class PPOTraining:
     """PPO at work: steps of environments in all, `parallel` of them at once, an update after each
     has made `unroll` steps.
 
-    decay: the learning rate falls to this share of its start. stagger: episodes end at different
+    decay: The learning rate falls to this share of its start. stagger: Episodes end at different
     times, so that an update sees all of them. Else all begin together.
     """
 
@@ -178,69 +178,69 @@ class TrainerInfo(NamedTuple):
     kl: jax.Array
 
 
-def make_ppo_trainer(  # noqa: PLR0915  (a factory: its inner functions are short)
-    play: Play, space: Space, config: PPOTraining, obs_dim: int
-) -> Trainer:
-    """PPO in the worlds of `play`, whose first fields are those of `space` (Omega), the rest after
-    them.
-    """
-    A, B, D = play.sim.action_dim, config.parallel, space.dim
-    ppo = make_ppo(
-        PPOConfig(
-            obs_dim, A, D, config.hidden, config.activation, config.epochs, config.minibatches
-        )
-    )
+@dataclass(frozen=True)
+class WorldsPPO:
+    """PPO in the worlds of `play`, whose first fields are those of `space` (Omega)."""
 
-    def draw(key, worlds: Worlds):
-        u = worlds.low + (worlds.high - worlds.low) * jax.random.uniform(key, (D,))
-        values = jnp.concatenate([space.physical(u), worlds.rest])
+    play: Play
+    space: Space
+    config: PPOTraining
+    ppo: PPO
+
+    def draw(self, key, worlds: Worlds):
+        """Values `[F]` of a world, and the mean `[D]` that the policy is given."""
+        u = worlds.low + (worlds.high - worlds.low) * jax.random.uniform(key, (self.space.dim,))
+        values = jnp.concatenate([self.space.physical(u), worlds.rest])
         return values, worlds.known * (2.0 * u - 1.0)
 
-    def fresh_one(key, worlds):
+    def fresh_one(self, key, worlds):
         """A fresh environment in a fresh world."""
         world_key, reset_key = jax.random.split(key)
-        values, mean = draw(world_key, worlds)
-        return play.reset(play.world(values), reset_key), values, mean
+        values, mean = self.draw(world_key, worlds)
+        return self.play.reset(self.play.world(values), reset_key), values, mean
 
-    def begin(key, learned):
+    def begin(self, key, learned) -> TrainerState:
         """Nothing is simulated yet: the first round puts fresh environments in place of these."""
-        centre, rest = jnp.full(D, 0.5), jnp.zeros(len(play.fields) - D)
+        B, D = self.config.parallel, self.space.dim
+        centre, rest = jnp.full(D, 0.5), jnp.zeros(len(self.play.fields) - D)
         middle = Worlds(centre, centre, jnp.ones(()), rest)
-        blank = jax.eval_shape(jax.vmap(fresh_one, (0, None)), jax.random.split(key, B), middle)
+        keys = jax.random.split(key, B)
+        blank = jax.eval_shape(jax.vmap(self.fresh_one, (0, None)), keys, middle)
         live, values, mean = jax.tree.map(lambda x: _blank(key, x), blank)
-        if config.stagger:
-            live = live._replace(time=jax.random.randint(key, (B,), 0, play.sim.length))
+        if self.config.stagger:
+            live = live._replace(time=jax.random.randint(key, (B,), 0, self.play.sim.length))
         zero = jnp.zeros(B)
-        rates = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), config.hyper)
+        rates = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), self.config.hyper)
         count = jnp.zeros((), jnp.int32)
         return TrainerState(
-            learned, live, values, mean, zero, zero, count, count + config.rounds, rates
+            learned, live, values, mean, zero, zero, count, count + self.config.rounds, rates
         )
 
-    def started(key, state: TrainerState, worlds: Worlds) -> tuple[TrainerState, Fresh]:
-        """The state of a round at its start, and what takes the place of episodes that end in it."""  # noqa: E501
-        fresh = Fresh(*jax.vmap(fresh_one, (0, None))(jax.random.split(key, B), worlds))
-        first = jnp.broadcast_to(state.number == 0, (B,))
+    def started(self, key, state: TrainerState, worlds: Worlds) -> tuple[TrainerState, Fresh]:
+        """The state of a round at its start, and what takes the place of episodes that end."""
+        keys = jax.random.split(key, self.config.parallel)
+        fresh = Fresh(*jax.vmap(self.fresh_one, (0, None))(keys, worlds))
+        first = jnp.broadcast_to(state.number == 0, (self.config.parallel,))
         live = _choose(first, fresh.live, state.live)._replace(time=state.live.time)
         values = jnp.where(first[:, None], fresh.values, state.values)
         mean = jnp.where(first[:, None], fresh.mean, state.mean)
         return state._replace(live=live, values=values, mean=mean), fresh
 
-    def rolled(key, state: TrainerState, fresh: Fresh):
+    def rolled(self, key, state: TrainerState, fresh: Fresh):
         """`unroll` steps of all environments: `(live, gained, over)` at their end, and rows
         `[unroll, B, ...]`.
         """
-        world, actor = jax.vmap(play.world)(state.values), ppo.actor(state.ppo)
+        world, actor = jax.vmap(self.play.world)(state.values), self.ppo.actor(state.ppo)
 
         def step(carry, key):
             live, gained, over = carry
-            action, log_prob = ppo.act(key, actor, live.obs, state.mean)
-            after = jax.vmap(play.step)(world, live, action)
+            action, log_prob = self.ppo.act(key, actor, live.obs, state.mean)
+            after = jax.vmap(self.play.step)(world, live, action)
             reward = jnp.where(jnp.isfinite(after.reward), after.reward, 0.0)
             sound = jnp.isfinite(after.obs).all(-1) & jnp.isfinite(after.reward)
             obs_after = jnp.where(sound[:, None], after.obs, live.obs)
             ended = jnp.maximum(after.done, 1.0 - sound)
-            cut = (after.time >= play.sim.length) * (1.0 - ended)
+            cut = (after.time >= self.play.sim.length) * (1.0 - ended)
             stop = jnp.maximum(ended, cut) > 0
             total = gained + reward
             row = (live.obs, action, log_prob, reward, obs_after, ended, cut, total, stop)
@@ -248,13 +248,15 @@ def make_ppo_trainer(  # noqa: PLR0915  (a factory: its inner functions are shor
             live = _choose(stop, fresh.live, after)
             return (live, jnp.where(stop, 0.0, total), over | stop), row
 
-        begun = (state.live, state.gained, jnp.zeros(B, bool))
-        return jax.lax.scan(step, begun, jax.random.split(key, config.unroll))
+        begun = (state.live, state.gained, jnp.zeros(self.config.parallel, bool))
+        return jax.lax.scan(step, begun, jax.random.split(key, self.config.unroll))
 
-    def one_round(key, state: TrainerState, worlds: Worlds):
+    def one_round(self, key, state: TrainerState, worlds: Worlds):
+        """Steps of all environments, and an update from them."""
+        config = self.config
         fresh_key, act_key, learn_key = jax.random.split(key, 3)
-        state, fresh = started(fresh_key, state, worlds)
-        (live, gained, over), rows = rolled(act_key, state, fresh)
+        state, fresh = self.started(fresh_key, state, worlds)
+        (live, gained, over), rows = self.rolled(act_key, state, fresh)
         obs, action, log_prob, reward, obs_after, ended, cut, totals, stops = rows
         # what is over begins anew, in another world
         cut = cut.at[-1].set(jnp.maximum(cut[-1], over * (1.0 - ended[-1])))
@@ -262,7 +264,8 @@ def make_ppo_trainer(  # noqa: PLR0915  (a factory: its inner functions are shor
         batch = Unroll(obs, extra, action, log_prob, reward, obs_after, ended, cut, state.carried)
         hyper, share = state.hyper, jnp.clip(state.number / state.rounds, 0.0, 1.0)
         rate = hyper.learning_rate * (1.0 - (1.0 - config.decay) * share)
-        learned, info = ppo.update(learn_key, state.ppo, batch, replace(hyper, learning_rate=rate))
+        hyper = replace(hyper, learning_rate=rate)
+        learned, info = self.ppo.update(learn_key, state.ppo, batch, hyper)
         _, discounted = carried(batch, hyper.discount)
         state = state._replace(
             ppo=learned,
@@ -276,14 +279,21 @@ def make_ppo_trainer(  # noqa: PLR0915  (a factory: its inner functions are shor
         episode = jnp.sum(totals * stops) / jnp.sum(stops)
         return state, TrainerInfo(episode, reward.mean(), info.spread, info.kl)
 
+
+def make_ppo_trainer(play: Play, space: Space, config: PPOTraining, obs_dim: int) -> Trainer:
+    """PPO in the worlds of `play`, whose first fields are those of `space` (Omega)."""
+    sizes = (config.hidden, config.activation, config.epochs, config.minibatches)
+    ppo = make_ppo(PPOConfig(obs_dim, play.sim.action_dim, space.dim, *sizes))
+    made = WorldsPPO(play, space, config, ppo)
+
     def train(key, state, worlds, rounds):
         def on(state, _):
-            return one_round(jax.random.fold_in(key, state.number), state, worlds)
+            return made.one_round(jax.random.fold_in(key, state.number), state, worlds)
 
         return jax.lax.scan(on, state, None, rounds)
 
     return Trainer(
-        ppo.init, begin, train, lambda state: state.ppo, ppo.actor, ppo.deployed, ppo.value
+        ppo.init, made.begin, train, lambda state: state.ppo, ppo.actor, ppo.deployed, ppo.value
     )
 
 

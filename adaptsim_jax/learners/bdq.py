@@ -59,8 +59,8 @@ class BDQConfig:
 class BDQHyper:
     """Rates of the learner: a pytree, each leaf a scalar, or `[S]` under vmap over a sweep.
 
-    learning_rate: Adam's; discount: gamma; tau: share of the online network that enters the target
-    network at each update; max_grad_norm: the gradient is scaled down to this global norm.
+    learning_rate: Adam's. discount: Gamma. tau: Share of the online network that enters the target
+    network at each update. max_grad_norm: The gradient is scaled down to this global norm.
     """
 
     learning_rate: float = 2e-3

@@ -24,8 +24,8 @@ from adaptsim_jax.learners.naf_box import box_maximiser
 
 @dataclass(frozen=True)
 class NAFConfig:
-    """Sizes of the network; static under jit. reach: the mean lies in `[-reach, reach]`.
-    log_diagonal: the diagonal of L lies in `exp(+-log_diagonal)`.
+    """Sizes of the network; static under jit. reach: The mean lies in `[-reach, reach]`.
+    log_diagonal: The diagonal of L lies in `exp(+-log_diagonal)`.
     """
 
     obs_dim: int
@@ -41,7 +41,7 @@ class NAFConfig:
 class NAFHyper:
     """Rates of the learner: a pytree, each leaf a scalar, or `[S]` under vmap.
 
-    learning_rate: Adam's; max_grad_norm: the gradient is scaled down to this global norm.
+    learning_rate: Adam's. max_grad_norm: The gradient is scaled down to this global norm.
     """
 
     learning_rate: float = 1e-3

@@ -2,11 +2,11 @@
 new context starts near its end.
 
 Actions are tried at many contexts beforehand (`trials` uniform ones each). Batches then pair a
-context with a goal and learn from the trial, among some candidates, that serves the goal well and
-lies near what the network would do, as `naf_goals` does for one context. The context enters the
+context with a goal. They learn from the trial, among some candidates, that serves the goal well and
+lies near what the network would do. So does `naf_goals` for one context. The context enters the
 first layer only by its bias. A network for one context is therefore the same network without the
-context's inputs and with another bias (`fold`, `move`), of the size that a policy trained for that
-context alone has.
+context's inputs and with another bias (`fold`, `move`). It has the size of a policy trained for
+that context alone.
 """
 
 from collections.abc import Callable
@@ -17,15 +17,15 @@ import jax.numpy as jnp
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.learners.naf import NAF, NAFHyper
-from adaptsim_jax.learners.naf_goals import GoalProblem
+from adaptsim_jax.learners.naf_goals import GoalProblem, likely_candidate
 from adaptsim_jax.learners.replay import Transition
 
 
 @dataclass(frozen=True)
 class SharedConfig:
-    """Sizes, static under jit. contexts: how many, each with `trials` uniform actions; updates of
-    `batch` pairs of context and goal, each with `candidates` trials; temperature, width, rate_end:
-    as in `naf_goals.GoalConfig`.
+    """Sizes, static under jit. contexts: How many, each with `trials` uniform actions; updates of
+    `batch` pairs of context and goal, each with `candidates` trials. temperature, width, rate_end:
+    As in `naf_goals.GoalConfig`.
     """
 
     contexts: int = 2000
@@ -48,43 +48,77 @@ class SharedConfig:
             )
 
 
-def make_shared_learner(
-    naf: NAF,
-    problem: GoalProblem,
-    context: Callable[[jax.Array], jax.Array],
-    shown: Callable[[jax.Array], jax.Array],
-    config: SharedConfig,
-    hyper: NAFHyper,
-) -> Callable[[jax.Array], jax.Array]:
-    """`train(key) -> weights [n]` of `naf`, whose observation is `(see(goal), shown(context))`.
+@dataclass(frozen=True)
+class SharedLearner:
+    """The training of one network for a whole box of contexts.
 
-    `context(key) -> [c]` draws one; `problem.trial(key, context, action)` tries an action there.
+    naf: Its observation is `(see(goal), shown(context))`. problem: `problem.trial(key, context,
+    action)` tries an action in a context. context: `(key) -> [c]` draws one.
     """
 
-    def train(key):
+    naf: NAF
+    problem: GoalProblem
+    context: Callable[[jax.Array], jax.Array]
+    shown: Callable[[jax.Array], jax.Array]
+    config: SharedConfig
+    hyper: NAFHyper
+
+    def train(self, key: jax.Array) -> jax.Array:
+        """Weights `[n]` of the network."""
         made_key, start_key, learn_key = jax.random.split(key, 3)
-        data = _tried(made_key, problem, context, config, naf.config.action_dim)
+        data = self._data(made_key)
 
         def one(state, number):
-            done = number / config.updates
-            batch = _batch(
-                jax.random.fold_in(learn_key, number),
-                naf,
-                problem,
-                shown,
-                config,
-                state.online,
-                data,
-                done,
-            )
-            share = jnp.maximum(1.0 - done, config.rate_end)
-            return naf.update(
-                state, batch, replace(hyper, learning_rate=hyper.learning_rate * share)
-            )[0], None
+            done = number / self.config.updates
+            batch = self._batch(jax.random.fold_in(learn_key, number), state.online, data, done)
+            share = jnp.maximum(1.0 - done, self.config.rate_end)
+            rates = replace(self.hyper, learning_rate=self.hyper.learning_rate * share)
+            return self.naf.update(state, batch, rates)[0], None
 
-        return jax.lax.scan(one, naf.init(start_key), jnp.arange(config.updates))[0].online
+        start = self.naf.init(start_key)
+        return jax.lax.scan(one, start, jnp.arange(self.config.updates))[0].online
 
-    return train
+    def _data(self, key):
+        """Contexts `[C, c]`, actions `[C, N, d]`, outcomes `[C, N, k]`."""
+        config = self.config
+        context_key, action_key, trial_key = jax.random.split(key, 3)
+        contexts = jax.vmap(self.context)(jax.random.split(context_key, config.contexts))
+        shape = (config.contexts, config.trials, self.naf.config.action_dim)
+        actions = jax.random.uniform(action_key, shape, minval=-1.0)
+
+        def at(work):
+            k, c, some = work
+            keys = jax.random.split(k, config.trials)
+            return jax.vmap(self.problem.trial, (0, None, 0))(keys, c, some)
+
+        keys = jax.random.split(trial_key, config.contexts)
+        return contexts, actions, jax.lax.map(at, (keys, contexts, actions))
+
+    def _batch(self, key, weights, data, done) -> Transition:
+        """`[batch, ...]`: at each pair of context and goal, one of the candidates."""
+        config, problem = self.config, self.problem
+        contexts, actions, outcomes = data
+        keys = jax.random.split(key, 4)
+        where = jax.random.randint(keys[0], (config.batch,), 0, config.contexts)
+        goals = jax.vmap(problem.draw)(jax.random.split(keys[1], config.batch))
+        stride = config.trials // config.candidates
+        index = (
+            jax.random.randint(keys[2], (config.batch, 1), 0, config.trials)
+            + stride * jnp.arange(config.candidates)[None]
+        )
+        index = index % config.trials
+        action, outcome = actions[where[:, None], index], outcomes[where[:, None], index]
+        shown = jax.vmap(self.shown)(contexts[where])
+        obs = jnp.concatenate([jax.vmap(problem.see)(goals), shown], -1)
+        reward = jax.vmap(jax.vmap(problem.reward, (0, None)))(outcome, goals)
+        level, any_key = jax.random.uniform(keys[3], (2, config.batch))
+        best = self.naf.greedy(weights, obs)
+        pick = likely_candidate(config, reward, action, best, done, level)
+        pick = jnp.where(any_key < config.uniform * (1.0 - done), 0, pick)[:, None]
+        chosen = jnp.take_along_axis(action, pick[..., None], 1)[:, 0]
+        earned = jnp.take_along_axis(reward, pick, 1)[:, 0]
+        nothing = jnp.zeros((config.batch, 0), obs.dtype)  # one step: no next observation
+        return Transition(obs, chosen, earned, nothing, jnp.zeros_like(earned))
 
 
 def fold(weights: jax.Array, obs_dim: int, extra: int, width: int) -> tuple[jax.Array, jax.Array]:
@@ -103,51 +137,3 @@ def fold(weights: jax.Array, obs_dim: int, extra: int, width: int) -> tuple[jax.
 def move(weights: jax.Array, tilt: jax.Array, by: jax.Array) -> jax.Array:
     """Folded weights where the extra inputs `[extra]` change `by` so much."""
     return weights.at[: tilt.shape[1]].add(jnp.sum(by[:, None] * tilt, 0))
-
-
-def _tried(key, problem: GoalProblem, context, config: SharedConfig, dim: int):
-    """Contexts `[C, c]`, actions `[C, N, d]`, outcomes `[C, N, k]`."""
-    context_key, action_key, trial_key = jax.random.split(key, 3)
-    contexts = jax.vmap(context)(jax.random.split(context_key, config.contexts))
-    actions = jax.random.uniform(action_key, (config.contexts, config.trials, dim), minval=-1.0)
-
-    def at(work):
-        k, c, some = work
-        return jax.vmap(problem.trial, (0, None, 0))(jax.random.split(k, config.trials), c, some)
-
-    return (
-        contexts,
-        actions,
-        jax.lax.map(at, (jax.random.split(trial_key, config.contexts), contexts, actions)),
-    )
-
-
-def _batch(
-    key, naf: NAF, problem: GoalProblem, shown, config: SharedConfig, weights, data, done
-) -> Transition:
-    """`[batch, ...]`: at each pair, one of the candidates in proportion to `exp(reward /
-    temperature - away)`.
-    """
-    contexts, actions, outcomes = data
-    keys = jax.random.split(key, 4)
-    where = jax.random.randint(keys[0], (config.batch,), 0, config.contexts)
-    goals = jax.vmap(problem.draw)(jax.random.split(keys[1], config.batch))
-    stride = config.trials // config.candidates
-    index = (
-        jax.random.randint(keys[2], (config.batch, 1), 0, config.trials)
-        + stride * jnp.arange(config.candidates)[None]
-    )
-    index = index % config.trials
-    action, outcome = actions[where[:, None], index], outcomes[where[:, None], index]
-    obs = jnp.concatenate([jax.vmap(problem.see)(goals), jax.vmap(shown)(contexts[where])], -1)
-    reward = jax.vmap(jax.vmap(problem.reward, (0, None)))(outcome, goals)
-    width = config.width[0] + (config.width[1] - config.width[0]) * done
-    away = jnp.sum(jnp.square(action - naf.greedy(weights, obs)[:, None]), -1) / (2.0 * width**2)
-    level, any_key = jax.random.uniform(keys[3], (2, config.batch))
-    odds = jnp.cumsum(jax.nn.softmax(reward / config.temperature - away), -1)
-    pick = jnp.minimum(jnp.sum(odds < level[:, None], -1), config.candidates - 1)
-    pick = jnp.where(any_key < config.uniform * (1.0 - done), 0, pick)[:, None]
-    chosen = jnp.take_along_axis(action, pick[..., None], 1)[:, 0]
-    earned = jnp.take_along_axis(reward, pick, 1)[:, 0]
-    nothing = jnp.zeros((config.batch, 0), obs.dtype)  # one step: no next observation
-    return Transition(obs, chosen, earned, nothing, jnp.zeros_like(earned))

@@ -30,7 +30,7 @@ FIRST = 1024  # of the first numbers, by which it is estimated what is an outlie
 
 @dataclass(frozen=True)
 class PPOConfig:
-    """Sizes, static under jit. obs_dim: standardised; extra_dim: what a policy knows beside them;
+    """Sizes, static under jit. obs_dim: Standardised. extra_dim: What a policy knows beside them;
     epochs x minibatches: Adam steps of an update.
     """
 
@@ -48,9 +48,9 @@ class PPOConfig:
 class PPOHyper:
     """Rates: a pytree, each leaf a scalar, or `[S]` under vmap.
 
-    learning_rate: Adam's; discount: gamma; trace: lambda of GAE; clip: how far the ratio of
-    probabilities may go; entropy: bonus on the exploration; value: weight of the value's loss;
-    max_grad_norm: gradients are scaled down to this global norm.
+    learning_rate: Adam's. discount: Gamma. trace: Lambda of GAE. clip: How far the ratio of
+    probabilities may go. entropy: Bonus on the exploration. value: Weight of the value's loss.
+    max_grad_norm: Gradients are scaled down to this global norm.
     """
 
     learning_rate: float = 1e-3
@@ -96,9 +96,9 @@ class PPOState(NamedTuple):
 
 
 class Unroll(NamedTuple):
-    """`T` steps of `B` environments, `[T, B, ...]`: `after` is the observation that a step led to;
-    ended: it was the last of its episode, and no reward follows; cut: what follows is another
-    episode, but this one would have gone on. carried `[B]`: discounted rewards of the episode
+    """`T` steps of `B` environments, `[T, B, ...]`: `after` is the observation that a step led to.
+    ended: It was the last of its episode, and no reward follows. cut: What follows is another
+    episode, but this one would have gone on. carried `[B]`: Discounted rewards of the episode
     before this batch, for the spread of returns.
     """
 

@@ -21,6 +21,7 @@ missing:
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -81,7 +82,8 @@ def render(report: dict[str, Any], evidence: Mapping[str, Any], out: Path | None
         "mended": mended,
         "error": error,
         "data": _data_words(report["data"]),
-        "yardsticks": rows_of.measure_rows(report),
+        "measures": report.get("yardsticks") or {},
+        "measure_names": rows_of.NAMES,
         "judged": rows_of.why_judge(report),
         "torque_figures": figures.torque_figures(evidence),
         "friction_figures": figures.friction_figures(evidence),
@@ -90,12 +92,13 @@ def render(report: dict[str, Any], evidence: Mapping[str, Any], out: Path | None
         "errors": _error_rows(error),
         "error_figures": _error_figures(error),
         "above": above,
-        "differ": rows_of.trial_rows(report),
+        "differ": rows_of.by_error(report.get("trials") or {}),
         "above_from": figures.view_side(evidence.get("tracks") or {}),
         "traces": traces,
         "trials_left_out": left_out,
-        "power": rows_of.power_rows(report),
-        "candidates": rows_of.candidate_rows(report),
+        "power": report.get("power") or [],
+        "candidates": sorted(report["candidates"], key=lambda row: not row["accepted"]),
+        "status": partial(words.status, report=report),
         "most_candidates": MOST_CANDIDATES,
         "one_by_one": bool(report.get("fit_coordinates")),
         "declared": rows_of.declared_rows(report),

@@ -13,7 +13,18 @@ from adaptsim_jax.report import diagnosis_figures as figures
 from adaptsim_jax.report import diagnosis_format as fmt
 from adaptsim_jax.report.diagnosis_figures import thin
 from adaptsim_jax.report.diagnosis_words import plain
-from adaptsim_jax.report.explore import Plot, SharedColumns, View, explorer, points, shown
+from adaptsim_jax.report.explore import (
+    Plot,
+    SharedColumns,
+    View,
+    axis,
+    dots,
+    explorer,
+    figure,
+    line,
+    points,
+    shown,
+)
 
 COLOURS = {"measured": "--measured", "before": "--before", "after": "--after"}
 NAMES = {"measured": "measured", "before": "declared model", "after": "mended model"}
@@ -40,8 +51,8 @@ def held_out(trials: Sequence[Mapping], error: Mapping) -> tuple[str, int]:
         time = columns.add(thin(trial["time"], most=most)[0])
         for j, channel in enumerate(channels):
             if channel in trial["measured"]:
-                figure = _residual(trial, channel, columns, time, most)
-                views[i, j] = View([figure], _note(trial, channel, error, len(trial["time"]), most))
+                drawn = _residual(trial, channel, columns, time, most)
+                views[i, j] = View([drawn], _note(trial, channel, error, len(trial["time"]), most))
     choices = {
         "trial": [str(trial["trial"]) for trial in trials[:shown_trials]],
         _kind(channels): channels,
@@ -83,51 +94,27 @@ def _residual(
     for stage, values in zip(stages, simulated, strict=True):
         drawn = columns.add(values, step)
         data.append(_line(time, drawn, stage, 1.6, legendgroup=stage, **hover))
-        below = _line(
-            time, {"minus": [observed, drawn], "times": factor}, stage, 1.4, legendgroup=stage
-        )
-        below |= {"yaxis": "y2", "showlegend": False, "name": f"{NAMES[stage]}: error"}
-        below |= {"hovertemplate": f"%{{y:.4~g}} {name}"}
-        data.append(below)
-    layout = {
-        "xaxis": {
-            "title": {"text": "time, s"},
-            "anchor": "y2",
-            "unifiedhovertitle": {"text": "%{x} s"},
-        },
-        "yaxis": {
-            "title": {"text": _axis(channel, fmt.unit_name(unit))},
-            "domain": [0.42, 1.0],
-            "nticks": 6,
-        },
-        "yaxis2": {
-            "title": {"text": _axis("error", name)},
-            "domain": [0.0, 0.34],
-            "nticks": 4,
-            "zeroline": True,
-        },
-        "hovermode": "x unified",
-        "hoversubplots": "axis",
-        "legend": {"uirevision": "all"},  # what is hidden stays hidden from trial to trial
-        "title": {"text": ""},
-    }
-    return {"data": data, "layout": layout}
+        below = {"yaxis": "y2", "showlegend": False, "legendgroup": stage}
+        rest = {"minus": [observed, drawn], "times": factor}
+        trace = _line(time, rest, stage, 1.4, hovertemplate=f"%{{y:.4~g}} {name}", **below)
+        data.append(trace | {"name": f"{NAMES[stage]}: error"})
+    lower = {"domain": [0.0, 0.34], "nticks": 4, "zeroline": True}
+    return figure(
+        data,
+        axis("time, s", anchor="y2", unifiedhovertitle={"text": "%{x} s"}),
+        axis(_named(channel, fmt.unit_name(unit)), domain=[0.42, 1.0], nticks=6),
+        yaxis2=axis(_named("error", name), **lower),
+        hovermode="x unified",
+        hoversubplots="axis",
+        legend={"uirevision": "all"},  # what is hidden stays hidden from trial to trial
+    )
 
 
 def _line(x: Any, y: Any, stage: str, width: float, **more: Any) -> dict[str, Any]:
-    line = {"color": COLOURS[stage], "width": width}
-    return {
-        "type": "scatter",
-        "mode": "lines",
-        "x": x,
-        "y": y,
-        "name": NAMES[stage],
-        "line": line,
-        **more,
-    }
+    return line(NAMES[stage], x, y, {"color": COLOURS[stage], "width": width}, **more)
 
 
-def _axis(name: str, unit: str) -> str:
+def _named(name: str, unit: str) -> str:
     return shown(f"{plain(name)}, {unit}" if unit else plain(name))
 
 
@@ -138,10 +125,11 @@ def _note(trial: Mapping, channel: str, error: Mapping, samples: int, most: int)
     own = next((row for row in error["per_trial"] if str(row["trial"]) == str(trial["trial"])), {})
     pair = (own.get("per_channel") or {}).get(channel) or {}
     unit = (error["per_channel"].get(channel) or {}).get("unit") or figures.channel_unit(channel)
-    parts, size_of = (
-        [],
-        lambda value, like: fmt.quantity(value, unit, like=like).replace(" ", "\u00a0"),
-    )
+
+    def size_of(value, like):
+        return fmt.quantity(value, unit, like=like).replace(" ", "\u00a0")
+
+    parts = []
     if pair.get("before") is not None:
         size = max(pair["before"], pair.get("after") or 0.0)
         parts.append(f"error: declared {size_of(pair['before'], size)}")
@@ -175,36 +163,18 @@ def tracks(found: Mapping) -> str:
         step = float(np.nanmax(np.ptp(ends, axis=0), initial=0.0)) / 1e4 or None
         along, up = (columns.add(path[:, k], step) for k in (0, 1))
         data.append(_line(along, up, key, width, opacity=opacity, legendgroup=key))
-        marks = {
-            "x": columns.add(ends[:, 0], step),
-            "y": columns.add(ends[:, 1], step),
-            "mode": "markers",
-        }
-        marks |= {
-            "marker": {"color": COLOURS[key], "size": 7 if key == "measured" else 5},
-            "hoverinfo": "skip",
-        }
-        data.append(
-            {
-                "type": "scatter",
-                "legendgroup": key,
-                "showlegend": False,
-                "name": NAMES[key],
-                **marks,
-            }
-        )
+        marker = {"color": COLOURS[key], "size": 7 if key == "measured" else 5}
+        at = (columns.add(ends[:, k], step) for k in (0, 1))
+        data.append(dots(NAMES[key], *at, marker, legendgroup=key, hoverinfo="skip"))
     for trace in data:
         trace["hovertemplate"] = "%{x:.4~g}, %{y:.4~g} m"
-    layout = {
-        "xaxis": {"title": {"text": f"{x}, m"}},
-        "yaxis": {"title": {"text": f"{y}, m"}, "scaleanchor": "x"},
-    }
+    drawn = figure(data, axis(f"{x}, m"), axis(f"{y}, m", scaleanchor="x"))
     trials = max(map(len, all_of.values()))
     if shown_trials < trials:
         note = f"the first {shown_trials} of {trials} trials"
     else:
         note = ""
-    view = View([{"data": data, "layout": layout}], note)
+    view = View([drawn], note)
     if data:
         return explorer({}, {(): view}, [Plot("tracks, measured and simulated", 480)], columns)
     return ""

@@ -153,6 +153,20 @@ def listing(names: Sequence[str], last: str = "and") -> str:
     return f"{', '.join(names[:-1])} {last} {names[-1]}"
 
 
+def reward(value: float | None, decimals: int = 3) -> str:
+    """A reward; a dash where there is none."""
+    if value is None:
+        return DASH
+    return fixed(value, decimals)
+
+
+def skill(value: float | None) -> str:
+    """A skill with two decimals; a dash for none."""
+    if value is None or not math.isfinite(value):
+        return DASH
+    return f"{value:.2f}".replace("-", MINUS)
+
+
 def count(n: int | float | None, noun: str) -> str:
     """`1 trial`, `7,200 samples`."""
     if n is None:

@@ -1,10 +1,7 @@
-"""Rows of the page's tables: effects, the ladder of candidates, declared parameters before and
-after.
-"""
+"""Rows of the page's tables: effects, declared parameters before and after, and the audit."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -81,26 +78,6 @@ def _shown(p: Mapping, factor: bool) -> tuple[float | None, float | None, float 
     return value, low, high
 
 
-def candidate_rows(report: Mapping) -> list[dict[str, Any]]:
-    """The ladder: what was accepted, then the rest in the report's order (best first)."""
-    ladder = sorted(report["candidates"], key=lambda row: not row["accepted"])
-    largest = max([row["held_out_gain"] or 0.0 for row in ladder], default=0.0)
-    return [
-        {
-            "name": words.plain(words.name_and_place(row["name"], row["where"])[0]),
-            "where": words.plain(row["where"]),
-            "status": words.status(row, report),
-            "gain": fmt.percent(row["held_out_gain"]),
-            "gain_value": row["held_out_gain"],
-            "p_value": row["p_value"],
-            "bar": max(0.0, 100 * (row["held_out_gain"] or 0.0) / largest) if largest > 0 else 0.0,
-            "p": fmt.p_value(row["p_value"]),
-            "why": row["why"],
-        }
-        for row in ladder
-    ]
-
-
 def declared_rows(report: Mapping) -> list[dict[str, Any]]:
     """Declared parameters: text before and after (no number where the data fix none), the model
     file's value, and where to draw.
@@ -167,45 +144,14 @@ def _marks(stages: Mapping[str, Mapping | None]) -> list[dict[str, Any]]:
     ]
 
 
-def power_rows(report: Mapping) -> list[dict[str, str]]:
-    """What would have been found: `power: [{name, where, size, unit, power}]`."""
-    return [
-        {
-            "name": words.plain(words.name_and_place(str(row["name"]), "")[0]),
-            "where": words.plain(str(row.get("where", ""))),
-            "size": fmt.quantity(row["size"], row.get("unit")),
-            "power": fmt.percent(row["power"]),
-        }
-        for row in report.get("power") or []
-    ]
-
-
-def trial_rows(report: Mapping) -> list[dict[str, Any]]:
-    """Trials with their own errors, where some of them differ: the odd ones first, then by
-    error.
-    """
-    reported = report.get("trials") or {}
-    if not reported.get("headline"):
+def by_error(trials: Mapping) -> list[Mapping]:
+    """Trials with their own errors, where some of them differ: those first, then by error."""
+    if not trials.get("headline"):
         return []
-    unit = report["error"]["unit"]
-    rows = sorted(
-        reported["each"],
+    return sorted(
+        trials["each"],
         key=lambda row: (not row["odd"], -(row["error"] or row["unexplained_torque"] or 0.0)),
     )
-
-    def sizes(size):
-        return ", ".join(f"{name} {value:+.2g}" for name, value in (size or {}).items()) or fmt.DASH
-
-    return [
-        {
-            "trial": row["trial"],
-            "odd": row["odd"],
-            "error": fmt.quantity(row["error"], unit, like=report["error"]["before"]),
-            "torque": fmt.percent(row["unexplained_torque"]),
-            "size": sizes(row["size"]),
-        }
-        for row in rows
-    ]
 
 
 def audit_rows(evidence: Mapping) -> list[dict[str, str]]:
@@ -225,48 +171,6 @@ NAMES = {
     "whole": "whole simulated trials",
     "torque": "torque along the measured motion",
 }
-
-
-def measure_rows(report: Mapping[str, Any]) -> list[dict[str, str]]:
-    """A row for each yardstick and joint: what is left of the declared and of the mended model,
-    what needs no model leaves, and skills.
-    """
-    reported = report.get("yardsticks") or {}
-    out = []
-    for name in NAMES:
-        first = (reported.get("declared") or {}).get(name)
-        if first is None:
-            continue
-        last = (reported.get("mended") or {}).get(name) or first
-        torque = name == "torque"
-        if torque:
-            error, base = ("missing", "constant")
-        else:
-            error, base = ("error", "straight_line")
-        title = NAMES[name].format(span=first["span_s"]) + (
-            ", the judge" if reported.get("judge") == name else ""
-        )
-        for joint, row in first["joints"].items():
-            mended, unit = last["joints"][joint], row["unit"]
-            out.append(
-                {
-                    "yardstick": title,
-                    "joint": joint,
-                    "before": fmt.quantity(row[error], unit),
-                    "after": fmt.quantity(mended[error], unit),
-                    "base": fmt.quantity(row[base], unit),
-                    "skill_before": _skill(row["skill"]),
-                    "skill_after": _skill(mended["skill"]),
-                }
-            )
-            title = ""
-    return out
-
-
-def _skill(value: float | None) -> str:
-    if value is None or not math.isfinite(value):
-        return fmt.DASH
-    return f"{value:.2f}".replace("-", "−")
 
 
 def why_judge(report: Mapping[str, Any]) -> str:

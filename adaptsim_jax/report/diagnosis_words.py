@@ -109,6 +109,11 @@ def name_and_place(alternative: str, where: str) -> tuple[str, str]:
     return alternative, where
 
 
+def effect_of(candidate: str) -> str:
+    """The effect of `name@where` or `name at where`, in words."""
+    return plain(name_and_place(candidate, "")[0])
+
+
 NOWHERE = ("", "all", "whole", "command", "contact", "force", "measurement")
 """What `where` says that is no part of a machine."""
 

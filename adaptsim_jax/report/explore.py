@@ -48,6 +48,11 @@ MOST_NUMBERS = 300_000
 """Numbers of one explorer, of some nine characters each: with Plotly's 2 MB a page stays far below
 6 MB.
 """
+FILTERS = (
+    *("quantity", "number", "percent", "p_value", "between", "listing", "count"),
+    *("reward", "skill"),
+)
+"""Functions of `diagnosis_format` that templates call."""
 MISSING = (
     "The plots to explore need the package plotly, which was not there when this page was made: "
     "pip install plotly."
@@ -100,26 +105,41 @@ def explorer(
             for key, v in views.items()
         },
     }
-    selectors = "".join(
-        f"<label{'' if len(options) > 1 else ' hidden'}>{escape(name)} <select>"
-        + "".join(
-            f'<option value="{i}">{escape(option)}</option>' for i, option in enumerate(options)
-        )
-        + "</select></label>"
-        for name, options in choices.items()
-    )
-    places = "".join(
-        f'<div class="plot" role="group" aria-label="{escape(p.label)}" style="--height: '
-        f'{p.height}px"></div>'
-        for p in plots
-    )
-    return (
-        f'<div class="explore"><script type="application/json">{in_script(table)}</script>'
-        f'<div class="choose">{selectors}<span class="said muted" aria-live="polite"></span></div>'
-        f'<div class="plots">{places}</div>'
-        '<p class="note failed">The plots to explore need a browser of 2023 or later, with '
-        "JavaScript.</p></div>"
-    )
+    return filled("explorer.html.j2", table=in_script(table), choices=choices, plots=plots)
+
+
+# ---------------------------------------------------------------- figures as Plotly has them
+
+
+def line(name: str, x: Any, y: Any, style: Mapping[str, Any], **more: Any) -> dict[str, Any]:
+    """A trace of lines; `more` is Plotly's."""
+    return {"type": "scatter", "mode": "lines", "name": name, "x": x, "y": y, "line": style} | more
+
+
+def dots(name: str, x: Any, y: Any, marker: Mapping[str, Any], **more: Any) -> dict[str, Any]:
+    """A trace of markers that stands in no legend; `more` is Plotly's."""
+    trace = {"type": "scatter", "mode": "markers", "name": name, "x": x, "y": y, "marker": marker}
+    return trace | {"showlegend": False} | more
+
+
+def band(name: str, x: Any, low: Any, high: Any, fill: str) -> list[dict[str, Any]]:
+    """Traces that shade what lies between `low` and `high`, shown and hidden with `name`."""
+    hidden = {"legendgroup": name, "hoverinfo": "skip", "showlegend": False}
+    edge = line(name, x, low, {"width": 0}, **hidden)
+    return [edge, edge | {"y": high, "fill": "tonexty", "fillcolor": fill}]
+
+
+def axis(text: str, **more: Any) -> dict[str, Any]:
+    """An axis with a title; `more` is Plotly's."""
+    return {"title": {"text": text}} | more
+
+
+def figure(data: Any, x: Any, y: Any, title: str = "", **layout: Any) -> dict[str, Any]:
+    """A figure of traces with its two axes."""
+    return {
+        "data": data,
+        "layout": {"xaxis": x, "yaxis": y, "title": {"text": title}} | layout,
+    }
 
 
 def script(plots: bool = True) -> str:
@@ -205,9 +225,9 @@ def _environment() -> jinja2.Environment:
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    for name in ("quantity", "number", "percent", "p_value", "between", "listing", "count"):
+    for name in FILTERS:
         environment.filters[name] = getattr(fmt, name)
-    environment.filters["plain"] = words.plain
+    environment.filters |= {"plain": words.plain, "effect": words.effect_of}
     return environment
 
 

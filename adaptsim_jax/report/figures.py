@@ -72,6 +72,11 @@ def lower_limit(results) -> float:
     return -0.4
 
 
+def finite_or(worst: float, values) -> list[float]:
+    """Rewards, `worst` for those of a policy that destabilised the target (None)."""
+    return [worst if v is None else v for v in values]
+
+
 def one_seed(rows) -> bool:
     """Whether no row of a comparison is of more than one seed, so that there is nothing to give an
     interval of.

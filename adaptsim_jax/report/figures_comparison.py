@@ -68,8 +68,7 @@ def _curve(
     # None stands for minus infinity, a policy that destabilised the target; it is drawn below the
     # panel.
     median, q25, q75 = (
-        np.array([bottom - 10 if v is None else v for v in curve[key]])
-        for key in ("median", "q25", "q75")
+        np.array(look.finite_or(bottom - 10, curve[key])) for key in ("median", "q25", "q75")
     )
     if trials is None:
         iterations = np.arange(len(median))
@@ -110,7 +109,7 @@ def rewards(results: Mapping[str, Any]) -> Figure:
 
 
 def _dots(ax, y: float, r: Mapping[str, Any], left: float) -> None:
-    colour, seeds = look.colour(r["method"]), [left - 1 if v is None else v for v in r["per_seed"]]
+    colour, seeds = look.colour(r["method"]), look.finite_or(left - 1, r["per_seed"])
     spread = 0.22 * ((np.arange(len(seeds)) % 5) - 2) / 2
     ax.plot(seeds, y + spread, "o", color=colour, markersize=2.6, alpha=0.45, markeredgewidth=0)
     if r["mean"] is None or r["mean"] < left:

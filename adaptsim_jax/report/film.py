@@ -36,8 +36,8 @@ class Moment(NamedTuple):
 
 
 class Stage(NamedTuple):
-    """A clip in MuJoCo. `place(data, row)` puts its bodies there; camera: of a row, a number of the
-    model's or an `MjvCamera`; marks: what is added to the scene and touches nothing; band: whether
+    """A clip in MuJoCo. `place(data, row)` puts its bodies there. camera: Of a row, a number of the
+    model's or an `MjvCamera`. marks: What is added to the scene and touches nothing. band: Whether
     text stands above the picture instead of in it.
     """
 
@@ -52,11 +52,11 @@ class Stage(NamedTuple):
 class Scene:
     """How trials of one kind are filmed.
 
-    home: where this record stands, `package.module:NAME`. name: the film's, without its suffix.
-    clip: a dataclass of arrays and text, one trial. size: width and height in pixels, both even.
-    hold: frames for which the end of a clip stays. fps: frames a second of a film of clips.
-    moments: a clip's pictures. drawing: `(clip) -> (moment) -> figure` of matplotlib, seen from
-    `side`. stage: the clip in MuJoCo.
+    home: Where this record stands, `package.module:NAME`. name: The film's, without its suffix.
+    clip: A dataclass of arrays and text, one trial. size: Width and height in pixels, both even.
+    hold: Frames for which the end of a clip stays. fps: Frames a second of a film of clips.
+    moments: A clip's pictures. drawing: `(clip) -> (moment) -> figure` of matplotlib, seen from
+    `side`. stage: The clip in MuJoCo.
     """
 
     home: str

@@ -27,7 +27,7 @@ class Axis:
 
 
 def axes_of(space: Any, symbols: Mapping[str, str]) -> list[Axis]:
-    """Omega as figures need it; symbols: what a parameter is called there, where that is not its
+    """Omega as figures need it. symbols: What a parameter is called there, where that is not its
     name.
     """
     return [

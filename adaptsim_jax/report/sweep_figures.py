@@ -6,13 +6,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from adaptsim_jax.report import figures as look
-from adaptsim_jax.report.explore import Plot, SharedColumns, View, explorer, shown
+from adaptsim_jax.report.explore import (
+    Plot,
+    SharedColumns,
+    View,
+    axis,
+    band,
+    explorer,
+    figure,
+    line,
+    shown,
+)
 
 TRAINING = "training"
 """The reward of Phase 1's last tenth of rounds, beside those in targets."""
@@ -68,84 +78,80 @@ def groups(found: Mapping[str, Any]) -> dict[str, list[Mapping[str, Any]]]:
     return rows
 
 
+class SweptRewards(NamedTuple):
+    """Mean rewards over the values of one swept key: rows of `summary` by reward, in the order of
+    `values`. numbers: Whether values are numbers. log: Whether they span so much that an axis is to
+    be logarithmic. note: What means are over.
+    """
+
+    values: list[Any]
+    numbers: bool
+    log: bool
+    lines: dict[str, list[Mapping[str, Any]]]
+    note: str
+
+
+def swept_rewards(
+    found: Mapping[str, Any], key: str, wanted: Sequence[str] | None = None
+) -> SweptRewards:
+    """Of one swept key. wanted: Rewards that are shown, by default all."""
+    rows = [
+        r
+        for r in found["summary"]
+        if r["key"] == key and r["mean"] is not None and (wanted is None or r["reward"] in wanted)
+    ]
+    values = list({repr(r["value"]): r["value"] for r in rows}.values())
+    numeric = all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
+    if numeric:
+        values = sorted(values)
+    log = numeric and len(values) > 2 and min(values) > 0 and max(values) / min(values) >= 20
+    order = [repr(v) for v in values]
+    lines: dict[str, list[Mapping[str, Any]]] = {}
+    for row in sorted(rows, key=lambda r: order.index(repr(r["value"]))):
+        lines.setdefault(row["reward"], []).append(row)
+    lines = {name: lines[name] for name in dict.fromkeys(r["reward"] for r in rows)}
+    fewest, over = min(((r["count"], r["over"]) for r in rows), default=(0, "members"))
+    return SweptRewards(values, numeric, log, lines, f"95 % intervals over {fewest} {over}")
+
+
 def over_values(found: Mapping[str, Any]) -> str:
     """Mean rewards over the values of each swept key with 95 % intervals, a line a reward. Empty
     where nothing was swept.
     """
-    views = {
-        (i,): View([_over(found, key)], _over_note(found, key))
-        for i, key in enumerate(found["swept"])
-    }
+    views = {}
+    for i, key in enumerate(found["swept"]):
+        swept = swept_rewards(found, key)
+        note = f"means with {swept.note}, the other values averaged over"
+        views[(i,)] = View([_over(swept, key)], note)
     if views:
         return explorer({"over": found["swept"]}, views, [Plot("reward over a swept value", 400)])
     return ""
 
 
-def _rows(found: Mapping[str, Any], key: str) -> list[Mapping[str, Any]]:
-    return [r for r in found["summary"] if r["key"] == key and r["mean"] is not None]
-
-
-def _values(rows: Sequence[Mapping[str, Any]]) -> tuple[list[Any], bool, bool]:
-    """The values that were swept, in order where they are numbers; whether they are. Whether they
-    span so much that an axis is to be logarithmic.
-    """
-    values = list({repr(r["value"]): r["value"] for r in rows}.values())
-    if not all(isinstance(v, int | float) and not isinstance(v, bool) for v in values):
-        return values, False, False
-    values = sorted(values)
-    return values, True, len(values) > 2 and min(values) > 0 and max(values) / min(values) >= 20
-
-
-def _over_note(found: Mapping[str, Any], key: str) -> str:
-    fewest, over = min(((r["count"], r["over"]) for r in _rows(found, key)), default=(0, "members"))
-    return f"means with 95 % intervals over {fewest} {over}, the other values averaged over"
-
-
-def _over(found: Mapping[str, Any], key: str) -> dict[str, Any]:
-    rows = _rows(found, key)
-    values, plain, log = _values(rows)
+def _over(swept: SweptRewards, key: str) -> dict[str, Any]:
     data = []
-    for i, name in enumerate(dict.fromkeys(r["reward"] for r in rows)):
-        mine = {repr(r["value"]): r for r in rows if r["reward"] == name}
-        some = [v for v in values if repr(v) in mine]
+    for i, (name, rows) in enumerate(swept.lines.items()):
+        colour, dash = COLOURS[(i - 1) % len(COLOURS)], "solid"
         if name == TRAINING:
-            colour = "--muted"
-        else:
-            colour = COLOURS[(i - 1) % len(COLOURS)]
-        half = [None if (h := mine[repr(v)]["half"]) is None else round(h, 4) for v in some]
-        data.append(
-            {
-                "type": "scatter",
-                "mode": "lines+markers",
-                "name": shown(look.setting(name)),
-                "hovertemplate": "%{y:.3f}",
-                "x": some if plain else [shown(v) for v in some],
-                "y": [round(mine[repr(v)]["mean"], 4) for v in some],
-                "error_y": {"type": "data", "array": half, "color": colour, "thickness": 1.4},
-                "line": {
-                    "color": colour,
-                    "width": 2,
-                    "dash": "dot" if name == TRAINING else "solid",
-                },
-                "marker": {"color": colour, "size": 8, "symbol": SYMBOLS[i % len(SYMBOLS)]},
-            }
+            colour, dash = "--muted", "dot"
+        half = [None if r["half"] is None else round(r["half"], 4) for r in rows]
+        trace = line(
+            shown(look.setting(name)),
+            [r["value"] if swept.numbers else shown(r["value"]) for r in rows],
+            [round(r["mean"], 4) for r in rows],
+            {"color": colour, "width": 2, "dash": dash},
+            hovertemplate="%{y:.3f}",
+            error_y={"type": "data", "array": half, "color": colour, "thickness": 1.4},
+            marker={"color": colour, "size": 8, "symbol": SYMBOLS[i % len(SYMBOLS)]},
         )
-    axis: dict[str, Any] = (
-        {"title": {"text": shown(key)}, "nticks": 8}
-        if plain
-        else {"title": {"text": shown(key)}, "type": "category"}
-    )
-    if log:
-        axis |= {"type": "log", "exponentformat": "power"}
-    if plain and len(values) <= 6:
-        axis |= {"tickmode": "array", "tickvals": values, "ticktext": [f"{v:g}" for v in values]}
-    layout = {
-        "xaxis": axis,
-        "yaxis": {"title": {"text": "reward"}},
-        "hovermode": "x unified",
-        "title": {"text": ""},
-    }
-    return {"data": data, "layout": layout}
+        data.append(trace | {"mode": "lines+markers"})
+    across = axis(shown(key), nticks=8) if swept.numbers else axis(shown(key), type="category")
+    if swept.log:
+        across |= {"type": "log", "exponentformat": "power"}
+    if swept.numbers and len(swept.values) <= 6:
+        texts = [f"{v:g}" for v in swept.values]
+        across |= {"tickmode": "array", "tickvals": swept.values, "ticktext": texts}
+    return figure(data, across, axis("reward"), hovermode="x unified")
 
 
 def curves(members: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
@@ -195,17 +201,10 @@ def _taken(length: int) -> np.ndarray:
     return np.unique(np.linspace(0, length - 1, min(length, MOST_ROUNDS)).round().astype(int))
 
 
-def _layout(title: str, rounds: int) -> dict[str, Any]:
-    # no tick between two rounds
-    if rounds <= 10:
-        whole = {"dtick": 1}
-    else:
-        whole = {}
-    axes = {
-        "xaxis": {"title": {"text": "round"}} | whole,
-        "yaxis": {"title": {"text": "reward of the last step"}},
-    }
-    return axes | {"hovermode": "closest", "title": {"text": title}}
+def _over_rounds(data: list[dict[str, Any]], title: str, rounds: int) -> dict[str, Any]:
+    whole = {"dtick": 1} if rounds <= 10 else {}  # no tick between two rounds
+    rewards = axis("reward of the last step")
+    return figure(data, axis("round", **whole), rewards, title, hovermode="closest")
 
 
 def _medians(
@@ -214,55 +213,32 @@ def _medians(
     data: list[dict[str, Any]] = []
     for i, (name, curve) in enumerate(found.items()):
         low, middle, high = np.nanpercentile(curve[:, _taken(curve.shape[1])], [25, 50, 75], axis=0)
-        colour = COLOURS[i % len(COLOURS)]
-        common = {
-            "type": "scatter",
-            "mode": "lines",
-            "x": rounds[curve.shape[1]],
-            "legendgroup": name,
-            "name": shown(name),
-        }
+        colour, x, title = COLOURS[i % len(COLOURS)], rounds[curve.shape[1]], shown(name)
         if len(curve) > 1:
-            edge = common | {"line": {"width": 0}, "hoverinfo": "skip", "showlegend": False}
-            data.append(edge | {"y": columns.add(low, 1e-4)})
-            data.append(
-                edge
-                | {"y": columns.add(high, 1e-4), "fill": "tonexty", "fillcolor": f"{colour}/15"}
-            )
-        line = {"color": colour, "width": 1.8, "dash": "solid" if i < len(COLOURS) else "dash"}
-        data.append(
-            common
-            | {
-                "y": columns.add(middle, 1e-4),
-                "line": line,
-                "hovertemplate": "round %{x}: %{y:.3f}",
-            }
-        )
-    return {
-        "data": data,
-        "layout": _layout(
-            "median and quartiles over seeds", max(c.shape[1] for c in found.values())
-        ),
-    }
+            edges = (columns.add(edge, 1e-4) for edge in (low, high))
+            data += [b | {"legendgroup": name} for b in band(title, x, *edges, f"{colour}/15")]
+        pen = {"color": colour, "width": 1.8, "dash": "solid" if i < len(COLOURS) else "dash"}
+        hover = {"legendgroup": name, "hovertemplate": "round %{x}: %{y:.3f}"}
+        data.append(line(title, x, columns.add(middle, 1e-4), pen, **hover))
+    most = max(c.shape[1] for c in found.values())
+    return _over_rounds(data, "median and quartiles over seeds", most)
 
 
 def _seeds(
     rows: Sequence[Mapping], curve: np.ndarray, rounds: Mapping[int, str], columns: SharedColumns
 ) -> dict[str, Any]:
     some = [row for row in rows if row.get("curve")]
-    data = []
+    data, x = [], rounds[curve.shape[1]]
     for i, row in enumerate(some[:30]):
         y = columns.add(curve[i, _taken(curve.shape[1])], 1e-4)
-        line = {"color": f"{COLOURS[i % len(COLOURS)]}", "width": 1.4}
-        data.append(
-            {"type": "scatter", "mode": "lines", "x": rounds[curve.shape[1]], "y": y, "line": line}
-            | {"name": f"seed {row['seed']}", "hovertemplate": "round %{x}: %{y:.3f}"}
-        )
+        pen = {"color": COLOURS[i % len(COLOURS)], "width": 1.4}
+        hover = "round %{x}: %{y:.3f}"
+        data.append(line(f"seed {row['seed']}", x, y, pen, hovertemplate=hover))
     if len(some) <= 30:
         title = "each seed"
     else:
         title = f"the first 30 of {len(some)} seeds"
-    return {"data": data, "layout": _layout(title, curve.shape[1])}
+    return _over_rounds(data, title, curve.shape[1])
 
 
 # ---------------------------------------------------------------- pictures
@@ -286,42 +262,28 @@ def _picture_over(found: Mapping[str, Any], key: str) -> Figure:
     Phase 1 where there is none.
     """
     figure, (axes,) = look.new_figure(6.4, 4.0)
-    wanted = found["spec"]["targets"] or ["training"]
-    rows = [r for r in _rows(found, key) if r["reward"] in wanted]
-    values, plain, log = _values(rows)
-    names = list(dict.fromkeys(r["reward"] for r in rows))
-    for i, name in enumerate(names):
-        mine = {repr(r["value"]): r for r in rows if r["reward"] == name}
-        some = [v for v in values if repr(v) in mine]
-        if plain:
-            x = np.array(some, float)
-        else:
-            x = np.array([values.index(v) for v in some], float)
-        mean = [mine[repr(v)]["mean"] for v in some]
-        half = [mine[repr(v)]["half"] or 0.0 for v in some]
-        colour, mark = COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)]
+    swept = swept_rewards(found, key, found["spec"]["targets"] or ["training"])
+    places = {repr(v): float(v) if swept.numbers else i for i, v in enumerate(swept.values)}
+    for i, (name, rows) in enumerate(swept.lines.items()):
         axes.errorbar(
-            x,
-            mean,
-            half,
+            [places[repr(r["value"])] for r in rows],
+            [r["mean"] for r in rows],
+            [r["half"] or 0.0 for r in rows],
             capsize=3,
-            color=colour,
-            marker=mark,
+            color=COLOURS[i % len(COLOURS)],
+            marker=MARKERS[i % len(MARKERS)],
             markersize=4,
             label=look.setting(name),
         )
-    if not plain:
-        axes.set_xticks(range(len(values)), [str(v) for v in values])
-    elif log:
+    if not swept.numbers:
+        axes.set_xticks(range(len(swept.values)), [str(v) for v in swept.values])
+    elif swept.log:
         axes.set_xscale("log")
-    fewest, over = min(((r["count"], r["over"]) for r in rows), default=(0, "members"))
-    axes.set_xlabel(
-        f"{key} (means with 95 % intervals over {fewest} {over}, other values averaged over)",
-        fontsize=8,
-    )
+    note = f"means with {swept.note}, other values averaged over"
+    axes.set_xlabel(f"{key} ({note})", fontsize=8)
     axes.set_ylabel("reward")
     axes.grid(color=look.GRID)
-    if names:
+    if swept.lines:
         axes.legend(fontsize=8)
     return figure
 

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from adaptsim_jax.core.files import write_bytes
-from adaptsim_jax.report import diagnosis_format as fmt
 from adaptsim_jax.report import explore, sweep_figures
 from adaptsim_jax.report import figures as look
 from adaptsim_jax.report.explore import filled
@@ -32,62 +31,35 @@ def render(found: Mapping[str, Any]) -> str:
     """The page as text, of a sweep that is finished or still runs."""
     rewards = [TRAINING, *found["spec"]["targets"]]
     groups = sweep_figures.groups(found)
-    combinations = [
-        _combination(name, rows, found["swept"], rewards) for name, rows in groups.items()
-    ]
+    combinations = [(name, rows, _means(rows, rewards)) for name, rows in groups.items()]
     over, curves = sweep_figures.over_values(found), sweep_figures.curves(groups)
     return filled(
         "sweep.html.j2",
         found=found,
         left=found["members"] - found["done"] - found["failed"],
-        names=[_title(name) for name in rewards],
+        rewards=rewards,
+        names={name: look.setting(name) for name in rewards},
         best=_best(combinations, rewards),
         over=over,
         curves=curves,
         combinations=combinations,
-        members=[_member(row, found["swept"], rewards) for row in found["rows"][:MOST_MEMBERS]],
-        more_members=max(0, len(found["rows"]) - MOST_MEMBERS),
+        members=found["rows"][:MOST_MEMBERS],
+        earned=earned,
+        written=written,
         failed=[row for row in found["rows"] if row["status"] == "failed"][:20],
         script=explore.script(bool(over or curves)),
     )
 
 
-def _title(reward_name: str) -> str:
-    if reward_name == TRAINING:
-        return "training"
-    return look.setting(reward_name)
-
-
-def _combination(
-    name: str, rows: Sequence[Mapping], swept: Sequence[str], rewards: Sequence[str]
-) -> dict[str, Any]:
-    """Means over the members of one combination of values, with the half widths of their 95 %
-    intervals.
+def _means(rows: Sequence[Mapping], rewards: Sequence[str]) -> list[dict[str, Any]]:
+    """Of each reward the mean over the members of one combination, with the half width of its 95 %
+    interval.
     """
-    found = [interval([v for row in rows if (v := earned(row, r)) is not None]) for r in rewards]
-    return {
-        "name": name,
-        "values": [_value(rows[0], key) for key in swept],
-        "members": len(rows),
-        "rewards": [
-            {"value": f["mean"], "text": _text(f["mean"]), "half": _text(f["half"])} for f in found
-        ],
-    }
+    return [interval([v for row in rows if (v := earned(row, r)) is not None]) for r in rewards]
 
 
-def _member(row: Mapping, swept: Sequence[str], rewards: Sequence[str]) -> dict[str, Any]:
-    found = [earned(row, r) if row["status"] == "done" else None for r in rewards]
-    return {
-        "member": row["member"],
-        "seed": row["seed"],
-        "status": row["status"],
-        "values": [_value(row, key) for key in swept],
-        "rewards": [{"value": value, "text": _text(value)} for value in found],
-    }
-
-
-def _value(row: Mapping, key: str) -> str:
-    value = row["values"].get(key)
+def written(value: Any) -> str:
+    """A swept value as it stands in a table."""
     if isinstance(value, str):
         return value
     if value is None:
@@ -95,20 +67,11 @@ def _value(row: Mapping, key: str) -> str:
     return json.dumps(value)
 
 
-def _text(value: float | None) -> str:
-    if value is None:
-        return fmt.DASH
-    return fmt.fixed(value, 3)
-
-
-def _best(combinations: Sequence[Mapping], rewards: Sequence[str]) -> list[dict[str, str]]:
-    """The combination of the largest mean for each reward."""
+def _best(combinations: Sequence[tuple], rewards: Sequence[str]) -> list[tuple[str, Any, str]]:
+    """Of each reward its name, the largest mean, and the combination that has it."""
     best = []
     for i, name in enumerate(rewards):
-        known = [c for c in combinations if c["rewards"][i]["value"] is not None]
+        known = [(means[i], group) for group, _, means in combinations if means[i]["count"]]
         if known:
-            top = max(known, key=lambda c: c["rewards"][i]["value"])
-            own = top["rewards"][i]
-            half = f" ± {own['half']}" if own["half"] != fmt.DASH else ""
-            best.append({"name": _title(name), "reward": own["text"] + half, "values": top["name"]})
+            best.append((name, *max(known, key=lambda one: one[0]["mean"])))
     return best

@@ -20,13 +20,13 @@ from adaptsim_jax.adaptation.phase1 import (
 )
 from adaptsim_jax.adaptation.phase1_config import POSITIVE, SHARES
 from adaptsim_jax.adaptation.phase2 import adapt, best_of, best_visit, draw_starts, smoothed
-from adaptsim_jax.adaptation.presets import paper_pendulum
+from adaptsim_jax.adaptation.presets import preset
 from adaptsim_jax.adaptation.training import TrainConfig, traced
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.learners.bdq import BDQHyper
 from tests.adaptation.toy import make_toy
 
-PLAIN = replace(paper_pendulum().hyper, threshold=0.0)
+PLAIN = replace(preset("paper-pendulum").hyper, threshold=0.0)
 SMALL = Phase1Config(
     trajectories=60,
     parallel=10,
@@ -127,7 +127,7 @@ def test_no_learning_during_warmup():
 
 def test_shaped_reward_by_hand():
     reward = jnp.array([1.0, 0.96, 0.94, -3.0, jnp.nan, -jnp.inf])
-    sparse = shape_reward(reward, paper_pendulum().hyper)
+    sparse = shape_reward(reward, preset("paper-pendulum").hyper)
     np.testing.assert_allclose(sparse, [1.0, 0.96, 0.0, 0.0, 0.0, 0.0], rtol=1e-6)
     sharp = shape_reward(reward, Phase1Hyper(threshold=-9.0, gain=10.0, soft=0.0))
     np.testing.assert_allclose(sharp, [1.0, 0.6, 0.4, 0.0, 0.0, 0.0], rtol=1e-5)

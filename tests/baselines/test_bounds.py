@@ -86,7 +86,9 @@ def test_ceiling_is_that_of_the_whole_grid():
 
 
 def test_reward_map_peaks_at_the_target():
-    found = reward_map(probe_problem(), TARGETS[0], 2.0, 1.0, names=("a", "b"), points=21, others=1)
+    found = reward_map(
+        probe_problem(), TARGETS[0], (2.0, 1.0), names=("a", "b"), points=21, others=1
+    )
     y, x = np.unravel_index(found.reward.argmax(), found.reward.shape)
     assert (found.x[x], found.y[y]) == pytest.approx((1.25, 26.0))
     assert found.reward.max() == pytest.approx(1.0)

@@ -2,14 +2,12 @@
 
 import pytest
 
-from adaptsim_jax.commands.doctor import cost_line, costs, engines
+from adaptsim_jax.commands.doctor import ENGINES, config_of, cost_line, costs
 
 
 def test_every_engine_of_every_task_has_a_configuration_of_its_own():
     made = {
-        (task, name): config().task
-        for task, rows in engines().items()
-        for name, config in rows.items()
+        (task, name): config_of(task, name).task for task, rows in ENGINES.items() for name in rows
     }
     assert (
         made["pushing", "mjx"]["simulator"] == "mjx"

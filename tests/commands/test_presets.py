@@ -2,7 +2,7 @@
 
 import pytest
 
-from adaptsim_jax.adaptation.presets import default_config, paper_pushing
+from adaptsim_jax.adaptation.presets import default_config, preset
 from adaptsim_jax.adaptation.training import TrainConfig
 from adaptsim_jax.cli import parse
 from adaptsim_jax.commands.train import _check, _start_table, config_of
@@ -22,9 +22,9 @@ def test_the_push_starts_from_what_compare_trains_with():
 def test_a_preset_keeps_nothing_of_the_defaults():
     made = asked("--preset", "paper-pushing", "--set", "phase1.updates=7")
     assert (
-        made.task == paper_pushing().task
+        made.task == preset("paper-pushing").task
         and made.phase1.updates == 7
-        and made.hyper == paper_pushing().hyper
+        and made.hyper == preset("paper-pushing").hyper
     )
 
 

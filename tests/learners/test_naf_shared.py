@@ -10,7 +10,7 @@ import pytest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.learners.naf import NAFConfig, NAFHyper, make_naf
 from adaptsim_jax.learners.naf_goals import GoalProblem
-from adaptsim_jax.learners.naf_shared import SharedConfig, fold, make_shared_learner, move
+from adaptsim_jax.learners.naf_shared import SharedConfig, SharedLearner, fold, move
 
 WIDE = make_naf(NAFConfig(obs_dim=3, action_dim=1, hidden=(24, 16)))
 PLAIN = make_naf(NAFConfig(obs_dim=1, action_dim=1, hidden=(24, 16)))
@@ -45,9 +45,9 @@ def test_it_learns_an_action_that_depends_on_goal_and_context():
     def draw(key):
         return jax.random.uniform(key, (2,), minval=-1.0)
 
-    learn = make_shared_learner(
+    learn = SharedLearner(
         WIDE, problem, draw, lambda c: c, config, NAFHyper(learning_rate=3e-3, max_grad_norm=10.0)
-    )
+    ).train
     plain, tilt = fold(jax.jit(learn)(jax.random.key(1)), 1, 2, 24)
     goals = jnp.linspace(-0.4, 0.4, 9)[:, None]
     for context in ([-0.8, 0.3], [0.0, 0.0], [0.9, -0.9]):

@@ -19,7 +19,7 @@ from adaptsim_jax import space as spaces
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.learners.naf import NAF, NAFConfig, NAFHyper, make_naf
 from adaptsim_jax.learners.naf_goals import GoalProblem, make_goal_learner
-from adaptsim_jax.learners.naf_shared import fold, make_shared_learner, move
+from adaptsim_jax.learners.naf_shared import SharedLearner, fold, move
 from adaptsim_jax.space import Space
 from adaptsim_jax.tasks.base import Task
 from adaptsim_jax.tasks.pushing import planar
@@ -224,9 +224,9 @@ def _pretrain(
         return simulate(space.physical(u), physical_action(action))[-1]
 
     problem = GoalProblem(draw_goal, goal_input, trial, push_reward)
-    learn = make_shared_learner(
+    learn = SharedLearner(
         wide, problem, space.sample, lambda u: 2.0 * u - 1.0, config.shared, naf_rates(config)
-    )
+    ).train
 
     def pretrain(key):
         weights, tilt = fold(learn(key), 2, space.dim, config.hidden[0])

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from adaptsim_jax.adaptation.presets import PRESETS
+from adaptsim_jax.adaptation.presets import preset
 from adaptsim_jax.space import gaussian
 from adaptsim_jax.tasks.pushing import model
 from adaptsim_jax.tasks.pushing.engines import make_backend
@@ -34,7 +34,7 @@ def test_policies_are_trained_refined_and_visits_made_in_it():
     they are is not looked at.
     """
     options = {"duration": 0.65, "trials": 20, "rehearsal": [2, 1]}
-    task = make_task("pushing", PRESETS["mjx-pushing"]().task | options)
+    task = make_task("pushing", preset("mjx-pushing").task | options)
     mean = jnp.full(4, 0.5)
 
     def visit(key):

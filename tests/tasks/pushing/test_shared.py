@@ -12,7 +12,7 @@ import pytest
 from adaptsim_jax.adaptation.episode import StepPlan
 from adaptsim_jax.adaptation.phase1 import Phase1Config, make_phase1
 from adaptsim_jax.adaptation.phase2 import adapt, draw_starts
-from adaptsim_jax.adaptation.presets import pushing_sweep
+from adaptsim_jax.adaptation.presets import default_config
 from adaptsim_jax.adaptation.reuse import ReuseConfig
 from adaptsim_jax.adaptation.training import traced
 from adaptsim_jax.baselines.adapting import first_policies
@@ -87,7 +87,7 @@ def test_phase_1_lends_the_one_policy_to_every_visit_and_phase_2_tunes_it(made):
         reuse=ReuseConfig(threshold=9.0, first=20, most=30, least=10, capacity=4, together=4),
     )
     phase1 = make_phase1(task, sizes)
-    hyper = traced(pushing_sweep().hyper)
+    hyper = traced(default_config("pushing").hyper)
     state, info = jax.jit(phase1.run)(jax.jit(phase1.init)(jax.random.key(0)), hyper, jnp.arange(2))
     assert (
         int(state.pool.count) == 1

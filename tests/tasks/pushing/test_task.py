@@ -12,7 +12,7 @@ import pytest
 from adaptsim_jax.adaptation.episode import StepPlan
 from adaptsim_jax.adaptation.phase1 import Phase1Config, make_phase1
 from adaptsim_jax.adaptation.phase2 import adapt, draw_starts
-from adaptsim_jax.adaptation.presets import paper_pushing
+from adaptsim_jax.adaptation.presets import preset
 from adaptsim_jax.adaptation.reuse import ReuseConfig
 from adaptsim_jax.adaptation.training import traced
 from adaptsim_jax.core.errors import BadInput
@@ -182,7 +182,7 @@ def test_phase_1_and_2_with_reused_policies():
         reuse=ReuseConfig(threshold=0.5, first=60, most=90, least=20, capacity=20, together=2),
     )
     phase1 = make_phase1(task, sizes)
-    hyper = traced(paper_pushing().hyper)
+    hyper = traced(preset("paper-pushing").hyper)
     state, info = jax.jit(phase1.run)(jax.jit(phase1.init)(jax.random.key(0)), hyper, jnp.arange(2))
     assert np.isfinite(info.reward).all() and np.all((info.reward >= 0) & (info.reward <= 1))
     assert info.reused[1] > info.reused[0] > 0.3 and info.trials[1] < info.trials[0] < 60
