@@ -4,9 +4,9 @@ in simulation.
 AdaptSim's policy chooses among steps of -delta, 0 and +delta and learns from trials what they earn.
 Where the task policy and its rollout are differentiable, simulation also says how the return in the
 target changes with the mean of E. A network which gives steps of any size is then trained by
-analytic policy gradient, as Freeman et al. (2021) and Wiedemann et al. (2023) do for control.
-Phase 2 is AdaptSim's: visits in the target, of which trajectories are observed; the target itself is never
-differentiated there.
+analytic policy gradient, as Freeman et al. (2021) and Wiedemann et al. (2023) do for control. Phase
+2 is AdaptSim's: visits in the target, of which trajectories are observed. The target itself is
+never differentiated there.
 """
 
 from collections.abc import Callable

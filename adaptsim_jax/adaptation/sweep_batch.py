@@ -153,15 +153,15 @@ def run_batch(
     padded = [*members, *[members[-1]] * (width - len(members))]
     seeds = devices.put(np.array([m.config.seed for m in padded], np.uint32), mesh)
     hyper = devices.put(_stacked(padded), mesh)
-    state, curves, done = programs.init(seeds), _Curves(), 0
-    like = {
-        "state": jax.eval_shape(lambda x: x, state),
-        "curves": _Curves().shapes(width, phase1.config.rounds),
-    }
+    total, done = phase1.config.rounds, 0
+    state = programs.init(seeds)
+    curves = tuple(np.zeros((width, total), t) for t in (np.float32, np.bool_))
     if (folder / MANIFEST).exists():
+        like = {"state": jax.eval_shape(lambda x: x, state), "curves": curves}
         restored, done = load_checkpoint(folder, like, task=spec.task)
-        state, curves = devices.put(restored["state"], mesh), _Curves.of(restored["curves"], done)
-    total, saved = phase1.config.rounds, time.monotonic()
+        state = devices.put(restored["state"], mesh)
+        curves = tuple(map(np.array, restored["curves"]))
+    saved = time.monotonic()
     every = members[0].config.every
     size = max(
         n for n in range(1, max(1, min(every, total)) + 1) if total % n == 0 and done % n == 0
@@ -169,13 +169,14 @@ def run_batch(
     while done < total:
         numbers = devices.put(np.arange(done, done + size), mesh, batched=False)
         state, found = programs.advance(state, hyper, numbers)
-        curves.add(devices.fetch(found))
+        for curve, part in zip(curves, devices.fetch(found), strict=True):
+            curve[:, done : done + size] = part
         done += size
-        progress(done, f"reward {np.nanmean(curves.reward[-1][:, -1]):.2f}")
+        progress(done, f"reward {np.nanmean(curves[0][:, done - 1]):.2f}")
         if devices.agreed(done < total and time.monotonic() - saved >= save_after):
             whole = devices.fetch(state)
             if devices.first():
-                tree = {"state": whole, "curves": curves.arrays(total)}
+                tree = {"state": whole, "curves": curves}
                 save_checkpoint(folder, tree, task=spec.task, step=done, config_hash="")
             saved = time.monotonic()
     targets = devices.put(_targets(phase1, spec), mesh, batched=False)
@@ -185,45 +186,14 @@ def run_batch(
     ) if spec.keep else None
 
 
-class _Curves:
-    """Rewards and whether losses were finite, `[S, n]` for each chunk so far."""
-
-    def __init__(self):
-        self.reward: list[np.ndarray] = []
-        self.finite: list[np.ndarray] = []
-
-    def add(self, found: Any) -> None:
-        self.reward.append(found[0])
-        self.finite.append(found[1])
-
-    @staticmethod
-    def shapes(width: int, rounds: int) -> Any:
-        return tuple(jax.ShapeDtypeStruct((width, rounds), t) for t in (np.float32, np.bool_))
-
-    def arrays(self, rounds: int) -> Any:
-        """Whole arrays `[S, rounds]`, what is still to come as zeros."""
-
-        def fill(x):
-            return np.pad(x, ((0, 0), (0, rounds - x.shape[1])))
-
-        return tuple(fill(np.concatenate(x, 1)) for x in (self.reward, self.finite))
-
-    @classmethod
-    def of(cls, arrays: Any, done: int) -> "_Curves":
-        made = cls()
-        made.add(tuple(np.asarray(x)[:, :done] for x in arrays))
-        return made
-
-
-def _row(curves: _Curves, found: MemberResult, i: int) -> dict[str, Any]:
-    finite = np.concatenate([x[i] for x in curves.finite])
-    return {
-        "reward": np.concatenate([x[i] for x in curves.reward]).astype(float).tolist(),
+def _row(curves: tuple[np.ndarray, ...], found: MemberResult, i: int) -> dict[str, Any]:
+    """Of member i. curves: Rewards, and whether losses were finite, `[width, rounds]`."""
+    reward, finite = (curve[i] for curve in curves)
+    row = {name: getattr(found, name)[i].astype(float).tolist() for name in MemberResult._fields}
+    return row | {
+        "reward": reward.astype(float).tolist(),
         "faulty": -1 if finite.all() else int(np.argmin(finite)),
         "whole": bool(found.whole[i]),
-        "best": found.best[i].astype(float).tolist(),
-        "params": found.params[i].astype(float).tolist(),
-        "rewards": found.rewards[i].astype(float).tolist(),
     }
 
 

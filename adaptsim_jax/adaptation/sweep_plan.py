@@ -281,23 +281,12 @@ def _limit_of_container() -> int:
 
 def to_table(plan: SweepPlan) -> dict[str, Any]:
     """The plan as JSON has it."""
-    return {
-        "groups": [
-            {
-                "members": list(g.members),
-                "width": g.width,
-                "member_bytes": g.member_bytes,
-                "split": list(g.split),
-            }
-            for g in plan.groups
-        ],
-        "batches": [list(b) for b in plan.batches],
-    }
+    return {"groups": [group._asdict() for group in plan.groups], "batches": plan.batches}
 
 
 def from_table(table: dict[str, Any]) -> SweepPlan:
     groups = [
-        MemberGroup(tuple(g["members"]), g["width"], g["member_bytes"], Split(*g["split"]))
+        MemberGroup(**g | {"members": tuple(g["members"]), "split": Split(*g["split"])})
         for g in table["groups"]
     ]
     return SweepPlan(tuple(groups), tuple(MemberBatch(*b) for b in table["batches"]))

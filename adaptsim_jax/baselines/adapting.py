@@ -134,7 +134,9 @@ def sysid_point(run: MethodRun) -> Visits:
 
 
 class LanePolicies(NamedTuple):
-    """The adaptation policies `weights [B, n]` of `B` lanes, all of `phase1`; `hyper`: leaves `[B]`."""
+    """The adaptation policies `weights [B, n]` of `B` lanes, all of `phase1`; `hyper`: leaves
+    `[B]`.
+    """
 
     phase1: Phase1
     weights: jax.Array

@@ -1,5 +1,5 @@
-"""Where the methods of the comparison meet their targets, and what they give back: batches of policies tried, observed and
-scored, whatever the engine.
+"""Where the methods of the comparison meet their targets, and what they give back: batches of
+policies tried, observed and scored, whatever the engine.
 
 A batch `[B]` holds every seed, target and start at once. Compiled code ends at the target's door,
 so that a target may be Drake as well as a model in JAX. What a method is told of a target is what

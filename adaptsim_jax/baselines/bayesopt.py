@@ -146,7 +146,7 @@ class BayesOptConfig:
 
 
 def bayesopt(run: MethodRun) -> Visits:
-    """A task policy trained anew at each point, its return of a visit's trials returns to a Gaussian
+    """A task policy trained anew at each point; the return of a visit's trials goes to a Gaussian
     process.
 
     The row's iterations are points; a policy is scored as every other method's, over the test

@@ -1,5 +1,5 @@
-"""Normalisers of tasks whose policy is solved exactly: UDR is 0, the best in Omega 1 (paper, Table 1);
-and the map of rewards of figure 5.
+"""Normalisers of tasks whose policy is solved exactly: UDR is 0, the best in Omega 1 (paper, Table
+1); and the map of rewards of figure 5.
 
 UDR is one policy for all of Omega, by minimising the mean cost (paper, section 6). Which cost
 matters. Eight free gains and a single start state overfit: gains go into the thousands on a

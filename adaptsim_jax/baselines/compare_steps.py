@@ -193,8 +193,8 @@ def deployed_of(method: str, visits: Visits, arena: StepsArena) -> Deployed:
 def _expected(
     own_returns: np.ndarray, visits: Visits, t: int, arena: StepsArena
 ) -> Iterator[np.ndarray]:
-    """Of the returns `own_returns [n]` in target t those that are expected after each visit: all so far,
-    smoothed by `phase2.smoothed`.
+    """Of the returns `own_returns [n]` in target t those that are expected after each visit: all so
+    far, smoothed by `phase2.smoothed`.
     """
     if visits.means is None:
         yield from (own_returns[: n + 1] for n in range(len(own_returns)))

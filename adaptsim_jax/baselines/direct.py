@@ -123,8 +123,8 @@ def predicted_best(one: OneShot, config: DirectConfig) -> Callable:
     """`choose(key, contexts [N, g], actions [N, d], outcomes [N, ...], used []) -> [G + F, d]`:
     actions for the `scored` contexts.
 
-    TrialBatch that failed are left out of the fit. Ties and a network without data fall to the first
-    action.
+    Trials that failed are left out of the fit. Ties and a network without data fall to the
+    first action.
     """
     grid, tests = jnp.asarray(action_grid((config.grid,) * one.action_dim)), jnp.asarray(one.scored)
 

@@ -73,8 +73,8 @@ def step(slope: Slope, state: DescentState, target: jax.Array) -> tuple[DescentS
 
 
 def descend(slope: Slope, u: jax.Array, target: jax.Array, iterations: int = 10) -> DescentInfo:
-    """`init` and `iterations` steps: `DescentInfo` with a leading axis `[iterations + 1]`. Pure; vmap over
-    starts and targets.
+    """`init` and `iterations` steps: `DescentInfo` with a leading axis `[iterations + 1]`. Pure;
+    vmap over starts and targets.
     """
     state, first = init(slope, u, target)
     _, rest = jax.lax.scan(lambda s, _: step(slope, s, target), state, None, length=iterations)

@@ -1,9 +1,10 @@
 """Baselines by name. Imports no JAX: commands list the names.
 
 A baseline is a function `(MethodRun) -> Visits` (`arena.py`). Of a task whose policy is solved
-exactly it gives the means of E that it visited; of one whose policies are learned, also of one whose
-trials are episodes of many steps, what its policies earned too. Another package adds one by an
-entry point of the group `adaptsim.baselines`, called `exact.NAME`, `learned.NAME` or `steps.NAME`.
+exactly it gives the means of E that it visited; of one whose policies are learned, also of one
+whose trials are episodes of many steps, what its policies earned too. Another package adds one by
+an entry point of the group `adaptsim.baselines`, called `exact.NAME`, `learned.NAME` or
+`steps.NAME`.
 """
 
 from collections.abc import Callable

@@ -1,5 +1,5 @@
-"""Methods for policies over many steps that move E's mean with a search of their own, beside those of
-`adapting.py` and `bayesopt.py`, which serve them too.
+"""Methods for policies over many steps that move E's mean with a search of their own, beside those
+of `adapting.py` and `bayesopt.py`, which serve them too.
 
 * CMA-ES of package `cma` (Hansen 2016), by the returns of its candidates.
 * The posterior by package `sbi` (Tejero-Cantero et al. 2020): neural posterior estimation with a
@@ -152,8 +152,8 @@ def searched(
     first: np.ndarray,
     move: Callable[[np.ndarray, Observed], np.ndarray],
 ) -> Visits:
-    """`total` visits in every target: at the means `first [T, D]`, then where `move(means, observed)`
-    goes.
+    """`total` visits in every target: at the means `first [T, D]`, then where `move(means,
+    observed)` goes.
     """
     arena: StepsArena = run.arena
     every, at = np.arange(len(arena.targets)), first
@@ -240,7 +240,8 @@ def gradient(run: MethodRun) -> Visits:
     if cut:
         windows = ", ".join(f"{name} {window}" for name, window in sorted(cut.items()))
         print(
-            f"gradient: derivatives explode over {length} steps; truncated to windows of: {windows}",
+            f"gradient: derivatives explode over {length} steps; truncated to windows of: "
+            f"{windows}",
             file=sys.stderr,
         )
     return visits

@@ -206,8 +206,8 @@ def simulate(
 def within_omega(
     draws: jax.Array, marked: jax.Array, least_std: float
 ) -> tuple[Gaussian, jax.Array]:
-    """Gaussian E from posterior draws `[I, n, D]` of the iterations marked in `marked [I]`; also the
-    share inside Omega.
+    """Gaussian E from posterior draws `[I, n, D]` of the iterations marked in `marked [I]`; also
+    the share inside Omega.
 
     Draws outside the box are dropped (the posterior is truncated to Omega). Where hardly any is
     inside, as with targets far outside of Omega, the mean of all is clipped to the box instead.
