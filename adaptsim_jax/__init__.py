@@ -13,10 +13,10 @@ if TYPE_CHECKING:
     from adaptsim_jax.adaptation.phase1 import make_phase1 as make_phase1
     from adaptsim_jax.adaptation.phase1_config import Phase1Config as Phase1Config
     from adaptsim_jax.adaptation.phase1_config import Phase1Hyper as Phase1Hyper
-    from adaptsim_jax.adaptation.presets import default_config as default_config
     from adaptsim_jax.adaptation.training import TrainConfig as TrainConfig
     from adaptsim_jax.adaptation.training import Trained as Trained
     from adaptsim_jax.adaptation.training import adapt_run as adapt_run
+    from adaptsim_jax.adaptation.training import default_config as default_config
     from adaptsim_jax.attribution.replay import replay_files as replay_files
     from adaptsim_jax.baselines.compare import compare as compare
     from adaptsim_jax.baselines.config import default_comparison as default_comparison
@@ -98,7 +98,7 @@ __getattr__ = lazily(
         "adapt_run": "adaptation.training",
         "compare": "baselines.compare",
         "default_comparison": "baselines.config",
-        "default_config": "adaptation.presets",
+        "default_config": "adaptation.training",
         "diagnose": "commands.diagnose",
         "environment_task": "environments.task",
         "gaussian": "space",

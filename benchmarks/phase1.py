@@ -28,8 +28,7 @@ import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 
 from adaptsim_jax import make_phase1, make_task  # noqa: E402
-from adaptsim_jax.adaptation.presets import preset  # noqa: E402
-from adaptsim_jax.adaptation.training import traced  # noqa: E402
+from adaptsim_jax.adaptation.training import preset, traced  # noqa: E402
 from adaptsim_jax.learners import replay  # noqa: E402
 
 # The release's ratio: 12 updates of batch 64 on 128x128 for every 10 trajectories of 10 steps.

@@ -19,8 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax import make_phase1, make_task
-from adaptsim_jax.adaptation.presets import preset
-from adaptsim_jax.adaptation.training import traced
+from adaptsim_jax.adaptation.training import preset, traced
 from adaptsim_jax.tasks.pushing import model
 from adaptsim_jax.tasks.pushing.config import PushingConfig
 from adaptsim_jax.tasks.pushing.simulator import make_simulator

@@ -132,9 +132,9 @@ def phase1(devices: int, seeds: int, peer_python: str) -> dict[str, Any]:
     import numpy as np
 
     from adaptsim_jax.adaptation import sweep_plan
-    from adaptsim_jax.adaptation.presets import preset
     from adaptsim_jax.adaptation.sweep_batch import make_programs
     from adaptsim_jax.adaptation.sweep_spec import Member, SweepSpec
+    from adaptsim_jax.adaptation.training import preset
 
     config = preset("paper-pendulum")
     member = Member(0, {}, config)

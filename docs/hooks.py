@@ -172,7 +172,7 @@ def configuration() -> str:
     """Every key of a run's configuration, by task and block, with its default; what a class says of
     its fields beneath.
     """
-    from adaptsim_jax.adaptation.presets import PRESETS, default_config
+    from adaptsim_jax.adaptation.training import PRESETS, default_config
     from adaptsim_jax.core.config import dumps, to_table
 
     presets = ", ".join(f"`{name}`" for name in PRESETS)
@@ -206,7 +206,7 @@ def configuration() -> str:
 
 def _options(task: str) -> Any:
     """The task's options as its preset has them, every one filled in."""
-    from adaptsim_jax.adaptation.presets import default_config
+    from adaptsim_jax.adaptation.training import default_config
     from adaptsim_jax.core.config import from_table
     from adaptsim_jax.tasks.registry import TASKS as KINDS
 
@@ -217,7 +217,7 @@ def _options(task: str) -> Any:
 
 
 def _classes(task: str) -> list[type]:
-    from adaptsim_jax.adaptation.presets import default_config
+    from adaptsim_jax.adaptation.training import default_config
 
     def walk(value: Any) -> list[type]:
         if not dataclasses.is_dataclass(value):

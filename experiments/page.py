@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax import TrainConfig
-from adaptsim_jax.adaptation.presets import PRESETS, preset
+from adaptsim_jax.adaptation.training import PRESETS, preset
 from adaptsim_jax.baselines.results import normalised, plain, row
 from adaptsim_jax.baselines.sysid import SysIdConfig
 from adaptsim_jax.core.files import output_folder, write_bytes, write_json

@@ -13,7 +13,7 @@ from pathlib import Path
 from adaptsim_jax import make_task
 from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.report import figures as look
-from adaptsim_jax.report.parameters import axes_of, parameters_found
+from adaptsim_jax.report.figures_comparison import axes_of, parameters_found
 from adaptsim_jax.tasks.registry import TASKS
 
 

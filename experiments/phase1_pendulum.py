@@ -21,7 +21,7 @@ import numpy as np
 from adaptsim_jax import TrainConfig, make_phase1, make_task
 from adaptsim_jax.adaptation.phase1 import DistributionArchive
 from adaptsim_jax.adaptation.phase2 import TrainedMany, stack, starts_of, train_many, train_one
-from adaptsim_jax.adaptation.presets import PRESETS, preset
+from adaptsim_jax.adaptation.training import PRESETS, preset
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.files import atomic_file
 from adaptsim_jax.core.progress import progress

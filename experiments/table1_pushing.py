@@ -31,7 +31,7 @@ import jax
 import numpy as np
 
 from adaptsim_jax import default_comparison, make_one_shot
-from adaptsim_jax.adaptation.presets import preset
+from adaptsim_jax.adaptation.training import preset
 from adaptsim_jax.baselines.arena import Arena, MethodRun, Visits
 from adaptsim_jax.baselines.compare import stamped
 from adaptsim_jax.baselines.compare_learned import about, run_method, visits_rows

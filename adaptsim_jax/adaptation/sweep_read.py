@@ -8,9 +8,14 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.adaptation.phase1_config import check
-from adaptsim_jax.adaptation.presets import default_config, preset, presets_of, with_defaults
 from adaptsim_jax.adaptation.sweep_spec import MOST, Draws, Lines, Member, Range, Sweep, SweepSpec
-from adaptsim_jax.adaptation.training import TrainConfig
+from adaptsim_jax.adaptation.training import (
+    TrainConfig,
+    default_config,
+    preset,
+    presets_of,
+    with_defaults,
+)
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import MAX_SEED, BadInput, brief
 from adaptsim_jax.tasks.base import Task

@@ -3,8 +3,7 @@
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from adaptsim_jax.adaptation.presets import default_config
-from adaptsim_jax.adaptation.training import TrainConfig
+from adaptsim_jax.adaptation.training import TrainConfig, default_config
 from adaptsim_jax.baselines import mdn
 from adaptsim_jax.baselines.bayesopt import BayesOptConfig
 from adaptsim_jax.baselines.direct import DirectConfig

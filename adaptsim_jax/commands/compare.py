@@ -92,7 +92,7 @@ def found_figure(results: dict[str, Any], options: dict[str, Any], out: Any) -> 
     from pathlib import Path
 
     from adaptsim_jax.report import figures as look
-    from adaptsim_jax.report.parameters import axes_of, parameters_found
+    from adaptsim_jax.report.figures_comparison import axes_of, parameters_found
     from adaptsim_jax.tasks.registry import TASKS, make_task
 
     task = results["task"]

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from adaptsim_jax.adaptation.phase1 import Phase1Config
-from adaptsim_jax.adaptation.presets import default_config
-from adaptsim_jax.adaptation.training import TrainConfig
+from adaptsim_jax.adaptation.training import TrainConfig, default_config
 from adaptsim_jax.baselines.config import default_comparison
 from adaptsim_jax.baselines.sysid import SysIdConfig
 from adaptsim_jax.core import config as configs

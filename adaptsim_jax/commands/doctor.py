@@ -247,7 +247,7 @@ def costs(wanted: tuple[str, ...] = ()) -> Iterator[dict[str, Any]]:
 
 def config_of(task: str, engine: str) -> Any:
     """What Phase 1 would be run with in an engine."""
-    from adaptsim_jax.adaptation.presets import default_config, preset
+    from adaptsim_jax.adaptation.training import default_config, preset
 
     name = ENGINES[task][engine]
     if name:

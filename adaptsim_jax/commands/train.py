@@ -69,8 +69,7 @@ def run(args: argparse.Namespace) -> int:
 
 def config_of(table: dict[str, Any], args: argparse.Namespace) -> Any:
     """The config in `table`, with what the command line changes."""
-    from adaptsim_jax.adaptation.presets import with_defaults
-    from adaptsim_jax.adaptation.training import TrainConfig
+    from adaptsim_jax.adaptation.training import TrainConfig, with_defaults
     from adaptsim_jax.core import config
 
     start = config.from_table(
@@ -157,7 +156,7 @@ def _start_table(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def _preset_table(args: argparse.Namespace) -> dict[str, Any]:
-    from adaptsim_jax.adaptation.presets import preset, presets_of
+    from adaptsim_jax.adaptation.training import preset, presets_of
     from adaptsim_jax.core import config
     from adaptsim_jax.core.errors import BadInput
 

@@ -20,8 +20,7 @@ from adaptsim_jax.adaptation.phase1 import (
 )
 from adaptsim_jax.adaptation.phase1_config import POSITIVE, SHARES
 from adaptsim_jax.adaptation.phase2 import adapt, best_of, best_visit, draw_starts, smoothed
-from adaptsim_jax.adaptation.presets import preset
-from adaptsim_jax.adaptation.training import TrainConfig, traced
+from adaptsim_jax.adaptation.training import TrainConfig, preset, traced
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.learners.bdq import BDQHyper
 from tests.adaptation.toy import make_toy

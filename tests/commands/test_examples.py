@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from adaptsim_jax.adaptation.presets import PRESETS
+from adaptsim_jax.adaptation.training import PRESETS
 from adaptsim_jax.baselines.registry import exact_methods, learned_methods
 from adaptsim_jax.cli import parse
 from adaptsim_jax.commands import SUMMARIES

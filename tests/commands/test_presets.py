@@ -2,8 +2,7 @@
 
 import pytest
 
-from adaptsim_jax.adaptation.presets import default_config, preset
-from adaptsim_jax.adaptation.training import TrainConfig
+from adaptsim_jax.adaptation.training import TrainConfig, default_config, preset
 from adaptsim_jax.cli import parse
 from adaptsim_jax.commands.train import _check, _start_table, config_of
 from adaptsim_jax.core import config

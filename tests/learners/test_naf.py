@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.learners.naf import NAFConfig, NAFHyper, Quadratic, make_naf
-from adaptsim_jax.learners.naf_box import box_maximiser
+from adaptsim_jax.learners.naf import NAFConfig, NAFHyper, Quadratic, box_maximiser, make_naf
 from adaptsim_jax.learners.naf_goals import GoalConfig, GoalProblem, make_goal_learner
 from adaptsim_jax.learners.replay import Transition
 

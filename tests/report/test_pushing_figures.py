@@ -10,8 +10,8 @@ import pytest
 from matplotlib.patches import Circle
 from PIL import Image
 
+from adaptsim_jax.report.figures_comparison import Axis, axes_of, parameters_found
 from adaptsim_jax.report.film import drawn_frames, write_film
-from adaptsim_jax.report.parameters import Axis, axes_of, parameters_found
 from adaptsim_jax.space import Parameter, Space
 from adaptsim_jax.tasks.pushing import figures as draw
 from adaptsim_jax.tasks.pushing import film

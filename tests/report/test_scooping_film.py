@@ -9,8 +9,8 @@ import pytest
 from adaptsim_jax.commands import phase2
 from adaptsim_jax.report import figures as look
 from adaptsim_jax.report import film as films
+from adaptsim_jax.report.figures_comparison import Axis
 from adaptsim_jax.report.film import drawn_frames, write_film
-from adaptsim_jax.report.parameters import Axis
 from adaptsim_jax.tasks.scooping import adapt, film, model
 from adaptsim_jax.tasks.scooping.config import scooping_space
 from adaptsim_jax.tasks.scooping.film import SCENE, ScoopClip, outlines, scoops_over_iterations

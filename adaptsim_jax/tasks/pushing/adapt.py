@@ -58,7 +58,7 @@ def shown_pushes(config: Any, policies: Any, target: np.ndarray) -> ShownPushes:
 
 def shown(view: AdaptView) -> Look:
     """The start that holds the best visit."""
-    from adaptsim_jax.report.parameters import axes_of
+    from adaptsim_jax.report.figures_comparison import axes_of
     from adaptsim_jax.tasks.pushing.figures import pushes_over_iterations
 
     pushes = shown_pushes(view.config, view.policies, view.values)

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 
 from adaptsim_jax.report import figures as look
-from adaptsim_jax.report.parameters import Axis, parameters_over_iterations
+from adaptsim_jax.report.figures_comparison import Axis, parameters_over_iterations
 from adaptsim_jax.tasks.pushing.film import BOTTLE, GOAL, PATCH
 from adaptsim_jax.tasks.pushing.model import PATCH_SIDE, PATCH_X, RADIUS, START
 

@@ -162,7 +162,7 @@ def _figure(session: RobotSession, history: list[dict[str, Any]]) -> Path:
     import numpy as np
 
     from adaptsim_jax.report import figures as look
-    from adaptsim_jax.report.parameters import axes_of
+    from adaptsim_jax.report.figures_comparison import axes_of
     from adaptsim_jax.tasks.faces import picked
     from adaptsim_jax.tasks.pushing import figures as draw
     from adaptsim_jax.tasks.pushing.adapt import SYMBOLS

@@ -42,7 +42,7 @@ def clips_of(config: Any, policies: Any, target: np.ndarray) -> list[Any]:
 
 def shown(view: AdaptView) -> Look:
     """The start that holds the best visit."""
-    from adaptsim_jax.report.parameters import axes_of
+    from adaptsim_jax.report.figures_comparison import axes_of
     from adaptsim_jax.tasks.scooping import film
 
     clips = clips_of(view.config, view.policies, view.values)

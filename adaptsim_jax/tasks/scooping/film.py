@@ -201,7 +201,7 @@ def scoops_over_iterations(
     from matplotlib.figure import Figure
 
     from adaptsim_jax.report import figures as look
-    from adaptsim_jax.report.parameters import parameters_over_iterations
+    from adaptsim_jax.report.figures_comparison import parameters_over_iterations
 
     columns, rows = len(clips), len(ITERATION)
     figure = Figure(

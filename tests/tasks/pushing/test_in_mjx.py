@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from adaptsim_jax.adaptation.presets import preset
+from adaptsim_jax.adaptation.training import preset
 from adaptsim_jax.space import gaussian
 from adaptsim_jax.tasks.pushing import model
 from adaptsim_jax.tasks.pushing.engines import make_backend

@@ -12,9 +12,8 @@ import pytest
 from adaptsim_jax.adaptation.episode import StepPlan
 from adaptsim_jax.adaptation.phase1 import Phase1Config, make_phase1
 from adaptsim_jax.adaptation.phase2 import adapt, draw_starts
-from adaptsim_jax.adaptation.presets import default_config
 from adaptsim_jax.adaptation.reuse import ReuseConfig
-from adaptsim_jax.adaptation.training import traced
+from adaptsim_jax.adaptation.training import default_config, traced
 from adaptsim_jax.baselines.adapting import first_policies
 from adaptsim_jax.baselines.arena import Arena, MethodRun, lanes
 from adaptsim_jax.learners.naf_goals import GoalConfig

@@ -12,9 +12,8 @@ import pytest
 from adaptsim_jax.adaptation.episode import StepPlan
 from adaptsim_jax.adaptation.phase1 import Phase1Config, make_phase1
 from adaptsim_jax.adaptation.phase2 import adapt, draw_starts
-from adaptsim_jax.adaptation.presets import preset
 from adaptsim_jax.adaptation.reuse import ReuseConfig
-from adaptsim_jax.adaptation.training import traced
+from adaptsim_jax.adaptation.training import preset, traced
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.learners.naf_goals import GoalConfig
 from adaptsim_jax.space import Gaussian, gaussian

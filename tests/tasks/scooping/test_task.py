@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.adaptation.phase1 import Phase1Config, make_phase1
-from adaptsim_jax.adaptation.presets import default_config
 from adaptsim_jax.adaptation.reuse import ReuseConfig
-from adaptsim_jax.adaptation.training import traced
+from adaptsim_jax.adaptation.training import default_config, traced
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.learners.naf_goals import GoalConfig
 from adaptsim_jax.space import PLUS, STAY, gaussian, step
