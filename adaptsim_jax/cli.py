@@ -62,10 +62,10 @@ def main(argv: list[str] | None = None) -> int:
             return stop.code
         return FAILED
     except BadInput as error:
-        return _say(str(error), BAD_INPUT)
+        return _report(str(error), BAD_INPUT)
     except KeyboardInterrupt:
         hint = getattr(args, "resume_hint", None)
-        return _say(
+        return _report(
             f"stopped; {hint}" if hint else "stopped; nothing half-written is left", STOPPED
         )
     except BrokenPipeError:  # the reader of our output went away (`adaptsim effects | head`)
@@ -75,9 +75,9 @@ def main(argv: list[str] | None = None) -> int:
         return _file_system(error)
     except Exception as error:
         if _interrupted(error):  # Ctrl-C while a library was being imported
-            return _say("stopped; nothing half-written is left", STOPPED)
+            return _report("stopped; nothing half-written is left", STOPPED)
         traceback.print_exc()
-        return _say(
+        return _report(
             f"failed: {type(error).__name__}: {error}; this is a fault of the program", FAILED
         )
 
@@ -149,16 +149,16 @@ def _file_system(error: OSError) -> int:
     where = f"{error.filename}: " if error.filename else ""
     what = error.strerror or str(error)
     if error.errno in _DISK:
-        return _say(f"{where}no space left on the disk; free some and run again", BAD_INPUT)
+        return _report(f"{where}no space left on the disk; free some and run again", BAD_INPUT)
     if error.errno == errno.ENOENT and error.filename:
-        return _say(f"{where}no such file or folder; check the name", BAD_INPUT)
+        return _report(f"{where}no such file or folder; check the name", BAD_INPUT)
     if error.errno in _OUTSIDE:
-        return _say(f"{where}{what}; name a file or folder that you may use", BAD_INPUT)
+        return _report(f"{where}{what}; name a file or folder that you may use", BAD_INPUT)
     traceback.print_exc()
-    return _say(f"failed: {where}{what}", FAILED)
+    return _report(f"failed: {where}{what}", FAILED)
 
 
-def _say(message: str, code: int) -> int:
+def _report(message: str, code: int) -> int:
     with contextlib.suppress(OSError, ValueError):
         print(f"adaptsim: {' '.join(message.split())}", file=sys.stderr)
     return code

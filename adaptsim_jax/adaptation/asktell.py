@@ -57,7 +57,7 @@ class AskState(NamedTuple):
     tried: Tried | tuple[()] = ()
 
 
-class TellInfo(NamedTuple):
+class TrialInfo(NamedTuple):
     """What came of a trial: raw return `score: []`, greedy `action: [D]`, `best: []` if the best so
     far.
     """
@@ -106,7 +106,7 @@ class AskTell:
         none, zero = -jnp.inf * jnp.ones(()), jnp.zeros((), jnp.int32)
         return AskState(key, zero, mean, policy, starts, none, mean, policy, tried)
 
-    def tell(self, state: AskState, trajectory: Any) -> tuple[AskState, TellInfo]:
+    def tell(self, state: AskState, trajectory: Any) -> tuple[AskState, TrialInfo]:
         """The state after a trial of its policy that came to `trajectory`."""
         score = self.task.score(trajectory)
         best, better, tried = self._best(state, score)
@@ -117,7 +117,7 @@ class AskTell:
         after = state._replace(
             best_score=score_at, best_mean=mean_at, best_policy=policy_at, tried=tried
         )
-        return after, TellInfo(score, action, better)
+        return after, TrialInfo(score, action, better)
 
     def skip(self, state: AskState) -> AskState:
         """The robot cannot run this policy: its start is given up, and the next one asked for."""

@@ -22,9 +22,10 @@ from adaptsim_jax.attribution.parameters import (
 from adaptsim_jax.attribution.stretches import JointStretches, JointTrack, cut, without_first_rows
 from adaptsim_jax.diagnosis.folds import folds_of, names_of
 from adaptsim_jax.effects.base import Effect, Reach, unit_at
+from adaptsim_jax.effects.joints.actuator import DEAD_ZONE, SATURATION, TORQUE_GAIN
 from adaptsim_jax.effects.joints.catalogue import ETA, TILTS
 from adaptsim_jax.effects.joints.forces import ARMATURE, SPRING
-from adaptsim_jax.effects.joints.friction import COULOMB, VISCOUS
+from adaptsim_jax.effects.joints.friction import COULOMB, LOAD_FRICTION, VISCOUS
 from adaptsim_jax.logs.noise import difference_noise, local_motion
 from adaptsim_jax.mechanisms import equations
 from adaptsim_jax.mechanisms.tree import Tree, subtrees, take
@@ -339,10 +340,10 @@ def passing(
     cut = 1.0 - limit / np.where(peak > 0.0, peak, 1.0)
     lowest, half = np.full_like(cut, -np.inf), np.full_like(cut, 0.5)
     return {
-        ("saturation", "cut"): np.stack([lowest, cut]),
-        ("dead_zone", "width"): np.stack([lowest, zone]),
-        ("load_friction", "share"): np.stack([lowest, half]),
-        ("torque_gain", "gain"): np.stack([-half, 2.0 * half]),
+        (SATURATION.name, "cut"): np.stack([lowest, cut]),
+        (DEAD_ZONE.name, "width"): np.stack([lowest, zone]),
+        (LOAD_FRICTION.name, "share"): np.stack([lowest, half]),
+        (TORQUE_GAIN.name, "gain"): np.stack([-half, 2.0 * half]),
     }
 
 

@@ -83,7 +83,7 @@ class SysIdState(NamedTuple):
     dist: Gaussian
     policy: jax.Array
     variables: dict
-    kept: jax.Array
+    collected: jax.Array
     count: jax.Array
 
 
@@ -143,8 +143,8 @@ def untrained(
     dist = Gaussian(jnp.full(D, 0.5), jnp.full(D, config.least_std))
     variables = estimator.init(net_key, task.obs_dim)
     draws = jax.eval_shape(estimator.infer, net_key, variables, jnp.zeros(task.obs_dim)).shape
-    kept = jnp.zeros((config.iterations, *draws))
-    return SysIdState(dist, task.init_policy(policy_key), variables, kept, jnp.zeros((), int))
+    collected = jnp.zeros((config.iterations, *draws))
+    return SysIdState(dist, task.init_policy(policy_key), variables, collected, jnp.zeros((), int))
 
 
 def _iterate(
@@ -176,15 +176,15 @@ def infer(
         fit_config,
     )
     draws = estimator.infer(infer_key, fitted.variables, (real - shift) / scale)
-    kept = state.kept.at[state.count].set(draws)
-    used = kept if config.pool else draws[None]
+    collected = state.collected.at[state.count].set(draws)
+    used = collected if config.pool else draws[None]
     if config.pool:
-        marked = jnp.arange(kept.shape[0]) <= state.count
+        marked = jnp.arange(collected.shape[0]) <= state.count
     else:
         marked = jnp.ones(1, bool)
     dist, inside = within_omega(used, marked, config.least_std)
     info = SysIdInfo(state.dist.mean, state.dist.std, real, fitted.best_loss, inside)
-    return SysIdState(dist, state.policy, fitted.variables, kept, state.count + 1), info
+    return SysIdState(dist, state.policy, fitted.variables, collected, state.count + 1), info
 
 
 def simulate(

@@ -104,8 +104,9 @@ def _pull(
     ahead, above = spatula.from_tip(tip, x, z)
     over = jax.nn.sigmoid((-ahead) / NEAR) * jax.nn.sigmoid((piece.hz + 3.0 * NEAR - above) / NEAR)
     stick_x, stick_z = spatula.turn(tip[2], jnp.zeros_like(x), -v["adhesion"] * over)
-    along = model.GRAVITY * jnp.sin(v["tilt"]) - v["drag"] * on_table * state.velocity[0] + stick_x
-    return along, -model.GRAVITY * jnp.cos(v["tilt"]) + stick_z
+    slope = v["tilt"]
+    along = model.GRAVITY * jnp.sin(slope) - v["drag"] * on_table * state.velocity[0] + stick_x
+    return along, -model.GRAVITY * jnp.cos(slope) + stick_z
 
 
 NAMES = tuple(q.name for q in QUANTITIES)
