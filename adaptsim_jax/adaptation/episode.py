@@ -92,7 +92,7 @@ class StepPlan(NamedTuple):
         return self.delta * self.shrink**number
 
 
-class Attempt(NamedTuple):
+class PolicyTrial(NamedTuple):
     """A trained policy in a target: E, the policy, physical values `[D]` of the target, and what
     its reward is scaled by.
     """
@@ -103,7 +103,9 @@ class Attempt(NamedTuple):
     reference: Any
 
 
-def look(run_key, noise_key, task: Task, attempt: Attempt, noise: jax.Array | float = 0.0) -> Visit:
+def look(
+    run_key, noise_key, task: Task, attempt: PolicyTrial, noise: jax.Array | float = 0.0
+) -> Visit:
     """Run the policy in its target and look at what came of it."""
     dist, policy, target, reference = attempt
     trajectory = task.rollout(run_key, policy, target)
@@ -134,7 +136,7 @@ def run_episode(
         visit_key, act_key = jax.random.split(key)
         train_key, run_key, noise_key = jax.random.split(visit_key, 3)
         policy = task.train(train_key, dist, policy)
-        attempt = Attempt(dist, policy, target, reference)
+        attempt = PolicyTrial(dist, policy, target, reference)
         now = look(run_key, noise_key, task, attempt, plan.noise)
         action, size = act(act_key, now.obs), plan.size(number)
         if plan.guide is not None:

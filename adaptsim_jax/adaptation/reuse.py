@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 
 from adaptsim_jax import space as spaces
-from adaptsim_jax.adaptation.episode import AdaptationEpisode, Attempt, StepPlan, look
+from adaptsim_jax.adaptation.episode import AdaptationEpisode, PolicyTrial, StepPlan, look
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.learners import replay as ring
 from adaptsim_jax.space import Gaussian
@@ -223,7 +223,7 @@ def run_reusing(
     references = jax.vmap(task.reference)(begun.targets)
 
     def look_at(run, noise, *attempt):
-        return look(run, noise, task, Attempt(*attempt), plan.noise)
+        return look(run, noise, task, PolicyTrial(*attempt), plan.noise)
 
     def one(carry, number):
         dists, pool = carry

@@ -79,14 +79,7 @@ def costs(problem: ExactProblem, means: np.ndarray, targets: np.ndarray) -> np.n
     """Costs `[T, ...]` in each of `targets [T, D]` of the policies trained at `means [T, ..., D]`,
     in double precision.
     """
-    with jax.enable_x64(True):
-        flat = jnp.asarray(
-            np.asarray(means, np.float64).reshape(len(targets), -1, problem.space.dim)
-        )
-        out = jax.jit(jax.vmap(jax.vmap(problem.cost_at, (0, None))))(
-            flat, jnp.asarray(targets, jnp.float64)
-        )
-        return np.asarray(out).reshape(means.shape[:-1])
+    return _in_targets(problem.cost_at, means, targets)
 
 
 def discrepancy(problem: ExactProblem, means: np.ndarray, targets: np.ndarray) -> np.ndarray:
@@ -103,12 +96,16 @@ def discrepancy(problem: ExactProblem, means: np.ndarray, targets: np.ndarray) -
         policy = problem.policy(params)
         return jnp.sum(jnp.abs(problem.points(target, policy) - problem.points(params, policy)))
 
+    return _in_targets(one, means, targets)
+
+
+def _in_targets(function: Callable, means: np.ndarray, targets: np.ndarray) -> np.ndarray:
+    """`function(u [D], target [D]) -> []` over `means [T, ..., D]` and `targets [T, D]`."""
     with jax.enable_x64(True):
-        flat = jnp.asarray(
-            np.asarray(means, np.float64).reshape(len(targets), -1, problem.space.dim)
-        )
-        out = jax.jit(jax.vmap(jax.vmap(one, (0, None))))(flat, jnp.asarray(targets, jnp.float64))
-        return np.asarray(out).reshape(means.shape[:-1])
+        flat = np.asarray(means, np.float64).reshape(len(targets), -1, np.shape(means)[-1])
+        over = jax.jit(jax.vmap(jax.vmap(function, (0, None))))
+        out = over(jnp.asarray(flat), jnp.asarray(targets, jnp.float64))
+        return np.asarray(out).reshape(np.shape(means)[:-1])
 
 
 class Udr(NamedTuple):
@@ -146,19 +143,22 @@ def udr(problem: ExactProblem, *, samples_log2: int = 9, restarts: int = 3, seed
 
         rng = np.random.default_rng(seed)
         starts = [np.zeros(centre.size), *rng.normal(size=(restarts - 1, centre.size))]
-        ends = [_minimise(objective, start) for start in starts]
+        how = {"method": "BFGS", "options": {"gtol": 1e-6, "maxiter": 300}}
+        ends = [_minimise(objective, start, **how) for start in starts]
     best = min(ends, key=lambda end: end.fun)
     return Udr(centre + spread * best.x.reshape(centre.shape), np.exp([end.fun for end in ends]))
 
 
-def _minimise(value_and_grad, start: np.ndarray) -> optimize.OptimizeResult:
+def _minimise(
+    value_and_grad: Callable, start: np.ndarray, scale: float = 1.0, **how: Any
+) -> optimize.OptimizeResult:
+    """By SciPy, in double precision; `scale` divides the value."""
+
     def both(x):
         value, gradient = value_and_grad(x)
-        return float(value), np.asarray(gradient, np.float64)
+        return float(value) / scale, np.asarray(gradient, np.float64) / scale
 
-    return optimize.minimize(
-        both, start, jac=True, method="BFGS", options={"gtol": 1e-6, "maxiter": 300}
-    )
+    return optimize.minimize(both, start, jac=True, **how)
 
 
 class Best(NamedTuple):
@@ -211,23 +211,13 @@ def _best_of(
     order = np.argsort(costs)[:starts]
     best = grid[order[0]], float(costs[order[0]])
     slope = jax.jit(problem.slope)
+    options = {"ftol": 1e-14, "gtol": 1e-9}
+    how = {"method": "L-BFGS-B", "bounds": [(0.0, 1.0)] * grid.shape[1], "options": options}
     for i in order:
-        end = _refine(slope, grid[i], target, best[1])
+        end = _minimise(lambda u: slope(u, target), grid[i], best[1], **how)
         if end.fun * best[1] < best[1]:
             best = end.x, float(end.fun * best[1])
     return best
-
-
-def _refine(slope, start: np.ndarray, target: np.ndarray, scale: float) -> optimize.OptimizeResult:
-    def both(u):
-        value, gradient = slope(u, target)
-        return float(value) / scale, np.asarray(gradient, np.float64) / scale
-
-    bounds = [(0.0, 1.0)] * len(start)
-    options = {"ftol": 1e-14, "gtol": 1e-9}
-    return optimize.minimize(
-        both, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options
-    )
 
 
 class RewardMap(NamedTuple):

@@ -11,8 +11,8 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import matplotlib
 import numpy as np
+from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
@@ -38,34 +38,7 @@ THEMED = {
 }
 """Colour in the figure -> CSS variable of the page. The hex values are the light theme."""
 
-STYLE: Any = {
-    "svg.fonttype": "none",
-    "text.parse_math": False,
-    "font.size": 10.0,
-    "font.family": ["DejaVu Sans"],
-    "text.color": INK,
-    "axes.edgecolor": MUTED,
-    "axes.labelcolor": INK,
-    "axes.linewidth": 0.8,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "axes.unicode_minus": True,
-    "axes.titlesize": 10.5,
-    "axes.titlelocation": "left",
-    "grid.color": GRID,
-    "grid.linewidth": 0.7,
-    "xtick.color": MUTED,
-    "ytick.color": MUTED,
-    "xtick.labelsize": 9.0,
-    "ytick.labelsize": 9.0,
-    "legend.frameon": False,
-    "legend.fontsize": 9.0,
-    "lines.linewidth": 1.4,
-    "figure.constrained_layout.use": True,
-    "path.simplify_threshold": 0.3,
-}
+STYLE = Path(__file__).with_name("diagnosis.mplstyle")
 WIDTH = 5.0
 """Inches (72 to an inch in SVG): a phone's width and not far from half a page, so text keeps its
 size.
@@ -76,7 +49,7 @@ def draw(paint: Callable[[Figure], None], height: float, label: str) -> str:
     """The SVG of what `paint` draws on a transparent figure; `label` is for those who do not see
     it.
     """
-    with matplotlib.rc_context(STYLE):
+    with style.context(STYLE):
         figure = Figure(figsize=(WIDTH, height))
         FigureCanvasSVG(figure)
         paint(figure)
