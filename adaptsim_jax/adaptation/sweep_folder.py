@@ -7,11 +7,7 @@ import contextlib
 import csv
 import io
 import json
-import os
 import shutil
-import socket
-import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +19,7 @@ from adaptsim_jax.adaptation.sweep_plan import MemberBatch, SweepPlan
 from adaptsim_jax.adaptation.sweep_spec import Sweep
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.core.files import output_errors, output_folder, write_bytes, write_json
+from adaptsim_jax.core.files import one_writer, output_folder, write_bytes, write_json
 from adaptsim_jax.core.store import SCHEMA, check_version
 from adaptsim_jax.report.sweep_figures import TRAINING, earned, interval
 
@@ -134,33 +130,9 @@ def described(sweep: Sweep) -> dict[str, Any]:
     }
 
 
-@contextlib.contextmanager
-def locked(path: Path) -> Iterator[None]:
-    """Hold the folder; BadInput says who does if another process. The system lets go when a process
-    ends, however it ends.
-    """
-    try:
-        import fcntl
-    except ImportError:  # Windows: one has to see to it oneself
-        yield
-        return
-    with output_errors(path / "lock"), open(path / "lock", "a+") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            file.seek(0)
-            holder = file.read().strip() or "another process"
-            raise BadInput(
-                f"{path}: is held by {holder}; wait for it, or name another folder"
-            ) from None
-        file.seek(0)
-        file.truncate()
-        file.write(
-            f"process {os.getpid()} on {socket.gethostname()} since "
-            f"{time.strftime('%Y-%m-%d %H:%M:%S')}\n"
-        )
-        file.flush()
-        yield
+def locked(path: Path) -> contextlib.AbstractContextManager[None]:
+    """Hold the folder; BadInput says who does if another process."""
+    return one_writer(path, "lock", "is held by {holder}; wait for it, or name another folder")
 
 
 def write_results(folder: SweepFolder) -> dict[str, Any]:

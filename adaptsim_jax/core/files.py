@@ -10,7 +10,9 @@ import io
 import json
 import math
 import os
+import socket
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -112,35 +114,46 @@ def _sync_folder(folder: Path) -> None:
 # ---------------------------------------------------------------- one writer at a time
 
 LOCK = ".lock"
+BUSY = "another process is writing there; wait until it ends, or stop it, and run again"
 
 
 @contextlib.contextmanager
-def one_writer(folder: str | os.PathLike) -> Iterator[None]:
+def one_writer(folder: str | os.PathLike, lock: str = LOCK, busy: str = BUSY) -> Iterator[None]:
     """Hold `folder`, which must exist, against other processes that write there. BadInput at once
     where one does.
 
-    The lock goes with the process, however it ends; the empty file `.lock` stays. File systems (and
-    platforms) without locks are written to without one.
+    The lock goes with the process, however it ends; the file stays, and says who held it last. File
+    systems (and platforms) without locks are written to without one.
+
+    Args:
+        lock: Name of the file. busy: What is wrong where another process holds it; `{holder}` in it
+            is that process.
     """
-    path = Path(folder) / LOCK
+    path = Path(folder) / lock
     with output_errors(path):
         handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
     try:
-        _take(handle, folder)
+        if not _took(handle):
+            holder = os.read(handle, 200).decode().strip() or "another process"
+            raise BadInput(f"{folder}: {busy.format(holder=holder)}")
         yield
     finally:
         os.close(handle)
 
 
-def _take(handle: int, folder: str | os.PathLike) -> None:
+def _took(handle: int) -> bool:
+    """Whether the lock is this process's now, whose name it then holds."""
     try:
         import fcntl
     except ImportError:
-        return
+        return True
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        what = "another process is writing there; wait until it ends, or stop it, and run again"
-        raise BadInput(f"{folder}: {what}") from None
+        return False
     except OSError:  # no locks on this file system
-        return
+        return True
+    since = time.strftime("%Y-%m-%d %H:%M:%S")
+    os.ftruncate(handle, 0)
+    os.write(handle, f"process {os.getpid()} on {socket.gethostname()} since {since}\n".encode())
+    return True
