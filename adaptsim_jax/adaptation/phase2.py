@@ -132,6 +132,11 @@ def best_of(history: AdaptationEpisode, doubt: float = 0.0) -> Phase2Result:
     )
 
 
+# ---------------------------------------------------------------- many runs
+#
+# Many runs of Phase 1 and Phase 2 as one compiled program: seeds, hyper-parameters, targets.
+
+
 class TrainedMany(NamedTuple):
     """`S` finished runs: hyper `[S]`, target-network weights `[S, n]`, S_E `[S, archive, ...]`,
     info `[S, rounds]`.

@@ -23,6 +23,16 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.base import Task
 from adaptsim_jax.tasks.registry import make_task
 
+# ---------------------------------------------------------------- devices
+#
+# Members of a sweep, and the parallel trajectories of each, shared out among devices of one
+# machine, or of many with one program.
+#
+# The mesh has two axes. Along `members` each device runs members of its own and never waits for
+# another. Where there are fewer members than devices, the devices along `trajectories` run
+# trajectories of the same member, exchange what came of them, and then all learn from all, so that
+# the numbers are those of one device.
+
 MEMBERS, TRAJECTORIES = "members", "trajectories"
 
 

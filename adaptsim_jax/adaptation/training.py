@@ -32,6 +32,11 @@ from adaptsim_jax.core.store import RunFolder
 from adaptsim_jax.tasks.base import Preparation, Task
 from adaptsim_jax.tasks.registry import TASKS, make_task
 
+# ---------------------------------------------------------------- what a task learns once
+#
+# What a task learns once, before Phase 1 (`Task.preparation`): made, kept beside a run or beside
+# compiled programs, and read back.
+
 FOLDER = "prepared"
 MAX_PREPARED = 64  # preparations kept beside compiled programs; the oldest go
 

@@ -194,6 +194,12 @@ class MethodRun:
         return self.arena.problem
 
 
+# ---------------------------------------------------------------- lanes
+#
+# Batches of lanes: every target, seed and start at once; and the trials that a method has made in
+# each target so far.
+
+
 class RunLanes(NamedTuple):
     """A batch of `T x S x N` (targets, seeds, starts) laid out flat: `where [B]`, `seed [B]`, and a
     key for each.

@@ -16,6 +16,15 @@ from adaptsim_jax.baselines.arena import Memory, MethodRun, Visits, lanes, two_k
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.space import gaussian
 
+# ---------------------------------------------------------------- Gaussian process
+#
+# A small Gaussian process with expected improvement, for maximising a noisy function on the unit
+# box from few values.
+#
+# Rasmussen and Williams, "Gaussian processes for machine learning" (2006), chapters 2 and 5; Jones
+# et al., "Efficient global optimization" (1998). Matern 5/2 with a length for each coordinate,
+# double precision, NumPy and SciPy: tens of values.
+
 JITTER = 1e-8
 LENGTHS, NOISES = (
     (0.05, 4.0),

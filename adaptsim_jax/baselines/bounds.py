@@ -25,6 +25,15 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.mechanisms.double_pendulum import linear as pendulum
 from adaptsim_jax.space import Space
 
+# ---------------------------------------------------------------- tasks that are solved exactly
+#
+# A task whose policy is solved exactly: what the bounds, the gradient baseline and the scoring need
+# of it.
+#
+# Learners run in single precision. Every number of the comparison is recomputed here in double
+# precision from the means of E that a method visited, so that all methods are scored by the same
+# code.
+
 
 @dataclass(frozen=True)
 class ExactProblem:

@@ -20,6 +20,15 @@ from adaptsim_jax.core.progress import silent
 from adaptsim_jax.tasks.base import Task
 from adaptsim_jax.tasks.registry import make_task
 
+# ---------------------------------------------------------------- gradient descent
+#
+# Gradient descent on the mean of E through the policy's training and its rollout in the target.
+#
+# For one target this descends the outer problem of the paper (eq. 1) itself. It needs the
+# derivative of the target's cost, so the target must be differentiable: a simulated one, or a model
+# of the real one. It is no method for a robot, but it says what the parameterization allows with as
+# many target evaluations as the others use. See `docs/howto/differentiable.md`.
+
 Slope = Callable[[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]
 LONGEST_MOVE = 0.25  # of the range, for any parameter in one step
 

@@ -22,6 +22,11 @@ from adaptsim_jax.core.traced import digest_of, digest_of_arrays
 from adaptsim_jax.space import Space, gaussian
 from adaptsim_jax.tasks.base import Task
 
+# ---------------------------------------------------------------- rows
+#
+# From costs in the targets to the rows of results.json: normalised as in the paper's Table 1, with
+# intervals.
+
 FAILED = 1e30  # stands for an infinitely bad reward, so that quantiles stay defined; shown as None
 
 

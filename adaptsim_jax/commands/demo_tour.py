@@ -48,6 +48,11 @@ from adaptsim_jax.report.diagnosis import write_diagnosis
 from adaptsim_jax.report.film import write_film
 from adaptsim_jax.tasks.registry import TASKS
 
+# ---------------------------------------------------------------- parts
+#
+# Parts of the tour: the pendulum beside baselines with a map of what could be earned, and the push
+# and the scoop, each with what the first and the last policy do there.
+
 MAP_LIMITS = ((0.8, 2.2), (0.2, 2.2))  # kg, m1 and m2: Omega and the target, which is outside it
 
 

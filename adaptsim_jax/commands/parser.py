@@ -15,6 +15,10 @@ from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import MAX_SEED, BadInput
 from adaptsim_jax.tasks.registry import TASKS
 
+# ---------------------------------------------------------------- what commands share
+#
+# What several commands share: tasks, targets, seeds and counts by the words a person types.
+
 
 def check_task(task: str) -> str:
     """`task` if it is known; BadInput with the nearest name otherwise."""

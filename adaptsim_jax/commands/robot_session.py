@@ -219,6 +219,11 @@ def load(session: RobotSession, folder: Path | None = None) -> tuple[Any, list[d
     return state, store.read_manifest(folder)["extra"]["history"]
 
 
+# ---------------------------------------------------------------- what was recorded
+#
+# What a session of `adaptsim robot` has recorded, as trials to be diagnosed.
+
+
 def session_task(folder: Path) -> str:
     """The task of the session in `folder`. Raises BadInput where its sessions are not diagnosed."""
     from adaptsim_jax.core import store

@@ -6,6 +6,11 @@ import math
 import unicodedata
 from typing import Any
 
+# ---------------------------------------------------------------- what was given
+#
+# What a person gave, in a file or on the command line: whether it is a number that can be used, and
+# how to show it in a message.
+
 MAX_SEED = 2**32 - 1  # of JAX
 
 

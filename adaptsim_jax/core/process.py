@@ -21,6 +21,11 @@ from pathlib import Path
 from adaptsim_jax.core.errors import BadInput
 
 CACHE_VARIABLE = "ADAPTSIM_CACHE"
+
+# ---------------------------------------------------------------- the compile cache
+#
+# The persistent compile cache of the command line: on by default, set up before JAX is imported.
+
 MIN_COMPILE_S = "0.2"
 
 

@@ -92,6 +92,10 @@ def scene() -> Scene:
 ADAPT = AdaptFace("returns", shown, scene)
 
 
+# ---------------------------------------------------------------- films
+#
+# Episodes of policies in a target, on film: places of a model's joints over time.
+
 FPS = 25.0  # frames a second of a film, as near as whole steps go
 
 

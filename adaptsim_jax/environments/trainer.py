@@ -17,6 +17,14 @@ from adaptsim_jax.environments.episodes import ActingPolicy, Live, Play
 from adaptsim_jax.learners.ppo import PPO, PPOConfig, PPOHyper, PPOState, Unroll, carried, make_ppo
 from adaptsim_jax.space import Space
 
+# ---------------------------------------------------------------- planning
+#
+# Predictive sampling: no training, the policy is the simulator with E's mean (Howell et al. 2022,
+# "Predictive sampling").
+#
+# At every step the plan so far and noisy copies of it are rolled out in the simulator from where
+# the target is. The best is gone on with, and its first action made.
+
 
 @dataclass(frozen=True)
 class PlannerConfig:

@@ -20,6 +20,11 @@ from jax.flatten_util import ravel_pytree
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.learners.replay import Transition
 
+# ---------------------------------------------------------------- flat weights
+#
+# A flax network over one flat vector of weights, so that rings, archives and checkpoints hold plain
+# arrays.
+
 
 def flat(
     network: nn.Module, obs_dim: int

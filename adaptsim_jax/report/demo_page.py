@@ -19,6 +19,10 @@ from adaptsim_jax.report import figures as look
 from adaptsim_jax.report import figures_comparison as draw
 from adaptsim_jax.report.explore import filled
 
+# ---------------------------------------------------------------- figures
+#
+# The figures of the tour: what learning earned, the comparison, a recording explained.
+
 SHADES = ("#0072B2", "#56B4E9", "#004d7a")
 CURVES = ("adaptsim", "sysid_bayes", "sysid_point")
 MEASURED, DECLARED, MENDED = "#7b8794", "#c4540a", "#1767b0"

@@ -203,6 +203,10 @@ def curves_by(rows: Sequence[Mapping[str, Any]], names: Sequence[str], title: st
     return figure
 
 
+# ---------------------------------------------------------------- parameters
+#
+# The parameters of a simulation in figures: over iterations, and as methods found them.
+
 FOUND, TARGET = "#0072B2", "#8b0000"
 
 

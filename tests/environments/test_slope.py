@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from adaptsim_jax.baselines.steps_search import make_slope
+from adaptsim_jax.environments.episodes import make_slope
 from adaptsim_jax.environments.policies import Law, acting_of
 from adaptsim_jax.environments.setting import EnvironmentConfig, setting_of
 from adaptsim_jax.environments.trainer import PPOTraining
