@@ -16,50 +16,38 @@ HERE = "adaptsim_jax.baselines"
 BOUNDS = ("udr", "best_in_omega")  # 0 and 1 of the exact scale, computed for every comparison
 ORACLE = "oracle"  # what the best actions earn in the target itself, likewise
 
+
+def _in(module: str, *names: str) -> dict[str, str]:
+    """Where functions of these names stand."""
+    return {name: f"{HERE}.{module}:{name}" for name in names}
+
+
 EXACT: Registry[Callable[..., Any]] = Registry(
     "baselines",
-    {
-        "adaptsim": f"{HERE}.exact_methods:adaptsim",
-        "adaptsim_state": f"{HERE}.exact_methods:adaptsim_state",
-        "adaptsim_analytic": f"{HERE}.exact_methods:adaptsim_analytic",
-        "sysid_bayes": f"{HERE}.exact_methods:sysid_bayes",
-        "sysid_bayes_state": f"{HERE}.exact_methods:sysid_bayes_state",
-        "sysid_point": f"{HERE}.exact_methods:sysid_point",
-        "sysid_point_state": f"{HERE}.exact_methods:sysid_point_state",
-        "gradient": f"{HERE}.exact_methods:gradient",
-    },
+    _in(
+        "exact_methods",
+        "adaptsim",
+        "adaptsim_state",
+        "adaptsim_analytic",
+        "sysid_bayes",
+        "sysid_bayes_state",
+        "sysid_point",
+        "sysid_point_state",
+        "gradient",
+    ),
     within="exact",
 )
+ADAPTING = _in("adapting", "adaptsim", "sysid_bayes", "sysid_point") | _in("bayesopt", "bayesopt")
 LEARNED: Registry[Callable[..., Any]] = Registry(
     "baselines",
-    {
-        "adaptsim": f"{HERE}.adapting:adaptsim",
-        "sysid_bayes": f"{HERE}.adapting:sysid_bayes",
-        "sysid_point": f"{HERE}.adapting:sysid_point",
-        "bayesopt": f"{HERE}.bayesopt:bayesopt",
-        "udr": f"{HERE}.direct:udr",
-        "udr_target": f"{HERE}.direct:udr_target",
-        "learn_in_target": f"{HERE}.direct:learn_in_target",
-    },
+    ADAPTING | _in("direct", "udr", "udr_target", "learn_in_target"),
     within="learned",
 )
 STEPS: Registry[Callable[..., Any]] = Registry(
     "baselines",
-    {
-        "adaptsim": f"{HERE}.adapting:adaptsim",
-        "sysid_bayes": f"{HERE}.adapting:sysid_bayes",
-        "sysid_point": f"{HERE}.adapting:sysid_point",
-        "bayesopt": f"{HERE}.bayesopt:bayesopt",
-        "cma_es": f"{HERE}.steps_search:cma_es",
-        "sbi": f"{HERE}.steps_search:sbi",
-        "gradient": f"{HERE}.steps_search:gradient",
-        "fine_tune": f"{HERE}.steps_trained:fine_tune",
-        "nominal": f"{HERE}.steps_trained:nominal",
-        "udr": f"{HERE}.steps_trained:udr",
-        "udr_wide": f"{HERE}.steps_trained:udr_wide",
-        "best_in_omega": f"{HERE}.steps_trained:best_in_omega",
-        "oracle": f"{HERE}.steps_trained:oracle",
-    },
+    ADAPTING
+    | _in("steps_search", "cma_es", "sbi", "gradient")
+    | _in("steps_trained", "fine_tune", "nominal", "udr", "udr_wide", "best_in_omega", "oracle"),
     within="steps",
 )
 PROBLEMS: Registry[Callable[..., Any]] = Registry(

@@ -256,8 +256,7 @@ def diagnosis_words(report: Mapping[str, Any]) -> dict[str, Any]:
     mended = bool(report["effects"])
     after = error["after"] if mended else None
     return {
-        "tone": words.TONES[report["verdict"]],
-        "label": words.LABELS[report["verdict"]],
+        "verdict": words.VERDICTS[report["verdict"]],
         "headline": words.headline(report),
         "message": report["message"],
         "metric": error["metric"],

@@ -74,10 +74,8 @@ def render(report: dict[str, Any], evidence: Mapping[str, Any], out: Path | None
     above = diagnosis_explore.tracks(evidence.get("tracks") or {})
     page = {
         "report": report,
-        "tone": words.TONES[report["verdict"]],
-        "label": words.LABELS[report["verdict"]],
+        "verdict": words.VERDICTS[report["verdict"]],
         "headline": words.headline(report),
-        "meaning": words.MEANINGS[report["verdict"]],
         "todo": words.todo(report),
         "mended": mended,
         "error": error,
@@ -196,7 +194,7 @@ def print_summary(report: dict, console: Console, out: Path | None = None) -> No
     """
     report = schema.check(report)
     colour = {"good": "green", "calm": "cyan", "open": "yellow", "bad": "red"}[
-        words.TONES[report["verdict"]]
+        words.VERDICTS[report["verdict"]]["tone"]
     ]
     console.print(
         Text(report["verdict"], style=f"bold {colour}"), Text(words.headline(report), style="bold")

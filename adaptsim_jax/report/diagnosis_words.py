@@ -4,20 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cache
+from pathlib import Path
 from typing import Any
 
+from adaptsim_jax.core.config import read
 from adaptsim_jax.diagnosis.criteria import USEFUL_SKILL
 from adaptsim_jax.effects.registry import of_joints
 from adaptsim_jax.report import diagnosis_format as fmt
 
-TONES = {
-    "explained": "good",
-    "explained_class": "good",
-    "partly_explained": "open",
-    "structured_unattributed": "open",
-    "within_noise": "calm",
-    "data_fault": "bad",
-}
+VERDICTS = read(Path(__file__).with_name("verdicts.toml"))
+"""Of each verdict: tone, label, meaning, next."""
 BASE = {
     "p1": "inertia about joint 1, I1 + m1 lc1² + I2 + m2 (l1² + lc2²)",
     "p3": "inertia about joint 2, I2 + m2 lc2²",
@@ -31,41 +27,6 @@ well).
 """
 MANY = 8  # names in one sentence: more are listed elsewhere in the page
 LOUD = 4.0  # times the sensors' noise: from here on a reader asks what the rest is
-LABELS = {
-    "explained": "explained",
-    "explained_class": "explained up to a class",
-    "partly_explained": "partly explained",
-    "structured_unattributed": "structure without a name",
-    "within_noise": "within noise",
-    "data_fault": "fault in the data",
-}
-MEANINGS = {
-    "explained": "The mended model is ready to use: the effect held on trials without a part in "
-    "finding it.",
-    "explained_class": "The mended model predicts better, whichever of the names is right: "
-    "with these trials they cannot be told apart.",
-    "partly_explained": "Each effect named held out by itself on trials without a part in finding "
-    "it. More is left than the sensors' "
-    "noise, and it has no name: the mended model is better, not complete.",
-    "structured_unattributed": "What is left is more than chance leaves, yet no effect in the "
-    "catalogue "
-    "accounts for it. No name is forced on it.",
-    "within_noise": "What is left looks like chance. Nothing needs to be added for motions like "
-    "these.",
-    "data_fault": "No model was judged: the findings below come first.",
-}
-NEXT = {
-    "explained": "Use the mended model, and test it on motions that it has not seen.",
-    "explained_class": "Use the mended model for motions like these; other motions can tell the "
-    "names apart.",
-    "partly_explained": "Use the mended model for motions like these, and look where the rest "
-    "sits.",
-    "structured_unattributed": "Look where the structure sits: an effect of your own can be added "
-    "for it (adaptsim new effect).",
-    "within_noise": "Add no effect; take the fitted values (below, and in model.toml) for those of "
-    "the file.",
-    "data_fault": "Mend the recording as the audit says, then run this again.",
-}
 
 
 @cache
@@ -309,7 +270,7 @@ def todo(report: Mapping) -> str:
         return files
     if report["verdict"] == "within_noise" and not report["declared"]["after"]:
         return "Add no effect, and keep the file's values: nothing was fitted."
-    return NEXT[report["verdict"]] + (
+    return VERDICTS[report["verdict"]]["next"] + (
         " See the next experiment below." if there and not nameless else ""
     )
 

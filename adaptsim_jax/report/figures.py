@@ -10,31 +10,10 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from adaptsim_jax.core.config import read
 from adaptsim_jax.core.files import write_bytes
 
-# Okabe and Ito's palette: told apart with any common colour blindness, and in grey by the line
-# styles below.
-METHODS = {
-    "adaptsim": ("#0072B2", "AdaptSim"),
-    "adaptsim_state": ("#56B4E9", "AdaptSim-State"),
-    "adaptsim_analytic": ("#332288", "AdaptSim, analytic gradient"),
-    "sysid_bayes": ("#D55E00", "SysID-Bayes"),
-    "sysid_bayes_state": ("#E69F00", "SysID-Bayes-State"),
-    "sysid_point": ("#009E73", "SysID-Point"),
-    "sysid_point_state": ("#6FBF8F", "SysID-Point-State"),
-    "gradient": ("#CC79A7", "Gradient (of the target)"),
-    "bayesopt": ("#B8A300", "BayesOpt"),
-    "udr": ("#777777", "UDR"),
-    "udr_target": ("#8C6BB1", "UDR+Target"),
-    "learn_in_target": ("#A6761D", "LearnInTarget"),
-    "cma_es": ("#7A9A01", "CMA-ES"),
-    "sbi": ("#E69F00", "Posterior by sbi"),
-    "fine_tune": ("#A6761D", "Fine-tuning in the target"),
-    "nominal": ("#999999", "Trained at nominal values"),
-    "udr_wide": ("#AAAAAA", "UDR, wider box"),
-    "oracle": ("#000000", "Oracle"),
-    "best_in_omega": ("#000000", "Best in Ω"),
-}
+METHODS = read(Path(__file__).with_name("methods.toml"))
 """Method -> colour and label, in the order in which they are listed."""
 MARKERS = {"adaptsim": "o", "sysid_bayes": "s", "sysid_point": "^", "gradient": "D"}
 SETTINGS = {"wd": "WD"} | {f"ood-{i}": f"OOD-{i}" for i in range(1, 5)}
