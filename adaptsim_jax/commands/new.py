@@ -9,52 +9,12 @@ import keyword
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
-KINDS = {  # the files of each
-    "effect": (".py",),
-    "mechanism": (".xml",),
-    "task": (".py",),
-    "engine": (".py",),
-    "baseline": (".py",),
-    "environment": (".toml", ".py", ".xml"),
-}
-NEXT = {
-    "effect": "python {file}    its torque; then fill in the physics (docs/your-own-effect.md)",
-    "mechanism": "adaptsim init LOGS --model {file}",
-    "task": "python {file}    trains a small Phase 1 on it",
-    "engine": "python {file}    moves the pendulum in it",
-    "baseline": "python {file}    tries it in one target",
-    "environment": "adaptsim train {file} --run runs/{name}",
-}
-KNOWN = {  # entry point: group, name, object, where it then stands, and the registry that it is in
-    "effect": (
-        "effects",
-        "{name}",
-        "EFFECT",
-        "`adaptsim effects mechanism`, `adaptsim diagnose`",
-        "effects.registry:EFFECTS",
-    ),
-    "task": (
-        "tasks",
-        "{name}",
-        "TASK",
-        "`adaptsim train {name}`, `adaptsim compare {name}`",
-        "tasks.registry:TASKS",
-    ),
-    "engine": (
-        "backends",
-        "pendulum.{name}",
-        "ENGINE",
-        "`adaptsim parity pendulum`",
-        "tasks.pendulum.engines:BACKENDS",
-    ),
-    "baseline": (
-        "baselines",
-        "exact.{name}",
-        "{name}",
-        "`adaptsim compare pendulum --methods {name}`",
-        "baselines.registry:EXACT",
-    ),
-}
+from adaptsim_jax.core.config import read
+
+KINDS = read(Path(__file__).parent / "starts" / "kinds.toml")
+POINT = """[project.entry-points."adaptsim.{group}"]
+"{point}" = "{{name}}:{object}"
+"""
 PYPROJECT = """[project]
 name = "{project}"
 version = "0.1"
@@ -101,7 +61,8 @@ def run(args: argparse.Namespace) -> int:
             f"{args.kind} '{args.name}' is there already, and two of one name are refused; give "
             "another NAME"
         )
-    paths = [args.dir / f"{args.name}{suffix}" for suffix in KINDS[args.kind]]
+    kind = KINDS[args.kind]
+    paths = [args.dir / f"{args.name}{suffix}" for suffix in kind["files"]]
     for path in paths:
         if path.exists():
             raise BadInput(f"{path}: is there already; give another NAME, or --dir")
@@ -115,29 +76,26 @@ def run(args: argparse.Namespace) -> int:
         )
         write_bytes(path, text.encode())
         print(f"written: {path}")
-    if args.kind in KNOWN:
-        _make_known(args.kind, args.name, args.dir)
-    print(f"next: {NEXT[args.kind].format(file=paths[0], name=args.name)}")
+    if "registry" in kind:
+        _make_known(kind, args.name, args.dir)
+    print(f"next: {kind['next'].format(file=paths[0], name=args.name)}")
     return 0
 
 
 def _names(kind: str) -> tuple[str, ...]:
     """What is known of a kind."""
-    if kind in KNOWN:
-        return tuple(EntryPoint(kind, f"adaptsim_jax.{KNOWN[kind][-1]}", "").load().own)
+    if home := KINDS[kind].get("registry"):
+        return tuple(EntryPoint(kind, f"adaptsim_jax.{home}", "").load().own)
     return ()
 
 
-def _make_known(kind: str, name: str, folder: Path) -> None:
+def _make_known(kind: dict[str, str], name: str, folder: Path) -> None:
     """A pyproject.toml whose entry points make the object one of ours. The lines for it where there
     is a file already.
     """
     from adaptsim_jax.core.files import write_bytes
 
-    group, point, thing, where, _ = KNOWN[kind]
-    lines = f'[project.entry-points."adaptsim.{group}"]\n"{point}" = "{name}:{thing}"\n'.format(
-        name=name
-    )
+    lines = POINT.format(**kind).format(name=name)
     file = folder / "pyproject.toml"
     if file.exists():
         print(f"add to {file}, and '{name}' to its py-modules or packages:\n\n{lines}")
@@ -147,4 +105,5 @@ def _make_known(kind: str, name: str, folder: Path) -> None:
         )
         write_bytes(file, f"{text}\n{lines}".encode())
         print(f"written: {file}")
-    print(f"once installed (pip install -e {folder}) it is known to {where.format(name=name)}")
+    where = kind["where"].format(name=name)
+    print(f"once installed (pip install -e {folder}) it is known to {where}")
