@@ -14,6 +14,7 @@ from adaptsim_jax.adaptation.training import (
     default_config,
     preset,
     presets_of,
+    table_of,
     with_defaults,
 )
 from adaptsim_jax.core import config as configs
@@ -98,14 +99,7 @@ def _base(spec: SweepSpec, lines: Lines, folder: Path, env: dict[str, Any]) -> T
             base = preset(configs.pick("preset", spec.preset, presets_of(spec.task)))
     if spec.config:
         with lines.blamed("config"):
-            table = configs.read(folder / spec.config)
-            if table.get("task", spec.task) != spec.task and isinstance(table.get("config"), dict):
-                raise BadInput(
-                    f"{spec.config}: is of task '{table['task']}', not '{spec.task}'; name another "
-                    "file"
-                )
-            if isinstance(table.get("config"), dict):
-                table = table["config"]
+            table = table_of(folder / spec.config, spec.task, spec.config)
             base = configs.from_table(TrainConfig, with_defaults(spec.task, table), spec.config)
     for key, value in leaves(spec.set, configs.to_table(base)).items():
         with lines.blamed(f"set.{key}"):

@@ -287,6 +287,18 @@ def default_config(task: str) -> TrainConfig:
     return configs.from_table(TrainConfig, dict(TASKS[task].train), f"task {task}, train")
 
 
+def table_of(path: str | Path, task: str, where: str) -> dict[str, Any]:
+    """The config of `task` in a file: a run's, or a bare table. `where` names the file in a
+    BadInput.
+    """
+    table = configs.read(path)
+    if not isinstance(table.get("config"), dict):
+        return table
+    if table.get("task", task) != task:
+        raise BadInput(f"{where}: is of task '{table['task']}', not '{task}'; name another file")
+    return table["config"]
+
+
 def with_defaults(task: str, table: dict[str, Any]) -> dict[str, Any]:
     """`table` over the task's default config, key by key. A run's own config is whole and stays as
     it is.

@@ -138,21 +138,13 @@ def _check(asked: Any, args: argparse.Namespace) -> None:
 
 def _start_table(args: argparse.Namespace) -> dict[str, Any]:
     """The config of a file (a run's, or a bare table) or of a preset, or the defaults."""
-    from adaptsim_jax.core import config
-    from adaptsim_jax.core.errors import BadInput
+    from adaptsim_jax.adaptation.training import table_of
 
     if args.preset:
         return _preset_table(args)
     if not args.config:
         return vars(args).get("env", {})  # of an env.toml in the task's place
-    table = config.read(args.config)
-    if isinstance(table.get("config"), dict):
-        if table.get("task", args.task) != args.task:
-            raise BadInput(
-                f"{args.config}: is of task '{table['task']}', not '{args.task}'; name another file"
-            )
-        return table["config"]
-    return table
+    return table_of(args.config, args.task, args.config)
 
 
 def _preset_table(args: argparse.Namespace) -> dict[str, Any]:
