@@ -18,6 +18,7 @@ from adaptsim_jax.adaptation.phase2 import adapt, draw_starts
 from adaptsim_jax.adaptation.sweep_spec import Member, SweepSpec
 from adaptsim_jax.adaptation.training import prepared
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.parallel import largest_divisor
 from adaptsim_jax.core.store import MANIFEST, load_checkpoint, save_checkpoint
 from adaptsim_jax.tasks.registry import make_task
 
@@ -162,10 +163,7 @@ def run_batch(
         state = devices.put(restored["state"], mesh)
         curves = tuple(map(np.array, restored["curves"]))
     saved = time.monotonic()
-    every = members[0].config.every
-    size = max(
-        n for n in range(1, max(1, min(every, total)) + 1) if total % n == 0 and done % n == 0
-    )
+    size = largest_divisor(min(members[0].config.every, total), total, done)
     while done < total:
         numbers = devices.put(np.arange(done, done + size), mesh, batched=False)
         state, found = programs.advance(state, hyper, numbers)

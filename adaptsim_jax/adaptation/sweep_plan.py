@@ -20,6 +20,7 @@ from adaptsim_jax.adaptation.phase1_config import Phase1Config, Phase1Hyper
 from adaptsim_jax.adaptation.sweep_spec import Member, Sweep
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.parallel import largest_divisor
 from adaptsim_jax.tasks.base import Task
 from adaptsim_jax.tasks.registry import make_task
 
@@ -48,7 +49,7 @@ def choose_split(devices: int, members: int, parallel: int) -> Split:
     `trajectories` if `parallel` of them (0: they cannot be shared out) divide evenly. Where they do
     not, members are padded with copies.
     """
-    along = max(d for d in range(1, devices + 1) if devices % d == 0 and d <= max(members, 1))
+    along = largest_divisor(min(members, devices), devices)
     rest = devices // along
     if parallel and parallel % rest == 0:
         return Split(along, rest)

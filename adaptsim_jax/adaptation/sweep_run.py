@@ -25,6 +25,7 @@ from adaptsim_jax.adaptation.sweep_spec import Member, Sweep
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import without_nan
+from adaptsim_jax.core.parallel import largest_divisor
 from adaptsim_jax.core.progress import silent
 from adaptsim_jax.core.store import CHECKPOINT, RunFolder
 
@@ -85,7 +86,7 @@ def _split(group: Any) -> devices.Split:
     have = len(jax.devices())
     if group.split.members * group.split.trajectories <= have:
         return group.split
-    along = max(d for d in range(1, have + 1) if group.width % d == 0)
+    along = largest_divisor(have, group.width)
     return devices.Split(along, 1)
 
 

@@ -27,6 +27,7 @@ from adaptsim_jax.adaptation.phase2 import Phase2Result, adapt, draw_starts
 from adaptsim_jax.core import config, process, store
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import MAX_SEED, BadInput
+from adaptsim_jax.core.parallel import largest_divisor
 from adaptsim_jax.core.progress import Report, silent
 from adaptsim_jax.core.store import RunFolder
 from adaptsim_jax.tasks.base import Preparation, Task
@@ -177,11 +178,7 @@ def train_run(config: TrainConfig, run: RunFolder, progress: Callable[..., None]
         raise BadInput(
             f"{run.path}: the checkpoint is of round {done}, but the run has {total}; train anew"
         )
-    size = max(
-        n
-        for n in range(1, max(1, min(config.every, total)) + 1)
-        if total % n == 0 and done % n == 0
-    )
+    size = largest_divisor(min(config.every, total), total, done)
     advance = jax.jit(phase1.run, donate_argnums=0)
     while done < total:
         state, info = advance(state, hyper, jnp.arange(done, done + size))

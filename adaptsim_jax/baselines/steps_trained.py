@@ -15,6 +15,7 @@ from scipy.stats import qmc
 
 from adaptsim_jax.baselines.arena import MethodRun, Visits, lanes
 from adaptsim_jax.baselines.steps_arena import StepsArena
+from adaptsim_jax.core.parallel import largest_divisor
 from adaptsim_jax.environments.policies import Law, Tuned, everywhere, trained_in
 from adaptsim_jax.environments.setting import compiled
 from adaptsim_jax.environments.trainer import Worlds, make_ppo_trainer
@@ -94,7 +95,7 @@ def fine_tune(run: MethodRun) -> Visits:
         epochs=config.epochs,
         decay=1.0,
         stagger=False,
-        minibatches=max(n for n in range(1, minibatches + 1) if config.together * length % n == 0),
+        minibatches=largest_divisor(minibatches, config.together * length),
         hyper=replace(setting.config.training.hyper, learning_rate=config.rate),
     )
     middle = jnp.full(setting.space.dim, 0.5)

@@ -10,7 +10,6 @@ import importlib
 import importlib.metadata
 import io
 import json
-import os
 import platform
 import time
 from collections.abc import Callable, Iterator
@@ -18,6 +17,7 @@ from typing import Any
 
 from adaptsim_jax import __version__
 from adaptsim_jax.core import process
+from adaptsim_jax.core.parallel import cores
 
 EXAMPLES = """
   adaptsim doctor
@@ -74,9 +74,7 @@ def examine() -> dict[str, Any]:
         "adaptsim_jax": __version__,
         "python": platform.python_version(),
         "platform": platform.platform(),
-        "cores": len(os.sched_getaffinity(0))
-        if hasattr(os, "sched_getaffinity")
-        else os.cpu_count(),
+        "cores": cores(),
         "versions": versions,
         "devices": _devices(),
         "backends": backends,

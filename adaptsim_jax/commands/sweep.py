@@ -104,15 +104,12 @@ def _set_up_devices(args: argparse.Namespace) -> None:
     waiting for each other.
     """
     from adaptsim_jax.core.errors import BadInput
+    from adaptsim_jax.core.parallel import cores
 
-    if hasattr(os, "sched_getaffinity"):
-        cores = len(os.sched_getaffinity(0))
-    else:
-        cores = os.cpu_count() or 1
     flags = os.environ.get("XLA_FLAGS", "")
     if "xla_force_host_platform_device_count" not in flags:
         os.environ["XLA_FLAGS"] = (
-            f"{flags} --xla_force_host_platform_device_count={args.devices or cores}".strip()
+            f"{flags} --xla_force_host_platform_device_count={args.devices or cores()}".strip()
         )
     if args.hosts and args.ray is not None:
         raise BadInput(

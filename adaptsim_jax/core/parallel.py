@@ -32,6 +32,11 @@ def cores() -> int:
     return os.cpu_count() or 1
 
 
+def largest_divisor(most: int, *totals: int) -> int:
+    """The largest number up to `most` that divides all of `totals`; at least 1."""
+    return max(n for n in range(1, max(1, most) + 1) if all(total % n == 0 for total in totals))
+
+
 def parallel_map(call: Callable[[Given], Made], items: Iterable[Given]) -> list[Made]:
     """`[call(item) for item in items]`, several at once; the first failure in the order of `items`
     is raised.

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.parallel import largest_divisor
 from adaptsim_jax.core.progress import silent
 from adaptsim_jax.core.traced import digest_of
 from adaptsim_jax.environments.episodes import ActingPolicy, Play, Rollout, Shown, visit, whitened
@@ -110,7 +111,7 @@ def trained_in(
     begin_key, key = jax.random.split(key)
     state = trainer.begin(begin_key, learned)
     # one compiled program serves all of it
-    size = max(n for n in range(1, min(CHUNK, rounds) + 1) if rounds % n == 0)
+    size = largest_divisor(min(CHUNK, rounds), rounds)
     last = float("nan")
     for done in range(size, rounds + 1, size):
         known = worlds.known if done > blind * rounds else jnp.zeros(())
