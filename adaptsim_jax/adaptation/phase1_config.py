@@ -6,7 +6,7 @@ import jax
 
 from adaptsim_jax.adaptation import reuse
 from adaptsim_jax.adaptation.reuse import ReuseConfig
-from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.errors import BadInput, check_counts
 from adaptsim_jax.learners import replay as ring
 from adaptsim_jax.learners.bdq import BDQHyper
 from adaptsim_jax.tasks.base import Task
@@ -106,9 +106,7 @@ SHARES = (
 
 def check(config: Phase1Config, task: Task) -> None:
     """Raises BadInput where the sizes do not fit each other or the task."""
-    for name in SIZES:
-        if getattr(config, name) < 1:
-            raise BadInput(f"phase1.{name} = {getattr(config, name)}: give at least 1")
+    check_counts(config, SIZES, "phase1.")
     if config.warmup < 0:
         raise BadInput(f"phase1.warmup = {config.warmup}: give a number of rounds, 0 for none")
     if config.reuse.threshold > 0 and task.train_many is None:

@@ -10,7 +10,7 @@ from adaptsim_jax.baselines.direct import DirectConfig
 from adaptsim_jax.baselines.registry import exact_methods, learned_methods, steps_methods
 from adaptsim_jax.baselines.sysid import SysIdConfig
 from adaptsim_jax.core import config as configs
-from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.errors import check_counts
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,7 @@ class StepsConfig:
     sigma: float = 0.25
 
     def __post_init__(self):
-        for name in ("tests", "together", "epochs", "points"):
-            if getattr(self, name) < 1:
-                raise BadInput(f"compare: steps.{name} = {getattr(self, name)}; give at least 1")
+        check_counts(self, ("tests", "together", "epochs", "points"), "compare: steps.", ";")
 
 
 @dataclass(frozen=True)
@@ -66,9 +64,7 @@ class CompareConfig:
     options: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self):
-        for name in ("seeds", "iterations", "starts"):
-            if getattr(self, name) < 1:
-                raise BadInput(f"compare: {name} = {getattr(self, name)}; give at least 1")
+        check_counts(self, ("seeds", "iterations", "starts"), "compare: ", ";")
         for method in self.methods:
             configs.pick(
                 "method",

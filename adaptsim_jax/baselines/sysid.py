@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import optax
 
 from adaptsim_jax.baselines import mdn
-from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.errors import BadInput, check_counts
 from adaptsim_jax.space import Gaussian
 from adaptsim_jax.tasks.base import Task
 
@@ -47,9 +47,7 @@ class SysIdConfig:
     next_fit: mdn.FitConfig = field(default_factory=lambda: mdn.FitConfig(updates=500, rate=1e-3))
 
     def __post_init__(self):
-        for name in ("iterations", "simulations", "components", "draws"):
-            if getattr(self, name) < 1:
-                raise BadInput(f"SysID {name} = {getattr(self, name)}: give at least 1")
+        check_counts(self, ("iterations", "simulations", "components", "draws"), "SysID ")
         if not 0 <= self.visits <= self.simulations:
             raise BadInput(
                 f"SysID visits = {self.visits}: give 0 to the number of simulations, "

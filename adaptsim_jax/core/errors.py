@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import unicodedata
+from collections.abc import Iterable
 from typing import Any
 
 # ---------------------------------------------------------------- what was given
@@ -62,3 +63,15 @@ class BadInput(ValueError):
 
     def __init__(self, message: str = "") -> None:
         super().__init__(one_line(str(message)))
+
+
+def check_counts(record: Any, names: Iterable[str], where: str = "", mark: str = ":") -> None:
+    """BadInput where one of these fields of `record` is below 1.
+
+    Args:
+        where: What stands before the field's name. mark: Stands before the mend.
+    """
+    for name in names:
+        if getattr(record, name) < 1:
+            value = getattr(record, name)
+            raise BadInput(f"{where}{name} = {value}{mark} give at least 1")

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from adaptsim_jax.core import config as configs
-from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.errors import BadInput, check_counts
 from adaptsim_jax.core.traced import digest_of, digest_of_arrays
 from adaptsim_jax.environments.episodes import (
     Play,
@@ -65,9 +65,7 @@ class EnvironmentConfig:
     targets: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self):
-        for name in ("trials", "tune", "references", "components"):
-            if getattr(self, name) < 1:
-                raise BadInput(f"{name} = {getattr(self, name)}: give at least 1")
+        check_counts(self, ("trials", "tune", "references", "components"))
         for name in ("wide", "length", "spread", "doubt"):
             if getattr(self, name) < 0:
                 raise BadInput(f"{name} = {getattr(self, name)}: give 0 or more")

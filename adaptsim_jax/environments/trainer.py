@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.errors import BadInput, check_counts
 from adaptsim_jax.environments.episodes import ActingPolicy, Live, Play
 from adaptsim_jax.learners.ppo import PPO, PPOConfig, PPOHyper, PPOState, Unroll, carried, make_ppo
 from adaptsim_jax.space import Space
@@ -134,9 +134,7 @@ class PPOTraining:
     hyper: PPOHyper = field(default_factory=PPOHyper)
 
     def __post_init__(self):
-        for name in ("steps", "parallel", "unroll"):
-            if getattr(self, name) < 1:
-                raise BadInput(f"training.{name} = {getattr(self, name)}: give at least 1")
+        check_counts(self, ("steps", "parallel", "unroll"), "training.")
         if self.parallel * self.unroll % self.minibatches:
             raise BadInput(
                 f"training: {self.parallel} environments of {self.unroll} steps do not divide into "
