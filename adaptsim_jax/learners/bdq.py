@@ -39,6 +39,18 @@ def flat(
     ], lambda weights, obs: network.apply(unravel(weights), obs)
 
 
+def adam_step(weights: jax.Array, opt: Any, grad: jax.Array, hyper: Any) -> tuple[Any, Any, Any]:
+    """One step of Adam from a gradient that is scaled down to `hyper.max_grad_norm`.
+
+    Returns:
+        Weights `[n]`, the optimiser's state, and the gradient's norm before it was scaled.
+    """
+    norm = optax.tree.norm(grad)
+    grad = grad * jnp.minimum(1.0, hyper.max_grad_norm / jnp.maximum(norm, 1e-12))
+    move, opt = optax.scale_by_adam().update(grad, opt)
+    return weights - hyper.learning_rate * move, opt, norm
+
+
 ACTIVATIONS: dict[str, Callable[[jax.Array], jax.Array]] = {
     "elu": nn.elu,
     "relu": nn.relu,
@@ -158,10 +170,7 @@ def make_bdq(config: BDQConfig) -> BDQ:
         (loss, q), grad = jax.value_and_grad(_loss, argnums=1, has_aux=True)(
             q_values, state.online, batch, target
         )
-        norm = optax.tree.norm(grad)
-        grad = grad * jnp.minimum(1.0, hyper.max_grad_norm / jnp.maximum(norm, 1e-12))
-        step, opt = optax.scale_by_adam().update(grad, state.opt)
-        online = state.online - hyper.learning_rate * step
+        online, opt, norm = adam_step(state.online, state.opt, grad, hyper)
         slow = state.target + hyper.tau * (online - state.target)
         return BDQState(online, slow, opt), BDQInfo(loss, q, norm)
 

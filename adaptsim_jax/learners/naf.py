@@ -19,7 +19,7 @@ import optax
 
 from adaptsim_jax.control.small_matrix import solve
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.learners.bdq import ACTIVATIONS, flat
+from adaptsim_jax.learners.bdq import ACTIVATIONS, adam_step, flat
 
 # ---------------------------------------------------------------- the best action in a box
 #
@@ -254,10 +254,7 @@ def make_naf(config: NAFConfig) -> NAF:
             return _loss(quadratic(w, batch.obs)(batch.action), batch.reward)
 
         (loss, q), grad = jax.value_and_grad(loss_of, has_aux=True)(state.online)
-        norm = optax.tree.norm(grad)
-        grad = grad * jnp.minimum(1.0, hyper.max_grad_norm / jnp.maximum(norm, 1e-12))
-        step, opt = optax.scale_by_adam().update(grad, state.opt)
-        online = state.online - hyper.learning_rate * step
+        online, opt, norm = adam_step(state.online, state.opt, grad, hyper)
         return NAFState(online, opt), NAFInfo(loss, q, norm)
 
     return NAF(config, init, fresh, quadratic, greedy, act, update)

@@ -19,7 +19,7 @@ import numpy as np
 import optax
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.learners.bdq import ACTIVATIONS, flat
+from adaptsim_jax.learners.bdq import ACTIVATIONS, adam_step, flat
 
 LOWEST, HIGHEST = -3.0, 0.5  # of the logarithm of the exploration's standard deviation
 MAX_DEVIATIONS = (
@@ -313,11 +313,7 @@ def _epochs(key, config: PPOConfig, loss, carry, rows, hyper):
         weights, opt = carry
         (_, info), grad = jax.value_and_grad(loss, has_aux=True)(weights, part)
         grad = jnp.where(jnp.isfinite(grad), grad, 0.0)
-        grad = grad * jnp.minimum(
-            1.0, hyper.max_grad_norm / jnp.maximum(optax.tree.norm(grad), 1e-12)
-        )
-        move, opt = optax.scale_by_adam().update(grad, opt)
-        return (weights - hyper.learning_rate * move, opt), info
+        return adam_step(weights, opt, grad, hyper)[:2], info
 
     def epoch(carry, key):
         order = _shuffled(key, count)[: size * config.minibatches].reshape(config.minibatches, size)

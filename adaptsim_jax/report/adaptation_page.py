@@ -33,8 +33,8 @@ def write_adaptation_page(results: Mapping[str, Any], path: Path) -> Path:
 def render(results: Mapping[str, Any]) -> str:
     """The page as text."""
     rows = results["rows"]
-    settings = list(dict.fromkeys(r["setting"] for r in rows))
-    methods = list(dict.fromkeys(r["method"] for r in rows))
+    settings = look.distinct(rows, "setting")
+    methods = look.distinct(rows, "method")
     cells = {(r["method"], r["setting"]): _cell(r) for r in rows}
     curves = _rewards(results)
     if "reward" not in results:
@@ -100,7 +100,7 @@ def headline(rows: list[Mapping[str, Any]], what: str = "Normalized reward") -> 
     """
     by = {(r["method"], r["setting"]): r["mean"] for r in rows}
     parts = []
-    for setting in dict.fromkeys(r["setting"] for r in rows):
+    for setting in look.distinct(rows, "setting"):
         ours = by.get(("adaptsim", setting))
         known = [by.get((m, setting), None) for m in ("sysid_bayes", "sysid_point")]
         known = [v for v in known if v is not None]
@@ -153,7 +153,7 @@ def _rewards(results: Mapping[str, Any]) -> str:
     has.
     """
     rows = [r for r in results["rows"] if len(r["curve"]["median"]) > 1]
-    settings = list(dict.fromkeys(r["setting"] for r in rows))
+    settings = look.distinct(rows, "setting")
     bottom, what, over = look.lower_limit(results), look.reward_of(results), look.axis_of(results)
     views = {}
     for i, name in enumerate(settings):

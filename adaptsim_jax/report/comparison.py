@@ -37,8 +37,8 @@ def table(results: Mapping[str, Any]) -> str:
     and what else counts.
     """
     rows = results["rows"]
-    settings = list(dict.fromkeys(r["setting"] for r in rows))
-    methods = list(dict.fromkeys(r["method"] for r in rows))
+    settings = look.distinct(rows, "setting")
+    methods = look.distinct(rows, "method")
     cells = {(r["method"], r["setting"]): r for r in rows}
     head = [look.setting(s) for s in settings]
 
@@ -85,7 +85,7 @@ def _by_trials(results: Mapping[str, Any], across) -> list[str]:
         "The return itself, mean over seeds:" if not one else "The return itself:",
         across(_returns),
     ]
-    for setting in dict.fromkeys(r["setting"] for r in rows):
+    for setting in look.distinct(rows, "setting"):
         mine = [r for r in rows if r["setting"] == setting]
 
         def cell(at):

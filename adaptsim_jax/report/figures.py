@@ -56,6 +56,11 @@ def finite_or(worst: float, values) -> list[float]:
     return [worst if v is None else v for v in values]
 
 
+def distinct(rows, key: str) -> list[str]:
+    """What stands under `key` in these rows, in the order in which it comes."""
+    return list(dict.fromkeys(row[key] for row in rows))
+
+
 def one_seed(rows) -> bool:
     """Whether no row of a comparison is of more than one seed, so that there is nothing to give an
     interval of.

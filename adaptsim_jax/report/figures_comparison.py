@@ -26,7 +26,7 @@ def reward_over_iterations(results: Mapping[str, Any], methods: Sequence[str] = 
         by = {r["method"]: r["trials"] for r in rows}
     else:
         by = {}
-    settings = list(dict.fromkeys(r["setting"] for r in rows))
+    settings = look.distinct(rows, "setting")
     width = max(2.15 * len(settings) + 0.6, 4.6)
     figure, axes = look.new_figure(width, 2.9, 1, len(settings), sharey=True)
     for ax, setting in zip(axes, settings, strict=True):
@@ -90,8 +90,8 @@ def rewards(results: Mapping[str, Any]) -> Figure:
     else:
         known = ("udr", "best_in_omega")
     rows = [r for r in results["rows"] if r["method"] not in known]
-    settings = list(dict.fromkeys(r["setting"] for r in rows))
-    methods = list(dict.fromkeys(r["method"] for r in rows))
+    settings = look.distinct(rows, "setting")
+    methods = look.distinct(rows, "method")
     figure, axes = look.new_figure(
         2.0 * len(settings) + 1.6, 0.34 * len(methods) + 1.1, 1, len(settings), sharey=True
     )
@@ -285,7 +285,7 @@ def parameters_found(results: Mapping[str, Any], axes: Sequence[Axis]) -> Figure
     and are left out.
     """
     rows = [r for r in results["rows"] if r.get("best_params")]
-    settings = list(dict.fromkeys(r["setting"] for r in rows))
+    settings = look.distinct(rows, "setting")
     methods = look.in_order({r["method"] for r in rows})
     size = (1.75 * len(axes) + 1.3, (0.19 * len(methods) + 0.55) * len(settings) + 0.5)
     figure, plots = look.new_figure(*size, len(settings), len(axes), sharex="col", sharey=True)

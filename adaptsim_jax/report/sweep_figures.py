@@ -109,7 +109,7 @@ def swept_rewards(
     lines: dict[str, list[Mapping[str, Any]]] = {}
     for row in sorted(rows, key=lambda r: order.index(repr(r["value"]))):
         lines.setdefault(row["reward"], []).append(row)
-    lines = {name: lines[name] for name in dict.fromkeys(r["reward"] for r in rows)}
+    lines = {name: lines[name] for name in look.distinct(rows, "reward")}
     fewest, over = min(((r["count"], r["over"]) for r in rows), default=(0, "members"))
     return SweptRewards(values, numeric, log, lines, f"95 % intervals over {fewest} {over}")
 
