@@ -196,7 +196,7 @@ def scoops_over_iterations(
 
     Args:
         clips, heads, rewards: of the iterations shown.
-        params: `[I + 1, D]` physical; axes: `report.parameters.Axis` of each.
+        params: `[I + 1, D]` physical; axes: `report.figures_comparison.Axis` of each.
     """
     from matplotlib.figure import Figure
 
