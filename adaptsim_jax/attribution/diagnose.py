@@ -103,13 +103,17 @@ def diagnose(
     yardstick: str | None = None,
 ) -> dict[str, Any]:
     """Diagnose a recording (a folder with `task = "mechanism"`, or a log file with `model`).
-    Returns the report and, with `out`, writes it with `model.xml`. exclude: effects that are not
-    considered; without: trials left out; as_declared: conventions that the motion contradicts are
-    taken all the same; effects: the catalogue, ours where None; yardstick: stretches, whole or
-    torque, where not the one that tells most is to judge.
+    Returns the report and, with `out`, writes it with `model.xml`.
 
     Raises BadInput where the data or the model cannot be read, or the data contradict what is
     declared of their columns.
+
+    Args:
+        exclude: Effects that are not considered.
+        without: Trials left out.
+        as_declared: Conventions that the motion contradicts are taken all the same.
+        effects: The catalogue, ours where None.
+        yardstick: Stretches, whole or torque, where not the one that tells most is to judge.
     """
     began = time.monotonic()
     setting = Setting(criteria or Criteria(), horizon, tuple(exclude), effects, yardstick)
@@ -286,12 +290,12 @@ class Setting:
     """What a diagnosis is asked for.
 
     Args:
-        criteria: what counts as an effect.
+        criteria: What counts as an effect.
         horizon: s, of simulated stretches.
-        exclude: effects that are not considered.
-        effects: the catalogue, ours where None; of another, what is always fitted is ours.
-        objective: the one that is to judge, the one that tells most where None.
-        torques: whether the balance of torques is looked at.
+        exclude: Effects that are not considered.
+        effects: The catalogue, ours where None; of another, what is always fitted is ours.
+        objective: The one that is to judge, the one that tells most where None.
+        torques: Whether the balance of torques is looked at.
     """
 
     criteria: Criteria = field(default_factory=Criteria)
@@ -312,9 +316,9 @@ class Beginning:
     """With what a search begins.
 
     Args:
-        narrow: what stays of the vector that is fitted whatever is named.
-        first: makes values and effects that the search goes on from.
-        by_file: the machine by the gains of its file, where others were found: what the declared
+        narrow: What stays of the vector that is fitted whatever is named.
+        first: Makes values and effects that the search goes on from.
+        by_file: The machine by the gains of its file, where others were found: what the declared
             model leaves is reported of it.
     """
 

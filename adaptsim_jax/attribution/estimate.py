@@ -128,12 +128,13 @@ def fit(
     """Fit the vector and all starts.
 
     Args:
-        problem: stretches of each group of joints.
-        vector: where the values begin.
-        starts: where those of the stretches begin. The smoothed ones where None.
-        rounds: of steps at most.
-        weights: fixed ones; made anew along the way where None.
-        glance: rounds after which a fit that is only to be compared ends once a round gains little.
+        problem: Stretches of each group of joints.
+        vector: Where the values begin.
+        starts: Where those of the stretches begin. The smoothed ones where None.
+        rounds: Of steps at most.
+        weights: Fixed ones; made anew along the way where None.
+        glance: Rounds after which a fit that is only to be compared ends once a round gains
+            little.
     """
     made = ready(problem, vector)
     starts = widened(made, starts_of(problem) if starts is None else starts)

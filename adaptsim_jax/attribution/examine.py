@@ -55,15 +55,16 @@ class Inquiry:
     """A machine whose recording is examined, and how.
 
     Args:
-        machine, problem: the machine, and its stretches of `horizon` s.
-        null: what is fitted whatever is named.
-        criteria: what counts as an effect.
+        machine, problem: The machine, and its stretches of `horizon` s.
+        null: What is fitted whatever is named.
+        criteria: What counts as an effect.
         horizon: s.
-        notify: called with what is done; keep: with what a search has found so far.
-        asked: the objective that is to judge, where it is not the one that tells most.
-        factor: within which bodies are those of the file along the motion; None: the balance of
+        notify: Called with what is done.
+        keep: With what a search has found so far.
+        asked: The objective that is to judge, where it is not the one that tells most.
+        factor: Within which bodies are those of the file along the motion; None: the balance of
             torques is not looked at.
-        hint: what the search of stretches goes on from where the balance says nothing.
+        hint: What the search of stretches goes on from where the balance says nothing.
     """
 
     machine: Machine
@@ -99,13 +100,13 @@ class Examined:
     """What was found, by which objective, and why by that one.
 
     Args:
-        inquiry: what was examined.
-        found: effects by the objective that judged.
-        by_torque: what the balance of torques says, None where it cannot.
-        before, after: measures by objective of the declared model, fitted, and of the final one,
+        inquiry: What was examined.
+        found: Effects by the objective that judged.
+        by_torque: What the balance of torques says, None where it cannot.
+        before, after: Measures by objective of the declared model, fitted, and of the final one,
             None where one tells nothing.
-        judge, why: the objective, and why.
-        simulated: whether errors are reported of simulated stretches, whoever judged.
+        judge, why: The objective, and why.
+        simulated: Whether errors are reported of simulated stretches, whoever judged.
     """
 
     inquiry: Inquiry
@@ -127,12 +128,13 @@ class Balanced:
     """The balances of a machine's torques, searched.
 
     Args:
-        balances: of each group of joints.
-        reach: what the data cover.
-        words: the search whose names count; free: that with bodies fitted, where both were made.
-        declared: the fitted declared model.
-        each: whether bodies were chosen joint by joint.
-        bare: whether bodies and damping are the file's.
+        balances: Of each group of joints.
+        reach: What the data cover.
+        words: The search whose names count.
+        free: That with bodies fitted, where both were made.
+        declared: The fitted declared model.
+        each: Whether bodies were chosen joint by joint.
+        bare: Whether bodies and damping are the file's.
     """
 
     balances: tuple[Balance, ...]

@@ -99,9 +99,12 @@ def fitted_starts(
     starts: Sequence[np.ndarray] | None = None,
 ) -> tuple[tuple[np.ndarray, ...], Sequence[Path]]:
     """Starts by plain least squares on the angles, from the smoothed ones or those given, and the
-    paths from there. rows [W, P]: other values for each stretch; roughly: a path is taken to follow
-    its start as one that nothing acts on, which needs no derivatives. No step is taken that does
-    not gain.
+    paths from there.
+
+    Args:
+        rows: [W, P] other values for each stretch.
+        roughly: A path is taken to follow its start as one that nothing acts on, which needs no
+            derivatives. No step is taken that does not gain.
     """
     made = ready(problem, vector, rows)
     begun = widened(made, starts_of(problem) if starts is None else starts)

@@ -16,10 +16,14 @@ from adaptsim_jax.mechanisms.tree import Tree
 
 @dataclass(frozen=True)
 class Machine:
-    """A mechanism with its recording. actuator [6, n]: gain, bias, per angle, per speed, lowest and
-    highest force; gear [n]; ties [n, n]: gears by which a joint's actuator pulls others (None: none
-    does); gain_unknown: the input is a voltage or a current, whose torque is to be found; beyond:
-    what of the file a tree of joints has not and the recording may feel, a sentence each.
+    """A mechanism with its recording.
+
+    Args:
+        actuator: [6, n] gain, bias, per angle, per speed, lowest and highest force; gear [n].
+        ties: [n, n] gears by which a joint's actuator pulls others (None: none does).
+        gain_unknown: The input is a voltage or a current, whose torque is to be found.
+        beyond: What of the file a tree of joints has not and the recording may feel, a sentence
+            each.
     """
 
     mechanism: Mechanism

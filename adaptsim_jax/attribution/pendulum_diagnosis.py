@@ -85,16 +85,17 @@ def diagnose_pendulum(
     """Which effects a recorded double pendulum has that a rigid body lacks.
 
     Args:
-        data: a folder with `meta.toml` (`task = "pendulum"`) and a CSV a trial, or the recording
-                read.
-        out: folder for the report, its page, `model.toml`, `declared.xml` and `model.xml`; None:
-                nothing is written.
-        exclude: names of effects that are not considered. without: names of trials that are left
-                out.
-        criteria: what counts as an effect. progress, page: as of `attribution.diagnose.diagnose`.
-        as_declared: what the motion contradicts of the columns is taken all the same. effects: the
-                catalogue, ours where None.
-        reward: what the mended model is worth to the task, of the declared and the mended model.
+        data: A folder with `meta.toml` (`task = "pendulum"`) and a CSV a trial, or the recording
+            read.
+        out: Folder for the report, its page, `model.toml`, `declared.xml` and `model.xml`; None:
+            nothing is written.
+        exclude: Names of effects that are not considered.
+        without: Names of trials that are left out.
+        criteria: What counts as an effect.
+        progress, page: As of `attribution.diagnose.diagnose`.
+        as_declared: What the motion contradicts of the columns is taken all the same.
+        effects: The catalogue, ours where None.
+        reward: What the mended model is worth to the task, of the declared and the mended model.
 
     Returns:
         The report (`diagnosis.schema`). Raises BadInput where the data cannot be read, or

@@ -134,8 +134,12 @@ def replay(
     vector: Vector | None = None,
     asked: Sequence[str] = (STRETCHES,),
 ) -> Replay:
-    """A machine over its own recording. horizon: s, 0 for each trial in one go. vector: fitted
-    values, or the file's; asked: which yardsticks, beside the simulated stretches.
+    """A machine over its own recording.
+
+    Args:
+        horizon: s, 0 for each trial in one go.
+        vector: Fitted values, or the file's.
+        asked: Which yardsticks, beside the simulated stretches.
     """
     longest = max(float(t.time[-1] - t.time[0]) for t in machine.tracks)
     span = min(
@@ -202,9 +206,12 @@ def replay_files(
     asked: Sequence[str] | None = None,
     simulator: str | None = None,
 ) -> Replay:
-    """A model file (MJCF or URDF) over a recording: what `adaptsim replay` runs. asked: yardsticks;
-    where None, whole trials are among them only of a machine that follows commands; simulator: tree
-    or mujoco, None: see `choice`.
+    """A model file (MJCF or URDF) over a recording: what `adaptsim replay` runs.
+
+    Args:
+        asked: Yardsticks; where None, whole trials are among them only of a machine that follows
+            commands.
+        simulator: `tree` or `mujoco`; None: see `choice`.
     """
     choice = choose(data, model, simulator, horizon)
     if choice.simulator == "mujoco":

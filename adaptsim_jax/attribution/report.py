@@ -289,10 +289,10 @@ def power_rows(
     recordings like this one would show.
 
     Args:
-        problem: the recording as it was fitted.
-        scores: of candidates about the final model, with `scatter`, the cluster-robust standard
-                error of an amplitude.
-        criteria: its level is corrected for the number of candidates, as in the score test.
+        problem: The recording as it was fitted.
+        scores: Of candidates about the final model, with `scatter`, the cluster-robust standard
+            error of an amplitude.
+        criteria: Its level is corrected for the number of candidates, as in the score test.
 
     Returns:
         `{name, where, size, unit, power}`, sizes in the unit of the amplitude, by name and place.

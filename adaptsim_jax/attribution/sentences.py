@@ -46,10 +46,10 @@ class Remains:
     Args:
         before, after: `[W, n]` rad or m, of the declared and of the final model.
         noise: `[n]` rad or m, the noise floor of each joint.
-        over: times the noise floor that the final model leaves.
-        left: whether that is more than noise at a joint that moves.
-        outliers: trials of which much is left: name, joint, times the noise floor.
-        outlying: number of stretches that are far off.
+        over: Times the noise floor that the final model leaves.
+        left: Whether that is more than noise at a joint that moves.
+        outliers: Trials of which much is left: name, joint, times the noise floor.
+        outlying: Number of stretches that are far off.
     """
 
     before: np.ndarray

@@ -200,7 +200,10 @@ def _held(moving: SchemeEquations, model: ActingModel, values: Values, x, step: 
 
 def _advanced(moving: SchemeEquations, x, now, wide, pushed, hold):
     """State after a step of `wide` [1, W] s from x at `now` [1, W] s, by the stages of the method.
-    pushed: forces [n, W] that are held over it, a pair; hold: as of `Substep`.
+
+    Args:
+        pushed: Forces [n, W] that are held over it, a pair.
+        hold: As of `Substep`.
     """
     extra, held = pushed
     n = len(extra)

@@ -63,10 +63,11 @@ def separated_by(
     stands alone, or nothing is known to show it.
 
     Args:
-        found: names and their look-alikes.
-        label: how a candidate is called; called: the same in a sentence.
-        shown_by: what shows an effect, '' where nothing is known to.
-        text: the message, with places for both and for what shows them.
+        found: Names and their look-alikes.
+        label: How a candidate is called.
+        called: The same in a sentence.
+        shown_by: What shows an effect, '' where nothing is known to.
+        text: The message, with places for both and for what shows them.
     """
     for n in found.named:
         same = [Label(*s.split("@")) for s in getattr(n.candidate, "same", ())]

@@ -49,9 +49,13 @@ class Scored(NamedTuple):
 
 @dataclass(frozen=True)
 class Headline:
-    """Sentences of the message. declared: what the declared model leaves; mended: the same, with
-    what is named; more: what follows; enough, none: where nothing is named, and no more than noise
-    is left, or more.
+    """Sentences of the message.
+
+    Args:
+        declared: What the declared model leaves.
+        mended: The same, with what is named.
+        more: What follows.
+        enough, none: Where nothing is named, and no more than noise is left, or more.
     """
 
     declared: str
@@ -66,17 +70,17 @@ class Account:
     """What a judge contributes to the report of a finding.
 
     Args:
-        task, model: their names in the report.
-        data: counts of `trials`, `samples` and `held_out_trials`.
-        label: how a candidate is called.
-        effects: of each name `parameters`, `physics` and keys of the judge's own; `same`, where
+        task, model: Their names in the report.
+        data: Counts of `trials`, `samples` and `held_out_trials`.
+        label: How a candidate is called.
+        effects: Of each name `parameters`, `physics` and keys of the judge's own; `same`, where
             there is one, lists what no such recording tells apart from it.
-        scores: of all candidates, as the table lists them.
-        headline: sentences of the message.
-        left: whether more than noise is left.
-        error: the table of errors before and after.
-        declared: rows of the declared quantities of a model.
-        more: further keys of the report.
+        scores: Of all candidates, as the table lists them.
+        headline: Sentences of the message.
+        left: Whether more than noise is left.
+        error: The table of errors before and after.
+        declared: Rows of the declared quantities of a model.
+        more: Further keys of the report.
     """
 
     task: str
@@ -210,10 +214,10 @@ def error_rows(
     """The table `error`: medians over all, by channel, and by trial.
 
     Args:
-        metric, source: what the errors are, and where their noise floor comes from, in words.
-        names: of the trials.
-        whole: errors over all channels.
-        channels: errors of each.
+        metric, source: What the errors are, and where their noise floor comes from, in words.
+        names: Of the trials.
+        whole: Errors over all channels.
+        channels: Errors of each.
         trial: `[W]`, of which trial each error is; None: one of each.
     """
     trial = np.arange(len(names)) if trial is None else trial
@@ -250,7 +254,11 @@ def error_rows(
 
 def withhold_names(report: dict[str, Any], why: str, left: bool) -> None:
     """Put a report's names among what is not established, since its model predicts nothing, in
-    place. why: a sentence that says so; left: whether more than noise is left.
+    place.
+
+    Args:
+        why: A sentence that says so.
+        left: Whether more than noise is left.
     """
     report["message"] = f"{why} {report['message']}"
     if not report["effects"]:

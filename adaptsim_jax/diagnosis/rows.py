@@ -28,9 +28,14 @@ FOLLOWED = 1.5  # times the noise floor, up to which trials count as followed
 class Recorded:
     """What was recorded of T trials of at most R rows, C coordinates each.
 
-    trial, trials: as messages call them. names `[T]`; time, mask `[T, R]`; places `[T, R, C]` m, of
-    the axes `channels`; noise m. judged `[T, R]` or `[T, R, C]`: rows that errors are taken over,
-    where not all are; others: unit and noise of channels that are no lengths.
+    Args:
+        trial, trials: As messages call one, and several.
+        names: `[T]`.
+        time, mask: `[T, R]` s, and 1 where a row was recorded.
+        places: `[T, R, C]` m, of the axes `channels`.
+        noise: m.
+        judged: `[T, R]` or `[T, R, C]`: rows that errors are taken over, where not all are.
+        others: Unit and noise of channels that are no lengths.
     """
 
     trial: str

@@ -105,8 +105,12 @@ LEFT = ("structured_unattributed", "partly_explained")
 
 
 def verdict(named: bool, left: bool, alike: bool = False) -> str:
-    """The kind of the verdict. named: whether anything is; left: whether more than noise is left;
-    alike: whether something else does as well in the place of a name.
+    """The kind of the verdict.
+
+    Args:
+        named: Whether anything is.
+        left: Whether more than noise is left.
+        alike: Whether something else does as well in the place of a name.
     """
     if left:
         if named:

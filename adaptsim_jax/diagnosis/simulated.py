@@ -52,15 +52,17 @@ def diagnose_simulator(
     """Which of a simulator's candidates hold out on left-out stretches.
 
     Args:
-        simulator: what predicts, and what was measured (`diagnosis.simulator.Simulator`).
-        out: folder for `report.json`, its page, `model.toml` and what the simulator writes of its
-                own; None: nothing is written.
-        criteria: what counts as an effect. exclude: names of candidates that are not considered.
-        progress: told of `(done, total, note)`; page: writes the report and its page, a plain
-                `report.json` where None.
-        proposals: by name, the same simulator over stretches that could be run (what is measured in
-            them does not matter): the report says which tells the look-alikes apart.
-        name: of the model, in the report; command: what gives the same answer, told there.
+        simulator: What predicts, and what was measured (`diagnosis.simulator.Simulator`).
+        out: Folder for `report.json`, its page, `model.toml` and what the simulator writes of its
+            own; None: nothing is written.
+        criteria: What counts as an effect.
+        exclude: Names of candidates that are not considered.
+        progress: Told of `(done, total, note)`.
+        page: Writes the report and its page, a plain `report.json` where None.
+        proposals: by name, the same simulator over stretches that could be run (what is measured
+            in them does not matter): the report says which tells the look-alikes apart.
+        name: Of the model, in the report.
+        command: What gives the same answer, told there.
 
     Returns:
         The report (`diagnosis.schema`); errors are over each signal's noise. Raises BadInput where

@@ -34,10 +34,13 @@ class Stretches:
     """What is compared: W stretches of at most R rows of C channels, each with S numbers of its own
     that are fitted (its start).
 
-    trial `[W]`: which of `names` each is of; time `[W, R]`; measured `[W, R, C]`; seen `[W, R, C]`:
-    1 where something was measured (a stretch that is shorter ends unseen); start `[W, S]`: a first
-    guess, S 0 where starts are known; scale `[S]`: a size that matters of each; prior `[S]`: how
-    far each may be from its first guess (standard deviation), where readings do not tell.
+    Args:
+        trial: `[W]` which of `names` each is of; time `[W, R]`; measured `[W, R, C]`.
+        seen: `[W, R, C]` 1 where something was measured (a stretch that is shorter ends unseen).
+        start: `[W, S]` a first guess, S 0 where starts are known.
+        scale: `[S]` a size that matters of each.
+        prior: `[S]` how far each may be from its first guess (standard deviation), where readings
+            do not tell.
     """
 
     trial: np.ndarray

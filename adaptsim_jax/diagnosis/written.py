@@ -107,9 +107,9 @@ class Output:
 
     Args:
         folder: None: nothing is written.
-        page: writes the report and its page; a plain `report.json` where None.
-        files: what makes the text of each further file, by name.
-        verify: runs the files that were written (`write_all`).
+        page: Writes the report and its page; a plain `report.json` where None.
+        files: What makes the text of each further file, by name.
+        verify: Runs the files that were written (`write_all`).
     """
 
     folder: Path | None

@@ -23,10 +23,15 @@ HARD = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 
 @dataclass(frozen=True)
 class Stepped:
-    """A model to be stepped. angle [n]: where each joint of the log is in qpos; base: first of the
-    seven of a free base in qpos that was logged, -1: none; free: the same of one that moves, logged
-    or only felt by an IMU; read: what `[channels]` compares; pose [nq]: where everything is held or
-    begins; notes: what was done, a sentence each.
+    """A model to be stepped.
+
+    Args:
+        angle: [n] where each joint of the log is in qpos.
+        base: First of the seven of a free base in qpos that was logged, -1: none.
+        free: The same of one that moves, logged or only felt by an IMU.
+        read: What `[channels]` compares.
+        pose: [nq] where everything is held or begins.
+        notes: What was done, a sentence each.
     """
 
     path: str

@@ -65,8 +65,12 @@ CONSTANTS = ("mass", "inertia", "ipos", "armature", "pos", "quat", "gear")
 
 @dataclass(frozen=True)
 class Field:
-    """One number of a model, at all elements that its name stands for. neutral: what the model has;
-    low, high: its bounds; scale: a step that shows in the motion and leaves it what it is.
+    """One number of a model, at all elements that its name stands for.
+
+    Args:
+        neutral: What the model has.
+        low, high: Its bounds.
+        scale: A step that shows in the motion and leaves it what it is.
     """
 
     name: str

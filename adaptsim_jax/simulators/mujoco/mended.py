@@ -25,9 +25,10 @@ def mended_mjcf(made: Stepped, fields: Sequence[Field], values: Mapping[str, flo
     comments above.
 
     Args:
-        made: what was simulated. Its file is read anew, so that nothing is held or welded that was
-                not.
-        fields: of `made`. values: those that differ from the file's are put in.
+        made: What was simulated. Its file is read anew, so that nothing is held or welded that was
+            not.
+        fields: Of `made`.
+        values: Those that differ from the file's are put in.
 
     Raises BadInput where MuJoCo refuses the result.
     """

@@ -33,9 +33,13 @@ CLEAR = 0.05  # of the body's size, above the plane: free flight
 
 @dataclass(frozen=True)
 class Windows:
-    """W windows of at most R rows. toss `[W]`: whose; first `[W]`: its row there; time `[W, R]` s
-    from its first row; place `[W, R, 3]`, turn `[W, R, 4]`, mask `[W, R]`; start `[W, 13]`: guessed
-    (`simulate`).
+    """W windows of at most R rows.
+
+    Args:
+        toss: `[W]` whose.
+        first: `[W]` its row there; time `[W, R]` s from its first row; place `[W, R, 3]`, turn
+            `[W, R, 4]`, mask `[W, R]`.
+        start: `[W, 13]` guessed (`simulate`).
     """
 
     toss: np.ndarray
