@@ -81,7 +81,38 @@ def held_out(
     now = lin.fit
     weights = now.weights if weights is None else weights
     n = normal(problem, lin.residual, lin.start, lin.shared)
-    total, vector = n.hess.sum(0), now.vector
+    steps = fold_steps(problem, n, now.vector)
+    fold = padded_fold(problem, len(now.loss))
+    rows = np.where(
+        fold[:, None] >= 0, now.vector.values + steps[np.maximum(fold, 0)], now.vector.values
+    )
+    starts = [
+        x + d
+        for x, d in zip(
+            now.starts, start_steps(problem, lin, rows - now.vector.values), strict=True
+        )
+    ]
+    groups = range(len(problem.groups))
+    free = len(by_group(problem, now.vector.entries)) == len(
+        groups
+    )  # else a shared value ties the folds' parameters together
+    some = [k for k in groups if not (free and like and unchanged(problem, k, now, like.fit))]
+    known = {} if like is None else dict(enumerate(like.held.paths))
+    if some:
+        part, own, at = part_of(problem, now.vector, some)
+        options = [[z[k] for k in some] for z in (starts, now.starts)]
+        paths = settled(
+            part, linear_part(part, lin, own, at, some), own, options, rows[:, at], refine=2
+        )[2]
+        known |= dict(zip(some, paths, strict=True))
+    selected = [known[k] for k in groups]
+    loss, squared = losses(problem, selected, weights), squared_error(problem, selected)
+    return HeldOut(loss, squared, now.vector.values + steps, n, tuple(selected))
+
+
+def fold_steps(problem: TreeProblem, n: Normal, vector: Vector) -> np.ndarray:
+    """Steps [F, P] from a fit to what the other folds say, by normal equations of each fold."""
+    total = n.hess.sum(0)
     inside = (vector.values > vector.low) & (vector.values < vector.high)
     # one step from the fit, which is taken for the best there is (a step that gained nothing, where
     # dry friction bends the loss, no fold takes either), or for what its slope says of it (a fit
@@ -111,33 +142,7 @@ def held_out(
         return np.diagonal(h) + vector.precision
 
     alone = np.array([reported(total - h) < ALONE * reported(total) for h in n.hess])
-    steps = np.where(alone, np.array([e.off for e in vector.entries]) - vector.values, steps)
-    fold = padded_fold(problem, len(now.loss))
-    rows = np.where(
-        fold[:, None] >= 0, now.vector.values + steps[np.maximum(fold, 0)], now.vector.values
-    )
-    starts = [
-        x + d
-        for x, d in zip(
-            now.starts, start_steps(problem, lin, rows - now.vector.values), strict=True
-        )
-    ]
-    groups = range(len(problem.groups))
-    free = len(by_group(problem, vector.entries)) == len(
-        groups
-    )  # else a shared value ties the folds' parameters together
-    some = [k for k in groups if not (free and like and unchanged(problem, k, now, like.fit))]
-    known = {} if like is None else dict(enumerate(like.held.paths))
-    if some:
-        part, own, at = part_of(problem, now.vector, some)
-        options = [[z[k] for k in some] for z in (starts, now.starts)]
-        paths = settled(
-            part, linear_part(part, lin, own, at, some), own, options, rows[:, at], refine=2
-        )[2]
-        known |= dict(zip(some, paths, strict=True))
-    selected = [known[k] for k in groups]
-    loss, squared = losses(problem, selected, weights), squared_error(problem, selected)
-    return HeldOut(loss, squared, now.vector.values + steps, n, tuple(selected))
+    return np.where(alone, np.array([e.off for e in vector.entries]) - vector.values, steps)
 
 
 def squared_error(problem: TreeProblem, paths: Sequence[Path]) -> np.ndarray:

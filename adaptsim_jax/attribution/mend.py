@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 
 from adaptsim_jax.attribution.acting import rubs_dry
-from adaptsim_jax.attribution.backward import without as without_simulated
 from adaptsim_jax.attribution.equation.models import TorqueSearch, without
 from adaptsim_jax.attribution.held_out import FittedTree, attempted, modelled, refit
 from adaptsim_jax.attribution.machine import Machine
+from adaptsim_jax.attribution.nested_models import without as without_simulated
 from adaptsim_jax.attribution.parameters import TILT
 from adaptsim_jax.attribution.problem import TreeProblem, values_of
 from adaptsim_jax.attribution.score import JointCandidate, candidates, table

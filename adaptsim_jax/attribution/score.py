@@ -147,19 +147,9 @@ def candidates(problem: TreeProblem, vector: Vector, reach: Reach) -> list[Joint
     value for all; a tilted base.
     """
     taken = {(e.owner, j) for e in vector.entries for j in e.joints}
-    driven = [j for j in range(problem.joints) if problem.reach.peak[j] > 0.0]
-    first = {g.joints[0] for g in problem.groups}
     out = []
     for effect in problem.effects:
-        free = [
-            j
-            for j in range(problem.joints)
-            if (effect.name, j) not in taken
-            and (effect.name, j) not in problem.excluded
-            and (j not in problem.unlike or effect.traits.shared)
-            and (j in driven or not effect.on_actuator)
-            and not (effect.pair and j in first)
-        ]
+        free = _free_joints(problem, effect, taken)
         if not effect.traits.offered:
             continue
         if effect.place == "model":
@@ -203,6 +193,21 @@ def candidates(problem: TreeProblem, vector: Vector, reach: Reach) -> list[Joint
                     )
                 )
     return out
+
+
+def _free_joints(problem: TreeProblem, effect: Effect, taken: set[tuple[str, int]]) -> list[int]:
+    """Joints at which an effect is not fitted and can act."""
+    driven = [j for j in range(problem.joints) if problem.reach.peak[j] > 0.0]
+    first = {g.joints[0] for g in problem.groups}
+    return [
+        j
+        for j in range(problem.joints)
+        if (effect.name, j) not in taken
+        and (effect.name, j) not in problem.excluded
+        and (j not in problem.unlike or effect.traits.shared)
+        and (j in driven or not effect.on_actuator)
+        and not (effect.pair and j in first)
+    ]
 
 
 def _of_model(problem: TreeProblem, name: str, taken: set[tuple[str, int]]) -> list[JointCandidate]:

@@ -12,7 +12,7 @@ from adaptsim_jax.attribution.held_out import FittedTree, held_error, modelled, 
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import TreeProblem, beginnings, own_inertia, scaled_reach
 from adaptsim_jax.attribution.score import CandidateScore
-from adaptsim_jax.attribution.stays import eased
+from adaptsim_jax.attribution.stretch_evidence import eased
 from adaptsim_jax.attribution.tree_objective import ROUNDS, Hint, TreeObjective
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Finding

@@ -10,17 +10,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from adaptsim_jax.attribution.backward import (
-    adjacent,
-    compared,
-    from_afar,
-    keys_of,
-    more,
-    scored,
-    trimmed,
-    where,
-    without,
-)
 from adaptsim_jax.attribution.estimate import fit
 from adaptsim_jax.attribution.held_out import (
     FittedTree,
@@ -34,16 +23,27 @@ from adaptsim_jax.attribution.held_out import (
     placed,
     refit,
 )
+from adaptsim_jax.attribution.nested_models import (
+    adjacent,
+    compared,
+    from_afar,
+    keys_of,
+    more,
+    scored,
+    trimmed,
+    where,
+    without,
+)
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import TreeProblem
 from adaptsim_jax.attribution.score import CandidateScore, JointCandidate, candidates, table
-from adaptsim_jax.attribution.stays import SimulatedEvidence, steadiness, steady_each
+from adaptsim_jax.attribution.stretch_evidence import SimulatedEvidence, steadiness, steady_each
 from adaptsim_jax.attribution.weights import losses
 from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.diagnosis.alternatives import preferred
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Step
-from adaptsim_jax.diagnosis.objective import Attempt, Objective, Refused, Round
+from adaptsim_jax.diagnosis.objective import FittedCandidate, Objective, Refused, Round
 from adaptsim_jax.diagnosis.rules import MODEL, NAME, Evidence, Reason, refusal, step_reason
 from adaptsim_jax.diagnosis.search import look_alikes
 from adaptsim_jax.diagnosis.testing import Test
@@ -153,7 +153,7 @@ class TreeObjective(Objective):
 
     def _scored_best(
         self, base: FittedTree, scores: list[CandidateScore], hopeful: list[CandidateScore]
-    ) -> Iterator[Attempt]:
+    ) -> Iterator[FittedCandidate]:
         """Half by what they gain at first order, half by what a step leaves."""
         criteria = self.criteria
 
@@ -234,7 +234,7 @@ class TreeObjective(Objective):
 
     def _fitted(
         self, base: FittedTree, begun: Sequence[Start], passes: Passes
-    ) -> Iterator[Attempt]:
+    ) -> Iterator[FittedCandidate]:
         """Candidates, fitted under the weights of the base."""
         problem, weights, rounds = self.problem, base.fit.weights, self.criteria.rounds
 
@@ -251,9 +251,9 @@ class TreeObjective(Objective):
         for start, model in zip(begun, parallel_map(fitted, begun), strict=True):
             test = paired(problem, base.held.loss, model.held.loss)
             reason = step_reason("forward_fit", model.fit.total / base.fit.total)
-            yield Attempt(start.candidate, model, test, passes(model, test), reason)
+            yield FittedCandidate(start.candidate, model, test, passes(model, test), reason)
 
-    def better(self, one: Attempt, other: Attempt) -> bool:
+    def better(self, one: FittedCandidate, other: FittedCandidate) -> bool:
         """The one with fewer parameters, unless the larger holds out better by `size` for each that
         it has more.
         """
@@ -264,7 +264,7 @@ class TreeObjective(Objective):
         chosen = large if test.gain > minimum and test.p < self.criteria.confidence else small
         return chosen is one.model
 
-    def taken(self, attempt: Attempt) -> FittedTree:
+    def taken(self, attempt: FittedCandidate) -> FittedTree:
         """With its own weights from here on: the residual has become smaller, and with it what
         matters in it.
         """
@@ -364,13 +364,13 @@ class TreeObjective(Objective):
         new = self._refitted(one.model.added, one.model.fit.vector, one.model)
         return new, [Step("replaced", e.candidate, one.test, reason)]
 
-    def in_place_of(self, e: Evidence) -> list[Attempt]:
+    def in_place_of(self, e: Evidence) -> list[FittedCandidate]:
         """Fitted once, for those that are simpler and for those that are reported."""
         if id(e) not in self._rivals:
             self._rivals[id(e)] = e, self._instead(e)
         return self._rivals[id(e)][1]
 
-    def _instead(self, e: Evidence) -> list[Attempt]:
+    def _instead(self, e: Evidence) -> list[FittedCandidate]:
         """Of those that gain most without an effect at its joints or those beside them, and of those
         that it is mistaken for. What describes without a law is no rival of one: it does nearly as
         well as most.
@@ -379,7 +379,7 @@ class TreeObjective(Objective):
         gained = paired(problem, less.held.loss, e.model.held.loss).gain
         gap = max(criteria.gap, 1.0 - (1.0 - gained) ** criteria.alike)
 
-        def instead(score: CandidateScore) -> Attempt:
+        def instead(score: CandidateScore) -> FittedCandidate:
             self.notify(f"{score.candidate.effect} in place of {c.effect}")
             touched, added = (*c.joints, *score.candidate.joints), (*less.added, score.candidate)
 
@@ -391,7 +391,7 @@ class TreeObjective(Objective):
             other = from_afar(problem, settle, vector, starts, criteria.rounds)
             test = paired(problem, other.held.loss, e.model.held.loss)
             passed = test.gain < gap or test.p > criteria.confidence
-            return Attempt(score.candidate, other, test, passed)
+            return FittedCandidate(score.candidate, other, test, passed)
 
         return parallel_map(instead, self._likely(c, less)[:RIVALS])
 

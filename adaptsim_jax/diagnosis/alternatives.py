@@ -4,7 +4,7 @@
 | --- | --- |
 | dry friction that is sharp, or gives as a simulator's does | `attribution/equation/rubbing.py` |
 | bodies and damping of the file, or fitted | `attribution/equation/filed.py` |
-| what like joints have, at all of them | `attribution/equation/objective.py` |
+| what like joints have, at all of them | `attribution/equation/balance_objective.py` |
 | values and effects of another objective | `attribution/tree_objective.py` |
 | another shape of the piece | `tasks/scooping/diagnosis/passes.py` |
 | kp of a servo, and a limit beside it | `attribution/servo.py`, by numbers of its own |

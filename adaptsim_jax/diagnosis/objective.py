@@ -17,7 +17,7 @@ Model = Any
 Refused = Sequence[tuple[Evidence, Reason]]
 
 
-class Attempt(NamedTuple):
+class FittedCandidate(NamedTuple):
     """A model that has a candidate more, or has it in the place of another, and its test.
 
     passed: whether it may be taken; reason: why not, or what it leaves.
@@ -33,7 +33,7 @@ class Attempt(NamedTuple):
 class Round(NamedTuple):
     """Attempts that compete. ended: said in the trace where none of them passes."""
 
-    attempts: Iterable[Attempt]
+    attempts: Iterable[FittedCandidate]
     ended: Reason | None = None
 
 
@@ -65,11 +65,11 @@ class Objective:
         """Candidates beside a model's effects, fitted; a round is asked if none before it gained."""
         raise NotImplementedError
 
-    def better(self, one: Attempt, other: Attempt) -> bool:
+    def better(self, one: FittedCandidate, other: FittedCandidate) -> bool:
         """Whether one that passed is to be taken instead of another."""
         raise NotImplementedError
 
-    def taken(self, attempt: Attempt) -> Model:
+    def taken(self, attempt: FittedCandidate) -> Model:
         """The model of an attempt that the search takes."""
         return attempt.model
 
@@ -112,7 +112,7 @@ class Objective:
         """A model that does as well by fewer numbers, and what was replaced; itself where none is."""
         return model, ()
 
-    def in_place_of(self, e: Evidence) -> Iterable[Attempt]:
+    def in_place_of(self, e: Evidence) -> Iterable[FittedCandidate]:
         """Other effects in the place of one; those that pass do as well as it does."""
         raise NotImplementedError
 

@@ -8,7 +8,7 @@ The search is the same for every objective (`objective.py`). What decides a name
 from collections.abc import Callable, Sequence
 
 from adaptsim_jax.diagnosis.finding import Finding, Named, Step
-from adaptsim_jax.diagnosis.objective import Attempt, Model, Objective, Refused
+from adaptsim_jax.diagnosis.objective import FittedCandidate, Model, Objective, Refused
 from adaptsim_jax.diagnosis.rules import Evidence, refusal
 
 Keep = Callable[[Finding], None]
@@ -29,24 +29,24 @@ def search(objective: Objective, keep: Keep = lambda found: None, alike: bool = 
     if model is not null:
         stages.append(model)
 
-    def partial() -> Finding:
+    def partial(null: Model, model: Model) -> Finding:
         return Finding(null, model, (), tuple(trace), opening, tuple(stages))
 
-    keep(partial())
+    keep(partial(null, model))
     while len(model.added) < objective.most_effects and not objective.within_noise(model):
         best = forward_step(objective, model, trace)
         if best is None:
             break
         model, null = objective.taken(best), objective.updated(null)
         stages.append(model)
-        keep(partial())
+        keep(partial(null, model))
     model, rows = backward_elimination(objective, model, trace)
     named, unnamed = what_may_be_said(objective, rows, alike)
     null, model = objective.closed(null, model, rows)
     return Finding(null, model, named, tuple(trace), opening, tuple(stages), unnamed)
 
 
-def forward_step(objective: Objective, base: Model, trace: list[Step]) -> Attempt | None:
+def forward_step(objective: Objective, base: Model, trace: list[Step]) -> FittedCandidate | None:
     """The best model with one effect more that predicts what was left out better; None where no
     candidate does.
     """
@@ -117,6 +117,6 @@ def what_may_be_said(
     return tuple(named), tuple(unnamed)
 
 
-def look_alikes(objective: Objective, e: Evidence) -> list[Attempt]:
+def look_alikes(objective: Objective, e: Evidence) -> list[FittedCandidate]:
     """Effects that do as well in the place of one: these data do not separate them."""
     return [one for one in objective.in_place_of(e) if one.passed]

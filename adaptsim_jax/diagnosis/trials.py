@@ -21,7 +21,7 @@ from adaptsim_jax.diagnosis.models import (
     spread,
     without,
 )
-from adaptsim_jax.diagnosis.objective import Attempt, Objective, Round
+from adaptsim_jax.diagnosis.objective import FittedCandidate, Objective, Round
 from adaptsim_jax.diagnosis.problem import Candidate, Problem
 from adaptsim_jax.diagnosis.rules import Evidence, Reason, step_reason
 from adaptsim_jax.diagnosis.search import Keep, search
@@ -77,7 +77,7 @@ class TrialObjective(Objective):
         ended = step_reason("score_test", passed=len(passing), of=len(scores))
         yield Round(self._fitted(base, passing), ended)
 
-    def _fitted(self, base: Model, passing: Sequence[Score]) -> Iterator[Attempt]:
+    def _fitted(self, base: Model, passing: Sequence[Score]) -> Iterator[FittedCandidate]:
         """Some that pass the score test, fitted at a glance, and of these the best to the end."""
         problem, criteria, glances = self.problem, self.criteria, []
         for s in sorted(passing, key=lambda s: -s.gain)[: criteria.tried]:
@@ -93,12 +93,12 @@ class TrialObjective(Objective):
             test = paired(base.fit.held, model.fit.held, problem)
             reason = forward_refusal(test, criteria)
             passed = passed or reason is None
-            yield Attempt(candidate, model, test, reason is None, reason)
+            yield FittedCandidate(candidate, model, test, reason is None, reason)
 
-    def better(self, one: Attempt, other: Attempt) -> bool:
+    def better(self, one: FittedCandidate, other: FittedCandidate) -> bool:
         return beats(self.problem, one.model, other.model, self.criteria)
 
-    def taken(self, attempt: Attempt) -> Model:
+    def taken(self, attempt: FittedCandidate) -> Model:
         return self._refitted(attempt.model)
 
     def updated(self, null: Model) -> Model:
@@ -128,7 +128,7 @@ class TrialObjective(Objective):
         levels = holm([e.test.p for e in rows], self.criteria.confidence, blocks)
         return [replace(e, level=level) for e, level in zip(rows, levels, strict=True)]
 
-    def in_place_of(self, e: "LeftOut") -> Iterator[Attempt]:
+    def in_place_of(self, e: "LeftOut") -> Iterator[FittedCandidate]:
         problem, criteria = self.problem, self.criteria
         for s in likely(problem, e.model, e.less, e.candidate):
             self.notify(f"{s.candidate.name.replace('_', ' ')} in its place")
@@ -137,7 +137,7 @@ class TrialObjective(Objective):
                 continue
             other = finished(problem, (*e.less.added, s.candidate), values, 2 * criteria.rounds)
             test = paired(other.fit.held, e.model.fit.held, problem)
-            yield Attempt(s.candidate, other, test, does_as_well(test, criteria))
+            yield FittedCandidate(s.candidate, other, test, does_as_well(test, criteria))
 
     def closed(self, null: Model, model: Model, rows: Sequence["LeftOut"]) -> tuple[Model, Model]:
         """A declared fit reached by way of an effect may lie in a better minimum than the first."""

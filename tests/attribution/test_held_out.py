@@ -7,10 +7,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from adaptsim_jax.attribution.backward import more
 from adaptsim_jax.attribution.estimate import fit
 from adaptsim_jax.attribution.held_out import attempted, modelled, refit
 from adaptsim_jax.attribution.load import load
+from adaptsim_jax.attribution.nested_models import more
 from adaptsim_jax.attribution.parameters import Entry, Vector
 from adaptsim_jax.attribution.paths import run
 from adaptsim_jax.attribution.problem import nuisances, own_inertia, prepare, scaled_reach

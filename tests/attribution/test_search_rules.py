@@ -7,11 +7,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from adaptsim_jax.attribution.equation import balance, objective
-from adaptsim_jax.attribution.equation.objective import BalanceObjective
+from adaptsim_jax.attribution.equation import balance, balance_objective
+from adaptsim_jax.attribution.equation.balance_evidence import BalanceEvidence, steadiness
+from adaptsim_jax.attribution.equation.balance_objective import BalanceObjective
 from adaptsim_jax.attribution.equation.searched import Searched, ranked
 from adaptsim_jax.attribution.equation.solve import compared, rows_of
-from adaptsim_jax.attribution.equation.stays import Balanced, steadiness
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, Entry, Vector
 from adaptsim_jax.attribution.score import JointCandidate
 from adaptsim_jax.diagnosis.criteria import Criteria, TorqueCriteria
@@ -97,7 +97,7 @@ def test_a_controllers_gain_within_what_speeds_tell_is_no_name(follows, told):
         columns=np.ones((20, 1, 1)),
     )
     test = SimpleNamespace(p=1e-4, gain=0.3, overall=0.1)
-    evidence = Balanced(state, solved, c, test, 0.02, 0.01)
+    evidence = BalanceEvidence(state, solved, c, test, 0.02, 0.01)
     why = refusal(evidence) or BalanceObjective(state, ()).unnamed(evidence)
     assert why.code == told
     assert follows == (refusal(evidence) is not None)
@@ -128,9 +128,9 @@ def test_one_effect_takes_the_place_of_two_only_where_neither_does_by_itself(
         own=lambda *some: [0],
         problem=PROBLEM,
     )
-    monkeypatch.setattr(objective, "ranked", lambda state, now, some: list(some))
-    monkeypatch.setattr(objective, "refusal", lambda evidence: None)
-    monkeypatch.setattr(objective, "at_bound", lambda *a: False)
+    monkeypatch.setattr(balance_objective, "ranked", lambda state, now, some: list(some))
+    monkeypatch.setattr(balance_objective, "refusal", lambda evidence: None)
+    monkeypatch.setattr(balance_objective, "at_bound", lambda *a: False)
     judge = BalanceObjective(state, [one("dead_zone", "width")])
     found = judge.one_for_two(judge.model([one("coulomb"), one("armature", "inertia")]))
     assert (found and found[0].added[0].effect) == instead

@@ -9,7 +9,7 @@ import pytest
 
 from adaptsim_jax.attribution.parameters import Entry
 from adaptsim_jax.attribution.score import JointCandidate
-from adaptsim_jax.attribution.stays import SimulatedEvidence, between_rows, steadiness
+from adaptsim_jax.attribution.stretch_evidence import SimulatedEvidence, between_rows, steadiness
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.rules import MODEL, NAME, refusal
 from adaptsim_jax.diagnosis.testing import Test as Paired

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.attribution.equation import confirmed
+from adaptsim_jax.attribution.equation.balance_evidence import BalanceEvidence, read_so
 from adaptsim_jax.attribution.equation.confirmed import harmed, informative_joints
-from adaptsim_jax.attribution.equation.stays import Balanced, read_so
 from adaptsim_jax.attribution.held_out import most_over_floor
 from adaptsim_jax.attribution.parameters import Entry
 from adaptsim_jax.attribution.problem import passing
 from adaptsim_jax.attribution.score import JointCandidate
-from adaptsim_jax.attribution.stays import SimulatedEvidence
+from adaptsim_jax.attribution.stretch_evidence import SimulatedEvidence
 from adaptsim_jax.attribution.stretches import JointTrack
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Named
@@ -115,7 +115,7 @@ def test_of_a_delay_and_a_lag_of_the_same_joints_the_sum_is_how_a_log_is_read():
     state.criteria, test = Criteria(), SimpleNamespace(p=0.0, gain=1.0, overall=0.0)
     state.carry, errors = lambda c: 1.0, {"error": np.full(2, 1e-6)}
     late = SimpleNamespace(**vars(whole(0.02, 0.02)), **errors)
-    evidence = Balanced(state, late, delay, test, 0.02, 0.01, naming=True)
+    evidence = BalanceEvidence(state, late, delay, test, 0.02, 0.01, naming=True)
     assert "% of the joint's torque" in refusal(evidence).words
 
 

@@ -13,14 +13,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from adaptsim_jax.attribution.backward import adjacent
 from adaptsim_jax.attribution.equation.models import TorqueSearch, model_of, without
 from adaptsim_jax.attribution.forecast import without_a_model
 from adaptsim_jax.attribution.held_out import FittedTree, held_error, over_floor, paired
 from adaptsim_jax.attribution.measures import WORTH
+from adaptsim_jax.attribution.nested_models import adjacent
 from adaptsim_jax.attribution.problem import TreeProblem
 from adaptsim_jax.attribution.score import JointCandidate
-from adaptsim_jax.attribution.stays import eased, worth
+from adaptsim_jax.attribution.stretch_evidence import eased, worth
 from adaptsim_jax.attribution.weights import losses
 from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.diagnosis.criteria import Criteria

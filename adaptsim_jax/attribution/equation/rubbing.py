@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from adaptsim_jax.attribution.equation.balance import Balance, ahead_of
-from adaptsim_jax.attribution.equation.objective import likely_first
+from adaptsim_jax.attribution.equation.balance_objective import likely_first
 from adaptsim_jax.attribution.equation.search import separable_candidates
 from adaptsim_jax.attribution.equation.searched import Searched
 from adaptsim_jax.attribution.parameters import Vector

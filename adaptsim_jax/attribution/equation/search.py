@@ -6,8 +6,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from adaptsim_jax.attribution.equation.balance import Balance
+from adaptsim_jax.attribution.equation.balance_objective import BalanceObjective
 from adaptsim_jax.attribution.equation.exact import exact
-from adaptsim_jax.attribution.equation.objective import BalanceObjective
 from adaptsim_jax.attribution.equation.searched import Searched
 from adaptsim_jax.attribution.equation.solve import ForceRows, Solved
 from adaptsim_jax.attribution.parameters import INERTIA, TILT, Vector

@@ -16,7 +16,7 @@ from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Step
 from adaptsim_jax.diagnosis.fit import Fit
 from adaptsim_jax.diagnosis.models import Model, added, beats, finished, paired, without
-from adaptsim_jax.diagnosis.objective import Attempt, Objective
+from adaptsim_jax.diagnosis.objective import FittedCandidate, Objective
 from adaptsim_jax.diagnosis.problem import Candidate, Problem
 from adaptsim_jax.diagnosis.rules import Evidence, step_reason
 from adaptsim_jax.diagnosis.testing import Test
@@ -100,7 +100,7 @@ class EngineObjective(Objective):
             rows.append(BornOut(model, less, c, self.criteria, test, steady))
         return rows
 
-    def in_place_of(self, e: BornOut) -> list[Attempt]:
+    def in_place_of(self, e: BornOut) -> list[FittedCandidate]:
         """Fitted once: for what is better, and for what does as well."""
         if id(e) not in self._rivals:
             self._rivals[id(e)] = e, list(self._instead(e))
@@ -116,7 +116,7 @@ class EngineObjective(Objective):
             judged = self.engine((*rough.added, c), values)
             test = paired(judged.fit.held, e.model.fit.held)
             passed = does_as_well(test, self.criteria)
-            yield Attempt(c, EngineModel(judged, None, values), test, passed)
+            yield FittedCandidate(c, EngineModel(judged, None, values), test, passed)
 
     def simpler(
         self, model: EngineModel, rows: Sequence[BornOut]

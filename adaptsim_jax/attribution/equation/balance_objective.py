@@ -11,16 +11,16 @@ from itertools import combinations
 
 import numpy as np
 
-from adaptsim_jax.attribution.backward import adjacent
+from adaptsim_jax.attribution.equation.balance_evidence import BalanceEvidence, at_bound, read_so
 from adaptsim_jax.attribution.equation.exact import needed
 from adaptsim_jax.attribution.equation.searched import Searched, ranked
 from adaptsim_jax.attribution.equation.solve import Solved, compared
-from adaptsim_jax.attribution.equation.stays import Balanced, at_bound, read_so
+from adaptsim_jax.attribution.nested_models import adjacent
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, Vector
 from adaptsim_jax.attribution.score import JointCandidate
 from adaptsim_jax.diagnosis.alternatives import preferred
 from adaptsim_jax.diagnosis.finding import Step
-from adaptsim_jax.diagnosis.objective import Attempt, Objective, Round
+from adaptsim_jax.diagnosis.objective import FittedCandidate, Objective, Round
 from adaptsim_jax.diagnosis.rules import Evidence, Reason, refusal, step_reason
 from adaptsim_jax.diagnosis.testing import Test, false_discovery
 
@@ -88,15 +88,17 @@ class BalanceObjective(Objective):
             some = [c for c in free if state.problem.effect(c.effect).describes is not laws]
             yield Round(self._attempts(base, some))
 
-    def _attempts(self, base: BalanceModel, some: Sequence[JointCandidate]) -> Iterator[Attempt]:
+    def _attempts(
+        self, base: BalanceModel, some: Sequence[JointCandidate]
+    ) -> Iterator[FittedCandidate]:
         state = self.state
         for c in ranked(state, base.whole, some)[: state.limits.tried]:
             c = state.settled(base.added, c)
             model = self.model([*base.added, c])
             test = compared(state.rows, base.whole, model.whole, state.own(c))
             price, level = self.price(c), state.limits.level
-            reason = refusal(Balanced(state, model.whole, c, test, price, level))
-            yield Attempt(c, model, test, reason is None, reason)
+            reason = refusal(BalanceEvidence(state, model.whole, c, test, price, level))
+            yield FittedCandidate(c, model, test, reason is None, reason)
 
     def price(self, c: JointCandidate) -> float:
         """The least share that an effect must take off, of a law for each of its numbers."""
@@ -104,7 +106,7 @@ class BalanceObjective(Objective):
             return self.state.criteria.described
         return self.state.limits.gain * len(c.entries)
 
-    def better(self, one: Attempt, other: Attempt) -> bool:
+    def better(self, one: FittedCandidate, other: FittedCandidate) -> bool:
         """By what each takes off all joints at which it shows, for the numbers that it has."""
 
         def value(attempt):
@@ -136,12 +138,14 @@ class BalanceObjective(Objective):
                 asked = max(1, model.asked[c.effect])
                 level = max(level, false_discovery(p, limits.discovery, asked))
             rows.append(
-                Balanced(state, model.whole, c, test, self.price(c), level, less, model, alike)
+                BalanceEvidence(
+                    state, model.whole, c, test, self.price(c), level, less, model, alike
+                )
             )
         return rows
 
     def simpler(
-        self, model: BalanceModel, rows: Sequence[Balanced]
+        self, model: BalanceModel, rows: Sequence[BalanceEvidence]
     ) -> tuple[BalanceModel, Sequence[Step]]:
         """One effect in the place of two; then without those that only made up for a shape on a
         grid, with the shapes of all others fitted.
@@ -175,19 +179,19 @@ class BalanceObjective(Objective):
             for k, more, _, passed in (a[:4] for a in self.instead(pair, less, whole)):
                 test = self._test(less.whole, more.whole, (k,))
                 price = state.limits.gain * len(k.entries)
-                evidence = Balanced(state, more.whole, k, test, price, state.limits.level)
+                evidence = BalanceEvidence(state, more.whole, k, test, price, state.limits.level)
                 if passed and not refusal(evidence):
                     reason = step_reason("one_for_two", one=one.effect, other=other.effect)
                     new = self.model([*less.added, *k.split()], model.asked)
                     return new, [Step("replaced", k, test, reason)]
         return None
 
-    def in_place_of(self, e: Balanced) -> Iterator[Attempt]:
+    def in_place_of(self, e: BalanceEvidence) -> Iterator[FittedCandidate]:
         return self.instead((e.candidate,), e.less, e.whole)
 
     def instead(
         self, gone: Sequence[JointCandidate], less: BalanceModel, whole: Solved
-    ) -> Iterator[Attempt]:
+    ) -> Iterator[FittedCandidate]:
         """Single effects beside those of `less` in the place of what is gone: others at its joints,
         the same at joints beside. whole: with what is gone.
         """
@@ -206,7 +210,7 @@ class BalanceObjective(Objective):
             other = self.model([*less.added, k], less.asked)
             test = self._test(other.whole, whole, (*gone, k))
             passed = test.gain < gap and not at_bound(other.whole, k)
-            yield Attempt(k, other, test, passed)
+            yield FittedCandidate(k, other, test, passed)
 
     def open_beside(self, added: Sequence[JointCandidate]) -> list[JointCandidate]:
         """Candidates that are not in a set, at none of their joints."""
@@ -224,7 +228,7 @@ class BalanceObjective(Objective):
         gain = self._test(less, whole, gone).gain
         return max(self.state.criteria.gap, 1.0 - (1.0 - gain) ** self.state.criteria.alike)
 
-    def unnamed(self, e: Balanced) -> Reason | None:
+    def unnamed(self, e: BalanceEvidence) -> Reason | None:
         """How rows are read; what like joints have and could not be shown by itself; a trifle."""
         if e.read_so:
             return step_reason("as_logged")

@@ -17,7 +17,7 @@ from adaptsim_jax.effects.base import Traits
 
 
 @dataclass(frozen=True)
-class Balanced(Evidence):
+class BalanceEvidence(Evidence):
     """Evidence of the torque along the motion: a set of effects `whole`, with a candidate in it.
 
     less, model: without it and with it (`BalanceModel`); alike: joints at which what like drives
