@@ -149,8 +149,8 @@ def squared_error(problem: TreeProblem, paths: Sequence[Path]) -> np.ndarray:
     """Mean square [W, 2n] over each stretch of what paths by group miss, angles and speeds."""
     n, columns = problem.joints, []
     for group, path in zip(problem.groups, paths, strict=True):
-        seen = np.concatenate([group.stretches.seen, group.stretches.seen_v], 1)
-        count = seen.transpose(2, 0, 1).sum(1)
+        observed = np.concatenate([group.stretches.seen, group.stretches.seen_v], 1)
+        count = observed.transpose(2, 0, 1).sum(1)
         columns.append(np.square(residuals(group, path)).sum(1) / np.maximum(count, 1))
     out = np.zeros((len(columns[0]), 2 * n))
     for group, own in zip(problem.groups, columns, strict=True):

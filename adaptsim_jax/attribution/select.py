@@ -53,9 +53,9 @@ def select(
     first = declared(problem, null, criteria, roughly=hint is not None)
     notify("candidates")
     reach = scaled_reach(problem, *own_inertia(problem, first.fit.vector))
-    least = criteria.beside * np.median(held_error(problem, first), 0)
+    smallest = criteria.beside * np.median(held_error(problem, first), 0)
     objective = TreeObjective(
-        replace(problem, least=least),
+        replace(problem, least=smallest),
         first,
         reach,
         criteria,

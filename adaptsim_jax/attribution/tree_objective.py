@@ -285,7 +285,7 @@ class TreeObjective(Objective):
 
         def tested(c: JointCandidate, one: JointCandidate) -> tuple[Evidence, Reason | None]:
             alone = replace(model, added=(*(k for k in model.added if k is not c), one))
-            e = self._beside_others(alone, one)
+            e = self._evidence_of(alone, one)
             return e, refusal(e, (MODEL, NAME))
 
         parts = [(c, one) for c in many for one in c.split()]
@@ -302,9 +302,9 @@ class TreeObjective(Objective):
         return model, ()
 
     def evidence(self, model: FittedTree, candidates: Sequence[JointCandidate]) -> list[Evidence]:
-        return parallel_map(lambda c: self._beside_others(model, c), candidates)
+        return parallel_map(lambda c: self._evidence_of(model, c), candidates)
 
-    def _beside_others(self, model: FittedTree, c: JointCandidate) -> Evidence:
+    def _evidence_of(self, model: FittedTree, c: JointCandidate) -> Evidence:
         self.notify(f"without {c.effect} at {where(self.problem, c)}")
         less = without(self.problem, model, c, self.criteria)
         test = paired(self.problem, less.held.loss, model.held.loss)

@@ -83,7 +83,7 @@ class BalanceObjective(Objective):
 
         shifted = [c for c in added if shifts(c) and not read_so(state, base.whole, c)]
         late = {j for c in shifted for j in c.joints}
-        free = [c for c in self.open_beside(added) if not shifts(c) or not late & set(c.joints)]
+        free = [c for c in self.open_candidates(added) if not shifts(c) or not late & set(c.joints)]
         for laws in (True, False):
             some = [c for c in free if state.problem.effect(c.effect).describes is not laws]
             yield Round(self._attempts(base, some))
@@ -199,7 +199,7 @@ class BalanceObjective(Objective):
         names, joints = {c.effect for c in gone}, {j for c in gone for j in c.joints}
         near = [
             k
-            for k in self.open_beside(less.added)
+            for k in self.open_candidates(less.added)
             if any(adjacent(k, c) or k.effect == c.effect == INERTIA for c in gone)
         ]
         others = [k for k in near if (k.effect in names) != bool(joints & set(k.joints))]
@@ -212,7 +212,7 @@ class BalanceObjective(Objective):
             passed = test.gain < gap and not at_bound(other.whole, k)
             yield FittedCandidate(k, other, test, passed)
 
-    def open_beside(self, added: Sequence[JointCandidate]) -> list[JointCandidate]:
+    def open_candidates(self, added: Sequence[JointCandidate]) -> list[JointCandidate]:
         """Candidates that are not in a set, at none of their joints."""
         taken = {(c.effect, j) for c in added for j in c.joints}
         return [c for c in self.every if not any((c.effect, j) in taken for j in c.joints)]

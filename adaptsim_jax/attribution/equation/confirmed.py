@@ -192,8 +192,8 @@ class SimulatedNames(Objective):
         some = [n for n in model.found.named if worse & set(_shown(model.found, n.candidate))]
         if not some:
             return list(rows)
-        least = min(some, key=lambda n: n.test.gain).candidate
-        return [replace(e, harmed=tuple(worse)) if e.candidate is least else e for e in rows]
+        weakest = min(some, key=lambda n: n.test.gain).candidate
+        return [replace(e, harmed=tuple(worse)) if e.candidate is weakest else e for e in rows]
 
     def adjacent(self, candidate: JointCandidate, other: JointCandidate) -> bool:
         return adjacent(candidate, other)

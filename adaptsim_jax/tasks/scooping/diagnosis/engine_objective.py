@@ -88,8 +88,8 @@ class EngineObjective(Objective):
         """An emulated model as the engine judges it."""
         if not emulated.added:
             return EngineModel(self.null, emulated, emulated.fit.values)
-        judged = self.engine(emulated.added, emulated.fit.values)
-        return EngineModel(judged, emulated, emulated.fit.values)
+        by_engine = self.engine(emulated.added, emulated.fit.values)
+        return EngineModel(by_engine, emulated, emulated.fit.values)
 
     def evidence(self, model: EngineModel, candidates: Sequence[Candidate]) -> list[Evidence]:
         rows: list[Evidence] = []
@@ -113,10 +113,10 @@ class EngineObjective(Objective):
             values, loss = added(problem, rough, s, 2 * self.criteria.glance)
             tries.append((loss, values, s.candidate))
         for _, values, c in sorted(tries, key=lambda t: t[0])[: self.criteria.tried]:
-            judged = self.engine((*rough.added, c), values)
-            test = paired(judged.fit.held, e.model.fit.held)
+            by_engine = self.engine((*rough.added, c), values)
+            test = paired(by_engine.fit.held, e.model.fit.held)
             passed = does_as_well(test, self.criteria)
-            yield FittedCandidate(c, EngineModel(judged, None, values), test, passed)
+            yield FittedCandidate(c, EngineModel(by_engine, None, values), test, passed)
 
     def simpler(
         self, model: EngineModel, rows: Sequence[BornOut]
