@@ -4,7 +4,7 @@ for how long.
 
 import shlex
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -32,38 +32,38 @@ class Run(NamedTuple):
         }
 
 
-def command_of(
-    data: str | Path,
-    *,
-    out: str | Path | None = None,
-    seed: int = 0,
-    model: str | Path | None = None,
-    exclude: Sequence[str] = (),
-    without: Sequence[str] = (),
-    as_declared: bool = False,
-    simulator: str | None = None,
-    yardstick: str | None = None,
-    horizon: float | None = None,
-) -> str:
-    """The command that gives the same answer; what is None is left to the command."""
-    words = [
-        "adaptsim",
-        "diagnose",
-        str(data),
-        "--out",
-        str(out or "again"),
-        *(["--seed", str(seed)] if seed else []),
-    ]
-    words += ["--model", str(model)] if model is not None else []
-    words += ["--as-declared"] if as_declared else []
-    for option, value in (
-        ("--simulator", simulator),
-        ("--yardstick", yardstick),
-        ("--horizon", horizon),
-    ):
-        words += [option, str(value)] if value is not None else []
-    for option, names in (("--exclude", exclude), ("--without", without)):
-        words += [option, *names] if names else []
+OPTIONS = (
+    "seed",
+    "model",
+    "as_declared",
+    "simulator",
+    "yardstick",
+    "horizon",
+    "exclude",
+    "without",
+)
+"""Options of `adaptsim diagnose`, as it is told how to give an answer again."""
+
+
+def command_of(data: str | Path, out: str | Path | None = None, **given: Any) -> str:
+    """The command that gives the same answer.
+
+    Args:
+        data: What was diagnosed.
+        out: Folder of the results; another one where None.
+        given: `OPTIONS` by name; what is None, false or empty is left to the command.
+    """
+    assert not set(given) - set(OPTIONS), given
+    words = ["adaptsim", "diagnose", str(data), "--out", str(out or "again")]
+    for name in OPTIONS:
+        value = given.get(name)
+        if not value:
+            continue
+        words.append(f"--{name.replace('_', '-')}")
+        if isinstance(value, (list, tuple)):
+            words += map(str, value)
+        elif value is not True:
+            words.append(str(value))
     return shlex.join(words)
 
 

@@ -3,6 +3,7 @@ command that a report names.
 """
 
 import shlex
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -12,6 +13,14 @@ from adaptsim_jax.commands.parser import command_parser
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.diagnosis.run import command_of
 from tests.logs.log_files import folder, motion, named
+
+
+@dataclass(frozen=True)
+class Made:
+    """A simulator that is never run."""
+
+    verify: object
+
 
 SERVO = """<mujoco><option timestep="0.01"/><worldbody><body><joint name="arm" axis="0 1 0" damping="0.1"/>
 <geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.02" mass="0.5"/></body></worldbody></mujoco>"""  # noqa: E501
@@ -90,7 +99,12 @@ def test_a_diagnosis_hands_on_what_its_command_is_made_of(tmp_path, monkeypatch,
         seen.update(options)
         raise BadInput("reached")
 
+    def made(source, log, horizon=None):
+        seen["horizon"] = horizon
+        return Made(None)
+
     monkeypatch.setattr(by_tree, "diagnose", keep)
+    monkeypatch.setattr(by_mujoco, "simulator", made)
     monkeypatch.setattr(by_mujoco, "diagnose", keep)
     log = folder(
         tmp_path / "log", 'input = "torque"\n', run=named(motion(1, rows=120), ("arm",), "q", "tau")
