@@ -22,7 +22,7 @@ from adaptsim_jax import make_phase1, make_task
 from adaptsim_jax.adaptation.training import preset, traced
 from adaptsim_jax.tasks.pushing import model
 from adaptsim_jax.tasks.pushing.config import PushingConfig
-from adaptsim_jax.tasks.pushing.simulator import make_simulator
+from adaptsim_jax.tasks.pushing.trial import make_simulator
 
 
 def phase1(engine: str, trajectories: int = 40, seed: int = 0) -> dict:

@@ -36,8 +36,7 @@ from adaptsim_jax.tasks.scooping.bank import (
     forward,
     identity,
 )
-from adaptsim_jax.tasks.scooping.hydro import Numerics
-from adaptsim_jax.tasks.scooping.model import MESSAGES, ScoopOptions
+from adaptsim_jax.tasks.scooping.model import MESSAGES, Numerics, ScoopOptions
 
 CHUNK, CANDIDATES = 2048, 256
 BATCH = 64  # trials side by side

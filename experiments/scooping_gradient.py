@@ -26,9 +26,9 @@ from adaptsim_jax.core import process
 from adaptsim_jax.core.files import write_json
 from adaptsim_jax.tasks.scooping import model
 from adaptsim_jax.tasks.scooping.bank import load_bank
-from adaptsim_jax.tasks.scooping.hydro import Numerics, rollout, steps_of
-from adaptsim_jax.tasks.scooping.model import ScoopOptions
-from adaptsim_jax.tasks.scooping.model_fit import RANGES, scaled, smoothed, unscaled
+from adaptsim_jax.tasks.scooping.hydro import rollout, steps_of
+from adaptsim_jax.tasks.scooping.model import Numerics, ScoopOptions
+from adaptsim_jax.tasks.scooping.trial import RANGES, scaled, smoothed, unscaled
 
 WD, ACTION = np.array([0.3, 5e4, 1.0, 0.02]), np.array([0.10, 0.0, 0.0125])
 CASES = {

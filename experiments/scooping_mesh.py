@@ -21,10 +21,10 @@ from scipy.stats import binomtest
 
 from adaptsim_jax.core.files import output_folder, write_json
 from adaptsim_jax.tasks.scooping import engines as backend
-from adaptsim_jax.tasks.scooping import interface, model
+from adaptsim_jax.tasks.scooping import model
+from adaptsim_jax.tasks.scooping.engines import LOW_RELAXATION
 from adaptsim_jax.tasks.scooping.engines.drake import ScoopContact
-from adaptsim_jax.tasks.scooping.engines.parity import LOW_RELAXATION
-from adaptsim_jax.tasks.scooping.hydro import Numerics
+from adaptsim_jax.tasks.scooping.model import Numerics
 
 POINTS = ((8, 3), (10, 3), (2, 3), (4, 2))
 
@@ -59,7 +59,7 @@ def outcomes(
             params, actions, np.zeros((samples, 2))
         )
         cpu = time.process_time() - begin
-        np.savez(path, success=interface.outcome(found.state)[0], code=found.code, cpu=cpu)
+        np.savez(path, success=model.outcome(found.state)[0], code=found.code, cpu=cpu)
         print(f"{name}: {cpu:.0f} s of CPU time", flush=True)
     kept = np.load(path)
     return kept["success"], kept["code"]

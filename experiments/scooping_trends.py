@@ -21,7 +21,7 @@ import numpy as np
 from adaptsim_jax.core import process
 from adaptsim_jax.core.files import write_json
 from adaptsim_jax.tasks.scooping import engines as backends
-from adaptsim_jax.tasks.scooping import interface, model
+from adaptsim_jax.tasks.scooping import model
 
 
 class Quantity(NamedTuple):
@@ -83,7 +83,7 @@ def trend(simulate: Simulate, shape: int, name: str, samples: int, seed: int) ->
 
 def engine(backend: str) -> Simulate:
     simulate = backends.make_backend(backend).simulate
-    return lambda p, a: interface.outcome(simulate(p, a, np.zeros((len(p), 2))).state)[0]
+    return lambda p, a: model.outcome(simulate(p, a, np.zeros((len(p), 2))).state)[0]
 
 
 def line(row: dict) -> str:

@@ -156,7 +156,6 @@ WITHIN = {
     ),
     "tasks": (
         "base",
-        "faces",
         "camera_record",
         "trial_clock",
         "camera_effects",
@@ -164,7 +163,7 @@ WITHIN = {
         "trial_diagnosis",
         "one_shot",
         "one_action",
-        "one_shot_naf",
+        "robot_trials",
         "engine",
         "pendulum",
         "pushing",

@@ -113,7 +113,7 @@ def _judge(task: str, options: dict[str, Any]) -> Callable:
     if task != "pushing":
         return plain
     from adaptsim_jax.core import config
-    from adaptsim_jax.tasks.pushing import deployed as after
+    from adaptsim_jax.tasks.pushing import one_shot as after
     from adaptsim_jax.tasks.pushing.config import PushingConfig
 
     made = config.from_table(PushingConfig, options, "task")

@@ -105,7 +105,7 @@ def describe(
     import numpy as np
 
     from adaptsim_jax.core.files import without_nan
-    from adaptsim_jax.tasks.one_shot_naf import leaves_by_name
+    from adaptsim_jax.tasks.one_shot import leaves_by_name
 
     names = task.space.names
     physical = np.asarray(task.space.physical(result.history.mean))

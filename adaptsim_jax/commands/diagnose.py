@@ -309,6 +309,6 @@ def diagnose(data: str | Path | Log, **options: Any) -> dict[str, Any]:
 
         return of_mechanism(data, **options)
     from adaptsim_jax.attribution.pendulum_diagnosis import diagnose_pendulum
-    from adaptsim_jax.tasks.pendulum.model_reward import task_reward
+    from adaptsim_jax.tasks.pendulum.controller import task_reward
 
     return diagnose_pendulum(data, reward=task_reward, **options)

@@ -74,7 +74,7 @@ def read_target(text: str, task: Any) -> tuple[str, Any, Any]:
     table = config.read(path)
     if "declared" in table and "schema" in table:
         from adaptsim_jax.mend.pendulum_model import model_of
-        from adaptsim_jax.tasks.pendulum.target import in_world
+        from adaptsim_jax.tasks.pendulum.augmented import in_world
 
         return path.stem, *in_world(task, model_of(table, str(path)))
     if "params" in table:

@@ -17,7 +17,7 @@ from adaptsim_jax.core import config
 from adaptsim_jax.core.store import RunFolder
 from adaptsim_jax.report.figures import save
 from adaptsim_jax.report.film import write_film
-from adaptsim_jax.tasks.faces import AdaptView
+from adaptsim_jax.tasks.base import AdaptView
 from adaptsim_jax.tasks.registry import TASKS, make_one_shot
 
 

@@ -22,8 +22,7 @@ from adaptsim_jax.environments.setting import EnvironmentConfig, Setting
 from adaptsim_jax.environments.task import environment_setting, play_in, task_of
 from adaptsim_jax.report.film import Moment, Scene, Stage
 from adaptsim_jax.space import Gaussian
-from adaptsim_jax.tasks.base import Task, TaskKind
-from adaptsim_jax.tasks.faces import AdaptFace, AdaptView, Look
+from adaptsim_jax.tasks.base import AdaptFace, AdaptView, Look, Task, TaskKind
 
 NOMINAL = "told the file's own values, mean of 8 episodes"
 EPISODES = 8

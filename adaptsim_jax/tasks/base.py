@@ -1,10 +1,21 @@
-"""What Phase 1, Phase 2 and the baselines know of a task: a frozen record of pure functions."""
+"""What a task is to all that uses it: a frozen record of pure functions for Phase 1, Phase 2 and
+the baselines, and what `adaptsim adapt` and `adaptsim robot` leave to it. What a task may do
+without has a default.
+"""
 
+from __future__ import annotations
+
+import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, Protocol
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
-from adaptsim_jax.space import Gaussian, Space
+from adaptsim_jax.space import Gaussian, Parameter, Space
+
+if TYPE_CHECKING:
+    from adaptsim_jax.report.film import Scene
 
 Array = Any
 Policy = Any  # a pytree
@@ -38,7 +49,7 @@ class Preparation(NamedTuple):
 
     blank: Callable[[Array], Any]
     make: Callable[..., Any]
-    ready: Callable[[Any], "Task"]
+    ready: Callable[[Any], Task]
     digest: Callable[[], str]
 
 
@@ -88,11 +99,167 @@ class Task:
     preparation: Preparation | None = None
     # (a setting's name) -> the task with rollouts in that target, which has more than parameters of
     # Omega; None: `params` say it all
-    world: Callable[[str], "Task"] | None = None
+    world: Callable[[str], Task] | None = None
     # (policy, obs [O]) -> action [A]: of tasks whose policies are called at each step
     act: Callable[[Policy, Array], Array] | None = None
     # (obs [T, O], action [T, A], reward [T]) -> trajectory: of a measured episode of theirs
     read: Callable[[Any, Any, Any], Trajectory] | None = None
+
+
+@cache
+def tables() -> dict[str, Any]:
+    """`settings.toml`: of each task its named targets, and boxes of parameters."""
+    return tomllib.loads(Path(__file__).with_name("settings.toml").read_text())
+
+
+def space_of(task: str, box: str, config: Any = None) -> Space:
+    """A box of a task's parameters, `omega` or `wide`, with the ranges that `config` has."""
+    rows = tables()[task][box]
+    parameters = []
+    for name, row in rows.items():
+        low, high = getattr(config, name, row.get("range"))
+        more = {key: value for key, value in row.items() if key != "range"}
+        parameters.append(Parameter(name, low, high, **more))
+    return Space(tuple(parameters))
+
+
+COLUMNS = 6  # iterations that a figure shows at most
+
+
+class AdaptView(NamedTuple):
+    """An adaptation in a simulated target, as it is looked at.
+
+    config: The task's options. target: Its name; values `[D]` physical. result: Of Phase 2. start:
+    the one whose best visit is deployed. best: That visit. prepared: `(task, config) -> what the
+    run learned once`, of tasks with a preparation.
+    """
+
+    task: Task
+    config: Any
+    target: str
+    values: Any
+    result: Any
+    start: int
+    best: int
+    prepared: Callable[[Task], Any]
+
+    def of_start(self, leaf: Any) -> Any:
+        """`leaf [N, I + 1, ...]` of the history, at the start."""
+        import numpy as np
+
+        return np.asarray(leaf)[self.start]
+
+    @property
+    def policies(self) -> Any:
+        """Of the start's visits `[I + 1]`."""
+        import jax
+
+        return jax.tree.map(lambda x: x[self.start], self.result.history.policy)
+
+    @property
+    def params(self) -> Any:
+        """Parameters `[I + 1, D]` that the start's visits were trained at, physical."""
+        import numpy as np
+
+        return np.asarray(self.task.space.physical(self.result.history.mean[self.start]))
+
+    def picked(self, count: int) -> tuple[list[int], list[str]]:
+        """Which of `count` iterations a figure shows, and their titles."""
+        shown = picked(count, self.best)
+        return shown, [f"iteration {i}" + (" (best)" if i == self.best else "") for i in shown]
+
+    def trials_reported(self) -> int | None:
+        """How many trials the deployed policy is corrected by; None where it is not."""
+        import numpy as np
+
+        reported = getattr(self.result.policy, "told", None)
+        if reported is None:
+            return None
+        return int(np.sum(reported.used))
+
+
+def picked(count: int, best: int) -> list[int]:
+    """The first, the last and evenly between them; the best takes the place of the one nearest to
+    it.
+    """
+    import numpy as np
+
+    shown = sorted({round(i) for i in np.linspace(0, count - 1, min(COLUMNS, count))})
+    if best not in shown:
+        last = len(shown) - 1
+        shown[min(range(len(shown)), key=lambda k: (abs(shown[k] - best), k in (0, last)))] = best
+    return shown
+
+
+class Look(NamedTuple):
+    """What there is to be looked at of policies in a target: a figure, notes for a person, and how
+    each trial ended, in words. The clips of a film are made when they are asked for.
+    """
+
+    figure: Any
+    clips: Callable[[], list[Any]]
+    notes: tuple[str, ...] = ()
+    ends: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class AdaptFace:
+    """Of `adapt`.
+
+    picture: Name of the figure's file, without suffix. shown: The adaptation. scene: How its
+    trials are filmed. before_after: `(config, policies [2], target [D])`, the first and the
+    deployed policy. as_compared: Whether Phase 2 makes the visits and corrections of `compare`.
+    deployed: `(config, result, target [D]) -> result` with policies and rewards as they are
+    deployed.
+    """
+
+    picture: str
+    shown: Callable[[AdaptView], Look]
+    scene: Callable[[], Scene]
+    before_after: Callable[[Any, Any, Any], Look] | None = None
+    as_compared: Callable[[Any], bool] = lambda config: False
+    deployed: Callable[[Any, Any, Any], Any] = lambda config, result, target: result
+
+
+class SessionTrials(NamedTuple):
+    """How trials of a session are read again, to be diagnosed: `head` and `rows(visit)` of the file
+    of actions, which of the task's options say how the trials were made, and `assemble(actions,
+    files, options, folder, as_declared=, without=) -> recording`.
+    """
+
+    head: str
+    rows: Callable[[dict[str, Any]], list[tuple]]
+    options: tuple[str, ...]
+    assemble: Callable[..., Any]
+
+
+@dataclass(frozen=True)
+class RobotFace:
+    """Of `robot`. turn: What one ask and tell is called. `history`: of the turns recorded so far,
+    as `remember` made them.
+
+    deployed: The policy as it is deployed now, mended by what was recorded. tried: As the coming
+    turn makes its trials with it. Both are the policy itself by default. again: A turn that the
+    robot could not finish is asked again. Else its start is given up, since the policy asked of it
+    would fail again. recorded: How trials are read again for `diagnose`; None where sessions are not
+    diagnosed.
+    """  # noqa: E501
+
+    turn: str
+    opened: Callable[[Any, int], str]  # (session, turns) -> what a new session consists of
+    # (session, policy as deployed) -> what policy.toml holds of it
+    policy_file: Callable[[Any, Any], dict[str, Any]]
+    # (session, state as tried, policy as deployed, history, done)
+    show: Callable[[Any, Any, Any, list, bool], None]
+    read: Callable[[Any, Any, Any], Any]  # (session, state as tried, path) -> trajectory
+    # (session, state as tried, trajectory) -> entry of the history beside the score
+    remember: Callable[[Any, Any, Any], dict[str, Any]] = lambda session, tried, trajectory: {}
+    # (session, state as tried, state after, trajectory, done): what is said beside the return
+    comment: Callable[[Any, Any, Any, Any, bool], None] = lambda *turn: None
+    deployed: Callable[[Any, Any, list], Any] = lambda session, policy, history: policy
+    tried: Callable[[Any, Any, list], Any] = lambda session, policy, history: policy
+    again: bool = True
+    recorded: Callable[[], SessionTrials] | None = None
 
 
 @dataclass(frozen=True)
@@ -100,16 +267,16 @@ class TaskKind:
     """A task as the registry holds it (`tasks/registry.py`): how one is made of options, and what
     goes with it.
 
-    config: a frozen dataclass of the task's options, all with defaults. make: `(config) -> Task`;
+    config: A frozen dataclass of the task's options, all with defaults. make: `(config) -> Task`;
     BadInput says what an option would lead to. one_shot: `(config) -> OneShot`, of tasks whose
-    policies are learned: `adaptsim compare` needs it. train: what `adaptsim train` starts from, a
+    policies are learned: `adaptsim compare` needs it. train: What `adaptsim train` starts from, a
     table laid over the defaults of `TrainConfig`. augmented: `(options, where) -> Task` on the
     model file that stands under the option `model`. of_model: `(model file as a table, its name) ->
     options`, what `adaptsim train --model` lays over the options (`left_out`: effects of the file
-    that are none of the simulator's). backends: the engines that it runs in (`tasks/engine.py`),
-    and parity: what they agree on. adapt, robot: what the commands of these names show and say
-    (`tasks/faces.py`). symbols: what parameters are called in figures, where that is not their
-    name.
+    that are none of the simulator's). backends: The engines that it runs in (`tasks/engine.py`),
+    and parity: what they agree on. adapt, robot: What the commands of these names show and say
+    (`AdaptFace`, `RobotFace`). symbols: What parameters are called in figures, where that is not
+    their name.
     """
 
     config: type
@@ -118,8 +285,8 @@ class TaskKind:
     train: Mapping[str, Any] = field(default_factory=dict)
     augmented: Callable[[dict[str, Any], str], Task] | None = None
     of_model: Callable[[dict[str, Any], str], dict[str, Any]] | None = None
-    adapt: Any = None
-    robot: Any = None
+    adapt: AdaptFace | None = None
+    robot: RobotFace | None = None
     symbols: Mapping[str, str] = field(default_factory=dict)
     backends: Any = field(default_factory=dict)
     parity: Any = None

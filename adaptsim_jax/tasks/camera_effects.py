@@ -36,7 +36,7 @@ QUANTITIES = (
 
 
 def effects(trial: str, origin: str, rises: bool) -> tuple[Candidate, ...]:
-    """The effects on tracks of a `trial`, in a frame about `origin`; rises: whether heights vary.
+    """The effects on tracks of a `trial`, in a frame about `origin`. rises: Whether heights vary.
 
     A late start of the arm shifts all of a track in time, as a latency does: no trial tells them
     apart, only the arm's own log.

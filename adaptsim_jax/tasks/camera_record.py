@@ -3,11 +3,13 @@ times that run forward.
 """
 
 from collections.abc import Callable, Container, Iterable, Mapping
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.table import LogTable
 from adaptsim_jax.logs.table_checks import lost_digits
 
 
@@ -20,6 +22,11 @@ class CameraTracks(NamedTuple):
     time: np.ndarray
     track: np.ndarray
     row_name: Callable[[int], str]
+
+
+def row_namer(path: object, table: LogTable) -> Callable[[int], str]:
+    """How messages call row `i` of a table that was read from `path`."""
+    return lambda i: f"{path}: {table.row_word} {table.lines[i]}"
 
 
 def check_columns(
@@ -101,7 +108,7 @@ def check_unit(
     what: str,
     usual: float = 0.0,
 ) -> None:
-    """BadInput at the first place farther than `far` m; usual: how far from the origin bodies are
+    """BadInput at the first place farther than `far` m. usual: How far from the origin bodies are
     seen, 0 where that may be any.
     """
     for name in ("x", "y"):
@@ -150,7 +157,7 @@ def check_gaps(
     time: np.ndarray, most: float, until: float, trials: Callable[[int], str], again: str
 ) -> None:
     """BadInput at the first gap of `time [T]` s longer than `most` that begins before `until`;
-    again: the mend.
+    again: The mend.
     """
     for k in np.flatnonzero((np.diff(time) > most) & (time[:-1] < until))[:1] + 1:
         raise BadInput(
@@ -178,10 +185,27 @@ def check_leaps(
         )
 
 
-WHOLE_TURNS, FASTEST_TURN, TURN_SLIP = 30.0, 40.0, 0.5
-"""rad, rad/s and rad: bodies that slide have turned by 7 rad and at 9 rad/s; markers that are seen
-upside down jump by pi.
-"""
+@dataclass(frozen=True)
+class TrackCriteria:
+    """What decides whether rows of one track belong together.
+
+    Args:
+        whole_turns: rad that no yaw reaches: bodies that slide have turned by 7 rad.
+        fastest_turn: rad/s that no body turns at: those that slide turn at 9 rad/s.
+        turn_slip: rad that yaw may jump beside: markers that are seen upside down jump by pi.
+        hole: s without a row from which on the gap is reported.
+        stood: m that a body must have gone within a hole, by its speeds before and after, for its
+            standing still to show that the clock was set.
+    """
+
+    whole_turns: float = 30.0
+    fastest_turn: float = 40.0
+    turn_slip: float = 0.5
+    hole: float = 0.1
+    stood: float = 0.03
+
+
+TRACK = TrackCriteria()
 
 
 def unwrapped(
@@ -191,7 +215,7 @@ def unwrapped(
     seen. BadInput at the first row in another unit, or that jumps otherwise.
     """
     observed = np.flatnonzero(~np.isnan(yaw))
-    for k in observed[np.abs(yaw[observed]) > WHOLE_TURNS][:1]:
+    for k in observed[np.abs(yaw[observed]) > TRACK.whole_turns][:1]:
         raise BadInput(
             f"{trials(int(k))}: yaw = {yaw[k]:.6g} rad is several turns; is it in degrees? write "
             "radians"
@@ -199,7 +223,8 @@ def unwrapped(
     out = yaw.copy()
     out[observed] = np.unwrap(yaw[observed])
     leap = np.abs(np.diff(out[observed]))
-    for k in np.flatnonzero(leap > FASTEST_TURN * np.diff(time[observed]) + TURN_SLIP)[:1]:
+    most = TRACK.fastest_turn * np.diff(time[observed]) + TRACK.turn_slip
+    for k in np.flatnonzero(leap > most)[:1]:
         raise BadInput(
             f"{trials(int(observed[k + 1]))}: {body} turns by {leap[k]:.2g} rad between two rows; "
             "empty the cells of yaw that are not it"
@@ -207,17 +232,11 @@ def unwrapped(
     return out
 
 
-HOLE = 0.1  # s without a row that is told
-# m that a body must have gone within a hole, by its speeds before and after, for its standing still
-# to say anything
-STOOD = 0.03
-
-
 def holes(time: np.ndarray) -> list[str]:
     """What to say of the parts of one trial's `time [T]` s in which nothing was recorded."""
     return [
         f"nothing was recorded from {time[k]:.4g} to {time[k + 1]:.4g} s"
-        for k in np.flatnonzero(np.diff(time) > HOLE)
+        for k in np.flatnonzero(np.diff(time) > TRACK.hole)
     ]
 
 
@@ -227,14 +246,14 @@ def check_clock_set(
     """BadInput where a body moves before and after a hole and stood still in it: the clock was set.
     `time [T]` s, `places [T, C]` m.
     """
-    for k in np.flatnonzero(np.diff(time) > HOLE) + 1:
+    for k in np.flatnonzero(np.diff(time) > TRACK.hole) + 1:
         sides = [slice(max(k - 4, 0), k), slice(k, k + 4)]
         if min(len(time[s]) for s in sides) < 3:
             continue
         speeds = [np.linalg.norm(places[s][-1] - places[s][0]) / np.ptp(time[s]) for s in sides]
         gap = time[k] - time[k - 1]
         went = float(np.linalg.norm(places[k] - places[k - 1]))
-        if gap * min(speeds) > STOOD and went < 0.3 * gap * min(speeds):
+        if gap * min(speeds) > TRACK.stood and went < 0.3 * gap * min(speeds):
             raise BadInput(
                 f"{trials(int(k))}: {body} moves by {min(speeds):.2g} m/s before and after a hole "
                 f"of {gap:.3g} s, and by {went:.2g} m in it: was the clock set? mend the times "

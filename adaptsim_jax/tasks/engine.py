@@ -39,7 +39,7 @@ class EngineKind(NamedTuple):
     """An engine as a registry of backends holds it: `make(options, *settings) -> simulate`, of
     `Backend`.
 
-    options: the task's own (`PushOptions`, `ScoopOptions`; of the pendulum its step [s]). settings:
+    options: The task's own (`PushOptions`, `ScoopOptions`; of the pendulum its step [s]). settings:
     a NamedTuple of what is the engine's alone, with defaults. `make` raises BadInput where the
     engine is absent or cannot do the options.
     """
@@ -64,8 +64,8 @@ class Backend(NamedTuple):
 class Engines(Registry[EngineKind]):
     """The engines of a task by name.
 
-    own: where the records of ours stand. default: options where none are given; check: `(engine,
-    options) -> options`, BadInput where no engine can do them; called: what options are called
+    own: Where the records of ours stand. default: Options where none are given; check: `(engine,
+    options) -> options`, BadInput where no engine can do them. called: What options are called
     where they may be given by name.
     """
 
@@ -117,7 +117,7 @@ def checked_batch(task: str, arrays: Mapping[str, Any], widths: Sequence[int]) -
 
 
 def steps_a_row(what: str, dt: float, row: float, usual: float) -> int:
-    """How many steps of `dt` s make a row of `row` s. BadInput where they do not; usual: a step
+    """How many steps of `dt` s make a row of `row` s. BadInput where they do not. usual: A step
     that does.
     """
     every = round(row / dt) if dt > 0 else 0
@@ -144,6 +144,49 @@ def drake_modules() -> Any:
         raise BadInput(
             "backend drake is not installed; pip install 'adaptsim_jax[drake]'"
         ) from None
+
+
+class DrakeWorld:
+    """A Drake plant with hydroelastic contact in steps of `dt` s.
+
+    solver: Drake's contact approximation. resolution: m, of the pressure field of what is soft.
+    """
+
+    def __init__(self, drake: Any, dt: float, solver: str, resolution: float):
+        self.drake, self.resolution = drake, resolution
+        self.builder = drake.DiagramBuilder()
+        config = drake.MultibodyPlantConfig(
+            time_step=dt,
+            discrete_contact_approximation=solver,
+            contact_model="hydroelastic_with_fallback",
+        )
+        self.plant, self.graph = drake.AddMultibodyPlant(config, self.builder)
+
+    def built(self) -> None:
+        """The simulator and its context, once the plant is final."""
+        self.simulator = self.drake.Simulator(self.builder.Build())
+        self.context = self.plant.GetMyMutableContextFromRoot(self.simulator.get_mutable_context())
+
+    def surface(self, friction: float, modulus: float | None = None, **material: Any) -> Any:
+        """Proximity properties of a rigid surface, or of a soft one of `modulus` Pa."""
+        d = self.drake
+        properties = d.ProximityProperties()
+        if modulus is None:
+            d.AddRigidHydroelasticProperties(0.1, properties)
+        else:
+            d.AddCompliantHydroelasticProperties(self.resolution, modulus, properties)
+        coulomb = d.CoulombFriction(friction, friction)
+        d.AddContactMaterial(friction=coulomb, properties=properties, **material)
+        return properties
+
+    def collide(self, body: Any, at: Any, shape: Any, name: str, properties: Any) -> None:
+        """A geometry of `body` that touches; at: its middle `[3]` m, or its pose."""
+        pose = at if isinstance(at, self.drake.RigidTransform) else self.drake.RigidTransform(at)
+        self.plant.RegisterCollisionGeometry(body, pose, shape, name, properties)
+
+    def bodies(self, model: Any, inertia: Any, *names: str) -> list[Any]:
+        """Bodies of a model, all with one spatial inertia."""
+        return [self.plant.AddRigidBody(name, model, inertia) for name in names]
 
 
 def mjx_module() -> Any:
@@ -243,7 +286,7 @@ def speed_row(run: EngineRun, what: str, messages: Mapping[int, str]) -> dict[st
 def pair_lines(
     found: dict[str, Any], wide: int, head: str, noun: str, numbers: Callable[[dict[str, Any]], str]
 ) -> list[str]:
-    """The table of pairs of engines, their names `wide`; noun: what went well in neither where
+    """The table of pairs of engines, their names `wide`. noun: What went well in neither where
     nothing was compared.
     """
     lines = [f"{'pair':{wide}} {head} {'compared':>9}"]

@@ -30,74 +30,31 @@ def one_action(
     """The comparison's view of `task`, whose policies are one array of `d` numbers: the action, in
     its own units.
 
-    low, high: `[d]`, what actions are looked for between. tests: rollouts that a policy is scored
+    low, high: `[d]`, what actions are looked for between. tests: Rollouts that a policy is scored
         by; 1 where they know no chance.
-    points: a side of the grid that the best action in a target is refined from. BadInput where
+    points: A side of the grid that the best action in a target is refined from. BadInput where
         policies are of another form.
     """
-    low_, high_ = np.asarray(low, np.float32), np.asarray(high, np.float32)
-    shape = _shape(task, low_, high_)
-
-    def policy_of(action):
-        return (low_ + 0.5 * (action + 1.0) * (high_ - low_)).reshape(shape)
-
-    def action_of(policy):
-        return jnp.clip(2.0 * (jnp.ravel(policy) - low_) / (high_ - low_) - 1.0, -1.0, 1.0)
-
-    def every(policy, contexts):
-        return jnp.tile(action_of(policy), (len(contexts), 1))
-
-    def tried(params: Array, context: Array, action: Array) -> Outcome:
-        key = jax.random.wrap_key_data(context.astype(jnp.uint32))
-        return task.rollout(key, policy_of(action), params), task.reference(params)
-
-    def explore(key: Array, policy: Any, contexts: Array) -> Array:
-        actions = every(policy, contexts)
-        return jnp.clip(actions + NOISE * jax.random.normal(key, actions.shape), -1.0, 1.0)
-
-    def reward(outcome: Outcome, context: Array) -> Array:
-        worth = task.reward(*outcome)
-        return jnp.where(jnp.isfinite(worth), jnp.clip(worth, 0.0, 1.0), 0.0)
-
-    def train_uniform(key: Array) -> Any:
-        space, grid = task.space, jnp.asarray(action_grid((points,) * len(low_)))
-        keys = jax.random.split(key, DRAWS)
-        params = jax.vmap(lambda k: space.physical(space.sample(k)))(keys)
-        contexts = jax.vmap(jax.random.key_data)(keys)
-
-        def worth(a):
-            return jnp.mean(jax.vmap(lambda p, c: reward(tried(p, c, a), c))(params, contexts))
-
-        return policy_of(grid[jnp.argmax(jax.lax.map(worth, grid))])
-
-    def tune(
-        key: Array, policy: Any, contexts: Array, actions: Array, outcomes: Outcome, used: Array
-    ) -> Any:
-        """The best of what was tried."""
-        worth = jnp.where(
-            jnp.arange(len(actions)) < used, jax.vmap(reward)(outcomes, contexts), -1.0
-        )
-        return jnp.where(used > 0, policy_of(actions[jnp.argmax(worth)]), policy)
-
+    actions = _Actions(task, np.asarray(low, np.float32), np.asarray(high, np.float32))
+    dim = len(actions.low)
     lots = np.asarray(jax.vmap(jax.random.key_data)(jax.random.split(jax.random.key(0), tests)))
     return OneShot(
         task=task,
         tests=lots,
         trials=1,
-        action_dim=len(low_),
+        action_dim=dim,
         draw=jax.random.key_data,
-        act=every,
-        explore=explore,
-        reward=reward,
+        act=actions.act,
+        explore=actions.explore,
+        reward=actions.reward,
         trajectory=lambda contexts, outcomes: jax.tree.map(lambda x: x[0], outcomes[0]),
-        train_uniform=train_uniform,
-        tune=tune,
-        inputs=lambda context, action: action,
-        outputs=lambda outcome: jnp.atleast_1d(reward(outcome, jnp.zeros(0))),
+        train_uniform=lambda key: actions.best_over_space(key, (points,) * dim),
+        tune=actions.best_tried,
+        outputs=lambda outcome: jnp.atleast_1d(actions.reward(outcome, jnp.zeros(0))),
         worth=lambda observed, context: observed[0],
-        world=_worlds(task, tried, reward),
+        world=_worlds(task, actions.tried),
         oracle=lambda world, params: best_actions(
-            world, params, lots, reward, (points,) * len(low_), rounds=6
+            world, params, lots, actions.reward, (points,) * dim, rounds=6
         )[0],
         engine=OWN,
         simulator=f"rollouts of task {task.name} (JAX)",
@@ -105,6 +62,62 @@ def one_action(
         oracle_means=f"the best of a grid of {points} actions a side in the target, then six "
         f"rounds of neighbours",
     )
+
+
+class _Actions:
+    """Policies of `task` as actions `[d]` in [-1, 1], which span `low` to `high`."""
+
+    def __init__(self, task: Task, low: np.ndarray, high: np.ndarray):
+        self.task, self.low, self.high = task, low, high
+        self.shape = _shape(task, low, high)
+
+    def policy(self, action: Array) -> Any:
+        """The policy that does `action [d]`."""
+        return (self.low + 0.5 * (action + 1.0) * (self.high - self.low)).reshape(self.shape)
+
+    def act(self, policy: Any, contexts: Array) -> Array:
+        """Its action `[N, d]`, the same in all contexts."""
+        share = (jnp.ravel(policy) - self.low) / (self.high - self.low)
+        return jnp.tile(jnp.clip(2.0 * share - 1.0, -1.0, 1.0), (len(contexts), 1))
+
+    def explore(self, key: Array, policy: Any, contexts: Array) -> Array:
+        actions = self.act(policy, contexts)
+        return jnp.clip(actions + NOISE * jax.random.normal(key, actions.shape), -1.0, 1.0)
+
+    def tried(self, params: Array, context: Array, action: Array) -> Outcome:
+        key = jax.random.wrap_key_data(context.astype(jnp.uint32))
+        return self.task.rollout(key, self.policy(action), params), self.task.reference(params)
+
+    def reward(self, outcome: Outcome, context: Array) -> Array:
+        worth = self.task.reward(*outcome)
+        return jnp.where(jnp.isfinite(worth), jnp.clip(worth, 0.0, 1.0), 0.0)
+
+    def best_over_space(self, key: Array, points: tuple[int, ...]) -> Any:
+        """The policy that is best on average over Omega."""
+        space, grid = self.task.space, jnp.asarray(action_grid(points))
+        keys = jax.random.split(key, DRAWS)
+        params = jax.vmap(lambda k: space.physical(space.sample(k)))(keys)
+        contexts = jax.vmap(jax.random.key_data)(keys)
+
+        def worth(a):
+            rewards = jax.vmap(lambda p, c: self.reward(self.tried(p, c, a), c))(params, contexts)
+            return jnp.mean(rewards)
+
+        return self.policy(grid[jnp.argmax(jax.lax.map(worth, grid))])
+
+    def best_tried(
+        self,
+        key: Array,
+        policy: Any,
+        contexts: Array,
+        actions: Array,
+        outcomes: Outcome,
+        used: Array,
+    ) -> Any:
+        """The best of what was tried."""
+        rewards = jax.vmap(self.reward)(outcomes, contexts)
+        worth = jnp.where(jnp.arange(len(actions)) < used, rewards, -1.0)
+        return jnp.where(used > 0, self.policy(actions[jnp.argmax(worth)]), policy)
 
 
 def _shape(task: Task, low: np.ndarray, high: np.ndarray) -> tuple[int, ...]:
@@ -125,9 +138,7 @@ def _shape(task: Task, low: np.ndarray, high: np.ndarray) -> tuple[int, ...]:
     return leaves[0].shape
 
 
-def _worlds(
-    task: Task, tried: Callable[..., Outcome], reward: Callable[[Outcome, Array], Array]
-) -> Callable[..., TargetWorld]:
+def _worlds(task: Task, tried: Callable[..., Outcome]) -> Callable[..., TargetWorld]:
     """The task's own simulator as the target; BadInput for any other."""
     rollouts = jax.jit(jax.vmap(tried))
     valued = jax.jit(jax.vmap(lambda outcome: task.reward(*outcome)))

@@ -72,8 +72,8 @@ def make_backend(task: str, name: str, /, *options: Any, **settings: Any) -> Bac
     """The engine called `name` of `task`, as `simulate(params [B, P], commands [B, ...], initial
     [B, ...]) -> Trajectory`.
 
-    What the arrays hold, in SI units, stands in `tasks/TASK/engines`. options: the step
-    [s] for the pendulum, `PushOptions`, `ScoopOptions`; settings: the engine's own. BadInput where
+    What the arrays hold, in SI units, stands in `tasks/TASK/engines`. options: The step
+    [s] for the pendulum, `PushOptions`, `ScoopOptions`. settings: The engine's own. BadInput where
     the name is unknown, or the engine absent or unable.
     """
     kind = TASKS[config.pick("task", task, TASKS)]

@@ -8,30 +8,42 @@ import numpy as np
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.noise import difference_noise
 
-MOVED = 0.01
-"""m from its first place at which a body counts as moving."""
-WINDOW = 0.17
-"""Share of the time until then over which its greatest speed is taken: of any clock the same part
-of the motion.
-"""
-NEVER = 100.0
-"""s that stand for an arm that never reaches its body."""
-SLOW = 1.4
-"""Times by which a clock must be slow or fast to be refused: what is less is an effect that is
-named.
-"""
-AGREE = 1.5
-"""Times that the two may say otherwise: a soft body leaves slowly, a hard one fast."""
+
+@dataclass(frozen=True)
+class ClockCriteria:
+    """What decides whether the clock of tracks is refused.
+
+    Args:
+        moved: m from its first place at which a body counts as moving: above any noise, and
+            early.
+        window: Share of the time until then over which its greatest speed is taken. Of any clock
+            it is the same part of the motion.
+        never: s that stand for an arm that never reaches its body.
+        slow: Times by which a clock must be slow or fast to be refused. What is less is an effect
+            that is named.
+        agree: Times that time and speed may disagree: a soft body leaves slowly, a hard one fast.
+        on_time: Natural logarithm by which a beginning is sure, as `agree` is for a speed.
+    """
+
+    moved: float = 0.01
+    window: float = 0.17
+    never: float = 100.0
+    slow: float = 1.4
+    agree: float = 1.5
+    on_time: float = 0.1
+
+
+CLOCK = ClockCriteria()
+
+
 ARMS = np.geomspace(0.1, 10.0, 41)
 """Times the commanded speed at which an arm may run instead."""
-ON_TIME = 0.1
-"""Natural logarithm by which a beginning is sure, and `AGREE`'s for a speed."""
 
 
 @dataclass(frozen=True)
 class Touch:
     """What commands say if arms run `f` times as fast as commanded, `[T]`: `reached(f)` s at which
-    bodies have moved by `MOVED`, and `speed(f)` m/s that they then have, as usual.
+    bodies have moved by `CLOCK.moved`, and `speed(f)` m/s that they then have, as usual.
     """
 
     reached: Callable[[float], np.ndarray]
@@ -39,16 +51,17 @@ class Touch:
 
 
 def began(time: np.ndarray, places: np.ndarray) -> tuple[float, float]:
-    """When a body with `places [R, 2]` m at `time [R]` s has moved by `MOVED`, s, and its greatest
-    speed from then on, m/s; NaN where it never does, or moves as it is first seen.
+    """When a body has moved by `CLOCK.moved`, s, and its greatest speed from then on, m/s.
+
+    Places `[R, 2]` m are of `time [R]` s. NaN where it never does, or moves as it is first seen.
     """
     distant = np.linalg.norm(places - places[0], axis=1)
-    k = int(np.argmax(distant > MOVED))
-    if k < 1 or len(time) < 8 or distant[2] > MOVED / 2:
+    k = int(np.argmax(distant > CLOCK.moved))
+    if k < 1 or len(time) < 8 or distant[2] > CLOCK.moved / 2:
         return float("nan"), float("nan")
-    at = float(np.interp(MOVED, [distant[k - 1], distant[k]], [time[k - 1], time[k]]))
+    at = float(np.interp(CLOCK.moved, [distant[k - 1], distant[k]], [time[k - 1], time[k]]))
     # a few rows at least, so that noise is no speed
-    step = max(3, round(WINDOW * at / float(np.median(np.diff(time)))))
+    step = max(3, round(CLOCK.window * at / float(np.median(np.diff(time)))))
     a, b = np.arange(max(k - 1, 0), len(time) - step), np.arange(max(k - 1, 0) + step, len(time))
     if not len(a):
         return at, float("nan")
@@ -70,11 +83,12 @@ def clock_rate(observed: Sequence[tuple[float, float]], touch: Touch) -> float |
 
     by_time, by_speed = off(1.0)
     minimum, most = sorted((by_time, by_speed))
-    if not (minimum > np.log(SLOW) or most < -np.log(SLOW)) or most - minimum > np.log(AGREE):
+    slow, agree = np.log(CLOCK.slow), np.log(CLOCK.agree)
+    if not (minimum > slow or most < -slow) or most - minimum > agree:
         return None
 
     def cost(late, slow):
-        return (late / ON_TIME) ** 2 + (slow / np.log(AGREE)) ** 2
+        return (late / CLOCK.on_time) ** 2 + (slow / np.log(CLOCK.agree)) ** 2
 
     clock = min(cost(by_time - r, by_speed - r) for r in np.linspace(minimum, most, 9))
     arm = min(cost(*off(float(f))) for f in ARMS)
@@ -106,20 +120,29 @@ def check_clock_rate(
     )
 
 
-BAR = 0.005
-"""m that a body must go on for its standing still to be doubted."""
-SURE = 3.0
-"""Standard deviations of a difference of two rows that count as noise."""
-MIN_STEPS = 0.05
-"""s at a track's end that are told: one row that repeats the last does no harm."""
-GRIP = 12.0
-"""m/s^2 with which friction stops a body at most: a coefficient of 1.2."""
-STILL_GOING = 0.05
-"""m/s that a body must have left at the first repeated row, whatever stops it."""
-HELD = 0.4
-"""Share of a moving body's rows that repeat the one before from which on the tracker is slower than
-the log.
-"""
+@dataclass(frozen=True)
+class FrozenCriteria:
+    """What decides whether a tracker froze.
+
+    Args:
+        goes_on: m that a body must go on for its standing still to be doubted.
+        sure: Standard deviations of a difference of two rows that count as noise.
+        ending: s at a track's end that are refused: one row that repeats the last does no harm.
+        grip: m/s^2 with which friction stops a body at most: a coefficient of 1.2.
+        still_going: m/s that a body must have left at the first repeated row, whatever stops it.
+        held: Share of a moving body's rows that repeat the one before, from which on the tracker
+            is slower than the log.
+    """
+
+    goes_on: float = 0.005
+    sure: float = 3.0
+    ending: float = 0.05
+    grip: float = 12.0
+    still_going: float = 0.05
+    held: float = 0.4
+
+
+FROZEN = FrozenCriteria()
 
 
 def repeats(places: np.ndarray) -> list[tuple[int, int]]:
@@ -136,16 +159,16 @@ def check_frozen(
     places: np.ndarray,
     trials: Callable[[int], str],
     body: str,
-    grip: float = GRIP,
+    grip: float = FROZEN.grip,
 ) -> None:
     """BadInput where a track `places [R, C]` m at `time [R]` s holds its value while the body must
-    move. told: names a row; body: as messages call it; grip: m/s^2 that may stop it.
+    move. told: Names a row. body: As messages call it; grip: m/s^2 that may stop it.
     """
     runs = repeats(places)
     if not runs:
         return
     moved = np.linalg.norm(np.diff(places, axis=0), axis=1)
-    blur = SURE * max(_noise(places), _step(places))
+    blur = FROZEN.sure * max(_noise(places), _step(places))
     _check_held(time, moved, blur, trials, body)
     for first, last in runs:
         mend = (
@@ -158,11 +181,11 @@ def check_frozen(
         )
         if last + 1 < len(time):
             leap, then = moved[last], moved[last + 1 : last + 3]
-            if len(then) and leap > 2.0 * then.max() + BAR + blur:
+            if len(then) and leap > 2.0 * then.max() + FROZEN.goes_on + blur:
                 raise BadInput(f"{stood} then leaps {1e3 * leap:.0f} mm: {mend}")
-        elif time[last] - time[first] > MIN_STEPS:
+        elif time[last] - time[first] > FROZEN.ending:
             left = _left(time, moved, first, blur, grip)
-            if left > STILL_GOING:
+            if left > FROZEN.still_going:
                 raise BadInput(
                     f"{stood} no friction stops it so suddenly (from {left:.2g} m/s or more): "
                     f"{mend}"
@@ -181,7 +204,11 @@ def _check_held(
     fast = np.flatnonzero(moved > 0.5 * moved.max())
     a, b = int(fast[0]), int(fast[-1])
     between = moved[a : b + 1]
-    if b - a >= 4 and np.mean(between == 0) >= HELD and between.max() > BAR + blur:
+    if (
+        b - a >= 4
+        and np.mean(between == 0) >= FROZEN.held
+        and between.max() > FROZEN.goes_on + blur
+    ):
         every = round(len(between) / np.sum(between > 0))
         raise BadInput(
             f"{trials(a + 1)}: places of {body} change only once in {every} rows from "

@@ -13,12 +13,13 @@ import numpy as np
 from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.diagnosis import rows
 from adaptsim_jax.diagnosis.criteria import Criteria
-from adaptsim_jax.diagnosis.finding import Finding
+from adaptsim_jax.diagnosis.finding import Finding, Named
 from adaptsim_jax.diagnosis.problem import Candidate, Problem
 from adaptsim_jax.diagnosis.report import Account, remarks, report_of
 from adaptsim_jax.diagnosis.run import Page, Run, command_of
 from adaptsim_jax.diagnosis.written import MODEL, Output, cleared, finished, planned
-from adaptsim_jax.mend.model_toml import Form
+from adaptsim_jax.mend.model_toml import Form, Value, added_effects
+from adaptsim_jax.tasks.trial_record import TrialKind, TrialRecording
 
 
 @dataclass(frozen=True)
@@ -127,3 +128,98 @@ def reported(
         "held_out": rows.held_out(recorded, made.tracks, mended),
         "tracks": rows.plane_tracks(recorded, made.tracks, mended, axes),
     }
+
+
+def observed_rows(
+    recording: TrialRecording, kind: TrialKind, known: np.ndarray, **others: tuple[str, float]
+) -> rows.Recorded:
+    """A recording as reports show it.
+
+    known: `[T, R]` or `[T, R, C]`, what errors are taken over. others: Unit and noise of channels
+    that are no lengths. Its `places` and `channels` are the task's.
+    """
+    r: Any = recording
+    noise = (r.noise, r.noise_source, known, others)
+    return rows.Recorded(
+        kind.trial, kind.trials, r.names, r.time, r.places, r.mask, r.channels, *noise
+    )
+
+
+def mended_form(
+    problem: Problem,
+    found: Finding,
+    about: tuple[str, str],
+    declared: Callable[[dict[str, float]], dict[str, Value]],
+    own: dict[str, Any],
+) -> Form:
+    """`model.toml`: declared parameters as fitted, and what each named effect adds.
+
+    about: Task and model, in words. declared: The parameters, of the fitted values by name; own:
+    keys of this task alone.
+    """
+    value = {q.name: float(found.final.fit.values[i]) for i, q in enumerate(problem.quantities)}
+    units = {q.name: q.unit for q in problem.quantities}
+    effects = added_effects([n.candidate for n in found.named], value, units)
+    return Form(*about, declared(value), effects, own)
+
+
+@dataclass(frozen=True)
+class NextTrials:
+    """What decides which trials tell two effects apart.
+
+    Args:
+        separation: Noises between the tracks of two models from which a trial tells them apart: of
+            two tracks of one model the camera's noise alone makes 2.
+        count: Trials that are asked for, since one of them may fail.
+    """
+
+    separation: float = 3.0
+    count: int = 3
+
+
+NEXT = NextTrials()
+
+
+def look_alikes(found: Finding) -> list[tuple[Named, Candidate, Any]]:
+    """Each named effect with each of its look-alikes, and the model that has this in its place."""
+    return [
+        (named, other, model)
+        for named in found.named
+        for other, model in zip(named.alternatives, named.models, strict=True)
+    ]
+
+
+def next_trials(
+    pair: tuple[Named, Candidate, Any],
+    score: np.ndarray,
+    actions: np.ndarray,
+    kind: TrialKind,
+    sizes: tuple[str, str],
+) -> dict[str, Any]:
+    """The trials of a grid that tell a named effect and a look-alike apart.
+
+    Args:
+        pair: Of `look_alikes`.
+        score: `[G]` noises between the tracks of both.
+        actions: `[G, A]`, as they are written.
+        kind: How messages call trials.
+        sizes: How far tracks differ at most, in words, where no trial tells and where one does.
+
+    Returns:
+        message, separates (names), and rows of the best actions, none where no trial tells.
+    """
+    names = [pair[0].candidate.name, pair[1].name]
+    words = " and ".join(name.replace("_", " ") for name in names)
+    if score.max() < NEXT.separation:
+        rows = []
+        message = (
+            f"No {kind.trial} within the bounds tells {words} apart: {sizes[0]} at most. Measure "
+            "one of them by itself."
+        )
+    else:
+        rows = [tuple(map(float, actions[i])) for i in np.argsort(-score)[: NEXT.count]]
+        message = (
+            f"{kind.trials.capitalize()} whose tracks differ most, by up to {sizes[1]}, between "
+            f"{words}."
+        )
+    return {"message": message, "separates": names, "rows": rows}

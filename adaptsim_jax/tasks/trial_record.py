@@ -36,11 +36,20 @@ PLACE = Size("noise", "m", 1e-4, 0.05, 0.0005)
 
 @dataclass(frozen=True)
 class TrialKind:
-    """What tracks of a task look like. trial, trials, body: as messages call them; reach m: farther
-    no body goes; fastest m/s, slip m: a row farther than this from the one before is another thing;
-    moves m: less in all is no trial; ends s: later rows are left out; optional: columns that are
-    read where they are there, of these `angles` in rad, with empty cells where they were not seen;
-    usual m: how far from the origin bodies are seen.
+    """What tracks of a task look like.
+
+    Args:
+        trial, trials, body: As messages call them.
+        reach: m, farther no body goes.
+        fastest, slip: m/s and m, a row farther than this from the one before is another thing.
+        moves: m, less in all is no trial. never: What it is then, in words.
+        ends: s, later rows are left out.
+        still: s, the arm touches no body so early.
+        aside: m between a body and its declared start, more is another frame.
+        min_trials: So few say nothing of effects.
+        optional: Columns that are read where they are there. angles: Those in rad, with empty
+            cells where they were not seen.
+        usual: m, how far from the origin bodies are seen.
     """
 
     trial: str
@@ -52,6 +61,8 @@ class TrialKind:
     moves: float
     never: str
     ends: float
+    still: float
+    aside: float
     min_trials: int = 5
     optional: tuple[str, ...] = ()
     angles: tuple[str, ...] = ()
@@ -71,6 +82,98 @@ class MeasuredTrack(NamedTuple):
 
 Tracks = dict[float, MeasuredTrack]
 """By trial."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrialRecording:
+    """T trials of at most R rows.
+
+    Args:
+        names: `[T]`, as the files number them.
+        actions: `[T, A]` in the task's units.
+        starts: `[T, 2]` m, as declared.
+        aside: `[T, 2]` m from there to the first rows' mean.
+        time: `[T, R]` s.
+        mask: `[T, R]`, 0 behind the last row of a trial.
+        noise: m, one standard deviation of a coordinate. noise_source: Where it is known from.
+        notes: What the files say beside.
+    """
+
+    names: tuple[str, ...]
+    actions: np.ndarray
+    starts: np.ndarray
+    aside: np.ndarray
+    time: np.ndarray
+    mask: np.ndarray
+    noise: float
+    noise_source: str
+    notes: tuple[str, ...]
+
+
+class TrialFiles(NamedTuple):
+    """Where trials are read from.
+
+    actions: The file of actions, tracks: those of tracks. meta: The table of meta.toml, where: how
+    messages call it. as_declared: Whatever tracks say of clock and frame. without: Trials whose
+    tracks are not looked at.
+    """
+
+    actions: Path
+    tracks: Sequence[Path]
+    meta: Mapping[str, Any]
+    where: Path
+    as_declared: bool
+    without: Sequence[str]
+
+
+@dataclass
+class ReadTrials:
+    """Trials of files that have a track.
+
+    names `[T]`. columns: Of actions, by name `[T]`. found: The tracks. more: Which optional columns
+    they have. notes: What is said of them.
+    """
+
+    files: TrialFiles
+    kind: TrialKind
+    names: list[float]
+    columns: dict[str, np.ndarray]
+    found: Tracks
+    more: tuple[str, ...]
+    notes: list[str]
+
+    def stacked(self, *names: str) -> np.ndarray:
+        """Columns of the actions `[T, len(names)]`."""
+        return np.stack([self.columns[name] for name in names], 1)
+
+    @property
+    def began(self) -> list[tuple[float, float]]:
+        """When each body began to move, s, and how fast, m/s."""
+        return [self.found[n].began for n in self.names]
+
+    def laid_out(self, starts: np.ndarray) -> dict[str, np.ndarray]:
+        """starts, aside, time, places and mask as `TrialRecording` has them."""
+        time, places, mask = padded(self.names, self.found)
+        off = aside(self.names, self.found, starts, self.kind.still)
+        return {"starts": starts, "aside": off, "time": time, "places": places, "mask": mask}
+
+    def went(self, arrays: Mapping[str, np.ndarray]) -> np.ndarray:
+        """`[T, C]` m from the first to the last row of each track of `laid_out`."""
+        rows = zip(arrays["places"], arrays["mask"], strict=True)
+        return np.array([p[int(m.sum()) - 1] - p[0] for p, m in rows])
+
+    def recorded(
+        self, arrays: Mapping[str, np.ndarray], places: np.ndarray, before: str
+    ) -> dict[str, Any]:
+        """The fields of `TrialRecording` but actions, with the noise of `places [T, R, C]`, see
+        `noise_of`.
+        """
+        time, mask = arrays["time"], arrays["mask"]
+        noise, source = noise_of(self.files.meta, time, places, mask, self.kind.still, before)
+        notes = (*self.notes, *rounding_notes(places[mask > 0], noise))
+        fields = {name: arrays[name] for name in ("starts", "aside", "time", "mask")}
+        names = tuple(f"{n:g}" for n in self.names)
+        return {**fields, "names": names, "noise": noise, "noise_source": source, "notes": notes}
 
 
 def track_files(folder: Path) -> list[Path]:
@@ -119,7 +222,7 @@ def rounding_notes(places: np.ndarray, noise: float) -> list[str]:
 def read_actions(
     path: Path, needed: Mapping[str, str], optional: Sequence[str], trials: str
 ) -> tuple[LogTable, Callable]:
-    """The table of an actions file, and how its row i is named; needed: columns beside `trial` with
+    """The table of an actions file, and how its row i is named. needed: Columns beside `trial` with
     their units. Raises BadInput.
     """
     table = read_table(path, ("trial", *needed, *optional), min_rows=1)
@@ -128,21 +231,63 @@ def read_actions(
     numbers = table.columns["trial"]
     if len(np.unique(numbers)) < len(numbers):
         raise BadInput(f"{path}: a trial is listed twice; number the {trials} one by one")
-    return table, lambda i: f"{path}: {table.row_word} {table.lines[i]}"
+    return table, record.row_namer(path, table)
+
+
+def asked_tracks(
+    columns: Mapping[str, np.ndarray],
+    rows: tuple[str, Callable[[int], str]],
+    numbers: np.ndarray,
+    kind: TrialKind,
+    needed: tuple[tuple[str, ...], str],
+    most: float,
+) -> list[record.CameraTracks]:
+    """The tracks of the trials `numbers [N]` that a robot was asked for, of one file.
+
+    Args:
+        columns: `[T]` each, with trial, time s, x and y m.
+        rows: How messages call the file, and its row i.
+        needed: Columns that must be there, and their units in words.
+        most: S that a trial lasts at most.
+
+    Raises BadInput.
+    """
+    where, at = rows
+    record.check_columns(columns, needed[0], where, f"{', '.join(needed[0])} ({needed[1]})")
+    record.check_numbers(columns["trial"], at, numbers)
+    record.check_unit(columns, at, kind.reach, kind.trial, kind.usual)
+    return list(record.trials_of(columns, at, where, numbers, most).values())
+
+
+def read_trials(
+    files: TrialFiles,
+    kind: TrialKind,
+    needed: Mapping[str, str],
+    check: Callable[[Mapping[str, np.ndarray], Callable[[int], str]], None],
+    optional: Sequence[str] = (),
+) -> ReadTrials:
+    """The trials of files.
+
+    needed: Columns of actions beside `trial`, with their units; check: `(columns, row's name)`
+    raises BadInput at an action that no arm makes. Raises BadInput with the row.
+    """
+    table, row = read_actions(files.actions, needed, optional, kind.trials)
+    check(table.columns, row)
+    numbers = table.columns["trial"]
+    found, more = read_tracks(files, numbers, kind)
+    names, notes = tracked(numbers, found, files.where, kind, "12 to 24")
+    at = np.array([int(np.flatnonzero(numbers == n)[0]) for n in names])
+    columns = {name: column[at] for name, column in table.columns.items()}
+    return ReadTrials(files, kind, names, columns, found, more, notes)
 
 
 def read_tracks(
-    paths: Sequence[Path],
-    numbers: np.ndarray,
-    actions: Path,
-    kind: TrialKind,
-    without: Sequence[str] = (),
-    as_declared: bool = False,
+    files: TrialFiles, numbers: np.ndarray, kind: TrialKind
 ) -> tuple[Tracks, tuple[str, ...]]:
-    """The tracks of all files but those of the trials `without`, which are not looked at, and which
-    of the optional columns each of them has. as_declared: bodies may stand still as they like.
-    Raises BadInput with the row.
+    """The tracks of all files but those of the trials left out, which are not looked at, and which
+    of the optional columns each of them has. Raises BadInput with the row.
     """
+    paths, without = files.tracks, files.without
     if unknown := sorted(set(without) - {f"{n:g}" for n in numbers}):
         raise BadInput(
             f"no {kind.trial} is named {unknown[0]!r}; --without takes of "
@@ -164,7 +309,7 @@ def read_tracks(
                 f"{lack[0]}: no column {name!r}, which {have[0].name} has; add it, empty where it "
                 "was not seen, or take it out of all files"
             )
-    wanted = _Wanted(numbers, actions, kind, more, without, as_declared)
+    wanted = _Wanted(numbers, files.actions, kind, more, without, files.as_declared)
     for path, table in tables:
         _read_tracks(path, table, wanted, found)
     record.check_different({n: track.places for n, track in found.items()}, place_of(paths))
@@ -178,7 +323,7 @@ def place_of(paths: Sequence[Path]) -> str:
 
 class _Wanted(NamedTuple):
     """What tracks are read for: numbers of the trials and the file of actions that lists them;
-    more: optional columns that all files have; without, free: as `read_tracks` has them.
+    more: Optional columns that all files have. without, free: As `read_tracks` has them.
     """
 
     numbers: np.ndarray
@@ -190,10 +335,7 @@ class _Wanted(NamedTuple):
 
 
 def _read_tracks(path: Path, table: LogTable, wanted: _Wanted, found: Tracks) -> None:
-    def at(i):
-        return f"{path}: {table.row_word} {table.lines[i]}"
-
-    c, kind = table.columns, wanted.kind
+    c, kind, at = table.columns, wanted.kind, record.row_namer(path, table)
     record.check_columns(c, ("trial", "time", "x", "y"), path, "trial, time, x, y (s and m)")
     for i in np.flatnonzero(~np.isin(c["trial"], wanted.numbers))[:1]:
         raise BadInput(
@@ -218,7 +360,7 @@ def _read_tracks(path: Path, table: LogTable, wanted: _Wanted, found: Tracks) ->
 def _read_track(
     t: np.ndarray, p: np.ndarray, row: Callable, wanted: _Wanted, file: str, number: str
 ) -> MeasuredTrack:
-    """The track of one trial at times `t [R]` s, `p [R, C]`; row: how messages call one."""
+    """The track of one trial at times `t [R]` s, `p [R, C]`. row: How messages call one."""
     kind = wanted.kind
     record.check_increasing(t, row)
     _check_times(t, row, kind)
@@ -294,18 +436,17 @@ def check_spacing(names: Sequence[float], found: Tracks) -> None:
             )
 
 
-def check_starts(
-    names: Sequence[float], aside: np.ndarray, most: float, body: str, where: Path
-) -> None:
-    """BadInput at the first trial whose body stands farther than `most` m from where the others do,
-    beside what is declared.
+def check_starts(names: Sequence[float], aside: np.ndarray, kind: TrialKind, where: Path) -> None:
+    """BadInput at the first trial whose body stands elsewhere than the others do, as against what
+    is declared, by more than `kind.aside` m.
     """
     distance = np.linalg.norm(aside - np.median(aside, 0), axis=1)
-    for k in np.flatnonzero(distance > most)[:1]:
+    for k in np.flatnonzero(distance > kind.aside)[:1]:
+        off = 100 * distance[k]
         raise BadInput(
-            f"{where}: trial {names[k]:g}: {body} stands {100 * distance[k]:.0f} cm from where it "
-            "is declared, beside the other trials: of another frame, or of another trial? mend "
-            f"it, or leave it out (--without {names[k]:g})"
+            f"{where}: trial {names[k]:g}: {kind.body} stands {off:.0f} cm from where it is "
+            "declared, beside the other trials: of another frame, or of another trial? mend it, "
+            f"or leave it out (--without {names[k]:g})"
         )
 
 

@@ -94,7 +94,6 @@ def probe(breaks_above: float = np.inf) -> OneShot:
         trajectory=lambda contexts, outcomes: (contexts, outcomes),
         train_uniform=lambda key: jnp.array([1.5, 0.0]),
         tune=_tune,
-        inputs=lambda context, action: action,
         outputs=lambda outcome: outcome,
         worth=lambda told, context: 1.0 - jnp.abs(told[0] - context[0]),
         world=lambda engine, **options: probe_world(breaks_above),

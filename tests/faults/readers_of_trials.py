@@ -13,8 +13,10 @@ from adaptsim_jax.tasks.pushing import model as push
 from adaptsim_jax.tasks.pushing.config import PushingConfig
 from adaptsim_jax.tasks.pushing.diagnosis import read as push_folder
 from adaptsim_jax.tasks.pushing.frame import check_frame
+from adaptsim_jax.tasks.robot_trials import AskedTrials
 from adaptsim_jax.tasks.scooping import measured as scoops
 from adaptsim_jax.tasks.scooping.diagnosis import read as scoop_folder
+from adaptsim_jax.tasks.scooping.motion import check_way
 from adaptsim_jax.tasks.toss import read as toss_folder
 from tests.faults.damage import Columns, Kind, Recording
 from tests.faults.readers import Read, Seen, csv
@@ -235,7 +237,7 @@ def read_push_record(path: Path) -> Read:
     def at(i):
         return f"{path}: {table.row_word} {table.lines[i]}"
 
-    asked = pushes.Pushes(
+    asked = AskedTrials(
         np.array([1, 2]), np.array([[0.8, 0.0]] * 2), np.stack([[0.6, 0.6], ANGLES], 1)
     )
     points = pushes.measured_trajectory(table.columns, at, str(path), asked, PushingConfig()).points
@@ -249,9 +251,9 @@ def read_scoop_record(path: Path) -> Read:
     def at(i):
         return f"{path}: {table.row_word} {table.lines[i]}"
 
-    asked = scoops.Scoops(np.array([1, 2]), np.zeros((2, 2)), np.zeros((2, 3)))
+    asked = AskedTrials(np.array([1, 2]), np.zeros((2, 2)), np.zeros((2, 3)))
     read = scoops.measured_trajectory(table.columns, at, str(path), asked)
-    scoops.check_way(np.asarray(read.points[:, -1], float), str(path), asked.numbers)
+    check_way(np.asarray(read.points[:, -1], float), str(path), asked.numbers)
     return of_points(np.asarray(read.points), np.asarray(read.success))
 
 

@@ -11,7 +11,7 @@ from adaptsim_jax.report import figures as look
 from adaptsim_jax.report import film as films
 from adaptsim_jax.report.figures_comparison import Axis
 from adaptsim_jax.report.film import drawn_frames, write_film
-from adaptsim_jax.tasks.scooping import adapt, film, model
+from adaptsim_jax.tasks.scooping import film, kind, model
 from adaptsim_jax.tasks.scooping.config import scooping_space
 from adaptsim_jax.tasks.scooping.film import SCENE, ScoopClip, outlines, scoops_over_iterations
 
@@ -88,7 +88,7 @@ def test_the_best_visit_is_the_one_that_is_deployed(tmp_path, monkeypatch):
     monkeypatch.setattr(
         film, "scoops_over_iterations", lambda *given, **_: drawn.append(given) or "figure"
     )
-    monkeypatch.setattr(adapt, "clips_of", lambda config, policies, target: [policies] * 3)
+    monkeypatch.setattr(kind, "clips_of", lambda config, policies, target: [policies] * 3)
     monkeypatch.setattr(phase2, "save", lambda figure, path: path)
     score, reward = (
         np.array([[0.5, np.nan, 0.5], [0.0, 1.0, 0.5]]),

@@ -10,7 +10,7 @@ from adaptsim_jax.tasks.camera_record import unit_like
 from adaptsim_jax.tasks.pushing import model
 from adaptsim_jax.tasks.pushing.frame import touch
 from adaptsim_jax.tasks.pushing.slide import rollout
-from adaptsim_jax.tasks.scooping.measured import check_mirrored
+from adaptsim_jax.tasks.scooping.motion import check_mirrored
 from adaptsim_jax.tasks.trial_clock import began, check_frozen, clock_rate
 
 ACTIONS = np.array([[0.45, 0.1], [0.6, -0.2], [0.8, 0.0]])

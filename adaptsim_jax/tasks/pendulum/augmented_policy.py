@@ -36,9 +36,9 @@ SLIDING = 0.05  # rad/s: where the policy takes a joint to slide
 
 class MendedPolicy(NamedTuple):
     """gain `[2, 4]` and constant torque feed `[2]` N m; share `[]` of the modelled force that is
-    cancelled; phi `[4, 4]`, gamma `[4, 2]`, recent `[H]`: the state when a command arrives, from
+    cancelled. phi `[4, 4]`, gamma `[4, 2]`, recent `[H]`: The state when a command arrives, from
     now's and the mean of recent commands; zero `[2]` rad: error of the encoders; theta, eff: the
-    model that it was trained on; code: the Riccati solver's.
+    model that it was trained on. code: The Riccati solver's.
     """
 
     gain: jax.Array
@@ -55,7 +55,7 @@ class MendedPolicy(NamedTuple):
 
 @dataclass(frozen=True)
 class MendedWorld:
-    """A mended model as a simulator of the task. goal, start: `[4]`; history: rows that its effects
+    """A mended model as a simulator of the task. goal, start: `[4]`. history: Rows that its effects
     remember.
     """
 

@@ -1,14 +1,19 @@
-"""A policy of a mended model as something that a robot's own loop can call.
+"""A policy of a mended model at work: called by a robot's own loop, or run in the model to see what
+it is worth.
 
     controller = read_controller("robot")          # the folder of `adaptsim robot`
     torque = controller([q1, q2, v1, v2], t)       # every 5 ms, from the moment that the pendulum
     is let go
 
-Such a policy is more than a gain: it may add a constant torque, cancel the forces that it knows of,
-and predict across a late command, for which it keeps its own last commands.
+Such a policy is more than a gain: It may add a constant torque and cancel the forces that it knows
+of. It may predict across a late command, for which it keeps its own last commands. `task_reward`
+compares policies that were trained on the declared and on the mended model.
 """
 
+from __future__ import annotations
+
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -16,12 +21,16 @@ import numpy as np
 
 from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.mechanisms.closed_loop import Course, Law, run_loop
+from adaptsim_jax.mechanisms.stepping import Sample
 from adaptsim_jax.mend.pendulum_model import ModelFile, read_model
 from adaptsim_jax.tasks.pendulum.augmented_policy import (
     DT,
+    ROWS,
     MendedPolicy,
     MendedWorld,
     command,
+    descended,
     make_world,
 )
 
@@ -58,7 +67,7 @@ class Controller:
 def read_controller(folder: str | Path, policy: str = POLICY, effects=None) -> Controller:
     """The controller of `policy` (`policy.toml`, or `best.toml`) in a folder of `adaptsim robot`.
 
-    effects: the catalogue where the model has effects of your own. Raises BadInput where a file is
+    effects: The catalogue where the model has effects of your own. Raises BadInput where a file is
     missing or bad.
     """
     folder = Path(folder)
@@ -78,3 +87,68 @@ def make_controller(given: ModelFile, table: dict, where: str = POLICY) -> Contr
         *(jnp.asarray(leaves[name], jnp.float32) for name in MendedPolicy._fields)
     )
     return Controller(make_world(given, history=policy.recent.shape[0]), policy)
+
+
+REWARD_GAIN = 10.0  # as the task's: cost a tenth above the best gives 0
+
+
+def task_reward(before: ModelFile, after: ModelFile) -> dict[str, Any] | None:
+    """`{before, after, oracle, cost, in}`: policies of the declared and of the mended model, both
+    run in the mended one, rewards against the better of the two.
+
+    Only of a linearized pendulum, whose task this is; None else, or where nothing was added. What
+    the real rig would give, only it can say: `oracle` is null.
+    """
+    if after.model != "linearized" or not after.effects:
+        return None
+    costs = {}
+    for stage, given in (("before", before), ("after", after)):
+        trained = trained_policy(given)
+        costs[stage] = float(cost_in(after, trained.law, trained.world.history))
+    best = min(costs.values())
+    rewards = {
+        stage: max(0.0, 1.0 - REWARD_GAIN * (cost / best - 1.0)) for stage, cost in costs.items()
+    }
+    return rewards | {"oracle": None, "cost": costs, "in": "the mended model"}
+
+
+class TrainedLaw:
+    """A policy trained on a model, with the world that it knows."""
+
+    def __init__(self, world: MendedWorld, policy: MendedPolicy):
+        self.world, self.policy = world, policy
+
+    def law(self, y, past, t) -> jax.Array:
+        """Torque `[2]` N m for what the sensors say `[4]` and the own past commands `[H, 2]`."""
+        rows = self.world.history
+        if past.shape[0] >= rows:
+            past = past[-rows:]
+        else:
+            past = jnp.pad(past, ((rows - past.shape[0], 0), (0, 0)))
+        return command(self.world, self.policy, y, past, t)
+
+
+def trained_policy(given: ModelFile) -> TrainedLaw:
+    """The task policy of a model; where it has effects, the best that descent finds in it."""
+    world = make_world(given)
+    theta, eff = _point(given, world)
+    return TrainedLaw(world, jax.jit(lambda theta, eff: descended(world, theta, eff))(theta, eff))
+
+
+def cost_in(target: ModelFile, law: Law, history: int) -> jax.Array:
+    """Cost `[]` of a law in a model that stands for the target."""
+    world = make_world(target, history=history)
+    theta, eff = _point(target, world)
+
+    @jax.jit
+    def run(theta, eff):
+        start = jnp.asarray(world.start, jnp.float32)
+        sample = Sample(world.model, theta, eff)
+        return world.evaluated(run_loop(sample, law, start, Course(ROWS, DT, world.history))).cost
+
+    return run(theta, eff)
+
+
+def _point(given: ModelFile, world: MendedWorld) -> tuple[jax.Array, jax.Array]:
+    theta = jnp.asarray(given.theta(world.model.plant), jnp.float32)
+    return theta, jnp.asarray(given.effect_vector(world.model.layout), jnp.float32)

@@ -13,17 +13,10 @@ import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.mechanisms.double_pendulum import linear as model
-from adaptsim_jax.space import Parameter, Space
-from adaptsim_jax.tasks.base import Task
+from adaptsim_jax.space import Space
+from adaptsim_jax.tasks.base import Task, space_of, tables
 
-# Paper, table A2: m1, m2 in kg, b1, b2 in N m s/rad.
-SETTINGS = {
-    "wd": {"m1": 1.8, "m2": 1.2, "b1": 1.5, "b2": 1.5},
-    "ood-1": {"m1": 1.8, "m2": 0.3, "b1": 1.5, "b2": 1.5},
-    "ood-2": {"m1": 0.5, "m2": 1.8, "b1": 1.5, "b2": 1.5},
-    "ood-3": {"m1": 1.2, "m2": 1.8, "b1": 10.0, "b2": 10.0},
-    "ood-4": {"m1": 0.4, "m2": 2.6, "b1": 1.0, "b2": 2.0},
-}
+SETTINGS = tables()["pendulum"]["settings"]
 
 
 @dataclass(frozen=True)
@@ -34,8 +27,8 @@ class PendulumConfig:
         paper's state-only variant).
     scaling: `paper` ((q1 + pi) / pi and q2 as they are) or `whitened` (principal components of
         simulated trajectories, each to unit variance, and compressed where they are far out).
-        components: how many of those.
-    reference: rewards relative to the target's own optimal cost (`optimum`) or to the best that a
+        components: How many of those.
+    reference: Rewards relative to the target's own optimal cost (`optimum`) or to the best that a
         gain from Omega reaches there (`omega`, as the paper's Table 1 normalises). reward_gain:
         cost 1/gain above the reference gives 0.
     targets: Phase 1 draws targets from Omega (the paper), or from a box around it (`wide`).
@@ -73,16 +66,7 @@ class PendulumPolicy(NamedTuple):
 
 def pendulum_space(config: PendulumConfig = PendulumConfig()) -> Space:
     """Omega: two masses and two joint dampings."""
-    mass = {"unit": "kg", "physical_low": 1e-3, "physical_high": 1e3}
-    damping = {"unit": "N m s/rad", "physical_low": 0.0, "physical_high": 1e3}
-    return Space(
-        (
-            Parameter("m1", *config.m1, **mass, description="point mass at the end of link 1"),
-            Parameter("m2", *config.m2, **mass, description="point mass at the end of link 2"),
-            Parameter("b1", *config.b1, **damping, description="viscous damping of joint 1"),
-            Parameter("b2", *config.b2, **damping, description="viscous damping of joint 2"),
-        )
-    )
+    return space_of("pendulum", "omega", config)
 
 
 def wide_space() -> Space:
@@ -90,14 +74,7 @@ def wide_space() -> Space:
 
     Masses are logarithmic; dampings are not, so that targets with two large ones are not rare.
     """
-    return Space(
-        (
-            Parameter("m1", 0.3, 3.3, "kg", "log"),
-            Parameter("m2", 0.2, 3.5, "kg", "log"),
-            Parameter("b1", 0.2, 12.0, "N m s/rad"),
-            Parameter("b2", 0.2, 12.0, "N m s/rad"),
-        )
-    )
+    return space_of("pendulum", "wide")
 
 
 def make_pendulum(config: PendulumConfig = PendulumConfig()) -> Task:

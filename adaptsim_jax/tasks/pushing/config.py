@@ -7,58 +7,54 @@ from typing import Literal, NamedTuple
 
 import jax
 
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.learners.naf import NAF, NAFConfig, NAFHyper, make_naf
 from adaptsim_jax.learners.naf_goals import GoalConfig
 from adaptsim_jax.learners.naf_shared import SharedConfig
-from adaptsim_jax.space import Parameter, Space
+from adaptsim_jax.space import Space
+from adaptsim_jax.tasks.base import space_of, tables
 from adaptsim_jax.tasks.pushing import model
 from adaptsim_jax.tasks.pushing.corrections import PushRecord
+from adaptsim_jax.tasks.pushing.model import PARAMETERS, PushOptions
+from adaptsim_jax.tasks.pushing.planar import check_options as check_planar
 from adaptsim_jax.tasks.pushing.slide import Lacking
 
-# Paper, table A2: friction of the table, modulus of the bottle Pa, friction of the patch, its
-# lateral place m.
-SETTINGS = {
-    "wd": {"mu": 0.1, "e": 1e5, "mu_p": 0.6, "y_p": 0.05},
-    "ood-1": {"mu": 0.25, "e": 5e4, "mu_p": 0.1, "y_p": -0.1},
-    "ood-2": {"mu": 0.05, "e": 1e5, "mu_p": 0.9, "y_p": 0.05},
-    "ood-3": {"mu": 0.15, "e": 5e6, "mu_p": 0.1, "y_p": -0.15},
-    "ood-4": {"mu": 0.30, "e": 1e5, "mu_p": 0.15, "y_p": 0.1},
-}
+SETTINGS = tables()["pushing"]["settings"]
 
 
 @dataclass(frozen=True)
 class PushingConfig:
     """Options of the task.
 
-    observation: six points of each trajectory, or the `final` position alone (the paper's
-    state-only variant). show_goal: observe also the goal of each push, without which a miss cannot
-    be told from a far goal. show_gap: observe also how far the points lie from those of the same
-    pushes simulated at the mean of E (`pretrain` only). trajectories: pushes an iteration; tests:
-    goals that the reward of a simulated target is averaged over. goals: of an iteration's pushes:
+    observation: Six points of each trajectory, or the `final` position alone (the paper's
+    state-only variant). show_goal: Observe also the goal of each push, without which a miss cannot
+    be told from a far goal. show_gap: Observe also how far the points lie from those of the same
+    pushes simulated at the mean of E (`pretrain` only). trajectories: Pushes an iteration; tests:
+    goals that the reward of a simulated target is averaged over. goals: Of an iteration's pushes:
     drawn anew; `spread`, drawn one in each equal part of the sector's angle and far out; or
     `fixed`, always the same, so that what is seen differs by parameters alone, or `edges`, likewise
     but near the sector's edges. targets: Phase 1 draws targets from Omega (the paper), or from a
     box around it (`wide`).
     trials: M, simulated pushes that `train` trains a policy with; training: how; hidden,
-    learning_rate: of the NAF. pretrain: go on from one policy for all of Omega (`naf_shared`)
+    learning_rate: Of the NAF. pretrain: Go on from one policy for all of Omega (`naf_shared`)
     instead of from nothing. It is made first, by `shared` with `learning_rate`; `train` then moves
     it to the mean of E and, unless `tune` is false, tunes it by `tuning` with `tuning_rate`.
-    refine: pushes simulated at the mean of E that each action is corrected by before it is made
-    (`refine`), with `pretrain` only; 0: actions are the network's own. correct: what is deployed is
+    refine: Pushes simulated at the mean of E that each action is corrected by before it is made
+    (`refine`), with `pretrain` only; 0: actions are the network's own. correct: What is deployed is
     searched for in the simulator as mended by the pushes made in the target so far, near E's mean
     and over the actions (`corrections`). A visit's own pushes are not, nor is anything in Phase 1.
-    visits: an iteration's pushes are E's own for `goals`, or `deployed`, those that would be
+    visits: An iteration's pushes are E's own for `goals`, or `deployed`, those that would be
     deployed then for goals drawn over the whole sector. The adaptation policy is shown as their
     goals where E's mean expects them (`compare` and `robot`; Phase 1 knows only the former).
-    rehearsal: tests and refine that Phase 1 makes do with, where not 0. simulator: where policies
-    are trained, refined and corrected: the planar model, or the MuJoCo scene itself in processes of
-    its own (`models.backends.pushing_served`; a hundredth of the speed), or that scene in MJX
-    (`mjx`: in the compiled program, all samples at once; for GPUs, on a CPU a quarter of the speed
-    of `native`). coefficients: the planar model as a twin of that scene or of Drake's.
-    friction, duration: of the model, see `tasks.pushing.model.PushOptions`. mu, e, mu_p, y_p:
-    Omega.
-    mended: what measured pushes showed that the planar model lacks. It is then a slide in two
-    dimensions (`slide`, in steps of 2.5 ms). fitted: mu, e Pa, mu_p, y_p m as fitted to them, the
-    setting `fitted`. Both of a model.toml of `adaptsim diagnose`.
+    rehearsal: Tests and refine that Phase 1 makes do with, where not 0. simulator: Where policies
+    are trained, refined and corrected: the planar model, or the MuJoCo scene itself in processes
+    of its own (`engines.served`), at a hundredth of the speed. With `mjx` it is that scene in MJX,
+    in the compiled program and all samples at once. That is for GPUs: on a CPU it has a quarter of
+    the speed of `native`. coefficients: The planar model as a twin of that scene or of Drake's.
+    friction, duration: Of the model, see `tasks.pushing.model.PushOptions`. mu, e, mu_p, y_p:
+    Omega. mended: What measured pushes showed that the planar model lacks. It is then a slide in
+    two dimensions (`slide`, in steps of 2.5 ms). fitted: mu, e Pa, mu_p, y_p m as fitted to them,
+    the setting `fitted`. Both of a model.toml of `adaptsim diagnose`.
     """
 
     observation: Literal["points", "final"] = "points"
@@ -111,7 +107,7 @@ class PushingPolicy(NamedTuple):
     """weights: `[n]` of the NAF; `make_policy(config)` gives what it does. Where it came of one for
         all of Omega (else None):
     tilt: `[D, width]`, what E's mean adds to the first bias, and at: `[D]`, the mean (unit
-        coordinates) that it stands for. told: pushes of the target that its actions are corrected
+        coordinates) that it stands for. told: Pushes of the target that its actions are corrected
         by, where there are any (else None).
     """
 
@@ -137,23 +133,66 @@ class PushingTrajectory(NamedTuple):
 
 def pushing_space(config: PushingConfig = PushingConfig()) -> Space:
     """Omega: two frictions, the modulus on a logarithmic scale, and the place of the patch."""
-    return Space(
-        (
-            Parameter("mu", *config.mu, description="friction of the table"),
-            Parameter("e", *config.e, "Pa", "log", description="modulus of the bottle's contact"),
-            Parameter("mu_p", *config.mu_p, description="friction of the patch"),
-            Parameter("y_p", *config.y_p, "m", description="lateral place of the patch"),
-        )
-    ).within(model.PHYSICAL_LOW, model.PHYSICAL_HIGH)
+    return space_of("pushing", "omega", config).within(model.PHYSICAL_LOW, model.PHYSICAL_HIGH)
 
 
 def wide_space() -> Space:
     """A box around Omega for Phase-1 targets that Omega cannot reproduce."""
-    return Space(
-        (
-            Parameter("mu", 0.03, 0.35, "", "log"),
-            Parameter("e", 5e3, 8e6, "Pa", "log"),
-            Parameter("mu_p", 0.05, 1.0),
-            Parameter("y_p", -0.17, 0.17, "m"),
-        )
+    return space_of("pushing", "wide")
+
+
+def make_pushing_naf(config: PushingConfig) -> NAF:
+    """The learner whose weights a `PushingPolicy` holds."""
+    return make_naf(NAFConfig(obs_dim=2, action_dim=2, hidden=config.hidden))
+
+
+def naf_rates(config: PushingConfig, tuning: bool = False) -> NAFHyper:
+    return NAFHyper(
+        learning_rate=config.tuning_rate if tuning else config.learning_rate, max_grad_norm=10.0
     )
+
+
+def checked(config: PushingConfig) -> PushOptions:
+    for name in ("trajectories", "tests", "trials"):
+        if getattr(config, name) < 1:
+            raise BadInput(f"pushing, {name} = {getattr(config, name)}: give at least 1")
+    for name in ("learning_rate", "tuning_rate"):
+        if getattr(config, name) <= 0:
+            raise BadInput(
+                f"pushing, {name} = {getattr(config, name)}: give a positive one, such as 1e-3"
+            )
+    if config.mended != Lacking() and config.simulator != "planar":
+        raise BadInput(
+            f"pushing, simulator = {config.simulator}: a mended push is simulated by the planar "
+            "model; leave simulator out"
+        )
+    if len(config.fitted) not in (0, len(PARAMETERS)):
+        raise BadInput(
+            f"pushing, fitted = {list(config.fitted)}: give {', '.join(PARAMETERS)}, or leave it "
+            "out"
+        )
+    if min(config.refine, *config.rehearsal) < 0:
+        raise BadInput(
+            f"pushing, refine = {config.refine}, rehearsal = {config.rehearsal}: give numbers of "
+            "pushes, 0 for none"
+        )
+    if config.correct and not config.refine:
+        raise BadInput(
+            "pushing, correct: it is by refining that actions are corrected; give refine, such as 8"
+        )
+    if config.visits == "deployed" and not (config.correct and config.show_gap):
+        raise BadInput(
+            "pushing, visits = deployed: only corrected actions differ from E's own, and f tells "
+            "them by the gap; set correct and show_gap"
+        )
+    if config.show_gap and not config.pretrain:
+        raise BadInput(
+            "pushing, show_gap: only a policy made with pretrain = true knows the mean of E that "
+            "the gap is to; set it"
+        )
+    if config.refine and not config.pretrain:
+        raise BadInput(
+            "pushing, refine: only a policy made with pretrain = true knows the mean of E to try "
+            "a push at; set it"
+        )
+    return check_planar(PushOptions(friction=config.friction, duration=config.duration))

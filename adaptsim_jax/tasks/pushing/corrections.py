@@ -3,8 +3,8 @@ off, over parameters and actions.
 
 No E makes the simulator right where the target is of another kind, nor where E is not found yet.
 The pushes that adaptation makes anyway show by how much: each is simulated again at the E in
-question. What near parameters within Omega explain of the gaps is taken for granted (`nearer`), and
-what they leave is smoothed over the actions by a Gaussian process (Rasmussen and Williams 2006,
+question. What near parameters within Omega explain of the gaps is taken for granted (`nearer`).
+What they leave is smoothed over the actions by a Gaussian process (Rasmussen and Williams 2006,
 chapter 2; `with_gaps`). Far from all pushes the simulator is believed as it is.
 """
 
@@ -53,9 +53,9 @@ def nearer(
     m puts the target's pushes best.
 
     A few damped steps of Gauss and Newton (Levenberg, Marquardt) under a Gaussian prior of width
-    `_NEAR` around `mean`, with slopes by central differences, for a push that touches the patch's
-    edge has none. Without pushes it is `mean` itself. `guide`: a cheaper simulator, alike, that
-    slopes are taken from.
+    `_NEAR` around `mean`. Slopes are central differences, for a push that touches the patch's edge
+    has none. Without pushes it is `mean` itself. `guide`: a cheaper simulator, alike, that slopes
+    are taken from.
     """
     used = given.used & jnp.isfinite(given.places).all(-1)
     places = jnp.where(used[:, None], given.places, 0.0)
@@ -182,7 +182,7 @@ def search(
 def _guided(push: Push, goal: jax.Array, action: jax.Array, trials: int, guide: Push) -> jax.Array:
     """The best of `trials` pushes, each solved for in `guide` as shifted by what the last one was
     off it by (space mapping, Bandler et al. 1994). The last is not simulated unless it has to be
-    compared: one trial is the guide's own solution.
+    compared: One trial is the guide's own solution.
     """
 
     def solve(shift, begin):

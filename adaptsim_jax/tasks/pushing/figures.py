@@ -41,8 +41,8 @@ def pushes_over_iterations(
 
     `panels[row][column]` are the pushes to draw in one table top; `heads[row]` its titles, or of
     the first row alone for all; `params [I + 1, D]` physical.
-    patch: the patch's place across (m) where it is known; target: the target's parameters where
-    there are any; first: the number of the first of `params`.
+    patch: The patch's place across (m) where it is known. target: The target's parameters where
+    there are any. first: The number of the first of `params`.
     """
     rows, across = len(panels), max(len(row) for row in panels)
     along = along_of(*(push.track for row in panels for pushes in row for push in pushes))
@@ -128,7 +128,7 @@ def before_after(pushes: Mapping[str, Sequence[Push]], patch: float) -> Figure:
     """Table tops from above, a goal after the other: for each the push of every policy, by the name
     that the policy has.
 
-    patch: the patch's place across, m.
+    patch: The patch's place across, m.
     """
     goals = len(next(iter(pushes.values())))
     along = along_of(*(push.track for some in pushes.values() for push in some))

@@ -15,20 +15,53 @@ import numpy as np
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.pushing import model
 from adaptsim_jax.tasks.pushing.slide import edge_halfway
-from adaptsim_jax.tasks.trial_clock import MOVED, NEVER, Touch, check_clock_rate
+from adaptsim_jax.tasks.trial_clock import CLOCK, Touch, check_clock_rate
+from adaptsim_jax.tasks.trial_record import TrialKind
 
-SURE = 0.1
-"""rad (root mean square) by which the bottles must miss their pushes' angles for the frame to be
-doubted.
-"""
-BETTER = 3.0
-"""Times by which they must miss less in another frame."""
-SLIGHT, TURNED = 0.05, 0.35
-"""rad by which all may be turned without a word; from which on that is refused."""
-OUTLIER = 0.6
-"""rad by which one bottle may go elsewhere than the others, beside its push."""
-MIN_WAY = 0.02
-"""m that a bottle must have gone for its direction to say anything."""
+
+@dataclass(frozen=True)
+class FrameCriteria:
+    """What decides whether the frame of pushes is refused.
+
+    Args:
+        sure: rad (root mean square) by which the bottles must miss their pushes' angles: 0.001
+            rad where all is right.
+        better: Times by which they must miss less in another frame.
+        slight: rad by which all may be turned without a word: plates are held as badly.
+        turned: rad by which all are turned from which on that is refused.
+        outlier: rad by which one bottle may go elsewhere than the others, for its push.
+        way: m that a bottle must have gone for its direction to say anything.
+        still: m: every push within the bounds moves the bottle farther.
+    """
+
+    sure: float = 0.1
+    better: float = 3.0
+    slight: float = 0.05
+    turned: float = 0.35
+    outlier: float = 0.6
+    way: float = 0.02
+    still: float = 0.005
+
+
+FRAME = FrameCriteria()
+
+
+KIND = TrialKind(
+    "push",
+    "pushes",
+    "the bottle",
+    reach=3.0,
+    fastest=3.0,
+    slip=0.03,
+    moves=2 * FRAME.still,
+    ends=3.0,
+    usual=0.7,
+    still=0.15,
+    aside=0.15,
+    never="the hit never came, or the track ends before",
+    optional=("yaw",),
+    angles=("yaw",),
+)
 TURN_MEND = "give tracks in the arm's base frame (x ahead, y to the left)"
 
 
@@ -79,33 +112,35 @@ def frame_fault(angles: np.ndarray, way: np.ndarray) -> FrameFault | None:
     """What pushes at `angles [N]` rad say of the frame of bottles that went `way [N, 2]` m; None
     where all agrees.
     """
-    distant = np.linalg.norm(way, axis=1) > MIN_WAY
+    distant = np.linalg.norm(way, axis=1) > FRAME.way
     angles, went = np.asarray(angles, float)[distant], np.arctan2(way[distant, 1], way[distant, 0])
     if not len(angles):
         return None
     missed = _rms(went - angles)
     turn = float(np.angle(np.mean(np.exp(1j * (went - angles)))))
     turned = _rms(went - angles - turn)
-    if missed > SURE:
+    if missed > FRAME.sure:
         for trials, frame in OTHERS:
             left = _rms(went - frame(angles))
             # pushes in about one direction do not tell a small turn apart from another frame
-            if left * BETTER < missed and (left * BETTER < turned or abs(turn) > 0.5 * TURNED):
+            if left * FRAME.better < missed and (
+                left * FRAME.better < turned or abs(turn) > 0.5 * FRAME.turned
+            ):
                 return trials
     alike = turned < 0.5 * abs(turn)
-    if alike and abs(turn) > SLIGHT and (len(angles) > 1 or abs(turn) > TURNED):
+    if alike and abs(turn) > FRAME.slight and (len(angles) > 1 or abs(turn) > FRAME.turned):
         what = (
             f"the bottles went {abs(np.degrees(turn)):.0f} degrees to the "
             f"{'left' if turn > 0 else 'right'} of their pushes"
         )
-        slight = abs(turn) < TURNED
+        slight = abs(turn) < FRAME.turned
         return FrameFault(
             "turned",
             f"{what}: {'is the frame turned a little' if slight else 'another frame'}?",
             TURN_MEND,
             slight,
         )
-    if missed > 2.0 * TURNED:
+    if missed > 2.0 * FRAME.turned:
         return FrameFault(
             "frame", "the bottles did not go where they were pushed: another frame?", TURN_MEND
         )
@@ -131,12 +166,12 @@ def check_each(names: Sequence[float], angles: np.ndarray, way: np.ndarray, wher
     beside the angles of their pushes.
     """
     off = np.angle(np.exp(1j * (np.arctan2(way[:, 1], way[:, 0]) - np.asarray(angles, float))))
-    distant = np.linalg.norm(way, axis=1) > MIN_WAY
+    distant = np.linalg.norm(way, axis=1) > FRAME.way
     if np.sum(distant) < 3:
         return
     off = off - np.median(off[distant])
-    alike = float(np.median(np.abs(off[distant]))) < SURE
-    for k in np.flatnonzero(distant & alike & (np.abs(off) > OUTLIER))[:1]:
+    alike = float(np.median(np.abs(off[distant]))) < FRAME.sure
+    for k in np.flatnonzero(distant & alike & (np.abs(off) > FRAME.outlier))[:1]:
         raise BadInput(
             f"{where}: trial {names[k]:g}: the bottle went {abs(np.degrees(off[k])):.0f} degrees "
             f"to the {'left' if off[k] > 0 else 'right'} of its push, the others did not: the "
@@ -149,7 +184,7 @@ def check_order(names: Sequence[float], angles: np.ndarray, way: np.ndarray, whe
     """BadInput where bottles went where other pushes of the file were made: two tracks exchanged,
     or all numbers off by one.
     """
-    distant = np.linalg.norm(way, axis=1) > MIN_WAY
+    distant = np.linalg.norm(way, axis=1) > FRAME.way
     angles, went = np.asarray(angles, float), np.arctan2(way[:, 1], way[:, 0])
     if np.sum(distant) < 2:
         return
@@ -165,7 +200,11 @@ def check_order(names: Sequence[float], angles: np.ndarray, way: np.ndarray, whe
 
     own = np.arange(len(angles))
     for by in (-1, 1):
-        if len(angles) > 2 and left(own) > SURE and BETTER * left(np.roll(own, by)) < left(own):
+        if (
+            len(angles) > 2
+            and left(own) > FRAME.sure
+            and FRAME.better * left(np.roll(own, by)) < left(own)
+        ):
             which = "next" if by < 0 else "last"
             raise BadInput(
                 f"{where}: the bottles went where the {which} push was made: are the numbers off "
@@ -173,7 +212,7 @@ def check_order(names: Sequence[float], angles: np.ndarray, way: np.ndarray, whe
             )
     for i, j in itertools.combinations(np.flatnonzero(distant).tolist(), 2):
         as_given, exchanged = min(miss(i, i), miss(j, j)), max(miss(i, j), miss(j, i))
-        if as_given > SURE and BETTER * exchanged < as_given:
+        if as_given > FRAME.sure and FRAME.better * exchanged < as_given:
             raise BadInput(
                 f"{where}: trials {names[i]:g} and {names[j]:g} went where the other was pushed: "
                 f"exchanged? {mend}"
@@ -198,7 +237,7 @@ STEP = 0.001  # s
 
 def touch(actions: np.ndarray, starts: np.ndarray) -> Touch:
     """Of pushes with `actions [T, 2]` m/s, rad and bottles at `starts [T, 2]` m: reached where the
-    bottle has moved by `MOVED`.
+    bottle has moved by `CLOCK.moved`.
     """
     edge = np.asarray(edge_halfway(model.PUSH_ENDS, STEP), float)
     time = (np.arange(len(edge)) + 0.5) * STEP
@@ -211,8 +250,8 @@ def touch(actions: np.ndarray, starts: np.ndarray) -> Touch:
         past = speed * edge[:, 0] + edge[:, 1] > gap[:, None]
         first = np.argmax(past, axis=1)
         plate = speed[:, 0] * edge[first, 2] + edge[first, 3]
-        late = LATER * (time[first] + MOVED / np.maximum(USUAL * plate, 0.05))
-        return np.where(past.any(1), late, NEVER), USUAL * np.maximum(plate, 1e-3)
+        late = LATER * (time[first] + CLOCK.moved / np.maximum(USUAL * plate, 0.05))
+        return np.where(past.any(1), late, CLOCK.never), USUAL * np.maximum(plate, 1e-3)
 
     return Touch(lambda f: hit(f)[0], lambda f: hit(f)[1])
 

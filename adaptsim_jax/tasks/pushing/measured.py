@@ -9,7 +9,7 @@ the row.
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -18,27 +18,22 @@ import numpy as np
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks import camera_record as record
-from adaptsim_jax.tasks.one_shot_naf import read_saved
+from adaptsim_jax.tasks.one_shot import read_saved
 from adaptsim_jax.tasks.pushing import model
 from adaptsim_jax.tasks.pushing import task as pushing
 from adaptsim_jax.tasks.pushing.corrections import PushRecord
-from adaptsim_jax.tasks.pushing.deployed import make_aims
-from adaptsim_jax.tasks.pushing.frame import check_hits
+from adaptsim_jax.tasks.pushing.frame import FRAME, KIND, check_hits
 from adaptsim_jax.tasks.pushing.model import PushOptions
+from adaptsim_jax.tasks.pushing.one_shot import make_aims
 from adaptsim_jax.tasks.pushing.task import PushingConfig, PushingPolicy, PushingTrajectory
+from adaptsim_jax.tasks.robot_trials import AskedTrials, asked_trials, record_of_trials
 from adaptsim_jax.tasks.trial_clock import began, check_frozen
+from adaptsim_jax.tasks.trial_record import asked_tracks
 
 COLUMNS = ("trial", "time", "x", "y")
 GAP = 0.1  # s; over it a sliding bottle strays some 3 mm from the line between two rows
 LATE = 0.1  # s; the plate cannot touch the bottle before 0.2 s
 ASIDE = 0.03  # m between where the bottle stood and where the task wants it
-MAX_DISTANCE = 3.0  # m; nothing is pushed so far, so it is another unit
-STILL = 0.005  # m; every push within the bounds moves the bottle farther
-USUAL = 0.7  # m from the arm's base at which bottles are seen
-FASTEST, SLIP = (
-    3.0,
-    0.03,
-)  # m/s and m: a row farther than this from the one before is another thing than the bottle
 _SIMULATOR = (
     "simulator",
     "pretrain",
@@ -55,33 +50,21 @@ _SIMULATOR = (
 _GOALS = 0x60A15  # tells the goals' keys from those that policies are trained with
 
 
-class Pushes(NamedTuple):
-    """What to do on the robot now: numbers `[N]` int, counted over the session; goals `[N, 2]` m;
-    actions `[N, 2]`: m/s, rad.
-    """
-
-    numbers: np.ndarray
-    goals: np.ndarray
-    actions: np.ndarray
-
-
-def pushes_to_make(
-    key: jax.Array, reported: Any, policy: PushingPolicy, config: PushingConfig
-) -> Pushes:
-    """The pushes of adaptation iteration `told` (from 0) of a session with `key`: always the same
+def trials_to_make(
+    key: jax.Array, turn: Any, policy: PushingPolicy, config: PushingConfig
+) -> AskedTrials:
+    """The pushes of adaptation iteration `turn` (from 0) of a session with `key`: always the same
     for the same session.
     """
-    goals = make_aims(config)(jax.random.fold_in(jax.random.fold_in(key, _GOALS), reported), policy)
-    actions = pushing.make_policy(config)(policy, goals)
-    numbers = int(reported) * config.trajectories + np.arange(1, config.trajectories + 1)
-    return Pushes(numbers, np.asarray(goals), np.asarray(actions))
+    goals = make_aims(config)(jax.random.fold_in(jax.random.fold_in(key, _GOALS), turn), policy)
+    return asked_trials(turn, goals, pushing.make_policy(config)(policy, goals))
 
 
-def pushes_over_sector(policy: PushingPolicy, config: PushingConfig, count: int) -> Pushes:
+def pushes_over_sector(policy: PushingPolicy, config: PushingConfig, count: int) -> AskedTrials:
     """What the policy does for `count` goals spread over the sector."""
     goals = pushing.goal_lattice(count)
     actions = jax.jit(pushing.make_policy(config))(policy, goals)
-    return Pushes(np.arange(1, count + 1), np.asarray(goals), np.asarray(actions))
+    return asked_trials(0, goals, actions)
 
 
 def corrected(
@@ -92,12 +75,8 @@ def corrected(
     """
     if not config.correct or not len(actions):
         return policy
-    low, high = np.asarray(model.ACTION_LOW), np.asarray(model.ACTION_HIGH)
-    own = (2.0 * np.asarray(actions, float) - low - high) / (high - low)
-    reported = PushRecord(
-        jnp.asarray(own, jnp.float32), jnp.asarray(places, jnp.float32), jnp.ones(len(own), bool)
-    )
-    return policy._replace(told=reported)
+    bounds = (model.ACTION_LOW, model.ACTION_HIGH)
+    return policy._replace(told=record_of_trials(PushRecord, bounds, actions, places))
 
 
 def read_policy(path: str | Path) -> Callable[[Any], np.ndarray]:
@@ -172,7 +151,7 @@ def measured_trajectory(
     columns: Mapping[str, np.ndarray],
     at: Callable[[int], str],
     where: str,
-    pushes: Pushes,
+    pushes: AskedTrials,
     config: PushingConfig,
     as_declared: bool = False,
 ) -> PushingTrajectory:
@@ -181,12 +160,10 @@ def measured_trajectory(
 
     `at(i)` names row i in a message, `where` the file. The bottle's place is interpolated at the
     task's times, the last of them the end of the trial (1.3 s by default), by which the reward
-    goes. as_declared: whatever they say of the clock. Raises BadInput.
+    goes. as_declared: Whatever they say of the clock. Raises BadInput.
     """
-    record.check_columns(columns, COLUMNS, where, f"{', '.join(COLUMNS)} (s and m)")
-    record.check_numbers(columns["trial"], at, pushes.numbers)
-    record.check_unit(columns, at, MAX_DISTANCE, "push", USUAL)
-    trials = record.trials_of(columns, at, where, pushes.numbers, 50 * config.duration).values()
+    needed = (COLUMNS, "s and m")
+    trials = asked_tracks(columns, (where, at), pushes.numbers, KIND, needed, 50 * config.duration)
     doubted = not as_declared and config.observation != "final"
     if doubted:
         starts = np.tile(model.START, (len(trials), 1))
@@ -198,7 +175,9 @@ def measured_trajectory(
             check_frozen(time, track, reported, "the bottle")
         _check_track(time, track, reported, config)
         places.append(_resampled(time, track, config))
-    return pushing.measured(jnp.asarray(pushes.goals), jnp.asarray(np.stack(places), jnp.float32))
+    return pushing.measured(
+        jnp.asarray(pushes.contexts), jnp.asarray(np.stack(places), jnp.float32)
+    )
 
 
 def _resampled(time: np.ndarray, track: np.ndarray, config: PushingConfig) -> np.ndarray:
@@ -245,8 +224,8 @@ def _check_track(
             f"{model.START}, where the task starts: mend the frame (the arm's base), the unit, or "
             "the start"
         )
-    record.check_leaps(time, track, reported, "the bottle", FASTEST, SLIP)
-    if np.linalg.norm(track - track[0], axis=1).max() < STILL:
+    record.check_leaps(time, track, reported, KIND.body, KIND.fastest, KIND.slip)
+    if np.linalg.norm(track - track[0], axis=1).max() < FRAME.still:
         raise BadInput(
             f"{reported(-1)}: the bottle never moved; make that push again, or mend the tracking"
         )

@@ -77,7 +77,7 @@ class PushOptions:
 
     `friction`: `clean` reads the paper's text (the table has mu, the patch mu_p, the plate 0.3);
     `coupled` does what the release does in Drake, where the bottle is given mu_p and pairs combine
-    as 2ab/(a+b), so that mu_p acts everywhere. `inertia` kg m^2 about `com` m (from the bottle's
+    as 2ab/(a+b). So mu_p acts everywhere. `inertia` kg m^2 about `com` m (from the bottle's
     centre) default to the release's bottle, whose inertia is a thousand times a cylinder's and
     whose centre of mass lies below the table: it slides, and hardly turns or tips.
     """
@@ -252,9 +252,9 @@ def ground_friction(
     bottle's frame N m.
 
     `pose: [..., 13]` as the backends' states; `friction` and `y_p`: `[..., 1]`. Coulomb's law at
-    each point of the sole, under a pressure that grows with its depth, so that what stands on the
-    patch bears its share of the weight and no more. (MuJoCo's own friction, convex as it is, loads
-    the grippier contacts with most of the weight.)
+    each point of the sole, under a pressure that grows with its depth. So what stands on the patch
+    bears its share of the weight and no more. (MuJoCo's own friction, convex as it is, loads the
+    grippier contacts with most of the weight.)
     """
     px, py = sole().T.astype(np.float32)
     x, y, z, qw, qx, qy, qz, vx, vy, vz, wx, wy, wz = (pose[..., k : k + 1] for k in range(13))

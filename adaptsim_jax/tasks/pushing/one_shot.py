@@ -1,6 +1,13 @@
-"""The push as the baselines see it: one push for a goal, tried in any of the four engines."""
+"""The push as the baselines see it: one push for a goal, tried in any of the four engines. And what
+is deployed after an adaptation in a simulated target, where `correct` is on: policies with the
+pushes made before.
+"""
 
+from __future__ import annotations
+
+from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 from typing import Any
 
 import jax
@@ -10,16 +17,23 @@ import numpy as np
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.learners.naf_goals import GoalProblem, Trials, make_goal_learner
-from adaptsim_jax.tasks.one_shot import OneShot, TargetWorld, best_actions
-from adaptsim_jax.tasks.one_shot_naf import naf_policies
-from adaptsim_jax.tasks.pushing import model, task
+from adaptsim_jax.tasks.base import Episode
+from adaptsim_jax.tasks.one_shot import OneShot, TargetWorld, best_actions, naf_policies
+from adaptsim_jax.tasks.pushing import model, task, trial
+from adaptsim_jax.tasks.pushing.config import PushingConfig, PushingPolicy
 from adaptsim_jax.tasks.pushing.corrections import PushRecord
-from adaptsim_jax.tasks.pushing.deployed import make_aims
 from adaptsim_jax.tasks.pushing.engines import BACKENDS, make_backend
-from adaptsim_jax.tasks.pushing.goals import WORST, unseen
 from adaptsim_jax.tasks.pushing.model import PushOptions
-from adaptsim_jax.tasks.pushing.simulator import TWINS
-from adaptsim_jax.tasks.pushing.task import PushingConfig, PushingPolicy
+from adaptsim_jax.tasks.pushing.planar import TWINS
+from adaptsim_jax.tasks.pushing.task import make_choice
+from adaptsim_jax.tasks.pushing.trial import (
+    POINTS,
+    WORST,
+    make_simulator,
+    sector_goals,
+    unseen,
+    visit_goals,
+)
 
 SIMULATORS = {
     "planar": "planar model of the push (JAX)",
@@ -35,13 +49,8 @@ def make_pushing_one_shot(config: PushingConfig) -> OneShot:
     """
     made, naf = task.make_pushing(config), task.make_pushing_naf(config)
     options = PushOptions(friction=config.friction, duration=config.duration)
-    space = made.space
-    learner = make_goal_learner(
-        naf,
-        _everywhere(space, task.make_simulator(config)),
-        config.training,
-        task.naf_rates(config),
-    )
+    problem = _everywhere(made.space, task.make_simulator(config))
+    learner = make_goal_learner(naf, problem, config.training, task.naf_rates(config))
 
     def trials(goals, actions, points):
         return Trials(goals, actions, points[:, -1])
@@ -51,20 +60,6 @@ def make_pushing_one_shot(config: PushingConfig) -> OneShot:
     )
     policies["act"] = task.make_choice(config)
 
-    def world(backend, /, **settings):
-        if backend == "planar":
-            own = {"coefficients": config.coefficients, "lacking": asdict(config.mended)}
-        else:
-            own = {}
-        return pushing_world(backend, options, **(own | settings))
-
-    def oracle(world, params):
-        if world.name == "planar":
-            points, zooms = ((161, 31), 0)
-        else:
-            points, zooms = ((17, 9), 3)
-        return best_actions(world, params, tests, _reward, points, shared=True, rounds=zooms)[0]
-
     tests = np.asarray(task.goal_lattice(config.tests))
     return OneShot(
         task=made,
@@ -73,15 +68,14 @@ def make_pushing_one_shot(config: PushingConfig) -> OneShot:
         action_dim=2,
         draw=task.draw_goal,
         reward=_reward,
-        trajectory=lambda goals, points: task.of_points(goals, points),
+        trajectory=lambda goals, points: trial.of_points(goals, points),
         **policies,
-        inputs=lambda goal, action: action,
         outputs=lambda points: task.goal_input(points[-1]),
         worth=lambda observed, goal: jnp.maximum(
             0.0, 1.0 - jnp.linalg.norm(unseen(observed) - goal) / WORST
         ),
-        world=world,
-        oracle=oracle,
+        world=partial(_world, config, options),
+        oracle=lambda world, params: _oracle(world, params, tests),
         engine=config.simulator,
         simulator=SIMULATORS[config.simulator],
         reward_unit=f"1 - distance / {WORST} m, at least 0, mean over {config.tests} goals",
@@ -94,6 +88,22 @@ def make_pushing_one_shot(config: PushingConfig) -> OneShot:
     )
 
 
+def _world(
+    config: PushingConfig, options: PushOptions, backend: str, /, **settings: Any
+) -> TargetWorld:
+    """A target in `backend`; the planar model is the one of `config`."""
+    own: dict[str, Any] = {}
+    if backend == "planar":
+        own = {"coefficients": config.coefficients, "lacking": asdict(config.mended)}
+    return pushing_world(backend, options, **(own | settings))
+
+
+def _oracle(world: TargetWorld, params: np.ndarray, tests: np.ndarray) -> np.ndarray:
+    """`[G]` rewards of the best pushes for the goals `tests [G, 2]` m."""
+    points, rounds = ((161, 31), 0) if world.name == "planar" else ((17, 9), 3)
+    return best_actions(world, params, tests, _reward, points, shared=True, rounds=rounds)[0]
+
+
 def pushing_world(
     backend: str, options: PushOptions = model.PAPER, /, bottle: str = "paper", **settings: Any
 ) -> TargetWorld:
@@ -101,7 +111,7 @@ def pushing_world(
     reward 0.
 
     bottle: `heavy` and `light` are the stand-ins whose mass and inertia no parameter models (not in
-    planar). coefficients: of planar, `drake` for its twin of Drake. Others are the engine's own,
+    planar). coefficients: Of planar, `drake` for its twin of Drake. Others are the engine's own,
     see `make_backend`.
     """
     if bottle not in list(BOTTLES):  # a list, for a table has no hash
@@ -117,7 +127,7 @@ def pushing_world(
     body = BOTTLES[bottle]
     chosen = PushOptions(options.friction, options.duration, body.mass, body.com, body.inertia)
     simulate = make_backend(backend, chosen, **settings).simulate
-    rows = task.observed_rows(model.rows(chosen))
+    rows = trial.observed_rows(model.rows(chosen))
 
     def run(params, goals, actions):
         physical = np.asarray(task.physical_action(jnp.asarray(actions)))
@@ -149,3 +159,105 @@ def _everywhere(space: Any, simulate: Any) -> GoalProblem:
         return simulate(params, task.physical_action(action))[-1]
 
     return GoalProblem(task.draw_goal, task.goal_input, trial, task.push_reward)
+
+
+def as_deployed(config: PushingConfig, result: Any, target: Any) -> Any:
+    """`result` of Phase 2 with its policies and rewards as they are deployed: corrected by the
+    pushes made before, and the best visit's policy by all that were made, where the task does that
+    (`correct`).
+    """
+    if not config.correct or not config.show_goal:
+        return result
+    aim, history = jnp.asarray(target, jnp.float32), result.history
+    policies, every = jax.jit(lambda h: deployed(h, aim, config))(history)
+    flat = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), policies)
+    best = jax.tree.map(lambda x: x[None], result.policy._replace(told=every))
+    together = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), flat, best)
+    rewards = jax.jit(lambda p: tested(p, aim, config))(together)
+    history = history._replace(policy=policies, reward=rewards[:-1].reshape(history.reward.shape))
+    return result._replace(
+        policy=result.policy._replace(told=every), reward=rewards[-1], history=history
+    )
+
+
+def deployed(
+    history: Episode, target: jax.Array, config: PushingConfig
+) -> tuple[PushingPolicy, PushRecord]:
+    """The policies `[N, I + 1]` of `history [N, I + 1]` in `target [D]` (physical), each told the
+    pushes that all N starts made before its iteration; and all of these pushes. Those that failed
+    (their places are not finite) do not count.
+
+    Goals are read back from what was observed, so they must be shown. Pure.
+    """
+    N, turns = history.mean.shape[:2]
+    choose, end = task.make_choice(config), _end(target, config)
+
+    def pushed(policy, obs):
+        observed = obs[history.mean.shape[-1] :].reshape(
+            config.trajectories, -1, 2
+        )  # behind the mean of E: places, the goal, gaps
+        actions = choose(
+            policy, unseen(observed[:, POINTS if config.observation == "points" else 1])
+        )
+        return actions, jax.vmap(end)(task.physical_action(actions))
+
+    actions, places = jax.vmap(jax.vmap(pushed))(history.policy, history.obs)
+    made = jnp.broadcast_to(
+        jnp.arange(turns)[None, :, None], (N, turns, config.trajectories)
+    ).reshape(-1)
+    places = places.reshape(-1, 2)
+    every = PushRecord(actions.reshape(-1, 2), places, jnp.isfinite(places).all(-1))
+
+    def at(i):
+        return every._replace(used=every.used & (made < i))
+
+    trials = jax.vmap(lambda _: jax.vmap(at)(jnp.arange(turns)))(jnp.arange(N))
+    return history.policy._replace(told=trials), every
+
+
+def tested(policies: PushingPolicy, target: jax.Array, config: PushingConfig) -> jax.Array:
+    """Mean rewards `[N]` of `policies [N]` over the test goals in `target [D]` (physical). Pure."""
+    grid, act, end = (
+        task.goal_lattice(config.tests),
+        task.make_policy(config),
+        _end(target, config),
+    )
+    return jax.lax.map(
+        lambda policy: task.push_reward(jax.vmap(end)(act(policy, grid)), grid).mean(), policies
+    )
+
+
+def _end(target: jax.Array, config: PushingConfig) -> Callable[[jax.Array], jax.Array]:
+    simulate = make_simulator(config)
+    return lambda action: simulate(target, action)[-1]
+
+
+DRAWN = 8  # goals in each part of the sector that one is taken of
+
+
+def make_aims(config: PushingConfig) -> Callable[[jax.Array, PushingPolicy], jax.Array]:
+    """`aims(key, policy) -> [trajectories, 2]` m, the goals of an iteration's pushes in a target.
+    Pure.
+
+    Where visits are E's own they are `visit_goals`. Otherwise one in each part of the sector,
+    anywhere in it. Of some that are drawn it is the one whose action lies farthest from all pushes
+    made. So a few pushes cover what will be asked for.
+    """
+    if config.visits == "own":
+        return lambda key, policy: visit_goals(key, config)
+    choose, parts = make_choice(config), config.trajectories
+
+    def aims(key, policy):
+        if policy.told is None:
+            return sector_goals(key, parts, 1)[:, 0]
+        goals = sector_goals(key, parts, DRAWN)
+        actions = choose(policy, goals)
+        made, used, taken = policy.told.actions, policy.told.used, []
+        for part in range(parts):
+            distance = jnp.sum((actions[part][:, None] - made[None]) ** 2, -1)
+            best = jnp.argmax(jnp.min(jnp.where(used[None], distance, jnp.inf), 1))
+            made, used = jnp.concatenate([made, actions[part][best][None]]), jnp.append(used, True)
+            taken.append(goals[part][best])
+        return jnp.stack(taken)
+
+    return aims

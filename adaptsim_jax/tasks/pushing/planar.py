@@ -44,6 +44,7 @@ planar`.
 DRAKE = PlanarCoefficients(
     ElasticityMap((3.620, 0.241, 0.301), (-1.480, 0.330, 0.070), (-0.670, 0.762)), 0.278, 0.899
 )
+TWINS = {"native": DEFAULT, "drake": DRAKE}
 
 
 def check_options(options: PushOptions) -> PushOptions:

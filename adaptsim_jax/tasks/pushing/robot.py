@@ -1,161 +1,114 @@
-"""What `adaptsim robot` says and reads for the push: speed and angle for each goal, and the
-bottle's tracks in one file.
+"""What `adaptsim robot` says and reads for the push: speed and angle for each goal, and tracks of
+the bottle in one file.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from adaptsim_jax.tasks.faces import (
-    RobotFace,
-    SessionTrials,
+from adaptsim_jax.tasks.robot_trials import (
+    AskedTrials,
+    History,
+    TrialSessions,
     config_of,
-    opened,
-    print_parameters,
-    remembered,
     write_actions,
 )
 
 if TYPE_CHECKING:
     from adaptsim_jax.commands.robot_session import RobotSession
-    from adaptsim_jax.tasks.pushing.measured import Pushes
+    from adaptsim_jax.logs.table import LogTable
 
-TURN = "iteration"
-COLUMNS = ("goal_x", "goal_y", "speed", "angle")  # of actions.csv, after the trial
 HOW = """for each, with the bottle standing at x = 0.56, y = 0 m: push at that speed and angle, and track the bottle for {duration:g} s
 write one CSV for all of them with columns trial, time, x, y (s since the arm's start; m in the arm's base frame)"""  # noqa: E501
+COLUMNS = ("goal_x", "goal_y", "speed", "angle")
 ENOUGH = 6  # pushes from which a diagnosis may say something; 12 to 24 serve
 GRID = 24  # goals in best_actions.csv
 
 
-def deployed(session: RobotSession, policy: Any, history: list[dict[str, Any]]) -> Any:
-    """The policy as it would be deployed now, corrected by the pushes told so far where the task
-    does that.
-    """
-    from adaptsim_jax.tasks.pushing.measured import corrected
+def measured() -> Any:
+    from adaptsim_jax.tasks.pushing import measured
 
-    pushes = [push for visit in history for push in visit["pushes"]]
-    actions, places = [p["action"] for p in pushes], [p["points"][-1] for p in pushes]
-    return corrected(policy, config_of(session), actions, places)
+    return measured
 
 
-def tried(session: RobotSession, policy: Any, history: list[dict[str, Any]]) -> Any:
-    """The policy as the coming iteration makes its pushes: E's own, or what is deployed now
-    (`task.visits`).
-    """
-    if config_of(session).visits == "deployed":
-        return deployed(session, policy, history)
-    return policy
+def assemble() -> Callable[..., Any]:
+    from adaptsim_jax.tasks.pushing.diagnosis.read import assemble
+
+    return assemble
 
 
-def policy_file(session: RobotSession, policy: Any) -> dict[str, Any]:
-    """What `policy.toml` holds beside the parameters; `measured.read_policy` reads it."""
-    from adaptsim_jax.tasks.pushing.measured import policy_table
-
-    return policy_table(policy, config_of(session))
-
-
-def show(
-    session: RobotSession, state: Any, policy: Any, history: list[dict[str, Any]], done: bool
-) -> None:
-    """Print the pushes to make and write them to actions.csv. When all is told, the best policy's
-    over the sector of goals.
-    """
-    if done:
-        _best(session, policy)
-        print(f"written: {_figure(session, history)}")
-        return
-    pushes = _pushes(session, state)
-    path = session.folder / "actions.csv"
-    for number, goal, action in zip(*pushes, strict=True):
-        print(
-            f"  trial {number}: speed {action[0]:.4f} m/s, angle {action[1]:+.4f} rad   (goal "
-            f"{goal[0]:.3f}, {goal[1]:+.3f} m)"
-        )
-    write_actions(path, COLUMNS, zip(*pushes, strict=True))
-    print(f"written: {path}")
-    print(HOW.format(duration=config_of(session).duration))
+def asked(goal: Any, action: Any) -> str:
+    """A push in words."""
+    return (
+        f"speed {action[0]:.4f} m/s, angle {action[1]:+.4f} rad   (goal {goal[0]:.3f}, "
+        f"{goal[1]:+.3f} m)"
+    )
 
 
-def read(session: RobotSession, state: Any, path: Path) -> Any:
-    """The trajectory of the pushes that were asked for."""
+def came(trajectory: Any) -> Iterator[str]:
+    """How far each bottle ended from its goal."""
     import numpy as np
 
-    from adaptsim_jax.logs.table import read_table
-    from adaptsim_jax.tasks.pushing import measured
+    ends = np.asarray(trajectory.points[:, -1])
+    for goal, end, reward in zip(
+        np.asarray(trajectory.goals), ends, trajectory.rewards, strict=True
+    ):
+        distance = 100 * np.linalg.norm(end - goal)
+        yield (
+            f"came to {end[0]:.3f}, {end[1]:+.3f} m, {distance:.1f} cm from its goal: reward "
+            f"{float(reward):.3f}"
+        )
+
+
+def trajectory(
+    session: RobotSession, state: Any, pushes: AskedTrials, table: LogTable, path: Path
+) -> Any:
+    """The trajectory of the pushes that were asked for, by a camera's `table`."""
+    import numpy as np
+
+    from adaptsim_jax.tasks.camera_record import row_namer
     from adaptsim_jax.tasks.pushing.frame import check_frame, check_order
     from adaptsim_jax.tasks.pushing.model import START
     from adaptsim_jax.tasks.pushing.task import make_expectation
 
-    table = read_table(path, measured.COLUMNS, min_rows=1, lost=("x", "y"))
-
-    def at(i):
-        return f"{path}: {table.row_word} {table.lines[i]}"
-
-    config, pushes = config_of(session), _pushes(session, state)
-    found = measured.measured_trajectory(
-        table.columns, at, str(path), pushes, config, session.as_declared
+    config, where = config_of(session), str(path)
+    found = measured().measured_trajectory(
+        table.columns, row_namer(path, table), where, pushes, config, session.as_declared
     )
     if not session.as_declared:
-        ends = np.asarray(found.points[:, -1], float)
-        if slight := check_frame(pushes.actions[:, 1], ends - np.array(START), str(path)):
+        angles, way = pushes.actions[:, 1], np.asarray(found.points[:, -1], float) - np.array(START)
+        if slight := check_frame(angles, way, where):
             print(f"warning: {slight}, where the robot does not turn its pushes itself")
-        check_order(
-            pushes.numbers.tolist(), pushes.actions[:, 1], ends - np.array(START), str(path)
-        )
+        check_order(pushes.numbers.tolist(), angles, way, where)
     return make_expectation(config)(found, state.policy)
 
 
-def remember(session: RobotSession, before: Any, trajectory: Any) -> dict[str, Any]:
-    """The pushes and what came of them."""
-    rows = zip(*_pushes(session, before), trajectory.points, trajectory.rewards, strict=True)
-    return remembered(session, before.mean, "pushes", ("goal", "action", "points", "reward"), rows)
-
-
-def comment(session: RobotSession, before: Any, after: Any, trajectory: Any, done: bool) -> None:
-    """How far each bottle ended from its goal, and which parameters are believed in now."""
-    import numpy as np
-
-    ends = np.asarray(trajectory.points[:, -1])
-    for number, goal, end, reward in zip(
-        _pushes(session, before).numbers,
-        np.asarray(trajectory.goals),
-        ends,
-        trajectory.rewards,
-        strict=True,
-    ):
-        distance = 100 * np.linalg.norm(end - goal)
-        print(
-            f"  trial {number}: came to {end[0]:.3f}, {end[1]:+.3f} m, {distance:.1f} cm from its "
-            f"goal: reward {float(reward):.3f}"
-        )
+def advice(session: RobotSession, after: Any) -> None:
+    """How to diagnose the pushes, once there are enough."""
     pushes = int(after.told) * config_of(session).trajectories
     if pushes >= ENOUGH:
         print(
             f"what the simulator lacks, by the {pushes} pushes: adaptsim diagnose {session.folder} "
             "--out OUT"
         )
-    if done:
-        return
-    print_parameters(session, before, after)
 
 
-def _best(session: RobotSession, policy: Any) -> None:
-    from adaptsim_jax.tasks.pushing.measured import pushes_over_sector
-
+def finish(session: RobotSession, policy: Any, history: History) -> None:
+    """The best policy's pushes over the sector of goals, and the figure of all that were made."""
     path = session.folder / "best_actions.csv"
-    write_actions(
-        path, COLUMNS, zip(*pushes_over_sector(policy, config_of(session), GRID), strict=True)
-    )
+    pushes = measured().pushes_over_sector(policy, config_of(session), GRID)
+    write_actions(path, COLUMNS, zip(*pushes, strict=True))
     if policy.told is not None:
         print(f"its actions are corrected by the {len(policy.told.used)} pushes told")
     print(f"written: {path}: its push for {GRID} goals; for any other:")
     print("  from adaptsim_jax.tasks.pushing.measured import read_policy")
     print(f"  speed, angle = read_policy({str(session.folder / 'best.toml')!r})([0.85, 0.02])")
+    print(f"written: {_figure(session, history)}")
 
 
-def _figure(session: RobotSession, history: list[dict[str, Any]]) -> Path:
+def _figure(session: RobotSession, history: History) -> Path:
     """The pushes as they were measured, a row a start, and the parameters of the start that holds
     the best.
     """
@@ -163,9 +116,8 @@ def _figure(session: RobotSession, history: list[dict[str, Any]]) -> Path:
 
     from adaptsim_jax.report import figures as look
     from adaptsim_jax.report.figures_comparison import axes_of
-    from adaptsim_jax.tasks.faces import picked
+    from adaptsim_jax.tasks.base import picked
     from adaptsim_jax.tasks.pushing import figures as draw
-    from adaptsim_jax.tasks.pushing.adapt import SYMBOLS
 
     turns = session.table["iterations"] + 1
     starts = [history[i : i + turns] for i in range(0, len(history), turns)]
@@ -184,36 +136,27 @@ def _figure(session: RobotSession, history: list[dict[str, Any]]) -> Path:
     params = np.array([list(visit["params"].values()) for visit in starts[best]])
     task = session.trained.phase1.task
     figure = draw.pushes_over_iterations(
-        panels, heads, params, axes_of(task.space, SYMBOLS), first=1 + best * turns
+        panels, heads, params, axes_of(task.space, session.kind.symbols), first=1 + best * turns
     )
     return look.save(figure, session.folder / "pushes.png")
 
 
-def _pushes(session: RobotSession, state: Any) -> Pushes:
-    from adaptsim_jax.tasks.pushing.measured import pushes_to_make
-
-    return pushes_to_make(state.key, state.told, state.policy, config_of(session))
-
-
-def recorded() -> SessionTrials:
-    """The pushes of a session, for `diagnose`."""
-    from adaptsim_jax.tasks.pushing.diagnosis.read import assemble
-
-    def rows(visit):
-        return [(p["trial"], *p["action"]) for p in visit["pushes"]]
-
-    return SessionTrials("trial,speed,angle", rows, ("friction", "coefficients"), assemble)
-
-
-ROBOT = RobotFace(
-    TURN,
-    opened("pushes"),
-    policy_file,
-    show,
-    read,
-    remember,
-    comment,
-    deployed,
-    tried,
-    recorded=recorded,
-)
+ROBOT = TrialSessions(
+    trials="pushes",
+    columns=COLUMNS,
+    how=lambda config: HOW.format(duration=config.duration),
+    measured=measured,
+    keys=("goal", "action", "points", "reward"),
+    result="rewards",
+    ended=lambda push: push["points"][-1],
+    asked=asked,
+    came=came,
+    trajectory=trajectory,
+    finish=finish,
+    visits=lambda config: (lambda policy: policy) if config.visits == "deployed" else None,
+    recorded=("action",),
+    head="trial,speed,angle",
+    options=("friction", "coefficients"),
+    assemble=assemble,
+    advice=advice,
+).face()

@@ -7,7 +7,7 @@ Papadopoulos, 1991). The plate's face is a line with a normal. It meets the bott
 as in `planar` (the same damped spring, the same lift) and drags it across by friction. Where
 nothing acts sideways the motion is that of `planar`, where asked for with its step of 5 ms. A
 measured slide follows no step, and that one ends 5 mm from the converged motion (median; 28 mm at
-most), so that the default here is a scheme of second order with a step of 1 ms.
+most). So the default here is a scheme of second order with a step of 1 ms.
 """
 
 from __future__ import annotations
@@ -51,12 +51,12 @@ class Lacking:
 
     speed_scale 1, speed_offset m/s, heading_offset rad; start_x, start_y m beside the declared
     start; hardening, the power of the hit's speed by which the contact is stiffer and more damped;
-    heavier: share of the mass beyond the declared; plate_turn rad of the face against its motion.
+    heavier: Share of the mass beyond the declared; plate_turn rad of the face against its motion.
     Tilt_x, tilt_y rad, positive downhill towards +x, +y; speed_friction s/m, the growth of friction
     with speed, of its size; drag 1/s of speed by itself. Grain_a, grain_b: friction larger by about
     that share along x than along y, and along the diagonal; patch_x m and patch_size m (half the
     growth of its side); other_x, other_y m and other_mu of a second patch, as large as the
-    declared, and what it adds; spin: a solid cylinder's moment of inertia about the vertical over
+    declared, and what it adds. spin: A solid cylinder's moment of inertia about the vertical over
     the bottle's (0: it does not turn). Com_x, com_y m of its centre of mass from its axis, as it
     stands.
     """
@@ -189,10 +189,10 @@ class _Drive(NamedTuple):
 class _Numbers(NamedTuple):
     """What every step of a slide takes.
 
-    friction: of table, patch and plate; stiffness, damping of the plate's contact by the mass;
-    normal, across: directions of its face; forward, aside: shares of its motion along them; behind:
-    m that it begins behind the contact; pull: m/s2 downhill; spots: points of the sole and the
-    share of the load that each bears; light: mass over moment of inertia, 1/m2.
+    friction: Of table, patch and plate; stiffness, damping of the plate's contact by the mass;
+    normal, across: Directions of its face. forward, aside: Shares of its motion along them; behind:
+    m that it begins behind the contact; pull: m/s2 downhill. spots: Points of the sole and the
+    share of the load that each bears. light: Mass over moment of inertia, 1/m2.
     """
 
     v: Mapping[str, Array]

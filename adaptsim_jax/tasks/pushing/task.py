@@ -13,43 +13,40 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from adaptsim_jax import space as spaces
-from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.learners.naf import NAF, NAFConfig, NAFHyper, make_naf
+from adaptsim_jax.learners.naf import NAFConfig, make_naf
 from adaptsim_jax.learners.naf_goals import GoalProblem, make_goal_learner
 from adaptsim_jax.learners.naf_shared import SharedLearner, fold, move
 from adaptsim_jax.space import Space
 from adaptsim_jax.tasks.base import Task
-from adaptsim_jax.tasks.pushing import planar
 from adaptsim_jax.tasks.pushing.config import (
     SETTINGS,
     PushingConfig,
     PushingPolicy,
     PushingTrajectory,
+    checked,
+    make_pushing_naf,
+    naf_rates,
     pushing_space,
     wide_space,
 )
 from adaptsim_jax.tasks.pushing.corrections import nearer, refine, search, with_gaps
-from adaptsim_jax.tasks.pushing.goals import (
+from adaptsim_jax.tasks.pushing.model import PARAMETERS
+from adaptsim_jax.tasks.pushing.trial import (
     draw_goal,
     goal_input,
     goal_lattice,
+    make_guide,
+    make_simulator,
+    measured,
+    obs_dim,
+    observed,
+    observed_points,
     physical_action,
     push_reward,
     visit_goals,
 )
-from adaptsim_jax.tasks.pushing.model import PARAMETERS, PushOptions
-from adaptsim_jax.tasks.pushing.simulator import POINTS, make_guide, make_simulator
-from adaptsim_jax.tasks.pushing.slide import Lacking
-
-_SMALL = 0.004  # m: gaps up to here are shown as they are, larger ones by their logarithm
-
-
-def make_pushing_naf(config: PushingConfig) -> NAF:
-    """The learner whose weights a `PushingPolicy` holds."""
-    return make_naf(NAFConfig(obs_dim=2, action_dim=2, hidden=config.hidden))
 
 
 def make_policy(
@@ -102,7 +99,7 @@ def make_choice(config: PushingConfig) -> Callable[[PushingPolicy, jax.Array], j
 
 def make_pushing(config: PushingConfig = PushingConfig()) -> Task:
     """The push as a `Task`, simulated in the engine of `config`."""
-    _checked(config)
+    checked(config)
     simulate, space, naf = make_simulator(config), pushing_space(config), make_pushing_naf(config)
     how = config.tuning if config.pretrain else config.training
     learner = make_goal_learner(
@@ -132,7 +129,7 @@ def make_pushing(config: PushingConfig = PushingConfig()) -> Task:
         name="pushing",
         space=space,
         targets=space if config.targets == "omega" else wide_space(),
-        obs_dim=_obs_dim(config),
+        obs_dim=obs_dim(config),
         settings=SETTINGS | _fitted(config),
         init_policy=lambda key: _blank(naf.init(key).online, config, space),
         train=train,
@@ -179,13 +176,13 @@ def make_expectation(
     """
     if not config.show_gap:
         return lambda trajectory, policy: trajectory
-    _checked(config)
+    checked(config)
     simulate, space, act = make_simulator(config), pushing_space(config), make_policy(config)
 
     def expect(trajectory, policy):
         params = space.physical(policy.at)
         push = jax.vmap(lambda a: simulate(params, a))
-        expected = _points(push(act(policy, trajectory.goals)))
+        expected = observed_points(push(act(policy, trajectory.goals)))
         if policy.told is None:
             return trajectory._replace(expected=expected)
         # pushes of other actions than E's own: what E would have made them for (hindsight, as goals
@@ -235,114 +232,9 @@ def _pretrain(
     return pretrain
 
 
-def measured(
-    goals: jax.Array, places: jax.Array, tested: jax.Array | None = None
-) -> PushingTrajectory:
-    """The trajectory of `N` pushes for `goals [N, 2]` m from the bottle's `places [N, T, 2]` m at
-    even times, from any backend or from a camera. The last row is the end.
-    """
-    return of_points(goals, _points(places), tested)
-
-
-def _points(places: jax.Array) -> jax.Array:
-    return places[:, observed_rows(places.shape[1])]
-
-
-def of_points(
-    goals: jax.Array, points: jax.Array, tested: jax.Array | None = None
-) -> PushingTrajectory:
-    """The same from the six points `[N, 6, 2]` m alone."""
-    rewards = push_reward(points[:, -1], goals)
-    return PushingTrajectory(goals, points, rewards, rewards.mean() if tested is None else tested)
-
-
-def observed_rows(T: int) -> np.ndarray:
-    """`[6]`: which of `T` rows the six points are."""
-    return np.round(T * np.arange(1, POINTS + 1) / POINTS).astype(int) - 1
-
-
-def observed(trajectory: PushingTrajectory, config: PushingConfig) -> jax.Array:
-    """`[obs_dim]`: places, and goals where shown, in the network's coordinates; far out they are
-    held at 4.
-    """
-
-    def given(points):
-        if config.observation == "points":
-            return points
-        return points[:, -1:]
-
-    if config.show_goal:
-        shown = [given(trajectory.points), trajectory.goals[:, None]]
-    else:
-        shown = [given(trajectory.points)]
-    observed = goal_input(jnp.concatenate(shown, 1))
-    if config.show_gap:
-        gap = given(trajectory.points) - given(trajectory.expected)
-        # millimetres tell as much as centimetres do when E is nearly right
-        observed = jnp.concatenate([observed, jnp.arcsinh(gap / _SMALL)], 1)
-    return jnp.clip(jnp.where(jnp.isfinite(observed), observed, 4.0), -4.0, 4.0).reshape(-1)
-
-
-def _obs_dim(config: PushingConfig) -> int:
-    points = POINTS if config.observation == "points" else 1
-    return config.trajectories * 2 * (points * (1 + config.show_gap) + config.show_goal)
-
-
 def _problem(space: Space, simulate: Callable) -> GoalProblem:
     def trial(key, dist, action):
         params = space.physical(spaces.sample(key, dist))
         return simulate(params, physical_action(action))[-1]
 
     return GoalProblem(draw_goal, goal_input, trial, push_reward)
-
-
-def naf_rates(config: PushingConfig, tuning: bool = False) -> Any:
-    return NAFHyper(
-        learning_rate=config.tuning_rate if tuning else config.learning_rate, max_grad_norm=10.0
-    )
-
-
-def _checked(config: PushingConfig) -> PushOptions:
-    for name in ("trajectories", "tests", "trials"):
-        if getattr(config, name) < 1:
-            raise BadInput(f"pushing, {name} = {getattr(config, name)}: give at least 1")
-    for name in ("learning_rate", "tuning_rate"):
-        if getattr(config, name) <= 0:
-            raise BadInput(
-                f"pushing, {name} = {getattr(config, name)}: give a positive one, such as 1e-3"
-            )
-    if config.mended != Lacking() and config.simulator != "planar":
-        raise BadInput(
-            f"pushing, simulator = {config.simulator}: a mended push is simulated by the planar "
-            "model; leave simulator out"
-        )
-    if len(config.fitted) not in (0, len(PARAMETERS)):
-        raise BadInput(
-            f"pushing, fitted = {list(config.fitted)}: give {', '.join(PARAMETERS)}, or leave it "
-            "out"
-        )
-    if min(config.refine, *config.rehearsal) < 0:
-        raise BadInput(
-            f"pushing, refine = {config.refine}, rehearsal = {config.rehearsal}: give numbers of "
-            "pushes, 0 for none"
-        )
-    if config.correct and not config.refine:
-        raise BadInput(
-            "pushing, correct: it is by refining that actions are corrected; give refine, such as 8"
-        )
-    if config.visits == "deployed" and not (config.correct and config.show_gap):
-        raise BadInput(
-            "pushing, visits = deployed: only corrected actions differ from E's own, and f tells "
-            "them by the gap; set correct and show_gap"
-        )
-    if config.show_gap and not config.pretrain:
-        raise BadInput(
-            "pushing, show_gap: only a policy made with pretrain = true knows the mean of E that "
-            "the gap is to; set it"
-        )
-    if config.refine and not config.pretrain:
-        raise BadInput(
-            "pushing, refine: only a policy made with pretrain = true knows the mean of E to try "
-            "a push at; set it"
-        )
-    return planar.check_options(PushOptions(friction=config.friction, duration=config.duration))

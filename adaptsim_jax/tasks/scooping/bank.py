@@ -3,11 +3,11 @@ all policies (`experiments/scooping_bank.py` makes it).
 
 What an action leads to depends on the piece and the action alone, so that trials may be stored. The
 bank holds trials at even points (scrambled Sobol sequences) of Omega and of the wider box that
-Phase 1 draws targets from, more of them near actions that looked good, and two small networks
-fitted to all: how likely an action as executed is to succeed, and where the piece is seen
+Phase 1 draws targets from, more of them near actions that looked good. Two small networks are
+fitted to all. They say how likely an action as executed is to succeed, and where the piece is seen
 meanwhile. Task policies are trained on it, and Phase 1 rehearses on it; targets of Phase 2 are
-always simulated. A bank belongs to the options and numerics that it was made with and to no others:
-a file that says otherwise is refused.
+always simulated. A bank belongs to the options and numerics that it was made with and to no
+others: a file that says otherwise is refused.
 """
 
 from __future__ import annotations
@@ -27,8 +27,7 @@ from scipy.stats import qmc
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.scooping import model
-from adaptsim_jax.tasks.scooping.hydro import Numerics
-from adaptsim_jax.tasks.scooping.model import ScoopOptions
+from adaptsim_jax.tasks.scooping.model import Numerics, ScoopOptions
 
 PATH = Path(__file__).with_name("bank.npz")
 BOXES = {
@@ -47,7 +46,7 @@ Layers = Sequence[tuple[Any, Any]]
 
 
 class Bank(NamedTuple):
-    """chance, track: weights and biases of the networks behind `logit` and `places`."""
+    """chance, track: Weights and biases of the networks behind `logit` and `places`."""
 
     chance: Layers
     track: Layers
@@ -92,7 +91,7 @@ def features(params: jax.Array, action: jax.Array) -> jax.Array:
 
 def points(count: int, seed: int, box: str = "omega") -> tuple[np.ndarray, np.ndarray]:
     """Params `[count, 4]` over a box and actions `[count, 3]` a little beyond theirs, spread
-    evenly; count: a power of 2.
+    evenly. count: A power of 2.
     """
     u = qmc.Sobol(7, rng=seed).random(count)
     low, high = (np.array(b, float) for b in BOXES[box])

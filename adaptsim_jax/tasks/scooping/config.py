@@ -10,43 +10,36 @@ import jax
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.learners.naf import NAF, NAFConfig, NAFHyper, make_naf
 from adaptsim_jax.learners.naf_goals import GoalConfig
-from adaptsim_jax.space import Parameter, Space
-from adaptsim_jax.tasks.scooping import hydro, model
+from adaptsim_jax.space import Space
+from adaptsim_jax.tasks.base import space_of, tables
+from adaptsim_jax.tasks.scooping import model
 from adaptsim_jax.tasks.scooping.bank import BOXES as BANK_BOXES
 from adaptsim_jax.tasks.scooping.corrections import ScoopRecord
-from adaptsim_jax.tasks.scooping.hydro import Numerics
-from adaptsim_jax.tasks.scooping.model import ScoopOptions
+from adaptsim_jax.tasks.scooping.model import Numerics, ScoopOptions
 
-# Paper, table A2: friction, modulus Pa, shape (0 ellipsoid, 1 cylinder, 2 box), height m.
-SETTINGS = {
-    "wd": {"mu": 0.30, "e": 5e4, "g": 1, "h": 0.020},
-    "ood-1": {"mu": 0.45, "e": 1e4, "g": 0, "h": 0.014},
-    "ood-2": {"mu": 0.20, "e": 5e4, "g": 1, "h": 0.022},
-    "ood-3": {"mu": 0.30, "e": 1e6, "g": 0, "h": 0.028},
-    "ood-4": {"mu": 0.40, "e": 1e5, "g": 2, "h": 0.019},
-}
+SETTINGS = tables()["scooping"]["settings"]
 
 
 @dataclass(frozen=True)
 class ScoopingConfig:
     """Options of the task.
 
-    trajectories: trials an iteration; tests: places and errors that the reward of a simulated
-    target is averaged over; fresh: more of them, in which `compare` scores each policy once more,
+    trajectories: Trials an iteration. tests: Places and errors that the reward of a simulated
+    target is averaged over. fresh: More of them, in which `compare` scores each policy once more,
     none being chosen by them.
     targets: Phase 1 draws targets from Omega (the paper), or from a box around it, boxes included
-    (`wide`). simulator: where policies are trained and Phase 1 runs: the `bank` of the hydroelastic
+    (`wide`). simulator: Where policies are trained and Phase 1 runs: the `bank` of the hydroelastic
     engine's trials, as far as `source` and `rehearsal` say; `hydro`, that engine itself, without
-    the bank; or `mjx`, the MuJoCo scene in MJX (without correct, both). source: of the trials that
-    policies are trained with: the `bank`, or the `simulator`; rehearsal: of the targets that Phase
-    1 learns from, likewise. lucks: execution errors that a trial of the bank is averaged over.
-    checks: places and errors that the best of a training's policies is chosen by, in the bank; 0
-    keeps the last one. correct: what is deployed is the best action by the bank at E's mean as
+    the bank; or `mjx`, the MuJoCo scene in MJX (without correct, both). source: Of the trials that
+    policies are trained with: the `bank`, or the `simulator`. rehearsal: Of the targets that Phase
+    1 learns from, likewise. lucks: Execution errors that a trial of the bank is averaged over.
+    checks: Places and errors that the best of a training's policies is chosen by, in the bank; 0
+    keeps the last one. correct: What is deployed is the best action by the bank at E's mean as
     mended by the scoops made in the target so far (`corrections`). A visit's own scoops are not,
     nor is anything in Phase 1. trials: M of the paper; training: how;
-    hidden, learning_rate: of the NAF. clearance, noise: difficulty, see
-    `tasks.scooping.model.ScoopOptions`. camera: mean along the motion and standard deviation of the
-    noise on observed places, m. numerics: of the engine. mu, e, h: Omega.
+    hidden, learning_rate: Of the NAF. clearance, noise: difficulty, see
+    `tasks.scooping.model.ScoopOptions`. camera: Mean along the motion and standard deviation of the
+    noise on observed places, m. numerics: Of the engine. mu, e, h: Omega.
     """
 
     trajectories: int = 2
@@ -110,28 +103,12 @@ class ScoopingTrajectory(NamedTuple):
 
 def scooping_space(config: ScoopingConfig = ScoopingConfig()) -> Space:
     """Omega: friction, modulus on a logarithmic scale, shape as a category, height."""
-    return Space(
-        (
-            Parameter("mu", *config.mu, description="friction of the piece with table and blade"),
-            Parameter("e", *config.e, "Pa", "log", description="modulus of the piece's surface"),
-            Parameter(
-                "g", 0, 1, "", "categorical", description="shape: 0 ellipsoid, 1 cylinder (2 box)"
-            ),
-            Parameter("h", *config.h, "m", description="height of the piece"),
-        )
-    ).within(model.PHYSICAL_LOW, model.PHYSICAL_HIGH)
+    return space_of("scooping", "omega", config).within(model.PHYSICAL_LOW, model.PHYSICAL_HIGH)
 
 
 def wide_space() -> Space:
     """A box around Omega for Phase-1 targets that Omega cannot reproduce; boxes among them."""
-    return Space(
-        (
-            Parameter("mu", 0.15, 0.5),
-            Parameter("e", 8e3, 1.5e6, "Pa", "log"),
-            Parameter("g", 0, 2, "", "categorical"),
-            Parameter("h", 0.013, 0.03, "m"),
-        )
-    )
+    return space_of("scooping", "wide")
 
 
 def make_scooping_naf(config: ScoopingConfig) -> NAF:
@@ -170,7 +147,7 @@ def checked(config: ScoopingConfig) -> ScoopOptions:
             "scooping, correct: what is deployed is corrected by the bank, and simulator = "
             f"'{config.simulator}' does without; set correct = false"
         )
-    hydro.check_numerics(config.numerics)
+    model.check_numerics(config.numerics)
     _check_covered(config)
     return model.check_options(ScoopOptions(clearance=config.clearance, noise=config.noise))
 

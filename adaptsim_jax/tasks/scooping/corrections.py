@@ -3,9 +3,9 @@ mean is off, over the actions.
 
 No E makes the bank right where the target is a piece that Omega does not have, nor where the bank
 itself is too hopeful, nor where E is not found yet. The scoops that adaptation makes anyway show
-it: their outcomes are taken for coins whose log odds are the bank's at E's mean and a Gaussian
+it: Their outcomes are taken for coins whose log odds are the bank's at E's mean and a Gaussian
 process (Rasmussen and Williams 2006, chapter 3, Laplace's approximation). Its covariance is of two
-parts: departures towards other pieces, for what pieces have in common the bank knows; and smooth
+parts: Departures towards other pieces, for what pieces have in common the bank knows; and smooth
 ones over the actions, for what it has wrong of all. Where the piece lies changes nothing, and is
 left out.
 """
@@ -30,9 +30,9 @@ class ScoopRecord(NamedTuple):
 
 
 class Doubt(NamedTuple):
-    """Of what the bank's log odds at E's mean may be off by. others: share of the way to other
-    pieces' that the target may be; reach: of the action's range [-1, 1], how far else what a scoop
-    showed holds; spread: standard deviation of that; most: log odds that the bank never goes
+    """Of what the bank's log odds at E's mean may be off by. others: Share of the way to other
+    pieces' that the target may be. reach: Of the action's range [-1, 1], how far else what a scoop
+    showed holds. spread: Standard deviation of that. most: Log odds that the bank never goes
     beyond. Chosen on pieces and seeds that no table uses.
     """
 

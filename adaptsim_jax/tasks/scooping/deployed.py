@@ -120,7 +120,7 @@ def make_choice(
 ) -> Callable[[ScoopingPolicy, jax.Array], jax.Array]:
     """`act(policy, contexts [..., >= 2]) -> [..., 3]` in [-1, 1]. A policy that was told of the
     target's scoops does what is likeliest to succeed by them and by the bank, the same in all
-    contexts; any other does what its network says, and probes last if it probes.
+    contexts. Any other does what its network says, and probes last if it probes.
     """
     naf = make_scooping_naf(config)
     if config.correct:

@@ -195,7 +195,7 @@ def scoops_over_iterations(
     the parameters over all iterations.
 
     Args:
-        clips, heads, rewards: of the iterations shown.
+        clips, heads, rewards: Of the iterations shown.
         params: `[I + 1, D]` physical; axes: `report.figures_comparison.Axis` of each.
     """
     from matplotlib.figure import Figure

@@ -10,43 +10,21 @@ action; float32 or, where JAX is told so, float64.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.tasks.engine import EngineKind, filled_batches, steps_a_row
 from adaptsim_jax.tasks.scooping import hydro_contact as contact
 from adaptsim_jax.tasks.scooping import hydro_sap as sap
 from adaptsim_jax.tasks.scooping import hydro_shapes as shapes
 from adaptsim_jax.tasks.scooping import model
 from adaptsim_jax.tasks.scooping import motion as spatula
-from adaptsim_jax.tasks.scooping.model import ScoopOptions
+from adaptsim_jax.tasks.scooping.model import Numerics, ScoopOptions, check_numerics
 
 Array = Any
-
-
-@dataclass(frozen=True)
-class Numerics:
-    """What makes up *the* simulator besides physics; static under jit. See
-    docs/explanation/scooping.md for how much each matters.
-
-    dt: s. relaxation: tau of the damping, s, of the pair. slip: sigma of SAP's friction.
-        near_rigid: beta of SAP, 0 for none.
-    iterations: of Newton's method in a step, at most. grid: columns along and points across each of
-        table, blade, its front, neck.
-    tolerance: unbalanced share of the momentum above which a step counts as unsolved.
-    """
-
-    dt: float = 2.5e-3
-    relaxation: float = 0.2
-    slip: float = 1e-2
-    near_rigid: float = 0.0
-    iterations: int = 15
-    grid: tuple[tuple[int, int], ...] = ((6, 2), (8, 2), (2, 2), (4, 2))
-    tolerance: float = 1e-3
 
 
 class PieceState(NamedTuple):
@@ -57,7 +35,7 @@ class PieceState(NamedTuple):
 
 
 class StepInfo(NamedTuple):
-    """residual `[]`: unbalanced share of the momentum; impulse `[3]` of the contacts, N s and N m
+    """residual `[]`: Unbalanced share of the momentum; impulse `[3]` of the contacts, N s and N m
     s.
     """
 
@@ -77,25 +55,6 @@ class Scoop(NamedTuple):
     above: Array
     success: Array
     code: Array
-
-
-def check_numerics(numerics: Numerics) -> Numerics:
-    """`numerics` if a trial can be cut into such steps; BadInput otherwise."""
-    n = numerics
-    if not 1e-4 <= n.dt <= 0.01 or abs(model.SECONDS / n.dt - round(model.SECONDS / n.dt)) > 1e-6:
-        raise BadInput(
-            f"scooping, dt = {n.dt} s: give a whole part of 1 s from 1e-4 to 0.01, such as 0.0025"
-        )
-    if n.relaxation < 0 or n.slip <= 0 or n.near_rigid < 0 or n.tolerance <= 0:
-        raise BadInput(
-            f"scooping, {n}: relaxation and near_rigid must be at least 0, slip and tolerance "
-            "positive"
-        )
-    if n.iterations < 1 or len(n.grid) != 4 or min(min(pair) for pair in n.grid) < 1:
-        raise BadInput(
-            f"scooping, {n}: at least one iteration, and four pairs of positive counts as grid"
-        )
-    return numerics
 
 
 def steps_of(numerics: Numerics) -> int:
@@ -138,7 +97,7 @@ def rollout(
     params: Array,
     action: Array,
     options: ScoopOptions = ScoopOptions(),  # noqa: B008
-    numerics: Numerics = Numerics(),
+    numerics: Numerics = Numerics(),  # noqa: B008
 ) -> Scoop:
     """The trial of `action [3]` on the piece of `params [4]`; pure, jit and vmap it. Noise is the
     caller's.
@@ -198,3 +157,39 @@ def _fit(params: Array, action: Array) -> Array:
     most = jnp.array([0.35, 0.6, 0.1], params.dtype)
     inside = jnp.all(params >= low) & jnp.all(params <= high)
     return inside & jnp.all(jnp.isfinite(action)) & jnp.all(jnp.abs(action) <= most)
+
+
+class HydroSettings(NamedTuple):
+    """numerics: What makes up the simulator besides physics."""
+
+    numerics: Numerics = Numerics()
+
+
+def make_hydro(options: ScoopOptions, numerics: Numerics):
+    """`simulate` of our own engine, in batches on the CPU."""
+    check_numerics(numerics)
+    every = steps_a_row("backend hydro", numerics.dt, model.ROW, 0.0025)
+
+    @jax.jit
+    @jax.vmap
+    def run(params, action):
+        out = rollout(params, action, options, numerics)
+        rows = slice(every, None, every)
+        return out.piece[rows, :2], out.tip[rows], out.code
+
+    def simulate(params, commands, initial):
+        params, actions, starts = model.checked_trials(params, commands, initial)
+        count, kind = len(params), jnp.result_type(float)
+        state = np.zeros((count, round(model.SECONDS / model.ROW), model.STATE))
+        codes = np.zeros(count, int)
+        for here, room in filled_batches(count, model.BATCH):
+            found = run(jnp.asarray(params[room], kind), jnp.asarray(actions[room], kind))
+            piece, tip, code = (np.asarray(x)[: here.stop - here.start] for x in found)
+            state[here, :, 0], state[here, :, 2] = piece[..., 0], piece[..., 1]
+            state[here, :, 3:], codes[here] = tip, code
+        return model.placed(state, codes, starts)
+
+    return simulate
+
+
+HYDRO = EngineKind(HydroSettings, make_hydro)

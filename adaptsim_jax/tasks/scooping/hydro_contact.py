@@ -4,9 +4,9 @@ stiffness.
 Where a rigid surface cuts the pressure field, the cut is the contact surface and the field on it
 the contact pressure (Elandt et al. 2019). A point of area A and pressure p, at which the pressure
 grows by g per metre along the surface's normal, acts in the next step like a spring of stiffness k
-= A g that is pressed by p / g (Masterjohn et al. 2022, whose discrete pressure field this is for a
-rigid surface). Points where the pressure does not grow along the normal bear nothing, as in Drake:
-so an edge can slide under a flat bottom.
+= A g that is pressed by p / g. This is the discrete pressure field of Masterjohn et al. (2022) for
+a rigid surface. Points where the pressure does not grow along the normal bear nothing, as in
+Drake: so an edge can slide under a flat bottom.
 
 Symmetry about the vertical plane is used: only one half of each section is sampled, with twice its
 area.
@@ -30,7 +30,7 @@ class Surfaces(NamedTuple):
 
     origin, tangent `[2, S]`: `origin + s tangent` for s from `low [S]` to `high [S]` m. The normal
     is the tangent turned up by a right angle. about `[2, S]` m, velocity `[2, S]` m/s, spin `[S]`
-    rad/s: rigid motion, the velocity being that of `about`. friction `[S]`: the pair's Coulomb
+    rad/s: rigid motion, the velocity being that of `about`. friction `[S]`: The pair's Coulomb
     coefficient.
     """
 

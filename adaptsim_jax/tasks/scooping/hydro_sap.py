@@ -55,8 +55,8 @@ class Springs(NamedTuple):
 
 
 class Solve(NamedTuple):
-    """velocity `[3]`; residual `[]`: norm of the momentum that is unbalanced by that of what there
-    is to balance; impulse `[3]`: of all contacts together (N s, N s, N m s).
+    """velocity `[3]`. residual `[]`: Norm of the momentum that is unbalanced by that of what there
+    is to balance. impulse `[3]`: Of all contacts together (N s, N s, N m s).
     """
 
     velocity: Array

@@ -1,12 +1,204 @@
-"""Scooping as the registry holds it."""
+"""Scooping as the registry holds it: what `adaptsim adapt` shows of it, how trials end over
+iterations and films of them; and what `adaptsim robot` says and reads.
+"""
 
-from adaptsim_jax.tasks.base import TaskKind
-from adaptsim_jax.tasks.scooping.adapt import ADAPT, SYMBOLS
-from adaptsim_jax.tasks.scooping.engines import BACKENDS
-from adaptsim_jax.tasks.scooping.engines.parity import PARITY
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax.tasks.base import AdaptFace, AdaptView, Look, TaskKind
+from adaptsim_jax.tasks.robot_trials import AskedTrials, History, TrialSessions, config_of
+from adaptsim_jax.tasks.scooping import hydro
+from adaptsim_jax.tasks.scooping import task as scooping
+from adaptsim_jax.tasks.scooping.config import checked
+from adaptsim_jax.tasks.scooping.engines import BACKENDS, PARITY
 from adaptsim_jax.tasks.scooping.one_shot import make_scooping_one_shot
-from adaptsim_jax.tasks.scooping.robot import ROBOT
 from adaptsim_jax.tasks.scooping.task import ScoopingConfig, make_scooping
+
+if TYPE_CHECKING:
+    from adaptsim_jax.commands.robot_session import RobotSession
+    from adaptsim_jax.logs.table import LogTable
+
+
+SYMBOLS = {"mu": "μ piece", "e": "e (Pa)", "g": "shape", "h": "h (m)"}
+
+
+def clips_of(config: Any, policies: Any, target: np.ndarray) -> list[Any]:
+    """A clip of each of `policies [P]`: what it does in the target, without an error of
+    execution.
+    """
+    from adaptsim_jax.tasks.scooping.film import ScoopClip
+
+    act, options = scooping.make_policy(config), checked(config)
+
+    @jax.jit
+    @jax.vmap
+    def run(one):
+        action, params = act(one, jnp.zeros(2)), jnp.asarray(target, jnp.float32)
+        return action, hydro.rollout(params, action, options, config.numerics)
+
+    actions, scoops = run(policies)
+    clips = []
+    for i, (pitch, rate, distance) in enumerate(np.asarray(actions)):
+        angle = f"{np.degrees(pitch):.1f} deg, {rate:+.2f} rad/s"
+        text = f"iteration {i}: {angle}, {1e3 * distance:.0f} mm"
+        piece, tip = np.asarray(scoops.piece[i]), np.asarray(scoops.tip[i])
+        clips.append(ScoopClip(piece, tip, target, bool(scoops.success[i] > 0.5), text))
+    return clips
+
+
+def shown(view: AdaptView) -> Look:
+    """The start that holds the best visit."""
+    from adaptsim_jax.report.figures_comparison import axes_of
+    from adaptsim_jax.tasks.scooping import film
+
+    clips = clips_of(view.config, view.policies, view.values)
+    iterations, heads = view.picked(len(clips))
+    rewards = view.of_start(view.result.history.reward)
+    figure = film.scoops_over_iterations(
+        [clips[i] for i in iterations],
+        heads,
+        [float(rewards[i]) for i in iterations],
+        view.params,
+        axes_of(view.task.space, SYMBOLS),
+        target=list(view.values),
+    )
+    notes = ()
+    if (count := view.trials_reported()) is not None:
+        notes = (f"scoops are corrected by those made before, the best policy's by all {count}",)
+    visits = [0, view.best] if view.best else [0]
+    return Look(figure, lambda: [clips[i] for i in visits], notes)
+
+
+def before_after(config: Any, both: Any, target: np.ndarray) -> Look:
+    """The scoops of two policies, before and after adaptation."""
+    from adaptsim_jax.tasks.scooping import film
+
+    clips = clips_of(config, both, target)
+    figure = film.film_strips(clips, ("before", "after"))
+    return Look(figure, lambda: clips, ends=tuple(film.ending(clip) for clip in clips))
+
+
+def scene() -> Any:
+    from adaptsim_jax.tasks.scooping.film import SCENE
+
+    return SCENE
+
+
+ADAPT = AdaptFace("scoops", shown, scene, before_after, as_compared=lambda config: config.correct)
+
+
+HOW = """for each, lay the piece at that place (m from the middle of a box of 8 x 6 cm, x along the spatula's way), start at
+that pitch and distance, scoop with that pitch rate at 0.25 s, and track the piece for {seconds:g} s; write one CSV for all of them
+with columns trial, time, x, y, on (s since the arm's start; m; 1 where the piece lies on the spatula, else 0)"""  # noqa: E501
+COLUMNS = ("place_x", "place_y", "pitch", "rate", "distance")
+
+
+def measured() -> Any:
+    from adaptsim_jax.tasks.scooping import measured
+
+    return measured
+
+
+def assemble() -> Callable[..., Any]:
+    """Reads scoops; each track is counted from where its piece lay."""
+    from adaptsim_jax.tasks.scooping.diagnosis.read import assemble
+
+    return partial(assemble, own_frame=True)
+
+
+def how(config: Any) -> str:
+    from adaptsim_jax.tasks.scooping.model import SECONDS
+
+    return HOW.format(seconds=SECONDS)
+
+
+def asked(place: Any, action: Any) -> str:
+    """A scoop and its place in words."""
+    return f"{in_words(action)}   (piece at {place[0]:+.3f}, {place[1]:+.3f} m)"
+
+
+def in_words(action: Any) -> str:
+    """An action `[3]` in words."""
+    pitch, rate, distance = map(float, action)
+    return (
+        f"pitch {math.degrees(pitch):.2f} deg, pitch rate {rate:+.3f} rad/s, distance "
+        f"{1e3 * distance:.1f} mm"
+    )
+
+
+def came(trajectory: Any) -> Iterator[str]:
+    """Which scoops succeeded."""
+    for success in trajectory.success:
+        yield "on the spatula" if success > 0.5 else "not on the spatula"
+
+
+def visits(config: Any) -> Callable[[Any], Any] | None:
+    """Where the policy is corrected, the last scoop of an iteration is a probe."""
+    import jax
+
+    from adaptsim_jax.tasks.scooping.deployed import make_probe
+
+    return jax.jit(make_probe(config)) if config.correct else None
+
+
+def trajectory(
+    session: RobotSession, state: Any, scoops: AskedTrials, table: LogTable, path: Path
+) -> Any:
+    """The trajectory of the scoops that were asked for, by a camera's `table`."""
+    import numpy as np
+
+    from adaptsim_jax.tasks.camera_record import row_namer
+    from adaptsim_jax.tasks.scooping.motion import check_way
+
+    found = measured().measured_trajectory(
+        table.columns, row_namer(path, table), str(path), scoops, session.as_declared
+    )
+    if not session.as_declared:
+        check_way(np.asarray(found.points[:, -1], float), str(path), scoops.numbers.tolist())
+    return found
+
+
+def finish(session: RobotSession, policy: Any, history: History) -> None:
+    """How the best policy is used."""
+    action = measured().scoop_in_the_middle(policy, config_of(session))
+    if policy.told is not None:
+        print(f"its scoop is corrected by the {len(policy.told.used)} scoops told")
+    print(f"its scoop for a piece in the middle: {in_words(action)}; for any other place (m):")
+    print("  from adaptsim_jax.tasks.scooping.measured import read_policy")
+    print(
+        f"  pitch, rate, distance = read_policy({str(session.folder / 'best.toml')!r})([0.01, "
+        "0.02])"
+    )
+
+
+ROBOT = TrialSessions(
+    trials="scoops",
+    columns=COLUMNS,
+    how=how,
+    measured=measured,
+    keys=("place", "action", "points", "success"),
+    result="success",
+    ended=lambda scoop: scoop["success"],
+    asked=asked,
+    came=came,
+    trajectory=trajectory,
+    finish=finish,
+    visits=visits,
+    recorded=("place", "action"),
+    head="trial,place_x,place_y,pitch,rate,distance",
+    options=("clearance",),
+    assemble=assemble,
+).face()
+
 
 TASK = TaskKind(
     ScoopingConfig,

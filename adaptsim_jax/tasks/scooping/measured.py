@@ -2,14 +2,14 @@
 the task observes.
 
 A record has rows of (trial, time s, x m, y m, on): the number of the scoop, the time since the
-arm's start, the piece's place on the table with x along the spatula's way, and whether it lies on
-the spatula (1 or 0), which counts in a trial's last row. Whatever the task cannot take is refused
-with the row.
+arm's start, and the piece's place on the table with x along the spatula's way. The last number is
+1 where it lies on the spatula, else 0. It counts in a trial's last row. Whatever the task cannot
+take is refused with the row.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -18,56 +18,34 @@ import numpy as np
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks import camera_record as record
-from adaptsim_jax.tasks.one_shot_naf import read_saved
+from adaptsim_jax.tasks.one_shot import read_saved
+from adaptsim_jax.tasks.robot_trials import AskedTrials, asked_trials, record_of_trials
 from adaptsim_jax.tasks.scooping import model
 from adaptsim_jax.tasks.scooping import task as scooping
 from adaptsim_jax.tasks.scooping.config import ScoopingConfig, ScoopingPolicy, ScoopingTrajectory
 from adaptsim_jax.tasks.scooping.corrections import ScoopRecord
 from adaptsim_jax.tasks.scooping.model import ScoopOptions
-from adaptsim_jax.tasks.scooping.motion import check_reach
+from adaptsim_jax.tasks.scooping.motion import KIND, check_mirrored, check_reach
 from adaptsim_jax.tasks.trial_clock import began, check_frozen
+from adaptsim_jax.tasks.trial_record import asked_tracks
 
 COLUMNS = ("trial", "time", "x", "y", "on")
 GAP = 0.1  # s without a row that can be filled
 LATE = 0.2  # s; the spatula cannot touch the piece before
-MAX_DISTANCE = 2.0  # m; no piece goes so far, so it is another unit
-FASTEST, SLIP = (
-    3.0,
-    0.03,
-)  # m/s and m: a row farther than this from the one before is another thing than the piece
-MIN_ROWS, AHEAD = (
-    0.03,
-    0.5,
-)  # m that a piece must have gone for its way to count; cosine of that way and the spatula's
-WIDE = 0.02  # m over which pieces must have been laid for a mirror to show
-USUAL = 0.1  # m from the middle of the box of places at which pieces are seen
 _PLACES = 0x5C00  # tells the places' keys from those that policies are trained with
 
 
-class Scoops(NamedTuple):
-    """What to do on the robot now: numbers `[N]` int, counted over the session; places `[N, 2]` m
-    of the piece from the middle of the box of places; actions `[N, 3]`: pitch rad, pitch rate
-    rad/s, distance m.
-    """
-
-    numbers: np.ndarray
-    places: np.ndarray
-    actions: np.ndarray
-
-
-def scoops_to_make(
-    key: jax.Array, given: Any, policy: ScoopingPolicy, config: ScoopingConfig
-) -> Scoops:
-    """The scoops of adaptation iteration `told` (from 0) of a session with `key`: always the same
+def trials_to_make(
+    key: jax.Array, turn: Any, policy: ScoopingPolicy, config: ScoopingConfig
+) -> AskedTrials:
+    """The scoops of adaptation iteration `turn` (from 0) of a session with `key`: always the same
     for the same session.
     """
     keys = jax.random.split(
-        jax.random.fold_in(jax.random.fold_in(key, _PLACES), given), config.trajectories
+        jax.random.fold_in(jax.random.fold_in(key, _PLACES), turn), config.trajectories
     )
     places = jax.vmap(scooping.draw_context)(keys)[:, :2]
-    actions = scooping.make_policy(config)(policy, places)
-    numbers = int(given) * config.trajectories + np.arange(1, config.trajectories + 1)
-    return Scoops(numbers, np.asarray(places), np.asarray(actions))
+    return asked_trials(turn, places, scooping.make_policy(config)(policy, places))
 
 
 def corrected(
@@ -78,12 +56,8 @@ def corrected(
     """
     if not config.correct or not len(actions):
         return policy
-    low, high = np.asarray(model.ACTION_LOW), np.asarray(model.ACTION_HIGH)
-    own = (2.0 * np.asarray(actions, float) - low - high) / (high - low)
-    given = ScoopRecord(
-        jnp.asarray(own, jnp.float32), jnp.asarray(won, jnp.float32), jnp.ones(len(own), bool)
-    )
-    return policy._replace(told=given)
+    bounds = (model.ACTION_LOW, model.ACTION_HIGH)
+    return policy._replace(told=record_of_trials(ScoopRecord, bounds, actions, won))
 
 
 def policy_table(policy: ScoopingPolicy, config: ScoopingConfig) -> dict[str, Any]:
@@ -135,28 +109,26 @@ def measured_trajectory(
     columns: Mapping[str, np.ndarray],
     at: Callable[[int], str],
     where: str,
-    scoops: Scoops,
+    scoops: AskedTrials,
     as_declared: bool = False,
 ) -> ScoopingTrajectory:
     """The trajectory of `scoops` as the task observes and rewards it, from `columns` trial, time,
     x, y, on of `[T]` each.
 
     `at(i)` names row i in a message, `where` the file. Places are interpolated at the task's eight
-    times and counted from where the piece lay. as_declared: whatever they say of clock and frame.
+    times and counted from where the piece lay. as_declared: Whatever they say of clock and frame.
     Raises BadInput.
     """
-    record.check_columns(columns, COLUMNS, where, f"{', '.join(COLUMNS)} (s, m, 0 or 1)")
-    record.check_numbers(columns["trial"], at, scoops.numbers)
-    record.check_unit(columns, at, MAX_DISTANCE, "scoop", USUAL)
+    needed = (COLUMNS, "s, m, 0 or 1")
+    trials = asked_tracks(columns, (where, at), scoops.numbers, KIND, needed, 50 * model.SECONDS)
     for i in np.flatnonzero(~np.isin(columns["on"], (0.0, 1.0)))[:1]:
         raise BadInput(
             f"{at(i)}: on = {columns['on'][i]:g}; write 1 where the piece lies on the spatula, "
             "else 0"
         )
-    trials = record.trials_of(columns, at, where, scoops.numbers, 50 * model.SECONDS).values()
     if not as_declared:
         check_reach([began(t.time, t.track) for t in trials], scoops.actions, ScoopOptions(), where)
-        check_mirrored(scoops.places[:, 1], np.array([t.track[0, 1] for t in trials]), where)
+        check_mirrored(scoops.contexts[:, 1], np.array([t.track[0, 1] for t in trials]), where)
     points, lies = [], []
     for rows, time, track, given in trials:
         if not as_declared:
@@ -169,46 +141,6 @@ def measured_trajectory(
         lies.append(columns["on"][rows[-1]])
     success = jnp.asarray(lies, jnp.float32)
     return ScoopingTrajectory(jnp.asarray(np.stack(points), jnp.float32), success, success.mean())
-
-
-def check_mirrored(declared: np.ndarray, observed: np.ndarray, where: str) -> None:
-    """BadInput where pieces declared to lie `declared [N]` m to the left were seen as far to the
-    right, `seen [N]`, from anywhere.
-    """
-
-    def spread(v):
-        return float(np.median(np.abs(v - np.median(v))))
-
-    if (
-        len(observed) > 1
-        and np.ptp(declared) > WIDE
-        and spread(observed + declared) < 0.3 * spread(observed - declared)
-    ):
-        raise BadInput(
-            f"{where}: pieces lie to the right where they are declared to the left: tracks are "
-            "mirrored; turn the sign of y (or of place_y); if all is as declared, add --as-declared"
-        )
-
-
-def check_way(went: np.ndarray, where: str, names: Sequence[float]) -> None:
-    """BadInput where pieces that went `went [N, 2 or more]` m did not go along the spatula's way:
-    all, or one of them.
-    """
-    distant = np.linalg.norm(went[:, :2], axis=1) > MIN_ROWS
-    if not distant.any():
-        return
-    ahead = np.cos(np.arctan2(went[:, 1], went[:, 0]))
-    middle = float(np.median(ahead[distant]))
-    if middle < AHEAD:
-        raise BadInput(
-            f"{where}: pieces go {np.degrees(np.arccos(np.clip(middle, -1, 1))):.0f} degrees off "
-            "the spatula's way: another frame? give tracks with x along it"
-        )
-    for k in np.flatnonzero(distant & (ahead < -AHEAD))[:1]:
-        raise BadInput(
-            f"{where}: trial {names[k]:g}: the piece goes against the spatula's way, the others go "
-            "along it: the track of another frame? mend it, or leave that trial out"
-        )
 
 
 def _check_track(time: np.ndarray, track: np.ndarray, given: Callable[[int], str]) -> None:
@@ -224,4 +156,4 @@ def _check_track(time: np.ndarray, track: np.ndarray, given: Callable[[int], str
             "arm's start"
         )
     record.check_gaps(time, GAP, model.SECONDS, given, "make that scoop again")
-    record.check_leaps(time, track, given, "the piece", FASTEST, SLIP)
+    record.check_leaps(time, track, given, KIND.body, KIND.fastest, KIND.slip)

@@ -7,7 +7,8 @@ where the piece stands, so lengths along the table are counted from where it sto
 symmetric about the vertical plane of the motion.
 
 Sample parameters `params: [4]` are `PARAMETERS`; an action `[3]` is (initial pitch rad, pitch rate
-rad/s, distance m).
+rad/s, distance m). `state [B, T, 6]` has rows of `ROW` s: the piece's x, y, z m and the tip's x, z
+m and pitch rad.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import numpy as np
 
 from adaptsim_jax.core.constants import GRAVITY as GRAVITY
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.tasks.engine import Trajectory, checked_batch
 
 Array = Any
 
@@ -75,10 +77,10 @@ MESSAGES = {
 class ScoopOptions:
     """What is not adapted.
 
-    clearance: height of the blade's lower edge over the table while it slides, m. The arm presses
+    clearance: Height of the blade's lower edge over the table while it slides, m. The arm presses
         it down, a real blade bends. noise: half-widths of the uniform error with which pitch (rad),
         rate (rad/s) and distance (m) are executed.
-    press: speed at which the arm sinks while sliding, m/s; 0 in the paper, 0.01 in the release.
+    press: Speed at which the arm sinks while sliding, m/s; 0 in the paper, 0.01 in the release.
     """
 
     clearance: float = 5e-5
@@ -125,3 +127,74 @@ def draw(seed: int, samples: int) -> tuple[np.ndarray, np.ndarray]:
     params = rng.uniform(low, high, (samples, 4))
     params[:, 1], params[:, 2] = np.exp(params[:, 1]), np.round(params[:, 2])
     return params, rng.uniform(ACTION_LOW, ACTION_HIGH, (samples, 3))
+
+
+@dataclass(frozen=True)
+class Numerics:
+    """What makes up *the* simulator besides physics; static under jit. See
+    docs/explanation/scooping.md for how much each matters.
+
+    dt: s. relaxation: Tau of the damping, s, of the pair. slip: Sigma of SAP's friction.
+        near_rigid: Beta of SAP, 0 for none.
+    iterations: Of Newton's method in a step, at most. grid: Columns along and points across each of
+        table, blade, its front, neck.
+    tolerance: Unbalanced share of the momentum above which a step counts as unsolved.
+    """
+
+    dt: float = 2.5e-3
+    relaxation: float = 0.2
+    slip: float = 1e-2
+    near_rigid: float = 0.0
+    iterations: int = 15
+    grid: tuple[tuple[int, int], ...] = ((6, 2), (8, 2), (2, 2), (4, 2))
+    tolerance: float = 1e-3
+
+
+def check_numerics(numerics: Numerics) -> Numerics:
+    """`numerics` if a trial can be cut into such steps; BadInput otherwise."""
+    n = numerics
+    if not 1e-4 <= n.dt <= 0.01 or abs(SECONDS / n.dt - round(SECONDS / n.dt)) > 1e-6:
+        raise BadInput(
+            f"scooping, dt = {n.dt} s: give a whole part of 1 s from 1e-4 to 0.01, such as 0.0025"
+        )
+    if n.relaxation < 0 or n.slip <= 0 or n.near_rigid < 0 or n.tolerance <= 0:
+        raise BadInput(
+            f"scooping, {n}: relaxation and near_rigid must be at least 0, slip and tolerance "
+            "positive"
+        )
+    if n.iterations < 1 or len(n.grid) != 4 or min(min(pair) for pair in n.grid) < 1:
+        raise BadInput(
+            f"scooping, {n}: at least one iteration, and four pairs of positive counts as grid"
+        )
+    return numerics
+
+
+ROW = 0.01  # s between rows; row k is at (k + 1) ROW
+STATE = 6
+BATCH = 64  # trials side by side on a CPU: more do not fit into its cache
+
+
+def checked_trials(params: Any, commands: Any, initial: Any) -> list[np.ndarray]:
+    """The batch as arrays `[B, 4]`, `[B, 3]`, `[B, 2]`; BadInput where shapes do not fit
+    together.
+    """
+    given = {"params": params, "commands": commands, "initial": initial}
+    return checked_batch("scooping", given, (4, 3, 2))
+
+
+def placed(state: np.ndarray, codes: np.ndarray, starts: np.ndarray) -> Trajectory:
+    """The trajectory with lengths along the table counted as the caller does."""
+    state[..., 0] += starts[:, None, 0]
+    state[..., 1] += starts[:, None, 1]
+    state[..., 3] += starts[:, None, 0]
+    return Trajectory(state, codes)
+
+
+def outcome(state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """`(success [B], above [B] m)` at the end of `state [B, T, 6]`; `above`: height over the tip's
+    plane.
+    """
+    x, _, z, tip_x, tip_z, pitch = np.moveaxis(state[:, -1], -1, 0)
+    c, s = np.cos(pitch), np.sin(pitch)
+    ahead, above = c * (x - tip_x) - s * (z - tip_z), s * (x - tip_x) + c * (z - tip_z)
+    return np.asarray(on_blade(ahead, above)), above

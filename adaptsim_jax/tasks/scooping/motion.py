@@ -2,15 +2,18 @@
 A4).
 
 Forward speed and pitch rate of the arm's link are cubic splines through values at six knots,
-clamped: their slopes at both ends are zero. A clamped spline is linear in its values, and so is its
+clamped: Their slopes at both ends are zero. A clamped spline is linear in its values, and so is its
 integral; with the knots fixed, sampling at given times is one constant matrix. The motion is
 therefore a small pure function of the action, differentiable but for one switch: the table keeps
 the blade from sinking below it, which the arm's compliance does in reality.
+
+It also says when tracks of pieces contradict their clock or their frame.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -19,9 +22,11 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.scooping import model
 from adaptsim_jax.tasks.scooping.model import ScoopOptions
-from adaptsim_jax.tasks.trial_clock import MOVED, NEVER, Touch, check_clock_rate
+from adaptsim_jax.tasks.trial_clock import CLOCK, Touch, check_clock_rate
+from adaptsim_jax.tasks.trial_record import TrialKind
 
 Array = Any
 
@@ -52,7 +57,7 @@ def motion(
     lift: Array = 1.0,
 ) -> Array:
     """The tip's poses `[steps + 1, 3]` (x m from the piece's centre, z m, pitch rad) at even times
-    for `action [3]`. Pure, and as precise as `action`. speed, lift: times the declared speed
+    for `action [3]`. Pure, and as precise as `action`. speed, lift: Times the declared speed
     forward and pitch rate.
 
     The link moves with the splines' velocity; the tip hangs ahead of and below it, and turns with
@@ -91,7 +96,7 @@ def from_tip(pose: Array, x: Array, z: Array) -> tuple[Array, Array]:
     return turn(-pose[..., 2], x - pose[..., 0], z - pose[..., 1])
 
 
-USUAL, LATER = 1.0, 1.1
+SPEED, LATER = 1.0, 1.1
 """Greatest speed of a piece over the blade's, and times later than by a box that is pushed at once:
 1.0 to 1.25 over Omega.
 """
@@ -100,7 +105,7 @@ STEPS = 1000
 
 def touch(actions: np.ndarray, options: ScoopOptions = ScoopOptions()) -> Touch:  # noqa: B008
     """Of scoops with `actions [T, 3]` rad, rad/s, m: reached where the tip has pushed the piece by
-    `MOVED`.
+    `CLOCK.moved`.
     """
     poses = jax.vmap(lambda a: motion(a, STEPS, options)[:, 0])(np.asarray(actions, np.float32))
     tip, time = np.asarray(poses, float), np.linspace(0.0, model.SECONDS, STEPS + 1)
@@ -108,10 +113,10 @@ def touch(actions: np.ndarray, options: ScoopOptions = ScoopOptions()) -> Touch:
 
     def reached(f: float) -> np.ndarray:
         # the blade starts `RADIUS + distance` before the piece's middle, and meets its rim
-        past = tip[:, :1] + f * (tip - tip[:, :1]) > MOVED - model.RADIUS
-        return np.where(past.any(1), LATER * time[np.argmax(past, axis=1)], NEVER)
+        past = tip[:, :1] + f * (tip - tip[:, :1]) > CLOCK.moved - model.RADIUS
+        return np.where(past.any(1), LATER * time[np.argmax(past, axis=1)], CLOCK.never)
 
-    return Touch(reached, lambda f: f * USUAL * fastest)
+    return Touch(reached, lambda f: f * SPEED * fastest)
 
 
 def check_reach(
@@ -119,3 +124,78 @@ def check_reach(
 ) -> None:
     """BadInput where scoops contradict the rate of their clock; see `trial_clock`."""
     check_clock_rate(observed, touch(actions, options), where, "the piece")
+
+
+KIND = TrialKind(
+    "scoop",
+    "scoops",
+    "the piece",
+    reach=2.0,
+    fastest=3.0,
+    slip=0.03,
+    moves=0.01,
+    ends=model.SECONDS,
+    still=0.05,
+    aside=0.10,
+    never="the blade never came, or the track ends before",
+    optional=("z",),
+    usual=0.1,
+)
+
+
+@dataclass(frozen=True)
+class WayCriteria:
+    """What decides whether the frame of scoops is refused.
+
+    Args:
+        way: m that a piece must have gone for its way to count.
+        ahead: Cosine of its way and the spatula's: less is another frame.
+        wide: m over which pieces must have been laid for a mirror to show.
+    """
+
+    way: float = 0.03
+    ahead: float = 0.5
+    wide: float = 0.02
+
+
+WAY = WayCriteria()
+
+
+def check_mirrored(declared: np.ndarray, observed: np.ndarray, where: str) -> None:
+    """BadInput where pieces declared to lie `declared [N]` m to the left were seen as far to the
+    right, `seen [N]`, from anywhere.
+    """
+
+    def spread(v):
+        return float(np.median(np.abs(v - np.median(v))))
+
+    if (
+        len(observed) > 1
+        and np.ptp(declared) > WAY.wide
+        and spread(observed + declared) < 0.3 * spread(observed - declared)
+    ):
+        raise BadInput(
+            f"{where}: pieces lie to the right where they are declared to the left: tracks are "
+            "mirrored; turn the sign of y (or of place_y); if all is as declared, add --as-declared"
+        )
+
+
+def check_way(went: np.ndarray, where: str, names: Sequence[float]) -> None:
+    """BadInput where pieces that went `went [N, 2 or more]` m did not go along the spatula's way:
+    all, or one of them.
+    """
+    distant = np.linalg.norm(went[:, :2], axis=1) > WAY.way
+    if not distant.any():
+        return
+    ahead = np.cos(np.arctan2(went[:, 1], went[:, 0]))
+    middle = float(np.median(ahead[distant]))
+    if middle < WAY.ahead:
+        raise BadInput(
+            f"{where}: pieces go {np.degrees(np.arccos(np.clip(middle, -1, 1))):.0f} degrees off "
+            "the spatula's way: another frame? give tracks with x along it"
+        )
+    for k in np.flatnonzero(distant & (ahead < -WAY.ahead))[:1]:
+        raise BadInput(
+            f"{where}: trial {names[k]:g}: the piece goes against the spatula's way, the others go "
+            "along it: the track of another frame? mend it, or leave that trial out"
+        )

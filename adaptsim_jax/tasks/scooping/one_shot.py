@@ -9,15 +9,13 @@ import numpy as np
 
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.learners.naf_goals import Trials, make_goal_learner
-from adaptsim_jax.tasks.one_shot import OneShot, TargetWorld, action_grid
-from adaptsim_jax.tasks.one_shot_naf import naf_policies
+from adaptsim_jax.tasks.one_shot import OneShot, TargetWorld, action_grid, naf_policies
 from adaptsim_jax.tasks.scooping import engines as backends
-from adaptsim_jax.tasks.scooping import interface, model, task
+from adaptsim_jax.tasks.scooping import model, task
 from adaptsim_jax.tasks.scooping.config import ScoopingConfig, ScoopingPolicy, ScoopingTrajectory
 from adaptsim_jax.tasks.scooping.corrections import ScoopRecord
 from adaptsim_jax.tasks.scooping.deployed import make_choice, make_probe
-from adaptsim_jax.tasks.scooping.hydro import Numerics
-from adaptsim_jax.tasks.scooping.model import ScoopOptions
+from adaptsim_jax.tasks.scooping.model import Numerics, ScoopOptions
 
 GRID = (9, 5, 5)  # pitches, rates and distances that the oracle tries
 FINALISTS = 8  # and how many of them it tries in all test contexts
@@ -32,11 +30,7 @@ def make_scooping_one_shot(config: ScoopingConfig) -> OneShot:
     Targets are worlds, whose trials an engine makes; what methods simulate besides (SysID's data)
     they rehearse in the bank.
     """
-    made, naf, options = (
-        task.make_scooping(config),
-        task.make_scooping_naf(config),
-        task.checked(config),
-    )
+    made, naf = task.make_scooping(config), task.make_scooping_naf(config)
 
     def anywhere(key, context):
         return made.space.physical(made.space.sample(key))
@@ -53,7 +47,7 @@ def make_scooping_one_shot(config: ScoopingConfig) -> OneShot:
     policies["act"] = make_choice(config)
     tests, fresh = np.split(task.test_contexts(config.tests + config.fresh), [config.tests])
     probes = config.correct and config.trajectories > 1
-
+    in_mjx = config.simulator == "mjx"
     return OneShot(
         task=replace(
             made, rollout=made.rehearse or made.rollout, score=_own_score if probes else made.score
@@ -66,19 +60,16 @@ def make_scooping_one_shot(config: ScoopingConfig) -> OneShot:
         reward=lambda outcome, context: task.success(outcome),
         trajectory=lambda contexts, outcomes: task.measured(contexts, outcomes, config.camera),
         **policies,
-        inputs=lambda context, action: action,
         outputs=lambda outcome: jnp.stack(
             [outcome[-1, 0], jnp.clip(outcome[-1, 1] / HEIGHT_UNIT, -2.0, 2.0)]
         ),
         worth=lambda observed, context: observed[0],
         world=lambda backend, /, **settings: scooping_world(
-            backend, options, config.numerics, **settings
+            backend, task.checked(config), config.numerics, **settings
         ),
         oracle=lambda world, params: best_shared_action(world, params, tests),
-        engine="mjx" if config.simulator == "mjx" else "hydro",
-        simulator="MuJoCo scene (MJX)"
-        if config.simulator == "mjx"
-        else "hydroelastic engine (JAX)",
+        engine="mjx" if in_mjx else "hydro",
+        simulator="MuJoCo scene (MJX)" if in_mjx else "hydroelastic engine (JAX)",
         reward_unit=f"share of pieces on the spatula at the end, over {config.tests} places and "
         f"execution errors",
         oracle_means=f"the best single action of a grid of {' x '.join(map(str, GRID))} in the "
@@ -104,13 +95,13 @@ def scooping_world(
     else:
         own = {}
     simulate = backends.make_backend(backend, options, **configs.over(own, settings)).simulate
-    rows = np.maximum(np.round(np.array(model.OBSERVED_AT) / interface.ROW).astype(int) - 1, 0)
+    rows = np.maximum(np.round(np.array(model.OBSERVED_AT) / model.ROW).astype(int) - 1, 0)
     execute = jax.jit(jax.vmap(lambda a, c: task.executed(a, c, options)))
 
     def run(params, contexts, actions):
         done = np.asarray(execute(jnp.asarray(actions), jnp.asarray(contexts)))
         found = simulate(np.asarray(params), done, np.zeros((len(done), 2)))
-        lies, above = interface.outcome(found.state)
+        lies, above = model.outcome(found.state)
         places = found.state[:, rows, :2].copy()
         places[:, 0] = 0.0  # seen before it moves
         outcomes = np.concatenate([places, np.stack([lies, above], -1)[:, None]], 1).astype(

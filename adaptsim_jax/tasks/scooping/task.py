@@ -2,12 +2,12 @@
 the spatula.
 
 The policy maps where the piece lies to pitch, pitch rate and distance. It is trained at parameters
-drawn from E, on trials of the hydroelastic engine itself or of the bank (`bank`), a smoothed store
-of such trials that all policies share; Phase 1 may rehearse on the bank, too. At each adaptation
-iteration it is tried twice. The piece's tracks in these trials, as a camera sees them, are all that
-the adaptation policy is shown. Trials execute their actions with an error. In a simulated target
-the reward is the mean over a fixed set of places and errors: the share of pieces that lie on the
-spatula at the end.
+drawn from E, on trials of the hydroelastic engine itself or of the bank (`bank`). The bank is a
+smoothed store of such trials that all policies share. Phase 1 may rehearse on it, too. At each
+adaptation iteration it is tried twice. The piece's tracks in these trials, as a camera sees them,
+are all that the adaptation policy is shown. Trials execute their actions with an error. In a
+simulated target the reward is the mean over a fixed set of places and errors: the share of pieces
+that lie on the spatula at the end.
 """
 
 from collections.abc import Callable

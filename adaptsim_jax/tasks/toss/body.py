@@ -24,8 +24,8 @@ MIN_FRICTION = 1e-5  # MuJoCo takes none that is smaller
 
 @dataclass(frozen=True)
 class TossedBody:
-    """model: compiled, contacts taken from the body's own geoms; at: its number; geoms: its geoms'
-    numbers; friction, contact_time (s), damping: as the file declares them; sized: whether all of
+    """model: compiled, contacts taken from the body's own geoms. at: Its number. geoms: Its geoms'
+    numbers; friction, contact_time (s), damping: as the file declares them. sized: Whether all of
     its shapes have a size that can be scaled.
     """
 
@@ -133,8 +133,8 @@ def read_body(path: str | Path) -> TossedBody:
 
 
 def _general(path: str, spec: mujoco.MjSpec, model: mujoco.MjModel, at: int) -> mujoco.MjModel:
-    """The model compiled for a centre of mass beside the body's origin: where they coincide MuJoCo
-    leaves out what couples motion and turning, and a centre that is moved later would be pulled
+    """The model compiled for a centre of mass beside the body's origin. Where they coincide MuJoCo
+    leaves out what couples motion and turning. A centre that is moved later would then be pulled
     about the origin.
     """
     centre = np.array(model.body_ipos[at])

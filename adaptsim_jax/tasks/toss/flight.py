@@ -18,8 +18,8 @@ DRAWS = 2000
 
 @dataclass(frozen=True)
 class Flight:
-    """gravity: at which bodies fall as recorded in m/s^2, `low` to `high` (95 %, over tosses); each
-    `[F]` of a toss; aside: median acceleration in x and y; declared: of the model.
+    """gravity: At which bodies fall as recorded in m/s^2, `low` to `high` (95 %, over tosses); each
+    `[F]` of a toss. aside: Median acceleration in x and y. declared: Of the model.
     """
 
     gravity: float

@@ -15,7 +15,7 @@ from adaptsim_jax.logs.table import read_table
 from adaptsim_jax.tasks import camera_record as record
 from adaptsim_jax.tasks.toss import turns
 from adaptsim_jax.tasks.toss.body import TossedBody, read_body
-from adaptsim_jax.tasks.toss.frame import check_blows
+from adaptsim_jax.tasks.toss.turns import check_blows
 from adaptsim_jax.tasks.trial_clock import check_frozen
 from adaptsim_jax.tasks.trial_record import read_meta
 
@@ -33,20 +33,48 @@ KEYS = (
     "source",
     "license",
 )
-MIN_TRIALS, MIN_ROWS, SLOWEST = 5, 20, 0.02  # tosses; rows of one; s between its rows
-MAX_DISTANCE = 20.0  # m
-FASTEST, SPIN = 20.0, 100.0  # m/s, rad/s between two rows
-MIN_NOISE, MIN_TURN = 1e-5, 1e-4  # m, rad
-NORM = 0.02  # by which a quaternion may miss unit length
-STRUCK = 0.1  # of the body's size, by which a flight that strikes nothing leaves no parabola
-SUNK = 0.25  # of the body's size, below the plane
+
+
+@dataclass(frozen=True)
+class TossCriteria:
+    """What decides whether poses of tosses are refused.
+
+    Args:
+        trials: Tosses, so that each can be left out.
+        rows: Rows of a toss: a window and a flight.
+        slowest: s between its rows: an impact lasts some ms.
+        distance: m that no motion capture spans, so it is another unit.
+        fastest: m/s between two rows: what is faster is another body.
+        spin: rad/s between two rows: what is faster is an exchanged marker.
+        noise: m, the smallest noise that is believed: differences of a lying body fall below any.
+        noise_turn: rad, the same of turns.
+        norm: By which a quaternion may miss unit length: rounding to two digits.
+        struck: Of the body's size, by which a flight that strikes nothing leaves no parabola.
+        sunk: Of the body's size below the plane, from which it is another frame: soft contacts
+            sink less.
+    """
+
+    trials: int = 5
+    rows: int = 20
+    slowest: float = 0.02
+    distance: float = 20.0
+    fastest: float = 20.0
+    spin: float = 100.0
+    noise: float = 1e-5
+    noise_turn: float = 1e-4
+    norm: float = 0.02
+    struck: float = 0.1
+    sunk: float = 0.25
+
+
+TOSS = TossCriteria()
 
 
 @dataclass(frozen=True)
 class Tossed:
-    """T tosses. names `[T]`; time: of each `[R]` s from its first row; place: `[R, 3]` m; turn:
+    """T tosses. names `[T]`. time: Of each `[R]` s from its first row; place: `[R, 3]` m; turn:
     `[R, 4]` unit quaternions w first, of continuous sign; noise m and noise_turn rad of one
-    coordinate; notes: what the files say beside.
+    coordinate. notes: What the files say beside.
     """
 
     names: tuple[str, ...]
@@ -66,8 +94,8 @@ class Tossed:
                 f"no toss is named {unknown[0]!r}; --without takes of {', '.join(self.names)}"
             )
         keep = [k for k, name in enumerate(self.names) if name not in set(names)]
-        if len(keep) < MIN_TRIALS:
-            raise BadInput(f"--without leaves {len(keep)} tosses; a diagnosis needs {MIN_TRIALS}")
+        if len(keep) < TOSS.trials:
+            raise BadInput(f"--without leaves {len(keep)} tosses; a diagnosis needs {TOSS.trials}")
         return self.only(keep)
 
     def only(self, keep: Sequence[int]) -> "Tossed":
@@ -79,7 +107,7 @@ class Tossed:
 
 
 def read(folder: str | Path, as_declared: bool = False, without: Sequence[str] = ()) -> Tossed:
-    """The tosses of a folder. as_declared: whatever the poses say of the frame; without: tosses
+    """The tosses of a folder. as_declared: Whatever the poses say of the frame; without: tosses
     that are left out. Raises BadInput.
     """
     folder = Path(folder)
@@ -99,10 +127,10 @@ def read(folder: str | Path, as_declared: bool = False, without: Sequence[str] =
     notes: list[str] = []
     for path in files:
         _read_file(path, found, notes, as_declared)
-    if len(found) < MIN_TRIALS:
+    if len(found) < TOSS.trials:
         raise BadInput(
-            f"{folder}: holds {len(found)} tosses; to judge effects {MIN_TRIALS} are needed, 20 to "
-            "30 serve"
+            f"{folder}: holds {len(found)} tosses; to judge effects {TOSS.trials} are needed, 20 "
+            "to 30 serve"
         )
     names = tuple(found)
     time, place, turn = (tuple(found[n][k] for n in names) for k in range(3))
@@ -123,10 +151,7 @@ def _read_file(
     """
     table = read_table(path, ("trial", *COLUMNS), min_rows=1)
 
-    def at(i):
-        return f"{path}: {table.row_word} {table.lines[i]}"
-
-    c = table.columns
+    c, at = table.columns, record.row_namer(path, table)
     record.check_columns(
         c, COLUMNS, path, "time (s), x, y, z (m) and qw, qx, qy, qz (body to world)"
     )
@@ -134,9 +159,9 @@ def _read_file(
         notes.append(
             f"columns {', '.join(table.ignored)} are not used: what moves is taken from the poses"
         )
-    record.check_unit(c, at, MAX_DISTANCE, "toss")
+    record.check_unit(c, at, TOSS.distance, "toss")
     norm = np.sqrt(sum(np.square(c[q]) for q in TURN))
-    for i in np.flatnonzero(np.abs(norm - 1.0) > NORM)[:1]:
+    for i in np.flatnonzero(np.abs(norm - 1.0) > TOSS.norm)[:1]:
         raise BadInput(
             f"{at(i)}: the quaternion's length is {norm[i]:.4g}, not 1; mend or remove that row"
         )
@@ -169,20 +194,20 @@ def _one(
     time: np.ndarray, place: np.ndarray, turn: np.ndarray, trials, as_declared: bool
 ) -> tuple[np.ndarray, ...]:
     record.check_increasing(time, trials)
-    if len(time) < MIN_ROWS or np.median(np.diff(time)) > SLOWEST:
+    if len(time) < TOSS.rows or np.median(np.diff(time)) > TOSS.slowest:
         gap = np.median(np.diff(time)) if len(time) > 1 else 0.0
         raise BadInput(
-            f"{trials(0)}: {len(time)} rows {gap:.2g} s apart; a toss needs {MIN_ROWS} at 50 Hz or "
-            "more, time in seconds"
+            f"{trials(0)}: {len(time)} rows {gap:.2g} s apart; a toss needs {TOSS.rows} at 50 Hz "
+            "or more, time in seconds"
         )
     if not as_declared:
         check_frozen(time, place, trials, "the body", grip=np.inf)  # a blow may stop it at once
     gaps = np.diff(time)
-    record.check_leaps(time, place, trials, "the body", FASTEST)
+    record.check_leaps(time, place, trials, "the body", TOSS.fastest)
     record.check_clock_set(time, place, trials, "the body")
     turn = turns.continuous(turn)
     spun = np.linalg.norm(turns.log(turns.times(turns.inverse(turn[:-1]), turn[1:])), axis=1)
-    for k in np.flatnonzero((spun > SPIN * gaps) & (spun > 0.5))[:1] + 1:
+    for k in np.flatnonzero((spun > TOSS.spin * gaps) & (spun > 0.5))[:1] + 1:
         raise BadInput(
             f"{trials(k)}: the body turns by {spun[k - 1]:.2g} rad between two rows; remove what "
             "is not it"
@@ -207,7 +232,7 @@ def _check_frame(body: TossedBody, names, time, place, turn, where: Path) -> Non
             f"{where}: bodies lie on the plane only where quaternions have w last; name the "
             "columns so that qw is the scalar"
         )
-    if sunk < -SUNK * body.size:
+    if sunk < -TOSS.sunk * body.size:
         raise BadInput(
             f"{where}: bodies go {-1e3 * sunk:.3g} mm below the plane z = 0 (median of the "
             "tosses); give poses in a frame whose z is upwards from the plane, in m, and the "
@@ -222,13 +247,13 @@ def _check_frame(body: TossedBody, names, time, place, turn, where: Path) -> Non
 
     for name, t, p, z in zip(names, time, place, low, strict=True):
         fall = np.polynomial.polynomial.Polynomial.fit(t, p[:, 2], 2)
-        if z.min() > body.size and np.abs(p[:, 2] - fall(t)).max() > STRUCK * body.size:
+        if z.min() > body.size and np.abs(p[:, 2] - fall(t)).max() > TOSS.struck * body.size:
             raise BadInput(
                 f"{where}: toss {name}: the body strikes something {1e3 * z.min():.3g} mm above "
                 "the plane z = 0, the others come down to it: of another frame? mend it, or leave "
                 f"it out (--without {name})"
             )
-        if z.min() < -2.0 * SUNK * body.size:
+        if z.min() < -2.0 * TOSS.sunk * body.size:
             raise BadInput(
                 f"{where}: toss {name}: the body goes {-1e3 * z.min():.3g} mm below the plane z = "
                 "0, the others do not: of another frame? mend it, or leave it out (--without "
@@ -248,7 +273,7 @@ def _noise(meta: dict[str, Any], where: Path, place, turn) -> tuple[float, float
     observed = []
     spins = [turns.log(turns.times(turns.inverse(q[:-1]), q[1:])) for q in turn]
     angles = [np.cumsum(np.pad(z, ((1, 0), (0, 0))), 0) for z in spins]
-    for rows, minimum in ((place, MIN_NOISE), (angles, MIN_TURN)):
+    for rows, minimum in ((place, TOSS.noise), (angles, TOSS.noise_turn)):
         observed.append(max(float(difference_noise(rows, pooled=True)[0]), minimum))
     source = "third differences"
     for i, (key, most) in enumerate((("noise", 0.02), ("noise_turn", 0.2))):

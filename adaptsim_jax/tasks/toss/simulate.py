@@ -2,7 +2,7 @@
 each as it is recorded.
 
 A start is `[13]`: place m, quaternion (w first), velocity m/s, turning rate rad/s in the body's
-axes, all as recorded, so that an effect of the measurement moves what is simulated and leaves the
+axes. All are as recorded. An effect of the measurement so moves what is simulated, and leaves the
 start near the recording.
 """
 
@@ -131,8 +131,9 @@ def _run(
 
 
 def _in_chunks(body: TossedBody, names, values, full, count: int, pool) -> np.ndarray:
-    """As `_run`, with friction and damping of what the body does at each chunk's start: slip of the
-    point below its middle at the plane's height, and speed towards or away from the plane.
+    """As `_run`, with friction and damping of what the body does at each chunk's start. That is
+    the slip of the point below its middle at the plane's height, and the speed towards or away
+    from the plane.
     """
     v = {n: values[:, i] for i, n in enumerate(names)}
     models = [with_values(body, dict(zip(names, z, strict=True))) for z in values]

@@ -12,14 +12,13 @@ from adaptsim_jax.mechanisms.double_pendulum import linear as plain_model
 from adaptsim_jax.mend.model_toml import AddedEffect, Value
 from adaptsim_jax.mend.pendulum_model import ModelFile
 from adaptsim_jax.space import gaussian
-from adaptsim_jax.tasks.pendulum.augmented import make_mended_pendulum, mended_space
+from adaptsim_jax.tasks.pendulum.augmented import in_world, make_mended_pendulum, mended_space
 from adaptsim_jax.tasks.pendulum.augmented_policy import (
     descended,
     make_world,
     plain_policy,
     train_policy,
 )
-from adaptsim_jax.tasks.pendulum.target import in_world
 from adaptsim_jax.tasks.registry import make_task
 
 THETA = {"m1": (1.5, "kg"), "m2": (1.4, "kg"), "b1": (1.2, "N m s/rad"), "b2": (1.8, "N m s/rad")}

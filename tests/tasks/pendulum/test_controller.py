@@ -11,7 +11,7 @@ from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.mend.model_toml import AddedEffect, Value
 from adaptsim_jax.mend.pendulum_model import ModelFile, write_model
-from adaptsim_jax.tasks.one_shot_naf import leaves_by_name
+from adaptsim_jax.tasks.one_shot import leaves_by_name
 from adaptsim_jax.tasks.pendulum.augmented_policy import (
     _ahead,
     along,

@@ -12,14 +12,14 @@ from adaptsim_jax.adaptation.episode import AdaptationEpisode
 from adaptsim_jax.baselines.arena import Arena, Memory, TrialBatch, lanes
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import without_nan
-from adaptsim_jax.tasks.one_shot_naf import leaves_by_name
-from adaptsim_jax.tasks.pushing import deployed as pushing_deployed
+from adaptsim_jax.tasks.one_shot import leaves_by_name
+from adaptsim_jax.tasks.pushing import one_shot as pushing_deployed
 from adaptsim_jax.tasks.pushing import planar
 from adaptsim_jax.tasks.pushing import task as pushing
 from adaptsim_jax.tasks.pushing.corrections import PushRecord, nearer, refine, search, with_gaps
-from adaptsim_jax.tasks.pushing.goals import GOAL_CENTRE, sector_goals, unseen
 from adaptsim_jax.tasks.pushing.one_shot import make_pushing_one_shot
 from adaptsim_jax.tasks.pushing.task import PushingConfig
+from adaptsim_jax.tasks.pushing.trial import GOAL_CENTRE, sector_goals, unseen
 
 
 def simulated(a):

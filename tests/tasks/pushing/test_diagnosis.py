@@ -13,7 +13,7 @@ from adaptsim_jax.commands.robot_session import recorded_trials
 from adaptsim_jax.core import config, store
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.pushing import model, slide
-from adaptsim_jax.tasks.pushing.diagnosis.experiment import informative_pushes
+from adaptsim_jax.tasks.pushing.diagnosis.diagnose import informative_pushes
 from adaptsim_jax.tasks.pushing.diagnosis.problem import prepare
 from adaptsim_jax.tasks.pushing.diagnosis.read import read
 from adaptsim_jax.tasks.pushing.model import HEIGHT

@@ -9,8 +9,8 @@ from adaptsim_jax.adaptation.training import preset
 from adaptsim_jax.space import gaussian
 from adaptsim_jax.tasks.pushing import model
 from adaptsim_jax.tasks.pushing.engines import make_backend
-from adaptsim_jax.tasks.pushing.simulator import make_guide, make_simulator
 from adaptsim_jax.tasks.pushing.task import PushingConfig
+from adaptsim_jax.tasks.pushing.trial import make_guide, make_simulator
 from adaptsim_jax.tasks.registry import make_task
 
 

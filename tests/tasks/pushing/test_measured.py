@@ -13,9 +13,10 @@ from adaptsim_jax.logs.table import read_table
 from adaptsim_jax.tasks.pushing import measured, model, planar
 from adaptsim_jax.tasks.pushing import task as pushing
 from adaptsim_jax.tasks.pushing.task import PushingConfig
+from adaptsim_jax.tasks.robot_trials import AskedTrials
 
 CONFIG = PushingConfig(hidden=(16,))
-PUSHES = measured.Pushes(
+PUSHES = AskedTrials(
     np.array([3, 4]),
     np.array([[0.8, 0.03], [0.9, -0.05]]),
     np.array([[0.6, 0.1], [0.75, -0.15]], np.float32),
@@ -71,8 +72,8 @@ def test_a_record_is_the_trajectory_that_was_simulated(tmp_path, rate, tolerance
     got = take(write(tmp_path / "m.csv", record(rate)))
     points = PLACES[:, [21, 42, 64, 86, 107, 129]]
     np.testing.assert_allclose(got.points, points, atol=tolerance)
-    np.testing.assert_allclose(got.goals, PUSHES.goals, atol=1e-6)
-    apart = np.linalg.norm(points[:, -1] - PUSHES.goals, axis=1)
+    np.testing.assert_allclose(got.goals, PUSHES.contexts, atol=1e-6)
+    apart = np.linalg.norm(points[:, -1] - PUSHES.contexts, axis=1)
     np.testing.assert_allclose(got.rewards, np.maximum(0, 1 - apart / 0.2), atol=6 * tolerance)
     np.testing.assert_allclose(got.tested, got.rewards.mean(), atol=1e-6)
 
@@ -209,17 +210,17 @@ def test_pushes_are_the_policys_for_goals_of_the_task_and_new_each_time():
     policy = pushing.PushingPolicy(jax.jit(naf.init)(jax.random.key(1)).online)
 
     def ask(seed, told):
-        return measured.pushes_to_make(jax.random.key(seed), told, policy, CONFIG)
+        return measured.trials_to_make(jax.random.key(seed), told, policy, CONFIG)
 
     first, again, second, other = ask(0, 0), ask(0, 0), ask(0, 1), ask(1, 0)
     assert first.numbers.tolist() == [1, 2] and second.numbers.tolist() == [3, 4]
-    np.testing.assert_array_equal(first.goals, again.goals)
-    goals = np.concatenate([first.goals, second.goals, other.goals])
+    np.testing.assert_array_equal(first.contexts, again.contexts)
+    goals = np.concatenate([first.contexts, second.contexts, other.contexts])
     assert len(np.unique(goals.round(6), axis=0)) == 6
     radius, angle = np.hypot(*(goals - [0.45, 0]).T), np.arctan2(goals[:, 1], goals[:, 0] - 0.45)
     assert np.all((radius > 0.25 - 1e-6) & (radius < 0.55 + 1e-6) & (np.abs(angle) < 0.175 + 1e-6))
     np.testing.assert_allclose(
-        first.actions, pushing.make_policy(CONFIG)(policy, jnp.asarray(first.goals)), atol=1e-6
+        first.actions, pushing.make_policy(CONFIG)(policy, jnp.asarray(first.contexts)), atol=1e-6
     )
 
 

@@ -15,7 +15,7 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.pushing import planar, slide
 from adaptsim_jax.tasks.pushing.config import PushingConfig
 from adaptsim_jax.tasks.pushing.kind import of_model
-from adaptsim_jax.tasks.pushing.simulator import make_simulator
+from adaptsim_jax.tasks.pushing.trial import make_simulator
 from adaptsim_jax.tasks.registry import make_one_shot
 
 PARAMS, ACTION = jnp.array([0.1, 1e5, 0.6, 0.05]), jnp.array([0.6, 0.1])

@@ -7,8 +7,8 @@ import pytest
 
 from adaptsim_jax.cli import main
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.tasks.pushing import engines as parity
 from adaptsim_jax.tasks.pushing import model as pushing
-from adaptsim_jax.tasks.pushing.engines import parity
 
 
 @pytest.fixture

@@ -16,10 +16,10 @@ from adaptsim_jax.tasks.pushing import measured as pushing_measured
 from adaptsim_jax.tasks.pushing import planar
 from adaptsim_jax.tasks.pushing import task as pushing
 from adaptsim_jax.tasks.pushing.corrections import refine
-from adaptsim_jax.tasks.pushing.goals import GOAL_ANGLE, GOAL_CENTRE
 from adaptsim_jax.tasks.pushing.one_shot import make_pushing_one_shot
 from adaptsim_jax.tasks.pushing.slide import Lacking
 from adaptsim_jax.tasks.pushing.task import PushingConfig, PushingPolicy
+from adaptsim_jax.tasks.pushing.trial import GOAL_ANGLE, GOAL_CENTRE
 
 PLAIN = PushingConfig(
     tests=6, hidden=(16,), pretrain=True, goals="fixed", training=GoalConfig(block=20, capacity=60)

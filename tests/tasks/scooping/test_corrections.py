@@ -13,8 +13,7 @@ from adaptsim_jax.tasks.scooping import task as scooping
 from adaptsim_jax.tasks.scooping.bank import load_bank
 from adaptsim_jax.tasks.scooping.corrections import Doubt, Odds, ScoopRecord, chances
 from adaptsim_jax.tasks.scooping.deployed import expected_odds, make_choice, make_probe
-from adaptsim_jax.tasks.scooping.hydro import Numerics
-from adaptsim_jax.tasks.scooping.model import ScoopOptions
+from adaptsim_jax.tasks.scooping.model import Numerics, ScoopOptions
 from adaptsim_jax.tasks.scooping.one_shot import make_scooping_one_shot
 from adaptsim_jax.tasks.scooping.task import ScoopingConfig
 

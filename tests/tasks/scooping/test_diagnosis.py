@@ -14,7 +14,8 @@ from adaptsim_jax.commands.robot_session import recorded_trials
 from adaptsim_jax.core import config, store
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.scooping import hydro, model, motion
-from adaptsim_jax.tasks.scooping.diagnosis import emulate, experiment, problem, simulate
+from adaptsim_jax.tasks.scooping.diagnosis import diagnose as diagnosed
+from adaptsim_jax.tasks.scooping.diagnosis import emulate, problem, simulate
 from adaptsim_jax.tasks.scooping.diagnosis.diagnose import diagnose
 from adaptsim_jax.tasks.scooping.diagnosis.read import assemble, read
 from adaptsim_jax.tasks.scooping.diagnosis.simulate import INDEX, NAMES
@@ -62,7 +63,7 @@ def closed_form(scooped, shape, values, trials, actions):
 @pytest.fixture
 def simple(monkeypatch):
     """The engine replaced by the closed form, wherever it is called."""
-    for module in (emulate, problem, simulate, experiment):
+    for module in (emulate, problem, simulate, diagnosed):
         monkeypatch.setattr(module, "poses", closed_form)
 
 

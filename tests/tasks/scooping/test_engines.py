@@ -10,10 +10,10 @@ import pytest
 from adaptsim_jax.cli import main
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.scooping import engines as backends
-from adaptsim_jax.tasks.scooping import hydro, interface, model
-from adaptsim_jax.tasks.scooping.engines import parity as scooping_parity
+from adaptsim_jax.tasks.scooping import engines as scooping_parity
+from adaptsim_jax.tasks.scooping import hydro, model
 from adaptsim_jax.tasks.scooping.engines.drake import ScoopContact
-from adaptsim_jax.tasks.scooping.hydro import Numerics
+from adaptsim_jax.tasks.scooping.model import Numerics
 from experiments import scooping_trends
 
 BATCH = 64  # the one size that `simulate` compiles
@@ -40,7 +40,7 @@ def test_trials_end_well_and_pieces_stay_above_the_table(found):
         and not np.isin(out.code, (model.DIVERGED, model.UNFIT)).any()
     )
     assert np.all(out.state[:, :, 2] > 0.3 * np.minimum(params[:, 3], 2 * model.RADIUS)[:, None])
-    won, above = interface.outcome(out.state)
+    won, above = model.outcome(out.state)
     assert 0.1 < won.mean() < 0.9  # neither always nor never
     assert np.all(above[won > 0] > model.RISEN)
     assert np.all(out.state[won > 0, -1, 2] > 0.03)  # what was scooped is in the air
@@ -60,7 +60,7 @@ def test_places_are_counted_from_where_the_piece_stands(ours, found):
     moved = ours(params, actions, np.tile([0.68, -0.02], (BATCH, 1)))
     np.testing.assert_allclose(moved.state[..., 0] - 0.68, out.state[..., 0], atol=1e-9)
     np.testing.assert_allclose(moved.state[..., 1], -0.02)
-    np.testing.assert_allclose(interface.outcome(moved.state)[0], interface.outcome(out.state)[0])
+    np.testing.assert_allclose(model.outcome(moved.state)[0], model.outcome(out.state)[0])
 
 
 def test_what_cannot_be_simulated_has_a_code_and_is_finite(ours, found):
@@ -87,7 +87,7 @@ def test_trends_that_the_physics_must_show(ours, shape, name, sign):
     """
 
     def simulate(p, a):
-        return interface.outcome(ours(p, a, np.zeros((len(p), 2))).state)[0]
+        return model.outcome(ours(p, a, np.zeros((len(p), 2))).state)[0]
 
     row = scooping_trends.trend(simulate, shape, name, BATCH // 2, seed=6)
     least, most = row["interval"]
@@ -153,7 +153,7 @@ def test_drake_agrees_with_itself_about_as_much_as_with_us(found):
     params, actions, out = (x[:COUNT] if i < 2 else x for i, x in enumerate(found))
     theirs = backends.make_backend("drake").simulate(params, actions, np.zeros((COUNT, 2)))
     assert not theirs.code.any()
-    alike = interface.outcome(theirs.state)[0] == interface.outcome(out.state[:COUNT])[0]
+    alike = model.outcome(theirs.state)[0] == model.outcome(out.state[:COUNT])[0]
     assert alike.mean() >= 0.75
     # before the blade comes, as deep in the table: cylinders to microns, ellipsoids by the 0.1 mm
     # that Drake's mesh of flat facets lies inside of them; and the tip is where it was told to be
@@ -178,13 +178,14 @@ def test_parity_command(monkeypatch, capsys):
         def simulate(params, actions, starts):
             state = np.zeros((len(params), 100, 6))
             state[:, -1, 2] = np.where(rng.uniform(size=len(params)) < 0.5, 0.1, 0.0)
-            return interface.placed(
+            return model.placed(
                 state, np.r_[model.DIVERGED, np.zeros(len(params) - 1, int)], starts
             )
 
         return simulate
 
-    monkeypatch.setattr(scooping_parity, "ENGINES", ("hydro", "drake", "hydro_low"))
+    three = {name: {} for name in ("hydro", "drake", "hydro_low")}
+    monkeypatch.setattr(scooping_parity, "SETTINGS", three)
     monkeypatch.setattr(scooping_parity, "_backend", engine)
     assert main(["parity", "scooping", "--samples", "40", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)

@@ -17,7 +17,8 @@ from adaptsim_jax.tasks.scooping import hydro, model
 from adaptsim_jax.tasks.scooping import hydro_contact as contact
 from adaptsim_jax.tasks.scooping import hydro_sap as sap
 from adaptsim_jax.tasks.scooping import hydro_shapes as shapes
-from adaptsim_jax.tasks.scooping.hydro import Numerics, PieceState
+from adaptsim_jax.tasks.scooping.hydro import PieceState
+from adaptsim_jax.tasks.scooping.model import Numerics
 
 G = model.GRAVITY
 TABLE = Numerics(dt=2e-3, relaxation=0.02, grid=((16, 4),))

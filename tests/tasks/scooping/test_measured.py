@@ -17,7 +17,7 @@ from adaptsim_jax.tasks.scooping.trial import PLACES
 CONFIG = ScoopingConfig(hidden=(16,))
 NAF = scooping.make_scooping_naf(CONFIG)
 POLICY = ScoopingPolicy(NAF.init(jax.random.key(1)).online)
-SCOOPS = measured.scoops_to_make(jax.random.key(7), 2, POLICY, CONFIG)
+SCOOPS = measured.trials_to_make(jax.random.key(7), 2, POLICY, CONFIG)
 
 
 def AT(i):
@@ -50,11 +50,13 @@ def told(columns):
 
 
 def test_the_same_session_asks_for_the_same_scoops():
-    again = measured.scoops_to_make(jax.random.key(7), 2, POLICY, CONFIG)
-    other = measured.scoops_to_make(jax.random.key(7), 3, POLICY, CONFIG)
+    again = measured.trials_to_make(jax.random.key(7), 2, POLICY, CONFIG)
+    other = measured.trials_to_make(jax.random.key(7), 3, POLICY, CONFIG)
     assert again.numbers.tolist() == [5, 6] and other.numbers.tolist() == [7, 8]
-    np.testing.assert_array_equal(again.places, SCOOPS.places)
-    assert not np.allclose(other.places, SCOOPS.places) and np.all(np.abs(SCOOPS.places) <= PLACES)
+    np.testing.assert_array_equal(again.contexts, SCOOPS.contexts)
+    assert not np.allclose(other.contexts, SCOOPS.contexts) and np.all(
+        np.abs(SCOOPS.contexts) <= PLACES
+    )
     assert np.all(SCOOPS.actions >= np.array(model.ACTION_LOW) - 1e-6)
     assert np.all(SCOOPS.actions <= np.array(model.ACTION_HIGH) + 1e-6)
 

@@ -9,9 +9,8 @@ import pytest
 
 from adaptsim_jax.tasks.scooping import hydro as scooping_hydro
 from adaptsim_jax.tasks.scooping import model
-from adaptsim_jax.tasks.scooping import model_fit as scooping_fit
-from adaptsim_jax.tasks.scooping.hydro import Numerics
-from adaptsim_jax.tasks.scooping.model import ScoopOptions
+from adaptsim_jax.tasks.scooping import trial as scooping_fit
+from adaptsim_jax.tasks.scooping.model import Numerics, ScoopOptions
 from experiments import scooping_gradient
 
 COARSE = Numerics(dt=0.005, grid=((4, 2), (4, 2), (2, 1), (2, 1)))

@@ -12,8 +12,7 @@ import pytest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.scooping import engines as backends
 from adaptsim_jax.tasks.scooping import hydro_shapes as shapes
-from adaptsim_jax.tasks.scooping import interface, model
-from adaptsim_jax.tasks.scooping import sphere_cloud as clouds
+from adaptsim_jax.tasks.scooping import model
 from adaptsim_jax.tasks.scooping.engines import mujoco as scooping_native
 from adaptsim_jax.tasks.scooping.engines import scene
 from adaptsim_jax.tasks.scooping.model import ScoopOptions
@@ -28,7 +27,7 @@ def test_spheres_fill_the_outline_and_nothing_beyond(params):
     """Along 64 directions the union of spheres reaches as far as the piece does; short of it by at
     most 1.2 % of a flat ellipsoid, by a rounded corner of a flat piece.
     """
-    found = clouds.cloud(jnp.array(params))
+    found = scene.cloud(jnp.array(params))
     x, z, r = (
         np.asarray(found.centres)[:, 0],
         np.asarray(found.centres)[:, 2],
@@ -45,7 +44,7 @@ def test_spheres_fill_the_outline_and_nothing_beyond(params):
         np.testing.assert_array_less(reach, outline * 1.0001)
         np.testing.assert_array_less(0.988 * outline, reach)
     else:
-        rim = float(clouds.rim(jnp.asarray(params[1]), jnp.asarray(hz)))
+        rim = float(scene.rim(jnp.asarray(params[1]), jnp.asarray(hz)))
         outline = (model.RADIUS - rim) * np.abs(c) + (hz - rim) * np.abs(s) + rim
         np.testing.assert_allclose(reach, outline, atol=1e-6)
 
@@ -60,7 +59,7 @@ def test_softer_pieces_have_rounder_rims_and_lie_as_deep_as_hydroelastic_ones(na
     pressure field's closed form says (a third less where an ellipsoid rests on more than one of its
     spheres).
     """
-    rims = [float(clouds.rim(jnp.asarray(e), jnp.asarray(0.01))) for e in (1e3, 1e4, 1e5, 1e6, 1e7)]
+    rims = [float(scene.rim(jnp.asarray(e), jnp.asarray(0.01))) for e in (1e3, 1e4, 1e5, 1e6, 1e7)]
     assert rims == sorted(rims, reverse=True) and rims[1] > 3 * rims[3]
     params = np.array(
         [[mu, e, g, 0.02] for mu in (0.25, 0.4) for e in (1e4, 3e4) for g in (0.0, 1.0, 2.0)]
@@ -146,8 +145,8 @@ def test_mjx_ends_as_native_does(native):
     coarse = backends.make_backend("native", dt=0.005).simulate(params, actions, np.zeros((48, 2)))
     found = theirs(params, actions, np.zeros((48, 2)))
     assert not found.code.any() and not ours.code.any()
-    won = interface.outcome(found.state)[0]
-    assert 0.2 < won.mean() < 0.9 and np.sum(won != interface.outcome(coarse.state)[0]) <= 1
+    won = model.outcome(found.state)[0]
+    assert 0.2 < won.mean() < 0.9 and np.sum(won != model.outcome(coarse.state)[0]) <= 1
     assert np.median(np.abs(found.state - coarse.state).max((1, 2))) < 1e-4
 
 

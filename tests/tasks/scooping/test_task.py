@@ -20,8 +20,7 @@ from adaptsim_jax.tasks.registry import make_task
 from adaptsim_jax.tasks.scooping import bank as scooping_bank
 from adaptsim_jax.tasks.scooping import model
 from adaptsim_jax.tasks.scooping import task as scooping
-from adaptsim_jax.tasks.scooping.hydro import Numerics
-from adaptsim_jax.tasks.scooping.model import ScoopOptions
+from adaptsim_jax.tasks.scooping.model import Numerics, ScoopOptions
 from adaptsim_jax.tasks.scooping.task import ScoopingConfig, make_scooping
 from adaptsim_jax.tasks.scooping.trial import PLACES, camera_view
 from experiments import scooping_bank as bank_experiment

@@ -13,55 +13,28 @@ from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks import trial_record
 from adaptsim_jax.tasks.pushing import model
-from adaptsim_jax.tasks.pushing.frame import check_each, check_frame, check_hits, check_order
-from adaptsim_jax.tasks.pushing.measured import FASTEST, SLIP, STILL, USUAL
+from adaptsim_jax.tasks.pushing.frame import KIND, check_each, check_frame, check_hits, check_order
 from adaptsim_jax.tasks.pushing.model import PushOptions
-from adaptsim_jax.tasks.pushing.planar import DEFAULT, DRAKE, PlanarCoefficients, check_options
+from adaptsim_jax.tasks.pushing.planar import TWINS, PlanarCoefficients, check_options
+from adaptsim_jax.tasks.trial_record import TrialFiles, TrialRecording
 
-STILL_SPEED = 0.15  # s; no plate within the bounds touches the bottle so early
-ASIDE = 0.15  # m between start and first row from which it is another frame
 TURN = trial_record.Size("noise_yaw", "rad", 5e-3, 0.2, 0.01)
 """The least is what a step of 1 ms costs the turn of a bottle."""
 KEYS = ("schema", "task", "friction", "coefficients", "mass", "note", "noise", TURN.key)
-KIND = trial_record.TrialKind(
-    "push",
-    "pushes",
-    "the bottle",
-    reach=3.0,
-    fastest=FASTEST,
-    slip=SLIP,
-    moves=2 * STILL,
-    ends=3.0,
-    usual=USUAL,
-    never="the hit never came, or the track ends before",
-    optional=("yaw",),
-    angles=("yaw",),
-)
 
 
-@dataclass(frozen=True)
-class Pushed:
-    """T pushes of at most R rows.
+@dataclass(frozen=True, kw_only=True)
+class Pushed(TrialRecording):
+    """Pushes: actions m/s and rad.
 
-    names `[T]`; actions `[T, 2]` m/s, rad; starts `[T, 2]` m as declared; aside `[T, 2]` m from
-    there to the first rows' mean; time `[T, R]` s, xy `[T, R, 2]` m, mask `[T, R]`; noise m of one
-    coordinate; notes: what the files say beside. yaw `[T, R]` rad where the bottle's turn was
-    measured, to the left positive, from each push's first rows; turned `[T, R]`: rows that show it;
-    noise_yaw rad.
+    xy `[T, R, 2]` m; options and coefficients of the declared push. yaw `[T, R]` rad where the
+    bottle's turn was measured, to the left positive, from each push's first rows; turned `[T, R]`:
+    rows that show it; noise_yaw rad.
     """
 
-    names: tuple[str, ...]
-    actions: np.ndarray
-    starts: np.ndarray
-    aside: np.ndarray
-    time: np.ndarray
     xy: np.ndarray
-    mask: np.ndarray
-    noise: float
-    noise_source: str
     options: PushOptions
     coefficients: PlanarCoefficients
-    notes: tuple[str, ...] = ()
     yaw: np.ndarray | None = None
     turned: np.ndarray | None = None
     noise_yaw: float = 0.0
@@ -94,7 +67,7 @@ class Pushed:
 
 
 def read(folder: str | Path, as_declared: bool = False, without: Sequence[str] = ()) -> Pushed:
-    """The pushes of a folder. as_declared: whatever their directions say of the frame; without:
+    """The pushes of a folder. as_declared: Whatever their directions say of the frame; without:
     pushes whose tracks are not looked at. Raises BadInput.
     """
     return trial_record.read_folder(folder, KEYS, assemble, as_declared, without)
@@ -109,55 +82,33 @@ def assemble(
     without: Sequence[str] = (),
 ) -> Pushed:
     """Pushes of an actions file and tracks' files; see `read`."""
-    table, trials = trial_record.read_actions(
-        actions, {"speed": "m/s", "angle": "rad"}, ("start_x", "start_y"), KIND.trials
+    files = TrialFiles(actions, tracks, meta, where, as_declared, without)
+    units, begun = {"speed": "m/s", "angle": "rad"}, ("start_x", "start_y")
+    trials = trial_record.read_trials(files, KIND, units, _check_actions, begun)
+    c, names = trials.columns, trials.names
+    starts = np.stack(
+        [c.get(k, np.full(len(names), z)) for k, z in zip(begun, model.START, strict=True)], 1
     )
-    c = table.columns
-    _check_actions(c, trials)
-    numbers = c["trial"]
-    found, more = trial_record.read_tracks(tracks, numbers, actions, KIND, without, as_declared)
-    names, notes = trial_record.tracked(numbers, found, where, KIND, "12 to 24")
-    row = {n: i for i, n in enumerate(numbers)}
-    at = np.array([row[n] for n in names])
-
-    def default(k):
-        return c.get(f"start_{'xy'[k]}", np.full(len(numbers), model.START[k]))[at]
-
-    starts = np.stack([default(0), default(1)], 1)
-    time, places, mask = trial_record.padded(names, found)
-    xy = places[..., :2]
-    acts = np.stack([c["speed"], c["angle"]], 1)[at]
-    aside = trial_record.aside(names, found, starts, STILL_SPEED)
-    _check_start(starts, aside, where)
-    trial_record.check_starts(names, aside, ASIDE, KIND.body, where)
-    ends = np.array([p[int(m.sum()) - 1] - p[0] for p, m in zip(xy, mask, strict=True)])
+    arrays = trials.laid_out(starts)
+    time, xy, acts = arrays["time"], arrays["places"][..., :2], trials.stacked("speed", "angle")
+    _check_start(starts, arrays["aside"], where)
+    trial_record.check_starts(names, arrays["aside"], KIND, where)
     if not as_declared:
-        check_hits([found[n].began for n in names], acts, starts, trial_record.place_of(tracks))
-    trial_record.check_spacing(names, found)
+        check_hits(trials.began, acts, starts, trial_record.place_of(tracks))
+    trial_record.check_spacing(names, trials.found)
     if not as_declared:
-        check_frame(acts[:, 1], ends, str(where))  # a slight turn is an effect of the catalogue
-        check_order(names, acts[:, 1], ends, str(where))
-        check_each(names, acts[:, 1], ends, str(where))
-    noise, source = trial_record.noise_of(meta, time, xy, mask, STILL_SPEED, "hit")
-    notes += trial_record.rounding_notes(xy[mask > 0], noise)
-    options = PushOptions(
-        friction=meta.get("friction", "clean"), mass=float(meta.get("mass", model.NOMINAL_MASS))
-    )
-    which = config.pick("coefficients", meta.get("coefficients", "native"), ("native", "drake"))
+        angles, ends = acts[:, 1], trials.went(arrays)[:, :2]
+        check_frame(angles, ends, str(where))  # a slight turn is an effect of the catalogue
+        check_order(names, angles, ends, str(where))
+        check_each(names, angles, ends, str(where))
+    mass = float(meta.get("mass", model.NOMINAL_MASS))
+    options = PushOptions(friction=meta.get("friction", "clean"), mass=mass)
+    which = config.pick("coefficients", meta.get("coefficients", "native"), TWINS)
+    fields = trials.recorded(arrays, xy, "hit")
+    if trials.more:
+        fields |= _turns(time, arrays["places"][..., 2], arrays["mask"], meta, where)
     return Pushed(
-        tuple(f"{n:g}" for n in names),
-        acts,
-        starts,
-        aside,
-        time,
-        xy,
-        mask,
-        noise,
-        source,
-        check_options(options),
-        DRAKE if which == "drake" else DEFAULT,
-        tuple(notes),
-        *(_turns(time, places[..., 2], mask, meta, where) if more else (None, None, 0.0)),
+        **fields, actions=acts, xy=xy, options=check_options(options), coefficients=TWINS[which]
     )
 
 
@@ -175,34 +126,32 @@ def _check_actions(c: Mapping[str, np.ndarray], trials: Callable) -> None:
             )
 
 
-def _turns(
-    time, yaw, mask, meta: dict[str, Any], where: Path
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """yaw, turned, noise_yaw of `Pushed`: a marker sits as it was glued on, so that each push is
+def _turns(time, yaw, mask, meta: dict[str, Any], where: Path) -> dict[str, Any]:
+    """yaw, turned and noise_yaw of `Pushed`. A marker sits as it was glued on, so each push is
     counted from its first rows.
     """
     turned = mask * ~np.isnan(yaw)
     out = np.zeros_like(yaw)
     for k, (t, z) in enumerate(zip(time, yaw, strict=True)):
         if len(observed := np.flatnonzero(turned[k])):
-            if t[observed[0]] < STILL_SPEED:
-                first = observed[t[observed] < STILL_SPEED]
+            if t[observed[0]] < KIND.still:
+                first = observed[t[observed] < KIND.still]
             else:
                 first = observed[:1]
             out[k] = np.interp(t, t[observed], z[observed]) - z[first].mean()
-    noise, _ = trial_record.noise_of(meta, time, out[..., None], turned, STILL_SPEED, "hit", TURN)
+    noise, _ = trial_record.noise_of(meta, time, out[..., None], turned, KIND.still, "hit", TURN)
     if noise > TURN.most:
         raise BadInput(
             f"{where}: yaw scatters by {noise:.2g} rad before the hit; is it in degrees? write "
             "radians"
         )
-    return out, turned, noise
+    return {"yaw": out, "turned": turned, "noise_yaw": noise}
 
 
 def _check_start(starts, aside, where: Path) -> None:
     """Another frame, told before anything is fitted."""
     off = float(np.linalg.norm(np.median(aside, 0)))
-    if off > ASIDE:
+    if off > KIND.aside:
         x, y = np.median(aside + starts, 0)
         raise BadInput(
             f"{where}: bottles stand at ({x:.3g}, {y:.3g}) m, {100 * off:.0f} cm from where they "

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.tasks.engine import EngineKind, drake_modules, in_threads
+from adaptsim_jax.tasks.engine import DrakeWorld, EngineKind, drake_modules, in_threads
 from adaptsim_jax.tasks.pushing import model as pushing
 from adaptsim_jax.tasks.pushing.engines import scene
 from adaptsim_jax.tasks.pushing.model import PushOptions
@@ -33,7 +33,7 @@ class PushContact:
 
 
 class PushDrakeSettings(NamedTuple):
-    """contact: numerics; threads: cores to run on (None: all); gravity m/s2, turned where the table
+    """contact: numerics. threads: Cores to run on (None: all); gravity m/s2, turned where the table
     is not level.
     """
 
@@ -103,7 +103,7 @@ def _one(
     return rows
 
 
-class PushWorld:
+class PushWorld(DrakeWorld):
     """Table with a patch, bottle, and a plate on yaw, forward, rise and pitch joints that is driven
     by forces.
     """
@@ -111,23 +111,15 @@ class PushWorld:
     def __init__(
         self, drake: Any, options: PushOptions, contact: PushContact, gravity, params, action
     ):
-        self.drake, self.contact, self.options = drake, contact, options
-        builder = drake.DiagramBuilder()
-        config = drake.MultibodyPlantConfig(
-            time_step=contact.dt,
-            discrete_contact_approximation=contact.solver,
-            contact_model="hydroelastic_with_fallback",
-        )
-        self.plant, _ = drake.AddMultibodyPlant(config, builder)
+        super().__init__(drake, contact.dt, contact.solver, contact.resolution)
+        self.contact, self.options = contact, options
         friction = _material(params, options.friction)
         self._add_ground(params[3], friction)
         self._add_bottle(params[1], friction["bottle"])
         self._add_pusher(friction["plate"])
         self.plant.mutable_gravity_field().set_gravity_vector(list(gravity))
         self.plant.Finalize()
-        diagram = builder.Build()
-        self.simulator = drake.Simulator(diagram)
-        self.context = self.plant.GetMyMutableContextFromRoot(self.simulator.get_mutable_context())
+        self.built()
         third = PUSHER_MASS / 3
         carried = np.array(
             [3 * third, 2 * third, third]
@@ -153,27 +145,14 @@ class PushWorld:
         quaternion = pose.rotation().ToQuaternion().wxyz()
         return np.concatenate([pose.translation(), quaternion, motion.translational(), turning])
 
-    def _surface(self, friction: float, modulus: float | None = None):
-        """Proximity properties of a rigid surface, or of a compliant one."""
-        d = self.drake
-        properties = d.ProximityProperties()
-        if modulus is None:
-            d.AddRigidHydroelasticProperties(0.1, properties)
-        else:
-            d.AddCompliantHydroelasticProperties(self.contact.resolution, modulus, properties)
-        coulomb = d.CoulombFriction(friction, friction)
-        d.AddContactMaterial(
-            dissipation=self.contact.dissipation, friction=coulomb, properties=properties
-        )
-        return properties
+    def _surface(self, friction: float, modulus: float | None = None) -> Any:
+        return self.surface(friction, modulus, dissipation=self.contact.dissipation)
 
     def _add_ground(self, y_p: float, friction: dict[str, float]) -> None:
         d, side = self.drake, pushing.PATCH_SIDE
 
         def add(name, at, shape, mu):
-            return self.plant.RegisterCollisionGeometry(
-                self.plant.world_body(), d.RigidTransform(at), shape, name, self._surface(mu)
-            )
+            self.collide(self.plant.world_body(), at, shape, name, self._surface(mu))
 
         patch_at = [pushing.PATCH_X, y_p, 0.0]
         if self.options.friction == "coupled":  # as released: flush boxes that overlap
@@ -194,18 +173,14 @@ class PushWorld:
             "bottle", self.plant.AddModelInstance("bottle"), inertia
         )
         shape = d.Cylinder(pushing.RADIUS, pushing.HEIGHT)
-        properties = self._surface(friction, modulus)
-        self.plant.RegisterCollisionGeometry(
-            self.bottle, d.RigidTransform(), shape, "bottle", properties
-        )
+        self.collide(self.bottle, [0, 0, 0], shape, "bottle", self._surface(friction, modulus))
 
     def _add_pusher(self, friction: float) -> None:
         d, plant = self.drake, self.plant
         self.pusher = plant.AddModelInstance("pusher")
         inertia = d.SpatialInertia(PUSHER_MASS / 3, np.zeros(3), d.UnitInertia(1, 1, 1))
-        heading, forward, rise, plate = (
-            plant.AddRigidBody(name, self.pusher, inertia)
-            for name in ("heading", "forward", "rise", "plate")
+        heading, forward, rise, plate = self.bodies(
+            self.pusher, inertia, "heading", "forward", "rise", "plate"
         )
 
         def fixed(name, frame, at):
@@ -221,8 +196,8 @@ class PushWorld:
         )
         for joint in driven:
             plant.AddJointActuator(joint.name(), plant.AddJoint(joint))
-        at, shape = d.RigidTransform([0, 0, -0.06]), d.Box(0.005, 0.10, 0.12)
-        plant.RegisterCollisionGeometry(plate, at, shape, "plate", self._surface(friction))
+        shape = d.Box(0.005, 0.10, 0.12)
+        self.collide(plate, [0, 0, -0.06], shape, "plate", self._surface(friction))
         plant.set_gravity_enabled(self.pusher, False)
 
 

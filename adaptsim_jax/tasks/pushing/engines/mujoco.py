@@ -27,7 +27,7 @@ AT_REST = 1e-4  # m/s and rad/s; such a bottle goes no further than a micrometre
 
 
 class PushNativeSettings(NamedTuple):
-    """elasticity: of plate and bottle; dt: s; threads: cores to run on (None: all); gravity: m/s2,
+    """elasticity: Of plate and bottle; dt: s. threads: Cores to run on (None: all); gravity: m/s2,
     turned where the table is not level.
     """
 
@@ -244,7 +244,7 @@ NATIVE = EngineKind(PushNativeSettings, make_native)
 
 
 class PushMJXSettings(NamedTuple):
-    """elasticity: of plate and bottle; dt: s."""
+    """elasticity: Of plate and bottle; dt: s."""
 
     elasticity: ElasticityMap = pushing.ELASTICITY
     dt: float = 0.005

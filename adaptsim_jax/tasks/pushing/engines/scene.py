@@ -170,7 +170,7 @@ def controls(actions: np.ndarray, dt: float, steps: int) -> np.ndarray:
 
 
 class PlanarSettings(NamedTuple):
-    """coefficients: what calibration sets. lacking: what acts beside the declared; then it is the
+    """coefficients: What calibration sets. lacking: What acts beside the declared; then it is the
     slide in two dimensions.
     """
 

@@ -1,12 +1,12 @@
 """Scoops by local regression: poses as a quadratic function of the values, and how far a scoop
 strays from it.
 
-A scoop is chaotic from where the blade's edge is under a flat bottom: friction changed by a
-millionth moves one piece in two by a millimetre, so that the engine's exact derivatives say
-nothing. What can be told beforehand is the mean over neighbours. Each scoop is therefore simulated
-at `DRAWS` points around a centre, all values drawn at once and the action executed as an arm
-repeats it. Its poses are regressed on the values, row by row. What they stray by about the
-regression is a row's own uncertainty.
+A scoop is chaotic from where the blade's edge is under a flat bottom: Friction changed by a
+millionth moves one piece in two by a millimetre. So the engine's exact derivatives say nothing.
+What can be told beforehand is the mean over neighbours. Each scoop is therefore simulated at
+`DRAWS` points around a centre, all values drawn at once and the action executed as an arm repeats
+it. Its poses are regressed on the values, row by row. What they stray by about the regression is a
+row's own uncertainty.
 """
 
 from dataclasses import dataclass
@@ -83,7 +83,7 @@ def emulate(
     """The scoops around `centre [P]`, drawn with standard deviations `width [O]` and held within
     bounds.
 
-    drawn `[O]`: values that are drawn, where not all: `FEWER` draws tell a few.
+    drawn `[O]`: Values that are drawn, where not all: `FEWER` draws tell a few.
     """
     count = len(scooped.names)
     draws = DRAWS if drawn is None else FEWER

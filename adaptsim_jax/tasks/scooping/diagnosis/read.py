@@ -13,62 +13,29 @@ from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks import trial_record
 from adaptsim_jax.tasks.scooping import model
-from adaptsim_jax.tasks.scooping.measured import (
-    FASTEST,
-    MAX_DISTANCE,
-    SLIP,
-    USUAL,
-    check_mirrored,
-    check_way,
-)
 from adaptsim_jax.tasks.scooping.model import ScoopOptions, check_options
-from adaptsim_jax.tasks.scooping.motion import check_reach
+from adaptsim_jax.tasks.scooping.motion import KIND, check_mirrored, check_reach, check_way
+from adaptsim_jax.tasks.trial_record import TrialFiles, TrialRecording
 
-STILL_SPEED = 0.05  # s; no blade within the bounds touches the piece so early
-ASIDE = 0.10  # m between place and first rows from which it is another frame
 KEYS = ("schema", "task", "shape", "height", "clearance", "press", "repeats", "note", "noise")
 REPEATS = (5e-4, 2e-3, 1e-4)
 """How well an arm repeats a scoop: pitch rad, rate rad/s, distance m, one standard deviation."""
-KIND = trial_record.TrialKind(
-    "scoop",
-    "scoops",
-    "the piece",
-    reach=MAX_DISTANCE,
-    fastest=FASTEST,
-    slip=SLIP,
-    moves=0.01,
-    ends=model.SECONDS,
-    never="the blade never came, or the track ends before",
-    optional=("z",),
-    usual=USUAL,
-)
 _LIMITS = {"pitch": (0.0, 0.35, "rad"), "rate": (-0.6, 0.6, "rad/s"), "distance": (0.0, 0.1, "m")}
 
 
-@dataclass(frozen=True)
-class Scooped:
-    """T scoops of at most R rows.
+@dataclass(frozen=True, kw_only=True)
+class Scooped(TrialRecording):
+    """Scoops: actions rad, rad/s and m.
 
-    names `[T]`; actions `[T, 3]` rad, rad/s, m; starts `[T, 2]` m as declared; aside `[T, 2]` m
-    from there to the first rows' mean; time `[T, R]` s, places `[T, R, C]` m (x, y and z where it
-    was seen), mask `[T, R]`; noise m of one coordinate; shape, height: of the piece where declared;
-    repeats: see `REPEATS`; notes: what the files say beside.
+    places `[T, R, C]` m: x, y and z where it was seen; options of the declared scoop; shape,
+    height: Of the piece where declared. repeats: See `REPEATS`.
     """
 
-    names: tuple[str, ...]
-    actions: np.ndarray
-    starts: np.ndarray
-    aside: np.ndarray
-    time: np.ndarray
     places: np.ndarray
-    mask: np.ndarray
-    noise: float
-    noise_source: str
     options: ScoopOptions
     shape: str | None = None
     height: float | None = None
     repeats: tuple[float, ...] = REPEATS
-    notes: tuple[str, ...] = ()
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -76,7 +43,7 @@ class Scooped:
 
 
 def read(folder: str | Path, as_declared: bool = False, without: Sequence[str] = ()) -> Scooped:
-    """The scoops of a folder. as_declared: whatever their places say of the frame; without: scoops
+    """The scoops of a folder. as_declared: Whatever their places say of the frame; without: scoops
     whose tracks are not looked at. Raises BadInput.
     """
     return trial_record.read_folder(folder, KEYS, assemble, as_declared, without)
@@ -91,63 +58,37 @@ def assemble(
     without: Sequence[str] = (),
     own_frame: bool = False,
 ) -> Scooped:
-    """Scoops of an actions file and tracks' files; see `read`. own_frame: tracks count from
+    """Scoops of an actions file and tracks' files; see `read`. own_frame: Tracks count from
     anywhere. Each is moved to begin at its place.
     """
+    files = TrialFiles(actions, tracks, meta, where, as_declared, without)
     needed = {"place_x": "m", "place_y": "m", **{k: unit for k, (_, _, unit) in _LIMITS.items()}}
-    table, trials = trial_record.read_actions(actions, needed, (), KIND.trials)
-    c = table.columns
-    _check_actions(c, trials)
-    numbers = c["trial"]
-    found, more = trial_record.read_tracks(tracks, numbers, actions, KIND, without, as_declared)
-    names, notes = trial_record.tracked(numbers, found, where, KIND, "12 to 24")
-    at = np.array([int(np.flatnonzero(numbers == n)[0]) for n in names])
-    starts = np.stack([c["place_x"], c["place_y"]], 1)[at]
-    acts = np.stack([c[name] for name in _LIMITS], 1)[at]
-    options = replace(
-        ScoopOptions(), **{k: float(meta[k]) for k in ("clearance", "press") if k in meta}
-    )
+    trials = trial_record.read_trials(files, KIND, needed, _check_actions)
+    names, found = trials.names, trials.found
+    starts, acts = trials.stacked("place_x", "place_y"), trials.stacked(*_LIMITS)
+    given = {k: float(meta[k]) for k in ("clearance", "press") if k in meta}
+    options = replace(ScoopOptions(), **given)
     if not as_declared:
-        check_reach(
-            [found[n].began for n in names],
-            acts,
-            check_options(options),
-            trial_record.place_of(tracks),
-        )
+        check_reach(trials.began, acts, check_options(options), trial_record.place_of(tracks))
         check_mirrored(starts[:, 1], np.array([found[n].places[0, 1] for n in names]), str(where))
     trial_record.check_spacing(names, found)
     if own_frame:
         found |= _moved(names, found, starts)
-        notes.append(
+        trials.notes.append(
             "places are counted from where each piece lay: a shifted camera or piece would not show"
         )
-    time, places, mask = trial_record.padded(names, found)
-    aside = trial_record.aside(names, found, starts, STILL_SPEED)
+    arrays = trials.laid_out(starts)
     if not as_declared:
-        _check_frame(names, starts, aside, places, mask, where)
-    noise, source = trial_record.noise_of(meta, time, places, mask, STILL_SPEED, "blade came")
-    notes += trial_record.rounding_notes(places[mask > 0], noise)
-    if not more:
-        notes.append(
-            "no heights were seen (column z): a blade's lift and a piece's height show less"
+        _check_frame(trials, arrays)
+    places = arrays["places"]
+    fields = trials.recorded(arrays, places, "blade came")
+    if not trials.more:
+        fields["notes"] += (
+            "no heights were seen (column z): a blade's lift and a piece's height show less",
         )
     shape, height = _piece(meta, where)
-    return Scooped(
-        tuple(f"{n:g}" for n in names),
-        acts,
-        starts,
-        aside,
-        time,
-        places,
-        mask,
-        noise,
-        source,
-        options,
-        shape,
-        height,
-        _repeats(meta, where),
-        tuple(notes),
-    )
+    piece = {"shape": shape, "height": height, "repeats": _repeats(meta, where)}
+    return Scooped(**fields, **piece, actions=acts, places=places, options=options)
 
 
 def _check_actions(c: Mapping[str, np.ndarray], trials: Callable) -> None:
@@ -167,7 +108,7 @@ def _check_actions(c: Mapping[str, np.ndarray], trials: Callable) -> None:
 def _moved(names: Sequence[float], found: trial_record.Tracks, starts: np.ndarray) -> Any:
     """The tracks, each moved to begin at its place of `starts [T, 2]` m."""
     moved = {}
-    for n, off in zip(names, trial_record.aside(names, found, starts, STILL_SPEED), strict=True):
+    for n, off in zip(names, trial_record.aside(names, found, starts, KIND.still), strict=True):
         p = found[n].places
         moved[n] = found[n]._replace(places=p - np.pad(off, (0, p.shape[1] - 2)))
     return moved
@@ -195,19 +136,15 @@ def _repeats(meta: dict[str, Any], where: Path) -> tuple[float, ...]:
     return tuple(map(float, given))
 
 
-def _check_frame(names, starts, aside, places, mask, where: Path) -> None:
-    """Another frame, told before anything is fitted."""
-    off = float(np.linalg.norm(np.median(aside, 0)))
-    if off > ASIDE:
-        x, y = np.median(aside, 0)
+def _check_frame(trials: trial_record.ReadTrials, arrays: Mapping[str, np.ndarray]) -> None:
+    """BadInput where tracks are of another frame, before anything is fitted."""
+    aside, where = arrays["aside"], trials.files.where
+    x, y = np.median(aside, 0)
+    if np.hypot(x, y) > KIND.aside:
         raise BadInput(
             f"{where}: pieces lie ({x:.3g}, {y:.3g}) m from where they are declared: another "
             "frame? give tracks from the middle of the box that place_x, place_y count from, x "
             "along the spatula's way"
         )
-    trial_record.check_starts(names, aside, ASIDE, KIND.body, where)
-    check_way(
-        np.array([p[int(m.sum()) - 1] - p[0] for p, m in zip(places, mask, strict=True)]),
-        str(where),
-        names,
-    )
+    trial_record.check_starts(trials.names, aside, KIND, where)
+    check_way(trials.went(arrays), str(where), trials.names)

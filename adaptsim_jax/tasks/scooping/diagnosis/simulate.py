@@ -25,8 +25,7 @@ from adaptsim_jax.tasks.scooping import hydro_shapes as shapes
 from adaptsim_jax.tasks.scooping import motion as spatula
 from adaptsim_jax.tasks.scooping.diagnosis.catalogue import CAMERA, QUANTITIES
 from adaptsim_jax.tasks.scooping.diagnosis.read import Scooped
-from adaptsim_jax.tasks.scooping.hydro import Numerics
-from adaptsim_jax.tasks.scooping.model import SHAPES, ScoopOptions
+from adaptsim_jax.tasks.scooping.model import SHAPES, Numerics, ScoopOptions
 
 Array = Any
 

@@ -15,9 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.tasks.engine import EngineKind, drake_modules, in_threads, steps_a_row
+from adaptsim_jax.tasks.engine import DrakeWorld, EngineKind, drake_modules, in_threads, steps_a_row
 from adaptsim_jax.tasks.scooping import hydro_shapes as shapes
-from adaptsim_jax.tasks.scooping import interface, model
+from adaptsim_jax.tasks.scooping import model
 from adaptsim_jax.tasks.scooping import motion as spatula
 from adaptsim_jax.tasks.scooping.model import ScoopOptions
 
@@ -39,7 +39,7 @@ class ScoopContact:
 
 
 class ScoopDrakeSettings(NamedTuple):
-    """contact: numerics; threads: cores to run on (None: all)."""
+    """contact: numerics. threads: Cores to run on (None: all)."""
 
     contact: ScoopContact = ScoopContact()
     threads: int | None = None
@@ -50,7 +50,7 @@ def make_drake(options: ScoopOptions, contact: ScoopContact, threads: int | None
     where Drake is absent.
     """
     drake = drake_modules()
-    every = steps_a_row("backend drake", contact.dt, interface.ROW, 0.0025)
+    every = steps_a_row("backend drake", contact.dt, model.ROW, 0.0025)
     if contact.relaxation < 0 or contact.resolution <= 0:
         raise BadInput(
             f"backend drake: relaxation at least 0 and resolution positive, got {contact}"
@@ -60,17 +60,17 @@ def make_drake(options: ScoopOptions, contact: ScoopContact, threads: int | None
         return _one(drake, contact, every, *sample)
 
     def simulate(params, commands, initial):
-        params, actions, starts = interface.checked(params, commands, initial)
+        params, actions, starts = model.checked_trials(params, commands, initial)
         poses = [_poses(action, options, contact.dt) for action in actions]
         rows = in_threads(threads, one, params, poses)
         if rows:
             state = np.stack(rows)
         else:
-            state = np.zeros((0, round(model.SECONDS / interface.ROW), interface.STATE))
+            state = np.zeros((0, round(model.SECONDS / model.ROW), model.STATE))
         lost = np.logical_not(np.all(np.isfinite(state), axis=(1, 2)))
         fit = _fit(params, actions)
         codes = np.where(fit, np.where(lost, model.DIVERGED, model.FINE), model.UNFIT)
-        return interface.placed(np.where(np.expand_dims(lost, (1, 2)), 0.0, state), codes, starts)
+        return model.placed(np.where(np.expand_dims(lost, (1, 2)), 0.0, state), codes, starts)
 
     return simulate
 
@@ -91,7 +91,7 @@ def _one(
     drake: Any, contact: ScoopContact, every: int, params: np.ndarray, poses: np.ndarray
 ) -> np.ndarray:
     """Rows `[T, 6]` of one trial; not-a-number from where Drake's solver gave up."""
-    rows = np.full(((len(poses) - 1) // every, interface.STATE), np.nan)
+    rows = np.full(((len(poses) - 1) // every, model.STATE), np.nan)
     if not _fit(params[None], poses[:1]).all():
         return rows
     world = ScoopWorld(drake, contact, params)
@@ -108,32 +108,24 @@ def _one(
     return rows
 
 
-class ScoopWorld:
+class ScoopWorld(DrakeWorld):
     """Table, piece, and a spatula on forward, rise and pitch joints that are led along the
     motion.
     """
 
     def __init__(self, drake: Any, contact: ScoopContact, params: np.ndarray):
-        self.drake, self.contact = drake, contact
+        super().__init__(drake, contact.dt, "sap", contact.resolution)
+        self.contact = contact
         self.mu, self.modulus, self.g, self.height = params[0], params[1], int(params[2]), params[3]
-        builder = drake.DiagramBuilder()
-        config = drake.MultibodyPlantConfig(
-            time_step=contact.dt,
-            discrete_contact_approximation="sap",
-            contact_model="hydroelastic_with_fallback",
-        )
-        self.plant, graph = drake.AddMultibodyPlant(config, builder)
         ground = drake.Box(2.0, 1.2, 0.08)
-        self._collide(
+        self.collide(
             self.plant.world_body(), [0, 0, -0.04], ground, "table", self._surface(self.mu)
         )
         self._add_piece()
         self._add_spatula()
         self.plant.Finalize()
-        self._pass_through(graph)
-        diagram = builder.Build()
-        self.simulator = drake.Simulator(diagram)
-        self.context = self.plant.GetMyMutableContextFromRoot(self.simulator.get_mutable_context())
+        self._pass_through()
+        self.built()
 
     def place(self, pose: np.ndarray, speed: np.ndarray) -> None:
         """The piece at rest, as deep in the table as its weight asks; the spatula at its start."""
@@ -155,26 +147,11 @@ class ScoopWorld:
         at = self.plant.EvalBodyPoseInWorld(self.context, self.piece).translation()
         return np.concatenate([at, self.plant.GetPositions(self.context, self.spatula)])
 
-    def _surface(self, friction: float, modulus: float | None = None):
-        """Proximity properties of a rigid surface, or of the piece; Drake adds the relaxation times
-        of a pair.
-        """
-        d = self.drake
-        properties = d.ProximityProperties()
-        if modulus is None:
-            d.AddRigidHydroelasticProperties(0.1, properties)
-        else:
-            d.AddCompliantHydroelasticProperties(self.contact.resolution, modulus, properties)
-        d.AddContactMaterial(friction=d.CoulombFriction(friction, friction), properties=properties)
+    def _surface(self, friction: float, modulus: float | None = None) -> Any:
+        """As `surface`; Drake adds the relaxation times of a pair."""
+        properties = self.surface(friction, modulus)
         properties.AddProperty("material", "relaxation_time", self.contact.relaxation / 2)
         return properties
-
-    def _collide(self, body: Any, at: Any, shape: Any, name: str, properties: Any) -> None:
-        if isinstance(at, self.drake.RigidTransform):
-            pose = at
-        else:
-            pose = self.drake.RigidTransform(at)
-        self.plant.RegisterCollisionGeometry(body, pose, shape, name, properties)
 
     def _add_piece(self) -> None:
         d, r, h = self.drake, model.RADIUS, self.height
@@ -186,15 +163,13 @@ class ScoopWorld:
         )[self.g]()
         shape = (d.Ellipsoid(r, r, h / 2), d.Cylinder(r, h), d.Box(2 * r, 2 * r, h))[self.g]
         self.piece = self.plant.AddRigidBody("piece", d.SpatialInertia(mass, np.zeros(3), unit))
-        self._collide(self.piece, [0, 0, 0], shape, "piece", self._surface(self.mu, self.modulus))
+        self.collide(self.piece, [0, 0, 0], shape, "piece", self._surface(self.mu, self.modulus))
 
     def _add_spatula(self) -> None:
         d, plant = self.drake, self.plant
         self.spatula = plant.AddModelInstance("spatula")
         inertia = d.SpatialInertia(SPATULA_MASS, np.zeros(3), d.UnitInertia(1e-2, 1e-2, 1e-2))
-        ahead, up, self.blade = (
-            plant.AddRigidBody(name, self.spatula, inertia) for name in ("ahead", "up", "blade")
-        )
+        ahead, up, self.blade = self.bodies(self.spatula, inertia, "ahead", "up", "blade")
         joints = (
             d.PrismaticJoint("x", plant.world_frame(), ahead.body_frame(), [1, 0, 0]),
             d.PrismaticJoint("z", ahead.body_frame(), up.body_frame(), [0, 0, 1]),
@@ -205,14 +180,14 @@ class ScoopWorld:
             motor.set_controller_gains(d.PdControllerGains(p=stiffness, d=damping))
         (x, z), (hx, hz) = model.BLADE_CENTRE, model.BLADE_HALF
         box = d.Box(2 * hx, 2 * model.BLADE_HALF_WIDTH, 2 * hz)
-        self._collide(self.blade, [x, 0, z], box, "blade", self._surface(self.mu))
+        self.collide(self.blade, [x, 0, z], box, "blade", self._surface(self.mu))
         (x, z), (hx, hz) = model.NECK_CENTRE, model.NECK_HALF
         tilted = d.RigidTransform(d.RollPitchYaw(0.0, model.NECK_RISE, 0.0), [x, 0, z])
         box = d.Box(2 * hx, 2 * model.NECK_HALF_WIDTH, 2 * hz)
-        self._collide(self.blade, tilted, box, "neck", self._surface(model.NECK_FRICTION))
+        self.collide(self.blade, tilted, box, "neck", self._surface(model.NECK_FRICTION))
         plant.set_gravity_enabled(self.spatula, False)
 
-    def _pass_through(self, graph: Any) -> None:
+    def _pass_through(self) -> None:
         """Spatula and table do not touch."""
         d, plant = self.drake, self.plant
 
@@ -222,7 +197,7 @@ class ScoopWorld:
         distance = d.CollisionFilterDeclaration().ExcludeBetween(
             of(self.blade), of(plant.world_body())
         )
-        graph.collision_filter_manager().Apply(distance)
+        self.graph.collision_filter_manager().Apply(distance)
 
 
 ENGINE = EngineKind(ScoopDrakeSettings, make_drake)

@@ -15,8 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.tasks.engine import EngineKind, filled_batches, mjx_module
-from adaptsim_jax.tasks.scooping import interface, model
-from adaptsim_jax.tasks.scooping import sphere_cloud as clouds
+from adaptsim_jax.tasks.scooping import model
 from adaptsim_jax.tasks.scooping.engines import scene
 from adaptsim_jax.tasks.scooping.model import ScoopOptions
 
@@ -26,7 +25,7 @@ BATCH = 128
 
 
 class ScoopNativeSettings(NamedTuple):
-    """dt: s; threads: cores to run on (None: all)."""
+    """dt: s. threads: Cores to run on (None: all)."""
 
     dt: float = scene.DT
     threads: int | None = None
@@ -37,9 +36,9 @@ def make_native(options: ScoopOptions, dt: float, threads: int | None):
     engine, lock = ScoopEngine(options, dt, threads or os.cpu_count() or 1), threading.Lock()
 
     def simulate(params, commands, initial):
-        params, actions, starts = interface.checked(params, commands, initial)
+        params, actions, starts = model.checked_trials(params, commands, initial)
         good, params, actions = scene.fit(params, actions)
-        positions = np.zeros((len(params), round(model.SECONDS / interface.ROW), scene.DOFS))
+        positions = np.zeros((len(params), round(model.SECONDS / model.ROW), scene.DOFS))
         with lock:
             for here, room in filled_batches(len(params), BATCH):
                 positions[here] = engine.run(params[room], actions[room], here.stop - here.start)
@@ -89,7 +88,7 @@ def write_piece(m: Any, piece: dict[str, np.ndarray]) -> None:
     mass.
     """
     first = m.geom("sphere0").id
-    spheres = slice(first, first + clouds.SPHERES)
+    spheres = slice(first, first + scene.SPHERES)
     for name in ("geom_pos", "geom_size", "geom_rbound", "geom_friction", "geom_solref"):
         getattr(m, name)[spheres] = piece[name]
     m.body_mass[scene.PIECE], m.body_inertia[scene.PIECE] = piece["mass"], piece["inertia"]
@@ -102,10 +101,10 @@ NATIVE = EngineKind(ScoopNativeSettings, make_native)
 
 
 class ScoopMJXSettings(NamedTuple):
-    """dt: s; batch: trials side by side."""
+    """dt: s. batch: Trials side by side."""
 
     dt: float = scene.DT
-    batch: int = interface.BATCH
+    batch: int = model.BATCH
 
 
 def make_mjx(options: ScoopOptions, dt: float, batch: int):
@@ -115,10 +114,10 @@ def make_mjx(options: ScoopOptions, dt: float, batch: int):
     run = jax.jit(jax.vmap(make_scoop(options, dt)))
 
     def simulate(params, commands, initial):
-        params, actions, starts = interface.checked(params, commands, initial)
+        params, actions, starts = model.checked_trials(params, commands, initial)
         good, params, actions = scene.fit(params, actions)
         positions, kind = (
-            np.zeros((len(params), round(model.SECONDS / interface.ROW), scene.DOFS)),
+            np.zeros((len(params), round(model.SECONDS / model.ROW), scene.DOFS)),
             jnp.result_type(float),
         )
         # MJX relies on rank promotion, which a strict caller may have forbidden
@@ -164,7 +163,7 @@ def make_scoop(options: ScoopOptions, dt: float = scene.DT):
 
 def _with_piece(base: Any, piece: dict[str, Array], first: int) -> Any:
     """The model with the spheres and weights of `scene.fields`."""
-    spheres, body = slice(first, first + clouds.SPHERES), scene.PIECE
+    spheres, body = slice(first, first + scene.SPHERES), scene.PIECE
 
     def put(name, at, value):
         return getattr(base, name).at[at].set(value)

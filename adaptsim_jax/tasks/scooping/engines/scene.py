@@ -1,10 +1,18 @@
-"""What MuJoCo and MJX share of scooping: the MJCF scene, what of it belongs to a sample, the
-blade's drive, rows and codes; and our own engine.
+"""Scooping as MuJoCo and MJX have it: the MJCF scene, the piece as a cloud of spheres, the blade's
+drive, rows and codes.
+
+A point contact has no pressure field. A cloud imitates twice what a soft surface does to a scoop.
+Rims are rounded, the softer the more: a blade's edge presses a soft rim away, and a sharp one stops
+it. Contacts are springs, as deep at rest as the hydroelastic piece, as far as a step resolves
+them. The scene is symmetric about the plane of the motion, and blade and table are flat across it.
+So all spheres lie in that plane: of an ellipsoid on its medial axis, of a cylinder or a box along
+both flat ends. Shape and all numbers are traced; every piece has as many spheres.
 """
 
 from __future__ import annotations
 
 import importlib
+import math
 from collections.abc import Callable
 from importlib import resources
 from typing import Any, NamedTuple
@@ -13,12 +21,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.tasks.engine import EngineKind, Trajectory, filled_batches, steps_a_row
-from adaptsim_jax.tasks.scooping import hydro, interface, model
+from adaptsim_jax.tasks.engine import Trajectory, steps_a_row
 from adaptsim_jax.tasks.scooping import hydro_shapes as shapes
+from adaptsim_jax.tasks.scooping import model
 from adaptsim_jax.tasks.scooping import motion as spatula
-from adaptsim_jax.tasks.scooping import sphere_cloud as clouds
-from adaptsim_jax.tasks.scooping.hydro import Numerics
 from adaptsim_jax.tasks.scooping.model import ScoopOptions
 
 Array = Any
@@ -34,13 +40,13 @@ def compiled(dt: float = DT) -> Any:
     """The `mujoco.MjModel` of the shipped scene in steps of `dt` s; BadInput where rows cannot be
     cut out of such steps.
     """
-    steps_a_row("scooping in MuJoCo", dt, interface.ROW, DT)
+    steps_a_row("scooping in MuJoCo", dt, model.ROW, DT)
     mujoco: Any = importlib.import_module("mujoco")
     text = resources.files("adaptsim_jax.tasks.scooping.engines").joinpath("scene.xml").read_text()
     spec = mujoco.MjSpec.from_string(text)
     spec.option.timestep = dt
-    for i in range(clouds.SPHERES):
-        spec.geom(f"sphere{i}").solimp[:2] = clouds.IMPEDANCE
+    for i in range(SPHERES):
+        spec.geom(f"sphere{i}").solimp[:2] = IMPEDANCE
     return spec.compile()
 
 
@@ -52,10 +58,10 @@ def fields(params: Array, dt: float) -> dict[str, Array]:
     [3]` are MuJoCo's inverse weights of the body (one third of the three axes' sum, of which the
     plane has two, and one) and of its joints.
     """
-    spheres, body = clouds.cloud(params), shapes.body(params[2], params[3])
+    spheres, body = cloud(params), shapes.body(params[2], params[3])
 
     def every(row):
-        return jnp.broadcast_to(row, (clouds.SPHERES, *row.shape))
+        return jnp.broadcast_to(row, (SPHERES, *row.shape))
 
     light, turns = 1.0 / body.mass, 1.0 / body.inertia
     friction = jnp.stack([params[0], jnp.zeros_like(params[0]), jnp.zeros_like(params[0])])
@@ -66,7 +72,7 @@ def fields(params: Array, dt: float) -> dict[str, Array]:
         ),
         "geom_rbound": spheres.radii,
         "geom_friction": every(friction),
-        "geom_solref": every(clouds.spring(params, dt).solref),
+        "geom_solref": every(spring(params, dt).solref),
         "mass": body.mass,
         "inertia": body.inertia,
         "weight": jnp.stack([2.0 * light, turns]) / 3.0,
@@ -84,7 +90,7 @@ def make_drive(options: ScoopOptions, dt: float) -> Callable[[Array, Array], tup
     def drive(params: Array, action: Array) -> tuple[Array, Array]:
         pose = spatula.motion(action, steps, options)
         speed = jnp.concatenate([jnp.zeros_like(pose[:1]), jnp.diff(pose, axis=0) / dt])
-        height = params[3] / 2 - clouds.spring(params, dt).depth
+        height = params[3] / 2 - spring(params, dt).depth
         piece = jnp.stack([jnp.zeros_like(height), height, jnp.zeros_like(height)])
         return jnp.concatenate([piece, pose[0]]), jnp.diff(speed, axis=0) / dt
 
@@ -116,14 +122,14 @@ def finished(positions: np.ndarray, good: np.ndarray, starts: np.ndarray) -> Tra
         )
     codes = np.where(good, np.where(rows_at, model.FINE, model.DIVERGED), model.UNFIT)
     q = np.where((codes == model.FINE)[:, None, None], q, 0.0)
-    state = np.zeros((*q.shape[:2], interface.STATE))
+    state = np.zeros((*q.shape[:2], model.STATE))
     state[..., 0], state[..., 2], state[..., 3:] = q[..., 0], q[..., 1], q[..., 3:]
-    return interface.placed(state, codes, starts)
+    return model.placed(state, codes, starts)
 
 
 def rows(dt: float) -> slice:
     """Which of the positions after each step are rows."""
-    every = round(interface.ROW / dt)
+    every = round(model.ROW / dt)
     return slice(every - 1, None, every)
 
 
@@ -135,37 +141,97 @@ def jitted(
     return jax.jit(jax.vmap(lambda p, a: (fields(p, dt), drive(p, a))))
 
 
-class HydroSettings(NamedTuple):
-    """numerics: what makes up the simulator besides physics."""
+Array = Any
 
-    numerics: Numerics = Numerics()
-
-
-def make_hydro(options: ScoopOptions, numerics: Numerics):
-    """`simulate` of our own engine, in batches on the CPU."""
-    hydro.check_numerics(numerics)
-    every = steps_a_row("backend hydro", numerics.dt, interface.ROW, DT)
-
-    @jax.jit
-    @jax.vmap
-    def run(params, action):
-        out = hydro.rollout(params, action, options, numerics)
-        rows = slice(every, None, every)
-        return out.piece[rows, :2], out.tip[rows], out.code
-
-    def simulate(params, commands, initial):
-        params, actions, starts = interface.checked(params, commands, initial)
-        count, kind = len(params), jnp.result_type(float)
-        state = np.zeros((count, round(model.SECONDS / interface.ROW), interface.STATE))
-        codes = np.zeros(count, int)
-        for here, room in filled_batches(count, interface.BATCH):
-            found = run(jnp.asarray(params[room], kind), jnp.asarray(actions[room], kind))
-            piece, tip, code = (np.asarray(x)[: here.stop - here.start] for x in found)
-            state[here, :, 0], state[here, :, 2] = piece[..., 0], piece[..., 1]
-            state[here, :, 3:], codes[here] = tip, code
-        return interface.placed(state, codes, starts)
-
-    return simulate
+SPHERES = 11
+ROW = (SPHERES - 1) // 2  # along each flat end
+RIM = ((1e4, 6e-3), (5e5, 1e-3))
+"""(modulus Pa, radius of the rim m), twice; logarithmic in between and a little beyond. Of ten
+tried, nearest to `hydro`.
+"""
+MIN_RIM, SLACK = 5e-4, 1e-4
+IMPEDANCE = 0.5
+"""Share of a contact's acceleration that MuJoCo's constraints take over; constant, so that springs
+are linear.
+"""
+RELAXATION = 0.2  # s: damping by stiffness, as in `hydro.Numerics`
 
 
-HYDRO = EngineKind(HydroSettings, make_hydro)
+class Cloud(NamedTuple):
+    """centres `[SPHERES, 3]` m from the piece's centre, radii `[SPHERES]` m."""
+
+    centres: Array
+    radii: Array
+
+
+def cloud(params: Array) -> Cloud:
+    """The spheres of the piece of `params [4]`."""
+    hz = params[3] / 2
+    round_x, round_z, round_radii = _medial(hz)
+    flat_x, flat_z, flat_radii = _ends(hz, rim(params[1], hz))
+    is_round = params[2] == model.ELLIPSOID
+    x, z = jnp.where(is_round, round_x, flat_x), jnp.where(is_round, round_z, flat_z)
+    return Cloud(
+        jnp.stack([x, jnp.zeros_like(x), z], -1), jnp.where(is_round, round_radii, flat_radii)
+    )
+
+
+def rim(modulus: Array, hz: Array) -> Array:
+    """Radius of the rounded rims of a flat piece `hz` m half as high, m."""
+    (soft, wide), (stiff, sharp) = RIM
+    u = jnp.clip(jnp.log(modulus / soft) / math.log(stiff / soft), -0.3, 1.3)
+    return jnp.minimum(jnp.maximum(wide + (sharp - wide) * u, MIN_RIM), hz - SLACK)
+
+
+class Spring(NamedTuple):
+    """solref `[2]`: MuJoCo's direct form, (-stiffness, -damping); depth `[]` m at which the piece
+    rests on the table.
+    """
+
+    solref: Array
+    depth: Array
+
+
+def spring(params: Array, dt: float) -> Spring:
+    """Contacts as soft as the hydroelastic piece where it rests, for steps of `dt` s.
+
+    A contact of impedance d is a pyramid of four constraints with an inverse weight of 4 mu^2 (1 +
+    mu^2) / (3 m) each, so n of them bear the piece of mass m at a depth of (2 / 3) mu^2 (1 + mu^2)
+    / n (1 - d) / d g / K. K and the damping are bound by what a step resolves: a damping of 1 / dt
+    takes all speed in one.
+    """
+    mu, d = params[0], IMPEDANCE
+    piece = shapes.body(params[2], params[3])
+    sink = jnp.maximum(shapes.sink(piece, params[1], model.GRAVITY), 1e-7)
+    bearing = jnp.where(params[2] == model.ELLIPSOID, 1.0, float(ROW))
+    load = 2.0 / 3.0 * mu**2 * (1.0 + mu**2) / bearing * (1.0 - d) / d * model.GRAVITY
+    stiffness = jnp.minimum(load / sink, 0.25 / dt**2)
+    damping = jnp.minimum(jnp.maximum(2 * jnp.sqrt(stiffness), RELAXATION * stiffness), 1.0 / dt)
+    solref = -jnp.stack(
+        [stiffness * d * d, damping * d]
+    )  # MuJoCo divides them by these powers of the impedance
+    return Spring(solref, load / stiffness)
+
+
+def _medial(hz: Array) -> tuple[Array, Array, Array]:
+    """Centres' x and z and radii `[SPHERES]` of the discs that fill an ellipse of half sizes RADIUS
+    and `hz`.
+    """
+    t, r = np.linspace(-1.0, 1.0, SPHERES), model.RADIUS
+    long, short = jnp.maximum(r, hz), jnp.minimum(r, hz)
+    square = jnp.maximum(long**2 - short**2, 1e-12)
+    at = jnp.asarray(t, long.dtype) * square / long
+    radii = short * jnp.sqrt(jnp.maximum(1.0 - at**2 / square, 0.0))
+    zero = jnp.zeros_like(at)
+    return jnp.where(hz > r, zero, at), jnp.where(hz > r, at, zero), radii
+
+
+def _ends(hz: Array, rim: Array) -> tuple[Array, Array, Array]:
+    """The same for a rectangle with rounded corners: spheres along bottom and top, and one that
+    fills the middle.
+    """
+    along = jnp.asarray(np.tile(np.linspace(-1.0, 1.0, ROW), 2), hz.dtype) * (model.RADIUS - rim)
+    up = jnp.asarray(np.repeat([-1.0, 1.0], ROW), hz.dtype) * (hz - rim)
+    middle = jnp.zeros(1, hz.dtype)
+    radii = jnp.append(jnp.broadcast_to(rim, (2 * ROW,)), 0.9 * jnp.minimum(hz, model.RADIUS))
+    return jnp.append(along, middle), jnp.append(up, middle), radii
