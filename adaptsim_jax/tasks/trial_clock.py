@@ -10,7 +10,7 @@ from adaptsim_jax.logs.noise import difference_noise
 
 
 @dataclass(frozen=True)
-class ClockCriteria:
+class TrialClockCriteria:
     """What decides whether the clock of tracks is refused.
 
     Args:
@@ -33,7 +33,7 @@ class ClockCriteria:
     on_time: float = 0.1
 
 
-CLOCK = ClockCriteria()
+CLOCK = TrialClockCriteria()
 
 
 ARMS = np.geomspace(0.1, 10.0, 41)
