@@ -42,13 +42,28 @@ def hung(path: Path) -> mujoco.MjSpec:
     return spec
 
 
-def with_hidden(model: mujoco.MjModel, world: str, rng: np.random.Generator) -> dict:
-    """Put what is hidden into the model; what it is. A delay [rows] is the caller's."""
+def usual_torque(model: mujoco.MjModel, home: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Torques [nv] that swings about `home` need, root mean square over 50 poses."""
+    data, torques = mujoco.MjData(model), []
+    fastest = SWING * (np.pi * FASTEST) ** 2 / model.dof_invweight0
+    for _ in range(50):
+        data.qpos[:] = home + SWING * rng.uniform(-1.0, 1.0, model.nv)
+        mujoco.mj_forward(model, data)
+        torques.append(data.qfrc_bias + fastest * rng.uniform(-1.0, 1.0, model.nv))
+    return np.sqrt(np.mean(np.square(torques), 0))
+
+
+def with_hidden(
+    model: mujoco.MjModel, world: str, usual: np.ndarray, rng: np.random.Generator
+) -> dict:
+    """Put what is hidden into the model; what it is. A delay [rows] is the caller's. usual: torques
+    [nv] N m; a friction is a part of them, so that the joint still moves.
+    """
     j = int(rng.integers(model.nv))
     inertia = 1.0 / float(model.dof_invweight0[j])
     out = {"world": world, "joint": model.joint(j).name, "late": 0, "size": 0.0}
     if world == "friction":
-        out["size"] = float(rng.uniform(0.3, 1.0) + 10.0 * inertia)
+        out["size"] = float(rng.uniform(0.2, 0.5) * usual[j])
         model.dof_frictionloss[j] += out["size"]
     elif world == "rotor":
         out["size"] = float(rng.uniform(1.0, 2.0) * inertia)
@@ -66,11 +81,12 @@ def recorded(folder: Path, path: Path, world: str, rng: np.random.Generator) -> 
     model = spec.compile()
     (folder / "robot.xml").write_text(spec.to_xml())
     (folder / "meta.toml").write_text('task = "mechanism"\nmodel = "robot.xml"\ninput = "torque"\n')
-    nominal, truth = spec.compile(), with_hidden(model, world, rng)
-    names = [model.joint(k).name for k in range(model.njnt)]
-    header = ",".join(["time", *(f"q_{n}" for n in names), *(f"tau_{n}" for n in names)])
     low, high = np.where(model.jnt_limited[:, None] > 0, model.jnt_range, [-1.0, 1.0]).T
     home = np.clip(0.5 * (low + high), low + 0.4, np.maximum(high - 0.4, low + 0.4))
+    nominal = spec.compile()
+    truth = with_hidden(model, world, usual_torque(nominal, home, rng), rng)
+    names = [model.joint(k).name for k in range(model.njnt)]
+    header = ",".join(["time", *(f"q_{n}" for n in names), *(f"tau_{n}" for n in names)])
     inertia = 1.0 / nominal.dof_invweight0
     for trial in range(TRIALS):
         speed, phase = rng.uniform(0.2, FASTEST, (3, model.nv)), rng.uniform(0, 6.3, (3, model.nv))
