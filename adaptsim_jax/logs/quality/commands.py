@@ -20,15 +20,11 @@ def unexplained(tracks: Sequence[Track]) -> float:
     [T, 1]`), `tau [T, 1]` the command. NaN where the motion is too short, or where nothing moves or
     is commanded.
     """
-    rows = [_rows(track) for track in tracks]
-    a = np.concatenate([r[0] for r in rows])
-    columns = np.concatenate([r[1] for r in rows])
-    if len(a) < COMMAND.min_blocks or np.std(a) < 1e-9 or np.std(columns[:, 0]) < 1e-12:
+    if (found := _system(tracks)) is None:
         return float("nan")
-    size = np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-12)
-    x, *_ = np.linalg.lstsq(columns / size, a, rcond=1e-9)
-    left = a - columns / size @ x
-    return float(np.sum(left**2) / np.sum((a - a.mean()) ** 2))
+    a, columns, _ = found
+    x, *_ = np.linalg.lstsq(columns, a, rcond=1e-9)
+    return _share(a - columns @ x, a)
 
 
 def servo_gain(tracks: Sequence[Track]) -> tuple[float, float, float] | None:
@@ -36,24 +32,34 @@ def servo_gain(tracks: Sequence[Track]) -> tuple[float, float, float] | None:
     acceleration that is left; None where the motion is too short. Rows beside one another are not
     independent, which the error allows for.
     """
+    if (found := _system(tracks)) is None:
+        return None
+    a, whole, size = found
+    gram = whole.T @ whole + 1e-9 * len(a) * np.eye(whole.shape[1])
+    x = np.linalg.solve(gram, whole.T @ a)
+    left = a - whole @ x
+    free = max(len(a) / COMMAND.alike - whole.shape[1], 1.0)
+    spread = float(np.sum(left**2)) / free / COMMAND.alike
+    error = np.sqrt(spread * COMMAND.alike * np.linalg.inv(gram)[0, 0])
+    return float(x[0] / size[0]), float(error / size[0]), _share(left, a)
+
+
+def _system(tracks: Sequence[Track]) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Accelerations `[K]`, columns `[K, 6]` of unit size, and their sizes `[6]`.
+
+    None where the motion is too short, or where nothing moves or is commanded.
+    """
     rows = [_rows(track) for track in tracks]
     a, columns = (np.concatenate([r[k] for r in rows]) for k in (0, 1))
     if len(a) < COMMAND.min_blocks or np.std(a) < 1e-9 or np.std(columns[:, 0]) < 1e-12:
         return None
     size = np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-12)
-    whole = columns / size
-    gram = whole.T @ whole + 1e-9 * len(a) * np.eye(whole.shape[1])
-    x = np.linalg.solve(gram, whole.T @ a)
-    left = a - whole @ x
-    spread = (
-        float(np.sum(left**2)) / max(len(a) / COMMAND.alike - whole.shape[1], 1.0) / COMMAND.alike
-    )
-    error = np.sqrt(spread * COMMAND.alike * np.linalg.inv(gram)[0, 0])
-    return (
-        float(x[0] / size[0]),
-        float(error / size[0]),
-        float(np.sum(left**2) / np.sum((a - a.mean()) ** 2)),
-    )
+    return a, columns / size, size
+
+
+def _share(left: np.ndarray, a: np.ndarray) -> float:
+    """Share of the square of `a [K]` that is left."""
+    return float(np.sum(left**2) / np.sum((a - a.mean()) ** 2))
 
 
 def _rows(track: Track) -> tuple[np.ndarray, np.ndarray]:
