@@ -144,13 +144,9 @@ def diagnose(
         simulator=_simulator_asked(machine),
     )
     run = Run(command, began)
-    output = Output(
-        folder,
-        page,
-        _files(report, machine, found, {"data": str(data), **run.as_dict()}),
-        None if folder is None else verifier(data, model, folder, declared, without),
-    )
-    return finished(report, evidence, run, output)
+    files = _files(report, machine, found, {"data": str(data), **run.as_dict()})
+    verify = None if folder is None else verifier(data, model, folder, declared, without)
+    return finished(report, evidence, run, Output(folder, page, files, verify))
 
 
 def _with_own_gains(

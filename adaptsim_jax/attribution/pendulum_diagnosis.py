@@ -106,12 +106,9 @@ def diagnose_pendulum(
     notify(0.02, 1.0, "reading")
     log = data if isinstance(data, Log) else read_pendulum(data, without=without)
     log = log.without([name for name in without if name in {t.name for t in log.trials}])
-    rig, path = log.meta.rig, log.path
-    checked = audit(log)
-    run = Run(
-        command_of(path, out=out, exclude=exclude, without=without, as_declared=as_declared),
-        began,
-    )
+    rig, checked = log.meta.rig, audit(log)
+    given = {"exclude": exclude, "without": without, "as_declared": as_declared}
+    run = Run(command_of(log.path, out, **given), began)
     folder = None if out is None else cleared(output_folder(out))
     output = Output(folder, page)
     if checked.fault:
