@@ -116,8 +116,8 @@ WITHIN = {
     ),
     "diagnosis": (
         "run",
-        "schema",
         "criteria",
+        "schema",
         "recommended",
         "testing",
         "alternatives",

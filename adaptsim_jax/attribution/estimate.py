@@ -15,7 +15,7 @@ from adaptsim_jax.attribution.paths import at_ends, ready, residuals, simulated,
 from adaptsim_jax.attribution.problem import Group, TreeProblem
 from adaptsim_jax.attribution.simulate import Path
 from adaptsim_jax.attribution.weights import TreeFit, Weights, group_losses, losses, weigh
-from adaptsim_jax.diagnosis.steps import ENOUGH, Point, fit_values
+from adaptsim_jax.diagnosis.steps import CONVERGED_GAIN, Point, fit_values
 
 GOING_ON = 0.03  # share of the loss that a round must take off a fit that is only to be compared
 
@@ -158,7 +158,7 @@ def fit(
         return _point(replace(now, weights=weights, loss=losses(problem, paths, weights)), paths)
 
     def done(before: Point, after: Point, k: int) -> bool:
-        minimum = ENOUGH if glance is None or k < glance else GOING_ON
+        minimum = CONVERGED_GAIN if glance is None or k < glance else GOING_ON
         return before.loss - after.loss < minimum * max(before.loss, 1e-300)
 
     found = fit_values(_point(begun, paths), around, rounds, done=done, taken=taken)

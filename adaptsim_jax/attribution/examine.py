@@ -39,7 +39,7 @@ from adaptsim_jax.attribution.score import candidates
 from adaptsim_jax.attribution.select import Selection, select, select_shorter
 from adaptsim_jax.attribution.torque_report import TorqueFound, by_torque, curves, held_missing
 from adaptsim_jax.attribution.tree_objective import ROUNDS, Hint, TreeObjective
-from adaptsim_jax.diagnosis.criteria import USEFUL_SKILL, Criteria
+from adaptsim_jax.diagnosis.criteria import REPORT, Criteria
 from adaptsim_jax.diagnosis.finding import Named
 from adaptsim_jax.diagnosis.report import Account, report_of, withhold_names
 from adaptsim_jax.diagnosis.search import backward_elimination
@@ -302,7 +302,7 @@ def _beyond_balance(q: Inquiry, torques: Balanced, by_torque: Examined) -> Exami
         return None
     problem, measure = q.problem, by_torque.after[STRETCHES]
     left = measure.error > q.criteria.odd * problem.floor[: problem.joints]
-    joints = set(np.flatnonzero((measure.skills > USEFUL_SKILL) & left))
+    joints = set(np.flatnonzero((measure.skills > REPORT.useful_skill) & left))
     known = {
         (e.name, j)
         for e in problem.effects

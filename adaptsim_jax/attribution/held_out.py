@@ -29,8 +29,8 @@ from adaptsim_jax.attribution.problem import TreeProblem, moving
 from adaptsim_jax.attribution.score import CandidateScore, JointCandidate, shape_entries
 from adaptsim_jax.attribution.simulate import Path
 from adaptsim_jax.attribution.weights import WILD, TreeFit, Weights, losses
-from adaptsim_jax.diagnosis.criteria import Criteria
-from adaptsim_jax.diagnosis.folds import BLOCKS, pieces
+from adaptsim_jax.diagnosis.criteria import FOLD, Criteria
+from adaptsim_jax.diagnosis.folds import pieces
 from adaptsim_jax.diagnosis.testing import Test, jackknife, paired_test
 from adaptsim_jax.effects.base import Effect, Reach
 
@@ -166,7 +166,7 @@ def paired(problem: TreeProblem, without: np.ndarray, with_: np.ndarray) -> Test
     alone could not show what is not in each of them.
     """
     count = len(problem.fold)
-    block = pieces(problem.groups[0].stretches.trial[:count], BLOCKS)
+    block = pieces(problem.groups[0].stretches.trial[:count], FOLD.test_pieces)
     return paired_test(without[:count], with_[:count], problem.fold, block)
 
 

@@ -21,7 +21,7 @@ from adaptsim_jax.attribution.equation.windows import SPAN
 from adaptsim_jax.attribution.forecast import without_a_model
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import TreeProblem, values_of
-from adaptsim_jax.diagnosis.criteria import USEFUL_SKILL
+from adaptsim_jax.diagnosis.criteria import REPORT
 
 STRETCHES, WHOLE, TORQUE = "stretches", "whole", "torque"
 NAMES = (STRETCHES, WHOLE, TORQUE)
@@ -158,13 +158,13 @@ def headline(
             return f"{100 * skill[k]:.0f} % better than a straight line"
         return "no better than a straight line"
 
-    if follows and min(skill.get(TORQUE, -1.0), skill.get(STRETCHES, -1.0)) >= USEFUL_SKILL:
+    if follows and min(skill.get(TORQUE, -1.0), skill.get(STRETCHES, -1.0)) >= REPORT.useful_skill:
         return (
             TORQUE,
             "it follows commands, and of the torque that its command errors come to the model "
             f"tells {100 * skill[TORQUE]:.0f} %",
         )
-    if skill.get(STRETCHES, -1.0) >= USEFUL_SKILL:
+    if skill.get(STRETCHES, -1.0) >= REPORT.useful_skill:
         return STRETCHES, f"over stretches the declared model, fitted, is {words(STRETCHES)}"
     if follows and WHOLE in skill:
         return (

@@ -4,10 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# skill against what needs no model, from which on a model tells one thing from another, and is
-# worth using
-USEFUL_SKILL = 0.35
-
 
 @dataclass(frozen=True)
 class TorqueCriteria:
@@ -141,3 +137,77 @@ class Criteria:
     few: int = 3
     left: float = 1 / 3
     torque: TorqueCriteria = TorqueCriteria()
+
+
+@dataclass(frozen=True)
+class FoldCriteria:
+    """Parts of a log that are left out in turn (`folds.py`, `simulator.py`)."""
+
+    # from which on each trial is a fold: of fewer, none could show what it lacks
+    min_trials: int = 5
+    pieces: int = 8  # folds, about, of fewer trials
+    test_pieces: int = 24  # blocks, about, of a test of stretches of fewer trials
+    # s, of a block of windows, which overlap: much longer than what neighbours share
+    span: float = 0.5
+    min_blocks: int = 16  # blocks of windows: enough for a level of 0.01
+    max_blocks: int = 60  # blocks of windows: more distinguish no better
+    min_windows: int = 2  # windows of a piece, where a trial has them
+    min_stretches: int = 3  # stretches: of fewer none can be left out
+
+
+@dataclass(frozen=True)
+class PairedTestCriteria:
+    """Tests of what left-out parts gain, and of residuals (`testing.py`)."""
+
+    all_signs: int = 14  # parts up to which the sign-flip test takes all patterns of signs (16384)
+    # patterns of signs that are drawn for more parts: enough for a level of 0.001
+    drawn_signs: int = 10_000
+    max_lag: int = 40  # rows over which residuals may be correlated: more are slow changes
+    min_correlation: float = 0.05  # autocorrelation below which residuals count as independent
+    # share of the median loss that is added to each: a unit that hardly moved shows little,
+    # however much it gained
+    added_loss: float = 0.1
+
+
+@dataclass(frozen=True)
+class RestartCriteria:
+    """Which fits are begun again elsewhere (`fit.py`, `starts.py`)."""
+
+    fit_noises: float = 1.5  # times the noise, beyond which a fit is begun again from another start
+    stretch_noises: float = 1.3  # times the noise, beyond which a stretch's start is drawn again
+
+
+@dataclass(frozen=True)
+class LookAlikeCriteria:
+    """Other effects in the place of a named one (`trials.py`, and objectives of `attribution`)."""
+
+    # of the named model's loss, up to which a look-alike is fitted to the end
+    max_loss: float = 1.5
+    # of what a name takes off, which one step of a look-alike must take off in its place
+    min_step_gain: float = 0.1
+
+
+@dataclass(frozen=True)
+class ReportCriteria:
+    """Errors and models in reports (`report.py`, `rows.py`, `recommended.py`, `schema.py`)."""
+
+    # skill against what needs no model, from which on a model distinguishes effects and is worth
+    # using
+    useful_skill: float = 0.35
+    parameter_level: float = 0.90  # coverage of the intervals of parameters (effects and declared)
+    error_level: float = 0.95  # coverage of the interval of the error over held-out trials
+    error_draws: int = 400  # bootstrap draws of trials, for the interval of an error
+    # noises, over a whole stretch, from which on a difference of two models shows
+    visible: float = 3.0
+    slack: float = 1.05  # times the declared file's error, up to which a joint counts as no worse
+    ran_away: float = 1.0  # rad (m): of an error, from which on its size means nothing
+    # times the median error of all trials: those beyond it, where they are few, are listed
+    outlying: float = 4.0
+    followed: float = 1.5  # times the noise floor, up to which trials count as followed
+
+
+FOLD = FoldCriteria()
+PAIRED = PairedTestCriteria()
+RESTART = RestartCriteria()
+LOOK_ALIKE = LookAlikeCriteria()
+REPORT = ReportCriteria()

@@ -7,14 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from adaptsim_jax.diagnosis.criteria import REPORT
 from adaptsim_jax.diagnosis.finding import Finding
 from adaptsim_jax.diagnosis.models import Model
 from adaptsim_jax.diagnosis.problem import Problem
 from adaptsim_jax.diagnosis.report import Label
 from adaptsim_jax.diagnosis.simulator import Simulator, linearise
 from adaptsim_jax.diagnosis.starts import settle, taken_up, without
-
-VISIBLE = 3.0  # noises, over a whole stretch, from which on a difference is seen
 
 
 def discriminating(
@@ -41,7 +40,7 @@ def discriminating(
                 where = f"motions like those of trial {trial}"
             pair = f"{n.candidate.name} and {rival.name}"
             text = f"{pair} differ most in {where}: by {size:.2g} times the noise over a stretch."
-            if size < VISIBLE:
+            if size < REPORT.visible:
                 text += " That is hardly seen: another kind of experiment is needed."
             return {
                 "message": text,

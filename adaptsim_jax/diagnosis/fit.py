@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adaptsim_jax.diagnosis.criteria import RESTART
 from adaptsim_jax.diagnosis.problem import Problem
 from adaptsim_jax.diagnosis.steps import Point, bounded_step, fit_values
 
-LEFT = 1.5  # times the noise, beyond which a fit is begun again from beside
-GROUPS = 4  # of starts that the declared fit may begin from, one after the other
+MAX_START_GROUPS = 4  # groups of starts that the declared fit may begin from, one after the other
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ def settled(
     effect would be judged by its own.
     """
     best = fitted(problem, names, values, rounds)
-    if best[1] <= LEFT**2 * problem.counts.sum():
+    if best[1] <= RESTART.fit_noises**2 * problem.counts.sum():
         return best
     tries = []
     for i in problem.at(problem.again):
@@ -144,7 +144,7 @@ def declared_fit(problem: Problem, rounds: int, noise: float = np.inf) -> Fit:
         )
     )
     order, fits = np.argsort(score(problem.starts)), []
-    for first in range(0, GROUPS * problem.begun, problem.begun):
+    for first in range(0, MAX_START_GROUPS * problem.begun, problem.begun):
         fits += [
             fitted(problem, problem.declared, problem.starts[i], rounds)
             for i in order[first : first + problem.begun]

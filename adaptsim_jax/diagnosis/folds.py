@@ -6,11 +6,7 @@ every objective.
 
 import numpy as np
 
-TRIALS = 5  # from which on each trial is a fold: of fewer, none could show what it lacks
-FOLDS, BLOCKS = 8, 24  # about so many of fewer trials; in a test of stretches
-SPAN = 0.5  # s, of a block of windows, which overlap: much longer than what neighbours share
-FEWEST, MOST = 16, 60  # blocks of windows: enough for a level of 0.01, and no more than tell apart
-WINDOWS = 2  # of a piece, where a trial has them
+from adaptsim_jax.diagnosis.criteria import FOLD
 
 
 def folds_of(trial: np.ndarray, least: int = 1) -> np.ndarray:
@@ -19,22 +15,24 @@ def folds_of(trial: np.ndarray, least: int = 1) -> np.ndarray:
     least: stretches of a piece.
     """
     names = np.unique(trial)
-    if len(names) >= TRIALS:
+    if len(names) >= FOLD.min_trials:
         return np.searchsorted(names, trial)
-    return pieces(trial, FOLDS, least)
+    return pieces(trial, FOLD.pieces, least)
 
 
 def names_of(trial: np.ndarray, fold: np.ndarray, names: tuple[str, ...]) -> tuple[str, ...]:
     """What folds are called, by the names of the trials."""
     first = [int(np.flatnonzero(fold == k)[0]) for k in range(fold.max() + 1)]
-    if len(np.unique(trial)) >= TRIALS:
+    if len(np.unique(trial)) >= FOLD.min_trials:
         return tuple(names[trial[i]] for i in first)
     part = [k - int(fold[trial == trial[i]].min()) for k, i in enumerate(first)]
     return tuple(f"{names[trial[i]]} part {p + 1}" for i, p in zip(first, part, strict=True))
 
 
 def blocks_of_windows(trial: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Block `[K]` of each window of the motion, of about `SPAN` s; time `[K]` s of their middles.
+    """Block `[K]` of each window of the motion, of about `FOLD.span` s.
+
+    time: `[K]` s, middles of the windows.
 
     The balance has more blocks than stretches have, since windows are short and many.
     """
@@ -42,7 +40,11 @@ def blocks_of_windows(trial: np.ndarray, time: np.ndarray) -> np.ndarray:
         hop = float(np.median(np.diff(time)[np.diff(trial) == 0]))
     else:
         hop = 1.0
-    return pieces(trial, int(np.clip(len(trial) * hop / SPAN, FEWEST, MOST)), WINDOWS)
+    return pieces(
+        trial,
+        int(np.clip(len(trial) * hop / FOLD.span, FOLD.min_blocks, FOLD.max_blocks)),
+        FOLD.min_windows,
+    )
 
 
 def pieces(trial: np.ndarray, about: int, least: int = 1) -> np.ndarray:

@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.diagnosis.criteria import REPORT
 
 WHOLE_TRIALS = "whole trials"
-SLACK = 1.05  # times the declared file's error, up to which a joint counts as no worse
-RUN_AWAY = 1.0  # rad (m): of an error, from which on its size means nothing
 
 
 @dataclass(frozen=True)
@@ -62,11 +61,11 @@ def worse_joints(
 
 def _worse(before: FileReplay, after: FileReplay) -> list[dict[str, Any]]:
     def size(error):
-        return np.sqrt(np.mean(np.square(np.minimum(error, RUN_AWAY)), 0))
+        return np.sqrt(np.mean(np.square(np.minimum(error, REPORT.ran_away)), 0))
 
     one, two, nothing = size(before.error), size(after.error), size(before.nothing)
     return [
         {"joint": name, "before": float(one[j]), "after": float(two[j]), "unit": before.units[j]}
         for j, name in enumerate(before.joints)
-        if one[j] < nothing[j] and two[j] > SLACK * one[j]
+        if one[j] < nothing[j] and two[j] > REPORT.slack * one[j]
     ]

@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from adaptsim_jax.diagnosis.criteria import REPORT
 from adaptsim_jax.diagnosis.finding import Finding, Named
 from adaptsim_jax.diagnosis.schema import new_report, verdict_of, with_effects
 
-DRAWS = 400  # of trials, for the interval of an error
 COVERED = [0.025, 0.975]  # quantiles of the interval of an error
 
 
@@ -222,7 +222,7 @@ def error_rows(
     """
     trial = np.arange(len(names)) if trial is None else trial
     count = len(trial)
-    draws = np.random.default_rng(0).integers(0, count, (DRAWS, count))
+    draws = np.random.default_rng(0).integers(0, count, (REPORT.error_draws, count))
 
     def medians(errors: Errors, at: Any = slice(None)) -> dict[str, float]:
         return {k: float(np.median(v[at])) for k, v in errors.both.items()}

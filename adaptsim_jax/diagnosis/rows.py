@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.criteria import REPORT, Criteria
 from adaptsim_jax.diagnosis.finding import Finding, Named
 from adaptsim_jax.diagnosis.models import Model, spread
 from adaptsim_jax.diagnosis.problem import Candidate, Problem
@@ -18,10 +18,6 @@ from adaptsim_jax.diagnosis.report import named_words as of_any
 from adaptsim_jax.effects.base import NINETY
 
 LOGS = {"log_e": ("e", "Pa")}
-OUTLYING = (
-    4.0  # times the median error of all trials: those beyond it, where they are few, are told
-)
-FOLLOWED = 1.5  # times the noise floor, up to which trials count as followed
 
 
 @dataclass(frozen=True)
@@ -131,13 +127,13 @@ def headline(recorded: Recorded, found: Finding, over: float, worst: float) -> H
         f"{named_words(found.named, recorded.trials)} Left-out error {size(found.null)} to "
         f"{size(found.final)} mm, {over:.1f} times the noise floor."
     )
-    if worst > FOLLOWED >= over:
+    if worst > REPORT.followed >= over:
         mended += (
             f" Some {recorded.trials} are not followed: all together the fit leaves {worst:.1f} times "
             "the noise floor."
         )
     more = ""
-    if found.named or worst > FOLLOWED:
+    if found.named or worst > REPORT.followed:
         more = _standing_out(recorded, found.final if found.named else found.null)
     return Headline(declared, mended, more)
 
@@ -145,7 +141,7 @@ def headline(recorded: Recorded, found: Finding, over: float, worst: float) -> H
 def _standing_out(recorded: Recorded, model: Model) -> str:
     """A sentence on a few trials that are predicted far worse than the others."""
     error = np.sqrt(model.fit.held)
-    outliers = np.flatnonzero(error > OUTLYING * np.median(error))
+    outliers = np.flatnonzero(error > REPORT.outlying * np.median(error))
     if not 0 < len(outliers) <= len(error) / 4:
         return ""
     names, times = [recorded.names[k] for k in outliers], np.max(error[outliers]) / np.median(error)

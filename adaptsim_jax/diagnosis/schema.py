@@ -38,11 +38,7 @@ import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 
-SCHEMA = 1
-PARAMETER_LEVEL, ERROR_LEVEL = 0.90, 0.95
-"""Coverage of the intervals of parameters (effects and declared), and of the error over held-out
-trials.
-"""
+SCHEMA = 1  # version of the format of diagnoses: readers refuse others
 
 VERDICTS = (
     "explained",

@@ -14,10 +14,10 @@ import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.parallel import parallel_map
+from adaptsim_jax.diagnosis.criteria import FOLD
 from adaptsim_jax.diagnosis.problem import Candidate, Quantity
 
-MIN_STRETCHES = 3  # stretches
-STEP = 1e-2  # of a quantity's scale, to either side, by which a derivative is taken
+DERIVATIVE_STEP = 1e-2  # of a quantity's scale, to either side, by which a derivative is taken
 
 
 @dataclass(frozen=True)
@@ -110,9 +110,9 @@ def check_simulator(simulator: Simulator) -> None:
     ):
         if x.shape != wanted:
             raise BadInput(f"simulator: stretches.{what} has shape {x.shape}; {wanted} is wanted")
-    if s.count < MIN_STRETCHES:
+    if s.count < FOLD.min_stretches:
         raise BadInput(
-            f"simulator: {s.count} stretches are too few to leave any out; give at least {MIN_STRETCHES}"
+            f"simulator: {s.count} stretches are too few to leave any out; give at least {FOLD.min_stretches}"
         )
     if len(gone := np.argwhere((s.seen > 0) & ~np.isfinite(s.measured))):
         w, r, c = gone[0]
@@ -165,17 +165,20 @@ def differences(
     on all cores.
 
     Each way is a pair of `(d values [P], d starts [S])` of the size of a unit step; differences are
-    taken over `STEP` of it.
+    taken over `DERIVATIVE_STEP` of it.
     """
 
     def along(way: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
         ahead, behind = (
             residuals(
-                simulator, values + side * STEP * way[0], starts + side * STEP * way[1], which
+                simulator,
+                values + side * DERIVATIVE_STEP * way[0],
+                starts + side * DERIVATIVE_STEP * way[1],
+                which,
             )
             for side in (1.0, -1.0)
         )
-        return (behind - ahead) / (2.0 * STEP)
+        return (behind - ahead) / (2.0 * DERIVATIVE_STEP)
 
     if not len(ways):
         return np.zeros((len(which), simulator.stretches.measured[0].size, 0))

@@ -7,26 +7,25 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from adaptsim_jax.diagnosis.folds import BLOCKS, folds_of, pieces
+from adaptsim_jax.diagnosis.criteria import FOLD, RESTART
+from adaptsim_jax.diagnosis.folds import folds_of, pieces
 from adaptsim_jax.diagnosis.problem import Candidate, Problem, Quantity
 from adaptsim_jax.diagnosis.simulator import Simulator, Stretches, linearise, residuals
 from adaptsim_jax.diagnosis.steps import StretchLanes, best_of, fit_starts
 
-ROUNDS = 3  # of a start's fit from its anchor
-FRESH = 8  # slopes that an anchor is fitted by, one after the other
-ENOUGH = 1e-3  # of a stretch's loss; a step that gains less is its last
-SETTLED = 0.05  # of a stretch's loss; a slope that gains less is an anchor's last
-DRAWS, LEFT = 12, 1.3  # of starts where fits are caught: those that leave so many times the noise
+START_ROUNDS = 3  # rounds of a start's fit from its anchor
+MAX_SLOPES = 8  # slopes that an anchor is fitted by, one after the other
+MIN_START_GAIN = 1e-3  # share of a stretch's loss; a step that gains less is its last
+MIN_ANCHOR_GAIN = 0.05  # share of a stretch's loss; a slope that gains less is an anchor's last
+START_DRAWS = 12  # draws of starts where fits are caught
 DOWNWEIGHTED = (
     1.5,
     1,
 )  # times the usual error, beyond which a stretch counts less, and by which power
 CAUGHT = 1.25, 4  # the same of a model with names
-REMEMBERED = 6  # points that are remembered with all their columns
-NEAR, NEAR_STARTS = (
-    0.3,
-    1.0,
-)  # of a quantity's scale, within which columns, and slopes by starts, are not taken anew
+MAX_POINTS = 6  # points that are stored with all their columns: memory
+SAME_COLUMNS = 0.3  # of a quantity's scale, within which columns are not computed again
+SAME_SLOPES = 1.0  # of a quantity's scale, within which slopes by starts are not computed again
 
 
 @dataclass(frozen=True)
@@ -107,7 +106,7 @@ def settle(
         return starts + lengths * (np.einsum("bst,bt->bs", here.inverse, down) * s.scale)
 
     begun = StretchLanes(starts, *evaluate(starts, np.arange(len(which))))
-    found = fit_starts(begun, propose, evaluate, rounds if starts.shape[1] else 0, ENOUGH)
+    found = fit_starts(begun, propose, evaluate, rounds if starts.shape[1] else 0, MIN_START_GAIN)
     return Settled(found.starts, found.left)
 
 
@@ -132,7 +131,7 @@ class Linearised:
         """
         if self.simulator.stretches.start.shape[1]:
             self.points.append(anchored(self.simulator, values, self.near(values).starts))
-            del self.points[1 : max(1, len(self.points) - REMEMBERED)]
+            del self.points[1 : max(1, len(self.points) - MAX_POINTS)]
             self.weight[:] = weights(self.simulator, values, self.points[-1].starts, *CAUGHT)
 
     def residual(self, values: np.ndarray) -> np.ndarray:
@@ -152,7 +151,7 @@ class Linearised:
             starts = best_of(
                 (starts, s.start, *([] if last is starts else [last])), evaluate
             ).starts
-        found = settle(self.simulator, values, starts, ROUNDS, None, point.slope)
+        found = settle(self.simulator, values, starts, START_ROUNDS, None, point.slope)
         return found.residual * self.weight[:, None]
 
     def columns(self, values: np.ndarray, basis: np.ndarray) -> np.ndarray:
@@ -161,10 +160,12 @@ class Linearised:
         if not len(basis):
             return np.zeros((s.count, s.measured[0].size, 0))
         point, count = self.near(values), s.count
-        moved = bool(np.any(np.abs(point.values - values) > NEAR * self.scale))
+        moved = bool(np.any(np.abs(point.values - values) > SAME_COLUMNS * self.scale))
         rows = np.tile(values if moved else point.values, (count, 1))
         if moved:
-            starts = settle(self.simulator, rows, point.starts, ROUNDS, None, point.slope).starts
+            starts = settle(
+                self.simulator, rows, point.starts, START_ROUNDS, None, point.slope
+            ).starts
         else:
             starts = point.starts
         known = {} if moved else point.columns
@@ -172,7 +173,7 @@ class Linearised:
         if moved or fresh:
             asked = np.array(fresh).reshape(-1, basis.shape[1])
             resloped = moved and bool(
-                np.any(np.abs(point.sloped - values) > NEAR_STARTS * self.scale)
+                np.any(np.abs(point.sloped - values) > SAME_SLOPES * self.scale)
             )
             by_start, by_value = linearise(
                 self.simulator, rows, starts, np.arange(count), asked, starts_too=resloped
@@ -189,7 +190,7 @@ class Linearised:
                 point = replace(point, values=values.copy(), starts=starts, columns={})
             if moved:
                 self.points.append(point)
-                del self.points[1 : max(1, len(self.points) - REMEMBERED)]
+                del self.points[1 : max(1, len(self.points) - MAX_POINTS)]
             known = point.columns
             retained = without(point.taken, by_value)
             known.update({row.tobytes(): retained[..., k] for k, row in enumerate(fresh)})
@@ -221,7 +222,7 @@ def problem_of(
     anchor = anchored(simulator, neutral)
     weight = weights(simulator, neutral, anchor.starts, *DOWNWEIGHTED)
     around = Linearised(simulator, [anchor], np.array([q.scale for q in quantities]), weight)
-    fold, block = folds_of(s.trial), pieces(s.trial, BLOCKS)
+    fold, block = folds_of(s.trial), pieces(s.trial, FOLD.test_pieces)
     wanted = tuple(simulator.candidates if candidates is None else candidates)
     free = np.maximum((s.seen > 0).sum((1, 2)) - s.start.shape[1], 1)
     wanted = _started_separately(wanted, quantities, around)
@@ -270,11 +271,11 @@ def anchored(
     on, rows, none = np.arange(s.count), np.tile(values, (s.count, 1)), np.zeros((0, len(values)))
     before = np.square(residuals(simulator, rows, starts, on)).sum(1)
     draw, shaken = np.random.default_rng(0).standard_normal, False
-    for _ in range(FRESH if starts.shape[1] else 0):
+    for _ in range(MAX_SLOPES if starts.shape[1] else 0):
         by_start[on] = linearise(simulator, rows[on], starts[on], on, none)[0]
-        found = settle(simulator, rows[on], starts[on], ROUNDS, on, slope_of(s, by_start[on]))
+        found = settle(simulator, rows[on], starts[on], START_ROUNDS, on, slope_of(s, by_start[on]))
         starts[on], after = found.starts, np.square(found.residual).sum(1)
-        gained, before = before - after > SETTLED * before, after
+        gained, before = before - after > MIN_ANCHOR_GAIN * before, after
         on, before = on[gained], before[gained]
         if not len(on) and not shaken:
             shaken, on = True, np.arange(s.count)
@@ -293,7 +294,7 @@ def _shaken(simulator, rows, starts, by_start, before, on, draw) -> np.ndarray:
     """
     s = simulator.stretches
     count = np.maximum((s.seen[on] > 0).sum((1, 2)), 1)
-    bad, again = np.flatnonzero(before > LEFT**2 * count), np.zeros(len(on), bool)
+    bad, again = np.flatnonzero(before > RESTART.stretch_noises**2 * count), np.zeros(len(on), bool)
     if not len(bad):
         return again
     lanes, best = on[bad], before[bad].copy()
@@ -302,7 +303,7 @@ def _shaken(simulator, rows, starts, by_start, before, on, draw) -> np.ndarray:
         * np.sqrt(best / count[bad])[:, None, None]
     )
     middle = starts[lanes].copy()
-    for k in range(DRAWS):
+    for k in range(START_DRAWS):
         tried = (
             middle + (1.0, 0.3)[k % 2] * np.einsum("bst,bt->bs", wide, draw(middle.shape)) * s.scale
         )

@@ -12,14 +12,13 @@ import numpy as np
 import scipy.linalg
 
 RIDGE = 1e-10  # of the diagonal, added always: two columns that are alike are no error
-MORE, FIRST = 10.0, 1e-3  # times the damping after a step in vain, and the least after one
-RELIEF, MIN_DAMPING = (
-    0.1,
-    1e-8,
-)  # times the damping after a step that gained, and the least after one
-GIVEN_UP = 1e2  # damping beyond which no step that could matter is left
-ENOUGH = 1e-4  # share of the loss that a round takes off, below which a fit has converged
-TRIES = 6  # dampings of a round
+DAMPING_UP = 10.0  # times the damping after a step in vain: a decade is searched quickly
+FIRST_DAMPING = 1e-3  # of the diagonal: the first damping, and the least after a step in vain
+DAMPING_DOWN = 0.1  # times the damping after a step that gained
+MIN_DAMPING = 1e-8  # of the diagonal: the least damping after a step that gained
+MAX_DAMPING = 1e2  # of the diagonal: damping beyond which no step that could matter is left
+CONVERGED_GAIN = 1e-4  # share of the loss that a round takes off, below which a fit has converged
+MAX_DAMPINGS = 6  # dampings of a round
 
 
 def bounded_step(
@@ -90,15 +89,15 @@ class FitEnd(NamedTuple):
 
 def fell(before: Point, after: Point, rounds: int) -> bool:
     """Whether a round gained so little that a fit has converged."""
-    return before.loss - after.loss < ENOUGH * max(before.loss, 1e-300)
+    return before.loss - after.loss < CONVERGED_GAIN * max(before.loss, 1e-300)
 
 
 def fit_values(
     point: Point,
     around: Callable[[Point], Callable[[float], Point]],
     rounds: int,
-    damping: float = FIRST,
-    relief: float = RELIEF,
+    damping: float = FIRST_DAMPING,
+    relief: float = DAMPING_DOWN,
     done: Callable[[Point, Point, int], bool] = fell,
     taken: Callable[[Point], Point | None] = lambda point: point,
     stuck: Callable[[Point], Point | None] = lambda point: None,
@@ -118,16 +117,16 @@ def fit_values(
     first = damping
     for k in range(rounds):
         step, trial = around(point), None
-        for _ in range(TRIES):
+        for _ in range(MAX_DAMPINGS):
             tried = step(damping)
             if tried.loss < point.loss:
                 trial = tried
                 break
-            damping = max(MORE * damping, FIRST)
+            damping = max(DAMPING_UP * damping, FIRST_DAMPING)
         if trial is None:
             other = stuck(point)
             if other is None:
-                return FitEnd(point, "converged" if k and damping > GIVEN_UP else "stuck", k)
+                return FitEnd(point, "converged" if k and damping > MAX_DAMPING else "stuck", k)
             point, damping = other, first
             continue
         ended = done(point, trial, k + 1)
@@ -166,7 +165,7 @@ def fit_starts(
     propose: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
     evaluate: Evaluate,
     rounds: int,
-    enough: float = ENOUGH,
+    enough: float = CONVERGED_GAIN,
     lanes: np.ndarray | None = None,
     every: bool = False,
 ) -> StretchLanes:

@@ -10,14 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-EXACT = 14  # parts up to which the sign-flip test takes all patterns of signs
-SIGNS = 10_000  # patterns of signs that are drawn for more parts
-LAGS = 40  # rows over which residuals are asked at most whether they hang together
-CORRELATED = 0.05  # autocorrelation below which they do not
-USUAL = 0.1
-"""Share of the median loss that is added to each: a unit that hardly moved shows little, however
-much it gained.
-"""
+from adaptsim_jax.diagnosis.criteria import PAIRED
 
 
 @dataclass(frozen=True)
@@ -45,7 +38,7 @@ def means(z: np.ndarray, unit: np.ndarray) -> np.ndarray:
 
 def log_ratio(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     """Logarithms of losses [U, ...] of units over others of the same units."""
-    usual = USUAL * np.median(before, 0)
+    usual = PAIRED.added_loss * np.median(before, 0)
     return np.log((before + usual) / (after + usual))
 
 
@@ -57,13 +50,13 @@ def share(ratio: np.ndarray) -> float:
 def sign_flip(d: np.ndarray) -> float:
     """One-sided p of the mean of paired differences [U] under random signs (Fisher, 1935).
 
-    Of up to `EXACT` differences all patterns are taken, of more a sample.
+    Of up to `PAIRED.all_signs` differences all patterns are taken, of more a sample.
     """
     count = len(d)
-    if count <= EXACT:
+    if count <= PAIRED.all_signs:
         signs = 1.0 - 2.0 * ((np.arange(2**count)[:, None] >> np.arange(count)) & 1)
     else:
-        signs = np.random.default_rng(0).choice([-1.0, 1.0], (SIGNS, count))
+        signs = np.random.default_rng(0).choice([-1.0, 1.0], (PAIRED.drawn_signs, count))
         signs[0] = 1.0
     return float(np.mean(signs @ d >= d.sum() * (1.0 - 1e-12)))
 
@@ -154,9 +147,9 @@ def correlated_rows(residual: np.ndarray) -> float:
     autocorrelation while it is above the noise.
     """
     power, total = float(np.square(residual).sum()), 1.0
-    for lag in range(1, min(LAGS, residual.shape[1] - 1)):
+    for lag in range(1, min(PAIRED.max_lag, residual.shape[1] - 1)):
         rho = float((residual[:, lag:] * residual[:, :-lag]).sum()) / max(power, 1e-12)
-        if rho < CORRELATED:
+        if rho < PAIRED.min_correlation:
             break
         total += 2.0 * rho
     return total

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.criteria import LOOK_ALIKE, Criteria
 from adaptsim_jax.diagnosis.finding import Finding
 from adaptsim_jax.diagnosis.fit import completed, declared_fit, mean_square
 from adaptsim_jax.diagnosis.models import (
@@ -26,9 +26,6 @@ from adaptsim_jax.diagnosis.problem import Candidate, Problem
 from adaptsim_jax.diagnosis.rules import Evidence, Reason, step_reason
 from adaptsim_jax.diagnosis.search import Keep, search
 from adaptsim_jax.diagnosis.testing import Test, attainable, holm
-
-CLOSE = 1.5  # of the named model's loss, up to which a look-alike is fitted to the end
-LIKELY = 0.1  # of what a name takes off, which one step of a look-alike must take off in its place
 
 Progress = Callable[[str], None]
 
@@ -133,7 +130,7 @@ class TrialObjective(Objective):
         for s in likely(problem, e.model, e.less, e.candidate):
             self.notify(f"{s.candidate.name.replace('_', ' ')} in its place")
             values, loss = added(problem, e.less, s, 2 * criteria.glance)
-            if loss > CLOSE * e.model.fit.loss:
+            if loss > LOOK_ALIKE.max_loss * e.model.fit.loss:
                 continue
             other = finished(problem, (*e.less.added, s.candidate), values, 2 * criteria.rounds)
             test = paired(other.fit.held, e.model.fit.held, problem)
@@ -169,7 +166,7 @@ def likely(problem: Problem, model: Model, less: Model, gone: Candidate) -> list
     """Effects that may do as well as what `less` lacks: one step in its place takes off a part of
     what it does.
     """
-    minimum = LIKELY * (1.0 - model.fit.loss / less.fit.loss)
+    minimum = LOOK_ALIKE.min_step_gain * (1.0 - model.fit.loss / less.fit.loss)
     known = (gone, *model.added)
     return [s for s in scored(problem, less) if s.candidate not in known and s.gain >= minimum]
 

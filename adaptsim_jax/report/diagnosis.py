@@ -32,6 +32,7 @@ from rich.text import Text
 
 from adaptsim_jax.core.files import output_folder, write_bytes, write_json
 from adaptsim_jax.diagnosis import schema
+from adaptsim_jax.diagnosis.criteria import REPORT
 from adaptsim_jax.report import diagnosis_explore, explore
 from adaptsim_jax.report import diagnosis_figures as figures
 from adaptsim_jax.report import diagnosis_format as fmt
@@ -107,7 +108,7 @@ def render(report: dict[str, Any], evidence: Mapping[str, Any], out: Path | None
         "run": evidence.get("run") or {},
         "files": _links(out),
         "model_goes_to": GOES_TO.get(report["task"], GOES_TO["pendulum"]),
-        "levels": {"parameter": schema.PARAMETER_LEVEL, "error": schema.ERROR_LEVEL},
+        "levels": {"parameter": REPORT.parameter_level, "error": REPORT.error_level},
         "reward": report.get("task_reward"),
         "script": explore.script(bool(traces or above)),
     }

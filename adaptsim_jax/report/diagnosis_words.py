@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from adaptsim_jax.core.config import read
-from adaptsim_jax.diagnosis.criteria import USEFUL_SKILL
+from adaptsim_jax.diagnosis.criteria import REPORT
 from adaptsim_jax.effects.registry import of_joints
 from adaptsim_jax.report import diagnosis_format as fmt
 
@@ -261,7 +261,7 @@ def todo(report: Mapping) -> str:
     """What to do now; it points to the next experiment where there is one."""
     there = report.get("next_experiment")
     nameless = report["verdict"] in ("within_noise", "data_fault")
-    if report["effects"] and (skill := _skill(report)) < USEFUL_SKILL:
+    if report["effects"] and (skill := _skill(report)) < REPORT.useful_skill:
         return (
             f"Do not rely on the mended model yet: at best it is {100 * max(skill, 0.0):.0f} % "
             "better than what needs no model. Look where the rest sits."

@@ -20,7 +20,7 @@ from adaptsim_jax.attribution.measures import headline, of_torque, predicts_noth
 from adaptsim_jax.attribution.parameters import Entry, Vector
 from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
 from adaptsim_jax.attribution.stretches import JointTrack
-from adaptsim_jax.diagnosis.criteria import USEFUL_SKILL, Criteria, TorqueCriteria
+from adaptsim_jax.diagnosis.criteria import REPORT, Criteria, TorqueCriteria
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from experiments.mechanism_rigs import RIGS
 from tests.attribution.pendulum import record
@@ -205,7 +205,7 @@ def test_a_late_command_does_not_hide_what_command_errors_tell(tmp_path):
     (folder / "model.xml").write_text(SERVO.format(**own))
     whole = examined(load(folder, None))
     report, _ = reported(whole)
-    assert whole.before["torque"].skill < USEFUL_SKILL and whole.judge == "torque"
+    assert whole.before["torque"].skill < REPORT.useful_skill and whole.judge == "torque"
     assert [e["name"] for e in report["effects"]] == ["delay"]
     assert report["effects"][0]["parameters"]["delay"]["value"] == pytest.approx(0.04, abs=0.001)
 

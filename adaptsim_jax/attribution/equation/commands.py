@@ -14,7 +14,8 @@ import numpy as np
 from adaptsim_jax.attribution.equation.balance import Balance
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import TreeProblem, values_of
-from adaptsim_jax.diagnosis.folds import WINDOWS, blocks_of_windows, folds_of
+from adaptsim_jax.diagnosis.criteria import FOLD
+from adaptsim_jax.diagnosis.folds import blocks_of_windows, folds_of
 from adaptsim_jax.diagnosis.testing import jackknife, log_ratio, means, sign_flip
 
 SIGNIFICANT = (
@@ -153,7 +154,7 @@ def _regressed(balance: Balance, y: np.ndarray, columns: np.ndarray, clear: np.n
     by the others' coefficients.
     """
     weight = np.sqrt(clear)
-    fold = folds_of(balance.trial, WINDOWS)
+    fold = folds_of(balance.trial, FOLD.min_windows)
     size = np.sqrt(np.mean(np.square(columns), 0)) + 1e-300
 
     def solve(some):

@@ -23,9 +23,9 @@ from adaptsim_jax.attribution.score import JointCandidate
 from adaptsim_jax.attribution.stretch_evidence import eased, worth
 from adaptsim_jax.attribution.weights import losses
 from adaptsim_jax.core.parallel import parallel_map
-from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.criteria import FOLD, Criteria
 from adaptsim_jax.diagnosis.finding import Step
-from adaptsim_jax.diagnosis.folds import BLOCKS, pieces
+from adaptsim_jax.diagnosis.folds import pieces
 from adaptsim_jax.diagnosis.objective import Objective
 from adaptsim_jax.diagnosis.rules import Evidence, refusal, step_reason
 from adaptsim_jax.diagnosis.search import backward_elimination
@@ -253,7 +253,7 @@ def harmed(
     """
     informative = informative_joints(problem, null, criteria)
     count = len(problem.fold)
-    block = pieces(problem.groups[0].stretches.trial[:count], BLOCKS)
+    block = pieces(problem.groups[0].stretches.trial[:count], FOLD.test_pieces)
     one, two = (np.square(held_error(problem, m)) for m in (less, more))
     out = []
     for j in joints:

@@ -10,7 +10,8 @@ from functools import cached_property
 import numpy as np
 
 from adaptsim_jax.attribution.parameters import Entry, Vector
-from adaptsim_jax.diagnosis.folds import WINDOWS, blocks_of_windows, folds_of
+from adaptsim_jax.diagnosis.criteria import FOLD
+from adaptsim_jax.diagnosis.folds import blocks_of_windows, folds_of
 from adaptsim_jax.diagnosis.testing import Test, compare, jackknife, log_ratio, means, share
 
 MEMORY = 1.0  # s, over which what is left of neighbours is taken to be alike at most
@@ -79,7 +80,7 @@ def rows_of(
     size = np.sqrt(np.maximum(np.median(usual, 0), np.square(minimum) + 1e-18))
     alike = _alike(left * np.sqrt(clear), trial, time)
     weight = np.sqrt(clear) / (size * np.sqrt(alike))
-    return ForceRows(missing, weight, size, clear, folds_of(trial, WINDOWS), block)
+    return ForceRows(missing, weight, size, clear, folds_of(trial, FOLD.min_windows), block)
 
 
 def _alike(left: np.ndarray, trial: np.ndarray, time: np.ndarray) -> np.ndarray:

@@ -16,17 +16,12 @@ from adaptsim_jax.effects.joints.friction import VISCOUS
 from adaptsim_jax.logs.noise import difference_noise
 from adaptsim_jax.simulators.mujoco.acting import BIAS, LATE, READ, SHIFT, TURN
 from adaptsim_jax.simulators.mujoco.build import Stepped
+from adaptsim_jax.simulators.mujoco.criteria import CANDIDATE
 from adaptsim_jax.simulators.mujoco.fields import DELAY, STRENGTH, Field, field
 from adaptsim_jax.simulators.mujoco.sensed import triple
 
 DECLARED = VISCOUS.name
 """What is fitted whatever is named."""
-HEAVY, HEAVIER = (
-    0.05,
-    0.1,
-)  # share of all mass from which on a body may carry a payload; of a machine whose base moves
-AWAY = 0.01  # m: of a payload's place, a step that shows
-TURNED = 2e-3  # rad: of an angle read wrong, likewise
 SENSED = {
     "gyro": (5e-3, 1.0),
     "accelerometer": (0.05, 10.0),
@@ -43,7 +38,6 @@ UNITS = {
     "wind": "N",
     "delay": "s",
 }
-SIZE, PRIOR = 10.0, 100.0  # steps of a field: what matters of it, and the width of its prior
 
 
 @dataclass(frozen=True)
@@ -79,7 +73,15 @@ def quantity(f: Field) -> Quantity:
     """A field as the search has it."""
     stem = f.name.split("[")[0].split(".")[-1]
     unit = UNITS.get(stem, UNITS.get(f.name.split(".")[0], "rad" if TILT.name in f.name else "1"))
-    return Quantity(f.name, unit, f.neutral, f.low, f.high, SIZE * f.scale, PRIOR * f.scale)
+    return Quantity(
+        f.name,
+        unit,
+        f.neutral,
+        f.low,
+        f.high,
+        CANDIDATE.size * f.scale,
+        CANDIDATE.prior_width * f.scale,
+    )
 
 
 def rows(made: Stepped, joints: Sequence[str]) -> list[Row]:
@@ -88,7 +90,9 @@ def rows(made: Stepped, joints: Sequence[str]) -> list[Row]:
     return [
         *_of_joints(made, joints),
         *_of_drives(model),
-        *_of_bodies(model, HEAVY if made.free < 0 else HEAVIER),
+        *_of_bodies(
+            model, CANDIDATE.payload_share if made.free < 0 else CANDIDATE.payload_share_moving
+        ),
     ]
 
 
@@ -111,7 +115,7 @@ def _of_joints(made: Stepped, joints: Sequence[str]) -> Iterable[Row]:
             for effect in (e for e in MACHINE if _edits(e, what)):
                 texts = (effect.physics, effect.excitation)
                 yield row(effect.name, name, of(what, size), texts)
-        off = Field(f"reading:{name}.offset", READ, (k,), 0, 0.0, -1.0, 1.0, TURNED)
+        off = Field(f"reading:{name}.offset", READ, (k,), 0, 0.0, -1.0, 1.0, CANDIDATE.turn)
         yield row(
             "angle offset",
             name,
@@ -135,7 +139,7 @@ def _of_drives(model: mujoco.MjModel) -> Iterable[Row]:
             weak += (field(model, f"actuator:{name}.kv"),)
         yield row("gain", name, weak, ("the drive gives more or less than told", "large commands"))
         if model.actuator_biasprm[k, 1] < 0 and model.actuator_trntype[k] == 0:
-            shift = Field(f"command:{name}.offset", SHIFT, (k,), 0, 0.0, -1.0, 1.0, TURNED)
+            shift = Field(f"command:{name}.offset", SHIFT, (k,), 0, 0.0, -1.0, 1.0, CANDIDATE.turn)
             yield row(
                 "command offset",
                 name,
@@ -153,7 +157,10 @@ def _of_bodies(model: mujoco.MjModel, share: float) -> Iterable[Row]:
     for b in range(1, model.nbody):
         if model.body_mass[b] > share * total and _moves(model, b):
             name = model.body(b).name or f"body{b}"
-            place = [replace(field(model, f"body:{name}.ipos[{i}]"), scale=AWAY) for i in range(3)]
+            place = [
+                replace(field(model, f"body:{name}.ipos[{i}]"), scale=CANDIDATE.shift)
+                for i in range(3)
+            ]
             mass = field(model, f"body:{name}.mass")
             yield row(
                 "payload",
@@ -181,7 +188,8 @@ def sensor_rows(made: Stepped, first: int) -> Iterable[Row]:
     if found:
         starts = tuple(first + axes[0] for _, axes in found)
         turned = [
-            Field(f"imu.turn[{i}]", TURN, starts, i, 0.0, -0.5, 0.5, TURNED) for i in range(3)
+            Field(f"imu.turn[{i}]", TURN, starts, i, 0.0, -0.5, 0.5, CANDIDATE.turn)
+            for i in range(3)
         ]
         yield row("turned", "imu", turned, ("it is mounted at another angle", "turns, gravity"))
         every = tuple(first + k for _, axes in found for k in axes)

@@ -11,12 +11,10 @@ import numpy as np
 
 from adaptsim_jax.diagnosis.simulator import linearise
 from adaptsim_jax.diagnosis.starts import taken_up, without
+from adaptsim_jax.simulators.mujoco.criteria import REMARK
 
 if TYPE_CHECKING:
     from adaptsim_jax.simulators.mujoco.diagnosed import MujocoSimulator
-
-SAMPLE = 8  # stretches
-NOTABLE = 1.0  # of the noise, from which on it is told
 
 
 def halved(made: MujocoSimulator) -> MujocoSimulator:
@@ -35,7 +33,7 @@ def change(made: MujocoSimulator, values: np.ndarray) -> float:
     would take up. The median of a few stretches.
     """
     s = made.stretches
-    which = np.unique(np.linspace(0, s.count - 1, SAMPLE).round().astype(int))
+    which = np.unique(np.linspace(0, s.count - 1, REMARK.step_stretches).round().astype(int))
     rows, starts = np.tile(values, (len(which), 1)), s.start[which]
     noise = np.array([c.noise for c in made.channels])
     off = halved(made).predict(rows, starts, which) - made.predict(rows, starts, which)
@@ -49,7 +47,7 @@ def change(made: MujocoSimulator, values: np.ndarray) -> float:
 def step_notes(made: MujocoSimulator, values: np.ndarray) -> list[str]:
     """One line where the step is coarse, none where it is fine enough."""
     size, step = change(made, values), 1e3 * float(made.made.model.opt.timestep)
-    if size < NOTABLE:
+    if size < REMARK.step_noises:
         return []
     return [
         f"The file's step of {step:g} ms is coarse for this log: half of it changes what is "

@@ -12,15 +12,11 @@ import numpy as np
 from adaptsim_jax.simulators.mujoco.acting import WIND
 from adaptsim_jax.simulators.mujoco.build import Stepped
 from adaptsim_jax.simulators.mujoco.catalogue import Row, row
+from adaptsim_jax.simulators.mujoco.criteria import CANDIDATE
 from adaptsim_jax.simulators.mujoco.fields import CONTACT, GROUND, Field, field, grounds
 
 WIDE = (0.7, 1.4)  # of what the file has
-SLOPE, WAYS = (
-    0.04,
-    np.arange(8) * np.pi / 4,
-)  # rad: of a ground that is not level, and where it may fall
-LEVEL = 0.02  # m: of a ground that lies higher or lower
-PUSH = 1e-3  # of the weight: a wind that shows
+WAYS = np.arange(8) * np.pi / 4
 
 
 def contact_rows(made: Stepped) -> Iterable[Row]:
@@ -34,21 +30,23 @@ def contact_rows(made: Stepped) -> Iterable[Row]:
             turned = [field(model, name) for name in GROUND[:2]]
             texts = ("what it stands on is not level", "standing, walking")
             slopes: list[Any] = [
-                dict(zip(GROUND[:2], SLOPE * np.array([np.cos(w), np.sin(w)]), strict=True))
+                dict(
+                    zip(GROUND[:2], CANDIDATE.slope * np.array([np.cos(w), np.sin(w)]), strict=True)
+                )
                 for w in WAYS
             ]
             yield _tried_at(
                 row("tilted", "ground", turned, texts, ("a log's frame turned",)), slopes
             )
             texts = ("what it stands on lies higher or lower", "every step")
-            levels = [{GROUND[2]: z} for z in (-LEVEL, LEVEL)]
+            levels = [{GROUND[2]: z} for z in (-CANDIDATE.level, CANDIDATE.level)]
             yield _tried_at(row("height", "ground", field(model, GROUND[2]), texts), levels)
     if made.free >= 0:
         k = int(np.flatnonzero(model.jnt_qposadr == made.free)[0])
         weight = float(model.body_mass.sum()) * 9.81
         first = int(model.jnt_dofadr[k])
         wind = [
-            Field(f"wind.{a}", WIND, (first,), i, 0.0, -weight, weight, PUSH * weight)
+            Field(f"wind.{a}", WIND, (first,), i, 0.0, -weight, weight, CANDIDATE.push * weight)
             for i, a in enumerate("xyz")
         ]
         yield row(

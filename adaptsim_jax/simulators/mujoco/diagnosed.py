@@ -15,7 +15,7 @@ from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.problem import Candidate, Quantity
 from adaptsim_jax.diagnosis.run import Page
 from adaptsim_jax.diagnosis.simulated import diagnose_simulator
-from adaptsim_jax.diagnosis.simulator import STEP, Channel
+from adaptsim_jax.diagnosis.simulator import DERIVATIVE_STEP, Channel
 from adaptsim_jax.diagnosis.simulator import Stretches as Compared
 from adaptsim_jax.logs.log import Log
 from adaptsim_jax.logs.quality.audit import audit
@@ -26,25 +26,21 @@ from adaptsim_jax.simulators.mujoco.build import Stepped, stepped
 from adaptsim_jax.simulators.mujoco.catalogue import DECLARED, noise_of, quantity, rows, sensor_rows
 from adaptsim_jax.simulators.mujoco.coarse import step_notes as coarse_step
 from adaptsim_jax.simulators.mujoco.contact import contact_rows
+from adaptsim_jax.simulators.mujoco.criteria import STRETCH
 from adaptsim_jax.simulators.mujoco.fields import Field, with_values
 from adaptsim_jax.simulators.mujoco.mended import mended_mjcf
 from adaptsim_jax.simulators.mujoco.sensed import prior_of
 from adaptsim_jax.simulators.mujoco.starts import fitted
 from adaptsim_jax.simulators.mujoco.stretches import MujocoStretches, cut
 
-HORIZON, TOUCHED = 0.5, 0.24  # s; where a base moves, for contact makes longer stretches chaotic
-BUDGET = 5e5  # steps of one linearisation
+LINEARISATION_STEPS = 5e5  # steps of one linearisation: bounds its time and memory
 STRETCHES = (24, 100)  # at least, at most
 OPENING = (
     1,
     4,
 )  # rounds of starts before all channels count as they should; where a base is only felt
-ROUGH = 30.0  # times its noise: what an accelerometer counts with there
-JUMPS = 0.1  # of an accelerometer's spread: its least noise where a base is only felt
-DIFF = 0.1  # of a quantity's scale, by which its derivative is taken
-WILD = 1e9  # of a derivative over the noise: what runs away
-FLOOR = 1e-6  # rad, m: least noise, of a log without any
-TURNED, SPED = 1e-2, 0.1  # rad (m) and rad/s (m/s) of a start
+SCALE_STEP = 0.1  # of a quantity's scale, by which its derivative is taken
+RUNAWAY_SLOPE = 1e9  # noises a scale: a larger derivative is of a motion that runs away
 SHORT = Criteria(rounds=4, glance=1, confidence=0.025, behind=0.3, matters=0.5)
 """Where a base moves a round is dear: fits are short; and what they leave of single contacts is not
 to be named: a gain had friction of 1.03 times the file's beside it, for another number frees starts
@@ -108,9 +104,9 @@ class MujocoSimulator:
         """
         b, width = len(which), starts.shape[1] if starts_too else 0
         high = np.array([f.high for f in self.fields])
-        basis = DIFF * basis
+        basis = SCALE_STEP * basis
         basis = np.where(np.any(values[0] + basis > high, 1)[:, None], -basis, basis)
-        steps = STEP * np.diag(self.stretches.scale)[:width]
+        steps = DERIVATIVE_STEP * np.diag(self.stretches.scale)[:width]
         every_value = np.concatenate(
             [values, np.tile(values, (width, 1)), *(values + row for row in basis)]
         )
@@ -122,29 +118,38 @@ class MujocoSimulator:
         noise = np.tile([c.noise for c in self.channels], self.stretches.time.shape[1])
         mask = self.stretches.seen[which].reshape(b, -1) > 0
         size = np.concatenate(
-            [np.full(width, STEP), DIFF * np.sign(basis.sum(1) if len(basis) else np.zeros(0))]
+            [
+                np.full(width, DERIVATIVE_STEP),
+                SCALE_STEP * np.sign(basis.sum(1) if len(basis) else np.zeros(0)),
+            ]
         )
         slope = np.where(mask, (read[1:] - read[0]) / noise / size[:, None, None], 0.0)
-        both = np.moveaxis(np.clip(np.nan_to_num(slope), -WILD, WILD), 0, -1)
+        both = np.moveaxis(np.clip(np.nan_to_num(slope), -RUNAWAY_SLOPE, RUNAWAY_SLOPE), 0, -1)
         return both[..., :width], both[..., width:]
 
 
 def simulator(source: Source, log: Log, horizon: float | None = None) -> MujocoSimulator:
     """Of a model file over a recording. Raises BadInput as reading and cutting do."""
     made = stepped(source, log)
-    horizon = horizon or (HORIZON if made.free < 0 else TOUCHED)
+    horizon = horizon or (STRETCH.horizon if made.free < 0 else STRETCH.horizon_moving)
     first = len(log.joint_names) * (1 if log.trials[0].v is None else 2)
     found = [*rows(made, log.joint_names), *contact_rows(made), *sensor_rows(made, first)]
     fields = tuple({f.name: f for r in found for f in r.fields}.values())
     cost = (rollouts.start_size(made) + len(fields)) * horizon / float(made.model.opt.timestep)
-    own = cut(made, log, horizon, int(np.clip(BUDGET / cost, *STRETCHES)))
+    own = cut(made, log, horizon, int(np.clip(LINEARISATION_STEPS / cost, *STRETCHES)))
     felt = made.free >= 0 > made.base
     channels, measured, mask = _channels(made, own, log)
     starts = np.zeros((own.count, rollouts.start_size(made)))
     if made.base < 0:  # a logged pose is nearer than what stiff contact lets a fit find
         starts, _ = fitted(made, own, _opening(channels, made), OPENING[felt])
     nv, na = made.model.nv, made.model.na
-    scale = np.concatenate([np.full(nv, TURNED), np.full(nv, SPED), np.full(na, SPED)])
+    scale = np.concatenate(
+        [
+            np.full(nv, STRETCH.start_angle),
+            np.full(nv, STRETCH.start_speed),
+            np.full(na, STRETCH.start_speed),
+        ]
+    )
     prior = prior_of(made.model, made.free) if felt else None
     compared = Compared(
         own.trial, own.names, own.time, measured, mask.astype(float), starts, scale, prior
@@ -171,7 +176,12 @@ def simulator(source: Source, log: Log, horizon: float | None = None) -> MujocoS
 def _opening(channels: Sequence[Channel], made: Stepped) -> np.ndarray:
     """[C] weights of channels for first guesses of starts."""
     rough = {r.name for r in made.read if r.kind == "accelerometer"}
-    return np.array([1.0 / (c.noise * (ROUGH if c.name in rough else 1.0)) for c in channels])
+    return np.array(
+        [
+            1.0 / (c.noise * (STRETCH.accelerometer_noises if c.name in rough else 1.0))
+            for c in channels
+        ]
+    )
 
 
 def _channels(
@@ -201,8 +211,8 @@ def _channels(
             for k, r in enumerate(made.read)
             if r.kind == "accelerometer" and made.base < 0
         ]
-        noise[rough] = np.maximum(noise[rough], JUMPS * own_spread[rough])
-    noise = np.maximum(noise, FLOOR)
+        noise[rough] = np.maximum(noise[rough], STRETCH.accelerometer_spread * own_spread[rough])
+    noise = np.maximum(noise, STRETCH.min_noise)
     return (
         tuple(Channel(n, u, float(z)) for (n, u), z in zip(named, noise, strict=True)),
         measured,

@@ -27,6 +27,7 @@ from adaptsim_jax.mechanisms.model_numbers import (
     parse,
     place,
 )
+from adaptsim_jax.simulators.mujoco.criteria import CANDIDATE
 
 DELAY = "command.delay"
 TILTS = ("world.tilt_x", "world.tilt_y")
@@ -41,8 +42,7 @@ STRENGTH = "strength"
 """Of an actuator: what it gives of what it should, all its gains alike, but for the damping of a
 position servo.
 """
-LATEST = 0.05  # s
-STEP = 0.01  # of a number, for its derivative: wide enough to see past single contacts
+RELATIVE_STEP = 0.01  # of a number, for its derivative: wide enough to see past single contacts
 TYPICAL = {
     "armature": 0.01,
     "stiffness": 1.0,
@@ -86,7 +86,16 @@ class Field:
 def field(model: mujoco.MjModel, name: str) -> Field:
     """The number of that name. Raises BadInput where the model has none, with what is near."""
     if name == DELAY:
-        return Field(name, DELAY, (), 0, 0.0, -LATEST, LATEST, max(float(model.opt.timestep), 1e-3))
+        return Field(
+            name,
+            DELAY,
+            (),
+            0,
+            0.0,
+            -CANDIDATE.max_delay,
+            CANDIDATE.max_delay,
+            max(float(model.opt.timestep), 1e-3),
+        )
     if name in TILTS:
         return Field(name, name, (), 0, 0.0, -0.5, 0.5, 0.002)
     if name in GROUND:
@@ -108,7 +117,7 @@ def field(model: mujoco.MjModel, name: str) -> Field:
     neutral = float(np.mean(values))
     low = 0.0 if what in POSITIVE else -np.inf
     size = abs(neutral) or TYPICAL.get(what, 0.1)
-    return Field(name, made.field, made.elements, index, neutral, low, np.inf, STEP * size)
+    return Field(name, made.field, made.elements, index, neutral, low, np.inf, RELATIVE_STEP * size)
 
 
 def _elements(model: mujoco.MjModel, name: str, kind: str, pattern: str) -> list[int]:

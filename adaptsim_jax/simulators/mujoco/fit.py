@@ -11,25 +11,26 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from adaptsim_jax.diagnosis.steps import ENOUGH, Point, best_of, bounded_step, fit_values
+from adaptsim_jax.diagnosis.steps import CONVERGED_GAIN, Point, best_of, bounded_step, fit_values
 from adaptsim_jax.diagnosis.testing import jackknife
 from adaptsim_jax.logs.log import Log
 from adaptsim_jax.mechanisms.spec import Source
 from adaptsim_jax.simulators.mujoco.build import Stepped, stepped
+from adaptsim_jax.simulators.mujoco.criteria import STRETCH
 from adaptsim_jax.simulators.mujoco.fields import DELAY, Field, field, with_values
 from adaptsim_jax.simulators.mujoco.rollouts import by_start, predict, residual, start_size
 from adaptsim_jax.simulators.mujoco.starts import fitted
 from adaptsim_jax.simulators.mujoco.stretches import MujocoStretches, cut, late
 
-BUDGET = 4e6  # steps of one linearisation
-ROUNDS = 10  # of steps of the numbers, at most
-FIRST, SETTLED = 8, 2
-"""Rounds of starts before the first step, and after each."""
-FLOOR = 0.01  # of a weighted residual: less is not told from nothing
-EXACT = 1e-16  # mean square of what is left, below which nothing is
-# of weighted residuals and their derivatives: a stretch that runs away says nothing of where to go
-WILD = 1e9
-NINETY = 1.645
+LINEARISATION_STEPS = 4e6  # steps of one linearisation: bounds its time and memory
+MAX_ROUNDS = 10  # rounds of steps of the numbers: bounds the time of a slow fit
+FIRST_START_ROUNDS = 8  # rounds of starts before the first step: they begin far off
+START_ROUNDS = 2  # rounds of starts after each step: they begin near
+EXACT_SQUARE = 1e-16  # mean square of what is left, below which nothing is: double precision
+# of weighted residuals and their derivatives: a stretch that runs away says nothing of where to
+# go
+RUNAWAY_RESIDUAL = 1e9
+NINETY_DEVIATES = 1.645  # standard errors from the middle of a 90 % interval to its ends
 
 
 @dataclass(frozen=True)
@@ -63,14 +64,16 @@ def fit(source: Source, log: Log, names: Sequence[str], horizon: float = 0.5) ->
     made = stepped(source, log)
     fields = tuple(field(made.model, name) for name in names)
     cost = (1 + start_size(made) + 2 * len(fields)) * horizon / float(made.model.opt.timestep)
-    return fitted_values(made, cut(made, log, horizon, max(12, int(BUDGET / cost))), fields)
+    return fitted_values(
+        made, cut(made, log, horizon, max(12, int(LINEARISATION_STEPS / cost))), fields
+    )
 
 
 def fitted_values(made: Stepped, stretches: MujocoStretches, fields: Sequence[Field]) -> Fitted:
     """The same of stretches."""
     values = np.array([f.neutral for f in fields])
     plain = np.ones(stretches.measured.shape[2] - (1 if made.base >= 0 else 0))
-    starts, off = fitted(*_at(made, stretches, fields, values), plain, FIRST)
+    starts, off = fitted(*_at(made, stretches, fields, values), plain, FIRST_START_ROUNDS)
     weight = _weights(off)
     before = _rms(off, weight)
 
@@ -93,18 +96,18 @@ def fitted_values(made: Stepped, stretches: MujocoStretches, fields: Sequence[Fi
     def stuck(point: Point) -> Point | None:
         values, *rest = point.state
         other = point_of(values, *_restarted(_at(made, stretches, fields, values), weight, *rest))
-        if point.loss - other.loss >= ENOUGH * off.size:
+        if point.loss - other.loss >= CONVERGED_GAIN * off.size:
             return other
         return None
 
     def done(old: Point, new: Point, k: int) -> bool:
-        exact = np.median(np.square(new.state[2]).mean((1, 2))) < EXACT
-        return bool(exact) or old.loss - new.loss < ENOUGH * off.size
+        exact = np.median(np.square(new.state[2]).mean((1, 2))) < EXACT_SQUARE
+        return bool(exact) or old.loss - new.loss < CONVERGED_GAIN * off.size
 
-    found = fit_values(point_of(values, starts, off), around, ROUNDS, done=done, stuck=stuck)
+    found = fit_values(point_of(values, starts, off), around, MAX_ROUNDS, done=done, stuck=stuck)
     values, starts, left = found.point.state
     lin = _linear(made, stretches, fields, values, starts, weight)
-    spread = NINETY * _jackknife(lin, fields, values)
+    spread = NINETY_DEVIATES * _jackknife(lin, fields, values)
     low, high = (np.array([getattr(f, k) for f in fields]) for k in ("low", "high"))
     bounds = np.maximum(values - spread, low), np.minimum(values + spread, high)
     return Fitted(tuple(fields), values, *bounds, before, _rms(left, weight), found.code)
@@ -144,7 +147,7 @@ def _better(
         off = residual(*trial, predict(*trial, starts, lanes), lanes)
         return off, np.square(off * weight).sum((1, 2))
 
-    return fitted(*trial, weight, SETTLED, best_of(options, evaluate).starts)
+    return fitted(*trial, weight, START_ROUNDS, best_of(options, evaluate).starts)
 
 
 def _restarted(
@@ -153,14 +156,14 @@ def _restarted(
     """(starts, residual), those of stretches that are nearer when their starts are sought from the
     measured ones again.
     """
-    other, new = fitted(*at, weight, FIRST)
+    other, new = fitted(*at, weight, FIRST_START_ROUNDS)
     good = _each(new, weight) < _each(off, weight)
     return np.where(good[:, None], other, starts), np.where(good[:, None, None], new, off)
 
 
 def _each(off: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """[W] mean squares of weighted residuals, with a floor."""
-    return np.square(off * weight).mean((1, 2)) + FLOOR**2
+    return np.square(off * weight).mean((1, 2)) + STRETCH.residual_floor**2
 
 
 def _loss(off: np.ndarray, weight: np.ndarray) -> float:
@@ -217,7 +220,7 @@ def _linear(made, stretches, fields, values, starts, weight) -> _Linear:
         return all_(z) / spread.reshape(-1, *[1] * (z.ndim - 2))
 
     r, x, s = wide(base), wide(by_x), wide(by_p)
-    good = np.all([np.abs(z).reshape(len(z), -1).max(1) < WILD for z in (r, x, s)], 0)
+    good = np.all([np.abs(z).reshape(len(z), -1).max(1) < RUNAWAY_RESIDUAL for z in (r, x, s)], 0)
     trials = np.unique(stretches.trial)
     hess, slope = (
         np.zeros((len(trials), len(fields), len(fields))),

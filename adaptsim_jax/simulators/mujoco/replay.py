@@ -13,8 +13,8 @@ from adaptsim_jax.simulators.mujoco.rollouts import start_size
 from adaptsim_jax.simulators.mujoco.starts import fitted, position_weight
 from adaptsim_jax.simulators.mujoco.stretches import MujocoStretches, cut
 
-BUDGET = 6e6  # steps of one linearisation of all starts
-FEWEST = 8  # stretches, whatever they cost
+REPLAY_STEPS = 6e6  # steps of one linearisation of all starts: bounds its time and memory
+MIN_STRETCHES = 8  # stretches, whatever they cost: a median needs some
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Replayed:
 
 def replayed(source: Source, log: Log, horizon: float, most: int | None = None) -> Replayed:
     """A model over a recording. horizon: s, 0 for each trial in one go; most: stretches, None: as
-    many as `BUDGET` allows.
+    many as `REPLAY_STEPS` allows.
 
     Raises BadInput as `build` and `stretches` do.
     """
@@ -45,7 +45,7 @@ def replayed(source: Source, log: Log, horizon: float, most: int | None = None) 
     span = min(horizon or shortest, longest)
     total = sum(int((t.time[-1] - t.time[0]) / span + 1e-6) for t in log.trials)
     cost = (1 + start_size(made)) * span / float(made.model.opt.timestep)
-    stretches = cut(made, log, span, most or max(FEWEST, int(BUDGET / cost)))
+    stretches = cut(made, log, span, most or max(MIN_STRETCHES, int(REPLAY_STEPS / cost)))
     weight = position_weight(made, stretches)
     _, off = fitted(made, stretches, weight)
     n = len(made.angle)

@@ -18,11 +18,10 @@ from adaptsim_jax.simulators.mujoco.build import Stepped
 from adaptsim_jax.simulators.mujoco.stretches import MujocoStretches, dofs
 
 FULL = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
-STEP = 1e-5
-"""rad, m (a second): of a start, for its derivative; the solver of constraints converges to far
-less.
-"""
-ROOM = 4e7  # numbers of states that are kept at once
+# rad, m (a second): of a start, for its derivative; the solver of constraints converges to far
+# less
+START_STEP = 1e-5
+MAX_STATE_NUMBERS = 4e7  # numbers of states that are held at once: 320 MB
 
 
 def start_size(made: Stepped) -> int:
@@ -43,7 +42,7 @@ def predict(
     made); by: what else acts on each.
     """
     size = mujoco.mj_stateSize(made.model, FULL)
-    block = max(1, int(ROOM / (size * stretches.steps)))
+    block = max(1, int(MAX_STATE_NUMBERS / (size * stretches.steps)))
     parts = []
     for i in range(0, len(lanes), block):
         some = slice(i, i + block)
@@ -209,8 +208,8 @@ def by_start(
     width = start_size(made)
     base = residual(made, stretches, predict(made, stretches, starts, lanes), lanes)
     moved = np.repeat(starts, width, 0)
-    moved[np.arange(len(moved)), np.tile(np.arange(width), len(starts))] += STEP
+    moved[np.arange(len(moved)), np.tile(np.arange(width), len(starts))] += START_STEP
     where = np.repeat(lanes, width)
     off = residual(made, stretches, predict(made, stretches, moved, where), where)
-    slope = (off.reshape(len(starts), width, *base.shape[1:]) - base[:, None]) / STEP
+    slope = (off.reshape(len(starts), width, *base.shape[1:]) - base[:, None]) / START_STEP
     return base, np.moveaxis(slope, 1, -1)

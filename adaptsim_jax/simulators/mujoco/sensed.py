@@ -11,15 +11,13 @@ import numpy as np
 
 from adaptsim_jax.core.config import suggest
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.simulators.mujoco.criteria import ATTITUDE
 
 INERTIAL = {
     mujoco.mjtSensor.mjSENS_GYRO: "gyro",
     mujoco.mjtSensor.mjSENS_ACCELEROMETER: "accelerometer",
 }
 UNITS = {"gyro": "rad/s", "accelerometer": "m/s^2"}
-BLEND = 1.0  # 1/s: by which an orientation follows gravity instead of the gyro
-CALM = 0.3  # of gravity: by which an acceleration may differ from it
-SETTLED = 0.3  # s at the beginning over which gravity is averaged
 PRIOR = {
     "place": 1e-2,
     "height": 0.05,
@@ -127,7 +125,7 @@ def oriented(
     rate = read[:, triple(own, "gyro")] @ turn_of(model, own, "gyro").T
     up = read[:, triple(own, "accelerometer")] @ turn_of(model, own, "accelerometer").T
     rate, up = np.nan_to_num(rate), np.where(np.isfinite(up), up, [0.0, 0.0, 9.81])
-    begin = up[time <= time[0] + SETTLED].mean(0)
+    begin = up[time <= time[0] + ATTITUDE.settle].mean(0)
     way, now = np.zeros(4), np.zeros(4)
     mujoco.mju_quatZ2Vec(way, begin / max(np.linalg.norm(begin), 1e-9))
     mujoco.mju_negQuat(now, way)
@@ -155,7 +153,11 @@ def _followed(now: np.ndarray, time: np.ndarray, rate: np.ndarray, up: np.ndarra
         mujoco.mju_negQuat(back, out[k])
         mujoco.mju_rotVecQuat(own_up, np.array([0.0, 0.0, 1.0]), back)
         step = float(time[k + 1] - time[k])
-        calm = BLEND * np.exp(-np.square((size / 9.81 - 1.0) / CALM)) * np.sign(step)
+        calm = (
+            ATTITUDE.follow
+            * np.exp(-np.square((size / 9.81 - 1.0) / ATTITUDE.calm))
+            * np.sign(step)
+        )
         out[k + 1] = out[k]
         mujoco.mju_quatIntegrate(
             out[k + 1], rate[k] + calm * np.cross(up[k] / max(size, 1e-9), own_up), step

@@ -15,10 +15,10 @@ from adaptsim_jax.simulators.mujoco.rollouts import (
 )
 from adaptsim_jax.simulators.mujoco.stretches import MujocoStretches
 
-ROUNDS = 6
-DAMPING = 1e-6  # share of the diagonal; a start that the readings do not fix stays near
+MAX_START_ROUNDS = 6  # rounds of a start's fit: bounds its time
+START_DAMPING = 1e-6  # share of the diagonal; a start that the readings do not fix stays near
 LENGTHS = 0.25 ** np.arange(4.0)  # of a step, tried in turn
-EXACT = 1e-18  # rad^2 (m^2) a reading: nothing is left to fit
+EXACT_START_SQUARE = 1e-18  # rad^2 (m^2) a reading: nothing is left to fit
 
 
 def position_weight(made: Stepped, stretches: MujocoStretches) -> np.ndarray:
@@ -32,7 +32,7 @@ def fitted(
     made: Stepped,
     stretches: MujocoStretches,
     weight: np.ndarray,
-    rounds: int = ROUNDS,
+    rounds: int = MAX_START_ROUNDS,
     begin: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """(starts [W, 2 nv + na] from which the weighted squares are least, residual [W, L, C'] there).
@@ -57,7 +57,7 @@ def fitted(
     else:
         begun = StretchLanes(begin, *evaluate(begin, lanes))
     readings = begun.left[0].size
-    open_ = np.flatnonzero(begun.loss > EXACT * readings)
+    open_ = np.flatnonzero(begun.loss > EXACT_START_SQUARE * readings)
     found = fit_starts(begun, propose, evaluate, rounds, lanes=open_)
     return found.starts, found.left
 
@@ -83,4 +83,4 @@ def _step(off: np.ndarray, slope: np.ndarray, weight: np.ndarray) -> np.ndarray:
     r = (off * weight).reshape(-1)
     j = (slope * weight[:, None]).reshape(len(r), -1)
     free = np.full(j.shape[1], np.inf)
-    return bounded_step(j.T @ j, -(j.T @ r), -free, free, DAMPING)
+    return bounded_step(j.T @ j, -(j.T @ r), -free, free, START_DAMPING)

@@ -5,9 +5,7 @@ import numpy as np
 
 from adaptsim_jax.logs.log import Log
 from adaptsim_jax.simulators.mujoco.build import Stepped
-
-ROWS = 200  # that are looked at
-SHARE = 0.02  # of these, in which a motion that touches does so
+from adaptsim_jax.simulators.mujoco.criteria import REMARK
 
 
 def touching(made: Stepped, log: Log) -> str:
@@ -23,7 +21,7 @@ def touching(made: Stepped, log: Log) -> str:
         base = None
     else:
         base = np.concatenate([t.base for t in log.trials if t.base is not None])
-    rows = np.unique(np.linspace(0, len(q) - 1, min(ROWS, len(q))).astype(int))
+    rows = np.unique(np.linspace(0, len(q) - 1, min(REMARK.pose_rows, len(q))).astype(int))
     hits, pairs = 0, {}
     for row in rows:
         if not np.isfinite(q[row]).all():
@@ -41,7 +39,7 @@ def touching(made: Stepped, log: Log) -> str:
         hits += bool(found)
         for pair in found:
             pairs[pair] = pairs.get(pair, 0) + 1
-    if hits <= SHARE * len(rows):
+    if hits <= REMARK.touching_share * len(rows):
         return ""
     one, two = max(pairs, key=pairs.__getitem__)
     share = 100 * hits / len(rows)

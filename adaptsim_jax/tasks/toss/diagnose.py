@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.diagnosis import rows as parts
-from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.criteria import REPORT, Criteria
 from adaptsim_jax.diagnosis.experiment import separated_by
 from adaptsim_jax.diagnosis.finding import Finding
 from adaptsim_jax.diagnosis.models import Model
@@ -22,7 +22,6 @@ from adaptsim_jax.diagnosis.report import (
     report_of,
     words,
 )
-from adaptsim_jax.diagnosis.rows import FOLLOWED
 from adaptsim_jax.diagnosis.trials import search_trials
 from adaptsim_jax.diagnosis.written import keeping
 from adaptsim_jax.mend.model_toml import Form, Value, added_effects
@@ -120,7 +119,7 @@ def reported(
         "windows": {
             "count": len(follow.windows.toss),
             "over_noise": {k: float(np.median(v)) for k, v in over.items()},
-            "followed": {k: float(np.mean(v <= FOLLOWED)) for k, v in over.items()},
+            "followed": {k: float(np.mean(v <= REPORT.followed)) for k, v in over.items()},
         },
         "whole_tosses": {"unit": "m", **whole},
         "free_flight": None if flown is None else _flight(flown),
