@@ -17,6 +17,7 @@ from typing import Any
 
 from adaptsim_jax import __version__
 from adaptsim_jax.core import process
+from adaptsim_jax.core.lazy import mjx_module
 from adaptsim_jax.core.parallel import cores
 
 EXAMPLES = """
@@ -177,8 +178,8 @@ def _try_native() -> str:
 
 def _try_mjx() -> str:
     import jax
-    from mujoco import mjx
 
+    mjx = mjx_module()
     mujoco: Any = importlib.import_module("mujoco")
 
     model = mujoco.MjModel.from_xml_string(_SCENE)

@@ -1,7 +1,9 @@
-"""Public names of a package that are imported when they are asked for (PEP 562), so that importing
-the package stays cheap.
+"""Imports with care: public names of a package when they are asked for (PEP 562), so that importing
+the package stays cheap, and MJX without a word on standard output.
 """
 
+import contextlib
+import io
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from typing import Any
@@ -18,3 +20,9 @@ def lazily(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
         return getattr(import_module(f"adaptsim_jax.{homes[name]}"), name)
 
     return getattr_
+
+
+def mjx_module() -> Any:
+    """`mujoco.mjx`, which prints on its first import that optional parts are absent."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        return import_module("mujoco.mjx")

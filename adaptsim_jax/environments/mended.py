@@ -6,16 +6,19 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from mujoco import mjx
 
 from adaptsim_jax.attribution.model_toml import OWN
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.lazy import mjx_module
 from adaptsim_jax.effects.joints import catalogue
 from adaptsim_jax.effects.joints.actuator import DELAY
 from adaptsim_jax.environments import fields
 from adaptsim_jax.mechanisms.model_numbers import array_at, element_names, element_number, place
 from adaptsim_jax.mend.model_toml import Form, read_form
+
+mjx = mjx_module()
+
 
 HELD = {e.name for e in catalogue.OWN if e.in_mjcf and not e.shifts_commands}
 SIMPLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))

@@ -15,10 +15,13 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from mujoco import mjx
 
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.lazy import mjx_module
 from adaptsim_jax.environments.simulated import advance
+
+mjx = mjx_module()
+
 
 HERE = Path(__file__).parent
 

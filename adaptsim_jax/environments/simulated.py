@@ -16,10 +16,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import mujoco
-from mujoco import mjx
 
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.lazy import mjx_module
 from adaptsim_jax.environments.fields import ModelField, edit_native, edited
+
+mjx = mjx_module()
+
 
 Physics = Callable[[Any, Any, Any, int], Any]  # (model, data, ctrl [nu], substeps) -> data
 

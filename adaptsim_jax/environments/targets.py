@@ -15,11 +15,15 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from mujoco import mjx, rollout
+from mujoco import rollout
 
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput, brief, finite
+from adaptsim_jax.core.lazy import mjx_module
 from adaptsim_jax.environments.fields import ModelField, edit_native, field_of
+
+mjx = mjx_module()
+
 
 ENGINE = {"engine": "mujoco", "integrator": "implicitfast", "steps": 2}
 SOLVED = (100, 50)

@@ -4,9 +4,7 @@ and several of them on the same batch, timed and compared pair by pair.
 
 from __future__ import annotations
 
-import contextlib
 import importlib
-import io
 import itertools
 import os
 import time
@@ -187,12 +185,6 @@ class DrakeWorld:
     def bodies(self, model: Any, inertia: Any, *names: str) -> list[Any]:
         """Bodies of a model, all with one spatial inertia."""
         return [self.plant.AddRigidBody(name, model, inertia) for name in names]
-
-
-def mjx_module() -> Any:
-    """`mujoco.mjx`, which prints on its first import that optional parts are absent."""
-    with contextlib.redirect_stdout(io.StringIO()):
-        return importlib.import_module("mujoco.mjx")
 
 
 def in_threads(threads: int | None, one: Callable[..., np.ndarray], *columns: Any) -> list[Any]:

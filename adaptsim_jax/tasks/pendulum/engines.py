@@ -17,6 +17,7 @@ import numpy as np
 
 from adaptsim_jax.core.constants import GRAVITY
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.lazy import mjx_module
 from adaptsim_jax.core.progress import Report, silent
 from adaptsim_jax.mechanisms.closed_loop import broadcasts
 from adaptsim_jax.mechanisms.double_pendulum.plant import base_parameters, rigid_pendulum
@@ -28,7 +29,6 @@ from adaptsim_jax.tasks.engine import (
     Parity,
     Trajectory,
     drake_modules,
-    mjx_module,
 )
 
 PARAMETERS = ("m1", "m2", "l1", "l2", "c1", "c2", "I1", "I2", "b1", "b2")

@@ -13,7 +13,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.tasks.engine import EngineKind, mjx_module
+from adaptsim_jax.core.lazy import mjx_module
+from adaptsim_jax.tasks.engine import EngineKind
 from adaptsim_jax.tasks.pushing import model as pushing
 from adaptsim_jax.tasks.pushing.engines import scene
 from adaptsim_jax.tasks.pushing.model import ElasticityMap, PushOptions

@@ -14,7 +14,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.tasks.engine import EngineKind, filled_batches, mjx_module
+from adaptsim_jax.core.lazy import mjx_module
+from adaptsim_jax.tasks.engine import EngineKind, filled_batches
 from adaptsim_jax.tasks.scooping import model
 from adaptsim_jax.tasks.scooping.engines import scene
 from adaptsim_jax.tasks.scooping.model import ScoopOptions
