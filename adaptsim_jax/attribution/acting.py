@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from adaptsim_jax.attribution.criteria import FRICTION
 from adaptsim_jax.effects.base import Dry, Effect
 from adaptsim_jax.effects.joints.drives import DRIVE_COMPLIANCE, DRIVE_PLAY
 from adaptsim_jax.effects.joints.friction import VISCOUS
@@ -21,7 +22,6 @@ from adaptsim_jax.mechanisms.tree import Tree
 
 OF_CONTROLLERS = frozenset(e.name for e in (ENCODER_OFFSET, DRIVE_COMPLIANCE, DRIVE_PLAY))
 """Effects by which the angle that a controller follows is another than the joint's."""
-BENT = 0.05  # s of motion before a stretch, by which bristles are taken to be bent at its start
 
 
 class Values(NamedTuple):
@@ -239,4 +239,4 @@ def bent_at(model: ActingModel, values: Values, x, u, t):
     q, v = x[:n], x[n : 2 * n]
     act = forces(model, values, q, v, u, t[None])
     most = act.yielding * jnp.maximum(act.level, 0.0)
-    return jnp.clip(BENT * v, -most, most)
+    return jnp.clip(FRICTION.bent * v, -most, most)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from adaptsim_jax.attribution.criteria import CHOICE
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.declared import declared_task
 from adaptsim_jax.logs.log import Log
@@ -15,14 +16,6 @@ from adaptsim_jax.mechanisms.spec import Source
 from adaptsim_jax.simulators.mujoco.build import stepped, turns_of_balls
 from adaptsim_jax.simulators.mujoco.replay import replayed
 from adaptsim_jax.simulators.mujoco.touching import touching
-
-OWN = 1e-6
-"""rad (m): of MuJoCo's median error over a sample of stretches, below which a recording is the
-file's own simulation.
-"""
-SAMPLE = 6  # stretches
-STRETCH = 0.5  # s of stretches, where nothing is asked for
-MOVED = 1e-3  # m, or of a quaternion's entries: by which a base that moves does
 
 
 @dataclass(frozen=True)
@@ -67,7 +60,10 @@ def chosen(source: Source, log: Log, asked: str | None, horizon: float) -> Choic
         return Choice("mujoco", why, source, log)
     if source.kind == "mjcf" and _own(source, log, horizon):
         return Choice(
-            "mujoco", f"the recording is the file's own simulation to {OWN:g} rad", source, log
+            "mujoco",
+            f"the recording is the file's own simulation to {CHOICE.own_error:g} rad",
+            source,
+            log,
         )
     return Choice("tree", "", source, log)
 
@@ -100,10 +96,13 @@ def _needs(source: Source, log: Log) -> str:
 def base_moves(log: Log) -> bool:
     """Whether a logged base moves in any trial."""
     return any(
-        t.base is not None and float(np.ptp(t.base, axis=0).max()) > MOVED for t in log.trials
+        t.base is not None and float(np.ptp(t.base, axis=0).max()) > CHOICE.base_range
+        for t in log.trials
     )
 
 
 def _own(source: Source, log: Log, horizon: float) -> bool:
-    """Whether MuJoCo at the file's own step makes the recording, to `OWN`."""
-    return float(np.median(replayed(source, log, horizon, SAMPLE).error)) < OWN
+    """Whether MuJoCo at the file's own step makes the recording, to `CHOICE.own_error`."""
+    return (
+        float(np.median(replayed(source, log, horizon, CHOICE.stretches).error)) < CHOICE.own_error
+    )

@@ -15,14 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.attribution import drive as drives
-from adaptsim_jax.attribution.acting import (
-    BENT,
-    OF_CONTROLLERS,
-    JointMotion,
-    actuated,
-    carried,
-    held_by,
-)
+from adaptsim_jax.attribution.acting import OF_CONTROLLERS, JointMotion, actuated, carried, held_by
+from adaptsim_jax.attribution.criteria import FRICTION
 from adaptsim_jax.attribution.drive import Local, logged_alone
 from adaptsim_jax.attribution.parameters import INERTIA, TILT, Entry, Vector
 from adaptsim_jax.attribution.problem import Group, TreeProblem, group_inertia, off_value
@@ -32,11 +26,9 @@ from adaptsim_jax.effects.joints.catalogue import ETA, TILTS
 from adaptsim_jax.effects.joints.forces import ARMATURE
 from adaptsim_jax.mechanisms import equations
 
-STEP = 1e-3  # s, by which a delay or a lag is moved for its derivative
-NEAR = 0.02  # of a value, by which it is moved at most
-RUNAWAY = 1e3  # rad (rad/s): drives that would run away so far are not looked at
-SLIDING = 0.99  # of its level, that dry friction takes over a row in which the joint slides
-STILL = 1e-3  # of the largest dry friction: below it, the direction is taken from the motion
+SHIFT_STEP = 1e-3  # s, by which a delay or a lag is moved for its derivative
+MAX_SHIFT_SHARE = 0.02  # of a value, by which it is moved at most for its derivative
+RUNAWAY_DRIVE = 1e3  # rad (rad/s): drives that would run away so far do not enter columns
 
 Shapes = Mapping[str, float]
 
@@ -77,10 +69,10 @@ def _bent(path: Path, yielding, rub, bristly, n: int):
         new = jnp.clip(bent + step, -most, most)
         return new, 0.5 * (bent + new)
 
-    start = jnp.clip(BENT * path.x[0, n : 2 * n], -most[:, 0], most[:, 0])
+    start = jnp.clip(FRICTION.bent * path.x[0, n : 2 * n], -most[:, 0], most[:, 0])
     moved = (jnp.moveaxis(jnp.diff(q, axis=1), 1, 0), jnp.moveaxis(most, 1, 0))
     mean = jnp.moveaxis(jax.lax.scan(row, start, moved)[1], 0, 1)
-    slides = (most > 0) & (bristly | (jnp.abs(turned) > SLIDING))
+    slides = (most > 0) & (bristly | (jnp.abs(turned) > FRICTION.sliding))
     return jnp.where(slides, level * turned - mean / jnp.where(yielding > 0, yielding, 1.0), 0.0)
 
 
@@ -289,7 +281,7 @@ class GroupColumns:
         level is known to be there.
         """
         level = np.abs(rub).max((1, 2), keepdims=True)
-        with_ = level > STILL * level.max()
+        with_ = level > FRICTION.still * level.max()
         return np.where(with_, level, 0.0) + 0.0 * rub, np.where(
             with_, -rub / np.where(level > 0, level, 1.0), 0.0
         )
@@ -329,7 +321,9 @@ class GroupColumns:
         p = self.at(effect, shape)
         g = self.group
         small = (effect.place == "force") & (p[parameter] > 0)
-        size = p[parameter] + np.where(small, np.minimum(STEP, NEAR * p[parameter]), STEP)
+        size = p[parameter] + np.where(
+            small, np.minimum(SHIFT_STEP, MAX_SHIFT_SHARE * p[parameter]), SHIFT_STEP
+        )
         if shape and parameter in shape and effect.jump:
             size = np.full(self.n, float(shape[parameter]))
         way, step = Way(effect, parameter), size - p[parameter]
@@ -428,7 +422,7 @@ class GroupColumns:
                 observed = np.array(
                     logged_alone(local, p, carries, jnp.diff(self.time, axis=0), effect)
                 )
-            there = ~np.tile(self.gives, 2)[:, None] & (np.abs(observed) < RUNAWAY)
+            there = ~np.tile(self.gives, 2)[:, None] & (np.abs(observed) < RUNAWAY_DRIVE)
             observed = np.where(there, observed, 0.0)
             observed[0] /= shape[parameter]
             self._made[key] = observed

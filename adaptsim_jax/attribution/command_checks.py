@@ -4,15 +4,13 @@ their way to the drive, or with another gain in some trials. Told with what to w
 
 import numpy as np
 
+from adaptsim_jax.attribution.criteria import TEXT
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.quality.commands import Cut, cut, exchanged, gains_by_trial, other_unit
 from adaptsim_jax.logs.quality.contradictions import AS_DECLARED
 from adaptsim_jax.logs.quality.findings import Finding
 from adaptsim_jax.logs.quality.hypotheses import Track
-
-MOST_TRIALS = 8
-"""Trials that are named one by one."""
 
 
 def check_commands(machine: Machine) -> tuple[Finding, ...]:
@@ -123,12 +121,12 @@ def _cut(joint: str, limit: Cut, unit: str) -> str:
 def _gains(machine: Machine, joint: int, gains: np.ndarray) -> Finding:
     name = machine.tree.joint_names[joint]
     size = gains / gains[0]
-    order = sorted(range(len(size)), key=lambda k: -abs(np.log(size[k])))[:MOST_TRIALS]
+    order = sorted(range(len(size)), key=lambda k: -abs(np.log(size[k])))[: TEXT.trials]
     told = ", ".join(f"{machine.tracks[k].name} {size[k]:.2f}" for k in sorted(order))
-    if len(size) <= MOST_TRIALS:
+    if len(size) <= TEXT.trials:
         more = ""
     else:
-        more = f", and {len(size) - MOST_TRIALS} more"
+        more = f", and {len(size) - TEXT.trials} more"
     text = (
         f"what the commands of {name} do differs from trial to trial, its actuator's gain or what "
         f"it moves: times that of {machine.tracks[0].name}: {told}{more}; diagnose trials of one "

@@ -9,6 +9,7 @@ import jax
 import numpy as np
 
 from adaptsim_jax.attribution.command_checks import check_commands
+from adaptsim_jax.attribution.criteria import CONVENTION
 from adaptsim_jax.attribution.machine import Machine, actuator_of
 from adaptsim_jax.attribution.pace import amperes, check_pace, held_fast
 from adaptsim_jax.attribution.problem import drive_force
@@ -39,19 +40,10 @@ from adaptsim_jax.mechanisms.tree import Tree
 
 FACTORS = {1e-3: "millimetres", 1e-2: "centimetres", 1e-1: None, 10.0: None, 1e3: "kilometres"}
 UNITS = {1e-3: "masses in grams, or torques in kN m", 1e3: "masses in tonnes, or torques in mN m"}
-WILD = 30.0
-"""Times that all torques are those of the declared masses from which on that is refused; below
-`same_size` not a word is said.
-"""
 ANGLES = (
     (180.0 / np.pi, "radians, not degrees", "rad"),
     (np.pi / 180.0, "degrees, not radians", "deg"),
 )
-SAME, SLIGHT = 1.5, 0.01
-"""Times the share of the torque's square, and beyond that, that angles in another unit may leave to
-be told.
-"""
-ALIKE = 0.99
 
 
 def of_machine(machine: Machine) -> tuple[list[Track], Design] | None:
@@ -140,7 +132,7 @@ def _weighed(machine: Machine, tracks: list[Track], declared: Design) -> tuple[F
         ]
         lines = " and ".join(f'{key} = "{angle[1]}"' for key in keys)
         mend = f"write {lines} under [units] in meta.toml; or else {mend}"
-    if 1.0 / WILD < found.scale < WILD:
+    if 1.0 / CONVENTION.refused_scale < found.scale < CONVENTION.refused_scale:
         return (Finding("masses", "warn", "", "masses", f"{phrase}; {mend}", found.scale),)
     raise BadInput(f"{machine.log.path}: {phrase}; {mend}; {AS_DECLARED}")
 
@@ -183,7 +175,7 @@ def _angle_unit(
             first=machine.tree.n,
         )
         if (
-            other.left <= SAME * left + SLIGHT
+            other.left <= CONVENTION.same_share * left + CONVENTION.same_added
             and 1.0 / CONTRADICTION.same_size < other.scale < CONTRADICTION.same_size
         ):
             return words, unit
@@ -271,7 +263,9 @@ def _chain(tree: Tree) -> list[int]:
     def both(j):
         return tree.parent[j] >= 0 and tree.kinds[j] == tree.kinds[tree.parent[j]] == "hinge"
 
-    return [tree.parent[j] if both(j) and turned[j] > ALIKE else -1 for j in range(tree.n)]
+    return [
+        tree.parent[j] if both(j) and turned[j] > CONVENTION.parallel else -1 for j in range(tree.n)
+    ]
 
 
 def _words(tree: Tree, kind: str) -> Words:

@@ -12,16 +12,15 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.attribution import model_toml
-from adaptsim_jax.attribution.choice import STRETCH
 from adaptsim_jax.attribution.conventions import (
     channels,
     check_conventions,
     check_signals,
     mechanism_trials,
 )
+from adaptsim_jax.attribution.criteria import CHOICE, PRIOR_WIDTH, STRETCH
 from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.equation.commands import drive_gains
-from adaptsim_jax.attribution.equation.search import FACTOR
 from adaptsim_jax.attribution.estimate import fit
 from adaptsim_jax.attribution.examine import (
     Examined,
@@ -78,13 +77,8 @@ from adaptsim_jax.mend.model_toml import FILE as MODEL_FILE
 
 Progress = Callable[[float, float, str], None]
 Keep = Callable[[dict[str, Any]], None]
-HORIZON = STRETCH
-LOOK_BACK = 0.012  # s, from a stretch's start: what a late sensor tells there is not compared
+HORIZON = CHOICE.horizon
 MODEL = "model.xml"
-ESTIMATED_GAIN = (
-    0.1  # prior's standard deviation of a drive's gain about the one that weight and inertia gave
-)
-LEFT = 0.5  # of what a joint weighs, at least, that damping by another speed leaves it
 
 
 def diagnose(
@@ -248,7 +242,7 @@ def verifier(
     """What runs the files of `folder` beside the declared one: over whole trials, too, of a machine
     that follows commands.
     """
-    spans = {f"stretches of {STRETCH:g} s": STRETCH}
+    spans = {f"stretches of {CHOICE.horizon:g} s": CHOICE.horizon}
     if follows(declared):
         spans[WHOLE_TRIALS] = 0.0
     if declared.gain_unknown:  # the file's motors say nothing of a voltage or a current
@@ -412,7 +406,7 @@ def posed(machine: Machine, effects: Sequence[Effect], horizon: float) -> TreePr
         machine.gear,
         horizon,
         declared=machine.declared,
-        look_back=LOOK_BACK,
+        look_back=STRETCH.look_back,
         ties=machine.ties,
     )
     names = machine.tree.joint_names
@@ -423,7 +417,7 @@ def factor_of(meta: Any) -> float:
     """Within which masses and moments are taken to be those of the model file, along the measured
     motion. Raises BadInput.
     """
-    factor = meta.fit.get("factor", FACTOR)
+    factor = meta.fit.get("factor", PRIOR_WIDTH.body_factor)
     if isinstance(factor, bool) or not isinstance(factor, (int, float)) or not 1.0 < factor <= 1e3:
         raise BadInput(f"{meta.path}: [fit] factor = {factor!r} must be a number above 1, as 3")
     return float(factor)
@@ -518,14 +512,14 @@ def declared_vector(machine: Machine, problem: TreeProblem) -> Vector:
         )
         for g in problem.groups:
             early = min(
-                widest, LEFT * np.min(stops[list(g.joints)])
+                widest, PRIOR_WIDTH.min_inertia * np.min(stops[list(g.joints)])
             )  # by more, and a joint would weigh less than nothing
             step = Entry(DAMPING_STEP, "step", g.joints, 0.0, 0.0, -early, widest, "s", widest)
             vector = vector.with_entries([step])
     if machine.gain_unknown:
         # free, gain and inertias shrink together
         if machine.gain_estimated:
-            prior = ESTIMATED_GAIN
+            prior = PRIOR_WIDTH.estimated_gain
         else:
             prior = np.inf
         gain = [

@@ -171,7 +171,7 @@ def yielded(drive: Drive, carries):
     )
 
 
-FINE = 8  # steps of a row
+ROW_SUBSTEPS = 8  # steps of a row: drives are faster than joints
 
 
 class Local(NamedTuple):
@@ -233,7 +233,7 @@ def _moved(drive: Drive, local: Local, carries, dt, swung=None):
     def row(state, now):
         carries, dt = now
         new = jax.lax.fori_loop(
-            0, FINE, lambda i, s: substep(i, s, carries, dt[None] / FINE), state
+            0, ROW_SUBSTEPS, lambda i, s: substep(i, s, carries, dt[None] / ROW_SUBSTEPS), state
         )
         return new, new
 

@@ -17,7 +17,8 @@ from adaptsim_jax.attribution.simulate import Path
 from adaptsim_jax.attribution.weights import TreeFit, Weights, group_losses, losses, weigh
 from adaptsim_jax.diagnosis.steps import CONVERGED_GAIN, Point, fit_values
 
-GOING_ON = 0.03  # share of the loss that a round must take off a fit that is only to be compared
+# share of the loss that a round must take off a fit that is only to be compared
+COMPARED_GAIN = 0.03
 
 
 def _as_long(x: np.ndarray, rows: int) -> np.ndarray:
@@ -158,7 +159,7 @@ def fit(
         return _point(replace(now, weights=weights, loss=losses(problem, paths, weights)), paths)
 
     def done(before: Point, after: Point, k: int) -> bool:
-        minimum = CONVERGED_GAIN if glance is None or k < glance else GOING_ON
+        minimum = CONVERGED_GAIN if glance is None or k < glance else COMPARED_GAIN
         return before.loss - after.loss < minimum * max(before.loss, 1e-300)
 
     found = fit_values(_point(begun, paths), around, rounds, done=done, taken=taken)

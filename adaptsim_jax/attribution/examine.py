@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from adaptsim_jax.attribution.criteria import CONFIRMATION, PRIOR_WIDTH
 from adaptsim_jax.attribution.equation.balance import Balance, balances
 from adaptsim_jax.attribution.equation.confirmed import confirmed
 from adaptsim_jax.attribution.equation.filed import searched, without_bodies
@@ -19,7 +20,7 @@ from adaptsim_jax.attribution.equation.models import (
     selection,
 )
 from adaptsim_jax.attribution.equation.rubbing import friction_notes, rubbing
-from adaptsim_jax.attribution.equation.search import FACTOR, within
+from adaptsim_jax.attribution.equation.search import within
 from adaptsim_jax.attribution.estimate import fit
 from adaptsim_jax.attribution.held_out import FittedTree, held_error, modelled, over_floor
 from adaptsim_jax.attribution.machine import Machine
@@ -38,7 +39,7 @@ from adaptsim_jax.attribution.report import account_of, evidence_of
 from adaptsim_jax.attribution.score import candidates
 from adaptsim_jax.attribution.select import Selection, select, select_shorter
 from adaptsim_jax.attribution.torque_report import TorqueFound, by_torque, curves, held_missing
-from adaptsim_jax.attribution.tree_objective import ROUNDS, Hint, TreeObjective
+from adaptsim_jax.attribution.tree_objective import DECLARED_ROUNDS, Hint, TreeObjective
 from adaptsim_jax.diagnosis.criteria import REPORT, Criteria
 from adaptsim_jax.diagnosis.finding import Named
 from adaptsim_jax.diagnosis.report import Account, report_of, withhold_names
@@ -46,9 +47,6 @@ from adaptsim_jax.diagnosis.search import backward_elimination
 from adaptsim_jax.effects.base import Reach
 
 NOTHING = "This model predicts nothing: by no yardstick does it do better than what needs no model, and no effect is named."
-CONTRADICTED = (
-    1.05  # of the torque's missing part: what simulation names must not make more of it missing
-)
 
 
 @dataclass(frozen=True)
@@ -76,7 +74,7 @@ class Inquiry:
     notify: Callable[[str], None] = lambda note: None
     keep: Callable[[Selection], None] = lambda found: None
     asked: str | None = None
-    factor: float | None = FACTOR
+    factor: float | None = PRIOR_WIDTH.body_factor
     hint: Hint | None = None
 
     @property
@@ -352,7 +350,7 @@ def _polished(q: Inquiry, found: Selection, reach: Reach) -> Selection:
     q.notify("fit by simulation")
     again = found.final.fit
     if not good:
-        again = fit(problem, again.vector, again.starts, rounds=ROUNDS)
+        again = fit(problem, again.vector, again.starts, rounds=DECLARED_ROUNDS)
     whole = modelled(problem, tuple(n.candidate for n in found.named), again)
     if not several or (not q.asked and over_floor(problem, whole) >= criteria.near):
         return replace(found, final=whole)
@@ -445,7 +443,7 @@ def _disagreement(e: Examined) -> list[str]:
             )
     elif e.found.named and torque[0] is not None and torque[1] is not None:
         shares = [float(np.mean(m.error / np.maximum(m.still, 1e-300))) for m in torque]
-        if shares[1] > CONTRADICTED * shares[0]:
+        if shares[1] > CONFIRMATION.contradicted * shares[0]:
             notes.append(
                 f"The torque along the motion disagrees: {100 * shares[0]:.0f} % of it is missing "
                 f"without and {100 * shares[1]:.0f} % with what is named."

@@ -21,7 +21,7 @@ from adaptsim_jax.attribution.simulate import Path
 from adaptsim_jax.attribution.weights import TreeFit, Weights
 from adaptsim_jax.diagnosis.steps import StretchLanes, fit_starts
 
-ROUNDS = 6  # of steps of the starts, at most
+MAX_START_ROUNDS = 6  # rounds of steps of the starts, at most
 LENGTHS = np.array([1.0, 0.3, 0.09])  # of a step, tried in turn
 
 
@@ -94,7 +94,7 @@ def fitted_starts(
     problem: TreeProblem,
     vector: Vector,
     rows: np.ndarray | None = None,
-    rounds: int = ROUNDS,
+    rounds: int = MAX_START_ROUNDS,
     roughly: bool = False,
     starts: Sequence[np.ndarray] | None = None,
 ) -> tuple[tuple[np.ndarray, ...], Sequence[Path]]:

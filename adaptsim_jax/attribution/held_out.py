@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from adaptsim_jax.attribution.criteria import CONFIRMATION, STRETCH
 from adaptsim_jax.attribution.estimate import fit, settled, start_steps
 from adaptsim_jax.attribution.joint_groups import by_group, linear_part, part_of, put_back, touched
 from adaptsim_jax.attribution.linear import (
@@ -28,13 +29,11 @@ from adaptsim_jax.attribution.paths import residuals, run
 from adaptsim_jax.attribution.problem import TreeProblem, moving
 from adaptsim_jax.attribution.score import CandidateScore, JointCandidate, shape_entries
 from adaptsim_jax.attribution.simulate import Path
-from adaptsim_jax.attribution.weights import WILD, TreeFit, Weights, losses
+from adaptsim_jax.attribution.weights import TreeFit, Weights, losses
 from adaptsim_jax.diagnosis.criteria import FOLD, Criteria
 from adaptsim_jax.diagnosis.folds import pieces
 from adaptsim_jax.diagnosis.testing import Test, jackknife, paired_test
 from adaptsim_jax.effects.base import Effect, Reach
-
-ALONE = 1e-3  # of what all say of a parameter: less, without one fold, is nothing
 
 
 @dataclass(frozen=True)
@@ -141,7 +140,9 @@ def fold_steps(problem: TreeProblem, n: Normal, vector: Vector) -> np.ndarray:
     def reported(h):
         return np.diagonal(h) + vector.precision
 
-    alone = np.array([reported(total - h) < ALONE * reported(total) for h in n.hess])
+    alone = np.array(
+        [reported(total - h) < CONFIRMATION.only_fold * reported(total) for h in n.hess]
+    )
     return np.where(alone, np.array([e.off for e in vector.entries]) - vector.values, steps)
 
 
@@ -214,7 +215,7 @@ def evenly_weighted(problem: TreeProblem, fitted: TreeFit, some: np.ndarray) -> 
     """
     plain = replace(fitted.weights, stretch=np.ones_like(fitted.weights.stretch))
     loss = losses(problem, run(problem, fitted.vector, fitted.starts), plain)
-    weight = 1.0 / np.maximum(1.0, loss / (WILD**2 * np.median(loss[some])))
+    weight = 1.0 / np.maximum(1.0, loss / (STRETCH.outlying**2 * np.median(loss[some])))
     return replace(fitted, weights=replace(plain, stretch=weight), loss=loss * weight)
 
 

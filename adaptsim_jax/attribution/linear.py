@@ -18,10 +18,9 @@ from adaptsim_jax.attribution.problem import Group, TreeProblem
 from adaptsim_jax.attribution.simulate import Path, linearise, respond, responded_start
 from adaptsim_jax.attribution.weights import Counted, TreeFit, counted
 
-LOST = 1e30
-"""Derivatives of a stretch from which on it says nothing: far beyond any that a weight and a unit
-make.
-"""
+# derivatives of a stretch from which on it says nothing: far beyond any that a weight and a unit
+# make
+MAX_DERIVATIVE = 1e30
 
 
 @dataclass(frozen=True)
@@ -138,7 +137,7 @@ def _without_lost(*by_lane: np.ndarray) -> None:
     """Stretches [W, ...] that ran away say nothing of where to go: their rows become zero, in
     place. Finite numbers may be too large for their squares, too.
     """
-    lost = ~np.all([(np.abs(z) < LOST).reshape(len(z), -1).all(1) for z in by_lane], 0)
+    lost = ~np.all([(np.abs(z) < MAX_DERIVATIVE).reshape(len(z), -1).all(1) for z in by_lane], 0)
     for z in by_lane if lost.any() else ():
         z[lost] = 0.0
 

@@ -5,7 +5,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from adaptsim_jax.attribution.problem import BEYOND_STOP, beyond_range
+from adaptsim_jax.attribution.criteria import RANGE
+from adaptsim_jax.attribution.problem import beyond_range
 from adaptsim_jax.attribution.stretches import JointTrack
 from adaptsim_jax.effects.joints.actuator import ACTUATOR_LAG, DELAY
 from adaptsim_jax.logs.log import Log, check_left_out
@@ -227,7 +228,7 @@ def _out_of_range(tree: Tree, tracks: Sequence[JointTrack]) -> tuple[str, ...]:
     excess = beyond_range(tree, tracks)
     names = [
         f"{tree.joint_names[j]} (by {excess[j]:.2g} {tree.unit(int(j))})"
-        for j in np.flatnonzero(excess > BEYOND_STOP)
+        for j in np.flatnonzero(excess > RANGE.beyond_stop)
     ]
     if names:
         return (f"the declared range of {', '.join(names)}, which the motion goes beyond",)

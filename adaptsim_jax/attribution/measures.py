@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.attribution.equation.balance import NOTHING, Balance, actuator_force, residual
-from adaptsim_jax.attribution.equation.windows import SPAN
+from adaptsim_jax.attribution.criteria import BALANCE, CONFIRMATION, WINDOW
+from adaptsim_jax.attribution.equation.balance import Balance, actuator_force, residual
 from adaptsim_jax.attribution.forecast import without_a_model
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import TreeProblem, values_of
@@ -25,7 +25,6 @@ from adaptsim_jax.diagnosis.criteria import REPORT
 
 STRETCHES, WHOLE, TORQUE = "stretches", "whole", "torque"
 NAMES = (STRETCHES, WHOLE, TORQUE)
-WORTH = 0.02  # skill up to which a model is worth no more than none
 
 
 @dataclass(frozen=True)
@@ -115,7 +114,7 @@ def of_torque(
         own = list(b.group.joints)
         left = missing[k] if missing else residual(problem, b, vector)
         size = needed(problem, b)
-        count = b.clear > NOTHING
+        count = b.clear > BALANCE.no_weight
         count = np.where(np.any(count, 0), count, True)  # [K, n]
 
         def root(z, n=count):
@@ -127,7 +126,7 @@ def of_torque(
             root(size - size.mean(0, where=count)),
         )
     units = tuple("N m" if k == "hinge" else "N" for k in problem.kinds)
-    return Measure(TORQUE, SPAN, error, line, still, problem.joint_names, units)
+    return Measure(TORQUE, WINDOW.span, error, line, still, problem.joint_names, units)
 
 
 def needed(problem: TreeProblem, balance: Balance) -> np.ndarray:
@@ -187,4 +186,4 @@ def headline(
 def predicts_nothing(measures: Mapping[str, Measure | None]) -> bool:
     """Whether a model is worth no more than none by every yardstick that there is."""
     skills = [m.skill for m in measures.values() if m is not None and np.isfinite(m.skill)]
-    return bool(skills) and max(skills) < WORTH
+    return bool(skills) and max(skills) < CONFIRMATION.worthless_skill

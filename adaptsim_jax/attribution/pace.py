@@ -9,6 +9,7 @@ torques each joint needs a multiple of its own.
 
 import numpy as np
 
+from adaptsim_jax.attribution.criteria import PACE
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.criteria import BLOCK, COMMAND, CONTRADICTION
@@ -24,19 +25,6 @@ from adaptsim_jax.logs.quality.hypotheses import (
     rubbing,
 )
 
-GOOD = 0.03
-"""Share of the torque's square that another clock, or efforts of another scale, may leave to be
-told.
-"""
-TIMES = 10.0
-"""A clock is told where it leaves so many times less than a rotor's inertia at every joint does."""
-OFF = 1.2
-"""Times that a clock is off, from which on it is told."""
-HELD = 4.0
-"""Times that a declared friction is what moves a joint, from which on it is doubted."""
-NOMINAL = 1e-4
-"""Of an interval: steps this even are counted, not measured."""
-
 
 def check_pace(machine: Machine, tracks: list[Track], design: Design) -> tuple[Finding, ...]:
     """Raises BadInput where gravity says that time runs otherwise than it was stamped."""
@@ -46,10 +34,14 @@ def check_pace(machine: Machine, tracks: list[Track], design: Design) -> tuple[F
     if not looks or np.linalg.norm(machine.tree.gravity) == 0.0:
         return ()
     left, factor, as_is = min(looks)
-    if left > GOOD or not 1.0 / 20.0 < factor < 20.0 or 1.0 / OFF < factor < OFF:
+    if (
+        left > PACE.explained
+        or not 1.0 / 20.0 < factor < 20.0
+        or 1.0 / PACE.clock_factor < factor < PACE.clock_factor
+    ):
         return ()
     step = float(np.median(np.concatenate([np.diff(t.time) for t in tracks])))
-    even = all(np.max(np.abs(np.diff(t.time) - step)) < NOMINAL * step for t in tracks)
+    even = all(np.max(np.abs(np.diff(t.time) - step)) < PACE.even * step for t in tracks)
     if even:
         counted = f"; its stamps are exactly {1e3 * step:.4g} ms apart, as if counted"
     else:
@@ -62,7 +54,7 @@ def check_pace(machine: Machine, tracks: list[Track], design: Design) -> tuple[F
         f"machine in {step / factor:.3g} s from row to row, not in {step:.3g} s{counted}"
     )
     mend = f"write {line} under [units] in meta.toml (seconds a unit), or mend the stamps"
-    if as_is > TIMES * left and as_is > CONTRADICTION.doubted:
+    if as_is > PACE.better_than_rotors * left and as_is > CONTRADICTION.doubted:
         raise BadInput(f"{machine.log.path}: {phrase}; {mend}; {AS_DECLARED}")
     if not all(t.path.endswith(".parquet") for t in machine.log.trials) or not even:
         return ()
@@ -193,7 +185,7 @@ def held_fast(machine: Machine, tracks: list[Track], design: Design) -> tuple[Fi
     for j in np.flatnonzero(levels > 0):
         moves = np.abs(motion.v[:, j]) > 0.2 * np.max(np.abs(motion.v[:, j]))
         most = float(np.quantile(rest[moves, j], 0.9))
-        if levels[j] > HELD * most:
+        if levels[j] > PACE.friction_factor * most:
             name, unit = (
                 machine.tree.joint_names[j],
                 "N m" if machine.tree.kinds[j] == "hinge" else "N",

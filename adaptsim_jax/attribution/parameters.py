@@ -16,12 +16,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from adaptsim_jax.attribution.criteria import PRIOR_WIDTH
 from adaptsim_jax.diagnosis.steps import bounded_step
 from adaptsim_jax.effects.joints import catalogue, forces
 from adaptsim_jax.effects.joints.catalogue import BODY, WIDEST
 
 INERTIA, TILT, DAMPING_STEP = BODY.name, catalogue.TILT.name, forces.DAMPING_STEP.name
-PRIOR = 0.3  # standard deviation of eta
 
 
 @dataclass(frozen=True)
@@ -199,7 +199,7 @@ def inertias(declared: np.ndarray) -> Inertias:
 
 def inertia_entries(massive: np.ndarray) -> tuple[Entry, ...]:
     """Ten entries for each body that has a mass."""
-    make = partial(Entry, INERTIA, start=0.0, off=0.0, unit="1", prior=PRIOR)
+    make = partial(Entry, INERTIA, start=0.0, off=0.0, unit="1", prior=PRIOR_WIDTH.inertia)
     return tuple(
         make(name, (int(b),), low=-wide, high=wide)
         for b in np.flatnonzero(massive)

@@ -17,9 +17,9 @@ from adaptsim_jax.attribution.stops import inverse_weight, limited, rates
 from adaptsim_jax.effects.base import Drive
 from adaptsim_jax.effects.joints.forces import ARMATURE
 
-STABLE = 1.0  # of a row's step times the fastest rate, for Runge and Kutta
-MOST_SUBSTEPS = 12
-TURNS = 4.0  # steps in which friction that gives turns, at least
+STABLE_STEP = 1.0  # of a row's step times the fastest rate (1), for Runge and Kutta
+MAX_SUBSTEPS = 12  # steps of a row, beyond which a machine counts as stiff
+TURN_STEPS = 4.0  # steps in which friction that gives turns, at least
 
 
 def starts_of(problem: TreeProblem) -> tuple[np.ndarray, ...]:
@@ -56,12 +56,14 @@ def scheme(group: Group, at: Values, some: Values | None = None) -> Scheme:
     if len(ends):
         pull, drag = (np.asarray(z) for z in rates(ends))
         fastest = max(fastest, float(drag.max()), 2.0 * float(np.sqrt(pull).max()))
-    fastest = max(fastest, TURNS * float(np.asarray(group.model.tree.rub)[:, 0].max(initial=0.0)))
+    fastest = max(
+        fastest, TURN_STEPS * float(np.asarray(group.model.tree.rub)[:, 0].max(initial=0.0))
+    )
     swing = np.sqrt(stiffness / inertia) * 2.0
-    need = row * max(float((damping / inertia).max()), float(swing.max()), fastest) / STABLE
-    stiff = bool(need > MOST_SUBSTEPS) and not len(giving)
-    if need > MOST_SUBSTEPS:
-        steps = 2 * MOST_SUBSTEPS
+    need = row * max(float((damping / inertia).max()), float(swing.max()), fastest) / STABLE_STEP
+    stiff = bool(need > MAX_SUBSTEPS) and not len(giving)
+    if need > MAX_SUBSTEPS:
+        steps = 2 * MAX_SUBSTEPS
     else:
         steps = max(1, int(np.ceil(need)))
     return Scheme(

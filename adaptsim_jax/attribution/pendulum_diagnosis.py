@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from adaptsim_jax.attribution.criteria import STRETCH
 from adaptsim_jax.attribution.diagnose import Beginning, Progress, Setting, examined, mjcf_files
 from adaptsim_jax.attribution.examine import Examined, reported
 from adaptsim_jax.attribution.machine import Machine
@@ -66,7 +67,6 @@ LINKS = (
 )  # of which base parameters are made, and which may be known
 Reward = Callable[[ModelFile, ModelFile], dict[str, Any] | None]
 """What a mended model is worth to the task, of the declared and the mended model."""
-MIN_ROWS = 64  # of a part of a trial between rows without angles, that is regressed by itself
 
 
 def diagnose_pendulum(
@@ -252,13 +252,13 @@ def _scatter(time: np.ndarray, x: np.ndarray) -> float:
 def _unbroken(q: np.ndarray) -> list[np.ndarray]:
     """The rows of a trial, or of its parts between rows that have no angles `q [T, n]`.
 
-    Parts are of `MIN_ROWS` or more, else the longest.
+    Parts are of `STRETCH.min_part_rows` or more, else the longest.
     """
     observed = np.all(np.isfinite(q), axis=1)
     parts = np.split(np.arange(len(observed)), np.flatnonzero(np.diff(observed)) + 1)
     parts = [rows for rows in parts if observed[rows[0]]]
     longest = max(map(len, parts), default=0)
-    return [rows for rows in parts if len(rows) >= min(MIN_ROWS, longest)]
+    return [rows for rows in parts if len(rows) >= min(STRETCH.min_part_rows, longest)]
 
 
 def _of_unknown_masses(report: dict[str, Any], rig: Rig) -> None:

@@ -3,8 +3,8 @@ combinations the data fix.
 
 The fit's own coordinates (`parameters.ETA`) are held near the declared ones by a prior where the
 data say nothing, so a value by itself does not tell whether it was measured. A quantity counts as
-fixed by the data where they narrow what the prior leaves of it to `NARROW`. Motion alone never
-tells the inertial parameters of a tree one by one, only combinations of them (Gautier and Khalil,
+fixed by the data where they narrow what the prior leaves of it to `INERTIAL.narrow`.
+Motion alone never tells the inertial parameters of a tree one by one, only combinations of them (Gautier and Khalil,
 1990); of these, what each joint carries when all joints are at zero is told: inertia about the axis
 and first moments across it.
 """
@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from adaptsim_jax.attribution.criteria import INERTIAL
 from adaptsim_jax.attribution.held_out import FittedTree
 from adaptsim_jax.attribution.linear import normal
 from adaptsim_jax.attribution.machine import Machine
@@ -32,10 +33,6 @@ from adaptsim_jax.mechanisms.inertia_frames import (
     symmetric_of,
 )
 
-NARROW = 0.1
-"""Share of the prior's spread that may be left of a quantity that counts as fixed: a hundredth of
-its variance is the prior's.
-"""
 OF_BODY = (
     "mass",
     "centre of mass x",
@@ -49,12 +46,8 @@ OF_BODY = (
     "inertia yz",
 )
 UNITS = ("kg", "m", "m", "m", *["kg m^2"] * 6)
-STEP = 1e-4  # of a coordinate, for differences
-EXACT = 1e-9
-OTHERWISE = 0.05
-"""Share of its value in the model file by which a quantity that the data fix is said to be another;
-of what is near zero there, of the largest one of its unit times itself.
-"""
+COORDINATE_STEP = 1e-4  # of a coordinate, for differences
+FLAT_LENGTH = 1e-9  # 1: a direction across gravity that is shorter is none
 
 
 @dataclass(frozen=True)
@@ -93,7 +86,7 @@ def inertia_rows(
             "low": value - width,
             "high": value + width,
             "unit": q.unit,
-            "identifiable": bool(both < NARROW * alone),
+            "identifiable": bool(both < INERTIAL.narrow * alone),
             "combination": q.combined,
             "file": float(q.values[-1]),
         }
@@ -107,7 +100,7 @@ def sentence(problem: TreeProblem, model: FittedTree, rows: dict[str, dict[str, 
         return []
     left, prior = spreads(problem, model)
     share = left[np.ix_(own, own)] / prior[own] / prior[own][:, None]
-    count = int(np.sum(np.sqrt(np.maximum(np.linalg.eigvalsh(share), 0.0)) < NARROW))
+    count = int(np.sum(np.sqrt(np.maximum(np.linalg.eigvalsh(share), 0.0)) < INERTIAL.narrow))
     fixed = {
         name: row["combination"]
         for name, row in rows.items()
@@ -152,9 +145,9 @@ def otherwise(rows: dict[str, dict[str, Any]]) -> list[str]:
     fixed = {name: row for name, row in some.items() if row["identifiable"]}
     off = {}
     for name, row in fixed.items():
-        size = max(abs(row["file"]), OTHERWISE * largest[row["unit"]], 1e-12)
+        size = max(abs(row["file"]), INERTIAL.different * largest[row["unit"]], 1e-12)
         if (
-            abs(row["value"] - row["file"]) > OTHERWISE * size
+            abs(row["value"] - row["file"]) > INERTIAL.different * size
             and not row["low"] <= row["file"] <= row["high"]
         ):
             off[name] = abs(row["value"] - row["file"]) / size
@@ -236,7 +229,7 @@ def _body(
     frames, name = machine.mechanism.frames, machine.tree.body_names[j]
     frame = inverse((frames.place[name], frames.rotation[name]))
     central = np.stack([_central(v, frame) for v in values])
-    size = STEP * np.maximum(np.abs(slope).max(1), 1e-12)
+    size = COORDINATE_STEP * np.maximum(np.abs(slope).max(1), 1e-12)
     change = np.stack(
         [
             (_central(values[0] + h * e, frame) - _central(values[0] - h * e, frame)) / (2 * h)
@@ -284,7 +277,7 @@ def _carried(machine: Machine, found: dict, j: int) -> list[InertialQuantity]:
     rows = [make("inertia about", "kg m^2", unit[9])]
     for k in across:
         flat = np.array([*axes[:2, k], 0.0])  # what gravity about the axis sees of it
-        if np.linalg.norm(flat) > EXACT:
+        if np.linalg.norm(flat) > FLAT_LENGTH:
             rows.append(make(f"first moment {'xyz'[k]} at", "kg m", flat @ unit[1:4]))
     return rows
 

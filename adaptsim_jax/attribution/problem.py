@@ -9,6 +9,7 @@ import jax
 import numpy as np
 
 from adaptsim_jax.attribution.acting import ActingModel, Values
+from adaptsim_jax.attribution.criteria import RANGE
 from adaptsim_jax.attribution.parameters import (
     DAMPING_STEP,
     INERTIA,
@@ -30,7 +31,7 @@ from adaptsim_jax.logs.noise import difference_noise, local_motion
 from adaptsim_jax.mechanisms import equations
 from adaptsim_jax.mechanisms.tree import Tree, subtrees, take
 
-LANES = 16  # stretches are padded to a multiple, so that compiled programs repeat
+LANE_MULTIPLE = 16  # stretches are padded to a multiple, so that compiled programs repeat
 
 
 @dataclass(frozen=True)
@@ -163,10 +164,6 @@ def numbers_of(tree: Tree) -> dict[tuple[str, str], np.ndarray]:
     }
 
 
-NEAR_STOP = 0.05  # rad (m): from its range, within which a joint's motion may feel it
-BEYOND_STOP = 0.1  # rad (m): beyond its range, where a joint that stops there is not found
-
-
 def beyond_range(tree: Tree, tracks: Sequence[JointTrack]) -> np.ndarray:
     """How far [n] the motion goes beyond the declared ranges, at its 99th percentile; -inf for
     joints without.
@@ -186,11 +183,11 @@ def within_reach(tree: Tree, tracks: Sequence[JointTrack]) -> Tree:
     excess = beyond_range(tree, tracks)
     q = np.concatenate([t.q for t in tracks])
     low, high = np.asarray(tree.range, float).T
-    near = np.maximum(np.nanmax(q, axis=0) - high, low - np.nanmin(q, axis=0)) > -NEAR_STOP
+    near = np.maximum(np.nanmax(q, axis=0) - high, low - np.nanmin(q, axis=0)) > -RANGE.near_stop
     return replace(
         tree,
         limited=tuple(
-            bool(a and b and c <= BEYOND_STOP)
+            bool(a and b and c <= RANGE.beyond_stop)
             for a, b, c in zip(tree.limited, near, excess, strict=True)
         ),
     )
@@ -235,8 +232,8 @@ def _nameless(tree: Tree) -> Tree:
 
 
 def _padded(stretches: JointStretches) -> JointStretches:
-    """The last stretch again, unseen, until there is a multiple of `LANES`."""
-    short = -stretches.count % LANES
+    """The last stretch again, unseen, until there is a multiple of `LANE_MULTIPLE`."""
+    short = -stretches.count % LANE_MULTIPLE
     if not short:
         return stretches
     wide = stretches.pick(
@@ -315,13 +312,10 @@ def _reach(
     )
 
 
-MOVES = 10.0  # times its noise, by which a joint that moves does
-
-
 def moving(problem: TreeProblem) -> np.ndarray:
     """Which joints [n] move in the log."""
     span = problem.reach.q_high - problem.reach.q_low
-    return span > MOVES * problem.floor[: problem.joints]
+    return span > RANGE.moving_noises * problem.floor[: problem.joints]
 
 
 def passing(

@@ -14,6 +14,7 @@ import numpy as np
 
 from adaptsim_jax.attribution.choice import Choice, choose
 from adaptsim_jax.attribution.conventions import check_conventions
+from adaptsim_jax.attribution.criteria import CHOICE
 from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.equation.rubbing import giving
 from adaptsim_jax.attribution.forecast import forecast, without_a_model
@@ -38,7 +39,6 @@ from adaptsim_jax.logs.quality.contradictions import AS_DECLARED
 from adaptsim_jax.simulators.mujoco.replay import replayed as mujoco_replayed
 
 WRITTEN = ("model.xml", "model.toml")  # what a diagnosis writes for simulation
-RUNAWAY = 1.0  # rad (m): a stretch of which any joint errs more has run away
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,11 @@ class Replay:
             return "m"
 
         def some(e):
-            return {"median": _median(e), "rms": _rms(e), "ran_away": float(np.mean(e > RUNAWAY))}
+            return {
+                "median": _median(e),
+                "rms": _rms(e),
+                "ran_away": float(np.mean(e > CHOICE.ran_away)),
+            }
 
         def beside(j):
             return {

@@ -11,6 +11,7 @@ import numpy as np
 from scipy import stats
 
 from adaptsim_jax.attribution import physical_inertias
+from adaptsim_jax.attribution.criteria import TEXT
 from adaptsim_jax.attribution.held_out import (
     FittedTree,
     astray,
@@ -42,9 +43,6 @@ from adaptsim_jax.diagnosis.report import Account, Errors, Label, Scored, error_
 from adaptsim_jax.effects.base import NINETY
 from adaptsim_jax.effects.joints.actuator import SATURATION
 from adaptsim_jax.effects.joints.friction import VISCOUS
-
-LISTED = 40  # candidates of the report's table
-SURE = 0.8  # share of recordings like this one in which the size that is reported would be found
 
 
 def account_of(
@@ -279,14 +277,14 @@ def _scored(problem: TreeProblem, found: Selection) -> list[Scored]:
         if called not in named and (s.held_out > 0.0 or called in alike):
             p = s.p * len(found.scores)
             rows.append(Scored(s.candidate, s.held_out / total, p, other))
-    return rows[:LISTED]
+    return rows[: TEXT.candidates]
 
 
 def power_rows(
     problem: TreeProblem, scores: Sequence[CandidateScore], criteria: Criteria
 ) -> list[dict[str, Any]]:
-    """Rows of `power` of candidates that act linearly through one number: the size that `SURE` of
-    recordings like this one would show.
+    """Rows of `power` of candidates that act linearly through one number: the size that
+    `TEXT.power` of recordings like this one would show.
 
     Args:
         problem: The recording as it was fitted.
@@ -298,13 +296,13 @@ def power_rows(
         `{name, where, size, unit, power}`, sizes in the unit of the amplitude, by name and place.
     """
     level = criteria.alpha / max(len(scores), 1)
-    times = float(stats.norm.isf(level / 2) + stats.norm.isf(1.0 - SURE))
+    times = float(stats.norm.isf(level / 2) + stats.norm.isf(1.0 - TEXT.power))
     rows = [
         {
             **label(problem, s.candidate)._asdict(),
             "size": times * s.scatter,
             "unit": s.candidate.entries[0].unit,
-            "power": SURE,
+            "power": TEXT.power,
         }
         for s in scores
         if s.scatter > 0.0 and not problem.effect(s.candidate.effect).jump

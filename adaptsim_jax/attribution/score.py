@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from adaptsim_jax.attribution.criteria import CONFIRMATION
 from adaptsim_jax.attribution.linear import Linear, candidate_columns, padded_fold, project, rows
 from adaptsim_jax.attribution.parameters import INERTIA, TILT, Entry, Vector, inertia_entries
 from adaptsim_jax.attribution.problem import TreeProblem, off_value
@@ -19,10 +20,6 @@ from adaptsim_jax.diagnosis.testing import score_p
 from adaptsim_jax.effects.base import Effect, Reach, unit_at
 from adaptsim_jax.effects.joints.catalogue import TILTS
 from adaptsim_jax.effects.joints.forces import ARMATURE
-
-# of the amplitude at which an effect that does not act linearly is scored, up to which the score is
-# good for it
-BEYOND = 1.5
 
 
 @dataclass(frozen=True)
@@ -333,7 +330,7 @@ class _Sums:
         scored = at_scored(self.problem, c)
         if scored is None:
             return np.inf
-        return BEYOND * abs(scored - c.entries[0].start)
+        return CONFIRMATION.score_reach * abs(scored - c.entries[0].start)
 
     def score(self, c: JointCandidate, cols: np.ndarray) -> CandidateScore:
         slope, curve = self.slope[:, cols], self._curve(cols)

@@ -13,7 +13,7 @@ from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import TreeProblem, beginnings, own_inertia, scaled_reach
 from adaptsim_jax.attribution.score import CandidateScore
 from adaptsim_jax.attribution.stretch_evidence import eased
-from adaptsim_jax.attribution.tree_objective import ROUNDS, Hint, TreeObjective
+from adaptsim_jax.attribution.tree_objective import DECLARED_ROUNDS, Hint, TreeObjective
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Finding
 from adaptsim_jax.diagnosis.search import search
@@ -80,11 +80,11 @@ def declared(
     roughly: only as far as another is to be compared with it.
     """
     glance = 2 * criteria.glance if roughly else None
-    models = [modelled(problem, (), fit(problem, null, rounds=ROUNDS, glance=glance))]
+    models = [modelled(problem, (), fit(problem, null, rounds=DECLARED_ROUNDS, glance=glance))]
     if not roughly and criteria.beginning < 1.0 and over_floor(problem, models[0]) > criteria.odd:
-        begun = fit(beginnings(problem, criteria.beginning), null, rounds=ROUNDS)
+        begun = fit(beginnings(problem, criteria.beginning), null, rounds=DECLARED_ROUNDS)
         models.append(
-            modelled(problem, (), fit(problem, begun.vector, begun.starts, rounds=ROUNDS))
+            modelled(problem, (), fit(problem, begun.vector, begun.starts, rounds=DECLARED_ROUNDS))
         )
     return min(models, key=lambda m: over_floor(problem, m))
 

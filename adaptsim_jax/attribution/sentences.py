@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptsim_jax.attribution.equation.commands import STUCK
+from adaptsim_jax.attribution.criteria import SERVO, TEXT
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, TILT
 from adaptsim_jax.attribution.problem import TreeProblem
@@ -18,11 +18,7 @@ from adaptsim_jax.diagnosis.report import Headline, Label, named_words
 from adaptsim_jax.effects.joints.forces import ARMATURE
 from adaptsim_jax.effects.joints.friction import COULOMB, VISCOUS
 
-SURE = 3.0  # times its standard error, from which on the step is told by which damping acts late
 READ = "Read so; no effect is named for it. model.toml keeps it, for which model.xml has no place."
-# times the noise floor: what the Coulomb friction of a simulator that lets a held joint creep may
-# leave
-SOFT = 5.0
 
 
 def label(problem: TreeProblem, c: JointCandidate) -> Label:
@@ -162,7 +158,7 @@ def standing(machine: Machine) -> list[str]:
     names = machine.tree.joint_names
     lines = [
         f"{names[j]} ({moves[j] / asked[j]:.0%})"
-        for j in np.flatnonzero(observed & (moves < STUCK * asked))
+        for j in np.flatnonzero(observed & (moves < SERVO.stuck * asked))
     ]
     if not lines:
         return []
@@ -181,7 +177,11 @@ def soft_friction(
     """
     if any(np.any(g.model.tree.rub) for g in problem.groups):
         return []
-    if not left or over > SOFT or all(n.candidate.effect != COULOMB.name for n in named):
+    if (
+        not left
+        or over > TEXT.soft_friction
+        or all(n.candidate.effect != COULOMB.name for n in named)
+    ):
         return []
     return [
         "Where MuJoCo made these logs, its own Coulomb friction, which is a little soft "
@@ -207,7 +207,9 @@ def _implicit(found: Selection) -> list[str]:
     model = found.final
     rows = zip(model.fit.vector.entries, model.fit.vector.values, model.spread, strict=True)
     steps = [
-        1e3 * z for e, z, spread in rows if e.owner == DAMPING_STEP and abs(z) > SURE * spread > 0.0
+        1e3 * z
+        for e, z, spread in rows
+        if e.owner == DAMPING_STEP and abs(z) > TEXT.damping_step_errors * spread > 0.0
     ]
     steps = sorted(steps, key=abs)[-1:]  # groups of joints that share no body have one each
     return [

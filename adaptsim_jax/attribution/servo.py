@@ -13,16 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from adaptsim_jax.attribution.criteria import PRIOR_WIDTH, SERVO
 from adaptsim_jax.attribution.equation.balance import balances
-from adaptsim_jax.attribution.equation.commands import (
-    LESS,
-    LEVEL,
-    MISSED,
-    SIGNIFICANT,
-    TIMES,
-    Servo,
-    servos,
-)
+from adaptsim_jax.attribution.equation.commands import Servo, servos
 from adaptsim_jax.attribution.forecast import without_a_model
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import Entry, Vector
@@ -34,7 +27,6 @@ from adaptsim_jax.effects.joints.friction import COULOMB, VISCOUS
 
 SPANS = (0.5, 1.0, 2.0, 4.0)  # s
 RUBS, GAIN = COULOMB.name, POSITION_GAIN.name
-WIDE = 0.5  # prior's standard deviation of what is left of a gain, as a share
 
 
 def calibrated(machine: Machine, horizon: float) -> tuple[Machine, tuple[Servo, ...]]:
@@ -58,12 +50,15 @@ def calibrated(machine: Machine, horizon: float) -> tuple[Machine, tuple[Servo, 
     file = {s.joint: -machine.actuator[2, s.joint] * machine.gear[s.joint] ** 2 for s in found}
 
     def distance(s):
-        return s.separation > SIGNIFICANT and not _near(s.kp / file[s.joint])
+        return s.separation > SERVO.significant and not _near(s.kp / file[s.joint])
 
     off = [
         s
         for s in found
-        if s.p < LEVEL and MISSED * s.error < s.file and s.left < LESS * s.file and distance(s)
+        if s.p < SERVO.level
+        and SERVO.missed * s.error < s.file
+        and s.left < SERVO.better * s.file
+        and distance(s)
     ]
     return with_gains(machine, off), tuple(off)
 
@@ -72,7 +67,7 @@ def _near(times: float) -> bool:
     """Whether a gain is so near to the file's, of which it is `times`, that the search tells it as
     any other effect.
     """
-    return 1 / TIMES < times < TIMES
+    return 1 / SERVO.gain_factor < times < SERVO.gain_factor
 
 
 def with_gains(machine: Machine, off: Sequence[Servo]) -> Machine:
@@ -123,7 +118,10 @@ def span_of(machine: Machine, off: tuple[Servo, ...], horizon: float) -> float:
 
 def servo_entries(off: tuple[Servo, ...]) -> list[Entry]:
     """What is fitted of such gains whatever is named."""
-    return [Entry(GAIN, "gain", (s.joint,), 0.0, 0.0, -0.9, 9.0, "1", WIDE) for s in off]
+    return [
+        Entry(GAIN, "gain", (s.joint,), 0.0, 0.0, -0.9, 9.0, "1", PRIOR_WIDTH.servo_gain)
+        for s in off
+    ]
 
 
 def friction_first(

@@ -25,7 +25,7 @@ from adaptsim_jax.attribution import stops
 from adaptsim_jax.attribution.acting import ActingModel, Values, bent_at, carried, forces, held_by
 from adaptsim_jax.mechanisms import equations
 
-SWEEPS = 3  # of Gauss and Seidel over the joints
+SWEEPS = 3  # sweeps of Gauss and Seidel over the joints of a row
 RUNGE_KUTTA = np.array([[0.0, 0.0, 1 / 6], [0.5, 0.0, 1 / 3], [0.5, 0.0, 1 / 3], [1.0, 0.0, 1 / 6]])
 ROSENBROCK = np.array([[0.0, 0.0, 1.5], [1.0, 2.0, 0.5]])
 """Stages: how far on, how much of the stage before is taken off, weight."""

@@ -11,15 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from adaptsim_jax.attribution.criteria import STRETCH
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.noise import local_motion
-
-ROW = 4e-3  # s, of a row: a faster log is merged to about this
-PAST, FUTURE = (
-    0.25,
-    0.06,
-)  # s of command before and after a stretch, for effects that move or filter it
-MIN_ROWS = 8
 
 
 @dataclass(frozen=True)
@@ -96,7 +90,7 @@ class JointStretches:
 
 
 def cut(
-    tracks: Sequence[JointTrack], horizon: float = 0.5, most: int = 10_000, row: float = ROW
+    tracks: Sequence[JointTrack], horizon: float = 0.5, most: int = 10_000, row: float = STRETCH.row
 ) -> JointStretches:
     """Stretches of `horizon` s of all tracks, side by side; none over a gap in time. At most about
     `most`, evenly spread.
@@ -107,7 +101,7 @@ def cut(
     for k, track in enumerate(tracks):
         dt = float(np.median(np.diff(track.time)))
         stride = max(1, round(row / dt))
-        rows = max(MIN_ROWS, round(horizon / (stride * dt)))
+        rows = max(STRETCH.min_rows, round(horizon / (stride * dt)))
         length, width = max(length, rows), max(width, stride * dt)
         pieces.append((k, stride, rows, _whole(track, stride, rows, dt)))
     total = sum(len(begins) for *_, begins in pieces)
@@ -118,7 +112,7 @@ def cut(
         )
     share = min(1.0, most / total)
     fine = min(stride * float(np.median(np.diff(tracks[k].time))) for k, stride, *_ in pieces)
-    past, future = int(np.ceil(PAST / fine)), int(np.ceil(FUTURE / fine))
+    past, future = int(np.ceil(STRETCH.past / fine)), int(np.ceil(STRETCH.future / fine))
     lanes = []
     for k, stride, rows, begins in pieces:
         keep = np.unique(

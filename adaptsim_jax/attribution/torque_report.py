@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from adaptsim_jax.attribution.criteria import INERTIAL, TEXT, WINDOW
 from adaptsim_jax.attribution.equation.balance import Balance, residual
 from adaptsim_jax.attribution.equation.models import TorqueSearch
-from adaptsim_jax.attribution.equation.windows import GRID, SPAN
 from adaptsim_jax.attribution.measures import Measure, needed
 from adaptsim_jax.attribution.parameters import INERTIA, Vector
 from adaptsim_jax.attribution.problem import TreeProblem, moving
@@ -19,10 +19,6 @@ from adaptsim_jax.attribution.sentences import label, place
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.report import Account, Headline, words
 from adaptsim_jax.logs.noise import difference_noise
-
-MOST_ROWS = 1500  # of a curve of the page
-# times, by which a body of a fit may differ from the file's before that is a finding of its own
-MOVED = 3.0
 
 
 @dataclass(frozen=True)
@@ -53,7 +49,9 @@ def floor_of(problem: TreeProblem, balances: Sequence[Balance]) -> np.ndarray:
     """
     out = np.zeros(problem.joints)
     for b in balances:
-        noise = difference_noise([b.u[:, run].T for run in b.runs]) / np.sqrt(0.35 * SPAN / GRID)
+        noise = difference_noise([b.u[:, run].T for run in b.runs]) / np.sqrt(
+            0.35 * WINDOW.span / WINDOW.grid
+        )
         out[list(b.group.joints)] = np.maximum(
             noise, 1e-3 * np.sqrt(np.mean(np.square(needed(problem, b)), 0))
         )
@@ -119,7 +117,7 @@ def _error(problem: TreeProblem, e: TorqueFound, floor: np.ndarray) -> dict[str,
         "metric": "torque along the measured motion that is missing in left-out blocks, as a share "
         "of the torque, mean over joints",
         "unit": "1",
-        "stretch_s": SPAN,
+        "stretch_s": WINDOW.span,
         **pair(_pooled(before), _pooled(after)),
         "noise_floor": float(np.mean(floor / base)),
         "ceiling": None,
@@ -190,8 +188,8 @@ def bound_notes(problem: TreeProblem, found: TorqueSearch) -> list[str]:
     if not at:
         return []
     return [
-        f"The fit of the bodies moved by {', '.join(at)} ends at {MOVED:g} times (or a third of) "
-        "what the model file says, and is held there: a rotor, a gain of the torques, a payload "
+        f"The fit of the bodies moved by {', '.join(at)} ends at {INERTIAL.moved:g} times "
+        "(or a third of) what the model file says, and is held there: a rotor, a gain of the torques, a payload "
         "or friction that is not in the catalogue would explain it; `[fit] factor` in meta.toml "
         "widens it."
     ]
@@ -219,7 +217,9 @@ def curves(
         )
         resists = residual(problem, b, bare)
         speed = b.averaged(b.v)
-        some = np.unique(np.linspace(0, len(torques) - 1, min(MOST_ROWS, len(torques))).astype(int))
+        some = np.unique(
+            np.linspace(0, len(torques) - 1, min(TEXT.curve_rows, len(torques))).astype(int)
+        )
         clock = b.time + np.concatenate(
             [[0.0], np.cumsum(np.where(np.diff(b.trial) != 0, b.time[:-1] - b.time[1:] + 0.5, 0.0))]
         )

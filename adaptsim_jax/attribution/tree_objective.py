@@ -41,7 +41,7 @@ from adaptsim_jax.attribution.stretch_evidence import SimulatedEvidence, steadin
 from adaptsim_jax.attribution.weights import losses
 from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.diagnosis.alternatives import preferred
-from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.criteria import LOOK_ALIKE, Criteria
 from adaptsim_jax.diagnosis.finding import Step
 from adaptsim_jax.diagnosis.objective import FittedCandidate, Objective, Refused, Round
 from adaptsim_jax.diagnosis.rules import MODEL, NAME, Evidence, Reason, refusal, step_reason
@@ -49,12 +49,7 @@ from adaptsim_jax.diagnosis.search import look_alikes
 from adaptsim_jax.diagnosis.testing import Test
 from adaptsim_jax.effects.base import Reach
 
-ROUNDS = 15  # of the declared model's fit
-RIVALS = 3  # that are fitted in the place of an effect
-NEAR_RIVAL, RIVAL = 0.5, 0.8
-"""Of what an effect gains at first order, what another must gain in its place to be fitted: one that
-it is mistaken for, and any other.
-"""
+DECLARED_ROUNDS = 15  # rounds of the declared model's fit: bounds its time
 
 Hint = tuple[Vector, tuple[JointCandidate, ...]]
 """Values and effects of another objective, to go on from."""
@@ -117,7 +112,7 @@ class TreeObjective(Objective):
         if self.hint is None:
             return null, ()
         problem, criteria, (vector, added) = self.problem, self.criteria, self.hint
-        model = modelled(problem, added, fit(problem, vector, rounds=ROUNDS))
+        model = modelled(problem, added, fit(problem, vector, rounds=DECLARED_ROUNDS))
         test = paired(problem, null.held.loss, losses(problem, model.held.paths, null.fit.weights))
         if not preferred(test, criteria.size, criteria.confidence):
             return null, ()
@@ -393,7 +388,7 @@ class TreeObjective(Objective):
             passed = test.gain < gap or test.p > criteria.confidence
             return FittedCandidate(score.candidate, other, test, passed)
 
-        return parallel_map(instead, self._likely(c, less)[:RIVALS])
+        return parallel_map(instead, self._likely(c, less)[: LOOK_ALIKE.fitted])
 
     def _likely(self, c: JointCandidate, less: FittedTree) -> list[CandidateScore]:
         """Effects that may do as well as one that `less` lacks."""
@@ -407,7 +402,11 @@ class TreeObjective(Objective):
         def rival(s: CandidateScore) -> bool:
             other = s.candidate
             same = other.effect == c.effect and bool(set(c.joints) & set(other.joints))
-            share = NEAR_RIVAL if other.effect in effect.look_alikes else RIVAL
+            share = (
+                LOOK_ALIKE.near_gain
+                if other.effect in effect.look_alikes
+                else LOOK_ALIKE.other_gain
+            )
             return other.key != c.key and not same and s.held_out > share * own
 
         return [s for s in scores if rival(s)]

@@ -8,13 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from adaptsim_jax.attribution.criteria import STRETCH
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.paths import residuals
 from adaptsim_jax.attribution.problem import Group, TreeProblem
 from adaptsim_jax.attribution.simulate import Path
 
-SAMPLES = 48  # of a stretch that enter the sums, evenly spread
-WILD = 3.0  # times the median error of a stretch, from which it counts less
+MAX_SAMPLES = 48  # rows of a stretch that enter the sums, evenly spread: neighbours say the same
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def group_losses(problem: TreeProblem, paths: Sequence[Path], weights: Weights) 
 def picked(problem: TreeProblem) -> np.ndarray:
     """Rows of a stretch that enter the sums."""
     rows = problem.groups[0].stretches.rows
-    return np.unique(np.linspace(0, rows, min(SAMPLES, rows + 1)).round().astype(int))
+    return np.unique(np.linspace(0, rows, min(MAX_SAMPLES, rows + 1)).round().astype(int))
 
 
 def weigh(problem: TreeProblem, paths: Sequence[Path]) -> Weights:
@@ -127,5 +127,7 @@ def weigh(problem: TreeProblem, paths: Sequence[Path]) -> Weights:
         usual = 1.0
     # what a model lacks moves a stretch's residuals together: beside the prior, they count as one
     # where it is most of them
-    alike = np.clip(np.median(over), 1.0, np.sqrt(SAMPLES)) if over else 1.0
-    return Weights(channel / alike, 1.0 / np.square(np.maximum(1.0, size / (WILD * usual))))
+    alike = np.clip(np.median(over), 1.0, np.sqrt(MAX_SAMPLES)) if over else 1.0
+    return Weights(
+        channel / alike, 1.0 / np.square(np.maximum(1.0, size / (STRETCH.outlying * usual)))
+    )

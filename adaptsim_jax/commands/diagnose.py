@@ -216,11 +216,12 @@ def mechanism(args: argparse.Namespace, without: list[str]) -> Judge:
     from adaptsim_jax.logs.read import joined, read_source_and_log
 
     source, log = read_source_and_log(args.data, args.model)
-    from adaptsim_jax.attribution.choice import STRETCH, chosen
+    from adaptsim_jax.attribution.choice import chosen
+    from adaptsim_jax.attribution.criteria import CHOICE
     from adaptsim_jax.diagnosis.run import command_of
     from adaptsim_jax.report.diagnosis import write_diagnosis
 
-    horizon = args.horizon or STRETCH
+    horizon = args.horizon or CHOICE.horizon
     if chosen(source, log, args.simulator, horizon).simulator == "mujoco":
         from adaptsim_jax.attribution.replay import recommended
         from adaptsim_jax.simulators.mujoco.diagnosed import diagnose as by_mujoco

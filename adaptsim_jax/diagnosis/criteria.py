@@ -185,6 +185,13 @@ class LookAlikeCriteria:
     max_loss: float = 1.5
     # of what a name takes off, which one step of a look-alike must take off in its place
     min_step_gain: float = 0.1
+    # look-alikes, the likeliest first, that are fitted in the place of an effect: each costs a
+    # fit
+    fitted: int = 3
+    # of what an effect gains at first order, what one that it is mistaken for must gain in its
+    # place to be fitted
+    near_gain: float = 0.5
+    other_gain: float = 0.8  # the same of any other effect
 
 
 @dataclass(frozen=True)

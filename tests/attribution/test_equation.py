@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.attribution import servo
+from adaptsim_jax.attribution.criteria import SERVO as SERVO_CRITERIA
 from adaptsim_jax.attribution.diagnose import Setting, declared_vector, examined, scaled
 from adaptsim_jax.attribution.equation import commands
 from adaptsim_jax.attribution.equation.balance import balances, in_proportion, residual
@@ -270,7 +271,7 @@ def test_a_servo_at_its_limit_tells_nothing_of_its_gain(tmp_path, monkeypatch):
         commands, "_limited", lambda asked, needs, clear: np.full(len(needs), np.inf)
     )
     (found,) = commands.servos(problem, every)
-    assert found.kp < 3.0 and found.left < commands.LESS * found.file
+    assert found.kp < 3.0 and found.left < SERVO_CRITERIA.better * found.file
     assert 0.3 < np.mean(trusted.clear > 0.01) < 0.7  # by the rows that are not at it
     assert commands.servos(problem, trusted)[0].kp == pytest.approx(30.0, rel=0.02)
 

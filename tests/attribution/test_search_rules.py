@@ -42,7 +42,8 @@ def test_an_arm_that_meets_its_stop_tells_how_late_damping_acts(tmp_path, monkey
     _, free, held = searched(folder)
     assert not held.named and not free.named
     assert late(held) == pytest.approx(0.5 * STEP, abs=0.2 * STEP)
-    monkeypatch.setattr(balance, "NOTHING", 1.0)  # were these windows counted
+    # were these windows counted
+    monkeypatch.setattr(balance, "BALANCE", replace(balance.BALANCE, no_weight=1.0))
     _, _, held = searched(folder)
     assert held.named or abs(late(held) - 0.5 * STEP) > 0.4 * STEP
 

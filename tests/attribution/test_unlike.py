@@ -7,8 +7,9 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
+from adaptsim_jax.attribution.criteria import BALANCE
 from adaptsim_jax.attribution.diagnose import declared_vector
-from adaptsim_jax.attribution.equation.balance import NOTHING, balances
+from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.equation.commands import servos
 from adaptsim_jax.attribution.equation.filed import without_bodies
 from adaptsim_jax.attribution.load import load
@@ -60,7 +61,10 @@ def test_nothing_is_sought_at_a_joint_that_is_unlike_the_model_but_what_all_shar
         "torque_gain",
     }  # with one value for all
     (balance,) = balances(problem, machine.tracks)
-    assert np.all(balance.clear[:, 1] == NOTHING) and np.mean(balance.clear[:, 0] > NOTHING) > 0.9
+    assert (
+        np.all(balance.clear[:, 1] == BALANCE.no_weight)
+        and np.mean(balance.clear[:, 0] > BALANCE.no_weight) > 0.9
+    )
 
 
 def test_servos_that_do_not_follow_say_nothing_of_their_gains(tmp_path):

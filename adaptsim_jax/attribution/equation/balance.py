@@ -13,8 +13,9 @@ import numpy as np
 import scipy.sparse
 
 from adaptsim_jax.attribution.acting import JointMotion, Values, actuated
+from adaptsim_jax.attribution.criteria import BALANCE, WINDOW
 from adaptsim_jax.attribution.equation.limits import limited
-from adaptsim_jax.attribution.equation.windows import SPAN, runs_of
+from adaptsim_jax.attribution.equation.windows import runs_of
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import Group, TreeProblem, group_inertia, held, values_of
 from adaptsim_jax.attribution.stretches import JointTrack
@@ -25,21 +26,9 @@ from adaptsim_jax.mechanisms.tree import Tree
 
 GAIN = TORQUE_GAIN.name
 """Effects that change what an actuator does by what it was told."""
-MIN_GAIN = 0.02
 At = Mapping[str, np.ndarray]  # parameters of an effect, [n] each
 Driven = tuple[np.ndarray, np.ndarray]
-# rad (m): from the end of a range, within which it may push, since an encoder's zero may be off; at
-# most
-AT_END = 0.05
-OF_RANGE = 0.02  # of its width
-CUT = 0.05  # of a joint's usual force, from which on what a limit cuts of spikes is not told
-NEAR = 0.98  # of an actuator's limit, from which on it is at it
-MIN_CLEAR = 0.03  # weight of a window in which a joint does not move
-PUSHED = (
-    0.01  # of a window: from which share on, in which what pushes is not told, it does not count
-)
-NOTHING = 1e-9  # of its weight then
-SOMEWHAT = 2048  # rows that one compiled program takes
+PROGRAM_ROWS = 2048  # rows that one compiled program takes
 
 
 @dataclass(frozen=True)
@@ -92,7 +81,10 @@ class Balance:
 
 
 def balances(
-    problem: TreeProblem, tracks: tuple[JointTrack, ...], span: float = SPAN, trusted: bool = True
+    problem: TreeProblem,
+    tracks: tuple[JointTrack, ...],
+    span: float = WINDOW.span,
+    trusted: bool = True,
 ) -> tuple[Balance, ...]:
     """By group of joints; none of a group whose trials hold no window. trusted: the law of the
     file's actuators says where they are at their limits, and windows there do not count. Else only
@@ -143,15 +135,21 @@ def balances(
             & _reported(made, values, trusted)
             & ~np.isin(own, problem.unlike)[:, None]
         )
-        moves = np.maximum(mean @ np.concatenate([r.clear for r in runs], 1).T, MIN_CLEAR)
-        out.append(replace(made, clear=np.where(mean @ (~sure).T < PUSHED, moves, NOTHING)))
+        moves = np.maximum(
+            mean @ np.concatenate([r.clear for r in runs], 1).T, BALANCE.still_weight
+        )
+        out.append(
+            replace(
+                made, clear=np.where(mean @ (~sure).T < BALANCE.pushed, moves, BALANCE.no_weight)
+            )
+        )
     return tuple(out)
 
 
 def inside(tree: Tree, q: np.ndarray) -> np.ndarray:
     """Which of the angles [n, T] are within a joint's range, whose end pushes back."""
     low, high = np.asarray(tree.range, float).T[:, :, None]
-    near = np.minimum(AT_END, OF_RANGE * (high - low))
+    near = np.minimum(BALANCE.at_end, BALANCE.at_end_share * (high - low))
     return ~np.asarray(tree.limited)[:, None] | ((q > low + near) & (q < high - near))
 
 
@@ -167,9 +165,9 @@ def _reported(balance: Balance, values: Values, trusted: bool) -> np.ndarray:
         actuator_force(balance, values)[0],
         actuator_force(balance, values, (balance.u, none))[0],
     )
-    at_limit = trusted & held(law)[:, None] & (np.abs(smooth) >= NEAR * limit)
+    at_limit = trusted & held(law)[:, None] & (np.abs(smooth) >= BALANCE.at_limit * limit)
     usual = np.sqrt(np.mean(np.square(np.where(at_limit, 0.0, smooth)), 1, keepdims=True))
-    return (np.abs(force - smooth) <= CUT * usual) & ~at_limit
+    return (np.abs(force - smooth) <= BALANCE.cut * usual) & ~at_limit
 
 
 def _known(
@@ -198,11 +196,11 @@ def _by_pieces(make, *along: np.ndarray) -> np.ndarray:
     """
     out, count = [], along[0].shape[-1]
     with jax.enable_x64(True):
-        for first in range(0, count, SOMEWHAT):
-            piece = [z[..., first : first + SOMEWHAT] for z in along]
+        for first in range(0, count, PROGRAM_ROWS):
+            piece = [z[..., first : first + PROGRAM_ROWS] for z in along]
             own = piece[0].shape[-1]
             full = [
-                np.pad(z, [(0, 0)] * (z.ndim - 1) + [(0, SOMEWHAT - own)], mode="edge")
+                np.pad(z, [(0, 0)] * (z.ndim - 1) + [(0, PROGRAM_ROWS - own)], mode="edge")
                 for z in piece
             ]
             out.append(np.asarray(make(*full))[..., :own])
@@ -455,6 +453,6 @@ def in_proportion(reported: np.ndarray, driven: np.ndarray) -> np.ndarray:
 
     return np.where(
         size(reported) > 0,
-        np.maximum(size(driven) / np.maximum(size(reported), 1e-300), MIN_GAIN),
+        np.maximum(size(driven) / np.maximum(size(reported), 1e-300), BALANCE.min_scale),
         1.0,
     )

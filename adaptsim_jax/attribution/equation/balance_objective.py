@@ -19,12 +19,11 @@ from adaptsim_jax.attribution.nested_models import adjacent
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, Vector
 from adaptsim_jax.attribution.score import JointCandidate
 from adaptsim_jax.diagnosis.alternatives import preferred
+from adaptsim_jax.diagnosis.criteria import LOOK_ALIKE
 from adaptsim_jax.diagnosis.finding import Step
 from adaptsim_jax.diagnosis.objective import FittedCandidate, Objective, Round
 from adaptsim_jax.diagnosis.rules import Evidence, Reason, refusal, step_reason
 from adaptsim_jax.diagnosis.testing import Test, false_discovery
-
-RIVALS = 3  # that are fitted in the place of an effect
 
 
 @dataclass(frozen=True)
@@ -205,7 +204,7 @@ class BalanceObjective(Objective):
         others = [k for k in near if (k.effect in names) != bool(joints & set(k.joints))]
         others = [k for k in others if not state.problem.effect(k.effect).describes]
         gap = self._gap(gone, less.whole, whole)
-        for k in ranked(state, less.whole, others)[:RIVALS]:
+        for k in ranked(state, less.whole, others)[: LOOK_ALIKE.fitted]:
             k = state.settled(less.added, k)
             other = self.model([*less.added, k], less.asked)
             test = self._test(other.whole, whole, (*gone, k))

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from adaptsim_jax.attribution.criteria import BALANCE
 from adaptsim_jax.attribution.equation.balance import (
     GAIN,
-    MIN_GAIN,
     Balance,
     acting,
     actuator_force,
@@ -25,9 +25,8 @@ from adaptsim_jax.attribution.problem import TreeProblem, values_of
 from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.effects.joints.catalogue import ETA, TILTS
 
-STEP = 0.02  # share of a value, by which it is moved for a difference
-MIN_STEP = 1e-4
-OFF = 0.03  # of the usual torque, by which friction may be off
+VALUE_STEP = 0.02  # share of a value, by which it is moved for a difference
+MIN_VALUE_STEP = 1e-4  # SI unit of the value: by which it is moved at least for a difference
 
 
 class EffectTable:
@@ -46,7 +45,7 @@ class EffectTable:
             own = self.values.effects[GAIN]["gain"][:, 0]
         else:
             own = np.zeros(balance.joints)
-        self.scale = np.maximum(1.0 + own, MIN_GAIN)
+        self.scale = np.maximum(1.0 + own, BALANCE.min_scale)
         self._made: dict = {}
 
     def missing(self) -> np.ndarray:
@@ -167,7 +166,8 @@ class EffectTable:
             np.mean(np.square(self.balance.acceleration), 0)
         )  # of a joint that nothing drives
         return np.maximum(
-            0.5 * np.abs(here[name]), OFF * np.where(torque > 0.0, torque, own + MIN_STEP)
+            0.5 * np.abs(here[name]),
+            BALANCE.friction_off * np.where(torque > 0.0, torque, own + MIN_VALUE_STEP),
         )
 
     def _paired(self, effect: Effect, entry: Entry, shape) -> np.ndarray:
@@ -184,7 +184,7 @@ class EffectTable:
         """Of an entry of the vector that does not act linearly."""
         at = self.vector.index()[entry.key]
         value = self.vector.values[at]
-        size = max(STEP * abs(value), MIN_STEP)
+        size = max(VALUE_STEP * abs(value), MIN_VALUE_STEP)
         size = -size if value + size > entry.high else size
         effect = self.problem.effect(entry.owner)
         if effect.scales_torque or effect.place == "measurement":

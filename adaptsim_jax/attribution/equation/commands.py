@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adaptsim_jax.attribution.criteria import SERVO
 from adaptsim_jax.attribution.equation.balance import Balance
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import TreeProblem, values_of
@@ -18,21 +19,9 @@ from adaptsim_jax.diagnosis.criteria import FOLD
 from adaptsim_jax.diagnosis.folds import blocks_of_windows, folds_of
 from adaptsim_jax.diagnosis.testing import jackknife, log_ratio, means, sign_flip
 
-SIGNIFICANT = (
-    2.5  # 1/kp over its standard error, from which on it is told; and its distance from the file's
-)
-SURE = 6.0  # the same of a drive's gain, which everything hangs on
-LEVEL = 0.01
-STUCK = 0.1  # of its command's motion, below which a joint does not follow it
-TIMES = 2.0  # by which a gain must differ from the file's before the file's is not taken
 LIMITS = np.linspace(
     0.3, 1.0, 15
 )  # quantiles of the torque that a motion needs, at which a limit may lie
-# of the command errors, that the file's gains must leave at least: what is less is for the search
-# to tell
-MISSED = 0.1
-# of what the file's gains leave of the command errors, that others must leave at most to be taken
-LESS = 0.7
 
 
 @dataclass(frozen=True)
@@ -81,7 +70,7 @@ def servos(problem: TreeProblem, balance: Balance) -> list[Servo]:
         def moved(z):
             return np.sqrt(np.mean([np.var(z[run]) for run in balance.runs]))
 
-        if moved(balance.q[k]) < STUCK * moved(target):
+        if moved(balance.q[k]) < SERVO.stuck * moved(target):
             continue  # a joint that is held, or chatters, says nothing of a gain
         columns = np.stack(
             [takes[:, k], speed[:, k], sign[:, k], balance.acceleration[:, k], np.ones(len(error))],
@@ -91,7 +80,7 @@ def servos(problem: TreeProblem, balance: Balance) -> list[Servo]:
     found = []
     for k, j, error, columns, kp, kv in out:
         x, spread, left = _regressed(balance, error, columns, balance.clear[:, k])
-        scale = x[0] > SIGNIFICANT * spread[0] and 1.0 / x[0] < 1e5
+        scale = x[0] > SERVO.significant * spread[0] and 1.0 / x[0] < 1e5
         if scale:
             usual.append(1.0 / (x[0] * kp))
         needs = takes[:, k] + balance.group.model.tree.frictionloss[k] * sign[:, k]
@@ -208,5 +197,5 @@ def drive_gains(problem: TreeProblem, balance: Balance) -> dict[int, float | Non
             1,
         )
         x, spread, _ = _regressed(balance, averaged[:, k], columns, balance.clear[:, k])
-        out[int(j)] = 1.0 / x[0] if x[0] > SURE * spread[0] else None
+        out[int(j)] = 1.0 / x[0] if x[0] > SERVO.drive_significant * spread[0] else None
     return out

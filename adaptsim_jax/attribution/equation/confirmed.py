@@ -13,10 +13,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from adaptsim_jax.attribution.criteria import CONFIRMATION
 from adaptsim_jax.attribution.equation.models import TorqueSearch, model_of, without
 from adaptsim_jax.attribution.forecast import without_a_model
 from adaptsim_jax.attribution.held_out import FittedTree, held_error, over_floor, paired
-from adaptsim_jax.attribution.measures import WORTH
 from adaptsim_jax.attribution.nested_models import adjacent
 from adaptsim_jax.attribution.problem import TreeProblem
 from adaptsim_jax.attribution.score import JointCandidate
@@ -30,11 +30,6 @@ from adaptsim_jax.diagnosis.objective import Objective
 from adaptsim_jax.diagnosis.rules import Evidence, refusal, step_reason
 from adaptsim_jax.diagnosis.search import backward_elimination
 from adaptsim_jax.diagnosis.testing import Test, paired_test
-
-HARM = 0.1
-"""Of the squared error of a joint's angles (5 % of the error), that may be left more with a name than
-without. Over 27 reports right names left 1.5 % of the error more at most, wrong ones 20 % at least.
-"""
 
 
 def confirmed(
@@ -237,7 +232,7 @@ def informative_joints(
     error = np.median(held_error(problem, null), 0)
     nothing = np.min([np.median(z, 0) for z in without_a_model(problem)], 0)
     near = error <= criteria.near * problem.floor[: problem.joints]
-    return list(near | (error < (1.0 - WORTH) * nothing))
+    return list(near | (error < (1.0 - CONFIRMATION.worthless_skill) * nothing))
 
 
 def harmed(
@@ -258,7 +253,7 @@ def harmed(
     out = []
     for j in joints:
         test = paired_test(two[:, j], one[:, j], problem.fold, block)
-        if informative[j] and test.gain > HARM and test.p <= criteria.confidence:
+        if informative[j] and test.gain > CONFIRMATION.harm and test.p <= criteria.confidence:
             out.append(j)
     return out
 

@@ -16,7 +16,7 @@ from adaptsim_jax.attribution.score import JointCandidate, shape_entries
 from adaptsim_jax.diagnosis.steps import Point, bounded_step, fit_values
 from adaptsim_jax.effects.base import NINETY
 
-ROUNDS = 8  # of steps of shapes, at most
+SHAPE_ROUNDS = 8  # rounds of steps of shapes, at most
 
 
 def exact(
@@ -55,7 +55,7 @@ def exact(
             state, here.at(here.values + bounded_step(hess, slope, *ends, damping))
         )
 
-    found = fit_values(point, around, ROUNDS, damping=0.0)
+    found = fit_values(point, around, SHAPE_ROUNDS, damping=0.0)
     return found.point.state, fitted[0].error
 
 

@@ -5,10 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 import scipy.ndimage
 
-from adaptsim_jax.attribution.equation.windows import SPAN
+from adaptsim_jax.attribution.criteria import WINDOW
 
-SMOOTH = 0.3  # of a window
-HALVED = 30  # times that an interval is, in which a mean force is sought
+HALVINGS = 30  # times that an interval is halved, in which a mean force is sought: 1e-9 of it
 
 
 def limited(
@@ -31,7 +30,7 @@ def limited(
         clock: [T] s.
         runs: the rows of each trial.
     """
-    rows = max(1, round(SMOOTH * SPAN / float(clock[1] - clock[0])))
+    rows = max(1, round(WINDOW.smooth * WINDOW.span / float(clock[1] - clock[0])))
     wide = 2.0 * np.abs(spike)
     part = np.clip(force, ends[0] - wide, ends[1] + wide)
     smooth = np.concatenate(
@@ -64,7 +63,7 @@ def left_of(
     rows = np.maximum(row / slow, 1e-3)
     peak = spike * (1.0 / -np.expm1(-rows) - 1.0 / rows)
     low, high = np.minimum(asked, -limit) - spike, np.minimum(asked, limit)
-    for _ in range(HALVED):
+    for _ in range(HALVINGS):
         m = 0.5 * (low + high)
         falls = (limit - m) / slow + spike / row
         over = (

@@ -7,14 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from adaptsim_jax.attribution.criteria import PRIOR_WIDTH
 from adaptsim_jax.attribution.equation.balance import Balance
-from adaptsim_jax.attribution.equation.search import (
-    FACTOR,
-    GroupSearch,
-    refitted,
-    search_group,
-    within,
-)
+from adaptsim_jax.attribution.equation.search import GroupSearch, refitted, search_group, within
 from adaptsim_jax.attribution.forecast import fitted_starts
 from adaptsim_jax.attribution.held_out import FittedTree, HeldOut, squared_error
 from adaptsim_jax.attribution.linear import Normal
@@ -28,7 +23,7 @@ from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Named, Step
 from adaptsim_jax.effects.base import Reach
 
-ROUNDS = 3  # of the starts of stretches
+START_ROUNDS = 3  # rounds of the starts of stretches
 
 
 @dataclass(frozen=True)
@@ -59,7 +54,7 @@ def search_balances(
     reach: Reach,
     criteria: Criteria,
     commanded: bool,
-    factor: float = FACTOR,
+    factor: float = PRIOR_WIDTH.body_factor,
 ) -> TorqueSearch:
     """Search the balances of all groups. null: what is fitted whatever is named; commanded, factor:
     as of `search_group`, `within`.
@@ -152,7 +147,7 @@ def model_of(
     rows = vectors[fold]
     width = problem.groups[0].stretches.count
     rows = np.concatenate([rows, np.repeat(rows[-1:], width - len(rows), 0)])
-    rounds = ROUNDS if starts is None else 1
+    rounds = START_ROUNDS if starts is None else 1
     starts, paths = fitted_starts(problem, vector, rows, rounds, roughly=True, starts=starts)
     weights = weigh(problem, paths)
     loss = losses(problem, paths, weights)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from adaptsim_jax.attribution.criteria import PRIOR_WIDTH
 from adaptsim_jax.attribution.equation.balance import Balance
 from adaptsim_jax.attribution.equation.balance_objective import BalanceObjective
 from adaptsim_jax.attribution.equation.exact import exact
@@ -17,8 +18,6 @@ from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Named, Step
 from adaptsim_jax.diagnosis.search import search
 from adaptsim_jax.effects.base import Reach
-
-FACTOR = 3.0  # within which a body's mass and moments are taken to be those of the file
 
 
 @dataclass(frozen=True)
@@ -130,7 +129,7 @@ def _trusted(c: JointCandidate, wide: float) -> JointCandidate:
     return replace(c, entries=tuple(replace(e, prior=min(e.prior, wide)) for e in c.entries))
 
 
-def within(vector: Vector, factor: float = FACTOR) -> Vector:
+def within(vector: Vector, factor: float = PRIOR_WIDTH.body_factor) -> Vector:
     """A vector whose bodies stay within a factor of the file's masses, lengths of gyration squared
     and shifts by these lengths.
     """

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from adaptsim_jax.attribution.criteria import BALANCE
 from adaptsim_jax.attribution.equation.balance import GAIN, Balance, in_proportion
 from adaptsim_jax.attribution.equation.columns import EffectTable
 from adaptsim_jax.attribution.equation.solve import Solved, Sums, rows_of, solved
@@ -18,11 +19,7 @@ from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.base import Reach
 from adaptsim_jax.mechanisms.tree import ancestors
 
-MIN_SHIFT = 1e-4  # s, of which a column is made
-MIN_OF_TORQUE, MIN_OF_MISSING = 0.03, 0.15
-"""Of the torque, and of what the file misses of it: a joint that is missed by less does not
-outweigh the others for that.
-"""
+MIN_SHIFT = 1e-4  # s: smaller shifts in time make no column
 
 
 class Searched:
@@ -52,7 +49,7 @@ class Searched:
         size = np.sqrt(np.mean(np.square(missing), 0))
         taken = self.averaged + missing  # by the motion, where nothing is told of what acts
         self.torque = np.where(torque > 0, torque, np.sqrt(np.mean(np.square(taken), 0)))
-        self.minimum = np.maximum(MIN_OF_TORQUE * torque, MIN_OF_MISSING * size)
+        self.minimum = np.maximum(BALANCE.min_of_torque * torque, BALANCE.min_of_missing * size)
         self.rows = rows_of(
             missing, missing, balance.trial, balance.time, self.minimum, balance.clear
         )

@@ -9,12 +9,11 @@ from functools import cached_property
 
 import numpy as np
 
+from adaptsim_jax.attribution.criteria import WINDOW
 from adaptsim_jax.attribution.parameters import Entry, Vector
 from adaptsim_jax.diagnosis.criteria import FOLD
 from adaptsim_jax.diagnosis.folds import blocks_of_windows, folds_of
 from adaptsim_jax.diagnosis.testing import Test, compare, jackknife, log_ratio, means, share
-
-MEMORY = 1.0  # s, over which what is left of neighbours is taken to be alike at most
 
 
 @dataclass(frozen=True)
@@ -91,7 +90,7 @@ def _alike(left: np.ndarray, trial: np.ndarray, time: np.ndarray) -> np.ndarray:
         hop = float(np.median(np.diff(time)[np.diff(trial) == 0]))
     else:
         hop = 1.0
-    most = max(1, int(MEMORY / max(hop, 1e-6)))
+    most = max(1, int(WINDOW.memory / max(hop, 1e-6)))
     z = left - left.mean(0)
     power = np.square(z).mean(0) + 1e-300
     out, alive = np.ones(left.shape[1]), np.ones(left.shape[1], bool)

@@ -14,19 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse
 
+from adaptsim_jax.attribution.criteria import WINDOW
 from adaptsim_jax.attribution.stretches import JointTrack
-
-SPAN = 0.16  # s, of a window: half of its weight lies in the middle third
-MIN_ROWS = 12  # of a window
-GRID = 4e-3  # s: faster logs are read at about this
-HOP = 0.25  # of a window, from one to the next
-MOST = 3000  # windows of a recording: of longer ones they lie farther apart
-# of a joint's usual speed, below which the direction of dry friction is not told from zero
-CREEP = 0.02
-# of the usual speed, below which a joint may be held by friction, which is then anything up to its
-# level
-CLEAR = 0.1
-DOUBT = 3.0  # times the noise of a speed, likewise
 
 
 @dataclass(frozen=True)
@@ -59,26 +48,26 @@ class EvenTrial:
 
 
 def runs_of(
-    tracks: Sequence[JointTrack], noise: np.ndarray, span: float = SPAN
+    tracks: Sequence[JointTrack], noise: np.ndarray, span: float = WINDOW.span
 ) -> tuple[EvenTrial, ...]:
     """Trials on grids, with their windows. noise [n] of the angles; span: s of a window.
 
     Windows that lie over a gap in time, or over rows without an angle, are left out.
     """
-    made = [(k, *_even(t)) for k, t in enumerate(tracks) if len(t.time) > MIN_ROWS]
+    made = [(k, *_even(t)) for k, t in enumerate(tracks) if len(t.time) > WINDOW.min_rows]
     speeds = np.concatenate([np.abs(m[3]) for m in made], 1)
     usual = np.quantile(speeds, 0.95, axis=1)
     out = []
     total = sum(time[-1] - time[0] for _, time, *_ in made)
-    hop = max(HOP * span, total / MOST)
+    hop = max(WINDOW.hop * span, total / WINDOW.max_windows)
     for k, time, q, v, speed, u, jump, mask in made:
         dt, row = time[1] - time[0], float(np.median(np.diff(tracks[k].time)))
-        mean, at = _windows(time, mask, max(span, MIN_ROWS * dt), hop)
+        mean, at = _windows(time, mask, max(span, WINDOW.min_rows * dt), hop)
         if not len(at):
             continue
         rough = noise / dt * np.sqrt(12.0 / _rows(dt) ** 3)  # of a slope through so many rows
-        width = np.maximum(np.maximum(CREEP * usual, DOUBT * rough), 1e-9)
-        moves = np.square(np.tanh(v / np.maximum(CLEAR * usual, width)[:, None]))
+        width = np.maximum(np.maximum(WINDOW.creep * usual, WINDOW.speed_noises * rough), 1e-9)
+        moves = np.square(np.tanh(v / np.maximum(WINDOW.clear * usual, width)[:, None]))
         out.append(
             EvenTrial(
                 k,
@@ -101,7 +90,7 @@ def runs_of(
 
 def _rows(dt: float) -> int:
     """Rows of the local fit that a speed is read from: a fifth of a window, at least five."""
-    return max(5, 2 * round(0.1 * SPAN / dt) + 1)
+    return max(5, 2 * round(0.1 * WINDOW.span / dt) + 1)
 
 
 def _even(track: JointTrack) -> tuple[np.ndarray, ...]:
@@ -132,7 +121,7 @@ def _even(track: JointTrack) -> tuple[np.ndarray, ...]:
     middle[0] = u[0]
     held = u[np.clip(np.searchsorted(track.time, time + 0.25 * dt) - 1, 0, len(u) - 1)]
     jump = 2.0 * (held - middle)
-    some = slice(None, None, max(1, round(GRID / dt)))
+    some = slice(None, None, max(1, round(WINDOW.grid / dt)))
     return (
         time[some],
         q[:, some],
