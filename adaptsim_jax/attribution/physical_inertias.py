@@ -4,9 +4,9 @@ combinations the data fix.
 The fit's own coordinates (`parameters.ETA`) are held near the declared ones by a prior where the
 data say nothing, so a value by itself does not tell whether it was measured. A quantity counts as
 fixed by the data where they narrow what the prior leaves of it to `INERTIAL.narrow`.
-Motion alone never tells the inertial parameters of a tree one by one, only combinations of them (Gautier and Khalil,
-1990); of these, what each joint carries when all joints are at zero is told: inertia about the axis
-and first moments across it.
+Motion alone never tells the inertial parameters of a tree one by one, only combinations of them
+(Gautier and Khalil, 1990). Of these, what each joint carries when all joints are at zero is
+reported: inertia about the axis and first moments across it.
 """
 
 from dataclasses import dataclass

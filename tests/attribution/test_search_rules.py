@@ -2,6 +2,7 @@
 meets a stop.
 """
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
