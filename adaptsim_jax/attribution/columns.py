@@ -83,7 +83,7 @@ class Way(NamedTuple):
     parameter: str
 
 
-class Point(NamedTuple):
+class ChangePoint(NamedTuple):
     """Parameters {name: [n]} of an effect, and the size [n] of a change of one of them."""
 
     p: Any
@@ -91,7 +91,7 @@ class Point(NamedTuple):
 
 
 @partial(jax.jit, static_argnames="way")
-def _force(group_tree, values, path: Path, time, rub, point: Point, way: Way):
+def _force(group_tree, values, path: Path, time, rub, point: ChangePoint, way: Way):
     """Change of the force [n, L, W] per unit of a parameter at every joint, or of a pair's [n, n,
     L, W], the parameter's joint first; the size is where a jump ends.
     """
@@ -176,7 +176,7 @@ def _gravity(tree, inertial, way, path: Path, time):
 
 
 @partial(jax.jit, static_argnames=("past", "way"))
-def _command(model, values, sent, path: Path, point: Point, past: int, way: Way):
+def _command(model, values, sent, path: Path, point: ChangePoint, past: int, way: Way):
     """Change of the force [n, L, W] per unit of a parameter of what acts on commands; sent: times
     and values of these.
     """
@@ -213,7 +213,7 @@ def _answered(values, x, u, p, effect: str, parameter: str):
 
 
 @partial(jax.jit, static_argnames="way")
-def _sensed(time, x, read, torque, point: Point, way: Way):
+def _sensed(time, x, read, torque, point: ChangePoint, way: Way):
     """Change of the outputs ([L+1, n, W] twice) per unit of a sensor's parameter at every joint;
     read [n, W]: what it gave first; torque [L+1, n, W] of the drives, for an effect that they
     matter to.
@@ -329,17 +329,17 @@ class GroupColumns:
         way, step = Way(effect, parameter), size - p[parameter]
         with jax.enable_x64(True):
             if effect.place == "force":
-                tree, point = g.model.tree, Point(p, size)
+                tree, point = g.model.tree, ChangePoint(p, size)
                 made = _force(tree, self.values, self.rotor, self.time, self.rub, point, way)
                 return "pair" if effect.pair else "force", np.asarray(made)
             if effect.place == "command":
                 s = g.stretches
-                sent, point = (s.stamp, s.command), Point(p, step)
+                sent, point = (s.stamp, s.command), ChangePoint(p, step)
                 made = _command(g.model, self.values, sent, self.path, point, s.past, way)
                 return "force", np.asarray(made)
             torque = self.torque() if effect.carried else None
             x, read = self.path.x, self.values.read
-            dq, dv = _sensed(self.time, x, read, torque, Point(p, step), way)
+            dq, dv = _sensed(self.time, x, read, torque, ChangePoint(p, step), way)
             return "output", np.concatenate([np.asarray(dq), np.asarray(dv)], 1)
 
     def torque(self) -> np.ndarray:

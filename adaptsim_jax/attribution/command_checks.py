@@ -9,11 +9,11 @@ from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.quality.commands import Cut, cut, exchanged, gains_by_trial, other_unit
 from adaptsim_jax.logs.quality.contradictions import AS_DECLARED
-from adaptsim_jax.logs.quality.findings import Finding
+from adaptsim_jax.logs.quality.findings import AuditFinding
 from adaptsim_jax.logs.quality.hypotheses import Track
 
 
-def check_commands(machine: Machine) -> tuple[Finding, ...]:
+def check_commands(machine: Machine) -> tuple[AuditFinding, ...]:
     """What the motion says of the commands of actuators. Raises BadInput where they are another
     joint's, or were cut on their way.
     """
@@ -118,18 +118,20 @@ def _cut(joint: str, limit: Cut, unit: str) -> str:
     )
 
 
-def _gains(machine: Machine, joint: int, gains: np.ndarray) -> Finding:
+def _gains(machine: Machine, joint: int, gains: np.ndarray) -> AuditFinding:
     name = machine.tree.joint_names[joint]
     size = gains / gains[0]
     order = sorted(range(len(size)), key=lambda k: -abs(np.log(size[k])))[: TEXT.trials]
-    told = ", ".join(f"{machine.tracks[k].name} {size[k]:.2f}" for k in sorted(order))
+    listed = ", ".join(f"{machine.tracks[k].name} {size[k]:.2f}" for k in sorted(order))
     if len(size) <= TEXT.trials:
         more = ""
     else:
         more = f", and {len(size) - TEXT.trials} more"
     text = (
         f"what the commands of {name} do differs from trial to trial, its actuator's gain or what "
-        f"it moves: times that of {machine.tracks[0].name}: {told}{more}; diagnose trials of one "
+        f"it moves: times that of {machine.tracks[0].name}: {listed}{more}; diagnose trials of one "
         "gain (--without), or give each its own model"
     )
-    return Finding("gain_by_trial", "warn", "", name, text, float(np.max(gains) / np.min(gains)))
+    return AuditFinding(
+        "gain_by_trial", "warn", "", name, text, float(np.max(gains) / np.min(gains))
+    )

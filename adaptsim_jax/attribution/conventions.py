@@ -23,7 +23,7 @@ from adaptsim_jax.logs.quality.contradictions import (
     late_finding,
     lateness,
 )
-from adaptsim_jax.logs.quality.findings import Audit, Finding
+from adaptsim_jax.logs.quality.findings import Audit, AuditFinding
 from adaptsim_jax.logs.quality.hypotheses import (
     BlockMeans,
     Design,
@@ -62,7 +62,7 @@ def of_machine(machine: Machine) -> tuple[list[Track], Design] | None:
     return tracks, _design(machine.tree, _program(machine.tree.n))
 
 
-def check_conventions(machine: Machine) -> tuple[Finding, ...]:
+def check_conventions(machine: Machine) -> tuple[AuditFinding, ...]:
     """What the motion says of the declared columns. Raises BadInput where it contradicts them, with
     what to write instead.
     """
@@ -100,7 +100,7 @@ def check_conventions(machine: Machine) -> tuple[Finding, ...]:
     return warned + late_finding(log.path, late, step, ("the input columns",), names_late_logs=True)
 
 
-def _weighed(machine: Machine, tracks: list[Track], declared: Design) -> tuple[Finding, ...]:
+def _weighed(machine: Machine, tracks: list[Track], declared: Design) -> tuple[AuditFinding, ...]:
     """A warning where the torques are several times those of the declared masses; BadInput where
     they are far from them.
     """
@@ -133,7 +133,7 @@ def _weighed(machine: Machine, tracks: list[Track], declared: Design) -> tuple[F
         lines = " and ".join(f'{key} = "{angle[1]}"' for key in keys)
         mend = f"write {lines} under [units] in meta.toml; or else {mend}"
     if 1.0 / CONVENTION.refused_scale < found.scale < CONVENTION.refused_scale:
-        return (Finding("masses", "warn", "", "masses", f"{phrase}; {mend}", found.scale),)
+        return (AuditFinding("masses", "warn", "", "masses", f"{phrase}; {mend}", found.scale),)
     raise BadInput(f"{machine.log.path}: {phrase}; {mend}; {AS_DECLARED}")
 
 

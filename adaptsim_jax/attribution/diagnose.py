@@ -70,7 +70,7 @@ from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.effects.joints.actuator import POSITION_GAIN, TORQUE_GAIN
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.effects.joints.friction import VISCOUS
-from adaptsim_jax.logs.quality.findings import Finding as SignalFinding
+from adaptsim_jax.logs.quality.findings import AuditFinding
 from adaptsim_jax.logs.quality.trial_words import add_trials
 from adaptsim_jax.mend.mjcf import mended_mjcf
 from adaptsim_jax.mend.model_toml import FILE as MODEL_FILE
@@ -110,7 +110,7 @@ def diagnose(
         yardstick: Stretches, whole or torque, where not the one that tells most is to judge.
     """
     began = time.monotonic()
-    setting = Setting(criteria or Criteria(), horizon, tuple(exclude), effects, yardstick)
+    setting = DiagnosisSetting(criteria or Criteria(), horizon, tuple(exclude), effects, yardstick)
     notify = progress or (lambda done, total, note: None)
     notify(0.02, 1.0, "reading")
     declared = load(data, model).without(without)
@@ -144,7 +144,7 @@ def diagnose(
 
 
 def _with_own_gains(
-    declared: Machine, setting: "Setting", notify: Progress, keep: Keep | None
+    declared: Machine, setting: "DiagnosisSetting", notify: Progress, keep: Keep | None
 ) -> tuple[Machine, dict[int, float], Examined]:
     """The machine with the kp that its motion shows, factors on the file's by joint, and what was
     found of it. A joint whose fit comes back to the file's kp keeps that.
@@ -163,7 +163,7 @@ def _examined_with(
     machine: Machine,
     off: dict[int, float],
     declared: Machine,
-    setting: "Setting",
+    setting: "DiagnosisSetting",
     notify: Progress,
     keep: Keep | None,
 ) -> Examined:
@@ -202,7 +202,7 @@ def _of_the_signals(
     report: dict[str, Any],
     evidence: dict[str, Any],
     machine: Machine,
-    warned: tuple[SignalFinding, ...],
+    warned: tuple[AuditFinding, ...],
 ) -> None:
     """Put into a report, and what its page gets, what the signals say of themselves, in place."""
     checked = check_signals(machine)
@@ -276,7 +276,7 @@ def mjcf_files(e: Examined) -> dict[str, Callable[[], str]]:
 
 
 @dataclass(frozen=True)
-class Setting:
+class DiagnosisSetting:
     """What a diagnosis is asked for.
 
     Args:
@@ -320,7 +320,7 @@ class Beginning:
 @np.errstate(over="ignore", invalid="ignore")  # of stretches that run away, as a search expects
 def examined(
     machine: Machine,
-    setting: Setting = Setting(),
+    setting: DiagnosisSetting = DiagnosisSetting(),
     beginning: Beginning = Beginning(),
     notify: Progress = lambda done, total, note: None,
     keep: Keep | None = None,
@@ -341,7 +341,7 @@ def examined(
         factor=factor_of(machine.log.meta) if setting.torques else None,
         hint=beginning.first(problem, null) if beginning.first else None,
     )
-    found = examine(inquiry if keep is None else _kept(inquiry, keep))
+    found = examine(inquiry if keep is None else _reporting(inquiry, keep))
     if beginning.by_file is not None:
         before = posed(beginning.by_file, chosen, setting.horizon)
         vector = declared_vector(beginning.by_file, before)
@@ -352,13 +352,13 @@ def examined(
     return found
 
 
-def _kept(inquiry: Inquiry, keep: Keep) -> Inquiry:
+def _reporting(inquiry: Inquiry, keep: Keep) -> Inquiry:
     """An inquiry that gives the report so far to `keep`."""
     return replace(inquiry, keep=lambda found: keep(so_far(inquiry, found)))
 
 
 def _catalogue_of(
-    machine: Machine, setting: Setting
+    machine: Machine, setting: DiagnosisSetting
 ) -> tuple[tuple[Effect, ...], frozenset[tuple[str, int]]]:
     """Effects that are considered or always fitted, and those that are left out at a joint."""
     fitted = {VISCOUS.name}
@@ -505,7 +505,7 @@ def declared_vector(machine: Machine, problem: TreeProblem) -> Vector:
                 ]
             )
     if problem.offers(DAMPING_STEP) and np.any(held(machine.actuator)) and not machine.servo_times:
-        widest = Criteria.least_shift * problem.reach.dt
+        widest = Criteria.min_shift * problem.reach.dt
         # s, in which damping stops each joint
         stops = own_inertia(problem, vector)[0] / np.maximum(
             problem.declared[DAMPING_STEP, "damping"], 1e-12

@@ -299,7 +299,7 @@ def _beyond_balance(q: Inquiry, torques: Balanced, by_torque: Examined) -> Exami
     if q.follows or q.asked or not q.many:
         return None
     problem, measure = q.problem, by_torque.after[STRETCHES]
-    left = measure.error > q.criteria.odd * problem.floor[: problem.joints]
+    left = measure.error > q.criteria.outlying * problem.floor[: problem.joints]
     joints = set(np.flatnonzero((measure.skills > REPORT.useful_skill) & left))
     known = {
         (e.name, j)
@@ -376,7 +376,7 @@ def by_simulation(q: Inquiry) -> Selection:
     far more than noise is left.
     """
     found = select(q.problem, q.null, q.criteria, q.notify, q.keep, q.hint)
-    if not found.named and over_floor(q.problem, found.final) > q.criteria.odd:
+    if not found.named and over_floor(q.problem, found.final) > q.criteria.outlying:
         found = select_shorter(q.problem, q.null, q.criteria, found, q.notify)
     return found
 

@@ -200,7 +200,7 @@ def astray(
     leaves more now and then, though it is the right effect).
     """
     error = held_error(problem, model)
-    outlying = error > criteria.odd * np.maximum(_noise(problem), np.median(error, 0))
+    outlying = error > criteria.outlying * np.maximum(_noise(problem), np.median(error, 0))
     return np.any(
         outlying
         if null is None

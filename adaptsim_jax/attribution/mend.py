@@ -52,7 +52,7 @@ def holdable(
     for c in model.added:
         if not _holds(machine, problem, model, c):
             model = without_simulated(
-                problem, model, c, replace(criteria, apart=1.0)
+                problem, model, c, replace(criteria, worse_share=1.0)
             )  # fitted to the end in any case
 
             def level(k, c=c):

@@ -91,7 +91,7 @@ def compared(
     fitted = refit(problem, *begun, joints, most, weights, 2 * criteria.glance)
     other = modelled(problem, added, fitted, weights, like)
     left = most - fitted.rounds
-    separable = paired(problem, other.held.loss, model.held.loss).gain > criteria.apart
+    separable = paired(problem, other.held.loss, model.held.loss).gain > criteria.worse_share
     if separable or left <= 0 or fitted.code == "stuck":
         return other
     fitted = refit(problem, fitted.vector, fitted.starts, joints, left, weights)

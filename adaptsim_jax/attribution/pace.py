@@ -15,7 +15,7 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.criteria import BLOCK, COMMAND, CONTRADICTION
 from adaptsim_jax.logs.log_units import TIME_UNITS, Affine
 from adaptsim_jax.logs.quality.contradictions import AS_DECLARED
-from adaptsim_jax.logs.quality.findings import Finding
+from adaptsim_jax.logs.quality.findings import AuditFinding
 from adaptsim_jax.logs.quality.hypotheses import (
     BlockMeans,
     Design,
@@ -26,7 +26,7 @@ from adaptsim_jax.logs.quality.hypotheses import (
 )
 
 
-def check_pace(machine: Machine, tracks: list[Track], design: Design) -> tuple[Finding, ...]:
+def check_pace(machine: Machine, tracks: list[Track], design: Design) -> tuple[AuditFinding, ...]:
     """Raises BadInput where gravity says that time runs otherwise than it was stamped."""
     # long blocks average noise, short ones follow fast motion
     looks = [_paced(motion, design) for motion in (motion_of(tracks), _sharp(tracks))]
@@ -59,7 +59,7 @@ def check_pace(machine: Machine, tracks: list[Track], design: Design) -> tuple[F
     if not all(t.path.endswith(".parquet") for t in machine.log.trials) or not even:
         return ()
     text = f"{phrase}; {mend}. Or the rotors have inertia that the model lacks: one joint alone cannot tell the two apart"
-    return (Finding("pace", "warn", "", "time", text, factor),)
+    return (AuditFinding("pace", "warn", "", "time", text, factor),)
 
 
 def _paced(motion: BlockMeans, design: Design) -> tuple[float, float, float] | None:
@@ -127,7 +127,7 @@ def _smoothed(columns: np.ndarray) -> np.ndarray:
     return np.stack([np.convolve(c, mean, "valid") for c in columns.T], 1)
 
 
-def amperes(machine: Machine, tracks: list[Track], design: Design) -> tuple[Finding, ...]:
+def amperes(machine: Machine, tracks: list[Track], design: Design) -> tuple[AuditFinding, ...]:
     """A question where every driven joint needs several times its logged effort, a multiple of its
     own: motors' currents are like that.
     """
@@ -163,11 +163,13 @@ def amperes(machine: Machine, tracks: list[Track], design: Design) -> tuple[Find
         f"in N m"
     )
     return (
-        Finding("currents", "warn", "", "efforts", text, float(np.median(list(need.values())))),
+        AuditFinding(
+            "currents", "warn", "", "efforts", text, float(np.median(list(need.values())))
+        ),
     )
 
 
-def held_fast(machine: Machine, tracks: list[Track], design: Design) -> tuple[Finding, ...]:
+def held_fast(machine: Machine, tracks: list[Track], design: Design) -> tuple[AuditFinding, ...]:
     """Joints that move though the file gives them more dry friction than motion and gravity leave
     of any logged torque.
     """
@@ -195,7 +197,7 @@ def held_fast(machine: Machine, tracks: list[Track], design: Design) -> tuple[Fi
                 f"{levels[j] / most:.2g} times what its motion leaves for it: a placeholder? Put "
                 "in a measured friction, or 0"
             )
-            out.append(Finding("friction", "warn", "", name, text, float(levels[j])))
+            out.append(AuditFinding("friction", "warn", "", name, text, float(levels[j])))
     return tuple(out)
 
 

@@ -13,7 +13,13 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.attribution.criteria import STRETCH
-from adaptsim_jax.attribution.diagnose import Beginning, Progress, Setting, examined, mjcf_files
+from adaptsim_jax.attribution.diagnose import (
+    Beginning,
+    DiagnosisSetting,
+    Progress,
+    examined,
+    mjcf_files,
+)
 from adaptsim_jax.attribution.examine import Examined, reported
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.measures import STRETCHES
@@ -119,7 +125,7 @@ def diagnose_pendulum(
     log = usable(log, checked)
     if not as_declared:
         checked = replace(checked, findings=checked.findings + check_conventions(log))
-    setting = Setting(
+    setting = DiagnosisSetting(
         criteria or Criteria(),
         exclude=tuple(exclude),
         effects=effects,
@@ -132,7 +138,7 @@ def diagnose_pendulum(
 def _searched(
     log: Log,
     checked: Audit,
-    setting: Setting,
+    setting: DiagnosisSetting,
     notify: Progress,
     reward: Reward | None,
     run: Run,

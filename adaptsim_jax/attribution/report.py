@@ -172,7 +172,7 @@ def _outliers(
         if np.any(some):
             over = np.median(after[some], 0) / noise
             worst = int(np.argmax(over))
-            if over[worst] > criteria.odd:
+            if over[worst] > criteria.outlying:
                 out.append((name, problem.joint_names[worst], float(over[worst])))
     return sorted(out, key=lambda row: -row[2])
 
@@ -313,7 +313,7 @@ def power_rows(
 def _declared(machine: Machine, problem: TreeProblem, model: FittedTree) -> dict[str, Any]:
     """Fitted inertias, as a person knows them (`physical_inertias`), and dampings."""
     late = (
-        Criteria.least_shift * problem.reach.dt
+        Criteria.min_shift * problem.reach.dt
     )  # s, which nobody can tell of commands: so much damping, times kp
     stiff = {
         j: -late * k

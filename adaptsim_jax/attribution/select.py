@@ -53,7 +53,7 @@ def select(
     first = declared(problem, null, criteria, roughly=hint is not None)
     notify("candidates")
     reach = scaled_reach(problem, *own_inertia(problem, first.fit.vector))
-    smallest = criteria.beside * np.median(held_error(problem, first), 0)
+    smallest = criteria.noise_share * np.median(held_error(problem, first), 0)
     objective = TreeObjective(
         replace(problem, least=smallest),
         first,
@@ -81,7 +81,11 @@ def declared(
     """
     glance = 2 * criteria.glance if roughly else None
     models = [modelled(problem, (), fit(problem, null, rounds=DECLARED_ROUNDS, glance=glance))]
-    if not roughly and criteria.beginning < 1.0 and over_floor(problem, models[0]) > criteria.odd:
+    if (
+        not roughly
+        and criteria.beginning < 1.0
+        and over_floor(problem, models[0]) > criteria.outlying
+    ):
         begun = fit(beginnings(problem, criteria.beginning), null, rounds=DECLARED_ROUNDS)
         models.append(
             modelled(problem, (), fit(problem, begun.vector, begun.starts, rounds=DECLARED_ROUNDS))

@@ -69,7 +69,7 @@ class SimulatedEvidence(Evidence):
         times = [abs(z) / self.problem.reach.dt for e, z in self.own if e.unit == "s"]
         if not times or not self.effect.shifts_time:
             return None
-        if max(times) < self.criteria.least_shift:
+        if max(times) < self.criteria.min_shift:
             return max(times)
         return None
 
@@ -154,7 +154,7 @@ def between_rows(
         if e.key == c.entries[0].key
     ]
     between = (
-        bool(times) and -criteria.within_row < times[0] / problem.reach.dt < criteria.least_shift
+        bool(times) and -criteria.within_row < times[0] / problem.reach.dt < criteria.min_shift
     )
     shifts = problem.effect(c.effect).pairs_rows and len(c.entries) == 1
     return shifts and between and driven <= set(c.joints)
@@ -172,7 +172,7 @@ def in_step(
     for g in problem.groups:
         damping[list(g.joints)] = -g.actuator[3] * g.gear**2
     damping += [at.get((VISCOUS.name, "damping", (j,)), 0.0) for j in range(problem.joints)]
-    shift = criteria.least_shift * problem.reach.dt
+    shift = criteria.min_shift * problem.reach.dt
     rotors = [
         (abs(at[e.key] - e.off), min(damping[j] for j in e.joints))
         for e in entries

@@ -307,7 +307,7 @@ class TreeObjective(Objective):
         return SimulatedEvidence(self.problem, model, less, c, test, steady, self.criteria)
 
     def certain(self, e: Evidence) -> bool:
-        return e.test.gain > self.criteria.apart
+        return e.test.gain > self.criteria.worse_share
 
     def reduced(self, model: FittedTree, refused: Refused) -> tuple[FittedTree, Sequence[Step]]:
         """What is how rows are read stays fitted, and is no effect any more."""

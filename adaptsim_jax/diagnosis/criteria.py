@@ -17,7 +17,7 @@ class TorqueCriteria:
     slowest: of a joint's usual speed: what sets in below is not told from what holds a joint still.
     worth: of a joint's torque, root mean square: an effect of less is not worth a name, and as much
         may be left of what is explained.
-    seen: the same of bodies and encoders of a machine that follows commands: a payload is little of
+    follower_worth: the same of bodies and encoders of a machine that follows commands: a payload is little of
         what a shoulder carries, shows at all joints that carry it, and simulation has the last
         word.
     share: of a controller's gain: what its damping takes is many times what the joint needs (a
@@ -32,7 +32,7 @@ class TorqueCriteria:
     whole: joints up to which a machine that follows commands has its bodies fitted, and is searched
         by simulation where what its command errors show leaves more than noise; of more either
         takes a quarter of an hour, and what is left is told.
-    filed: names that a search with the file's bodies may have where one with fitted ones has none,
+    file_names: names that a search with the file's bodies may have where one with fitted ones has none,
         and be taken for it.
     """
 
@@ -42,13 +42,13 @@ class TorqueCriteria:
     steady: float = 1.0
     slowest: float = 0.15
     worth: float = 0.03
-    seen: float = 0.003
+    follower_worth: float = 0.003
     share: float = 0.01
     discovery: float = 0.05
     paired: float = 1.5
     simulated: int = 2
     whole: int = 16
-    filed: int = 2
+    file_names: int = 2
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Criteria:
         take off.
     worth: least share of the squared error of some joint's angles (at least of the noise floor's
         square) that an effect must take off.
-    beside: of the error that the declared model leaves at a joint, the share below which what is
+    noise_share: of the error that the declared model leaves at a joint, the share below which what is
         left counts as noise for `worth`.
     described: the same of an effect that is no law but describes one (a torque that depends on the
         angle in any way).
@@ -74,12 +74,12 @@ class Criteria:
     steady: an effect's size over its scatter between folds, of mechanisms with all else held.
     bound: share of the end of a value's range within which it lies at it. An effect there is not
         named: it wants what no machine has.
-    least_shift: of the log's sampling interval. A shift in time below it is how rows are read, not
+    min_shift: of the log's sampling interval. A shift in time below it is how rows are read, not
         an effect.
     within_row: of the log's sampling interval. Commands that act this much early at most, at all
         joints, changed between two rows (of a controller faster than its log): read so, not an
         effect.
-    least_change: share of a value that the model file declares (armature, dry friction) below which
+    min_change: share of a value that the model file declares (armature, dry friction) below which
         it is not worth correcting.
     most_effects: at which the search ends.
     tried, rounds: candidates that are fitted each time, and for how many rounds at most.
@@ -89,20 +89,20 @@ class Criteria:
         still be fitted.
     matters: of the size that matters of a quantity (its scale). An effect that changes all of its
         quantities by less is no name.
-    apart: share of the held-out loss by which a model that is only compared must be worse for its
+    worse_share: share of the held-out loss by which a model that is only compared must be worse for its
         fit to end early.
     explained: held-out error over the noise floor up to which nothing is left to explain.
-    quiet: what a model of short trials leaves over the noise, below which it lacks nothing; 0:
+    lacks_nothing: what a model of short trials leaves over the noise, below which it lacks nothing; 0:
         always goes on.
-    beyond: where a fit of short trials leaves more than `quiet`, the share that an effect must take
+    beyond: where a fit of short trials leaves more than `lacks_nothing`, the share that an effect must take
         off of the squared error beyond the noise (0.9: it is three times what is left). What is
         smaller may name a part of that. 0: no such rule.
     near: the same of a machine that follows commands, up to which what its command errors show is
         enough, and nothing is fitted by simulation.
-    odd: the same of one joint in one trial: beyond it something is left, whatever the others say.
+    outlying: the same of one joint in one trial: beyond it something is left, whatever the others say.
     beginning: share of the stretches over which is fitted, and searched again where nothing was
-        named, if more than `odd` is left.
-    few: stretches beyond `odd` from which on they are looked at by themselves, where all else is
+        named, if more than `outlying` is left.
+    few: stretches beyond `outlying` from which on they are looked at by themselves, where all else is
         explained.
     torque: of the search along the measured motion.
     left: of the error of these, at most, that an effect which acts now and then may leave.
@@ -112,27 +112,27 @@ class Criteria:
     confidence: float = 0.05
     size: float = 0.01
     worth: float = 0.1
-    beside: float = 0.02
+    noise_share: float = 0.02
     described: float = 0.5
     gap: float = 0.02
     alike: float = 0.1
     steady: float = 3.0
     bound: float = 1e-6
-    least_shift: float = 0.25
+    min_shift: float = 0.25
     within_row: float = 0.6
-    least_change: float = 0.1
+    min_change: float = 0.1
     most_effects: int = 8
     tried: int = 4
     rounds: int = 12
     glance: int = 2
     behind: float = np.inf
     matters: float = 0.0
-    apart: float = 0.3
+    worse_share: float = 0.3
     explained: float = 1.5
-    quiet: float = 0.0
+    lacks_nothing: float = 0.0
     beyond: float = 0.0
     near: float = 3.0
-    odd: float = 10.0
+    outlying: float = 10.0
     beginning: float = 0.15
     few: int = 3
     left: float = 1 / 3

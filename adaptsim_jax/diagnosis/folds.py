@@ -9,15 +9,15 @@ import numpy as np
 from adaptsim_jax.diagnosis.criteria import FOLD
 
 
-def folds_of(trial: np.ndarray, least: int = 1) -> np.ndarray:
+def folds_of(trial: np.ndarray, min_stretches: int = 1) -> np.ndarray:
     """Fold `[W]` of each stretch: trials, or of few trials about eight pieces of them.
 
-    least: stretches of a piece.
+    min_stretches: stretches of a piece.
     """
     names = np.unique(trial)
     if len(names) >= FOLD.min_trials:
         return np.searchsorted(names, trial)
-    return pieces(trial, FOLD.pieces, least)
+    return pieces(trial, FOLD.pieces, min_stretches)
 
 
 def names_of(trial: np.ndarray, fold: np.ndarray, names: tuple[str, ...]) -> tuple[str, ...]:
@@ -47,16 +47,16 @@ def blocks_of_windows(trial: np.ndarray, time: np.ndarray) -> np.ndarray:
     )
 
 
-def pieces(trial: np.ndarray, about: int, least: int = 1) -> np.ndarray:
+def pieces(trial: np.ndarray, about: int, min_stretches: int = 1) -> np.ndarray:
     """Piece `[W]` of each stretch: about so many pieces of consecutive stretches of one trial, at
     least one a trial.
 
-    least: stretches of a piece, where a trial has them.
+    min_stretches: stretches of a piece, where a trial has them.
     """
     out, at = np.zeros(len(trial), int), 0
     for t in np.unique(trial):
         mine = np.flatnonzero(trial == t)
-        most = max(1, len(mine) // least)
+        most = max(1, len(mine) // min_stretches)
         parts = max(1, min(most, round(about * len(mine) / len(trial))))
         for part in np.array_split(mine, parts):
             out[part], at = at, at + 1

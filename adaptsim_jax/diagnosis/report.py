@@ -121,10 +121,13 @@ def report_of(found: Finding, account: Account) -> dict[str, Any]:
 
 def message(found: Finding, account: Account) -> str:
     """What was found, in a few sentences."""
-    said = account.headline
+    headline = account.headline
     if found.named:
-        return f"{said.mended}{said.more}"
-    return f"{said.declared} {said.none if account.left else said.enough}".rstrip() + said.more
+        return f"{headline.mended}{headline.more}"
+    return (
+        f"{headline.declared} {headline.none if account.left else headline.enough}".rstrip()
+        + headline.more
+    )
 
 
 def words(name: str) -> str:

@@ -235,11 +235,11 @@ def gain_within_speed_error(e: Evidence) -> float | None:
     return None
 
 
-@rule(NAME, "changes what the model file declares by less than {e.criteria.least_change:.0%}")
+@rule(NAME, "changes what the model file declares by less than {e.criteria.min_change:.0%}")
 def declared_hardly_changes(e: Evidence) -> float | None:
     """It changes what the file declares by a small share."""
     change = e.declared_change
-    if change is not None and change < e.criteria.least_change:
+    if change is not None and change < e.criteria.min_change:
         return change
     return None
 
@@ -280,7 +280,7 @@ def below_noise(e: Evidence) -> float | None:
 def nothing_lacking_without(e: Evidence) -> float | None:
     """The model without it leaves no more than the noise."""
     left = e.left_without
-    if left is not None and left < e.criteria.quiet:
+    if left is not None and left < e.criteria.lacks_nothing:
         return left
     return None
 

@@ -41,7 +41,7 @@ def search(objective: Objective, keep: Keep = lambda found: None, alike: bool = 
         stages.append(model)
         keep(partial(null, model))
     model, rows = backward_elimination(objective, model, trace)
-    named, unnamed = what_may_be_said(objective, rows, alike)
+    named, unnamed = names_allowed(objective, rows, alike)
     null, model = objective.closed(null, model, rows)
     return Finding(null, model, named, tuple(trace), opening, tuple(stages), unnamed)
 
@@ -99,7 +99,7 @@ def refusals(rows: Sequence[Evidence]) -> Refused:
     return [(e, reason) for e, reason in reasons if reason is not None]
 
 
-def what_may_be_said(
+def names_allowed(
     objective: Objective, rows: Sequence[Evidence], alike: bool
 ) -> tuple[tuple[Named, ...], tuple]:
     """Effects that have a name, each with those that do as well in its place; and those that stay

@@ -56,7 +56,7 @@ class TrialObjective(Objective):
 
     def declared(self) -> Model:
         self.notify("declared model")
-        noise = self.criteria.quiet**2 or np.inf
+        noise = self.criteria.lacks_nothing**2 or np.inf
         return Model((), declared_fit(self.problem, 3 * self.criteria.rounds, noise))
 
     def scores(self, model: Model) -> list[Score]:
@@ -65,7 +65,7 @@ class TrialObjective(Objective):
         return self._scored[1]
 
     def within_noise(self, model: Model) -> bool:
-        return model.fit.loss < self.criteria.quiet**2 * self.problem.counts.sum()
+        return model.fit.loss < self.criteria.lacks_nothing**2 * self.problem.counts.sum()
 
     def rounds(self, base: Model) -> Iterator[Round]:
         scores = self.scores(base)
@@ -218,7 +218,7 @@ class LeftOut(Evidence):
         resembles the difference.
         """
         after, before = (_middle(self.problem, m) for m in (self.model, self.less))
-        if not self.criteria.beyond or after <= self.criteria.quiet**2:
+        if not self.criteria.beyond or after <= self.criteria.lacks_nothing**2:
             return None
         noise = float(self.problem.counts.sum())
         whole = _share(self.less.fit.loss, self.model.fit.loss, noise)

@@ -164,18 +164,18 @@ def keeping(
     data = {"trials": count, "samples": int(problem.counts.sum()), "held_out_trials": count}
 
     def keep(found: Finding) -> None:
-        write_partial(folder, report_of(found, _so_far(found)))
+        write_partial(folder, report_of(found, _partial_account(found)))
 
-    def _so_far(found: Finding) -> Account:
+    def _partial_account(found: Finding) -> Account:
         final = found.final
         values = [
             f"{words(e.name)} "
             f"({', '.join(f'{q} {final.fit.values[problem.index[q]]:.3g}' for q in e.quantities)})"
             for e in final.added
         ]
-        said = f"Left-out error {over_floor(found.null):.3g} times the noise as declared"
+        text = f"Left-out error {over_floor(found.null):.3g} times the noise as declared"
         if values:
-            said += f", {over_floor(final):.3g} with {', '.join(values)}, not yet judged"
+            text += f", {over_floor(final):.3g} with {', '.join(values)}, not yet judged"
         return Account(
             task,
             model,
@@ -183,7 +183,7 @@ def keeping(
             label,
             [],
             scored(found),
-            Headline(f"{said}.", "", none=""),
+            Headline(f"{text}.", "", none=""),
             True,
             {
                 "metric": "left-out error over the noise",

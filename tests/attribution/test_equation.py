@@ -8,7 +8,7 @@ import pytest
 
 from adaptsim_jax.attribution import servo
 from adaptsim_jax.attribution.criteria import SERVO as SERVO_CRITERIA
-from adaptsim_jax.attribution.diagnose import Setting, declared_vector, examined, scaled
+from adaptsim_jax.attribution.diagnose import DiagnosisSetting, declared_vector, examined, scaled
 from adaptsim_jax.attribution.equation import commands
 from adaptsim_jax.attribution.equation.balance import balances, in_proportion, residual
 from adaptsim_jax.attribution.equation.columns import EffectTable
@@ -143,7 +143,7 @@ def test_a_dead_model_is_refused_by_yardstick_verdict_and_search(tmp_path):
     machine, problem, told = prepared(folder)
     assert of_torque(problem, told, NOTHING).skill <= -0.9
     others = [e.name for e in MACHINE if e.name not in ("viscous", "coulomb", "torque_gain")]
-    whole = examined(machine, Setting(exclude=tuple(others)))
+    whole = examined(machine, DiagnosisSetting(exclude=tuple(others)))
     report, _ = reported(whole)
     assert predicts_nothing(whole.after) and headline(whole.before, False)[0] == "stretches"
     assert report["effects"] == [] and report["message"].startswith("This model predicts nothing")
@@ -290,7 +290,7 @@ def test_what_the_torque_shows_of_a_real_servo_is_held_against_its_motion(tmp_pa
         (tmp_path / file.name).symlink_to(file)
     skill = {}
     for criteria in (Criteria(torque=TorqueCriteria(simulated=0)), Criteria()):
-        whole = examined(scaled(load(tmp_path, None), 0.5), Setting(criteria))
+        whole = examined(scaled(load(tmp_path, None), 0.5), DiagnosisSetting(criteria))
         skill[whole.judge] = {k: m.skill for k, m in whole.after.items()}
     assert skill["torque"]["stretches"] < -0.9 and skill["stretches"]["stretches"] > 0.0
     assert sum(skill["stretches"].values()) > sum(skill["torque"].values())

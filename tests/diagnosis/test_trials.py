@@ -131,7 +131,8 @@ def test_an_effect_smaller_than_what_no_effect_explains_is_not_named():
         odd = replace(linear, residuals=lambda values, r=linear.residuals: r(values) + other)
         assert [n.candidate.name for n in search_trials(odd, Criteria()).named] == ["c"]
         assert [
-            n.candidate.name for n in search_trials(odd, Criteria(beyond=0.9, quiet=1.14)).named
+            n.candidate.name
+            for n in search_trials(odd, Criteria(beyond=0.9, lacks_nothing=1.14)).named
         ] == names
 
 
@@ -139,7 +140,9 @@ def test_what_is_missing_from_a_model_that_leaves_the_noise_is_not_named():
     """Beside a large effect, one that a hundred rows show and no eye would."""
     small = problem((0.7, 0.4, 4.5, 0.0))
     assert len(search_trials(small, Criteria()).named) == 2
-    assert [n.candidate.name for n in search_trials(small, Criteria(quiet=1.14)).named] == ["c"]
+    assert [n.candidate.name for n in search_trials(small, Criteria(lacks_nothing=1.14)).named] == [
+        "c"
+    ]
 
 
 def test_a_fit_that_leaves_structure_is_begun_again_from_beside():

@@ -221,7 +221,11 @@ LOW = Criteria(alpha=0.5, size=1e-4, confidence=0.4, worth=0.0)
 TREES: dict[str, tuple[str, tuple[str, ...], Criteria]] = {
     "replaced": ("motors", SOME, replace(LOW, gap=0.9, confidence=0.9)),
     "rotor": ("urdf", SOME, replace(LOW, confidence=0.6, steady=0.5)),
-    "rare": ("motors", SOME, replace(LOW, odd=1.1, few=1, explained=1e3, left=2.0, confidence=1.0)),
+    "rare": (
+        "motors",
+        SOME,
+        replace(LOW, outlying=1.1, few=1, explained=1e3, left=2.0, confidence=1.0),
+    ),
     "servos": ("servos", FEW, LOW),
 }
 """Machine, effects of the catalogue, and criteria of searches by simulated stretches."""

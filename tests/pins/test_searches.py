@@ -19,7 +19,7 @@ from tests.pins.machines import record
 from tests.pins.stored import check
 
 LOOSE = 1e-4
-PUSHES = Criteria(quiet=1.01, beyond=0.9, tried=6)
+PUSHES = Criteria(lacks_nothing=1.01, beyond=0.9, tried=6)
 """Truths, and criteria: of a linear problem whose effects are b, c and d, which does what b does."""
 LINEAR: dict[str, tuple[tuple[float, ...], dict[str, Any], Criteria]] = {
     "nothing": ((0.7, 0.0, 0.0, 0.0), {}, Criteria()),

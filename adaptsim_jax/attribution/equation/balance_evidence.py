@@ -111,7 +111,7 @@ def share_of_torque(state: Searched, whole: Solved, c: JointCandidate) -> tuple[
     size = np.sqrt(np.mean(np.square(force), 0))
     share = float(np.max(size / np.maximum(state.torque, 1e-300)))
     carried = state.follows and state.problem.effect(c.effect).traits.at_parents
-    return share, state.limits.seen if carried else state.limits.worth
+    return share, state.limits.follower_worth if carried else state.limits.worth
 
 
 def read_so(state: Searched, whole: Solved, c: JointCandidate) -> bool:
@@ -129,7 +129,7 @@ def read_so(state: Searched, whole: Solved, c: JointCandidate) -> bool:
     value = float(value) / state.reach.dt
     if not state.commanded:
         return abs(value) < state.limits.paired
-    return -state.criteria.within_row < value < state.criteria.least_shift
+    return -state.criteria.within_row < value < state.criteria.min_shift
 
 
 def _shifts(state: Searched, effect: str) -> bool:

@@ -174,7 +174,7 @@ class SimulatedNames(Objective):
         rows = parallel_map(one, [c for c in candidates if c.key not in self._certain])
         if not self.near:
             return rows if any(e.harmed for e in rows) else self._together(model, rows)
-        sure = [e for e in rows if e.gain > self.criteria.apart and refusal(e) is None]
+        sure = [e for e in rows if e.gain > self.criteria.worse_share and refusal(e) is None]
         self._certain.update(e.candidate.key for e in sure)
         return rows
 

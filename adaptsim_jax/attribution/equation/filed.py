@@ -59,7 +59,7 @@ def searched(
     own = own or confirmed(problem, held, model, criteria)
     fitted = confirmed(problem, free, other, criteria)
     return (
-        (own if len(own.named) <= (len(fitted.named) or criteria.torque.filed) else fitted),
+        (own if len(own.named) <= (len(fitted.named) or criteria.torque.file_names) else fitted),
         free,
         True,
     )

@@ -14,7 +14,7 @@ from adaptsim_jax.logs.criteria import SIGNAL
 from adaptsim_jax.logs.log import Log, LogTrial
 from adaptsim_jax.logs.quality import signals
 from adaptsim_jax.logs.quality.consistency import lattice_step
-from adaptsim_jax.logs.quality.findings import Audit, Finding, finding
+from adaptsim_jax.logs.quality.findings import Audit, AuditFinding, finding
 from adaptsim_jax.logs.quality.signals import Signal
 
 INPUTS = {"torque": "tau", "command": "ctrl", "voltage": "u", "current": "i", "none": ""}
@@ -95,7 +95,7 @@ def _signals(
 
 def _audit_trial(
     trial: LogTrial, own: Sequence[Signal], steps: dict[str, float]
-) -> tuple[list[Finding], np.ndarray, list[str]]:
+) -> tuple[list[AuditFinding], np.ndarray, list[str]]:
     """Findings, rows to use `[T]`, and channels that cannot be used."""
     found = signals.check_sampling(trial.name, trial.time) + signals.check_timestamps(own)
     valid, wrong = np.ones(len(trial.time), bool), []
@@ -115,7 +115,7 @@ def _audit_trial(
     return found, valid, wrong
 
 
-def _faults(trials: int, broken: dict[str, list[str]]) -> list[Finding]:
+def _faults(trials: int, broken: dict[str, list[str]]) -> list[AuditFinding]:
     """A channel that is unusable in most trials is a fault of the recording."""
     found = []
     for channel in sorted({c for wrong in broken.values() for c in wrong}):
@@ -157,7 +157,7 @@ def _quantisation(every: Sequence[Signal], kind: str) -> dict[str, tuple[str, fl
     return out
 
 
-def _quantised(name: str, step: float, unit: str) -> Finding:
+def _quantised(name: str, step: float, unit: str) -> AuditFinding:
     return finding("quantisation", "", name, step, unit=f" {unit}" if unit else "")
 
 

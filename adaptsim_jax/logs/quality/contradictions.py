@@ -15,7 +15,7 @@ import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.criteria import BLOCK, CONTRADICTION
-from adaptsim_jax.logs.quality.findings import Finding, finding
+from adaptsim_jax.logs.quality.findings import AuditFinding, finding
 from adaptsim_jax.logs.quality.hypotheses import (
     SHIFTS,
     BlockMeans,
@@ -297,7 +297,7 @@ def lateness(tracks: Sequence[Track], design: Design) -> Late | None:
 
 def late_finding(
     path: str, late: Late, step: float, columns: Sequence[str], names_late_logs: bool = False
-) -> tuple[Finding, ...]:
+) -> tuple[AuditFinding, ...]:
     """A warning where the motion follows the torque late, which an effect may be. BadInput where it
     is before its torque, which nothing can be, unless the search to come names logs that are late:
     then a warning too. `step` s between rows.

@@ -14,7 +14,7 @@ WORDS: dict[str, Any] = tomllib.loads(
 
 
 @dataclass(frozen=True)
-class Finding:
+class AuditFinding:
     """One thing the audit saw. `severity`: `info`, `warn`, or `fault` (no diagnosis should be made
     of it).
 
@@ -29,10 +29,10 @@ class Finding:
     value: float
 
 
-Findings = list[Finding]
+Findings = list[AuditFinding]
 
 
-def finding(code: str, trial: str, where: str, value: float, **facts: Any) -> Finding:
+def finding(code: str, trial: str, where: str, value: float, **facts: Any) -> AuditFinding:
     """A finding in the words of its code.
 
     Args:
@@ -44,7 +44,9 @@ def finding(code: str, trial: str, where: str, value: float, **facts: Any) -> Fi
     """
     words = WORDS["finding"][code]
     text = words["text"].format(where=where, value=value, **facts)
-    return Finding(words.get("kind", code), words["severity"], trial, where, text, float(value))
+    return AuditFinding(
+        words.get("kind", code), words["severity"], trial, where, text, float(value)
+    )
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,7 @@ class Audit:
     - `quantisation`: Channel -> step (rad, rad/s, N m; 0 where none is seen).
     """
 
-    findings: tuple[Finding, ...]
+    findings: tuple[AuditFinding, ...]
     quantisation: dict[str, float] = field(default_factory=dict)
     valid: dict[str, np.ndarray] = field(default_factory=dict)
     exclude: tuple[str, ...] = ()
@@ -83,7 +85,7 @@ class Audit:
             lines = [f"left out: {', '.join(self.exclude)}"]
         else:
             lines = []
-        groups: dict[tuple[str, str], list[Finding]] = {}
+        groups: dict[tuple[str, str], list[AuditFinding]] = {}
         for f in self.findings:
             if f.severity == "warn":
                 groups.setdefault((f.kind, f.where if f.kind != "gap" else ""), []).append(f)
@@ -128,6 +130,6 @@ class Audit:
                 row["message"] += f" (and so in {len(others)} more)"
         return [row for row, _ in out]
 
-    def of(self, kind: str) -> tuple[Finding, ...]:
+    def of(self, kind: str) -> tuple[AuditFinding, ...]:
         """Findings of one kind."""
         return tuple(f for f in self.findings if f.kind == kind)

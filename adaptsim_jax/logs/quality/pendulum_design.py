@@ -18,7 +18,7 @@ from adaptsim_jax.logs.quality.contradictions import (
     late_finding,
     lateness,
 )
-from adaptsim_jax.logs.quality.findings import Finding, finding
+from adaptsim_jax.logs.quality.findings import AuditFinding, finding
 from adaptsim_jax.logs.quality.hypotheses import BlockMeans, Design, Hypothesis, Track, stated
 from adaptsim_jax.logs.quality.trial_words import Channels
 from adaptsim_jax.logs.quality.trials_differ import Differ, trials_differ
@@ -112,7 +112,7 @@ def pendulum_trials(log: Log) -> Differ | None:
     return trials_differ([t.name for t in log.trials], *found)
 
 
-def check_conventions(log: Log) -> tuple[Finding, ...]:
+def check_conventions(log: Log) -> tuple[AuditFinding, ...]:
     """What the motion says of the declared columns. Raises BadInput where it contradicts them, with
     what to write instead.
     """
@@ -128,7 +128,7 @@ def check_conventions(log: Log) -> tuple[Finding, ...]:
     return reported + late_finding(log.path, late, step, WORDS.tau)
 
 
-def _resting(log: Log) -> tuple[Finding, ...]:
+def _resting(log: Log) -> tuple[AuditFinding, ...]:
     """At rest without torque the arm hangs or stands: each link near 0 or half a turn from it."""
     rig = log.meta.rig
     if rig is None or rig.model != "rigid_body" or rig.geometry.get("g", GRAVITY) == 0:

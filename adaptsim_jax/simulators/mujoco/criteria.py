@@ -22,7 +22,7 @@ class CandidateCriteria:
 
 
 @dataclass(frozen=True)
-class StretchCriteria:
+class SimulationCriteria:
     """Simulated stretches and their starts (`diagnosed.py`, `stretches.py`, `fit.py`)."""
 
     horizon: float = 0.5  # s: long enough to show slow effects, short enough to follow
@@ -62,6 +62,6 @@ class AttitudeCriteria:
 
 
 CANDIDATE = CandidateCriteria()
-STRETCH = StretchCriteria()
+SIMULATION = SimulationCriteria()
 REMARK = RemarkCriteria()
 ATTITUDE = AttitudeCriteria()

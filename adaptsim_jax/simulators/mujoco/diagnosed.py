@@ -26,7 +26,7 @@ from adaptsim_jax.simulators.mujoco.build import Stepped, stepped
 from adaptsim_jax.simulators.mujoco.catalogue import DECLARED, noise_of, quantity, rows, sensor_rows
 from adaptsim_jax.simulators.mujoco.coarse import step_notes as coarse_step
 from adaptsim_jax.simulators.mujoco.contact import contact_rows
-from adaptsim_jax.simulators.mujoco.criteria import STRETCH
+from adaptsim_jax.simulators.mujoco.criteria import SIMULATION
 from adaptsim_jax.simulators.mujoco.fields import Field, with_values
 from adaptsim_jax.simulators.mujoco.mended import mended_mjcf
 from adaptsim_jax.simulators.mujoco.sensed import prior_of
@@ -131,7 +131,7 @@ class MujocoSimulator:
 def simulator(source: Source, log: Log, horizon: float | None = None) -> MujocoSimulator:
     """Of a model file over a recording. Raises BadInput as reading and cutting do."""
     made = stepped(source, log)
-    horizon = horizon or (STRETCH.horizon if made.free < 0 else STRETCH.horizon_moving)
+    horizon = horizon or (SIMULATION.horizon if made.free < 0 else SIMULATION.horizon_moving)
     first = len(log.joint_names) * (1 if log.trials[0].v is None else 2)
     found = [*rows(made, log.joint_names), *contact_rows(made), *sensor_rows(made, first)]
     fields = tuple({f.name: f for r in found for f in r.fields}.values())
@@ -145,9 +145,9 @@ def simulator(source: Source, log: Log, horizon: float | None = None) -> MujocoS
     nv, na = made.model.nv, made.model.na
     scale = np.concatenate(
         [
-            np.full(nv, STRETCH.start_angle),
-            np.full(nv, STRETCH.start_speed),
-            np.full(na, STRETCH.start_speed),
+            np.full(nv, SIMULATION.start_angle),
+            np.full(nv, SIMULATION.start_speed),
+            np.full(na, SIMULATION.start_speed),
         ]
     )
     prior = prior_of(made.model, made.free) if felt else None
@@ -178,7 +178,7 @@ def _opening(channels: Sequence[Channel], made: Stepped) -> np.ndarray:
     rough = {r.name for r in made.read if r.kind == "accelerometer"}
     return np.array(
         [
-            1.0 / (c.noise * (STRETCH.accelerometer_noises if c.name in rough else 1.0))
+            1.0 / (c.noise * (SIMULATION.accelerometer_noises if c.name in rough else 1.0))
             for c in channels
         ]
     )
@@ -211,8 +211,8 @@ def _channels(
             for k, r in enumerate(made.read)
             if r.kind == "accelerometer" and made.base < 0
         ]
-        noise[rough] = np.maximum(noise[rough], STRETCH.accelerometer_spread * own_spread[rough])
-    noise = np.maximum(noise, STRETCH.min_noise)
+        noise[rough] = np.maximum(noise[rough], SIMULATION.accelerometer_spread * own_spread[rough])
+    noise = np.maximum(noise, SIMULATION.min_noise)
     return (
         tuple(Channel(n, u, float(z)) for (n, u), z in zip(named, noise, strict=True)),
         measured,

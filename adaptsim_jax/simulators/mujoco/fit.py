@@ -16,7 +16,7 @@ from adaptsim_jax.diagnosis.testing import jackknife
 from adaptsim_jax.logs.log import Log
 from adaptsim_jax.mechanisms.spec import Source
 from adaptsim_jax.simulators.mujoco.build import Stepped, stepped
-from adaptsim_jax.simulators.mujoco.criteria import STRETCH
+from adaptsim_jax.simulators.mujoco.criteria import SIMULATION
 from adaptsim_jax.simulators.mujoco.fields import DELAY, Field, field, with_values
 from adaptsim_jax.simulators.mujoco.rollouts import by_start, predict, residual, start_size
 from adaptsim_jax.simulators.mujoco.starts import fitted
@@ -163,7 +163,7 @@ def _restarted(
 
 def _each(off: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """[W] mean squares of weighted residuals, with a floor."""
-    return np.square(off * weight).mean((1, 2)) + STRETCH.residual_floor**2
+    return np.square(off * weight).mean((1, 2)) + SIMULATION.residual_floor**2
 
 
 def _loss(off: np.ndarray, weight: np.ndarray) -> float:

@@ -11,7 +11,7 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.log import Log, LogTrial
 from adaptsim_jax.logs.noise import local_motion
 from adaptsim_jax.simulators.mujoco.build import Stepped
-from adaptsim_jax.simulators.mujoco.criteria import STRETCH
+from adaptsim_jax.simulators.mujoco.criteria import SIMULATION
 from adaptsim_jax.simulators.mujoco.sensed import oriented, standing
 
 
@@ -182,7 +182,7 @@ def _lane(
         )
 
     control = u[row_of(start + h * np.arange(steps))]
-    before = max(1, int(np.ceil(STRETCH.past / h)))
+    before = max(1, int(np.ceil(SIMULATION.past / h)))
     past = u[row_of(start - h * np.arange(before, 0, -1))]
     base = trial.base if made.base >= 0 else None
     channels = [

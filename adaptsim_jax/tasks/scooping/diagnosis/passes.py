@@ -20,7 +20,7 @@ from adaptsim_jax.diagnosis.models import (
 )
 from adaptsim_jax.diagnosis.problem import Candidate, Problem
 from adaptsim_jax.diagnosis.rows import left_by_fit
-from adaptsim_jax.diagnosis.search import backward_elimination, what_may_be_said
+from adaptsim_jax.diagnosis.search import backward_elimination, names_allowed
 from adaptsim_jax.diagnosis.trials import search_trials
 from adaptsim_jax.tasks.scooping.diagnosis.catalogue import EFFECTS, HEIGHT, SHAPE, SHIFTS
 from adaptsim_jax.tasks.scooping.diagnosis.emulate import PLACE, Emulator, emulate, widths
@@ -324,7 +324,7 @@ def _by_engine(
     null = fit((), found.null.fit.values)
     objective = EngineObjective(problem, criteria, fit, null)
     model, rows = backward_elimination(objective, objective.model(found.final), trace)
-    named, _ = what_may_be_said(objective, rows, alike=True)
+    named, _ = names_allowed(objective, rows, alike=True)
     final = model.model
     tracks = {
         k: known[frozenset(e.name for e in m.added)][1]
