@@ -72,7 +72,9 @@ def rules() -> str:
     steps = "\n".join(f"| `{code}` | {_barred(words)} |" for code, words in STEPS.items())
     return (
         "# Rules of the search\n\nMade from `adaptsim_jax/diagnosis/rules.py`. What fails at stage "
-        "*model* does not predict and goes; what fails at stage *name* is not named. A rule that "
+        "*model* does not predict; what fails at stage *name* predicts, and is too small, unsteady "
+        "or unresolved for a name. Both go, unless the objective leaves them in the model without "
+        "a name. A rule that "
         "does not apply to a search, a machine or an effect is not asked.\n\n"
         f"{table()}\n## Other steps\n\n| code | words |\n| --- | --- |\n{steps}\n"
     )

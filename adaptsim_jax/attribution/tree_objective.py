@@ -306,7 +306,7 @@ class TreeObjective(Objective):
         steady = steadiness(model, c)
         return SimulatedEvidence(self.problem, model, less, c, test, steady, self.criteria)
 
-    def certain(self, e: Evidence) -> bool:
+    def tested_last(self, e: Evidence) -> bool:
         return e.test.gain > self.criteria.worse_share
 
     def reduced(self, model: FittedTree, refused: Refused) -> tuple[FittedTree, Sequence[Step]]:

@@ -20,7 +20,8 @@ Refused = Sequence[tuple[Evidence, Reason]]
 class FittedCandidate(NamedTuple):
     """A model that has a candidate more, or has it in the place of another, and its test.
 
-    passed: whether it may be taken; reason: why not, or what it leaves.
+    test: against the model without it; of a look-alike, of the name's model against this one, where
+    little gain passes. passed: whether it may be taken; reason: why not, or what it leaves.
     """
 
     candidate: Any
@@ -85,13 +86,13 @@ class Objective:
         """What was left out shows of some of a model's effects, each beside all others."""
         raise NotImplementedError
 
-    def certain(self, e: Evidence) -> bool:
+    def tested_last(self, e: Evidence) -> bool:
         """Whether an effect is so far from going that it is tested again only in the end."""
         return False
 
     def reduced(self, model: Model, refused: Refused) -> tuple[Model, Sequence[Step]]:
-        """The model without the weakest that is refused, and with it those that are not beside it:
-        each takes a fit.
+        """The model without the weakest that is refused, whatever the stage, and with it those that
+        are not adjacent: each takes a fit.
         """
         gone: list[tuple[Evidence, Reason]] = []
         for e, reason in sorted(refused, key=lambda r: r[0].test.gain):

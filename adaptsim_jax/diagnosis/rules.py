@@ -13,8 +13,11 @@ from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.testing import Test
 
 READING, MODEL, NAME = "reading", "model", "name"
-"""Stages: what fails the first is how rows are read, and stays fitted; what fails the second does
-not stay in the model; what fails the third has no name.
+"""What a refusal is about: how rows are read, whether an effect predicts, whether it is worth a name.
+
+The search takes out what fails a rule of any stage, unless its objective leaves it in the model:
+`Objective.reduced` (simulated stretches leave what is how rows are read) and
+`Evidence.stays_unnamed`.
 """
 
 
@@ -30,7 +33,7 @@ class Evidence:
     """What is known of an effect beside all others of a model; each objective gives its own.
 
     candidate: the effect; less: the model without it, refitted; test: of the model against that;
-    level: up to which its p holds; price: the least of its gain; steadiness: its size over its
+    level: up to which its p holds (short trials: Holm's over all that are asked); price: the least of its gain; steadiness: its size over its
     scatter; units, loss: what is left out, and of what an error is, in words.
     """
 
@@ -66,7 +69,7 @@ class Evidence:
 
     @property
     def stays_unnamed(self) -> bool:
-        """Whether it stays in the model though it fails a rule, and has no name for that."""
+        """Whether it stays in the model though it fails a rule. `Objective.unnamed` gives the reason."""
         return False
 
     @property

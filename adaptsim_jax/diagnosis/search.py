@@ -1,8 +1,8 @@
 """Which effects a recording shows: forward by score tests and left-out data, backward by nested
 models, then against look-alikes.
 
-The search is the same for every objective (`objective.py`). What decides a name is read in
-`rules.py`, by numbers of `criteria.py`.
+The search is the same for every objective (`objective.py`). Whether one is added, its objective
+decides (`rounds`). Whether it stays is read in `rules.py`, by numbers of `criteria.py`.
 """
 
 from collections.abc import Callable, Sequence
@@ -74,16 +74,16 @@ def backward_elimination(
     Returns:
         The model of those that stay, and the evidence of each.
     """
-    certain: set = set()
+    tested_last: set = set()
     model, steps = objective.members(model)
     trace += steps
     while True:
-        rows = objective.evidence(model, [c for c in model.added if c.key not in certain])
+        rows = objective.evidence(model, [c for c in model.added if c.key not in tested_last])
         refused = refusals(rows)
-        if certain and not refused:
-            rows += objective.evidence(model, [c for c in model.added if c.key in certain])
+        if tested_last and not refused:
+            rows += objective.evidence(model, [c for c in model.added if c.key in tested_last])
             refused = refusals(rows)
-        certain |= {e.candidate.key for e in rows if objective.certain(e)}
+        tested_last |= {e.candidate.key for e in rows if objective.tested_last(e)}
         if refused:
             model, steps = objective.reduced(model, refused)
         else:
@@ -94,7 +94,9 @@ def backward_elimination(
 
 
 def refusals(rows: Sequence[Evidence]) -> Refused:
-    """Effects that do not stay in the model, with the reason of each."""
+    """Effects that fail a rule of any stage, with the reason of each, but for those that stay
+    without a name.
+    """
     reasons = [(e, refusal(e)) for e in rows if not e.stays_unnamed]
     return [(e, reason) for e, reason in reasons if reason is not None]
 
@@ -118,5 +120,8 @@ def names_allowed(
 
 
 def look_alikes(objective: Objective, e: Evidence) -> list[FittedCandidate]:
-    """Effects that do as well in the place of one: these data do not separate them."""
+    """Effects that do as well in the place of one: these data do not separate them.
+
+    One with fewer numbers may have taken the name before (`simpler`).
+    """
     return [one for one in objective.in_place_of(e) if one.passed]
