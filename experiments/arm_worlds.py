@@ -14,10 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from adaptsim_jax.attribution.diagnose import declared_vector, diagnose
+from adaptsim_jax.attribution.diagnose import diagnose
 from adaptsim_jax.attribution.equation.models import search_balances
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.parameters import INERTIA
+from adaptsim_jax.attribution.posed import declared_vector
 from adaptsim_jax.attribution.problem import own_inertia, scaled_reach
 from adaptsim_jax.core import process
 from adaptsim_jax.diagnosis.criteria import Criteria

@@ -14,13 +14,12 @@ from pathlib import Path
 
 import numpy as np
 
-from adaptsim_jax.attribution.diagnose import declared_vector
 from adaptsim_jax.attribution.equation.balance import balances
-from adaptsim_jax.attribution.equation.filed import without_bodies
-from adaptsim_jax.attribution.equation.models import part_of
+from adaptsim_jax.attribution.equation.confirmed import without_bodies
+from adaptsim_jax.attribution.equation.models import part_of, within
 from adaptsim_jax.attribution.equation.rubbing import gains, given, giving, rubbing
-from adaptsim_jax.attribution.equation.search import within
 from adaptsim_jax.attribution.load import load
+from adaptsim_jax.attribution.posed import declared_vector
 from adaptsim_jax.attribution.problem import held, own_inertia, prepare, scaled_reach
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.testing import sign_flip

@@ -22,12 +22,14 @@ from pathlib import Path
 
 import numpy as np
 
-from adaptsim_jax.attribution.diagnose import HORIZON, Beginning, diagnose, examined
-from adaptsim_jax.attribution.examine import reported
+from adaptsim_jax.attribution.account import reported
+from adaptsim_jax.attribution.diagnose import HORIZON, diagnose
+from adaptsim_jax.attribution.examine import examined
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.model_toml import DECLARED
 from adaptsim_jax.attribution.pendulum import declared_machine, in_the_plane
 from adaptsim_jax.attribution.pendulum_diagnosis import first_parameters
+from adaptsim_jax.attribution.posed import Beginning
 from adaptsim_jax.attribution.replay import Replay, replay
 from adaptsim_jax.diagnosis import read_pendulum
 from adaptsim_jax.logs.quality.audit import audit, usable

@@ -14,12 +14,12 @@ import time
 
 import numpy as np
 
-from adaptsim_jax.attribution.diagnose import declared_vector, factor_of
 from adaptsim_jax.attribution.equation.balance import balances, residual
 from adaptsim_jax.attribution.equation.models import search_balances
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import INERTIA, Vector
+from adaptsim_jax.attribution.posed import declared_vector, factor_of
 from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
 from adaptsim_jax.attribution.sentences import place
 from adaptsim_jax.core import process

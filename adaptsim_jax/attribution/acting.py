@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.attribution.criteria import FRICTION
-from adaptsim_jax.effects.base import Dry, Effect
+from adaptsim_jax.effects.base import Drive, Dry, Effect
 from adaptsim_jax.effects.joints.drives import DRIVE_COMPLIANCE, DRIVE_PLAY
 from adaptsim_jax.effects.joints.friction import VISCOUS
 from adaptsim_jax.effects.joints.sensor import ENCODER_OFFSET
@@ -240,3 +240,33 @@ def bent_at(model: ActingModel, values: Values, x, u, t):
     act = forces(model, values, q, v, u, t[None])
     most = act.yielding * jnp.maximum(act.level, 0.0)
     return jnp.clip(FRICTION.bent * v, -most, most)
+
+
+def drive_of(model: ActingModel, values: Values) -> Drive:
+    """What the effects of the place `drive` come to: springs and plays in a row, of those that have
+    a compliance.
+    """
+    parts = [
+        e.apply(values.effects[e.name])
+        for e in model.effects
+        if e.place == "drive" and e.name in values.effects
+    ]
+    parts = [
+        jax.tree.map(lambda z, on=part.compliance > 0.0: jnp.where(on, z, 0.0), part)
+        for part in parts
+    ]
+    return Drive(*(sum(some) for some in zip(*parts, strict=True)))
+
+
+def compliant(model: ActingModel, values: Values) -> np.ndarray:
+    """[n], whether a joint's drive gives."""
+    some = [e for e in model.effects if e.place == "drive" and e.name in values.effects]
+    each = [
+        np.any(np.asarray(e.apply(values.effects[e.name]).compliance) > 0.0, axis=1) for e in some
+    ]
+    return np.any([np.zeros(model.tree.n, bool), *each], axis=0)
+
+
+def gives(model: ActingModel, values: Values) -> bool:
+    """Whether any drive does."""
+    return bool(np.any(compliant(model, values)))

@@ -14,14 +14,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.attribution import drive as drives
-from adaptsim_jax.attribution.acting import OF_CONTROLLERS, JointMotion, actuated, carried, held_by
+from adaptsim_jax.attribution.acting import (
+    OF_CONTROLLERS,
+    JointMotion,
+    actuated,
+    carried,
+    compliant,
+    drive_of,
+    held_by,
+)
 from adaptsim_jax.attribution.criteria import FRICTION
-from adaptsim_jax.attribution.drive import Local, logged_alone
+from adaptsim_jax.attribution.drive import MIN_INERTIA, Local, logged_alone, sprung
 from adaptsim_jax.attribution.parameters import INERTIA, TILT, Entry, Vector
 from adaptsim_jax.attribution.problem import Group, TreeProblem, group_inertia, off_value
 from adaptsim_jax.attribution.simulate import Path, command_rows
-from adaptsim_jax.effects.base import Dry, Effect
+from adaptsim_jax.effects.base import Drive, Dry, Effect
 from adaptsim_jax.effects.joints.catalogue import ETA, TILTS
 from adaptsim_jax.effects.joints.forces import ARMATURE
 from adaptsim_jax.mechanisms import equations
@@ -157,8 +164,8 @@ def _spring(model, values, ahead, p, effect: str, parameter: str):
 
     def torque(value):
         own = {k: z[:, None] for k, z in (p | {parameter: value}).items()}
-        drive = drives.drive_of(model, values._replace(effects=values.effects | {effect: own}))
-        return drives.sprung(drives.Drive(*(z[:, None] for z in drive)), *jnp.split(middle, 2))
+        drive = drive_of(model, values._replace(effects=values.effects | {effect: own}))
+        return sprung(Drive(*(z[:, None] for z in drive)), *jnp.split(middle, 2))
 
     return jax.jvp(torque, (p[parameter],), (jnp.ones_like(p[parameter]),))[1]
 
@@ -244,7 +251,7 @@ def _sides(model, values, path: Path) -> tuple[Path, Path]:
     """
     if not path.ahead.shape[1]:
         return path, path
-    link = np.tile(np.asarray(drives.drive_of(model, values).link), (2, 1))
+    link = np.tile(np.asarray(drive_of(model, values).link), (2, 1))
     return path._replace(x=path.x - link * path.ahead), path._replace(
         x=path.x + (1.0 - link) * path.ahead
     )
@@ -268,7 +275,7 @@ class GroupColumns:
         self.known = {e.key: float(z) for e, z in zip(vector.entries, vector.values, strict=True)}
         self._made: dict = {}
         self.rotor, self.link = _sides(group.model, values, path)
-        self.gives = drives.compliant(group.model, values)
+        self.gives = compliant(group.model, values)
         level = np.abs(np.asarray(path.rub)).max()
         moved = np.moveaxis(np.asarray(path.rub), 0, 1)
         if level > 0:
@@ -433,10 +440,10 @@ class GroupColumns:
         if "carries" not in self._made:
             plain = jax.tree.map(np.asarray, self.values)
             rotor = plain.effects[ARMATURE.name]["inertia"][:, 0]
-            link = np.maximum(group_inertia(plain, self.group)[0] - rotor, drives.MIN_INERTIA)
+            link = np.maximum(group_inertia(plain, self.group)[0] - rotor, MIN_INERTIA)
             held = (np.asarray(z)[:, 0] + np.zeros(self.n) for z in held_by(plain))
             local = Local(
-                *(z[:, None, None] for z in (np.maximum(rotor, drives.MIN_INERTIA), link, *held))
+                *(z[:, None, None] for z in (np.maximum(rotor, MIN_INERTIA), link, *held))
             )
             y = self._regressed()
             self._made["carries"] = (

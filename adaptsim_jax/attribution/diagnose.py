@@ -4,49 +4,39 @@ better model file.
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from adaptsim_jax.attribution import model_toml
+from adaptsim_jax.attribution.account import reported, write_so_far
 from adaptsim_jax.attribution.conventions import (
     channels,
     check_conventions,
     check_signals,
     mechanism_trials,
 )
-from adaptsim_jax.attribution.criteria import CHOICE, PRIOR_WIDTH, STRETCH
-from adaptsim_jax.attribution.equation.balance import balances
-from adaptsim_jax.attribution.equation.commands import drive_gains
-from adaptsim_jax.attribution.estimate import fit
-from adaptsim_jax.attribution.examine import (
-    Examined,
-    Inquiry,
-    examine,
-    reported,
-    so_far,
-    with_null,
-)
+from adaptsim_jax.attribution.criteria import CHOICE
+from adaptsim_jax.attribution.examine import examined
+from adaptsim_jax.attribution.inquiry import Examined, Keep, Progress
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.machine import Machine
-from adaptsim_jax.attribution.measures import NAMES, TORQUE, WHOLE
+from adaptsim_jax.attribution.measures import WHOLE
 from adaptsim_jax.attribution.mend import (
-    changes,
-    declared_changes,
     gain_notes,
     gains,
-    holdable,
     lost,
+    mjcf_files,
     servos,
 )
-from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, Entry, Vector
 from adaptsim_jax.attribution.physical_inertias import named_by, otherwise
-from adaptsim_jax.attribution.problem import TreeProblem, held, nuisances, own_inertia, prepare
+from adaptsim_jax.attribution.posed import (
+    Beginning,
+    DiagnosisSetting,
+    scaled,
+)
 from adaptsim_jax.attribution.replay import follows, recommended
-from adaptsim_jax.attribution.select import declared as fitted_null
 from adaptsim_jax.attribution.servo import (
     calibrated,
     damped_by_file,
@@ -58,27 +48,18 @@ from adaptsim_jax.attribution.servo import (
     still_off,
     with_gains,
 )
-from adaptsim_jax.attribution.tree_objective import Hint
-from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.recommended import WHOLE_TRIALS
 from adaptsim_jax.diagnosis.run import Page, Run, command_of
 from adaptsim_jax.diagnosis.schema import with_effects
-from adaptsim_jax.diagnosis.written import Output, cleared, finished, write_partial
+from adaptsim_jax.diagnosis.written import Output, cleared, finished
 from adaptsim_jax.effects.base import Effect
-from adaptsim_jax.effects.joints.actuator import POSITION_GAIN, TORQUE_GAIN
-from adaptsim_jax.effects.joints.catalogue import MACHINE
-from adaptsim_jax.effects.joints.friction import VISCOUS
 from adaptsim_jax.logs.quality.findings import AuditFinding
 from adaptsim_jax.logs.quality.trial_words import add_trials
-from adaptsim_jax.mend.mjcf import mended_mjcf
 from adaptsim_jax.mend.model_toml import FILE as MODEL_FILE
 
-Progress = Callable[[float, float, str], None]
-Keep = Callable[[dict[str, Any]], None]
 HORIZON = CHOICE.horizon
-MODEL = "model.xml"
 
 
 def diagnose(
@@ -121,7 +102,7 @@ def diagnose(
         setting = replace(setting, horizon=span)
     declared = scaled(declared, setting.horizon)
     folder = None if out is None else cleared(output_folder(out))
-    keep = None if folder is None else partial(write_partial, folder)
+    keep = None if folder is None else partial(write_so_far, folder)
     machine, off, found = _with_own_gains(declared, setting, notify, keep)
     report, evidence = reported(found)
     _of_the_file(report, machine, declared, off, found)
@@ -258,273 +239,3 @@ def with_rows(report: dict[str, Any], rows: Sequence[dict[str, Any]]) -> None:
         where = ", ".join(f"{joint} {kp['value']:.3g} {kp['unit']}" for joint, kp in sizes)
         rest = report["message"].replace("Nothing need be added", "Nothing more need be added")
         report["message"] = f"kp is not the file's: {where}. {rest}"
-
-
-def mjcf_files(e: Examined) -> dict[str, Callable[[], str]]:
-    """What makes the text of `declared.xml` and of `model.xml`."""
-    machine, problem, found = e.inquiry.machine, e.problem, e.found
-    by_torque = e.by_torque if e.judge == TORQUE else None
-
-    def mended():
-        held = holdable(machine, problem, found, e.inquiry.criteria, by_torque)
-        return mended_mjcf(machine.mechanism, changes(machine, problem, held, found.final))
-
-    return {
-        model_toml.DECLARED: lambda: mended_mjcf(machine.mechanism, declared_changes(machine)),
-        MODEL: mended,
-    }
-
-
-@dataclass(frozen=True)
-class DiagnosisSetting:
-    """What a diagnosis is asked for.
-
-    Args:
-        criteria: What counts as an effect.
-        horizon: s, of simulated stretches.
-        exclude: Effects that are not considered.
-        effects: The catalogue, ours where None; of another, what is always fitted is ours.
-        objective: The one that is to judge, the one that tells most where None.
-        torques: Whether the balance of torques is looked at.
-    """
-
-    criteria: Criteria = field(default_factory=Criteria)
-    horizon: float = HORIZON
-    exclude: tuple[str, ...] = ()
-    effects: Sequence[Effect] | None = None
-    objective: str | None = None
-    torques: bool = True
-
-    def __post_init__(self) -> None:
-        if self.objective is not None and self.objective not in NAMES:
-            named = f"--yardstick {self.objective}"
-            raise BadInput(f"{named}: is no yardstick; use {', '.join(NAMES)}")
-
-
-@dataclass(frozen=True)
-class Beginning:
-    """With what a search begins.
-
-    Args:
-        narrow: What stays of the vector that is fitted whatever is named.
-        first: Makes values and effects that the search goes on from.
-        by_file: The machine by the gains of its file, where others were found: what the declared
-            model leaves is reported of it.
-    """
-
-    narrow: Callable[[Vector], Vector] = lambda vector: vector
-    first: Callable[[TreeProblem, Vector], Hint] | None = None
-    by_file: Machine | None = None
-
-
-@np.errstate(over="ignore", invalid="ignore")  # of stretches that run away, as a search expects
-def examined(
-    machine: Machine,
-    setting: DiagnosisSetting = DiagnosisSetting(),
-    beginning: Beginning = Beginning(),
-    notify: Progress = lambda done, total, note: None,
-    keep: Keep | None = None,
-) -> Examined:
-    """What was found of a machine. keep: called with the report so far, as the search goes."""
-    chosen, at_joints = _catalogue_of(machine, setting)
-    problem = replace(posed(machine, chosen, setting.horizon), excluded=at_joints)
-    notify(0.05, 1.0, "declared model")
-    null = beginning.narrow(declared_vector(machine, problem))
-    inquiry = Inquiry(
-        machine,
-        problem,
-        null,
-        setting.criteria,
-        setting.horizon,
-        lambda note: notify(0.0, np.inf, note),  # how many follow, nobody knows
-        asked=setting.objective,
-        factor=factor_of(machine.log.meta) if setting.torques else None,
-        hint=beginning.first(problem, null) if beginning.first else None,
-    )
-    found = examine(inquiry if keep is None else _reporting(inquiry, keep))
-    if beginning.by_file is not None:
-        before = posed(beginning.by_file, chosen, setting.horizon)
-        vector = declared_vector(beginning.by_file, before)
-        return with_null(found, fitted_null(before, vector, setting.criteria))
-    if not found.found.named:
-        # how rows are read is no mend: the declared model is what it is with it
-        return with_null(found, found.found.final)
-    return found
-
-
-def _reporting(inquiry: Inquiry, keep: Keep) -> Inquiry:
-    """An inquiry that gives the report so far to `keep`."""
-    return replace(inquiry, keep=lambda found: keep(so_far(inquiry, found)))
-
-
-def _catalogue_of(
-    machine: Machine, setting: DiagnosisSetting
-) -> tuple[tuple[Effect, ...], frozenset[tuple[str, int]]]:
-    """Effects that are considered or always fitted, and those that are left out at a joint."""
-    fitted = {VISCOUS.name}
-    if machine.gain_unknown:
-        fitted.add(TORQUE_GAIN.name)
-    if machine.servo_times:
-        fitted.add(POSITION_GAIN.name)
-    known = MACHINE
-    if setting.effects is not None:
-        known = (*(e for e in MACHINE if e.name in fitted), *setting.effects)
-    everywhere, at_joints = excluded_of(setting.exclude, known, machine.tree.joint_names)
-    chosen = tuple(e for e in known if e.name not in everywhere or e.name in fitted)
-    return chosen, at_joints
-
-
-def excluded_of(
-    exclude: Sequence[str], known: Sequence[Effect], joints: Sequence[str]
-) -> tuple[set[str], frozenset[tuple[str, int]]]:
-    """What `--exclude` names: effects (`coulomb`), and effects at a joint (`coulomb at elbow`).
-
-    Raises BadInput where there is no such effect, or no such joint.
-    """
-    names, everywhere, at_joints = {e.name for e in known}, set(), set()
-    for text in exclude:
-        name, _, joint = text.partition(" at ")
-        if name not in names:
-            listed = ", ".join(sorted(names))
-            raise BadInput(f"--exclude: {name!r} is no effect of a mechanism; it has {listed}")
-        if joint and joint not in joints:
-            raise BadInput(f"--exclude: no joint is named {joint!r}; it has {', '.join(joints)}")
-        if joint:
-            at_joints.add((name, list(joints).index(joint)))
-        else:
-            everywhere.add(name)
-    return everywhere, frozenset(at_joints)
-
-
-def posed(machine: Machine, effects: Sequence[Effect], horizon: float) -> TreeProblem:
-    """The problem of a machine in stretches of `horizon` s."""
-    problem = prepare(
-        machine.tree,
-        machine.tracks,
-        effects,
-        machine.actuator,
-        machine.gear,
-        horizon,
-        declared=machine.declared,
-        look_back=STRETCH.look_back,
-        ties=machine.ties,
-    )
-    names = machine.tree.joint_names
-    return replace(problem, unlike=tuple(names.index(j) for j in machine.log.unlike if j in names))
-
-
-def factor_of(meta: Any) -> float:
-    """Within which masses and moments are taken to be those of the model file, along the measured
-    motion. Raises BadInput.
-    """
-    factor = meta.fit.get("factor", PRIOR_WIDTH.body_factor)
-    if isinstance(factor, bool) or not isinstance(factor, (int, float)) or not 1.0 < factor <= 1e3:
-        raise BadInput(f"{meta.path}: [fit] factor = {factor!r} must be a number above 1, as 3")
-    return float(factor)
-
-
-def scaled(machine: Machine, horizon: float) -> Machine:
-    """With the gain of a voltage or current as the declared model's fit has it, so that effects see
-    a torque in N m.
-    """
-    if not machine.gain_unknown:
-        return machine
-    if (law := by_torque(machine)) is not None:
-        return replace(machine, actuator=law, gain_estimated=True)
-    problem = prepare(
-        machine.tree,
-        machine.tracks,
-        MACHINE,
-        machine.actuator,
-        machine.gear,
-        horizon,
-        declared=machine.declared,
-    )
-    vector = fit(problem, declared_vector(machine, problem), rounds=15).vector
-    law = machine.actuator.copy()
-    for e, value in zip(vector.entries, vector.values, strict=True):
-        if e.owner == TORQUE_GAIN.name:
-            law[0, list(e.joints)] *= 1.0 + value
-    return replace(machine, actuator=law)
-
-
-def by_torque(machine: Machine) -> np.ndarray | None:
-    """The law of the actuators [6, n] with the gains that weight and inertia of the file's bodies
-    give them along the motion; None where these do
-    not tell the gain of every driven joint.
-    """
-    if machine.tree.linear:
-        return None
-    problem = prepare(
-        machine.tree,
-        machine.tracks,
-        MACHINE,
-        machine.actuator,
-        machine.gear,
-        declared=machine.declared,
-    )
-    law = machine.actuator.copy()
-    for b in balances(problem, machine.tracks):
-        for joint, gain in drive_gains(problem, b).items():
-            if gain is None:
-                return None
-            law[0, joint] = gain
-    return law
-
-
-def declared_vector(machine: Machine, problem: TreeProblem) -> Vector:
-    """What is fitted whatever is named: inertias and damping unless `[fit]` in meta.toml says
-    otherwise, and the gain of volts.
-    """
-    meta = machine.log.meta
-    for table, key in (("fit", k) for k in meta.fit):
-        if key not in ("inertias", "damping", "factor"):
-            raise BadInput(
-                f"{meta.path}: [{table}] {key} is unknown; use inertias or damping (true, false, "
-                "or a list of names), or factor"
-            )
-    factor_of(meta)
-    inertia, damping = meta.fit.get("inertias", True), meta.fit.get("damping", True)
-    vector = nuisances(problem, inertia=bool(inertia), damping=bool(damping))
-    tree = machine.tree
-    for wanted, owner, of in (
-        (inertia, INERTIA, tree.body_names),
-        (damping, VISCOUS.name, tree.joint_names),
-    ):
-        if isinstance(wanted, (list, tuple)):
-            if unknown := [n for n in wanted if n not in of]:
-                raise BadInput(
-                    f"{meta.path}: [fit] names {unknown[0]!r}, which {machine.mechanism.path} has "
-                    f"not; it has {', '.join(of)}"
-                )
-            vector = vector.without(
-                [
-                    e.key
-                    for e in vector.entries
-                    if e.owner == owner and of[e.joints[0]] not in wanted
-                ]
-            )
-    if problem.offers(DAMPING_STEP) and np.any(held(machine.actuator)) and not machine.servo_times:
-        widest = Criteria.min_shift * problem.reach.dt
-        # s, in which damping stops each joint
-        stops = own_inertia(problem, vector)[0] / np.maximum(
-            problem.declared[DAMPING_STEP, "damping"], 1e-12
-        )
-        for g in problem.groups:
-            early = min(
-                widest, PRIOR_WIDTH.min_inertia * np.min(stops[list(g.joints)])
-            )  # by more, and a joint would weigh less than nothing
-            step = Entry(DAMPING_STEP, "step", g.joints, 0.0, 0.0, -early, widest, "s", widest)
-            vector = vector.with_entries([step])
-    if machine.gain_unknown:
-        # free, gain and inertias shrink together
-        if machine.gain_estimated:
-            prior = PRIOR_WIDTH.estimated_gain
-        else:
-            prior = np.inf
-        gain = [
-            Entry(TORQUE_GAIN.name, "gain", (j,), 0.0, 0.0, -0.95, 20.0, "1", prior)
-            for j in range(problem.joints)
-        ]
-        vector = vector.with_entries(gain)
-    return vector

@@ -7,48 +7,16 @@ rotor or of the link) and how far the link is ahead of the rotor, so that rigid 
 equations with nothing ahead.
 """
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
-from adaptsim_jax.attribution.acting import ActingModel, Forces, Values, forces
 from adaptsim_jax.effects.base import Drive, Effect
-from adaptsim_jax.mechanisms import equations
 
 MIN_INERTIA = 1e-9  # kg m^2: of a rotor that a step of a fit made nothing of
-
-
-def drive_of(model: ActingModel, values: Values) -> Drive:
-    """What the effects of the place `drive` come to: springs and plays in a row, of those that have
-    a compliance.
-    """
-    parts = [
-        e.apply(values.effects[e.name])
-        for e in model.effects
-        if e.place == "drive" and e.name in values.effects
-    ]
-    parts = [
-        jax.tree.map(lambda z, on=part.compliance > 0.0: jnp.where(on, z, 0.0), part)
-        for part in parts
-    ]
-    return Drive(*(sum(some) for some in zip(*parts, strict=True)))
-
-
-def compliant(model: ActingModel, values: Values) -> np.ndarray:
-    """[n], whether a joint's drive gives."""
-    some = [e for e in model.effects if e.place == "drive" and e.name in values.effects]
-    each = [
-        np.any(np.asarray(e.apply(values.effects[e.name]).compliance) > 0.0, axis=1) for e in some
-    ]
-    return np.any([np.zeros(model.tree.n, bool), *each], axis=0)
-
-
-def gives(model: ActingModel, values: Values) -> bool:
-    """Whether any drive does."""
-    return bool(np.any(compliant(model, values)))
 
 
 def sprung(drive: Drive, ahead, rate):
@@ -97,30 +65,26 @@ def parts_of(drive: Drive, giving, x) -> Parts:
     )
 
 
-def acting(model: ActingModel, values: Values, drive: Drive, at: Parts, u, t) -> Forces:
-    """`forces` on the rotors of joints whose drives give, on the joints elsewhere."""
-    observed = at.q + drive.control * at.ahead, at.v + drive.control * at.rate
-    return forces(model, values, at.q, at.v, u, t, observed)
+def observed(drive: Drive, at: Parts):
+    """Angles and speeds [n, .] that the controllers of the joints see."""
+    return at.q + drive.control * at.ahead, at.v + drive.control * at.rate
 
 
-def accelerations(
-    model: ActingModel, values: Values, drive: Drive, at: Parts, force, inertia, more
-):
-    """(of the rotors, of the links) [n, .] under force [n, .] on the rotors and `more` [n, .] on
-    the links.
+def accelerations(drive: Drive, at: Parts, accelerate: Callable, force, inertia, more):
+    """Accelerations of rotors and of links.
+
+    Args:
+        accelerate: Accelerations [n, .] of the tree at angles, speeds, forces and rotors' inertia.
+        force, inertia: On the rotors, and of them, [n, .].
+        more: Force on the links [n, .].
+
+    Returns:
+        (of the rotors, of the links) [n, .].
     """
     give = drive.compliance > 0.0
     spring = sprung(drive, at.ahead, at.rate)
     on_link = jnp.where(give, spring, force) + more
-    link = equations.acceleration(
-        model.tree,
-        values.inertial,
-        at.link_q,
-        at.link_v,
-        on_link,
-        jnp.where(give, 0.0, inertia),
-        values.gravity,
-    )
+    link = accelerate(at.link_q, at.link_v, on_link, jnp.where(give, 0.0, inertia))
     return jnp.where(give, (force - spring) / jnp.maximum(inertia, MIN_INERTIA), link), link
 
 
@@ -132,34 +96,19 @@ def rates(drive: Drive, giving, at: Parts, rotor, link):
     )
 
 
-def answers(model: ActingModel, values: Values, drive: Drive, at: Parts, inertia):
+def answers(drive: Drive, at: Parts, inverse_mass: Callable, inertia):
     """Accelerations [n, n, .] of the rotors (of the joints, where these are rigid) under a force of
-    1 at one: second axis.
+    1 at one: second axis. inverse_mass: of the tree, at angles and rotors' inertia.
     """
     give = drive.compliance > 0.0
     give = give + jnp.zeros(inertia.shape, bool)
-    whole = equations.inverse_mass(
-        model.tree, values.inertial, at.link_q, jnp.where(give, 0.0, inertia)
-    )
+    whole = inverse_mass(at.link_q, jnp.where(give, 0.0, inertia))
     n = len(inertia)
     own = (
         jnp.eye(n).reshape((n, n) + (1,) * (inertia.ndim - 1))
         * (1.0 / jnp.maximum(inertia, MIN_INERTIA))[None]
     )
     return jnp.where(give[:, None] | give[None], own, whole)
-
-
-def at_rest(model: ActingModel, values: Values, x0, u, t):
-    """Start [4n, W] of stretches that begin at x0 [2n, W] with springs that yield by what they
-    carry there.
-    """
-    q, v = jnp.split(x0, 2)
-    drive = drive_of(model, values)
-    act = forces(model, values, q, v, u, t[None])
-    a = equations.acceleration(
-        model.tree, values.inertial, q, v, act.smooth, act.inertia, values.gravity
-    )
-    return jnp.concatenate([x0, yielded(drive, act.smooth - act.inertia * a), 0.0 * v])
 
 
 def yielded(drive: Drive, carries):

@@ -2,124 +2,55 @@
 simulated stretches, each checked by the other.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.attribution.criteria import CONFIRMATION, PRIOR_WIDTH
+from adaptsim_jax.attribution.candidates import candidates
 from adaptsim_jax.attribution.equation.balance import Balance, balances
-from adaptsim_jax.attribution.equation.confirmed import confirmed
-from adaptsim_jax.attribution.equation.filed import searched, without_bodies
+from adaptsim_jax.attribution.equation.confirmed import confirmed, searched, without_bodies
 from adaptsim_jax.attribution.equation.models import (
     TorqueSearch,
+    held_missing,
     model_of,
     part_of,
     search_balances,
     selection,
+    within,
 )
-from adaptsim_jax.attribution.equation.rubbing import friction_notes, rubbing
-from adaptsim_jax.attribution.equation.search import within
+from adaptsim_jax.attribution.equation.rubbing import rubbing
 from adaptsim_jax.attribution.estimate import fit
-from adaptsim_jax.attribution.held_out import FittedTree, held_error, modelled, over_floor
+from adaptsim_jax.attribution.fitted import FittedTree, Hint, Selection, over_floor
+from adaptsim_jax.attribution.held_out import modelled
+from adaptsim_jax.attribution.inquiry import Examined, Inquiry, Keep, Progress, with_null
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.measures import (
     STRETCHES,
     TORQUE,
     Measure,
     headline,
-    of_simulation,
     of_torque,
-    predicts_nothing,
 )
 from adaptsim_jax.attribution.parameters import Vector
-from adaptsim_jax.attribution.problem import TreeProblem, held, own_inertia, scaled_reach
-from adaptsim_jax.attribution.report import account_of, evidence_of
-from adaptsim_jax.attribution.score import candidates
-from adaptsim_jax.attribution.select import Selection, select, select_shorter
-from adaptsim_jax.attribution.torque_report import TorqueFound, by_torque, curves, held_missing
-from adaptsim_jax.attribution.tree_objective import DECLARED_ROUNDS, Hint, TreeObjective
-from adaptsim_jax.diagnosis.criteria import REPORT, Criteria
+from adaptsim_jax.attribution.posed import (
+    Beginning,
+    DiagnosisSetting,
+    catalogue_of,
+    declared_vector,
+    factor_of,
+    posed,
+)
+from adaptsim_jax.attribution.problem import TreeProblem, own_inertia, scaled_reach
+from adaptsim_jax.attribution.select import declared as fitted_null
+from adaptsim_jax.attribution.select import select, select_shorter
+from adaptsim_jax.attribution.tree_objective import DECLARED_ROUNDS, TreeObjective
+from adaptsim_jax.diagnosis.criteria import REPORT
 from adaptsim_jax.diagnosis.finding import Named
-from adaptsim_jax.diagnosis.report import Account, report_of, withhold_names
 from adaptsim_jax.diagnosis.search import backward_elimination
 from adaptsim_jax.effects.base import Reach
-
-NOTHING = "This model predicts nothing: by no yardstick does it do better than what needs no model, and no effect is named."
-
-
-@dataclass(frozen=True)
-class Inquiry:
-    """A machine whose recording is examined, and how.
-
-    Args:
-        machine, problem: The machine, and its stretches of `horizon` s.
-        null: What is fitted whatever is named.
-        criteria: What counts as an effect.
-        horizon: s.
-        notify: Called with what is done.
-        keep: With what a search has found so far.
-        asked: The objective that is to judge, where it is not the one that tells most.
-        factor: Within which bodies are those of the file along the motion; None: the balance of
-            torques is not looked at.
-        hint: What the search of stretches goes on from where the balance says nothing.
-    """
-
-    machine: Machine
-    problem: TreeProblem
-    null: Vector
-    criteria: Criteria
-    horizon: float
-    notify: Callable[[str], None] = lambda note: None
-    keep: Callable[[Selection], None] = lambda found: None
-    asked: str | None = None
-    factor: float | None = PRIOR_WIDTH.body_factor
-    hint: Hint | None = None
-
-    @property
-    def follows(self) -> bool:
-        """Whether an actuator follows commands."""
-        return bool(np.any(held(self.machine.actuator)))
-
-    @property
-    def many(self) -> bool:
-        """Whether there are too many joints for stretches to be searched."""
-        torque = self.criteria.torque
-        return self.problem.joints > (torque.whole if self.follows else torque.simulated)
-
-    def simulated(self, model: FittedTree) -> dict[str, Any]:
-        """What a model leaves of simulated stretches, by objective."""
-        error = held_error(self.problem, model)
-        return {STRETCHES: of_simulation(self.problem, error, STRETCHES, self.horizon)}
-
-
-@dataclass(frozen=True)
-class Examined:
-    """What was found, by which objective, and why by that one.
-
-    Args:
-        inquiry: What was examined.
-        found: Effects by the objective that judged.
-        by_torque: What the balance of torques says, None where it cannot.
-        before, after: Measures by objective of the declared model, fitted, and of the final one,
-            None where one tells nothing.
-        judge, why: The objective, and why.
-        simulated: Whether errors are reported of simulated stretches, whoever judged.
-    """
-
-    inquiry: Inquiry
-    found: Selection
-    by_torque: TorqueSearch | None
-    before: dict[str, Any]
-    after: dict[str, Any]
-    judge: str
-    why: str
-    simulated: bool = False
-
-    @property
-    def problem(self) -> TreeProblem:
-        return self.inquiry.problem
 
 
 @dataclass(frozen=True)
@@ -386,74 +317,42 @@ def _worth(measures: dict[str, Measure | None]) -> float:
     return sum(m.skill for m in measures.values() if m is not None)
 
 
-def with_null(e: Examined, null: FittedTree) -> Examined:
-    """With `null` as the model of which the report says what it leaves."""
-    before = e.before | e.inquiry.simulated(null)
-    return replace(e, found=replace(e.found, null=null), before=before)
-
-
-def account(e: Examined) -> Account:
-    """What the objective that judged contributes to the report, and what both say of the models."""
-    q = e.inquiry
-    made = account_of(q.machine, e.problem, e.found, q.criteria, q.horizon)
-    if e.judge == TORQUE and e.by_torque is not None and not e.simulated:
-        torques = TorqueFound(e.by_torque, e.before[TORQUE], e.after[TORQUE])
-        made = by_torque(made, e.problem, torques, q.criteria)
-    measures: dict[str, Any] = {"judge": e.judge, "why": e.why}
-    for name, each in (("declared", e.before), ("mended", e.after)):
-        measures[name] = {k: m.as_dict() for k, m in each.items() if m is not None}
-    if predicts_nothing(e.after):
-        measures["predicts_nothing"] = True
-    notes = [*made.more["notes"], *_disagreement(e), *friction_notes(e.problem)]
-    return replace(made, more={**made.more, "yardsticks": measures, "notes": notes})
-
-
-@np.errstate(over="ignore", invalid="ignore")  # of stretches that run away
-def reported(
-    e: Examined, change: Callable[[Account], Account] = lambda made: made
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The report, and the arrays behind its page. change: of the account, what a task says
-    otherwise.
-    """
-    report = report_of(e.found, change(account(e)))
-    if predicts_nothing(e.after):
-        withhold_names(report, NOTHING, left=True)
-    evidence = evidence_of(e.problem, e.found, report)
-    if e.by_torque is not None:
-        evidence |= curves(e.problem, e.by_torque, e.found.final.fit.vector)
-    return report, evidence
-
-
-def so_far(q: Inquiry, found: Selection) -> dict[str, Any]:
-    """The report on what a search has found until now."""
-    return report_of(found, account_of(q.machine, q.problem, found, q.criteria, q.horizon))
-
-
-def _disagreement(e: Examined) -> list[str]:
-    """Where the two witnesses disagree, by numbers; and by which one it was judged."""
-    notes = [f"Judged by {_WORDS[e.judge]}: {e.why}."]
-    torque: tuple[Any, Any] = (e.before.get(TORQUE), e.after.get(TORQUE))
-    other = e.before[STRETCHES], e.after[STRETCHES]
-    if e.judge == TORQUE and e.found.named:
-        skills = other[0].skill, other[1].skill
-        if skills[1] < skills[0] - 0.05:
-            notes.append(
-                f"Simulated stretches disagree: skill against a straight line {skills[0]:.2f} "
-                f"without and {skills[1]:.2f} with what is named; they tell little here."
-            )
-    elif e.found.named and torque[0] is not None and torque[1] is not None:
-        shares = [float(np.mean(m.error / np.maximum(m.still, 1e-300))) for m in torque]
-        if shares[1] > CONFIRMATION.contradicted * shares[0]:
-            notes.append(
-                f"The torque along the motion disagrees: {100 * shares[0]:.0f} % of it is missing "
-                f"without and {100 * shares[1]:.0f} % with what is named."
-            )
-    return notes
-
-
 _SHOWN = {True: "the command error", False: "the torque along the motion"}
-_WORDS = {
-    STRETCHES: "simulated stretches",
-    "whole": "whole simulated trials",
-    TORQUE: "the torque along the measured motion",
-}
+
+
+@np.errstate(over="ignore", invalid="ignore")  # of stretches that run away, as a search expects
+def examined(
+    machine: Machine,
+    setting: DiagnosisSetting | None = None,
+    beginning: Beginning | None = None,
+    notify: Progress = lambda done, total, note: None,
+    keep: Keep | None = None,
+) -> Examined:
+    """What was found of a machine. keep: called with what a search has found so far."""
+    setting, beginning = setting or DiagnosisSetting(), beginning or Beginning()
+    chosen, at_joints = catalogue_of(machine, setting)
+    problem = replace(posed(machine, chosen, setting.horizon), excluded=at_joints)
+    notify(0.05, 1.0, "declared model")
+    null = beginning.narrow(declared_vector(machine, problem))
+    inquiry = Inquiry(
+        machine,
+        problem,
+        null,
+        setting.criteria,
+        setting.horizon,
+        lambda note: notify(0.0, np.inf, note),  # how many follow, nobody knows
+        asked=setting.objective,
+        factor=factor_of(machine.log.meta) if setting.torques else None,
+        hint=beginning.first(problem, null) if beginning.first else None,
+    )
+    if keep is not None:
+        inquiry = replace(inquiry, keep=partial(keep, inquiry))
+    found = examine(inquiry)
+    if beginning.by_file is not None:
+        before = posed(beginning.by_file, chosen, setting.horizon)
+        vector = declared_vector(beginning.by_file, before)
+        return with_null(found, fitted_null(before, vector, setting.criteria))
+    if not found.found.named:
+        # how rows are read is no mend: the declared model is what it is with it
+        return with_null(found, found.found.final)
+    return found

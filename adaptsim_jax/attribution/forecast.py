@@ -12,13 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptsim_jax.attribution.estimate import refitted_start, usual
-from adaptsim_jax.attribution.linear import linear
-from adaptsim_jax.attribution.parameters import Vector
+from adaptsim_jax.attribution.estimate import linear, refitted_start, usual
+from adaptsim_jax.attribution.parameters import TreeFit, Vector, Weights
 from adaptsim_jax.attribution.paths import ready, residuals, simulated, starts_of, widened
 from adaptsim_jax.attribution.problem import TreeProblem
 from adaptsim_jax.attribution.simulate import Path
-from adaptsim_jax.attribution.weights import TreeFit, Weights
 from adaptsim_jax.diagnosis.steps import StretchLanes, fit_starts
 
 MAX_START_ROUNDS = 6  # rounds of steps of the starts, at most

@@ -6,66 +6,89 @@ for a linear model; the infinitesimal jackknife otherwise), and the prediction i
 starts fitted to the fold's own stretches by least squares.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from adaptsim_jax.attribution.candidates import CandidateScore, JointCandidate, shape_entries
 from adaptsim_jax.attribution.criteria import CONFIRMATION, STRETCH
-from adaptsim_jax.attribution.estimate import fit, settled, start_steps
-from adaptsim_jax.attribution.joint_groups import by_group, linear_part, part_of, put_back, touched
-from adaptsim_jax.attribution.linear import (
+from adaptsim_jax.attribution.estimate import (
     Linear,
-    Normal,
     candidate_columns,
+    fit,
+    inside,
     linear,
     normal,
     padded_fold,
+    settled,
+    start_steps,
     unchanged,
 )
-from adaptsim_jax.attribution.parameters import Vector
-from adaptsim_jax.attribution.paths import residuals, run
-from adaptsim_jax.attribution.problem import TreeProblem, moving
-from adaptsim_jax.attribution.score import CandidateScore, JointCandidate, shape_entries
+from adaptsim_jax.attribution.fitted import FittedTree, HeldOut
+from adaptsim_jax.attribution.parameters import Entry, Normal, TreeFit, Vector, Weights
+from adaptsim_jax.attribution.paths import group_losses, losses, residuals, run
+from adaptsim_jax.attribution.problem import TreeProblem
 from adaptsim_jax.attribution.simulate import Path
-from adaptsim_jax.attribution.weights import TreeFit, Weights, losses
-from adaptsim_jax.diagnosis.criteria import FOLD, Criteria
+from adaptsim_jax.diagnosis.criteria import FOLD
 from adaptsim_jax.diagnosis.folds import pieces
-from adaptsim_jax.diagnosis.testing import Test, jackknife, paired_test
+from adaptsim_jax.diagnosis.testing import Test, paired_test
 from adaptsim_jax.effects.base import Effect, Reach
 
 
-@dataclass(frozen=True)
-class HeldOut:
-    """Prediction of left-out folds: loss [W] under given weights, squared error [W, 2n] (mean over
-    a stretch), parameters [F, P]; normal equations by fold; paths by group.
+def touched(problem: TreeProblem, entries: Iterable[Entry], joints: Sequence[int]) -> list[int]:
+    """Numbers of the groups that a change at `joints` touches: all of them where groups share a
+    value.
     """
-
-    loss: np.ndarray
-    squared: np.ndarray
-    vectors: np.ndarray
-    normal: Normal
-    paths: tuple[Path, ...]
+    owner = {j: k for k, g in enumerate(problem.groups) for j in g.joints}
+    if any(len({owner[j] for j in e.joints}) > 1 for e in entries):
+        return list(range(len(problem.groups)))
+    return sorted({owner[j] for j in joints})
 
 
-@dataclass(frozen=True)
-class FittedTree:
-    """A set of effects fitted, its linearisation and its held-out prediction. hess [P, P]: the
-    curvature, prior and all, of a model that was fitted along the measured motion, and has no
-    linearisation.
+def by_group(problem: TreeProblem, entries: Sequence[Entry]) -> list[list[int]]:
+    """Numbers of the entries, by what is fitted apart: a group of joints each, or all where groups
+    share a value.
     """
+    if len(touched(problem, entries, problem.groups[0].joints)) == len(problem.groups):
+        return [list(range(len(entries)))]
+    return [inside(entries, [g]) for g in problem.groups]
 
-    added: tuple[JointCandidate, ...]
-    fit: TreeFit
-    lin: Any  # Linear; None where `hess` is told
-    held: HeldOut
-    hess: np.ndarray | None = None
 
-    @property
-    def spread(self) -> np.ndarray:
-        """Standard errors [P] by the jackknife over folds."""
-        return jackknife(self.held.vectors)
+def part_of(
+    problem: TreeProblem, vector: Vector, some: Sequence[int]
+) -> tuple[TreeProblem, Vector, list[int]]:
+    """The problem of some groups only, their entries, and the numbers of these."""
+    part = replace(problem, groups=tuple(problem.groups[k] for k in some))
+    at = inside(vector.entries, part.groups)
+    return part, Vector(tuple(vector.entries[i] for i in at), vector.values[at]), at
+
+
+def put_back(
+    vector: Vector, starts: Sequence[np.ndarray], at, some, values, own
+) -> tuple[Vector, tuple[np.ndarray, ...]]:
+    """Vector and starts of the whole with the values of the entries `at` and the starts `own` of
+    the groups `some`.
+    """
+    every = vector.values.copy()
+    every[at] = values
+    new = dict(zip(some, own, strict=True))
+    return vector.at(every), tuple(new.get(k, x) for k, x in enumerate(starts))
+
+
+def linear_part(
+    part: TreeProblem, lin: Linear, own: Vector, at: Sequence[int], some: Sequence[int]
+) -> Linear:
+    """Of a linearised fit what `part_of` has taken."""
+
+    def pick(z):
+        return tuple(z[k] for k in some)
+
+    loss = np.sum(group_losses(part, [made.path for made in pick(lin.paths)], lin.fit.weights), 0)
+    fit = replace(lin.fit, vector=own, starts=pick(lin.fit.starts), loss=loss)
+    shared = tuple(s[..., at] for s in pick(lin.shared))
+    rest = (pick(z) for z in (lin.paths, lin.slopes, lin.counted))
+    return Linear(fit, pick(lin.residual), pick(lin.start), shared, *rest)
 
 
 def held_out(
@@ -169,44 +192,6 @@ def paired(problem: TreeProblem, without: np.ndarray, with_: np.ndarray) -> Test
     count = len(problem.fold)
     block = pieces(problem.groups[0].stretches.trial[:count], FOLD.test_pieces)
     return paired_test(without[:count], with_[:count], problem.fold, block)
-
-
-def held_error(problem: TreeProblem, model: FittedTree) -> np.ndarray:
-    """Held-out error of each stretch and joint [W, n], rad or m."""
-    return np.sqrt(model.held.squared[: len(problem.fold), : problem.joints])
-
-
-def over_floor(problem: TreeProblem, model: FittedTree) -> float:
-    """The same over the noise floor, median."""
-    return float(np.median(held_error(problem, model) / _noise(problem)))
-
-
-def most_over_floor(problem: TreeProblem, error: np.ndarray) -> float:
-    """Held-out error [W, n] over the noise floor, median over stretches, at the joint that moves at
-    which it is most.
-    """
-    return float(np.max(np.median(error, 0) / _noise(problem), where=moving(problem), initial=0.0))
-
-
-def _noise(problem: TreeProblem) -> np.ndarray:
-    return np.maximum(problem.floor[: problem.joints], 1e-12)
-
-
-def astray(
-    problem: TreeProblem, model: FittedTree, criteria: Criteria, null: FittedTree | None = None
-) -> np.ndarray:
-    """Stretches [W] of which much more is left than of most; and, where the declared model `null`
-    is given, nearly as much as that leaves there (dry friction that a simulator lets creep, say,
-    leaves more now and then, though it is the right effect).
-    """
-    error = held_error(problem, model)
-    outlying = error > criteria.outlying * np.maximum(_noise(problem), np.median(error, 0))
-    return np.any(
-        outlying
-        if null is None
-        else outlying & (error > (1.0 - criteria.left) * held_error(problem, null)),
-        1,
-    )
 
 
 def evenly_weighted(problem: TreeProblem, fitted: TreeFit, some: np.ndarray) -> TreeFit:

@@ -1,23 +1,28 @@
 """What a fitted model changes in the user's model file, and what the file cannot hold."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
+from adaptsim_jax.attribution import model_toml
 from adaptsim_jax.attribution.acting import rubs_dry
+from adaptsim_jax.attribution.candidates import JointCandidate, candidates
 from adaptsim_jax.attribution.equation.models import TorqueSearch, without
-from adaptsim_jax.attribution.held_out import FittedTree, attempted, modelled, refit
+from adaptsim_jax.attribution.fitted import FittedTree, Selection
+from adaptsim_jax.attribution.held_out import attempted, modelled, refit
+from adaptsim_jax.attribution.inquiry import Examined
 from adaptsim_jax.attribution.machine import Machine
+from adaptsim_jax.attribution.measures import TORQUE
 from adaptsim_jax.attribution.nested_models import without as without_simulated
 from adaptsim_jax.attribution.parameters import TILT
 from adaptsim_jax.attribution.problem import TreeProblem, values_of
-from adaptsim_jax.attribution.score import JointCandidate, candidates, table
-from adaptsim_jax.attribution.select import Selection
+from adaptsim_jax.attribution.score import table
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.effects.joints.actuator import SATURATION, TORQUE_GAIN
 from adaptsim_jax.effects.joints.friction import COULOMB
-from adaptsim_jax.mend.mjcf import Changes
+from adaptsim_jax.mend.mjcf import Changes, mended_mjcf
 
 COMMANDED = ("command", "voltage", "current")
 OF_JOINTS = ("damping", "frictionloss", "armature", "stiffness")
@@ -305,3 +310,21 @@ def _lost(problem: TreeProblem, model: FittedTree, named: FittedTree) -> list[st
         for e, value in zip(vector.entries, vector.values, strict=True)
         if e.owner == c.effect and set(e.joints) <= set(c.joints)
     ]
+
+
+MODEL = "model.xml"
+
+
+def mjcf_files(e: Examined) -> dict[str, Callable[[], str]]:
+    """What makes the text of `declared.xml` and of `model.xml`."""
+    machine, problem, found = e.inquiry.machine, e.problem, e.found
+    by_torque = e.by_torque if e.judge == TORQUE else None
+
+    def mended():
+        held = holdable(machine, problem, found, e.inquiry.criteria, by_torque)
+        return mended_mjcf(machine.mechanism, changes(machine, problem, held, found.final))
+
+    return {
+        model_toml.DECLARED: lambda: mended_mjcf(machine.mechanism, declared_changes(machine)),
+        MODEL: mended,
+    }

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.attribution.held_out import FittedTree
+from adaptsim_jax.attribution.fitted import FittedTree
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import INERTIA, TILT
 from adaptsim_jax.attribution.problem import TreeProblem, numbers_of, tilted, values_of

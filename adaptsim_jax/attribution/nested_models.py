@@ -4,11 +4,13 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from adaptsim_jax.attribution.candidates import CandidateScore, JointCandidate, adjacent, candidates
 from adaptsim_jax.attribution.estimate import fit
-from adaptsim_jax.attribution.held_out import FittedTree, modelled, paired, refit
-from adaptsim_jax.attribution.parameters import TILT, Vector
+from adaptsim_jax.attribution.fitted import FittedTree
+from adaptsim_jax.attribution.held_out import modelled, paired, refit
+from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import TreeProblem
-from adaptsim_jax.attribution.score import CandidateScore, JointCandidate, candidates, table
+from adaptsim_jax.attribution.score import table
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.base import Reach
 
@@ -47,13 +49,6 @@ def keys_of(model: FittedTree, c: JointCandidate) -> list[tuple]:
         for e in model.fit.vector.entries
         if e.owner == c.effect and set(e.joints) <= set(c.joints)
     ]
-
-
-def adjacent(c: JointCandidate, other: JointCandidate) -> bool:
-    """Whether two effects act at the same joints or at ones next to each other in number, where one
-    may stand in for the other.
-    """
-    return any(abs(j - k) < 2 for j in c.joints for k in other.joints)
 
 
 def without(
@@ -124,9 +119,3 @@ def trimmed(
         added += [c if len(left) == len(c.entries) else c.at(left)] if left else []
     own = fit(problem, model.fit.vector.without(keys), model.fit.starts, rounds=criteria.rounds)
     return modelled(problem, added, own)
-
-
-def where(problem: TreeProblem, c: JointCandidate) -> str:
-    if c.effect == TILT:
-        return "base"
-    return ", ".join(problem.joint_names[j] for j in c.joints)

@@ -205,3 +205,39 @@ def inertia_entries(massive: np.ndarray) -> tuple[Entry, ...]:
         for b in np.flatnonzero(massive)
         for name, wide in WIDEST.items()
     )
+
+
+@dataclass(frozen=True)
+class Weights:
+    """channel [2n]: 1 / size of a residual of each channel (0: not measured); stretch [W]."""
+
+    channel: np.ndarray
+    stretch: np.ndarray
+
+
+@dataclass(frozen=True)
+class TreeFit:
+    """A model fitted: its vector, starts by group [2n, W] (see `simulate`), weights, loss by
+    stretch [W], and how it ended.
+    """
+
+    vector: Vector
+    starts: tuple[np.ndarray, ...]
+    weights: Weights
+    loss: np.ndarray
+    code: str
+    rounds: int
+
+    @property
+    def total(self) -> float:
+        return float(self.loss.sum())
+
+
+@dataclass(frozen=True)
+class Normal:
+    """Normal equations by fold: hess [F, P, P], slope [F, P]; of the shared parameters with starts
+    eliminated.
+    """
+
+    hess: np.ndarray
+    slope: np.ndarray

@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from adaptsim_jax.attribution.held_out import FittedTree
+from adaptsim_jax.attribution.fitted import FittedTree
 from adaptsim_jax.attribution.machine import Machine, machine
 from adaptsim_jax.attribution.model_toml import DECLARED
 from adaptsim_jax.attribution.parameters import INERTIA, TILT, Vector

@@ -12,17 +12,13 @@ from typing import Any
 
 import numpy as np
 
+from adaptsim_jax.attribution.account import reported, write_so_far
 from adaptsim_jax.attribution.criteria import STRETCH
-from adaptsim_jax.attribution.diagnose import (
-    Beginning,
-    DiagnosisSetting,
-    Progress,
-    examined,
-    mjcf_files,
-)
-from adaptsim_jax.attribution.examine import Examined, reported
+from adaptsim_jax.attribution.examine import examined
+from adaptsim_jax.attribution.inquiry import Examined, Progress
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.measures import STRETCHES
+from adaptsim_jax.attribution.mend import mjcf_files
 from adaptsim_jax.attribution.model_toml import DECLARED
 from adaptsim_jax.attribution.pendulum import (
     JOINTS,
@@ -37,12 +33,13 @@ from adaptsim_jax.attribution.pendulum import (
     own_catalogue,
     pendulum_machine,
 )
+from adaptsim_jax.attribution.posed import Beginning, DiagnosisSetting
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.run import Page, Run, command_of
 from adaptsim_jax.diagnosis.schema import new_report, with_effects
-from adaptsim_jax.diagnosis.written import Output, cleared, finished, write_partial
+from adaptsim_jax.diagnosis.written import Output, cleared, finished
 from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.effects.joints.actuator import TORQUE_GAIN
 from adaptsim_jax.logs.log import Log
@@ -146,7 +143,7 @@ def _searched(
 ) -> dict[str, Any]:
     """The report on a recording that is sound, written. See `diagnose_pendulum`."""
     rig, folder = log.meta.rig, output.folder
-    keep = None if folder is None else partial(write_partial, folder)
+    keep = None if folder is None else partial(write_so_far, folder)
     with TemporaryDirectory() as spare:
         machine = _machine(log, setting.effects, Path(spare))
         found = examined(machine, setting, Beginning(in_the_plane), notify, keep)

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.attribution.criteria import INERTIAL
-from adaptsim_jax.attribution.held_out import FittedTree
-from adaptsim_jax.attribution.linear import normal
+from adaptsim_jax.attribution.estimate import normal
+from adaptsim_jax.attribution.fitted import FittedTree
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import INERTIA
 from adaptsim_jax.attribution.problem import TreeProblem

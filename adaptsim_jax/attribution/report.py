@@ -11,9 +11,11 @@ import numpy as np
 from scipy import stats
 
 from adaptsim_jax.attribution import physical_inertias
+from adaptsim_jax.attribution.candidates import CandidateScore
 from adaptsim_jax.attribution.criteria import TEXT
-from adaptsim_jax.attribution.held_out import (
+from adaptsim_jax.attribution.fitted import (
     FittedTree,
+    Selection,
     astray,
     held_error,
     most_over_floor,
@@ -22,8 +24,6 @@ from adaptsim_jax.attribution.held_out import (
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import INERTIA, Entry
 from adaptsim_jax.attribution.problem import TreeProblem
-from adaptsim_jax.attribution.score import CandidateScore
-from adaptsim_jax.attribution.select import Selection
 from adaptsim_jax.attribution.sentences import (
     Remains,
     doubts,

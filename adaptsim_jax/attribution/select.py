@@ -3,32 +3,21 @@ finds of it.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from adaptsim_jax.attribution.candidates import CandidateScore
 from adaptsim_jax.attribution.estimate import fit, settled
-from adaptsim_jax.attribution.held_out import FittedTree, held_error, modelled, over_floor
+from adaptsim_jax.attribution.fitted import FittedTree, Hint, Selection, held_error, over_floor
+from adaptsim_jax.attribution.held_out import modelled
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import TreeProblem, beginnings, own_inertia, scaled_reach
-from adaptsim_jax.attribution.score import CandidateScore
 from adaptsim_jax.attribution.stretch_evidence import eased
-from adaptsim_jax.attribution.tree_objective import DECLARED_ROUNDS, Hint, TreeObjective
+from adaptsim_jax.attribution.tree_objective import DECLARED_ROUNDS, TreeObjective
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Finding
 from adaptsim_jax.diagnosis.search import search
-from adaptsim_jax.effects.base import Reach
-
-
-@dataclass(frozen=True, kw_only=True)
-class Selection(Finding):
-    """What a search by simulated stretches found. last: scores at the last model of the forward
-    search; shorter: over the beginnings of stretches only.
-    """
-
-    last: tuple[CandidateScore, ...]
-    reach: Reach
-    shorter: bool = False
 
 
 def select(

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adaptsim_jax.attribution.candidates import JointCandidate
 from adaptsim_jax.attribution.criteria import SERVO, TEXT
+from adaptsim_jax.attribution.fitted import Selection
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, TILT
 from adaptsim_jax.attribution.problem import TreeProblem
-from adaptsim_jax.attribution.score import JointCandidate
-from adaptsim_jax.attribution.select import Selection
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Named
 from adaptsim_jax.diagnosis.report import Headline, Label, named_words

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from adaptsim_jax.attribution.candidates import JointCandidate, entries_of
 from adaptsim_jax.attribution.criteria import PRIOR_WIDTH, SERVO
 from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.equation.commands import Servo, servos
@@ -20,7 +21,6 @@ from adaptsim_jax.attribution.forecast import without_a_model
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import Entry, Vector
 from adaptsim_jax.attribution.problem import TreeProblem, own_inertia, prepare, scaled_reach
-from adaptsim_jax.attribution.score import JointCandidate, entries_of
 from adaptsim_jax.effects.joints.actuator import POSITION_GAIN
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.effects.joints.friction import COULOMB, VISCOUS

@@ -22,7 +22,15 @@ import numpy as np
 
 from adaptsim_jax.attribution import drive as drives
 from adaptsim_jax.attribution import stops
-from adaptsim_jax.attribution.acting import ActingModel, Values, bent_at, carried, forces, held_by
+from adaptsim_jax.attribution.acting import (
+    ActingModel,
+    Values,
+    bent_at,
+    carried,
+    drive_of,
+    forces,
+    held_by,
+)
 from adaptsim_jax.mechanisms import equations
 
 SWEEPS = 3  # sweeps of Gauss and Seidel over the joints of a row
@@ -112,27 +120,39 @@ def _giving(model: ActingModel, values: Values, u, giving, pushed) -> SchemeEqua
     """Of states [2n + 2G, W] where the drives of the joints `giving` [G] give, under forces
     `pushed` [G, W] on their links besides.
     """
-    drive = drives.drive_of(model, values)
+    drive = drive_of(model, values)
     more = jnp.zeros((model.tree.n, pushed.shape[1]), pushed.dtype).at[giving].set(pushed)
 
     def parts(x):
         return drives.parts_of(drive, giving, x)
 
+    def accelerate(q, v, force, inertia):
+        return equations.acceleration(
+            model.tree, values.inertial, q, v, force, inertia, values.gravity
+        )
+
+    def inverse_mass(q, inertia):
+        return equations.inverse_mass(model.tree, values.inertial, q, inertia)
+
     def both(x, force, inertia):
-        return drives.accelerations(model, values, drive, parts(x), force, inertia, more)
+        return drives.accelerations(drive, parts(x), accelerate, force, inertia, more)
+
+    def acting(x, t):
+        at = parts(x)
+        return forces(model, values, at.q, at.v, u, t, drives.observed(drive, at))
 
     return SchemeEquations(
-        lambda x, t: drives.acting(model, values, drive, parts(x), u, t),
+        acting,
         lambda x, force, inertia: both(x, force, inertia)[0],
         lambda x, force, inertia: drives.rates(drive, giving, parts(x), *both(x, force, inertia)),
-        lambda x, inertia: drives.answers(model, values, drive, parts(x), inertia),
+        lambda x, inertia: drives.answers(drive, parts(x), inverse_mass, inertia),
         lambda x: parts(x).v,
     )
 
 
 class Substep(NamedTuple):
-    """A step within a row: at t [1, W] s, over h [W] s, under extra [n, W] N m; bent [n, W] rad, the
-    deflection of bristles when it begins; hold: stiffness and damping [n, W] that are stepped
+    """A step within a row: at t [1, W] s, over h [W] s, under extra [n, W] N m; bent [n, W] rad,
+    the deflection of bristles when it begins; hold: stiffness and damping [n, W] that are stepped
     implicitly, None where none are.
     """
 
@@ -385,7 +405,13 @@ def with_drives(model: ActingModel, values: Values, time, stamp, command, x0, pa
     springs.
     """
     u = command_rows(model, values, stamp, command, past, len(time) - 1)
-    return drives.at_rest(model, values, x0, u[0], time[0])
+    q, v = jnp.split(x0, 2)
+    act = forces(model, values, q, v, u[0], time[0][None])
+    a = equations.acceleration(
+        model.tree, values.inertial, q, v, act.smooth, act.inertia, values.gravity
+    )
+    carried_there = act.smooth - act.inertia * a
+    return jnp.concatenate([x0, drives.yielded(drive_of(model, values), carried_there), 0.0 * v])
 
 
 def respond(

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptsim_jax.attribution.held_out import FittedTree, held_error
+from adaptsim_jax.attribution.candidates import JointCandidate
+from adaptsim_jax.attribution.fitted import FittedTree, held_error
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, Entry
 from adaptsim_jax.attribution.problem import TreeProblem
-from adaptsim_jax.attribution.score import JointCandidate
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.rules import Evidence
 from adaptsim_jax.diagnosis.testing import Test, attainable, jackknife

@@ -10,7 +10,7 @@ import numpy as np
 
 from adaptsim_jax.attribution.criteria import INERTIAL, TEXT, WINDOW
 from adaptsim_jax.attribution.equation.balance import Balance, residual
-from adaptsim_jax.attribution.equation.models import TorqueSearch
+from adaptsim_jax.attribution.equation.models import TorqueSearch, held_missing
 from adaptsim_jax.attribution.measures import Measure, needed
 from adaptsim_jax.attribution.parameters import INERTIA, Vector
 from adaptsim_jax.attribution.problem import TreeProblem, moving
@@ -30,17 +30,6 @@ class TorqueFound:
     found: TorqueSearch
     before: Measure
     after: Measure
-
-
-def held_missing(found: TorqueSearch) -> tuple[dict[int, np.ndarray], dict[int, np.ndarray]]:
-    """What is missing of the torque in windows that were left out [K, n], by balance: of the
-    declared model, fitted, and of the final.
-    """
-    out: tuple[dict[int, np.ndarray], dict[int, np.ndarray]] = ({}, {})
-    for k, w in enumerate(found.searches):
-        for shares, solved in zip(out, (w.base, w.whole), strict=True):
-            shares[k] = solved.left_out(w.rows)
-    return out
 
 
 def floor_of(problem: TreeProblem, balances: Sequence[Balance]) -> np.ndarray:

@@ -10,35 +10,37 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from adaptsim_jax.attribution.candidates import (
+    CandidateScore,
+    JointCandidate,
+    adjacent,
+    candidates,
+    where,
+)
 from adaptsim_jax.attribution.estimate import fit
+from adaptsim_jax.attribution.fitted import FittedTree, Hint, astray, held_error, over_floor
 from adaptsim_jax.attribution.held_out import (
-    FittedTree,
-    astray,
     attempted,
     evenly_weighted,
-    held_error,
     modelled,
-    over_floor,
     paired,
     placed,
     refit,
 )
 from adaptsim_jax.attribution.nested_models import (
-    adjacent,
     compared,
     from_afar,
     keys_of,
     more,
     scored,
     trimmed,
-    where,
     without,
 )
 from adaptsim_jax.attribution.parameters import Vector
+from adaptsim_jax.attribution.paths import losses
 from adaptsim_jax.attribution.problem import TreeProblem
-from adaptsim_jax.attribution.score import CandidateScore, JointCandidate, candidates, table
+from adaptsim_jax.attribution.score import table
 from adaptsim_jax.attribution.stretch_evidence import SimulatedEvidence, steadiness, steady_each
-from adaptsim_jax.attribution.weights import losses
 from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.diagnosis.alternatives import preferred
 from adaptsim_jax.diagnosis.criteria import LOOK_ALIKE, Criteria
@@ -51,7 +53,6 @@ from adaptsim_jax.effects.base import Reach
 
 DECLARED_ROUNDS = 15  # rounds of the declared model's fit: bounds its time
 
-Hint = tuple[Vector, tuple[JointCandidate, ...]]
 """Values and effects of another objective, to go on from."""
 Passes = Callable[[FittedTree, Test], bool]
 

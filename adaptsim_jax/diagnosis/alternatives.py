@@ -3,7 +3,7 @@
 | alternative | where |
 | --- | --- |
 | dry friction that is sharp, or gives as a simulator's does | `attribution/equation/rubbing.py` |
-| bodies and damping of the file, or fitted | `attribution/equation/filed.py` |
+| bodies and damping of the file, or fitted | `attribution/equation/confirmed.py` |
 | what like joints have, at all of them | `attribution/equation/balance_objective.py` |
 | values and effects of another objective | `attribution/tree_objective.py` |
 | another shape of the piece | `tasks/scooping/diagnosis/passes.py` |

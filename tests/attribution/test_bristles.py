@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.attribution.acting import bristles
-from adaptsim_jax.attribution.linear import linear
-from adaptsim_jax.attribution.parameters import Entry
-from adaptsim_jax.attribution.paths import run, starts_of
+from adaptsim_jax.attribution.estimate import linear
+from adaptsim_jax.attribution.parameters import Entry, TreeFit
+from adaptsim_jax.attribution.paths import run, starts_of, weigh
 from adaptsim_jax.attribution.problem import nuisances, prepare, values_of
 from adaptsim_jax.attribution.stretches import JointTrack
-from adaptsim_jax.attribution.weights import TreeFit, weigh
 from adaptsim_jax.effects.base import Dry, Effect, Parameter
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.mechanisms.mjcf import read_mechanism

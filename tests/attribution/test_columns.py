@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from adaptsim_jax.attribution.linear import _without_lost, linear
-from adaptsim_jax.attribution.parameters import INERTIA, Entry, Vector
-from adaptsim_jax.attribution.paths import run, starts_of
+from adaptsim_jax.attribution.candidates import candidates
+from adaptsim_jax.attribution.estimate import _without_lost, linear
+from adaptsim_jax.attribution.parameters import INERTIA, Entry, TreeFit, Vector
+from adaptsim_jax.attribution.paths import run, starts_of, weigh
 from adaptsim_jax.attribution.problem import (
     nuisances,
     own_inertia,
@@ -18,9 +19,7 @@ from adaptsim_jax.attribution.problem import (
     scaled_reach,
     values_of,
 )
-from adaptsim_jax.attribution.score import candidates
 from adaptsim_jax.attribution.stretches import JointTrack
-from adaptsim_jax.attribution.weights import TreeFit, weigh
 from adaptsim_jax.diagnosis.testing import score_p
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.mechanisms.mjcf import read_mechanism

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from adaptsim_jax import cli
-from adaptsim_jax.attribution.diagnose import declared_vector, diagnose
-from adaptsim_jax.attribution.held_out import over_floor
+from adaptsim_jax.attribution.diagnose import diagnose
+from adaptsim_jax.attribution.fitted import Selection, over_floor
 from adaptsim_jax.attribution.load import load
+from adaptsim_jax.attribution.posed import declared_vector
 from adaptsim_jax.attribution.problem import prepare
 from adaptsim_jax.attribution.replay import replay_files
-from adaptsim_jax.attribution.select import Selection, declared, select_shorter
+from adaptsim_jax.attribution.select import declared, select_shorter
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.schema import read_report
 from adaptsim_jax.effects.joints.catalogue import MACHINE

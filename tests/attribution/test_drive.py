@@ -6,15 +6,14 @@ import mujoco
 import numpy as np
 import pytest
 
-from adaptsim_jax.attribution.estimate import fit
+from adaptsim_jax.attribution.candidates import candidates
+from adaptsim_jax.attribution.estimate import fit, linear
 from adaptsim_jax.attribution.held_out import modelled
-from adaptsim_jax.attribution.linear import linear
-from adaptsim_jax.attribution.parameters import Entry
-from adaptsim_jax.attribution.paths import ready, residuals, run, starts_of, widened
+from adaptsim_jax.attribution.parameters import Entry, TreeFit
+from adaptsim_jax.attribution.paths import losses, ready, residuals, run, starts_of, weigh, widened
 from adaptsim_jax.attribution.problem import nuisances, own_inertia, prepare, scaled_reach
-from adaptsim_jax.attribution.score import candidates, table
+from adaptsim_jax.attribution.score import table
 from adaptsim_jax.attribution.stretches import JointTrack
-from adaptsim_jax.attribution.weights import TreeFit, losses, weigh
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.mechanisms.mjcf import read_mechanism

@@ -7,18 +7,19 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.attribution import servo
+from adaptsim_jax.attribution.account import reported
 from adaptsim_jax.attribution.criteria import SERVO as SERVO_CRITERIA
-from adaptsim_jax.attribution.diagnose import DiagnosisSetting, declared_vector, examined, scaled
 from adaptsim_jax.attribution.equation import commands
 from adaptsim_jax.attribution.equation.balance import balances, in_proportion, residual
 from adaptsim_jax.attribution.equation.columns import EffectTable
 from adaptsim_jax.attribution.equation.commands import Servo
 from adaptsim_jax.attribution.equation.models import search_balances
 from adaptsim_jax.attribution.equation.windows import runs_of
-from adaptsim_jax.attribution.examine import reported
+from adaptsim_jax.attribution.examine import examined
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.measures import headline, of_torque, predicts_nothing
 from adaptsim_jax.attribution.parameters import Entry, Vector
+from adaptsim_jax.attribution.posed import DiagnosisSetting, declared_vector, scaled
 from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
 from adaptsim_jax.attribution.stretches import JointTrack
 from adaptsim_jax.diagnosis.criteria import REPORT, Criteria, TorqueCriteria
@@ -184,11 +185,11 @@ def test_command_errors_judge_a_servo_whose_gains_are_the_files(friction, tmp_pa
     folder = servo_log(tmp_path / "servo", 30.0, 2.0, friction)
     (folder / "model.xml").write_text(SERVO.format(kp=30.0, kv=2.0, friction=0.0, limit=""))
     machine, kept = load(folder, None), []
-    whole = examined(machine, keep=kept.append)
+    whole = examined(machine, keep=lambda inquiry, found: kept.append(found))
     report, _ = reported(whole)
     assert whole.judge == "torque" and report["error"]["unit"] == "rad"
     assert (
-        "coulomb" in {e["name"] for e in kept[0]["effects"]} or not friction
+        "coulomb" in {n.candidate.effect for n in kept[0].named} or not friction
     )  # on disk before it is held against simulation
     assert [e["name"] for e in report["effects"]] == (["coulomb"] if friction else [])
     if friction:

@@ -7,17 +7,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from adaptsim_jax.attribution.diagnose import declared_vector, diagnose
-from adaptsim_jax.attribution.equation import filed as filed_module
+from adaptsim_jax.attribution.diagnose import diagnose
+from adaptsim_jax.attribution.equation import confirmed as filed_module
 from adaptsim_jax.attribution.equation.balance import balances, inside
-from adaptsim_jax.attribution.equation.filed import enough, without_bodies
-from adaptsim_jax.attribution.equation.limits import left_of
+from adaptsim_jax.attribution.equation.confirmed import enough, without_bodies
 from adaptsim_jax.attribution.equation.models import model_of, search_balances
 from adaptsim_jax.attribution.equation.solve import compared
-from adaptsim_jax.attribution.equation.windows import runs_of
+from adaptsim_jax.attribution.equation.windows import left_of, runs_of
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, Entry, Vector
 from adaptsim_jax.attribution.paths import run, starts_of
+from adaptsim_jax.attribution.posed import declared_vector
 from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
 from adaptsim_jax.attribution.stretches import JointTrack
 from adaptsim_jax.diagnosis.criteria import Criteria

@@ -7,16 +7,16 @@ import mujoco
 import numpy as np
 import pytest
 
+from adaptsim_jax.attribution.candidates import candidates
 from adaptsim_jax.attribution.estimate import fit
 from adaptsim_jax.attribution.held_out import attempted, modelled, refit
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.nested_models import more
 from adaptsim_jax.attribution.parameters import Entry, Vector
-from adaptsim_jax.attribution.paths import run
+from adaptsim_jax.attribution.paths import losses, run
 from adaptsim_jax.attribution.problem import nuisances, own_inertia, prepare, scaled_reach
-from adaptsim_jax.attribution.score import candidates, table
+from adaptsim_jax.attribution.score import table
 from adaptsim_jax.attribution.select import select
-from adaptsim_jax.attribution.weights import losses
 from adaptsim_jax.diagnosis import search
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.joints.catalogue import MACHINE

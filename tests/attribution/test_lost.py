@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from adaptsim_jax.attribution.linear import MAX_DERIVATIVE, _without_lost
+from adaptsim_jax.attribution.estimate import MAX_DERIVATIVE, _without_lost
 
 
 def test_derivatives_that_are_finite_but_too_large_to_square_are_lost():

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.attribution import tree_objective
+from adaptsim_jax.attribution.candidates import JointCandidate
 from adaptsim_jax.attribution.parameters import Entry
-from adaptsim_jax.attribution.score import JointCandidate
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.rules import Reason
 from adaptsim_jax.diagnosis.testing import Test as Paired

@@ -4,8 +4,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from adaptsim_jax.attribution.candidates import JointCandidate
 from adaptsim_jax.attribution.report import next_experiment
-from adaptsim_jax.attribution.score import JointCandidate
 from adaptsim_jax.diagnosis.finding import Named
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 

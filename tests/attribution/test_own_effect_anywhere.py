@@ -60,13 +60,15 @@ from adaptsim_jax.attribution import mend
 from adaptsim_jax.attribution.diagnose import declared_vector, excluded_of, posed
 from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.equation.columns import EffectTable
-from adaptsim_jax.attribution.equation.search import separable_candidates
-from adaptsim_jax.attribution.linear import linear
+from adaptsim_jax.attribution.equation.models import separable_candidates
+from adaptsim_jax.attribution.estimate import linear
+from adaptsim_jax.attribution.candidates import candidates
 from adaptsim_jax.attribution.load import load
+from adaptsim_jax.attribution.parameters import TreeFit
 from adaptsim_jax.attribution.paths import run, starts_of
 from adaptsim_jax.attribution.problem import own_inertia, scaled_reach
-from adaptsim_jax.attribution.score import candidates, table
-from adaptsim_jax.attribution.weights import TreeFit, losses, weigh
+from adaptsim_jax.attribution.score import table
+from adaptsim_jax.attribution.paths import losses, weigh
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.report.diagnosis_words import effect_name
@@ -120,7 +122,7 @@ print(json.dumps({
     "mujoco": [r.candidate.name for r in rows(stepped, ("shoulder", "elbow"))],
     "listed": cli.main(["effects", "mechanism", "--name", "brush"]),
 }))
-"""
+"""  # noqa: E501
 
 
 @pytest.fixture(scope="module")

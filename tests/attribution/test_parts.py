@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.attribution.acting import Values, actuated
+from adaptsim_jax.attribution.candidates import JointCandidate
 from adaptsim_jax.attribution.parameters import Entry, Vector, inertial_of, inertias, pseudo_inertia
 from adaptsim_jax.attribution.problem import Group, TreeProblem, beginnings, nuisances, prepare
-from adaptsim_jax.attribution.score import JointCandidate
 from adaptsim_jax.attribution.stretches import JointTrack, cut
 from adaptsim_jax.attribution.tree_objective import acting_joints
 from adaptsim_jax.core.errors import BadInput

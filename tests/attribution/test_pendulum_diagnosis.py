@@ -16,14 +16,15 @@ from scipy.optimize import least_squares
 import adaptsim_jax
 from adaptsim_jax import diagnose
 from adaptsim_jax.attribution import pendulum_diagnosis
-from adaptsim_jax.attribution.diagnose import declared_vector
+from adaptsim_jax.attribution.candidates import candidates
 from adaptsim_jax.attribution.estimate import fit
-from adaptsim_jax.attribution.held_out import modelled, over_floor
+from adaptsim_jax.attribution.fitted import over_floor
+from adaptsim_jax.attribution.held_out import modelled
 from adaptsim_jax.attribution.parameters import inertias
 from adaptsim_jax.attribution.pendulum import LINK, base_parameters, declared_machine, in_the_plane
 from adaptsim_jax.attribution.pendulum_diagnosis import first_parameters
+from adaptsim_jax.attribution.posed import declared_vector
 from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
-from adaptsim_jax.attribution.score import candidates
 from adaptsim_jax.attribution.tree_objective import TreeObjective
 from adaptsim_jax.diagnosis import Effect, Parameter, catalogue, read_model
 from adaptsim_jax.diagnosis.criteria import Criteria

@@ -3,18 +3,19 @@
 import numpy as np
 import pytest
 
-from adaptsim_jax.attribution.diagnose import declared_vector, diagnose
+from adaptsim_jax.attribution.candidates import candidates
+from adaptsim_jax.attribution.diagnose import diagnose
 from adaptsim_jax.attribution.equation.balance import balances, ramp
 from adaptsim_jax.attribution.equation.columns import EffectTable
-from adaptsim_jax.attribution.equation.filed import without_bodies
+from adaptsim_jax.attribution.equation.confirmed import without_bodies
 from adaptsim_jax.attribution.equation.models import part_of
 from adaptsim_jax.attribution.equation.rubbing import giving, rubbing
 from adaptsim_jax.attribution.forecast import fitted_starts
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.parameters import Vector
+from adaptsim_jax.attribution.posed import declared_vector
 from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
 from adaptsim_jax.attribution.replay import replay
-from adaptsim_jax.attribution.score import candidates
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from tests.attribution.servo_logs import servo_log

@@ -8,13 +8,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from adaptsim_jax.attribution.candidates import JointCandidate
 from adaptsim_jax.attribution.equation import balance, balance_objective
-from adaptsim_jax.attribution.equation.balance_evidence import BalanceEvidence, steadiness
-from adaptsim_jax.attribution.equation.balance_objective import BalanceObjective
+from adaptsim_jax.attribution.equation.balance_objective import (
+    BalanceEvidence,
+    BalanceObjective,
+    steadiness,
+)
 from adaptsim_jax.attribution.equation.searched import Searched, ranked
 from adaptsim_jax.attribution.equation.solve import compared, rows_of
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, Entry, Vector
-from adaptsim_jax.attribution.score import JointCandidate
 from adaptsim_jax.diagnosis.criteria import Criteria, TorqueCriteria
 from adaptsim_jax.diagnosis.rules import refusal
 from adaptsim_jax.diagnosis.testing import false_discovery

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from adaptsim_jax.attribution.candidates import JointCandidate
 from adaptsim_jax.attribution.parameters import Entry
-from adaptsim_jax.attribution.score import JointCandidate
 from adaptsim_jax.attribution.stretch_evidence import SimulatedEvidence, between_rows, steadiness
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.rules import MODEL, NAME, refusal

@@ -4,12 +4,13 @@ moving body.
 
 import pytest
 
-from adaptsim_jax.attribution.diagnose import declared_vector, diagnose
+from adaptsim_jax.attribution.diagnose import diagnose
 from adaptsim_jax.attribution.equation.balance import balances
-from adaptsim_jax.attribution.equation.filed import without_bodies
+from adaptsim_jax.attribution.equation.confirmed import without_bodies
 from adaptsim_jax.attribution.equation.models import search_balances
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.parameters import DAMPING_STEP
+from adaptsim_jax.attribution.posed import declared_vector
 from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.joints.catalogue import MACHINE

@@ -7,14 +7,14 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
+from adaptsim_jax.attribution.candidates import candidates
 from adaptsim_jax.attribution.criteria import BALANCE
-from adaptsim_jax.attribution.diagnose import declared_vector
 from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.equation.commands import servos
-from adaptsim_jax.attribution.equation.filed import without_bodies
+from adaptsim_jax.attribution.equation.confirmed import without_bodies
 from adaptsim_jax.attribution.load import load
+from adaptsim_jax.attribution.posed import declared_vector
 from adaptsim_jax.attribution.problem import held, own_inertia, scaled_reach
-from adaptsim_jax.attribution.score import candidates
 from adaptsim_jax.attribution.sentences import standing
 from tests.attribution.test_rubbing import finger_log, prepared
 

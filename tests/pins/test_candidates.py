@@ -12,9 +12,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from adaptsim_jax.attribution.equation.search import separable_candidates
+from adaptsim_jax.attribution.candidates import candidates
+from adaptsim_jax.attribution.equation.models import separable_candidates
 from adaptsim_jax.attribution.problem import nuisances, own_inertia, prepare, scaled_reach
-from adaptsim_jax.attribution.score import candidates
 from adaptsim_jax.attribution.stretches import JointTrack
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.joints.catalogue import MACHINE

@@ -7,20 +7,25 @@ from typing import Any
 import numpy as np
 import pytest
 
-from adaptsim_jax.attribution.diagnose import declared_vector, posed
+from adaptsim_jax.attribution.candidates import JointCandidate, candidates
 from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.equation.columns import EffectTable
-from adaptsim_jax.attribution.equation.models import part_of
-from adaptsim_jax.attribution.equation.search import search_group, separable_candidates, within
+from adaptsim_jax.attribution.equation.models import (
+    part_of,
+    search_group,
+    separable_candidates,
+    within,
+)
 from adaptsim_jax.attribution.equation.searched import Searched
-from adaptsim_jax.attribution.linear import linear
+from adaptsim_jax.attribution.estimate import linear
+from adaptsim_jax.attribution.fitted import Selection
 from adaptsim_jax.attribution.load import load
-from adaptsim_jax.attribution.parameters import Vector
-from adaptsim_jax.attribution.paths import run, starts_of
+from adaptsim_jax.attribution.parameters import TreeFit, Vector
+from adaptsim_jax.attribution.paths import losses, run, starts_of, weigh
+from adaptsim_jax.attribution.posed import declared_vector, posed
 from adaptsim_jax.attribution.problem import TreeProblem, own_inertia, scaled_reach
-from adaptsim_jax.attribution.score import JointCandidate, candidate_columns, candidates, table
-from adaptsim_jax.attribution.select import Selection, select
-from adaptsim_jax.attribution.weights import TreeFit, losses, weigh
+from adaptsim_jax.attribution.score import candidate_columns, table
+from adaptsim_jax.attribution.select import select
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Finding
 from adaptsim_jax.diagnosis.starts import problem_of

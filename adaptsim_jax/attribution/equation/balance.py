@@ -14,8 +14,7 @@ import scipy.sparse
 
 from adaptsim_jax.attribution.acting import JointMotion, Values, actuated
 from adaptsim_jax.attribution.criteria import BALANCE, WINDOW
-from adaptsim_jax.attribution.equation.limits import limited
-from adaptsim_jax.attribution.equation.windows import runs_of
+from adaptsim_jax.attribution.equation.windows import limited, runs_of
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import Group, TreeProblem, group_inertia, held, values_of
 from adaptsim_jax.attribution.stretches import JointTrack

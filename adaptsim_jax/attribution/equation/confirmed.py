@@ -8,28 +8,31 @@ may be simulated worse with a name than without. Where it tells nothing it has n
 simulate worse with right frictions.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from adaptsim_jax.attribution.candidates import JointCandidate, adjacent
 from adaptsim_jax.attribution.criteria import CONFIRMATION
-from adaptsim_jax.attribution.equation.models import TorqueSearch, model_of, without
+from adaptsim_jax.attribution.equation.models import GroupSearch, TorqueSearch, model_of, without
+from adaptsim_jax.attribution.fitted import FittedTree, held_error, over_floor
 from adaptsim_jax.attribution.forecast import without_a_model
-from adaptsim_jax.attribution.held_out import FittedTree, held_error, over_floor, paired
-from adaptsim_jax.attribution.nested_models import adjacent
+from adaptsim_jax.attribution.held_out import paired
+from adaptsim_jax.attribution.parameters import Vector
+from adaptsim_jax.attribution.paths import losses
 from adaptsim_jax.attribution.problem import TreeProblem
-from adaptsim_jax.attribution.score import JointCandidate
 from adaptsim_jax.attribution.stretch_evidence import eased, worth
-from adaptsim_jax.attribution.weights import losses
 from adaptsim_jax.core.parallel import parallel_map
+from adaptsim_jax.diagnosis.alternatives import preferred
 from adaptsim_jax.diagnosis.criteria import FOLD, Criteria
 from adaptsim_jax.diagnosis.finding import Step
 from adaptsim_jax.diagnosis.folds import pieces
 from adaptsim_jax.diagnosis.objective import Objective
 from adaptsim_jax.diagnosis.rules import Evidence, refusal, step_reason
 from adaptsim_jax.diagnosis.search import backward_elimination
-from adaptsim_jax.diagnosis.testing import Test, paired_test
+from adaptsim_jax.diagnosis.testing import Test, log_ratio, paired_test, share
+from adaptsim_jax.effects.joints.catalogue import OWN
 
 
 def confirmed(
@@ -273,3 +276,71 @@ def _gone(less: TorqueSearch) -> TorqueSearch:
         return tuple(k for k in w.named if any(k.candidate is c for c in w.added))
 
     return replace(less, searches=tuple(replace(w, named=names(w)) for w in less.searches))
+
+
+FITTED = tuple(e.name for e in OWN if e.traits.fitted)
+
+
+def without_bodies(null: Vector) -> Vector:
+    """The entries without bodies and damping, which stay as the file has them."""
+    return null.without([e.key for e in null.entries if e.owner in FITTED])
+
+
+def searched(
+    problem: TreeProblem, search: Callable[[Vector], TorqueSearch], null: Vector, criteria: Criteria
+) -> tuple[TorqueSearch, TorqueSearch, bool]:
+    """`(found, usual, asked)`: what is found with the file's bodies or with fitted ones. What is
+    found with fitted ones, where these were sought. Whether simulation was asked of each name.
+    search: along the motion, with the entries of a vector fitted.
+
+    Fitted bodies (hundreds of numbers of a humanoid) are not sought where the file's simulate
+    left-out stretches to within the noise with one name at most, for they cannot do better, nor of
+    a machine of very many joints. Else the file's are taken where they tell left-out torques as
+    well, by no more names that simulation bears out (where fitted ones have taken all of it up, by
+    a few). A command error shows more than any motion does, and it is enough that left-out
+    stretches are simulated as well, or to within the noise.
+    """
+    held = search(without_bodies(null))
+    model, own = model_of(problem, held, held.final, held.added), None
+    if over_floor(problem, model) <= criteria.explained:
+        own = confirmed(problem, held, model, criteria)
+        if len(own.named) <= 1:
+            return own, held, True
+    if problem.joints > criteria.torque.whole:
+        return own or held, held, own is not None
+    free = search(null)
+    other = model_of(problem, free, free.final, free.added)
+    if not own and not enough(problem, (held, free), (model, other), criteria):
+        return free, free, False
+    own = own or confirmed(problem, held, model, criteria)
+    fitted = confirmed(problem, free, other, criteria)
+    return (
+        (own if len(own.named) <= (len(fitted.named) or criteria.torque.file_names) else fitted),
+        free,
+        True,
+    )
+
+
+def enough(
+    problem: TreeProblem,
+    found: tuple[TorqueSearch, TorqueSearch],
+    models: tuple[FittedTree, FittedTree],
+    criteria: Criteria,
+) -> bool:
+    """Whether the file's bodies predict as well as fitted ones: what was found with both, and the
+    models of it.
+    """
+    d = np.concatenate([_worse(*both) for both in zip(*(s.searches for s in found), strict=True)])
+    if share(d) < criteria.torque.gain:
+        return True
+    own, other = models
+    if over_floor(problem, own) <= criteria.explained:
+        return True
+    test = paired(problem, own.held.loss, losses(problem, other.held.paths, own.fit.weights))
+    return not preferred(test, criteria.size, criteria.confidence)
+
+
+def _worse(held: GroupSearch, free: GroupSearch) -> np.ndarray:
+    """Logarithms [B] of what the first leaves of left-out blocks over what the second does."""
+    loss = [free.rows.loss(w.whole.left_out(w.rows)).mean(1) for w in (held, free)]
+    return log_ratio(*loss)

@@ -15,7 +15,7 @@ import numpy as np
 
 from adaptsim_jax.attribution.equation.balance import Balance, ahead_of
 from adaptsim_jax.attribution.equation.balance_objective import likely_first
-from adaptsim_jax.attribution.equation.search import separable_candidates
+from adaptsim_jax.attribution.equation.models import separable_candidates
 from adaptsim_jax.attribution.equation.searched import Searched
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import TreeProblem
