@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.attribution.criteria import PRIOR_WIDTH, STRETCH
-from adaptsim_jax.attribution.diagnose import HORIZON
+from adaptsim_jax.attribution.criteria import CHOICE, PRIOR_WIDTH, STRETCH
 from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.equation.commands import drive_gains
 from adaptsim_jax.attribution.estimate import fit
@@ -40,7 +39,7 @@ class DiagnosisSetting:
     """
 
     criteria: Criteria = field(default_factory=Criteria)
-    horizon: float = HORIZON
+    horizon: float = CHOICE.horizon
     exclude: tuple[str, ...] = ()
     effects: Sequence[Effect] | None = None
     objective: str | None = None
