@@ -57,7 +57,7 @@ import numpy as np
 
 from adaptsim_jax import cli
 from adaptsim_jax.attribution import mend
-from adaptsim_jax.attribution.diagnose import declared_vector, excluded_of, posed
+from adaptsim_jax.attribution.posed import declared_vector, excluded_of, posed
 from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.equation.columns import EffectTable
 from adaptsim_jax.attribution.equation.models import separable_candidates

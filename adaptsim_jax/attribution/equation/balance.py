@@ -134,14 +134,10 @@ def balances(
             & _reported(made, values, trusted)
             & ~np.isin(own, problem.unlike)[:, None]
         )
-        moves = np.maximum(
-            mean @ np.concatenate([r.clear for r in runs], 1).T, BALANCE.still_weight
-        )
-        out.append(
-            replace(
-                made, clear=np.where(mean @ (~sure).T < BALANCE.pushed, moves, BALANCE.no_weight)
-            )
-        )
+        clear = np.concatenate([r.clear for r in runs], 1)
+        moves = np.maximum(mean @ clear.T, BALANCE.still_weight)
+        certain = mean @ (~sure).T < BALANCE.pushed
+        out.append(replace(made, clear=np.where(certain, moves, BALANCE.no_weight)))
     return tuple(out)
 
 
