@@ -245,9 +245,10 @@ def _beyond_balance(q: Inquiry, torques: Balanced, by_torque: Examined) -> Exami
     )
     if not candidates(rest, torques.words.final, torques.reach):
         return None
-    hint = _hint_of(q, by_torque.by_torque)
-    found = select(rest, q.null, q.criteria, q.notify, q.keep, hint)
-    if all(problem.effect(n.candidate.effect).in_balance for n in found.named):
+    # what the balance found stays on disk meanwhile: `keep` is not called
+    found = select(rest, q.null, q.criteria, q.notify, hint=_hint_of(q, by_torque.by_torque))
+    worse = over_floor(problem, found.final) >= over_floor(problem, by_torque.found.final)
+    if worse or all(problem.effect(n.candidate.effect).in_balance for n in found.named):
         return None
     before, after = (q.simulated(m) for m in (found.null, found.final))
     why = "what simulated stretches show no balance of torques can"
