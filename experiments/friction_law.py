@@ -20,7 +20,7 @@ from adaptsim_jax.attribution.equation.models import part_of, within
 from adaptsim_jax.attribution.equation.rubbing import gains, given, giving, rubbing
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.posed import declared_vector
-from adaptsim_jax.attribution.problem import held, own_inertia, prepare, scaled_reach
+from adaptsim_jax.attribution.problem import held, own_inertia, scaled_reach
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.testing import sign_flip
 from adaptsim_jax.effects.joints.catalogue import MACHINE
@@ -29,8 +29,7 @@ from adaptsim_jax.effects.joints.catalogue import MACHINE
 def shown(folder: Path) -> str:
     """A line of a recording."""
     machine = load(folder, None)
-    args = machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear
-    problem = prepare(*args, declared=machine.declared)
+    problem = machine.problem(MACHINE)
     null = declared_vector(machine, problem)
     reach = scaled_reach(problem, *own_inertia(problem, null))
     told, soft = balances(problem, machine.tracks), giving(problem, machine.tree)

@@ -20,7 +20,7 @@ from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import INERTIA, Vector
 from adaptsim_jax.attribution.posed import declared_vector, factor_of
-from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
+from adaptsim_jax.attribution.problem import own_inertia, scaled_reach
 from adaptsim_jax.attribution.sentences import place
 from adaptsim_jax.core import process
 from adaptsim_jax.diagnosis.criteria import Criteria
@@ -28,14 +28,7 @@ from adaptsim_jax.effects.joints.catalogue import MACHINE
 
 
 def prepared(machine: Machine):
-    problem = prepare(
-        machine.tree,
-        machine.tracks,
-        MACHINE,
-        machine.actuator,
-        machine.gear,
-        declared=machine.declared,
-    )
+    problem = machine.problem(MACHINE)
     return problem, balances(problem, machine.tracks)
 
 

@@ -31,6 +31,7 @@ class StretchCriteria:
     look_back: float = 0.012
     # rows of a part of a trial between rows without angles, that is regressed by itself
     min_part_rows: int = 64
+    max_count: int = 192  # stretches of a fit: more cost time and tell little more
     outlying: float = 3.0  # times the median error of a stretch, from which on it counts less
 
 

@@ -5,9 +5,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from adaptsim_jax.attribution.criteria import RANGE
-from adaptsim_jax.attribution.problem import beyond_range
+from adaptsim_jax.attribution.criteria import CHOICE, RANGE, STRETCH
+from adaptsim_jax.attribution.problem import TreeProblem, beyond_range, prepare
 from adaptsim_jax.attribution.stretches import JointTrack
+from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.effects.joints.actuator import ACTUATOR_LAG, DELAY
 from adaptsim_jax.logs.log import Log, check_left_out
 from adaptsim_jax.mechanisms.mjcf import Mechanism
@@ -65,6 +66,33 @@ class Machine:
     @property
     def tree(self) -> Tree:
         return self.mechanism.tree
+
+    def problem(
+        self,
+        effects: Sequence[Effect],
+        horizon: float = CHOICE.horizon,
+        most: int = STRETCH.max_count,
+        look_back: float = 0.0,
+    ) -> TreeProblem:
+        """The recording in stretches.
+
+        Args:
+            effects: that may be fitted.
+            horizon: length of a stretch, s; most: stretches at most.
+            look_back: s from each stretch's start whose readings do not count.
+        """
+        return prepare(
+            self.tree,
+            self.tracks,
+            effects,
+            self.actuator,
+            self.gear,
+            horizon,
+            most,
+            self.declared,
+            look_back,
+            self.ties,
+        )
 
     def without(self, names: Sequence[str]) -> "Machine":
         """Without these trials. Raises BadInput where one is not there, or none is left."""

@@ -16,7 +16,7 @@ from adaptsim_jax.attribution.fitted import Hint
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.measures import NAMES
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, Entry, Vector
-from adaptsim_jax.attribution.problem import TreeProblem, held, nuisances, own_inertia, prepare
+from adaptsim_jax.attribution.problem import TreeProblem, held, nuisances, own_inertia
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.base import Effect
@@ -108,17 +108,7 @@ def excluded_of(
 
 def posed(machine: Machine, effects: Sequence[Effect], horizon: float) -> TreeProblem:
     """The problem of a machine in stretches of `horizon` s."""
-    problem = prepare(
-        machine.tree,
-        machine.tracks,
-        effects,
-        machine.actuator,
-        machine.gear,
-        horizon,
-        declared=machine.declared,
-        look_back=STRETCH.look_back,
-        ties=machine.ties,
-    )
+    problem = machine.problem(effects, horizon, look_back=STRETCH.look_back)
     names = machine.tree.joint_names
     return replace(problem, unlike=tuple(names.index(j) for j in machine.log.unlike if j in names))
 
@@ -141,15 +131,7 @@ def scaled(machine: Machine, horizon: float) -> Machine:
         return machine
     if (law := by_torque(machine)) is not None:
         return replace(machine, actuator=law, gain_estimated=True)
-    problem = prepare(
-        machine.tree,
-        machine.tracks,
-        MACHINE,
-        machine.actuator,
-        machine.gear,
-        horizon,
-        declared=machine.declared,
-    )
+    problem = replace(machine, ties=None).problem(MACHINE, horizon)
     vector = fit(problem, declared_vector(machine, problem), rounds=15).vector
     law = machine.actuator.copy()
     for e, value in zip(vector.entries, vector.values, strict=True):
@@ -165,14 +147,7 @@ def by_torque(machine: Machine) -> np.ndarray | None:
     """
     if machine.tree.linear:
         return None
-    problem = prepare(
-        machine.tree,
-        machine.tracks,
-        MACHINE,
-        machine.actuator,
-        machine.gear,
-        declared=machine.declared,
-    )
+    problem = replace(machine, ties=None).problem(MACHINE)
     law = machine.actuator.copy()
     for b in balances(problem, machine.tracks):
         for joint, gain in drive_gains(problem, b).items():

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from adaptsim_jax.attribution.acting import ActingModel, Values
-from adaptsim_jax.attribution.criteria import RANGE
+from adaptsim_jax.attribution.criteria import CHOICE, RANGE, STRETCH
 from adaptsim_jax.attribution.parameters import (
     DAMPING_STEP,
     INERTIA,
@@ -93,8 +93,8 @@ def prepare(
     effects: Sequence[Effect],
     actuator: np.ndarray | None = None,
     gear: np.ndarray | None = None,
-    horizon: float = 0.5,
-    most: int = 192,
+    horizon: float = CHOICE.horizon,
+    most: int = STRETCH.max_count,
     declared: Mapping[tuple[str, str], np.ndarray] | None = None,
     look_back: float = 0.0,
     ties: np.ndarray | None = None,

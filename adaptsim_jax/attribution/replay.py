@@ -31,7 +31,7 @@ from adaptsim_jax.attribution.measures import (
     predicts_nothing,
 )
 from adaptsim_jax.attribution.parameters import Vector
-from adaptsim_jax.attribution.problem import TreeProblem, prepare
+from adaptsim_jax.attribution.problem import TreeProblem
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.diagnosis.recommended import FileReplay, worse_joints
 from adaptsim_jax.effects.joints.catalogue import MACHINE
@@ -149,17 +149,7 @@ def replay(
     span = min(
         horizon or 0.98 * min(float(t.time[-1] - t.time[0]) for t in machine.tracks), longest
     )
-    problem = prepare(
-        machine.tree,
-        machine.tracks,
-        MACHINE,
-        machine.actuator,
-        machine.gear,
-        span,
-        100_000,
-        machine.declared,
-        ties=machine.ties,
-    )
+    problem = machine.problem(MACHINE, span, 100_000)
     problem = giving(problem, machine.tree) if machine.gives else problem
     vector = vector if vector is not None else Vector((), np.zeros(0))
     found = replayed(problem, vector, span)

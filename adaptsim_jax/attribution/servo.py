@@ -35,15 +35,7 @@ def calibrated(machine: Machine, horizon: float) -> tuple[Machine, tuple[Servo, 
     """
     if not np.any(machine.actuator[2] != 0.0) or machine.tree.linear:
         return machine, ()
-    problem = prepare(
-        machine.tree,
-        machine.tracks,
-        MACHINE,
-        machine.actuator,
-        machine.gear,
-        horizon,
-        declared=machine.declared,
-    )
+    problem = replace(machine, ties=None).problem(MACHINE, horizon)
     found = [
         s for b in balances(problem, machine.tracks, trusted=False) for s in servos(problem, b)
     ]

@@ -11,7 +11,6 @@ from adaptsim_jax.attribution.diagnose import diagnose
 from adaptsim_jax.attribution.fitted import Selection, over_floor
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.posed import declared_vector
-from adaptsim_jax.attribution.problem import prepare
 from adaptsim_jax.attribution.replay import replay_files
 from adaptsim_jax.attribution.select import declared, select_shorter
 from adaptsim_jax.diagnosis.criteria import Criteria
@@ -216,14 +215,7 @@ def test_of_effects_that_do_as_well_the_simplest_has_the_name(tmp_path):
 @pytest.mark.slow
 def test_over_the_beginnings_of_stretches_friction_is_found_too(tmp_path):
     machine = load(record(tmp_path / "rub", friction=0.4), None)
-    problem = prepare(
-        machine.tree,
-        machine.tracks,
-        MACHINE,
-        machine.actuator,
-        machine.gear,
-        declared=machine.declared,
-    )
+    problem = machine.problem(MACHINE)
     null, criteria = declared_vector(machine, problem), Criteria()
     model = declared(problem, null, criteria)
     nothing = Selection(model, model, (), (), (), stages=(model,), last=(), reach=problem.reach)

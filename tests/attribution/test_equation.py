@@ -39,14 +39,7 @@ HEAVY = """<mujoco><compiler angle="radian"/><option gravity="0 0 0"/><worldbody
 
 def prepared(folder, model=None):
     machine = load(folder, model)
-    problem = prepare(
-        machine.tree,
-        machine.tracks,
-        MACHINE,
-        machine.actuator,
-        machine.gear,
-        declared=machine.declared,
-    )
+    problem = machine.problem(MACHINE)
     return machine, problem, balances(problem, machine.tracks)
 
 

@@ -18,7 +18,7 @@ from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, Entry, Vector
 from adaptsim_jax.attribution.paths import run, starts_of
 from adaptsim_jax.attribution.posed import declared_vector
-from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
+from adaptsim_jax.attribution.problem import own_inertia, scaled_reach
 from adaptsim_jax.attribution.stretches import JointTrack
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.joints.catalogue import MACHINE
@@ -51,14 +51,7 @@ def arm_log(folder, rotor=0.1, mass=2.0, trials=3, axis="0 1 0", limit="", late=
 def searched(folder):
     """The problem, and what is found with fitted bodies and with those of the file."""
     machine = load(folder, None)
-    problem = prepare(
-        machine.tree,
-        machine.tracks,
-        MACHINE,
-        machine.actuator,
-        machine.gear,
-        declared=machine.declared,
-    )
+    problem = machine.problem(MACHINE)
     null, told = declared_vector(machine, problem), balances(problem, machine.tracks)
     reach = scaled_reach(problem, *own_inertia(problem, null))
     return problem, *(
@@ -75,14 +68,7 @@ def good(problem, held, free):
 
 def test_damping_by_another_speed_leaves_a_joint_some_of_its_weight(tmp_path):
     machine = load(arm_log(tmp_path / "arm", trials=1), None)
-    problem = prepare(
-        machine.tree,
-        machine.tracks,
-        MACHINE,
-        machine.actuator,
-        machine.gear,
-        declared=machine.declared,
-    )
+    problem = machine.problem(MACHINE)
     vector = without_bodies(declared_vector(machine, problem))
     (entry,) = vector.entries
     assert -0.25 / 200 < entry.low < 0.0 < entry.high == pytest.approx(0.25 / 200)
@@ -157,14 +143,7 @@ def test_what_a_limit_leaves_of_the_spikes_of_a_held_command(load):
 def test_where_limits_cut_much_of_the_spikes_nothing_is_told(tmp_path):
     folder = arm_log(tmp_path / "limited", limit='forcerange="-12 12"')
     machine = load(folder, None)
-    problem = prepare(
-        machine.tree,
-        machine.tracks,
-        MACHINE,
-        machine.actuator,
-        machine.gear,
-        declared=machine.declared,
-    )
+    problem = machine.problem(MACHINE)
     (b,) = balances(problem, machine.tracks)
     spike = b.averaged(np.abs(KP * b.jump))
     fast, slow = spike[:, 2] > 30.0, spike[:, 2] < 8.0

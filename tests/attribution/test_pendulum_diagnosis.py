@@ -24,7 +24,7 @@ from adaptsim_jax.attribution.parameters import inertias
 from adaptsim_jax.attribution.pendulum import LINK, base_parameters, declared_machine, in_the_plane
 from adaptsim_jax.attribution.pendulum_diagnosis import first_parameters
 from adaptsim_jax.attribution.posed import declared_vector
-from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
+from adaptsim_jax.attribution.problem import own_inertia, scaled_reach
 from adaptsim_jax.attribution.tree_objective import TreeObjective
 from adaptsim_jax.diagnosis import Effect, Parameter, catalogue, read_model
 from adaptsim_jax.diagnosis.criteria import Criteria
@@ -78,14 +78,7 @@ def test_an_effect_at_all_joints_stays_where_it_is(tmp_path):
         written(tmp_path, make_trials(3, 4, 2.0, 100.0, noise=0.2, extra=rubbing, velocity=False))
     )
     machine = declared_machine(recording, first_parameters(recording), tmp_path / "declared.xml")
-    problem = prepare(
-        machine.tree,
-        machine.tracks,
-        MACHINE,
-        machine.actuator,
-        machine.gear,
-        declared=machine.declared,
-    )
+    problem = machine.problem(MACHINE)
     null = in_the_plane(declared_vector(machine, problem))
     reach = scaled_reach(problem, *own_inertia(problem, null))
     (both,) = [
@@ -113,14 +106,7 @@ def test_play_begins_at_what_was_read_with_the_link_at_either_end(tmp_path):
         trial.q[:, 0] = read_with_play(trial.q[:, 0], 0.075)
     recording = read_pendulum(written(tmp_path, trials))
     machine = declared_machine(recording, np.array(TRUE), tmp_path / "declared.xml")
-    problem = prepare(
-        machine.tree,
-        machine.tracks,
-        MACHINE,
-        machine.actuator,
-        machine.gear,
-        declared=machine.declared,
-    )
+    problem = machine.problem(MACHINE)
     null = in_the_plane(declared_vector(machine, problem))
     every = candidates(problem, null, scaled_reach(problem, *own_inertia(problem, null)))
     play = next(c for c in every if c.effect == "backlash" and c.joints == (0,))

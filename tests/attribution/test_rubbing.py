@@ -14,7 +14,7 @@ from adaptsim_jax.attribution.forecast import fitted_starts
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.posed import declared_vector
-from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
+from adaptsim_jax.attribution.problem import own_inertia, scaled_reach
 from adaptsim_jax.attribution.replay import replay
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.joints.catalogue import MACHINE
@@ -41,8 +41,7 @@ def finger_log(folder, law="", near=0.1, noise=1e-4, declared=(0.1, 0.08)):
 
 def prepared(folder):
     machine = load(folder, None)
-    args = machine.tree, machine.tracks, MACHINE, machine.actuator, machine.gear
-    return machine, prepare(*args, declared=machine.declared)
+    return machine, machine.problem(MACHINE)
 
 
 def shown(folder) -> bool:

@@ -11,7 +11,7 @@ from adaptsim_jax.attribution.equation.models import search_balances
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.parameters import DAMPING_STEP
 from adaptsim_jax.attribution.posed import declared_vector
-from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
+from adaptsim_jax.attribution.problem import own_inertia, scaled_reach
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from tests.attribution.servo_logs import servo_log
@@ -31,14 +31,7 @@ ARMS = f"""<mujoco><compiler angle="radian"/><option timestep="{STEP}"/><worldbo
 
 def test_a_simulators_steps_are_no_effect_of_either_arm(tmp_path):
     machine = load(servo_log(tmp_path / "log", ARMS, ARMS, 4), None)
-    problem = prepare(
-        machine.tree,
-        machine.tracks,
-        MACHINE,
-        machine.actuator,
-        machine.gear,
-        declared=machine.declared,
-    )
+    problem = machine.problem(MACHINE)
     null = without_bodies(declared_vector(machine, problem))
     reach = scaled_reach(problem, *own_inertia(problem, null))
     found = search_balances(

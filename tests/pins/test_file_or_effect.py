@@ -16,7 +16,6 @@ from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.mend import changes
 from adaptsim_jax.attribution.parameters import Entry, Vector
 from adaptsim_jax.attribution.paths import ready, run, starts_of
-from adaptsim_jax.attribution.problem import prepare
 from adaptsim_jax.attribution.simulate import simulate
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.mend.mjcf import mended_mjcf
@@ -85,17 +84,7 @@ def folders(tmp_path_factory):
 
 
 def problem_of(machine, gives, horizon=0.25):
-    made = prepare(
-        machine.tree,
-        machine.tracks,
-        EFFECTS,
-        machine.actuator,
-        machine.gear,
-        horizon,
-        100,
-        machine.declared,
-        ties=machine.ties,
-    )
+    made = machine.problem(EFFECTS, horizon, 100)
     return giving(made, machine.tree) if gives else made
 
 
