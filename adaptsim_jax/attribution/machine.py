@@ -37,9 +37,6 @@ class Machine:
     declared: dict[tuple[str, str], np.ndarray] = field(
         default_factory=dict
     )  # delay and lag [n] of the file's actuators
-    gain_guess: np.ndarray = field(
-        default_factory=lambda: np.zeros(0)
-    )  # [n] where the search for an unknown gain begins
     ties: np.ndarray | None = None
     beyond: tuple[str, ...] = ()
     gain_estimated: bool = False  # whether weight and inertia of the file's bodies gave it

@@ -62,7 +62,6 @@ class TreeProblem:
     reach: Reach
     fold: np.ndarray
     folds: tuple[str, ...]
-    has_speed: bool
     declared: dict[
         tuple[str, str], np.ndarray
     ]  # (effect, parameter) -> [n] what the model file says
@@ -146,7 +145,6 @@ def prepare(
         _reach(tracks, actuator, gear, ties),
         fold,
         names,
-        bool(np.any(stretches.seen_v)),
         as_declared,
         noise(tracks),
         most=passing(tracks, actuator, gear, ties),

@@ -129,7 +129,6 @@ def test_of_a_stretch_only_the_beginning_is_seen():
         cast(Any, None),
         np.zeros(4, int),
         ("a",),
-        False,
         {},
         np.zeros(4),
     )
