@@ -17,7 +17,10 @@ from adaptsim_jax.attribution.torque_report import TorqueFound, by_torque, curve
 from adaptsim_jax.diagnosis.report import Account, report_of, withhold_names
 from adaptsim_jax.diagnosis.written import write_partial
 
-NOTHING = "This model predicts nothing: by no yardstick does it do better than what needs no model, and no effect is named."
+NOTHING = (
+    "This model predicts nothing: by no yardstick does it do better than what needs no model, and "
+    "no effect is named."
+)
 
 
 def account(e: Examined) -> Account:

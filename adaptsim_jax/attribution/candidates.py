@@ -147,39 +147,44 @@ def candidates(problem: TreeProblem, vector: Vector, reach: Reach) -> list[Joint
             continue
         grids = [(j, effect.grid_points(reach, j)) for j in free]
         if effect.place == "drive":
-            rotors = [
-                j
-                for j in free
-                if off_value(problem, ARMATURE.name, "inertia", j) > 0.0
-                or (ARMATURE.name, j) in taken
-            ]
-            # without a position controller it does not matter on which side that one's encoder is
-            grids = [
-                (j, [z for z in points if follows or z["link"] == z["control"]])
-                for j, points in grids
-                if j in rotors
-            ]
-
-        def make(joints, shared, effect=effect):
-            return entries_of(problem, reach, effect, joints, shared)
-
-        for j, points in grids:
-            if j in problem.unlike:
-                continue
-            for point in points:
-                out.append(
-                    JointCandidate(effect.name, (j,), "joint", make([j], False), _fixed(point))
-                )
-        if len(free) > 1 and effect.traits.family and not effect.shapes:
-            out.append(JointCandidate(effect.name, tuple(free), "all", make(free, False)))
-        if len(free) > 1 and effect.traits.shared:
-            for point in grids[0][1]:
-                out.append(
-                    JointCandidate(
-                        effect.name, tuple(free), "common", make(free, True), _fixed(point)
-                    )
-                )
+            grids = _of_drives(problem, grids, follows, taken)
+        out += _of_effect(problem, reach, effect, free, grids)
     return out
+
+
+def _of_effect(
+    problem: TreeProblem, reach: Reach, effect: Effect, free: Sequence[int], grids: Sequence[tuple]
+) -> list[JointCandidate]:
+    """An effect at each joint of the grids, at all free joints, and with one value for these."""
+
+    def make(joints, sharing, shape=()):
+        entries = entries_of(problem, reach, effect, joints, sharing == "common")
+        return JointCandidate(effect.name, tuple(joints), sharing, entries, shape)
+
+    out = [
+        make([j], "joint", _fixed(point))
+        for j, points in grids
+        if j not in problem.unlike
+        for point in points
+    ]
+    if len(free) < 2:
+        return out
+    if effect.traits.family and not effect.shapes:
+        out.append(make(free, "all"))
+    if effect.traits.shared:
+        out += [make(free, "common", _fixed(point)) for point in grids[0][1]]
+    return out
+
+
+def _of_drives(problem: TreeProblem, grids: Sequence[tuple], follows: bool, taken: set) -> list:
+    """Joints that have rotors, each with its points of an effect of the drive. Without a position
+    controller it does not matter on which side that one's encoder is.
+    """
+    return [
+        (j, [z for z in points if follows or z["link"] == z["control"]])
+        for j, points in grids
+        if off_value(problem, ARMATURE.name, "inertia", j) > 0.0 or (ARMATURE.name, j) in taken
+    ]
 
 
 def _free_joints(problem: TreeProblem, effect: Effect, taken: set[tuple[str, int]]) -> list[int]:

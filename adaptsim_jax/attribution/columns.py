@@ -452,6 +452,28 @@ class GroupColumns:
             )
         return self._made["carries"]
 
+    def _acts(self, force, e: Entry, shape: Shapes | None, at: int, on_links: np.ndarray):
+        """Add to `force` [W, L, F] what an entry of an effect does at the joint `at`.
+
+        Returns:
+            What it does to the output, [L+1, 2n, W] or None.
+        """
+        effect = self.problem.effect(e.owner)
+        if effect.place == "drive":
+            if self.gives[at]:
+                torque = self.spring(effect, e.name)[at].T
+                force[:, :, at] -= torque
+                force[:, :, on_links[at]] += torque
+            if shape is None or e.name not in shape:
+                return None
+            return self.alone(effect, e.name, shape)[0]
+        place, z = self.all_joints(effect, e.name, shape)
+        if place == "output":
+            return z
+        where = slice(None, self.n) if place == "pair" else at
+        force[:, :, where] += np.moveaxis(z[at], -1, 0).swapaxes(1, -1)
+        return None
+
     def stack(self, entries: Sequence[tuple[Entry, Shapes | None]]):
         """(force [W, L, F, K], output [W, L+1, 2n, K] or None) of some entries; zero where an entry
         is of another group. The F forces are on the n joints, and on the links of those whose
@@ -467,31 +489,14 @@ class GroupColumns:
             if e.owner == TILT:
                 force[:, :, on_links, k] = self.tilt(e.name).transpose(2, 1, 0)
                 continue
-            for j in e.joints:
-                if j not in self.group.joints:
-                    continue
+            for j in (j for j in e.joints if j in self.group.joints):
                 at = self.group.joints.index(j)
                 if e.owner == INERTIA:
                     force[:, :, on_links, k] += self.inertia(at, e.name).transpose(2, 1, 0)
                     continue
-                effect = self.problem.effect(e.owner)
-                if effect.place == "drive":
-                    if at in giving:
-                        torque = self.spring(effect, e.name)[at].T
-                        force[:, :, at, k] -= torque
-                        force[:, :, on_links[at], k] += torque
-                    if shape is None or e.name not in shape:
-                        continue
-                    z = self.alone(effect, e.name, shape)[0]
-                else:
-                    place, z = self.all_joints(effect, e.name, shape)
-                    if place != "output":
-                        if place == "pair":
-                            where = slice(None, self.n)
-                        else:
-                            where = at
-                        force[:, :, where, k] += np.moveaxis(z[at], -1, 0).swapaxes(1, -1)
-                        continue
+                z = self._acts(force[..., k], e, shape, at, on_links)
+                if z is None:
+                    continue
                 if output is None:
                     output = np.zeros((width, rows + 1, 2 * self.n, len(entries)))
                 for c in (at, self.n + at):

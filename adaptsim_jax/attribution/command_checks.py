@@ -50,8 +50,9 @@ def _check_units(machine: Machine) -> None:
         ):
             lines = f'q_{names[j]} = "{unit_found[0]}" and target_{names[j]} = "{unit_found[1]}"'
             raise BadInput(
-                f"{log.path}: the targets of {names[j]} look to be in {unit_found[1]} where its angles "
-                f"are in {unit_found[0]}; write {lines} under [units] in meta.toml; {AS_DECLARED}"
+                f"{log.path}: the targets of {names[j]} look to be in {unit_found[1]} where its "
+                f"angles are in {unit_found[0]}; write {lines} under [units] in meta.toml; "
+                f"{AS_DECLARED}"
             )
 
 
@@ -111,8 +112,8 @@ def _cut(joint: str, limit: Cut, unit: str) -> str:
             f"within = {{{joint} = {size:g}}}",
         )
     return (
-        f"the targets of {joint} are not what acted: it moves as if they were cut {phrase} on their "
-        f"way (of its acceleration {100 * limit.left:.0f} % is unexplained as recorded, "
+        f"the targets of {joint} are not what acted: it moves as if they were cut {phrase} on "
+        f"their way (of its acceleration {100 * limit.left:.0f} % is unexplained as recorded, "
         f"{100 * limit.other:.2g} % so); log what was sent, or write {line} under [commands] in "
         "meta.toml"
     )

@@ -122,7 +122,8 @@ def _weighed(machine: Machine, tracks: list[Track], declared: Design) -> tuple[A
         unit = f" ({UNITS[near]}?)"
     else:
         unit = ""
-    times = f"{float(f'{found.scale:.2g}'):g} times those that the masses of {machine.mechanism.path} need"
+    size = f"{float(f'{found.scale:.2g}'):g}"
+    times = f"{size} times those that the masses of {machine.mechanism.path} need"
     phrase = f"the torques that make this motion are {times}{unit}"
     mend = f"write masses in kg and torques in N m, or {_torque_unit(machine, found.scale)}"
     if angle := _angle_unit(machine, motion, declared, found.left):

@@ -147,8 +147,8 @@ def lost(machine: Machine, problem: TreeProblem, found: Selection) -> list[str]:
     ]
     if gone:
         return [
-            f"model.xml cannot hold {'; '.join(lines)}: only model.toml has the whole of the mended "
-            "model."
+            f"model.xml cannot hold {'; '.join(lines)}: only model.toml has the whole of the "
+            "mended model."
         ]
     return []
 
@@ -269,33 +269,37 @@ def _actuators(
         by_joint.setdefault(machine.tree.joint_names.index(name), []).append(name)
     gains = _found_gain(machine)
     out: dict[str, dict[str, float]] = {"gain": dict(gains)}
-    for j, times in machine.servo_times.items():
+    times = machine.servo_times
+    for j, factor in times.items():
         for name in by_joint[j]:
-            out.setdefault("kp", {})[name] = times
+            out.setdefault("kp", {})[name] = factor
             out.setdefault("kv", {})[name] = 0.0
     if machine.log.input_kind not in COMMANDED:
         return out
     changed = {(k.name, p): key for k in problem.effects for p, key in by_actuator(k).items()}
-    peak = dict(enumerate(problem.reach.peak)) | {
-        j: value
-        for e, value in zip(model.fit.vector.entries, model.fit.vector.values, strict=True)
-        for j in e.joints
-        if e.owner == SATURATION.name and e.name == "peak"
-    }
+    peak = _peaks(problem, model)
     for e, value in zip(model.fit.vector.entries, model.fit.vector.values, strict=True):
         key = changed.get((e.owner, e.name))
         for j in e.joints if key else ():
             for name in by_joint.get(j, ()):
-                if key == "kp" and j in machine.servo_times:
-                    out["kp"][name] = (1.0 + float(value)) * machine.servo_times[j]
-                elif key in ("gain", "kp"):
-                    found = gains.get(name, 1.0) if key == "gain" else 1.0
+                if key in ("gain", "kp"):
+                    found = gains.get(name, 1.0) if key == "gain" else times.get(j, 1.0)
                     out.setdefault(key, {})[name] = (1.0 + float(value)) * found
                 elif key == "limit":
                     out.setdefault(key, {})[name] = float((1.0 - value) * peak[j])
                 elif key in ("delay", "lag") and value > 0.0:
                     out.setdefault(key, {})[name] = float(value)
     return out
+
+
+def _peaks(problem: TreeProblem, model: FittedTree) -> dict[int, float]:
+    """Peak of the force of each joint's actuator, N m: the fitted one where there is one."""
+    return dict(enumerate(problem.reach.peak)) | {
+        j: value
+        for e, value in zip(model.fit.vector.entries, model.fit.vector.values, strict=True)
+        for j in e.joints
+        if e.owner == SATURATION.name and e.name == "peak"
+    }
 
 
 def _lost(problem: TreeProblem, model: FittedTree, named: FittedTree) -> list[str]:

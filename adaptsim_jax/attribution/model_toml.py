@@ -2,11 +2,11 @@
 effect that is named.
 
     model = "declared.xml"
-    friction = "gives"               # where dry friction does, as MuJoCo's: in a simulator's log
-    [inertial]                       # by joint, in its frame: m, m cx, m cy, m cz, Ixx .. Izz (kg, m)
+    friction = "gives"             # where dry friction does, as MuJoCo's: in a simulator's log
+    [inertial]                     # by joint, in its frame: m, m cx, m cy, m cz, Ixx .. Izz (kg, m)
     elbow = [1.0, 0.1, ...]
-    [gain]                           # torque over volts or amperes by joint, where it had to be found
-    [servo]                          # factors on the file's kp by joint, likewise
+    [gain]                         # torque over volts or amperes by joint, where it had to be found
+    [servo]                        # factors on the file's kp by joint, likewise
 
 The rest is as every `model.toml` has it (`mend/model_toml.py`); an effect's `where` is a joint, or
 "base". `model.xml` says the same as far as MJCF can.

@@ -58,7 +58,10 @@ def check_pace(machine: Machine, tracks: list[Track], design: Design) -> tuple[A
         raise BadInput(f"{machine.log.path}: {phrase}; {mend}; {AS_DECLARED}")
     if not all(t.path.endswith(".parquet") for t in machine.log.trials) or not even:
         return ()
-    text = f"{phrase}; {mend}. Or the rotors have inertia that the model lacks: one joint alone cannot tell the two apart"
+    text = (
+        f"{phrase}; {mend}. Or the rotors have inertia that the model lacks: one joint alone "
+        "cannot tell the two apart"
+    )
     return (AuditFinding("pace", "warn", "", "time", text, factor),)
 
 
@@ -157,8 +160,8 @@ def amperes(machine: Machine, tracks: list[Track], design: Design) -> tuple[Audi
     factors = ", ".join(f"{float(f'{x:.2g}'):g} at {names[j]}" for j, x in need.items())
     lines = ", ".join(f'i_{names[j]} = "{_column(machine, j)}"' for j in need)
     text = (
-        f"the masses of {machine.mechanism.path} need {factors} times the logged efforts: are these "
-        f"currents (A), not torques? "
+        f"the masses of {machine.mechanism.path} need {factors} times the logged efforts: are "
+        f"these currents (A), not torques? "
         f'Then write input = "current" and, under [columns], {lines} in meta.toml, or the efforts '
         f"in N m"
     )

@@ -117,19 +117,15 @@ def prepare(
     gear = np.ones(n) if gear is None else np.asarray(gear, float)
     groups = []
     for joints in tied(subtrees(tree), ties):
-        part = _nameless(take(tree, joints))
-
-        def part_of(z, j=tuple(joints)):
-            return np.asarray(z)[..., list(j)]
-
+        part, some = _nameless(take(tree, joints)), list(joints)
         own = None if ties is None else ties[np.ix_(joints, joints)]
         groups.append(
             Group(
                 ActingModel(part, tuple(effects)),
                 tuple(joints),
                 stretches.of(joints),
-                part_of(actuator),
-                part_of(gear),
+                np.asarray(actuator)[..., some],
+                gear[..., some],
                 inertias(np.asarray(part.inertial)),
                 own if own is not None and np.any(own) else None,
             )

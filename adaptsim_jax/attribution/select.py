@@ -1,5 +1,5 @@
-"""The search for effects by simulated stretches: the declared model, its fit, and what the one search
-finds of it.
+"""The search for effects by simulated stretches: the declared model, its fit, and what the one
+search finds of it.
 """
 
 from collections.abc import Callable

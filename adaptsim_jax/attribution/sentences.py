@@ -233,8 +233,14 @@ def _early_commands(problem: TreeProblem, found: Selection) -> list[str]:
             1e3 * min(delays),
             f"their row (rows are {1e3 * problem.reach.dt:.3g} ms apart)",
         )
-        early = f"{-at:.2g} ms before {spacing}: they changed between rows, by a faster controller, or were logged that late"
-        late = f"{at:.2g} ms after {spacing}, or angles were logged that late: less than the log resolves"
+        early = (
+            f"{-at:.2g} ms before {spacing}: they changed between rows, by a faster controller, or "
+            "were logged that late"
+        )
+        late = (
+            f"{at:.2g} ms after {spacing}, or angles were logged that late: less than the log "
+            "resolves"
+        )
         return [
             f"Commands act {early}. {READ}"
             if at < 0.0

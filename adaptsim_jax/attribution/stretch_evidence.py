@@ -19,7 +19,7 @@ from adaptsim_jax.effects.joints.friction import COULOMB, PRESLIDING, VISCOUS
 
 @dataclass(frozen=True)
 class SimulatedEvidence(Evidence):
-    """Evidence of simulated stretches: a model and `less`, the one without a candidate, refitted."""
+    """Evidence of simulated stretches: a model, and `less` without a candidate, refitted."""
 
     problem: TreeProblem
     model: FittedTree

@@ -143,9 +143,9 @@ def headline(problem: TreeProblem, e: TorqueFound) -> Headline:
     worst = int(np.argmax(e.after.error / np.maximum(e.after.still, 1e-300)))
     return Headline(
         f"The declared model, fitted, misses {before} of the torque along the measured motion.",
-        f"{names[:1].upper()}{names[1:]}: held out by the torque along the measured motion, of which "
-        f"{before} is missing without and {after} with (left-out blocks, mean over joints; most is "
-        f"left at {problem.joint_names[worst]}, {e.after.error[worst]:.3g} of "
+        f"{names[:1].upper()}{names[1:]}: held out by the torque along the measured motion, of "
+        f"which {before} is missing without and {after} with (left-out blocks, mean over joints; "
+        f"most is left at {problem.joint_names[worst]}, {e.after.error[worst]:.3g} of "
         f"{e.after.still[worst]:.3g} {e.after.units[worst]}).",
         enough=Headline.none,
     )
@@ -178,9 +178,9 @@ def bound_notes(problem: TreeProblem, found: TorqueSearch) -> list[str]:
         return []
     return [
         f"The fit of the bodies moved by {', '.join(at)} ends at {INERTIAL.moved:g} times "
-        "(or a third of) what the model file says, and is held there: a rotor, a gain of the torques, a payload "
-        "or friction that is not in the catalogue would explain it; `[fit] factor` in meta.toml "
-        "widens it."
+        "(or a third of) what the model file says, and is held there: a rotor, a gain of the "
+        "torques, a payload or friction that is not in the catalogue would explain it; "
+        "`[fit] factor` in meta.toml widens it."
     ]
 
 

@@ -52,8 +52,6 @@ from adaptsim_jax.diagnosis.testing import Test
 from adaptsim_jax.effects.base import Reach
 
 DECLARED_ROUNDS = 15  # rounds of the declared model's fit: bounds its time
-
-"""Values and effects of another objective, to go on from."""
 Passes = Callable[[FittedTree, Test], bool]
 
 
@@ -271,8 +269,8 @@ class TreeObjective(Objective):
         return modelled(self.problem, (*before, acting), again)
 
     def members(self, model: FittedTree) -> tuple[FittedTree, Sequence[Step]]:
-        """Effects at many joints at those that show them: each joint is tested beside all else, as if
-        it were an effect of its own.
+        """Effects at many joints at those that show them: each joint is tested beside all else, as
+        if it were an effect of its own.
 
         Those that do not hold out go together; where that predicts worse, the weaker half.
         """
@@ -338,7 +336,7 @@ class TreeObjective(Objective):
     def simpler(
         self, model: FittedTree, rows: Sequence[Evidence]
     ) -> tuple[FittedTree, Sequence[Step]]:
-        """With a look-alike that has fewer parameters in the place of an effect: it has the name."""
+        """With a look-alike of fewer parameters in the place of an effect: it has the name."""
         self._rivals.clear()
         if not self.alike:
             return model, ()
@@ -367,9 +365,9 @@ class TreeObjective(Objective):
         return self._rivals[id(e)][1]
 
     def _instead(self, e: Evidence) -> list[FittedCandidate]:
-        """Of those that gain most without an effect at its joints or those beside them, and of those
-        that it is mistaken for. What describes without a law is no rival of one: it does nearly as
-        well as most.
+        """Of those that gain most without an effect at its joints or those beside them, and of
+        those that it is mistaken for. What describes without a law is no rival of one: it does
+        nearly as well as most.
         """
         problem, criteria, c, less = self.problem, self.criteria, e.candidate, e.less
         gained = paired(problem, less.held.loss, e.model.held.loss).gain

@@ -17,9 +17,9 @@ class TorqueCriteria:
     slowest: of a joint's usual speed: what sets in below is not told from what holds a joint still.
     worth: of a joint's torque, root mean square: an effect of less is not worth a name, and as much
         may be left of what is explained.
-    follower_worth: the same of bodies and encoders of a machine that follows commands: a payload is little of
-        what a shoulder carries, shows at all joints that carry it, and simulation has the last
-        word.
+    follower_worth: the same of bodies and encoders of a machine that follows commands: a payload is
+        little of what a shoulder carries, shows at all joints that carry it, and simulation has
+        the last word.
     share: of a controller's gain: what its damping takes is many times what the joint needs (a
         Panda's wrist: 400 N m of 0.8), and the speeds that this follows from are true to 0.1 or 0.2
         %.
@@ -32,8 +32,8 @@ class TorqueCriteria:
     whole: joints up to which a machine that follows commands has its bodies fitted, and is searched
         by simulation where what its command errors show leaves more than noise; of more either
         takes a quarter of an hour, and what is left is told.
-    file_names: names that a search with the file's bodies may have where one with fitted ones has none,
-        and be taken for it.
+    file_names: names that a search with the file's bodies may have where one with fitted ones has
+        none, and be taken for it.
     """
 
     tried: int = 6
@@ -63,8 +63,8 @@ class Criteria:
         take off.
     worth: least share of the squared error of some joint's angles (at least of the noise floor's
         square) that an effect must take off.
-    noise_share: of the error that the declared model leaves at a joint, the share below which what is
-        left counts as noise for `worth`.
+    noise_share: of the error that the declared model leaves at a joint, the share below which what
+        is left counts as noise for `worth`.
     described: the same of an effect that is no law but describes one (a torque that depends on the
         angle in any way).
     gap: share of the loss by which an alternative may be worse and still be told as doing as well;
@@ -89,21 +89,22 @@ class Criteria:
         still be fitted.
     matters: of the size that matters of a quantity (its scale). An effect that changes all of its
         quantities by less is no name.
-    worse_share: share of the held-out loss by which a model that is only compared must be worse for its
-        fit to end early.
+    worse_share: share of the held-out loss by which a model that is only compared must be worse for
+        its fit to end early.
     explained: held-out error over the noise floor up to which nothing is left to explain.
-    lacks_nothing: what a model of short trials leaves over the noise, below which it lacks nothing; 0:
-        always goes on.
-    beyond: where a fit of short trials leaves more than `lacks_nothing`, the share that an effect must take
-        off of the squared error beyond the noise (0.9: it is three times what is left). What is
-        smaller may name a part of that. 0: no such rule.
+    lacks_nothing: what a model of short trials leaves over the noise, below which it lacks nothing;
+        0: always goes on.
+    beyond: where a fit of short trials leaves more than `lacks_nothing`, the share that an effect
+        must take off of the squared error beyond the noise (0.9: it is three times what is left).
+        What is smaller may name a part of that. 0: no such rule.
     near: the same of a machine that follows commands, up to which what its command errors show is
         enough, and nothing is fitted by simulation.
-    outlying: the same of one joint in one trial: beyond it something is left, whatever the others say.
-    beginning: share of the stretches over which is fitted, and searched again where nothing was
-        named, if more than `outlying` is left.
-    few: stretches beyond `outlying` from which on they are looked at by themselves, where all else is
-        explained.
+    outlying: the same of one joint in one trial: beyond it something is left, whatever the others
+        say.
+    beginning: share of the stretches over which is fitted, and searched again where nothing
+        was named, if more than `outlying` is left.
+    few: stretches beyond `outlying` from which on they are looked at by themselves, where all
+        else is explained.
     torque: of the search along the measured motion.
     left: of the error of these, at most, that an effect which acts now and then may leave.
     """

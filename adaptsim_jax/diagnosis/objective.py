@@ -63,7 +63,7 @@ class Objective:
         return False
 
     def rounds(self, base: Model) -> Iterator[Round]:
-        """Candidates beside a model's effects, fitted; a round is asked if none before it gained."""
+        """Candidates beside a model's effects, fitted; a round is asked if none before gained."""
         raise NotImplementedError
 
     def better(self, one: FittedCandidate, other: FittedCandidate) -> bool:
@@ -110,7 +110,7 @@ class Objective:
         return gone[0].less
 
     def simpler(self, model: Model, rows: Sequence[Evidence]) -> tuple[Model, Sequence[Step]]:
-        """A model that does as well by fewer numbers, and what was replaced; itself where none is."""
+        """A model that does as well by fewer numbers, and what was replaced; itself if none is."""
         return model, ()
 
     def in_place_of(self, e: Evidence) -> Iterable[FittedCandidate]:

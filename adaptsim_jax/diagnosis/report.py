@@ -147,8 +147,8 @@ def named_words(named: Sequence[Named], called: Callable[[Any], str], folds: str
     return sentence(
         "; ".join(
             f"{called(n.candidate)} holds out in {n.test.better} of {n.test.folds}"
-            f"{folds and f' {folds}'} (takes {100 * n.test.gain:.0f} % off the squared error beside "
-            f"all others, p {n.test.p:.2g})"
+            f"{folds and f' {folds}'} (takes {100 * n.test.gain:.0f} % off the squared error "
+            f"beside all others, p {n.test.p:.2g})"
             for n in named
         )
     )

@@ -120,8 +120,8 @@ def headline(recorded: Recorded, found: Finding, over: float, worst: float) -> H
         return f"{1e3 * recorded.noise * over_floor(m):.3g}"
 
     declared = (
-        f"The declared {recorded.trial}, fitted, predicts left-out tracks to {size(found.null)} mm, "
-        f"{over:.1f} times the noise floor."
+        f"The declared {recorded.trial}, fitted, predicts left-out tracks to {size(found.null)} "
+        f"mm, {over:.1f} times the noise floor."
     )
     mended = (
         f"{named_words(found.named, recorded.trials)} Left-out error {size(found.null)} to "
@@ -129,8 +129,8 @@ def headline(recorded: Recorded, found: Finding, over: float, worst: float) -> H
     )
     if worst > REPORT.followed >= over:
         mended += (
-            f" Some {recorded.trials} are not followed: all together the fit leaves {worst:.1f} times "
-            "the noise floor."
+            f" Some {recorded.trials} are not followed: all together the fit leaves {worst:.1f} "
+            "times the noise floor."
         )
     more = ""
     if found.named or worst > REPORT.followed:
@@ -146,7 +146,8 @@ def _standing_out(recorded: Recorded, model: Model) -> str:
         return ""
     names, times = [recorded.names[k] for k in outliers], np.max(error[outliers]) / np.median(error)
     one = len(outliers) == 1
-    which = f"{(recorded.trial if one else recorded.trials).capitalize()} {', '.join(names)} {'stands' if one else 'stand'} out"
+    trials = (recorded.trial if one else recorded.trials).capitalize()
+    which = f"{trials} {', '.join(names)} {'stands' if one else 'stand'} out"
     asked = "is its track right?" if one else "are their tracks right?"
     return (
         f" {which} with up to {times:.0f} times the error of the others: {asked} --without "
@@ -181,7 +182,8 @@ def effect_rows(problem: Problem, found: Finding) -> list[dict[str, Any]]:
 def same_rows(found: Finding, trial: str) -> list[str]:
     """A sentence for each pair of names that no trial tells apart."""
     return [
-        f"{words(n.candidate.name)} or {words(s)}: no {trial} tells them apart, only {n.candidate.apart}."
+        f"{words(n.candidate.name)} or {words(s)}: no {trial} tells them apart, only "
+        f"{n.candidate.apart}."
         for n in found.named
         for s in n.candidate.same
     ]

@@ -1,4 +1,5 @@
-"""Why an effect is refused beside all others: one list of rules for all objectives, each with a code.
+"""Why an effect is refused beside all others: one list of rules for all objectives, each with
+a code.
 
 A rule asks an `Evidence` for a number and returns it where it fails. What does not apply to an
 objective, a machine or an effect has no number there (None). Words are made in one place, from the
@@ -13,7 +14,7 @@ from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.testing import Test
 
 READING, MODEL, NAME = "reading", "model", "name"
-"""What a refusal is about: how rows are read, whether an effect predicts, whether it is worth a name.
+"""What a refusal is about: how rows are read, whether an effect predicts, whether it has a name.
 
 The search takes out what fails a rule of any stage, unless its objective leaves it in the model:
 `Objective.reduced` (simulated stretches leave what is how rows are read) and
@@ -32,9 +33,14 @@ class Reason(NamedTuple):
 class Evidence:
     """What is known of an effect beside all others of a model; each objective gives its own.
 
-    candidate: the effect; less: the model without it, refitted; test: of the model against that;
-    level: up to which its p holds (short trials: Holm's over all that are asked); price: the least of its gain; steadiness: its size over its
-    scatter; units, loss: what is left out, and of what an error is, in words.
+    Args:
+        candidate: The effect.
+        less: The model without it, refitted.
+        test: Of the model against that.
+        level: Up to which its p holds (short trials: Holm's over all that are asked).
+        price: The least of its gain.
+        steadiness: Its size over its scatter.
+        units, loss: What is left out, and of what an error is, in words.
     """
 
     candidate: Any
@@ -69,7 +75,7 @@ class Evidence:
 
     @property
     def stays_unnamed(self) -> bool:
-        """Whether it stays in the model though it fails a rule. `Objective.unnamed` gives the reason."""
+        """Whether it stays in the model though it fails a rule (why: `Objective.unnamed`)."""
         return False
 
     @property
@@ -119,7 +125,7 @@ class Evidence:
 
     @property
     def harmed_joints(self) -> int:
-        """At how many joints simulated angles are missed by more, where simulation tells anything."""
+        """At how many joints simulation, where it predicts, misses angles by more."""
         return 0
 
     @property

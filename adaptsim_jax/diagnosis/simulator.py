@@ -112,7 +112,8 @@ def check_simulator(simulator: Simulator) -> None:
             raise BadInput(f"simulator: stretches.{what} has shape {x.shape}; {wanted} is wanted")
     if s.count < FOLD.min_stretches:
         raise BadInput(
-            f"simulator: {s.count} stretches are too few to leave any out; give at least {FOLD.min_stretches}"
+            f"simulator: {s.count} stretches are too few to leave any out; give at least "
+            f"{FOLD.min_stretches}"
         )
     if len(gone := np.argwhere((s.seen > 0) & ~np.isfinite(s.measured))):
         w, r, c = gone[0]

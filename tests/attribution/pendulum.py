@@ -9,7 +9,7 @@ XML = """<mujoco><compiler angle="radian"/><option timestep="0.0005" integrator=
 <body name="link"><joint name="hinge" axis="0 1 0" damping="{damping}" frictionloss="{friction}"
 solreffriction="0.002 1" solimpfriction="0.99 0.999 0.001"/>
 <inertial pos="0 0 -0.25" mass="{mass}" diaginertia="0.01 0.01 0.001"/></body></worldbody>
-<actuator><motor name="drive" joint="hinge"/></actuator></mujoco>"""
+<actuator><motor name="drive" joint="hinge"/></actuator></mujoco>"""  # noqa: E501
 
 
 def record(

@@ -16,7 +16,7 @@ from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.mechanisms.mjcf import read_mechanism
 
 XML = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="a" axis="0 1 0" damping="2"/>
-<inertial pos="0 0 -0.2" mass="1" diaginertia="0.01 0.01 0.01"/></body></worldbody></mujoco>"""
+<inertial pos="0 0 -0.2" mass="1" diaginertia="0.01 0.01 0.01"/></body></worldbody></mujoco>"""  # noqa: E501
 LEVEL = 0.2  # N m
 
 

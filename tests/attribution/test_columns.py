@@ -26,7 +26,7 @@ from adaptsim_jax.mechanisms.mjcf import read_mechanism
 
 XML = """<mujoco><compiler angle="radian"/><worldbody><body name="upper" pos="0 0 1"><joint name="a" axis="0 1 0" damping="0.1"/>
 <inertial pos="0 0 -0.2" mass="1" diaginertia="0.01 0.01 0.01"/><body name="lower" pos="0 0 -0.4"><joint name="b" axis="0 1 0"/>
-<inertial pos="0 0 -0.15" mass="0.7" diaginertia="0.006 0.006 0.001"/></body></body></worldbody></mujoco>"""
+<inertial pos="0 0 -0.15" mass="0.7" diaginertia="0.006 0.006 0.001"/></body></body></worldbody></mujoco>"""  # noqa: E501
 LAWS = {
     "torque": None,
     "position": np.array(

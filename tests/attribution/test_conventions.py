@@ -112,7 +112,7 @@ def test_inertias_a_little_off_are_no_lengths_far_off(tmp_path):
 
 WHEEL = """<mujoco><worldbody><body><joint name="axle" axis="0 1 0" damping="0.01" armature="0.002"/>
   <geom type="cylinder" size="0.12 0.02" euler="90 0 0" mass="1.2"/></body></worldbody>
-  <actuator><motor name="drive" joint="axle" gear="30"/></actuator></mujoco>"""
+  <actuator><motor name="drive" joint="axle" gear="30"/></actuator></mujoco>"""  # noqa: E501
 
 
 def wheel(path, units, size=1.0):

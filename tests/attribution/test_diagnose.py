@@ -77,7 +77,7 @@ def test_a_few_short_trials_are_diagnosed_whole(tmp_path):
     reason="named as its class: torque_gain and armature, which move to the bit like it, with "
     "inertia beside them"
 )
-def test_a_body_that_is_lighter_than_the_file_says_is_named_where_inertias_are_kept_and_noted_where_fitted(
+def test_a_body_that_is_lighter_than_the_file_says_is_named_where_inertias_are_kept_and_noted_where_fitted(  # noqa: E501
     tmp_path,
 ):
     data = record(tmp_path / "light", friction=0.0, seed=4)

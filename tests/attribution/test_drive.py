@@ -21,7 +21,7 @@ from adaptsim_jax.mechanisms.mjcf import read_mechanism
 XML = """<mujoco><option timestep="0.0002" integrator="RK4"/><worldbody><body><joint name="arm" axis="0 0 1" damping="0.02"
 armature="0.02"/>{opened}<geom type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass=".8" contype="0" conaffinity="0"/>
 <body pos=".3 0 0"><joint name="free" axis="1 0 0" damping="0.003"/><geom type="capsule" fromto="0 0 0 0 0 -.3" size=".015"
-mass=".2" contype="0" conaffinity="0"/></body>{closed}</body></worldbody></mujoco>"""
+mass=".2" contype="0" conaffinity="0"/></body>{closed}</body></worldbody></mujoco>"""  # noqa: E501
 ROTOR = '<inertial pos="0 0 0" mass="1e-9" diaginertia="1e-12 1e-12 1e-12"/>'
 STIFFNESS, DASHPOT, DT = 10.0, 0.03, 0.005  # N m/rad, N m s/rad, s
 USED = ("viscous", "armature", "coulomb", "delay", "drive_compliance", "drive_elasticity")
@@ -31,7 +31,7 @@ def recorded(rows: int, seed: int = 0):
     """A rotary pendulum whose arm's drive gives, by MuJoCo with a joint for the spring: angles and
     speeds [rows, 3], torque [rows].
     """
-    spring = f'{ROTOR}<body><joint name="spring" axis="0 0 1" stiffness="{STIFFNESS}" damping="{DASHPOT}"/>'
+    spring = f'{ROTOR}<body><joint name="spring" axis="0 0 1" stiffness="{STIFFNESS}" damping="{DASHPOT}"/>'  # noqa: E501
     model = mujoco.MjModel.from_xml_string(XML.format(opened=spring, closed="</body>"))
     data = mujoco.MjData(model)
     rng = np.random.default_rng(seed)

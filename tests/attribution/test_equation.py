@@ -32,9 +32,9 @@ NOTHING = Vector((), np.zeros(0))
 SERVO = """<mujoco><compiler angle="radian"/><option timestep="0.001" integrator="implicitfast"/><worldbody><body name="link">
 <joint name="hinge" axis="0 1 0" frictionloss="{friction}" solreffriction="0.002 1" solimpfriction="0.99 0.999 0.001"/>
 <inertial pos="0 0 -0.2" mass="0.5" diaginertia="0.004 0.004 0.001"/></body></worldbody>
-<actuator><position name="hinge" joint="hinge" kp="{kp}" kv="{kv}" {limit}/></actuator></mujoco>"""
+<actuator><position name="hinge" joint="hinge" kp="{kp}" kv="{kv}" {limit}/></actuator></mujoco>"""  # noqa: E501
 HEAVY = """<mujoco><compiler angle="radian"/><option gravity="0 0 0"/><worldbody><body name="link">
-<joint name="hinge" axis="0 1 0"/><inertial pos="0 0 0" mass="1e6" diaginertia="1e6 1e6 1e6"/></body></worldbody></mujoco>"""
+<joint name="hinge" axis="0 1 0"/><inertial pos="0 0 0" mass="1e6" diaginertia="1e6 1e6 1e6"/></body></worldbody></mujoco>"""  # noqa: E501
 
 
 def prepared(folder, model=None):

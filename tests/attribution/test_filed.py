@@ -36,7 +36,7 @@ ARM = f"""<mujoco><compiler angle="radian"/><option timestep="{STEP}" integrator
 <inertial pos="0 0 -0.2" mass="4.0" diaginertia="0.08 0.08 0.01"/>
 <body pos="0 0 -0.4"><joint name="elbow" axis="{{axis}}" armature="{{rotor}}" {{range_}}/>
 <inertial pos="0.02 0 -0.15" mass="{{mass}}" diaginertia="0.03 0.03 0.005"/></body></body></body></worldbody>
-<actuator>{SERVOS}</actuator></mujoco>"""
+<actuator>{SERVOS}</actuator></mujoco>"""  # noqa: E501
 
 
 def arm_log(folder, rotor=0.1, mass=2.0, trials=3, axis="0 1 0", limit="", late=0.0, range_=""):

@@ -14,7 +14,7 @@ XML = """<mujoco><compiler angle="radian"/><worldbody><body name="upper" pos="0 
 <body name="lower" pos="0.03 0 -0.4" euler="0 0.4 0.2"><joint name="elbow" axis="1 0 0"/>
 <inertial pos="0 0.01 -0.15" mass="0.7" diaginertia="0.006 0.006 0.001"/>
 <body name="tip" pos="0 0 -0.3"><joint name="rail" type="slide" axis="0 0 1"/>
-<inertial pos="0 0 0" mass="0.2" diaginertia="1e-4 1e-4 1e-4"/></body></body></body></worldbody></mujoco>"""
+<inertial pos="0 0 0" mass="0.2" diaginertia="1e-4 1e-4 1e-4"/></body></body></body></worldbody></mujoco>"""  # noqa: E501
 
 
 @pytest.fixture(scope="module")

@@ -26,7 +26,7 @@ FINGER = """<mujoco><compiler angle="radian"/><option timestep="1e-4" integrator
 <inertial pos="0 0 -0.1" mass="0.3" diaginertia="1e-3 1e-3 1e-3"/>
 <body pos="0 0 -0.2"><joint name="far" axis="0 1 0" armature="0.004" frictionloss="{far}" {law}/>
 <inertial pos="0 0 -0.05" mass="0.1" diaginertia="2e-4 2e-4 2e-4"/></body></body></worldbody>
-<actuator><position name="near" joint="near" kp="60" kv="2"/><position name="far" joint="far" kp="20" kv="0.6"/></actuator></mujoco>"""
+<actuator><position name="near" joint="near" kp="60" kv="2"/><position name="far" joint="far" kp="20" kv="0.6"/></actuator></mujoco>"""  # noqa: E501
 
 
 def finger_log(folder, law="", near=0.1, noise=1e-4, declared=(0.1, 0.08)):

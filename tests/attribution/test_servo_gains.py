@@ -20,7 +20,7 @@ from tests.attribution.test_equation import SERVO, prepared, servo_log
 
 BELT = """<mujoco><option timestep="0.001"/><worldbody><body name="carriage">
 <joint name="belt" type="slide" axis="1 0 0" damping="4"/><geom type="box" size=".05 .05 .03" mass="0.8"/></body></worldbody>
-<actuator><position name="belt" joint="belt" kp="400" kv="20"/></actuator></mujoco>"""
+<actuator><position name="belt" joint="belt" kp="400" kv="20"/></actuator></mujoco>"""  # noqa: E501
 
 
 @pytest.fixture(scope="module")

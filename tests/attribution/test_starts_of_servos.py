@@ -12,7 +12,7 @@ from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.mechanisms.mjcf import read_mechanism
 
 XML = """<mujoco><compiler angle="radian"/><worldbody><body><joint name="a" axis="0 0 1" damping="0.5"/>
-<inertial pos="0 0 0" mass="0.5" diaginertia="0.01 0.01 0.01"/></body></worldbody></mujoco>"""
+<inertial pos="0 0 0" mass="0.5" diaginertia="0.01 0.01 0.01"/></body></worldbody></mujoco>"""  # noqa: E501
 LAW = np.array([[10.0], [0.0], [-10.0], [0.0], [-30.0], [30.0]])
 
 

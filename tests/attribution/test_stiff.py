@@ -18,7 +18,7 @@ from adaptsim_jax.mechanisms.mjcf import read_mechanism
 
 XML = """<mujoco><compiler angle="radian"/><worldbody><body name="upper" pos="0 0 1"><joint name="a" axis="0 1 0" damping="0.1"/>
 <inertial pos="0 0 -0.2" mass="0.5" diaginertia="0.01 0.01 0.01"/><body name="hand" pos="0 0 -0.4"><joint name="b" axis="0 1 0"/>
-<inertial pos="0 0 -0.02" mass="0.1" diaginertia="1e-4 1e-4 1e-4"/></body></body></worldbody></mujoco>"""
+<inertial pos="0 0 -0.02" mass="0.1" diaginertia="1e-4 1e-4 1e-4"/></body></body></worldbody></mujoco>"""  # noqa: E501
 LAW = np.array([[20.0] * 2, [0.0] * 2, [-20.0] * 2, [-0.9] * 2, [-3.0] * 2, [3.0] * 2])
 
 

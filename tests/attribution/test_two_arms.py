@@ -26,7 +26,7 @@ SERVOS = "".join(
     f'<position name="{n}" joint="{n}" kp="800" kv="{30 if "lift" in n else 8}"/>' for n in NAMES
 )
 ARMS = f"""<mujoco><compiler angle="radian"/><option timestep="{STEP}"/><worldbody>{ONE.format(at=-0.3, side="left")}
-{ONE.format(at=0.3, side="right")}</worldbody><actuator>{SERVOS}</actuator></mujoco>"""
+{ONE.format(at=0.3, side="right")}</worldbody><actuator>{SERVOS}</actuator></mujoco>"""  # noqa: E501
 
 
 def test_a_simulators_steps_are_no_effect_of_either_arm(tmp_path):

@@ -26,7 +26,7 @@ GRIPPER = """<mujoco><option timestep="1e-3"/><worldbody><body>
 <inertial pos="0 0 0" mass="0.02" diaginertia="1e-5 1e-5 1e-5"/></body></body></worldbody>
 <equality><joint joint1="right" joint2="left" polycoef="0 1 0 0 0"/></equality>
 <actuator><position name="turn" joint="turn" kp="100" kv="5"/><position name="grip" joint="left" kp="200" kv="8"/></actuator>
-</mujoco>"""
+</mujoco>"""  # noqa: E501
 
 
 def test_followers_that_do_not_follow_are_known_by_their_leader(tmp_path):

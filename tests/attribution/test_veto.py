@@ -41,7 +41,7 @@ def problem() -> Any:
 
 
 def model(*errors: float) -> Any:
-    """One that leaves these errors [rad] by joint, a little more or less from stretch to stretch."""
+    """One that leaves these errors [rad] by joint, a little more or less from stretch to stretch."""  # noqa: E501
     wave = 1.0 + 0.1 * np.sin(np.arange(TRIALS * EACH))[:, None]
     return SimpleNamespace(
         held=SimpleNamespace(squared=np.square(np.hstack([errors, errors]) * wave))

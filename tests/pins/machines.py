@@ -18,7 +18,7 @@ ARM = """<mujoco><compiler angle="radian"/><option timestep="0.002"/><worldbody>
 <inertial pos="0 0 -0.15" mass="1.0" diaginertia="0.01 0.01 0.002"/>
 <body name="lower" pos="0 0 -0.3"><joint name="elbow" axis="0 1 0" damping="0.03" {elbow}/>
 <inertial pos="0 0 -0.1" mass="0.5" diaginertia="0.004 0.004 0.001"/>{more}</body></body></worldbody>
-{equality}<actuator>{actuators}</actuator></mujoco>"""
+{equality}<actuator>{actuators}</actuator></mujoco>"""  # noqa: E501
 MOTORS = '<motor name="shoulder" joint="shoulder"/><motor name="elbow" joint="elbow"/>'
 SERVOS = (
     '<position name="shoulder" joint="shoulder" kp="60" kv="3"/>'
@@ -38,7 +38,7 @@ URDF = """<robot name="arm"><link name="base"/>
 <joint name="shoulder" type="continuous"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>
 <dynamics damping="0.05"/></joint>
 <joint name="elbow" type="continuous"><parent link="upper"/><child link="lower"/>
-<origin xyz="0 0 -0.3"/><axis xyz="0 1 0"/><dynamics damping="0.03"/></joint></robot>"""
+<origin xyz="0 0 -0.3"/><axis xyz="0 1 0"/><dynamics damping="0.03"/></joint></robot>"""  # noqa: E501
 
 
 def arm(elbow: str = "", more: str = "", equality: str = "", actuators: str = MOTORS) -> str:

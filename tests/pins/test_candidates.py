@@ -2,7 +2,7 @@
 
 `candidates.json` was written once from answers that are right. Where a list changes on purpose,
 delete the file and run this test twice: it writes what is missing and fails.
-"""
+"""  # noqa: E501
 
 import json
 from pathlib import Path
@@ -147,7 +147,7 @@ WALKER = """<mujoco><worldbody><geom type="plane" size="9 9 0.1"/><body name="tr
 <freejoint/><geom size="0.1" mass="3"/><site name="imu"/><body name="leg"><joint name="knee" damping="0.1" armature="0.01"/>
 <geom type="capsule" size="0.02" fromto="0 0 0 0 0 -0.4" mass="0.5" condim="6"/></body></body></worldbody>
 <actuator><position name="drive" joint="knee" kp="30" kv="1"/></actuator>
-<sensor><gyro site="imu"/><accelerometer site="imu"/></sensor></mujoco>"""
+<sensor><gyro site="imu"/><accelerometer site="imu"/></sensor></mujoco>"""  # noqa: E501
 ARM = """<mujoco><worldbody><body><joint name="a" axis="0 1 0" damping="0.1" frictionloss="0.2"/>
 <geom size="0.05" pos="0 0 -0.2" mass="1"/><body pos="0 0 -0.4"><joint name="b" axis="0 1 0"/>
 <geom size="0.04" pos="0 0 -0.2" mass="0.4"/></body></body></worldbody>

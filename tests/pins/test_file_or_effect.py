@@ -24,7 +24,7 @@ OPTION = '<compiler angle="radian"/><option timestep="{step}" integrator="implic
 BODIES = """<worldbody><body pos="0 0 1"><joint name="a" axis="0 1 0" damping="0.3" frictionloss="0.1"
 armature="0.02"/><inertial pos="0 0 -0.2" mass="1" diaginertia="0.02 0.02 0.01"/>
 <body pos="0 0 -0.4"><joint name="b" axis="0 1 0" damping="0.1" frictionloss="0.05" {ends}/>
-<inertial pos="0.01 0 -0.15" mass="0.5" diaginertia="0.005 0.005 0.001"/>{last}</body></body></worldbody>"""
+<inertial pos="0.01 0 -0.15" mass="0.5" diaginertia="0.005 0.005 0.001"/>{last}</body></body></worldbody>"""  # noqa: E501
 FOLLOWER = """<body pos="0 0 -0.3"><joint name="c" axis="0 1 0" damping="0.02" armature="0.002"/>
 <inertial pos="0 0 -0.05" mass="0.2" diaginertia="1e-3 1e-3 1e-4"/></body>"""
 TIE = '<equality><joint joint1="c" joint2="b" polycoef="0 1 0 0 0"/></equality>'
@@ -134,7 +134,7 @@ def test_a_number_does_the_same_wherever_it_stands(folders, tmp_path, kind, give
 def test_the_tree_does_what_mujoco_does(folders, kind):
     """To 1 mrad of a quarter of a second: what steps of 0.1 ms leave of blows against an end, which are of
     first order there.
-    """
+    """  # noqa: E501
     machine = load(folders[kind], None)
     (group, _, values, how), *_ = ready(problem_of(machine, True), NONE)
     s = group.stretches

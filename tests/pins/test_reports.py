@@ -47,7 +47,7 @@ def sorted_rows(z: Any) -> Any:
 
 
 def pin(name: str, folder: Path, diagnosed: Callable[..., dict[str, Any]]) -> None:
-    """Compare the report of `diagnosed(out=, page=)`, and what its page gets, with what is stored."""
+    """Compare the report of `diagnosed(out=, page=)`, and what its page gets, with what is stored."""  # noqa: E501
     evidence: dict[str, Any] = {}
 
     def page(at: Path, report: dict[str, Any], arrays: dict[str, Any]) -> None:

@@ -20,7 +20,7 @@ from tests.pins.stored import check
 
 LOOSE = 1e-4
 PUSHES = Criteria(lacks_nothing=1.01, beyond=0.9, tried=6)
-"""Truths, and criteria: of a linear problem whose effects are b, c and d, which does what b does."""
+# truths and criteria of a linear problem with effects b, c and d, which does what b does
 LINEAR: dict[str, tuple[tuple[float, ...], dict[str, Any], Criteria]] = {
     "nothing": ((0.7, 0.0, 0.0, 0.0), {}, Criteria()),
     "one": ((0.7, 0.0, 0.8, 0.0), {}, Criteria()),

@@ -6,11 +6,11 @@ import numpy as np
 HOPPER = """<mujoco><compiler angle="radian"/><option timestep="0.002" integrator="implicitfast"/>
 <worldbody><geom name="floor" type="plane" size="5 5 0.1"/>
 <body name="trunk" pos="0 0 0.42"><freejoint name="root"/><geom name="box" type="box" size="0.15 0.1 0.05" mass="4"/>
-{legs}</body></worldbody><actuator>{servos}</actuator></mujoco>"""
+{legs}</body></worldbody><actuator>{servos}</actuator></mujoco>"""  # noqa: E501
 LEG = """<body name="{n}_thigh" pos="{x} {y} 0"><joint name="{n}_hip" axis="0 1 0" range="-1.5 1.5" damping="0.2" frictionloss="0.05"/>
 <geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.02" mass="0.4"/><body name="{n}_shin" pos="0 0 -0.2">
 <joint name="{n}_knee" axis="0 1 0" damping="0.2"/><geom type="capsule" fromto="0 0 0 0 0 -0.18" size="0.015" mass="0.2"/>
-<geom name="{n}_foot" type="sphere" pos="0 0 -0.2" size="0.02" mass="0.05" friction="0.5 0.01 0.001"/></body></body>"""
+<geom name="{n}_foot" type="sphere" pos="0 0 -0.2" size="0.02" mass="0.05" friction="0.5 0.01 0.001"/></body></body>"""  # noqa: E501
 CORNERS = {"fl": (0.15, 0.1), "fr": (0.15, -0.1), "bl": (-0.15, 0.1), "br": (-0.15, -0.1)}
 
 

@@ -26,7 +26,7 @@ LOOP = """<mujoco><compiler angle="radian"/><worldbody><body name="a"><joint nam
 <geom type="capsule" fromto="0 0 0 0 0 -0.1" size="0.01" mass="0.2"/></body></worldbody>
 <equality><connect body1="b" body2="c" anchor="0.3 0 0"/></equality>
 <contact><exclude body1="a" body2="b"/><exclude body1="b" body2="c"/></contact>
-<actuator><general name="drive" joint="crank" dyntype="filter" dynprm="0.05" gainprm="2"/></actuator></mujoco>"""
+<actuator><general name="drive" joint="crank" dyntype="filter" dynprm="0.05" gainprm="2"/></actuator></mujoco>"""  # noqa: E501
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +84,7 @@ damping="{damping}" frictionloss="0.02"/>
 <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="{mass}"/></body></body>
 </worldbody><contact><exclude body1="upper" body2="lower"/></contact>
 <actuator><position name="lift" joint="shoulder" kp="{kp}" kv="2"/><position name="bend"
-joint="elbow" kp="20" kv="0.5"/></actuator></mujoco>"""
+joint="elbow" kp="20" kv="0.5"/></actuator></mujoco>"""  # noqa: E501
 
 
 def swing(t: float, trial: int) -> np.ndarray:

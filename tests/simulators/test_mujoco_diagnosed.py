@@ -18,7 +18,7 @@ from tests.simulators.test_mujoco import ARM, swing
 BOX = """<mujoco><option timestep="0.002" cone="elliptic"/><worldbody><geom name="floor" type="plane" size="9 9 0.1" friction="{mu}"/>
 <body name="box" pos="0 0 0.049"><freejoint name="root"/><geom type="box" size="0.1 0.08 0.05" mass="1" friction="{mu}"/>
 <site name="imu" pos="0.02 0 0.01"/></body></worldbody>
-<sensor><gyro name="gyro" site="imu"/><accelerometer name="accel" site="imu"/></sensor></mujoco>"""
+<sensor><gyro name="gyro" site="imu"/><accelerometer name="accel" site="imu"/></sensor></mujoco>"""  # noqa: E501
 
 
 def noisy(folder, size: float, columns: slice):
@@ -139,7 +139,7 @@ def test_a_floor_that_is_more_slippery_is_named(tmp_path):
     assert effect["parameters"]["contact.friction[0]"]["value"] == pytest.approx(0.35, rel=0.05)
 
 
-IMU = '<sensor><gyro name="gyro" site="imu"/><accelerometer name="accel" site="imu"/></sensor></mujoco>'
+IMU = '<sensor><gyro name="gyro" site="imu"/><accelerometer name="accel" site="imu"/></sensor></mujoco>'  # noqa: E501
 
 
 def test_a_base_that_only_its_imu_tells_of_is_estimated_with_the_start(tmp_path):

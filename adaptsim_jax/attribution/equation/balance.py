@@ -34,7 +34,7 @@ PROGRAM_ROWS = 2048  # rows that one compiled program takes
 class Balance:
     """Of a group of n joints in K windows: regressor [K, n, 10 n] (N m by inertial parameter),
     acceleration [K, n], trial [K], time [K], clear [K, n]: whether a joint moved, was not at the
-    end of its range, and its force is told by the rows (`_reported`); known [K, n]: what acts whatever
+    end of its range, and the rows show its force (`_reported`); known [K, n]: what acts whatever
     is fitted, which is what holds bodies up against gravity, less what bodies of joints that follow
     others take.
 

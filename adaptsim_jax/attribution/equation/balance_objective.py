@@ -102,7 +102,7 @@ class BalanceEvidence(Evidence):
 
     @property
     def torque_share(self) -> tuple[float, float] | None:
-        """Root mean squares. What predicts stays in the model of a machine that is driven by torque,
+        """Root mean squares. What predicts stays in the model of a machine driven by torque,
         and has no name; of one that follows commands, whose command errors show
         trifles that no motion does, it goes.
         """
@@ -124,9 +124,9 @@ def share_of_torque(state: Searched, whole: Solved, c: JointCandidate) -> tuple[
 
 
 def read_so(state: Searched, whole: Solved, c: JointCandidate) -> bool:
-    """Whether it is a shift of all commands by less than a row, or of measured torques by as much as
-    loggers pair them with angles: how rows are read, and no effect. A delay and a lag of the same
-    joints are one filter: their sum counts.
+    """Whether it is a shift of all commands by less than a row, or of measured torques by as much
+    as loggers pair them with angles: how rows are read, and no effect. A delay and a lag of the
+    same joints are one filter: their sum counts.
     """
     if not _shifts(state, c.effect):
         return False

@@ -27,10 +27,11 @@ LIMITS = np.linspace(
 @dataclass(frozen=True)
 class Servo:
     """Of a joint: kp [N m/rad], D [N m s/rad], coulomb [N m], rotor [kg m^2] beside the file's,
-    bias [N m]; scale: whether kp itself is told, and
-    not only what is over it; separation: standard errors between 1/kp and the file's, infinite where
-    other joints give the scale; error: rms of the command error [rad] where the joint moves, and
-    what is left of it by these gains and by the file's; p of a test over blocks of the one against
+    bias [N m]; scale: whether the joint shows kp itself, and
+    not only what is over it; separation: standard errors between 1/kp and the file's, infinite
+    where other joints give the scale; error: rms of the command error [rad] where the joint
+    moves, and what is left of
+    it by these gains and by the file's; p of a test over blocks of the one against
     the other.
     """
 
@@ -51,82 +52,104 @@ class Servo:
 def servos(problem: TreeProblem, balance: Balance) -> list[Servo]:
     """Gains of the joints of a group whose actuators are told where to be."""
     values = values_of(problem, balance.group, Vector((), np.zeros(0)))
-    law = values.actuator[:, :, 0]
-    gear = values.gear[:, 0]
+    law, gear = values.actuator[:, :, 0], values.gear[:, 0]
     takes = balance.regressor @ values.inertial[..., 0].ravel() - balance.known
     takes = takes + np.asarray(balance.group.model.tree.armature) * balance.acceleration
-    speed, sign = balance.averaged(balance.v), balance.averaged(balance.sign)
-    out = []
-    usual = []
+    found = []
     for k, j in enumerate(balance.group.joints):
-        kp = -law[2, k] * gear[k] ** 2
+        kp, kv = -law[2, k] * gear[k] ** 2, -law[3, k] * gear[k] ** 2
         if kp <= 0.0:
             continue
-        target = (
-            law[0, k] * gear[k] * balance.u[k] / kp
-        )  # of the angle, by what the file says of the command's unit
-        error = balance.mean @ (target - balance.q[k])
-
-        def moved(z):
-            return np.sqrt(np.mean([np.var(z[run]) for run in balance.runs]))
-
-        if moved(balance.q[k]) < SERVO.stuck * moved(target):
-            continue  # a joint that is held, or chatters, says nothing of a gain
-        columns = np.stack(
-            [takes[:, k], speed[:, k], sign[:, k], balance.acceleration[:, k], np.ones(len(error))],
-            1,
-        )
-        out.append((k, int(j), error, columns, kp, -law[3, k] * gear[k] ** 2))
-    found = []
-    for k, j, error, columns, kp, kv in out:
-        x, spread, left = _regressed(balance, error, columns, balance.clear[:, k])
-        scale = x[0] > SERVO.significant * spread[0] and 1.0 / x[0] < 1e5
-        if scale:
-            usual.append(1.0 / (x[0] * kp))
-        needs = takes[:, k] + balance.group.model.tree.frictionloss[k] * sign[:, k]
-        file = error - (needs + kv * speed[:, k]) / kp
-        if scale:
-
-            def size(z, k=k):
-                return np.average(np.square(z), weights=balance.clear[:, k])
-
-            # at a limit, the file's or another, the error says nothing of kp
-            limited = x[0] * _limited(kp * error - kv * speed[:, k], needs, balance.clear[:, k])
-            if size(limited) < min(size(file), size(left)):
-                file = limited
-        p = _better(balance, file, left)
-        sizes = [
-            float(np.sqrt(np.average(np.square(z), weights=balance.clear[:, k])))
-            for z in (error, left, file)
-        ]
-        separation = abs(x[0] - 1.0 / kp) / spread[0] if scale else np.inf
-        found.append((k, j, x, scale, separation, sizes, p))
+        # of the angle, by what the file says of the command's unit
+        target = law[0, k] * gear[k] * balance.u[k] / kp
+        # a joint that is held, or chatters, says nothing of a gain
+        if _moved(balance, balance.q[k]) >= SERVO.stuck * _moved(balance, target):
+            found.append(_command_error(balance, k, int(j), target, takes[:, k], (kp, kv)))
     # times the file's, where a joint does not tell its own
-    if usual:
-        like = float(np.median(usual))
-    else:
-        like = 1.0
-    made = []
-    for k, j, x, scale, separation, (error, left, file), p in found:
-        kp = 1.0 / x[0] if scale else like * -law[2, k] * gear[k] ** 2
+    usual = [1.0 / (error.x[0] * error.kp) for error in found if error.scale]
+    like = float(np.median(usual)) if usual else 1.0
+    return [error.servo(like) for error in found]
+
+
+def _moved(balance: Balance, z: np.ndarray) -> float:
+    """How far a quantity of the rows moves, as the mean over the runs."""
+    return np.sqrt(np.mean([np.var(z[run]) for run in balance.runs]))
+
+
+@dataclass(frozen=True)
+class CommandError:
+    """A joint's command error along the motion, regressed.
+
+    Args:
+        joint: Its number.
+        kp: The file's gain, N m/rad.
+        x: Per unit of what the motion takes, of speed, of its sign, of acceleration, and a bias.
+        scale: Whether the error shows kp.
+        separation: As of `Servo`.
+        sizes: Root mean squares [rad]: of the error, of what is left, of what the file leaves.
+        p: As of `Servo`.
+    """
+
+    joint: int
+    kp: float
+    x: np.ndarray
+    scale: bool
+    separation: float
+    sizes: tuple[float, ...]
+    p: float
+
+    def servo(self, like: float) -> Servo:
+        """The servo. like: its kp over the file's, where the error does not show it."""
+        x = self.x
+        kp = 1.0 / x[0] if self.scale else like * self.kp
         rubs, drags, turns = (max(kp * z, 0.0) for z in (x[2], x[1], x[3]))
-        made.append(
-            Servo(
-                j,
-                kp,
-                drags,
-                rubs,
-                turns,
-                kp * x[4],
-                bool(scale),
-                float(separation),
-                error,
-                left,
-                file,
-                p,
-            )
+        return Servo(
+            self.joint,
+            kp,
+            drags,
+            rubs,
+            turns,
+            kp * x[4],
+            self.scale,
+            self.separation,
+            *self.sizes,
+            self.p,
         )
-    return made
+
+
+def _command_error(
+    balance: Balance,
+    k: int,
+    joint: int,
+    target: np.ndarray,
+    takes: np.ndarray,
+    gains: tuple[float, float],
+) -> CommandError:
+    """The error of a group's joint `k` regressed on what its motion takes, N m [K]. gains: kp and
+    kv of the file.
+    """
+    kp, kv = gains
+    clear, acceleration = balance.clear[:, k], balance.acceleration[:, k]
+    speed, sign = (balance.averaged(z)[:, k] for z in (balance.v, balance.sign))
+    error = balance.mean @ (target - balance.q[k])
+    columns = np.stack([takes, speed, sign, acceleration, np.ones(len(error))], 1)
+    x, spread, left = _regressed(balance, error, columns, clear)
+    scale = bool(x[0] > SERVO.significant * spread[0] and 1.0 / x[0] < 1e5)
+    needs = takes + balance.group.model.tree.frictionloss[k] * sign
+    file = error - (needs + kv * speed) / kp
+
+    def size(z):
+        return np.average(np.square(z), weights=clear)
+
+    if scale:
+        # at a limit, the file's or another, the error says nothing of kp
+        limited = x[0] * _limited(kp * error - kv * speed, needs, clear)
+        if size(limited) < min(size(file), size(left)):
+            file = limited
+    separation = abs(x[0] - 1.0 / kp) / spread[0] if scale else np.inf
+    sizes = tuple(float(np.sqrt(size(z))) for z in (error, left, file))
+    p = _better(balance, file, left)
+    return CommandError(joint, kp, x, scale, float(separation), sizes, p)
 
 
 def _limited(asked: np.ndarray, needs: np.ndarray, clear: np.ndarray) -> np.ndarray:

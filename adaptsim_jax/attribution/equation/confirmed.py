@@ -182,8 +182,8 @@ class SimulatedNames(Objective):
         return rows
 
     def _together(self, model: NamedModel, rows: list[SimulatedName]) -> list[Evidence]:
-        """Where no name harms a joint by itself and all of them together do: of those at such joints
-        the one that the balance gains least by is taken to.
+        """Where no name harms a joint by itself and all of them together do: of those at such
+        joints the one that the balance gains least by is taken to.
         """
         null, whole, joints = self.null or model.whole, model.whole, range(self.problem.joints)
         worse = set(harmed(self.problem, self.null, null, whole, joints, self.criteria))
@@ -200,8 +200,8 @@ class SimulatedNames(Objective):
         return gone[0].less if len(gone) == 1 else self.less(model, [e.candidate for e in gone])
 
     def separable(self, model: NamedModel) -> TorqueSearch:
-        """With those alternatives of each name alone that simulate left-out stretches as well in its
-        place.
+        """With those alternatives of each name alone that simulate left-out stretches as well in
+        its place.
         """
         found, whole = model.found, model.whole
 
@@ -246,8 +246,8 @@ def harmed(
     joints: Iterable[int],
     criteria: Criteria,
 ) -> list[int]:
-    """Those of `joints` that `more` simulates worse than `less`, beyond its own test, where stretches
-    tell anything.
+    """Those of `joints` that `more` simulates worse than `less`, beyond its own test, where
+    stretches predict anything.
     """
     informative = informative_joints(problem, null, criteria)
     count = len(problem.fold)

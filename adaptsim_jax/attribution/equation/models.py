@@ -29,8 +29,8 @@ from adaptsim_jax.effects.base import Reach
 @dataclass(frozen=True)
 class GroupSearch:
     """What the balance of a group of joints says. null, final: vectors of its entries; added:
-    effects in it; named: those that have a name; unnamed: those that have none, and why; steps; rows,
-    base and whole: the sums.
+    effects in it; named: those that have a name; unnamed: those that have none, and why; steps;
+    rows, base and whole: the sums.
     """
 
     balance: Balance

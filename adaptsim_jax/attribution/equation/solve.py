@@ -39,8 +39,8 @@ class ForceRows:
 @dataclass(frozen=True)
 class Solved:
     """A set of entries fitted. step [P] from the values at which its columns were made; by_fold [F,
-    P]; loss [B, n] of left-out blocks, over the squared size of what was missing; hess [P, P] and slope [P]
-    of the loss, with the prior.
+    P]; loss [B, n] of left-out blocks, over the squared size of what was missing; hess [P, P] and
+    slope [P] of the loss, with the prior.
     """
 
     entries: tuple[Entry, ...]
