@@ -1,18 +1,25 @@
-"""Nested models of simulated stretches: without an effect, or with another in its place."""
+"""Nested models of simulated stretches, without an effect or with another in its place, and what
+they show of it: evidence for the rules.
+"""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from adaptsim_jax.attribution.candidates import CandidateScore, JointCandidate, adjacent, candidates
 from adaptsim_jax.attribution.estimate import fit
-from adaptsim_jax.attribution.fitted import FittedTree
+from adaptsim_jax.attribution.fitted import FittedTree, held_error
 from adaptsim_jax.attribution.held_out import modelled, paired, refit
-from adaptsim_jax.attribution.parameters import Vector
+from adaptsim_jax.attribution.parameters import DAMPING_STEP, Entry, Vector
 from adaptsim_jax.attribution.problem import TreeProblem
 from adaptsim_jax.attribution.score import table
 from adaptsim_jax.diagnosis.criteria import Criteria
-from adaptsim_jax.effects.base import Reach
+from adaptsim_jax.diagnosis.rules import Evidence
+from adaptsim_jax.diagnosis.testing import Test, attainable, jackknife
+from adaptsim_jax.effects.base import Effect, Reach
+from adaptsim_jax.effects.joints.forces import ARMATURE
+from adaptsim_jax.effects.joints.friction import COULOMB, PRESLIDING, VISCOUS
 
 
 def scored(
@@ -119,3 +126,195 @@ def trimmed(
         added += [c if len(left) == len(c.entries) else c.at(left)] if left else []
     own = fit(problem, model.fit.vector.without(keys), model.fit.starts, rounds=criteria.rounds)
     return modelled(problem, added, own)
+
+
+@dataclass(frozen=True)
+class SimulatedEvidence(Evidence):
+    """Evidence of simulated stretches: a model, and `less` without a candidate, refitted."""
+
+    problem: TreeProblem
+    model: FittedTree
+    less: FittedTree
+    candidate: JointCandidate
+    test: Test
+    steadiness: float
+    criteria: Criteria
+    units = "stretches"
+
+    @property
+    def level(self) -> float:
+        return attainable(self.criteria.confidence, self.test.parts)
+
+    @property
+    def price(self) -> float:
+        return self.criteria.size * len(self.candidate.entries)
+
+    @property
+    def effect(self) -> Effect:
+        return self.problem.effect(self.candidate.effect)
+
+    @property
+    def own(self) -> list[tuple[Entry, float]]:
+        """Its entries in the model, with their values."""
+        keys, vector = {e.key for e in self.candidate.entries}, self.model.fit.vector
+        both = zip(vector.entries, vector.values, strict=True)
+        return [(e, float(z)) for e, z in both if e.key in keys]
+
+    @property
+    def between_rows(self) -> bool:
+        held = self.test.p <= self.criteria.confidence
+        return held and between_rows(self.problem, self.model, self.candidate, self.criteria)
+
+    @property
+    def shifts_time(self) -> bool:
+        return self.effect.shifts_time
+
+    @property
+    def at_bound(self) -> bool:
+        names = {a.name for a in self.effect.amplitudes}
+        return any(e.at_bound(z, self.criteria.bound) for e, z in self.own if e.name in names)
+
+    @property
+    def unresolved_shift(self) -> float | None:
+        """The largest at its own joints."""
+        times = [abs(z) / self.problem.reach.dt for e, z in self.own if e.unit == "s"]
+        if not times or not self.effect.shifts_time:
+            return None
+        if max(times) < self.criteria.min_shift:
+            return max(times)
+        return None
+
+    @property
+    def declared_change(self) -> float | None:
+        """None where the file declares nothing of it."""
+        own = [(e.off, z) for e, z in self.own]
+        if not own or any(off == 0.0 for off, _ in own):
+            return None
+        return max(abs(z - off) / abs(off) for off, z in own)
+
+    @property
+    def bend(self) -> float | None:
+        """At the joint where it is most; of a simulator whose friction turns with tanh(v / width),
+        say, no motion shows them.
+        """
+        if self.candidate.effect != PRESLIDING.name:
+            return None
+        problem, vector = self.problem, self.model.fit.vector
+        values = {e.key: z for e, z in zip(vector.entries, vector.values, strict=True)}
+
+        def bent(j):
+            minimum = 0.01 * float(problem.reach.torque[j])
+            level = max(values.get((COULOMB.name, "level", (j,)), 0.0), minimum)
+            soft = values.get((self.candidate.effect, "compliance", (j,)), 0.0)
+            return soft * level / max(problem.floor[j], 1e-12)
+
+        return max(bent(j) for j in self.candidate.joints)
+
+    @property
+    def nearer(self) -> float:
+        return eased(self.problem, self.less, self.model)
+
+    @property
+    def best_joint(self) -> tuple[float, float]:
+        criteria = self.criteria
+        minimum = criteria.described if self.effect.describes else criteria.worth
+        return worth(self.problem, self.less, self.model), minimum
+
+
+def worth(problem: TreeProblem, less: FittedTree, model: FittedTree) -> float:
+    """Share of the squared held-out error of one joint's angles that a model takes off another's,
+    at the joint where it is most: of the median stretch or of the ninth decile. An error within the
+    noise floor counts as the floor, and so does one that is next to nothing beside what the
+    declared model leaves (`Problem.least`).
+    """
+    before, after = (
+        np.square(np.quantile(held_error(problem, m), [0.5, 0.9], axis=0)) for m in (less, model)
+    )
+    floor = np.square(np.maximum(np.maximum(problem.floor[: problem.joints], problem.least), 1e-12))
+    return float(np.max((before - after) / np.maximum(before, floor)))
+
+
+def eased(problem: TreeProblem, less: FittedTree, model: FittedTree) -> float:
+    """Share of the held-out error of the angles that a model takes off another's, geometric mean
+    over joints: of the median stretch, or of the ninth decile where it is more (an effect that acts
+    now and then).
+
+    What only the estimator's weights see is of no use to who simulates.
+    """
+    before, after = (np.quantile(held_error(problem, m), [0.5, 0.9], axis=0) for m in (less, model))
+    return 1.0 - float(
+        np.exp(np.min(np.mean(np.log(np.maximum(after, 1e-12) / np.maximum(before, 1e-12)), 1)))
+    )
+
+
+def between_rows(
+    problem: TreeProblem, model: FittedTree, c: JointCandidate, criteria: Criteria
+) -> bool:
+    """Whether it is how commands are read: at all driven joints they act early, by no more than
+    those of a controller that is faster than its log (half of the difference of both intervals), or
+    late by less than the log resolves; or, where no `damping_step` is fitted, rotors differ by what
+    damps a joint in a small part of a row.
+    """
+    stepped = any(e.owner == DAMPING_STEP for e in model.fit.vector.entries)
+    if c.effect == ARMATURE.name and not stepped:
+        return in_step(problem, model.fit.vector.entries, model.fit.vector.values, criteria)
+    driven = {j for j in range(problem.joints) if problem.reach.peak[j] > 0.0}
+    times = [
+        z
+        for e, z in zip(model.fit.vector.entries, model.fit.vector.values, strict=True)
+        if e.key == c.entries[0].key
+    ]
+    between = (
+        bool(times) and -criteria.within_row < times[0] / problem.reach.dt < criteria.min_shift
+    )
+    shifts = problem.effect(c.effect).pairs_rows and len(c.entries) == 1
+    return shifts and between and driven <= set(c.joints)
+
+
+def in_step(
+    problem: TreeProblem, entries: Sequence[Entry], values: np.ndarray, criteria: Criteria
+) -> bool:
+    """Whether all rotors that are fitted, of two joints or more, differ from the file's by less
+    than their damping times the shift in time that the log resolves: damping that acts that much
+    earlier does the same.
+    """
+    at = {e.key: z for e, z in zip(entries, values, strict=True)}
+    damping = np.zeros(problem.joints)
+    for g in problem.groups:
+        damping[list(g.joints)] = -g.actuator[3] * g.gear**2
+    damping += [at.get((VISCOUS.name, "damping", (j,)), 0.0) for j in range(problem.joints)]
+    shift = criteria.min_shift * problem.reach.dt
+    rotors = [
+        (abs(at[e.key] - e.off), min(damping[j] for j in e.joints))
+        for e in entries
+        if e.owner == ARMATURE.name
+    ]
+    return len(rotors) > 1 and all(heavier < shift * damps for heavier, damps in rotors)
+
+
+def steadiness(model: FittedTree, c: JointCandidate) -> float:
+    """An effect's amplitude over its scatter between folds: the largest of its amplitudes'."""
+    return float(np.max(steady_each(model, c)))
+
+
+def steady_each(model: FittedTree, c: JointCandidate) -> np.ndarray:
+    """The amplitudes of an effect [K] over their scatter between folds (jackknife, all other values
+    held).
+
+    With the others free, an amplitude that trades places with inertias would scatter, though every
+    fold wants it.
+    """
+    at = [
+        i for i, e in enumerate(model.fit.vector.entries) if any(e.key == k.key for k in c.entries)
+    ]
+    n = model.held.normal
+    hess, own = n.hess[:, at][:, :, at], n.slope[:, at]
+    ridge = 1e-9 * np.diag(np.diagonal(hess.sum(0)))
+    moved = np.array(
+        [
+            np.linalg.lstsq(hess.sum(0) - h + ridge, -s, rcond=1e-12)[0]
+            for h, s in zip(hess, own, strict=True)
+        ]
+    )
+    off = np.array([model.fit.vector.entries[i].off for i in at])
+    return np.abs(model.fit.vector.values[at] - off) / np.maximum(jackknife(moved), 1e-12)

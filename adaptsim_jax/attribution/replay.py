@@ -36,7 +36,7 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.diagnosis.recommended import FileReplay, worse_joints
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.logs.quality.contradictions import AS_DECLARED
-from adaptsim_jax.simulators.mujoco.replay import replayed as mujoco_replayed
+from adaptsim_jax.simulators.mujoco.starts import replayed as mujoco_replayed
 
 WRITTEN = ("model.xml", "model.toml")  # what a diagnosis writes for simulation
 

@@ -11,9 +11,9 @@ from adaptsim_jax.attribution.candidates import CandidateScore
 from adaptsim_jax.attribution.estimate import fit, settled
 from adaptsim_jax.attribution.fitted import FittedTree, Hint, Selection, held_error, over_floor
 from adaptsim_jax.attribution.held_out import modelled
+from adaptsim_jax.attribution.nested_models import eased
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import TreeProblem, beginnings, own_inertia, scaled_reach
-from adaptsim_jax.attribution.stretch_evidence import eased
 from adaptsim_jax.attribution.tree_objective import DECLARED_ROUNDS, TreeObjective
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Finding

@@ -28,11 +28,14 @@ from adaptsim_jax.attribution.held_out import (
     refit,
 )
 from adaptsim_jax.attribution.nested_models import (
+    SimulatedEvidence,
     compared,
     from_afar,
     keys_of,
     more,
     scored,
+    steadiness,
+    steady_each,
     trimmed,
     without,
 )
@@ -40,15 +43,13 @@ from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.paths import losses
 from adaptsim_jax.attribution.problem import TreeProblem
 from adaptsim_jax.attribution.score import table
-from adaptsim_jax.attribution.stretch_evidence import SimulatedEvidence, steadiness, steady_each
 from adaptsim_jax.core.parallel import parallel_map
-from adaptsim_jax.diagnosis.alternatives import preferred
 from adaptsim_jax.diagnosis.criteria import LOOK_ALIKE, Criteria
 from adaptsim_jax.diagnosis.finding import Step
 from adaptsim_jax.diagnosis.objective import FittedCandidate, Objective, Refused, Round
 from adaptsim_jax.diagnosis.rules import MODEL, NAME, Evidence, Reason, refusal, step_reason
 from adaptsim_jax.diagnosis.search import look_alikes
-from adaptsim_jax.diagnosis.testing import Test
+from adaptsim_jax.diagnosis.testing import Test, preferred
 from adaptsim_jax.effects.base import Reach
 
 DECLARED_ROUNDS = 15  # rounds of the declared model's fit: bounds its time

@@ -172,8 +172,8 @@ def own_simulator(args: argparse.Namespace, without: list[str]) -> Judge:
     """Whatever a function of the user's makes of DATA, which is that function's alone to read."""
     from adaptsim_jax.diagnosis.run import command_of
     from adaptsim_jax.diagnosis.simulated import diagnose_simulator
+    from adaptsim_jax.diagnosis.simulator import simulator_named
     from adaptsim_jax.report.diagnosis import write_diagnosis
-    from adaptsim_jax.simulators.registry import simulator_named
 
     for option in ("without", "model", "as_declared", "yardstick", "horizon"):
         if getattr(args, option):

@@ -13,10 +13,9 @@ import numpy as np
 from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.diagnosis import rows
 from adaptsim_jax.diagnosis.criteria import Criteria
-from adaptsim_jax.diagnosis.experiment import discriminating
+from adaptsim_jax.diagnosis.experiment import discriminating, power_rows
 from adaptsim_jax.diagnosis.finding import Finding
 from adaptsim_jax.diagnosis.models import Model
-from adaptsim_jax.diagnosis.power import power_rows
 from adaptsim_jax.diagnosis.problem import Problem
 from adaptsim_jax.diagnosis.report import (
     Account,

@@ -6,14 +6,17 @@ core asks it for nothing but `predict`; what it may override, because it knows b
 `linearise`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
+from adaptsim_jax.core.config import suggest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.parallel import parallel_map
+from adaptsim_jax.core.registry import Registry, function_named
 from adaptsim_jax.diagnosis.criteria import FOLD
 from adaptsim_jax.diagnosis.problem import Candidate, Quantity
 
@@ -205,3 +208,22 @@ def linearise(
     steps = np.diag(simulator.stretches.scale) if starts_too else ()
     by_start = differences(simulator, values, starts, which, [(none_v, row) for row in steps])
     return by_start, differences(simulator, values, starts, which, [(row, none_s) for row in basis])
+
+
+OF_MECHANISMS = ("tree", "mujoco")
+
+SIMULATORS: Registry[Callable[[Path], Simulator]] = Registry("simulators", own={})
+
+
+def simulator_named(name: str) -> Callable[[Path], Simulator]:
+    """What makes a simulator of a folder: an entry point's name, `module:function` or
+    `file.py:function`.
+
+    Raises BadInput where there is none of that name.
+    """
+    if name in SIMULATORS:
+        return SIMULATORS[name]
+    if ":" in name:
+        return function_named(name, "--simulator")
+    known = (*OF_MECHANISMS, *SIMULATORS, "module:function", "file.py:function")
+    raise BadInput(f"--simulator: '{name}' is unknown; {suggest(name, known)}")

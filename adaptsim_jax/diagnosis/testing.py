@@ -212,3 +212,25 @@ def _hotelling(t: np.ndarray, alike: np.ndarray, count: int) -> float:
     k = int(keep.sum())
     square = float(np.sum(np.square(t @ vector[:, keep]) / value[keep]))
     return float(stats.f.sf(square * (count - k) / (k * (count - 1)), k, count - k))
+
+
+def preferred(test: Test, size: float, level: float, family: int = 1) -> bool:
+    """Whether an alternative is taken instead of the declared model, before effects are searched.
+    Both are fitted to the same recording and compared on what was left out.
+
+    | alternative | where |
+    | --- | --- |
+    | dry friction that is sharp, or gives as a simulator's | `attribution/equation/rubbing.py` |
+    | bodies and damping of the file, or fitted | `attribution/equation/confirmed.py` |
+    | what like joints have, at all of them | `attribution/equation/balance_objective.py` |
+    | values and effects of another objective | `attribution/tree_objective.py` |
+    | another shape of the piece | `tasks/scooping/diagnosis/passes.py` |
+    | kp of a servo, and a limit beside it | `attribution/servo.py`, by numbers of its own |
+
+    Args:
+        test: of the alternative against the declared model, by what was left out.
+        size: share of the loss that it must take off.
+        level: probability of a false choice.
+        family: places at which the same was asked.
+    """
+    return test.gain > size and test.p * family <= level

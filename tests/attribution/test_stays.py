@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.attribution.candidates import JointCandidate
+from adaptsim_jax.attribution.nested_models import SimulatedEvidence, between_rows, steadiness
 from adaptsim_jax.attribution.parameters import Entry
-from adaptsim_jax.attribution.stretch_evidence import SimulatedEvidence, between_rows, steadiness
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.rules import MODEL, NAME, refusal
 from adaptsim_jax.diagnosis.testing import Test as Paired

@@ -14,9 +14,9 @@ from adaptsim_jax.attribution.equation import confirmed
 from adaptsim_jax.attribution.equation.balance_objective import BalanceEvidence, read_so
 from adaptsim_jax.attribution.equation.confirmed import harmed, informative_joints
 from adaptsim_jax.attribution.fitted import most_over_floor
+from adaptsim_jax.attribution.nested_models import SimulatedEvidence
 from adaptsim_jax.attribution.parameters import Entry
 from adaptsim_jax.attribution.problem import passing
-from adaptsim_jax.attribution.stretch_evidence import SimulatedEvidence
 from adaptsim_jax.attribution.stretches import JointTrack
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Named

@@ -15,8 +15,8 @@ from adaptsim_jax.core.registry import Registry
 from adaptsim_jax.diagnosis.fit import completed, jacobian
 from adaptsim_jax.diagnosis.rows import check_exclude
 from adaptsim_jax.diagnosis.schema import read_report
+from adaptsim_jax.diagnosis.simulator import SIMULATORS, simulator_named
 from adaptsim_jax.diagnosis.starts import problem_of, settle
-from adaptsim_jax.simulators.registry import SIMULATORS, simulator_named
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "coupled_tanks.py"
 TANKS = runpy.run_path(str(EXAMPLE))

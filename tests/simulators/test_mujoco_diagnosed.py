@@ -10,8 +10,7 @@ from adaptsim_jax import cli
 from adaptsim_jax.attribution.replay import replay_files
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.read import read_source_and_log
-from adaptsim_jax.simulators.mujoco.coarse import change, halved, step_notes
-from adaptsim_jax.simulators.mujoco.diagnosed import diagnose, simulator
+from adaptsim_jax.simulators.mujoco.diagnosed import change, diagnose, halved, simulator, step_notes
 from tests.simulators.robots import quadruped, record, walk
 from tests.simulators.test_mujoco import ARM, swing
 

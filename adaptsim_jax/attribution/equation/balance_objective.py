@@ -16,12 +16,11 @@ from adaptsim_jax.attribution.candidates import JointCandidate, adjacent
 from adaptsim_jax.attribution.equation.searched import Searched, needed, ranked
 from adaptsim_jax.attribution.equation.solve import Solved, compared
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, Vector
-from adaptsim_jax.diagnosis.alternatives import preferred
 from adaptsim_jax.diagnosis.criteria import LOOK_ALIKE, Criteria
 from adaptsim_jax.diagnosis.finding import Step
 from adaptsim_jax.diagnosis.objective import FittedCandidate, Objective, Round
 from adaptsim_jax.diagnosis.rules import Evidence, Reason, refusal, step_reason
-from adaptsim_jax.diagnosis.testing import Test, false_discovery
+from adaptsim_jax.diagnosis.testing import Test, false_discovery, preferred
 from adaptsim_jax.effects.base import Traits
 
 

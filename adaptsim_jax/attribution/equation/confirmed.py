@@ -19,19 +19,18 @@ from adaptsim_jax.attribution.equation.models import GroupSearch, TorqueSearch, 
 from adaptsim_jax.attribution.fitted import FittedTree, held_error, over_floor
 from adaptsim_jax.attribution.forecast import without_a_model
 from adaptsim_jax.attribution.held_out import paired
+from adaptsim_jax.attribution.nested_models import eased, worth
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.paths import losses
 from adaptsim_jax.attribution.problem import TreeProblem
-from adaptsim_jax.attribution.stretch_evidence import eased, worth
 from adaptsim_jax.core.parallel import parallel_map
-from adaptsim_jax.diagnosis.alternatives import preferred
 from adaptsim_jax.diagnosis.criteria import FOLD, Criteria
 from adaptsim_jax.diagnosis.finding import Step
 from adaptsim_jax.diagnosis.folds import pieces
 from adaptsim_jax.diagnosis.objective import Objective
 from adaptsim_jax.diagnosis.rules import Evidence, refusal, step_reason
 from adaptsim_jax.diagnosis.search import backward_elimination
-from adaptsim_jax.diagnosis.testing import Test, log_ratio, paired_test, share
+from adaptsim_jax.diagnosis.testing import Test, log_ratio, paired_test, preferred, share
 from adaptsim_jax.effects.joints.catalogue import OWN
 
 

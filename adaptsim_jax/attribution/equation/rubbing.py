@@ -19,9 +19,8 @@ from adaptsim_jax.attribution.equation.models import separable_candidates
 from adaptsim_jax.attribution.equation.searched import Searched
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import TreeProblem
-from adaptsim_jax.diagnosis.alternatives import preferred
 from adaptsim_jax.diagnosis.criteria import Criteria
-from adaptsim_jax.diagnosis.testing import compare, log_ratio
+from adaptsim_jax.diagnosis.testing import compare, log_ratio, preferred
 from adaptsim_jax.effects.base import Reach
 from adaptsim_jax.mechanisms.tree import Tree
 

@@ -41,7 +41,7 @@ class SimulationCriteria:
 
 @dataclass(frozen=True)
 class RemarkCriteria:
-    """What is remarked of a file without a fit (`coarse.py`, `touching.py`)."""
+    """What is remarked of a file without a fit (`step_notes`, `touching`)."""
 
     step_stretches: int = 8  # stretches that are simulated with half the step: they are much alike
     step_noises: float = 1.0  # noises that halving the step must change before a note says so

@@ -3,7 +3,7 @@ simulate, diagnosed.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -15,8 +15,9 @@ from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.problem import Candidate, Quantity
 from adaptsim_jax.diagnosis.run import Page
 from adaptsim_jax.diagnosis.simulated import diagnose_simulator
-from adaptsim_jax.diagnosis.simulator import DERIVATIVE_STEP, Channel
+from adaptsim_jax.diagnosis.simulator import DERIVATIVE_STEP, Channel, linearise
 from adaptsim_jax.diagnosis.simulator import Stretches as Compared
+from adaptsim_jax.diagnosis.starts import taken_up, without
 from adaptsim_jax.logs.log import Log
 from adaptsim_jax.logs.quality.audit import audit
 from adaptsim_jax.mechanisms.spec import Source
@@ -24,9 +25,8 @@ from adaptsim_jax.simulators.mujoco import rollouts
 from adaptsim_jax.simulators.mujoco.acting import OUTSIDE, acting, as_read
 from adaptsim_jax.simulators.mujoco.build import Stepped, stepped
 from adaptsim_jax.simulators.mujoco.catalogue import DECLARED, noise_of, quantity, rows, sensor_rows
-from adaptsim_jax.simulators.mujoco.coarse import step_notes as coarse_step
 from adaptsim_jax.simulators.mujoco.contact import contact_rows
-from adaptsim_jax.simulators.mujoco.criteria import SIMULATION
+from adaptsim_jax.simulators.mujoco.criteria import REMARK, SIMULATION
 from adaptsim_jax.simulators.mujoco.fields import Field, with_values
 from adaptsim_jax.simulators.mujoco.mended import mended_mjcf
 from adaptsim_jax.simulators.mujoco.sensed import prior_of
@@ -84,7 +84,7 @@ class MujocoSimulator:
     def notes(self, values: Mapping[str, float]) -> list[str]:
         """See `diagnosis.simulator.Simulator`."""
         row = np.array([values[q.name] for q in self.quantities])
-        return [*coarse_step(self, row), *self.remarks]
+        return [*step_notes(self, row), *self.remarks]
 
     @property
     def mended(self) -> dict[str, Callable[[Mapping[str, float]], str]]:
@@ -248,3 +248,42 @@ def diagnose(
         name=Path(made.made.path).name,
         command=command,
     )
+
+
+def halved(made: MujocoSimulator) -> MujocoSimulator:
+    """The same stepped twice as often; each command acts as long as before."""
+    model = made.made.model.__copy__()
+    model.opt.timestep *= 0.5
+    own = made.own
+    twice = {k: np.repeat(getattr(own, k), 2, 1) for k in ("control", "past")}
+    return replace(
+        made, made=made.made.with_model(model), own=replace(own, at=2.0 * own.at, **twice)
+    )
+
+
+def change(made: MujocoSimulator, values: np.ndarray) -> float:
+    """RMS change of predictions over the noise by half the step, with values [P], less what starts
+    would take up. The median of a few stretches.
+    """
+    s = made.stretches
+    which = np.unique(np.linspace(0, s.count - 1, REMARK.step_stretches).round().astype(int))
+    rows, starts = np.tile(values, (len(which), 1)), s.start[which]
+    noise = np.array([c.noise for c in made.channels])
+    off = halved(made).predict(rows, starts, which) - made.predict(rows, starts, which)
+    off = np.where(s.seen[which] > 0, np.nan_to_num(off / noise), 0.0).reshape(len(which), -1)
+    by_start = linearise(made, rows, starts, which, np.zeros((0, len(values))))[0]
+    left = without(taken_up(by_start), off[..., None])[..., 0]
+    counts = (s.seen[which] > 0).reshape(len(which), -1).sum(1)
+    return float(np.median(np.sqrt(np.square(left).sum(1) / np.maximum(counts, 1))))
+
+
+def step_notes(made: MujocoSimulator, values: np.ndarray) -> list[str]:
+    """One line where the step is coarse, none where it is fine enough."""
+    size, step = change(made, values), 1e3 * float(made.made.model.opt.timestep)
+    if size < REMARK.step_noises:
+        return []
+    return [
+        f"The file's step of {step:g} ms is coarse for this log: half of it changes what is "
+        f"predicted by {size:.2g} times the noise. What is named may be the step's; try a smaller "
+        "timestep."
+    ]

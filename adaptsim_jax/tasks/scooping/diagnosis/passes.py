@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from adaptsim_jax.diagnosis.alternatives import preferred
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Finding, Named
 from adaptsim_jax.diagnosis.fit import Fit, mean_square
@@ -21,6 +20,7 @@ from adaptsim_jax.diagnosis.models import (
 from adaptsim_jax.diagnosis.problem import Candidate, Problem
 from adaptsim_jax.diagnosis.rows import left_by_fit
 from adaptsim_jax.diagnosis.search import backward_elimination, names_allowed
+from adaptsim_jax.diagnosis.testing import preferred
 from adaptsim_jax.diagnosis.trials import search_trials
 from adaptsim_jax.tasks.scooping.diagnosis.catalogue import EFFECTS, HEIGHT, SHAPE, SHIFTS
 from adaptsim_jax.tasks.scooping.diagnosis.emulate import PLACE, Emulator, emulate, widths
