@@ -125,7 +125,7 @@ class WindowCriteria:
 
 @dataclass(frozen=True)
 class BalanceCriteria:
-    """Rows of a balance and their weights (`balance.py`, `columns.py`, `searched.py`)."""
+    """Rows of a balance and their weights (`balance.py`, `searched.py`)."""
 
     # of the reported torque, that an actuator's torque is at least taken to be
     min_scale: float = 0.02

@@ -44,9 +44,13 @@ from adaptsim_jax.attribution.posed import (
     posed,
 )
 from adaptsim_jax.attribution.problem import TreeProblem, own_inertia, scaled_reach
-from adaptsim_jax.attribution.select import declared as fitted_null
-from adaptsim_jax.attribution.select import select, select_shorter
-from adaptsim_jax.attribution.tree_objective import DECLARED_ROUNDS, TreeObjective
+from adaptsim_jax.attribution.tree_objective import (
+    DECLARED_ROUNDS,
+    TreeObjective,
+    select,
+    select_shorter,
+)
+from adaptsim_jax.attribution.tree_objective import declared as fitted_null
 from adaptsim_jax.diagnosis.criteria import REPORT
 from adaptsim_jax.diagnosis.finding import Named
 from adaptsim_jax.diagnosis.search import backward_elimination

@@ -12,7 +12,7 @@ from adaptsim_jax.attribution.fitted import Selection, over_floor
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.posed import declared_vector
 from adaptsim_jax.attribution.replay import replay_files
-from adaptsim_jax.attribution.select import declared, select_shorter
+from adaptsim_jax.attribution.tree_objective import declared, select_shorter
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.schema import read_report
 from adaptsim_jax.effects.joints.catalogue import MACHINE

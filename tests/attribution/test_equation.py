@@ -11,9 +11,9 @@ from adaptsim_jax.attribution.account import reported
 from adaptsim_jax.attribution.criteria import SERVO as SERVO_CRITERIA
 from adaptsim_jax.attribution.equation import commands
 from adaptsim_jax.attribution.equation.balance import balances, in_proportion, residual
-from adaptsim_jax.attribution.equation.columns import EffectTable
 from adaptsim_jax.attribution.equation.commands import Servo
 from adaptsim_jax.attribution.equation.models import search_balances
+from adaptsim_jax.attribution.equation.searched import EffectTable
 from adaptsim_jax.attribution.equation.windows import runs_of
 from adaptsim_jax.attribution.examine import examined
 from adaptsim_jax.attribution.load import load

@@ -16,7 +16,7 @@ from adaptsim_jax.attribution.parameters import Entry, Vector
 from adaptsim_jax.attribution.paths import losses, run
 from adaptsim_jax.attribution.problem import nuisances, own_inertia, prepare, scaled_reach
 from adaptsim_jax.attribution.score import table
-from adaptsim_jax.attribution.select import select
+from adaptsim_jax.attribution.tree_objective import select
 from adaptsim_jax.diagnosis import search
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.joints.catalogue import MACHINE

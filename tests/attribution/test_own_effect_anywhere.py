@@ -59,7 +59,7 @@ from adaptsim_jax import cli
 from adaptsim_jax.attribution import mend
 from adaptsim_jax.attribution.posed import declared_vector, excluded_of, posed
 from adaptsim_jax.attribution.equation.balance import balances
-from adaptsim_jax.attribution.equation.columns import EffectTable
+from adaptsim_jax.attribution.equation.searched import EffectTable
 from adaptsim_jax.attribution.equation.models import separable_candidates
 from adaptsim_jax.attribution.estimate import linear
 from adaptsim_jax.attribution.candidates import candidates

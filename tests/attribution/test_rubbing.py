@@ -6,10 +6,10 @@ import pytest
 from adaptsim_jax.attribution.candidates import candidates
 from adaptsim_jax.attribution.diagnose import diagnose
 from adaptsim_jax.attribution.equation.balance import balances, ramp
-from adaptsim_jax.attribution.equation.columns import EffectTable
 from adaptsim_jax.attribution.equation.confirmed import without_bodies
 from adaptsim_jax.attribution.equation.models import part_of
 from adaptsim_jax.attribution.equation.rubbing import giving, rubbing
+from adaptsim_jax.attribution.equation.searched import EffectTable
 from adaptsim_jax.attribution.forecast import fitted_starts
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.parameters import Vector

@@ -9,14 +9,13 @@ import pytest
 
 from adaptsim_jax.attribution.candidates import JointCandidate, candidates
 from adaptsim_jax.attribution.equation.balance import balances
-from adaptsim_jax.attribution.equation.columns import EffectTable
 from adaptsim_jax.attribution.equation.models import (
     part_of,
     search_group,
     separable_candidates,
     within,
 )
-from adaptsim_jax.attribution.equation.searched import Searched
+from adaptsim_jax.attribution.equation.searched import EffectTable, Searched
 from adaptsim_jax.attribution.estimate import linear
 from adaptsim_jax.attribution.fitted import Selection
 from adaptsim_jax.attribution.load import load
@@ -25,7 +24,7 @@ from adaptsim_jax.attribution.paths import losses, run, starts_of, weigh
 from adaptsim_jax.attribution.posed import declared_vector, posed
 from adaptsim_jax.attribution.problem import TreeProblem, own_inertia, scaled_reach
 from adaptsim_jax.attribution.score import candidate_columns, table
-from adaptsim_jax.attribution.select import select
+from adaptsim_jax.attribution.tree_objective import select
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Finding
 from adaptsim_jax.diagnosis.starts import problem_of
