@@ -50,6 +50,7 @@ def test_dry_friction_is_named_and_the_model_file_holds_it(tmp_path):
     assert any("inertia about hinge" in note for note in report["notes"])
 
 
+@pytest.mark.long
 def test_a_few_short_trials_are_diagnosed_whole(tmp_path):
     """Of a small catalogue, to be quick."""
     data, out = (

@@ -79,6 +79,7 @@ def test_which_law_a_recording_shows(tmp_path, law, near, gives):
     assert shown(finger_log(tmp_path / "log", law, near)) is gives
 
 
+@pytest.mark.long
 def test_a_level_that_the_file_lacks_is_named_beside_friction_that_gives(tmp_path):
     report = diagnose(finger_log(tmp_path / "log", near=0.2), out=tmp_path / "out")
     (effect,) = report["effects"]

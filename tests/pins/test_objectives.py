@@ -252,8 +252,11 @@ def tree_of(found: Selection) -> dict[str, Any]:
     }
 
 
+LONG = ("rare", "servos", "replaced")  # more than ten seconds
+
+
 @pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=[pytest.mark.long] if n == "rare" else []) for n in TREES]
+    "name", [pytest.param(n, marks=[pytest.mark.long] if n in LONG else []) for n in TREES]
 )
 def test_stretches_are_searched_the_same(posed_of, name):
     machine, effects, criteria = TREES[name]
@@ -261,6 +264,7 @@ def test_stretches_are_searched_the_same(posed_of, name):
     check(f"search_tree_{name}", tree_of(select(case.problem, case.null, criteria)), LOOSE)
 
 
+@pytest.mark.long
 def test_a_search_that_goes_on_from_another_is_the_same(posed_of):
     case = posed_of("motors", SOME)
     every = candidates(case.problem, case.null, case.reach)
