@@ -11,6 +11,9 @@ from adaptsim_jax.attribution.diagnose import diagnose as diagnose_mechanism
 from adaptsim_jax.attribution.pendulum_diagnosis import diagnose_pendulum
 from adaptsim_jax.diagnosis.simulated import diagnose_simulator
 from adaptsim_jax.effects.joints.catalogue import MACHINE
+from adaptsim_jax.logs.read import read_source_and_log
+from adaptsim_jax.simulators.mujoco.diagnosed import diagnose as diagnose_mujoco
+from adaptsim_jax.simulators.mujoco.diagnosed import simulator
 from adaptsim_jax.tasks.scooping.diagnosis.diagnose import diagnose as diagnose_scoops
 from adaptsim_jax.tasks.toss.catalogue import EFFECTS as TOSSES
 from adaptsim_jax.tasks.toss.diagnose import diagnose as diagnose_tosses
@@ -27,6 +30,7 @@ from tests.tasks.toss.test_toss import folder as tossed
 __all__ = ["simple"]  # a fixture
 
 LOOSE = 1e-4
+FIELDS = {"coulomb", "gain", "delay"}
 JOINTS = {"coulomb", "viscous", "torque_gain", "armature", "position_gain"}
 
 
@@ -84,6 +88,13 @@ def test_machines(machine, objective, more, tmp_path):
         return diagnose_mechanism(data, exclude=left, yardstick=objective, **where)
 
     pin(name, tmp_path, diagnosed)
+
+
+@pytest.mark.long
+def test_mujoco(tmp_path):
+    made = simulator(*read_source_and_log(record(tmp_path / "log", "servos")))
+    left = tuple({c.name for c in made.candidates if c.name.split(" at ")[0] not in FIELDS})
+    pin("mujoco", tmp_path, lambda **more: diagnose_mujoco(made, exclude=left, **more))
 
 
 @pytest.mark.long
