@@ -89,6 +89,7 @@ WITHIN = {
         "log",
         "table_checks",
         "noise",
+        "stretch_rows",
         "smoother",
         "quality",
         "clock",

@@ -10,6 +10,7 @@ import numpy as np
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.log import Log, LogTrial
 from adaptsim_jax.logs.noise import local_motion
+from adaptsim_jax.logs.stretch_rows import spread
 from adaptsim_jax.simulators.mujoco.build import Stepped
 from adaptsim_jax.simulators.mujoco.criteria import SIMULATION
 from adaptsim_jax.simulators.mujoco.sensed import oriented, standing
@@ -54,14 +55,13 @@ def cut(made: Stepped, log: Log, horizon: float, most: int) -> MujocoStretches:
     Raises BadInput where no trial holds a whole one.
     """
     model, h = made.model, float(made.model.opt.timestep)
-    pieces = [(k, b, e) for k, trial in enumerate(log.trials) for b, e in _whole(trial, horizon)]
-    if not pieces:
+    pieces = [[(k, b, e) for b, e in _whole(trial, horizon)] for k, trial in enumerate(log.trials)]
+    chosen = spread([part for part in pieces if part], most)
+    if not chosen:
         raise BadInput(
             f"{log.path}: no trial has an unbroken stretch of {horizon:g} s; give a shorter "
             "--horizon or longer trials"
         )
-    keep = np.unique(np.linspace(0, len(pieces) - 1, min(most, len(pieces))).round().astype(int))
-    chosen = [pieces[i] for i in keep]
     rows = max(e - b for _, b, e in chosen) + 1
     steps = max(
         int(np.ceil((log.trials[k].time[e] - log.trials[k].time[b]) / h - 0.25))
