@@ -9,10 +9,11 @@ nothing, whatever it gains over another.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from adaptsim_jax.attribution.estimate import linear, refitted_start, usual
+from adaptsim_jax.attribution.estimate import Linear, linear, refitted_start, usual
 from adaptsim_jax.attribution.parameters import TreeFit, Vector, Weights
 from adaptsim_jax.attribution.paths import ready, residuals, simulated, starts_of, widened
 from adaptsim_jax.attribution.problem import TreeProblem
@@ -20,6 +21,7 @@ from adaptsim_jax.attribution.simulate import Path
 from adaptsim_jax.diagnosis.steps import StretchLanes, fit_starts
 
 MAX_START_ROUNDS = 6  # rounds of steps of the starts, at most
+LINEARISATIONS = 2  # at most, of all stretches by their starts: each is dear
 LENGTHS = np.array([1.0, 0.3, 0.09])  # of a step, tried in turn
 
 
@@ -122,30 +124,45 @@ def fitted_starts(
         # over all rows: a sum over some of them does not show a start that flings a joint away
         return left, np.square(left).sum((1, 2))
 
-    def propose(some: np.ndarray, left: np.ndarray, lanes: np.ndarray) -> np.ndarray:
+    found = StretchLanes(every, *evaluate(every, np.arange(len(every))))
+    for _ in range(1 if roughly else LINEARISATIONS):
         if roughly:
-            move = _along_a_line(problem, left, lanes, [len(x) for x in begun])
+            move = partial(_along_a_line, problem, sizes=[len(x) for x in begun])
         else:
-            move = _by_derivatives(problem, vector, by_group(some, lanes))[lanes]
-        return some + LENGTHS[:, None, None] * move
+            lin = _linearised(problem, vector, np.split(found.starts.T, ends))
+            move = partial(_by_derivatives, problem, lin)
 
-    found = fit_starts(
-        StretchLanes(every, *evaluate(every, np.arange(len(every)))), propose, evaluate, rounds
-    )
+        def propose(some: np.ndarray, left: np.ndarray, lanes: np.ndarray, move=move) -> np.ndarray:
+            return some + LENGTHS[:, None, None] * move(left, lanes)
+
+        found = fit_starts(found, propose, evaluate, rounds)
     starts = tuple(np.split(found.starts.T, ends))
     return starts, simulated(made, starts)
 
 
-def _by_derivatives(
-    problem: TreeProblem, vector: Vector, starts: Sequence[np.ndarray]
-) -> np.ndarray:
-    """Change of starts [W, S] by least squares on the angles."""
+def _linearised(problem: TreeProblem, vector: Vector, starts: Sequence[np.ndarray]) -> Linear:
+    """Angles by the starts, each radian (or metre) counting alike."""
     n, width = problem.joints, problem.groups[0].stretches.count
     weights = Weights(np.concatenate([np.ones(n), np.zeros(n)]), np.ones(width))
-    fit = TreeFit(vector, tuple(starts), weights, np.zeros(width), "", 0)
-    lin = linear(problem, fit, entries=())
-    groups = zip(problem.groups, lin.start, lin.residual, strict=True)
-    return np.concatenate([refitted_start(x, r, usual(problem, g)) for g, x, r in groups]).T
+    return linear(
+        problem, TreeFit(vector, tuple(starts), weights, np.zeros(width), "", 0), entries=()
+    )
+
+
+def _by_derivatives(
+    problem: TreeProblem, lin: Linear, left: np.ndarray, lanes: np.ndarray
+) -> np.ndarray:
+    """Change of starts [B, S] by least squares on what is left of the angles [B, L+1, n], with the
+    derivatives of `lin`, at starts near by.
+    """
+    out, at = [], 0
+    for group, by_start, mine in zip(problem.groups, lin.start, lin.counted, strict=True):
+        n, s = len(group.joints), group.stretches
+        off = np.zeros((s.count, s.rows + 1, 2 * n))
+        off[lanes, :, :n] = left[..., at : at + n]
+        at += n
+        out.append(refitted_start(by_start[lanes], mine.flat(off)[lanes], usual(problem, group)).T)
+    return np.concatenate(out, 1)
 
 
 def _along_a_line(
