@@ -33,6 +33,8 @@ METHODS = {
         r'Step\("added", (best|better|score)|while len\((\w+\.)?added\) <',
     ),
     "pieces of trials": ("diagnosis/folds.py", r"in np\.array_split\(mine"),
+    "stretches cut": ("logs/stretch_rows.py", r"inside\[-1\]\) \+ 1|max\(5\.0 \* dt"),
+    "mean of a held command": ("attribution/stretches.py", r"np\.cumsum\(u\[:-1\] \*"),
     "rows of candidates": ("diagnosis/report.py", r'"status": status'),
     "interval of an error": ("diagnosis/report.py", r"np\.quantile\(\[np\.median"),
     "noise by differences": (

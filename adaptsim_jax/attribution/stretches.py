@@ -7,13 +7,14 @@ log is faster than needed.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
 from adaptsim_jax.attribution.criteria import STRETCH
-from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.noise import local_motion
+from adaptsim_jax.logs.stretch_rows import TrialSpans, stretch_rows
+
+LANES = ("trial", "time", "q", "v", "seen", "seen_v", "start", "stamp", "command")
 
 
 @dataclass(frozen=True)
@@ -64,10 +65,7 @@ class JointStretches:
 
     def pick(self, keep: np.ndarray) -> "JointStretches":
         """Those stretches alone."""
-        lanes = {
-            k: getattr(self, k)[..., keep]
-            for k in ("trial", "time", "q", "v", "seen", "seen_v", "start", "stamp", "command")
-        }
+        lanes = {k: getattr(self, k)[..., keep] for k in LANES}
         return JointStretches(**lanes, past=self.past, names=self.names)
 
     def of(self, joints: Sequence[int]) -> "JointStretches":
@@ -92,68 +90,28 @@ class JointStretches:
 def cut(
     tracks: Sequence[JointTrack], horizon: float = 0.5, most: int = 10_000, row: float = STRETCH.row
 ) -> JointStretches:
-    """Stretches of `horizon` s of all tracks, side by side; none over a gap in time. At most about
-    `most`, evenly spread.
+    """Stretches of `horizon` s of all tracks, side by side; see `stretch_rows`.
 
     Raises BadInput where no trial holds a whole stretch.
     """
-    pieces, length, width = [], 0, 0.0
-    for k, track in enumerate(tracks):
+    spans, steps = [], []
+    for track in tracks:
         dt = float(np.median(np.diff(track.time)))
         stride = max(1, round(row / dt))
-        rows = max(STRETCH.min_rows, round(horizon / (stride * dt)))
-        length, width = max(length, rows), max(width, stride * dt)
-        pieces.append((k, stride, rows, _whole(track, stride, rows, dt)))
-    total = sum(len(begins) for *_, begins in pieces)
-    if not total:
-        raise BadInput(
-            f"no trial has an unbroken stretch of {horizon:g} s; give a shorter --horizon or "
-            "longer trials"
-        )
-    share = min(1.0, most / total)
-    fine = min(stride * float(np.median(np.diff(tracks[k].time))) for k, stride, *_ in pieces)
-    past, future = int(np.ceil(STRETCH.past / fine)), int(np.ceil(STRETCH.future / fine))
-    lanes = []
-    for k, stride, rows, begins in pieces:
-        keep = np.unique(
-            np.linspace(0, len(begins) - 1, max(1, round(share * len(begins)))).round().astype(int)
-        )
-        trial = _Trial(
-            k,
-            tracks[k],
-            local_motion(tracks[k].time, tracks[k].q, tracks[k].v),
-            _integral(tracks[k].time, tracks[k].u),
-        )
-        size = _Size(stride, rows, length, past, future)
-        chosen = [begins[i] for i in keep] if len(begins) else []
-        lanes += [_lane(trial, b, size) for b in chosen]
-
-    def stack(key):
-        return np.stack([lane[key] for lane in lanes], -1)
-
-    keys = ("trial", "time", "q", "v", "seen", "seen_v", "start", "stamp", "command")
-    return JointStretches(
-        **{key: stack(key) for key in keys}, past=past, names=tuple(t.name for t in tracks)
-    )
-
-
-def _whole(track: JointTrack, stride: int, rows: int, dt: float) -> list[int]:
-    """First samples of consecutive stretches without a gap in time, in which at least half of the
-    angles were read.
-    """
-    span = stride * rows
-    begins, at = [], 0
-    broken = np.flatnonzero(np.diff(track.time) > max(5.0 * dt, 0.05))
-    observed = np.isfinite(track.q).mean(1)
-    while at + span < len(track.time):
-        inside = broken[(broken >= at) & (broken < at + span)]
-        if len(inside):
-            at = int(inside[-1]) + 1
-            continue
-        if observed[at : at + span + 1].mean() > 0.5:
-            begins.append(at)
-        at += span
-    return begins
+        span = stride * max(STRETCH.min_rows, round(horizon / (stride * dt)))
+        last = np.arange(len(track.time)) + span
+        spans.append(TrialSpans(track.time, track.q, last, stride))
+        steps.append(stride * dt)
+    chosen = stretch_rows(spans, horizon, most)
+    rows, own = chosen.compared()
+    past, future = (int(np.ceil(z / min(steps))) for z in (STRETCH.past, STRETCH.future))
+    parts = []
+    for k in np.unique(chosen.trial):
+        mine = chosen.trial == k
+        part = _of_trial(tracks[k], rows[mine], own[mine], past, future)
+        parts.append({"trial": np.full(mine.sum(), k), **part})
+    lanes = {key: np.concatenate([part[key] for part in parts], -1) for key in LANES}
+    return JointStretches(**lanes, past=past, names=tuple(t.name for t in tracks))
 
 
 def without_first_rows(stretches: JointStretches, span: float) -> JointStretches:
@@ -166,77 +124,46 @@ def without_first_rows(stretches: JointStretches, span: float) -> JointStretches
     return replace(stretches, seen=stretches.seen * mask, seen_v=stretches.seen_v * mask)
 
 
-def _integral(time: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """Running integral [T, n] of a command held from its row to the next."""
-    u = np.where(np.isfinite(u), u, 0.0)
-    return np.concatenate(
-        [np.zeros((1, u.shape[1])), np.cumsum(u[:-1] * np.diff(time)[:, None], 0)]
-    )
-
-
-class _Trial(NamedTuple):
-    """A trial by its number, with its smoothed motion (angles and speeds [T, n]) and the running
-    integral of its command [T, n].
+def _of_trial(
+    track: JointTrack, rows: np.ndarray, own: np.ndarray, past: int, future: int
+) -> dict[str, np.ndarray]:
+    """The arrays of the stretches of a trial, whose rows are `rows` [W, L + 1], `own` or again the
+    last; past, future: rows of command before and after.
     """
-
-    number: int
-    track: JointTrack
-    motion: tuple[np.ndarray, np.ndarray]
-    integral: np.ndarray
-
-
-class _Size(NamedTuple):
-    """Samples from row to row of a stretch, its own rows, those of the longest one, and the rows of
-    its command before it and after it.
-    """
-
-    stride: int
-    rows: int
-    length: int
-    past: int
-    future: int
-
-
-def _lane(trial: _Trial, begin: int, size: _Size) -> dict[str, np.ndarray | int]:
-    """The arrays of a stretch that begins at a sample of a trial."""
-    (k, track, motion, integral), (stride, rows, length, past, future) = trial, size
-    at = begin + stride * np.minimum(np.arange(length + 1), rows)
-    time = track.time[at]
-    live = (np.arange(length + 1) <= rows)[:, None]
-    dt = float(np.median(np.diff(time[: rows + 1])))
-    before = time[0] - dt * np.arange(past, 0, -1)
-    after = time[-1] + dt * np.arange(1, future + 1)
+    time = track.time[rows].T
+    dt = np.median(np.diff(time[: own[0].sum()], axis=0), axis=0)
+    before = time[0] - dt * np.arange(past, 0, -1)[:, None]
+    after = time[-1] + dt * np.arange(1, future + 1)[:, None]
     edges = np.concatenate([before, time, after])
-    command = _means(track.time, np.where(np.isfinite(track.u), track.u, 0.0), integral, edges)
-    q = track.q[at]
-    v = np.full_like(q, np.nan) if track.v is None else track.v[at]
-    q0, v0 = motion
+    q = np.moveaxis(track.q[rows], 0, -1)
+    v = np.full_like(q, np.nan) if track.v is None else np.moveaxis(track.v[rows], 0, -1)
+    live = own.T[:, None]
+    motion = np.concatenate(local_motion(track.time, track.q, track.v), 1)
     return {
-        "trial": k,
         "time": time - track.time[0],
         "q": np.where(np.isfinite(q), q, 0.0),
         "v": np.where(np.isfinite(v), v, 0.0),
         "seen": np.isfinite(q) * live,
         "seen_v": np.isfinite(v) * live,
-        "start": np.concatenate([q0[begin], v0[begin]]),
+        "start": motion[rows[:, 0]].T,
         "stamp": edges[:-1] - track.time[0],
-        "command": command,
+        "command": np.moveaxis(mean_command(track.time, track.u, edges), 1, -1),
     }
 
 
-def _means(time, u, integral, edges) -> np.ndarray:
-    """Mean command [rows, n] between edges; before the first row and after the last it stays as it
-    was there.
+def mean_command(time: np.ndarray, u: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Mean [E, ..., n] of a command between `edges` [E + 1, ...] s, where it is held from its row
+    to the next, the first and the last one for ever; time [T] s, u [T, n], NaN: nothing.
     """
-    out = np.empty((len(edges) - 1, u.shape[1]))
-    span = np.diff(edges)
-    for j in range(u.shape[1]):
-        area = np.interp(edges, time, integral[:, j])
-        area = (
-            area
-            + np.minimum(edges - time[0], 0.0) * u[0, j]
-            + np.maximum(edges - time[-1], 0.0) * u[-1, j]
-        )
-        row = np.clip(np.searchsorted(time, edges[:-1], side="right") - 1, 0, len(time) - 1)
-        out[:, j] = np.where(span > 0, np.diff(area) / np.where(span > 0, span, 1.0), u[row, j])
+    u = np.where(np.isfinite(u), u, 0.0)
+    area = np.cumsum(u[:-1] * np.diff(time)[:, None], 0)
+    area = np.concatenate([np.zeros((1, u.shape[1])), area])
+    span = np.diff(edges, axis=0)
+    row = np.clip(np.searchsorted(time, edges[:-1], side="right") - 1, 0, len(time) - 1)
+    early, late = np.minimum(edges - time[0], 0.0), np.maximum(edges - time[-1], 0.0)
+    out = np.empty((*span.shape, u.shape[1]))
+    for j, (held, whole) in enumerate(zip(u.T, area.T, strict=True)):
+        sums = np.interp(edges, time, whole) + early * held[0] + late * held[-1]
+        means = np.diff(sums, axis=0) / np.where(span > 0, span, 1.0)
+        out[..., j] = np.where(span > 0, means, held[row])
     return out

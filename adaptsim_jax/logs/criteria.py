@@ -268,6 +268,15 @@ class TurnCriteria:
     other_alike: float = 0.2  # of the range, by which jumps may differ
 
 
+@dataclass(frozen=True)
+class UnbrokenCriteria:
+    """Rows that follow each other (`stretch_rows.py`)."""
+
+    gap_rows: float = 5.0  # usual rows, and
+    gap: float = 0.05  # s: a longer step is a gap, over which nothing is simulated
+    observed: float = 0.5  # of a stretch's angles, that must have been read
+
+
 TABLE = TableCriteria()
 CLOCK = ClockCriteria()
 UNIT = UnitCriteria()
@@ -281,3 +290,4 @@ CONTRADICTION = ContradictionCriteria()
 COMMAND = CommandCriteria()
 TRIAL = TrialCriteria()
 WRAP = TurnCriteria()
+UNBROKEN = UnbrokenCriteria()

@@ -16,7 +16,8 @@ import scipy.ndimage
 import scipy.sparse
 
 from adaptsim_jax.attribution.criteria import WINDOW
-from adaptsim_jax.attribution.stretches import JointTrack
+from adaptsim_jax.attribution.stretches import JointTrack, mean_command
+from adaptsim_jax.logs.stretch_rows import broken
 
 
 @dataclass(frozen=True)
@@ -98,11 +99,10 @@ def _even(track: JointTrack) -> tuple[np.ndarray, ...]:
     """time, q, v, speed, u, jump on an even grid, and where rows were read (1) or not (0); v is
     smooth, and speed is true.
     """
-    steps = np.diff(track.time)
-    dt = float(np.median(steps))
+    dt = float(np.median(np.diff(track.time)))
     time = np.arange(track.time[0], track.time[-1], dt)
     nearest = np.clip(np.searchsorted(track.time, time), 1, len(track.time) - 1)
-    mask = (track.time[nearest] - track.time[nearest - 1] < max(5.0 * dt, 0.05)).astype(float)
+    mask = 1.0 - broken(track.time)[nearest - 1]
     columns = []
     for z in track.q.T:
         there = np.isfinite(z)
@@ -114,12 +114,7 @@ def _even(track: JointTrack) -> tuple[np.ndarray, ...]:
         mask *= np.interp(time, track.time, there.astype(float)) > 0.5
     q, v, speed = _local(np.stack(columns), dt, _rows(dt))
     u = np.where(np.isfinite(track.u), track.u, 0.0)
-    area = np.concatenate(
-        [np.zeros((1, u.shape[1])), np.cumsum(u[:-1] * steps[:, None], 0)]
-    )  # each is held to the next row
-    edges = np.append(time - 0.5 * dt, time[-1] + 0.5 * dt)
-    middle = np.stack([np.diff(np.interp(edges, track.time, z)) / dt for z in area.T], 1)
-    middle[0] = u[0]
+    middle = mean_command(track.time, u, np.append(time - 0.5 * dt, time[-1] + 0.5 * dt))
     held = u[np.clip(np.searchsorted(track.time, time + 0.25 * dt) - 1, 0, len(u) - 1)]
     jump = 2.0 * (held - middle)
     some = slice(None, None, max(1, round(WINDOW.grid / dt)))

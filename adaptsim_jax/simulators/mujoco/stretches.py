@@ -10,7 +10,7 @@ import numpy as np
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.log import Log, LogTrial
 from adaptsim_jax.logs.noise import local_motion
-from adaptsim_jax.logs.stretch_rows import spread
+from adaptsim_jax.logs.stretch_rows import TrialSpans, stretch_rows
 from adaptsim_jax.simulators.mujoco.build import Stepped
 from adaptsim_jax.simulators.mujoco.criteria import SIMULATION
 from adaptsim_jax.simulators.mujoco.sensed import oriented, standing
@@ -49,32 +49,27 @@ class MujocoStretches:
 
 
 def cut(made: Stepped, log: Log, horizon: float, most: int) -> MujocoStretches:
-    """Stretches of `horizon` s of all trials, at most about `most`, evenly spread; none over a gap
-    in time.
+    """Stretches of `horizon` s of all trials; see `stretch_rows`.
 
     Raises BadInput where no trial holds a whole one.
     """
-    model, h = made.model, float(made.model.opt.timestep)
-    pieces = [[(k, b, e) for b, e in _whole(trial, horizon)] for k, trial in enumerate(log.trials)]
-    chosen = spread([part for part in pieces if part], most)
-    if not chosen:
-        raise BadInput(
-            f"{log.path}: no trial has an unbroken stretch of {horizon:g} s; give a shorter "
-            "--horizon or longer trials"
-        )
-    rows = max(e - b for _, b, e in chosen) + 1
-    steps = max(
-        int(np.ceil((log.trials[k].time[e] - log.trials[k].time[b]) / h - 0.25))
-        for k, b, e in chosen
-    )
-    motion = {k: _motion(log.trials[k]) for k in {k for k, *_ in chosen}}
+    model, trials = made.model, log.trials
+    spans = []
+    for trial in trials:
+        last = np.searchsorted(trial.time, trial.time + horizon - 0.5 * trial.dt)
+        spans.append(TrialSpans(trial.time, trial.q, last))
+    chosen = stretch_rows(spans, horizon, most, f"{log.path}: ")
+    seconds = [
+        trials[k].time[last] - trials[k].time[first]
+        for k, first, last in zip(chosen.trial, chosen.first, chosen.last, strict=True)
+    ]
+    steps = max(1, int(np.ceil(max(seconds) / float(model.opt.timestep) - 0.25)))
+    motion = {k: _motion(trials[k]) for k in np.unique(chosen.trial)}
     felt = _felt(made, log)
-    inputs = [inputs_of(model, log, trial) for trial in log.trials]
+    inputs = [inputs_of(model, log, trial) for trial in trials]
     lanes = [
-        _lane(
-            made, log.trials[k], (*motion[k], felt.get(k)), inputs[k], (b, e), (rows, max(steps, 1))
-        )
-        for k, b, e in chosen
+        _lane(made, trials[k], (*motion[k], felt.get(k)), inputs[k], (rows, own), steps)
+        for k, rows, own in zip(chosen.trial, *chosen.compared(), strict=True)
     ]
 
     def stack(key):
@@ -82,9 +77,7 @@ def cut(made: Stepped, log: Log, horizon: float, most: int) -> MujocoStretches:
 
     keys = ("time", "measured", "seen", "at", "control", "past", "qpos", "qvel", "act", "before")
     return MujocoStretches(
-        np.array([k for k, *_ in chosen]),
-        **{k: stack(k) for k in keys},
-        names=tuple(t.name for t in log.trials),
+        chosen.trial, **{k: stack(k) for k in keys}, names=tuple(t.name for t in trials)
     )
 
 
@@ -107,30 +100,6 @@ def _motion(trial: LogTrial) -> tuple[np.ndarray, np.ndarray]:
     if trial.q.shape[1]:
         return local_motion(trial.time, trial.q, trial.v)
     return (trial.q, trial.q)
-
-
-def _whole(trial: LogTrial, horizon: float) -> list[tuple[int, int]]:
-    """First and last rows of consecutive stretches without a gap, in which at least half of the
-    angles were read.
-    """
-    dt, out, at = trial.dt, [], 0
-    gaps = np.flatnonzero(np.diff(trial.time) > max(5.0 * dt, 0.05))
-    if trial.q.shape[1]:
-        observed = np.isfinite(trial.q).mean(1)
-    else:
-        observed = np.ones(len(trial.time))
-    while at < len(trial.time) - 1:
-        end = int(np.searchsorted(trial.time, trial.time[at] + horizon - 0.5 * dt))
-        inside = gaps[(gaps >= at) & (gaps < min(end, len(trial.time) - 1))]
-        if len(inside):
-            at = int(inside[-1]) + 1
-            continue
-        if end > len(trial.time) - 1:
-            break
-        if end > at and observed[at : end + 1].mean() > 0.5:
-            out.append((at, end))
-        at = max(end, at + 1)
-    return out
 
 
 def inputs_of(model: mujoco.MjModel, log: Log, trial: LogTrial) -> np.ndarray:
@@ -162,16 +131,14 @@ def _lane(
     trial: LogTrial,
     motion,
     u: np.ndarray,
-    ends: tuple[int, int],
-    size: tuple[int, int],
+    compared: tuple[np.ndarray, np.ndarray],
+    steps: int,
 ) -> dict:
-    """The arrays of a stretch between two rows of a trial; size: rows and steps of the longest
-    one.
+    """The arrays of a stretch of a trial; compared: its rows [L], and whether they are its own;
+    steps: of the longest stretch.
     """
-    (begin, end), (rows, steps) = ends, size
-    h = float(made.model.opt.timestep)
-    live = begin + np.minimum(np.arange(rows), end - begin)
-    here = (np.arange(rows) <= end - begin)[:, None]
+    live, here = compared
+    begin, h = int(live[0]), float(made.model.opt.timestep)
     start = trial.time[begin]
 
     def row_of(t):
@@ -193,7 +160,10 @@ def _lane(
     ]
     measured = np.concatenate(channels, 1)
     qpos, qvel = _start(made, trial, motion, begin)
-    at, mask = np.clip((trial.time[live] - start) / h, 0, steps), np.isfinite(measured) & here
+    at, mask = (
+        np.clip((trial.time[live] - start) / h, 0, steps),
+        np.isfinite(measured) & here[:, None],
+    )
     if made.read:  # a sensor is read where a step begins, and none begins at the end
         last = measured.shape[1] - (7 if made.base >= 0 else 0)
         mask[:, last - len(made.read) : last] &= (at <= steps - 1 + 1e-6)[:, None]
