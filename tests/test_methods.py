@@ -9,7 +9,15 @@ import adaptsim_jax
 
 PACKAGE = Path(adaptsim_jax.__file__).parent
 # rooms that learn or plan have steps of their own, of policies
-ROOMS = ("attribution", "diagnosis", "logs", "simulators", "tasks/toss", "tasks/trial_record.py")
+ROOMS = (
+    "attribution",
+    "diagnosis",
+    "logs",
+    "mechanisms/quaternions.py",
+    "simulators",
+    "tasks/toss",
+    "tasks/trial_record.py",
+)
 FILES = [
     f
     for room in ROOMS
@@ -41,6 +49,7 @@ METHODS = {
         "logs/noise.py",
         r"np\.diff\([^()]+, (3|order)[,)]|0\.6745",
     ),
+    "rotation vector": ("mechanisms/quaternions.py", r"np\.arctan2\(size, |mju_subQuat"),
 }
 # tests of another kind: whether trials have one model
 OTHER = {"score test": (PACKAGE / "logs/quality/trials_differ.py",)}

@@ -60,6 +60,7 @@ WITHIN = {
     "mechanisms": (
         "lanes",
         "model_numbers",
+        "quaternions",
         "tree",
         "kinematics",
         "dynamics",

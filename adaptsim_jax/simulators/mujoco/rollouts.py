@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
+from adaptsim_jax.mechanisms.quaternions import between
 from adaptsim_jax.simulators.mujoco.acting import Acting, control_of
 from adaptsim_jax.simulators.mujoco.build import Stepped
 from adaptsim_jax.simulators.mujoco.stretches import MujocoStretches, dofs
@@ -172,7 +173,7 @@ def residual(
     """
     measured, mask = stretches.measured[lanes], stretches.seen[lanes]
     if made.base >= 0:
-        turn = _between(measured[..., -4:], predicted[..., -4:])
+        turn = between(predicted[..., -4:], measured[..., -4:])
         off = np.concatenate([measured[..., :-4] - predicted[..., :-4], turn], -1)
         mask = np.concatenate([mask[..., :-4], mask[..., -4:-3].repeat(3, -1)], -1)
     else:
@@ -185,18 +186,6 @@ def has_speeds(made: Stepped, stretches: MujocoStretches) -> bool:
     return stretches.measured.shape[2] - len(made.read) - (7 if made.base >= 0 else 0) == 2 * len(
         made.angle
     )
-
-
-def _between(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Rotation vector [..., 3] from unit quaternions `other` to `one` [..., 4]."""
-    w, v = other[..., :1], -other[..., 1:]
-    a, b = one[..., :1], one[..., 1:]
-    real = w * a - np.sum(v * b, -1, keepdims=True)
-    vector = w * b + a * v + np.cross(v, b)
-    sign = np.where(real < 0, -1.0, 1.0)
-    size = np.linalg.norm(vector, axis=-1, keepdims=True)
-    angle = 2.0 * np.arctan2(size, sign * real)
-    return sign * vector * np.where(size > 1e-12, angle / np.maximum(size, 1e-12), 2.0)
 
 
 def by_start(

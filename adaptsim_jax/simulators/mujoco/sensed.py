@@ -11,6 +11,7 @@ import numpy as np
 
 from adaptsim_jax.core.config import suggest
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.mechanisms.quaternions import times
 from adaptsim_jax.simulators.mujoco.criteria import ATTITUDE
 
 INERTIAL = {
@@ -134,13 +135,7 @@ def oriented(
         out = _followed(now, time[order], rate[order], up[order])[order]
         now = out[-1] if order is forth else out[0]
     heading = np.array([out[0][0], 0.0, 0.0, -out[0][3]])
-    return np.array([_times(heading / np.linalg.norm(heading), q) for q in out]), rate
-
-
-def _times(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    out = np.zeros(4)
-    mujoco.mju_mulQuat(out, one, other)
-    return out
+    return times(heading / np.linalg.norm(heading), out), rate
 
 
 def _followed(now: np.ndarray, time: np.ndarray, rate: np.ndarray, up: np.ndarray) -> np.ndarray:

@@ -11,6 +11,7 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.log import Log, LogTrial
 from adaptsim_jax.logs.noise import local_motion
 from adaptsim_jax.logs.stretch_rows import TrialSpans, stretch_rows
+from adaptsim_jax.mechanisms.quaternions import between
 from adaptsim_jax.simulators.mujoco.build import Stepped
 from adaptsim_jax.simulators.mujoco.criteria import SIMULATION
 from adaptsim_jax.simulators.mujoco.sensed import oriented, standing
@@ -261,10 +262,7 @@ def _base_rate(trial: LogTrial, row: int, some: slice | None = None) -> np.ndarr
     t, place, turn = trial.time[some], trial.base[some, :3], trial.base[some, 3:]
     out = np.zeros(6)
     out[:3] = np.polyfit(t - trial.time[row], place, min(2, len(t) - 1))[-2]
-    own = trial.base[row, 3:]
-    angle = np.zeros((len(t), 3))
-    for i, other in enumerate(turn):
-        mujoco.mju_subQuat(angle[i], other, own)
+    angle = between(trial.base[row, 3:], turn)
     out[3:] = np.polyfit(t - trial.time[row], angle, min(2, len(t) - 1))[-2]
     return out
 

@@ -21,7 +21,7 @@ import numpy as np
 from adaptsim_jax.diagnosis.fit import declared_fit
 from adaptsim_jax.diagnosis.problem import Candidate, Problem
 from adaptsim_jax.diagnosis.steps import Evaluate, StretchLanes, fit_starts
-from adaptsim_jax.tasks.toss import turns
+from adaptsim_jax.mechanisms.quaternions import between
 from adaptsim_jax.tasks.toss.catalogue import DECLARED, effects, quantities
 from adaptsim_jax.tasks.toss.read import Tossed
 from adaptsim_jax.tasks.toss.simulate import poses
@@ -70,7 +70,7 @@ def scaled_residual(
     """
     place, turn = poses(tossed.body, names, values, start, windows.time[at])
     off = (windows.place[at] - place) / tossed.noise
-    angle = turns.log(turns.times(turns.inverse(turn), windows.turn[at])) / tossed.noise_turn
+    angle = between(turn, windows.turn[at]) / tossed.noise_turn
     return windows.mask[at][..., None] * np.concatenate([off, angle], -1)
 
 

@@ -12,10 +12,10 @@ import numpy as np
 from adaptsim_jax.core.errors import BadInput, brief, finite
 from adaptsim_jax.logs.noise import difference_noise
 from adaptsim_jax.logs.table import read_table
+from adaptsim_jax.mechanisms.quaternions import between, continuous, rotated
 from adaptsim_jax.tasks import camera_record as record
-from adaptsim_jax.tasks.toss import turns
+from adaptsim_jax.tasks.toss.blows import check_blows
 from adaptsim_jax.tasks.toss.body import TossedBody, read_body
-from adaptsim_jax.tasks.toss.turns import check_blows
 from adaptsim_jax.tasks.trial_clock import check_frozen
 from adaptsim_jax.tasks.trial_record import read_meta
 
@@ -205,8 +205,8 @@ def _one(
     gaps = np.diff(time)
     record.check_leaps(time, place, trials, "the body", TOSS.fastest)
     record.check_clock_set(time, place, trials, "the body")
-    turn = turns.continuous(turn)
-    spun = np.linalg.norm(turns.log(turns.times(turns.inverse(turn[:-1]), turn[1:])), axis=1)
+    turn = continuous(turn)
+    spun = np.linalg.norm(between(turn[:-1], turn[1:]), axis=1)
     for k in np.flatnonzero((spun > TOSS.spin * gaps) & (spun > 0.5))[:1] + 1:
         raise BadInput(
             f"{trials(k)}: the body turns by {spun[k - 1]:.2g} rad between two rows; remove what "
@@ -263,7 +263,7 @@ def _check_frame(body: TossedBody, names, time, place, turn, where: Path) -> Non
 
 def lowest(place: np.ndarray, turn: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """Height `[R]` m of the lowest of the body's points."""
-    return (place[:, None] + turns.turned(turn[:, None], corners[None]))[..., 2].min(1)
+    return (place[:, None] + rotated(turn[:, None], corners[None]))[..., 2].min(1)
 
 
 def _noise(meta: dict[str, Any], where: Path, place, turn) -> tuple[float, float, str]:
@@ -271,7 +271,7 @@ def _noise(meta: dict[str, Any], where: Path, place, turn) -> tuple[float, float
     rates outside of impacts.
     """
     observed = []
-    spins = [turns.log(turns.times(turns.inverse(q[:-1]), q[1:])) for q in turn]
+    spins = [between(q[:-1], q[1:]) for q in turn]
     angles = [np.cumsum(np.pad(z, ((1, 0), (0, 0))), 0) for z in spins]
     for rows, minimum in ((place, TOSS.noise), (angles, TOSS.noise_turn)):
         observed.append(max(float(difference_noise(rows, pooled=True)[0]), minimum))

@@ -14,7 +14,7 @@ import numpy as np
 from mujoco import rollout
 
 from adaptsim_jax.core.parallel import cores
-from adaptsim_jax.tasks.toss import turns
+from adaptsim_jax.mechanisms.quaternions import from_rotvec, inverse, rotated, times
 from adaptsim_jax.tasks.toss.body import MIN_FRICTION, TossedBody, with_values
 from adaptsim_jax.tasks.toss.catalogue import CHUNKED
 
@@ -57,8 +57,8 @@ def _frames(v: Mapping[str, np.ndarray]):
     and the recorded point.
     """
     zero = np.zeros_like(v["plane_x"])
-    frame = turns.exp(np.stack([v["plane_x"], v["plane_y"], zero], -1))
-    axes = turns.exp(np.stack([v[f"turned_{c}"] for c in "xyz"], -1))
+    frame = from_rotvec(np.stack([v["plane_x"], v["plane_y"], zero], -1))
+    axes = from_rotvec(np.stack([v[f"turned_{c}"] for c in "xyz"], -1))
     return frame, axes, np.stack([v[f"off_{c}"] for c in "xyz"], -1)
 
 
@@ -67,14 +67,14 @@ def _begun(v: Mapping[str, np.ndarray], start: np.ndarray) -> np.ndarray:
     recorded.
     """
     frame, axes, off = _frames(v)
-    back, grown, fast = turns.inverse(frame), 1.0 + v["scale"], 1.0 + v["clock"]
-    turn = turns.times(turns.times(back, start[:, 3:7]), turns.inverse(axes))
-    rate = turns.turned(axes, start[:, 10:]) / fast[:, None]
-    arm = turns.turned(turn, off)
+    back, grown, fast = inverse(frame), 1.0 + v["scale"], 1.0 + v["clock"]
+    turn = times(times(back, start[:, 3:7]), inverse(axes))
+    rate = rotated(axes, start[:, 10:]) / fast[:, None]
+    arm = rotated(turn, off)
     lifted = start[:, :3] - np.stack([0 * v["height"], 0 * v["height"], v["height"]], -1)
-    place = turns.turned(back, lifted) / grown[:, None] - arm
-    speed = turns.turned(back, start[:, 7:10]) / (grown * fast)[:, None] - np.cross(
-        turns.turned(turn, rate), arm
+    place = rotated(back, lifted) / grown[:, None] - arm
+    speed = rotated(back, start[:, 7:10]) / (grown * fast)[:, None] - np.cross(
+        rotated(turn, rate), arm
     )
     return np.concatenate([place, turn, speed, rate], 1)
 
@@ -84,11 +84,9 @@ def _recorded(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Simulated poses `[N, R, 3]`, `[N, R, 4]` as recorded."""
     frame, axes, off = (z[:, None] for z in _frames(v))
-    observed = (1.0 + v["scale"])[:, None, None] * turns.turned(
-        frame, place + turns.turned(turn, off)
-    )
+    observed = (1.0 + v["scale"])[:, None, None] * rotated(frame, place + rotated(turn, off))
     observed[..., 2] += v["height"][:, None]
-    return observed, turns.times(turns.times(frame, turn), axes)
+    return observed, times(times(frame, turn), axes)
 
 
 def _rolled(body: TossedBody, names, values, state, time) -> tuple[np.ndarray, np.ndarray]:
@@ -159,5 +157,5 @@ def _in_chunks(body: TossedBody, names, values, full, count: int, pool) -> np.nd
 
 def _below(full: np.ndarray) -> np.ndarray:
     """Velocity `[N, 2]` m/s, beside the middle's, of the point below it in the plane."""
-    rate = turns.turned(full[:, 4:8], full[:, 11:14])
+    rate = rotated(full[:, 4:8], full[:, 11:14])
     return np.stack([-rate[:, 1] * full[:, 3], rate[:, 0] * full[:, 3]], 1)

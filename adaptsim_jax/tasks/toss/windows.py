@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adaptsim_jax.tasks.toss import turns
+from adaptsim_jax.mechanisms.quaternions import between, from_rotvec, rotated, times
 from adaptsim_jax.tasks.toss.read import Tossed, lowest
 
 LENGTH = 0.12  # s
@@ -118,9 +118,7 @@ def jolts(time: np.ndarray, place: np.ndarray, turn: np.ndarray, size: float) ->
     """
     gaps = np.diff(time)[:, None]
     speed = np.diff(place, axis=0) / gaps
-    spin = (
-        turns.turned(turn[:-1], turns.log(turns.times(turns.inverse(turn[:-1]), turn[1:]))) / gaps
-    )
+    spin = rotated(turn[:-1], between(turn[:-1], turn[1:])) / gaps
     jump = np.linalg.norm(np.diff(speed, axis=0), axis=1) + size * np.linalg.norm(
         np.diff(spin, axis=0), axis=1
     )
@@ -162,13 +160,13 @@ def guessed(time: np.ndarray, place: np.ndarray, turn: np.ndarray) -> np.ndarray
     """The start `[13]` by parabolas and lines through a window's first rows."""
     t = time[:BEGIN]
     fit = np.polynomial.polynomial.polyfit(t, place[:BEGIN], 2)
-    angle = turns.log(turns.times(turns.inverse(turn[:1]), turn[:BEGIN]))
+    angle = between(turn[:1], turn[:BEGIN])
     spin = np.polynomial.polynomial.polyfit(t, angle, 1)
-    begin = turns.times(turn[0], turns.exp(spin[0]))
+    begin = times(turn[0], from_rotvec(spin[0]))
     return np.concatenate([fit[0], begin, fit[1], spin[1]])
 
 
 def moved(start: np.ndarray, by: np.ndarray) -> np.ndarray:
     """Starts `[..., 13]` moved by `[..., 12]`: m, rad in the body's axes, m/s, rad/s."""
-    turn = turns.times(start[..., 3:7], turns.exp(by[..., 3:6]))
+    turn = times(start[..., 3:7], from_rotvec(by[..., 3:6]))
     return np.concatenate([start[..., :3] + by[..., :3], turn, start[..., 7:] + by[..., 6:]], -1)

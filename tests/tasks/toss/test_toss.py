@@ -10,7 +10,7 @@ import pytest
 
 from adaptsim_jax import cli
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.tasks.toss import turns
+from adaptsim_jax.mechanisms.quaternions import between
 from adaptsim_jax.tasks.toss.body import mended_xml, read_body
 from adaptsim_jax.tasks.toss.catalogue import EFFECTS, quantities
 from adaptsim_jax.tasks.toss.diagnose import diagnose
@@ -130,14 +130,12 @@ def test_a_start_is_where_it_was_recorded_whatever_the_measurement_lacks(null):
     time = np.tile([0.0, 0.004], (5, 1))
     place, turn = poses(tossed.body, [z.name for z in q], values, start, time)
     np.testing.assert_allclose(place[:, 0], start[:, :3], atol=1e-12)
-    np.testing.assert_allclose(
-        turns.log(turns.times(turns.inverse(turn[:, 0]), start[:, 3:7])), 0.0, atol=1e-9
-    )
+    np.testing.assert_allclose(between(turn[:, 0], start[:, 3:7]), 0.0, atol=1e-9)
     speed = (place[:, 1] - place[:, 0]) / 0.004
     np.testing.assert_allclose(
         speed, start[:, 7:10], atol=0.15
     )  # gravity acts, and the recorded point turns
-    spin = turns.log(turns.times(turns.inverse(turn[:, 0]), turn[:, 1])) / 0.004
+    spin = between(turn[:, 0], turn[:, 1]) / 0.004
     np.testing.assert_allclose(spin, start[:, 10:], atol=0.02)
 
 

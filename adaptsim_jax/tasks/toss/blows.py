@@ -1,4 +1,4 @@
-"""Turns as unit quaternions (w, x, y, z) in arrays `[..., 4]`, and what impacts say of their frame.
+"""What impacts say of the frame of places and turns.
 
 A body that strikes the plane at `r` from its centre of mass with the impulse `m dv` spins faster by
 `I^-1 (r x m dv)`, whatever friction and stiffness are. Places of a mirrored or turned camera break
@@ -11,53 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.mechanisms.quaternions import between, inverse, rotated, times
 from adaptsim_jax.tasks.toss.body import TossedBody
-
-
-def times(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Hamilton's product, elementwise."""
-    w, x, y, z = np.moveaxis(a, -1, 0)
-    r, i, j, k = np.moveaxis(b, -1, 0)
-    return np.stack(
-        [
-            w * r - x * i - y * j - z * k,
-            w * i + x * r + y * k - z * j,
-            w * j - x * k + y * r + z * i,
-            w * k + x * j - y * i + z * r,
-        ],
-        -1,
-    )
-
-
-def inverse(q: np.ndarray) -> np.ndarray:
-    return q * np.array([1.0, -1.0, -1.0, -1.0])
-
-
-def turned(q: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Vectors `v [..., 3]` turned by `q`."""
-    u = q[..., 1:]
-    t = 2.0 * np.cross(u, v)
-    return v + q[..., :1] * t + np.cross(u, t)
-
-
-def exp(v: np.ndarray) -> np.ndarray:
-    """The turn by `|v|` rad about `v [..., 3]`."""
-    half = 0.5 * np.linalg.norm(v, axis=-1, keepdims=True)
-    return np.concatenate([np.cos(half), 0.5 * v * np.sinc(half / np.pi)], -1)
-
-
-def log(q: np.ndarray) -> np.ndarray:
-    """The vector `[..., 3]` rad of a turn, at most half a turn long."""
-    q = np.where(q[..., :1] < 0, -q, q)
-    size = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
-    angle = 2.0 * np.arctan2(size, q[..., :1])
-    return q[..., 1:] * np.where(size > 1e-12, angle / np.maximum(size, 1e-12), 2.0)
-
-
-def continuous(q: np.ndarray) -> np.ndarray:
-    """`q [R, 4]` with signs that do not flip from row to row."""
-    flips = np.cumprod(np.where(np.sum(q[1:] * q[:-1], -1) < 0, -1.0, 1.0))
-    return np.concatenate([q[:1], q[1:] * flips[:, None]])
 
 
 @dataclass(frozen=True)
@@ -91,7 +46,7 @@ FRAMES = {
     "with x and y exchanged": np.array([[0.0, 1.0], [1.0, 0.0]]),
     "with x and -y exchanged": np.array([[0.0, -1.0], [-1.0, 0.0]]),
 }
-"""Frames of the places, as seen from that of the """
+"""Frames of the places, as seen from that of the turns."""
 
 
 def check_blows(
@@ -138,10 +93,10 @@ def _blows(
     """Of each blow of a toss: changes of the centre's velocity and of the spin `[B, 3]` (world),
     the lowest corner from the centre `[B, 3]` m, and the turn `[B, 4]` then.
     """
-    centre = place + turned(turn, np.broadcast_to(body.model.body_ipos[body.at], place.shape))
+    centre = place + rotated(turn, np.broadcast_to(body.model.body_ipos[body.at], place.shape))
     gaps = np.diff(time)[:, None]
     speed = np.diff(centre, axis=0) / gaps
-    spin = turned(turn[:-1], log(times(inverse(turn[:-1]), turn[1:]))) / gaps
+    spin = rotated(turn[:-1], between(turn[:-1], turn[1:])) / gaps
     fall = -body.gravity * (time[3:] - time[:-3])[:, None] * np.array([0.0, 0.0, 2.0 / 3.0])
     dv, ds = speed[2:] - speed[:-2] - fall, spin[2:] - spin[:-2]
     size = np.linalg.norm(dv, axis=1)
@@ -150,7 +105,7 @@ def _blows(
     peak[:-1] &= size[:-1] > size[1:]
     at = np.flatnonzero(peak)
     corners = body.corners() - body.model.body_ipos[body.at]
-    out = turned(turn[:, None], corners[None])
+    out = rotated(turn[:, None], corners[None])
     height = centre[:, None, 2] + out[..., 2]
     near = np.sort(height, axis=1)
     # the row at which the corner is lowest; alone, before and after it strikes
@@ -167,5 +122,5 @@ def _spun(body: TossedBody, r: np.ndarray, dv: np.ndarray, turn: np.ndarray) -> 
     """Changes of spin `[B, 3]` by blows at `r` that change the centre's velocity by `dv`."""
     m = body.model
     axes = times(turn, np.broadcast_to(m.body_iquat[body.at], turn.shape))
-    moment = turned(inverse(axes), np.cross(r, m.body_mass[body.at] * dv))
-    return turned(axes, moment / m.body_inertia[body.at])
+    moment = rotated(inverse(axes), np.cross(r, m.body_mass[body.at] * dv))
+    return rotated(axes, moment / m.body_inertia[body.at])
