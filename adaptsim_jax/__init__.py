@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     from adaptsim_jax.commands.diagnose import diagnose as diagnose
     from adaptsim_jax.core.errors import BadInput as BadInput
     from adaptsim_jax.diagnosis.problem import Candidate as Candidate
-    from adaptsim_jax.diagnosis.problem import Quantity as Quantity
     from adaptsim_jax.diagnosis.simulated import diagnose_simulator as diagnose_simulator
     from adaptsim_jax.diagnosis.simulator import Channel as Channel
     from adaptsim_jax.diagnosis.simulator import Simulator as Simulator
     from adaptsim_jax.diagnosis.simulator import Stretches as Stretches
+    from adaptsim_jax.effects.base import Quantity as Quantity
     from adaptsim_jax.environments.task import environment_task as environment_task
     from adaptsim_jax.space import Gaussian as Gaussian
     from adaptsim_jax.space import Parameter as Parameter
@@ -80,7 +80,7 @@ __getattr__ = lazily(
         "BadInput": "core.errors",
         "Candidate": "diagnosis.problem",
         "Channel": "diagnosis.simulator",
-        "Quantity": "diagnosis.problem",
+        "Quantity": "effects.base",
         "Simulator": "diagnosis.simulator",
         "Stretches": "diagnosis.simulator",
         "diagnose_simulator": "diagnosis.simulated",

@@ -16,13 +16,13 @@ import numpy as np
 from adaptsim_jax import Candidate, Channel, Quantity, Stretches, diagnose_simulator
 
 DT, ROWS, NOISE = 2.0, 30, 0.5  # s, rows of a stretch, mm of level
-QUANTITIES = (  # name, unit, neutral, low, high, a size that matters, width of a weak prior
-    Quantity("gain", "mm/(s V)", 1.0, 0.1, 5.0, 0.02, 10.0),
-    Quantity("drain_1", "mm^.5/s", 0.30, 0.01, 2.0, 0.005, 10.0),
-    Quantity("drain_2", "mm^.5/s", 0.30, 0.01, 2.0, 0.005, 10.0),
-    Quantity("leak", "1/s", 0.0, 0.0, 0.1, 1e-4, 1.0),
-    Quantity("dead_voltage", "V", 0.0, 0.0, 2.0, 0.02, 10.0),
-    Quantity("sensor_offset", "mm", 0.0, -50.0, 50.0, 1.0, 100.0),
+QUANTITIES = (  # name, unit, bounds, default, width of a weak prior, a size that matters
+    Quantity("gain", "mm/(s V)", 0.1, 5.0, 1.0, prior=10.0, scale=0.02),
+    Quantity("drain_1", "mm^.5/s", 0.01, 2.0, 0.30, prior=10.0, scale=0.005),
+    Quantity("drain_2", "mm^.5/s", 0.01, 2.0, 0.30, prior=10.0, scale=0.005),
+    Quantity("leak", "1/s", 0.0, 0.1, prior=1.0, scale=1e-4),
+    Quantity("dead_voltage", "V", 0.0, 2.0, prior=10.0, scale=0.02),
+    Quantity("sensor_offset", "mm", -50.0, 50.0, prior=100.0, scale=1.0),
 )
 CANDIDATES = (
     Candidate(
@@ -75,7 +75,7 @@ class Tanks:
 def recorded(hidden: dict[str, float], seed: int = 0, trials: int = 6) -> Tanks:
     """`trials` recordings of four stretches each, of a plant that has `hidden` besides."""
     rng = np.random.default_rng(seed)
-    true = np.array([[hidden.get(q.name, q.neutral) for q in QUANTITIES]])
+    true = np.array([[hidden.get(q.name, q.default) for q in QUANTITIES]])
     volts = np.repeat(rng.uniform(0.5, 6.0, (trials, 4 * ROWS // 10)), 10, 1)
     seen = levels(np.repeat(true, trials, 0), rng.uniform(50, 250, (trials, 2)), volts)
     seen = seen + NOISE * rng.standard_normal(seen.shape)

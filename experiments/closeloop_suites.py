@@ -24,7 +24,7 @@ import jax
 import jax.numpy as jnp
 
 from adaptsim_jax.core import process
-from adaptsim_jax.diagnosis import Effect, Parameter, catalogue
+from adaptsim_jax.diagnosis import Effect, Quantity, catalogue
 from experiments.closeloop_scores import row, score_case, summarise, table
 from tests.generators import make_datasets, write_dataset
 from tests.generators.suites import SUITES, Case, disguise
@@ -57,7 +57,7 @@ def diagnose_folder(folder: str, exclude: tuple[str, ...], variant: str) -> tupl
 
 def useless() -> Effect:
     """A candidate that explains nothing: a force that follows the square of an hour-long cosine."""
-    size = Parameter("size", "N m", -1.0, 1.0, 0.0)
+    size = Quantity("size", "N m", -1.0, 1.0, 0.0)
 
     def force(p, m):
         return p["size"] * jnp.cos(37.0 * m.t + 11.0 * m.q) ** 3

@@ -196,7 +196,7 @@ def _where_on(effect: Effect, p, added, total):
     """added(total) if the effect does anything to any joint of any stretch: what is off costs
     nothing.
     """
-    on = [jnp.any(p[a.name] != a.off) for a in effect.amplitudes if a.name in p]
+    on = [jnp.any(p[a.name] != a.default) for a in effect.amplitudes if a.name in p]
     return jax.lax.cond(jnp.any(jnp.stack(on)), added, lambda z: z, total)
 
 
@@ -212,7 +212,7 @@ def bristles(model: ActingModel, values: Values) -> bool:
 
 def _on(effect: Effect, values: Values) -> bool:
     p = values.effects.get(effect.name, {})
-    return any(np.any(np.asarray(p[a.name]) != a.off) for a in effect.amplitudes if a.name in p)
+    return any(np.any(np.asarray(p[a.name]) != a.default) for a in effect.amplitudes if a.name in p)
 
 
 @cache

@@ -310,7 +310,7 @@ class GroupColumns:
                     None,
                 )
                 base = off_value(self.problem, effect.name, p.name, j)
-                given = (shape or {}).get(p.name) if p.off is None else None
+                given = (shape or {}).get(p.name) if p.shape else None
                 row.append(mine if mine is not None else base if given is None else given)
             out[p.name] = np.array(row, float)
         return out

@@ -132,8 +132,7 @@ def applied(given: Mapping[str, Any], path: str, machine: Machine) -> Machine:
                 f"{config.suggest(joint, joints)}"
             )
         for p in (p for p in known[name].parameters if p.name in numbers):
-            rest = p.default if p.off is None else p.off
-            start = declared.get((name, p.name), np.full(len(joints), rest))
+            start = declared.get((name, p.name), np.full(len(joints), p.default))
             column = np.array(out.get((name, p.name), start), float)
             column[joints.index(joint)] = numbers[p.name]
             out[name, p.name] = column

@@ -390,10 +390,7 @@ def off_value(problem: TreeProblem, effect: str, parameter: str, joint: int) -> 
     given = problem.declared.get((effect, parameter))
     if given is not None:
         return float(given[joint])
-    p = next(p for p in problem.effect(effect).parameters if p.name == parameter)
-    if p.off is None:
-        return p.default
-    return p.off
+    return next(p.default for p in problem.effect(effect).parameters if p.name == parameter)
 
 
 def values_of(

@@ -101,11 +101,10 @@ def describe(effect: Any) -> dict[str, Any]:
 def _parameter(parameter: Any) -> dict[str, Any]:
     sign = {1: "positive", -1: "negative", 0: "either"}[parameter.sign]
     sign = "positive" if parameter.low >= 0 else sign
-    role = "shape" if parameter.off is None else "amplitude"
-    table = ("unit", "low", "high", "default", "off", "meaning")
-    return {"name": parameter.name, "role": role, "sign": sign} | {
-        name: getattr(parameter, name) for name in table
-    }
+    role = "shape" if parameter.shape else "amplitude"
+    table = {name: getattr(parameter, name) for name in ("unit", "low", "high", "default")}
+    off = {"off": None if parameter.shape else parameter.default, "meaning": parameter.meaning}
+    return {"name": parameter.name, "role": role, "sign": sign, **table, **off}
 
 
 def _brief(effects: list[dict[str, Any]]) -> None:

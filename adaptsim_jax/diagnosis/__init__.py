@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from adaptsim_jax.diagnosis.criteria import Criteria as Criteria
     from adaptsim_jax.effects.base import Dry as Dry
     from adaptsim_jax.effects.base import Effect as Effect
-    from adaptsim_jax.effects.base import Parameter as Parameter
+    from adaptsim_jax.effects.base import Quantity as Quantity
     from adaptsim_jax.effects.base import Relaxation as Relaxation
     from adaptsim_jax.effects.base import Traits as Traits
     from adaptsim_jax.effects.registry import catalogue as catalogue
@@ -32,8 +32,8 @@ __all__ = [
     "Effect",
     "Log",
     "ModelFile",
-    "Parameter",
     "Plant",
+    "Quantity",
     "Relaxation",
     "Traits",
     "catalogue",
@@ -52,8 +52,8 @@ __getattr__ = lazily(
         "Dry": "effects.base",
         "Effect": "effects.base",
         "ModelFile": "mend.pendulum_model",
-        "Parameter": "effects.base",
         "Plant": "mechanisms.plant",
+        "Quantity": "effects.base",
         "Log": "logs.log",
         "read_log": "logs.read",
         "Relaxation": "effects.base",

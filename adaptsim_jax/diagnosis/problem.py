@@ -7,21 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-
-@dataclass(frozen=True)
-class Quantity:
-    """One number of the model. neutral: where it does nothing (declared: where a fit begins);
-    scale: a size that matters, in `unit`, the unit of steps; prior: width of a weak normal prior
-    about neutral, which keeps finite what no trial shows.
-    """
-
-    name: str
-    unit: str
-    neutral: float
-    low: float
-    high: float
-    scale: float
-    prior: float
+from adaptsim_jax.effects.base import Quantity
 
 
 @dataclass(frozen=True)
@@ -93,7 +79,7 @@ class Problem:
 
     @property
     def neutral(self) -> np.ndarray:
-        return np.array([q.neutral for q in self.quantities])
+        return np.array([q.default for q in self.quantities])
 
     def at(self, names) -> np.ndarray:
         """Places of quantities by name."""

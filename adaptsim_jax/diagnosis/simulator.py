@@ -18,7 +18,8 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.core.registry import Registry, function_named
 from adaptsim_jax.diagnosis.criteria import FOLD
-from adaptsim_jax.diagnosis.problem import Candidate, Quantity
+from adaptsim_jax.diagnosis.problem import Candidate
+from adaptsim_jax.effects.base import Quantity
 
 DERIVATIVE_STEP = 1e-2  # of a quantity's scale, to either side, by which a derivative is taken
 
@@ -122,7 +123,7 @@ def check_simulator(simulator: Simulator) -> None:
         w, r, c = gone[0]
         where = f"stretch {w}, row {r}, channel {simulator.channels[c].name}"
         raise BadInput(f"simulator: {where} is not finite though it is seen; write seen = 0 there")
-    values = np.tile([q.neutral for q in simulator.quantities], (s.count, 1))
+    values = np.tile([q.default for q in simulator.quantities], (s.count, 1))
     one, two = (
         np.asarray(simulator.predict(values, s.start, np.arange(s.count))) for _ in range(2)
     )

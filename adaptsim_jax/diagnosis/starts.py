@@ -9,9 +9,10 @@ import numpy as np
 
 from adaptsim_jax.diagnosis.criteria import FOLD, RESTART
 from adaptsim_jax.diagnosis.folds import folds_of, pieces
-from adaptsim_jax.diagnosis.problem import Candidate, Problem, Quantity
+from adaptsim_jax.diagnosis.problem import Candidate, Problem
 from adaptsim_jax.diagnosis.simulator import Simulator, Stretches, linearise, residuals
 from adaptsim_jax.diagnosis.steps import StretchLanes, best_of, fit_starts
+from adaptsim_jax.effects.base import Quantity
 
 START_ROUNDS = 3  # rounds of a start's fit from its anchor
 MAX_SLOPES = 8  # slopes that an anchor is fitted by, one after the other
@@ -218,7 +219,7 @@ def problem_of(
         there are fewer than five.
     """
     s, quantities = simulator.stretches, simulator.quantities
-    neutral = np.array([q.neutral for q in quantities])
+    neutral = np.array([q.default for q in quantities])
     anchor = anchored(simulator, neutral)
     weight = weights(simulator, neutral, anchor.starts, *DOWNWEIGHTED)
     around = Linearised(simulator, [anchor], np.array([q.scale for q in quantities]), weight)
@@ -323,7 +324,7 @@ def _started_separately(
     index = {q.name: i for i, q in enumerate(quantities)}
     plain = sorted({index[q] for c in wanted if not any(c.shapes) for q in c.quantities})
     columns = around.columns(
-        np.array([q.neutral for q in quantities]), np.diag([q.scale for q in quantities])[plain]
+        np.array([q.default for q in quantities]), np.diag([q.scale for q in quantities])[plain]
     )
     mask = {
         quantities[i].name
@@ -337,7 +338,7 @@ def _started_separately(
             continue
         own = [quantities[index[name]] for name in c.quantities]
         sizes = [
-            {q.name: float(np.clip(q.neutral + k * q.scale, q.low, q.high)) for q in own}
+            {q.name: float(np.clip(q.default + k * q.scale, q.low, q.high)) for q in own}
             for k in (1.0, 10.0, 100.0)
         ]
         out.append(replace(c, shapes=tuple(sizes)))

@@ -193,7 +193,7 @@ class LeftOut(Evidence):
         quantities = self.problem.quantities
         for i in self.problem.at(amplitudes(self.candidate)):
             q, value = quantities[i], self.model.fit.values[i]
-            ends = [z for z in (q.low, q.high) if np.isfinite(z) and z != q.neutral]
+            ends = [z for z in (q.low, q.high) if np.isfinite(z) and z != q.default]
             if any(abs(value - z) <= self.criteria.bound * abs(z) for z in ends):
                 return True
         return False

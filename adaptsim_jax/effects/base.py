@@ -76,29 +76,34 @@ def exponents(unit: str) -> tuple[int, int] | None:
 
 
 @dataclass(frozen=True)
-class Parameter:
-    """One number of an effect. `off` is the value without effect (None for a shape: a speed, an
-    order, an angle).
+class Quantity:
+    """One number of a model. `default` is the value of an amplitude at which its effect is not
+    there, of a shape (a speed, an order, an angle) one to begin with, of a declared number where
+    its fit begins.
 
-    - `low`, `high`: Bounds in `unit`, times the rig's torque scale where the unit holds N m
-      (`UNITS`). So one entry serves a finger and an excavator. Wider for slow joints (`bounds`).
+    - `low`, `high`: Bounds in `unit`; of an effect at a joint times the rig's torque scale where
+      the unit holds N m (`UNITS`). So one entry serves a finger and an excavator. Wider for slow
+      joints (`bounds`).
+    - `shape`: It says how an effect acts, not how much.
     - `sign`: It is +1 where only positive values are that effect.
     - `held`: A shape that is chosen on the grid and not fitted.
     - `optional`: It may be left out of a `model.toml`, and is `default` there.
     - `meaning`: What it is, where its name does not say.
     - `late`: A mended pendulum keeps it at its default unless its file says otherwise.
-    - `prior`: Standard deviation about none of it, scaled as the bounds are (of mechanisms).
+    - `prior`: Standard deviation about `default` beforehand, in `unit`; at a joint scaled as the
+      bounds are.
     - `mjcf`: What of a joint (damping, frictionloss, armature, stiffness, preload), or of its
       actuator (gain, kp, delay, lag, limit), a model file changes to hold it; empty where none.
     - `factor`: A share more (0: none), which people read as a factor (1: none).
+    - `scale`: A size that matters, in `unit`: the unit of steps of fits to short trials.
     """
 
     name: str
     unit: str
     low: float
     high: float
-    default: float
-    off: float | None = 0.0
+    default: float = 0.0
+    shape: bool = False
     sign: int = 0
     held: bool = False
     optional: bool = False
@@ -107,6 +112,7 @@ class Parameter:
     prior: float = float("inf")
     mjcf: str = ""
     factor: bool = False
+    scale: float = 1.0
 
     def bounds(self, torque: float, speed: float = 1.0) -> tuple[float, float]:
         """Bounds for a rig whose torques are of size `torque` N m. Of a joint slower than 1 rad/s,
@@ -289,7 +295,7 @@ class Effect:
 
     name: str
     place: str
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[Quantity, ...]
     apply: Callable
     physics: str
     excitation: str
@@ -333,16 +339,18 @@ class Effect:
                 raise BadInput(
                     f"effect {self.name}: unit {p.unit!r} is unknown; use one of {known}"
                 )
-        if not any(p.off is not None for p in self.parameters):
-            raise BadInput(f"effect {self.name}: no parameter turns it off; give one an off value")
+        if not self.amplitudes:
+            raise BadInput(
+                f"effect {self.name}: no parameter turns it off; give one that is no shape"
+            )
 
     @property
-    def amplitudes(self) -> tuple[Parameter, ...]:
-        return tuple(p for p in self.parameters if p.off is not None)
+    def amplitudes(self) -> tuple[Quantity, ...]:
+        return tuple(p for p in self.parameters if not p.shape)
 
     @property
-    def shapes(self) -> tuple[Parameter, ...]:
-        return tuple(p for p in self.parameters if p.off is None)
+    def shapes(self) -> tuple[Quantity, ...]:
+        return tuple(p for p in self.parameters if p.shape)
 
     @property
     def on_actuator(self) -> bool:

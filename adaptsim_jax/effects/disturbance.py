@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.core.trig import sin_cos
-from adaptsim_jax.effects.base import Effect, Motion, Parameter
+from adaptsim_jax.effects.base import Effect, Motion, Quantity
 
 FINEST = 1.0 / 12.0  # Hz between frequencies of the grid: a trial of 6 s tells no more
 
@@ -60,7 +60,7 @@ def periodic_disturbance(p, m: Motion):
 PENDULUM_BIAS = Effect(
     "bias",
     "force",
-    (Parameter("torque", "N m", -1.0, 1.0, 0.0),),
+    (Quantity("torque", "N m", -1.0, 1.0),),
     bias,
     "a constant torque: torque-sensor zero, cable pull, imbalance",
     "a wide range of angles",
@@ -72,27 +72,25 @@ PENDULUM_COGGING = Effect(
     "cogging",
     "force",
     (
-        Parameter("sine", "N m", -1.0, 1.0, 0.0),
-        Parameter("cosine", "N m", -1.0, 1.0, 0.0),
-        Parameter("order", "1", 2.0, 200.0, 7.0, None, meaning="periods a turn"),
-        Parameter(
+        Quantity("sine", "N m", -1.0, 1.0),
+        Quantity("cosine", "N m", -1.0, 1.0),
+        Quantity("order", "1", 2.0, 200.0, 7.0, shape=True, meaning="periods a turn"),
+        Quantity(
             "second_sine",
             "1",
             -1.0,
             1.0,
-            0.0,
-            None,
+            shape=True,
             optional=True,
             meaning="second harmonic",
             late=True,
         ),
-        Parameter(
+        Quantity(
             "second_cosine",
             "1",
             -1.0,
             1.0,
-            0.0,
-            None,
+            shape=True,
             optional=True,
             meaning="second harmonic",
             late=True,
@@ -110,9 +108,9 @@ PENDULUM_PERIODIC_DISTURBANCE = Effect(
     "periodic_disturbance",
     "force",
     (
-        Parameter("sine", "N m", -1.0, 1.0, 0.0),
-        Parameter("cosine", "N m", -1.0, 1.0, 0.0),
-        Parameter("frequency", "Hz", 0.05, 60.0, 2.0, None),
+        Quantity("sine", "N m", -1.0, 1.0),
+        Quantity("cosine", "N m", -1.0, 1.0),
+        Quantity("frequency", "Hz", 0.05, 60.0, 2.0, shape=True),
     ),
     periodic_disturbance,
     "a torque periodic in time: a fan, mains, a neighbouring machine",
@@ -147,19 +145,19 @@ def sway(p, m: Motion):
     return jnp.sqrt(1.0 + jnp.square(share)) * _turned(m, jnp.arctan(share)) - m.gravity(m.q)
 
 
-def _shaken() -> tuple[Parameter, ...]:
+def _shaken() -> tuple[Quantity, ...]:
     size = "of the base's acceleration, over g"
     return (
-        Parameter("sine", "1", -1.0, 1.0, 0.0, meaning=size),
-        Parameter("cosine", "1", -1.0, 1.0, 0.0, meaning=size),
-        Parameter("frequency", "Hz", 0.05, 60.0, 2.0, None),
+        Quantity("sine", "1", -1.0, 1.0, meaning=size),
+        Quantity("cosine", "1", -1.0, 1.0, meaning=size),
+        Quantity("frequency", "Hz", 0.05, 60.0, 2.0, shape=True),
     )
 
 
 PENDULUM_TILT = Effect(
     "tilt",
     "force",
-    (Parameter("angle", "rad", -0.8, 0.8, 0.0),),
+    (Quantity("angle", "rad", -0.8, 0.8),),
     tilt,
     "the base is not level: gravity pulls along another direction",
     "wide angles of joint 1, of both signs",

@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 
-from adaptsim_jax.effects.base import Effect, Motion, Parameter
+from adaptsim_jax.effects.base import Effect, Motion, Quantity
 
 STIFF = 30.0  # N m/rad for each N m of the rig's torque: as hard as most stops are
 HERTZ_DEPTH = 0.1  # rad, at which stiffness is defined whatever the exponent
@@ -56,18 +56,17 @@ PENDULUM_SPRING = Effect(
     "spring",
     "force",
     (
-        Parameter("stiffness", "N m/rad", -5.0, 5.0, 0.0, sign=1),
-        Parameter("preload", "N m", -5.0, 5.0, 0.0),
-        Parameter(
-            "bend", "1/rad", -5.0, 5.0, 0.0, None, optional=True, meaning="lopsidedness", late=True
+        Quantity("stiffness", "N m/rad", -5.0, 5.0, sign=1),
+        Quantity("preload", "N m", -5.0, 5.0),
+        Quantity(
+            "bend", "1/rad", -5.0, 5.0, shape=True, optional=True, meaning="lopsidedness", late=True
         ),
-        Parameter(
+        Quantity(
             "hardening",
             "1/rad^2",
             -5.0,
             5.0,
-            0.0,
-            None,
+            shape=True,
             optional=True,
             meaning="cubic share",
             late=True,
@@ -86,45 +85,43 @@ PENDULUM_HARD_STOP = Effect(
     "hard_stop",
     "force",
     (
-        Parameter("stiffness", "N m/rad", 0.0, 300.0, 0.0, sign=1),
-        Parameter("angle", "rad", -100.0, 100.0, 1.5, None),
-        Parameter(
+        Quantity("stiffness", "N m/rad", 0.0, 300.0, sign=1),
+        Quantity("angle", "rad", -100.0, 100.0, 1.5, shape=True),
+        Quantity(
             "side",
             "1",
             -1.0,
             1.0,
             1.0,
-            None,
+            shape=True,
             held=True,
             meaning="1: stops motion upwards, -1: downwards",
         ),
-        Parameter(
+        Quantity(
             "loss",
             "s",
             0.0,
             1.0,
-            0.0,
-            None,
+            shape=True,
             optional=True,
             meaning="energy lost in proportion to depth",
         ),
-        Parameter(
+        Quantity(
             "damping",
             "s",
             0.0,
             0.5,
-            0.0,
-            None,
+            shape=True,
             optional=True,
             meaning="a dashpot beside the spring, over its stiffness",
         ),
-        Parameter(
+        Quantity(
             "exponent",
             "1",
             0.7,
             2.5,
             1.0,
-            None,
+            shape=True,
             optional=True,
             meaning="of depth; 1.5 is Hertz's",
             late=True,

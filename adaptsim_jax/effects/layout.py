@@ -61,9 +61,9 @@ class Layout:
         )
 
     def off(self) -> np.ndarray:
-        """`[E]`: every amplitude at its off value, every shape at its default."""
+        """`[E]`: every parameter at its default, where no effect acts."""
         every = (p for i in self.instances for p in i.effect.parameters)
-        return np.array([p.default if p.off is None else p.off for p in every], float)
+        return np.array([p.default for p in every], float)
 
     def names(self) -> list[tuple[str, str, str]]:
         """(effect, where, parameter) of each entry of the vector."""

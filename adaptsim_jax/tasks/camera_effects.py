@@ -7,16 +7,18 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from adaptsim_jax.diagnosis.problem import Candidate, Quantity
+from adaptsim_jax.diagnosis.problem import Candidate
+from adaptsim_jax.effects.base import Quantity
 
 Array = Any
 
 
 def quantity(
-    name: str, unit: str, low: float, high: float, scale: float, neutral: float = 0.0
+    name: str, unit: str, low: float, high: float, scale: float, default: float = 0.0
 ) -> Quantity:
     """A quantity of an effect, with a prior as wide as twice its farther bound."""
-    return Quantity(name, unit, neutral, low, high, scale, 2.0 * max(abs(low), abs(high)))
+    prior = 2.0 * max(abs(low), abs(high))
+    return Quantity(name, unit, low, high, default, prior=prior, scale=scale)
 
 
 QUANTITIES = (

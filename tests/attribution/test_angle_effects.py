@@ -33,7 +33,7 @@ def test_it_is_linear_between_its_nodes_and_constant_beyond(law, of):
 
 def test_it_is_off_with_all_its_nodes_at_nothing():
     for effect in BY_ANGLE:
-        assert effect.describes and [a.off for a in effect.amplitudes] == [0.0] * NODES
+        assert effect.describes and [a.default for a in effect.amplitudes] == [0.0] * NODES
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from adaptsim_jax.attribution.parameters import Entry, TreeFit
 from adaptsim_jax.attribution.paths import run, starts_of, weigh
 from adaptsim_jax.attribution.problem import nuisances, prepare, values_of
 from adaptsim_jax.attribution.stretches import JointTrack
-from adaptsim_jax.effects.base import Dry, Effect, Parameter
+from adaptsim_jax.effects.base import Dry, Effect, Quantity
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.mechanisms.mjcf import read_mechanism
 
@@ -53,7 +53,7 @@ def test_dry_friction_of_another_package_rubs_too(tmp_path):
     own = Effect(
         "tight_spot",
         "force",
-        (Parameter("level", "N m", 0.0, 9.0, 0.0, sign=1),),
+        (Quantity("level", "N m", 0.0, 9.0, 0.0, sign=1),),
         lambda p, m: Dry(p["level"] + 0.0 * m.q),
         "dry friction",
         "motion",

@@ -13,7 +13,7 @@ import pytest
 BRUSH = '''
 import jax.numpy as jnp
 
-from adaptsim_jax.diagnosis import Dry, Effect, Parameter
+from adaptsim_jax.diagnosis import Dry, Effect, Quantity
 
 
 def brush(p, m):
@@ -24,7 +24,7 @@ def brush(p, m):
 BRUSH = Effect(
     "brush",
     "force",
-    (Parameter("level", "N m", 0.0, 2.0, 0.0, sign=1, mjcf="frictionloss"),),
+    (Quantity("level", "N m", 0.0, 2.0, 0.0, sign=1, mjcf="frictionloss"),),
     brush,
     "a brush that rubs on one side",
     "slow motion on both sides",
@@ -40,7 +40,7 @@ def magnet(p, m):
 MAGNET = Effect(
     "magnet",
     "force",
-    (Parameter("pull", "N m/rad", -5.0, 5.0, 0.0),),
+    (Quantity("pull", "N m/rad", -5.0, 5.0, 0.0),),
     magnet,
     "a magnet near zero",
     "slow motion",

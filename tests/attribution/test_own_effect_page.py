@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.effects.base import Effect, Parameter
+from adaptsim_jax.effects.base import Effect, Quantity
 from adaptsim_jax.effects.registry import catalogue
 from adaptsim_jax.mend.model_toml import AddedEffect, Value
 from adaptsim_jax.mend.pendulum_model import ModelFile
@@ -31,7 +31,7 @@ def test_the_pages_blocks_run(tmp_path, monkeypatch, capsys):
 
 
 def test_a_model_takes_its_effects_from_the_library_it_was_read_with():
-    size = Parameter("size", "N m", -1.0, 1.0, 0.0)
+    size = Quantity("size", "N m", -1.0, 1.0, 0.0)
     mine = Effect("mine", "force", (size,), lambda p, m: p["size"] * m.q, "physics", "excitation")
 
     def value(x, unit):

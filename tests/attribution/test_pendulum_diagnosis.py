@@ -26,7 +26,7 @@ from adaptsim_jax.attribution.pendulum_diagnosis import first_parameters
 from adaptsim_jax.attribution.posed import declared_vector
 from adaptsim_jax.attribution.problem import own_inertia, scaled_reach
 from adaptsim_jax.attribution.tree_objective import TreeObjective
-from adaptsim_jax.diagnosis import Effect, Parameter, catalogue, read_model
+from adaptsim_jax.diagnosis import Effect, Quantity, catalogue, read_model
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.joints.catalogue import ETA, MACHINE
 from adaptsim_jax.logs.pendulum import read_pendulum
@@ -208,7 +208,7 @@ def test_an_effect_of_ones_own_competes(tmp_path):
     mine = Effect(
         "mine",
         "force",
-        (Parameter("size", "N m", -1.0, 1.0, 0.0),),
+        (Quantity("size", "N m", -1.0, 1.0, 0.0),),
         pull,
         "a magnet",
         "wide angles",

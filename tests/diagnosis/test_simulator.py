@@ -100,7 +100,7 @@ def test_look_alikes_are_told_as_a_class_with_the_motion_that_parts_them():
 def test_starts_are_fitted_and_taken_out_of_the_columns():
     tanks = recorded({}, seed=8)
     far = tanks.stretches.start + 20.0
-    values = np.tile([q.neutral for q in tanks.quantities], (tanks.stretches.count, 1))
+    values = np.tile([q.default for q in tanks.quantities], (tanks.stretches.count, 1))
     found = settle(tanks, values, far, 12)
     free = tanks.stretches.measured[0].size - 2
     assert np.median(np.square(found.residual).sum(1) / free) == pytest.approx(1.0, abs=0.4)
@@ -151,7 +151,7 @@ def test_what_is_no_simulator_is_refused_in_one_line():
 def test_what_shows_nothing_to_first_order_is_begun_at_a_size():
     """A filter's lag of 0 has no derivative: e^(-dt / lag) is flat there."""
     tanks = recorded({}, seed=11)
-    lag = Quantity("lag", "s", 0.0, 0.0, 60.0, 1.0, 100.0)
+    lag = Quantity("lag", "s", 0.0, 60.0, prior=100.0)
 
     def predict(values, starts, which):
         h = TANKS["levels"](values[:, :-1], starts, tanks.volts[which])
@@ -166,7 +166,7 @@ def test_what_shows_nothing_to_first_order_is_begun_at_a_size():
     object.__setattr__(tanks, "candidates", (own, *tanks.candidates))
     object.__setattr__(tanks, "predict", predict)
     true, s = (
-        np.tile([*(q.neutral for q in tanks.quantities[:-1]), 12.0], (tanks.stretches.count, 1)),
+        np.tile([*(q.default for q in tanks.quantities[:-1]), 12.0], (tanks.stretches.count, 1)),
         tanks.stretches,
     )
     seen = predict(true, s.start, np.arange(s.count)) + 0.5 * np.random.default_rng(
@@ -190,7 +190,7 @@ def test_the_protocol_is_what_is_asked_for():
     """
     tanks = recorded({"leak": 0.002}, seed=10)
     assert all(hasattr(tanks, name) for name in (n for n in vars(Simulator) if n[0] != "_"))
-    s, values = tanks.stretches, np.array([[q.neutral for q in tanks.quantities]])
+    s, values = tanks.stretches, np.array([[q.default for q in tanks.quantities]])
     whole = tanks.predict(np.tile(values, (s.count, 1)), s.start, np.arange(s.count))
     some = np.array([5, 2])
     np.testing.assert_array_equal(

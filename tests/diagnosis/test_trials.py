@@ -11,7 +11,7 @@ import pytest
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.experiment import separated_by
 from adaptsim_jax.diagnosis.fit import fitted, settled
-from adaptsim_jax.diagnosis.problem import Candidate, Problem, Quantity
+from adaptsim_jax.diagnosis.problem import Candidate, Problem
 from adaptsim_jax.diagnosis.rows import (
     Recorded,
     _standing_out,
@@ -24,6 +24,7 @@ from adaptsim_jax.diagnosis.run import Run
 from adaptsim_jax.diagnosis.schema import new_report
 from adaptsim_jax.diagnosis.trials import search_trials
 from adaptsim_jax.diagnosis.written import MODEL, Output, cleared, finished, planned
+from adaptsim_jax.effects.base import Quantity
 from adaptsim_jax.mend.model_toml import Form
 
 TRIALS, ROWS = 14, 60
@@ -39,7 +40,7 @@ def problem(truth, seed=0, trials=TRIALS):
     seen = basis @ np.array(truth) + rng.standard_normal((trials, ROWS))
 
     def quantity(n):
-        return Quantity(n, "", 0.0, -5.0, 5.0, 0.1, 10.0)
+        return Quantity(n, "", -5.0, 5.0, prior=10.0, scale=0.1)
 
     def effect(n):
         return Candidate(n, "force", (n,), "a column", "any trial")
@@ -155,7 +156,7 @@ def test_a_fit_that_leaves_structure_is_begun_again_from_beside():
         return np.tile(np.array([20.0 * values[0], 2.0])[:, None] * basis[:, 0], (TRIALS, 1, 1))
 
     two = Problem(
-        (Quantity("a", "", 0.0, -5.0, 5.0, 1.8, 100.0),),
+        (Quantity("a", "", -5.0, 5.0, prior=100.0, scale=1.8),),
         ("a",),
         (),
         lambda values: -wells(values[:, 0]),

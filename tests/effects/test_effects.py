@@ -14,7 +14,7 @@ from adaptsim_jax.effects.base import (
     Dry,
     Effect,
     Motion,
-    Parameter,
+    Quantity,
     Reach,
     Relaxation,
     exponents,
@@ -61,7 +61,7 @@ def motion(torque=1.0, time=1.0, count=40, memory=0.3):
 
 
 def parameters(effect, amplitude=1.0, torque=1.0, time=1.0):
-    """A mid-sized setting of an effect; `amplitude` 0 is its off value, 1 a third of the way to its
+    """A mid-sized setting of an effect; `amplitude` 0 is none of it, 1 a third of the way to its
     upper bound.
     """
     shape = effect.grid_points(REACH, 0)[-1]
@@ -69,8 +69,8 @@ def parameters(effect, amplitude=1.0, torque=1.0, time=1.0):
     for p in effect.parameters:
         value = (
             shape.get(p.name, p.default)
-            if p.off is None
-            else p.off + amplitude * 0.3 * (min(p.high, 0.5) - p.off)
+            if p.shape
+            else p.default + amplitude * 0.3 * (min(p.high, 0.5) - p.default)
         )
         a, b = UNITS[p.unit]
         out[p.name] = jnp.asarray(np.reshape(value * torque**a * time**b, (1, 1)))
@@ -114,8 +114,7 @@ def test_entry_is_complete(effect):
     assert set(effect.look_alikes) <= names and set(effect.contains) <= names - {effect.name}
     for p in effect.parameters:
         assert p.low <= p.default <= p.high and p.low < p.high
-        assert p.off is None or p.low <= p.off <= p.high
-        assert p.sign <= 0 or p.low >= 0 or p.off == 0.0
+        assert p.sign <= 0 or p.low >= 0 or p.default == 0.0
     for point in effect.grid_points(REACH, 1):
         assert set(point) >= {p.name for p in effect.shapes if not p.optional} or effect.jump
         for p in effect.parameters:
@@ -226,7 +225,7 @@ def test_a_user_adds_an_effect_with_one_entry():
     mine = Effect(
         "magnet",
         "force",
-        (Parameter("pull", "N m", -1.0, 1.0, 0.0),),
+        (Quantity("pull", "N m", -1.0, 1.0, 0.0),),
         magnet,
         "a magnet",
         "near zero",
@@ -247,7 +246,7 @@ def test_a_wrong_entry_is_refused(change, message):
     entry = {
         "name": "x",
         "place": "force",
-        "parameters": (Parameter("a", "N m", 0.0, 1.0, 0.0),),
+        "parameters": (Quantity("a", "N m", 0.0, 1.0, 0.0),),
         "apply": abs,
     }
     with pytest.raises(BadInput, match=message):
@@ -288,7 +287,7 @@ def test_what_was_commanded_before_the_recording_fades():
 
 
 def test_a_torque_by_any_power_of_the_speed_has_a_unit():
-    cubic = Parameter("c", "N m s^3/rad^3", 0.0, 2.0, 0.0)
+    cubic = Quantity("c", "N m s^3/rad^3", 0.0, 2.0, 0.0)
     assert exponents(cubic.unit) == (1, 3) and unit_at(cubic.unit, "slide") == "N s^3/m^3"
     assert cubic.bounds(10.0, 0.5) == (0.0, 2.0 * 10.0 * 8.0)
     assert exponents("N m s^3/rad^2") is None and exponents("lbf") is None

@@ -129,7 +129,7 @@ def of_machine(name: str) -> dict[str, list[list[str]]]:
 def of_trials(some, quantities) -> dict[str, list[str]]:
     """Candidates and quantities of short trials."""
     known = [
-        f"{q.name} [{q.unit}] {q.neutral:.6g} in {q.low:.6g}..{q.high:.6g} scale {q.scale:.6g} "
+        f"{q.name} [{q.unit}] {q.default:.6g} in {q.low:.6g}..{q.high:.6g} scale {q.scale:.6g} "
         f"prior {q.prior:.6g}"
         for q in quantities
     ]

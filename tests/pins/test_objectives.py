@@ -277,12 +277,12 @@ def test_a_search_that_goes_on_from_another_is_the_same(posed_of):
 
 def test_mujoco_predicts_the_same(tmp_path: Path):
     made = simulator(*read_source_and_log(record(tmp_path / "log", "servos")))
-    values = np.array([q.neutral for q in made.quantities])
+    values = np.array([q.default for q in made.quantities])
     scale = np.array([q.scale for q in made.quantities])
     which = np.arange(made.stretches.count)
     out: dict[str, Any] = {
         "quantities": [
-            [q.name, q.unit, q.neutral, q.low, q.high, q.scale, q.prior] for q in made.quantities
+            [q.name, q.unit, q.default, q.low, q.high, q.scale, q.prior] for q in made.quantities
         ],
         "declared": made.declared,
         "candidates": [[c.name, c.where, c.quantities, c.shapes] for c in made.candidates],
@@ -306,7 +306,7 @@ def test_mujoco_predicts_the_same(tmp_path: Path):
 
 def test_a_simulator_of_ones_own_leaves_the_same():
     problem = problem_of(recorded({"leak": 0.004}, seed=3, trials=4))
-    values = np.array([q.neutral for q in problem.quantities])
+    values = np.array([q.default for q in problem.quantities])
     scale = np.array([q.scale for q in problem.quantities])
     out: dict[str, Any] = {"fold": list(problem.fold), "block": list(problem.block)}
     for key, off in {"neutral": 0.0, "near": 0.5, "far": 2.0}.items():

@@ -48,7 +48,7 @@ TRUTHS = {
 
 def values_of(named: dict[str, float]) -> np.ndarray:
     """Values [P], neutral but for those named."""
-    return np.array([named.get(q.name, q.neutral) for q in QUANTITIES])
+    return np.array([named.get(q.name, q.default) for q in QUANTITIES])
 
 
 @pytest.mark.long

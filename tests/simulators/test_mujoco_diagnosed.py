@@ -209,7 +209,7 @@ def test_sensors_that_the_model_has_not_are_refused(tmp_path):
 def test_a_coarse_step_is_told_and_a_fine_one_is_not(tmp_path):
     data = swung(tmp_path / "log")
     made = simulator(*read_source_and_log(data))
-    values = np.array([q.neutral for q in made.quantities])
+    values = np.array([q.default for q in made.quantities])
     size = change(made, values)
     assert (
         halved(made).made.model.opt.timestep == 0.002

@@ -232,7 +232,7 @@ def read_more(effect: Effect, parameter: str) -> tuple[float, float]:
     """What one more of a sensor effect's amplitude adds to the reading: at the angle zero, and for
     each rad (m) of the angle.
     """
-    p = {a.name: jnp.full((1, 1), a.default if a.off is None else a.off) for a in effect.parameters}
+    p = {a.name: jnp.full((1, 1), a.default) for a in effect.parameters}
     angle = jnp.array([[0.0], [1.0]])
 
     def reading(z):
@@ -413,7 +413,7 @@ def residual(
         if effect.place == "measurement" and effect.in_balance:
             for a in effect.amplitudes:
                 at_zero, by_angle = read_more(effect, a.name)
-                off = values.effects[effect.name][a.name][:, 0] - a.off
+                off = values.effects[effect.name][a.name][:, 0] - a.default
                 offset, scale = offset + at_zero * off, scale + by_angle * off
     inertial = values.inertial[..., 0]
     takes = balance.regressor @ inertial.ravel() - balance.known
@@ -432,7 +432,7 @@ def acting(balance: Balance, values: Values) -> tuple[np.ndarray, np.ndarray]:
     acts = reported = driven = balance.averaged(now[0])
     for effect in balance.group.model.effects:
         p = {k: z[:, 0] for k, z in values.effects.get(effect.name, {}).items()}
-        on = any(np.any(p[a.name] != a.off) for a in effect.amplitudes if a.name in p)
+        on = any(np.any(p[a.name] != a.default) for a in effect.amplitudes if a.name in p)
         if on and effect.place in ("force", "command"):
             force = force_of(balance, values, effect, p, now)
             acts = acts + force

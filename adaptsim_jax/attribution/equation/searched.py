@@ -92,7 +92,7 @@ class EffectTable:
         if effect.place == "measurement":
             return self._read(effect, entry)
         known = next((p for p in effect.parameters if p.name == entry.name), None)
-        curved = known is None or known.off is None or effect.jump or effect.place == "command"
+        curved = known is None or known.shape or effect.jump or effect.place == "command"
         if curved and shape is None:
             return self._difference(entry) * self.scale
         column = self._everywhere(effect, entry.name, tuple(sorted((shape or {}).items())))

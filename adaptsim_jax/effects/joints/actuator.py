@@ -9,7 +9,7 @@ law makes the torque, so that gains and limits are forces there.
 import jax
 import jax.numpy as jnp
 
-from adaptsim_jax.effects.base import Effect, Parameter, Traits
+from adaptsim_jax.effects.base import Effect, Quantity, Traits
 
 
 def _durations(t):
@@ -98,13 +98,12 @@ def _pendulum_widths(reach, joint):
     return [{"width": float(reach.torque[joint]) * s} for s in (0.005, 0.015, 0.04, 0.1)]
 
 
-UNKNOWN_BEFORE = Parameter(
+UNKNOWN_BEFORE = Quantity(
     "before",
     "1",
     0.0,
     1.0,
-    0.0,
-    None,
+    shape=True,
     optional=True,
     meaning="torque as a trial begins, over its first command",
 )
@@ -113,7 +112,7 @@ UNKNOWN_BEFORE = Parameter(
 PENDULUM_DELAY = Effect(
     "delay",
     "command",
-    (Parameter("delay", "s", 0.0, 0.1, 0.0, sign=1), UNKNOWN_BEFORE),
+    (Quantity("delay", "s", 0.0, 0.1, sign=1), UNKNOWN_BEFORE),
     delay,
     "commands reach the joint late",
     "fast changes of command",
@@ -129,24 +128,23 @@ PENDULUM_SATURATION = Effect(
     "saturation",
     "command",
     (
-        Parameter("cut", "1", 0.0, 0.95, 0.0, sign=1, meaning="share cut off the largest command"),
-        Parameter(
+        Quantity("cut", "1", 0.0, 0.95, sign=1, meaning="share cut off the largest command"),
+        Quantity(
             "peak",
             "N m",
             0.0,
             1e9,
             1e9,
-            None,
+            shape=True,
             held=True,
             meaning="the largest command recorded; not fitted",
         ),
-        Parameter(
+        Quantity(
             "softness",
             "1",
             0.0,
             0.7,
-            0.0,
-            None,
+            shape=True,
             optional=True,
             meaning="of the knee; 0 is sharp",
             late=True,
@@ -165,7 +163,7 @@ PENDULUM_SATURATION = Effect(
 PENDULUM_DEAD_ZONE = Effect(
     "dead_zone",
     "command",
-    (Parameter("width", "N m", 0.0, 0.9, 0.0, sign=1),),
+    (Quantity("width", "N m", 0.0, 0.9, sign=1),),
     dead_zone,
     "commands below a width move nothing, larger ones lose it",
     "small and large commands of both signs",
@@ -179,7 +177,7 @@ PENDULUM_DEAD_ZONE = Effect(
 PENDULUM_TORQUE_GAIN = Effect(
     "torque_gain",
     "command",
-    (Parameter("gain", "1", -0.9, 2.0, 0.0, factor=True),),
+    (Quantity("gain", "1", -0.9, 2.0, factor=True),),
     torque_gain,
     "the torque constant is off by a share",
     "driven motion beside free swings",
@@ -194,7 +192,7 @@ PENDULUM_TORQUE_GAIN = Effect(
 PENDULUM_ACTUATOR_LAG = Effect(
     "actuator_lag",
     "command",
-    (Parameter("lag", "s", 0.0, 0.2, 0.0, sign=1), UNKNOWN_BEFORE),
+    (Quantity("lag", "s", 0.0, 0.2, sign=1), UNKNOWN_BEFORE),
     actuator_lag,
     "the torque follows the command as a first-order lag",
     "fast changes of command",
@@ -212,7 +210,7 @@ def rotor_inertia(p):
 PENDULUM_ROTOR_INERTIA = Effect(
     "rotor_inertia",
     "force",
-    (Parameter("inertia", "kg m^2", 0.0, 1.0, 0.0, sign=1),),
+    (Quantity("inertia", "kg m^2", 0.0, 1.0, sign=1),),
     rotor_inertia,
     "the motor's inertia times gear ratio squared, felt at its own joint only (large ratio: the "
     "coupling through the moving stator is smaller by the ratio and left out); at joint 1 a "
@@ -263,13 +261,13 @@ def _widths(reach, joint):
     return [{"width": float(reach.torque[joint]) * s} for s in (0.01, 0.03, 0.08)]
 
 
-BEFORE = Parameter(
+BEFORE = Quantity(
     "before",
     "1",
     0.0,
     1.0,
     1.0,
-    None,
+    shape=True,
     held=True,
     optional=True,
     meaning="share of its first command ahead of the log",
@@ -278,7 +276,7 @@ BEFORE = Parameter(
 TORQUE_GAIN = Effect(
     "torque_gain",
     "force",
-    (Parameter("gain", "1", -0.9, 2.0, 0.0, factor=True, mjcf="gain"),),
+    (Quantity("gain", "1", -0.9, 2.0, factor=True, mjcf="gain"),),
     torque_gain_force,
     "the actuator's torque is off by a share",
     "driven motion beside free swings",
@@ -290,7 +288,7 @@ TORQUE_GAIN = Effect(
 POSITION_GAIN = Effect(
     "position_gain",
     "force",
-    (Parameter("gain", "1", -0.9, 2.0, 0.0, factor=True, mjcf="kp"),),
+    (Quantity("gain", "1", -0.9, 2.0, factor=True, mjcf="kp"),),
     position_gain,
     "the stiffness of the position controller is off by a share",
     "large position errors",
@@ -303,23 +301,22 @@ SATURATION = Effect(
     "saturation",
     "force",
     (
-        Parameter(
+        Quantity(
             "cut",
             "1",
             0.0,
             0.99,
-            0.0,
             sign=1,
             meaning="share cut off the largest torque",
             mjcf="limit",
         ),
-        Parameter(
+        Quantity(
             "peak",
             "N m",
             0.0,
             1e9,
             1e9,
-            None,
+            shape=True,
             held=True,
             meaning="the largest torque; not fitted",
         ),
@@ -338,7 +335,7 @@ SATURATION = Effect(
 DEAD_ZONE = Effect(
     "dead_zone",
     "force",
-    (Parameter("width", "N m", 0.0, 0.9, 0.0, sign=1),),
+    (Quantity("width", "N m", 0.0, 0.9, sign=1),),
     dead_zone_force,
     "torques below a width move nothing, larger ones lose it",
     "small and large torques",
@@ -352,7 +349,7 @@ DEAD_ZONE = Effect(
 DELAY = Effect(
     "delay",
     "command",
-    (Parameter("delay", "s", -LATEST, LATEST, 0.0, mjcf="delay"), BEFORE),
+    (Quantity("delay", "s", -LATEST, LATEST, mjcf="delay"), BEFORE),
     delay,
     "the command reaches the joint late; below zero, its log is late",
     "fast changes of the command",
@@ -367,7 +364,7 @@ DELAY = Effect(
 ACTUATOR_LAG = Effect(
     "actuator_lag",
     "command",
-    (Parameter("lag", "s", 0.0, 0.2, 0.0, sign=1, mjcf="lag"), BEFORE),
+    (Quantity("lag", "s", 0.0, 0.2, sign=1, mjcf="lag"), BEFORE),
     actuator_lag,
     "the joint follows its command as a first-order lag",
     "fast changes of the command",

@@ -4,7 +4,7 @@ What acts on the torque is a force here, since the torque of a joint may be made
 own law from a command.
 """
 
-from adaptsim_jax.effects.base import Effect, Parameter, Traits, of_the_engine
+from adaptsim_jax.effects.base import Effect, Quantity, Traits, of_the_engine
 from adaptsim_jax.effects.joints import actuator, drives, forces, friction, sensor
 from adaptsim_jax.effects.registry import of_other_packages
 
@@ -27,7 +27,7 @@ WIDEST = {name: (6.0 if name in ETA[:4] else 20.0) for name in ETA}
 TILT = Effect(
     "tilt",
     "model",
-    tuple(Parameter(name, "rad", -0.5, 0.5, 0.0) for name in TILTS),
+    tuple(Quantity(name, "rad", -0.5, 0.5) for name in TILTS),
     of_the_engine,
     "gravity pulls along another direction: the base is not level",
     "wide angles under gravity",
@@ -39,7 +39,7 @@ TILT = Effect(
 BODY = Effect(
     "inertia",
     "model",
-    tuple(Parameter(name, "1", -wide, wide, 0.0) for name, wide in WIDEST.items()),
+    tuple(Quantity(name, "1", -wide, wide) for name, wide in WIDEST.items()),
     of_the_engine,
     "a body of another mass, centre of mass or moments than declared: a payload, another part",
     "fast motion, and wide angles under gravity",

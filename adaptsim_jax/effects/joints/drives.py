@@ -8,34 +8,38 @@ at any speed, with the rotor's own motion, where the joint has an armature
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.effects.base import Drive, Effect, Parameter
+from adaptsim_jax.effects.base import Drive, Effect, Quantity
 
 ENCODERS = ((0.0, 0.0), (1.0, 1.0), (1.0, 0.0))  # on the link's side: the log's, the controller's
 SIDES = (
-    Parameter(
+    Quantity(
         "link",
         "1",
         0.0,
         1.0,
-        0.0,
-        None,
+        shape=True,
         held=True,
         meaning="1: the logged encoder is on the link's side, 0: on the rotor's",
     ),
-    Parameter(
+    Quantity(
         "control",
         "1",
         0.0,
         1.0,
-        0.0,
-        None,
+        shape=True,
         held=True,
         optional=True,
         meaning="the same of the controller's encoder",
     ),
 )
-DASHPOT = Parameter(
-    "damping", "s", 0.0, 0.5, 0.01, None, meaning="a dashpot beside the spring, over its stiffness"
+DASHPOT = Quantity(
+    "damping",
+    "s",
+    0.0,
+    0.5,
+    0.01,
+    shape=True,
+    meaning="a dashpot beside the spring, over its stiffness",
 )
 
 
@@ -104,7 +108,7 @@ def _plays(reach, joint):
 DRIVE_COMPLIANCE = Effect(
     "drive_compliance",
     "measurement",
-    (Parameter("compliance", "rad/(N m)", 0.0, 0.5, 0.0, sign=1),),
+    (Quantity("compliance", "rad/(N m)", 0.0, 0.5, sign=1),),
     drive_compliance,
     "a drive that winds up under torque, with the encoder on the motor's side",
     "high and low torque at like angles",
@@ -117,14 +121,14 @@ DRIVE_PLAY = Effect(
     "drive_play",
     "measurement",
     (
-        Parameter("gap", "rad", 0.0, 0.4, 0.0, sign=1),
-        Parameter(
+        Quantity("gap", "rad", 0.0, 0.4, sign=1),
+        Quantity(
             "width",
             "N m",
             0.001,
             2.0,
             0.05,
-            None,
+            shape=True,
             meaning="torque at which the motor lies against a side",
         ),
     ),
@@ -141,7 +145,7 @@ DRIVE_ELASTICITY = Effect(
     "drive_elasticity",
     "drive",
     (
-        Parameter("compliance", "rad/(N m)", 0.0, 3.0, 0.0, sign=1),
+        Quantity("compliance", "rad/(N m)", 0.0, 3.0, sign=1),
         DASHPOT,
         *SIDES,
     ),
@@ -161,8 +165,8 @@ DRIVE_BACKLASH = Effect(
     "drive_backlash",
     "drive",
     (
-        Parameter("gap", "rad", 0.0, 0.4, 0.0, sign=1),
-        Parameter("compliance", "rad/(N m)", 0.0, 3.0, 0.0, None),
+        Quantity("gap", "rad", 0.0, 0.4, sign=1),
+        Quantity("compliance", "rad/(N m)", 0.0, 3.0, shape=True),
         DASHPOT,
         *SIDES,
     ),

@@ -11,7 +11,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 
 from adaptsim_jax.effects import disturbance, elastic
-from adaptsim_jax.effects.base import Dry, Effect, Parameter, Traits
+from adaptsim_jax.effects.base import Dry, Effect, Quantity, Traits
 from adaptsim_jax.effects.joints.actuator import rotor_inertia
 
 NODES = 10  # of a range of motion: a spot of a tenth of it shows
@@ -74,22 +74,22 @@ def angle_friction(p, m):
     return Dry(_between(p, m.q))
 
 
-def _parameters() -> tuple[Parameter, ...]:
+def _parameters() -> tuple[Quantity, ...]:
     """A weak prior, so that a level which is the same everywhere is Coulomb's, and a node that no
     motion passes has none.
     """
     nodes = [
-        Parameter(f"at{k}", "N m", -1.0, 1.0, 0.0, meaning=f"at node {k}", prior=0.3)
+        Quantity(f"at{k}", "N m", -1.0, 1.0, meaning=f"at node {k}", prior=0.3)
         for k in range(NODES)
     ]
     ends = [
-        Parameter(
+        Quantity(
             name,
             "rad",
             -1e9,
             1e9,
             at,
-            None,
+            shape=True,
             held=True,
             meaning=f"angle of the {which} node; not fitted",
         )
@@ -106,8 +106,8 @@ SPRING = Effect(
     "spring",
     "force",
     (
-        Parameter("stiffness", "N m/rad", -5.0, 5.0, 0.0, sign=1, mjcf="stiffness"),
-        Parameter("preload", "N m", -5.0, 5.0, 0.0, mjcf="preload"),
+        Quantity("stiffness", "N m/rad", -5.0, 5.0, sign=1, mjcf="stiffness"),
+        Quantity("preload", "N m", -5.0, 5.0, mjcf="preload"),
     ),
     spring,
     "a torsional spring or a cable; at rest at preload / stiffness",
@@ -127,9 +127,9 @@ COGGING = Effect(
     "cogging",
     "force",
     (
-        Parameter("sine", "N m", -1.0, 1.0, 0.0),
-        Parameter("cosine", "N m", -1.0, 1.0, 0.0),
-        Parameter("order", "1", 2.0, 200.0, 7.0, None, meaning="periods a turn"),
+        Quantity("sine", "N m", -1.0, 1.0),
+        Quantity("cosine", "N m", -1.0, 1.0),
+        Quantity("order", "1", 2.0, 200.0, 7.0, shape=True, meaning="periods a turn"),
     ),
     cogging,
     "torque ripple periodic in the joint's angle (magnets, gear teeth)",
@@ -150,12 +150,12 @@ HARD_STOP = Effect(
     "hard_stop",
     "force",
     (
-        Parameter("stiffness", "N m/rad", 0.0, 300.0, 0.0, sign=1),
-        Parameter("angle", "rad", -100.0, 100.0, 1.5, None),
-        Parameter("side", "1", -1.0, 1.0, 1.0, None, held=True),
-        Parameter("loss", "s", 0.0, 1.0, 0.0, None, optional=True),
-        Parameter("damping", "s", 0.0, 0.5, 0.0, None, held=True, optional=True),
-        Parameter("exponent", "1", 0.7, 2.5, 1.0, None, held=True, optional=True),
+        Quantity("stiffness", "N m/rad", 0.0, 300.0, sign=1),
+        Quantity("angle", "rad", -100.0, 100.0, 1.5, shape=True),
+        Quantity("side", "1", -1.0, 1.0, 1.0, shape=True, held=True),
+        Quantity("loss", "s", 0.0, 1.0, shape=True, optional=True),
+        Quantity("damping", "s", 0.0, 0.5, shape=True, held=True, optional=True),
+        Quantity("exponent", "1", 0.7, 2.5, 1.0, shape=True, held=True, optional=True),
     ),
     elastic.hard_stop,
     "an end stop beyond an angle",
@@ -170,7 +170,7 @@ HARD_STOP = Effect(
 ARMATURE = Effect(
     "armature",
     "force",
-    (Parameter("inertia", "kg m^2", 0.0, 1.0, 0.0, sign=1, mjcf="armature"),),
+    (Quantity("inertia", "kg m^2", 0.0, 1.0, sign=1, mjcf="armature"),),
     rotor_inertia,
     "the rotor's inertia times the gear ratio squared, felt at its own joint",
     "fast motion",
@@ -184,8 +184,8 @@ DAMPING_STEP = Effect(
     "damping_step",
     "force",
     (
-        Parameter("step", "s", -1.0, 1.0, 0.0),
-        Parameter("damping", "N m s/rad", 0.0, 1e9, 0.0, None, held=True),
+        Quantity("step", "s", -1.0, 1.0),
+        Quantity("damping", "N m s/rad", 0.0, 1e9, shape=True, held=True),
     ),
     damping_step,
     "a simulator's step, or a controller's: the declared damping acts by the speed at another "
@@ -201,20 +201,18 @@ TORQUE_COUPLING = Effect(
     "torque_coupling",
     "force",
     (
-        Parameter(
+        Quantity(
             "onto",
             "1",
             -1.0,
             1.0,
-            0.0,
             meaning="share of the torque of the joint before that acts here",
         ),
-        Parameter(
+        Quantity(
             "back",
             "1",
             -1.0,
             1.0,
-            0.0,
             meaning="share of this joint's torque that acts on the joint before",
         ),
     ),
@@ -230,7 +228,7 @@ TORQUE_COUPLING = Effect(
 FRICTION_COUPLING = Effect(
     "friction_coupling",
     "force",
-    (Parameter("damping", "N m s/rad", -10.0, 10.0, 0.0),),
+    (Quantity("damping", "N m s/rad", -10.0, 10.0),),
     friction_coupling,
     "viscous friction in a drive that two joints share: of the sum or the difference of their "
     "speeds",

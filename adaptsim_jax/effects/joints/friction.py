@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import jax.numpy as jnp
 
-from adaptsim_jax.effects.base import Dry, Effect, Motion, Parameter, Relaxation, Traits
+from adaptsim_jax.effects.base import Dry, Effect, Motion, Quantity, Relaxation, Traits
 
 
 def speeds(reach, joint):
@@ -22,13 +22,12 @@ def decays(reach, joint):
     return [{"decay": reach.duration * s} for s in (0.1, 0.2, 0.4, 1.0)]
 
 
-WIDTH = Parameter(
+WIDTH = Quantity(
     "width",
     "rad/s",
     0.0,
     0.2,
-    0.0,
-    None,
+    shape=True,
     optional=True,
     meaning="within which it turns; 0 is sharp",
     late=True,
@@ -72,7 +71,7 @@ def bristle(p, m: Motion):
 PENDULUM_COULOMB = Effect(
     "coulomb",
     "force",
-    (Parameter("level", "N m", 0.0, 1.0, 0.0, sign=1), WIDTH),
+    (Quantity("level", "N m", 0.0, 1.0, sign=1), WIDTH),
     coulomb,
     "dry friction: a constant torque against the motion",
     "reversals, and both slow and fast motion",
@@ -86,15 +85,15 @@ PENDULUM_STRIBECK = Effect(
     "stribeck",
     "force",
     (
-        Parameter("level", "N m", 0.0, 1.0, 0.0, sign=1),
-        Parameter("excess", "N m", 0.0, 2.0, 0.0, sign=1, meaning="how much more at rest"),
-        Parameter(
+        Quantity("level", "N m", 0.0, 1.0, sign=1),
+        Quantity("excess", "N m", 0.0, 2.0, sign=1, meaning="how much more at rest"),
+        Quantity(
             "speed",
             "rad/s",
             0.02,
             20.0,
             0.5,
-            None,
+            shape=True,
             meaning="at which the excess has fallen to a third",
         ),
         WIDTH,
@@ -112,7 +111,7 @@ PENDULUM_STRIBECK = Effect(
 PENDULUM_QUADRATIC_DRAG = Effect(
     "quadratic_drag",
     "force",
-    (Parameter("drag", "N m s^2/rad^2", 0.0, 1.0, 0.0, sign=1),),
+    (Quantity("drag", "N m s^2/rad^2", 0.0, 1.0, sign=1),),
     quadratic_drag,
     "air drag or turbulent oil: torque with the square of speed",
     "a wide range of speeds",
@@ -124,9 +123,9 @@ PENDULUM_FRICTION_DRIFT = Effect(
     "friction_drift",
     "force",
     (
-        Parameter("viscous", "N m s/rad", -1.0, 1.0, 0.0),
-        Parameter("dry", "N m", -1.0, 1.0, 0.0),
-        Parameter("decay", "s", 0.05, 100.0, 2.0, None, meaning="time to fall to a third"),
+        Quantity("viscous", "N m s/rad", -1.0, 1.0),
+        Quantity("dry", "N m", -1.0, 1.0),
+        Quantity("decay", "s", 0.05, 100.0, 2.0, shape=True, meaning="time to fall to a third"),
     ),
     friction_drift,
     "friction that changes as the joint warms up within a trial",
@@ -139,7 +138,7 @@ PENDULUM_FRICTION_DRIFT = Effect(
 PENDULUM_LOAD_FRICTION = Effect(
     "load_friction",
     "force",
-    (Parameter("share", "1", 0.0, 1.0, 0.0, sign=1), WIDTH),
+    (Quantity("share", "1", 0.0, 1.0, sign=1), WIDTH),
     load_friction,
     "gear friction in proportion to the torque that the joint carries",
     "high and low torque at like speeds",
@@ -152,10 +151,12 @@ PENDULUM_PRESLIDING = Effect(
     "presliding",
     "force",
     (
-        Parameter("level", "N m", 0.0, 1.0, 0.0, sign=1),
-        Parameter("deflection", "rad", 1e-3, 0.5, 0.02, None, meaning="at which it breaks away"),
-        Parameter(
-            "damping", "s", 0.0, 0.1, 0.0, None, meaning="of the bristle; 0 is Dahl, more is LuGre"
+        Quantity("level", "N m", 0.0, 1.0, sign=1),
+        Quantity(
+            "deflection", "rad", 1e-3, 0.5, 0.02, shape=True, meaning="at which it breaks away"
+        ),
+        Quantity(
+            "damping", "s", 0.0, 0.1, shape=True, meaning="of the bristle; 0 is Dahl, more is LuGre"
         ),
     ),
     bristle,
@@ -206,7 +207,7 @@ def _bristles(reach, joint):
 VISCOUS = Effect(
     "viscous",
     "force",
-    (Parameter("damping", "N m s/rad", 0.0, 10.0, 0.0, sign=1, mjcf="damping"),),
+    (Quantity("damping", "N m s/rad", 0.0, 10.0, sign=1, mjcf="damping"),),
     viscous,
     "friction in proportion to the speed",
     "fast motion",
@@ -218,7 +219,7 @@ VISCOUS = Effect(
 COULOMB = Effect(
     "coulomb",
     "force",
-    (Parameter("level", "N m", 0.0, 2.0, 0.0, sign=1, mjcf="frictionloss"),),
+    (Quantity("level", "N m", 0.0, 2.0, sign=1, mjcf="frictionloss"),),
     coulomb,
     "dry friction: a constant torque against the motion",
     "reversals, and both slow and fast motion",
@@ -231,7 +232,7 @@ COULOMB = Effect(
 ASYMMETRIC_COULOMB = Effect(
     "asymmetric_coulomb",
     "force",
-    (Parameter("difference", "N m", -1.0, 1.0, 0.0),),
+    (Quantity("difference", "N m", -1.0, 1.0),),
     asymmetric,
     "dry friction of another level in each direction",
     "both directions at like speeds",
@@ -245,14 +246,14 @@ STRIBECK = Effect(
     "stribeck",
     "force",
     (
-        Parameter("excess", "N m", 0.0, 2.0, 0.0, sign=1),
-        Parameter(
+        Quantity("excess", "N m", 0.0, 2.0, sign=1),
+        Quantity(
             "speed",
             "rad/s",
             0.005,
             20.0,
             0.5,
-            None,
+            shape=True,
             meaning="at which the excess has fallen to a third",
         ),
     ),
@@ -269,7 +270,7 @@ STRIBECK = Effect(
 PRESLIDING = Effect(
     "presliding",
     "force",
-    (Parameter("compliance", "rad/(N m)", 0.0, 5.0, 0.0, sign=1),),
+    (Quantity("compliance", "rad/(N m)", 0.0, 5.0, sign=1),),
     presliding,
     "dry friction that gives way as a spring before the joint slides (Dahl, 1968; LuGre)",
     "many small reversals",
@@ -283,7 +284,7 @@ PRESLIDING = Effect(
 LOAD_FRICTION = Effect(
     "load_friction",
     "force",
-    (Parameter("share", "1", 0.0, 3.0, 0.0, sign=1),),
+    (Quantity("share", "1", 0.0, 3.0, sign=1),),
     load_friction,
     "dry friction that grows with the torque that the joint carries",
     "high and low torque at like speeds",
@@ -295,7 +296,7 @@ LOAD_FRICTION = Effect(
 
 QUADRATIC_DRAG = replace(
     PENDULUM_QUADRATIC_DRAG,
-    parameters=(Parameter("drag", "N m s^2/rad^2", 0.0, 2.0, 0.0, sign=1),),
+    parameters=(Quantity("drag", "N m s^2/rad^2", 0.0, 2.0, sign=1),),
     look_alikes=("viscous", "coulomb"),
     traits=Traits(family=True, resists=True),
 )

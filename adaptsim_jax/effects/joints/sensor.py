@@ -9,7 +9,7 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 
-from adaptsim_jax.effects.base import Effect, Parameter, Traits
+from adaptsim_jax.effects.base import Effect, Quantity, Traits
 from adaptsim_jax.effects.joints.actuator import LATEST, lags, short_lags
 
 
@@ -104,7 +104,7 @@ def _gaps(reach, joint):
 PENDULUM_ENCODER_OFFSET = Effect(
     "encoder_offset",
     "measurement",
-    (Parameter("offset", "rad", -0.8, 0.8, 0.0),),
+    (Quantity("offset", "rad", -0.8, 0.8),),
     encoder_offset,
     "the encoder's zero is not the model's",
     "wide angles, so that gravity tells the true zero",
@@ -115,7 +115,7 @@ PENDULUM_ENCODER_OFFSET = Effect(
 PENDULUM_SENSOR_LAG = Effect(
     "sensor_lag",
     "measurement",
-    (Parameter("lag", "s", 0.0, 0.1, 0.0, sign=1),),
+    (Quantity("lag", "s", 0.0, 0.1, sign=1),),
     sensor_lag,
     "angle and velocity come through a first-order filter",
     "fast motion",
@@ -128,7 +128,7 @@ PENDULUM_SENSOR_LAG = Effect(
 PENDULUM_BACKLASH = Effect(
     "backlash",
     "measurement",
-    (Parameter("gap", "rad", 0.0, 0.4, 0.0, sign=1),),
+    (Quantity("gap", "rad", 0.0, 0.4, sign=1),),
     backlash,
     "play between the link and what its encoder turns with",
     "many reversals, slow and fast",
@@ -181,7 +181,7 @@ ENCODER_OFFSET = replace(
 ENCODER_SCALE = Effect(
     "encoder_scale",
     "measurement",
-    (Parameter("scale", "1", -0.5, 0.5, 0.0, factor=True),),
+    (Quantity("scale", "1", -0.5, 0.5, factor=True),),
     encoder_scale,
     "the reading is off by a share (a wrong gear ratio)",
     "wide angles under gravity",
@@ -193,7 +193,7 @@ ENCODER_SCALE = Effect(
 SENSOR_DELAY = Effect(
     "sensor_delay",
     "measurement",
-    (Parameter("delay", "s", 0.0, LATEST, 0.0, sign=1),),
+    (Quantity("delay", "s", 0.0, LATEST, sign=1),),
     sensor_delay,
     "the angles are logged late",
     "fast motion",

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from adaptsim_jax.diagnosis.problem import Candidate, Quantity
-from adaptsim_jax.effects.base import Effect
+from adaptsim_jax.diagnosis.problem import Candidate
+from adaptsim_jax.effects.base import Effect, Quantity
 from adaptsim_jax.effects.joints.catalogue import MACHINE, TILT
 from adaptsim_jax.effects.joints.friction import VISCOUS
 from adaptsim_jax.logs.noise import difference_noise
@@ -76,11 +76,11 @@ def quantity(f: Field) -> Quantity:
     return Quantity(
         f.name,
         unit,
-        f.neutral,
         f.low,
         f.high,
-        CANDIDATE.size * f.scale,
-        CANDIDATE.prior_width * f.scale,
+        f.neutral,
+        prior=CANDIDATE.prior_width * f.scale,
+        scale=CANDIDATE.size * f.scale,
     )
 
 

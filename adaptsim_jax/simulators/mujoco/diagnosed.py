@@ -12,12 +12,13 @@ import mujoco
 import numpy as np
 
 from adaptsim_jax.diagnosis.criteria import Criteria
-from adaptsim_jax.diagnosis.problem import Candidate, Quantity
+from adaptsim_jax.diagnosis.problem import Candidate
 from adaptsim_jax.diagnosis.run import Page
 from adaptsim_jax.diagnosis.simulated import diagnose_simulator
 from adaptsim_jax.diagnosis.simulator import DERIVATIVE_STEP, Channel, linearise
 from adaptsim_jax.diagnosis.simulator import Stretches as Compared
 from adaptsim_jax.diagnosis.starts import taken_up, without
+from adaptsim_jax.effects.base import Quantity
 from adaptsim_jax.logs.log import Log
 from adaptsim_jax.logs.quality.audit import audit
 from adaptsim_jax.mechanisms.spec import Source

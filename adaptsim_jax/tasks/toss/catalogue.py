@@ -4,7 +4,8 @@ physics and excitation.
 
 import math
 
-from adaptsim_jax.diagnosis.problem import Candidate, Quantity
+from adaptsim_jax.diagnosis.problem import Candidate
+from adaptsim_jax.effects.base import Quantity
 from adaptsim_jax.tasks.camera_effects import quantity as _q
 from adaptsim_jax.tasks.toss.body import TossedBody
 
@@ -45,9 +46,9 @@ def quantities(body: TossedBody) -> tuple[Quantity, ...]:
     shortest = math.log10(2.0 * body.step)  # MuJoCo takes no shorter time constant
     begin = max(math.log10(body.contact_time), shortest)
     return (
-        Quantity("friction", "", body.friction, 0.0, 1.5, 0.01, 3.0),
-        Quantity("log_time", "log10 s", begin, shortest, -1.3, 0.05, 2.0),
-        Quantity("damping", "", body.damping, 0.02, 3.0, 0.05, 3.0),
+        Quantity("friction", "", 0.0, 1.5, body.friction, prior=3.0, scale=0.01),
+        Quantity("log_time", "log10 s", shortest, -1.3, begin, prior=2.0, scale=0.05),
+        Quantity("damping", "", 0.02, 3.0, body.damping, prior=3.0, scale=0.05),
         *OWN,
     )
 

@@ -91,7 +91,7 @@ Span = tuple[int, int, int]
 
 def values_of(tossed: Tossed, given: Mapping[str, float]) -> np.ndarray:
     """Values `[P]` of all quantities: `given`, the others as declared."""
-    return np.array([given.get(q.name, q.neutral) for q in quantities(tossed.body)])
+    return np.array([given.get(q.name, q.default) for q in quantities(tossed.body)])
 
 
 def predicted(

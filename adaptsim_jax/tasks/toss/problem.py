@@ -148,7 +148,7 @@ def prepare(
     windows, q = cut(tossed), quantities(tossed.body)
     known = effects(tossed.body) if considered is None else tuple(considered)
     values = begun(
-        tossed, windows, begins(tuple(z.name for z in q), np.array([z.neutral for z in q]))
+        tossed, windows, begins(tuple(z.name for z in q), np.array([z.default for z in q]))
     )
     follow = follower(tossed, windows, values)
     usual = np.full(len(windows.toss), max(float(np.median(follow.left())), 1.0))

@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 
-from adaptsim_jax.diagnosis import Effect, Parameter
+from adaptsim_jax.diagnosis import Effect, Quantity
 
 
 def magnet(p, m):
@@ -14,8 +14,8 @@ MAGNET = Effect(
     "magnet",
     "force",
     (
-        Parameter("pull", "N m/rad", -5.0, 5.0, 0.0),
-        Parameter("reach", "rad", 0.05, 1.0, 0.3, off=None),
+        Quantity("pull", "N m/rad", -5.0, 5.0),
+        Quantity("reach", "rad", 0.05, 1.0, 0.3, shape=True),
     ),
     magnet,
     physics="a magnet near the angle zero",

@@ -237,7 +237,7 @@ def test_a_camera_that_is_near_is_no_scale_with_a_shift_where_pieces_rise(tmp_pa
 def test_declared_values_stay_where_their_emulator_knows_something(tmp_path, tracks, simple):
     scooped, declared = read(written(tmp_path, tracks)), ("mu", "log_e", "h")
     quantities = problem.quantities_of(scooped)
-    centre = np.array([q.neutral for q in quantities])
+    centre = np.array([q.default for q in quantities])
     drawn = np.isin(simulate.OWN, [INDEX[n] for n in declared])
     found = emulate.emulate(scooped, "cylinder", centre, emulate.widths(), drawn=drawn)
     mu = problem.prepare(scooped, found, (), declared, quantities, centre).quantities[INDEX["mu"]]
@@ -261,7 +261,7 @@ def test_another_shape_than_declared_is_named(tmp_path, simple):
 
 def test_an_emulator_gives_back_a_quadratic(tmp_path, tracks, simple, monkeypatch):
     scooped = read(written(tmp_path, tracks))
-    centre = np.array([q.neutral for q in problem.quantities_of(scooped)])
+    centre = np.array([q.default for q in problem.quantities_of(scooped)])
 
     def quadratic(scooped, shape, values, trials, actions):
         z = (values[:, 0] - 0.3) / 0.02

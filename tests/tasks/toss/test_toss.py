@@ -123,7 +123,7 @@ def test_a_start_is_where_it_was_recorded_whatever_the_measurement_lacks(null):
     tossed = read(null)
     q = quantities(tossed.body)
     rng = np.random.default_rng(0)
-    values = np.array([[z.neutral + 3 * z.scale * rng.normal() for z in q] for _ in range(5)])
+    values = np.array([[z.default + 3 * z.scale * rng.normal() for z in q] for _ in range(5)])
     start = rng.normal(size=(5, 13))
     start[:, 3:7] /= np.linalg.norm(start[:, 3:7], axis=1, keepdims=True)
     start[:, 2] = 2.0

@@ -5,34 +5,17 @@ bounds, physics and excitation.
 import itertools
 import math
 
-from adaptsim_jax.diagnosis.problem import Candidate, Quantity
+from adaptsim_jax.diagnosis.problem import Candidate
+from adaptsim_jax.effects.base import Quantity
 from adaptsim_jax.tasks import camera_effects
 from adaptsim_jax.tasks.camera_effects import quantity as _q
 
 DECLARED = ("mu", "log_e", "mu_p", "y_p")
-BOUNDS = {"mu": (0.02, 0.6), "log_e": (3.5, 7.0), "mu_p": (0.02, 1.2), "y_p": (-0.2, 0.2)}
-"""Wider than Omega: a target outside of it is no effect that the model lacks."""
-
-
-def _declared(name: str, scale: float) -> Quantity:
-    low, high = BOUNDS[name]
-    middle = {"mu": 0.12, "log_e": 5.0, "mu_p": 0.5, "y_p": 0.0}[name]
-    return Quantity(
-        name,
-        "log10 Pa" if name == "log_e" else "m" if name == "y_p" else "",
-        middle,
-        low,
-        high,
-        scale,
-        high - low,
-    )
-
-
 QUANTITIES = (
-    _declared("mu", 0.01),
-    _declared("log_e", 0.2),
-    _declared("mu_p", 0.1),
-    _declared("y_p", 0.01),
+    Quantity("mu", "", 0.02, 0.6, 0.12, prior=0.58, scale=0.01),
+    Quantity("log_e", "log10 Pa", 3.5, 7.0, 5.0, prior=3.5, scale=0.2),
+    Quantity("mu_p", "", 0.02, 1.2, 0.5, prior=1.18, scale=0.1),
+    Quantity("y_p", "m", -0.2, 0.2, prior=0.4, scale=0.01),
     _q("speed_scale", "", -0.3, 0.3, 0.02),
     _q("speed_offset", "m/s", -0.15, 0.15, 0.01),
     _q("heading_offset", "rad", -0.25, 0.25, 0.02),
@@ -60,6 +43,9 @@ QUANTITIES = (
     _q("turn_start", "rad", -0.25, 0.25, 0.02),
     *camera_effects.QUANTITIES,
 )
+"""Those that are declared have bounds wider than Omega: a target outside of it is no effect that
+the model lacks.
+"""
 
 PLACES = tuple(
     {"other_x": x, "other_y": y}

@@ -183,7 +183,7 @@ def _without_marker_turn(z: np.ndarray, known: np.ndarray) -> np.ndarray:
 
 def _starts() -> np.ndarray:
     """Points `[S, P]` from which the declared fit may begin."""
-    neutral, names = np.array([q.neutral for q in QUANTITIES]), [q.name for q in QUANTITIES]
+    neutral, names = np.array([q.default for q in QUANTITIES]), [q.name for q in QUANTITIES]
     at = [names.index(name) for name in DECLARED]
     starts = []
     for values in itertools.product(*BEGINNINGS):

@@ -2,24 +2,15 @@
 bounds, physics and excitation.
 """
 
-from adaptsim_jax.diagnosis.problem import Candidate, Quantity
+from adaptsim_jax.diagnosis.problem import Candidate
+from adaptsim_jax.effects.base import Quantity
 from adaptsim_jax.tasks import camera_effects
 from adaptsim_jax.tasks.camera_effects import quantity as _q
 
-BOUNDS = {"mu": (0.08, 0.8, 0.3), "log_e": (3.5, 6.5, 4.8), "h": (0.011, 0.032, 0.02)}
-"""Low, high and middle. Wider than Omega: a piece outside of it is no effect that the model lacks.
-"""
-
-
-def _declared(name: str, unit: str, scale: float) -> Quantity:
-    low, high, middle = BOUNDS[name]
-    return Quantity(name, unit, middle, low, high, scale, high - low)
-
-
 QUANTITIES = (
-    _declared("mu", "", 0.01),
-    _declared("log_e", "log10 Pa", 0.1),
-    _declared("h", "m", 2e-4),
+    Quantity("mu", "", 0.08, 0.8, 0.3, prior=0.72, scale=0.01),
+    Quantity("log_e", "log10 Pa", 3.5, 6.5, 4.8, prior=3.0, scale=0.1),
+    Quantity("h", "m", 0.011, 0.032, 0.02, prior=0.021, scale=2e-4),
     _q("speed_scale", "", -0.3, 0.3, 0.01),
     _q("lift_scale", "", -0.5, 0.5, 0.02),
     _q("pitch_offset", "rad", -0.12, 0.12, 0.003),
@@ -35,6 +26,9 @@ QUANTITIES = (
     _q("shift_z", "m", -0.05, 0.05, 1e-3),
     *camera_effects.QUANTITIES,
 )
+"""Those that are declared have bounds wider than Omega: a piece outside of it is no effect that the
+model lacks.
+"""
 CAMERA = ("start_y", "shift_z", *(q.name for q in camera_effects.QUANTITIES))
 """Quantities that no simulation depends on."""
 _E = Candidate

@@ -254,7 +254,7 @@ def _owned(
     Each model has therefore one of its own, of the values that it fits; width `[O]`: of the
     declared ones.
     """
-    neutral = np.array([q.neutral for q in quantities])
+    neutral = np.array([q.default for q in quantities])
     made: dict[tuple[bool, ...], Emulator] = {}
 
     def fit(effects: tuple[Candidate, ...], values: np.ndarray) -> Model:

@@ -15,7 +15,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.diagnosis.problem import Candidate, Problem, Quantity
+from adaptsim_jax.diagnosis.problem import Candidate, Problem
+from adaptsim_jax.effects.base import Quantity
 from adaptsim_jax.tasks.scooping.diagnosis.catalogue import QUANTITIES
 from adaptsim_jax.tasks.scooping.diagnosis.emulate import PLACE, REACH, Emulator, predicted
 from adaptsim_jax.tasks.scooping.diagnosis.read import Scooped
@@ -121,7 +122,7 @@ def prepare(
     emulated = Emulated(*map(single, (emulator.weights, emulator.centre, emulator.width)))
     seen = (scooped.starts, scooped.aside, scooped.time, scooped.places, scale)
     measured = Measured(*map(single, seen))
-    neutral = np.array([q.neutral for q in quantities])
+    neutral = np.array([q.default for q in quantities])
     begin = np.where([q.name in declared for q in quantities], start, neutral)
 
     def residuals(values: np.ndarray) -> np.ndarray:
@@ -153,7 +154,7 @@ def _near(q: Quantity, centre: float, reach: float) -> Quantity:
 def quantities_of(scooped: Scooped) -> tuple[Quantity, ...]:
     """The quantities, a declared height where it is neutral."""
     given = {} if scooped.height is None else {"h": scooped.height}
-    return tuple(replace(q, neutral=given.get(q.name, q.neutral)) for q in QUANTITIES)
+    return tuple(replace(q, default=given.get(q.name, q.default)) for q in QUANTITIES)
 
 
 def begun(
@@ -170,7 +171,7 @@ def begun(
         heights = (float(np.clip(2.0 * np.median(scooped.places[:, 0, 2]), q.low, q.high)),)
     points = []
     for mu, log_e, h in itertools.product(MU, LOG_E, heights):
-        point = np.array([q.neutral for q in quantities])
+        point = np.array([q.default for q in quantities])
         point[[INDEX[n] for n in ("mu", "log_e", "h")]] = mu, log_e, h
         points.append(point)
     some = np.unique(np.linspace(0, len(scooped.names) - 1, FEW).astype(int))
