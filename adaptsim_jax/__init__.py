@@ -22,11 +22,11 @@ if TYPE_CHECKING:
     from adaptsim_jax.baselines.config import default_comparison as default_comparison
     from adaptsim_jax.commands.diagnose import diagnose as diagnose
     from adaptsim_jax.core.errors import BadInput as BadInput
-    from adaptsim_jax.diagnosis.problem import Candidate as Candidate
     from adaptsim_jax.diagnosis.simulated import diagnose_simulator as diagnose_simulator
     from adaptsim_jax.diagnosis.simulator import Channel as Channel
     from adaptsim_jax.diagnosis.simulator import Simulator as Simulator
     from adaptsim_jax.diagnosis.simulator import Stretches as Stretches
+    from adaptsim_jax.effects.base import Effect as Effect
     from adaptsim_jax.effects.base import Quantity as Quantity
     from adaptsim_jax.environments.task import environment_task as environment_task
     from adaptsim_jax.space import Gaussian as Gaussian
@@ -43,8 +43,8 @@ if TYPE_CHECKING:
 __version__ = "0.2.0"
 __all__ = [
     "BadInput",
-    "Candidate",
     "Channel",
+    "Effect",
     "EngineKind",
     "Gaussian",
     "Parameter",
@@ -78,12 +78,12 @@ __getattr__ = lazily(
     __name__,
     {
         "BadInput": "core.errors",
-        "Candidate": "diagnosis.problem",
         "Channel": "diagnosis.simulator",
         "Quantity": "effects.base",
         "Simulator": "diagnosis.simulator",
         "Stretches": "diagnosis.simulator",
         "diagnose_simulator": "diagnosis.simulated",
+        "Effect": "effects.base",
         "EngineKind": "tasks.engine",
         "Gaussian": "space",
         "Parameter": "space",

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from adaptsim_jax import Candidate, Channel, Quantity, Stretches, diagnose_simulator
+from adaptsim_jax import Channel, Effect, Quantity, Stretches, diagnose_simulator
 
 DT, ROWS, NOISE = 2.0, 30, 0.5  # s, rows of a stretch, mm of level
 QUANTITIES = (  # name, unit, bounds, default, width of a weak prior, a size that matters
@@ -24,23 +24,28 @@ QUANTITIES = (  # name, unit, bounds, default, width of a weak prior, a size tha
     Quantity("dead_voltage", "V", 0.0, 2.0, prior=10.0, scale=0.02),
     Quantity("sensor_offset", "mm", -50.0, 50.0, prior=100.0, scale=1.0),
 )
+LEAK, DEAD_VOLTAGE, SENSOR_OFFSET = QUANTITIES[3:]
 CANDIDATES = (
-    Candidate(
-        "leak", "tank 1", ("leak",), "water lost in proportion to the level", "high and low levels"
+    Effect(
+        "leak",
+        "tank 1",
+        (LEAK,),
+        physics="water lost in proportion to the level",
+        excitation="high and low levels",
     ),
-    Candidate(
+    Effect(
         "dead_voltage",
         "pump",
-        ("dead_voltage",),
-        "voltage below which the pump gives nothing",
-        "low voltages",
+        (DEAD_VOLTAGE,),
+        physics="voltage below which the pump gives nothing",
+        excitation="low voltages",
     ),
-    Candidate(
+    Effect(
         "sensor_offset",
         "tank 2",
-        ("sensor_offset",),
-        "a level read too high",
-        "high and low levels",
+        (SENSOR_OFFSET,),
+        physics="a level read too high",
+        excitation="high and low levels",
     ),
 )
 

@@ -58,33 +58,24 @@ def run(args: argparse.Namespace) -> int:
 
 def listed(task: str) -> list[dict[str, Any]]:
     """The catalogue of a task as plain data."""
-    from importlib import import_module
-
-    effects = catalogue(task)
-    if task in ("pendulum", "mechanism"):
-        return [describe(effect) for effect in effects]
-    return of_trials(
-        effects, getattr(import_module(ALSO[task].partition(":")[0]), "QUANTITIES", ())
-    )
+    show = describe if task in ("pendulum", "mechanism") else of_trials
+    return [show(effect) for effect in catalogue(task)]
 
 
-def of_trials(effects: Any, quantities: Any) -> list[dict[str, Any]]:
-    """Effects of short trials as plain data, with the bounds of their quantities where these are
-    known beforehand.
-    """
-    known = {q.name: {"unit": q.unit, "low": q.low, "high": q.high} for q in quantities}
-    return [
-        {
-            "name": e.name,
-            "place": e.where,
-            "physics": e.physics,
-            "quantities": [{"name": name} | known.get(name, {}) for name in e.quantities],
-            "absorbed_by": list(e.absorbed),
-            "same_as": list(e.same),
-            "excitation": e.seen,
-        }
-        for e in effects
-    ]
+def of_trials(effect: Any) -> dict[str, Any]:
+    """An effect of short trials as plain data."""
+    return {
+        "name": effect.name,
+        "place": effect.place,
+        "physics": effect.physics,
+        "quantities": [
+            {"name": q.name, "unit": q.unit, "low": q.low, "high": q.high}
+            for q in effect.parameters
+        ],
+        "absorbed_by": list(effect.look_alikes),
+        "same_as": list(effect.same),
+        "excitation": effect.excitation,
+    }
 
 
 def describe(effect: Any) -> dict[str, Any]:
@@ -147,11 +138,7 @@ def _show_trials(effect: dict[str, Any]) -> None:
     print(f"{effect['name']}: acts on the {effect['place']}")
     print(f"  physics      {effect['physics']}")
     for q in effect["quantities"]:
-        print(
-            f"  {q['name']:12} [{q['unit'] or '1'}] {q['low']:g} to {q['high']:g}"
-            if "unit" in q
-            else f"  {q['name']}"
-        )
+        print(f"  {q['name']:12} [{q['unit'] or '1'}] {q['low']:g} to {q['high']:g}")
     if effect["absorbed_by"] or effect["same_as"]:
         print(f"  look-alikes  {', '.join([*effect['absorbed_by'], *effect['same_as']])}")
     print(f"  shown by     {effect['excitation']}")

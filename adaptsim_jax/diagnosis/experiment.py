@@ -12,11 +12,12 @@ from adaptsim_jax.diagnosis.criteria import REPORT, Criteria
 from adaptsim_jax.diagnosis.finding import Finding
 from adaptsim_jax.diagnosis.fit import jacobian
 from adaptsim_jax.diagnosis.models import Model, begun_at
-from adaptsim_jax.diagnosis.problem import Candidate, Problem
+from adaptsim_jax.diagnosis.problem import Problem
 from adaptsim_jax.diagnosis.report import Label
 from adaptsim_jax.diagnosis.simulator import Simulator, linearise
 from adaptsim_jax.diagnosis.starts import settle, taken_up, without
 from adaptsim_jax.diagnosis.testing import correlated_rows
+from adaptsim_jax.effects.base import Effect
 
 
 def discriminating(
@@ -123,7 +124,7 @@ def power_rows(problem: Problem, found: Finding, criteria: Criteria) -> list[dic
         out.append(
             {
                 "name": e.name,
-                "where": e.where,
+                "where": e.place,
                 "size": q.scale,
                 "unit": q.unit,
                 "power": float(stats.ncx2.sf(level, 1, max(information / left, 1e-12))),
@@ -132,7 +133,7 @@ def power_rows(problem: Problem, found: Finding, criteria: Criteria) -> list[dic
     return sorted(out, key=lambda row: row["power"])
 
 
-def _best(problem: Problem, fit, e: Candidate) -> tuple[str, float]:
+def _best(problem: Problem, fit, e: Effect) -> tuple[str, float]:
     """The quantity of a candidate that tells most, and the squared length of its freed column in a
     step of its scale.
     """
@@ -140,9 +141,9 @@ def _best(problem: Problem, fit, e: Candidate) -> tuple[str, float]:
         -1 if fit.columns.size else fit.residual.size, fit.columns.shape[-1]
     )
     gram = np.linalg.inv(inner.T @ inner + 1e-9 * np.eye(inner.shape[1]))
-    best = e.quantities[0], 0.0
-    for shape in e.shapes:
-        for name in [q for q in e.quantities if q not in shape and q not in fit.free]:
+    best = e.names[0], 0.0
+    for shape in e.points:
+        for name in [q for q in e.names if q not in shape and q not in fit.free]:
             c = jacobian(problem, begun_at(problem, fit.values, shape), [name]).reshape(-1)
             size = float(c @ c - (inner.T @ c) @ gram @ (inner.T @ c))
             best = max(best, (name, size), key=lambda pair: pair[1])

@@ -12,8 +12,9 @@ import numpy as np
 
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.fit import Fit, completed, fitted, jacobian, settled
-from adaptsim_jax.diagnosis.problem import Candidate, Problem
+from adaptsim_jax.diagnosis.problem import Problem
 from adaptsim_jax.diagnosis.testing import Test, correlated_rows, jackknife, paired_test, score_f
+from adaptsim_jax.effects.base import Effect
 
 
 @dataclass(frozen=True)
@@ -22,7 +23,7 @@ class Score:
     test, not yet corrected.
     """
 
-    candidate: Candidate
+    candidate: Effect
     shape: dict[str, float]
     gain: float
     p: float
@@ -32,7 +33,7 @@ class Score:
 class Model:
     """Effects in the model and its fit."""
 
-    added: tuple[Candidate, ...]
+    added: tuple[Effect, ...]
     fit: Fit
 
 
@@ -67,22 +68,22 @@ def begun_at(problem: Problem, values: np.ndarray, shape: Mapping[str, float]) -
 
 def added(problem: Problem, base: Model, score: Score, rounds: int) -> tuple[np.ndarray, float]:
     """The base with a candidate, fitted for so many rounds."""
-    names = (*base.fit.free, *[q for q in score.candidate.quantities if q not in base.fit.free])
+    names = (*base.fit.free, *[q for q in score.candidate.names if q not in base.fit.free])
     return fitted(problem, names, begun_at(problem, base.fit.values, score.shape), rounds)
 
 
 def finished(problem: Problem, effects, values, rounds: int) -> Model:
     names = list(problem.declared)
     for e in effects:
-        names += [q for q in e.quantities if q not in names]
+        names += [q for q in e.names if q not in names]
     return Model(
         tuple(effects), completed(problem, names, settled(problem, names, values, rounds)[0])
     )
 
 
-def without(problem: Problem, model: Model, gone: Candidate, rounds: int) -> Model:
+def without(problem: Problem, model: Model, gone: Effect, rounds: int) -> Model:
     values = model.fit.values.copy()
-    values[problem.at(gone.quantities)] = problem.neutral[problem.at(gone.quantities)]
+    values[problem.at(gone.names)] = problem.neutral[problem.at(gone.names)]
     return finished(problem, [e for e in model.added if e is not gone], values, rounds)
 
 
@@ -97,18 +98,18 @@ def scored(problem: Problem, base: Model) -> list[Score]:
     left = _Left(problem, base.fit, _plain_columns(problem, base.fit, remaining))
     out = []
     for c in remaining:
-        if set(c.quantities) <= set(base.fit.free):
+        if set(c.names) <= set(base.fit.free):
             continue
-        tried = [left.score(c, shape) for shape in c.shapes]
+        tried = [left.score(c, shape) for shape in c.points]
         out.append(max(tried, key=lambda s: s.gain))
     return sorted(out, key=lambda s: (s.p, -s.gain))
 
 
 def _plain_columns(
-    problem: Problem, fit: Fit, candidates: Sequence[Candidate]
+    problem: Problem, fit: Fit, candidates: Sequence[Effect]
 ) -> dict[str, np.ndarray]:
     """Columns `[T, R]` of quantities that are freed where the model is, by name."""
-    names = [q for c in candidates if {} in c.shapes for q in c.quantities if q not in fit.free]
+    names = [q for c in candidates if {} in c.points for q in c.names if q not in fit.free]
     names = list(dict.fromkeys(names))
     if not names:
         return {}
@@ -130,21 +131,21 @@ class _Left:
         """Less what the fitted quantities take up."""
         return z - self.inner @ (self.gram @ (self.inner.T @ z))
 
-    def score(self, c: Candidate, shape: Mapping[str, float]) -> Score:
+    def score(self, c: Effect, shape: Mapping[str, float]) -> Score:
         """One step's gain of a candidate at a shape, and its F test, for all shapes that it has."""
         columns = self.freed(self.columns_of(c, shape))
         square, slope = columns.T @ columns, columns.T @ self.rest
         ridge = (1e-6 + 1e-9 * np.trace(square)) * np.eye(len(square))
         gain = float(slope @ np.linalg.solve(square + ridge, slope))
-        k, free, loss = len(c.quantities), len(self.fit.free), self.fit.loss
+        k, free, loss = len(c.names), len(self.fit.free), self.fit.loss
         p = score_f(gain, loss, self.count, k, free, self.lasting)
-        p = min(1.0, len(c.shapes) * p)
+        p = min(1.0, len(c.points) * p)
         return Score(c, dict(shape), gain / max(loss, 1e-12), p)
 
-    def columns_of(self, c: Candidate, shape: Mapping[str, float]) -> np.ndarray:
+    def columns_of(self, c: Effect, shape: Mapping[str, float]) -> np.ndarray:
         """`[T R, K]`; of what is all shape the whole step there."""
         problem, fit = self.problem, self.fit
-        names = [q for q in c.quantities if q not in shape and q not in fit.free]
+        names = [q for q in c.names if q not in shape and q not in fit.free]
         if names and not shape:
             return _flat(np.stack([self.columns[q] for q in names], -1))
         values = begun_at(problem, fit.values, shape)

@@ -7,32 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from adaptsim_jax.effects.base import Quantity
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """A candidate: `quantities` that are freed together. shapes: values of some of them to begin at
-    where nothing acts until another moves (a patch has to lie somewhere). same: other effects that
-    these trials cannot show apart whatever is done, `apart` what does. seen: what excites it.
-    absorbed: declared quantities that may take it up. in_file: whether a model file holds it.
-    """
-
-    name: str
-    where: str
-    quantities: tuple[str, ...]
-    physics: str
-    seen: str
-    shapes: tuple[Mapping[str, float], ...] = ({},)
-    same: tuple[str, ...] = ()
-    absorbed: tuple[str, ...] = ()
-    apart: str = ""
-    in_file: bool = False
-
-    @property
-    def key(self) -> str:
-        """By which a search knows it."""
-        return self.name
+from adaptsim_jax.effects.base import Effect, Quantity
 
 
 @dataclass(frozen=True)
@@ -56,7 +31,7 @@ class Problem:
 
     quantities: tuple[Quantity, ...]
     declared: tuple[str, ...]
-    effects: tuple[Candidate, ...]
+    effects: tuple[Effect, ...]
     residuals: Callable[[np.ndarray], np.ndarray]
     columns: Callable[[np.ndarray, np.ndarray], np.ndarray]
     counts: np.ndarray
@@ -89,5 +64,5 @@ class Problem:
         """Residuals `[T, R]` as rows of channels `[T, rows, C]`."""
         return residual.reshape(len(residual), -1, self.channels)
 
-    def effect(self, name: str) -> Candidate:
+    def effect(self, name: str) -> Effect:
         return next(e for e in self.effects if e.name == name)

@@ -12,10 +12,10 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.diagnosis.criteria import REPORT, Criteria
 from adaptsim_jax.diagnosis.finding import Finding, Named
 from adaptsim_jax.diagnosis.models import Model, spread
-from adaptsim_jax.diagnosis.problem import Candidate, Problem
+from adaptsim_jax.diagnosis.problem import Problem
 from adaptsim_jax.diagnosis.report import Errors, Headline, Label, Scored, error_rows, words
 from adaptsim_jax.diagnosis.report import named_words as of_any
-from adaptsim_jax.effects.base import NINETY
+from adaptsim_jax.effects.base import NINETY, Effect
 
 LOGS = {"log_e": ("e", "Pa")}
 
@@ -70,8 +70,8 @@ def stepping(
 
 
 def check_exclude(
-    exclude: tuple[str, ...], effects: tuple[Candidate, ...], trial: str
-) -> tuple[Candidate, ...]:
+    exclude: tuple[str, ...], effects: tuple[Effect, ...], trial: str
+) -> tuple[Effect, ...]:
     """`effects` without those excluded, by effect (`coulomb`) or effect and place (`coulomb at
     elbow`). Raises BadInput where a name is none of them.
     """
@@ -101,9 +101,9 @@ def left_by_fit(problem: Problem, model: Model) -> float:
     return float(np.sqrt(model.fit.loss / problem.counts.sum()))
 
 
-def label(c: Candidate) -> Label:
+def label(c: Effect) -> Label:
     """How a report calls a candidate."""
-    return Label(c.name, c.where)
+    return Label(c.name, c.place)
 
 
 def named_words(named: Sequence[Named], folds: str) -> str:
@@ -169,12 +169,11 @@ def effect_rows(problem: Problem, found: Finding) -> list[dict[str, Any]]:
     rows = []
     for n in found.named:
         e, numbers = n.candidate, {}
-        for name in e.quantities:
-            value, low, high = interval(problem, found.final, name)
-            unit = problem.quantities[problem.index[name]].unit
-            numbers[name] = {"value": value, "low": low, "high": high, "unit": unit}
+        for q in e.parameters:
+            value, low, high = interval(problem, found.final, q.name)
+            numbers[q.name] = {"value": value, "low": low, "high": high, "unit": q.unit}
         rows.append(
-            {"parameters": numbers, "physics": e.physics, "shown_by": e.seen, "same": e.same}
+            {"parameters": numbers, "physics": e.physics, "shown_by": e.excitation, "same": e.same}
         )
     return rows
 
@@ -183,7 +182,7 @@ def same_rows(found: Finding, trial: str) -> list[str]:
     """A sentence for each pair of names that no trial tells apart."""
     return [
         f"{words(n.candidate.name)} or {words(s)}: no {trial} tells them apart, only "
-        f"{n.candidate.apart}."
+        f"{n.candidate.separated_by}."
         for n in found.named
         for s in n.candidate.same
     ]

@@ -177,7 +177,7 @@ def mended_model(problem: Problem, found: Finding, name: str) -> Form:
     value = {q.name: float(found.final.fit.values[i]) for i, q in enumerate(problem.quantities)}
     units = {q.name: q.unit for q in problem.quantities}
     declared = {q: Value(value[q], unit=units[q]) for q in problem.declared}
-    effects = added_effects([n.candidate for n in found.named], value, units)
+    effects = added_effects([n.candidate for n in found.named], value)
     return Form("simulator", name, declared, effects)
 
 

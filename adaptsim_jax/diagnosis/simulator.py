@@ -18,8 +18,7 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.core.registry import Registry, function_named
 from adaptsim_jax.diagnosis.criteria import FOLD
-from adaptsim_jax.diagnosis.problem import Candidate
-from adaptsim_jax.effects.base import Quantity
+from adaptsim_jax.effects.base import Effect, Quantity
 
 DERIVATIVE_STEP = 1e-2  # of a quantity's scale, to either side, by which a derivative is taken
 
@@ -85,7 +84,7 @@ class Simulator(Protocol):
     @property
     def stretches(self) -> Stretches: ...
     @property
-    def candidates(self) -> tuple[Candidate, ...]: ...
+    def candidates(self) -> tuple[Effect, ...]: ...
 
     def predict(self, values: np.ndarray, starts: np.ndarray, which: np.ndarray) -> np.ndarray:
         """Outputs `[B, R, C]` of a batch: stretch `which [B]` from starts `[B, S]` with values `[B,
@@ -104,7 +103,7 @@ def check_simulator(simulator: Simulator) -> None:
         raise BadInput(
             f"simulator: quantities {', '.join(names)} have a name twice; give each its own"
         )
-    asked = [*simulator.declared, *(q for c in simulator.candidates for q in c.quantities)]
+    asked = [*simulator.declared, *(q for c in simulator.candidates for q in c.names)]
     if unknown := sorted(set(asked) - set(names)):
         raise BadInput(f"simulator: no quantity is named {unknown[0]!r}; it has {', '.join(names)}")
     for what, x, wanted in (

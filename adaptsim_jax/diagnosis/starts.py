@@ -9,10 +9,10 @@ import numpy as np
 
 from adaptsim_jax.diagnosis.criteria import FOLD, RESTART
 from adaptsim_jax.diagnosis.folds import folds_of, pieces
-from adaptsim_jax.diagnosis.problem import Candidate, Problem
+from adaptsim_jax.diagnosis.problem import Problem
 from adaptsim_jax.diagnosis.simulator import Simulator, Stretches, linearise, residuals
 from adaptsim_jax.diagnosis.steps import StretchLanes, best_of, fit_starts
-from adaptsim_jax.effects.base import Quantity
+from adaptsim_jax.effects.base import Effect, Quantity
 
 START_ROUNDS = 3  # rounds of a start's fit from its anchor
 MAX_SLOPES = 8  # slopes that an anchor is fitted by, one after the other
@@ -200,7 +200,7 @@ class Linearised:
 
 def problem_of(
     simulator: Simulator,
-    candidates: Sequence[Candidate] | None = None,
+    candidates: Sequence[Effect] | None = None,
     begun: np.ndarray | None = None,
 ) -> Problem:
     """The search's problem (`diagnosis.problem`) of a simulator: `residuals` and `columns` as
@@ -316,13 +316,13 @@ def _shaken(simulator, rows, starts, by_start, before, on, draw) -> np.ndarray:
 
 
 def _started_separately(
-    wanted: Sequence[Candidate], quantities: Sequence[Quantity], around: Linearised
-) -> tuple[Candidate, ...]:
+    wanted: Sequence[Effect], quantities: Sequence[Quantity], around: Linearised
+) -> tuple[Effect, ...]:
     """A candidate of which nothing follows to first order where it is neutral (a lag of 0, a
     friction that only holds) begins at a few sizes instead: shapes of its own are kept.
     """
     index = {q.name: i for i, q in enumerate(quantities)}
-    plain = sorted({index[q] for c in wanted if not any(c.shapes) for q in c.quantities})
+    plain = sorted({index[q] for c in wanted if not any(c.points) for q in c.names})
     columns = around.columns(
         np.array([q.default for q in quantities]), np.diag([q.scale for q in quantities])[plain]
     )
@@ -333,15 +333,14 @@ def _started_separately(
     }
     out = []
     for c in wanted:
-        if any(c.shapes) or mask & set(c.quantities):
+        if any(c.points) or mask & set(c.names):
             out.append(c)
             continue
-        own = [quantities[index[name]] for name in c.quantities]
         sizes = [
-            {q.name: float(np.clip(q.default + k * q.scale, q.low, q.high)) for q in own}
+            {q.name: float(np.clip(q.default + k * q.scale, q.low, q.high)) for q in c.parameters}
             for k in (1.0, 10.0, 100.0)
         ]
-        out.append(replace(c, shapes=tuple(sizes)))
+        out.append(replace(c, grid=tuple(sizes)))
     return tuple(out)
 
 

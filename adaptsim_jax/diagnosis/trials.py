@@ -22,10 +22,11 @@ from adaptsim_jax.diagnosis.models import (
     without,
 )
 from adaptsim_jax.diagnosis.objective import FittedCandidate, Objective, Round
-from adaptsim_jax.diagnosis.problem import Candidate, Problem
+from adaptsim_jax.diagnosis.problem import Problem
 from adaptsim_jax.diagnosis.rules import Evidence, Reason, step_reason
 from adaptsim_jax.diagnosis.search import Keep, search
 from adaptsim_jax.diagnosis.testing import Test, attainable, holm
+from adaptsim_jax.effects.base import Effect
 
 Progress = Callable[[str], None]
 
@@ -111,7 +112,7 @@ class TrialObjective(Objective):
         self.problem.anew(model.fit.values)
         return finished(self.problem, model.added, model.fit.values, self.criteria.rounds)
 
-    def evidence(self, model: Model, candidates: Sequence[Candidate]) -> list[Evidence]:
+    def evidence(self, model: Model, candidates: Sequence[Effect]) -> list[Evidence]:
         """Levels of the paired tests are Holm's, over all effects of the model."""
         rows = []
         for c in candidates:
@@ -162,7 +163,7 @@ def does_as_well(test: Test, criteria: Criteria) -> bool:
     return test.gain < criteria.gap or test.p > criteria.confidence
 
 
-def likely(problem: Problem, model: Model, less: Model, gone: Candidate) -> list[Score]:
+def likely(problem: Problem, model: Model, less: Model, gone: Effect) -> list[Score]:
     """Effects that may do as well as what `less` lacks: one step in its place takes off a part of
     what it does.
     """
@@ -178,7 +179,7 @@ class LeftOut(Evidence):
     problem: Problem
     model: Model
     less: Model
-    candidate: Candidate
+    candidate: Effect
     criteria: Criteria
     test: Test
     level: float
@@ -200,7 +201,7 @@ class LeftOut(Evidence):
 
     @property
     def scaled_change(self) -> float:
-        at = self.problem.at(self.candidate.quantities)
+        at = self.problem.at(self.candidate.names)
         scale = np.array([self.problem.quantities[i].scale for i in at])
         moved = np.abs(self.model.fit.values[at] - self.problem.neutral[at])
         return float(np.max(moved / scale))
@@ -234,13 +235,13 @@ def _share(before: float, after: float, noise: float) -> float:
     return (before - after) / max(before - noise, 1e-9)
 
 
-def amplitudes(c: Candidate) -> list[str]:
+def amplitudes(c: Effect) -> list[str]:
     """Quantities of a candidate that are no places."""
-    return [q for q in c.quantities if all(q not in shape for shape in c.shapes)]
+    return [q for q in c.names if all(q not in shape for shape in c.points)]
 
 
-def steadiness(problem: Problem, model: Model, c: Candidate) -> float:
+def steadiness(problem: Problem, model: Model, c: Effect) -> float:
     """Size over scatter of the steadiest amplitude, of places where there is no other."""
-    at = problem.at(amplitudes(c) or c.quantities)
+    at = problem.at(amplitudes(c) or c.names)
     size = np.abs(model.fit.values[at] - problem.neutral[at])
     return float(np.max(size / np.maximum(spread(model)[at], 1e-12)))

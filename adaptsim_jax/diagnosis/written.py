@@ -170,7 +170,7 @@ def keeping(
         final = found.final
         values = [
             f"{words(e.name)} "
-            f"({', '.join(f'{q} {final.fit.values[problem.index[q]]:.3g}' for q in e.quantities)})"
+            f"({', '.join(f'{q} {final.fit.values[problem.index[q]]:.3g}' for q in e.names)})"
             for e in final.added
         ]
         text = f"Left-out error {over_floor(found.null):.3g} times the noise as declared"

@@ -1,14 +1,14 @@
-"""What can be added to a model: `Effect`, one entry in one place; `layout.py` has the catalogue of
-them.
+"""What a model may lack: `Effect`, one record for joints of machines, short trials, MuJoCo and
+simulators of one's own.
 
-An effect acts at one of three places (design, section 2): on the *command*, as a *force*, or on the
-*measurement*. Its one pure function is written elementwise on arrays, so the same lines serve one
-joint, all joints, and a batch. A fourth kind frees parameters of the *model* itself (which way
-gravity pulls, a body's inertia) and has no function.
+An effect of a joint acts on the *command*, as a *force*, or on the *measurement*. Its one pure
+function is written elementwise on arrays, so the same lines serve one joint, all joints, and a
+batch. Any other frees parameters that the model has in its own equations (which way gravity pulls,
+how hard a contact is) and has no function.
 """
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -92,8 +92,9 @@ class Quantity:
     - `late`: A mended pendulum keeps it at its default unless its file says otherwise.
     - `prior`: Standard deviation about `default` beforehand, in `unit`; at a joint scaled as the
       bounds are.
-    - `mjcf`: What of a joint (damping, frictionloss, armature, stiffness, preload), or of its
-      actuator (gain, kp, delay, lag, limit), a model file changes to hold it; empty where none.
+    - `mjcf`: What of a joint (damping, frictionloss, armature, stiffness, preload), of its actuator
+      (gain, kp, delay, lag, limit), or of a tossed body (inertia, ipos, size) and its world
+      (gravity), a model file changes to hold it; empty where none.
     - `factor`: A share more (0: none), which people read as a factor (1: none).
     - `scale`: A size that matters, in `unit`: the unit of steps of fits to short trials.
     """
@@ -270,7 +271,7 @@ class Effect:
     - measurement: `apply(p, t [T, ...], q [T, ...], v [T, ...], first [...]) -> (q', v')`: what the
       sensor of one joint says; `first` is the angle that it did say at the first time, for sensors
       that remember;
-    - model: `of_the_engine`.
+    - model, or a simulator's own name for where it acts: `of_the_engine`.
 
     `p` maps parameter names to arrays that broadcast, of the rank of `u` or `q`. `grid(reach,
     joint) -> [{shape: value}, ...]` lists the fixed shapes at which the effect is scored; with
@@ -278,9 +279,11 @@ class Effect:
 
     - `starts(reach, joint) -> [{parameter: value}, ...]`: Where plain fits of it start as well, if
       a linear score is a poor guide.
-    - `look_alikes`: What it is mistaken for at its joint, or itself, at another. `contains` names
-      effects that this one includes as a special case (of mechanisms it is tried where one of these
-      is).
+    - `look_alikes`: What it is mistaken for at its joint, or itself, at another; of short trials
+      declared quantities that may take it up. `contains` names effects that this one includes as a
+      special case (of mechanisms it is tried where one of these is).
+    - `same`: Other effects (`name@place`) that no recording of that kind tells apart from it;
+      `separated_by`: what does.
     - `pair`: Its force is on the joint and on the one before it, too.
     - `carried`: A measurement effect that is also given the torque [N m] which the joint's drive
       carries, `apply(p, t, q, v, first, torque)`.
@@ -296,9 +299,9 @@ class Effect:
     name: str
     place: str
     parameters: tuple[Quantity, ...]
-    apply: Callable
-    physics: str
-    excitation: str
+    apply: Callable = of_the_engine
+    physics: str = ""
+    excitation: str = ""
     look_alikes: tuple[str, ...] = ()
     scope: str = "joint"
     smooth: bool = True
@@ -310,7 +313,7 @@ class Effect:
     slack: str = ""
     describes: bool = False
     contains: tuple[str, ...] = ()
-    grid: Callable[[Reach, int], list[dict[str, float]]] | Sequence[dict[str, float]] | None = (
+    grid: Callable[[Reach, int], list[dict[str, float]]] | Sequence[Mapping[str, float]] | None = (
         field(
             default=None,
             # a list of dictionaries has no hash, and effects are static arguments of compiled
@@ -322,8 +325,12 @@ class Effect:
     formula: str = ""
     title: str = ""
     traits: Traits = Traits()
+    same: tuple[str, ...] = ()
+    separated_by: str = ""
 
     def __post_init__(self):
+        if self.apply is of_the_engine:
+            return
         if self.place not in PLACES:
             raise BadInput(
                 f"effect {self.name}: place {self.place!r} is unknown; use one of "
@@ -343,6 +350,16 @@ class Effect:
             raise BadInput(
                 f"effect {self.name}: no parameter turns it off; give one that is no shape"
             )
+
+    @property
+    def key(self) -> str:
+        """By which a search of short trials knows it."""
+        return self.name
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of its parameters."""
+        return tuple(p.name for p in self.parameters)
 
     @property
     def amplitudes(self) -> tuple[Quantity, ...]:
@@ -387,17 +404,24 @@ class Effect:
     @property
     def in_mjcf(self) -> bool:
         """Whether an MJCF can hold it, at a joint, at its actuator, or as a body."""
-        return any(p.mjcf for p in self.parameters) or self.apply is of_the_engine
+        return self.place == "model" or any(p.mjcf for p in self.parameters)
 
     @property
     def held_by_file(self) -> bool:
         """Whether any model file holds it, whatever drives its joints."""
         return self.in_mjcf and not self.on_actuator
 
-    def grid_points(self, reach: Reach, joint: int) -> list[dict[str, float]]:
-        """Fixed shapes to score at; one point of defaults where the effect has no shape."""
-        if self.grid is not None:
-            if callable(self.grid):
-                return self.grid(reach, joint)
-            return list(self.grid)
-        return [{p.name: p.default for p in self.shapes}]
+    @property
+    def points(self) -> Sequence[Mapping[str, float]]:
+        """Fixed shapes to score at, whatever the data cover; one point of defaults where it lists
+        none.
+        """
+        if self.grid is None or callable(self.grid):
+            return [{p.name: p.default for p in self.shapes}]
+        return self.grid
+
+    def grid_points(self, reach: Reach, joint: int) -> Sequence[Mapping[str, float]]:
+        """The same over what the data cover."""
+        if callable(self.grid):
+            return self.grid(reach, joint)
+        return self.points

@@ -87,14 +87,12 @@ class Form:
         return config.dumps(table, f"{heading}; {use}." if use else f"{heading}.")
 
 
-def added_effects(
-    effects: Iterable[Any], values: Mapping[str, float], units: Mapping[str, str]
-) -> tuple[AddedEffect, ...]:
-    """Effects with their quantities, of `values` by name. Each effect has a name, a place `where`
-    and the names of its `quantities`.
-    """
+def added_effects(effects: Iterable[Any], values: Mapping[str, float]) -> tuple[AddedEffect, ...]:
+    """Effects (`effects.base.Effect`) with `values` of their parameters by name."""
     return tuple(
-        AddedEffect(e.name, e.where, {q: Value(values[q], unit=units[q]) for q in e.quantities})
+        AddedEffect(
+            e.name, e.place, {p.name: Value(values[p.name], unit=p.unit) for p in e.parameters}
+        )
         for e in effects
     )
 

@@ -1,24 +1,41 @@
 """What a camera may do to tracks of trials, whatever the task: quantities, effects, and the view
-itself.
+itself. And how the catalogue of a task's trials is written.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax.numpy as jnp
 
-from adaptsim_jax.diagnosis.problem import Candidate
-from adaptsim_jax.effects.base import Quantity
+from adaptsim_jax.effects.base import Effect, Quantity, of_the_engine
 
 Array = Any
 
 
 def quantity(
-    name: str, unit: str, low: float, high: float, scale: float, default: float = 0.0
+    name: str,
+    unit: str,
+    low: float,
+    high: float,
+    scale: float,
+    default: float = 0.0,
+    mjcf: str = "",
 ) -> Quantity:
     """A quantity of an effect, with a prior as wide as twice its farther bound."""
     prior = 2.0 * max(abs(low), abs(high))
-    return Quantity(name, unit, low, high, default, prior=prior, scale=scale)
+    return Quantity(name, unit, low, high, default, prior=prior, mjcf=mjcf, scale=scale)
+
+
+def effect_of(quantities: Sequence[Quantity]) -> Callable[..., Effect]:
+    """What makes effects of a table of quantities: `(name, place, names of its quantities, physics,
+    excitation, ...)`.
+    """
+    known = {q.name: q for q in quantities}
+
+    def make(name, place, names, *words, **more) -> Effect:
+        return Effect(name, place, tuple(known[n] for n in names), of_the_engine, *words, **more)
+
+    return make
 
 
 QUANTITIES = (
@@ -37,16 +54,16 @@ QUANTITIES = (
 """
 
 
-def effects(trial: str, origin: str, rises: bool) -> tuple[Candidate, ...]:
+def effects(trial: str, origin: str, rises: bool) -> tuple[Effect, ...]:
     """The effects on tracks of a `trial`, in a frame about `origin`. rises: Whether heights vary.
 
     A late start of the arm shifts all of a track in time, as a latency does: no trial tells them
     apart, only the arm's own log.
     """
-    observed = f"any {trial}"
+    observed, effect = f"any {trial}", effect_of(QUANTITIES)
 
-    def make(name, quantities, physics, **more):
-        return Candidate(name, "measurement", quantities, physics, observed, **more)
+    def make(name, names, physics, **more):
+        return effect(name, "measurement", names, physics, observed, **more)
 
     return (
         make("camera_shift", ("shift_x", "shift_y"), "the camera's frame lies beside the arm's"),
@@ -59,7 +76,7 @@ def effects(trial: str, origin: str, rises: bool) -> tuple[Candidate, ...]:
             ("latency",),
             "tracks are told later than they happen",
             same=("late_start@command",),
-            apart="a log of the arm by the camera's clock",
+            separated_by="a log of the arm by the camera's clock",
         ),
         make("clock_scale", ("clock",), "the camera's clock runs fast or slow"),
         make(
@@ -67,7 +84,7 @@ def effects(trial: str, origin: str, rises: bool) -> tuple[Candidate, ...]:
             ("near", "lean_x", "lean_y"),
             "what is above the table is seen farther from the point under the camera",
             same=() if rises else ("camera_scale_with_shift@measurement",),
-            apart="the camera's height and place",
+            separated_by="the camera's height and place",
         ),
     )
 

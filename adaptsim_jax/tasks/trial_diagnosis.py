@@ -14,10 +14,11 @@ from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.diagnosis import rows
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Finding, Named
-from adaptsim_jax.diagnosis.problem import Candidate, Problem
+from adaptsim_jax.diagnosis.problem import Problem
 from adaptsim_jax.diagnosis.report import Account, remarks, report_of
 from adaptsim_jax.diagnosis.run import Page, Run, command_of
 from adaptsim_jax.diagnosis.written import MODEL, Output, cleared, finished, planned
+from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.mend.model_toml import Form, Value, added_effects
 from adaptsim_jax.tasks.trial_record import TrialKind, TrialRecording
 
@@ -33,7 +34,7 @@ class Diagnose:
     trial: str
     recording: type
     read: Callable[[Any], Any]
-    effects: Callable[[Any], tuple[Candidate, ...]]
+    effects: Callable[[Any], tuple[Effect, ...]]
     assess: Callable[..., tuple[dict, dict, dict | None, Form, Mapping[str, Callable[[], str]]]]
     criteria: Criteria
     columns: tuple[str, ...] = ()
@@ -158,8 +159,7 @@ def mended_form(
     keys of this task alone.
     """
     value = {q.name: float(found.final.fit.values[i]) for i, q in enumerate(problem.quantities)}
-    units = {q.name: q.unit for q in problem.quantities}
-    effects = added_effects([n.candidate for n in found.named], value, units)
+    effects = added_effects([n.candidate for n in found.named], value)
     return Form(*about, declared(value), effects, own)
 
 
@@ -180,7 +180,7 @@ class NextTrials:
 NEXT = NextTrials()
 
 
-def look_alikes(found: Finding) -> list[tuple[Named, Candidate, Any]]:
+def look_alikes(found: Finding) -> list[tuple[Named, Effect, Any]]:
     """Each named effect with each of its look-alikes, and the model that has this in its place."""
     return [
         (named, other, model)
@@ -190,7 +190,7 @@ def look_alikes(found: Finding) -> list[tuple[Named, Candidate, Any]]:
 
 
 def next_trials(
-    pair: tuple[Named, Candidate, Any],
+    pair: tuple[Named, Effect, Any],
     score: np.ndarray,
     actions: np.ndarray,
     kind: TrialKind,

@@ -119,7 +119,7 @@ print(json.dumps({
     "words": effect_name({"name": "brush", "where": "joint1"}),
     "held": mend.changes(machine, problem, final, final).joints["frictionloss"],
     "lost": [mend.lost(machine, problem, finding(c)) for c in (brush, magnet)],
-    "mujoco": [r.candidate.name for r in rows(stepped, ("shoulder", "elbow"))],
+    "mujoco": [e.name for e in rows(stepped, ("shoulder", "elbow"))],
     "listed": cli.main(["effects", "mechanism", "--name", "brush"]),
 }))
 """  # noqa: E501

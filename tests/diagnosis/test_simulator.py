@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from adaptsim_jax import BadInput, Candidate, Quantity, Simulator, diagnose_simulator
+from adaptsim_jax import BadInput, Effect, Quantity, Simulator, diagnose_simulator
 from adaptsim_jax.cli import main
 from adaptsim_jax.core.registry import Registry
 from adaptsim_jax.diagnosis.fit import completed, jacobian
@@ -85,7 +85,7 @@ def test_few_trials_are_left_out_by_blocks():
 def test_look_alikes_are_told_as_a_class_with_the_motion_that_parts_them():
     """A second name for the same quantity does as well, whatever is run."""
     tanks = recorded({"leak": 0.004}, seed=6)
-    twin = Candidate("evaporation", "tank 1", ("leak",), "the same by another name", "nothing")
+    twin = replace(tanks.candidates[0], name="evaporation")
     object.__setattr__(tanks, "candidates", (*tanks.candidates, twin))
     report = diagnose_simulator(tanks, proposals={"fast": recorded({}, seed=7)})
     (effect,) = report["effects"]
@@ -161,7 +161,7 @@ def test_what_shows_nothing_to_first_order_is_begun_at_a_size():
             seen.append(keep * seen[-1] + (1.0 - keep) * h[:, k])
         return np.stack(seen, 1)
 
-    own = Candidate("lag", "sensors", ("lag",), "levels are read late", "steps")
+    own = Effect("lag", "sensors", (lag,), physics="levels are read late", excitation="steps")
     object.__setattr__(tanks, "quantities", (*tanks.quantities, lag))
     object.__setattr__(tanks, "candidates", (own, *tanks.candidates))
     object.__setattr__(tanks, "predict", predict)
@@ -275,7 +275,7 @@ def test_a_simulator_is_known_by_its_entry_point(tmp_path, monkeypatch, capsys):
 
 def test_an_effect_is_excluded_everywhere_or_at_a_place():
     def candidate(name, where):
-        return Candidate(name, where, ("q",), "physics", "any motion")
+        return Effect(name, where, (Quantity("q", "1", 0.0, 1.0),))
 
     every = tuple(candidate(f"coulomb at {joint}", joint) for joint in ("lift", "elbow"))
     assert check_exclude(("coulomb",), every, "machine") == ()

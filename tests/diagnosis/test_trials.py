@@ -11,7 +11,7 @@ import pytest
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.experiment import separated_by
 from adaptsim_jax.diagnosis.fit import fitted, settled
-from adaptsim_jax.diagnosis.problem import Candidate, Problem
+from adaptsim_jax.diagnosis.problem import Problem
 from adaptsim_jax.diagnosis.rows import (
     Recorded,
     _standing_out,
@@ -24,7 +24,7 @@ from adaptsim_jax.diagnosis.run import Run
 from adaptsim_jax.diagnosis.schema import new_report
 from adaptsim_jax.diagnosis.trials import search_trials
 from adaptsim_jax.diagnosis.written import MODEL, Output, cleared, finished, planned
-from adaptsim_jax.effects.base import Quantity
+from adaptsim_jax.effects.base import Effect, Quantity
 from adaptsim_jax.mend.model_toml import Form
 
 TRIALS, ROWS = 14, 60
@@ -43,7 +43,7 @@ def problem(truth, seed=0, trials=TRIALS):
         return Quantity(n, "", -5.0, 5.0, prior=10.0, scale=0.1)
 
     def effect(n):
-        return Candidate(n, "force", (n,), "a column", "any trial")
+        return Effect(n, "force", (quantity(n),), physics="a column", excitation="any trial")
 
     return Problem(
         tuple(map(quantity, "abcd")),

@@ -20,7 +20,7 @@ from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.mechanisms.tree import make_tree
 from adaptsim_jax.simulators.mujoco.build import Stepped
-from adaptsim_jax.simulators.mujoco.catalogue import quantity, rows, sensor_rows
+from adaptsim_jax.simulators.mujoco.catalogue import rows, sensor_rows
 from adaptsim_jax.simulators.mujoco.contact import contact_rows
 from adaptsim_jax.simulators.mujoco.sensed import Reading
 from adaptsim_jax.tasks.pushing.diagnosis import catalogue as pushing
@@ -135,10 +135,10 @@ def of_trials(some, quantities) -> dict[str, list[str]]:
     ]
     shown = []
     for c in some:
-        points = [", ".join(f"{k} {z:.6g}" for k, z in point.items()) for point in c.shapes]
+        points = [", ".join(f"{k} {z:.6g}" for k, z in point.items()) for point in c.points]
         shown.append(
-            f"{c.name} | {c.where} | {list(c.quantities)} | points {points} | same {list(c.same)} "
-            f"{c.apart}| absorbed {list(c.absorbed)} | {c.physics} | {c.seen}"
+            f"{c.name} | {c.place} | {list(c.names)} | points {points} | same {list(c.same)} "
+            f"{c.separated_by}| absorbed {list(c.look_alikes)} | {c.physics} | {c.excitation}"
         )
     return {"effects": shown, "quantities": known}
 
@@ -164,7 +164,7 @@ def of_mujoco(text: str, joints: tuple[str, ...]) -> dict[str, list[str]]:
     ]
     made = Stepped("", model, angle, -1, model.qpos0, (), free, tuple(read))
     every = [*rows(made, joints), *contact_rows(made), *sensor_rows(made, len(joints))]
-    return of_trials([r.candidate for r in every], [quantity(f) for r in every for f in r.fields])
+    return of_trials(every, [f for e in every for f in e.parameters])
 
 
 OTHERS = {

@@ -285,7 +285,7 @@ def test_mujoco_predicts_the_same(tmp_path: Path):
             [q.name, q.unit, q.default, q.low, q.high, q.scale, q.prior] for q in made.quantities
         ],
         "declared": made.declared,
-        "candidates": [[c.name, c.where, c.quantities, c.shapes] for c in made.candidates],
+        "candidates": [[c.name, c.place, c.names, c.points] for c in made.candidates],
         "channels": [[c.name, c.unit, c.noise] for c in made.channels],
         "fold": mark(problem_of(made).fold),
     }

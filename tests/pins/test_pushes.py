@@ -24,7 +24,7 @@ COLUMNS = "push_columns"
 EVERY = 11  # rows, of which one is stored
 NAMES = tuple(q.name for q in QUANTITIES)
 EFFECTS = effects_of(False)
-SHAPES = {name for e in EFFECTS for shape in e.shapes for name in shape}
+SHAPES = {name for e in EFFECTS for shape in e.points for name in shape}
 PUSH = {"mu": 0.12, "log_e": float(np.log10(5e4)), "mu_p": 0.4, "y_p": 0.03}
 AT = PUSH | {
     "spin": 1.0,

@@ -8,7 +8,6 @@ import pytest
 
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Finding
-from adaptsim_jax.diagnosis.problem import Candidate
 from adaptsim_jax.diagnosis.starts import problem_of
 from adaptsim_jax.diagnosis.trials import search_trials
 from adaptsim_jax.logs.read import read_source_and_log
@@ -96,7 +95,7 @@ def test_tanks_are_searched_the_same(name):
 
 def test_a_twin_of_a_leak_is_its_class():
     tanks = recorded({"leak": 0.004}, seed=6)
-    twin = Candidate("evaporation", "tank 1", ("leak",), "the same by another name", "nothing")
+    twin = replace(tanks.candidates[0], name="evaporation")
     found = search_trials(problem_of(tanks, (*tanks.candidates, twin)), Criteria())
     check("search_tanks_twin", told(found), LOOSE)
 

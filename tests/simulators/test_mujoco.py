@@ -72,7 +72,7 @@ def test_the_friction_of_all_feet_is_found(tmp_path):
     truth = quadruped().replace('friction="0.5 0.01 0.001"', 'friction="0.3 0.01 0.001"')
     data = record(tmp_path / "log", quadruped(), truth=truth, told=walk, base=True)
     found = fit(*read_source_and_log(data), ("geom:*_foot.friction[0]",), 0.2)
-    assert found.fields[0].neutral == 0.5 and len(found.fields[0].elements) == 4
+    assert found.fields[0].default == 0.5 and len(found.fields[0].elements) == 4
     assert found.value[0] == pytest.approx(0.3, rel=0.1) and found.after < 0.5 * found.before
 
 

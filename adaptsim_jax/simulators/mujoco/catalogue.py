@@ -4,20 +4,18 @@ and a base that moves show is in `contact`.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 
-from adaptsim_jax.diagnosis.problem import Candidate
-from adaptsim_jax.effects.base import Effect, Quantity
-from adaptsim_jax.effects.joints.catalogue import MACHINE, TILT
+from adaptsim_jax.effects.base import Effect, of_the_engine
+from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.effects.joints.friction import VISCOUS
 from adaptsim_jax.logs.noise import difference_noise
 from adaptsim_jax.simulators.mujoco.acting import BIAS, LATE, READ, SHIFT, TURN
 from adaptsim_jax.simulators.mujoco.build import Stepped
 from adaptsim_jax.simulators.mujoco.criteria import CANDIDATE
-from adaptsim_jax.simulators.mujoco.fields import DELAY, STRENGTH, Field, field
+from adaptsim_jax.simulators.mujoco.fields import DELAY, STRENGTH, Field, field, number
 from adaptsim_jax.simulators.mujoco.sensed import triple
 
 DECLARED = VISCOUS.name
@@ -26,26 +24,6 @@ SENSED = {
     "gyro": (5e-3, 1.0),
     "accelerometer": (0.05, 10.0),
 }  # rad/s, m/s^2: a bias that shows, and its bound
-UNITS = {
-    "frictionloss": "N m",
-    "damping": "N m s/rad",
-    "armature": "kg m^2",
-    "mass": "kg",
-    "solref": "s",
-    "kp": "N m/rad",
-    "ipos": "m",
-    "offset": "rad",
-    "wind": "N",
-    "delay": "s",
-}
-
-
-@dataclass(frozen=True)
-class Row:
-    """A candidate and the fields that it frees."""
-
-    fields: tuple[Field, ...]
-    candidate: Candidate
 
 
 def row(
@@ -54,37 +32,17 @@ def row(
     fields: Field | Iterable[Field],
     texts: tuple[str, str],
     same: tuple[str, ...] = (),
-) -> Row:
+) -> Effect:
     """An effect at a place; told: its physics and what shows it; same: effects that no such
     recording tells apart from it.
     """
     fields = (fields,) if isinstance(fields, Field) else tuple(fields)
     name = f"{effect} at {where}" if where else effect
     separated_by = "a look at the machine" if same else ""
-    return Row(
-        fields,
-        Candidate(
-            name, where, tuple(f.name for f in fields), *texts, same=same, apart=separated_by
-        ),
-    )
+    return Effect(name, where, fields, of_the_engine, *texts, same=same, separated_by=separated_by)
 
 
-def quantity(f: Field) -> Quantity:
-    """A field as the search has it."""
-    stem = f.name.split("[")[0].split(".")[-1]
-    unit = UNITS.get(stem, UNITS.get(f.name.split(".")[0], "rad" if TILT.name in f.name else "1"))
-    return Quantity(
-        f.name,
-        unit,
-        f.low,
-        f.high,
-        f.neutral,
-        prior=CANDIDATE.prior_width * f.scale,
-        scale=CANDIDATE.size * f.scale,
-    )
-
-
-def rows(made: Stepped, joints: Sequence[str]) -> list[Row]:
+def rows(made: Stepped, joints: Sequence[str]) -> list[Effect]:
     """All that joints, drives and bodies may lack. joints: those that were logged."""
     model = made.model
     return [
@@ -96,26 +54,21 @@ def rows(made: Stepped, joints: Sequence[str]) -> list[Row]:
     ]
 
 
-def _of_joints(made: Stepped, joints: Sequence[str]) -> Iterable[Row]:
+def _of_joints(made: Stepped, joints: Sequence[str]) -> Iterable[Effect]:
     model, weight = made.model, _scales(made.model, joints)
-
-    def wide(f, size):
-        return replace(f, scale=max(f.scale, 0.01 * size))
 
     for k, name in enumerate(joints):
         inertia = 1.0 / max(
             float(model.dof_invweight0[model.jnt_dofadr[model.joint(name).id]]), 1e-9
         )
 
-        def of(what, size, name=name):
-            return wide(field(model, f"joint:{name}.{what}"), size)
-
         sizes = {"frictionloss": weight[name], "damping": weight[name], "armature": inertia}
         for what, size in sizes.items():
+            f = field(model, f"joint:{name}.{what}")
+            wide = f.by(max(f.step, 0.01 * size))
             for effect in (e for e in MACHINE if _edits(e, what)):
-                texts = (effect.physics, effect.excitation)
-                yield row(effect.name, name, of(what, size), texts)
-        off = Field(f"reading:{name}.offset", READ, (k,), 0, 0.0, -1.0, 1.0, CANDIDATE.turn)
+                yield row(effect.name, name, wide, (effect.physics, effect.excitation))
+        off = number(f"reading:{name}.offset", READ, (k,), 0, 0.0, (-1.0, 1.0), CANDIDATE.turn)
         yield row(
             "angle offset",
             name,
@@ -129,7 +82,7 @@ def _edits(effect: Effect, what: str) -> bool:
     return [p.mjcf for p in effect.parameters] == [what] and not effect.on_actuator
 
 
-def _of_drives(model: mujoco.MjModel) -> Iterable[Row]:
+def _of_drives(model: mujoco.MjModel) -> Iterable[Effect]:
     for k in range(model.nu):
         name = model.actuator(k).name or f"actuator{k}"
         if not np.any(model.actuator_gainprm[k, :3]):
@@ -139,7 +92,9 @@ def _of_drives(model: mujoco.MjModel) -> Iterable[Row]:
             weak += (field(model, f"actuator:{name}.kv"),)
         yield row("gain", name, weak, ("the drive gives more or less than told", "large commands"))
         if model.actuator_biasprm[k, 1] < 0 and model.actuator_trntype[k] == 0:
-            shift = Field(f"command:{name}.offset", SHIFT, (k,), 0, 0.0, -1.0, 1.0, CANDIDATE.turn)
+            shift = number(
+                f"command:{name}.offset", SHIFT, (k,), 0, 0.0, (-1.0, 1.0), CANDIDATE.turn
+            )
             yield row(
                 "command offset",
                 name,
@@ -152,15 +107,12 @@ def _of_drives(model: mujoco.MjModel) -> Iterable[Row]:
         )
 
 
-def _of_bodies(model: mujoco.MjModel, share: float) -> Iterable[Row]:
+def _of_bodies(model: mujoco.MjModel, share: float) -> Iterable[Effect]:
     total = float(model.body_mass.sum())
     for b in range(1, model.nbody):
         if model.body_mass[b] > share * total and _moves(model, b):
             name = model.body(b).name or f"body{b}"
-            place = [
-                replace(field(model, f"body:{name}.ipos[{i}]"), scale=CANDIDATE.shift)
-                for i in range(3)
-            ]
+            place = [field(model, f"body:{name}.ipos[{i}]").by(CANDIDATE.shift) for i in range(3)]
             mass = field(model, f"body:{name}.mass")
             yield row(
                 "payload",
@@ -170,7 +122,7 @@ def _of_bodies(model: mujoco.MjModel, share: float) -> Iterable[Row]:
             )
 
 
-def sensor_rows(made: Stepped, first: int) -> Iterable[Row]:
+def sensor_rows(made: Stepped, first: int) -> Iterable[Effect]:
     """What sensors may read wrong. first: place of theirs among the channels."""
     found = [
         (kind, axes)
@@ -181,14 +133,14 @@ def sensor_rows(made: Stepped, first: int) -> Iterable[Row]:
         step, most = SENSED[kind]
         places = tuple(first + k for k in axes)
         off = [
-            Field(f"imu.{kind}_bias[{i}]", BIAS, places, i, 0.0, -most, most, step)
+            number(f"imu.{kind}_bias[{i}]", BIAS, places, i, 0.0, (-most, most), step)
             for i in range(3)
         ]
         yield row(f"{kind} bias", "imu", off, ("it reads more or less than there is", "any motion"))
     if found:
         starts = tuple(first + axes[0] for _, axes in found)
         turned = [
-            Field(f"imu.turn[{i}]", TURN, starts, i, 0.0, -0.5, 0.5, CANDIDATE.turn)
+            number(f"imu.turn[{i}]", TURN, starts, i, 0.0, (-0.5, 0.5), CANDIDATE.turn)
             for i in range(3)
         ]
         yield row("turned", "imu", turned, ("it is mounted at another angle", "turns, gravity"))
@@ -196,7 +148,7 @@ def sensor_rows(made: Stepped, first: int) -> Iterable[Row]:
         yield row(
             "late",
             "imu",
-            Field("imu.late", LATE, every, 0, 0.0, -0.05, 0.05, 1e-3),
+            number("imu.late", LATE, every, 0, 0.0, (-0.05, 0.05), 1e-3),
             ("it is read late", "fast motion"),
         )
 

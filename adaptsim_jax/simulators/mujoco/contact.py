@@ -9,17 +9,18 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.simulators.mujoco.acting import WIND
 from adaptsim_jax.simulators.mujoco.build import Stepped
-from adaptsim_jax.simulators.mujoco.catalogue import Row, row
+from adaptsim_jax.simulators.mujoco.catalogue import row
 from adaptsim_jax.simulators.mujoco.criteria import CANDIDATE
-from adaptsim_jax.simulators.mujoco.fields import CONTACT, GROUND, Field, field, grounds
+from adaptsim_jax.simulators.mujoco.fields import CONTACT, GROUND, Field, field, grounds, number
 
 WIDE = (0.7, 1.4)  # of what the file has
 WAYS = np.arange(8) * np.pi / 4
 
 
-def contact_rows(made: Stepped) -> Iterable[Row]:
+def contact_rows(made: Stepped) -> Iterable[Effect]:
     """Where anything may touch the world, and where the base moves."""
     model = made.model
     solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
@@ -46,7 +47,7 @@ def contact_rows(made: Stepped) -> Iterable[Row]:
         weight = float(model.body_mass.sum()) * 9.81
         first = int(model.jnt_dofadr[k])
         wind = [
-            Field(f"wind.{a}", WIND, (first,), i, 0.0, -weight, weight, CANDIDATE.push * weight)
+            number(f"wind.{a}", WIND, (first,), i, 0.0, (-weight, weight), CANDIDATE.push * weight)
             for i, a in enumerate("xyz")
         ]
         yield row(
@@ -58,8 +59,8 @@ def contact_rows(made: Stepped) -> Iterable[Row]:
         )
 
 
-def _tried_at(made: Row, sizes: Sequence[Mapping[str, float]]) -> Row:
-    return replace(made, candidate=replace(made.candidate, shapes=({}, *sizes)))
+def _tried_at(made: Effect, sizes: Sequence[Mapping[str, float]]) -> Effect:
+    return replace(made, grid=({}, *sizes))
 
 
 def _effective(model: mujoco.MjModel, touch: list[int]) -> list[int]:
@@ -71,25 +72,19 @@ def _effective(model: mujoco.MjModel, touch: list[int]) -> list[int]:
     return [g for g in ends if model.geom_priority[g] == first]
 
 
-def _of_touch(model: mujoco.MjModel, every: tuple[int, ...], feet: list[int]) -> Iterable[Row]:
-    """One number for all that touches, in proportion; its neutral value is that of the feet."""
+def _of_touch(model: mujoco.MjModel, every: tuple[int, ...], feet: list[int]) -> Iterable[Effect]:
+    """One number for all that touches, in proportion; its default is that of the feet."""
 
     def of(what: str, column: int, high: float) -> Field:
         value = float(getattr(model, f"geom_{what}")[feet, column].mean())
-        return Field(
-            f"{CONTACT}{what}[{column}]",
-            f"geom.{what}",
-            every,
-            column,
-            value,
-            1e-3 * min(value, 1.0),
-            high,
-            0.01 * value,
-        )
+        name, ends = f"{CONTACT}{what}[{column}]", (1e-3 * min(value, 1.0), high)
+        return number(name, f"geom.{what}", every, column, value, ends, 0.01 * value)
 
-    def of_wide(effect: str, f: Field, texts: tuple[str, str], same: tuple[str, ...] = ()) -> Row:
+    def of_wide(
+        effect: str, f: Field, texts: tuple[str, str], same: tuple[str, ...] = ()
+    ) -> Effect:
         """Tried at sizes, too: where contacts chatter a derivative says little."""
-        sizes = [{f.name: float(np.clip(share * f.neutral, f.low, f.high))} for share in WIDE]
+        sizes = [{f.name: float(np.clip(share * f.default, f.low, f.high))} for share in WIDE]
         return _tried_at(row(effect, "all contacts", f, texts, same), sizes)
 
     dims = int(model.geom_condim[list(every)].max())

@@ -12,20 +12,19 @@ import mujoco
 import numpy as np
 
 from adaptsim_jax.diagnosis.criteria import Criteria
-from adaptsim_jax.diagnosis.problem import Candidate
 from adaptsim_jax.diagnosis.run import Page
 from adaptsim_jax.diagnosis.simulated import diagnose_simulator
 from adaptsim_jax.diagnosis.simulator import DERIVATIVE_STEP, Channel, linearise
 from adaptsim_jax.diagnosis.simulator import Stretches as Compared
 from adaptsim_jax.diagnosis.starts import taken_up, without
-from adaptsim_jax.effects.base import Quantity
+from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.logs.log import Log
 from adaptsim_jax.logs.quality.audit import audit
 from adaptsim_jax.mechanisms.spec import Source
 from adaptsim_jax.simulators.mujoco import rollouts
 from adaptsim_jax.simulators.mujoco.acting import OUTSIDE, acting, as_read
 from adaptsim_jax.simulators.mujoco.build import Stepped, stepped
-from adaptsim_jax.simulators.mujoco.catalogue import DECLARED, noise_of, quantity, rows, sensor_rows
+from adaptsim_jax.simulators.mujoco.catalogue import DECLARED, noise_of, rows, sensor_rows
 from adaptsim_jax.simulators.mujoco.contact import contact_rows
 from adaptsim_jax.simulators.mujoco.criteria import REMARK, SIMULATION
 from adaptsim_jax.simulators.mujoco.fields import Field, with_values
@@ -59,28 +58,29 @@ class MujocoSimulator:
 
     made: Stepped
     own: MujocoStretches
-    fields: tuple[Field, ...]
-    quantities: tuple[Quantity, ...]
+    quantities: tuple[Field, ...]
     declared: tuple[str, ...]
     channels: tuple[Channel, ...]
     stretches: Compared
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[Effect, ...]
     remarks: tuple[str, ...] = ()
     verify: Callable[[Path], dict[str, Any]] | None = None  # runs the files that were written
 
     def predict(self, values: np.ndarray, starts: np.ndarray, which: np.ndarray) -> np.ndarray:
         """See `diagnosis.simulator.Simulator`."""
-        values = np.clip(values, *np.array([(f.low, f.high) for f in self.fields]).T)
-        own = [i for i, f in enumerate(self.fields) if f.field not in OUTSIDE]
+        values = np.clip(values, *np.array([(f.low, f.high) for f in self.quantities]).T)
+        own = [i for i, f in enumerate(self.quantities) if f.field not in OUTSIDE]
         rows, kind = np.unique(values[:, own], axis=0, return_inverse=True)
-        models = [with_values(self.made.model, [self.fields[i] for i in own], row) for row in rows]
-        by = acting(self.made, self.fields, values)
+        models = [
+            with_values(self.made.model, [self.quantities[i] for i in own], row) for row in rows
+        ]
+        by = acting(self.made, self.quantities, values)
         with ONE_AT_A_TIME:
             path = rollouts.predict(
                 self.made, self.own, starts, which, [models[k] for k in kind.reshape(-1)], by
             )
         read = self.stretches.measured[which] - rollouts.residual(self.made, self.own, path, which)
-        return as_read(self.fields, values, read, self.stretches.time[which])
+        return as_read(self.quantities, values, read, self.stretches.time[which])
 
     def notes(self, values: Mapping[str, float]) -> list[str]:
         """See `diagnosis.simulator.Simulator`."""
@@ -90,7 +90,7 @@ class MujocoSimulator:
     @property
     def mended(self) -> dict[str, Callable[[Mapping[str, float]], str]]:
         """The file with what was found in it. See `diagnosis.simulator.Simulator`."""
-        return {MENDED: lambda values: mended_mjcf(self.made, self.fields, values)}
+        return {MENDED: lambda values: mended_mjcf(self.made, self.quantities, values)}
 
     def linearise(
         self,
@@ -104,7 +104,7 @@ class MujocoSimulator:
         enough to see past single contacts.
         """
         b, width = len(which), starts.shape[1] if starts_too else 0
-        high = np.array([f.high for f in self.fields])
+        high = np.array([f.high for f in self.quantities])
         basis = SCALE_STEP * basis
         basis = np.where(np.any(values[0] + basis > high, 1)[:, None], -basis, basis)
         steps = DERIVATIVE_STEP * np.diag(self.stretches.scale)[:width]
@@ -135,7 +135,7 @@ def simulator(source: Source, log: Log, horizon: float | None = None) -> MujocoS
     horizon = horizon or (SIMULATION.horizon if made.free < 0 else SIMULATION.horizon_moving)
     first = len(log.joint_names) * (1 if log.trials[0].v is None else 2)
     found = [*rows(made, log.joint_names), *contact_rows(made), *sensor_rows(made, first)]
-    fields = tuple({f.name: f for r in found for f in r.fields}.values())
+    fields: Any = tuple({f.name: f for e in found for f in e.parameters}.values())
     cost = (rollouts.start_size(made) + len(fields)) * horizon / float(made.model.opt.timestep)
     own = cut(made, log, horizon, int(np.clip(LINEARISATION_STEPS / cost, *STRETCHES)))
     felt = made.free >= 0 > made.base
@@ -155,11 +155,10 @@ def simulator(source: Source, log: Log, horizon: float | None = None) -> MujocoS
     compared = Compared(
         own.trial, own.names, own.time, measured, mask.astype(float), starts, scale, prior
     )
-    quantities = tuple(quantity(f) for f in fields)
     declared = tuple(
-        f.name for r in found if r.candidate.name.startswith(f"{DECLARED} at ") for f in r.fields
+        name for e in found if e.name.startswith(f"{DECLARED} at ") for name in e.names
     )
-    wanted = tuple(r.candidate for r in found if r.candidate.quantities[0] not in declared)
+    wanted = tuple(e for e in found if e.names[0] not in declared)
     checked = audit(log, _slides(made.model, log), {} if log.input_kind == "command" else None)
     remarks = (
         "simulated by MuJoCo at the file's own step",
@@ -169,9 +168,7 @@ def simulator(source: Source, log: Log, horizon: float | None = None) -> MujocoS
         *source.notes,
         *made.notes,
     )
-    return MujocoSimulator(
-        made, own, fields, quantities, declared, channels, compared, wanted, remarks
-    )
+    return MujocoSimulator(made, own, fields, declared, channels, compared, wanted, remarks)
 
 
 def _opening(channels: Sequence[Channel], made: Stepped) -> np.ndarray:

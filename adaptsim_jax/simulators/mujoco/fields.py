@@ -10,13 +10,14 @@ all that it names.
 import copy
 import fnmatch
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 
 from adaptsim_jax.core.config import suggest
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.effects.base import Quantity
 from adaptsim_jax.mechanisms.model_numbers import (
     KINDS,
     OF_DOF,
@@ -35,7 +36,7 @@ TILTS = ("world.tilt_x", "world.tilt_y")
 GROUND = ("ground.tilt_x", "ground.tilt_y", "ground.height")
 """rad, m: all that the world touches with, turned about the world's x and y, and lifted."""
 CONTACT = "contact."
-"""Of all that touches: by as many times as what decides (its `neutral`), so that nothing jumps
+"""Of all that touches: by as many times as what decides (its `default`), so that nothing jumps
 where it hardly changes.
 """
 STRENGTH = "strength"
@@ -59,48 +60,73 @@ POSITIVE = (
     "kv",
     STRENGTH,
 )
+UNITS = {
+    "frictionloss": "N m",
+    "damping": "N m s/rad",
+    "armature": "kg m^2",
+    "mass": "kg",
+    "solref": "s",
+    "kp": "N m/rad",
+    "ipos": "m",
+    "offset": "rad",
+    "wind": "N",
+    "delay": "s",
+}
+"""Units of fields, of others 1."""
 CONSTANTS = ("mass", "inertia", "ipos", "armature", "pos", "quat", "gear")
 """Fields from which MuJoCo derives others, which then are made anew."""
 
 
 @dataclass(frozen=True)
-class Field:
-    """One number of a model, at all elements that its name stands for.
+class Field(Quantity):
+    """One number of a model, at all elements that its name stands for; `default` is what the model
+    has.
 
     Args:
-        neutral: What the model has.
-        low, high: Its bounds.
-        scale: A step that shows in the motion and leaves it what it is.
+        field: What it is, KIND.FIELD.
+        elements: Which of that kind have it.
+        index: Its place, where a field has several numbers.
     """
 
-    name: str
-    field: str
-    elements: tuple[int, ...]
-    index: int
-    neutral: float
-    low: float
-    high: float
-    scale: float
+    field: str = ""
+    elements: tuple[int, ...] = ()
+    index: int = 0
+
+    @property
+    def step(self) -> float:
+        """One that shows in the motion and leaves it what it is."""
+        return self.scale / CANDIDATE.size
+
+    def by(self, step: float) -> "Field":
+        """The same with another step."""
+        return replace(self, prior=CANDIDATE.prior_width * step, scale=CANDIDATE.size * step)
+
+
+def number(
+    name: str,
+    what: str,
+    elements: tuple[int, ...],
+    index: int,
+    default: float,
+    ends: tuple[float, float],
+    step: float,
+) -> Field:
+    """A field with its unit; ends: its bounds."""
+    stem = name.split("[")[0].split(".")
+    angle = "rad" if name in (*TILTS, *GROUND[:2]) else "1"
+    unit = UNITS.get(stem[-1], UNITS.get(stem[0], angle))
+    return Field(name, unit, *ends, default, field=what, elements=elements, index=index).by(step)
 
 
 def field(model: mujoco.MjModel, name: str) -> Field:
     """The number of that name. Raises BadInput where the model has none, with what is near."""
     if name == DELAY:
-        return Field(
-            name,
-            DELAY,
-            (),
-            0,
-            0.0,
-            -CANDIDATE.max_delay,
-            CANDIDATE.max_delay,
-            max(float(model.opt.timestep), 1e-3),
-        )
-    if name in TILTS:
-        return Field(name, name, (), 0, 0.0, -0.5, 0.5, 0.002)
-    if name in GROUND:
-        high = 0.5 if name != GROUND[2] else 1.0
-        return Field(name, name, (), 0, 0.0, -high, high, 0.002 if name != GROUND[2] else 5e-4)
+        ends = -CANDIDATE.max_delay, CANDIDATE.max_delay
+        return number(name, DELAY, (), 0, 0.0, ends, max(float(model.opt.timestep), 1e-3))
+    if name == GROUND[2]:
+        return number(name, name, (), 0, 0.0, (-1.0, 1.0), 5e-4)
+    if name in (*TILTS, *GROUND):
+        return number(name, name, (), 0, 0.0, (-0.5, 0.5), 0.002)
     form = parse(name)
     if form is None:
         raise BadInput(
@@ -112,12 +138,11 @@ def field(model: mujoco.MjModel, name: str) -> Field:
         elements = (0,)
     else:
         elements = tuple(_elements(model, name, kind, element))
-    made = Field(name, f"{kind}.{what}", elements, index or 0, 0.0, -np.inf, np.inf, 1.0)
-    values = [_get(model, made, e) for e in made.elements]
-    neutral = float(np.mean(values))
     low = 0.0 if what in POSITIVE else -np.inf
-    size = abs(neutral) or TYPICAL.get(what, 0.1)
-    return Field(name, made.field, made.elements, index, neutral, low, np.inf, RELATIVE_STEP * size)
+    made = number(name, f"{kind}.{what}", elements, index or 0, 0.0, (low, np.inf), 1.0)
+    default = float(np.mean([_get(model, made, e) for e in elements]))
+    size = abs(default) or TYPICAL.get(what, 0.1)
+    return replace(made, default=default).by(RELATIVE_STEP * size)
 
 
 def _elements(model: mujoco.MjModel, name: str, kind: str, pattern: str) -> list[int]:
@@ -203,7 +228,7 @@ def with_values(
     recompute = False
     for made, value in zip(fields, values, strict=True):
         if (
-            value == made.neutral
+            value == made.default
         ):  # a number for several elements has their mean, which is not what each of them has
             continue
         if made.name in TILTS:
@@ -221,7 +246,7 @@ def with_values(
                 out.body_inertia[element] *= value / out.body_mass[element]
             own = float(value)
             if made.name.startswith(CONTACT):
-                own = min(_get(model, made, element) * value / made.neutral, made.high)
+                own = min(_get(model, made, element) * value / made.default, made.high)
             _set(out, made, element, own)
         recompute |= made.field.split(".")[-1] in CONSTANTS
     if recompute:

@@ -51,7 +51,7 @@ class Fitted:
     def as_dict(self) -> dict[str, dict[str, float]]:
         """By name: value, low, high, file."""
         return {
-            f.name: {"value": float(v), "low": float(a), "high": float(b), "file": f.neutral}
+            f.name: {"value": float(v), "low": float(a), "high": float(b), "file": f.default}
             for f, v, a, b in zip(self.fields, self.value, self.low, self.high, strict=True)
         }
 
@@ -71,7 +71,7 @@ def fit(source: Source, log: Log, names: Sequence[str], horizon: float = 0.5) ->
 
 def fitted_values(made: Stepped, stretches: MujocoStretches, fields: Sequence[Field]) -> Fitted:
     """The same of stretches."""
-    values = np.array([f.neutral for f in fields])
+    values = np.array([f.default for f in fields])
     plain = np.ones(stretches.measured.shape[2] - (1 if made.base >= 0 else 0))
     starts, off = fitted(*_at(made, stretches, fields, values), plain, FIRST_START_ROUNDS)
     weight = _weights(off)
@@ -244,7 +244,7 @@ def _column(made, stretches, fields, values, p: int, starts) -> np.ndarray:
     ends = []
     for way in (1.0, -1.0):
         moved = values.copy()
-        moved[p] = np.clip(values[p] + way * f.scale, f.low, f.high)
+        moved[p] = np.clip(values[p] + way * f.step, f.low, f.high)
         at = _at(made, stretches, fields, moved)
         ends.append((moved[p], residual(*at, predict(*at, starts, lanes), lanes)))
     (high, above), (low, below) = ends

@@ -1,6 +1,7 @@
 """A user's model file with the numbers in it that were found where MuJoCo simulates: MJCF text."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -32,7 +33,7 @@ def mended_mjcf(made: Stepped, fields: Sequence[Field], values: Mapping[str, flo
 
     Raises BadInput where MuJoCo refuses the result.
     """
-    changed = [f for f in fields if values.get(f.name, f.neutral) != f.neutral]
+    changed = [f for f in fields if values.get(f.name, f.default) != f.default]
     held = [f for f in changed if f.field not in OUTSIDE]
 
     def edit(spec: mujoco.MjSpec) -> list[str]:
@@ -69,7 +70,7 @@ def _own(stepped: mujoco.MjModel, model: mujoco.MjModel, f: Field) -> Field:
     if not f.field.startswith("joint."):
         return f
     at = tuple(model.joint(stepped.joint(e).name).id for e in f.elements)
-    return Field(f.name, f.field, at, f.index, f.neutral, f.low, f.high, f.scale)
+    return replace(f, elements=at)
 
 
 def _put(spec: mujoco.MjSpec, there: mujoco.MjModel, f: Field) -> None:

@@ -4,8 +4,8 @@ physics and excitation.
 
 import math
 
-from adaptsim_jax.diagnosis.problem import Candidate
-from adaptsim_jax.effects.base import Quantity
+from adaptsim_jax.effects.base import Effect, Quantity
+from adaptsim_jax.tasks.camera_effects import effect_of
 from adaptsim_jax.tasks.camera_effects import quantity as _q
 from adaptsim_jax.tasks.toss.body import TossedBody
 
@@ -19,14 +19,14 @@ OWN = (
     _q("grain_a", "", -0.8, 0.8, 0.1),
     _q("grain_b", "", -0.8, 0.8, 0.1),
     _q("rebound", "", -1.5, 1.5, 0.1),
-    _q("inertia", "", -0.5, 1.0, 0.02),
-    _q("com_x", "m", -0.05, 0.05, 0.0005),
-    _q("com_y", "m", -0.05, 0.05, 0.0005),
-    _q("com_z", "m", -0.05, 0.05, 0.0005),
+    _q("inertia", "", -0.5, 1.0, 0.02, mjcf="inertia"),
+    _q("com_x", "m", -0.05, 0.05, 0.0005, mjcf="ipos"),
+    _q("com_y", "m", -0.05, 0.05, 0.0005, mjcf="ipos"),
+    _q("com_z", "m", -0.05, 0.05, 0.0005, mjcf="ipos"),
     _q("drag", "1/s", -1.0, 4.0, 0.05),
-    _q("tilt_x", "rad", -0.1, 0.1, 0.005),
-    _q("tilt_y", "rad", -0.1, 0.1, 0.005),
-    _q("size", "", -0.2, 0.2, 0.005),
+    _q("tilt_x", "rad", -0.1, 0.1, 0.005, mjcf="gravity"),
+    _q("tilt_y", "rad", -0.1, 0.1, 0.005, mjcf="gravity"),
+    _q("size", "", -0.2, 0.2, 0.005, mjcf="size"),
     _q("scale", "", -0.2, 0.2, 0.005),
     _q("clock", "", -0.2, 0.2, 0.005),
     _q("height", "m", -0.05, 0.05, 0.0005),
@@ -53,7 +53,7 @@ def quantities(body: TossedBody) -> tuple[Quantity, ...]:
     )
 
 
-_E = Candidate
+_E = effect_of(OWN)
 EFFECTS = (
     _E(
         "speed_friction",
@@ -61,7 +61,7 @@ EFFECTS = (
         ("speed_friction",),
         "friction grows or falls with speed",
         "fast and slow slides",
-        absorbed=("friction",),
+        look_alikes=("friction",),
     ),
     _E(
         "grain",
@@ -69,7 +69,7 @@ EFFECTS = (
         ("grain_a", "grain_b"),
         "friction depends on the direction of the slide",
         "slides in many directions",
-        absorbed=("friction",),
+        look_alikes=("friction",),
     ),
     _E(
         "restitution",
@@ -77,7 +77,7 @@ EFFECTS = (
         ("rebound",),
         "harder impacts rebound more or less than the declared damping says",
         "soft and hard impacts",
-        absorbed=("damping",),
+        look_alikes=("damping",),
     ),
     _E(
         "body_size",
@@ -85,7 +85,6 @@ EFFECTS = (
         ("size",),
         "the body is larger or smaller than declared",
         "impacts on corners, and rest",
-        in_file=True,
     ),
     _E(
         "inertia",
@@ -93,7 +92,6 @@ EFFECTS = (
         ("inertia",),
         "the body is harder or easier to turn than declared",
         "impacts off the centre",
-        in_file=True,
     ),
     _E(
         "centre_of_mass",
@@ -101,7 +99,6 @@ EFFECTS = (
         ("com_x", "com_y", "com_z"),
         "the centre of mass lies beside the declared one",
         "spinning flight",
-        in_file=True,
     ),
     _E(
         "drag",
@@ -109,7 +106,7 @@ EFFECTS = (
         ("drag",),
         "a drag proportional to speed",
         "fast flights and slides",
-        absorbed=("friction",),
+        look_alikes=("friction",),
     ),
     _E(
         "tilt",
@@ -117,7 +114,6 @@ EFFECTS = (
         ("tilt_x", "tilt_y"),
         "the table is not level",
         "flights, and slides in many directions",
-        in_file=True,
     ),
     _E(
         "length_scale",
@@ -168,6 +164,6 @@ has no time of its own.
 """
 
 
-def effects(body: TossedBody) -> tuple[Candidate, ...]:
+def effects(body: TossedBody) -> tuple[Effect, ...]:
     """The effects that this body can have: shapes without a size cannot be scaled."""
     return tuple(e for e in EFFECTS if body.sized or e.name != "body_size")

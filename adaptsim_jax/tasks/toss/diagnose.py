@@ -12,7 +12,7 @@ from adaptsim_jax.diagnosis.criteria import REPORT, Criteria
 from adaptsim_jax.diagnosis.experiment import separated_by
 from adaptsim_jax.diagnosis.finding import Finding
 from adaptsim_jax.diagnosis.models import Model
-from adaptsim_jax.diagnosis.problem import Candidate, Problem
+from adaptsim_jax.diagnosis.problem import Problem
 from adaptsim_jax.diagnosis.report import (
     Account,
     Errors,
@@ -24,6 +24,7 @@ from adaptsim_jax.diagnosis.report import (
 )
 from adaptsim_jax.diagnosis.trials import search_trials
 from adaptsim_jax.diagnosis.written import keeping
+from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.mend.model_toml import Form, Value, added_effects
 from adaptsim_jax.tasks.toss.body import mended_xml
 from adaptsim_jax.tasks.toss.catalogue import effects
@@ -53,7 +54,7 @@ MEASURE = {
 
 def assess(
     tossed: Tossed,
-    considered: tuple[Candidate, ...],
+    considered: tuple[Effect, ...],
     criteria: Criteria,
     progress,
     folder: Path | None,
@@ -67,7 +68,7 @@ def assess(
     report, evidence = reported(tossed, problem, follow, found, criteria)
     values = fitted(problem, found.final)
     xml = {XML: lambda: mended_xml(tossed.body, values, not_in_file(found, values))}
-    return report, evidence, None, mended_model(problem, found, values), xml
+    return report, evidence, None, mended_model(found, values), xml
 
 
 def fitted(problem: Problem, model: Model) -> dict[str, float]:
@@ -75,15 +76,14 @@ def fitted(problem: Problem, model: Model) -> dict[str, float]:
     return {q.name: float(v) for q, v in zip(problem.quantities, model.fit.values, strict=True)}
 
 
-def mended_model(problem: Problem, found: Finding, values: dict[str, float]) -> Form:
+def mended_model(found: Finding, values: dict[str, float]) -> Form:
     """`model.toml`: declared parameters as fitted, and what each named effect adds."""
     declared = {
         "friction": Value(values["friction"]),
         "contact_time": Value(10.0 ** values["log_time"], unit="s"),
         "damping": Value(values["damping"]),
     }
-    units = {q.name: q.unit for q in problem.quantities}
-    effects = added_effects([n.candidate for n in found.named], values, units)
+    effects = added_effects([n.candidate for n in found.named], values)
     return Form("toss", XML, declared, effects)
 
 
@@ -91,9 +91,9 @@ def not_in_file(found: Finding, values: dict[str, float]) -> list[str]:
     """What was named and MJCF cannot hold, a line each."""
     return [
         f"not in this file: {n.candidate.name} "
-        f"({', '.join(f'{q} = {values[q]:.4g}' for q in n.candidate.quantities)})"
+        f"({', '.join(f'{q} = {values[q]:.4g}' for q in n.candidate.names)})"
         for n in found.named
-        if not n.candidate.in_file
+        if not n.candidate.in_mjcf
     ]
 
 

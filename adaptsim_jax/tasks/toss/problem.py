@@ -19,8 +19,9 @@ from functools import lru_cache, partial
 import numpy as np
 
 from adaptsim_jax.diagnosis.fit import declared_fit
-from adaptsim_jax.diagnosis.problem import Candidate, Problem
+from adaptsim_jax.diagnosis.problem import Problem
 from adaptsim_jax.diagnosis.steps import Evaluate, StretchLanes, fit_starts
+from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.mechanisms.quaternions import between
 from adaptsim_jax.tasks.toss.catalogue import DECLARED, effects, quantities
 from adaptsim_jax.tasks.toss.read import Tossed
@@ -139,9 +140,7 @@ def flat(z: np.ndarray) -> np.ndarray:
     return z.reshape(len(z), -1)
 
 
-def prepare(
-    tossed: Tossed, considered: Sequence[Candidate] | None = None
-) -> tuple[Problem, "Follow"]:
+def prepare(tossed: Tossed, considered: Sequence[Effect] | None = None) -> tuple[Problem, "Follow"]:
     """The problem of a recording, weighed by what its declared model leaves, and how its windows
     are followed.
     """
@@ -184,7 +183,7 @@ def softening(square: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return share, 1.0 / np.sqrt(1.0 + size) / share
 
 
-def posed(follow: "Follow", known: tuple[Candidate, ...], weight: np.ndarray) -> Problem:
+def posed(follow: "Follow", known: tuple[Effect, ...], weight: np.ndarray) -> Problem:
     """The problem with windows' mean squares in units of `weight [W]`."""
     tossed, windows = follow.tossed, follow.windows
     toss, count, trials = windows.toss, len(windows.toss), len(tossed.names)

@@ -5,8 +5,7 @@ bounds, physics and excitation.
 import itertools
 import math
 
-from adaptsim_jax.diagnosis.problem import Candidate
-from adaptsim_jax.effects.base import Quantity
+from adaptsim_jax.effects.base import Effect, Quantity
 from adaptsim_jax.tasks import camera_effects
 from adaptsim_jax.tasks.camera_effects import quantity as _q
 
@@ -51,7 +50,7 @@ PLACES = tuple(
     {"other_x": x, "other_y": y}
     for x, y in itertools.product((0.68, 0.78, 0.88, 0.98), (-0.14, -0.07, 0.0, 0.07, 0.14))
 )
-_E = Candidate
+_E = camera_effects.effect_of(QUANTITIES)
 EFFECTS = (
     _E(
         "speed_scale",
@@ -59,7 +58,7 @@ EFFECTS = (
         ("speed_scale",),
         "the plate runs faster or slower than commanded, by a share",
         "fast and slow pushes",
-        absorbed=("mu", "log_e"),
+        look_alikes=("mu", "log_e"),
     ),
     _E(
         "speed_offset",
@@ -67,7 +66,7 @@ EFFECTS = (
         ("speed_offset",),
         "the plate runs faster or slower than commanded, by as much",
         "fast and slow pushes",
-        absorbed=("mu", "log_e"),
+        look_alikes=("mu", "log_e"),
     ),
     _E(
         "heading_offset",
@@ -96,7 +95,7 @@ EFFECTS = (
         ("hardening",),
         "the hit is harder or softer with speed than declared",
         "slow and fast pushes",
-        absorbed=("log_e",),
+        look_alikes=("log_e",),
     ),
     _E(
         "mass",
@@ -106,8 +105,8 @@ EFFECTS = (
         "gives way more or less",
         "fast and slow pushes",
         same=("softer_contact@contact",),
-        absorbed=("log_e",),
-        apart="scales",
+        look_alikes=("log_e",),
+        separated_by="scales",
     ),
     _E(
         "plate_turn",
@@ -122,7 +121,7 @@ EFFECTS = (
         ("tilt_x", "tilt_y"),
         "the table is not level",
         "pushes to either side",
-        absorbed=("mu",),
+        look_alikes=("mu",),
     ),
     _E(
         "speed_friction",
@@ -130,7 +129,7 @@ EFFECTS = (
         ("speed_friction",),
         "friction grows or falls with speed",
         "slow and fast pushes",
-        absorbed=("mu",),
+        look_alikes=("mu",),
     ),
     _E(
         "drag",
@@ -138,7 +137,7 @@ EFFECTS = (
         ("drag",),
         "a drag proportional to speed",
         "slow and fast pushes",
-        absorbed=("mu",),
+        look_alikes=("mu",),
     ),
     _E(
         "grain",
@@ -146,7 +145,7 @@ EFFECTS = (
         ("grain_a", "grain_b"),
         "friction is larger across a grain than along it",
         "pushes over a wide range of angles",
-        absorbed=("mu",),
+        look_alikes=("mu",),
     ),
     _E(
         "patch_place",
@@ -154,7 +153,7 @@ EFFECTS = (
         ("patch_x",),
         "the patch lies nearer or farther than declared",
         "pushes that stop beyond the patch",
-        absorbed=("mu_p",),
+        look_alikes=("mu_p",),
     ),
     _E(
         "patch_size",
@@ -162,7 +161,7 @@ EFFECTS = (
         ("patch_size",),
         "the patch is larger or smaller than declared",
         "pushes across the patch's edges",
-        absorbed=("mu_p", "y_p"),
+        look_alikes=("mu_p", "y_p"),
     ),
     _E(
         "second_patch",
@@ -170,7 +169,7 @@ EFFECTS = (
         ("other_x", "other_y", "other_mu"),
         "another patch of other friction",
         "pushes over all of the table",
-        shapes=PLACES,
+        grid=PLACES,
     ),
     _E(
         "off_axis",
@@ -178,7 +177,7 @@ EFFECTS = (
         ("spin", "com_x", "com_y"),
         "the centre of mass lies beside the bottle's axis, so that a hit turns it",
         "any push, the bottle put down the same way round",
-        shapes=({"spin": 1.0},),
+        grid=({"spin": 1.0},),
     ),
     _E(
         "turning",
@@ -187,7 +186,7 @@ EFFECTS = (
         "the bottle turns where friction under it does not balance, as at a patch's edge; asked "
         "where yaw was measured",
         "bottles that cross a patch's edge beside their axis",
-        shapes=({"spin": 1.0},),
+        grid=({"spin": 1.0},),
     ),
     _E(
         "camera_scale_at_start",
@@ -207,7 +206,7 @@ EFFECTS = (
 )
 
 
-def effects_of(yaw: bool) -> tuple[Candidate, ...]:
+def effects_of(yaw: bool) -> tuple[Effect, ...]:
     """The effects of tracks with a measured yaw or without: places alone hardly show that a bottle
     turns at a patch's edge.
     """

@@ -12,7 +12,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.diagnosis.problem import Candidate, Problem
+from adaptsim_jax.diagnosis.problem import Problem
+from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.tasks.camera_effects import happened, turned, viewed
 from adaptsim_jax.tasks.pushing import model, slide
 from adaptsim_jax.tasks.pushing.diagnosis.catalogue import DECLARED, EFFECTS, QUANTITIES, physical
@@ -114,7 +115,7 @@ def prepare(
     pushed: Pushed,
     options: PushOptions,
     coefficients: PlanarCoefficients,
-    effects: Sequence[Candidate] = EFFECTS,
+    effects: Sequence[Effect] = EFFECTS,
     step: float = slide.STEP,
 ) -> Problem:
     """The problem of a recording, simulated up to its last row."""

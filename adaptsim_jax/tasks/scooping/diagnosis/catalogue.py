@@ -2,7 +2,6 @@
 bounds, physics and excitation.
 """
 
-from adaptsim_jax.diagnosis.problem import Candidate
 from adaptsim_jax.effects.base import Quantity
 from adaptsim_jax.tasks import camera_effects
 from adaptsim_jax.tasks.camera_effects import quantity as _q
@@ -31,7 +30,7 @@ model lacks.
 """
 CAMERA = ("start_y", "shift_z", *(q.name for q in camera_effects.QUANTITIES))
 """Quantities that no simulation depends on."""
-_E = Candidate
+_E = camera_effects.effect_of(QUANTITIES)
 _ALL = ("mu", "log_e", "h")
 EFFECTS = (
     _E(
@@ -54,7 +53,7 @@ EFFECTS = (
         ("pitch_offset",),
         "the blade is pitched more or less than commanded, from the start",
         "pitches over a wide range",
-        absorbed=_ALL,
+        look_alikes=_ALL,
     ),
     _E(
         "distance_offset",
@@ -83,7 +82,7 @@ EFFECTS = (
         ("clearance",),
         "the blade slides higher over the table than declared, or lower",
         "low pitches, pieces with a flat bottom",
-        absorbed=_ALL,
+        look_alikes=_ALL,
     ),
     _E(
         "blade_friction",
@@ -91,7 +90,7 @@ EFFECTS = (
         ("blade_friction",),
         "the blade is rougher or smoother to the piece than the table, by a share",
         "scoops that end on the blade and others that do not",
-        absorbed=("mu",),
+        look_alikes=("mu",),
     ),
     _E(
         "adhesion",
@@ -99,7 +98,7 @@ EFFECTS = (
         ("adhesion",),
         "the piece sticks to the blade on which it lies",
         "scoops that end on the blade",
-        absorbed=("mu",),
+        look_alikes=("mu",),
     ),
     _E(
         "tilt",
@@ -107,7 +106,7 @@ EFFECTS = (
         ("tilt",),
         "the table rises or falls along the motion",
         "pieces that slide freely",
-        absorbed=("mu",),
+        look_alikes=("mu",),
     ),
     _E(
         "drag",
@@ -115,7 +114,7 @@ EFFECTS = (
         ("drag",),
         "a viscous friction on the table",
         "slow and fast sliding",
-        absorbed=("mu",),
+        look_alikes=("mu",),
     ),
     *camera_effects.effects("scoop", "the middle of the places", rises=True),
 )
@@ -126,7 +125,7 @@ HEIGHT = _E(
     "the piece is higher or lower than declared",
     "any scoop, best seen from the side",
 )
-SHIFTS = ("shift_x", "shift_y", "shift_z")
+SHIFTS = tuple(q for axis in "xyz" for q in QUANTITIES if q.name == f"shift_{axis}")
 """Of `camera_shift` where heights are seen, too."""
 SHAPE = _E(
     "shape",

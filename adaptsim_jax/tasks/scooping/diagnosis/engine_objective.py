@@ -17,10 +17,11 @@ from adaptsim_jax.diagnosis.finding import Step
 from adaptsim_jax.diagnosis.fit import Fit
 from adaptsim_jax.diagnosis.models import Model, added, beats, finished, paired, without
 from adaptsim_jax.diagnosis.objective import FittedCandidate, Objective
-from adaptsim_jax.diagnosis.problem import Candidate, Problem
+from adaptsim_jax.diagnosis.problem import Problem
 from adaptsim_jax.diagnosis.rules import Evidence, step_reason
 from adaptsim_jax.diagnosis.testing import Test
 from adaptsim_jax.diagnosis.trials import does_as_well, likely, steadiness
+from adaptsim_jax.effects.base import Effect
 
 REPLACED = 3  # effects at most that others take the place of
 
@@ -38,7 +39,7 @@ class EngineModel:
     begun: np.ndarray
 
     @property
-    def added(self) -> tuple[Candidate, ...]:
+    def added(self) -> tuple[Effect, ...]:
         return self.model.added
 
     @property
@@ -52,7 +53,7 @@ class BornOut(Evidence):
 
     model: EngineModel
     less: EngineModel
-    candidate: Candidate
+    candidate: Effect
     criteria: Criteria
     test: Test
     steadiness: float
@@ -79,7 +80,7 @@ class EngineObjective(Objective):
 
     problem: Problem
     criteria: Criteria
-    engine: Callable[[Sequence[Candidate], np.ndarray], Model]
+    engine: Callable[[Sequence[Effect], np.ndarray], Model]
     null: Model
     _rivals: dict = field(default_factory=dict)
     _replaced: list = field(default_factory=list)
@@ -91,7 +92,7 @@ class EngineObjective(Objective):
         by_engine = self.engine(emulated.added, emulated.fit.values)
         return EngineModel(by_engine, emulated, emulated.fit.values)
 
-    def evidence(self, model: EngineModel, candidates: Sequence[Candidate]) -> list[Evidence]:
+    def evidence(self, model: EngineModel, candidates: Sequence[Effect]) -> list[Evidence]:
         rows: list[Evidence] = []
         for c in candidates:
             less = self.model(without(self.problem, model.emulated, c, self.criteria.rounds))

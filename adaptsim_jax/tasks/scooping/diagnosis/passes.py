@@ -17,11 +17,12 @@ from adaptsim_jax.diagnosis.models import (
     paired,
     spread,
 )
-from adaptsim_jax.diagnosis.problem import Candidate, Problem
+from adaptsim_jax.diagnosis.problem import Problem
 from adaptsim_jax.diagnosis.rows import left_by_fit
 from adaptsim_jax.diagnosis.search import backward_elimination, names_allowed
 from adaptsim_jax.diagnosis.testing import preferred
 from adaptsim_jax.diagnosis.trials import search_trials
+from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.tasks.scooping.diagnosis.catalogue import EFFECTS, HEIGHT, SHAPE, SHIFTS
 from adaptsim_jax.tasks.scooping.diagnosis.emulate import PLACE, Emulator, emulate, widths
 from adaptsim_jax.tasks.scooping.diagnosis.engine_objective import EngineObjective
@@ -55,7 +56,7 @@ to be declared.
 """
 Report = Callable[[str], None]
 Keep = Callable[[Problem], Callable[[Finding], None]]
-Owned = Callable[[tuple[Candidate, ...], np.ndarray], Model]
+Owned = Callable[[tuple[Effect, ...], np.ndarray], Model]
 
 
 @dataclass(frozen=True)
@@ -83,20 +84,20 @@ class _Base:
     held: np.ndarray
 
 
-def effects_of(scooped: Scooped) -> tuple[Candidate, ...]:
+def effects_of(scooped: Scooped) -> tuple[Effect, ...]:
     """The candidates of a recording: a shift in height only where it was seen, another height or
     shape only where one was declared.
     """
     observed = scooped.places.shape[-1] > 2
     own = tuple(
-        replace(e, quantities=SHIFTS) if observed and e.name == "camera_shift" else e
+        replace(e, parameters=SHIFTS) if observed and e.name == "camera_shift" else e
         for e in EFFECTS
     )
     return (*own, *[HEIGHT] * (scooped.height is not None), *[SHAPE] * (scooped.shape is not None))
 
 
 def diagnosed(
-    scooped: Scooped, effects: tuple[Candidate, ...], criteria: Criteria, report: Report, keep: Keep
+    scooped: Scooped, effects: tuple[Effect, ...], criteria: Criteria, report: Report, keep: Keep
 ) -> Found:
     """What the selection finds: with the declared shape, or with the likeliest where none was
     declared or another holds out. keep: makes what is told of it as it goes.
@@ -257,8 +258,8 @@ def _owned(
     neutral = np.array([q.default for q in quantities])
     made: dict[tuple[bool, ...], Emulator] = {}
 
-    def fit(effects: tuple[Candidate, ...], values: np.ndarray) -> Model:
-        free = {*declared, *(q for e in effects for q in e.quantities)}
+    def fit(effects: tuple[Effect, ...], values: np.ndarray) -> Model:
+        free = {*declared, *(q for e in effects for q in e.names)}
         drawn = np.array([quantities[i].name in free for i in OWN])
 
         def outside(to):

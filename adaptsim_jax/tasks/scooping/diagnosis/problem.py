@@ -15,8 +15,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.diagnosis.problem import Candidate, Problem
-from adaptsim_jax.effects.base import Quantity
+from adaptsim_jax.diagnosis.problem import Problem
+from adaptsim_jax.effects.base import Effect, Quantity
 from adaptsim_jax.tasks.scooping.diagnosis.catalogue import QUANTITIES
 from adaptsim_jax.tasks.scooping.diagnosis.emulate import PLACE, REACH, Emulator, predicted
 from adaptsim_jax.tasks.scooping.diagnosis.read import Scooped
@@ -97,7 +97,7 @@ def _columns(values, basis, emulated: Emulated, measured: Measured):
 def prepare(
     scooped: Scooped,
     emulator: Emulator,
-    effects: Sequence[Candidate],
+    effects: Sequence[Effect],
     declared: tuple[str, ...],
     quantities: tuple[Quantity, ...],
     start: np.ndarray,
