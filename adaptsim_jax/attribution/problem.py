@@ -253,8 +253,8 @@ def noise(tracks: Sequence[JointTrack]) -> np.ndarray:
 
 def _rough(z: np.ndarray) -> np.ndarray:
     """Noise of columns [T, n]; by the mean square where most rows are rounded to the same."""
-    size = difference_noise([z])
-    return np.where(size > 0, size, difference_noise([z], robust=False))
+    size, rounding = difference_noise([z]), 1e-12 * np.max(np.abs(np.nan_to_num(z)), axis=0)
+    return np.where(size > rounding, size, difference_noise([z], robust=False))
 
 
 def held(actuator: np.ndarray) -> np.ndarray:

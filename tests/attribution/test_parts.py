@@ -10,7 +10,14 @@ import pytest
 from adaptsim_jax.attribution.acting import Values, actuated
 from adaptsim_jax.attribution.candidates import JointCandidate
 from adaptsim_jax.attribution.parameters import Entry, Vector, inertial_of, inertias, pseudo_inertia
-from adaptsim_jax.attribution.problem import Group, TreeProblem, beginnings, nuisances, prepare
+from adaptsim_jax.attribution.problem import (
+    Group,
+    TreeProblem,
+    beginnings,
+    noise,
+    nuisances,
+    prepare,
+)
 from adaptsim_jax.attribution.stretches import JointTrack, cut
 from adaptsim_jax.attribution.tree_objective import acting_joints
 from adaptsim_jax.core.errors import BadInput
@@ -200,3 +207,13 @@ def test_a_joint_that_nothing_drives_may_have_friction_though_its_file_has_none(
     problem = prepare(tree, (track,), tuple(e for e in MACHINE if e.name == "viscous"))
     (high,) = (e.high for e in nuisances(problem).entries if e.owner == "viscous")
     assert high > 0.1
+
+
+def test_an_encoder_that_mostly_rests_has_the_noise_of_its_steps():
+    """Steps of 1 mrad, at rest two thirds of the time: rounding of the file is no noise."""
+    time = np.arange(600) * 0.02
+    moving = np.where(time % 6.0 < 2.0, 0.3 * np.sin(np.pi * time), 0.0)
+    q = (np.round((0.4 + moving) / 1e-3) * 1e-3)[:, None]
+    assert np.median(np.abs(np.diff(q, 3, axis=0))) < 1e-12
+    (size,) = noise([JointTrack("t", time, q, None, 0.0 * q)])[:1]
+    assert 1e-4 < size < 1e-3
