@@ -39,9 +39,9 @@ class Forecast:
     paths: tuple[Path, ...]
 
 
-def forecast(problem: TreeProblem, vector: Vector) -> Forecast:
-    """Simulate all stretches at a vector."""
-    starts, paths = fitted_starts(problem, vector)
+def forecast(problem: TreeProblem, vector: Vector, rounds: int = MAX_START_ROUNDS) -> Forecast:
+    """Simulate all stretches at a vector. rounds: of the fit of their starts; 0: none."""
+    starts, paths = fitted_starts(problem, vector, rounds=rounds)
     measured, mask = observed(problem)
     out = np.zeros_like(measured)
     for group, path in zip(problem.groups, paths, strict=True):
@@ -125,7 +125,7 @@ def fitted_starts(
         return left, np.square(left).sum((1, 2))
 
     found = StretchLanes(every, *evaluate(every, np.arange(len(every))))
-    for _ in range(1 if roughly else LINEARISATIONS):
+    for _ in range(min(rounds, 1 if roughly else LINEARISATIONS)):
         if roughly:
             move = partial(_along_a_line, problem, sizes=[len(x) for x in begun])
         else:

@@ -18,7 +18,7 @@ from adaptsim_jax.attribution.conventions import check_conventions
 from adaptsim_jax.attribution.criteria import CHOICE
 from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.equation.rubbing import giving
-from adaptsim_jax.attribution.forecast import forecast, without_a_model
+from adaptsim_jax.attribution.forecast import MAX_START_ROUNDS, forecast, without_a_model
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.measures import (
@@ -34,6 +34,7 @@ from adaptsim_jax.attribution.measures import (
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import TreeProblem
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.diagnosis.criteria import REPORT
 from adaptsim_jax.diagnosis.recommended import FileReplay, worse_joints
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.logs.quality.contradictions import AS_DECLARED
@@ -138,6 +139,8 @@ def replay(
     horizon: float = 0.5,
     vector: Vector | None = None,
     asked: Sequence[str] = (STRETCHES,),
+    most: int = 100_000,
+    rounds: int = MAX_START_ROUNDS,
 ) -> Replay:
     """A machine over its own recording.
 
@@ -145,15 +148,17 @@ def replay(
         horizon: s, 0 for each trial in one go.
         vector: Fitted values, or the file's.
         asked: Which yardsticks, beside the simulated stretches.
+        most: Stretches at most.
+        rounds: Of the fit of their starts.
     """
     longest = max(float(t.time[-1] - t.time[0]) for t in machine.tracks)
     span = min(
         horizon or 0.98 * min(float(t.time[-1] - t.time[0]) for t in machine.tracks), longest
     )
-    problem = machine.problem(MACHINE, span, 100_000)
+    problem = machine.problem(MACHINE, span, most)
     problem = giving(problem, machine.tree) if machine.gives else problem
     vector = vector if vector is not None else Vector((), np.zeros(0))
-    found = replayed(problem, vector, span)
+    found = replayed(problem, vector, span, rounds)
     measures = dict(found.measures)
     if WHOLE in asked and horizon:
         whole = replay(machine, 0.0, vector)
@@ -171,9 +176,9 @@ def _shorter(horizon: float, span: float) -> tuple[str, ...]:
     return ()
 
 
-def replayed(problem: TreeProblem, vector: Vector, horizon: float) -> Replay:
+def replayed(problem: TreeProblem, vector: Vector, horizon: float, rounds: int) -> Replay:
     """Of a prepared problem at the values of `vector`."""
-    found = forecast(problem, vector)
+    found = forecast(problem, vector, rounds)
     s, count = problem.groups[0].stretches, len(problem.fold)
     line, still = without_a_model(problem)
     return Replay(
@@ -239,7 +244,9 @@ def recommended(
         machine = load(data, model)
         same = (_simulated_by(machine), span)
         if same not in known:
-            known[same] = replay(machine, span)
+            # starts of whole trials are forgotten by machines that follow commands
+            rounds = MAX_START_ROUNDS if span else 0
+            known[same] = replay(machine, span, most=REPORT.run_stretches, rounds=rounds)
         return known[same]
 
     def run(model: File | None, span: float) -> FileReplay:

@@ -208,6 +208,7 @@ class ReportCriteria:
     # noises, over a whole stretch, from which on a difference of two models shows
     visible: float = 3.0
     slack: float = 1.05  # times the declared file's error, up to which a joint counts as no worse
+    run_stretches: int = 24  # stretches over which a written file is run: each file takes seconds
     ran_away: float = 1.0  # rad (m): of an error, from which on its size means nothing
     # times the median error of all trials: those beyond it, where they are few, are listed
     outlying: float = 4.0
