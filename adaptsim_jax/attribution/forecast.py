@@ -21,6 +21,7 @@ from adaptsim_jax.attribution.simulate import Path
 from adaptsim_jax.diagnosis.steps import StretchLanes, fit_starts
 
 MAX_START_ROUNDS = 6  # rounds of steps of the starts, at most
+ROUGH_ROUNDS = 2  # the same without derivatives: the first gains most
 LINEARISATIONS = 2  # at most, of all stretches by their starts: each is dear
 LENGTHS = np.array([1.0, 0.3, 0.09])  # of a step, tried in turn
 
@@ -39,9 +40,10 @@ class Forecast:
     paths: tuple[Path, ...]
 
 
-def forecast(problem: TreeProblem, vector: Vector, rounds: int = MAX_START_ROUNDS) -> Forecast:
-    """Simulate all stretches at a vector. rounds: of the fit of their starts; 0: none."""
-    starts, paths = fitted_starts(problem, vector, rounds=rounds)
+def forecast(problem: TreeProblem, vector: Vector, roughly: bool = False) -> Forecast:
+    """Simulate all stretches at a vector. roughly: as of `fitted_starts`."""
+    rounds = ROUGH_ROUNDS if roughly else MAX_START_ROUNDS
+    starts, paths = fitted_starts(problem, vector, rounds=rounds, roughly=roughly)
     measured, mask = observed(problem)
     out = np.zeros_like(measured)
     for group, path in zip(problem.groups, paths, strict=True):
@@ -125,7 +127,7 @@ def fitted_starts(
         return left, np.square(left).sum((1, 2))
 
     found = StretchLanes(every, *evaluate(every, np.arange(len(every))))
-    for _ in range(min(rounds, 1 if roughly else LINEARISATIONS)):
+    for _ in range(1 if roughly else LINEARISATIONS):
         if roughly:
             move = partial(_along_a_line, problem, sizes=[len(x) for x in begun])
         else:

@@ -18,7 +18,7 @@ from adaptsim_jax.attribution.conventions import check_conventions
 from adaptsim_jax.attribution.criteria import CHOICE
 from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.equation.rubbing import giving
-from adaptsim_jax.attribution.forecast import MAX_START_ROUNDS, forecast, without_a_model
+from adaptsim_jax.attribution.forecast import forecast, without_a_model
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.measures import (
@@ -140,7 +140,7 @@ def replay(
     vector: Vector | None = None,
     asked: Sequence[str] = (STRETCHES,),
     most: int = 100_000,
-    rounds: int = MAX_START_ROUNDS,
+    roughly: bool = False,
 ) -> Replay:
     """A machine over its own recording.
 
@@ -149,7 +149,7 @@ def replay(
         vector: Fitted values, or the file's.
         asked: Which yardsticks, beside the simulated stretches.
         most: Stretches at most.
-        rounds: Of the fit of their starts.
+        roughly: Whether their starts are fitted without derivatives, in a third of the time.
     """
     longest = max(float(t.time[-1] - t.time[0]) for t in machine.tracks)
     span = min(
@@ -158,7 +158,7 @@ def replay(
     problem = machine.problem(MACHINE, span, most)
     problem = giving(problem, machine.tree) if machine.gives else problem
     vector = vector if vector is not None else Vector((), np.zeros(0))
-    found = replayed(problem, vector, span, rounds)
+    found = replayed(problem, vector, span, roughly)
     measures = dict(found.measures)
     if WHOLE in asked and horizon:
         whole = replay(machine, 0.0, vector)
@@ -176,9 +176,9 @@ def _shorter(horizon: float, span: float) -> tuple[str, ...]:
     return ()
 
 
-def replayed(problem: TreeProblem, vector: Vector, horizon: float, rounds: int) -> Replay:
+def replayed(problem: TreeProblem, vector: Vector, horizon: float, roughly: bool) -> Replay:
     """Of a prepared problem at the values of `vector`."""
-    found = forecast(problem, vector, rounds)
+    found = forecast(problem, vector, roughly)
     s, count = problem.groups[0].stretches, len(problem.fold)
     line, still = without_a_model(problem)
     return Replay(
@@ -244,9 +244,7 @@ def recommended(
         machine = load(data, model)
         same = (_simulated_by(machine), span)
         if same not in known:
-            # starts of whole trials are forgotten by machines that follow commands
-            rounds = MAX_START_ROUNDS if span else 0
-            known[same] = replay(machine, span, most=REPORT.run_stretches, rounds=rounds)
+            known[same] = replay(machine, span, most=REPORT.run_stretches, roughly=True)
         return known[same]
 
     def run(model: File | None, span: float) -> FileReplay:

@@ -2,8 +2,8 @@
 one, at every joint that moves.
 
 Effects and values are judged by stretches, or by torques along the motion. A user takes the file to
-simulate. So each file is run as `adaptsim replay` runs it, beside the declared one, before it is
-recommended.
+simulate. So each file is run as `adaptsim replay` runs it, over some stretches and from starts that
+are fitted roughly, beside the declared one, before it is recommended.
 """
 
 from collections.abc import Callable, Mapping, Sequence
