@@ -274,8 +274,10 @@ class Session:
         if self.task.act is not None:
             step = jax.jit(self.task.act)
 
-            def act(obs):
+            def acted(obs):
                 return np.asarray(step(policy, jnp.asarray(obs, jnp.float32)))
+
+            act = acted
 
         params = dict(zip(names, map(float, values), strict=True))
         return Asked(params, policy, int(self.state.told) + 1, self.loop.trials(self.state), act)

@@ -242,4 +242,4 @@ def run_reusing(
 
     (_, pool), found = jax.lax.scan(one, (begun.dists, pool), jnp.arange(plan.steps + 1))
     visits, actions, budgets, reused = jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), found)
-    return Reusing(AdaptationEpisode(*visits, actions[:, :-1]), pool, budgets, reused)
+    return Reusing(AdaptationEpisode(*visits, action=actions[:, :-1]), pool, budgets, reused)

@@ -168,6 +168,7 @@ def deployed_by(method: str, run: MethodRun) -> Deployed:
 
 def deployed_of(method: str, visits: Visits, arena: StepsArena) -> Deployed:
     """What a method would deploy after each number of trials, and its return."""
+    assert visits.rewards is not None  # methods of steps score their visits themselves
     rewards = visits.rewards[:, 0]  # [T, N, I]
     T = len(rewards)
     trials = arena.one.trials

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from typing import Any
 
 from adaptsim_jax.commands.parser import TASKS
 
@@ -29,15 +30,18 @@ def run(args: argparse.Namespace) -> int:
     from adaptsim_jax.commands.parser import whole_parser
 
     parser = whole_parser()
-    for command in parser._subparsers._group_actions[0].choices.values():
+    commands = [a for a in parser._actions if isinstance(a, argparse._SubParsersAction)]
+    for command in commands[0].choices.values():
         for action in command._actions:
             _declare_words(action, shtab.FILE)
     print(shtab.complete(parser, args.shell))
     return 0
 
 
-def _declare_words(action: argparse.Action, files: dict) -> None:
-    """What an argument of the command line may be: one of some words, or a file."""
+def _declare_words(action: Any, files: dict) -> None:
+    """What an argument of the command line may be: one of some words, or a file (shtab reads
+    `complete`, which `argparse.Action` does not declare).
+    """
     if action.metavar == "TASK" and not action.option_strings:
         action.choices = list(TASKS)
     elif action.choices:

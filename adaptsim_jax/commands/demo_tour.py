@@ -205,9 +205,11 @@ def contact_part(
     )
     kind = TASKS[task_name]
     made = configs.from_table(kind.config, options, str(folder.path))
-    look = kind.adapt.before_after(made, both, np.asarray(target))
+    adapt = kind.adapt
+    assert adapt is not None and adapt.before_after is not None  # of both tasks of `ContactConfig`
+    look = adapt.before_after(made, both, np.asarray(target))
     if film:
-        path = write_film(kind.adapt.scene(), look.clips(), out / name)[0]
+        path = write_film(adapt.scene(), look.clips(), out / name)[0]
     else:
         path = None
     before, after = float(result.history.reward[start, 0]), float(result.reward)

@@ -101,10 +101,12 @@ def write_look(
         seed = run.config.get("seed", 0)
         return learned(task, task.preparation, seed, run.path, make=False)
 
-    look = kind.adapt.shown(AdaptView(task, made, *target, result, start, best, prepared))
-    picture = save(look.figure, out / f"{kind.adapt.picture}.png")
+    adapt = kind.adapt
+    assert adapt is not None  # its caller asks
+    look = adapt.shown(AdaptView(task, made, *target, result, start, best, prepared))
+    picture = save(look.figure, out / f"{adapt.picture}.png")
     lines = [*look.notes, f"written: {picture}"]
     if film:
-        path, how = write_film(kind.adapt.scene(), look.clips(), out)
+        path, how = write_film(adapt.scene(), look.clips(), out)
         lines.append(f"written: {path}, {how}")
     return lines

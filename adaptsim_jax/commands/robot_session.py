@@ -248,7 +248,9 @@ def recorded_trials(folder: Path, as_declared: bool = False, without: Sequence[s
     from adaptsim_jax.core import store
     from adaptsim_jax.tasks.registry import TASKS
 
-    trials = TASKS[session_task(folder)].robot.recorded()
+    robot = TASKS[session_task(folder)].robot
+    assert robot is not None and robot.recorded is not None  # of every `session_task`
+    trials = robot.recorded()
     files, rows = [], [trials.head]
     for visit in store.read_manifest(folder / store.CHECKPOINT)["extra"]["history"]:
         files.append(_same_file(folder, visit))

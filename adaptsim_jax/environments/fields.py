@@ -263,18 +263,17 @@ def space_of(
         field = field_of(model, name, where)
         items = list(given) if isinstance(given, (list, tuple)) else [given]
         scale = items.pop() if len(items) == 3 else "linear"
-        ends = [finite(x) for x in items]
-        if len(ends) != 2 or None in ends or scale not in ("linear", "log"):
+        ends = [x for x in map(finite, items) if x is not None]
+        if not len(items) == len(ends) == 2 or scale not in ("linear", "log"):
             raise BadInput(
                 f"{where}: '{name}' = {brief(given)}; give [low, high] or [low, high, \"log\"]"
             )
-        if ends[0] < field.minimum:  # type: ignore[operator]
+        low, high = ends
+        if low < field.minimum:
             raise BadInput(
-                f"{where}: '{name}' begins at {ends[0]} {field.unit}; its least is "
-                f"{field.minimum:g}"
+                f"{where}: '{name}' begins at {low} {field.unit}; its least is {field.minimum:g}"
             )
-        # type: ignore[arg-type]
-        parameters.append(Parameter(name, *ends, field.unit, scale, field.minimum))
+        parameters.append(Parameter(name, low, high, field.unit, scale, field.minimum))
         fields.append(field)
     return Space(tuple(parameters)), tuple(fields)
 

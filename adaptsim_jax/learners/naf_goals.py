@@ -172,11 +172,11 @@ class GoalLearner:
 
     def _valued(self, keys, contexts, weights) -> jax.Array:
         """How good policies are, `[P]`."""
+        worth = self.problem.worth
+        assert worth is not None
 
         def one(key, context, w):
-            return self.problem.worth(
-                key, context, lambda goal: self.naf.greedy(w, self.problem.see(goal))
-            )
+            return worth(key, context, lambda goal: self.naf.greedy(w, self.problem.see(goal)))
 
         return jax.vmap(one)(keys, contexts, weights)
 

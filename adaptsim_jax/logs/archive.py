@@ -113,10 +113,8 @@ def read_archive(path: Path, wanted: Collection[str] | None = None) -> Archive:
     )
     out = dict(arrays)
     for name, x in arrays.items():
-        if name in turned:
-            out[name] = x.T
-        elif x is not None:
-            out[name] = _flat(name, x)
+        if x is not None:
+            out[name] = x.T if name in turned else _flat(name, x)
     return Archive(out, turned)
 
 

@@ -83,6 +83,7 @@ def read_pendulum(folder: str | Path, *, without: Sequence[str] = ()) -> Log:
 
 def _of_the_rig(trial: RawTrial, meta: LogMeta) -> RawTrial:
     """The columns of a rig. BadInput where an angle or a torque is missing."""
+    assert meta.rig is not None  # of `read_pendulum_meta`
     roles = roles_of(trial.columns, JOINTS)
     selected = {name: r for name, r in roles.items() if r.stem in STEMS}
     have = {
@@ -119,6 +120,7 @@ def _check_degrees(log: Log) -> None:
     """
     if not {"angle", "q", "q1", "q2"}.isdisjoint(log.meta.units):
         return
+    assert log.meta.rig is not None  # of `read_pendulum_meta`
     geometry = log.meta.rig.geometry
     length = min(geometry.get("l1", 0.3), geometry.get("l2", 0.3))
     fast = UNIT.swinging * math.sqrt(max(geometry.get("g", GRAVITY), 1.0) / length)

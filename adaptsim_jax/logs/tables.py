@@ -308,8 +308,10 @@ def _read(path: Path, named: Mapping[str, str]) -> LogTable:
     table = read_table(path, tuple(named), ours=_Named(named))
     for name in table.columns:
         part = None if name in named else stem_and_place(name)
-        one = part and role(named[part[0]])
-        if one and one.joint is not None:
+        if part is None:
+            continue
+        one = role(named[part[0]])
+        if one is not None and one.joint is not None:
             parts = sum((stem_and_place(c) or ("",))[0] == part[0] for c in table.columns)
             raise BadInput(
                 f"{path}: column {part[0]!r} is one joint's and has shape ({len(table.lines)}, "

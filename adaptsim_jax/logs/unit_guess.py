@@ -188,7 +188,7 @@ def _by_joint(
             limits[joint] = bounds
         if any(a.kind == "position" and a.joint == own for a in model.actuators or ()):
             servos.add(joint)
-    return _Columns(*by_stem.values(), names, limits, frozenset(servos))
+    return _Columns(**by_stem, name=names, limits=limits, servos=frozenset(servos))
 
 
 def _time(columns: dict[str, np.ndarray], heading: HeadingUnit | None) -> Units:

@@ -552,9 +552,9 @@ def _with_armature(mass: jax.Array, armature: jax.Array) -> jax.Array:
     )
 
 
-def _times_rows(m: jax.Array, x: jax.Array) -> jax.Array:
+def _times_rows(m: Array, x: Array) -> Array:
     """`[n, k, ...] @ [k, ...]`."""
-    return sum(m[:, j] * x[j][None] for j in range(m.shape[1]))  # type: ignore[return-value]
+    return sum(m[:, j] * x[j][None] for j in range(m.shape[1]))
 
 
 @jax.custom_jvp
@@ -602,7 +602,6 @@ def _acceleration_jvp(primals, tangents):
         None if _zero(d_gravity) else gravity_force(tree, inertial, q, d_gravity),
     ]
     missing = [x for x in missing if x is not None and not _zero(x)]
-    # type: ignore[arg-type]
     if missing:
         change = _times_rows(inverse, sum(missing))
     else:

@@ -101,7 +101,7 @@ def mechanism_of(
     leader, factor, offset = walk.followed(role)
     tree = _in_reach(folded(tree, leader, factor, offset))
     place = walk.places(role, leader, factor, offset)
-    added = Added(*np.zeros((5, tree.n)))
+    added = Added(*np.zeros((5, tree.n)), beyond=[])
     add_tendons(model, place, added)
     own, added.beyond = tuple(added.beyond), []
     actuators, idle = read_actuators(model, place, added)

@@ -164,8 +164,8 @@ def tracks(found: Mapping) -> str:
         along, up = (columns.add(path[:, k], step) for k in (0, 1))
         data.append(_line(along, up, key, width, opacity=opacity, legendgroup=key))
         marker = {"color": COLOURS[key], "size": 7 if key == "measured" else 5}
-        at = (columns.add(ends[:, k], step) for k in (0, 1))
-        data.append(dots(NAMES[key], *at, marker, legendgroup=key, hoverinfo="skip"))
+        along, up = (columns.add(ends[:, k], step) for k in (0, 1))
+        data.append(dots(NAMES[key], along, up, marker, legendgroup=key, hoverinfo="skip"))
     for trace in data:
         trace["hovertemplate"] = "%{x:.4~g}, %{y:.4~g} m"
     drawn = figure(data, axis(f"{x}, m"), axis(f"{y}, m", scaleanchor="x"))

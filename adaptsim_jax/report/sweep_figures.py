@@ -216,7 +216,7 @@ def _medians(
         colour, x, title = COLOURS[i % len(COLOURS)], rounds[curve.shape[1]], shown(name)
         if len(curve) > 1:
             edges = (columns.add(edge, 1e-4) for edge in (low, high))
-            data += [b | {"legendgroup": name} for b in band(title, x, *edges, f"{colour}/15")]
+            data += [b | {"legendgroup": name} for b in band(title, x, *edges, fill=f"{colour}/15")]
         pen = {"color": colour, "width": 1.8, "dash": "solid" if i < len(COLOURS) else "dash"}
         hover = {"legendgroup": name, "hovertemplate": "round %{x}: %{y:.3f}"}
         data.append(line(title, x, columns.add(middle, 1e-4), pen, **hover))

@@ -33,7 +33,7 @@ class Diagnose:
 
     trial: str
     recording: type
-    read: Callable[[Any], Any]
+    read: Callable[..., Any]
     effects: Callable[[Any], tuple[Effect, ...]]
     assess: Callable[..., tuple[dict, dict, dict | None, Form, Mapping[str, Callable[[], str]]]]
     criteria: Criteria

@@ -78,7 +78,7 @@ def stated(
     """A hypothesis in the words of its code (`words.toml`), which name the `facts`."""
     words = WORDS["hypothesis"][code]
     texts = (words[key].format(**facts) for key in ("statement", "mend"))
-    return Hypothesis(code, *texts, motion, design)
+    return Hypothesis(code, *texts, motion=motion, design=design)
 
 
 def motion_of(tracks: Sequence[Track], shift: float = 0.0) -> BlockMeans:

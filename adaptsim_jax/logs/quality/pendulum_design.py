@@ -119,6 +119,7 @@ def check_conventions(log: Log) -> tuple[AuditFinding, ...]:
     reported = _resting(log)
     if (found := of_rig(log)) is None:
         return reported
+    assert log.meta.rig is not None  # see `of_rig`
     more = _alternatives(log.meta.rig)
     if other := contradiction(*found, WORDS, more, chain=(-1, 0), zeros=(1,)):
         raise BadInput(f"{log.path}: {other.message}; {AS_DECLARED}")

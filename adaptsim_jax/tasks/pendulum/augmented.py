@@ -72,6 +72,7 @@ def mended_space(given: ModelFile) -> tuple[Space, list[tuple[str, ...]]]:
         effect = given.effect(e.name)
         for p in effect.amplitudes:
             v = e.parameters[p.name]
+            assert v.low is not None and v.high is not None  # see `of_unit`
             half = max(0.5 * abs(v.value), v.high - v.low, 1e-3)
             low = max(v.value - half, 0.0) if p.sign > 0 else v.value - half
             inside = 0.0 if p.sign > 0 else -np.inf

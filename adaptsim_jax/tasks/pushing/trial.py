@@ -215,6 +215,7 @@ def observed(trajectory: PushingTrajectory, config: PushingConfig) -> jax.Array:
         shown = [given(trajectory.points)]
     observed = goal_input(jnp.concatenate(shown, 1))
     if config.show_gap:
+        assert trajectory.expected is not None
         gap = given(trajectory.points) - given(trajectory.expected)
         # millimetres tell as much as centimetres do when E is nearly right
         observed = jnp.concatenate([observed, jnp.arcsinh(gap / _SMALL)], 1)

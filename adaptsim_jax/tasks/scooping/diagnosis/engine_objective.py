@@ -58,8 +58,14 @@ class BornOut(Evidence):
     test: Test
     steadiness: float
     units = "scoops by the engine"
-    min_steadiness = 0.0
-    at_bound = False
+
+    @property
+    def min_steadiness(self) -> float:
+        return 0.0
+
+    @property
+    def at_bound(self) -> bool:
+        return False
 
     @property
     def level(self) -> float:

@@ -141,8 +141,6 @@ def jitted(
     return jax.jit(jax.vmap(lambda p, a: (fields(p, dt), drive(p, a))))
 
 
-Array = Any
-
 SPHERES = 11
 ROW = (SPHERES - 1) // 2  # along each flat end
 RIM = ((1e4, 6e-3), (5e5, 1e-3))
