@@ -142,7 +142,7 @@ def candidates(problem: TreeProblem, vector: Vector, reach: Reach) -> list[Joint
         if effect.place == "model":
             out += _of_model(problem, effect.name, taken)
             continue
-        follows = np.array([np.any(g.actuator[2] != 0.0) for g in problem.groups]).any()
+        follows = any(np.any(g.actuator[2] != 0.0) for g in problem.groups)
         if effect.traits.of_controller and not follows:
             continue
         grids = [(j, effect.grid_points(reach, j)) for j in free]

@@ -18,6 +18,7 @@ from adaptsim_jax.attribution.conventions import (
     mechanism_trials,
 )
 from adaptsim_jax.attribution.criteria import CHOICE
+from adaptsim_jax.attribution.equation.commands import Servo
 from adaptsim_jax.attribution.examine import examined
 from adaptsim_jax.attribution.inquiry import Examined, Keep, Progress
 from adaptsim_jax.attribution.load import load
@@ -126,9 +127,9 @@ def diagnose(
 
 def _with_own_gains(
     declared: Machine, setting: "DiagnosisSetting", notify: Progress, keep: Keep | None
-) -> tuple[Machine, dict[int, float], Examined]:
-    """The machine with the kp that its motion shows, factors on the file's by joint, and what was
-    found of it. A joint whose fit comes back to the file's kp keeps that.
+) -> tuple[Machine, tuple[Servo, ...], Examined]:
+    """The machine with the kp that its motion shows, the servos with another than the file's, and
+    what was found of it. A joint whose fit comes back to the file's kp keeps that.
     """
     machine, off = calibrated(declared, setting.horizon)
     while True:
@@ -142,7 +143,7 @@ def _with_own_gains(
 
 def _examined_with(
     machine: Machine,
-    off: dict[int, float],
+    off: tuple[Servo, ...],
     declared: Machine,
     setting: "DiagnosisSetting",
     notify: Progress,
@@ -164,7 +165,7 @@ def _of_the_file(
     report: dict[str, Any],
     machine: Machine,
     declared: Machine,
-    off: dict[int, float],
+    off: tuple[Servo, ...],
     e: Examined,
 ) -> None:
     """Put into a report how the machine differs from its model file, in place."""

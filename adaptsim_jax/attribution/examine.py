@@ -176,6 +176,7 @@ def _search_torques(q: Inquiry, balanced: Sequence[Balance], reach: Reach) -> Ba
     commanded = q.machine.log.input_kind != "torque"
 
     def search(vector):
+        assert q.factor is not None
         return search_balances(q.problem, balanced, vector, reach, q.criteria, commanded, q.factor)
 
     each = False
@@ -259,8 +260,9 @@ def _beyond_balance(q: Inquiry, torques: Balanced, by_torque: Examined) -> Exami
     return Examined(q, found, by_torque.by_torque, before, after, STRETCHES, why)
 
 
-def _hint_of(q: Inquiry, words: TorqueSearch) -> Hint | None:
+def _hint_of(q: Inquiry, words: TorqueSearch | None) -> Hint | None:
     """Values and effects of the balance, from which the search of stretches goes on."""
+    assert words is not None
     if not words.added or q.follows:
         return None
     known = q.null.index()

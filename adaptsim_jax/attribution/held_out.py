@@ -87,8 +87,8 @@ def linear_part(
     loss = np.sum(group_losses(part, [made.path for made in pick(lin.paths)], lin.fit.weights), 0)
     fit = replace(lin.fit, vector=own, starts=pick(lin.fit.starts), loss=loss)
     shared = tuple(s[..., at] for s in pick(lin.shared))
-    rest = (pick(z) for z in (lin.paths, lin.slopes, lin.counted))
-    return Linear(fit, pick(lin.residual), pick(lin.start), shared, *rest)
+    own_paths, slopes, counted = pick(lin.paths), pick(lin.slopes), pick(lin.counted)
+    return Linear(fit, pick(lin.residual), pick(lin.start), shared, own_paths, slopes, counted)
 
 
 def held_out(

@@ -15,7 +15,6 @@ from adaptsim_jax.attribution.parameters import Vector, Weights
 from adaptsim_jax.attribution.problem import Group, TreeProblem, group_inertia, values_of
 from adaptsim_jax.attribution.simulate import Path, Scheme, simulate, with_drives
 from adaptsim_jax.attribution.stops import inverse_weight, limited, rates
-from adaptsim_jax.effects.base import Drive
 from adaptsim_jax.effects.joints.forces import ARMATURE
 
 STABLE_STEP = 1.0  # of a row's step times the fastest rate (1), for Runge and Kutta
@@ -42,15 +41,16 @@ def scheme(group: Group, at: Values, some: Values | None = None) -> Scheme:
     giving, fastest = np.zeros(0, int), 200.0
     if gives(group.model, at):
         rotor = at.effects[ARMATURE.name]["inertia"][:, 0]
-        drive = Drive(*(np.asarray(z)[:, 0] for z in drive_of(group.model, at)))
-        soft = drive.compliance > 0.0
+        drive = drive_of(group.model, at)
+        compliance, dashpot = (np.asarray(z)[:, 0] for z in (drive.compliance, drive.damping))
+        soft = compliance > 0.0
         both = np.where(
             soft,
             1.0 / np.maximum(rotor, MIN_INERTIA) + 1.0 / np.maximum(inertia - rotor, MIN_INERTIA),
             0.0,
         )
-        both = both / np.where(soft, drive.compliance, 1.0)
-        fastest = max(fastest, float(np.sqrt(both).max()), float((drive.damping * both).max()))
+        both = both / np.where(soft, compliance, 1.0)
+        fastest = max(fastest, float(np.sqrt(both).max()), float((dashpot * both).max()))
         inertia = np.where(soft, np.maximum(rotor, MIN_INERTIA), inertia)
         giving = np.flatnonzero(soft)
     ends = np.asarray(group.model.tree.stop)[limited(group.model.tree)]

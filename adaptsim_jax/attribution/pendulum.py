@@ -128,12 +128,18 @@ def left_out(given: ModelFile) -> list[str]:
     return out
 
 
+def rig_of(log: Log) -> Rig:
+    """The rig of a log of the double pendulum, which has one."""
+    assert log.meta.rig is not None
+    return log.meta.rig
+
+
 def declared_machine(log: Log, theta: np.ndarray, path: Path) -> Machine:
     """A log of a rig with the declared model at parameters theta, which is written to `path`.
 
     theta: p1, p3, h1, h2, b1, b2 of a rigid body, m1, m2, b1, b2 of a linearized one.
     """
-    rig = log.meta.rig
+    rig = rig_of(log)
     linear = rig.model == LINEAR
     base = _of_point_masses(theta) if linear else theta
     write_bytes(path, double_pendulum_mjcf(base, rig.geometry, rig.angle_zero).encode())
@@ -203,6 +209,8 @@ def doubted(known: Mapping[str, float], values: Mapping[str, Value]) -> list[str
         f"{v.unit}: mend it or take it out"
         for k, x in known.items()
         if (v := values.get(k)) is not None
+        and v.low is not None
+        and v.high is not None
         and not v.low <= x <= v.high
         and abs(v.value - x) > 0.02 * abs(x)
     ]

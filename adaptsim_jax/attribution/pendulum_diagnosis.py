@@ -32,6 +32,7 @@ from adaptsim_jax.attribution.pendulum import (
     model_file,
     own_catalogue,
     pendulum_machine,
+    rig_of,
 )
 from adaptsim_jax.attribution.posed import Beginning, DiagnosisSetting
 from adaptsim_jax.core.errors import BadInput
@@ -109,7 +110,7 @@ def diagnose_pendulum(
     notify(0.02, 1.0, "reading")
     log = data if isinstance(data, Log) else read_pendulum(data, without=without)
     log = log.without([name for name in without if name in {t.name for t in log.trials}])
-    rig, checked = log.meta.rig, audit(log)
+    rig, checked = rig_of(log), audit(log)
     given = {"exclude": exclude, "without": without, "as_declared": as_declared}
     run = Run(command_of(log.path, out, **given), began)
     folder = None if out is None else cleared(output_folder(out))
@@ -142,7 +143,7 @@ def _searched(
     output: Output,
 ) -> dict[str, Any]:
     """The report on a recording that is sound, written. See `diagnose_pendulum`."""
-    rig, folder = log.meta.rig, output.folder
+    rig, folder = rig_of(log), output.folder
     keep = None if folder is None else partial(write_so_far, folder)
     with TemporaryDirectory() as spare:
         machine = _machine(log, setting.effects, Path(spare))
@@ -166,7 +167,7 @@ def _machine(log: Log, effects: Sequence[Effect] | None, spare: Path) -> Machine
 
     Raises BadInput where its model is of another rig.
     """
-    rig = log.meta.rig
+    rig = rig_of(log)
     if rig.model_file is None:
         return declared_machine(log, first_parameters(log), spare / DECLARED)
     declared_model(rig, own_catalogue(rig.task, effects or ()))
@@ -175,7 +176,7 @@ def _machine(log: Log, effects: Sequence[Effect] | None, spare: Path) -> Machine
 
 def _reported(log: Log, e: Examined, checked: Audit) -> tuple[dict[str, Any], dict[str, Any]]:
     """The report in the rig's own numbers, and the arrays behind its page."""
-    rig, problem = log.meta.rig, e.problem
+    rig, problem = rig_of(log), e.problem
 
     def rows(model):
         return {
@@ -213,7 +214,7 @@ def first_parameters(log: Log) -> np.ndarray:
     By regression of the momentum balance on the smoothed motion (`Plant.initial_theta`), which no
     simulation leads astray. Raises BadInput where `[known]` names what the model has not.
     """
-    rig = log.meta.rig
+    rig = rig_of(log)
     if rig.model not in (RIGID, LINEAR):
         raise BadInput(
             f'{log.path}: model = "{rig.model}" is not diagnosed; write it as an MJCF, '

@@ -238,7 +238,7 @@ def recommended(
 
     known: dict[tuple[bytes, float], Replay] = {}
 
-    def simulated(model: File | None, span: float) -> Replay:
+    def simulated(model: str | File | None, span: float) -> Replay:
         if simulator == "mujoco":
             return replay_files(model, data, span, (STRETCHES,), simulator)
         machine = load(data, model)

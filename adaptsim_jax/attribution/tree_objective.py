@@ -212,7 +212,7 @@ class TreeObjective(Objective):
 
         def passes(model, test):
             error = held_error(problem, model)[outlying] / held_error(problem, plain)[outlying]
-            return test.p < criteria.confidence and np.median(error) < criteria.left
+            return bool(test.p < criteria.confidence and np.median(error) < criteria.left)
 
         starts = sorted(self._rare(plain, left), key=left)[: criteria.tried]
         yield Round(self._fitted(plain, starts, passes))
@@ -477,7 +477,7 @@ def select(
 
     def selection(found: Finding, last: tuple[CandidateScore, ...] = ()) -> Selection:
         named = tuple(replace(n, models=()) for n in found.named)
-        return Selection(**vars(found) | {"named": named}, last=last, reach=reach)
+        return Selection(**vars(replace(found, named=named)), last=last, reach=reach)
 
     found = search(objective, lambda found: keep(selection(found)))
     return selection(found, tuple(objective.scores_of(found.stages[-1], True)))

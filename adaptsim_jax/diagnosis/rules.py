@@ -35,6 +35,7 @@ class Evidence:
 
     Args:
         candidate: The effect.
+        model: What has it, beside all others.
         less: The model without it, refitted.
         test: Of the model against that.
         level: Up to which its p holds (short trials: Holm's over all that are asked).
@@ -44,6 +45,7 @@ class Evidence:
     """
 
     candidate: Any
+    model: Any
     less: Any
     criteria: Criteria
     test: Test

@@ -198,17 +198,19 @@ FLAG = {"type": "boolean"}
 SENTENCES = {"type": "array", "items": {"type": "string"}}
 
 
-def _record(required: Mapping[str, Any], optional: Mapping[str, Any] | None = None) -> dict:
+def _record(
+    required: Mapping[str, Any], optional: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
     """The schema of a table with these keys; others are free."""
     properties = {**required, **(optional or {})}
     return {"type": "object", "required": list(required), "properties": properties}
 
 
-def _list_of(item: Mapping[str, Any]) -> dict:
+def _list_of(item: Mapping[str, Any]) -> dict[str, Any]:
     return {"type": "array", "items": item}
 
 
-def _table_of(value: Mapping[str, Any]) -> dict:
+def _table_of(value: Mapping[str, Any]) -> dict[str, Any]:
     """The schema of a table whose keys are names of the user's."""
     return {"type": "object", "additionalProperties": value}
 
@@ -217,7 +219,7 @@ def _report_schema() -> dict[str, Any]:
     """The JSON Schema of a report, draft 2020-12 and the keyword `ordered` (`_is_ordered`)."""
     ends = {"type": ["array", "null"], "minItems": 2, "maxItems": 2, "ordered": True}
     intervals = {"intervals": {"type": ["object", "null"], "additionalProperties": ends}}
-    value = _record(
+    value: dict[str, Any] = _record(
         {"value": NUMBER, "low": NUMBER, "high": NUMBER, "unit": {"type": "string"}}
     ) | {"ordered": True}
     pair = _record(
@@ -258,10 +260,10 @@ def _report_schema() -> dict[str, Any]:
 
 @functools.cache
 def _validator() -> Any:
-    import jsonschema  # a tenth of a second, which a command that reads no report does not spend
+    # a tenth of a second, which a command that reads no report does not spend
+    from jsonschema import Draft202012Validator, validators
 
-    known = jsonschema.Draft202012Validator
-    return jsonschema.validators.extend(known, {"ordered": _is_ordered})(_report_schema())
+    return validators.extend(Draft202012Validator, {"ordered": _is_ordered})(_report_schema())
 
 
 def _is_ordered(_validator: Any, _wanted: bool, ends: Any, _schema: Any) -> Iterator[Any]:

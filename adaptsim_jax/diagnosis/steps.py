@@ -99,7 +99,7 @@ def fit_values(
     damping: float = FIRST_DAMPING,
     relief: float = DAMPING_DOWN,
     done: Callable[[Point, Point, int], bool] = fell,
-    taken: Callable[[Point], Point | None] = lambda point: point,
+    taken: Callable[[Point], Point] = lambda point: point,
     stuck: Callable[[Point], Point | None] = lambda point: None,
 ) -> FitEnd:
     """Damped steps of values, each from a linearisation, while they lower the loss.

@@ -110,11 +110,11 @@ def holm(p: Sequence[float], level: float, blocks: int) -> np.ndarray:
         level: probability of one false effect or more.
         blocks: of each test; with few of them no p can be smaller than all better shows.
     """
-    p = np.asarray(p, float)
-    out, order = np.zeros(len(p)), np.argsort(p, kind="stable")
+    each = np.asarray(p, float)
+    out, order = np.zeros(len(each)), np.argsort(each, kind="stable")
     for rank, k in enumerate(order):
-        own = attainable(level, blocks, len(p) - rank)
-        if p[k] > own:
+        own = attainable(level, blocks, len(each) - rank)
+        if each[k] > own:
             break
         out[k] = own
     return out

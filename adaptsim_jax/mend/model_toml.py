@@ -205,7 +205,7 @@ def _value(where: str, key: str, given: Any) -> Value:
         raise BadInput(f"{where}: {key}.unit must be text in quotes")
     if not isinstance(table.get("fitted", True), bool):
         raise BadInput(f"{where}: {key}.fitted must be true or false")
-    return Value(value, *ends, table.get("unit", ""), table.get("fitted", True))
+    return Value(value, *ends, unit=table.get("unit", ""), fitted=table.get("fitted", True))
 
 
 def of_unit(where: str, key: str, value: Value, unit: str) -> Value:

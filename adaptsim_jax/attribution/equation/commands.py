@@ -113,7 +113,7 @@ class CommandError:
             self.scale,
             self.separation,
             *self.sizes,
-            self.p,
+            p=self.p,
         )
 
 

@@ -10,6 +10,7 @@ simulate worse with right frictions.
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -91,8 +92,8 @@ class SimulatedName(Evidence):
     harmed: Sequence[int] = ()
     units = "stretches"
     steadiness = np.inf
-    min_steadiness = 0.0
-    at_bound = False
+    min_steadiness: ClassVar[float] = 0.0
+    at_bound: ClassVar[bool] = False
 
     @property
     def level(self) -> float:
@@ -175,10 +176,10 @@ class SimulatedNames(Objective):
 
         rows = parallel_map(one, [c for c in candidates if c.key not in self._certain])
         if not self.near:
-            return rows if any(e.harmed for e in rows) else self._together(model, rows)
+            return list(rows) if any(e.harmed for e in rows) else self._together(model, rows)
         sure = [e for e in rows if e.gain > self.criteria.worse_share and refusal(e) is None]
         self._certain.update(e.candidate.key for e in sure)
-        return rows
+        return list(rows)
 
     def _together(self, model: NamedModel, rows: list[SimulatedName]) -> list[Evidence]:
         """Where no name harms a joint by itself and all of them together do: of those at such

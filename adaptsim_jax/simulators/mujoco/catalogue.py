@@ -176,4 +176,4 @@ def _scales(model: mujoco.MjModel, joints: Sequence[str]) -> dict[str, float]:
 
 def noise_of(measured: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """Noise [C] of channels [W, L, C], where they were `seen`."""
-    return difference_noise(np.where(mask, measured, np.nan))
+    return difference_noise(list(np.where(mask, measured, np.nan)))

@@ -166,13 +166,13 @@ def _place(model: mujoco.MjModel, made: Field, element: int) -> tuple[np.ndarray
     array = array_at(model, name)
     if array is None and kind == OPTION:
         raise BadInput(f"quantity {made.name!r}: MuJoCo's option has no {what!r}")
-    if kind == OPTION:
-        return np.atleast_1d(array), made.index, -1
     if array is None:
         raise BadInput(
             f"quantity {made.name!r}: a {kind} has no {what!r}; "
             f"{suggest(what, [*attributes(model, kind), *OF_DOF, 'kp', 'kv'])}"
         )
+    if kind == OPTION:
+        return np.atleast_1d(array), made.index, -1
     if array.ndim > 1 and made.index >= array.shape[1]:
         raise BadInput(
             f"quantity {made.name!r}: {what} has {array.shape[1]} numbers, counted from 0"

@@ -214,10 +214,8 @@ def _linear(made, stretches, fields, values, starts, weight) -> _Linear:
     spread = np.sqrt(_each(base, weight))
 
     def wide(z):
-        return (z * weight.reshape(1, 1, -1, *[1] * (z.ndim - 3))).reshape(len(z), -1, *z.shape[3:])
-
-    def wide(z, all_=wide):
-        return all_(z) / spread.reshape(-1, *[1] * (z.ndim - 2))
+        each = z * weight.reshape(1, 1, -1, *[1] * (z.ndim - 3))
+        return each.reshape(len(z), -1, *z.shape[3:]) / spread.reshape(-1, *[1] * (z.ndim - 2))
 
     r, x, s = wide(base), wide(by_x), wide(by_p)
     good = np.all([np.abs(z).reshape(len(z), -1).max(1) < RUNAWAY_RESIDUAL for z in (r, x, s)], 0)
