@@ -7,7 +7,7 @@ straight line through the stretch leaves, and holding still: a model that does n
 nothing, whatever it gains over another.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -24,6 +24,8 @@ MAX_START_ROUNDS = 6  # rounds of steps of the starts, at most
 ROUGH_ROUNDS = 2  # the same without derivatives: the first gains most
 LINEARISATIONS = 2  # at most, of all stretches by their starts: each is dear
 LENGTHS = np.array([1.0, 0.3, 0.09])  # of a step, tried in turn
+Move = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""Change of starts [B, S] by what is left of the angles [B, L+1, n], of the stretches [B]."""
 
 
 @dataclass(frozen=True)
@@ -126,18 +128,19 @@ def fitted_starts(
         # over all rows: a sum over some of them does not show a start that flings a joint away
         return left, np.square(left).sum((1, 2))
 
-    found = StretchLanes(every, *evaluate(every, np.arange(len(every))))
-    for _ in range(1 if roughly else LINEARISATIONS):
-        if roughly:
-            move = partial(_along_a_line, problem, sizes=[len(x) for x in begun])
-        else:
-            lin = _linearised(problem, vector, np.split(found.starts.T, ends))
-            move = partial(_by_derivatives, problem, lin)
-
-        def propose(some: np.ndarray, left: np.ndarray, lanes: np.ndarray, move=move) -> np.ndarray:
+    def fitted(begin: StretchLanes, move: Move) -> StretchLanes:
+        def propose(some: np.ndarray, left: np.ndarray, lanes: np.ndarray) -> np.ndarray:
             return some + LENGTHS[:, None, None] * move(left, lanes)
 
-        found = fit_starts(found, propose, evaluate, rounds)
+        return fit_starts(begin, propose, evaluate, rounds)
+
+    found = StretchLanes(every, *evaluate(every, np.arange(len(every))))
+    if roughly:
+        found = fitted(found, partial(_along_a_line, problem, sizes=[len(x) for x in begun]))
+    else:
+        for _ in range(LINEARISATIONS):
+            lin = _linearised(problem, vector, np.split(found.starts.T, ends))
+            found = fitted(found, partial(_by_derivatives, problem, lin))
     starts = tuple(np.split(found.starts.T, ends))
     return starts, simulated(made, starts)
 
