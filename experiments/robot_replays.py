@@ -65,7 +65,7 @@ def main() -> None:
     args = parser.parse_args()
     from adaptsim_jax.attribution.choice import choose
     from adaptsim_jax.core.errors import BadInput
-    from adaptsim_jax.simulators.mujoco.starts import replayed
+    from adaptsim_jax.simulators.mujoco.replay import replayed
 
     within = total = 0
     for path in sorted(args.folder.glob("*.xml")):

@@ -13,8 +13,9 @@ from adaptsim_jax.logs.declared import declared_task
 from adaptsim_jax.logs.log import Log
 from adaptsim_jax.logs.read import read_source_and_log
 from adaptsim_jax.mechanisms.spec import Source
-from adaptsim_jax.simulators.mujoco.build import stepped, touching, turns_of_balls
-from adaptsim_jax.simulators.mujoco.starts import replayed
+from adaptsim_jax.simulators.mujoco.build import stepped, turns_of_balls
+from adaptsim_jax.simulators.mujoco.replay import replayed
+from adaptsim_jax.simulators.mujoco.touching import touching
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,8 @@ from adaptsim_jax.logs.pendulum import read_pendulum
 from adaptsim_jax.logs.quality.audit import audit, usable
 from adaptsim_jax.logs.read import joined, read_source_and_log
 from adaptsim_jax.mend.model_toml import read_model_table
-from adaptsim_jax.simulators.mujoco.build import stepped, touching, turns_of_balls
+from adaptsim_jax.simulators.mujoco.build import stepped, turns_of_balls
+from adaptsim_jax.simulators.mujoco.touching import touching
 
 
 def load(data: str | Path, model: str | Path | None = None) -> Machine:

@@ -7,6 +7,7 @@ import dataclasses
 import pickle
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache, partial
 from pathlib import Path as File
 from typing import Any
 
@@ -38,7 +39,7 @@ from adaptsim_jax.diagnosis.criteria import REPORT
 from adaptsim_jax.diagnosis.recommended import FileReplay, worse_joints
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.logs.quality.contradictions import AS_DECLARED
-from adaptsim_jax.simulators.mujoco.starts import replayed as mujoco_replayed
+from adaptsim_jax.simulators.mujoco.replay import replayed as mujoco_replayed
 
 WRITTEN = ("model.xml", "model.toml")  # what a diagnosis writes for simulation
 
@@ -235,13 +236,12 @@ def recommended(
     """What runs the files of a folder beside the declared one (`diagnosis.recommended`), as
     `adaptsim replay` does. declared: None: as meta.toml says; without: trials that are left out.
     """
-
-    known: dict[tuple[bytes, float], Replay] = {}
+    read, known = cache(partial(load, data)), dict[tuple[bytes, float], Replay]()
 
     def simulated(model: str | File | None, span: float) -> Replay:
         if simulator == "mujoco":
             return replay_files(model, data, span, (STRETCHES,), simulator)
-        machine = load(data, model)
+        machine = read(model)
         same = (_simulated_by(machine), span)
         if same not in known:
             known[same] = replay(machine, span, most=REPORT.run_stretches, roughly=True)

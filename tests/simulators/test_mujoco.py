@@ -12,10 +12,11 @@ import pytest
 from adaptsim_jax import cli
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.read import read_source_and_log
-from adaptsim_jax.simulators.mujoco.build import stepped, touching
+from adaptsim_jax.simulators.mujoco.build import stepped
 from adaptsim_jax.simulators.mujoco.fields import field, with_values
 from adaptsim_jax.simulators.mujoco.fit import fit
-from adaptsim_jax.simulators.mujoco.starts import replayed
+from adaptsim_jax.simulators.mujoco.replay import replayed
+from adaptsim_jax.simulators.mujoco.touching import touching
 from tests.simulators.robots import quadruped, record, walk
 
 LOOP = """<mujoco><compiler angle="radian"/><worldbody><body name="a"><joint name="crank" axis="0 1 0" damping="0.05"/>
