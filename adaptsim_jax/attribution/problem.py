@@ -27,7 +27,7 @@ from adaptsim_jax.effects.joints.actuator import DEAD_ZONE, SATURATION, TORQUE_G
 from adaptsim_jax.effects.joints.catalogue import ETA, TILTS
 from adaptsim_jax.effects.joints.forces import ARMATURE, SPRING
 from adaptsim_jax.effects.joints.friction import COULOMB, LOAD_FRICTION, VISCOUS
-from adaptsim_jax.logs.noise import difference_noise, local_motion
+from adaptsim_jax.logs.noise import local_motion, sensor_noise
 from adaptsim_jax.mechanisms import equations
 from adaptsim_jax.mechanisms.tree import Tree, subtrees, take
 
@@ -245,16 +245,10 @@ def noise(tracks: Sequence[JointTrack]) -> np.ndarray:
     n = tracks[0].q.shape[1]
     out = np.zeros(2 * n)
     for k, pick in enumerate((lambda t: t.q, lambda t: t.v)):
-        parts = [_rough(pick(t)) for t in tracks if pick(t) is not None]
+        parts = [sensor_noise([pick(t)]) for t in tracks if pick(t) is not None]
         if parts:
             out[k * n : (k + 1) * n] = np.median(np.array(parts), 0)
     return out
-
-
-def _rough(z: np.ndarray) -> np.ndarray:
-    """Noise of columns [T, n]; by the mean square where most rows are rounded to the same."""
-    size, rounding = difference_noise([z]), 1e-12 * np.max(np.abs(np.nan_to_num(z)), axis=0)
-    return np.where(size > rounding, size, difference_noise([z], robust=False))
 
 
 def held(actuator: np.ndarray) -> np.ndarray:

@@ -6,6 +6,7 @@ from math import comb
 import numpy as np
 
 NORMAL = 0.6745  # median size of a normal deviate, in standard deviations
+ROUNDING = 1e-12  # of a channel's largest value: differences below it are those of floating point
 
 
 def difference_noise(
@@ -32,6 +33,15 @@ def difference_noise(
         size = np.sqrt(np.nanmean(np.square(d), axis=0))
     out[some] = size / np.sqrt(comb(2 * order, order))
     return out
+
+
+def sensor_noise(parts: Sequence[np.ndarray]) -> np.ndarray:
+    """The same by medians, or by the mean square where most rows are rounded to one value: the
+    noise of an encoder that mostly rests is that of its steps.
+    """
+    size, rows = difference_noise(parts), np.concatenate([np.abs(np.nan_to_num(z)) for z in parts])
+    shows = size > ROUNDING * np.max(rows, axis=0)
+    return np.where(shows, size, difference_noise(parts, robust=False))
 
 
 def local_motion(

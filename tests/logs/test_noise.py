@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from adaptsim_jax.logs.noise import difference_noise
+from adaptsim_jax.logs.noise import difference_noise, sensor_noise
 from adaptsim_jax.logs.pendulum import read_pendulum
 from tests.logs.measured_files import real_rig
 
@@ -24,6 +24,18 @@ def test_what_was_never_read_has_no_noise():
     q[:, 0] = np.random.default_rng(0).normal(size=50)
     found = difference_noise([q])
     assert found[0] > 0.5 and found[1] == 0.0
+
+
+def test_an_encoder_that_mostly_rests_has_the_noise_of_its_steps():
+    rng, step = np.random.default_rng(0), 1e-3
+    flips = step * np.round(rng.uniform(-0.5, 0.5, 400) + 0.45)
+    rest = np.concatenate([np.zeros(600), flips])[:, None]
+    moving = step * np.round(rng.normal(size=(1000, 1)))
+    q = np.concatenate([rest, moving], 1)
+    assert difference_noise([q])[0] == 0.0  # by medians, most rows are one value
+    found = sensor_noise([q[:500], q[500:]])
+    assert 0.1 * step < found[0] < step
+    np.testing.assert_allclose(found[1], difference_noise([q[:500], q[500:]])[1])
 
 
 def test_a_constant_signal_has_no_noise():

@@ -11,7 +11,7 @@ import numpy as np
 from adaptsim_jax.effects.base import Effect, of_the_engine
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.effects.joints.friction import VISCOUS
-from adaptsim_jax.logs.noise import difference_noise
+from adaptsim_jax.logs.noise import sensor_noise
 from adaptsim_jax.simulators.mujoco.acting import BIAS, LATE, READ, SHIFT, TURN
 from adaptsim_jax.simulators.mujoco.build import Stepped
 from adaptsim_jax.simulators.mujoco.criteria import CANDIDATE
@@ -176,4 +176,4 @@ def _scales(model: mujoco.MjModel, joints: Sequence[str]) -> dict[str, float]:
 
 def noise_of(measured: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """Noise [C] of channels [W, L, C], where they were `seen`."""
-    return difference_noise(list(np.where(mask, measured, np.nan)))
+    return sensor_noise(list(np.where(mask, measured, np.nan)))
