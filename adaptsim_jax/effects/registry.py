@@ -90,8 +90,20 @@ def of_other_packages(taken: Sequence[str] = ()) -> tuple[Effect, ...]:
             f"entry point {point.name} = {point.value} of {EFFECTS.group}: there is another of "
             "that name; rename it"
         )
-    found = [EFFECTS[name] for name in EFFECTS.others]
+    found = [with_function(EFFECTS[name]) for name in EFFECTS.others]
     return tuple(e for e in found if not e.memory)
+
+
+def with_function(effect: Effect) -> Effect:
+    """An effect that another package adds to machines; raises BadInput where it has no function."""
+    from adaptsim_jax.effects.base import of_the_engine
+
+    if effect.apply is of_the_engine:
+        raise BadInput(
+            f"effect {effect.name}: it has no function; give apply, which says what it does to a "
+            f"{effect.place} (adaptsim new effect NAME writes one to start from)"
+        )
+    return effect
 
 
 @cache

@@ -1,6 +1,7 @@
 """One walk over the catalogue: what every entry promises, in both precisions."""
 
 import re
+from dataclasses import replace
 from functools import partial
 
 import jax
@@ -18,10 +19,11 @@ from adaptsim_jax.effects.base import (
     Reach,
     Relaxation,
     exponents,
+    of_the_engine,
     unit_at,
 )
 from adaptsim_jax.effects.layout import Layout
-from adaptsim_jax.effects.registry import catalogue
+from adaptsim_jax.effects.registry import catalogue, with_function
 
 NAMES = (
     "coulomb stribeck quadratic_drag spring bias tilt encoder_offset torque_gain delay "
@@ -291,3 +293,10 @@ def test_a_torque_by_any_power_of_the_speed_has_a_unit():
     assert exponents(cubic.unit) == (1, 3) and unit_at(cubic.unit, "slide") == "N s^3/m^3"
     assert cubic.bounds(10.0, 0.5) == (0.0, 2.0 * 10.0 * 8.0)
     assert exponents("N m s^3/rad^2") is None and exponents("lbf") is None
+
+
+def test_an_effect_of_another_package_without_a_function_is_refused():
+    brush = catalogue("mechanism")[0]
+    assert with_function(brush) is brush
+    with pytest.raises(BadInput, match="effect brush: it has no function; give apply"):
+        with_function(replace(brush, name="brush", apply=of_the_engine))
