@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.mechanisms.quaternions import between, from_rotvec, rotated, times
 from adaptsim_jax.tasks.toss.read import Tossed, lowest
 
@@ -58,7 +59,8 @@ class Windows:
 
 def cut(tossed: Tossed, length: float = LENGTH) -> Windows:
     """Windows of about `length` s up to where each toss lies still. What can be told for longer is
-    a window of its own: the free flight (less `BEFORE` rows), and the last slide on a face.
+    a window of its own: the free flight (less `BEFORE` rows), and the last slide on a face. Raises
+    BadInput where a toss has too few rows of motion for one.
     """
     spans, corners = [], tossed.body.corners()
     for t, (time, place, turn) in enumerate(
@@ -89,6 +91,11 @@ def cut(tossed: Tossed, length: float = LENGTH) -> Windows:
             if len(near):
                 edges.append(int(near[np.argmin(smooth[near])]))
         spans += [(t, a, b) for a, b in itertools.pairwise([*edges, stop]) if b - a >= MIN_ROWS]
+    if idle := [name for t, name in enumerate(tossed.names) if t not in {s[0] for s in spans}]:
+        raise BadInput(
+            f"toss {idle[0]}: the body moves in fewer than {MIN_ROWS} rows; leave it out "
+            f"(--without {' '.join(idle)})"
+        )
     return gathered(tossed, sorted(spans))
 
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -17,6 +18,7 @@ from adaptsim_jax.tasks.toss.diagnose import diagnose
 from adaptsim_jax.tasks.toss.flight import free_flight, values_of, whole_tosses
 from adaptsim_jax.tasks.toss.read import read
 from adaptsim_jax.tasks.toss.simulate import poses
+from adaptsim_jax.tasks.toss.windows import cut
 from experiments.cube_tosses import slide_ends
 from tests.generators import tosses
 
@@ -117,6 +119,18 @@ def test_a_key_that_is_unknown_and_a_toss_that_is_not_there(null, tmp_path):
         read(tmp_path)
     with pytest.raises(BadInput, match="no toss is named '77'"):
         read(null).without(["77"])
+
+
+def test_a_toss_that_never_moves_is_named_with_a_mend_that_works(null):
+    tossed = read(null)
+    still = replace(
+        tossed,
+        place=(np.broadcast_to(tossed.place[0][-1], tossed.place[0].shape), *tossed.place[1:]),
+        turn=(np.broadcast_to(tossed.turn[0][-1], tossed.turn[0].shape), *tossed.turn[1:]),
+    )
+    with pytest.raises(BadInput, match=f"{tossed.names[0]}: .*--without {tossed.names[0]}"):
+        cut(still)
+    assert set(cut(still.without([tossed.names[0]])).toss) == set(range(len(tossed.names) - 1))
 
 
 def test_a_start_is_where_it_was_recorded_whatever_the_measurement_lacks(null):
