@@ -185,7 +185,11 @@ class EffectTable:
         def act(p):
             return effect_force(self.balance, self.values, effect, p, self.driven())
 
-        return act(here | {entry.name: here[entry.name] + own}) - act(here)
+        def change():
+            return act(here | {entry.name: here[entry.name] + own}) - act(here)
+
+        key = (effect.name, entry.name, entry.joints, tuple(sorted((shape or {}).items())))
+        return self._cached(key, change)
 
     def _difference(self, entry: Entry) -> np.ndarray:
         """Of an entry of the vector that does not act linearly."""
@@ -348,41 +352,39 @@ def ranked(state: Searched, now: Solved, some: Sequence[JointCandidate]) -> list
     a, y = weigh(now.columns[..., free]), left * even
     prior = np.diag([now.entries[i].prior ** -2.0 for i in free])
     inverse = np.linalg.pinv(a.T @ a + prior, rcond=1e-12, hermitian=True)
-    fold, flat = np.repeat(rows.fold, y.shape[1]), y.ravel()
+    fold = np.repeat(rows.fold, y.shape[1])
+    order = np.argsort(fold, kind="stable")
+    begin, flat = np.unique(fold[order], return_index=True)[1], y.ravel()[order]
     blocks = [state.table.stack(c.entries, c.shaped()) for c in some]
     wide = weigh(np.concatenate(blocks, 2))
-    freed = wide - a @ (inverse @ (a.T @ wide))
+    # each column by itself is read next
+    freed = np.asfortranarray((wide - a @ (inverse @ (a.T @ wide)))[order])
     best: dict[tuple, tuple[float, JointCandidate]] = {}
     at = 0
     for c, block in zip(some, blocks, strict=True):
         own = freed[:, at : at + block.shape[2]]
         at += block.shape[2]
-        share = _gain(own, flat, fold, c) / (0.5 * total.mean() * len(state.own(c)))
+        share = _gain(own, flat, begin, c) / (0.5 * total.mean() * len(state.own(c)))
         gain = share * state.carry(c) - state.limits.gain * len(c.entries)
         if c.key not in best or gain > best[c.key][0]:
             best[c.key] = gain, c
     return [c for gain, c in sorted(best.values(), key=lambda z: -z[0]) if gain > 0.0]
 
 
-def _gain(columns: np.ndarray, y: np.ndarray, fold: np.ndarray, c: JointCandidate) -> float:
-    """Half the squares that amplitudes of the other folds take off each."""
-    folds, count = fold.max() + 1, columns.shape[1]
-    hess, slope = np.zeros((folds, count, count)), np.zeros((folds, count))
-    for f in range(folds):
-        mine = columns[fold == f]
-        hess[f], slope[f] = mine.T @ mine, mine.T @ y[fold == f]
+def _gain(columns: np.ndarray, y: np.ndarray, begin: np.ndarray, c: JointCandidate) -> float:
+    """Half the squares that amplitudes of the other folds take off each. columns: [N, E], rows in
+    the order of their folds; y: [N]; begin: the first row of each fold.
+    """
+    hess = np.add.reduceat(columns[:, :, None] * columns[:, None], begin)
+    slope = np.add.reduceat(columns * y[:, None], begin)
     low = np.array([e.low - e.start for e in c.entries])
     high = np.array([e.high - e.start for e in c.entries])
     prior = np.diag([e.prior**-2.0 for e in c.entries])
-    gain = 0.0
-    for f in range(folds):
-        h = hess.sum(0) - hess[f] + prior
-        step = np.linalg.lstsq(
-            h + 1e-9 * np.diag(np.diagonal(h)), slope.sum(0) - slope[f], rcond=1e-10
-        )[0]
-        step = np.clip(step, low, high)
-        gain += float(step @ slope[f] - 0.5 * step @ hess[f] @ step)
-    return gain
+    others = hess.sum(0) - hess + prior
+    others += 1e-9 * others * np.eye(len(prior))
+    inverse = np.linalg.pinv(others, rcond=1e-10, hermitian=True)
+    step = np.clip(((slope.sum(0) - slope)[:, None] @ inverse)[:, 0], low, high)
+    return float(np.sum(step * slope) - 0.5 * np.einsum("fi,fij,fj", step, hess, step))
 
 
 SHAPE_ROUNDS = 8  # rounds of steps of shapes, at most
