@@ -42,7 +42,8 @@ def arm(spring: int | None, stiffness: float = 0.0, dashpot: float = 0.0) -> str
         ends += "</body>"
     motors = "".join(f'<motor name="j{j}" joint="j{j}"/>' for j in (1, 2, 3))
     return (
-        f'<mujoco><option timestep="{FINE}" integrator="RK4"/><worldbody>{text}{ends}</worldbody>'
+        f'<mujoco><compiler angle="radian"/><option timestep="{FINE}" integrator="RK4"/>'
+        f"<worldbody>{text}{ends}</worldbody>"
         f"<actuator>{motors}</actuator></mujoco>"
     )
 
