@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.attribution.candidates import candidates
 from adaptsim_jax.attribution.equation.balance import Balance, balances
 from adaptsim_jax.attribution.equation.confirmed import confirmed, searched, without_bodies
 from adaptsim_jax.attribution.equation.models import (
@@ -51,7 +50,6 @@ from adaptsim_jax.attribution.tree_objective import (
     select_shorter,
 )
 from adaptsim_jax.attribution.tree_objective import declared as fitted_null
-from adaptsim_jax.diagnosis.criteria import REPORT
 from adaptsim_jax.diagnosis.finding import Named
 from adaptsim_jax.diagnosis.search import backward_elimination
 from adaptsim_jax.effects.base import Reach
@@ -111,8 +109,6 @@ def examine(inquiry: Inquiry) -> Examined:
     if judge == TORQUE:
         by_torque = _by_torque(q, torques, before, why)
         near = q.criteria.near if q.follows else q.criteria.explained
-        if (beyond := _beyond_balance(q, torques, by_torque)) is not None:
-            return beyond
         # of very many joints stretches are not searched: what is left is reported
         if q.asked or q.many or over_floor(q.problem, by_torque.found.final) < near:
             return by_torque
@@ -223,41 +219,6 @@ def _by_torque(q: Inquiry, torques: Balanced, before: dict[str, Any], why: str) 
     after = q.simulated(found.final)
     after[TORQUE] = torques.measure(problem, words, final=True)
     return Examined(q, found, words, before, after, TORQUE, why, q.follows)
-
-
-def _beyond_balance(q: Inquiry, torques: Balanced, by_torque: Examined) -> Examined | None:
-    """What stretches of a machine of many joints show of effects that no balance can, such as a
-    drive that gives; None where that is nothing.
-
-    They are sought at joints that the balance's model simulates usefully, and yet leaves far more
-    than the noise.
-    """
-    if q.follows or q.asked or not q.many:
-        return None
-    problem, measure = q.problem, by_torque.after[STRETCHES]
-    left = measure.error > q.criteria.outlying * problem.floor[: problem.joints]
-    joints = set(np.flatnonzero((measure.skills > REPORT.useful_skill) & left))
-    known = {
-        (e.name, j)
-        for e in problem.effects
-        for j in range(problem.joints)
-        if e.in_balance or j not in joints
-    }
-    rest = replace(
-        problem,
-        effects=tuple(e for e in problem.effects if e.place != "model"),
-        excluded=problem.excluded | known,
-    )
-    if not candidates(rest, torques.words.final, torques.reach):
-        return None
-    # what the balance found stays on disk meanwhile: `keep` is not called
-    found = select(rest, q.null, q.criteria, q.notify, hint=_hint_of(q, by_torque.by_torque))
-    worse = over_floor(problem, found.final) >= over_floor(problem, by_torque.found.final)
-    if worse or all(problem.effect(n.candidate.effect).in_balance for n in found.named):
-        return None
-    before, after = (q.simulated(m) for m in (found.null, found.final))
-    why = "what simulated stretches show no balance of torques can"
-    return Examined(q, found, by_torque.by_torque, before, after, STRETCHES, why)
 
 
 def _hint_of(q: Inquiry, words: TorqueSearch | None) -> Hint | None:
