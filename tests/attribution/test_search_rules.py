@@ -141,6 +141,26 @@ def test_one_effect_takes_the_place_of_two_only_where_neither_does_by_itself(
     assert (found and found[0].added[0].effect) == instead
 
 
+def test_what_was_found_only_where_nothing_drives_is_held_against_one_joint(monkeypatch):
+    state = SimpleNamespace(
+        limits=LIMITS,
+        local={0: 0},
+        averaged=np.zeros((3, 1)),
+        set_of=lambda some: None,
+        likely=lambda c: True,
+        own=lambda c: [0],
+        rows=None,
+        problem=PROBLEM,
+    )
+    test = SimpleNamespace(p=1e-3, gain=0.5)
+    monkeypatch.setattr(balance_objective, "compared", lambda *a: test)
+    judge = BalanceObjective(state, ())
+    rotor = SimpleNamespace(effect="armature", joints=(0,), entries=(0,), split=lambda: [rotor])
+    model, _ = judge.members(judge.model([rotor]))
+    (evidence,) = judge.evidence(model, model.added)
+    assert evidence.level == max(LIMITS.level, false_discovery([test.p], LIMITS.discovery, 1))
+
+
 def test_a_shift_has_its_column_at_its_own_value():
     def told(added):
         return SimpleNamespace(

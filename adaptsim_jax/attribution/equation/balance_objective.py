@@ -271,7 +271,7 @@ class BalanceObjective(Objective):
             if state.likely(c):
                 p = [t.p for k, _, t in tests if k.effect == c.effect]
                 alike = len(p)
-                asked = max(1, model.asked[c.effect])
+                asked = max(1, model.asked.get(c.effect, 0))
                 level = max(level, false_discovery(p, limits.discovery, asked))
             rows.append(
                 BalanceEvidence(
