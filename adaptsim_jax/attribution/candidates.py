@@ -180,26 +180,26 @@ def _of_drives(problem: TreeProblem, grids: Sequence[tuple], follows: bool, take
     """Joints that have rotors, each with its points of an effect of the drive. Without a position
     controller it does not matter on which side that one's encoder is.
     """
-    return [
-        (j, [z for z in points if follows or z["link"] == z["control"]])
-        for j, points in grids
-        if off_value(problem, ARMATURE.name, "inertia", j) > 0.0 or (ARMATURE.name, j) in taken
-    ]
+    out = []
+    for j, points in grids:
+        declared = off_value(problem, ARMATURE.name, "inertia", j)
+        if declared > 0.0 or (ARMATURE.name, j) in taken:
+            out.append((j, [z for z in points if follows or z["link"] == z["control"]]))
+    return out
 
 
 def _free_joints(problem: TreeProblem, effect: Effect, taken: set[tuple[str, int]]) -> list[int]:
     """Joints at which an effect is not fitted and can act."""
     driven = [j for j in range(problem.joints) if problem.reach.peak[j] > 0.0]
     first = {g.joints[0] for g in problem.groups}
-    return [
-        j
-        for j in range(problem.joints)
-        if (effect.name, j) not in taken
-        and (effect.name, j) not in problem.excluded
-        and (j not in problem.unlike or effect.traits.shared)
-        and (j in driven or not effect.on_actuator)
-        and not (effect.pair and j in first)
-    ]
+    out = []
+    for j in range(problem.joints):
+        free = (effect.name, j) not in taken and (effect.name, j) not in problem.excluded
+        like = j not in problem.unlike or effect.traits.shared
+        moved = j in driven or not effect.on_actuator
+        if free and like and moved and not (effect.pair and j in first):
+            out.append(j)
+    return out
 
 
 def _of_model(problem: TreeProblem, name: str, taken: set[tuple[str, int]]) -> list[JointCandidate]:

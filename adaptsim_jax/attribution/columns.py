@@ -230,14 +230,8 @@ def _sensed(time, x, read, torque, point: ChangePoint, way: Way):
     also = (torque,) if effect.carried else ()
 
     def run(value):
-        return effect.apply(
-            {k: z[None, :, None] for k, z in (p | {parameter: value}).items()},
-            time[:, None, :],
-            x[:, :n],
-            x[:, n:],
-            read,
-            *also,
-        )
+        values = {k: z[None, :, None] for k, z in (p | {parameter: value}).items()}
+        return effect.apply(values, time[:, None, :], x[:, :n], x[:, n:], read, *also)
 
     if effect.jump:
         on, off = run(p[parameter] + size), run(p[parameter])

@@ -311,12 +311,10 @@ def settled(
     for starts in (*options, *at_ends(made)):
         offer(starts)
     for _ in range(refine):
-        moves = [
-            refitted_start(x, mine.flat(residuals(g, p)), usual(problem, g))
-            for g, (_, _, p), x, mine in zip(
-                problem.groups, best, lin.start, lin.counted, strict=True
-            )
-        ]
+        moves = []
+        for g, new, x, mine in zip(problem.groups, best, lin.start, lin.counted, strict=True):
+            left = mine.flat(residuals(g, new[2]))
+            moves.append(refitted_start(x, left, usual(problem, g)))
         offer([x + _as_long(d, len(x)) for (x, _, _), d in zip(best, moves, strict=True)])
     starts, loss, paths = zip(*best, strict=True)
     return starts, np.sum(loss, 0), list(paths)
@@ -331,11 +329,8 @@ def _better(new: tuple, old: tuple) -> tuple:
     def pick(a, b):
         return np.where(good, a, b)
 
-    return (
-        pick(new[0], old[0]),
-        pick(new[1], old[1]),
-        Path(*(pick(a, b) for a, b in zip(new[2], old[2], strict=True))),
-    )
+    path = Path(*(pick(a, b) for a, b in zip(new[2], old[2], strict=True)))
+    return pick(new[0], old[0]), pick(new[1], old[1]), path
 
 
 def fit(

@@ -262,16 +262,11 @@ def _out_of_range(tree: Tree, tracks: Sequence[JointTrack]) -> tuple[str, ...]:
 
 def _gain(tree: Tree, tracks) -> float:
     """A first guess at torque over input: weight of what hangs over the size of the input."""
-    reach = sum(float(np.linalg.norm(p)) for p in np.asarray(tree.place)) + float(
-        np.max(
-            np.linalg.norm(np.asarray(tree.inertial)[:, 1:4], axis=1)
-            / np.maximum(np.asarray(tree.inertial)[:, 0], 1e-9)
-        )
-    )
-    weight = float(
-        np.asarray(tree.inertial)[:, 0].sum()
-        * np.linalg.norm(np.asarray(tree.gravity))
-        * max(reach, 1e-3)
-    )
+    inertial = np.asarray(tree.inertial)
+    mass = inertial[:, 0]
+    centre = np.linalg.norm(inertial[:, 1:4], axis=1) / np.maximum(mass, 1e-9)
+    reach = sum(float(np.linalg.norm(p)) for p in np.asarray(tree.place))
+    reach = reach + float(np.max(centre))
+    weight = float(mass.sum() * np.linalg.norm(np.asarray(tree.gravity)) * max(reach, 1e-3))
     u = np.concatenate([np.abs(t.u) for t in tracks])
     return 0.5 * weight / max(float(np.quantile(u, 0.9)), 1e-9)

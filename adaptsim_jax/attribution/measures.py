@@ -65,9 +65,9 @@ class Measure:
         def row(e, a, b, s):
             return dict(zip((*words, "skill"), map(float, (e, a, b, s)), strict=True))
 
+        columns = (self.error, self.line, self.still, self.skills)
         by = {
-            name: row(*(z[j] for z in (self.error, self.line, self.still, self.skills)))
-            | {"unit": self.units[j]}
+            name: row(*(z[j] for z in columns)) | {"unit": self.units[j]}
             for j, name in enumerate(self.joints)
         }
         if self.name == TORQUE:

@@ -113,11 +113,8 @@ def _holds(machine: Machine, problem: TreeProblem, model: FittedTree, c: JointCa
         driven = set()
     if machine.gain_unknown:  # which gets a motor where it has none
         driven |= {machine.tree.joint_names.index(name) for name in gains(machine)}
-    values = [
-        v
-        for e, v in zip(model.fit.vector.entries, model.fit.vector.values, strict=True)
-        if e.owner == c.effect and set(e.joints) <= set(c.joints)
-    ]
+    fitted = zip(model.fit.vector.entries, model.fit.vector.values, strict=True)
+    values = [v for e, v in fitted if e.owner == c.effect and set(e.joints) <= set(c.joints)]
     late, changed = effect.shifts_commands, by_actuator(effect)
     # gain times torque beside a clipped torque bends where the limit is reached; a limit of MJCF
     # clips both
@@ -294,12 +291,11 @@ def _actuators(
 
 def _peaks(problem: TreeProblem, model: FittedTree) -> dict[int, float]:
     """Peak of the force of each joint's actuator, N m: the fitted one where there is one."""
-    return dict(enumerate(problem.reach.peak)) | {
-        j: value
-        for e, value in zip(model.fit.vector.entries, model.fit.vector.values, strict=True)
-        for j in e.joints
-        if e.owner == SATURATION.name and e.name == "peak"
-    }
+    peaks = dict(enumerate(problem.reach.peak))
+    for e, value in zip(model.fit.vector.entries, model.fit.vector.values, strict=True):
+        if e.owner == SATURATION.name and e.name == "peak":
+            peaks |= dict.fromkeys(e.joints, value)
+    return peaks
 
 
 def _lost(problem: TreeProblem, model: FittedTree, named: FittedTree) -> list[str]:
@@ -307,13 +303,16 @@ def _lost(problem: TreeProblem, model: FittedTree, named: FittedTree) -> list[st
     retained = {c.key for c in model.added}
     gone = [c for c in named.added if c.key not in retained]
     vector = named.fit.vector
-    return [
-        f"not held by this file, see model.toml: {e.owner} at "
-        f"{', '.join(problem.joint_names[j] for j in e.joints)}, {e.name} = {value:.6g} {e.unit}"
-        for c in gone
-        for e, value in zip(vector.entries, vector.values, strict=True)
-        if e.owner == c.effect and set(e.joints) <= set(c.joints)
-    ]
+    lines = []
+    for c in gone:
+        for e, value in zip(vector.entries, vector.values, strict=True):
+            if e.owner == c.effect and set(e.joints) <= set(c.joints):
+                where = ", ".join(problem.joint_names[j] for j in e.joints)
+                lines.append(
+                    f"not held by this file, see model.toml: {e.owner} at {where}, "
+                    f"{e.name} = {value:.6g} {e.unit}"
+                )
+    return lines
 
 
 MODEL = "model.xml"

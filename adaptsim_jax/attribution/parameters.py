@@ -117,17 +117,19 @@ def pseudo_inertia(inertial):
     """
     m, x, y, z, xx, xy, xz, yy, yz, zz = inertial
     half = 0.5 * (xx + yy + zz)
-    return jnp.array(
-        [[half - xx, -xy, -xz, x], [-xy, half - yy, -yz, y], [-xz, -yz, half - zz, z], [x, y, z, m]]
-    )
+    row_x = [half - xx, -xy, -xz, x]
+    row_y = [-xy, half - yy, -yz, y]
+    row_z = [-xz, -yz, half - zz, z]
+    return jnp.array([row_x, row_y, row_z, [x, y, z, m]])
 
 
 def inertial_of(j):
     """The reverse of `pseudo_inertia`."""
     a, b, c = j[0, 0], j[1, 1], j[2, 2]
-    return jnp.stack(
-        [j[3, 3], j[0, 3], j[1, 3], j[2, 3], b + c, -j[0, 1], -j[0, 2], a + c, -j[1, 2], a + b]
-    )
+    weight = [j[3, 3], j[0, 3], j[1, 3], j[2, 3]]
+    about_x = [b + c, -j[0, 1], -j[0, 2]]
+    about_y = [a + c, -j[1, 2]]
+    return jnp.stack([*weight, *about_x, *about_y, a + b])
 
 
 def root(inertial: np.ndarray) -> np.ndarray:
@@ -150,15 +152,13 @@ def moved(u0, eta):
     """Inertial parameters [10] at eta [10] from the root of the declared ones [4, 4]."""
     a, dx, dy, dz, xy, xz, yz, tx, ty, tz = eta
     one, zero = jnp.exp(0.0 * a), 0.0 * a
-    v = jnp.array(
-        [
-            [jnp.exp(dx), xy, xz, tx],
-            [zero, jnp.exp(dy), yz, ty],
-            [zero, zero, jnp.exp(dz), tz],
-            [zero, zero, zero, one],
-        ]
-    ) * jnp.exp(a)
-    u = u0 @ v
+    triangle = [
+        [jnp.exp(dx), xy, xz, tx],
+        [zero, jnp.exp(dy), yz, ty],
+        [zero, zero, jnp.exp(dz), tz],
+        [zero, zero, zero, one],
+    ]
+    u = u0 @ (jnp.array(triangle) * jnp.exp(a))
     return inertial_of(u @ u.T)
 
 

@@ -204,16 +204,17 @@ def doubted(known: Mapping[str, float], values: Mapping[str, Value]) -> list[str
     """A sentence for each declared parameter that `[known]` gives otherwise than the motion: beyond
     its interval, by a fiftieth.
     """
-    return [
-        f"[known] {k} = {x:.4g}, but the motion says {v.value:.4g} [{v.low:.4g}, {v.high:.4g}] "
-        f"{v.unit}: mend it or take it out"
-        for k, x in known.items()
-        if (v := values.get(k)) is not None
-        and v.low is not None
-        and v.high is not None
-        and not v.low <= x <= v.high
-        and abs(v.value - x) > 0.02 * abs(x)
-    ]
+    lines = []
+    for k, x in known.items():
+        v = values.get(k)
+        if v is None or v.low is None or v.high is None:
+            continue
+        if not v.low <= x <= v.high and abs(v.value - x) > 0.02 * abs(x):
+            lines.append(
+                f"[known] {k} = {x:.4g}, but the motion says {v.value:.4g} [{v.low:.4g}, "
+                f"{v.high:.4g}] {v.unit}: mend it or take it out"
+            )
+    return lines
 
 
 def base_parameters(inertial: np.ndarray, l1: float, down: float) -> np.ndarray:
@@ -314,14 +315,16 @@ def model_file(
                 f"model.toml cannot hold {name} at {JOINTS[k]}; model.xml says what of it MJCF can "
                 "hold"
             )
+    geometry = {k: float(v) for k, v in rig.geometry.items()}
+    known = {k: float(v) for k, v in rig.known.items()}
     file = ModelFile(
         rig.task,
         rig.model,
         rig.angle_zero,
-        {k: float(v) for k, v in rig.geometry.items()},
+        geometry,
         declared,
         tuple(effects),
-        {k: float(v) for k, v in rig.known.items()},
+        known,
         provenance=dict(summary),
         library=tuple(library.values()) if own else (),
     )

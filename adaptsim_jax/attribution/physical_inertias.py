@@ -151,10 +151,10 @@ def otherwise(rows: dict[str, dict[str, Any]]) -> list[str]:
             and not row["low"] <= row["file"] <= row["high"]
         ):
             off[name] = abs(row["value"] - row["file"]) / size
-    different = [
-        f"{name} {fixed[name]['value']:.3g} {fixed[name]['unit']} (file {fixed[name]['file']:.3g})"
-        for name in sorted(off, key=lambda n: -off[n])[:3]
-    ]
+    different = []
+    for name in sorted(off, key=lambda n: -off[n])[:3]:
+        row = fixed[name]
+        different.append(f"{name} {row['value']:.3g} {row['unit']} (file {row['file']:.3g})")
     if different:
         return [f"Unlike the model file, by these data: {', '.join(different)}."]
     return []
@@ -230,14 +230,11 @@ def _body(
     frame = inverse((frames.place[name], frames.rotation[name]))
     central = np.stack([_central(v, frame) for v in values])
     size = COORDINATE_STEP * np.maximum(np.abs(slope).max(1), 1e-12)
-    change = np.stack(
-        [
-            (_central(values[0] + h * e, frame) - _central(values[0] - h * e, frame)) / (2 * h)
-            for h, e in zip(size, np.eye(10), strict=True)
-        ],
-        1,
-    )
-    by = change @ slope
+    change = []
+    for h, e in zip(size, np.eye(10), strict=True):
+        difference = _central(values[0] + h * e, frame) - _central(values[0] - h * e, frame)
+        change.append(difference / (2 * h))
+    by = np.stack(change, 1) @ slope
     return [
         InertialQuantity(f"{what} of {name}", UNITS[k], central[:, k], by[k], False)
         for k, what in enumerate(OF_BODY)

@@ -103,22 +103,22 @@ def prepare(
     ties [n, n]: see `acting.Values`.
     """
     n = len(tree.joint_names)
-    tree = replace(
-        within_reach(tree, tracks), rub=np.zeros((n, 2))
-    )  # sharp, as of real joints (`equation/rubbing.py`)
+    # sharp, as of real joints (`equation/rubbing.py`)
+    tree = replace(within_reach(tree, tracks), rub=np.zeros((n, 2)))
     stretches = without_first_rows(cut(tracks, horizon, most), look_back)
     fold = folds_of(stretches.trial)
     names = names_of(stretches.trial, fold, stretches.names)
     stretches = _padded(stretches)
     if actuator is None:
-        actuator = np.stack(
-            [np.ones(n), *[np.zeros(n)] * 3, np.full(n, -np.inf), np.full(n, np.inf)]
-        )
+        limit = np.full(n, np.inf)
+        actuator = np.stack([np.ones(n), *[np.zeros(n)] * 3, -limit, limit])
     gear = np.ones(n) if gear is None else np.asarray(gear, float)
     groups = []
     for joints in tied(subtrees(tree), ties):
         part, some = _nameless(take(tree, joints)), list(joints)
         own = None if ties is None else ties[np.ix_(joints, joints)]
+        if own is not None and not np.any(own):
+            own = None
         groups.append(
             Group(
                 ActingModel(part, tuple(effects)),
@@ -127,7 +127,7 @@ def prepare(
                 np.asarray(actuator)[..., some],
                 gear[..., some],
                 inertias(np.asarray(part.inertial)),
-                own if own is not None and np.any(own) else None,
+                own,
             )
         )
     as_declared = numbers_of(tree)
@@ -149,12 +149,13 @@ def prepare(
 
 def numbers_of(tree: Tree) -> dict[tuple[str, str], np.ndarray]:
     """What a model file says of effects, (effect, parameter) -> [n]."""
+    stiffness = np.asarray(tree.stiffness)
     return {
         (VISCOUS.name, "damping"): np.asarray(tree.damping),
         (COULOMB.name, "level"): np.asarray(tree.frictionloss),
         (ARMATURE.name, "inertia"): np.asarray(tree.armature),
-        (SPRING.name, "stiffness"): np.asarray(tree.stiffness),
-        (SPRING.name, "preload"): np.asarray(tree.stiffness) * np.asarray(tree.springref),
+        (SPRING.name, "stiffness"): stiffness,
+        (SPRING.name, "preload"): stiffness * np.asarray(tree.springref),
     }
 
 
@@ -395,16 +396,14 @@ def values_of(
     numbers = vector.values[None] if rows is None else np.asarray(rows)
     place = {j: k for k, j in enumerate(group.joints)}
     eta = np.zeros((width, n, 10))
-    effects = {
-        e.name: {
-            p.name: np.repeat(
-                [[off_value(problem, e.name, p.name, j)] for j in group.joints], width, 1
-            )
-            for p in e.parameters
-        }
-        for e in problem.effects
-        if e.place != "model"
-    }
+    effects: dict[str, dict[str, np.ndarray]] = {}
+    for e in problem.effects:
+        if e.place == "model":
+            continue
+        effects[e.name] = {}
+        for p in e.parameters:
+            off = [[off_value(problem, e.name, p.name, j)] for j in group.joints]
+            effects[e.name][p.name] = np.repeat(off, width, 1)
     tilt = np.zeros((width, 2))
     for i, e in enumerate(vector.entries):
         for j in e.joints:

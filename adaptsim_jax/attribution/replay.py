@@ -86,29 +86,33 @@ class Replay:
             }
 
         def beside(j):
+            line, still = self.line[:, j], self.still[:, j]
             return {
-                "straight_line": _median(self.line[:, j]),
-                "hold_still": _median(self.still[:, j]),
-                "skill": skill_of(self.error[:, j], self.line[:, j], self.still[:, j]),
+                "straight_line": _median(line),
+                "hold_still": _median(still),
+                "skill": skill_of(self.error[:, j], line, still),
             }
 
+        joints = {
+            name: some(self.error[:, j]) | {"unit": unit(j)} | beside(j)
+            for j, name in enumerate(self.joint_names)
+        }
+        measures = {name: m.as_dict() for name, m in self.measures.items() if m is not None}
+        trials = {
+            name: some(self.error[self.trial == k][:, main])
+            for k, name in enumerate(self.trial_names)
+            if np.any(self.trial == k)
+        }
         return {
             **some(pool),
             "unit": unit(main[0]),
             **beside(main),
             "horizon": self.horizon,
             "stretches": len(self.error),
-            "joints": {
-                name: some(self.error[:, j]) | {"unit": unit(j)} | beside(j)
-                for j, name in enumerate(self.joint_names)
-            },
-            "yardsticks": {name: m.as_dict() for name, m in self.measures.items() if m is not None},
+            "joints": joints,
+            "yardsticks": measures,
             "predicts_nothing": predicts_nothing(self.measures),
-            "trials": {
-                name: some(self.error[self.trial == k][:, main])
-                for k, name in enumerate(self.trial_names)
-                if np.any(self.trial == k)
-            },
+            "trials": trials,
             "notes": list(self.notes),
         }
 
@@ -182,6 +186,7 @@ def replayed(problem: TreeProblem, vector: Vector, horizon: float, roughly: bool
     found = forecast(problem, vector, roughly)
     s, count = problem.groups[0].stretches, len(problem.fold)
     line, still = without_a_model(problem)
+    measure = of_simulation(problem, found.error, STRETCHES, horizon)
     return Replay(
         problem.joint_names,
         problem.kinds,
@@ -196,7 +201,7 @@ def replayed(problem: TreeProblem, vector: Vector, horizon: float, roughly: bool
         (),
         line,
         still,
-        {STRETCHES: of_simulation(problem, found.error, STRETCHES, horizon)},
+        {STRETCHES: measure},
     )
 
 
@@ -302,11 +307,8 @@ def by_mujoco(choice: Choice, horizon: float) -> Replay:
         for k in range(model.njnt)
         if model.jnt_type[k] == int(mujoco.mjtJoint.mjJNT_SLIDE)
     }
-    kinds, n, error = (
-        tuple("slide" if name in slides else "hinge" for name in names),
-        len(names),
-        found.error,
-    )
+    kinds = tuple("slide" if name in slides else "hinge" for name in names)
+    n, error = len(names), found.error
     measured, mask, simulated = s.measured[..., :n], s.seen[..., :n].astype(float), found.simulated
     if found.base is not None:
         base = np.median(found.base, 0)

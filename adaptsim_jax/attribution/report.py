@@ -52,48 +52,48 @@ def account_of(
     remains = _remains(problem, found, criteria)
     left, log = remains.left or bool(remains.outliers), machine.log
     declared = partial(_declared, machine, problem)
+    data = {
+        "trials": len(machine.tracks),
+        "samples": log.samples,
+        "held_out_trials": len(np.unique(problem.fold)),
+    }
+    effects = [_effect(machine, problem, found, n) for n in found.named]
+    both = {"before": found.null, "after": found.final}
+    notes = [
+        *log.notes,
+        *machine.notes,
+        *unused(machine),
+        *standing(machine),
+        *physical_inertias.sentence(problem, found.final, declared(found.final)),
+        *soft_friction(problem, found.named, left, remains.over),
+        *read_so(problem, found),
+        *shorter(found, criteria, horizon),
+    ]
+    stages = []
+    for m in (*found.stages, found.final):
+        added = [f"{c.effect} at {place(problem, c)}" for c in m.added]
+        stages.append({"added": added, "error": float(np.median(held_error(problem, m)))})
+    more = {
+        "power": power_rows(problem, found.last, criteria),
+        "fit_coordinates": {k: _coordinates(problem, model) for k, model in both.items()},
+        "not_established": doubts(problem, found),
+        "remaining": _remaining(problem, remains),
+        "notes": notes,
+        "stages": stages,
+        "next_experiment": next_experiment(problem, found),
+    }
     return Account(
         "mechanism",
         Path(machine.mechanism.path).name,
-        {
-            "trials": len(machine.tracks),
-            "samples": log.samples,
-            "held_out_trials": len(np.unique(problem.fold)),
-        },
+        data,
         partial(label, problem),
-        [_effect(machine, problem, found, n) for n in found.named],
+        effects,
         _scored(problem, found),
         headline(problem, found, remains, criteria),
         left,
         _error(problem, remains, horizon),
         declared,
-        {
-            "power": power_rows(problem, found.last, criteria),
-            "fit_coordinates": {
-                "before": _coordinates(problem, found.null),
-                "after": _coordinates(problem, found.final),
-            },
-            "not_established": doubts(problem, found),
-            "remaining": _remaining(problem, remains),
-            "notes": [
-                *log.notes,
-                *machine.notes,
-                *unused(machine),
-                *standing(machine),
-                *physical_inertias.sentence(problem, found.final, declared(found.final)),
-                *soft_friction(problem, found.named, left, remains.over),
-                *read_so(problem, found),
-                *shorter(found, criteria, horizon),
-            ],
-            "stages": [
-                {
-                    "added": [f"{c.effect} at {place(problem, c)}" for c in m.added],
-                    "error": float(np.median(held_error(problem, m))),
-                }
-                for m in (*found.stages, found.final)
-            ],
-            "next_experiment": next_experiment(problem, found),
-        },
+        more,
     )
 
 
@@ -120,13 +120,15 @@ def next_experiment(problem: TreeProblem, found: Selection) -> dict[str, Any] | 
 def _remains(problem: TreeProblem, found: Selection, criteria: Criteria) -> Remains:
     after = held_error(problem, found.final)
     outlying = astray(problem, found.final, criteria, found.null)
+    left = most_over_floor(problem, after) > criteria.explained
+    outliers = _outliers(problem, after, outlying, criteria)
     return Remains(
         held_error(problem, found.null),
         after,
         problem.floor[: problem.joints],
         over_floor(problem, found.final),
-        most_over_floor(problem, after) > criteria.explained,
-        _outliers(problem, after, outlying, criteria),
+        left,
+        outliers,
         int(outlying.sum()),
     )
 
@@ -208,13 +210,12 @@ def _of_a_body(
 ) -> dict[str, dict[str, Any]]:
     """A body's inertia as a person knows it, and not in the coordinates of the fit."""
     of = f" of {machine.tree.body_names[body]}"
-    return {
-        key.removesuffix(of).replace(" ", "_"): {
-            k: row[k] for k in ("value", "low", "high", "unit")
-        }
-        for key, row in physical_inertias.inertia_rows(machine, problem, model).items()
-        if key.endswith(of) and not row["combination"]
-    }
+    out = {}
+    for key, row in physical_inertias.inertia_rows(machine, problem, model).items():
+        if key.endswith(of) and not row["combination"]:
+            quantity = key.removesuffix(of).replace(" ", "_")
+            out[quantity] = {k: row[k] for k in ("value", "low", "high", "unit")}
+    return out
 
 
 def with_limits(numbers: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
@@ -240,14 +241,11 @@ def with_limits(numbers: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]
 
 def _error(problem: TreeProblem, remains: Remains, horizon: float) -> dict[str, Any]:
     both = {"before": remains.before, "after": remains.after}
-    channels = {
-        name: Errors(
-            "rad" if problem.kinds[j] == "hinge" else "m",
-            float(remains.noise[j]),
-            {k: e[:, j] for k, e in both.items()},
-        )
-        for j, name in enumerate(problem.joint_names)
-    }
+    channels = {}
+    for j, name in enumerate(problem.joint_names):
+        unit = "rad" if problem.kinds[j] == "hinge" else "m"
+        own = {k: e[:, j] for k, e in both.items()}
+        channels[name] = Errors(unit, float(remains.noise[j]), own)
     units = {errors.unit for errors in channels.values()}
     unit = units.pop() if len(units) == 1 else "1"
     metric = (
@@ -324,12 +322,12 @@ def _declared(machine: Machine, problem: TreeProblem, model: FittedTree) -> dict
     def wider(row, more):
         return row | {"low": row["low"] - more, "high": row["high"] + more}
 
-    dampings = {
-        f"{e.name} of {problem.joint_names[e.joints[0]]}": wider(row, stiff[e.joints[0]])
-        | {"identifiable": True, "file": float(machine.tree.damping[e.joints[0]])}
-        for e, row in _numbers_of(model)
-        if e.owner == VISCOUS.name
-    }
+    dampings = {}
+    for e, row in _numbers_of(model):
+        if e.owner == VISCOUS.name:
+            j = e.joints[0]
+            declared = {"identifiable": True, "file": float(machine.tree.damping[j])}
+            dampings[f"{e.name} of {problem.joint_names[j]}"] = wider(row, stiff[j]) | declared
     return physical_inertias.inertia_rows(machine, problem, model) | dampings
 
 
@@ -373,14 +371,12 @@ def _held_out(problem: TreeProblem, found: Selection) -> list[Mapping[str, Any]]
         lanes = [w for w in range(len(problem.fold)) if s.trial[w] == k][:12]
         if not lanes:
             continue
-        entry: dict[str, Any] = {
-            "trial": name,
-            "units": {
-                n: "rad" if k == "hinge" else "m"
-                for n, k in zip(problem.joint_names, problem.kinds, strict=True)
-            },
-            "time": np.concatenate([np.append(s.time[:, w], s.time[-1, w]) for w in lanes]),
+        units = {
+            n: "rad" if k == "hinge" else "m"
+            for n, k in zip(problem.joint_names, problem.kinds, strict=True)
         }
+        time = np.concatenate([np.append(s.time[:, w], s.time[-1, w]) for w in lanes])
+        entry: dict[str, Any] = {"trial": name, "units": units, "time": time}
 
         def flat(z, lanes=lanes):
             return np.concatenate([np.append(z[:, w], np.nan) for w in lanes])
@@ -393,10 +389,8 @@ def _held_out(problem: TreeProblem, found: Selection) -> list[Mapping[str, Any]]
                 entry["measured"][name_j] = flat(
                     np.where(g.stretches.seen[:, at] > 0, g.stretches.q[:, at], np.nan)
                 )
-                entry["before"][name_j], entry["after"][name_j] = (
-                    flat(a.sensed[:, at]),
-                    flat(b.sensed[:, at]),
-                )
+                entry["before"][name_j] = flat(a.sensed[:, at])
+                entry["after"][name_j] = flat(b.sensed[:, at])
         if not found.named:
             entry["after"] = None
         out.append(entry)

@@ -158,12 +158,13 @@ def servo_rows(
                 ". Only ratios to it are fixed by these data: no weight or inertia gives the "
                 "scale at this joint"
             )
+        stiffness = ends | {"unit": _unit(machine, s.joint), "meaning": text}
         rows.append(
             {
                 "name": GAIN,
                 "where": name,
                 "joints": [name],
-                "parameters": {"kp": ends | {"unit": _unit(machine, s.joint), "meaning": text}},
+                "parameters": {"kp": stiffness},
                 "physics": "the stiffness of the position controller is not the file's",
                 "alternatives": [],
                 "held_out_gain": 1.0 - (s.left / s.file) ** 2,
@@ -199,12 +200,14 @@ def servo_notes(machine: Machine, declared: Machine, off: tuple[Servo, ...]) -> 
     def kp(m, j):
         return -m.actuator[2, j] * m.gear[j] ** 2
 
-    each = ", ".join(
-        f"{machine.tree.joint_names[s.joint]} {kp(machine, s.joint):.3g} {_unit(machine, s.joint)} "
-        f"(file {kp(declared, s.joint):.4g}" + ("" if s.scale else "; only a ratio is told") + ")"
-        for s in off
-    )
+    each = []
+    for s in off:
+        j, doubt = s.joint, "" if s.scale else "; only a ratio is told"
+        each.append(
+            f"{machine.tree.joint_names[j]} {kp(machine, j):.3g} {_unit(machine, j)} "
+            f"(file {kp(declared, j):.4g}{doubt})"
+        )
     return [
-        f"kp by the command error along the motion, before the fit: {each}. kv of the file is in "
-        "the joints' damping."
+        f"kp by the command error along the motion, before the fit: {', '.join(each)}. kv of the "
+        "file is in the joints' damping."
     ]

@@ -71,7 +71,7 @@ class JointStretches:
     def of(self, joints: Sequence[int]) -> "JointStretches":
         """The same stretches of some joints alone."""
         j = list(joints)
-        n = self.joints
+        both = [*j, *(self.joints + k for k in j)]  # angles, then speeds
         return JointStretches(
             self.trial,
             self.time,
@@ -79,7 +79,7 @@ class JointStretches:
             self.v[:, j],
             self.seen[:, j],
             self.seen_v[:, j],
-            self.start[[*j, *(n + k for k in j)]],
+            self.start[both],
             self.stamp,
             self.command[:, j],
             self.past,
@@ -139,6 +139,7 @@ def _of_trial(
     v = np.full_like(q, np.nan) if track.v is None else np.moveaxis(track.v[rows], 0, -1)
     live = own.T[:, None]
     motion = np.concatenate(local_motion(track.time, track.q, track.v), 1)
+    command = mean_command(track.time, track.u, edges)
     return {
         "time": time - track.time[0],
         "q": np.where(np.isfinite(q), q, 0.0),
@@ -147,7 +148,7 @@ def _of_trial(
         "seen_v": np.isfinite(v) * live,
         "start": motion[rows[:, 0]].T,
         "stamp": edges[:-1] - track.time[0],
-        "command": np.moveaxis(mean_command(track.time, track.u, edges), 1, -1),
+        "command": np.moveaxis(command, 1, -1),
     }
 
 

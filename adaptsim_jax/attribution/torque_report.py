@@ -66,10 +66,11 @@ def by_torque(
         *unnamed_notes(problem, found),
         *bound_notes(problem, found),
     ]
+    over = after.error > np.maximum(minimum, 1e-12)
     return replace(
         account,
         headline=headline(problem, e),
-        left=bool(np.any(moving(problem) & (after.error > np.maximum(minimum, 1e-12)))),
+        left=bool(np.any(moving(problem) & over)),
         error=_error(problem, e, floor),
         more={**account.more, "remaining": remaining, "notes": notes},
     )
@@ -140,13 +141,14 @@ def headline(problem: TreeProblem, e: TorqueFound) -> Headline:
         name, where = label(problem, n.candidate)
         by.setdefault(words(name), []).append(where)
     names = "; ".join(f"{name} at {', '.join(where)}" for name, where in by.items())
-    worst = int(np.argmax(e.after.error / np.maximum(e.after.still, 1e-300)))
+    error, still = e.after.error, e.after.still
+    j = int(np.argmax(error / np.maximum(still, 1e-300)))
+    worst = f"{problem.joint_names[j]}, {error[j]:.3g} of {still[j]:.3g} {e.after.units[j]}"
     return Headline(
         f"The declared model, fitted, misses {before} of the torque along the measured motion.",
         f"{names[:1].upper()}{names[1:]}: held out by the torque along the measured motion, of "
         f"which {before} is missing without and {after} with (left-out blocks, mean over joints; "
-        f"most is left at {problem.joint_names[worst]}, {e.after.error[worst]:.3g} of "
-        f"{e.after.still[worst]:.3g} {e.after.units[worst]}).",
+        f"most is left at {worst}).",
         enough=Headline.none,
     )
 
@@ -166,18 +168,15 @@ def unnamed_notes(problem: TreeProblem, found: TorqueSearch) -> list[str]:
 
 def bound_notes(problem: TreeProblem, found: TorqueSearch) -> list[str]:
     """Bodies whose fit ends where a body of the file's kind ends: what would explain it."""
-    at = sorted(
-        {
-            problem.joint_names[e.joints[0]]
-            for w in found.searches
-            for e, z in zip(w.final.entries, w.final.values, strict=True)
-            if e.owner == INERTIA and abs(z) > 0.98 * e.high
-        }
-    )
+    at = set()
+    for w in found.searches:
+        for e, z in zip(w.final.entries, w.final.values, strict=True):
+            if e.owner == INERTIA and abs(z) > 0.98 * e.high:
+                at.add(problem.joint_names[e.joints[0]])
     if not at:
         return []
     return [
-        f"The fit of the bodies moved by {', '.join(at)} ends at {INERTIAL.moved:g} times "
+        f"The fit of the bodies moved by {', '.join(sorted(at))} ends at {INERTIAL.moved:g} times "
         "(or a third of) what the model file says, and is held there: a rotor, a gain of the "
         "torques, a payload or friction that is not in the catalogue would explain it; "
         "`[fit] factor` in meta.toml widens it."
@@ -196,41 +195,29 @@ def curves(
         torques = needed(problem, b)
         left = [residual(problem, b, v) for v in (Vector((), np.zeros(0)), final)]
         rubbing = {e.name for e in problem.effects if e.traits.resists}
-        bare = final.at(
-            np.array(
-                [
-                    0.0 if e.owner in rubbing and e.off == 0.0 and e.low <= 0.0 else z
-                    for e, z in zip(final.entries, final.values, strict=True)
-                ]
-            )
-        )
-        resists = residual(problem, b, bare)
-        speed = b.averaged(b.v)
-        some = np.unique(
-            np.linspace(0, len(torques) - 1, min(TEXT.curve_rows, len(torques))).astype(int)
-        )
-        clock = b.time + np.concatenate(
-            [[0.0], np.cumsum(np.where(np.diff(b.trial) != 0, b.time[:-1] - b.time[1:] + 0.5, 0.0))]
-        )
+        without = [
+            0.0 if e.owner in rubbing and e.off == 0.0 and e.low <= 0.0 else z
+            for e, z in zip(final.entries, final.values, strict=True)
+        ]
+        resists = residual(problem, b, final.at(np.array(without)))
+        speed, count = b.averaged(b.v), len(torques)
+        some = np.unique(np.linspace(0, count - 1, min(TEXT.curve_rows, count)).astype(int))
+        gaps = np.where(np.diff(b.trial) != 0, b.time[:-1] - b.time[1:] + 0.5, 0.0)
+        clock = b.time + np.concatenate([[0.0], np.cumsum(gaps)])
         for k, j in enumerate(b.group.joints):
             unit = "N m" if problem.kinds[j] == "hinge" else "N"
-            over_time.append(
-                {
-                    "joint": problem.joint_names[j],
-                    "unit": unit,
-                    "time": clock[some],
-                    "measured": torques[some, k],
-                    "file": (torques + left[0])[some, k],
-                    "fitted": (torques + left[1])[some, k],
-                }
-            )
-            friction.append(
-                {
-                    "joint": problem.joint_names[j],
-                    "unit": unit,
-                    "speed": speed[some, k],
-                    "missing": -resists[some, k],
-                    "modelled": (left[1] - resists)[some, k],
-                }
-            )
+            joint = {"joint": problem.joint_names[j], "unit": unit}
+            curve = {
+                "time": clock[some],
+                "measured": torques[some, k],
+                "file": (torques + left[0])[some, k],
+                "fitted": (torques + left[1])[some, k],
+            }
+            over_time.append(joint | curve)
+            by_speed = {
+                "speed": speed[some, k],
+                "missing": -resists[some, k],
+                "modelled": (left[1] - resists)[some, k],
+            }
+            friction.append(joint | by_speed)
     return {"torque": over_time, "friction": friction}

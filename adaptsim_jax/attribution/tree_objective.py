@@ -351,14 +351,14 @@ class TreeObjective(Objective):
         if not self.alike:
             return model, ()
         size, gap = self.criteria.size, self.criteria.gap
-        found = [
-            (e, one)
-            for e in rows
-            for one in look_alikes(self, e)
-            if one.candidate.key not in self._replaced
-            and len(one.model.fit.vector) < len(model.fit.vector)
-            and one.test.gain < max(gap, size * more(model, one.model))
-        ]
+        count = len(model.fit.vector)
+        found = []
+        for e in rows:
+            for one in look_alikes(self, e):
+                if one.candidate.key in self._replaced or len(one.model.fit.vector) >= count:
+                    continue
+                if one.test.gain < max(gap, size * more(model, one.model)):
+                    found.append((e, one))
         if not found:
             return model, ()
         e, one = min(found, key=lambda f: f[1].test.gain)

@@ -77,11 +77,14 @@ def dare_residual(A: Array, B: Array, Q: Array, R: Array, P: Array) -> Array:
     """`A'PA - A'PB (R + B'PB)^-1 B'PA + Q - P`, `[n, n]`, with or without trailing batch axes."""
     PA, PB = mm(P, A), mm(P, B)
     APB = mm(transpose(A), PB)
-    return mm(transpose(A), PA) - mm(APB, solve(R + mm(transpose(B), PB), transpose(APB))) + Q - P
+    open_loop = mm(transpose(A), PA)
+    feedback = mm(APB, solve(R + mm(transpose(B), PB), transpose(APB)))
+    return open_loop - feedback + Q - P
 
 
 def _solution(solver: Any, A: Array, B: Array, Q: Array, R: Array) -> RiccatiSolution:
-    A, B, Q, R = (jnp.asarray(x, jnp.result_type(A, B, Q, R, float)) for x in (A, B, Q, R))
+    dtype = jnp.result_type(A, B, Q, R, float)
+    A, B, Q, R = (jnp.asarray(x, dtype) for x in (A, B, Q, R))
     P, residual, code = solver(A, B, symmetric(Q), symmetric(R))
     return RiccatiSolution(P, residual, code.astype(jnp.int32))
 
@@ -97,7 +100,9 @@ def _double(A: Array, G: Array, H: Array) -> tuple[Array, Array, Array]:
     W = eye_like(A) + mm(G, H)
     X = solve(W, jnp.concatenate([A, G], axis=1))
     AX, AY = mm(A, X[:, :n]), mm(A, X[:, n:])
-    return AX, symmetric(G + mm(AY, transpose(A))), symmetric(H + mm(mm(transpose(A), H), X[:, :n]))
+    G2 = symmetric(G + mm(AY, transpose(A)))
+    H2 = symmetric(H + mm(mm(transpose(A), H), X[:, :n]))
+    return AX, G2, H2
 
 
 def _most_doublings(dtype: Any) -> int:
@@ -119,7 +124,9 @@ def _doubling(A: Array, G: Array, H: Array) -> tuple[Array, Array]:
         A2, G2, H2 = _double(A, G, H)
         frozen = (settled | dead)[None, None]
         change = norm(H2 - H)
-        A, G, H = (jnp.where(frozen, old, new) for old, new in ((A, A2), (G, G2), (H, H2)))
+        A = jnp.where(frozen, A, A2)
+        G = jnp.where(frozen, G, G2)
+        H = jnp.where(frozen, H, H2)
         # A power of the closed loop that is below one proves it stable, also where H does not see
         # it.
         settled = settled | (~dead & (change <= small * norm(H2)) & (norm(A2) < 0.5))
@@ -144,19 +151,13 @@ def _cayley(A: Array, G: Array, Q: Array) -> tuple[Array, Array, Array]:
     n = A.shape[0]
     gamma = _shift(A, G, Q)
     shifted = A - gamma * eye_like(A)
-    K = jnp.concatenate(
-        [
-            jnp.concatenate([shifted, -G], axis=1),
-            jnp.concatenate([-Q, -transpose(shifted)], axis=1),
-        ],
-        axis=0,
-    )
-    T = inverse(K)
-    return (
-        eye_like(A) + 2 * gamma * T[:n, :n],
-        symmetric(-2 * gamma * T[:n, n:]),
-        symmetric(-2 * gamma * T[n:, :n]),
-    )
+    upper = jnp.concatenate([shifted, -G], axis=1)
+    lower = jnp.concatenate([-Q, -transpose(shifted)], axis=1)
+    T = inverse(jnp.concatenate([upper, lower], axis=0))
+    Ad = eye_like(A) + 2 * gamma * T[:n, :n]
+    Gd = symmetric(-2 * gamma * T[:n, n:])
+    Hd = symmetric(-2 * gamma * T[n:, :n])
+    return Ad, Gd, Hd
 
 
 def _shift(A: Array, G: Array, Q: Array) -> Array:

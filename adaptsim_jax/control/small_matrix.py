@@ -48,7 +48,8 @@ def eye_like(a: Array) -> Array:
     """Identity as large as `a: [n, m, ...]` has rows, `[n, n, 1, ...]`: it broadcasts over the
     batch.
     """
-    return jnp.eye(a.shape[0], dtype=a.dtype).reshape((a.shape[0],) * 2 + (1,) * (a.ndim - 2))
+    n = a.shape[0]
+    return jnp.eye(n, dtype=a.dtype).reshape((n, n) + (1,) * (a.ndim - 2))
 
 
 def norm(a: Array) -> Array:
@@ -136,12 +137,12 @@ def batch_last(core: Callable[..., Any]) -> Callable[..., Any]:
 
     @mapped.def_vmap
     def rule(axis_size: int, in_batched: list[bool], *args: Array) -> Any:
-        moved = [
-            jnp.moveaxis(x, 0, -1)
-            if batched
-            else jnp.broadcast_to(x[..., None], (*x.shape, axis_size))
-            for x, batched in zip(args, in_batched, strict=True)
-        ]
+        moved = []
+        for x, batched in zip(args, in_batched, strict=True):
+            if batched:
+                moved.append(jnp.moveaxis(x, 0, -1))
+            else:
+                moved.append(jnp.broadcast_to(x[..., None], (*x.shape, axis_size)))
         out = mapped(*moved)
         out = jax.tree.map(lambda y: jnp.moveaxis(y, -1, 0), out)
         return out, jax.tree.map(lambda _: True, out)

@@ -121,15 +121,9 @@ def power_rows(problem: Problem, found: Finding, criteria: Criteria) -> list[dic
             continue
         name, information = _best(problem, fit, e)
         q = problem.quantities[problem.index[name]]
-        out.append(
-            {
-                "name": e.name,
-                "where": e.place,
-                "size": q.scale,
-                "unit": q.unit,
-                "power": float(stats.ncx2.sf(level, 1, max(information / left, 1e-12))),
-            }
-        )
+        power = float(stats.ncx2.sf(level, 1, max(information / left, 1e-12)))
+        size = {"size": q.scale, "unit": q.unit, "power": power}
+        out.append({"name": e.name, "where": e.place} | size)
     return sorted(out, key=lambda row: row["power"])
 
 

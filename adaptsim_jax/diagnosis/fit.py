@@ -138,11 +138,12 @@ def declared_fit(problem: Problem, rounds: int, noise: float = np.inf) -> Fit:
     """The declared quantities fitted from the best few of `problem.starts`, and from more of them
     while more than `noise` (mean square) is left: a bad minimum looks like an effect.
     """
-    score = problem.scan or (
-        lambda rows: np.array(
-            [np.square(problem.residuals(np.tile(v, (len(problem.trials), 1)))).sum() for v in rows]
-        )
-    )
+
+    def squares(values: np.ndarray) -> float:
+        every = np.tile(values, (len(problem.trials), 1))
+        return np.square(problem.residuals(every)).sum()
+
+    score = problem.scan or (lambda rows: np.array([squares(v) for v in rows]))
     order, fits = np.argsort(score(problem.starts)), []
     for first in range(0, MAX_START_GROUPS * problem.begun, problem.begun):
         fits += [

@@ -64,8 +64,9 @@ def _worse(before: FileReplay, after: FileReplay) -> list[dict[str, Any]]:
         return np.sqrt(np.mean(np.square(np.minimum(error, REPORT.ran_away)), 0))
 
     one, two, nothing = size(before.error), size(after.error), size(before.nothing)
+    worse = (one < nothing) & (two > REPORT.slack * one)
     return [
         {"joint": name, "before": float(one[j]), "after": float(two[j]), "unit": before.units[j]}
         for j, name in enumerate(before.joints)
-        if one[j] < nothing[j] and two[j] > REPORT.slack * one[j]
+        if worse[j]
     ]

@@ -102,19 +102,20 @@ def report_of(found: Finding, account: Account) -> dict[str, Any]:
         effect_row(n, account.label, own)
         for n, own in zip(found.named, account.effects, strict=True)
     ]
+    verdict = verdict_of(effects, account.left)
+    text = message(found, account)
+    candidates = candidate_rows(found, account.label, account.scores)
+    before, after = account.declared(found.null), account.declared(found.final)
     return new_report(
         account.task,
         account.model,
-        verdict_of(effects, account.left),
-        message(found, account),
+        verdict,
+        text,
         account.data,
         effects=effects,
         error=account.error,
-        candidates=candidate_rows(found, account.label, account.scores),
-        declared={
-            "before": account.declared(found.null),
-            "after": account.declared(found.final),
-        },
+        candidates=candidates,
+        declared={"before": before, "after": after},
         **account.more,
     )
 
@@ -144,14 +145,16 @@ def named_words(named: Sequence[Named], called: Callable[[Any], str], folds: str
     """What is named and how it was tested, one sentence. called: a candidate in words; folds: what
     was left out, in words.
     """
-    return sentence(
-        "; ".join(
-            f"{called(n.candidate)} holds out in {n.test.better} of {n.test.folds}"
-            f"{folds and f' {folds}'} (takes {100 * n.test.gain:.0f} % off the squared error "
-            f"beside all others, p {n.test.p:.2g})"
-            for n in named
+    unit = f" {folds}" if folds else ""
+    each = []
+    for n in named:
+        test = n.test
+        each.append(
+            f"{called(n.candidate)} holds out in {test.better} of {test.folds}{unit} "
+            f"(takes {100 * test.gain:.0f} % off the squared error beside all others, "
+            f"p {test.p:.2g})"
         )
-    )
+    return sentence("; ".join(each))
 
 
 def effect_row(n: Named, label: Callable[[Any], Label], own: Mapping[str, Any]) -> dict[str, Any]:
@@ -234,24 +237,25 @@ def error_rows(
         each = {c: medians(errors, mine) for c, errors in channels.items()}
         return {"trial": name, **medians(whole, mine), "per_channel": each}
 
+    per_channel = {
+        c: {"unit": errors.unit, **medians(errors), "noise_floor": errors.floor}
+        for c, errors in channels.items()
+    }
+    per_trial = [of_trial(name, trial == k) for k, name in enumerate(names) if np.any(trial == k)]
+    intervals = {}
+    for k, v in whole.both.items():
+        drawn = [np.median(v[d]) for d in draws]
+        intervals[k] = [float(z) for z in np.quantile(drawn, COVERED)]
     return {
         "metric": metric,
         "unit": whole.unit,
         **medians(whole),
         "noise_floor": whole.floor,
         "ceiling": None,
-        "per_channel": {
-            c: {"unit": errors.unit, **medians(errors), "noise_floor": errors.floor}
-            for c, errors in channels.items()
-        },
-        "per_trial": [
-            of_trial(name, trial == k) for k, name in enumerate(names) if np.any(trial == k)
-        ],
+        "per_channel": per_channel,
+        "per_trial": per_trial,
         "noise_floor_source": source,
-        "intervals": {
-            k: [float(z) for z in np.quantile([np.median(v[d]) for d in draws], COVERED)]
-            for k, v in whole.both.items()
-        },
+        "intervals": intervals,
     }
 
 

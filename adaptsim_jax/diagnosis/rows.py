@@ -200,10 +200,9 @@ def error_table(
     }
 
     def one(k, c):
-        return np.sqrt(
-            (np.square(tracks[k][..., c] - recorded.places[..., c]) * recorded.rows[..., c]).sum(1)
-            / np.maximum(recorded.rows[..., c].sum(1), 1)
-        )
+        rows = recorded.rows[..., c]
+        off = np.square(tracks[k][..., c] - recorded.places[..., c]) * rows
+        return np.sqrt(off.sum(1) / np.maximum(rows.sum(1), 1))
 
     units = {n: ("m", recorded.noise) for n in recorded.channels} | dict(recorded.others)
     channels = {
@@ -270,15 +269,17 @@ def held_out(
         def channels(z, i=i, k=k):
             return {n: z[i][k, c] for c, n in enumerate(recorded.channels)}
 
+        units = {n: unit for n, (unit, _) in recorded.others.items()}
+        after = channels(tracks["after"]) if mended else None
         out.append(
             {
                 "trial": name,
                 "unit": "m",
-                "units": {n: unit for n, (unit, _) in recorded.others.items()},
+                "units": units,
                 "time": recorded.time[i][k],
                 "measured": channels(recorded.places),
                 "before": channels(tracks["before"]),
-                "after": channels(tracks["after"]) if mended else None,
+                "after": after,
             }
         )
     return out

@@ -99,27 +99,32 @@ def reported(
     both = {"before": found.null, "after": found.final}
     tracks = {k: predictions(simulator, problem, m) for k, m in both.items()}
     notes = getattr(simulator, "notes", lambda values: [])
+    data = {
+        "trials": len(s.names),
+        "samples": int((s.seen > 0).any(2).sum()),
+        "held_out_trials": len(np.unique(np.asarray(problem.fold))),
+    }
+    effects = rows.effect_rows(problem, found)
+    scores = rows.scored(found, criteria.alpha)
+    error = _error(simulator, both, tracks)
+    more = {
+        "not_established": rows.same_rows(found, "stretch"),
+        "power": power_rows(problem, found, criteria),
+        "notes": [*few(problem), *notes(by_name(problem, found.final))],
+        "next_experiment": discriminating(simulator, problem, found, proposals),
+    }
     account = Account(
         "simulator",
         name,
-        {
-            "trials": len(s.names),
-            "samples": int((s.seen > 0).any(2).sum()),
-            "held_out_trials": len(np.unique(np.asarray(problem.fold))),
-        },
+        data,
         rows.label,
-        rows.effect_rows(problem, found),
-        rows.scored(found, criteria.alpha),
+        effects,
+        scores,
         headline(found),
         worst > criteria.explained,
-        _error(simulator, both, tracks),
+        error,
         lambda model: rows.declared_rows(problem, model, {}),
-        {
-            "not_established": rows.same_rows(found, "stretch"),
-            "power": power_rows(problem, found, criteria),
-            "notes": [*few(problem), *notes(by_name(problem, found.final))],
-            "next_experiment": discriminating(simulator, problem, found, proposals),
-        },
+        more,
     )
     report = report_of(found, account)
     check_skill(report, criteria)
@@ -203,12 +208,11 @@ def _error(
 
     def rms(key: str, c: int) -> np.ndarray:
         off = np.square(tracks[key][..., c] - s.measured[..., c]) * s.seen[..., c]
-        return np.array(
-            [
-                np.sqrt(off[trial_of[k]].sum() / max(s.seen[trial_of[k]][..., c].sum(), 1))
-                for k in some
-            ]
-        )
+        errors = []
+        for k in some:
+            count = s.seen[trial_of[k]][..., c].sum()
+            errors.append(np.sqrt(off[trial_of[k]].sum() / max(count, 1)))
+        return np.array(errors)
 
     size = {
         k: np.array([np.sqrt(m.fit.held[trial_of[t]].mean()) for t in some])
@@ -250,14 +254,16 @@ def _held_out(
         def of(z, flat=flat):
             return {ch.name: flat(z, c) for c, ch in enumerate(simulator.channels)}
 
+        time = np.concatenate([np.append(s.time[w], s.time[w, -1]) for w in mine])
+        after = of(tracks["after"]) if mended else None
         out.append(
             {
                 "trial": name,
                 "units": {ch.name: ch.unit for ch in simulator.channels},
-                "time": np.concatenate([np.append(s.time[w], s.time[w, -1]) for w in mine]),
+                "time": time,
                 "measured": of(s.measured),
                 "before": of(tracks["before"]),
-                "after": of(tracks["after"]) if mended else None,
+                "after": after,
             }
         )
     return out

@@ -173,15 +173,10 @@ def differences(
     """
 
     def along(way: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-        ahead, behind = (
-            residuals(
-                simulator,
-                values + side * DERIVATIVE_STEP * way[0],
-                starts + side * DERIVATIVE_STEP * way[1],
-                which,
-            )
-            for side in (1.0, -1.0)
-        )
+        def at(step: float) -> np.ndarray:
+            return residuals(simulator, values + step * way[0], starts + step * way[1], which)
+
+        ahead, behind = at(DERIVATIVE_STEP), at(-DERIVATIVE_STEP)
         return (behind - ahead) / (2.0 * DERIVATIVE_STEP)
 
     if not len(ways):

@@ -227,6 +227,8 @@ def problem_of(
     wanted = tuple(simulator.candidates if candidates is None else candidates)
     free = np.maximum((s.seen > 0).sum((1, 2)) - s.start.shape[1], 1)
     wanted = _started_separately(wanted, quantities, around)
+    trials = tuple(s.names[t] for t in s.trial)
+    begun = neutral[None] if begun is None else begun
     return Problem(
         quantities,
         tuple(simulator.declared),
@@ -234,8 +236,8 @@ def problem_of(
         around.residual,
         around.columns,
         free,
-        tuple(s.names[t] for t in s.trial),
-        neutral[None] if begun is None else begun,
+        trials,
+        begun,
         channels=len(simulator.channels),
         fold=fold,
         block=block,
@@ -265,11 +267,10 @@ def anchored(
     slope is used for a few steps before it is taken anew.
     """
     s = simulator.stretches
-    starts, by_start = (
-        (s.start if begun is None else begun).copy(),
-        np.zeros((s.count, s.measured[0].size, s.start.shape[1])),
-    )
-    on, rows, none = np.arange(s.count), np.tile(values, (s.count, 1)), np.zeros((0, len(values)))
+    starts = (s.start if begun is None else begun).copy()
+    by_start = np.zeros((s.count, s.measured[0].size, s.start.shape[1]))
+    on = np.arange(s.count)
+    rows, none = np.tile(values, (s.count, 1)), np.zeros((0, len(values)))
     before = np.square(residuals(simulator, rows, starts, on)).sum(1)
     draw, shaken = np.random.default_rng(0).standard_normal, False
     for _ in range(MAX_SLOPES if starts.shape[1] else 0):
@@ -299,15 +300,12 @@ def _shaken(simulator, rows, starts, by_start, before, on, draw) -> np.ndarray:
     if not len(bad):
         return again
     lanes, best = on[bad], before[bad].copy()
-    wide = (
-        np.linalg.cholesky(slope_of(s, by_start[lanes]).inverse)
-        * np.sqrt(best / count[bad])[:, None, None]
-    )
+    wide = np.linalg.cholesky(slope_of(s, by_start[lanes]).inverse)
+    wide = wide * np.sqrt(best / count[bad])[:, None, None]
     middle = starts[lanes].copy()
     for k in range(START_DRAWS):
-        tried = (
-            middle + (1.0, 0.3)[k % 2] * np.einsum("bst,bt->bs", wide, draw(middle.shape)) * s.scale
-        )
+        change = np.einsum("bst,bt->bs", wide, draw(middle.shape))
+        tried = middle + (1.0, 0.3)[k % 2] * change * s.scale
         loss = np.square(residuals(simulator, rows[lanes], tried, lanes)).sum(1)
         better = loss < best
         starts[lanes[better]], best[better] = tried[better], loss[better]
@@ -323,14 +321,10 @@ def _started_separately(
     """
     index = {q.name: i for i, q in enumerate(quantities)}
     plain = sorted({index[q] for c in wanted if not any(c.points) for q in c.names})
-    columns = around.columns(
-        np.array([q.default for q in quantities]), np.diag([q.scale for q in quantities])[plain]
-    )
-    mask = {
-        quantities[i].name
-        for i, shown in zip(plain, np.any(np.abs(columns) > 1e-9, (0, 1)), strict=True)
-        if shown
-    }
+    neutral = np.array([q.default for q in quantities])
+    columns = around.columns(neutral, np.diag([q.scale for q in quantities])[plain])
+    visible = np.any(np.abs(columns) > 1e-9, (0, 1))
+    mask = {quantities[i].name for i, shown in zip(plain, visible, strict=True) if shown}
     out = []
     for c in wanted:
         if any(c.points) or mask & set(c.names):

@@ -168,11 +168,10 @@ def keeping(
 
     def _partial_account(found: Finding) -> Account:
         final = found.final
-        values = [
-            f"{words(e.name)} "
-            f"({', '.join(f'{q} {final.fit.values[problem.index[q]]:.3g}' for q in e.names)})"
-            for e in final.added
-        ]
+        values = []
+        for e in final.added:
+            numbers = [f"{q} {final.fit.values[problem.index[q]]:.3g}" for q in e.names]
+            values.append(f"{words(e.name)} ({', '.join(numbers)})")
         text = f"Left-out error {over_floor(found.null):.3g} times the noise as declared"
         if values:
             text += f", {over_floor(final):.3g} with {', '.join(values)}, not yet judged"

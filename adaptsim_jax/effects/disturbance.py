@@ -38,12 +38,8 @@ def cogging(p, m: Motion):
     sine, cosine, ahead, across = p["sine"], p["cosine"], p["second_sine"], p["second_cosine"]
     sin, cos = sin_cos(at)
     second_sine, second_cosine = sine * ahead - cosine * across, sine * across + cosine * ahead
-    return (
-        sine * sin
-        + cosine * cos
-        + second_sine * 2.0 * sin * cos
-        + second_cosine * (cos * cos - sin * sin)
-    )
+    first = sine * sin + cosine * cos
+    return first + second_sine * 2.0 * sin * cos + second_cosine * (cos * cos - sin * sin)
 
 
 def at_phase(p, m: Motion):
@@ -123,7 +119,8 @@ PENDULUM_PERIODIC_DISTURBANCE = Effect(
 
 def _turned(m: Motion, angle):
     """Gravity `[n, ...]` as if the first joint stood further by `angle`."""
-    first = jnp.zeros((m.q.shape[0],) + (1,) * (m.q.ndim - 1), m.q.dtype).at[0].set(1.0)
+    shape = (m.q.shape[0],) + (1,) * (m.q.ndim - 1)
+    first = jnp.zeros(shape, m.q.dtype).at[0].set(1.0)
     return m.gravity(m.q + angle * first)
 
 

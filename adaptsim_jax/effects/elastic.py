@@ -32,7 +32,8 @@ def spring(p, m: Motion):
     """A cubic about any angle, written about zero: a spring that hardens need not do so about the
     joint's zero.
     """
-    return p["preload"] - p["stiffness"] * m.q * (1.0 + p["bend"] * m.q + p["hardening"] * m.q**2)
+    linear = p["stiffness"] * m.q
+    return p["preload"] - linear * (1.0 + p["bend"] * m.q + p["hardening"] * m.q**2)
 
 
 def hard_stop(p, m: Motion):

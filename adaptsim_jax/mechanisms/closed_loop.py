@@ -114,10 +114,9 @@ def history_rows(model: PlantModel, eff: np.ndarray, dt: float) -> int:
     `eff: [E]`.
     """
     rows = [np.asarray(response(model, e, eff, dt)) for e in model.layout.placed("command")]
-    longest = max(
-        (int(np.flatnonzero(np.abs(r).max(1) > 2e-3)[-1]) + 2 for r in rows if np.abs(r).any()),
-        default=2,
-    )
+    sizes = [np.abs(r) for r in rows]
+    lengths = [int(np.flatnonzero(s.max(1) > 2e-3)[-1]) + 2 for s in sizes if s.any()]
+    longest = max(lengths, default=2)
     remembers = any(e.jump for e in model.layout.placed("measurement"))
     return min(LONGEST, max(longest, LONGEST if remembers else 2))
 

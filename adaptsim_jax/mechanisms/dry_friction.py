@@ -64,10 +64,8 @@ def _by_partials(primals, tangents):
     """
     primals = tuple(jnp.broadcast_arrays(*primals))
     one, count = primals[0], len(primals)
-    ways = jnp.broadcast_to(
-        jnp.eye(count, dtype=one.dtype).reshape(count, count, *(1,) * one.ndim),
-        (count, count, *one.shape),
-    )
+    identity = jnp.eye(count, dtype=one.dtype).reshape(count, count, *(1,) * one.ndim)
+    ways = jnp.broadcast_to(identity, (count, count, *one.shape))
 
     def along(*way):
         return jax.jvp(mean_friction.fun, primals, way)
@@ -166,11 +164,9 @@ def _along(v, end, width):
     def reached(v):
         return jnp.abs(v) - _short(jnp.abs(v), width)
 
-    return jnp.where(
-        near,
-        jnp.tanh(0.5 * (v + end) / width),
-        (reached(end) - reached(v)) / jnp.where(near, 1.0, gap),
-    )
+    halfway = jnp.tanh(0.5 * (v + end) / width)
+    mean = (reached(end) - reached(v)) / jnp.where(near, 1.0, gap)
+    return jnp.where(near, halfway, mean)
 
 
 def _less(v, end, share, width):
@@ -181,9 +177,8 @@ def _less(v, end, share, width):
     def part(speed):
         return _short(speed, width) / jnp.maximum(speed, 1e-12)
 
-    turned = -jnp.sign(v) * part(jnp.abs(v)) * share - jnp.sign(end) * part(jnp.abs(end)) * (
-        1.0 - share
-    )
+    until_rest = -jnp.sign(v) * part(jnp.abs(v)) * share
+    turned = until_rest - jnp.sign(end) * part(jnp.abs(end)) * (1.0 - share)
     straight = jnp.sign(v) * (_along(jnp.abs(v), jnp.abs(end), width) - 1.0)
     return jnp.where(share < 1.0, turned, straight)
 
@@ -195,11 +190,9 @@ def _creeping(v, torque, level, width, inertia, h):
     weighed as an exponential decay has it, so that a stiff joint is at its equilibrium.
     """
     stiff = h * level / (inertia * width)
-    late = jnp.where(
-        stiff > 1e-3,
-        1.0 / -jnp.expm1(-jnp.maximum(stiff, 1e-3)) - 1.0 / jnp.maximum(stiff, 1e-3),
-        0.5,
-    )
+    firm = stiff > 1e-3
+    late = 1.0 / -jnp.expm1(-jnp.maximum(stiff, 1e-3)) - 1.0 / jnp.maximum(stiff, 1e-3)
+    late = jnp.where(firm, late, 0.5)
     mass, most = inertia / h, late * level
     goal = v + (torque - (1.0 - late) * level * jnp.tanh(v / width)) / mass
     way = jnp.where(goal < 0, -1.0, 1.0)

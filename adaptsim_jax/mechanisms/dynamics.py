@@ -223,16 +223,10 @@ def passive_force(tree: Tree, q: Array, v: Array) -> jax.Array:
 
     x = q - of(tree.springref)
     fast, distance = jnp.abs(v), jnp.abs(x)
-    drag = (
-        of(tree.damping)
-        + of(tree.damping_poly[:, 0]) * fast
-        + of(tree.damping_poly[:, 1]) * fast**2
-    )
-    pull = (
-        of(tree.stiffness)
-        + of(tree.stiffness_poly[:, 0]) * distance
-        + of(tree.stiffness_poly[:, 1]) * distance**2
-    )
+    drag = of(tree.damping) + of(tree.damping_poly[:, 0]) * fast
+    drag = drag + of(tree.damping_poly[:, 1]) * fast**2
+    pull = of(tree.stiffness) + of(tree.stiffness_poly[:, 0]) * distance
+    pull = pull + of(tree.stiffness_poly[:, 1]) * distance**2
     return -drag * v - pull * x
 
 
@@ -277,11 +271,9 @@ def _on_one(tree: Tree, x: jax.Array) -> jax.Array:
     if tree.whole is None:
         return x
     scaled = lifted(tree.whole.factor, 1, x.ndim - 1, x.dtype) * x
+    leaders = tree.whole.leader
     return jnp.stack(
-        [
-            sum(scaled[k] for k, leader in enumerate(tree.whole.leader) if leader == j)
-            for j in range(tree.n)
-        ]
+        [sum(scaled[k] for k, own in enumerate(leaders) if own == j) for j in range(tree.n)]
     )
 
 
@@ -294,9 +286,8 @@ def _on_both(tree: Tree, x: jax.Array) -> jax.Array:
 
 def _like(tree: Tree, inertial: Any, q: jax.Array, *others: Any) -> jax.Array:
     """Zeros of the batch's shape: what all arguments have behind their own axes."""
-    shapes = [
-        jnp.shape(x)[1:] for x in (q, *others, tree.place[:, 0], tree.gravity) if x is not None
-    ]
+    lanes = (q, *others, tree.place[:, 0], tree.gravity)
+    shapes = [jnp.shape(x)[1:] for x in lanes if x is not None]
     shapes += [] if inertial is None else [jnp.shape(inertial)[2:]]
     return jnp.zeros(jnp.broadcast_shapes(*shapes), q.dtype)
 
@@ -342,12 +333,11 @@ def _still(tree: Tree, inertial: Any, q: jax.Array) -> Still:
     else:
         turns = _mask(hinge, _like(tree, None, q))
         moment = cross(pose.origin, axis)
-        screw = (
-            times(turns, axis),
-            tuple(
-                add(mul(turns, m), mul(1.0 - turns, z)) for m, z in zip(moment, axis, strict=True)
-            ),
+        angular = times(turns, axis)
+        linear = tuple(
+            add(mul(turns, m), mul(1.0 - turns, z)) for m, z in zip(moment, axis, strict=True)
         )
+        screw = angular, linear
     if inertial is None:
         return Still(pose, screw, InertialBody(0, ZERO, (ZERO, ZERO, ZERO)))
     rows = lifted(inertial, 2, q.ndim - 1, q.dtype)
@@ -451,9 +441,9 @@ def _mass(tree: Tree, still: Still, whole: InertialBody, like: jax.Array) -> jax
         _outer(momentum(whole, still.screw), still.screw), tree.n, like
     )  # right where joint j carries joint i
     carries = _ancestry(tree)
-    return lower * _mask(carries.T, like) + jnp.swapaxes(lower, 0, 1) * _mask(
-        carries & ~np.eye(tree.n, dtype=bool), like
-    )
+    strictly = carries & ~np.eye(tree.n, dtype=bool)
+    below = lower * _mask(carries.T, like)
+    return below + jnp.swapaxes(lower, 0, 1) * _mask(strictly, like)
 
 
 def _derivatives(
@@ -484,12 +474,10 @@ def _derivatives(
     def table(x):
         return _table(x, tree.n, like)
 
-    by_q = upper * table(_outer(screw, above)) + lower * table(
-        add(_outer(own, surge), _outer(back, swing))
-    )
-    by_v = upper * table(_outer(screw, above_v)) + lower * table(
-        add(mul(2.0, _outer(own, swing)), _outer(back, screw))
-    )
+    by_q = upper * table(_outer(screw, above))
+    by_q = by_q + lower * table(add(_outer(own, surge), _outer(back, swing)))
+    by_v = upper * table(_outer(screw, above_v))
+    by_v = by_v + lower * table(add(mul(2.0, _outer(own, swing)), _outer(back, screw)))
     return by_q, by_v
 
 
@@ -535,7 +523,10 @@ def _solved(factor: Factor, rhs: jax.Array) -> jax.Array:
         rhs = rhs[:k] - rows[k][:, None] * rhs[k][None]
     out: list[jax.Array] = []
     for k in range(n):
-        out.append(scaled[k] - sum(rows[k][i][None] * out[i] for i in range(k)) if k else scaled[k])
+        solved = scaled[k]
+        if k:
+            solved = solved - sum(rows[k][i][None] * out[i] for i in range(k))
+        out.append(solved)
     return jnp.stack(out)
 
 
@@ -547,9 +538,8 @@ def _inverted(mass: jax.Array) -> jax.Array:
 
 def _with_armature(mass: jax.Array, armature: jax.Array) -> jax.Array:
     n = mass.shape[0]
-    return (
-        mass + jnp.eye(n, dtype=mass.dtype).reshape(n, n, *(1,) * (mass.ndim - 2)) * armature[None]
-    )
+    identity = jnp.eye(n, dtype=mass.dtype).reshape(n, n, *(1,) * (mass.ndim - 2))
+    return mass + identity * armature[None]
 
 
 def _times_rows(m: Array, x: Array) -> Array:
@@ -596,11 +586,12 @@ def _acceleration_jvp(primals, tangents):
         None if _zero(d_q) else -_times_rows(by_q, d_q),
         None if _zero(d_v) else -_times_rows(by_v, d_v),
         None if _zero(d_armature) else -d_armature * a,
-        None
-        if _zero(d_inertial)
-        else -_inverse_dynamics(tree, *_wholly(tree, d_inertial, True), q, v, a, gravity),
-        None if _zero(d_gravity) else gravity_force(tree, inertial, q, d_gravity),
     ]
+    if not _zero(d_inertial):
+        d_every, d_rows = _wholly(tree, d_inertial, True)
+        missing.append(-_inverse_dynamics(tree, d_every, d_rows, q, v, a, gravity))
+    if not _zero(d_gravity):
+        missing.append(gravity_force(tree, inertial, q, d_gravity))
     missing = [x for x in missing if x is not None and not _zero(x)]
     if missing:
         change = _times_rows(inverse, sum(missing))
@@ -685,7 +676,8 @@ def _mass_by_q(tree: Tree, still: Still, whole: InertialBody, like: jax.Array) -
         order = [(own + "".join(missing)).index(axis) for axis in "ijk"]
 
         def spread(x):
-            return x.reshape(*x.shape[: len(own)], *(1,) * len(missing), *x.shape[len(own) :])
+            front, behind = x.shape[: len(own)], x.shape[len(own) :]
+            return x.reshape(*front, *(1,) * len(missing), *behind)
 
         def place(x):
             if known(x):
@@ -717,9 +709,8 @@ def _mass_by_q(tree: Tree, still: Still, whole: InertialBody, like: jax.Array) -
     further = below[:, :, None] & strictly.T[:, None, :]  # i above k
 
     def cube(x, mask):
-        return jnp.broadcast_to(jnp.asarray(x, like.dtype), (n, n, n, *like.shape)) * _mask(
-            mask, like
-        )
+        whole = jnp.broadcast_to(jnp.asarray(x, like.dtype), (n, n, n, *like.shape))
+        return whole * _mask(mask, like)
 
     lower = cube(between, in_between) + cube(carried, further)
     return lower + jnp.swapaxes(lower, 0, 1) * _mask(~eye, like)[:, :, None]

@@ -40,6 +40,11 @@ def six_of(matrix: np.ndarray) -> np.ndarray:
     return matrix[[0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
 
 
+def point_moments(place: np.ndarray) -> np.ndarray:
+    """Moments [3, 3] about the origin of a unit mass at `place` [3]."""
+    return place @ place * np.eye(3) - np.outer(place, place)
+
+
 def inertial_about(
     mass: float, com: np.ndarray, axes: np.ndarray, moments: np.ndarray
 ) -> np.ndarray:
@@ -47,7 +52,7 @@ def inertial_about(
     [3] about `axes` [3, 3].
     """
     central = axes @ np.diag(moments) @ axes.T
-    about = central + mass * (com @ com * np.eye(3) - np.outer(com, com))
+    about = central + mass * point_moments(com)
     return np.concatenate([[mass], mass * com, six_of(about)])
 
 
@@ -56,19 +61,16 @@ def central(inertial: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     that weighs something.
     """
     mass, com = float(inertial[0]), inertial[1:4] / inertial[0]
-    return (
-        mass,
-        com,
-        symmetric_of(inertial[4:]) - mass * (com @ com * np.eye(3) - np.outer(com, com)),
-    )
+    return mass, com, symmetric_of(inertial[4:]) - mass * point_moments(com)
 
 
 def in_frame(inertial: np.ndarray, frame: Frame) -> np.ndarray:
     """Inertial parameters given in `frame`, in the frame that `frame` is given in."""
+    place, rotation = frame
     if inertial[0] == 0:
-        turned = frame[1] @ symmetric_of(inertial[4:]) @ frame[1].T
+        turned = rotation @ symmetric_of(inertial[4:]) @ rotation.T
         return np.concatenate([np.zeros(4), six_of(turned)])
     mass, com, about = central(inertial)
-    com = frame[0] + frame[1] @ com
-    about = frame[1] @ about @ frame[1].T + mass * (com @ com * np.eye(3) - np.outer(com, com))
+    com = place + rotation @ com
+    about = rotation @ about @ rotation.T + mass * point_moments(com)
     return np.concatenate([[mass], mass * com, six_of(about)])

@@ -49,7 +49,8 @@ def lifted(x: Any, own: int, batch: int, dtype: Any) -> jax.Array:
     has `batch` behind.
     """
     x = jnp.asarray(x, dtype)
-    return x.reshape(*x.shape[:own], *(1,) * (batch - (x.ndim - own)), *x.shape[own:])
+    front, behind = x.shape[:own], x.shape[own:]
+    return x.reshape(*front, *(1,) * (batch - (x.ndim - own)), *behind)
 
 
 def chain(tree: Tree, q: jax.Array) -> list[Pose]:
@@ -58,10 +59,8 @@ def chain(tree: Tree, q: jax.Array) -> list[Pose]:
     """
     batch = q.ndim - 1
     sines, cosines = sin_cos(q) if "hinge" in tree.kinds else (q, q)
-    place, rotation = (
-        lifted(tree.place, 2, batch, q.dtype),
-        lifted(tree.rotation, 3, batch, q.dtype),
-    )
+    place = lifted(tree.place, 2, batch, q.dtype)
+    rotation = lifted(tree.rotation, 3, batch, q.dtype)
     poses: list[Pose] = []
     for i, (kind, p) in enumerate(zip(tree.kinds, tree.parent, strict=True)):
         shape = tree.shapes[i]
@@ -73,11 +72,8 @@ def chain(tree: Tree, q: jax.Array) -> list[Pose]:
         turned: Rows = product(IDENTITY, still)
         if p >= 0:
             turned = product(poses[p].rotation, still)
-            way = apply(
-                poses[p].rotation,
-                [place[i, k] if x is None else x for k, x in enumerate(shape.place)],
-            )
-            origin = plus(poses[p].origin, way)
+            offset = [place[i, k] if x is None else x for k, x in enumerate(shape.place)]
+            origin = plus(poses[p].origin, apply(poses[p].rotation, offset))
         if kind == "slide":
             poses.append(Pose(turned, plus(origin, times(q[i], [row[2] for row in turned]))))
         else:
@@ -101,4 +97,5 @@ def together(poses: list[Pose], like: jax.Array) -> Pose:
     rotation = tuple(
         tuple(entry([pose.rotation[r][c] for pose in poses]) for c in range(3)) for r in range(3)
     )
-    return Pose(rotation, tuple(entry([pose.origin[k] for pose in poses]) for k in range(3)))
+    origin = tuple(entry([pose.origin[k] for pose in poses]) for k in range(3))
+    return Pose(rotation, origin)

@@ -93,7 +93,8 @@ def times(s: Entry, a: Vector) -> Vector:
 
 
 def cross(a: Vector, b: Vector) -> Vector:
-    return tuple(sub(mul(a[i], b[j]), mul(a[j], b[i])) for i, j in ((1, 2), (2, 0), (0, 1)))
+    planes = ((1, 2), (2, 0), (0, 1))
+    return tuple(sub(mul(a[i], b[j]), mul(a[j], b[i])) for i, j in planes)
 
 
 def apply(m: Rows, a: Vector) -> Vector:
@@ -149,19 +150,20 @@ def dot_pair(a: Pair, b: Pair) -> Entry:
 
 def cross_motion(m: Pair, x: Pair) -> Pair:
     """Rate of the motion `x` that moves along with `m`."""
-    return cross(m[0], x[0]), plus(cross(m[0], x[1]), cross(m[1], x[0]))
+    angular = cross(m[0], x[0])
+    return angular, plus(cross(m[0], x[1]), cross(m[1], x[0]))
 
 
 def cross_wrench(m: Pair, x: Pair) -> Pair:
     """Rate of the wrench `x` that moves along with `m`."""
-    return plus(cross(m[0], x[0]), cross(m[1], x[1])), cross(m[0], x[1])
+    moment = plus(cross(m[0], x[0]), cross(m[1], x[1]))
+    return moment, cross(m[0], x[1])
 
 
 def momentum(body: InertialBody, m: Pair) -> Pair:
     """Inertia times motion."""
-    return plus(apply(body.inertia, m[0]), cross(body.moment, m[1])), plus(
-        times(body.mass, m[1]), cross(m[0], body.moment)
-    )
+    angular = plus(apply(body.inertia, m[0]), cross(body.moment, m[1]))
+    return angular, plus(times(body.mass, m[1]), cross(m[0], body.moment))
 
 
 def turned(rotation: Rows, mass: Entry, moment: Vector, inertia: Rows) -> InertialBody:
@@ -195,8 +197,8 @@ def swirl(body: InertialBody, m: Pair) -> tuple[Rows, Vector]:
     columns = [[row[c] for row in body.inertia] for c in range(3)]
     around = [cross(omega, column) for column in columns]  # [omega] J, by columns
     along = dot(body.moment, u)
-    own = apply(body.inertia, omega)
-    skew = ((0, sub(0, own[2]), own[1]), (own[2], 0, sub(0, own[0])), (sub(0, own[1]), own[0], 0))
+    x, y, z = apply(body.inertia, omega)
+    skew = ((0, sub(0, z), y), (z, 0, sub(0, x)), (sub(0, y), x, 0))
     for r in range(3):
         for c in range(3):
             both = add(around[c][r], around[r][c])

@@ -92,9 +92,10 @@ def mechanism_of(
     model = source.model
     role = roles(source, hold or {}, logged, where)
     walk = _Walk(model, role)
-    if len(walk.kinds) - len(role.followers) > MOST_JOINTS:
+    moving = len(walk.kinds) - len(role.followers)
+    if moving > MOST_JOINTS:
         raise BadInput(
-            f"{source.path}: {len(walk.kinds) - len(role.followers)} joints move, more than "
+            f"{source.path}: {moving} joints move, more than "
             f"{MOST_JOINTS}; hold some: [hold] in meta.toml, {walk.names[-1]} = 0.0"
         )
     tree = _tree(model, walk, source.weightless)
@@ -177,17 +178,13 @@ class _Walk:
                 at, turn, on = self._ball((at, turn), on, k, b)
                 continue
             along = frame_along(model.jnt_axis[k])
-            hinge = kind == HINGE
+            frame = turn @ along
             anchor = at + turn @ model.jnt_pos[k]
-            self._joint(
-                "hinge" if hinge else "slide",
-                on,
-                name,
-                b,
-                (k, 0),
-                anchor if hinge else anchor - turn @ model.jnt_axis[k] * rest,
-                turn @ along @ (_about_z(-rest) if hinge else np.eye(3)),
-            )
+            if kind == HINGE:
+                self._joint("hinge", on, name, b, (k, 0), anchor, frame @ _about_z(-rest))
+            else:
+                anchor = anchor - turn @ model.jnt_axis[k] * rest
+                self._joint("slide", on, name, b, (k, 0), anchor, frame @ np.eye(3))
             at, turn, on = -along.T @ model.jnt_pos[k], along.T, len(self.kinds) - 1
         self.carrier.append(on)
         self.frame.append((at, turn))
@@ -212,15 +209,9 @@ class _Walk:
         self.beyond.append(f"ball joint '{name}' as more than three hinges in turn")
         for axis, unit in zip(TURNS, np.eye(3), strict=True):
             along = frame_along(unit)
-            self._joint(
-                "hinge",
-                on,
-                f"{name}_{axis}",
-                body,
-                (k, TURNS.index(axis)),
-                at + turn @ model.jnt_pos[k],
-                turn @ along,
-            )
+            anchor = at + turn @ model.jnt_pos[k]
+            file = k, TURNS.index(axis)
+            self._joint("hinge", on, f"{name}_{axis}", body, file, anchor, turn @ along)
             at, turn, on = -along.T @ model.jnt_pos[k], along.T, len(self.kinds) - 1
         return at, turn, on
 
@@ -228,23 +219,17 @@ class _Walk:
         model, (on, (at, turn)) = self.model, (self.carrier[b], self.frame[b])
         if on < 0:
             return
-        own = inertial_about(
-            model.body_mass[b],
-            at + turn @ model.body_ipos[b],
-            turn @ rotation_of(model.body_iquat[b]),
-            model.body_inertia[b],
-        )
+        centre = at + turn @ model.body_ipos[b]
+        axes = turn @ rotation_of(model.body_iquat[b])
+        own = inertial_about(model.body_mass[b], centre, axes, model.body_inertia[b])
         self.inertial[on] += own
         self.gravcomp[on] += model.body_gravcomp[b] * own
 
     def followed(self, role: Roles) -> tuple[list[int], np.ndarray, np.ndarray]:
         """leader, factor and offset of each joint, as `tree.folded` takes them."""
         number = {name: i for i, name in enumerate(self.names)}
-        leader, factor, offset = (
-            list(range(len(self.names))),
-            np.ones(len(self.names)),
-            np.zeros(len(self.names)),
-        )
+        count = len(self.names)
+        leader, factor, offset = list(range(count)), np.ones(count), np.zeros(count)
         for f in role.followers.values():
             i = number[f.joint]
             leader[i], factor[i], offset[i] = number[f.leader], f.factor, f.offset
@@ -257,11 +242,9 @@ class _Walk:
         number = {i: j for j, i in enumerate(own)}
         out = Place(np.full(model.njnt, -1), np.ones(model.njnt), np.zeros(model.njnt))
         for i, (k, _) in enumerate(self.file):
-            out.coordinate[k], out.factor[k], out.offset[k] = (
-                number[leader[i]],
-                factor[i],
-                offset[i],
-            )
+            out.coordinate[k] = number[leader[i]]
+            out.factor[k] = factor[i]
+            out.offset[k] = offset[i]
         for k in range(model.njnt):
             value = role.held.get(model.joint(k).name)
             if value is not None and len(value) == 1:
@@ -272,11 +255,10 @@ class _Walk:
         own = tuple(range(tree.n)) if tree.whole is None else tree.whole.own
         number = {i: j for j, i in enumerate(own)}
         names = [self.model.body(b).name for b in range(self.model.nbody)]
-        return Frames(
-            {name: number.get(on, -1) for name, on in zip(names, self.carrier, strict=True)},
-            {name: frame[0] for name, frame in zip(names, self.frame, strict=True)},
-            {name: frame[1] for name, frame in zip(names, self.frame, strict=True)},
-        )
+        carrier = {name: number.get(on, -1) for name, on in zip(names, self.carrier, strict=True)}
+        frame = dict(zip(names, self.frame, strict=True))
+        place = {name: at for name, (at, _) in frame.items()}
+        return Frames(carrier, place, {name: turn for name, (_, turn) in frame.items()})
 
 
 def _held(frame, model: mujoco.MjModel, k: int, value: np.ndarray):
@@ -310,34 +292,36 @@ def _tree(model: mujoco.MjModel, walk: _Walk, weightless: Collection[str]) -> Tr
     ball = model.jnt_type[joint] == BALL
     dof, adr = model.jnt_dofadr[joint] + turn, model.jnt_qposadr[joint]
     inertial = walk.inertial.copy()
-    for i in range(
-        len(joint)
-    ):  # a link without any inertia was given a little, so that MuJoCo reads it
+    # a link without any inertia was given a little, so that MuJoCo reads it
+    for i in range(len(joint)):
         own = [model.body(b).name for b in range(model.nbody) if walk.carrier[b] == i]
         if own and all(name in weightless for name in own):
             inertial[i] = 0.0
-    stop = np.concatenate(
-        [model.jnt_solref[joint], model.jnt_solimp[joint], model.dof_invweight0[dof][:, None]], 1
-    )
+    weight = model.dof_invweight0[dof]
+    stop = np.concatenate([model.jnt_solref[joint], model.jnt_solimp[joint], weight[:, None]], 1)
     if off & int(mujoco.mjtDisableBit.mjDSBL_REFSAFE):
         minimum = 0.0
     else:
         minimum = 2 * model.opt.timestep
-    stop[:, 0] = np.where(stop[:, 0] > 0, np.maximum(stop[:, 0], minimum), stop[:, 0])
-    rub = _rubs(model.dof_solref[dof], model.dof_solimp[dof], model.dof_invweight0[dof], minimum)
+    lag = stop[:, 0]
+    stop[:, 0] = np.where(lag > 0, np.maximum(lag, minimum), lag)
+    rub = _rubs(model.dof_solref[dof], model.dof_solimp[dof], weight, minimum)
+    limited = [
+        bool(model.jnt_limited[k]) and not off & OFF["limit"] and not b
+        for k, b in zip(joint, ball, strict=True)
+    ]
+    place = np.array(walk.place).reshape(-1, 3)
+    rotation = np.array(walk.rotation).reshape(-1, 3, 3)
     return make_tree(
         walk.kinds,
         walk.parent,
-        np.array(walk.place).reshape(-1, 3),
-        np.array(walk.rotation).reshape(-1, 3, 3),
+        place,
+        rotation,
         inertial,
         gravity=model.opt.gravity * keep("gravity"),
         joint_names=walk.names,
         body_names=walk.body_names,
-        limited=[
-            bool(model.jnt_limited[k]) and not off & OFF["limit"] and not b
-            for k, b in zip(joint, ball, strict=True)
-        ],
+        limited=limited,
         damping=model.dof_damping[dof] * keep("damper"),
         damping_poly=model.dof_dampingpoly[dof] * keep("damper"),
         armature=model.dof_armature[dof],
@@ -375,15 +359,14 @@ def _with_added(tree: Tree, added: Added) -> Tree:
     """With what tendons and actuators add to the joints' own."""
     stiff = tree.stiffness + added.stiffness
     pull = tree.stiffness * tree.springref + added.pull
+    rest = pull / np.where(stiff > 0, stiff, 1.0)
     return replace(
         tree,
         armature=tree.armature + added.armature,
         damping=tree.damping + added.damping,
         frictionloss=tree.frictionloss + added.frictionloss,
         stiffness=stiff,
-        springref=np.where(
-            added.stiffness > 0, pull / np.where(stiff > 0, stiff, 1.0), tree.springref
-        ),
+        springref=np.where(added.stiffness > 0, rest, tree.springref),
     )
 
 
@@ -413,14 +396,13 @@ def _force_limits(model: mujoco.MjModel, tree: Tree, place: Place) -> np.ndarray
 
 def _in_reach(tree: Tree) -> Tree:
     """With the ranges of joints that follow others put on their leaders'."""
-    if tree.whole is None:
+    whole = tree.whole
+    if whole is None:
         return tree
-    every, bounds, limited = tree.whole.tree, np.array(tree.range, float), list(tree.limited)
-    for k, j in enumerate(tree.whole.leader):
-        if every.limited[k] and k != tree.whole.own[j]:
-            own = np.sort(
-                (np.asarray(every.range)[k] - tree.whole.offset[k]) / tree.whole.factor[k]
-            )
+    every, bounds, limited = whole.tree, np.array(tree.range, float), list(tree.limited)
+    for k, j in enumerate(whole.leader):
+        if every.limited[k] and k != whole.own[j]:
+            own = np.sort((np.asarray(every.range)[k] - whole.offset[k]) / whole.factor[k])
             if limited[j]:
                 bounds[j] = [max(bounds[j, 0], own[0]), min(bounds[j, 1], own[1])]
             else:

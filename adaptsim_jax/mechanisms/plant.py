@@ -73,12 +73,8 @@ class Plant:
     ) -> list[jax.Array]:
         """`deriv` a state at a time: all that is stacked there is a sequence here."""
         n = self.joint_dim
-        return [
-            *x[n:],
-            *_accelerations(
-                self, theta, list(x), [u[i] + force[i] for i in range(n)], list(inertia)
-            ),
-        ]
+        pushed = [u[i] + force[i] for i in range(n)]
+        return [*x[n:], *_accelerations(self, theta, list(x), pushed, list(inertia))]
 
     def gravity_force(self, theta: jax.Array, q: jax.Array) -> jax.Array:
         """Generalized force of gravity `[n, ...]` at `q: [n, ...]`; a tilt of the base adds to the
@@ -177,9 +173,8 @@ def _by_the_balance(primals, tangents):
         mass, push = _mass_and_push(plant, theta, x)
 
         def needs(i):
-            return (
-                sum(mass[i][j] * acceleration[j] for j in range(n)) + inertia[i] * acceleration[i]
-            )
+            coupled = sum(mass[i][j] * acceleration[j] for j in range(n))
+            return coupled + inertia[i] * acceleration[i]
 
         return [pushed[i] + push[i] - needs(i) for i in range(n)]
 
@@ -201,39 +196,33 @@ def solve_mass(mass: Rows, inertia: Rows, total: Rows) -> list[jax.Array]:
     if n == 1:
         return [total[0] * (1.0 / (mass[0][0] + inertia[0]))]
     if n == 2:
-        m11, m12, m22 = mass[0][0] + inertia[0], mass[0][1], mass[1][1] + inertia[1]
-        shrink = 1.0 / (
-            m11 * m22 - m12 * m12
-        )  # one quotient, for along many directions they are most of the work
-        return [
-            (m22 * total[0] - m12 * total[1]) * shrink,
-            (m11 * total[1] - m12 * total[0]) * shrink,
-        ]
+        m11 = mass[0][0] + inertia[0]
+        m12 = mass[0][1]
+        m22 = mass[1][1] + inertia[1]
+        # one quotient, for along many directions they are most of the work
+        shrink = 1.0 / (m11 * m22 - m12 * m12)
+        first = (m22 * total[0] - m12 * total[1]) * shrink
+        return [first, (m11 * total[1] - m12 * total[0]) * shrink]
 
     def wide(z):
         return z + jnp.zeros_like(total[0])
 
     full = jnp.stack([jnp.stack([wide(m) for m in row], -1) for row in mass], -2)
     full = full + jnp.stack([wide(m) for m in inertia], -1)[..., None] * jnp.eye(n)
-    return list(
-        jnp.moveaxis(jnp.linalg.solve(full, jnp.stack(list(total), -1)[..., None])[..., 0], -1, 0)
-    )
+    column = jnp.stack(list(total), -1)[..., None]
+    solved = jnp.linalg.solve(full, column)[..., 0]
+    return list(jnp.moveaxis(solved, -1, 0))
 
 
 def _balances(plant: Plant, time, q, v, torque, interval: float):
     """Momentum balances over consecutive intervals: `[R * n, P]` and `[R * n]` (impulse, N m s)."""
     momentum, push = _columns(plant, q, v)
     dt = np.diff(time)
-    pushed = np.concatenate(
-        [
-            np.zeros_like(push[:, :1]),
-            np.cumsum(0.5 * (push[:, 1:] + push[:, :-1]) * dt[None, :, None], 1),
-        ],
-        1,
-    )
-    impulse = np.concatenate(
-        [np.zeros((1, torque.shape[1])), np.cumsum(torque[:-1] * dt[:, None], 0)]
-    ).T
+    mean = 0.5 * (push[:, 1:] + push[:, :-1])
+    pushed = np.cumsum(mean * dt[None, :, None], 1)
+    pushed = np.concatenate([np.zeros_like(push[:, :1]), pushed], 1)
+    impulse = np.cumsum(torque[:-1] * dt[:, None], 0)
+    impulse = np.concatenate([np.zeros((1, torque.shape[1])), impulse]).T
     stride = max(1, round(interval / float(np.median(dt))))
     cut = np.arange(0, len(time), stride)
     design = np.diff((momentum - pushed)[:, cut], axis=1)
@@ -264,11 +253,11 @@ def _bounded_regression(
     design: np.ndarray, target: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> np.ndarray:
     fixed = low == high
+    free = ~fixed
     rest = target - design[:, fixed] @ low[fixed]
-    scale = np.linalg.norm(design[:, ~fixed], axis=0) + 1e-30
-    answer = lsq_linear(
-        design[:, ~fixed] / scale, rest, (low[~fixed] * scale, high[~fixed] * scale)
-    )
+    scale = np.linalg.norm(design[:, free], axis=0) + 1e-30
+    bounds = low[free] * scale, high[free] * scale
+    answer = lsq_linear(design[:, free] / scale, rest, bounds)
     theta = low.copy()
-    theta[~fixed] = answer.x / scale
+    theta[free] = answer.x / scale
     return theta

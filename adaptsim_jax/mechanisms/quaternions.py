@@ -7,15 +7,11 @@ def times(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Hamilton's product, elementwise."""
     w, x, y, z = np.moveaxis(a, -1, 0)
     r, i, j, k = np.moveaxis(b, -1, 0)
-    return np.stack(
-        [
-            w * r - x * i - y * j - z * k,
-            w * i + x * r + y * k - z * j,
-            w * j - x * k + y * r + z * i,
-            w * k + x * j - y * i + z * r,
-        ],
-        -1,
-    )
+    real = w * r - x * i - y * j - z * k
+    about_x = w * i + x * r + y * k - z * j
+    about_y = w * j - x * k + y * r + z * i
+    about_z = w * k + x * j - y * i + z * r
+    return np.stack([real, about_x, about_y, about_z], -1)
 
 
 def inverse(q: np.ndarray) -> np.ndarray:

@@ -162,11 +162,12 @@ def _fixed(model: mujoco.MjModel) -> dict[str, float]:
         for e in range(model.neq)
         if model.eq_type[e] == TIE and model.eq_active0[e] and model.eq_obj2id[e] < 0
     ]
-    joint = {e: int(model.eq_obj1id[e]) for e in alone}
-    return {
-        model.joint(k).name: float(model.qpos0[model.jnt_qposadr[k]] + model.eq_data[e, 0])
-        for e, k in joint.items()
-    }
+    out = {}
+    for e in alone:
+        k = int(model.eq_obj1id[e])
+        rest = model.qpos0[model.jnt_qposadr[k]]
+        out[model.joint(k).name] = float(rest + model.eq_data[e, 0])
+    return out
 
 
 def pose_of(model: mujoco.MjModel) -> tuple[np.ndarray, str]:
@@ -199,10 +200,10 @@ def _held_notes(dropped: dict[str, list[str]], pose: str) -> tuple[str, ...]:
 
 
 def _fold_notes(followers: Mapping[str, Follower]) -> tuple[str, ...]:
-    each = [
-        f"{f.joint} = {f'{f.offset:.4g} + ' if f.offset else ''}{f.factor:.4g} {f.leader}"
-        for f in followers.values()
-    ]
+    each = []
+    for f in followers.values():
+        offset = f"{f.offset:.4g} + " if f.offset else ""
+        each.append(f"{f.joint} = {offset}{f.factor:.4g} {f.leader}")
     if each:
         return (f"joints that follow others: {', '.join(each)}",)
     return ()
@@ -242,7 +243,8 @@ def _near(source: Source) -> tuple[Near, list[str]]:
             beyond.append(f"an equality of {names[0]} and {names[1]} that is no straight line")
             continue
         rest = model.qpos0[model.jnt_qposadr[[one, two]]]
-        links.append((*names, float(a[1]), float(rest[0] + a[0] - a[1] * rest[1])))
+        offset = float(rest[0] + a[0] - a[1] * rest[1])
+        links.append((*names, float(a[1]), offset))
     near: Near = {}
     for one, two, factor, offset in links:  # a leader comes before its followers
         near.setdefault(two, []).append((one, factor, offset))
@@ -302,10 +304,8 @@ def _loops(model: mujoco.MjModel) -> tuple[set[int], list[str]]:
                 if model.jnt_bodyid[k] == b and model.jnt_type[k] != FREE
             }
         what = "connects" if kind == CONNECT else "welds"
-        lines.append(
-            f"a loop: an equality {what} {model.body(max(ends[0], 0)).name} and "
-            f"{model.body(max(ends[1], 0)).name}"
-        )
+        bodies = [model.body(max(b, 0)).name for b in ends]
+        lines.append(f"a loop: an equality {what} {bodies[0]} and {bodies[1]}")
     return looped, lines
 
 

@@ -254,9 +254,8 @@ def _dry_force(sample: Sample, at: Instant, h, by: _ByKind) -> tuple[jax.Array, 
     # loops, as a program with each joint and time written out would take several times as long to
     # compile; sums over the joints are written out, as a reduction of two numbers goes through a
     # library that takes longer than all the rest
-    (_, _, force), rise = jax.lax.scan(
-        rub, (x, v, jnp.zeros_like(v)), jnp.array([0.0, 0.5], x.dtype)
-    )
+    at_rest = x, v, jnp.zeros_like(v)
+    (_, _, force), rise = jax.lax.scan(rub, at_rest, jnp.array([0.0, 0.5], x.dtype))
     return force, rise[-1]
 
 
@@ -281,10 +280,8 @@ def _pulled(sample: Sample, at: Instant, speed: jax.Array, by: _ByKind) -> _Pull
     """At an instant, with the level of friction as at a `speed [n, W]`."""
     plant, x = sample.model.plant, at.x
     n = plant.joint_dim
-    unit = (
-        jnp.eye(n, dtype=x.dtype).reshape((n, n) + (1,) * (x.ndim - 1))
-        + jnp.zeros_like(x[:n])[None]
-    )
+    identity = jnp.eye(n, dtype=x.dtype).reshape((n, n) + (1,) * (x.ndim - 1))
+    unit = identity + jnp.zeros_like(x[:n])[None]
     act = acting(sample, at, by.smooth, PUSHING)
     rough = acting(sample, at._replace(x=jnp.concatenate([x[:n], speed])), by.dry, RUBBING)
     width = rough.blur / jnp.maximum(rough.level, 1e-9)

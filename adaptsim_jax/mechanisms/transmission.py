@@ -111,11 +111,9 @@ def read_actuators(
     """
     out, idle = [], []
     for k in range(model.nu):
-        name, kind, target = (
-            model.actuator(k).name,
-            int(model.actuator_trntype[k]),
-            int(model.actuator_trnid[k, 0]),
-        )
+        name = model.actuator(k).name
+        kind = int(model.actuator_trntype[k])
+        target = int(model.actuator_trnid[k, 0])
         found = None
         if kind in JOINTS:
             found = length(model, place, joint=target)
@@ -138,14 +136,9 @@ def read_actuators(
             added.beyond.append(f"actuator '{name}' {why}")
         gear = float(model.actuator_gear[k, 0])
         home = max(slope, key=lambda j: (abs(slope[j]), -j))
-        law = replace(
-            law,
-            name=name,
-            joint=home,
-            gear=gear * slope[home],
-            offset=law.offset - law.kp * gear * start,
-            more=tuple((j, gear * c) for j, c in slope.items() if j != home),
-        )
+        offset = law.offset - law.kp * gear * start
+        more = tuple((j, gear * c) for j, c in slope.items() if j != home)
+        law = replace(law, name=name, joint=home, gear=gear * slope[home], offset=offset, more=more)
         out.append(law)
         for j, c in slope.items():
             added.armature[j] += (gear * c) ** 2 * model.actuator_armature[k]
@@ -191,12 +184,10 @@ def _law(model: mujoco.MjModel, k: int) -> tuple[Actuator, str]:
             return tuple(map(float, values))
         return NO_RANGE
 
+    clamped = model.actuator_ctrllimited[k] and not int(model.opt.disableflags) & UNCLAMPED
     shared: dict[str, Any] = {
         "forcerange": limited(model.actuator_forcelimited[k], model.actuator_forcerange[k]),
-        "ctrlrange": limited(
-            model.actuator_ctrllimited[k] and not int(model.opt.disableflags) & UNCLAMPED,
-            model.actuator_ctrlrange[k],
-        ),
+        "ctrlrange": limited(clamped, model.actuator_ctrlrange[k]),
         "delay": float(model.actuator_delay[k]),
     }
     if gaintype == int(mujoco.mjtGain.mjGAIN_DCMOTOR):
@@ -232,25 +223,15 @@ def add_tendons(model: mujoco.MjModel, place: Place, added: Added) -> None:
     """Springs, dampers, friction and rotors of fixed tendons, on the coordinate that each is of."""
     for t in range(model.ntendon):
         name = model.tendon(t).name
-        d, poly, k = (
-            float(model.tendon_damping[t]),
-            model.tendon_dampingpoly[t],
-            float(model.tendon_stiffness[t]),
-        )
+        d, k = float(model.tendon_damping[t]), float(model.tendon_stiffness[t])
+        curved = np.any(model.tendon_dampingpoly[t]) or np.any(model.tendon_stiffnesspoly[t])
         rub, arm = float(model.tendon_frictionloss[t]), float(model.tendon_armature[t])
         limited = bool(model.tendon_limited[t])
-        if not (
-            d or np.any(poly) or k or np.any(model.tendon_stiffnesspoly[t]) or rub or arm or limited
-        ):
+        if not (d or k or curved or rub or arm or limited):
             continue
         found = length(model, place, tendon=t)
         slack = model.tendon_lengthspring[t]
-        bare = (
-            slack[0] == slack[1]
-            and not np.any(poly)
-            and not np.any(model.tendon_stiffnesspoly[t])
-            and not limited
-        )
+        bare = slack[0] == slack[1] and not curved and not limited
         if found is not None and not found[0]:
             continue
         if found is None or len(found[0]) > 1 or not bare:

@@ -184,29 +184,29 @@ def make_tree(
         raise ValueError(
             f"parent {tuple(parent)} must name an earlier joint, or -1, for each of {n} joints"
         )
-    sizes = {name: (n, *own) for name, own in _SIZES.items()}
     arrays: dict[str, Any] = {"place": place, "rotation": rotation, "inertial": inertial}
-    shapes = {"place": (n, 3), "rotation": (n, 3, 3), "inertial": (n, 10)}
+    sizes = {"place": (3,), "rotation": (3, 3), "inertial": (10,)} | _SIZES
     for name in _OF_JOINTS:
+        shape = (n, *sizes.get(name, ()))
         if name not in arrays:
-            arrays[name] = values.pop(name, np.zeros(sizes.get(name, (n,))))
-            shapes[name] = sizes.get(name, (n,))
+            arrays[name] = values.pop(name, np.zeros(shape))
         arrays[name] = np.asarray(arrays[name], float)
-        if arrays[name].shape != shapes[name]:
-            raise ValueError(
-                f"{name} has shape {arrays[name].shape}, but {n} joints need {shapes[name]}"
-            )
+        if arrays[name].shape != shape:
+            raise ValueError(f"{name} has shape {arrays[name].shape}, but {n} joints need {shape}")
     if values:
         raise ValueError(f"a tree has no {', '.join(values)}")
     snapped = {name: _snapped(arrays[name]) for name in ("place", "rotation")}
     rest: dict[str, Any] = arrays | snapped
+    compensated = tuple(bool(np.any(row)) for row in arrays["gravcomp"])
+    joint_names = tuple(joint_names) or tuple(f"joint{i + 1}" for i in range(n))
+    body_names = tuple(body_names) or tuple(f"body{i + 1}" for i in range(n))
     tree = Tree(
-        tuple(joint_names) or tuple(f"joint{i + 1}" for i in range(n)),
+        joint_names,
         tuple(kinds),
         tuple(int(p) for p in parent),
-        tuple(body_names) or tuple(f"body{i + 1}" for i in range(n)),
+        body_names,
         tuple(map(bool, limited)) or (False,) * n,
-        tuple(bool(np.any(row)) for row in arrays["gravcomp"]),
+        compensated,
         (),
         gravity=np.asarray(gravity, float),
         **rest,
@@ -221,17 +221,14 @@ def reshaped(tree: Tree) -> Tree:
     place, rotation, inertial = (
         np.asarray(x, float) for x in (tree.place, tree.rotation, tree.inertial)
     )
-    shapes = tuple(
-        Shape(
-            tuple(0 if x == 0 else None for x in place[i]),
-            tuple(
-                tuple(int(x) if x in (-1.0, 0.0, 1.0) else None for x in row) for row in rotation[i]
-            ),
-            bool(np.all(inertial[i] == 0)),
+    shapes = []
+    for i in range(tree.n):
+        zeros = tuple(0 if x == 0 else None for x in place[i])
+        turns = tuple(
+            tuple(int(x) if x in (-1.0, 0.0, 1.0) else None for x in row) for row in rotation[i]
         )
-        for i in range(tree.n)
-    )
-    return replace(tree, shapes=shapes)
+        shapes.append(Shape(zeros, turns, bool(np.all(inertial[i] == 0))))
+    return replace(tree, shapes=tuple(shapes))
 
 
 def _snapped(x: np.ndarray) -> np.ndarray:
@@ -302,13 +299,10 @@ def _taken(whole: Whole, new: dict[int, int]) -> Whole | None:
     place = {k: i for i, k in enumerate(joints)}
     own = {new[whole.leader[k]]: place[k] for k in joints if whole.own[whole.leader[k]] == k}
     at = np.asarray(joints, int)
-    return Whole(
-        take(whole.tree, joints),
-        tuple(new[whole.leader[k]] for k in joints),
-        tuple(own[j] for j in range(len(new))),
-        np.asarray(whole.factor)[at],
-        np.asarray(whole.offset)[at],
-    )
+    factor, offset = np.asarray(whole.factor)[at], np.asarray(whole.offset)[at]
+    leader = tuple(new[whole.leader[k]] for k in joints)
+    leading = tuple(own[j] for j in range(len(new)))
+    return Whole(take(whole.tree, joints), leader, leading, factor, offset)
 
 
 def folded(tree: Tree, leader: Sequence[int], factor: Any, offset: Any) -> Tree:
@@ -332,23 +326,25 @@ def folded(tree: Tree, leader: Sequence[int], factor: Any, offset: Any) -> Tree:
     goes = tuple(number[leader[k]] for k in range(m))
     c, d = np.asarray(factor, float), np.asarray(offset, float)
 
-    def summed(x):
-        return np.stack([sum(x[k] for k in range(m) if goes[k] == j) for j in range(len(own))])
+    together = [[k for k in range(m) if goes[k] == j] for j in range(len(own))]
 
-    size = np.abs(c)
+    def summed(x):
+        return np.stack([sum(x[k] for k in joints) for joints in together])
+
+    size, square = np.abs(c), c**2
+    powers = size[:, None] ** [3, 4]
     values = {
-        "damping": summed(c**2 * tree.damping),
-        "armature": summed(c**2 * tree.armature),
+        "damping": summed(square * tree.damping),
+        "armature": summed(square * tree.armature),
         "frictionloss": summed(size * tree.frictionloss),
-        "stiffness": summed(c**2 * tree.stiffness),
-        "damping_poly": summed(size[:, None] ** [3, 4] * tree.damping_poly),
-        "stiffness_poly": summed(size[:, None] ** [3, 4] * tree.stiffness_poly),
+        "stiffness": summed(square * tree.stiffness),
+        "damping_poly": summed(powers * tree.damping_poly),
+        "stiffness_poly": summed(powers * tree.stiffness_poly),
     }
     pull = summed(c * tree.stiffness * (tree.springref - d))
     stiff = values["stiffness"]
-    values["springref"] = np.where(
-        stiff > 0, pull / np.where(stiff > 0, stiff, 1.0), tree.springref[own]
-    )
+    rest = pull / np.where(stiff > 0, stiff, 1.0)
+    values["springref"] = np.where(stiff > 0, rest, tree.springref[own])
     meta = {name: tuple(getattr(tree, name)[k] for k in own) for name in _OF_EACH}
     meta["parent"] = tuple(_parent(tree, k, goes, j) for j, k in enumerate(own))
     rest = {name: getattr(tree, name)[np.asarray(own)] for name in _OF_JOINTS if name not in values}

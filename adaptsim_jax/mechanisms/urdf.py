@@ -270,9 +270,9 @@ def _point(where: str, links: dict[str, Any], names: list[str], compiler: dict) 
         if compiler.get("balanceinertia") == "true":
             continue
         if moments[0] < -TINY * abs(moments[2]):
-            bad = [f"{k} = {given[k]:g}" for k in ("ixx", "iyy", "izz") if given[k] < 0.0] or [
-                f"{moments[0]:.3g} about a main axis"
-            ]
+            bad = [f"{k} = {given[k]:g}" for k in ("ixx", "iyy", "izz") if given[k] < 0.0]
+            if not bad:
+                bad = [f"{moments[0]:.3g} about a main axis"]
             raise BadInput(
                 f"{where}: link '{name}' has negative moments of inertia ({', '.join(bad)}); mend "
                 "their sign"

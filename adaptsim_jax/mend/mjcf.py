@@ -168,15 +168,10 @@ def _put_inertias(spec, mechanism: Mechanism, inertial: np.ndarray) -> None:
     for j, name in enumerate(tree.body_names):
         if tree.massless[j] or np.allclose(inertial[j], tree.inertial[j], rtol=0, atol=0):
             continue
-        others = [
-            b
-            for b in spec.bodies
-            if frames.carrier.get(b.name, -1) == j and b.name not in held_bodies and b.name != name
-        ]
-        left = inertial[j] - sum(
-            (held_bodies[b] for b in held_bodies if frames.carrier.get(b, -1) == j and b != name),
-            np.zeros(10),
-        )
+        carried = {b for b, joint in frames.carrier.items() if joint == j and b != name}
+        others = [b for b in spec.bodies if b.name in carried and b.name not in held_bodies]
+        held = [held_bodies[b] for b in held_bodies if b in carried]
+        left = inertial[j] - sum(held, np.zeros(10))
         if not _possible(left):
             continue
         for other in others:  # welded bodies become part of the one that moves them
@@ -190,9 +185,8 @@ def _put_inertias(spec, mechanism: Mechanism, inertial: np.ndarray) -> None:
         )
         value, vector = np.linalg.eigh(0.5 * (about + about.T))
         value = np.maximum(value, MIN_MOMENT)
-        value[-1] = min(
-            value[-1], value[0] + value[1]
-        )  # rounding must not break the triangle inequality
+        # rounding must not break the triangle inequality
+        value[-1] = min(value[-1], value[0] + value[1])
         if np.linalg.det(vector) < 0:
             vector[:, 0] *= -1.0
         quaternion = np.zeros(4)
@@ -218,12 +212,9 @@ def _held_bodies(spec, mechanism: Mechanism) -> dict[str, np.ndarray]:
             continue
         behind.add(name)
         place, turn = frames.place[name], frames.rotation[name]
-        out[name] = inertial_about(
-            model.body_mass[b],
-            place + turn @ model.body_ipos[b],
-            turn @ rotation_of(model.body_iquat[b]),
-            model.body_inertia[b],
-        )
+        centre = place + turn @ model.body_ipos[b]
+        axes = turn @ rotation_of(model.body_iquat[b])
+        out[name] = inertial_about(model.body_mass[b], centre, axes, model.body_inertia[b])
     return out
 
 

@@ -89,12 +89,11 @@ class Form:
 
 def added_effects(effects: Iterable[Any], values: Mapping[str, float]) -> tuple[AddedEffect, ...]:
     """Effects (`effects.base.Effect`) with `values` of their parameters by name."""
-    return tuple(
-        AddedEffect(
-            e.name, e.place, {p.name: Value(values[p.name], unit=p.unit) for p in e.parameters}
-        )
-        for e in effects
-    )
+    added = []
+    for e in effects:
+        numbers = {p.name: Value(values[p.name], unit=p.unit) for p in e.parameters}
+        added.append(AddedEffect(e.name, e.place, numbers))
+    return tuple(added)
 
 
 def check_schema(table: Mapping[str, Any], where: str) -> None:
@@ -130,10 +129,12 @@ def read_form(table: Mapping[str, Any], where: str, own: Sequence[str]) -> Form:
         if key not in table:
             raise BadInput(f"{where}: key '{key}' is missing; {RENEW}")
     declared = table_at(where, table, "declared")
+    task, model = text_at(where, table, "task"), text_at(where, table, "model")
+    values = {name: _value(where, f"declared.{name}", value) for name, value in declared.items()}
     return Form(
-        text_at(where, table, "task"),
-        text_at(where, table, "model"),
-        {name: _value(where, f"declared.{name}", value) for name, value in declared.items()},
+        task,
+        model,
+        values,
         _effects(where, table.get("effects", [])),
         {key: table[key] for key in own if key in table},
         table_at(where, table, "provenance"),

@@ -157,13 +157,15 @@ def model_of(
         raise BadInput(f"{where}: {str(error).removeprefix('meta.toml: ')}") from None
     names, covariance = _covariance(where, table_at(where, table, "covariance"))
     library = {e.name: e for e in effects or catalogue(form.task)}
+    declared = _declared(where, form.declared, plant)
+    added = tuple(_effect(where, i, e, plant, library) for i, e in enumerate(form.effects))
     return ModelFile(
         form.task,
         form.model,
         table["angle_zero"],
         geometry,
-        _declared(where, form.declared, plant),
-        tuple(_effect(where, i, e, plant, library) for i, e in enumerate(form.effects)),
+        declared,
+        added,
         known,
         names,
         covariance,

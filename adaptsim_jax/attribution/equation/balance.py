@@ -3,7 +3,7 @@ and what acts, by effect.
 """
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 
@@ -14,7 +14,7 @@ import scipy.sparse
 
 from adaptsim_jax.attribution.acting import JointMotion, Values, actuated
 from adaptsim_jax.attribution.criteria import BALANCE, WINDOW
-from adaptsim_jax.attribution.equation.windows import limited, runs_of
+from adaptsim_jax.attribution.equation.windows import EvenTrial, limited, runs_of
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import Group, TreeProblem, group_inertia, held, values_of
 from adaptsim_jax.attribution.stretches import JointTrack
@@ -96,49 +96,57 @@ def balances(
         runs = runs_of(part, problem.floor[own], span)
         if not runs:
             continue
-        q, v, a, u, jump, smooth = (
-            np.concatenate([getattr(r, k) for r in runs], 1)
-            for k in ("q", "v", "a", "u", "jump", "smooth")
-        )
-        width = np.concatenate([np.outer(r.width, np.ones(len(r.time))) for r in runs], 1)
-        row = np.concatenate([np.full(len(r.time), r.row) for r in runs])
         values = values_of(problem, group, Vector((), np.zeros(0)))
-        ends = np.cumsum([0, *(len(r.time) for r in runs)])
-        mean = scipy.sparse.csr_matrix(scipy.sparse.block_diag([r.mean for r in runs], "csr"))
-        table = _by_pieces(partial(_regressed, group.model.tree), q, v, a)
-        regressor = (mean @ table.reshape(-1, table.shape[-1]).T).reshape(-1, *table.shape[:2])
-        made = Balance(
-            group,
-            q,
-            v,
-            a,
-            u,
-            jump,
-            row,
-            ahead_of(group.model.tree, smooth, a),
-            width,
-            np.concatenate([r.time for r in runs]),
-            tuple(slice(int(i), int(j)) for i, j in itertools.pairwise(ends)),
-            mean,
-            regressor,
-            mean @ a.T,
-            np.zeros(0),
-            np.concatenate([np.full(len(r.at), r.trial) for r in runs]),
-            np.concatenate([r.at for r in runs]),
-            tuple(t.name for t in tracks),
-            group_inertia(values, group)[0],
-            _known(group.model.tree, mean, q, v, a),
-        )
+        made = _of_runs(group, runs, tuple(t.name for t in tracks), group_inertia(values, group)[0])
         sure = (
-            inside(group.model.tree, q)
+            inside(group.model.tree, made.q)
             & _reported(made, values, trusted)
             & ~np.isin(own, problem.unlike)[:, None]
         )
         clear = np.concatenate([r.clear for r in runs], 1)
-        moves = np.maximum(mean @ clear.T, BALANCE.still_weight)
-        certain = mean @ (~sure).T < BALANCE.pushed
+        moves = np.maximum(made.mean @ clear.T, BALANCE.still_weight)
+        certain = made.mean @ (~sure).T < BALANCE.pushed
         out.append(replace(made, clear=np.where(certain, moves, BALANCE.no_weight)))
     return tuple(out)
+
+
+def _of_runs(
+    group: Group, runs: Sequence[EvenTrial], names: tuple[str, ...], inertia: np.ndarray
+) -> Balance:
+    """Without `clear`. names: of all trials."""
+    tree = group.model.tree
+    q, v, a, u, jump, smooth = (
+        np.concatenate([getattr(r, k) for r in runs], 1)
+        for k in ("q", "v", "a", "u", "jump", "smooth")
+    )
+    width = np.concatenate([np.outer(r.width, np.ones(len(r.time))) for r in runs], 1)
+    row = np.concatenate([np.full(len(r.time), r.row) for r in runs])
+    ends = np.cumsum([0, *(len(r.time) for r in runs)])
+    mean = scipy.sparse.csr_matrix(scipy.sparse.block_diag([r.mean for r in runs], "csr"))
+    table = _by_pieces(partial(_regressed, tree), q, v, a)
+    regressor = mean @ table.reshape(-1, table.shape[-1]).T
+    return Balance(
+        group,
+        q,
+        v,
+        a,
+        u,
+        jump,
+        row,
+        ahead=ahead_of(tree, smooth, a),
+        width=width,
+        clock=np.concatenate([r.time for r in runs]),
+        runs=tuple(slice(int(i), int(j)) for i, j in itertools.pairwise(ends)),
+        mean=mean,
+        regressor=regressor.reshape(-1, *table.shape[:2]),
+        acceleration=mean @ a.T,
+        clear=np.zeros(0),
+        trial=np.concatenate([np.full(len(r.at), r.trial) for r in runs]),
+        time=np.concatenate([r.at for r in runs]),
+        names=names,
+        inertia=inertia,
+        known=_known(tree, mean, q, v, a),
+    )
 
 
 def inside(tree: Tree, q: np.ndarray) -> np.ndarray:

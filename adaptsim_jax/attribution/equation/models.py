@@ -63,15 +63,17 @@ def search_group(
     found = search(BalanceObjective(state, every))
     null, _ = exact(state, (), found.null.whole)
     final = found.final
+    named = tuple(replace(n, models=()) for n in found.named)
+    # how commands are read is told in words of its own
+    unnamed = [(c, r) for c, r in found.unnamed if not (commanded and r.code == "as_logged")]
     return GroupSearch(
         balance,
         null,
         final.final,
         final.errors,
         final.added,
-        tuple(replace(n, models=()) for n in found.named),
-        # how commands are read is told in words of its own
-        tuple((c, r.words) for c, r in found.unnamed if not (commanded and r.code == "as_logged")),
+        named,
+        tuple((c, r.words) for c, r in unnamed),
         found.trace,
         state.rows,
         found.null.whole,
@@ -82,20 +84,18 @@ def search_group(
 
 def separable_candidates(state: Searched) -> list[JointCandidate]:
     """Candidates of which a group's balance can tell."""
-    joints, speed, slowest = (
-        set(state.balance.group.joints),
-        state.reach.speed,
-        state.limits.slowest,
-    )
-    effect = state.problem.effect
-    return [
-        _trusted(c, effect(c.effect).traits.prior)
-        for c in (_of_group(c, joints) for c in candidates(state.problem, state.null, state.reach))
-        if set(c.joints) <= joints
-        and effect(c.effect).in_balance
-        and c.shaped().get("speed", np.inf) > slowest * max(speed[j] for j in c.joints)
-        and (state.commanded or not (c.sharing == "joint" and effect(c.effect).place == "command"))
-    ]
+    joints, speed = set(state.balance.group.joints), state.reach.speed
+    out = []
+    for every in candidates(state.problem, state.null, state.reach):
+        c = _of_group(every, joints)
+        effect = state.problem.effect(c.effect)
+        if not set(c.joints) <= joints or not effect.in_balance:
+            continue
+        slowest = state.limits.slowest * max(speed[j] for j in c.joints)
+        of_command = c.sharing == "joint" and effect.place == "command"
+        if c.shaped().get("speed", np.inf) > slowest and (state.commanded or not of_command):
+            out.append(_trusted(c, effect.traits.prior))
+    return out
 
 
 def _within(problem: TreeProblem, c: JointCandidate) -> JointCandidate | None:

@@ -318,12 +318,10 @@ class Searched:
         def at_parents(c):
             return self.problem.effect(c.effect).traits.at_parents
 
-        shows = {
-            k
-            for c in some
-            for k in (self.local[j] for j in c.joints if j in self.local)
-            for k in (k, *(ancestors(tree, k) if at_parents(c) else ()))
-        }
+        shows = set()
+        for c in some:
+            for k in (self.local[j] for j in c.joints if j in self.local):
+                shows |= {k, *(ancestors(tree, k) if at_parents(c) else ())}
         return sorted(shows)
 
     def carry(self, c: JointCandidate) -> float:

@@ -22,7 +22,8 @@ def spring(p, m):
 
 
 def cogging(p, m):
-    return p["sine"] * jnp.sin(p["order"] * m.q) + p["cosine"] * jnp.cos(p["order"] * m.q)
+    sine = p["sine"] * jnp.sin(p["order"] * m.q)
+    return sine + p["cosine"] * jnp.cos(p["order"] * m.q)
 
 
 def damping_step(p):

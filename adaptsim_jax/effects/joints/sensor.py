@@ -159,10 +159,10 @@ def _at_times(t, at, q, v):
     span = jnp.where(t[k + 1] > t[k], t[k + 1] - t[k], 1.0)
     u, since = (at - t[k]) / span, at - t[k]
     rise = (v[k + 1] - v[k]) / span
-    bend = (
-        q[k + 1] - q[k] - 0.5 * span * (v[k] + v[k + 1])
-    )  # what the mean of both speeds leaves of the way
-    inside = q[k] + since * (v[k] + 0.5 * rise * since) + bend * u * u * (3.0 - 2.0 * u)
+    # what the mean of both speeds leaves of the way
+    bend = q[k + 1] - q[k] - 0.5 * span * (v[k] + v[k + 1])
+    inside = q[k] + since * (v[k] + 0.5 * rise * since)
+    inside = inside + bend * u * u * (3.0 - 2.0 * u)
     before = q[0] + since * (v[0] + 0.5 * rise * since)
     return jnp.where(at < t[0], before, inside), v[k] + rise * since
 

@@ -54,12 +54,10 @@ def linearized(params: Array, gravity: float = GRAVITY) -> tuple[Array, Array]:
     ratio, zero, one = m2 / m1, jnp.zeros_like(m1), jnp.ones_like(m1)
     # Inverse of the upright mass matrix [[m1 + 4 m2, 2 m2], [2 m2, m2]], written out.
     i11, i12, i22 = 1 / m1, -2 / m1, 1 / m2 + 4 / m1
-    A = [
-        [zero, zero, one, zero],
-        [zero, zero, zero, one],
-        [gravity * one, -gravity * ratio, -b1 * i11, -b2 * i12],
-        [-gravity * one, gravity * (1 + 2 * ratio), -b1 * i12, -b2 * i22],
-    ]
+    speeds = [[zero, zero, one, zero], [zero, zero, zero, one]]
+    first_link = [gravity * one, -gravity * ratio, -b1 * i11, -b2 * i12]
+    second_link = [-gravity * one, gravity * (1 + 2 * ratio), -b1 * i12, -b2 * i22]
+    A = [*speeds, first_link, second_link]
     B = [[zero, zero], [zero, zero], [i11, i12], [i12, i22]]
     return jnp.stack([jnp.stack(row) for row in A]), jnp.stack([jnp.stack(row) for row in B])
 

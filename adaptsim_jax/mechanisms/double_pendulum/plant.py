@@ -30,7 +30,9 @@ def base_parameters(mass, l1, com, inertia, damping):
     (m1, m2), (c1, c2), (I1, I2) = mass, com, inertia
     p3 = I2 + m2 * c2**2
     p1 = I1 + m1 * c1**2 + p3 + m2 * l1**2
-    return jnp.stack([jnp.asarray(x) for x in (p1, p3, m1 * c1 + m2 * l1, m2 * c2, *damping)])
+    h1 = m1 * c1 + m2 * l1
+    h2 = m2 * c2
+    return jnp.stack([jnp.asarray(x) for x in (p1, p3, h1, h2, *damping)])
 
 
 def _rigid_mass(c, theta, q):
@@ -73,7 +75,8 @@ def _rigid_push(c, theta, q, v):
     bend = c["l1"] * theta[3] * elbow
     g1, g2 = _rigid_weight(c, theta, first, second)
     f1 = bend * v[1] * (2.0 * v[0] + v[1]) + g1 - theta[4] * v[0]
-    return jnp.stack([f1, g2 - bend * v[0] * v[0] - theta[5] * v[1]])
+    f2 = g2 - bend * v[0] * v[0] - theta[5] * v[1]
+    return jnp.stack([f1, f2])
 
 
 def _rigid_momentum_push(c, theta, q, v):
@@ -81,7 +84,9 @@ def _rigid_momentum_push(c, theta, q, v):
     first, elbow, second = sin_cos(jnp.stack([q[0], q[1], q[0] + q[1]]))[0]
     bend = c["l1"] * theta[3] * elbow
     g1, g2 = _rigid_weight(c, theta, first, second)
-    return jnp.stack([g1 - theta[4] * v[0], g2 - bend * v[0] * (v[0] + v[1]) - theta[5] * v[1]])
+    f1 = g1 - theta[4] * v[0]
+    f2 = g2 - bend * v[0] * (v[0] + v[1]) - theta[5] * v[1]
+    return jnp.stack([f1, f2])
 
 
 def _linear_mass(c, theta, q):
@@ -149,10 +154,8 @@ def rigid_pendulum(
         raise BadInput("meta.toml: [geometry] lacks l1, the length of link 1; add it in metres")
     names = ("p1", "p3", "h1", "h2", "b1", "b2")
     units = ("kg m^2", "kg m^2", "kg m", "kg m", "N m s/rad", "N m s/rad")
-    low, high = (
-        np.array([1e-6, 1e-6, -1e2, -1e2, 0.0, 0.0]),
-        np.array([1e3, 1e3, 1e3, 1e3, 1e3, 1e3]),
-    )
+    low = np.array([1e-6, 1e-6, -1e2, -1e2, 0.0, 0.0])
+    high = np.array([1e3, 1e3, 1e3, 1e3, 1e3, 1e3])
     hold(names, known, low, high)
     sign = 1.0 if angle_zero == "hanging" else -1.0
     constants = {"l1": geometry["l1"], "g": geometry.get("g", GRAVITY), "gravity_sign": sign}
@@ -214,27 +217,28 @@ def double_pendulum_mjcf(theta: np.ndarray, geometry: Mapping[str, float], angle
     stand as `angle_zero` says. Links are thin: a body that is as thick as long has no less of a
     moment than its thickness gives it, however it is fitted.
     """
-    mass, centre, moment = links_of(theta, float(geometry["l1"]))
+    length = float(geometry["l1"])
+    mass, centre, moment = links_of(theta, length)
     down = -1.0 if angle_zero == "hanging" else 1.0
     link = []
     for k in range(2):
         damping = max(float(theta[4 + k]), 0.0)
-        link.append(
-            f'<joint name="{JOINTS[k]}" type="hinge" axis="0 1 0" damping="{damping:.9g}"/>'
+        joint = f'<joint name="{JOINTS[k]}" type="hinge" axis="0 1 0" damping="{damping:.9g}"/>'
+        inertial = (
             f'<inertial pos="0 0 {down * centre[k]:.9g}" mass="{mass[k]:.9g}" '
             f'diaginertia="{moment[k]:.9g} {moment[k]:.9g} {THIN * moment[k]:.9g}"/>'
         )
+        link.append(joint + inertial)
+    gravity = -float(geometry.get("g", GRAVITY))
+    motors = "".join(f'    <motor name="{name}" joint="{name}"/>\n' for name in JOINTS)
     return (
         '<mujoco model="double_pendulum">\n'
         '  <compiler angle="radian" inertiafromgeom="false"/>\n'
-        f'  <option timestep="0.001" gravity="0 0 {-float(geometry.get("g", GRAVITY)):.9g}" '
-        f'integrator="implicitfast"/>\n'
+        f'  <option timestep="0.001" gravity="0 0 {gravity:.9g}" integrator="implicitfast"/>\n'
         "  <worldbody>\n"
         f'    <body name="link1">{link[0]}\n'
-        f'      <body name="link2" pos="0 0 {down * float(geometry["l1"]):.9g}">{link[1]}</body>\n'
+        f'      <body name="link2" pos="0 0 {down * length:.9g}">{link[1]}</body>\n'
         "    </body>\n"
         "  </worldbody>\n"
-        "  <actuator>\n"
-        + "".join(f'    <motor name="{name}" joint="{name}"/>\n' for name in JOINTS)
-        + "  </actuator>\n</mujoco>\n"
+        f"  <actuator>\n{motors}  </actuator>\n</mujoco>\n"
     )

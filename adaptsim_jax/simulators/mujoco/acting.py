@@ -89,10 +89,9 @@ def as_read(
             for first in f.elements:
                 one, two = first + (f.index + 1) % 3, first + (f.index + 2) % 3
                 c, s = np.cos(value)[:, None], np.sin(value)[:, None]
-                out[..., one], out[..., two] = (
-                    c * out[..., one] + s * out[..., two],
-                    c * out[..., two] - s * out[..., one],
-                )
+                turned_one = c * out[..., one] + s * out[..., two]
+                turned_two = c * out[..., two] - s * out[..., one]
+                out[..., one], out[..., two] = turned_one, turned_two
         else:
             for k in f.elements:
                 slope = np.gradient(out[..., k], axis=1) / np.maximum(

@@ -98,12 +98,14 @@ def stepped(source: Source, log: Log) -> Stepped:
             "no pose of the base is logged: it is estimated with each start from gyro, "
             "accelerometer and feet that stand"
         )
+    angle = np.array([at[name] for name in log.joint_names], int)
+    pose = _whole_pose(model, log, values, at)
     return Stepped(
         source.path,
         model,
-        np.array([at[name] for name in log.joint_names], int),
+        angle,
         free if logged else -1,
-        _whole_pose(model, log, values, at),
+        pose,
         tuple(notes),
         free if logged or felt else -1,
         readings(model, log.meta.channels, log.meta.path),

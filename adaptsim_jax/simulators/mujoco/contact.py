@@ -30,12 +30,10 @@ def contact_rows(made: Stepped) -> Iterable[Effect]:
         if made.free >= 0:
             turned = [field(model, name) for name in GROUND[:2]]
             texts = ("what it stands on is not level", "standing, walking")
-            slopes: list[Any] = [
-                dict(
-                    zip(GROUND[:2], CANDIDATE.slope * np.array([np.cos(w), np.sin(w)]), strict=True)
-                )
-                for w in WAYS
-            ]
+            slopes: list[Any] = []
+            for w in WAYS:
+                slope = CANDIDATE.slope * np.array([np.cos(w), np.sin(w)])
+                slopes.append(dict(zip(GROUND[:2], slope, strict=True)))
             yield _tried_at(
                 row("tilted", "ground", turned, texts, ("a log's frame turned",)), slopes
             )

@@ -118,12 +118,8 @@ class MujocoSimulator:
         read = read.reshape(1 + width + len(basis), b, -1)
         noise = np.tile([c.noise for c in self.channels], self.stretches.time.shape[1])
         mask = self.stretches.seen[which].reshape(b, -1) > 0
-        size = np.concatenate(
-            [
-                np.full(width, DERIVATIVE_STEP),
-                SCALE_STEP * np.sign(basis.sum(1) if len(basis) else np.zeros(0)),
-            ]
-        )
+        sign = np.sign(basis.sum(1) if len(basis) else np.zeros(0))
+        size = np.concatenate([np.full(width, DERIVATIVE_STEP), SCALE_STEP * sign])
         slope = np.where(mask, (read[1:] - read[0]) / noise / size[:, None, None], 0.0)
         both = np.moveaxis(np.clip(np.nan_to_num(slope), -RUNAWAY_SLOPE, RUNAWAY_SLOPE), 0, -1)
         return both[..., :width], both[..., width:]
@@ -204,8 +200,9 @@ def _channels(
         mask = np.concatenate([mask[..., :-4], mask[..., -3:]], -1)
     if made.free >= 0:  # contact makes accelerations jump, from which no start is found
         own_spread = np.nanstd(np.where(mask, measured, np.nan), axis=(0, 1))
+        first = len(named) - len(made.read)
         rough = [
-            len(named) - len(made.read) + k
+            first + k
             for k, r in enumerate(made.read)
             if r.kind == "accelerometer" and made.base < 0
         ]

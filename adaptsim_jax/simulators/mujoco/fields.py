@@ -149,9 +149,9 @@ def _elements(model: mujoco.MjModel, name: str, kind: str, pattern: str) -> list
     if kind not in KINDS:
         raise BadInput(f"quantity {name!r}: {suggest(kind, KINDS)}")
     names = [n or f"{kind}{i}" for i, n in enumerate(element_names(model, kind))]
-    some = [i for i, n in enumerate(names) if n == pattern] or [
-        i for i, n in enumerate(names) if fnmatch.fnmatchcase(n, pattern)
-    ]
+    some = [i for i, n in enumerate(names) if n == pattern]
+    if not some:
+        some = [i for i, n in enumerate(names) if fnmatch.fnmatchcase(n, pattern)]
     if not some:
         raise BadInput(
             f"quantity {name!r}: the model has no {kind} {pattern!r}; {suggest(pattern, names)}"
@@ -200,10 +200,8 @@ def _set(model: mujoco.MjModel, made: Field, element: int, value: float) -> None
         model.actuator_gainprm[element, 0] *= value / old if old else 1.0
         model.actuator_biasprm[element, 1] = -value
     elif made.field == "actuator.kv":
-        servo = (
-            model.actuator_biasprm[element, 1] == 0
-            and model.actuator_gainprm[element, 0] == -model.actuator_biasprm[element, 2]
-        )
+        bias = model.actuator_biasprm[element]
+        servo = bias[1] == 0 and model.actuator_gainprm[element, 0] == -bias[2]
         model.actuator_biasprm[element, 2] = -value
         if servo:
             model.actuator_gainprm[element, 0] = value
@@ -266,7 +264,8 @@ def _move_ground(model: mujoco.MjModel, name: str, value: float) -> None:
         if name == GROUND[2]:
             model.geom_pos[g, 2] += value
             continue
-        turn = np.array([np.cos(0.5 * value), *np.eye(3)[GROUND.index(name)] * np.sin(0.5 * value)])
+        axis = np.eye(3)[GROUND.index(name)]
+        turn = np.array([np.cos(0.5 * value), *axis * np.sin(0.5 * value)])
         place, way = np.zeros(3), np.zeros(4)
         mujoco.mju_rotVecQuat(place, model.geom_pos[g], turn)
         mujoco.mju_mulQuat(way, turn, model.geom_quat[g])

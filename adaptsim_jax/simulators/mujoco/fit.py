@@ -50,9 +50,10 @@ class Fitted:
 
     def as_dict(self) -> dict[str, dict[str, float]]:
         """By name: value, low, high, file."""
+        fitted = zip(self.fields, self.value, self.low, self.high, strict=True)
         return {
             f.name: {"value": float(v), "low": float(a), "high": float(b), "file": f.default}
-            for f, v, a, b in zip(self.fields, self.value, self.low, self.high, strict=True)
+            for f, v, a, b in fitted
         }
 
 
@@ -198,10 +199,8 @@ class _Linear:
             x = self.by_start[w]
             size = np.maximum(np.linalg.norm(x, axis=0), 1e-9)
             hess = (x / size).T @ (x / size) + 1e-6 * np.eye(len(size))
-            out[w] = (
-                -np.linalg.solve(hess, (x / size).T @ (self.left[w] + self.by_field[w] @ step))
-                / size
-            )
+            left = self.left[w] + self.by_field[w] @ step
+            out[w] = -np.linalg.solve(hess, (x / size).T @ left) / size
         return out
 
 
@@ -215,19 +214,20 @@ def _linear(made, stretches, fields, values, starts, weight) -> _Linear:
 
     def wide(z):
         each = z * weight.reshape(1, 1, -1, *[1] * (z.ndim - 3))
-        return each.reshape(len(z), -1, *z.shape[3:]) / spread.reshape(-1, *[1] * (z.ndim - 2))
+        rows = each.reshape(len(z), -1, *z.shape[3:])
+        return rows / spread.reshape(-1, *[1] * (z.ndim - 2))
 
     r, x, s = wide(base), wide(by_x), wide(by_p)
-    good = np.all([np.abs(z).reshape(len(z), -1).max(1) < RUNAWAY_RESIDUAL for z in (r, x, s)], 0)
+    largest = [np.abs(z).reshape(len(z), -1).max(1) for z in (r, x, s)]
+    good = np.all([size < RUNAWAY_RESIDUAL for size in largest], 0)
     trials = np.unique(stretches.trial)
-    hess, slope = (
-        np.zeros((len(trials), len(fields), len(fields))),
-        np.zeros((len(trials), len(fields))),
-    )
+    hess = np.zeros((len(trials), len(fields), len(fields)))
+    slope = np.zeros((len(trials), len(fields)))
     for w in np.flatnonzero(good):
         q, u = np.linalg.qr(x[w] / np.maximum(np.linalg.norm(x[w], axis=0), 1e-12))
         q = q[:, np.abs(np.diagonal(u)) > 1e-7]
-        rest, own = r[w] - q @ (q.T @ r[w]), s[w] - q @ (q.T @ s[w])
+        rest = r[w] - q @ (q.T @ r[w])
+        own = s[w] - q @ (q.T @ s[w])
         k = int(np.searchsorted(trials, stretches.trial[w]))
         hess[k] += own.T @ own
         slope[k] -= own.T @ rest  # the derivative is of what is left
@@ -263,10 +263,8 @@ def _jackknife(lin: _Linear, fields, values) -> np.ndarray:
     if count < 2:
         return np.full(len(fields), np.nan)
     hess, slope = lin.hess.sum(0), lin.slope.sum(0)
-    moves = np.stack(
-        [
-            _bounded(hess - lin.hess[k], slope - lin.slope[k], fields, values, 0.0)
-            for k in range(count)
-        ]
-    )
-    return jackknife(moves)
+    moves = [
+        _bounded(hess - lin.hess[k], slope - lin.slope[k], fields, values, 0.0)
+        for k in range(count)
+    ]
+    return jackknife(np.stack(moves))

@@ -100,11 +100,9 @@ def initial_states(
         qpos = stretches.qpos[w].copy()
         if np.any(x[:nv]):
             mujoco.mj_integratePos(model, qpos, np.ascontiguousarray(x[:nv]), 1.0)
-        data.qpos[:], data.qvel[:], data.act[:] = (
-            qpos,
-            stretches.qvel[w] + x[nv : 2 * nv],
-            stretches.act[w] + x[2 * nv :],
-        )
+        data.qpos[:] = qpos
+        data.qvel[:] = stretches.qvel[w] + x[nv : 2 * nv]
+        data.act[:] = stretches.act[w] + x[2 * nv :]
         for k in late:
             count = int(model.actuator_history[k, 0])
             if k not in times:
@@ -154,13 +152,11 @@ def read(
         felt, lane = sensed[..., [r.place for r in made.read]], np.arange(len(lanes))[:, None]
         split = columns.size - (7 if made.base >= 0 else 0)
 
-        def row(k):
-            return felt[lane, np.minimum(k, felt.shape[1] - 1)]
+        def with_sensors(z, k):
+            row = felt[lane, np.minimum(k, felt.shape[1] - 1)]
+            return np.concatenate([z[..., :split], row, z[..., split:]], -1)
 
-        first, last = (
-            np.concatenate([z[..., :split], row(k), z[..., split:]], -1)
-            for z, k in ((first, low), (last, high))
-        )
+        first, last = with_sensors(first, low), with_sensors(last, high)
     out = first + share * (last - first)
     return np.where(np.isfinite(out) & (np.abs(out) < 1e6), out, np.nan)
 

@@ -148,15 +148,11 @@ def _followed(now: np.ndarray, time: np.ndarray, rate: np.ndarray, up: np.ndarra
         mujoco.mju_negQuat(back, out[k])
         mujoco.mju_rotVecQuat(own_up, np.array([0.0, 0.0, 1.0]), back)
         step = float(time[k + 1] - time[k])
-        calm = (
-            ATTITUDE.follow
-            * np.exp(-np.square((size / 9.81 - 1.0) / ATTITUDE.calm))
-            * np.sign(step)
-        )
+        off = (size / 9.81 - 1.0) / ATTITUDE.calm
+        calm = ATTITUDE.follow * np.exp(-np.square(off)) * np.sign(step)
         out[k + 1] = out[k]
-        mujoco.mju_quatIntegrate(
-            out[k + 1], rate[k] + calm * np.cross(up[k] / max(size, 1e-9), own_up), step
-        )
+        tilt = np.cross(up[k] / max(size, 1e-9), own_up)
+        mujoco.mju_quatIntegrate(out[k + 1], rate[k] + calm * tilt, step)
     return out
 
 
@@ -187,11 +183,8 @@ def standing(
 
 def _below(model: mujoco.MjModel, data: mujoco.MjData, g: int) -> float:
     """m: how far a geom reaches below its middle."""
-    down, size, kind = (
-        np.abs(data.geom_xmat[g].reshape(3, 3)[2]),
-        model.geom_size[g],
-        model.geom_type[g],
-    )
+    down = np.abs(data.geom_xmat[g].reshape(3, 3)[2])
+    size, kind = model.geom_size[g], model.geom_type[g]
     if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
         return float(size[0])
     if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:

@@ -60,18 +60,16 @@ def cut(made: Stepped, log: Log, horizon: float, most: int) -> MujocoStretches:
         last = np.searchsorted(trial.time, trial.time + horizon - 0.5 * trial.dt)
         spans.append(TrialSpans(trial.time, trial.q, last))
     chosen = stretch_rows(spans, horizon, most, f"{log.path}: ")
-    seconds = [
-        trials[k].time[last] - trials[k].time[first]
-        for k, first, last in zip(chosen.trial, chosen.first, chosen.last, strict=True)
-    ]
+    ends = zip(chosen.trial, chosen.first, chosen.last, strict=True)
+    seconds = [trials[k].time[last] - trials[k].time[first] for k, first, last in ends]
     steps = max(1, int(np.ceil(max(seconds) / float(model.opt.timestep) - 0.25)))
     motion = {k: _motion(trials[k]) for k in np.unique(chosen.trial)}
     felt = _felt(made, log)
     inputs = [inputs_of(model, log, trial) for trial in trials]
-    lanes = [
-        _lane(made, trials[k], (*motion[k], felt.get(k)), inputs[k], (rows, own), steps)
-        for k, rows, own in zip(chosen.trial, *chosen.compared(), strict=True)
-    ]
+    lanes = []
+    for k, rows, own in zip(chosen.trial, *chosen.compared(), strict=True):
+        moving = (*motion[k], felt.get(k))
+        lanes.append(_lane(made, trials[k], moving, inputs[k], (rows, own), steps))
 
     def stack(key):
         return np.stack([lane[key] for lane in lanes])
@@ -143,28 +141,23 @@ def _lane(
     start = trial.time[begin]
 
     def row_of(t):
-        return np.clip(
-            np.searchsorted(trial.time, t + 0.5 * h - 1e-9, side="right") - 1,
-            0,
-            len(trial.time) - 1,
-        )
+        row = np.searchsorted(trial.time, t + 0.5 * h - 1e-9, side="right") - 1
+        return np.clip(row, 0, len(trial.time) - 1)
 
     control = u[row_of(start + h * np.arange(steps))]
     before = max(1, int(np.ceil(SIMULATION.past / h)))
     past = u[row_of(start - h * np.arange(before, 0, -1))]
     base = trial.base if made.base >= 0 else None
-    channels = [
-        trial.q[live],
-        *([trial.v[live]] if trial.v is not None else []),
-        *(trial.channels[r.name][live, None] for r in made.read),
-        *([base[live]] if base is not None else []),
-    ]
+    channels = [trial.q[live]]
+    if trial.v is not None:
+        channels.append(trial.v[live])
+    channels += [trial.channels[r.name][live, None] for r in made.read]
+    if base is not None:
+        channels.append(base[live])
     measured = np.concatenate(channels, 1)
     qpos, qvel = _start(made, trial, motion, begin)
-    at, mask = (
-        np.clip((trial.time[live] - start) / h, 0, steps),
-        np.isfinite(measured) & here[:, None],
-    )
+    at = np.clip((trial.time[live] - start) / h, 0, steps)
+    mask = np.isfinite(measured) & here[:, None]
     if made.read:  # a sensor is read where a step begins, and none begins at the end
         last = measured.shape[1] - (7 if made.base >= 0 else 0)
         mask[:, last - len(made.read) : last] &= (at <= steps - 1 + 1e-6)[:, None]
@@ -209,7 +202,8 @@ def _start(made: Stepped, trial: LogTrial, motion, begin: int) -> tuple[np.ndarr
         at = int(model.jnt_dofadr[np.flatnonzero(model.jnt_qposadr == made.free)[0]])
         known[at : at + 6] = True
         qpos[made.free : made.free + 2] = 0.0
-        qpos[made.free + 3 : made.free + 7], qvel[at + 3 : at + 6] = felt[0][begin], felt[1][begin]
+        qpos[made.free + 3 : made.free + 7] = felt[0][begin]
+        qvel[at + 3 : at + 6] = felt[1][begin]
         standing(model, data, made.free, qpos, qvel)
     if not known.all() and model.neq:
         qpos, qvel = _consistent(model, data, qpos, qvel, ~known)
@@ -222,7 +216,8 @@ def _rate_before(
     """Speeds [nv] by the last two rows up to a start; as they are where there is none before."""
     out = qvel.copy()
     if begin > 0:
-        change = (trial.q[begin] - trial.q[begin - 1]) / (trial.time[begin] - trial.time[begin - 1])
+        dt = trial.time[begin] - trial.time[begin - 1]
+        change = (trial.q[begin] - trial.q[begin - 1]) / dt
         known = np.isfinite(change)
         dof = dofs(made)
         out[dof[known]] = change[known]
@@ -280,11 +275,12 @@ def _consistent(model, data, qpos, qvel, free: np.ndarray) -> tuple[np.ndarray, 
         if not len(rows):
             break
         jacobian = np.zeros((data.nefc, model.nv))
-        mujoco.mju_sparse2dense(
-            jacobian, data.efc_J, data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind
-        ) if mujoco.mj_isSparse(model) else jacobian.__setitem__(
-            slice(None), data.efc_J.reshape(-1, model.nv)[: data.nefc]
-        )
+        if mujoco.mj_isSparse(model):
+            mujoco.mju_sparse2dense(
+                jacobian, data.efc_J, data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind
+            )
+        else:
+            jacobian[:] = data.efc_J.reshape(-1, model.nv)[: data.nefc]
         j, off = jacobian[rows], data.efc_pos[rows]
         step = np.zeros(model.nv)
         step[free] = -np.linalg.lstsq(j[:, free], off, rcond=1e-6)[0]
@@ -293,7 +289,8 @@ def _consistent(model, data, qpos, qvel, free: np.ndarray) -> tuple[np.ndarray, 
             break
     if len(rows):
         qvel = qvel.copy()
-        qvel[free] = -np.linalg.lstsq(j[:, free], j[:, ~free] @ qvel[~free], rcond=1e-6)[0]
+        driven = j[:, ~free] @ qvel[~free]
+        qvel[free] = -np.linalg.lstsq(j[:, free], driven, rcond=1e-6)[0]
     return qpos, qvel
 
 
@@ -312,7 +309,8 @@ def _act(made: Stepped, qpos: np.ndarray, past: np.ndarray) -> np.ndarray:
         if adr < 0 or past.shape[1] != model.nu:
             continue
         if kind in (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT)):
-            x, share = past[0, k], 1.0 - np.exp(-h / max(float(model.actuator_dynprm[k, 0]), 1e-6))
+            x, lag = past[0, k], max(float(model.actuator_dynprm[k, 0]), 1e-6)
+            share = 1.0 - np.exp(-h / lag)
             for u in past[:, k]:
                 x += share * (u - x)
             out[adr + model.actuator_actnum[k] - 1] = x
@@ -325,11 +323,8 @@ def late(past: np.ndarray, control: np.ndarray, steps: np.ndarray) -> np.ndarray
     """Commands [W, S, nu] that act so many `steps` [W] later (below zero: earlier), between steps
     as a mix of both.
     """
-    both, before, last = (
-        np.concatenate([past, control], 1),
-        past.shape[1],
-        past.shape[1] + control.shape[1] - 1,
-    )
+    both = np.concatenate([past, control], 1)
+    before, last = past.shape[1], both.shape[1] - 1
     at = np.clip(before + np.arange(control.shape[1]) - steps[:, None], 0, last)
     low = np.floor(at).astype(int)
     share, row = (at - low)[..., None], np.arange(len(steps))[:, None]
