@@ -197,12 +197,9 @@ def sample(key: jax.Array, dist: Gaussian, shape: tuple[int, ...] = ()) -> jax.A
     """Draw unit coordinates `[*shape, D]` from E, truncated to the box by clipping."""
     noise = jax.random.normal(key, (*shape, *dist.mean.shape), dist.mean.dtype)
     lead = (1,) * len(shape)
-    return jnp.clip(
-        dist.mean.reshape(*lead, *dist.mean.shape)
-        + noise * dist.std.reshape(*lead, *dist.std.shape),
-        0.0,
-        1.0,
-    )
+    mean = dist.mean.reshape(*lead, *dist.mean.shape)
+    std = dist.std.reshape(*lead, *dist.std.shape)
+    return jnp.clip(mean + noise * std, 0.0, 1.0)
 
 
 MINUS, PLUS, STAY = 0, 1, 2

@@ -198,13 +198,14 @@ def _transitions(episodes: AdaptationEpisode, hyper: Phase1Hyper) -> tuple[Trans
         return x.reshape(-1, *x.shape[2:])
 
     last = jnp.zeros_like(shaped[:, 1:]).at[:, -1].set(1.0)
-    return Transition(
+    transitions = Transition(
         flat(episodes.obs[:, :-1]),
         flat(episodes.action),
         flat(shaped[:, 1:]),
         flat(episodes.obs[:, 1:]),
         flat(1.0 - hyper.terminal * last),
-    ), shaped
+    )
+    return transitions, shaped
 
 
 def _learn(key, bdq: BDQ, config, hyper, state: Phase1State, number):
@@ -261,6 +262,5 @@ def _remember(
     10).
     """
     used = DistributionArchive(episodes.mean, episodes.policy)
-    return ring.write(
-        archive, jax.tree.map(lambda x: x[:, :-1].reshape(-1, *x.shape[2:]), used), number
-    )
+    rows = jax.tree.map(lambda x: x[:, :-1].reshape(-1, *x.shape[2:]), used)
+    return ring.write(archive, rows, number)

@@ -127,10 +127,11 @@ def settle(pool: Pool, config: ReuseConfig, means: jax.Array, policies: Any, loa
     place = jnp.where(trained, loan.place, C)  # C is past the end: dropped
     first = jnp.full(C + 1, P, jnp.int32).at[place].min(order)
     keeps = jnp.where(first[place] == order, place, C)
+    policy = jax.tree.map(
+        lambda old, new: old.at[keeps].set(new, mode="drop"), pool.policy, policies
+    )
     pool = pool._replace(
-        policy=jax.tree.map(
-            lambda old, new: old.at[keeps].set(new, mode="drop"), pool.policy, policies
-        ),
+        policy=policy,
         taught=pool.taught.at[place].add(1, mode="drop"),
         spent=pool.spent.at[place].add(loan.budget, mode="drop"),
     )

@@ -114,10 +114,11 @@ def described(sweep: Sweep) -> dict[str, Any]:
     """What is run, as plain data: the spec and, for each member, its values and the digest of its
     whole configuration.
     """
+    spec = {k: v for k, v in configs.to_table(sweep.spec).items() if v is not None}
     return {
         "schema": SCHEMA,
         "version": __version__,
-        "spec": {k: v for k, v in configs.to_table(sweep.spec).items() if v is not None},
+        "spec": spec,
         "swept": list(sweep.swept),
         "members": [
             {
@@ -137,16 +138,17 @@ def locked(path: Path) -> contextlib.AbstractContextManager[None]:
 
 def write_results(folder: SweepFolder) -> dict[str, Any]:
     """Write both files from the parts that are there; the same parts give the same bytes."""
-    rows = folder.rows()
+    rows, head = folder.rows(), folder.head
+    states = [row["status"] for row in rows]
     found = {
         "schema": SCHEMA,
-        "version": folder.head["version"],
-        "spec": folder.head["spec"],
-        "swept": folder.head["swept"],
-        "members": len(folder.head["members"]),
-        "done": sum(row["status"] == "done" for row in rows),
-        "failed": sum(row["status"] == "failed" for row in rows),
-        "summary": summary(rows, folder.head["swept"], folder.head["spec"]["targets"]),
+        "version": head["version"],
+        "spec": head["spec"],
+        "swept": head["swept"],
+        "members": len(head["members"]),
+        "done": states.count("done"),
+        "failed": states.count("failed"),
+        "summary": summary(rows, head["swept"], head["spec"]["targets"]),
         "rows": rows,
     }
     write_json(folder.path / "results.json", found)

@@ -307,13 +307,13 @@ def described(plan: SweepPlan) -> Iterator[str]:
     """A line for each group, for a person."""
     for i, group in enumerate(plan.groups):
         size = group.member_bytes / 1e6
-        batches = sum(b.group == i for b in plan.batches)
+        count = sum(b.group == i for b in plan.batches)
+        batches = f"{count} batch{'es' * (count != 1)} of {group.width}"
         if max(group.split) > 1:
             over = f", over {group.split.members} x {group.split.trajectories} devices"
         else:
             over = ""
         yield (
-            f"program {i + 1}: {len(group.members)} members, {batches} "
-            f"batch{'es' * (batches != 1)} of {group.width}{over}; about {size:.0f} MB a member, "
-            f"{size * group.width / 1e3:.2f} GB a batch"
+            f"program {i + 1}: {len(group.members)} members, {batches}{over}; about {size:.0f} MB "
+            f"a member, {size * group.width / 1e3:.2f} GB a batch"
         )

@@ -54,7 +54,8 @@ def phase2(
 
     # lanes run over targets, seeds, starts; the same starts serve all targets
     def pick(x):
-        return jnp.tile(x.reshape(-1, *x.shape[2:]), (len(arena.targets), *(1,) * (x.ndim - 2)))
+        rows = x.reshape(-1, *x.shape[2:])
+        return jnp.tile(rows, (len(arena.targets), *(1,) * (rows.ndim - 1)))
 
     hyper = jax.tree.map(lambda x: jnp.asarray(x)[batch.seed], trained.hyper)
     policies = LanePolicies(phase1, trained.weights[batch.seed], hyper)

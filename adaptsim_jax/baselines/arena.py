@@ -52,13 +52,14 @@ class Arena:
         self.targets = np.asarray(targets, np.float32)
         self.failed, self.made = np.zeros(len(targets), int), np.zeros(len(targets), int)
         self.fresh: list[np.ndarray] = []
-        self._draw = jax.jit(
-            jax.vmap(lambda k, n: jax.vmap(one.draw)(jax.random.split(k, n)), (0, None)),
-            static_argnums=1,
-        )
+
+        def draw(key, count):
+            return jax.vmap(one.draw)(jax.random.split(key, count))
 
         def each(key, policy):
-            return jax.vmap(one.draw)(jax.random.split(key, one.trials))
+            return draw(key, one.trials)
+
+        self._draw = jax.jit(jax.vmap(draw, (0, None)), static_argnums=1)
 
         self._aim = jax.jit(jax.vmap(one.aim or each))
         self._act = jax.jit(jax.vmap(one.act))
@@ -231,7 +232,8 @@ def lanes(targets: int, seeds: np.ndarray, starts: int, label: int) -> RunLanes:
     def key(seed, lane):
         return jax.random.fold_in(jax.random.fold_in(jax.random.key(seed), label), lane)
 
-    keys = jax.vmap(key)(jnp.asarray(np.asarray(seeds)[s], jnp.uint32), jnp.asarray(t * starts + n))
+    lane_seeds = jnp.asarray(np.asarray(seeds)[s], jnp.uint32)
+    keys = jax.vmap(key)(lane_seeds, jnp.asarray(t * starts + n))
     return RunLanes(t, s, keys, (targets, len(seeds), starts))
 
 
@@ -300,7 +302,6 @@ class Memory:
         flat = grid.reshape(T, S, len(visits) * per_visit, *rest)
         room = np.zeros((T, S, self._visits * per_visit, *rest), flat.dtype)
         room[:, :, : flat.shape[2]] = flat
-        shared = np.broadcast_to(room[:, :, None], (T, S, N, *room.shape[2:])).reshape(
-            T * S * N, *room.shape[2:]
-        )
+        shared = np.broadcast_to(room[:, :, None], (T, S, N, *room.shape[2:]))
+        shared = shared.reshape(T * S * N, *room.shape[2:])
         return shared, np.arange(room.shape[2]) < flat.shape[2]

@@ -54,7 +54,8 @@ def fit(x: np.ndarray, y: np.ndarray, rng: np.random.Generator, restarts: int = 
     x, y = np.asarray(x, float), np.asarray(y, float)
     mean, scale = y.mean(), max(y.std(), 1e-6)
     z, D = (y - mean) / scale, x.shape[1]
-    bounds = [tuple(np.log(LENGTHS))] * D + [tuple(np.log((0.05, 20.0)))] + [tuple(np.log(NOISES))]
+    ranges = [LENGTHS] * D + [(0.05, 20.0), NOISES]
+    bounds = [tuple(np.log(ends)) for ends in ranges]
     starts = [np.log([0.5] * D + [1.0, 0.2])]
     starts += [rng.uniform(*np.array(bounds).T) for _ in range(restarts - 1)]
     ends = [
@@ -118,7 +119,8 @@ def _covariance(a: np.ndarray, b: np.ndarray, lengths: np.ndarray, signal: float
 def _cost(logs: np.ndarray, x: np.ndarray, z: np.ndarray) -> tuple[float, np.ndarray]:
     """Negative log posterior and its gradient by the logarithms of lengths, signal and noise."""
     D, n = x.shape[1], len(z)
-    lengths, signal, noise = np.exp(logs[:D]), np.exp(logs[D]), np.exp(logs[D + 1])
+    lengths = np.exp(logs[:D])
+    signal, noise = np.exp(logs[D]), np.exp(logs[D + 1])
     squares = (_distances(x, x) / lengths) ** 2
     r = np.sqrt(5.0 * squares.sum(-1))
     kernel = signal * (1.0 + r + r**2 / 3.0) * np.exp(-r)

@@ -266,11 +266,11 @@ def reward_map(
     rest = [i for i in range(space.dim) if i not in axes]
     with jax.enable_x64(True):
         u = np.array(list(product(np.linspace(0, 1, others), repeat=len(rest))))
-        inner = np.asarray(
-            space.physical(jnp.full((len(u), space.dim), 0.5).at[:, np.array(rest, int)].set(u))
-        )
+        middle = jnp.full((len(u), space.dim), 0.5)
+        inner = np.asarray(space.physical(middle.at[:, np.array(rest, int)].set(u)))
         params = np.tile(inner, (points, points, 1, 1))
-        params[..., axes[0]], params[..., axes[1]] = x[None, :, None], y[:, None, None]
+        params[..., axes[0]] = x[None, :, None]
+        params[..., axes[1]] = y[:, None, None]
 
         def cost(p):
             return problem.cost(jnp.asarray(target, jnp.float64), problem.policy(p))

@@ -142,13 +142,15 @@ def visiting_rows(
     curves = normalised(best_over(cost), bounds.lower, bounds.upper)
     out = []
     for i, name in enumerate(names):
-        best, final = _best_means(means[i], cost[i]), means[i, :, :, -1]
+        best = _best_means(means[i], cost[i])
+        final = means[i, :, :, -1].reshape(-1, means.shape[-1])
+        ratio = best_over(cost[i]).min(axis=1) / bounds.upper[i]
         gap = discrepancy(problem, best[None], arena.targets[i : i + 1])[0]
         extras = {
             "discrepancy": {"mean": gap.mean(), "median": np.median(gap), "per_seed": gap},
             "best_params": physical(problem.space, best),
-            "final_params": physical(problem.space, final.reshape(-1, final.shape[-1])),
-            "cost_ratio": {"best_mean": (best_over(cost[i]).min(axis=1) / bounds.upper[i]).mean()},
+            "final_params": physical(problem.space, final),
+            "cost_ratio": {"best_mean": ratio.mean()},
             "failed": int(np.sum(~np.isfinite(cost[i]))),
         }
         ends = {"oracle": bounds.oracle[i], "target_trials": visits.target_trials}

@@ -178,11 +178,10 @@ def _keep(stored: TrialBatch, new: TrialBatch, at: int) -> TrialBatch:
 
     if stored.outcomes is None:
         most = stored.actions.shape[1]
-        stored = stored._replace(
-            outcomes=jax.tree.map(
-                lambda x: np.zeros((x.shape[0], most, *x.shape[2:]), x.dtype), new.outcomes
-            )
+        outcomes = jax.tree.map(
+            lambda x: np.zeros((x.shape[0], most, *x.shape[2:]), x.dtype), new.outcomes
         )
+        stored = stored._replace(outcomes=outcomes)
     return jax.tree.map(put, stored, new)
 
 

@@ -67,8 +67,10 @@ class MixtureNetwork(nn.Module):
         else:
             start = np.full((1, 1), 0.5)
         means = heads[:, 1 : 1 + D] + jnp.asarray(start, x.dtype)
-        diagonal = jnp.exp(jnp.clip(heads[:, 1 + D : 1 + 2 * D] + np.log(4.0), -3.0, 8.0))
-        factors = jnp.zeros((K, D, D), x.dtype).at[:, rows, cols].set(heads[:, 1 + 2 * D :])
+        log_diagonal = heads[:, 1 + D : 1 + 2 * D] + np.log(4.0)
+        diagonal = jnp.exp(jnp.clip(log_diagonal, -3.0, 8.0))
+        factors = jnp.zeros((K, D, D), x.dtype)
+        factors = factors.at[:, rows, cols].set(heads[:, 1 + 2 * D :])
         factors = factors.at[:, np.arange(D), np.arange(D)].set(diagonal)
         return Mixture(jnp.log(weights), means, factors)
 

@@ -87,16 +87,17 @@ def fine_tune(run: MethodRun) -> Visits:
     setting, config = arena.setting, run.config.steps
     total = max(config.together, run.config.starts * (run.config.iterations + 1))
     updates = total // config.together
-    length, minibatches = setting.sim.length, setting.config.training.minibatches
+    length, base = setting.sim.length, setting.config.training
+    hyper = replace(base.hyper, learning_rate=config.rate)
     training = replace(
-        setting.config.training,
+        base,
         parallel=config.together,
         unroll=length,
         epochs=config.epochs,
         decay=1.0,
         stagger=False,
-        minibatches=largest_divisor(minibatches, config.together * length),
-        hyper=replace(setting.config.training.hyper, learning_rate=config.rate),
+        minibatches=largest_divisor(base.minibatches, config.together * length),
+        hyper=hyper,
     )
     middle = jnp.full(setting.space.dim, 0.5)
     rows = []
@@ -110,10 +111,8 @@ def fine_tune(run: MethodRun) -> Visits:
         u = setting.space.unit(values[: setting.space.dim])
         worlds = Worlds(u, u, jnp.zeros(()), values[setting.space.dim :])
         key = jax.random.fold_in(jax.random.key(int(run.seeds[0])), 100 + t)
-        state, actors = (
-            trainer.begin(key, arena.prepared.learned),
-            [trainer.policy(arena.prepared.learned)],
-        )
+        state = trainer.begin(key, arena.prepared.learned)
+        actors = [trainer.policy(arena.prepared.learned)]
         for _ in range(updates):
             state, _ = trainer.train(key, state, worlds, 1)
             actors.append(trainer.policy(trainer.learned(state)))

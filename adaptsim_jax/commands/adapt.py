@@ -110,32 +110,33 @@ def describe(
     names = task.space.names
     physical = np.asarray(task.space.physical(result.history.mean))
     reward = np.asarray(result.history.reward)
+    target = dict(zip(names, map(float, params), strict=True))
+    best = np.asarray(task.space.physical(result.mean)).tolist()
+    history = [
+        [
+            {
+                "reward": number(reward[s, i]),
+                "params": dict(zip(names, physical[s, i].tolist(), strict=True)),
+            }
+            for i in range(reward.shape[1])
+        ]
+        for s in range(reward.shape[0])
+    ]
     return {
         "schema": 1,
         "task": task.name,
         "run": str(args.folder),
         "seed": args.seed,
-        "target": {"name": name, "params": dict(zip(names, map(float, params), strict=True))},
+        "target": {"name": name, "params": target},
         "best": {
             "reward": number(result.reward),
             "score": number(result.score),
-            "params": dict(
-                zip(names, np.asarray(task.space.physical(result.mean)).tolist(), strict=True)
-            ),
+            "params": dict(zip(names, best, strict=True)),
             "policy": without_nan(leaves_by_name(result.policy)),
         },
         "final": [number(row[-1]) for row in reward],
         "trials": int(reward.size),
-        "history": [
-            [
-                {
-                    "reward": number(reward[s, i]),
-                    "params": dict(zip(names, physical[s, i].tolist(), strict=True)),
-                }
-                for i in range(reward.shape[1])
-            ]
-            for s in range(reward.shape[0])
-        ],
+        "history": history,
     }
 
 

@@ -105,14 +105,15 @@ def commands(out: Path, seed: int, config: DemoConfig) -> dict[str, str]:
     sizes = {"starts": config.starts, "iterations": config.iterations}
     asked = replace(default_comparison(TASK), train=config.train, sysid=config.sysid, **sizes)
     methods = ",".join(name.replace("_", "-") for name in ("adaptsim", *config.baselines))
+    trained = _changes(config.train, default_config(TASK), "seed")
+    compared = _changes(asked, default_comparison(TASK))
     lines = {
-        "train": f"adaptsim train {TASK} --run {again('run')} --seed "
-        f"{seed}{_changes(config.train, default_config(TASK), 'seed')}",
+        "train": f"adaptsim train {TASK} --run {again('run')} --seed {seed}{trained}",
         "adapt": f"adaptsim adapt {again('run')} --target {TARGET} --seed {seed} "
         f"--starts {config.starts} --iterations {config.iterations}",
         "compare": f"adaptsim compare {TASK} --out {again('comparison')} --seed {seed} --seeds "
         f"{config.seeds} --settings {TARGET} "
-        f"--methods {methods}{_changes(asked, default_comparison(TASK))}",
+        f"--methods {methods}{compared}",
         "diagnose": f"adaptsim diagnose {shlex.quote(str(HINGE))} --out {again('diagnosis')} "
         f"--seed {seed}",
         "double": f"adaptsim diagnose {shlex.quote(str(PENDULUM))} --out {again('double')} --seed "

@@ -151,9 +151,8 @@ def _try_jax() -> str:
     import jax
     import jax.numpy as jnp
 
-    value = float(
-        jax.jit(lambda x: jnp.linalg.solve(x, jnp.ones(2)).sum())(jnp.diag(jnp.array([2.0, 4.0])))
-    )
+    solved = jax.jit(lambda x: jnp.linalg.solve(x, jnp.ones(2)).sum())
+    value = float(solved(jnp.diag(jnp.array([2.0, 4.0]))))
     if abs(value - 0.75) > 1e-5:
         raise RuntimeError(f"a linear solve gave {value} for 0.75")
     return f"a compiled linear solve is right on {jax.default_backend()}"

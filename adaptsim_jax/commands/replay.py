@@ -169,14 +169,13 @@ def _print(answer: dict) -> None:
     )
 
     def size(row, unit):
+        references = ("straight_line", "hold_still")
+        skill = f"{row['skill']:.2f}" if row.get("skill") is not None else ""
         return (
             quantity(row["median"], unit, 4),
             quantity(row["rms"], unit, 4, like=row["median"]),
-            *(
-                quantity(row[k], unit, 3) if k in row else ""
-                for k in ("straight_line", "hold_still")
-            ),
-            f"{row['skill']:.2f}" if row.get("skill") is not None else "",
+            *(quantity(row[k], unit, 3) if k in row else "" for k in references),
+            skill,
             f"{100 * row['ran_away']:.0f} %",
         )
 

@@ -135,11 +135,8 @@ def cartpole() -> ModelEnvironment:
 
     def reward(data: Any, action: jax.Array) -> jax.Array:
         upright = 0.5 * (1.0 + jnp.cos(data.qpos[1]))
-        return (
-            upright
-            * jnp.exp(-0.5 * jnp.square(data.qpos[0]))
-            * (1.0 - 0.1 * jnp.sum(jnp.square(jnp.clip(action, -1, 1))))
-        )
+        placed = upright * jnp.exp(-0.5 * jnp.square(data.qpos[0]))
+        return placed * (1.0 - 0.1 * jnp.sum(jnp.square(jnp.clip(action, -1, 1))))
 
     def start(key, qpos):
         hang = jnp.array([0.0, jnp.pi]) + 0.05 * jax.random.normal(key, (2,))

@@ -180,12 +180,14 @@ def digest(setting: Setting) -> str:
         return live, play.step(world, live, action)
 
     values, action = jnp.zeros(len(play.fields)), jnp.zeros(sim.action_dim)
+    training = asdict(config.training) if is_dataclass(config.training) else {}
+    planner = asdict(config.planner) if config.policy == "planned" else {}
     table = {
         "form": FORM,
         "space": [asdict(p) for p in setting.space.parameters],
-        "training": asdict(config.training) if is_dataclass(config.training) else {},
+        "training": training,
         "trainer": getattr(setting.trainer.train, "__qualname__", ""),
-        "planner": asdict(config.planner) if config.policy == "planned" else {},
+        "planner": planner,
         "shown": [config.components, BLIND],
         "steps": [sim.length, float(sim.dt)],
         "traced": digest_of(run, jax.random.key(0), values, action),

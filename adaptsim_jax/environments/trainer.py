@@ -273,11 +273,12 @@ class WorldsPPO:
         hyper = replace(hyper, learning_rate=rate)
         learned, info = self.ppo.update(learn_key, state.ppo, batch, hyper)
         _, discounted = carried(batch, hyper.discount)
+        over_column = over[:, None]
         state = state._replace(
             ppo=learned,
             live=_choose(over, fresh.live, live),
-            values=jnp.where(over[:, None], fresh.values, state.values),
-            mean=jnp.where(over[:, None], fresh.mean, state.mean),
+            values=jnp.where(over_column, fresh.values, state.values),
+            mean=jnp.where(over_column, fresh.mean, state.mean),
             carried=jnp.where(over, 0.0, discounted),
             gained=jnp.where(over, 0.0, gained),
             number=state.number + 1,

@@ -88,10 +88,10 @@ def _many(mean: Array, precision: Array, low: float, high: float) -> Array:
     def sweep(action):
         for i in range(d):
             row = precision[..., i, :]
-            pull = jnp.sum(row * (action - mean), -1) - row[..., i] * (
-                action[..., i] - mean[..., i]
-            )
-            action = action.at[..., i].set(jnp.clip(mean[..., i] - pull / row[..., i], low, high))
+            slope = jnp.sum(row * (action - mean), -1)
+            pull = slope - row[..., i] * (action[..., i] - mean[..., i])
+            best = mean[..., i] - pull / row[..., i]
+            action = action.at[..., i].set(jnp.clip(best, low, high))
         return action
 
     def one(_, action):
@@ -176,9 +176,8 @@ class Quadratic(NamedTuple):
     def __call__(self, action: jax.Array) -> jax.Array:
         """Q of `action [..., d]`: `[...]`."""
         delta = action - self.mean
-        return self.value - 0.5 * jnp.sum(
-            jnp.square(jnp.sum(self.chol * delta[..., :, None], -2)), -1
-        )
+        whitened = jnp.sum(self.chol * delta[..., :, None], -2)
+        return self.value - 0.5 * jnp.sum(jnp.square(whitened), -1)
 
 
 class QuadraticNetwork(nn.Module):
@@ -200,7 +199,9 @@ class QuadraticNetwork(nn.Module):
             1 + d + d * (d + 1) // 2,
             kernel_init=nn.initializers.variance_scaling(0.01, "fan_in", "normal"),
         )(x)
-        value, mean, entries = heads[..., 0], heads[..., 1 : 1 + d], heads[..., 1 + d :]
+        value = heads[..., 0]
+        mean = heads[..., 1 : 1 + d]
+        entries = heads[..., 1 + d :]
         return Quadratic(
             value, cfg.reach * jnp.tanh(mean), _lower_triangle(entries, d, cfg.log_diagonal)
         )
@@ -289,7 +290,8 @@ def _whiten(chol: jax.Array, noise: jax.Array) -> jax.Array:
 def _loss(q: jax.Array, target: jax.Array):
     """Huber's, and the mean of Q."""
     error = q - jax.lax.stop_gradient(target)
-    return jnp.mean(jnp.where(jnp.abs(error) < 1.0, 0.5 * error**2, jnp.abs(error) - 0.5)), q.mean()
+    huber = jnp.where(jnp.abs(error) < 1.0, 0.5 * error**2, jnp.abs(error) - 0.5)
+    return jnp.mean(huber), q.mean()
 
 
 def _check(config: NAFConfig) -> None:

@@ -201,9 +201,8 @@ def make_ppo(config: PPOConfig) -> PPO:
 
     def act(key, actor, obs, extra):
         mean, log_std, _ = apply(actor.weights, actor.mean, actor.std, obs, extra)
-        action = mean + jnp.exp(log_std).reshape(*(1,) * (mean.ndim - 1), -1) * jax.random.normal(
-            key, mean.shape
-        )
+        std = jnp.exp(log_std).reshape(*(1,) * (mean.ndim - 1), -1)
+        action = mean + std * jax.random.normal(key, mean.shape)
         return action, _log_prob(action, mean, log_std)
 
     def update(key, state, batch, hyper):
@@ -211,10 +210,9 @@ def make_ppo(config: PPOConfig) -> PPO:
         before = actor(state)
         values = value(before, batch.obs, batch.extra)
         advantage = gae(rewards, values, value(before, batch.after, batch.extra), batch, hyper)
-        rows = jax.tree.map(
-            lambda x: x.reshape(-1, *x.shape[2:]),
-            (batch.obs, batch.extra, batch.action, batch.log_prob, advantage, advantage + values),
-        )
+        steps = (batch.obs, batch.extra, batch.action, batch.log_prob)
+        columns = (*steps, advantage, advantage + values)
+        rows = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), columns)
 
         def loss(w, part):
             return _loss(lambda o, e: apply(w, before.mean, before.std, o, e), part, hyper)
@@ -277,11 +275,9 @@ def _more(
         mean, squares = mean.reshape(last), squares.reshape(last)
     total = scale.count + count
     shift = mean - scale.mean
-    return RunningScale(
-        total,
-        scale.mean + shift * count / total,
-        scale.squares + squares + jnp.square(shift) * scale.count * count / total,
-    )
+    mean = scale.mean + shift * count / total
+    squares = scale.squares + squares + jnp.square(shift) * scale.count * count / total
+    return RunningScale(total, mean, squares)
 
 
 def _near(scale: RunningScale, rows: jax.Array) -> jax.Array:

@@ -90,14 +90,13 @@ def without_turns(time: np.ndarray, q: np.ndarray) -> Turns:
     near = jump - period * np.round(jump / period)
     speed = np.where(gap, np.nan, near / dt)
     expected = _mean_of_sides(speed) * dt
-    turns = np.round((jump - np.where(gap, expected, 0.0)) / period)
-    miss = np.abs(jump - np.where(gap, expected, 0.0) - turns * period)
+    excess = jump - np.where(gap, expected, 0.0)
+    turns = np.round(excess / period)
+    miss = np.abs(excess - turns * period)
     within = _within_one_period(q, period)
-    counted = np.where(
-        gap,
-        within & (miss < WRAP.share * period) & (dt < WRAP.longest),
-        miss < min(WRAP.near, WRAP.share * period),
-    )
+    allowed = WRAP.share * period
+    in_gap = within & (miss < allowed) & (dt < WRAP.longest)
+    counted = np.where(gap, in_gap, miss < min(WRAP.near, allowed))
     taken = np.where(counted, turns, 0.0)
     between = ~gap & (
         np.abs(near) > WRAP.jump * period
@@ -106,10 +105,11 @@ def without_turns(time: np.ndarray, q: np.ndarray) -> Turns:
         taken = np.where(gap, taken, 0.0)
     moved = np.abs(expected) > WRAP.jump * period
     unsure = gap & within & ~counted & (moved | (np.abs(jump) > WRAP.half * period))
+    steps = tuple(np.flatnonzero(unsure).tolist())
     if not taken.any():
-        return Turns(q, 0, period, tuple(np.flatnonzero(unsure).tolist()))
+        return Turns(q, 0, period, steps)
     out = q - period * np.concatenate([[0.0], np.cumsum(taken)])
-    return Turns(out, int(np.count_nonzero(taken)), period, tuple(np.flatnonzero(unsure).tolist()))
+    return Turns(out, int(np.count_nonzero(taken)), period, steps)
 
 
 def followed_turns(q: np.ndarray, target: np.ndarray) -> np.ndarray:
@@ -145,11 +145,9 @@ def _mean_of_sides(speed: np.ndarray) -> np.ndarray:
     sides = []
     for side in (before, after):
         here = np.isfinite(side)
-        sides.append(
-            np.where(
-                here.any(0), np.where(here, side, 0.0).sum(0) / np.maximum(here.sum(0), 1), np.nan
-            )
-        )
+        total = np.where(here, side, 0.0).sum(0)
+        mean = total / np.maximum(here.sum(0), 1)
+        sides.append(np.where(here.any(0), mean, np.nan))
     first, second = sides
     both = np.where(np.isfinite(first), first, second), np.where(np.isfinite(second), second, first)
     return np.nan_to_num(0.5 * (both[0] + both[1]))

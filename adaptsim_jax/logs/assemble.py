@@ -49,6 +49,13 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
         )
     else:
         turned = ()
+    notes = (
+        inputs.notes
+        + _strange(raw[0], names, held)
+        + _numbered(raw[0], names, retained)
+        + _notes(raw, log_trials)
+    )
+    repeated = copies([(t.name, t.q) for t in log_trials])
     return Log(
         path=path,
         meta=meta,
@@ -58,15 +65,7 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
         input_names=inputs.names,
         driven=inputs.driven,
         input_columns=_input_columns(raw[0], names, inputs),
-        notes=inputs.notes
-        + _strange(raw[0], names, held)
-        + _numbered(raw[0], names, retained)
-        + _notes(raw, log_trials)
-        + turned
-        + evened
-        + suspected
-        + copies([(t.name, t.q) for t in log_trials])
-        + unread(path),
+        notes=notes + turned + evened + suspected + repeated + unread(path),
         held=held,
     )
 
@@ -94,8 +93,9 @@ def _moving(
     some: np.ndarray = np.any(np.isfinite(every), axis=0)
     retained, held = [], {}
     for j, joint in enumerate(names.joints):
-        middle = float(np.nanmedian(every[:, j])) if some[j] else None
-        still = some[j] and float(np.nanmax(every[:, j]) - np.nanmin(every[:, j])) == 0.0
+        angle = every[:, j]
+        middle = float(np.nanmedian(angle)) if some[j] else None
+        still = some[j] and float(np.nanmax(angle) - np.nanmin(angle)) == 0.0
         if joint in meta.hold:
             given = meta.hold[joint]
             held[joint] = middle if given is None else given
@@ -189,11 +189,8 @@ def _input_columns(trial: RawTrial, names: ModelNames, inputs: Inputs) -> tuple[
     for index, name in enumerate(inputs.names):
         joint = inputs.actuators[index].joint if inputs.actuators else name
         own = {"ctrl": (name, joint, index + base)}
-        mine = sorted(
-            (r.stem, c)
-            for c, r in roles.items()
-            if r.joint in own.get(r.stem, (joint, place.get(joint)))
-        )
+        of_joint = (joint, place.get(joint))
+        mine = sorted((r.stem, c) for c, r in roles.items() if r.joint in own.get(r.stem, of_joint))
         out.append(mine[0][1] if mine else "")
     return tuple(out)
 
@@ -338,9 +335,8 @@ def _trial(
     }
     if "target" in extra:
         extra["target"] = model_angles(extra["target"], names, meta)
-    extra = {
-        stem: values[:, at] for stem, values in extra.items() if not np.isnan(values[:, at]).all()
-    }
+    extra = {stem: values[:, at] for stem, values in extra.items()}
+    extra = {stem: values for stem, values in extra.items() if not np.isnan(values).all()}
     return LogTrial(
         name=raw.name,
         path=raw.path,

@@ -68,16 +68,13 @@ def begin(data: Path, out: Path | None, model: Path | None, topics: dict[str, st
     arrays = next(map(_lists, tables), {})
     named = {ours: array for array, ours in arrays.items() if ours}
     found = guess(columns, names, lerobot.is_lerobot(data) if data.is_dir() else False, named)
-    found = replace(
-        found,
-        columns=found.columns | clock | {o: a for a, o in arrays.items() if o and o != a},
-        ignored=(
-            *(name for name in found.ignored if name.strip()),
-            *(a for a, o in arrays.items() if not o),
-        ),
-    )
+    renamed = {ours: array for ours, array in named.items() if ours != array}
+    ignored = [name for name in found.ignored if name.strip()]
+    ignored += [array for array, ours in arrays.items() if not ours]
+    found = replace(found, columns=found.columns | clock | renamed, ignored=tuple(ignored))
     here = folder.resolve()
-    commands = command_files.suspected(table_files(data) if data.is_dir() else [])
+    files = table_files(data) if data.is_dir() else []
+    commands = {trial: path.name for trial, path in command_files.suspected(files).items()}
     draft = Draft(
         model=_from(file, here) if file else None,
         data=None if here == data.resolve() else _from(data, here),
@@ -85,7 +82,7 @@ def begin(data: Path, out: Path | None, model: Path | None, topics: dict[str, st
         topics=ros_topics,
         ros=chosen,
         kinds=_kinds(found, columns, names),
-        commands={trial: path.name for trial, path in commands.items()},
+        commands=commands,
     )
     text = meta_text(found, draft)
     folder.mkdir(parents=True, exist_ok=True)
@@ -159,15 +156,12 @@ def _columns(
     if data.is_dir() and lerobot.is_lerobot(data):
         trial = lerobot.read_lerobot(data, Wanted())[0]
         # numbers whose names do not fit are no joints until a person says which
-        return (
-            {
-                n: x
-                for n, x in trial.columns.items()
-                if not any(n.startswith(f"{v}[") for v in trial.doubt)
-            },
-            [],
-            {},
-        )
+        columns = {
+            n: x
+            for n, x in trial.columns.items()
+            if not any(n.startswith(f"{v}[") for v in trial.doubt)
+        }
+        return columns, [], {}
     if tables:
         return _table_columns(tables[0]), [], {}
     bags = ros.bags(data)

@@ -78,13 +78,13 @@ def unread(folder: str | Path) -> tuple[str, ...]:
         and (holds(p, "*.csv") or holds(p, "*.npz"))
         and not (p / "report.json").exists()
     )
-    packed = _ending(folder, UNREAD["packed"])
-    if packed:
-        notes = [f"not read: {_some(packed)}; unpack, or export as CSV"]
-    else:
-        notes = []
-    moved = "move them up, each by the name of its trial"
-    return (*notes, *([f"not read: tables in the folder {_some(inner)}; {moved}"] if inner else []))
+    notes = []
+    if packed := _ending(folder, UNREAD["packed"]):
+        notes.append(f"not read: {_some(packed)}; unpack, or export as CSV")
+    if inner:
+        moved = "move them up, each by the name of its trial"
+        notes.append(f"not read: tables in the folder {_some(inner)}; {moved}")
+    return tuple(notes)
 
 
 def instead(folder: Path) -> str:

@@ -118,11 +118,10 @@ def with_commands(
     time = next(name for name in trial.columns if name in TIME)
     other = next(name for name in reported.columns if name in TIME)
     own = {n: x for n, x in trial.columns.items() if n != time and n not in commands}
-    out, notes = merge(
-        str(trial.path),
-        [Series(trial.columns[time], own | {LINE: trial.lines.astype(float)})],
-        [Series(reported.columns[other], commands)],
-    )
+    own[LINE] = trial.lines.astype(float)
+    states = Series(trial.columns[time], own)
+    commanded = Series(reported.columns[other], commands)
+    out, notes = merge(str(trial.path), [states], [commanded])
     lines = np.round(out.pop(LINE)).astype(np.int64)
     note = f"commands of {trial.name} taken from {path.name}, held from when they came"
     return replace(

@@ -94,10 +94,10 @@ def _sent(
 def _complete(columns: JointColumns, kind: str, names: tuple[str, ...], u: np.ndarray) -> None:
     bad = np.argwhere(np.isnan(u))
     for k in np.flatnonzero(np.isnan(u).all(0))[:1]:
+        name, row = names[k], columns.raw.row_word
         raise BadInput(
-            f"{columns.raw.path}: no {kind} of {names[k]} in any {columns.raw.row_word}; record "
-            f"it, or write "
-            f'ignore = ["{STEM[kind]}_{names[k]}"] in meta.toml where it has none'
+            f"{columns.raw.path}: no {kind} of {name} in any {row}; record it, or write "
+            f'ignore = ["{STEM[kind]}_{name}"] in meta.toml where it has none'
         )
     if bad.size:
         row, k = bad[0]
@@ -345,9 +345,9 @@ def _check_motor_commands(
             column = f"ctrl_{a.name}"
         else:
             column = f"target_{a.joint}"
+        also = also_there(columns.raw, "target", a.joint)
         raise BadInput(
             f"{columns.raw.path}: no command for actuator '{a.name}' of joint '{a.joint}'; add "
             f"column {column} (or "
-            f'tau_{a.joint}), or write input = "none" in meta.toml where its motor was off'
-            f"{also_there(columns.raw, 'target', a.joint)}"
+            f'tau_{a.joint}), or write input = "none" in meta.toml where its motor was off{also}'
         )

@@ -149,12 +149,16 @@ def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> JointColumn
     channels = {
         str(r.joint): trial.columns[name] for name, r in roles.items() if r.stem == "channel"
     }
+    by_joint = made.by_joint | {"q": whole}
+    if targets:
+        by_joint["target"] = targets
+    turned = _changed(whole, angles) or _changed(targets, commanded)
     return JointColumns(
         trial,
         from_zero(seconds),
-        made.by_joint | {"q": whole} | ({"target": targets} if targets else {}),
+        by_joint,
         made.ctrl,
-        _changed(whole, angles) or _changed(targets, commanded),
+        turned,
         made.written,
         made.named,
         made.scaled,
@@ -244,10 +248,8 @@ def _base(trial: RawTrial, roles: dict[str, Role]) -> np.ndarray | None:
             f"{size[bad[0]]:.3g}; write unit quaternions"
         )
     pose[:, 3:] /= size[:, None]
-    flips = np.cumprod(
-        np.sign(np.sum(pose[1:, 3:] * pose[:-1, 3:], 1))
-        + (np.sum(pose[1:, 3:] * pose[:-1, 3:], 1) == 0)
-    )
+    products = np.sum(pose[1:, 3:] * pose[:-1, 3:], 1)
+    flips = np.cumprod(np.sign(products) + (products == 0))
     pose[1:, 3:] *= flips[:, None]
     return pose
 

@@ -83,14 +83,10 @@ def check_named(path: Path, trial: RawTrial, joints: Sequence[str]) -> None:
         joints: The model's.
     """
     for vector, stem in STEMS.items():
-        count = sum(
-            re.fullmatch(rf"{stem}_\d+", name) is not None and name[len(stem) + 1 :] not in joints
-            for name in trial.columns
-        )
-        named = any(
-            name.startswith(f"{stem}_") and not re.fullmatch(rf"{stem}_\d+", name)
-            for name in trial.columns
-        )
+        columns = [name for name in trial.columns if name.startswith(f"{stem}_")]
+        numbered = [name for name in columns if re.fullmatch(rf"{stem}_\d+", name)]
+        count = sum(name[len(stem) + 1 :] not in joints for name in numbered)
+        named = len(columns) > len(numbered)
         if joints and count not in (0, len(joints)) and not named:
             raise BadInput(
                 f"{path}/meta/info.json: {vector} has {count} numbers without names, the model "

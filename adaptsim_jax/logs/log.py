@@ -90,14 +90,10 @@ class ModelNames:
             return -1
 
         joints = tuple(self.joints[j] for j in selected)
-        return ModelNames(
-            joints,
-            tuple(s for s in self.slides if s in joints),
-            tuple(before(j) for j in selected),
-            self.actuators,
-            self.tied,
-            tuple(self.ranges[j] for j in selected if self.ranges),
-        )
+        slides = tuple(s for s in self.slides if s in joints)
+        parents = tuple(before(j) for j in selected)
+        ranges = tuple(self.ranges[j] for j in selected if self.ranges)
+        return ModelNames(joints, slides, parents, self.actuators, self.tied, ranges)
 
 
 @dataclass(frozen=True)
@@ -318,11 +314,8 @@ def followed(log: Log, mechanism: Mechanism) -> Log:
                 f"of {span:.2g}; nothing is named at {f.leader}"
             )
             unlike.append(f.leader)
-    left = [
-        name
-        for name in log.joint_names
-        if name not in joints and name not in {f.joint for f in followers}
-    ]
+    used = {*joints, *(f.joint for f in followers)}
+    left = [name for name in log.joint_names if name not in used]
     if left:
         reported.append(f"angles of joints that are held are not used: {', '.join(left)}")
     if commanded or log.input_kind == "none":

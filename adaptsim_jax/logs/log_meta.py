@@ -132,7 +132,10 @@ def read_log_meta(path: str | Path) -> LogMeta:
     commands = known(path, table["commands"], COMMAND_KEYS, "commands")
     trials = known(path, table["trials"], TRIAL_KEYS, "trials")
     convention = angles.get("convention", {})
+    if isinstance(convention, str):
+        convention = {"": convention}
     channels = _channels(path, table["channels"])
+    renamed = {CHANNEL + ours: theirs for ours, theirs in channels.items()}
     return LogMeta(
         path=str(path),
         model=_in_folder(path, raw, "model", 'write model = "robot.xml", relative to the folder'),
@@ -141,12 +144,9 @@ def read_log_meta(path: str | Path) -> LogMeta:
         ),
         input=choice(path, raw, "input", INPUTS),
         ignore=_texts(path, "ignore", raw.get("ignore", [])),
-        columns=_columns(path, table["columns"])
-        | {CHANNEL + ours: theirs for ours, theirs in channels.items()},
+        columns=_columns(path, table["columns"]) | renamed,
         units={key: check_unit(path, key, value) for key, value in table["units"].items()},
-        convention=_conventions(
-            path, {"": convention} if isinstance(convention, str) else convention
-        ),
+        convention=_conventions(path, convention),
         zero=_numbers(
             path, "angles.zero", angles.get("zero", {}), "zero = {elbow = 3.14159}, in rad or m"
         ),

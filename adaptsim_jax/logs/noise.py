@@ -63,10 +63,8 @@ def local_motion(
         slopes = np.concatenate(
             [np.zeros_like(powers[..., :1]), np.arange(1, 4) * powers[..., :3]], -1
         )
-        design, target = (
-            np.concatenate([design, slopes], 1),
-            np.concatenate([target, v[near] * width[..., None]], 1),
-        )
+        design = np.concatenate([design, slopes], 1)
+        target = np.concatenate([target, v[near] * width[..., None]], 1)
     keep = np.isfinite(target)
     channels = [(np.where(keep, target, 0.0)[..., j], keep[..., j]) for j in range(q.shape[1])]
     coef = np.stack([_cubic(design, y, k) for y, k in channels], -1)  # [T, 4, n]

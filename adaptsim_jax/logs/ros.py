@@ -147,7 +147,8 @@ def _state(bag: Bag, topic: Topic) -> tuple[list[Series], Clock, tuple[str, ...]
         raise BadInput(
             f"{topic.name}: its messages name {twice!r} more than once; record names that differ"
         )
-    nameless = sum(not names and len(values.get("q", ())) > 0 for names, values in stated)
+    sizes = [len(values.get("q", ())) for _, values in stated]
+    nameless = sum(not names and n > 0 for (names, _), n in zip(stated, sizes, strict=True))
     if nameless:
         notes.append(
             f"topic {topic.name}: names are empty in {nameless} messages, taken in the order of "
@@ -158,12 +159,9 @@ def _state(bag: Bag, topic: Topic) -> tuple[list[Series], Clock, tuple[str, ...]
             return tuple(str(i) for i in range(1, len(values.get("q", ())) + 1))
 
         stated = [(names or numbers(values), values) for names, values in stated]
-    whole = np.array([len(values.get("q", ())) == len(names) > 0 for names, values in stated], bool)
-    some = sum(
-        len(values.get("q", ())) > 0
-        for (_, values), here in zip(stated, whole, strict=True)
-        if not here
-    )
+    counts = [len(names) for names, _ in stated]
+    whole = np.array([n == count > 0 for n, count in zip(sizes, counts, strict=True)], bool)
+    some = sum(n > 0 for n, here in zip(sizes, whole, strict=True) if not here)
     if some and whole.any():
         notes.append(
             f"topic {topic.name}: {some} messages with another number of positions than of names "
@@ -379,11 +377,8 @@ def _without_zeros(columns: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray
     have none.
     """
     notes: tuple[str, ...] = ()
-    moves = any(
-        np.nanmax(x) - np.nanmin(x) > TABLE.moving
-        for n, x in columns.items()
-        if n.startswith("q_") and np.isfinite(x).any()
-    )
+    angles = [x for n, x in columns.items() if n.startswith("q_") and np.isfinite(x).any()]
+    moves = any(np.nanmax(x) - np.nanmin(x) > TABLE.moving for x in angles)
     for stem, reported in (
         ("tau_", "efforts are zero throughout: not taken for torques"),
         ("v_", "velocities are zero throughout though joints move: left out"),
@@ -420,11 +415,12 @@ def _series(rows: list[tuple[float, tuple[str, ...], Mapping[str, Any]]]) -> lis
                         table[i] = [row[order.index(name)] for name in names]
             # efforts of one joint alone that are NaN throughout are no column that is not there:
             # said where torques are chosen
-            some = np.isfinite(table).any()
+            filled = np.isfinite(table).any(0)
+            some = filled.any()
             values |= {
                 _column(stem, name): table[:, j]
                 for j, name in enumerate(names)
-                if np.isfinite(table[:, j]).any() or (some and stem == "tau")
+                if filled[j] or (some and stem == "tau")
             }
         reordered = any(order != names for _, order, _ in group)
         out.append(Series(np.array([time for time, _, _ in group]), values, reordered))

@@ -102,11 +102,11 @@ def _check_joined(
     often = [kind for kind, rows in kinds.most_common(4) if rows > TABLE.kind * count and any(kind)]
     if not often or not all(there[:, j].mean() > TABLE.seldom for j in range(len(names))):
         return
+    parts = [[n for n, here in zip(names, kind, strict=True) if here] for kind in often]
     stated = "; ".join(
-        f"{', '.join(n for n, here in zip(names, kind, strict=True) if here)} in {kinds[kind]} rows"
-        for kind in often
+        f"{', '.join(part)} in {kinds[kind]} rows" for part, kind in zip(parts, often, strict=True)
     )
-    first = [n for n, here in zip(names, often[0], strict=True) if here]
+    first = parts[0]
     others = [n for n in names if n not in first] or names
 
     def quote(words):

@@ -96,11 +96,12 @@ def restarted(time: np.ndarray) -> list[slice]:
         near = TABLE.restart * float(np.median(steps[steps > 0]))
     else:
         near = 0.0
+    clocks = [time[part] for part in parts]
     whole = (
-        len(time[part]) >= TABLE.min_rows
-        and np.all(np.diff(time[part]) > 0)
-        and abs(time[part][0] - time[0]) <= near
-        for part in parts
+        len(clock) >= TABLE.min_rows
+        and np.all(np.diff(clock) > 0)
+        and abs(clock[0] - time[0]) <= near
+        for clock in clocks
     )
     if all(whole):
         return parts

@@ -375,10 +375,8 @@ def cells_of(path: Path, lines: np.ndarray | None = None) -> dict[str, list[str]
     """
     if path.suffix.lower() == ".npz":
         arrays = {name: x for name, x in read_archive(path).arrays.items() if x.ndim == 1}
-        arrays = {
-            name: x if lines is None else x[lines[lines <= len(x)] - 1]
-            for name, x in arrays.items()
-        }
+        if lines is not None:
+            arrays = {name: x[lines[lines <= len(x)] - 1] for name, x in arrays.items()}
         return {name: [str(value) for value in x] for name, x in arrays.items()}
     rows, numbers = _csv_rows(path)
     at = dict(zip(numbers, rows, strict=True))

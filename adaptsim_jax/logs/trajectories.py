@@ -157,18 +157,15 @@ def _ramped(plans: Sequence[Plan], joint: str, angle: Angle) -> tuple[list[float
                 value = [passed[-1][1]]
             continue
         if passed and begins:
-            here = float(np.interp(at, [passed[-1][0], ahead[0][0]], [passed[-1][1], ahead[0][1]]))
+            (t0, q0, _), (t1, q1, _) = passed[-1], ahead[0]
+            here = float(np.interp(at, [t0, t1], [q0, q1]))
         time, value = [*time, at], [*value, here]
         for (t0, q0, v0), (t1, q1, v1) in zip([(at, here, speed), *ahead], ahead, strict=False):
             if np.isfinite(v1) and np.isfinite(v0):
                 s = np.linspace(0.0, 1.0, FINE + 1)[1:]
                 h = t1 - t0
-                curve = (
-                    q0 * (2 * s**3 - 3 * s**2 + 1)
-                    + h * v0 * (s**3 - 2 * s**2 + s)
-                    + q1 * (3 * s**2 - 2 * s**3)
-                    + h * v1 * (s**3 - s**2)
-                )
+                from_start = q0 * (2 * s**3 - 3 * s**2 + 1) + h * v0 * (s**3 - 2 * s**2 + s)
+                curve = from_start + q1 * (3 * s**2 - 2 * s**3) + h * v1 * (s**3 - s**2)
                 time += (t0 + h * s).tolist()
                 value += curve.tolist()
             else:

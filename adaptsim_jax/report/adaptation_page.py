@@ -44,15 +44,11 @@ def render(results: Mapping[str, Any]) -> str:
     else:
         words = _PLAIN_CURVES
     caption = words.format(over=_OVER[look.one_seed(rows)])
+    returned = "reward" in results and "trials_axis" not in results
     return filled(
         "adaptation.html.j2",
         results=results,
-        headline=headline(
-            rows,
-            "Reward"
-            if "reward" in results and "trials_axis" not in results
-            else "Normalized reward",
-        ),
+        headline=headline(rows, "Reward" if returned else "Normalized reward"),
         scale=_scale(results),
         best="best iteration" if "trials_axis" not in results else "after all target trials",
         over="one seed, no interval" if look.one_seed(rows) else "mean over seeds",
@@ -158,12 +154,9 @@ def _rewards(results: Mapping[str, Any]) -> str:
     views = {}
     for i, name in enumerate(settings):
         mine = [r for r in results["rows"] if r["setting"] == name]
-        views[(i,)] = View(
-            [
-                _curves([r for r in rows if r["setting"] == name], bottom, what, over),
-                _seeds(mine, bottom, over),
-            ]
-        )
+        curved = [r for r in rows if r["setting"] == name]
+        figures = [_curves(curved, bottom, what, over), _seeds(mine, bottom, over)]
+        views[(i,)] = View(figures)
     height = 380 + 10 * max(0, len({r["method"] for r in rows}) - 5)  # more names in the legend
     plots = [
         Plot(f"reward over {over}", height),

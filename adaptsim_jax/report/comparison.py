@@ -54,8 +54,9 @@ def table(results: Mapping[str, Any]) -> str:
         *_discrepancies(rows, across),
         *_failures(rows),
         f"Target rollouts for one target: {_trials(rows, methods)}.",
-        *([f"Command: `{results['command']}`"] if results["command"] else []),
     ]
+    if results["command"]:
+        parts.append(f"Command: `{results['command']}`")
     return "\n\n".join(parts) + "\n"
 
 
@@ -78,9 +79,9 @@ def _by_trials(results: Mapping[str, Any], across) -> list[str]:
     rows, one = results["rows"], look.one_seed(results["rows"])
     spent = max(r["trials"][-1] for r in rows)  # of more trials nothing is known
     budgets = [b for b in rows[0]["at"] if int(b) <= spent]
+    note = " (one seed, no interval)" if one else ", mean over seeds [95 % interval]"
     parts = [
-        "What is deployed after all "
-        f"trials{' (one seed, no interval)' if one else ', mean over seeds [95 % interval]'}:",
+        f"What is deployed after all trials{note}:",
         across(lambda r: _number(r["mean"]) if one else _spread(r, "mean", "low", "high")),
         "The return itself, mean over seeds:" if not one else "The return itself:",
         across(_returns),

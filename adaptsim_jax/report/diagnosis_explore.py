@@ -154,11 +154,10 @@ def tracks(found: Mapping) -> str:
     for key, some in all_of.items():
         if not some:
             continue
-        rows = [
-            np.vstack([np.stack(thin(*t.T, most=most), 1), [[np.nan, np.nan]]])
-            for t in some[:shown_trials]
-        ]
-        path, ends = np.vstack(rows), np.array([t[-1] for t in some[:shown_trials]])
+        drawn = some[:shown_trials]
+        gap = [[np.nan, np.nan]]
+        rows = [np.vstack([np.stack(thin(*t.T, most=most), 1), gap]) for t in drawn]
+        path, ends = np.vstack(rows), np.array([t[-1] for t in drawn])
         width, opacity = (5, 0.6) if key == "measured" else (1.4, 0.95)
         step = float(np.nanmax(np.ptp(ends, axis=0), initial=0.0)) / 1e4 or None
         along, up = (columns.add(path[:, k], step) for k in (0, 1))
@@ -168,13 +167,13 @@ def tracks(found: Mapping) -> str:
         data.append(dots(NAMES[key], along, up, marker, legendgroup=key, hoverinfo="skip"))
     for trace in data:
         trace["hovertemplate"] = "%{x:.4~g}, %{y:.4~g} m"
-    drawn = figure(data, axis(f"{x}, m"), axis(f"{y}, m", scaleanchor="x"))
+    plane = figure(data, axis(f"{x}, m"), axis(f"{y}, m", scaleanchor="x"))
     trials = max(map(len, all_of.values()))
     if shown_trials < trials:
         note = f"the first {shown_trials} of {trials} trials"
     else:
         note = ""
-    view = View([drawn], note)
+    view = View([plane], note)
     if data:
         return explorer({}, {(): view}, [Plot("tracks, measured and simulated", 480)], columns)
     return ""

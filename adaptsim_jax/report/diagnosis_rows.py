@@ -29,31 +29,35 @@ def effect_rows(report: Mapping) -> list[dict[str, Any]]:
     rows = []
     for effect in report["effects"]:
         parameters = [
-            {
-                "name": name.replace("_", " ") + (" (1: none)" if _is_factor(effect, name) else ""),
-                "value": fmt.between(*_shown(p, _is_factor(effect, name)), p["unit"]),
-                "interval": None not in (p["low"], p["high"]),
-            }
-            if not p["value"] == p["low"] == p["high"]
-            else {
-                "name": _held(name, p),
-                "value": fmt.quantity(p["value"], p["unit"]),
-                "interval": False,
-            }
+            _parameter_row(effect, name, p)
             for name, p in effect["parameters"].items()
             if p.get("meaning") or not p["value"] == p["low"] == p["high"] == 0.0
         ]
+        fitted_as = None
+        if effect["alternatives"]:
+            fitted_as = words.plain(words.name_and_place(effect["name"], "")[0])
         rows.append(
             {
                 "title": words.effect_name(effect),
-                "fitted_as": words.plain(words.name_and_place(effect["name"], "")[0])
-                if effect["alternatives"]
-                else None,
+                "fitted_as": fitted_as,
                 "physics": effect.get("physics"),
                 "parameters": parameters,
             }
         )
     return rows
+
+
+def _parameter_row(effect: Mapping, name: str, p: Mapping) -> dict[str, Any]:
+    if p["value"] == p["low"] == p["high"]:
+        value = fmt.quantity(p["value"], p["unit"])
+        return {"name": _held(name, p), "value": value, "interval": False}
+    factor = _is_factor(effect, name)
+    note = " (1: none)" if factor else ""
+    return {
+        "name": name.replace("_", " ") + note,
+        "value": fmt.between(*_shown(p, factor), p["unit"]),
+        "interval": None not in (p["low"], p["high"]),
+    }
 
 
 def _held(name: str, p: Mapping[str, Any]) -> str:
@@ -87,24 +91,17 @@ def declared_rows(report: Mapping) -> list[dict[str, Any]]:
     rows = []
     for name in dict.fromkeys([*before, *after]):
         stages = {"before": before.get(name), "after": after.get(name)}
+        fitted = [row for row in stages.values() if row]
+        in_file = (fmt.quantity(row["file"], row["unit"]) for row in fitted if "file" in row)
+        notes = (row["note"] for row in fitted if row.get("note"))
         rows.append(
             {
                 "name": name,
                 "texts": {stage: _declared_text(row) for stage, row in stages.items()},
                 "marks": _marks(stages),
-                "identifiable": all(row["identifiable"] for row in stages.values() if row),
-                "file": next(
-                    (
-                        fmt.quantity(row["file"], row["unit"])
-                        for row in stages.values()
-                        if row and "file" in row
-                    ),
-                    "",
-                ),
-                "note": next(
-                    (row["note"] for row in stages.values() if row and row.get("note")),
-                    meanings.get(name, ""),
-                ),
+                "identifiable": all(row["identifiable"] for row in fitted),
+                "file": next(in_file, ""),
+                "note": next(notes, meanings.get(name, "")),
             }
         )
     return rows

@@ -135,9 +135,10 @@ def _over(swept: SweptRewards, key: str) -> dict[str, Any]:
         if name == TRAINING:
             colour, dash = "--muted", "dot"
         half = [None if r["half"] is None else round(r["half"], 4) for r in rows]
+        values = [r["value"] if swept.numbers else shown(r["value"]) for r in rows]
         trace = line(
             shown(look.setting(name)),
-            [r["value"] if swept.numbers else shown(r["value"]) for r in rows],
+            values,
             [round(r["mean"], 4) for r in rows],
             {"color": colour, "width": 2, "dash": dash},
             hovertemplate="%{y:.3f}",
@@ -163,9 +164,8 @@ def curves(members: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
     if not found:
         return ""
     columns, views = SharedColumns(), {}
-    best = sorted(
-        found, key=lambda name: -float(np.nan_to_num(np.nanmean(found[name][:, -20:]), nan=-np.inf))
-    )
+    ends = {name: np.nanmean(curve[:, -20:]) for name, curve in found.items()}
+    best = sorted(found, key=lambda name: -float(np.nan_to_num(ends[name], nan=-np.inf)))
     if len(found) > 1:
         choices = ["medians", *best[:MOST_CHOICES]]
     else:

@@ -33,6 +33,7 @@ def render(found: Mapping[str, Any]) -> str:
     groups = sweep_figures.groups(found)
     combinations = [(name, rows, _means(rows, rewards)) for name, rows in groups.items()]
     over, curves = sweep_figures.over_values(found), sweep_figures.curves(groups)
+    failed = [row for row in found["rows"] if row["status"] == "failed"]
     return filled(
         "sweep.html.j2",
         found=found,
@@ -46,7 +47,7 @@ def render(found: Mapping[str, Any]) -> str:
         members=found["rows"][:MOST_MEMBERS],
         earned=earned,
         written=written,
-        failed=[row for row in found["rows"] if row["status"] == "failed"][:20],
+        failed=failed[:20],
         script=explore.script(bool(over or curves)),
     )
 

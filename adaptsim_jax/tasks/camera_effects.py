@@ -97,7 +97,8 @@ def happened(v: Mapping[str, Array], time: Array) -> Array:
 def turned(xy: Array, angle: Array) -> Array:
     """Points `[R, 2]` turned by `angle` rad."""
     c, s = jnp.cos(angle), jnp.sin(angle)
-    return jnp.stack([c * xy[:, 0] - s * xy[:, 1], s * xy[:, 0] + c * xy[:, 1]], 1)
+    x, y = xy[:, 0], xy[:, 1]
+    return jnp.stack([c * x - s * y, s * x + c * y], 1)
 
 
 def viewed(v: Mapping[str, Array], xy: Array, height: Array) -> Array:

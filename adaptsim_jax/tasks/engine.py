@@ -265,13 +265,12 @@ def speed_row(run: EngineRun, what: str, messages: Mapping[int, str]) -> dict[st
     """Speed of one engine in `what` (pushes, trials) a second, and how many of its trials went
     wrong in which way.
     """
+    counts = {text: int((run.code == c).sum()) for c, text in messages.items() if c}
     return {
         f"{what}_per_second": 1 / run.each,
         f"{what}_per_cpu_second": 1 / max(run.cpu_each, 1e-9),
         "first_call_s": run.first,
-        "went_wrong": {
-            messages[c]: int((run.code == c).sum()) for c in messages if c and (run.code == c).any()
-        },
+        "went_wrong": {text: count for text, count in counts.items() if count},
     }
 
 

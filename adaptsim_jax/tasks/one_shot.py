@@ -129,14 +129,10 @@ def best_actions(
     grid = action_grid(points)
     valued = jax.jit(jax.vmap(reward))
     if shared:
-        outcomes, _ = world.run(
-            np.tile(params, (len(grid), 1)), np.tile(contexts[:1], (len(grid), 1)), grid
-        )
-        every = np.asarray(
-            jax.jit(jax.vmap(jax.vmap(reward, (0, None)), (None, 0)))(
-                outcomes, jnp.asarray(contexts)
-            )
-        )
+        pairs = np.tile(contexts[:1], (len(grid), 1))
+        outcomes, _ = world.run(np.tile(params, (len(grid), 1)), pairs, grid)
+        valued_in_each = jax.jit(jax.vmap(jax.vmap(reward, (0, None)), (None, 0)))
+        every = np.asarray(valued_in_each(outcomes, jnp.asarray(contexts)))
     else:
         pairs = np.repeat(contexts, len(grid), 0)
         outcomes, _ = world.run(np.tile(params, (len(pairs), 1)), pairs, np.tile(grid, (G, 1)))
@@ -146,9 +142,8 @@ def best_actions(
     around = action_grid((3,) * d)
     around = around[np.abs(around).sum(1) > 0]
     for k in range(rounds):
-        tried = np.clip(best[:, None] + around[None] * spacing / 2 ** (k + 1), -1.0, 1.0).astype(
-            np.float32
-        )
+        moves = around[None] * spacing / 2 ** (k + 1)
+        tried = np.clip(best[:, None] + moves, -1.0, 1.0).astype(np.float32)
         pairs, flat = np.repeat(contexts, len(around), 0), tried.reshape(-1, d)
         outcomes, _ = world.run(np.tile(params, (len(flat), 1)), pairs, flat)
         found = np.asarray(valued(outcomes, jnp.asarray(pairs))).reshape(G, -1)

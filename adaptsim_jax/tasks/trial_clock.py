@@ -62,10 +62,12 @@ def began(time: np.ndarray, places: np.ndarray) -> tuple[float, float]:
     at = float(np.interp(CLOCK.moved, [distant[k - 1], distant[k]], [time[k - 1], time[k]]))
     # a few rows at least, so that noise is no speed
     step = max(3, round(CLOCK.window * at / float(np.median(np.diff(time)))))
-    a, b = np.arange(max(k - 1, 0), len(time) - step), np.arange(max(k - 1, 0) + step, len(time))
+    a = np.arange(k - 1, len(time) - step)
     if not len(a):
         return at, float("nan")
-    return at, float(np.max(np.linalg.norm(places[b] - places[a], axis=1) / (time[b] - time[a])))
+    b = a + step
+    speed = np.linalg.norm(places[b] - places[a], axis=1) / (time[b] - time[a])
+    return at, float(np.max(speed))
 
 
 def clock_rate(observed: Sequence[tuple[float, float]], touch: Touch) -> float | None:

@@ -353,8 +353,8 @@ def _read_tracks(path: Path, table: LogTable, wanted: _Wanted, found: Tracks) ->
 
         if n in found:
             raise BadInput(f"{row(0)}: has a track in {found[n].file} already; keep one")
-        t, p = c["time"][i], np.stack([c[name][i] for name in ("x", "y", *wanted.more)], 1)
-        found[n] = _read_track(t, p, row, wanted, path.name, f"{n:g}")
+        p = np.stack([c[name][i] for name in ("x", "y", *wanted.more)], 1)
+        found[n] = _read_track(c["time"][i], p, row, wanted, path.name, f"{n:g}")
 
 
 def _read_track(
@@ -497,10 +497,8 @@ def noise_of(
     for t, p, m in zip(time, places, mask, strict=True):
         r = p[(m > 0) & (t < still)]
         if len(r) > 1:
-            total, count = (
-                total + float(np.square(r - r.mean(0)).sum()),
-                count + r.shape[1] * (len(r) - 1),
-            )
+            total += float(np.square(r - r.mean(0)).sum())
+            count += r.shape[1] * (len(r) - 1)
     if count >= 20:
         return max(float(np.sqrt(total / count)), minimum), f"rows before the {before}"
     rows = [p[m > 0] for p, m in zip(places, mask, strict=True)]

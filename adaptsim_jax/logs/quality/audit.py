@@ -73,6 +73,12 @@ def _signals(
         if rows.sum() < SIGNAL.min_rows:
             continue
         k = efforts.get(joint)
+        speed = None if trial.v is None else trial.v[rows, j]
+        effort = None if k is None else trial.u[rows, k]
+        commanded = None
+        if reported is not None and np.isfinite(reported[:, j]).all():
+            commanded = reported[rows, j]
+        others = [span for i, span in enumerate(spans) if i != j]
         yield Signal(
             trial.name,
             joint,
@@ -82,14 +88,12 @@ def _signals(
             "m" if joint in slides else "rad",
             trial.time[rows],
             trial.q[rows, j],
-            None if trial.v is None else trial.v[rows, j],
-            None if k is None else trial.u[rows, k],
-            None
-            if reported is None or not np.isfinite(reported[:, j]).all()
-            else reported[rows, j],
+            speed,
+            effort,
+            commanded,
             trial.dt,
             log.meta.rig is not None or joint not in log.driven,
-            max((s for i, s in enumerate(spans) if i != j), default=0.0),
+            max(others, default=0.0),
         )
 
 

@@ -67,9 +67,8 @@ def _rows(track: Track) -> tuple[np.ndarray, np.ndarray]:
     here = np.isfinite(track.q[:, 0]) & np.isfinite(track.tau[:, 0])
     if here.sum() < COMMAND.min_rows:
         return np.zeros(0), np.zeros((0, 6))
-    whole = Track(
-        track.time[here], track.q[here], None if track.v is None else track.v[here], track.tau[here]
-    )
+    speed = None if track.v is None else track.v[here]
+    whole = Track(track.time[here], track.q[here], speed, track.tau[here])
     q, v, a, u, _ = blocks(whole, sharp=True)
     q, v, a, u = (x[:, 0] for x in (q, v, a, u))
     table = np.stack([u, q, v, np.sin(q), np.cos(q), np.ones_like(q), a], 1)
@@ -155,11 +154,8 @@ def cut(tracks: Sequence[Track], joint: int, damping: float) -> Cut | None:
         damping: Of the servo, over its stiffness, s; a limit of force is another thing, and where
             it explains as much nothing is told.
     """
-    some = [
-        _thinned(one(t, joint))
-        for t in drawn(tracks, COMMAND.cut_trials)
-        if np.all(np.isfinite(t.q[:, joint]))
-    ]
+    sample = drawn(tracks, COMMAND.cut_trials)
+    some = [_thinned(one(t, joint)) for t in sample if np.all(np.isfinite(t.q[:, joint]))]
     base = unexplained(some) if some else float("nan")
     if not base > COMMAND.doubted:
         return None
@@ -193,8 +189,12 @@ def other_unit(
     their size; None where they agree.
     """
     here = [np.isfinite(a) & np.isfinite(u) for a, u in zip(q, target, strict=True)]
-    a = np.concatenate([x[k] - x[k].mean() for x, k in zip(q, here, strict=True) if k.any()])
-    u = np.concatenate([x[k] - x[k].mean() for x, k in zip(target, here, strict=True) if k.any()])
+
+    def centred(trials):
+        used = [x[k] for x, k in zip(trials, here, strict=True) if k.any()]
+        return np.concatenate([x - x.mean() for x in used])
+
+    a, u = centred(q), centred(target)
     power = float(a @ a) * float(u @ u)
     if power == 0.0 or float(a @ u) < np.sqrt(COMMAND.follows * power):
         return None
@@ -213,9 +213,8 @@ def other_unit(
 def _thinned(track: Track) -> Track:
     """Rows of about `cut_row` s: a limit is followed row by row, and acts over many."""
     k = max(1, round(COMMAND.cut_row / float(np.median(np.diff(track.time)))))
-    return Track(
-        track.time[::k], track.q[::k], None if track.v is None else track.v[::k], track.tau[::k]
-    )
+    speed = None if track.v is None else track.v[::k]
+    return Track(track.time[::k], track.q[::k], speed, track.tau[::k])
 
 
 def _best(

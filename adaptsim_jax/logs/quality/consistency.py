@@ -45,7 +45,8 @@ def velocity_agreement(time: np.ndarray, q: np.ndarray, v: np.ndarray) -> Agreem
         max(AGREEMENT.min_span, round(AGREEMENT.span / float(np.median(dt)))), len(time) // 4
     )
     width = time[span:] - time[:-span]
-    mean_v, slope = (area[span:] - area[:-span]) / width, (q[span:] - q[:-span]) / width
+    mean_v = (area[span:] - area[:-span]) / width
+    slope = (q[span:] - q[:-span]) / width
     bend = (v[span:] - v[:-span]) / width
     if np.std(slope) == 0 or np.std(mean_v) == 0:
         return NOT_ENOUGH

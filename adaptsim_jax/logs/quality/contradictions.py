@@ -142,10 +142,9 @@ def contradiction(
 
 
 def _moves(motion: BlockMeans) -> bool:
-    return bool(
-        np.all(np.std(motion.q, axis=0) > BLOCK.moving)
-        and np.any(np.std(motion.tau, axis=0) > 1e-9)
-    )
+    turning = np.std(motion.q, axis=0) > BLOCK.moving
+    driven = np.std(motion.tau, axis=0) > 1e-9
+    return bool(np.all(turning) and np.any(driven))
 
 
 def hypotheses_of(

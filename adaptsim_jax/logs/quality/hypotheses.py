@@ -115,17 +115,17 @@ def blocks(track: Track, shift: float = 0.0, sharp: bool = False) -> tuple[np.nd
     else:
         v = _means(time, track.v, edges)
     a = _between(track, q, edges) if sharp else np.gradient(v, size, axis=0)
-    held = np.concatenate(
-        [np.zeros((1, n)), np.cumsum(np.diff(time)[:, None] * track.tau[:-1], axis=0)]
-    )
-    tau = np.stack(
-        [np.diff(np.interp(edges + shift, time, held[:, j])) / size for j in range(n)], 1
-    )
+    impulses = np.diff(time)[:, None] * track.tau[:-1]
+    held = np.concatenate([np.zeros((1, n)), np.cumsum(impulses, axis=0)])
+    at_edges = (np.interp(edges + shift, time, held[:, j]) for j in range(n))
+    tau = np.stack([np.diff(impulse) / size for impulse in at_edges], 1)
     # a hole within or beside a block says nothing of it
     gap = np.flatnonzero(np.diff(time) > BLOCK.gap * step)
     whole = np.ones(len(edges) - 1, bool)
     for g in gap:
-        whole &= (edges[1:] + 2 * size < time[g]) | (edges[:-1] - 2 * size > time[g + 1])
+        before = edges[1:] + 2 * size < time[g]
+        after = edges[:-1] - 2 * size > time[g + 1]
+        whole &= before | after
     whole[[0, -1]] = False
     return q[whole], v[whole], a[whole], tau[whole], np.flatnonzero(whole)
 
@@ -147,12 +147,8 @@ def _between(track: Track, q: np.ndarray, edges: np.ndarray) -> np.ndarray:
 
 def _means(time: np.ndarray, x: np.ndarray, edges: np.ndarray) -> np.ndarray:
     """Means of `x [T, n]`, straight between rows, over the blocks between `edges`."""
-    area = np.concatenate(
-        [
-            np.zeros((1, x.shape[1])),
-            np.cumsum(0.5 * np.diff(time)[:, None] * (x[1:] + x[:-1]), axis=0),
-        ]
-    )
+    areas = 0.5 * np.diff(time)[:, None] * (x[1:] + x[:-1])
+    area = np.concatenate([np.zeros((1, x.shape[1])), np.cumsum(areas, axis=0)])
     size = np.diff(edges)
     fine = [np.interp(edges, time, x[:, j]) for j in range(x.shape[1])]
     out = []

@@ -50,15 +50,9 @@ def design(l1: float, gravity: float, down: float) -> Design:
         c, s, zero = np.cos(q2), np.sin(q2), np.zeros(len(q1))
         pull = down * gravity if with_gravity else 0.0
         outer = pull * np.sin(q1 + q2)
-        pairs = (
-            (a1, zero),
-            (a2, a1 + a2),
-            (pull * np.sin(q1), zero),
-            (
-                l1 * (c * (2 * a1 + a2) - s * (2 * v1 * v2 + v2**2)) + outer,
-                l1 * (c * a1 + s * v1**2) + outer,
-            ),
-        )
+        first = l1 * (c * (2 * a1 + a2) - s * (2 * v1 * v2 + v2**2)) + outer
+        second = l1 * (c * a1 + s * v1**2) + outer
+        pairs = ((a1, zero), (a2, a1 + a2), (pull * np.sin(q1), zero), (first, second))
         return np.stack([np.stack(pair, 1) for pair in pairs], 2)
 
     return columns

@@ -106,7 +106,8 @@ def _frozen_runs(time: np.ndarray, q: np.ndarray, step: float) -> list[tuple[int
             continue
         span = time[end - 1] - time[start]
         before = (q[start] - q[start - side]) / (time[start] - time[start - side])
-        after = (q[end + side - 1] - q[end]) / (time[end + side - 1] - time[end])
+        last = end + side - 1
+        after = (q[last] - q[end]) / (time[last] - time[end])
         expected = 0.0
         if before * after > 0:
             expected = span * min(abs(before), abs(after))
@@ -130,12 +131,14 @@ def _lone_outliers(time: np.ndarray, q: np.ndarray, step: float) -> np.ndarray:
     sides.
     """
     dt = np.diff(time)
-    even = np.stack([dt[:-3], dt[1:-2], dt[2:-1], dt[3:]]).max(
-        axis=0
-    ) < SIGNAL.spike_gap * np.median(dt)
-    miss = q[2:-2] - (4 * (q[1:-3] + q[3:-1]) - q[:-4] - q[4:]) / 6
+    longest = np.stack([dt[:-3], dt[1:-2], dt[2:-1], dt[3:]]).max(axis=0)
+    even = longest < SIGNAL.spike_gap * np.median(dt)
+    middle = q[2:-2]
+    cubic = (4 * (q[1:-3] + q[3:-1]) - q[:-4] - q[4:]) / 6
+    miss = middle - cubic
     usual = max(1.4826 * float(np.median(np.abs(miss))), step, 1e-9)
-    left, right = q[2:-2] - q[1:-3], q[2:-2] - q[3:-1]
+    left = middle - q[1:-3]
+    right = middle - q[3:-1]
     out = (np.abs(miss) > SIGNAL.spike * usual) & (left * right > 0)
     out &= np.minimum(np.abs(left), np.abs(right)) > SIGNAL.spike_sides * np.abs(miss)
     return np.flatnonzero(out & even) + 2
@@ -229,7 +232,8 @@ def check_stale(s: Signal, step: float) -> Findings:
     turning = np.abs(q[2:] - q[:-2]) > SIGNAL.stale_steps * max(step, 1e-12)
     if turning.sum() < SIGNAL.stale_rows:
         return []
-    share = float(np.mean((q[1:-1] == q[:-2])[turning] | (q[1:-1] == q[2:])[turning]))
+    repeats = (q[1:-1] == q[:-2]) | (q[1:-1] == q[2:])
+    share = float(np.mean(repeats[turning]))
     if share <= SIGNAL.stale_share:
         return []
     return [finding("stale", s.trial, s.q_name, share)]
@@ -264,13 +268,14 @@ def _not_followed(time: np.ndarray, q: np.ndarray) -> tuple[float, float]:
 def check_excitation(s: Signal) -> Findings:
     """Range of angle, speed and torque, and how often the joint turns round."""
     w = np.gradient(s.q, s.time) if s.v is None else s.v
-    loud = SIGNAL.slow * float(np.max(np.abs(w)) or 1.0)
-    signs = np.sign(w[np.abs(w) > loud])
+    speed = np.abs(w)
+    fastest = np.max(speed)
+    signs = np.sign(w[speed > SIGNAL.slow * float(fastest or 1.0)])
     turns = int(np.sum(signs[1:] != signs[:-1]))
     facts = {
         "range": np.ptp(s.q),
         "unit": s.unit,
-        "speed": np.max(np.abs(w)),
+        "speed": fastest,
         "torque": "" if s.u is None else f"torque range {np.ptp(s.u):.3g}, ",
     }
     return [finding("excitation", s.trial, s.joint, turns, **facts)]

@@ -75,10 +75,8 @@ def rows_of(tracks: Sequence[Track], design: Design) -> WindowRows | None:
     if not np.all(np.std(m.q, axis=0) > BLOCK.moving) or not np.any(spread > 1e-9):
         return None
     weight = 1.0 / np.maximum(spread, 1e-3 * spread.max())
-    width, trials = (
-        design(BlockMeans(*(z[:1] for z in (m.q, m.v, m.a, m.tau))), True).shape[2],
-        np.concatenate(trial),
-    )
+    one = BlockMeans(*(z[:1] for z in (m.q, m.v, m.a, m.tau)))
+    width = design(one, True).shape[2]
     made = WindowRows(
         m,
         design,
@@ -87,7 +85,7 @@ def rows_of(tracks: Sequence[Track], design: Design) -> WindowRows | None:
         m.tau,
         m.tau,
         width,
-        trials,
+        np.concatenate(trial),
         np.concatenate(piece),
         weight,
     )

@@ -36,14 +36,16 @@ def add_trials(
         return
     differ = confirmed(differ, report["error"])
     lines = sentences(differ, channels)
+    leave_out = sorted({*differ.outlying, *(o.trial for o in differ.outliers)})
+    each = [_each(differ, i, report["error"], channels) for i in range(len(differ.names))]
     report["trials"] = {
         "differ": differ.kind or None,
         "alike": list(differ.alike),
         "takes": differ.takes if differ.kind else None,
-        "leave_out": sorted({*differ.outlying, *(o.trial for o in differ.outliers)}),
+        "leave_out": leave_out,
         "headline": headline(differ),
         "warnings": lines,
-        "each": [_each(differ, i, report["error"], channels) for i in range(len(differ.names))],
+        "each": each,
     }
     report["warnings"] = [*(report.get("warnings") or []), *lines]
     evidence["audit"] = [
@@ -96,13 +98,12 @@ def sentences(differ: Differ, channels: Channels) -> list[str]:
     out = []
     if differ.kind and differ.size is not None:
         alike = [DIFFERENCES[kind]["alike"] for kind in differ.alike]
+        also = f" ({' or '.join(alike)} would do as well)" if alike else ""
+        spread = _spread(differ.kind, differ.size, channels)
         out.append(
-            f"{DIFFERENCES[differ.kind]['differs']} from trial to trial, "
-            f"{_spread(differ.kind, differ.size, channels)}: that is {100 * differ.takes:.0f} % of "
-            "what the model leaves unexplained"
-            + (f" ({' or '.join(alike)} would do as well)" if alike else "")
-            + ", or an effect without a name that acts otherwise in each trial"
-            + f"; {_mend(differ)}"
+            f"{DIFFERENCES[differ.kind]['differs']} from trial to trial, {spread}: that is "
+            f"{100 * differ.takes:.0f} % of what the model leaves unexplained{also}, or an effect "
+            f"without a name that acts otherwise in each trial; {_mend(differ)}"
         )
     out += [_outlier_words(o, channels) for o in differ.outliers]
     return out

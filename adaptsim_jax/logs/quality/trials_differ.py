@@ -125,9 +125,7 @@ def trials_differ(names: Sequence[str], tracks: Sequence[Track], design: Design)
     else:
         common = ("", None, 0.0, ())
     usual = float(np.median(error))
-    outlier = tuple(
-        _reason(rows, rest, t, names[t], float(error[observed == t][0]) / usual) for t in outlying
-    )
+    outlier = tuple(_reason(rows, rest, t, names[t], float(whole[t]) / usual) for t in outlying)
     return Differ(tuple(names), whole, *common, outlier)
 
 
@@ -146,21 +144,16 @@ def _left_out(rows: WindowRows, observed: np.ndarray, width: int) -> np.ndarray:
     for _ in range(ROUNDS):
         gram = sum(w * g[0] for w, g in zip(worth, grams, strict=True))
         right = sum(w * g[1] for w, g in zip(worth, grams, strict=True))
-        error = np.array(
-            [
-                np.sqrt(
-                    np.mean(
-                        unexplained_of(
-                            part_of(rows, rows.trial == t),
-                            solved(gram - w * g[0], right - w * g[1]),
-                        )
-                        ** 2
-                    )
-                )
-                for t, w, g in zip(observed, worth, grams, strict=True)
-            ]
+        by_others = (
+            solved(gram - w * g[0], right - w * g[1]) for w, g in zip(worth, grams, strict=True)
         )
-        worth = 1.0 / np.square(np.maximum(1.0, error / max(float(np.median(error)), 1e-12)))
+        left = (
+            unexplained_of(part_of(rows, rows.trial == t), x)
+            for t, x in zip(observed, by_others, strict=True)
+        )
+        error = np.array([np.sqrt(np.mean(rest**2)) for rest in left])
+        usual = max(float(np.median(error)), 1e-12)
+        worth = 1.0 / np.square(np.maximum(1.0, error / usual))
     return error
 
 
@@ -220,12 +213,8 @@ def _common(rows: WindowRows, count: int) -> tuple[str, np.ndarray | None, float
     if not found:
         return "", None, 0.0, ()
     best = next(iter(found))
-    for (
-        name,
-        t,
-    ) in (
-        found.items()
-    ):  # the first, which is the commonest, stands where another does about as well
+    # the first, which is the commonest, stands where another does about as well
+    for name, t in found.items():
         best = name if 1.0 - t < TRIAL.alike * (1.0 - found[best]) else best
     size = np.full((count, own[best].shape[2]), np.nan)
 
@@ -233,15 +222,10 @@ def _common(rows: WindowRows, count: int) -> tuple[str, np.ndarray | None, float
         return _numbers(rows, own[best], rows.trial, observed, best != "torque_scale")[1]
 
     size[observed] = _refined_zeros(rows, observed) if best == "zero" else plain()
-    alike = tuple(
-        n for n, t in found.items() if n != best and TRIAL.alike * (1.0 - t) < 1.0 - found[best]
-    )
-    return (
-        best,
-        _as_reported(best, rows, own[best], x, size - np.nanmedian(size, axis=0)),
-        found[best],
-        alike,
-    )
+    left = 1.0 - found[best]
+    alike = tuple(n for n, t in found.items() if n != best and TRIAL.alike * (1.0 - t) < left)
+    centred = size - np.nanmedian(size, axis=0)
+    return best, _as_reported(best, rows, own[best], x, centred), found[best], alike
 
 
 def _takes(rows: WindowRows, own: np.ndarray, shared: bool) -> float:
@@ -274,12 +258,11 @@ def _numbers(
         return jointly(rows, own, label, observed)
     x = fitted(rows)
     left, weighed = unexplained_of(rows, x), own * rows.weight[:, None]
-    return x, np.stack(
-        [
-            regress(weighed[label == t].reshape(-1, own.shape[2]), left[label == t].ravel())
-            for t in observed
-        ]
-    )
+    numbers = [
+        regress(weighed[label == t].reshape(-1, own.shape[2]), left[label == t].ravel())
+        for t in observed
+    ]
+    return x, np.stack(numbers)
 
 
 def _refined_zeros(rows: WindowRows, observed: np.ndarray) -> np.ndarray:
@@ -324,9 +307,9 @@ def _as_reported(
     out = np.full((len(size), 1), np.nan)
     for t in np.flatnonzero(np.all(np.isfinite(size), axis=1)):
         here = rows.trial == t
-        out[t] = np.sum((own[here] @ size[t]) * whole[here]) / max(
-            float(np.sum(whole[here] ** 2)), 1e-300
-        )
+        torque = whole[here]
+        along = np.sum((own[here] @ size[t]) * torque)
+        out[t] = along / max(float(np.sum(torque**2)), 1e-300)
     return out
 
 
@@ -345,10 +328,11 @@ def _reason(rows: WindowRows, rest: WindowRows, t: int, name: str, times: float)
         def fit(keep, own=own):
             return regress(own[keep].reshape(-1, own.shape[2]), left[keep].ravel())
 
-        after = sum(
-            float(np.sum((left[mine.half != h] - own[mine.half != h] @ fit(mine.half == h)) ** 2))
-            for h in (0, 1)
-        )
+        after = 0.0
+        for h in (0, 1):
+            tested = mine.half != h
+            miss = left[tested] - own[tested] @ fit(~tested)
+            after += float(np.sum(miss**2))
         takes = 1.0 - after / max(float(np.sum(left**2)), 1e-300)
         if takes > most:
             size = np.full((t + 1, own.shape[2]), np.nan)

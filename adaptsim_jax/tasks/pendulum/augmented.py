@@ -173,9 +173,10 @@ def _splitter(given: ModelFile, keys):
 
     def split(params):
         params = jnp.asarray(params, jnp.float32)
-        return params[:count], jnp.asarray(base).at[at].set(params[count:]) if len(
-            at
-        ) else jnp.asarray(base)
+        theta, eff = params[:count], jnp.asarray(base)
+        if len(at):
+            eff = eff.at[at].set(params[count:])
+        return theta, eff
 
     return split
 

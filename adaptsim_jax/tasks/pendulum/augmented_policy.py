@@ -324,9 +324,8 @@ def polished(world: MendedWorld, policy: MendedPolicy, theta, eff, steps: int = 
         z, cost, damping = carry
         r, jac = residual(z), jax.jacfwd(residual)(z)
         normal = jac.T @ jac
-        step = -solve(normal + damping * jnp.diag(jnp.diag(normal) + 1e-6), (jac.T @ r)[:, None])[
-            :, 0
-        ]
+        damped = normal + damping * jnp.diag(jnp.diag(normal) + 1e-6)
+        step = -solve(damped, (jac.T @ r)[:, None])[:, 0]
         new = world.rollout(with_(z + step), theta, eff)[0].cost
         good = jnp.isfinite(new) & (new < cost)
 
@@ -356,7 +355,8 @@ def _ahead(world: MendedWorld, policy: MendedPolicy, A, B) -> MendedPolicy:
     """
     late = group_delay(world.model, policy.eff, DT) + _sensor_delay(world, policy.eff)
     n = B.shape[1]
-    both = jnp.zeros((4 + n, 4 + n)).at[:4, :4].set(A).at[:4, 4:].set(B)
+    both = jnp.zeros((4 + n, 4 + n)).at[:4, :4].set(A)
+    both = both.at[:4, 4:].set(B)
     power = transition(both, late)
     weight = jnp.clip(late / DT - jnp.arange(world.history, dtype=A.dtype), 0.0, 1.0)
     recent = weight / jnp.maximum(jnp.sum(weight), 1e-9)

@@ -81,9 +81,9 @@ def draw(seed: int, samples: int, steps: int) -> tuple[np.ndarray, np.ndarray, n
     inertia = rng.uniform(0.02, 0.1, (2, samples)) * mass * length**2
     damping = rng.uniform(0.0, 0.3, (2, samples))
     params = np.concatenate([mass, length, com, inertia, damping]).T
-    waves = rng.normal(size=(samples, 3, 1, 2)) * np.sin(
-        rng.uniform(0.5, 4.0, (samples, 3, 1, 2)) * np.linspace(0.0, 2 * np.pi, steps)[:, None]
-    )
+    size = rng.normal(size=(samples, 3, 1, 2))
+    rate = rng.uniform(0.5, 4.0, (samples, 3, 1, 2))
+    waves = size * np.sin(rate * np.linspace(0.0, 2 * np.pi, steps)[:, None])
     initial = np.concatenate(
         [rng.uniform(-1, 1, (samples, 2)), rng.uniform(-5, 5, (samples, 2))], axis=1
     )
@@ -223,10 +223,11 @@ def _drake_plant(drake: Any, params: np.ndarray) -> Any:
         spatial = drake.SpatialInertia(mass, point, about_com.ShiftFromCenterOfMass(point))
         body = plant.AddRigidBody(f"link{k}", spatial)
         frame = drake.RigidTransform([0.0, 0.0, offset])
+        place = plant.AddFrame(drake.FixedOffsetFrame(f"at{k}", parent.body_frame(), frame))
         joint = plant.AddJoint(
             drake.RevoluteJoint(
                 f"q{k}",
-                plant.AddFrame(drake.FixedOffsetFrame(f"at{k}", parent.body_frame(), frame)),
+                place,
                 body.body_frame(),
                 [0.0, 1.0, 0.0],
                 damping=damping,

@@ -143,7 +143,8 @@ def check_policy(columns: Mapping[str, np.ndarray], gain: np.ndarray) -> str:
         if free.sum() < 30 or np.ptp(trials[free]) == 0.0:
             continue
         a, t = asked[free, j], trials[free]
-        alike, share = float(np.corrcoef(a, t)[0, 1]), float(a @ t / max(a @ a, 1e-12))
+        alike = float(np.corrcoef(a, t)[0, 1])
+        share = float(a @ t / max(a @ a, 1e-12))
         if alike < 0.8 or not 0.6 < share < 1.6:
             return (
                 f"{name} is not what the policy asks for (correlation {alike:.2f}, {share:.2g} "

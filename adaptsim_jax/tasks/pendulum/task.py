@@ -106,18 +106,20 @@ def make_pendulum(config: PendulumConfig = PendulumConfig()) -> Task:
         def reference(params):
             return search(params)[1]
 
+    if config.scaling == "paper":
+        observe, obs_dim = paper_scaling, 24
+    else:
+        observe, obs_dim = _whitening(space, indices, config.components), config.components
     return Task(
         name="pendulum",
         space=space,
         targets=space if config.targets == "omega" else wide_space(),
-        obs_dim=24 if config.scaling == "paper" else config.components,
+        obs_dim=obs_dim,
         settings=SETTINGS,
         init_policy=lambda key: PendulumPolicy(jnp.zeros((2, 4)), jnp.zeros((), jnp.int32)),
         train=train,
         rollout=rollout,
-        observe=paper_scaling
-        if config.scaling == "paper"
-        else _whitening(space, indices, config.components),
+        observe=observe,
         score=lambda trajectory: -trajectory.cost,
         reference=reference,
         reward=lambda trajectory, best: 1.0 - config.reward_gain * (trajectory.cost / best - 1.0),
@@ -147,9 +149,8 @@ def best_in_space(space: Space, halvings: int = 4):
 
         def better_of(best, us, costs):
             k = jnp.argmin(costs)
-            return jax.tree.map(
-                lambda a, b: jnp.where(costs[k] < best[1], a, b), (us[k], costs[k]), best
-            )
+            cheapest = (us[k], costs[k])
+            return jax.tree.map(lambda a, b: jnp.where(costs[k] < best[1], a, b), cheapest, best)
 
         def refine(best, size):
             us = jnp.clip(best[0][None] + moves * size, 0.0, 1.0)

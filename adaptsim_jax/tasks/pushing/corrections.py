@@ -207,7 +207,8 @@ def _ahead(action, miss, slope, damping) -> jax.Array:
     """The next action to try."""
     (a, b), (_, c) = slope.T @ slope + damping * jnp.eye(2)
     x, y = slope.T @ miss
-    step = -jnp.stack([c * x - b * y, a * y - b * x]) / (a * c - b * b)
+    adjugate = jnp.stack([c * x - b * y, a * y - b * x])
+    step = -adjugate / (a * c - b * b)
     return jnp.clip(action + jnp.clip(step, -_FARTHEST, _FARTHEST), -1.0, 1.0)
 
 

@@ -165,7 +165,8 @@ def check_each(names: Sequence[float], angles: np.ndarray, way: np.ndarray, wher
     """BadInput at the first push `[N]` whose bottle went elsewhere by far than the others did,
     beside the angles of their pushes.
     """
-    off = np.angle(np.exp(1j * (np.arctan2(way[:, 1], way[:, 0]) - np.asarray(angles, float))))
+    went = np.arctan2(way[:, 1], way[:, 0])
+    off = np.angle(np.exp(1j * (went - np.asarray(angles, float))))
     distant = np.linalg.norm(way, axis=1) > FRAME.way
     if np.sum(distant) < 3:
         return

@@ -274,12 +274,9 @@ def ground_friction(
     mu = friction.table + on_patch(x + rx, y + ry, y_p, xp) * (friction.patch - friction.table)
     # below `slow` friction is viscous, which an explicit step can bear
     slow = 2 * dt * GRAVITY * mu + 1e-4
-    grip = (
-        -mu
-        * pressed
-        * (mass * GRAVITY / len(px))
-        / xp.maximum(xp.sqrt(ux * ux + uy * uy + 1e-12), slow)
-    )
+    weight = mass * GRAVITY / len(px)
+    brake = -mu * pressed * weight
+    grip = brake / xp.maximum(xp.sqrt(ux * ux + uy * uy + 1e-12), slow)
     fx, fy = grip * ux, grip * uy
 
     def total(f):
@@ -299,9 +296,9 @@ def ramp(t: Array) -> np.ndarray:
     """
     t = np.asarray(t, float) - STILL
     down = np.clip(1 - (t - RAMP_UP - HOLD) / RAMP_DOWN, 0, 1)
-    return np.where(
-        t < 0, 0.0, np.where(t < RAMP_UP, t / RAMP_UP, np.where(t < RAMP_UP + HOLD, 1.0, down))
-    )
+    after_rise = np.where(t < RAMP_UP + HOLD, 1.0, down)
+    moving = np.where(t < RAMP_UP, t / RAMP_UP, after_rise)
+    return np.where(t < 0, 0.0, moving)
 
 
 def slopes(dt: float, steps: int) -> np.ndarray:

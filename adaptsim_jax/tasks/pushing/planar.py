@@ -104,9 +104,8 @@ def trajectory(
     )  # a zero of the inputs' type, so that the scan carries one type
     edges = jnp.asarray(edge_motion(options.duration)).reshape(-1, round(options.row / STEP), 6)
     _, (s, v) = jax.lax.scan(row, (still, still), edges, unroll=2)
-    return jnp.stack(
-        [start[0] + s * heading[0], start[1] + s * heading[1], v * heading[0], v * heading[1]], -1
-    )
+    x, y = start[0] + s * heading[0], start[1] + s * heading[1]
+    return jnp.stack([x, y, v * heading[0], v * heading[1]], -1)
 
 
 def edge_motion(duration: float, step: float = STEP) -> np.ndarray:
@@ -156,9 +155,9 @@ def _make_step(params, action, heading, start, options: PushOptions, c: PlanarCo
         # MuJoCo's contact: the force that brings the relative acceleration to its reference, short
         # of it by d
         free = push[2] + jnp.where(v > 0, mu * g, 0.0)
-        force = jnp.where(
-            depth > 0, jnp.maximum(b * (push[1] - v) + k * depth + d * free, 0.0), 0.0
-        )
+        touching = depth > 0
+        pressed = b * (push[1] - v) + k * depth + d * free
+        force = jnp.where(touching, jnp.maximum(pressed, 0.0), 0.0)
         brake = mu * jnp.maximum(g - c.lift * force, 0.0)
         v = v + STEP * force
         v = jnp.sign(v) * jnp.maximum(jnp.abs(v) - STEP * brake, 0.0)

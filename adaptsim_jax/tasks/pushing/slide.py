@@ -145,17 +145,12 @@ def edge_halfway(duration: float, step: float) -> np.ndarray:
     t = (np.arange(round(duration / step)) + 0.5) * step
     begin = np.array([0.0, pushing.STILL, pushing.STILL + pushing.RAMP_UP])
     corners = np.array([*begin, begin[-1] + pushing.HOLD, pushing.PUSH_ENDS])
-    travelled = np.concatenate(
-        [
-            [0.0],
-            np.cumsum(
-                np.diff(corners) * (h := pushing.ramp(corners))[1:]
-                - np.diff(corners) * np.diff(h) / 2
-            ),
-        ]
-    )
+    h = pushing.ramp(corners)
+    spans, rises = np.diff(corners), np.diff(h)
+    travels = spans * h[1:] - spans * rises / 2
+    travelled = np.concatenate([[0.0], np.cumsum(travels)])
     at = np.clip(np.searchsorted(corners, t, "right") - 1, 0, len(corners) - 1)
-    rate, slope = pushing.ramp(t), np.append(np.diff(h) / np.diff(corners), 0.0)[at]
+    rate, slope = pushing.ramp(t), np.append(rises / spans, 0.0)[at]
     travel = travelled[at] + (t - corners[at]) * (h[at] + rate) / 2
     return edge_of(travel, rate, slope)
 
@@ -229,9 +224,8 @@ def _numbers(v: Mapping[str, Array], drive: _Drive, scheme: _Scheme) -> _Numbers
         jnp.stack([jnp.asarray(v[n]) for n in pushing.PARAMETERS]), options.friction
     )
     k, b = pushing.spring(c.elasticity, v["e"], speed, options.mass, jnp)
-    hit = jnp.exp(
-        v["hardening"] * jnp.log((speed + pushing.PITCH_RATE * pushing.EDGE_DROP) / 0.7)
-    ) / (1.0 + v["heavier"])
+    struck = (speed + pushing.PITCH_RATE * pushing.EDGE_DROP) / 0.7
+    hit = jnp.exp(v["hardening"] * jnp.log(struck)) / (1.0 + v["heavier"])
     along = (jnp.cos(heading), jnp.sin(heading))
     normal = (jnp.cos(heading + v["plate_turn"]), jnp.sin(heading + v["plate_turn"]))
     across = (-normal[1], normal[0])
@@ -299,7 +293,8 @@ def _touch(n: _Numbers, moved: Any, velocity: Any, edge: Array, mu: Array) -> _T
     (dx, dy), (vx, vy), normal, across = moved, velocity, n.normal, n.across
     dt, b, g = n.scheme.dt, n.damping, pushing.GRAVITY
     at, rate, gain = (n.drive.speed * edge[2 * i] + edge[2 * i + 1] for i in range(3))
-    out, over = vx * normal[0] + vy * normal[1], vx * across[0] + vy * across[1]
+    out = vx * normal[0] + vy * normal[1]
+    over = vx * across[0] + vy * across[1]
     depth = at * n.forward + n.behind - (dx * normal[0] + dy * normal[1])
     free = gain * n.forward + jnp.where(out > 0, mu * g, 0.0)
     closing = rate * n.forward - out

@@ -60,9 +60,9 @@ def sector_goals(key: jax.Array, parts: int, each: int) -> jax.Array:
 def _goal_at(u: jax.Array) -> jax.Array:
     radius = GOAL_RADII[0] + (GOAL_RADII[1] - GOAL_RADII[0]) * u[..., 0]
     angle = GOAL_ANGLE * (2.0 * u[..., 1] - 1.0)
-    return jnp.stack(
-        [GOAL_CENTRE[0] + radius * jnp.cos(angle), GOAL_CENTRE[1] + radius * jnp.sin(angle)], -1
-    )
+    x = GOAL_CENTRE[0] + radius * jnp.cos(angle)
+    y = GOAL_CENTRE[1] + radius * jnp.sin(angle)
+    return jnp.stack([x, y], -1)
 
 
 def push_reward(final: jax.Array, goal: jax.Array) -> jax.Array:

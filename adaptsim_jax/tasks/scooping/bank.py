@@ -81,10 +81,10 @@ def features(params: jax.Array, action: jax.Array) -> jax.Array:
     low, high = np.array(model.LOW), np.array(model.HIGH)
     low[1], high[1] = np.log(low[1]), np.log(high[1])
     values = jnp.stack([params[0], jnp.log(params[1]), params[3], *action])
-    ends = np.r_[low[[0, 1, 3]], model.ACTION_LOW], np.r_[high[[0, 1, 3]], model.ACTION_HIGH]
-    middle, half = (
-        (jnp.asarray(v, values.dtype)) for v in ((ends[0] + ends[1]) / 2, (ends[1] - ends[0]) / 2)
-    )
+    lowest = np.r_[low[[0, 1, 3]], model.ACTION_LOW]
+    highest = np.r_[high[[0, 1, 3]], model.ACTION_HIGH]
+    middle = jnp.asarray((lowest + highest) / 2, values.dtype)
+    half = jnp.asarray((highest - lowest) / 2, values.dtype)
     shape = (params[2] == jnp.arange(len(model.SHAPES))).astype(values.dtype)
     return jnp.concatenate([(values - middle) / half, shape])
 
@@ -99,10 +99,8 @@ def points(count: int, seed: int, box: str = "omega") -> tuple[np.ndarray, np.nd
     shapes = high[2] + 1
     high[2] = shapes
     params = low + u[:, :4] * (high - low)
-    params[:, 1], params[:, 2] = (
-        np.exp(params[:, 1]),
-        np.minimum(np.floor(params[:, 2]), shapes - 1),
-    )
+    params[:, 1] = np.exp(params[:, 1])
+    params[:, 2] = np.minimum(np.floor(params[:, 2]), shapes - 1)
     low, high = np.array(model.ACTION_LOW), np.array(model.ACTION_HIGH)
     wide = REACH * (high - low)
     return params, np.maximum(low - wide + u[:, 4:] * (high - low + 2 * wide), MIN_SHARE)

@@ -92,9 +92,8 @@ def touch(
         [tx, tz, ox, oz, bx, bz, ux, uz, low, jnp.maximum(high - low, 0.0), surfaces.friction]
     )
     motion = jnp.stack([*(surfaces.about - pose[:2, None]), *surfaces.velocity, surfaces.spin])
-    tx, tz, ox, oz, bx, bz, ux, uz, low, length, friction, ax, az, vx, vz, spin = jnp.concatenate(
-        [every, motion]
-    )[:, which]
+    of_points = jnp.concatenate([every, motion])[:, which]
+    tx, tz, ox, oz, bx, bz, ux, uz, low, length, friction, ax, az, vx, vz, spin = of_points
     step = length / columns
     at = low + step * column
     x, z = bx + at * ux, bz + at * uz
@@ -163,9 +162,8 @@ def spatula(pose: Array, velocity: Array, friction: Array) -> Surfaces:
     """
     (cx, cz), (hx, hz) = model.BLADE_CENTRE, model.BLADE_HALF
     (nx, nz), (kx, kz), rise = model.NECK_CENTRE, model.NECK_HALF, model.NECK_RISE
-    at = np.array(
-        [(cx, cz + hz), (cx + hx, cz), (nx + kz * np.sin(rise), nz + kz * np.cos(rise))]
-    ).T
+    behind = (nx + kz * np.sin(rise), nz + kz * np.cos(rise))
+    at = np.array([(cx, cz + hz), (cx + hx, cz), behind]).T
     along = np.array([(1.0, 0.0), (0.0, -1.0), (np.cos(rise), -np.sin(rise))]).T
     c, s = jnp.cos(pose[2]), jnp.sin(pose[2])
 

@@ -79,9 +79,8 @@ def springs(
 
     light = 1.0 / piece.mass + (c.rx**2 + c.rz**2) / (2.0 * piece.inertia)
     stiffness = jnp.where(c.active > 0, c.area * c.growth, 1.0)
-    r_normal = jnp.maximum(
-        near_rigid**2 / (4 * jnp.pi**2) * light, 1.0 / (dt * stiffness * (dt + tau))
-    )
+    softest = near_rigid**2 / (4 * jnp.pi**2) * light
+    r_normal = jnp.maximum(softest, 1.0 / (dt * stiffness * (dt + tau)))
     stiff, grip = 1.0 / r_normal, 1.0 / (slip * light)
     lever = c.friction * stiff / grip
     return Springs(
@@ -172,9 +171,8 @@ def _best_share(
         law = _law(s, here[0] + share * along[0], here[1] + share * along[1])
         nn, nt, tt = _stiffness(s, law)
         first = pull + share * inertia - _sum(law.normal * along[0] - law.tangent * along[1])
-        return first, inertia + _sum(
-            nn * along[0] ** 2 + 2.0 * nt * along[0] * along[1] + tt * along[1] ** 2
-        )
+        bend = nn * along[0] ** 2 + 2.0 * nt * along[0] * along[1] + tt * along[1] ** 2
+        return first, inertia + _sum(bend)
 
     at = jnp.array(firsts)
     turning = -here[1][at] / jnp.where(along[1][at] == 0.0, 1.0, along[1][at])
@@ -182,10 +180,8 @@ def _best_share(
         [jnp.where((turning > 0) & (turning < 1), turning, 1.0), jnp.ones(1, v.dtype)]
     )
     first, second = jax.vmap(slopes)(shares)
-    low, high = (
-        jnp.max(jnp.where(first < 0, shares, 0.0)),
-        jnp.min(jnp.where(first < 0, 1.0, shares)),
-    )
+    low = jnp.max(jnp.where(first < 0, shares, 0.0))
+    high = jnp.min(jnp.where(first < 0, 1.0, shares))
     guess = shares - first / second
     distant = jnp.where((guess > low) & (guess < high), jnp.abs(guess - shares), jnp.inf)
     start = jnp.where(
@@ -215,7 +211,9 @@ def _sum(x: Array) -> Array:
 def _speeds(s: Springs, v: Array) -> tuple[Array, Array]:
     """Normal and tangential velocity `[N]` of the piece's points."""
     a, b = s.normal, s.tangent
-    return a[0] * v[0] + a[1] * v[1] + a[2] * v[2], b[0] * v[0] + b[1] * v[1] + b[2] * v[2]
+    normal = a[0] * v[0] + a[1] * v[1] + a[2] * v[2]
+    tangential = b[0] * v[0] + b[1] * v[1] + b[2] * v[2]
+    return normal, tangential
 
 
 def _relative(s: Springs, v: Array) -> tuple[Array, Array]:
@@ -260,9 +258,8 @@ def cost(s: Springs, piece: PieceBody, free: Array, v: Array) -> Array:
     """What is minimised, kg m^2/s^2; the solver itself needs only its slopes."""
     law = _law(s, *_relative(s, v))
     mass = jnp.stack([piece.mass, piece.mass, piece.inertia])
-    return 0.5 * (
-        jnp.sum(mass * (v - free) ** 2) + _sum(law.normal**2 / s.stiff + law.tangent**2 / s.grip)
-    )
+    motion = jnp.sum(mass * (v - free) ** 2)
+    return 0.5 * (motion + _sum(law.normal**2 / s.stiff + law.tangent**2 / s.grip))
 
 
 def _slope(
@@ -279,7 +276,8 @@ def _slope(
     nn, nt, tt = _stiffness(s, law._replace(sticks=law.sticks | slow, slides=law.slides & ~slow))
 
     def entry(i, j):
-        return _sum(nn * a[i] * a[j] + nt * (a[i] * b[j] + b[i] * a[j]) + tt * b[i] * b[j])
+        by_normal = nn * a[i] * a[j] + nt * (a[i] * b[j] + b[i] * a[j])
+        return _sum(by_normal + tt * b[i] * b[j])
 
     bend = [[entry(i, j) + (mass[i] if i == j else 0.0) for j in range(i + 1)] for i in range(3)]
     return mass * (v - free) - impulse, impulse, bend

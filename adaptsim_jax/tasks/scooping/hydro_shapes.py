@@ -69,10 +69,8 @@ def field(piece: PieceBody, x: Array, y: Array, z: Array) -> tuple[Array, Array,
     along_x = jnp.where(g == BOX, -jnp.sign(x) * (jnp.abs(x) >= jnp.abs(y)), -x / axis)
     near_end = end < side
     flat = jnp.where(near_end, end, side) / core
-    flat_x, flat_z = (
-        jnp.where(near_end, 0.0, along_x) / core,
-        jnp.where(near_end, -jnp.sign(z), 0.0) / core,
-    )
+    flat_x = jnp.where(near_end, 0.0, along_x) / core
+    flat_z = jnp.where(near_end, -jnp.sign(z), 0.0) / core
     is_round = g == ELLIPSOID
     return (
         jnp.where(is_round, 1.0 - scaled, flat),

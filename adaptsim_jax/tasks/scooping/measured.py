@@ -134,10 +134,8 @@ def measured_trajectory(
         if not as_declared:
             check_frozen(time, track, given, "the piece")
         _check_track(time, track, given)
-        points.append(
-            np.stack([np.interp(model.OBSERVED_AT, time, track[:, k]) for k in range(2)], 1)
-            - track[0]
-        )
+        places = np.stack([np.interp(model.OBSERVED_AT, time, track[:, k]) for k in range(2)], 1)
+        points.append(places - track[0])
         lies.append(columns["on"][rows[-1]])
     success = jnp.asarray(lies, jnp.float32)
     return ScoopingTrajectory(jnp.asarray(np.stack(points), jnp.float32), success, success.mean())

@@ -125,7 +125,8 @@ def draw(seed: int, samples: int) -> tuple[np.ndarray, np.ndarray]:
     low, high = np.array(LOW), np.array(HIGH)
     low[1], high[1] = np.log(low[1]), np.log(high[1])
     params = rng.uniform(low, high, (samples, 4))
-    params[:, 1], params[:, 2] = np.exp(params[:, 1]), np.round(params[:, 2])
+    params[:, 1] = np.exp(params[:, 1])
+    params[:, 2] = np.round(params[:, 2])
     return params, rng.uniform(ACTION_LOW, ACTION_HIGH, (samples, 3))
 
 
@@ -196,5 +197,6 @@ def outcome(state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
     x, _, z, tip_x, tip_z, pitch = np.moveaxis(state[:, -1], -1, 0)
     c, s = np.cos(pitch), np.sin(pitch)
-    ahead, above = c * (x - tip_x) - s * (z - tip_z), s * (x - tip_x) + c * (z - tip_z)
+    dx, dz = x - tip_x, z - tip_z
+    ahead, above = c * dx - s * dz, s * dx + c * dz
     return np.asarray(on_blade(ahead, above)), above

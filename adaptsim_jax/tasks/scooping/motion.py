@@ -88,7 +88,9 @@ def turn(angle: Array, x: Array, z: Array) -> tuple[Array, Array]:
 def lowest(theta: Array) -> Array:
     """Height of the blade's lowest edge over the tip's origin at pitch `theta`, m."""
     (cx, cz), (hx, hz) = model.BLADE_CENTRE, model.BLADE_HALF
-    return jnp.minimum(turn(theta, cx + hx, cz - hz)[1], turn(theta, cx - hx, cz - hz)[1])
+    _, front = turn(theta, cx + hx, cz - hz)
+    _, back = turn(theta, cx - hx, cz - hz)
+    return jnp.minimum(front, back)
 
 
 def from_tip(pose: Array, x: Array, z: Array) -> tuple[Array, Array]:

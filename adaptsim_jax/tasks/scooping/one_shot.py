@@ -48,10 +48,9 @@ def make_scooping_one_shot(config: ScoopingConfig) -> OneShot:
     tests, fresh = np.split(task.test_contexts(config.tests + config.fresh), [config.tests])
     probes = config.correct and config.trajectories > 1
     in_mjx = config.simulator == "mjx"
+    score = _own_score if probes else made.score
     return OneShot(
-        task=replace(
-            made, rollout=made.rehearse or made.rollout, score=_own_score if probes else made.score
-        ),
+        task=replace(made, rollout=made.rehearse or made.rollout, score=score),
         tests=tests,
         fresh=fresh if config.fresh else None,
         trials=config.trajectories,
@@ -121,12 +120,8 @@ def best_shared_action(world: TargetWorld, params: np.ndarray, tests: np.ndarray
     are tried in all.
     """
     grid = action_grid(GRID)
-    won = _rewards(
-        world,
-        params,
-        np.tile(tests[:1] * np.array([1, 1, 0, 0, 1], np.float32), (len(grid), 1)),
-        grid,
-    )
+    exact = tests[:1] * np.array([1, 1, 0, 0, 1], np.float32)
+    won = _rewards(world, params, np.tile(exact, (len(grid), 1)), grid)
     spacing = 2.0 / (np.array(GRID) - 1)
     near = np.exp(-0.5 * (((grid[:, None] - grid[None]) / spacing) ** 2).sum(-1))
     chosen = grid[np.argsort(-(near @ won) / near.sum(1), kind="stable")[:FINALISTS]]

@@ -37,9 +37,8 @@ _SPAN = 0.15  # m: places seen are divided by it
 def draw_context(key: jax.Array) -> jax.Array:
     """A context `[5]` of a trial; see `CONTEXT`."""
     u = jax.random.uniform(key, (CONTEXT,))
-    return jnp.concatenate(
-        [(2.0 * u[:2] - 1.0) * jnp.asarray(PLACES, u.dtype), 2.0 * u[2:4] - 1.0, u[4:]]
-    )
+    place = (2.0 * u[:2] - 1.0) * jnp.asarray(PLACES, u.dtype)
+    return jnp.concatenate([place, 2.0 * u[2:4] - 1.0, u[4:]])
 
 
 def place_input(context: jax.Array) -> jax.Array:
@@ -95,7 +94,9 @@ def make_mjx_trial(options: ScoopOptions) -> Callable[[jax.Array, jax.Array, jax
         with jax.numpy_rank_promotion("allow"):
             q = scoop(params, done)
         x = q[rows, 0].at[0].set(0.0)  # seen before it moves
-        (dx, dz), (c, s) = q[-1, :2] - q[-1, 3:5], (jnp.cos(q[-1, 5]), jnp.sin(q[-1, 5]))
+        gap = q[-1, :2] - q[-1, 3:5]
+        c, s = jnp.cos(q[-1, 5]), jnp.sin(q[-1, 5])
+        dx, dz = gap
         ahead, above = c * dx - s * dz, s * dx + c * dz  # in the tip's frame
         end = jnp.stack([model.on_blade(ahead, above), above])
         found = jnp.concatenate([jnp.stack([x, jnp.zeros_like(x)], -1), end[None]])
@@ -156,9 +157,8 @@ def test_contexts(count: int) -> np.ndarray:
     """
     row = np.arange(count)[:, None] + 0.5
     u = row * np.array([0.8566749, 0.7338919, 0.6287067, 0.5385973, 0.4614027]) % 1.0
-    return np.concatenate([(2 * u[:, :2] - 1) * PLACES, 2 * u[:, 2:4] - 1, u[:, 4:]], 1).astype(
-        np.float32
-    )
+    places = (2 * u[:, :2] - 1) * PLACES
+    return np.concatenate([places, 2 * u[:, 2:4] - 1, u[:, 4:]], 1).astype(np.float32)
 
 
 test_contexts.__test__ = False  # type: ignore[attr-defined]  # for pytest, which collects by name
@@ -216,6 +216,7 @@ def smoothed(
     def won(at):
         return hydro.rollout(*unscaled(at, params[2]), options, numerics).success
 
-    up, down = jax.vmap(won)(z[None] + spread * n), jax.vmap(won)(z[None] - spread * n)
+    up = jax.vmap(won)(z[None] + spread * n)
+    down = jax.vmap(won)(z[None] - spread * n)
     each = (up - down)[:, None] * n / (2 * spread)
     return Smoothed((up + down).mean() / 2, each.mean(0), each.std(0) / np.sqrt(pairs))

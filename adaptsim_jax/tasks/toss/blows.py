@@ -110,10 +110,8 @@ def _blows(
     near = np.sort(height, axis=1)
     # the row at which the corner is lowest; alone, before and after it strikes
     row = np.where(near[at + 1, 0] < near[at + 2, 0], at + 1, at + 2)
-    alone = (
-        np.minimum(near[at + 1, 1] - near[at + 1, 0], near[at + 2, 1] - near[at + 2, 0])
-        > BLOW.alone * body.size
-    )
+    lead = near[:, 1] - near[:, 0]
+    alone = np.minimum(lead[at + 1], lead[at + 2]) > BLOW.alone * body.size
     r = np.take_along_axis(out[row], np.argmin(height[row], 1)[:, None, None], 1)[:, 0]
     return dv[at][alone], ds[at][alone], r[alone], turn[row][alone]
 

@@ -112,15 +112,16 @@ def reported(
     error = _error(tossed, follow, tracks)
     flown, thrown = free_flight(tossed), {k: whole_tosses(tossed, m.fit.vectors) for k, m in both}
     whole = {k: float(np.median(z)) if len(z) else None for k, z in thrown.items()}
+    windows = {
+        "count": len(follow.windows.toss),
+        "over_noise": {k: float(np.median(v)) for k, v in over.items()},
+        "followed": {k: float(np.mean(v <= REPORT.followed)) for k, v in over.items()},
+    }
     more = {
         "not_established": _classes(found),
         "notes": list(tossed.notes),
         "noise": {"m": tossed.noise, "rad": tossed.noise_turn, "source": tossed.noise_source},
-        "windows": {
-            "count": len(follow.windows.toss),
-            "over_noise": {k: float(np.median(v)) for k, v in over.items()},
-            "followed": {k: float(np.mean(v <= REPORT.followed)) for k, v in over.items()},
-        },
+        "windows": windows,
         "whole_tosses": {"unit": "m", **whole},
         "free_flight": None if flown is None else _flight(flown),
         "next_experiment": separated_by(
@@ -139,7 +140,7 @@ def reported(
         parts.label,
         parts.effect_rows(problem, found),
         parts.scored(found),
-        headline(found, more["windows"]["over_noise"], error, whole, flown),
+        headline(found, windows["over_noise"], error, whole, flown),
         float(np.median(over["after"])) > criteria.explained,
         error,
         lambda model: parts.declared_rows(problem, model, LOGS),
@@ -240,10 +241,8 @@ def _joined(follow: Follow, toss: int, rows: np.ndarray) -> np.ndarray:
 
 def _held_out(tossed: Tossed, follow: Follow, tracks, mended: bool) -> list[dict[str, Any]]:
     out, w = [], follow.windows
-    clock = (
-        np.stack([tossed.time[t][a] for t, a in zip(w.toss, w.first, strict=True)])[:, None]
-        + w.time
-    )
+    begun = np.stack([tossed.time[t][a] for t, a in zip(w.toss, w.first, strict=True)])
+    clock = begun[:, None] + w.time
     for i, name in enumerate(tossed.names):
 
         def channels(z, i=i):

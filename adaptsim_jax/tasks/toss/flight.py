@@ -62,14 +62,9 @@ def free_flight(tossed: Tossed) -> Flight | None:
     a = np.array(found)
     draws = np.random.default_rng(0).integers(0, len(a), (DRAWS, len(a)))
     low, high = np.quantile(np.median(-a[draws, 2], axis=1), [0.025, 0.975])
-    return Flight(
-        float(np.median(-a[:, 2])),
-        float(low),
-        float(high),
-        -a[:, 2],
-        np.median(a[:, :2], 0),
-        tossed.body.gravity,
-    )
+    each, aside = -a[:, 2], np.median(a[:, :2], 0)
+    gravity = float(np.median(each))
+    return Flight(gravity, float(low), float(high), each, aside, tossed.body.gravity)
 
 
 def words(found: Flight) -> str:

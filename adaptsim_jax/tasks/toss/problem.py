@@ -81,9 +81,8 @@ def start_columns(
     """Derivatives `[n, R 6, 12]` of what is simulated of windows `at [n]` by their starts."""
     count = len(at)
     by = np.repeat(np.diag(STEPS), count, 0)
-    out = less(
-        np.tile(at, 12), np.tile(values, (12, 1)), moved(np.tile(start, (12, 1)), by)
-    ).reshape(12, count, -1)
+    starts = moved(np.tile(start, (12, 1)), by)
+    out = less(np.tile(at, 12), np.tile(values, (12, 1)), starts).reshape(12, count, -1)
     return np.moveaxis((residual.reshape(1, count, -1) - out) / STEPS[:, None, None], 0, 2)
 
 

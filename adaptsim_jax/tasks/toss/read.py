@@ -180,13 +180,9 @@ def _read_file(
             raise BadInput(
                 f"{trials(0)}: there is a toss named {name} already; number the tosses one by one"
             )
-        found[name] = _one(
-            c["time"][i],
-            np.stack([c[n][i] for n in PLACE], 1),
-            np.stack([c[n][i] for n in TURN], 1) / norm[i, None],
-            trials,
-            as_declared,
-        )
+        place = np.stack([c[n][i] for n in PLACE], 1)
+        turn = np.stack([c[n][i] for n in TURN], 1) / norm[i, None]
+        found[name] = _one(c["time"][i], place, turn, trials, as_declared)
         notes += [f"toss {name}: {hole}" for hole in record.holes(found[name][0])]
 
 
@@ -221,7 +217,8 @@ def _check_frame(body: TossedBody, names, time, place, turn, where: Path) -> Non
     """
     corners = body.corners()
     low = [lowest(p, q, corners) for p, q in zip(place, turn, strict=True)]
-    sunk, floats = float(np.median([z.min() for z in low])), float(np.median([z[-1] for z in low]))
+    sunk = float(np.median([z.min() for z in low]))
+    floats = float(np.median([z[-1] for z in low]))
     swapped = [lowest(p, np.roll(q, 1, axis=1), corners) for p, q in zip(place, turn, strict=True)]
 
     def spread(all_rows):
@@ -238,7 +235,7 @@ def _check_frame(body: TossedBody, names, time, place, turn, where: Path) -> Non
             "tosses); give poses in a frame whose z is upwards from the plane, in m, and the "
             "body's size in the model"
         )
-    if min(floats, float(np.median([z.min() for z in low]))) > body.size:
+    if min(floats, sunk) > body.size:
         raise BadInput(
             f"{where}: bodies never come nearer to the plane z = 0 than "
             f"{1e3 * min(floats, sunk):.3g} mm; give poses in a frame whose z is upwards from the "

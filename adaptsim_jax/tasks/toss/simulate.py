@@ -41,13 +41,9 @@ def poses(
     for at in range(0, len(values), AT_ONCE):
         part = order[at : at + AT_ONCE]
         v = {n: values[part, i] for i, n in enumerate(names)}
-        rows = _rolled(
-            body,
-            names,
-            values[part],
-            _begun(v, start[part]),
-            (1.0 + v["clock"])[:, None] * time[part],
-        )
+        begun = _begun(v, start[part])
+        clock = (1.0 + v["clock"])[:, None] * time[part]
+        rows = _rolled(body, names, values[part], begun, clock)
         place[part], turn[part] = _recorded(v, *rows)
     return place, turn
 
@@ -73,9 +69,8 @@ def _begun(v: Mapping[str, np.ndarray], start: np.ndarray) -> np.ndarray:
     arm = rotated(turn, off)
     lifted = start[:, :3] - np.stack([0 * v["height"], 0 * v["height"], v["height"]], -1)
     place = rotated(back, lifted) / grown[:, None] - arm
-    speed = rotated(back, start[:, 7:10]) / (grown * fast)[:, None] - np.cross(
-        rotated(turn, rate), arm
-    )
+    of_arm = np.cross(rotated(turn, rate), arm)
+    speed = rotated(back, start[:, 7:10]) / (grown * fast)[:, None] - of_arm
     return np.concatenate([place, turn, speed, rate], 1)
 
 
@@ -109,9 +104,8 @@ def _rolled(body: TossedBody, names, values, state, time) -> tuple[np.ndarray, n
         else:
             different, which = np.unique(values[at], axis=0, return_inverse=True)
             models = [with_values(body, dict(zip(names, z, strict=True))) for z in different]
-            rows[at, 1:] = _run([models[i] for i in which.ravel()], pool, full[at], count)[
-                :, :, 1:8
-            ]
+            of_rows = [models[i] for i in which.ravel()]
+            rows[at, 1:] = _run(of_rows, pool, full[at], count)[:, :, 1:8]
     rows = np.where(np.isfinite(rows), rows, 1e3)
     place = np.clip(time / step, 0.0, count - 1e-9)
     k = np.floor(place).astype(int)

@@ -85,9 +85,9 @@ def cut(tossed: Tossed, length: float = LENGTH) -> Windows:
         smooth = jolts(time, place, turn, tossed.body.size)
         edges = [begin]
         for edge in np.round(np.linspace(begin, stop, count + 1)[1:-1]).astype(int):
-            near = np.arange(
-                max(edge - ASIDE, edges[-1] + MIN_ROWS), min(edge + ASIDE + 1, stop - MIN_ROWS + 1)
-            )
+            earliest = max(edge - ASIDE, edges[-1] + MIN_ROWS)
+            latest = min(edge + ASIDE, stop - MIN_ROWS)
+            near = np.arange(earliest, latest + 1)
             if len(near):
                 edges.append(int(near[np.argmin(smooth[near])]))
         spans += [(t, a, b) for a, b in itertools.pairwise([*edges, stop]) if b - a >= MIN_ROWS]
@@ -105,9 +105,9 @@ def slide(time: np.ndarray, place: np.ndarray, turn: np.ndarray) -> int | None:
     """
     w, x, y, z = turn.T
     up = np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], 1)
-    lies = (np.arccos(np.clip(up @ up[-1], -1.0, 1.0)) < FLAT) & (
-        np.abs(place[:, 2] - place[-1, 2]) < LIES
-    )
+    tilt = np.arccos(np.clip(up @ up[-1], -1.0, 1.0))
+    height = np.abs(place[:, 2] - place[-1, 2])
+    lies = (tilt < FLAT) & (height < LIES)
     away = np.flatnonzero(~lies)
     begin = (int(away[-1]) + 1 if len(away) else 0) + SETTLED
     if len(place) - begin < 2 * MIN_ROWS:

@@ -223,6 +223,6 @@ def grain(a: float, b: float) -> tuple[float, float]:
     `grain_a`, `grain_b`.
     """
     size = min(math.hypot(a, b), 0.999)
-    return math.sqrt((1 + size) / (1 - size)), (
-        0.5 * math.atan2(b, a) + math.pi / 2 + math.pi / 2
-    ) % math.pi - math.pi / 2
+    ratio = math.sqrt((1 + size) / (1 - size))
+    turn = 0.5 * math.atan2(b, a) + math.pi / 2 + math.pi / 2
+    return ratio, turn % math.pi - math.pi / 2

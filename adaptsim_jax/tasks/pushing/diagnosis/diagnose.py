@@ -143,9 +143,8 @@ def informative_pushes(pushed: Pushed, found: Finding) -> dict[str, Any] | None:
         return simulated(many, pushed.options, pushed.coefficients, values)
 
     own = tracks(found.final)
-    score = np.array(
-        [np.sqrt(np.square((tracks(m) - own) / pushed.sizes).sum(-1).max(1)) for _, _, m in pairs]
-    )
+    gaps = [(tracks(m) - own) / pushed.sizes for _, _, m in pairs]
+    score = np.array([np.sqrt(np.square(gap).sum(-1).max(1)) for gap in gaps])
     most = score.max(1)
     shown = most >= NEXT.separation
     i = int(np.argmin(np.where(shown | ~shown.any(), most, np.inf)))

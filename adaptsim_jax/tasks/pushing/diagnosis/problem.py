@@ -77,12 +77,8 @@ def at_times(places: Array, rates: Array, time: Array) -> Array:
     k = jnp.clip(jnp.floor(place).astype(int), 0, len(places) - 2)
     u = (place - k)[:, None]
     h = slide.ROW
-    return (
-        (1 + 2 * u) * (1 - u) ** 2 * places[k]
-        + u * (1 - u) ** 2 * h * rates[k]
-        + u * u * (3 - 2 * u) * places[k + 1]
-        + u * u * (u - 1) * h * rates[k + 1]
-    )
+    from_row = (1 + 2 * u) * (1 - u) ** 2 * places[k] + u * (1 - u) ** 2 * h * rates[k]
+    return from_row + u * u * (3 - 2 * u) * places[k + 1] + u * u * (u - 1) * h * rates[k + 1]
 
 
 @lru_cache(maxsize=8)
@@ -175,10 +171,9 @@ def _without_marker_turn(z: np.ndarray, known: np.ndarray) -> np.ndarray:
     """`z [..., R, C]` less what a turn of the marker, which each push has of its own, takes up, in
     place; known `[T, R, C]`: what was measured.
     """
-    turn = z[..., 2:]
-    z[..., 2:] -= (
-        known[..., 2:] * (turn.sum(-2) / np.maximum(known[..., 2:].sum(-2), 1))[..., None, :]
-    )
+    measured = known[..., 2:]
+    turn = z[..., 2:].sum(-2) / np.maximum(measured.sum(-2), 1)
+    z[..., 2:] -= measured * turn[..., None, :]
     return z
 
 

@@ -180,9 +180,8 @@ def begun(
         scooped, values, poses(scooped, shape, values, trials, scooped.actions[trials]), trials
     )
     r = scooped.mask[trials][..., None] * (scooped.places[trials] - out) / ROUGH
-    loss = np.square(np.asarray(softened(r))).reshape(len(points), -1).sum(1) / (
-        3.0 * scooped.mask[some].sum()
-    )
+    squares = np.square(np.asarray(softened(r))).reshape(len(points), -1)
+    loss = squares.sum(1) / (3.0 * scooped.mask[some].sum())
     order = np.argsort(loss)
     best = points[order[0]]
     second = next(points[i] for i in order if points[i][INDEX["log_e"]] != best[INDEX["log_e"]])

@@ -101,7 +101,8 @@ def _pull(
     x, z = state.pose[0], state.pose[1]
     on_table = jnp.exp(-jnp.maximum(z - rest, 0.0) / NEAR)
     ahead, above = spatula.from_tip(tip, x, z)
-    over = jax.nn.sigmoid((-ahead) / NEAR) * jax.nn.sigmoid((piece.hz + 3.0 * NEAR - above) / NEAR)
+    behind_tip = jax.nn.sigmoid((-ahead) / NEAR)
+    over = behind_tip * jax.nn.sigmoid((piece.hz + 3.0 * NEAR - above) / NEAR)
     stick_x, stick_z = spatula.turn(tip[2], jnp.zeros_like(x), -v["adhesion"] * over)
     slope = v["tilt"]
     along = model.GRAVITY * jnp.sin(slope) - v["drag"] * on_table * state.velocity[0] + stick_x
@@ -156,10 +157,10 @@ def observed(values: Array, poses: Array, start: Array, aside: Array, time: Arra
     u = (place - k)[:, None]
     xz = (1.0 - u) * poses[k] + u * poses[k + 1]
     origin = start + jnp.stack([v["start_x"], v["start_y"]]) + v["placed"] * aside
-    xy = viewed(
-        v, jnp.stack([origin[0] + xz[:, 0], jnp.broadcast_to(origin[1], time.shape)], 1), xz[:, 1:]
-    )
-    return jnp.concatenate([xy, ((1.0 + v["scale"]) * xz[:, 1] + v["shift_z"])[:, None]], 1)
+    x, y = origin[0] + xz[:, 0], jnp.broadcast_to(origin[1], time.shape)
+    xy = viewed(v, jnp.stack([x, y], 1), xz[:, 1:])
+    z = (1.0 + v["scale"]) * xz[:, 1] + v["shift_z"]
+    return jnp.concatenate([xy, z[:, None]], 1)
 
 
 _view = jax.jit(jax.vmap(observed))

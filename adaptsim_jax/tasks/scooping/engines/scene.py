@@ -65,11 +65,10 @@ def fields(params: Array, dt: float) -> dict[str, Array]:
 
     light, turns = 1.0 / body.mass, 1.0 / body.inertia
     friction = jnp.stack([params[0], jnp.zeros_like(params[0]), jnp.zeros_like(params[0])])
+    sizes = [spheres.radii, jnp.zeros_like(spheres.radii), jnp.zeros_like(spheres.radii)]
     return {
         "geom_pos": spheres.centres,
-        "geom_size": jnp.stack(
-            [spheres.radii, jnp.zeros_like(spheres.radii), jnp.zeros_like(spheres.radii)], -1
-        ),
+        "geom_size": jnp.stack(sizes, -1),
         "geom_rbound": spheres.radii,
         "geom_friction": every(friction),
         "geom_solref": every(spring(params, dt).solref),
@@ -117,13 +116,14 @@ def finished(positions: np.ndarray, good: np.ndarray, starts: np.ndarray) -> Tra
     """
     q = np.asarray(positions, float)
     with np.errstate(invalid="ignore"):
-        rows_at = np.all(np.isfinite(q), axis=(1, 2)) & np.all(
-            np.abs(q[:, :, :2]) < np.array([2.0, 1.0]), axis=(1, 2)
-        )
-    codes = np.where(good, np.where(rows_at, model.FINE, model.DIVERGED), model.UNFIT)
+        finite = np.all(np.isfinite(q), axis=(1, 2))
+        in_room = np.all(np.abs(q[:, :, :2]) < np.array([2.0, 1.0]), axis=(1, 2))
+    codes = np.where(good, np.where(finite & in_room, model.FINE, model.DIVERGED), model.UNFIT)
     q = np.where((codes == model.FINE)[:, None, None], q, 0.0)
     state = np.zeros((*q.shape[:2], model.STATE))
-    state[..., 0], state[..., 2], state[..., 3:] = q[..., 0], q[..., 1], q[..., 3:]
+    state[..., 0] = q[..., 0]
+    state[..., 2] = q[..., 1]
+    state[..., 3:] = q[..., 3:]
     return model.placed(state, codes, starts)
 
 
