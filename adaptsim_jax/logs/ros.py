@@ -415,8 +415,8 @@ def _series(rows: list[tuple[float, tuple[str, ...], Mapping[str, Any]]]) -> lis
                         table[i] = [row[order.index(name)] for name in names]
             # efforts of one joint alone that are NaN throughout are no column that is not there:
             # said where torques are chosen
-            filled = np.isfinite(table).any(0)
-            some = filled.any()
+            filled = np.any(np.isfinite(table), axis=0)
+            some = bool(np.any(filled))
             values |= {
                 _column(stem, name): table[:, j]
                 for j, name in enumerate(names)
