@@ -44,7 +44,7 @@ METHODS = {
     "stretches cut": ("logs/stretch_rows.py", r"inside\[-1\]\) \+ 1|max\(5\.0 \* dt"),
     "mean of a held command": ("attribution/stretches.py", r"np\.cumsum\(u\[:-1\] \*"),
     "rows of candidates": ("diagnosis/report.py", r'"status": status'),
-    "interval of an error": ("diagnosis/report.py", r"np\.quantile\(\[np\.median"),
+    "interval of an error": ("diagnosis/report.py", r"np\.median\(v\[d\]\) for d in draws"),
     "noise by differences": (
         "logs/noise.py",
         r"np\.diff\([^()]+, (3|order)[,)]|0\.6745",
