@@ -165,11 +165,6 @@ def headline(
         )
     if skill.get(STRETCHES, -1.0) >= REPORT.useful_skill:
         return STRETCHES, f"over stretches the declared model, fitted, is {words(STRETCHES)}"
-    if follows and WHOLE in skill:
-        return (
-            WHOLE,
-            "the machine follows commands, and over short times a straight line does as well",
-        )
     if skill.get(TORQUE, -1.0) > max(skill.get(STRETCHES, -1.0), 0.0):
         if STRETCHES in skill:
             suffix = f"; simulated stretches of it are {words(STRETCHES)}"

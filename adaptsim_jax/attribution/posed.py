@@ -15,7 +15,7 @@ from adaptsim_jax.attribution.estimate import fit
 from adaptsim_jax.attribution.fitted import Hint
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.measures import NAMES
-from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, Entry, Vector
+from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, TILT, Entry, Vector
 from adaptsim_jax.attribution.problem import TreeProblem, held, nuisances, own_inertia
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.diagnosis.criteria import Criteria
@@ -97,6 +97,8 @@ def excluded_of(
         if name not in names:
             listed = ", ".join(sorted(names))
             raise BadInput(f"--exclude: {name!r} is no effect of a mechanism; it has {listed}")
+        if joint and name == TILT:
+            raise BadInput(f"--exclude: {TILT} is of the base, at no joint: --exclude {TILT}")
         if joint and joint not in joints:
             raise BadInput(f"--exclude: no joint is named {joint!r}; it has {', '.join(joints)}")
         if joint:

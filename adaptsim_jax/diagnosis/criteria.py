@@ -98,9 +98,9 @@ class Criteria:
         must take off of the squared error beyond the noise (0.9: it is three times what is left).
         What is smaller may name a part of that. 0: no such rule.
     near: the same of a machine that follows commands, up to which what its command errors show is
-        enough, and nothing is fitted by simulation.
-    outlying: the same of one joint in one trial: beyond it something is left, whatever the others
-        say.
+        enough, and stretches are not searched.
+    outlying: as `explained`, of one joint in one trial: beyond it something is left, whatever the
+        others say.
     beginning: share of the stretches over which is fitted, and searched again where nothing
         was named, if more than `outlying` is left.
     few: stretches beyond `outlying` from which on they are looked at by themselves, where all
