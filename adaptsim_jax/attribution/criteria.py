@@ -172,7 +172,6 @@ class ConfirmationCriteria:
     harm: float = 0.1
     # times the torque's missing part, which what simulation names must not exceed
     contradicted: float = 1.05
-    worthless_skill: float = 0.02  # skill up to which a model is worth no more than none
     # of what all folds say of a parameter: less, without one fold, is nothing
     only_fold: float = 1e-3
     # times the amplitude at which an effect that does not act linearly is scored, up to which the

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.attribution.criteria import BALANCE, CONFIRMATION, WINDOW
+from adaptsim_jax.attribution.criteria import BALANCE, WINDOW
 from adaptsim_jax.attribution.equation.balance import Balance, actuator_force, residual
 from adaptsim_jax.attribution.forecast import without_a_model
 from adaptsim_jax.attribution.parameters import Vector
@@ -181,4 +181,4 @@ def headline(
 def predicts_nothing(measures: Mapping[str, Measure | None]) -> bool:
     """Whether a model is worth no more than none by every yardstick that there is."""
     skills = [m.skill for m in measures.values() if m is not None and np.isfinite(m.skill)]
-    return bool(skills) and max(skills) < CONFIRMATION.worthless_skill
+    return bool(skills) and max(skills) < REPORT.worthless_skill

@@ -202,6 +202,7 @@ class ReportCriteria:
     # skill against what needs no model, from which on a model distinguishes effects and is worth
     # using
     useful_skill: float = 0.35
+    worthless_skill: float = 0.02  # the same, below which a model is worth no more than none
     parameter_level: float = 0.90  # coverage of the intervals of parameters (effects and declared)
     error_level: float = 0.95  # coverage of the interval of the error over held-out trials
     error_draws: int = 400  # bootstrap draws of trials, for the interval of an error

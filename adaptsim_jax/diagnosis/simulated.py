@@ -12,7 +12,7 @@ import numpy as np
 
 from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.diagnosis import rows
-from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.criteria import REPORT, Criteria
 from adaptsim_jax.diagnosis.experiment import discriminating, power_rows
 from adaptsim_jax.diagnosis.finding import Finding
 from adaptsim_jax.diagnosis.models import Model
@@ -139,8 +139,8 @@ def by_name(problem: Problem, model: Model) -> dict[str, float]:
 def check_skill(report: dict[str, Any], criteria: Criteria) -> None:
     """Withhold names where no model does better than a straight line or holding still, in place."""
     e = report["error"]
-    skills = [z for z in e["skill"].values() if z is not None]
-    if not skills or max(skills) >= 0.0:
+    skill = e["skill"]["after"]
+    if skill is None or skill >= REPORT.worthless_skill:
         return
     lowest = min(e["straight_line"], e["hold_still"])
     why = (

@@ -12,9 +12,11 @@ import pytest
 from adaptsim_jax import BadInput, Effect, Quantity, Simulator, diagnose_simulator
 from adaptsim_jax.cli import main
 from adaptsim_jax.core.registry import Registry
+from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.fit import completed, jacobian
 from adaptsim_jax.diagnosis.rows import check_exclude
 from adaptsim_jax.diagnosis.schema import read_report
+from adaptsim_jax.diagnosis.simulated import check_skill
 from adaptsim_jax.diagnosis.simulator import SIMULATORS, simulator_named
 from adaptsim_jax.diagnosis.starts import problem_of, settle
 
@@ -70,6 +72,17 @@ def test_a_model_that_predicts_nothing_names_nothing():
     report = diagnose_simulator(tanks)
     assert not report["effects"] and report["message"].startswith("The model predicts nothing")
     assert report["error"]["skill"]["after"] < 0.0
+
+
+@pytest.mark.parametrize(("after", "named"), [(0.97, True), (0.99, False)])
+def test_names_need_a_model_better_than_a_straight_line(after, named):
+    """Whatever the declared model is worth: what the final one is decides."""
+    error = {"after": after, "straight_line": 1.0, "hold_still": 2.0}
+    error["skill"] = {"before": 0.5, "after": 1.0 - after}
+    report = {"error": error, "effects": [{"name": "leak", "where": "tank_1"}], "message": ""}
+    report |= {"not_established": [], "candidates": []}
+    check_skill(report, Criteria())
+    assert bool(report["effects"]) is named
 
 
 def test_few_trials_are_left_out_by_blocks():

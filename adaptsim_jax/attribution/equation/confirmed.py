@@ -25,7 +25,7 @@ from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.paths import losses
 from adaptsim_jax.attribution.problem import TreeProblem
 from adaptsim_jax.core.parallel import parallel_map
-from adaptsim_jax.diagnosis.criteria import FOLD, Criteria
+from adaptsim_jax.diagnosis.criteria import FOLD, REPORT, Criteria
 from adaptsim_jax.diagnosis.finding import Step
 from adaptsim_jax.diagnosis.folds import pieces
 from adaptsim_jax.diagnosis.objective import Objective
@@ -235,7 +235,7 @@ def informative_joints(
     error = np.median(held_error(problem, null), 0)
     nothing = np.min([np.median(z, 0) for z in without_a_model(problem)], 0)
     near = error <= criteria.near * problem.floor[: problem.joints]
-    return list(near | (error < (1.0 - CONFIRMATION.worthless_skill) * nothing))
+    return list(near | (error < (1.0 - REPORT.worthless_skill) * nothing))
 
 
 def harmed(
