@@ -233,11 +233,16 @@ def _fixed(point) -> tuple[tuple[str, float], ...]:
     return tuple(sorted((k, float(z)) for k, z in point.items()))
 
 
-def adjacent(c: JointCandidate, other: JointCandidate) -> bool:
-    """Whether two effects act at the same joints or at ones next to each other in number, where one
-    may stand in for the other.
+def adjacent(problem: TreeProblem, c: JointCandidate, other: JointCandidate) -> bool:
+    """Whether two effects act at the same joint or at a joint and its parent, where one may stand
+    in for the other.
     """
-    return any(abs(j - k) < 2 for j in c.joints for k in other.joints)
+    parents = problem.parents
+
+    def near(j: int, k: int) -> bool:
+        return j == k or parents[j] == k or parents[k] == j
+
+    return any(near(j, k) for j in c.joints for k in other.joints)
 
 
 def where(problem: TreeProblem, c: JointCandidate) -> str:

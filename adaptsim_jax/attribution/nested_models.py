@@ -34,7 +34,7 @@ def scored(
     """
     every = candidates(problem, model.fit.vector, reach)
     if near is not None:
-        every = [c for c in every if adjacent(c, near)]
+        every = [c for c in every if adjacent(problem, c, near)]
     return table(
         problem, model.lin, [c for c in every if problem.effect(c.effect).describes is not laws]
     )

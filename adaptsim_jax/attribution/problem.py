@@ -78,6 +78,16 @@ class TreeProblem:
     def joints(self) -> int:
         return len(self.joint_names)
 
+    @property
+    def parents(self) -> tuple[int, ...]:
+        """[n] The joint before each in the tree, -1 for none."""
+        out = [-1] * self.joints
+        for group in self.groups:
+            for joint, parent in zip(group.joints, group.model.tree.parent, strict=True):
+                if parent >= 0:
+                    out[joint] = group.joints[parent]
+        return tuple(out)
+
     def effect(self, name: str) -> Effect:
         return next(e for e in self.effects if e.name == name)
 

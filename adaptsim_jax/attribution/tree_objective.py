@@ -328,7 +328,7 @@ class TreeObjective(Objective):
         return replace(model, added=added), [Step("read", e.candidate, e.test, reason)]
 
     def adjacent(self, candidate: JointCandidate, other: JointCandidate) -> bool:
-        return adjacent(candidate, other)
+        return adjacent(self.problem, candidate, other)
 
     def without(self, model: FittedTree, gone: Sequence[Evidence]) -> FittedTree:
         less, others = gone[0].less, [e.candidate for e in gone[1:]]

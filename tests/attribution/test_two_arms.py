@@ -2,8 +2,11 @@
 moving body.
 """
 
+from types import SimpleNamespace
+
 import pytest
 
+from adaptsim_jax.attribution.candidates import JointCandidate, adjacent
 from adaptsim_jax.attribution.diagnose import diagnose
 from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.equation.confirmed import without_bodies
@@ -29,9 +32,20 @@ ARMS = f"""<mujoco><compiler angle="radian"/><option timestep="{STEP}"/><worldbo
 {ONE.format(at=0.3, side="right")}</worldbody><actuator>{SERVOS}</actuator></mujoco>"""  # noqa: E501
 
 
+@pytest.mark.parametrize(
+    ("joints", "others", "near"),
+    [((1,), (0,), True), ((3,), (3,), True), ((1,), (2,), False), ((0, 1), (3,), False)],
+)
+def test_neighbours_are_joints_of_one_arm(joints, others, near):
+    problem = SimpleNamespace(parents=(-1, 0, -1, 2))
+    one, other = (JointCandidate("coulomb", j, "joint", ()) for j in (joints, others))
+    assert adjacent(problem, one, other) is near and adjacent(problem, other, one) is near
+
+
 def test_a_simulators_steps_are_no_effect_of_either_arm(tmp_path):
     machine = load(servo_log(tmp_path / "log", ARMS, ARMS, 4), None)
     problem = machine.problem(MACHINE)
+    assert problem.parents == (-1, 0, -1, 2)
     null = without_bodies(declared_vector(machine, problem))
     reach = scaled_reach(problem, *own_inertia(problem, null))
     found = search_balances(

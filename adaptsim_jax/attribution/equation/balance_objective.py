@@ -336,7 +336,7 @@ class BalanceObjective(Objective):
         near = [
             k
             for k in self.open_candidates(less.added)
-            if any(adjacent(k, c) or k.effect == c.effect == INERTIA for c in gone)
+            if any(adjacent(state.problem, k, c) or k.effect == c.effect == INERTIA for c in gone)
         ]
         others = [k for k in near if (k.effect in names) != bool(joints & set(k.joints))]
         others = [k for k in others if not state.problem.effect(k.effect).describes]

@@ -194,7 +194,7 @@ class SimulatedNames(Objective):
         return [replace(e, harmed=tuple(worse)) if e.candidate is weakest else e for e in rows]
 
     def adjacent(self, candidate: JointCandidate, other: JointCandidate) -> bool:
-        return adjacent(candidate, other)
+        return adjacent(self.problem, candidate, other)
 
     def without(self, model: NamedModel, gone: Sequence[Evidence]) -> NamedModel:
         return gone[0].less if len(gone) == 1 else self.less(model, [e.candidate for e in gone])
