@@ -27,7 +27,9 @@ from tests.attribution.test_filed import STEP, arm_log, searched
 
 LIMITS = TorqueCriteria()
 BLOCKS = np.arange(20)
-PROBLEM = SimpleNamespace(effect=lambda name: effect_named(name, MACHINE), offers=lambda name: True)
+PROBLEM = SimpleNamespace(
+    effect=lambda name: effect_named(name, MACHINE), offers=lambda name: True, parents=(-1,)
+)
 
 
 def one(effect, name="level", low=0.0, shape=()):

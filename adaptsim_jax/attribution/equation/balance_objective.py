@@ -68,7 +68,7 @@ class BalanceEvidence(Evidence):
 
     @property
     def at_bound(self) -> bool:
-        return at_bound(self.whole, self.candidate)
+        return at_bound(self.whole, self.candidate, self.state.criteria.bound)
 
     @property
     def read_so(self) -> bool:
@@ -158,7 +158,7 @@ def steadiness(whole: Solved, c: JointCandidate) -> float:
     return float(np.sqrt(np.mean(np.square(whole.step[at] / np.maximum(whole.error[at], 1e-300)))))
 
 
-def at_bound(whole: Solved, c: JointCandidate, share: float = Criteria.bound) -> bool:
+def at_bound(whole: Solved, c: JointCandidate, share: float) -> bool:
     entries = [(whole.entries[i], whole.step[i]) for i in _numbers(whole, c)]
     return any(e.at_bound(e.start + step, share) for e, step in entries)
 
@@ -345,7 +345,7 @@ class BalanceObjective(Objective):
             k = state.settled(less.added, k)
             other = self.model([*less.added, k], less.asked)
             test = self._test(other.whole, whole, (*gone, k))
-            passed = test.gain < gap and not at_bound(other.whole, k)
+            passed = test.gain < gap and not at_bound(other.whole, k, state.criteria.bound)
             yield FittedCandidate(k, other, test, passed)
 
     def open_candidates(self, added: Sequence[JointCandidate]) -> list[JointCandidate]:
