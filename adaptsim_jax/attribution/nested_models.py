@@ -216,9 +216,15 @@ class SimulatedEvidence(Evidence):
 
     @property
     def best_joint(self) -> tuple[float, float]:
-        criteria = self.criteria
-        minimum = criteria.described if self.effect.describes else criteria.worth
+        minimum = least_worth(self.effect, self.criteria)
         return worth(self.problem, self.less, self.model), minimum
+
+
+def least_worth(effect: Effect, criteria: Criteria) -> float:
+    """What an effect must take off the squared error of some joint: a form, which fits many, more
+    than a law.
+    """
+    return criteria.described if effect.describes else criteria.worth
 
 
 def worth(problem: TreeProblem, less: FittedTree, model: FittedTree) -> float:

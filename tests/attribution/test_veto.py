@@ -14,7 +14,7 @@ from adaptsim_jax.attribution.equation import confirmed
 from adaptsim_jax.attribution.equation.balance_objective import BalanceEvidence, read_so
 from adaptsim_jax.attribution.equation.confirmed import harmed, informative_joints
 from adaptsim_jax.attribution.fitted import most_over_floor
-from adaptsim_jax.attribution.nested_models import SimulatedEvidence
+from adaptsim_jax.attribution.nested_models import SimulatedEvidence, least_worth
 from adaptsim_jax.attribution.parameters import Entry
 from adaptsim_jax.attribution.problem import passing
 from adaptsim_jax.attribution.stretches import JointTrack
@@ -22,6 +22,8 @@ from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Named
 from adaptsim_jax.diagnosis.rules import refusal
 from adaptsim_jax.diagnosis.testing import Test as Paired
+from adaptsim_jax.effects.joints.catalogue import MACHINE
+from adaptsim_jax.effects.registry import effect_named
 
 TRIALS, EACH = 6, 10  # stretches of each
 DT = 0.01  # s
@@ -71,6 +73,11 @@ def test_a_joint_that_is_simulated_worse_with_a_name_has_a_veto_where_it_tells_a
     assert worse(0.006, 0.004, 0.08) == [0]  # a ruler that tells nothing has no say
     assert worse(0.00406, 0.003, 0.04) == []  # right names leave up to 1.5 % more
     assert harmed(problem(), null, less, model(0.006, 0.004, 0.04), [1], Criteria()) == []
+
+
+@pytest.mark.parametrize(("effect", "least"), [("coulomb", 0.1), ("angle_torque", 0.5)])
+def test_a_form_must_do_more_than_a_law_whoever_judges(effect, least):
+    assert least_worth(effect_named(effect, MACHINE), Criteria()) == least
 
 
 def test_a_limit_leaves_half_of_the_rows_and_a_dead_zone_three_quarters():

@@ -20,7 +20,7 @@ from adaptsim_jax.attribution.equation.models import GroupSearch, TorqueSearch, 
 from adaptsim_jax.attribution.fitted import FittedTree, held_error, over_floor
 from adaptsim_jax.attribution.forecast import without_a_model
 from adaptsim_jax.attribution.held_out import paired
-from adaptsim_jax.attribution.nested_models import eased, worth
+from adaptsim_jax.attribution.nested_models import eased, least_worth, worth
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.paths import losses
 from adaptsim_jax.attribution.problem import TreeProblem
@@ -117,7 +117,9 @@ class SimulatedName(Evidence):
     def best_joint(self) -> tuple[float, float] | None:
         if not self.near:
             return None
-        return worth(self.problem, self.less.whole, self.model.whole), self.criteria.worth
+        effect = self.problem.effect(self.candidate.effect)
+        gain = worth(self.problem, self.less.whole, self.model.whole)
+        return gain, least_worth(effect, self.criteria)
 
 
 @dataclass(frozen=True)
