@@ -76,6 +76,8 @@ def rules() -> str:
         "or unresolved for a name. Both go, unless the objective leaves them in the model without "
         "a name. A rule that "
         "does not apply to a search, a machine or an effect is not asked.\n\n"
+        "[Every decision of the search](decisions.md), and where it is taken, has a page of its "
+        "own.\n\n"
         f"{table()}\n## Other steps\n\n| code | words |\n| --- | --- |\n{steps}\n"
     )
 

@@ -54,6 +54,15 @@ def test_the_reference_holds_every_effect():
     )  # a bar in code is no border, and needs no backslash, which would be seen
 
 
+def test_every_decision_of_the_search_is_where_the_page_says():
+    text = (DOCS / "explanation" / "decisions.md").read_text()
+    places = re.findall(r"`([\w/]+\.py)` `([\w.]+)`", text)
+    assert len(places) > 100
+    for path, name in places:
+        source = (ROOT / "adaptsim_jax" / path).read_text()
+        assert re.search(rf"\b{name.rpartition('.')[2]}\b", source), (path, name)
+
+
 def test_results_are_short():
     for page in (DOCS / "results").glob("*.md"):
         assert len(page.read_text().splitlines()) <= 150, page
