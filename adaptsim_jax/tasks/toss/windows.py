@@ -91,7 +91,8 @@ def cut(tossed: Tossed, length: float = LENGTH) -> Windows:
             if len(near):
                 edges.append(int(near[np.argmin(smooth[near])]))
         spans += [(t, a, b) for a, b in itertools.pairwise([*edges, stop]) if b - a >= MIN_ROWS]
-    if idle := [name for t, name in enumerate(tossed.names) if t not in {s[0] for s in spans}]:
+    moving = {span[0] for span in spans}
+    if idle := [name for t, name in enumerate(tossed.names) if t not in moving]:
         raise BadInput(
             f"toss {idle[0]}: the body moves in fewer than {MIN_ROWS} rows; leave it out "
             f"(--without {' '.join(idle)})"

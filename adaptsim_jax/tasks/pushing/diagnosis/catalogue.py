@@ -224,5 +224,5 @@ def grain(a: float, b: float) -> tuple[float, float]:
     """
     size = min(math.hypot(a, b), 0.999)
     ratio = math.sqrt((1 + size) / (1 - size))
-    turn = 0.5 * math.atan2(b, a) + math.pi / 2 + math.pi / 2
-    return ratio, turn % math.pi - math.pi / 2
+    along = 0.5 * math.atan2(b, a) + math.pi / 2
+    return ratio, (along + math.pi / 2) % math.pi - math.pi / 2
