@@ -20,7 +20,7 @@ from adaptsim_jax.attribution.conventions import (
 from adaptsim_jax.attribution.criteria import CHOICE
 from adaptsim_jax.attribution.equation.commands import Servo
 from adaptsim_jax.attribution.examine import examined
-from adaptsim_jax.attribution.inquiry import Examined, Keep, Progress
+from adaptsim_jax.attribution.inquiry import Examined, Keep
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.measures import WHOLE
@@ -50,6 +50,7 @@ from adaptsim_jax.attribution.servo import (
     with_gains,
 )
 from adaptsim_jax.core.files import output_folder
+from adaptsim_jax.core.progress import Note, Report, notes_of
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.recommended import WHOLE_TRIALS
 from adaptsim_jax.diagnosis.run import Page, Run, command_of
@@ -72,7 +73,7 @@ def diagnose(
     horizon: float = HORIZON,
     exclude: tuple[str, ...] = (),
     without: tuple[str, ...] = (),
-    progress: Progress | None = None,
+    progress: Report | None = None,
     page: Page | None = None,
     as_declared: bool = False,
     effects: Sequence[Effect] | None = None,
@@ -93,10 +94,10 @@ def diagnose(
     """
     began = time.monotonic()
     setting = DiagnosisSetting(criteria or Criteria(), horizon, tuple(exclude), effects, yardstick)
-    notify = progress or (lambda done, total, note: None)
-    notify(0.02, 1.0, "reading")
+    notify = notes_of(progress)
+    notify("reading")
     declared = load(data, model).without(without)
-    notify(0.03, 1.0, "conventions")
+    notify("conventions")
     warned = () if as_declared else check_conventions(declared)
     if yardstick == WHOLE:
         span = 0.98 * min(float(t.time[-1] - t.time[0]) for t in declared.tracks)
@@ -126,7 +127,7 @@ def diagnose(
 
 
 def _with_own_gains(
-    declared: Machine, setting: "DiagnosisSetting", notify: Progress, keep: Keep | None
+    declared: Machine, setting: "DiagnosisSetting", notify: Note, keep: Keep | None
 ) -> tuple[Machine, tuple[Servo, ...], Examined]:
     """The machine with the kp that its motion shows, the servos with another than the file's, and
     what was found of it. A joint whose fit comes back to the file's kp keeps that.
@@ -137,7 +138,7 @@ def _with_own_gains(
         stays = still_off(machine, off, found.found.final.fit.vector)
         if len(stays) == len(off):
             return machine, off, found
-        notify(0.05, 1.0, "again with the gains of the file, to which the fit came back")
+        notify("again with the gains of the file, to which the fit came back")
         machine, off = with_gains(declared, stays), stays
 
 
@@ -146,7 +147,7 @@ def _examined_with(
     off: tuple[Servo, ...],
     declared: Machine,
     setting: "DiagnosisSetting",
-    notify: Progress,
+    notify: Note,
     keep: Keep | None,
 ) -> Examined:
     if not off:

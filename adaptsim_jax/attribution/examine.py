@@ -24,7 +24,7 @@ from adaptsim_jax.attribution.equation.rubbing import rubbing
 from adaptsim_jax.attribution.estimate import fit
 from adaptsim_jax.attribution.fitted import FittedTree, Hint, Selection, over_floor
 from adaptsim_jax.attribution.held_out import modelled
-from adaptsim_jax.attribution.inquiry import Examined, Inquiry, Keep, Progress, with_null
+from adaptsim_jax.attribution.inquiry import Examined, Inquiry, Keep, with_null
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.measures import (
     STRETCHES,
@@ -50,6 +50,7 @@ from adaptsim_jax.attribution.tree_objective import (
     select_shorter,
 )
 from adaptsim_jax.attribution.tree_objective import declared as fitted_null
+from adaptsim_jax.core.progress import Note, no_notes
 from adaptsim_jax.diagnosis.finding import Named
 from adaptsim_jax.diagnosis.search import backward_elimination
 from adaptsim_jax.effects.base import Reach
@@ -293,14 +294,14 @@ def examined(
     machine: Machine,
     setting: DiagnosisSetting | None = None,
     beginning: Beginning | None = None,
-    notify: Progress = lambda done, total, note: None,
+    notify: Note = no_notes,
     keep: Keep | None = None,
 ) -> Examined:
     """What was found of a machine. keep: called with what a search has found so far."""
     setting, beginning = setting or DiagnosisSetting(), beginning or Beginning()
     chosen, at_joints = catalogue_of(machine, setting)
     problem = replace(posed(machine, chosen, setting.horizon), excluded=at_joints)
-    notify(0.05, 1.0, "declared model")
+    notify("declared model")
     null = beginning.narrow(declared_vector(machine, problem))
     inquiry = Inquiry(
         machine,
@@ -308,7 +309,7 @@ def examined(
         null,
         setting.criteria,
         setting.horizon,
-        lambda note: notify(0.0, np.inf, note),  # how many follow, nobody knows
+        notify,
         asked=setting.objective,
         factor=factor_of(machine.log.meta) if setting.torques else None,
         hint=beginning.first(problem, null) if beginning.first else None,

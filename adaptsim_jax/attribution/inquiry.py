@@ -95,8 +95,5 @@ def with_null(e: Examined, null: FittedTree) -> Examined:
     return replace(e, found=replace(e.found, null=null), before=before)
 
 
-Progress = Callable[[float, float, str], None]
-
-
 Keep = Callable[[Inquiry, Selection], None]
 """Called with what is examined and what a search has found so far."""

@@ -15,7 +15,7 @@ import numpy as np
 from adaptsim_jax.attribution.account import reported, write_so_far
 from adaptsim_jax.attribution.criteria import STRETCH
 from adaptsim_jax.attribution.examine import examined
-from adaptsim_jax.attribution.inquiry import Examined, Progress
+from adaptsim_jax.attribution.inquiry import Examined
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.measures import STRETCHES
 from adaptsim_jax.attribution.mend import mjcf_files
@@ -37,6 +37,7 @@ from adaptsim_jax.attribution.pendulum import (
 from adaptsim_jax.attribution.posed import Beginning, DiagnosisSetting
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import output_folder
+from adaptsim_jax.core.progress import Note, Report, notes_of
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.run import Page, Run, command_of
 from adaptsim_jax.diagnosis.schema import new_report, with_effects
@@ -80,7 +81,7 @@ def diagnose_pendulum(
     exclude: Sequence[str] = (),
     without: Sequence[str] = (),
     criteria: Criteria | None = None,
-    progress: Progress | None = None,
+    progress: Report | None = None,
     page: Page | None = None,
     as_declared: bool = False,
     effects: Sequence[Effect] | None = None,
@@ -106,8 +107,8 @@ def diagnose_pendulum(
         contradict what is declared of them.
     """
     began = time.monotonic()
-    notify = progress or (lambda done, total, note: None)
-    notify(0.02, 1.0, "reading")
+    notify = notes_of(progress)
+    notify("reading")
     log = data if isinstance(data, Log) else read_pendulum(data, without=without)
     log = log.without([name for name in without if name in {t.name for t in log.trials}])
     rig, checked = rig_of(log), audit(log)
@@ -137,7 +138,7 @@ def _searched(
     log: Log,
     checked: Audit,
     setting: DiagnosisSetting,
-    notify: Progress,
+    notify: Note,
     reward: Reward | None,
     run: Run,
     output: Output,

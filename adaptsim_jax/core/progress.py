@@ -12,12 +12,16 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from typing import Any, TextIO
 
 Report = Callable[..., None]
 """`report(done, total, note="")`: `done` of `total` are done, `math.inf` where nobody knows how
 much follows; `note` is a few words such as 'reward 0.93'.
 """
+
+Note = Callable[[str], None]
+"""`note(words)` says what a search does now."""
 
 Parts = Callable[..., None]
 """`report(part, done, total, note="")`: `done` of `total` of the part are done; 0 when it begins,
@@ -31,6 +35,15 @@ PART_LINE_EVERY = 20.0  # s between plain lines of one part
 
 def silent(done: float, total: float, note: str = "") -> None:
     """A `Report` that says nothing."""
+
+
+def notes_of(report: Report | None) -> Note:
+    """`note(words)` for work of which nobody knows how much follows."""
+    return partial(report or silent, 0.0, math.inf)
+
+
+def no_notes(note: str) -> None:
+    """A `Note` that says nothing."""
 
 
 def silent_parts(part: str, done: float, total: float, note: str = "") -> None:

@@ -2,7 +2,7 @@
 errors by trial, tracks for its page.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -51,22 +51,6 @@ class Recorded:
         """The rows that errors are taken over `[T, R, C]`."""
         rows = self.mask if self.judged is None else self.judged
         return np.broadcast_to(rows if rows.ndim > 2 else rows[..., None], self.places.shape)
-
-
-def stepping(
-    progress: Callable[[float, float, str], None] | None, done: float
-) -> Callable[[str], None]:
-    """`step(note)` of a search whose length is not known: each takes a twentieth of what is left,
-    from `done` on.
-    """
-
-    def step(note: str) -> None:
-        nonlocal done
-        done += 0.05 * (1.0 - done)
-        if progress is not None:
-            progress(done, 1.0, note)
-
-    return step
 
 
 def check_exclude(

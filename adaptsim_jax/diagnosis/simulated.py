@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.core.files import output_folder
+from adaptsim_jax.core.progress import notes_of
 from adaptsim_jax.diagnosis import rows
 from adaptsim_jax.diagnosis.criteria import REPORT, Criteria
 from adaptsim_jax.diagnosis.experiment import discriminating, power_rows
@@ -72,7 +73,7 @@ def diagnose_simulator(
     criteria = criteria or Criteria()
     retained = rows.check_exclude(tuple(exclude), simulator.candidates, "simulator")
     folder = None if out is None else cleared(output_folder(out))
-    step = rows.stepping(progress, 0.02)
+    step = notes_of(progress)
     step("starts")
     problem = problem_of(simulator, retained)
     found = search_trials(problem, criteria, step, keep=keeping(folder, "simulator", name, problem))

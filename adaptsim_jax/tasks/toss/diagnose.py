@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from adaptsim_jax.core.progress import notes_of
 from adaptsim_jax.diagnosis import rows as parts
 from adaptsim_jax.diagnosis.criteria import REPORT, Criteria
 from adaptsim_jax.diagnosis.experiment import separated_by
@@ -60,11 +61,11 @@ def assess(
     folder: Path | None,
 ):
     """See `trial_diagnosis.Diagnose`."""
-    if progress is not None:
-        progress(0.01, 1.0, "starts of the windows")
+    notify = notes_of(progress)
+    notify("starts of the windows")
     problem, follow = prepare(tossed, considered)
     keep = keeping(folder, "toss", _model(tossed), problem, LOGS)
-    found = search_trials(problem, criteria, parts.stepping(progress, 0.05), keep=keep)
+    found = search_trials(problem, criteria, notify, keep=keep)
     report, evidence = reported(tossed, problem, follow, found, criteria)
     values = fitted(problem, found.final)
     xml = {XML: lambda: mended_xml(tossed.body, values, not_in_file(found, values))}

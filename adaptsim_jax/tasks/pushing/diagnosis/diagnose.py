@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.diagnosis import rows
+from adaptsim_jax.core.progress import notes_of
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Finding
 from adaptsim_jax.diagnosis.fit import fitted
@@ -53,7 +53,7 @@ def assess(pushed: Pushed, effects, criteria: Criteria, progress, folder: Path |
     found = search_trials(
         problem,
         criteria,
-        rows.stepping(progress, 0.05),
+        notes_of(progress),
         keep=keeping(folder, "pushing", MODEL, problem),
     )
     turns = {"yaw": ("rad", p.noise_yaw)} if p.yaw is not None else {}

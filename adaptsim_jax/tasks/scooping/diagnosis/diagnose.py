@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.diagnosis import rows
+from adaptsim_jax.core.progress import notes_of
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.written import keeping
 from adaptsim_jax.mend.model_toml import Form, Value
@@ -36,7 +36,7 @@ MODEL = "the hydroelastic scoop"
 def assess(scooped: Scooped, effects, criteria: Criteria, progress, folder: Path | None):
     """See `trial_diagnosis.Diagnose`."""
     s, keep = scooped, partial(keeping, folder, "scooping", MODEL)
-    found = diagnosed(scooped, effects, criteria, rows.stepping(progress, 0.02), keep)
+    found = diagnosed(scooped, effects, criteria, notes_of(progress), keep)
     known = np.any(found.scale > 0, -1) * 1.0
     observed = observed_rows(s, KIND, known)
     side = (0, 2) if len(s.channels) > 2 else (0, 1)
