@@ -4,6 +4,7 @@ what to run next.
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -96,8 +97,8 @@ def reported(
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """The report, and the arrays behind its page."""
     s = simulator.stretches
-    worst = max(rows.over_floor(found.final), rows.left_by_fit(problem, found.final))
-    both = {"before": found.null, "after": found.final}
+    both = {"before": unweighted(problem, found.null), "after": unweighted(problem, found.final)}
+    worst = max(rows.over_floor(both["after"]), rows.left_by_fit(problem, found.final))
     tracks = {k: predictions(simulator, problem, m) for k, m in both.items()}
     notes = getattr(simulator, "notes", lambda values: [])
     data = {
@@ -130,6 +131,16 @@ def reported(
     report = report_of(found, account)
     check_skill(report, criteria)
     return report, {"audit": [], "held_out": _held_out(simulator, tracks, bool(found.named))}
+
+
+def unweighted(problem: Problem, model: Model) -> Model:
+    """The model with left-out errors as they are. Weights serve the fit alone: what needs no model
+    is compared without them.
+    """
+    if problem.weight is None:
+        return model
+    held = model.fit.held / np.square(problem.weight)
+    return replace(model, fit=replace(model.fit, held=held))
 
 
 def by_name(problem: Problem, model: Model) -> dict[str, float]:

@@ -16,9 +16,10 @@ from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.fit import completed, jacobian
 from adaptsim_jax.diagnosis.rows import check_exclude
 from adaptsim_jax.diagnosis.schema import read_report
-from adaptsim_jax.diagnosis.simulated import check_skill
+from adaptsim_jax.diagnosis.simulated import check_skill, unweighted
 from adaptsim_jax.diagnosis.simulator import SIMULATORS, simulator_named
 from adaptsim_jax.diagnosis.starts import problem_of, settle
+from adaptsim_jax.diagnosis.trials import search_trials
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "coupled_tanks.py"
 TANKS = runpy.run_path(str(EXAMPLE))
@@ -83,6 +84,14 @@ def test_names_need_a_model_better_than_a_straight_line(after, named):
     report |= {"not_established": [], "candidates": []}
     check_skill(report, Criteria())
     assert bool(report["effects"]) is named
+
+
+def test_a_stretch_far_off_counts_whole_in_what_is_reported():
+    """A weight of a half had taken its squared error to a quarter."""
+    problem = problem_of(recorded({"leak": 0.004}, seed=3))
+    model = search_trials(problem, Criteria()).final
+    halved = replace(problem, weight=np.full(len(model.fit.held), 0.5))
+    assert unweighted(halved, model).fit.held == pytest.approx(4.0 * model.fit.held)
 
 
 def test_few_trials_are_left_out_by_blocks():
