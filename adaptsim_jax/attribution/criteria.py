@@ -48,14 +48,13 @@ class RangeCriteria:
 
 @dataclass(frozen=True)
 class PriorCriteria:
-    """What is assumed before data (`diagnose.py`, `parameters.py`, `servo.py`)."""
+    """What is assumed before data (`diagnose.py`, `parameters.py`)."""
 
     # standard deviation of a drive's gain, as a share, about the one that weight and inertia gave
     estimated_gain: float = 0.1
     # of a joint's inertia, at least, that damping by another speed leaves it: it would not be
     # positive
     min_inertia: float = 0.5
-    servo_gain: float = 0.5  # standard deviation of what is left of a servo's gain, as a share
     inertia: float = 0.3  # standard deviation of a coordinate of a body's inertial parameters (1)
     # times, within which a body's mass and moments are taken to be those of the file
     body_factor: float = 3.0
@@ -148,19 +147,10 @@ class BalanceCriteria:
 
 @dataclass(frozen=True)
 class ServoCriteria:
-    """Gains of servos that command errors show (`equation/commands.py`, `servo.py`)."""
+    """Drives and joints that do not follow (`equation/commands.py`, `sentences.py`)."""
 
-    # standard errors of 1/kp, from which on it counts, and of its distance from the file's
-    significant: float = 2.5
-    drive_significant: float = 6.0  # the same of a drive's gain, on which all else depends
-    level: float = 0.01  # of the paired test of a servo's gains over left-out blocks
+    drive_significant: float = 6.0  # standard errors of a drive's gain, on which all else depends
     stuck: float = 0.1  # of its command's motion, below which a joint does not follow it
-    # by which a gain must differ from the file's before the file's is not taken
-    gain_factor: float = 2.0
-    # of the command errors, that the file's gains must leave at least: the search explains less
-    missed: float = 0.1
-    # of what the file's gains leave of the command errors, that others must leave at most
-    better: float = 0.7
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from adaptsim_jax.attribution import model_toml
+from adaptsim_jax.attribution import closed_loop, model_toml
 from adaptsim_jax.attribution.account import reported, write_so_far
 from adaptsim_jax.attribution.conventions import (
     channels,
@@ -18,9 +18,8 @@ from adaptsim_jax.attribution.conventions import (
     mechanism_trials,
 )
 from adaptsim_jax.attribution.criteria import CHOICE
-from adaptsim_jax.attribution.equation.commands import Servo
 from adaptsim_jax.attribution.examine import examined
-from adaptsim_jax.attribution.inquiry import Examined, Keep
+from adaptsim_jax.attribution.inquiry import Examined
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.measures import WHOLE
@@ -29,32 +28,15 @@ from adaptsim_jax.attribution.mend import (
     gains,
     lost,
     mjcf_files,
-    servos,
 )
 from adaptsim_jax.attribution.physical_inertias import named_by, otherwise
-from adaptsim_jax.attribution.posed import (
-    Beginning,
-    DiagnosisSetting,
-    scaled,
-)
+from adaptsim_jax.attribution.posed import DiagnosisSetting, scaled
 from adaptsim_jax.attribution.replay import follows, recommended
-from adaptsim_jax.attribution.servo import (
-    calibrated,
-    damped_by_file,
-    friction_first,
-    servo_entries,
-    servo_notes,
-    servo_rows,
-    span_of,
-    still_off,
-    with_gains,
-)
 from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.core.progress import Note, Report, notes_of
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.recommended import WHOLE_TRIALS
 from adaptsim_jax.diagnosis.run import Page, Run, command_of
-from adaptsim_jax.diagnosis.schema import with_effects
 from adaptsim_jax.diagnosis.written import Output, cleared, finished
 from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.logs.quality.findings import AuditFinding
@@ -105,10 +87,6 @@ def diagnose(
     declared = scaled(declared, setting.horizon)
     folder = None if out is None else cleared(output_folder(out))
     keep = None if folder is None else partial(write_so_far, folder)
-    machine, off, found = _with_own_gains(declared, setting, notify, keep)
-    report, evidence = reported(found)
-    _of_the_file(report, machine, declared, off, found)
-    _of_the_signals(report, evidence, machine, warned)
     command = command_of(
         data,
         out=out,
@@ -118,64 +96,40 @@ def diagnose(
         as_declared=as_declared,
         yardstick=yardstick,
         horizon=None if horizon == HORIZON else horizon,
-        simulator=_simulator_asked(machine),
+        simulator=_simulator_asked(declared),
     )
     run = Run(command, began)
-    files = _files(report, machine, found, {"data": str(data), **run.as_dict()})
-    verify = None if folder is None else verifier(data, model, folder, declared, without)
+    made = {"data": str(data), **run.as_dict()}
+    if servos := _in_closed_loop(declared, setting, notify):
+        report, evidence = closed_loop.reported(servos, setting.criteria)
+        files, verify = closed_loop.files(servos, made), closed_loop.verifier(servos)
+    else:
+        found = examined(declared, setting, notify=notify, keep=keep)
+        report, evidence = reported(found)
+        _of_the_file(report, declared, found)
+        files = _files(report, declared, found, made)
+        verify = None if folder is None else verifier(data, model, folder, declared, without)
+    _of_the_signals(report, evidence, declared, warned)
     return finished(report, evidence, run, Output(folder, page, files, verify))
 
 
-def _with_own_gains(
-    declared: Machine, setting: "DiagnosisSetting", notify: Note, keep: Keep | None
-) -> tuple[Machine, tuple[Servo, ...], Examined]:
-    """The machine with the kp that its motion shows, the servos with another than the file's, and
-    what was found of it. A joint whose fit comes back to the file's kp keeps that.
-    """
-    machine, off = calibrated(declared, setting.horizon)
-    while True:
-        found = _examined_with(machine, off, declared, setting, notify, keep)
-        stays = still_off(machine, off, found.found.final.fit.vector)
-        if len(stays) == len(off):
-            return machine, off, found
-        notify("again with the gains of the file, to which the fit came back")
-        machine, off = with_gains(declared, stays), stays
-
-
-def _examined_with(
-    machine: Machine,
-    off: tuple[Servo, ...],
-    declared: Machine,
-    setting: "DiagnosisSetting",
-    notify: Note,
-    keep: Keep | None,
-) -> Examined:
-    if not off:
-        return examined(machine, setting, Beginning(), notify, keep)
-    if setting.objective is None:
-        setting = replace(setting, horizon=span_of(machine, off, setting.horizon))
-    beginning = Beginning(
-        lambda vector: vector.with_entries(servo_entries(off)),
-        lambda problem, null: friction_first(problem, null, off),
-        declared,
-    )
-    return examined(machine, setting, beginning, notify, keep)
+def _in_closed_loop(
+    machine: Machine, setting: DiagnosisSetting, notify: Note
+) -> closed_loop.ServoDiagnosis | None:
+    """What the closed loop of a machine's servos shows, where nothing else was asked for."""
+    if setting.objective not in (None, WHOLE) or setting.effects is not None or setting.exclude:
+        return None
+    return closed_loop.diagnosed(machine, setting.criteria, notify)
 
 
 def _of_the_file(
     report: dict[str, Any],
     machine: Machine,
-    declared: Machine,
-    off: tuple[Servo, ...],
     e: Examined,
 ) -> None:
     """Put into a report how the machine differs from its model file, in place."""
-    damped_by_file(report["declared"]["after"], declared, off)
     unlike = otherwise(report["declared"]["after"])
     report["notes"] += [*unlike, *gain_notes(machine), *lost(machine, e.problem, e.found)]
-    report["notes"] += servo_notes(machine, declared, off)
-    final = e.found.final
-    with_rows(report, servo_rows(machine, declared, off, final.fit.vector, final.spread))
     if unlike and report["verdict"] == "within_noise":
         report["unlike_file"] = unlike[0]
         report["message"] = f"{report['message']} {unlike[0]} {named_by(unlike[0])}"
@@ -210,7 +164,7 @@ def _files(
 
     def text():
         final = e.found.final
-        return model_toml.text_of(e.problem, final, summary, gains(machine), servos(machine))
+        return model_toml.text_of(e.problem, final, summary, gains(machine))
 
     return {MODEL_FILE: text, **mjcf_files(e)}
 
@@ -231,13 +185,3 @@ def verifier(
     if declared.gain_unknown:  # the file's motors say nothing of a voltage or a current
         model = folder / model_toml.DECLARED
     return recommended(data, model, "tree", spans, without)
-
-
-def with_rows(report: dict[str, Any], rows: Sequence[dict[str, Any]]) -> None:
-    """Put what had to be found before the search among the effects of a report, in place."""
-    if rows:
-        with_effects(report, [*rows, *report["effects"]])
-        sizes = [(row["where"], row["parameters"]["kp"]) for row in rows]
-        where = ", ".join(f"{joint} {kp['value']:.3g} {kp['unit']}" for joint, kp in sizes)
-        rest = report["message"].replace("Nothing need be added", "Nothing more need be added")
-        report["message"] = f"kp is not the file's: {where}. {rest}"

@@ -2,7 +2,7 @@
 simulated stretches, each checked by the other.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -35,7 +35,6 @@ from adaptsim_jax.attribution.measures import (
 )
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.posed import (
-    Beginning,
     DiagnosisSetting,
     catalogue_of,
     declared_vector,
@@ -49,7 +48,6 @@ from adaptsim_jax.attribution.tree_objective import (
     select,
     select_shorter,
 )
-from adaptsim_jax.attribution.tree_objective import declared as fitted_null
 from adaptsim_jax.core.progress import Note, no_notes
 from adaptsim_jax.diagnosis.finding import Named
 from adaptsim_jax.diagnosis.search import backward_elimination
@@ -92,7 +90,7 @@ def examine(inquiry: Inquiry) -> Examined:
     Command errors count with what they name, since a late command hides all else of them.
     """
     q, balanced = inquiry, ()
-    if q.factor is not None and informative(q.machine):
+    if q.factor is not None:
         balanced = balances(q.problem, q.machine.tracks)
     if not balanced:
         return _by_stretches(q, _why_stretches(q))
@@ -264,13 +262,6 @@ def _polished(q: Inquiry, found: Selection, reach: Reach) -> Selection:
     return replace(found, final=selected, named=named, trace=tuple(trace))
 
 
-def informative(machine: Machine) -> bool:
-    """Whether the torque along the motion is known, up to a gain: that of a servo by its command
-    error, where its gains are the file's.
-    """
-    return not machine.servo_times
-
-
 def by_simulation(q: Inquiry) -> Selection:
     """The search by simulated stretches, over their beginnings where the whole names nothing and
     far more than noise is left.
@@ -293,16 +284,18 @@ _SHOWN = {True: "the command error", False: "the torque along the motion"}
 def examined(
     machine: Machine,
     setting: DiagnosisSetting | None = None,
-    beginning: Beginning | None = None,
+    narrow: Callable[[Vector], Vector] = lambda vector: vector,
     notify: Note = no_notes,
     keep: Keep | None = None,
 ) -> Examined:
-    """What was found of a machine. keep: called with what a search has found so far."""
-    setting, beginning = setting or DiagnosisSetting(), beginning or Beginning()
+    """What was found of a machine. narrow: what stays of the vector that is fitted whatever is
+    named; keep: called with what a search has found so far.
+    """
+    setting = setting or DiagnosisSetting()
     chosen, at_joints = catalogue_of(machine, setting)
     problem = replace(posed(machine, chosen, setting.horizon), excluded=at_joints)
     notify("declared model")
-    null = beginning.narrow(declared_vector(machine, problem))
+    null = narrow(declared_vector(machine, problem))
     inquiry = Inquiry(
         machine,
         problem,
@@ -312,15 +305,10 @@ def examined(
         notify,
         asked=setting.objective,
         factor=factor_of(machine.log.meta) if setting.torques else None,
-        hint=beginning.first(problem, null) if beginning.first else None,
     )
     if keep is not None:
         inquiry = replace(inquiry, keep=partial(keep, inquiry))
     found = examine(inquiry)
-    if beginning.by_file is not None:
-        before = posed(beginning.by_file, chosen, setting.horizon)
-        vector = declared_vector(beginning.by_file, before)
-        return with_null(found, fitted_null(before, vector, setting.criteria))
     if not found.found.named:
         # how rows are read is no mend: the declared model is what it is with it
         return with_null(found, found.found.final)

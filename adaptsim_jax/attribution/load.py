@@ -59,7 +59,7 @@ def _joined(data: str | Path, model: str | Path | None) -> Machine:
             f"{log.path}: the base moves, which a tree of joints has not; simulate it by MuJoCo "
             "(adaptsim replay, --fit), or ignore base_x .. base_qz where it stood still"
         )
-    made = machine(*joined(source, log))
+    made = replace(machine(*joined(source, log)), source=source)
     if turns_of_balls(source, log):
         contact = ""
     else:

@@ -12,6 +12,7 @@ from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.effects.joints.actuator import ACTUATOR_LAG, DELAY
 from adaptsim_jax.logs.log import Log, check_left_out
 from adaptsim_jax.mechanisms.mjcf import Mechanism
+from adaptsim_jax.mechanisms.spec import Source
 from adaptsim_jax.mechanisms.transmission import Actuator
 from adaptsim_jax.mechanisms.tree import Tree
 
@@ -40,10 +41,8 @@ class Machine:
     ties: np.ndarray | None = None
     beyond: tuple[str, ...] = ()
     gain_estimated: bool = False  # whether weight and inertia of the file's bodies gave it
-    servo_times: dict[int, float] = field(
-        default_factory=dict
-    )  # of kp in the file, by joint, where it had to be found
     gives: bool = False  # whether dry friction gives as the file has it (`equation/rubbing.py`)
+    source: Source | None = None  # the model file, where MuJoCo steps it as well
 
     @property
     def notes(self) -> tuple[str, ...]:

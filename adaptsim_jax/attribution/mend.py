@@ -157,11 +157,6 @@ def gains(machine: Machine) -> dict[str, float]:
     return {names[j]: float(machine.actuator[0, j]) for j in driven}
 
 
-def servos(machine: Machine) -> dict[str, float]:
-    """Factors on the file's kp by joint, where they had to be found."""
-    return {machine.tree.joint_names[j]: times for j, times in machine.servo_times.items()}
-
-
 def gain_notes(machine: Machine) -> list[str]:
     """A note on torque over input, where that had to be found."""
     if not (found := gains(machine)):
@@ -266,11 +261,6 @@ def _actuators(
         by_joint.setdefault(machine.tree.joint_names.index(name), []).append(name)
     gains = _found_gain(machine)
     out: dict[str, dict[str, float]] = {"gain": dict(gains)}
-    times = machine.servo_times
-    for j, factor in times.items():
-        for name in by_joint[j]:
-            out.setdefault("kp", {})[name] = factor
-            out.setdefault("kv", {})[name] = 0.0
     if machine.log.input_kind not in COMMANDED:
         return out
     changed = {(k.name, p): key for k in problem.effects for p, key in by_actuator(k).items()}
@@ -280,7 +270,7 @@ def _actuators(
         for j in e.joints if key else ():
             for name in by_joint.get(j, ()):
                 if key in ("gain", "kp"):
-                    found = gains.get(name, 1.0) if key == "gain" else times.get(j, 1.0)
+                    found = gains.get(name, 1.0) if key == "gain" else 1.0
                     out.setdefault(key, {})[name] = (1.0 + float(value)) * found
                 elif key == "limit":
                     out.setdefault(key, {})[name] = float((1.0 - value) * peak[j])

@@ -6,7 +6,9 @@ effect that is named.
     [inertial]                     # by joint, in its frame: m, m cx, m cy, m cz, Ixx .. Izz (kg, m)
     elbow = [1.0, 0.1, ...]
     [gain]                         # torque over volts or amperes by joint, where it had to be found
-    [servo]                        # factors on the file's kp by joint, likewise
+    lift = 0.7                     # share of gravity that controllers feed forward
+    [servo.elbow]                  # of a joint's servo: kp, kv, limit and offset of its target
+    kp = 1400.0                    # (N m/rad, N m s/rad, N m, rad), damping before the limit
 
 The rest is as every `model.toml` has it (`mend/model_toml.py`); an effect's `where` is a joint, or
 "base". `model.xml` says the same as far as MJCF can.
@@ -26,10 +28,12 @@ from adaptsim_jax.attribution.stops import with_inertial
 from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.effects.joints.catalogue import MACHINE, TILTS
+from adaptsim_jax.mechanisms.tree import compensated
 from adaptsim_jax.mend.model_toml import (
     AddedEffect,
     Form,
     Value,
+    number_at,
     numbers_at,
     read_form,
     table_at,
@@ -37,7 +41,8 @@ from adaptsim_jax.mend.model_toml import (
 
 DECLARED = "declared.xml"
 GIVES = "gives"
-OWN = ("friction", "inertial", "gain", "servo")
+OWN = ("friction", "inertial", "gain", "servo", "lift")
+OF_SERVOS = ("kp", "kv", "limit", "offset")
 
 
 def text_of(
@@ -45,11 +50,9 @@ def text_of(
     model: FittedTree,
     summary: Mapping[str, Any],
     gains: Mapping[str, float] | None = None,
-    servos: Mapping[str, float] | None = None,
 ) -> str:
-    """The TOML text. told: of its provenance; gains: torque over volts or amperes by joint, where
-    that had to be found; servos: factors on
-    the file's kp by joint, likewise (the damping of such a servo is the joint's own).
+    """The TOML text. summary: of its provenance; gains: torque over volts or amperes by joint, where
+    that had to be found.
     """
     own: dict[str, Any] = {}
     if any(np.any(g.model.tree.rub) for g in problem.groups):
@@ -62,8 +65,6 @@ def text_of(
         }
     if gains:
         own["gain"] = dict(gains)
-    if servos:
-        own["servo"] = dict(servos)
     form = Form("mechanism", DECLARED, {}, _effects(problem, model), own, dict(summary))
     return form.text("`adaptsim replay model.toml DATA` simulates all of it")
 
@@ -105,14 +106,14 @@ def applied(given: Mapping[str, Any], path: str, machine: Machine) -> Machine:
                 f"{config.suggest(name, joints)}"
             )
         law[0, joints.index(name)] = value
-    for name, times in numbers_at(path, form.own, "servo").items():
+    for name in table_at(path, form.own, "servo"):
         if name not in joints:
             raise BadInput(
-                f"{path}: servo.{name} must be a factor on the kp of a joint; "
-                f"{config.suggest(name, joints)}"
+                f"{path}: servo.{name} must be a table of a joint; {config.suggest(name, joints)}"
             )
-        law[:3, joints.index(name)] *= times
-        law[3, joints.index(name)] = 0.0
+        numbers = numbers_at(path, form.own["servo"], name)
+        j = joints.index(name)
+        law[:, j] = _with_servo(law[:, j], float(machine.gear[j]), numbers)
     declared = numbers_of(tree) | machine.declared
     out, gravity = dict(machine.declared), np.asarray(tree.gravity, float)
     for k, effect in enumerate(form.effects):
@@ -136,7 +137,25 @@ def applied(given: Mapping[str, Any], path: str, machine: Machine) -> Machine:
             column = np.array(out.get((name, p.name), start), float)
             column[joints.index(joint)] = numbers[p.name]
             out[name, p.name] = column
+    if "lift" in form.own:
+        tree = compensated(tree, number_at(path, "lift", form.own["lift"]))
     tree = replace(with_inertial(tree, inertial), gravity=gravity)
     mechanism = replace(machine.mechanism, tree=tree)
     gives = form.own.get("friction") == GIVES
     return replace(machine, mechanism=mechanism, declared=out, actuator=law, gives=gives)
+
+
+def _with_servo(law: np.ndarray, gear: float, numbers: Mapping[str, float]) -> np.ndarray:
+    """The law [6] of an actuator with other numbers of its servo, as of the joint."""
+    new = law.copy()
+    if law[2] and "kp" in numbers:
+        new[:3] *= -numbers["kp"] / (law[2] * gear**2)
+    if "kv" in numbers:
+        new[3] = -numbers["kv"] / gear**2
+        if not law[2] and law[3]:  # a speed servo's command is a speed
+            new[0] *= new[3] / law[3]
+    if "offset" in numbers:
+        new[1] += -new[2] * gear * numbers["offset"]
+    if "limit" in numbers:
+        new[4:] = np.array([-1.0, 1.0]) * numbers["limit"] / abs(gear)
+    return new

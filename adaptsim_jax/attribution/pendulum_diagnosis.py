@@ -34,7 +34,7 @@ from adaptsim_jax.attribution.pendulum import (
     pendulum_machine,
     rig_of,
 )
-from adaptsim_jax.attribution.posed import Beginning, DiagnosisSetting
+from adaptsim_jax.attribution.posed import DiagnosisSetting
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.core.progress import Note, Report, notes_of
@@ -148,7 +148,7 @@ def _searched(
     keep = None if folder is None else partial(write_so_far, folder)
     with TemporaryDirectory() as spare:
         machine = _machine(log, setting.effects, Path(spare))
-        found = examined(machine, setting, Beginning(in_the_plane), notify, keep)
+        found = examined(machine, setting, in_the_plane, notify, keep)
         report, evidence = _reported(log, found, checked)
         provenance = {k: report[k] for k in ("verdict", "message")}
         provenance |= {"data": log.path} | run.as_dict()

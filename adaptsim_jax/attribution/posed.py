@@ -2,7 +2,7 @@
 inputs.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -12,7 +12,6 @@ from adaptsim_jax.attribution.criteria import CHOICE, PRIOR_WIDTH, STRETCH
 from adaptsim_jax.attribution.equation.balance import balances
 from adaptsim_jax.attribution.equation.commands import drive_gains
 from adaptsim_jax.attribution.estimate import fit
-from adaptsim_jax.attribution.fitted import Hint
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.measures import NAMES
 from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, TILT, Entry, Vector
@@ -20,7 +19,7 @@ from adaptsim_jax.attribution.problem import TreeProblem, held, nuisances, own_i
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.base import Effect
-from adaptsim_jax.effects.joints.actuator import POSITION_GAIN, TORQUE_GAIN
+from adaptsim_jax.effects.joints.actuator import TORQUE_GAIN
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.effects.joints.friction import VISCOUS
 
@@ -51,22 +50,6 @@ class DiagnosisSetting:
             raise BadInput(f"{named}: is no yardstick; use {', '.join(NAMES)}")
 
 
-@dataclass(frozen=True)
-class Beginning:
-    """With what a search begins.
-
-    Args:
-        narrow: What stays of the vector that is fitted whatever is named.
-        first: Makes values and effects that the search goes on from.
-        by_file: The machine by the gains of its file, where others were found: what the declared
-            model leaves is reported of it.
-    """
-
-    narrow: Callable[[Vector], Vector] = lambda vector: vector
-    first: Callable[[TreeProblem, Vector], Hint] | None = None
-    by_file: Machine | None = None
-
-
 def catalogue_of(
     machine: Machine, setting: DiagnosisSetting
 ) -> tuple[tuple[Effect, ...], frozenset[tuple[str, int]]]:
@@ -74,8 +57,6 @@ def catalogue_of(
     fitted = {VISCOUS.name}
     if machine.gain_unknown:
         fitted.add(TORQUE_GAIN.name)
-    if machine.servo_times:
-        fitted.add(POSITION_GAIN.name)
     known = MACHINE
     if setting.effects is not None:
         known = (*(e for e in MACHINE if e.name in fitted), *setting.effects)
@@ -191,7 +172,7 @@ def declared_vector(machine: Machine, problem: TreeProblem) -> Vector:
                     if e.owner == owner and of[e.joints[0]] not in wanted
                 ]
             )
-    if problem.offers(DAMPING_STEP) and np.any(held(machine.actuator)) and not machine.servo_times:
+    if problem.offers(DAMPING_STEP) and np.any(held(machine.actuator)):
         widest = Criteria.min_shift * problem.reach.dt
         # s, in which damping stops each joint
         stops = own_inertia(problem, vector)[0] / np.maximum(

@@ -279,7 +279,6 @@ def _simulated_by(machine: Machine) -> bytes:
             machine.declared,
             machine.ties,
             machine.gives,
-            machine.servo_times,
         )
     )
 

@@ -225,7 +225,7 @@ def preferred(test: Test, size: float, level: float, family: int = 1) -> bool:
     | what like joints have, at all of them | `attribution/equation/balance_objective.py` |
     | values and effects of another objective | `attribution/tree_objective.py` |
     | another shape of the piece | `tasks/scooping/diagnosis/passes.py` |
-    | kp of a servo, and a limit beside it | `attribution/servo.py`, by numbers of its own |
+    | numbers of a servo's law | `simulators/closed_loop/identified.py`, over whole trials |
 
     Args:
         test: of the alternative against the declared model, by what was left out.

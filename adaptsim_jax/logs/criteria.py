@@ -211,6 +211,9 @@ class CommandCriteria:
     cut_coarse: float = 2.0  # times `cut`, that a coarse look may leave
     doubted: float = 0.03  # of the acceleration, from which on a command is doubted
     cut: float = 0.3  # of that share, which a command cut on its way may leave
+    # of the acceleration, that a cut command leaves at most: servos of another law than the file's
+    # look as if they were cut, and leave more
+    cut_left: float = 0.05
     cut_distinct: float = 0.7  # of what a limit of force leaves: both look alike
     follows: float = 0.7  # squared correlation of angle and target, to compare their sizes
     unit: float = 0.4  # in log: sizes of a unit's factor, 57 or 1000, are much farther apart

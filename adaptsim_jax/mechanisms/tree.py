@@ -137,6 +137,16 @@ class Tree:
         return "m"
 
 
+def compensated(tree: Tree, share: float) -> Tree:
+    """The tree with a share of every body's weight held up, whatever it was before."""
+    if tree.whole is not None:
+        every = compensated(tree.whole.tree, share)
+        return replace(tree, whole=replace(tree.whole, tree=every))
+    rows = share * np.asarray(tree.inertial)
+    on = tuple(bool(np.any(row)) for row in rows)
+    return replace(tree, gravcomp=rows, compensated=on)
+
+
 _OF_EACH = ("joint_names", "kinds", "parent", "body_names", "limited", "compensated", "shapes")
 _META = (*_OF_EACH, "linear")
 _DATA = tuple(f.name for f in fields(Tree) if f.name not in _META)

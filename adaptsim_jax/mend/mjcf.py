@@ -23,8 +23,9 @@ class Changes:
 
     inertial [n, 10] as of `Tree`; joint tables {joint name: value}: damping, armature, frictionloss
     (N m), stiffness (N m/rad), springref (rad); gravity [3] m/s^2 in the world; actuator tables
-    {actuator name: value}: gain and kp as factors, kv (N m s/rad), delay and
-    lag in s, limit (N m); motors {joint name: N m per unit of its command} are put in where the
+    {actuator name: value}: gain, kp and speed (what a speed servo makes of its command) as factors,
+    kv (N m s/rad), delay and lag in s, limit (N m), bias (N m); lift: share of gravity that all
+    bodies are compensated for; motors {joint name: N m per unit of its command} are put in where the
     joint has no actuator, with the limit under `limit` by the joint's name; comments: what the file
     cannot hold, a line each.
     """
@@ -34,6 +35,7 @@ class Changes:
     gravity: np.ndarray | None = None
     actuators: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     motors: Mapping[str, float] = field(default_factory=dict)
+    lift: float | None = None
     comments: Sequence[str] = ()
 
 
@@ -92,6 +94,8 @@ def _put_all(spec: mujoco.MjSpec, mechanism: Mechanism, changes: Changes) -> Non
         motor.gear = [gear, *[0.0] * 5]
         if joint in changes.actuators.get("limit", {}):
             _put_actuator(motor, "limit", changes.actuators["limit"][joint] / gear, 0.0)
+    for body in spec.bodies[1:]:
+        body.gravcomp = body.gravcomp if changes.lift is None else changes.lift
     step = float(spec.option.timestep)
     for actuator in spec.actuators:
         for key, table in changes.actuators.items():
@@ -120,6 +124,12 @@ def _put_actuator(actuator, key: str, value: float, step: float) -> None:
         actuator.gainprm, actuator.biasprm = gain, bias
     elif key == "kv":
         bias[2] = -value
+        actuator.biasprm = bias
+    elif key == "speed":
+        gain[0] *= value
+        actuator.gainprm = gain
+    elif key == "bias":
+        bias[0] += value
         actuator.biasprm = bias
     elif key == "limit":
         actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE

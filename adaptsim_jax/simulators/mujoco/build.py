@@ -5,7 +5,7 @@ A joint that nothing was logged of is held where `roles.roles` has it. One in a 
 tied to others, moves as the model says.
 """
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -56,8 +56,13 @@ def turns_of_balls(source: Source, log: Log) -> list[str]:
     return [name for name in log.joint_names if name not in single]
 
 
-def stepped(source: Source, log: Log) -> Stepped:
-    """The model of a file for a log of it. Raises BadInput where MuJoCo refuses it."""
+def stepped(
+    source: Source, log: Log, prepare: Callable[[mujoco.MjSpec], None] | None = None
+) -> Stepped:
+    """The model of a file for a log of it. prepare: changes its spec before it is compiled.
+
+    Raises BadInput where MuJoCo refuses it.
+    """
     spec, _ = read_spec(source.path)
     logged = any(t.base is not None for t in log.trials)
     if logged and (without := [t.name for t in log.trials if t.base is None]):
@@ -78,6 +83,8 @@ def stepped(source: Source, log: Log) -> Stepped:
         spec.delete(key)
     for body in spec.bodies:
         body.simple = False  # its centre of mass may be fitted
+    if prepare is not None:
+        prepare(spec)
     model = _compiled(source.path, spec)
     model.opt.disableflags |= int(
         mujoco.mjtDisableBit.mjDSBL_AUTORESET

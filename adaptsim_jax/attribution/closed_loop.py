@@ -1,0 +1,687 @@
+"""What the closed loop of a machine's servos shows: names, numbers and errors for the report, and the
+files that hold them.
+
+The law of a servo is declared: what whole trials refute of it is a row of the effects, as friction, a
+limit or a delay is.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from adaptsim_jax.attribution import model_toml
+from adaptsim_jax.attribution.machine import Machine
+from adaptsim_jax.attribution.measures import WHOLE, Measure, predicts_nothing
+from adaptsim_jax.core.progress import Note
+from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.finding import Finding, Named
+from adaptsim_jax.diagnosis.recommended import WHOLE_TRIALS, FileReplay, worse_joints
+from adaptsim_jax.diagnosis.report import (
+    Account,
+    Errors,
+    Headline,
+    Label,
+    Scored,
+    error_rows,
+    named_words,
+    remarks,
+    report_of,
+)
+from adaptsim_jax.diagnosis.testing import Test
+from adaptsim_jax.effects.joints.actuator import ACTUATOR_LAG, DELAY, POSITION_GAIN, SATURATION
+from adaptsim_jax.effects.joints.catalogue import BODY
+from adaptsim_jax.effects.joints.forces import ARMATURE, BIAS, SPRING
+from adaptsim_jax.effects.joints.friction import COULOMB, VISCOUS
+from adaptsim_jax.effects.joints.sensor import ENCODER_OFFSET
+from adaptsim_jax.mechanisms.spec import Source, read_source
+from adaptsim_jax.mend.mjcf import Changes, mended_mjcf
+from adaptsim_jax.mend.model_toml import FILE as MODEL_FILE
+from adaptsim_jax.mend.model_toml import AddedEffect, Form, Value
+from adaptsim_jax.simulators.closed_loop.criteria import CLOSED_LOOP
+from adaptsim_jax.simulators.closed_loop.identified import (
+    Identified,
+    Member,
+    identified,
+    scale_spread,
+)
+from adaptsim_jax.simulators.closed_loop.imposed import Recording
+from adaptsim_jax.simulators.closed_loop.law import OPEN, Law, Servo, inner_damping
+from adaptsim_jax.simulators.closed_loop.polish import SHARED_BY_ALL
+from adaptsim_jax.simulators.closed_loop.recording import recording_of
+from adaptsim_jax.simulators.closed_loop.whole import simulated
+
+LIFT = "gravity_compensation"
+NAMES = {
+    "scale": POSITION_GAIN.name,
+    "damping": POSITION_GAIN.name,
+    "rub": COULOMB.name,
+    "limit": SATURATION.name,
+    "offset": BIAS.name,
+    "rotor": ARMATURE.name,
+    "spring": SPRING.name,
+    "zero": ENCODER_OFFSET.name,
+    "delay": DELAY.name,
+    "lag": ACTUATOR_LAG.name,
+    "payload": BODY.name,
+    "lift": LIFT,
+}
+"""The name of the effect that a fitted number of a servo belongs to."""
+PHYSICS = {
+    POSITION_GAIN.name: "stiffness and damping of the controller are not the file's",
+    COULOMB.name: COULOMB.physics,
+    SATURATION.name: SATURATION.physics,
+    BIAS.name: BIAS.physics,
+    ARMATURE.name: ARMATURE.physics,
+    SPRING.name: SPRING.physics,
+    ENCODER_OFFSET.name: ENCODER_OFFSET.physics,
+    DELAY.name: DELAY.physics,
+    ACTUATOR_LAG.name: ACTUATOR_LAG.physics,
+    BODY.name: "more is carried than the file says",
+    LIFT: "the controller feeds gravity forward, or another share of it than the file says",
+}
+
+
+@dataclass(frozen=True)
+class ServoEffect:
+    """An effect in closed loop. joint: -1 of all; members: what belongs to it."""
+
+    name: str
+    joint: int
+    members: tuple[Member, ...]
+
+    @property
+    def key(self) -> tuple[str, int]:
+        """What tells it from others."""
+        return self.name, self.joint
+
+    @property
+    def strongest(self) -> Member:
+        """The member that takes off most."""
+        return max(self.members, key=lambda m: m.gain)
+
+
+@dataclass(frozen=True)
+class ServoModel:
+    """Laws of a machine's servos. errors: RMS [P, n] of pieces of whole trials, rad."""
+
+    laws: tuple[Law, ...]
+    added: tuple[ServoEffect, ...]
+    errors: np.ndarray
+
+
+@dataclass(frozen=True)
+class ServoDiagnosis:
+    """What the closed loop shows of a machine.
+
+    Args:
+        machine: By its file.
+        source: The model file.
+        found: The servos.
+        effects: What is named.
+        scale_spread: [n] of the logarithm of kp.
+    """
+
+    machine: Machine
+    source: Source
+    found: Identified
+    effects: tuple[ServoEffect, ...]
+    scale_spread: np.ndarray
+
+    @property
+    def recording(self) -> Recording:
+        """What was simulated."""
+        return self.found.recording
+
+    def knows_scale(self, joint: int) -> bool:
+        """Whether kp itself is known at a joint, and not only what is over it."""
+        return bool(self.scale_spread[joint] < CLOSED_LOOP.scale_known)
+
+
+def diagnosed(machine: Machine, criteria: Criteria, notify: Note) -> ServoDiagnosis | None:
+    """What the closed loop shows; None where not all joints follow targets, and where it names
+    nothing though more than noise is left.
+    """
+    source = machine.source
+    if source is None:
+        return None
+    log = machine.log.pick([t.name for t in machine.tracks])
+    recording = recording_of(source, log)
+    if recording is None:
+        return None
+    found = identified(recording, notify)
+    if not found.members and found.over_noise.max() > criteria.explained:
+        return None
+    return ServoDiagnosis(machine, source, found, _effects(found.members), scale_spread(found))
+
+
+def _effects(members: Sequence[Member]) -> tuple[ServoEffect, ...]:
+    """Members by effect and joint."""
+    by: dict[tuple[str, int], list[Member]] = {}
+    for m in members:
+        joint, name = m.coordinates[-1]
+        by.setdefault((NAMES[name], joint), []).append(m)
+    return tuple(ServoEffect(name, j, tuple(some)) for (name, j), some in by.items())
+
+
+# ---------------------------------------------------------------- report
+
+
+def reported(d: ServoDiagnosis, criteria: Criteria) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The report, and the arrays behind its page."""
+    recording, found = d.recording, d.found
+    file = tuple(s.law for s in recording.servos)
+    before, after = (_by_piece(found, e) for e in (found.before, found.after))
+    null, final = ServoModel(file, (), before), ServoModel(tuple(found.laws), d.effects, after)
+    named = tuple(_named(d, e) for e in d.effects)
+    finding = Finding(null, final, named, (), (), (null, final))
+    account = _account(d, finding, criteria)
+    report = report_of(finding, account)
+    if predicts_nothing({WHOLE: _measure(d, after)}):
+        report["message"] = f"{NO_SKILL} {report['message']}"
+    return report, {"held_out": _curves(d), "audit": remarks(report["notes"])}
+
+
+NO_SKILL = "Over whole trials this model does no better than what needs no model."
+
+
+def _by_piece(found: Identified, error: np.ndarray) -> np.ndarray:
+    """RMS [P, n]."""
+    block = found.whole.block
+    rows = np.bincount(block[block >= 0], minlength=len(found.recording.pieces))
+    return np.sqrt(found.whole.by_piece(error) / np.maximum(rows, 1)[:, None])
+
+
+def _named(d: ServoDiagnosis, e: ServoEffect) -> Named:
+    m, pieces = e.strongest, len(d.recording.pieces)
+    joints = len(d.recording.servos) if e.joint == SHARED_BY_ALL else 1
+    gain = 1.0 - float(np.exp(-m.gain / joints))
+    return Named(e, Test(gain, m.p, m.better, pieces, pieces), _steadiness(d, e))
+
+
+def _steadiness(d: ServoDiagnosis, e: ServoEffect) -> float:
+    """Size over scatter of the number that is most certain."""
+    sizes = []
+    for m in e.members:
+        for joint, name in m.coordinates:
+            spread = d.found.spread([(joint, name)])
+            j = max(joint, 0)
+            sizes.append(abs(_distance(d, j, name)) / max(spread, 1e-9))
+    return max(sizes, default=0.0)
+
+
+def _distance(d: ServoDiagnosis, j: int, name: str) -> float:
+    """How far a number is from the file's, in its coordinate."""
+    file, law = d.recording.servos[j].law, d.found.laws[j]
+    if name in ("scale", "damping", "limit"):
+        number = "kp" if name == "scale" and law.kp > 0.0 else name.replace("scale", "damping")
+        return float(np.log(getattr(law, number) / getattr(file, number)))
+    unit = d.found.whole.problems[j].scales.unit(name)
+    return (getattr(law, name) - getattr(file, name)) / unit
+
+
+def _label(d: ServoDiagnosis, e: ServoEffect) -> Label:
+    servos = d.recording.servos
+    if e.name == BODY.name:
+        carried = d.source.model.body(d.recording.model.body(d.recording.hand).name).name
+        joint = next((s.name for s in reversed(servos)), carried)
+        return Label(e.name, joint)
+    if e.joint == SHARED_BY_ALL:
+        return Label(e.name, "all joints" if len(servos) > 1 else servos[0].name)
+    return Label(e.name, servos[e.joint].name)
+
+
+def _account(d: ServoDiagnosis, finding: Finding, criteria: Criteria) -> Account:
+    recording, log = d.recording, d.machine.log
+    over = d.found.over_noise
+    left = bool(over.max() > criteria.explained)
+    label = partial(_label, d)
+    before, after = finding.null.errors, finding.final.errors
+    measures = {
+        "judge": WHOLE,
+        "why": "it follows targets, and a closed loop can be simulated over whole trials",
+        "declared": {WHOLE: _measure(d, before).as_dict()},
+        "mended": {WHOLE: _measure(d, after).as_dict()},
+    }
+    names = [s.name for s in recording.servos]
+    error = np.sqrt(np.square(d.found.after[d.found.whole.counted]).mean(0))
+    more = {
+        "power": [],
+        "notes": [*log.notes, *d.machine.notes, *_notes(d)],
+        "not_established": _doubts(d),
+        "remaining": {
+            "error": float(np.median(error)),
+            "times_floor": float(np.median(over)),
+            "joints": {
+                n: {"error": float(e), "times_floor": float(o)}
+                for n, e, o in zip(names, error, over, strict=True)
+            },
+        },
+        "yardsticks": measures,
+        "stages": [
+            {"added": added, "error": float(np.median(e))}
+            for added, e in (
+                ([], before),
+                ([label(e).words for e in d.effects], after),
+            )
+        ],
+    }
+    rows = [
+        {"joints": _joints(d, e), "parameters": _parameters(d, e), "physics": PHYSICS[e.name]}
+        for e in d.effects
+    ]
+    return Account(
+        "mechanism",
+        Path(d.machine.mechanism.path).name,
+        {
+            "trials": len(recording.trials),
+            "samples": log.samples,
+            "held_out_trials": len(d.found.whole.problems[0].groups),
+        },
+        label,
+        rows,
+        [Scored(n.candidate, n.test.gain, n.test.p, "named") for n in finding.named],
+        _headline(d, finding, left),
+        left,
+        _error(d, before, after),
+        partial(_declared, d),
+        more,
+    )
+
+
+def _joints(d: ServoDiagnosis, e: ServoEffect) -> list[str]:
+    names = [s.name for s in d.recording.servos]
+    return names if e.joint == SHARED_BY_ALL else [names[e.joint]]
+
+
+def _headline(d: ServoDiagnosis, finding: Finding, left: bool) -> Headline:
+    unit = "mm" if all(s.slides for s in d.recording.servos) else "mrad"
+    sizes = [1e3 * float(np.median(m.errors)) for m in (finding.null, finding.final)]
+    over = d.found.over_noise
+    worst = int(np.argmax(over))
+    rest = f"{over[worst]:.1f} times the noise at {d.recording.servos[worst].name}"
+    declared = f"The model file as it is simulates whole trials to {sizes[1]:.3g} {unit}, {rest}."
+    gains = [e for e in d.effects if e.name == POSITION_GAIN.name]
+    others = [n for n in finding.named if n.candidate.name != POSITION_GAIN.name]
+    law = f"The servos' law is not the file's: {', '.join(_law_words(d, e) for e in gains)}. "
+    rest = f"Whole trials {sizes[0]:.3g} to {sizes[1]:.3g} {unit}; what remains is at most {rest}."
+    words = named_words(others, lambda e: _label(d, e).words) if others else ""
+    mended = f"{law if gains else ''}{words} {rest}".strip()
+    return Headline(declared, mended)
+
+
+def _law_words(d: ServoDiagnosis, e: ServoEffect) -> str:
+    s, law = d.recording.servos[e.joint], d.found.laws[e.joint]
+    if s.follows_speed:
+        return f"{s.name} kv {law.damping:.3g} (file {s.law.damping:.3g})"
+    if not d.knows_scale(e.joint):
+        ratio, file = law.damping / law.kp, s.law.damping / s.law.kp
+        return f"{s.name} damping over kp {ratio:.3g} s (file {file:.3g})"
+    return (
+        f"{s.name} kp {law.kp:.4g} (file {s.law.kp:.4g}), "
+        f"damping {law.damping:.3g} (file {s.law.damping:.3g})"
+    )
+
+
+def _parameters(d: ServoDiagnosis, e: ServoEffect) -> dict[str, dict[str, Any]]:
+    """Numbers of an effect, each with its 90 % interval and what the file says."""
+    if e.name == POSITION_GAIN.name:
+        return _gains(d, e.joint)
+    j = max(e.joint, 0)
+    s, law = d.recording.servos[j], d.found.laws[j]
+    out = {}
+    for m in e.members:
+        joint, name = m.coordinates[-1]
+        key, value, file, unit, wide = _number(d, j, name, (joint, name))
+        out[key] = _row(value, wide, unit) | {"file": file}
+    if e.name == SATURATION.name and not law.inside:
+        inner = float(inner_damping(s, law.damping))
+        out["unloaded_speed"] = _row(law.limit / max(inner, 1e-12), 0.0, _unit(s, "rad/s"))
+        out["unloaded_speed"]["meaning"] = "at which the limit leaves no torque"
+    return out
+
+
+KEYS = {
+    "rub": "level",
+    "limit": "limit",
+    "offset": "bias",
+    "rotor": "inertia",
+    "spring": "stiffness",
+    "zero": "offset",
+    "payload": "mass",
+    "lift": "share",
+}
+
+
+def _number(d: ServoDiagnosis, j: int, name: str, at: tuple[int, str]):
+    """(key, value, the file's, unit, half of the 90 % interval) of a fitted number."""
+    s, law, ends = d.recording.servos[j], d.found.laws[j], d.found.ends()
+    value, file = float(getattr(law, name)), float(getattr(s.law, name))
+    key, unit = KEYS.get(name, name), UNIT_OF.get(name, "1")
+    if name in ("limit", "rub"):
+        coordinates = [at, (j, "scale")] if name == "limit" else [at]
+        spread = d.found.spread(coordinates)
+        size = value if name == "limit" else d.found.whole.problems[j].scales.unit(name)
+        wide = ends * spread * size
+        if name == "rub" and "scale" in d.found.found.model.fits[j].free:
+            wide = float(np.hypot(wide, ends * d.found.spread([(j, "scale")]) * value))
+        return key, value, None if file >= OPEN else file, _unit(s, unit), wide
+    problem = d.found.whole.problems[j]
+    size = d.found.whole.rotor_unit if at == (SHARED_BY_ALL, "rotor") else problem.scales.unit(name)
+    wide = ends * d.found.spread([at]) * size
+    if name == "offset":  # a torque, as the effect has it
+        return key, value * law.kp, 0.0, _unit(s, "N m"), wide * law.kp
+    if name == "rotor":
+        value, file = value + s.armature, s.armature
+    return key, value, file, _unit(s, unit), wide
+
+
+UNIT_OF = {
+    "rub": "N m",
+    "limit": "N m",
+    "rotor": "kg m^2",
+    "spring": "N m/rad",
+    "zero": "rad",
+    "payload": "kg",
+    "lift": "1",
+    "delay": "s",
+    "lag": "s",
+}
+
+
+def _unit(s: Servo, unit: str) -> str:
+    from adaptsim_jax.effects.base import unit_at
+
+    return unit_at(unit, "slide" if s.slides else "hinge")
+
+
+def _row(value: float, wide: float, unit: str) -> dict[str, Any]:
+    return {"value": value, "low": value - wide, "high": value + wide, "unit": unit}
+
+
+def _gains(d: ServoDiagnosis, j: int) -> dict[str, dict[str, Any]]:
+    """kp, damping and their ratio at a joint."""
+    s, law, ends = d.recording.servos[j], d.found.laws[j], d.found.ends()
+    whole = ends * d.found.spread([(j, "scale"), (j, "damping")])
+    out = {"damping": _times(law.damping, whole, _unit(s, "N m s/rad")) | {"file": s.law.damping}}
+    if s.follows_speed:
+        return out
+    ratio = _times(law.damping / law.kp, ends * d.found.spread([(j, "damping")]), "s")
+    gain = _times(law.kp, ends * d.found.spread([(j, "scale")]), _unit(s, "N m/rad"))
+    ratio |= {"file": s.law.damping / s.law.kp, "meaning": "damping over kp"}
+    gain["meaning"] = f"the controller's stiffness; the file says {s.law.kp:.4g}"
+    if not d.knows_scale(j):
+        only = (
+            ". Only ratios to kp are fixed by these data; its scale is that of the file's inertia"
+        )
+        gain["meaning"] += only
+    return {"kp": gain | {"file": s.law.kp}, **out, "damping_over_kp": ratio}
+
+
+def _times(value: float, wide: float, unit: str) -> dict[str, Any]:
+    """An interval of a number whose logarithm was fitted."""
+    low, high = value * float(np.exp(-wide)), value * float(np.exp(wide))
+    return {"value": float(value), "low": low, "high": high, "unit": unit}
+
+
+def _declared(d: ServoDiagnosis, model: ServoModel) -> dict[str, Any]:
+    """Rows of kp and damping as a model has them."""
+    rows = {}
+    for j, (s, law) in enumerate(zip(d.recording.servos, model.laws, strict=True)):
+        fitted = (POSITION_GAIN.name, j) in {e.key for e in model.added}
+        own = _gains(d, j) if fitted else {}
+        for key, number, unit in (("kp", law.kp, "N m/rad"), ("damping", law.damping, "N m s/rad")):
+            if key == "kp" and s.follows_speed:
+                continue
+            plain = {"value": number, "low": number, "high": number, "unit": _unit(s, unit)}
+            row = {k: z for k, z in own.get(key, plain).items() if k != "meaning"}
+            known = not fitted or d.knows_scale(j)
+            rows[f"{key} of {s.name}"] = row | {"identifiable": known, "file": getattr(s.law, key)}
+    return rows
+
+
+def _error(d: ServoDiagnosis, before: np.ndarray, after: np.ndarray) -> dict[str, Any]:
+    both = {"before": before, "after": after}
+    recording = d.recording
+    channels = {
+        s.name: Errors(
+            "m" if s.slides else "rad",
+            float(recording.noise[j]),
+            {k: e[:, j] for k, e in both.items()},
+        )
+        for j, s in enumerate(recording.servos)
+    }
+    units = {c.unit for c in channels.values()}
+    unit = units.pop() if len(units) == 1 else "1"
+    whole = Errors(unit, float(np.median(recording.noise)), both)
+    trial = np.array([k for k, _, _ in recording.pieces])
+    metric = "median over pieces of whole trials and joints of the RMS error of simulated angles"
+    names = [t.name for t in recording.trials]
+    source = "third differences of the angles, and the encoders' step"
+    return error_rows(metric, source, names, whole, channels, trial)
+
+
+def _measure(d: ServoDiagnosis, error: np.ndarray) -> Measure:
+    """Whole trials beside a straight line and holding still."""
+    line, still = [], []
+    for k, a, b in d.recording.pieces:
+        t = d.recording.trials[k]
+        q, time = t.q[a : b + 1], t.time[a : b + 1]
+        still.append(np.std(q, 0))
+        fit = np.polynomial.polynomial.polyfit(time - time[0], q, 1)
+        rest = q - np.polynomial.polynomial.polyval(time - time[0], fit).T
+        line.append(np.sqrt(np.square(rest).mean(0)))
+    servos = d.recording.servos
+    span = float(np.median([t.time[-1] for t in d.recording.trials]))
+    middle = (np.median(z, 0) for z in (error, np.array(line), np.array(still)))
+    units = tuple("m" if s.slides else "rad" for s in servos)
+    return Measure(WHOLE, span, *middle, tuple(s.name for s in servos), units)
+
+
+def _notes(d: ServoDiagnosis) -> list[str]:
+    notes = [
+        "Servos were simulated in closed loop over whole trials, commands held from row to row; "
+        "efforts, if logged, were not used."
+    ]
+    times = [
+        law.kp / s.law.kp
+        for s, law in zip(d.recording.servos, d.found.laws, strict=True)
+        if s.law.kp > 0.0 and law.kp != s.law.kp
+    ]
+    if len(times) > 1 and np.std(np.log(times)) < 0.05:
+        usual = float(np.median(times))
+        notes.append(
+            f"kp is {usual:.3g} of the file's at {len(times)} joints alike: bodies {1 / usual:.3g} "
+            "times heavier would say the same. A known weight at the hand tells which."
+        )
+    return notes
+
+
+def _doubts(d: ServoDiagnosis) -> list[str]:
+    ratio = [
+        d.recording.servos[e.joint].name
+        for e in d.effects
+        if e.name == POSITION_GAIN.name
+        and not d.recording.servos[e.joint].follows_speed
+        and not d.knows_scale(e.joint)
+    ]
+    if not ratio:
+        return []
+    return [
+        f"kp itself at {', '.join(ratio)}: only damping and friction over kp are known; faster "
+        "motion or a known load would tell"
+    ]
+
+
+def _curves(d: ServoDiagnosis) -> list[dict[str, Any]]:
+    """Measured angles and those of whole trials, before and after."""
+    recording = d.recording
+    file = [s.law for s in recording.servos]
+    paths = dict(zip(("before", "after"), simulated(recording, [file, d.found.laws]), strict=True))
+    out = []
+    for k, t in enumerate(recording.trials):
+        entry: dict[str, Any] = {
+            "trial": t.name,
+            "units": {s.name: "m" if s.slides else "rad" for s in recording.servos},
+            "time": t.time,
+            "measured": {s.name: t.q[:, j] for j, s in enumerate(recording.servos)},
+        }
+        for key, motions in paths.items():
+            entry[key] = {s.name: motions[k].q[:, j] for j, s in enumerate(recording.servos)}
+        out.append(entry)
+    return out
+
+
+# ---------------------------------------------------------------- files
+
+
+def files(d: ServoDiagnosis, run: dict[str, Any]) -> dict[str, Callable[[], str]]:
+    """What makes the text of each file that holds the model."""
+    changes = _changes(d)
+    mechanism = d.machine.mechanism
+    return {
+        MODEL_FILE: lambda: _toml(d, run),
+        model_toml.DECLARED: lambda: mended_mjcf(mechanism, Changes()),
+        "model.xml": lambda: mended_mjcf(mechanism, changes),
+    }
+
+
+def _loaded(d: ServoDiagnosis) -> np.ndarray | None:
+    """Inertial parameters [n, 10] with the payload at the last body's centre of mass."""
+    payload, recording = d.found.laws[0].payload, d.recording
+    if recording.hand < 0 or not payload:
+        return None
+    model, tree = recording.model, d.machine.tree
+    body = model.body(recording.hand).name
+    frames = d.machine.mechanism.frames
+    centre = frames.place[body] + frames.rotation[body] @ model.body_ipos[recording.hand]
+    inertial = np.array(tree.inertial, float)
+    at = tree.body_names.index(body) if body in tree.body_names else frames.carrier[body]
+    inertial[at] += _point_mass(payload, centre)
+    return inertial
+
+
+def _point_mass(mass: float, at: np.ndarray) -> np.ndarray:
+    """Inertial parameters [10] of a mass at a point."""
+    x, y, z = at
+    second = mass * np.array([y * y + z * z, -x * y, -x * z, x * x + z * z, -y * z, x * x + y * y])
+    return np.concatenate([[mass], mass * np.asarray(at), second])
+
+
+def _changes(d: ServoDiagnosis) -> Changes:
+    """What model.xml changes."""
+    servos, laws = d.recording.servos, d.found.laws
+    joints: dict[str, dict[str, float]] = {}
+    actuators: dict[str, dict[str, float]] = {}
+
+    def put(table, key, name, value):
+        table.setdefault(key, {})[name] = float(value)
+
+    for s, law in zip(servos, laws, strict=True):
+        file = s.law
+        inner = float(inner_damping(s, law.damping))
+        if law.kp != file.kp:
+            put(actuators, "kp", s.driver, law.kp / file.kp)
+        if (law.damping, law.inside) != (file.damping, file.inside):
+            put(actuators, "kv", s.driver, inner * law.inside / s.gear**2)
+            put(joints, "damping", s.name, law.damping - inner * law.inside)
+        if s.follows_speed and law.damping != file.damping:
+            own = float(inner_damping(s, file.damping))
+            put(actuators, "speed", s.driver, inner / own)
+        if law.limit != file.limit:
+            put(actuators, "limit", s.driver, law.limit / abs(s.gear))
+        for key in ("delay", "lag"):
+            if getattr(law, key) != getattr(file, key):
+                put(actuators, key, s.driver, getattr(law, key))
+        if law.offset:
+            put(actuators, "bias", s.driver, law.kp * law.offset / s.gear)
+        if law.rub != file.rub:
+            put(joints, "frictionloss", s.name, law.rub)
+        if law.rotor:
+            put(joints, "armature", s.name, s.armature + law.rotor)
+        if law.spring != file.spring:
+            put(joints, "stiffness", s.name, law.spring)
+    lift = None if laws[0].lift == servos[0].law.lift else float(laws[0].lift)
+    zeros = [
+        f"{s.name} {law.zero:.4g} rad" for s, law in zip(servos, laws, strict=True) if law.zero
+    ]
+    comments = [f"written by adaptsim from {Path(d.machine.mechanism.path).name}"]
+    if zeros:
+        comments.append(f"not held by this file, see model.toml: encoders read too much by {zeros}")
+    return Changes(
+        inertial=_loaded(d), joints=joints, actuators=actuators, comments=comments, lift=lift
+    )
+
+
+def _toml(d: ServoDiagnosis, run: dict[str, Any]) -> str:
+    """model.toml: servos by joint, the payload in the bodies, and what else is added."""
+    servos, laws = d.recording.servos, d.found.laws
+    own: dict[str, Any] = {}
+    loaded = _loaded(d)
+    if loaded is not None:
+        own["inertial"] = {
+            n: [float(z) for z in row]
+            for n, row in zip(d.machine.tree.joint_names, loaded, strict=True)
+        }
+    table, effects = {}, []
+    for s, law in zip(servos, laws, strict=True):
+        inner = float(inner_damping(s, law.damping)) * law.inside
+        numbers = {"kp": float(law.kp), "kv": inner}
+        if law.limit < OPEN:
+            numbers["limit"] = float(law.limit)
+        if law.offset:
+            numbers["offset"] = float(law.offset)
+        table[s.name] = numbers
+        passive = {"damping": law.damping - inner}
+        effects += _added(s, VISCOUS.name, passive, {"damping": s.passive})
+        effects += _added(s, COULOMB.name, {"level": law.rub}, {"level": s.law.rub})
+        effects += _added(s, DELAY.name, {"delay": law.delay}, {"delay": s.law.delay})
+        effects += _added(s, ACTUATOR_LAG.name, {"lag": law.lag}, {"lag": s.law.lag})
+        inertia = {"inertia": s.armature + law.rotor}
+        effects += _added(s, ARMATURE.name, inertia, {"inertia": s.armature})
+        spring = {"stiffness": law.spring, "preload": law.spring * s.rest}
+        effects += _added(
+            s, SPRING.name, spring, {"stiffness": s.law.spring, "preload": s.law.spring * s.rest}
+        )
+        effects += _added(s, ENCODER_OFFSET.name, {"offset": law.zero}, {"offset": 0.0})
+    own["servo"] = table
+    if laws[0].lift != servos[0].law.lift:
+        own["lift"] = float(laws[0].lift)
+    form = Form("mechanism", model_toml.DECLARED, {}, tuple(effects), own, run)
+    return form.text("`adaptsim replay model.toml DATA` simulates all of it")
+
+
+def _added(s: Servo, name: str, numbers: dict[str, float], file: dict[str, float]):
+    """The effect at a joint where it is not as the file has it."""
+    if numbers == file:
+        return []
+    return [AddedEffect(name, s.name, {k: Value(float(z)) for k, z in numbers.items()})]
+
+
+def verifier(d: ServoDiagnosis) -> Callable[[Path], dict[str, Any]]:
+    """What runs model.xml over whole trials in closed loop, beside the declared file."""
+    log = d.machine.log.pick([t.name for t in d.machine.tracks])
+
+    def run(file: Path | None, span: float) -> FileReplay:
+        recording = d.recording if file is None else recording_of(read_source(file), log)
+        assert recording is not None  # the same joints follow the same targets
+        laws = [s.law for s in recording.servos]
+        error = d.found.whole.errors([laws])[0] if file is None else _errors(d, recording, laws)
+        measure = _measure(d, _by_piece(d.found, error))
+        nothing = np.minimum(measure.line, measure.still)[None]
+        return FileReplay(measure.joints, measure.units, _by_piece(d.found, error), nothing)
+
+    def verify(folder: Path) -> dict[str, Any]:
+        return worse_joints(run, [folder / "model.xml"], {WHOLE_TRIALS: 0.0})
+
+    return verify
+
+
+def _errors(d: ServoDiagnosis, recording: Recording, laws: Sequence[Law]) -> np.ndarray:
+    from adaptsim_jax.simulators.closed_loop.whole import trial_errors
+
+    paths = simulated(recording, [laws])[0]
+    return trial_errors(recording, paths) * d.found.whole.counted[:, None]

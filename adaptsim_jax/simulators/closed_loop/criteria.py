@@ -1,0 +1,42 @@
+"""Numbers of the closed loop that can change a name or a value, each with its unit and reason."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class ClosedLoopCriteria:
+    """How servos are simulated, fitted and compared."""
+
+    step: float = 1e-3  # s: a stiff servo's loop answers within a few milliseconds
+    # of a joint's inertia, that damping times a step may be before whole trials are stepped finer
+    stiff: float = 0.5
+    near_end: float = 0.02  # rad (m): from the end of its range, within which a joint may touch it
+    longest: float = 4.0  # s, of a piece: a closed loop forgets its start long before
+    pieces: int = 28  # at most, those that move most: more cost time and tell little more
+    start_pieces: int = 10  # the same where fits begin
+    unscored: float = 0.15  # s after a piece's start, whose speed is only smoothed
+    rest: float = 0.01  # rad (m): a trial whose first rows differ by less begins at rest
+    history: float = 0.3  # s of targets before a piece, and the longest delay
+    smooth: float = 0.12  # s, over which imposed motion is smoothed
+    moving: float = 20.0  # times its noise, by which a joint moves that is fitted
+    least_noise: float = 1e-5  # rad (m): no encoder's noise counts as less
+    batch: int = 16  # parameter sets of a call
+    # rows' worth of a pull to the file's scale: only ratios show where damping is heavy
+    pull: float = 30.0
+    gain: float = 0.03  # of the squared error, that a number of one joint must take off left out
+    shared_gain: float = 0.06  # the same of a number that all joints share
+    level: float = 0.003  # of the paired test over left-out pieces
+    lacks_nothing: float = 1.5  # times the noise, that a joint which lacks nothing leaves at most
+    least_change: float = 0.05  # of kp, damping or a limit of the file, that is worth a name
+    enough: float = 2.0  # times the noise, that a joint with nothing more to find leaves at most
+    harm: float = 0.1  # of a joint's squared error (log), by which a shared number may harm it
+    better: float = 0.03  # of a joint's error over whole trials, by which its law must be better
+    rounds: int = 12  # of a fit
+    shared: int = 4  # numbers that all joints share, at most
+    own: int = 2  # numbers of one joint beside its law, at most
+    # spread of the logarithm of kp, the rotor free, up to which kp is known and not only ratios
+    scale_known: float = 0.05
+    late: float = 1e-3  # s: a delay below is none
+
+
+CLOSED_LOOP = ClosedLoopCriteria()

@@ -1,0 +1,345 @@
+"""The numbers of a joint's servo fitted to its pieces: Gauss and Newton's steps by differences, where
+fits begin, and how a law predicts pieces that were left out.
+
+Pieces are weighted by 1 / (their own mean square + the median one). A weak pull holds the scale at
+the file's where the data do not tell it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from adaptsim_jax.core.parallel import parallel_map
+from adaptsim_jax.simulators.closed_loop.criteria import CLOSED_LOOP
+from adaptsim_jax.simulators.closed_loop.imposed import JointProblem
+from adaptsim_jax.simulators.closed_loop.law import LOGARITHMIC, OPEN, Law, moved
+from adaptsim_jax.simulators.closed_loop.stepping import errors, squared
+
+STEP = {"scale": 1e-3, "damping": 1e-3, "limit": 1e-3, "rub": 5e-3, "delay": 0.02, "lag": 0.02}
+"""Of differences, by coordinate; others `OTHER_STEP`."""
+OTHER_STEP = 2e-3
+DAMPING = (1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0, 1e3, 1e4)
+"""Times the damping before, that a round tries, each whole and at `SHORT`."""
+SHORT = 0.3
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A law of a joint and the coordinates that were fitted of it."""
+
+    law: Law
+    free: tuple[str, ...]
+
+    def of(self, law: Law) -> "Fit":
+        """With other numbers."""
+        return Fit(law, self.free)
+
+    def and_free(self, name: str) -> "Fit":
+        """With one more coordinate."""
+        return self if name in self.free else Fit(self.law, (*self.free, name))
+
+
+@dataclass(frozen=True)
+class LinearModel:
+    """errors [P, R] of a law, slope [P, R, K] by its coordinates, weight [P]; the pull's own
+    normal equations.
+    """
+
+    error: np.ndarray
+    slope: np.ndarray
+    weight: np.ndarray
+    prior: tuple[np.ndarray, np.ndarray]
+
+    def by_piece(self) -> tuple[np.ndarray, np.ndarray]:
+        """Normal equations [P, K, K], [P, K]."""
+        weighted = self.slope * self.weight[:, None, None]
+        hess = np.einsum("pra,prb->pab", weighted, self.slope)
+        return hess, np.einsum("pra,pr->pa", weighted, self.error)
+
+    def normal(self) -> tuple[np.ndarray, np.ndarray]:
+        """Of all pieces, with the pull."""
+        hess, slope = (z.sum(0) for z in self.by_piece())
+        return hess + self.prior[0], slope + self.prior[1]
+
+
+def left(problem: JointProblem, law: Law) -> np.ndarray:
+    """Sum of squares [P] of a law."""
+    return squared(errors(problem, [law]))[0]
+
+
+def weights(problem: JointProblem, sums: np.ndarray) -> np.ndarray:
+    """[P] of sums of squares [P]."""
+    mean = sums / problem.rows
+    return 1.0 / (mean + np.median(mean) + problem.noise**2)
+
+
+def pulled(problem: JointProblem, fit: Fit) -> float:
+    """What the pull adds to the loss."""
+    return sum(CLOSED_LOOP.pull * np.log1p(2.0 * z * z) for _, z in _off_scale(problem, fit))
+
+
+def _off_scale(problem: JointProblem, fit: Fit) -> list[tuple[int, float]]:
+    """Place and size of the logarithmic coordinates: how far they are from the file's."""
+    file, law = problem.servo.law, fit.law
+    stiff = "damping" if problem.servo.follows_speed else "kp"
+    out = []
+    for i, name in enumerate(fit.free):
+        number = stiff if name == "scale" else name
+        if name not in LOGARITHMIC or getattr(file, number) >= OPEN:
+            continue
+        base = getattr(file, number)
+        if name == "damping":
+            base = base / file.kp * law.kp
+        if base > 0.0:
+            out.append((i, float(np.log(max(getattr(law, number), 1e-300) / base))))
+    return out
+
+
+def prior_of(problem: JointProblem, fit: Fit) -> tuple[np.ndarray, np.ndarray]:
+    count = len(fit.free)
+    hess, slope = np.zeros((count, count)), np.zeros(count)
+    for i, z in _off_scale(problem, fit):
+        if fit.free[i] != "scale":
+            continue
+        hess[i, i] += CLOSED_LOOP.pull / (0.5 + z * z)
+        slope[i] += CLOSED_LOOP.pull * z / (0.5 + z * z)
+    return hess, slope
+
+
+def linearised(problem: JointProblem, fit: Fit, weight: np.ndarray | None = None) -> LinearModel:
+    """A law's errors and their derivatives, by differences."""
+    step = np.array([STEP.get(name, OTHER_STEP) for name in fit.free])
+    laws = [moved(problem.servo, problem.scales, fit.law, fit.free, row) for row in np.diag(step)]
+    all_errors = errors(problem, [fit.law, *laws])
+    slope = np.zeros((*all_errors[0].shape, len(fit.free)))
+    for k, h in enumerate(step):
+        slope[..., k] = (all_errors[k + 1] - all_errors[0]) / h
+    if weight is None:
+        weight = weights(problem, squared(all_errors[0]))
+    slope = np.where(np.isfinite(slope), slope, 0.0)
+    return LinearModel(all_errors[0], slope, weight, prior_of(problem, fit))
+
+
+def solved(hess: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Least squares by normal equations, scaled to a diagonal of 1 and a trace of ridge."""
+    size = np.sqrt(np.maximum(np.diag(hess), 1e-300))
+    scaled = hess / size[:, None] / size + 1e-9 * np.eye(len(size))
+    answer = np.linalg.lstsq(scaled, (right.T / size).T, rcond=1e-12)[0]
+    return (answer.T / size).T
+
+
+def fitted(problem: JointProblem, fit: Fit, rounds: int = CLOSED_LOOP.rounds) -> Fit:
+    """Levenberg and Marquardt's fit from where `fit` is."""
+    damping, weight = 1e-3, None
+    for k in range(rounds):
+        lin = linearised(problem, fit, weight)
+        if k in (0, 3):
+            lin = linearised(problem, fit) if k else lin
+            weight = lin.weight
+        hess, slope = lin.normal()
+        before = float(lin.weight @ squared(lin.error)) + pulled(problem, fit)
+        own = np.diag(np.diag(hess) + 1e-12 * np.trace(hess) + 1e-300)
+        sizes = damping * np.array(DAMPING)
+        steps = [np.clip(-solved(hess + z * own, slope), -1.5, 1.5) for z in sizes]
+        tries = [
+            fit.of(moved(problem.servo, problem.scales, fit.law, fit.free, share * step))
+            for share in (1.0, SHORT)
+            for step in steps
+        ]
+        sums = squared(errors(problem, [t.law for t in tries])) @ lin.weight
+        loss = sums + [pulled(problem, t) for t in tries]
+        best = int(np.argmin(loss))
+        if not loss[best] < before:
+            break
+        fit = tries[best]
+        damping = float(np.clip(sizes[best % len(sizes)], 1e-8, 1e3))
+        if loss[best] > before * (1.0 - 2e-4):
+            break
+    return fit
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """sums [P] of squares of pieces by numbers of the others; steps [F, K] to those numbers."""
+
+    sums: np.ndarray
+    steps: np.ndarray
+
+
+def left_out(problem: JointProblem, fit: Fit) -> LeftOut:
+    """Each group of pieces simulated by numbers that one step without it gives."""
+    if not fit.free:
+        return LeftOut(left(problem, fit.law), np.zeros((len(problem.groups), 0)))
+    lin = linearised(problem, fit)
+    hess, slope = lin.normal()
+    own_hess, own_slope = lin.by_piece()
+    here = solved(hess, slope)
+    steps = np.array(
+        [
+            here - solved(hess - own_hess[g].sum(0), slope - own_slope[g].sum(0))
+            for g in problem.groups
+        ]
+    )
+    laws = [
+        moved(problem.servo, problem.scales, fit.law, fit.free, np.clip(s, -0.7, 0.7))
+        for s in steps
+    ]
+    every = squared(errors(problem, laws))
+    sums = np.zeros(len(problem.rows))
+    for k, group in enumerate(problem.groups):
+        sums[group] = every[k][group]
+    return LeftOut(sums, steps)
+
+
+def by_group(problem: JointProblem, sums: np.ndarray) -> np.ndarray:
+    """[F] of sums of squares [P], with a part of the noise, below which nothing counts."""
+    floor = 0.05 * problem.noise**2 * problem.rows
+    return np.array([(sums + floor)[g].sum() for g in problem.groups])
+
+
+def gains(problem: JointProblem, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Logarithms [F] of what is left before over after, each within 1."""
+    return np.clip(np.log(by_group(problem, before) / by_group(problem, after)), -1.0, 1.0)
+
+
+def paired_t(differences: np.ndarray) -> float:
+    """One-sided p of a paired t-test; 1 of fewer than three."""
+    if len(differences) < 3:
+        return 1.0
+    if differences.std() < 1e-9:
+        return float(differences.mean() <= 1e-9)
+    return float(stats.ttest_1samp(differences, 0.0, alternative="greater").pvalue)
+
+
+def score(problem: JointProblem, sums: np.ndarray) -> float:
+    """Mean logarithm of what is left."""
+    return float(np.log(by_group(problem, sums)).mean())
+
+
+def most_moving(problem: JointProblem) -> JointProblem:
+    """The pieces that move most, where a fit begins."""
+    lane, most = problem.lanes, CLOSED_LOOP.start_pieces
+    counted, measured = np.asarray(lane.counted) > 0, np.asarray(lane.measured)
+    if len(counted) <= most:
+        return problem
+    moves = [np.ptp(m[c]) if c.any() else 0.0 for m, c in zip(measured, counted, strict=True)]
+    return problem.only(np.sort(np.argsort(moves)[-most:]))
+
+
+def _grid(problem: JointProblem, law: Law) -> list[Law]:
+    """Laws on a grid of kp and of the time in which damping stops, with and without friction."""
+    servo, out = problem.servo, []
+    if servo.follows_speed:
+        for times in 2.0 ** np.arange(-4, 3):
+            for rub in (law.rub, 0.3 * times * problem.scales.force):
+                out.append(law._replace(damping=servo.law.damping * times, rub=rub))
+        return out
+    for kp in servo.law.kp * 2.0 ** np.arange(-8, 2.5, 1.0):
+        for time in (0.003, 0.006, 0.012, 0.025, 0.05, 0.1, 0.2):
+            for rub in (law.rub, 0.3 * kp * problem.scales.error):
+                out.append(law._replace(kp=kp, damping=kp * time, rub=rub))
+    for a in (0.5, 1.0, 2.0):
+        for b in (0.1, 0.3, 1.0, 2.0):
+            out.append(law._replace(kp=servo.law.kp * a, damping=servo.law.damping * b))
+    return out
+
+
+def _best_apart(problem: JointProblem, laws: Sequence[Law], count: int) -> tuple[list[Law], float]:
+    """The best laws that differ from each other, and the score of the first."""
+    sums = squared(errors(problem, list(laws)))
+    value = np.log(sums / problem.rows + problem.noise**2).mean(1)
+    chosen: list[Law] = []
+    for k in np.argsort(value):
+        one = laws[k]
+        near = [
+            abs(np.log((one.kp + 1e-12) / (z.kp + 1e-12))) < 0.6
+            and abs(np.log(one.damping / z.damping)) < 0.8
+            for z in chosen
+        ]
+        if not any(near):
+            chosen.append(one)
+        if len(chosen) == count:
+            break
+    return chosen, float(value.min())
+
+
+def begun(problem: JointProblem, base: Law, late: str | None = None) -> Fit:
+    """kp, damping and friction from a grid, the rest of the law as `base`; with `late`, `delay` or
+    `lag`, that number as well.
+    """
+    some, free = most_moving(problem), problem.servo.free
+    if late is None:
+        starts = [*_best_apart(some, _grid(problem, base), 3)[0], base]
+    else:
+        free = (*free, late)
+        found = [
+            _best_apart(some, _grid(problem, base._replace(**{late: z})), 2)
+            for z in (0.012, 0.03, 0.06)
+        ]
+        starts = min(found, key=lambda f: f[1])[0]
+    tries = [fitted(some, Fit(law, free), 8) for law in starts]
+    best = min(tries, key=lambda t: score(some, left(some, t.law)))
+    return fitted(problem, best)
+
+
+def begun_at_limit(problem: JointProblem, fit: Fit) -> Fit:
+    """The law with a limit, begun from the torque that the motion needs; before the damping from
+    the highest speed that was measured, too, which is near the speed without load. The law as it
+    was where left-out pieces refute that.
+    """
+    servo, some = problem.servo, most_moving(problem)
+    if servo.follows_speed:
+        return fit
+    laws = [*_limited(problem, fit.law), *_unloaded(problem, fit.law)]
+    sums = squared(errors(some, laws))
+    order = np.argsort(np.log(sums / some.rows + some.noise**2).mean(1))[:3]
+    tries = [fitted(some, Fit(laws[k], (*fit.free, "limit")), 8) for k in order]
+    new = fitted(problem, min(tries, key=lambda t: score(some, left(some, t.law))))
+    if preferred(problem, fit, new):
+        return new
+    return fit
+
+
+def _limited(problem: JointProblem, law: Law) -> list[Law]:
+    """Laws whose limit cuts the whole force."""
+    kp = problem.servo.law.kp
+    return [
+        law._replace(kp=kp * a, damping=kp * a * time, limit=problem.needed * b, rub=r, inside=1.0)
+        for a in (0.35, 0.7, 1.4)
+        for time in (0.006, 0.02, 0.06)
+        for b in (0.8, 1.1, 1.6)
+        for r in (0.0, 0.1 * problem.needed)
+    ]
+
+
+def _unloaded(problem: JointProblem, law: Law) -> list[Law]:
+    """Laws whose limit is before the damping."""
+    file = problem.servo.law
+    usual = file.limit if file.limit < OPEN else file.kp * problem.scales.error
+    limits = [usual * b for b in (0.35, 0.7, 1.4)] + [problem.needed * b for b in (1.2, 2.0)]
+    return [
+        law._replace(
+            kp=file.kp * 2.0**a,
+            limit=limit,
+            damping=limit / (f * problem.top_speed) + problem.servo.passive,
+            rub=r * limit,
+            inside=0.0,
+        )
+        for a in range(-4, 2)
+        for limit in limits
+        for f in (1.0, 1.5, 2.5)
+        for r in (0.03, 0.15)
+    ]
+
+
+def preferred(problem: JointProblem, one: Fit, other: Fit, gain: float = CLOSED_LOOP.gain) -> bool:
+    """Whether left-out pieces are predicted better by the other, by `gain` and beyond chance."""
+    found = gains(problem, left_out(problem, one).sums, left_out(problem, other).sums)
+    return bool(found.mean() > gain and paired_t(found) < CLOSED_LOOP.level)
+
+
+def each(call, *rows) -> list:
+    """`[call(*row)]` of rows side by side, several at once."""
+    return parallel_map(lambda row: call(*row), list(zip(*rows, strict=True)))

@@ -1,0 +1,321 @@
+"""The servos' laws that a recording shows: begun joint by joint, grown while left-out pieces improve,
+polished on whole trials, and returned to the file's where these do not refute it.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from adaptsim_jax.core.parallel import parallel_map
+from adaptsim_jax.diagnosis.testing import jackknife
+from adaptsim_jax.simulators.closed_loop.criteria import CLOSED_LOOP
+from adaptsim_jax.simulators.closed_loop.fit import (
+    Fit,
+    begun,
+    begun_at_limit,
+    fitted,
+    left,
+    linearised,
+    preferred,
+    score,
+    solved,
+)
+from adaptsim_jax.simulators.closed_loop.imposed import JointProblem, Recording, joint_problems
+from adaptsim_jax.simulators.closed_loop.law import OPEN, SHARED, Law, moved
+from adaptsim_jax.simulators.closed_loop.pieces import imposed_motion
+from adaptsim_jax.simulators.closed_loop.polish import (
+    SHARED_BY_ALL,
+    Coordinate,
+    Fitted,
+    Polished,
+    WholeTrials,
+    better_at,
+    over_noise,
+    polished,
+    whole_trials,
+    without,
+)
+from adaptsim_jax.simulators.closed_loop.shared import LATE, late_targets, one_more_shared
+from adaptsim_jax.simulators.closed_loop.stepping import errors, squared
+
+OWN = ("limit", "offset", "rotor", "spring", "zero")
+"""Numbers that one joint may have beside its law."""
+
+
+@dataclass(frozen=True)
+class Member:
+    """What a law has that the file's has not, and how whole trials bear it out.
+
+    Args:
+        coordinates: (joint, name) that go together; joint -1: of all.
+        gain: Share of the squared error that it takes off (log) at its joints.
+        p: Of the paired test over pieces.
+        better: Pieces that are simulated better with it.
+        without: What is left without it, times the noise, at the joint where that is most.
+        change: Of the file's number, as a logarithm, where it is one of the law.
+    """
+
+    coordinates: tuple[Coordinate, ...]
+    gain: float
+    p: float
+    better: int
+    without: float
+    change: float
+
+    @property
+    def refuted(self) -> bool:
+        """Whether whole trials do as well without it, or lack nothing without it."""
+        joint = self.coordinates[0][0]
+        least = CLOSED_LOOP.shared_gain if joint == SHARED_BY_ALL else CLOSED_LOOP.gain
+        shown = self.gain > least and self.p < CLOSED_LOOP.level
+        lacking = self.without > CLOSED_LOOP.lacks_nothing
+        return not (shown and lacking and self.change > CLOSED_LOOP.least_change)
+
+
+@dataclass(frozen=True)
+class Identified:
+    """What a recording shows of a machine's servos.
+
+    Args:
+        recording: What was simulated.
+        found: The servos, polished.
+        members: What stays beside the file's laws.
+        before, after: Errors [rows, n] rad over whole trials by the file's laws and by these.
+        whole: The trials.
+    """
+
+    recording: Recording
+    found: Polished
+    members: tuple[Member, ...]
+    before: np.ndarray
+    after: np.ndarray
+    whole: WholeTrials
+
+    @property
+    def laws(self) -> list[Law]:
+        """By joint."""
+        return self.found.model.laws
+
+    @property
+    def over_noise(self) -> np.ndarray:
+        """What is left [n], times the noise."""
+        return over_noise(self.whole, self.after)
+
+    def spread(self, coordinates: Sequence[Coordinate]) -> float:
+        """Standard error of the sum of some coordinates, by the jackknife over left-out pieces; 0
+        where none is fitted.
+        """
+        at = [i for i, c in enumerate(self.found.model.coordinates) if c in coordinates]
+        if not at:
+            return 0.0
+        return float(jackknife(self.found.steps[:, at].sum(1)))
+
+    def ends(self) -> float:
+        """Standard errors from the middle of a 90 % interval to its ends: Student's t."""
+        return float(stats.t.ppf(0.95, max(len(self.found.steps) - 1, 1)))
+
+
+def scale_spread(found: Identified) -> np.ndarray:
+    """Standard error [n] of the logarithm of kp, each joint's rotor free as well: where inertia and
+    kp can grow together, only ratios are known. Infinite where kp was not fitted.
+    """
+    model, out = found.found.model, np.full(len(found.laws), np.inf)
+    scaled = [j for j, f in enumerate(model.fits) if "scale" in f.free]
+    if not scaled:
+        return out
+    free = [f.and_free("rotor") if j in scaled else f for j, f in enumerate(model.fits)]
+    wide = polished(found.whole, Fitted(tuple(free), model.shared), rounds=0)
+    spread = jackknife(wide.steps)
+    for i, (j, name) in enumerate(wide.model.coordinates):
+        if name == "scale":
+            out[j] = spread[i]
+    return out
+
+
+def identified(
+    recording: Recording, notify: Callable[[str], None] = lambda note: None
+) -> Identified:
+    """The servos' laws that a recording shows."""
+    notify("servos, joint by joint")
+    file = [s.law for s in recording.servos]
+    problems = joint_problems(recording, [imposed_motion(t) for t in recording.trials], file)
+    live = [j for j, p in enumerate(problems) if _moves(recording, j)]
+    fits = {j: Fit(law, ()) for j, law in enumerate(file)}
+    whole = whole_trials(recording, problems)
+    before = whole.errors([file])[0]
+    if over_noise(whole, before)[live].max(initial=0.0) < CLOSED_LOOP.lacks_nothing:
+        as_filed = polished(whole, Fitted(tuple(fits.values())), rounds=0)
+        return Identified(recording, as_filed, (), before, before, whole)
+    some = [problems[j] for j in live]
+    fits |= zip(live, parallel_map(_begun, some), strict=True)
+    shared: list[str] = []
+    notify("targets that are late")
+    own, tried = late_targets(some, [fits[j] for j in live])
+    if passed := [a for a in tried if a.passes]:
+        shared.append(max(passed, key=lambda a: a.gain).name)
+        fits |= zip(live, own, strict=True)
+    fits, shared = _grown(recording, problems, live, fits, shared, notify)
+    notify("whole trials")
+    value = {n: getattr(fits[live[0]].law, n) for n in shared} if live else {}
+    full = [fits[j] if j in live else fits[j].of(fits[j].law._replace(**value)) for j in fits]
+    found = polished(whole, Fitted(tuple(full), tuple(shared)))
+    found, members = _borne_out(whole, found, file, notify)
+    return Identified(recording, found, members, before, found.errors, whole)
+
+
+def _moves(recording: Recording, j: int) -> bool:
+    span = max(float(np.ptp(t.q[:, j])) for t in recording.trials)
+    return span > CLOSED_LOOP.moving * recording.noise[j]
+
+
+def _begun(problem: JointProblem) -> Fit:
+    """kp, damping and friction, with a limit where that is better."""
+    fit = begun(problem, problem.servo.law)
+    left_over = np.sqrt(left(problem, fit.law).sum() / problem.rows.sum())
+    if left_over < CLOSED_LOOP.enough * problem.noise:
+        return fit
+    return begun_at_limit(problem, fit)
+
+
+def _grown(recording, problems, live, fits, shared, notify):
+    """With numbers that all joints share and numbers of one, while left-out pieces improve."""
+    names = [n for n in SHARED if n not in shared and (n != "payload" or recording.hand >= 0)]
+    if any(n in LATE for n in shared):
+        names = [n for n in names if n not in LATE]
+    alike = len({problems[j].servo.armature for j in live}) == 1 and len(live) > 1
+    names = names if alike else [n for n in names if n != "rotor"]
+    some = [problems[j] for j in live]
+    for _ in range(CLOSED_LOOP.shared):
+        notify("numbers that all servos share")
+        best, _ = one_more_shared(some, [fits[j] for j in live], names)
+        if best is None:
+            break
+        shared = [*shared, best.name]
+        names = [n for n in names if n != best.name]
+        fits = fits | dict(zip(live, best.fits, strict=True))
+    notify("numbers of one servo")
+    extras = [n for n in OWN if n not in shared]
+    rows = [(problems[j], fits[j], extras) for j in live]
+    fits = fits | dict(zip(live, parallel_map(lambda row: _with_own(*row), rows), strict=True))
+    return fits, shared
+
+
+def _with_own(problem: JointProblem, fit: Fit, extras: Sequence[str]) -> Fit:
+    """With numbers of this joint alone, while left-out pieces improve."""
+    for _ in range(CLOSED_LOOP.own):
+        for start in _likely_own(problem, fit, [n for n in extras if n not in fit.free]):
+            new = fitted(problem, start, 8)
+            if preferred(problem, fit, new):
+                fit = new
+                break
+        else:
+            break
+    return fit
+
+
+def _likely_own(problem: JointProblem, fit: Fit, names: Sequence[str]) -> list[Fit]:
+    """Starts with one number more, likeliest first: by one step, or from several limits."""
+    before, starts = score(problem, left(problem, fit.law)), []
+    smooth = [n for n in names if n != "limit"]
+    if smooth:
+        lin = linearised(problem, Fit(fit.law, (*fit.free, *smooth)))
+        hess, slope = lin.normal()
+        k = len(fit.free)
+        for i, name in enumerate(smooth):
+            at = [*range(k), k + i]
+            step = -solved(hess[np.ix_(at, at)], slope[at])
+            free = (*fit.free, name)
+            for share in (1.0, 0.4):
+                law = moved(problem.servo, problem.scales, fit.law, free, share * step)
+                starts.append(Fit(law, free))
+    if "limit" in names:
+        top = fit.law.kp * np.abs(problem.scales.error) * 3.0
+        for share in (0.15, 0.25, 0.4, 0.55, 0.7, 0.85, 0.95):
+            for inside in (0.0, 1.0):
+                law = fit.law._replace(limit=share * top, inside=inside)
+                starts.append(Fit(law, (*fit.free, "limit")))
+    if not starts:
+        return []
+    sums = squared(errors(problem, [s.law for s in starts]))
+    value = [score(problem, z) for z in sums]
+    best: dict[str, tuple[float, Fit]] = {}
+    for z, start in zip(value, starts, strict=True):
+        name = start.free[-1]
+        if name not in best or z < best[name][0]:
+            best[name] = z, start
+    likely = sorted(best.values(), key=lambda b: b[0])
+    return [start for z, start in likely if before - z > 0.5 * CLOSED_LOOP.gain]
+
+
+def _borne_out(
+    whole: WholeTrials, found: Polished, file: Sequence[Law], notify: Callable[[str], None]
+) -> tuple[Polished, tuple[Member, ...]]:
+    """Without what whole trials do not bear out beside all else, and what stays."""
+    while True:
+        notify("whole trials, each number returned to the file's")
+        members = _members(whole, found, file)
+        gone = [m for m in members if m.refuted]
+        if not gone:
+            return found, tuple(members)
+        shared = [m for m in gone if m.coordinates[0][0] == SHARED_BY_ALL]
+        if shared:  # one at a time: each may take up what another leaves
+            gone = [min(shared, key=lambda m: m.gain)]
+        else:
+            gone = _weakest_by_joint(gone)
+        coordinates = [c for m in gone for c in m.coordinates]
+        found = polished(whole, without(whole, found, coordinates, file), rounds=2)
+
+
+def _weakest_by_joint(gone: Sequence[Member]) -> list[Member]:
+    """Of each joint the weakest."""
+    best: dict[int, Member] = {}
+    for m in gone:
+        joint = m.coordinates[0][0]
+        if joint not in best or m.gain < best[joint].gain:
+            best[joint] = m
+    return list(best.values())
+
+
+def _members(whole: WholeTrials, found: Polished, file: Sequence[Law]) -> list[Member]:
+    """What may be returned, with its test: the machine without it, one step on, over whole trials."""
+    sets = _returnable(found.model)
+    machines = [without(whole, found, c, file) for c in sets]
+    every = whole.errors([m.laws for m in machines])
+    out = []
+    for coordinates, error in zip(sets, every, strict=True):
+        joint = coordinates[0][0]
+        joints = list(range(error.shape[1])) if joint == SHARED_BY_ALL else [joint]
+        over = over_noise(whole, error)[joints].max()
+        tested = better_at(whole, error, found.errors, joints)
+        change = max(_change(found.model.fits[c[0]].law, file[c[0]], c[1]) for c in coordinates)
+        out.append(Member(coordinates, *tested, float(over), change))
+    return out
+
+
+def _change(law: Law, file: Law, name: str) -> float:
+    """Of a law's number how far it is from the file's (log); infinite of what the file has not."""
+    if name == "damping" and law.kp > 0.0:
+        return float(abs(np.log(law.damping / law.kp / (file.damping / file.kp))))
+    if name == "scale":
+        number = "kp" if law.kp > 0.0 else "damping"
+        return float(abs(np.log(getattr(law, number) / getattr(file, number))))
+    if name == "limit" and file.limit < OPEN:
+        return float(abs(np.log(law.limit / file.limit)))
+    return float("inf")
+
+
+def _returnable(model: Fitted) -> list[tuple[Coordinate, ...]]:
+    """Sets of coordinates that go together: the scale alone before kp and damping, which return
+    together or not at all.
+    """
+    out: list[tuple[Coordinate, ...]] = []
+    for j, fit in enumerate(model.fits):
+        for name in fit.free:
+            if name == "damping":
+                law = [(j, n) for n in ("scale", "damping") if n in fit.free]
+                out.append(tuple(law))
+            else:
+                out.append(((j, name),))
+    return out + [((SHARED_BY_ALL, n),) for n in model.shared]

@@ -1,0 +1,388 @@
+"""The law of a servo at a joint: its numbers, what the model file says of them, and the coordinates
+in which they are fitted.
+
+    force = clip(kp (target - q) + kd (rate - inside v), +-limit) - kd (1 - inside) v - damping v
+            + lift g(q) - dry friction
+
+Where the damping is heavy only ratios to kp show, and the scale of all of them is nearly free. So a
+fit moves `scale` (kp, damping, friction, limit together), and the others by themselves.
+"""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+
+from adaptsim_jax.logs.log import Log
+from adaptsim_jax.simulators.closed_loop.criteria import CLOSED_LOOP
+from adaptsim_jax.simulators.mujoco.build import Stepped
+
+OPEN = 1e6  # N m (N): a limit that is none
+SHARP_REFERENCE = (0.004, 1.0)
+SHARP_IMPEDANCE = (0.99, 0.99, 0.001, 0.5, 2.0)
+"""Of MuJoCo's dry friction, so that a joint at rest stays there."""
+
+
+class Law(NamedTuple):
+    """Numbers of a servo; arrays where there are several laws.
+
+    Args:
+        kp: N m/rad (N/m).
+        damping: Of controller and joint together, N m s/rad.
+        rub: Dry friction, N m.
+        limit: Of the controller's force, N m.
+        delay, lag: Of the target, s.
+        rotor: Inertia beyond the file's, kg m^2.
+        payload: Mass beyond the file's that the last body carries, kg.
+        lift: Share of gravity that the controller feeds forward (1).
+        offset: Of the target, rad.
+        spring: About the angle zero, N m/rad.
+        zero: By which the encoder reads too much, for the log and the controller alike, rad.
+        inside: 1: the limit cuts the whole force; 0: its part by the position error alone, as the
+            voltage of a motor is before its back electromotive force.
+        sharp: 1: dry friction holds a joint still; 0: it creeps, as MuJoCo's does.
+    """
+
+    kp: Any
+    damping: Any
+    rub: Any
+    limit: Any
+    delay: Any
+    lag: Any
+    rotor: Any
+    payload: Any
+    lift: Any
+    offset: Any
+    spring: Any
+    zero: Any
+    inside: Any
+    sharp: Any
+
+
+SCALED = ("kp", "damping", "rub", "limit")
+"""Numbers that the coordinate `scale` multiplies."""
+SHARED = ("delay", "lag", "payload", "lift", "rotor")
+"""Numbers that all joints may share."""
+UNITS = {
+    "kp": "N m/rad",
+    "damping": "N m s/rad",
+    "rub": "N m",
+    "limit": "N m",
+    "delay": "s",
+    "lag": "s",
+    "rotor": "kg m^2",
+    "payload": "kg",
+    "lift": "1",
+    "offset": "rad",
+    "spring": "N m/rad",
+    "zero": "rad",
+}
+
+
+@dataclass(frozen=True)
+class Servo:
+    """A joint that follows targets, as the model file has it.
+
+    Args:
+        name: Of the joint.
+        joint: Its place in the log.
+        actuator: Its actuator's number in the MuJoCo model.
+        driver: Its name.
+        command: What the log calls its input.
+        dof, qpos: Its places in qvel and qpos.
+        gear: Of the actuator.
+        follows_speed: Whether a target is a speed.
+        slides: Whether the joint does.
+        law: The file's.
+        passive: Damping of the joint alone, N m s/rad.
+        armature: kg m^2.
+        target: (factor, offset) that make a logged command the target in rad (rad/s).
+        command_range: Within which commands act.
+        ends: Of the joint's range, rad.
+        rest: Of the joint's spring, rad.
+    """
+
+    name: str
+    joint: int
+    actuator: int
+    driver: str
+    command: str
+    dof: int
+    qpos: int
+    gear: float
+    follows_speed: bool
+    slides: bool
+    law: Law
+    passive: float
+    armature: float
+    target: tuple[float, float]
+    command_range: tuple[float, float]
+    ends: tuple[float, float]
+    rest: float
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Coordinates of a law that is fitted."""
+        if self.follows_speed:
+            return ("scale", "rub")
+        return ("scale", "damping", "rub")
+
+
+def servos_of(made: Stepped, log: Log) -> tuple[Servo, ...]:
+    """The servos of a machine whose logged joints have one actuator each, empty for any other."""
+    model = made.model
+    if log.input_kind != "command" or model.ntendon or _tied(model, log):
+        return ()
+    lift, inputs = _lift(model), set(log.input_names)
+    found = []
+    for j, name in enumerate(log.joint_names):
+        mine = [k for k in range(model.nu) if _drives(model, k, model.joint(name).id)]
+        if len(mine) != 1 or not _is_servo(model, mine[0]):
+            return ()
+        command = next((c for c in (model.actuator(mine[0]).name, name) if c in inputs), None)
+        if command is None:
+            return ()
+        found.append(_servo(model, j, (name, command), mine[0], lift))
+    return tuple(found)
+
+
+def _tied(model: mujoco.MjModel, log: Log) -> bool:
+    """Whether an equality ties two joints that are logged."""
+    logged = {model.joint(name).id for name in log.joint_names}
+    for e in np.flatnonzero(model.eq_active0):
+        ends = {int(model.eq_obj1id[e]), int(model.eq_obj2id[e])}
+        of_joints = model.eq_type[e] == int(mujoco.mjtEq.mjEQ_JOINT)
+        if not of_joints or len(ends & logged) > 1:
+            return True
+    return False
+
+
+def _drives(model: mujoco.MjModel, actuator: int, joint: int) -> bool:
+    at_joint = model.actuator_trntype[actuator] == int(mujoco.mjtTrn.mjTRN_JOINT)
+    return bool(at_joint and model.actuator_trnid[actuator, 0] == joint)
+
+
+def _is_servo(model: mujoco.MjModel, k: int) -> bool:
+    """Whether an actuator is a position or velocity servo, with a filter at most."""
+    bias = model.actuator_biasprm[k]
+    affine = model.actuator_biastype[k] == int(mujoco.mjtBias.mjBIAS_AFFINE)
+    fixed = model.actuator_gaintype[k] == int(mujoco.mjtGain.mjGAIN_FIXED)
+    dynamics = model.actuator_dyntype[k]
+    plain = dynamics in (
+        int(mujoco.mjtDyn.mjDYN_NONE),
+        int(mujoco.mjtDyn.mjDYN_FILTER),
+        int(mujoco.mjtDyn.mjDYN_FILTEREXACT),
+    )
+    return bool(affine and fixed and plain and (bias[1] < 0.0 or bias[2] < 0.0))
+
+
+def _lift(model: mujoco.MjModel) -> float:
+    """Share of gravity that the file compensates: the median of its bodies with a mass."""
+    heavy = model.body_mass[1:] > 0.0
+    if not model.ngravcomp or not heavy.any():
+        return 0.0
+    return float(np.median(model.body_gravcomp[1:][heavy]))
+
+
+def _servo(model: mujoco.MjModel, j: int, names: tuple[str, str], k: int, lift: float) -> Servo:
+    """names: of the joint and of its input in the log."""
+    name, command = names
+    joint, gear = model.joint(name), float(model.actuator_gear[k, 0])
+    dof = int(joint.dofadr[0])
+    gain, bias = float(model.actuator_gainprm[k, 0]), model.actuator_biasprm[k]
+    kp, kv = -float(bias[1]) * gear**2, -float(bias[2]) * gear**2
+    passive = float(model.dof_damping[dof])
+    by_speed = kp <= 0.0
+    stiff = -float(bias[2] if by_speed else bias[1])
+    limit = OPEN
+    if model.actuator_forcelimited[k]:
+        limit = float(np.abs(model.actuator_forcerange[k]).min()) * abs(gear)
+    if model.jnt_actfrclimited[joint.id]:
+        limit = min(limit, float(np.abs(model.jnt_actfrcrange[joint.id]).min()))
+    lag = float(model.actuator_dynprm[k, 0]) if model.actuator_dyntype[k] else 0.0
+    law = Law(
+        kp=max(kp, 0.0),
+        damping=kv + passive,
+        rub=float(model.dof_frictionloss[dof]),
+        limit=limit,
+        delay=0.0,
+        lag=lag,
+        rotor=0.0,
+        payload=0.0,
+        lift=lift,
+        offset=0.0,
+        spring=float(model.jnt_stiffness[joint.id]),
+        zero=0.0,
+        inside=1.0,
+        sharp=1.0,
+    )
+    return Servo(
+        name,
+        j,
+        k,
+        model.actuator(k).name,
+        command,
+        dof,
+        int(joint.qposadr[0]),
+        gear,
+        by_speed,
+        joint.type[0] == int(mujoco.mjtJoint.mjJNT_SLIDE),
+        law,
+        passive,
+        float(model.dof_armature[dof]),
+        (gain / (stiff * gear), float(bias[0]) / (stiff * gear)),
+        _command_range(model, k),
+        _ends(model, joint.id),
+        float(model.qpos_spring[joint.qposadr[0]]) if model.jnt_stiffness[joint.id] else 0.0,
+    )
+
+
+def _ends(model: mujoco.MjModel, joint: int) -> tuple[float, float]:
+    if not model.jnt_limited[joint]:
+        return -np.inf, np.inf
+    low, high = model.jnt_range[joint]
+    return float(low), float(high)
+
+
+def _command_range(model: mujoco.MjModel, k: int) -> tuple[float, float]:
+    if not model.actuator_ctrllimited[k]:
+        return -np.inf, np.inf
+    low, high = model.actuator_ctrlrange[k]
+    return float(low), float(high)
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Sizes of a joint's numbers, by which coordinates are without unit.
+
+    Args:
+        force: Usual force of the servo, N m.
+        inertia: About the joint, kg m^2.
+        hand: Mass of the body that carries a payload, kg.
+        error: Usual distance of target and angle, rad.
+        swing: How far the joint moves, rad.
+    """
+
+    force: float
+    inertia: float
+    hand: float
+    error: float
+    swing: float
+
+    def unit(self, name: str) -> float:
+        """The size of a coordinate of 1."""
+        fixed = {"delay": 0.01, "lag": 0.01, "lift": 1.0, "offset": 0.01, "zero": 0.05}
+        own = {"rub": self.force, "rotor": self.inertia, "payload": max(self.hand, 1e-3)}
+        own["spring"] = self.force / max(self.swing, 1e-3)
+        return (fixed | own)[name]
+
+
+LOGARITHMIC = ("scale", "damping", "limit")
+
+
+def moved(servo: Servo, scales: Scales, law: Law, free: tuple[str, ...], step: np.ndarray) -> Law:
+    """The law a step [len(free)] away in the coordinates of `free`, within what a servo may have.
+
+    A step of a logarithmic coordinate is at most 2.
+    """
+    by = dict(zip(free, np.clip(step, -2.0, 2.0), strict=True))
+    times = float(np.exp(by.pop("scale", 0.0)))
+    new = law._asdict()
+    fitted = {"kp", *free} if not servo.follows_speed else {"damping", *free}
+    for name in SCALED:
+        if name in fitted and new[name] < OPEN:
+            new[name] *= times
+    for name, z in by.items():
+        if name in LOGARITHMIC:
+            new[name] *= float(np.exp(z))
+        else:
+            new[name] += z * scales.unit(name)
+    return bounded(servo, scales, Law(**new), free)
+
+
+def bounded(servo: Servo, scales: Scales, law: Law, free: tuple[str, ...]) -> Law:
+    """The law with what is fitted of it within its range."""
+    new = law._asdict()
+    longest = CLOSED_LOOP.history - 0.02
+    ranges = {
+        "rub": (0.0, np.inf),
+        "delay": (0.0, longest),
+        "lag": (0.0, 0.5),
+        "rotor": (-servo.armature, np.inf),
+        "payload": (-0.8 * scales.hand, np.inf),
+        "lift": (-1.0, 2.0),
+        "offset": (-0.3, 0.3),
+        "zero": (-0.3, 0.3),
+        "spring": (0.0, np.inf),
+    }
+    for name in free:
+        if name in ranges:
+            new[name] = float(np.clip(new[name], *ranges[name]))
+    if "rub" in free and not servo.follows_speed:
+        # friction beyond what the servo itself can give is none
+        new["rub"] = min(new["rub"], 2.0 * new["kp"] * scales.error)
+    return Law(**new)
+
+
+def with_file_law(servo: Servo, law: Law) -> Law:
+    """The law with kp and damping of the file, returned together or not at all."""
+    return law._replace(kp=servo.law.kp, damping=servo.law.damping)
+
+
+def inner_damping(servo: Servo, damping: Any) -> Any:
+    """Of a damping the part that is the controller's: what is beyond the joint's own."""
+    return damping - np.minimum(servo.passive, damping)
+
+
+def stacked(laws) -> Law:
+    """Several laws as one of arrays [B]."""
+    return Law(*(np.array(z, float) for z in zip(*laws, strict=True)))
+
+
+def overdamped(kp: Any, damping: Any, inertia: Any) -> Any:
+    """0 of a lightly damped loop, 1 of one that is damped far beyond critically."""
+    ratio = damping**2 / (4.0 * kp * inertia + 1e-300)
+    return ratio**2 / (1.0 + ratio**2)
+
+
+def half_a_step(kp: Any, damping: Any, inertia: Any, step: float) -> Any:
+    """Damping, N m s/rad, by which a step that takes the position error at its beginning is right to
+    second order where damping rules: half of what kp gains in a step.
+
+    Where inertia rules the target has to come half a step later instead (`later`).
+    """
+    return 0.5 * step * kp * overdamped(kp, damping, inertia)
+
+
+def later(kp: Any, damping: Any, inertia: Any, step: float) -> Any:
+    """By how much a target is to be late, s, so that a step is right to second order."""
+    return 0.5 * step * (1.0 - overdamped(kp, damping, inertia))
+
+
+def with_model(servo: Servo, model: mujoco.MjModel, law: Law, inertia: float | None = None) -> None:
+    """Put a law into a MuJoCo model, in place, but for delay, lag, payload and lift.
+
+    inertia: about the joint, kg m^2, by which its step is corrected (`half_a_step`).
+    """
+    g, k, dof = servo.gear, servo.actuator, servo.dof
+    if inertia is not None:
+        step = float(model.opt.timestep)
+        more = half_a_step(law.kp, law.damping, inertia + law.rotor, step)
+        law = law._replace(damping=law.damping + more)
+    inner = law.damping - min(servo.passive, law.damping)
+    model.actuator_gainprm[k, 0] = (inner if servo.follows_speed else law.kp) / g
+    model.actuator_biasprm[k, :3] = 0.0, -law.kp / g**2, -inner * law.inside / g**2
+    model.actuator_dynprm[k, 0] = 1e-9  # targets are filtered before
+    model.actuator_actearly[k] = True
+    model.dof_damping[dof] = law.damping - inner * law.inside
+    model.dof_frictionloss[dof] = law.rub
+    model.dof_armature[dof] = max(servo.armature + law.rotor, 0.0)
+    model.jnt_stiffness[int(model.dof_jntid[dof])] = law.spring
+    model.qpos_spring[servo.qpos] = servo.rest
+    if law.sharp:
+        model.dof_solref[dof] = SHARP_REFERENCE
+        model.dof_solimp[dof] = SHARP_IMPEDANCE
+    model.actuator_forcelimited[k] = law.limit < OPEN
+    model.actuator_forcerange[k] = np.array([-law.limit, law.limit]) / abs(g)
+    model.actuator_ctrllimited[k] = False

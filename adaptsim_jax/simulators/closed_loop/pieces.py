@@ -1,0 +1,146 @@
+"""A recording cut into pieces of a few seconds, and its motion, smoothed, that is imposed on the
+joints which are not simulated.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import signal
+
+from adaptsim_jax.logs.log import Log
+from adaptsim_jax.logs.noise import local_motion, sensor_noise
+from adaptsim_jax.simulators.closed_loop.criteria import CLOSED_LOOP
+from adaptsim_jax.simulators.closed_loop.law import Servo
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A trial of servos: time [T] s from its first row, q [T, n] rad (NaN: not read), target [T, n]
+    rad or rad/s, held from row to row.
+    """
+
+    name: str
+    time: np.ndarray
+    q: np.ndarray
+    target: np.ndarray
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Angles, speeds and accelerations [T, n] of a trial."""
+
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+
+
+def trials_of(log: Log, servos: Sequence[Servo]) -> tuple[Trial, ...]:
+    """The trials of a log as its servos see them."""
+    column = {name: k for k, name in enumerate(log.input_names)}
+    joints = [s.joint for s in servos]
+    commands = [column[s.command] for s in servos]
+    factor, offset = np.array([s.target for s in servos]).T
+    low, high = np.array([s.command_range for s in servos]).T
+    return tuple(
+        Trial(
+            trial.name,
+            trial.time - trial.time[0],
+            _filled(trial.time, trial.q[:, joints]),
+            np.clip(_held(trial.u[:, commands]), low, high) * factor + offset,
+        )
+        for trial in log.trials
+    )
+
+
+def _held(u: np.ndarray) -> np.ndarray:
+    """Commands of which a missing row holds the one before."""
+    rows = np.where(np.isfinite(u), np.arange(len(u))[:, None], 0)
+    rows = np.maximum.accumulate(rows, 0)
+    return np.nan_to_num(np.take_along_axis(u, rows, 0))
+
+
+def _filled(time: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Angles, where they were not read those of local cubics."""
+    if np.isfinite(q).all():
+        return q
+    return np.where(np.isfinite(q), q, local_motion(time, q, None)[0])
+
+
+def smoothed(time: np.ndarray, x: np.ndarray) -> Motion:
+    """Local cubics over `CLOSED_LOOP.smooth` s, at least five rows."""
+    dt = float(np.median(np.diff(time)))
+    rows = max(5, 2 * round(0.5 * CLOSED_LOOP.smooth / dt) + 1)
+    rows = min(rows, (len(time) - 1) // 2 * 2 + 1)
+    order = min(3, rows - 1)
+    parts = [
+        signal.savgol_filter(x, rows, order, deriv=k, delta=dt, axis=0, mode="interp")
+        for k in (0, 1, 2)
+    ]
+    return Motion(*parts)
+
+
+def imposed_motion(trial: Trial, simulated: Motion | None = None) -> Motion:
+    """The motion that is imposed: the measured one, or a simulated one and the smoothed rest."""
+    if simulated is None:
+        return smoothed(trial.time, trial.q)
+    rest = smoothed(trial.time, trial.q - simulated.q)
+    # mean accelerations: at the rows they would be locked to the targets' steps
+    mean = np.gradient(simulated.v, trial.time, axis=0)
+    return Motion(simulated.q + rest.q, simulated.v + rest.v, mean + rest.a)
+
+
+def pieces_of(trials: Sequence[Trial]) -> tuple[tuple[int, int, int], ...]:
+    """(trial, first row, last row) of pieces, cut where the machine is slowest.
+
+    Of very many those remain that move most.
+    """
+    out = []
+    for k, trial in enumerate(trials):
+        speed = np.abs(smoothed(trial.time, trial.q).v).max(1)
+        edges = _edges(trial.time, speed)
+        out += [(k, a, b) for a, b in zip(edges, edges[1:], strict=False) if b - a >= 8]
+    if len(out) > CLOSED_LOOP.pieces:
+        moves = [np.std(trials[k].q[a:b], 0).sum() for k, a, b in out]
+        most = np.sort(np.argsort(moves)[-CLOSED_LOOP.pieces :])
+        out = [out[i] for i in most]
+    return tuple(out)
+
+
+def _edges(time: np.ndarray, speed: np.ndarray) -> list[int]:
+    """Rows between which a trial is cut: near even times, where it is slowest."""
+    span = float(time[-1])
+    count = max(1, int(np.ceil(span / CLOSED_LOOP.longest)))
+    edges = [0]
+    for k in range(1, count):
+        near = np.flatnonzero(np.abs(time - span * k / count) < 0.2 * CLOSED_LOOP.longest)
+        edges.append(int(near[np.argmin(speed[near])]))
+    return [*edges, len(time) - 1]
+
+
+def groups_of(pieces: Sequence[tuple[int, int, int]], trials: int) -> tuple[np.ndarray, ...]:
+    """Pieces that are left out together: those of a trial where there are eight or more."""
+    own = np.array([k for k, _, _ in pieces])
+    if trials >= 8:
+        return tuple(np.flatnonzero(own == k) for k in np.unique(own))
+    return tuple(np.array([i]) for i in range(len(pieces)))
+
+
+def begins_at_rest(q: np.ndarray) -> bool:
+    """Whether the first rows [4, n] of a trial stand still."""
+    return bool(np.abs(q[:4] - q[0]).max() < CLOSED_LOOP.rest)
+
+
+def encoder_noise(trials: Sequence[Trial]) -> np.ndarray:
+    """Noise [n] of the angles: by differences, at least the encoder's step over the root of 12."""
+    by_rows = sensor_noise([t.q for t in trials])
+    steps = np.concatenate([np.abs(np.diff(t.q, axis=0)) for t in trials])
+    steps = np.where(steps > 1e-9, steps, np.nan)
+    with np.errstate(all="ignore"):
+        step = np.array([_low(s) for s in steps.T])
+    return np.maximum(np.maximum(by_rows, step / np.sqrt(12.0)), CLOSED_LOOP.least_noise)
+
+
+def _low(steps: np.ndarray) -> float:
+    some = steps[np.isfinite(steps)]
+    return float(np.percentile(some, 1)) if len(some) else 0.0

@@ -1,0 +1,274 @@
+"""Laws polished on whole trials of the whole machine, all joints together, and what is not borne out
+there returned to the file's.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from adaptsim_jax.simulators.closed_loop.fit import Fit, paired_t, prior_of, pulled, solved
+from adaptsim_jax.simulators.closed_loop.imposed import JointProblem, Recording
+from adaptsim_jax.simulators.closed_loop.law import Law, bounded, moved
+from adaptsim_jax.simulators.closed_loop.whole import blocks_of, simulated, trial_errors
+
+STEP = {"delay": 0.2, "lag": 0.2, "rotor": 0.02, "payload": 0.02, "lift": 0.02, "offset": 0.05}
+OTHER_STEP = 0.01
+SHARED_BY_ALL = -1
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A machine's servos.
+
+    Args:
+        fits: By joint.
+        shared: Names of numbers with one value for all joints.
+    """
+
+    fits: tuple[Fit, ...]
+    shared: tuple[str, ...] = ()
+
+    @property
+    def laws(self) -> list[Law]:
+        """By joint."""
+        return [f.law for f in self.fits]
+
+    @property
+    def coordinates(self) -> list[tuple[int, str]]:
+        """(joint, name) of what is fitted; joint -1: of all."""
+        own = [(j, n) for j, f in enumerate(self.fits) for n in f.free]
+        return own + [(SHARED_BY_ALL, n) for n in self.shared]
+
+
+@dataclass(frozen=True)
+class Polished:
+    """Servos fitted to whole trials.
+
+    Args:
+        model: The servos.
+        errors: [rows, n] rad.
+        hess, slope: Normal equations by piece, [P, K, K] and [P, K], without the pull.
+        steps: [F, K] to the coordinates that one step without each group of pieces gives.
+    """
+
+    model: Fitted
+    errors: np.ndarray
+    hess: np.ndarray
+    slope: np.ndarray
+    steps: np.ndarray
+
+
+@dataclass(frozen=True)
+class WholeTrials:
+    """Whole trials of a machine. problems: its joints, for scales and limits of their numbers."""
+
+    recording: Recording
+    problems: tuple[JointProblem, ...]
+    block: np.ndarray
+    counted: np.ndarray
+
+    def errors(self, machines: Sequence[Sequence[Law]]) -> list[np.ndarray]:
+        """[rows, n] of each machine, 0 where no row is compared."""
+        paths = simulated(self.recording, machines)
+        return [trial_errors(self.recording, m) * self.counted[:, None] for m in paths]
+
+    def by_piece(self, error: np.ndarray) -> np.ndarray:
+        """Sums of squares [P, n]."""
+        inside = self.block >= 0
+        out = np.zeros((len(self.recording.pieces), error.shape[1]))
+        np.add.at(out, self.block[inside], np.square(error[inside]))
+        return out
+
+    def moved(self, model: Fitted, steps: np.ndarray) -> Fitted:
+        """A step [K] away."""
+        at = dict(zip(model.coordinates, steps, strict=True))
+        fits = []
+        for j, (fit, p) in enumerate(zip(model.fits, self.problems, strict=True)):
+            own = np.array([at[j, n] for n in fit.free])
+            law = moved(p.servo, p.scales, fit.law, fit.free, own) if fit.free else fit.law
+            for name in model.shared:
+                value = getattr(law, name) + at[SHARED_BY_ALL, name] * p.scales.unit(name)
+                if name == "rotor":  # one value of like rotors
+                    value = getattr(law, name) + at[SHARED_BY_ALL, name] * self.rotor_unit
+                law = bounded(p.servo, p.scales, law._replace(**{name: value}), (name,))
+            fits.append(fit.of(law))
+        return Fitted(tuple(fits), model.shared)
+
+    @property
+    def rotor_unit(self) -> float:
+        """The size of a shared rotor, kg m^2."""
+        return float(np.median([p.scales.inertia for p in self.problems]))
+
+    def pulled(self, model: Fitted) -> float:
+        """What the pull to the file's scale adds to the loss."""
+        rows = zip(self.problems, model.fits, strict=True)
+        return sum(pulled(p, f) for p, f in rows if f.free)
+
+
+def whole_trials(recording: Recording, problems: Sequence[JointProblem]) -> WholeTrials:
+    """The rows after the first instants of each trial count."""
+    counted = np.concatenate([t.time > 0.02 for t in recording.trials])
+    return WholeTrials(recording, tuple(problems), blocks_of(recording), counted)
+
+
+def weights(whole: WholeTrials, error: np.ndarray) -> np.ndarray:
+    """[n] of joints."""
+    noise = np.array([p.noise for p in whole.problems])
+    return 1.0 / (np.square(error).mean(0) + np.square(noise))
+
+
+def polished(whole: WholeTrials, model: Fitted, rounds: int = 4) -> Polished:
+    """Gauss and Newton's fit over whole trials."""
+    error = whole.errors([model.laws])[0]
+    damping = 1e-3
+    while True:
+        weight = weights(whole, error)
+        before = float((np.square(error) * weight).sum()) + whole.pulled(model)
+        hess, slope = _linearised(whole, model, error, weight)
+        prior_hess, prior_slope = _pull(whole, model)
+        if not model.coordinates or rounds == 0:
+            break
+        total, right = hess.sum(0) + prior_hess, slope.sum(0) + prior_slope
+        sizes = damping * np.array([1e-3, 1.0, 30.0, 1e3])
+        own = np.diag(np.diag(total))
+        steps = [np.clip(-solved(total + z * own, right), -0.7, 0.7) for z in sizes]
+        tries = [whole.moved(model, step) for step in steps]
+        every = whole.errors([t.laws for t in tries])
+        loss = [
+            float((np.square(e) * weight).sum()) + whole.pulled(t)
+            for e, t in zip(every, tries, strict=True)
+        ]
+        best = int(np.argmin(loss))
+        if not loss[best] < before:
+            break
+        model, error, rounds = tries[best], every[best], rounds - 1
+        damping = float(np.clip(sizes[best], 1e-7, 1e3))
+        if loss[best] > before * (1.0 - 1e-3):
+            rounds = 0
+    return Polished(model, error, hess, slope, _jackknifed(whole, hess, slope, _pull(whole, model)))
+
+
+def _linearised(whole: WholeTrials, model: Fitted, error: np.ndarray, weight: np.ndarray):
+    """Normal equations by piece, by differences."""
+    at = model.coordinates
+    size = np.array([STEP.get(name, OTHER_STEP) for _, name in at])
+    changed = [whole.moved(model, row) for row in np.diag(size)]
+    every = whole.errors([c.laws for c in changed])
+    count = len(whole.recording.pieces)
+    hess, slope = np.zeros((count, len(at), len(at))), np.zeros((count, len(at)))
+    if not at:
+        return hess, slope
+    derivative = np.stack([(e - error) / h for e, h in zip(every, size, strict=True)], -1)
+    for i in range(count):
+        rows = whole.block == i
+        d = derivative[rows]
+        hess[i] = np.einsum("rja,rjb,j->ab", d, d, weight)
+        slope[i] = np.einsum("rja,rj,j->a", d, error[rows], weight)
+    return hess, slope
+
+
+def _pull(whole: WholeTrials, model: Fitted) -> tuple[np.ndarray, np.ndarray]:
+    count = len(model.coordinates)
+    hess, slope, k = np.zeros((count, count)), np.zeros(count), 0
+    for p, f in zip(whole.problems, model.fits, strict=True):
+        size = len(f.free)
+        hess[k : k + size, k : k + size], slope[k : k + size] = prior_of(p, f)
+        k += size
+    return hess, slope
+
+
+def _jackknifed(whole: WholeTrials, hess, slope, prior) -> np.ndarray:
+    groups = whole.problems[0].groups
+    if not hess.shape[1]:
+        return np.zeros((len(groups), 0))
+    total, right = hess.sum(0) + prior[0], slope.sum(0) + prior[1]
+    here = solved(total, right)
+    return np.array(
+        [here - solved(total - hess[g].sum(0), right - slope[g].sum(0)) for g in groups]
+    )
+
+
+Coordinate = tuple[int, str]
+
+
+def without(
+    whole: WholeTrials, found: Polished, gone: Sequence[Coordinate], base: Sequence[Law]
+) -> Fitted:
+    """The servos with some coordinates as the laws `base` have them, the others one step on."""
+    model, at = found.model, found.model.coordinates
+    fits = []
+    for j, (fit, law) in enumerate(zip(model.fits, base, strict=True)):
+        own = [name for k, name in gone if k in (j, SHARED_BY_ALL)]
+        free = tuple(n for n in fit.free if (j, n) not in gone)
+        fits.append(Fit(_returned(fit.law, law, own, fit.free), free))
+    shared = tuple(n for n in model.shared if (SHARED_BY_ALL, n) not in gone)
+    new = Fitted(tuple(fits), shared)
+    stay = [i for i, c in enumerate(at) if c not in gone]
+    if not stay:
+        return new
+    off = np.array([_distance(whole, model, new, c) if c in gone else 0.0 for c in at])
+    prior_hess, prior_slope = _pull(whole, model)
+    hess, slope = found.hess.sum(0) + prior_hess, found.slope.sum(0) + prior_slope
+    rest = slope[stay] + hess[stay] @ off
+    return whole.moved(new, np.clip(-solved(hess[np.ix_(stay, stay)], rest), -0.5, 0.5))
+
+
+def _returned(law: Law, base: Law, names: Sequence[str], free: Sequence[str]) -> Law:
+    """A law with some coordinates of another. The scale alone takes with it what it multiplies."""
+    new = law._asdict()
+    if "scale" in names and "damping" not in names and base.kp > 0.0:
+        times = base.kp / law.kp
+        for name in ("kp", "damping", "rub", "limit"):
+            if name == "kp" or name in free:
+                new[name] *= times
+    elif "scale" in names:
+        new |= {"kp": base.kp, "damping": base.damping}
+    elif "damping" in names:
+        new["damping"] = base.damping / base.kp * law.kp
+    if "limit" in names:
+        new |= {"limit": base.limit, "inside": base.inside}
+    for name in names:
+        if name not in ("scale", "damping", "limit"):
+            new[name] = getattr(base, name)
+    return Law(**new)
+
+
+def _distance(whole: WholeTrials, model: Fitted, new: Fitted, at: Coordinate) -> float:
+    """By how many units of its coordinate a number was moved."""
+    j, name = max(at[0], 0), at[1]
+    one, other, p = model.fits[j].law, new.fits[j].law, whole.problems[j]
+    stiff = "damping" if p.servo.follows_speed else "kp"
+
+    def times(number):
+        return float(np.log(getattr(other, number) / getattr(one, number)))
+
+    if name == "scale":
+        return times(stiff)
+    if name == "damping":
+        return times("damping") - times("kp")
+    if name == "limit":
+        return 0.0
+    unit = whole.rotor_unit if at == (SHARED_BY_ALL, "rotor") else p.scales.unit(name)
+    return (getattr(other, name) - getattr(one, name)) / unit
+
+
+def over_noise(whole: WholeTrials, error: np.ndarray) -> np.ndarray:
+    """RMS errors over the noise [n]."""
+    noise = np.array([p.noise for p in whole.problems])
+    return np.sqrt(np.square(error[whole.counted]).mean(0)) / noise
+
+
+def better_at(
+    whole: WholeTrials, before: np.ndarray, after: np.ndarray, joints: Sequence[int]
+) -> tuple[float, float, int]:
+    """(share of the squared error that is taken off at joints, log, mean over pieces; its p; pieces
+    that are better).
+    """
+    rows = np.bincount(whole.block[whole.block >= 0], minlength=len(whole.recording.pieces))
+    total = np.zeros(len(rows))
+    for j in joints:
+        floor = 0.05 * rows * whole.problems[j].noise ** 2
+        one, other = (whole.by_piece(e)[:, j] + floor for e in (before, after))
+        total += np.clip(np.log(one / other), -1.0, 1.0)
+    return float(total.mean()), paired_t(total), int((total > 0.0).sum())

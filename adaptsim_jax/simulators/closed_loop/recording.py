@@ -1,0 +1,101 @@
+"""A log of servos as it is simulated in closed loop."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+
+from adaptsim_jax.logs.log import Log
+from adaptsim_jax.mechanisms.spec import Source, without_shapes
+from adaptsim_jax.simulators.closed_loop.criteria import CLOSED_LOOP
+from adaptsim_jax.simulators.closed_loop.imposed import Recording, dynamics_along
+from adaptsim_jax.simulators.closed_loop.law import OPEN, Servo, servos_of
+from adaptsim_jax.simulators.closed_loop.pieces import (
+    Motion,
+    Trial,
+    encoder_noise,
+    pieces_of,
+    trials_of,
+)
+from adaptsim_jax.simulators.mujoco.build import stepped, turns_of_balls
+
+NO_LIFT = 1e-12  # share of gravity that is compensated nowhere, and can be changed
+
+
+def recording_of(source: Source, log: Log) -> Recording | None:
+    """The log where all of its joints follow targets; None of any other machine."""
+    if log.input_kind != "command" or any(t.base is not None for t in log.trials):
+        return None
+    if turns_of_balls(source, log):
+        return None
+    made = stepped(source, log, _prepared)
+    model = made.model
+    servos = _late_by_file(source, servos_of(made, log))
+    if not servos:
+        return None
+    trials = trials_of(log, servos)
+    pieces = pieces_of(trials)
+    if len(pieces) < 3:
+        return None
+    noise = encoder_noise(trials)
+    inertia = _inertia(model, servos, trials)
+    step = float(model.opt.timestep)
+    if _fast(servos, inertia, step):
+        model.opt.timestep = 0.5 * step
+    hand = _hand(model, servos)
+    return Recording(model, made.pose, servos, trials, pieces, noise, inertia, hand, step)
+
+
+def _fast(servos: tuple[Servo, ...], inertia: np.ndarray, step: float) -> bool:
+    """Whether a force that its limit cuts changes within a step: MuJoCo takes it as it begins."""
+    damping = np.array([s.law.damping if s.law.limit < OPEN else 0.0 for s in servos])
+    return bool(np.any(step * damping > CLOSED_LOOP.stiff * inertia))
+
+
+def _inertia(model: mujoco.MjModel, servos: tuple[Servo, ...], trials: tuple[Trial, ...]):
+    """[n] kg m^2 about the joints, at a few poses of the trials."""
+    q = np.concatenate([t.q for t in trials])
+    some = q[np.linspace(0, len(q) - 1, 20).astype(int)]
+    still = np.zeros_like(some)
+    return dynamics_along(model, servos, Motion(some, still, still)).inertia.mean(0)
+
+
+def _late_by_file(source: Source, servos: tuple[Servo, ...]) -> tuple[Servo, ...]:
+    """With the delays of the file's actuators, which are simulated as those that are fitted."""
+    delay = {
+        source.model.actuator(k).name: float(z) for k, z in enumerate(source.model.actuator_delay)
+    }
+    return tuple(replace(s, law=s.law._replace(delay=delay.get(s.driver, 0.0))) for s in servos)
+
+
+def _prepared(spec: mujoco.MjSpec) -> None:
+    """Fine steps without contact; what only looks goes, gravity's compensation can be changed."""
+    without_shapes(spec)
+    option = spec.option
+    option.timestep = min(option.timestep, CLOSED_LOOP.step)
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    for actuator in spec.actuators:
+        actuator.delay, actuator.nsample = 0.0, 0
+    for body in spec.bodies[1:]:
+        body.gravcomp = max(body.gravcomp, NO_LIFT)
+
+
+def _hand(model: mujoco.MjModel, servos: tuple[Servo, ...]) -> int:
+    """The body that all joints carry: that of the last one of a single chain, else -1."""
+    bodies = [int(model.dof_bodyid[s.dof]) for s in servos if not s.slides]
+    if not bodies:
+        return -1
+    last = max(bodies, key=lambda b: len(_chain(model, b)))
+    if set(bodies) <= set(_chain(model, last)):
+        return last
+    return -1
+
+
+def _chain(model: mujoco.MjModel, body: int) -> list[int]:
+    """A body and those that carry it."""
+    out = []
+    while body:
+        out.append(body)
+        body = int(model.body_parentid[body])
+    return out

@@ -1,0 +1,226 @@
+"""Numbers that the servos of a machine share (a delay, a filter, a payload, gravity fed forward, like
+rotors), each joint's own numbers eliminated.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from adaptsim_jax.core.parallel import parallel_map
+from adaptsim_jax.simulators.closed_loop.criteria import CLOSED_LOOP
+from adaptsim_jax.simulators.closed_loop.fit import (
+    Fit,
+    begun,
+    fitted,
+    gains,
+    left,
+    left_out,
+    linearised,
+    paired_t,
+    pulled,
+    score,
+    solved,
+    weights,
+)
+from adaptsim_jax.simulators.closed_loop.imposed import JointProblem
+from adaptsim_jax.simulators.closed_loop.law import bounded, moved
+from adaptsim_jax.simulators.closed_loop.stepping import errors, squared
+
+LATE = ("delay", "lag")
+DAMPING = (0.0, 1e-3, 1e-2, 0.1, 1.0, 10.0)
+INFORMATIVE = 3  # joints from which a common delay begins: those that move most over their noise
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """A number that all joints share, fitted: fits by joint, the share that it takes off what was
+    left out (log, all joints together), the least of a joint, and the p of its test.
+    """
+
+    name: str
+    fits: tuple[Fit, ...]
+    gain: float
+    least: float
+    p: float
+
+    @property
+    def passes(self) -> bool:
+        """Whether left-out pieces bear it out, and no joint is harmed."""
+        harmless = self.least > -CLOSED_LOOP.harm
+        enough = self.gain > CLOSED_LOOP.shared_gain
+        return bool(enough and harmless and self.p < CLOSED_LOOP.level)
+
+
+def attempted(
+    problems: Sequence[JointProblem], before: Sequence[Fit], name: str, fits: Sequence[Fit]
+) -> Attempt:
+    """How fits with a shared number do against those without, on pieces that were left out."""
+
+    def one(row):
+        problem, old, new = row
+        return gains(problem, left_out(problem, old).sums, left_out(problem, new).sums)
+
+    each = np.array(parallel_map(one, list(zip(problems, before, fits, strict=True))))
+    total = each.sum(0)
+    return Attempt(
+        name, tuple(fits), float(total.mean()), float(each.mean(1).min()), paired_t(total)
+    )
+
+
+def with_value(problem: JointProblem, fit: Fit, name: str, value: float) -> Fit:
+    """The fit with another value of a shared number."""
+    law = fit.law._replace(**{name: value})
+    return fit.of(bounded(problem.servo, problem.scales, law, (name,)))
+
+
+def fitted_shared(
+    problems: Sequence[JointProblem],
+    fits: Sequence[Fit],
+    name: str,
+    value: float,
+    rounds: int = 8,
+) -> tuple[Fit, ...]:
+    """Gauss and Newton's fit of one number that all joints share, and of their own."""
+    fits = tuple(with_value(p, f, name, value) for p, f in zip(problems, fits, strict=True))
+    fixed: list[np.ndarray] | None = None
+    for _ in range(rounds):
+        if fixed is None:
+            fixed = [weights(p, left(p, f.law)) for p, f in zip(problems, fits, strict=True)]
+        rows = list(zip(problems, fits, fixed, strict=True))
+        own = parallel_map(lambda row: _normal(*row, name), rows)
+        before = sum(z[2] for z in own)
+        tries = [_stepped(own, damping) for damping in DAMPING]
+
+        def moves(at, tries=tries, fits=fits, name=name):
+            problem, fit = problems[at], fits[at]
+            unit = problem.scales.unit(name)
+            out = []
+            for steps, shift in tries:
+                own_law = moved(problem.servo, problem.scales, fit.law, fit.free, steps[at])
+                law = own_law._replace(**{name: getattr(fit.law, name) + shift * unit})
+                out.append(bounded(problem.servo, problem.scales, law, (*fit.free, name)))
+            return out
+
+        laws = [moves(at) for at in range(len(problems))]
+
+        def loss(row):
+            problem, fit, weight, some = row
+            sums = squared(errors(problem, some)) @ weight
+            return sums + [pulled(problem, fit.of(z)) for z in some]
+
+        losses = sum(parallel_map(loss, list(zip(problems, fits, fixed, laws, strict=True))))
+        best = int(np.argmin(losses))
+        if not losses[best] < before:
+            break
+        fits = tuple(f.of(some[best]) for f, some in zip(fits, laws, strict=True))
+        if losses[best] > before * (1.0 - 1e-3):
+            break
+    return fits
+
+
+def _normal(problem: JointProblem, fit: Fit, weight: np.ndarray, name: str):
+    """Normal equations with the shared number last, and the loss."""
+    lin = linearised(problem, Fit(fit.law, (*fit.free, name)), weight)
+    hess, slope = lin.normal()
+    return hess, slope, float(weight @ squared(lin.error)) + pulled(problem, fit)
+
+
+def _stepped(own: Sequence[tuple], damping: float) -> tuple[list[np.ndarray], float]:
+    """(steps by joint, step of the shared number): Schur's complement of all joints."""
+    above, below, parts = 0.0, 0.0, []
+    for hess, slope, _ in own:
+        hess = hess + damping * np.diag(np.diag(hess))
+        k = len(slope) - 1
+        x = solved(hess[:k, :k], np.column_stack([slope[:k], hess[:k, k:]]))
+        above += slope[k] - hess[k, :k] @ x[:, 0]
+        below += hess[k, k] - hess[k, :k] @ x[:, 1]
+        parts.append(x)
+    shift = float(np.clip(-above / max(below, 1e-300), -3.0, 3.0))
+    return [np.clip(-x[:, 0] - shift * x[:, 1], -1.0, 1.0) for x in parts], shift
+
+
+def late_targets(
+    problems: Sequence[JointProblem], fits: Sequence[Fit]
+) -> tuple[tuple[Fit, ...], list[Attempt]]:
+    """Fits with one delay or one filter of all targets, begun anew; as they were where left-out
+    pieces bear out neither.
+    """
+    worth = [
+        score(p, left(p, f.law)) - np.log(p.noise**2) for p, f in zip(problems, fits, strict=True)
+    ]
+    chosen = np.argsort(worth)[::-1][:INFORMATIVE]
+    tried: list[Attempt] = []
+    for name in LATE:
+        own = parallel_map(lambda j, name=name: begun(problems[j], fits[j].law, name), chosen)
+        better = [
+            score(problems[j], left(problems[j], fits[j].law))
+            - score(problems[j], left(problems[j], f.law))
+            for j, f in zip(chosen, own, strict=True)
+        ]
+        value = _weighted_median([getattr(f.law, name) for f in own], better)
+        if value < CLOSED_LOOP.late:
+            continue
+        starts = [with_value(p, f, name, value) for p, f in zip(problems, fits, strict=True)]
+        for j, f in zip(chosen, own, strict=True):
+            starts[j] = with_value(problems[j], Fit(f.law, fits[j].free), name, value)
+        rows = list(zip(problems, starts, strict=True))
+        starts = parallel_map(lambda row: fitted(*row, rounds=6), rows)
+        new = fitted_shared(problems, starts, name, value)
+        tried.append(attempted(problems, fits, name, new))
+    passed = [a for a in tried if a.passes]
+    if not passed:
+        return tuple(fits), tried
+    return max(passed, key=lambda a: a.gain).fits, tried
+
+
+def _weighted_median(values: Sequence[float], weight: Sequence[float]) -> float:
+    order = np.argsort(values)
+    w = np.maximum(np.asarray(weight), 0.0)[order] + 1e-9
+    return float(np.asarray(values)[order][np.searchsorted(np.cumsum(w), 0.5 * w.sum())])
+
+
+def likely_shared(
+    problems: Sequence[JointProblem], fits: Sequence[Fit], names: Sequence[str]
+) -> list[tuple[str, float]]:
+    """Of shared numbers the likeliest three, each with its step, by one step of all joints."""
+
+    def one(row):
+        problem, fit = row
+        own = tuple(n for n in fit.free if n not in names)
+        lin = linearised(problem, Fit(fit.law, (*own, *names)))
+        hess, slope = lin.normal()
+        k, unit = len(own), np.array([problem.scales.unit(n) for n in names])
+        x = solved(hess[:k, :k], np.column_stack([slope[:k], hess[:k, k:]]))
+        above = (slope[k:] - hess[k:, :k] @ x[:, 0]) / unit
+        below = np.diag(hess)[k:] - np.einsum("ki,ik->k", hess[k:, :k], x[:, 1:])
+        return above, below / unit**2, float(lin.weight @ squared(lin.error))
+
+    rows = parallel_map(one, list(zip(problems, fits, strict=True)))
+    above, below, total = (sum(z[i] for z in rows) for i in range(3))
+    below = np.maximum(below, 1e-300)
+    gain, step = above**2 / below / total, -above / below
+    order = np.argsort(gain)[::-1]
+    return [(names[i], float(step[i])) for i in order if gain[i] > 0.003][:3]
+
+
+def one_more_shared(
+    problems: Sequence[JointProblem], fits: Sequence[Fit], names: Sequence[str]
+) -> tuple[Attempt | None, list[Attempt]]:
+    """The shared number that predicts left-out pieces best, None where none does; all that were
+    tried.
+    """
+    tried = []
+    for name, step in likely_shared(problems, fits, names):
+        value = getattr(fits[0].law, name)
+        if name in LATE and value == 0.0 and step < 0.0:
+            continue
+        own = [Fit(f.law, tuple(n for n in f.free if n != name)) for f in fits]
+        unit = 0.01 if name in LATE else 1.0
+        begin = value + float(np.clip(0.5 * step, -50 * unit, 50 * unit))
+        new = fitted_shared(problems, own, name, begin)
+        tried.append(attempted(problems, fits, name, new))
+    passed = [a for a in tried if a.passes]
+    if not passed:
+        return None, tried
+    return max(passed, key=lambda a: a.gain), tried

@@ -1,0 +1,124 @@
+"""One joint in closed loop with its servo, over many pieces and for many laws at once.
+
+A step is implicit in the speed, the limit included, since a servo's damping stops a light joint
+within less than a millisecond. Dry friction is the force that would stop the joint within the step,
+within its level.
+"""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax.simulators.closed_loop.criteria import CLOSED_LOOP
+from adaptsim_jax.simulators.closed_loop.imposed import JointProblem, Lanes
+from adaptsim_jax.simulators.closed_loop.law import Law, half_a_step, later, stacked
+
+SOFT_RATE, SOFT_IMPEDANCE = 2.0 / (0.95 * 0.02), 0.9  # of MuJoCo's dry friction, as it stands
+
+
+def targets_of(delay, area, history: int, step: float):
+    """Mean target [S, B, P] of each step, late by `delay` [B] s, from its running integral
+    [P, H + S + 2], which is linear between grid points.
+    """
+    steps = area.shape[1] - history - 2
+    at = jnp.arange(steps + 1)[None] + history - delay[:, None] / step  # [B, S + 1]
+    low = jnp.clip(jnp.floor(at).astype(int), 0, area.shape[1] - 2)
+    share = at - low
+    there = area[:, low] * (1.0 - share) + area[:, low + 1] * share  # [P, B, S + 1]
+    return jnp.transpose(jnp.diff(there, axis=2) / step, (2, 1, 0))
+
+
+@partial(jax.jit, static_argnames=("history", "by_speed", "slides"))
+def _angles(law: Law, lane: Lanes, fixed, step, history: int, by_speed: bool, slides: bool):
+    """Angles [B, P, R] at the rows. fixed: damping of the joint alone, inverse weight, ends of the
+    range, rest of its spring.
+    """
+    passive, ease, low, high, rest = fixed
+    late = law.delay + later(law.kp, law.damping, jnp.mean(lane.tables[:, 0]) + law.rotor, step)
+    target = targets_of(late, lane.area, history, step)
+    law = Law(*(z[:, None] for z in law))
+    outer = jnp.minimum(passive, law.damping)
+    inner = law.damping - outer
+    cut, free = law.inside * inner, outer + (1.0 - law.inside) * inner
+    arrived = jnp.where(law.lag > 1e-6, 1.0 - jnp.exp(-step / jnp.maximum(law.lag, 1e-6)), 1.0)
+    softness = SOFT_IMPEDANCE / (1.0 - SOFT_IMPEDANCE) / ease
+
+    def one(carry, now):
+        q, v, u = carry
+        wanted, table = now
+        own, coupling, gravity, turned, more, more_c, more_g, more_t, imposed = table
+        u = u + arrived * (wanted - u)
+        x = q - imposed - law.zero
+        cos, sin = (jnp.ones_like(x), jnp.zeros_like(x)) if slides else (jnp.cos(x), jnp.sin(x))
+        weight = gravity * cos + turned * sin
+        inertia = own + law.rotor + law.payload * more
+        load = (
+            coupling
+            + law.payload * (more_c + more_g * cos + more_t * sin)
+            + (1 - law.lift) * weight
+        )
+        load = load + law.spring * (q - law.zero - rest)
+        if by_speed:
+            asked, stiff = inner * (u + law.offset), 0.0
+        else:
+            asked = law.kp * (u + law.offset - q)
+            stiff = half_a_step(law.kp, law.damping, inertia, step)
+
+        def moved(rub):
+            """Speed after the step under dry friction."""
+            push = rub - load
+            v1 = (inertia * v + step * (asked + push)) / (inertia + step * (cut + free + stiff))
+            force = asked - (cut + stiff) * v1
+            v2 = (inertia * v + step * (jnp.clip(force, -law.limit, law.limit) + push)) / (
+                inertia + step * free
+            )
+            return jnp.where(jnp.abs(force) <= law.limit, v1, v2)
+
+        without = moved(0.0)
+        hold = -without * (inertia + step * (cut + free + stiff)) / step
+        servo = jnp.clip(asked - cut * v, -law.limit, law.limit)
+        pushed = (servo - free * v - load) / inertia
+        soft = -softness * (SOFT_RATE * v + pushed) / (1.0 + softness / inertia)
+        v = moved(jnp.clip(jnp.where(law.sharp > 0.0, hold, soft), -law.rub, law.rub))
+        free_q = q + step * v
+        q = jnp.clip(free_q, low, high)
+        return (q, jnp.where(q == free_q, v, 0.0), u), q
+
+    ones = jnp.ones_like(law.kp)
+    begin = ones * lane.begin[0], ones * lane.begin[1], target[0]
+    tables = jnp.moveaxis(lane.tables, 1, 0)
+    _, path = jax.lax.scan(one, begin, (target, tuple(tables)))
+    path = jnp.transpose(jnp.concatenate([begin[0][None], path]), (1, 2, 0))  # [B, P, S + 1]
+    row = jnp.broadcast_to(lane.row, (len(path), *lane.row.shape))
+    before, after = (jnp.take_along_axis(path, row + k, 2) for k in (0, 1))
+    return before + lane.share * (after - before)
+
+
+def errors(problem: JointProblem, laws: list[Law]) -> np.ndarray:
+    """Simulated less measured angles [B, P, R] of several laws, 0 where no row is compared."""
+    lane, servo, size, parts = problem.lanes, problem.servo, CLOSED_LOOP.batch, []
+    history = round(CLOSED_LOOP.history / problem.step)
+    with jax.enable_x64(True):
+        for k in range(0, len(laws), size):
+            some = laws[k : k + size]
+            padded = stacked([*some, *[some[-1]] * (size - len(some))])
+            angles = _angles(
+                Law(*(jnp.asarray(z) for z in padded)),
+                lane,
+                jnp.asarray([servo.passive, problem.ease, *problem.ends, servo.rest]),
+                problem.step,
+                history,
+                servo.follows_speed,
+                servo.slides,
+            )
+            parts.append(np.asarray(angles)[: len(some)])
+    off = np.concatenate(parts) - np.asarray(lane.measured)
+    off = np.where(np.isfinite(off), np.clip(off, -1e3, 1e3), 1e3)
+    return off * np.asarray(lane.counted)
+
+
+def squared(error: np.ndarray) -> np.ndarray:
+    """Sum of squares over rows."""
+    return np.square(error).sum(-1)

@@ -1,0 +1,123 @@
+"""Whole trials of the whole machine, stepped by MuJoCo with servos of other laws than the file's."""
+
+import copy
+import os
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from mujoco import rollout
+from scipy import signal
+
+from adaptsim_jax.simulators.closed_loop.imposed import Recording, heavier
+from adaptsim_jax.simulators.closed_loop.law import Law, later, with_model
+from adaptsim_jax.simulators.closed_loop.pieces import Motion, begins_at_rest, smoothed
+from adaptsim_jax.simulators.mujoco.rollouts import FULL, quietly
+
+LANES = 16  # machines that are simulated at once: their paths are held in memory
+RAN_AWAY = 10.0  # rad (m): an error that counts as no larger
+
+
+def machine_of(recording: Recording, laws: Sequence[Law]) -> mujoco.MjModel:
+    """The model whose servos have these laws."""
+    payload = laws[0].payload
+    if recording.hand >= 0 and payload:
+        model = heavier(recording.model, recording.hand, payload)
+    else:
+        model = copy.copy(recording.model)
+    for servo, law, inertia in zip(recording.servos, laws, recording.inertia, strict=True):
+        with_model(servo, model, law, inertia)
+    if laws[0].lift != recording.servos[0].law.lift:
+        model.body_gravcomp[1:] = laws[0].lift
+    return model
+
+
+def arrived_targets(recording: Recording, trial: int, laws: Sequence[Law]) -> np.ndarray:
+    """Targets [S, n] in rad, as means over the steps, late, filtered and shifted."""
+    t, dt = recording.trials[trial], recording.whole_step
+    steps = max(1, int(np.ceil(t.time[-1] / dt - 1e-9)))
+    edges = np.append(t.time, t.time[-1] + 10.0)
+    out = np.zeros((steps, len(laws)))
+    for j, law in enumerate(laws):
+        held = t.target[:, j]
+        whole = np.append(0.0, np.cumsum(np.diff(edges) * held))
+        shift = later(law.kp, law.damping, recording.inertia[j] + law.rotor, dt)
+        at = dt * np.arange(steps + 1) - law.delay - shift
+        area = np.where(at < 0.0, at * held[0], np.interp(at, edges, whole))
+        mean = np.diff(area) / dt
+        if law.lag > 1e-6:
+            mean = _filtered(mean, 1.0 - np.exp(-dt / law.lag))
+        out[:, j] = mean + law.offset - law.zero
+    return out
+
+
+def _filtered(u: np.ndarray, share: float) -> np.ndarray:
+    out, _ = signal.lfilter([share], [1.0, share - 1.0], u, zi=[(1.0 - share) * u[0]])
+    return out
+
+
+def simulated(recording: Recording, machines: Sequence[Sequence[Law]]) -> list[list[Motion]]:
+    """Motion of each trial, by machine: angles and speeds [T, n] at its rows; NaN from where a
+    simulation blew up. Accelerations are those of the speeds.
+    """
+    out: list[list[Motion]] = []
+    for first in range(0, len(machines), LANES):
+        some = machines[first : first + LANES]
+        models = [machine_of(recording, laws) for laws in some]
+        trials = [_of_trial(recording, k, models, some) for k in range(len(recording.trials))]
+        out += [[trial[b] for trial in trials] for b in range(len(some))]
+    return out
+
+
+def _of_trial(recording, k: int, models, machines) -> list[Motion]:
+    trial, dt, servos = recording.trials[k], recording.whole_step, recording.servos
+    qpos, dof = np.array([s.qpos for s in servos]), np.array([s.dof for s in servos])
+    moving = smoothed(trial.time, trial.q)
+    data = mujoco.MjData(models[0])
+    data.qpos[:] = recording.pose
+    data.qvel[dof] = 0.0 if begins_at_rest(trial.q) else moving.v[0]
+    states, controls = [], []
+    for model, laws in zip(models, machines, strict=True):
+        u = arrived_targets(recording, k, laws)
+        control = np.zeros((len(u), model.nu))
+        control[:, [s.actuator for s in servos]] = u
+        controls.append(control)
+        data.qpos[qpos] = trial.q[0] - np.array([law.zero for law in laws])
+        if model.na:
+            data.act[:] = 0.0
+            for s, first in zip(servos, u[0], strict=True):
+                if model.actuator_actadr[s.actuator] >= 0:
+                    data.act[model.actuator_actadr[s.actuator]] = first
+        state = np.zeros(mujoco.mj_stateSize(model, FULL))
+        mujoco.mj_getState(model, data, state, FULL)
+        states.append(state)
+    threads = min(len(models), len(os.sched_getaffinity(0)))
+    workers = [mujoco.MjData(models[0]) for _ in range(threads)]
+    with quietly():
+        path, _ = rollout.rollout(
+            list(models), workers, np.array(states), np.array(controls), persistent_pool=True
+        )
+    path = np.concatenate([np.array(states)[:, None], path], 1)
+    at = trial.time / dt
+    row = np.clip(np.floor(at + 1e-6).astype(int), 0, path.shape[1] - 2)
+    share = np.clip(at - row, 0.0, 1.0)[:, None]
+    columns = 1 + np.concatenate([qpos, models[0].nq + dof])
+    low, high = path[:, row][..., columns], path[:, row + 1][..., columns]
+    q, v = np.split(low + share * (high - low), 2, axis=-1)
+    zero = np.array([[law.zero for law in laws] for laws in machines])[:, None]
+    return [Motion(a, b, np.zeros_like(a)) for a, b in zip(q + zero, v, strict=True)]
+
+
+def trial_errors(recording: Recording, motions: Sequence[Motion]) -> np.ndarray:
+    """Simulated less measured angles [rows of all trials, n], each within `RAN_AWAY`."""
+    off = [m.q - t.q for m, t in zip(motions, recording.trials, strict=True)]
+    return np.clip(np.nan_to_num(np.concatenate(off), nan=RAN_AWAY), -RAN_AWAY, RAN_AWAY)
+
+
+def blocks_of(recording: Recording) -> np.ndarray:
+    """Piece [rows of all trials] of each row, -1 where it is in none."""
+    first = np.cumsum([0, *(len(t.time) for t in recording.trials)])
+    out = np.full(first[-1], -1)
+    for i, (k, a, b) in enumerate(recording.pieces):
+        out[first[k] + a : first[k] + b + 1] = i
+    return out
