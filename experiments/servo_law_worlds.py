@@ -29,7 +29,7 @@ PENDULUM = """<mujoco><option timestep="0.002"/><worldbody><body name="arm">
 <joint name="servo" axis="0 1 0" armature="0.006" frictionloss="0.05"/>
 <geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.01" mass="0.06"/>
 <geom type="sphere" pos="0 0 -0.2" size="0.03" mass="0.25"/></body></worldbody>
-<actuator><position name="servo" joint="servo" kp="30" kv="3" forcerange="-3 3"/></actuator></mujoco>"""
+<actuator><position name="servo" joint="servo" kp="30" kv="3" forcerange="-3 3"/></actuator></mujoco>"""  # noqa: E501
 ARMS = {
     "lite6": "ufactory_lite6__lite6",
     "xarm7": "ufactory_xarm7__xarm7_nohand",
@@ -308,55 +308,29 @@ def judged(report: dict, true: dict, world: World) -> dict:
     """What was named, what of it is wrong, and what is missing."""
     rows = {(row["name"], row["where"]): row["parameters"] for row in report["effects"]}
     wanted, wrong, missed = set(), [], []
-
-    def near(value: float, truth: float, share: float) -> bool:
-        return abs(value - truth) <= share * abs(truth)
-
     for name, law, file in zip(true["names"], true["laws"], true["file"], strict=True):
-        ratios = law["damping"] / law["kp"], file["damping"] / file["kp"]
-        if not near(law["kp"], file["kp"], 0.02) or not near(*ratios, 0.02):
-            key = "position_gain", name
-            wanted.add(key)
-            got = rows.get(key)
-            only = got is not None and "Only ratios" in got["kp"]["meaning"]
-            if got is None:
-                small = near(law["kp"], file["kp"], 0.15) and near(*ratios, 0.1)
-                missed += [] if small else [" at ".join(key)]
-            elif not near(got["damping_over_kp"]["value"], ratios[0], 0.1):
-                wrong.append(
-                    f"{name} D/kp {got['damping_over_kp']['value']:.3g} for {ratios[0]:.3g}"
-                )
-            elif not only and not near(got["kp"]["value"], law["kp"], 0.15):
-                wrong.append(f"{name} kp {got['kp']['value']:.4g} for {law['kp']:.4g}")
-        for number, effect, key, needed in (
-            ("rub", "coulomb", "level", True),
-            ("limit", "saturation", "limit", "unloaded" in world.hidden),
+        for key, found in (
+            (("position_gain", name), law_judged(rows, name, law, file)),
+            (("coulomb", name), number_judged(rows, ("coulomb", name, "level"), law, file, "rub")),
+            (
+                ("saturation", name),
+                number_judged(rows, ("saturation", name, "limit"), law, file, "limit"),
+            ),
         ):
-            if law[number] != file[number]:
-                wanted.add((effect, name))
-                got = rows.get((effect, name))
-                if got is not None and not near(got[key]["value"], law[number], 0.25):
-                    wrong.append(
-                        f"{effect} at {name} {got[key]['value']:.3g} for {law[number]:.3g}"
-                    )
-                if got is None and needed:
-                    missed.append(f"{effect} at {name}")
-    shared = {
-        "delay": ("delay", "delay"),
-        "lag": ("actuator_lag", "lag"),
-        "payload": ("inertia", "mass"),
-        "lift": ("gravity_compensation", "share"),
-    }
-    for number, (effect, key) in shared.items():
-        truth, file = true["laws"][0][number], true["file"][0][number]
-        found = [(at, p) for (name, at), p in rows.items() if name == effect]
-        if abs(truth - file) < 1e-9:
-            continue
-        wanted |= {(effect, at) for at, _ in found}
-        if not found:
-            missed.append(effect)
-        elif not near(found[0][1][key]["value"], truth, 0.25):
-            wrong.append(f"{effect} {found[0][1][key]['value']:.3g} for {truth:.3g}")
+            if found is not None:
+                wanted.add(key)
+                wrong += found[0]
+                needed = key[0] != "saturation" or "unloaded" in world.hidden
+                missed += found[1] if needed else []
+    for number, (effect, key) in SHARED.items():
+        places = [at for name, at in rows if name == effect]
+        place = places[0] if places else "all joints"
+        at = (effect, place, key)
+        found = number_judged(rows, at, true["laws"][0], true["file"][0], number)
+        if found is not None:
+            wanted |= {(effect, at) for at in places}
+            wrong += found[0]
+            missed += found[1]
     wrong += [" at ".join(key) for key in rows if key not in wanted]
     return {
         "right": not wrong and not missed,
@@ -366,6 +340,56 @@ def judged(report: dict, true: dict, world: World) -> dict:
         "mrad": [round(1e3 * report["error"][k], 3) for k in ("before", "after")],
         "files": report.get("files"),
     }
+
+
+SHARED = {
+    "delay": ("delay", "delay"),
+    "lag": ("actuator_lag", "lag"),
+    "payload": ("inertia", "mass"),
+    "lift": ("gravity_compensation", "share"),
+}
+"""Effect and parameter by number of the law."""
+
+
+def near(value: float, truth: float, share: float) -> bool:
+    """Whether a value is within a share of the truth."""
+    return abs(value - truth) <= share * abs(truth)
+
+
+def law_judged(rows: dict, name: str, law: dict, file: dict) -> tuple[list, list] | None:
+    """(wrong, missed) of kp and damping of a joint: within 15 %, or their ratio within 10 % where
+    only that is claimed; None where both are the file's.
+    """
+    ratio, before = law["damping"] / law["kp"], file["damping"] / file["kp"]
+    if near(law["kp"], file["kp"], 0.02) and near(ratio, before, 0.02):
+        return None
+    got = rows.get(("position_gain", name))
+    if got is None:
+        small = near(law["kp"], file["kp"], 0.15) and near(ratio, before, 0.1)
+        return [], [] if small else [f"law of {name}"]
+    claimed = got["damping_over_kp"]["value"]
+    if not near(claimed, ratio, 0.1):
+        return [f"{name} damping over kp {claimed:.3g} for {ratio:.3g}"], []
+    if "Only ratios" not in got["kp"]["meaning"] and not near(got["kp"]["value"], law["kp"], 0.15):
+        return [f"{name} kp {got['kp']['value']:.4g} for {law['kp']:.4g}"], []
+    return [], []
+
+
+def number_judged(
+    rows: dict, at: tuple[str, str, str], law: dict, file: dict, number: str
+) -> tuple[list, list] | None:
+    """(wrong, missed) of another number of a law, at (effect, place, parameter): within 25 %; None
+    where it is the file's.
+    """
+    effect, place, key = at
+    if abs(law[number] - file[number]) < 1e-9:
+        return None
+    got = rows.get((effect, place))
+    if got is None:
+        return [], [f"{effect} at {place}"]
+    if not near(got[key]["value"], law[number], 0.25):
+        return [f"{effect} at {place} {got[key]['value']:.3g} for {law[number]:.3g}"], []
+    return [], []
 
 
 if __name__ == "__main__":

@@ -1,11 +1,10 @@
-"""What the closed loop of a machine's servos shows: names, numbers and errors for the report, and the
-files that hold them.
+"""What the closed loop of a machine's servos shows: names, numbers and errors for the report.
 
-The law of a servo is declared: what whole trials refute of it is a row of the effects, as friction, a
-limit or a delay is.
+The law of a servo is declared: what whole trials refute of it is a row of the effects, as friction,
+a limit or a delay is. `servo_files.py` writes the files that hold it.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -13,13 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.attribution import model_toml
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.measures import WHOLE, Measure, predicts_nothing
 from adaptsim_jax.core.progress import Note
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Finding, Named
-from adaptsim_jax.diagnosis.recommended import WHOLE_TRIALS, FileReplay, worse_joints
 from adaptsim_jax.diagnosis.report import (
     Account,
     Errors,
@@ -32,15 +29,13 @@ from adaptsim_jax.diagnosis.report import (
     report_of,
 )
 from adaptsim_jax.diagnosis.testing import Test
+from adaptsim_jax.effects.base import unit_at
 from adaptsim_jax.effects.joints.actuator import ACTUATOR_LAG, DELAY, POSITION_GAIN, SATURATION
 from adaptsim_jax.effects.joints.catalogue import BODY
 from adaptsim_jax.effects.joints.forces import ARMATURE, BIAS, SPRING
-from adaptsim_jax.effects.joints.friction import COULOMB, VISCOUS
+from adaptsim_jax.effects.joints.friction import COULOMB
 from adaptsim_jax.effects.joints.sensor import ENCODER_OFFSET
-from adaptsim_jax.mechanisms.spec import Source, read_source
-from adaptsim_jax.mend.mjcf import Changes, mended_mjcf
-from adaptsim_jax.mend.model_toml import FILE as MODEL_FILE
-from adaptsim_jax.mend.model_toml import AddedEffect, Form, Value
+from adaptsim_jax.mechanisms.spec import Source
 from adaptsim_jax.simulators.closed_loop.criteria import CLOSED_LOOP
 from adaptsim_jax.simulators.closed_loop.identified import (
     Identified,
@@ -174,13 +169,13 @@ def reported(d: ServoDiagnosis, criteria: Criteria) -> tuple[dict[str, Any], dic
     """The report, and the arrays behind its page."""
     recording, found = d.recording, d.found
     file = tuple(s.law for s in recording.servos)
-    before, after = (_by_piece(found, e) for e in (found.before, found.after))
+    before, after = (by_piece(found, e) for e in (found.before, found.after))
     null, final = ServoModel(file, (), before), ServoModel(tuple(found.laws), d.effects, after)
     named = tuple(_named(d, e) for e in d.effects)
     finding = Finding(null, final, named, (), (), (null, final))
     account = _account(d, finding, criteria)
     report = report_of(finding, account)
-    if predicts_nothing({WHOLE: _measure(d, after)}):
+    if predicts_nothing({WHOLE: measure_of(d, after)}):
         report["message"] = f"{NO_SKILL} {report['message']}"
     return report, {"held_out": _curves(d), "audit": remarks(report["notes"])}
 
@@ -188,7 +183,7 @@ def reported(d: ServoDiagnosis, criteria: Criteria) -> tuple[dict[str, Any], dic
 NO_SKILL = "Over whole trials this model does no better than what needs no model."
 
 
-def _by_piece(found: Identified, error: np.ndarray) -> np.ndarray:
+def by_piece(found: Identified, error: np.ndarray) -> np.ndarray:
     """RMS [P, n]."""
     block = found.whole.block
     rows = np.bincount(block[block >= 0], minlength=len(found.recording.pieces))
@@ -243,8 +238,8 @@ def _account(d: ServoDiagnosis, finding: Finding, criteria: Criteria) -> Account
     measures = {
         "judge": WHOLE,
         "why": "it follows targets, and a closed loop can be simulated over whole trials",
-        "declared": {WHOLE: _measure(d, before).as_dict()},
-        "mended": {WHOLE: _measure(d, after).as_dict()},
+        "declared": {WHOLE: measure_of(d, before).as_dict()},
+        "mended": {WHOLE: measure_of(d, after).as_dict()},
     }
     names = [s.name for s in recording.servos]
     error = np.sqrt(np.square(d.found.after[d.found.whole.counted]).mean(0))
@@ -393,8 +388,6 @@ UNIT_OF = {
 
 
 def _unit(s: Servo, unit: str) -> str:
-    from adaptsim_jax.effects.base import unit_at
-
     return unit_at(unit, "slide" if s.slides else "hinge")
 
 
@@ -464,7 +457,7 @@ def _error(d: ServoDiagnosis, before: np.ndarray, after: np.ndarray) -> dict[str
     return error_rows(metric, source, names, whole, channels, trial)
 
 
-def _measure(d: ServoDiagnosis, error: np.ndarray) -> Measure:
+def measure_of(d: ServoDiagnosis, error: np.ndarray) -> Measure:
     """Whole trials beside a straight line and holding still."""
     line, still = [], []
     for k, a, b in d.recording.pieces:
@@ -533,155 +526,3 @@ def _curves(d: ServoDiagnosis) -> list[dict[str, Any]]:
             entry[key] = {s.name: motions[k].q[:, j] for j, s in enumerate(recording.servos)}
         out.append(entry)
     return out
-
-
-# ---------------------------------------------------------------- files
-
-
-def files(d: ServoDiagnosis, run: dict[str, Any]) -> dict[str, Callable[[], str]]:
-    """What makes the text of each file that holds the model."""
-    changes = _changes(d)
-    mechanism = d.machine.mechanism
-    return {
-        MODEL_FILE: lambda: _toml(d, run),
-        model_toml.DECLARED: lambda: mended_mjcf(mechanism, Changes()),
-        "model.xml": lambda: mended_mjcf(mechanism, changes),
-    }
-
-
-def _loaded(d: ServoDiagnosis) -> np.ndarray | None:
-    """Inertial parameters [n, 10] with the payload at the last body's centre of mass."""
-    payload, recording = d.found.laws[0].payload, d.recording
-    if recording.hand < 0 or not payload:
-        return None
-    model, tree = recording.model, d.machine.tree
-    body = model.body(recording.hand).name
-    frames = d.machine.mechanism.frames
-    centre = frames.place[body] + frames.rotation[body] @ model.body_ipos[recording.hand]
-    inertial = np.array(tree.inertial, float)
-    at = tree.body_names.index(body) if body in tree.body_names else frames.carrier[body]
-    inertial[at] += _point_mass(payload, centre)
-    return inertial
-
-
-def _point_mass(mass: float, at: np.ndarray) -> np.ndarray:
-    """Inertial parameters [10] of a mass at a point."""
-    x, y, z = at
-    second = mass * np.array([y * y + z * z, -x * y, -x * z, x * x + z * z, -y * z, x * x + y * y])
-    return np.concatenate([[mass], mass * np.asarray(at), second])
-
-
-def _changes(d: ServoDiagnosis) -> Changes:
-    """What model.xml changes."""
-    servos, laws = d.recording.servos, d.found.laws
-    joints: dict[str, dict[str, float]] = {}
-    actuators: dict[str, dict[str, float]] = {}
-
-    def put(table, key, name, value):
-        table.setdefault(key, {})[name] = float(value)
-
-    for s, law in zip(servos, laws, strict=True):
-        file = s.law
-        inner = float(inner_damping(s, law.damping))
-        if law.kp != file.kp:
-            put(actuators, "kp", s.driver, law.kp / file.kp)
-        if (law.damping, law.inside) != (file.damping, file.inside):
-            put(actuators, "kv", s.driver, inner * law.inside / s.gear**2)
-            put(joints, "damping", s.name, law.damping - inner * law.inside)
-        if s.follows_speed and law.damping != file.damping:
-            own = float(inner_damping(s, file.damping))
-            put(actuators, "speed", s.driver, inner / own)
-        if law.limit != file.limit:
-            put(actuators, "limit", s.driver, law.limit / abs(s.gear))
-        for key in ("delay", "lag"):
-            if getattr(law, key) != getattr(file, key):
-                put(actuators, key, s.driver, getattr(law, key))
-        if law.offset:
-            put(actuators, "bias", s.driver, law.kp * law.offset / s.gear)
-        if law.rub != file.rub:
-            put(joints, "frictionloss", s.name, law.rub)
-        if law.rotor:
-            put(joints, "armature", s.name, s.armature + law.rotor)
-        if law.spring != file.spring:
-            put(joints, "stiffness", s.name, law.spring)
-    lift = None if laws[0].lift == servos[0].law.lift else float(laws[0].lift)
-    zeros = [
-        f"{s.name} {law.zero:.4g} rad" for s, law in zip(servos, laws, strict=True) if law.zero
-    ]
-    comments = [f"written by adaptsim from {Path(d.machine.mechanism.path).name}"]
-    if zeros:
-        comments.append(f"not held by this file, see model.toml: encoders read too much by {zeros}")
-    return Changes(
-        inertial=_loaded(d), joints=joints, actuators=actuators, comments=comments, lift=lift
-    )
-
-
-def _toml(d: ServoDiagnosis, run: dict[str, Any]) -> str:
-    """model.toml: servos by joint, the payload in the bodies, and what else is added."""
-    servos, laws = d.recording.servos, d.found.laws
-    own: dict[str, Any] = {}
-    loaded = _loaded(d)
-    if loaded is not None:
-        own["inertial"] = {
-            n: [float(z) for z in row]
-            for n, row in zip(d.machine.tree.joint_names, loaded, strict=True)
-        }
-    table, effects = {}, []
-    for s, law in zip(servos, laws, strict=True):
-        inner = float(inner_damping(s, law.damping)) * law.inside
-        numbers = {"kp": float(law.kp), "kv": inner}
-        if law.limit < OPEN:
-            numbers["limit"] = float(law.limit)
-        if law.offset:
-            numbers["offset"] = float(law.offset)
-        table[s.name] = numbers
-        passive = {"damping": law.damping - inner}
-        effects += _added(s, VISCOUS.name, passive, {"damping": s.passive})
-        effects += _added(s, COULOMB.name, {"level": law.rub}, {"level": s.law.rub})
-        effects += _added(s, DELAY.name, {"delay": law.delay}, {"delay": s.law.delay})
-        effects += _added(s, ACTUATOR_LAG.name, {"lag": law.lag}, {"lag": s.law.lag})
-        inertia = {"inertia": s.armature + law.rotor}
-        effects += _added(s, ARMATURE.name, inertia, {"inertia": s.armature})
-        spring = {"stiffness": law.spring, "preload": law.spring * s.rest}
-        effects += _added(
-            s, SPRING.name, spring, {"stiffness": s.law.spring, "preload": s.law.spring * s.rest}
-        )
-        effects += _added(s, ENCODER_OFFSET.name, {"offset": law.zero}, {"offset": 0.0})
-    own["servo"] = table
-    if laws[0].lift != servos[0].law.lift:
-        own["lift"] = float(laws[0].lift)
-    form = Form("mechanism", model_toml.DECLARED, {}, tuple(effects), own, run)
-    return form.text("`adaptsim replay model.toml DATA` simulates all of it")
-
-
-def _added(s: Servo, name: str, numbers: dict[str, float], file: dict[str, float]):
-    """The effect at a joint where it is not as the file has it."""
-    if numbers == file:
-        return []
-    return [AddedEffect(name, s.name, {k: Value(float(z)) for k, z in numbers.items()})]
-
-
-def verifier(d: ServoDiagnosis) -> Callable[[Path], dict[str, Any]]:
-    """What runs model.xml over whole trials in closed loop, beside the declared file."""
-    log = d.machine.log.pick([t.name for t in d.machine.tracks])
-
-    def run(file: Path | None, span: float) -> FileReplay:
-        recording = d.recording if file is None else recording_of(read_source(file), log)
-        assert recording is not None  # the same joints follow the same targets
-        laws = [s.law for s in recording.servos]
-        error = d.found.whole.errors([laws])[0] if file is None else _errors(d, recording, laws)
-        measure = _measure(d, _by_piece(d.found, error))
-        nothing = np.minimum(measure.line, measure.still)[None]
-        return FileReplay(measure.joints, measure.units, _by_piece(d.found, error), nothing)
-
-    def verify(folder: Path) -> dict[str, Any]:
-        return worse_joints(run, [folder / "model.xml"], {WHOLE_TRIALS: 0.0})
-
-    return verify
-
-
-def _errors(d: ServoDiagnosis, recording: Recording, laws: Sequence[Law]) -> np.ndarray:
-    from adaptsim_jax.simulators.closed_loop.whole import trial_errors
-
-    paths = simulated(recording, [laws])[0]
-    return trial_errors(recording, paths) * d.found.whole.counted[:, None]

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from adaptsim_jax.attribution import closed_loop, model_toml
+from adaptsim_jax.attribution import closed_loop, model_toml, servo_files
 from adaptsim_jax.attribution.account import reported, write_so_far
 from adaptsim_jax.attribution.conventions import (
     channels,
@@ -102,7 +102,7 @@ def diagnose(
     made = {"data": str(data), **run.as_dict()}
     if servos := _in_closed_loop(declared, setting, notify):
         report, evidence = closed_loop.reported(servos, setting.criteria)
-        files, verify = closed_loop.files(servos, made), closed_loop.verifier(servos)
+        files, verify = servo_files.files(servos, made), servo_files.verifier(servos)
     else:
         found = examined(declared, setting, notify=notify, keep=keep)
         report, evidence = reported(found)

@@ -51,8 +51,8 @@ def text_of(
     summary: Mapping[str, Any],
     gains: Mapping[str, float] | None = None,
 ) -> str:
-    """The TOML text. summary: of its provenance; gains: torque over volts or amperes by joint, where
-    that had to be found.
+    """The TOML text. summary: of its provenance; gains: torque over volts or amperes by joint,
+    where that had to be found.
     """
     own: dict[str, Any] = {}
     if any(np.any(g.model.tree.rub) for g in problem.groups):
@@ -106,14 +106,7 @@ def applied(given: Mapping[str, Any], path: str, machine: Machine) -> Machine:
                 f"{config.suggest(name, joints)}"
             )
         law[0, joints.index(name)] = value
-    for name in table_at(path, form.own, "servo"):
-        if name not in joints:
-            raise BadInput(
-                f"{path}: servo.{name} must be a table of a joint; {config.suggest(name, joints)}"
-            )
-        numbers = numbers_at(path, form.own["servo"], name)
-        j = joints.index(name)
-        law[:, j] = _with_servo(law[:, j], float(machine.gear[j]), numbers)
+    law = _with_servos(machine, law, form, path)
     declared = numbers_of(tree) | machine.declared
     out, gravity = dict(machine.declared), np.asarray(tree.gravity, float)
     for k, effect in enumerate(form.effects):
@@ -143,6 +136,20 @@ def applied(given: Mapping[str, Any], path: str, machine: Machine) -> Machine:
     mechanism = replace(machine.mechanism, tree=tree)
     gives = form.own.get("friction") == GIVES
     return replace(machine, mechanism=mechanism, declared=out, actuator=law, gives=gives)
+
+
+def _with_servos(machine: Machine, law: np.ndarray, form: Form, path: str) -> np.ndarray:
+    """The laws [6, n] of actuators with the numbers of the file's servos."""
+    new, joints = law.copy(), machine.tree.joint_names
+    for name in table_at(path, form.own, "servo"):
+        if name not in joints:
+            raise BadInput(
+                f"{path}: servo.{name} must be a table of a joint; {config.suggest(name, joints)}"
+            )
+        numbers = numbers_at(path, form.own["servo"], name)
+        j = joints.index(name)
+        new[:, j] = _with_servo(law[:, j], float(machine.gear[j]), numbers)
+    return new
 
 
 def _with_servo(law: np.ndarray, gear: float, numbers: Mapping[str, float]) -> np.ndarray:

@@ -25,9 +25,9 @@ class Changes:
     (N m), stiffness (N m/rad), springref (rad); gravity [3] m/s^2 in the world; actuator tables
     {actuator name: value}: gain, kp and speed (what a speed servo makes of its command) as factors,
     kv (N m s/rad), delay and lag in s, limit (N m), bias (N m); lift: share of gravity that all
-    bodies are compensated for; motors {joint name: N m per unit of its command} are put in where the
-    joint has no actuator, with the limit under `limit` by the joint's name; comments: what the file
-    cannot hold, a line each.
+    bodies are compensated for; motors {joint name: N m per unit of its command} are put in where
+    the joint has no actuator, with the limit under `limit` by the joint's name; comments: what the
+    file cannot hold, a line each.
     """
 
     inertial: np.ndarray | None = None

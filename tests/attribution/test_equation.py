@@ -6,12 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from adaptsim_jax.attribution import servo
 from adaptsim_jax.attribution.account import reported
-from adaptsim_jax.attribution.criteria import SERVO as SERVO_CRITERIA
-from adaptsim_jax.attribution.equation import commands
 from adaptsim_jax.attribution.equation.balance import balances, in_proportion, residual
-from adaptsim_jax.attribution.equation.commands import Servo
 from adaptsim_jax.attribution.equation.models import search_balances
 from adaptsim_jax.attribution.equation.searched import EffectTable
 from adaptsim_jax.attribution.equation.windows import runs_of
@@ -20,7 +16,7 @@ from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.measures import headline, of_torque, predicts_nothing
 from adaptsim_jax.attribution.parameters import Entry, Vector
 from adaptsim_jax.attribution.posed import DiagnosisSetting, declared_vector, scaled
-from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
+from adaptsim_jax.attribution.problem import own_inertia, scaled_reach
 from adaptsim_jax.attribution.stretches import JointTrack
 from adaptsim_jax.diagnosis.criteria import REPORT, Criteria, TorqueCriteria
 from adaptsim_jax.effects.joints.catalogue import MACHINE
@@ -203,71 +199,6 @@ def test_a_late_command_does_not_hide_what_command_errors_tell(tmp_path):
     assert whole.before["torque"].skill < REPORT.useful_skill and whole.judge == "torque"
     assert [e["name"] for e in report["effects"]] == ["delay"]
     assert report["effects"][0]["parameters"]["delay"]["value"] == pytest.approx(0.04, abs=0.001)
-
-
-@pytest.mark.parametrize(("apart", "taken"), [(2.0, False), (4.0, True)])
-def test_a_gain_that_is_not_sure_to_be_another_than_the_files_is_not_taken(
-    apart, taken, tmp_path, monkeypatch
-):
-    folder = servo_log(tmp_path / "servo", 30.0, 2.0, 0.0)
-    (folder / "model.xml").write_text(SERVO.format(kp=30.0, kv=2.0, friction=0.0, limit=""))
-    machine = load(folder, None)
-    law = machine.actuator
-    kp = 0.4 * float(-law[2, 0] * machine.gear[0] ** 2)
-    found = Servo(0, kp, 0.1, 0.0, 0.0, 0.0, True, apart, 1.0, 0.1, 1.0, 1e-4)
-    monkeypatch.setattr(servo, "servos", lambda problem, balance: [found])
-    changed, off = servo.calibrated(machine, 0.5)
-    assert bool(off) is taken and np.array_equal(changed.actuator, law) is not taken
-
-
-@pytest.mark.parametrize("limit", ["", 'forcerange="-3 3"'])
-def test_the_gains_of_a_servo_show_in_its_command_error_and_take_the_place_of_the_files(
-    limit, tmp_path
-):
-    """With a limit the file's gains would be at it nearly always, which they are not."""
-    folder = servo_log(tmp_path / "servo", 8.0, 0.8, 0.1)
-    (folder / "model.xml").write_text(SERVO.format(kp=500.0, kv=2.0, friction=0.0, limit=limit))
-    machine = load(folder, None)
-    found, (own,) = servo.calibrated(machine, 0.5)
-    assert (
-        own.scale
-        and own.kp == pytest.approx(8.0, rel=0.15)
-        and own.damping == pytest.approx(0.8, rel=0.3)
-    )
-    assert own.coulomb == pytest.approx(0.1, rel=0.3) and own.p < 0.01
-    assert (
-        found.servo_times[0] == pytest.approx(8.0 / 500.0, rel=0.15) and found.actuator[3, 0] == 0.0
-    )
-    assert servo.calibrated(found, 0.5)[1] == ()  # as they are now, they are right
-    problem = prepare(
-        found.tree, found.tracks, MACHINE, found.actuator, found.gear, declared=found.declared
-    )
-    begun, effects = servo.friction_first(
-        problem, NOTHING, (own,)
-    )  # no rotor, which would take its place
-    assert [(c.effect, c.joints) for c in effects] == [
-        ("coulomb", (0,))
-    ] and begun.values == pytest.approx([own.coulomb])
-
-
-def test_a_servo_at_its_limit_tells_nothing_of_its_gain(tmp_path, monkeypatch):
-    """Its command error is what it cannot reach: a softer servo leaves a third less of it than the
-    file's, which is right.
-    """
-    own = {"kp": 30.0, "kv": 2.0, "friction": 0.0, "limit": 'forcerange="-0.4 0.4"'}
-    folder = servo_log(tmp_path / "servo", **own)
-    (folder / "model.xml").write_text(SERVO.format(**own))
-    machine, problem, (trusted,) = prepared(folder)
-    (every,) = balances(problem, machine.tracks, trusted=False)
-    (found,) = commands.servos(problem, every)
-    assert found.file < 0.2 * found.left
-    monkeypatch.setattr(
-        commands, "_limited", lambda asked, needs, clear: np.full(len(needs), np.inf)
-    )
-    (found,) = commands.servos(problem, every)
-    assert found.kp < 3.0 and found.left < SERVO_CRITERIA.better * found.file
-    assert 0.3 < np.mean(trusted.clear > 0.01) < 0.7  # by the rows that are not at it
-    assert commands.servos(problem, trusted)[0].kp == pytest.approx(30.0, rel=0.02)
 
 
 @pytest.mark.slow

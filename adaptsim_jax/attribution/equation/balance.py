@@ -83,11 +83,9 @@ def balances(
     problem: TreeProblem,
     tracks: tuple[JointTrack, ...],
     span: float = WINDOW.span,
-    trusted: bool = True,
 ) -> tuple[Balance, ...]:
-    """By group of joints; none of a group whose trials hold no window. trusted: the law of the
-    file's actuators says where they are at their limits, and windows there do not count. Else only
-    those at stops.
+    """By group of joints; none of a group whose trials hold no window. Windows in which an actuator
+    is at its limit do not count, nor those at stops.
     """
     out = []
     for group in problem.groups:
@@ -100,7 +98,7 @@ def balances(
         made = _of_runs(group, runs, tuple(t.name for t in tracks), group_inertia(values, group)[0])
         sure = (
             inside(group.model.tree, made.q)
-            & _reported(made, values, trusted)
+            & _reported(made, values)
             & ~np.isin(own, problem.unlike)[:, None]
         )
         clear = np.concatenate([r.clear for r in runs], 1)
@@ -156,7 +154,7 @@ def inside(tree: Tree, q: np.ndarray) -> np.ndarray:
     return ~np.asarray(tree.limited)[:, None] | ((q > low + near) & (q < high - near))
 
 
-def _reported(balance: Balance, values: Values, trusted: bool) -> np.ndarray:
+def _reported(balance: Balance, values: Values) -> np.ndarray:
     """Where [n, T] limits cut little of the spikes of a force after each command (how much they cut
     hangs on what is between rows), and no controller's force is at them: it is the difference of
     two much larger ones there, and none where a joint chatters.
@@ -168,7 +166,7 @@ def _reported(balance: Balance, values: Values, trusted: bool) -> np.ndarray:
         actuator_force(balance, values)[0],
         actuator_force(balance, values, (balance.u, none))[0],
     )
-    at_limit = trusted & held(law)[:, None] & (np.abs(smooth) >= BALANCE.at_limit * limit)
+    at_limit = held(law)[:, None] & (np.abs(smooth) >= BALANCE.at_limit * limit)
     usual = np.sqrt(np.mean(np.square(np.where(at_limit, 0.0, smooth)), 1, keepdims=True))
     return (np.abs(force - smooth) <= BALANCE.cut * usual) & ~at_limit
 

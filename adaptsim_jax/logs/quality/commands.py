@@ -177,7 +177,10 @@ def cut(tracks: Sequence[Track], joint: int, damping: float) -> Cut | None:
     found = {how: _best(some, read[how], *ends[how]) for how in read}
     best = min(rough, key=lambda how: found[how][1])
     size, left = found[best]
-    if left > min(COMMAND.cut * base, COMMAND.cut_left) or left > COMMAND.cut_distinct * found["force"][1]:
+    if (
+        left > min(COMMAND.cut * base, COMMAND.cut_left)
+        or left > COMMAND.cut_distinct * found["force"][1]
+    ):
         return None
     return Cut(best, size, base, left)
 

@@ -1,5 +1,5 @@
-"""The numbers of a joint's servo fitted to its pieces: Gauss and Newton's steps by differences, where
-fits begin, and how a law predicts pieces that were left out.
+"""The numbers of a joint's servo fitted to its pieces: Gauss and Newton's steps by differences,
+where fits begin, and how a law predicts pieces that were left out.
 
 Pieces are weighted by 1 / (their own mean square + the median one). A weak pull holds the scale at
 the file's where the data do not tell it.

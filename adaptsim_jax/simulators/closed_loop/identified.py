@@ -1,5 +1,5 @@
-"""The servos' laws that a recording shows: begun joint by joint, grown while left-out pieces improve,
-polished on whole trials, and returned to the file's where these do not refute it.
+"""The servos' laws that a recording shows: begun joint by joint, grown while left-out pieces
+improve, polished on whole trials, and returned to the file's where these do not refute it.
 """
 
 from collections.abc import Callable, Sequence
@@ -279,7 +279,7 @@ def _weakest_by_joint(gone: Sequence[Member]) -> list[Member]:
 
 
 def _members(whole: WholeTrials, found: Polished, file: Sequence[Law]) -> list[Member]:
-    """What may be returned, with its test: the machine without it, one step on, over whole trials."""
+    """What may be returned, each with its test: the machine without it, one step on."""
     sets = _returnable(found.model)
     machines = [without(whole, found, c, file) for c in sets]
     every = whole.errors([m.laws for m in machines])

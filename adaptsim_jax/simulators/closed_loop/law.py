@@ -347,8 +347,8 @@ def overdamped(kp: Any, damping: Any, inertia: Any) -> Any:
 
 
 def half_a_step(kp: Any, damping: Any, inertia: Any, step: float) -> Any:
-    """Damping, N m s/rad, by which a step that takes the position error at its beginning is right to
-    second order where damping rules: half of what kp gains in a step.
+    """Damping, N m s/rad, by which a step that takes the position error at its beginning is right
+    to second order where damping rules: half of what kp gains in a step.
 
     Where inertia rules the target has to come half a step later instead (`later`).
     """

@@ -4,6 +4,7 @@ joints which are not simulated.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy import signal
@@ -99,7 +100,7 @@ def pieces_of(trials: Sequence[Trial]) -> tuple[tuple[int, int, int], ...]:
     for k, trial in enumerate(trials):
         speed = np.abs(smoothed(trial.time, trial.q).v).max(1)
         edges = _edges(trial.time, speed)
-        out += [(k, a, b) for a, b in zip(edges, edges[1:], strict=False) if b - a >= 8]
+        out += [(k, a, b) for a, b in pairwise(edges) if b - a >= 8]
     if len(out) > CLOSED_LOOP.pieces:
         moves = [np.std(trials[k].q[a:b], 0).sum() for k, a, b in out]
         most = np.sort(np.argsort(moves)[-CLOSED_LOOP.pieces :])

@@ -1,5 +1,5 @@
-"""Laws polished on whole trials of the whole machine, all joints together, and what is not borne out
-there returned to the file's.
+"""Laws polished on whole trials of the whole machine, all joints together, and what is not borne
+out there returned to the file's.
 """
 
 from collections.abc import Sequence

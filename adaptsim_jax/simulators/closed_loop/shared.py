@@ -1,5 +1,5 @@
-"""Numbers that the servos of a machine share (a delay, a filter, a payload, gravity fed forward, like
-rotors), each joint's own numbers eliminated.
+"""Numbers that the servos of a machine share (a delay, a filter, a payload, gravity fed forward,
+like rotors), each joint's own numbers eliminated.
 """
 
 from collections.abc import Sequence

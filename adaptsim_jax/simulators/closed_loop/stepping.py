@@ -25,7 +25,7 @@ def targets_of(delay, area, history: int, step: float):
     steps = area.shape[1] - history - 2
     at = jnp.arange(steps + 1)[None] + history - delay[:, None] / step  # [B, S + 1]
     low = jnp.clip(jnp.floor(at).astype(int), 0, area.shape[1] - 2)
-    share = at - low
+    share = (at - low)[None]
     there = area[:, low] * (1.0 - share) + area[:, low + 1] * share  # [P, B, S + 1]
     return jnp.transpose(jnp.diff(there, axis=2) / step, (2, 1, 0))
 
@@ -48,7 +48,7 @@ def _angles(law: Law, lane: Lanes, fixed, step, history: int, by_speed: bool, sl
     def one(carry, now):
         q, v, u = carry
         wanted, table = now
-        own, coupling, gravity, turned, more, more_c, more_g, more_t, imposed = table
+        own, coupling, gravity, turned, more, more_c, more_g, more_t, imposed = table[:, None]
         u = u + arrived * (wanted - u)
         x = q - imposed - law.zero
         cos, sin = (jnp.ones_like(x), jnp.zeros_like(x)) if slides else (jnp.cos(x), jnp.sin(x))
@@ -87,13 +87,12 @@ def _angles(law: Law, lane: Lanes, fixed, step, history: int, by_speed: bool, sl
         return (q, jnp.where(q == free_q, v, 0.0), u), q
 
     ones = jnp.ones_like(law.kp)
-    begin = ones * lane.begin[0], ones * lane.begin[1], target[0]
-    tables = jnp.moveaxis(lane.tables, 1, 0)
-    _, path = jax.lax.scan(one, begin, (target, tuple(tables)))
+    begin = ones * lane.begin[0][None], ones * lane.begin[1][None], target[0]
+    _, path = jax.lax.scan(one, begin, (target, lane.tables))
     path = jnp.transpose(jnp.concatenate([begin[0][None], path]), (1, 2, 0))  # [B, P, S + 1]
-    row = jnp.broadcast_to(lane.row, (len(path), *lane.row.shape))
+    row = jnp.broadcast_to(lane.row[None], (len(path), *lane.row.shape))
     before, after = (jnp.take_along_axis(path, row + k, 2) for k in (0, 1))
-    return before + lane.share * (after - before)
+    return before + lane.share[None] * (after - before)
 
 
 def errors(problem: JointProblem, laws: list[Law]) -> np.ndarray:

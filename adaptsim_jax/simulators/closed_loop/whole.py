@@ -1,4 +1,4 @@
-"""Whole trials of the whole machine, stepped by MuJoCo with servos of other laws than the file's."""
+"""Whole trials of the whole machine, stepped by MuJoCo with other laws than the file's."""
 
 import copy
 import os

@@ -1,0 +1,177 @@
+"""Files that hold what the closed loop of a machine's servos shows: model.toml, model.xml, and how
+these simulate.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from adaptsim_jax.attribution import model_toml
+from adaptsim_jax.attribution.closed_loop import ServoDiagnosis, by_piece, measure_of
+from adaptsim_jax.diagnosis.recommended import WHOLE_TRIALS, FileReplay, worse_joints
+from adaptsim_jax.effects.joints.actuator import ACTUATOR_LAG, DELAY
+from adaptsim_jax.effects.joints.forces import ARMATURE, SPRING
+from adaptsim_jax.effects.joints.friction import COULOMB, VISCOUS
+from adaptsim_jax.effects.joints.sensor import ENCODER_OFFSET
+from adaptsim_jax.mechanisms.spec import read_source
+from adaptsim_jax.mend.mjcf import Changes, mended_mjcf
+from adaptsim_jax.mend.model_toml import FILE as MODEL_FILE
+from adaptsim_jax.mend.model_toml import AddedEffect, Form, Value
+from adaptsim_jax.simulators.closed_loop.imposed import Recording
+from adaptsim_jax.simulators.closed_loop.law import OPEN, Law, Servo, inner_damping
+from adaptsim_jax.simulators.closed_loop.recording import recording_of
+from adaptsim_jax.simulators.closed_loop.whole import simulated, trial_errors
+
+
+def files(d: ServoDiagnosis, run: dict[str, Any]) -> dict[str, Callable[[], str]]:
+    """What makes the text of each file that holds the model."""
+    changes = _changes(d)
+    mechanism = d.machine.mechanism
+    return {
+        MODEL_FILE: lambda: _toml(d, run),
+        model_toml.DECLARED: lambda: mended_mjcf(mechanism, Changes()),
+        "model.xml": lambda: mended_mjcf(mechanism, changes),
+    }
+
+
+def _loaded(d: ServoDiagnosis) -> np.ndarray | None:
+    """Inertial parameters [n, 10] with the payload at the last body's centre of mass."""
+    payload, recording = d.found.laws[0].payload, d.recording
+    if recording.hand < 0 or not payload:
+        return None
+    model, tree = recording.model, d.machine.tree
+    body = model.body(recording.hand).name
+    frames = d.machine.mechanism.frames
+    centre = frames.place[body] + frames.rotation[body] @ model.body_ipos[recording.hand]
+    inertial = np.array(tree.inertial, float)
+    at = tree.body_names.index(body) if body in tree.body_names else frames.carrier[body]
+    inertial[at] += _point_mass(payload, centre)
+    return inertial
+
+
+def _point_mass(mass: float, at: np.ndarray) -> np.ndarray:
+    """Inertial parameters [10] of a mass at a point."""
+    x, y, z = at
+    second = mass * np.array([y * y + z * z, -x * y, -x * z, x * x + z * z, -y * z, x * x + y * y])
+    return np.concatenate([[mass], mass * np.asarray(at), second])
+
+
+def _changes(d: ServoDiagnosis) -> Changes:
+    """What model.xml changes."""
+    servos, laws = d.recording.servos, d.found.laws
+    joints: dict[str, dict[str, float]] = {}
+    actuators: dict[str, dict[str, float]] = {}
+    for s, law in zip(servos, laws, strict=True):
+        for table, name, numbers in (
+            (joints, s.name, _of_joint(s, law)),
+            (actuators, s.driver, _of_actuator(s, law)),
+        ):
+            for key, value in numbers.items():
+                table.setdefault(key, {})[name] = float(value)
+    lift = None if laws[0].lift == servos[0].law.lift else float(laws[0].lift)
+    comments = [f"written by adaptsim from {Path(d.machine.mechanism.path).name}"]
+    for s, law in zip(servos, laws, strict=True):
+        if law.zero:
+            comments.append(f"not in this file: the encoder of {s.name} reads {law.zero:.4g} more")
+    return Changes(
+        inertial=_loaded(d), joints=joints, actuators=actuators, comments=comments, lift=lift
+    )
+
+
+def _of_joint(s: Servo, law: Law) -> dict[str, float]:
+    """What changes of a joint."""
+    file, outer = s.law, law.damping - float(inner_damping(s, law.damping)) * law.inside
+    own = {
+        "damping": (outer, s.passive),
+        "frictionloss": (law.rub, file.rub),
+        "armature": (s.armature + law.rotor, s.armature),
+        "stiffness": (law.spring, file.spring),
+    }
+    return {key: value for key, (value, before) in own.items() if value != before}
+
+
+def _of_actuator(s: Servo, law: Law) -> dict[str, float]:
+    """What changes of an actuator."""
+    file, g = s.law, s.gear
+    inner, before = (float(inner_damping(s, z)) for z in (law.damping, file.damping))
+    own = {
+        "kv": (inner * law.inside / g**2, before / g**2),
+        "limit": (law.limit / abs(g), file.limit / abs(g)),
+        "delay": (law.delay, file.delay),
+        "lag": (law.lag, file.lag),
+        "bias": (law.kp * law.offset / g, 0.0),
+    }
+    if s.follows_speed:
+        own["speed"] = (inner / before, 1.0)
+    else:
+        own["kp"] = (law.kp / file.kp, 1.0)
+    return {key: value for key, (value, old) in own.items() if value != old}
+
+
+def _toml(d: ServoDiagnosis, run: dict[str, Any]) -> str:
+    """model.toml: servos by joint, the payload in the bodies, and what else is added."""
+    servos, laws = d.recording.servos, d.found.laws
+    own: dict[str, Any] = {}
+    loaded = _loaded(d)
+    if loaded is not None:
+        own["inertial"] = {
+            n: [float(z) for z in row]
+            for n, row in zip(d.machine.tree.joint_names, loaded, strict=True)
+        }
+    table, effects = {}, []
+    for s, law in zip(servos, laws, strict=True):
+        inner = float(inner_damping(s, law.damping)) * law.inside
+        numbers = {"kp": float(law.kp), "kv": inner}
+        if law.limit < OPEN:
+            numbers["limit"] = float(law.limit)
+        if law.offset:
+            numbers["offset"] = float(law.offset)
+        table[s.name] = numbers
+        passive = {"damping": law.damping - inner}
+        effects += _added(s, VISCOUS.name, passive, {"damping": s.passive})
+        effects += _added(s, COULOMB.name, {"level": law.rub}, {"level": s.law.rub})
+        effects += _added(s, DELAY.name, {"delay": law.delay}, {"delay": s.law.delay})
+        effects += _added(s, ACTUATOR_LAG.name, {"lag": law.lag}, {"lag": s.law.lag})
+        inertia = {"inertia": s.armature + law.rotor}
+        effects += _added(s, ARMATURE.name, inertia, {"inertia": s.armature})
+        springs = [{"stiffness": z, "preload": z * s.rest} for z in (law.spring, s.law.spring)]
+        effects += _added(s, SPRING.name, *springs)
+        effects += _added(s, ENCODER_OFFSET.name, {"offset": law.zero}, {"offset": 0.0})
+    own["servo"] = table
+    if laws[0].lift != servos[0].law.lift:
+        own["lift"] = float(laws[0].lift)
+    form = Form("mechanism", model_toml.DECLARED, {}, tuple(effects), own, run)
+    return form.text("`adaptsim replay model.toml DATA` simulates all of it")
+
+
+def _added(s: Servo, name: str, numbers: dict[str, float], file: dict[str, float]):
+    """The effect at a joint where it is not as the file has it."""
+    if numbers == file:
+        return []
+    return [AddedEffect(name, s.name, {k: Value(float(z)) for k, z in numbers.items()})]
+
+
+def verifier(d: ServoDiagnosis) -> Callable[[Path], dict[str, Any]]:
+    """What runs model.xml over whole trials in closed loop, beside the declared file."""
+    log = d.machine.log.pick([t.name for t in d.machine.tracks])
+
+    def run(file: Path | None, span: float) -> FileReplay:
+        recording = d.recording if file is None else recording_of(read_source(file), log)
+        assert recording is not None  # the same joints follow the same targets
+        laws = [s.law for s in recording.servos]
+        error = d.found.whole.errors([laws])[0] if file is None else _errors(d, recording, laws)
+        measure = measure_of(d, by_piece(d.found, error))
+        nothing = np.minimum(measure.line, measure.still)[None]
+        return FileReplay(measure.joints, measure.units, by_piece(d.found, error), nothing)
+
+    def verify(folder: Path) -> dict[str, Any]:
+        return worse_joints(run, [folder / "model.xml"], {WHOLE_TRIALS: 0.0})
+
+    return verify
+
+
+def _errors(d: ServoDiagnosis, recording: Recording, laws: Sequence[Law]) -> np.ndarray:
+    paths = simulated(recording, [laws])[0]
+    return trial_errors(recording, paths) * d.found.whole.counted[:, None]
