@@ -54,7 +54,8 @@ def logged(folder: Path, file: str, law=None, late: float = 0.0, load_kg: float 
     model.opt.timestep = FINE
     model.opt.integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
     rng = np.random.default_rng(5)
-    heads = ",".join(["time", *(f"q_{n}" for n in names), *(f"target_{n}" for n in names)])
+    kind = "ctrl" if speeds else "target"
+    heads = ",".join(["time", *(f"q_{n}" for n in names), *(f"{kind}_{n}" for n in names)])
     for trial in range(3):
         data = mujoco.MjData(model)
         rate, phase = rng.uniform(0.3, 1.3, (3, len(names))), rng.uniform(0, 6, (3, len(names)))
