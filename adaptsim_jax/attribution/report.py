@@ -39,8 +39,16 @@ from adaptsim_jax.attribution.sentences import (
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.experiment import separated_by
 from adaptsim_jax.diagnosis.finding import Named
-from adaptsim_jax.diagnosis.report import Account, Errors, Label, Scored, error_rows, remarks
-from adaptsim_jax.effects.base import NINETY
+from adaptsim_jax.diagnosis.report import (
+    Account,
+    Errors,
+    Label,
+    Scored,
+    error_rows,
+    interval_units,
+    remarks,
+)
+from adaptsim_jax.diagnosis.testing import deviates
 from adaptsim_jax.effects.joints.actuator import SATURATION
 from adaptsim_jax.effects.joints.friction import VISCOUS
 
@@ -254,7 +262,8 @@ def _error(problem: TreeProblem, remains: Remains, horizon: float) -> dict[str, 
     )
     whole = Errors(unit, float(np.median(remains.noise)), both)
     source = "third differences of the angles"
-    table = error_rows(metric, source, problem.folds, whole, channels, problem.fold)
+    over = interval_units(problem.fold, problem.groups[0].stretches.trial[: len(problem.fold)])
+    table = error_rows(metric, source, problem.folds, whole, channels, problem.fold, over)
     return table | {"stretch_s": horizon}
 
 
@@ -341,11 +350,11 @@ def _coordinates(problem: TreeProblem, model: FittedTree) -> dict[str, Any]:
 
 
 def _numbers_of(model: FittedTree) -> list[tuple[Entry, dict[str, Any]]]:
-    out = []
+    out, times = [], deviates(len(model.held.vectors))
     for e, value, spread in zip(
         model.fit.vector.entries, model.fit.vector.values, model.spread, strict=True
     ):
-        width = NINETY * float(spread)
+        width = times * float(spread)
         out.append(
             (
                 e,

@@ -87,9 +87,16 @@ def without(problem: Problem, model: Model, gone: Effect, rounds: int) -> Model:
     return finished(problem, [e for e in model.added if e is not gone], values, rounds)
 
 
-def spread(model: Model) -> np.ndarray:
-    """Standard errors `[P]` by the jackknife over trials."""
-    return jackknife(np.unique(model.fit.vectors, axis=0))  # trials of one fold have the same
+def by_fold(problem: Problem, model: Model) -> np.ndarray:
+    """Values `[F, P]` of a model without each fold."""
+    if problem.fold is None:
+        return model.fit.vectors
+    return model.fit.vectors[np.unique(problem.fold, return_index=True)[1]]
+
+
+def spread(problem: Problem, model: Model) -> np.ndarray:
+    """Standard errors `[P]` by the jackknife over folds."""
+    return jackknife(by_fold(problem, model))
 
 
 def scored(problem: Problem, base: Model) -> list[Score]:

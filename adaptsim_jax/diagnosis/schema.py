@@ -3,7 +3,7 @@
 Every key of the design must be there; further keys are free. The page shows these extensions where
 it finds them; all but the last two are checked:
 
-    error.intervals       {before: [low, high], after: [low, high]}        over held-out trials
+    error.intervals       {before: [low, high], after: [low, high]}        over `intervals_over`
     error.per_channel.c   + unit, noise_floor, ceiling, intervals           for channel c
     error.per_trial[i]    {trial, before, after, per_channel: {c: {before, after}}}
     candidates[i].status  one of `STATUSES`

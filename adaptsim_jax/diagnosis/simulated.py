@@ -24,6 +24,7 @@ from adaptsim_jax.diagnosis.report import (
     Errors,
     Headline,
     error_rows,
+    interval_units,
     report_of,
     withhold_names,
 )
@@ -108,7 +109,7 @@ def reported(
     }
     effects = rows.effect_rows(problem, found)
     scores = rows.scored(found, criteria.alpha)
-    error = _error(simulator, both, tracks)
+    error = _error(simulator, problem, both, tracks)
     more = {
         "not_established": rows.same_rows(found, "stretch"),
         "power": power_rows(problem, found, criteria),
@@ -212,31 +213,29 @@ def predictions(simulator: Simulator, problem: Problem, model: Model) -> np.ndar
 
 
 def _error(
-    simulator: Simulator, both: Mapping[str, Model], tracks: Mapping[str, np.ndarray]
+    simulator: Simulator,
+    problem: Problem,
+    both: Mapping[str, Model],
+    tracks: Mapping[str, np.ndarray],
 ) -> dict[str, Any]:
     s = simulator.stretches
-    trial_of = [np.flatnonzero(s.trial == t) for t in range(len(s.names))]
-    some = [k for k, mine in enumerate(trial_of) if len(mine)]
+    some, trial = np.unique(s.trial, return_inverse=True)
 
     def rms(key: str, c: int) -> np.ndarray:
         off = np.square(tracks[key][..., c] - s.measured[..., c]) * s.seen[..., c]
-        errors = []
-        for k in some:
-            count = s.seen[trial_of[k]][..., c].sum()
-            errors.append(np.sqrt(off[trial_of[k]].sum() / max(count, 1)))
-        return np.array(errors)
+        square = np.bincount(trial, off.sum(1)) / np.maximum(
+            np.bincount(trial, s.seen[..., c].sum(1)), 1
+        )
+        return np.sqrt(square)[trial]
 
-    size = {
-        k: np.array([np.sqrt(m.fit.held[trial_of[t]].mean()) for t in some])
-        for k, m in both.items()
-    }
     channels = {
         c.name: Errors(c.unit, c.noise, {k: rms(k, i) for k in both})
         for i, c in enumerate(simulator.channels)
     }
     names = [s.names[k] for k in some]
-    table = error_rows(METRIC, "declared noise", names, Errors("1", 1.0, size), channels)
-    table |= {k: rows.over_floor(m) for k, m in both.items()}
+    whole = Errors("1", 1.0, {k: np.sqrt(m.fit.held) for k, m in both.items()})
+    over = interval_units(np.asarray(problem.fold), trial)
+    table = error_rows(METRIC, "declared noise", names, whole, channels, trial, over)
     noise = np.array([c.noise for c in simulator.channels])
     line, still = (
         float(np.median(np.sqrt(np.square(z / noise).mean(1)))) for z in doing_nothing(s)

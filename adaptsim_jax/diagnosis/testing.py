@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from adaptsim_jax.diagnosis.criteria import PAIRED
+from adaptsim_jax.diagnosis.criteria import PAIRED, REPORT
 
 
 @dataclass(frozen=True)
@@ -140,6 +140,34 @@ def jackknife(values: np.ndarray) -> np.ndarray:
     """Standard errors [...] of what was fitted [F, ...] without each fold (Tukey, 1958)."""
     count = len(values)
     return np.sqrt((count - 1) / count * np.square(values - values.mean(0)).sum(0))
+
+
+def deviates(count: int, level: float = REPORT.parameter_level) -> float:
+    """Standard errors from the middle of an interval to its ends, where `count` folds or trials
+    gave the standard error: Student's t; infinite of one.
+    """
+    if count < 2:
+        return np.inf
+    return float(stats.t.isf(0.5 * (1.0 - level), count - 1))
+
+
+def typical_interval(
+    errors: np.ndarray, unit: np.ndarray, level: float = REPORT.error_level
+) -> list[float] | None:
+    """Ends of an interval of the median error, where errors [W, ...] of one unit (a trial) are
+    alike; None of one unit.
+
+    Logarithms of the units' medians are taken as a sample of a normal distribution: percentiles of
+    a bootstrap are too narrow for so few.
+    """
+    usual = np.array([np.median(errors[unit == u]) for u in np.unique(unit)])
+    if len(usual) < 2:
+        return None
+    middle = float(np.median(errors))
+    logs = np.log(np.maximum(usual, max(1e-6 * middle, np.finfo(float).tiny)))
+    half = deviates(len(logs), level) * logs.std(ddof=1) / np.sqrt(len(logs))
+    low, high = (float(np.exp(logs.mean() + way * half)) for way in (-1.0, 1.0))
+    return [min(low, middle), max(high, middle)]
 
 
 def correlated_rows(residual: np.ndarray) -> float:

@@ -18,7 +18,6 @@ import numpy as np
 from adaptsim_jax.core.errors import BadInput
 
 PLACES = ("command", "force", "drive", "measurement", "model")
-NINETY = 1.6449  # standard errors from the middle of a 90 % interval to its ends
 UNITS = {
     "1": (0, 0),
     "1/rad": (0, 0),

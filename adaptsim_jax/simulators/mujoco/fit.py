@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adaptsim_jax.diagnosis.steps import CONVERGED_GAIN, Point, best_of, bounded_step, fit_values
-from adaptsim_jax.diagnosis.testing import jackknife
+from adaptsim_jax.diagnosis.testing import deviates, jackknife
 from adaptsim_jax.logs.log import Log
 from adaptsim_jax.mechanisms.spec import Source
 from adaptsim_jax.simulators.mujoco.build import Stepped, stepped
@@ -30,7 +30,6 @@ EXACT_SQUARE = 1e-16  # mean square of what is left, below which nothing is: dou
 # of weighted residuals and their derivatives: a stretch that runs away says nothing of where to
 # go
 RUNAWAY_RESIDUAL = 1e9
-NINETY_DEVIATES = 1.645  # standard errors from the middle of a 90 % interval to its ends
 
 
 @dataclass(frozen=True)
@@ -108,7 +107,7 @@ def fitted_values(made: Stepped, stretches: MujocoStretches, fields: Sequence[Fi
     found = fit_values(point_of(values, starts, off), around, MAX_ROUNDS, done=done, stuck=stuck)
     values, starts, left = found.point.state
     lin = _linear(made, stretches, fields, values, starts, weight)
-    spread = NINETY_DEVIATES * _jackknife(lin, fields, values)
+    spread = deviates(len(lin.hess)) * _jackknife(lin, fields, values)
     low, high = (np.array([getattr(f, k) for f in fields]) for k in ("low", "high"))
     bounds = np.maximum(values - spread, low), np.minimum(values + spread, high)
     return Fitted(tuple(fields), values, *bounds, before, _rms(left, weight), found.code)
