@@ -297,17 +297,21 @@ def power_rows(
         problem: The recording as it was fitted.
         scores: Of candidates about the final model, with `scatter`, the cluster-robust standard
             error of an amplitude.
-        criteria: Its level is corrected for the number of candidates, as in the score test.
+        criteria: Its level is corrected for the number of candidates and of their shapes, as in
+            the score test.
 
     Returns:
         `{name, where, size, unit, power}`, sizes in the unit of the amplitude, by name and place.
     """
     level = criteria.alpha / max(len(scores), 1)
-    times = float(stats.norm.isf(level / 2) + stats.norm.isf(1.0 - TEXT.power))
+
+    def times(points: int) -> float:
+        return float(stats.norm.isf(0.5 * level / points) + stats.norm.isf(1.0 - TEXT.power))
+
     rows = [
         {
             **label(problem, s.candidate)._asdict(),
-            "size": times * s.scatter,
+            "size": times(s.points) * s.scatter,
             "unit": s.candidate.entries[0].unit,
             "power": TEXT.power,
         }

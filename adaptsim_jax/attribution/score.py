@@ -7,7 +7,9 @@ clusters: the variance of a score is taken from the scores of the stretches them
 Liang and Zeger, 1986), so that a model that is wrong otherwise gives no small p by itself.
 """
 
+from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,7 +17,7 @@ from adaptsim_jax.attribution.candidates import CandidateScore, JointCandidate
 from adaptsim_jax.attribution.criteria import CONFIRMATION
 from adaptsim_jax.attribution.estimate import Linear, candidate_columns, padded_fold, project, rows
 from adaptsim_jax.attribution.problem import TreeProblem
-from adaptsim_jax.diagnosis.testing import score_p
+from adaptsim_jax.diagnosis.testing import best_of, score_p
 
 
 def table(
@@ -32,12 +34,14 @@ def table(
     sums = _Sums(problem, lin, at)
     for first in range(0, at, 64):
         sums.add(candidate_columns(problem, lin, pairs[first : first + 64]), first)
+    points = Counter(c.key for c in many)
     best: dict[tuple, CandidateScore] = {}
     for c, cols in zip(many, where, strict=True):
         score = sums.score(c, np.array(cols))
         if c.key not in best or score.held_out > best[c.key].held_out:
             best[c.key] = score
-    return sorted(best.values(), key=lambda s: -s.held_out)
+    scores = [replace(s, p=best_of(s.p, points[k]), points=points[k]) for k, s in best.items()]
+    return sorted(scores, key=lambda s: -s.held_out)
 
 
 class _Sums:

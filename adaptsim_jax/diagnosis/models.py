@@ -13,14 +13,21 @@ import numpy as np
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.fit import Fit, completed, fitted, jacobian, settled
 from adaptsim_jax.diagnosis.problem import Problem
-from adaptsim_jax.diagnosis.testing import Test, correlated_rows, jackknife, paired_test, score_f
+from adaptsim_jax.diagnosis.testing import (
+    Test,
+    best_of,
+    correlated_rows,
+    jackknife,
+    paired_test,
+    score_f,
+)
 from adaptsim_jax.effects.base import Effect
 
 
 @dataclass(frozen=True)
 class Score:
     """gain: share of the loss that one step would take off, shape by shape the best; p: of the F
-    test, not yet corrected.
+    test of the best of its shapes.
     """
 
     candidate: Effect
@@ -145,8 +152,7 @@ class _Left:
         ridge = (1e-6 + 1e-9 * np.trace(square)) * np.eye(len(square))
         gain = float(slope @ np.linalg.solve(square + ridge, slope))
         k, free, loss = len(c.names), len(self.fit.free), self.fit.loss
-        p = score_f(gain, loss, self.count, k, free, self.lasting)
-        p = min(1.0, len(c.points) * p)
+        p = best_of(score_f(gain, loss, self.count, k, free, self.lasting), len(c.points))
         return Score(c, dict(shape), gain / max(loss, 1e-12), p)
 
     def columns_of(self, c: Effect, shape: Mapping[str, float]) -> np.ndarray:

@@ -99,6 +99,15 @@ def attainable(level: float, blocks: int, family: int = 1) -> float:
     return max(level / family, 1.01 * smallest_p(blocks))
 
 
+def best_of(p: float, points: int) -> float:
+    """p of the best of so many tests, as if they were independent (Sidak, 1967): a grid that is
+    finer than the data resolve makes it too large, never too small.
+    """
+    if p >= 1.0:
+        return 1.0
+    return float(-np.expm1(points * np.log1p(-p)))
+
+
 def holm(p: Sequence[float], level: float, blocks: int) -> np.ndarray:
     """Level [K] up to which the p of each of several effects holds (Holm's step-down, 1979).
 
