@@ -38,9 +38,8 @@ def floor_of(problem: TreeProblem, balances: Sequence[Balance]) -> np.ndarray:
     """
     out = np.zeros(problem.joints)
     for b in balances:
-        noise = difference_noise([b.u[:, run].T for run in b.runs]) / np.sqrt(
-            0.35 * WINDOW.span / WINDOW.grid
-        )
+        rows = float(np.median(np.diff(b.mean.indptr)))  # of a window
+        noise = difference_noise([b.u[:, run].T for run in b.runs]) / np.sqrt(0.35 * rows)
         out[list(b.group.joints)] = np.maximum(
             noise, 1e-3 * np.sqrt(np.mean(np.square(needed(problem, b)), 0))
         )

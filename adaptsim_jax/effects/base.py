@@ -214,7 +214,7 @@ class Reach:
     q_low: np.ndarray
     q_high: np.ndarray
     duration: float  # s, of a trial
-    dt: float  # s, median row
+    dt: float  # s, median row, of trials at several rates the longest
     inertia: np.ndarray  # kg m^2
 
 
