@@ -53,15 +53,15 @@ def held_error(problem: TreeProblem, model: FittedTree) -> np.ndarray:
 
 
 def over_floor(problem: TreeProblem, model: FittedTree) -> float:
-    """The same over the noise floor, median."""
-    return float(np.median(held_error(problem, model) / _noise(problem)))
+    """The same over the noise floor, median over stretches, at the joint at which it is most."""
+    return float(np.max(times_floor(problem, held_error(problem, model))))
 
 
-def most_over_floor(problem: TreeProblem, error: np.ndarray) -> float:
-    """Held-out error [W, n] over the noise floor, median over stretches, at the joint that moves at
-    which it is most.
+def times_floor(problem: TreeProblem, error: np.ndarray) -> np.ndarray:
+    """Held-out error [W, n] over the noise floor, median over stretches [n]; zero of joints that do
+    not move, which would hide what is left at the others.
     """
-    return float(np.max(np.median(error, 0) / _noise(problem), where=moving(problem), initial=0.0))
+    return np.where(moving(problem), np.median(error, 0) / _noise(problem), 0.0)
 
 
 def _noise(problem: TreeProblem) -> np.ndarray:
@@ -76,7 +76,8 @@ def astray(
     leaves more now and then, though it is the right effect).
     """
     error = held_error(problem, model)
-    outlying = error > criteria.outlying * np.maximum(_noise(problem), np.median(error, 0))
+    usual = np.maximum(_noise(problem), np.median(error, 0))
+    outlying = (error > criteria.outlying * usual) & moving(problem)
     return np.any(
         outlying
         if null is None

@@ -18,8 +18,7 @@ from adaptsim_jax.attribution.fitted import (
     Selection,
     astray,
     held_error,
-    most_over_floor,
-    over_floor,
+    times_floor,
 )
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import INERTIA, Entry
@@ -73,7 +72,7 @@ def account_of(
         *unused(machine),
         *standing(machine),
         *physical_inertias.sentence(problem, found.final, declared(found.final)),
-        *soft_friction(problem, found.named, left, remains.over),
+        *soft_friction(problem, found.named, left, float(np.max(remains.times))),
         *read_so(problem, found),
         *shorter(found, criteria, horizon),
     ]
@@ -128,14 +127,14 @@ def next_experiment(problem: TreeProblem, found: Selection) -> dict[str, Any] | 
 def _remains(problem: TreeProblem, found: Selection, criteria: Criteria) -> Remains:
     after = held_error(problem, found.final)
     outlying = astray(problem, found.final, criteria, found.null)
-    left = most_over_floor(problem, after) > criteria.explained
+    times = times_floor(problem, after)
     outliers = _outliers(problem, after, outlying, criteria)
     return Remains(
         held_error(problem, found.null),
         after,
         problem.floor[: problem.joints],
-        over_floor(problem, found.final),
-        left,
+        times,
+        bool(np.max(times) > criteria.explained),
         outliers,
         int(outlying.sum()),
     )
@@ -146,7 +145,7 @@ def _remaining(problem: TreeProblem, remains: Remains) -> dict[str, Any]:
     times = median / np.maximum(remains.noise, 1e-12)
     return {
         "error": float(np.median(remains.after)),
-        "times_floor": remains.over,
+        "times_floor": float(np.max(remains.times)),
         "joints": by_joint(problem, median, times),
     }
 
@@ -172,7 +171,7 @@ def _outliers(
     """Trials of which much is left, however little on the whole: name, joint, times the noise floor
     (median over its stretches, or over those that are `outlying` [W] where there are a few such).
     """
-    noise, out = np.maximum(problem.floor[: problem.joints], 1e-12), []
+    out = []
     for k, name in enumerate(problem.folds):
         mine = problem.fold == k
         if outlying.sum() >= criteria.few and np.any(mine & outlying):
@@ -180,7 +179,7 @@ def _outliers(
         else:
             some = mine
         if np.any(some):
-            over = np.median(after[some], 0) / noise
+            over = times_floor(problem, after[some])
             worst = int(np.argmax(over))
             if over[worst] > criteria.outlying:
                 out.append((name, problem.joint_names[worst], float(over[worst])))

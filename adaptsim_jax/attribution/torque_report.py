@@ -57,7 +57,7 @@ def by_torque(
     minimum = np.maximum(criteria.explained * floor, criteria.torque.worth * after.still)
     remaining = {
         "error": _pooled(after),
-        "times_floor": float(np.median(times)),
+        "times_floor": float(np.max(times, where=moving(problem), initial=0.0)),
         "joints": by_joint(problem, after.error, times),
     }
     notes = [
