@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.attribution.criteria import INERTIAL, TEXT, WINDOW
+from adaptsim_jax.attribution.criteria import TEXT, WINDOW
 from adaptsim_jax.attribution.equation.balance import Balance, residual
 from adaptsim_jax.attribution.equation.models import TorqueSearch, held_missing
 from adaptsim_jax.attribution.measures import Measure, needed
@@ -24,12 +24,13 @@ from adaptsim_jax.logs.noise import difference_noise
 @dataclass(frozen=True)
 class TorqueFound:
     """What the balances say, and how much torque is missing of the declared model, fitted, and of
-    the final one.
+    the final one. factor: within which bodies were fitted.
     """
 
     found: TorqueSearch
     before: Measure
     after: Measure
+    factor: float
 
 
 def floor_of(problem: TreeProblem, balances: Sequence[Balance]) -> np.ndarray:
@@ -63,7 +64,7 @@ def by_torque(
     notes = [
         *account.more["notes"],
         *unnamed_notes(problem, found),
-        *bound_notes(problem, found),
+        *bound_notes(problem, found, e.factor),
     ]
     over = after.error > np.maximum(minimum, 1e-12)
     return replace(
@@ -165,7 +166,7 @@ def unnamed_notes(problem: TreeProblem, found: TorqueSearch) -> list[str]:
     ]
 
 
-def bound_notes(problem: TreeProblem, found: TorqueSearch) -> list[str]:
+def bound_notes(problem: TreeProblem, found: TorqueSearch, factor: float) -> list[str]:
     """Bodies whose fit ends where a body of the file's kind ends: what would explain it."""
     at = set()
     for w in found.searches:
@@ -175,8 +176,8 @@ def bound_notes(problem: TreeProblem, found: TorqueSearch) -> list[str]:
     if not at:
         return []
     return [
-        f"The fit of the bodies moved by {', '.join(sorted(at))} ends at {INERTIAL.moved:g} times "
-        "(or a third of) what the model file says, and is held there: a rotor, a gain of the "
+        f"The fit of the bodies moved by {', '.join(sorted(at))} ends at {factor:g} times "
+        f"(or 1/{factor:g} of) what the model file says, and is held there: a rotor, a gain of the "
         "torques, a payload or friction that is not in the catalogue would explain it; "
         "`[fit] factor` in meta.toml widens it."
     ]

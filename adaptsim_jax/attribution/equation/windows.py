@@ -57,6 +57,8 @@ def runs_of(
     Windows that lie over a gap in time, or over rows without an angle, are left out.
     """
     made = [(k, *_even(t)) for k, t in enumerate(tracks) if len(t.time) > WINDOW.min_rows]
+    if not made:
+        return ()
     speeds = np.concatenate([np.abs(m[3]) for m in made], 1)
     usual = np.quantile(speeds, 0.95, axis=1)
     out = []
