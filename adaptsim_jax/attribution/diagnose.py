@@ -175,7 +175,7 @@ def _of_the_file(
     report["notes"] += [*unlike, *gain_notes(machine), *lost(machine, e.problem, e.found)]
     report["notes"] += servo_notes(machine, declared, off)
     final = e.found.final
-    with_rows(report, servo_rows(machine, declared, off, final.fit.vector, final.spread))
+    with_rows(report, servo_rows(machine, declared, off, final.fit.vector, final.half_width))
     if unlike and report["verdict"] == "within_noise":
         report["unlike_file"] = unlike[0]
         report["message"] = f"{report['message']} {unlike[0]} {named_by(unlike[0])}"

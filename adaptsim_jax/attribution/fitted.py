@@ -11,7 +11,7 @@ from adaptsim_jax.attribution.problem import TreeProblem, moving
 from adaptsim_jax.attribution.simulate import Path
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Finding
-from adaptsim_jax.diagnosis.testing import jackknife
+from adaptsim_jax.diagnosis.testing import deviates, jackknife
 from adaptsim_jax.effects.base import Reach
 
 
@@ -45,6 +45,11 @@ class FittedTree:
     def spread(self) -> np.ndarray:
         """Standard errors [P] by the jackknife over folds."""
         return jackknife(self.held.vectors)
+
+    @property
+    def half_width(self) -> np.ndarray:
+        """Half of the 90 % intervals [P]."""
+        return deviates(len(self.held.vectors)) * self.spread
 
 
 def held_error(problem: TreeProblem, model: FittedTree) -> np.ndarray:

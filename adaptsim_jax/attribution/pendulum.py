@@ -255,8 +255,7 @@ def _number(value: float, half: float, unit: str) -> Value:
 
 def _fitted(model: FittedTree) -> Fitted:
     """Value, half of its 90 % interval and unit of each fitted number by owner, name and joint."""
-    half = deviates(len(model.held.vectors)) * model.spread
-    rows = zip(model.fit.vector.entries, model.fit.vector.values, half, strict=True)
+    rows = zip(model.fit.vector.entries, model.fit.vector.values, model.half_width, strict=True)
     return {
         (e.owner, e.name, j): (float(v), float(s), e.unit) for e, v, s in rows for j in e.joints
     }

@@ -47,7 +47,6 @@ from adaptsim_jax.diagnosis.report import (
     interval_units,
     remarks,
 )
-from adaptsim_jax.diagnosis.testing import deviates
 from adaptsim_jax.effects.joints.actuator import SATURATION
 from adaptsim_jax.effects.joints.friction import VISCOUS
 
@@ -353,11 +352,11 @@ def _coordinates(problem: TreeProblem, model: FittedTree) -> dict[str, Any]:
 
 
 def _numbers_of(model: FittedTree) -> list[tuple[Entry, dict[str, Any]]]:
-    out, times = [], deviates(len(model.held.vectors))
-    for e, value, spread in zip(
-        model.fit.vector.entries, model.fit.vector.values, model.spread, strict=True
+    out = []
+    for e, value, half in zip(
+        model.fit.vector.entries, model.fit.vector.values, model.half_width, strict=True
     ):
-        width = times * float(spread)
+        width = float(half)
         out.append(
             (
                 e,

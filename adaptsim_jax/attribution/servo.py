@@ -134,23 +134,25 @@ def friction_first(
 
 
 def servo_rows(
-    machine: Machine, declared: Machine, off: tuple[Servo, ...], final: Vector, spread: np.ndarray
+    machine: Machine, declared: Machine, off: tuple[Servo, ...], final: Vector, half: np.ndarray
 ) -> list[dict[str, Any]]:
-    """Rows of the report's effects: kp as fitted, with its interval, beside the file's."""
+    """Rows of the report's effects: kp as fitted, with its interval, beside the file's. half [P]:
+    of the 90 % intervals of the final vector.
+    """
     rows = []
     at = {e.joints[0]: i for i, e in enumerate(final.entries) if e.owner == GAIN}
     for s in off:
         name = machine.tree.joint_names[s.joint]
         if s.joint in at:
-            gain, wide = (float(final.values[at[s.joint]]), float(spread[at[s.joint]]))
+            gain, wide = (float(final.values[at[s.joint]]), float(half[at[s.joint]]))
         else:
             gain, wide = (0.0, 0.0)
         kp = -machine.actuator[2, s.joint] * machine.gear[s.joint] ** 2
         file = -declared.actuator[2, s.joint] * declared.gear[s.joint] ** 2
         ends = {
             "value": kp * (1 + gain),
-            "low": kp * max(1 + gain - 1.64 * wide, 0.0),
-            "high": kp * (1 + gain + 1.64 * wide),
+            "low": kp * max(1 + gain - wide, 0.0),
+            "high": kp * (1 + gain + wide),
         }
         text = f"the position controller's stiffness; the file says {file:.4g}"
         if not s.scale:

@@ -83,6 +83,9 @@ def test_a_gain_that_stays_far_from_the_files_is_told_in_its_own_unit(belt):
     (row,) = servo.servo_rows(found, machine, (own,), at(0.5), np.array([0.01]))
     kp = row["parameters"]["kp"]
     assert kp["unit"] == "N/m" and kp["value"] == pytest.approx(60.0) and "400" in kp["meaning"]
+    assert kp["low"] == pytest.approx(
+        40.0 * 1.49, rel=1e-6
+    )  # by half of the interval that is given
     rows = {"damping of belt": {"value": 24.1, "file": 4.0}}
     servo.damped_by_file(rows, machine, (own,))
     assert rows["damping of belt"]["file"] == pytest.approx(24.0)  # kv is 20
