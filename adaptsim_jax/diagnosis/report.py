@@ -248,7 +248,6 @@ def error_rows(
         "unit": whole.unit,
         **medians(whole),
         "noise_floor": whole.floor,
-        "ceiling": None,
         "per_channel": per_channel,
         "per_trial": per_trial,
         "noise_floor_source": source,
