@@ -17,6 +17,7 @@ from adaptsim_jax.attribution.candidates import CandidateScore, JointCandidate
 from adaptsim_jax.attribution.criteria import CONFIRMATION
 from adaptsim_jax.attribution.estimate import Linear, candidate_columns, padded_fold, project, rows
 from adaptsim_jax.attribution.problem import TreeProblem
+from adaptsim_jax.diagnosis.steps import bounded_step
 from adaptsim_jax.diagnosis.testing import best_of, score_p
 
 
@@ -149,23 +150,9 @@ def at_scored(problem: TreeProblem, c: JointCandidate) -> float | None:
 
 
 def _solved(c: JointCandidate, bend: np.ndarray, total: np.ndarray, most: float) -> np.ndarray:
-    """Amplitudes within their bounds and none above `most`; those that would leave them at once are
-    left out.
-    """
+    """Amplitudes within their bounds and none above `most`; of what has no curvature none."""
+    acts = np.diagonal(bend) > 1e-12
     low = np.array([max(e.low - e.start, -most) for e in c.entries])
     high = np.array([min(e.high - e.start, most) for e in c.entries])
-    on = np.diagonal(bend) > 1e-12
-    bend = bend + np.diag([e.prior**-2.0 for e in c.entries])
-    out = np.zeros(len(total))
-    for _ in range(len(total) + 1):
-        out[:] = 0.0
-        if not on.any():
-            break
-        part = bend[np.ix_(on, on)]
-        part = part + 1e-9 * np.diag(np.diagonal(part))
-        out[on] = np.linalg.solve(part, total[on])
-        bad = on & ((out < low) & (low == 0.0))
-        if not bad.any():
-            break
-        on &= ~bad
-    return np.clip(out, low, high)
+    prior = np.diag([e.prior**-2.0 for e in c.entries])
+    return bounded_step(bend + prior, total, np.where(acts, low, 0.0), np.where(acts, high, 0.0))
