@@ -29,8 +29,9 @@ from adaptsim_jax.diagnosis.report import (
     withhold_names,
 )
 from adaptsim_jax.diagnosis.run import Page, Run
-from adaptsim_jax.diagnosis.simulator import Simulator, Stretches, check_simulator
+from adaptsim_jax.diagnosis.simulator import Simulator, check_simulator
 from adaptsim_jax.diagnosis.starts import problem_of
+from adaptsim_jax.diagnosis.straight import doing_nothing
 from adaptsim_jax.diagnosis.testing import smallest_p
 from adaptsim_jax.diagnosis.trials import search_trials
 from adaptsim_jax.diagnosis.written import MODEL, Output, cleared, finished, keeping
@@ -238,7 +239,8 @@ def _error(
     table = error_rows(METRIC, "declared noise", names, whole, channels, trial, over)
     noise = np.array([c.noise for c in simulator.channels])
     line, still = (
-        float(np.median(np.sqrt(np.square(z / noise).mean(1)))) for z in doing_nothing(s)
+        float(np.median(np.sqrt(np.square(z / noise).mean(1))))
+        for z in doing_nothing(s.time, np.nan_to_num(s.measured), s.seen > 0)
     )
     zero = {"straight_line": line, "hold_still": still}
     return table | zero | {"skill": {k: skill(table[k], line, still) for k in both}}
@@ -278,29 +280,6 @@ def _held_out(
             }
         )
     return out
-
-
-def doing_nothing(stretches: Stretches) -> tuple[np.ndarray, np.ndarray]:
-    """RMS errors `[W, C]`, in each signal's unit, of a straight line through a stretch's own
-    readings, and of its mean.
-
-    Both are fitted to the stretch, as a model's start is: two numbers of a signal, and one.
-    """
-    mask, y = (stretches.seen > 0).astype(float), np.nan_to_num(stretches.measured)
-    count = np.maximum(mask.sum(1), 1.0)
-
-    def mean(z):
-        return (z * mask).sum(1) / count
-
-    t = (stretches.time - stretches.time.mean(1, keepdims=True))[..., None] * np.ones_like(y)
-    t = t - mean(t)[:, None]
-    still = y - mean(y)[:, None]
-    slope = mean(t * still) / np.maximum(mean(t * t), 1e-300)
-
-    def rms(z):
-        return np.sqrt(mean(np.square(z)))
-
-    return rms(still - slope[:, None] * t), rms(still)
 
 
 def skill(error: float, line: float, still: float) -> float | None:

@@ -13,6 +13,7 @@ from adaptsim_jax.diagnosis.steps import (
     fit_starts,
     fit_values,
 )
+from adaptsim_jax.diagnosis.straight import doing_nothing
 
 FREE = np.full(2, np.inf)
 HESS = np.array([[2.0, 0.8], [0.8, 1.0]])
@@ -124,3 +125,15 @@ def test_starts_of_stretches_are_fitted_each_by_itself(every):
     np.testing.assert_allclose(found.starts[:4], truth[:4], atol=1e-8)
     np.testing.assert_allclose(found.starts[4], 0.0)
     assert begun.loss[1] > 0.0  # what was given stays as it was
+
+
+def test_what_needs_no_model_is_a_line_through_what_was_seen_and_its_mean():
+    rng = np.random.default_rng(0)
+    time, z = 5.0 + np.sort(rng.uniform(0.0, 1.0, (3, 20))), rng.normal(size=(3, 20, 2))
+    seen = rng.uniform(size=z.shape) < 0.7
+    line, still = doing_nothing(time, z, seen)
+    for w, c in np.ndindex(3, 2):
+        t, y = time[w, seen[w, :, c]], z[w, seen[w, :, c], c]
+        left = y - np.polyval(np.polyfit(t, y, 1), t)
+        assert line[w, c] == pytest.approx(np.sqrt(np.mean(left**2)))
+        assert still[w, c] == pytest.approx(np.std(y))
