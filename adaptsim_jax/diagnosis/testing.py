@@ -160,9 +160,7 @@ def deviates(count: int, level: float = REPORT.parameter_level) -> float:
     return float(stats.t.isf(0.5 * (1.0 - level), count - 1))
 
 
-def typical_interval(
-    errors: np.ndarray, unit: np.ndarray, level: float = REPORT.error_level
-) -> list[float] | None:
+def typical_interval(errors: np.ndarray, unit: np.ndarray) -> list[float] | None:
     """Ends of an interval of the median error, where errors [W, ...] of one unit (a trial) are
     alike; None of one unit.
 
@@ -174,7 +172,7 @@ def typical_interval(
         return None
     middle = float(np.median(errors))
     logs = np.log(np.maximum(usual, max(1e-6 * middle, np.finfo(float).tiny)))
-    half = deviates(len(logs), level) * logs.std(ddof=1) / np.sqrt(len(logs))
+    half = deviates(len(logs), REPORT.error_level) * logs.std(ddof=1) / np.sqrt(len(logs))
     low, high = (float(np.exp(logs.mean() + way * half)) for way in (-1.0, 1.0))
     return [min(low, middle), max(high, middle)]
 

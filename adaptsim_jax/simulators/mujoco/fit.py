@@ -19,7 +19,7 @@ from adaptsim_jax.simulators.mujoco.build import Stepped, stepped
 from adaptsim_jax.simulators.mujoco.criteria import SIMULATION
 from adaptsim_jax.simulators.mujoco.fields import DELAY, Field, field, with_values
 from adaptsim_jax.simulators.mujoco.rollouts import by_start, predict, residual, start_size
-from adaptsim_jax.simulators.mujoco.starts import fitted
+from adaptsim_jax.simulators.mujoco.starts import START_DAMPING, fitted
 from adaptsim_jax.simulators.mujoco.stretches import MujocoStretches, cut, late
 
 LINEARISATION_STEPS = 4e6  # steps of one linearisation: bounds its time and memory
@@ -194,12 +194,10 @@ class _Linear:
     def start_steps(self, step: np.ndarray) -> np.ndarray:
         """Change of the starts [W, S] that goes with a step [P] of the fields."""
         out = np.zeros((len(self.left), self.by_start.shape[2]))
+        free = np.full(out.shape[1], np.inf)
         for w in np.flatnonzero(self.good):
-            x = self.by_start[w]
-            size = np.maximum(np.linalg.norm(x, axis=0), 1e-9)
-            hess = (x / size).T @ (x / size) + 1e-6 * np.eye(len(size))
-            left = self.left[w] + self.by_field[w] @ step
-            out[w] = -np.linalg.solve(hess, (x / size).T @ left) / size
+            x, left = self.by_start[w], self.left[w] + self.by_field[w] @ step
+            out[w] = bounded_step(x.T @ x, -(x.T @ left), -free, free, START_DAMPING)
         return out
 
 
