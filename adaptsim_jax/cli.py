@@ -77,8 +77,10 @@ def main(argv: list[str] | None = None) -> int:
         if _interrupted(error):  # Ctrl-C while a library was being imported
             return _report("stopped; nothing half-written is left", STOPPED)
         traceback.print_exc()
+        where = "".join(f"; {note}" for note in getattr(error, "__notes__", ()))
         return _report(
-            f"failed: {type(error).__name__}: {error}; this is a fault of the program", FAILED
+            f"failed: {type(error).__name__}: {error}; this is a fault of the program{where}",
+            FAILED,
         )
 
 

@@ -123,6 +123,7 @@ WITHIN = {
         "recommended",
         "testing",
         "steps",
+        "straight",
         "rules",
         "finding",
         "folds",

@@ -28,7 +28,8 @@ def account(e: Examined) -> Account:
     q = e.inquiry
     made = account_of(q.machine, e.problem, e.found, q.criteria, q.horizon)
     if e.judge == TORQUE and e.by_torque is not None and not e.simulated:
-        torques = TorqueFound(e.by_torque, e.before[TORQUE], e.after[TORQUE])
+        assert q.factor is not None
+        torques = TorqueFound(e.by_torque, e.before[TORQUE], e.after[TORQUE], q.factor)
         made = by_torque(made, e.problem, torques, q.criteria)
     measures: dict[str, Any] = {"judge": e.judge, "why": e.why}
     for name, each in (("declared", e.before), ("mended", e.after)):
@@ -57,8 +58,11 @@ def reported(
 
 def write_so_far(folder: Path, q: Inquiry, found: Selection) -> None:
     """Write the report on what a search has found until now."""
-    made = account_of(q.machine, q.problem, found, q.criteria, q.horizon)
-    write_partial(folder, report_of(found, made))
+
+    def made() -> dict[str, Any]:
+        return report_of(found, account_of(q.machine, q.problem, found, q.criteria, q.horizon))
+
+    write_partial(folder, made)
 
 
 def _disagreement(e: Examined) -> list[str]:

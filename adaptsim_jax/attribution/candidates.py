@@ -50,9 +50,10 @@ class JointCandidate:
 
 @dataclass(frozen=True)
 class CandidateScore:
-    """Of a candidate at its best shape: amplitudes [K], first-order fall of the loss, of the
-    held-out loss, robust p, share of folds in which it gains; scatter: cluster-robust standard
-    error of its only amplitude, 0 where it has several.
+    """Of a candidate at the best of its shapes: amplitudes [K], first-order fall of the loss, of
+    the held-out loss, robust p of the best of them, share of folds in which it gains; scatter:
+    cluster-robust standard error of its only amplitude, 0 where it has several; points: how many
+    shapes were scored.
     """
 
     candidate: JointCandidate
@@ -62,6 +63,7 @@ class CandidateScore:
     p: float
     folds: float
     scatter: float = 0.0
+    points: int = 1
 
 
 def entries_of(

@@ -179,9 +179,6 @@ class InertiaCriteria:
     # of its value in the model file, by which a quantity that the data fix differs from it; of
     # what is near zero there, of the largest one of its unit
     different: float = 0.05
-    # times, by which a body of a fit may differ from the file's before that is a finding of its
-    # own
-    moved: float = 3.0
 
 
 @dataclass(frozen=True)

@@ -51,6 +51,7 @@ from adaptsim_jax.attribution.tree_objective import (
 from adaptsim_jax.core.progress import Note, no_notes
 from adaptsim_jax.diagnosis.finding import Named
 from adaptsim_jax.diagnosis.search import backward_elimination
+from adaptsim_jax.diagnosis.steps import NotFinite
 from adaptsim_jax.effects.base import Reach
 
 
@@ -98,7 +99,7 @@ def examine(inquiry: Inquiry) -> Examined:
     try:
         q, balanced, reach = _with_friction_law(q, balanced)
         torques = _search_torques(q, balanced, reach)
-    except (ValueError, np.linalg.LinAlgError) as error:  # the other objective goes on by itself
+    except NotFinite as error:  # the other objective goes on by itself
         why = f"the torque along the motion tells nothing ({error})"
         return _by_stretches(replace(q, hint=None), why)
     before = q.simulated(torques.declared)

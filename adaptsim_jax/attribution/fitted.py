@@ -11,7 +11,7 @@ from adaptsim_jax.attribution.problem import TreeProblem, moving
 from adaptsim_jax.attribution.simulate import Path
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Finding
-from adaptsim_jax.diagnosis.testing import jackknife
+from adaptsim_jax.diagnosis.testing import deviates, jackknife
 from adaptsim_jax.effects.base import Reach
 
 
@@ -46,6 +46,11 @@ class FittedTree:
         """Standard errors [P] by the jackknife over folds."""
         return jackknife(self.held.vectors)
 
+    @property
+    def half_width(self) -> np.ndarray:
+        """Half of the 90 % intervals [P]."""
+        return deviates(len(self.held.vectors)) * self.spread
+
 
 def held_error(problem: TreeProblem, model: FittedTree) -> np.ndarray:
     """Held-out error of each stretch and joint [W, n], rad or m."""
@@ -53,15 +58,15 @@ def held_error(problem: TreeProblem, model: FittedTree) -> np.ndarray:
 
 
 def over_floor(problem: TreeProblem, model: FittedTree) -> float:
-    """The same over the noise floor, median."""
-    return float(np.median(held_error(problem, model) / _noise(problem)))
+    """The same over the noise floor, median over stretches, at the joint at which it is most."""
+    return float(np.max(times_floor(problem, held_error(problem, model))))
 
 
-def most_over_floor(problem: TreeProblem, error: np.ndarray) -> float:
-    """Held-out error [W, n] over the noise floor, median over stretches, at the joint that moves at
-    which it is most.
+def times_floor(problem: TreeProblem, error: np.ndarray) -> np.ndarray:
+    """Held-out error [W, n] over the noise floor, median over stretches [n]; zero of joints that do
+    not move, which would hide what is left at the others.
     """
-    return float(np.max(np.median(error, 0) / _noise(problem), where=moving(problem), initial=0.0))
+    return np.where(moving(problem), np.median(error, 0) / _noise(problem), 0.0)
 
 
 def _noise(problem: TreeProblem) -> np.ndarray:
@@ -76,7 +81,8 @@ def astray(
     leaves more now and then, though it is the right effect).
     """
     error = held_error(problem, model)
-    outlying = error > criteria.outlying * np.maximum(_noise(problem), np.median(error, 0))
+    usual = np.maximum(_noise(problem), np.median(error, 0))
+    outlying = (error > criteria.outlying * usual) & moving(problem)
     return np.any(
         outlying
         if null is None

@@ -19,6 +19,7 @@ from adaptsim_jax.attribution.paths import ready, residuals, simulated, starts_o
 from adaptsim_jax.attribution.problem import TreeProblem
 from adaptsim_jax.attribution.simulate import Path
 from adaptsim_jax.diagnosis.steps import StretchLanes, fit_starts
+from adaptsim_jax.diagnosis.straight import doing_nothing, straight_lines
 
 MAX_START_ROUNDS = 6  # rounds of steps of the starts, at most
 ROUGH_ROUNDS = 2  # the same without derivatives: the first gains most
@@ -81,17 +82,7 @@ def without_a_model(problem: TreeProblem) -> tuple[np.ndarray, np.ndarray]:
     their mean.
     """
     measured, mask = observed(problem)
-    time = problem.groups[0].stretches.time.T[: len(measured), :, None] + 0.0 * measured
-    count = np.maximum(mask.sum(1, keepdims=True), 1)
-
-    def mean(z):
-        return (z * mask).sum(1, keepdims=True) / count
-
-    t, q = time - mean(time), measured - mean(measured)
-    slope = (t * q * mask).sum(1, keepdims=True) / np.maximum(
-        (t * t * mask).sum(1, keepdims=True), 1e-300
-    )
-    return rms(q - slope * t, mask), rms(q, mask)
+    return doing_nothing(problem.groups[0].stretches.time.T[: len(measured)], measured, mask)
 
 
 def fitted_starts(
@@ -183,21 +174,9 @@ def _along_a_line(
         own = left[..., at : at + n]
         at += n
         mask = s.seen.transpose(2, 0, 1)[lanes]
-        time = (s.time - s.time[:1]).T[lanes][..., None] + 0.0 * own
-        first, slope = _lines(time, own, mask)
+        time = (s.time - s.time[:1]).T[lanes]
+        first, slope = straight_lines(time, own, mask)
         moved = np.zeros((len(lanes), size))
         moved[:, :n], moved[:, n : 2 * n] = first, slope
         out.append(moved)
     return np.concatenate(out, 1)
-
-
-def _lines(time: np.ndarray, z: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Value at no time and slope [B, n] of the lines through z [B, T, n] where it was seen."""
-
-    def total(x):
-        return (x * mask).sum(1)
-
-    count, first, second = total(1.0 + 0.0 * z), total(time), total(time * time)
-    spread = np.maximum(count * second - first**2, 1e-12)
-    slope = (count * total(time * z) - first * total(z)) / spread
-    return (total(z) - slope * first) / np.maximum(count, 1), slope

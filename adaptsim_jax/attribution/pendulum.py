@@ -16,8 +16,8 @@ from adaptsim_jax.attribution.parameters import INERTIA, TILT, Vector
 from adaptsim_jax.attribution.problem import TreeProblem, values_of
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import write_bytes
-from adaptsim_jax.diagnosis.testing import jackknife
-from adaptsim_jax.effects.base import NINETY, Effect
+from adaptsim_jax.diagnosis.testing import deviates, jackknife
+from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.effects.joints.actuator import PENDULUM_ROTOR_INERTIA
 from adaptsim_jax.effects.joints.catalogue import OWN
 from adaptsim_jax.effects.joints.forces import ARMATURE
@@ -240,7 +240,7 @@ def declared_values(rig: Rig, problem: TreeProblem, model: FittedTree) -> dict[s
     if rig.model == LINEAR:  # gravity has the least to do with how bodies are shaped
         names, units, of = ("m1", "m2"), ("kg", "kg"), lambda z: np.array([z[2] - z[3], z[3]])
     own, folds = of(base(vector.values)), np.array([of(base(z)) for z in model.held.vectors])
-    wide = jackknife(folds)
+    wide = deviates(len(folds)) * jackknife(folds)
     out = {k: _number(*z) for k, z in zip(names, zip(own, wide, units, strict=True), strict=True)}
     by = _fitted(model)
     for k in range(2):
@@ -249,13 +249,13 @@ def declared_values(rig: Rig, problem: TreeProblem, model: FittedTree) -> dict[s
     return out
 
 
-def _number(value: float, spread: float, unit: str) -> Value:
-    return Value(float(value), float(value - NINETY * spread), float(value + NINETY * spread), unit)
+def _number(value: float, half: float, unit: str) -> Value:
+    return Value(float(value), float(value - half), float(value + half), unit)
 
 
 def _fitted(model: FittedTree) -> Fitted:
-    """Value, standard deviation and unit of each fitted number by owner, name and joint."""
-    rows = zip(model.fit.vector.entries, model.fit.vector.values, model.spread, strict=True)
+    """Value, half of its 90 % interval and unit of each fitted number by owner, name and joint."""
+    rows = zip(model.fit.vector.entries, model.fit.vector.values, model.half_width, strict=True)
     return {
         (e.owner, e.name, j): (float(v), float(s), e.unit) for e, v, s in rows for j in e.joints
     }

@@ -20,8 +20,7 @@ from adaptsim_jax.attribution.fitted import FittedTree
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import INERTIA
 from adaptsim_jax.attribution.problem import TreeProblem
-from adaptsim_jax.diagnosis.testing import jackknife
-from adaptsim_jax.effects.base import NINETY
+from adaptsim_jax.diagnosis.testing import deviates, jackknife
 from adaptsim_jax.effects.joints.catalogue import ETA
 from adaptsim_jax.mechanisms.inertia_frames import (
     Frame,
@@ -73,13 +72,13 @@ def inertia_rows(
     if not any(e.owner == INERTIA for e in vector.entries):
         return {}
     left, prior = spreads(problem, model)
-    rows = {}
+    rows, times = {}, deviates(len(model.held.vectors))
     for q in quantities(machine, problem, model):
         alone = float(np.sqrt(np.square(q.slope) @ np.square(prior)))
         if alone == 0.0:
             continue
         both = float(np.sqrt(max(q.slope @ left @ q.slope, 0.0)))
-        width = NINETY * max(float(jackknife(q.values[1:-1])), both)
+        width = times * max(float(jackknife(q.values[1:-1])), both)
         value = float(q.values[0])
         rows[q.name] = {
             "value": value,

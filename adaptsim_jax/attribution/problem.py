@@ -297,7 +297,8 @@ def _reach(
         high.append(np.quantile(q, 0.995, axis=0))
     torque = np.max(torque, 0)
     longest = max(float(t.time[-1] - t.time[0]) for t in tracks)
-    dt = float(np.median(np.diff(tracks[0].time)))
+    # the longest: a shift that the slowest trial does not resolve is not named
+    dt = max(float(np.median(np.diff(t.time))) for t in tracks)
     speed = np.maximum(np.max(speed, 0), 0.02)
     return Reach(
         torque,

@@ -18,8 +18,7 @@ from adaptsim_jax.attribution.fitted import (
     Selection,
     astray,
     held_error,
-    most_over_floor,
-    over_floor,
+    times_floor,
 )
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import INERTIA, Entry
@@ -39,8 +38,15 @@ from adaptsim_jax.attribution.sentences import (
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.experiment import separated_by
 from adaptsim_jax.diagnosis.finding import Named
-from adaptsim_jax.diagnosis.report import Account, Errors, Label, Scored, error_rows, remarks
-from adaptsim_jax.effects.base import NINETY
+from adaptsim_jax.diagnosis.report import (
+    Account,
+    Errors,
+    Label,
+    Scored,
+    error_rows,
+    interval_units,
+    remarks,
+)
 from adaptsim_jax.effects.joints.actuator import SATURATION
 from adaptsim_jax.effects.joints.friction import VISCOUS
 
@@ -65,7 +71,7 @@ def account_of(
         *unused(machine),
         *standing(machine),
         *physical_inertias.sentence(problem, found.final, declared(found.final)),
-        *soft_friction(problem, found.named, left, remains.over),
+        *soft_friction(problem, found.named, left, float(np.max(remains.times))),
         *read_so(problem, found),
         *shorter(found, criteria, horizon),
     ]
@@ -120,14 +126,14 @@ def next_experiment(problem: TreeProblem, found: Selection) -> dict[str, Any] | 
 def _remains(problem: TreeProblem, found: Selection, criteria: Criteria) -> Remains:
     after = held_error(problem, found.final)
     outlying = astray(problem, found.final, criteria, found.null)
-    left = most_over_floor(problem, after) > criteria.explained
+    times = times_floor(problem, after)
     outliers = _outliers(problem, after, outlying, criteria)
     return Remains(
         held_error(problem, found.null),
         after,
         problem.floor[: problem.joints],
-        over_floor(problem, found.final),
-        left,
+        times,
+        bool(np.max(times) > criteria.explained),
         outliers,
         int(outlying.sum()),
     )
@@ -138,7 +144,7 @@ def _remaining(problem: TreeProblem, remains: Remains) -> dict[str, Any]:
     times = median / np.maximum(remains.noise, 1e-12)
     return {
         "error": float(np.median(remains.after)),
-        "times_floor": remains.over,
+        "times_floor": float(np.max(remains.times)),
         "joints": by_joint(problem, median, times),
     }
 
@@ -164,7 +170,7 @@ def _outliers(
     """Trials of which much is left, however little on the whole: name, joint, times the noise floor
     (median over its stretches, or over those that are `outlying` [W] where there are a few such).
     """
-    noise, out = np.maximum(problem.floor[: problem.joints], 1e-12), []
+    out = []
     for k, name in enumerate(problem.folds):
         mine = problem.fold == k
         if outlying.sum() >= criteria.few and np.any(mine & outlying):
@@ -172,7 +178,7 @@ def _outliers(
         else:
             some = mine
         if np.any(some):
-            over = np.median(after[some], 0) / noise
+            over = times_floor(problem, after[some])
             worst = int(np.argmax(over))
             if over[worst] > criteria.outlying:
                 out.append((name, problem.joint_names[worst], float(over[worst])))
@@ -254,7 +260,8 @@ def _error(problem: TreeProblem, remains: Remains, horizon: float) -> dict[str, 
     )
     whole = Errors(unit, float(np.median(remains.noise)), both)
     source = "third differences of the angles"
-    table = error_rows(metric, source, problem.folds, whole, channels, problem.fold)
+    over = interval_units(problem.fold, problem.groups[0].stretches.trial[: len(problem.fold)])
+    table = error_rows(metric, source, problem.folds, whole, channels, problem.fold, over)
     return table | {"stretch_s": horizon}
 
 
@@ -288,17 +295,21 @@ def power_rows(
         problem: The recording as it was fitted.
         scores: Of candidates about the final model, with `scatter`, the cluster-robust standard
             error of an amplitude.
-        criteria: Its level is corrected for the number of candidates, as in the score test.
+        criteria: Its level is corrected for the number of candidates and of their shapes, as in
+            the score test.
 
     Returns:
         `{name, where, size, unit, power}`, sizes in the unit of the amplitude, by name and place.
     """
     level = criteria.alpha / max(len(scores), 1)
-    times = float(stats.norm.isf(level / 2) + stats.norm.isf(1.0 - TEXT.power))
+
+    def times(points: int) -> float:
+        return float(stats.norm.isf(0.5 * level / points) + stats.norm.isf(1.0 - TEXT.power))
+
     rows = [
         {
             **label(problem, s.candidate)._asdict(),
-            "size": times * s.scatter,
+            "size": times(s.points) * s.scatter,
             "unit": s.candidate.entries[0].unit,
             "power": TEXT.power,
         }
@@ -342,10 +353,10 @@ def _coordinates(problem: TreeProblem, model: FittedTree) -> dict[str, Any]:
 
 def _numbers_of(model: FittedTree) -> list[tuple[Entry, dict[str, Any]]]:
     out = []
-    for e, value, spread in zip(
-        model.fit.vector.entries, model.fit.vector.values, model.spread, strict=True
+    for e, value, half in zip(
+        model.fit.vector.entries, model.fit.vector.values, model.half_width, strict=True
     ):
-        width = NINETY * float(spread)
+        width = float(half)
         out.append(
             (
                 e,

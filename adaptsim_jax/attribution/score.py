@@ -7,7 +7,9 @@ clusters: the variance of a score is taken from the scores of the stretches them
 Liang and Zeger, 1986), so that a model that is wrong otherwise gives no small p by itself.
 """
 
+from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,7 +17,8 @@ from adaptsim_jax.attribution.candidates import CandidateScore, JointCandidate
 from adaptsim_jax.attribution.criteria import CONFIRMATION
 from adaptsim_jax.attribution.estimate import Linear, candidate_columns, padded_fold, project, rows
 from adaptsim_jax.attribution.problem import TreeProblem
-from adaptsim_jax.diagnosis.testing import score_p
+from adaptsim_jax.diagnosis.steps import bounded_step
+from adaptsim_jax.diagnosis.testing import best_of, score_p
 
 
 def table(
@@ -32,12 +35,14 @@ def table(
     sums = _Sums(problem, lin, at)
     for first in range(0, at, 64):
         sums.add(candidate_columns(problem, lin, pairs[first : first + 64]), first)
+    points = Counter(c.key for c in many)
     best: dict[tuple, CandidateScore] = {}
     for c, cols in zip(many, where, strict=True):
         score = sums.score(c, np.array(cols))
         if c.key not in best or score.held_out > best[c.key].held_out:
             best[c.key] = score
-    return sorted(best.values(), key=lambda s: -s.held_out)
+    scores = [replace(s, p=best_of(s.p, points[k]), points=points[k]) for k, s in best.items()]
+    return sorted(scores, key=lambda s: -s.held_out)
 
 
 class _Sums:
@@ -145,23 +150,9 @@ def at_scored(problem: TreeProblem, c: JointCandidate) -> float | None:
 
 
 def _solved(c: JointCandidate, bend: np.ndarray, total: np.ndarray, most: float) -> np.ndarray:
-    """Amplitudes within their bounds and none above `most`; those that would leave them at once are
-    left out.
-    """
+    """Amplitudes within their bounds and none above `most`; of what has no curvature none."""
+    acts = np.diagonal(bend) > 1e-12
     low = np.array([max(e.low - e.start, -most) for e in c.entries])
     high = np.array([min(e.high - e.start, most) for e in c.entries])
-    on = np.diagonal(bend) > 1e-12
-    bend = bend + np.diag([e.prior**-2.0 for e in c.entries])
-    out = np.zeros(len(total))
-    for _ in range(len(total) + 1):
-        out[:] = 0.0
-        if not on.any():
-            break
-        part = bend[np.ix_(on, on)]
-        part = part + 1e-9 * np.diag(np.diagonal(part))
-        out[on] = np.linalg.solve(part, total[on])
-        bad = on & ((out < low) & (low == 0.0))
-        if not bad.any():
-            break
-        on &= ~bad
-    return np.clip(out, low, high)
+    prior = np.diag([e.prior**-2.0 for e in c.entries])
+    return bounded_step(bend + prior, total, np.where(acts, low, 0.0), np.where(acts, high, 0.0))

@@ -42,7 +42,7 @@ class Remains:
     Args:
         before, after: `[W, n]` rad or m, of the declared and of the final model.
         noise: `[n]` rad or m, the noise floor of each joint.
-        over: Times the noise floor that the final model leaves.
+        times: `[n]` times the noise floor that the final model leaves, zero where nothing moves.
         left: Whether that is more than noise at a joint that moves.
         outliers: Trials of which much is left: name, joint, times the noise floor.
         outlying: Number of stretches that are far off.
@@ -51,7 +51,7 @@ class Remains:
     before: np.ndarray
     after: np.ndarray
     noise: np.ndarray
-    over: float
+    times: np.ndarray
     left: bool
     outliers: list[tuple[str, str, float]]
     outlying: int
@@ -69,19 +69,15 @@ def headline(
     else:
         unit = "10^-3 rad or m"
     sizes = [f"{1e3 * np.median(e):.3g}" for e in (remains.before, remains.after)]
-    times = np.median(remains.after, 0) / np.maximum(remains.noise, 1e-12)
-    worst, over = int(np.argmax(times)), f"{remains.over:.1f} times the noise floor"
-    most = ""
+    worst = int(np.argmax(remains.times))
+    over = f"{remains.times[worst]:.1f} times the noise floor"
     if remains.left and problem.joints > 1:
-        most = f", most of it at {problem.joint_names[worst]}"
-    at = f"{most} ({times[worst]:.0f} times)" if most else ""
+        over += f" at {problem.joint_names[worst]}"
     declared = (
-        f"{_model(problem, found)} simulates left-out stretches to {sizes[1]} {unit}, {over}{at}."
+        f"{_model(problem, found)} simulates left-out stretches to {sizes[1]} {unit}, {over}."
     )
     named = named_words(found.named, lambda c: label(problem, c).words)
-    mended = (
-        f"{named} Left-out error {sizes[0]} to {sizes[1]} {unit}; what remains is {over}{most}."
-    )
+    mended = f"{named} Left-out error {sizes[0]} to {sizes[1]} {unit}; what remains is {over}."
     more = _outliers(problem, remains, criteria)
     if remains.left and not found.named:
         more = f"{_closest(problem, found)}{more}"

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.attribution.criteria import INERTIAL, TEXT, WINDOW
+from adaptsim_jax.attribution.criteria import TEXT, WINDOW
 from adaptsim_jax.attribution.equation.balance import Balance, residual
 from adaptsim_jax.attribution.equation.models import TorqueSearch, held_missing
 from adaptsim_jax.attribution.measures import Measure, needed
@@ -24,12 +24,13 @@ from adaptsim_jax.logs.noise import difference_noise
 @dataclass(frozen=True)
 class TorqueFound:
     """What the balances say, and how much torque is missing of the declared model, fitted, and of
-    the final one.
+    the final one. factor: within which bodies were fitted.
     """
 
     found: TorqueSearch
     before: Measure
     after: Measure
+    factor: float
 
 
 def floor_of(problem: TreeProblem, balances: Sequence[Balance]) -> np.ndarray:
@@ -38,9 +39,8 @@ def floor_of(problem: TreeProblem, balances: Sequence[Balance]) -> np.ndarray:
     """
     out = np.zeros(problem.joints)
     for b in balances:
-        noise = difference_noise([b.u[:, run].T for run in b.runs]) / np.sqrt(
-            0.35 * WINDOW.span / WINDOW.grid
-        )
+        rows = float(np.median(np.diff(b.mean.indptr)))  # of a window
+        noise = difference_noise([b.u[:, run].T for run in b.runs]) / np.sqrt(0.35 * rows)
         out[list(b.group.joints)] = np.maximum(
             noise, 1e-3 * np.sqrt(np.mean(np.square(needed(problem, b)), 0))
         )
@@ -58,13 +58,13 @@ def by_torque(
     minimum = np.maximum(criteria.explained * floor, criteria.torque.worth * after.still)
     remaining = {
         "error": _pooled(after),
-        "times_floor": float(np.median(times)),
+        "times_floor": float(np.max(times, where=moving(problem), initial=0.0)),
         "joints": by_joint(problem, after.error, times),
     }
     notes = [
         *account.more["notes"],
         *unnamed_notes(problem, found),
-        *bound_notes(problem, found),
+        *bound_notes(problem, found, e.factor),
     ]
     over = after.error > np.maximum(minimum, 1e-12)
     return replace(
@@ -110,7 +110,6 @@ def _error(problem: TreeProblem, e: TorqueFound, floor: np.ndarray) -> dict[str,
         "stretch_s": WINDOW.span,
         **pair(_pooled(before), _pooled(after)),
         "noise_floor": float(np.mean(floor / base)),
-        "ceiling": None,
         "per_channel": channels,
         "per_trial": trials,
         "noise_floor_source": "third differences of the torques",
@@ -166,7 +165,7 @@ def unnamed_notes(problem: TreeProblem, found: TorqueSearch) -> list[str]:
     ]
 
 
-def bound_notes(problem: TreeProblem, found: TorqueSearch) -> list[str]:
+def bound_notes(problem: TreeProblem, found: TorqueSearch, factor: float) -> list[str]:
     """Bodies whose fit ends where a body of the file's kind ends: what would explain it."""
     at = set()
     for w in found.searches:
@@ -176,8 +175,8 @@ def bound_notes(problem: TreeProblem, found: TorqueSearch) -> list[str]:
     if not at:
         return []
     return [
-        f"The fit of the bodies moved by {', '.join(sorted(at))} ends at {INERTIAL.moved:g} times "
-        "(or a third of) what the model file says, and is held there: a rotor, a gain of the "
+        f"The fit of the bodies moved by {', '.join(sorted(at))} ends at {factor:g} times "
+        f"(or 1/{factor:g} of) what the model file says, and is held there: a rotor, a gain of the "
         "torques, a payload or friction that is not in the catalogue would explain it; "
         "`[fit] factor` in meta.toml widens it."
     ]

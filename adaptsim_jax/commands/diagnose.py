@@ -107,7 +107,9 @@ def run(args: argparse.Namespace) -> int:
     else:
         read = pendulum
     judge = read(args, split_names(args.without))  # refused before anything is written
-    with output(args.out) as out, progress("diagnose") as report:
+    from adaptsim_jax.diagnosis.written import faults_into
+
+    with output(args.out) as out, faults_into(out), progress("diagnose") as report:
         result = judge(out=out, exclude=tuple(args.exclude), progress=report)
     return print_answer(args, result, out, replays=task is None and not named)
 

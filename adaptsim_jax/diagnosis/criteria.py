@@ -205,7 +205,8 @@ class ReportCriteria:
     worthless_skill: float = 0.02  # the same, below which a model is worth no more than none
     parameter_level: float = 0.90  # coverage of the intervals of parameters (effects and declared)
     error_level: float = 0.95  # coverage of the interval of the error over held-out trials
-    error_draws: int = 400  # bootstrap draws of trials, for the interval of an error
+    # trials, from which on the interval of an error is over trials: of fewer over parts of them
+    min_trials: int = 3
     # noises, over a whole stretch, from which on a difference of two models shows
     visible: float = 3.0
     slack: float = 1.05  # times the declared file's error, up to which a joint counts as no worse

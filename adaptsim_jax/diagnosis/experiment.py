@@ -105,7 +105,7 @@ def _distances(simulator: Simulator, one: Model, other: Model) -> dict[str, floa
 def power_rows(problem: Problem, found: Finding, criteria: Criteria) -> list[dict[str, Any]]:
     """Rows of `power`: a candidate's quantity, a size that matters (`Quantity.scale`), and the
     share of recordings like this one in which an effect of that size would pass the score test (its
-    level corrected for the number of candidates).
+    level corrected for the number of candidates and of their shapes).
 
     The score of a quantity of size `a` has the noncentrality `a^2 H / (tau s^2)`: `H` its squared
     column freed of starts and fitted quantities, `s^2` what the final model leaves, `tau` the rows
@@ -114,14 +114,15 @@ def power_rows(problem: Problem, found: Finding, criteria: Criteria) -> list[dic
     model, fit = found.final, found.final.fit
     count = float(problem.counts.sum())
     left = max(fit.loss / count, 1e-12) * correlated_rows(problem.by_channel(fit.residual))
-    level = stats.chi2.isf(criteria.alpha / max(len(problem.effects), 1), 1)
+    level = criteria.alpha / max(len(problem.effects), 1)
     out = []
     for e in problem.effects:
         if e in model.added:
             continue
         name, information = _best(problem, fit, e)
         q = problem.quantities[problem.index[name]]
-        power = float(stats.ncx2.sf(level, 1, max(information / left, 1e-12)))
+        least = stats.chi2.isf(level / len(e.points), 1)
+        power = float(stats.ncx2.sf(least, 1, max(information / left, 1e-12)))
         size = {"size": q.scale, "unit": q.unit, "power": power}
         out.append({"name": e.name, "where": e.place} | size)
     return sorted(out, key=lambda row: row["power"])

@@ -13,14 +13,21 @@ import numpy as np
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.fit import Fit, completed, fitted, jacobian, settled
 from adaptsim_jax.diagnosis.problem import Problem
-from adaptsim_jax.diagnosis.testing import Test, correlated_rows, jackknife, paired_test, score_f
+from adaptsim_jax.diagnosis.testing import (
+    Test,
+    best_of,
+    correlated_rows,
+    jackknife,
+    paired_test,
+    score_f,
+)
 from adaptsim_jax.effects.base import Effect
 
 
 @dataclass(frozen=True)
 class Score:
     """gain: share of the loss that one step would take off, shape by shape the best; p: of the F
-    test, not yet corrected.
+    test of the best of its shapes.
     """
 
     candidate: Effect
@@ -87,9 +94,16 @@ def without(problem: Problem, model: Model, gone: Effect, rounds: int) -> Model:
     return finished(problem, [e for e in model.added if e is not gone], values, rounds)
 
 
-def spread(model: Model) -> np.ndarray:
-    """Standard errors `[P]` by the jackknife over trials."""
-    return jackknife(np.unique(model.fit.vectors, axis=0))  # trials of one fold have the same
+def by_fold(problem: Problem, model: Model) -> np.ndarray:
+    """Values `[F, P]` of a model without each fold."""
+    if problem.fold is None:
+        return model.fit.vectors
+    return model.fit.vectors[np.unique(problem.fold, return_index=True)[1]]
+
+
+def spread(problem: Problem, model: Model) -> np.ndarray:
+    """Standard errors `[P]` by the jackknife over folds."""
+    return jackknife(by_fold(problem, model))
 
 
 def scored(problem: Problem, base: Model) -> list[Score]:
@@ -138,8 +152,7 @@ class _Left:
         ridge = (1e-6 + 1e-9 * np.trace(square)) * np.eye(len(square))
         gain = float(slope @ np.linalg.solve(square + ridge, slope))
         k, free, loss = len(c.names), len(self.fit.free), self.fit.loss
-        p = score_f(gain, loss, self.count, k, free, self.lasting)
-        p = min(1.0, len(c.points) * p)
+        p = best_of(score_f(gain, loss, self.count, k, free, self.lasting), len(c.points))
         return Score(c, dict(shape), gain / max(loss, 1e-12), p)
 
     def columns_of(self, c: Effect, shape: Mapping[str, float]) -> np.ndarray:

@@ -15,8 +15,7 @@ import numpy as np
 from adaptsim_jax.diagnosis.criteria import REPORT
 from adaptsim_jax.diagnosis.finding import Finding, Named
 from adaptsim_jax.diagnosis.schema import new_report, verdict_of, with_effects
-
-COVERED = [0.025, 0.975]  # quantiles of the interval of an error
+from adaptsim_jax.diagnosis.testing import typical_interval
 
 
 class Label(NamedTuple):
@@ -216,19 +215,19 @@ def error_rows(
     whole: Errors,
     channels: Mapping[str, Errors],
     trial: np.ndarray | None = None,
+    over: tuple[str, np.ndarray] | None = None,
 ) -> dict[str, Any]:
     """The table `error`: medians over all, by channel, and by trial.
 
     Args:
         metric, source: What the errors are, and where their noise floor comes from, in words.
-        names: Of the trials.
+        names: Of the trials, or of parts of them.
         whole: Errors over all channels.
         channels: Errors of each.
-        trial: `[W]`, of which trial each error is; None: one of each.
+        trial: `[W]`, of which of `names` each error is; None: one of each.
+        over: What the intervals are over, where not over these trials (`interval_units`).
     """
     trial = np.arange(len(names)) if trial is None else trial
-    count = len(trial)
-    draws = np.random.default_rng(0).integers(0, count, (REPORT.error_draws, count))
 
     def medians(errors: Errors, at: Any = slice(None)) -> dict[str, float]:
         return {k: float(np.median(v[at])) for k, v in errors.both.items()}
@@ -242,21 +241,30 @@ def error_rows(
         for c, errors in channels.items()
     }
     per_trial = [of_trial(name, trial == k) for k, name in enumerate(names) if np.any(trial == k)]
-    intervals = {}
-    for k, v in whole.both.items():
-        drawn = [np.median(v[d]) for d in draws]
-        intervals[k] = [float(z) for z in np.quantile(drawn, COVERED)]
+    over_words, unit = over or interval_units(trial, trial)
+    intervals = {k: typical_interval(v, unit) for k, v in whole.both.items()}
     return {
         "metric": metric,
         "unit": whole.unit,
         **medians(whole),
         "noise_floor": whole.floor,
-        "ceiling": None,
         "per_channel": per_channel,
         "per_trial": per_trial,
         "noise_floor_source": source,
         "intervals": intervals,
+        "intervals_over": over_words,
     }
+
+
+def interval_units(part: np.ndarray, trial: np.ndarray) -> tuple[str, np.ndarray]:
+    """What the interval of an error is over, in words, and of which of these each error is [W]:
+    trials, or of few trials their parts, which say nothing of another trial.
+    """
+    trials, parts = len(np.unique(trial)), len(np.unique(part))
+    if trials >= REPORT.min_trials or parts == trials:
+        return f"{trials} trials", trial
+    of = "one trial" if trials == 1 else f"{trials} trials"
+    return f"{parts} parts of {of}", part
 
 
 def withhold_names(report: dict[str, Any], why: str, left: bool) -> None:

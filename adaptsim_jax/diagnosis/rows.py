@@ -11,11 +11,12 @@ import numpy as np
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.diagnosis.criteria import REPORT, Criteria
 from adaptsim_jax.diagnosis.finding import Finding, Named
-from adaptsim_jax.diagnosis.models import Model, spread
+from adaptsim_jax.diagnosis.models import Model, by_fold, spread
 from adaptsim_jax.diagnosis.problem import Problem
 from adaptsim_jax.diagnosis.report import Errors, Headline, Label, Scored, error_rows, words
 from adaptsim_jax.diagnosis.report import named_words as of_any
-from adaptsim_jax.effects.base import NINETY, Effect
+from adaptsim_jax.diagnosis.testing import deviates
+from adaptsim_jax.effects.base import Effect
 
 LOGS = {"log_e": ("e", "Pa")}
 
@@ -142,7 +143,8 @@ def _standing_out(recorded: Recorded, model: Model) -> str:
 def interval(problem: Problem, model: Model, name: str) -> tuple[float, float, float]:
     """Value of a quantity and its 90 % interval by the jackknife."""
     i = problem.index[name]
-    value, width = float(model.fit.values[i]), NINETY * float(spread(model)[i])
+    times = deviates(len(by_fold(problem, model)))
+    value, width = float(model.fit.values[i]), times * float(spread(problem, model)[i])
     return value, value - width, value + width
 
 

@@ -3,8 +3,8 @@
 Every key of the design must be there; further keys are free. The page shows these extensions where
 it finds them; all but the last two are checked:
 
-    error.intervals       {before: [low, high], after: [low, high]}        over held-out trials
-    error.per_channel.c   + unit, noise_floor, ceiling, intervals           for channel c
+    error.intervals       {before: [low, high], after: [low, high]}        over `intervals_over`
+    error.per_channel.c   + unit, noise_floor, intervals           for channel c
     error.per_trial[i]    {trial, before, after, per_channel: {c: {before, after}}}
     candidates[i].status  one of `STATUSES`
     not_established       [sentence]
@@ -17,10 +17,7 @@ it finds them; all but the last two are checked:
     power                 [{name, where, size, unit, power}]                share found of what was
     injected
 
-`error.ceiling` is in `error.unit`, as its neighbours are: the held-out error of the declared model
-with smooth forces of any shape added (`sysid.evaluate.flexible`; `error.ceiling_groups` says what
-they follow). It names nothing and has many parameters to learn, so a named effect may do better.
-One that does much worse has left something out. `candidates[i].held_out_gain` is the share of the
+`candidates[i].held_out_gain` is the share of the
 held-out residual that the candidate removes. A number that does not exist is null. In `declared`, a
 parameter that the data do not fix has `identifiable` false; the page shows no number for it.
 """
@@ -58,7 +55,6 @@ ERROR_KEYS = (
     "before",
     "after",
     "noise_floor",
-    "ceiling",
     "per_channel",
     "per_trial",
 )
@@ -82,7 +78,6 @@ def new_report(
         "before": None,
         "after": None,
         "noise_floor": None,
-        "ceiling": None,
     }
     error |= {"per_channel": {}, "per_trial": []} | dict(found.pop("error", None) or {})
     report = {
@@ -222,9 +217,7 @@ def _report_schema() -> dict[str, Any]:
     value: dict[str, Any] = _record(
         {"value": NUMBER, "low": NUMBER, "high": NUMBER, "unit": {"type": "string"}}
     ) | {"ordered": True}
-    pair = _record(
-        {"before": SIZE, "after": SIZE}, {"noise_floor": SIZE, "ceiling": SIZE} | intervals
-    )
+    pair = _record({"before": SIZE, "after": SIZE}, {"noise_floor": SIZE} | intervals)
     effect = {
         "name": TEXT,
         "where": TEXT,
@@ -237,7 +230,7 @@ def _report_schema() -> dict[str, Any]:
         "required": [*value["required"], "identifiable"],
         "properties": value["properties"] | {"identifiable": FLAG},
     }
-    error = dict.fromkeys(ERROR_KEYS[:2], TEXT) | dict.fromkeys(ERROR_KEYS[2:6], SIZE)
+    error = dict.fromkeys(ERROR_KEYS[:2], TEXT) | dict.fromkeys(ERROR_KEYS[2:5], SIZE)
     error |= {"per_channel": _table_of(pair), "per_trial": _list_of(pair)}
     counted = {"anyOf": [{"type": "array"}, SIZE]}
     required = {

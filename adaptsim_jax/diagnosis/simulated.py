@@ -24,12 +24,14 @@ from adaptsim_jax.diagnosis.report import (
     Errors,
     Headline,
     error_rows,
+    interval_units,
     report_of,
     withhold_names,
 )
 from adaptsim_jax.diagnosis.run import Page, Run
-from adaptsim_jax.diagnosis.simulator import Simulator, Stretches, check_simulator
+from adaptsim_jax.diagnosis.simulator import Simulator, check_simulator
 from adaptsim_jax.diagnosis.starts import problem_of
+from adaptsim_jax.diagnosis.straight import doing_nothing
 from adaptsim_jax.diagnosis.testing import smallest_p
 from adaptsim_jax.diagnosis.trials import search_trials
 from adaptsim_jax.diagnosis.written import MODEL, Output, cleared, finished, keeping
@@ -108,7 +110,7 @@ def reported(
     }
     effects = rows.effect_rows(problem, found)
     scores = rows.scored(found, criteria.alpha)
-    error = _error(simulator, both, tracks)
+    error = _error(simulator, problem, both, tracks)
     more = {
         "not_established": rows.same_rows(found, "stretch"),
         "power": power_rows(problem, found, criteria),
@@ -212,34 +214,33 @@ def predictions(simulator: Simulator, problem: Problem, model: Model) -> np.ndar
 
 
 def _error(
-    simulator: Simulator, both: Mapping[str, Model], tracks: Mapping[str, np.ndarray]
+    simulator: Simulator,
+    problem: Problem,
+    both: Mapping[str, Model],
+    tracks: Mapping[str, np.ndarray],
 ) -> dict[str, Any]:
     s = simulator.stretches
-    trial_of = [np.flatnonzero(s.trial == t) for t in range(len(s.names))]
-    some = [k for k, mine in enumerate(trial_of) if len(mine)]
+    some, trial = np.unique(s.trial, return_inverse=True)
 
     def rms(key: str, c: int) -> np.ndarray:
         off = np.square(tracks[key][..., c] - s.measured[..., c]) * s.seen[..., c]
-        errors = []
-        for k in some:
-            count = s.seen[trial_of[k]][..., c].sum()
-            errors.append(np.sqrt(off[trial_of[k]].sum() / max(count, 1)))
-        return np.array(errors)
+        square = np.bincount(trial, off.sum(1)) / np.maximum(
+            np.bincount(trial, s.seen[..., c].sum(1)), 1
+        )
+        return np.sqrt(square)[trial]
 
-    size = {
-        k: np.array([np.sqrt(m.fit.held[trial_of[t]].mean()) for t in some])
-        for k, m in both.items()
-    }
     channels = {
         c.name: Errors(c.unit, c.noise, {k: rms(k, i) for k in both})
         for i, c in enumerate(simulator.channels)
     }
     names = [s.names[k] for k in some]
-    table = error_rows(METRIC, "declared noise", names, Errors("1", 1.0, size), channels)
-    table |= {k: rows.over_floor(m) for k, m in both.items()}
+    whole = Errors("1", 1.0, {k: np.sqrt(m.fit.held) for k, m in both.items()})
+    over = interval_units(np.asarray(problem.fold), trial)
+    table = error_rows(METRIC, "declared noise", names, whole, channels, trial, over)
     noise = np.array([c.noise for c in simulator.channels])
     line, still = (
-        float(np.median(np.sqrt(np.square(z / noise).mean(1)))) for z in doing_nothing(s)
+        float(np.median(np.sqrt(np.square(z / noise).mean(1))))
+        for z in doing_nothing(s.time, np.nan_to_num(s.measured), s.seen > 0)
     )
     zero = {"straight_line": line, "hold_still": still}
     return table | zero | {"skill": {k: skill(table[k], line, still) for k in both}}
@@ -279,29 +280,6 @@ def _held_out(
             }
         )
     return out
-
-
-def doing_nothing(stretches: Stretches) -> tuple[np.ndarray, np.ndarray]:
-    """RMS errors `[W, C]`, in each signal's unit, of a straight line through a stretch's own
-    readings, and of its mean.
-
-    Both are fitted to the stretch, as a model's start is: two numbers of a signal, and one.
-    """
-    mask, y = (stretches.seen > 0).astype(float), np.nan_to_num(stretches.measured)
-    count = np.maximum(mask.sum(1), 1.0)
-
-    def mean(z):
-        return (z * mask).sum(1) / count
-
-    t = (stretches.time - stretches.time.mean(1, keepdims=True))[..., None] * np.ones_like(y)
-    t = t - mean(t)[:, None]
-    still = y - mean(y)[:, None]
-    slope = mean(t * still) / np.maximum(mean(t * t), 1e-300)
-
-    def rms(z):
-        return np.sqrt(mean(np.square(z)))
-
-    return rms(still - slope[:, None] * t), rms(still)
 
 
 def skill(error: float, line: float, still: float) -> float | None:

@@ -19,6 +19,14 @@ MIN_DAMPING = 1e-8  # of the diagonal: the least damping after a step that gaine
 MAX_DAMPING = 1e2  # of the diagonal: damping beyond which no step that could matter is left
 CONVERGED_GAIN = 1e-4  # share of the loss that a round takes off, below which a fit has converged
 MAX_DAMPINGS = 6  # dampings of a round
+MIN_FALL = 1e-9  # of the largest slope: a held number by which the loss falls less is not released
+MAX_RELEASES = 3  # of each number, after which rounding keeps them from ending
+
+
+class NotFinite(ArithmeticError):
+    """Normal equations with a number that is not finite: a simulation ran away, and no step
+    follows.
+    """
 
 
 def bounded_step(
@@ -28,9 +36,11 @@ def bounded_step(
     high: np.ndarray,
     damping: float = 0.0,
 ) -> np.ndarray:
-    """Step [P] of damped normal equations that stays between its bounds.
+    """Step [P] that lowers a damped quadratic loss the most between its bounds.
 
-    What would leave a bound is held at it and the others are solved for again.
+    What would leave a bound is held at it, and released where the loss then falls inwards, until
+    none does (the conditions of Karush, Kuhn and Tucker; bounded-variable least squares, Stark and
+    Parker, 1995).
 
     Args:
         hess: curvature [P, P], with that of a prior. Numbers without any do not move.
@@ -38,23 +48,63 @@ def bounded_step(
         low: of the step [P], at most zero.
         high: of the step [P], at least zero.
         damping: share of the diagonal that is added to it.
+
+    Raises:
+        NotFinite: curvature or slope is not finite.
     """
-    free = np.diagonal(hess) > 0.0
+    if not (np.all(np.isfinite(hess)) and np.all(np.isfinite(slope))):
+        raise NotFinite("a step's equations have numbers that are not finite")
     size = np.sqrt(np.maximum(np.diagonal(hess), 1e-300))
-    scaled = hess / size / size[:, None]
-    scaled[np.diag_indices_from(scaled)] += damping + RIDGE
+    matrix = hess / size / size[:, None]
+    matrix[np.diag_indices_from(matrix)] += damping + RIDGE
+    right, floor, top = slope / size, low * size, high * size
+    free = np.diagonal(hess) > 0.0
+    movable = free & (floor < top)
     step = np.zeros(len(slope))
-    for _ in range(len(slope) + 1):
-        held = ~free
-        right = (slope - hess[:, held] @ step[held]) / size
-        if free.any():
-            step[free] = solve(scaled[np.ix_(free, free)], right[free]) / size[free]
-        out = free & ((step < low) | (step > high))
+    while True:
+        step[free] = _least(matrix, right, step, free)
+        out = free & ((step < floor) | (step > top))
         if not out.any():
             break
-        step[out] = np.clip(step[out], low[out], high[out])
+        step[out] = np.clip(step[out], floor[out], top[out])
         free &= ~out
-    return np.clip(step, low, high)
+    enough = MIN_FALL * np.max(np.abs(right), initial=0.0)
+    for _ in range(MAX_RELEASES * len(step)):
+        fall = right - matrix @ step
+        inward = np.where(step <= floor, fall, -fall)
+        gain = np.where(movable & ~free, inward, 0.0)
+        if not np.any(gain > enough):
+            break
+        free[np.argmax(gain)] = True
+        step, free = _moved(matrix, right, step, free, floor, top)
+    return np.clip(step / size, low, high)
+
+
+def _least(matrix: np.ndarray, right: np.ndarray, at: np.ndarray, free: np.ndarray) -> np.ndarray:
+    """The free numbers [F] at which the loss is least, the others held where they are `at` [P]."""
+    held = ~free
+    own = right[free] - matrix[np.ix_(free, held)] @ at[held]
+    return solve(matrix[np.ix_(free, free)], own)
+
+
+def _moved(matrix, right, at, free, low, high) -> tuple[np.ndarray, np.ndarray]:
+    """Step [P] and what is free of it [P], after going to the least loss of what is free: what
+    meets a bound on the way is held there.
+    """
+    at, free = at.copy(), free.copy()
+    while free.any():
+        way = np.zeros_like(at)
+        way[free] = _least(matrix, right, at, free) - at[free]
+        room = np.full_like(at, np.inf)
+        np.divide(np.where(way > 0.0, high, low) - at, way, out=room, where=way != 0.0)
+        share = min(1.0, room.min())
+        at += share * way
+        met = room <= share
+        if share == 1.0:
+            break
+        at[met] = np.where(way > 0.0, high, low)[met]
+        free &= ~met
+    return at, free
 
 
 def solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
@@ -63,11 +113,10 @@ def solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
     Without the one fold that tells of a number, little but rounding is left of its row.
     """
     try:
-        return scipy.linalg.cho_solve(scipy.linalg.cho_factor(matrix), right)
+        factor = scipy.linalg.cho_factor(matrix, check_finite=False)
+        return scipy.linalg.cho_solve(factor, right, check_finite=False)
     except np.linalg.LinAlgError:
         return np.linalg.lstsq(matrix, right, rcond=1e-12)[0]
-    except ValueError:  # a simulation ran away beyond all numbers: no way to go follows from it
-        return np.zeros_like(right)
 
 
 class Point(NamedTuple):
@@ -118,7 +167,10 @@ def fit_values(
     for k in range(rounds):
         step, trial = around(point), None
         for _ in range(MAX_DAMPINGS):
-            tried = step(damping)
+            try:
+                tried = step(damping)
+            except NotFinite:
+                break
             if tried.loss < point.loss:
                 trial = tried
                 break

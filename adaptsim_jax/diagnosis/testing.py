@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from adaptsim_jax.diagnosis.criteria import PAIRED
+from adaptsim_jax.diagnosis.criteria import PAIRED, REPORT
 
 
 @dataclass(frozen=True)
@@ -99,6 +99,15 @@ def attainable(level: float, blocks: int, family: int = 1) -> float:
     return max(level / family, 1.01 * smallest_p(blocks))
 
 
+def best_of(p: float, points: int) -> float:
+    """p of the best of so many tests, as if they were independent (Sidak, 1967): a grid that is
+    finer than the data resolve makes it too large, never too small.
+    """
+    if p >= 1.0:
+        return 1.0
+    return float(-np.expm1(points * np.log1p(-p)))
+
+
 def holm(p: Sequence[float], level: float, blocks: int) -> np.ndarray:
     """Level [K] up to which the p of each of several effects holds (Holm's step-down, 1979).
 
@@ -140,6 +149,32 @@ def jackknife(values: np.ndarray) -> np.ndarray:
     """Standard errors [...] of what was fitted [F, ...] without each fold (Tukey, 1958)."""
     count = len(values)
     return np.sqrt((count - 1) / count * np.square(values - values.mean(0)).sum(0))
+
+
+def deviates(count: int, level: float = REPORT.parameter_level) -> float:
+    """Standard errors from the middle of an interval to its ends, where `count` folds or trials
+    gave the standard error: Student's t; infinite of one.
+    """
+    if count < 2:
+        return np.inf
+    return float(stats.t.isf(0.5 * (1.0 - level), count - 1))
+
+
+def typical_interval(errors: np.ndarray, unit: np.ndarray) -> list[float] | None:
+    """Ends of an interval of the median error, where errors [W, ...] of one unit (a trial) are
+    alike; None of one unit.
+
+    Logarithms of the units' medians are taken as a sample of a normal distribution: percentiles of
+    a bootstrap are too narrow for so few.
+    """
+    usual = np.array([np.median(errors[unit == u]) for u in np.unique(unit)])
+    if len(usual) < 2:
+        return None
+    middle = float(np.median(errors))
+    logs = np.log(np.maximum(usual, max(1e-6 * middle, np.finfo(float).tiny)))
+    half = deviates(len(logs), REPORT.error_level) * logs.std(ddof=1) / np.sqrt(len(logs))
+    low, high = (float(np.exp(logs.mean() + way * half)) for way in (-1.0, 1.0))
+    return [min(low, middle), max(high, middle)]
 
 
 def correlated_rows(residual: np.ndarray) -> float:

@@ -244,4 +244,4 @@ def steadiness(problem: Problem, model: Model, c: Effect) -> float:
     """Size over scatter of the steadiest amplitude, of places where there is no other."""
     at = problem.at(amplitudes(c) or c.names)
     size = np.abs(model.fit.values[at] - problem.neutral[at])
-    return float(np.max(size / np.maximum(spread(model)[at], 1e-12)))
+    return float(np.max(size / np.maximum(spread(problem, model)[at], 1e-12)))

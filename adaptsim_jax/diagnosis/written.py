@@ -2,8 +2,9 @@
 can be written.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+import traceback
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -18,7 +19,7 @@ from adaptsim_jax.diagnosis.rows import LOGS, declared_rows, label, over_floor, 
 from adaptsim_jax.diagnosis.run import Page, Run, plain
 from adaptsim_jax.diagnosis.schema import check
 
-MODEL, NEXT = "model.toml", "next_experiment.csv"
+MODEL, NEXT, FAULTS = "model.toml", "next_experiment.csv", "faults.txt"
 OF_OTHERS = (
     "leading.toml",
     "next_experiment.csv",
@@ -26,6 +27,7 @@ OF_OTHERS = (
     "model.toml",
     "declared.xml",
     "report.json",
+    FAULTS,
 )
 """What an earlier run, perhaps of another kind, may have left in the folder."""
 UNFINISHED = "Not finished: this is what the search had found when it was last written."
@@ -38,13 +40,47 @@ def cleared(folder: Path) -> Path:
     return folder
 
 
-def write_partial(folder: Path, report: Mapping[str, Any]) -> None:
-    """`report.json` of a search that goes on, which says so. Where it cannot be written the search
-    goes on without it.
+def write_partial(folder: Path, make: Callable[[], Mapping[str, Any]]) -> None:
+    """`report.json` of a search that goes on, which says so. Where it cannot be made or written the
+    search goes on without it.
     """
-    partial = {**report, "message": f"{UNFINISHED} {report['message']}", "unfinished": True}
-    with suppress(Exception):  # whatever it is, minutes of search must not go with it
-        write_json(folder / "report.json", check(partial))
+    try:
+        report = make()
+        message = f"{UNFINISHED} {report['message']}"
+        write_json(
+            folder / "report.json", check({**report, "message": message, "unfinished": True})
+        )
+    except Exception as error:  # whatever it is, minutes of search must not go with it
+        fault_line(folder, error)
+
+
+def fault_line(folder: Path, error: Exception) -> str:
+    """An error in one line. Of a fault of the program, which no input and no disk explains, the
+    line says so, and the traceback is added to `faults.txt`.
+    """
+    text = " ".join(str(error).split()) or type(error).__name__
+    if isinstance(error, BadInput):
+        return text
+    if isinstance(error, OSError):
+        return f"{type(error).__name__}: {text}"
+    with suppress(OSError), open(folder / FAULTS, "a", encoding="utf-8") as file:
+        file.writelines([*traceback.format_exception(error), "\n"])
+    return f"{type(error).__name__}: {text}; a fault of the program, see {FAULTS}"
+
+
+@contextmanager
+def faults_into(folder: Path) -> Iterator[None]:
+    """Add the traceback of a fault that ends the work inside to `faults.txt`; what was found so far
+    stays beside it.
+    """
+    try:
+        yield
+    except (BadInput, OSError):
+        raise
+    except Exception as error:
+        fault_line(folder, error)
+        error.add_note(f"its traceback is in {folder / FAULTS}")
+        raise
 
 
 def write_all(
@@ -62,17 +98,24 @@ def write_all(
     A file that cannot be made or written is one line of the report's warnings, and no reason to
     lose the rest.
     """
+    if (folder / FAULTS).exists():
+        line = f"a partial report could not be written: a fault of the program, see {FAULTS}"
+        _noted(report, evidence, line)
     _page(folder, report, evidence, page)
     for name, text in files.items():
         try:
             write_bytes(folder / name, text().encode())
         except Exception as error:  # whatever it is, hours of search must not go with it
-            _noted(report, evidence, f"{name} could not be written: {_line(error)}")
+            _noted(report, evidence, f"{name} could not be written: {fault_line(folder, error)}")
     if verify is not None:
         try:
             report["files"] = verify(folder)
         except Exception as error:
-            _noted(report, evidence, f"the files that were written were not run: {_line(error)}")
+            _noted(
+                report,
+                evidence,
+                f"the files that were written were not run: {fault_line(folder, error)}",
+            )
     _page(folder, report, evidence, page)
 
 
@@ -83,7 +126,7 @@ def _page(folder: Path, report: dict[str, Any], evidence: dict[str, Any], page: 
     except BadInput:
         raise
     except Exception as error:  # a drawing that fails leaves the numbers
-        _noted(report, evidence, f"report.html could not be written: {_line(error)}")
+        _noted(report, evidence, f"report.html could not be written: {fault_line(folder, error)}")
         write_json(folder / "report.json", check(report))
 
 
@@ -92,13 +135,6 @@ def _noted(report: dict[str, Any], evidence: dict[str, Any], line: str) -> None:
         return
     report["warnings"].append(line)
     evidence.setdefault("audit", []).insert(0, {"severity": "warn", "where": "", "message": line})
-
-
-def _line(error: Exception) -> str:
-    text = " ".join(str(error).split()) or type(error).__name__
-    if isinstance(error, BadInput):
-        return text
-    return f"{type(error).__name__}: {text}"
 
 
 @dataclass(frozen=True)
@@ -164,7 +200,7 @@ def keeping(
     data = {"trials": count, "samples": int(problem.counts.sum()), "held_out_trials": count}
 
     def keep(found: Finding) -> None:
-        write_partial(folder, report_of(found, _partial_account(found)))
+        write_partial(folder, lambda: report_of(found, _partial_account(found)))
 
     def _partial_account(found: Finding) -> Account:
         final = found.final

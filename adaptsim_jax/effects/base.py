@@ -18,7 +18,6 @@ import numpy as np
 from adaptsim_jax.core.errors import BadInput
 
 PLACES = ("command", "force", "drive", "measurement", "model")
-NINETY = 1.6449  # standard errors from the middle of a 90 % interval to its ends
 UNITS = {
     "1": (0, 0),
     "1/rad": (0, 0),
@@ -215,7 +214,7 @@ class Reach:
     q_low: np.ndarray
     q_high: np.ndarray
     duration: float  # s, of a trial
-    dt: float  # s, median row
+    dt: float  # s, median row, of trials at several rates the longest
     inertia: np.ndarray  # kg m^2
 
 

@@ -212,24 +212,6 @@ def solve(mass: Array, rhs: Array) -> jax.Array:
     return _solved(_factored(mass), rhs[:, None])[:, 0]
 
 
-def passive_force(tree: Tree, q: Array, v: Array) -> jax.Array:
-    """`[n, ...]`: of the declared springs and dampers, MuJoCo's `qfrc_passive`. Dry friction is not
-    among them.
-    """
-    q, v = jnp.asarray(q), jnp.asarray(v)
-
-    def of(x):
-        return lifted(x, 1, q.ndim - 1, q.dtype)
-
-    x = q - of(tree.springref)
-    fast, distance = jnp.abs(v), jnp.abs(x)
-    drag = of(tree.damping) + of(tree.damping_poly[:, 0]) * fast
-    drag = drag + of(tree.damping_poly[:, 1]) * fast**2
-    pull = of(tree.stiffness) + of(tree.stiffness_poly[:, 0]) * distance
-    pull = pull + of(tree.stiffness_poly[:, 1]) * distance**2
-    return -drag * v - pull * x
-
-
 def _wholly(tree: Tree, inertial: Any, change: bool = False) -> tuple[Tree, Any]:
     """The tree of all joints, and the inertial parameters of all bodies with those of the
     coordinates' own in their place.

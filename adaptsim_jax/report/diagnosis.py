@@ -155,7 +155,6 @@ def _error_rows(error: Mapping) -> list[dict[str, Any]]:
             low, high = (pair.get("intervals") or {}).get(stage) or (None, None)
             row[stage] = fmt.between(pair.get(stage), low, high, unit, like)
         row["floor"] = fmt.quantity(pair.get("noise_floor"), unit, like=like)
-        row["ceiling"] = fmt.quantity(pair.get("ceiling"), unit, like=like)
         row["change"] = words.improvement(pair)["change"] or fmt.DASH
     return [row for row in rows if row["pair"].get("before") is not None]
 

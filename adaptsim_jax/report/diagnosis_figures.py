@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 INK, MUTED, GRID = look.INK, look.MUTED, look.GRID
 MEASURED, BEFORE, AFTER = "#7b8794", "#c4540a", "#1767b0"
-FLOOR, CEILING = "#2f855a", "#8a4bbf"
+FLOOR = "#2f855a"
 THEMED = {
     INK: "ink",
     MUTED: "muted",
@@ -34,7 +34,6 @@ THEMED = {
     BEFORE: "before",
     AFTER: "after",
     FLOOR: "floor",
-    CEILING: "ceiling",
 }
 """Colour in the figure -> CSS variable of the page. The hex values are the light theme."""
 
@@ -129,11 +128,11 @@ def bar_range(
 def error_pair(
     title: str, unit: str, pair: Mapping, dots: Mapping[str, list[float]], like: float | None = None
 ) -> Paint:
-    """Declared against mended model in one channel, with noise floor and ceiling where they are
-    known; `like`: the size whose unit is taken, so that neighbours share it.
+    """Declared against mended model in one channel, with its noise floor where it is known;
+    `like`: the size whose unit is taken, so that neighbours share it.
     """
     shown = [(stage, pair[stage]) for stage in ("before", "after") if pair.get(stage) is not None]
-    lines = {"noise_floor": pair.get("noise_floor"), "ceiling": pair.get("ceiling")}
+    floor = pair.get("noise_floor")
     largest = max(
         [value for _, value in shown] + [max(d, default=0.0) for d in dots.values()], default=0.0
     )
@@ -150,12 +149,8 @@ def error_pair(
             bar_range(
                 ax, -row, factor * value, ends, [factor * d for d in dots.get(stage, [])], colour
             )
-        for key, colour, dashes in (
-            ("noise_floor", FLOOR, (4, 2)),
-            ("ceiling", CEILING, (1.5, 1.5)),
-        ):
-            if (mark := lines[key]) is not None:
-                ax.axvline(factor * mark, color=colour, linewidth=1.7, dashes=dashes)
+        if floor is not None:
+            ax.axvline(factor * floor, color=FLOOR, linewidth=1.7, dashes=(4, 2))
         names = {"before": "declared", "after": "mended"}
         ax.set_yticks([-row for row in range(len(shown))], [names[stage] for stage, _ in shown])
         ax.tick_params(axis="y", length=0, labelcolor=INK)

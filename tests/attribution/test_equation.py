@@ -2,14 +2,17 @@
 with the torque, right about friction.
 """
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import mujoco
 import numpy as np
 import pytest
 
 from adaptsim_jax.attribution.account import reported
 from adaptsim_jax.attribution.equation.balance import balances, in_proportion, residual
-from adaptsim_jax.attribution.equation.models import search_balances
-from adaptsim_jax.attribution.equation.searched import EffectTable
+from adaptsim_jax.attribution.equation.models import left_out_values, search_balances, without_each
+from adaptsim_jax.attribution.equation.searched import EffectTable, Searched
 from adaptsim_jax.attribution.equation.windows import runs_of
 from adaptsim_jax.attribution.examine import examined
 from adaptsim_jax.attribution.load import load
@@ -66,6 +69,56 @@ def test_the_true_model_misses_nothing_but_its_friction(tmp_path):
     sign = balance.averaged(balance.sign)[:, 0]
     assert np.median(np.abs(missing[moves] + 0.2 * sign[moves])) < 0.03
     assert np.sqrt(np.mean(missing[moves] ** 2)) == pytest.approx(0.2, rel=0.15)
+
+
+def test_a_fold_of_stretches_has_the_values_of_the_windows_without_its_own_trial(tmp_path):
+    """The second of six trials is shorter than a stretch, and has windows."""
+    tracks = load(record(tmp_path / "log", friction=0.0, seconds=2.0)).tracks
+    short = {"time": 100, "q": 100, "u": 100}
+    tracks = [
+        replace(t, **{k: getattr(t, k)[:n] for k, n in short.items()}) if i == 1 else t
+        for i, t in enumerate(tracks)
+    ]
+    machine = load(tmp_path / "log")
+    problem = prepare(machine.tree, tracks, MACHINE, declared=machine.declared)
+    null = declared_vector(machine, problem)
+    reach = scaled_reach(problem, *own_inertia(problem, null))
+    (balance,) = balances(problem, tracks)
+    state = Searched(problem, balance, null, reach, Criteria(), False)
+    whole = state.set_of(())
+    part = SimpleNamespace(balance=balance, rows=state.rows, base=whole, whole=whole)
+    found = SimpleNamespace(searches=(part,), null=null)
+    values = left_out_values(problem, found, null, without_each(found, null))
+    trial = problem.groups[0].stretches.trial[: len(problem.fold)]
+    assert set(balance.trial) == set(range(6)) and set(trial) == {0, 2, 3, 4, 5}
+    for t in set(trial):
+        (own,) = set(state.rows.fold[balance.trial == t])
+        off = whole.by_fold[own] - whole.step
+        expected = np.clip(null.values + off, null.low, null.high)
+        np.testing.assert_allclose(
+            values[trial == t], expected[None] * np.ones((sum(trial == t), 1))
+        )
+    assert np.ptp(values, 0).max() > 0.0
+
+
+def test_trials_at_two_rates_are_each_read_by_their_own_step(tmp_path):
+    late = Vector((Entry("delay", "delay", (0,), 0.0, 0.0, -0.1, 0.1, "s"),), np.array([0.02]))
+    tracks = []
+    for rate in (100, 250):
+        folder = record(tmp_path / f"at_{rate}", friction=0.0, trials=1, seconds=3.0, rate=rate)
+        tracks.append(load(folder).tracks[0])
+    machine = load(tmp_path / "at_100")
+    law = np.array([[1.0], [0.0], [0.0], [-0.5], [-0.6], [0.6]])
+    problem = prepare(machine.tree, tracks, MACHINE, actuator=law, declared=machine.declared)
+    assert problem.reach.dt == pytest.approx(0.01)
+
+    def changed(*some):
+        (balance,) = balances(problem, some)
+        return residual(problem, balance, late) - residual(problem, balance, NOTHING)
+
+    alone = np.concatenate([changed(t) for t in tracks])
+    assert np.abs(alone).max() > 0.05
+    np.testing.assert_allclose(changed(*tracks), alone, atol=1e-9)
 
 
 def test_columns_are_slopes_of_what_is_missing(tmp_path):

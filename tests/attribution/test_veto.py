@@ -13,7 +13,7 @@ from adaptsim_jax.attribution.candidates import JointCandidate
 from adaptsim_jax.attribution.equation import confirmed
 from adaptsim_jax.attribution.equation.balance_objective import BalanceEvidence, read_so
 from adaptsim_jax.attribution.equation.confirmed import harmed, informative_joints
-from adaptsim_jax.attribution.fitted import most_over_floor
+from adaptsim_jax.attribution.fitted import over_floor, times_floor
 from adaptsim_jax.attribution.nested_models import SimulatedEvidence, least_worth
 from adaptsim_jax.attribution.parameters import Entry
 from adaptsim_jax.attribution.problem import passing
@@ -140,7 +140,18 @@ def test_a_long_delay_at_one_joint_does_not_shield_a_short_one_at_another():
 
 def test_what_is_left_is_left_at_the_worst_joint_that_moves():
     error = np.tile([1e-3, 8e-3, 0.05], (TRIALS * EACH, 1))
-    assert most_over_floor(problem(), error) == pytest.approx(8.0)
+    assert times_floor(problem(), error) == pytest.approx([1.0, 8.0, 0.0])
+
+
+def test_two_joints_far_off_are_not_hidden_by_four_that_stand_still():
+    """Where the search by simulation goes on, and whose bodies are taken, hangs on it."""
+    far = np.array([1e-3, 0.05, 1e-3, 1e-3, 0.05, 1e-3])
+    six = problem()
+    six.joints, six.floor = 6, np.full(12, 1e-3)
+    six.reach = SimpleNamespace(q_low=np.zeros(6), q_high=np.where(far > 1e-3, 1.0, 1e-3))
+    squared = np.tile(np.square(np.concatenate([far, far])), (TRIALS * EACH, 1))
+    left: Any = SimpleNamespace(held=SimpleNamespace(squared=squared))
+    assert over_floor(six, left) == pytest.approx(50.0)
 
 
 @dataclass(frozen=True)

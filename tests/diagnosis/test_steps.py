@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import lsq_linear, nnls
 
 from adaptsim_jax.diagnosis.steps import (
+    NotFinite,
     Point,
     StretchLanes,
     best_of,
@@ -11,6 +13,7 @@ from adaptsim_jax.diagnosis.steps import (
     fit_starts,
     fit_values,
 )
+from adaptsim_jax.diagnosis.straight import doing_nothing
 
 FREE = np.full(2, np.inf)
 HESS = np.array([[2.0, 0.8], [0.8, 1.0]])
@@ -29,6 +32,49 @@ def test_what_meets_a_bound_is_held_there_and_the_others_are_solved_for_again():
 
 def test_a_number_without_curvature_does_not_move():
     assert bounded_step(np.diag([2.0, 0.0]), np.array([1.0, 5.0]), -FREE, FREE)[1] == 0.0
+
+
+def like_an_arm(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Columns [R, 11] of unlike sizes, and what is left [R]; half of the numbers are zero."""
+    size = 10.0 ** rng.uniform(-2.0, 2.0, 11)
+    alike = rng.normal(size=(60, 3)) @ rng.normal(size=(3, 11))
+    columns = (rng.normal(size=(60, 11)) + rng.uniform(0.0, 2.0) * alike) * size
+    truth = np.maximum(rng.normal(size=11), 0.0) / size
+    return columns, columns @ truth + rng.uniform(0.1, 3.0) * rng.normal(size=60)
+
+
+def test_a_step_is_the_least_within_its_bounds():
+    for seed in range(200):
+        columns, left = like_an_arm(np.random.default_rng(seed))
+        hess, slope, none = columns.T @ columns, columns.T @ left, np.zeros(11)
+        step = bounded_step(hess, slope, none, np.full(11, np.inf))
+        least = nnls(columns, left)[1] ** 2
+        assert np.square(left - columns @ step).sum() <= least * (1.0 + 1e-9)
+
+
+def test_a_step_is_the_least_between_two_ends_with_damping():
+    for seed in range(50):
+        rng = np.random.default_rng(seed)
+        columns, left = like_an_arm(rng)
+        size = np.linalg.norm(columns, axis=0)
+        low, high = rng.uniform(-2.0, 0.0, 11) / size, rng.uniform(0.0, 2.0, 11) / size
+        step = bounded_step(columns.T @ columns, columns.T @ left, low, high, 0.1)
+        wide = np.concatenate([columns, np.sqrt(0.1) * np.diag(size)])
+        known = np.concatenate([left, np.zeros(11)])
+        least = 2.0 * lsq_linear(wide, known, (low, high), tol=1e-14).cost
+        assert np.square(known - wide @ step).sum() <= least * (1.0 + 1e-9)
+
+
+def test_a_simulation_that_ran_away_gives_no_step():
+    with pytest.raises(NotFinite):
+        bounded_step(np.array([[np.inf, 0.0], [0.0, 1.0]]), np.ones(2), -FREE, FREE)
+
+    def around(point):
+        return lambda damping: bounded_step(np.full((2, 2), np.nan), FREE, -FREE, FREE)
+
+    found = fit_values(Point(1.0, None), around, 3)
+    assert found.code == "stuck"
+    assert found.point.loss == 1.0
 
 
 def rosenbrock(x):
@@ -79,3 +125,15 @@ def test_starts_of_stretches_are_fitted_each_by_itself(every):
     np.testing.assert_allclose(found.starts[:4], truth[:4], atol=1e-8)
     np.testing.assert_allclose(found.starts[4], 0.0)
     assert begun.loss[1] > 0.0  # what was given stays as it was
+
+
+def test_what_needs_no_model_is_a_line_through_what_was_seen_and_its_mean():
+    rng = np.random.default_rng(0)
+    time, z = 5.0 + np.sort(rng.uniform(0.0, 1.0, (3, 20))), rng.normal(size=(3, 20, 2))
+    seen = rng.uniform(size=z.shape) < 0.7
+    line, still = doing_nothing(time, z, seen)
+    for w, c in np.ndindex(3, 2):
+        t, y = time[w, seen[w, :, c]], z[w, seen[w, :, c], c]
+        left = y - np.polyval(np.polyfit(t, y, 1), t)
+        assert line[w, c] == pytest.approx(np.sqrt(np.mean(left**2)))
+        assert still[w, c] == pytest.approx(np.std(y))

@@ -79,7 +79,8 @@ def test_a_gripper_on_a_welded_base_has_the_forces_of_mujoco(tmp_path):
     def everything(q, v, a):
         mass = dynamics.mass_matrix(tree, tree.inertial, q) + np.diag(tree.armature)
         bias = dynamics.inverse_dynamics(tree, tree.inertial, q, v, None, tree.gravity)
-        passive = dynamics.passive_force(tree, q, v) + dynamics.compensation(tree, q)
+        springs = -tree.damping * v - tree.stiffness * (q - tree.springref)
+        passive = springs + dynamics.compensation(tree, q)
         force = (
             dynamics.inverse_dynamics(tree, tree.inertial, q, v, a, tree.gravity)
             + tree.armature * a

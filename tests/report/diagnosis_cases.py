@@ -31,7 +31,7 @@ def declared(shift=0.0, loose=("m2",)):
 BEFORE = {"q1": 0.0141, "q2": 0.0212, "v1": 0.094, "v2": 0.151}
 
 
-def errors(after_share, trials=4, floor=FLOOR, ceiling=1.1, size=BEFORE):
+def errors(after_share, trials=4, floor=FLOOR, size=BEFORE):
     rng = np.random.default_rng(3)
     per_channel, per_trial = (
         {},
@@ -46,7 +46,6 @@ def errors(after_share, trials=4, floor=FLOOR, ceiling=1.1, size=BEFORE):
             "unit": unit,
             "noise_floor": floor[channel],
         }
-        per_channel[channel] |= {"ceiling": ceiling * floor[channel]}
         spread = 1 + 0.18 * rng.standard_normal(trials)
         for row, factor in zip(per_trial, spread, strict=True):
             pair = {
@@ -62,7 +61,7 @@ def errors(after_share, trials=4, floor=FLOOR, ceiling=1.1, size=BEFORE):
         for stage in ("before", "after"):
             row[stage] = row["per_channel"]["q1"][stage]
     overall = per_channel["q1"]
-    keys = ("before", "after", "noise_floor", "ceiling", "intervals")
+    keys = ("before", "after", "noise_floor", "intervals")
     return {
         "metric": "rmse of the joint angles",
         "unit": "rad",
@@ -258,7 +257,7 @@ def structured():
         "and goes with position; no candidate explains it.",
         DATA,
         effects=[coulomb()],
-        error=errors(0.55, ceiling=2.0),
+        error=errors(0.55),
         candidates=[
             candidate(
                 "coulomb_friction",

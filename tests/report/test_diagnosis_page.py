@@ -241,7 +241,7 @@ def test_a_bad_report_leaves_the_old_files_alone(tmp_path):
 
 def test_nan_becomes_null(tmp_path):
     report = REPORTS["explained"]()
-    report["error"]["ceiling"] = float("nan")
+    report["error"]["noise_floor"] = float("nan")
     report["candidates"][0]["held_out_gain"] = np.float32("inf")
     report["extra"] = {"matrix": np.array([[1.0, np.nan]])}
     write_diagnosis(tmp_path, report, {})
@@ -250,7 +250,7 @@ def test_nan_becomes_null(tmp_path):
         raise AssertionError(literal)
 
     read = json.loads((tmp_path / "report.json").read_text(), parse_constant=refuse)
-    assert read["error"]["ceiling"] is None and read["extra"]["matrix"] == [[1.0, None]]
+    assert read["error"]["noise_floor"] is None and read["extra"]["matrix"] == [[1.0, None]]
 
 
 @pytest.mark.parametrize("verdict", VERDICTS)

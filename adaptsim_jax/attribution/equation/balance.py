@@ -383,8 +383,8 @@ def command_force(
     with jax.enable_x64(True):
         for run in balance.runs:
             short = longest - (run.stop - run.start)
-            step = balance.clock[1] - balance.clock[0]
-            time = balance.clock[run.start] + step * np.arange(longest)
+            clock = balance.clock[run]
+            time = clock[0] + (clock[1] - clock[0]) * np.arange(longest)
             for k, z in enumerate((balance.u, balance.jump)):
                 u = np.pad(z[:, run], ((0, 0), (0, short)), mode="edge")
                 late[k][:, run] = np.asarray(_commanded(effect, at, time, u))[:, : longest - short]

@@ -267,9 +267,8 @@ def model_of(
     the folds that it is not in. starts: from which these are fitted, of a model that is nearly the
     same.
     """
-    vectors = _folded(problem, found, vector)
-    fold = np.minimum(problem.fold, len(vectors) - 1)
-    rows = vectors[fold]
+    vectors = without_each(found, vector)
+    rows = left_out_values(problem, found, vector, vectors)
     width = problem.groups[0].stretches.count
     rows = np.concatenate([rows, np.repeat(rows[-1:], width - len(rows), 0)])
     rounds = START_ROUNDS if starts is None else 1
@@ -283,16 +282,10 @@ def model_of(
     return FittedTree(tuple(added), fit, None, held, curvature(found, vector))
 
 
-def _folded(problem: TreeProblem, found: TorqueSearch, vector: Vector) -> np.ndarray:
-    """Values [F, P] without each fold: of the same pieces of the trials as far as balances and
-    stretches are cut alike.
-    """
-    if found.searches:
-        count = max(len(w.whole.by_fold) for w in found.searches)
-    else:
-        count = 1
-    out = np.repeat(vector.values[None], max(count, problem.fold.max() + 1), 0)
-    index = vector.index()
+def without_each(found: TorqueSearch, vector: Vector) -> np.ndarray:
+    """Values [F, P] of a vector without each fold of the windows."""
+    count = max((len(w.whole.by_fold) for w in found.searches), default=1)
+    out, index = np.repeat(vector.values[None], count, 0), vector.index()
     for w in found.searches:
         solved = w.base if len(vector) == len(found.null) else w.whole
         for i, e in enumerate(solved.entries):
@@ -300,6 +293,35 @@ def _folded(problem: TreeProblem, found: TorqueSearch, vector: Vector) -> np.nda
                 off = solved.by_fold[:, i] - solved.step[i]
                 out[: len(off), index[e.key]] += off
     return np.clip(out, vector.low, vector.high)
+
+
+def left_out_values(
+    problem: TreeProblem, found: TorqueSearch, vector: Vector, vectors: np.ndarray
+) -> np.ndarray:
+    """Values [W, P] that each stretch is predicted with: of `vectors` [F, P], those without the
+    windows that lie there.
+    """
+    out = np.repeat(vector.values[None], len(problem.fold), 0)
+    for w in found.searches:
+        joints = set(w.balance.group.joints)
+        own = [i for i, e in enumerate(vector.entries) if joints & set(e.joints)]
+        fold = fold_of_windows(problem, w.balance, w.rows.fold)
+        seen = np.flatnonzero(fold >= 0)
+        out[np.ix_(seen, own)] = vectors[np.ix_(fold[seen], own)]
+    return out
+
+
+def fold_of_windows(problem: TreeProblem, balance: Balance, fold: np.ndarray) -> np.ndarray:
+    """Which fold of the windows has most of those in each stretch [W]; -1 where there are none. A
+    trial that is shorter than a stretch has windows alone. fold [K]: of the windows.
+    """
+    s, count, trials = problem.groups[0].stretches, len(problem.fold), np.unique(balance.trial)
+    begun = np.array([balance.clock[run.start] for run in balance.runs])
+    since = balance.time - begun[np.searchsorted(trials, balance.trial)]
+    first, last = (s.time[k, :count, None] for k in (0, -1))
+    inside = (s.trial[:count, None] == balance.trial) & (since >= first) & (since <= last)
+    shared = inside @ np.eye(fold.max() + 1)[fold]
+    return np.where(np.any(shared, 1), np.argmax(shared, 1), -1)
 
 
 def curvature(found: TorqueSearch, vector: Vector) -> np.ndarray:

@@ -28,7 +28,8 @@ from adaptsim_jax.attribution.parameters import INERTIA, TILT, Entry, Vector
 from adaptsim_jax.attribution.problem import TreeProblem, held, values_of
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.steps import Point, bounded_step, fit_values
-from adaptsim_jax.effects.base import NINETY, Effect, Reach
+from adaptsim_jax.diagnosis.testing import deviates
+from adaptsim_jax.effects.base import Effect, Reach
 from adaptsim_jax.effects.joints.catalogue import ETA, TILTS
 from adaptsim_jax.mechanisms.tree import ancestors
 
@@ -456,8 +457,9 @@ def needed(
     added = list(added)
     whole = exact(state, added, state.set_of(added))
     final, errors = whole
+    surely = deviates(len(np.unique(state.rows.fold)))
     for c in sorted(asked, key=lambda c: _sure(*whole, c)):
-        if _sure(final, errors, c) > NINETY:
+        if _sure(final, errors, c) > surely:
             break
         rest = [k for k in added if k is not c]
         less = exact(state, rest, state.set_of(rest), final)

@@ -57,6 +57,8 @@ def runs_of(
     Windows that lie over a gap in time, or over rows without an angle, are left out.
     """
     made = [(k, *_even(t)) for k, t in enumerate(tracks) if len(t.time) > WINDOW.min_rows]
+    if not made:
+        return ()
     speeds = np.concatenate([np.abs(m[3]) for m in made], 1)
     usual = np.quantile(speeds, 0.95, axis=1)
     out = []
@@ -188,12 +190,15 @@ def limited(
         clock: [T] s.
         runs: the rows of each trial.
     """
-    rows = max(1, round(WINDOW.smooth * WINDOW.span / float(clock[1] - clock[0])))
     wide = 2.0 * np.abs(spike)
     part = np.clip(force, ends[0] - wide, ends[1] + wide)
-    smooth = np.concatenate(
-        [scipy.ndimage.uniform_filter1d(part[:, r], rows, axis=1, mode="nearest") for r in runs], 1
-    )
+
+    def smoothed(run: slice) -> np.ndarray:
+        step = float(clock[run][1] - clock[run][0])
+        rows = max(1, round(WINDOW.smooth * WINDOW.span / step))
+        return scipy.ndimage.uniform_filter1d(part[:, run], rows, axis=1, mode="nearest")
+
+    smooth = np.concatenate([smoothed(run) for run in runs], 1)
     way = np.where(spike < 0.0, -1.0, 1.0)
     limit = np.where(way > 0.0, ends[1], -ends[0])
     left = left_of(way * smooth, np.abs(spike), limit, slow, row)

@@ -12,14 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adaptsim_jax.diagnosis.steps import CONVERGED_GAIN, Point, best_of, bounded_step, fit_values
-from adaptsim_jax.diagnosis.testing import jackknife
+from adaptsim_jax.diagnosis.testing import deviates, jackknife
 from adaptsim_jax.logs.log import Log
 from adaptsim_jax.mechanisms.spec import Source
 from adaptsim_jax.simulators.mujoco.build import Stepped, stepped
 from adaptsim_jax.simulators.mujoco.criteria import SIMULATION
 from adaptsim_jax.simulators.mujoco.fields import DELAY, Field, field, with_values
 from adaptsim_jax.simulators.mujoco.rollouts import by_start, predict, residual, start_size
-from adaptsim_jax.simulators.mujoco.starts import fitted
+from adaptsim_jax.simulators.mujoco.starts import START_DAMPING, fitted
 from adaptsim_jax.simulators.mujoco.stretches import MujocoStretches, cut, late
 
 LINEARISATION_STEPS = 4e6  # steps of one linearisation: bounds its time and memory
@@ -30,7 +30,6 @@ EXACT_SQUARE = 1e-16  # mean square of what is left, below which nothing is: dou
 # of weighted residuals and their derivatives: a stretch that runs away says nothing of where to
 # go
 RUNAWAY_RESIDUAL = 1e9
-NINETY_DEVIATES = 1.645  # standard errors from the middle of a 90 % interval to its ends
 
 
 @dataclass(frozen=True)
@@ -108,7 +107,7 @@ def fitted_values(made: Stepped, stretches: MujocoStretches, fields: Sequence[Fi
     found = fit_values(point_of(values, starts, off), around, MAX_ROUNDS, done=done, stuck=stuck)
     values, starts, left = found.point.state
     lin = _linear(made, stretches, fields, values, starts, weight)
-    spread = NINETY_DEVIATES * _jackknife(lin, fields, values)
+    spread = deviates(len(lin.hess)) * _jackknife(lin, fields, values)
     low, high = (np.array([getattr(f, k) for f in fields]) for k in ("low", "high"))
     bounds = np.maximum(values - spread, low), np.minimum(values + spread, high)
     return Fitted(tuple(fields), values, *bounds, before, _rms(left, weight), found.code)
@@ -195,12 +194,10 @@ class _Linear:
     def start_steps(self, step: np.ndarray) -> np.ndarray:
         """Change of the starts [W, S] that goes with a step [P] of the fields."""
         out = np.zeros((len(self.left), self.by_start.shape[2]))
+        free = np.full(out.shape[1], np.inf)
         for w in np.flatnonzero(self.good):
-            x = self.by_start[w]
-            size = np.maximum(np.linalg.norm(x, axis=0), 1e-9)
-            hess = (x / size).T @ (x / size) + 1e-6 * np.eye(len(size))
-            left = self.left[w] + self.by_field[w] @ step
-            out[w] = -np.linalg.solve(hess, (x / size).T @ left) / size
+            x, left = self.by_start[w], self.left[w] + self.by_field[w] @ step
+            out[w] = bounded_step(x.T @ x, -(x.T @ left), -free, free, START_DAMPING)
         return out
 
 

@@ -238,7 +238,7 @@ def _passes(
         if now == names and moved < 2.5 and settled:
             break
         names = now
-        width = _narrowed(base.shape, found.final, problem.neutral, declared)
+        width = _narrowed(problem, base.shape, found.final, problem.neutral, declared)
     own, _ = _owned(scooped, base.shape, emulator.width, declared, quantities, criteria)
     return _by_engine(
         scooped, base.shape, scales(scooped, emulator.stray), problem, found, criteria, own, report
@@ -277,13 +277,15 @@ def _owned(
             values = model.fit.values
             if not outside(emulator):
                 break
-            wide = np.minimum(wide, _narrowed(shape, model, neutral, declared))
+            wide = np.minimum(wide, _narrowed(problem, shape, model, neutral, declared))
         return replace(model, fit=replace(model.fit, loss=model.fit.loss / problem.counts.sum()))
 
     return fit, made
 
 
-def _narrowed(shape: str, model: Model, neutral: np.ndarray, declared) -> np.ndarray:
+def _narrowed(
+    problem: Problem, shape: str, model: Model, neutral: np.ndarray, declared
+) -> np.ndarray:
     """Widths `[O]` of draws about a fitted model: of the declared values by how well they are
     known, of others by their size.
     """
@@ -291,7 +293,7 @@ def _narrowed(shape: str, model: Model, neutral: np.ndarray, declared) -> np.nda
     width = np.maximum(lowest, 0.6 * np.abs(model.fit.values - neutral)[OWN])
     for n in declared:
         i = INDEX[n]
-        width[PLACE[i]] = np.clip(2.0 * spread(model)[i], lowest[PLACE[i]], FIRST[n])
+        width[PLACE[i]] = np.clip(2.0 * spread(problem, model)[i], lowest[PLACE[i]], FIRST[n])
     return width
 
 
