@@ -290,10 +290,9 @@ def in_target(setting: Setting, prepared: Prepared, name: str) -> Task:
     def rollout(key, policy, params):
         return visit(key, play, acting, policy, values, setting.config.trials)
 
-    means = reference_means(setting)
     score = jax.jit(jax.vmap(lambda m: rollout(jax.random.key(0), policy_of(m), None).score))
-    every = np.asarray(score(means))
-    ends = jnp.asarray([np.nanmax(every), np.nanmean(every)], jnp.float32)
+    every = score(reference_means(setting))
+    ends = jnp.stack([jnp.nanmax(every), jnp.nanmean(every)])
     return replace(task, rollout=rollout, reference=lambda params: ends)
 
 
