@@ -180,10 +180,17 @@ FLAGS = (
 
 def small_steps() -> bool:
     """Set the flags, to be called before the first program is compiled; True where they are set
-    now. A user's own `XLA_FLAGS` stay as they are, and a jaxlib that may not know these is left
-    alone.
+    now. A user's own `XLA_FLAGS` stay as they are. A jaxlib that may not know these is left alone,
+    and the user is informed.
     """
-    if NAME in os.environ or not metadata.version("jaxlib").startswith(KNOWN_TO):
+    if NAME in os.environ:
+        return False
+    if not (version := metadata.version("jaxlib")).startswith(KNOWN_TO):
+        print(
+            f"adaptsim: jaxlib {version}: XLA's flags for loops of small steps are known of "
+            f"{KNOWN_TO}* alone and are left out; this may take a third longer",
+            file=sys.stderr,
+        )
         return False
     os.environ[NAME] = " ".join(FLAGS)
     return True
