@@ -142,8 +142,8 @@ def _training(setting: Setting, learned: Any) -> Callable:
     def train(key, dist, policy):
         if config.policy != "tuned":
             return Law(dist.mean)
-        half = jnp.full(setting.space.dim, config.spread)
-        worlds = Worlds(dist.mean - half, dist.mean + half, jnp.ones(()), jnp.zeros(0))
+        ends = (jnp.clip(dist.mean + way * config.spread, 0.0, 1.0) for way in (-1.0, 1.0))
+        worlds = Worlds(*ends, jnp.ones(()), jnp.zeros(0))
         state, _ = trainer.train(key, trainer.begin(key, learned), worlds, config.tune)
         return Tuned(dist.mean, trainer.policy(trainer.learned(state)))
 

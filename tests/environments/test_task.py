@@ -19,11 +19,12 @@ from adaptsim_jax.adaptation.phase2 import adapt, draw_starts
 from adaptsim_jax.adaptation.training import Trained
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.environments.episodes import ActingPolicy, EpisodeSteps, Rollout, look
-from adaptsim_jax.environments.policies import Law, everywhere, starts_of, trained_in
+from adaptsim_jax.environments.policies import Law, Prepared, everywhere, starts_of, trained_in
 from adaptsim_jax.environments.setting import EnvironmentConfig, setting_of
 from adaptsim_jax.environments.task import environment_task, ready, task_of
 from adaptsim_jax.environments.trainer import PPOTraining, Trainer, TrainerInfo
 from adaptsim_jax.learners.ppo import PPOHyper
+from adaptsim_jax.space import gaussian
 from tests.environments.cart import Cart, State
 
 SMALL = EnvironmentConfig(
@@ -246,3 +247,18 @@ def test_the_other_policies_serve_phase_1_too(policy):
     if policy == "planned":  # it needs no training: a plan of 40 steps ahead finds the middle
         params = task.space.physical(jnp.array([0.5, 0.5]))
         assert rolled(task, [[0.5, 0.5]], params).score[0] > 12.0
+
+
+def test_a_policy_is_tuned_in_worlds_of_omega_alone():
+    setting = setting_of(Cart(), replace(SMALL, policy="tuned", spread=0.05))
+    seen = []
+    trainer = setting.trainer._replace(
+        begin=lambda key, learned: learned,
+        train=lambda key, state, worlds, rounds: (seen.append(worlds) or state, None),
+        learned=lambda state: state,
+        policy=lambda learned: learned,
+    )
+    task = ready(setting._replace(trainer=trainer), Prepared((), None, jnp.zeros(3)))
+    task.train(jax.random.key(0), gaussian(task.space, jnp.array([0.0, 1.0])), None)
+    np.testing.assert_allclose(seen[0].low, [0.0, 0.95], atol=1e-6)
+    np.testing.assert_allclose(seen[0].high, [0.05, 1.0], atol=1e-6)
