@@ -23,6 +23,9 @@ from adaptsim_jax.core.store import MANIFEST, load_checkpoint, save_checkpoint
 from adaptsim_jax.tasks.registry import make_task
 
 
+SAVING = 0.05  # of the time, at most, goes into checkpoints
+
+
 class Programs(NamedTuple):
     """What a group of members is run with, `width` of them at once. States hold their keys as plain
     numbers.
@@ -162,15 +165,16 @@ def run_batch(
     progress: Callable[[int, str], None],
     save_after: float = 30.0,
 ) -> tuple[list[dict[str, Any]], Any, Any]:
-    """`(rows, state, prepared)` of at most `width` members, from the checkpoint in `folder` if there
-    is one.
+    """`(rows, state, prepared)` of at most `width` members, from the checkpoint in `folder` if it has
+    one.
         A row is plain data:
     reward: of each round's last steps; faulty: the first round whose loss was not finite, -1 where
         all were; whole, best, params,
     rewards: see `MemberResult`. state, prepared: host arrays at the end, leaves `[width, ...]`.
 
     `progress(rounds done, note)` is called between chunks; a checkpoint is written when the last
-    one is `save_after` s old.
+    one is `save_after` s old, and less often where that would take more than a twentieth of the
+    time.
     """
     phase1, mesh = programs.phase1, programs.mesh
     padded = [*members, *[members[-1]] * (width - len(members))]
@@ -191,7 +195,7 @@ def run_batch(
         restored, done = load_checkpoint(folder, like, task=spec.task)
         state = devices.put(restored["state"], mesh)
         curves = tuple(map(np.array, restored["curves"]))
-    saved = time.monotonic()
+    saved, wait = time.monotonic(), save_after
     size = largest_divisor(min(members[0].config.every, total), total, done)
     while done < total:
         numbers = devices.put(np.arange(done, done + size), mesh, batched=False)
@@ -200,12 +204,14 @@ def run_batch(
             curve[:, done : done + size] = part
         done += size
         progress(done, f"reward {np.nanmean(curves[0][:, done - 1]):.2f}")
-        if devices.agreed(done < total and time.monotonic() - saved >= save_after):
+        if devices.agreed(done < total and time.monotonic() - saved >= wait):
+            begun = time.monotonic()
             whole = devices.fetch(state)
             if devices.first():
                 tree = {"state": whole, "curves": curves}
                 save_checkpoint(folder, tree, task=spec.task, step=done, config_hash="")
             saved = time.monotonic()
+            wait = max(save_after, (saved - begun) / SAVING)
     targets = devices.put(_targets(phase1, spec), mesh, batched=False)
     last = devices.fetch(programs.finish(on_devices, state, hyper, seeds, targets))
     rows = [_row(curves, last, i) for i in range(len(members))]

@@ -1,7 +1,7 @@
 """Run folders and checkpoints: written under a temporary name, renamed, checked in full, never
 executed.
 
-A checkpoint folder holds `manifest.json` and the payload (`state-<step>-<hash>.npz`) that it names.
+A checkpoint folder holds `manifest.json` and the payload (`state-<step>-<token>.npz`) that it names.
 The payload is written and renamed first, the manifest after it, the old payload removed last:
 whenever the process dies, the manifest on disk names a whole payload. It also records how long
 `metrics.jsonl` was.
@@ -13,6 +13,9 @@ import contextlib
 import hashlib
 import json
 import os
+import secrets
+import shutil
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +23,7 @@ from adaptsim_jax import __version__
 from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import (
+    atomic_file,
     output_errors,
     output_folder,
     without_nan,
@@ -27,11 +31,17 @@ from adaptsim_jax.core.files import (
     write_json,
 )
 
+
+class Torn(BadInput):
+    """A checkpoint that was cut or changed since it was written."""
+
+
 SCHEMA = 1
 MANIFEST = "manifest.json"
 CONFIG = "config.toml"
 METRICS = "metrics.jsonl"
 CHECKPOINT = "checkpoint"
+BEFORE = "before"  # within it, the checkpoint before
 
 
 def save_checkpoint(
@@ -53,10 +63,11 @@ def save_checkpoint(
     from adaptsim_jax.core import tree_store
 
     folder = output_folder(folder)
-    leaves, payload = tree_store.pack(tree)
-    digest = hashlib.sha256(payload).hexdigest()
-    name = f"state-{step}-{digest[:12]}.npz"
-    write_bytes(folder / name, payload)
+    leaves, arrays = tree_store.described(tree)
+    name = f"state-{step}-{secrets.token_hex(6)}.npz"
+    with atomic_file(folder / name) as file:
+        payload = tree_store.Hashed(file)
+        tree_store.write(payload, arrays)
     manifest = {
         "schema": SCHEMA,
         "package": "adaptsim_jax",
@@ -65,8 +76,8 @@ def save_checkpoint(
         "step": int(step),
         "config_hash": config_hash,
         "payload": name,
-        "bytes": len(payload),
-        "sha256": digest,
+        "bytes": payload.length,
+        "sha256": payload.sha256.hexdigest(),
         "leaves": leaves,
         "extra": extra or {},
     }
@@ -82,6 +93,24 @@ def _sweep(folder: Path, keep: str) -> None:
             if old.name != keep:
                 with contextlib.suppress(OSError):
                     old.unlink()
+
+
+def _copy_checkpoint(folder: Path, into: Path) -> None:
+    """`folder`'s checkpoint in `into` too, by another link to the same payload. One whose manifest
+    is torn is left out.
+    """
+    try:
+        name = read_manifest(folder)["payload"]
+    except Torn:
+        return
+    output_folder(into)
+    if not (into / name).exists():
+        try:
+            os.link(folder / name, into / name)
+        except OSError:  # a file system without links
+            shutil.copyfile(folder / name, into / name)
+    write_bytes(into / MANIFEST, (folder / MANIFEST).read_bytes())
+    _sweep(into, keep=name)
 
 
 def load_checkpoint(folder: str | os.PathLike, like: Any, *, task: str) -> tuple[Any, int]:
@@ -104,12 +133,12 @@ def load_checkpoint(folder: str | os.PathLike, like: Any, *, task: str) -> tuple
     try:
         payload = path.read_bytes()
     except OSError as error:
-        raise BadInput(f"{path}: the checkpoint is torn ({error.strerror}); {_RENEW}") from None
+        raise Torn(f"{path}: the checkpoint is torn ({error.strerror}); {_RENEW}") from None
     if (
         len(payload) != manifest["bytes"]
         or hashlib.sha256(payload).hexdigest() != manifest["sha256"]
     ):
-        raise BadInput(f"{path}: the checkpoint is torn (it does not match its manifest); {_RENEW}")
+        raise Torn(f"{path}: the checkpoint is torn (it does not match its manifest); {_RENEW}")
     return tree_store.unpack(payload, manifest["leaves"], like, where=str(path)), manifest["step"]
 
 
@@ -141,15 +170,13 @@ def read_manifest(folder: str | os.PathLike) -> dict[str, Any]:
             f"{path}: cannot be read ({error.strerror}); name a run that was trained"
         ) from None
     except (ValueError, RecursionError):
-        raise BadInput(f"{path}: the checkpoint is torn (not JSON); {_RENEW}") from None
+        raise Torn(f"{path}: the checkpoint is torn (not JSON); {_RENEW}") from None
     if not isinstance(manifest, dict) or manifest.get("package") != "adaptsim_jax":
         raise BadInput(f"{path}: not a checkpoint of adaptsim_jax; name a run of `adaptsim train`")
     check_version(path, manifest)
     whole = all(type(manifest.get(name)) is kind for name, kind in _FIELDS.items())
     if not whole or manifest.get("seal") != _seal(manifest):
-        raise BadInput(
-            f"{path}: the checkpoint is torn (its manifest was changed or cut); {_RENEW}"
-        )
+        raise Torn(f"{path}: the checkpoint is torn (its manifest was changed or cut); {_RENEW}")
     return manifest
 
 
@@ -267,6 +294,8 @@ class RunFolder:
         """Checkpoint `tree` at `step` together with the length of the metrics written so far."""
         length = self.metrics.stat().st_size if self.metrics.exists() else 0
         extra = {"metrics_bytes": length}
+        if self.has_checkpoint():
+            _copy_checkpoint(self.checkpoint, self.checkpoint / BEFORE)
         save_checkpoint(
             self.checkpoint,
             tree,
@@ -277,15 +306,30 @@ class RunFolder:
         )
 
     def load(self, like: Any) -> tuple[Any, int]:
-        """`(tree, step)` of the checkpoint; BadInput also where it was made under another
-        config.
+        """`(tree, step)` of the checkpoint, of the one before where the last is torn; BadInput also
+        where it was made under another config.
         """
-        manifest = read_manifest(self.checkpoint)
-        if manifest["config_hash"] != self.config_hash:
+        return self._whole(like)[1]
+
+    def _whole(self, like: Any) -> tuple[Path, tuple[Any, int]]:
+        """The folder of the last whole checkpoint, and its `(tree, step)`."""
+        before = self.checkpoint / BEFORE
+        try:
+            return self.checkpoint, self._loaded(self.checkpoint, like)
+        except Torn as torn:
+            if not (before / MANIFEST).exists():
+                raise
+            found = self._loaded(before, like)
+            why = str(torn).removesuffix(f"; {_RENEW}")
+            print(f"{why}; the one before it is taken, of step {found[1]}", file=sys.stderr)
+            return before, found
+
+    def _loaded(self, folder: Path, like: Any) -> tuple[Any, int]:
+        if read_manifest(folder)["config_hash"] != self.config_hash:
             raise BadInput(
                 f"{self.path}: {CONFIG} was changed since the checkpoint was written; restore it"
             )
-        return load_checkpoint(self.checkpoint, like, task=self.task)
+        return load_checkpoint(folder, like, task=self.task)
 
     def restore(self, like: Any) -> tuple[Any, int]:
         """As `load`, to continue: metrics written after the checkpoint are cut off, for they will
@@ -297,8 +341,10 @@ class RunFolder:
         if not self.has_checkpoint():
             self._cut_metrics(0)
             return like, 0
-        tree, step = self.load(like)
-        self._cut_metrics(int(read_manifest(self.checkpoint)["extra"].get("metrics_bytes", 0)))
+        folder, (tree, step) = self._whole(like)
+        if folder != self.checkpoint:
+            _copy_checkpoint(folder, self.checkpoint)
+        self._cut_metrics(int(read_manifest(folder)["extra"].get("metrics_bytes", 0)))
         return tree, step
 
     def read_metrics(self) -> list[dict[str, Any]]:

@@ -1,5 +1,8 @@
 """Run folders: what a resumed run finds is what an uninterrupted one would have had."""
 
+import tracemalloc
+
+import jax
 import jax.numpy as jnp
 import pytest
 
@@ -105,3 +108,40 @@ def test_config_survives_the_file(tmp_path):
     run = new_run(tmp_path)
     again = RunFolder.open(tmp_path, task="pendulum")
     assert again.config == CONFIG and again.config_hash == run.config_hash == config.digest(CONFIG)
+
+
+@pytest.mark.parametrize("torn", ["payload", "manifest"])
+def test_where_the_last_checkpoint_is_torn_the_one_before_is_taken(tmp_path, torn, capsys):
+    run = new_run(tmp_path)
+    for step in (2, 4, 6):
+        run.append_metrics(rows(step - 2, step))
+        run.save({"x": jnp.float32(step)}, step=step)
+    name = store.MANIFEST
+    if torn == "payload":
+        name = store.read_manifest(run.checkpoint)["payload"]
+    path = run.checkpoint / name
+    path.write_bytes(path.read_bytes()[:-20])
+    tree, step = RunFolder.open(tmp_path).load({"x": jnp.float32(0)})
+    assert (float(tree["x"]), step) == (4.0, 4)
+    said = capsys.readouterr().err
+    assert "torn" in said and "the one before it is taken, of step 4" in said
+    assert said.count("\n") == 1
+    again = RunFolder.resume(tmp_path, CONFIG, task="pendulum")
+    assert again.restore({"x": jnp.float32(0)})[1] == 4
+    assert again.read_metrics() == rows(0, 4)
+    again.append_metrics(rows(4, 6))
+    again.save({"x": jnp.float32(6)}, step=6)
+    before = store.load_checkpoint(run.checkpoint / store.BEFORE, tree, task="pendulum")
+    assert before[1] == 4 and again.restore(tree)[1] == 6
+    assert len(list(run.checkpoint.rglob("*.npz"))) == 2
+
+
+def test_a_checkpoint_is_written_without_a_copy_of_all_of_it(tmp_path):
+    big = {str(i): jnp.full(1_000_000, i, jnp.float32) for i in range(8)}  # 32 MB
+    run = new_run(tmp_path)
+    jax.block_until_ready(big)
+    tracemalloc.start()
+    run.save(big, step=1)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 20e6  # NumPy writes 16 MB at a time
