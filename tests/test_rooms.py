@@ -148,6 +148,7 @@ WITHIN = {
         "mended",
         "episodes",
         "trainer",
+        "course",
         "targets",
         "setting",
         "policies",

@@ -22,7 +22,6 @@ from adaptsim_jax.core.parallel import largest_divisor
 from adaptsim_jax.core.store import MANIFEST, load_checkpoint, save_checkpoint
 from adaptsim_jax.tasks.registry import make_task
 
-
 SAVING = 0.05  # of the time, at most, goes into checkpoints
 
 
@@ -165,8 +164,8 @@ def run_batch(
     progress: Callable[[int, str], None],
     save_after: float = 30.0,
 ) -> tuple[list[dict[str, Any]], Any, Any]:
-    """`(rows, state, prepared)` of at most `width` members, from the checkpoint in `folder` if it has
-    one.
+    """`(rows, state, prepared)` of at most `width` members, from `folder` if it has a
+    checkpoint.
         A row is plain data:
     reward: of each round's last steps; faulty: the first round whose loss was not finite, -1 where
         all were; whole, best, params,

@@ -97,11 +97,17 @@ def learned(
         raise BadInput(
             f"{folder}: its policy was not trained yet; run `adaptsim train` with --resume first"
         )
-    tree = made.make(jax.random.key(seed), report)
-    for place in filter(
-        None, (own, shared if os.environ.get("JAX_ENABLE_COMPILATION_CACHE") != "false" else None)
-    ):
+    cached = os.environ.get("JAX_ENABLE_COMPILATION_CACHE") != "false"
+    places = [p for p in (own, shared if cached else None) if p is not None]
+    kept = None
+    if places:
+        so_far = places[0].with_name(f"{places[0].name}-so-far")
+        kept = store.Kept(so_far, task.name, digest)
+    tree = made.make(jax.random.key(seed), report, kept)
+    for place in places:
         keep(place, task, tree, seed)
+    if kept is not None:
+        kept.clear()
     return tree
 
 

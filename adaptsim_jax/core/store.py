@@ -1,7 +1,7 @@
 """Run folders and checkpoints: written under a temporary name, renamed, checked in full, never
 executed.
 
-A checkpoint folder holds `manifest.json` and the payload (`state-<step>-<token>.npz`) that it names.
+A checkpoint folder holds `manifest.json` and the payload that it names (`state-<step>-...npz`).
 The payload is written and renamed first, the manifest after it, the old payload removed last:
 whenever the process dies, the manifest on disk names a whole payload. It also records how long
 `metrics.jsonl` was.
@@ -16,6 +16,7 @@ import os
 import secrets
 import shutil
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -93,6 +94,36 @@ def _sweep(folder: Path, keep: str) -> None:
             if old.name != keep:
                 with contextlib.suppress(OSError):
                     old.unlink()
+
+
+class Kept:
+    """A checkpoint of long work, written every `every` s: it is found again where it is of the same
+    `config_hash`.
+    """
+
+    def __init__(self, folder: Path, task: str, config_hash: str, every: float = 30.0):
+        self.folder, self.task, self.config_hash, self.every = folder, task, config_hash, every
+        self.saved = time.monotonic()
+
+    def restore(self, like: Any) -> tuple[Any, int]:
+        """`(tree, step)` to go on from; `(like, 0)` where there is none that is whole and of the
+        same.
+        """
+        with contextlib.suppress(BadInput):
+            if read_manifest(self.folder)["config_hash"] == self.config_hash:
+                return load_checkpoint(self.folder, like, task=self.task)
+        return like, 0
+
+    def save(self, tree: Any, step: int) -> None:
+        """Write `tree` at `step` where the last one is old enough."""
+        if time.monotonic() - self.saved >= self.every:
+            hashed = {"task": self.task, "config_hash": self.config_hash}
+            save_checkpoint(self.folder, tree, step=step, **hashed)
+            self.saved = time.monotonic()
+
+    def clear(self) -> None:
+        """Remove it: the work is done."""
+        shutil.rmtree(self.folder, ignore_errors=True)
 
 
 def _copy_checkpoint(folder: Path, into: Path) -> None:

@@ -13,14 +13,15 @@ import numpy as np
 from scipy.stats import qmc
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.core.parallel import largest_divisor
 from adaptsim_jax.core.progress import silent
+from adaptsim_jax.core.store import Kept
 from adaptsim_jax.core.traced import digest_of
+from adaptsim_jax.environments.course import TrainingPlan, trained_in
 from adaptsim_jax.environments.episodes import ActingPolicy, Play, Rollout, Shown, visit, whitened
 from adaptsim_jax.environments.setting import BLIND, Setting, obs_dim_of
-from adaptsim_jax.environments.trainer import Trainer, Worlds, make_planner
+from adaptsim_jax.environments.trainer import Worlds, make_planner
 
-PAIRS, CHUNK = 512, 10
+PAIRS = 512
 
 
 class Law(NamedTuple):
@@ -94,44 +95,17 @@ def network_acting(setting: Setting) -> ActingPolicy:
     return ActingPolicy(lambda policy: (), act)
 
 
-def trained_in(
-    trainer: Trainer,
-    key: jax.Array,
-    learned: Any,
-    worlds: Worlds,
-    rounds: int,
-    report: Callable = silent,
-    blind: float = 0.0,
-) -> Any:
-    """What the trainer has learned after `rounds` in `worlds` from `learned`: in chunks, so that
-    progress shows.
-
-    blind: For this share of the rounds, the first, no world is told.
-    """
-    begin_key, key = jax.random.split(key)
-    state = trainer.begin(begin_key, learned)
-    # one compiled program serves all of it
-    size = largest_divisor(min(CHUNK, rounds), rounds)
-    last = float("nan")
-    for done in range(size, rounds + 1, size):
-        known = worlds.known if done > blind * rounds else jnp.zeros(())
-        state, info = trainer.train(key, state, worlds._replace(known=known), size)
-        episodes = np.asarray(info.episode)
-        if np.isfinite(episodes).any():
-            last = float(np.nanmean(episodes))
-        report(done, rounds, f"training the policy, return {last:.4g}")
-    return trainer.learned(state)
-
-
 def everywhere(setting: Setting, known: bool = True) -> Worlds:
     """All of Omega, told to the policy or not (UDR)."""
     D = setting.space.dim
     return Worlds(jnp.zeros(D), jnp.ones(D), jnp.asarray(known, jnp.float32), jnp.zeros(0))
 
 
-def prepared_of(setting: Setting, key: jax.Array, report: Callable = silent) -> Prepared:
+def prepared_of(
+    setting: Setting, key: jax.Array, report: Callable = silent, kept: Kept | None = None
+) -> Prepared:
     """Train the policy that knows E's mean, then look at what visits within Omega show. BadInput
-    names a field that does nothing.
+    names a field that does nothing. kept: Holds the training while it lasts.
     """
     train_key, init_key, look_key = jax.random.split(key, 3)
     check_pure(setting.play, np.array([f.nominal for f in setting.play.fields]))
@@ -139,10 +113,8 @@ def prepared_of(setting: Setting, key: jax.Array, report: Callable = silent) -> 
     learned = None
     if setting.config.policy != "planned":
         learned = setting.trainer.init(init_key)
-        rounds = setting.config.training.rounds
-        learned = trained_in(
-            setting.trainer, train_key, learned, everywhere(setting), rounds, report, BLIND
-        )
+        plan = TrainingPlan(setting.config.training.rounds, BLIND, kept)
+        learned = trained_in(setting.trainer, train_key, learned, everywhere(setting), plan, report)
     acting = acting_of(setting, learned, (0.0, 1e9, 1.0))  # a start's luck is its value
     policy_of = policies_of(setting, learned)
 

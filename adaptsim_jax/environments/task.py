@@ -91,8 +91,8 @@ def task_of(setting: Setting) -> Task:
         lambda x: np.zeros(x.shape, x.dtype), jax.eval_shape(blank, jax.random.key(0))
     )
 
-    def make(key, report=silent):
-        return prepared_of(setting, key, report)
+    def make(key, report=silent, kept=None):
+        return prepared_of(setting, key, report, kept)
 
     whole = cache(lambda: digest(setting))
     return replace(

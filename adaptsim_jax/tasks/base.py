@@ -42,7 +42,8 @@ class Preparation(NamedTuple):
     """What a task learns once, before Phase 1, such as one policy for all of Omega.
 
     * `blank(key) -> prepared`: a pytree of arrays with its structure and shapes
-    * `make(key, report) -> prepared`: not pure, may take minutes; `report(done, total, note)`
+    * `make(key, report, kept) -> prepared`: not pure, may take minutes; `report(done, total,
+      note)`; kept: A `store.Kept` that holds the work while it lasts, or None
     * `ready(prepared) -> Task`: the task with it
     * digest() -> str: of all that it depends on beside the seed. It may take seconds
     """

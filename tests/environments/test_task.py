@@ -18,8 +18,9 @@ from adaptsim_jax.adaptation.phase1_config import Phase1Config, Phase1Hyper
 from adaptsim_jax.adaptation.phase2 import adapt, draw_starts
 from adaptsim_jax.adaptation.training import Trained
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.environments.course import TrainingPlan, trained_in
 from adaptsim_jax.environments.episodes import ActingPolicy, EpisodeSteps, Rollout, look
-from adaptsim_jax.environments.policies import Law, Prepared, everywhere, starts_of, trained_in
+from adaptsim_jax.environments.policies import Law, Prepared, everywhere, starts_of
 from adaptsim_jax.environments.setting import EnvironmentConfig, setting_of
 from adaptsim_jax.environments.task import environment_task, ready, task_of
 from adaptsim_jax.environments.trainer import PPOTraining, Trainer, TrainerInfo
@@ -65,17 +66,17 @@ def test_worlds_are_not_told_while_training_is_blind():
     def train(key, state, worlds, rounds):
         told.extend([float(worlds.known)] * rounds)
         kinds.add(tuple(map(jax.typeof, worlds)))
-        return state, TrainerInfo(*[jnp.zeros(rounds)] * 4)
+        return state, TrainerInfo(*[jnp.zeros(rounds)] * 4, *[jnp.zeros((rounds, 2))] * 2)
 
     trainer = Trainer(
         None, lambda key, learned: learned, train, lambda state: state, None, None, None
     )  # type: ignore[arg-type]
     worlds = everywhere(setting_of(Cart(), SMALL))
-    trained_in(trainer, jax.random.key(0), (), worlds, 40, blind=0.5)
+    trained_in(trainer, jax.random.key(0), (), worlds, TrainingPlan(40, 0.5))
     assert told == [0.0] * 20 + [1.0] * 20
     assert len(kinds) == 1  # a program for each would be compiled
     told.clear()
-    trained_in(trainer, jax.random.key(0), (), worlds, 40)
+    trained_in(trainer, jax.random.key(0), (), worlds, TrainingPlan(40))
     assert told == [1.0] * 40
 
 
