@@ -2,7 +2,7 @@
 line.
 
 Exit codes: 0, 1 (it failed), 2 (bad input: one line that names it and the mend), 130 (stopped by
-Ctrl-C). Nothing here imports JAX or NumPy, so that `--help` answers at once.
+Ctrl-C or SIGTERM). Nothing here imports JAX or NumPy, so that `--help` answers at once.
 """
 
 from __future__ import annotations
@@ -45,6 +45,7 @@ def main(argv: list[str] | None = None) -> int:
     argv = sys.argv[1:] if argv is None else list(argv)
     args = None
     try:
+        process.patient_output()
         process.legible_streams()
         args = parse(argv)
         process.check_process()
@@ -56,7 +57,8 @@ def main(argv: list[str] | None = None) -> int:
         )  # XLA's alarm at slow compiles, where a machine is busy
         _set_up_cache(args)
         _set_up_memory()
-        return args.run(args) or 0
+        with process.stopped_by_sigterm():
+            return args.run(args) or 0
     except SystemExit as stop:  # argparse's --help and --version
         if isinstance(stop.code, int):
             return stop.code
@@ -68,9 +70,6 @@ def main(argv: list[str] | None = None) -> int:
         return _report(
             f"stopped; {hint}" if hint else "stopped; nothing half-written is left", STOPPED
         )
-    except BrokenPipeError:  # the reader of our output went away (`adaptsim effects | head`)
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return FAILED
     except OSError as error:
         return _file_system(error)
     except Exception as error:

@@ -18,8 +18,8 @@ import numpy as np
 from scipy.stats import qmc
 
 from adaptsim_jax.core import config as configs
-from adaptsim_jax.environments.episodes import visit
 from adaptsim_jax.environments.course import TrainingPlan, trained_in
+from adaptsim_jax.environments.episodes import visit
 from adaptsim_jax.environments.policies import Tuned, everywhere, network_acting
 from adaptsim_jax.environments.setting import BLIND, EnvironmentConfig, Setting
 from adaptsim_jax.environments.task import environment_setting

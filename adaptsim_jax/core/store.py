@@ -1,7 +1,7 @@
 """Run folders and checkpoints: written under a temporary name, renamed, checked in full, never
 executed.
 
-A checkpoint folder holds `manifest.json` and the payload that it names (`state-<step>-...npz`).
+A checkpoint folder holds `manifest.json` and the payload that it names (`state-<step>-<hash>.npz`).
 The payload is written and renamed first, the manifest after it, the old payload removed last:
 whenever the process dies, the manifest on disk names a whole payload. It also records how long
 `metrics.jsonl` was.
@@ -65,10 +65,13 @@ def save_checkpoint(
 
     folder = output_folder(folder)
     leaves, arrays = tree_store.described(tree)
-    name = f"state-{step}-{secrets.token_hex(6)}.npz"
-    with atomic_file(folder / name) as file:
+    unnamed = folder / f"state-{step}-{secrets.token_hex(6)}.npz"
+    with atomic_file(unnamed) as file:
         payload = tree_store.Hashed(file)
         tree_store.write(payload, arrays)
+    digest = payload.sha256.hexdigest()
+    name = f"state-{step}-{digest[:12]}.npz"
+    os.replace(unnamed, folder / name)
     manifest = {
         "schema": SCHEMA,
         "package": "adaptsim_jax",
@@ -78,7 +81,7 @@ def save_checkpoint(
         "config_hash": config_hash,
         "payload": name,
         "bytes": payload.length,
-        "sha256": payload.sha256.hexdigest(),
+        "sha256": digest,
         "leaves": leaves,
         "extra": extra or {},
     }

@@ -1,5 +1,5 @@
-"""The course of a policy's training: evaluated on the way, kept at its best, and taken up where it was
-stopped. What went wrong is said at its end.
+"""The course of a policy's training: evaluated on the way, kept at its best, and taken up where it
+was stopped. What went wrong is said at its end.
 """
 
 import sys
@@ -68,7 +68,7 @@ def trained_in(
     worlds: Worlds,
     plan: TrainingPlan,
     report: Callable = silent,
-    criteria: CourseCriteria = CourseCriteria(),  # noqa: B008
+    criteria: CourseCriteria = CourseCriteria(),
 ) -> Any:
     """What the trainer had learned in `worlds`, from `learned`, where it returned most in an
     evaluation: in chunks, so that progress shows.
@@ -142,16 +142,20 @@ def faults_of(
     where: np.ndarray | None,
     criteria: CourseCriteria,
 ) -> list[str]:
-    """What a person is told of a training that went wrong, a line each. idle: Returns `[N]` of doing
-    nothing and of random actions, in the same worlds. where: See `TrainerInfo`.
+    """What a person is told of a training that went wrong, a line each.
+
+    Args:
+        idle: Returns `[N]` of doing nothing and of random actions, in the same worlds.
+        where: See `TrainerInfo`.
     """
     lines = []
     reward, diverged = (float(x) / rounds for x in course.lost)
     if reward:
         at = "" if where is None else f", first at {np.round(where, 4).tolist()}"
         lines.append(
-            f"the reward is no number in {reward:.2%} of training's steps, though the observation is"
-            f"{at}; mend the reward there (a root or arccos of what rounding puts beyond its range?)"
+            f"the reward is no number in {reward:.2%} of training's steps, though the observation "
+            f"is{at}; mend the reward there (a root or arccos of what rounding puts beyond its "
+            "range?)"
         )
     if diverged > criteria.diverged:
         lines.append(

@@ -178,8 +178,8 @@ class Fresh(NamedTuple):
 
 class TrainerInfo(NamedTuple):
     """Of each update: mean return of the episodes that ended in it (not a number where none did),
-    reward of a step, the exploration's standard deviation, KL. lost: `[2]`, shares of steps
-    whose reward is no number though the observation is, and whose observation is none. where: `[O]`, the
+    reward of a step, the exploration's standard deviation, KL. lost: `[2]`, shares of steps whose
+    reward is no number though the observation is, and whose observation is none. where: `[O]`, the
     observation at the first of the former, if there is one.
     """
 

@@ -1,5 +1,5 @@
-"""The course of a policy's training: the best by evaluation is kept, what went wrong is said, and what
-was stopped goes on to the same bits.
+"""The course of a policy's training: the best by evaluation is kept, what went wrong is said, and
+what was stopped goes on to the same bits.
 """
 
 from dataclasses import replace
