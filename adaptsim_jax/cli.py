@@ -20,6 +20,7 @@ from adaptsim_jax.commands.parser import Parser, command_parser, top_parser
 from adaptsim_jax.core import process
 from adaptsim_jax.core.config import nearest, suggest
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.registry import own_line
 
 FAILED, BAD_INPUT, STOPPED = 1, 2, 130
 _DISK = (errno.ENOSPC, errno.EDQUOT)
@@ -75,6 +76,8 @@ def main(argv: list[str] | None = None) -> int:
     except Exception as error:
         if _interrupted(error):  # Ctrl-C while a library was being imported
             return _report("stopped; nothing half-written is left", STOPPED)
+        if where := own_line(error):
+            return _report(f"in your {where}: {type(error).__name__}: {error}; mend it", BAD_INPUT)
         traceback.print_exc()
         return _report(
             f"failed: {type(error).__name__}: {error}; this is a fault of the program", FAILED

@@ -308,7 +308,7 @@ def table_of(path: str | Path, task: str, where: str) -> dict[str, Any]:
         return table
     if table.get("task", task) != task:
         raise BadInput(f"{where}: is of task '{table['task']}', not '{task}'; name another file")
-    return table["config"]
+    return store.config_in(table, Path(path).parent)
 
 
 def with_defaults(task: str, table: dict[str, Any]) -> dict[str, Any]:

@@ -167,8 +167,8 @@ def computing() -> list[str]:
 
 
 class Pipe(io.FileIO):
-    """A pipe whose reader may go away (`adaptsim effects | head`): what is written then is lost, and
-    the work goes on.
+    """A pipe whose reader may go away (`adaptsim effects | head`): what is written then is lost,
+    and the work goes on.
     """
 
     def write(self, data: Any) -> int:

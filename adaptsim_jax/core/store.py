@@ -13,10 +13,13 @@ import contextlib
 import hashlib
 import json
 import os
+import re
 import secrets
 import shutil
 import sys
 import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -235,6 +238,32 @@ def _seal(manifest: dict[str, Any]) -> str:
 # ---------------------------------------------------------------- run folders
 
 
+_FILE = re.compile(r"(.+\.py):(\w+)")
+
+
+def _with_files(table: Any, named: Callable[[str], str]) -> Any:
+    """`table` with each `file.py:function` in it as `named(file.py)` has its file."""
+    if isinstance(table, dict):
+        return {key: _with_files(value, named) for key, value in table.items()}
+    if isinstance(table, list | tuple):
+        return [_with_files(value, named) for value in table]
+    found = _FILE.fullmatch(table) if isinstance(table, str) else None
+    return table if found is None else f"{os.path.normpath(named(found[1]))}:{found[2]}"
+
+
+def config_in(table: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """The config in the `config.toml` of a run, read from `folder`, with whole names of files."""
+    return _with_files(table["config"], partial(os.path.join, folder.resolve()))
+
+
+def _identity(table: dict[str, Any]) -> dict[str, Any]:
+    """What of a config makes a run what it is: not where files lie, nor what it is adapted to."""
+    named = _with_files(table, os.path.basename)
+    if isinstance(named.get("task"), dict):
+        named["task"] = {key: x for key, x in named["task"].items() if key != "targets"}
+    return named
+
+
 class RunFolder:
     """A run on disk: `config.toml`, `metrics.jsonl`, `checkpoint/`. Made by `create`, `open`,
     `resume`.
@@ -244,6 +273,7 @@ class RunFolder:
         self.path = path
         self.task = task
         self.config = table
+        self._older = ""  # what versions before called the hash of its config
 
     @classmethod
     def create(cls, path: str | os.PathLike, table: dict[str, Any], *, task: str) -> RunFolder:
@@ -255,9 +285,9 @@ class RunFolder:
             if (path / CONFIG).exists() or (path / CHECKPOINT).exists():
                 raise BadInput(f"{path}: holds a run already; add --resume, or name another folder")
         output_folder(path)
-        head = {"schema": SCHEMA, "version": __version__, "task": task}
-        config.write(path / CONFIG, {**head, "config": table})
-        return cls(path, task, table)
+        run = cls(path, task, table)
+        run._write_config()
+        return run
 
     @classmethod
     def open(cls, path: str | os.PathLike, *, task: str | None = None) -> RunFolder:
@@ -282,7 +312,15 @@ class RunFolder:
             raise BadInput(
                 f"{path}: this run is of task '{table['task']}', not '{task}'; name another"
             )
-        return cls(path, table["task"], table["config"])
+        run = cls(path, table["task"], config_in(table, path))
+        run._older = config.digest(table["config"])
+        return run
+
+    def _write_config(self) -> None:
+        """Files of a person's own are named as they lie from here, so that both may move."""
+        head = {"schema": SCHEMA, "version": __version__, "task": self.task}
+        table = _with_files(self.config, partial(os.path.relpath, start=self.path.resolve()))
+        config.write(self.path / CONFIG, {**head, "config": table})
 
     @classmethod
     def resume(cls, path: str | os.PathLike, table: dict[str, Any], *, task: str) -> RunFolder:
@@ -290,18 +328,21 @@ class RunFolder:
         differs.
         """
         run = cls.open(path, task=task)
-        changed = config.differences(run.config, table)
+        changed = config.differences(_identity(run.config), _identity(table))
         if changed:
             raise BadInput(
                 f"{run.path / CONFIG}: this run was started otherwise ({'; '.join(changed)}); ask "
                 "for the same, or name another folder"
             )
         output_folder(path)
+        if config.differences(run.config, table):
+            run.config = table
+            run._write_config()
         return run
 
     @property
     def config_hash(self) -> str:
-        return config.digest(self.config)
+        return config.digest(_identity(self.config))
 
     @property
     def checkpoint(self) -> Path:
@@ -359,7 +400,7 @@ class RunFolder:
             return before, found
 
     def _loaded(self, folder: Path, like: Any) -> tuple[Any, int]:
-        if read_manifest(folder)["config_hash"] != self.config_hash:
+        if read_manifest(folder)["config_hash"] not in (self.config_hash, self._older):
             raise BadInput(
                 f"{self.path}: {CONFIG} was changed since the checkpoint was written; restore it"
             )

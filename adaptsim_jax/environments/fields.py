@@ -156,8 +156,8 @@ def _edits(
 
 
 def _gain(model: mujoco.MjModel, actuator: int) -> tuple[float, tuple[Edit, ...]]:
-    """The gain of an actuator as MJCF writes it, and its edits: a servo's error is multiplied by it,
-    so its bias goes along; a damper's is by speed, and negative.
+    """The gain of an actuator as MJCF writes it, and its edits: a servo's error is multiplied by
+    it, so its bias goes along; a damper's is by speed, and negative.
     """
     gain, bias = (getattr(model, f"actuator_{x}prm")[actuator] for x in ("gain", "bias"))
     if gain[0] == 0.0 and gain[2] < 0.0:

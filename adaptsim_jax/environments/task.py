@@ -5,6 +5,7 @@ and the baselines.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -12,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.stats import qmc
 
+from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.progress import silent
 from adaptsim_jax.environments.episodes import (
@@ -25,6 +27,7 @@ from adaptsim_jax.environments.episodes import (
     visit,
 )
 from adaptsim_jax.environments.fields import ModelField
+from adaptsim_jax.environments.mended import mended
 from adaptsim_jax.environments.peers import OWN, load
 from adaptsim_jax.environments.policies import (
     Law,
@@ -127,7 +130,9 @@ def ready(setting: Setting, prepared: Prepared) -> Task:
         score=lambda trajectory: trajectory.score - trajectory.luck,
         reference=_reference(setting, rollout, policy_of),
         reward=_scaled_reward,
-        world=lambda name: in_target(setting, prepared, name),
+        world=lambda target: (in_file if isinstance(target, Path) else in_target)(
+            setting, prepared, target
+        ),
         act=None if config.policy == "planned" else act,
         read=lambda obs, action, reward: measured(setting, obs, action, reward, acting),
     )
@@ -294,6 +299,20 @@ def in_target(setting: Setting, prepared: Prepared, name: str) -> Task:
     every = score(reference_means(setting))
     ends = jnp.stack([jnp.nanmax(every), jnp.nanmean(every)])
     return replace(task, rollout=rollout, reference=lambda params: ends)
+
+
+def in_file(setting: Setting, prepared: Prepared, path: Path) -> Task:
+    """The task with its rollouts in the target that a TOML file says, called by its name: a table
+    of fields as [targets.NAME] has it, or a `model.toml` of `adaptsim diagnose`.
+    """
+    table, env = configs.read(path), setting.env
+    if "schema" in table:
+        table, env = {}, mended(env, path)
+    config = replace(setting.config, targets={path.stem: table.get("params", table)})
+    try:
+        return in_target(setting_of(env, config), prepared, path.stem)
+    except BadInput as error:
+        raise BadInput(f"{path}: {str(error).removeprefix(f'targets.{path.stem}: ')}") from None
 
 
 def environment_setting(config: EnvironmentConfig) -> Setting:

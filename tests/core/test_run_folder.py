@@ -145,3 +145,62 @@ def test_a_checkpoint_is_written_without_a_copy_of_all_of_it(tmp_path):
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 20e6  # NumPy writes 16 MB at a time
+
+
+OWN = {"seed": 3, "task": {"env": "", "length": 20, "targets": {"dry": {"friction": 1.0}}}}
+
+
+def own_run(folder):
+    """A run with an environment of a person's own, in the file beside it."""
+    (folder / "cart.py").write_text("")
+    table = {**OWN, "task": {**OWN["task"], "env": f"{folder / 'cart.py'}:make"}}
+    run = RunFolder.create(folder / "a", table, task="environment")
+    run.save({"x": jnp.float32(4)}, step=4)
+    return table
+
+
+def test_a_run_and_its_environments_file_move_together(tmp_path):
+    (tmp_path / "here").mkdir()
+    table = own_run(tmp_path / "here")
+    (tmp_path / "here").rename(tmp_path / "there")
+    run = RunFolder.open(tmp_path / "there/a")
+    assert run.config["task"]["env"] == f"{tmp_path / 'there/cart.py'}:make"
+    assert run.load({"x": jnp.float32(0)})[1] == 4
+    moved = {**table, "task": {**table["task"], "env": f"{tmp_path / 'there/cart.py'}:make"}}
+    assert RunFolder.resume(tmp_path / "there/a", moved, task="environment").config == moved
+
+
+def test_a_run_that_moved_alone_is_told_where_the_file_is_by_one_line(tmp_path):
+    (tmp_path / "here").mkdir()
+    own_run(tmp_path / "here")
+    (tmp_path / "here/a").rename(tmp_path / "b")
+    path = tmp_path / "b" / store.CONFIG
+    text = path.read_text()
+    assert 'env = "../cart.py:make"' in text
+    path.write_text(text.replace("../cart.py", str(tmp_path / "here/cart.py")))
+    run = RunFolder.open(tmp_path / "b")
+    assert run.config["task"]["env"] == f"{tmp_path / 'here/cart.py'}:make"
+    assert run.load({"x": jnp.float32(0)})[1] == 4
+
+
+def test_a_target_that_is_added_later_is_no_other_run(tmp_path):
+    table = own_run(tmp_path)
+    table["task"] = {**table["task"], "targets": {"wet": {"friction": 0.1}}}
+    run = RunFolder.resume(tmp_path / "a", table, task="environment")
+    assert run.load({"x": jnp.float32(0)})[1] == 4
+    assert RunFolder.open(tmp_path / "a").config["task"]["targets"] == {"wet": {"friction": 0.1}}
+    table["task"] = {**table["task"], "length": 30}
+    with pytest.raises(BadInput, match=r"task\.length: 20 there, 30 asked"):
+        RunFolder.resume(tmp_path / "a", table, task="environment")
+
+
+def test_a_run_of_before_with_a_whole_path_is_read(tmp_path):
+    table = own_run(tmp_path)
+    run = RunFolder.open(tmp_path / "a")
+    head = {"schema": store.SCHEMA, "version": store.__version__, "task": "environment"}
+    config.write(run.path / store.CONFIG, {**head, "config": table})
+    hashed = config.digest(table)
+    store.save_checkpoint(
+        run.checkpoint, {"x": jnp.float32(2)}, task="environment", step=2, config_hash=hashed
+    )
+    assert RunFolder.open(tmp_path / "a").load({"x": jnp.float32(0)})[1] == 2

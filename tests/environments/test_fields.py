@@ -196,7 +196,8 @@ MACHINE = """
     </body>
   </worldbody>
   <tendon>
-    <fixed name="cord" springlength="0.1" damping="{tendon}" stiffness="{cord}" frictionloss="{rub}">
+    <fixed name="cord" springlength="0.1" damping="{tendon}" stiffness="{cord}"
+      frictionloss="{rub}">
       <joint joint="slide" coef="1"/><joint joint="hinge" coef="-1"/>
     </fixed>
   </tendon>

@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 from mujoco import mjx
 
+from adaptsim_jax.commands.parser import read_target
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.environments.setting import EnvironmentConfig, setting_of
-from adaptsim_jax.environments.task import play_in
+from adaptsim_jax.environments.task import play_in, task_of
 from tests.environments.small import make
+from tests.environments.test_mended import effect, written
 
 SAME = {"integrator": "Euler", "steps": 1}
 TARGETS = {
@@ -201,3 +203,28 @@ def test_forces_and_mocap_poses_of_a_step_reach_the_target():
     ours = track(setting.play, [1.0])
     assert ours[-1, 0] > 0.1 and ours[-1, 1] > 0.01  # the cart, and the body that is led
     np.testing.assert_allclose(same[:, :4], ours[:, :4], atol=2e-4)
+
+
+def test_a_file_says_a_target_by_any_field_or_by_a_mended_model(tmp_path):
+    setting = setting_of(make(), EnvironmentConfig())
+    task = task_of(setting)
+    task = task.preparation.ready(task.preparation.blank(jax.random.key(1)))
+    mended = written(tmp_path, effect("coulomb", 0.3, "level") + effect("delay", 0.03, "delay"))
+    named = tmp_path / "rail.toml"
+    named.write_text(
+        '"body:cart.mass" = 1.2\n"joint:slide.damping" = 0.7\n"joint:slide.armature" = 0.05\n'
+        '"joint:slide.frictionloss" = 0.3\ndelay = 0.03\n'
+    )
+    other = tmp_path / "nominal.toml"
+    other.write_text("[params]\n")
+    seen = {}
+    for path in (mended, named, other):
+        name, params, world = read_target(str(path), task)
+        assert name == path.stem and params.shape == (2,) and world.reference(params).shape == (2,)
+        roll = jax.jit(world.rollout)
+        seen[path] = roll(jax.random.key(0), task.init_policy(jax.random.key(0)), params).features
+    np.testing.assert_allclose(seen[mended], seen[named], atol=1e-5)
+    assert np.abs(seen[mended] - seen[other]).max() > 1e-3
+    (tmp_path / "odd.toml").write_text('"joint:sldie.damping" = 1.0')
+    with pytest.raises(BadInput, match=r"odd\.toml: 'joint:sldie\.damping'.*'joint:slide'"):
+        read_target(str(tmp_path / "odd.toml"), task)

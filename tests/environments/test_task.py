@@ -20,7 +20,14 @@ from adaptsim_jax.adaptation.training import Trained
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.environments.course import TrainingPlan, trained_in
 from adaptsim_jax.environments.episodes import ActingPolicy, EpisodeSteps, Rollout, look
-from adaptsim_jax.environments.policies import Law, Prepared, everywhere, starts_of
+from adaptsim_jax.environments.policies import (
+    Law,
+    Prepared,
+    check_fields,
+    everywhere,
+    shaken,
+    starts_of,
+)
 from adaptsim_jax.environments.setting import EnvironmentConfig, setting_of
 from adaptsim_jax.environments.task import environment_task, ready, task_of
 from adaptsim_jax.environments.trainer import PPOTraining, Trainer, TrainerInfo
@@ -169,6 +176,17 @@ def test_a_measured_episode_is_read_as_a_simulated_one(made):
     assert task.act(Law(jnp.full(2, 0.5)), jnp.array([0.5, 0.0])).shape == (1,)
 
 
+def test_an_asked_policy_acts_for_one_observation_and_for_many(made):
+    *_, task, _ = made
+    phase1 = make_phase1(task, PHASE1)
+    state = phase1.init(jax.random.key(0))
+    session = Session(Trained(phase1, Phase1Hyper(), state, PHASE1.rounds), starts=1, iterations=1)
+    act, obs = session.ask().act, np.random.default_rng(0).normal(size=(3, 4, 2))
+    many = act(obs)
+    assert many.shape == (3, 4, 1) and act(obs[0]).shape == (4, 1)
+    np.testing.assert_allclose(many[1, 2], act(obs[1, 2]), atol=1e-6)
+
+
 def test_what_a_start_brought_is_taken_off_the_return(made):
     *_, task, _ = made
     rng = np.random.default_rng(0)
@@ -263,3 +281,17 @@ def test_a_policy_is_tuned_in_worlds_of_omega_alone():
     task.train(jax.random.key(0), gaussian(task.space, jnp.array([0.0, 1.0])), None)
     np.testing.assert_allclose(seen[0].low, [0.0, 0.95], atol=1e-6)
     np.testing.assert_allclose(seen[0].high, [0.05, 1.0], atol=1e-6)
+
+
+def test_a_field_that_does_nothing_in_a_part_of_its_range_is_told(capsys):
+    env = Cart()
+    usual = env.step_env
+    # of a damping and another of 1.05 the greater acts, as with the friction of two geoms
+    env.step_env = lambda key, state, action, params: usual(
+        key, state, action, params.replace(damping=jnp.maximum(params.damping, 1.05))
+    )
+    setting = setting_of(env, SMALL)
+    check_fields(setting.space, shaken(setting))
+    said = capsys.readouterr().err
+    assert "'params.damping' from 0.1 to 0.575, 0.575 to 1.05 (" in said
+    assert said.count("\n") == 1
