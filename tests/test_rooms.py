@@ -158,7 +158,6 @@ WITHIN = {
     "tasks": (
         "base",
         "camera_record",
-        "trial_clock",
         "camera_effects",
         "trial_record",
         "trial_diagnosis",
