@@ -17,10 +17,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from jax.flatten_util import ravel_pytree
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.learners.bdq import ACTIVATIONS, adam_step, flat
+from adaptsim_jax.learners.bdq import ACTIVATIONS, adam_step, flat, held
 
 LOWEST, HIGHEST = -3.0, 0.5  # of the logarithm of the exploration's standard deviation
 MAX_DEVIATIONS = (
@@ -147,17 +146,7 @@ class ActorCritic(nn.Module):
             return nn.Dense(outputs, kernel_init=nn.initializers.orthogonal(scale))(y)
 
         log_std = self.param("log_std", nn.initializers.constant(-0.5), (cfg.action_dim,))
-        return mlp(x, cfg.action_dim, 0.01), log_std, mlp(x, 1, 1.0)[..., 0]
-
-
-def _explores(config: PPOConfig) -> jax.Array:
-    """Which of the flat weights `[n]` say how much is explored."""
-    example = jnp.zeros((1, config.obs_dim + config.extra_dim))
-    shapes = jax.eval_shape(ActorCritic(config).init, jax.random.key(0), example)
-    marked = jax.tree_util.tree_map_with_path(
-        lambda path, x: np.full(x.shape, "log_std" in jax.tree_util.keystr(path)), shapes
-    )
-    return ravel_pytree(marked)[0]
+        return mlp(x, cfg.action_dim, 0.01), held(log_std, LOWEST, HIGHEST), mlp(x, 1, 1.0)[..., 0]
 
 
 class PPO(NamedTuple):
@@ -185,11 +174,6 @@ def make_ppo(config: PPOConfig) -> PPO:
     """
     _check(config)
     weights_of, network = flat(ActorCritic(config), config.obs_dim + config.extra_dim)
-    explores = _explores(config)
-
-    def within(weights):
-        # the weight itself, not what is made of it, which would have no gradient beyond the bound
-        return jnp.where(explores, jnp.clip(weights, LOWEST, HIGHEST), weights)
 
     def apply(weights, mean, std, obs, extra):
         lead = (1,) * (obs.ndim - 1)
@@ -229,8 +213,7 @@ def make_ppo(config: PPOConfig) -> PPO:
         def loss(w, part):
             return _loss(lambda o, e: apply(w, before.mean, before.std, o, e), part, hyper)
 
-        begun = (state.weights, state.opt)
-        (weights, opt), infos = _epochs(key, config, (loss, within), begun, rows, hyper)
+        (weights, opt), infos = _epochs(key, config, loss, (state.weights, state.opt), rows, hyper)
         info = jax.tree.map(jnp.mean, infos)
         return PPOState(weights, opt, _more(state.obs, batch.obs), gain), info
 
@@ -313,11 +296,8 @@ def _near(scale: RunningScale, rows: jax.Array) -> jax.Array:
     return jnp.clip(rows, centre - MAX_DEVIATIONS * std, centre + MAX_DEVIATIONS * std)
 
 
-def _epochs(key, config: PPOConfig, functions, carry, rows, hyper):
-    """Adam steps over all of `rows`, shuffled anew in each epoch. functions: The loss, and what
-    holds weights within their bounds after each step.
-    """
-    loss, within = functions
+def _epochs(key, config: PPOConfig, loss, carry, rows, hyper):
+    """Adam steps over all of `rows`, shuffled anew in each epoch."""
     count = rows[-1].shape[0]
     size = count // config.minibatches
 
@@ -325,8 +305,7 @@ def _epochs(key, config: PPOConfig, functions, carry, rows, hyper):
         weights, opt = carry
         (_, info), grad = jax.value_and_grad(loss, has_aux=True)(weights, part)
         grad = jnp.where(jnp.isfinite(grad), grad, 0.0)
-        weights, opt, _ = adam_step(weights, opt, grad, hyper)
-        return (within(weights), opt), info
+        return adam_step(weights, opt, grad, hyper)[:2], info
 
     def epoch(carry, key):
         order = _shuffled(key, count)[: size * config.minibatches].reshape(config.minibatches, size)
