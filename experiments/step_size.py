@@ -72,7 +72,7 @@ def curves_by(rows: Sequence[Mapping[str, Any]], names: Sequence[str], title: st
     figure, (ax,) = look.new_figure(4.2, 3.0)
     for i, (r, name) in enumerate(zip(rows, names, strict=True)):
         line = {"color": shades[i % len(shades)], "linestyle": ["-", "--", "-.", ":"][i % 4]}
-        draw.curve(ax, r["curve"], line, name, -0.4)
+        draw.median_curve(ax, r["curve"], line, name, -0.4)
     look.style_axes(ax)
     ax.set_ylim(-0.4, 1.08)
     ax.set_xlabel("adaptation iteration", fontsize=9)

@@ -31,7 +31,7 @@ def reward_over_iterations(results: Mapping[str, Any], methods: Sequence[str] = 
     figure, axes = look.new_figure(width, 2.9, 1, len(settings), sharey=True)
     for ax, setting in zip(axes, settings, strict=True):
         for r in (r for r in rows if r["setting"] == setting):
-            curve(
+            median_curve(
                 ax,
                 r["curve"],
                 look.style(r["method"]),
@@ -58,7 +58,7 @@ def reward_over_iterations(results: Mapping[str, Any], methods: Sequence[str] = 
     return figure
 
 
-def curve(
+def median_curve(
     ax,
     curve: Mapping[str, Any],
     style: dict,
@@ -66,6 +66,7 @@ def curve(
     bottom: float,
     trials: Sequence[int] | None = None,
 ) -> None:
+    """Draw the median of `curve` with its quartiles, over iterations or `trials`."""
     # None stands for minus infinity, a policy that destabilised the target; it is drawn below the
     # panel.
     median, q25, q75 = (
