@@ -122,10 +122,12 @@ class Kept:
 
     def save(self, tree: Any, step: int) -> None:
         """Write `tree` at `step` where the last one is old enough."""
-        if time.monotonic() - self.saved >= self.every:
-            hashed = {"task": self.task, "config_hash": self.config_hash}
+        if time.monotonic() - self.saved < self.every:
+            return
+        hashed = {"task": self.task, "config_hash": self.config_hash}
+        with contextlib.suppress(BadInput):  # the work is worth more than its checkpoint
             save_checkpoint(self.folder, tree, step=step, **hashed)
-            self.saved = time.monotonic()
+        self.saved = time.monotonic()
 
     def clear(self) -> None:
         """Remove it: the work is done."""
