@@ -2,7 +2,7 @@
 line.
 
 Exit codes: 0, 1 (it failed), 2 (bad input: one line that names it and the mend), 130 (stopped by
-Ctrl-C). Nothing here imports JAX or NumPy, so that `--help` answers at once.
+Ctrl-C or SIGTERM). Nothing here imports JAX or NumPy, so that `--help` answers at once.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from adaptsim_jax.commands.parser import Parser, command_parser, top_parser
 from adaptsim_jax.core import process
 from adaptsim_jax.core.config import nearest, suggest
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.registry import own_line
 
 FAILED, BAD_INPUT, STOPPED = 1, 2, 130
 _DISK = (errno.ENOSPC, errno.EDQUOT)
@@ -45,6 +46,7 @@ def main(argv: list[str] | None = None) -> int:
     argv = sys.argv[1:] if argv is None else list(argv)
     args = None
     try:
+        process.patient_output()
         process.legible_streams()
         args = parse(argv)
         process.check_process()
@@ -56,7 +58,8 @@ def main(argv: list[str] | None = None) -> int:
         )  # XLA's alarm at slow compiles, where a machine is busy
         _set_up_cache(args)
         _set_up_memory()
-        return args.run(args) or 0
+        with process.stopped_by_sigterm():
+            return args.run(args) or 0
     except SystemExit as stop:  # argparse's --help and --version
         if isinstance(stop.code, int):
             return stop.code
@@ -68,14 +71,13 @@ def main(argv: list[str] | None = None) -> int:
         return _report(
             f"stopped; {hint}" if hint else "stopped; nothing half-written is left", STOPPED
         )
-    except BrokenPipeError:  # the reader of our output went away (`adaptsim effects | head`)
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return FAILED
     except OSError as error:
         return _file_system(error)
     except Exception as error:
         if _interrupted(error):  # Ctrl-C while a library was being imported
             return _report("stopped; nothing half-written is left", STOPPED)
+        if where := own_line(error):
+            return _report(f"in your {where}: {type(error).__name__}: {error}; mend it", BAD_INPUT)
         traceback.print_exc()
         where = "".join(f"; {note}" for note in getattr(error, "__notes__", ()))
         return _report(

@@ -146,10 +146,12 @@ def phase1(devices: int, seeds: int, peer_python: str) -> dict[str, Any]:
 
     hyper = put(jax.tree.map(lambda x: np.full(seeds, x, np.float32), config.hyper))
     begin = time.perf_counter()
-    state = programs.init(put(np.arange(seeds, dtype=np.uint32)))
-    state, _ = jax.block_until_ready(programs.advance(state, hyper, put(np.arange(0, 10), False)))
+    state = programs.init((), put(np.arange(seeds, dtype=np.uint32)))
+    state, _ = jax.block_until_ready(
+        programs.advance((), state, hyper, put(np.arange(0, 10), False))
+    )
     again = time.perf_counter()
-    jax.block_until_ready(programs.advance(state, hyper, put(np.arange(10, 20), False)))
+    jax.block_until_ready(programs.advance((), state, hyper, put(np.arange(10, 20), False)))
     wall = time.perf_counter() - again
     steps = 10 * config.phase1.parallel * config.phase1.horizon * seeds
     return {"unit": "adaptation steps/s", "ours": steps / wall, "compile_s": again - begin - wall}

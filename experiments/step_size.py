@@ -4,9 +4,12 @@ compiled program.
 python experiments/step_size.py
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from page import parser, rows_table, scored_row, train_config, write_page
 
 from adaptsim_jax import make_task
@@ -45,7 +48,7 @@ def main() -> None:
         for d, m in zip(STEPS, means, strict=True)
     ]
     args.out.mkdir(parents=True, exist_ok=True)
-    figure = draw.curves_by(rows, [r["method"] for r in rows], "OOD-1, adaptation step δ")
+    figure = curves_by(rows, [r["method"] for r in rows], "OOD-1, adaptation step δ")
     look.save(figure, args.out / "step_size.png")
     text = (
         f"{args.seeds} seeds; Phase 1 anew for each step size and seed. Curves: median and "
@@ -59,6 +62,24 @@ def main() -> None:
         rows,
         ["step_size.png"],
     )
+
+
+def curves_by(rows: Sequence[Mapping[str, Any]], names: Sequence[str], title: str) -> Figure:
+    """Reward over iterations for one row of results a curve, as the step-size figure of the
+    appendix.
+    """
+    shades = ["#56B4E9", "#0072B2", "#E69F00", "#D55E00", "#CC79A7"]
+    figure, (ax,) = look.new_figure(4.2, 3.0)
+    for i, (r, name) in enumerate(zip(rows, names, strict=True)):
+        line = {"color": shades[i % len(shades)], "linestyle": ["-", "--", "-.", ":"][i % 4]}
+        draw.median_curve(ax, r["curve"], line, name, -0.4)
+    look.style_axes(ax)
+    ax.set_ylim(-0.4, 1.08)
+    ax.set_xlabel("adaptation iteration", fontsize=9)
+    ax.set_ylabel(look.REWARD.replace(" (", "\n("), fontsize=9)
+    ax.set_title(title, fontsize=9.5, color=look.INK)
+    ax.legend(frameon=False, fontsize=8, loc="lower right")
+    return figure
 
 
 if __name__ == "__main__":

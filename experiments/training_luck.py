@@ -18,8 +18,9 @@ import numpy as np
 from scipy.stats import qmc
 
 from adaptsim_jax.core import config as configs
+from adaptsim_jax.environments.course import TrainingPlan, trained_in
 from adaptsim_jax.environments.episodes import visit
-from adaptsim_jax.environments.policies import Tuned, everywhere, network_acting, trained_in
+from adaptsim_jax.environments.policies import Tuned, everywhere, network_acting
 from adaptsim_jax.environments.setting import BLIND, EnvironmentConfig, Setting
 from adaptsim_jax.environments.task import environment_setting
 from adaptsim_jax.environments.trainer import Worlds
@@ -79,8 +80,7 @@ def main() -> None:
                 key,
                 setting.trainer.init(init_key),
                 worlds,
-                setting.config.training.rounds,
-                blind=blind,
+                TrainingPlan(setting.config.training.rounds, blind),
             )
             found = np.asarray(score(setting.trainer.policy(learned), worlds.known))
             omega, at = np.sort(found[:POINTS]), found[POINTS:]

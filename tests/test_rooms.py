@@ -149,6 +149,7 @@ WITHIN = {
         "mended",
         "episodes",
         "trainer",
+        "course",
         "targets",
         "setting",
         "policies",
@@ -158,7 +159,6 @@ WITHIN = {
     "tasks": (
         "base",
         "camera_record",
-        "trial_clock",
         "camera_effects",
         "trial_record",
         "trial_diagnosis",

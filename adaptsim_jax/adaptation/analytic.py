@@ -115,16 +115,17 @@ class Analytic:
         (physical).
         """
 
-        def one(u, _):
-            _, obs = self._trial(u, jax.random.key(0), target)
+        def one(u, key):
+            _, obs = self._trial(u, key, target)
             return jnp.clip(self._move(weights, u, obs), 0.0, 1.0), u
 
-        return jax.vmap(lambda u: jax.lax.scan(one, u, None, length=iterations + 1)[1])(starts)
+        keys = jax.random.split(jax.random.key(0), iterations + 1)
+        return jax.vmap(lambda u: jax.lax.scan(one, u, keys)[1])(starts)
 
     def _trial(self, u, key, target):
-        task = self.task
-        policy = task.train(key, gaussian(task.space, u), task.init_policy(key))
-        trajectory = task.rollout(key, policy, target)
+        task, (init_key, train_key, run_key) = self.task, jax.random.split(key, 3)
+        policy = task.train(train_key, gaussian(task.space, u), task.init_policy(init_key))
+        trajectory = task.rollout(run_key, policy, target)
         return self.loss(trajectory), task.observe(trajectory)
 
     def _move(self, weights, u, obs):
@@ -140,7 +141,7 @@ class Analytic:
         of later means is.
         """
 
-        def one(u, _):
+        def one(u, key):
             at = jax.lax.stop_gradient(u)
             by_mean = jax.value_and_grad(self._trial, has_aux=True)
             (value, obs), slope = by_mean(at, key, target)
@@ -152,7 +153,8 @@ class Analytic:
             linear = jnp.sum(jax.lax.stop_gradient(slope) * u)
             return held, (linear, jnp.where(fine, value, jnp.nan))
 
-        _, (surrogate, losses) = jax.lax.scan(one, start, None, length=self.config.horizon + 1)
+        keys = jax.random.split(key, self.config.horizon + 1)
+        _, (surrogate, losses) = jax.lax.scan(one, start, keys)
         return surrogate.mean(), losses
 
     def _total(self, weights, keys):

@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -164,8 +165,8 @@ def _choose(on: jax.Array, new: Any, old: Any) -> Any:
 
 class Asked(NamedTuple):
     """What to run now: `params`, E's mean by name in SI units; `policy`, the task's own, a pytree.
-    Number of the trial, from 1, of how many; act: `(obs [O]) -> action`, of tasks whose policies
-    are called at each step, else None.
+    Number of the trial, from 1, of how many; act: `(obs [..., O]) -> action [..., A]`, of tasks
+    whose policies are called at each step, else None.
     """
 
     params: dict[str, float]
@@ -272,10 +273,10 @@ class Session:
         names, values = self.task.space.names, np.asarray(self.task.space.physical(mean))
         act = None
         if self.task.act is not None:
-            step = jax.jit(self.task.act)
+            step = jax.jit(jnp.vectorize(partial(self.task.act, policy), signature="(o)->(a)"))
 
             def acted(obs):
-                return np.asarray(step(policy, jnp.asarray(obs, jnp.float32)))
+                return np.asarray(step(jnp.asarray(obs, jnp.float32)))
 
             act = acted
 

@@ -209,18 +209,19 @@ def _transitions(episodes: AdaptationEpisode, hyper: Phase1Hyper) -> tuple[Trans
 
 
 def _learn(key, bdq: BDQ, config, hyper, state: Phase1State, number):
-    """`updates` gradient steps on batches drawn beforehand; skipped in effect during warm-up."""
+    """`updates` gradient steps on batches drawn beforehand; none during warm-up."""
     block = config.parallel * config.horizon
     filled = jnp.minimum((number + 1) * block, config.capacity)
-    batches = ring.sample(key, state.replay, filled, (config.updates, config.batch))
-    on = number >= config.warmup
-    rates = replace(
-        hyper.learner,
-        learning_rate=hyper.learner.learning_rate * _rate_share(config, hyper, number) * on,
-        tau=hyper.learner.tau * on,
-    )
-    learner, info = jax.lax.scan(lambda s, b: bdq.update(s, b, rates), state.learner, batches)
-    return learner, (info.loss.mean() * on, info.q.mean() * on, info.grad_norm.mean() * on)
+    rate = hyper.learner.learning_rate * _rate_share(config, hyper, number)
+    rates = replace(hyper.learner, learning_rate=rate)
+
+    def updated():
+        batches = ring.sample(key, state.replay, filled, (config.updates, config.batch))
+        learner, info = jax.lax.scan(lambda s, b: bdq.update(s, b, rates), state.learner, batches)
+        return learner, (info.loss.mean(), info.q.mean(), info.grad_norm.mean())
+
+    nothing = (jnp.zeros(()),) * 3
+    return jax.lax.cond(number >= config.warmup, updated, lambda: (state.learner, nothing))
 
 
 def _epsilon(config, hyper, number):

@@ -16,25 +16,31 @@ from adaptsim_jax.adaptation.episode import StepPlan
 from adaptsim_jax.adaptation.phase1 import Phase1, Phase1Hyper, archive_size, make_phase1
 from adaptsim_jax.adaptation.phase2 import adapt, draw_starts
 from adaptsim_jax.adaptation.sweep_spec import Member, SweepSpec
-from adaptsim_jax.adaptation.training import prepared
+from adaptsim_jax.adaptation.training import learned
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.parallel import largest_divisor
 from adaptsim_jax.core.store import MANIFEST, load_checkpoint, save_checkpoint
 from adaptsim_jax.tasks.registry import make_task
 
+SAVING = 0.05  # of the time, at most, goes into checkpoints
+
 
 class Programs(NamedTuple):
-    """What a group of members is run with, compiled for `width` of them at once. States hold their
-    keys as plain numbers.
+    """What a group of members is run with, `width` of them at once. States hold their keys as plain
+    numbers.
 
-    `init(seeds) -> state`, `advance(state, hyper, numbers [n]) -> (state, (reward [n], finite
-    [n]))`, `finish(state, hyper, seeds, targets [T, D]) -> MemberResult`; all but `numbers` and `targets`
-    with leading axis `[width]`.
-    """  # noqa: E501
+    learned: `(seed, report) -> prepared`, what the task learns once for that seed, `()` where it
+        learns nothing.
+    init: `(prepared, seeds) -> state`. advance: `(prepared, state, hyper, numbers [n]) -> (state,
+        (reward [n], finite [n]))`; the state that it is given is gone. finish: `(prepared, state,
+        hyper, seeds, targets [T, D]) -> MemberResult`. All but `numbers` and `targets` have leading
+        axes `[S]`, a multiple of the devices along members.
+    """
 
     phase1: Phase1
     mesh: Any
     width: int
+    learned: Callable
     init: Callable
     advance: Callable
     finish: Callable
@@ -54,18 +60,29 @@ class MemberResult(NamedTuple):
 def make_programs(spec: SweepSpec, member: Member, width: int, split: devices.Split) -> Programs:
     """Programs for members alike to `member` in all that is static, `width` at a time."""
     config = member.config
-    task = prepared(make_task(spec.task, config.task, "task"), config.seed)
-    phase1 = make_phase1(task, config.phase1, devices.spread(split))
+    task = make_task(spec.task, config.task, "task")
+    made = task.preparation
     mesh = devices.make_mesh(split)
-    used = archive_size(phase1, phase1.config.rounds)
     judge = _judge(spec.task, config.task)
 
-    def init(seed):
-        state = phase1.init(jax.random.key(seed))
+    def phase1_of(ready):
+        return make_phase1(ready, config.phase1, devices.spread(split))
+
+    def task_of(prepared):
+        return task if made is None else made.ready(prepared)
+
+    phase1 = phase1_of(task)
+    used = archive_size(phase1, phase1.config.rounds)
+
+    def learned_by(seed, report):
+        return () if made is None else learned(task, made, seed, None, report)
+
+    def init(prepared, seed):
+        state = phase1_of(task_of(prepared)).init(jax.random.key(seed))
         return state._replace(key=jax.random.key_data(state.key))
 
-    def advance(state, hyper, numbers):
-        state, info = phase1.run(
+    def advance(prepared, state, hyper, numbers):
+        state, info = phase1_of(task_of(prepared)).run(
             state._replace(key=jax.random.wrap_key_data(state.key)), hyper, numbers
         )
         return state._replace(key=jax.random.key_data(state.key)), (
@@ -73,32 +90,37 @@ def make_programs(spec: SweepSpec, member: Member, width: int, split: devices.Sp
             jnp.isfinite(info.loss),
         )
 
-    def finish(state, hyper, seed, targets):
+    def finish(prepared, state, hyper, seed, targets):
         weights = state.learner.target
         start_key, run_key = jax.random.split(
             jax.random.key(seed)
         )  # as `adaptsim adapt --seed` does
         starts = draw_starts(start_key, state.archive, used, spec.starts)
+        ready = task_of(prepared)
 
-        def one(target):
+        def one(target, task=ready):
             plan = StepPlan(spec.iterations, hyper.delta, hyper.shrink)
             result = adapt(run_key, task, phase1.bdq, weights, starts, target, plan)
             best, rewards = judge(result, target)
             return best, task.space.physical(result.mean), rewards
 
         whole = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(weights)]))
-        return MemberResult(whole, *jax.lax.map(one, targets))
+        if ready.world is None or not spec.targets:
+            return MemberResult(whole, *jax.lax.map(one, targets))
+        found = [one(targets[i], ready.world(name)) for i, name in enumerate(spec.targets)]
+        return MemberResult(whole, *jax.tree.map(lambda *x: jnp.stack(x), *found))
 
-    def over(f, *batched):
-        return devices.over_members(f, mesh, batched)
+    def over(f, *batched, donated=()):
+        return devices.over_members(f, mesh, batched, donated)
 
     return Programs(
         phase1,
         mesh,
         width,
-        over(init, True),
-        over(advance, True, True, False),
-        over(finish, True, True, True, False),
+        learned_by,
+        over(init, True, True),
+        over(advance, True, True, True, False, donated=(1,)),
+        over(finish, True, True, True, True, False),
     )
 
 
@@ -138,50 +160,61 @@ def run_batch(
     members: list[Member],
     folder: Path,
     *,
+    width: int,
     progress: Callable[[int, str], None],
     save_after: float = 30.0,
-) -> tuple[list[dict[str, Any]], Any]:
-    """`(rows, state)` of at most `width` members, from the checkpoint in `folder` if there is one.
+) -> tuple[list[dict[str, Any]], Any, Any]:
+    """`(rows, state, prepared)` of at most `width` members, from `folder` if it has a
+    checkpoint.
         A row is plain data:
     reward: of each round's last steps; faulty: the first round whose loss was not finite, -1 where
         all were; whole, best, params,
-    rewards: see `MemberResult`. state: host arrays of the last state, leaves `[width, ...]`.
+    rewards: see `MemberResult`. state, prepared: host arrays at the end, leaves `[width, ...]`.
 
     `progress(rounds done, note)` is called between chunks; a checkpoint is written when the last
-    one is `save_after` s old.
+    one is `save_after` s old, and less often where that would take more than a twentieth of the
+    time.
     """
-    width, phase1, mesh = programs.width, programs.phase1, programs.mesh
+    phase1, mesh = programs.phase1, programs.mesh
     padded = [*members, *[members[-1]] * (width - len(members))]
     seeds = devices.put(np.array([m.config.seed for m in padded], np.uint32), mesh)
     hyper = devices.put(_stacked(padded), mesh)
     total, done = phase1.config.rounds, 0
-    state = programs.init(seeds)
+
+    def report(at: int, count: int, note: str) -> None:
+        progress(0, note)
+
+    by_seed = {m.config.seed: programs.learned(m.config.seed, report) for m in members}
+    prepared = jax.tree.map(lambda *x: np.stack(x), *[by_seed[m.config.seed] for m in padded])
+    on_devices = devices.put(prepared, mesh)
+    state = programs.init(on_devices, seeds)
     curves = tuple(np.zeros((width, total), t) for t in (np.float32, np.bool_))
     if (folder / MANIFEST).exists():
         like = {"state": jax.eval_shape(lambda x: x, state), "curves": curves}
         restored, done = load_checkpoint(folder, like, task=spec.task)
         state = devices.put(restored["state"], mesh)
         curves = tuple(map(np.array, restored["curves"]))
-    saved = time.monotonic()
+    saved, wait = time.monotonic(), save_after
     size = largest_divisor(min(members[0].config.every, total), total, done)
     while done < total:
         numbers = devices.put(np.arange(done, done + size), mesh, batched=False)
-        state, found = programs.advance(state, hyper, numbers)
+        state, found = programs.advance(on_devices, state, hyper, numbers)
         for curve, part in zip(curves, devices.fetch(found), strict=True):
             curve[:, done : done + size] = part
         done += size
         progress(done, f"reward {np.nanmean(curves[0][:, done - 1]):.2f}")
-        if devices.agreed(done < total and time.monotonic() - saved >= save_after):
+        if devices.agreed(done < total and time.monotonic() - saved >= wait):
+            begun = time.monotonic()
             whole = devices.fetch(state)
             if devices.first():
                 tree = {"state": whole, "curves": curves}
                 save_checkpoint(folder, tree, task=spec.task, step=done, config_hash="")
             saved = time.monotonic()
+            wait = max(save_after, (saved - begun) / SAVING)
     targets = devices.put(_targets(phase1, spec), mesh, batched=False)
-    last = devices.fetch(programs.finish(state, hyper, seeds, targets))
-    return [_row(curves, last, i) for i in range(len(members))], devices.fetch(
-        state
-    ) if spec.keep else None
+    last = devices.fetch(programs.finish(on_devices, state, hyper, seeds, targets))
+    rows = [_row(curves, last, i) for i in range(len(members))]
+    return rows, devices.fetch(state) if spec.keep else None, prepared
 
 
 def _row(curves: tuple[np.ndarray, ...], found: MemberResult, i: int) -> dict[str, Any]:

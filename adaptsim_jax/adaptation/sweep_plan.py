@@ -86,16 +86,19 @@ def spread(split: Split) -> Callable:
     return over
 
 
-def over_members(function: Callable, mesh: Mesh, batched: tuple[bool, ...]) -> Callable:
+def over_members(
+    function: Callable, mesh: Mesh, batched: tuple[bool, ...], donated: tuple[int, ...] = ()
+) -> Callable:
     """`function` of one member, compiled for all members of a batch: arguments with `batched` have
     leaves `[S, ...]`, the others are the same for all; `S` is a multiple of the devices along
-    `members`. Results have leaves `[S, ...]`.
+    `members`. Results have leaves `[S, ...]`. donated: Arguments whose memory the results take.
     """
     specs = tuple(P(MEMBERS) if b else P() for b in batched)
     many = jax.vmap(function, in_axes=tuple(0 if b else None for b in batched))
     # what lies along `trajectories` is equal on all of its devices, which the checker cannot know
     return jax.jit(
-        jax.shard_map(many, mesh=mesh, in_specs=specs, out_specs=P(MEMBERS), check_vma=False)
+        jax.shard_map(many, mesh=mesh, in_specs=specs, out_specs=P(MEMBERS), check_vma=False),
+        donate_argnums=donated,
     )
 
 
@@ -233,7 +236,12 @@ def _useful(devices: int) -> int:
 def _width(count: int, limit: int, along: int) -> int:
     """Even batches of at most `limit`, rounded up to a multiple of the devices along them."""
     batches = math.ceil(count / min(limit, count))
-    return math.ceil(math.ceil(count / batches) / along) * along
+    return padded(math.ceil(count / batches), along)
+
+
+def padded(count: int, along: int) -> int:
+    """`count` members, rounded up to a multiple of the devices along them."""
+    return math.ceil(count / along) * along
 
 
 def member_bytes(task: Task, config: Phase1Config) -> int:

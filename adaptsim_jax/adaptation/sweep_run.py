@@ -22,6 +22,7 @@ from adaptsim_jax.adaptation.sweep_batch import Programs, halved, make_programs,
 from adaptsim_jax.adaptation.sweep_folder import SweepFolder
 from adaptsim_jax.adaptation.sweep_plan import MemberBatch
 from adaptsim_jax.adaptation.sweep_spec import Member, Sweep
+from adaptsim_jax.adaptation.training import FOLDER, keep
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import without_nan
@@ -102,14 +103,16 @@ def rows_of(
     def run(some: list[Member]) -> list[dict[str, Any]]:
         programs = held.programs_of(batch)
         work = folder.work(batch, some)
-        found, state = run_batch(
-            programs, sweep.spec, some, work, progress=report, save_after=save_after
+        width = programs.width  # of a part of the batch, which did not fit whole, less
+        if len(some) < len(members):
+            width = devices.padded(len(some), programs.mesh.shape[devices.MEMBERS])
+        found, state, prepared = run_batch(
+            programs, sweep.spec, some, work, width=width, progress=report, save_after=save_after
         )
         if sweep.spec.keep and devices.first():
             for i, member in enumerate(some):
-                _leave_run(
-                    programs, sweep, folder, member, jax.tree.map(lambda x, i=i: x[i], state)
-                )
+                own = jax.tree.map(lambda x, i=i: x[i], (state, prepared))
+                _leave_run(programs, sweep, folder, member, *own)
         return [_row(sweep, member, each) for member, each in zip(some, found, strict=True)]
 
     return halved(members, run, failed_row)
@@ -151,7 +154,7 @@ def _row(sweep: Sweep, member: Member, found: dict[str, Any]) -> dict[str, Any]:
 
 
 def _leave_run(
-    programs: Programs, sweep: Sweep, folder: SweepFolder, member: Member, state: Any
+    programs: Programs, sweep: Sweep, folder: SweepFolder, member: Member, state: Any, prepared: Any
 ) -> None:
     """The member as a run folder that `adaptsim adapt` reads, unless it is there whole."""
     path = folder.path / "runs" / f"{member.index:05d}"
@@ -159,6 +162,9 @@ def _leave_run(
         return
     (path / "config.toml").unlink(missing_ok=True)  # of a process that was killed in between
     run = RunFolder.create(Path(path), configs.to_table(member.config), task=sweep.spec.task)
+    task = programs.phase1.task
+    if prepared != ():
+        keep(path / FOLDER, task, prepared, member.config.seed)
     key = jax.random.wrap_key_data(jnp.asarray(state.key))
     run.save(state._replace(key=key), programs.phase1.config.rounds)
 

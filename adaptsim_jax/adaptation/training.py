@@ -75,7 +75,7 @@ def learned(
     make: bool = True,
 ) -> Any:
     """What `made` learns, as `prepared` finds or makes it: a pytree of arrays."""
-    digest = config.digest({"task": task.name, "seed": seed, "of": made.digest()})
+    digest = _digest(task, seed)
     shared = process.cache_folder() / FOLDER / digest[:32]
     own = None if folder is None else Path(folder) / FOLDER
     like = jax.eval_shape(made.blank, jax.random.key(0))
@@ -91,18 +91,30 @@ def learned(
         if place == shared:
             _report_reuse(place)
             if own is not None:
-                _keep(own, tree, task.name, digest)
+                keep(own, task, tree, seed)
         return tree
     if not make:
         raise BadInput(
             f"{folder}: its policy was not trained yet; run `adaptsim train` with --resume first"
         )
-    tree = made.make(jax.random.key(seed), report)
-    for place in filter(
-        None, (own, shared if os.environ.get("JAX_ENABLE_COMPILATION_CACHE") != "false" else None)
-    ):
-        _keep(place, tree, task.name, digest)
+    cached = os.environ.get("JAX_ENABLE_COMPILATION_CACHE") != "false"
+    places = [p for p in (own, shared if cached else None) if p is not None]
+    kept = None
+    if places:
+        so_far = places[0].with_name(f"{places[0].name}-so-far")
+        kept = store.Kept(so_far, task.name, digest)
+    tree = made.make(jax.random.key(seed), report, kept)
+    for place in places:
+        keep(place, task, tree, seed)
+    if kept is not None:
+        kept.clear()
     return tree
+
+
+def _digest(task: Task, seed: int) -> str:
+    """Of all that what `task` learns once depends on."""
+    assert task.preparation is not None
+    return config.digest({"task": task.name, "seed": seed, "of": task.preparation.digest()})
 
 
 def _report_reuse(place: Path) -> None:
@@ -116,8 +128,11 @@ def _report_reuse(place: Path) -> None:
     )
 
 
-def _keep(place: Path, tree, task: str, digest: str) -> None:
-    store.save_checkpoint(place, tree, task=task, step=0, config_hash=digest)
+def keep(place: Path, task: Task, tree: Any, seed: int) -> None:
+    """Write what `task` learned once with `seed` into the folder `place`, where `learned` finds
+    it.
+    """
+    store.save_checkpoint(place, tree, task=task.name, step=0, config_hash=_digest(task, seed))
     if place.name != FOLDER:
         others = sorted(place.parent.glob("*/" + store.MANIFEST), key=lambda p: p.stat().st_mtime)
     else:
@@ -293,7 +308,7 @@ def table_of(path: str | Path, task: str, where: str) -> dict[str, Any]:
         return table
     if table.get("task", task) != task:
         raise BadInput(f"{where}: is of task '{table['task']}', not '{task}'; name another file")
-    return table["config"]
+    return store.config_in(table, Path(path).parent)
 
 
 def with_defaults(task: str, table: dict[str, Any]) -> dict[str, Any]:

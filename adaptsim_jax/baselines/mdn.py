@@ -16,6 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
+from adaptsim_jax.learners.bdq import held
+
 
 class Mixture(NamedTuple):
     """A Gaussian mixture: `log_weights [..., K]`, `means [..., K, D]`, `factors [..., K, D, D]`
@@ -68,7 +70,7 @@ class MixtureNetwork(nn.Module):
             start = np.full((1, 1), 0.5)
         means = heads[:, 1 : 1 + D] + jnp.asarray(start, x.dtype)
         log_diagonal = heads[:, 1 + D : 1 + 2 * D] + np.log(4.0)
-        diagonal = jnp.exp(jnp.clip(log_diagonal, -3.0, 8.0))
+        diagonal = jnp.exp(held(log_diagonal, -3.0, 8.0))
         factors = jnp.zeros((K, D, D), x.dtype)
         factors = factors.at[:, rows, cols].set(heads[:, 1 + 2 * D :])
         factors = factors.at[:, np.arange(D), np.arange(D)].set(diagonal)

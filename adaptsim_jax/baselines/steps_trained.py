@@ -16,7 +16,8 @@ from scipy.stats import qmc
 from adaptsim_jax.baselines.arena import MethodRun, Visits, lanes
 from adaptsim_jax.baselines.steps_arena import StepsArena
 from adaptsim_jax.core.parallel import largest_divisor
-from adaptsim_jax.environments.policies import Law, Tuned, everywhere, trained_in
+from adaptsim_jax.environments.course import TrainingPlan, trained_in
+from adaptsim_jax.environments.policies import Law, Tuned, everywhere
 from adaptsim_jax.environments.setting import compiled
 from adaptsim_jax.environments.trainer import Worlds, make_ppo_trainer
 
@@ -66,13 +67,12 @@ def _network(run: MethodRun, name: str, worlds_of: Callable[[Any], Worlds]) -> T
         key, init_key, _ = jax.random.split(
             jax.random.key(seed), 3
         )  # as `prepared_of`: luck in training is shared
-        rounds = setting.config.training.rounds
         learned = trained_in(
             setting.trainer,
             key,
             setting.trainer.init(init_key),
             worlds_of(setting),
-            rounds,
+            TrainingPlan(setting.config.training.rounds),
             run.report,
         )
         run.shared[name] = Tuned(jnp.full(setting.space.dim, 0.5), setting.trainer.policy(learned))
@@ -165,7 +165,8 @@ def oracle(run: MethodRun) -> Visits:
         u = setting.space.unit(jnp.asarray(values[:D], jnp.float32))
         worlds = Worlds(u, u, jnp.ones(()), jnp.asarray(values[D:], jnp.float32))
         key = jax.random.fold_in(jax.random.key(int(run.seeds[0])), 200 + t)
-        learned = trained_in(trainer, key, arena.prepared.learned, worlds, rounds, run.report)
+        plan = TrainingPlan(rounds)
+        learned = trained_in(trainer, key, arena.prepared.learned, worlds, plan, run.report)
         tuned = Tuned(u, trainer.policy(learned))
         law = arena.score(np.full(1, t), Law(jnp.clip(u, 0.0, 1.0)[None]))
         own = arena.score(np.full(1, t), jax.tree.map(lambda x: x[None], tuned))

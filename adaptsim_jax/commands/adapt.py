@@ -157,7 +157,10 @@ def _show(found: dict[str, Any]) -> None:
     )
     for start, visits in enumerate(found["history"], 1):
         print(f"  start {start}: reward {' '.join(_digits(visit['reward']) for visit in visits)}")
-    if not any(visit["reward"] for visits in found["history"] for visit in visits):
+    rewards = [visit["reward"] for visits in found["history"] for visit in visits]
+    if all(reward is None for reward in rewards):
+        print("  no return is a number here: mend the reward, or what the target says")
+    elif not any(rewards):
         print(
             "  no visit earned a reward: it tells no policies apart here; widen Omega, or reward "
             "what comes near"

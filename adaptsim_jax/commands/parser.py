@@ -62,7 +62,8 @@ def read_target(text: str, task: Any) -> tuple[str, Any, Any]:
 
     The parameters stand at the top of the file or under `[params]`; all are checked against
     physical ranges. A `model.toml` is a target with effects of its own: `world` is then `task` with
-    that model to act in, else None. So it is where a setting has more than parameters of Omega.
+    that model to act in, else None. So it is where a target has more than parameters of Omega, any
+    field of an environment.
     """
     if text in task.settings:
         world = None if task.world is None else task.world(text)
@@ -71,6 +72,9 @@ def read_target(text: str, task: Any) -> tuple[str, Any, Any]:
     if not path.exists():
         known = (*task.settings, "a TOML file of parameters")
         raise BadInput(f"unknown target '{text}', and no such file; {config.suggest(text, known)}")
+    if task.world is not None:
+        world = task.world(path)
+        return path.stem, world.space.values(world.settings[path.stem], str(path)), world
     table = config.read(path)
     if "declared" in table and "schema" in table:
         from adaptsim_jax.mend.pendulum_model import model_of

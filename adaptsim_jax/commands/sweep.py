@@ -194,20 +194,15 @@ def _folder(args: argparse.Namespace, sweep: Any, plan: Any, out: Path) -> Any:
 def _finish(folder: Any, as_json: bool) -> int:
     from adaptsim_jax.adaptation.sweep_folder import write_results
     from adaptsim_jax.commands.parser import next_step, print_file
-    from adaptsim_jax.report.sweep_figures import draw
     from adaptsim_jax.report.sweep_page import write_sweep_page
 
     found = write_results(folder)
-    draw(found, folder.path)
     page = write_sweep_page(found, folder.path)
     if as_json:
         print_file(folder.path / "results.json")
         return 0
     _print(found)
-    print(
-        f"written: {folder.path / 'results.csv'}, results.json, {len(found['swept']) + 1} figures, "
-        f"and {page}"
-    )
+    print(f"written: {folder.path / 'results.csv'}, results.json, and {page}")
     next_step(
         f"sweep show {shlex.quote(str(folder.path))}    at any time, also beside a sweep that runs"
     )

@@ -10,13 +10,20 @@ what it has is faster, and smaller at its peak. Garbage: rare searches.
 
 from __future__ import annotations
 
+import contextlib
 import gc
+import io
 import os
 import platform
+import signal
+import stat
 import sys
 import tempfile
+import threading
+from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 from adaptsim_jax.core.errors import BadInput
 
@@ -159,6 +166,47 @@ def computing() -> list[str]:
     return lines
 
 
+class Pipe(io.FileIO):
+    """A pipe whose reader may go away (`adaptsim effects | head`): what is written then is lost,
+    and the work goes on.
+    """
+
+    def write(self, data: Any) -> int:
+        """The number of bytes written, or lost."""
+        try:
+            return super().write(data) or 0
+        except BrokenPipeError:
+            return len(data)
+
+
+def patient_output() -> None:
+    """Go on where the reader of standard output went away."""
+    out = sys.stdout
+    ours = out is sys.__stdout__ and isinstance(out, io.TextIOWrapper)
+    if not ours or not stat.S_ISFIFO(os.fstat(out.fileno()).st_mode):
+        return
+    out.flush()
+    pipe: Any = Pipe(os.dup(out.fileno()), "wb")
+    if isinstance(out.buffer, io.BufferedWriter):  # not under PYTHONUNBUFFERED
+        pipe = io.BufferedWriter(pipe)
+    options = {"line_buffering": out.line_buffering, "write_through": out.write_through}
+    sys.stdout = io.TextIOWrapper(pipe, encoding=out.encoding, errors=out.errors, **options)
+
+
+@contextlib.contextmanager
+def stopped_by_sigterm() -> Iterator[None]:
+    """Within it SIGTERM, as a scheduler sends it, stops the work as Ctrl-C does."""
+    ours = threading.current_thread() is threading.main_thread()
+    if not ours or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
+        yield
+        return
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
 def legible_streams() -> None:
     """Write what a terminal or pipe cannot encode as escapes, in the place of failing."""
     for stream in (sys.stdout, sys.stderr):
@@ -180,10 +228,17 @@ FLAGS = (
 
 def small_steps() -> bool:
     """Set the flags, to be called before the first program is compiled; True where they are set
-    now. A user's own `XLA_FLAGS` stay as they are, and a jaxlib that may not know these is left
-    alone.
+    now. A user's own `XLA_FLAGS` stay as they are. A jaxlib that may not know these is left alone,
+    and the user is informed.
     """
-    if NAME in os.environ or not metadata.version("jaxlib").startswith(KNOWN_TO):
+    if NAME in os.environ:
+        return False
+    if not (version := metadata.version("jaxlib")).startswith(KNOWN_TO):
+        print(
+            f"adaptsim: jaxlib {version}: XLA's flags for loops of small steps are known of "
+            f"{KNOWN_TO}* alone and are left out; this may take a third longer",
+            file=sys.stderr,
+        )
         return False
     os.environ[NAME] = " ".join(FLAGS)
     return True

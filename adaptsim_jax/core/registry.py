@@ -11,6 +11,7 @@ for, so that listing names loads no JAX. Another package adds to it by an entry 
 
 import importlib.util
 import sys
+import traceback
 from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
 from importlib.metadata import EntryPoint, entry_points
@@ -101,16 +102,28 @@ def function_named(text: str, where: str) -> Callable[..., Any]:
     return made
 
 
+OWN = "adaptsim_own_"  # begins the names of modules that are a person's own files
+
+
 def _module(home: str, where: str) -> ModuleType:
     if home.endswith(".py"):
         path = Path(home)
         if not path.exists():
-            raise BadInput(f"{where}: {home}: no such file; name the file of your function")
-        spec = importlib.util.spec_from_file_location(f"adaptsim_own_{path.stem}", path)
+            raise BadInput(
+                f"{where}: {home}: no such file; put it there, or name it by its new place (of a "
+                "run: in its config.toml)"
+            )
+        spec = importlib.util.spec_from_file_location(f"{OWN}{path.stem}", path)
         assert spec is not None and spec.loader is not None
         module = importlib.util.module_from_spec(spec)
         sys.modules[spec.name] = module
-        spec.loader.exec_module(module)
+        folder = str(path.resolve().parent)
+        if folder not in sys.path:  # it may import its neighbours, now and later
+            sys.path.append(folder)
+        try:
+            spec.loader.exec_module(module)
+        except SyntaxError as error:
+            raise BadInput(f"{where}: {home}, line {error.lineno}: {error.msg}; mend it") from None
         return module
     try:
         return importlib.import_module(home)
@@ -119,3 +132,17 @@ def _module(home: str, where: str) -> ModuleType:
             f"{where}: no module '{error.name}'; install it, or name a file: "
             f"path/to/{home}.py:function"
         ) from None
+
+
+def own_line(error: BaseException) -> str | None:
+    """'rig.py, line 7' of the last line that `error` passed in a person's own file, or in a
+    neighbour of it; None where it passed none.
+    """
+    files = [m.__file__ for name, m in list(sys.modules.items()) if name.startswith(OWN)]
+    folders = {Path(file).resolve().parent for file in files if file}
+    found = None
+    for frame, line in traceback.walk_tb(error.__traceback__):
+        path = Path(frame.f_code.co_filename)
+        if folders and path.resolve().parent in folders:
+            found = f"{path.name}, line {line}"
+    return found

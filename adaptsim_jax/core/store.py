@@ -1,7 +1,7 @@
 """Run folders and checkpoints: written under a temporary name, renamed, checked in full, never
 executed.
 
-A checkpoint folder holds `manifest.json` and the payload (`state-<step>-<hash>.npz`) that it names.
+A checkpoint folder holds `manifest.json` and the payload that it names (`state-<step>-<hash>.npz`).
 The payload is written and renamed first, the manifest after it, the old payload removed last:
 whenever the process dies, the manifest on disk names a whole payload. It also records how long
 `metrics.jsonl` was.
@@ -13,6 +13,13 @@ import contextlib
 import hashlib
 import json
 import os
+import re
+import secrets
+import shutil
+import sys
+import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +27,7 @@ from adaptsim_jax import __version__
 from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import (
+    atomic_file,
     output_errors,
     output_folder,
     without_nan,
@@ -27,11 +35,17 @@ from adaptsim_jax.core.files import (
     write_json,
 )
 
+
+class Torn(BadInput):
+    """A checkpoint that was cut or changed since it was written."""
+
+
 SCHEMA = 1
 MANIFEST = "manifest.json"
 CONFIG = "config.toml"
 METRICS = "metrics.jsonl"
 CHECKPOINT = "checkpoint"
+BEFORE = "before"  # within it, the checkpoint before
 
 
 def save_checkpoint(
@@ -53,10 +67,14 @@ def save_checkpoint(
     from adaptsim_jax.core import tree_store
 
     folder = output_folder(folder)
-    leaves, payload = tree_store.pack(tree)
-    digest = hashlib.sha256(payload).hexdigest()
+    leaves, arrays = tree_store.described(tree)
+    unnamed = folder / f"state-{step}-{secrets.token_hex(6)}.npz"
+    with atomic_file(unnamed) as file:
+        payload = tree_store.Hashed(file)
+        tree_store.write(payload, arrays)
+    digest = payload.sha256.hexdigest()
     name = f"state-{step}-{digest[:12]}.npz"
-    write_bytes(folder / name, payload)
+    os.replace(unnamed, folder / name)
     manifest = {
         "schema": SCHEMA,
         "package": "adaptsim_jax",
@@ -65,7 +83,7 @@ def save_checkpoint(
         "step": int(step),
         "config_hash": config_hash,
         "payload": name,
-        "bytes": len(payload),
+        "bytes": payload.length,
         "sha256": digest,
         "leaves": leaves,
         "extra": extra or {},
@@ -82,6 +100,56 @@ def _sweep(folder: Path, keep: str) -> None:
             if old.name != keep:
                 with contextlib.suppress(OSError):
                     old.unlink()
+
+
+class Kept:
+    """A checkpoint of long work, written every `every` s: it is found again where it is of the same
+    `config_hash`.
+    """
+
+    def __init__(self, folder: Path, task: str, config_hash: str, every: float = 30.0):
+        self.folder, self.task, self.config_hash, self.every = folder, task, config_hash, every
+        self.saved = time.monotonic()
+
+    def restore(self, like: Any) -> tuple[Any, int]:
+        """`(tree, step)` to go on from; `(like, 0)` where there is none that is whole and of the
+        same.
+        """
+        with contextlib.suppress(BadInput):
+            if read_manifest(self.folder)["config_hash"] == self.config_hash:
+                return load_checkpoint(self.folder, like, task=self.task)
+        return like, 0
+
+    def save(self, tree: Any, step: int) -> None:
+        """Write `tree` at `step` where the last one is old enough."""
+        if time.monotonic() - self.saved < self.every:
+            return
+        hashed = {"task": self.task, "config_hash": self.config_hash}
+        with contextlib.suppress(BadInput):  # the work is worth more than its checkpoint
+            save_checkpoint(self.folder, tree, step=step, **hashed)
+        self.saved = time.monotonic()
+
+    def clear(self) -> None:
+        """Remove it: the work is done."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def _copy_checkpoint(folder: Path, into: Path) -> None:
+    """`folder`'s checkpoint in `into` too, by another link to the same payload. One whose manifest
+    is torn is left out.
+    """
+    try:
+        name = read_manifest(folder)["payload"]
+    except Torn:
+        return
+    output_folder(into)
+    if not (into / name).exists():
+        try:
+            os.link(folder / name, into / name)
+        except OSError:  # a file system without links
+            shutil.copyfile(folder / name, into / name)
+    write_bytes(into / MANIFEST, (folder / MANIFEST).read_bytes())
+    _sweep(into, keep=name)
 
 
 def load_checkpoint(folder: str | os.PathLike, like: Any, *, task: str) -> tuple[Any, int]:
@@ -104,12 +172,12 @@ def load_checkpoint(folder: str | os.PathLike, like: Any, *, task: str) -> tuple
     try:
         payload = path.read_bytes()
     except OSError as error:
-        raise BadInput(f"{path}: the checkpoint is torn ({error.strerror}); {_RENEW}") from None
+        raise Torn(f"{path}: the checkpoint is torn ({error.strerror}); {_RENEW}") from None
     if (
         len(payload) != manifest["bytes"]
         or hashlib.sha256(payload).hexdigest() != manifest["sha256"]
     ):
-        raise BadInput(f"{path}: the checkpoint is torn (it does not match its manifest); {_RENEW}")
+        raise Torn(f"{path}: the checkpoint is torn (it does not match its manifest); {_RENEW}")
     return tree_store.unpack(payload, manifest["leaves"], like, where=str(path)), manifest["step"]
 
 
@@ -141,15 +209,13 @@ def read_manifest(folder: str | os.PathLike) -> dict[str, Any]:
             f"{path}: cannot be read ({error.strerror}); name a run that was trained"
         ) from None
     except (ValueError, RecursionError):
-        raise BadInput(f"{path}: the checkpoint is torn (not JSON); {_RENEW}") from None
+        raise Torn(f"{path}: the checkpoint is torn (not JSON); {_RENEW}") from None
     if not isinstance(manifest, dict) or manifest.get("package") != "adaptsim_jax":
         raise BadInput(f"{path}: not a checkpoint of adaptsim_jax; name a run of `adaptsim train`")
     check_version(path, manifest)
     whole = all(type(manifest.get(name)) is kind for name, kind in _FIELDS.items())
     if not whole or manifest.get("seal") != _seal(manifest):
-        raise BadInput(
-            f"{path}: the checkpoint is torn (its manifest was changed or cut); {_RENEW}"
-        )
+        raise Torn(f"{path}: the checkpoint is torn (its manifest was changed or cut); {_RENEW}")
     return manifest
 
 
@@ -174,6 +240,32 @@ def _seal(manifest: dict[str, Any]) -> str:
 # ---------------------------------------------------------------- run folders
 
 
+_FILE = re.compile(r"(.+\.py):(\w+)")
+
+
+def _with_files(table: Any, named: Callable[[str], str]) -> Any:
+    """`table` with each `file.py:function` in it as `named(file.py)` has its file."""
+    if isinstance(table, dict):
+        return {key: _with_files(value, named) for key, value in table.items()}
+    if isinstance(table, list | tuple):
+        return [_with_files(value, named) for value in table]
+    found = _FILE.fullmatch(table) if isinstance(table, str) else None
+    return table if found is None else f"{os.path.normpath(named(found[1]))}:{found[2]}"
+
+
+def config_in(table: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """The config in the `config.toml` of a run, read from `folder`, with whole names of files."""
+    return _with_files(table["config"], partial(os.path.join, folder.resolve()))
+
+
+def _identity(table: dict[str, Any]) -> dict[str, Any]:
+    """What of a config makes a run what it is: not where files lie, nor what it is adapted to."""
+    named = _with_files(table, os.path.basename)
+    if isinstance(named.get("task"), dict):
+        named["task"] = {key: x for key, x in named["task"].items() if key != "targets"}
+    return named
+
+
 class RunFolder:
     """A run on disk: `config.toml`, `metrics.jsonl`, `checkpoint/`. Made by `create`, `open`,
     `resume`.
@@ -183,6 +275,7 @@ class RunFolder:
         self.path = path
         self.task = task
         self.config = table
+        self._older = ""  # what versions before called the hash of its config
 
     @classmethod
     def create(cls, path: str | os.PathLike, table: dict[str, Any], *, task: str) -> RunFolder:
@@ -194,9 +287,9 @@ class RunFolder:
             if (path / CONFIG).exists() or (path / CHECKPOINT).exists():
                 raise BadInput(f"{path}: holds a run already; add --resume, or name another folder")
         output_folder(path)
-        head = {"schema": SCHEMA, "version": __version__, "task": task}
-        config.write(path / CONFIG, {**head, "config": table})
-        return cls(path, task, table)
+        run = cls(path, task, table)
+        run._write_config()
+        return run
 
     @classmethod
     def open(cls, path: str | os.PathLike, *, task: str | None = None) -> RunFolder:
@@ -221,7 +314,15 @@ class RunFolder:
             raise BadInput(
                 f"{path}: this run is of task '{table['task']}', not '{task}'; name another"
             )
-        return cls(path, table["task"], table["config"])
+        run = cls(path, table["task"], config_in(table, path))
+        run._older = config.digest(table["config"])
+        return run
+
+    def _write_config(self) -> None:
+        """Files of a person's own are named as they lie from here, so that both may move."""
+        head = {"schema": SCHEMA, "version": __version__, "task": self.task}
+        table = _with_files(self.config, partial(os.path.relpath, start=self.path.resolve()))
+        config.write(self.path / CONFIG, {**head, "config": table})
 
     @classmethod
     def resume(cls, path: str | os.PathLike, table: dict[str, Any], *, task: str) -> RunFolder:
@@ -229,18 +330,21 @@ class RunFolder:
         differs.
         """
         run = cls.open(path, task=task)
-        changed = config.differences(run.config, table)
+        changed = config.differences(_identity(run.config), _identity(table))
         if changed:
             raise BadInput(
                 f"{run.path / CONFIG}: this run was started otherwise ({'; '.join(changed)}); ask "
                 "for the same, or name another folder"
             )
         output_folder(path)
+        if config.differences(run.config, table):
+            run.config = table
+            run._write_config()
         return run
 
     @property
     def config_hash(self) -> str:
-        return config.digest(self.config)
+        return config.digest(_identity(self.config))
 
     @property
     def checkpoint(self) -> Path:
@@ -267,6 +371,8 @@ class RunFolder:
         """Checkpoint `tree` at `step` together with the length of the metrics written so far."""
         length = self.metrics.stat().st_size if self.metrics.exists() else 0
         extra = {"metrics_bytes": length}
+        if self.has_checkpoint():
+            _copy_checkpoint(self.checkpoint, self.checkpoint / BEFORE)
         save_checkpoint(
             self.checkpoint,
             tree,
@@ -277,15 +383,30 @@ class RunFolder:
         )
 
     def load(self, like: Any) -> tuple[Any, int]:
-        """`(tree, step)` of the checkpoint; BadInput also where it was made under another
-        config.
+        """`(tree, step)` of the checkpoint, of the one before where the last is torn; BadInput also
+        where it was made under another config.
         """
-        manifest = read_manifest(self.checkpoint)
-        if manifest["config_hash"] != self.config_hash:
+        return self._whole(like)[1]
+
+    def _whole(self, like: Any) -> tuple[Path, tuple[Any, int]]:
+        """The folder of the last whole checkpoint, and its `(tree, step)`."""
+        before = self.checkpoint / BEFORE
+        try:
+            return self.checkpoint, self._loaded(self.checkpoint, like)
+        except Torn as torn:
+            if not (before / MANIFEST).exists():
+                raise
+            found = self._loaded(before, like)
+            why = str(torn).removesuffix(f"; {_RENEW}")
+            print(f"{why}; the one before it is taken, of step {found[1]}", file=sys.stderr)
+            return before, found
+
+    def _loaded(self, folder: Path, like: Any) -> tuple[Any, int]:
+        if read_manifest(folder)["config_hash"] not in (self.config_hash, self._older):
             raise BadInput(
                 f"{self.path}: {CONFIG} was changed since the checkpoint was written; restore it"
             )
-        return load_checkpoint(self.checkpoint, like, task=self.task)
+        return load_checkpoint(folder, like, task=self.task)
 
     def restore(self, like: Any) -> tuple[Any, int]:
         """As `load`, to continue: metrics written after the checkpoint are cut off, for they will
@@ -297,8 +418,10 @@ class RunFolder:
         if not self.has_checkpoint():
             self._cut_metrics(0)
             return like, 0
-        tree, step = self.load(like)
-        self._cut_metrics(int(read_manifest(self.checkpoint)["extra"].get("metrics_bytes", 0)))
+        folder, (tree, step) = self._whole(like)
+        if folder != self.checkpoint:
+            _copy_checkpoint(folder, self.checkpoint)
+        self._cut_metrics(int(read_manifest(folder)["extra"].get("metrics_bytes", 0)))
         return tree, step
 
     def read_metrics(self) -> list[dict[str, Any]]:

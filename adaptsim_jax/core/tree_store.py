@@ -6,9 +6,10 @@ the rest.
 
 from __future__ import annotations
 
+import hashlib
 import io
 import zipfile
-from typing import Any
+from typing import Any, BinaryIO, cast
 
 import jax
 import jax.numpy as jnp
@@ -19,14 +20,28 @@ from adaptsim_jax.core.errors import BadInput
 _PLAIN = "biufc"
 
 
-def pack(tree: Any) -> tuple[list[dict[str, Any]], bytes]:
-    """`(leaves, npz bytes)`: leaves list path, kind, dtype and shape in the order of the arrays a0,
-    a1, ...
+class Hashed:
+    """A file that is being written: the hash and the length in bytes of what was."""
+
+    def __init__(self, file: BinaryIO):
+        self.file, self.sha256, self.length = file, hashlib.sha256(), 0
+
+    def write(self, data: Any) -> int:
+        self.sha256.update(data)
+        self.length += memoryview(data).nbytes
+        return self.file.write(data)
+
+    def flush(self) -> None:
+        self.file.flush()
+
+
+def described(tree: Any) -> tuple[list[dict[str, Any]], list[np.ndarray]]:
+    """`(leaves, arrays)`: leaves list path, kind, dtype and shape in the order of the arrays.
 
     Raises TypeError for a leaf that is neither an array, a number nor a PRNG key.
     """
-    leaves, arrays = [], {}
-    for index, (path, leaf) in enumerate(jax.tree_util.tree_flatten_with_path(tree)[0]):
+    leaves, arrays = [], []
+    for path, leaf in jax.tree_util.tree_flatten_with_path(tree)[0]:
         entry = _describe(leaf)
         if entry is None:
             raise TypeError(
@@ -35,10 +50,16 @@ def pack(tree: Any) -> tuple[list[dict[str, Any]], bytes]:
         leaves.append({"path": jax.tree_util.keystr(path), **entry})
         if entry["kind"] == "key":
             leaves[-1]["impl"] = str(jax.random.key_impl(leaf))
-        arrays[f"a{index}"] = _raw(leaf, entry)
-    buffer = io.BytesIO()
-    np.savez(buffer, allow_pickle=False, **arrays)
-    return leaves, buffer.getvalue()
+        arrays.append(_raw(leaf, entry))
+    return leaves, arrays
+
+
+def write(file: Hashed, arrays: list[np.ndarray]) -> None:
+    """Write an npz of the arrays a0, a1, ... piece by piece: there is no copy of all of them."""
+    with zipfile.ZipFile(cast(Any, file), "w") as archive:
+        for index, array in enumerate(arrays):
+            with archive.open(f"a{index}.npy", "w", force_zip64=True) as part:
+                np.lib.format.write_array(part, array, allow_pickle=False)
 
 
 def unpack(payload: bytes, leaves: list[dict[str, Any]], like: Any, *, where: str) -> Any:

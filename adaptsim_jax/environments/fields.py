@@ -48,6 +48,7 @@ INTERFACE = {  # what lies between policy and model: unit, minimum, nominal
     "action_scale": ("1", 0.0, 1.0),
     "observation_noise": ("of the observation", 0.0, 0.0),
 }
+DOFS = {int(mujoco.mjtJoint.mjJNT_FREE): 6, int(mujoco.mjtJoint.mjJNT_BALL): 3}
 MIN_FRICTION = 1e-6
 """N or N m: MJX takes a row of friction 0 for one that holds whatever the load."""
 
@@ -77,9 +78,9 @@ def field_of(model: Any, name: str, where: str = "fields") -> ModelField:
     """The field called `name` of `model`, an MjModel or gymnax's parameters. BadInput with the
     nearest names where the model has none.
 
-    A mass takes its inertia along in proportion, and the gain of a position actuator its bias, as
-    they do in MJCF. `actuator:*.gain` is that of all actuators: the first one's, the others in
-    proportion.
+    A mass takes its inertia along in proportion, the gain of a servo its bias, and a ball or free
+    joint has a number for all its degrees of freedom, as in MJCF. `actuator:*.gain` is that of all
+    actuators: the first one's, the others in proportion.
     """
     if name in INTERFACE:
         unit, minimum, nominal = INTERFACE[name]
@@ -102,6 +103,11 @@ def field_of(model: Any, name: str, where: str = "fields") -> ModelField:
     index = (*lead, *_column(numbers[lead], form.index, name, where))
     value = float(numbers[index])
     edits = _edits(model, array, index, value)
+    if form.kind == "joint" and array.startswith("dof_"):
+        count = DOFS.get(int(model.jnt_type[element]), 1)
+        edits = tuple(Edit(array, (row + i,), 1.0) for i in range(count))
+    if array == "actuator_gainprm" and form.index is None:
+        value, edits = _gain(model, row)
     return ModelField(name, value, attribute.unit, attribute.minimum, edits)
 
 
@@ -146,14 +152,20 @@ def _edits(
     if array == "body_mass" and value > 0:
         inertia = model.body_inertia[index[0]]
         edits += [Edit("body_inertia", (index[0], i), float(inertia[i]) / value) for i in range(3)]
-    if (
-        array == "actuator_gainprm"
-        and index[1] == 0
-        and value
-        and model.actuator_biasprm[index[0], 1] == -value
-    ):
-        edits.append(Edit("actuator_biasprm", (index[0], 1), -1.0))
     return tuple(edits)
+
+
+def _gain(model: mujoco.MjModel, actuator: int) -> tuple[float, tuple[Edit, ...]]:
+    """The gain of an actuator as MJCF writes it, and its edits: a servo's error is multiplied by
+    it, so its bias goes along; a damper's is by speed, and negative.
+    """
+    gain, bias = (getattr(model, f"actuator_{x}prm")[actuator] for x in ("gain", "bias"))
+    if gain[0] == 0.0 and gain[2] < 0.0:
+        return -float(gain[2]), (Edit("actuator_gainprm", (actuator, 2), -1.0),)
+    edits = [Edit("actuator_gainprm", (actuator, 0), 1.0)]
+    opposed = [i for i in (1, 2) if gain[0] and bias[i] == -gain[0]]
+    edits += [Edit("actuator_biasprm", (actuator, i), -1.0) for i in opposed[:1]]
+    return float(gain[0]), tuple(edits)
 
 
 def _element(model: mujoco.MjModel, form: NumberName, name: str, where: str) -> int:

@@ -59,7 +59,7 @@ def at_nominal(task: Task, config: EnvironmentConfig, episodes: int = EPISODES) 
     nominal = Gaussian(mean, jnp.full(mean.shape, setting.config.spread))
     policy = jax.jit(task.train)(train_key, nominal, task.init_policy(init_key))
     score = jax.jit(jax.vmap(lambda k: task.rollout(k, policy, values).score))
-    return float(np.nanmean(score(jax.random.split(key, episodes))))
+    return float(jnp.nanmean(score(jax.random.split(key, episodes))))
 
 
 def clips_of(view: AdaptView) -> list[Any]:

@@ -18,7 +18,7 @@ import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.lazy import mjx_module
-from adaptsim_jax.environments.simulated import advance
+from adaptsim_jax.environments.simulated import advance, number_of, vector_of
 
 mjx = mjx_module()
 
@@ -90,6 +90,11 @@ class ModelEnvironment:
             qvel = jnp.zeros(self.mj_model.nv)
         else:
             qpos, qvel = self.start(key, at)
+            for name, x, count in (("qpos", qpos, at.size), ("qvel", qvel, self.mj_model.nv)):
+                if jnp.shape(x) != (count,):
+                    raise BadInput(
+                        f"start: its {name} has the shape {jnp.shape(x)}; ({count},) is wanted"
+                    )
         data = mjx.forward(self.mjx_model, self._blank.replace(qpos=qpos, qvel=qvel))
         return self._moment(data, jnp.zeros(self.action_size))
 
@@ -102,8 +107,9 @@ class ModelEnvironment:
         if self.done is None:
             over = jnp.zeros(())
         else:
-            over = jnp.asarray(self.done(data), jnp.float32)
-        return State(data, self.observe(data), self.reward(data, action), over)
+            over = number_of(self.done(data), "done(data)")
+        obs = vector_of(self.observe(data), "observe(data)")
+        return State(data, obs, number_of(self.reward(data, action), "reward(data, action)"), over)
 
 
 def _read(mjcf: str | Path) -> mujoco.MjModel:

@@ -7,6 +7,7 @@ no MuJoCo model.
 import importlib
 import importlib.util
 import inspect
+import subprocess
 import sys
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -16,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.core.config import suggest
-from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.errors import BadInput, one_line
 from adaptsim_jax.core.registry import function_named
 from adaptsim_jax.environments.fields import ModelField
 from adaptsim_jax.environments.simulated import SimulatedTask
@@ -75,7 +76,16 @@ def _playground(name: str, options: dict[str, Any], where: str) -> Any:
                 f'{where}: impl = "warp" is slow on a CPU; set impl = "jax" in [options]',
                 file=sys.stderr,
             )
-    return registry.load(name, config_overrides=options)
+    try:
+        return registry.load(name, config_overrides=options)
+    except (subprocess.CalledProcessError, FileNotFoundError) as error:
+        env = sys.modules.get("mujoco_playground._src.mjx_env")
+        folder = getattr(env, "MENAGERIE_PATH", "its external_deps/mujoco_menagerie")
+        raise BadInput(
+            f"{where}: '{name}' needs MuJoCo Menagerie, which Playground fetches by git when it is "
+            f"first loaded, and could not ({one_line(str(error))}); load it once with a network, "
+            f"or copy a checkout of Menagerie to {folder}"
+        ) from None
 
 
 def _brax(name: str, options: dict[str, Any], where: str) -> Any:

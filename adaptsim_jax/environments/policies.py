@@ -4,7 +4,8 @@ Before that it is checked what only shows when an environment runs: functions th
 fields that do nothing.
 """
 
-from collections.abc import Callable, Sequence
+import sys
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -13,14 +14,16 @@ import numpy as np
 from scipy.stats import qmc
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.core.parallel import largest_divisor
 from adaptsim_jax.core.progress import silent
+from adaptsim_jax.core.store import Kept
 from adaptsim_jax.core.traced import digest_of
+from adaptsim_jax.environments.course import TrainingPlan, trained_in
 from adaptsim_jax.environments.episodes import ActingPolicy, Play, Rollout, Shown, visit, whitened
 from adaptsim_jax.environments.setting import BLIND, Setting, obs_dim_of
-from adaptsim_jax.environments.trainer import Trainer, Worlds, make_planner
+from adaptsim_jax.environments.trainer import Worlds, make_planner
+from adaptsim_jax.space import Space
 
-PAIRS, CHUNK = 512, 10
+PAIRS = 512
 
 
 class Law(NamedTuple):
@@ -94,55 +97,26 @@ def network_acting(setting: Setting) -> ActingPolicy:
     return ActingPolicy(lambda policy: (), act)
 
 
-def trained_in(
-    trainer: Trainer,
-    key: jax.Array,
-    learned: Any,
-    worlds: Worlds,
-    rounds: int,
-    report: Callable = silent,
-    blind: float = 0.0,
-) -> Any:
-    """What the trainer has learned after `rounds` in `worlds` from `learned`: in chunks, so that
-    progress shows.
-
-    blind: For this share of the rounds, the first, no world is told.
-    """
-    begin_key, key = jax.random.split(key)
-    state = trainer.begin(begin_key, learned)
-    # one compiled program serves all of it
-    size = largest_divisor(min(CHUNK, rounds), rounds)
-    last = float("nan")
-    for done in range(size, rounds + 1, size):
-        known = worlds.known if done > blind * rounds else jnp.zeros(())
-        state, info = trainer.train(key, state, worlds._replace(known=known), size)
-        episodes = np.asarray(info.episode)
-        if np.isfinite(episodes).any():
-            last = float(np.nanmean(episodes))
-        report(done, rounds, f"training the policy, return {last:.4g}")
-    return trainer.learned(state)
-
-
 def everywhere(setting: Setting, known: bool = True) -> Worlds:
     """All of Omega, told to the policy or not (UDR)."""
     D = setting.space.dim
     return Worlds(jnp.zeros(D), jnp.ones(D), jnp.asarray(known, jnp.float32), jnp.zeros(0))
 
 
-def prepared_of(setting: Setting, key: jax.Array, report: Callable = silent) -> Prepared:
+def prepared_of(
+    setting: Setting, key: jax.Array, report: Callable = silent, kept: Kept | None = None
+) -> Prepared:
     """Train the policy that knows E's mean, then look at what visits within Omega show. BadInput
-    names a field that does nothing.
+    names a field that does nothing. kept: Holds the training while it lasts.
     """
     train_key, init_key, look_key = jax.random.split(key, 3)
     check_pure(setting.play, np.array([f.nominal for f in setting.play.fields]))
-    check_fields(setting.space.names, shaken(setting))
+    check_fields(setting.space, shaken(setting))
     learned = None
     if setting.config.policy != "planned":
         learned = setting.trainer.init(init_key)
-        rounds = setting.config.training.rounds
-        learned = trained_in(
-            setting.trainer, train_key, learned, everywhere(setting), rounds, report, BLIND
-        )
+        plan = TrainingPlan(setting.config.training.rounds, BLIND, kept)
+        learned = trained_in(setting.trainer, train_key, learned, everywhere(setting), plan, report)
     acting = acting_of(setting, learned, (0.0, 1e9, 1.0))  # a start's luck is its value
     policy_of = policies_of(setting, learned)
 
@@ -224,22 +198,35 @@ def check_pure(play: Play, values: np.ndarray) -> None:
         )
 
 
-def check_fields(names: Sequence[str], features: Callable[[jax.Array], np.ndarray]) -> None:
-    """BadInput names a field that nothing follows from: `features(u [N, D]) -> [N, K]` of the
-    same episode at points of Omega.
+LEVELS = 5  # of a field's range, at which it is tried
+
+
+def check_fields(space: Space, features: Callable[[jax.Array], np.ndarray]) -> None:
+    """BadInput names a field that nothing follows from; a line of one from which nothing does in a
+    part of its range.
+
+    Args:
+        features: `(u [N, D]) -> [N, K]` of the same episode at points of Omega.
     """
-    D = len(names)
-    spread = np.random.default_rng(0).uniform(size=(4, 1, 1, D))
-    points = np.tile(spread, (1, D, 2, 1))
+    D, levels = space.dim, np.linspace(0.0, 1.0, LEVELS)
+    points = np.tile(np.random.default_rng(0).uniform(size=(4, 1, 1, D)), (1, D, LEVELS, 1))
     for i in range(D):
-        points[:, i, :, i] = (0.0, 1.0)
+        points[:, i, :, i] = levels
     every = jnp.asarray(points.reshape(-1, D), jnp.float32)
-    found = np.asarray(features(every)).reshape(4, D, 2, -1)
+    found = np.asarray(features(every)).reshape(4, D, LEVELS, -1)
     scale = np.nanstd(found.reshape(-1, found.shape[-1]), 0) + 1e-3
-    moved = np.nanmax(np.abs(found[:, :, 1] - found[:, :, 0]) / scale, axis=(0, 2))
-    still = [name for name, by in zip(names, moved, strict=True) if not by > NOTHING]
-    if still:
-        raise BadInput(
-            f"fields: nothing that is seen follows from '{still[0]}' anywhere in its range; leave "
-            "it out, or widen it"
-        )
+    moved = np.nanmax(np.abs(np.diff(found, axis=2)) / scale, axis=(0, 3)) > NOTHING
+    ends = np.asarray(space.physical(jnp.tile(levels[:, None], (1, D)).astype(jnp.float32)))
+    for i, name in enumerate(space.names):
+        if not moved[i].any():
+            raise BadInput(
+                f"fields: nothing that is seen follows from '{name}' anywhere in its range; leave "
+                "it out, or widen it"
+            )
+        if not moved[i].all():
+            still = [f"{ends[k, i]:.4g} to {ends[k + 1, i]:.4g}" for k in np.flatnonzero(~moved[i])]
+            print(
+                f"fields: nothing follows from '{name}' from {', '.join(still)} (of two geoms that "
+                "touch the greater friction acts); a value in there is the one at its edge",
+                file=sys.stderr,
+            )

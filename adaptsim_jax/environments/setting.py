@@ -93,7 +93,7 @@ is given nothing.
 """  # noqa: E501
 
 
-FORM = 3  # of what is learned: what was learned in another is learned anew
+FORM = 4  # of what is learned: what was learned in another is learned anew
 
 
 class Setting(NamedTuple):
@@ -144,9 +144,9 @@ def setting_of(
 
 def compiled(trainer: Trainer) -> Trainer:
     """The same with one compiled program for all that it trains."""
-    return trainer._replace(
-        begin=jax.jit(trainer.begin), train=jax.jit(trainer.train, static_argnums=3)
-    )
+    returns = trainer.returns and jax.jit(trainer.returns, static_argnums=4)
+    train = jax.jit(trainer.train, static_argnums=3)
+    return trainer._replace(begin=jax.jit(trainer.begin), train=train, returns=returns)
 
 
 def environment(

@@ -83,8 +83,9 @@ def simulated(
 
     def observed(state):
         obs = state.obs["state"] if isinstance(state.obs, dict) else state.obs
-        done = jnp.asarray(state.done, jnp.float32)
-        return obs.astype(jnp.float32), jnp.asarray(state.reward, jnp.float32), done
+        name = type(env).__name__
+        reward, done = (number_of(getattr(state, x), f"{name}.{x}") for x in ("reward", "done"))
+        return vector_of(obs, f"{name}.obs"), reward, done
 
     return SimulatedTask(
         name=type(env).__name__,
@@ -99,6 +100,33 @@ def simulated(
         data=lambda state: getattr(state, "data", getattr(state, "pipeline_state", None)),
         interface=getattr(env, "interface", {}),
     )
+
+
+def number_of(given: Any, what: str) -> jax.Array:
+    """`given`, one number of any type and shape, as float32 `[]`. BadInput says what `what` is."""
+    found = _numbers(given, what)
+    if found.size != 1:
+        raise BadInput(
+            f"{what}: has the shape {found.shape}; one number is wanted, such as data.qpos[0] for "
+            "data.qpos"
+        )
+    return found.reshape(())
+
+
+def vector_of(given: Any, what: str) -> jax.Array:
+    """`given`, numbers in a row or one alone, as float32 `[O]`. BadInput says what `what` is."""
+    found = _numbers(given, what)
+    if found.ndim > 1:
+        raise BadInput(f"{what}: has the shape {found.shape}; a vector is wanted: add .reshape(-1)")
+    return found.reshape(-1)
+
+
+def _numbers(given: Any, what: str) -> jax.Array:
+    try:
+        return jnp.asarray(given, jnp.float32)
+    except (TypeError, ValueError):
+        kind = type(given).__name__
+        raise BadInput(f"{what}: is a {kind}; an array of numbers is wanted") from None
 
 
 def _models_of(env: Any, where: str) -> tuple[str, mujoco.MjModel]:

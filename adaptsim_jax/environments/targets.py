@@ -8,7 +8,9 @@ one of the file's.
 """
 
 import copy
+import os
 from collections.abc import Callable, Mapping
+from threading import Lock
 from typing import Any, NamedTuple
 
 import jax
@@ -90,11 +92,24 @@ def target_of(
     )
 
 
+# what a step may be given, in the order in which MuJoCo packs it
+INPUTS = (
+    "ctrl",
+    "qfrc_applied",
+    "xfrc_applied",
+    "eq_active",
+    "mocap_pos",
+    "mocap_quat",
+    "userdata",
+)
+
+
 def native_physics(
-    model: mujoco.MjModel, fields: tuple[ModelField, ...], target: Target, threads: int = 2
+    model: mujoco.MjModel, fields: tuple[ModelField, ...], target: Target
 ) -> Callable:
     """`physics(model, data, ctrl [nu], substeps) -> data`: MuJoCo C with the target's values,
-    whatever the model that is given says.
+    whatever the model that is given says. Forces, mocap poses and switches of equalities are those
+    of `data`.
 
     Derived quantities are those of the state before the last of the file's steps, as MJX leaves
     them.
@@ -106,9 +121,11 @@ def native_physics(
     c.opt.iterations = max(c.opt.iterations, SOLVED[0])
     c.opt.ls_iterations = max(c.opt.ls_iterations, SOLVED[1])
     nq, nv, held = c.nq, c.nv, 1 + c.nq + c.nv + c.na  # of a state: time, qpos, qvel, act
-    pool, datas = rollout.Rollout(nthread=threads), [mujoco.MjData(c) for _ in range(threads)]
+    threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    pool, datas = rollout.Rollout(nthread=threads), [mujoco.MjData(c) for _ in range(threads or 1)]
     spec = mujoco.mjtState.mjSTATE_FULLPHYSICS
     size = mujoco.mj_stateSize(c, spec)
+    one_at_a_time = Lock()  # programs of several devices share the threads and their data
 
     def run(asked):
         lead, rows = asked.shape[:-1], np.array(asked, np.float64).reshape(-1, asked.shape[-1])
@@ -117,8 +134,13 @@ def native_physics(
         rows[~sound] = 0.0
         start, warmed = np.zeros((B, size)), np.ascontiguousarray(rows[:, held : held + nv])
         start[:, :held] = rows[:, :held]
-        control = np.repeat(rows[:, None, held + nv : -1], n, 1)
-        states, _ = pool.rollout(c, datas, start, control, nstep=n, initial_warmstart=warmed)
+        given = {
+            "control": rows[:, None, held + nv : -1],
+            "control_spec": int(mujoco.mjtState.mjSTATE_USER),
+            "initial_warmstart": warmed,
+        }
+        with one_at_a_time:
+            states, _ = pool.rollout(c, datas, start, nstep=n, **given)
         before = states[:, -1 - target.steps] if n > target.steps else start
         both = np.concatenate([before[:, :held], states[:, -1, :held]], 1)
         both[~sound] = np.nan
@@ -126,9 +148,10 @@ def native_physics(
 
     def physics(given, data, ctrl, substeps):
         time, count = jnp.asarray(data.time, jnp.float32), jnp.asarray(substeps, jnp.float32)
-        ctrl = jnp.broadcast_to(ctrl, (c.nu,))
-        parts = (time[None], data.qpos, data.qvel, data.act, data.qacc_warmstart, ctrl, count[None])
-        asked = jnp.concatenate(parts)  # one array: each is a conversion
+        data = data.replace(ctrl=jnp.broadcast_to(ctrl, (c.nu,)))
+        inputs = [getattr(data, name).reshape(-1).astype(data.qpos.dtype) for name in INPUTS]
+        parts = (time[None], data.qpos, data.qvel, data.act, data.qacc_warmstart, *inputs)
+        asked = jnp.concatenate([*parts, count[None]])  # one array: each is a conversion
         out = jax.ShapeDtypeStruct((2 * held,), asked.dtype)
         both = jax.pure_callback(run, out, asked, vmap_method="broadcast_all")
         before, after = both[:held], both[held:]
@@ -139,6 +162,6 @@ def native_physics(
             as_it_was = {name: x.astype(getattr(data, name).dtype) for name, x in as_it_was.items()}
             return data.replace(time=time[0].astype(jnp.result_type(data.time)), **as_it_was)
 
-        return put(mjx.forward(given, put(data.replace(ctrl=ctrl), before)), after)
+        return put(mjx.forward(given, put(data, before)), after)
 
     return physics

@@ -5,6 +5,7 @@ and the baselines.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -12,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.stats import qmc
 
+from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.progress import silent
 from adaptsim_jax.environments.episodes import (
@@ -25,6 +27,7 @@ from adaptsim_jax.environments.episodes import (
     visit,
 )
 from adaptsim_jax.environments.fields import ModelField
+from adaptsim_jax.environments.mended import mended
 from adaptsim_jax.environments.peers import OWN, load
 from adaptsim_jax.environments.policies import (
     Law,
@@ -91,8 +94,8 @@ def task_of(setting: Setting) -> Task:
         lambda x: np.zeros(x.shape, x.dtype), jax.eval_shape(blank, jax.random.key(0))
     )
 
-    def make(key, report=silent):
-        return prepared_of(setting, key, report)
+    def make(key, report=silent, kept=None):
+        return prepared_of(setting, key, report, kept)
 
     whole = cache(lambda: digest(setting))
     return replace(
@@ -127,7 +130,9 @@ def ready(setting: Setting, prepared: Prepared) -> Task:
         score=lambda trajectory: trajectory.score - trajectory.luck,
         reference=_reference(setting, rollout, policy_of),
         reward=_scaled_reward,
-        world=lambda name: in_target(setting, prepared, name),
+        world=lambda target: (in_file if isinstance(target, Path) else in_target)(
+            setting, prepared, target
+        ),
         act=None if config.policy == "planned" else act,
         read=lambda obs, action, reward: measured(setting, obs, action, reward, acting),
     )
@@ -142,8 +147,8 @@ def _training(setting: Setting, learned: Any) -> Callable:
     def train(key, dist, policy):
         if config.policy != "tuned":
             return Law(dist.mean)
-        half = jnp.full(setting.space.dim, config.spread)
-        worlds = Worlds(dist.mean - half, dist.mean + half, jnp.ones(()), jnp.zeros(0))
+        ends = (jnp.clip(dist.mean + way * config.spread, 0.0, 1.0) for way in (-1.0, 1.0))
+        worlds = Worlds(*ends, jnp.ones(()), jnp.zeros(0))
         state, _ = trainer.train(key, trainer.begin(key, learned), worlds, config.tune)
         return Tuned(dist.mean, trainer.policy(trainer.learned(state)))
 
@@ -290,11 +295,24 @@ def in_target(setting: Setting, prepared: Prepared, name: str) -> Task:
     def rollout(key, policy, params):
         return visit(key, play, acting, policy, values, setting.config.trials)
 
-    means = reference_means(setting)
     score = jax.jit(jax.vmap(lambda m: rollout(jax.random.key(0), policy_of(m), None).score))
-    every = np.asarray(score(means))
-    ends = jnp.asarray([np.nanmax(every), np.nanmean(every)], jnp.float32)
+    every = score(reference_means(setting))
+    ends = jnp.stack([jnp.nanmax(every), jnp.nanmean(every)])
     return replace(task, rollout=rollout, reference=lambda params: ends)
+
+
+def in_file(setting: Setting, prepared: Prepared, path: Path) -> Task:
+    """The task with its rollouts in the target that a TOML file says, called by its name: a table
+    of fields as [targets.NAME] has it, or a `model.toml` of `adaptsim diagnose`.
+    """
+    table, env = configs.read(path), setting.env
+    if "schema" in table:
+        table, env = {}, mended(env, path)
+    config = replace(setting.config, targets={path.stem: table.get("params", table)})
+    try:
+        return in_target(setting_of(env, config), prepared, path.stem)
+    except BadInput as error:
+        raise BadInput(f"{path}: {str(error).removeprefix(f'targets.{path.stem}: ')}") from None
 
 
 def environment_setting(config: EnvironmentConfig) -> Setting:

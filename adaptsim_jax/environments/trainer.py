@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from adaptsim_jax.core.errors import BadInput, check_counts
-from adaptsim_jax.environments.episodes import ActingPolicy, Live, Play
+from adaptsim_jax.environments.episodes import ActingPolicy, Live, Play, episode
 from adaptsim_jax.learners.ppo import PPO, PPOConfig, PPOHyper, PPOState, Unroll, carried, make_ppo
 from adaptsim_jax.space import Space
 
@@ -102,6 +102,8 @@ class Trainer(NamedTuple):
     * `act(policy, obs [O], mean [D]) -> action [A]` in [-1, 1]; mean: E's, -1 to 1 over Omega
     * `value(policy, obs [O], mean [D]) -> []`, more where more is expected from there on, in a unit
       of its own
+    * `returns(key, policy, worlds, mix [2], count) -> [count]` of episodes, `count` static: actions
+      are `mix[0]` times the policy's and `mix[1]` times random ones. None: it is not evaluated
     """
 
     init: Callable[[jax.Array], Any]
@@ -111,6 +113,7 @@ class Trainer(NamedTuple):
     policy: Callable[[Any], Any]
     act: Callable[[Any, jax.Array, jax.Array], jax.Array]
     value: Callable[[Any, jax.Array, jax.Array], jax.Array]
+    returns: Callable[..., jax.Array] | None = None
 
 
 @dataclass(frozen=True)
@@ -175,13 +178,17 @@ class Fresh(NamedTuple):
 
 class TrainerInfo(NamedTuple):
     """Of each update: mean return of the episodes that ended in it (not a number where none did),
-    reward of a step, the exploration's standard deviation, KL.
+    reward of a step, the exploration's standard deviation, KL. lost: `[2]`, shares of steps whose
+    reward is no number though the observation is, and whose observation is none. where: `[O]`, the
+    observation at the first of the former, if there is one.
     """
 
     episode: jax.Array
     reward: jax.Array
     spread: jax.Array
     kl: jax.Array
+    lost: jax.Array
+    where: jax.Array
 
 
 @dataclass(frozen=True)
@@ -243,13 +250,15 @@ class WorldsPPO:
             action, log_prob = self.ppo.act(key, actor, live.obs, state.mean)
             after = jax.vmap(self.play.step)(world, live, action)
             reward = jnp.where(jnp.isfinite(after.reward), after.reward, 0.0)
-            sound = jnp.isfinite(after.obs).all(-1) & jnp.isfinite(after.reward)
-            obs_after = jnp.where(sound[:, None], after.obs, live.obs)
+            seen = jnp.isfinite(after.obs).all(-1)
+            lost = jnp.stack([seen & ~jnp.isfinite(after.reward), ~seen], -1)
+            sound = ~lost.any(-1)
+            obs_after = jnp.where(seen[:, None], after.obs, live.obs)
             ended = jnp.maximum(after.done, 1.0 - sound)
             cut = (after.time >= self.play.sim.length) * (1.0 - ended)
             stop = jnp.maximum(ended, cut) > 0
             total = gained + reward
-            row = (live.obs, action, log_prob, reward, obs_after, ended, cut, total, stop)
+            row = (live.obs, action, log_prob, reward, obs_after, ended, cut, total, stop, lost)
             # for the rest of this batch; then it begins once more, in a fresh world
             live = _choose(stop, fresh.live, after)
             return (live, jnp.where(stop, 0.0, total), over | stop), row
@@ -263,7 +272,7 @@ class WorldsPPO:
         fresh_key, act_key, learn_key = jax.random.split(key, 3)
         state, fresh = self.started(fresh_key, state, worlds)
         (live, gained, over), rows = self.rolled(act_key, state, fresh)
-        obs, action, log_prob, reward, obs_after, ended, cut, totals, stops = rows
+        obs, action, log_prob, reward, obs_after, ended, cut, totals, stops, lost = rows
         # what is over begins anew, in another world
         cut = cut.at[-1].set(jnp.maximum(cut[-1], over * (1.0 - ended[-1])))
         extra = jnp.broadcast_to(state.mean, (config.unroll, *state.mean.shape))
@@ -283,8 +292,26 @@ class WorldsPPO:
             gained=jnp.where(over, 0.0, gained),
             number=state.number + 1,
         )
-        episode = jnp.sum(totals * stops) / jnp.sum(stops)
-        return state, TrainerInfo(episode, reward.mean(), info.spread, info.kl)
+        ended_return = jnp.sum(totals * stops) / jnp.sum(stops)
+        first = jnp.argmax(lost[..., 0].reshape(-1))
+        where = obs_after.reshape(-1, obs_after.shape[-1])[first]
+        shares = lost.mean((0, 1))
+        return state, TrainerInfo(ended_return, reward.mean(), info.spread, info.kl, shares, where)
+
+    def returns(self, key, policy, worlds: Worlds, mix, count: int) -> jax.Array:
+        """Returns `[count]` of episodes in worlds of their own, see `Trainer`."""
+
+        def act(key, mean, memory, live):
+            noise = jax.random.uniform(key, (self.play.sim.action_dim,), minval=-1.0)
+            return mix[0] * self.ppo.deployed(policy, live.obs, mean) + mix[1] * noise, memory
+
+        def one(key):
+            world_key, key = jax.random.split(key)
+            values, mean = self.draw(world_key, worlds)
+            steps, _ = episode(key, self.play, ActingPolicy(lambda p: (), act), mean, values)
+            return steps.reward.sum()
+
+        return jax.vmap(one)(jax.random.split(key, count))
 
 
 def make_ppo_trainer(play: Play, space: Space, config: PPOTraining, obs_dim: int) -> Trainer:
@@ -299,9 +326,8 @@ def make_ppo_trainer(play: Play, space: Space, config: PPOTraining, obs_dim: int
 
         return jax.lax.scan(on, state, None, rounds)
 
-    return Trainer(
-        ppo.init, made.begin, train, lambda state: state.ppo, ppo.actor, ppo.deployed, ppo.value
-    )
+    functions = (ppo.init, made.begin, train, lambda state: state.ppo, ppo.actor)
+    return Trainer(*functions, ppo.deployed, ppo.value, made.returns)
 
 
 def _blank(key: jax.Array, like: jax.ShapeDtypeStruct) -> jax.Array:

@@ -8,6 +8,7 @@ traced (`BDQHyper`), so that one compiled step serves a sweep.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import flax.linen as nn
@@ -49,6 +50,22 @@ def adam_step(weights: jax.Array, opt: Any, grad: jax.Array, hyper: Any) -> tupl
     grad = grad * jnp.minimum(1.0, hyper.max_grad_norm / jnp.maximum(norm, 1e-12))
     move, opt = optax.scale_by_adam().update(grad, opt)
     return weights - hyper.learning_rate * move, opt, norm
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(1, 2))
+def held(x: jax.Array, low: float, high: float) -> jax.Array:
+    """`x` clipped, with a gradient beyond the bounds that leads back to them: what only clips never
+    comes back.
+    """
+    return jnp.clip(x, low, high)
+
+
+def _held_back(low: float, high: float, x: jax.Array, slope: jax.Array) -> tuple[jax.Array]:
+    outwards = ((x < low) & (slope > 0)) | ((x > high) & (slope < 0))  # a descent follows -slope
+    return (jnp.where(outwards, 0.0, slope),)
+
+
+held.defvjp(lambda x, low, high: (jnp.clip(x, low, high), x), _held_back)
 
 
 ACTIVATIONS: dict[str, Callable[[jax.Array], jax.Array]] = {

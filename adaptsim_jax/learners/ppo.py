@@ -19,7 +19,7 @@ import numpy as np
 import optax
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.learners.bdq import ACTIVATIONS, adam_step, flat
+from adaptsim_jax.learners.bdq import ACTIVATIONS, adam_step, flat, held
 
 LOWEST, HIGHEST = -3.0, 0.5  # of the logarithm of the exploration's standard deviation
 MAX_DEVIATIONS = (
@@ -146,11 +146,7 @@ class ActorCritic(nn.Module):
             return nn.Dense(outputs, kernel_init=nn.initializers.orthogonal(scale))(y)
 
         log_std = self.param("log_std", nn.initializers.constant(-0.5), (cfg.action_dim,))
-        return (
-            mlp(x, cfg.action_dim, 0.01),
-            jnp.clip(log_std, LOWEST, HIGHEST),
-            mlp(x, 1, 1.0)[..., 0],
-        )
+        return mlp(x, cfg.action_dim, 0.01), held(log_std, LOWEST, HIGHEST), mlp(x, 1, 1.0)[..., 0]
 
 
 class PPO(NamedTuple):

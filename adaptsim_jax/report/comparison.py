@@ -27,8 +27,6 @@ def write_comparison(results: Mapping[str, Any], out: str | Path) -> list[Path]:
         if methods:
             figure = draw.reward_over_iterations(results, look.in_order(methods))
             paths.append(look.save(figure, out / f"{name}.png"))
-    if visiting:
-        paths.append(look.save(draw.rewards(results), out / "rewards.png"))
     return [*paths, write_adaptation_page(results, out / "report.html")]
 
 

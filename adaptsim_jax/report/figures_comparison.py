@@ -31,7 +31,7 @@ def reward_over_iterations(results: Mapping[str, Any], methods: Sequence[str] = 
     figure, axes = look.new_figure(width, 2.9, 1, len(settings), sharey=True)
     for ax, setting in zip(axes, settings, strict=True):
         for r in (r for r in rows if r["setting"] == setting):
-            _curve(
+            median_curve(
                 ax,
                 r["curve"],
                 look.style(r["method"]),
@@ -58,7 +58,7 @@ def reward_over_iterations(results: Mapping[str, Any], methods: Sequence[str] = 
     return figure
 
 
-def _curve(
+def median_curve(
     ax,
     curve: Mapping[str, Any],
     style: dict,
@@ -66,6 +66,7 @@ def _curve(
     bottom: float,
     trials: Sequence[int] | None = None,
 ) -> None:
+    """Draw the median of `curve` with its quartiles, over iterations or `trials`."""
     # None stands for minus infinity, a policy that destabilised the target; it is drawn below the
     # panel.
     median, q25, q75 = (
@@ -77,55 +78,6 @@ def _curve(
         iterations = np.asarray(trials)
     ax.fill_between(iterations, q25, q75, color=style["color"], alpha=0.15, linewidth=0)
     ax.plot(iterations, median, linewidth=1.7, label=label, **style)
-
-
-def rewards(results: Mapping[str, Any]) -> Figure:
-    """Table 1 as dots: mean over seeds of the best-iteration reward with its 95 % interval (of one
-    seed none), and every seed.
-    """
-    left = look.lower_limit(results)
-    # 0 and 1 by definition where normalised
-    if "reward" in results:
-        known = ()
-    else:
-        known = ("udr", "best_in_omega")
-    rows = [r for r in results["rows"] if r["method"] not in known]
-    settings = look.distinct(rows, "setting")
-    methods = look.distinct(rows, "method")
-    figure, axes = look.new_figure(
-        2.0 * len(settings) + 1.6, 0.34 * len(methods) + 1.1, 1, len(settings), sharey=True
-    )
-    for ax, setting in zip(axes, settings, strict=True):
-        for r in (r for r in rows if r["setting"] == setting):
-            _dots(ax, len(methods) - 1 - methods.index(r["method"]), r, left)
-        look.style_axes(ax)
-        ax.grid(False, axis="y")
-        ax.axvline(1, color=look.INK, linewidth=0.8, linestyle=":")
-        ax.set_xlim(left, 1.08)
-        ax.set_title(look.setting(setting), fontsize=9, color=look.INK)
-    axes[0].set_yticks(range(len(methods))[::-1], [look.label(m) for m in methods])
-    caption = ("" if "trials_axis" in results else "best-iteration ") + look.reward_of(results)
-    figure.supxlabel(caption if len(settings) > 2 else caption.replace(" (", "\n("), fontsize=8.5)
-    return figure
-
-
-def _dots(ax, y: float, r: Mapping[str, Any], left: float) -> None:
-    colour, seeds = look.colour(r["method"]), look.finite_or(left - 1, r["per_seed"])
-    spread = 0.22 * ((np.arange(len(seeds)) % 5) - 2) / 2
-    ax.plot(seeds, y + spread, "o", color=colour, markersize=2.6, alpha=0.45, markeredgewidth=0)
-    if r["mean"] is None or r["mean"] < left:
-        text = "fails" if r["mean"] is None else f"{r['mean']:.2f}"
-        ax.annotate(f"◂ {text}", (left + 0.02, y), fontsize=7.5, color=colour, va="center")
-        return
-    ax.plot([r["low"], r["high"]], [y, y], color=colour, linewidth=2.2, solid_capstyle="butt")
-    ax.plot(
-        r["mean"],
-        y,
-        look.marker(r["method"]),
-        color=colour,
-        markersize=5.5,
-        markeredgecolor="white",
-    )
 
 
 def parameter_map(
@@ -182,24 +134,6 @@ def parameter_map(
     ax.set_ylabel(f"{reward_map.names[1]} (kg)", fontsize=9)
     ax.tick_params(labelsize=8)
     figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=8)
-    return figure
-
-
-def curves_by(rows: Sequence[Mapping[str, Any]], names: Sequence[str], title: str) -> Figure:
-    """Reward over iterations for one row of results a curve, as the step-size figure of the
-    appendix.
-    """
-    shades = ["#56B4E9", "#0072B2", "#E69F00", "#D55E00", "#CC79A7"]
-    figure, (ax,) = look.new_figure(4.2, 3.0)
-    for i, (r, name) in enumerate(zip(rows, names, strict=True)):
-        line = {"color": shades[i % len(shades)], "linestyle": ["-", "--", "-.", ":"][i % 4]}
-        _curve(ax, r["curve"], line, name, -0.4)
-    look.style_axes(ax)
-    ax.set_ylim(-0.4, 1.08)
-    ax.set_xlabel("adaptation iteration", fontsize=9)
-    ax.set_ylabel(look.REWARD.replace(" (", "\n("), fontsize=9)
-    ax.set_title(title, fontsize=9.5, color=look.INK)
-    ax.legend(frameon=False, fontsize=8, loc="lower right")
     return figure
 
 

@@ -1,15 +1,13 @@
-"""Figures of a sweep, for its page and as pictures: rewards over each swept value, and learning
-curves by combination of values.
+"""Figures of a sweep's page: rewards over each swept value, and learning curves by combination of
+values.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from adaptsim_jax.report import figures as look
 from adaptsim_jax.report.explore import (
@@ -27,7 +25,6 @@ from adaptsim_jax.report.explore import (
 TRAINING = "training"
 """The reward of Phase 1's last tenth of rounds, beside those in targets."""
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-MARKERS = "os^Dvp*"
 MOST_DRAWN = 10
 """Combinations whose medians are drawn together; all have a plot of their own, up to
 `MOST_CHOICES`.
@@ -91,15 +88,9 @@ class SweptRewards(NamedTuple):
     note: str
 
 
-def swept_rewards(
-    found: Mapping[str, Any], key: str, wanted: Sequence[str] | None = None
-) -> SweptRewards:
-    """Of one swept key. wanted: Rewards that are shown, by default all."""
-    rows = [
-        r
-        for r in found["summary"]
-        if r["key"] == key and r["mean"] is not None and (wanted is None or r["reward"] in wanted)
-    ]
+def swept_rewards(found: Mapping[str, Any], key: str) -> SweptRewards:
+    """Of one swept key."""
+    rows = [r for r in found["summary"] if r["key"] == key and r["mean"] is not None]
     values = list({repr(r["value"]): r["value"] for r in rows}.values())
     numeric = all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
     if numeric:
@@ -239,75 +230,3 @@ def _seeds(
     else:
         title = f"the first 30 of {len(some)} seeds"
     return _over_rounds(data, title, curve.shape[1])
-
-
-# ---------------------------------------------------------------- pictures
-
-
-def draw(found: dict[str, Any], out: Path) -> list[Path]:
-    """A figure for each swept key of `results.json`, and one of the learning curves; returns the
-    files.
-    """
-    files = [
-        look.save(_picture_over(found, key), out / f"reward_{key.replace('.', '_')}.png")
-        for key in found["swept"]
-    ]
-    if any(row.get("curve") for row in found["rows"]):
-        files.append(look.save(_picture_of_curves(found), out / "curves.png"))
-    return [Path(f) for f in files]
-
-
-def _picture_over(found: Mapping[str, Any], key: str) -> Figure:
-    """Mean rewards over the values of `key` with 95 % intervals: a line for each target, or one for
-    Phase 1 where there is none.
-    """
-    figure, (axes,) = look.new_figure(6.4, 4.0)
-    swept = swept_rewards(found, key, found["spec"]["targets"] or ["training"])
-    places = {repr(v): float(v) if swept.numbers else i for i, v in enumerate(swept.values)}
-    for i, (name, rows) in enumerate(swept.lines.items()):
-        axes.errorbar(
-            [places[repr(r["value"])] for r in rows],
-            [r["mean"] for r in rows],
-            [r["half"] or 0.0 for r in rows],
-            capsize=3,
-            color=COLOURS[i % len(COLOURS)],
-            marker=MARKERS[i % len(MARKERS)],
-            markersize=4,
-            label=look.setting(name),
-        )
-    if not swept.numbers:
-        axes.set_xticks(range(len(swept.values)), [str(v) for v in swept.values])
-    elif swept.log:
-        axes.set_xscale("log")
-    note = f"means with {swept.note}, other values averaged over"
-    axes.set_xlabel(f"{key} ({note})", fontsize=8)
-    axes.set_ylabel("reward")
-    axes.grid(color=look.GRID)
-    if swept.lines:
-        axes.legend(fontsize=8)
-    return figure
-
-
-def _picture_of_curves(found: Mapping[str, Any], most: int = 6) -> Figure:
-    """Rewards of Phase 1 over rounds: median and quartiles over seeds, for each combination of
-    values (the first `most`).
-    """
-    figure, (axes,) = look.new_figure(6.4, 4.0)
-    members = groups(found)
-    for i, (name, rows) in enumerate(list(members.items())[:most]):
-        curve = _matrix(rows)
-        if not curve.size:
-            continue
-        low, mid, high = np.nanpercentile(curve, [25, 50, 75], axis=0)
-        colour, x = COLOURS[i % len(COLOURS)], np.arange(1, curve.shape[1] + 1)
-        axes.plot(x, mid, color=colour, linewidth=1.2, label=name)
-        axes.fill_between(x, low, high, color=colour, alpha=0.2, linewidth=0)
-    if len(members) > most:
-        more = f"; {len(members) - most} more combinations not drawn"
-    else:
-        more = ""
-    axes.set_xlabel(f"round (median and quartiles over seeds{more})")
-    axes.set_ylabel("reward of the last step")
-    axes.grid(color=look.GRID)
-    axes.legend(fontsize=8)
-    return figure

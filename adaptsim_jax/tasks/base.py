@@ -42,7 +42,8 @@ class Preparation(NamedTuple):
     """What a task learns once, before Phase 1, such as one policy for all of Omega.
 
     * `blank(key) -> prepared`: a pytree of arrays with its structure and shapes
-    * `make(key, report) -> prepared`: not pure, may take minutes; `report(done, total, note)`
+    * `make(key, report, kept) -> prepared`: not pure, may take minutes; `report(done, total,
+      note)`; kept: A `store.Kept` that holds the work while it lasts, or None
     * `ready(prepared) -> Task`: the task with it
     * digest() -> str: of all that it depends on beside the seed. It may take seconds
     """
@@ -97,9 +98,9 @@ class Task:
     # what is learned before all else, and is the same for all that Phase 1 and 2 do; None where
     # nothing is
     preparation: Preparation | None = None
-    # (a setting's name) -> the task with rollouts in that target, which has more than parameters of
-    # Omega; None: `params` say it all
-    world: Callable[[str], Task] | None = None
+    # (a setting's name, or the path of a TOML file) -> the task with rollouts in that target, which
+    # has more than parameters of Omega; None: `params` say it all
+    world: Callable[[str | Path], Task] | None = None
     # (policy, obs [O]) -> action [A]: of tasks whose policies are called at each step
     act: Callable[[Policy, Array], Array] | None = None
     # (obs [T, O], action [T, A], reward [T]) -> trajectory: of a measured episode of theirs

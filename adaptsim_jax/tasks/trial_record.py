@@ -14,7 +14,6 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.noise import difference_noise
 from adaptsim_jax.logs.table import LogTable, read_table
 from adaptsim_jax.tasks import camera_record as record
-from adaptsim_jax.tasks.trial_clock import began, check_frozen
 
 MIN_ROWS, SLOWEST = 8, 0.06  # of one trial; s between its rows (20 Hz and some jitter)
 
@@ -70,14 +69,13 @@ class TrialKind:
 
 
 class MeasuredTrack(NamedTuple):
-    """Of one trial: times `[R]` s, places `[R, C]` m (angles rad, NaN where not seen), the file's
-    name, and when the body began to move s and how fast m/s.
+    """Of one trial: times `[R]` s, places `[R, C]` m (angles rad, NaN where not seen), and the
+    file's name.
     """
 
     time: np.ndarray
     places: np.ndarray
     file: str
-    began: tuple[float, float]
 
 
 Tracks = dict[float, MeasuredTrack]
@@ -114,7 +112,7 @@ class TrialFiles(NamedTuple):
     """Where trials are read from.
 
     actions: The file of actions, tracks: those of tracks. meta: The table of meta.toml, where: how
-    messages call it. as_declared: Whatever tracks say of clock and frame. without: Trials whose
+    messages call it. as_declared: Whatever tracks say of the frame. without: Trials whose
     tracks are not looked at.
     """
 
@@ -145,11 +143,6 @@ class ReadTrials:
     def stacked(self, *names: str) -> np.ndarray:
         """Columns of the actions `[T, len(names)]`."""
         return np.stack([self.columns[name] for name in names], 1)
-
-    @property
-    def began(self) -> list[tuple[float, float]]:
-        """When each body began to move, s, and how fast, m/s."""
-        return [self.found[n].began for n in self.names]
 
     def laid_out(self, starts: np.ndarray) -> dict[str, np.ndarray]:
         """starts, aside, time, places and mask as `TrialRecording` has them."""
@@ -309,7 +302,7 @@ def read_tracks(
                 f"{lack[0]}: no column {name!r}, which {have[0].name} has; add it, empty where it "
                 "was not seen, or take it out of all files"
             )
-    wanted = _Wanted(numbers, files.actions, kind, more, without, files.as_declared)
+    wanted = _Wanted(numbers, files.actions, kind, more, without)
     for path, table in tables:
         _read_tracks(path, table, wanted, found)
     record.check_different({n: track.places for n, track in found.items()}, place_of(paths))
@@ -323,7 +316,7 @@ def place_of(paths: Sequence[Path]) -> str:
 
 class _Wanted(NamedTuple):
     """What tracks are read for: numbers of the trials and the file of actions that lists them;
-    more: Optional columns that all files have. without, free: As `read_tracks` has them.
+    more: Optional columns that all files have. without: As `read_tracks` has them.
     """
 
     numbers: np.ndarray
@@ -331,7 +324,6 @@ class _Wanted(NamedTuple):
     kind: TrialKind
     more: tuple[str, ...]
     without: Sequence[str]
-    free: bool
 
 
 def _read_tracks(path: Path, table: LogTable, wanted: _Wanted, found: Tracks) -> None:
@@ -364,16 +356,12 @@ def _read_track(
     kind = wanted.kind
     record.check_increasing(t, row)
     _check_times(t, row, kind)
-    if not wanted.free:
-        observed = t <= kind.ends
-        check_frozen(t[observed], p[observed, :2], row, kind.body)
     record.check_leaps(t, p[:, :2], row, kind.body, kind.fastest, kind.slip)
     if np.linalg.norm(p[:, :2] - p[0, :2], axis=1).max() < kind.moves:
         raise BadInput(
             f"{row(-1)}: {kind.body} never moved: {kind.never}; leave it out (--without {number}) "
             "or make it again"
         )
-    record.check_clock_set(t, p[:, :2], row, kind.body)
     for j in (2 + wanted.more.index(name) for name in kind.angles if name in wanted.more):
         p[:, j] = record.unwrapped(t, p[:, j], row, kind.body)
     keep = (t >= 0.0) & (t <= kind.ends)
@@ -382,7 +370,7 @@ def _read_track(
             f"{row(0)}: has {keep.sum()} rows within {kind.ends:g} s of the arm's start; write "
             "seconds since that start"
         )
-    return MeasuredTrack(t[keep], p[keep], file, began(t, p[:, :2]))
+    return MeasuredTrack(t[keep], p[keep], file)
 
 
 def _check_times(t: np.ndarray, row: Callable, kind: TrialKind) -> None:

@@ -124,15 +124,28 @@ def test_ctrl_c_says_how_to_go_on(capsys, command):
     assert "continue with: adaptsim train pendulum --run r --resume" in capsys.readouterr().err
 
 
-def test_a_reader_that_goes_away_is_no_fault():
-    code = "import sys; from adaptsim_jax.cli import main; sys.exit(main(['effects']))"
+@pytest.mark.parametrize("buffered", ["", "1"])
+def test_a_reader_that_goes_away_is_no_fault(buffered, tmp_path):
+    """The work that is left is done, and the exit code is its own."""
+    done = tmp_path / "done"
+    code = (
+        "import sys, pathlib; from adaptsim_jax import cli; import adaptsim_jax.commands.effects\n"
+        "effects = adaptsim_jax.commands.effects.run\n"
+        f"run = lambda args: (effects(args), pathlib.Path({str(done)!r}).write_text('whole'))[0]\n"
+        "adaptsim_jax.commands.effects.run = run\n"
+        "sys.exit(cli.main(['effects']))"
+    )
     reader, writer = os.pipe()
     os.close(reader)
     process = subprocess.run(
-        [sys.executable, "-c", code], stdout=writer, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-c", code],
+        stdout=writer,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONUNBUFFERED": buffered},
     )
     os.close(writer)
-    assert process.returncode == 1 and process.stderr == ""
+    assert process.returncode == 0 and process.stderr == "" and done.exists()
 
 
 def test_results_to_a_full_disk_are_one_line():
@@ -153,7 +166,8 @@ def test_results_to_a_full_disk_are_one_line():
 HEED = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
 
 
-def test_interrupt_of_a_real_process():
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+def test_interrupt_of_a_real_process(sent):
     code = HEED + (
         "import sys, time, types; from adaptsim_jax import cli; from adaptsim_jax.commands import "
         "parser\n"
@@ -167,7 +181,7 @@ def test_interrupt_of_a_real_process():
         [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
         assert process.stdout.readline() == "ready\n"
-        process.send_signal(signal.SIGINT)
+        process.send_signal(sent)
         _, err = process.communicate(timeout=30)
     assert process.returncode == 130 and err == "adaptsim: stopped; go on\n"
 

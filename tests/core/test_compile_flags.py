@@ -38,8 +38,10 @@ def test_the_users_own_flags_stay(monkeypatch):
     assert os.environ[process.NAME] == ""
 
 
-def test_another_jaxlib_gets_none(monkeypatch):
+def test_another_jaxlib_gets_none_and_the_user_is_informed(monkeypatch, capsys):
     monkeypatch.delenv(process.NAME, raising=False)
     monkeypatch.setattr(process.metadata, "version", lambda name: "9.1.0")
     assert not process.small_steps()
     assert process.NAME not in os.environ
+    said = capsys.readouterr().err
+    assert "jaxlib 9.1.0" in said and said.count("\n") == 1

@@ -120,7 +120,7 @@ def test_a_policy_that_is_taken_again_is_reported(tmp_path, monkeypatch, capsys)
 
     def again(env):
         task = environment_task(env)
-        trained = task.preparation._replace(make=lambda key, report: blank(key))  # type: ignore[union-attr]
+        trained = task.preparation._replace(make=lambda key, report, kept: blank(key))  # type: ignore[union-attr]
         return training.learned(task, trained, 0, None)
 
     first = again(Cart())

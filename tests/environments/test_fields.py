@@ -10,6 +10,7 @@ import pytest
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.environments.fields import (
+    ATTRIBUTES,
     domain_randomize,
     edit_native,
     edited,
@@ -18,6 +19,7 @@ from adaptsim_jax.environments.fields import (
     space_of,
 )
 from adaptsim_jax.environments.simulated import simulated
+from adaptsim_jax.mechanisms.model_numbers import array_at, parse
 from tests.environments.small import make
 
 SERVO = """
@@ -165,3 +167,113 @@ def test_a_star_is_all_of_a_kind_in_proportion():
     np.testing.assert_allclose(model.actuator_biasprm[:, 1], [-10.0, -20.0])
     with pytest.raises(BadInput, match="has no tendon with a name"):
         field_of(model, "tendon:*.stiffness")
+
+
+MACHINE = """
+<mujoco>
+  <option timestep="0.002" gravity="0 0 {gravity}" wind="{wind} 0 0" density="{density}"
+    viscosity="{viscosity}"/>
+  <worldbody>
+    <geom name="floor" type="plane" size="3 3 1" pos="0 0 -1" friction="{floor} 0.005 0.0001"/>
+    <body name="cart">
+      <joint name="slide" type="slide" axis="1 0 0" damping="{slide}" springref="{springref}"
+        stiffness="{stiffness}" armature="{armature}" frictionloss="{frictionloss}"/>
+      <geom name="box" type="box" size="0.1 0.1 0.1" mass="1"/>
+      <body name="arm" pos="0 0 0.1">
+        <joint name="hinge" axis="0 1 0" damping="0.1"/>
+        <geom name="link" type="capsule" size=".02" fromto="0 0 0 .3 0 0" mass="{mass}"/>
+        <body name="bob" pos="{pos} 0 0">
+          <inertial pos="{ipos} 0 -0.1" mass="0.2" diaginertia="0.01 0.012 {inertia}"/>
+          <joint name="ball" type="ball" damping="{ball}" armature="{rotor}"/>
+          <site name="tip"/>
+        </body>
+      </body>
+    </body>
+    <body name="stone" pos="1 0.5 -0.9">
+      <joint name="free" type="free" damping="{free}"/>
+      <geom name="skin" type="sphere" size="0.1" mass="0.5" friction="0.01 0.005 0.0001"
+        solref="{solref} 1"/>
+    </body>
+  </worldbody>
+  <tendon>
+    <fixed name="cord" springlength="0.1" damping="{tendon}" stiffness="{cord}"
+      frictionloss="{rub}">
+      <joint joint="slide" coef="1"/><joint joint="hinge" coef="-1"/>
+    </fixed>
+  </tendon>
+  <actuator>
+    <motor name="motor" joint="slide" gear="{gear}"/>
+    <position name="servo" joint="hinge" kp="{kp}" kv="3"/>
+    <velocity name="wheel" joint="hinge" kv="{kv}"/>
+    <intvelocity name="integrated" joint="hinge" kp="{ki}" actrange="-1 1"/>
+    <damper name="brake" joint="slide" kv="{brake}" ctrlrange="0 1"/>
+    <general name="any" joint="slide" gainprm="{any}" biasprm="{bias}" biastype="affine"/>
+    <cylinder name="piston" joint="slide" area="{area}" timeconst="0.1"/>
+  </actuator>
+</mujoco>
+"""
+WRITTEN = {  # by the field's name: what it is called in MACHINE, before and after
+    "option.gravity[2]": ("gravity", -9.81, -3.0),
+    "option.wind[0]": ("wind", 1.0, 4.0),
+    "option.density": ("density", 1.0, 20.0),
+    "option.viscosity": ("viscosity", 0.01, 0.5),
+    "geom:floor.friction": ("floor", 0.8, 0.1),
+    "geom:skin.solref[0]": ("solref", 0.02, 0.06),
+    "joint:slide.damping": ("slide", 0.4, 2.0),
+    "joint:slide.springref": ("springref", 0.1, -0.4),
+    "joint:slide.stiffness": ("stiffness", 3.0, 20.0),
+    "joint:slide.armature": ("armature", 0.1, 1.0),
+    "joint:slide.frictionloss": ("frictionloss", 0.1, 1.0),
+    "joint:ball.damping": ("ball", 0.02, 0.2),
+    "joint:ball.armature": ("rotor", 0.001, 0.02),
+    "joint:free.damping": ("free", 0.1, 0.7),
+    "body:arm.mass": ("mass", 0.5, 1.0),
+    "body:bob.pos[0]": ("pos", 0.3, 0.5),
+    "body:bob.ipos[0]": ("ipos", 0.0, 0.1),
+    "body:bob.inertia[2]": ("inertia", 0.013, 0.02),
+    "tendon:cord.damping": ("tendon", 0.1, 1.0),
+    "tendon:cord.stiffness": ("cord", 1.0, 9.0),
+    "tendon:cord.frictionloss": ("rub", 0.1, 0.8),
+    "actuator:motor.gear": ("gear", 2.0, 5.0),
+    "actuator:servo.gain": ("kp", 3.0, 30.0),
+    "actuator:wheel.gain": ("kv", 0.5, 2.0),
+    "actuator:integrated.gain": ("ki", 2.0, 9.0),
+    "actuator:brake.gain": ("brake", 0.3, 3.0),
+    "actuator:any.gain": ("any", 1.0, 3.0),
+    "actuator:any.bias[0]": ("bias", 0.1, 1.5),
+    "actuator:piston.gain": ("area", 1.0, 4.0),
+}
+
+
+def rolled(model):
+    """Places after half a second from a bent, moving start under constant commands."""
+    data = mujoco.MjData(model)
+    data.qpos[1], data.qvel[:] = 0.5, np.linspace(1.0, 2.0, model.nv)
+    data.ctrl[:] = 0.7
+    mujoco.mj_step(model, data, 250)
+    return data.qpos.copy()
+
+
+def machine(**changed):
+    numbers = {word: old for word, old, _ in WRITTEN.values()} | changed
+    return mujoco.MjModel.from_xml_string(MACHINE.format(**numbers))
+
+
+@pytest.mark.parametrize("name", WRITTEN)
+def test_a_number_edited_by_name_is_the_same_number_in_the_file(name):
+    word, old, new = WRITTEN[name]
+    before, by_file = machine(), machine(**{word: new})
+    field = field_of(before, name)
+    assert field.nominal == pytest.approx(old)
+    truth = rolled(by_file)
+    assert np.abs(truth - rolled(before)).max() > 1e-3  # it does something
+    by_name = edit_native(machine(), [field], [new])
+    np.testing.assert_allclose(rolled(by_name), truth, atol=1e-6)
+    for array in {edit.array for edit in field.edits}:
+        np.testing.assert_allclose(array_at(by_name, array), array_at(by_file, array), atol=1e-9)
+
+
+def test_each_attribute_of_each_kind_is_walked():
+    there = {(form.kind, form.attribute) for form in map(parse, WRITTEN) if form}
+    every = {(kind, name) for kind, rows in ATTRIBUTES.items() for name in rows}
+    assert every == there

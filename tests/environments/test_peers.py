@@ -3,6 +3,8 @@ with the extra `[environments]`.
 """
 
 import importlib.util
+import subprocess
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +12,7 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.environments import peers
 from adaptsim_jax.environments.peers import load
 from adaptsim_jax.environments.setting import EnvironmentConfig, setting_of
 from adaptsim_jax.environments.task import play_in
@@ -105,3 +108,21 @@ def test_an_option_that_playground_has_not_is_refused():
             BadInput, match=r'impl = "warp": needs warp-lang .* pip install warp-lang'
         ):
             load("playground:CartpoleSwingup", {"impl": "warp"})
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        subprocess.CalledProcessError(128, ["git", "clone"]),
+        FileNotFoundError(2, "No such file or directory", "git"),
+    ],
+)
+def test_playground_without_a_network_is_one_line_with_what_to_do(monkeypatch, error):
+    def load_(name, config_overrides):
+        raise error
+
+    registry = SimpleNamespace(ALL_ENVS=["Go1"], get_default_config=lambda name: {}, load=load_)
+    monkeypatch.setattr(peers, "_peer", lambda *given: SimpleNamespace(registry=registry))
+    with pytest.raises(BadInput, match="copy a checkout of Menagerie to") as told:
+        load("playground:Go1")
+    assert "git" in str(told.value) and "\n" not in str(told.value)

@@ -6,14 +6,17 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 from mujoco import mjx
 
+from adaptsim_jax.commands.parser import read_target
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.environments.setting import EnvironmentConfig, setting_of
-from adaptsim_jax.environments.task import play_in
+from adaptsim_jax.environments.task import play_in, task_of
 from tests.environments.small import make
+from tests.environments.test_mended import effect, written
 
 SAME = {"integrator": "Euler", "steps": 1}
 TARGETS = {
@@ -154,3 +157,74 @@ def test_a_step_that_no_target_can_reach_is_refused():
     setting = setting_of(Raw(lambda model, data: kept(model, data)), own)
     with pytest.raises(BadInput, match="does not reach the target's physics"):
         track(*play_in(setting, setting.targets["stuck"]))
+
+
+PUSHED = """
+<mujoco>
+  <option timestep="0.02" gravity="0 0 0"><flag contact="disable"/></option>
+  <worldbody>
+    <body name="hand" mocap="true" pos="0 1 0"/>
+    <body name="cart">
+      <joint name="slide" type="slide" axis="1 0 0" damping="0.4"/>
+      <geom type="box" size="0.1 0.1 0.1" mass="1"/>
+    </body>
+    <body name="led">
+      <freejoint/>
+      <geom type="box" size="0.1 0.1 0.1" mass="1"/>
+    </body>
+  </worldbody>
+  <equality><weld body1="hand" body2="led"/></equality>
+  <actuator><motor joint="slide" gear="4" ctrlrange="-1 1"/></actuator>
+</mujoco>
+"""
+
+
+class Pushed(Raw):
+    """Its step pushes the cart by forces of two kinds, and leads a body by the hand."""
+
+    def __init__(self):
+        self.mj_model = mujoco.MjModel.from_xml_string(PUSHED)
+        self.mjx_model = mjx.put_model(self.mj_model)
+
+    def step(self, state, action):
+        data = state.data.replace(
+            ctrl=0.0 * action,
+            xfrc_applied=state.data.xfrc_applied.at[2, 0].set(3.0),
+            qfrc_applied=state.data.qfrc_applied.at[0].set(2.0),
+            mocap_pos=state.data.mocap_pos + 0.01,
+        )
+        return self.state(mjx.step(self.mjx_model, data))
+
+
+def test_forces_and_mocap_poses_of_a_step_reach_the_target():
+    own = EnvironmentConfig(fields={"body:cart.mass": (0.5, 4.0)}, targets={"same": SAME})
+    setting = setting_of(Pushed(), own)
+    same = track(*play_in(setting, setting.targets["same"]))
+    ours = track(setting.play, [1.0])
+    assert ours[-1, 0] > 0.1 and ours[-1, 1] > 0.01  # the cart, and the body that is led
+    np.testing.assert_allclose(same[:, :4], ours[:, :4], atol=2e-4)
+
+
+def test_a_file_says_a_target_by_any_field_or_by_a_mended_model(tmp_path):
+    setting = setting_of(make(), EnvironmentConfig())
+    task = task_of(setting)
+    task = task.preparation.ready(task.preparation.blank(jax.random.key(1)))
+    mended = written(tmp_path, effect("coulomb", 0.3, "level") + effect("delay", 0.03, "delay"))
+    named = tmp_path / "rail.toml"
+    named.write_text(
+        '"body:cart.mass" = 1.2\n"joint:slide.damping" = 0.7\n"joint:slide.armature" = 0.05\n'
+        '"joint:slide.frictionloss" = 0.3\ndelay = 0.03\n'
+    )
+    other = tmp_path / "nominal.toml"
+    other.write_text("[params]\n")
+    seen = {}
+    for path in (mended, named, other):
+        name, params, world = read_target(str(path), task)
+        assert name == path.stem and params.shape == (2,) and world.reference(params).shape == (2,)
+        roll = jax.jit(world.rollout)
+        seen[path] = roll(jax.random.key(0), task.init_policy(jax.random.key(0)), params).features
+    np.testing.assert_allclose(seen[mended], seen[named], atol=1e-5)
+    assert np.abs(seen[mended] - seen[other]).max() > 1e-3
+    (tmp_path / "odd.toml").write_text('"joint:sldie.damping" = 1.0')
+    with pytest.raises(BadInput, match=r"odd\.toml: 'joint:sldie\.damping'.*'joint:slide'"):
+        read_target(str(tmp_path / "odd.toml"), task)

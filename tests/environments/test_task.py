@@ -18,12 +18,21 @@ from adaptsim_jax.adaptation.phase1_config import Phase1Config, Phase1Hyper
 from adaptsim_jax.adaptation.phase2 import adapt, draw_starts
 from adaptsim_jax.adaptation.training import Trained
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.environments.course import TrainingPlan, trained_in
 from adaptsim_jax.environments.episodes import ActingPolicy, EpisodeSteps, Rollout, look
-from adaptsim_jax.environments.policies import Law, everywhere, starts_of, trained_in
+from adaptsim_jax.environments.policies import (
+    Law,
+    Prepared,
+    check_fields,
+    everywhere,
+    shaken,
+    starts_of,
+)
 from adaptsim_jax.environments.setting import EnvironmentConfig, setting_of
 from adaptsim_jax.environments.task import environment_task, ready, task_of
 from adaptsim_jax.environments.trainer import PPOTraining, Trainer, TrainerInfo
 from adaptsim_jax.learners.ppo import PPOHyper
+from adaptsim_jax.space import gaussian
 from tests.environments.cart import Cart, State
 
 SMALL = EnvironmentConfig(
@@ -64,17 +73,17 @@ def test_worlds_are_not_told_while_training_is_blind():
     def train(key, state, worlds, rounds):
         told.extend([float(worlds.known)] * rounds)
         kinds.add(tuple(map(jax.typeof, worlds)))
-        return state, TrainerInfo(*[jnp.zeros(rounds)] * 4)
+        return state, TrainerInfo(*[jnp.zeros(rounds)] * 4, *[jnp.zeros((rounds, 2))] * 2)
 
     trainer = Trainer(
         None, lambda key, learned: learned, train, lambda state: state, None, None, None
     )  # type: ignore[arg-type]
     worlds = everywhere(setting_of(Cart(), SMALL))
-    trained_in(trainer, jax.random.key(0), (), worlds, 40, blind=0.5)
+    trained_in(trainer, jax.random.key(0), (), worlds, TrainingPlan(40, 0.5))
     assert told == [0.0] * 20 + [1.0] * 20
     assert len(kinds) == 1  # a program for each would be compiled
     told.clear()
-    trained_in(trainer, jax.random.key(0), (), worlds, 40)
+    trained_in(trainer, jax.random.key(0), (), worlds, TrainingPlan(40))
     assert told == [1.0] * 40
 
 
@@ -167,6 +176,17 @@ def test_a_measured_episode_is_read_as_a_simulated_one(made):
     assert task.act(Law(jnp.full(2, 0.5)), jnp.array([0.5, 0.0])).shape == (1,)
 
 
+def test_an_asked_policy_acts_for_one_observation_and_for_many(made):
+    *_, task, _ = made
+    phase1 = make_phase1(task, PHASE1)
+    state = phase1.init(jax.random.key(0))
+    session = Session(Trained(phase1, Phase1Hyper(), state, PHASE1.rounds), starts=1, iterations=1)
+    act, obs = session.ask().act, np.random.default_rng(0).normal(size=(3, 4, 2))
+    many = act(obs)
+    assert many.shape == (3, 4, 1) and act(obs[0]).shape == (4, 1)
+    np.testing.assert_allclose(many[1, 2], act(obs[1, 2]), atol=1e-6)
+
+
 def test_what_a_start_brought_is_taken_off_the_return(made):
     *_, task, _ = made
     rng = np.random.default_rng(0)
@@ -246,3 +266,32 @@ def test_the_other_policies_serve_phase_1_too(policy):
     if policy == "planned":  # it needs no training: a plan of 40 steps ahead finds the middle
         params = task.space.physical(jnp.array([0.5, 0.5]))
         assert rolled(task, [[0.5, 0.5]], params).score[0] > 12.0
+
+
+def test_a_policy_is_tuned_in_worlds_of_omega_alone():
+    setting = setting_of(Cart(), replace(SMALL, policy="tuned", spread=0.05))
+    seen = []
+    trainer = setting.trainer._replace(
+        begin=lambda key, learned: learned,
+        train=lambda key, state, worlds, rounds: (seen.append(worlds) or state, None),
+        learned=lambda state: state,
+        policy=lambda learned: learned,
+    )
+    task = ready(setting._replace(trainer=trainer), Prepared((), None, jnp.zeros(3)))
+    task.train(jax.random.key(0), gaussian(task.space, jnp.array([0.0, 1.0])), None)
+    np.testing.assert_allclose(seen[0].low, [0.0, 0.95], atol=1e-6)
+    np.testing.assert_allclose(seen[0].high, [0.05, 1.0], atol=1e-6)
+
+
+def test_a_field_that_does_nothing_in_a_part_of_its_range_is_told(capsys):
+    env = Cart()
+    usual = env.step_env
+    # of a damping and another of 1.05 the greater acts, as with the friction of two geoms
+    env.step_env = lambda key, state, action, params: usual(
+        key, state, action, params.replace(damping=jnp.maximum(params.damping, 1.05))
+    )
+    setting = setting_of(env, SMALL)
+    check_fields(setting.space, shaken(setting))
+    said = capsys.readouterr().err
+    assert "'params.damping' from 0.1 to 0.575, 0.575 to 1.05 (" in said
+    assert said.count("\n") == 1

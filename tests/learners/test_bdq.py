@@ -15,6 +15,7 @@ from adaptsim_jax.learners.bdq import (
     BDQState,
     double_q_target,
     explore,
+    held,
     make_bdq,
 )
 from adaptsim_jax.learners.replay import Transition
@@ -176,3 +177,11 @@ def test_rates_are_traced():
 def test_bad_sizes_are_refused(bad):
     with pytest.raises(BadInput):
         make_bdq(BDQConfig(**({"obs_dim": 2, "branches": 1} | bad)))
+
+
+def test_what_is_held_at_a_bound_has_a_gradient_that_leads_back():
+    x = jnp.array([-4.0, 0.0, 4.0])
+    for way, wanted in ((1.0, [0.0, 1.0, 1.0]), (-1.0, [-1.0, -1.0, 0.0])):
+        value, slope = jax.value_and_grad(lambda x, way=way: way * held(x, -3.0, 3.0).sum())(x)
+        assert value == 0.0
+        np.testing.assert_array_equal(slope, wanted)

@@ -2,13 +2,25 @@
 is best.
 """
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.learners.ppo import PPOConfig, PPOHyper, Unroll, _shuffled, carried, gae, make_ppo
+from adaptsim_jax.learners.ppo import (
+    HIGHEST,
+    LOWEST,
+    PPOConfig,
+    PPOHyper,
+    Unroll,
+    _shuffled,
+    carried,
+    gae,
+    make_ppo,
+)
 
 T, B = 6, 4
 
@@ -91,6 +103,26 @@ def test_what_was_seen_is_standardised_as_all_of_it_at_once():
     actor = ppo.actor(state)
     np.testing.assert_allclose(actor.mean, seen.mean(0), rtol=1e-4)
     np.testing.assert_allclose(actor.std, seen.std(0), rtol=1e-3)
+
+
+@pytest.mark.parametrize(("entropy", "end"), [(1.0, HIGHEST), (-1.0, LOWEST)])
+def test_exploration_that_reached_its_bound_comes_back(entropy, end):
+    ppo = make_ppo(PPOConfig(3, 1, 2, (8,), epochs=4, minibatches=2))
+    rates = PPOHyper(learning_rate=0.02, entropy=entropy)
+    update, rng = jax.jit(ppo.update), np.random.default_rng(1)
+    state, flat = ppo.init(jax.random.key(0)), jnp.zeros((T, B))
+    spreads = []
+    for i in range(80):
+        if i == 40:  # what is wanted of it is turned round
+            rates = replace(rates, entropy=-entropy)
+        key = jax.random.key(i)
+        batch = batch_of(rng, reward=flat)
+        action, log_prob = ppo.act(key, ppo.actor(state), batch.obs, batch.extra)
+        batch = batch._replace(action=action, log_prob=log_prob)
+        state, info = update(key, state, batch, rates)
+        spreads.append(float(jnp.log(info.spread)))
+    assert spreads[39] == pytest.approx(end, abs=1e-3)
+    assert abs(spreads[-1] - end) > 1.0
 
 
 @pytest.mark.parametrize("when", [0, 2])

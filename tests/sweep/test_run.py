@@ -41,12 +41,6 @@ def test_it_leaves_a_table_and_figures(straight):
     assert found["done"] == 8 and len(found["rows"][0]["curve"]) == 8
     line = next(s for s in found["summary"] if s["key"] == "hyper.delta" and s["reward"] == "wd")
     assert line["over"] == "seeds" and line["count"] == 2 and line["members"] == 4
-    names = {p.name for p in (straight / "out").glob("*.png")}
-    assert names == {
-        "reward_hyper_delta.png",
-        "reward_hyper_learner_learning_rate.png",
-        "curves.png",
-    }
     page = (straight / "out" / "report.html").read_text()
     assert "8 of 8 members done" in page and page.count('class="explore"') == 2
 

@@ -22,12 +22,11 @@ from adaptsim_jax.tasks.one_shot import read_saved
 from adaptsim_jax.tasks.pushing import model
 from adaptsim_jax.tasks.pushing import task as pushing
 from adaptsim_jax.tasks.pushing.corrections import PushRecord
-from adaptsim_jax.tasks.pushing.frame import FRAME, KIND, check_hits
+from adaptsim_jax.tasks.pushing.frame import FRAME, KIND
 from adaptsim_jax.tasks.pushing.model import PushOptions
 from adaptsim_jax.tasks.pushing.one_shot import make_aims
 from adaptsim_jax.tasks.pushing.task import PushingConfig, PushingPolicy, PushingTrajectory
 from adaptsim_jax.tasks.robot_trials import AskedTrials, asked_trials, record_of_trials
-from adaptsim_jax.tasks.trial_clock import began, check_frozen
 from adaptsim_jax.tasks.trial_record import asked_tracks
 
 COLUMNS = ("trial", "time", "x", "y")
@@ -153,26 +152,19 @@ def measured_trajectory(
     where: str,
     pushes: AskedTrials,
     config: PushingConfig,
-    as_declared: bool = False,
 ) -> PushingTrajectory:
     """The trajectory of `pushes` as the task observes and rewards it, from `columns` trial, time,
     x, y of `[T]` each.
 
     `at(i)` names row i in a message, `where` the file. The bottle's place is interpolated at the
     task's times, the last of them the end of the trial (1.3 s by default), by which the reward
-    goes. as_declared: Whatever they say of the clock. Raises BadInput.
+    goes. Raises BadInput.
     """
     needed = (COLUMNS, "s and m")
     trials = asked_tracks(columns, (where, at), pushes.numbers, KIND, needed, 50 * config.duration)
-    doubted = not as_declared and config.observation != "final"
-    if doubted:
-        starts = np.tile(model.START, (len(trials), 1))
-        check_hits([began(t.time, t.track) for t in trials], pushes.actions, starts, where)
     places = []
     for _, time, track, reported in trials:
         _check_time(time, reported, config)
-        if doubted:
-            check_frozen(time, track, reported, "the bottle")
         _check_track(time, track, reported, config)
         places.append(_resampled(time, track, config))
     return pushing.measured(

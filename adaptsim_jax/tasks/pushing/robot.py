@@ -75,7 +75,7 @@ def trajectory(
 
     config, where = config_of(session), str(path)
     found = measured().measured_trajectory(
-        table.columns, row_namer(path, table), where, pushes, config, session.as_declared
+        table.columns, row_namer(path, table), where, pushes, config
     )
     if not session.as_declared:
         angles, way = pushes.actions[:, 1], np.asarray(found.points[:, -1], float) - np.array(START)

@@ -24,9 +24,7 @@ from adaptsim_jax.tasks.scooping import model
 from adaptsim_jax.tasks.scooping import task as scooping
 from adaptsim_jax.tasks.scooping.config import ScoopingConfig, ScoopingPolicy, ScoopingTrajectory
 from adaptsim_jax.tasks.scooping.corrections import ScoopRecord
-from adaptsim_jax.tasks.scooping.model import ScoopOptions
-from adaptsim_jax.tasks.scooping.motion import KIND, check_mirrored, check_reach
-from adaptsim_jax.tasks.trial_clock import began, check_frozen
+from adaptsim_jax.tasks.scooping.motion import KIND, check_mirrored
 from adaptsim_jax.tasks.trial_record import asked_tracks
 
 COLUMNS = ("trial", "time", "x", "y", "on")
@@ -116,7 +114,7 @@ def measured_trajectory(
     x, y, on of `[T]` each.
 
     `at(i)` names row i in a message, `where` the file. Places are interpolated at the task's eight
-    times and counted from where the piece lay. as_declared: Whatever they say of clock and frame.
+    times and counted from where the piece lay. as_declared: Whatever they say of the frame.
     Raises BadInput.
     """
     needed = (COLUMNS, "s, m, 0 or 1")
@@ -127,12 +125,9 @@ def measured_trajectory(
             "else 0"
         )
     if not as_declared:
-        check_reach([began(t.time, t.track) for t in trials], scoops.actions, ScoopOptions(), where)
         check_mirrored(scoops.contexts[:, 1], np.array([t.track[0, 1] for t in trials]), where)
     points, lies = [], []
     for rows, time, track, given in trials:
-        if not as_declared:
-            check_frozen(time, track, given, "the piece")
         _check_track(time, track, given)
         places = np.stack([np.interp(model.OBSERVED_AT, time, track[:, k]) for k in range(2)], 1)
         points.append(places - track[0])

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -25,7 +24,6 @@ from scipy.interpolate import CubicSpline
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.scooping import model
 from adaptsim_jax.tasks.scooping.model import ScoopOptions
-from adaptsim_jax.tasks.trial_clock import CLOCK, Touch, check_clock_rate
 from adaptsim_jax.tasks.trial_record import TrialKind
 
 Array = Any
@@ -96,36 +94,6 @@ def lowest(theta: Array) -> Array:
 def from_tip(pose: Array, x: Array, z: Array) -> tuple[Array, Array]:
     """`(ahead, above)` m of a point `(x, z)` in the frame of the tip at `pose [..., 3]`."""
     return turn(-pose[..., 2], x - pose[..., 0], z - pose[..., 1])
-
-
-SPEED, LATER = 1.0, 1.1
-"""Greatest speed of a piece over the blade's, and times later than by a box that is pushed at once:
-1.0 to 1.25 over Omega.
-"""
-STEPS = 1000
-
-
-def touch(actions: np.ndarray, options: ScoopOptions = ScoopOptions()) -> Touch:  # noqa: B008
-    """Of scoops with `actions [T, 3]` rad, rad/s, m: reached where the tip has pushed the piece by
-    `CLOCK.moved`.
-    """
-    poses = jax.vmap(lambda a: motion(a, STEPS, options)[:, 0])(np.asarray(actions, np.float32))
-    tip, time = np.asarray(poses, float), np.linspace(0.0, model.SECONDS, STEPS + 1)
-    fastest = np.max(np.diff(tip, axis=1), axis=1) * STEPS / model.SECONDS
-
-    def reached(f: float) -> np.ndarray:
-        # the blade starts `RADIUS + distance` before the piece's middle, and meets its rim
-        past = tip[:, :1] + f * (tip - tip[:, :1]) > CLOCK.moved - model.RADIUS
-        return np.where(past.any(1), LATER * time[np.argmax(past, axis=1)], CLOCK.never)
-
-    return Touch(reached, lambda f: f * SPEED * fastest)
-
-
-def check_reach(
-    observed: Sequence[tuple[float, float]], actions: np.ndarray, options: ScoopOptions, where: str
-) -> None:
-    """BadInput where scoops contradict the rate of their clock; see `trial_clock`."""
-    check_clock_rate(observed, touch(actions, options), where, "the piece")
 
 
 KIND = TrialKind(

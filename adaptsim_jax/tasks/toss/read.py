@@ -16,7 +16,6 @@ from adaptsim_jax.mechanisms.quaternions import between, continuous, rotated
 from adaptsim_jax.tasks import camera_record as record
 from adaptsim_jax.tasks.toss.blows import check_blows
 from adaptsim_jax.tasks.toss.body import TossedBody, read_body
-from adaptsim_jax.tasks.trial_clock import check_frozen
 from adaptsim_jax.tasks.trial_record import read_meta
 
 PLACE, TURN = ("x", "y", "z"), ("qw", "qx", "qy", "qz")
@@ -126,7 +125,7 @@ def read(folder: str | Path, as_declared: bool = False, without: Sequence[str] =
     found: dict[str, tuple[np.ndarray, ...]] = {}
     notes: list[str] = []
     for path in files:
-        _read_file(path, found, notes, as_declared)
+        _read_file(path, found, notes)
     if len(found) < TOSS.trials:
         raise BadInput(
             f"{folder}: holds {len(found)} tosses; to judge effects {TOSS.trials} are needed, 20 "
@@ -143,9 +142,7 @@ def read(folder: str | Path, as_declared: bool = False, without: Sequence[str] =
     ).without(without)
 
 
-def _read_file(
-    path: Path, found: dict[str, tuple[np.ndarray, ...]], notes: list[str], as_declared: bool
-) -> None:
+def _read_file(path: Path, found: dict[str, tuple[np.ndarray, ...]], notes: list[str]) -> None:
     """The tosses of a file into `found`: one by the file's name, or as many as its column `trial`
     numbers.
     """
@@ -182,13 +179,11 @@ def _read_file(
             )
         place = np.stack([c[n][i] for n in PLACE], 1)
         turn = np.stack([c[n][i] for n in TURN], 1) / norm[i, None]
-        found[name] = _one(c["time"][i], place, turn, trials, as_declared)
+        found[name] = _one(c["time"][i], place, turn, trials)
         notes += [f"toss {name}: {hole}" for hole in record.holes(found[name][0])]
 
 
-def _one(
-    time: np.ndarray, place: np.ndarray, turn: np.ndarray, trials, as_declared: bool
-) -> tuple[np.ndarray, ...]:
+def _one(time: np.ndarray, place: np.ndarray, turn: np.ndarray, trials) -> tuple[np.ndarray, ...]:
     record.check_increasing(time, trials)
     if len(time) < TOSS.rows or np.median(np.diff(time)) > TOSS.slowest:
         gap = np.median(np.diff(time)) if len(time) > 1 else 0.0
@@ -196,11 +191,8 @@ def _one(
             f"{trials(0)}: {len(time)} rows {gap:.2g} s apart; a toss needs {TOSS.rows} at 50 Hz "
             "or more, time in seconds"
         )
-    if not as_declared:
-        check_frozen(time, place, trials, "the body", grip=np.inf)  # a blow may stop it at once
     gaps = np.diff(time)
     record.check_leaps(time, place, trials, "the body", TOSS.fastest)
-    record.check_clock_set(time, place, trials, "the body")
     turn = continuous(turn)
     spun = np.linalg.norm(between(turn[:-1], turn[1:]), axis=1)
     for k in np.flatnonzero((spun > TOSS.spin * gaps) & (spun > 0.5))[:1] + 1:

@@ -13,7 +13,7 @@ from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks import trial_record
 from adaptsim_jax.tasks.pushing import model
-from adaptsim_jax.tasks.pushing.frame import KIND, check_each, check_frame, check_hits, check_order
+from adaptsim_jax.tasks.pushing.frame import KIND, check_each, check_frame, check_order
 from adaptsim_jax.tasks.pushing.model import PushOptions
 from adaptsim_jax.tasks.pushing.planar import TWINS, PlanarCoefficients, check_options
 from adaptsim_jax.tasks.trial_record import TrialFiles, TrialRecording
@@ -93,8 +93,6 @@ def assemble(
     time, xy, acts = arrays["time"], arrays["places"][..., :2], trials.stacked("speed", "angle")
     _check_start(starts, arrays["aside"], where)
     trial_record.check_starts(names, arrays["aside"], KIND, where)
-    if not as_declared:
-        check_hits(trials.began, acts, starts, trial_record.place_of(tracks))
     trial_record.check_spacing(names, trials.found)
     if not as_declared:
         angles, ends = acts[:, 1], trials.went(arrays)[:, :2]

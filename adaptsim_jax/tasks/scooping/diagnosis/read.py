@@ -13,8 +13,8 @@ from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks import trial_record
 from adaptsim_jax.tasks.scooping import model
-from adaptsim_jax.tasks.scooping.model import ScoopOptions, check_options
-from adaptsim_jax.tasks.scooping.motion import KIND, check_mirrored, check_reach, check_way
+from adaptsim_jax.tasks.scooping.model import ScoopOptions
+from adaptsim_jax.tasks.scooping.motion import KIND, check_mirrored, check_way
 from adaptsim_jax.tasks.trial_record import TrialFiles, TrialRecording
 
 KEYS = ("schema", "task", "shape", "height", "clearance", "press", "repeats", "note", "noise")
@@ -69,7 +69,6 @@ def assemble(
     given = {k: float(meta[k]) for k in ("clearance", "press") if k in meta}
     options = replace(ScoopOptions(), **given)
     if not as_declared:
-        check_reach(trials.began, acts, check_options(options), trial_record.place_of(tracks))
         check_mirrored(starts[:, 1], np.array([found[n].places[0, 1] for n in names]), str(where))
     trial_record.check_spacing(names, found)
     if own_frame:
