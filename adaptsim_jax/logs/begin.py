@@ -52,7 +52,9 @@ class Begun:
     unused: tuple[str, ...] = ()
 
 
-def begin(data: Path, out: Path | None, model: Path | None, topics: dict[str, str]) -> Begun:
+def begin(
+    data: Path, out: Path | None, model: Path | None, topics: dict[str, str | Sequence[str]]
+) -> Begun:
     """Write `meta.toml` into `out` (None: into `data`, a folder). Raises `BadInput` where there is
     one, or no data.
     """
@@ -148,8 +150,11 @@ def _from(path: Path, folder: Path) -> str:
 
 
 def _columns(
-    data: Path, tables: list[Path], topics: dict[str, str], joints: Sequence[str]
-) -> tuple[dict[str, np.ndarray], list[str], dict[str, str]]:
+    data: Path,
+    tables: list[Path],
+    topics: dict[str, str | Sequence[str]],
+    joints: Sequence[str],
+) -> tuple[dict[str, np.ndarray], list[str], dict[str, str | Sequence[str]]]:
     """Columns of the first trial as its file names them; of bags also what their topics are, and
     those that are chosen.
     """

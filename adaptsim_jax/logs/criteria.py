@@ -38,6 +38,10 @@ class ClockCriteria:
     min_overlap: int = 4  # rows that lie there: fewer may be out of order
     first: int = 20  # messages of a topic that are looked at to know its joints
     better: float = 0.5  # of what the other reading of a trajectory leaves, that decides
+    usual_steps: float = 0.9  # of the steps between messages: those at rest say little
+    contradicts: float = 3.0  # such steps that another sender's angles may be off
+    leap: float = 0.2  # of an angle's range between two messages: no joint goes so far
+    leaps: float = 0.05  # of the messages: a wrap or a jump of a gripper comes more seldom
 
 
 @dataclass(frozen=True)

@@ -233,7 +233,7 @@ class Draft:
     data: str | None = None
     names: ModelNames | None = None
     topics: Sequence[str] = ()
-    ros: Mapping[str, str] = field(default_factory=dict)
+    ros: Mapping[str, str | Sequence[str]] = field(default_factory=dict)
     kinds: Sequence[str] = ()
     commands: Mapping[str, str] = field(default_factory=dict)
 

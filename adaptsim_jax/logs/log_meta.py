@@ -5,7 +5,7 @@ key.
 from __future__ import annotations
 
 import fnmatch
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
@@ -104,7 +104,7 @@ class LogMeta:
     exclude: tuple[str, ...] = ()
     group: Mapping[str, str] = field(default_factory=dict)
     payload: Mapping[str, float] = field(default_factory=dict)
-    ros: Mapping[str, str] = field(default_factory=dict)
+    ros: Mapping[str, str | Sequence[str]] = field(default_factory=dict)
     hold: Mapping[str, float | None] = field(default_factory=dict)
     simulator: str | None = None
     rate: Mapping[str, float] = field(default_factory=dict)
@@ -182,14 +182,15 @@ def _sizes(path: Path, key: str, table: Mapping[str, Any], example: str) -> dict
     return out
 
 
-def _ros(path: Path, table: dict) -> dict[str, str]:
-    out = {
-        key: text(path, f"ros.{key}", value)
-        for key, value in known(path, table, ROS_KEYS, "ros").items()
+def _ros(path: Path, table: dict) -> dict[str, str | Sequence[str]]:
+    known(path, table, ROS_KEYS, "ros")
+    choice(path, table, "trajectory", TRAJECTORY)
+    return {
+        key: _texts(path, f"ros.{key}", value)
+        if isinstance(value, list)
+        else text(path, f"ros.{key}", value)
+        for key, value in table.items()
     }
-    if "trajectory" in out:
-        text(path, "ros.trajectory", out["trajectory"], TRAJECTORY)
-    return out
 
 
 def _texts(path: Path, key: str, value: Any) -> tuple[str, ...]:
