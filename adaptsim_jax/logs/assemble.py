@@ -15,6 +15,7 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.angles import model_angles
 from adaptsim_jax.logs.beside import copies, unread
 from adaptsim_jax.logs.columns import is_ignored, role, roles_of
+from adaptsim_jax.logs.criteria import TABLE
 from adaptsim_jax.logs.inputs import Inputs, choose_inputs
 from adaptsim_jax.logs.joint_columns import JointColumns, also_there, columns_of
 from adaptsim_jax.logs.log import Log, LogTrial, ModelNames
@@ -29,6 +30,7 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
     the model.
     """
     raw = [_without_ignored(trial, meta, model) for trial in _selected(path, raw, meta)]
+    raw = [_without_missing(trial, meta) for trial in raw]
     names = model or _names_in(raw[0])
     _check_meta_names(names, raw, meta)
     trials = [columns_of(trial, names, meta) for trial in raw]
@@ -224,6 +226,28 @@ def _without_ignored(trial: RawTrial, meta: LogMeta, model: ModelNames | None) -
     }
     gone = tuple(name for name in trial.columns if name not in ours)
     return replace(trial, columns=ours, ignored=(*trial.ignored, *gone))
+
+
+def _without_missing(trial: RawTrial, meta: LogMeta) -> RawTrial:
+    """The trial where a few rows lack numbers: what acts, acts on from the row before; rows
+    without a pose or a sensor are left out, and those before anything acts. Angles and speeds stay
+    NaN, but for a pendulum, whose rows are whole.
+    """
+    lacks = {name: np.isnan(x) for name, x in trial.columns.items()}
+    some = {name: rows for name, rows in lacks.items() if 0 < rows.mean() <= TABLE.few}
+    columns, whole = dict(trial.columns), np.ones(len(trial.lines), bool)
+    for name, rows in some.items():
+        found = role(name)
+        if meta.rig is not None or (found and found.stem in ("base", "channel")):
+            whole &= ~rows
+        elif found is None or found.stem not in ("q", "v"):
+            last = np.maximum.accumulate(np.where(rows, -1, np.arange(len(rows))))
+            columns[name] = columns[name][last]
+            whole &= last >= 0
+    if not some:
+        return trial
+    columns = {name: x[whole] for name, x in columns.items()}
+    return replace(trial, columns=columns, lines=trial.lines[whole])
 
 
 def _names_in(trial: RawTrial) -> ModelNames:

@@ -29,6 +29,7 @@ from adaptsim_jax.logs.tables import (
     ENDINGS,
     cells_of,
     column_names,
+    csv_rows,
     headers_of,
     list_columns,
     table_files,
@@ -69,7 +70,9 @@ def begin(
         columns, clock = (columns, {})
     arrays = next(map(_lists, tables), {})
     named = {ours: array for array, ours in arrays.items() if ours}
-    found = guess(columns, names, lerobot.is_lerobot(data) if data.is_dir() else False, named)
+    stated = csv_rows(tables[0], 2).units if tables and tables[0].suffix != ".npz" else {}
+    is_set = lerobot.is_lerobot(data) if data.is_dir() else False
+    found = guess(columns, names, is_set, named, stated)
     renamed = {ours: array for ours, array in named.items() if ours != array}
     ignored = [name for name in found.ignored if name.strip()]
     ignored += [array for array, ours in arrays.items() if not ours]

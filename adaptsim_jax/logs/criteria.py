@@ -14,6 +14,7 @@ class TableCriteria:
     limit: float = 1e5  # SI: a larger value is damage, not data
     slowest: float = 0.25  # s from row to row: beyond it no motion is sampled at all
     fastest: float = 2e-5  # s from row to row: below it a declared unit of time is doubted
+    few: float = 0.05  # of the rows that may lack a number: more is no reading lost now and then
     joined: float = 0.3  # of the rows that lack something: the table is joined of topics
     seldom: float = 0.05  # of the rows that a column of states has at least
     kind: float = 0.1  # of the rows of which one kind of row is listed
@@ -175,6 +176,7 @@ class BlockCriteria:
     sharp: float = 0.01  # s of a sharp block, which is no shorter than a row
     edge: float = 0.05  # s at each end of a trial, where differences are one-sided
     gap: float = 4.0  # sampling intervals: blocks beside longer gaps are left out
+    min_count: int = 12  # rows of a trial in which nothing is missing
     most: int = 1200  # blocks that are looked at, evenly drawn: a second of work
     enough: int = 60  # blocks: below, so many parameters explain anything
     slow: float = 0.02  # of the top speed, within which dry friction turns
@@ -205,7 +207,6 @@ class CommandCriteria:
     smooth: int = 3  # blocks over which both sides are averaged: noise of angles counts less
     alike: float = 6.0  # rows that what is left stays alike over: they are not independent
     min_blocks: int = 30  # below it nothing is said
-    min_rows: int = 12  # of a trial with angle and command
     most_joints: int = 12  # up to which every command is tried on every joint
     trials: int = 6  # that are looked at, evenly drawn
     exchanged: float = 4.0  # times less that exchanged joints leave under the other's command

@@ -122,6 +122,8 @@ class _Converter:
     ) -> None:
         columns = self.meta.columns
         written = columns.get(name) or columns.get(found.stem, name)
+        if name in self.trial.units:
+            written = f"{written} [{self.trial.units[name]}]"
         if one := heading_unit(name, written, found, slides, self.names.joints):
             self.headed.append((one, unit, words, found.stem))
 

@@ -32,7 +32,17 @@ TABLES = (
     "trials",
     "ros",
 )
-KEYS = ("task", "model", "data", "input", "ignore", "simulator", *TABLES, *TEXT_KEYS)
+KEYS = (
+    "task",
+    "model",
+    "data",
+    "input",
+    "ignore",
+    "rows_per_second",
+    "simulator",
+    *TABLES,
+    *TEXT_KEYS,
+)
 SIMULATORS = ("tree", "mujoco")
 ANGLE_KEYS = ("convention", "zero", "reversed")
 COMMAND_KEYS = ("rate", "within")
@@ -82,6 +92,7 @@ class LogMeta:
       or to within a distance of the angle (rad, m).
     - `commands`: Trial -> the file beside the data that holds its commands.
     - `hold`: Joint -> rad or m that it is held at (None: where the log or the file has it).
+    - `rows_per_second`: Of tables without a time.
     - `simulator`: The one of tree and mujoco, None: by what the model needs.
     - `channels`: A sensor of the model, `gyro[0]` -> the column that it is compared with (among
       `columns`, too).
@@ -106,6 +117,7 @@ class LogMeta:
     payload: Mapping[str, float] = field(default_factory=dict)
     ros: Mapping[str, str | Sequence[str]] = field(default_factory=dict)
     hold: Mapping[str, float | None] = field(default_factory=dict)
+    rows_per_second: float | None = None
     simulator: str | None = None
     rate: Mapping[str, float] = field(default_factory=dict)
     within: Mapping[str, float] = field(default_factory=dict)
@@ -167,6 +179,7 @@ def read_log_meta(path: str | Path) -> LogMeta:
             key: None if value is True else number(path, f"hold.{key}", value)
             for key, value in table["hold"].items()
         },
+        rows_per_second=_positive(path, "rows_per_second", raw.get("rows_per_second"), "100.0"),
         simulator=choice(path, raw, "simulator", SIMULATORS),
         channels=channels,
     )
@@ -175,11 +188,15 @@ def read_log_meta(path: str | Path) -> LogMeta:
 def _sizes(path: Path, key: str, table: Mapping[str, Any], example: str) -> dict[str, float]:
     out = _numbers(path, f"commands.{key}", table.get(key, {}), example)
     for name, size in out.items():
-        if not size > 0:
-            raise BadInput(
-                f"{path}: commands.{key}.{name} = {size:g} is not above 0; write {example}"
-            )
+        _positive(path, f"commands.{key}.{name}", size, example)
     return out
+
+
+def _positive(path: Path, key: str, value: Any, example: str) -> float | None:
+    """A number above 0, None where none is given."""
+    if value is not None and not number(path, key, value) > 0:
+        raise BadInput(f"{path}: {key} = {value:g} is not above 0; write {example}")
+    return value
 
 
 def _ros(path: Path, table: dict) -> dict[str, str | Sequence[str]]:

@@ -187,7 +187,7 @@ def _read_tables(
     """The trials of these files, with their commands."""
     leave_out = "--without {}" if meta.rig else LEAVE_OUT
     paths = tuple(commands.values())
-    read = read_files(files, meta.columns, meta.ignore, paths, leave_out)
+    read = read_files(files, meta.columns, meta.ignore, paths, leave_out, meta.rows_per_second)
     trials = [command_files.with_commands(t, commands, meta.columns, meta.ignore) for t in read]
     if files and not data.is_dir() and not commands:
         notes = command_files.likely_commands(data, table_files(data.parent))

@@ -49,12 +49,10 @@ def one_sender(topic: str, rows: Sequence[Message]) -> tuple[list[Message], tupl
 def _angles(
     rows: Sequence[Message], own: Sequence[int], joints: tuple[str, ...]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Times `[K]`, increasing, and angles `[K, n]` of some messages."""
+    """Times `[K]` and angles `[K, n]` of some messages, as they came."""
     time = np.array([rows[k][0] for k in own])
     order = [rows[own[0]][1].index(name) for name in joints]
-    q = np.array([rows[k][2]["q"] for k in own])[:, order]
-    by_time = np.argsort(time, kind="stable")
-    return time[by_time], q[by_time]
+    return time, np.array([rows[k][2]["q"] for k in own])[:, order]
 
 
 def _contradict(time: np.ndarray, q: np.ndarray, other_time: np.ndarray, other: np.ndarray) -> bool:
@@ -63,8 +61,9 @@ def _contradict(time: np.ndarray, q: np.ndarray, other_time: np.ndarray, other: 
     """
     if len(time) < CLOCK.min_stamps:
         return False
+    order = np.argsort(time, kind="stable")
     off = [
-        np.median(np.abs(x - np.interp(other_time, time, y)))
+        np.median(np.abs(x - np.interp(other_time, time[order], y[order])))
         for x, y in zip(other.T, q.T, strict=True)
     ]
     steps = np.quantile(np.abs(np.diff(q, axis=0)), CLOCK.usual_steps, axis=0)

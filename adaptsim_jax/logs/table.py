@@ -5,16 +5,16 @@ line.
 import re
 from codecs import BOM_UTF8
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.archive import check_lengths, part_name, read_archive, split
+from adaptsim_jax.logs.archive import MAX_LISTED, check_lengths, part_name, read_archive, split
 from adaptsim_jax.logs.criteria import TABLE
-from adaptsim_jax.logs.csv_rows import check_header, check_widths, is_number, read_bytes, rows_of
-from adaptsim_jax.logs.table_checks import check_missing, without_blank
+from adaptsim_jax.logs.csv_rows import check_header, check_widths, is_number, read_lines, rows_of
+from adaptsim_jax.logs.table_checks import check_missing, few_missing, without_blank
 from adaptsim_jax.logs.table_clocks import joined_time, split_clock
 
 NOTHING = ("", ".nan", "na", "n/a", "null", "none", "-")
@@ -33,7 +33,8 @@ class LogTable:
     """`columns`: name -> `[T]` float64 as written (no unit applied); `lines`: `[T]` line (or row)
     numbers.
 
-    `notes`: what was done to read it, a line each.
+    - `notes`: What was done to read it, a line each.
+    - `units`, `again`: As of `CsvRows`.
     """
 
     columns: dict[str, np.ndarray]
@@ -41,6 +42,8 @@ class LogTable:
     ignored: tuple[str, ...]
     row_word: str = "line"
     notes: tuple[str, ...] = ()
+    units: dict[str, str] = field(default_factory=dict)
+    again: tuple[int, ...] = ()
 
 
 def read_table(
@@ -50,6 +53,7 @@ def read_table(
     ours: Mapping[str, str] | None = None,
     lost: tuple[str, ...] = (),
     gaps: tuple[str, ...] = (),
+    few: float = 0.0,
 ) -> LogTable:
     """Read the columns in `wanted` that are there, of `min_rows` rows or more; list the others.
 
@@ -62,6 +66,7 @@ def read_table(
         lost: Columns of which a row may hold none, as cameras write frames in which they saw
             nothing: such rows are left out.
         gaps: Columns of which any cell may be empty, which is NaN then.
+        few: Share of the rows that may lack any number, which is NaN then.
     """
     path = Path(path)
     if path.suffix.lower() == ".npz":
@@ -69,7 +74,7 @@ def read_table(
     else:
         table, empty = _read_csv(path, wanted)
     table, empty = _without_lost(table, empty, lost)
-    return _checked(path, table, min_rows, ours or {}, empty, gaps)
+    return _checked(path, table, min_rows, ours or {}, empty, gaps, few)
 
 
 def _without_lost(
@@ -96,6 +101,7 @@ def _checked(
     ours: Mapping[str, str],
     empty: Mapping[str, np.ndarray],
     gaps: tuple[str, ...],
+    few: float,
 ) -> LogTable:
     """The table without optional columns that hold nothing. BadInput for too few rows, and cells
     without a number but in `gaps`.
@@ -116,12 +122,14 @@ def _checked(
         for name, values in columns.items()
         if name in gaps
     }
-    check_missing(path, columns | filled, lines, table.row_word, empty, ours)
-    return replace(table, columns=columns, lines=lines, notes=notes)
+    here, reported = few_missing(columns, lines, table.row_word, few, ours)
+    columns = {name: values[here] for name, values in columns.items()}
+    if not reported:
+        check_missing(path, columns | filled, lines, table.row_word, empty, ours)
+    return replace(table, columns=columns, lines=lines[here], notes=(*notes, *reported))
 
 
-def _decode(path: Path) -> str:
-    raw = read_bytes(path)
+def _decode(path: Path, raw: bytes) -> str:
     if not raw.removeprefix(BOM_UTF8).strip():
         raise BadInput(f"{path}: {EMPTY}")
     if b"\x00" in raw:
@@ -137,7 +145,9 @@ def _decode(path: Path) -> str:
 
 def _read_csv(path: Path, wanted: tuple[str, ...]) -> tuple[LogTable, dict[str, np.ndarray]]:
     """The table, NaN where a cell is empty, and those cells by column."""
-    rows, lines = rows_of(path, _decode(path))
+    raw, cut = read_lines(path)
+    found = rows_of(path, _decode(path, raw))
+    rows, lines = found.rows, found.lines
     if not rows:
         raise BadInput(f"{path}: {EMPTY}")
     check_header(path, rows[0], lines[0], wanted, len(rows) > 1 and len(rows[1]) > 1)
@@ -151,7 +161,13 @@ def _read_csv(path: Path, wanted: tuple[str, ...]) -> tuple[LogTable, dict[str, 
             columns[part], blank = _numbers(path, name, own, lines)
             if blank is not None:
                 empty[part] = blank
-    return LogTable(columns, np.asarray(lines, dtype=np.int64), _others(header, wanted)), empty
+    notes: tuple[str, ...] = ()
+    if cut:
+        some = ", ".join(map(str, cut[:MAX_LISTED]))
+        notes = (f"{path.name} holds zero bytes (a power cut?), left out: line {some}",)
+    others = _others(header, wanted)
+    table = LogTable(columns, np.asarray(lines, dtype=np.int64), others, "line", notes)
+    return replace(table, units=found.units, again=found.again), empty
 
 
 def _others(names: list[str], wanted: tuple[str, ...]) -> tuple[str, ...]:

@@ -15,10 +15,11 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.archive import STEMS, is_list, read_archive, stem_and_place
 from adaptsim_jax.logs.beside import left_out, strays
 from adaptsim_jax.logs.columns import NANOS, TIME, TRIAL, is_ignored, role
-from adaptsim_jax.logs.csv_rows import read_bytes, rows_of
+from adaptsim_jax.logs.criteria import TABLE
+from adaptsim_jax.logs.csv_rows import CsvRows, read_lines, rows_of
 from adaptsim_jax.logs.table import LogTable, read_table
 from adaptsim_jax.logs.table_checks import check_clock
-from adaptsim_jax.logs.table_clocks import both, naming, pair, restarted
+from adaptsim_jax.logs.table_clocks import both, headed_again, naming, pair, restarted
 
 ENDINGS = (".csv", ".npz")
 LEAVE_OUT = '[trials] exclude = ["{}"]'
@@ -42,6 +43,7 @@ class RawTrial:
     - `ignored`: Names of columns that are not ours.
     - `doubt`: Vector -> what is wrong with its names, so that its columns (`vector[0]`, ...) are
       joints only by `[columns]`.
+    - `units`: Column -> what a row of units below the header says.
     """
 
     name: str
@@ -52,6 +54,7 @@ class RawTrial:
     ignored: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     doubt: dict[str, str] = field(default_factory=dict)
+    units: dict[str, str] = field(default_factory=dict)
 
 
 def table_files(path: Path) -> list[Path]:
@@ -75,6 +78,7 @@ def read_files(
     ignore: tuple[str, ...] = (),
     others: tuple[Path, ...] = (),
     leave_out: str = LEAVE_OUT,
+    rate: float | None = None,
 ) -> list[RawTrial]:
     """Every trial of these files.
 
@@ -85,6 +89,7 @@ def read_files(
         ignore: Columns or joints left out.
         others: Files of commands, whose columns `rename` may name too.
         leave_out: How a file is left out, with `{}` for its name.
+        rate: Rows a second, of files without a time.
     """
     stems = [path.stem for path in files]
     elsewhere = {name for path in others for name in column_names(path)}
@@ -98,7 +103,7 @@ def read_files(
         }
         try:
             trials += read_file(
-                path, path.name if stems.count(path.stem) > 1 else path.stem, own, ignore
+                path, path.name if stems.count(path.stem) > 1 else path.stem, own, ignore, rate
             )
         except BadInput as error:
             if path not in strays(headers_of(files), is_time := _is_time(rename)):
@@ -147,9 +152,17 @@ def headers_of(files: Iterable[Path]) -> dict[Path, list[str]]:
 
 
 def read_file(
-    path: Path, name: str, rename: Mapping[str, str], ignore: tuple[str, ...] = ()
+    path: Path,
+    name: str,
+    rename: Mapping[str, str],
+    ignore: tuple[str, ...] = (),
+    rate: float | None = None,
 ) -> list[RawTrial]:
-    """The trials of one CSV or NPZ file: one, or one for each value of its `trial` column."""
+    """The trials of one CSV or NPZ file: one, or one for each value of its `trial` column.
+
+    Args:
+        rate: Rows a second, where the file has no time.
+    """
     header = column_names(path)
     for ours, theirs in rename.items():
         if theirs not in header:
@@ -173,13 +186,18 @@ def read_file(
     }
     wanted = tuple(dict.fromkeys(column for column in header if column in reported))
     labels = next((column for column in wanted if named[column] in TRIAL), None)
-    if path.suffix.lower() == ".npz" and not any(named[column] in TIME for column in wanted):
+    timed = any(named[column] in TIME for column in wanted)
+    if path.suffix.lower() == ".npz" and not timed and rate is None:
         raise _no_time(path, header)
     here = {column: named[column] for column in wanted if column != labels}
     if not here and len(header) == 1 and len(header[0].split()) > 1:
         here = {"time": "time", "q1": "q1"}  # so that it is told what the header is
     table = _read(path, here)
     table = replace(table, ignored=tuple(c for c in table.ignored if c != labels))
+    if rate is not None and not timed:
+        columns = {"time": np.arange(len(table.lines)) / rate, **table.columns}
+        taken = f"no time: rows taken {rate:g} times a second, as declared"
+        table = replace(table, columns=columns, notes=(*table.notes, taken))
     time = next((column for column in table.columns if column in TIME), None)
     if time is None:
         raise _no_time(path, header)
@@ -200,7 +218,16 @@ def read_file(
             stated = ", ".join(f"{theirs} taken as {stem}" for theirs, stem in lists.items())
             notes = (*notes, f"cells hold lists, a number for each joint in order: {stated}")
         trials.append(
-            RawTrial(label, str(path), part.columns, part.lines, part.row_word, part.ignored, notes)
+            RawTrial(
+                label,
+                str(path),
+                part.columns,
+                part.lines,
+                part.row_word,
+                part.ignored,
+                notes,
+                units=part.units,
+            )
         )
     return trials
 
@@ -208,14 +235,15 @@ def read_file(
 def _restarted(
     path: Path, name: str, table: LogTable, time: np.ndarray
 ) -> list[tuple[str, LogTable]]:
-    """The table, cut where its clock starts again."""
-    parts = restarted(time)
+    """The table, cut where its clock or its header starts again."""
+    parts = headed_again(table.lines, table.again) or restarted(time)
     if not parts:
         return [(name, table)]
     who = naming(cells_of(path, table.lines), time)
     last = f"{name}_{len(parts)}"
+    what = "header" if table.again else "clock"
     reported = (
-        f"the clock of {path.name} starts again: taken as {len(parts)} trials, {name}_1 to {last}"
+        f"the {what} of {path.name} starts again: taken as {len(parts)} trials, {name}_1 to {last}"
     )
     if who:
         more = f'; [columns] trial = "{who}" in meta.toml calls them by that column'
@@ -255,7 +283,7 @@ def list_columns(path: Path) -> list[str]:
             if array.ndim == 2 and array.dtype.kind in "fiu"
         ]
     first: dict[str, str] = {}
-    rows, _ = _csv_rows(path, 40)  # topics of their own may begin some rows later
+    rows = csv_rows(path, 40).rows  # topics of their own may begin some rows later
     for row in rows[1:]:
         for name, cell in zip(rows[0], row, strict=False):
             if cell.strip():
@@ -286,7 +314,7 @@ def _no_time(path: Path, header: list[str]) -> BadInput:
         some = ""
     return BadInput(
         f"{path}: column 'time' is missing{some}; add it (s), or name it by [columns] time = "
-        f'"..." in meta.toml'
+        f'"..." in meta.toml, or write rows_per_second = 100.0 there'
     )
 
 
@@ -294,7 +322,7 @@ def column_names(path: Path) -> list[str]:
     """The names of a file's columns (CSV) or arrays (NPZ)."""
     if path.suffix.lower() == ".npz":
         return list(read_archive(path).arrays)
-    rows, _ = _csv_rows(path, 1)
+    rows = csv_rows(path, 1).rows
     if not rows:
         read_table(path, TIME)  # says why: empty, unreadable, not text
         raise BadInput(f"{path}: is empty; remove it or record the trial again")
@@ -305,7 +333,7 @@ def _read(path: Path, named: Mapping[str, str]) -> LogTable:
     """`read_table` of the columns in `named` (theirs -> ours); of lists and arrays `[T, n]` by
     place: `q` gives q1 to qn.
     """
-    table = read_table(path, tuple(named), ours=_Named(named))
+    table = read_table(path, tuple(named), ours=_Named(named), few=TABLE.few)
     for name in table.columns:
         part = None if name in named else stem_and_place(name)
         if part is None:
@@ -318,9 +346,9 @@ def _read(path: Path, named: Mapping[str, str]) -> LogTable:
                 f"{parts}); save one number for each row, or call it {one.stem} for a number of "
                 "each joint"
             )
-    return replace(
-        table, columns={_ours(name, named): values for name, values in table.columns.items()}
-    )
+    units = {_ours(name, named): unit for name, unit in table.units.items() if name in named}
+    columns = {_ours(name, named): values for name, values in table.columns.items()}
+    return replace(table, columns=columns, units=units)
 
 
 def _ours(name: str, named: Mapping[str, str]) -> str:
@@ -343,9 +371,9 @@ class _Named(dict):
         return default
 
 
-def _csv_rows(path: Path, most: int | None = None) -> tuple[list[list[str]], list[int]]:
+def csv_rows(path: Path, most: int | None = None) -> CsvRows:
     """See `csv_rows.rows_of`; what is no text is found when the table is read."""
-    return rows_of(path, read_bytes(path).decode("utf-8-sig", errors="replace"), most)
+    return rows_of(path, read_lines(path)[0].decode("utf-8-sig", errors="replace"), most)
 
 
 def _labelled(path: Path, column: str, table: LogTable) -> list[tuple[str, LogTable]]:
@@ -378,16 +406,16 @@ def cells_of(path: Path, lines: np.ndarray | None = None) -> dict[str, list[str]
         if lines is not None:
             arrays = {name: x[lines[lines <= len(x)] - 1] for name, x in arrays.items()}
         return {name: [str(value) for value in x] for name, x in arrays.items()}
-    rows, numbers = _csv_rows(path)
-    at = dict(zip(numbers, rows, strict=True))
-    header = {name: place for place, name in reversed(list(enumerate(rows[0])))}
+    found = csv_rows(path)
+    at = dict(zip(found.lines, found.rows, strict=True))
+    header = {name: place for place, name in reversed(list(enumerate(found.rows[0])))}
 
     def cell(row, place):
         if place < len(row):
             return row[place].strip().strip('"')
         return ""
 
-    here = numbers[1:] if lines is None else [int(line) for line in lines]
+    here = found.lines[1:] if lines is None else [int(line) for line in lines]
     return {
         name: [cell(at.get(line, []), place) for line in here] for name, place in header.items()
     }

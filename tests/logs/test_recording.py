@@ -201,6 +201,13 @@ def put(lines, row, column, value):
     return [*lines[: row - 1], ",".join(cells), *lines[row:]]
 
 
+def each(lines, rows, column, value):
+    """The same in several rows."""
+    for row in rows:
+        lines = put(lines, row, column, value)
+    return lines
+
+
 CSV_FAULTS = [
     ("", "is empty"),
     ("\n \n", "is empty"),
@@ -213,10 +220,10 @@ CSV_FAULTS = [
         edited(lambda s: put(s, 1, 4, "speed")),
         "has velocities, but none of joint 'joint2'; add column v_joint2, or leave all out",
     ),
-    (edited(lambda s: put(s, 12, 3, "nan")), "line 12: column v1 is nan"),
+    (edited(lambda s: each(s, (12, 20, 28, 36), 3, "nan")), "line 12: column v1 is nan"),
     (edited(lambda s: put(s, 12, 3, "inf")), "line 12: column v1 is inf"),
     (edited(lambda s: put(s, 12, 5, "off")), "line 12: column tau1 is 'off', not a number"),
-    (edited(lambda s: put(s, 12, 5, "")), "line 12: column tau1 is empty"),
+    (edited(lambda s: each(s, (12, 20, 28, 36), 5, "")), "line 12: column tau1 is empty"),
     (edited(lambda s: put(s, 12, 5, "1e30")), "line 12: column tau1 is 1e+30"),
     (edited(lambda s: [*s, "0.7,0.1"]), "line 62: has 2 values, the header has 7"),
     (edited(lambda s: [*s[:30], s[29], *s[30:]]), "line 31: time repeats"),
