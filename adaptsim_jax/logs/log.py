@@ -24,8 +24,8 @@ InputKind = Literal["torque", "command", "voltage", "current", "none"]
 class ActuatorName:
     """An actuator of the model and the joint that it drives.
 
-    - `kind`: Motor, position, velocity, general, dcmotor, tendon (on several joints) or other (on
-      none: a site, a body).
+    - `kind`: Motor, position, velocity, general, dcmotor, tendon (on several joints), other (on
+      none: a site, a body) or off (the file disables it).
     - `moves`: All joints that it drives, those tied to them included.
     """
 
@@ -225,6 +225,7 @@ def model_names(source: Source) -> ModelNames:
         tendon_joints,
         ties,
     )
+    from adaptsim_jax.mechanisms.switches import is_off
 
     model = source.model
     joints = joint_names(model)
@@ -232,28 +233,30 @@ def model_names(source: Source) -> ModelNames:
     slide = int(mujoco.mjtJoint.mjJNT_SLIDE)
     slides = [model.joint(k).name for k in range(model.njnt) if model.jnt_type[k] == slide]
     parents, ranges, last = [], [], {0: -1}
-    acts = not int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
     for b in range(1, model.nbody):
         on = last[int(model.body_parentid[b])]
         for k in range(model.body_jntadr[b], model.body_jntadr[b] + model.body_jntnum[b]):
             for _ in range({BALL: len(TURNS), FREE: 0}.get(int(model.jnt_type[k]), 1)):
                 parents.append(on)
-                single = acts and model.jnt_limited[k] and model.jnt_type[k] != BALL
+                single = model.jnt_limited[k] and model.jnt_type[k] != BALL
                 ranges.append(tuple(map(float, model.jnt_range[k])) if single else None)
                 on = len(parents) - 1
         last[b] = on
     actuators = []
     for k in range(model.nu):
         trn, target = int(model.actuator_trntype[k]), int(model.actuator_trnid[k, 0])
-        moved = [model.joint(target).name] if trn in JOINTS else []
-        if trn == int(mujoco.mjtTrn.mjTRN_TENDON):
+        off = is_off(model, k)
+        moved = [model.joint(target).name] if trn in JOINTS and not off else []
+        if trn == int(mujoco.mjtTrn.mjTRN_TENDON) and not off:
             moved = [model.joint(k).name for k in tendon_joints(model, target)]
         moves = tuple(
             dict.fromkeys(
                 other for name in moved for other in (name, *tied.get(name, ())) if other in joints
             )
         )
-        if trn in JOINTS:
+        if off:
+            kind = "off"
+        elif trn in JOINTS:
             kind = _kind(model, k)
         elif moves:
             kind = "tendon"

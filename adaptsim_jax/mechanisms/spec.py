@@ -11,6 +11,7 @@ from typing import Any
 import mujoco
 
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.mechanisms.switches import switch_off
 from adaptsim_jax.mechanisms.urdf import Follower, is_urdf, urdf_for_mujoco
 
 
@@ -33,7 +34,7 @@ class Source:
 
 
 def read_source(path: str | os.PathLike) -> Source:
-    """Read and compile a file without what only drawing and contact need.
+    """Read and compile a file without what only drawing and contact need, nor what it disables.
 
     Raises BadInput, naming the file, the element, and the mend.
     """
@@ -41,6 +42,7 @@ def read_source(path: str | os.PathLike) -> Source:
     where = str(path)
     without_shapes(spec)
     model = compiled(where, spec)
+    switch_off(model)
     if not model.njnt:
         raise BadInput(
             f"{where}: has no joint, so that nothing moves; give a model with hinges or slides"
