@@ -57,7 +57,8 @@ class Inputs:
                 actuator.name, columns.ctrl.get(index, columns.ctrl.get(actuator.joint))
             )
             if command is None and _has_command(columns, actuator, index, names):
-                command = angles[:, names.joints.index(actuator.joint)]
+                angle = angles[:, names.joints.index(actuator.joint)]
+                command = actuator.at_zero + actuator.per_angle * angle
             out.append(np.zeros(len(columns.time)) if command is None else command)
         u = np.stack(
             [_sent(columns, names, meta, *one) for one in zip(self.actuators, out, strict=True)],
@@ -82,13 +83,14 @@ def _sent(
     q = model_angles(columns.stacked("q", len(names.joints)), names, meta)[:, j]
     if not np.isfinite(q).any():  # of a joint that is held
         return command
+    angle = (command - actuator.at_zero) / actuator.per_angle
     if actuator.kind == "position" and actuator.joint not in names.slides:
-        command = followed_turns(q, command)
+        angle = followed_turns(q, angle)
     if actuator.joint in meta.rate:
-        command = limited(columns.time, command, q, meta.rate[actuator.joint])
+        angle = limited(columns.time, angle, q, meta.rate[actuator.joint])
     if actuator.joint in meta.within:
-        return within(command, q, meta.within[actuator.joint])
-    return command
+        angle = within(angle, q, meta.within[actuator.joint])
+    return actuator.at_zero + actuator.per_angle * angle
 
 
 def _complete(columns: JointColumns, kind: str, names: tuple[str, ...], u: np.ndarray) -> None:

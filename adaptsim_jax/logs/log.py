@@ -27,12 +27,16 @@ class ActuatorName:
     - `kind`: Motor, position, velocity, general, dcmotor, tendon (on several joints), other (on
       none: a site, a body) or off (the file disables it).
     - `moves`: All joints that it drives, those tied to them included.
+    - `per_angle`, `at_zero`: What a servo must be told to go to an angle `q` (rad, m):
+      `at_zero + per_angle q`, by its gear, gain and bias.
     """
 
     name: str
     joint: str
     kind: str = "motor"
     moves: tuple[str, ...] = ()
+    per_angle: float = 1.0
+    at_zero: float = 0.0
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -262,9 +266,9 @@ def model_names(source: Source) -> ModelNames:
             kind = "tendon"
         else:
             kind = "other"
-        actuators.append(
-            ActuatorName(model.actuator(k).name, moves[0] if moves else "", kind, moves)
-        )
+        joint = moves[0] if moves else ""
+        told = _told(model, k) if kind in ("position", "general") else (1.0, 0.0)
+        actuators.append(ActuatorName(model.actuator(k).name, joint, kind, moves, *told))
     return ModelNames(joints, tuple(slides), tuple(parents), tuple(actuators), tied, tuple(ranges))
 
 
@@ -282,6 +286,21 @@ def _kind(model, k: int) -> str:
     if bias[1]:
         return "position"
     return "velocity"
+
+
+def _told(model, k: int) -> tuple[float, float]:
+    """`per_angle` and `at_zero` of an actuator of a joint; 1 and 0 where no angle balances it."""
+    gain, bias, gear = (
+        float(x)
+        for x in (
+            model.actuator_gainprm[k, 0],
+            -model.actuator_biasprm[k, 1],
+            model.actuator_gear[k, 0],
+        )
+    )
+    if not gain or not bias:
+        return 1.0, 0.0
+    return bias * gear / gain, float(-model.actuator_biasprm[k, 0] / gain)
 
 
 def followed(log: Log, mechanism: Mechanism) -> Log:

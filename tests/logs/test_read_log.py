@@ -180,6 +180,46 @@ def test_targets_go_through_the_models_actuators(tmp_path):
     np.testing.assert_array_equal(told.trials[0].u, M["q"][:, ::-1])
 
 
+SERVOS = {
+    "position": '<position joint="{j}" kp="3" kv="0.1" gear="{g}"/>',
+    "general": '<general joint="{j}" biastype="affine" gainprm="0.5" biasprm="0.2 -4 -1" '
+    'gear="{g}"/>',
+    "intvelocity": '<intvelocity joint="{j}" kp="3" gear="{g}" actrange="-9 9"/>',
+}
+
+
+@pytest.mark.parametrize("kind", SERVOS)
+@pytest.mark.parametrize("gear", [1.0, 20.0, -15.0])
+def test_a_target_in_radians_rests_where_the_joint_is_there(tmp_path, kind, gear):
+    """What a servo is told to go to an angle leaves no force at that angle, whatever its gear, gain
+    and bias are.
+    """
+    import mujoco
+
+    from adaptsim_jax.logs.read import names_of
+
+    servos = "".join(SERVOS[kind].format(j=j, g=gear) for j in ARM)
+    bodies = "".join(f'<body><joint name="{j}"/><geom size="0.1" mass="1"/></body>' for j in ARM)
+    model = tmp_path / "robot.xml"
+    model.write_text(
+        f"<mujoco><worldbody>{bodies}</worldbody><actuator>{servos}</actuator></mujoco>"
+    )
+    columns = named(M | {"target": M["q"][::-1]}, ARM, "q", "target")
+    log = read_log(folder(tmp_path / "a", "", t=columns), names_of(str(model))[1])
+    compiled = mujoco.MjModel.from_xml_path(str(model))
+    data = mujoco.MjData(compiled)
+    for row in (3, 30, 57):
+        data.qpos[:] = M["q"][::-1][row]
+        data.ctrl[:] = log.trials[0].u[row]
+        if compiled.na:
+            data.act[:] = log.trials[0].u[row]
+        mujoco.mj_forward(compiled, data)
+        np.testing.assert_allclose(data.qfrc_actuator, 0.0, atol=1e-9)
+    told = named(M, ARM, "q") | {f"ctrl_{j}": M["q"][:, k] for k, j in enumerate(ARM)}
+    same = read_log(folder(tmp_path / "b", "", t=told), names_of(str(model))[1])
+    np.testing.assert_allclose(same.trials[0].u, M["q"], rtol=1e-12)
+
+
 def test_what_was_commanded_is_kept_beside_what_was_measured(tmp_path):
     columns = numbered(M, "q", "tau") | {"tau1_commanded": M["time"], "tau2_commanded": -M["time"]}
     log = read_log(folder(tmp_path / "a", "", t=columns), ARM)
