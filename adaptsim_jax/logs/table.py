@@ -70,28 +70,20 @@ def read_table(
     """
     path = Path(path)
     if path.suffix.lower() == ".npz":
-        table, empty = _read_npz(path, wanted, lists=ours is not None), {}
+        table = _read_npz(path, wanted, lists=ours is not None)
     else:
-        table, empty = _read_csv(path, wanted)
-    table, empty = _without_lost(table, empty, lost)
-    return _checked(path, table, min_rows, ours or {}, empty, gaps, few)
+        table = _read_csv(path, wanted)
+    return _checked(path, _without_lost(table, lost), min_rows, ours or {}, gaps, few)
 
 
-def _without_lost(
-    table: LogTable, empty: Mapping[str, np.ndarray], lost: tuple[str, ...]
-) -> tuple[LogTable, dict[str, np.ndarray]]:
-    """The table, and which cells are empty, without the rows that hold a number in none of the
-    columns `lost`.
-    """
+def _without_lost(table: LogTable, lost: tuple[str, ...]) -> LogTable:
+    """The table without the rows that hold a number in none of the columns `lost`."""
     there = [~np.isnan(table.columns[name]) for name in lost if name in table.columns]
     selected = np.any(there, 0) if there else np.ones(len(table.lines), bool)
     if selected.all() or not selected.any():
-        return table, dict(empty)
-
-    def cut(columns):
-        return {name: values[selected] for name, values in columns.items()}
-
-    return replace(table, columns=cut(table.columns), lines=table.lines[selected]), cut(empty)
+        return table
+    columns = {name: values[selected] for name, values in table.columns.items()}
+    return replace(table, columns=columns, lines=table.lines[selected])
 
 
 def _checked(
@@ -99,7 +91,6 @@ def _checked(
     table: LogTable,
     min_rows: int,
     ours: Mapping[str, str],
-    empty: Mapping[str, np.ndarray],
     gaps: tuple[str, ...],
     few: float,
 ) -> LogTable:
@@ -125,7 +116,7 @@ def _checked(
     here, reported = few_missing(columns, lines, table.row_word, few, ours)
     columns = {name: values[here] for name, values in columns.items()}
     if not reported:
-        check_missing(path, columns | filled, lines, table.row_word, empty, ours)
+        check_missing(path, columns | filled, lines, table.row_word, ours)
     return replace(table, columns=columns, lines=lines[here], notes=(*notes, *reported))
 
 
@@ -143,8 +134,8 @@ def _decode(path: Path, raw: bytes) -> str:
         raise BadInput(f"{path}: line {line}: not UTF-8 text; save it as plain UTF-8 CSV") from None
 
 
-def _read_csv(path: Path, wanted: tuple[str, ...]) -> tuple[LogTable, dict[str, np.ndarray]]:
-    """The table, NaN where a cell is empty, and those cells by column."""
+def _read_csv(path: Path, wanted: tuple[str, ...]) -> LogTable:
+    """The table, NaN where a cell is empty."""
     raw, cut = read_lines(path)
     found = rows_of(path, _decode(path, raw))
     rows, lines = found.rows, found.lines
@@ -154,47 +145,41 @@ def _read_csv(path: Path, wanted: tuple[str, ...]) -> tuple[LogTable, dict[str, 
     check_widths(path, rows, lines)
     header, rows, lines = rows[0], rows[1:], lines[1:]
     cells = list(zip(*rows, strict=True)) or [()] * len(header)
-    columns: dict[str, np.ndarray] = {}
-    empty: dict[str, np.ndarray] = {}
-    for name in (name for name in wanted if name in header):
-        for part, own in split(path, name, cells[header.index(name)], lines).items():
-            columns[part], blank = _numbers(path, name, own, lines)
-            if blank is not None:
-                empty[part] = blank
+    columns = {
+        part: _numbers(path, name, own, lines)
+        for name in wanted
+        if name in header
+        for part, own in split(path, name, cells[header.index(name)], lines).items()
+    }
     notes: tuple[str, ...] = ()
     if cut:
         some = ", ".join(map(str, cut[:MAX_LISTED]))
         notes = (f"{path.name} holds zero bytes (a power cut?), left out: line {some}",)
     others = _others(header, wanted)
     table = LogTable(columns, np.asarray(lines, dtype=np.int64), others, "line", notes)
-    return replace(table, units=found.units, again=found.again), empty
+    return replace(table, units=found.units, again=found.again)
 
 
 def _others(names: list[str], wanted: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(name for name in names if name not in wanted)
 
 
-def _numbers(
-    path: Path, name: str, cells: tuple[str, ...], lines: list[int]
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """The cells of a column as numbers `[T]`, NaN where they are empty, and which are (None: none
-    of them).
-    """
+def _numbers(path: Path, name: str, cells: tuple[str, ...], lines: list[int]) -> np.ndarray:
+    """The cells of a column as numbers `[T]`, NaN where they are empty."""
     try:
-        return np.array([float(cell) for cell in cells], dtype=np.float64), None
+        return np.array([float(cell) for cell in cells], dtype=np.float64)
     except ValueError:
         pass
-    empty = np.array([cell.strip().lower() in NOTHING for cell in cells])
+    out = np.full(len(cells), np.nan)
     for row, cell in enumerate(cells):
-        if empty[row] or is_number(cell):
-            continue
-        raise BadInput(
-            f"{path}: line {lines[row]}: column {name} is {cell.strip()[:40]!r}, "
-            f"{_no_number(cell, cells)}"
-        )
-    return np.array(
-        [np.nan if here else float(cell) for here, cell in zip(empty, cells, strict=True)]
-    ), empty
+        if is_number(cell):
+            out[row] = float(cell)
+        elif cell.strip().lower() not in NOTHING:
+            raise BadInput(
+                f"{path}: line {lines[row]}: column {name} is {cell.strip()[:40]!r}, "
+                f"{_no_number(cell, cells)}"
+            )
+    return out
 
 
 def _no_number(cell: str, cells: tuple[str, ...]) -> str:

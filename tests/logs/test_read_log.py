@@ -365,7 +365,7 @@ def test_the_old_task_is_told_from_a_mechanism(tmp_path):
         ),
         (
             lambda c: c | {"q1": np.where(np.arange(60) % 15 == 7, np.nan, c["q1"])},
-            "line 9: column q1 is nan",
+            "line 9: column q1 holds no number",
         ),
         (
             lambda c: c | {"time": np.where(np.arange(60) == 7, 0.0, c["time"])},
