@@ -23,6 +23,7 @@ from adaptsim_jax.logs.log_meta import LogMeta, of_trial
 from adaptsim_jax.logs.quality.consistency import jitter
 from adaptsim_jax.logs.scales import check_log_units, check_scales
 from adaptsim_jax.logs.tables import RawTrial
+from adaptsim_jax.logs.words import decoded
 
 
 def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: LogMeta) -> Log:
@@ -30,7 +31,7 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
     the model.
     """
     raw = [_without_ignored(trial, meta, model) for trial in _selected(path, raw, meta)]
-    raw = [_without_missing(trial, meta) for trial in raw]
+    raw, worded = _decoded([_without_missing(trial, meta) for trial in raw])
     names = model or _names_in(raw[0])
     _check_meta_names(names, raw, meta)
     trials = [columns_of(trial, names, meta) for trial in raw]
@@ -53,6 +54,7 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
         turned = ()
     notes = (
         inputs.notes
+        + worded
         + _strange(raw[0], names, held)
         + _numbered(raw[0], names, retained)
         + _notes(raw, log_trials)
@@ -258,6 +260,23 @@ def _without_missing(trial: RawTrial, meta: LogMeta) -> RawTrial:
         return trial
     columns = {name: x[whole] for name, x in columns.items()}
     return replace(trial, columns=columns, lines=trial.lines[whole])
+
+
+def _decoded(raw: Sequence[RawTrial]) -> tuple[list[RawTrial], tuple[str, ...]]:
+    """The trials with words of registers as the numbers that they mean, and a note on each."""
+    columns, notes = [dict(trial.columns) for trial in raw], []
+    for name in columns[0]:
+        found = role(name)
+        have = [own for own in columns if name in own]
+        if found and found.stem in ("time", "nanos", "trial", "base", "channel"):
+            continue
+        values, how = decoded([own[name] for own in have])
+        if how:
+            notes.append(f"column {name}: {how}")
+            for own, x in zip(have, values, strict=True):
+                own[name] = x
+    pairs = zip(raw, columns, strict=True)
+    return [replace(trial, columns=own) for trial, own in pairs], tuple(notes)
 
 
 def _names_in(trial: RawTrial) -> ModelNames:

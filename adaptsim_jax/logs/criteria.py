@@ -274,6 +274,13 @@ class TurnCriteria:
 
 
 @dataclass(frozen=True)
+class WordCriteria:
+    """Words of registers (`words.py`)."""
+
+    left: float = 0.25  # of the largest leap, that words taken otherwise may leave
+
+
+@dataclass(frozen=True)
 class UnbrokenCriteria:
     """Rows that follow each other (`stretch_rows.py`)."""
 
@@ -295,4 +302,5 @@ CONTRADICTION = ContradictionCriteria()
 COMMAND = CommandCriteria()
 TRIAL = TrialCriteria()
 WRAP = TurnCriteria()
+WORD = WordCriteria()
 UNBROKEN = UnbrokenCriteria()
