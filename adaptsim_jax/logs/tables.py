@@ -164,8 +164,13 @@ def read_file(
         rate: Rows a second, where the file has no time.
     """
     header = column_names(path)
+    places = {
+        theirs: ours
+        for ours, theirs in rename.items()
+        if theirs not in header and _whole(theirs) in header
+    }
     for ours, theirs in rename.items():
-        if theirs not in header:
+        if theirs not in header and theirs not in places:
             from adaptsim_jax.core.config import suggest
 
             raise BadInput(
@@ -192,7 +197,7 @@ def read_file(
     here = {column: named[column] for column in wanted if column != labels}
     if not here and len(header) == 1 and len(header[0].split()) > 1:
         here = {"time": "time", "q1": "q1"}  # so that it is told what the header is
-    table = _read(path, here)
+    table = _read(path, here | {_whole(place): _whole(place) for place in places}, places)
     table = replace(table, ignored=tuple(c for c in table.ignored if c != labels))
     if rate is not None and not timed:
         columns = {"time": np.arange(len(table.lines)) / rate, **table.columns}
@@ -213,10 +218,6 @@ def read_file(
         else:
             mend = _mend(path, header, rename.get(time, time), rename, part, clock)
         check_clock(path, clock, part.lines, part.row_word, mend)
-        notes = part.notes
-        if lists:
-            stated = ", ".join(f"{theirs} taken as {stem}" for theirs, stem in lists.items())
-            notes = (*notes, f"cells hold lists, a number for each joint in order: {stated}")
         trials.append(
             RawTrial(
                 label,
@@ -225,7 +226,7 @@ def read_file(
                 part.lines,
                 part.row_word,
                 part.ignored,
-                notes,
+                part.notes,
                 units=part.units,
             )
         )
@@ -329,15 +330,31 @@ def column_names(path: Path) -> list[str]:
     return rows[0]
 
 
-def _read(path: Path, named: Mapping[str, str]) -> LogTable:
+def _whole(name: str) -> str:
+    """The list or array of a place of one (`q[2]`); another name as it is."""
+    part = stem_and_place(name)
+    return part[0] if part else name
+
+
+def _read(path: Path, named: Mapping[str, str], places: Mapping[str, str]) -> LogTable:
     """`read_table` of the columns in `named` (theirs -> ours); of lists and arrays `[T, n]` by
-    place: `q` gives q1 to qn.
+    place: `q` gives q1 to qn, or those `places` (`q[2]` -> ours) alone that are named.
     """
+    apart = {_whole(place) for place in places}
     table = read_table(path, tuple(named), ours=_Named(named), few=TABLE.few)
-    for name in table.columns:
+    if lacks := [place for place in places if place not in table.columns]:
+        raise BadInput(
+            f"{path}: has no place {lacks[0]!r}, which [columns] gives to {places[lacks[0]]}; "
+            "count from 0"
+        )
+    named = {**named, **places}
+    columns = {n: x for n, x in table.columns.items() if n in places or _whole(n) not in apart}
+    orders: dict[str, list[str]] = {}
+    for name in columns:
         part = None if name in named else stem_and_place(name)
         if part is None:
             continue
+        orders.setdefault(part[0], []).append(name)
         one = role(named[part[0]])
         if one is not None and one.joint is not None:
             parts = sum((stem_and_place(c) or ("",))[0] == part[0] for c in table.columns)
@@ -347,8 +364,14 @@ def _read(path: Path, named: Mapping[str, str]) -> LogTable:
                 "each joint"
             )
     units = {_ours(name, named): unit for name, unit in table.units.items() if name in named}
-    columns = {_ours(name, named): values for name, values in table.columns.items()}
-    return replace(table, columns=columns, units=units)
+    notes = tuple(
+        f"{name} holds a number for each joint, without names: taken in the model's order; "
+        f'[columns] {named[name]} = ["{name}[1]", "{name}[0]"] is another'
+        for name, own in orders.items()
+        if len(own) > 1
+    )
+    columns = {_ours(name, named): values for name, values in columns.items()}
+    return replace(table, columns=columns, units=units, notes=(*table.notes, *notes))
 
 
 def _ours(name: str, named: Mapping[str, str]) -> str:
