@@ -223,6 +223,8 @@ class CommandCriteria:
     gain_errors: float = 8.0  # standard errors of their difference
     gain_error: float = 0.1  # of a gain (standard error): a wider one says nothing
     min_trials: int = 3  # to have a middle one
+    next_rows: float = 0.95  # of the rows that move, in which a target is the next row's angle
+    rounding: float = 1e-7  # of the largest angle: digits that a converted set may have lost
 
 
 @dataclass(frozen=True)

@@ -151,6 +151,8 @@ def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> JointColumn
     anew = {j: q for j, q in angles.items() if j not in made.counted}
     whole, unsure = _without_turns(trial, names, seconds, anew)
     whole = angles | whole
+    if meta.targets == "relative":
+        commanded = {j: angles[j] + u for j, u in commanded.items() if j in angles}
     targets = {
         j: followed_turns(whole[j], u) if j in whole and names.turns_to(j) else u
         for j, u in commanded.items()

@@ -45,7 +45,8 @@ KEYS = (
 )
 SIMULATORS = ("tree", "mujoco")
 ANGLE_KEYS = ("convention", "zero", "reversed")
-COMMAND_KEYS = ("rate", "within")
+COMMAND_KEYS = ("rate", "within", "targets")
+TARGETS = ("absolute", "relative")
 TRIAL_KEYS = ("exclude", "group", "payload", "commands")
 ROS_KEYS = ("state_topic", "command_topic", "trajectory")
 TRAJECTORY = ("ramp", "hold")
@@ -90,6 +91,8 @@ class LogMeta:
     - `group`, `payload`: Trial -> group, kg (patterns like `kp100_*` may stand for several trials).
     - `rate`, `within`: Joint -> what a target is cut to before it is sent, by a rate (rad/s, m/s)
       or to within a distance of the angle (rad, m).
+    - `targets`: What they are: angles, or how far from the angle of their row. None: angles, unless
+      these tell that they are none.
     - `commands`: Trial -> the file beside the data that holds its commands.
     - `hold`: Joint -> rad or m that it is held at (None: where the log or the file has it).
     - `rows_per_second`: Of tables without a time.
@@ -121,6 +124,7 @@ class LogMeta:
     simulator: str | None = None
     rate: Mapping[str, float] = field(default_factory=dict)
     within: Mapping[str, float] = field(default_factory=dict)
+    targets: str | None = None
     commands: Mapping[str, str] = field(default_factory=dict)
     channels: Mapping[str, str] = field(default_factory=dict)
     rig: Rig | None = None
@@ -175,6 +179,7 @@ def read_log_meta(path: str | Path) -> LogMeta:
         ros=_ros(path, table["ros"]),
         rate=_sizes(path, "rate", commands, "rate = {elbow = 3.0}, in rad/s or m/s"),
         within=_sizes(path, "within", commands, "within = {elbow = 0.1}, in rad or m"),
+        targets=choice(path, commands, "targets", TARGETS),
         hold={
             key: None if value is True else number(path, f"hold.{key}", value)
             for key, value in table["hold"].items()

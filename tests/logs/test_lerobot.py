@@ -103,6 +103,24 @@ def test_an_episode_that_is_too_short_is_left_out(tmp_path):
         read_log(path, ARM)
 
 
+@pytest.mark.parametrize("how", ["next angle", "step to it"])
+def test_actions_that_are_the_next_rows_angles_are_no_commands(tmp_path, how):
+    path = data_set(tmp_path / "set")
+    file = path / "data" / "chunk-000" / "file-000.parquet"
+    table = parquet.read_table(file).to_pydict()
+    q = np.array(table["observation.state"])
+    after = np.concatenate([q[1:40], q[39:40], q[41:], q[-1:]])
+    action = after if how == "next angle" else after - q
+    table["action"] = action.tolist()
+    parquet.write_table(pa.table(table), file)
+    with pytest.raises(BadInput, match=r"'target_shoulder' is the .* targets = \"absolute\""):
+        read_log(path, ARM)
+    meta = tmp_path / "meta.toml"
+    for targets, u in (("absolute", action), ("relative", q + action)):
+        meta.write_text(f'task = "mechanism"\ndata = "set"\n[commands]\ntargets = "{targets}"\n')
+        np.testing.assert_allclose(read_log(tmp_path, ARM).trials[0].u, u[:40])
+
+
 def test_entries_without_names_go_by_their_order(tmp_path):
     vector = {"dtype": "float32", "shape": [2], "names": None}
     index = {"dtype": "int64", "shape": [1]}
