@@ -21,6 +21,7 @@ from adaptsim_jax.logs.joint_columns import JointColumns, also_there, columns_of
 from adaptsim_jax.logs.log import Log, LogTrial, ModelNames
 from adaptsim_jax.logs.log_meta import LogMeta, of_trial
 from adaptsim_jax.logs.quality.consistency import jitter
+from adaptsim_jax.logs.repeats import read_once
 from adaptsim_jax.logs.scales import check_log_units, check_scales
 from adaptsim_jax.logs.tables import RawTrial
 from adaptsim_jax.logs.words import decoded
@@ -32,6 +33,7 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
     """
     raw = [_without_ignored(trial, meta, model) for trial in _selected(path, raw, meta)]
     raw, worded = _decoded([_without_missing(trial, meta) for trial in raw])
+    raw = [read_once(trial) for trial in raw]
     names = model or _names_in(raw[0])
     _check_meta_names(names, raw, meta)
     trials = [columns_of(trial, names, meta) for trial in raw]

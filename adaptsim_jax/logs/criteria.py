@@ -276,6 +276,15 @@ class TurnCriteria:
 
 
 @dataclass(frozen=True)
+class RepeatCriteria:
+    """Readings that stand in several rows each (`repeats.py`)."""
+
+    min_readings: int = 20  # that are new: fewer say nothing
+    even: float = 0.9  # of the readings, that stand in as many rows, or in one more
+    steps: float = 4.0  # an encoder's steps that a new reading is off: less is a slow motion
+
+
+@dataclass(frozen=True)
 class WordCriteria:
     """Words of registers (`words.py`)."""
 
@@ -305,4 +314,5 @@ COMMAND = CommandCriteria()
 TRIAL = TrialCriteria()
 WRAP = TurnCriteria()
 WORD = WordCriteria()
+REPEAT = RepeatCriteria()
 UNBROKEN = UnbrokenCriteria()
