@@ -2,8 +2,8 @@
 can be written.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -64,10 +64,8 @@ def write_all(
     """
     _page(folder, report, evidence, page)
     for name, text in files.items():
-        try:
+        with _noting(report, evidence, name):
             write_bytes(folder / name, text().encode())
-        except Exception as error:  # whatever it is, hours of search must not go with it
-            _noted(report, evidence, f"{name} could not be written: {_line(error)}")
     if verify is not None:
         try:
             report["files"] = verify(folder)
@@ -77,14 +75,21 @@ def write_all(
 
 
 def _page(folder: Path, report: dict[str, Any], evidence: dict[str, Any], page: Page) -> None:
-    write_json(folder / "report.json", check(report))
-    try:
-        page(folder, check(report), evidence)
-    except BadInput:
-        raise
-    except Exception as error:  # a drawing that fails leaves the numbers
-        _noted(report, evidence, f"report.html could not be written: {_line(error)}")
+    with _noting(report, evidence, "report.json"):
         write_json(folder / "report.json", check(report))
+    with _noting(report, evidence, "report.html"):
+        page(folder, check(report), evidence)
+
+
+@contextmanager
+def _noting(report: dict[str, Any], evidence: dict[str, Any], name: str) -> Iterator[None]:
+    """What a file that cannot be written costs: a warning, whatever it is. Hours of search, what
+    is printed, and the other files must not go with it.
+    """
+    try:
+        yield
+    except Exception as error:
+        _noted(report, evidence, f"{name} could not be written: {_line(error)}")
 
 
 def _noted(report: dict[str, Any], evidence: dict[str, Any], line: str) -> None:

@@ -6,6 +6,7 @@ import re
 from codecs import BOM_UTF8
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -170,6 +171,9 @@ def _numbers(path: Path, name: str, cells: tuple[str, ...], lines: list[int]) ->
         return np.array([float(cell) for cell in cells], dtype=np.float64)
     except ValueError:
         pass
+    out = _seconds(cells)
+    if out is not None:
+        return out
     out = np.full(len(cells), np.nan)
     for row, cell in enumerate(cells):
         if is_number(cell):
@@ -180,6 +184,17 @@ def _numbers(path: Path, name: str, cells: tuple[str, ...], lines: list[int]) ->
                 f"{_no_number(cell, cells)}"
             )
     return out
+
+
+def _seconds(cells: tuple[str, ...]) -> np.ndarray | None:
+    """Dates with times of ISO 8601 as s since 1970, in UTC where they have no zone; None where some
+    are none.
+    """
+    try:
+        moments = [datetime.fromisoformat(cell.strip()) for cell in cells]
+    except ValueError:
+        return None
+    return np.array([m.replace(tzinfo=m.tzinfo or UTC).timestamp() for m in moments])
 
 
 def _no_number(cell: str, cells: tuple[str, ...]) -> str:
@@ -204,8 +219,8 @@ def _no_number(cell: str, cells: tuple[str, ...]) -> str:
         return "with its thousands apart; write 1234.5, nothing between the digits"
     if DATE.match(cell.strip()):
         return (
-            "a date; write seconds, with pandas: "
-            "pd.to_datetime(df[...]).astype('datetime64[ns]').astype('int64') / 1e9"
+            "a date that is not of ISO 8601; write seconds, with pandas: (pd.to_datetime(df[...], "
+            "utc=True) - pd.Timestamp(0, tz='UTC')).dt.total_seconds()"
         )
     return "not a number; mend or remove that row"
 

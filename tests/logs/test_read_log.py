@@ -220,6 +220,24 @@ def test_a_target_in_radians_rests_where_the_joint_is_there(tmp_path, kind, gear
     np.testing.assert_allclose(same.trials[0].u, M["q"], rtol=1e-12)
 
 
+@pytest.mark.parametrize("path", ['"..\\robot.xml"', "'..\\robot.xml'", '"..\\\\robot.xml"'])
+def test_a_path_of_windows_is_refused_with_a_slash(tmp_path, path):
+    data = folder(tmp_path / "a", f"model = {path}\n", t=numbered(M, "q"))
+    with pytest.raises(BadInput, match="write / in place of a backslash"):
+        read_log(data)
+
+
+@pytest.mark.parametrize("end", ["Z", "+00:00", "", "+02:00"])
+def test_times_of_iso_8601_are_seconds(tmp_path, end):
+    from datetime import datetime, timedelta
+
+    begin = datetime(2026, 3, 4, 14, 5, 1)
+    stamps = [(begin + timedelta(seconds=t)).isoformat() + end for t in M["time"]]
+    columns = numbered(M, "q", "tau") | {"time": np.array(stamps)}
+    log = read_log(folder(tmp_path / "a", "", t=columns), ARM)
+    np.testing.assert_allclose(log.trials[0].time, M["time"], atol=1e-6)
+
+
 def test_what_was_commanded_is_kept_beside_what_was_measured(tmp_path):
     columns = numbered(M, "q", "tau") | {"tau1_commanded": M["time"], "tau2_commanded": -M["time"]}
     log = read_log(folder(tmp_path / "a", "", t=columns), ARM)
@@ -376,8 +394,8 @@ def test_the_old_task_is_told_from_a_mechanism(tmp_path):
             "time never changes; call the one that does time, in a log by [columns] time",
         ),
         (
-            lambda c: c | {"time": np.array(["2026-05-01 12:00:00.25"] * 60)},
-            "a date; write seconds, with pandas",
+            lambda c: c | {"time": np.array(["01.05.2026 12:00:00"] * 60)},
+            "a date that is not of ISO 8601; write seconds, with pandas",
         ),
         (
             lambda c: c | {"time": 1e3 * c["time"]},
