@@ -336,14 +336,9 @@ def _check_meta_names(names: ModelNames, raw: list[RawTrial], meta: LogMeta) -> 
     quantities = ("time", "angle", "velocity", "torque", "length", "force", "voltage", "current")
     stems = ("q", "v", "tau", "target", "ctrl", "u", "i", "tau_commanded")
     words = {w for name in dict.fromkeys(columns) for w in _words(name, names)}
-    for table, given in (("units", meta.units), ("noise", meta.noise)):
-        for name in given:
-            if name not in (*quantities, *stems) and name not in words:
-                near = suggest(name, (*quantities, *stems, *sorted(words)))
-                raise BadInput(
-                    f"{meta.path}: [{table}] {name!r} is no column, joint or quantity of the data; "
-                    f"{near}"
-                )
+    every = (*quantities, *stems, *sorted(words))
+    what = "no column, joint or quantity of the data"
+    _check_named(meta, "[units]", meta.units, every, what)
 
 
 def _words(name: str, names: ModelNames) -> tuple[str, ...]:

@@ -28,7 +28,6 @@ TABLES = (
     "commands",
     "known",
     "fit",
-    "noise",
     "trials",
     "ros",
 )
@@ -86,7 +85,6 @@ class LogMeta:
     - `zero`: Joint or column -> what the log shows (rad or m) where the model's joint is at 0.
     - `reversed`: Joints that the log counts the other way round.
     - `known`, `fit`: As written, names of the MJCF.
-    - `noise`: Column, stem or quantity -> standard deviation in SI units.
     - `exclude`: Trials left out.
     - `group`, `payload`: Trial -> group, kg (patterns like `kp100_*` may stand for several trials).
     - `rate`, `within`: Joint -> what a target is cut to before it is sent, by a rate (rad/s, m/s)
@@ -114,7 +112,6 @@ class LogMeta:
     reversed: tuple[str, ...] = ()
     known: Mapping[str, Any] = field(default_factory=dict)
     fit: Mapping[str, Any] = field(default_factory=dict)
-    noise: Mapping[str, float] = field(default_factory=dict)
     exclude: tuple[str, ...] = ()
     group: Mapping[str, str] = field(default_factory=dict)
     payload: Mapping[str, float] = field(default_factory=dict)
@@ -169,7 +166,6 @@ def read_log_meta(path: str | Path) -> LogMeta:
         reversed=_texts(path, "angles.reversed", angles.get("reversed", [])),
         known=table["known"],
         fit=table["fit"],
-        noise={key: not_negative(path, f"noise.{key}", std) for key, std in table["noise"].items()},
         exclude=_texts(path, "trials.exclude", trials.get("exclude", [])),
         group=_groups(path, trials.get("group", {})),
         payload=_payloads(path, trials.get("payload", {})),

@@ -277,7 +277,7 @@ def test_what_the_torque_shows_of_a_real_servo_is_held_against_its_motion(tmp_pa
     """
     folder = measured("measured_servo_pendulum")
     (tmp_path / "meta.toml").write_text(
-        'task = "mechanism"\nmodel = "model.xml"\ninput = "voltage"\n[noise]\nv = 0.024\n'
+        'task = "mechanism"\nmodel = "model.xml"\ninput = "voltage"\n'
     )
     (tmp_path / "model.xml").write_text((RIGS / "servo_pendulum" / "model.xml").read_text())
     for file in [*folder.glob("kp100_*.csv"), *folder.glob("kp400_*.csv")]:

@@ -134,13 +134,8 @@ def test_linearized_model_has_default_geometry_and_a_mended_model_is_a_path(tmp_
     assert rig.model == "rigid_body" and rig.model_file == str((folder / "model.toml").resolve())
 
 
-def test_noise_may_be_declared_by_group_or_channel(tmp_path):
-    meta = META + "[noise]\nq = 0.001\nv = 0.02\nv2 = 0.03\n"
-    noise = read_pendulum(write(tmp_path, {"t": gentle()}, meta)).meta.noise
-    assert noise == {"q1": 0.001, "q2": 0.001, "v1": 0.02, "v2": 0.03}
-
-
 META_FAULTS = [
+    (META + "[noise]\nq = 0.001\n", "[noise] is not used"),
     (META.replace("angle_zero", "angel_zero"), "did you mean 'angle_zero'"),
     (META.replace('task = "pendulum"\n', ""), "'task' is missing"),
     (META.replace('model = "rigid_body"\n', ""), "'model' is missing"),
@@ -159,8 +154,6 @@ META_FAULTS = [
     ),
     (META.replace("l1 = 0.3", "L1 = 0.3"), "did you mean 'l1'"),
     (META.replace("l1 = 0.3", "l1 = = 0.3"), "line 6"),
-    (META + "[noise]\nq3 = 1\n", "unknown key 'q3' in [noise]"),
-    (META + "[noise]\nq1 = -1\n", "noise.q1 = -1 is negative"),
     (META + '[units]\ntime = "minutes"\n', "units.time = 'minutes' is unknown"),
     (META + '[units]\nq3 = "deg"\n', "unknown key 'q3' in [units]"),
     (META + "[known]\nm1 = true\n", "known.m1 must be a number"),
