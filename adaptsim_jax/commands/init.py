@@ -32,10 +32,16 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--state-topic",
         metavar="NAME",
-        nargs="+",
-        help="ROS topics of joint states (default: the largest, and those of other joints)",
+        action="append",
+        help="ROS topic of joint states, again for another (default: the largest, and those of "
+        "other joints)",
     )
-    parser.add_argument("--command-topic", metavar="NAME", nargs="+", help="ROS topics of commands")
+    parser.add_argument(
+        "--command-topic",
+        metavar="NAME",
+        action="append",
+        help="ROS topic of commands, again for another",
+    )
     parser.add_argument(
         "--json", action="store_true", help="print what was written and how it reads as JSON"
     )

@@ -74,17 +74,6 @@ class UnitCriteria:
 
 
 @dataclass(frozen=True)
-class SmootherCriteria:
-    """The prior of a motion between its rows (`smoother.py`)."""
-
-    window: int = 300  # samples: enough to tell noise, few enough for motion of one kind
-    coarse: float = 0.0  # log signal over noise of a step, above which white snap is tried too
-    rough: float = 2.5  # the same, above which white jerk is too rough and white snap is used
-    different: float = 1.4  # ratio of both estimates: the motion between samples hides the noise
-    speeds_off: float = 1.3  # of the angles' squared misfit, above which speeds are dropped
-
-
-@dataclass(frozen=True)
 class SignalCriteria:
     """Of one joint of one trial (`quality/signals.py`, `quality/audit.py`)."""
 
@@ -303,7 +292,6 @@ class UnbrokenCriteria:
 TABLE = TableCriteria()
 CLOCK = ClockCriteria()
 UNIT = UnitCriteria()
-SMOOTHER = SmootherCriteria()
 SIGNAL = SignalCriteria()
 AGREEMENT = AgreementCriteria()
 REST = RestCriteria()
