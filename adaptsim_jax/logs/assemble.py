@@ -249,19 +249,24 @@ def _without_missing(trial: RawTrial, meta: LogMeta) -> RawTrial:
     """
     lacks = {name: np.isnan(x) for name, x in trial.columns.items()}
     some = {name: rows for name, rows in lacks.items() if 0 < rows.mean() <= TABLE.few}
+    if not some:
+        return trial
     columns, whole = dict(trial.columns), np.ones(len(trial.lines), bool)
     for name, rows in some.items():
         found = role(name)
-        if meta.rig is not None or (found and found.stem in ("base", "channel")):
+        if meta.rig is not None or (found and found.stem in ("time", "base", "channel")):
             whole &= ~rows
         elif found is None or found.stem not in ("q", "v"):
             last = np.maximum.accumulate(np.where(rows, -1, np.arange(len(rows))))
             columns[name] = columns[name][last]
             whole &= last >= 0
-    if not some:
-        return trial
     columns = {name: x[whole] for name, x in columns.items()}
-    return replace(trial, columns=columns, lines=trial.lines[whole])
+    every = np.any(list(some.values()), axis=0)
+    note = (
+        f"{every.sum()} rows lack a number ({', '.join(some)}), first in {trial.row_word} "
+        f"{trial.lines[np.argmax(every)]}: what is missing is not used"
+    )
+    return replace(trial, columns=columns, lines=trial.lines[whole], notes=(*trial.notes, note))
 
 
 def _decoded(raw: Sequence[RawTrial]) -> tuple[list[RawTrial], tuple[str, ...]]:

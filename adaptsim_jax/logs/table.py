@@ -15,7 +15,7 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.archive import MAX_LISTED, check_lengths, part_name, read_archive, split
 from adaptsim_jax.logs.criteria import TABLE
 from adaptsim_jax.logs.csv_rows import check_header, check_widths, is_number, read_lines, rows_of
-from adaptsim_jax.logs.table_checks import check_missing, few_missing, without_blank
+from adaptsim_jax.logs.table_checks import check_missing, without_blank
 from adaptsim_jax.logs.table_clocks import joined_time, split_clock
 
 NOTHING = ("", ".nan", "na", "n/a", "null", "none", "-")
@@ -54,7 +54,7 @@ def read_table(
     ours: Mapping[str, str] | None = None,
     lost: tuple[str, ...] = (),
     gaps: tuple[str, ...] = (),
-    few: float = 0.0,
+    whole: bool = True,
 ) -> LogTable:
     """Read the columns in `wanted` that are there, of `min_rows` rows or more; list the others.
 
@@ -67,14 +67,14 @@ def read_table(
         lost: Columns of which a row may hold none, as cameras write frames in which they saw
             nothing: such rows are left out.
         gaps: Columns of which any cell may be empty, which is NaN then.
-        few: Share of the rows that may lack any number, which is NaN then.
+        whole: Whether other cells may not.
     """
     path = Path(path)
     if path.suffix.lower() == ".npz":
         table = _read_npz(path, wanted, lists=ours is not None)
     else:
         table = _read_csv(path, wanted)
-    return _checked(path, _without_lost(table, lost), min_rows, ours or {}, gaps, few)
+    return _checked(path, _without_lost(table, lost), min_rows, ours or {}, gaps, whole)
 
 
 def _without_lost(table: LogTable, lost: tuple[str, ...]) -> LogTable:
@@ -93,7 +93,7 @@ def _checked(
     min_rows: int,
     ours: Mapping[str, str],
     gaps: tuple[str, ...],
-    few: float,
+    whole: bool,
 ) -> LogTable:
     """The table without optional columns that hold nothing. BadInput for too few rows, and cells
     without a number but in `gaps`.
@@ -114,11 +114,9 @@ def _checked(
         for name, values in columns.items()
         if name in gaps
     }
-    here, reported = few_missing(columns, lines, table.row_word, few, ours)
-    columns = {name: values[here] for name, values in columns.items()}
-    if not reported:
+    if whole:
         check_missing(path, columns | filled, lines, table.row_word, ours)
-    return replace(table, columns=columns, lines=lines[here], notes=(*notes, *reported))
+    return replace(table, columns=columns, lines=lines, notes=notes)
 
 
 def _decode(path: Path, raw: bytes) -> str:

@@ -58,34 +58,6 @@ def _is_optional(name: str) -> bool:
     return found is not None and found.stem in OPTIONAL
 
 
-def few_missing(
-    columns: Mapping[str, np.ndarray],
-    lines: np.ndarray,
-    row_word: str,
-    few: float,
-    ours: Mapping[str, str],
-) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Rows `[T]` that have a time, with a note, where a share `few` of the rows at most lacks
-    numbers; all rows, and no note, where none or more do.
-
-    Args:
-        ours: What a column is to us where the file names it otherwise.
-    """
-    lacks = {name: np.isnan(values) for name, values in columns.items()}
-    some = [name for name, rows in lacks.items() if rows.any()]
-    every = np.ones(len(lines), bool)
-    whole = not any(np.isinf(values).any() for values in columns.values())
-    rows = np.any([lacks[name] for name in some], axis=0) if some else ~every
-    if not some or not whole or rows.mean() > few:
-        return every, ()
-    timed = ~np.any([x for name, x in lacks.items() if ours.get(name, name) in TIME], axis=0)
-    first = lines[np.argmax(rows)]
-    return timed & every, (
-        f"{rows.sum()} rows lack a number ({', '.join(some)}), first in {row_word} {first}: what "
-        "is missing is not used",
-    )
-
-
 def check_missing(
     path: str | Path,
     columns: Mapping[str, np.ndarray],

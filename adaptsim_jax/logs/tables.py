@@ -18,7 +18,7 @@ from adaptsim_jax.logs.columns import NANOS, TIME, TRIAL, is_ignored, role
 from adaptsim_jax.logs.criteria import TABLE
 from adaptsim_jax.logs.csv_rows import CsvRows, read_lines, rows_of
 from adaptsim_jax.logs.table import LogTable, read_table
-from adaptsim_jax.logs.table_checks import check_clock
+from adaptsim_jax.logs.table_checks import check_clock, check_missing
 from adaptsim_jax.logs.table_clocks import both, headed_again, naming, pair, restarted
 
 ENDINGS = (".csv", ".npz")
@@ -341,7 +341,10 @@ def _read(path: Path, named: Mapping[str, str], places: Mapping[str, str]) -> Lo
     place: `q` gives q1 to qn, or those `places` (`q[2]` -> ours) alone that are named.
     """
     apart = {_whole(place) for place in places}
-    table = read_table(path, tuple(named), ours=_Named(named), few=TABLE.few)
+    table = read_table(path, tuple(named), ours=_Named(named), whole=False)
+    rows = np.array([np.zeros(len(table.lines)), *table.columns.values()])
+    if np.isinf(rows).any() or np.isnan(rows).any(0).mean() > TABLE.few:
+        check_missing(path, table.columns, table.lines, table.row_word, _Named(named))
     if lacks := [place for place in places if place not in table.columns]:
         raise BadInput(
             f"{path}: has no place {lacks[0]!r}, which [columns] gives to {places[lacks[0]]}; "
