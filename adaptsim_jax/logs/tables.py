@@ -17,6 +17,7 @@ from adaptsim_jax.logs.beside import left_out, strays
 from adaptsim_jax.logs.columns import NANOS, TIME, TRIAL, is_ignored, role
 from adaptsim_jax.logs.criteria import TABLE
 from adaptsim_jax.logs.csv_rows import CsvRows, read_lines, rows_of
+from adaptsim_jax.logs.log_meta import LogMeta
 from adaptsim_jax.logs.table import LogTable, read_table
 from adaptsim_jax.logs.table_checks import check_clock, check_missing
 from adaptsim_jax.logs.table_clocks import both, headed_again, naming, pair, restarted
@@ -72,24 +73,13 @@ def table_files(path: Path) -> list[Path]:
     )
 
 
-def read_files(
-    files: list[Path],
-    rename: Mapping[str, str],
-    ignore: tuple[str, ...] = (),
-    others: tuple[Path, ...] = (),
-    leave_out: str = LEAVE_OUT,
-    rate: float | None = None,
-) -> list[RawTrial]:
+def read_files(files: list[Path], meta: LogMeta, others: tuple[Path, ...] = ()) -> list[RawTrial]:
     """Every trial of these files.
 
     Raises `BadInput` naming file and line.
 
     Args:
-        rename: Our name -> the file's.
-        ignore: Columns or joints left out.
-        others: Files of commands, whose columns `rename` may name too.
-        leave_out: How a file is left out, with `{}` for its name.
-        rate: Rows a second, of files without a time.
+        others: Files of commands, whose columns `[columns]` may name too.
     """
     stems = [path.stem for path in files]
     elsewhere = {name for path in others for name in column_names(path)}
@@ -98,16 +88,15 @@ def read_files(
         here = column_names(path) if elsewhere else []
         own = {
             ours: theirs
-            for ours, theirs in rename.items()
+            for ours, theirs in meta.columns.items()
             if theirs in here or theirs not in elsewhere
         }
+        name = path.name if stems.count(path.stem) > 1 else path.stem
         try:
-            trials += read_file(
-                path, path.name if stems.count(path.stem) > 1 else path.stem, own, ignore, rate
-            )
+            trials += read_file(path, name, replace(meta, columns=own))
         except BadInput as error:
-            if path not in strays(headers_of(files), is_time := _is_time(rename)):
-                raise _or_left_out(error, path, files, is_time, leave_out) from None
+            if path not in strays(headers_of(files), is_time := _is_time(meta.columns)):
+                raise _or_left_out(error, path, files, is_time, meta) from None
             notes.append(left_out(path))
     if notes:
         return [replace(trials[0], notes=(*trials[0].notes, *notes)), *trials[1:]]
@@ -125,12 +114,12 @@ def _or_left_out(
     path: Path,
     files: list[Path],
     is_time: Callable[[str], bool],
-    leave_out: str,
+    meta: LogMeta,
 ) -> BadInput:
     """What is said of one file of several: how it is left out, where it may be none of the
     trials.
     """
-    line = leave_out.format(path.stem)
+    line = ("--without {}" if meta.rig else LEAVE_OUT).format(path.stem)
     if len(files) == 1:
         return error
     if str(error).endswith("leave this file out"):
@@ -151,19 +140,9 @@ def headers_of(files: Iterable[Path]) -> dict[Path, list[str]]:
     return out
 
 
-def read_file(
-    path: Path,
-    name: str,
-    rename: Mapping[str, str],
-    ignore: tuple[str, ...] = (),
-    rate: float | None = None,
-) -> list[RawTrial]:
-    """The trials of one CSV or NPZ file: one, or one for each value of its `trial` column.
-
-    Args:
-        rate: Rows a second, where the file has no time.
-    """
-    header = column_names(path)
+def read_file(path: Path, name: str, meta: LogMeta) -> list[RawTrial]:
+    """The trials of one CSV or NPZ file: one, or one for each value of its `trial` column."""
+    header, rename, rate = column_names(path), meta.columns, meta.rows_per_second
     places = {
         theirs: ours
         for ours, theirs in rename.items()
@@ -187,7 +166,7 @@ def read_file(
     reported = {
         column
         for column in named
-        if role(named[column]) is not None and not is_ignored(named[column], ignore)
+        if role(named[column]) is not None and not is_ignored(named[column], meta.ignore)
     }
     wanted = tuple(dict.fromkeys(column for column in header if column in reported))
     labels = next((column for column in wanted if named[column] in TRIAL), None)
