@@ -3,6 +3,7 @@ traceback while its modules are loaded.
 """
 
 import signal
+import warnings
 
 
 def run() -> int:
@@ -14,6 +15,8 @@ def run() -> int:
     )  # else a shell told us to ignore it
     if heeded:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
+    # they name places in the installation, of which a user can mend none
+    warnings.simplefilter("ignore", RuntimeWarning)
     from adaptsim_jax.cli import main
 
     if heeded:

@@ -46,9 +46,9 @@ from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.effects.joints.actuator import TORQUE_GAIN
 from adaptsim_jax.logs.log import Log
 from adaptsim_jax.logs.log_meta import Rig
+from adaptsim_jax.logs.noise import local_motion
 from adaptsim_jax.logs.pendulum import check_known, read_pendulum
 from adaptsim_jax.logs.quality.audit import Audit, audit, usable
-from adaptsim_jax.logs.quality.consistency import lattice_step
 from adaptsim_jax.logs.quality.pendulum_design import (
     CHANNELS,
     check_conventions,
@@ -56,7 +56,6 @@ from adaptsim_jax.logs.quality.pendulum_design import (
     torques,
 )
 from adaptsim_jax.logs.quality.trial_words import add_trials
-from adaptsim_jax.logs.smoother import estimate, smoothed
 from adaptsim_jax.mechanisms.registry import make_plant
 from adaptsim_jax.mend.pendulum_model import ModelFile, text_of
 
@@ -226,32 +225,13 @@ def first_parameters(log: Log) -> np.ndarray:
     check_known(log.path, rig.known, (*plant.theta_names, *links))
     if not log.driven:
         plant = plant.unscaled()
-    motions, noise = [], _noise(log)
+    motions = []
     for trial in log.trials:
         torque = torques(log, trial)
         for rows in _unbroken(trial.q):
             time, v = trial.time[rows], None if trial.v is None else trial.v[rows]
-            motions.append((time, *smoothed(time, trial.q[rows], v, noise), torque[rows]))
+            motions.append((time, *local_motion(time, trial.q[rows], v), torque[rows]))
     return plant.initial_theta(motions)
-
-
-def _noise(log: Log) -> np.ndarray:
-    """[2, n] of angles and of speeds, medians over trials; 0 for speeds where a trial has none."""
-    out = np.zeros((2, len(log.joint_names)))
-    for k, stem in enumerate(("q", "v")):
-        columns = [getattr(t, stem) for t in log.trials]
-        if any(x is None for x in columns):
-            continue
-        for j in range(out.shape[1]):
-            sizes = [_scatter(t.time, x[:, j]) for t, x in zip(log.trials, columns, strict=True)]
-            out[k, j] = np.median(sizes)
-    return out
-
-
-def _scatter(time: np.ndarray, x: np.ndarray) -> float:
-    """Noise of a channel where it was read, at least that of its resolution."""
-    rows = np.isfinite(x)
-    return max(estimate(time[rows], x[rows])[0], lattice_step(x[rows]) / np.sqrt(12.0))
 
 
 def _unbroken(q: np.ndarray) -> list[np.ndarray]:

@@ -30,9 +30,18 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         help="folder for meta.toml (default: DATA, if it is a folder)",
     )
     parser.add_argument(
-        "--state-topic", metavar="NAME", help="ROS topic of joint states (default: the largest)"
+        "--state-topic",
+        metavar="NAME",
+        action="append",
+        help="ROS topic of joint states, again for another (default: the largest, and those of "
+        "other joints)",
     )
-    parser.add_argument("--command-topic", metavar="NAME", help="ROS topic of commands")
+    parser.add_argument(
+        "--command-topic",
+        metavar="NAME",
+        action="append",
+        help="ROS topic of commands, again for another",
+    )
     parser.add_argument(
         "--json", action="store_true", help="print what was written and how it reads as JSON"
     )

@@ -103,10 +103,8 @@ def write_all(
         _noted(report, evidence, line)
     _page(folder, report, evidence, page)
     for name, text in files.items():
-        try:
+        with _noting(folder, report, evidence, name):
             write_bytes(folder / name, text().encode())
-        except Exception as error:  # whatever it is, hours of search must not go with it
-            _noted(report, evidence, f"{name} could not be written: {fault_line(folder, error)}")
     if verify is not None:
         try:
             report["files"] = verify(folder)
@@ -120,14 +118,23 @@ def write_all(
 
 
 def _page(folder: Path, report: dict[str, Any], evidence: dict[str, Any], page: Page) -> None:
-    write_json(folder / "report.json", check(report))
-    try:
-        page(folder, check(report), evidence)
-    except BadInput:
-        raise
-    except Exception as error:  # a drawing that fails leaves the numbers
-        _noted(report, evidence, f"report.html could not be written: {fault_line(folder, error)}")
+    with _noting(folder, report, evidence, "report.json"):
         write_json(folder / "report.json", check(report))
+    with _noting(folder, report, evidence, "report.html"):
+        page(folder, check(report), evidence)
+
+
+@contextmanager
+def _noting(
+    folder: Path, report: dict[str, Any], evidence: dict[str, Any], name: str
+) -> Iterator[None]:
+    """What a file that cannot be written costs: a warning, whatever it is. Hours of search, what
+    is printed, and the other files must not go with it.
+    """
+    try:
+        yield
+    except Exception as error:
+        _noted(report, evidence, f"{name} could not be written: {fault_line(folder, error)}")
 
 
 def _noted(report: dict[str, Any], evidence: dict[str, Any], line: str) -> None:

@@ -15,13 +15,16 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.angles import model_angles
 from adaptsim_jax.logs.beside import copies, unread
 from adaptsim_jax.logs.columns import is_ignored, role, roles_of
+from adaptsim_jax.logs.criteria import TABLE
 from adaptsim_jax.logs.inputs import Inputs, choose_inputs
 from adaptsim_jax.logs.joint_columns import JointColumns, also_there, columns_of
 from adaptsim_jax.logs.log import Log, LogTrial, ModelNames
 from adaptsim_jax.logs.log_meta import LogMeta, of_trial
 from adaptsim_jax.logs.quality.consistency import jitter
+from adaptsim_jax.logs.repeats import read_once
 from adaptsim_jax.logs.scales import check_log_units, check_scales
 from adaptsim_jax.logs.tables import RawTrial
+from adaptsim_jax.logs.words import decoded
 
 
 def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: LogMeta) -> Log:
@@ -29,6 +32,8 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
     the model.
     """
     raw = [_without_ignored(trial, meta, model) for trial in _selected(path, raw, meta)]
+    raw, worded = _decoded([_without_missing(trial, meta) for trial in raw])
+    raw = [read_once(trial) for trial in raw]
     names = model or _names_in(raw[0])
     _check_meta_names(names, raw, meta)
     trials = [columns_of(trial, names, meta) for trial in raw]
@@ -51,6 +56,7 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
         turned = ()
     notes = (
         inputs.notes
+        + worded
         + _strange(raw[0], names, held)
         + _numbered(raw[0], names, retained)
         + _notes(raw, log_trials)
@@ -209,7 +215,17 @@ def _selected(path: str, raw: list[RawTrial], meta: LogMeta) -> list[RawTrial]:
     ]
     if not retained:
         raise BadInput(f"{meta.path}: trials.exclude leaves no trial; keep one")
-    return retained
+    short = [trial.name for trial in retained if len(trial.lines) < TABLE.min_rows]
+    first, *others = [trial for trial in retained if trial.name not in short] or [None]
+    if first is None:
+        raise BadInput(
+            f"{path}: {short[0]} has {len(retained[0].lines)} rows; a trial needs at least "
+            f"{TABLE.min_rows}"
+        )
+    if not short:
+        return retained
+    note = f"fewer than {TABLE.min_rows} rows, left out: {', '.join(short)}"
+    return [replace(first, notes=(*first.notes, note)), *others]
 
 
 def _without_ignored(trial: RawTrial, meta: LogMeta, model: ModelNames | None) -> RawTrial:
@@ -224,6 +240,50 @@ def _without_ignored(trial: RawTrial, meta: LogMeta, model: ModelNames | None) -
     }
     gone = tuple(name for name in trial.columns if name not in ours)
     return replace(trial, columns=ours, ignored=(*trial.ignored, *gone))
+
+
+def _without_missing(trial: RawTrial, meta: LogMeta) -> RawTrial:
+    """The trial where a few rows lack numbers: what acts, acts on from the row before; rows
+    without a pose or a sensor are left out, and those before anything acts. Angles and speeds stay
+    NaN, but for a pendulum, whose rows are whole.
+    """
+    lacks = {name: np.isnan(x) for name, x in trial.columns.items()}
+    some = {name: rows for name, rows in lacks.items() if 0 < rows.mean() <= TABLE.few}
+    if not some:
+        return trial
+    columns, whole = dict(trial.columns), np.ones(len(trial.lines), bool)
+    for name, rows in some.items():
+        found = role(name)
+        if meta.rig is not None or (found and found.stem in ("time", "base", "channel")):
+            whole &= ~rows
+        elif found is None or found.stem not in ("q", "v"):
+            last = np.maximum.accumulate(np.where(rows, -1, np.arange(len(rows))))
+            columns[name] = columns[name][last]
+            whole &= last >= 0
+    columns = {name: x[whole] for name, x in columns.items()}
+    every = np.any(list(some.values()), axis=0)
+    note = (
+        f"{every.sum()} rows lack a number ({', '.join(some)}), first in {trial.row_word} "
+        f"{trial.lines[np.argmax(every)]}: what is missing is not used"
+    )
+    return replace(trial, columns=columns, lines=trial.lines[whole], notes=(*trial.notes, note))
+
+
+def _decoded(raw: Sequence[RawTrial]) -> tuple[list[RawTrial], tuple[str, ...]]:
+    """The trials with words of registers as the numbers that they mean, and a note on each."""
+    columns, notes = [dict(trial.columns) for trial in raw], []
+    for name in columns[0]:
+        found = role(name)
+        have = [own for own in columns if name in own]
+        if found and found.stem in ("time", "nanos", "trial", "base", "channel"):
+            continue
+        values, how = decoded([own[name] for own in have])
+        if how:
+            notes.append(f"column {name}: {how}")
+            for own, x in zip(have, values, strict=True):
+                own[name] = x
+    pairs = zip(raw, columns, strict=True)
+    return [replace(trial, columns=own) for trial, own in pairs], tuple(notes)
 
 
 def _names_in(trial: RawTrial) -> ModelNames:
@@ -281,14 +341,9 @@ def _check_meta_names(names: ModelNames, raw: list[RawTrial], meta: LogMeta) -> 
     quantities = ("time", "angle", "velocity", "torque", "length", "force", "voltage", "current")
     stems = ("q", "v", "tau", "target", "ctrl", "u", "i", "tau_commanded")
     words = {w for name in dict.fromkeys(columns) for w in _words(name, names)}
-    for table, given in (("units", meta.units), ("noise", meta.noise)):
-        for name in given:
-            if name not in (*quantities, *stems) and name not in words:
-                near = suggest(name, (*quantities, *stems, *sorted(words)))
-                raise BadInput(
-                    f"{meta.path}: [{table}] {name!r} is no column, joint or quantity of the data; "
-                    f"{near}"
-                )
+    every = (*quantities, *stems, *sorted(words))
+    what = "no column, joint or quantity of the data"
+    _check_named(meta, "[units]", meta.units, every, what)
 
 
 def _words(name: str, names: ModelNames) -> tuple[str, ...]:

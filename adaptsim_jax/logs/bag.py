@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import json
+import re
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -98,7 +99,7 @@ class McapBag:
                 key = which, channel.id
                 if key not in decoders:
                     decoders[key] = self._decoder(schema, channel)
-                yield message.log_time, decoders[key](message.data)
+                yield message.log_time, decoders[key](_unpacked(message.data))
 
     def _reader(self, file: BinaryIO) -> Any:
         file.seek(0)
@@ -118,6 +119,17 @@ class McapBag:
             f"{self.path}: topic {channel.topic} is in {encoding or 'no known encoding'}; record "
             "it as a ROS message, in JSON or in protobuf"
         )
+
+
+PACKED = b"\x28\xb5\x2f\xfd"
+"""What a message begins with that `ros2 bag record --compression-mode message` packed."""
+
+
+def _unpacked(data: bytes) -> bytes:
+    if data[:4] != PACKED:
+        return data
+    zstandard = importlib.import_module("zstandard")  # comes with the library mcap
+    return zstandard.ZstdDecompressor().decompressobj().decompress(data)
 
 
 def _topic(name: str, kinds: set[tuple[str, str]], count: int) -> Topic:
@@ -178,13 +190,12 @@ ENDINGS = (".bag", ".mcap", ".db3")
 
 
 def bags(path: Path) -> list[Path]:
-    """The bags that a folder holds: files, or folders with `metadata.yaml`; the path itself where
-    it is one.
-    """
+    """The bags that a folder holds: files, or folders of one; the path itself where it is one."""
     if is_bag(path):
         return [path]
     if path.is_dir():
-        return sorted(p for p in path.iterdir() if is_bag(p) and not p.name.startswith("."))
+        inside = (p for p in path.iterdir() if is_bag(p) or _is_cut(p))
+        return sorted(p for p in inside if not p.name.startswith("."))
     return []
 
 
@@ -195,18 +206,28 @@ def is_bag(path: Path) -> bool:
     return path.suffix.lower() in ENDINGS
 
 
+def _is_cut(path: Path) -> bool:
+    """Whether a folder is a ROS 2 bag whose `metadata.yaml` was never written: a power cut came
+    before the end. Its files differ in their last number.
+    """
+    files = [p for p in path.iterdir() if is_bag(p)] if path.is_dir() else []
+    return len({re.sub(r"_\d+$", "", p.stem) for p in files if p.is_file()}) == 1
+
+
 @contextlib.contextmanager
 def opened(path: Path) -> Iterator[Bag]:
     """A bag of any kind, open. What the libraries say of damaged ones comes in one line
     (`BadInput`).
     """
     try:
-        files = [path] if path.is_file() else sorted(path.glob("*.mcap"))
-        if files and all(file.suffix.lower() == ".mcap" for file in files):
+        files = [path]
+        if not is_bag(path) or any(path.glob("*.mcap")):
+            files = sorted(p for p in path.iterdir() if is_bag(p))
+        if all(file.suffix.lower() == ".mcap" for file in files):
             with contextlib.ExitStack() as stack:
                 yield McapBag(path, [stack.enter_context(file.open("rb")) for file in files])
         else:
-            with _ros(path) as bag:
+            with _ros(path, files) as bag:
                 yield bag
     except BadInput:
         raise
@@ -235,16 +256,16 @@ class _RosBag:
     def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
         connections = [c for c in self.reader.connections if c.topic == topic]
         for connection, when, data in self.reader.messages(connections=connections):
-            yield when, self.reader.deserialize(data, connection.msgtype)
+            yield when, self.reader.deserialize(_unpacked(data), connection.msgtype)
 
 
 @contextlib.contextmanager
-def _ros(path: Path) -> Iterator[_RosBag]:
+def _ros(path: Path, files: list[Path]) -> Iterator[_RosBag]:
     highlevel, typesys = (
         need(path, "rosbags.highlevel", "ros"),
         need(path, "rosbags.typesys", "ros"),
     )
     with highlevel.AnyReader(
-        [path], default_typestore=typesys.get_typestore(typesys.Stores.LATEST)
+        files, default_typestore=typesys.get_typestore(typesys.Stores.LATEST)
     ) as reader:
         yield _RosBag(reader)

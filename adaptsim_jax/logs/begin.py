@@ -29,6 +29,7 @@ from adaptsim_jax.logs.tables import (
     ENDINGS,
     cells_of,
     column_names,
+    csv_rows,
     headers_of,
     list_columns,
     table_files,
@@ -52,7 +53,9 @@ class Begun:
     unused: tuple[str, ...] = ()
 
 
-def begin(data: Path, out: Path | None, model: Path | None, topics: dict[str, str]) -> Begun:
+def begin(
+    data: Path, out: Path | None, model: Path | None, topics: dict[str, str | Sequence[str]]
+) -> Begun:
     """Write `meta.toml` into `out` (None: into `data`, a folder). Raises `BadInput` where there is
     one, or no data.
     """
@@ -67,7 +70,9 @@ def begin(data: Path, out: Path | None, model: Path | None, topics: dict[str, st
         columns, clock = (columns, {})
     arrays = next(map(_lists, tables), {})
     named = {ours: array for array, ours in arrays.items() if ours}
-    found = guess(columns, names, lerobot.is_lerobot(data) if data.is_dir() else False, named)
+    stated = csv_rows(tables[0], 2).units if tables and tables[0].suffix != ".npz" else {}
+    is_set = lerobot.is_lerobot(data) if data.is_dir() else False
+    found = guess(columns, names, is_set, named, stated)
     renamed = {ours: array for ours, array in named.items() if ours != array}
     ignored = [name for name in found.ignored if name.strip()]
     ignored += [array for array, ours in arrays.items() if not ours]
@@ -148,8 +153,11 @@ def _from(path: Path, folder: Path) -> str:
 
 
 def _columns(
-    data: Path, tables: list[Path], topics: dict[str, str], joints: Sequence[str]
-) -> tuple[dict[str, np.ndarray], list[str], dict[str, str]]:
+    data: Path,
+    tables: list[Path],
+    topics: dict[str, str | Sequence[str]],
+    joints: Sequence[str],
+) -> tuple[dict[str, np.ndarray], list[str], dict[str, str | Sequence[str]]]:
     """Columns of the first trial as its file names them; of bags also what their topics are, and
     those that are chosen.
     """

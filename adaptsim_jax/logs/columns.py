@@ -36,6 +36,9 @@ _PATTERN = re.compile(
     rf"({'|'.join(sorted(_STEM_OF, key=len, reverse=True))})(?:_?(\d+)|[_./ ](.+))?"
 )
 
+_PRESENT = re.compile(r"(present|actual)(_(rad|deg|m|s))*")
+"""What servos' registers are called, with their unit: no joint."""
+
 
 @dataclass(frozen=True)
 class Role:
@@ -87,6 +90,8 @@ def role(name: str, joints: Iterable[str] = ()) -> Role | None:
         who: int | str | None = int(number)
     else:
         who = number or joint
+    if isinstance(who, str) and who not in joints and _PRESENT.fullmatch(who.lower()):
+        who = None
     letter = (
         stem == "ctrl" and who is not None and len(str(who)) == 1
     )  # an actuator may well be called m

@@ -14,7 +14,7 @@ import numpy as np
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.clock import Series, merge
 from adaptsim_jax.logs.columns import SPELLINGS, TIME, role
-from adaptsim_jax.logs.log_meta import of_trial
+from adaptsim_jax.logs.log_meta import LogMeta, of_trial
 from adaptsim_jax.logs.table_clocks import COMMANDS, LINE
 from adaptsim_jax.logs.tables import RawTrial, column_names, read_file
 
@@ -86,9 +86,7 @@ def declared(commands: Mapping[str, str], folder: Path, meta: str) -> dict[str, 
     return out
 
 
-def with_commands(
-    trial: RawTrial, files: Mapping[str, Path], rename: Mapping[str, str], ignore: tuple[str, ...]
-) -> RawTrial:
+def with_commands(trial: RawTrial, files: Mapping[str, Path], meta: LogMeta) -> RawTrial:
     """A trial with the commands of its file, held from when they came: its angles there are
     targets.
     """
@@ -96,8 +94,8 @@ def with_commands(
     if path is None:
         return trial
     header = column_names(path)
-    here = {ours: theirs for ours, theirs in rename.items() if theirs in header}
-    reported, *others = read_file(path, path.stem, here, ignore)
+    here = {ours: theirs for ours, theirs in meta.columns.items() if theirs in header}
+    reported, *others = read_file(path, path.stem, replace(meta, columns=here))
     if others:
         raise BadInput(
             f"{path}: holds commands of {1 + len(others)} trials, as its clock or its column of "

@@ -14,6 +14,7 @@ class TableCriteria:
     limit: float = 1e5  # SI: a larger value is damage, not data
     slowest: float = 0.25  # s from row to row: beyond it no motion is sampled at all
     fastest: float = 2e-5  # s from row to row: below it a declared unit of time is doubted
+    few: float = 0.05  # of the rows that may lack a number: more is no reading lost now and then
     joined: float = 0.3  # of the rows that lack something: the table is joined of topics
     seldom: float = 0.05  # of the rows that a column of states has at least
     kind: float = 0.1  # of the rows of which one kind of row is listed
@@ -38,6 +39,10 @@ class ClockCriteria:
     min_overlap: int = 4  # rows that lie there: fewer may be out of order
     first: int = 20  # messages of a topic that are looked at to know its joints
     better: float = 0.5  # of what the other reading of a trajectory leaves, that decides
+    usual_steps: float = 0.9  # of the steps between messages: those at rest say little
+    contradicts: float = 3.0  # such steps that another sender's angles may be off
+    leap: float = 0.2  # of an angle's range between two messages: no joint goes so far
+    leaps: float = 0.05  # of the messages: a wrap or a jump of a gripper comes more seldom
 
 
 @dataclass(frozen=True)
@@ -66,17 +71,6 @@ class UnitCriteria:
     both: float = 5.0  # rad that its other joint reaches too, or one alone is in degrees
     gravity: float = 0.3  # of the earth's, by which a declared g may differ unasked
     follower: float = 0.05  # of its motion, by which a follower's readings may be off
-
-
-@dataclass(frozen=True)
-class SmootherCriteria:
-    """The prior of a motion between its rows (`smoother.py`)."""
-
-    window: int = 300  # samples: enough to tell noise, few enough for motion of one kind
-    coarse: float = 0.0  # log signal over noise of a step, above which white snap is tried too
-    rough: float = 2.5  # the same, above which white jerk is too rough and white snap is used
-    different: float = 1.4  # ratio of both estimates: the motion between samples hides the noise
-    speeds_off: float = 1.3  # of the angles' squared misfit, above which speeds are dropped
 
 
 @dataclass(frozen=True)
@@ -171,6 +165,7 @@ class BlockCriteria:
     sharp: float = 0.01  # s of a sharp block, which is no shorter than a row
     edge: float = 0.05  # s at each end of a trial, where differences are one-sided
     gap: float = 4.0  # sampling intervals: blocks beside longer gaps are left out
+    min_count: int = 12  # rows of a trial in which nothing is missing
     most: int = 1200  # blocks that are looked at, evenly drawn: a second of work
     enough: int = 60  # blocks: below, so many parameters explain anything
     slow: float = 0.02  # of the top speed, within which dry friction turns
@@ -201,7 +196,6 @@ class CommandCriteria:
     smooth: int = 3  # blocks over which both sides are averaged: noise of angles counts less
     alike: float = 6.0  # rows that what is left stays alike over: they are not independent
     min_blocks: int = 30  # below it nothing is said
-    min_rows: int = 12  # of a trial with angle and command
     most_joints: int = 12  # up to which every command is tried on every joint
     trials: int = 6  # that are looked at, evenly drawn
     exchanged: float = 4.0  # times less that exchanged joints leave under the other's command
@@ -221,6 +215,8 @@ class CommandCriteria:
     gain_errors: float = 8.0  # standard errors of their difference
     gain_error: float = 0.1  # of a gain (standard error): a wider one says nothing
     min_trials: int = 3  # to have a middle one
+    next_rows: float = 0.95  # of the rows that move, in which a target is the next row's angle
+    rounding: float = 1e-7  # of the largest angle: digits that a converted set may have lost
 
 
 @dataclass(frozen=True)
@@ -272,6 +268,22 @@ class TurnCriteria:
 
 
 @dataclass(frozen=True)
+class RepeatCriteria:
+    """Readings that stand in several rows each (`repeats.py`)."""
+
+    min_readings: int = 20  # that are new: fewer say nothing
+    even: float = 0.9  # of the readings, that stand in as many rows, or in one more
+    steps: float = 4.0  # an encoder's steps that a new reading is off: less is a slow motion
+
+
+@dataclass(frozen=True)
+class WordCriteria:
+    """Words of registers (`words.py`)."""
+
+    left: float = 0.25  # of the largest leap, that words taken otherwise may leave
+
+
+@dataclass(frozen=True)
 class UnbrokenCriteria:
     """Rows that follow each other (`stretch_rows.py`)."""
 
@@ -283,7 +295,6 @@ class UnbrokenCriteria:
 TABLE = TableCriteria()
 CLOCK = ClockCriteria()
 UNIT = UnitCriteria()
-SMOOTHER = SmootherCriteria()
 SIGNAL = SignalCriteria()
 AGREEMENT = AgreementCriteria()
 REST = RestCriteria()
@@ -293,4 +304,6 @@ CONTRADICTION = ContradictionCriteria()
 COMMAND = CommandCriteria()
 TRIAL = TrialCriteria()
 WRAP = TurnCriteria()
+WORD = WordCriteria()
+REPEAT = RepeatCriteria()
 UNBROKEN = UnbrokenCriteria()

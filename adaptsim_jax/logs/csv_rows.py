@@ -1,4 +1,6 @@
-"""The rows of a CSV file: its delimiter, remarks above its header, and widths of rows."""
+"""The rows of a CSV file: its delimiter, remarks above its header, units below it, and widths of
+rows.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +10,11 @@ import itertools
 import re
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.log_units import unit_of
 
 
 def read_bytes(path: Path) -> bytes:
@@ -23,31 +27,77 @@ def read_bytes(path: Path) -> bytes:
         ) from None
 
 
+ZEROS = b"\x00" * 4
+"""What a power cut leaves of lines that were not yet on the disk; UTF-16 text has no four in a row.
+"""
+
+
+def read_lines(path: Path) -> tuple[bytes, tuple[int, ...]]:
+    """All of a file, but for lines that hold `ZEROS`, and which these are."""
+    raw = read_bytes(path)
+    if ZEROS not in raw:
+        return raw, ()
+    lines = raw.split(b"\n")
+    cut = tuple(k for k, line in enumerate(lines, 1) if ZEROS in line)
+    return b"\n".join(b"" if ZEROS in line else line for line in lines), cut
+
+
 DELIMITERS = {",": "commas", ";": "semicolons", "\t": "tabs"}
 REMARKS = ("#", "%", "//")
 """What opens a line above the header that names no columns."""
 
 
-def rows_of(path: Path, text: str, most: int | None = None) -> tuple[list[list[str]], list[int]]:
-    """The first `most` rows (None: all) of a CSV that hold anything, from its header on, and their
-    lines. Cells as they are but for the header's.
+@dataclass(frozen=True)
+class CsvRows:
+    """Rows of a CSV that hold anything, the header's first, and their lines. Cells as they are but
+    for the header's.
+
+    - `units`: Column -> what a row of units below the header says.
+    - `again`: Lines on which the header stands again, as a logger that was started anew writes it.
     """
+
+    rows: list[list[str]]
+    lines: list[int]
+    units: dict[str, str]
+    again: tuple[int, ...]
+
+
+def rows_of(path: Path, text: str, most: int | None = None) -> CsvRows:
+    """The first `most` rows (None: all) of a CSV."""
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     above, text, delimiter = _from_header(text)
     reader = csv.reader(io.StringIO(text), delimiter=delimiter)
-    rows, lines = [], []
+    rows, lines, units, again = [], [], {}, []
     try:
         for row in reader:
-            if any(cell.strip() for cell in row):
+            if not any(cell.strip() for cell in row):
+                continue
+            line = above + reader.line_num
+            if rows and _header(row) == rows[0]:
+                again.append(line)
+            elif len(rows) == 1 and not units and _are_units(row):
+                units = dict(zip(rows[0], map(_bare, row), strict=False))
+            else:
                 rows.append(_within(row, len(rows[0])) if rows else _header(row))
-                lines.append(above + reader.line_num)
+                lines.append(line)
             if len(rows) == most:
                 break
     except csv.Error as e:
         raise BadInput(
             f"{path}: line {above + reader.line_num}: not CSV ({e}); mend or remove that line"
         ) from None
-    return rows, lines
+    return CsvRows(rows, lines, units, tuple(again))
+
+
+def _bare(cell: str) -> str:
+    return cell.strip(" []()")
+
+
+def _are_units(row: list[str]) -> bool:
+    """Whether a row names units, of most columns at least."""
+    cells = [cell for cell in map(_bare, row) if cell]
+    known = sum(unit_of(cell) is not None for cell in cells)
+    return 2 * known > len(cells) and not any(map(is_number, cells))
 
 
 def _within(row: list[str], n: int) -> list[str]:

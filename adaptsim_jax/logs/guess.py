@@ -52,6 +52,7 @@ def guess(
     model: ModelNames | None,
     lerobot: bool = False,
     lists: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None,
 ) -> Guess:
     """What the columns of one trial (by the file's names, as written) seem to be.
 
@@ -59,6 +60,7 @@ def guess(
         model: Its joints, where known.
         lerobot: Whether they are of a LeRobot data set.
         lists: Our stem -> the file's name of a list or array, whose places are columns by our name.
+        units: The file's name -> what a row of units says of it.
     """
     joints = model.joints if model else ()
     names: dict[str, str] = {}
@@ -78,7 +80,8 @@ def guess(
             names[clock] = "time"
             ignored = [name for name in ignored if name != clock]
     by_ours = {ours: columns[name] for name, ours in names.items()}
-    written = {ours: name for name, ours in names.items()}
+    stated = {name: f"{name} [{unit}]" for name, unit in (units or {}).items()}
+    written = {ours: stated.get(name, name) for name, ours in names.items()}
     for ours in by_ours:
         if (
             (found := role(ours, joints))
@@ -171,8 +174,7 @@ def _ours(name: str, joints: Sequence[str]) -> str | None:
     rest = [
         token
         for token in tokens
-        if token not in WORDS
-        and token not in ("joint", "state", "states", "joints", "measured", "actual")
+        if token not in WORDS and token not in SPELLINGS["words"]["measured"]
     ]
     if not joints:
         if rest:
@@ -233,7 +235,7 @@ class Draft:
     data: str | None = None
     names: ModelNames | None = None
     topics: Sequence[str] = ()
-    ros: Mapping[str, str] = field(default_factory=dict)
+    ros: Mapping[str, str | Sequence[str]] = field(default_factory=dict)
     kinds: Sequence[str] = ()
     commands: Mapping[str, str] = field(default_factory=dict)
 

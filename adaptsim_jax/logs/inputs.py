@@ -12,6 +12,7 @@ import numpy as np
 from adaptsim_jax.core.config import nearest, suggest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.angles import flipped_joints, followed_turns, model_angles
+from adaptsim_jax.logs.criteria import COMMAND
 from adaptsim_jax.logs.joint_columns import JointColumns, also_there
 from adaptsim_jax.logs.log import ActuatorName, InputKind, ModelNames
 from adaptsim_jax.logs.log_meta import LogMeta
@@ -57,7 +58,8 @@ class Inputs:
                 actuator.name, columns.ctrl.get(index, columns.ctrl.get(actuator.joint))
             )
             if command is None and _has_command(columns, actuator, index, names):
-                command = angles[:, names.joints.index(actuator.joint)]
+                angle = angles[:, names.joints.index(actuator.joint)]
+                command = actuator.at_zero + actuator.per_angle * angle
             out.append(np.zeros(len(columns.time)) if command is None else command)
         u = np.stack(
             [_sent(columns, names, meta, *one) for one in zip(self.actuators, out, strict=True)],
@@ -82,13 +84,14 @@ def _sent(
     q = model_angles(columns.stacked("q", len(names.joints)), names, meta)[:, j]
     if not np.isfinite(q).any():  # of a joint that is held
         return command
+    angle = (command - actuator.at_zero) / actuator.per_angle
     if actuator.kind == "position" and actuator.joint not in names.slides:
-        command = followed_turns(q, command)
+        angle = followed_turns(q, angle)
     if actuator.joint in meta.rate:
-        command = limited(columns.time, command, q, meta.rate[actuator.joint])
+        angle = limited(columns.time, angle, q, meta.rate[actuator.joint])
     if actuator.joint in meta.within:
-        return within(command, q, meta.within[actuator.joint])
-    return command
+        angle = within(angle, q, meta.within[actuator.joint])
+    return actuator.at_zero + actuator.per_angle * angle
 
 
 def _complete(columns: JointColumns, kind: str, names: tuple[str, ...], u: np.ndarray) -> None:
@@ -142,6 +145,8 @@ def choose_inputs(
         return Inputs(kind, "", (), ())
     notes = _notes(kind, kinds, meta)
     if kind == "command":
+        if meta.targets is None:
+            _check_told(trials, names)
         return _commands(trials, names, notes, moving)
     stem = STEM[kind]
     if kind == "torque" and not all("tau" in t.by_joint for t in trials):
@@ -251,6 +256,30 @@ def _check_targets(
                 f'add <position joint="{joint}" .../> to it, or write ignore = '
                 f'["{columns.named["target", j]}"] in meta.toml'
             )
+
+
+def _check_told(trials: list[JointColumns], names: ModelNames) -> None:
+    """BadInput where a column of targets holds the angles of the next rows, or the steps to them,
+    to the bit, as converted data sets have them: what was commanded is not there.
+    """
+    for (stem, j), column in trials[0].named.items():
+        pairs = [(t.written.get(("q", j)), t.written.get((stem, j))) for t in trials]
+        if stem != "target" or any(q is None or u is None for q, u in pairs):
+            continue
+        q, u, after = (
+            np.concatenate(parts)
+            for parts in zip(*((q[:-1], u[:-1], q[1:]) for q, u in pairs), strict=True)
+        )
+        moves = after != q
+        for what, value in (("the angle of the next row", after), ("the step to it", after - q)):
+            near = np.abs(u - value) <= COMMAND.rounding * np.max(np.abs(q), initial=0.0)
+            if moves.sum() >= COMMAND.min_blocks and np.mean(near[moves]) > COMMAND.next_rows:
+                raise BadInput(
+                    f"{trials[0].raw.path}: column {column!r} is {what} in nearly every row: what "
+                    f"joint '{names.joints[j]}' was commanded is not in the log; record it, or "
+                    'write targets = "absolute" (as logged) or "relative" (added to the angle) '
+                    "under [commands] in meta.toml, to take it all the same"
+                )
 
 
 def _servo(actuator: ActuatorName, names: ModelNames) -> int | None:

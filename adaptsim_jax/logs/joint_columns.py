@@ -60,8 +60,9 @@ class JointColumns:
 class _Converter:
     """Columns of one trial made SI one by one: what is known of them so far.
 
-    `ctrl`, `by_joint`, `written`, `named`, `scaled`, `declared`: as of `JointColumns`; `headed`:
-    what headings say of units, beside what is taken.
+    - `ctrl`, `by_joint`, `written`, `named`, `scaled`, `declared`: As of `JointColumns`.
+    - `headed`: What headings say of units, beside what is taken.
+    - `counted`: Joints whose encoder counts its turns: readings go beyond a turn.
     """
 
     trial: RawTrial
@@ -75,6 +76,7 @@ class _Converter:
     scaled: dict[int, bool] = field(default_factory=dict)
     declared: set[int] = field(default_factory=set)
     headed: list[tuple[HeadingUnit, Affine, tuple[str, ...], str]] = field(default_factory=list)
+    counted: set[int] = field(default_factory=set)
 
     def time(self, name: str, found: Role) -> np.ndarray:
         """Times `[T]` s."""
@@ -110,10 +112,13 @@ class _Converter:
         self._head(name, found, words, unit, slides)
         if stem == "q" and declared(units, "q", words, slides=slides) is not None:
             self.declared.add(j)
+        raw = trial.columns[name]
         if stem in ("q", "target"):
-            self.written[stem, j] = trial.columns[name]
+            self.written[stem, j] = raw
             self.scaled[j] = self.scaled.get(j, False) or unit.scale not in ANGLE_UNITS.values()
-        values = unit.of(trial.columns[name])
+        if stem == "q" and unit.count and np.nanmax(raw) - np.nanmin(raw) > unit.count:
+            self.counted.add(j)
+        values = unit.of(raw)
         check_size(trial.path, name, values, trial.lines, trial.row_word)
         self.by_joint.setdefault(stem, {})[j] = values
 
@@ -122,6 +127,8 @@ class _Converter:
     ) -> None:
         columns = self.meta.columns
         written = columns.get(name) or columns.get(found.stem, name)
+        if name in self.trial.units:
+            written = f"{written} [{self.trial.units[name]}]"
         if one := heading_unit(name, written, found, slides, self.names.joints):
             self.headed.append((one, unit, words, found.stem))
 
@@ -141,7 +148,11 @@ def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> JointColumn
             made.joint(name, found)
     notes = compared(trial.path, made.headed, meta.units)
     angles, commanded = (made.by_joint.get(stem, {}) for stem in ("q", "target"))
-    whole, unsure = _without_turns(trial, names, seconds, angles)
+    anew = {j: q for j, q in angles.items() if j not in made.counted}
+    whole, unsure = _without_turns(trial, names, seconds, anew)
+    whole = angles | whole
+    if meta.targets == "relative":
+        commanded = {j: angles[j] + u for j, u in commanded.items() if j in angles}
     targets = {
         j: followed_turns(whole[j], u) if j in whole and names.turns_to(j) else u
         for j, u in commanded.items()

@@ -18,7 +18,6 @@ import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.bag import need
-from adaptsim_jax.logs.criteria import TABLE
 from adaptsim_jax.logs.readers import Reader, Wanted
 from adaptsim_jax.logs.table_checks import check_clock
 from adaptsim_jax.logs.tables import RawTrial
@@ -150,12 +149,6 @@ def _trial(folder: Path, episode: int, parts: list, features: dict, fps: Any) ->
     path = parts[0][0]
     arrays = {name: np.concatenate([table[name] for _, table in parts]) for name in parts[0][1]}
     count = len(arrays["observation.state"])
-    if count < TABLE.min_rows:
-        raise BadInput(
-            f"{path}: episode {episode} has {count} rows; a trial needs at least "
-            f"{TABLE.min_rows}, write "
-            f'[trials] and exclude = ["{_name(episode)}"] in meta.toml'
-        )
     notes: tuple[str, ...] = ()
     if "timestamp" in arrays:
         time = arrays["timestamp"].ravel()
@@ -188,7 +181,7 @@ def _trial(folder: Path, episode: int, parts: list, features: dict, fps: Any) ->
                 f"{name}[{k}]" if written else f"{stem}_{k + 1}": values[:, k] for k in range(width)
             }
             if written:
-                stated = ", ".join(dict.fromkeys(written))
+                stated = ", ".join(dict.fromkeys(map(str, written)))
                 doubt[name] = f"names {len(written)} of the {width} numbers of {name} ({stated})"
     return RawTrial(
         _name(episode), str(path), columns, np.arange(1, count + 1), "row", notes=notes, doubt=doubt
@@ -199,30 +192,28 @@ def _names(feature: Any, width: int) -> list[str] | None:
     """The names of a vector's entries; None where info.json has none, or where they are not the
     entries' (another number of them, or twice the same).
     """
-    names = feature.get("names") if isinstance(feature, dict) else None
-    if (
-        isinstance(names, dict)
-        and names
-        and all(isinstance(k, int) and not isinstance(k, bool) for k in names.values())
-    ):
-        names = sorted(names, key=names.__getitem__)
-    elif isinstance(names, dict):
-        names = [name for group in names.values() if isinstance(group, list) for name in group]
-    if isinstance(names, list) and len(names) == width == len(
-        {n for n in names if isinstance(n, str)}
-    ):
+    names = _written(feature)
+    if len(names) == width == len({name for name in names if isinstance(name, str)}):
         return names
     return None
 
 
-def _written(feature: Any) -> list[str]:
-    """The names that info.json has, fit or not."""
+def _written(feature: Any) -> list[Any]:
+    """The names that info.json has, fit or not, in the order of the entries: a list of them, lists
+    of groups, or each with its place.
+    """
     names = feature.get("names") if isinstance(feature, dict) else None
-    if isinstance(names, dict):
-        names = [n for k, v in names.items() for n in (v if isinstance(v, list) else [k])]
+    if not isinstance(names, dict):
+        return _leaves(names) if isinstance(names, list) else []
+    if names and all(isinstance(k, int) and not isinstance(k, bool) for k in names.values()):
+        return sorted(names, key=names.__getitem__)
+    return [n for key, group in names.items() for n in (_leaves(group) if group else [key])]
+
+
+def _leaves(names: Any) -> list[Any]:
     if isinstance(names, list):
-        return [str(name) for name in names]
-    return []
+        return [leaf for name in names for leaf in _leaves(name)]
+    return [names]
 
 
 def _named(stem: str, names: list[str], values: np.ndarray) -> dict[str, np.ndarray]:

@@ -24,15 +24,19 @@ InputKind = Literal["torque", "command", "voltage", "current", "none"]
 class ActuatorName:
     """An actuator of the model and the joint that it drives.
 
-    - `kind`: Motor, position, velocity, general, dcmotor, tendon (on several joints) or other (on
-      none: a site, a body).
+    - `kind`: Motor, position, velocity, general, dcmotor, tendon (on several joints), other (on
+      none: a site, a body) or off (the file disables it).
     - `moves`: All joints that it drives, those tied to them included.
+    - `per_angle`, `at_zero`: What a servo must be told to go to an angle `q` (rad, m):
+      `at_zero + per_angle q`, by its gear, gain and bias.
     """
 
     name: str
     joint: str
     kind: str = "motor"
     moves: tuple[str, ...] = ()
+    per_angle: float = 1.0
+    at_zero: float = 0.0
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -225,6 +229,7 @@ def model_names(source: Source) -> ModelNames:
         tendon_joints,
         ties,
     )
+    from adaptsim_jax.mechanisms.switches import is_off
 
     model = source.model
     joints = joint_names(model)
@@ -232,36 +237,38 @@ def model_names(source: Source) -> ModelNames:
     slide = int(mujoco.mjtJoint.mjJNT_SLIDE)
     slides = [model.joint(k).name for k in range(model.njnt) if model.jnt_type[k] == slide]
     parents, ranges, last = [], [], {0: -1}
-    acts = not int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
     for b in range(1, model.nbody):
         on = last[int(model.body_parentid[b])]
         for k in range(model.body_jntadr[b], model.body_jntadr[b] + model.body_jntnum[b]):
             for _ in range({BALL: len(TURNS), FREE: 0}.get(int(model.jnt_type[k]), 1)):
                 parents.append(on)
-                single = acts and model.jnt_limited[k] and model.jnt_type[k] != BALL
+                single = model.jnt_limited[k] and model.jnt_type[k] != BALL
                 ranges.append(tuple(map(float, model.jnt_range[k])) if single else None)
                 on = len(parents) - 1
         last[b] = on
     actuators = []
     for k in range(model.nu):
         trn, target = int(model.actuator_trntype[k]), int(model.actuator_trnid[k, 0])
-        moved = [model.joint(target).name] if trn in JOINTS else []
-        if trn == int(mujoco.mjtTrn.mjTRN_TENDON):
+        off = is_off(model, k)
+        moved = [model.joint(target).name] if trn in JOINTS and not off else []
+        if trn == int(mujoco.mjtTrn.mjTRN_TENDON) and not off:
             moved = [model.joint(k).name for k in tendon_joints(model, target)]
         moves = tuple(
             dict.fromkeys(
                 other for name in moved for other in (name, *tied.get(name, ())) if other in joints
             )
         )
-        if trn in JOINTS:
+        if off:
+            kind = "off"
+        elif trn in JOINTS:
             kind = _kind(model, k)
         elif moves:
             kind = "tendon"
         else:
             kind = "other"
-        actuators.append(
-            ActuatorName(model.actuator(k).name, moves[0] if moves else "", kind, moves)
-        )
+        joint = moves[0] if moves else ""
+        told = _told(model, k) if kind in ("position", "general") else (1.0, 0.0)
+        actuators.append(ActuatorName(model.actuator(k).name, joint, kind, moves, *told))
     return ModelNames(joints, tuple(slides), tuple(parents), tuple(actuators), tied, tuple(ranges))
 
 
@@ -279,6 +286,21 @@ def _kind(model, k: int) -> str:
     if bias[1]:
         return "position"
     return "velocity"
+
+
+def _told(model, k: int) -> tuple[float, float]:
+    """`per_angle` and `at_zero` of an actuator of a joint; 1 and 0 where no angle balances it."""
+    gain, bias, gear = (
+        float(x)
+        for x in (
+            model.actuator_gainprm[k, 0],
+            -model.actuator_biasprm[k, 1],
+            model.actuator_gear[k, 0],
+        )
+    )
+    if not gain or not bias:
+        return 1.0, 0.0
+    return bias * gear / gain, float(-model.actuator_biasprm[k, 0] / gain)
 
 
 def followed(log: Log, mechanism: Mechanism) -> Log:

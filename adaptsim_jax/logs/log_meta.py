@@ -5,12 +5,12 @@ key.
 from __future__ import annotations
 
 import fnmatch
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
-from adaptsim_jax.core.config import read, suggest
+from adaptsim_jax.core.config import BACKSLASH, read, suggest
 from adaptsim_jax.core.errors import BadInput, brief
 from adaptsim_jax.logs.columns import CHANNEL, NANOS, TIME
 from adaptsim_jax.logs.declared import TEXT_KEYS, choice, known, not_negative, number, tables, text
@@ -28,14 +28,24 @@ TABLES = (
     "commands",
     "known",
     "fit",
-    "noise",
     "trials",
     "ros",
 )
-KEYS = ("task", "model", "data", "input", "ignore", "simulator", *TABLES, *TEXT_KEYS)
+KEYS = (
+    "task",
+    "model",
+    "data",
+    "input",
+    "ignore",
+    "rows_per_second",
+    "simulator",
+    *TABLES,
+    *TEXT_KEYS,
+)
 SIMULATORS = ("tree", "mujoco")
 ANGLE_KEYS = ("convention", "zero", "reversed")
-COMMAND_KEYS = ("rate", "within")
+COMMAND_KEYS = ("rate", "within", "targets")
+TARGETS = ("absolute", "relative")
 TRIAL_KEYS = ("exclude", "group", "payload", "commands")
 ROS_KEYS = ("state_topic", "command_topic", "trajectory")
 TRAJECTORY = ("ramp", "hold")
@@ -75,13 +85,15 @@ class LogMeta:
     - `zero`: Joint or column -> what the log shows (rad or m) where the model's joint is at 0.
     - `reversed`: Joints that the log counts the other way round.
     - `known`, `fit`: As written, names of the MJCF.
-    - `noise`: Column, stem or quantity -> standard deviation in SI units.
     - `exclude`: Trials left out.
     - `group`, `payload`: Trial -> group, kg (patterns like `kp100_*` may stand for several trials).
     - `rate`, `within`: Joint -> what a target is cut to before it is sent, by a rate (rad/s, m/s)
       or to within a distance of the angle (rad, m).
+    - `targets`: What they are: angles, or how far from the angle of their row. None: angles, unless
+      these tell that they are none.
     - `commands`: Trial -> the file beside the data that holds its commands.
     - `hold`: Joint -> rad or m that it is held at (None: where the log or the file has it).
+    - `rows_per_second`: Of tables without a time.
     - `simulator`: The one of tree and mujoco, None: by what the model needs.
     - `channels`: A sensor of the model, `gyro[0]` -> the column that it is compared with (among
       `columns`, too).
@@ -100,15 +112,16 @@ class LogMeta:
     reversed: tuple[str, ...] = ()
     known: Mapping[str, Any] = field(default_factory=dict)
     fit: Mapping[str, Any] = field(default_factory=dict)
-    noise: Mapping[str, float] = field(default_factory=dict)
     exclude: tuple[str, ...] = ()
     group: Mapping[str, str] = field(default_factory=dict)
     payload: Mapping[str, float] = field(default_factory=dict)
-    ros: Mapping[str, str] = field(default_factory=dict)
+    ros: Mapping[str, str | Sequence[str]] = field(default_factory=dict)
     hold: Mapping[str, float | None] = field(default_factory=dict)
+    rows_per_second: float | None = None
     simulator: str | None = None
     rate: Mapping[str, float] = field(default_factory=dict)
     within: Mapping[str, float] = field(default_factory=dict)
+    targets: str | None = None
     commands: Mapping[str, str] = field(default_factory=dict)
     channels: Mapping[str, str] = field(default_factory=dict)
     rig: Rig | None = None
@@ -153,7 +166,6 @@ def read_log_meta(path: str | Path) -> LogMeta:
         reversed=_texts(path, "angles.reversed", angles.get("reversed", [])),
         known=table["known"],
         fit=table["fit"],
-        noise={key: not_negative(path, f"noise.{key}", std) for key, std in table["noise"].items()},
         exclude=_texts(path, "trials.exclude", trials.get("exclude", [])),
         group=_groups(path, trials.get("group", {})),
         payload=_payloads(path, trials.get("payload", {})),
@@ -163,10 +175,12 @@ def read_log_meta(path: str | Path) -> LogMeta:
         ros=_ros(path, table["ros"]),
         rate=_sizes(path, "rate", commands, "rate = {elbow = 3.0}, in rad/s or m/s"),
         within=_sizes(path, "within", commands, "within = {elbow = 0.1}, in rad or m"),
+        targets=choice(path, commands, "targets", TARGETS),
         hold={
             key: None if value is True else number(path, f"hold.{key}", value)
             for key, value in table["hold"].items()
         },
+        rows_per_second=_positive(path, "rows_per_second", raw.get("rows_per_second"), "100.0"),
         simulator=choice(path, raw, "simulator", SIMULATORS),
         channels=channels,
     )
@@ -175,21 +189,26 @@ def read_log_meta(path: str | Path) -> LogMeta:
 def _sizes(path: Path, key: str, table: Mapping[str, Any], example: str) -> dict[str, float]:
     out = _numbers(path, f"commands.{key}", table.get(key, {}), example)
     for name, size in out.items():
-        if not size > 0:
-            raise BadInput(
-                f"{path}: commands.{key}.{name} = {size:g} is not above 0; write {example}"
-            )
+        _positive(path, f"commands.{key}.{name}", size, example)
     return out
 
 
-def _ros(path: Path, table: dict) -> dict[str, str]:
-    out = {
-        key: text(path, f"ros.{key}", value)
-        for key, value in known(path, table, ROS_KEYS, "ros").items()
+def _positive(path: Path, key: str, value: Any, example: str) -> float | None:
+    """A number above 0, None where none is given."""
+    if value is not None and not number(path, key, value) > 0:
+        raise BadInput(f"{path}: {key} = {value:g} is not above 0; write {example}")
+    return value
+
+
+def _ros(path: Path, table: dict) -> dict[str, str | Sequence[str]]:
+    known(path, table, ROS_KEYS, "ros")
+    choice(path, table, "trajectory", TRAJECTORY)
+    return {
+        key: _texts(path, f"ros.{key}", value)
+        if isinstance(value, list)
+        else text(path, f"ros.{key}", value)
+        for key, value in table.items()
     }
-    if "trajectory" in out:
-        text(path, "ros.trajectory", out["trajectory"], TRAJECTORY)
-    return out
 
 
 def _texts(path: Path, key: str, value: Any) -> tuple[str, ...]:
@@ -213,6 +232,8 @@ def _in_folder(path: Path, raw: dict, key: str, mend: str) -> str | None:
     where = (path.parent / named).resolve()
     if not where.exists() or (key == "model" and not where.is_file()):
         what = "does not exist" if not where.exists() else "is a folder"
+        if "\\" in named or not named.isprintable():
+            mend = BACKSLASH
         raise BadInput(f"{path}: {key} {brief(named)} {what}; {mend}")
     return str(where)
 

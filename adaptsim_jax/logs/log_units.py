@@ -75,10 +75,14 @@ _FOLDED = {unit.casefold(): unit for unit in _EVERY}
 
 @dataclass(frozen=True)
 class Affine:
-    """`si = scale * written + offset`: per cent of a range, encoder steps, a scale of one's own."""
+    """`si = scale * written + offset`: per cent of a range, encoder steps, a scale of one's own.
+
+    `count`: What the encoder counts in a turn, None for none.
+    """
 
     scale: float
     offset: float = 0.0
+    count: float | None = None
 
     def of(self, written: np.ndarray) -> np.ndarray:
         """In SI units."""
@@ -203,7 +207,7 @@ def _affine(path: Path, key: str, value: Any) -> Affine:
         and (ticks := one("ticks", None))
         and (zero := one("zero", 0.0)) is not None
     ):
-        made = Affine(2.0 * math.pi / ticks, -2.0 * math.pi * zero / ticks)
+        made = Affine(2.0 * math.pi / ticks, -2.0 * math.pi * zero / ticks, ticks)
     if made is None or not math.isfinite(made.scale) or made.scale == 0.0:
         raise BadInput(
             f"{path}: units.{key} = {brief(value)} is no unit; write one in quotes, {FORMS}"

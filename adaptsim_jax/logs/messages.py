@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -139,6 +139,14 @@ COMMANDED: dict[str, Read] = {
 """What reads commands from messages of a type, but for trajectories."""
 
 
+def joints_of(topic: Topic, message: Any) -> tuple[str, ...]:
+    """The joints that a message of states or commands names."""
+    if topic.kind in TRAJECTORIES:
+        goal = getattr(message, "goal", None)
+        return tuple((message if goal is None else goal.trajectory).joint_names)
+    return (STATES | COMMANDED)[topic.kind](message)[0]
+
+
 def stamp_of(message: Any) -> int:
     """A message's own time in ns; 0 where it has none."""
     header = getattr(message, "header", None)
@@ -179,83 +187,113 @@ def nanoseconds(time: Any) -> int:
 COMMAND_WORDS = ("command", "cmd", "desired", "target", "reference", "goal", "setpoint")
 
 
+Asked = Mapping[str, str | Sequence[str]]
+"""Of `[ros]`."""
+
+
+def topics_asked(options: Asked, key: str) -> tuple[str, ...]:
+    """The topics that a key of `[ros]` names: one, or a list."""
+    named = options.get(key, ())
+    return (named,) if isinstance(named, str) else tuple(named)
+
+
 def choose(
     path: Path,
     topics: tuple[Topic, ...],
-    options: Mapping[str, str],
-    knows: Callable[[Topic], int] = lambda topic: 0,
-) -> tuple[Topic, Topic | None, tuple[str, ...]]:
-    """The topics of the state and of the commands (None: there is none), by `options` where these
-    name them, and notes.
+    options: Asked,
+    knows: Callable[[Topic], set[str]] = lambda topic: set(),
+) -> tuple[tuple[Topic, ...], tuple[Topic, ...], tuple[str, ...]]:
+    """The topics of the state and of the commands (maybe none), by `options` where these name them,
+    and notes.
 
     Args:
-        knows: How many joints of the model a topic speaks of.
+        knows: The joints of the model that a topic speaks of.
     """
     by_name = {topic.name: topic for topic in topics}
     for key in ("state_topic", "command_topic"):
-        if (name := options.get(key)) is not None and name not in by_name:
-            raise BadInput(f"{path}: has no topic {name!r} ({key}); {suggest(name, by_name)}")
-    state, notes = _state_topic(path, topics, options, knows)
+        for name in topics_asked(options, key):
+            if name not in by_name:
+                raise BadInput(f"{path}: has no topic {name!r} ({key}); {suggest(name, by_name)}")
+    states, notes = _state_topics(path, topics, options, knows)
     foreign = [
         t
         for t in topics
-        if t.encoding and t is not state and (t.unread or not (_commands_of(t) or t.kind in STATES))
+        if t.encoding
+        and t not in states
+        and (t.unread or not (_commands_of(t) or t.kind in STATES))
     ]
     if foreign:
         names = ", ".join(f"{t.name} ({t.kind or 'no type'}, {t.encoding})" for t in foreign)
         notes = (*notes, f"topics that hold no ROS messages, left out: {names}")
-    if wanted := options.get("command_topic"):
-        command = by_name[wanted]
-        if not _commands_of(command):
-            kinds = (
-                "JointState, JointTrajectory, JointTrajectoryControllerState, "
-                "Float64MultiArray, Float64"
-            )
-            raise BadInput(
-                f"{path}: topic {wanted} is {_what(command)}; commands are read of {kinds}"
-            )
-        return state, command, notes
-    if state.kind in CONTROLLERS:
-        return (
-            state,
-            state,
-            (*notes, f"state and commands taken from the controller's topic {state.name}"),
-        )
-    others = [t for t in topics if t.count and t is not state and _commands_of(t)]
+    if wanted := topics_asked(options, "command_topic"):
+        commands = tuple(by_name[name] for name in wanted)
+        for command in commands:
+            if not _commands_of(command):
+                raise BadInput(
+                    f"{path}: topic {command.name} is {_what(command)}; commands are read of "
+                    "JointState, JointTrajectory, JointTrajectoryControllerState, "
+                    "Float64MultiArray, Float64"
+                )
+        return states, commands, notes
+    if controllers := tuple(state for state in states if state.kind in CONTROLLERS):
+        taken = f"state and commands taken from the controller's topic {_listed(controllers)}"
+        return states, controllers, (*notes, taken)
+    others = [t for t in topics if t.count and t not in states and _commands_of(t)]
     named = [t for t in others if t.kind in CONTROLLERS or _is_command(t)]
-    if len(named) == 1:
-        return state, named[0], (*notes, f"commands taken from topic {named[0].name}")
+    if named and len(taken := _of_other_joints(named, knows)) == len(named):
+        return states, taken, (*notes, f"commands taken from topic {_listed(taken)}")
     if others:
-        names = ", ".join(topic.name for topic in others)
-        notes = (*notes, f"topics that may hold commands: {names}; name one by command_topic")
-    return state, None, notes
+        notes = (
+            *notes,
+            f"topics that may hold commands: {_listed(others)}; name one by command_topic, or a "
+            "list of them",
+        )
+    return states, (), notes
 
 
-def _state_topic(
-    path: Path, topics: tuple[Topic, ...], options: Mapping[str, str], knows: Callable[[Topic], int]
-) -> tuple[Topic, tuple[str, ...]]:
-    """The topic of the state: chosen, or of joint states, or of what else holds them; of several
-    that of most joints of the model, then that with most messages.
+def _of_other_joints(
+    topics: Sequence[Topic], knows: Callable[[Topic], set[str]]
+) -> tuple[Topic, ...]:
+    """The first topic, and those that speak of joints that none before them does, as those of
+    several arms.
     """
-    if chosen := options.get("state_topic"):
-        state = next(topic for topic in topics if topic.name == chosen)
-        if state.kind not in STATES or state.unread:
-            raise BadInput(
-                f"{path}: topic {chosen} is {_what(state)}; name one of sensor_msgs/JointState"
-            )
-        return state, ()
-    able = [
-        t
-        for t in topics
-        if t.count and t.kind in STATES and not t.unread and t.name != options.get("command_topic")
-    ]
+    taken, joints = [topics[0]], knows(topics[0]) if len(topics) > 1 else set()
+    for topic in topics[1:]:
+        own = knows(topic)
+        if own and not own & joints:
+            taken, joints = [*taken, topic], joints | own
+    return tuple(taken)
+
+
+def _listed(topics: Sequence[Topic]) -> str:
+    return ", ".join(topic.name for topic in topics)
+
+
+def _state_topics(
+    path: Path, topics: tuple[Topic, ...], options: Asked, knows: Callable[[Topic], set[str]]
+) -> tuple[tuple[Topic, ...], tuple[str, ...]]:
+    """The topics of the state: those chosen, or of joint states, or of what else holds them; of
+    several that of most joints of the model, then that with most messages, with those of other
+    joints.
+    """
+    asked = topics_asked(options, "command_topic")
+    if chosen := topics_asked(options, "state_topic"):
+        states = tuple(t for name in chosen for t in topics if t.name == name)
+        for state in states:
+            if state.kind not in STATES or state.unread:
+                raise BadInput(
+                    f"{path}: topic {state.name} is {_what(state)}; name one of "
+                    "sensor_msgs/JointState"
+                )
+        return states, ()
+    able = [t for t in topics if t.count and t.kind in STATES and not t.unread]
+    free = [t for t in able if t.name not in asked]
     states = (
-        [t for t in able if t.kind == STATE]
-        or [t for t in able if t.kind not in CONTROLLERS]
-        or able
+        [t for t in free if t.kind == STATE]
+        or [t for t in free if t.kind not in CONTROLLERS]
+        or free
+        or [t for t in able if t.kind in CONTROLLERS]
     )
-    if options.get("command_topic") and not states:
-        states = [t for t in topics if t.name == options["command_topic"] and t.kind in CONTROLLERS]
     if not states:
         kinds = ", ".join(f"{topic.name} ({_what(topic)})" for topic in topics) or "none"
         raise BadInput(
@@ -264,9 +302,13 @@ def _state_topic(
             f"JointTrajectoryControllerState); record one (topics: {kinds})"
         )
     measured = [topic for topic in states if not _is_command(topic)] or states
-    state = max(measured, key=lambda topic: (knows(topic) if len(measured) > 1 else 0, topic.count))
-    reported = f"state taken from topic {state.name} of {', '.join(topic.name for topic in states)}"
-    return state, (reported,) if len(states) > 1 else ()
+    if len(measured) > 1:
+        measured = sorted(measured, key=lambda t: (len(knows(t)), t.count), reverse=True)
+    taken = _of_other_joints(measured, knows)
+    reported = f"state taken from topic {_listed(taken)} of {_listed(states)}"
+    if left := [topic for topic in states if topic not in taken]:
+        reported += f", left out: {_listed(left)}; state_topic names others, or a list of them"
+    return taken, (reported,) if len(states) > 1 else ()
 
 
 def _what(topic: Topic) -> str:

@@ -6,6 +6,8 @@ from math import comb
 import numpy as np
 
 NORMAL = 0.6745  # median size of a normal deviate, in standard deviations
+WRITTEN = 1e-6  # of a channel's range: values nearer are one, but for the digits of a table
+FEW = 4  # rows at least for each value of an encoder
 ROUNDING = 1e-12  # of a channel's largest value: differences below it are those of floating point
 
 
@@ -37,11 +39,26 @@ def difference_noise(
 
 def sensor_noise(parts: Sequence[np.ndarray]) -> np.ndarray:
     """The same by medians, or by the mean square where most rows are rounded to one value: the
-    noise of an encoder that mostly rests is that of its steps.
+    noise of an encoder that mostly rests is that of its steps. Never less than rounding to those
+    steps makes.
     """
-    size, rows = difference_noise(parts), np.concatenate([np.abs(np.nan_to_num(z)) for z in parts])
-    shows = size > ROUNDING * np.max(rows, axis=0)
-    return np.where(shows, size, difference_noise(parts, robust=False))
+    size, rows = difference_noise(parts), np.concatenate(parts)
+    shows = size > ROUNDING * np.max(np.abs(np.nan_to_num(rows)), axis=0)
+    least = [encoder_step(z) / np.sqrt(12.0) for z in rows.reshape(len(rows), -1).T]
+    least = np.reshape(least, rows.shape[1:])
+    return np.maximum(np.where(shows, size, difference_noise(parts, robust=False)), least)
+
+
+def encoder_step(z: np.ndarray) -> float:
+    """The step between readings `[K]` (NaN where missing) that take few values; 0 where they take
+    many.
+    """
+    values = np.unique(z[np.isfinite(z)])
+    gaps = np.diff(values)
+    steps = gaps[gaps > WRITTEN * np.ptp(values)] if len(gaps) else gaps
+    if not len(steps) or FEW * (len(steps) + 1) > len(z):
+        return 0.0
+    return float(np.min(steps))
 
 
 def local_motion(

@@ -26,7 +26,6 @@ from adaptsim_jax.logs.declared import (
     TEXT_KEYS,
     choice,
     known,
-    not_negative,
     number,
     tables,
 )
@@ -43,13 +42,13 @@ STEMS = ("time", "nanos", "trial", "q", "v", "tau", "tau_commanded")
 """Stems of columns that a rig has; the others are left out."""
 CHANNELS = ("q1", "q2", "v1", "v2", "tau1", "tau2")
 GROUPS = {"q": "angle", "v": "velocity", "tau": "torque"}
-"""Column stem -> the word for it in `[units]` and `[noise]`."""
+"""Column stem -> the word for it in `[units]`."""
 REQUIRED = {
     "task": '"pendulum"',
     "model": '"rigid_body" or "linearized"',
     "angle_zero": '"hanging" or "upright"',
 }
-TABLES = ("geometry", "known", "noise", "units")
+TABLES = ("geometry", "known", "units")
 KEYS = (*REQUIRED, *TABLES, "model_file", "torque", "unactuated", *TEXT_KEYS)
 
 
@@ -173,7 +172,7 @@ def read_pendulum_meta(path: str | Path) -> tuple[LogMeta, tuple[str, ...]]:
     )
     units = known(path, table["units"], ("time", *GROUPS.values(), *GROUPS, *CHANNELS), "units")
     units = {key: check_unit(path, key, value) for key, value in units.items()}
-    return LogMeta(path=str(path), units=units, noise=_noise(path, table["noise"]), rig=rig), notes
+    return LogMeta(path=str(path), units=units, rig=rig), notes
 
 
 def check_known(path: str, given: dict[str, float], names: Sequence[str]) -> None:
@@ -225,19 +224,6 @@ def _geometry(path: Path, raw: dict, model: str) -> tuple[dict[str, float], tupl
     if assumed:
         return defaults | given, (f"geometry not declared, assumed: {assumed}",)
     return defaults | given, ()
-
-
-def _noise(path: Path, raw: dict) -> dict[str, float]:
-    """Standard deviations by channel; a stem or a quantity stands for both joints."""
-    known(path, raw, (*CHANNELS, *GROUPS, *GROUPS.values()), "noise")
-    values = {key: not_negative(path, f"noise.{key}", value) for key, value in raw.items()}
-    out = {}
-    for channel in CHANNELS:
-        stem = channel.rstrip("12")
-        word = next((w for w in (channel, GROUPS[stem], stem) if w in values), None)
-        if word is not None:
-            out[channel] = values[word]
-    return out
 
 
 def _joints(path: Path, raw: Any) -> tuple[int, ...]:

@@ -23,7 +23,7 @@ from adaptsim_jax.logs.assemble import assemble
 from adaptsim_jax.logs.beside import instead
 from adaptsim_jax.logs.log import Log, ModelNames, followed, model_names
 from adaptsim_jax.logs.log_meta import LogMeta, read_log_meta
-from adaptsim_jax.logs.tables import ENDINGS, LEAVE_OUT, RawTrial, read_files, table_files
+from adaptsim_jax.logs.tables import ENDINGS, RawTrial, read_files, table_files
 
 if TYPE_CHECKING:
     from adaptsim_jax.mechanisms.mjcf import Mechanism
@@ -185,10 +185,9 @@ def _read_tables(
     data: Path, files: list[Path], commands: dict[str, Path], meta: LogMeta
 ) -> list[RawTrial]:
     """The trials of these files, with their commands."""
-    leave_out = "--without {}" if meta.rig else LEAVE_OUT
     paths = tuple(commands.values())
-    read = read_files(files, meta.columns, meta.ignore, paths, leave_out)
-    trials = [command_files.with_commands(t, commands, meta.columns, meta.ignore) for t in read]
+    read = read_files(files, meta, paths)
+    trials = [command_files.with_commands(t, commands, meta) for t in read]
     if files and not data.is_dir() and not commands:
         notes = command_files.likely_commands(data, table_files(data.parent))
         trials = [replace(trial, notes=(*trial.notes, *notes)) for trial in trials]

@@ -26,7 +26,7 @@ class Wanted:
     - `out`: Whether a trial of this name is left out, and may come without its columns.
     """
 
-    options: Mapping[str, str] = field(default_factory=dict)
+    options: Mapping[str, str | Sequence[str]] = field(default_factory=dict)
     ignore: Collection[str] = ()
     joints: Sequence[str] = ()
     named: Collection[str] = ()

@@ -10,7 +10,7 @@ model's actuators).
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -28,13 +28,16 @@ from adaptsim_jax.logs.messages import (
     COMMANDED,
     STATES,
     TRAJECTORIES,
+    Asked,
     choose,
+    joints_of,
     nanoseconds,
     stamp_of,
 )
 from adaptsim_jax.logs.quality.commands import unexplained
 from adaptsim_jax.logs.quality.hypotheses import Track
 from adaptsim_jax.logs.readers import Reader, Wanted
+from adaptsim_jax.logs.senders import Message, one_sender
 from adaptsim_jax.logs.tables import RawTrial
 from adaptsim_jax.logs.trajectories import followed, plan_of, sampled
 
@@ -65,25 +68,20 @@ def read_bag(path: Path, wanted: Wanted) -> RawTrial:
     topic, a damaged bag, a library missing.
     """
     with opened(path) as bag:
-        state, command, notes = choose(
+        states, commanded, notes = choose(
             path, bag.topics, wanted.options, lambda t: _known(bag, t, wanted.joints)
         )
-        series, clock, reported = _state(bag, state)
+        series, clock, reported = _states(path, bag, states)
         notes += reported
-        if not series:
-            raise BadInput(
-                f"{path}: topic {state.name} has no message with positions; name another by "
-                "state_topic"
-            )
         series, left = _of_the_model(series, wanted)
         notes += left
-        if command:
-            commands, reported = _commands(path, bag, command, clock, series, wanted)
-        else:
-            commands, reported = ([], ())
+        commands: list[Series] = []
+        for topic in commanded:
+            made, reported = _commands(path, bag, topic, clock, series, wanted)
+            commands += made
+            notes += reported
         commands, _ = _of_the_model(commands, wanted)
         commands = [_turned(s, series, wanted.servos) for s in commands]
-        notes += reported
     columns, reported = merge(str(path), series, commands)
     notes += reported
     columns, reported = _without_zeros(columns)
@@ -95,35 +93,31 @@ def read_bag(path: Path, wanted: Wanted) -> RawTrial:
 
 
 def bag_topics(
-    path: Path, options: Mapping[str, str], joints: Collection[str] = ()
-) -> tuple[tuple[Topic, ...], dict[str, str]]:
+    path: Path, options: Asked, joints: Collection[str] = ()
+) -> tuple[tuple[Topic, ...], dict[str, str | Sequence[str]]]:
     """All topics of a bag, and those that `read_bag` takes with these options, by `state_topic` and
-    `command_topic`.
+    `command_topic`: a name, or a list of them.
 
     Args:
         joints: The model's.
     """
     with opened(path) as bag:
         topics = bag.topics
-        state, command, _ = choose(path, topics, options, lambda t: _known(bag, t, joints))
-    return topics, {"state_topic": state.name} | (
-        {"command_topic": command.name} if command else {}
-    )
+        states, commands, _ = choose(path, topics, options, lambda t: _known(bag, t, joints))
+    chosen = {"state_topic": states, "command_topic": commands}
+    names = {key: [topic.name for topic in taken] for key, taken in chosen.items() if taken}
+    return topics, {key: own[0] if len(own) == 1 else own for key, own in names.items()}
 
 
 # ---------------------------------------------------------------- messages
 
 
-def _known(bag: Bag, topic: Topic, joints: Collection[str]) -> int:
-    """How many joints of the model the first messages of a topic name."""
-    read = STATES.get(topic.kind)
-    if read is None:
-        return 0
-    if joints:
-        first = itertools.islice(bag.messages(topic.name), CLOCK.first)
-    else:
-        first = ()
-    return len(set(joints) & {name for _, m in first for name in read(m)[0]})
+def _known(bag: Bag, topic: Topic, joints: Collection[str]) -> set[str]:
+    """The joints of the model that the first messages of a topic name."""
+    if not joints:
+        return set()
+    first = itertools.islice(bag.messages(topic.name), CLOCK.first)
+    return set(joints) & {name for _, message in first for name in joints_of(topic, message)}
 
 
 def _messages(bag: Bag, topic: Topic) -> tuple[np.ndarray, np.ndarray, list[Any]]:
@@ -138,7 +132,38 @@ def _messages(bag: Bag, topic: Topic) -> tuple[np.ndarray, np.ndarray, list[Any]
     return np.array(arrived, dtype=np.int64), np.array(stamps, dtype=np.int64), out
 
 
-def _state(bag: Bag, topic: Topic) -> tuple[list[Series], Clock, tuple[str, ...]]:
+def _states(
+    path: Path, bag: Bag, topics: Sequence[Topic]
+) -> tuple[list[Series], Clock, tuple[str, ...]]:
+    """What topics of states say, on the clock of the first of them."""
+    whose: dict[str, str] = {}
+    found = [_state(bag, topic) for topic in topics]
+    for topic, (rows, *_) in zip(topics, found, strict=True):
+        if not rows:
+            raise BadInput(
+                f"{path}: topic {topic.name} has no message with positions; name another by "
+                "state_topic"
+            )
+        for joint in {name for _, names, _ in rows for name in names}:
+            if whose.setdefault(joint, topic.name) != topic.name:
+                raise BadInput(
+                    f"{path}: topics {whose[joint]} and {topic.name} both speak of {joint!r}; name "
+                    "one of them by state_topic"
+                )
+    times = found[0][1]
+    first = min(row[0] for rows, *_ in found for row in rows)
+    series = [
+        one
+        for rows, *_ in found
+        for one in _series([((time - first) * 1e-9, *said) for time, *said in rows])
+    ]
+    late = times.late if times.stamped else 0
+    notes = tuple(note for *_, own in found for note in own)
+    return series, Clock(times.stamped, first, late), notes
+
+
+def _state(bag: Bag, topic: Topic) -> tuple[list[Message], Stamped, tuple[str, ...]]:
+    """The messages of a topic that are taken, their times, and what was made of them."""
     arrived, stamps, messages = _messages(bag, topic)
     read = STATES[topic.kind]
     stated = [(names if any(names) else (), values) for names, values in map(read, messages)]
@@ -183,14 +208,13 @@ def _state(bag: Bag, topic: Topic) -> tuple[list[Series], Clock, tuple[str, ...]
         times = Stamped(arrived, arrived > 0, False, 0)
     notes += times.notes(topic.name)
     keep = times.selected & whole
-    first = int(times.time[keep].min()) if keep.any() else 0
     rows = [
-        ((time - first) * 1e-9, *one)
+        (time, *one)
         for time, one, here in zip(times.time.tolist(), stated, keep, strict=True)
         if here
     ]
-    late = times.late if times.stamped else 0
-    return _series(rows), Clock(times.stamped, first, late), tuple(notes)
+    rows, reported = one_sender(topic.name, rows)
+    return rows, times, (*notes, *reported)
 
 
 def _commands(
@@ -392,9 +416,9 @@ def _without_zeros(columns: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray
     return columns, notes
 
 
-def _series(rows: list[tuple[float, tuple[str, ...], Mapping[str, Any]]]) -> list[Series]:
+def _series(rows: list[Message]) -> list[Series]:
     """Rows that name the same joints, in whatever order, together; what a message lacks is NaN."""
-    groups: dict[tuple[str, ...], list[tuple[float, tuple[str, ...], Mapping[str, Any]]]] = {}
+    groups: dict[tuple[str, ...], list[Message]] = {}
     for row in rows:
         groups.setdefault(tuple(sorted(row[1])), []).append(row)
     out = []

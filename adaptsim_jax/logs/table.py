@@ -5,15 +5,16 @@ line.
 import re
 from codecs import BOM_UTF8
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.archive import check_lengths, part_name, read_archive, split
+from adaptsim_jax.logs.archive import MAX_LISTED, check_lengths, part_name, read_archive, split
 from adaptsim_jax.logs.criteria import TABLE
-from adaptsim_jax.logs.csv_rows import check_header, check_widths, is_number, read_bytes, rows_of
+from adaptsim_jax.logs.csv_rows import check_header, check_widths, is_number, read_lines, rows_of
 from adaptsim_jax.logs.table_checks import check_missing, without_blank
 from adaptsim_jax.logs.table_clocks import joined_time, split_clock
 
@@ -33,7 +34,8 @@ class LogTable:
     """`columns`: name -> `[T]` float64 as written (no unit applied); `lines`: `[T]` line (or row)
     numbers.
 
-    `notes`: what was done to read it, a line each.
+    - `notes`: What was done to read it, a line each.
+    - `units`, `again`: As of `CsvRows`.
     """
 
     columns: dict[str, np.ndarray]
@@ -41,6 +43,8 @@ class LogTable:
     ignored: tuple[str, ...]
     row_word: str = "line"
     notes: tuple[str, ...] = ()
+    units: dict[str, str] = field(default_factory=dict)
+    again: tuple[int, ...] = ()
 
 
 def read_table(
@@ -50,6 +54,7 @@ def read_table(
     ours: Mapping[str, str] | None = None,
     lost: tuple[str, ...] = (),
     gaps: tuple[str, ...] = (),
+    whole: bool = True,
 ) -> LogTable:
     """Read the columns in `wanted` that are there, of `min_rows` rows or more; list the others.
 
@@ -62,31 +67,24 @@ def read_table(
         lost: Columns of which a row may hold none, as cameras write frames in which they saw
             nothing: such rows are left out.
         gaps: Columns of which any cell may be empty, which is NaN then.
+        whole: Whether other cells may not.
     """
     path = Path(path)
     if path.suffix.lower() == ".npz":
-        table, empty = _read_npz(path, wanted, lists=ours is not None), {}
+        table = _read_npz(path, wanted, lists=ours is not None)
     else:
-        table, empty = _read_csv(path, wanted)
-    table, empty = _without_lost(table, empty, lost)
-    return _checked(path, table, min_rows, ours or {}, empty, gaps)
+        table = _read_csv(path, wanted)
+    return _checked(path, _without_lost(table, lost), min_rows, ours or {}, gaps, whole)
 
 
-def _without_lost(
-    table: LogTable, empty: Mapping[str, np.ndarray], lost: tuple[str, ...]
-) -> tuple[LogTable, dict[str, np.ndarray]]:
-    """The table, and which cells are empty, without the rows that hold a number in none of the
-    columns `lost`.
-    """
+def _without_lost(table: LogTable, lost: tuple[str, ...]) -> LogTable:
+    """The table without the rows that hold a number in none of the columns `lost`."""
     there = [~np.isnan(table.columns[name]) for name in lost if name in table.columns]
     selected = np.any(there, 0) if there else np.ones(len(table.lines), bool)
     if selected.all() or not selected.any():
-        return table, dict(empty)
-
-    def cut(columns):
-        return {name: values[selected] for name, values in columns.items()}
-
-    return replace(table, columns=cut(table.columns), lines=table.lines[selected]), cut(empty)
+        return table
+    columns = {name: values[selected] for name, values in table.columns.items()}
+    return replace(table, columns=columns, lines=table.lines[selected])
 
 
 def _checked(
@@ -94,8 +92,8 @@ def _checked(
     table: LogTable,
     min_rows: int,
     ours: Mapping[str, str],
-    empty: Mapping[str, np.ndarray],
     gaps: tuple[str, ...],
+    whole: bool,
 ) -> LogTable:
     """The table without optional columns that hold nothing. BadInput for too few rows, and cells
     without a number but in `gaps`.
@@ -116,12 +114,12 @@ def _checked(
         for name, values in columns.items()
         if name in gaps
     }
-    check_missing(path, columns | filled, lines, table.row_word, empty, ours)
+    if whole:
+        check_missing(path, columns | filled, lines, table.row_word, ours)
     return replace(table, columns=columns, lines=lines, notes=notes)
 
 
-def _decode(path: Path) -> str:
-    raw = read_bytes(path)
+def _decode(path: Path, raw: bytes) -> str:
     if not raw.removeprefix(BOM_UTF8).strip():
         raise BadInput(f"{path}: {EMPTY}")
     if b"\x00" in raw:
@@ -135,50 +133,66 @@ def _decode(path: Path) -> str:
         raise BadInput(f"{path}: line {line}: not UTF-8 text; save it as plain UTF-8 CSV") from None
 
 
-def _read_csv(path: Path, wanted: tuple[str, ...]) -> tuple[LogTable, dict[str, np.ndarray]]:
-    """The table, NaN where a cell is empty, and those cells by column."""
-    rows, lines = rows_of(path, _decode(path))
+def _read_csv(path: Path, wanted: tuple[str, ...]) -> LogTable:
+    """The table, NaN where a cell is empty."""
+    raw, cut = read_lines(path)
+    found = rows_of(path, _decode(path, raw))
+    rows, lines = found.rows, found.lines
     if not rows:
         raise BadInput(f"{path}: {EMPTY}")
     check_header(path, rows[0], lines[0], wanted, len(rows) > 1 and len(rows[1]) > 1)
     check_widths(path, rows, lines)
     header, rows, lines = rows[0], rows[1:], lines[1:]
     cells = list(zip(*rows, strict=True)) or [()] * len(header)
-    columns: dict[str, np.ndarray] = {}
-    empty: dict[str, np.ndarray] = {}
-    for name in (name for name in wanted if name in header):
-        for part, own in split(path, name, cells[header.index(name)], lines).items():
-            columns[part], blank = _numbers(path, name, own, lines)
-            if blank is not None:
-                empty[part] = blank
-    return LogTable(columns, np.asarray(lines, dtype=np.int64), _others(header, wanted)), empty
+    columns = {
+        part: _numbers(path, name, own, lines)
+        for name in wanted
+        if name in header
+        for part, own in split(path, name, cells[header.index(name)], lines).items()
+    }
+    notes: tuple[str, ...] = ()
+    if cut:
+        some = ", ".join(map(str, cut[:MAX_LISTED]))
+        notes = (f"{path.name} holds zero bytes (a power cut?), left out: line {some}",)
+    others = _others(header, wanted)
+    table = LogTable(columns, np.asarray(lines, dtype=np.int64), others, "line", notes)
+    return replace(table, units=found.units, again=found.again)
 
 
 def _others(names: list[str], wanted: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(name for name in names if name not in wanted)
 
 
-def _numbers(
-    path: Path, name: str, cells: tuple[str, ...], lines: list[int]
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """The cells of a column as numbers `[T]`, NaN where they are empty, and which are (None: none
-    of them).
-    """
+def _numbers(path: Path, name: str, cells: tuple[str, ...], lines: list[int]) -> np.ndarray:
+    """The cells of a column as numbers `[T]`, NaN where they are empty."""
     try:
-        return np.array([float(cell) for cell in cells], dtype=np.float64), None
+        return np.array([float(cell) for cell in cells], dtype=np.float64)
     except ValueError:
         pass
-    empty = np.array([cell.strip().lower() in NOTHING for cell in cells])
+    out = _seconds(cells)
+    if out is not None:
+        return out
+    out = np.full(len(cells), np.nan)
     for row, cell in enumerate(cells):
-        if empty[row] or is_number(cell):
-            continue
-        raise BadInput(
-            f"{path}: line {lines[row]}: column {name} is {cell.strip()[:40]!r}, "
-            f"{_no_number(cell, cells)}"
-        )
-    return np.array(
-        [np.nan if here else float(cell) for here, cell in zip(empty, cells, strict=True)]
-    ), empty
+        if is_number(cell):
+            out[row] = float(cell)
+        elif cell.strip().lower() not in NOTHING:
+            raise BadInput(
+                f"{path}: line {lines[row]}: column {name} is {cell.strip()[:40]!r}, "
+                f"{_no_number(cell, cells)}"
+            )
+    return out
+
+
+def _seconds(cells: tuple[str, ...]) -> np.ndarray | None:
+    """Dates with times of ISO 8601 as s since 1970, in UTC where they have no zone; None where some
+    are none.
+    """
+    try:
+        moments = [datetime.fromisoformat(cell.strip()) for cell in cells]
+    except ValueError:
+        return None
+    return np.array([m.replace(tzinfo=m.tzinfo or UTC).timestamp() for m in moments])
 
 
 def _no_number(cell: str, cells: tuple[str, ...]) -> str:
@@ -203,8 +217,8 @@ def _no_number(cell: str, cells: tuple[str, ...]) -> str:
         return "with its thousands apart; write 1234.5, nothing between the digits"
     if DATE.match(cell.strip()):
         return (
-            "a date; write seconds, with pandas: "
-            "pd.to_datetime(df[...]).astype('datetime64[ns]').astype('int64') / 1e9"
+            "a date that is not of ISO 8601; write seconds, with pandas: (pd.to_datetime(df[...], "
+            "utc=True) - pd.Timestamp(0, tz='UTC')).dt.total_seconds()"
         )
     return "not a number; mend or remove that row"
 

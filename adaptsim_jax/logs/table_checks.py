@@ -63,11 +63,9 @@ def check_missing(
     columns: Mapping[str, np.ndarray],
     lines: np.ndarray,
     row_word: str,
-    empty: Mapping[str, np.ndarray],
     ours: Mapping[str, str] | None = None,
 ) -> None:
-    """BadInput at the first cell that is no finite number. `empty[name] [T]`: cells that hold
-    nothing at all.
+    """BadInput at the first cell that is no finite number.
 
     Args:
         ours: What a column is to us where the file names it otherwise.
@@ -79,11 +77,12 @@ def check_missing(
     _check_joined(path, columns, len(lines), ours or {})
     name, rows = min(bad.items(), key=lambda item: int(np.argmax(item[1])))
     at = np.flatnonzero(rows)
-    where = f"{path}: {row_word} {lines[at[0]]}"
-    if name in empty and empty[name][at[0]]:
-        raise BadInput(f"{where}: column {name} is empty; fill or remove that row")
+    value = columns[name][at[0]]
+    what = "holds no number" if np.isnan(value) else f"is {value}"
     more = f" (and {at.size - 1} more)" if at.size > 1 else ""
-    raise BadInput(f"{where}: column {name} is {columns[name][at[0]]}{more}; remove such rows")
+    raise BadInput(
+        f"{path}: {row_word} {lines[at[0]]}: column {name} {what}{more}; fill or remove such rows"
+    )
 
 
 def _check_joined(

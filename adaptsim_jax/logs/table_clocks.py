@@ -108,6 +108,15 @@ def restarted(time: np.ndarray) -> list[slice]:
     return []
 
 
+def headed_again(lines: np.ndarray, again: Sequence[int]) -> list[slice]:
+    """The rows, on `lines [T]`, of each part that has a header of its own, but for parts of too few
+    rows. None where the header stands once.
+    """
+    edges = [0, *np.searchsorted(lines, again).tolist(), len(lines)]
+    parts = [slice(a, b) for a, b in itertools.pairwise(edges) if b - a >= TABLE.min_rows]
+    return parts if again else []
+
+
 def naming(cells: Mapping[str, Sequence[str]], time: np.ndarray) -> str | None:
     """The first column of `cells [T]` that holds one word between steps back of `time [T]`, and
     another one after each; None where none does.

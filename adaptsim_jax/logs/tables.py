@@ -15,10 +15,12 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.archive import STEMS, is_list, read_archive, stem_and_place
 from adaptsim_jax.logs.beside import left_out, strays
 from adaptsim_jax.logs.columns import NANOS, TIME, TRIAL, is_ignored, role
-from adaptsim_jax.logs.csv_rows import read_bytes, rows_of
+from adaptsim_jax.logs.criteria import TABLE
+from adaptsim_jax.logs.csv_rows import CsvRows, read_lines, rows_of
+from adaptsim_jax.logs.log_meta import LogMeta
 from adaptsim_jax.logs.table import LogTable, read_table
-from adaptsim_jax.logs.table_checks import check_clock
-from adaptsim_jax.logs.table_clocks import both, naming, pair, restarted
+from adaptsim_jax.logs.table_checks import check_clock, check_missing
+from adaptsim_jax.logs.table_clocks import both, headed_again, naming, pair, restarted
 
 ENDINGS = (".csv", ".npz")
 LEAVE_OUT = '[trials] exclude = ["{}"]'
@@ -42,6 +44,7 @@ class RawTrial:
     - `ignored`: Names of columns that are not ours.
     - `doubt`: Vector -> what is wrong with its names, so that its columns (`vector[0]`, ...) are
       joints only by `[columns]`.
+    - `units`: Column -> what a row of units below the header says.
     """
 
     name: str
@@ -52,6 +55,7 @@ class RawTrial:
     ignored: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     doubt: dict[str, str] = field(default_factory=dict)
+    units: dict[str, str] = field(default_factory=dict)
 
 
 def table_files(path: Path) -> list[Path]:
@@ -69,22 +73,13 @@ def table_files(path: Path) -> list[Path]:
     )
 
 
-def read_files(
-    files: list[Path],
-    rename: Mapping[str, str],
-    ignore: tuple[str, ...] = (),
-    others: tuple[Path, ...] = (),
-    leave_out: str = LEAVE_OUT,
-) -> list[RawTrial]:
+def read_files(files: list[Path], meta: LogMeta, others: tuple[Path, ...] = ()) -> list[RawTrial]:
     """Every trial of these files.
 
     Raises `BadInput` naming file and line.
 
     Args:
-        rename: Our name -> the file's.
-        ignore: Columns or joints left out.
-        others: Files of commands, whose columns `rename` may name too.
-        leave_out: How a file is left out, with `{}` for its name.
+        others: Files of commands, whose columns `[columns]` may name too.
     """
     stems = [path.stem for path in files]
     elsewhere = {name for path in others for name in column_names(path)}
@@ -93,16 +88,15 @@ def read_files(
         here = column_names(path) if elsewhere else []
         own = {
             ours: theirs
-            for ours, theirs in rename.items()
+            for ours, theirs in meta.columns.items()
             if theirs in here or theirs not in elsewhere
         }
+        name = path.name if stems.count(path.stem) > 1 else path.stem
         try:
-            trials += read_file(
-                path, path.name if stems.count(path.stem) > 1 else path.stem, own, ignore
-            )
+            trials += read_file(path, name, replace(meta, columns=own))
         except BadInput as error:
-            if path not in strays(headers_of(files), is_time := _is_time(rename)):
-                raise _or_left_out(error, path, files, is_time, leave_out) from None
+            if path not in strays(headers_of(files), is_time := _is_time(meta.columns)):
+                raise _or_left_out(error, path, files, is_time, meta) from None
             notes.append(left_out(path))
     if notes:
         return [replace(trials[0], notes=(*trials[0].notes, *notes)), *trials[1:]]
@@ -120,12 +114,12 @@ def _or_left_out(
     path: Path,
     files: list[Path],
     is_time: Callable[[str], bool],
-    leave_out: str,
+    meta: LogMeta,
 ) -> BadInput:
     """What is said of one file of several: how it is left out, where it may be none of the
     trials.
     """
-    line = leave_out.format(path.stem)
+    line = ("--without {}" if meta.rig else LEAVE_OUT).format(path.stem)
     if len(files) == 1:
         return error
     if str(error).endswith("leave this file out"):
@@ -146,13 +140,16 @@ def headers_of(files: Iterable[Path]) -> dict[Path, list[str]]:
     return out
 
 
-def read_file(
-    path: Path, name: str, rename: Mapping[str, str], ignore: tuple[str, ...] = ()
-) -> list[RawTrial]:
+def read_file(path: Path, name: str, meta: LogMeta) -> list[RawTrial]:
     """The trials of one CSV or NPZ file: one, or one for each value of its `trial` column."""
-    header = column_names(path)
+    header, rename, rate = column_names(path), meta.columns, meta.rows_per_second
+    places = {
+        theirs: ours
+        for ours, theirs in rename.items()
+        if theirs not in header and _whole(theirs) in header
+    }
     for ours, theirs in rename.items():
-        if theirs not in header:
+        if theirs not in header and theirs not in places:
             from adaptsim_jax.core.config import suggest
 
             raise BadInput(
@@ -169,17 +166,22 @@ def read_file(
     reported = {
         column
         for column in named
-        if role(named[column]) is not None and not is_ignored(named[column], ignore)
+        if role(named[column]) is not None and not is_ignored(named[column], meta.ignore)
     }
     wanted = tuple(dict.fromkeys(column for column in header if column in reported))
     labels = next((column for column in wanted if named[column] in TRIAL), None)
-    if path.suffix.lower() == ".npz" and not any(named[column] in TIME for column in wanted):
+    timed = any(named[column] in TIME for column in wanted)
+    if path.suffix.lower() == ".npz" and not timed and rate is None:
         raise _no_time(path, header)
     here = {column: named[column] for column in wanted if column != labels}
     if not here and len(header) == 1 and len(header[0].split()) > 1:
         here = {"time": "time", "q1": "q1"}  # so that it is told what the header is
-    table = _read(path, here)
+    table = _read(path, here | {_whole(place): _whole(place) for place in places}, places)
     table = replace(table, ignored=tuple(c for c in table.ignored if c != labels))
+    if rate is not None and not timed:
+        columns = {"time": np.arange(len(table.lines)) / rate, **table.columns}
+        taken = f"no time: rows taken {rate:g} times a second, as declared"
+        table = replace(table, columns=columns, notes=(*table.notes, taken))
     time = next((column for column in table.columns if column in TIME), None)
     if time is None:
         raise _no_time(path, header)
@@ -195,12 +197,17 @@ def read_file(
         else:
             mend = _mend(path, header, rename.get(time, time), rename, part, clock)
         check_clock(path, clock, part.lines, part.row_word, mend)
-        notes = part.notes
-        if lists:
-            stated = ", ".join(f"{theirs} taken as {stem}" for theirs, stem in lists.items())
-            notes = (*notes, f"cells hold lists, a number for each joint in order: {stated}")
         trials.append(
-            RawTrial(label, str(path), part.columns, part.lines, part.row_word, part.ignored, notes)
+            RawTrial(
+                label,
+                str(path),
+                part.columns,
+                part.lines,
+                part.row_word,
+                part.ignored,
+                part.notes,
+                units=part.units,
+            )
         )
     return trials
 
@@ -208,14 +215,15 @@ def read_file(
 def _restarted(
     path: Path, name: str, table: LogTable, time: np.ndarray
 ) -> list[tuple[str, LogTable]]:
-    """The table, cut where its clock starts again."""
-    parts = restarted(time)
+    """The table, cut where its clock or its header starts again."""
+    parts = headed_again(table.lines, table.again) or restarted(time)
     if not parts:
         return [(name, table)]
     who = naming(cells_of(path, table.lines), time)
     last = f"{name}_{len(parts)}"
+    what = "header" if table.again else "clock"
     reported = (
-        f"the clock of {path.name} starts again: taken as {len(parts)} trials, {name}_1 to {last}"
+        f"the {what} of {path.name} starts again: taken as {len(parts)} trials, {name}_1 to {last}"
     )
     if who:
         more = f'; [columns] trial = "{who}" in meta.toml calls them by that column'
@@ -255,7 +263,7 @@ def list_columns(path: Path) -> list[str]:
             if array.ndim == 2 and array.dtype.kind in "fiu"
         ]
     first: dict[str, str] = {}
-    rows, _ = _csv_rows(path, 40)  # topics of their own may begin some rows later
+    rows = csv_rows(path, 40).rows  # topics of their own may begin some rows later
     for row in rows[1:]:
         for name, cell in zip(rows[0], row, strict=False):
             if cell.strip():
@@ -286,7 +294,7 @@ def _no_time(path: Path, header: list[str]) -> BadInput:
         some = ""
     return BadInput(
         f"{path}: column 'time' is missing{some}; add it (s), or name it by [columns] time = "
-        f'"..." in meta.toml'
+        f'"..." in meta.toml, or write rows_per_second = 100.0 there'
     )
 
 
@@ -294,22 +302,41 @@ def column_names(path: Path) -> list[str]:
     """The names of a file's columns (CSV) or arrays (NPZ)."""
     if path.suffix.lower() == ".npz":
         return list(read_archive(path).arrays)
-    rows, _ = _csv_rows(path, 1)
+    rows = csv_rows(path, 1).rows
     if not rows:
         read_table(path, TIME)  # says why: empty, unreadable, not text
         raise BadInput(f"{path}: is empty; remove it or record the trial again")
     return rows[0]
 
 
-def _read(path: Path, named: Mapping[str, str]) -> LogTable:
+def _whole(name: str) -> str:
+    """The list or array of a place of one (`q[2]`); another name as it is."""
+    part = stem_and_place(name)
+    return part[0] if part else name
+
+
+def _read(path: Path, named: Mapping[str, str], places: Mapping[str, str]) -> LogTable:
     """`read_table` of the columns in `named` (theirs -> ours); of lists and arrays `[T, n]` by
-    place: `q` gives q1 to qn.
+    place: `q` gives q1 to qn, or those `places` (`q[2]` -> ours) alone that are named.
     """
-    table = read_table(path, tuple(named), ours=_Named(named))
-    for name in table.columns:
+    apart = {_whole(place) for place in places}
+    table = read_table(path, tuple(named), ours=_Named(named), whole=False)
+    rows = np.array([np.zeros(len(table.lines)), *table.columns.values()])
+    if np.isinf(rows).any() or np.isnan(rows).any(0).mean() > TABLE.few:
+        check_missing(path, table.columns, table.lines, table.row_word, _Named(named))
+    if lacks := [place for place in places if place not in table.columns]:
+        raise BadInput(
+            f"{path}: has no place {lacks[0]!r}, which [columns] gives to {places[lacks[0]]}; "
+            "count from 0"
+        )
+    named = {**named, **places}
+    columns = {n: x for n, x in table.columns.items() if n in places or _whole(n) not in apart}
+    orders: dict[str, list[str]] = {}
+    for name in columns:
         part = None if name in named else stem_and_place(name)
         if part is None:
             continue
+        orders.setdefault(part[0], []).append(name)
         one = role(named[part[0]])
         if one is not None and one.joint is not None:
             parts = sum((stem_and_place(c) or ("",))[0] == part[0] for c in table.columns)
@@ -318,9 +345,15 @@ def _read(path: Path, named: Mapping[str, str]) -> LogTable:
                 f"{parts}); save one number for each row, or call it {one.stem} for a number of "
                 "each joint"
             )
-    return replace(
-        table, columns={_ours(name, named): values for name, values in table.columns.items()}
+    units = {_ours(name, named): unit for name, unit in table.units.items() if name in named}
+    notes = tuple(
+        f"{name} holds a number for each joint, without names: taken in the model's order; "
+        f'[columns] {named[name]} = ["{name}[1]", "{name}[0]"] is another'
+        for name, own in orders.items()
+        if len(own) > 1
     )
+    columns = {_ours(name, named): values for name, values in columns.items()}
+    return replace(table, columns=columns, units=units, notes=(*table.notes, *notes))
 
 
 def _ours(name: str, named: Mapping[str, str]) -> str:
@@ -343,9 +376,9 @@ class _Named(dict):
         return default
 
 
-def _csv_rows(path: Path, most: int | None = None) -> tuple[list[list[str]], list[int]]:
+def csv_rows(path: Path, most: int | None = None) -> CsvRows:
     """See `csv_rows.rows_of`; what is no text is found when the table is read."""
-    return rows_of(path, read_bytes(path).decode("utf-8-sig", errors="replace"), most)
+    return rows_of(path, read_lines(path)[0].decode("utf-8-sig", errors="replace"), most)
 
 
 def _labelled(path: Path, column: str, table: LogTable) -> list[tuple[str, LogTable]]:
@@ -378,16 +411,16 @@ def cells_of(path: Path, lines: np.ndarray | None = None) -> dict[str, list[str]
         if lines is not None:
             arrays = {name: x[lines[lines <= len(x)] - 1] for name, x in arrays.items()}
         return {name: [str(value) for value in x] for name, x in arrays.items()}
-    rows, numbers = _csv_rows(path)
-    at = dict(zip(numbers, rows, strict=True))
-    header = {name: place for place, name in reversed(list(enumerate(rows[0])))}
+    found = csv_rows(path)
+    at = dict(zip(found.lines, found.rows, strict=True))
+    header = {name: place for place, name in reversed(list(enumerate(found.rows[0])))}
 
     def cell(row, place):
         if place < len(row):
             return row[place].strip().strip('"')
         return ""
 
-    here = numbers[1:] if lines is None else [int(line) for line in lines]
+    here = found.lines[1:] if lines is None else [int(line) for line in lines]
     return {
         name: [cell(at.get(line, []), place) for line in here] for name, place in header.items()
     }

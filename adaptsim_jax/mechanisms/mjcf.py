@@ -13,6 +13,7 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.mechanisms.inertia_frames import frame_along, inertial_about, moved
 from adaptsim_jax.mechanisms.roles import BALL, FREE, JOINTS, TURNS, Roles, roles, tendon_joints
 from adaptsim_jax.mechanisms.spec import Source, read_source
+from adaptsim_jax.mechanisms.switches import has_off
 from adaptsim_jax.mechanisms.transmission import (
     TENDON,
     Actuator,
@@ -24,10 +25,6 @@ from adaptsim_jax.mechanisms.transmission import (
 from adaptsim_jax.mechanisms.tree import MOST_JOINTS, Tree, folded, make_tree
 
 HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
-OFF = {
-    name: int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name.upper()}"))
-    for name in ("gravity", "frictionloss", "spring", "damper", "limit", "contact", "actuation")
-}
 
 
 @dataclass(frozen=True)
@@ -110,7 +107,7 @@ def mechanism_of(
     notes = (
         *source.notes,
         *role.notes,
-        *((f"actuators of held joints do nothing: {', '.join(idle)}",) if idle else ()),
+        *((f"actuators of held joints, or off, do nothing: {', '.join(idle)}",) if idle else ()),
     )
     beyond = (*role.beyond, *walk.beyond, *own, *_medium(model))
     if bounded := [
@@ -280,13 +277,6 @@ def _held(frame, model: mujoco.MjModel, k: int, value: np.ndarray):
 
 def _tree(model: mujoco.MjModel, walk: _Walk, weightless: Collection[str]) -> Tree:
     """The tree of all joints that are not held."""
-    off = int(model.opt.disableflags)
-
-    def keep(name):
-        if off & OFF[name]:
-            return 0.0
-        return 1.0
-
     joint = np.array([k for k, _ in walk.file], int)
     turn = np.array([t for _, t in walk.file], int)
     ball = model.jnt_type[joint] == BALL
@@ -299,17 +289,11 @@ def _tree(model: mujoco.MjModel, walk: _Walk, weightless: Collection[str]) -> Tr
             inertial[i] = 0.0
     weight = model.dof_invweight0[dof]
     stop = np.concatenate([model.jnt_solref[joint], model.jnt_solimp[joint], weight[:, None]], 1)
-    if off & int(mujoco.mjtDisableBit.mjDSBL_REFSAFE):
-        minimum = 0.0
-    else:
-        minimum = 2 * model.opt.timestep
+    minimum = 0.0 if has_off(model, "refsafe") else 2 * model.opt.timestep
     lag = stop[:, 0]
     stop[:, 0] = np.where(lag > 0, np.maximum(lag, minimum), lag)
     rub = _rubs(model.dof_solref[dof], model.dof_solimp[dof], weight, minimum)
-    limited = [
-        bool(model.jnt_limited[k]) and not off & OFF["limit"] and not b
-        for k, b in zip(joint, ball, strict=True)
-    ]
+    limited = [bool(x) for x in model.jnt_limited[joint] & ~ball]
     place = np.array(walk.place).reshape(-1, 3)
     rotation = np.array(walk.rotation).reshape(-1, 3, 3)
     return make_tree(
@@ -318,21 +302,21 @@ def _tree(model: mujoco.MjModel, walk: _Walk, weightless: Collection[str]) -> Tr
         place,
         rotation,
         inertial,
-        gravity=model.opt.gravity * keep("gravity"),
+        gravity=model.opt.gravity,
         joint_names=walk.names,
         body_names=walk.body_names,
         limited=limited,
-        damping=model.dof_damping[dof] * keep("damper"),
-        damping_poly=model.dof_dampingpoly[dof] * keep("damper"),
+        damping=model.dof_damping[dof],
+        damping_poly=model.dof_dampingpoly[dof],
         armature=model.dof_armature[dof],
-        frictionloss=model.dof_frictionloss[dof] * keep("frictionloss"),
-        stiffness=model.jnt_stiffness[joint] * keep("spring"),
-        stiffness_poly=model.jnt_stiffnesspoly[joint] * keep("spring"),
+        frictionloss=model.dof_frictionloss[dof],
+        stiffness=model.jnt_stiffness[joint],
+        stiffness_poly=model.jnt_stiffnesspoly[joint],
         springref=np.where(ball, 0.0, model.qpos_spring[adr]),
         range=np.where(ball[:, None], 0.0, model.jnt_range[joint]),
         stop=stop,
         rub=rub,
-        gravcomp=walk.gravcomp * keep("gravity"),
+        gravcomp=walk.gravcomp,
     )
 
 

@@ -2,6 +2,7 @@
 `urdf.py`.
 """
 
+import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 import mujoco
 
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.mechanisms.switches import switch_off
 from adaptsim_jax.mechanisms.urdf import Follower, is_urdf, urdf_for_mujoco
 
 
@@ -32,7 +34,7 @@ class Source:
 
 
 def read_source(path: str | os.PathLike) -> Source:
-    """Read and compile a file without what only drawing and contact need.
+    """Read and compile a file without what only drawing and contact need, nor what it disables.
 
     Raises BadInput, naming the file, the element, and the mend.
     """
@@ -40,6 +42,7 @@ def read_source(path: str | os.PathLike) -> Source:
     where = str(path)
     without_shapes(spec)
     model = compiled(where, spec)
+    switch_off(model)
     if not model.njnt:
         raise BadInput(
             f"{where}: has no joint, so that nothing moves; give a model with hinges or slides"
@@ -97,6 +100,11 @@ def compiled(where: str, spec: mujoco.MjSpec) -> mujoco.MjModel:
         return spec.compile()
     except Exception as error:
         text = _line(error)
+        if pointer := _pointer(spec):
+            raise BadInput(
+                f"{where}: {pointer} is a pointer of Git LFS, no mesh; fetch it by 'git lfs pull', "
+                "or give the bodies an <inertial>, then no mesh is needed"
+            ) from None
         if "Error opening file" in text or "mesh" in text.lower():
             raise BadInput(
                 f"{where}: MuJoCo cannot compile it: {text}; give the bodies an <inertial>, then "
@@ -109,20 +117,10 @@ def shapeless(where: str, spec: mujoco.MjSpec) -> mujoco.MjModel:
     """The model of a spec without meshes, as where their files are missing. Raises BadInput where
     MuJoCo refuses it.
     """
-    for kind in (spec.materials, spec.textures, spec.skins):
-        for item in list(kind):
-            spec.delete(item)
     for geom in list(spec.geoms):
-        geom.material = ""
-        if (
-            geom.type in (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD)
-            and geom.parent.explicitinertial
-        ):
+        if geom.type in SHAPES and not _weighs(spec, geom):
             spec.delete(geom)
-    needed = {geom.meshname for geom in spec.geoms}
-    for mesh in list(spec.meshes):
-        if mesh.name not in needed:
-            spec.delete(mesh)
+    _without_files(spec)
     return compiled(where, spec)
 
 
@@ -155,23 +153,47 @@ def _name(element: Any) -> str:
 
 def without_shapes(spec: mujoco.MjSpec) -> None:
     """Remove what only contact and drawing need, with the files it would be read from."""
-    from_geoms = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
     wrapped = bool(spec.tendons)  # a tendon may run over geoms
-    for kind in (spec.sensors, spec.pairs, spec.excludes, spec.skins):
+    for kind in (spec.sensors, spec.pairs, spec.excludes):
         for item in list(kind):
             spec.delete(item)
-    for body in spec.bodies:
-        weighs = body.name != "world" and (not body.explicitinertial or from_geoms)
-        for geom in list(body.geoms):
-            primitive = geom.type not in (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD)
-            if weighs or (wrapped and primitive):
-                geom.material = ""
-            else:
-                spec.delete(geom)
+    for geom in list(spec.geoms):
+        if not (_weighs(spec, geom) or (wrapped and geom.type not in SHAPES)):
+            spec.delete(geom)
+    _without_files(spec)
+
+
+SHAPES = (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD)
+"""Geoms that are read from files."""
+
+
+def _weighs(spec: mujoco.MjSpec, geom: Any) -> bool:
+    """Whether a geom is part of its body's mass."""
+    body, compiler = geom.parent, spec.compiler
+    from_geoms = compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+    light = geom.mass == 0 or (math.isnan(geom.mass) and geom.density == 0)
+    low, high = compiler.inertiagrouprange
+    counts = not light and low <= geom.group <= high
+    return body.name != "world" and counts and (from_geoms or not body.explicitinertial)
+
+
+def _without_files(spec: mujoco.MjSpec) -> None:
+    """Remove materials, textures, skins, and meshes that no geom needs."""
+    for geom in spec.geoms:
+        geom.material = ""
     needed = {geom.meshname for geom in spec.geoms}
-    for kind in (spec.materials, spec.textures):
-        for item in list(kind):
-            spec.delete(item)
-    for mesh in list(spec.meshes):
-        if mesh.name not in needed:
-            spec.delete(mesh)
+    unused = [mesh for mesh in spec.meshes if mesh.name not in needed]
+    for item in (*spec.materials, *spec.textures, *spec.skins, *unused):
+        spec.delete(item)
+
+
+POINTER = b"version https://git-lfs"
+
+
+def _pointer(spec: mujoco.MjSpec) -> str:
+    """A file of a mesh that is a pointer of Git LFS; '' for none."""
+    for mesh in spec.meshes:
+        path = Path(spec.modelfiledir, spec.meshdir, mesh.file)
+        if path.is_file() and path.read_bytes()[: len(POINTER)] == POINTER:
+            return str(path)
+    return ""

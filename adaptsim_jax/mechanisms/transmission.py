@@ -18,6 +18,7 @@ import mujoco
 import numpy as np
 
 from adaptsim_jax.mechanisms.roles import JOINTS, WRAPPED
+from adaptsim_jax.mechanisms.switches import is_off
 
 NO_RANGE = (float("nan"), float("nan"))
 
@@ -49,7 +50,6 @@ class Actuator:
 TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
 SINGLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 FIXED, AFFINE = int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE)
-UNCLAMPED = int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ def read_actuators(
     model: mujoco.MjModel, place: Place, added: Added
 ) -> tuple[tuple[Actuator, ...], tuple[str, ...]]:
     """The actuators that move coordinates of the tree, in the file's order; and the names of those
-    that move held joints only.
+    that move held joints only, or that the file switches off.
     """
     out, idle = [], []
     for k in range(model.nu):
@@ -128,21 +128,21 @@ def read_actuators(
             )
             continue
         slope, start = found
-        if not slope:
+        gear = float(model.actuator_gear[k, 0])
+        for j, c in slope.items():
+            added.armature[j] += (gear * c) ** 2 * model.actuator_armature[k]
+            added.damping[j] += (gear * c) ** 2 * model.actuator_damping[k]
+        if not slope or is_off(model, k):
             idle.append(name)
             continue
         law, why = _law(model, k)
         if why:
             added.beyond.append(f"actuator '{name}' {why}")
-        gear = float(model.actuator_gear[k, 0])
         home = max(slope, key=lambda j: (abs(slope[j]), -j))
         offset = law.offset - law.kp * gear * start
         more = tuple((j, gear * c) for j, c in slope.items() if j != home)
         law = replace(law, name=name, joint=home, gear=gear * slope[home], offset=offset, more=more)
         out.append(law)
-        for j, c in slope.items():
-            added.armature[j] += (gear * c) ** 2 * model.actuator_armature[k]
-            added.damping[j] += (gear * c) ** 2 * model.actuator_damping[k]
     return tuple(out), tuple(idle)
 
 
@@ -184,10 +184,9 @@ def _law(model: mujoco.MjModel, k: int) -> tuple[Actuator, str]:
             return tuple(map(float, values))
         return NO_RANGE
 
-    clamped = model.actuator_ctrllimited[k] and not int(model.opt.disableflags) & UNCLAMPED
     shared: dict[str, Any] = {
         "forcerange": limited(model.actuator_forcelimited[k], model.actuator_forcerange[k]),
-        "ctrlrange": limited(clamped, model.actuator_ctrlrange[k]),
+        "ctrlrange": limited(model.actuator_ctrllimited[k], model.actuator_ctrlrange[k]),
         "delay": float(model.actuator_delay[k]),
     }
     if gaintype == int(mujoco.mjtGain.mjGAIN_DCMOTOR):

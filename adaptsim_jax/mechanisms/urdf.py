@@ -67,6 +67,12 @@ def urdf_for_mujoco(where: str, text: str) -> Urdf:
                 f"{where}: holds xacro commands; expand it first (xacro robot.urdf.xacro > "
                 "robot.urdf)"
             )
+        for key, value in element.attrib.items():
+            if "${" in value or "$(" in value:
+                raise BadInput(
+                    f"{where}: <{element.tag} {key}={value!r}> was left by xacro; expand the file "
+                    "it comes from (xacro robot.urdf.xacro > robot.urdf), or write the number"
+                )
     links = {link.get("name", ""): link for link in robot.findall("link")}
     joints = robot.findall("joint")
     for joint in joints:

@@ -5,6 +5,7 @@ MJCF out. What other rooms change in a file goes through `edited`, too.
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -74,9 +75,18 @@ def edited(path: str | os.PathLike, edit: Callable[[mujoco.MjSpec], Sequence[str
     Raises BadInput where MuJoCo refuses the result.
     """
     spec, _ = read_spec(path)
+    _anywhere(spec, Path(path).resolve().parent)
     comments = edit(spec)
     compiled(str(path), spec)
     return commented(spec.to_xml(), comments)
+
+
+def _anywhere(spec: mujoco.MjSpec, folder: Path) -> None:
+    """Name the folders of meshes and textures whole, so that the text compiles wherever it lies."""
+    if spec.meshes or spec.hfields or spec.skins:
+        spec.meshdir = str(folder / spec.meshdir)
+    if spec.textures:
+        spec.texturedir = str(folder / spec.texturedir)
 
 
 def _put_all(spec: mujoco.MjSpec, mechanism: Mechanism, changes: Changes) -> None:

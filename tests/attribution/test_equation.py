@@ -19,7 +19,7 @@ from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.measures import headline, of_torque, predicts_nothing
 from adaptsim_jax.attribution.parameters import Entry, Vector
 from adaptsim_jax.attribution.posed import DiagnosisSetting, declared_vector, scaled
-from adaptsim_jax.attribution.problem import own_inertia, scaled_reach
+from adaptsim_jax.attribution.problem import own_inertia, prepare, scaled_reach
 from adaptsim_jax.attribution.stretches import JointTrack
 from adaptsim_jax.diagnosis.criteria import REPORT, Criteria, TorqueCriteria
 from adaptsim_jax.effects.joints.catalogue import MACHINE
@@ -261,7 +261,7 @@ def test_what_the_torque_shows_of_a_real_servo_is_held_against_its_motion(tmp_pa
     """
     folder = measured("measured_servo_pendulum")
     (tmp_path / "meta.toml").write_text(
-        'task = "mechanism"\nmodel = "model.xml"\ninput = "voltage"\n[noise]\nv = 0.024\n'
+        'task = "mechanism"\nmodel = "model.xml"\ninput = "voltage"\n'
     )
     (tmp_path / "model.xml").write_text((RIGS / "servo_pendulum" / "model.xml").read_text())
     for file in [*folder.glob("kp100_*.csv"), *folder.glob("kp400_*.csv")]:

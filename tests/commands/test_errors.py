@@ -210,3 +210,14 @@ def test_ctrl_c_while_modules_are_loaded_is_quiet():
         timeout=60,
     )
     assert plain.returncode == 0 and plain.stdout.startswith("adaptsim_jax ") and plain.stderr == ""
+
+
+def test_numpys_warnings_do_not_reach_a_user():
+    code = (
+        "import numpy as np, adaptsim_jax.cli as cli\n"
+        "cli.main = lambda: int(np.nanmean(np.array([])) > 0)\n"
+        "from adaptsim_jax.__main__ import run\n"
+        "print(run())"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert (ran.stdout.strip(), ran.stderr) == ("0", "")

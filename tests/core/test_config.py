@@ -136,6 +136,16 @@ def test_what_python_cannot_parse_is_one_line(tmp_path, text):
     assert "\n" not in str(caught.value) and len(str(caught.value)) < 300 + len(str(tmp_path))
 
 
+@pytest.mark.parametrize("path", [r"..\models\arm.xml", r"..\users\arm.xml", r"\x\arm.xml"])
+def test_a_backslash_between_double_quotes_is_named(tmp_path, path):
+    (tmp_path / "c.toml").write_text(f'model = "{path}"\n')
+    with pytest.raises(BadInput, match="write / in place of a backslash"):
+        config.read(tmp_path / "c.toml")
+    (tmp_path / "c.toml").write_text("model = \n")
+    with pytest.raises(BadInput, match="mend that line"):
+        config.read(tmp_path / "c.toml")
+
+
 _text = st.text(st.characters(codec="utf-8"), max_size=8)
 _leaf = st.one_of(st.booleans(), st.integers(-(2**62), 2**62), st.floats(allow_nan=False), _text)
 _table = st.recursive(

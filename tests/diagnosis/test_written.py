@@ -56,6 +56,21 @@ def test_a_page_that_fails_leaves_the_numbers(tmp_path):
     assert (tmp_path / "model.toml").exists()
 
 
+def test_a_full_disk_costs_neither_the_report_nor_the_files_that_have_room(tmp_path, monkeypatch):
+    def page(folder, report, evidence):
+        raise BadInput(f"{folder}: no space left on the disk")
+
+    def write(path, value):
+        raise BadInput(f"{path}: no space left on the disk")
+
+    monkeypatch.setattr("adaptsim_jax.diagnosis.written.write_json", write)
+    report = _report()
+    write_all(tmp_path, report, {}, page, {"model.toml": lambda: "a = 1\n"})
+    assert (tmp_path / "model.toml").read_text() == "a = 1\n"
+    for name in ("report.json", "report.html"):
+        assert any(f"{name} could not be written" in line for line in report["warnings"])
+
+
 def test_an_unfinished_report_says_so_and_an_earlier_one_is_gone(tmp_path):
     (tmp_path / "model.xml").write_text("old")
     cleared(tmp_path)

@@ -121,7 +121,7 @@ def test_lists_in_cells_are_joints_in_order(tmp_path, cells):
     log = read_log(data)
     np.testing.assert_allclose(log.trials[0].q, Q, atol=1e-8)
     np.testing.assert_allclose(log.trials[0].u, U, atol=1e-8)
-    assert any("cells hold lists" in note for note in log.notes)
+    assert any("positions holds a number for each joint, without names" in n for n in log.notes)
 
 
 def test_a_list_of_another_length_is_refused_by_its_line(tmp_path):

@@ -31,6 +31,7 @@ class Bag:
         store = typesys.Stores.ROS1_NOETIC if kind == "bag" else typesys.Stores.ROS2_HUMBLE
         self.types = typesys.get_typestore(store)
         self.rows: list[tuple[int, str, str, object]] = []
+        self.packed = lambda message: message
 
     def make(self, kind: str, /, **values):
         return self.types.types[kind](**values)
@@ -131,7 +132,7 @@ class Bag:
                 for topic, kind in kinds.items()
             }
             for when, topic, kind, message in sorted(self.rows, key=lambda row: row[0]):
-                writer.write(open_[topic], when, dump(message, kind))
+                writer.write(open_[topic], when, self.packed(dump(message, kind)))
         return next(path.glob("*.mcap")) if self.kind == "mcap" else path
 
 
@@ -168,6 +169,104 @@ def test_a_folder_of_bags_is_a_trial_each(tmp_path):
     log = read_log(tmp_path, ARM)
     assert [t.name for t in log.trials] == ["a", "b"]
     np.testing.assert_allclose(log.trials[0].q, np.radians(M["q"]))
+
+
+def test_bags_without_metadata_are_a_trial_each(tmp_path):
+    """A power cut comes before `metadata.yaml` is written."""
+    for name in ("a", "b"):
+        bag = Bag("ros2")
+        states(bag)
+        (tmp_path / name).mkdir()
+        path = bag.write(tmp_path / name)
+        (path / "metadata.yaml").unlink()
+        next(path.glob("*.db3")).rename(tmp_path / name / "run_0.db3")
+        path.rmdir()
+    (tmp_path / "notes").mkdir()
+    log = read_log(tmp_path, ARM)
+    assert [t.name for t in log.trials] == ["a", "b"]
+    for trial in log.trials:
+        np.testing.assert_array_equal(trial.q, M["q"])
+
+
+@pytest.mark.parametrize("kind", ["ros2", "mcap"])
+@pytest.mark.parametrize("alone", [True, False])
+def test_messages_packed_one_by_one(tmp_path, kind, alone):
+    pack = pytest.importorskip("zstandard").ZstdCompressor(level=1).compress
+    bag = Bag(kind)
+    bag.packed = lambda message: pack(bytes(message))
+    states(bag)
+    path = bag.write(tmp_path)
+    if not alone and kind == "mcap":
+        path = path.parent
+    log = read_log(path, ARM)
+    np.testing.assert_array_equal(log.trials[0].q, M["q"])
+
+
+@pytest.mark.parametrize("shuffled", [True, False])
+@pytest.mark.parametrize("every", [10, 2])
+def test_another_sender_that_contradicts_is_left_out(tmp_path, shuffled, every):
+    """A left-over publisher of zeros, without speeds or with its names in another order."""
+    bag = Bag("ros2")
+    states(bag)
+    for t in M["time"][every // 2 :: every]:
+        names = ARM[::-1] if shuffled else ARM
+        bag.joints("/joint_states", ns(t + 0.0033), names, [0.0, 0.0], [0.0, 0.0] * shuffled)
+    log = read_log(bag.write(tmp_path), ARM)
+    np.testing.assert_array_equal(log.trials[0].q, M["q"])
+    assert any("messages of another sender contradict the 60" in note for note in log.notes)
+
+
+def test_two_senders_that_cannot_be_told_apart_are_refused(tmp_path):
+    bag = Bag("ros2")
+    for k, t in enumerate(M["time"]):
+        bag.joints("/joint_states", ns(t), ARM, M["q"][k])
+        if k % 5 == 2:
+            bag.joints("/joint_states", ns(t + 0.0033), ARM, [0.5, -0.9])
+    with pytest.raises(BadInput, match="/joint_states: two senders seem to speak of the same"):
+        read_log(bag.write(tmp_path), ARM)
+
+
+def two_arms(tmp_path, names=("left", "right")):
+    bag = Bag("ros2")
+    for k, t in enumerate(M["time"]):
+        for j, arm in enumerate(names):
+            if not j or k % 25 != 24:
+                bag.joints(f"/{arm}/joint_states", ns(t), [ARM[j]], [M["q"][k, j]])
+            bag.trajectory(f"/{arm}/joint_trajectory", ns(t), [ARM[j]], [M["tau"][k, j]])
+    return bag
+
+
+def test_a_topic_of_states_and_of_commands_for_each_arm(tmp_path):
+    path = two_arms(tmp_path).write(tmp_path)
+    both = read_log(path, ARM)
+    meta = tmp_path / "meta.toml"
+    meta.write_text(
+        'task = "mechanism"\n[ros]\nstate_topic = ["/left/joint_states", "/right/joint_states"]\n'
+        'command_topic = ["/left/joint_trajectory", "/right/joint_trajectory"]\n'
+    )
+    for log in (both, read_log(path, ARM, meta)):
+        (trial,) = log.trials
+        rows = len(trial.time)
+        np.testing.assert_allclose(trial.q, M["q"][:rows], atol=2e-3)  # every 25th between rows
+        np.testing.assert_allclose(trial.u, M["tau"][:rows])
+    assert any("/left/joint_states, /right/joint_states" in note for note in both.notes)
+    topics = ros.bag_topics(path, {}, ARM)[1]
+    assert topics["state_topic"] == ["/left/joint_states", "/right/joint_states"]
+    meta.write_text('task = "mechanism"\n[ros]\nstate_topic = ["/left/joint_states", "/rigt"]\n')
+    with pytest.raises(BadInput, match=r"has no topic '/rigt' \(state_topic\)"):
+        read_log(path, ARM, meta)
+
+
+def test_joints_that_two_topics_name_are_named(tmp_path):
+    bag = Bag("ros2")
+    states(bag, "/left/joint_states")
+    states(bag, "/right/joint_states")
+    path = bag.write(tmp_path)
+    notes = " ".join(read_log(path, ARM).notes)
+    assert "left out: /right/joint_states; state_topic names others" in notes
+    both = Wanted({"state_topic": ["/left/joint_states", "/right/joint_states"]}, joints=ARM)
+    with pytest.raises(BadInput, match="both speak of"):
+        ros.read_bag(path, both)
 
 
 def test_names_that_change_their_order(tmp_path):

@@ -10,7 +10,7 @@ import pytest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.read import read_log
 from adaptsim_jax.logs.table import read_table
-from tests.logs.log_files import motion
+from tests.logs.log_files import HEAD, motion
 
 ARM = ("shoulder", "elbow")
 M = motion(2)
@@ -119,3 +119,41 @@ def test_separators_at_the_ends_of_rows_open_no_columns(tmp_path):
         BadInput, match="has 3 values, the header has 2 columns; complete or remove that line"
     ):
         read_table(path, ("time", "q1"))
+
+
+@pytest.mark.parametrize(
+    "columns",
+    [
+        'q = ["q[0]", "q[2]", "q[1]", "q[3]"]\ntarget = ["u[0]", "u[2]", "u[1]", "u[3]"]',
+        "\n".join(
+            f'{ours}_{joint} = "{theirs}[{place}]"'
+            for ours, theirs in (("q", "q"), ("target", "u"))
+            for joint, place in zip(("lh", "lk", "rh", "rk"), (0, 2, 1, 3), strict=True)
+        ),
+    ],
+    ids=["lists", "by joint"],
+)
+@pytest.mark.parametrize("kind", ["npz", "csv"])
+def test_arrays_in_another_order_than_the_models(tmp_path, columns, kind):
+    """Joint level by joint level in the file, leg by leg in the model; another array is left."""
+    m, legs = motion(4), ("lh", "lk", "rh", "rk")
+    arrays = {"q": m["q"][:, [0, 2, 1, 3]], "u": m["tau"][:, [0, 2, 1, 3]]}
+    data = tmp_path / "data"
+    data.mkdir()
+    if kind == "npz":
+        np.savez(data / "run.npz", time=m["time"], **arrays)
+    else:
+        rows = zip(m["time"], arrays["q"].tolist(), arrays["u"].tolist(), strict=True)
+        lines = ["time,q,u", *(f'{t},"{q}","{u}"' for t, q, u in rows)]
+        (data / "run.csv").write_text("\n".join(lines) + "\n")
+    (data / "meta.toml").write_text(f"{HEAD}[columns]\n{columns}\n")
+    log = read_log(data, legs)
+    np.testing.assert_allclose(log.trials[0].q, m["q"], rtol=1e-12)
+    np.testing.assert_allclose(log.trials[0].u, m["tau"], rtol=1e-12)
+    assert not any("without names" in note for note in log.notes)
+    (data / "meta.toml").write_text(HEAD)
+    notes = read_log(data, legs).notes
+    assert any("q holds a number for each joint, without names: taken in" in n for n in notes)
+    (data / "meta.toml").write_text(f'{HEAD}[columns]\nq_lh = "q[4]"\n')
+    with pytest.raises(BadInput, match=r"has no place 'q\[4\]', which \[columns\] gives to q_lh"):
+        read_log(data, legs)

@@ -68,6 +68,59 @@ def test_episodes_are_trials_and_actions_targets(tmp_path, one_file):
     np.testing.assert_allclose(log.trials[1].time, M["time"])
 
 
+def test_names_one_level_deeper(tmp_path):
+    """`names` of info.json as a list of lists, actions as lists of one list."""
+    features = {
+        "observation.state": {"dtype": "float32", "shape": [2], "names": [["elbow", "shoulder"]]},
+        "action": {
+            "dtype": "float32",
+            "shape": [1, 2],
+            "names": {"motors": [["elbow", "shoulder"]]},
+        },
+        "timestamp": {"dtype": "float32", "shape": [1]},
+        "episode_index": {"dtype": "int64", "shape": [1]},
+    }
+    path = data_set(tmp_path / "set", features=features)
+    file = path / "data" / "chunk-000" / "file-000.parquet"
+    table = parquet.read_table(file).to_pydict()
+    table["action"] = [[row] for row in table["action"]]
+    parquet.write_table(pa.table(table), file)
+    log = read_log(path, ARM)
+    np.testing.assert_allclose(log.trials[0].q, M["q"][:, ::-1])
+    np.testing.assert_allclose(log.trials[0].u, M["q"][:, ::-1] + 1)
+
+
+def test_an_episode_that_is_too_short_is_left_out(tmp_path):
+    path = data_set(tmp_path / "set")
+    file = path / "data" / "chunk-000" / "file-000.parquet"
+    table = parquet.read_table(file)
+    parquet.write_table(table.slice(30), file)  # ten rows of the first episode
+    log = read_log(path, ARM)
+    assert [t.name for t in log.trials] == ["episode_1"]
+    assert "fewer than 20 rows, left out: episode_0" in log.notes
+    parquet.write_table(table.slice(70), file)
+    with pytest.raises(BadInput, match="episode_1 has 10 rows; a trial needs at least 20"):
+        read_log(path, ARM)
+
+
+@pytest.mark.parametrize("how", ["next angle", "step to it"])
+def test_actions_that_are_the_next_rows_angles_are_no_commands(tmp_path, how):
+    path = data_set(tmp_path / "set")
+    file = path / "data" / "chunk-000" / "file-000.parquet"
+    table = parquet.read_table(file).to_pydict()
+    q = np.array(table["observation.state"])
+    after = np.concatenate([q[1:40], q[39:40], q[41:], q[-1:]])
+    action = after if how == "next angle" else after - q
+    table["action"] = action.tolist()
+    parquet.write_table(pa.table(table), file)
+    with pytest.raises(BadInput, match=r"'target_shoulder' is the .* targets = \"absolute\""):
+        read_log(path, ARM)
+    meta = tmp_path / "meta.toml"
+    for targets, u in (("absolute", action), ("relative", q + action)):
+        meta.write_text(f'task = "mechanism"\ndata = "set"\n[commands]\ntargets = "{targets}"\n')
+        np.testing.assert_allclose(read_log(tmp_path, ARM).trials[0].u, u[:40])
+
+
 def test_entries_without_names_go_by_their_order(tmp_path):
     vector = {"dtype": "float32", "shape": [2], "names": None}
     index = {"dtype": "int64", "shape": [1]}

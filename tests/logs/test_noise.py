@@ -38,6 +38,18 @@ def test_an_encoder_that_mostly_rests_has_the_noise_of_its_steps():
     np.testing.assert_allclose(found[1], difference_noise([q[:500], q[500:]])[1])
 
 
+@pytest.mark.parametrize("digits", [8, 17])
+def test_a_coarse_encoder_in_a_table_has_the_noise_of_its_steps(digits):
+    """At rest in most rows, 2048 steps a turn, at 500 Hz: what a table rounds off is no noise."""
+    t, step = np.arange(4000) * 0.002, 2 * np.pi / 2048
+    q = np.where(t < 5.0, 0.3, 0.3 + 0.2 * (1 - np.cos(2 * (t - 5.0))))
+    written = np.array([float(f"{x:.{digits}g}") for x in step * np.round(q / step)])
+    found = sensor_noise([written[:2000, None], written[2000:, None]])[0]
+    assert 0.999 * step / np.sqrt(12) <= found < step
+    fine = np.sin(t)[:, None] + 1e-5 * np.random.default_rng(0).normal(size=(4000, 1))
+    np.testing.assert_array_equal(sensor_noise([fine]), difference_noise([fine]))
+
+
 def test_a_constant_signal_has_no_noise():
     assert difference_noise([np.full(100, 3.0)]) == 0.0
 

@@ -180,6 +180,64 @@ def test_targets_go_through_the_models_actuators(tmp_path):
     np.testing.assert_array_equal(told.trials[0].u, M["q"][:, ::-1])
 
 
+SERVOS = {
+    "position": '<position joint="{j}" kp="3" kv="0.1" gear="{g}"/>',
+    "general": '<general joint="{j}" biastype="affine" gainprm="0.5" biasprm="0.2 -4 -1" '
+    'gear="{g}"/>',
+    "intvelocity": '<intvelocity joint="{j}" kp="3" gear="{g}" actrange="-9 9"/>',
+}
+
+
+@pytest.mark.parametrize("kind", SERVOS)
+@pytest.mark.parametrize("gear", [1.0, 20.0, -15.0])
+def test_a_target_in_radians_rests_where_the_joint_is_there(tmp_path, kind, gear):
+    """What a servo is told to go to an angle leaves no force at that angle, whatever its gear, gain
+    and bias are.
+    """
+    import mujoco
+
+    from adaptsim_jax.logs.read import names_of
+
+    servos = "".join(SERVOS[kind].format(j=j, g=gear) for j in ARM)
+    bodies = "".join(f'<body><joint name="{j}"/><geom size="0.1" mass="1"/></body>' for j in ARM)
+    model = tmp_path / "robot.xml"
+    model.write_text(
+        f"<mujoco><worldbody>{bodies}</worldbody><actuator>{servos}</actuator></mujoco>"
+    )
+    columns = named(M | {"target": M["q"][::-1]}, ARM, "q", "target")
+    log = read_log(folder(tmp_path / "a", "", t=columns), names_of(str(model))[1])
+    compiled = mujoco.MjModel.from_xml_path(str(model))
+    data = mujoco.MjData(compiled)
+    for row in (3, 30, 57):
+        data.qpos[:] = M["q"][::-1][row]
+        data.ctrl[:] = log.trials[0].u[row]
+        if compiled.na:
+            data.act[:] = log.trials[0].u[row]
+        mujoco.mj_forward(compiled, data)
+        np.testing.assert_allclose(data.qfrc_actuator, 0.0, atol=1e-9)
+    told = named(M, ARM, "q") | {f"ctrl_{j}": M["q"][:, k] for k, j in enumerate(ARM)}
+    same = read_log(folder(tmp_path / "b", "", t=told), names_of(str(model))[1])
+    np.testing.assert_allclose(same.trials[0].u, M["q"], rtol=1e-12)
+
+
+@pytest.mark.parametrize("path", ['"..\\robot.xml"', "'..\\robot.xml'", '"..\\\\robot.xml"'])
+def test_a_path_of_windows_is_refused_with_a_slash(tmp_path, path):
+    data = folder(tmp_path / "a", f"model = {path}\n", t=numbered(M, "q"))
+    with pytest.raises(BadInput, match="write / in place of a backslash"):
+        read_log(data)
+
+
+@pytest.mark.parametrize("end", ["Z", "+00:00", "", "+02:00"])
+def test_times_of_iso_8601_are_seconds(tmp_path, end):
+    from datetime import datetime, timedelta
+
+    begin = datetime(2026, 3, 4, 14, 5, 1)
+    stamps = [(begin + timedelta(seconds=t)).isoformat() + end for t in M["time"]]
+    columns = numbered(M, "q", "tau") | {"time": np.array(stamps)}
+    log = read_log(folder(tmp_path / "a", "", t=columns), ARM)
+    np.testing.assert_allclose(log.trials[0].time, M["time"], atol=1e-6)
+
+
 def test_what_was_commanded_is_kept_beside_what_was_measured(tmp_path):
     columns = numbered(M, "q", "tau") | {"tau1_commanded": M["time"], "tau2_commanded": -M["time"]}
     log = read_log(folder(tmp_path / "a", "", t=columns), ARM)
@@ -272,12 +330,12 @@ def test_data_may_lie_elsewhere(tmp_path):
         ('[angles]\nconvention = "abs"', "'relative', 'absolute'"),
         ('[units]\nq1 = "degre"', "units.q1 = 'degre' is unknown; did you mean 'deg'?"),
         ('[units]\nq1 = "s"', "column q1 is in s, which is no unit of angle"),
-        ('[units]\nqq = "deg"', "[units] 'qq' is no column, joint or quantity"),
+        ('[units]\nqq = "deg"', "[units] names 'qq', no column, joint or quantity"),
         ('[columns]\nq1 = "nope"', "has no column 'nope', which [columns] gives to q1"),
         ('[columns]\nq1 = "tau1"\nq2 = "tau1"', "gives column 'tau1' to q1, q2"),
         ('[trials]\nexclude = ["nope"]', "trials.exclude names 'nope', no trial"),
         ('[trials]\nexclude = ["t"]', "leaves no trial"),
-        ("[noise]\nq = -1", "noise.q = -1 is negative"),
+        ("[noise]\nq = 1e-4", "[noise] is not used: the noise of readings is estimated"),
         ('input = "current"', 'has no column for input = "current"'),
     ],
 )
@@ -324,8 +382,8 @@ def test_the_old_task_is_told_from_a_mechanism(tmp_path):
             "line 9: column q1 is 1e+09 in SI units",
         ),
         (
-            lambda c: c | {"q1": np.where(np.arange(60) == 7, np.nan, c["q1"])},
-            "line 9: column q1 is nan",
+            lambda c: c | {"q1": np.where(np.arange(60) % 15 == 7, np.nan, c["q1"])},
+            "line 9: column q1 holds no number",
         ),
         (
             lambda c: c | {"time": np.where(np.arange(60) == 7, 0.0, c["time"])},
@@ -336,8 +394,8 @@ def test_the_old_task_is_told_from_a_mechanism(tmp_path):
             "time never changes; call the one that does time, in a log by [columns] time",
         ),
         (
-            lambda c: c | {"time": np.array(["2026-05-01 12:00:00.25"] * 60)},
-            "a date; write seconds, with pandas",
+            lambda c: c | {"time": np.array(["01.05.2026 12:00:00"] * 60)},
+            "a date that is not of ISO 8601; write seconds, with pandas",
         ),
         (
             lambda c: c | {"time": 1e3 * c["time"]},

@@ -1,5 +1,7 @@
 """A model file with fitted numbers in it reads back to those numbers."""
 
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
@@ -84,6 +86,32 @@ def test_a_file_whose_meshes_are_not_there_is_written_without_them(tmp_path):
     text = mended_mjcf(read_mechanism(path), Changes(joints={"damping": {"shoulder": 0.7}}))
     assert "could not be read" in text and "gone.stl" not in text
     assert mujoco.MjModel.from_xml_string(text).dof_damping[0] == pytest.approx(0.7)
+
+
+DRAWN = """<mujoco><compiler angle="radian" meshdir="assets" texturedir="assets"/><asset>
+<mesh name="box" file="box.obj"/><texture name="t" type="2d" file="t.png"/>
+<material name="m" texture="t"/></asset><worldbody><body><joint name="hinge" axis="0 1 0"/>
+<geom type="mesh" mesh="box" material="m"/></body></worldbody></mujoco>"""
+CORNERS = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+
+
+@pytest.mark.parametrize("whole", [True, False], ids=["whole path", "relative path"])
+def test_a_file_with_meshes_compiles_where_it_is_written(tmp_path, monkeypatch, whole):
+    from PIL import Image
+
+    assets = tmp_path / "robot" / "assets"
+    assets.mkdir(parents=True)
+    (assets / "box.obj").write_text(CORNERS)
+    Image.new("RGB", (4, 4)).save(assets / "t.png")
+    (tmp_path / "robot" / "robot.xml").write_text(DRAWN)
+    monkeypatch.chdir(tmp_path)
+    path = (tmp_path if whole else Path()) / "robot" / "robot.xml"
+    text = mended_mjcf(read_mechanism(path), Changes())
+    assert 'mesh name="box"' in text and "without shapes" not in text
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "model.xml").write_text(text)
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "out" / "model.xml"))
+    assert (model.nmesh, model.ntex) == (1, 1)
 
 
 @pytest.mark.parametrize("angle", ["", '<compiler angle="radian"/>', '<compiler angle="degree"/>'])

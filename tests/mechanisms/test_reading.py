@@ -8,7 +8,7 @@ import pytest
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.mechanisms.mjcf import mechanism_of, read_mechanism
-from adaptsim_jax.mechanisms.spec import read_source
+from adaptsim_jax.mechanisms.spec import read_source, read_spec, shapeless
 
 BODY = '<inertial pos="0.02 0.01 -0.1" mass="{mass}" diaginertia="0.004 0.003 0.002"/>'
 GRIPPER = f"""<mujoco><compiler angle="radian"/><worldbody>
@@ -273,6 +273,44 @@ def test_what_is_odd_but_readable_is_told(tmp_path, link, more, says):
     )
     assert any(says in note for note in made.notes)
     assert abs(made.tree.inertial[0, 1:4]).max() == pytest.approx(0.1)  # of the first origin
+
+
+@pytest.mark.parametrize("value", ["${m}", "$(arg m)", "${2 * m}"])
+def test_what_xacro_left_is_named(tmp_path, value):
+    link = f'<link name="bob"><inertial><mass value="{value}"/></inertial></link>'
+    joint = '<joint name="j" type="continuous"><parent link="a"/><child link="bob"/></joint>'
+    text = urdf('<link name="a"/>', link, joint)
+    with pytest.raises(BadInput, match=r"<mass value='\$.* was left by xacro; expand the file"):
+        read_source(written(tmp_path / "robot.urdf", text))
+
+
+POINTER = "version https://git-lfs.github.com/spec/v1\noid sha256:3f3f\nsize 67084\n"
+DRAWN = """<mujoco><compiler meshdir="assets"/>
+<asset><texture name="t" type="2d" file="t.png"/><mesh name="look" file="look.stl"/></asset>
+<worldbody><body><joint name="hinge" axis="0 1 0"/>
+<geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="0.5"/>
+<geom type="mesh" mesh="look" {light}/></body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    "light", ['mass="0"', 'density="0"', 'group="4"'], ids=["mass", "density", "group"]
+)
+@pytest.mark.parametrize("there", [True, False], ids=["pointer", "missing"])
+def test_a_mesh_for_looks_alone_is_not_needed(tmp_path, light, there):
+    if there:
+        (tmp_path / "assets").mkdir()
+        (tmp_path / "assets" / "look.stl").write_text(POINTER)
+    text = DRAWN.format(light=light).replace("<compiler ", '<compiler inertiagrouprange="0 3" ')
+    model = read_source(written(tmp_path / "robot.xml", text)).model
+    assert model.body_mass[1] == pytest.approx(0.5)
+    assert shapeless("robot.xml", read_spec(tmp_path / "robot.xml")[0]).nmesh == 0
+
+
+def test_a_mesh_that_weighs_and_is_a_pointer_of_git_lfs_is_named(tmp_path):
+    (tmp_path / "assets").mkdir()
+    (tmp_path / "assets" / "look.stl").write_text(POINTER)
+    with pytest.raises(BadInput, match=r"look\.stl is a pointer of Git LFS, no mesh; fetch it by"):
+        read_source(written(tmp_path / "robot.xml", DRAWN.format(light="")))
 
 
 def test_a_mended_file_keeps_what_is_behind_a_joint_that_is_held(tmp_path):

@@ -197,3 +197,24 @@ def test_ground_that_is_moved_is_where_it_was_moved_to(name):
     }
     assert up == pytest.approx(want.get(name, [0, 0, 1]), abs=1e-9)
     assert height == pytest.approx(0.1 if name == "ground.height" else 0.0)
+
+
+@pytest.mark.parametrize("flag", ["equality", "constraint"])
+def test_joints_are_held_where_the_file_disables_its_equalities(tmp_path, flag):
+    """The file's own equalities stay off, and what holds a joint that no log has acts."""
+    off = f'<option><flag {flag}="disable"/></option><worldbody>'
+    (tmp_path / "robot.xml").write_text(LOOP.replace("<worldbody>", off, 1))
+    (tmp_path / "meta.toml").write_text(
+        'task = "mechanism"\nmodel = "robot.xml"\ninput = "none"\n[hold]\nrod = 0.0\n'
+    )
+    time = np.arange(40) * 0.01
+    rows = zip(time, np.cos(5 * time), np.sin(5 * time), strict=True)
+    lines = ["time,q_crank,q_rocker", *(",".join(f"{x:.6f}" for x in row) for row in rows)]
+    (tmp_path / "run.csv").write_text("\n".join(lines) + "\n")
+    model = stepped(*read_source_and_log(tmp_path)).model
+    data = mujoco.MjData(model)
+    data.qpos[model.joint("crank").qposadr[0]] = 1.0
+    mujoco.mj_step(model, data, 100)
+    assert abs(data.qpos[model.joint("rod").qposadr[0]]) < 1e-3
+    held = [model.equality(int(k)).name for k in data.efc_id[: data.ne]]
+    assert held == ["hold_rod"]

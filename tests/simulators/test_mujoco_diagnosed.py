@@ -11,6 +11,7 @@ from adaptsim_jax.attribution.replay import replay_files
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.read import read_source_and_log
 from adaptsim_jax.simulators.mujoco.diagnosed import change, diagnose, halved, simulator, step_notes
+from adaptsim_jax.simulators.mujoco.replay import replayed
 from tests.simulators.robots import quadruped, record, walk
 from tests.simulators.test_mujoco import ARM, swing
 
@@ -176,6 +177,8 @@ def test_a_base_that_only_its_imu_tells_of_is_estimated_with_the_start(tmp_path)
         comments="",
         fmt="%.9g",
     )
+    again = replayed(*read_source_and_log(tmp_path), 0.1)
+    assert again.base is None and np.median(again.error) < 0.01  # of a sway of 0.15
     made = simulator(*read_source_and_log(tmp_path))
     assert (
         made.made.free == 0

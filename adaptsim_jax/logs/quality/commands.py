@@ -64,12 +64,7 @@ def _share(left: np.ndarray, a: np.ndarray) -> float:
 
 def _rows(track: Track) -> tuple[np.ndarray, np.ndarray]:
     """Accelerations `[K]` and columns `[K, 6]` of one trial."""
-    here = np.isfinite(track.q[:, 0]) & np.isfinite(track.tau[:, 0])
-    if here.sum() < COMMAND.min_rows:
-        return np.zeros(0), np.zeros((0, 6))
-    speed = None if track.v is None else track.v[here]
-    whole = Track(track.time[here], track.q[here], speed, track.tau[here])
-    q, v, a, u, _ = blocks(whole, sharp=True)
+    q, v, a, u, _ = blocks(track, sharp=True)
     q, v, a, u = (x[:, 0] for x in (q, v, a, u))
     table = np.stack([u, q, v, np.sin(q), np.cos(q), np.ones_like(q), a], 1)
     if len(table) < 2 * COMMAND.smooth:

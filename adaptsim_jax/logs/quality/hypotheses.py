@@ -102,11 +102,13 @@ def blocks(track: Track, shift: float = 0.0, sharp: bool = False) -> tuple[np.nd
         sharp: Short blocks, with accelerations from the speeds at their ends: exact where motion is
             fast, and as rough as the sensors.
     """
-    time = track.time
+    track = _read(track)
+    time, n = track.time, track.q.shape[1]
+    if len(time) < BLOCK.min_count:
+        return *(np.zeros((0, n)),) * 4, np.zeros(0, int)
     step = float(np.median(np.diff(time)))
     size = max(BLOCK.sharp, step) if sharp else max(BLOCK.mean, BLOCK.min_rows * step)
     edges = np.arange(time[0] + BLOCK.edge, time[-1] - BLOCK.edge, size)
-    n = track.q.shape[1]
     if len(edges) < 8:
         return *(np.zeros((0, n)),) * 4, np.zeros(0, int)
     q = _means(time, track.q, edges)
@@ -128,6 +130,14 @@ def blocks(track: Track, shift: float = 0.0, sharp: bool = False) -> tuple[np.nd
         whole &= before | after
     whole[[0, -1]] = False
     return q[whole], v[whole], a[whole], tau[whole], np.flatnonzero(whole)
+
+
+def _read(track: Track) -> Track:
+    """The rows in which nothing is missing."""
+    parts = [x for x in (track.q, track.v, track.tau) if x is not None]
+    here = np.all(np.isfinite(np.concatenate(parts, 1)), 1)
+    v = None if track.v is None else track.v[here]
+    return Track(track.time[here], track.q[here], v, track.tau[here])
 
 
 def _between(track: Track, q: np.ndarray, edges: np.ndarray) -> np.ndarray:

@@ -15,6 +15,7 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.log import Log
 from adaptsim_jax.mechanisms.roles import BALL, CONNECT, FREE, TIE, WELD, pose_of, upwards
 from adaptsim_jax.mechanisms.spec import Source, read_spec, shapeless
+from adaptsim_jax.mechanisms.switches import has_off
 from adaptsim_jax.simulators.mujoco.sensed import Reading, feels, readings
 
 STIFF = (1e-4, 1.0)
@@ -77,6 +78,7 @@ def stepped(
     notes: list[str] = []
     felt = not logged and feels(spec, log.meta.channels)
     _weld(spec, values, logged or felt, notes)
+    _free_equalities(spec, source)
     _hold(spec, source, log, values, notes)
     _tie(spec, source)
     for key in list(spec.keys):
@@ -117,6 +119,21 @@ def stepped(
         free if logged or felt else -1,
         readings(model, log.meta.channels, log.meta.path),
     )
+
+
+def _free_equalities(spec: mujoco.MjSpec, source: Source) -> None:
+    """Where the file disables its equalities, they are off one by one, and the flag is free for
+    those that hold joints.
+    """
+    bits, flags = mujoco.mjtDisableBit, spec.option.disableflags
+    if not has_off(source.model, "equality"):
+        return
+    for equality in spec.equalities:
+        equality.active = False
+    others = bits.mjDSBL_FRICTIONLOSS | bits.mjDSBL_LIMIT | bits.mjDSBL_CONTACT
+    if flags & bits.mjDSBL_CONSTRAINT:
+        flags |= int(others)
+    spec.option.disableflags = flags & ~int(bits.mjDSBL_CONSTRAINT | bits.mjDSBL_EQUALITY)
 
 
 def _tie(spec: mujoco.MjSpec, source: Source) -> None:

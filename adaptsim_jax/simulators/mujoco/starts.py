@@ -22,10 +22,12 @@ EXACT_START_SQUARE = 1e-18  # rad^2 (m^2) a reading: nothing is left to fit
 
 
 def position_weight(made: Stepped, stretches: MujocoStretches) -> np.ndarray:
-    """[C'] one for angles and the base's pose, zero for speeds: a replay counts positions alone."""
+    """[C'] one for angles and the base's pose, zero for speeds and sensors: a replay counts
+    positions alone.
+    """
     n = len(made.angle)
-    speeds = np.zeros(n) if has_speeds(made, stretches) else np.zeros(0)
-    return np.concatenate([np.ones(n), speeds, np.ones(6 if made.base >= 0 else 0)])
+    others = np.zeros(n * has_speeds(made, stretches) + len(made.read))
+    return np.concatenate([np.ones(n), others, np.ones(6 if made.base >= 0 else 0)])
 
 
 def fitted(

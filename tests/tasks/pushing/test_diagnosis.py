@@ -84,7 +84,7 @@ def test_frames_in_which_the_camera_saw_nothing_are_drop_outs(tmp_path, tracks):
         np.testing.assert_array_equal(read(folder).xy, shorter.xy)
     half = [line.rsplit(",", 1)[0] + "," if i == 10 else line for i, line in enumerate(lines)]
     (folder / "tracks.csv").write_text("\n".join([*half, ""]))
-    with pytest.raises(BadInput, match="line 11: column y is empty"):
+    with pytest.raises(BadInput, match="line 11: column y holds no number"):
         read(folder)
 
 

@@ -144,8 +144,11 @@ BAD = {
         "line 12: trial 3: time repeats (0.15 then 0.15); sort or remove such rows",
     ),
     "time backwards": (changed(1, 0.1), "line 12: trial 3: time runs backwards (0.15 then 0.1)"),
-    "not a number": (changed(2, np.nan), "line 12: column x is nan; remove such rows"),
-    "infinite": (changed(3, np.inf, 90), "line 92: column y is inf; remove such rows"),
+    "not a number": (
+        changed(2, np.nan),
+        "line 12: column x holds no number; fill or remove such rows",
+    ),
+    "infinite": (changed(3, np.inf, 90), "line 92: column y is inf; fill or remove such rows"),
     "a gap": (
         lambda rows: np.delete(rows, range(FRAMES + 20, FRAMES + 30), 0),
         "line 103: trial 4: nothing was recorded from 0.3167 to 0.5 s; a gap of at most 0.1 s "

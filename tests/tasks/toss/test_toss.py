@@ -74,7 +74,10 @@ def changed(lines, column, what):
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (lambda z: changed(z, "x", lambda i, c: "nan" if i == 4 else c), "line 6: column x is nan"),
+        (
+            lambda z: changed(z, "x", lambda i, c: "nan" if i == 4 else c),
+            "line 6: column x holds no number",
+        ),
         (lambda z: changed(z, "x", lambda i, c: f"{1e3 * float(c) + 1e5:g}"), "is it in mm or cm"),
         (
             lambda z: changed(z, "qw", lambda i, c: "3.0" if i == 4 else c),

@@ -1,0 +1,79 @@
+"""Messages of a topic on which two senders speak of the same joints."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.criteria import CLOCK, SIGNAL
+
+Message = tuple[float, tuple[str, ...], Mapping[str, Any]]
+"""Time, names of joints, and their values by stem."""
+
+
+def one_sender(topic: str, rows: Sequence[Message]) -> tuple[list[Message], tuple[str, ...]]:
+    """The messages without those of another sender that contradict them, and notes on these.
+
+    A sender is known by the order of its names and by what it gives. BadInput where two that
+    contradict each other cannot be told apart.
+    """
+    senders: dict[tuple[str, ...], dict[tuple, list[int]]] = {}
+    for k, (_, names, values) in enumerate(rows):
+        gives = tuple(stem for stem, x in values.items() if len(x) == len(names))
+        own = senders.setdefault(tuple(sorted(names)), {})
+        own.setdefault((names, gives), []).append(k)
+    out: set[int] = set()
+    notes = []
+    for joints, own in senders.items():
+        main, *others = sorted(own.values(), key=len, reverse=True)
+        time, q = _angles(rows, main, joints)
+        for other in others:
+            if _contradict(time, q, *_angles(rows, other, joints)):
+                out |= set(other)
+                notes.append(
+                    f"topic {topic}: {len(other)} messages of another sender contradict the "
+                    f"{len(main)} that speak of the same joints ({', '.join(joints)}): left out"
+                )
+        if _leaps(q):
+            raise BadInput(
+                f"{topic}: two senders seem to speak of the same joints ({', '.join(joints)}): "
+                "angles leap to and fro; record it with one of them stopped ('ros2 topic info -v' "
+                "lists them)"
+            )
+    return [row for k, row in enumerate(rows) if k not in out], tuple(notes)
+
+
+def _angles(
+    rows: Sequence[Message], own: Sequence[int], joints: tuple[str, ...]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Times `[K]` and angles `[K, n]` of some messages, as they came."""
+    time = np.array([rows[k][0] for k in own])
+    order = [rows[own[0]][1].index(name) for name in joints]
+    return time, np.array([rows[k][2]["q"] for k in own])[:, order]
+
+
+def _contradict(time: np.ndarray, q: np.ndarray, other_time: np.ndarray, other: np.ndarray) -> bool:
+    """Whether angles of another sender are farther from those `q [K, n]` at its times than these
+    go from message to message.
+    """
+    if len(time) < CLOCK.min_stamps:
+        return False
+    order = np.argsort(time, kind="stable")
+    off = [
+        np.median(np.abs(x - np.interp(other_time, time[order], y[order])))
+        for x, y in zip(other.T, q.T, strict=True)
+    ]
+    steps = np.quantile(np.abs(np.diff(q, axis=0)), CLOCK.usual_steps, axis=0)
+    return bool(np.any(np.array(off) > CLOCK.contradicts * steps))
+
+
+def _leaps(q: np.ndarray) -> bool:
+    """Whether an angle `[K, n]` leaps over much of its range again and again."""
+    if len(q) < CLOCK.min_stamps:
+        return False
+    span = np.ptp(q, axis=0)
+    leaps = np.abs(np.diff(q, axis=0)) > CLOCK.leap * span
+    return bool(np.any((np.mean(leaps, axis=0) > CLOCK.leaps) & (span > SIGNAL.moving)))
