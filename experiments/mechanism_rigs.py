@@ -29,7 +29,6 @@ from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.model_toml import DECLARED
 from adaptsim_jax.attribution.pendulum import declared_machine, in_the_plane
 from adaptsim_jax.attribution.pendulum_diagnosis import first_parameters
-from adaptsim_jax.attribution.posed import Beginning
 from adaptsim_jax.attribution.replay import Replay, replay
 from adaptsim_jax.diagnosis import read_pendulum
 from adaptsim_jax.logs.quality.audit import audit, usable
@@ -71,7 +70,7 @@ def left_out(rig: str, trial: str) -> dict:
     theta = first_parameters(rest)
     with tempfile.TemporaryDirectory() as folder:
         machine = declared_machine(rest, theta, Path(folder) / DECLARED)
-        whole_run = examined(machine, beginning=Beginning(in_the_plane))
+        whole_run = examined(machine, narrow=in_the_plane)
         report, _ = reported(whole_run)
         found = whole_run.found
         one = whole.pick([trial])

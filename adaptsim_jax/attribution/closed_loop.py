@@ -15,7 +15,6 @@ import numpy as np
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.measures import WHOLE, Measure, predicts_nothing
 from adaptsim_jax.core.progress import Note
-from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Finding, Named
 from adaptsim_jax.diagnosis.report import (
     Account,
@@ -136,7 +135,7 @@ class ServoDiagnosis:
         return bool(self.scale_spread[joint] < CLOSED_LOOP.scale_known)
 
 
-def diagnosed(machine: Machine, criteria: Criteria, notify: Note) -> ServoDiagnosis | None:
+def diagnosed(machine: Machine, notify: Note) -> ServoDiagnosis | None:
     """What the closed loop shows; None where not all joints follow targets, and where it names
     nothing though more than noise is left.
     """
@@ -148,7 +147,7 @@ def diagnosed(machine: Machine, criteria: Criteria, notify: Note) -> ServoDiagno
     if recording is None:
         return None
     found = identified(recording, notify)
-    if not found.members and found.over_noise.max() > criteria.explained:
+    if not found.members and found.over_noise.max() > CLOSED_LOOP.lacks_nothing:
         return None
     return ServoDiagnosis(machine, source, found, _effects(found.members), scale_spread(found))
 
@@ -165,7 +164,7 @@ def _effects(members: Sequence[Member]) -> tuple[ServoEffect, ...]:
 # ---------------------------------------------------------------- report
 
 
-def reported(d: ServoDiagnosis, criteria: Criteria) -> tuple[dict[str, Any], dict[str, Any]]:
+def reported(d: ServoDiagnosis) -> tuple[dict[str, Any], dict[str, Any]]:
     """The report, and the arrays behind its page."""
     recording, found = d.recording, d.found
     file = tuple(s.law for s in recording.servos)
@@ -173,7 +172,7 @@ def reported(d: ServoDiagnosis, criteria: Criteria) -> tuple[dict[str, Any], dic
     null, final = ServoModel(file, (), before), ServoModel(tuple(found.laws), d.effects, after)
     named = tuple(_named(d, e) for e in d.effects)
     finding = Finding(null, final, named, (), (), (null, final))
-    account = _account(d, finding, criteria)
+    account = _account(d, finding)
     report = report_of(finding, account)
     if predicts_nothing({WHOLE: measure_of(d, after)}):
         report["message"] = f"{NO_SKILL} {report['message']}"
@@ -229,10 +228,10 @@ def _label(d: ServoDiagnosis, e: ServoEffect) -> Label:
     return Label(e.name, servos[e.joint].name)
 
 
-def _account(d: ServoDiagnosis, finding: Finding, criteria: Criteria) -> Account:
+def _account(d: ServoDiagnosis, finding: Finding) -> Account:
     recording, log = d.recording, d.machine.log
     over = d.found.over_noise
-    left = bool(over.max() > criteria.explained)
+    left = bool(over.max() > CLOSED_LOOP.lacks_nothing)
     label = partial(_label, d)
     before, after = finding.null.errors, finding.final.errors
     measures = {

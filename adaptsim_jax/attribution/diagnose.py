@@ -101,7 +101,7 @@ def diagnose(
     run = Run(command, began)
     made = {"data": str(data), **run.as_dict()}
     if servos := _in_closed_loop(declared, setting, notify):
-        report, evidence = closed_loop.reported(servos, setting.criteria)
+        report, evidence = closed_loop.reported(servos)
         files, verify = servo_files.files(servos, made), servo_files.verifier(servos)
     else:
         found = examined(declared, setting, notify=notify, keep=keep)
@@ -119,7 +119,7 @@ def _in_closed_loop(
     """What the closed loop of a machine's servos shows, where nothing else was asked for."""
     if setting.objective not in (None, WHOLE) or setting.effects is not None or setting.exclude:
         return None
-    return closed_loop.diagnosed(machine, setting.criteria, notify)
+    return closed_loop.diagnosed(machine, notify)
 
 
 def _of_the_file(

@@ -141,15 +141,15 @@ def identified(
     notify("servos, joint by joint")
     file = [s.law for s in recording.servos]
     problems = joint_problems(recording, [imposed_motion(t) for t in recording.trials], file)
+    whole = whole_trials(recording, problems)
+    file, before = _with_friction(whole, file)
     live = [j for j, p in enumerate(problems) if _moves(recording, j)]
     fits = {j: Fit(law, ()) for j, law in enumerate(file)}
-    whole = whole_trials(recording, problems)
-    before = whole.errors([file])[0]
     if over_noise(whole, before)[live].max(initial=0.0) < CLOSED_LOOP.lacks_nothing:
         as_filed = polished(whole, Fitted(tuple(fits.values())), rounds=0)
         return Identified(recording, as_filed, (), before, before, whole)
     some = [problems[j] for j in live]
-    fits |= zip(live, parallel_map(_begun, some), strict=True)
+    fits |= zip(live, parallel_map(lambda p: _begun(p, file[0].sharp), some), strict=True)
     shared: list[str] = []
     notify("targets that are late")
     own, tried = late_targets(some, [fits[j] for j in live])
@@ -161,8 +161,29 @@ def identified(
     value = {n: getattr(fits[live[0]].law, n) for n in shared} if live else {}
     full = [fits[j] if j in live else fits[j].of(fits[j].law._replace(**value)) for j in fits]
     found = polished(whole, Fitted(tuple(full), tuple(shared)))
+    laws, _ = _with_friction(whole, found.model.laws)
+    if laws[0].sharp != file[0].sharp:
+        file = [law._replace(sharp=laws[0].sharp) for law in file]
+        full = [f.of(law) for f, law in zip(found.model.fits, laws, strict=True)]
+        found = polished(whole, Fitted(tuple(full), tuple(shared)))
     found, members = _borne_out(whole, found, file, notify)
+    if worse := _not_followed_better(whole, before, found, members):
+        found = polished(whole, without(whole, found, worse, file), rounds=2)
+        found, members = _borne_out(whole, found, file, notify)
     return Identified(recording, found, members, before, found.errors, whole)
+
+
+def _with_friction(whole: WholeTrials, laws: Sequence[Law]) -> tuple[list[Law], np.ndarray]:
+    """The laws with dry friction that holds still or that creeps as MuJoCo's does, whichever leaves
+    less of whole trials, and what these leave.
+    """
+    both = [[law._replace(sharp=z) for law in laws] for z in (laws[0].sharp, 1.0 - laws[0].sharp)]
+    if not any(law.rub for law in laws):
+        return both[0], whole.errors(both[:1])[0]
+    every = whole.errors(both)
+    left = [float(np.log(over_noise(whole, e)).sum()) for e in every]
+    best = int(left[1] < left[0] - CLOSED_LOOP.gain)
+    return both[best], every[best]
 
 
 def _moves(recording: Recording, j: int) -> bool:
@@ -170,9 +191,9 @@ def _moves(recording: Recording, j: int) -> bool:
     return span > CLOSED_LOOP.moving * recording.noise[j]
 
 
-def _begun(problem: JointProblem) -> Fit:
-    """kp, damping and friction, with a limit where that is better."""
-    fit = begun(problem, problem.servo.law)
+def _begun(problem: JointProblem, sharp: float) -> Fit:
+    """kp, damping and friction, with a limit where that is better. sharp: as of `Law`."""
+    fit = begun(problem, problem.servo.law._replace(sharp=sharp))
     left_over = np.sqrt(left(problem, fit.law).sum() / problem.rows.sum())
     if left_over < CLOSED_LOOP.enough * problem.noise:
         return fit
@@ -266,6 +287,22 @@ def _borne_out(
             gone = _weakest_by_joint(gone)
         coordinates = [c for m in gone for c in m.coordinates]
         found = polished(whole, without(whole, found, coordinates, file), rounds=2)
+
+
+def _not_followed_better(
+    whole: WholeTrials, before: np.ndarray, found: Polished, members: Sequence[Member]
+) -> list[Coordinate]:
+    """Coordinates of joints that the machine, mended, follows no better than by the file, and of
+    what all share where that holds of all joints together.
+    """
+    left = over_noise(whole, found.errors) / np.maximum(over_noise(whole, before), 1e-12)
+    gone = []
+    for m in members:
+        joint = m.coordinates[0][0]
+        share = float(np.exp(np.log(left).mean())) if joint == SHARED_BY_ALL else left[joint]
+        if share > 1.0 - CLOSED_LOOP.better:
+            gone += [c for c in m.coordinates if c not in gone]
+    return gone
 
 
 def _weakest_by_joint(gone: Sequence[Member]) -> list[Member]:

@@ -130,14 +130,19 @@ class Servo:
 
 
 def servos_of(made: Stepped, log: Log) -> tuple[Servo, ...]:
-    """The servos of a machine whose logged joints have one actuator each, empty for any other."""
+    """The servos of a machine of which each logged joint has one, or is tied to others; empty for
+    any other machine.
+    """
     model = made.model
-    if log.input_kind != "command" or model.ntendon or _tied(model, log):
+    if log.input_kind != "command":
         return ()
-    lift, inputs = _lift(model), set(log.input_names)
+    lift, inputs, tied = _lift(model), set(log.input_names), _tied(model)
     found = []
     for j, name in enumerate(log.joint_names):
-        mine = [k for k in range(model.nu) if _drives(model, k, model.joint(name).id)]
+        joint = model.joint(name).id
+        mine = [k for k in range(model.nu) if _drives(model, k, joint)]
+        if not mine and joint in tied:
+            continue
         if len(mine) != 1 or not _is_servo(model, mine[0]):
             return ()
         command = next((c for c in (model.actuator(mine[0]).name, name) if c in inputs), None)
@@ -147,15 +152,16 @@ def servos_of(made: Stepped, log: Log) -> tuple[Servo, ...]:
     return tuple(found)
 
 
-def _tied(model: mujoco.MjModel, log: Log) -> bool:
-    """Whether an equality ties two joints that are logged."""
-    logged = {model.joint(name).id for name in log.joint_names}
+def _tied(model: mujoco.MjModel) -> set[int]:
+    """Joints that an equality or a tendon ties to others."""
+    tied = set()
     for e in np.flatnonzero(model.eq_active0):
-        ends = {int(model.eq_obj1id[e]), int(model.eq_obj2id[e])}
-        of_joints = model.eq_type[e] == int(mujoco.mjtEq.mjEQ_JOINT)
-        if not of_joints or len(ends & logged) > 1:
-            return True
-    return False
+        if model.eq_type[e] == int(mujoco.mjtEq.mjEQ_JOINT) and model.eq_obj2id[e] >= 0:
+            tied |= {int(model.eq_obj1id[e]), int(model.eq_obj2id[e])}
+    for w in range(model.nwrap):
+        if model.wrap_type[w] == int(mujoco.mjtWrap.mjWRAP_JOINT):
+            tied.add(int(model.wrap_objid[w]))
+    return tied
 
 
 def _drives(model: mujoco.MjModel, actuator: int, joint: int) -> bool:

@@ -3,7 +3,7 @@ joints which are not simulated.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -17,14 +17,23 @@ from adaptsim_jax.simulators.closed_loop.law import Servo
 
 @dataclass(frozen=True)
 class Trial:
-    """A trial of servos: time [T] s from its first row, q [T, n] rad (NaN: not read), target [T, n]
-    rad or rad/s, held from row to row.
+    """A trial of servos.
+
+    Args:
+        name: Of its file.
+        time: [T] s from its first row.
+        q: [T, n] rad.
+        target: [T, n] rad or rad/s, held from row to row.
+        begins: {joint: rad} of joints that are tied to others.
+        others: {actuator: [T]} commands of actuators that are no servo of a joint.
     """
 
     name: str
     time: np.ndarray
     q: np.ndarray
     target: np.ndarray
+    begins: dict[str, float] = field(default_factory=dict)
+    others: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -43,15 +52,23 @@ def trials_of(log: Log, servos: Sequence[Servo]) -> tuple[Trial, ...]:
     commands = [column[s.command] for s in servos]
     factor, offset = np.array([s.target for s in servos]).T
     low, high = np.array([s.command_range for s in servos]).T
-    return tuple(
-        Trial(
-            trial.name,
-            trial.time - trial.time[0],
-            _filled(trial.time, trial.q[:, joints]),
-            np.clip(_held(trial.u[:, commands]), low, high) * factor + offset,
+    tied = [j for j in range(len(log.joint_names)) if j not in joints]
+    rest = [name for name in log.input_names if name not in {s.command for s in servos}]
+    out = []
+    for trial in log.trials:
+        begins = {log.joint_names[j]: float(np.nan_to_num(trial.q[0, j])) for j in tied}
+        held = _held(trial.u)
+        out.append(
+            Trial(
+                trial.name,
+                trial.time - trial.time[0],
+                _filled(trial.time, trial.q[:, joints]),
+                np.clip(held[:, commands], low, high) * factor + offset,
+                begins,
+                {name: held[:, column[name]] for name in rest},
+            )
         )
-        for trial in log.trials
-    )
+    return tuple(out)
 
 
 def _held(u: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ from scipy import signal
 
 from adaptsim_jax.simulators.closed_loop.imposed import Recording, heavier
 from adaptsim_jax.simulators.closed_loop.law import Law, later, with_model
-from adaptsim_jax.simulators.closed_loop.pieces import Motion, begins_at_rest, smoothed
+from adaptsim_jax.simulators.closed_loop.pieces import Motion, Trial, begins_at_rest, smoothed
 from adaptsim_jax.simulators.mujoco.rollouts import FULL, quietly
 
 LANES = 16  # machines that are simulated at once: their paths are held in memory
@@ -75,12 +75,15 @@ def _of_trial(recording, k: int, models, machines) -> list[Motion]:
     moving = smoothed(trial.time, trial.q)
     data = mujoco.MjData(models[0])
     data.qpos[:] = recording.pose
+    for name, angle in trial.begins.items():
+        data.qpos[models[0].joint(name).qposadr[0]] = angle
     data.qvel[dof] = 0.0 if begins_at_rest(trial.q) else moving.v[0]
     states, controls = [], []
     for model, laws in zip(models, machines, strict=True):
         u = arrived_targets(recording, k, laws)
         control = np.zeros((len(u), model.nu))
         control[:, [s.actuator for s in servos]] = u
+        _put_others(model, trial, dt, control)
         controls.append(control)
         data.qpos[qpos] = trial.q[0] - np.array([law.zero for law in laws])
         if model.na:
@@ -106,6 +109,15 @@ def _of_trial(recording, k: int, models, machines) -> list[Motion]:
     q, v = np.split(low + share * (high - low), 2, axis=-1)
     zero = np.array([[law.zero for law in laws] for laws in machines])[:, None]
     return [Motion(a, b, np.zeros_like(a)) for a, b in zip(q + zero, v, strict=True)]
+
+
+def _put_others(model: mujoco.MjModel, trial: Trial, step: float, control: np.ndarray) -> None:
+    """Put the commands of actuators that are no servo of a joint into `control` [S, nu], held."""
+    row = np.searchsorted(trial.time, step * np.arange(len(control)) + 1e-9, side="right") - 1
+    for name, command in trial.others.items():
+        actuator = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, name)
+        if actuator >= 0:
+            control[:, actuator] = command[row]
 
 
 def trial_errors(recording: Recording, motions: Sequence[Motion]) -> np.ndarray:
