@@ -1,7 +1,7 @@
 """Share of printed 90 % intervals that cover the truth, on fresh worlds.
 
-    python experiments/calibration.py --out OUT                      coupled tanks, a minute
-    python experiments/calibration.py --out OUT --kinds torque stretches --worlds 12
+    python -m experiments.calibration --out OUT                      coupled tanks, a minute
+    python -m experiments.calibration --out OUT --kinds torque stretches --worlds 12
 
 Worlds: two tanks of which one leaks (a simulator of one's own), and a pendulum with dry friction
 whose file has another mass (torque along the motion, simulated stretches). Only numbers of names

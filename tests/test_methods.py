@@ -33,7 +33,7 @@ METHODS = {
         r"\(\(?\w+(\(\w+\))? - 1\) / \w+(\(\w+\))? \* np\.square",
     ),
     "score test": ("diagnosis/testing.py", r"stats\.(t|f|chi2)\.sf"),
-    "bounded step": ("diagnosis/steps.py", r"\w+ = \w+ & \(\(step < low\)"),
+    "bounded step": ("diagnosis/steps.py", r"\w+ = \w+ & \(\((step|out) < (low|floor)\)"),
     "loop of damped steps": ("diagnosis/steps.py", r"damping = max\(|damping \*= "),
     "loop of starts": ("diagnosis/steps.py", r"rest = .*~good"),
     "search for effects": (
@@ -44,7 +44,15 @@ METHODS = {
     "stretches cut": ("logs/stretch_rows.py", r"inside\[-1\]\) \+ 1|max\(5\.0 \* dt"),
     "mean of a held command": ("attribution/stretches.py", r"np\.cumsum\(u\[:-1\] \*"),
     "rows of candidates": ("diagnosis/report.py", r'"status": status'),
-    "interval of an error": ("diagnosis/report.py", r"np\.median\(v\[d\]\) for d in draws"),
+    "interval of an error": (
+        "diagnosis/testing.py",
+        r"np\.median\(errors\[unit == |for d in draws",
+    ),
+    "standard errors of an interval": ("diagnosis/testing.py", r"stats\.t\.isf|1\.64[0-9]*\b"),
+    "straight line through a stretch": (
+        "diagnosis/straight.py",
+        r"count \* total\(|t \* t \* mask",
+    ),
     "noise by differences": (
         "logs/noise.py",
         r"np\.diff\([^()]+, (3|order)[,)]|0\.6745",

@@ -7,7 +7,6 @@ clusters: the variance of a score is taken from the scores of the stretches them
 Liang and Zeger, 1986), so that a model that is wrong otherwise gives no small p by itself.
 """
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -18,7 +17,7 @@ from adaptsim_jax.attribution.criteria import CONFIRMATION
 from adaptsim_jax.attribution.estimate import Linear, candidate_columns, padded_fold, project, rows
 from adaptsim_jax.attribution.problem import TreeProblem
 from adaptsim_jax.diagnosis.steps import bounded_step
-from adaptsim_jax.diagnosis.testing import best_of, score_p
+from adaptsim_jax.diagnosis.testing import best_along, best_of, score_p
 
 
 def table(
@@ -35,14 +34,24 @@ def table(
     sums = _Sums(problem, lin, at)
     for first in range(0, at, 64):
         sums.add(candidate_columns(problem, lin, pairs[first : first + 64]), first)
-    points = Counter(c.key for c in many)
-    best: dict[tuple, CandidateScore] = {}
+    shapes: dict[tuple, list[tuple[CandidateScore, range]]] = {}
     for c, cols in zip(many, where, strict=True):
-        score = sums.score(c, np.array(cols))
-        if c.key not in best or score.held_out > best[c.key].held_out:
-            best[c.key] = score
-    scores = [replace(s, p=best_of(s.p, points[k]), points=points[k]) for k, s in best.items()]
+        shapes.setdefault(c.key, []).append((sums.score(c, np.array(cols)), cols))
+    scores = [_best(rows, sums.slope) for rows in shapes.values()]
     return sorted(scores, key=lambda s: -s.held_out)
+
+
+def _best(rows: Sequence[tuple[CandidateScore, range]], slope: np.ndarray) -> CandidateScore:
+    """The score of a candidate's best shape, with the p of the best of all; rows: of each shape the
+    score and its columns of the slopes [W, K].
+    """
+    best = max((score for score, _ in rows), key=lambda s: s.held_out)
+    columns = [k for _, cols in rows for k in cols]
+    if len(columns) > len(rows):
+        p = best_of(best.p, len(rows))
+    else:
+        p = best_along(best.p, slope[:, columns])
+    return replace(best, p=p, points=len(rows))
 
 
 class _Sums:

@@ -108,6 +108,21 @@ def best_of(p: float, points: int) -> float:
     return float(-np.expm1(points * np.log1p(-p)))
 
 
+def best_along(p: float, scores: np.ndarray) -> float:
+    """p of the best of N tests, whose scores [W, N] of clusters change little from one to the next.
+
+    At most that of independent tests, and that of all along the curve through their directions, by
+    the length of its arcs (Hotelling, 1939; Naiman, 1986): the points of a grid that is finer than
+    the data resolve count as few.
+    """
+    size = np.maximum(np.sqrt(np.square(scores).sum(0)), 1e-300)
+    unit = scores / size
+    alike = np.abs((unit[:, 1:] * unit[:, :-1]).sum(0))
+    arcs = float(np.arccos(np.minimum(alike, 1.0)).sum())
+    along = p + arcs / np.pi * np.exp(-0.5 * stats.norm.isf(0.5 * p) ** 2)
+    return float(min(best_of(p, scores.shape[1]), along))
+
+
 def holm(p: Sequence[float], level: float, blocks: int) -> np.ndarray:
     """Level [K] up to which the p of each of several effects holds (Holm's step-down, 1979).
 

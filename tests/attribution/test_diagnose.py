@@ -132,11 +132,7 @@ def test_a_torque_that_acts_on_two_joints_is_named(tmp_path):
     [
         (825, {"effect": "saturation"}),
         (830, {"effect": "saturation"}),
-        pytest.param(
-            832,
-            {"effect": "saturation"},
-            marks=pytest.mark.xfail(reason="1.2 % too small, by the torque"),
-        ),
+        (832, {"effect": "saturation"}),
     ],
 )
 def test_a_limit_is_named_that_acts_nearly_always_or_in_a_few_stretches_only(tmp_path, seed, given):

@@ -14,7 +14,7 @@ from adaptsim_jax.attribution.parameters import TreeFit
 from adaptsim_jax.attribution.paths import losses, run, starts_of, weigh
 from adaptsim_jax.attribution.problem import nuisances, own_inertia, prepare, scaled_reach
 from adaptsim_jax.attribution.score import table
-from adaptsim_jax.diagnosis.testing import best_of
+from adaptsim_jax.diagnosis.testing import best_along, best_of, score_p
 from adaptsim_jax.effects.base import Effect, Quantity
 from adaptsim_jax.effects.joints.friction import VISCOUS
 from tests.attribution.pendulum import record
@@ -39,6 +39,22 @@ def test_the_best_of_many_points_is_as_if_they_were_independent():
     assert stats.kstest([best_of(z, POINTS) for z in p], "uniform").pvalue > 0.01
     assert best_of(1e-12, POINTS) == pytest.approx(POINTS * 1e-12)
     assert best_of(1.0, POINTS) == 1.0
+
+
+@pytest.mark.parametrize("width", [1.0, 8.0, 60.0])
+def test_the_best_of_a_fine_grid_is_neither_too_small_nor_the_worst_case(width):
+    """Scores of 30 clusters at 40 points, alike over so many of them."""
+    rng, at, found = np.random.default_rng(3), np.arange(40), []
+    root = np.linalg.cholesky(
+        np.exp(-0.5 * np.square((at[:, None] - at) / width)) + 1e-6 * np.eye(40)
+    )
+    for _ in range(400):
+        scores = rng.normal(size=(30, 40)) @ root.T
+        p = min(score_p(scores[:, [k]]) for k in at)
+        found.append((best_along(p, scores), best_of(p, 40)))
+    along, apart = np.array(found).T
+    assert np.mean(along < 0.05) < 0.09
+    assert width == 1.0 or np.median(along) < 0.9 * np.median(apart)
 
 
 def test_the_best_of_many_frequencies_of_noise_has_no_small_p(tmp_path):
