@@ -181,7 +181,7 @@ class Pipe(io.FileIO):
 
 def patient_output() -> None:
     """Go on where the reader of standard output went away."""
-    out = sys.stdout
+    out: Any = sys.stdout
     ours = out is sys.__stdout__ and isinstance(out, io.TextIOWrapper)
     if not ours or not stat.S_ISFIFO(os.fstat(out.fileno()).st_mode):
         return
