@@ -189,8 +189,9 @@ def patient_output() -> None:
     pipe: Any = Pipe(os.dup(out.fileno()), "wb")
     if isinstance(out.buffer, io.BufferedWriter):  # not under PYTHONUNBUFFERED
         pipe = io.BufferedWriter(pipe)
-    options = {"line_buffering": out.line_buffering, "write_through": out.write_through}
-    sys.stdout = io.TextIOWrapper(pipe, encoding=out.encoding, errors=out.errors, **options)
+    sys.stdout = io.TextIOWrapper(
+        pipe, out.encoding, out.errors, None, out.line_buffering, out.write_through
+    )
 
 
 @contextlib.contextmanager
