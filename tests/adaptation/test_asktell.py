@@ -16,6 +16,7 @@ from adaptsim_jax.learners.bdq import BDQConfig, make_bdq
 from adaptsim_jax.mechanisms.double_pendulum import linear as model
 from adaptsim_jax.tasks.pendulum.measured import measured_trajectory
 from adaptsim_jax.tasks.pendulum.task import PendulumConfig, make_pendulum
+from tests.mechanisms.linear_trajectory import linear_trajectory
 
 TARGET = (1.8, 0.3, 1.5, 1.5)
 
@@ -66,7 +67,7 @@ def recorded(policy, seconds=2.6, rate=500.0, velocities=True):
     """What a logger on the target would write, from the exact solution at its own rate."""
     A, B = model.linearized(jnp.array(TARGET))
     time = np.arange(0.0, seconds, 1.0 / rate)
-    x, u = model.linear_trajectory(A, B, policy.gain, jnp.array(model.START), jnp.asarray(time))
+    x, u = linear_trajectory(A, B, policy.gain, jnp.array(model.START), jnp.asarray(time))
     names = {"q1": x[:, 0], "q2": x[:, 1], "tau1": u[:, 0], "tau2": u[:, 1]}
     if velocities:
         names |= {"v1": x[:, 2], "v2": x[:, 3]}

@@ -20,6 +20,7 @@ from adaptsim_jax.cli import main
 from adaptsim_jax.core.files import LOCK
 from adaptsim_jax.mechanisms.double_pendulum import linear as model
 from tests.commands.test_errors import HEED
+from tests.mechanisms.linear_trajectory import linear_trajectory
 
 pytestmark = pytest.mark.slow
 SIZES = (
@@ -209,7 +210,7 @@ def write_trial(path, gain, target=(1.8, 0.3, 1.5, 1.5)):
     """What a logger of a robot with those parameters would write."""
     A, B = model.linearized(np.array(target, np.float32))
     time = np.arange(0.0, 2.6, 0.001)
-    x, u = model.linear_trajectory(
+    x, u = linear_trajectory(
         A, B, np.array(gain, np.float32), np.array(model.START, np.float32), time
     )
     table = np.column_stack([time, x, u])

@@ -20,6 +20,7 @@ from adaptsim_jax.mechanisms.double_pendulum.linear import (
     UNSTABLE,
     transition,
 )
+from tests.mechanisms.linear_trajectory import linear_trajectory
 
 SETTINGS = np.array(  # paper, table A2: wd, ood-1 .. ood-4
     [
@@ -70,7 +71,7 @@ def test_rollout_is_what_an_integrator_finds(x64):
         rtol=1e-10,
         atol=1e-12,
     )
-    states, commands = pd.linear_trajectory(A, B, gain, jnp.asarray(pd.START), jnp.asarray(times))
+    states, commands = linear_trajectory(A, B, gain, jnp.asarray(pd.START), jnp.asarray(times))
     np.testing.assert_allclose(states, flow.y.T, atol=1e-7)
     cost = np.sum(np.asarray(states) ** 2) + np.sum(np.asarray(commands) ** 2)
     assert float(pd.rollout(SETTINGS[1], gain).cost) == pytest.approx(cost, rel=1e-11)

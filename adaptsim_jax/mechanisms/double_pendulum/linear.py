@@ -89,21 +89,6 @@ def linear_rollout(
     return LinearRollout(cost, points, code.astype(jnp.int32))
 
 
-def linear_trajectory(
-    A: Array, B: Array, gain: Array, x0: Array, times: Array
-) -> tuple[Array, Array]:
-    """States `[T, n]` and commands `[T, m]` under `u = -gain x` at equispaced `times: [T]` s from
-    0.
-    """
-    T = times.shape[0]
-    power = transition(A - mm(B, gain), times[1] - times[0])
-    states = x0[None]
-    while states.shape[0] < T:  # the states so far, and the same ones that many samples later
-        states = jnp.concatenate([states, states @ power.T])[:T]
-        power = mm(power, power)
-    return states, -states @ gain.T
-
-
 def transition(A: Array, dt: Any) -> Array:
     """Matrix exponential of `A dt`, `[n, n, ...]`, by a scaled Taylor series and squaring."""
     return eye_like(A) + _expm1(A * dt)
