@@ -181,7 +181,7 @@ class Pipe(io.FileIO):
 
 def patient_output() -> None:
     """Go on where the reader of standard output went away."""
-    out = sys.stdout
+    out: Any = sys.stdout
     ours = out is sys.__stdout__ and isinstance(out, io.TextIOWrapper)
     if not ours or not stat.S_ISFIFO(os.fstat(out.fileno()).st_mode):
         return
@@ -189,8 +189,9 @@ def patient_output() -> None:
     pipe: Any = Pipe(os.dup(out.fileno()), "wb")
     if isinstance(out.buffer, io.BufferedWriter):  # not under PYTHONUNBUFFERED
         pipe = io.BufferedWriter(pipe)
-    options = {"line_buffering": out.line_buffering, "write_through": out.write_through}
-    sys.stdout = io.TextIOWrapper(pipe, encoding=out.encoding, errors=out.errors, **options)
+    sys.stdout = io.TextIOWrapper(
+        pipe, out.encoding, out.errors, None, out.line_buffering, out.write_through
+    )
 
 
 @contextlib.contextmanager

@@ -124,9 +124,10 @@ class Kept:
         """Write `tree` at `step` where the last one is old enough."""
         if time.monotonic() - self.saved < self.every:
             return
-        hashed = {"task": self.task, "config_hash": self.config_hash}
         with contextlib.suppress(BadInput):  # the work is worth more than its checkpoint
-            save_checkpoint(self.folder, tree, step=step, **hashed)
+            save_checkpoint(
+                self.folder, tree, task=self.task, step=step, config_hash=self.config_hash
+            )
         self.saved = time.monotonic()
 
     def clear(self) -> None:

@@ -115,6 +115,11 @@ def ready(setting: Setting, prepared: Prepared) -> Task:
     def act(policy, obs):
         return _acts(setting, prepared, policy, obs)
 
+    def world(target):
+        if isinstance(target, Path):
+            return in_file(setting, prepared, target)
+        return in_target(setting, prepared, target)
+
     return Task(
         name="environment",
         space=space,
@@ -130,9 +135,7 @@ def ready(setting: Setting, prepared: Prepared) -> Task:
         score=lambda trajectory: trajectory.score - trajectory.luck,
         reference=_reference(setting, rollout, policy_of),
         reward=_scaled_reward,
-        world=lambda target: (in_file if isinstance(target, Path) else in_target)(
-            setting, prepared, target
-        ),
+        world=world,
         act=None if config.policy == "planned" else act,
         read=lambda obs, action, reward: measured(setting, obs, action, reward, acting),
     )
@@ -147,8 +150,8 @@ def _training(setting: Setting, learned: Any) -> Callable:
     def train(key, dist, policy):
         if config.policy != "tuned":
             return Law(dist.mean)
-        ends = (jnp.clip(dist.mean + way * config.spread, 0.0, 1.0) for way in (-1.0, 1.0))
-        worlds = Worlds(*ends, jnp.ones(()), jnp.zeros(0))
+        low, high = (jnp.clip(dist.mean + way * config.spread, 0.0, 1.0) for way in (-1.0, 1.0))
+        worlds = Worlds(low, high, jnp.ones(()), jnp.zeros(0))
         state, _ = trainer.train(key, trainer.begin(key, learned), worlds, config.tune)
         return Tuned(dist.mean, trainer.policy(trainer.learned(state)))
 

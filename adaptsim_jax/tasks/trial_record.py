@@ -112,15 +112,13 @@ class TrialFiles(NamedTuple):
     """Where trials are read from.
 
     actions: The file of actions, tracks: those of tracks. meta: The table of meta.toml, where: how
-    messages call it. as_declared: Whatever tracks say of the frame. without: Trials whose
-    tracks are not looked at.
+    messages call it. without: Trials whose tracks are not looked at.
     """
 
     actions: Path
     tracks: Sequence[Path]
     meta: Mapping[str, Any]
     where: Path
-    as_declared: bool
     without: Sequence[str]
 
 
@@ -305,13 +303,9 @@ def read_tracks(
     wanted = _Wanted(numbers, files.actions, kind, more, without)
     for path, table in tables:
         _read_tracks(path, table, wanted, found)
-    record.check_different({n: track.places for n, track in found.items()}, place_of(paths))
+    place = str(paths[0] if len(paths) == 1 else paths[0].parent)
+    record.check_different({n: track.places for n, track in found.items()}, place)
     return found, more
-
-
-def place_of(paths: Sequence[Path]) -> str:
-    """How messages call the tracks of all files."""
-    return str(paths[0] if len(paths) == 1 else paths[0].parent)
 
 
 class _Wanted(NamedTuple):
@@ -362,6 +356,7 @@ def _read_track(
             f"{row(-1)}: {kind.body} never moved: {kind.never}; leave it out (--without {number}) "
             "or make it again"
         )
+    record.check_clock_set(t, p[:, :2], row, kind.body)
     for j in (2 + wanted.more.index(name) for name in kind.angles if name in wanted.more):
         p[:, j] = record.unwrapped(t, p[:, j], row, kind.body)
     keep = (t >= 0.0) & (t <= kind.ends)

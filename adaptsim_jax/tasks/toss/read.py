@@ -193,6 +193,7 @@ def _one(time: np.ndarray, place: np.ndarray, turn: np.ndarray, trials) -> tuple
         )
     gaps = np.diff(time)
     record.check_leaps(time, place, trials, "the body", TOSS.fastest)
+    record.check_clock_set(time, place, trials, "the body")
     turn = continuous(turn)
     spun = np.linalg.norm(between(turn[:-1], turn[1:]), axis=1)
     for k in np.flatnonzero((spun > TOSS.spin * gaps) & (spun > 0.5))[:1] + 1:

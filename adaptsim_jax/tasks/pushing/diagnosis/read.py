@@ -82,7 +82,7 @@ def assemble(
     without: Sequence[str] = (),
 ) -> Pushed:
     """Pushes of an actions file and tracks' files; see `read`."""
-    files = TrialFiles(actions, tracks, meta, where, as_declared, without)
+    files = TrialFiles(actions, tracks, meta, where, without)
     units, begun = {"speed": "m/s", "angle": "rad"}, ("start_x", "start_y")
     trials = trial_record.read_trials(files, KIND, units, _check_actions, begun)
     c, names = trials.columns, trials.names

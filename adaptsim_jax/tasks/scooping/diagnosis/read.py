@@ -13,7 +13,7 @@ from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks import trial_record
 from adaptsim_jax.tasks.scooping import model
-from adaptsim_jax.tasks.scooping.model import ScoopOptions
+from adaptsim_jax.tasks.scooping.model import ScoopOptions, check_options
 from adaptsim_jax.tasks.scooping.motion import KIND, check_mirrored, check_way
 from adaptsim_jax.tasks.trial_record import TrialFiles, TrialRecording
 
@@ -61,13 +61,13 @@ def assemble(
     """Scoops of an actions file and tracks' files; see `read`. own_frame: Tracks count from
     anywhere. Each is moved to begin at its place.
     """
-    files = TrialFiles(actions, tracks, meta, where, as_declared, without)
+    files = TrialFiles(actions, tracks, meta, where, without)
     needed = {"place_x": "m", "place_y": "m", **{k: unit for k, (_, _, unit) in _LIMITS.items()}}
     trials = trial_record.read_trials(files, KIND, needed, _check_actions)
     names, found = trials.names, trials.found
     starts, acts = trials.stacked("place_x", "place_y"), trials.stacked(*_LIMITS)
     given = {k: float(meta[k]) for k in ("clearance", "press") if k in meta}
-    options = replace(ScoopOptions(), **given)
+    options = check_options(replace(ScoopOptions(), **given))
     if not as_declared:
         check_mirrored(starts[:, 1], np.array([found[n].places[0, 1] for n in names]), str(where))
     trial_record.check_spacing(names, found)
