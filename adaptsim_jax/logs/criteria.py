@@ -113,6 +113,8 @@ class SignalCriteria:
     stamp_rows: int = 21  # rows over which the speed is averaged
     stamp_share: float = 0.3  # of the unevenness of time, that angles do not follow
     stamp_errors: float = 6.0  # standard errors of that share
+    written: float = 1e-6  # of the range: nearer values are one, but for a table's digits
+    rows_a_value: float = 4.0  # of an encoder, at least: its values are few
     slow: float = 0.02  # of the top speed: slower rows are not counted as turning round
 
 
@@ -277,7 +279,7 @@ class RepeatCriteria:
 class WordCriteria:
     """Words of registers (`words.py`)."""
 
-    least: float = 512.0  # that readings leap by: a joint goes so far between no two rows
+    leap: float = 512.0  # that readings leap by: a joint goes so far between no two rows
     left: float = 0.25  # of the largest leap, that words taken otherwise may leave
 
 

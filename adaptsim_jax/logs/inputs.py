@@ -146,7 +146,7 @@ def choose_inputs(
     notes = _notes(kind, kinds, meta)
     if kind == "command":
         if meta.targets is None:
-            _check_told(trials, names)
+            _check_next_rows(trials, names)
         return _commands(trials, names, notes, moving)
     stem = STEM[kind]
     if kind == "torque" and not all("tau" in t.by_joint for t in trials):
@@ -258,7 +258,7 @@ def _check_targets(
             )
 
 
-def _check_told(trials: list[JointColumns], names: ModelNames) -> None:
+def _check_next_rows(trials: list[JointColumns], names: ModelNames) -> None:
     """BadInput where a column of targets holds the angles of the next rows, or the steps to them,
     to the bit, as converted data sets have them: what was commanded is not there.
     """

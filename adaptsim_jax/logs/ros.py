@@ -155,7 +155,7 @@ def _states(
     series = [
         one
         for rows, *_ in found
-        for one in _series([((time - first) * 1e-9, *said) for time, *said in rows])
+        for one in _series([((time - first) * 1e-9, *row) for time, *row in rows])
     ]
     late = times.late if times.stamped else 0
     notes = tuple(note for *_, own in found for note in own)

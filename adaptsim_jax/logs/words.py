@@ -39,7 +39,7 @@ def word_of(parts: Sequence[np.ndarray]) -> str:
     """
     raw = [x[np.isfinite(x)] for x in parts]
     every, leap = np.concatenate(raw), _leap(raw)
-    if leap < WORD.least or np.any(every != np.round(every)):
+    if leap < WORD.leap or np.any(every != np.round(every)):
         return ""
     read = {how: [way(x) for x in raw] for how, way in WORDS.items()}
     good = [how for how, own in read.items() if _leap(own) < WORD.left * leap]
