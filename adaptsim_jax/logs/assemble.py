@@ -216,8 +216,8 @@ def _selected(path: str, raw: list[RawTrial], meta: LogMeta) -> list[RawTrial]:
     if not retained:
         raise BadInput(f"{meta.path}: trials.exclude leaves no trial; keep one")
     short = [trial.name for trial in retained if len(trial.lines) < TABLE.min_rows]
-    first, *others = [trial for trial in retained if trial.name not in short] or [None]
-    if first is None:
+    long = [trial for trial in retained if trial.name not in short]
+    if not long:
         raise BadInput(
             f"{path}: {short[0]} has {len(retained[0].lines)} rows; a trial needs at least "
             f"{TABLE.min_rows}"
@@ -225,7 +225,7 @@ def _selected(path: str, raw: list[RawTrial], meta: LogMeta) -> list[RawTrial]:
     if not short:
         return retained
     note = f"fewer than {TABLE.min_rows} rows, left out: {', '.join(short)}"
-    return [replace(first, notes=(*first.notes, note)), *others]
+    return [replace(long[0], notes=(*long[0].notes, note)), *long[1:]]
 
 
 def _without_ignored(trial: RawTrial, meta: LogMeta, model: ModelNames | None) -> RawTrial:

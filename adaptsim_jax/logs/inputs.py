@@ -263,9 +263,9 @@ def _check_next_rows(trials: list[JointColumns], names: ModelNames) -> None:
     to the bit, as converted data sets have them: what was commanded is not there.
     """
     for (stem, j), column in trials[0].named.items():
-        pairs = [(t.written.get(("q", j)), t.written.get((stem, j))) for t in trials]
-        if stem != "target" or any(q is None or u is None for q, u in pairs):
+        if stem != "target" or any(("q", j) not in t.written for t in trials):
             continue
+        pairs = [(t.written["q", j], t.written[stem, j]) for t in trials if (stem, j) in t.written]
         q, u, after = (
             np.concatenate(parts)
             for parts in zip(*((q[:-1], u[:-1], q[1:]) for q, u in pairs), strict=True)

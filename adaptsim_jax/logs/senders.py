@@ -10,8 +10,8 @@ import numpy as np
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.criteria import CLOCK, SIGNAL
 
-Message = tuple[float, tuple[str, ...], Mapping[str, Any]]
-"""Time, names of joints, and their values by stem."""
+Message = tuple[Any, tuple[str, ...], Mapping[str, Any]]
+"""Time (ns or s), names of joints, and their values by stem."""
 
 
 def one_sender(topic: str, rows: Sequence[Message]) -> tuple[list[Message], tuple[str, ...]]:
