@@ -75,14 +75,10 @@ def read(path: str | Path, missing: str = "no such file; check the name") -> dic
         ValueError,
         RecursionError,
     ) as error:  # not only TOMLDecodeError: dates and digits fail in Python's own words
-        why = " ".join(str(error).split())[:160]
-        escape = "\\" in why or "hex value" in why
         raise BadInput(
-            f"{path}: not TOML ({why}); {BACKSLASH if escape else 'mend that line'}"
+            f"{path}: not TOML ({' '.join(str(error).split())[:160]}); mend that line: in a path "
+            "write / in place of a backslash"
         ) from None
-
-
-BACKSLASH = "write / in place of a backslash, which between double quotes is an escape"
 
 
 def write(path: str | Path, table: dict[str, Any]) -> None:

@@ -24,7 +24,7 @@ from adaptsim_jax.logs.quality.consistency import jitter
 from adaptsim_jax.logs.repeats import read_once
 from adaptsim_jax.logs.scales import check_log_units, check_scales
 from adaptsim_jax.logs.tables import RawTrial
-from adaptsim_jax.logs.words import decoded
+from adaptsim_jax.logs.words import WORDS, word_of
 
 
 def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: LogMeta) -> Log:
@@ -216,8 +216,8 @@ def _selected(path: str, raw: list[RawTrial], meta: LogMeta) -> list[RawTrial]:
     if not retained:
         raise BadInput(f"{meta.path}: trials.exclude leaves no trial; keep one")
     short = [trial.name for trial in retained if len(trial.lines) < TABLE.min_rows]
-    first, *others = [trial for trial in retained if trial.name not in short] or [None]
-    if first is None:
+    long = [trial for trial in retained if trial.name not in short]
+    if not long:
         raise BadInput(
             f"{path}: {short[0]} has {len(retained[0].lines)} rows; a trial needs at least "
             f"{TABLE.min_rows}"
@@ -225,7 +225,7 @@ def _selected(path: str, raw: list[RawTrial], meta: LogMeta) -> list[RawTrial]:
     if not short:
         return retained
     note = f"fewer than {TABLE.min_rows} rows, left out: {', '.join(short)}"
-    return [replace(first, notes=(*first.notes, note)), *others]
+    return [replace(long[0], notes=(*long[0].notes, note)), *long[1:]]
 
 
 def _without_ignored(trial: RawTrial, meta: LogMeta, model: ModelNames | None) -> RawTrial:
@@ -270,18 +270,22 @@ def _without_missing(trial: RawTrial, meta: LogMeta) -> RawTrial:
 
 
 def _decoded(raw: Sequence[RawTrial]) -> tuple[list[RawTrial], tuple[str, ...]]:
-    """The trials with words of registers as the numbers that they mean, and a note on each."""
-    columns, notes = [dict(trial.columns) for trial in raw], []
-    for name in columns[0]:
-        found = role(name)
-        have = [own for own in columns if name in own]
-        if found and found.stem in ("time", "nanos", "trial", "base", "channel"):
+    """The trials with words of registers as the numbers that they mean, and a note on each. A
+    target, which may leap, is in words as its angle is.
+    """
+    columns = [dict(trial.columns) for trial in raw]
+    roles = {name: found for name in columns[0] if (found := role(name))}
+    angles = {found.joint: name for name, found in roles.items() if found.stem == "q"}
+    notes = []
+    for name, found in roles.items():
+        leads = angles.get(found.joint) if found.stem == "target" else name
+        if leads is None or found.stem not in ("q", "v", "tau", "target"):
             continue
-        values, how = decoded([own[name] for own in have])
+        how = word_of([trial.columns[leads] for trial in raw if leads in trial.columns])
         if how:
-            notes.append(f"column {name}: {how}")
-            for own, x in zip(have, values, strict=True):
-                own[name] = x
+            notes.append(f"column {name}: whole numbers leap: {how}")
+            for own in (own for own in columns if name in own):
+                own[name] = WORDS[how](own[name])
     pairs = zip(raw, columns, strict=True)
     return [replace(trial, columns=own) for trial, own in pairs], tuple(notes)
 

@@ -42,7 +42,7 @@ class ClockCriteria:
     usual_steps: float = 0.9  # of the steps between messages: those at rest say little
     contradicts: float = 3.0  # such steps that another sender's angles may be off
     leap: float = 0.2  # of an angle's range between two messages: no joint goes so far
-    leaps: float = 0.05  # of the messages: a wrap or a jump of a gripper comes more seldom
+    leaps: float = 0.02  # of the messages that do, and the next one back: no joint, nor a wrap
 
 
 @dataclass(frozen=True)
@@ -113,6 +113,8 @@ class SignalCriteria:
     stamp_rows: int = 21  # rows over which the speed is averaged
     stamp_share: float = 0.3  # of the unevenness of time, that angles do not follow
     stamp_errors: float = 6.0  # standard errors of that share
+    written: float = 1e-6  # of the range: nearer values are one, but for a table's digits
+    rows_a_value: float = 4.0  # of an encoder, at least: its values are few
     slow: float = 0.02  # of the top speed: slower rows are not counted as turning round
 
 
@@ -280,6 +282,7 @@ class RepeatCriteria:
 class WordCriteria:
     """Words of registers (`words.py`)."""
 
+    leap: float = 512.0  # that readings leap by: a joint goes so far between no two rows
     left: float = 0.25  # of the largest leap, that words taken otherwise may leave
 
 

@@ -146,7 +146,7 @@ def choose_inputs(
     notes = _notes(kind, kinds, meta)
     if kind == "command":
         if meta.targets is None:
-            _check_told(trials, names)
+            _check_next_rows(trials, names)
         return _commands(trials, names, notes, moving)
     stem = STEM[kind]
     if kind == "torque" and not all("tau" in t.by_joint for t in trials):
@@ -258,14 +258,14 @@ def _check_targets(
             )
 
 
-def _check_told(trials: list[JointColumns], names: ModelNames) -> None:
+def _check_next_rows(trials: list[JointColumns], names: ModelNames) -> None:
     """BadInput where a column of targets holds the angles of the next rows, or the steps to them,
     to the bit, as converted data sets have them: what was commanded is not there.
     """
     for (stem, j), column in trials[0].named.items():
-        pairs = [(t.written.get(("q", j)), t.written.get((stem, j))) for t in trials]
-        if stem != "target" or any(q is None or u is None for q, u in pairs):
+        if stem != "target" or any(("q", j) not in t.written for t in trials):
             continue
+        pairs = [(t.written["q", j], t.written[stem, j]) for t in trials if (stem, j) in t.written]
         q, u, after = (
             np.concatenate(parts)
             for parts in zip(*((q[:-1], u[:-1], q[1:]) for q, u in pairs), strict=True)

@@ -148,8 +148,8 @@ def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> JointColumn
             made.joint(name, found)
     notes = compared(trial.path, made.headed, meta.units)
     angles, commanded = (made.by_joint.get(stem, {}) for stem in ("q", "target"))
-    anew = {j: q for j, q in angles.items() if j not in made.counted}
-    whole, unsure = _without_turns(trial, names, seconds, anew)
+    wrapping = {j: q for j, q in angles.items() if j not in made.counted}
+    whole, unsure = _without_turns(trial, names, seconds, wrapping)
     whole = angles | whole
     if meta.targets == "relative":
         commanded = {j: angles[j] + u for j, u in commanded.items() if j in angles}

@@ -180,7 +180,9 @@ def _trial(folder: Path, episode: int, parts: list, features: dict, fps: Any) ->
             columns |= {
                 f"{name}[{k}]" if written else f"{stem}_{k + 1}": values[:, k] for k in range(width)
             }
-            if written:
+            if not written:
+                notes = (*notes, f"{name} has no names: taken in the model's order of joints")
+            else:
                 stated = ", ".join(dict.fromkeys(map(str, written)))
                 doubt[name] = f"names {len(written)} of the {width} numbers of {name} ({stated})"
     return RawTrial(

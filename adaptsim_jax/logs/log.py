@@ -267,8 +267,8 @@ def model_names(source: Source) -> ModelNames:
         else:
             kind = "other"
         joint = moves[0] if moves else ""
-        told = _told(model, k) if kind in ("position", "general") else (1.0, 0.0)
-        actuators.append(ActuatorName(model.actuator(k).name, joint, kind, moves, *told))
+        scale = _command_at(model, k) if kind in ("position", "general") else (1.0, 0.0)
+        actuators.append(ActuatorName(model.actuator(k).name, joint, kind, moves, *scale))
     return ModelNames(joints, tuple(slides), tuple(parents), tuple(actuators), tied, tuple(ranges))
 
 
@@ -288,7 +288,7 @@ def _kind(model, k: int) -> str:
     return "velocity"
 
 
-def _told(model, k: int) -> tuple[float, float]:
+def _command_at(model, k: int) -> tuple[float, float]:
     """`per_angle` and `at_zero` of an actuator of a joint; 1 and 0 where no angle balances it."""
     gain, bias, gear = (
         float(x)

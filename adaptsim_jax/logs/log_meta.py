@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
-from adaptsim_jax.core.config import BACKSLASH, read, suggest
+from adaptsim_jax.core.config import read, suggest
 from adaptsim_jax.core.errors import BadInput, brief
 from adaptsim_jax.logs.columns import CHANNEL, NANOS, TIME
 from adaptsim_jax.logs.declared import TEXT_KEYS, choice, known, not_negative, number, tables, text
@@ -233,7 +233,7 @@ def _in_folder(path: Path, raw: dict, key: str, mend: str) -> str | None:
     if not where.exists() or (key == "model" and not where.is_file()):
         what = "does not exist" if not where.exists() else "is a folder"
         if "\\" in named or not named.isprintable():
-            mend = BACKSLASH
+            mend = "write / in place of a backslash, which between double quotes is an escape"
         raise BadInput(f"{path}: {key} {brief(named)} {what}; {mend}")
     return str(where)
 

@@ -5,9 +5,9 @@ from math import comb
 
 import numpy as np
 
+from adaptsim_jax.logs.criteria import SIGNAL
+
 NORMAL = 0.6745  # median size of a normal deviate, in standard deviations
-WRITTEN = 1e-6  # of a channel's range: values nearer are one, but for the digits of a table
-FEW = 4  # rows at least for each value of an encoder
 ROUNDING = 1e-12  # of a channel's largest value: differences below it are those of floating point
 
 
@@ -44,9 +44,9 @@ def sensor_noise(parts: Sequence[np.ndarray]) -> np.ndarray:
     """
     size, rows = difference_noise(parts), np.concatenate(parts)
     shows = size > ROUNDING * np.max(np.abs(np.nan_to_num(rows)), axis=0)
-    least = [encoder_step(z) / np.sqrt(12.0) for z in rows.reshape(len(rows), -1).T]
-    least = np.reshape(least, rows.shape[1:])
-    return np.maximum(np.where(shows, size, difference_noise(parts, robust=False)), least)
+    floor = [encoder_step(z) / np.sqrt(12.0) for z in rows.reshape(len(rows), -1).T]
+    floor = np.reshape(floor, rows.shape[1:])
+    return np.maximum(np.where(shows, size, difference_noise(parts, robust=False)), floor)
 
 
 def encoder_step(z: np.ndarray) -> float:
@@ -55,8 +55,8 @@ def encoder_step(z: np.ndarray) -> float:
     """
     values = np.unique(z[np.isfinite(z)])
     gaps = np.diff(values)
-    steps = gaps[gaps > WRITTEN * np.ptp(values)] if len(gaps) else gaps
-    if not len(steps) or FEW * (len(steps) + 1) > len(z):
+    steps = gaps[gaps > SIGNAL.written * np.ptp(values)] if len(gaps) else gaps
+    if not len(steps) or SIGNAL.rows_a_value * (len(steps) + 1) > len(z):
         return 0.0
     return float(np.min(steps))
 

@@ -155,7 +155,7 @@ def _states(
     series = [
         one
         for rows, *_ in found
-        for one in _series([((time - first) * 1e-9, *said) for time, *said in rows])
+        for one in _series([((time - first) * 1e-9, names, values) for time, names, values in rows])
     ]
     late = times.late if times.stamped else 0
     notes = tuple(note for *_, own in found for note in own)
@@ -278,7 +278,8 @@ def _trajectory(
             return float(np.interp(at, own.time, own.columns[f"q_{joint}"]))
         return 0.0
 
-    reported = wanted.options.get("trajectory")
+    asked = wanted.options.get("trajectory")
+    reported = asked if isinstance(asked, str) else None
     if reported is None and not any(t > plan.takes_over for plan in plans for t, *_ in plan.points):
         return followed(plans, angle, True), tuple(
             notes

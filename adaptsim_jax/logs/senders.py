@@ -10,8 +10,8 @@ import numpy as np
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.criteria import CLOCK, SIGNAL
 
-Message = tuple[float, tuple[str, ...], Mapping[str, Any]]
-"""Time, names of joints, and their values by stem."""
+Message = tuple[Any, tuple[str, ...], Mapping[str, Any]]
+"""Time (ns or s), names of joints, and their values by stem."""
 
 
 def one_sender(topic: str, rows: Sequence[Message]) -> tuple[list[Message], tuple[str, ...]]:
@@ -71,9 +71,11 @@ def _contradict(time: np.ndarray, q: np.ndarray, other_time: np.ndarray, other: 
 
 
 def _leaps(q: np.ndarray) -> bool:
-    """Whether an angle `[K, n]` leaps over much of its range again and again."""
+    """Whether an angle `[K, n]` leaps over much of its range, and back at once, again and again."""
     if len(q) < CLOCK.min_stamps:
         return False
     span = np.ptp(q, axis=0)
-    leaps = np.abs(np.diff(q, axis=0)) > CLOCK.leap * span
-    return bool(np.any((np.mean(leaps, axis=0) > CLOCK.leaps) & (span > SIGNAL.moving)))
+    step = np.diff(q, axis=0)
+    leaps = np.abs(step) > CLOCK.leap * span
+    back = leaps[:-1] & leaps[1:] & (step[:-1] * step[1:] < 0)
+    return bool(np.any((np.mean(back, axis=0) > CLOCK.leaps) & (span > SIGNAL.moving)))

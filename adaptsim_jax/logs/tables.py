@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from adaptsim_jax.core.config import suggest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.archive import STEMS, is_list, read_archive, stem_and_place
 from adaptsim_jax.logs.beside import left_out, strays
@@ -143,32 +144,18 @@ def headers_of(files: Iterable[Path]) -> dict[Path, list[str]]:
 def read_file(path: Path, name: str, meta: LogMeta) -> list[RawTrial]:
     """The trials of one CSV or NPZ file: one, or one for each value of its `trial` column."""
     header, rename, rate = column_names(path), meta.columns, meta.rows_per_second
-    places = {
-        theirs: ours
-        for ours, theirs in rename.items()
-        if theirs not in header and _whole(theirs) in header
-    }
-    for ours, theirs in rename.items():
-        if theirs not in header and theirs not in places:
-            from adaptsim_jax.core.config import suggest
-
-            raise BadInput(
-                f"{path}: has no column {theirs!r}, which [columns] gives to {ours}; "
-                f"{suggest(theirs, header)}"
-            )
-    lists = _lists(path, header, rename)
-    ours = lists | {theirs: new for new, theirs in rename.items()}
+    places = _places(path, header, rename)
+    given = _lists(path, header, rename) | {theirs: new for new, theirs in rename.items()}
     named = {
-        column: ours.get(column, column)
+        column: given.get(column, column)
         for column in header
-        if column in ours or column not in rename
+        if column in given or column not in rename
     }
-    reported = {
+    wanted = [
         column
-        for column in named
-        if role(named[column]) is not None and not is_ignored(named[column], meta.ignore)
-    }
-    wanted = tuple(dict.fromkeys(column for column in header if column in reported))
+        for column, ours in named.items()
+        if role(ours) is not None and not is_ignored(ours, meta.ignore)
+    ]
     labels = next((column for column in wanted if named[column] in TRIAL), None)
     timed = any(named[column] in TIME for column in wanted)
     if path.suffix.lower() == ".npz" and not timed and rate is None:
@@ -189,27 +176,34 @@ def read_file(path: Path, name: str, meta: LogMeta) -> list[RawTrial]:
         parts = _labelled(path, labels, table)
     else:
         parts = _restarted(path, name, table, table.columns[time])
-    trials = []
-    for label, part in parts:
+    for _, part in parts:
         clock = part.columns[time]
-        if np.all(np.diff(clock) > 0):
-            mend = ""
-        else:
+        if not np.all(np.diff(clock) > 0):
             mend = _mend(path, header, rename.get(time, time), rename, part, clock)
-        check_clock(path, clock, part.lines, part.row_word, mend)
-        trials.append(
-            RawTrial(
-                label,
-                str(path),
-                part.columns,
-                part.lines,
-                part.row_word,
-                part.ignored,
-                part.notes,
-                units=part.units,
-            )
+            check_clock(path, clock, part.lines, part.row_word, mend)
+    return [
+        RawTrial(
+            label, str(path), t.columns, t.lines, t.row_word, t.ignored, t.notes, units=t.units
         )
-    return trials
+        for label, t in parts
+    ]
+
+
+def _places(path: Path, header: list[str], rename: Mapping[str, str]) -> dict[str, str]:
+    """What `[columns]` says of single places of lists (`q[2]` -> ours). BadInput where it names a
+    column that is not there.
+    """
+    places = {}
+    for ours, theirs in rename.items():
+        if theirs in header:
+            continue
+        if _whole(theirs) not in header:
+            raise BadInput(
+                f"{path}: has no column {theirs!r}, which [columns] gives to {ours}; "
+                f"{suggest(theirs, header)}"
+            )
+        places[theirs] = ours
+    return places
 
 
 def _restarted(
@@ -319,7 +313,7 @@ def _read(path: Path, named: Mapping[str, str], places: Mapping[str, str]) -> Lo
     """`read_table` of the columns in `named` (theirs -> ours); of lists and arrays `[T, n]` by
     place: `q` gives q1 to qn, or those `places` (`q[2]` -> ours) alone that are named.
     """
-    apart = {_whole(place) for place in places}
+    lists = {_whole(place) for place in places}
     table = read_table(path, tuple(named), ours=_Named(named), whole=False)
     rows = np.array([np.zeros(len(table.lines)), *table.columns.values()])
     if np.isinf(rows).any() or np.isnan(rows).any(0).mean() > TABLE.few:
@@ -330,7 +324,7 @@ def _read(path: Path, named: Mapping[str, str], places: Mapping[str, str]) -> Lo
             "count from 0"
         )
     named = {**named, **places}
-    columns = {n: x for n, x in table.columns.items() if n in places or _whole(n) not in apart}
+    columns = {n: x for n, x in table.columns.items() if n in places or _whole(n) not in lists}
     orders: dict[str, list[str]] = {}
     for name in columns:
         part = None if name in named else stem_and_place(name)

@@ -130,6 +130,8 @@ def test_entries_without_names_go_by_their_order(tmp_path):
     np.testing.assert_allclose(log.trials[0].q, M["q"])
     np.testing.assert_allclose(log.trials[0].time, M["time"], atol=1e-9)
     assert any("30 times a second" in note for note in log.notes)
+    for name in ("observation.state", "action"):
+        assert f"{name} has no names: taken in the model's order of joints" in log.notes
 
 
 def test_a_state_of_positions_and_speeds(tmp_path):

@@ -34,7 +34,7 @@ def test_words_below_zero_are_the_numbers_that_they_mean(tmp_path, kind):
     log = read_log(data, ARM)
     for trial in log.trials:
         np.testing.assert_allclose(trial.q, M["q"], atol=np.pi / 4096 + 1e-9)
-    assert any("column q_elbow: whole numbers leap by" in n and says in n for n in log.notes)
+    assert any("column q_elbow: whole numbers leap" in n and says in n for n in log.notes)
     assert not any("whole turns" in note for note in log.notes)
 
 
@@ -72,3 +72,13 @@ def test_an_encoder_that_counts_within_a_turn_still_has_its_turns_taken_out(tmp_
     log = read_log(folder(tmp_path, f"[units]\n{TICKS}", a=columns(count % 4096)), ARM)
     np.testing.assert_allclose(np.diff(log.trials[0].q, axis=0), 0.3, atol=2e-3)
     assert any("whole turns" in note for note in log.notes)
+
+
+@pytest.mark.parametrize("far", [255, 2000, 40000])
+def test_targets_that_step_are_no_words(tmp_path, far):
+    """A gripper's 0 and 255, or ticks of a servo that is told to go far at once."""
+    steps = 100 + np.where(np.arange(200) // 50 % 2 == 0, 0.0, far)
+    data = columns(COUNTS - COUNTS.min()) | {f"target_{j}": steps for j in ARM}
+    meta = 'input = "command"\n[units]\n' + TICKS.replace("q_", "target_") + TICKS
+    log = read_log(folder(tmp_path, meta, a=data), ARM)
+    np.testing.assert_allclose(log.trials[0].u[:, 0], (steps - ZERO) * 2 * np.pi / 4096)
