@@ -166,11 +166,35 @@ def identified(
         file = [law._replace(sharp=laws[0].sharp) for law in file]
         full = [f.of(law) for f, law in zip(found.model.fits, laws, strict=True)]
         found = polished(whole, Fitted(tuple(full), tuple(shared)))
+    found = _or_rival(whole, found, file)
     found, members = _borne_out(whole, found, file, notify)
     if worse := _not_followed_better(whole, before, found, members):
         found = polished(whole, without(whole, found, worse, file), rounds=2)
         found, members = _borne_out(whole, found, file, notify)
     return Identified(recording, found, members, before, found.errors, whole)
+
+
+RIVALS = (("lift", "payload"), ("payload", "lift"), ("delay", "lag"), ("lag", "delay"))
+"""Shared numbers that pieces of single joints hardly tell apart: whole trials decide."""
+
+
+def _or_rival(whole: WholeTrials, found: Polished, file: Sequence[Law]) -> Polished:
+    """The servos with a shared number's rival in its place, where that leaves less."""
+    for name, other in RIVALS:
+        shared = found.model.shared
+        known = other != "payload" or whole.recording.hand >= 0
+        if name not in shared or other in shared or not known:
+            continue
+        fits = []
+        for fit, law in zip(found.model.fits, file, strict=True):
+            value = getattr(fit.law, name) if other in LATE else getattr(law, other)
+            fits.append(fit.of(fit.law._replace(**{name: getattr(law, name), other: value})))
+        names = tuple(other if n == name else n for n in shared)
+        rival = polished(whole, Fitted(tuple(fits), names))
+        left = [np.log(over_noise(whole, p.errors)).sum() for p in (found, rival)]
+        if left[1] < left[0] - CLOSED_LOOP.gain:
+            return rival
+    return found
 
 
 def _with_friction(whole: WholeTrials, laws: Sequence[Law]) -> tuple[list[Law], np.ndarray]:
