@@ -164,5 +164,6 @@ def _with_servo(law: np.ndarray, gear: float, numbers: Mapping[str, float]) -> n
     if "offset" in numbers:
         new[1] += -new[2] * gear * numbers["offset"]
     if "limit" in numbers:
-        new[4:] = np.array([-1.0, 1.0]) * numbers["limit"] / abs(gear)
+        limit = numbers["limit"] / abs(gear)
+        new[4:] = -limit, limit
     return new

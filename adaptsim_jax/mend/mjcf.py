@@ -36,8 +36,8 @@ class Changes:
     gravity: np.ndarray | None = None
     actuators: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     motors: Mapping[str, float] = field(default_factory=dict)
-    lift: float | None = None
     comments: Sequence[str] = ()
+    lift: float | None = None
 
 
 def mended_mjcf(mechanism: Mechanism, changes: Changes) -> str:

@@ -348,8 +348,8 @@ def stacked(laws) -> Law:
 
 def overdamped(kp: Any, damping: Any, inertia: Any) -> Any:
     """0 of a lightly damped loop, 1 of one that is damped far beyond critically."""
-    ratio = damping**2 / (4.0 * kp * inertia + 1e-300)
-    return ratio**2 / (1.0 + ratio**2)
+    own, critical = damping**4, (4.0 * kp * inertia) ** 2  # the ratio's squares, above and below
+    return own / (own + critical + 1e-300)
 
 
 def half_a_step(kp: Any, damping: Any, inertia: Any, step: float) -> Any:
