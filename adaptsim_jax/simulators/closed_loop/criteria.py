@@ -37,6 +37,7 @@ class ClosedLoopCriteria:
     # of a joint's error over whole trials by the file, that its own numbers must take off together
     better: float = 0.2
     rounds: int = 12  # of a fit
+    settled: float = 1e-3  # of the loss: a round over whole trials that takes off less is the last
     shared: int = 4  # numbers that all joints share, at most
     own: int = 2  # numbers of one joint beside its law, at most
     # spread of the logarithm of kp, the rotor free, up to which kp is known and not only ratios

@@ -310,7 +310,7 @@ def _borne_out(
         else:
             gone = _weakest_by_joint(gone)
         coordinates = [c for m in gone for c in m.coordinates]
-        found = polished(whole, without(whole, found, coordinates, file), rounds=2)
+        found = polished(whole, without(whole, found, coordinates, file), rounds=1)
 
 
 def _not_followed_better(

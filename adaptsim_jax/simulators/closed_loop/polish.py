@@ -2,11 +2,13 @@
 out there returned to the file's.
 """
 
+import copy
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from adaptsim_jax.simulators.closed_loop.criteria import CLOSED_LOOP
 from adaptsim_jax.simulators.closed_loop.fit import Fit, paired_t, prior_of, pulled, solved
 from adaptsim_jax.simulators.closed_loop.imposed import JointProblem, Recording
 from adaptsim_jax.simulators.closed_loop.law import Law, bounded, moved
@@ -61,16 +63,25 @@ class Polished:
 
 @dataclass(frozen=True)
 class WholeTrials:
-    """Whole trials of a machine. problems: its joints, for scales and limits of their numbers."""
+    """Whole trials of a machine.
+
+    Args:
+        recording: What is simulated.
+        rough: The same stepped more coarsely, for derivatives.
+        problems: Its joints, for scales and limits of their numbers.
+        block: [rows of all trials] the piece of each, -1: none.
+        counted: [rows of all trials] whether a row is compared.
+    """
 
     recording: Recording
+    rough: Recording
     problems: tuple[JointProblem, ...]
     block: np.ndarray
     counted: np.ndarray
 
-    def errors(self, machines: Sequence[Sequence[Law]]) -> list[np.ndarray]:
+    def errors(self, machines: Sequence[Sequence[Law]], roughly: bool = False) -> list[np.ndarray]:
         """[rows, n] of each machine, 0 where no row is compared."""
-        paths = simulated(self.recording, machines)
+        paths = simulated(self.rough if roughly else self.recording, machines)
         return [trial_errors(self.recording, m) * self.counted[:, None] for m in paths]
 
     def by_piece(self, error: np.ndarray) -> np.ndarray:
@@ -109,7 +120,10 @@ class WholeTrials:
 def whole_trials(recording: Recording, problems: Sequence[JointProblem]) -> WholeTrials:
     """The rows after the first instants of each trial count."""
     counted = np.concatenate([t.time > 0.02 for t in recording.trials])
-    return WholeTrials(recording, tuple(problems), blocks_of(recording), counted)
+    model = copy.copy(recording.model)
+    model.opt.timestep = recording.step
+    rough = replace(recording, model=model)
+    return WholeTrials(recording, rough, tuple(problems), blocks_of(recording), counted)
 
 
 def weights(whole: WholeTrials, error: np.ndarray) -> np.ndarray:
@@ -144,7 +158,7 @@ def polished(whole: WholeTrials, model: Fitted, rounds: int = 4) -> Polished:
             break
         model, error, rounds = tries[best], every[best], rounds - 1
         damping = float(np.clip(sizes[best], 1e-7, 1e3))
-        if loss[best] > before * (1.0 - 1e-3):
+        if loss[best] > before * (1.0 - CLOSED_LOOP.settled):
             rounds = 0
     return Polished(model, error, hess, slope, _jackknifed(whole, hess, slope, _pull(whole, model)))
 
@@ -154,12 +168,12 @@ def _linearised(whole: WholeTrials, model: Fitted, error: np.ndarray, weight: np
     at = model.coordinates
     size = np.array([STEP.get(name, OTHER_STEP) for _, name in at])
     changed = [whole.moved(model, row) for row in np.diag(size)]
-    every = whole.errors([c.laws for c in changed])
     count = len(whole.recording.pieces)
     hess, slope = np.zeros((count, len(at), len(at))), np.zeros((count, len(at)))
     if not at:
         return hess, slope
-    derivative = np.stack([(e - error) / h for e, h in zip(every, size, strict=True)], -1)
+    here, *every = whole.errors([m.laws for m in (model, *changed)], roughly=True)
+    derivative = np.stack([(e - here) / h for e, h in zip(every, size, strict=True)], -1)
     for i in range(count):
         rows = whole.block == i
         d = derivative[rows]
