@@ -20,7 +20,7 @@ import numpy as np
 
 from adaptsim_jax.attribution.diagnose import diagnose
 from adaptsim_jax.simulators.closed_loop.imposed import heavier
-from adaptsim_jax.simulators.closed_loop.law import Law, Servo, servos_of, with_model
+from adaptsim_jax.simulators.closed_loop.law import Servo, ServoLaw, servos_of, with_model
 from experiments.robot_worlds import welded
 
 FINE = 2e-4  # s
@@ -158,7 +158,7 @@ def typical_force(model: mujoco.MjModel, servo: Servo, pose: np.ndarray) -> floa
     return worst + 10.0 * inertia
 
 
-def truth(world: World, model, servos, pose, rng) -> tuple[list[Law], mujoco.MjModel, int]:
+def truth(world: World, model, servos, pose, rng) -> tuple[list[ServoLaw], mujoco.MjModel, int]:
     """Laws by joint, the model that has them, and the body that carries a payload."""
     h, hand = world.hidden, int(model.jnt_bodyid[model.dof_jntid[servos[-1].dof]])
     laws = [s.law for s in servos]

@@ -37,13 +37,13 @@ from adaptsim_jax.effects.joints.sensor import ENCODER_OFFSET
 from adaptsim_jax.mechanisms.spec import Source
 from adaptsim_jax.simulators.closed_loop.criteria import CLOSED_LOOP
 from adaptsim_jax.simulators.closed_loop.identified import (
-    Identified,
-    Member,
+    LawMember,
+    ServoLaws,
     identified,
     scale_spread,
 )
 from adaptsim_jax.simulators.closed_loop.imposed import Recording
-from adaptsim_jax.simulators.closed_loop.law import OPEN, Law, Servo, inner_damping
+from adaptsim_jax.simulators.closed_loop.law import OPEN, Servo, ServoLaw, inner_damping
 from adaptsim_jax.simulators.closed_loop.polish import SHARED_BY_ALL
 from adaptsim_jax.simulators.closed_loop.recording import recording_of
 from adaptsim_jax.simulators.closed_loop.whole import simulated
@@ -85,7 +85,7 @@ class ServoEffect:
 
     name: str
     joint: int
-    members: tuple[Member, ...]
+    members: tuple[LawMember, ...]
 
     @property
     def key(self) -> tuple[str, int]:
@@ -93,7 +93,7 @@ class ServoEffect:
         return self.name, self.joint
 
     @property
-    def strongest(self) -> Member:
+    def strongest(self) -> LawMember:
         """The member that takes off most."""
         return max(self.members, key=lambda m: m.gain)
 
@@ -102,7 +102,7 @@ class ServoEffect:
 class ServoModel:
     """Laws of a machine's servos. errors: RMS [P, n] of pieces of whole trials, rad."""
 
-    laws: tuple[Law, ...]
+    laws: tuple[ServoLaw, ...]
     added: tuple[ServoEffect, ...]
     errors: np.ndarray
 
@@ -121,7 +121,7 @@ class ServoDiagnosis:
 
     machine: Machine
     source: Source
-    found: Identified
+    found: ServoLaws
     effects: tuple[ServoEffect, ...]
     scale_spread: np.ndarray
 
@@ -152,9 +152,9 @@ def diagnosed(machine: Machine, notify: Note) -> ServoDiagnosis | None:
     return ServoDiagnosis(machine, source, found, _effects(found.members), scale_spread(found))
 
 
-def _effects(members: Sequence[Member]) -> tuple[ServoEffect, ...]:
+def _effects(members: Sequence[LawMember]) -> tuple[ServoEffect, ...]:
     """Members by effect and joint."""
-    by: dict[tuple[str, int], list[Member]] = {}
+    by: dict[tuple[str, int], list[LawMember]] = {}
     for m in members:
         joint, name = m.coordinates[-1]
         by.setdefault((NAMES[name], joint), []).append(m)
@@ -182,7 +182,7 @@ def reported(d: ServoDiagnosis) -> tuple[dict[str, Any], dict[str, Any]]:
 NO_SKILL = "Over whole trials this model does no better than what needs no model."
 
 
-def by_piece(found: Identified, error: np.ndarray) -> np.ndarray:
+def by_piece(found: ServoLaws, error: np.ndarray) -> np.ndarray:
     """RMS [P, n]."""
     block = found.whole.block
     rows = np.bincount(block[block >= 0], minlength=len(found.recording.pieces))

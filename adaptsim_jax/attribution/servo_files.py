@@ -20,7 +20,7 @@ from adaptsim_jax.mend.mjcf import Changes, mended_mjcf
 from adaptsim_jax.mend.model_toml import FILE as MODEL_FILE
 from adaptsim_jax.mend.model_toml import AddedEffect, Form, Value
 from adaptsim_jax.simulators.closed_loop.imposed import Recording
-from adaptsim_jax.simulators.closed_loop.law import OPEN, Law, Servo, inner_damping
+from adaptsim_jax.simulators.closed_loop.law import OPEN, Servo, ServoLaw, inner_damping
 from adaptsim_jax.simulators.closed_loop.recording import recording_of
 from adaptsim_jax.simulators.closed_loop.whole import simulated, trial_errors
 
@@ -80,7 +80,7 @@ def _changes(d: ServoDiagnosis) -> Changes:
     )
 
 
-def _of_joint(s: Servo, law: Law) -> dict[str, float]:
+def _of_joint(s: Servo, law: ServoLaw) -> dict[str, float]:
     """What changes of a joint."""
     file, outer = s.law, law.damping - float(inner_damping(s, law.damping)) * law.inside
     own = {
@@ -92,7 +92,7 @@ def _of_joint(s: Servo, law: Law) -> dict[str, float]:
     return {key: value for key, (value, before) in own.items() if value != before}
 
 
-def _of_actuator(s: Servo, law: Law) -> dict[str, float]:
+def _of_actuator(s: Servo, law: ServoLaw) -> dict[str, float]:
     """What changes of an actuator."""
     file, g = s.law, s.gear
     inner, before = (float(inner_damping(s, z)) for z in (law.damping, file.damping))
@@ -172,6 +172,6 @@ def verifier(d: ServoDiagnosis) -> Callable[[Path], dict[str, Any]]:
     return verify
 
 
-def _errors(d: ServoDiagnosis, recording: Recording, laws: Sequence[Law]) -> np.ndarray:
+def _errors(d: ServoDiagnosis, recording: Recording, laws: Sequence[ServoLaw]) -> np.ndarray:
     paths = simulated(recording, [laws])[0]
     return trial_errors(recording, paths) * d.found.whole.counted[:, None]

@@ -11,7 +11,7 @@ from adaptsim_jax.attribution.diagnose import diagnose
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.replay import replay
 from adaptsim_jax.logs.read import read_source_and_log
-from adaptsim_jax.simulators.closed_loop.fit import Fit, fitted, left
+from adaptsim_jax.simulators.closed_loop.fit import LawFit, fitted, left
 from adaptsim_jax.simulators.closed_loop.identified import identified
 from adaptsim_jax.simulators.closed_loop.imposed import joint_problems
 from adaptsim_jax.simulators.closed_loop.law import moved, servos_of, with_model
@@ -112,7 +112,7 @@ def test_coordinates_move_the_scale_with_all_that_it_multiplies(arm):
     assert twice.damping / twice.kp == pytest.approx(law.damping / law.kp)
     assert twice.limit == law.limit  # is not fitted
     far = replace(problem, groups=problem.groups)
-    begun = fitted(far, Fit(law._replace(kp=0.5 * law.kp), free))
+    begun = fitted(far, LawFit(law._replace(kp=0.5 * law.kp), free))
     assert left(far, begun.law).sum() < 0.1 * left(far, law).sum()
 
 

@@ -23,15 +23,16 @@ class ClosedLoopCriteria:
     smooth: float = 0.12  # s, over which imposed motion is smoothed
     moving: float = 20.0  # times its noise, by which a joint moves that is fitted
     # rad (m): no encoder counts as better, since whole trials are simulated no nearer than this
-    least_noise: float = 2e-4
+    min_noise: float = 2e-4
     batch: int = 16  # parameter sets of a call
     # rows' worth of a pull to the file's scale: only ratios show where damping is heavy
     pull: float = 30.0
     gain: float = 0.03  # of the squared error, that a number of one joint must take off left out
     shared_gain: float = 0.06  # the same of a number that all joints share
     level: float = 0.003  # of the paired test over left-out pieces
-    lacks_nothing: float = 2.0  # times the noise, that a joint which lacks nothing leaves at most
-    least_change: float = 0.05  # of kp, damping or a limit of the file, that is worth a name
+    lacks_nothing: float = 1.5  # times the noise, that a joint which lacks nothing leaves at most
+    shown: float = 1.15  # times the noise, that a model without a number must leave at its joints
+    min_change: float = 0.05  # of kp, damping or a limit of the file, that is worth a name
     enough: float = 2.0  # times the noise, that a joint with nothing more to find leaves at most
     harm: float = 0.1  # of a joint's squared error (log), by which a shared number may harm it
     # of a joint's error over whole trials by the file, that its own numbers must take off together

@@ -14,7 +14,7 @@ from scipy import stats
 from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.simulators.closed_loop.criteria import CLOSED_LOOP
 from adaptsim_jax.simulators.closed_loop.imposed import JointProblem
-from adaptsim_jax.simulators.closed_loop.law import LOGARITHMIC, OPEN, Law, moved
+from adaptsim_jax.simulators.closed_loop.law import LOGARITHMIC, OPEN, ServoLaw, moved
 from adaptsim_jax.simulators.closed_loop.stepping import errors, squared
 
 STEP = {"scale": 1e-3, "damping": 1e-3, "limit": 1e-3, "rub": 5e-3, "delay": 0.02, "lag": 0.02}
@@ -26,19 +26,19 @@ SHORT = 0.3
 
 
 @dataclass(frozen=True)
-class Fit:
+class LawFit:
     """A law of a joint and the coordinates that were fitted of it."""
 
-    law: Law
+    law: ServoLaw
     free: tuple[str, ...]
 
-    def of(self, law: Law) -> "Fit":
+    def of(self, law: ServoLaw) -> "LawFit":
         """With other numbers."""
-        return Fit(law, self.free)
+        return LawFit(law, self.free)
 
-    def and_free(self, name: str) -> "Fit":
+    def and_free(self, name: str) -> "LawFit":
         """With one more coordinate."""
-        return self if name in self.free else Fit(self.law, (*self.free, name))
+        return self if name in self.free else LawFit(self.law, (*self.free, name))
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class LinearModel:
         return hess + self.prior[0], slope + self.prior[1]
 
 
-def left(problem: JointProblem, law: Law) -> np.ndarray:
+def left(problem: JointProblem, law: ServoLaw) -> np.ndarray:
     """Sum of squares [P] of a law."""
     return squared(errors(problem, [law]))[0]
 
@@ -75,12 +75,12 @@ def weights(problem: JointProblem, sums: np.ndarray) -> np.ndarray:
     return 1.0 / (mean + np.median(mean) + problem.noise**2)
 
 
-def pulled(problem: JointProblem, fit: Fit) -> float:
+def pulled(problem: JointProblem, fit: LawFit) -> float:
     """What the pull adds to the loss."""
     return sum(CLOSED_LOOP.pull * np.log1p(2.0 * z * z) for _, z in _off_scale(problem, fit))
 
 
-def _off_scale(problem: JointProblem, fit: Fit) -> list[tuple[int, float]]:
+def _off_scale(problem: JointProblem, fit: LawFit) -> list[tuple[int, float]]:
     """Place and size of the logarithmic coordinates: how far they are from the file's."""
     file, law = problem.servo.law, fit.law
     stiff = "damping" if problem.servo.follows_speed else "kp"
@@ -97,7 +97,7 @@ def _off_scale(problem: JointProblem, fit: Fit) -> list[tuple[int, float]]:
     return out
 
 
-def prior_of(problem: JointProblem, fit: Fit) -> tuple[np.ndarray, np.ndarray]:
+def prior_of(problem: JointProblem, fit: LawFit) -> tuple[np.ndarray, np.ndarray]:
     count = len(fit.free)
     hess, slope = np.zeros((count, count)), np.zeros(count)
     for i, z in _off_scale(problem, fit):
@@ -108,7 +108,7 @@ def prior_of(problem: JointProblem, fit: Fit) -> tuple[np.ndarray, np.ndarray]:
     return hess, slope
 
 
-def linearised(problem: JointProblem, fit: Fit, weight: np.ndarray | None = None) -> LinearModel:
+def linearised(problem: JointProblem, fit: LawFit, weight: np.ndarray | None = None) -> LinearModel:
     """A law's errors and their derivatives, by differences."""
     step = np.array([STEP.get(name, OTHER_STEP) for name in fit.free])
     laws = [moved(problem.servo, problem.scales, fit.law, fit.free, row) for row in np.diag(step)]
@@ -130,7 +130,7 @@ def solved(hess: np.ndarray, right: np.ndarray) -> np.ndarray:
     return (answer.T / size).T
 
 
-def fitted(problem: JointProblem, fit: Fit, rounds: int = CLOSED_LOOP.rounds) -> Fit:
+def fitted(problem: JointProblem, fit: LawFit, rounds: int = CLOSED_LOOP.rounds) -> LawFit:
     """Levenberg and Marquardt's fit from where `fit` is."""
     damping, weight = 1e-3, None
     for k in range(rounds):
@@ -161,17 +161,17 @@ def fitted(problem: JointProblem, fit: Fit, rounds: int = CLOSED_LOOP.rounds) ->
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class LeftOutPieces:
     """sums [P] of squares of pieces by numbers of the others; steps [F, K] to those numbers."""
 
     sums: np.ndarray
     steps: np.ndarray
 
 
-def left_out(problem: JointProblem, fit: Fit) -> LeftOut:
+def left_out(problem: JointProblem, fit: LawFit) -> LeftOutPieces:
     """Each group of pieces simulated by numbers that one step without it gives."""
     if not fit.free:
-        return LeftOut(left(problem, fit.law), np.zeros((len(problem.groups), 0)))
+        return LeftOutPieces(left(problem, fit.law), np.zeros((len(problem.groups), 0)))
     lin = linearised(problem, fit)
     hess, slope = lin.normal()
     own_hess, own_slope = lin.by_piece()
@@ -190,7 +190,7 @@ def left_out(problem: JointProblem, fit: Fit) -> LeftOut:
     sums = np.zeros(len(problem.rows))
     for k, group in enumerate(problem.groups):
         sums[group] = every[k][group]
-    return LeftOut(sums, steps)
+    return LeftOutPieces(sums, steps)
 
 
 def by_group(problem: JointProblem, sums: np.ndarray) -> np.ndarray:
@@ -228,7 +228,7 @@ def most_moving(problem: JointProblem) -> JointProblem:
     return problem.only(np.sort(np.argsort(moves)[-most:]))
 
 
-def _grid(problem: JointProblem, law: Law) -> list[Law]:
+def _grid(problem: JointProblem, law: ServoLaw) -> list[ServoLaw]:
     """Laws on a grid of kp and of the time in which damping stops, with and without friction."""
     servo, out = problem.servo, []
     if servo.follows_speed:
@@ -246,11 +246,13 @@ def _grid(problem: JointProblem, law: Law) -> list[Law]:
     return out
 
 
-def _best_apart(problem: JointProblem, laws: Sequence[Law], count: int) -> tuple[list[Law], float]:
+def _best_distinct(
+    problem: JointProblem, laws: Sequence[ServoLaw], count: int
+) -> tuple[list[ServoLaw], float]:
     """The best laws that differ from each other, and the score of the first."""
     sums = squared(errors(problem, list(laws)))
     value = np.log(sums / problem.rows + problem.noise**2).mean(1)
-    chosen: list[Law] = []
+    chosen: list[ServoLaw] = []
     for k in np.argsort(value):
         one = laws[k]
         near = [
@@ -265,26 +267,26 @@ def _best_apart(problem: JointProblem, laws: Sequence[Law], count: int) -> tuple
     return chosen, float(value.min())
 
 
-def begun(problem: JointProblem, base: Law, late: str | None = None) -> Fit:
+def begun(problem: JointProblem, base: ServoLaw, late: str | None = None) -> LawFit:
     """kp, damping and friction from a grid, the rest of the law as `base`; with `late`, `delay` or
     `lag`, that number as well.
     """
     some, free = most_moving(problem), problem.servo.free
     if late is None:
-        starts = [*_best_apart(some, _grid(problem, base), 3)[0], base]
+        starts = [*_best_distinct(some, _grid(problem, base), 3)[0], base]
     else:
         free = (*free, late)
         found = [
-            _best_apart(some, _grid(problem, base._replace(**{late: z})), 2)
+            _best_distinct(some, _grid(problem, base._replace(**{late: z})), 2)
             for z in (0.012, 0.03, 0.06)
         ]
         starts = min(found, key=lambda f: f[1])[0]
-    tries = [fitted(some, Fit(law, free), 8) for law in starts]
+    tries = [fitted(some, LawFit(law, free), 8) for law in starts]
     best = min(tries, key=lambda t: score(some, left(some, t.law)))
     return fitted(problem, best)
 
 
-def begun_at_limit(problem: JointProblem, fit: Fit) -> Fit:
+def begun_at_limit(problem: JointProblem, fit: LawFit) -> LawFit:
     """The law with a limit, begun from the torque that the motion needs; before the damping from
     the highest speed that was measured, too, which is near the speed without load. The law as it
     was where left-out pieces refute that.
@@ -295,14 +297,14 @@ def begun_at_limit(problem: JointProblem, fit: Fit) -> Fit:
     laws = [*_limited(problem, fit.law), *_unloaded(problem, fit.law)]
     sums = squared(errors(some, laws))
     order = np.argsort(np.log(sums / some.rows + some.noise**2).mean(1))[:3]
-    tries = [fitted(some, Fit(laws[k], (*fit.free, "limit")), 8) for k in order]
+    tries = [fitted(some, LawFit(laws[k], (*fit.free, "limit")), 8) for k in order]
     new = fitted(problem, min(tries, key=lambda t: score(some, left(some, t.law))))
     if preferred(problem, fit, new):
         return new
     return fit
 
 
-def _limited(problem: JointProblem, law: Law) -> list[Law]:
+def _limited(problem: JointProblem, law: ServoLaw) -> list[ServoLaw]:
     """Laws whose limit cuts the whole force."""
     kp = problem.servo.law.kp
     return [
@@ -314,7 +316,7 @@ def _limited(problem: JointProblem, law: Law) -> list[Law]:
     ]
 
 
-def _unloaded(problem: JointProblem, law: Law) -> list[Law]:
+def _unloaded(problem: JointProblem, law: ServoLaw) -> list[ServoLaw]:
     """Laws whose limit is before the damping."""
     file = problem.servo.law
     usual = file.limit if file.limit < OPEN else file.kp * problem.scales.error
@@ -334,7 +336,9 @@ def _unloaded(problem: JointProblem, law: Law) -> list[Law]:
     ]
 
 
-def preferred(problem: JointProblem, one: Fit, other: Fit, gain: float = CLOSED_LOOP.gain) -> bool:
+def preferred(
+    problem: JointProblem, one: LawFit, other: LawFit, gain: float = CLOSED_LOOP.gain
+) -> bool:
     """Whether left-out pieces are predicted better by the other, by `gain` and beyond chance."""
     found = gains(problem, left_out(problem, one).sums, left_out(problem, other).sums)
     return bool(found.mean() > gain and paired_t(found) < CLOSED_LOOP.level)

@@ -3,7 +3,7 @@ improve, polished on whole trials, and returned to the file's where these do not
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
@@ -12,7 +12,7 @@ from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.diagnosis.testing import jackknife
 from adaptsim_jax.simulators.closed_loop.criteria import CLOSED_LOOP
 from adaptsim_jax.simulators.closed_loop.fit import (
-    Fit,
+    LawFit,
     begun,
     begun_at_limit,
     fitted,
@@ -23,12 +23,12 @@ from adaptsim_jax.simulators.closed_loop.fit import (
     solved,
 )
 from adaptsim_jax.simulators.closed_loop.imposed import JointProblem, Recording, joint_problems
-from adaptsim_jax.simulators.closed_loop.law import OPEN, SHARED, Law, moved
+from adaptsim_jax.simulators.closed_loop.law import OPEN, SHARED, ServoLaw, moved
 from adaptsim_jax.simulators.closed_loop.pieces import imposed_motion
 from adaptsim_jax.simulators.closed_loop.polish import (
     SHARED_BY_ALL,
     Coordinate,
-    Fitted,
+    FittedServos,
     Polished,
     WholeTrials,
     better_at,
@@ -45,7 +45,7 @@ OWN = ("limit", "offset", "rotor", "spring", "zero")
 
 
 @dataclass(frozen=True)
-class Member:
+class LawMember:
     """What a law has that the file's has not, and how whole trials bear it out.
 
     Args:
@@ -68,14 +68,14 @@ class Member:
     def refuted(self) -> bool:
         """Whether whole trials do as well without it, or lack nothing without it."""
         joint = self.coordinates[0][0]
-        least = CLOSED_LOOP.shared_gain if joint == SHARED_BY_ALL else CLOSED_LOOP.gain
-        shown = self.gain > least and self.p < CLOSED_LOOP.level
-        lacking = self.without > CLOSED_LOOP.lacks_nothing
-        return not (shown and lacking and self.change > CLOSED_LOOP.least_change)
+        threshold = CLOSED_LOOP.shared_gain if joint == SHARED_BY_ALL else CLOSED_LOOP.gain
+        shown = self.gain > threshold and self.p < CLOSED_LOOP.level
+        lacking = self.without > CLOSED_LOOP.shown
+        return not (shown and lacking and self.change > CLOSED_LOOP.min_change)
 
 
 @dataclass(frozen=True)
-class Identified:
+class ServoLaws:
     """What a recording shows of a machine's servos.
 
     Args:
@@ -88,13 +88,13 @@ class Identified:
 
     recording: Recording
     found: Polished
-    members: tuple[Member, ...]
+    members: tuple[LawMember, ...]
     before: np.ndarray
     after: np.ndarray
     whole: WholeTrials
 
     @property
-    def laws(self) -> list[Law]:
+    def laws(self) -> list[ServoLaw]:
         """By joint."""
         return self.found.model.laws
 
@@ -117,16 +117,20 @@ class Identified:
         return float(stats.t.ppf(0.95, max(len(self.found.steps) - 1, 1)))
 
 
-def scale_spread(found: Identified) -> np.ndarray:
-    """Standard error [n] of the logarithm of kp, each joint's rotor free as well: where inertia and
-    kp can grow together, only ratios are known. Infinite where kp was not fitted.
+def scale_spread(found: ServoLaws) -> np.ndarray:
+    """Standard error [n] of the logarithm of kp, each joint's rotor and a mass at the hand free as
+    well: where these and kp can grow together, only ratios are known. Infinite where kp was not
+    fitted.
     """
     model, out = found.found.model, np.full(len(found.laws), np.inf)
     scaled = [j for j, f in enumerate(model.fits) if "scale" in f.free]
     if not scaled:
         return out
     free = [f.and_free("rotor") if j in scaled else f for j, f in enumerate(model.fits)]
-    wide = polished(found.whole, Fitted(tuple(free), model.shared), rounds=0)
+    shared = model.shared
+    if found.recording.hand >= 0 and "payload" not in shared:
+        shared = (*shared, "payload")
+    wide = polished(found.whole, FittedServos(tuple(free), shared), rounds=0)
     spread = jackknife(wide.steps)
     for i, (j, name) in enumerate(wide.model.coordinates):
         if name == "scale":
@@ -136,7 +140,7 @@ def scale_spread(found: Identified) -> np.ndarray:
 
 def identified(
     recording: Recording, notify: Callable[[str], None] = lambda note: None
-) -> Identified:
+) -> ServoLaws:
     """The servos' laws that a recording shows."""
     notify("servos, joint by joint")
     file = [s.law for s in recording.servos]
@@ -144,10 +148,10 @@ def identified(
     whole = whole_trials(recording, problems)
     file, before = _with_friction(whole, file)
     live = [j for j, p in enumerate(problems) if _moves(recording, j)]
-    fits = {j: Fit(law, ()) for j, law in enumerate(file)}
+    fits = {j: LawFit(law, ()) for j, law in enumerate(file)}
     if over_noise(whole, before)[live].max(initial=0.0) < CLOSED_LOOP.lacks_nothing:
-        as_filed = polished(whole, Fitted(tuple(fits.values())), rounds=0)
-        return Identified(recording, as_filed, (), before, before, whole)
+        by_file = polished(whole, FittedServos(tuple(fits.values())), rounds=0)
+        return ServoLaws(recording, by_file, (), before, before, whole)
     some = [problems[j] for j in live]
     fits |= zip(live, parallel_map(lambda p: _begun(p, file[0].sharp), some), strict=True)
     shared: list[str] = []
@@ -160,25 +164,33 @@ def identified(
     notify("whole trials")
     value = {n: getattr(fits[live[0]].law, n) for n in shared} if live else {}
     full = [fits[j] if j in live else fits[j].of(fits[j].law._replace(**value)) for j in fits]
-    found = polished(whole, Fitted(tuple(full), tuple(shared)))
+    found = polished(whole, FittedServos(tuple(full), tuple(shared)))
     laws, _ = _with_friction(whole, found.model.laws)
     if laws[0].sharp != file[0].sharp:
         file = [law._replace(sharp=laws[0].sharp) for law in file]
         full = [f.of(law) for f, law in zip(found.model.fits, laws, strict=True)]
-        found = polished(whole, Fitted(tuple(full), tuple(shared)))
-    found = _or_rival(whole, found, file)
+        found = polished(whole, FittedServos(tuple(full), tuple(shared)))
+    found = _or_rival(whole, _with_payload(whole, found), file)
     found, members = _borne_out(whole, found, file, notify)
     if worse := _not_followed_better(whole, before, found, members):
         found = polished(whole, without(whole, found, worse, file), rounds=2)
         found, members = _borne_out(whole, found, file, notify)
-    return Identified(recording, found, members, before, found.errors, whole)
+    return ServoLaws(recording, found, members, before, found.errors, whole)
+
+
+def _with_payload(whole: WholeTrials, found: Polished) -> Polished:
+    """With a mass at the hand free as well: pieces of single joints take it for other scales."""
+    shared = found.model.shared
+    if whole.recording.hand < 0 or not found.model.coordinates or {"payload", "lift"} & {*shared}:
+        return found
+    return polished(whole, replace(found.model, shared=(*shared, "payload")), rounds=3)
 
 
 RIVALS = (("lift", "payload"), ("payload", "lift"), ("delay", "lag"), ("lag", "delay"))
 """Shared numbers that pieces of single joints hardly tell apart: whole trials decide."""
 
 
-def _or_rival(whole: WholeTrials, found: Polished, file: Sequence[Law]) -> Polished:
+def _or_rival(whole: WholeTrials, found: Polished, file: Sequence[ServoLaw]) -> Polished:
     """The servos with a shared number's rival in its place, where that leaves less."""
     for name, other in RIVALS:
         shared = found.model.shared
@@ -190,14 +202,16 @@ def _or_rival(whole: WholeTrials, found: Polished, file: Sequence[Law]) -> Polis
             value = getattr(fit.law, name) if other in LATE else getattr(law, other)
             fits.append(fit.of(fit.law._replace(**{name: getattr(law, name), other: value})))
         names = tuple(other if n == name else n for n in shared)
-        rival = polished(whole, Fitted(tuple(fits), names))
+        rival = polished(whole, FittedServos(tuple(fits), names))
         left = [np.log(over_noise(whole, p.errors)).sum() for p in (found, rival)]
         if left[1] < left[0] - CLOSED_LOOP.gain:
             return rival
     return found
 
 
-def _with_friction(whole: WholeTrials, laws: Sequence[Law]) -> tuple[list[Law], np.ndarray]:
+def _with_friction(
+    whole: WholeTrials, laws: Sequence[ServoLaw]
+) -> tuple[list[ServoLaw], np.ndarray]:
     """The laws with dry friction that holds still or that creeps as MuJoCo's does, whichever leaves
     less of whole trials, and what these leave.
     """
@@ -215,8 +229,8 @@ def _moves(recording: Recording, j: int) -> bool:
     return span > CLOSED_LOOP.moving * recording.noise[j]
 
 
-def _begun(problem: JointProblem, sharp: float) -> Fit:
-    """kp, damping and friction, with a limit where that is better. sharp: as of `Law`."""
+def _begun(problem: JointProblem, sharp: float) -> LawFit:
+    """kp, damping and friction, with a limit where that is better. sharp: as of `ServoLaw`."""
     fit = begun(problem, problem.servo.law._replace(sharp=sharp))
     left_over = np.sqrt(left(problem, fit.law).sum() / problem.rows.sum())
     if left_over < CLOSED_LOOP.enough * problem.noise:
@@ -247,7 +261,7 @@ def _grown(recording, problems, live, fits, shared, notify):
     return fits, shared
 
 
-def _with_own(problem: JointProblem, fit: Fit, extras: Sequence[str]) -> Fit:
+def _with_own(problem: JointProblem, fit: LawFit, extras: Sequence[str]) -> LawFit:
     """With numbers of this joint alone, while left-out pieces improve."""
     for _ in range(CLOSED_LOOP.own):
         for start in _likely_own(problem, fit, [n for n in extras if n not in fit.free]):
@@ -260,12 +274,12 @@ def _with_own(problem: JointProblem, fit: Fit, extras: Sequence[str]) -> Fit:
     return fit
 
 
-def _likely_own(problem: JointProblem, fit: Fit, names: Sequence[str]) -> list[Fit]:
+def _likely_own(problem: JointProblem, fit: LawFit, names: Sequence[str]) -> list[LawFit]:
     """Starts with one number more, likeliest first: by one step, or from several limits."""
     before, starts = score(problem, left(problem, fit.law)), []
     smooth = [n for n in names if n != "limit"]
     if smooth:
-        lin = linearised(problem, Fit(fit.law, (*fit.free, *smooth)))
+        lin = linearised(problem, LawFit(fit.law, (*fit.free, *smooth)))
         hess, slope = lin.normal()
         k = len(fit.free)
         for i, name in enumerate(smooth):
@@ -274,18 +288,18 @@ def _likely_own(problem: JointProblem, fit: Fit, names: Sequence[str]) -> list[F
             free = (*fit.free, name)
             for share in (1.0, 0.4):
                 law = moved(problem.servo, problem.scales, fit.law, free, share * step)
-                starts.append(Fit(law, free))
+                starts.append(LawFit(law, free))
     if "limit" in names:
         top = fit.law.kp * np.abs(problem.scales.error) * 3.0
         for share in (0.15, 0.25, 0.4, 0.55, 0.7, 0.85, 0.95):
             for inside in (0.0, 1.0):
                 law = fit.law._replace(limit=share * top, inside=inside)
-                starts.append(Fit(law, (*fit.free, "limit")))
+                starts.append(LawFit(law, (*fit.free, "limit")))
     if not starts:
         return []
     sums = squared(errors(problem, [s.law for s in starts]))
     value = [score(problem, z) for z in sums]
-    best: dict[str, tuple[float, Fit]] = {}
+    best: dict[str, tuple[float, LawFit]] = {}
     for z, start in zip(value, starts, strict=True):
         name = start.free[-1]
         if name not in best or z < best[name][0]:
@@ -295,8 +309,8 @@ def _likely_own(problem: JointProblem, fit: Fit, names: Sequence[str]) -> list[F
 
 
 def _borne_out(
-    whole: WholeTrials, found: Polished, file: Sequence[Law], notify: Callable[[str], None]
-) -> tuple[Polished, tuple[Member, ...]]:
+    whole: WholeTrials, found: Polished, file: Sequence[ServoLaw], notify: Callable[[str], None]
+) -> tuple[Polished, tuple[LawMember, ...]]:
     """Without what whole trials do not bear out beside all else, and what stays."""
     while True:
         notify("whole trials, each number returned to the file's")
@@ -314,7 +328,7 @@ def _borne_out(
 
 
 def _not_followed_better(
-    whole: WholeTrials, before: np.ndarray, found: Polished, members: Sequence[Member]
+    whole: WholeTrials, before: np.ndarray, found: Polished, members: Sequence[LawMember]
 ) -> list[Coordinate]:
     """Coordinates of joints that the machine, mended, follows no better than by the file, and of
     what all share where that holds of all joints together.
@@ -329,9 +343,9 @@ def _not_followed_better(
     return gone
 
 
-def _weakest_by_joint(gone: Sequence[Member]) -> list[Member]:
+def _weakest_by_joint(gone: Sequence[LawMember]) -> list[LawMember]:
     """Of each joint the weakest."""
-    best: dict[int, Member] = {}
+    best: dict[int, LawMember] = {}
     for m in gone:
         joint = m.coordinates[0][0]
         if joint not in best or m.gain < best[joint].gain:
@@ -339,7 +353,7 @@ def _weakest_by_joint(gone: Sequence[Member]) -> list[Member]:
     return list(best.values())
 
 
-def _members(whole: WholeTrials, found: Polished, file: Sequence[Law]) -> list[Member]:
+def _members(whole: WholeTrials, found: Polished, file: Sequence[ServoLaw]) -> list[LawMember]:
     """What may be returned, each with its test: the machine without it, one step on."""
     sets = _returnable(found.model)
     machines = [without(whole, found, c, file) for c in sets]
@@ -351,11 +365,11 @@ def _members(whole: WholeTrials, found: Polished, file: Sequence[Law]) -> list[M
         over = over_noise(whole, error)[joints].max()
         tested = better_at(whole, error, found.errors, joints)
         change = max(_change(found.model.fits[c[0]].law, file[c[0]], c[1]) for c in coordinates)
-        out.append(Member(coordinates, *tested, float(over), change))
+        out.append(LawMember(coordinates, *tested, float(over), change))
     return out
 
 
-def _change(law: Law, file: Law, name: str) -> float:
+def _change(law: ServoLaw, file: ServoLaw, name: str) -> float:
     """Of a law's number how far it is from the file's (log); infinite of what the file has not."""
     if name == "damping" and law.kp > 0.0:
         return float(abs(np.log(law.damping / law.kp / (file.damping / file.kp))))
@@ -367,7 +381,7 @@ def _change(law: Law, file: Law, name: str) -> float:
     return float("inf")
 
 
-def _returnable(model: Fitted) -> list[tuple[Coordinate, ...]]:
+def _returnable(model: FittedServos) -> list[tuple[Coordinate, ...]]:
     """Sets of coordinates that go together: the scale alone before kp and damping, which return
     together or not at all.
     """

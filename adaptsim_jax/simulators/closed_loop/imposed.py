@@ -14,8 +14,8 @@ import mujoco
 import numpy as np
 
 from adaptsim_jax.simulators.closed_loop.criteria import CLOSED_LOOP
-from adaptsim_jax.simulators.closed_loop.law import Law, Scales, Servo
-from adaptsim_jax.simulators.closed_loop.pieces import Motion, Trial, begins_at_rest, groups_of
+from adaptsim_jax.simulators.closed_loop.law import Scales, Servo, ServoLaw
+from adaptsim_jax.simulators.closed_loop.pieces import Trial, TrialMotion, begins_at_rest, groups_of
 
 
 class Dynamics(NamedTuple):
@@ -83,12 +83,12 @@ class JointProblem:
         them how far it came; infinite elsewhere.
         """
         measured = np.asarray(self.lanes.measured)[np.asarray(self.lanes.counted) > 0]
-        least, most, (low, high) = measured.min(), measured.max(), self.servo.ends
+        lowest, highest, (low, high) = measured.min(), measured.max(), self.servo.ends
         near = CLOSED_LOOP.near_end
         return np.array(
             [
-                min(low, least) if least < low + near else -np.inf,
-                max(high, most) if most > high - near else np.inf,
+                min(low, lowest) if lowest < low + near else -np.inf,
+                max(high, highest) if highest > high - near else np.inf,
             ]
         )
 
@@ -110,7 +110,7 @@ class JointProblem:
         return replace(self, lanes=some, groups=groups)
 
 
-def dynamics_along(model: mujoco.MjModel, servos: Sequence[Servo], motion: Motion) -> Dynamics:
+def dynamics_along(model: mujoco.MjModel, servos: Sequence[Servo], motion: TrialMotion) -> Dynamics:
     """The dynamics of the servos' joints along a motion, by MuJoCo."""
     data = mujoco.MjData(model)
     dof, qpos = ([getattr(s, k) for s in servos] for k in ("dof", "qpos"))
@@ -192,7 +192,7 @@ class Recording:
 
 
 def joint_problems(
-    recording: Recording, motions: Sequence[Motion], laws: Sequence[Law]
+    recording: Recording, motions: Sequence[TrialMotion], laws: Sequence[ServoLaw]
 ) -> tuple[JointProblem, ...]:
     """Each joint by itself, the others moving as `motions` of the trials have it. laws: by joint,
     whose kp gives the size of forces.
@@ -232,7 +232,7 @@ def joint_problems(
     return tuple(out)
 
 
-def _needed(dynamics: Dynamics, motion: Motion, j: int) -> float:
+def _needed(dynamics: Dynamics, motion: TrialMotion, j: int) -> float:
     """Torque that a joint's motion takes, exceeded by 0.5 % of the rows."""
     takes = dynamics.inertia[:, j] * motion.a[:, j] + dynamics.coupling[:, j]
     return float(np.percentile(np.abs(takes + dynamics.gravity[:, j]), 99.5)) + 1e-9
@@ -302,7 +302,7 @@ def _stacked(lanes: list[dict[str, np.ndarray]]) -> Lanes:
         return Lanes(**{k: jax.numpy.asarray(z) for k, z in both.items()})
 
 
-def _scales(lane: Lanes, recording: Recording, j: int, law: Law, hand: float) -> Scales:
+def _scales(lane: Lanes, recording: Recording, j: int, law: ServoLaw, hand: float) -> Scales:
     errors = []
     for k, a, b in recording.pieces:
         trial = recording.trials[k]

@@ -24,7 +24,7 @@ SHARP_IMPEDANCE = (0.99, 0.99, 0.001, 0.5, 2.0)
 """Of MuJoCo's dry friction, so that a joint at rest stays there."""
 
 
-class Law(NamedTuple):
+class ServoLaw(NamedTuple):
     """Numbers of a servo; arrays where there are several laws.
 
     Args:
@@ -113,7 +113,7 @@ class Servo:
     gear: float
     follows_speed: bool
     slides: bool
-    law: Law
+    law: ServoLaw
     passive: float
     armature: float
     target: tuple[float, float]
@@ -207,7 +207,7 @@ def _servo(model: mujoco.MjModel, j: int, names: tuple[str, str], k: int, lift: 
     if model.jnt_actfrclimited[joint.id]:
         limit = min(limit, float(np.abs(model.jnt_actfrcrange[joint.id]).min()))
     lag = float(model.actuator_dynprm[k, 0]) if model.actuator_dyntype[k] else 0.0
-    law = Law(
+    law = ServoLaw(
         kp=max(kp, 0.0),
         damping=kv + passive,
         rub=float(model.dof_frictionloss[dof]),
@@ -287,7 +287,9 @@ class Scales:
 LOGARITHMIC = ("scale", "damping", "limit")
 
 
-def moved(servo: Servo, scales: Scales, law: Law, free: tuple[str, ...], step: np.ndarray) -> Law:
+def moved(
+    servo: Servo, scales: Scales, law: ServoLaw, free: tuple[str, ...], step: np.ndarray
+) -> ServoLaw:
     """The law a step [len(free)] away in the coordinates of `free`, within what a servo may have.
 
     A step of a logarithmic coordinate is at most 2.
@@ -304,10 +306,10 @@ def moved(servo: Servo, scales: Scales, law: Law, free: tuple[str, ...], step: n
             new[name] *= float(np.exp(z))
         else:
             new[name] += z * scales.unit(name)
-    return bounded(servo, scales, Law(**new), free)
+    return bounded(servo, scales, ServoLaw(**new), free)
 
 
-def bounded(servo: Servo, scales: Scales, law: Law, free: tuple[str, ...]) -> Law:
+def bounded(servo: Servo, scales: Scales, law: ServoLaw, free: tuple[str, ...]) -> ServoLaw:
     """The law with what is fitted of it within its range."""
     new = law._asdict()
     longest = CLOSED_LOOP.history - 0.02
@@ -328,10 +330,10 @@ def bounded(servo: Servo, scales: Scales, law: Law, free: tuple[str, ...]) -> La
     if "rub" in free and not servo.follows_speed:
         # friction beyond what the servo itself can give is none
         new["rub"] = min(new["rub"], 2.0 * new["kp"] * scales.error)
-    return Law(**new)
+    return ServoLaw(**new)
 
 
-def with_file_law(servo: Servo, law: Law) -> Law:
+def with_file_law(servo: Servo, law: ServoLaw) -> ServoLaw:
     """The law with kp and damping of the file, returned together or not at all."""
     return law._replace(kp=servo.law.kp, damping=servo.law.damping)
 
@@ -341,9 +343,9 @@ def inner_damping(servo: Servo, damping: Any) -> Any:
     return damping - np.minimum(servo.passive, damping)
 
 
-def stacked(laws) -> Law:
+def stacked(laws) -> ServoLaw:
     """Several laws as one of arrays [B]."""
-    return Law(*(np.array(z, float) for z in zip(*laws, strict=True)))
+    return ServoLaw(*(np.array(z, float) for z in zip(*laws, strict=True)))
 
 
 def overdamped(kp: Any, damping: Any, inertia: Any) -> Any:
@@ -366,7 +368,9 @@ def later(kp: Any, damping: Any, inertia: Any, step: float) -> Any:
     return 0.5 * step * (1.0 - overdamped(kp, damping, inertia))
 
 
-def with_model(servo: Servo, model: mujoco.MjModel, law: Law, inertia: float | None = None) -> None:
+def with_model(
+    servo: Servo, model: mujoco.MjModel, law: ServoLaw, inertia: float | None = None
+) -> None:
     """Put a law into a MuJoCo model, in place, but for delay, lag, payload and lift.
 
     inertia: about the joint, kg m^2, by which its step is corrected (`half_a_step`).

@@ -37,7 +37,7 @@ class Trial:
 
 
 @dataclass(frozen=True)
-class Motion:
+class TrialMotion:
     """Angles, speeds and accelerations [T, n] of a trial."""
 
     q: np.ndarray
@@ -85,7 +85,7 @@ def _filled(time: np.ndarray, q: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(q), q, local_motion(time, q, None)[0])
 
 
-def smoothed(time: np.ndarray, x: np.ndarray) -> Motion:
+def smoothed(time: np.ndarray, x: np.ndarray) -> TrialMotion:
     """Local cubics over `CLOSED_LOOP.smooth` s, at least five rows."""
     dt = float(np.median(np.diff(time)))
     rows = max(5, 2 * round(0.5 * CLOSED_LOOP.smooth / dt) + 1)
@@ -95,17 +95,17 @@ def smoothed(time: np.ndarray, x: np.ndarray) -> Motion:
         signal.savgol_filter(x, rows, order, deriv=k, delta=dt, axis=0, mode="interp")
         for k in (0, 1, 2)
     ]
-    return Motion(*parts)
+    return TrialMotion(*parts)
 
 
-def imposed_motion(trial: Trial, simulated: Motion | None = None) -> Motion:
+def imposed_motion(trial: Trial, simulated: TrialMotion | None = None) -> TrialMotion:
     """The motion that is imposed: the measured one, or a simulated one and the smoothed rest."""
     if simulated is None:
         return smoothed(trial.time, trial.q)
     rest = smoothed(trial.time, trial.q - simulated.q)
     # mean accelerations: at the rows they would be locked to the targets' steps
     mean = np.gradient(simulated.v, trial.time, axis=0)
-    return Motion(simulated.q + rest.q, simulated.v + rest.v, mean + rest.a)
+    return TrialMotion(simulated.q + rest.q, simulated.v + rest.v, mean + rest.a)
 
 
 def pieces_of(trials: Sequence[Trial]) -> tuple[tuple[int, int, int], ...]:
@@ -156,7 +156,7 @@ def encoder_noise(trials: Sequence[Trial]) -> np.ndarray:
     steps = np.where(steps > 1e-9, steps, np.nan)
     with np.errstate(all="ignore"):
         step = np.array([_low(s) for s in steps.T])
-    return np.maximum(np.maximum(by_rows, step / np.sqrt(12.0)), CLOSED_LOOP.least_noise)
+    return np.maximum(np.maximum(by_rows, step / np.sqrt(12.0)), CLOSED_LOOP.min_noise)
 
 
 def _low(steps: np.ndarray) -> float:

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adaptsim_jax.simulators.closed_loop.criteria import CLOSED_LOOP
-from adaptsim_jax.simulators.closed_loop.fit import Fit, paired_t, prior_of, pulled, solved
+from adaptsim_jax.simulators.closed_loop.fit import LawFit, paired_t, prior_of, pulled, solved
 from adaptsim_jax.simulators.closed_loop.imposed import JointProblem, Recording
-from adaptsim_jax.simulators.closed_loop.law import Law, bounded, moved
+from adaptsim_jax.simulators.closed_loop.law import ServoLaw, bounded, moved
 from adaptsim_jax.simulators.closed_loop.whole import blocks_of, simulated, trial_errors
 
 STEP = {"delay": 0.2, "lag": 0.2, "rotor": 0.02, "payload": 0.02, "lift": 0.02, "offset": 0.05}
@@ -20,7 +20,7 @@ SHARED_BY_ALL = -1
 
 
 @dataclass(frozen=True)
-class Fitted:
+class FittedServos:
     """A machine's servos.
 
     Args:
@@ -28,11 +28,11 @@ class Fitted:
         shared: Names of numbers with one value for all joints.
     """
 
-    fits: tuple[Fit, ...]
+    fits: tuple[LawFit, ...]
     shared: tuple[str, ...] = ()
 
     @property
-    def laws(self) -> list[Law]:
+    def laws(self) -> list[ServoLaw]:
         """By joint."""
         return [f.law for f in self.fits]
 
@@ -54,7 +54,7 @@ class Polished:
         steps: [F, K] to the coordinates that one step without each group of pieces gives.
     """
 
-    model: Fitted
+    model: FittedServos
     errors: np.ndarray
     hess: np.ndarray
     slope: np.ndarray
@@ -79,7 +79,9 @@ class WholeTrials:
     block: np.ndarray
     counted: np.ndarray
 
-    def errors(self, machines: Sequence[Sequence[Law]], roughly: bool = False) -> list[np.ndarray]:
+    def errors(
+        self, machines: Sequence[Sequence[ServoLaw]], roughly: bool = False
+    ) -> list[np.ndarray]:
         """[rows, n] of each machine, 0 where no row is compared."""
         paths = simulated(self.rough if roughly else self.recording, machines)
         return [trial_errors(self.recording, m) * self.counted[:, None] for m in paths]
@@ -91,7 +93,7 @@ class WholeTrials:
         np.add.at(out, self.block[inside], np.square(error[inside]))
         return out
 
-    def moved(self, model: Fitted, steps: np.ndarray) -> Fitted:
+    def moved(self, model: FittedServos, steps: np.ndarray) -> FittedServos:
         """A step [K] away."""
         at = dict(zip(model.coordinates, steps, strict=True))
         fits = []
@@ -104,14 +106,14 @@ class WholeTrials:
                     value = getattr(law, name) + at[SHARED_BY_ALL, name] * self.rotor_unit
                 law = bounded(p.servo, p.scales, law._replace(**{name: value}), (name,))
             fits.append(fit.of(law))
-        return Fitted(tuple(fits), model.shared)
+        return FittedServos(tuple(fits), model.shared)
 
     @property
     def rotor_unit(self) -> float:
         """The size of a shared rotor, kg m^2."""
         return float(np.median([p.scales.inertia for p in self.problems]))
 
-    def pulled(self, model: Fitted) -> float:
+    def pulled(self, model: FittedServos) -> float:
         """What the pull to the file's scale adds to the loss."""
         rows = zip(self.problems, model.fits, strict=True)
         return sum(pulled(p, f) for p, f in rows if f.free)
@@ -132,7 +134,7 @@ def weights(whole: WholeTrials, error: np.ndarray) -> np.ndarray:
     return 1.0 / (np.square(error).mean(0) + np.square(noise))
 
 
-def polished(whole: WholeTrials, model: Fitted, rounds: int = 4) -> Polished:
+def polished(whole: WholeTrials, model: FittedServos, rounds: int = 4) -> Polished:
     """Gauss and Newton's fit over whole trials."""
     error = whole.errors([model.laws])[0]
     damping = 1e-3
@@ -163,7 +165,7 @@ def polished(whole: WholeTrials, model: Fitted, rounds: int = 4) -> Polished:
     return Polished(model, error, hess, slope, _jackknifed(whole, hess, slope, _pull(whole, model)))
 
 
-def _linearised(whole: WholeTrials, model: Fitted, error: np.ndarray, weight: np.ndarray):
+def _linearised(whole: WholeTrials, model: FittedServos, error: np.ndarray, weight: np.ndarray):
     """Normal equations by piece, by differences."""
     at = model.coordinates
     size = np.array([STEP.get(name, OTHER_STEP) for _, name in at])
@@ -182,7 +184,7 @@ def _linearised(whole: WholeTrials, model: Fitted, error: np.ndarray, weight: np
     return hess, slope
 
 
-def _pull(whole: WholeTrials, model: Fitted) -> tuple[np.ndarray, np.ndarray]:
+def _pull(whole: WholeTrials, model: FittedServos) -> tuple[np.ndarray, np.ndarray]:
     count = len(model.coordinates)
     hess, slope, k = np.zeros((count, count)), np.zeros(count), 0
     for p, f in zip(whole.problems, model.fits, strict=True):
@@ -207,17 +209,17 @@ Coordinate = tuple[int, str]
 
 
 def without(
-    whole: WholeTrials, found: Polished, gone: Sequence[Coordinate], base: Sequence[Law]
-) -> Fitted:
+    whole: WholeTrials, found: Polished, gone: Sequence[Coordinate], base: Sequence[ServoLaw]
+) -> FittedServos:
     """The servos with some coordinates as the laws `base` have them, the others one step on."""
     model, at = found.model, found.model.coordinates
     fits = []
     for j, (fit, law) in enumerate(zip(model.fits, base, strict=True)):
         own = [name for k, name in gone if k in (j, SHARED_BY_ALL)]
         free = tuple(n for n in fit.free if (j, n) not in gone)
-        fits.append(Fit(_returned(fit.law, law, own, fit.free), free))
+        fits.append(LawFit(_returned(fit.law, law, own, fit.free), free))
     shared = tuple(n for n in model.shared if (SHARED_BY_ALL, n) not in gone)
-    new = Fitted(tuple(fits), shared)
+    new = FittedServos(tuple(fits), shared)
     stay = [i for i, c in enumerate(at) if c not in gone]
     if not stay:
         return new
@@ -228,7 +230,7 @@ def without(
     return whole.moved(new, np.clip(-solved(hess[np.ix_(stay, stay)], rest), -0.5, 0.5))
 
 
-def _returned(law: Law, base: Law, names: Sequence[str], free: Sequence[str]) -> Law:
+def _returned(law: ServoLaw, base: ServoLaw, names: Sequence[str], free: Sequence[str]) -> ServoLaw:
     """A law with some coordinates of another. The scale alone takes with it what it multiplies."""
     new = law._asdict()
     if "scale" in names and "damping" not in names and base.kp > 0.0:
@@ -245,10 +247,10 @@ def _returned(law: Law, base: Law, names: Sequence[str], free: Sequence[str]) ->
     for name in names:
         if name not in ("scale", "damping", "limit"):
             new[name] = getattr(base, name)
-    return Law(**new)
+    return ServoLaw(**new)
 
 
-def _distance(whole: WholeTrials, model: Fitted, new: Fitted, at: Coordinate) -> float:
+def _distance(whole: WholeTrials, model: FittedServos, new: FittedServos, at: Coordinate) -> float:
     """By how many units of its coordinate a number was moved."""
     j, name = max(at[0], 0), at[1]
     one, other, p = model.fits[j].law, new.fits[j].law, whole.problems[j]

@@ -11,8 +11,8 @@ from adaptsim_jax.simulators.closed_loop.criteria import CLOSED_LOOP
 from adaptsim_jax.simulators.closed_loop.imposed import Recording, dynamics_along
 from adaptsim_jax.simulators.closed_loop.law import OPEN, Servo, servos_of
 from adaptsim_jax.simulators.closed_loop.pieces import (
-    Motion,
     Trial,
+    TrialMotion,
     encoder_noise,
     pieces_of,
     trials_of,
@@ -60,7 +60,7 @@ def _inertia(model: mujoco.MjModel, servos: tuple[Servo, ...], trials: tuple[Tri
     q = np.concatenate([t.q for t in trials])
     some = q[np.linspace(0, len(q) - 1, 20).astype(int)]
     still = np.zeros_like(some)
-    return dynamics_along(model, servos, Motion(some, still, still)).inertia.mean(0)
+    return dynamics_along(model, servos, TrialMotion(some, still, still)).inertia.mean(0)
 
 
 def _late_by_file(source: Source, servos: tuple[Servo, ...]) -> tuple[Servo, ...]:

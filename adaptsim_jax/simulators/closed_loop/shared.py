@@ -10,7 +10,7 @@ import numpy as np
 from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.simulators.closed_loop.criteria import CLOSED_LOOP
 from adaptsim_jax.simulators.closed_loop.fit import (
-    Fit,
+    LawFit,
     begun,
     fitted,
     gains,
@@ -35,25 +35,25 @@ INFORMATIVE = 3  # joints from which a common delay begins: those that move most
 @dataclass(frozen=True)
 class Attempt:
     """A number that all joints share, fitted: fits by joint, the share that it takes off what was
-    left out (log, all joints together), the least of a joint, and the p of its test.
+    left out (log, all joints together), the worst joint's, and the p of its test.
     """
 
     name: str
-    fits: tuple[Fit, ...]
+    fits: tuple[LawFit, ...]
     gain: float
-    least: float
+    worst: float
     p: float
 
     @property
     def passes(self) -> bool:
         """Whether left-out pieces bear it out, and no joint is harmed."""
-        harmless = self.least > -CLOSED_LOOP.harm
+        harmless = self.worst > -CLOSED_LOOP.harm
         enough = self.gain > CLOSED_LOOP.shared_gain
         return bool(enough and harmless and self.p < CLOSED_LOOP.level)
 
 
 def attempted(
-    problems: Sequence[JointProblem], before: Sequence[Fit], name: str, fits: Sequence[Fit]
+    problems: Sequence[JointProblem], before: Sequence[LawFit], name: str, fits: Sequence[LawFit]
 ) -> Attempt:
     """How fits with a shared number do against those without, on pieces that were left out."""
 
@@ -68,7 +68,7 @@ def attempted(
     )
 
 
-def with_value(problem: JointProblem, fit: Fit, name: str, value: float) -> Fit:
+def with_value(problem: JointProblem, fit: LawFit, name: str, value: float) -> LawFit:
     """The fit with another value of a shared number."""
     law = fit.law._replace(**{name: value})
     return fit.of(bounded(problem.servo, problem.scales, law, (name,)))
@@ -76,11 +76,11 @@ def with_value(problem: JointProblem, fit: Fit, name: str, value: float) -> Fit:
 
 def fitted_shared(
     problems: Sequence[JointProblem],
-    fits: Sequence[Fit],
+    fits: Sequence[LawFit],
     name: str,
     value: float,
     rounds: int = 8,
-) -> tuple[Fit, ...]:
+) -> tuple[LawFit, ...]:
     """Gauss and Newton's fit of one number that all joints share, and of their own."""
     fits = tuple(with_value(p, f, name, value) for p, f in zip(problems, fits, strict=True))
     fixed: list[np.ndarray] | None = None
@@ -119,9 +119,9 @@ def fitted_shared(
     return fits
 
 
-def _normal(problem: JointProblem, fit: Fit, weight: np.ndarray, name: str):
+def _normal(problem: JointProblem, fit: LawFit, weight: np.ndarray, name: str):
     """Normal equations with the shared number last, and the loss."""
-    lin = linearised(problem, Fit(fit.law, (*fit.free, name)), weight)
+    lin = linearised(problem, LawFit(fit.law, (*fit.free, name)), weight)
     hess, slope = lin.normal()
     return hess, slope, float(weight @ squared(lin.error)) + pulled(problem, fit)
 
@@ -141,8 +141,8 @@ def _stepped(own: Sequence[tuple], damping: float) -> tuple[list[np.ndarray], fl
 
 
 def late_targets(
-    problems: Sequence[JointProblem], fits: Sequence[Fit]
-) -> tuple[tuple[Fit, ...], list[Attempt]]:
+    problems: Sequence[JointProblem], fits: Sequence[LawFit]
+) -> tuple[tuple[LawFit, ...], list[Attempt]]:
     """Fits with one delay or one filter of all targets, begun anew; as they were where left-out
     pieces bear out neither.
     """
@@ -163,7 +163,7 @@ def late_targets(
             continue
         starts = [with_value(p, f, name, value) for p, f in zip(problems, fits, strict=True)]
         for j, f in zip(chosen, own, strict=True):
-            starts[j] = with_value(problems[j], Fit(f.law, fits[j].free), name, value)
+            starts[j] = with_value(problems[j], LawFit(f.law, fits[j].free), name, value)
         rows = list(zip(problems, starts, strict=True))
         starts = parallel_map(lambda row: fitted(*row, rounds=6), rows)
         new = fitted_shared(problems, starts, name, value)
@@ -181,14 +181,14 @@ def _weighted_median(values: Sequence[float], weight: Sequence[float]) -> float:
 
 
 def likely_shared(
-    problems: Sequence[JointProblem], fits: Sequence[Fit], names: Sequence[str]
+    problems: Sequence[JointProblem], fits: Sequence[LawFit], names: Sequence[str]
 ) -> list[tuple[str, float]]:
     """Of shared numbers the likeliest three, each with its step, by one step of all joints."""
 
     def one(row):
         problem, fit = row
         own = tuple(n for n in fit.free if n not in names)
-        lin = linearised(problem, Fit(fit.law, (*own, *names)))
+        lin = linearised(problem, LawFit(fit.law, (*own, *names)))
         hess, slope = lin.normal()
         k, unit = len(own), np.array([problem.scales.unit(n) for n in names])
         x = solved(hess[:k, :k], np.column_stack([slope[:k], hess[:k, k:]]))
@@ -205,7 +205,7 @@ def likely_shared(
 
 
 def one_more_shared(
-    problems: Sequence[JointProblem], fits: Sequence[Fit], names: Sequence[str]
+    problems: Sequence[JointProblem], fits: Sequence[LawFit], names: Sequence[str]
 ) -> tuple[Attempt | None, list[Attempt]]:
     """The shared number that predicts left-out pieces best, None where none does; all that were
     tried.
@@ -215,7 +215,7 @@ def one_more_shared(
         value = getattr(fits[0].law, name)
         if name in LATE and value == 0.0 and step < 0.0:
             continue
-        own = [Fit(f.law, tuple(n for n in f.free if n != name)) for f in fits]
+        own = [LawFit(f.law, tuple(n for n in f.free if n != name)) for f in fits]
         unit = 0.01 if name in LATE else 1.0
         begin = value + float(np.clip(0.5 * step, -50 * unit, 50 * unit))
         new = fitted_shared(problems, own, name, begin)

@@ -13,7 +13,7 @@ import numpy as np
 
 from adaptsim_jax.simulators.closed_loop.criteria import CLOSED_LOOP
 from adaptsim_jax.simulators.closed_loop.imposed import JointProblem, Lanes
-from adaptsim_jax.simulators.closed_loop.law import Law, half_a_step, later, stacked
+from adaptsim_jax.simulators.closed_loop.law import ServoLaw, half_a_step, later, stacked
 
 SOFT_RATE, SOFT_IMPEDANCE = 2.0 / (0.95 * 0.02), 0.9  # of MuJoCo's dry friction, as it stands
 
@@ -31,14 +31,14 @@ def targets_of(delay, area, history: int, step: float):
 
 
 @partial(jax.jit, static_argnames=("history", "by_speed", "slides"))
-def _angles(law: Law, lane: Lanes, fixed, step, history: int, by_speed: bool, slides: bool):
+def _angles(law: ServoLaw, lane: Lanes, fixed, step, history: int, by_speed: bool, slides: bool):
     """Angles [B, P, R] at the rows. fixed: damping of the joint alone, inverse weight, ends of the
     range, rest of its spring.
     """
     passive, ease, low, high, rest = fixed
     late = law.delay + later(law.kp, law.damping, jnp.mean(lane.tables[:, 0]) + law.rotor, step)
     target = targets_of(late, lane.area, history, step)
-    law = Law(*(z[:, None] for z in law))
+    law = ServoLaw(*(z[:, None] for z in law))
     outer = jnp.minimum(passive, law.damping)
     inner = law.damping - outer
     cut, free = law.inside * inner, outer + (1.0 - law.inside) * inner
@@ -95,7 +95,7 @@ def _angles(law: Law, lane: Lanes, fixed, step, history: int, by_speed: bool, sl
     return before + lane.share[None] * (after - before)
 
 
-def errors(problem: JointProblem, laws: list[Law]) -> np.ndarray:
+def errors(problem: JointProblem, laws: list[ServoLaw]) -> np.ndarray:
     """Simulated less measured angles [B, P, R] of several laws, 0 where no row is compared."""
     lane, servo, size, parts = problem.lanes, problem.servo, CLOSED_LOOP.batch, []
     history = round(CLOSED_LOOP.history / problem.step)
@@ -104,7 +104,7 @@ def errors(problem: JointProblem, laws: list[Law]) -> np.ndarray:
             some = laws[k : k + size]
             padded = stacked([*some, *[some[-1]] * (size - len(some))])
             angles = _angles(
-                Law(*(jnp.asarray(z) for z in padded)),
+                ServoLaw(*(jnp.asarray(z) for z in padded)),
                 lane,
                 jnp.asarray([servo.passive, problem.ease, *problem.ends, servo.rest]),
                 problem.step,

@@ -10,15 +10,15 @@ from mujoco import rollout
 from scipy import signal
 
 from adaptsim_jax.simulators.closed_loop.imposed import Recording, heavier
-from adaptsim_jax.simulators.closed_loop.law import Law, later, with_model
-from adaptsim_jax.simulators.closed_loop.pieces import Motion, Trial, begins_at_rest, smoothed
+from adaptsim_jax.simulators.closed_loop.law import ServoLaw, later, with_model
+from adaptsim_jax.simulators.closed_loop.pieces import Trial, TrialMotion, begins_at_rest, smoothed
 from adaptsim_jax.simulators.mujoco.rollouts import FULL, quietly
 
 LANES = 16  # machines that are simulated at once: their paths are held in memory
 RAN_AWAY = 10.0  # rad (m): an error that counts as no larger
 
 
-def machine_of(recording: Recording, laws: Sequence[Law]) -> mujoco.MjModel:
+def machine_of(recording: Recording, laws: Sequence[ServoLaw]) -> mujoco.MjModel:
     """The model whose servos have these laws."""
     payload = laws[0].payload
     if recording.hand >= 0 and payload:
@@ -32,7 +32,7 @@ def machine_of(recording: Recording, laws: Sequence[Law]) -> mujoco.MjModel:
     return model
 
 
-def arrived_targets(recording: Recording, trial: int, laws: Sequence[Law]) -> np.ndarray:
+def arrived_targets(recording: Recording, trial: int, laws: Sequence[ServoLaw]) -> np.ndarray:
     """Targets [S, n] in rad, as means over the steps, late, filtered and shifted."""
     t, dt = recording.trials[trial], recording.whole_step
     steps = max(1, int(np.ceil(t.time[-1] / dt - 1e-9)))
@@ -56,11 +56,13 @@ def _filtered(u: np.ndarray, share: float) -> np.ndarray:
     return out
 
 
-def simulated(recording: Recording, machines: Sequence[Sequence[Law]]) -> list[list[Motion]]:
+def simulated(
+    recording: Recording, machines: Sequence[Sequence[ServoLaw]]
+) -> list[list[TrialMotion]]:
     """Motion of each trial, by machine: angles and speeds [T, n] at its rows; NaN from where a
     simulation blew up. Accelerations are those of the speeds.
     """
-    out: list[list[Motion]] = []
+    out: list[list[TrialMotion]] = []
     for first in range(0, len(machines), LANES):
         some = machines[first : first + LANES]
         models = [machine_of(recording, laws) for laws in some]
@@ -69,7 +71,7 @@ def simulated(recording: Recording, machines: Sequence[Sequence[Law]]) -> list[l
     return out
 
 
-def _of_trial(recording, k: int, models, machines) -> list[Motion]:
+def _of_trial(recording, k: int, models, machines) -> list[TrialMotion]:
     trial, dt, servos = recording.trials[k], recording.whole_step, recording.servos
     qpos, dof = np.array([s.qpos for s in servos]), np.array([s.dof for s in servos])
     moving = smoothed(trial.time, trial.q)
@@ -108,7 +110,7 @@ def _of_trial(recording, k: int, models, machines) -> list[Motion]:
     low, high = path[:, row][..., columns], path[:, row + 1][..., columns]
     q, v = np.split(low + share * (high - low), 2, axis=-1)
     zero = np.array([[law.zero for law in laws] for laws in machines])[:, None]
-    return [Motion(a, b, np.zeros_like(a)) for a, b in zip(q + zero, v, strict=True)]
+    return [TrialMotion(a, b, np.zeros_like(a)) for a, b in zip(q + zero, v, strict=True)]
 
 
 def _put_others(model: mujoco.MjModel, trial: Trial, step: float, control: np.ndarray) -> None:
@@ -120,7 +122,7 @@ def _put_others(model: mujoco.MjModel, trial: Trial, step: float, control: np.nd
             control[:, actuator] = command[row]
 
 
-def trial_errors(recording: Recording, motions: Sequence[Motion]) -> np.ndarray:
+def trial_errors(recording: Recording, motions: Sequence[TrialMotion]) -> np.ndarray:
     """Simulated less measured angles [rows of all trials, n], each within `RAN_AWAY`."""
     off = [m.q - t.q for m, t in zip(motions, recording.trials, strict=True)]
     return np.clip(np.nan_to_num(np.concatenate(off), nan=RAN_AWAY), -RAN_AWAY, RAN_AWAY)
