@@ -7,6 +7,7 @@ the file's where the data do not tell it.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -210,7 +211,8 @@ def paired_t(differences: np.ndarray) -> float:
         return 1.0
     if differences.std() < 1e-9:
         return float(differences.mean() <= 1e-9)
-    return float(stats.ttest_1samp(differences, 0.0, alternative="greater").pvalue)
+    test: Any = stats.ttest_1samp(differences, 0.0, alternative="greater")
+    return float(test.pvalue)
 
 
 def score(problem: JointProblem, sums: np.ndarray) -> float:
@@ -254,7 +256,7 @@ def _best_distinct(
     value = np.log(sums / problem.rows + problem.noise**2).mean(1)
     chosen: list[ServoLaw] = []
     for k in np.argsort(value):
-        one = laws[k]
+        one = laws[int(k)]
         near = [
             abs(np.log((one.kp + 1e-12) / (z.kp + 1e-12))) < 0.6
             and abs(np.log(one.damping / z.damping)) < 0.8

@@ -5,6 +5,7 @@ joints which are not simulated.
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from scipy import signal
@@ -91,7 +92,7 @@ def smoothed(time: np.ndarray, x: np.ndarray) -> TrialMotion:
     rows = max(5, 2 * round(0.5 * CLOSED_LOOP.smooth / dt) + 1)
     rows = min(rows, (len(time) - 1) // 2 * 2 + 1)
     order = min(3, rows - 1)
-    parts = [
+    parts: list[Any] = [
         signal.savgol_filter(x, rows, order, deriv=k, delta=dt, axis=0, mode="interp")
         for k in (0, 1, 2)
     ]

@@ -109,7 +109,8 @@ def fitted_shared(
             sums = squared(errors(problem, some)) @ weight
             return sums + [pulled(problem, fit.of(z)) for z in some]
 
-        losses = sum(parallel_map(loss, list(zip(problems, fits, fixed, laws, strict=True))))
+        rows = list(zip(problems, fits, fixed, laws, strict=True))
+        losses = np.sum(parallel_map(loss, rows), 0)
         best = int(np.argmin(losses))
         if not losses[best] < before:
             break
@@ -201,7 +202,7 @@ def likely_shared(
     below = np.maximum(below, 1e-300)
     gain, step = above**2 / below / total, -above / below
     order = np.argsort(gain)[::-1]
-    return [(names[i], float(step[i])) for i in order if gain[i] > 0.003][:3]
+    return [(names[int(i)], float(step[i])) for i in order if gain[i] > 0.003][:3]
 
 
 def one_more_shared(
