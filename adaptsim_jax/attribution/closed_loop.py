@@ -478,6 +478,11 @@ def _notes(d: ServoDiagnosis) -> list[str]:
         "Servos were simulated in closed loop over whole trials, commands held from row to row; "
         "efforts, if logged, were not used."
     ]
+    if not d.found.laws[0].sharp:
+        notes.append(
+            "Dry friction gives as MuJoCo's does: whole trials are simulated better than with "
+            "friction that holds."
+        )
     times = [
         law.kp / s.law.kp
         for s, law in zip(d.recording.servos, d.found.laws, strict=True)

@@ -140,6 +140,8 @@ def _toml(d: ServoDiagnosis, run: dict[str, Any]) -> str:
         effects += _added(s, SPRING.name, *springs)
         effects += _added(s, ENCODER_OFFSET.name, {"offset": law.zero}, {"offset": 0.0})
     own["servo"] = table
+    if not laws[0].sharp:
+        own["friction"] = model_toml.GIVES
     if laws[0].lift != servos[0].law.lift:
         own["lift"] = float(laws[0].lift)
     form = Form("mechanism", model_toml.DECLARED, {}, tuple(effects), own, run)

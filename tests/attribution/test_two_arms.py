@@ -70,6 +70,6 @@ def test_a_simulators_steps_are_no_effect_of_either_arm(tmp_path):
 def test_a_late_computer_is_late_for_both_arms(tmp_path):
     report = diagnose(servo_log(tmp_path / "log", ARMS, ARMS, 4, late=0.0137), out=tmp_path / "out")
     assert {e["name"] for e in report["effects"]} == {"delay"}
-    assert {n for e in report["effects"] for n in NAMES if n in e["where"]} == set(NAMES)
+    assert {n for e in report["effects"] for n in e["joints"]} == set(NAMES)
     for e in report["effects"]:
         assert e["parameters"]["delay"]["value"] == pytest.approx(0.0137, abs=5e-4)
