@@ -476,7 +476,8 @@ def measure_of(d: ServoDiagnosis, error: np.ndarray) -> Measure:
 def _notes(d: ServoDiagnosis) -> list[str]:
     notes = [
         "Servos were simulated in closed loop over whole trials, commands held from row to row; "
-        "efforts, if logged, were not used."
+        "efforts, if logged, were not used. Errors are of the trials that were fitted, a few "
+        "numbers to thousands of rows: replay other trials before you rely on them."
     ]
     if not d.found.laws[0].sharp:
         notes.append(
