@@ -333,11 +333,6 @@ def bounded(servo: Servo, scales: Scales, law: ServoLaw, free: tuple[str, ...]) 
     return ServoLaw(**new)
 
 
-def with_file_law(servo: Servo, law: ServoLaw) -> ServoLaw:
-    """The law with kp and damping of the file, returned together or not at all."""
-    return law._replace(kp=servo.law.kp, damping=servo.law.damping)
-
-
 def inner_damping(servo: Servo, damping: Any) -> Any:
     """Of a damping the part that is the controller's: what is beyond the joint's own."""
     return damping - np.minimum(servo.passive, damping)
