@@ -109,6 +109,7 @@ WITHIN = {
         "readers",
         "lerobot",
         "joint_columns",
+        "speeds",
         "scales",
         "unit_guess",
         "guess",

@@ -32,6 +32,7 @@ from adaptsim_jax.logs.quality.hypotheses import (
     linear_fit,
     motion_of,
 )
+from adaptsim_jax.logs.quality.order import Order, order_words, other_order, usual_orders
 from adaptsim_jax.logs.quality.trial_words import Channels
 from adaptsim_jax.logs.quality.trials_differ import Differ, trials_differ
 from adaptsim_jax.mechanisms.dynamics import compensation
@@ -67,6 +68,7 @@ def check_conventions(machine: Machine) -> tuple[AuditFinding, ...]:
     what to write instead.
     """
     tree, log = machine.tree, machine.log
+    check_order(machine)
     warnings = check_commands(machine)
     found = of_machine(machine)
     if found is None:
@@ -98,6 +100,29 @@ def check_conventions(machine: Machine) -> tuple[AuditFinding, ...]:
     if late is None:
         return warned
     return warned + late_finding(log.path, late, step, ("the input columns",), names_late_logs=True)
+
+
+def check_order(machine: Machine) -> None:
+    """BadInput where a servo's columns, angles and targets together, are in another order than the
+    model's joints.
+    """
+    tree, log = machine.tree, machine.log
+    if log.input_kind != "command" or machine.mechanism.drives_beyond or tree.n < 2:
+        return
+
+    def tracks(order: Order) -> list[Track]:
+        own = list(order)
+        out = []
+        for t in machine.tracks:
+            q = t.q[:, own]
+            v = np.gradient(q, t.time, axis=0) if t.v is None else t.v[:, own]
+            out.append(Track(t.time, q, v, _force(machine, q, v, t.u[:, own])))
+        return out
+
+    design = _design(tree, _program(tree.n))
+    found = other_order(tracks, design, usual_orders(tree.parent, tree.joint_names))
+    if found is not None:
+        raise BadInput(f"{log.path}: {order_words(found, tree.joint_names)}; {AS_DECLARED}")
 
 
 def _weighed(machine: Machine, tracks: list[Track], declared: Design) -> tuple[AuditFinding, ...]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import fnmatch
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -21,8 +22,10 @@ from adaptsim_jax.logs.joint_columns import JointColumns, also_there, columns_of
 from adaptsim_jax.logs.log import Log, LogTrial, ModelNames
 from adaptsim_jax.logs.log_meta import LogMeta, of_trial
 from adaptsim_jax.logs.quality.consistency import jitter
+from adaptsim_jax.logs.quality.holes import holes
 from adaptsim_jax.logs.repeats import read_once
 from adaptsim_jax.logs.scales import check_log_units, check_scales
+from adaptsim_jax.logs.speeds import Written
 from adaptsim_jax.logs.tables import RawTrial
 from adaptsim_jax.logs.words import WORDS, word_of
 
@@ -41,12 +44,17 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
     retained, held = _moving(path, trials, names, meta)
     inputs = choose_inputs(path, trials, names, meta, [names.joints[j] for j in retained])
     log_trials = tuple(_trial(columns, names, meta, inputs, retained) for columns in trials)
+    log_trials, paused = _unpaused(log_trials)
     log_trials, evened = _evened(log_trials)
     headed = tuple(dict.fromkeys(note for columns in trials for note in columns.notes))
     known = {names.joints[j] for columns in trials for j in columns.declared}
-    suspected = (
-        headed + scales + check_log_units(log_trials, names.only(retained), meta.units, known)
-    )
+    written = {
+        names.joints[j]: Written(*(trials[0].named[s, j] for s in ("q", "v")), scale)
+        for (stem, j), scale in trials[0].scale.items()
+        if stem == "v" and j in retained
+    }
+    moving = names.only(retained)
+    suspected = headed + scales + check_log_units(log_trials, moving, meta.units, known, written)
     turns = [columns.raw.name for columns in trials if columns.turns]
     if turns:
         turned = (
@@ -71,7 +79,7 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
         input_names=inputs.names,
         driven=inputs.driven,
         input_columns=_input_columns(raw[0], names, inputs),
-        notes=notes + turned + evened + suspected + repeated + unread(path),
+        notes=notes + turned + paused + evened + suspected + repeated + unread(path),
         held=held,
     )
 
@@ -411,13 +419,31 @@ def _trial(
     )
 
 
+def _unpaused(trials: tuple[LogTrial, ...]) -> tuple[tuple[LogTrial, ...], tuple[str, ...]]:
+    """The trials cut where their clock pauses, and a note on it; what is too short is left out."""
+    out, notes = [], []
+    for trial in trials:
+        pauses = np.flatnonzero(np.diff(trial.time) > TABLE.pause)
+        ends = [0, *(pauses + 1).tolist(), len(trial.time)]
+        parts = [trial.rows(a, b) for a, b in pairwise(ends) if b - a >= TABLE.min_rows]
+        if len(ends) == 2 or not parts:
+            out.append(trial)
+            continue
+        out += [replace(part, name=f"{trial.name}_{k}") for k, part in enumerate(parts, 1)]
+        notes.append(
+            f"{trial.name} pauses for {float(np.max(np.diff(trial.time))):.4g} s: taken as "
+            f"{len(parts)} trial(s), {trial.name}_1 to {trial.name}_{len(parts)}"
+        )
+    return tuple(out), tuple(notes)
+
+
 def _evened(trials: tuple[LogTrial, ...]) -> tuple[tuple[LogTrial, ...], tuple[str, ...]]:
     """The trials at even times where their rows were read evenly and only stamped unevenly, and a
     note on it.
     """
     found = jitter([(t.time, t.q) for t in trials])
     if found is None:
-        return trials, ()
+        return _filled(trials)
     step = float(np.median([np.median(np.diff(time)) for time in found.times]))
     note = (
         f"stamps of rows jitter (by {1e3 * found.size:.2g} ms) and the angles do not "
@@ -426,6 +452,49 @@ def _evened(trials: tuple[LogTrial, ...]) -> tuple[tuple[LogTrial, ...], tuple[s
     )
     return tuple(replace(t, time=time) for t, time in zip(trials, found.times, strict=True)), (
         note,
+    )
+
+
+def _filled(trials: tuple[LogTrial, ...]) -> tuple[tuple[LogTrial, ...], tuple[str, ...]]:
+    """The trials with empty rows where rows are missing that even stamps deny, and a note on it.
+    What acts there is straight between its rows.
+    """
+    beside = [t.u if t.v is None else np.concatenate([t.u, t.v], 1) for t in trials]
+    found = holes([(t.time, t.q, x) for t, x in zip(trials, beside, strict=True)])
+    if found is None:
+        return trials, ()
+    first = next(k for k, missing in enumerate(found) if missing.any())
+    at = trials[first].time[np.argmax(found[first] > 0)]
+    note = (
+        f"rows are missing though stamps are even: {sum(map(np.count_nonzero, found))} holes, "
+        f"{sum(map(int, map(np.sum, found)))} rows in all, first in {trials[first].name} after "
+        f"{at:.4g} s, where angles jump as over a longer step; rows are taken to be there, empty"
+    )
+    return tuple(_with_rows(t, missing) for t, missing in zip(trials, found, strict=True)), (note,)
+
+
+def _with_rows(trial: LogTrial, missing: np.ndarray) -> LogTrial:
+    """A trial with so many rows after each `[T - 1]`, in which nothing was read."""
+    old = np.concatenate([[0], np.cumsum(1 + missing)])
+    new = np.arange(old[-1] + 1)
+
+    def straight(x):
+        return np.stack([np.interp(new, old, column) for column in x.T], 1)
+
+    def read(x):
+        out = np.full((len(new), *x.shape[1:]), np.nan)
+        out[old] = x
+        return out
+
+    return replace(
+        trial,
+        time=trial.time[0] + trial.dt * new,
+        q=read(trial.q),
+        v=None if trial.v is None else read(trial.v),
+        u=straight(trial.u) if trial.u.size else np.zeros((len(new), trial.u.shape[1])),
+        extra={name: straight(x) for name, x in trial.extra.items()},
+        base=None if trial.base is None else straight(trial.base),
+        channels={name: read(x) for name, x in trial.channels.items()},
     )
 
 

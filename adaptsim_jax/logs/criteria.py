@@ -19,6 +19,7 @@ class TableCriteria:
     seldom: float = 0.05  # of the rows that a column of states has at least
     kind: float = 0.1  # of the rows of which one kind of row is listed
     restart: float = 2.0  # steps from its first value, within which a clock starts again
+    pause: float = 5.0  # s from row to row: what follows is a trial of its own
     single: float = 1e4  # s: float32 holds smaller times to a millisecond
     repeated: float = 0.2  # of the steps that are none: digits are lost
     moving: float = 1e-3  # rad (m) of range, from which on a joint is taken to move
@@ -57,6 +58,7 @@ class UnitCriteria:
     inside: float = 1.2  # declared ranges that it may move in the unit suspected instead
     long: float = 10.0  # m that a slide without a range may move before mm are hinted at
     alike: float = 0.1  # in log: two factors of units this near are one
+    same: float = 0.02  # the same of ratios that are known so well
     min_rows: int = 20  # with angle and speed, to compare both
     related: float = 0.9  # R2 of speeds and slopes, to take their ratio for a unit's
     agree: float = 1.2  # largest over smallest ratio of a log's joints
@@ -156,6 +158,20 @@ class JitterCriteria:
     min_rows: int = 10  # of a trial
     min_count: int = 50  # rows of all trials
     off: float = 2.0  # sampling intervals: stamps farther from even are no jitter
+
+
+@dataclass(frozen=True)
+class HoleCriteria:
+    """Rows that are missing though stamps are even (`holes.py`)."""
+
+    min_rows: int = 20  # of a trial
+    doubted: float = 30.0  # usual squares that a cubic over a hole leaves
+    clear: float = 30.0  # times less that it leaves with the rows put in
+    longest: int = 8  # rows of a hole: over longer ones no cubic holds
+    min_count: int = 3  # holes of all trials: fewer may be a slip of the machine
+    least: float = 1e-9  # of an angle's range: what rounding leaves
+    leap: float = 1.4  # times the way of a row beside it, that a joint goes over a hole
+    slow: float = 3.0  # usual misses a row, by which the speed over a hole may be off
 
 
 @dataclass(frozen=True)
@@ -302,6 +318,7 @@ SIGNAL = SignalCriteria()
 AGREEMENT = AgreementCriteria()
 REST = RestCriteria()
 JITTER = JitterCriteria()
+HOLE = HoleCriteria()
 BLOCK = BlockCriteria()
 CONTRADICTION = ContradictionCriteria()
 COMMAND = CommandCriteria()

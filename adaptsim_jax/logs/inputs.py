@@ -141,8 +141,8 @@ def choose_inputs(
             )
     first = trials[0]
     if kind == "none":
-        _check_motor_commands(first, names, meta, moving)
-        return Inputs(kind, "", (), ())
+        idle = _motors_off(first, names, meta, moving)
+        return Inputs(kind, "", (), (), notes=idle)
     notes = _notes(kind, kinds, meta)
     if kind == "command":
         if meta.targets is None:
@@ -364,19 +364,25 @@ def _check_ctrl(columns: JointColumns, actuators: tuple[ActuatorName, ...]) -> N
             )
 
 
-def _check_motor_commands(
+def _motors_off(
     columns: JointColumns, names: ModelNames, meta: LogMeta, moving: Sequence[str]
-) -> None:
+) -> tuple[str, ...]:
+    """A note on motors of which nothing is logged and meta.toml says that they were off. BadInput
+    where it does not.
+    """
     needed = [a for a in names.actuators or () if set(a.joints) & set(moving)]
-    if needed and meta.input != "none":
-        a = needed[0]
-        if a.kind == "motor":
-            column = f"ctrl_{a.name}"
-        else:
-            column = f"target_{a.joint}"
-        also = also_there(columns.raw, "target", a.joint)
-        raise BadInput(
-            f"{columns.raw.path}: no command for actuator '{a.name}' of joint '{a.joint}'; add "
-            f"column {column} (or "
-            f'tau_{a.joint}), or write input = "none" in meta.toml where its motor was off{also}'
-        )
+    if not needed:
+        return ()
+    first, nothing = needed[0], "nothing can be said of the drives"
+    if meta.input == "none":
+        joints = ", ".join(dict.fromkeys(a.joint for a in needed))
+        return (f"input is none: motors of {joints} are taken as off; if they worked, {nothing}",)
+    column = f"target_{first.joint}"
+    if first.kind == "motor":
+        column = f"ctrl_{first.name}"
+    also = also_there(columns.raw, "target", first.joint)
+    raise BadInput(
+        f"{columns.raw.path}: no command for actuator '{first.name}' of joint '{first.joint}'; add "
+        f'column {column} (or tau_{first.joint}), or write input = "none" in meta.toml where its '
+        f"motor was off (if it worked, and neither command nor torque is logged, {nothing}){also}"
+    )

@@ -28,7 +28,7 @@ class JointColumns:
     - `turns`: Whether whole turns were taken out of angles.
     - `written`: (stem, joint) -> `[T]` as the file has it, of angles and targets.
     - `named`: (stem, joint) -> its column.
-    - `scaled`: Joints whose angles are declared in a scale that is no unit of angle.
+    - `scale`: (stem, joint) -> SI of one as written.
     - `base [T, 7]`: Place and orientation of a free base.
     - `channels`: By sensor of the model `[T]`.
     - `declared`: Joints for whose angles `[units]` has a unit.
@@ -42,7 +42,7 @@ class JointColumns:
     turns: bool
     written: dict[tuple[str, int], np.ndarray] = field(default_factory=dict)
     named: dict[tuple[str, int], str] = field(default_factory=dict)
-    scaled: dict[int, bool] = field(default_factory=dict)
+    scale: dict[tuple[str, int], float] = field(default_factory=dict)
     base: np.ndarray | None = None
     channels: dict[str, np.ndarray] = field(default_factory=dict)
     declared: frozenset[int] = frozenset()
@@ -55,12 +55,17 @@ class JointColumns:
             out[:, j] = values
         return out
 
+    def scaled(self, j: int) -> bool:
+        """Whether a joint's angles are declared in a scale that is no unit of angle."""
+        own = (self.scale.get((stem, j), 1.0) for stem in ("q", "target"))
+        return any(scale not in ANGLE_UNITS.values() for scale in own)
+
 
 @dataclass
 class _Converter:
     """Columns of one trial made SI one by one: what is known of them so far.
 
-    - `ctrl`, `by_joint`, `written`, `named`, `scaled`, `declared`: As of `JointColumns`.
+    - `ctrl`, `by_joint`, `written`, `named`, `scale`, `declared`: As of `JointColumns`.
     - `headed`: What headings say of units, beside what is taken.
     - `counted`: Joints whose encoder counts its turns: readings go beyond a turn.
     """
@@ -73,7 +78,7 @@ class _Converter:
     ctrl: dict[int | str, np.ndarray] = field(default_factory=dict)
     written: dict[tuple[str, int], np.ndarray] = field(default_factory=dict)
     named: dict[tuple[str, int], str] = field(default_factory=dict)
-    scaled: dict[int, bool] = field(default_factory=dict)
+    scale: dict[tuple[str, int], float] = field(default_factory=dict)
     declared: set[int] = field(default_factory=set)
     headed: list[tuple[HeadingUnit, Affine, tuple[str, ...], str]] = field(default_factory=list)
     counted: set[int] = field(default_factory=set)
@@ -113,9 +118,9 @@ class _Converter:
         if stem == "q" and declared(units, "q", words, slides=slides) is not None:
             self.declared.add(j)
         raw = trial.columns[name]
+        self.scale[stem, j] = unit.scale
         if stem in ("q", "target"):
             self.written[stem, j] = raw
-            self.scaled[j] = self.scaled.get(j, False) or unit.scale not in ANGLE_UNITS.values()
         if stem == "q" and unit.count and np.nanmax(raw) - np.nanmin(raw) > unit.count:
             self.counted.add(j)
         values = unit.of(raw)
@@ -172,7 +177,7 @@ def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> JointColumn
         turned,
         made.written,
         made.named,
-        made.scaled,
+        made.scale,
         _base(trial, roles),
         channels,
         frozenset(made.declared),

@@ -9,8 +9,7 @@ ends of such a range ends at exactly 100. Steps are whole numbers. Nothing is co
 
 from __future__ import annotations
 
-import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +20,7 @@ from adaptsim_jax.logs.criteria import UNIT
 from adaptsim_jax.logs.joint_columns import JointColumns
 from adaptsim_jax.logs.log import LogTrial, ModelNames
 from adaptsim_jax.logs.log_units import LENGTH_UNITS
-from adaptsim_jax.logs.quality.consistency import Agreement, velocity_agreement
+from adaptsim_jax.logs.speeds import Written, check_speeds
 
 SIGNED, UNSIGNED, STEPS, SHARE = "signed", "unsigned", "steps", "share"
 
@@ -159,18 +158,14 @@ def check_scales(trials: Sequence[JointColumns], names: ModelNames) -> tuple[str
             if (x := c.written.get((stem, j))) is not None
         ]
         for j, joint in enumerate(names.joints)
-        if not all(c.scaled.get(j, False) for c in trials)
+        if not all(c.scaled(j) for c in trials)
     }
     ranges = {
         joint: limits for j, joint in enumerate(names.joints) if (limits := names.limits_of(j))
     }
     found = scales_of(written, [j for j in names.joints if j in written], lerobot, ranges)
     for j, joint in enumerate(names.joints):
-        own = [
-            c.written["q", j]
-            for c in trials
-            if ("q", j) in c.written and not c.scaled.get(j, False)
-        ]
+        own = [c.written["q", j] for c in trials if ("q", j) in c.written and not c.scaled(j)]
         if (
             joint not in found
             and joint not in names.slides
@@ -202,17 +197,6 @@ def check_scales(trials: Sequence[JointColumns], names: ModelNames) -> tuple[str
 
 
 WORDS = {"mm": "millimetres", "cm": "centimetres"}
-MISTAKES = {
-    math.pi / 180: (
-        'q1, q2 in degrees while v1, v2 are in rad/s; write angle = "deg" and velocity = "rad/s"'
-    ),
-    180 / math.pi: 'v1, v2 in deg/s while q1, q2 are in rad; write velocity = "deg/s"',
-    1e3: 'time in milliseconds; write time = "ms"',
-    1e6: 'time in microseconds; write time = "us"',
-    60 / (2 * math.pi): 'v1, v2 in revolutions per minute; write velocity = "rpm"',
-    1e-3: 'v1, v2 in rad/ms; write velocity = "rad/ms"',
-}
-"""Times that speeds are the slopes of the angles -> the unit that explains it."""
 
 
 def check_log_units(
@@ -220,6 +204,7 @@ def check_log_units(
     names: ModelNames,
     units: Mapping[str, object] | None = None,
     known: Collection[str] = (),
+    written: Mapping[str, Written] | None = None,
 ) -> tuple[str, ...]:
     """Notes about suspicious units.
 
@@ -228,22 +213,19 @@ def check_log_units(
     Args:
         units: As declared; angles that are degrees already are not asked about.
         known: Joints for whose angles or ways a unit is declared.
+        written: Of joints that have speeds, their columns.
     """
     hinges = [j for j, joint in enumerate(names.joints) if joint not in names.slides]
-    for trial in trials:
-        if what := _speed_suspect(trial, hinges):
-            why = f"velocities and angles differ by a unit: suspected are {what}"
-            raise BadInput(f"{trial.path}: {why} under [units] in meta.toml, or convert the file")
+    off = check_speeds(trials, names, written or {})
     slides = [j for j, joint in enumerate(names.joints) if joint in names.slides]
     distant = tuple(
         note for j in slides if (note := _distance_note(trials, j, names, names.joints[j] in known))
     )
     degrees = any(unit in ("deg", "degrees") for unit in (units or {}).values())
     if degrees:
-        return distant
-    return distant + tuple(
-        note for j in hinges if (note := _large(trials, j, names, names.joints[j] in known))
-    )
+        return (*off, *distant)
+    large = [_large(trials, j, names, names.joints[j] in known) for j in hinges]
+    return (*off, *distant, *filter(None, large))
 
 
 def lengths_within(times: float) -> tuple[str, ...]:
@@ -293,29 +275,6 @@ def _distance_note(trials: Sequence[LogTrial], j: int, names: ModelNames, known:
         f"write {ask} under [units] in meta.toml, "
         'or length = "m" if they are metres and the range is not the machine\'s'
     )
-
-
-def _speed_suspect(trial: LogTrial, hinges: Sequence[int]) -> str:
-    """The mistake that all hinges that move enough agree on, or nothing."""
-    if trial.v is None:
-        return ""
-    here = {j: np.isfinite(trial.q[:, j]) & np.isfinite(trial.v[:, j]) for j in hinges}
-    return speed_mistake(
-        velocity_agreement(trial.time[rows], trial.q[rows, j], trial.v[rows, j])
-        for j, rows in here.items()
-        if rows.sum() > UNIT.min_rows
-    )
-
-
-def speed_mistake(joints: Iterable[Agreement]) -> str:
-    """The mistake in a unit that speeds of all joints that move enough agree on, or nothing."""
-    gains = [a.gain for a in joints if a.enough and a.r2 > UNIT.related]
-    if not gains or min(gains) <= 0:
-        return ""
-    for size, what in MISTAKES.items():
-        if all(abs(math.log(gain / size)) < UNIT.alike for gain in gains):
-            return what
-    return ""
 
 
 def _large(trials: Sequence[LogTrial], j: int, names: ModelNames, known: bool) -> str:

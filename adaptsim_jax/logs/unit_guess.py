@@ -17,11 +17,8 @@ from adaptsim_jax.logs.criteria import TABLE, UNIT
 from adaptsim_jax.logs.headings import HeadingUnit, heading_unit, lines
 from adaptsim_jax.logs.log import ModelNames
 from adaptsim_jax.logs.log_units import LENGTH_UNITS, TIME_UNITS
-from adaptsim_jax.logs.quality.consistency import velocity_agreement
 from adaptsim_jax.logs.scales import Scale, lengths_within, scales_of, times_range
-
-DEGREE = np.pi / 180
-RPM = 2 * np.pi / 60
+from adaptsim_jax.logs.speeds import DEGREE, MISTAKES, agreement, common
 
 
 @dataclass(frozen=True)
@@ -280,15 +277,10 @@ def _angles(
     }
     if angle or speed:
         return _by_headings(out, gain, angle, speed, observed)
-    if gain is not None and _like(gain, DEGREE):
-        return out | {
-            "angle": ("deg", "speeds fit rad/s, angles are 57 times larger"),
-            "velocity": ("rad/s", "see angle"),
-        }
-    if gain is not None and _like(gain, 1 / DEGREE):
-        return out | {"velocity": ("deg/s", "speeds are 57 times the angles' slopes")}
-    if gain is not None and _like(gain, 1 / RPM):
-        return out | {"velocity": ("rpm", "speeds are 9.5 times the angles' slopes")}
+    for size, (_, units) in MISTAKES.items():
+        if gain is not None and "time" not in units and _like(gain, size):
+            why = f"speeds are {gain:.3g} times the angles' slopes"
+            return out | {key: (unit, why) for key, unit in units.items()}
     return out | _by_size(time, observed, lerobot, unknown)
 
 
@@ -377,18 +369,6 @@ def _like(gain: float, scale: float) -> bool:
 
 def _gain(time: np.ndarray, angles: dict, speeds: dict) -> float | None:
     """Logged speed over the slope of the angle, where joints agree on it."""
-    gains = []
-    for joint, v in speeds.items():
-        q = angles.get(joint)
-        if (
-            q is not None
-            and np.isfinite(q).all()
-            and np.isfinite(v).all()
-            and len(q) > UNIT.min_rows
-        ):
-            reported = velocity_agreement(time, q, v)
-            if reported.enough and reported.r2 > UNIT.related and reported.gain > 0:
-                gains.append(reported.gain)
-    if not gains or max(gains) > UNIT.agree * min(gains):
-        return None
-    return float(np.median(gains))
+    both = [(angles[joint], v) for joint, v in speeds.items() if joint in angles]
+    gain = common([found for q, v in both if (found := agreement(time, q, v))])
+    return gain if gain is not None and gain > 0 else None

@@ -30,6 +30,9 @@ WORDS = (
     "differs",
     "clock",
     "time runs",
+    "rows are missing",
+    "in the order",
+    "times d(",
     "end at exactly",
     "reach",
 )

@@ -1,5 +1,5 @@
 """`train`, `adapt` and `robot record` of a small pendulum, whole processes killed at random moments
-and called again.
+(every other one by SIGTERM, as schedulers do) and called again.
 
     # kills, seed; exit status 1 and a line at the first that lost anything
     python -m tests.faults.killed_commands FOLDER 75 0
@@ -20,6 +20,7 @@ import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
+from adaptsim_jax.cli import STOPPED
 from adaptsim_jax.core.files import LOCK
 from tests.commands.test_train import SET, contents, write_trial
 
@@ -124,9 +125,10 @@ def campaign(base: Path, kills: int, seed: int) -> dict[str, int]:
         while hits[name] < kills // len(known):
             process = start(*call.words(folder))
             time.sleep(draw.uniform(0.0, call.seconds))
-            process.send_signal(signal.SIGKILL)
+            by = (signal.SIGKILL, signal.SIGTERM)[hits[name] % 2]
+            process.send_signal(by)
             said = process.communicate()[0]
-            hit = process.returncode == -signal.SIGKILL
+            hit = process.returncode in (-by, STOPPED)
             hits[name] += hit
             if not hit and process.returncode:
                 raise ValueError(f"{name}, after {hits[name]} kills: {said}")

@@ -108,37 +108,43 @@ def contradiction(
         chain [n]: The joint whose angle a joint's may have been added to, -1 for none.
         zeros: Joints whose zero may be a quarter or half a turn off.
     """
-    motion = motion_of(tracks)
-    if len(motion.q) < BLOCK.enough or not np.all(np.isfinite(motion.a)) or not _moves(motion):
-        return None
-    left = unexplained(motion, design)
-    if left < CONTRADICTION.hardly:
-        return None
-    best: tuple[float, Hypothesis] | None = None
-    for h in (*hypotheses_of(words, chain, zeros), *more):
+    asked = (*hypotheses_of(words, chain, zeros), *more)
+    for sharp in (False, True):  # fast motion of few rows is exact in short blocks alone
+        motion = motion_of(tracks, sharp=sharp)
+        if len(motion.q) < BLOCK.enough or not np.all(np.isfinite(motion.a)) or not _moves(motion):
+            return None
+        left = unexplained(motion, design)
+        if left < CONTRADICTION.hardly:
+            return None
+        other, best = _simplest(asked, motion, design)
+        times = CONTRADICTION.times if left >= CONTRADICTION.doubted else CONTRADICTION.clearly
+        if other <= CONTRADICTION.explains and other * times <= left:
+            if left < CONTRADICTION.doubted and best in more and _as_heavy(motion, design):
+                return None
+            return Contradiction(best.name, best.statement, best.mend, left, other)
+    return None
+
+
+def _simplest(
+    asked: Sequence[Hypothesis], motion: BlockMeans, design: Design
+) -> tuple[float, Hypothesis]:
+    """The hypothesis that leaves least, and what that is; of two that do alike the first, which is
+    the simpler, stands.
+    """
+    best = np.inf, asked[0]
+    for h in asked:
         other = unexplained(h.motion(motion), h.design or design, h.gravity)
-        # of two that do alike the first, which is the simpler, stands
-        if best is None or other < CONTRADICTION.simpler * best[0]:
+        if other < CONTRADICTION.simpler * best[0]:
             best = other, h
-    if (
-        best is None
-        or best[0] > CONTRADICTION.explains
-        or best[0]
-        * (CONTRADICTION.times if left >= CONTRADICTION.doubted else CONTRADICTION.clearly)
-        > left
-    ):
-        return None
-    if (
-        left < CONTRADICTION.doubted
-        and best[1] in more
-        and 1.0 / CONTRADICTION.same_size
-        < linear_fit(motion, design, first=motion.tau.shape[1]).scale
-        < CONTRADICTION.same_size
-    ):
-        # inertias that are a little off look like lengths that are far off; but torques are then of
-        # the right size
-        return None
-    return Contradiction(best[1].name, best[1].statement, best[1].mend, left, best[0])
+    return best
+
+
+def _as_heavy(motion: BlockMeans, design: Design) -> bool:
+    """Whether torques are of the declared masses' size: inertias that are a little off look like
+    lengths that are far off.
+    """
+    scale = linear_fit(motion, design, first=motion.tau.shape[1]).scale
+    return 1.0 / CONTRADICTION.same_size < scale < CONTRADICTION.same_size
 
 
 def _moves(motion: BlockMeans) -> bool:

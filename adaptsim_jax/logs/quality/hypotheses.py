@@ -81,9 +81,9 @@ def stated(
     return Hypothesis(code, *texts, motion=motion, design=design)
 
 
-def motion_of(tracks: Sequence[Track], shift: float = 0.0) -> BlockMeans:
+def motion_of(tracks: Sequence[Track], shift: float = 0.0, sharp: bool = False) -> BlockMeans:
     """Block means of all trials, with the torque of `shift` s later taken to act."""
-    parts = [blocks(t, shift) for t in tracks]
+    parts = [blocks(t, shift, sharp) for t in tracks]
     joined = [np.concatenate([p[k] for p in parts]) for k in range(4)]
     if len(joined[0]):
         keep = np.unique(

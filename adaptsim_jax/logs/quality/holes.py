@@ -1,0 +1,114 @@
+"""Rows that a recorder dropped while it stamped the others evenly: the angles jump as they would
+over a longer step, and over no other.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from adaptsim_jax.logs.criteria import HOLE, JITTER
+
+AROUND = np.arange(-2, 4)
+"""Rows beside the one after which rows may be missing."""
+
+
+def holes(trials: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> list[np.ndarray] | None:
+    """How many rows are missing after each row `[T - 1]`, of trials (time [T] s, q [T, n], and what
+    else moves with them [T, m]); None where stamps are not even, or hardly any row is missing.
+    """
+    found = []
+    for time, q, others in trials:
+        steps = np.diff(time)
+        if np.ptp(steps) > JITTER.even * float(np.median(steps)):
+            return None
+        missing, moving = np.zeros(len(q) - 1, int), _moving(q)
+        if len(q) >= HOLE.min_rows and moving.shape[1]:
+            missing = _missing(moving, _moving(others))
+        found.append(missing)
+    if sum(np.count_nonzero(missing) for missing in found) >= HOLE.min_count:
+        return found
+    return None
+
+
+def _moving(x: np.ndarray) -> np.ndarray:
+    """Columns of `x [T, n]` that are whole and move."""
+    whole = x[:, np.all(np.isfinite(x), axis=0)]
+    return whole[:, np.ptp(whole, axis=0) > 0]
+
+
+def _missing(q: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Rows missing after each row `[T - 1]`, where angles `q [T, n]` jump: the most evident first,
+    so that those beside it are judged by the times that it leaves.
+    """
+    rows, every = np.arange(2, len(q) - 3), np.concatenate([q, others], 1)
+    place = np.arange(len(q), dtype=float)
+    out = np.zeros(len(q) - 1, int)
+    windows = np.lib.stride_tricks.sliding_window_view(every, len(AROUND), axis=0)
+    left = np.sum((windows @ _misses(place[rows[:1, None] + AROUND])[0]) ** 2, axis=2)
+    least = [max(_step(x), HOLE.least * np.ptp(x)) ** 2 for x in every.T]
+    noise = np.maximum(np.median(left, axis=0), least)
+    scaled = every / np.sqrt(noise)
+    doubted = rows[np.max((left / noise)[:, : q.shape[1]], axis=1) > HOLE.doubted]
+    gain, count = np.zeros(len(doubted)), np.zeros(len(doubted), int)
+    asked = np.arange(len(doubted))
+    while len(doubted):
+        if len(asked):
+            gain[asked], count[asked] = _gains(place, scaled, doubted[asked], q.shape[1])
+        k = int(np.argmax(gain))
+        if gain[k] < np.log(HOLE.clear):
+            break
+        out[doubted[k]], gain[k] = count[k], -np.inf
+        place[doubted[k] + 1 :] += count[k]
+        near = np.abs(doubted - doubted[k]) < len(AROUND)
+        asked = np.flatnonzero(near & (out[doubted] == 0))
+    return out
+
+
+def _gains(
+    place: np.ndarray, scaled: np.ndarray, rows: np.ndarray, joints: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """How much likelier `rows [K]` are with rows missing after them, and how many `[K]`."""
+    beside = rows[:, None] + AROUND
+    times = place[beside] - place[rows][:, None]
+    score = np.stack(
+        [
+            _surprise(_misses(times + m * (AROUND > 0)) @ scaled[beside])
+            for m in range(HOLE.longest + 1)
+        ]
+    )
+    score[1:][~_passed(scaled[beside][:, :, :joints])] = np.inf
+    return score[0] - np.min(score[1:], axis=0), 1 + np.argmin(score[1:], axis=0)
+
+
+def _step(x: np.ndarray) -> float:
+    """The smallest change of `x [T]`: an encoder's step, where it is coarse."""
+    change = np.abs(np.diff(x))
+    return float(np.min(change[change > 0]))
+
+
+def _passed(q: np.ndarray) -> np.ndarray:
+    """Whether angles `q [K, 6, n]` can have come from their third row to the fourth in so many rows
+    more `[M, K]`: about as fast as before and after. An encoder that counts anew leaps back; where
+    a target steps, or a foot strikes, no joint goes farther than it is fast.
+    """
+    before, after = q[:, 2] - q[:, 1], q[:, 4] - q[:, 3]
+    fastest = np.maximum(np.abs(before), np.abs(after))
+    wide = np.abs(after - before) + 0.5 * fastest + HOLE.slow
+    low, high = np.minimum(before, after) - wide, np.maximum(before, after) + wide
+    rows = 2 + np.arange(HOLE.longest)[:, None, None]
+    jump = q[:, 3] - q[:, 2]
+    leaps = np.any(np.abs(jump) > HOLE.leap * fastest + HOLE.slow, axis=1)
+    return leaps & np.all((low < jump / rows) & (jump / rows < high), axis=2)
+
+
+def _surprise(left: np.ndarray) -> np.ndarray:
+    """How unlikely `left [K, 6, m]` is, by windows `[K]`: a target that steps, which no row
+    explains, counts for one of many.
+    """
+    return np.sum(np.log1p(np.sum(left**2, axis=1)), axis=1)
+
+
+def _misses(time: np.ndarray) -> np.ndarray:
+    """`[K, 6, 6]`: what a cubic leaves of values at `time [K, 6]`."""
+    shape, _ = np.linalg.qr((time / time[:, -1:])[:, :, None] ** np.arange(4))
+    return np.eye(len(AROUND)) - shape @ shape.transpose(0, 2, 1)

@@ -1,0 +1,91 @@
+"""Whether the joints of a log, with all their columns, are in another order than the model's:
+arrays without names say nothing of it, and simulators have orders of their own.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from adaptsim_jax.logs.criteria import BLOCK, CONTRADICTION
+from adaptsim_jax.logs.quality.hypotheses import Design, Track, motion_of, unexplained
+
+Order = tuple[int, ...]
+"""The column that holds each joint of the model."""
+
+
+@dataclass(frozen=True)
+class Reordered:
+    """`order` leaves `other` of the torque's square where the declared one leaves `left`."""
+
+    order: Order
+    left: float
+    other: float
+
+
+def other_order(
+    tracks: Callable[[Order], Sequence[Track]], design: Design, orders: Sequence[Order]
+) -> Reordered | None:
+    """The order of columns that the motion follows in place of the model's; None where that does,
+    or where none explains it.
+
+    Args:
+        tracks: The trials with joints from these columns, and the torques of their drives then.
+        orders: Those that simulators have; exchanges of two joints are tried too, one upon the
+            other.
+    """
+
+    def left(order: Order) -> float:
+        return unexplained(motion_of(tracks(order), sharp=True), design)
+
+    own = tuple(range(len(orders[0])))
+    motion = motion_of(tracks(own), sharp=True)
+    if len(motion.q) < BLOCK.enough or np.min(np.std(motion.q, axis=0)) < BLOCK.moving:
+        return None
+    declared = left(own)
+    if not declared > CONTRADICTION.hardly:
+        return None
+    best = min((left(order), order) for order in orders)
+    best = min(best, (declared, own))
+    while (found := min((left(o), o) for o in _exchanged(best[1]))) < best:
+        if found[0] > CONTRADICTION.simpler * best[0]:
+            break
+        best = found
+    least = CONTRADICTION.times if declared >= CONTRADICTION.doubted else CONTRADICTION.clearly
+    if best[0] <= CONTRADICTION.explains and best[0] * least <= declared:
+        return Reordered(best[1], declared, best[0])
+    return None
+
+
+def _exchanged(order: Order) -> Iterator[Order]:
+    """All orders in which two joints are exchanged; itself where these are too many."""
+    yield order
+    if len(order) <= CONTRADICTION.most_swapped:
+        for i, j in combinations(range(len(order)), 2):
+            swapped = list(order)
+            swapped[i], swapped[j] = order[j], order[i]
+            yield tuple(swapped)
+
+
+def usual_orders(parents: Sequence[int], names: Sequence[str]) -> list[Order]:
+    """Orders that simulators and loggers have: joint level by joint level, and by name."""
+    depth: list[int] = []
+    for parent in parents:
+        depth.append(depth[parent] + 1 if parent >= 0 else 0)
+    by_level = sorted(range(len(parents)), key=lambda j: (depth[j], j))
+    by_name = sorted(range(len(parents)), key=lambda j: names[j])
+    return [tuple(map(int, np.argsort(one))) for one in (by_level, by_name)]
+
+
+def order_words(found: Reordered, names: Sequence[str]) -> str:
+    """What to say of an order, and what to write."""
+    there = ", ".join(names[j] for j in np.argsort(found.order))
+    places = {s: ", ".join(f'"{s}[{k}]"' for k in found.order) for s in ("q", "target")}
+    lines = " and ".join(f"{stem} = [{own}]" for stem, own in places.items())
+    return (
+        f"angles and targets look to be in the order {there} (which leaves "
+        f"{100 * found.other:.2g} % of the torque's square unexplained, the model's order "
+        f"{100 * found.left:.2g} %); write {lines} under [columns] in meta.toml where they are "
+        "arrays, or exchange the names of columns"
+    )

@@ -1,0 +1,127 @@
+"""What logged speeds are, by the slopes of their angles: each way in which they may be another
+number is a row of one table, and all are asked alike.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.criteria import SIGNAL, UNIT
+from adaptsim_jax.logs.log import LogTrial, ModelNames
+from adaptsim_jax.logs.quality.consistency import Agreement, velocity_agreement
+
+DEGREE = math.pi / 180
+RPM = 2 * math.pi / 60
+MISTAKES: dict[float, tuple[str, dict[str, str]]] = {
+    DEGREE: ("{q} in degrees while {v} are in rad/s", {"angle": "deg", "velocity": "rad/s"}),
+    1 / DEGREE: ("{v} in deg/s while {q} are in rad", {"velocity": "deg/s"}),
+    1e3: ("time in milliseconds", {"time": "ms"}),
+    1e6: ("time in microseconds", {"time": "us"}),
+    1 / RPM: ("{v} in revolutions per minute", {"velocity": "rpm"}),
+    1e-3: ("{v} in rad/ms", {"velocity": "rad/ms"}),
+}
+"""Times that speeds are the slopes of the angles -> what explains it, and lines of `[units]`."""
+
+
+@dataclass(frozen=True)
+class Written:
+    """A joint's columns of angle and speed, and the SI of one as the speed is written."""
+
+    q: str
+    v: str
+    scale: float
+
+
+def check_speeds(
+    trials: Sequence[LogTrial], names: ModelNames, written: Mapping[str, Written]
+) -> tuple[str, ...]:
+    """Notes on speeds that are a little more or less than the slopes of their angles. BadInput
+    where they are another number: a unit's, of the other sign, of the rotor.
+    """
+    columns = {j: written[name] for j, name in enumerate(names.joints) if name in written}
+    hinges = [j for j in columns if names.joints[j] not in names.slides]
+    every = [
+        {
+            j: a
+            for j in columns
+            if t.v is not None and (a := agreement(t.time, t.q[:, j], t.v[:, j]))
+        }
+        for t in trials
+    ]
+    for trial, found in zip(trials, every, strict=True):
+        own = {j: found[j] for j in hinges if j in found}
+        if what := _mistake(own, columns):
+            why = f"velocities and angles differ by a unit: suspected are {what}"
+            raise BadInput(f"{trial.path}: {why} under [units] in meta.toml, or convert the file")
+    gains = {j: g for j in columns if (g := common([found[j] for found in every if j in found]))}
+    wrong = [j for j, g in gains.items() if not SIGNAL.min_gain < g < SIGNAL.max_gain]
+    if wrong:
+        ignored = ", ".join(f'"{columns[j].v}"' for j in columns)
+        raise BadInput(
+            f"{trials[0].path}: {_ratios(gains, columns, wrong)}, or ignore = [{ignored}] above it "
+            "to go without speeds"
+        )
+    off = [j for j, gain in gains.items() if abs(math.log(gain)) > SIGNAL.gain_error]
+    return (_ratios(gains, columns, off),) if off else ()
+
+
+def agreement(time: np.ndarray, q: np.ndarray, v: np.ndarray) -> Agreement | None:
+    """How speeds `v [T]` of a joint relate to its angles `q [T]`; None where they do not, or where
+    it hardly moves.
+    """
+    rows = np.isfinite(q) & np.isfinite(v)
+    if rows.sum() <= UNIT.min_rows:
+        return None
+    found = velocity_agreement(time[rows], q[rows], v[rows])
+    if found.enough and found.r2 > UNIT.related:
+        return found
+    return None
+
+
+def _unsure(found: Agreement) -> float:
+    """By how much a ratio may be off, in log: noise of the speeds makes it too large."""
+    errors = SIGNAL.gain_errors * found.spread / abs(found.gain)
+    return min(UNIT.alike, max(UNIT.same, errors, 1.0 - found.r2))
+
+
+def _mistake(found: Mapping[int, Agreement], columns: Mapping[int, Written]) -> str:
+    """The row of `MISTAKES` that all joints agree on, or nothing."""
+    if not found or min(a.gain for a in found.values()) <= 0:
+        return ""
+    words = {stem: ", ".join(getattr(columns[j], stem) for j in found) for stem in ("q", "v")}
+    for size, (what, units) in MISTAKES.items():
+        if all(abs(math.log(a.gain / size)) < _unsure(a) for a in found.values()):
+            lines = " and ".join(f'{key} = "{unit}"' for key, unit in units.items())
+            return f"{what.format(**words)}; write {lines}"
+    return ""
+
+
+def common(found: Sequence[Agreement]) -> float | None:
+    """The ratio that trials agree on, 1 or -1 where it may be that; None where they do not."""
+    gains = np.array([a.gain for a in found])
+    if not len(gains) or abs(np.sum(np.sign(gains))) < len(gains):
+        return None
+    size, middle = np.abs(gains), float(np.median(gains))
+    if size.max() > UNIT.agree * size.min():
+        return None
+    unsure = float(np.median([_unsure(a) for a in found]))
+    if abs(math.log(abs(middle))) < unsure:
+        middle = math.copysign(1.0, middle)
+    return middle
+
+
+def _ratios(gains: Mapping[int, float], columns: Mapping[int, Written], own: Sequence[int]) -> str:
+    """What speeds of these joints are, and what to write."""
+    said = ", ".join(f"{columns[j].v} is {gains[j]:.4g} times d({columns[j].q})/dt" for j in own)
+    why = "filtered, or of a clock that differs"
+    if any(gains[j] < 0 for j in own):
+        why = "of the other sign than the angle"
+    elif any(abs(math.log(gains[j])) > UNIT.alike for j in own):
+        why = "of the motor's side of a gear"
+    lines = " and ".join(f"{columns[j].v} = {columns[j].scale / gains[j]:.4g}" for j in own)
+    return f"{said} ({why}?); write {lines} under [units] in meta.toml"
