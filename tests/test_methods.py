@@ -59,13 +59,10 @@ METHODS = {
     ),
     "rotation vector": ("mechanisms/quaternions.py", r"np\.arctan2\(size, |mju_subQuat"),
 }
-# tests of another kind: whether trials have one model
-OTHER = {"score test": (PACKAGE / "logs/quality/trials_differ.py",)}
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_method_lives_in_one_file(method):
     home, looks = METHODS[method]
-    files = [f for f in FILES if f not in OTHER.get(method, ())]
-    found = {str(f.relative_to(PACKAGE)) for f in files if re.search(looks, f.read_text())}
+    found = {str(f.relative_to(PACKAGE)) for f in FILES if re.search(looks, f.read_text())}
     assert found == {home}

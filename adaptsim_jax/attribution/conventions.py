@@ -2,8 +2,9 @@
 unit of each body's inertia.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import jax
 import numpy as np
@@ -32,7 +33,7 @@ from adaptsim_jax.logs.quality.hypotheses import (
     linear_fit,
     motion_of,
 )
-from adaptsim_jax.logs.quality.order import Order, order_words, other_order, usual_orders
+from adaptsim_jax.logs.quality.order import check_order
 from adaptsim_jax.logs.quality.trial_words import Channels
 from adaptsim_jax.logs.quality.trials_differ import Differ, trials_differ
 from adaptsim_jax.mechanisms.dynamics import compensation
@@ -59,8 +60,7 @@ def of_machine(machine: Machine) -> tuple[list[Track], Design] | None:
         return (
             None  # a servo's force is of the angles themselves, and that of a muscle is not known
         )
-    tracks = [Track(t.time, t.q, t.v, _force(machine, t.q, t.v, t.u)) for t in machine.tracks]
-    return tracks, _design(machine.tree, _program(machine.tree.n))
+    return _tracks(machine, range(machine.tree.n)), _design(machine.tree, _program(machine.tree.n))
 
 
 def check_conventions(machine: Machine) -> tuple[AuditFinding, ...]:
@@ -68,13 +68,15 @@ def check_conventions(machine: Machine) -> tuple[AuditFinding, ...]:
     what to write instead.
     """
     tree, log = machine.tree, machine.log
-    check_order(machine)
+    program = _program(tree.n)
+    if log.input_kind == "command" and not machine.mechanism.drives_beyond:
+        design = _design(tree, program)
+        check_order(log.path, partial(_tracks, machine), design, tree.joint_names, tree.parent)
     warnings = check_commands(machine)
     found = of_machine(machine)
     if found is None:
         return warnings
     tracks, declared = found
-    program = _program(tree.n)
     more = []
     for factor, unit in FACTORS.items():
         asked = f" (was it written in {unit}?)" if unit else ""
@@ -100,29 +102,6 @@ def check_conventions(machine: Machine) -> tuple[AuditFinding, ...]:
     if late is None:
         return warned
     return warned + late_finding(log.path, late, step, ("the input columns",), names_late_logs=True)
-
-
-def check_order(machine: Machine) -> None:
-    """BadInput where a servo's columns, angles and targets together, are in another order than the
-    model's joints.
-    """
-    tree, log = machine.tree, machine.log
-    if log.input_kind != "command" or machine.mechanism.drives_beyond or tree.n < 2:
-        return
-
-    def tracks(order: Order) -> list[Track]:
-        own = list(order)
-        out = []
-        for t in machine.tracks:
-            q = t.q[:, own]
-            v = np.gradient(q, t.time, axis=0) if t.v is None else t.v[:, own]
-            out.append(Track(t.time, q, v, _force(machine, q, v, t.u[:, own])))
-        return out
-
-    design = _design(tree, _program(tree.n))
-    found = other_order(tracks, design, usual_orders(tree.parent, tree.joint_names))
-    if found is not None:
-        raise BadInput(f"{log.path}: {order_words(found, tree.joint_names)}; {AS_DECLARED}")
 
 
 def _weighed(machine: Machine, tracks: list[Track], declared: Design) -> tuple[AuditFinding, ...]:
@@ -235,15 +214,18 @@ def channels(machine: Machine) -> Channels:
     return Channels(words.q, words.tau, words.hinges)
 
 
-def _force(machine: Machine, q: np.ndarray, v: np.ndarray | None, u: np.ndarray) -> np.ndarray:
-    """`[T, n]` at the joints, by the declared law of the actuators."""
-    force = drive_force(
-        machine.actuator, machine.gear, machine.ties, q, np.zeros_like(q) if v is None else v, u
-    )
-    held_up = compensation(machine.tree, q.T)
-    if held_up is None:
-        return force
-    return force + np.asarray(held_up).T
+def _tracks(machine: Machine, order: Sequence[int]) -> list[Track]:
+    """Trials with joints from these columns, and torques at them by the declared law of the
+    actuators.
+    """
+    own, out = list(order), []
+    for t in machine.tracks:
+        q, v = t.q[:, own], None if t.v is None else t.v[:, own]
+        speed = np.gradient(q, t.time, axis=0) if v is None else v
+        force = drive_force(machine.actuator, machine.gear, machine.ties, q, speed, t.u[:, own])
+        held_up = compensation(machine.tree, q.T)
+        out.append(Track(t.time, q, v, force if held_up is None else force + np.asarray(held_up).T))
+    return out
 
 
 @cache

@@ -111,10 +111,6 @@ class SignalCriteria:
     stale_steps: float = 6.0  # resolutions over two rows: the joint surely turns
     stale_rows: int = 50  # such rows: fewer give no share
     stale_share: float = 0.05  # of these that repeat a reading: chance alone makes fewer
-    stamp_jitter: float = 0.1  # of an interval (std): more even stamps say nothing
-    stamp_rows: int = 21  # rows over which the speed is averaged
-    stamp_share: float = 0.3  # of the unevenness of time, that angles do not follow
-    stamp_errors: float = 6.0  # standard errors of that share
     written: float = 1e-6  # of the range: nearer values are one, but for a table's digits
     rows_a_value: float = 4.0  # of an encoder, at least: its values are few
     slow: float = 0.02  # of the top speed: slower rows are not counted as turning round
@@ -239,7 +235,7 @@ class CommandCriteria:
 
 @dataclass(frozen=True)
 class TrialCriteria:
-    """Whether trials are of one machine (`trials_differ.py`, `trial_windows.py`, `trial_words.py`).
+    """Whether trials are of one machine (`trials_differ.py`, `trial_words.py`).
 
     The `takes_` are shares of the unexplained torque's square, in pieces that were not fitted to.
     """
@@ -249,7 +245,6 @@ class TrialCriteria:
     takes_offset: float = 0.5  # of a constant torque
     takes_load: float = 0.85  # of all inertias: so many numbers explain much of anything
     takes_outlier: float = 0.8  # of one outlier trial's error, to be named as its reason
-    level: float = 1e-4  # of the test between trials, family-wise
     alike: float = 0.8  # of what another kind leaves: a later kind must leave less
     deviations: float = 4.0  # robust standard deviations of an outlier trial's error
     times: float = 3.0  # that its error is above the others'

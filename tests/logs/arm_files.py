@@ -6,15 +6,17 @@ from pathlib import Path
 
 import numpy as np
 
-L1, RATE = 0.35, 100.0
+L1, L2, RATE = 0.35, 0.3, 100.0
 META = (
     'task = "pendulum"\nmodel = "rigid_body"\nangle_zero = "hanging"\n\n'
     "[geometry]\nl1 = {l1}\nl2 = 0.3\ng = 9.81\n"
 )
 
 
-def _acceleration(q, v, tau, coulomb=0.0):
+def _acceleration(q, v, tau, coulomb=0.0, tip=0.0):
     p1, p3, h1, h2, g = 0.16, 0.035, 0.33, 0.11, 9.81
+    p1, p3 = p1 + tip * (L1**2 + L2**2), p3 + tip * L2**2
+    h1, h2 = h1 + tip * L1, h2 + tip * L2
     c, s, pull = np.cos(q[:, 1]), np.sin(q[:, 1]), g * h2 * np.sin(q.sum(1))
     push1 = (
         tau[:, 0]
@@ -36,11 +38,16 @@ def _acceleration(q, v, tau, coulomb=0.0):
 
 
 def arm(
-    count: int = 4, seconds: float = 2.5, seed: int = 0, scale: float = 1.0, coulomb: float = 0.0
+    count: int = 4,
+    seconds: float = 2.5,
+    seed: int = 0,
+    scale: float = 1.0,
+    coulomb: float = 0.0,
+    tip: float = 0.0,
 ) -> list[dict[str, np.ndarray]]:
     """`count` healthy trials: columns time, q1, q2, v1, v2, tau1, tau2, the torque held from row to
     row, with the sensors' noise; scale: of the torques, from 3 on joints go round; coulomb:
-    friction of joint 2 in N m.
+    friction of joint 2 in N m; tip: a load in kg.
     """
     rng = np.random.default_rng(seed)
     time = np.arange(int(seconds * RATE)) / RATE
@@ -54,8 +61,8 @@ def arm(
     for u in tau:
         rows.append(np.concatenate([q, v, u], 1))
         for _ in range(round(1 / RATE / h)):
-            half = v + h / 2 * _acceleration(q, v, u, coulomb)
-            a = _acceleration(q + h / 2 * v, half, u, coulomb)
+            half = v + h / 2 * _acceleration(q, v, u, coulomb, tip)
+            a = _acceleration(q + h / 2 * v, half, u, coulomb, tip)
             q, v = q + h * half, v + h * a
     table = np.array(rows) + rng.normal(size=(len(time), count, 6)) * [
         2e-4,

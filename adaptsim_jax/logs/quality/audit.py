@@ -101,7 +101,7 @@ def _audit_trial(
     trial: LogTrial, own: Sequence[Signal], steps: dict[str, float]
 ) -> tuple[list[AuditFinding], np.ndarray, list[str]]:
     """Findings, rows to use `[T]`, and channels that cannot be used."""
-    found = signals.check_sampling(trial.name, trial.time) + signals.check_timestamps(own)
+    found = signals.check_sampling(trial.name, trial.time)
     valid, wrong = np.ones(len(trial.time), bool), []
     for s in own:
         step = steps.get(s.q_name, 0.0)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from adaptsim_jax.logs.criteria import HOLE, JITTER
+from adaptsim_jax.logs.noise import encoder_step
 
 AROUND = np.arange(-2, 4)
 """Rows beside the one after which rows may be missing."""
@@ -45,7 +46,7 @@ def _missing(q: np.ndarray, others: np.ndarray) -> np.ndarray:
     out = np.zeros(len(q) - 1, int)
     windows = np.lib.stride_tricks.sliding_window_view(every, len(AROUND), axis=0)
     left = np.sum((windows @ _misses(place[rows[:1, None] + AROUND])[0]) ** 2, axis=2)
-    least = [max(_step(x), HOLE.least * np.ptp(x)) ** 2 for x in every.T]
+    least = [max(encoder_step(x), HOLE.least * np.ptp(x)) ** 2 for x in every.T]
     noise = np.maximum(np.median(left, axis=0), least)
     scaled = every / np.sqrt(noise)
     doubted = rows[np.max((left / noise)[:, : q.shape[1]], axis=1) > HOLE.doubted]
@@ -78,12 +79,6 @@ def _gains(
     )
     score[1:][~_passed(scaled[beside][:, :, :joints])] = np.inf
     return score[0] - np.min(score[1:], axis=0), 1 + np.argmin(score[1:], axis=0)
-
-
-def _step(x: np.ndarray) -> float:
-    """The smallest change of `x [T]`: an encoder's step, where it is coarse."""
-    change = np.abs(np.diff(x))
-    return float(np.min(change[change > 0]))
 
 
 def _passed(q: np.ndarray) -> np.ndarray:

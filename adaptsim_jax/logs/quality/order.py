@@ -8,7 +8,9 @@ from itertools import combinations
 
 import numpy as np
 
+from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.criteria import BLOCK, CONTRADICTION
+from adaptsim_jax.logs.quality.contradictions import AS_DECLARED
 from adaptsim_jax.logs.quality.hypotheses import Design, Track, motion_of, unexplained
 
 Order = tuple[int, ...]
@@ -78,14 +80,25 @@ def usual_orders(parents: Sequence[int], names: Sequence[str]) -> list[Order]:
     return [tuple(map(int, np.argsort(one))) for one in (by_level, by_name)]
 
 
-def order_words(found: Reordered, names: Sequence[str]) -> str:
-    """What to say of an order, and what to write."""
+def check_order(
+    path: str,
+    tracks: Callable[[Order], Sequence[Track]],
+    design: Design,
+    names: Sequence[str],
+    parents: Sequence[int],
+) -> None:
+    """BadInput where a machine's columns, angles and targets together, are in another order than
+    its joints `names`, of which each hangs at that of `parents`.
+    """
+    found = other_order(tracks, design, usual_orders(parents, names)) if len(names) > 1 else None
+    if found is None:
+        return
     there = ", ".join(names[j] for j in np.argsort(found.order))
     places = {s: ", ".join(f'"{s}[{k}]"' for k in found.order) for s in ("q", "target")}
     lines = " and ".join(f"{stem} = [{own}]" for stem, own in places.items())
-    return (
-        f"angles and targets look to be in the order {there} (which leaves "
+    raise BadInput(
+        f"{path}: angles and targets look to be in the order {there} (which leaves "
         f"{100 * found.other:.2g} % of the torque's square unexplained, the model's order "
         f"{100 * found.left:.2g} %); write {lines} under [columns] in meta.toml where they are "
-        "arrays, or exchange the names of columns"
+        f"arrays, or exchange the names of columns; {AS_DECLARED}"
     )

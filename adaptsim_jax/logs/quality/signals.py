@@ -1,6 +1,5 @@
 """The single checks of the audit, each of one joint of one trial."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -237,32 +236,6 @@ def check_stale(s: Signal, step: float) -> Findings:
     if share <= SIGNAL.stale_share:
         return []
     return [finding("stale", s.trial, s.q_name, share)]
-
-
-def check_timestamps(own: Sequence[Signal]) -> Findings:
-    """Whether uneven times are when the angles were read: then angles grow with the time steps.
-
-    `value` is the share of the unevenness that they do not follow (1: they were read evenly).
-    """
-    shares = [_not_followed(s.time, s.q) for s in own if np.ptp(s.q) > SIGNAL.still]
-    share, spread = min(shares, key=lambda pair: pair[1], default=(0.0, 0.0))
-    if share < max(SIGNAL.stamp_share, SIGNAL.stamp_errors * spread):
-        return []
-    return [finding("timestamps", own[0].trial, "time", share)]
-
-
-def _not_followed(time: np.ndarray, q: np.ndarray) -> tuple[float, float]:
-    """Share of the unevenness of time that an angle does not follow, and its standard error."""
-    dt = np.diff(time)
-    if np.std(dt) < SIGNAL.stamp_jitter * float(np.median(dt)):
-        return 0.0, 0.0
-    turn = np.diff(q)
-    width = np.ones(min(SIGNAL.stamp_rows, len(dt) // 2))
-    speed = np.convolve(turn, width, "same") / np.convolve(dt, width, "same")
-    expected = speed * (dt - np.convolve(dt, width / len(width), "same"))
-    extra = turn - speed * dt
-    power = max(float(np.sum(expected**2)), 1e-300)
-    return -float(np.sum(extra * expected)) / power, float(np.std(extra)) / power**0.5
 
 
 def check_excitation(s: Signal) -> Findings:

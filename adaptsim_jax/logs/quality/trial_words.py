@@ -3,7 +3,7 @@ what to do.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -40,7 +40,6 @@ def add_trials(
     each = [_each(differ, i, report["error"], channels) for i in range(len(differ.names))]
     report["trials"] = {
         "differ": differ.kind or None,
-        "alike": list(differ.alike),
         "takes": differ.takes if differ.kind else None,
         "leave_out": leave_out,
         "headline": headline(differ),
@@ -68,9 +67,7 @@ def confirmed(differ: Differ, error: Mapping[str, Any]) -> Differ:
         for o in differ.outliers
         if own.get(o.trial, np.inf) > TRIAL.unusual * usual or (spoilt and o.times > TRIAL.spoils)
     )
-    return Differ(
-        differ.names, differ.error, differ.kind, differ.size, differ.takes, differ.alike, outlier
-    )
+    return replace(differ, outliers=outlier)
 
 
 def _errors(error: Mapping[str, Any]) -> dict[str, float]:
@@ -97,44 +94,36 @@ def sentences(differ: Differ, channels: Channels) -> list[str]:
     """A warning for what differs in all trials, and one for each odd trial."""
     out = []
     if differ.kind and differ.size is not None:
-        alike = [DIFFERENCES[kind]["alike"] for kind in differ.alike]
-        also = f" ({' or '.join(alike)} would do as well)" if alike else ""
-        spread = _spread(differ.kind, differ.size, channels)
-        out.append(
-            f"{DIFFERENCES[differ.kind]['differs']} from trial to trial, {spread}: that is "
-            f"{100 * differ.takes:.0f} % of what the model leaves unexplained{also}, or an effect "
-            f"without a name that acts otherwise in each trial; {_mend(differ)}"
+        words = DIFFERENCES[differ.kind]
+        wide = np.nanmax(differ.size, axis=0) - np.nanmin(differ.size, axis=0)
+        spread = ", ".join(
+            _amount(differ.kind, wide, k, channels)
+            for k in np.flatnonzero(wide > TRIAL.shown * wide.max())
         )
-    out += [_outlier_words(o, channels) for o in differ.outliers]
-    return out
+        mend = words["mend"]
+        if differ.outlying:
+            mend = f"leave the odd ones out: --without {','.join(differ.outlying)}"
+        out.append(
+            f"{words['differs']} from trial to trial, by about {spread}: that is "
+            f"{100 * differ.takes:.0f} % of what the model leaves unexplained, or an effect "
+            f"without a name that acts otherwise in each trial; {mend}"
+        )
+    return out + [_outlier_words(o, channels) for o in differ.outliers]
 
 
-def _mend(differ: Differ) -> str:
-    if differ.outlying:
-        return f"leave the odd ones out: --without {','.join(differ.outlying)}"
-    return DIFFERENCES[differ.kind]["mend"]
-
-
-def _spread(kind: str, size: np.ndarray, channels: Channels) -> str:
-    wide = np.nanmax(size, axis=0) - np.nanmin(size, axis=0)
+def _names(kind: str, channels: Channels) -> tuple[str, ...]:
+    """Of the numbers of a kind."""
     if kind == "load":
-        return f"by about {100 * wide[0]:.2g} % of the torque"
-    names = channels.q if kind == "zero" else channels.tau
-    parts = [
-        (n, w, _amount(kind, w, h)) for n, w, h in zip(names, wide, channels.hinges, strict=True)
-    ]
-    most = max(w for _, w, _ in parts)
-    return "by about " + ", ".join(f"{a} in {n}" for n, w, a in parts if w > TRIAL.shown * most)
+        return ("share",)
+    return channels.q if kind == "zero" else channels.tau
 
 
-def _amount(kind: str, size: float, hinge: bool) -> str:
-    if kind == "zero":
-        if hinge:
-            return f"{size:.2g} rad ({np.degrees(size):.2g} degrees)"
-        return f"{1e3 * size:.2g} mm"
-    if kind == "torque_scale":
-        return f"{100 * size:.2g} %"
-    return f"{size:.2g} N m"
+def _amount(kind: str, size: np.ndarray, k: int, channels: Channels) -> str:
+    """The `k`-th number in words."""
+    words, x = DIFFERENCES[kind], float(size[k])
+    form = words["amount" if channels.hinges[k] or "slides" not in words else "slides"]
+    name = _names(kind, channels)[k]
+    return form.format(x=x, percent=100 * x, degrees=np.degrees(x), mm=1e3 * x, name=name)
 
 
 def _outlier_words(o: OutlierTrial, channels: Channels) -> str:
@@ -142,14 +131,10 @@ def _outlier_words(o: OutlierTrial, channels: Channels) -> str:
         "nothing simple explains it: did a drive trip, a sensor drop out, are its columns or "
         "units other, or does an effect act that the other trials hardly show?"
     )
-    if o.kind == "load":
-        why = f"it looks to carry another load ({100 * o.size[0]:+.2g} % of the torque)"
-    elif o.kind:
-        names = channels.q if o.kind == "zero" else channels.tau
-        k = int(np.argmax(np.abs(o.size)))
-        what = DIFFERENCES[o.kind]["own"]
-        amount = _amount(o.kind, o.size[k], channels.hinges[k])
-        why = f"its {what} look otherwise, by {amount} in {names[k]}"
+    if o.kind:
+        size = np.array(o.size)
+        amount = _amount(o.kind, size, int(np.argmax(np.abs(size))), channels)
+        why = f"its {DIFFERENCES[o.kind]['own']} looks otherwise, by {amount}"
     return (
         f"{o.trial} does not follow the model of the other trials ({o.times:.0f} times as much "
         f"torque is unexplained): {why}; leave it out: --without {o.trial}"
@@ -159,23 +144,13 @@ def _outlier_words(o: OutlierTrial, channels: Channels) -> str:
 def _each(differ: Differ, i: int, error: Mapping[str, Any], channels: Channels) -> dict[str, Any]:
     name = differ.names[i]
     outlier = next((o for o in differ.outliers if o.trial == name), None)
-    size: Any = None
+    size, unexplained = None, float(differ.error[i])
     if differ.kind and differ.size is not None and np.all(np.isfinite(differ.size[i])):
-        if differ.kind == "load":
-            names = ("share",)
-        elif differ.kind == "zero":
-            names = channels.q
-        else:
-            names = channels.tau
-        size = dict(zip(names, map(float, differ.size[i]), strict=True))
-    if np.isfinite(differ.error[i]):
-        unexplained = float(differ.error[i])
-    else:
-        unexplained = None
+        size = dict(zip(_names(differ.kind, channels), map(float, differ.size[i]), strict=True))
     return {
         "trial": name,
         "error": _errors(error).get(name),
-        "unexplained_torque": unexplained,
+        "unexplained_torque": unexplained if np.isfinite(unexplained) else None,
         "size": size,
         "odd": outlier is not None or name in differ.outlying,
         "kind": outlier.kind or None if outlier else None,

@@ -1,35 +1,20 @@
-"""Whether trials of one recording were made by one machine: zeros, loads, torque scales and offsets
-that differ from trial to trial.
+"""Whether trials of one recording were made by one machine: by trial, what is left of the torque
+under parameters of the other trials, and which of a few numbers of the trial's own takes that away.
 
 The torque that moves a mechanism is linear in its parameters (`quality.hypotheses`), and in small
-changes of an angle's zero, of a load, of a torque's scale or of a constant torque. Each of these is
-given to every trial by itself, fitted to some pieces of the trials and judged on the others, so
-that what a model lacks alike in all trials is taken for nothing. Smooth forces of each joint's own
-angle and speed, alike in all trials, stand for what it lacks. NumPy and SciPy alone.
+changes of an angle's zero, of the weight, of a torque's scale or of a constant torque. Each is
+fitted to some pieces of a trial and judged on the others, so that what a model lacks alike in all
+trials is taken for nothing. Smooth forces of each joint's own angle and speed, alike in all trials,
+stand for what it lacks. NumPy and SciPy alone.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import stats
 
-from adaptsim_jax.logs.criteria import TRIAL
-from adaptsim_jax.logs.quality.hypotheses import Design, Track
-from adaptsim_jax.logs.quality.trial_windows import (
-    PIECES,
-    WindowRows,
-    fitted,
-    jointly,
-    normal,
-    of_motion,
-    over_blocks,
-    part_of,
-    regress,
-    rows_of,
-    solved,
-    unexplained_of,
-)
+from adaptsim_jax.logs.criteria import BLOCK, TRIAL
+from adaptsim_jax.logs.quality.hypotheses import BlockMeans, Design, Track, blocks, rubbing
 
 TAKES = {
     "zero": TRIAL.takes_zero,
@@ -42,10 +27,18 @@ not fitted to. Drives that saturate or play have another scale in every trial by
 """
 ROUNDS = 4
 """Refits: sizes no longer change in three digits."""
-ZERO = 0.1
-"""rad: size of zeros before anything is observed, and the longest step of their fit."""
+LIKELY = {"zero": 0.1, "torque_scale": 1.0, "torque_offset": 10.0, "load": 1.0}
+"""Size of a number before anything is observed (rad; spreads of the torque), for what a trial's own
+motion does not fix.
+"""
 SMALL = 1e-3
 """rad by which a zero is moved for its derivative: gravity is linear over it."""
+PIECES = 4
+"""Contiguous parts of a trial: every other one is fitted to while the rest judge."""
+WINDOW, STRIDE = 24, 6
+"""Blocks of a window (0.24 s: noise of accelerations averages out), and to the next one."""
+ROWS = 8 * BLOCK.most
+"""Blocks of all trials that are looked at."""
 
 
 @dataclass(frozen=True)
@@ -68,8 +61,7 @@ class Differ:
     - `kind`: What differs in all of them, empty for nothing; `size [T, S]` of it from the middle
       trial's (rad or m, N m, or a share of the torque that goes with it).
     - `takes`: Share of the unexplained torque's square that goes with it.
-    - `alike`: Kinds that do about as well.
-    - `outlier`: Trials apart from the rest.
+    - `outliers`: Trials apart from the rest.
     """
 
     names: tuple[str, ...]
@@ -77,7 +69,6 @@ class Differ:
     kind: str = ""
     size: np.ndarray | None = None
     takes: float = 0.0
-    alike: tuple[str, ...] = ()
     outliers: tuple[OutlierTrial, ...] = ()
 
     @property
@@ -98,9 +89,24 @@ class Differ:
         return ()
 
 
-Columns = Callable[[WindowRows, np.ndarray], np.ndarray]
-"""`(rows, parameters [P]) -> [K, n, S]`: torque by unit of each number that a trial has of its own.
-"""
+@dataclass(frozen=True)
+class Windows:
+    """Means over windows of all trials, over the spread of each joint's torque: `table [K, n, P]`
+    of the design's columns (the first `rigid`), friction and smooth forces; `tau [K, n]`; `moved
+    [K, n, P, n]`: the table by rad that each angle reads too much; `trial, half [K]`.
+    """
+
+    table: np.ndarray
+    tau: np.ndarray
+    moved: np.ndarray
+    trial: np.ndarray
+    half: np.ndarray
+    rigid: int
+
+    def of(self, pick: np.ndarray) -> "Windows":
+        """The windows picked `[K]`."""
+        own = ("table", "tau", "moved", "trial", "half")
+        return replace(self, **{name: getattr(self, name)[pick] for name in own})
 
 
 def trials_differ(names: Sequence[str], tracks: Sequence[Track], design: Design) -> Differ | None:
@@ -111,46 +117,127 @@ def trials_differ(names: Sequence[str], tracks: Sequence[Track], design: Design)
         design: Torque by unit of each of the mechanism's parameters, as of
             `hypotheses.unexplained`.
     """
-    rows = rows_of(tracks, design)
+    rows = _windows_of(tracks, design)
     if rows is None:
         return None
     observed = np.unique(rows.trial)
-    error = _errors(rows, observed)
+    plain = replace(rows, table=rows.table[:, :, : rows.rigid + 3 * rows.tau.shape[1]])
+    error = np.minimum(_left_out(rows, observed), _left_out(plain, observed))
+    apart = _are_outliers(error)
     whole = np.full(len(names), np.nan)
     whole[observed] = error
-    outlying = [int(t) for t in observed[_are_outliers(error)]]
-    rest = part_of(rows, np.flatnonzero(~np.isin(rows.trial, outlying)))
+    rest = rows.of(~np.isin(rows.trial, observed[apart]))
+    x = _fit(rest.table, rest.tau)
+    outliers = []
+    for t, times in zip(observed[apart], error[apart] / np.median(error), strict=True):
+        kind, size, _ = _likeliest(
+            rows.of(rows.trial == t), dict.fromkeys(TAKES, TRIAL.takes_outlier), x
+        )
+        outliers.append(OutlierTrial(names[t], float(times), kind, tuple(map(float, size[0]))))
+    kind, size, takes = "", None, 0.0
     if len(np.unique(rest.trial)) >= TRIAL.min_trials:
-        common = _common(rest, len(names))
-    else:
-        common = ("", None, 0.0, ())
-    usual = float(np.median(error))
-    outlier = tuple(_reason(rows, rest, t, names[t], float(whole[t]) / usual) for t in outlying)
-    return Differ(tuple(names), whole, *common, outlier)
+        kind, own, takes = _likeliest(rest, TAKES)
+    if kind:
+        size = np.full((len(names), own.shape[1]), np.nan)
+        size[np.unique(rest.trial)] = own - np.median(own, axis=0)
+    return Differ(tuple(names), whole, kind, size, takes, tuple(outliers))
 
 
-def _errors(rows: WindowRows, observed: np.ndarray) -> np.ndarray:
-    """RMS by trial of what parameters from the other trials leave, with or without smooth forces,
-    odd trials counting less.
+def _windows_of(tracks: Sequence[Track], design: Design) -> Windows | None:
+    """Windows of trials that are long enough; None where there are too few of these, or they do not
+    move.
     """
-    plain = rows.rigid + 3 * rows.tau.shape[1]
-    return np.minimum(*(_left_out(rows, observed, width) for width in (plain, 0)))
+    parts = [blocks(t, sharp=True) for t in tracks]
+    most = ROWS // max(1, len(parts))
+    motion, begins, trial, half, count = [], [], [], [], 0
+    for t, part in enumerate(parts):
+        *own, number = (z[:most] for z in part)
+        first = np.arange(0, max(0, len(number) - WINDOW + 1), STRIDE)
+        first = first[number[first + WINDOW - 1] - number[first] == WINDOW - 1]
+        if len(first) < TRIAL.min_windows or not all(np.all(np.isfinite(z)) for z in own):
+            continue
+        motion.append(own)
+        begins.append(first + count)
+        trial.append(np.full(len(first), t))
+        half.append(np.arange(len(first)) * PIECES // len(first) % 2)
+        count += len(number)
+    if len(motion) < TRIAL.min_trials:
+        return None
+    m = BlockMeans(*(np.concatenate([part[k] for part in motion]) for k in range(4)))
+    spread = np.std(m.tau, axis=0)
+    if not np.all(np.std(m.q, axis=0) > BLOCK.moving) or not np.any(spread > 1e-9):
+        return None
+    hann, rows = np.hanning(WINDOW + 2)[1:-1], np.concatenate(begins)
+    weight = 1.0 / np.maximum(spread, 1e-3 * spread.max())
+
+    def averaged(x):
+        mean = sum(w * x[rows + k] for k, w in enumerate(hann / hann.sum()))
+        return mean * weight.reshape(1, -1, *[1] * (x.ndim - 2))
+
+    moved = [
+        _table(design, replace(m, q=m.q - by)) - _table(design, replace(m, q=m.q + by))
+        for by in SMALL * np.eye(m.q.shape[1])
+    ]
+    one = BlockMeans(*(z[:1] for z in (m.q, m.v, m.a, m.tau)))
+    return Windows(
+        averaged(_table(design, m)),
+        averaged(m.tau),
+        averaged(np.stack(moved, 3) / (2.0 * SMALL)),
+        np.concatenate(trial),
+        np.concatenate(half),
+        design(one, True).shape[2],
+    )
 
 
-def _left_out(rows: WindowRows, observed: np.ndarray, width: int) -> np.ndarray:
-    worth = np.ones(len(observed))
-    grams = [normal(rows, rows.trial == t, width) for t in observed]
-    error = worth
+def _smooth(m: BlockMeans) -> np.ndarray:
+    """`[K, n, 8 n]`: forces of each joint's own angle and speed, for what the model lacks in all
+    trials alike.
+    """
+    n, q = m.q.shape[1], m.q
+    speed = m.v / np.maximum(np.max(np.abs(m.v), axis=0), 1e-9)
+    rub = [np.tanh(k * speed) for k in (10.0, 200.0, 1000.0)]
+    shapes = (np.sin(q), np.cos(q), np.sin(2 * q), np.cos(2 * q), speed * np.abs(speed), *rub)
+    return np.concatenate([z[:, :, None] * np.eye(n) for z in shapes], 2)
+
+
+def _table(design: Design, m: BlockMeans) -> np.ndarray:
+    """`[K, n, P]` of any number of blocks: the design's columns, friction, smooth forces."""
+
+    def cut(i):
+        return BlockMeans(*(z[i : i + BLOCK.most] for z in (m.q, m.v, m.a, m.tau)))
+
+    rigid = [design(cut(i), True) for i in range(0, len(m.q), BLOCK.most)]
+    return np.concatenate([np.concatenate(rigid), rubbing(m)[:, :, :-1], _smooth(m)], 2)
+
+
+def _solved(gram: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Of normal equations that may be singular: what the data do not fix stays small."""
+    size = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    scaled = gram / size / size[:, None]
+    return np.linalg.solve(scaled + 1e-9 * np.eye(len(gram)), right / size) / size
+
+
+def _normal(table: np.ndarray, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    a = table.reshape(-1, table.shape[2])
+    return a.T @ a, a.T @ tau.ravel()
+
+
+def _fit(table: np.ndarray, tau: np.ndarray) -> np.ndarray:
+    """Parameters `[P]` by least squares."""
+    return _solved(*_normal(table, tau))
+
+
+def _left_out(rows: Windows, observed: np.ndarray) -> np.ndarray:
+    """RMS by trial of what parameters from the other trials leave, odd trials counting less."""
+    own = [rows.of(rows.trial == t) for t in observed]
+    grams = [_normal(part.table, part.tau) for part in own]
+    worth = error = np.ones(len(observed))
     for _ in range(ROUNDS):
-        gram = sum(w * g[0] for w, g in zip(worth, grams, strict=True))
-        right = sum(w * g[1] for w, g in zip(worth, grams, strict=True))
-        by_others = (
-            solved(gram - w * g[0], right - w * g[1]) for w, g in zip(worth, grams, strict=True)
-        )
-        left = (
-            unexplained_of(part_of(rows, rows.trial == t), x)
-            for t, x in zip(observed, by_others, strict=True)
-        )
+        gram, right = (sum(w * g[k] for w, g in zip(worth, grams, strict=True)) for k in (0, 1))
+        left = [
+            part.tau - part.table @ _solved(gram - w * g[0], right - w * g[1])
+            for part, w, g in zip(own, worth, grams, strict=True)
+        ]
         error = np.array([np.sqrt(np.mean(rest**2)) for rest in left])
         usual = max(float(np.median(error)), 1e-12)
         worth = 1.0 / np.square(np.maximum(1.0, error / usual))
@@ -169,178 +256,97 @@ def _are_outliers(error: np.ndarray) -> np.ndarray:
     )
 
 
-def kinds(n: int) -> dict[str, Columns]:
-    """Ways in which trials may differ, of a mechanism of `n` joints."""
-
-    def each(value):
-        return value[:, :, None] * np.eye(n)
-
+def _columns(rows: Windows, x: np.ndarray) -> dict[str, np.ndarray]:
+    """Ways in which trials may differ: torque `[K, n, S]` by unit of each number of a trial's
+    own.
+    """
+    own = x[: rows.rigid]  # a load is of each of them a share of its own
+    each = np.eye(rows.tau.shape[1])
     return {
-        "zero": _moved,
-        "torque_scale": lambda rows, x: -each(rows.tau),
-        "torque_offset": lambda rows, x: each(np.ones_like(rows.tau)),
-        "load": lambda rows, x: rows.table[:, :, : rows.rigid],
+        "zero": np.einsum("knps,p->kns", rows.moved, x),
+        "torque_scale": -rows.tau[:, :, None] * each,
+        "torque_offset": np.broadcast_to(each, (len(rows.tau), *each.shape)),
+        "load": rows.table[:, :, : rows.rigid] * own,
     }
 
 
-def _moved(rows: WindowRows, x: np.ndarray) -> np.ndarray:
-    """Torque by rad that each joint's angle reads too much."""
-    n, own = rows.fine.q.shape[1], x[: rows.rigid]
-    out = []
-    for j in range(n):
-        step = np.where(np.arange(n) == j, SMALL, 0.0)
-        up, down = (
-            over_blocks(rows.design, replace(rows.fine, q=rows.fine.q + s * step))
-            for s in (1.0, -1.0)
-        )
-        out.append(rows.averaged(-(up - down) @ own / (2.0 * SMALL)))
-    return np.stack(out, 2)
-
-
-def _common(rows: WindowRows, count: int) -> tuple[str, np.ndarray | None, float, tuple[str, ...]]:
-    """The kind that takes most of what is unexplained in trials, its size by trial `[count, S]`,
-    what it takes, and kinds alike.
-    """
-    observed, x = np.unique(rows.trial), fitted(rows)
-    own = {name: columns(rows, x) for name, columns in kinds(rows.tau.shape[1]).items()}
-    takes = {}
-    for name, columns in own.items():
-        shared = name != "torque_scale"
-        # pieces of a trial do not fix every number of a load by itself
-        if name == "load" or _steady(rows, columns, observed, shared):
-            takes[name] = _takes(rows, columns, shared)
-    found = {name: t for name, t in takes.items() if t >= TAKES[name]}
-    if not found:
-        return "", None, 0.0, ()
-    best = next(iter(found))
-    # the first, which is the commonest, stands where another does about as well
-    for name, t in found.items():
-        best = name if 1.0 - t < TRIAL.alike * (1.0 - found[best]) else best
-    size = np.full((count, own[best].shape[2]), np.nan)
-
-    def plain():
-        return _numbers(rows, own[best], rows.trial, observed, best != "torque_scale")[1]
-
-    size[observed] = _refined_zeros(rows, observed) if best == "zero" else plain()
-    left = 1.0 - found[best]
-    alike = tuple(n for n, t in found.items() if n != best and TRIAL.alike * (1.0 - t) < left)
-    centred = size - np.nanmedian(size, axis=0)
-    return best, _as_reported(best, rows, own[best], x, centred), found[best], alike
-
-
-def _takes(rows: WindowRows, own: np.ndarray, shared: bool) -> float:
-    """Share of the square of what is left in half of the pieces that goes with numbers of each
-    trial's own from the other half.
-    """
-    before = after = 0.0
-    for half in (0, 1):
-        known, tested = part_of(rows, rows.half == half), part_of(rows, rows.half != half)
-        observed = np.intersect1d(known.trial, tested.trial)
-        x, mine = _numbers(known, own[rows.half == half], known.trial, observed, shared)
-        more = np.einsum(
-            "kns,ks->kn", own[rows.half != half], mine[np.searchsorted(observed, tested.trial)]
-        )
-        after += float(np.sum((unexplained_of(tested, x) - more * rows.weight) ** 2))
-        before += float(np.sum(unexplained_of(tested, fitted(known)) ** 2))
-    return 1.0 - after / max(before, 1e-300)
-
-
-def _numbers(
-    rows: WindowRows, own, label: np.ndarray, observed: np.ndarray, shared: bool
-) -> tuple[np.ndarray, np.ndarray]:
-    """Parameters `[P]` and numbers `[T, S]` of each label's own.
+def _likeliest(
+    rows: Windows, least: dict[str, float], x: np.ndarray | None = None
+) -> tuple[str, np.ndarray, float]:
+    """The kind that takes most of what is unexplained, if it takes the least of it that counts; its
+    numbers by trial `[T, S]`, and what it takes.
 
     Args:
-        shared: Together; else the numbers after the parameters, since all torques and all
-            parameters may shrink alike.
+        x: Parameters, where others have fitted them.
     """
-    if shared:
-        return jointly(rows, own, label, observed)
-    x = fitted(rows)
-    left, weighed = unexplained_of(rows, x), own * rows.weight[:, None]
-    numbers = [
-        regress(weighed[label == t].reshape(-1, own.shape[2]), left[label == t].ravel())
-        for t in observed
-    ]
-    return x, np.stack(numbers)
-
-
-def _refined_zeros(rows: WindowRows, observed: np.ndarray) -> np.ndarray:
-    """Zeros `[T, n]` together with the parameters, by Gauss and Newton's steps: wide zeros move the
-    parameters too.
-    """
-    n = rows.tau.shape[1]
-    size, now = np.zeros((len(observed), n)), rows
-    for _ in range(ROUNDS):
-        _, step = jointly(now, _moved(now, fitted(now)), now.trial, observed, ZERO)
-        size = size + np.clip(step - np.median(step, axis=0), -ZERO, ZERO)
-        own = np.zeros((int(rows.origin.max()) + 1, n))
-        own[observed] = size
-        now = of_motion(rows, replace(rows.fine, q=rows.fine.q - own[rows.origin]))
-    return size
-
-
-def _steady(rows: WindowRows, own: np.ndarray, observed: np.ndarray, shared: bool) -> bool:
-    """Whether a trial's numbers agree between its pieces and differ between trials: an analysis of
-    variance for each number.
-    """
-    label = rows.trial * PIECES + rows.piece
-    table = _numbers(rows, own, label, np.unique(label), shared)[1].reshape(
-        len(observed), PIECES, -1
-    )
-    middle = table.mean(1)
-    between = PIECES * np.sum((middle - middle.mean(0)) ** 2, 0) / (len(observed) - 1)
-    within = np.sum((table - middle[:, None]) ** 2, (0, 1)) / (len(observed) * (PIECES - 1))
-    p = stats.f.sf(
-        between / np.maximum(within, 1e-300), len(observed) - 1, len(observed) * (PIECES - 1)
-    )
-    return bool(np.min(p) < TRIAL.level / (4 * table.shape[2]))
-
-
-def _as_reported(
-    name: str, rows: WindowRows, own: np.ndarray, x: np.ndarray, size: np.ndarray
-) -> np.ndarray:
-    """Sizes as they are told: of a load, as a share of the torque of the whole mechanism."""
-    if name != "load":
-        return size
-    whole = rows.table[:, :, : rows.rigid] @ x[: rows.rigid]
-    out = np.full((len(size), 1), np.nan)
-    for t in np.flatnonzero(np.all(np.isfinite(size), axis=1)):
-        here = rows.trial == t
-        torque = whole[here]
-        along = np.sum((own[here] @ size[t]) * torque)
-        out[t] = along / max(float(np.sum(torque**2)), 1e-300)
-    return out
-
-
-def _reason(rows: WindowRows, rest: WindowRows, t: int, name: str, times: float) -> OutlierTrial:
-    """What of trial `t` is otherwise than in `rest`: the kind that takes most of its error in
-    pieces not fitted to.
-    """
-    mine = part_of(rows, rows.trial == t)
-    x = fitted(rest)
-    left = unexplained_of(mine, x)
-    best = OutlierTrial(name, times)
-    most = TRIAL.takes_outlier
-    for kind, columns in kinds(rows.fine.q.shape[1]).items():
-        own = columns(mine, x) * rows.weight[:, None]
-
-        def fit(keep, own=own):
-            return regress(own[keep].reshape(-1, own.shape[2]), left[keep].ravel())
-
-        after = 0.0
-        for h in (0, 1):
-            tested = mine.half != h
-            miss = left[tested] - own[tested] @ fit(~tested)
-            after += float(np.sum(miss**2))
-        takes = 1.0 - after / max(float(np.sum(left**2)), 1e-300)
-        if takes > most:
-            size = np.full((t + 1, own.shape[2]), np.nan)
-            size[t] = fit(np.ones(len(left), bool))
-            shown = _as_reported(kind, mine, columns(mine, x), x, size)[t]
-            if (kind == "load" and np.min(shown) < TRIAL.lightest) or (
-                kind == "zero" and np.max(np.abs(shown)) > np.pi
-            ):
-                continue
-            best, most = OutlierTrial(name, times, kind, tuple(float(z) for z in shown)), takes
+    best = ("", np.zeros((1, 0)), 0.0)
+    for kind in least:
+        before = after = 0.0
+        for half in (0, 1):
+            known, tested = rows.of(rows.half == half), rows.of(rows.half != half)
+            plain, _ = _numbers(known, "", x)
+            found, own = _numbers(known, kind, x)
+            more = _added(tested, kind, plain, own)
+            before += float(np.sum((tested.tau - tested.table @ plain) ** 2))
+            after += float(np.sum((tested.tau - tested.table @ found - more) ** 2))
+        takes = 1.0 - after / max(before, 1e-300)
+        if takes < least[kind] or 1.0 - takes > TRIAL.alike * (1.0 - best[2]):
+            continue  # of two that do about as well the first, which is the commonest, stands
+        plain, size = _numbers(rows, kind, x)
+        if kind == "load":
+            size = _shares(rows, _columns(rows, plain)[kind], size)
+        if x is None or _possible(kind, size):
+            best = (kind, size, takes)
     return best
+
+
+def _shares(rows: Windows, own: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+    """`[T, 1]` of the torque of the whole mechanism, by trial."""
+    _, place = np.unique(rows.trial, return_inverse=True)
+    whole = np.sum(own, axis=2)
+    along = np.einsum("kns,ks,kn->k", own, numbers[place], whole)
+    square = np.bincount(place, np.sum(whole**2, axis=1))
+    return (np.bincount(place, along) / square)[:, None]
+
+
+def _possible(kind: str, size: np.ndarray) -> bool:
+    """Whether a trial may be so far off: what takes more off the mechanism is no load."""
+    if kind == "load":
+        return float(np.min(size)) > TRIAL.lightest
+    return kind != "zero" or float(np.max(np.abs(size))) < np.pi
+
+
+def _numbers(rows: Windows, kind: str, x: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """Parameters `[P]` of all trials, and numbers `[T, S]` of each trial's own, together by least
+    squares; those of a trial are eliminated first.
+
+    Args:
+        kind: Of the numbers, empty for none.
+        x: Parameters, where others have fitted them.
+    """
+    observed = np.unique(rows.trial)
+    plain = _fit(rows.table, rows.tau) if x is None else x
+    if not kind:
+        return plain, np.zeros((len(observed), 0))
+    own, left = _columns(rows, plain)[kind], rows.tau - rows.table @ plain
+    doubt = float(np.mean(left**2)) / LIKELY[kind] ** 2
+    p = rows.table.shape[2]
+    gram, right, selected = np.zeros((p, p)), np.zeros(p), []
+    for t in observed:
+        here = rows.trial == t
+        a, b, c = rows.table[here].reshape(-1, p), left[here].ravel(), own[here]
+        c = c.reshape(len(b), -1)
+        inner = c.T @ c + doubt * np.eye(c.shape[1])
+        both = np.linalg.solve(inner, c.T @ np.column_stack([a, b]))
+        gram += a.T @ a - a.T @ c @ both[:, :-1]
+        right += a.T @ b - a.T @ c @ both[:, -1]
+        selected.append(both)
+    # torques and parameters may grow together: a scale is of what is left
+    step = np.zeros(p) if x is not None or kind == "torque_scale" else _solved(gram, right)
+    return plain + step, np.stack([both[:, -1] - both[:, :-1] @ step for both in selected])
+
+
+def _added(rows: Windows, kind: str, x: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+    """Torque `[K, n]` of each trial's own numbers."""
+    _, place = np.unique(rows.trial, return_inverse=True)
+    return np.einsum("kns,ks->kn", _columns(rows, x)[kind], numbers[place])

@@ -140,7 +140,7 @@ def test_gaps_jitter_spikes_wraps_and_clipping_are_found(clean):
     assert {f.where for f in clipped} == {"tau1", "tau2"}
 
 
-def test_velocities_made_from_the_angles_and_late_stamps_are_told(clean):
+def test_velocities_made_from_the_angles_are_told(clean):
     def derive(t):
         v = np.zeros_like(t.q)
         v[1:] = np.diff(t.q, axis=0) / np.diff(t.time)[:, None]
@@ -164,18 +164,6 @@ def test_wraps_are_taken_out(motions, tmp_path):
     assert not audit(read).fault
     for (_, before, _, _), after in zip(motions, read.trials, strict=True):
         np.testing.assert_allclose(np.diff(after.q, axis=0), np.diff(before, axis=0), atol=1e-12)
-
-
-def test_rows_that_are_stamped_late_are_told(clean):
-    def stamp(t):
-        rng = np.random.default_rng(1)
-        return {"time": t.time + 0.8 * t.dt * rng.uniform(0, 1, len(t.time))}
-
-    late = audit(changed(clean, stamp)).of("timestamps")
-    assert len(late) == 3 and late[0].value == pytest.approx(1.0, abs=0.2)
-    time, q, v, torque = simulate(7, 3.0, jitter=0.8)
-    true = changed(clean, lambda t: {"time": time, "q": q, "v": v, "u": torque})
-    assert not audit(true).of("timestamps")
 
 
 @pytest.mark.parametrize("step", [2 * np.pi / 4096, 3.8147e-4, 0.01])

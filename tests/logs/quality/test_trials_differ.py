@@ -64,6 +64,18 @@ def test_a_trial_apart_is_named_and_offered_to_be_left_out(tmp_path):
     assert headline(found) == "03, 06 are apart from the other trials"
 
 
+@pytest.mark.parametrize("own", [(2, 5), (1, 3, 5, 7)])
+def test_a_load_of_some_trials_is_told_as_one(tmp_path, own):
+    bare, loaded = arm(count=COUNT, seed=5), arm(count=COUNT, seed=5, tip=0.1)
+    found = differ_of(tmp_path, [(loaded if k in own else bare)[k] for k in range(COUNT)])
+    if len(own) == 2:
+        assert [(o.trial, o.kind) for o in found.outliers] == [("02", "load"), ("05", "load")]
+        assert all(0.05 < o.size[0] < 0.3 for o in found.outliers)
+        return
+    assert found.kind == "load" and not found.outliers
+    assert np.min(found.size[1::2]) > np.max(found.size[::2])
+
+
 @pytest.mark.parametrize("kind", ["degrees", "joints"])
 def test_a_trial_of_other_columns_is_no_load_and_no_zero(tmp_path, kind):
     trials = arm(count=COUNT, seed=55)
