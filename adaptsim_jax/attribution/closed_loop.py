@@ -5,7 +5,7 @@ a limit or a delay is. `servo_files.py` writes the files that hold it.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ import numpy as np
 
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.measures import WHOLE, Measure, predicts_nothing
+from adaptsim_jax.attribution.posed import excluded_of
 from adaptsim_jax.core.progress import Note
 from adaptsim_jax.diagnosis.finding import Finding, Named
 from adaptsim_jax.diagnosis.report import (
@@ -30,7 +31,7 @@ from adaptsim_jax.diagnosis.report import (
 from adaptsim_jax.diagnosis.testing import Test
 from adaptsim_jax.effects.base import unit_at
 from adaptsim_jax.effects.joints.actuator import ACTUATOR_LAG, DELAY, POSITION_GAIN, SATURATION
-from adaptsim_jax.effects.joints.catalogue import BODY
+from adaptsim_jax.effects.joints.catalogue import BODY, MACHINE
 from adaptsim_jax.effects.joints.forces import ARMATURE, BIAS, SPRING
 from adaptsim_jax.effects.joints.friction import COULOMB
 from adaptsim_jax.effects.joints.sensor import ENCODER_OFFSET
@@ -135,9 +136,12 @@ class ServoDiagnosis:
         return bool(self.scale_spread[joint] < CLOSED_LOOP.scale_known)
 
 
-def diagnosed(machine: Machine, notify: Note) -> ServoDiagnosis | None:
+def diagnosed(machine: Machine, exclude: Sequence[str], notify: Note) -> ServoDiagnosis | None:
     """What the closed loop shows; None where not all joints follow targets, and where it names
     nothing though more than noise is left.
+
+    Args:
+        exclude: Effects that are not considered, as of `--exclude`.
     """
     source = machine.source
     if source is None:
@@ -146,10 +150,21 @@ def diagnosed(machine: Machine, notify: Note) -> ServoDiagnosis | None:
     recording = recording_of(source, log)
     if recording is None:
         return None
-    found = identified(recording, notify)
+    names = {e.name for e in MACHINE} | {*NAMES.values()}
+    everywhere, at_joints = excluded_of(exclude, names, machine.tree.joint_names)
+    servos = tuple(_without(s, everywhere, at_joints) for s in recording.servos)
+    found = identified(replace(recording, servos=servos), notify)
     if not found.members and found.over_noise.max() > CLOSED_LOOP.lacks_nothing:
         return None
     return ServoDiagnosis(machine, source, found, _effects(found.members), scale_spread(found))
+
+
+def _without(
+    servo: Servo, everywhere: set[str], at_joints: frozenset[tuple[str, int]]
+) -> Servo:
+    """A servo of which the numbers of excluded effects are the file's."""
+    gone = {n for n, e in NAMES.items() if e in everywhere or (e, servo.joint) in at_joints}
+    return replace(servo, excluded=frozenset(gone))
 
 
 def _effects(members: Sequence[LawMember]) -> tuple[ServoEffect, ...]:
@@ -476,8 +491,8 @@ def measure_of(d: ServoDiagnosis, error: np.ndarray) -> Measure:
 def _notes(d: ServoDiagnosis) -> list[str]:
     notes = [
         "Servos were simulated in closed loop over whole trials, commands held from row to row; "
-        "efforts, if logged, were not used. Errors are of the trials that were fitted, a few "
-        "numbers to thousands of rows: replay other trials before you rely on them."
+        "efforts, if logged, were not used. Each piece's errors are by the numbers that the other "
+        "pieces give."
     ]
     if not d.found.laws[0].sharp:
         notes.append(

@@ -117,9 +117,9 @@ def _in_closed_loop(
     machine: Machine, setting: DiagnosisSetting, notify: Note
 ) -> closed_loop.ServoDiagnosis | None:
     """What the closed loop of a machine's servos shows, where nothing else was asked for."""
-    if setting.objective not in (None, WHOLE) or setting.effects is not None or setting.exclude:
+    if setting.objective not in (None, WHOLE) or setting.effects is not None:
         return None
-    return closed_loop.diagnosed(machine, notify)
+    return closed_loop.diagnosed(machine, setting.exclude, notify)
 
 
 def _of_the_file(

@@ -60,19 +60,21 @@ def catalogue_of(
     known = MACHINE
     if setting.effects is not None:
         known = (*(e for e in MACHINE if e.name in fitted), *setting.effects)
-    everywhere, at_joints = excluded_of(setting.exclude, known, machine.tree.joint_names)
+    names = {e.name for e in known}
+    everywhere, at_joints = excluded_of(setting.exclude, names, machine.tree.joint_names)
     chosen = tuple(e for e in known if e.name not in everywhere or e.name in fitted)
     return chosen, at_joints
 
 
 def excluded_of(
-    exclude: Sequence[str], known: Sequence[Effect], joints: Sequence[str]
+    exclude: Sequence[str], names: set[str], joints: Sequence[str]
 ) -> tuple[set[str], frozenset[tuple[str, int]]]:
     """What `--exclude` names: effects (`coulomb`), and effects at a joint (`coulomb at elbow`).
+    names: of the effects that there are.
 
     Raises BadInput where there is no such effect, or no such joint.
     """
-    names, everywhere, at_joints = {e.name for e in known}, set(), set()
+    everywhere, at_joints = set(), set()
     for text in exclude:
         name, _, joint = text.partition(" at ")
         if name not in names:

@@ -13,7 +13,7 @@ class ClosedLoopCriteria:
     near_end: float = 0.02  # rad (m): from the end of its range, within which a joint may touch it
     # the same, beyond which a joint without a rotor stops within a step: its simulations differ by
     # how they are stepped, and no real joint is like that
-    stiffest: float = 6.0
+    stiffest: float = 6e9
     longest: float = 4.0  # s, of a piece: a closed loop forgets its start long before
     pieces: int = 28  # at most, those that move most: more cost time and tell little more
     start_pieces: int = 10  # the same where fits begin

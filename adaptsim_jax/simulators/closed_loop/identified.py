@@ -32,6 +32,7 @@ from adaptsim_jax.simulators.closed_loop.polish import (
     Polished,
     WholeTrials,
     better_at,
+    left_out_errors,
     over_noise,
     polished,
     whole_trials,
@@ -82,7 +83,8 @@ class ServoLaws:
         recording: What was simulated.
         found: The servos, polished.
         members: What stays beside the file's laws.
-        before, after: Errors [rows, n] rad over whole trials by the file's laws and by these.
+        before, after: Errors [rows, n] rad over whole trials by the file's laws and by these, each
+            piece by the numbers that the others give.
         whole: The trials.
     """
 
@@ -175,13 +177,16 @@ def identified(
     if worse := _not_followed_better(whole, before, found, members):
         found = polished(whole, without(whole, found, worse, file), rounds=2)
         found, members = _borne_out(whole, found, file, notify)
-    return ServoLaws(recording, found, members, before, found.errors, whole)
+    after = left_out_errors(whole, found)
+    return ServoLaws(recording, found, members, before, after, whole)
 
 
 def _with_payload(whole: WholeTrials, found: Polished) -> Polished:
     """With a mass at the hand free as well: pieces of single joints take it for other scales."""
     shared = found.model.shared
-    if whole.recording.hand < 0 or not found.model.coordinates or {"payload", "lift"} & {*shared}:
+    if "payload" not in allowed_by_all(whole.recording) or {"payload", "lift"} & {*shared}:
+        return found
+    if not found.model.coordinates:
         return found
     return polished(whole, replace(found.model, shared=(*shared, "payload")), rounds=3)
 
@@ -194,8 +199,7 @@ def _or_rival(whole: WholeTrials, found: Polished, file: Sequence[ServoLaw]) -> 
     """The servos with a shared number's rival in its place, where that leaves less."""
     for name, other in RIVALS:
         shared = found.model.shared
-        known = other != "payload" or whole.recording.hand >= 0
-        if name not in shared or other in shared or not known:
+        if name not in shared or other in shared or other not in allowed_by_all(whole.recording):
             continue
         fits = []
         for fit, law in zip(found.model.fits, file, strict=True):
@@ -240,7 +244,7 @@ def _begun(problem: JointProblem, sharp: float) -> LawFit:
 
 def _grown(recording, problems, live, fits, shared, notify):
     """With numbers that all joints share and numbers of one, while left-out pieces improve."""
-    names = [n for n in SHARED if n not in shared and (n != "payload" or recording.hand >= 0)]
+    names = [n for n in allowed_by_all(recording) if n not in shared]
     if any(n in LATE for n in shared):
         names = [n for n in names if n not in LATE]
     alike = len({problems[j].servo.armature for j in live}) == 1 and len(live) > 1
@@ -255,10 +259,16 @@ def _grown(recording, problems, live, fits, shared, notify):
         names = [n for n in names if n != best.name]
         fits = fits | dict(zip(live, best.fits, strict=True))
     notify("numbers of one servo")
-    extras = [n for n in OWN if n not in shared]
-    rows = [(problems[j], fits[j], extras) for j in live]
+    own = [n for n in OWN if n not in shared]
+    rows = [(problems[j], fits[j], problems[j].servo.allowed(*own)) for j in live]
     fits = fits | dict(zip(live, parallel_map(lambda row: _with_own(*row), rows), strict=True))
     return fits, shared
+
+
+def allowed_by_all(recording: Recording) -> list[str]:
+    """Numbers that all joints may share."""
+    names = [n for n in SHARED if all(s.allowed(n) for s in recording.servos)]
+    return [n for n in names if n != "payload" or recording.hand >= 0]
 
 
 def _with_own(problem: JointProblem, fit: LawFit, extras: Sequence[str]) -> LawFit:
@@ -364,13 +374,21 @@ def _members(whole: WholeTrials, found: Polished, file: Sequence[ServoLaw]) -> l
         joints = list(range(error.shape[1])) if joint == SHARED_BY_ALL else [joint]
         over = over_noise(whole, error)[joints].max()
         tested = better_at(whole, error, found.errors, joints)
-        change = max(_change(found.model.fits[c[0]].law, file[c[0]], c[1]) for c in coordinates)
+        change = max(
+            _change(found.model.fits[j].law, file[j], n, whole.recording.file_step)
+            for j, n in coordinates
+        )
         out.append(LawMember(coordinates, *tested, float(over), change))
     return out
 
 
-def _change(law: ServoLaw, file: ServoLaw, name: str) -> float:
-    """Of a law's number how far it is from the file's (log); infinite of what the file has not."""
+def _change(law: ServoLaw, file: ServoLaw, name: str, file_step: float) -> float:
+    """Of a law's number how far it is from the file's (log); infinite of what the file has not. No
+    change is a rotor that damping makes up for within a step of the file's simulation [s]: by so
+    much do two ways to step a damped joint differ.
+    """
+    if name == "rotor" and abs(law.rotor) < file_step * law.damping:
+        return 0.0
     if name == "damping" and law.kp > 0.0:
         return float(abs(np.log(law.damping / law.kp / (file.damping / file.kp))))
     if name == "scale":

@@ -101,6 +101,7 @@ class Servo:
         command_range: Within which commands act.
         ends: Of the joint's range, rad.
         rest: Of the joint's spring, rad.
+        excluded: Numbers of the law that are not fitted.
     """
 
     name: str
@@ -120,13 +121,18 @@ class Servo:
     command_range: tuple[float, float]
     ends: tuple[float, float]
     rest: float
+    excluded: frozenset[str] = frozenset()
 
     @property
     def free(self) -> tuple[str, ...]:
         """Coordinates of a law that is fitted."""
         if self.follows_speed:
-            return ("scale", "rub")
-        return ("scale", "damping", "rub")
+            return self.allowed("scale", "rub")
+        return self.allowed("scale", "damping", "rub")
+
+    def allowed(self, *names: str) -> tuple[str, ...]:
+        """Of some numbers those that may be fitted."""
+        return tuple(n for n in names if n not in self.excluded)
 
 
 def servos_of(made: Stepped, log: Log) -> tuple[Servo, ...]:

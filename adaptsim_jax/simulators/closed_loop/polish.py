@@ -205,6 +205,22 @@ def _jackknifed(whole: WholeTrials, hess, slope, prior) -> np.ndarray:
     )
 
 
+def left_out_errors(whole: WholeTrials, found: Polished) -> np.ndarray:
+    """Errors [rows, n] rad of whole trials, each group of pieces by the numbers that one step
+    without it gives.
+    """
+    out = found.errors.copy()
+    groups = whole.problems[0].groups
+    if not found.model.coordinates:
+        return out
+    models = [whole.moved(found.model, np.clip(step, -0.7, 0.7)) for step in found.steps]
+    every = whole.errors([m.laws for m in models])
+    for group, error in zip(groups, every, strict=True):
+        rows = np.isin(whole.block, group)
+        out[rows] = error[rows]
+    return out
+
+
 Coordinate = tuple[int, str]
 
 

@@ -46,7 +46,8 @@ def recording_of(source: Source, log: Log) -> Recording | None:
     if _fast(servos, inertia, step):
         model.opt.timestep = 0.5 * step
     hand = _hand(model, servos)
-    return Recording(model, made.pose, servos, trials, pieces, noise, inertia, hand, step)
+    steps = step, float(source.model.opt.timestep)
+    return Recording(model, made.pose, servos, trials, pieces, noise, inertia, hand, *steps)
 
 
 def _fast(servos: tuple[Servo, ...], inertia: np.ndarray, step: float) -> bool:
