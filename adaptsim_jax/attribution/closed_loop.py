@@ -136,12 +136,16 @@ class ServoDiagnosis:
         return bool(self.scale_spread[joint] < CLOSED_LOOP.scale_known)
 
 
-def diagnosed(machine: Machine, exclude: Sequence[str], notify: Note) -> ServoDiagnosis | None:
-    """What the closed loop shows; None where not all joints follow targets, and where it names
-    nothing though more than noise is left.
+def diagnosed(
+    machine: Machine, exclude: Sequence[str], few: int, notify: Note
+) -> ServoDiagnosis | None:
+    """What the closed loop shows; None where not all joints follow targets, and of a machine of few
+    joints where it names nothing though more than noise is left: stretches can show what no law of
+    a servo has (elastic drives, play).
 
     Args:
         exclude: Effects that are not considered, as of `--exclude`.
+        few: Joints up to which stretches are searched.
     """
     source = machine.source
     if source is None:
@@ -154,14 +158,13 @@ def diagnosed(machine: Machine, exclude: Sequence[str], notify: Note) -> ServoDi
     everywhere, at_joints = excluded_of(exclude, names, machine.tree.joint_names)
     servos = tuple(_without(s, everywhere, at_joints) for s in recording.servos)
     found = identified(replace(recording, servos=servos), notify)
-    if not found.members and found.over_noise.max() > CLOSED_LOOP.lacks_nothing:
+    left = found.over_noise.max() > CLOSED_LOOP.lacks_nothing
+    if left and not found.members and len(servos) <= few:
         return None
     return ServoDiagnosis(machine, source, found, _effects(found.members), scale_spread(found))
 
 
-def _without(
-    servo: Servo, everywhere: set[str], at_joints: frozenset[tuple[str, int]]
-) -> Servo:
+def _without(servo: Servo, everywhere: set[str], at_joints: frozenset[tuple[str, int]]) -> Servo:
     """A servo of which the numbers of excluded effects are the file's."""
     gone = {n for n, e in NAMES.items() if e in everywhere or (e, servo.joint) in at_joints}
     return replace(servo, excluded=frozenset(gone))

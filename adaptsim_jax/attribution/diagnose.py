@@ -119,7 +119,8 @@ def _in_closed_loop(
     """What the closed loop of a machine's servos shows, where nothing else was asked for."""
     if setting.objective not in (None, WHOLE) or setting.effects is not None:
         return None
-    return closed_loop.diagnosed(machine, setting.exclude, notify)
+    few = setting.criteria.torque.simulated
+    return closed_loop.diagnosed(machine, setting.exclude, few, notify)
 
 
 def _of_the_file(

@@ -14,8 +14,8 @@ from adaptsim_jax.attribution.equation.commands import drive_gains
 from adaptsim_jax.attribution.estimate import fit
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.measures import NAMES
-from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, TILT, Entry, Vector
-from adaptsim_jax.attribution.problem import TreeProblem, held, nuisances, own_inertia
+from adaptsim_jax.attribution.parameters import INERTIA, TILT, Entry, Vector
+from adaptsim_jax.attribution.problem import TreeProblem, nuisances
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.base import Effect
@@ -174,18 +174,6 @@ def declared_vector(machine: Machine, problem: TreeProblem) -> Vector:
                     if e.owner == owner and of[e.joints[0]] not in wanted
                 ]
             )
-    if problem.offers(DAMPING_STEP) and np.any(held(machine.actuator)):
-        widest = Criteria.min_shift * problem.reach.dt
-        # s, in which damping stops each joint
-        stops = own_inertia(problem, vector)[0] / np.maximum(
-            problem.declared[DAMPING_STEP, "damping"], 1e-12
-        )
-        for g in problem.groups:
-            early = min(
-                widest, PRIOR_WIDTH.min_inertia * np.min(stops[list(g.joints)])
-            )  # by more, and a joint would weigh less than nothing
-            step = Entry(DAMPING_STEP, "step", g.joints, 0.0, 0.0, -early, widest, "s", widest)
-            vector = vector.with_entries([step])
     if machine.gain_unknown:
         # free, gain and inertias shrink together
         if machine.gain_estimated:

@@ -11,9 +11,6 @@ class ClosedLoopCriteria:
     # of a joint's inertia, that damping times a step may be before whole trials are stepped finer
     stiff: float = 0.5
     near_end: float = 0.02  # rad (m): from the end of its range, within which a joint may touch it
-    # the same, beyond which a joint without a rotor stops within a step: its simulations differ by
-    # how they are stepped, and no real joint is like that
-    stiffest: float = 6e9
     longest: float = 4.0  # s, of a piece: a closed loop forgets its start long before
     pieces: int = 28  # at most, those that move most: more cost time and tell little more
     start_pieces: int = 10  # the same where fits begin
@@ -44,6 +41,7 @@ class ClosedLoopCriteria:
     # spread of the logarithm of kp, the rotor free, up to which kp is known and not only ratios
     scale_known: float = 0.05
     late: float = 1e-3  # s: a delay below is none
+    damping_delay: float = 2e-3  # s, at most: a step of MuJoCo's, unless a file says another
 
 
 CLOSED_LOOP = ClosedLoopCriteria()

@@ -41,6 +41,8 @@ from adaptsim_jax.simulators.closed_loop.polish import (
 from adaptsim_jax.simulators.closed_loop.shared import LATE, late_targets, one_more_shared
 from adaptsim_jax.simulators.closed_loop.stepping import errors, squared
 
+STEPPED = ("damping_delay",)
+"""Fitted of all joints together whatever is found: how a simulator or a controller steps."""
 OWN = ("limit", "offset", "rotor", "spring", "zero")
 """Numbers that one joint may have beside its law."""
 
@@ -166,6 +168,7 @@ def identified(
     notify("whole trials")
     value = {n: getattr(fits[live[0]].law, n) for n in shared} if live else {}
     full = [fits[j] if j in live else fits[j].of(fits[j].law._replace(**value)) for j in fits]
+    shared += STEPPED
     found = polished(whole, FittedServos(tuple(full), tuple(shared)))
     laws, _ = _with_friction(whole, found.model.laws)
     if laws[0].sharp != file[0].sharp:
@@ -374,21 +377,13 @@ def _members(whole: WholeTrials, found: Polished, file: Sequence[ServoLaw]) -> l
         joints = list(range(error.shape[1])) if joint == SHARED_BY_ALL else [joint]
         over = over_noise(whole, error)[joints].max()
         tested = better_at(whole, error, found.errors, joints)
-        change = max(
-            _change(found.model.fits[j].law, file[j], n, whole.recording.file_step)
-            for j, n in coordinates
-        )
+        change = max(_change(found.model.fits[j].law, file[j], n) for j, n in coordinates)
         out.append(LawMember(coordinates, *tested, float(over), change))
     return out
 
 
-def _change(law: ServoLaw, file: ServoLaw, name: str, file_step: float) -> float:
-    """Of a law's number how far it is from the file's (log); infinite of what the file has not. No
-    change is a rotor that damping makes up for within a step of the file's simulation [s]: by so
-    much do two ways to step a damped joint differ.
-    """
-    if name == "rotor" and abs(law.rotor) < file_step * law.damping:
-        return 0.0
+def _change(law: ServoLaw, file: ServoLaw, name: str) -> float:
+    """Of a law's number how far it is from the file's (log); infinite of what the file has not."""
     if name == "damping" and law.kp > 0.0:
         return float(abs(np.log(law.damping / law.kp / (file.damping / file.kp))))
     if name == "scale":
@@ -411,4 +406,4 @@ def _returnable(model: FittedServos) -> list[tuple[Coordinate, ...]]:
                 out.append(tuple(law))
             else:
                 out.append(((j, name),))
-    return out + [((SHARED_BY_ALL, n),) for n in model.shared]
+    return out + [((SHARED_BY_ALL, n),) for n in model.shared if n not in STEPPED]

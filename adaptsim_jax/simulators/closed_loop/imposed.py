@@ -173,7 +173,6 @@ class Recording:
         inertia: [n] about the joints, on average, kg m^2.
         hand: The body that carries a payload, -1: none does.
         step: Of the simulation of one joint, s.
-        file_step: Of the model file's own simulation, s.
     """
 
     model: mujoco.MjModel
@@ -185,7 +184,6 @@ class Recording:
     inertia: np.ndarray
     hand: int
     step: float
-    file_step: float
 
     @property
     def whole_step(self) -> float:

@@ -42,6 +42,8 @@ class ServoLaw(NamedTuple):
         inside: 1: the limit cuts the whole force; 0: its part by the position error alone, as the
             voltage of a motor is before its back electromotive force.
         sharp: 1: dry friction holds a joint still; 0: it creeps, as MuJoCo's does.
+        damping_delay: By which damping acts late (early: below 0), s, as steps of a simulator or of
+            a controller make it: to first order a lighter joint. Of whole trials alone.
     """
 
     kp: Any
@@ -58,6 +60,7 @@ class ServoLaw(NamedTuple):
     zero: Any
     inside: Any
     sharp: Any
+    damping_delay: Any = 0.0
 
 
 SCALED = ("kp", "damping", "rub", "limit")
@@ -285,6 +288,7 @@ class Scales:
     def unit(self, name: str) -> float:
         """The size of a coordinate of 1."""
         fixed = {"delay": 0.01, "lag": 0.01, "lift": 1.0, "offset": 0.01, "zero": 0.05}
+        fixed["damping_delay"] = 1e-3
         own = {"rub": self.force, "rotor": self.inertia, "payload": max(self.hand, 1e-3)}
         own["spring"] = self.force / max(self.swing, 1e-3)
         return (fixed | own)[name]
@@ -328,6 +332,7 @@ def bounded(servo: Servo, scales: Scales, law: ServoLaw, free: tuple[str, ...]) 
         "lift": (-1.0, 2.0),
         "offset": (-0.3, 0.3),
         "zero": (-0.3, 0.3),
+        "damping_delay": (-CLOSED_LOOP.damping_delay, CLOSED_LOOP.damping_delay),
         "spring": (0.0, np.inf),
     }
     for name in free:
@@ -388,7 +393,8 @@ def with_model(
     model.actuator_actearly[k] = True
     model.dof_damping[dof] = law.damping - inner * law.inside
     model.dof_frictionloss[dof] = law.rub
-    model.dof_armature[dof] = max(servo.armature + law.rotor, 0.0)
+    rotor = servo.armature + law.rotor - law.damping_delay * law.damping
+    model.dof_armature[dof] = max(rotor, 0.0)
     model.jnt_stiffness[int(model.dof_jntid[dof])] = law.spring
     model.qpos_spring[servo.qpos] = servo.rest
     if law.sharp:

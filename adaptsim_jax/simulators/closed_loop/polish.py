@@ -14,7 +14,15 @@ from adaptsim_jax.simulators.closed_loop.imposed import JointProblem, Recording
 from adaptsim_jax.simulators.closed_loop.law import ServoLaw, bounded, moved
 from adaptsim_jax.simulators.closed_loop.whole import blocks_of, simulated, trial_errors
 
-STEP = {"delay": 0.2, "lag": 0.2, "rotor": 0.02, "payload": 0.02, "lift": 0.02, "offset": 0.05}
+STEP = {
+    "delay": 0.2,
+    "lag": 0.2,
+    "rotor": 0.02,
+    "payload": 0.02,
+    "lift": 0.02,
+    "offset": 0.05,
+    "damping_delay": 0.2,
+}
 OTHER_STEP = 0.01
 SHARED_BY_ALL = -1
 
