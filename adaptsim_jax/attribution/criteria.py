@@ -52,9 +52,6 @@ class PriorCriteria:
 
     # standard deviation of a drive's gain, as a share, about the one that weight and inertia gave
     estimated_gain: float = 0.1
-    # of a joint's inertia, at least, that damping by another speed leaves it: it would not be
-    # positive
-    min_inertia: float = 0.5
     inertia: float = 0.3  # standard deviation of a coordinate of a body's inertial parameters (1)
     # times, within which a body's mass and moments are taken to be those of the file
     body_factor: float = 3.0
