@@ -211,7 +211,15 @@ def _named(d: ServoDiagnosis, e: ServoEffect) -> Named:
     m, pieces = e.strongest, len(d.recording.pieces)
     joints = len(d.recording.servos) if e.joint == SHARED_BY_ALL else 1
     gain = 1.0 - float(np.exp(-m.gain / joints))
-    return Named(e, Test(gain, m.p, m.better, pieces, pieces), _steadiness(d, e))
+    test = Test(gain, m.p, m.better, pieces, pieces)
+    return Named(e, test, _steadiness(d, e), _alternatives(d, e))
+
+
+def _alternatives(d: ServoDiagnosis, e: ServoEffect) -> tuple[ServoEffect, ...]:
+    """What says the same of whole trials as a mass that is carried."""
+    if e.name != BODY.name:
+        return ()
+    return tuple(ServoEffect(POSITION_GAIN.name, j, ()) for j in d.found.instead)
 
 
 def _steadiness(d: ServoDiagnosis, e: ServoEffect) -> float:
@@ -486,9 +494,10 @@ def measure_of(d: ServoDiagnosis, error: np.ndarray) -> Measure:
         line.append(np.sqrt(np.square(rest).mean(0)))
     servos = d.recording.servos
     span = float(np.median([t.time[-1] for t in d.recording.trials]))
-    middle = (np.median(z, 0) for z in (error, np.array(line), np.array(still)))
     units = tuple("m" if s.slides else "rad" for s in servos)
-    return Measure(WHOLE, span, *middle, tuple(s.name for s in servos), units)
+    names = tuple(s.name for s in servos)
+    left, by_line, at_rest = (np.median(z, 0) for z in (error, np.array(line), np.array(still)))
+    return Measure(WHOLE, span, left, by_line, at_rest, names, units)
 
 
 def _notes(d: ServoDiagnosis) -> list[str]:

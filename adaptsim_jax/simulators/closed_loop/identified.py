@@ -3,7 +3,7 @@ improve, polished on whole trials, and returned to the file's where these do not
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
@@ -23,7 +23,7 @@ from adaptsim_jax.simulators.closed_loop.fit import (
     solved,
 )
 from adaptsim_jax.simulators.closed_loop.imposed import JointProblem, Recording, joint_problems
-from adaptsim_jax.simulators.closed_loop.law import OPEN, SHARED, ServoLaw, moved
+from adaptsim_jax.simulators.closed_loop.law import OPEN, ServoLaw, moved
 from adaptsim_jax.simulators.closed_loop.pieces import imposed_motion
 from adaptsim_jax.simulators.closed_loop.polish import (
     SHARED_BY_ALL,
@@ -38,10 +38,16 @@ from adaptsim_jax.simulators.closed_loop.polish import (
     whole_trials,
     without,
 )
+from adaptsim_jax.simulators.closed_loop.rivals import (
+    allowed_by_all,
+    or_heavier,
+    or_rival,
+    with_payload,
+)
 from adaptsim_jax.simulators.closed_loop.shared import LATE, late_targets, one_more_shared
 from adaptsim_jax.simulators.closed_loop.stepping import errors, squared
 
-STEPPED = ("damping_delay",)
+STEPPED = ("damping_delay", "shift")
 """Fitted of all joints together whatever is found: how a simulator or a controller steps."""
 OWN = ("limit", "offset", "rotor", "spring", "zero")
 """Numbers that one joint may have beside its law."""
@@ -88,6 +94,8 @@ class ServoLaws:
         before, after: Errors [rows, n] rad over whole trials by the file's laws and by these, each
             piece by the numbers that the others give.
         whole: The trials.
+        instead: Joints whose kp and damping, times one factor, say what a mass that is carried
+            does.
     """
 
     recording: Recording
@@ -96,6 +104,7 @@ class ServoLaws:
     before: np.ndarray
     after: np.ndarray
     whole: WholeTrials
+    instead: tuple[int, ...] = ()
 
     @property
     def laws(self) -> list[ServoLaw]:
@@ -156,6 +165,9 @@ def identified(
     if over_noise(whole, before)[live].max(initial=0.0) < CLOSED_LOOP.lacks_nothing:
         by_file = polished(whole, FittedServos(tuple(fits.values())), rounds=0)
         return ServoLaws(recording, by_file, (), before, before, whole)
+    by_file = polished(whole, FittedServos(tuple(fits.values()), STEPPED))
+    if over_noise(whole, by_file.errors)[live].max() < CLOSED_LOOP.lacks_nothing:
+        return ServoLaws(recording, by_file, (), by_file.errors, by_file.errors, whole)
     some = [problems[j] for j in live]
     fits |= zip(live, parallel_map(lambda p: _begun(p, file[0].sharp), some), strict=True)
     shared: list[str] = []
@@ -168,52 +180,21 @@ def identified(
     notify("whole trials")
     value = {n: getattr(fits[live[0]].law, n) for n in shared} if live else {}
     full = [fits[j] if j in live else fits[j].of(fits[j].law._replace(**value)) for j in fits]
-    shared += STEPPED
+    late = any(n in LATE for n in shared)
+    shared += [n for n in STEPPED if n != "shift" or not late]
     found = polished(whole, FittedServos(tuple(full), tuple(shared)))
     laws, _ = _with_friction(whole, found.model.laws)
     if laws[0].sharp != file[0].sharp:
         file = [law._replace(sharp=laws[0].sharp) for law in file]
         full = [f.of(law) for f, law in zip(found.model.fits, laws, strict=True)]
         found = polished(whole, FittedServos(tuple(full), tuple(shared)))
-    found = _or_rival(whole, _with_payload(whole, found), file)
+    found, instead = or_heavier(whole, or_rival(whole, with_payload(whole, found), file), file)
     found, members = _borne_out(whole, found, file, notify)
     if worse := _not_followed_better(whole, before, found, members):
         found = polished(whole, without(whole, found, worse, file), rounds=2)
         found, members = _borne_out(whole, found, file, notify)
     after = left_out_errors(whole, found)
-    return ServoLaws(recording, found, members, before, after, whole)
-
-
-def _with_payload(whole: WholeTrials, found: Polished) -> Polished:
-    """With a mass at the hand free as well: pieces of single joints take it for other scales."""
-    shared = found.model.shared
-    if "payload" not in allowed_by_all(whole.recording) or {"payload", "lift"} & {*shared}:
-        return found
-    if not found.model.coordinates:
-        return found
-    return polished(whole, replace(found.model, shared=(*shared, "payload")), rounds=3)
-
-
-RIVALS = (("lift", "payload"), ("payload", "lift"), ("delay", "lag"), ("lag", "delay"))
-"""Shared numbers that pieces of single joints hardly tell apart: whole trials decide."""
-
-
-def _or_rival(whole: WholeTrials, found: Polished, file: Sequence[ServoLaw]) -> Polished:
-    """The servos with a shared number's rival in its place, where that leaves less."""
-    for name, other in RIVALS:
-        shared = found.model.shared
-        if name not in shared or other in shared or other not in allowed_by_all(whole.recording):
-            continue
-        fits = []
-        for fit, law in zip(found.model.fits, file, strict=True):
-            value = getattr(fit.law, name) if other in LATE else getattr(law, other)
-            fits.append(fit.of(fit.law._replace(**{name: getattr(law, name), other: value})))
-        names = tuple(other if n == name else n for n in shared)
-        rival = polished(whole, FittedServos(tuple(fits), names))
-        left = [np.log(over_noise(whole, p.errors)).sum() for p in (found, rival)]
-        if left[1] < left[0] - CLOSED_LOOP.gain:
-            return rival
-    return found
+    return ServoLaws(recording, found, members, before, after, whole, instead)
 
 
 def _with_friction(
@@ -266,12 +247,6 @@ def _grown(recording, problems, live, fits, shared, notify):
     rows = [(problems[j], fits[j], problems[j].servo.allowed(*own)) for j in live]
     fits = fits | dict(zip(live, parallel_map(lambda row: _with_own(*row), rows), strict=True))
     return fits, shared
-
-
-def allowed_by_all(recording: Recording) -> list[str]:
-    """Numbers that all joints may share."""
-    names = [n for n in SHARED if all(s.allowed(n) for s in recording.servos)]
-    return [n for n in names if n != "payload" or recording.hand >= 0]
 
 
 def _with_own(problem: JointProblem, fit: LawFit, extras: Sequence[str]) -> LawFit:

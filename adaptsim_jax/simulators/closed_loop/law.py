@@ -44,6 +44,7 @@ class ServoLaw(NamedTuple):
         sharp: 1: dry friction holds a joint still; 0: it creeps, as MuJoCo's does.
         damping_delay: By which damping acts late (early: below 0), s, as steps of a simulator or of
             a controller make it: to first order a lighter joint. Of whole trials alone.
+        shift: By which targets act late, s, likewise.
     """
 
     kp: Any
@@ -61,6 +62,7 @@ class ServoLaw(NamedTuple):
     inside: Any
     sharp: Any
     damping_delay: Any = 0.0
+    shift: Any = 0.0
 
 
 SCALED = ("kp", "damping", "rub", "limit")
@@ -288,7 +290,7 @@ class Scales:
     def unit(self, name: str) -> float:
         """The size of a coordinate of 1."""
         fixed = {"delay": 0.01, "lag": 0.01, "lift": 1.0, "offset": 0.01, "zero": 0.05}
-        fixed["damping_delay"] = 1e-3
+        fixed |= {"damping_delay": 1e-3, "shift": 1e-3}
         own = {"rub": self.force, "rotor": self.inertia, "payload": max(self.hand, 1e-3)}
         own["spring"] = self.force / max(self.swing, 1e-3)
         return (fixed | own)[name]
@@ -333,6 +335,7 @@ def bounded(servo: Servo, scales: Scales, law: ServoLaw, free: tuple[str, ...]) 
         "offset": (-0.3, 0.3),
         "zero": (-0.3, 0.3),
         "damping_delay": (-CLOSED_LOOP.damping_delay, CLOSED_LOOP.damping_delay),
+        "shift": (-CLOSED_LOOP.late, CLOSED_LOOP.late),
         "spring": (0.0, np.inf),
     }
     for name in free:

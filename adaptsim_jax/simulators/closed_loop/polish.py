@@ -22,6 +22,7 @@ STEP = {
     "lift": 0.02,
     "offset": 0.05,
     "damping_delay": 0.2,
+    "shift": 0.2,
 }
 OTHER_STEP = 0.01
 SHARED_BY_ALL = -1

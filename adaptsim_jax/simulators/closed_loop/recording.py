@@ -83,9 +83,8 @@ def _prepared(spec: mujoco.MjSpec) -> None:
 
 def _hand(model: mujoco.MjModel, servos: tuple[Servo, ...]) -> int:
     """The body that all joints carry: that of the last one of a single chain, else -1."""
-    bodies = [int(model.dof_bodyid[s.dof]) for s in servos if not s.slides]
-    if not bodies:
-        return -1
+    hinges = [s for s in servos if not s.slides]
+    bodies = [int(model.dof_bodyid[s.dof]) for s in hinges or servos]
     last = max(bodies, key=lambda b: len(_chain(model, b)))
     if set(bodies) <= set(_chain(model, last)):
         return last

@@ -42,7 +42,7 @@ def arrived_targets(recording: Recording, trial: int, laws: Sequence[ServoLaw]) 
         held = t.target[:, j]
         whole = np.append(0.0, np.cumsum(np.diff(edges) * held))
         shift = later(law.kp, law.damping, recording.inertia[j] + law.rotor, dt)
-        at = dt * np.arange(steps + 1) - law.delay - shift
+        at = dt * np.arange(steps + 1) - law.delay - law.shift - shift
         area = np.where(at < 0.0, at * held[0], np.interp(at, edges, whole))
         mean = np.diff(area) / dt
         if law.lag > 1e-6:
