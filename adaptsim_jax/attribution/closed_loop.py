@@ -62,6 +62,7 @@ NAMES = {
     "delay": DELAY.name,
     "lag": ACTUATOR_LAG.name,
     "payload": BODY.name,
+    "reach": BODY.name,
     "lift": LIFT,
 }
 """The name of the effect that a fitted number of a servo belongs to."""
@@ -247,7 +248,7 @@ def _label(d: ServoDiagnosis, e: ServoEffect) -> Label:
     servos = d.recording.servos
     if e.name == BODY.name:
         carried = d.source.model.body(d.recording.model.body(d.recording.hand).name).name
-        joint = next((s.name for s in reversed(servos)), carried)
+        joint = servos[-1].name if servos else carried
         return Label(e.name, joint)
     if e.joint == SHARED_BY_ALL:
         return Label(e.name, "all joints" if len(servos) > 1 else servos[0].name)
@@ -353,10 +354,11 @@ def _parameters(d: ServoDiagnosis, e: ServoEffect) -> dict[str, dict[str, Any]]:
     j = max(e.joint, 0)
     s, law = d.recording.servos[j], d.found.laws[j]
     out = {}
-    for m in e.members:
-        joint, name = m.coordinates[-1]
+    for joint, name in (c for m in e.members for c in m.coordinates):
         key, value, file, unit, wide = _number(d, j, name, (joint, name))
         out[key] = _row(value, wide, unit) | {"file": file}
+    if "reach" in out:
+        out["reach"]["meaning"] = "outward from the centre of mass of the body that carries it"
     if e.name == SATURATION.name and not law.inside:
         inner = float(inner_damping(s, law.damping))
         out["unloaded_speed"] = _row(law.limit / max(inner, 1e-12), 0.0, _unit(s, "rad/s"))
@@ -406,6 +408,7 @@ UNIT_OF = {
     "spring": "N m/rad",
     "zero": "rad",
     "payload": "kg",
+    "reach": "m",
     "lift": "1",
     "delay": "s",
     "lag": "s",

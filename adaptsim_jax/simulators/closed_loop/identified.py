@@ -39,10 +39,15 @@ from adaptsim_jax.simulators.closed_loop.polish import (
     without,
 )
 from adaptsim_jax.simulators.closed_loop.rivals import (
+    CARRIED,
     allowed_by_all,
+    one_shared,
     or_heavier,
+    or_other_friction,
     or_rival,
+    or_stepped,
     with_payload,
+    with_place,
 )
 from adaptsim_jax.simulators.closed_loop.shared import LATE, late_targets, one_more_shared
 from adaptsim_jax.simulators.closed_loop.stepping import errors, squared
@@ -142,7 +147,7 @@ def scale_spread(found: ServoLaws) -> np.ndarray:
     free = [f.and_free("rotor") if j in scaled else f for j, f in enumerate(model.fits)]
     shared = model.shared
     if found.recording.hand >= 0 and "payload" not in shared:
-        shared = (*shared, "payload")
+        shared = (*shared, *CARRIED)
     wide = polished(found.whole, FittedServos(tuple(free), shared), rounds=0)
     spread = jackknife(wide.steps)
     for i, (j, name) in enumerate(wide.model.coordinates):
@@ -168,6 +173,10 @@ def identified(
     by_file = polished(whole, FittedServos(tuple(fits.values()), STEPPED))
     if over_noise(whole, by_file.errors)[live].max() < CLOSED_LOOP.lacks_nothing:
         return ServoLaws(recording, by_file, (), by_file.errors, by_file.errors, whole)
+    notify("one number that all servos share")
+    if found := one_shared(whole, file, STEPPED):
+        found, members = _borne_out(whole, found, file, notify)
+        return ServoLaws(recording, found, members, before, left_out_errors(whole, found), whole)
     some = [problems[j] for j in live]
     fits |= zip(live, parallel_map(lambda p: _begun(p, file[0].sharp), some), strict=True)
     shared: list[str] = []
@@ -182,17 +191,16 @@ def identified(
     full = [fits[j] if j in live else fits[j].of(fits[j].law._replace(**value)) for j in fits]
     late = any(n in LATE for n in shared)
     shared += [n for n in STEPPED if n != "shift" or not late]
-    found = polished(whole, FittedServos(tuple(full), tuple(shared)))
-    laws, _ = _with_friction(whole, found.model.laws)
-    if laws[0].sharp != file[0].sharp:
-        file = [law._replace(sharp=laws[0].sharp) for law in file]
-        full = [f.of(law) for f, law in zip(found.model.fits, laws, strict=True)]
-        found = polished(whole, FittedServos(tuple(full), tuple(shared)))
+    found = polished(whole, with_place(FittedServos(tuple(full), tuple(shared))))
+    found = or_other_friction(whole, found)
+    file = [law._replace(sharp=found.model.laws[0].sharp) for law in file]
+    found = or_stepped(whole, found, file)
     found, instead = or_heavier(whole, or_rival(whole, with_payload(whole, found), file), file)
     found, members = _borne_out(whole, found, file, notify)
     if worse := _not_followed_better(whole, before, found, members):
         found = polished(whole, without(whole, found, worse, file), rounds=2)
         found, members = _borne_out(whole, found, file, notify)
+    found = polished(whole, found.model)
     after = left_out_errors(whole, found)
     return ServoLaws(recording, found, members, before, after, whole, instead)
 
@@ -352,13 +360,17 @@ def _members(whole: WholeTrials, found: Polished, file: Sequence[ServoLaw]) -> l
         joints = list(range(error.shape[1])) if joint == SHARED_BY_ALL else [joint]
         over = over_noise(whole, error)[joints].max()
         tested = better_at(whole, error, found.errors, joints)
-        change = max(_change(found.model.fits[j].law, file[j], n) for j, n in coordinates)
+        change = max(
+            _change(found.model.fits[j].law, file[j], n, whole.problems[j]) for j, n in coordinates
+        )
         out.append(LawMember(coordinates, *tested, float(over), change))
     return out
 
 
-def _change(law: ServoLaw, file: ServoLaw, name: str) -> float:
-    """Of a law's number how far it is from the file's (log); infinite of what the file has not."""
+def _change(law: ServoLaw, file: ServoLaw, name: str, problem: JointProblem) -> float:
+    """How far a number is from the file's: as a logarithm; of a rotor in what damping does within a
+    step, times `CLOSED_LOOP.min_change`; of others in their units, times `CLOSED_LOOP.units`.
+    """
     if name == "damping" and law.kp > 0.0:
         return float(abs(np.log(law.damping / law.kp / (file.damping / file.kp))))
     if name == "scale":
@@ -366,7 +378,10 @@ def _change(law: ServoLaw, file: ServoLaw, name: str) -> float:
         return float(abs(np.log(getattr(law, number) / getattr(file, number))))
     if name == "limit" and file.limit < OPEN:
         return float(abs(np.log(law.limit / file.limit)))
-    return float("inf")
+    off = abs(getattr(law, name) - getattr(file, name))
+    if name == "rotor":
+        return float(off / (problem.step * law.damping) * CLOSED_LOOP.min_change)
+    return float(off / problem.scales.unit(name) * CLOSED_LOOP.units)
 
 
 def _returnable(model: FittedServos) -> list[tuple[Coordinate, ...]]:
@@ -381,4 +396,8 @@ def _returnable(model: FittedServos) -> list[tuple[Coordinate, ...]]:
                 out.append(tuple(law))
             else:
                 out.append(((j, name),))
-    return out + [((SHARED_BY_ALL, n),) for n in model.shared if n not in STEPPED]
+    shared = [n for n in model.shared if n not in (*STEPPED, "reach")]
+    for name in shared:
+        names = CARRIED if name == "payload" else (name,)
+        out.append(tuple((SHARED_BY_ALL, n) for n in names if n in model.shared))
+    return out

@@ -35,6 +35,7 @@ class ServoLaw(NamedTuple):
         delay, lag: Of the target, s.
         rotor: Inertia beyond the file's, kg m^2.
         payload: Mass beyond the file's that the last body carries, kg.
+        reach: From that body's centre of mass outward to the payload's, m. Of whole trials alone.
         lift: Share of gravity that the controller feeds forward (1).
         offset: Of the target, rad.
         spring: About the angle zero, N m/rad.
@@ -63,6 +64,7 @@ class ServoLaw(NamedTuple):
     sharp: Any
     damping_delay: Any = 0.0
     shift: Any = 0.0
+    reach: Any = 0.0
 
 
 SCALED = ("kp", "damping", "rub", "limit")
@@ -290,7 +292,7 @@ class Scales:
     def unit(self, name: str) -> float:
         """The size of a coordinate of 1."""
         fixed = {"delay": 0.01, "lag": 0.01, "lift": 1.0, "offset": 0.01, "zero": 0.05}
-        fixed |= {"damping_delay": 1e-3, "shift": 1e-3}
+        fixed |= {"damping_delay": 1e-3, "shift": 1e-3, "reach": 0.05}
         own = {"rub": self.force, "rotor": self.inertia, "payload": max(self.hand, 1e-3)}
         own["spring"] = self.force / max(self.swing, 1e-3)
         return (fixed | own)[name]
@@ -336,6 +338,7 @@ def bounded(servo: Servo, scales: Scales, law: ServoLaw, free: tuple[str, ...]) 
         "zero": (-0.3, 0.3),
         "damping_delay": (-CLOSED_LOOP.damping_delay, CLOSED_LOOP.damping_delay),
         "shift": (-CLOSED_LOOP.late, CLOSED_LOOP.late),
+        "reach": (-0.2 * CLOSED_LOOP.reach, CLOSED_LOOP.reach),
         "spring": (0.0, np.inf),
     }
     for name in free:

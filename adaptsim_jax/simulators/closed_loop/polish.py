@@ -19,6 +19,7 @@ STEP = {
     "lag": 0.2,
     "rotor": 0.02,
     "payload": 0.02,
+    "reach": 0.1,
     "lift": 0.02,
     "offset": 0.05,
     "damping_delay": 0.2,

@@ -43,7 +43,8 @@ def recording_of(source: Source, log: Log) -> Recording | None:
     if _fast(servos, inertia, step):
         model.opt.timestep = 0.5 * step
     hand = _hand(model, servos)
-    return Recording(model, made.pose, servos, trials, pieces, noise, inertia, hand, step)
+    way = _outward(model, hand)
+    return Recording(model, made.pose, servos, trials, pieces, noise, inertia, hand, way, step)
 
 
 def _fast(servos: tuple[Servo, ...], inertia: np.ndarray, step: float) -> bool:
@@ -89,6 +90,17 @@ def _hand(model: mujoco.MjModel, servos: tuple[Servo, ...]) -> int:
     if set(bodies) <= set(_chain(model, last)):
         return last
     return -1
+
+
+def _outward(model: mujoco.MjModel, hand: int) -> np.ndarray:
+    """[3] from a body's joint to its centre of mass, or along the joint's axis where both are near
+    each other.
+    """
+    joint = int(model.body_jntadr[hand])
+    way = model.body_ipos[hand] - model.jnt_pos[joint]
+    if np.linalg.norm(way) < CLOSED_LOOP.near:
+        way = model.jnt_axis[joint]
+    return way / np.linalg.norm(way)
 
 
 def _chain(model: mujoco.MjModel, body: int) -> list[int]:

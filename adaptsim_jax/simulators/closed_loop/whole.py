@@ -22,7 +22,8 @@ def machine_of(recording: Recording, laws: Sequence[ServoLaw]) -> mujoco.MjModel
     """The model whose servos have these laws."""
     payload = laws[0].payload
     if recording.hand >= 0 and payload:
-        model = heavier(recording.model, recording.hand, payload)
+        at = recording.model.body_ipos[recording.hand] + laws[0].reach * recording.outward
+        model = heavier(recording.model, recording.hand, payload, at)
     else:
         model = copy.copy(recording.model)
     for servo, law, inertia in zip(recording.servos, laws, recording.inertia, strict=True):
