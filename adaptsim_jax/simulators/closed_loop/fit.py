@@ -294,7 +294,7 @@ def begun_at_limit(problem: JointProblem, fit: LawFit) -> LawFit:
     was where left-out pieces refute that.
     """
     servo, some = problem.servo, most_moving(problem)
-    if servo.follows_speed:
+    if servo.follows_speed or not servo.allowed("limit"):
         return fit
     laws = [*_limited(problem, fit.law), *_unloaded(problem, fit.law)]
     sums = squared(errors(some, laws))

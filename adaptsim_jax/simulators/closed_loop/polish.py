@@ -14,7 +14,17 @@ from adaptsim_jax.simulators.closed_loop.imposed import JointProblem, Recording
 from adaptsim_jax.simulators.closed_loop.law import ServoLaw, bounded, moved
 from adaptsim_jax.simulators.closed_loop.whole import blocks_of, simulated, trial_errors
 
-STEP = {"delay": 0.2, "lag": 0.2, "rotor": 0.02, "payload": 0.02, "lift": 0.02, "offset": 0.05}
+STEP = {
+    "delay": 0.2,
+    "lag": 0.2,
+    "rotor": 0.02,
+    "payload": 0.02,
+    "reach": 0.1,
+    "lift": 0.02,
+    "offset": 0.05,
+    "damping_delay": 0.2,
+    "shift": 0.2,
+}
 OTHER_STEP = 0.01
 SHARED_BY_ALL = -1
 
@@ -203,6 +213,22 @@ def _jackknifed(whole: WholeTrials, hess, slope, prior) -> np.ndarray:
     return np.array(
         [here - solved(total - hess[g].sum(0), right - slope[g].sum(0)) for g in groups]
     )
+
+
+def left_out_errors(whole: WholeTrials, found: Polished) -> np.ndarray:
+    """Errors [rows, n] rad of whole trials, each group of pieces by the numbers that one step
+    without it gives.
+    """
+    out = found.errors.copy()
+    groups = whole.problems[0].groups
+    if not found.model.coordinates:
+        return out
+    models = [whole.moved(found.model, np.clip(step, -0.7, 0.7)) for step in found.steps]
+    every = whole.errors([m.laws for m in models])
+    for group, error in zip(groups, every, strict=True):
+        rows = np.isin(whole.block, group)
+        out[rows] = error[rows]
+    return out
 
 
 Coordinate = tuple[int, str]
