@@ -1,5 +1,5 @@
-"""Writers of runs and of a robot's session that are killed at random moments, again and again in
-the same folder.
+"""Writers of runs and of a robot's session that are killed at random moments, half of them by
+SIGTERM, again and again in the same folder.
 
     # kills, seed; exit status 1 and a line at the first that lost anything
     python -m tests.faults.killed FOLDER 1000 0
@@ -18,7 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
+from adaptsim_jax.cli import STOPPED
 from adaptsim_jax.core import store, tree_store  # noqa: F401  (imported before the forks, so that these begin at once)
+from adaptsim_jax.core.process import stopped_by_sigterm
 
 LIKE = {"state": np.zeros(4000, np.float32), "step": np.zeros((), np.int32)}
 LONGEST = 0.25  # s that a writer lives
@@ -89,6 +91,19 @@ def check_session(folder: Path) -> int:
     return step
 
 
+def _ended(child: int, by: signal.Signals) -> int:
+    """The exit code of a child that is sent a signal, again each second: Python loses what it
+    raises within a `__del__`.
+    """
+    while True:
+        os.kill(child, by)
+        for _ in range(100):
+            time.sleep(0.01)
+            there, status = os.waitpid(child, os.WNOHANG)
+            if there:
+                return os.waitstatus_to_exitcode(status)
+
+
 def campaign(folder: Path, kills: int, seed: int) -> tuple[int, int]:
     """Steps that the run and the session came to. ValueError at the first kill that lost
     anything.
@@ -100,13 +115,17 @@ def campaign(folder: Path, kills: int, seed: int) -> tuple[int, int]:
         write, check = ((write_run, check_run), (write_session, check_session))[which]
         place = folder / ("run", "session")[which]
         if (child := os.fork()) == 0:
+            code = 1
             try:
-                write(place)
+                with stopped_by_sigterm():
+                    write(place)
+            except KeyboardInterrupt:
+                code = STOPPED
             finally:
-                os._exit(1)
+                os._exit(code)
         time.sleep(draw.uniform(0.0, LONGEST))
-        os.kill(child, signal.SIGKILL)
-        if not os.WIFSIGNALED(os.waitpid(child, 0)[1]):
+        by = (signal.SIGKILL, signal.SIGTERM)[kill // 2 % 2]
+        if _ended(child, by) not in (-by, STOPPED):
             raise ValueError(f"kill {kill}: the writer had ended by itself")
         step = check(place)
         if step < ends[which]:
