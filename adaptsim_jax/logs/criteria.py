@@ -59,6 +59,7 @@ class UnitCriteria:
     long: float = 10.0  # m that a slide without a range may move before mm are hinted at
     alike: float = 0.1  # in log: two factors of units this near are one
     same: float = 0.02  # the same of ratios that are known so well
+    shared: float = 0.05  # of a small ratio's logarithm, by which trials may differ in it
     min_rows: int = 20  # with angle and speed, to compare both
     related: float = 0.9  # R2 of speeds and slopes, to take their ratio for a unit's
     agree: float = 1.2  # largest over smallest ratio of a log's joints

@@ -109,9 +109,11 @@ def common(found: Sequence[Agreement]) -> float | None:
     size, middle = np.abs(gains), float(np.median(gains))
     if size.max() > UNIT.agree * size.min():
         return None
-    unsure = float(np.median([_unsure(a) for a in found]))
-    if abs(math.log(abs(middle))) < unsure:
-        middle = math.copysign(1.0, middle)
+    far = abs(math.log(abs(middle)))
+    # coarse rows of a fast motion leave ratios that trials do not share to the digit
+    alike = len(size) > 1 and float(np.ptp(np.log(size))) < UNIT.shared * far
+    if far < float(np.median([_unsure(a) for a in found])) or (far < UNIT.alike and not alike):
+        return math.copysign(1.0, middle)
     return middle
 
 
