@@ -13,7 +13,7 @@ import pytest
 from adaptsim_jax.core.errors import BadInput
 from tests.faults import readers_of_trials as trials
 from tests.faults.damage import ASKED, POSES, TRACKS
-from tests.faults.readers import READERS, Reader, number
+from tests.faults.readers import READERS, Reader, number, numbers
 
 PUSHES = trials.pushed, trials.write_tracks("pushing"), trials.read_pushes
 SCOOPS = trials.scooped, trials.write_tracks("scooping"), trials.read_scoops
@@ -45,13 +45,26 @@ def drawn(reader: Reader, seed: int):
     return own, what.__name__, what(own, rng, reader.kind)
 
 
-def unlike(reader: Reader, read, own) -> str:
+def lost(own, damaged, k: int, name: str, time: np.ndarray) -> np.ndarray:
+    """Rows `[T]` at `time` s whose torque damage left no number: it acts on from the row before,
+    which is told.
+    """
+    cells = numbers(damaged.trials[k].get(name, ()))
+    if not name.startswith("tau") or len(cells) != len(own.trials[k]["time"]):
+        return np.zeros(len(time), bool)
+    row = np.searchsorted(own.trials[k]["time"], time + 1e-6, side="right") - 1
+    return ~np.isfinite(cells[np.maximum(row, 0)])
+
+
+def unlike(reader: Reader, read, own, damaged) -> str:
     """Which columns mean another thing than those of the healthy recording; nothing where none
     does.
     """
     for k, trial in read.trials.items():
         for name, column in trial.columns.items():
             here = np.isfinite(column)
+            if "lack a number" in read.told:
+                here &= ~lost(own, damaged, k, name, trial.time)
             if not here.any():
                 return f"trial {k}: {name}, none of which is left,"
             off = column[here] - healthy_column(own, k, name, trial.time[here])
@@ -115,7 +128,7 @@ def wrong(reader: Reader, seed: int, folder) -> tuple[bool, str]:
         np.max(np.diff(t.time), initial=0.0) > 0.3 for t in read.trials.values()
     )
     jump &= reader.kind.angles != () or "nothing was recorded" in read.told
-    other = "" if jump else unlike(reader, read, own)
+    other = "" if jump else unlike(reader, read, own, damaged)
     return False, f"{what}: {other} has another meaning" if other else ""
 
 
