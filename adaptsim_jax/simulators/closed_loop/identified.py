@@ -46,8 +46,7 @@ from adaptsim_jax.simulators.closed_loop.rivals import (
     or_other_friction,
     or_rival,
     or_stepped,
-    with_payload,
-    with_place,
+    with_mass,
 )
 from adaptsim_jax.simulators.closed_loop.shared import LATE, late_targets, one_more_shared
 from adaptsim_jax.simulators.closed_loop.stepping import errors, squared
@@ -160,7 +159,7 @@ def identified(
     recording: Recording, notify: Callable[[str], None] = lambda note: None
 ) -> ServoLaws:
     """The servos' laws that a recording shows."""
-    notify("servos, joint by joint")
+    notify("whole trials by the file")
     file = [s.law for s in recording.servos]
     problems = joint_problems(recording, [imposed_motion(t) for t in recording.trials], file)
     whole = whole_trials(recording, problems)
@@ -178,6 +177,7 @@ def identified(
         found, members = _borne_out(whole, found, file, notify)
         return ServoLaws(recording, found, members, before, left_out_errors(whole, found), whole)
     some = [problems[j] for j in live]
+    notify("servos, joint by joint")
     fits |= zip(live, parallel_map(lambda p: _begun(p, file[0].sharp), some), strict=True)
     shared: list[str] = []
     notify("targets that are late")
@@ -191,11 +191,12 @@ def identified(
     full = [fits[j] if j in live else fits[j].of(fits[j].law._replace(**value)) for j in fits]
     late = any(n in LATE for n in shared)
     shared += [n for n in STEPPED if n != "shift" or not late]
-    found = polished(whole, with_place(FittedServos(tuple(full), tuple(shared))))
+    model = with_mass(recording, FittedServos(tuple(full), tuple(shared)))
+    found = polished(whole, model)
     found = or_other_friction(whole, found)
     file = [law._replace(sharp=found.model.laws[0].sharp) for law in file]
     found = or_stepped(whole, found, file)
-    found, instead = or_heavier(whole, or_rival(whole, with_payload(whole, found), file), file)
+    found, instead = or_heavier(whole, or_rival(whole, found, file), file)
     found, members = _borne_out(whole, found, file, notify)
     if worse := _not_followed_better(whole, before, found, members):
         found = polished(whole, without(whole, found, worse, file), rounds=2)
