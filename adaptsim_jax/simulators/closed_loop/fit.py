@@ -69,6 +69,11 @@ def left(problem: JointProblem, law: ServoLaw) -> np.ndarray:
     return squared(errors(problem, [law]))[0]
 
 
+def times_noise(problem: JointProblem, law: ServoLaw) -> float:
+    """Error of all pieces over the noise."""
+    return float(np.sqrt(left(problem, law).sum() / problem.rows.sum()) / problem.noise)
+
+
 def weights(problem: JointProblem, sums: np.ndarray) -> np.ndarray:
     """[P] of sums of squares [P]."""
     mean = sums / problem.rows

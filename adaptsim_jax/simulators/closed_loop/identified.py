@@ -21,6 +21,7 @@ from adaptsim_jax.simulators.closed_loop.fit import (
     preferred,
     score,
     solved,
+    times_noise,
 )
 from adaptsim_jax.simulators.closed_loop.imposed import JointProblem, Recording, joint_problems
 from adaptsim_jax.simulators.closed_loop.law import OPEN, ServoLaw, moved
@@ -214,6 +215,10 @@ def _joint_by_joint(
     some = [problems[j] for j in live]
     notify("servos, joint by joint")
     fits |= zip(live, parallel_map(lambda p: _begun(p, file[0].sharp), some), strict=True)
+    if all(
+        times_noise(p, fits[j].law) < CLOSED_LOOP.shown for p, j in zip(some, live, strict=True)
+    ):
+        return FittedServos(tuple(fits.values()))
     shared: list[str] = []
     notify("targets that are late")
     own, tried = late_targets(some, [fits[j] for j in live])
@@ -268,8 +273,7 @@ def _moves(recording: Recording, j: int) -> bool:
 def _begun(problem: JointProblem, sharp: float) -> LawFit:
     """kp, damping and friction, with a limit where that is better. sharp: as of `ServoLaw`."""
     fit = begun(problem, problem.servo.law._replace(sharp=sharp))
-    left_over = np.sqrt(left(problem, fit.law).sum() / problem.rows.sum())
-    if left_over < CLOSED_LOOP.enough * problem.noise:
+    if times_noise(problem, fit.law) < CLOSED_LOOP.enough:
         return fit
     return begun_at_limit(problem, fit)
 

@@ -134,7 +134,7 @@ def one_shared(
     whole: WholeTrials, file: Sequence[ServoLaw], stepped: Sequence[str]
 ) -> Polished | None:
     """The file's laws with one number that all joints share (a delay, a filter, a mass at the hand,
-    gravity fed forward), where that leaves no more than noise.
+    gravity fed forward), where nothing that is left could show another.
 
     Args:
         stepped: How a simulator steps, fitted with it.
@@ -148,7 +148,7 @@ def one_shared(
         fits = tuple(LawFit(law._replace(reach=reach), ()) for law in file)
         found.append(polished(whole, FittedServos(fits, (*names, *rest)), rounds=8))
     best = min(found, key=lambda f: left_over(whole, f), default=None)
-    if best is None or over_noise(whole, best.errors).max() > CLOSED_LOOP.lacks_nothing:
+    if best is None or over_noise(whole, best.errors).max() > CLOSED_LOOP.shown:
         return None
     return best
 
