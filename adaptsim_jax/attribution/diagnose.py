@@ -27,7 +27,7 @@ from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.core.progress import Report, notes_of
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.run import Page, Run, command_of
-from adaptsim_jax.diagnosis.written import Answer, Asked, Output, cleared, finished
+from adaptsim_jax.diagnosis.written import Answer, DiagnosisRequest, Output, cleared, finished
 from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.logs.quality.findings import AuditFinding
 from adaptsim_jax.logs.quality.trial_words import add_trials
@@ -83,7 +83,7 @@ def diagnose(
         horizon=None if horizon == HORIZON else horizon,
         simulator=_simulator_asked(machine),
     )
-    asked = Asked(data, model, folder, tuple(without), Run(command, began))
+    asked = DiagnosisRequest(data, model, folder, tuple(without), Run(command, began))
     answer = of_servos.answered(machine, setting, asked, notify)
     if answer is None:
         answer = of_tree.answered(machine, setting, asked, notify)

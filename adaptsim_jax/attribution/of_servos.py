@@ -7,11 +7,11 @@ from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.measures import WHOLE
 from adaptsim_jax.attribution.posed import DiagnosisSetting
 from adaptsim_jax.core.progress import Note
-from adaptsim_jax.diagnosis.written import Answer, Asked
+from adaptsim_jax.diagnosis.written import Answer, DiagnosisRequest
 
 
 def answered(
-    machine: Machine, setting: DiagnosisSetting, asked: Asked, notify: Note
+    machine: Machine, setting: DiagnosisSetting, asked: DiagnosisRequest, notify: Note
 ) -> Answer | None:
     """What the closed loop of a machine's servos shows; None where it has none, where another
     yardstick or other effects were asked for, and where stretches can show more.

@@ -19,11 +19,13 @@ from adaptsim_jax.attribution.posed import DiagnosisSetting
 from adaptsim_jax.attribution.replay import follows, recommended
 from adaptsim_jax.core.progress import Note
 from adaptsim_jax.diagnosis.recommended import WHOLE_TRIALS
-from adaptsim_jax.diagnosis.written import Answer, Asked
+from adaptsim_jax.diagnosis.written import Answer, DiagnosisRequest
 from adaptsim_jax.mend.model_toml import FILE as MODEL_FILE
 
 
-def answered(machine: Machine, setting: DiagnosisSetting, asked: Asked, notify: Note) -> Answer:
+def answered(
+    machine: Machine, setting: DiagnosisSetting, asked: DiagnosisRequest, notify: Note
+) -> Answer:
     """What the torque along the motion, or simulated stretches, show of a machine."""
     keep = None if asked.folder is None else partial(write_so_far, asked.folder)
     found = examined(machine, setting, notify=notify, keep=keep)

@@ -145,7 +145,7 @@ def _noted(report: dict[str, Any], evidence: dict[str, Any], line: str) -> None:
 
 
 @dataclass(frozen=True)
-class Asked:
+class DiagnosisRequest:
     """What a diagnosis was asked of.
 
     Args:

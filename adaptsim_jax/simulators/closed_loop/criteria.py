@@ -21,6 +21,7 @@ class ClosedLoopCriteria:
     moving: float = 20.0  # times its noise, by which a joint moves that is fitted
     # rad (m): no encoder counts as better, since whole trials are simulated no nearer than this
     min_noise: float = 2e-4
+    rough: float = 2.0  # of the step, by which derivatives of whole trials are simulated
     batch: int = 16  # parameter sets of a call
     # rows' worth of a pull to the file's scale: only ratios show where damping is heavy
     pull: float = 30.0
@@ -33,6 +34,8 @@ class ClosedLoopCriteria:
     # by which the change of another number, in its usual size, counts: a hundredth is worth a name
     units: float = 5.0
     enough: float = 2.0  # times the noise, that a joint with nothing more to find leaves at most
+    far: float = 4.0  # times the noise, beyond which a piece lacks something
+    helped: int = 2  # pieces that come from there to `enough`: they show a number by themselves
     harm: float = 0.1  # of a joint's squared error (log), by which a shared number may harm it
     # of a joint's error over whole trials by the file, that its own numbers must take off together
     better: float = 0.2

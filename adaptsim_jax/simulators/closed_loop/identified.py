@@ -3,7 +3,7 @@ improve, polished on whole trials, and returned to the file's where these do not
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
@@ -21,6 +21,7 @@ from adaptsim_jax.simulators.closed_loop.fit import (
     preferred,
     score,
     solved,
+    times_noise,
 )
 from adaptsim_jax.simulators.closed_loop.imposed import JointProblem, Recording, joint_problems
 from adaptsim_jax.simulators.closed_loop.law import OPEN, ServoLaw, moved
@@ -46,8 +47,7 @@ from adaptsim_jax.simulators.closed_loop.rivals import (
     or_other_friction,
     or_rival,
     or_stepped,
-    with_payload,
-    with_place,
+    with_mass,
 )
 from adaptsim_jax.simulators.closed_loop.shared import LATE, late_targets, one_more_shared
 from adaptsim_jax.simulators.closed_loop.stepping import errors, squared
@@ -159,43 +159,24 @@ def scale_spread(found: ServoLaws) -> np.ndarray:
 def identified(
     recording: Recording, notify: Callable[[str], None] = lambda note: None
 ) -> ServoLaws:
-    """The servos' laws that a recording shows."""
-    notify("servos, joint by joint")
+    """The servos' laws that a recording shows: the file's where nothing is lacking, one number that
+    all servos share where that explains all, else laws of joints, held against whole trials.
+    """
+    notify("whole trials by the file")
     file = [s.law for s in recording.servos]
     problems = joint_problems(recording, [imposed_motion(t) for t in recording.trials], file)
     whole = whole_trials(recording, problems)
     file, before = _with_friction(whole, file)
     live = [j for j, p in enumerate(problems) if _moves(recording, j)]
-    fits = {j: LawFit(law, ()) for j, law in enumerate(file)}
-    if over_noise(whole, before)[live].max(initial=0.0) < CLOSED_LOOP.lacks_nothing:
-        by_file = polished(whole, FittedServos(tuple(fits.values())), rounds=0)
-        return ServoLaws(recording, by_file, (), before, before, whole)
-    by_file = polished(whole, FittedServos(tuple(fits.values()), STEPPED))
-    if over_noise(whole, by_file.errors)[live].max() < CLOSED_LOOP.lacks_nothing:
-        return ServoLaws(recording, by_file, (), by_file.errors, by_file.errors, whole)
+    if by_file := _nothing_lacking(whole, file, before, live):
+        error = by_file.errors
+        return ServoLaws(recording, by_file, (), error, error, whole)
     notify("one number that all servos share")
-    if found := one_shared(whole, file, STEPPED):
-        found, members = _borne_out(whole, found, file, notify)
-        return ServoLaws(recording, found, members, before, left_out_errors(whole, found), whole)
-    some = [problems[j] for j in live]
-    fits |= zip(live, parallel_map(lambda p: _begun(p, file[0].sharp), some), strict=True)
-    shared: list[str] = []
-    notify("targets that are late")
-    own, tried = late_targets(some, [fits[j] for j in live])
-    if passed := [a for a in tried if a.passes]:
-        shared.append(max(passed, key=lambda a: a.gain).name)
-        fits |= zip(live, own, strict=True)
-    fits, shared = _grown(recording, problems, live, fits, shared, notify)
-    notify("whole trials")
-    value = {n: getattr(fits[live[0]].law, n) for n in shared} if live else {}
-    full = [fits[j] if j in live else fits[j].of(fits[j].law._replace(**value)) for j in fits]
-    late = any(n in LATE for n in shared)
-    shared += [n for n in STEPPED if n != "shift" or not late]
-    found = polished(whole, with_place(FittedServos(tuple(full), tuple(shared))))
-    found = or_other_friction(whole, found)
-    file = [law._replace(sharp=found.model.laws[0].sharp) for law in file]
-    found = or_stepped(whole, found, file)
-    found, instead = or_heavier(whole, or_rival(whole, with_payload(whole, found), file), file)
+    found, instead = one_shared(whole, file, STEPPED), ()
+    if found is None:
+        model = _joint_by_joint(whole, file, live, notify)
+        found, instead = _of_whole_trials(whole, model, file, notify)
+        file = [law._replace(sharp=found.model.laws[0].sharp) for law in file]
     found, members = _borne_out(whole, found, file, notify)
     if worse := _not_followed_better(whole, before, found, members):
         found = polished(whole, without(whole, found, worse, file), rounds=2)
@@ -203,6 +184,70 @@ def identified(
     found = polished(whole, found.model)
     after = left_out_errors(whole, found)
     return ServoLaws(recording, found, members, before, after, whole, instead)
+
+
+def _nothing_lacking(
+    whole: WholeTrials, file: Sequence[ServoLaw], before: np.ndarray, live: Sequence[int]
+) -> Polished | None:
+    """The file's laws where they leave no more than noise at the joints that move, at once or with
+    how a simulator steps; else None.
+
+    Args:
+        before: Errors [rows, n] rad that they leave at once.
+    """
+    fits = tuple(LawFit(law, ()) for law in file)
+    if over_noise(whole, before)[live].max(initial=0.0) < CLOSED_LOOP.lacks_nothing:
+        return polished(whole, FittedServos(fits), rounds=0)
+    found = polished(whole, FittedServos(fits, STEPPED))
+    if over_noise(whole, found.errors)[live].max() < CLOSED_LOOP.lacks_nothing:
+        return found
+    return None
+
+
+def _joint_by_joint(
+    whole: WholeTrials,
+    file: Sequence[ServoLaw],
+    live: Sequence[int],
+    notify: Callable[[str], None],
+) -> FittedServos:
+    """Laws fitted to pieces of single joints, with numbers that all joints share."""
+    problems, fits = whole.problems, {j: LawFit(law, ()) for j, law in enumerate(file)}
+    some = [problems[j] for j in live]
+    notify("servos, joint by joint")
+    fits |= zip(live, parallel_map(lambda p: _begun(p, file[0].sharp), some), strict=True)
+    if all(
+        times_noise(p, fits[j].law) < CLOSED_LOOP.shown for p, j in zip(some, live, strict=True)
+    ):
+        return FittedServos(tuple(fits.values()))
+    shared: list[str] = []
+    notify("targets that are late")
+    own, tried = late_targets(some, [fits[j] for j in live])
+    if passed := [a for a in tried if a.passes]:
+        shared.append(max(passed, key=lambda a: a.gain).name)
+        fits |= zip(live, own, strict=True)
+    fits, shared = _grown(whole.recording, problems, live, fits, shared, notify)
+    value = {n: getattr(fits[live[0]].law, n) for n in shared}
+    full = [fits[j] if j in live else fits[j].of(fits[j].law._replace(**value)) for j in fits]
+    return FittedServos(tuple(full), tuple(shared))
+
+
+def _of_whole_trials(
+    whole: WholeTrials,
+    model: FittedServos,
+    file: Sequence[ServoLaw],
+    notify: Callable[[str], None],
+) -> tuple[Polished, tuple[int, ...]]:
+    """Laws fitted to whole trials, each explanation held against its rivals; joints as of
+    `ServoLaws.instead`.
+    """
+    notify("whole trials")
+    late = any(n in LATE for n in model.shared)
+    stepped = [n for n in STEPPED if n != "shift" or not late]
+    model = replace(model, shared=(*model.shared, *stepped))
+    found = or_other_friction(whole, polished(whole, with_mass(whole.recording, model)))
+    file = [law._replace(sharp=found.model.laws[0].sharp) for law in file]
+    found = or_rival(whole, or_stepped(whole, found, file), file)
+    return or_heavier(whole, found, file)
 
 
 def _with_friction(
@@ -228,8 +273,7 @@ def _moves(recording: Recording, j: int) -> bool:
 def _begun(problem: JointProblem, sharp: float) -> LawFit:
     """kp, damping and friction, with a limit where that is better. sharp: as of `ServoLaw`."""
     fit = begun(problem, problem.servo.law._replace(sharp=sharp))
-    left_over = np.sqrt(left(problem, fit.law).sum() / problem.rows.sum())
-    if left_over < CLOSED_LOOP.enough * problem.noise:
+    if times_noise(problem, fit.law) < CLOSED_LOOP.enough:
         return fit
     return begun_at_limit(problem, fit)
 

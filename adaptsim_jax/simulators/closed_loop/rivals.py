@@ -28,17 +28,6 @@ def allowed_by_all(recording: Recording) -> list[str]:
     return [n for n in names if n != "payload" or recording.hand >= 0]
 
 
-def with_payload(whole: WholeTrials, found: Polished) -> Polished:
-    """With a mass at the hand free as well: pieces of single joints take it for other scales."""
-    shared = found.model.shared
-    if "payload" not in allowed_by_all(whole.recording) or {"payload", "lift"} & {*shared}:
-        return found
-    if not found.model.coordinates:
-        return found
-    fits = tuple(f.of(f.law._replace(reach=CLOSED_LOOP.tool)) for f in found.model.fits)
-    return polished(whole, FittedServos(fits, (*shared, *CARRIED)), rounds=3)
-
-
 CARRIED = ("payload", "reach")
 """Of a mass at the hand."""
 RIVALS = (
@@ -50,11 +39,17 @@ RIVALS = (
 """Shared numbers that pieces of single joints hardly tell apart: whole trials decide."""
 
 
-def with_place(model: FittedServos) -> FittedServos:
-    """With the place of a mass at the hand free where the mass is."""
-    if "payload" not in model.shared:
+def with_mass(recording: Recording, model: FittedServos) -> FittedServos:
+    """With a mass at the hand free as well, and its place: pieces of single joints take it for
+    other scales.
+    """
+    known = "payload" in allowed_by_all(recording) and "lift" not in model.shared
+    if not known or not model.coordinates:
         return model
-    return replace(model, shared=tuple(dict.fromkeys((*model.shared, *CARRIED))))
+    fits = model.fits
+    if "payload" not in model.shared:
+        fits = tuple(f.of(f.law._replace(reach=CLOSED_LOOP.tool)) for f in fits)
+    return FittedServos(fits, tuple(dict.fromkeys((*model.shared, *CARRIED))))
 
 
 def or_rival(whole: WholeTrials, found: Polished, file: Sequence[ServoLaw]) -> Polished:
@@ -85,7 +80,7 @@ def or_other_friction(whole: WholeTrials, found: Polished) -> Polished:
     if not any(law.rub for law in found.model.laws):
         return found
     fits = tuple(f.of(f.law._replace(sharp=1.0 - f.law.sharp)) for f in found.model.fits)
-    rival = polished(whole, replace(found.model, fits=fits))
+    rival = polished(whole, replace(found.model, fits=fits), rounds=2)
     if left_over(whole, rival) < left_over(whole, found) - CLOSED_LOOP.gain:
         return rival
     return found
@@ -139,7 +134,7 @@ def one_shared(
     whole: WholeTrials, file: Sequence[ServoLaw], stepped: Sequence[str]
 ) -> Polished | None:
     """The file's laws with one number that all joints share (a delay, a filter, a mass at the hand,
-    gravity fed forward), where that leaves no more than noise.
+    gravity fed forward), where nothing that is left could show another.
 
     Args:
         stepped: How a simulator steps, fitted with it.
@@ -153,7 +148,7 @@ def one_shared(
         fits = tuple(LawFit(law._replace(reach=reach), ()) for law in file)
         found.append(polished(whole, FittedServos(fits, (*names, *rest)), rounds=8))
     best = min(found, key=lambda f: left_over(whole, f), default=None)
-    if best is None or over_noise(whole, best.errors).max() > CLOSED_LOOP.lacks_nothing:
+    if best is None or over_noise(whole, best.errors).max() > CLOSED_LOOP.shown:
         return None
     return best
 
